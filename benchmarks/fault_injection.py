@@ -56,7 +56,8 @@ STOP_WITHIN = 0.3  #: s
 FAULT_FOR = 0.6  #: s that a lasting fault is looked at
 REST_AFTER = 0.5  #: s after a stop, when the arms are at rest
 #: rad/s or m/s; rad or m since the stop, beside what braking from the speed at the stop takes
-REST_SPEED, REST_TRAVEL = 0.1, 0.1
+REST_SPEED = 0.1
+REST_TRAVEL = 0.1
 BLOCK = 1024  #: ticks whose references are computed together
 TRUTH_EVERY = 3  #: ticks from one look at true forces to the next: contacts take 10 ms to form
 LOSSES = (0, 2, 3, 10)  #: every so many-th tick is lost; 0: none
@@ -235,16 +236,15 @@ FAULTS: dict[str, Fault] = {
         _both(
             _set("q", lambda t, x: t.first("q", x)),
             _set("v", lambda t, x: t.first("v", x)),
-        ), ends=_STOPS,
+        ),
+        ends=_STOPS,
     ),
     "encoders stuck, speeds zero": Fault(
         _both(_set("q", lambda t, x: t.first("q", x)), _set("v", lambda t, x: 0.0 * x))
     ),
     "encoder mirrored": Fault(_motor("q", lambda t, x: -x)),
     "encoder drifts by 0.2 rad/s": Fault(_motor("q", lambda t, x: x + 2e-4 * t.k)),
-    "encoder noise of 5 mrad": Fault(
-        _set("q", lambda t, x: x + 5e-3 * t.rng.normal(size=x.shape))
-    ),
+    "encoder noise of 5 mrad": Fault(_set("q", lambda t, x: x + 5e-3 * t.rng.normal(size=x.shape))),
     # speeds
     "speed NaN once": Fault(_one("v", lambda t, x: NAN), _TICK, _ON),
     "speed inf for ever": Fault(_one("v", lambda t, x: np.inf), ends=_STOPS),
@@ -292,7 +292,7 @@ FAULTS: dict[str, Fault] = {
     "a motor is dead": Fault(None, lies=False, torque=_weaken(0.0)),
     "a motor is weak": Fault(None, lies=False, torque=_weaken(0.7)),
     "torques are late by a tick": Fault(None, lies=False, torque=_delay),
-}  # fmt: skip
+}
 
 #: s at which the fault begins, and what of the scenario is changed
 PHASES: dict[str, tuple[float, dict[str, Any]]] = {
@@ -352,14 +352,17 @@ class Run:
     def __init__(self, case: Case) -> None:
         """Build the rig of a case."""
         how = PHASES[case.phase][1]
-        self.case, self.k, self.before = case, 0, None
+        self.case = case
+        self.k = 0
+        self.before = None
         self.hold = bool(how.get("hold"))
         self.rig = osc.build_rig(_scenario(how.get("scenario", case.scenario), how.get("outward")))
         self.plant, self.controller = start(self.rig, case.seed)
         self.robot = self.rig.robot(self.plant, self.controller)
         taring = self.rig.scenario.tare is not None
         self.tick = Taring(self.rig, self.controller).tick if taring else self.controller.tick
-        self.dt, self.limit = self.controller.dt, self.rig.model.tau_max
+        self.dt = self.controller.dt
+        self.limit = self.rig.model.tau_max
         if self.controller._records.memory.ticked:
             self.before = self.controller.last_torques()
         self.first = round(case.begin / self.dt)
@@ -379,8 +382,10 @@ class Run:
         Args:
             verdict: what is seen and wrong is noted there. trial: of a fault that lasts now.
         """
-        k, case = self.k, self.case
-        reference, measurement = self.reference(), self.robot.measure()
+        k = self.k
+        case = self.case
+        reference = self.reference()
+        measurement = self.robot.measure()
         if self.hold and 8 < self.first - k <= 16:
             measurement = replace(measurement, wrenches=np.full_like(measurement.wrenches, NAN))
         if trial is not None:
@@ -414,15 +419,20 @@ class Run:
 
     def judge(self, name: str) -> Verdict:
         """The run with the fault, from where it begins."""
-        fault, case, dt, chain = FAULTS[name], self.case, self.dt, self.rig.model
+        fault = FAULTS[name]
+        case = self.case
+        dt = self.dt
+        chain = self.rig.model
         verdict = Verdict(name, case)
         trial = Trial(np.random.default_rng([case.seed, len(name)]), chain)
         last = round(min(case.begin + fault.lasts, 1e6) / dt)
         act = np.array(chain.actuated)
         model = chain.model
-        low, high = model.lowerPositionLimit[act], model.upperPositionLimit[act]
+        low = model.lowerPositionLimit[act]
+        high = model.upperPositionLimit[act]
         beyond = outside = 0
-        highest, end = 0.0, self.first + round(FAULT_FOR / dt)
+        highest = 0.0
+        end = self.first + round(FAULT_FOR / dt)
         stop_q = braking = np.zeros(0)
         while self.k < end and not verdict.wrong:
             k = self.k
@@ -430,7 +440,8 @@ class Run:
             reference = self.step(verdict, active, fault)
             true = _inside(self.plant).measure()
             if verdict.stopped is None and self.controller.state is SAFE_STOP:
-                verdict.stopped, stop_q = (k - self.first) * dt, true.q[act]
+                verdict.stopped = (k - self.first) * dt
+                stop_q = true.q[act]
                 verdict.reason = self.controller.reason
                 braking = np.abs(true.v[act]) * self.controller._records.model.reaction
                 end = max(end, k + round(REST_AFTER / dt))
@@ -450,7 +461,8 @@ class Run:
                 verdict.force = max(verdict.force, float(np.max(alpha, initial=0.0)))
             if self.controller.state is not SAFE_STOP and max(beyond, outside) * dt > STOP_WITHIN:
                 verdict.wrong.append(f"tick {k}: joints beyond their limits and no stop")
-        verdict.ticks, verdict.state = self.k, self.controller.state
+        verdict.ticks = self.k
+        verdict.state = self.controller.state
         verdict.reason = verdict.reason or self.controller.reason
         pushes = sum(np.linalg.norm(push.force) for push in self.rig.scenario.plant.pushes)
         self._judge_end(verdict, fault, max(3.0 * highest, 30.0) + pushes)
@@ -476,8 +488,9 @@ class Run:
             wrong.append(f"moved by {verdict.travel:.2f} rad (m) since the stop")
 
 
-def try_fault(name: str, phase: str, seed: int = 0, scenario: str = "two_contact_rod",
-              every: int = 0) -> Verdict:  # fmt: skip
+def try_fault(
+    name: str, phase: str, seed: int = 0, scenario: str = "two_contact_rod", every: int = 0
+) -> Verdict:
     """Run a scenario up to a phase, then with the fault; judge it."""
     run = Run(Case(phase, scenario, every, seed))
     run.lead_in()
@@ -492,8 +505,9 @@ def try_faults(case: Case, names: Sequence[str]) -> list[Verdict]:
     verdicts = []
     for name in names:
         receiver, sender = fork.Pipe(duplex=False)
-        child = fork.Process(target=lambda name, out: out.send(run.judge(name)),
-                             args=(name, sender))  # fmt: skip
+        child = fork.Process(
+            target=lambda name, out: out.send(run.judge(name)), args=(name, sender)
+        )
         child.start()
         sender.close()
         try:
@@ -511,8 +525,10 @@ def _lost(m: Measurement) -> Measurement:
 
 def stay_quiet(scenario: str, seconds: float, noise: float = 0.5, late: float = 3e-3) -> str:
     """Run a scenario without any fault, wrists noisy (N) and late (s); why it stopped, or ''."""
-    run, rng = Run(Case(scenario=scenario)), np.random.default_rng(5)
-    measure, queue = run.robot.measure, deque[np.ndarray](maxlen=round(late / run.dt) + 1)
+    run = Run(Case(scenario=scenario))
+    rng = np.random.default_rng(5)
+    measure = run.robot.measure
+    queue = deque[np.ndarray](maxlen=round(late / run.dt) + 1)
 
     def noisy() -> Measurement:
         m = measure()
@@ -584,8 +600,22 @@ def _keep(verdict: Verdict, kept: Path | None) -> Verdict:
 
 def table(verdicts: list[Verdict]) -> str:
     """One line for each kind."""
-    head = ("fault", "runs", "ticks", "RUN", "DEGR", "HOLD", "STOP", "latest stop s", "force N",
-            "speed", "rate 1/s", "rad/s at rest", "unbraked", "wrong")  # fmt: skip
+    head = (
+        "fault",
+        "runs",
+        "ticks",
+        "RUN",
+        "DEGR",
+        "HOLD",
+        "STOP",
+        "latest stop s",
+        "force N",
+        "speed",
+        "rate 1/s",
+        "rad/s at rest",
+        "unbraked",
+        "wrong",
+    )
     rows = [head]
     for name in FAULTS:
         mine = [v for v in verdicts if v.fault == name]
@@ -594,13 +624,21 @@ def table(verdicts: list[Verdict]) -> str:
         states = [sum(v.state is s for v in mine) for s in SafetyState]
         stops = [v.stopped for v in mine if v.stopped is not None]
         rests = [v.rest_speed for v in mine if v.stopped is not None and not v.unbraked]
-        rows.append((
-            name, str(len(mine)), str(sum(v.ticks for v in mine)), *map(str, states),
-            f"{max(stops):.3f}" if stops else "-", f"{max(v.force for v in mine):.1f}",
-            f"{max(v.speed for v in mine):.2f}", f"{max(v.rate for v in mine):.0f}",
-            f"{max(rests, default=0.0):.3f}", str(sum(v.unbraked for v in mine)),
-            str(sum(bool(v.wrong) for v in mine)),
-        ))  # fmt: skip
+        rows.append(
+            (
+                name,
+                str(len(mine)),
+                str(sum(v.ticks for v in mine)),
+                *map(str, states),
+                f"{max(stops):.3f}" if stops else "-",
+                f"{max(v.force for v in mine):.1f}",
+                f"{max(v.speed for v in mine):.2f}",
+                f"{max(v.rate for v in mine):.0f}",
+                f"{max(rests, default=0.0):.3f}",
+                str(sum(v.unbraked for v in mine)),
+                str(sum(bool(v.wrong) for v in mine)),
+            )
+        )
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
     return "\n".join(
         "  ".join(
@@ -633,11 +671,12 @@ def main(argv: list[str] | None = None) -> int:
         )
     names = given.fault or list(FAULTS)
     chosen = [
-        case for case in cases(given.seeds)
+        case
+        for case in cases(given.seeds)
         if (not given.phase or case.phase in given.phase)
         and (not given.scenario or case.scenario in given.scenario)
         and (given.every is None or case.every in given.every)
-    ]  # fmt: skip
+    ]
     verdicts = [v for v in _read(given.kept) if v.case in chosen and v.fault in names]
     done = {(v.fault, v.case) for v in verdicts}
     jobs = [(case, [name for name in names if (name, case) not in done]) for case in chosen]

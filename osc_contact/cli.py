@@ -32,7 +32,7 @@ from osc_contact.console import (
     run_with_progress,
     say,
     show_live,
-)  # fmt: skip
+)
 from osc_contact.errors import Interrupted, InvalidInputError
 from osc_contact.files import sole_user
 from osc_contact.law import compiled
@@ -56,9 +56,13 @@ app = typer.Typer(
     add_completion=False,
 )
 for command in (
-    cli_sweeps.sweep, cli_sweeps.tune, cli_robots.check, cli_robots.pose, cli_robots.new,
+    cli_sweeps.sweep,
+    cli_sweeps.tune,
+    cli_robots.check,
+    cli_robots.pose,
+    cli_robots.new,
     cli_start.examples,
-):  # fmt: skip
+):
     app.command()(command)
 RECORDINGS = (".npz", ".mcap")
 #: of a command whose words another program reads
@@ -107,7 +111,8 @@ def run(
             try:
                 recording = run_with_progress(chosen, seed, folder)
             except Interrupted as error:
-                recording, interrupted = error.recording, error
+                recording = error.recording
+                interrupted = error
                 say(str(error))
             written, failed = report_run(recording, chosen, folder, json_file)
             forget_rows(folder)

@@ -104,7 +104,8 @@ def pose(
             p = now.translation if xyz is None else poses.numbers("xyz", xyz)
             R = now.rotation if rpy is None else pin.rpy.rpyToMatrix(*poses.numbers("rpy", rpy))
             solution = poses.solve(chain, pin.SE3(R, p), q, seed)
-            q, reached = solution.q, solution.reached
+            q = solution.q
+            reached = solution.reached
             if not reached:
                 say(
                     f"not reached within the joints' limits: {1e3 * solution.miss[0]:.3g} mm and "

@@ -99,8 +99,12 @@ def counting(what: str, total: int) -> Iterator[Callable[[int, int], None]]:
     Args:
         what: is counted. total: how many there are.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-               TimeRemainingColumn())  # fmt: skip
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
         task = bar.add_task(what, total=total)
         yield lambda done, _: bar.update(task, completed=done)
@@ -168,11 +172,20 @@ def tune(
 
         with counting("trials", trials) as progress:
             tuned = find(
-                scenario, vary or (), objective=objective, limits=_limits(limit or []),
-                trials=trials, over=over or (), samples=samples, seed=seed,
-                overrides=changed(set_, duration), out=out_dir, workers=workers,
-                scheduler=scheduler, progress=progress,
-            )  # fmt: skip
+                scenario,
+                vary or (),
+                objective=objective,
+                limits=_limits(limit or []),
+                trials=trials,
+                over=over or (),
+                samples=samples,
+                seed=seed,
+                overrides=changed(set_, duration),
+                out=out_dir,
+                workers=workers,
+                scheduler=scheduler,
+                progress=progress,
+            )
         show_tuned(tuned, objective)
         if json_file:
             write_json(asdict(tuned) | {"better": tuned.better}, json_file)

@@ -34,11 +34,31 @@ from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
 
 __all__ = [
-    "CompilationBar", "DurationOption", "FolderOption", "JsonOption", "PARTIAL", "PlantOption",
-    "ScenarioArgument", "SeedOption", "SetOption", "UNFINISHED", "err", "exit_codes", "forget_rows",
-    "load_program", "load_task", "open_recording", "out", "record", "report_run", "require",
-    "require_report", "run_with_progress", "say", "show_live",
-]  # fmt: skip
+    "CompilationBar",
+    "DurationOption",
+    "FolderOption",
+    "JsonOption",
+    "PARTIAL",
+    "PlantOption",
+    "ScenarioArgument",
+    "SeedOption",
+    "SetOption",
+    "UNFINISHED",
+    "err",
+    "exit_codes",
+    "forget_rows",
+    "load_program",
+    "load_task",
+    "open_recording",
+    "out",
+    "record",
+    "report_run",
+    "require",
+    "require_report",
+    "run_with_progress",
+    "say",
+    "show_live",
+]
 
 ScenarioArgument = Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")]
 
@@ -170,16 +190,23 @@ def run_with_progress(
         folder: that is there: a failed run leaves its recording in it, and any run its rows while
             it lasts.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} s"),
-               TimeRemainingColumn())  # fmt: skip
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.1f} s"),
+        TimeRemainingColumn(),
+    )
     journal = None if folder is None else folder / UNFINISHED
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
         task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
         try:
             return run(
-                scenario, seed=seed, progress=lambda t: bar.update(task, completed=t),
-                viewer=viewer, journal=journal,
-            )  # fmt: skip
+                scenario,
+                seed=seed,
+                progress=lambda t: bar.update(task, completed=t),
+                viewer=viewer,
+                journal=journal,
+            )
         except PlantError as error:
             if error.recording is not None and folder is not None:
                 error.recording.save(folder / PARTIAL)

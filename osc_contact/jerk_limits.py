@@ -99,7 +99,8 @@ def _to_rest(v0: float, a0: float, a: float, j: float) -> Pieces:
     if v0 + a0 * abs(a0) / (2.0 * j) < 0.0:  # where it would come to with a constant velocity
         return tuple((duration, -jerk) for duration, jerk in _to_rest(-v0, -a0, a, j))
     least = min(a, sqrt(max(0.0, j * v0 + 0.5 * a0 * a0)))  # deceleration
-    first, stay = abs(a0 + least) / j, 0.0
+    first = abs(a0 + least) / j
+    stay = 0.0
     if least == a:
         stay = max(0.0, (v0 + 0.5 * first * (a0 - a)) / a - 0.5 * a / j)
     return (first, -j if a0 > -least else j), (stay, 0.0), (least / j, j)
@@ -151,9 +152,12 @@ class _StopAndGo:
 
     def _stopping(self, t: float) -> Array:
         """(3, n) state while it stops; a coordinate that has stopped rests."""
-        states = np.array([follow(*each) for each in zip(
-            self._stops, np.minimum(t, self._ends), *self._begin, strict=True
-        )]).T  # fmt: skip
+        states = np.array(
+            [
+                follow(*each)
+                for each in zip(self._stops, np.minimum(t, self._ends), *self._begin, strict=True)
+            ]
+        ).T
         states[1:, t >= np.array(self._ends)] = 0.0
         return states
 
@@ -176,11 +180,16 @@ class _Fastest:
             SolverError: ruckig finds none. It does not where its cases meet.
         """
         ruckig = _ruckig()
-        n, unit = len(x), limits[0]
-        self._origin, self._unit = x, unit
-        wanted, self._way = ruckig.InputParameter(n), ruckig.Trajectory(n)
-        wanted.current_position, wanted.current_velocity = np.zeros(n), v / unit
-        wanted.current_acceleration, wanted.target_position = a / unit, (goal - x) / unit
+        n = len(x)
+        unit = limits[0]
+        self._origin = x
+        self._unit = unit
+        wanted = ruckig.InputParameter(n)
+        self._way = ruckig.Trajectory(n)
+        wanted.current_position = np.zeros(n)
+        wanted.current_velocity = v / unit
+        wanted.current_acceleration = a / unit
+        wanted.target_position = (goal - x) / unit
         wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = limits / unit
         wanted.synchronization = ruckig.Synchronization.Phase
         try:

@@ -91,8 +91,10 @@ def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:
         return np.zeros((6, 6))
     rows, U, C = span(dual)
     rows_c, U_c, C_c = span(complement)
-    D, K = rows * U[:, :k], rows_c * U_c[:, :k]
-    power, summands = D.T @ K, (np.abs(D).T @ np.abs(K)).max()
+    D = rows * U[:, :k]
+    K = rows_c * U_c[:, :k]
+    power = D.T @ K
+    summands = (np.abs(D).T @ np.abs(K)).max()
     common = np.linalg.svd(power, compute_uv=False)[-1] / (summands or 1.0)
     independent = min(least(C)[0], least(C_c)[0])
     if independent < DEPENDENT or common < max(BLOCKED, BLURRED / independent):

@@ -98,7 +98,8 @@ def _refuse(M: Array, X: Array, unseen: Array, what: str) -> NoReturn:
     """Say why: one column, dependent columns, or a combination (k,) of those that M maps to."""
     unit, length = _unit(M)
     seen = np.linalg.norm(X @ unit, axis=0)
-    column, (independent, which) = int(seen.argmin()), least(M)
+    column = int(seen.argmin())
+    (independent, which) = least(M)
     if seen[column] < BLOCKED:
         raise ContactError(
             f"{what}: column {column} has nᵀΦn = {(seen * length)[column] ** 2:.3g}, its root "
@@ -110,7 +111,8 @@ def _refuse(M: Array, X: Array, unseen: Array, what: str) -> NoReturn:
             f"{what}: columns {which} are dependent (least singular value of unit columns "
             f"{independent:.2g}, limit {DEPENDENT:g}). Remove the redundant ones."
         )
-    share, which = np.linalg.norm(X @ unseen), _large(np.linalg.solve(unit, unseen))
+    share = np.linalg.norm(X @ unseen)
+    which = _large(np.linalg.solve(unit, unseen))
     raise ContactError(
         f"{what}: columns {which} are dependent in the metric (least singular value "
         f"{share:.2g}, limit {max(BLOCKED, BLURRED / independent):.2g}); it cannot move along one "

@@ -85,10 +85,8 @@ def as_pose(name: str, position: Any, rotation: Any) -> pin.SE3:
     Raises:
         InvalidInputError: wrong shapes, a NaN/inf, or no rotation: RᵀR ≠ 1 (by 1e-6) or det R < 0.
     """
-    p, R = (
-        as_array(f"{name} position", position, (3,)),
-        as_array(f"{name} rotation", rotation, (3, 3)),
-    )
+    p = as_array(f"{name} position", position, (3,))
+    R = as_array(f"{name} rotation", rotation, (3, 3))
     off = float(np.abs(R.T @ R - np.eye(3)).max())
     if off > 1e-6 or np.linalg.det(R) < 0.0:
         raise InvalidInputError(
@@ -180,7 +178,8 @@ class Poses:
     def coordinates(self, k: int) -> Array:
         """(k, 7) position and quaternion x, y, z, w, as `pin.SE3ToXYZQUAT` gives them."""
         out = np.empty((k, 7))
-        out[:, :3], out[:, 3:] = self.p.T, _quaternions(self.R)
+        out[:, :3] = self.p.T
+        out[:, 3:] = _quaternions(self.R)
         return out
 
 
@@ -196,7 +195,8 @@ def rotated(R: Array, x: Array) -> Array:
 def rotations(w: Array) -> Array:
     """(3, 3, k) rotations by the vectors w (3, k): 1 + a [w]× + b [w]×², Rodrigues' formula."""
     angle = np.sqrt((w * w).sum(axis=0))
-    a, b = np.sinc(angle / np.pi), 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    a = np.sinc(angle / np.pi)
+    b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
     unit = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(angle)))
     once = np.stack([cross(w, unit[:, j]) for j in range(3)], axis=1)
     twice = np.stack([cross(w, once[:, j]) for j in range(3)], axis=1)

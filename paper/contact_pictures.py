@@ -59,7 +59,8 @@ def draw_contact_state(
             fill(ax, face[None], **FACE)
         ax.plot(*rod.T, color="#4A4F57", lw=5.0, solid_capstyle="round", zorder=4, label="body")
         for i, (point, direction) in enumerate(lines):
-            colour, name = contact_colour(i), rf"$f_{{c{i + 1}}}$"
+            colour = contact_colour(i)
+            name = rf"$f_{{c{i + 1}}}$"
             ax.plot(
                 *_inside(point, direction, middle, reach),
                 color=colour,
@@ -117,7 +118,8 @@ def orthographic(
     figure.set_layout_engine("none")
     ax: Any = figure.add_axes(room, projection="3d", proj_type="ortho")
     ax.computed_zorder = False
-    low, high = (middle - reach).tolist(), (middle + reach).tolist()
+    low = (middle - reach).tolist()
+    high = (middle + reach).tolist()
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     ax.set_box_aspect((1.0, 1.0, 1.0), zoom=zoom)
     return figure, ax
@@ -219,7 +221,8 @@ def draw_cone_in_groove(
         directions: (3, 4) unit, into the walls.
         title: heading. words: lines of text beside the picture.
     """
-    h, up = height, np.array([0.0, 0.0, 1.0])
+    h = height
+    up = np.array([0.0, 0.0, 1.0])
     with style():
         room = (-0.02, -0.06, 0.68, 1.0)
         figure, ax = orthographic((10.5, 6.2), room, apex + 0.85 * h * axis, 1.25 * h, zoom=1.5)
@@ -239,7 +242,8 @@ def draw_cone_in_groove(
         for silhouette in _silhouette(ax, apex, axis, h, half_angle):
             ax.plot(*np.array([apex, silhouette]).T, color="#4A4F57", lw=1.3, zorder=4)
         for i, (p, d) in enumerate(zip(points.T, directions.T, strict=True)):
-            colour, name = contact_colour(i), rf"$f_{{c{i + 1}}}$"
+            colour = contact_colour(i)
+            name = rf"$f_{{c{i + 1}}}$"
             if i % 2 == 0:
                 ax.plot(
                     *np.array([apex, points[:, i + 1]]).T,

@@ -102,9 +102,12 @@ class OverheadCamera:
         """Make the nodes."""
         from meshcat.geometry import Box, Cylinder, TriangularMeshGeometry
 
-        dark, metal = material(_DARK), material(_METAL)
-        eye, foot = np.asarray(self.eye, dtype=float), np.append(self.post, 0.0)
-        body, top = eye + [0.0, 0.0, 0.065], np.append(self.post, eye[2] + 0.14)
+        dark = material(_DARK)
+        metal = material(_METAL)
+        eye = np.asarray(self.eye, dtype=float)
+        foot = np.append(self.post, 0.0)
+        body = eye + [0.0, 0.0, 0.065]
+        top = np.append(self.post, eye[2] + 0.14)
         _bar(scene[f"{path}/post"], foot, top, 0.022, metal)
         _bar(scene[f"{path}/boom"], top, body + [0.0, 0.0, 0.075], 0.018, metal)
         _bar(scene[f"{path}/hanger"], body + [0.0, 0.0, 0.075], body, 0.012, metal)
@@ -158,7 +161,8 @@ def ring(node: Visualizer, X: pin.SE3, radius: float, colour: str, thickness: fl
 def _bar(node: Visualizer, start: Sequence[float] | Array, end: Array, r: float, how: Any) -> None:
     from meshcat.geometry import Cylinder
 
-    start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
+    start = np.asarray(start, dtype=float)
+    end = np.asarray(end, dtype=float)
     node.set_object(Cylinder(float(np.linalg.norm(end - start)), r), how)
     node.set_transform(along(0.5 * (start + end), end - start).homogeneous)
 

@@ -233,7 +233,9 @@ class State:
 
     def _at(self, v, V):
         """Grasps, and the accelerations they permit: x₀ + Z y of all joints and the object."""
-        self.v, self.V, self.system = v, V, self.case.system(v, V)
+        self.v = v
+        self.V = V
+        self.system = self.case.system(v, V)
         rows = self.system.rows
         n = self.n
         self.grasps = np.vstack([np.zeros((0, n + 6)), *(row.coefficients for row in rows)])

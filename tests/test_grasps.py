@@ -231,7 +231,8 @@ def in_millimetres(case):
             model.jointPlacements[j] = stretched(model.jointPlacements[j])
             model.inertias[j] = body(model.inertias[j])
         for frame in model.frames:
-            frame.placement, frame.inertia = stretched(frame.placement), body(frame.inertia)
+            frame.placement = stretched(frame.placement)
+            frame.inertia = body(frame.inertia)
         model.armature = np.where(sliding, 1.0, 1e6) * model.armature
         base = stretched(arm.base)
         arms.append(

@@ -44,7 +44,8 @@ def given(state, chain):
     d = state.d
     G = np.zeros((n, d))
     effort = np.zeros(n)
-    G[chain.actuated], effort[chain.actuated] = state.G.T, effort_scale(chain.tau_max)
+    G[chain.actuated] = state.G.T
+    effort[chain.actuated] = effort_scale(chain.tau_max)
     first, end = np.array([(s.start, s.stop) for s in chain.slices]).T.copy()
     force_levers = np.vstack([arm.J_bar[:, :3] for arm in state.arms])
     locked = np.hstack([arm.C[:3] for arm in state.arms]).T / np.sqrt(chain.reference.inertia.mass)

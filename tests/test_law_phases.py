@@ -83,7 +83,8 @@ class Phases:
         count = len(pushing)
         self.rows = Rows(new_model(1, 1, 1, count, 0, self.n))
         self.chain, self.memory, self.work, _ = views(self.rows)
-        self.contacts, self.columns = self.memory.contacts, self.memory.columns
+        self.contacts = self.memory.contacts
+        self.columns = self.memory.columns
         self.kept = self.work.here
         self.work.dt = dt
         values = {

@@ -175,7 +175,8 @@ class Filter:
         )
         self.work.Q[:r] = Q.T
         self.work.L[:r, :r] = R.T
-        self.work.pushed[:r], self.work.Phi_mu[:r, :r] = self.pushed, self.Phi
+        self.work.pushed[:r] = self.pushed
+        self.work.Phi_mu[:r, :r] = self.Phi
 
     def measure(self):
         assert reading.measure_magnitudes(tick_of(model=self.chain, work=self.work))
@@ -337,7 +338,8 @@ class Stop:
             )
             for _ in range(4)
         ]
-        self.joints[3].R, self.joints[3].p = self.tip.rotation, self.tip.translation
+        self.joints[3].R = self.tip.rotation
+        self.joints[3].p = self.tip.translation
         self.table = [Record(motor=i, tau_max=inf) for i in motors]
         self.memory = Record(located=0, X_WO=pose(rng).homogeneous)
         self.work = Record(

@@ -62,7 +62,8 @@ class Controller:
 
     def tick(self, measurement, reference):
         if self.ticks in self.stops_at:
-            self.state, self.reason = SafetyState.SAFE_STOP, f"tick {self.ticks}: an encoder"
+            self.state = SafetyState.SAFE_STOP
+            self.reason = f"tick {self.ticks}: an encoder"
         if self.ticks - 2 in self.stops_at:  # somebody resets it
             self.state = SafetyState.RUN
         self.ticks += 1

@@ -31,7 +31,9 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
     """
     r = Q.shape[1]
     U, _, Vh = np.linalg.svd(Q[:3])
-    triads, selections, wrenches = [], [], []
+    triads = []
+    selections = []
+    wrenches = []
     for k in range(max(0, r - 3), min(3, r) + 1):
         a = axis_of(U, k)
         b = axis_of(np.linalg.svd(Q[3:] @ Vh[k:].T)[0], r - k)
@@ -41,7 +43,9 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
             triads.append(_triad(a, b, upright))
             selections.append(_pattern(k, 0) + _pattern(r - k, int(upright)))
             wrenches.append(padded)
-    E, chosen, W = np.array(triads), np.array(selections), np.array(wrenches)
+    E = np.array(triads)
+    chosen = np.array(selections)
+    W = np.array(wrenches)
 
     E_T = E.transpose(0, 2, 1)
     force = np.where(chosen[:, :3, None], E_T @ W[:, :3], 0.0)
@@ -123,12 +127,15 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
         step = -np.linalg.solve(normal, gradient)[:, :, 0]
         half = 0.5 * np.einsum("bl,lij->bij", step[:, 3:], _SKEW)
         turn = np.linalg.solve(_EYE - half, _EYE + half)  # Cayley: a rotation
-        new_E, new_p = turn @ E, (turn @ p[:, :, None])[:, :, 0] + step[:, :3]
+        new_E = turn @ E
+        new_p = (turn @ p[:, :, None])[:, :, 0] + step[:, :3]
         new_S = _space(new_E, new_p, chosen)
         new_across = rest.T @ new_S
         better = (new_across**2).sum(axis=(1, 2)) < (across**2).sum(axis=(1, 2))
         pick = better[:, None, None]
-        E, p = np.where(pick, new_E, E), np.where(better[:, None], new_p, p)
-        S, across = np.where(pick, new_S, S), np.where(pick, new_across, across)
+        E = np.where(pick, new_E, E)
+        p = np.where(better[:, None], new_p, p)
+        S = np.where(pick, new_S, S)
+        across = np.where(pick, new_across, across)
         damping = np.where(better, 0.2 * damping, 10.0 * damping)
     return E, p

@@ -149,17 +149,21 @@ class Contact:
         N = np.hstack([c.N for c in contacts])
         n_gamma = np.concatenate([c.n_gamma for c in contacts])
         scaled, size = dependence.scaled_columns(N, Phi_ref)
-        keep, R = None, None
+        keep = None
+        R = None
         if not dependence.independent(scaled):
             keep, R = dependence.reduce(scaled, size)
             owners = [c.name or f"contact {i}" for i, c in enumerate(contacts) for _ in range(c.r)]
             dependence.require_consistent(n_gamma, keep, R, size, owners)
-            N, n_gamma = N[:, keep], n_gamma[keep]
+            N = N[:, keep]
+            n_gamma = n_gamma[keep]
         if not all(c.split_is_unique for c in contacts):
             inner = dependence.block_diagonal([c.R for c in contacts])
             R = inner if R is None else R @ inner
         stacked = cls.__new__(cls)  # the verdict has been given above, with Phi_ref
-        stacked.N, stacked.n_gamma, stacked.name = N, n_gamma, ""
+        stacked.N = N
+        stacked.n_gamma = n_gamma
+        stacked.name = ""
         if R is not None:
             stacked.__dict__["R"] = R
         return stacked

@@ -75,7 +75,8 @@ def selection_columns(frame: pin.SE3, forces: Sequence[bool], couples: Sequence[
     Raises:
         InvalidInputError: not three flags.
     """
-    E, p = np.array(frame.rotation), np.array(frame.translation)
+    E = np.array(frame.rotation)
+    p = np.array(frame.translation)
     full = np.block([[E, np.zeros((3, 3))], [skew(p) @ E, E]])
     chosen = np.concatenate((_flags("forces", forces), _flags("couples", couples)))
     return np.asarray(full[:, chosen])
@@ -117,7 +118,8 @@ def as_raibert_craig(
     sine = sines(triads, points, chosen, rest)
     if sine.min() > tolerance:
         better = refined(triads, points, chosen, rest)
-        triads, points = np.concatenate((triads, better[0])), np.concatenate((points, better[1]))
+        triads = np.concatenate((triads, better[0]))
+        points = np.concatenate((points, better[1]))
         chosen = np.concatenate((chosen, chosen))
         sine = sines(triads, points, chosen, rest)
     best = int(sine.argmin())
@@ -163,10 +165,12 @@ def _why(Q: Array, size: float, tolerance: float, forces: int) -> str:
     r = Q.shape[1]
     U, sigma, Vh = np.linalg.svd(Q[:3])
     k = int((sigma > tolerance).sum())
-    F, wrenches = U[:, :k], Q @ Vh[:k].T / sigma[:k]
+    F = U[:, :k]
+    wrenches = Q @ Vh[:k].T / sigma[:k]
     couples = np.linalg.svd(Q[3:] @ Vh[k:].T)[0]
     beyond_C = couples[:, r - k :] @ couples[:, r - k :].T
-    a, b = axis_of(U, k), axis_of(couples, r - k)
+    a = axis_of(U, k)
+    b = axis_of(couples, r - k)
     angle = 0.0 if a is None or b is None else float(np.arctan2(np.linalg.norm(cross(a, b)), a @ b))
     tilt = abs(np.sin(2.0 * angle))
 

@@ -53,7 +53,8 @@ class BatchController:
         self._structure = _structure_of(first)
         for i, one in enumerate(controllers):
             self._require_fitting(i, one)
-        self.rows, self.threads = len(controllers), threads
+        self.rows = len(controllers)
+        self.threads = threads
         self._settings = [c.settings for c in controllers]
         self._bytes = Rows(
             np.stack([c._records.model_bytes for c in controllers]),
@@ -62,10 +63,15 @@ class BatchController:
         )
         self._start = self._bytes.memory.copy()
         self._call = first._rows
-        head, B = first._records.model, self.rows
-        self._n, self._k, self._n_a = int(head.n_joints), int(head.n_arms), int(head.n_motors)
-        self._r, self._c = int(head.n_columns), int(head.n_contacts)
-        self._still, self._zeros = np.zeros((0, 28)), np.zeros((B, 6))
+        head = first._records.model
+        B = self.rows
+        self._n = int(head.n_joints)
+        self._k = int(head.n_arms)
+        self._n_a = int(head.n_motors)
+        self._r = int(head.n_columns)
+        self._c = int(head.n_contacts)
+        self._still = np.zeros((0, 28))
+        self._zeros = np.zeros((B, 6))
         self._look()
         self._codes[:] = Status.OK
         self._limits: dict[int, MotorLimits] = {}
@@ -87,7 +93,8 @@ class BatchController:
 
     def _look(self) -> None:
         """Heads of all memories, (B, …) their columns, torques and squeezes; JOB of each thread."""
-        memory, begin = self._bytes.memory, int(self._bytes.job.memory)
+        memory = self._bytes.memory
+        begin = int(self._bytes.job.memory)
 
         def table(start: int, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Any:
             strides = (memory.strides[0], *np.zeros(shape, dtype).strides)
@@ -143,21 +150,27 @@ class BatchController:
             flags |= law.COMMANDED if self._k > 2 else 0
         desired = np.zeros((B, self._r)) if alpha_d is None else alpha_d
         args = (
-            _table("q", q, (B, self._n)).ravel(), _table("v", v, (B, self._n)).ravel(),
+            _table("q", q, (B, self._n)).ravel(),
+            _table("v", v, (B, self._n)).ravel(),
             _table("wrenches", wrenches, (B, self._k, 6)).reshape(B * self._k, 6),
             _table("X_WD", X_WD, (B, 4, 4)).reshape(4 * B, 4),
             _table("V_D", zeros if V_D is None else V_D, (B, 6)).ravel(),
             _table("A_D", zeros if A_D is None else A_D, (B, 6)).ravel(),
-            _table("alpha_d", desired, (B, self._r)).ravel(), motion,
-        )  # fmt: skip
+            _table("alpha_d", desired, (B, self._r)).ravel(),
+            motion,
+        )
         if wrench_valid is not None:
             self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
         self._locate(args[0].reshape(B, self._n))
         ends = np.linspace(0, B, self.threads + 1).astype(int).tolist()
-        others = [] if self._pool is None else [
-            self._pool.submit(self._run, i, ends[i], ends[i + 1], flags, args)
-            for i in range(1, self.threads)
-        ]  # fmt: skip
+        others = (
+            []
+            if self._pool is None
+            else [
+                self._pool.submit(self._run, i, ends[i], ends[i + 1], flags, args)
+                for i in range(1, self.threads)
+            ]
+        )
         try:
             self._run(0, 0, ends[1], flags, args)
         finally:
@@ -167,7 +180,8 @@ class BatchController:
         return np.array(self._torques)
 
     def _run(self, thread: int, lo: int, hi: int, flags: int, args: tuple[Any, ...]) -> None:
-        job, start = self._jobs[thread], self._bytes.starts[thread]
+        job = self._jobs[thread]
+        start = self._bytes.starts[thread]
         job.switches = flags
         job.last = hi
         while lo < hi:
@@ -185,11 +199,14 @@ class BatchController:
             self._limits[i].relieve(rows)
         except SolverError:
             job = self._jobs[thread]
-            flags, last = job.switches, job.last
+            flags = job.switches
+            last = job.last
             job.switches = flags | law.MISFIT
-            job.first, job.last = i, i + 1
+            job.first = i
+            job.last = i + 1
             self._call(self._bytes.raw, rows.at, *args)
-            job.switches, job.last = flags, last
+            job.switches = flags
+            job.last = last
 
     def _locate(self, q: Array) -> None:
         """Where no arm holds the object rigidly: find it once, from the joints alone."""
@@ -203,7 +220,8 @@ class BatchController:
                 X_WO = chain.object_pose(data).homogeneous
             except ModelError:
                 continue
-            self._memories["X_WO"][i], self._memories["located"][i] = X_WO, 1
+            self._memories["X_WO"][i] = X_WO
+            self._memories["located"][i] = 1
 
     def reset(self, mask: npt.ArrayLike | None = None) -> None:
         """Rows back to the memory they began with.
@@ -277,8 +295,17 @@ def _pool(threads: int) -> ThreadPoolExecutor | None:
 
 def _structure_of(controller: Controller) -> dict[str, int]:
     head = controller._records.model
-    shape = ("n_arms", "n_joints", "n_motors", "n_columns", "n_contacts", "row_bytes",
-             "memory_bytes", "slipping", "leader")  # fmt: skip
+    shape = (
+        "n_arms",
+        "n_joints",
+        "n_motors",
+        "n_columns",
+        "n_contacts",
+        "row_bytes",
+        "memory_bytes",
+        "slipping",
+        "leader",
+    )
     return {name: int(head[name]) for name in shape}
 
 

@@ -62,18 +62,28 @@ def command(
     """
     require_reachable(state, contact)
     env = Environment.fixed() if environment is None else environment
-    N, r, d = contact.N, contact.r, state.d
+    N = contact.N
+    r = contact.r
+    d = state.d
     L = np.linalg.cholesky(state.metric)
     Q, R = np.linalg.qr(L.T @ state.S, mode="complete")  # motions y = UᵀLᵀx, y[m:] = R η̇
-    R, U = R[:d], np.roll(Q, 6 - d, axis=1)
+    R = R[:d]
+    U = np.roll(Q, 6 - d, axis=1)
     wrench = U.T @ np.linalg.inv(L)  # of a wrench at O
     motion = U.T @ L.T
-    w, m = SimpleNamespace(**{name: np.zeros(shape) for name, shape in _FIELDS.items()}), 6 - d
-    w.rank, w.locked, w.axes = r, m, _AXES
-    w.sigma, w.a_u, w.alpha_u = motion @ state.sigma, motion @ a_u, np.asarray(alpha_u)
-    w.N_t[:r], w.pushed_t[:r] = (wrench @ N).T, (wrench @ (N + friction_wrenches)).T
+    w = SimpleNamespace(**{name: np.zeros(shape) for name, shape in _FIELDS.items()})
+    m = 6 - d
+    w.rank = r
+    w.locked = m
+    w.axes = _AXES
+    w.sigma = motion @ state.sigma
+    w.a_u = motion @ a_u
+    w.alpha_u = np.asarray(alpha_u)
+    w.N_t[:r] = (wrench @ N).T
+    w.pushed_t[:r] = (wrench @ (N + friction_wrenches)).T
     w.n_gamma[:r] = contact.n_gamma - w.N_t[:r, m:] @ w.sigma[m:]
-    w.b_N[:r], w.Phi_mu[:r, :r] = N.T @ env.b_e, env.yielding(N, friction_wrenches)
+    w.b_N[:r] = N.T @ env.b_e
+    w.Phi_mu[:r, :r] = env.yielding(N, friction_wrenches)
     inverse = np.linalg.inv(R)
     w.Lambda[m:, m:] = inverse.T @ state.Lambda_S @ inverse
     w.chain_bias[m:] = inverse.T @ state.b_S
@@ -84,7 +94,8 @@ def command(
             if not isinstance(B, str)
             else state.metric + sum(arm.Lambda for arm in state.arms)
         )
-        chain.metric, w.B_inv_t = BY_MATRIX, wrench @ weight @ wrench.T
+        chain.metric = BY_MATRIX
+        w.B_inv_t = wrench @ weight @ wrench.T
     t = Tick(chain, SimpleNamespace(f_bias=np.zeros(6)), w, None)
     _prepare(t)
     if _filter(t) != NO_REASON:

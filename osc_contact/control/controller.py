@@ -48,9 +48,24 @@ __all__ = ["Controller"]
 _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_integral", "force_integral")
 #: What `reset` sets to zero: of MEMORY, and of its columns.
 _FORGOTTEN = (
-    "age", "faults", "lost", "overspeed", "powered", "ending", "compared", "frozen", "still",
-    "wrench_age", "balanced", "apart", "repeats", "fresh", "step_left", "motion_sum", "force_sum",
-)  # fmt: skip
+    "age",
+    "faults",
+    "lost",
+    "overspeed",
+    "powered",
+    "ending",
+    "compared",
+    "frozen",
+    "still",
+    "wrench_age",
+    "balanced",
+    "apart",
+    "repeats",
+    "fresh",
+    "step_left",
+    "motion_sum",
+    "force_sum",
+)
 _FORGOTTEN_OF_COLUMNS = ("underforce", "overforce", "time_since_loss", "has_desired")
 
 
@@ -133,7 +148,8 @@ class Controller:
         )
         chain.law_row(led=False)  # judges the arms
         self._begin(settings, Laws() if laws is None else laws)
-        memory, force = self._records.memory, settings.gains.force
+        memory = self._records.memory
+        force = settings.gains.force
         memory.X_WO[:] = np.eye(4)
         memory.engaged = engaged
         contact = memory.contacts
@@ -185,8 +201,13 @@ class Controller:
         memory = records.memory
         plain = self._arms < 3 and not self._custom.needed and not self._starting
         self._tables = (
-            records.rows.raw, memory.squeeze, memory.torques, self._still, self._rows, plain
-        )  # fmt: skip
+            records.rows.raw,
+            memory.squeeze,
+            memory.torques,
+            self._still,
+            self._rows,
+            plain,
+        )
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name not in _SETTABLE and not name.startswith("_"):
@@ -199,8 +220,17 @@ class Controller:
 
     def __getattr__(self, name: str) -> Any:
         settings = self.__dict__.get("settings")
-        if settings is not None and name in ("chain", "contacts", "gains", "dt", "B", "bodies",
-                                             "posture", "friction", "reading"):  # fmt: skip
+        if settings is not None and name in (
+            "chain",
+            "contacts",
+            "gains",
+            "dt",
+            "B",
+            "bodies",
+            "posture",
+            "friction",
+            "reading",
+        ):
             return getattr(settings, name)
         if settings is not None and name == "life":
             return settings.phases
@@ -218,16 +248,26 @@ class Controller:
         raw, squeeze, torques, still, call, plain = self._tables
         try:
             if (
-                plain and measurement.touched is None and measurement.stamps is None
-                and measurement.wrench_valid is None and measurement.sequence is None
+                plain
+                and measurement.touched is None
+                and measurement.stamps is None
+                and measurement.wrench_valid is None
+                and measurement.sequence is None
                 and not measurement.estimated
-            ):  # fmt: skip
+            ):
                 squeeze[0] = reference.squeeze_d
                 done = call(
-                    raw, 0, measurement.q, measurement.v, measurement.wrenches,
-                    reference.X_WD.homogeneous, reference.V_D, reference.A_D, reference.alpha_d,
+                    raw,
+                    0,
+                    measurement.q,
+                    measurement.v,
+                    measurement.wrenches,
+                    reference.X_WD.homogeneous,
+                    reference.V_D,
+                    reference.A_D,
+                    reference.alpha_d,
                     still,
-                )  # fmt: skip
+                )
                 return torques.copy() if done == 2 else self._end(measurement, reference)
             return self._tick(measurement, reference)
         except Exception as error:  # nothing that comes in may end the control loop
@@ -245,17 +285,26 @@ class Controller:
             self._begin_start(self._start, False)
         if measurement.wrench_valid is not None and not measurement.wrench_valid:
             self._records.memory.wrench_missing = 1
-        touched, flags, table = measurement.touched, 0, self._still
+        touched = measurement.touched
+        flags = 0
+        table = self._still
         if touched is not None:
-            table, flags = self._motions(touched), law.MOVING
+            table = self._motions(touched)
+            flags = law.MOVING
         if self._arms < 3:
             self._records.memory.squeeze[0] = reference.squeeze_d
         else:
             flags |= self._bar_forces(reference.squeeze_d)
         args = (
-            measurement.q, measurement.v, measurement.wrenches, reference.X_WD.homogeneous,
-            reference.V_D, reference.A_D, reference.alpha_d, table,
-        )  # fmt: skip
+            measurement.q,
+            measurement.v,
+            measurement.wrenches,
+            reference.X_WD.homogeneous,
+            reference.V_D,
+            reference.A_D,
+            reference.alpha_d,
+            table,
+        )
         error = None
         if self._custom.needed:
             error = self._custom.tick(self, measurement, reference, args, flags)
@@ -267,14 +316,19 @@ class Controller:
         self, args: tuple[Any, ...], flags: int = 0, begin: int = law.LOOK, stop: int = law.END
     ) -> int:
         """Parts of a tick, which the law's call returns the end of."""
-        raw, job = self._records.rows.raw, self._records.job
+        raw = self._records.rows.raw
+        job = self._records.job
         if not flags and begin == law.LOOK and stop == law.END:
             return int(self._rows(raw, 0, *args))
-        job[0], job[1], job[2] = flags, begin, stop
+        job[0] = flags
+        job[1] = begin
+        job[2] = stop
         try:
             return int(self._rows(raw, 0, *args))
         finally:
-            job[0], job[1], job[2] = 0, law.LOOK, law.END
+            job[0] = 0
+            job[1] = law.LOOK
+            job[2] = law.END
 
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
         """A tick whose arrays are of other types, or one to be held.
@@ -297,12 +351,14 @@ class Controller:
                 self._records.memory.repeated = JOINTS | WRISTS
             if not self._records.memory.ticked:
                 require_shapes(measurement, reference, self.settings)
-            self._inputs, self._failure = (measurement, reference), why
+            self._inputs = (measurement, reference)
+            self._failure = why
             return self._hold(measurement)
 
     def _hold(self, measurement: Measurement) -> Array:
         """Torques (n_a,) of a tick that failed outside of the law: one that is not computed."""
-        n, six = self.chain.nq, np.zeros(6)
+        n = self.chain.nq
+        six = np.zeros(6)
         q, v = (read_joints(getattr(measurement, name, None), n) for name in "qv")
         wrenches = np.full((self._arms, 6), np.nan)
         self._run((q, v, wrenches, np.eye(4), six, six, np.zeros(0), self._still))
@@ -319,7 +375,8 @@ class Controller:
         if code == DEGRADED:  # the law did it all, and nothing of the controller's has changed
             return self.last_torques()
         self._given_up = None
-        self._inputs, self._failure = (measurement, reference), error
+        self._inputs = (measurement, reference)
+        self._failure = error
         if code == Status.HELD:
             if not self._records.memory.ticked:
                 require_shapes(measurement, reference, self.settings)
@@ -339,11 +396,13 @@ class Controller:
         return self.last_torques()
 
     def _motions(self, touched: Touched) -> Array:
-        table, count = self._moving, len(self._moving)
+        table = self._moving
+        count = len(self._moving)
         if len(touched.X_WE) != count or len(touched.V_E) != count or len(touched.A_E) != count:
             raise InvalidInputError(f"touched: {len(touched.X_WE)} motions for {count} contacts")
         table[:, :16] = np.reshape(touched.X_WE, (count, 16))
-        table[:, 16:22], table[:, 22:] = touched.V_E, touched.A_E
+        table[:, 16:22] = touched.V_E
+        table[:, 22:] = touched.A_E
         return table
 
     def _bar_forces(self, squeeze_d: float | Array) -> int:
@@ -364,7 +423,8 @@ class Controller:
             X_WO = chain.object_pose(data)
         except OscContactError:
             return False
-        memory.X_WO[:], memory.located = X_WO.homogeneous, 2
+        memory.X_WO[:] = X_WO.homogeneous
+        memory.located = 2
         return True
 
     def engage(self) -> None:
@@ -575,9 +635,11 @@ class Controller:
         """
         settings = replace(self.settings, gains=gains)
         other = self._another(settings, self.laws)
-        memory, model = other._records.memory, other._records.model
+        memory = other._records.memory
+        model = other._records.model
         pack_gains(settings, model)
-        before, after = self.gains.motion.integral, gains.motion.integral
+        before = self.gains.motion.integral
+        after = gains.motion.integral
         if after > 0.0:
             memory.motion_sum *= before / after
         elif memory.ticked:
@@ -616,7 +678,9 @@ class Controller:
         other = self._another(self.settings, self.laws)
         other._records.work_bytes[:] = self._records.work_bytes
         other._records.memory.status = self.status
-        other._given_up, other._failure, other._inputs = self.given_up, self._failure, self._inputs
+        other._given_up = self.given_up
+        other._failure = self._failure
+        other._inputs = self._inputs
         return other
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
@@ -642,11 +706,13 @@ class Controller:
         self._records.memory_bytes[:] = state["memory"]
         self._records.work_bytes[:] = state["work"]
         self._begin_start(*state["start"])
-        self._given_up, self._inputs = state["given_up"], state["inputs"]
+        self._given_up = state["given_up"]
+        self._inputs = state["inputs"]
         why = state["failure"]
         self._failure = None if why is None else OscContactError(why)
 
     def _hand_over(self) -> None:
-        zeros, six = np.zeros(self.chain.nq), np.zeros(6)
+        zeros = np.zeros(self.chain.nq)
+        six = np.zeros(6)
         given = zeros, zeros, np.zeros((self._arms, 6)), np.eye(4), six, six, np.zeros(0)
         self._run((*given, self._still), begin=law.HAND_OVER)

@@ -57,8 +57,12 @@ class Laws:
 
     def boxes(self, boxes: Sequence[Block]) -> list[Block]:
         """The boxes of fig. 4 with the names of these laws."""
-        own = {"force law": self.force, "motion law": self.motion, "motion filter": self.structure,
-               "dynamic control structure": self.structure}  # fmt: skip
+        own = {
+            "force law": self.force,
+            "motion law": self.motion,
+            "motion filter": self.structure,
+            "dynamic control structure": self.structure,
+        }
         return [
             replace(box, name=f"own {box.name}", equation="") if own.get(box.name) else box
             for box in boxes
@@ -242,11 +246,13 @@ class CustomParts:
                 continue
             face = () if touched is None else _face(touched, number)
             contact = pair.contact(X_WO, V_O, *face)
-            N, n_gamma = contact.N, contact.n_gamma
+            N = contact.N
+            n_gamma = contact.n_gamma
             if not isfinite(np.vdot(N, N) + np.vdot(n_gamma, n_gamma)):
                 raise ContactError(f"{pair.name}: N or n_γ is not finite")
             if not contact.split_is_unique:
-                N, n_gamma = N @ contact.R, n_gamma @ contact.R
+                N = N @ contact.R
+                n_gamma = n_gamma @ contact.R
             wrenches = np.zeros(N.shape)
             if friction is not None:
                 wrenches = _friction_wrenches(friction, pair, X_WO, V_O, *face)
@@ -292,7 +298,8 @@ class CustomParts:
         signals = Signals(self.settings, records, 0.0, records.memory.torques)
         eta, f_S = self.laws.command_structure(signals)
         state = signals.state
-        turn, back = records.reflection(), records.motions()
+        turn = records.reflection()
+        back = records.motions()
         records.work.x[:] = turn @ np.linalg.solve(back, state.S @ eta + state.sigma)
         H = state.S.T @ state.metric @ state.S
         wrench = state.metric @ state.S @ np.linalg.solve(H, f_S)

@@ -34,7 +34,8 @@ def _arrays(
     measurement: Any, reference: Any, settings: Settings
 ) -> Iterator[tuple[str, Any, tuple[int, ...]]]:
     """Names, values and shapes of the arrays that every tick takes."""
-    n, k = settings.chain.nq, len(settings.chain.arms)
+    n = settings.chain.nq
+    k = len(settings.chain.arms)
     yield "q", getattr(measurement, "q", None), (n,)
     yield "v", getattr(measurement, "v", None), (n,)
     yield "wrenches", getattr(measurement, "wrenches", None), (k, 6)
@@ -51,7 +52,8 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
     Raises:
         InvalidInputError: with what is wrong.
     """
-    k, c = len(settings.chain.arms), len(settings.contacts)
+    k = len(settings.chain.arms)
+    c = len(settings.contacts)
     for name, value, shape in _arrays(measurement, reference, settings):
         as_array(name, value, shape)
     touched = measurement.touched
@@ -110,26 +112,38 @@ def converting(rows: Callable[..., int], n: int, arms: int) -> Callable[..., int
     Args:
         rows: the call that takes arrays of double precision. n: joints. arms: how many.
     """
-    q_, v_, w_, V_, A_ = np.zeros(n), np.zeros(n), np.zeros((arms, 6)), np.zeros(6), np.zeros(6)
-    joints, wrists, six = q_.shape, w_.shape, V_.shape
+    q_ = np.zeros(n)
+    v_ = np.zeros(n)
+    w_ = np.zeros((arms, 6))
+    V_ = np.zeros(6)
+    A_ = np.zeros(6)
+    joints = q_.shape
+    wrists = w_.shape
+    six = V_.shape
 
     def call(
-        raw: Any, at: Any, q: Any, v: Any, wrenches: Any, X_WD: Any, V_D: Any, A_D: Any,
-        alpha_d: Any, touched: Any,
-    ) -> int:  # fmt: skip
+        raw: Any,
+        at: Any,
+        q: Any,
+        v: Any,
+        wrenches: Any,
+        X_WD: Any,
+        V_D: Any,
+        A_D: Any,
+        alpha_d: Any,
+        touched: Any,
+    ) -> int:
         try:
             fits = q.shape == v.shape == joints and wrenches.shape == wrists
             fits = fits and V_D.shape == A_D.shape == six and alpha_d.ndim == 1
         except AttributeError:  # of lists
             fits = False
         if not fits:
-            q, v, wrenches, V_D, A_D = (
-                _double(q),
-                _double(v),
-                _double(wrenches),
-                _double(V_D),
-                _double(A_D),
-            )
+            q = _double(q)
+            v = _double(v)
+            wrenches = _double(wrenches)
+            V_D = _double(V_D)
+            A_D = _double(A_D)
             a = _double(alpha_d, ndmin=1)
             return rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, a, touched)
         q_[...] = q
@@ -161,7 +175,8 @@ class Freshness:
 
     def __init__(self, dt: float, patience: float) -> None:
         """Judge packets that come every dt (s); readings may be repeated for `patience` (s)."""
-        self.dt, self.patience = dt, patience
+        self.dt = dt
+        self.patience = patience
         self.forget()
 
     def forget(self) -> None:
@@ -176,7 +191,8 @@ class Freshness:
         Raises:
             SensorTimeout: readings that are too old, or a packet older than one read before.
         """
-        stamps, number = measurement.stamps, measurement.sequence
+        stamps = measurement.stamps
+        number = measurement.sequence
         given: dict[str, float] = {}
         if stamps is not None:
             given = {"encoders": stamps.encoders, "wrists": stamps.wrists}

@@ -58,7 +58,8 @@ class JointTorqueLoop:
             raise InvalidInputError(
                 f"joint torque loop: stiffness and motor inertia must be > 0; got {K}, {J}"
             )
-        self.dt, self.gain = 1.0 / self.settings.rate, self.settings.gain
+        self.dt = 1.0 / self.settings.rate
+        self.gain = self.settings.gain
         self.bandwidth = np.sqrt(K * (1.0 + self.gain) / J)
         self.rate_gain = 2.0 * self.settings.damping_ratio * (1.0 + self.gain) / self.bandwidth
         self._rate = VelocityEstimate.with_bandwidth(RATE_BANDWIDTH * self.bandwidth, self.dt)
@@ -91,8 +92,10 @@ class JointTorqueLoop:
         for K, J, k_d, a, b in zip(
             self.stiffness, self.motor_inertia, self.rate_gain, *self._rate.gains(), strict=True
         ):
-            w, dt = float(np.sqrt(K / J)), self.dt
-            c, s = np.cos(w * dt), np.sin(w * dt)
+            w = float(np.sqrt(K / J))
+            dt = self.dt
+            c = np.cos(w * dt)
+            s = np.sin(w * dt)
             joint = np.array([[c, s / w], [-w * s, c]])
             push = np.array([1.0 - c, w * s])
             # estimate: x̂⁻ = (τ̂ + τ̂̇ dt, τ̂̇), x̂ = x̂⁻ + (a, b/dt)(τ − τ̂⁻)

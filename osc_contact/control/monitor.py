@@ -42,7 +42,8 @@ class ContactMonitor:
     """
 
     def __init__(self, contacts: int, dt: float, limits: MonitorLimits | None = None) -> None:
-        self.dt, self.limits = dt, MonitorLimits() if limits is None else limits
+        self.dt = dt
+        self.limits = MonitorLimits() if limits is None else limits
         times = dict.fromkeys(("low_for", "high_for", "burst", "armed_for"), 0.0)
         self.rows = [SimpleNamespace(closed=0, collision=0, **times) for _ in range(contacts)]
 
@@ -74,12 +75,14 @@ def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[A
     Args:
         monitor: its state moves on. alpha: (k, r) as for `ContactMonitor.update`. speed: (k, r).
     """
-    closed, collision = np.ones(alpha.shape, dtype=bool), np.zeros(alpha.shape, dtype=bool)
+    closed = np.ones(alpha.shape, dtype=bool)
+    collision = np.zeros(alpha.shape, dtype=bool)
     low = np.flatnonzero((alpha < monitor.limits.force_off).any(axis=1))
     k = 0
     while k < len(alpha):
         seen = monitor.update(alpha[k], speed[k])
-        closed[k], collision[k] = seen.closed, seen.collision
+        closed[k] = seen.closed
+        collision[k] = seen.collision
         k += 1
         if monitor.calm:
             coming = np.searchsorted(low, k)

@@ -179,7 +179,8 @@ def explain(
         records: of the tick. settings: of the controller.
         measurement, reference: what came in. failure: error of Python code called in it.
     """
-    code, facts = int(records.work.reason), _Facts(records, settings)
+    code = int(records.work.reason)
+    facts = _Facts(records, settings)
     if code == at.STOPPED:
         cause = int(records.memory.cause)
         why = "a tick could not be computed" if failure is None else str(failure)

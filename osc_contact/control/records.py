@@ -64,7 +64,8 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
     first_column = first_shape = 0
     bodies = _body_kinds(settings.bodies)
     for number, (row, r) in enumerate(zip(pairs, counts, strict=True)):
-        pair, body = head.pairs[number], head.bodies[number]
+        pair = head.pairs[number]
+        body = head.bodies[number]
         pair.kind = row.kind
         pair.first = first_column
         pair.count = r
@@ -87,7 +88,8 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
 def pack_gains(settings: Settings, head: Any) -> None:
     """What may differ between controllers of one structure."""
     dt = settings.dt
-    motion, force = settings.gains.motion, settings.gains.force
+    motion = settings.gains.motion
+    force = settings.gains.force
     _copy(motion, head)
     head.period = dt
     _copy(
@@ -180,7 +182,8 @@ def joint_limit_margins(
     Returns:
         Where the margins begin (low, high; −inf, inf at ends without limit), their width w, k w.
     """
-    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    lower = np.array(model.lowerPositionLimit)
+    upper = np.array(model.upperPositionLimit)
     with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
         width = margin * np.minimum(upper - lower, _WHOLE)
     return lower + width, upper - width, width, stiffness * width
@@ -265,7 +268,8 @@ class TickRecords:
 
     def shares(self) -> Array:
         """R (r, columns in force): every column in force from the kept ones."""
-        r, count = int(self.work.rank), int(self.work.count)
+        r = int(self.work.rank)
+        count = int(self.work.count)
         return np.eye(r) if r == count else self.work.columns.share[:count, :r].T.copy()
 
     def spread(self) -> tuple[Array, Array]:
@@ -273,11 +277,14 @@ class TickRecords:
 
         Where columns depend on others this is one split of many, see `Contact.magnitudes`.
         """
-        r, count = int(self.work.rank), int(self.work.count)
+        r = int(self.work.rank)
+        count = int(self.work.count)
         out = np.zeros((2, len(self.work.columns)))
         if r:
-            R, chosen = self.shares(), self.work.columns.chosen[:count]
-            alpha, speed = self.work.alpha_meas[:r], self.work.speed[:r]
+            R = self.shares()
+            chosen = self.work.columns.chosen[:count]
+            alpha = self.work.alpha_meas[:r]
+            speed = self.work.speed[:r]
             out[0, chosen] = alpha if r == count else R.T @ np.linalg.solve(R @ R.T, alpha)
             out[1, chosen] = speed @ R
         return out[0], out[1]

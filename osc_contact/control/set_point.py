@@ -98,8 +98,9 @@ class PoseSetPoint:
 
     def __init__(self, start: pin.SE3, linear: JerkLimits, angular: JerkLimits, dt: float) -> None:
         self._dt = _period(dt)
-        l, w = linear.each(3), angular.each(3)  # noqa: E741
-        self._bounds = (l[0] + w[0], l[1] + w[1], l[2] + w[2])
+        bounds = zip(linear.each(3), angular.each(3), strict=True)
+        velocity, acceleration, jerk = (moving + turning for moving, turning in bounds)
+        self._bounds = (velocity, acceleration, jerk)
         self.reset(start)
 
     def reset(self, X: pin.SE3) -> None:
@@ -148,7 +149,9 @@ class PoseSetPoint:
         x[3:] = 0.0
         w = pin.log3(goal.rotation @ base.T)
         trajectory = Trajectory(x, v, a, np.append(goal.translation, w), self._bounds)
-        self._goal, self._base, self._trajectory = goal, base, trajectory
+        self._goal = goal
+        self._base = base
+        self._trajectory = trajectory
 
     @property
     def remaining(self) -> float:
@@ -180,7 +183,8 @@ def rotation_of(w: Array, w_dot: Array, w_ddot: Array) -> tuple[Array, Array, Ar
     """
     square = float(w @ w)
     a, b, c, a1, b1, c1 = _functions_of_angle(square)
-    along, across = float(w @ w_dot), cross(w, w_dot)
+    along = float(w @ w_dot)
+    across = cross(w, w_dot)
     omega = a * w_dot + b * across + (c * along) * w
     rate = a1 * along * w_dot + b1 * along * across + (c1 * along**2) * w  # ȧ = a₁ wᵀẇ, …
     turning = c * (along * w_dot + float(w_dot @ w_dot) * w)
@@ -204,6 +208,7 @@ def _functions_of_angle(square: float) -> tuple[float, float, float, float, floa
         a, b, c, *slopes = map(float, (*(_SERIES @ powers), *(_SLOPES @ powers[:-1])))
         return a, b, c, slopes[0], slopes[1], slopes[2]
     angle = math.sqrt(square)
-    a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+    a = math.sin(angle) / angle
+    b = (1.0 - math.cos(angle)) / square
     c = (1.0 - a) / square
     return a, b, c, (math.cos(angle) - a) / square, (a - 2 * b) / square, (b - 3 * c) / square

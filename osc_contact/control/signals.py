@@ -33,36 +33,103 @@ class Block:
 
 #: The boxes of fig. 4 in the order in which the signals meet them.
 BLOCKS = (
-    Block("closed chain", "model", "$\\Lambda_S,\\ \\mu,\\ p,\\ S,\\ \\sigma,\\ G$\n(13)",
-          ("q", "v"), ("state",)),
-    Block("contact geometry", "model", r"$N,\ T,\ n_\gamma$",
-          ("touched", "state"), ("parts", "contact", "friction_wrenches")),
-    Block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)",
-          ("touched", "parts", "state", "friction_wrenches"), ("environment",)),
+    Block(
+        "closed chain",
+        "model",
+        "$\\Lambda_S,\\ \\mu,\\ p,\\ S,\\ \\sigma,\\ G$\n(13)",
+        ("q", "v"),
+        ("state",),
+    ),
+    Block(
+        "contact geometry",
+        "model",
+        r"$N,\ T,\ n_\gamma$",
+        ("touched", "state"),
+        ("parts", "contact", "friction_wrenches"),
+    ),
+    Block(
+        "environment",
+        "model",
+        r"$\Phi_e,\ b_e,\ V_e$  (14)",
+        ("touched", "parts", "state", "friction_wrenches"),
+        ("environment",),
+    ),
     Block("sum of wrist sensors", "force", r"$\Sigma$ at $O$", ("wrenches", "state"), ("f_meas",)),
-    Block("force filter", "force", r"$\Omega_f(\Lambda_{out})$",
-          ("f_meas", "state", "contact", "environment", "friction_wrenches"), ("f_c_meas",)),
+    Block(
+        "force filter",
+        "force",
+        r"$\Omega_f(\Lambda_{out})$",
+        ("f_meas", "state", "contact", "environment", "friction_wrenches"),
+        ("f_c_meas",),
+    ),
     Block("generalised inverse", "force", r"$N^{\#}$", ("f_c_meas", "contact"), ("alpha_meas",)),
-    Block("force law", "force", r"$\alpha_d + K_i\int(\alpha_d-\alpha_{meas})$",
-          ("alpha_d", "contact", "state", "environment", "alpha_meas"), ("alpha_u",)),
-    Block("to operational space", "force", r"$N\alpha_u$  (16)",
-          ("contact", "friction_wrenches", "alpha_u"), ("f_ccomm",)),
-    Block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\int e$",
-          ("contact", "state", "reference"), ("a_u",)),
-    Block("motion filter", "filter", r"$\Omega_m(B)$  (24)",
-          ("state", "contact", "a_u", "alpha_u", "environment", "friction_wrenches", "q", "v"),
-          ("eta_c",)),
-    Block("dynamic control structure", "filter", "$\\Lambda_S\\dot\\eta_c+b_S+S^Tf_{ccomm}$\n(21)",
-          ("state", "eta_c", "f_ccomm"), ("f_S",)),
-    Block("torque allocation", "filter", "$G\\tau = f_S$,\nsqueeze in null$(G)$",
-          ("state", "q", "v", "f_S", "eta_c", "squeeze_d"), ("tau",)),
-)  # fmt: skip
+    Block(
+        "force law",
+        "force",
+        r"$\alpha_d + K_i\int(\alpha_d-\alpha_{meas})$",
+        ("alpha_d", "contact", "state", "environment", "alpha_meas"),
+        ("alpha_u",),
+    ),
+    Block(
+        "to operational space",
+        "force",
+        r"$N\alpha_u$  (16)",
+        ("contact", "friction_wrenches", "alpha_u"),
+        ("f_ccomm",),
+    ),
+    Block(
+        "motion law",
+        "motion",
+        r"$\ddot x_d + K_d\dot e + K_p e + K_i\int e$",
+        ("contact", "state", "reference"),
+        ("a_u",),
+    ),
+    Block(
+        "motion filter",
+        "filter",
+        r"$\Omega_m(B)$  (24)",
+        ("state", "contact", "a_u", "alpha_u", "environment", "friction_wrenches", "q", "v"),
+        ("eta_c",),
+    ),
+    Block(
+        "dynamic control structure",
+        "filter",
+        "$\\Lambda_S\\dot\\eta_c+b_S+S^Tf_{ccomm}$\n(21)",
+        ("state", "eta_c", "f_ccomm"),
+        ("f_S",),
+    ),
+    Block(
+        "torque allocation",
+        "filter",
+        "$G\\tau = f_S$,\nsqueeze in null$(G)$",
+        ("state", "q", "v", "f_S", "eta_c", "squeeze_d"),
+        ("tau",),
+    ),
+)
 
 SIGNALS = (
-    "q", "v", "wrenches", "touched", "reference", "alpha_d", "squeeze_d", "state", "parts",
-    "contact", "friction_wrenches", "environment", "f_meas", "f_c_meas", "alpha_meas", "alpha_u",
-    "f_ccomm", "a_u", "eta_c", "f_S", "tau",
-)  # fmt: skip
+    "q",
+    "v",
+    "wrenches",
+    "touched",
+    "reference",
+    "alpha_d",
+    "squeeze_d",
+    "state",
+    "parts",
+    "contact",
+    "friction_wrenches",
+    "environment",
+    "f_meas",
+    "f_c_meas",
+    "alpha_meas",
+    "alpha_u",
+    "f_ccomm",
+    "a_u",
+    "eta_c",
+    "f_S",
+    "tau",
+)
 
 
 class Signals:
@@ -107,7 +174,8 @@ class Signals:
 
     @cached_property
     def state(self) -> ChainState:
-        chain, work = self._settings.chain, self._records.work
+        chain = self._settings.chain
+        work = self._records.work
         led = chain.leader is not None
         motion = () if led else (pin.SE3(work.X_WO.copy()), work.V_O.copy())
         return chain.state(self.q, self.v, *motion, data=chain.model.createData())
@@ -121,7 +189,8 @@ class Signals:
 
     @cached_property
     def parts(self) -> list[Contact]:
-        columns, out = self._records.work.columns, []
+        columns = self._records.work.columns
+        out = []
         for c in self._active:
             mine = self._records.model.columns.contact == c
             name = self._settings.contacts[c].name
@@ -130,12 +199,16 @@ class Signals:
 
     @cached_property
     def contact(self) -> Contact:
-        records, work = self._records, self._records.work
-        N, n_gamma = work.columns.N[records.kept()].T, work.n_gamma[: int(work.rank)].copy()
+        records = self._records
+        work = self._records.work
+        N = work.columns.N[records.kept()].T
+        n_gamma = work.n_gamma[: int(work.rank)].copy()
         if work.rank == work.count:
             return Contact(N, n_gamma)
         contact = Contact.__new__(Contact)  # the verdict is the tick's
-        contact.N, contact.n_gamma, contact.name = N.copy(), n_gamma, ""
+        contact.N = N.copy()
+        contact.n_gamma = n_gamma
+        contact.name = ""
         contact.__dict__["R"] = records.shares()
         return contact
 
@@ -157,7 +230,8 @@ class Signals:
 
     @cached_property
     def eta_c(self) -> Array:
-        S, a = self.state.S, self._records.acceleration() - self.state.sigma
+        S = self.state.S
+        a = self._records.acceleration() - self.state.sigma
         H = S.T @ self.state.metric @ S
         return np.asarray(np.linalg.solve(H, S.T @ (self.state.metric @ a)))
 
@@ -210,14 +284,25 @@ class TickResult:
     @classmethod
     def of(cls, records: TickRecords) -> TickResult:
         """The views of these records."""
-        names = ("f_meas", "bias_out", "f_c", "V_O", "X_WO", "error", "free_error", "internal",
-                 "alpha_meas", "speed")  # fmt: skip
+        names = (
+            "f_meas",
+            "bias_out",
+            "f_c",
+            "V_O",
+            "X_WO",
+            "error",
+            "free_error",
+            "internal",
+            "alpha_meas",
+            "speed",
+        )
         fields = [records.work[name] for name in names]
         if len(records.work.bars) > 1:
             fields[7] = records.work.bars
         memory = records.memory
         head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
-        contacts, columns = memory.contacts, memory.columns
+        contacts = memory.contacts
+        columns = memory.columns
         flags = [
             head["engaged"],
             contacts.phase,

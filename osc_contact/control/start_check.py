@@ -55,10 +55,12 @@ class StartCheck:
         """
         if self.refused:
             raise InvalidInputError(self.refused)
-        settings, rows = controller.settings, controller._records
+        settings = controller.settings
+        rows = controller._records
         if not self.inside:
             model = settings.chain.model
-            lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+            lower = np.array(model.lowerPositionLimit)
+            upper = np.array(model.upperPositionLimit)
             beyond = RANGE * upper - RANGE * lower
             require_in_range("measured q", settings.chain, measurement.q, beyond)
             self.inside = True
@@ -125,7 +127,8 @@ def judge_load(settings: Settings, error: Array, expected: Array) -> str:
         settings: of the controller. error: (6,) reading less load, at O in world axes.
         expected: (6,) the load.
     """
-    chain, most = settings.chain, settings.safety.load_error
+    chain = settings.chain
+    most = settings.safety.load_error
     tips = [link.inertia.lever for links in chain.outboard for link in links]
     lever = max([LEVER, *(float(np.linalg.norm(c)) for c in tips)])
     force, torque = (float(np.linalg.norm(part)) for part in (error[:3], error[3:]))
@@ -157,5 +160,6 @@ def judge_load(settings: Settings, error: Array, expected: Array) -> str:
 
 
 def _show(wrench: Array) -> str:
-    force, torque = np.round(wrench[:3], 2) + 0.0, np.round(wrench[3:], 3) + 0.0
+    force = np.round(wrench[:3], 2) + 0.0
+    torque = np.round(wrench[3:], 3) + 0.0
     return f"{force.tolist()} N, {torque.tolist()} N m"

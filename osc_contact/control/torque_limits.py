@@ -23,13 +23,15 @@ class MotorLimits:
 
     def __init__(self, settings: Settings, model: Any) -> None:
         chain = settings.chain
-        self.chain, self.settings = chain, settings
+        self.chain = chain
+        self.settings = settings
         self._program = TorqueLimits(
             chain.n_a, max(1, int(model.n_columns)), int(model.n_extra), _count_idle(chain)
         )
         self._program.mass = chain.reference.inertia.mass
         self._sizes = np.zeros(4, dtype=np.int64)
-        self._fill, self._settle = fill_program, settle
+        self._fill = fill_program
+        self._settle = settle
         self._warm = False
         self._short = False
 
@@ -38,7 +40,8 @@ class MotorLimits:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._fill, self._settle = fill_program, settle
+        self._fill = fill_program
+        self._settle = settle
 
     def relieve(self, rows: TickRecords) -> None:
         """Torques within the limits that lose least; the force integral follows.
@@ -46,7 +49,8 @@ class MotorLimits:
         Raises:
             SolverError: none were found.
         """
-        program, place = self._program, (rows.rows.raw, rows.at, rows.index)
+        program = self._program
+        place = (rows.rows.raw, rows.at, rows.index)
         self._fill(*place, program._given, self._sizes)
         self._short = program.solve(*self._sizes.tolist())
         self._settle(*place, program.tau, program.lost_force, program.lost_squeeze)
@@ -54,13 +58,17 @@ class MotorLimits:
             s = int(self._sizes[3])
             rows.work.bars[:] -= rows.bar_basis()[:, :s] @ program.lost_squeeze[:s]
         if not self._warm:
-            self._fill, self._settle, self._warm = direct(self._fill), direct(self._settle), True
+            self._fill = direct(self._fill)
+            self._settle = direct(self._settle)
+            self._warm = True
 
     def given_up(self, rows: TickRecords) -> LimitLoss:
         """What the last call of `relieve` cost."""
-        program, chain = self._program, self.chain
+        program = self._program
+        chain = self.chain
         _, r, _, s = self._sizes.tolist()
-        lost, squeeze = program.lost_force[:r].copy(), program.lost_squeeze[:s].copy()
+        lost = program.lost_force[:r].copy()
+        squeeze = program.lost_squeeze[:s].copy()
         if len(rows.work.bars) > 1:
             squeeze = rows.bar_basis()[:, :s] @ squeeze
         motors = np.flatnonzero(program.at_limit)
@@ -68,10 +76,14 @@ class MotorLimits:
             R = rows.shares()
             lost = R.T @ np.linalg.solve(R @ R.T, lost)
         return LimitLoss(
-            tuple(chain.joint_names[chain.actuated[i]] for i in motors), program.wanted[motors],
-            chain.tau_max[motors], lost,
-            rows.motions() @ (rows.reflection().T @ program.lost_motion), squeeze, self._short,
-        )  # fmt: skip
+            tuple(chain.joint_names[chain.actuated[i]] for i in motors),
+            program.wanted[motors],
+            chain.tau_max[motors],
+            lost,
+            rows.motions() @ (rows.reflection().T @ program.lost_motion),
+            squeeze,
+            self._short,
+        )
 
 
 def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
@@ -94,9 +106,14 @@ def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
     rows.memory.faults = 0  # computed after all
     rows.memory.lost = max(int(rows.memory.lost) - 1, 0)
     return LimitLoss(
-        (chain.joint_names[chain.actuated[motor]],), wanted[[motor]], chain.tau_max[[motor]],
-        np.zeros(0), np.zeros(6), np.zeros(0), False,
-    )  # fmt: skip
+        (chain.joint_names[chain.actuated[motor]],),
+        wanted[[motor]],
+        chain.tau_max[[motor]],
+        np.zeros(0),
+        np.zeros(6),
+        np.zeros(0),
+        False,
+    )
 
 
 def _count_idle(chain: ClosedChain) -> int:

@@ -72,7 +72,7 @@ class Look:
         six = np.zeros(6)
         law_rows()(
             rows.raw, 0, q, v, np.zeros((k, 6)), np.eye(4), six, six, _NONE, np.zeros((0, 28))
-        )  # fmt: skip
+        )
         self.arms = self.work.arms
         self.joints = self.work.joints
         self.jacobian = self.work.J_world

@@ -237,7 +237,9 @@ def _solved(
 
 def _aligned(grasps: Sequence[Grasp], tips: Sequence[pin.SE3]) -> pin.SE3:
     """A start: the pose that best brings grasp points together and axes parallel."""
-    own, seen = [], []  # pairs of points, in the object and in the world
+    # pairs of points, in the object and in the world
+    own = []
+    seen = []
     turns = np.zeros((3, 3))
     radius = 0.1  # a metre of axis counts as this much distance between points
     for grasp, tip in zip(grasps, tips, strict=True):

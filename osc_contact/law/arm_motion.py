@@ -37,7 +37,10 @@ def place_arm(t, lo, hi, q):
             slide = 0.0
         if j == lo:
             for i in range(3):
-                R[i, 0], R[i, 1], R[i, 2], p[i] = X[3 * i], X[3 * i + 1], X[3 * i + 2], X[9 + i]
+                R[i, 0] = X[3 * i]
+                R[i, 1] = X[3 * i + 1]
+                R[i, 2] = X[3 * i + 2]
+                p[i] = X[9 + i]
         else:
             before = work[j - 1].R
             start = work[j - 1].p

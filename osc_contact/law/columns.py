@@ -279,7 +279,9 @@ def _answer(kind, parameters, E, O, answer, start):
             V[i] = parameters[i] * speed
             V[3 + i] = 0.0
         return
-    start[0], start[1], start[2] = E[3], E[7], E[11]
+    start[0] = E[3]
+    start[1] = E[7]
+    start[2] = E[11]
     for i in range(6):
         V[i] = E[16 + i]
         b[i] = E[22 + i] if kind == CONVEYOR else 0.0

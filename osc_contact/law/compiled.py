@@ -38,9 +38,11 @@ def rows() -> Any:
     call = law.rows
     if PLAIN_PYTHON:
         return call
-    none, empty = np.zeros(0), Rows(new_model(1, 1, 1))
+    none = np.zeros(0)
+    empty = Rows(new_model(1, 1, 1))
     empty.job.last = 0
-    none_6, none_4 = np.zeros((0, 6)), np.zeros((0, 4))
+    none_6 = np.zeros((0, 6))
+    none_4 = np.zeros((0, 4))
     with announced(call):
         call(empty.raw, 0, none, none, none_6, none_4, none, none, none, np.zeros((0, 28)))
     call.disable_compile()
@@ -54,7 +56,8 @@ def parts_of(call: Any) -> set[Any]:
     left = [getattr(call, "py_func", call)]
     while left:
         function = left.pop()
-        names, space = function.__code__.co_names, function.__globals__
+        names = function.__code__.co_names
+        space = function.__globals__
         modules = [space[name] for name in names if isinstance(space.get(name), ModuleType)]
         called = [space.get(name) for name in names]
         called += [getattr(module, name, None) for module in modules for name in names]

@@ -166,8 +166,12 @@ def place_contacts(t):
             x, y, z = cross(
                 E[19], E[20], E[21], X_WO[0, 3] - E[3], X_WO[1, 3] - E[7], X_WO[2, 3] - E[11]
             )
-            V_E[0], V_E[1], V_E[2] = E[16] + x, E[17] + y, E[18] + z
-            V_E[3], V_E[4], V_E[5] = E[19], E[20], E[21]
+            V_E[0] = E[16] + x
+            V_E[1] = E[17] + y
+            V_E[2] = E[18] + z
+            V_E[3] = E[19]
+            V_E[4] = E[20]
+            V_E[5] = E[21]
             fill(V_rel, minus(V_O, V_E))
         motion = Motion(work.X_WO, work.V_O, R_E, V_E, V_rel, moving)
         sine = place_pair(pair, shapes, columns, motion, work.y)
@@ -289,7 +293,9 @@ def _rate(p, n, p_dot, n_dot, out):
     """Ẇ(n, p) = [ṅ; ṗ × n + p × ṅ]."""
     x, y, z = cross(p_dot[0], p_dot[1], p_dot[2], n[0], n[1], n[2])
     a, b, c = cross(p[0], p[1], p[2], n_dot[0], n_dot[1], n_dot[2])
-    out[0], out[1], out[2] = n_dot[0], n_dot[1], n_dot[2]
+    out[0] = n_dot[0]
+    out[1] = n_dot[1]
+    out[2] = n_dot[2]
     out[3] = x + a
     out[4] = y + b
     out[5] = z + c

@@ -372,7 +372,8 @@ def _remaining(p, w, B):
         c = (1.0 - 0.5 * angle * sin(angle) / (1.0 - cos(angle))) / square
     x, y, z = cross(wx, wy, wz, p[0], p[1], p[2])
     k, l, n = cross(wx, wy, wz, x, y, z)
-    B[0, 0], B[0, 1] = p[0] - 0.5 * x + c * k, p[1] - 0.5 * y + c * l
+    B[0, 0] = p[0] - 0.5 * x + c * k
+    B[0, 1] = p[1] - 0.5 * y + c * l
     B[0, 2] = p[2] - 0.5 * z + c * n
     B[0, 3] = wx
     B[0, 4] = wy

@@ -69,7 +69,9 @@ def refine(lam, w, A, bounds, rows, scratch):
         bounds: (2, …) lower and upper. rows: (v, w) root of the program's H. scratch: arrays.
     """
     point, y, diagonal, beta, bend, mix, t, T, normals, reduced, free = scratch
-    (k, v), f, kept = A.shape, 0, 0
+    (k, v) = A.shape
+    f = 0
+    kept = 0
     for i in range(w + k):
         t[i] = 0.0
     for j in range(v):
@@ -140,7 +142,9 @@ def refine(lam, w, A, bounds, rows, scratch):
 
 #: Weights beside the 1 of motion: what has memory goes last. Torques that do nothing to the object
 #: count relative to the mean energy of the others.
-_FORCE, _SQUEEZE, _TORQUE = 1e-3, 1e-5, 1e-7
+_FORCE = 1e-3
+_SQUEEZE = 1e-5
+_TORQUE = 1e-7
 _POSTURE = 0.1  # joint motions that leave the object alone: they cost too, or a joint whirls
 _BEYOND = 1e2  # of a force outside its range, where no torques within the limits keep it
 _INFINITE = 1e30  # the solver's
@@ -369,7 +373,8 @@ class TorqueLimits:
         self._prepare = prepare
         self._finish = finish
         self.solve(0, 0, 0, 0)  # no tick has to wait until this is compiled
-        self._prepare, self._finish = direct(prepare), direct(finish)
+        self._prepare = direct(prepare)
+        self._finish = direct(finish)
 
     def solve(self, d: int, r: int, k: int, s: int) -> bool:
         """Find the torques within the limits that lose the least acceleration energy.
@@ -391,10 +396,13 @@ class TorqueLimits:
         rows = self._rows
         for slack in (0, k):
             v = len(self.tau) + slack
-            H, A, end = self._H[: v * v].reshape(v, v), self._A[: k * v].reshape(k, v), v + k
+            H = self._H[: v * v].reshape(v, v)
+            A = self._A[: k * v].reshape(k, v)
+            end = v + k
             mass = float(self.mass)
             work = self._work
-            sizes, program = (d, r, k, s), (H, A, bounds, rows)
+            sizes = (d, r, k, s)
+            program = (H, A, bounds, rows)
             if not self._prepare(sizes, slack, mass, given, maps, work, program):
                 break
             z, _, verdict, info = daqp.solve(
@@ -410,7 +418,8 @@ class TorqueLimits:
                 continue
             own_z = self._solution[0][:v]
             own_lam = self._solution[1][:end]
-            own_z[:], own_lam[:] = z, info["lam"]
+            own_z[:] = z
+            own_lam[:] = info["lam"]
             if self._finish(
                 (own_z, own_lam), sizes, given, maps, program, self._scratch, self._answer
             ):
@@ -537,7 +546,8 @@ def fill_program(raw, at, i, given, sizes):
         motor = table[j].motor
         if motor < 0:
             continue
-        wanted[motor], tau_max[motor] = joints[j].tau, table[j].tau_max
+        wanted[motor] = joints[j].tau
+        tau_max[motor] = table[j].tau_max
         fill(G[motor], joints[j].J_bar)
         reflect(work.reflectors, work.beta, m, G[motor])
     held = 1.0 if model.held != 0 else 0.0
@@ -547,7 +557,8 @@ def fill_program(raw, at, i, given, sizes):
     for a in range(r):
         alpha[a] = work.alpha_u[a]
         for i in range(6):
-            N[a, i], pushed[a, i] = work.N_t[a, i], work.pushed_t[a, i]
+            N[a, i] = work.N_t[a, i]
+            pushed[a, i] = work.pushed_t[a, i]
         for b in range(r):
             Phi_e[a, b] = work.Phi_mu[a, b]
     for e in range(work.n_internal):

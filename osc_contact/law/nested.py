@@ -61,7 +61,8 @@ class Nested:
         Args:
             counts: how many there are of everything.
         """
-        starts, end = [], self.dtype.itemsize
+        starts = []
+        end = self.dtype.itemsize
         for kind, sizes in self.tables.values():
             starts.append(end := -(-end // _LINE) * _LINE)
             end += kind.itemsize * prod(counts.get(one, one) for one in sizes)

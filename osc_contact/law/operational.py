@@ -333,7 +333,8 @@ def _effort_of_kept(t, lo, n, arm, out):
 # In energy coordinates Λ_ref is diagonal.
 
 #: Commands are reduced where χ is below FULL and are zero at NONE_LEFT.
-NONE_LEFT, FULL = 0.05, 0.3
+NONE_LEFT = 0.05
+FULL = 0.3
 _HARD = 1e-8  # shares below it are as good as 0
 _GONE = 1e-6  # of the mobility that Λ_ref has along any direction, 1
 _SMALL = 1e-9  # χ below it tells no motion of the joints
@@ -406,7 +407,8 @@ def find_lost(t, arm, own):
         if chi >= FULL:
             continue
         at = own.n_lost
-        own.chi[at], own.share[at] = chi, _share_left(chi)
+        own.chi[at] = chi
+        own.share[at] = _share_left(chi)
         own.gone[at] = 1.0 if k >= own.n_kept else 0.0
         for i in range(6):
             own.lost[at, i] = root[i] * X[k, n + i]

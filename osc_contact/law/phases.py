@@ -29,9 +29,12 @@ OPEN, APPROACHING, CLOSED = range(3)
 _CHANGES = 0.1  #: s after a change of phase for which torques go gently
 APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
 _SLOW = 0.25  #: share of their speed limits below which joints are not fast
-_RETURN, _FASTEST = 5.0, 0.1  #: 1/s, m/s: the way back to where contact was lost
+#: 1/s, m/s: the way back to where contact was lost
+_RETURN = 5.0
+_FASTEST = 0.1
 #: of v_a: contact is made where an approach is slower; s of force after which also if it is not
-_SLOWED, _SOFT = 0.5, 0.5
+_SLOWED = 0.5
+_SOFT = 0.5
 _FELT = 1.5  #: times what wrists alone read; no more of an impact is believed
 _NOISE = 0.05  #: s in which the noise of a force is learnt, above which contact must be felt
 _GENTLE = 0.5  #: of what counts as contact: with so much an approach at v_a pushes to gain speed

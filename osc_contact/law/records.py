@@ -28,7 +28,8 @@ from osc_contact.law.nested import Bytes, Nested
 MAX_JOINTS = 16  #: of one arm
 MOST_LOST = 3  #: lost ticks over which integrals and phases advance at once; more are a hold
 
-_INT, _FLOAT = np.int64, np.float64
+_INT = np.int64
+_FLOAT = np.float64
 
 
 def _record(
@@ -199,9 +200,14 @@ BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
 
 # What is remembered -----------------------------------------------------------------------------
 
-GIVEN_POSE, GIVEN_TWIST = 1, 2
-JOINTS, WRISTS = 1, 2  #: readings of a tick
-FAULTY_POSITION, FAULTY_SPEED = 1, 2  #: of a joint
+GIVEN_POSE = 1
+GIVEN_TWIST = 2
+#: readings of a tick
+JOINTS = 1
+WRISTS = 2
+#: of a joint
+FAULTY_POSITION = 1
+FAULTY_SPEED = 2
 
 _MEMORY = _record(
     whole=(
@@ -715,7 +721,8 @@ class Rows:
         }
         self.numbers = np.zeros(sum(part.size for part in parts.values()) // 8)
         self.raw: Bytes = self.numbers.view(np.uint8)
-        starts, end = {}, 0
+        starts = {}
+        end = 0
         for name, part in parts.items():
             starts[name] = end
             here = self.raw[end : end + part.size].reshape(part.shape)

@@ -37,7 +37,8 @@ _SHARE = 0.2  #: share of a command; a contact that reads less is lost
 _LIGHT = 1.0  #: N; what is commanded less cannot be told from nothing
 SURE = 0.0025  #: s of evidence, at the least, that one wrong sample does not bring about
 #: a joint's time above its limit counts once more for each eighth of it that it is beyond it
-_FASTER, _MOST = 8.0, 10.0
+_FASTER = 8.0
+_MOST = 10.0
 _OVERFORCE = 3.0  #: times the command; a contact that reads more is overloaded
 
 
@@ -351,7 +352,9 @@ def _accelerate_object(t, arm, mass, out):
     if mass == 0.0:
         return
     x, y, z = cross(a[3], a[4], a[5], c[0], c[1], c[2])
-    out[0], out[1], out[2] = mass * (a[0] + x), mass * (a[1] + y), mass * (a[2] + z)
+    out[0] = mass * (a[0] + x)
+    out[1] = mass * (a[1] + y)
+    out[2] = mass * (a[2] + z)
     for b in range(3):
         along = R[0, b] * a[3] + R[1, b] * a[4] + R[2, b] * a[5]
         for i in range(3):

@@ -206,7 +206,8 @@ def _balance_arm(t, arm, own, dt):
     first = 1.0 / t.memory.balanced  # low-passes begin as plain means
     k = max(dt / (_BALANCE + dt), first)
     slow = max(dt / (_USUAL + dt), first)
-    weight, moving = scaled(-1.0, own.bias), scaled(0.0, own.bias)
+    weight = scaled(-1.0, own.bias)
+    moving = scaled(0.0, own.bias)
     for j in range(arm.first, arm.end):
         known = joint_memory[j]
         v = joints[j].v

@@ -95,7 +95,8 @@ from osc_contact.law.vectors import (
 # --- The stages of a tick in the order of fig. 4 --------------------------------------------------
 
 #: flags of a tick: α_u, a_u are given
-OWN_FORCE, OWN_MOTION = 4, 8
+OWN_FORCE = 4
+OWN_MOTION = 8
 _BEYOND = 1e302  #: overflows with forces above 2 MN: a step back from there would leave rounding
 
 
@@ -143,7 +144,8 @@ def take_in(t, engaged, moving):
         for j in range(4):
             work.X_WD[i, j] = t.input.X_WD[i, j]
     for i in range(6):
-        work.V_D[i], work.A_D[i] = t.input.V_D[i], t.input.A_D[i]
+        work.V_D[i] = t.input.V_D[i]
+        work.A_D[i] = t.input.A_D[i]
     for j in range(model.n_joints):
         joints[j].q = t.input.q[j]
         joints[j].v = t.input.v[j]
@@ -441,10 +443,13 @@ def remember(t):
 
 #: flags: bodies move; internal forces of three arms and more are commanded; α_u, a_u are given;
 #: how many columns N has is not known yet
-MOVING, COMMANDED, PARTIAL = 1, 2, 16
+MOVING = 1
+COMMANDED = 2
+PARTIAL = 16
 MISFIT, NO_FORCES = 64, 128  # set inside: sizes of what came in; of alpha_d
 
-_job, _model = JOB.at, MODEL.at
+_job = JOB.at
+_model = MODEL.at
 
 
 @inner

@@ -43,7 +43,12 @@ def six(x):
 @leaf
 def fill(x, t):
     """x ← t."""
-    x[0], x[1], x[2], x[3], x[4], x[5] = t[0], t[1], t[2], t[3], t[4], t[5]
+    x[0] = t[0]
+    x[1] = t[1]
+    x[2] = t[2]
+    x[3] = t[3]
+    x[4] = t[4]
+    x[5] = t[5]
 
 
 @leaf
@@ -334,8 +339,12 @@ def carry_motion(V, start, end, out):
         V: (6,) motion. start, end: (3,) points (m). out: (6,).
     """
     x, y, z = cross(V[3], V[4], V[5], end[0] - start[0], end[1] - start[1], end[2] - start[2])
-    out[0], out[1], out[2] = V[0] + x, V[1] + y, V[2] + z
-    out[3], out[4], out[5] = V[3], V[4], V[5]
+    out[0] = V[0] + x
+    out[1] = V[1] + y
+    out[2] = V[2] + z
+    out[3] = V[3]
+    out[4] = V[4]
+    out[5] = V[5]
 
 
 @leaf
@@ -346,8 +355,12 @@ def carry_wrench(f, start, end, out):
         f: (6,) wrench. start, end: (3,) points (m). out: (6,).
     """
     x, y, z = cross(start[0] - end[0], start[1] - end[1], start[2] - end[2], f[0], f[1], f[2])
-    out[3], out[4], out[5] = f[3] + x, f[4] + y, f[5] + z
-    out[0], out[1], out[2] = f[0], f[1], f[2]
+    out[3] = f[3] + x
+    out[4] = f[4] + y
+    out[5] = f[5] + z
+    out[0] = f[0]
+    out[1] = f[1]
+    out[2] = f[2]
 
 
 # --- From energy coordinates to world axes at O, as matrices --------------------------------------
@@ -358,16 +371,20 @@ def carry_wrench(f, start, end, out):
 
 def motions(work: Any) -> NDArray[np.float64]:
     """(6, 6) L⁻ᵀ, from energy coordinates to motions at O in world axes."""
-    out, axes = np.zeros((6, 6)), work["axes"]
-    out[:3, :3], out[3:, 3:] = axes[2].T, axes[3].T
+    out = np.zeros((6, 6))
+    axes = work["axes"]
+    out[:3, :3] = axes[2].T
+    out[3:, 3:] = axes[3].T
     out[:3, 3:] = _lever(work) @ axes[3].T
     return out
 
 
 def wrenches(work: Any) -> NDArray[np.float64]:
     """(6, 6) L, from energy coordinates to wrenches at O in world axes."""
-    out, axes = np.zeros((6, 6)), work["axes"]
-    out[:3, :3], out[3:, 3:] = axes[0].T, axes[1].T
+    out = np.zeros((6, 6))
+    axes = work["axes"]
+    out[:3, :3] = axes[0].T
+    out[3:, 3:] = axes[1].T
     out[3:, :3] = _lever(work) @ axes[0].T
     return out
 

@@ -13,10 +13,16 @@ from osc_contact.interface import Touched
 from osc_contact.spatial import Array, Poses, classical_to_spatial, cross, rotated, rotations
 
 __all__ = [
-    "Motion", "Rail", "along_rails", "drift_of_faces", "driven_accelerations", "force_on_rail",
+    "Motion",
+    "Rail",
+    "along_rails",
+    "drift_of_faces",
+    "driven_accelerations",
+    "force_on_rail",
     "free_rails",
-    "poses", "touched",
-]  # fmt: skip
+    "poses",
+    "touched",
+]
 
 Motion = Callable[[float], tuple[Array, Array, Array]]
 
@@ -106,13 +112,15 @@ def touched(
     if not any(rails):
         return None
     X = np.tile(np.eye(4), (len(on), 1, 1))
-    V, A = np.zeros((len(on), 6)), np.zeros((len(on), 6))
+    V = np.zeros((len(on), 6))
+    A = np.zeros((len(on), 6))
     for i, body in enumerate(on):
         rail = rails[body]
         if rail is None:
             continue
         pose = rail.pose(s[body])
-        X[i], p = pose.homogeneous, pose.translation
+        X[i] = pose.homogeneous
+        p = pose.translation
         V[i] = rail.twist(s[body], rates[body], p)
         if rail.motion is not None:
             A[i] = rail.acceleration(s[body], rates[body], second[body], p)
@@ -162,7 +170,8 @@ def drift_of_faces(
     """
     out = [np.zeros(0)]
     for part, body in zip(parts, on, strict=True):
-        rail, drift = rails[body], np.zeros(6)
+        rail = rails[body]
+        drift = np.zeros(6)
         if rail is not None:
             drift = rail.acceleration(s[body], rates[body], np.zeros(2), point)
             drift = classical_to_spatial(drift, rail.twist(s[body], rates[body], point))

@@ -82,7 +82,8 @@ class Watched:
 
     def __init__(self, judge: Judge, contacts: Sequence[ContactPair]) -> None:
         """Watch a judge of these contacts."""
-        self._judge, self._contacts = judge, contacts
+        self._judge = judge
+        self._contacts = contacts
         self._noted: list[Array] = []
 
     def note(self) -> None:

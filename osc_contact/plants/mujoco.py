@@ -131,8 +131,10 @@ def _without_shapes(text: bytes) -> str:
 
 def _lock(mujoco: Any, part: Any, joint: Any, position: float) -> None:
     """Weld a link where its joint is held; a URDF's joints have the axes of their child links."""
-    body, axis = joint.parent, np.array(joint.axis)
-    pose, turn = np.zeros(3), np.zeros(4)
+    body = joint.parent
+    axis = np.array(joint.axis)
+    pose = np.zeros(3)
+    turn = np.zeros(4)
     if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
         mujoco.mju_rotVecQuat(pose, position * axis, body.quat)
         body.pos = np.array(body.pos) + pose
@@ -149,7 +151,8 @@ def _joint_numbers(spec: Any, chain: ClosedChain) -> None:
     model = chain.model
     for i, name in enumerate(chain.joint_names):
         joint = spec.joint(name)
-        joint.armature, joint.damping = float(model.armature[i]), [model.damping[i], 0.0, 0.0]
+        joint.armature = float(model.armature[i])
+        joint.damping = [model.damping[i], 0.0, 0.0]
         joint.frictionloss = dry = float(model.upperDryFrictionLimit[i])
         if dry > 0.0:  # MuJoCo's own 20 ms would turn it round 10 ms before the joint
             joint.solref_friction = [2 * spec.option.timestep, 1.0]
@@ -181,7 +184,8 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
     part = mujoco.MjSpec.from_file(str(urdf))
     part.compiler.fusestatic = False
     for geom in part.geoms:
-        geom.contype, geom.conaffinity = 0, 1
+        geom.contype = 0
+        geom.conaffinity = 1
     root = part.worldbody.first_body()
     root.name = "root"
     root.add_site(name="held")
@@ -209,7 +213,8 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
             tie.type = mujoco.mjtEq.mjEQ_WELD
             tie.data = [0.0] * 10 + [1.0, 0.0]  # torque scale of the weld
         for k, point in enumerate(_tie_points(grasp)):
-            own, other = f"{arm.name}/tie.{k}", f"object/tie{i}.{k}"
+            own = f"{arm.name}/tie.{k}"
+            other = f"object/tie{i}.{k}"
             tip.add_site(name=own, pos=point)
             _tie(mujoco, spec, own, own, other).type = mujoco.mjtEq.mjEQ_CONNECT
 
@@ -222,7 +227,9 @@ def _weigh(root: Any, chain: ClosedChain) -> None:
         return
     I = inertia.inertia  # noqa: E741 - the field's letter
     root.explicitinertial = True
-    root.mass, root.ipos, root.iquat = inertia.mass, inertia.lever, [1.0, 0.0, 0.0, 0.0]
+    root.mass = inertia.mass
+    root.ipos = inertia.lever
+    root.iquat = [1.0, 0.0, 0.0, 0.0]
     root.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
 
 
@@ -261,7 +268,8 @@ def _body(
     root = part.worldbody.first_body()
     root.name = "root"
     for geom in part.geoms:
-        geom.contype, geom.conaffinity = 1, 0
+        geom.contype = 1
+        geom.conaffinity = 0
         geom.priority = 1
         geom.solref = list(options.solref)
         geom.solimp = [*options.solimp, 0.5, 2.0]
@@ -288,8 +296,10 @@ def _let_slide(spec: Any, options: PlantSpec, own: tuple[float, float]) -> None:
     for first in held:
         for second in touched:
             pair = spec.add_pair(geomname1=first, geomname2=second)
-            pair.condim, pair.friction = 3, [options.friction, options.friction, 0.0, 0.0, 0.0]
-            pair.solref, pair.solimp = list(options.solref), [*options.solimp, 0.5, 2.0]
+            pair.condim = 3
+            pair.friction = [options.friction, options.friction, 0.0, 0.0, 0.0]
+            pair.solref = list(options.solref)
+            pair.solimp = [*options.solimp, 0.5, 2.0]
             pair.solreffriction = list(own)
 
 
@@ -302,7 +312,8 @@ def _put_on_rail(mujoco: Any, part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -
     for body in part.bodies[1:]:  # links fixed to the body weigh nothing beside it
         body.explicitinertial = True
         body.fullinertia = [np.nan] * 6  # not given
-        body.mass, body.inertia = 0.0, [0.0] * 3
+        body.mass = 0.0
+        body.inertia = [0.0] * 3
     cart = not driven and rail.joints == [0]
     root.mass = rail.inertia if cart else _NEXT_TO_NOTHING
     root.inertia = [root.mass] * 3
@@ -356,9 +367,12 @@ class MujocoTruth:
             inertia: (6, 6) of the object at its origin, in its own axes.
         """
         model, self._data = plant
-        self._rails, self._on, self._contacts = rails, on, tuple(contacts)
+        self._rails = rails
+        self._on = on
+        self._contacts = tuple(contacts)
         self._travel, self._guided = guided
-        d, root = self._data, int(model.body_rootid[body])
+        d = self._data
+        root = int(model.body_rootid[body])
         self.place: pin.SE3 | None = None  #: of the object in that body
         self._parts: tuple[Array, ...] = (
             d.xpos[body],
@@ -383,7 +397,8 @@ class MujocoTruth:
         self._states.append(np.concatenate(parts))
         if data.ncon != self._seen:  # contacts stand at the start of MuJoCo's arena at every step
             contact = data.contact
-            self._seen, self._address = data.ncon, contact.efc_address
+            self._seen = data.ncon
+            self._address = contact.efc_address
             self._contact = contact.geom, self._address[:, None], contact.pos, contact.frame[:, :3]
         self._points.append(np.concatenate(self._contact, axis=1))
         force = data.efc_force
@@ -409,7 +424,8 @@ class MujocoTruth:
 
     def _wrenches(self, O: Array, start: int) -> tuple[Array, Array]:  # noqa: E741
         """Into each body: (6 bodies, k) at O (3, k), and whether it is touched (bodies, k)."""
-        k, bodies = O.shape[1], len(self._rails)
+        k = O.shape[1]
+        bodies = len(self._rails)
         pushed = np.zeros((bodies, k, 6))
         touched = np.zeros((bodies, k))
         points = np.concatenate(self._points[start:])
@@ -422,7 +438,8 @@ class MujocoTruth:
         # the normal points from the first geom to the second
         f = np.where(first < 0, size, -size) * points[:, 6:].T
         wrench = np.concatenate((f, cross(points[:, 3:6].T - O[:, tick], f)))
-        body, tick = body[here], tick[here]
+        body = body[here]
+        tick = tick[here]
         np.add.at(pushed, (body, tick), wrench[:, here].T)
         np.logical_or.at(touched, (body, tick), presses[here])
         return pushed.transpose(0, 2, 1).reshape(-1, k), touched
@@ -434,7 +451,8 @@ class MujocoTruth:
 
     def truths(self, noted: Array) -> Truths:
         """See `TruthLog.truths`."""
-        k, bodies = len(noted), len(self._rails)
+        k = len(noted)
+        bodies = len(self._rails)
         sizes = [9, 3, 6, len(self._travel), 6 * bodies]
         R, p, V_O, travelled, pushed, touched = np.split(noted.T.copy(), np.cumsum(sizes))
         X_WO = Poses(R.reshape(3, 3, k), p)
@@ -476,7 +494,8 @@ class MujocoTruth:
             felt = share * self._mobility(columns) > _PRESSES * self._mobility(whole)
             ends = np.cumsum([len(alpha[i]) for i in here])[:-1]
             for i, part, on in zip(here, np.split(share, ends), np.split(felt, ends), strict=True):
-                alpha[i][:, rows], presses[i][:, rows] = part, on
+                alpha[i][:, rows] = part
+                presses[i][:, rows] = on
         closed = [
             touched[body] & (on.all(axis=0) if pushes_only(pair) else True)
             for body, pair, on in zip(self._on, self._contacts, presses, strict=True)
@@ -615,12 +634,16 @@ class MujocoPlant:
 
     def _look_in(self) -> None:
         """Views of what every step reads and writes."""
-        self._qpos, self._qvel = self.data.qpos, self.data.qvel
-        self._sensordata, self._ctrl = self.data.sensordata, self.data.ctrl
-        self._warnings, self._size = self.data.warning.number, self._ctrl.shape
+        self._qpos = self.data.qpos
+        self._qvel = self.data.qvel
+        self._sensordata = self.data.sensordata
+        self._ctrl = self.data.ctrl
+        self._warnings = self.data.warning.number
+        self._size = self._ctrl.shape
         self._calm = bytes(self._warnings.nbytes)
         self._option = self.model.opt
-        self._step, self._flags = float(self._option.timestep), int(self._option.disableflags)
+        self._step = float(self._option.timestep)
+        self._flags = int(self._option.disableflags)
         self._blind = int(self._mj.mjtDisableBit.mjDSBL_SENSOR)
         self.time = 0.0
 
@@ -680,7 +703,8 @@ class MujocoPlant:
         """
         wrenches = sensed.take(self._readings, axis=-1)
         if len(self._readings) < len(self.chain.arms):
-            known, wrenches = wrenches, np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
+            known = wrenches
+            wrenches = np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
             wrenches[..., self._sensed, :] = known
         q = self._joints(qpos, self._q, self._springs)
         return q, self._joints(qvel, self._v, self._spring_v), wrenches
@@ -697,7 +721,8 @@ class MujocoPlant:
         flexible = self.drives.flexible
         if flexible is None:
             return self._ctrl.copy()
-        wound, rate = self.data.qpos[self._springs], self.data.qvel[self._spring_v]
+        wound = self.data.qpos[self._springs]
+        rate = self.data.qvel[self._spring_v]
         return -flexible.stiffness * wound - flexible.damping * rate
 
     def measure(self) -> Measurement:
@@ -741,9 +766,15 @@ class MujocoPlant:
         """A log of the truth."""
         inertia = self.chain.reference_inertia(pin.SE3.Identity())
         return MujocoTruth(
-            (self.model, self.data), self._object, self._body_of, self.rails,
-            (self._face_q, self._guided), self.contacts, self.on, inertia,
-        )  # fmt: skip
+            (self.model, self.data),
+            self._object,
+            self._body_of,
+            self.rails,
+            (self._face_q, self._guided),
+            self.contacts,
+            self.on,
+            inertia,
+        )
 
     def command(self, tau: Array, duration: float) -> None:
         """Hold the torques over the steps that fit into `duration`."""

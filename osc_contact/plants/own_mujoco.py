@@ -43,13 +43,16 @@ class SceneProbe:
         """
         import mujoco
 
-        self._mj, self._model, self._data = mujoco, model, copy.copy(data)
+        self._mj = mujoco
+        self._model = model
+        self._data = copy.copy(data)
         pairs = [(a, b) for a in tool for b in others if _meet(model, a, b)]
         self.pairs = pairs
         self._others = sorted({b for _, b in pairs})
         if pairs:
             self._point = pairs[0][0]
-            self._probe, self._at = copy.copy(model), copy.copy(data)
+            self._probe = copy.copy(model)
+            self._at = copy.copy(data)
             self._probe.geom_type[self._point] = _SPHERE
             self._probe.geom_size[self._point] = _POINT_M
             self._probe.geom_rbound[self._point] = _POINT_M
@@ -141,8 +144,14 @@ class MujocoRobot(MujocoPlant):
             _require("keyframe", keyframe, [mj.key(i).name for i in range(mj.nkey)])
         quieten(mujoco)
         mj.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        arm = Arm.from_mjcf(mj, name=name, tip=tip, wrist_sensor=wrist_sensor,
-                            locked=locked, passive_joints=passive_joints)  # fmt: skip
+        arm = Arm.from_mjcf(
+            mj,
+            name=name,
+            tip=tip,
+            wrist_sensor=wrist_sensor,
+            locked=locked,
+            passive_joints=passive_joints,
+        )
         robot = cls.__new__(cls)
         robot._take(mujoco, mj, ClosedChain([arm]), contacts)
         robot._keyframe = None if keyframe is None else int(mj.key(keyframe).id)
@@ -151,30 +160,40 @@ class MujocoRobot(MujocoPlant):
 
     def _take(self, mujoco: Any, mj: Any, chain: ClosedChain, contacts: Sequence[Any]) -> None:
         arm = chain.arms[0]
-        self._mj, self.model, self.data = mujoco, mj, mujoco.MjData(mj)
-        self.chain, self.contacts, self.on = chain, tuple(contacts), (0,) * len(contacts)
-        self.rails, self.pushes, self.drives = [None], (), JointDrives()
+        self._mj = mujoco
+        self.model = mj
+        self.data = mujoco.MjData(mj)
+        self.chain = chain
+        self.contacts = tuple(contacts)
+        self.on = (0,) * len(contacts)
+        self.rails = [None]
+        self.pushes = ()
+        self.drives = JointDrives()
         number = {mj.joint(j).name or f"joint{j}": j for j in range(mj.njnt)}
         joints = np.array([number[name] for name in list(arm.model.names)[1:]])
-        self._q, self._v = mj.jnt_qposadr[joints], mj.jnt_dofadr[joints]
+        self._q = mj.jnt_qposadr[joints]
+        self._v = mj.jnt_dofadr[joints]
         self._held = {int(mj.jnt_qposadr[number[j]]): at for j, at in arm.locked.items()}
         self._springs = self._spring_v = np.array([], dtype=int)
         self._take_motors(joints[chain.actuated])
         self._place_tip(arm.tip)
-        self._sensed, self._readings = [], np.zeros((0, 6), dtype=int)
+        self._sensed = []
+        self._readings = np.zeros((0, 6), dtype=int)
         tool = self._object
         if arm.wrist_sensor is not None:
             tool = self._take_sensor(arm.wrist_sensor)
         self._sort_geoms(tool)
         self._tell_friction(tool)
-        self._moved, self._driven = {}, False
+        self._moved = {}
+        self._driven = False
         self._guided = (np.array([], dtype=int),) * 2
         self._face_q = self._face_v = np.array([], dtype=int)
         self._look_in()
 
     def _take_motors(self, joints: Array) -> None:
         """Where torques go: through a plain motor, or to the joint itself."""
-        mj, motors = self.model, []
+        mj = self.model
+        motors = []
         for joint in joints:
             own = motors_of(mj, int(joint))
             if len(own) == 1 and _is_plain(mj, own[0]):
@@ -202,22 +221,29 @@ class MujocoRobot(MujocoPlant):
 
     def _take_sensor(self, name: str) -> int:
         """Places of its readings; returns the body that it weighs, with all beyond."""
-        mj, kinds = self.model, self._mj.mjtSensor
-        site, rows = int(mj.site(name).id), []
+        mj = self.model
+        kinds = self._mj.mjtSensor
+        site = int(mj.site(name).id)
+        rows = []
         for kind, tag in ((kinds.mjSENS_FORCE, "force"), (kinds.mjSENS_TORQUE, "torque")):
-            sensors = [i for i in range(mj.nsensor)
-                     if mj.sensor_type[i] == kind and mj.sensor_objid[i] == site]  # fmt: skip
+            sensors = [
+                i
+                for i in range(mj.nsensor)
+                if mj.sensor_type[i] == kind and mj.sensor_objid[i] == site
+            ]
             if not sensors:
                 raise PlantError(
                     f'site {name!r} has no {tag} sensor; add to <sensor>: <{tag} site="{name}"/>'
                 )
             rows.append(int(mj.sensor_adr[sensors[0]]) + np.arange(3))
-        self._sensed, self._readings = [0], np.concatenate(rows)[None]
+        self._sensed = [0]
+        self._readings = np.concatenate(rows)[None]
         return int(mj.site_bodyid[site])
 
     def _sort_geoms(self, tool: int) -> None:
         """Tool, other links of the arm that move, and everything else, which is one body."""
-        mj, on_tool = self.model, self._geoms_of(tool)
+        mj = self.model
+        on_tool = self._geoms_of(tool)
         others = [g for g in range(mj.ngeom) if g not in on_tool]
         bodies = mj.geom_bodyid[others]
         links = (mj.body_rootid[bodies] == mj.body_rootid[tool]) & (mj.body_weldid[bodies] != 0)
@@ -225,11 +251,13 @@ class MujocoRobot(MujocoPlant):
 
     def _tell_friction(self, tool: int) -> None:
         """Warn of friction that MuJoCo gives what has none named, and that few surfaces have."""
-        mj, most = self.model, 0.0
+        mj = self.model
+        most = 0.0
         own = mj.body_rootid[mj.geom_bodyid] == mj.body_rootid[tool]
         for one in self._geoms_of(tool):
             for other in np.flatnonzero(~own):
-                first, second = int(mj.geom_priority[one]), int(mj.geom_priority[other])
+                first = int(mj.geom_priority[one])
+                second = int(mj.geom_priority[other])
                 both = [one] * (first >= second) + [other] * (second >= first)
                 meet = (mj.geom_contype[one] & mj.geom_conaffinity[other]) | (
                     mj.geom_contype[other] & mj.geom_conaffinity[one]
@@ -317,7 +345,8 @@ class MujocoRobot(MujocoPlant):
 
     def picture(self) -> dict[str, Any]:
         """What is seen of the scene, as JSON data; recordings carry it, see `robots.pictures`."""
-        model, mj = self.chain.model, self.model
+        model = self.chain.model
+        mj = self.model
         number = {int(adr): j for j, adr in enumerate(mj.jnt_qposadr)}
         joints = {number[int(at)]: k + 1 for k, at in enumerate(self._q)}
         return scene_picture(mj, self.data, model, np.array(self.data.qpos[self._q]), joints)

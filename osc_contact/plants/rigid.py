@@ -49,7 +49,9 @@ from osc_contact.spatial import (
 
 # --- Friction of the joints: viscous, and dry, smooth near rest -----------------------------------
 
-_SLIP, _SLIDE = 1e-3, 1e-4  #: speeds by which dry friction is developed (rad/s, m/s)
+#: speeds by which dry friction is developed (rad/s, m/s)
+_SLIP = 1e-3
+_SLIDE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,8 @@ class WristCut:
 
     def reading(self, data: pin.Data) -> Array:
         """(6,) wrench through it, in its axes, after `pin.rnea`: the joint's, less its own side."""
-        v, a = data.v[self.joint].vector, data.a_gf[self.joint].vector
+        v = data.v[self.joint].vector
+        a = data.a_gf[self.joint].vector
         own = self.inboard @ a + cross_wrench(v, self.inboard @ v)
         wrench = data.f[self.joint].vector - own
         return np.asarray(self.placement.actInv(pin.Force(wrench)).vector)
@@ -199,15 +202,18 @@ class RigidPlant:
         self._rates: Array = np.zeros((len(self.rails), 2))
         self.model, self._tips = with_object(chain)
         self._sensors = [
-            None if arm.wrist_sensor is None
+            None
+            if arm.wrist_sensor is None
             else wrist_cut(chain.model, f"{arm.name}/{arm.wrist_sensor}")
             for arm in chain.arms
-        ]  # fmt: skip
+        ]
         self._losses = JointLosses.of(self.model)
         self.data = self.model.createData()
         self.q = np.zeros(chain.nq)
         self.v = np.zeros(chain.nq)
-        self._X, self._V = pin.SE3.Identity(), np.zeros(6)  # of an object that no arm leads
+        # of an object that no arm leads
+        self._X = pin.SE3.Identity()
+        self._V = np.zeros(6)
         self._tau = np.zeros(chain.n_a)
         self._solved: tuple[bytes, Any] = b"", None
 
@@ -246,9 +252,15 @@ class RigidPlant:
     def _now(self) -> tuple[Solution, tuple[pin.SE3, Array]]:
         """The solution under the torques applied last, pose and twist of the object."""
         state = (
-            self.q, self.v, self._tau, self._s.ravel(), self._rates.ravel(), self._V,
-            self._X.homogeneous.ravel(), np.array([self.time]),
-        )  # fmt: skip
+            self.q,
+            self.v,
+            self._tau,
+            self._s.ravel(),
+            self._rates.ravel(),
+            self._V,
+            self._X.homogeneous.ravel(),
+            np.array([self.time]),
+        )
         key = np.concatenate(state).tobytes()
         if self._solved[0] != key:  # `measure` and `truth` of one instant share it
             solution = self._solve(self._tau, with_wrenches=True)
@@ -314,7 +326,8 @@ class RigidPlant:
 
         Joint friction is that of the velocities `ahead` (s) of now, to first order.
         """
-        chain, n = self.chain, self.chain.nq
+        chain = self.chain
+        n = self.chain.nq
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         X, V = self._object()
         parts = self._parts(X, V)
@@ -323,11 +336,15 @@ class RigidPlant:
         J = self._jacobian(X)
         first = object_columns(chain, J)
         gamma_O = np.zeros(6) if chain.leader is None else self._drift(chain.leader, X)
-        rows, right, normals = [], [], []
+        rows = []
+        right = []
+        normals = []
         for i, (s, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
             if i == chain.leader:
                 continue
-            loop, drift, passed = first.copy(), self._drift(i, X) - gamma_O, np.eye(6)
+            loop = first.copy()
+            drift = self._drift(i, X) - gamma_O
+            passed = np.eye(6)
             loop[:, s] -= J[:, s]
             if not grasp.is_rigid:  # N is carried by the tip while the object slips
                 passed = grasp.wrenches_at(self._tip(i), X.translation)
@@ -353,7 +370,8 @@ class RigidPlant:
             M = beside(M, body.Lambda)
         free = free_rails(self.rails)
         at = np.array(list(free), dtype=int), np.array([r.joints[0] for r in free.values()], int)
-        A, size = np.vstack(rows), len(M)
+        A = np.vstack(rows)
+        size = len(M)
         if free:
             A = np.hstack((A, np.vstack((np.zeros((k, len(free))), -along[:, *at]))))
             M = beside(M, np.diag([rail.inertia for rail in free.values()]))
@@ -365,9 +383,11 @@ class RigidPlant:
         inverse, multipliers = inverse_rows(A, M, row_groups(chain))
         x = unheld + inverse @ (b - A @ unheld)
         lam = multipliers @ (b - A @ unheld)  # M x = force + Aᵀλ
-        qdd, sdd = x[:n], driven.copy()
+        qdd = x[:n]
+        sdd = driven.copy()
         sdd[at] = x[size:]
-        alpha, a_O = -lam[k:], first @ x[:size] + gamma_O
+        alpha = -lam[k:]
+        a_O = first @ x[:size] + gamma_O
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
             shares = np.split(lam[:k], np.cumsum([N_i.shape[1] for N_i in normals]))  # on object
@@ -438,7 +458,8 @@ class RigidPlant:
         return np.concatenate([np.zeros(0), *gaps]), stacked(self._parts(X, np.zeros(6)))[0]
 
     def _on_constraints(self, v: Array, V: Array) -> tuple[Array, Array]:
-        chain, n = self.chain, self.chain.nq
+        chain = self.chain
+        n = self.chain.nq
         pin.computeAllTerms(chain.model, chain.data, self.q, v)
         X = self._X if chain.leader is None else chain.object_pose()
         parts = self._parts(X, np.zeros(6))

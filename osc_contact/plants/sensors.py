@@ -174,12 +174,14 @@ class SensedPlant:
         streams = iter(np.random.default_rng([self.seed, 1]).spawn(4))
         self._sensor: dict[str, Sensor] = {}
         for name in ("encoders", "joint_torques", "wrists"):
-            rng, spec = next(streams), getattr(self.sensors, name)
+            rng = next(streams)
+            spec = getattr(self.sensors, name)
             value = None if spec is None else self._value(name, ideal)
             if spec is not None and value is not None:
                 clock, errors = spec
                 self._sensor[name] = Sensor(clock, _noisy(errors, value.shape, rng), rng)
-        rng, vision = next(streams), self.sensors.vision
+        rng = next(streams)
+        vision = self.sensors.vision
         if vision is not None:
             poses = self._value("vision", ideal)
             self._robots = len(self.plant.poses())  # object and arms come before the bodies
@@ -190,7 +192,8 @@ class SensedPlant:
     def _value(self, name: str, ideal: Measurement) -> Array:
         """The ideal reading behind a sensor, by the name of its stamp."""
         if name == "vision":
-            poses, touched = self.plant.poses(), ideal.touched
+            poses = self.plant.poses()
+            touched = ideal.touched
             if touched is None:
                 return poses
             markers = self.sensors.markers
@@ -203,7 +206,8 @@ class SensedPlant:
     def _pictured(self, measurement: Measurement, poses: Array) -> Measurement:
         """The measurement with what a picture shows."""
         measurement = replace(measurement, seen=Seen(poses[0], poses[1 : self._robots]))
-        bodies, markers = poses[self._robots :], self.sensors.markers
+        bodies = poses[self._robots :]
+        markers = self.sensors.markers
         if not len(bodies):
             return measurement
         if markers is not None:
@@ -232,7 +236,8 @@ def _noisy(
 
 def _pictures(vision: VisionSpec, n: int, rng: np.random.Generator) -> Callable[[Array], Array]:
     """All poses displaced alike by the camera's frame, each by its own bias and noise."""
-    shift, turn = _draw(vision.position, (n, 3), rng), _draw(vision.orientation, (n, 3), rng)
+    shift = _draw(vision.position, (n, 3), rng)
+    turn = _draw(vision.orientation, (n, 3), rng)
     offset = vision.frame_position * rng.uniform(-1.0, 1.0, 3)
     R_CW = pin.exp3(vision.frame_orientation * rng.uniform(-1.0, 1.0, 3))
 

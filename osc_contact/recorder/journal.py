@@ -27,7 +27,9 @@ from mcap.writer import MCAP0_MAGIC
 from osc_contact.errors import RecordingError
 
 Array = npt.NDArray[Any]
-_ABOUT, _ROWS = 1, 2  #: MCAP channels
+#: MCAP channels
+_ABOUT = 1
+_ROWS = 2
 _CHANNELS = {
     _ABOUT: Channel(_ABOUT, "about", "json", {}, 0),
     _ROWS: Channel(_ROWS, "rows", "numpy", {}, 0),
@@ -84,7 +86,8 @@ class JournalFile:
             rows: (k,) with named fields.
         """
         if self._ended:
-            self._ended, self._whole = False, self._before_end
+            self._ended = False
+            self._whole = self._before_end
         if self.error is None:
             layout = {"first": first, "rows": len(rows), "dtype": rows.dtype.descr}
             self._write(_chunk(_ROWS, first, json.dumps(layout).encode() + b"\n" + rows.tobytes()))
@@ -97,16 +100,19 @@ class JournalFile:
     def close(self) -> None:
         """Write the end of the file: it is whole."""
         if self.error is None and not self._ended:
-            self._ended, self._before_end = True, self._whole
+            self._ended = True
+            self._before_end = self._whole
             end = _bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MCAP0_MAGIC
             self._write(end)
 
     def _write(self, data: bytes) -> None:
-        left, at = memoryview(data), self._whole
+        left = memoryview(data)
+        at = self._whole
         try:
             while left:
                 count = os.pwrite(self._number, left, at)
-                left, at = left[count:], at + count
+                left = left[count:]
+                at = at + count
             self._whole = at
         except OSError as error:
             self.error = RecordingError(
@@ -166,7 +172,8 @@ class Journal:
             try:
                 layout = json.loads(text)
                 fields = [(name, code, *map(tuple, size)) for name, code, *size in layout["dtype"]]
-                first, rows = int(layout["first"]), np.frombuffer(numbers, np.dtype(fields))
+                first = int(layout["first"])
+                rows = np.frombuffer(numbers, np.dtype(fields))
             except _DAMAGED as error:
                 raise RecordingError(
                     f"{self._name} has rows of an unknown kind: {error}"
@@ -205,7 +212,8 @@ class Journal:
                 pass
             except OSError as error:
                 raise RecordingError(f"{self._name} cannot be read: {error}") from error
-            lost, at = at, self._next_chunk(at + 1, size)
+            lost = at
+            at = self._next_chunk(at + 1, size)
         words = f"; its last {size - lost} bytes are no whole chunk" if size > lost else ""
         self.missing.append(f"the run was cut short, the file has no end{words}")
 
@@ -227,7 +235,9 @@ class _From:
     """Reads an open file from a byte on, by itself."""
 
     def __init__(self, number: int, at: int, size: int) -> None:
-        self.number, self.at, self.size = number, at, size
+        self.number = number
+        self.at = at
+        self.size = size
 
     def read(self, count: int) -> bytes:
         data = os.pread(self.number, min(count, max(0, self.size - self.at)), self.at)

@@ -92,7 +92,8 @@ class JudgedTicks:
             self.landed[i] = float(t[np.argmax(closed)])
         for start, stop in stretches(commanded):
             if not commanded[start]:
-                self._since[i], self.open[i] = None, False
+                self._since[i] = None
+                self.open[i] = False
                 continue
             here = closed[start:stop]
             if self._since[i] is None and here.any():

@@ -27,7 +27,8 @@ __all__ = ["Recording"]
 _FORMAT = 1
 _RESERVED = frozenset({TEXT, "file", "allow_pickle"})
 #: What a clock measured: all that differs from one run to the next of the same seed.
-_TIMES, _META_TIMES = ("tick_s",), ("wall_s", "cpu_s")
+_TIMES = ("tick_s",)
+_META_TIMES = ("wall_s", "cpu_s")
 _PIECE = 1 << 14  #: ticks that are judged or drawn at once
 _FROM_DISK = 1 << 11  #: the same of a recording that stays on disk, and is to take little memory
 
@@ -161,7 +162,8 @@ class Recording:
 
         Raises:
             RecordingError: the file cannot be written; an older file of the name is kept."""
-        target, columns = Path(path), self.channels.columns
+        target = Path(path)
+        columns = self.channels.columns
         times = {name: columns[name] for name in _TIMES if name in columns}
         spent = {key: self.meta[key] for key in _META_TIMES if key in self.meta}
         kept = {key: value for key, value in self.meta.items() if key not in spent}
@@ -209,7 +211,8 @@ class Recording:
                 f"osc_contact.recover, or `osc-contact export {source} recording.npz`"
             )
         content, columns = _read(source)
-        meta, order = content["meta"], content.get("order", list(columns))
+        meta = content["meta"]
+        order = content.get("order", list(columns))
         if _beside(source).is_file():
             spent, times = _read(_beside(source))
             if spent.get("of") == checksum(source):
@@ -234,7 +237,8 @@ def _read(source: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     text, columns = read_archive(source)
     try:
         content = json.loads(text)
-        version, _ = content["format"], content["meta"]
+        version = content["format"]
+        _ = content["meta"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RecordingError(
             f"{source} is not a recording: {type(error).__name__}: {error}"

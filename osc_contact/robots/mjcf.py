@@ -16,7 +16,10 @@ from osc_contact.robots.model import check_mass_matrix, random_configurations
 from osc_contact.spatial import Array
 
 _NONE = 1e30  #: a limit that is none (N m, N, rad/s, m/s)
-_FREE, _BALL, _SLIDE = 0, 1, 2  #: MuJoCo's numbers of joint types
+#: MuJoCo's numbers of joint types
+_FREE = 0
+_BALL = 1
+_SLIDE = 2
 _POSTURES = 6  #: at which placements are compared
 
 

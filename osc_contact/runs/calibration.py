@@ -83,13 +83,15 @@ def calibrate(
 def _one(
     scenario: Scenario, chain: ClosedChain, start: Array, postures: int, average: float, seed: int
 ) -> WristCalibration:
-    arm, rng = chain.arms[0], np.random.default_rng([seed, 3])
+    arm = chain.arms[0]
+    rng = np.random.default_rng([seed, 3])
     sensor = robots.frame_id(chain.model, f"{arm.name}/{arm.wrist_sensor}")
     plant = RigidPlant(chain, [], STEP)
     sensed = SensedPlant(plant, hardware.sensors(scenario.sensors, chain), seed)
     away = rng.uniform(-SPREAD, SPREAD, (postures, chain.nq))
     limits = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
-    rotations, readings = [], []
+    rotations = []
+    readings = []
     for q in np.clip(start + away, *limits):
         encoders, wrenches = _averages(sensed, plant, q, average)
         rotations.append(_placement(chain, encoders, sensor).rotation)
@@ -109,7 +111,8 @@ def _averages(
     plant.time = now  # the sensors' clocks continue
     gravity = pin.computeGeneralizedGravity(plant.model, plant.data, plant.q)
     tau = gravity[plant.chain.actuated]
-    encoders, wrenches = [], []
+    encoders = []
+    wrenches = []
     for k in range(round((SETTLE + average) / STEP)):
         sensed.command(tau, STEP)
         if k * STEP >= SETTLE:

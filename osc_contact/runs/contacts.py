@@ -97,7 +97,8 @@ def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
             V = _STEP * column / max(float(np.linalg.norm(column)), 1e-12)
             turned = pin.exp3(V[3:]) @ X_WO.rotation
             moved = spec.pair.gaps(pin.SE3(turned, X_WO.translation + V[:3]))
-            rate, want = (float(moved[j]) - before[j]) / _STEP, float(-column @ V) / _STEP
+            rate = (float(moved[j]) - before[j]) / _STEP
+            want = float(-column @ V) / _STEP
             if abs(rate - want) > 0.5 * abs(want):
                 raise ScenarioError(
                     f"contact '{spec.name}': along column {j + 1} of its N the gap changes by "
@@ -130,7 +131,8 @@ def misplaced(
         if not body.contacts:
             continue
         points, directions = feet(pairs[body.contacts[0]], X_WO)
-        outward, foot = -directions[0], points[0]
+        outward = -directions[0]
+        foot = points[0]
         across = np.cross([0.0, 0.0, 1.0], outward)
         size = float(np.linalg.norm(across))
         across = triad(outward)[:, 0] if size < 1e-3 else across / size
@@ -150,7 +152,8 @@ def _displaced(scenario: Scenario, i: int, X: pin.SE3) -> ContactPair:
             "object, which cannot be displaced; put another pair into the controller by install="
         )
     if isinstance(spec, OnFaceSpec):
-        point, normal = X.act(np.array(spec.face.point)), X.rotation @ np.array(spec.face.normal)
+        point = X.act(np.array(spec.face.point))
+        normal = X.rotation @ np.array(spec.face.normal)
         face = spec.face.model_copy(update={"point": point, "normal": normal})
         return make_pair(spec.model_copy(update={"face": face}), X)
     return make_pair(spec, X * _body_poses(scenario)[getattr(spec, "body", "")])
@@ -210,7 +213,8 @@ def feet_over(
     """
     force = np.sqrt((N[:3] * N[:3]).sum(axis=0))
     size = np.where(force > 0.0, force, np.sqrt((N[3:] * N[3:]).sum(axis=0)))  # else: a couple
-    directions, moments = N[:3] / size, N[3:] / size
+    directions = N[:3] / size
+    moments = N[3:] / size
     points = X_WO.p[:, None] + cross(directions, moments)
     surface = getattr(pair, "surface_point", None)
     if surface is not None:
@@ -238,16 +242,20 @@ def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
     if isinstance(motion, OwnMotion):
         return motion
     if isinstance(motion, ConveyorSpec):
-        direction, turn = np.array(motion.direction), motion.turn
+        direction = np.array(motion.direction)
+        turn = motion.turn
         axis = through = np.zeros(3)
         if turn is not None:
-            axis, through = np.array(turn.axis), np.array(turn.through)
+            axis = np.array(turn.axis)
+            through = np.array(turn.through)
         return OwnMotion(Rail(direction, axis, through, partial(_commanded, motion)), Conveyor())
     freely = {key: getattr(motion, key) for key in ("stiffness", "damping", "preload")}
     if isinstance(motion, CartSpec):
-        direction, m = np.array(motion.direction), motion.mass
+        direction = np.array(motion.direction)
+        m = motion.mass
         return OwnMotion(Rail(direction, inertia=m, **freely), Cart(direction, m, **freely))
-    line, inertia = (np.array(motion.axis), np.array(motion.through)), motion.inertia
+    line = (np.array(motion.axis), np.array(motion.through))
+    inertia = motion.inertia
     rail = Rail(axis=line[0], through=line[1], inertia=inertia, **freely)
     return OwnMotion(rail, Hinge(*line, inertia, **freely))
 

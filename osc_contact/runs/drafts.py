@@ -23,8 +23,12 @@ from osc_contact.spatial import Array
 
 __all__ = ["Press", "draft"]
 
-BALL_M, LENGTH_M = 0.008, 0.08  #: radius of the stylus' ball, and how far it is from the tip
-POSTURES, TRIED = 600, 12  #: random postures that are compared, and built until one is sound
+#: radius of the stylus' ball, and how far it is from the tip
+BALL_M = 0.008
+LENGTH_M = 0.08
+#: random postures that are compared, and built until one is sound
+POSTURES = 600
+TRIED = 12
 
 
 @dataclass(frozen=True)
@@ -111,9 +115,12 @@ def _rehearsed(scenario: Scenario) -> list[str]:
 
 def _postures(arm: Arm, press: Press) -> Iterator[Array]:
     """Random postures between the limits, the best first."""
-    model, data = arm.model, arm.model.createData()
-    tip, axis = robots.frame_id(model, arm.tip), np.array(press.axis)
-    low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    model = arm.model
+    data = arm.model.createData()
+    tip = robots.frame_id(model, arm.tip)
+    axis = np.array(press.axis)
+    low = np.array(model.lowerPositionLimit)
+    high = np.array(model.upperPositionLimit)
     limits = np.minimum(np.array(model.upperEffortLimit), 1e6)
     candidates = [_unwound(q, low, high) for q in robots.random_configurations(model, POSTURES)]
     scores = []
@@ -145,7 +152,8 @@ def _unwound(q: Array, low: Array, high: Array) -> Array:
 
 
 def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
-    model, data = arm.model, arm.model.createData()
+    model = arm.model
+    data = arm.model.createData()
     if len(q) != model.nv:
         names = ", ".join(list(model.names)[1:])
         raise InvalidInputError(f"posture: {len(q)} numbers for {model.nv} joints: {names}")

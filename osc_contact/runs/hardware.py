@@ -50,7 +50,8 @@ def flexible_joints(
             "the rotors of joints with springs are plant.flexible_joints.motor_inertia; set "
             "arms.armature to 0, or leave plant.flexible_joints out"
         )
-    own, rotors = joint_inertias(state, chain.actuated), spec.motor_inertia
+    own = joint_inertias(state, chain.actuated)
+    rotors = spec.motor_inertia
     J = _per_motor(chain, "motor_inertia", rotors) if isinstance(rotors, dict) else rotors * own
     if spec.frequency is None:
         K = _per_motor(chain, "stiffness", spec.stiffness or {})
@@ -66,7 +67,8 @@ def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int)
     Args:
         scenario, chain, state: as of `flexible_joints`. seed: of the motors' errors.
     """
-    spec, motors = scenario.plant, None
+    spec = scenario.plant
+    motors = None
     if spec.motors is not None:
         sliding = _sliding(chain)[chain.actuated]
         errors = spec.motors.bias, spec.motors.ripple
@@ -99,7 +101,9 @@ def sensors(
     Args:
         spec: `plant.sensors`. chain: of the arms. bodies: that cameras track.
     """
-    encoder, torque, wrist = spec.encoder, spec.joint_torque, spec.wrist
+    encoder = spec.encoder
+    torque = spec.joint_torque
+    wrist = spec.wrist
     made = Sensors(vision=spec.vision, markers=_markers(bodies))
     if encoder is not None:
         made = replace(made, encoders=_sensor(encoder, lambda e: _joint_errors(encoder, chain, e)))
@@ -151,8 +155,10 @@ class TorqueLoopRobot:
     """A plant behind its joint torque loop, which makes the joints carry what is commanded."""
 
     def __init__(self, plant: Plant, loop: JointTorqueLoop) -> None:
-        self.plant, self.loop = plant, loop
-        self.measure, self.stop = plant.measure, plant.stop
+        self.plant = plant
+        self.loop = loop
+        self.measure = plant.measure
+        self.stop = plant.stop
         self._sampled = -1.0
 
     def command(self, tau: Array, duration: float) -> None:
@@ -180,8 +186,10 @@ class Observer:
     ) -> None:
         """Set up the estimates from the errors the scenario gives the sensors."""
         self.dt = 1.0 / scenario.control.rate
-        self._seen, self._ticks = Stamps(-1.0, -1.0, -1.0, -1.0), 0
-        spec, believed = scenario.sensors, scenario.control.estimate
+        self._seen = Stamps(-1.0, -1.0, -1.0, -1.0)
+        self._ticks = 0
+        spec = scenario.sensors
+        believed = scenario.control.estimate
         self._joints: VelocityEstimate | None = None
         self._spec = spec
         if spec.encoder is not None:
@@ -194,7 +202,8 @@ class Observer:
             limit = np.where(limit > 0.0, limit, np.inf)
             period = max(self.dt, 1.0 / spec.encoder.rate)
             self._reach = scenario.control.safety.plausible_speed * limit * period
-            self._believed, self._missed = np.full(chain.nq, np.nan), np.zeros(chain.nq)
+            self._believed = np.full(chain.nq, np.nan)
+            self._missed = np.zeros(chain.nq)
             self._joints = VelocityEstimate.optimal(
                 np.maximum(noise, 1e-9), unknown, self.dt, 1.0 / spec.encoder.rate
             )
@@ -258,7 +267,9 @@ class ObservedRobot:
     """A robot whose measurements an observer completes for its controller."""
 
     def __init__(self, robot: Robot, observer: Observer, controller: Controller) -> None:
-        self.robot, self.observer, self.controller = robot, observer, controller
+        self.robot = robot
+        self.observer = observer
+        self.controller = controller
         self.stop = robot.stop
         self._acceleration: Array | None = None
 

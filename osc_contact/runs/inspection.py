@@ -61,7 +61,8 @@ class Inspection:
 
 def inspect_rig(rig: Rig) -> Inspection:
     """Describe the contact state of a rig at its start."""
-    state, contact = rig.state(), rig.contact()
+    state = rig.state()
+    contact = rig.contact()
     free = _free_motions(state, contact)
     mobility = contact.N.T @ state.Phi @ contact.N
     scale = np.sqrt(np.diag(mobility))
@@ -174,7 +175,8 @@ def _skew(rig: Rig) -> list[str]:
     lines = []
     for (a, p, d), (b, q, e) in combinations([one for one in all_lines if len(one[1]) == 1], 2):
         between = common_perpendicular(p[0], d[0], q[0], e[0])
-        names, gap = f"'{a.name}' and '{b.name}'", f"{1e3 * between.distance:.1f} mm apart"
+        names = f"'{a.name}' and '{b.name}'"
+        gap = f"{1e3 * between.distance:.1f} mm apart"
         if between.angle < 1e-9:
             lines.append(f"{names} press along parallel lines, {gap}.")
             continue
@@ -189,7 +191,8 @@ def _skew(rig: Rig) -> list[str]:
 
 def _twist_words(twist: Array) -> str:
     """A twist as pure translation, or as turning about an axis with a pitch."""
-    v, w = twist[:3], twist[3:]
+    v = twist[:3]
+    w = twist[3:]
     if float(np.linalg.norm(w)) < 1e-9 * max(float(np.linalg.norm(v)), 1.0):
         return f"translation along {_vector(v / np.linalg.norm(v))}"
     turn = w / np.linalg.norm(w)
@@ -201,7 +204,8 @@ def _twist_words(twist: Array) -> str:
 
 
 def _wrench_words(wrench: Array) -> str:
-    force, couple = wrench[:3], wrench[3:]
+    force = wrench[:3]
+    couple = wrench[3:]
     if np.linalg.norm(force) < 1e-6 * np.linalg.norm(couple):
         return f"couple about {_vector(couple / np.linalg.norm(couple))}"
     size = np.linalg.norm(force)

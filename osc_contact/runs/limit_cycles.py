@@ -69,7 +69,8 @@ def find_cycle(
         Amplitude (N) and frequency (Hz).
     """
     n = len(error)
-    line, spectrum = _levelled(error), np.hanning(n)
+    line = _levelled(error)
+    spectrum = np.hanning(n)
     power = np.abs(np.fft.rfft(line * spectrum)) ** 2
     bins = np.arange(len(power))
     free = ~_commanded(n, dt, commands, driven_Hz, along, across)
@@ -87,7 +88,8 @@ def find_cycle(
     envelope = np.abs(np.fft.ifft(analytic))[n // 10 : n - n // 10]
     if not envelope.all():
         return None
-    log, x = np.log(envelope), np.linspace(-0.5, 0.5, len(envelope))
+    log = np.log(envelope)
+    x = np.linspace(-0.5, 0.5, len(envelope))
     slope, level = np.polyfit(x, log, 1)
     if slope < np.log(1.0 - _FALL) or np.std(log - slope * x - level) > _SCATTER:
         return None
@@ -157,7 +159,8 @@ def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycl
         for start, stop in stretches(judged[:, j]):
             while judged[start, j] and stop - start >= _SHORTEST_S / dt - 0.5:
                 window = recording.rows(start, min(start + size, stop), *names)
-                found, before = _cycle_in(window, j, dt, driven, least), worst[j]
+                found = _cycle_in(window, j, dt, driven, least)
+                before = worst[j]
                 if found and (before is None or found.relative > before.relative):
                     worst[j] = found
                 if stop - start < size:

@@ -173,7 +173,8 @@ class Witness(Records):
 
     def __init__(self, plant: Plant, controller: Controller) -> None:
         """Watch a plant and its controller."""
-        self.plant, self.controller = plant, controller
+        self.plant = plant
+        self.controller = controller
         self.truths: list[Truth] = []
         self.status: list[int] = []
 
@@ -251,7 +252,8 @@ def _run(
     signals: RaisedSignals,
 ) -> None:
     """All ticks."""
-    period, stopped = controller.dt, False
+    period = controller.dt
+    stopped = False
     for k, reference in enumerate(references):
         measurement = robot.measure()
         start = perf_counter()

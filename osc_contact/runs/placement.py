@@ -66,7 +66,8 @@ def normals(rig: Rig) -> Values:
 )
 def start(rig: Rig) -> Values:
     """A start pose that moved, at the object's origin or at a contact (m)."""
-    given, now = rig.X_given, rig.state().X_WO
+    given = rig.X_given
+    now = rig.state().X_WO
     points = [now.translation]
     for pair in rig.pairs:
         if getattr(pair, "surface_point", None) is not None:
@@ -275,7 +276,8 @@ def masses(task: Task) -> Values:
     """Logarithm of the ratio of masses."""
     if isinstance(task.robot, MujocoRobot) and task.controller is not None:
         for what, mass in (("all that moves", mass_of), ("what the wrist carries", _carried)):
-            believed, true = mass(task.controller.chain), mass(task.robot.chain)
+            believed = mass(task.controller.chain)
+            true = mass(task.robot.chain)
             if true > 0.0 and believed > 0.0:
                 ratio = float(abs(np.log(believed / true)))
                 yield ratio, {"what": what, "believed": believed, "true": true}
@@ -290,7 +292,8 @@ def masses(task: Task) -> Values:
 def place(task: Task) -> Values:
     """Distance of a face from the geometry of the scene (m)."""
     for pair, point, _, away, geom in _faces(task):
-        side, at = "before" if away > 0.0 else "inside", rounded(point)
+        side = "before" if away > 0.0 else "inside"
+        at = rounded(point)
         words = {"name": pair.name, "point": at, "mm": 1e3 * abs(away), "side": side, "geom": geom}
         yield abs(away), words
 
@@ -306,7 +309,8 @@ def turn(task: Task) -> Values:
     for pair, point, normal, away, geom in _faces(task):
         if abs(away) > PLACE_REFUSED:
             continue
-        probe, steps = _scene(task), SCENE_PROBE_M * np.eye(3)
+        probe = _scene(task)
+        steps = SCENE_PROBE_M * np.eye(3)
         rise = np.array(
             [probe.distance(point + e)[0] - probe.distance(point - e)[0] for e in steps]
         )

@@ -36,7 +36,9 @@ __all__ = [
 ]
 
 TRIES = 40  #: random postures from which a pose is sought, after the given one
-MISS_M, MISS_RAD = 1e-6, 1e-5  #: a pose that is missed by less is reached
+#: a pose that is missed by less is reached
+MISS_M = 1e-6
+MISS_RAD = 1e-5
 VECTORS: dict[str, TypeAdapter[Any]] = {
     "xyz": TypeAdapter(Vec3),
     "rpy": TypeAdapter(AngleVec3),
@@ -146,14 +148,16 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
         turn = float(np.linalg.norm(pin.log3(X.rotation.T @ X_WO.rotation)))
         shift = float(np.linalg.norm(X.translation - X_WO.translation))
         if not grasp.is_rigid:  # what the grasp permits is no miss
-            shift, turn = float(np.linalg.norm(grasp.miss(tip, X_WO))), 0.0
+            shift = float(np.linalg.norm(grasp.miss(tip, X_WO)))
+            turn = 0.0
         away.append((shift, turn))
     return max(shift for shift, _ in away), max(turn for _, turn in away)
 
 
 def rest(chain: ClosedChain) -> Array:
     """(n,) the middle between the joints' limits, 0 where there are none."""
-    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    low = chain.model.lowerPositionLimit
+    high = chain.model.upperPositionLimit
     ends = np.isfinite(low) & np.isfinite(high)
     with np.errstate(invalid="ignore"):
         return np.where(ends, 0.5 * (low + high), 0.0)
@@ -166,7 +170,8 @@ def stands(chain: ClosedChain, q: Array) -> pin.SE3:
 
 def outside(chain: ClosedChain, q: Array) -> list[str]:
     """A sentence for each joint outside its limits."""
-    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    low = chain.model.lowerPositionLimit
+    high = chain.model.upperPositionLimit
     return [
         f"joint {name} at {x:.4g} is outside its limits [{a:.4g}, {b:.4g}]"
         for name, x, a, b in zip(chain.joint_names, q, low, high, strict=True)

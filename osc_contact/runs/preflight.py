@@ -36,7 +36,9 @@ from osc_contact.spatial import Array
 
 __all__ = ["Finding", "preflight", "require_ready"]
 
-PERIOD_S, GAIN = 4e-3, 0.3  #: of rehearsals: the longest tick, its largest product with the gains
+#: of rehearsals: the longest tick, its largest product with the gains
+PERIOD_S = 4e-3
+GAIN = 0.3
 _logger = logging.getLogger("osc_contact.preflight")
 
 
@@ -66,7 +68,8 @@ def preflight(
             contacts.
     """
     if isinstance(task, Rig):
-        of, found = Task.of_rig(task), findings(RIG_RULES, task)
+        of = Task.of_rig(task)
+        found = findings(RIG_RULES, task)
     elif controller is None:
         raise InvalidInputError(
             "preflight takes the rig of a scenario, or a robot with its controller and references"
@@ -121,7 +124,8 @@ def tare(rig: Rig) -> Values:
     scenario = rig.scenario
     if not rig.pairs or scenario.tare is not None or scenario.plant.exact:
         return
-    error, wrist = scenario.model_error, scenario.sensors.wrist
+    error = scenario.model_error
+    wrist = scenario.sensors.wrist
     wrong = [
         f"model_error.{key} is {getattr(error, key):g}"
         for key in ("object_mass", "arm_mass", "hidden_mass")
@@ -195,7 +199,9 @@ def carts(rig: Rig) -> Values:
         cart = body.motion
         if not isinstance(cart, CartSpec):
             continue
-        m, c, k = cart.mass, cart.damping, cart.stiffness
+        m = cart.mass
+        c = cart.damping
+        k = cart.stiffness
         u = np.array(cart.direction)
         push = np.full(len(t), cart.preload - 9.81 * m * u[2])
         for i in body.contacts:
@@ -223,7 +229,8 @@ def carts(rig: Rig) -> Values:
 )
 def rate(task: Task) -> Values:
     """Gain × control period."""
-    motion, force = task.gains.motion, task.gains.force
+    motion = task.gains.motion
+    force = task.gains.force
     given = "damping" in motion.model_fields_set
     name = "motion." if given else f"motion.frequency {motion.frequency:g} Hz, "
     limits = {f"{name}damping": motion.damping}
@@ -260,7 +267,8 @@ def _length(arm: Arm) -> float:
     model = arm.model
     frame = model.frames[robots.frame_id(model, arm.tip)]
     links = [X.translation for X in (*model.jointPlacements, frame.placement)]
-    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    low = model.lowerPositionLimit
+    high = model.upperPositionLimit
     slides = [
         max(abs(low[joint.idx_q]), abs(high[joint.idx_q]))
         for joint in list(model.joints)[1:]
@@ -279,13 +287,16 @@ def postures(task: Task) -> Values:
     """By how much no posture within the joints' limits, from the start on, gets there (m)."""
     if any(stretched.findings(task)):
         return
-    chain, poses = task.chain, task.poses
-    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    chain = task.chain
+    poses = task.poses
+    low = chain.model.lowerPositionLimit
+    high = chain.model.upperPositionLimit
     ways = poses[:, :3] - poses[0, :3]
     turns = np.abs(poses[:, 3:] @ poses[0, 3:])  # cosine of half the angle
     for k in sorted({int(k) for k in (*ways.argmax(axis=0), *ways.argmin(axis=0), turns.argmin())}):
         X = pin.XYZQUATToSE3(poses[k])
-        away, left = np.inf, ""
+        away = np.inf
+        left = ""
         try:
             q = reach(chain, task.q_contact, X, 1e-3)
         except ModelError:  # it circles about a pose out of reach
@@ -321,7 +332,9 @@ def joints(task: Task) -> Values:
     safety = SafetySettings.motors_only(**{key: getattr(task.safety, key) for key in kept})
     dt = max(task.dt, min(PERIOD_S, GAIN / max(task.gains.motion.damping, 1.0)))
     dt = task.dt * round(dt / task.dt)
-    q, v, still = task.q.copy(), np.zeros(chain.nq), np.zeros((len(chain.arms), 6))
+    q = task.q.copy()
+    v = np.zeros(chain.nq)
+    still = np.zeros((len(chain.arms), 6))
     try:
         controller = Controller(chain, (), task.gains, dt=dt, posture=task.posture, safety=safety)
         for k, desired in enumerate(task.every(dt)):
@@ -343,7 +356,8 @@ def _acceleration(controller: Controller) -> Array:
     Their torques τ₀ move them by (1 − J̄J)M⁻¹(τ₀ − h). Without it nothing holds their posture, and
     they drift until a joint comes near its limit.
     """
-    chain, joints = controller.settings.chain, controller._records.work.joints
+    chain = controller.settings.chain
+    joints = controller._records.work.joints
     a = controller.joint_acceleration()
     for arm, s, grasp in zip(chain.arms, chain.slices, chain.grasps, strict=True):
         n = arm.model.nv
@@ -364,7 +378,9 @@ def motors(task: Task) -> Values:
     """Forces that no torques within the limits make, whatever the internal forces are."""
     if not task.pairs or not task.contact.r or not task.state.d:
         return
-    state, contact, chain = task.state, task.contact, task.chain
+    state = task.state
+    contact = task.contact
+    chain = task.chain
     limits = np.minimum(chain.tau_max, 1e12)
     needed = state.b_S[:, None] + state.S.T @ contact.N @ contact.R @ task.forces.T
     shares = np.linalg.pinv(state.G * limits) @ needed  # of each motor's limit, least squares
@@ -373,7 +389,8 @@ def motors(task: Task) -> Values:
     most = least_peak(state.G * limits, needed[:, k])
     # a peak that is a little too high saturates for a while
     if most > motors.refused or least_peak(state.G * limits, needed[:, usual]) > 1.0:
-        j, motor = int(task.forces[k].argmax()), int(np.abs(shares[:, k]).argmax())
+        j = int(task.forces[k].argmax())
+        motor = int(np.abs(shares[:, k]).argmax())
         joint = chain.joint_names[chain.actuated[motor]]
         words = {"name": task.force_names[j], "force": task.forces[k, j], "t": task.times[k]}
         yield most, {**words, "joint": joint, "most": limits[motor]}
@@ -386,13 +403,16 @@ def least_peak(A: Array, b: Array) -> float:
         A: (m, n). b: (m,).
     """
     x = np.linalg.pinv(A) @ b
-    low, high = float(np.linalg.norm(x) / np.sqrt(len(x))), float(np.abs(x).max())
+    low = float(np.linalg.norm(x) / np.sqrt(len(x)))
+    high = float(np.abs(x).max())
     scale = np.linalg.norm(A, axis=1)
-    rows, right = A / scale[:, None], b / scale
+    rows = A / scale[:, None]
+    right = b / scale
     while high - low > 0.01 * high:
         bound = 0.5 * (low + high)
         box = np.full(len(x), bound)
-        upper, lower = np.concatenate((box, right)), np.concatenate((-box, right))
+        upper = np.concatenate((box, right))
+        lower = np.concatenate((-box, right))
         sense = np.concatenate((np.zeros(len(x)), np.full(len(b), 5))).astype(np.int32)
         flag = daqp.solve(np.eye(len(x)), np.zeros(len(x)), rows, upper, lower, sense)[2]
         low, high = (low, bound) if flag > 0 else (bound, high)
@@ -425,7 +445,8 @@ def first_tick(task: Task) -> Values:
 )
 def jump(task: Task) -> Values:
     """From the pose to the first reference (m)."""
-    first, now = task.poses[0, :3], task.state.X_WO.translation
+    first = task.poses[0, :3]
+    now = task.state.X_WO.translation
     yield float(np.linalg.norm(first - now)), {"first": rounded(first), "now": rounded(now)}
 
 

@@ -67,8 +67,10 @@ def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict
         of: what was recorded. log: of the judge, which evaluates its notes; None: no judge.
         first: number of the first tick. rows: (k,) as the run's log noted them.
     """
-    k, controller = len(rows), of.controller
-    alpha, squeeze = rows["alpha"], rows["squeeze_d"]
+    k = len(rows)
+    controller = of.controller
+    alpha = rows["alpha"]
+    squeeze = rows["squeeze_d"]
     phase = _phases(of, rows)
     truth = _believed(of, rows, phase) if log is None else log.truths(rows["truth"])
     N, points, directions = _lines(of, truth, k)
@@ -119,7 +121,8 @@ class Monitor:
         """Of the ticks that follow those before."""
         if self._of.controller.life is not None:  # the controller had a monitor
             pushing = self._of.pushing  # what can pull stays in contact
-            closed, collision = rows["closed"] > 0.0, rows["collision"] > 0.0
+            closed = rows["closed"] > 0.0
+            collision = rows["collision"] > 0.0
             return {"contact_seen": closed | ~pushing, "collision_seen": collision & pushing}
         alpha = np.where(self._of.pushing, rows["alpha"], np.abs(rows["alpha"]))
         closed, collision = watch_series(self._monitor, alpha, rows["speed"])
@@ -160,7 +163,8 @@ def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
                 begin = first
             cut = _TOGETHER - first % _TOGETHER
             waiting.append(rows[:cut])
-            first, rows = first + len(waiting[-1]), rows[cut:]
+            first = first + len(waiting[-1])
+            rows = rows[cut:]
     if waiting:
         yield begin, np.concatenate(waiting)
 
@@ -197,7 +201,8 @@ def _phases(of: Subject, rows: Array) -> Array:
 
 def _believed(of: Subject, rows: Array, phase: Array) -> Truths:
     """The controller's estimate of the truth, where there is no judge."""
-    pairs, k = of.pairs, len(rows)
+    pairs = of.pairs
+    k = len(rows)
     X_WO = _poses(rows["X_WO"].reshape(k, 4, 4))
     X_WE = rows["X_WE"].reshape(k, len(pairs), 4, 4)
     faces = tuple(_poses(X_WE[:, i]) for i in range(len(pairs)))
@@ -213,7 +218,9 @@ def _poses(X: Array) -> Poses:
 def _lines(of: Subject, truth: Truths, k: int) -> tuple[Array, Array, Array]:
     """Unit lines of force (6, r, k), and of each contact where they meet the surface, their mean,
     and the direction of the first: (k, contacts, 3) both."""
-    N, points, directions = [np.zeros((6, 0, k))], [], []
+    N = [np.zeros((6, 0, k))]
+    points = []
+    directions = []
     for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
         p, n = feet_over(pair, own, truth.X_WO, X_WE)
         N.append(np.concatenate((n, cross(p - truth.X_WO.p[:, None], n))))
@@ -228,10 +235,12 @@ def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
     out = np.zeros((k, len(of.pairs), 7))
     for i, X_WE in enumerate(truth.X_WE):
         body = of.placements[i]
-        R, p = body.rotation[:, :, None], body.translation[:, None]
+        R = body.rotation[:, :, None]
+        p = body.translation[:, None]
         if X_WE is not None:
             moved = np.stack([X_WE.rotate(R[:, j]) for j in range(3)], axis=1)
-            R, p = moved, X_WE.p + X_WE.rotate(p)
+            R = moved
+            p = X_WE.p + X_WE.rotate(p)
         out[:, i] = Poses(R, p).coordinates(k)
     return out
 
@@ -240,7 +249,9 @@ def _motion_error(of: Subject, rows: Array, N: Array, phase: Array) -> Array:
     """What the arms can make of the pose error and the contact forces in the model permit."""
     if of.free:
         return rows["free_error"]
-    q, error, k = rows["q"], rows["error"], len(rows)
+    q = rows["q"]
+    error = rows["error"]
+    k = len(rows)
     J = np.ascontiguousarray(rows["J"].T).reshape(-1, 6, k).swapaxes(0, 1)
     X = _poses(rows["X_WO"].reshape(k, 4, 4))
     held = phase[:, of.owners] != Phase.OPEN
@@ -251,7 +262,8 @@ def _motion_error(of: Subject, rows: Array, N: Array, phase: Array) -> Array:
         i = a + np.flatnonzero(known[a:b])
         if not len(i):
             continue
-        poses, lines = Poses(X.R[..., i], X.p[:, i]), N[:, held[a]][..., i]
+        poses = Poses(X.R[..., i], X.p[:, i])
+        lines = N[:, held[a]][..., i]
         chain = of.controller.chain
         out[i] = free_parts(chain, q[i], J[:, :, i], poses, lines, error[i].T).T
     return out
@@ -324,7 +336,8 @@ class Recorder:
     def _lay_out(self, of: Subject) -> None:
         """Name the numbers of a row: what is NaN where a tick has no result, and the others."""
         chain = of.controller.chain
-        contacts, r = len(of.pairs), len(of.owners)
+        contacts = len(of.pairs)
+        r = len(of.owners)
         squeezes = internal_forces(len(chain.arms))
         found = {**_FOUND, "squeeze": squeezes}
         if not of.free:  # what the arms can make of an error is recorded
@@ -363,7 +376,8 @@ class Recorder:
         """
         if self._k == _BLOCK or perf_counter() - self._flushed > _EVERY:
             self.flush()
-        row, status = self._rows[self._k], self.of.controller.status
+        row = self._rows[self._k]
+        status = self.of.controller.status
         numbers = self._numbers
         numbers[0] = seconds
         numbers[1] = status
@@ -401,7 +415,8 @@ class Recorder:
 
     def _found(self, measurement: Measurement) -> list[Array]:
         """What the last tick found: views of the controller's records."""
-        result, r = self.of.controller.result(), len(self.of.owners)
+        result = self.of.controller.result()
+        r = len(self.of.owners)
         if result is not self._last:
             self._last = result
             self._parts = [np.ravel(getattr(result, name)) for name in self._names]
@@ -429,7 +444,8 @@ class Recorder:
 
     def _noted(self, start: int) -> Array:
         """Rows with names, and with what the judge noted beside them."""
-        rows, fields = self._rows[start : self._k], self._fields
+        rows = self._rows[start : self._k]
+        fields = self._fields
         if self.truth is not None:
             truth = self.truth.noted(start)
             rows = np.concatenate((rows, truth), axis=1)
@@ -481,7 +497,8 @@ def recording_of(
 
 def _subject(controller: Controller) -> Subject:
     """What a controller by itself has of its contacts."""
-    chain, pairs = controller.chain, tuple(controller.contacts)
+    chain = controller.chain
+    pairs = tuple(controller.contacts)
     rigid = all(grasp.is_rigid for grasp in chain.grasps)
     free = rigid and min(arm.model.nv for arm in chain.arms) >= 6
     world = (pin.SE3.Identity(),) * len(pairs)

@@ -134,7 +134,8 @@ class References:
 
     def forces(self, t: Array) -> Array:
         """(r, k) desired magnitudes at times t (k,)."""
-        names, signals = force_names(self.scenario), self.scenario.force
+        names = force_names(self.scenario)
+        signals = self.scenario.force
         return np.reshape([total_over(signals[name], t)[0] for name in names], (len(names), len(t)))
 
     @cached_property
@@ -166,7 +167,8 @@ class References:
         R = self.X_start.rotation[:, :, None]
         spin = np.zeros((2, 3, len(t)))
         if turn is not None:
-            R, spin = rotated(turn.R, R), np.stack((turn.omega, turn.omega_dot))
+            R = rotated(turn.R, R)
+            spin = np.stack((turn.omega, turn.omega_dot))
         return Plan(
             X_WD=Poses(R, place[0] + x[0]).coordinates(len(t)),
             V_D=np.concatenate((x[1], spin[0])).T.copy(),
@@ -226,9 +228,14 @@ class _Turn:
 def _swung(place: Array, axis: Array, through: Array, s: Array) -> Array:
     """A point's (3, 3, k) position, velocity, acceleration once turned by s (3, k) about an axis
     (3,) through a point (3,) of the world."""
-    along, c = axis[:, None], through[:, None]
-    E, w, w_dot = rotations(along * s[0]), along * s[1], along * s[2]
-    arm, rate, bend = rotated(E, place[0] - c), rotated(E, place[1]), rotated(E, place[2])
+    along = axis[:, None]
+    c = through[:, None]
+    E = rotations(along * s[0])
+    w = along * s[1]
+    w_dot = along * s[2]
+    arm = rotated(E, place[0] - c)
+    rate = rotated(E, place[1])
+    bend = rotated(E, place[2])
     velocity = cross(w, arm)
     second = cross(w_dot, arm) + cross(w, velocity) + 2.0 * cross(w, rate) + bend
     return np.array([c + arm, velocity + rate, second])

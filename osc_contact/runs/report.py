@@ -47,9 +47,12 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
         table.add_row(f"first contact {contact}", words)
     for name, words in _steps(verdict["steps"]):
         table.add_row(name, words)
-    motion, power, tick = verdict["motion"], verdict["power"], verdict["tick_us"]
+    motion = verdict["motion"]
+    power = verdict["power"]
+    tick = verdict["tick_us"]
     if motion["rms_error_m"] is not None:
-        linear, angular = 1e3 * motion["rms_error_m"], 1e3 * motion["rms_error_rad"]
+        linear = 1e3 * motion["rms_error_m"]
+        angular = 1e3 * motion["rms_error_rad"]
         table.add_row("free motion", f"rms {linear:.4f} mm, {angular:.4f} mrad")
     if power["total_rms_W"] is not None:
         table.add_row(

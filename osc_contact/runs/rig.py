@@ -180,7 +180,8 @@ def register_plant(name: str, *, exact: bool = False) -> Callable[[MakesPlant], 
     """
 
     def enter(make: MakesPlant) -> MakesPlant:
-        PLANTS[name], PLANT_TYPES[name] = make, exact
+        PLANTS[name] = make
+        PLANT_TYPES[name] = exact
         return make
 
     return enter
@@ -194,7 +195,8 @@ def _rigid(parts: Parts) -> Plant:
 
 @register_plant("mujoco")
 def _mujoco(parts: Parts) -> Plant:
-    scenario, spec = parts.scenario, parts.scenario.plant
+    scenario = parts.scenario
+    spec = parts.scenario.plant
     return MujocoPlant(
         parts.chain,
         [robots.resolve_urdf(arm.urdf, scenario.folder)[0] for arm in scenario.arms],
@@ -244,7 +246,8 @@ class Rig:
         Raises:
             ScenarioError: a tare on an exact plant, whose contacts cannot open.
         """
-        scenario, spec = self.scenario, self.scenario.plant
+        scenario = self.scenario
+        spec = self.scenario.plant
         if spec.exact and scenario.tare is not None:
             raise ScenarioError(
                 f"a tare needs contacts that open; the {spec.type} plant's are bilateral. "
@@ -299,7 +302,8 @@ class Rig:
 
     def controller(self) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
-        scenario, control = self.scenario, self.scenario.control
+        scenario = self.scenario
+        control = self.scenario.control
         ignored = scenario.model_error.environment == "ignored"
         return Controller(
             self.model,
@@ -384,7 +388,8 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     state = chain.state(q_contact, np.zeros(chain.nq))
     contact = Contact.stack([pair.contact(state.X_WO, np.zeros(6)) for pair in pairs])
     require_reachable(state, contact)
-    standoff, q_start = np.zeros(6), q_contact
+    standoff = np.zeros(6)
+    q_start = q_contact
     if scenario.tare is not None:
         standoff = standoff_of(state, contact, float(scenario.tare.standoff))
     references = References.of(scenario, state.X_WO, pairs, standoff)

@@ -100,7 +100,8 @@ def run_rig(
     Raises:
         ScenarioError, PlantError, Interrupted: see `run`.
     """
-    scenario, doubts = rig.scenario, require_ready(rig)
+    scenario = rig.scenario
+    doubts = require_ready(rig)
     plant, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(
@@ -153,11 +154,13 @@ def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plan
         rig: see `build_rig`. seed: of everything random.
         install: puts another control law into each controller.
     """
-    plant, controller = rig.plant(seed), rig.controller()
+    plant = rig.plant(seed)
+    controller = rig.controller()
     # laws of the user's own may remember their ticks: each controller has its own
     first = rig.controller() if callable(rig.scenario.laws) else copy(controller)
     if install is not None:
-        controller, first = _installed(install, controller), _installed(install, first)
+        controller = _installed(install, controller)
+        first = _installed(install, first)
     plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
     return plant, controller
 
@@ -190,7 +193,8 @@ class Taring:
         assert rig.scenario.tare is not None
         self.duration = float(rig.scenario.tare.duration)
         self.engage_at = rig.references.engage_at
-        self.controller, self.dt = controller, controller.dt
+        self.controller = controller
+        self.dt = controller.dt
         self.samples: list[Array] = []
         self.ticks = 0
 
@@ -229,7 +233,8 @@ def recover(
     source = Path(path)
     journal = Journal(source)
     rig = build_rig(scenario_of(journal.about, source, folder))
-    plant, controller = rig.plant(int(journal.about.get("seed", 0))), rig.controller()
+    plant = rig.plant(int(journal.about.get("seed", 0)))
+    controller = rig.controller()
     recording = recording_of(rig.subject(controller), plant.log(), journal, journal.about)
     ticks = round(rig.scenario.duration * rig.scenario.control.rate)
     missing = list(journal.missing)

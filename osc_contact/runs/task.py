@@ -128,7 +128,8 @@ class Task:
     @classmethod
     def of_rig(cls, rig: Rig) -> Task:
         """Of a scenario."""
-        scenario, references = rig.scenario, rig.references
+        scenario = rig.scenario
+        references = rig.references
         times, plan = references.overview
         tare = scenario.tare
         return cls(
@@ -162,8 +163,10 @@ class Task:
             InvalidInputError: no references, not all of them have a force for each column, or the
                 robot has other joints.
         """
-        settings, measured = controller.settings, robot.measure()
-        pairs, chain = settings.contacts, getattr(robot, "chain", settings.chain)
+        settings = controller.settings
+        measured = robot.measure()
+        pairs = settings.contacts
+        chain = getattr(robot, "chain", settings.chain)
         owners = force_owners(pairs)
         given = list(islice(references, MOST_TICKS))
         for k, one in enumerate(given):
@@ -209,5 +212,6 @@ class Task:
     @cached_property
     def contact(self) -> Contact:
         """All contacts there."""
-        X, V = self.state.X_WO, self.state.V_O
+        X = self.state.X_WO
+        V = self.state.V_O
         return Contact.stack([pair.contact(X, V) for pair in self.pairs])

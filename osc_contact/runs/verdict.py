@@ -260,9 +260,11 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
     Args:
         recording: of the run. sums: of its ticks.
     """
-    meta, contacts = recording.meta, recording.meta["contact_names"]
+    meta = recording.meta
+    contacts = recording.meta["contact_names"]
     position, orientation = sums.away.rms()
-    (total,), (projected,) = sums.total.rms(), sums.projected.rms()
+    (total,) = sums.total.rms()
+    (projected,) = sums.projected.rms()
     worst = zip(meta.get("effort_limits", {}), sums.at_limit.tolist(), strict=True)
     return {
         "scenario": meta.get("scenario", {}).get("name"),
@@ -295,8 +297,10 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
     Args:
         names: of them. sums: of the ticks.
     """
-    found, error = {}, sums.error
-    means, cycles = sums.command.mean(), sums.cycles
+    found = {}
+    error = sums.error
+    means = sums.command.mean()
+    cycles = sums.cycles
     columns = (means, error.rms(), error.peak(), sums.sensing.rms(), cycles)
     for name, mean, rms, peak, sensed, cycle in zip(names, *columns, strict=True):
         found[name] = {
@@ -321,7 +325,9 @@ def _facts(
     Args:
         recording: of the run. sums: of its ticks. verdict: the numbers.
     """
-    meta, landed, openings = recording.meta, sums.ticks.landed, sums.openings
+    meta = recording.meta
+    landed = sums.ticks.landed
+    openings = sums.openings
     distance, angle = sums.away.peak()
     run = {
         **verdict["status"],
@@ -472,9 +478,11 @@ def _answer(
     if not len(after):  # nothing there was computed
         return None
     if first:
-        start, goal = 0.0, float(command[after[0]])
+        start = 0.0
+        goal = float(command[after[0]])
     else:
-        start, goal = float(command[before - 1]), float(command[before])
+        start = float(command[before - 1])
+        goal = float(command[before])
         drift = start - float(command[before - 2])  # of signals that do not step
         if not abs(goal - start - drift) > 0.01 * np.abs(command[after]).max():
             return None
@@ -518,7 +526,8 @@ def judge_task(
     for rule in rules:
         limit = getattr(limits, rule.limit) if isinstance(rule.limit, str) else rule.limit
         for i, fact in enumerate(facts[rule.subject]):
-            value, key = fact[rule.quantity], (rule.subject, i, rule.quantity)
+            value = fact[rule.quantity]
+            key = (rule.subject, i, rule.quantity)
             if value is None or not value > limit or key in seen:
                 continue
             seen.add(key)

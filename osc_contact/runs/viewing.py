@@ -56,10 +56,12 @@ class Shown:
             return cls(what.scenario.name, content_of(what), size, what.chain.nq)
         if isinstance(what, Shown):
             return what
-        q, pairs = np.asarray(what.measure().q), what.contacts
+        q = np.asarray(what.measure().q)
+        pairs = what.contacts
         X = what.chain.state(q, np.zeros(len(q))).X_WO if pairs else None
         contacts = [pair.name for pair in pairs], force_owners(pairs).tolist()
-        name, size = what.chain.arms[0].name, object_size(pairs, X)
+        name = what.chain.arms[0].name
+        size = object_size(pairs, X)
         return _of_picture(what.picture(), name, contacts, size, len(q))
 
     @classmethod
@@ -69,9 +71,11 @@ class Shown:
         Raises:
             RecordingError: that is damaged, or there is no first tick.
         """
-        meta, size = recording.meta, 0.1
+        meta = recording.meta
+        size = 0.1
         try:
-            name, joints = meta["arm_names"][0], len(meta["joint_names"])
+            name = meta["arm_names"][0]
+            joints = len(meta["joint_names"])
             contacts = meta["contact_names"], meta["columns"]
             if len(recording) and "contact_point" in recording and contacts[0]:
                 points = recording["contact_point"][0] - recording["pose"][0, :3]
@@ -103,7 +107,8 @@ def write_scene_of(
         still: s; the page opens standing still at that time instead of playing.
     """
     shown = Shown.of(rig)
-    content, size = shown.content, shown.size
+    content = shown.content
+    size = shown.size
     return write_scene(
         recording.thinned(DRAWN),
         content.arms,
@@ -125,14 +130,16 @@ def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
         RecordingError: other contacts, channels of other shapes, times that do not grow, numbers
             too large to be drawn. NaN is a number that is not known, as of a tick that was held.
     """
-    names, owners = list(shown.content.contacts), list(shown.content.columns)
+    names = list(shown.content.contacts)
+    owners = list(shown.content.columns)
     for key, of_rig in (("contact_names", names), ("columns", owners)):
         if recording.meta.get(key, of_rig) != of_rig:
             raise RecordingError(
                 f"{source}: its {key} are {recording.meta[key]!r}; runs of {shown.name} "
                 f"have {of_rig!r}"
             )
-    r, contacts = len(owners), len(names)
+    r = len(owners)
+    contacts = len(names)
     one: tuple[int, ...] = ()
     shapes = {
         "t": one,

@@ -40,7 +40,9 @@ def name_problems(
         arms, contacts, grasps: names. force: keys of `reference.force`.
         magnitudes: number of forces by contact name.
     """
-    grasps, force, problems = list(grasps), list(force), list[Problem]()
+    grasps = list(grasps)
+    force = list(force)
+    problems = list[Problem]()
     for key, names in (("arms", arms), ("contacts", contacts)):
         for index, name in enumerate(names):
             if Counter(names[:index])[name]:
@@ -49,10 +51,13 @@ def name_problems(
     for key, given, wanted, kind, example in (
         ("grasps", grasps, arms, "arm", "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"),
         (
-            "force", force, magnitude_names(magnitudes), "contact",
+            "force",
+            force,
+            magnitude_names(magnitudes),
+            "contact",
             "[{type: constant, value: 0 N}]",
         ),
-    ):  # fmt: skip
+    ):
         for name in given:
             if name not in wanted:
                 text = f"no {kind} has this name; {did_you_mean(name, wanted)}"
@@ -121,7 +126,8 @@ def _torque_loop_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Pr
             "plant.flexible_joints, or leave it out"
         )
         yield key, text
-    calls, steps = loop.rate / control.rate, 1.0 / (loop.rate * plant.step)
+    calls = loop.rate / control.rate
+    steps = 1.0 / (loop.rate * plant.step)
     if not all(round(n) >= 1 and abs(n - round(n)) <= 1e-9 for n in (calls, steps)):
         text = (
             f"the loop runs {calls:.9g} times in a control period and {steps:.9g} plant steps pass "
@@ -162,7 +168,8 @@ def sound_problems(data: Any) -> Iterator[Problem]:
         given = data.get(key, {} if key == "force" else None)
         return list(given) if isinstance(given, dict) else fallback
 
-    arms, contacts = names("arms"), names("contacts")
+    arms = names("arms")
+    contacts = names("contacts")
     magnitudes = raw_magnitudes(data.get("contacts", []))
     if arms is not None:
         yield from name_problems(arms, [], group("grasps", arms), [], {})

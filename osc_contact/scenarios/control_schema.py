@@ -135,7 +135,9 @@ class MotionGains(_GainsOfOneLoop):
         if not serves_every_mass:
             if not {"stiffness", "damping"} <= given.keys():
                 raise refuse("give stiffness (1/s²) and damping (1/s) together, or frequency (Hz)")
-            K, D, K_i = given["stiffness"], given["damping"], given.get("integral", 0.0)
+            K = given["stiffness"]
+            D = given["damping"]
+            K_i = given.get("integral", 0.0)
             return {
                 "integral": 0.0,
                 "frequency": sqrt(K) / (2.0 * pi),
@@ -143,7 +145,8 @@ class MotionGains(_GainsOfOneLoop):
                 "integral_time": K / K_i if K_i > 0.0 else inf,
             }
         omega = 2.0 * pi * given["frequency"] if "frequency" in given else 20.0
-        ratio, time = given.get("damping_ratio", 1.0), given.get("integral_time", inf)
+        ratio = given.get("damping_ratio", 1.0)
+        time = given.get("integral_time", inf)
         return {
             "stiffness": omega**2,
             "damping": 2.0 * omega * ratio,
@@ -192,7 +195,8 @@ class ForceGains(_GainsOfOneLoop):
                 raise refuse(
                     "damping (N s/m) goes with integral (1/s); give both, or damping_ratio"
                 )
-            K_i, brake = given["integral"], given.get("brake", 0.0)
+            K_i = given["integral"]
+            brake = given.get("brake", 0.0)
             return {
                 "damping": 0.0,
                 "bandwidth": K_i / (2.0 * pi),
@@ -201,7 +205,8 @@ class ForceGains(_GainsOfOneLoop):
                 "tilt": 0.0,
                 "brake": 0.0,
             }
-        bandwidth, ratio = given.get("bandwidth", 5.0), given.get("damping_ratio", 0.7)
+        bandwidth = given.get("bandwidth", 5.0)
+        ratio = given.get("damping_ratio", 0.7)
         K_i = 2.0 * pi * bandwidth
         return {
             "integral": K_i,

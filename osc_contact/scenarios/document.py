@@ -21,9 +21,16 @@ from osc_contact.scenarios.spec import did_you_mean, sentence
 _DEEPEST = 32
 _FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _WORDS: dict[str, Any] = {
-    "": None, "~": None, "null": None, "true": True, "false": False,
-    ".nan": float("nan"), ".inf": float("inf"), "+.inf": float("inf"), "-.inf": float("-inf"),
-}  # fmt: skip
+    "": None,
+    "~": None,
+    "null": None,
+    "true": True,
+    "false": False,
+    ".nan": float("nan"),
+    ".inf": float("inf"),
+    "+.inf": float("inf"),
+    "-.inf": float("-inf"),
+}
 
 
 class Problems:
@@ -63,7 +70,8 @@ def compose(text: str, problems: Problems) -> yaml.Node | None:
             if depth > _DEEPEST:
                 problems.at_line(line, f"nested deeper than {_DEEPEST} levels")
                 problems.raise_any()
-            anchor, tag = getattr(event, "anchor", None), getattr(event, "tag", None)
+            anchor = getattr(event, "anchor", None)
+            tag = getattr(event, "tag", None)
             if anchor is not None:
                 name = f"*{anchor}" if isinstance(event, yaml.AliasEvent) else f"&{anchor}"
                 problems.at_line(line, f"{name}: anchors and aliases are refused; write it out")
@@ -117,7 +125,8 @@ class ScenarioDocument:
     def copy(self, problems: Problems) -> ScenarioDocument:
         """The same data, to be changed; complaints go to `problems`."""
         other = ScenarioDocument.__new__(ScenarioDocument)
-        other.problems, other.origins = problems, dict(self.origins)
+        other.problems = problems
+        other.origins = dict(self.origins)
         other.data = deepcopy(self.data)
         return other
 
@@ -317,7 +326,8 @@ def _inside(kind: Any, part: str | int) -> list[Any]:
     """Return the types that the item or key `part` of `kind` may have."""
     if _is_model(kind):
         return _options(kind.model_fields[part].annotation) if part in kind.model_fields else []
-    origin, inner = get_origin(kind), get_args(kind)
+    origin = get_origin(kind)
+    inner = get_args(kind)
     if origin is tuple and isinstance(part, int):
         return _options(inner[0] if Ellipsis in inner else inner[min(part, len(inner) - 1)])
     return _options(inner[1]) if origin is dict else []
@@ -325,7 +335,8 @@ def _inside(kind: Any, part: str | int) -> list[Any]:
 
 def _options(kind: Any) -> list[Any]:
     """Return the members of a union (without None), or the type itself, without annotations."""
-    origin, inner = get_origin(kind), get_args(kind)
+    origin = get_origin(kind)
+    inner = get_args(kind)
     if origin is Annotated:
         return _options(inner[0])
     if origin in (Union, types.UnionType):

@@ -42,7 +42,8 @@ class Polynomials:
         """Return value, first and second derivative at the time or times t (s)."""
         if np.ndim(t) == 0:
             return tuple(float(x[0]) for x in self.at(np.array([t])))  # type: ignore[return-value]
-        first, end = self.knots[0], self.knots[-1]
+        first = self.knots[0]
+        end = self.knots[-1]
         i = np.clip(np.searchsorted(self.knots, t, side="right") - 1, 0, len(self.knots) - 2)
         s = np.clip(t, first, end) - self.knots[i]
         c = self.coefficients[:, i]
@@ -131,7 +132,9 @@ def jerk_limited(
         points: to rest at. start: where it begins.
         velocity, acceleration, jerk: limits, in units of the points per s, s², s³.
     """
-    knots, columns, now = [start], [], points[0]
+    knots = [start]
+    columns = []
+    now = points[0]
     for here, there in pairwise(points):
         if (way := there - here) == 0.0:
             continue
@@ -145,7 +148,8 @@ def jerk_limited(
                 state = follow(((duration, sign * size),), duration, x, v, a)
         now = there
     if not columns:  # nowhere to go
-        knots, columns = [start, start + 1.0], [(now, 0.0, 0.0, 0.0)]
+        knots = [start, start + 1.0]
+        columns = [(now, 0.0, 0.0, 0.0)]
     return Polynomials(np.array(knots), np.array(columns).T, now)
 
 
@@ -161,23 +165,28 @@ def least_jerk(points: tuple[tuple[float, float], ...]) -> Polynomials:
     h: Array = np.diff(t) / unit
     dx = np.diff(x)
     count = len(t)
-    A, b = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)  # unknowns: v, a of each point
+    # unknowns: v, a of each point
+    A = np.zeros((2 * count, 2 * count))
+    b = np.zeros(2 * count)
     stops = _stops(x.tolist())
     for i in range(count):
         if i in stops:
             A[2 * i, 2 * i] = A[2 * i + 1, 2 * i + 1] = 1.0
             continue
-        l, r = h[i - 1], h[i]  # noqa: E741
+        before = h[i - 1]
+        after = h[i]
         left, here, right = (slice(2 * k, 2 * k + 2) for k in (i - 1, i, i + 1))
-        jerk, snap = 2 * i, 2 * i + 1  # end of the piece before = begin of the piece after
-        A[jerk, left] = -8 / l**2, -1 / l
-        A[jerk, here] = -12 / l**2 + 12 / r**2, 3 / l + 3 / r
-        A[jerk, right] = 8 / r**2, -1 / r
-        b[jerk] = 20 * (dx[i] / r**3 - dx[i - 1] / l**3)
-        A[snap, left] = -14 / l**3, -2 / l**2
-        A[snap, here] = -16 / l**3 - 16 / r**3, 3 / l**2 - 3 / r**2
-        A[snap, right] = -14 / r**3, 2 / r**2
-        b[snap] = -30 * (dx[i] / r**4 + dx[i - 1] / l**4)
+        # end of the piece before = begin of the piece after
+        jerk = 2 * i
+        snap = 2 * i + 1
+        A[jerk, left] = -8 / before**2, -1 / before
+        A[jerk, here] = -12 / before**2 + 12 / after**2, 3 / before + 3 / after
+        A[jerk, right] = 8 / after**2, -1 / after
+        b[jerk] = 20 * (dx[i] / after**3 - dx[i - 1] / before**3)
+        A[snap, left] = -14 / before**3, -2 / before**2
+        A[snap, here] = -16 / before**3 - 16 / after**3, 3 / before**2 - 3 / after**2
+        A[snap, right] = -14 / after**3, 2 / after**2
+        b[snap] = -30 * (dx[i] / after**4 + dx[i - 1] / before**4)
     v, a = np.asarray(np.linalg.solve(A, b), dtype=np.float64).reshape(count, 2).T
     return Polynomials(t, _quintics(x, v, a, h) / unit ** np.arange(6.0)[:, None], float(x[-1]))
 
@@ -190,9 +199,11 @@ def _stops(values: list[float]) -> set[int]:
 
 def _quintics(x: Array, v: Array, a: Array, h: Array) -> Array:
     """(6, k) coefficients between points with values, velocities and accelerations (k + 1,)."""
-    dx, dv = np.diff(x), np.diff(v)
+    dx = np.diff(x)
+    dv = np.diff(v)
     rest = dx - h * v[:-1] - h**2 * a[:-1] / 2
-    slope, bend = dv - h * a[:-1], np.diff(a)
+    slope = dv - h * a[:-1]
+    bend = np.diff(a)
     third = (10 * rest - 4 * h * slope + h**2 * bend / 2) / h**3
     fourth = (-15 * rest + 7 * h * slope - h**2 * bend) / h**4
     fifth = (6 * rest - 3 * h * slope + h**2 * bend / 2) / h**5

@@ -162,8 +162,18 @@ def _rates(of: Dimension) -> tuple[Dimension, Dimension, Dimension]:
 
 
 _LENGTH_RATES, _ANGLE_RATES, _FORCE_RATES = map(_rates, (_LENGTH, _ANGLE, _FORCE))
-_DIMENSIONS = (_LENGTH, _ANGLE, _TIME, _FREQUENCY, _FORCE, _TORQUE, _MASS,
-               *_LENGTH_RATES, *_ANGLE_RATES, *_FORCE_RATES)  # fmt: skip
+_DIMENSIONS = (
+    _LENGTH,
+    _ANGLE,
+    _TIME,
+    _FREQUENCY,
+    _FORCE,
+    _TORQUE,
+    _MASS,
+    *_LENGTH_RATES,
+    *_ANGLE_RATES,
+    *_FORCE_RATES,
+)
 
 Length = Annotated[float, _LENGTH]
 Angle = Annotated[float, _ANGLE]

@@ -121,9 +121,11 @@ class Sine(OfQuantity[Q], Generic[Q]):
     def at(self, t: Any) -> Values:
         """Return the enveloped sine and its exact derivatives (product rule); 0 before start."""
         e, e_dot, e_ddot = _rise(t, self.start, self.ramp)
-        omega, a = 2.0 * math.pi * self.frequency, float(self.amplitude)
+        omega = 2.0 * math.pi * self.frequency
+        a = float(self.amplitude)
         angle = omega * (t - self.start) + self.phase
-        s, s_dot = np.sin(angle), omega * np.cos(angle)
+        s = np.sin(angle)
+        s_dot = omega * np.cos(angle)
         s_ddot = -omega * omega * s
         return (
             a * s * e,
@@ -145,25 +147,38 @@ class MinimumJerk(OfQuantity[Q], Generic[Q]):
 
     def at(self, t: Any) -> Values:
         """Return value times the rise and its exact derivatives."""
-        value, (e, e_dot, e_ddot) = float(self.value), _rise(t, self.start, self.duration)
+        value = float(self.value)
+        (e, e_dot, e_ddot) = _rise(t, self.start, self.duration)
         return value * e, value * e_dot, value * e_ddot
 
 
 LengthSignal = Annotated[
-    Constant[Length] | Step[Length] | Sine[Length] | MinimumJerk[Length]
-    | JerkLimited[Length, Velocity, Acceleration, Jerk] | Points[Length],
+    Constant[Length]
+    | Step[Length]
+    | Sine[Length]
+    | MinimumJerk[Length]
+    | JerkLimited[Length, Velocity, Acceleration, Jerk]
+    | Points[Length],
     Field(discriminator="type"),
-]  # fmt: skip
+]
 AngleSignal = Annotated[
-    Constant[Angle] | Step[Angle] | Sine[Angle] | MinimumJerk[Angle]
-    | JerkLimited[Angle, AngularVelocity, AngularAcceleration, AngularJerk] | Points[Angle],
+    Constant[Angle]
+    | Step[Angle]
+    | Sine[Angle]
+    | MinimumJerk[Angle]
+    | JerkLimited[Angle, AngularVelocity, AngularAcceleration, AngularJerk]
+    | Points[Angle],
     Field(discriminator="type"),
-]  # fmt: skip
+]
 ForceSignal = Annotated[
-    Constant[Force] | Step[Force] | Sine[Force] | MinimumJerk[Force]
-    | JerkLimited[Force, ForceRate, ForceRate2, ForceRate3] | Points[Force],
+    Constant[Force]
+    | Step[Force]
+    | Sine[Force]
+    | MinimumJerk[Force]
+    | JerkLimited[Force, ForceRate, ForceRate2, ForceRate3]
+    | Points[Force],
     Field(discriminator="type"),
-]  # fmt: skip
+]
 
 
 def total(signals: Iterable[Signal], t: float) -> Values:
@@ -171,7 +186,9 @@ def total(signals: Iterable[Signal], t: float) -> Values:
     value = rate = acceleration = 0.0
     for signal in signals:
         x, x_dot, x_ddot = signal.at(t)
-        value, rate, acceleration = value + x, rate + x_dot, acceleration + x_ddot
+        value = value + x
+        rate = rate + x_dot
+        acceleration = acceleration + x_ddot
     return value, rate, acceleration
 
 

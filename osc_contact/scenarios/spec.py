@@ -117,7 +117,8 @@ def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:
     Args:
         item: the complaint. owner: the model of its last key.
     """
-    kind, context = item["type"], item.get("ctx", {})
+    kind = item["type"]
+    context = item.get("ctx", {})
     got = f"got {reprlib.repr(item['input'])}"
     if kind in ("missing", "extra_forbidden"):
         key = item["loc"][-1]
@@ -137,7 +138,8 @@ def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:
     if kind == "string_pattern_mismatch":
         return f"expected a name of letters, digits, _ and -, beginning with a letter or _; {got}"
     if kind in ("too_short", "too_long", "string_too_short"):
-        least, most = context.get("min_length"), context.get("max_length")
+        least = context.get("min_length")
+        most = context.get("max_length")
         unit = "characters" if kind.startswith("string") else "items"
         return f"expected at {f'least {least}' if most is None else f'most {most}'} {unit}; {got}"
     return item["msg"]

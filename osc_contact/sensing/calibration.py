@@ -84,7 +84,8 @@ def calibrate_wrist(
         )
     theta = (Vh.T @ ((U.T @ (readings * weight).ravel()) / s)) / scale
     error = np.sqrt(np.sum((Vh.T / s) ** 2, axis=1)) / scale
-    mass, com = float(theta[0]), theta[1:4] / theta[0]
+    mass = float(theta[0])
+    com = theta[1:4] / theta[0]
     com_error = np.hypot(error[1:4], com * error[0]) / abs(mass)
     return WristLoad(mass, com, theta[4:], float(error[0]), com_error)
 

@@ -46,7 +46,8 @@ class VelocityEstimate:
     v: Array = field(init=False)  #: (k,)
 
     def __post_init__(self) -> None:
-        self.alpha, self.beta = np.atleast_1d(self.alpha), np.atleast_1d(self.beta)
+        self.alpha = np.atleast_1d(self.alpha)
+        self.beta = np.atleast_1d(self.beta)
         stable = (self.alpha > 0) & (self.beta > 0) & (2 * self.alpha + self.beta < 4)
         self.sample = self.sample or self.dt
         if not stable.all() or not self.dt > 0.0 or not self.sample > 0.0:
@@ -72,7 +73,8 @@ class VelocityEstimate:
         Raises:
             InvalidInputError: one of them is not > 0.
         """
-        noise, acceleration = np.atleast_1d(noise), np.atleast_1d(acceleration)
+        noise = np.atleast_1d(noise)
+        acceleration = np.atleast_1d(acceleration)
         if not (noise.min() > 0.0 and acceleration.min() > 0.0):
             raise InvalidInputError(
                 f"velocity estimate: noise {noise} and unknown acceleration {acceleration} must "

@@ -51,7 +51,8 @@ class History:
             raise InvalidInputError("the history is empty; add a value before asking for one")
         times = [kept for kept, _ in self._kept]
         after = min(max(bisect_right(times, t), 1), len(times) - 1)
-        (t0, x0), (t1, x1) = self._kept[max(after - 1, 0)], self._kept[after]
+        (t0, x0) = self._kept[max(after - 1, 0)]
+        (t1, x1) = self._kept[after]
         share = 0.0 if t1 == t0 else min(max((t - t0) / (t1 - t0), 0.0), 1.0)
         return np.asarray(x0 + share * (x1 - x0))
 
@@ -102,9 +103,11 @@ class Registration:
         """
         believed = np.linalg.inv(self.P + elapsed * np.diag(np.repeat(self.drift, 3)) ** 2)
         weights = np.repeat((self.position, self.orientation), 3) ** -2.0
-        start, information = self.X, believed
+        start = self.X
+        information = believed
         for _ in range(_ITERATIONS):  # in information form: exact noise-free poses do no harm
-            information, push = believed.copy(), -believed @ _displacement(start, self.X)
+            information = believed.copy()
+            push = -believed @ _displacement(start, self.X)
             for X_W, X_C in zip(known, seen, strict=True):
                 found = self.X * X_C
                 turn = pin.log3(X_W.rotation @ found.rotation.T)
@@ -174,10 +177,12 @@ class VisionFusion:
         """
         self.registration = registration
         self.history = History(2.0 * (delay + period))
-        self._known, self._delay = known, delay
+        self._known = known
+        self._delay = delay
         self._markers = None if markers is None else [pin.SE3(np.array(X)) for X in markers]
         self._acceleration = np.repeat(acceleration, 3)
-        self._dt, self._period = dt, period
+        self._dt = dt
+        self._period = period
         self._bodies: list[BodyEstimate] = []
         self._stamp: float | None = None
 
@@ -206,7 +211,9 @@ class VisionFusion:
                 BodyEstimate(self._channels(), (X * M).rotation.copy())
                 for X, M in zip(frames, markers, strict=True)
             ]
-        X_WC, X_WE, V_E = self.registration.X, [], []
+        X_WC = self.registration.X
+        X_WE = []
+        V_E = []
         for body, X_CE, M in zip(self._bodies, frames, markers, strict=True):
             X_CM, V = body.update(X_CE * M, fresh, self._delay)  # filtered where it is seen
             X_WM = X_WC * X_CM

@@ -93,14 +93,18 @@ class Fleet:
                 "'osc_contact[sim]'"
             ) from error
         first = starts[0]
-        self.rows, self.dt = len(starts), first.controller.dt
-        self._plant, self._steps = first.plant, first.plant.steps_in(self.dt)
+        self.rows = len(starts)
+        self.dt = first.controller.dt
+        self._plant = first.plant
+        self._steps = first.plant.steps_in(self.dt)
         self.control = BatchController([one.controller for one in starts], threads)
         self._models = [one.plant.model for one in starts]
         self._plants: Any = Batch(first.plant.model, self.rows, nthread=threads)
         self._plants.set_models(self._models)
         bind = self._plants.bind
-        self._qpos, self._qvel, self._ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
+        self._qpos = bind("qpos")
+        self._qvel = bind("qvel")
+        self._ctrl = bind("ctrl")
         self._sensed, self._xpos, self._xmat = (bind(n) for n in ("sensordata", "xpos", "xmat"))
         self._plants.state[:] = [one.state for one in starts]
         self._plants.forward()

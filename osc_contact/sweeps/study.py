@@ -75,7 +75,8 @@ def parse_distribution(text: str) -> Distribution:
 
 def _split(text: str) -> list[str]:
     """Parts between the commas that stand outside of brackets."""
-    parts, depth = [""], 0
+    parts = [""]
+    depth = 0
     for letter in text:
         depth += (letter in "[{(") - (letter in "]})")
         if letter == "," and not depth:
@@ -309,7 +310,8 @@ class SweepStudy:
             name = None
         else:
             text, path = read_text(scenario)
-            source, name = str(path.resolve()), str(scenario)
+            source = str(path.resolve())
+            name = str(scenario)
         pairs = [f"{k}={v}" for k, v in vary.items()] if isinstance(vary, Mapping) else list(vary)
         study = cls(text, source, tuple(pairs), samples, design, seed, tuple(overrides), name)
         study.require_sound()
@@ -397,7 +399,8 @@ class SweepStudy:
     def _drawn(self, u: Array) -> Iterator[tuple[str, str, dict[str, Any]]]:
         end = 0
         for path, distribution in self.variations:
-            begin, end = end, end + distribution.dims
+            begin = end
+            end = end + distribution.dims
             text, values = distribution.draw(u[begin:end], self._stated.get(path))
             yield path, text, values
 

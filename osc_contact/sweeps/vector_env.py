@@ -218,10 +218,13 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
                 f"{num_envs} environments, actions at {rate:g} Hz, control at {control_rate:g} Hz: "
                 "give one environment at least, and a rate that divides that of control"
             )
-        self.num_envs, self.metadata = num_envs, {"autoreset_mode": autoreset, "render_modes": []}
-        self._episodes, self._reward = episodes, reward
+        self.num_envs = num_envs
+        self.metadata = {"autoreset_mode": autoreset, "render_modes": []}
+        self._episodes = episodes
+        self._reward = reward
         self._away = (episodes.scenario.verdict.distance, episodes.scenario.verdict.angle)
-        self._mode, self._r = autoreset, first.forces.shape[1]
+        self._mode = autoreset
+        self._r = first.forces.shape[1]
         self.move = np.repeat(_needed(first.places) if move is None else move, 3)
         largest = 2.0 * float(np.abs(first.forces).max(initial=0.0))
         self.most_force = largest if most_force is None else most_force
@@ -234,7 +237,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self.names = self._name_numbers(first)
         numbers = gymnasium.spaces.Box(-np.inf, np.inf, (len(self.names),), np.float64)
         actions = gymnasium.spaces.Box(-1.0, 1.0, (6 + self._r,), np.float64)
-        self.single_observation_space, self.single_action_space = numbers, actions
+        self.single_observation_space = numbers
+        self.single_action_space = actions
         self.observation_space = batch_space(numbers, num_envs)
         self.action_space = batch_space(actions, num_envs)
 
@@ -271,9 +275,11 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             rows, self.np_random.integers(self._episodes.count, size=len(rows)), strict=True
         ):
             self._now[row] = episode = self._episodes[int(number)]
-            self._target[row], self._asked[row] = episode.places[0], episode.forces[0]
+            self._target[row] = episode.places[0]
+            self._asked[row] = episode.forces[0]
         self.fleet.begin({int(row): self._now[row].start for row in rows})
-        self._step[rows], self._over[rows] = 0, False
+        self._step[rows] = 0
+        self._over[rows] = False
 
     def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """Every row one action further; see gymnasium."""
@@ -299,7 +305,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         terminated = going & (seen.diverged | away.any(axis=1))
         truncated = going & ~terminated & (self._step >= self._last)
         self._over = terminated | truncated
-        observation, infos = self._observe(), self._infos()
+        observation = self._observe()
+        infos = self._infos()
         if self._mode is AutoresetMode.SAME_STEP and self._over.any():
             ended = self._over.copy()
             infos["final_obs"] = np.array([None] * self.num_envs, dtype=object)
@@ -314,7 +321,9 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _advance(self, actions: Array, going: Array) -> Array:
         """The ticks of one action; rows that are over stand still. Returns the last torques."""
-        B, T, dt = self.num_envs, self._ticks, self.fleet.dt
+        B = self.num_envs
+        T = self._ticks
+        dt = self.fleet.dt
         increment = np.where(going[:, None], actions[:, :6] * self.move, 0.0)
         wanted = 0.5 * (actions[:, 6:] + 1.0) * self.most_force
         wanted = np.where(going[:, None], wanted, self._asked)
@@ -324,12 +333,14 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         X = np.tile(self._target, (T, 1, 1, 1))
         X[:, :, :3, :3] = E @ self._target[:, :3, :3]
         X[:, :, :3, 3] += share[:, None, None] * increment[:, :3]
-        V, still = increment / (T * dt), np.zeros((B, 6))
+        V = increment / (T * dt)
+        still = np.zeros((B, 6))
         squeeze = np.array([episode.squeeze for episode in self._now])
         for k in range(T):
             alpha = self._asked + share[k] * (wanted - self._asked)
             tau = self.fleet.tick(X[k], V, still, alpha, squeeze)
-        self._target, self._asked = X[-1].copy(), wanted
+        self._target = X[-1].copy()
+        self._asked = wanted
         return tau
 
     def _see(self, actions: Array, tau: Array) -> SensedRows:

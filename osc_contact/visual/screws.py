@@ -64,7 +64,8 @@ def _halves(vector: ArrayLike) -> tuple[Array, Array]:
 
 
 def _screw(line: Array, moment: Array, origin: Array) -> ScrewAxis:
-    size, arm = float(np.linalg.norm(line)), float(np.linalg.norm(moment))
+    size = float(np.linalg.norm(line))
+    arm = float(np.linalg.norm(moment))
     if size * FAR <= arm:
         return ScrewAxis(origin, moment / arm, float("inf"))
     direction = line / size
@@ -91,9 +92,11 @@ def common_perpendicular(
         p, q: (3,) a point of each line (m).
         d, e: (3,) their directions, of any length.
     """
-    p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
+    p = np.asarray(p, dtype=float)
+    q = np.asarray(q, dtype=float)
     d, e = (np.asarray(line / np.linalg.norm(line)) for line in map(np.asarray, (d, e)))
-    cosine, sine = float(d @ e), float(np.linalg.norm(np.cross(d, e)))
+    cosine = float(d @ e)
+    sine = float(np.linalg.norm(np.cross(d, e)))
     t = 0.0 if sine < 1e-9 else float(((d @ (q - p)) * cosine - e @ (q - p)) / sine**2)
     second = q + t * e
     first = p + (d @ (second - p)) * d

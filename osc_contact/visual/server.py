@@ -159,7 +159,9 @@ class BrowserLink(WebSocketHandler):
         except WebSocketClosedError:
             self.page.browsers.discard(self)
             return
-        self.shown, self.late, self.busy = self.page.frame, {}, True
+        self.shown = self.page.frame
+        self.late = {}
+        self.busy = True
 
 
 class Page(RequestHandler):

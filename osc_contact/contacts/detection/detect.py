@@ -187,9 +187,10 @@ class Detected:
         return self._of_lines()
 
     def _on_face(self, normal: Array) -> ContactPair:
-        a, point, face, name = (
-            self.object_feature, self.object_point, self.environment_point, self.name,
-        )  # fmt: skip
+        a = self.object_feature
+        point = self.object_point
+        face = self.environment_point
+        name = self.name
         if a.axis is not None:
             return rim_on_face(a, face, normal, _sine(a.axis, self.object_normal), name)
         if a.normal is not None:
@@ -205,7 +206,9 @@ class Detected:
         return VertexOnFace(point, face, normal, 0.0, name)
 
     def _under_face(self, normal: Array) -> ContactPair:
-        e, face, name = self.environment_feature, self.object_point, self.name
+        e = self.environment_feature
+        face = self.object_point
+        name = self.name
         if e.axis is not None:
             return face_on_rim(face, normal, e, _sine(e.axis, self.environment_normal), name)
         if e.dimension == 1:
@@ -213,7 +216,8 @@ class Detected:
         return FaceOnVertex(face, normal, self.environment_point, e.radius, name)
 
     def _of_lines(self) -> ContactPair:
-        a, e = self.object_feature, self.environment_feature
+        a = self.object_feature
+        e = self.environment_feature
         if self.r > 1:
             raise ContactError(
                 f"{self.name}: no contact pair describes {self.kind} along a line; declare it with "
@@ -222,9 +226,13 @@ class Detected:
         if a.radius > 0.0 or e.radius > 0.0 or a.dimension + e.dimension < 2:
             return between_round(a, e, self.name)
         return EdgeOnEdge(
-            self.object_point, a.direction, self.environment_point, e.direction,
-            self.environment_normal, self.name,
-        )  # fmt: skip
+            self.object_point,
+            a.direction,
+            self.environment_point,
+            e.direction,
+            self.environment_normal,
+            self.name,
+        )
 
 
 def _sine(x: Array, y: Array) -> float:
@@ -300,10 +308,13 @@ def _buried(contact: Detected, shape: CollisionShape, X_WO: pin.SE3) -> bool:
     surface = X_WO.act(contact.object_point) - contact.object_feature.radius * contact.normal
     X = X_WO * shape.placement
     depth = coal.distance(
-        coal.Sphere(0.0), coal.Transform3s(np.eye(3), surface),
-        shape.shape, coal.Transform3s(X.rotation, X.translation),
-        coal.DistanceRequest(), coal.DistanceResult(),
-    )  # fmt: skip
+        coal.Sphere(0.0),
+        coal.Transform3s(np.eye(3), surface),
+        shape.shape,
+        coal.Transform3s(X.rotation, X.translation),
+        coal.DistanceRequest(),
+        coal.DistanceResult(),
+    )
     return bool(depth <= _BURIED)
 
 
@@ -346,7 +357,8 @@ def detect(
     placed = [(e, e.solid.moved(X_WE), X_WE * e.placement) for e in environment_geometry]
     contacts = []
     for a in object_geometry:
-        solid, X_A = a.solid.moved(X_WO), X_WO * a.placement
+        solid = a.solid.moved(X_WO)
+        X_A = X_WO * a.placement
         for e, solid_e, X_E in placed:
             near = nearest(a.shape, X_A, e.shape, X_E)
             if near.distance > margin:
@@ -374,7 +386,8 @@ def _classified(
     angle: float,
 ) -> Detected | None:
     """The contact of two shapes; None where they turn out to be apart after all."""
-    f_a, f_e = foremost(solid_a, -n, margin, angle), foremost(solid_e, n, margin, angle)
+    f_a = foremost(solid_a, -n, margin, angle)
+    f_e = foremost(solid_e, n, margin, angle)
     distance = separation(solid_a, solid_e, n)
     n = exact_normal(f_a, f_e, n, angle)
     distance = max(distance, separation(solid_a, solid_e, n))
@@ -405,7 +418,8 @@ def _classified(
 
 def _kind(a: Feature, e: Feature) -> str:
     """As the field calls it: a face under something round is a plane."""
-    name_a, name_e = a.name, e.name
+    name_a = a.name
+    name_e = e.name
     if name_e == "face" and a.radius > 0.0:
         name_e = "plane"
     if name_a == "face" and e.radius > 0.0:
@@ -461,7 +475,9 @@ class TrackedContact:
         self.pairs: tuple[ContactPair, ...] = ()
         self.lookups = 0
         self._shapes = tuple(object_geometry), tuple(environment_geometry)
-        self._margin, self._travel, self._turn = margin, travel, turn
+        self._margin = margin
+        self._travel = travel
+        self._turn = turn
         self._X_EO = pin.SE3.Identity()
 
     def contact(

@@ -44,7 +44,8 @@ class Solid:
 
     def moved(self, X: pin.SE3) -> Solid:
         """The same solid in the coordinates X maps to."""
-        R, t = X.rotation, X.translation
+        R = X.rotation
+        t = X.translation
         axis = None if self.axis is None else R @ self.axis
         return Solid(
             self.corners @ R.T + t, self.radius, axis, self.normals @ R.T, self.edges @ R.T
@@ -193,7 +194,8 @@ def _convex(name: str, mesh: Any) -> Any:
                 f"{name}: the mesh is not convex (corners lie up to {height.max():.3g} m outside "
                 "of one of its faces); split it into convex parts"
             )
-    points, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    points = coal.StdVec_Vec3s()
+    faces = coal.StdVec_Triangle()
     points.extend(list(corners))
     faces.extend([coal.Triangle(*(int(k) for k in triangle)) for triangle in triangles])
     return coal.Convex(points, faces)
@@ -225,7 +227,8 @@ def nearest(a: Any, X_A: pin.SE3, e: Any, X_E: pin.SE3) -> Nearest:
     """
     result = coal.DistanceResult()
     distance = coal.distance(a, _placed(X_A), e, _placed(X_E), coal.DistanceRequest(), result)
-    normal, witness = -np.array(result.normal), np.array(result.getNearestPoint2())
+    normal = -np.array(result.normal)
+    witness = np.array(result.getNearestPoint2())
     if not (abs(distance) < 1e6 and np.isfinite(normal).all() and np.isfinite(witness).all()):
         return Nearest(0.0, np.zeros(3), X_E.translation)
     return Nearest(float(distance), normal, witness)
@@ -386,7 +389,8 @@ def shared_patch(
         width: m. angle: tolerance (rad).
     """
     axes = plane_axes(n)
-    flat_a, flat_e = a.points @ axes.T, e.points @ axes.T
+    flat_a = a.points @ axes.T
+    flat_e = e.points @ axes.T
     if a.dimension == 0:
         points = flat_a
     elif e.dimension == 0:
@@ -406,7 +410,8 @@ def shared_patch(
 
 def _of_lines(a: Array, e: Array, angle: float) -> Array:
     """Where two line pieces cross, or the piece in which two parallel ones run side by side."""
-    along_a, along_e = a[1] - a[0], e[1] - e[0]
+    along_a = a[1] - a[0]
+    along_e = e[1] - e[0]
     lengths = np.linalg.norm(along_a), np.linalg.norm(along_e)
     sine = (along_a[0] * along_e[1] - along_a[1] * along_e[0]) / (lengths[0] * lengths[1])
     if abs(sine) > angle:
@@ -426,7 +431,8 @@ def _clip(subject: Array, window: Array) -> Array:
         depth = [float(inward @ (p - start)) for p in points]
         kept = []
         for i, (p, h) in enumerate(zip(points, depth, strict=True)):
-            previous, before = points[i - 1], depth[i - 1]
+            previous = points[i - 1]
+            before = depth[i - 1]
             if (h < 0.0) != (before < 0.0):
                 kept.append(previous + (p - previous) * (before / (before - h)))
             if h >= 0.0:
@@ -446,7 +452,8 @@ def _reduced(points: Array, width: float) -> Array:
         return points
     middle = points.mean(axis=0)
     directions = np.linalg.svd(points - middle)[2]
-    along, across = (points - middle) @ directions.T[:, 0], (points - middle) @ directions.T[:, 1]
+    along = (points - middle) @ directions.T[:, 0]
+    across = (points - middle) @ directions.T[:, 1]
     if np.ptp(along) <= width:
         return middle[None, :]
     if np.ptp(across) <= width:

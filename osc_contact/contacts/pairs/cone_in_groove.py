@@ -40,9 +40,13 @@ class ConeInGroove(TangentPair):
 
     def __post_init__(self) -> None:
         read_geometry(
-            self, "apex", "groove_point", axis="axis of the cone",
-            groove_direction="direction of the groove", seat="direction of the seated cone's axis",
-        )  # fmt: skip
+            self,
+            "apex",
+            "groove_point",
+            axis="axis of the cone",
+            groove_direction="direction of the groove",
+            seat="direction of the seated cone's axis",
+        )
         across = triad(self.groove_direction)[:, :2]
         freedoms = rotation(self.apex, self.axis), slide(self.apex, self.groove_direction)
         tilts = held_axis(self.axis, self.seat)

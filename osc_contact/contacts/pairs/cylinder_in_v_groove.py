@@ -79,9 +79,13 @@ class CylinderInVGroove(PointsOnPlanes):
 
     def __post_init__(self) -> None:
         read_geometry(
-            self, "point", "groove_point", direction="cylinder's axis",
-            groove_direction="direction of the groove", groove_outward="way out of the groove",
-        )  # fmt: skip
+            self,
+            "point",
+            "groove_point",
+            direction="cylinder's axis",
+            groove_direction="direction of the groove",
+            groove_outward="way out of the groove",
+        )
         require_length(f"{self.name}.radius", self.radius)
         require_length(f"{self.name}.length", self.length, ">")
         side = cross(self.groove_direction, self.groove_outward)
@@ -93,7 +97,8 @@ class CylinderInVGroove(PointsOnPlanes):
                 "between 0 and π, and a way out that is not along the groove"
             )
         side, middle = side / size, cross(side / size, self.groove_direction)
-        across, along = np.cos(self.groove_angle / 2) * side, np.sin(self.groove_angle / 2) * middle
+        across = np.cos(self.groove_angle / 2) * side
+        along = np.sin(self.groove_angle / 2) * middle
         into = np.column_stack((across - along, -across - along))
         low, high = ends(self.point, self.direction, self.length).T
         points = np.column_stack((low, low, high, high))

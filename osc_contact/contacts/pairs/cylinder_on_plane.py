@@ -62,9 +62,12 @@ class CylinderOnPlane(PointsOnPlanes):
 
     def __post_init__(self) -> None:
         read_geometry(
-            self, "point", "face_point",
-            direction="direction of the line", face_normal="outward normal",
-        )  # fmt: skip
+            self,
+            "point",
+            "face_point",
+            direction="direction of the line",
+            face_normal="outward normal",
+        )
         require_length(f"{self.name}.length", self.length, ">")
         require_length(f"{self.name}.radius", self.radius)
         into = np.tile(-self.face_normal[:, None], 2)

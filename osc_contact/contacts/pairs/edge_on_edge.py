@@ -38,9 +38,13 @@ class EdgeOnEdgeSpec(OnBodySpec):
 
 
 @register_pair(
-    EdgeOnEdgeSpec, point="point_A", direction="direction_A", edge_point="point_E",
-    edge_direction="direction_E", edge_outward="side",
-)  # fmt: skip
+    EdgeOnEdgeSpec,
+    point="point_A",
+    direction="direction_A",
+    edge_point="point_E",
+    edge_direction="direction_E",
+    edge_outward="side",
+)
 @dataclass(frozen=True, eq=False)
 class EdgeOnEdge(LawPair):
     """An edge of the held object across an edge of the environment (r = 1).

@@ -59,9 +59,12 @@ class EdgeOnFace(PointsOnPlanes):
 
     def __post_init__(self) -> None:
         read_geometry(
-            self, "point", "face_point",
-            direction="direction of the line", face_normal="outward normal",
-        )  # fmt: skip
+            self,
+            "point",
+            "face_point",
+            direction="direction of the line",
+            face_normal="outward normal",
+        )
         require_length(f"{self.name}.length", self.length, ">")
         into = np.tile(-self.face_normal[:, None], 2)
         feet = ends(self.point, self.direction, self.length)

@@ -91,7 +91,7 @@ class LawPair:
         count = len(row.shapes) - row.freedoms
         head = SimpleNamespace(
             kind=row.kind, count=count, freedoms=row.freedoms, first=0, shape_at=0
-        )  # fmt: skip
+        )
         shapes = [SimpleNamespace(row=one.tolist()) for one in row.shapes]
         store(self, _row=row, _numbers=(head, shapes), surface_point=surface_point)
 
@@ -115,7 +115,8 @@ class LawPair:
             ContactError: two edges are parallel.
         """
         b = Bodies.at_O(X_WO, V_O, X_WE, V_E)
-        A, E = _elements(X_WO), _IDENTITY if X_WE is None else _elements(X_WE)
+        A = _elements(X_WO)
+        E = _IDENTITY if X_WE is None else _elements(X_WE)
         moving = X_WE is not None or V_E is not None
         columns = self._columns(A, b.V_A.tolist(), E, b.V_E.tolist(), b.V_rel.tolist(), moving)
         N = np.array([column.N for column in columns]).reshape(-1, 6).T
@@ -128,9 +129,11 @@ class LawPair:
 
     def points_of_contact(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
         """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
-        A, E = _elements(X_WO), _IDENTITY if X_WE is None else _elements(X_WE)
+        A = _elements(X_WO)
+        E = _IDENTITY if X_WE is None else _elements(X_WE)
         columns = self._columns(A, _AT_REST, E, _AT_REST, _AT_REST, X_WE is not None)
-        kind, shapes = self._row.kind, self._numbers[1]
+        kind = self._row.kind
+        shapes = self._numbers[1]
         points = [
             _point(kind, one.row, A, E, column.N)
             for one, column in zip(shapes, columns, strict=True)
@@ -192,6 +195,4 @@ def _elements(X: pin.SE3) -> _Elements:
 
 
 def _elements_over(X: Poses) -> _Elements:
-    return {
-        (i, j): X.p[i] if j == 3 else X.R[i, j] for i in range(3) for j in range(4)
-    }  # fmt: skip
+    return {(i, j): X.p[i] if j == 3 else X.R[i, j] for i in range(3) for j in range(4)}

@@ -42,7 +42,8 @@ class PointsOnPlanes(LawPair):
     def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
         """(r,) signed distances (m), negative where the two overlap."""
         b = Bodies.at_O(X_WO, X_WE=X_WE)
-        p, n = b.point_A(self._points), b.rotate_E(self._into)
+        p = b.point_A(self._points)
+        n = b.rotate_E(self._into)
         return self._reach + b.origin_E @ n - np.einsum("ij,ij->j", p, n)
 
 

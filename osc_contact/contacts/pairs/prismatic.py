@@ -36,6 +36,7 @@ class Prismatic(TangentPair):
     def __post_init__(self) -> None:
         read_joint(self)
         seat = self.assembled.rotation @ self.axis
-        turns, freedoms = held_axes(self.assembled.rotation), (slide(self.point, seat),)
+        turns = held_axes(self.assembled.rotation)
+        freedoms = (slide(self.point, seat),)
         on_line = self.assembled.act(self.point)
         self._hold_tangents(self.point, triad(seat)[:, :2], on_line, turns, freedoms)

@@ -36,6 +36,7 @@ class Revolute(TangentPair):
     def __post_init__(self) -> None:
         read_joint(self)
         seat = self.assembled.rotation @ self.axis
-        tilts, freedoms = held_axis(self.axis, seat), (rotation(self.point, self.axis),)
+        tilts = held_axis(self.axis, seat)
+        freedoms = (rotation(self.point, self.axis),)
         on_axis = self.assembled.act(self.point)
         self._hold_tangents(self.point, triad(seat), on_axis, tilts, freedoms)

@@ -54,7 +54,8 @@ class Screw(TangentPair):
             )
         store(self, _seat=triad(self.assembled.rotation @ self.axis))
         axes = self.point, self.axis, self._seat[:, 2], self.pitch
-        on_axis, tilts = self.assembled.act(self.point), held_axis(self.axis, self._seat[:, 2])
+        on_axis = self.assembled.act(self.point)
+        tilts = held_axis(self.axis, self._seat[:, 2])
         self._hold_tangents(
             self.point, self._seat[:, :2], on_axis, tilts, (screw(*axes),), (thread(*axes),)
         )

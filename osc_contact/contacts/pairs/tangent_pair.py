@@ -12,8 +12,15 @@ from osc_contact.law.records import COUPLE, FORCE, SCREW, SLIDE, TANGENTS, THREA
 from osc_contact.spatial import Array
 
 __all__ = [
-    "TangentPair", "held_axes", "held_axis", "read_joint", "screw", "slide", "thread", "rotation"
-]  # fmt: skip
+    "TangentPair",
+    "held_axes",
+    "held_axis",
+    "read_joint",
+    "screw",
+    "slide",
+    "thread",
+    "rotation",
+]
 
 _NONE = np.zeros((3, 0))
 
@@ -49,7 +56,8 @@ class TangentPair(PointsOnPlanes):
             right_angles: arms (3, m) of A and marks (3, m) of E.
             freedoms: made by `rotation`, `slide`, `screw`. threads: columns made by `thread`.
         """
-        points, (arms, marks) = np.tile(point[:, None], into.shape[1]), right_angles
+        points = np.tile(point[:, None], into.shape[1])
+        (arms, marks) = right_angles
         store(self, _points=points, _into=into, _reach=on_plane @ into, _arms=arms, _marks=marks)
         forces = (shape(p, n, FORCE) for p, n in zip(points.T, into.T, strict=True))
         couples = (shape(a, u, COUPLE) for a, u in zip(arms.T, marks.T, strict=True))
