@@ -318,6 +318,7 @@ def test_cross_talk_on_mujoco_is_ten_times_smaller_than_that_of_the_best_baselin
         assert np.abs(other.alpha[last][-1] - other.alpha_d[last][-1]).max() < 0.2
 
 
+@mark.slow
 def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
     """At 200 Hz, for a short task: everything the command makes, and what the numbers say."""
     words = [

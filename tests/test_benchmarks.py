@@ -66,6 +66,7 @@ def sane(times):
     return 0.0 < times["p50"] <= times["p99"] <= times["p99_9"] <= times["max"]
 
 
+@mark.slow
 def test_peers_program(tmp_path, monkeypatch):
     monkeypatch.delenv(peers.TSID_PYTHON, raising=False)
     result, printed = run_program("peers", 2, tmp_path)
@@ -78,6 +79,7 @@ def test_peers_program(tmp_path, monkeypatch):
     assert set(result["tsid"]) == {"missing"} and "pip install" in printed
 
 
+@mark.slow
 def test_scaling_program(tmp_path):
     result, _ = run_program("scaling", 2, tmp_path)
     sizes = [(row["kind"], row["arms"]) for row in result["arms"]]
@@ -99,6 +101,7 @@ def test_scaling_program(tmp_path):
         assert row["tick_per_arm_us"] == approx(row["tick_p50_us"] / row["arms"])
 
 
+@mark.slow
 def test_jitter_program(tmp_path):
     result, _ = run_program("jitter", 16, tmp_path)
     assert set(result["rates"]) == {"1000", "2000", "5000"}
@@ -118,6 +121,7 @@ def test_law_program(tmp_path):
         assert all(set(times) == SPREAD and sane(times) for times in parts.values())
 
 
+@mark.slow
 def test_simulation_program(tmp_path):
     result, _ = run_program("simulation", 30, tmp_path)
     assert result["simulated_s"] == approx(0.03) and result["ticks"] == 30
@@ -128,6 +132,7 @@ def test_simulation_program(tmp_path):
     assert 0.0 < result["steps_us_per_tick"] < 1e4
 
 
+@mark.slow
 def test_many_runs_program(monkeypatch):
     monkeypatch.setattr(many_runs, "DURATION", 1.05)
     found = many_runs.measure(1)
@@ -138,6 +143,7 @@ def test_many_runs_program(monkeypatch):
     assert table.row_count == 4
 
 
+@mark.slow
 def test_vector_env_program(tmp_path):
     result, _ = run_program("vector_env", 2, tmp_path)
     assert result["cases"][0]["threads"] == 1
@@ -348,6 +354,7 @@ def test_tsid_runs_in_its_own_interpreter(tmp_path):
         run_benchmark("jitter", 1, tsid_python=python)
 
 
+@mark.slow
 def test_a_soak_tells_memory_that_grows_and_runs_that_differ():
     report = run_benchmark("soak", 300)
     first, second = report.data["runs"]

@@ -250,6 +250,7 @@ def test_reproduce_figures_without_a_run(tmp_path):
     assert not (tmp_path / "two_contact_rod").exists(), "no run was needed"
 
 
+@mark.slow
 def test_reproduce_all_from_a_short_run(tmp_path):
     result = call("reproduce", "all", *SHORT, "--out", tmp_path, "--json", tmp_path / "all.json")
     assert result.exit_code == 0, result.output

@@ -14,7 +14,7 @@ from fractions import Fraction
 import daqp
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import mark, raises
+from pytest import mark, param, raises
 
 import osc_contact as osc
 from osc_contact.law import jit
@@ -253,7 +253,7 @@ def agree(case, tolerance):
         ({"apart": 1e-3}, 1e-8),
         ({"apart": 1e-6}, 1e-8),
         ({"apart": 1e-6, "bodies": True}, 1e-11),
-        ({"r": None, "s": None, "passive": 3}, 1e-9),
+        param({"r": None, "s": None, "passive": 3}, 1e-9, marks=mark.slow),
         ({"r": None, "s": 3, "endless": 2}, 1e-9),
         ({"r": None, "s": None, "passive": 3, "weak": 0.05}, 1e-8),
         ({"r": None, "s": None, "endless": 5}, 1e-9),

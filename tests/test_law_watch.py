@@ -30,6 +30,13 @@ def joints_memory():
     return Record(overspeed=0, ending=0.0, culprit=-1, faults=0, gap=0)
 
 
+def look(chain, table, memory, q, v):
+    """The reason of one tick of the joints."""
+    return safety.watch_joints(
+        tick_of(model=chain, model_joints=table, memory=memory, input_q=q, input_v=v)
+    )
+
+
 # --- joints ---------------------------------------------------------------------------------------
 
 
@@ -40,18 +47,7 @@ def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
     memory = joints_memory()
 
     def after(speeds):
-        return [
-            safety.watch_joints(
-                tick_of(
-                    model=chain,
-                    model_joints=table,
-                    memory=memory,
-                    input_q=[0.0, 0.0],
-                    input_v=[0.1, sign * v],
-                )
-            )
-            for v in speeds
-        ]
+        return [look(chain, table, memory, [0.0, 0.0], [0.1, sign * v]) for v in speeds]
 
     assert set(after([2.0] * 50)) == {at.NO_REASON}, "at the limit is not above it"
     assert after([2.001] * 5) == [at.NO_REASON] * 4 + [at.OVERSPEED]
@@ -70,47 +66,14 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
             v = [0.0, 0.0]
             chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=21)
             v[j] = sign * speed * table[j].speed_max
-            found = [
-                safety.watch_joints(
-                    tick_of(
-                        model=chain,
-                        model_joints=table,
-                        memory=memory,
-                        input_q=[0.0, 0.0],
-                        input_v=v,
-                    )
-                )
-                for _ in range(ticks)
-            ]
+            found = [look(chain, table, memory, [0.0, 0.0], v) for _ in range(ticks)]
             assert found == [at.NO_REASON] * (ticks - 1) + [at.OVERSPEED]
             assert memory.culprit == j
     memory = joints_memory()
-    assert (
-        safety.watch_joints(
-            tick_of(
-                model=chain,
-                model_joints=table,
-                memory=memory,
-                input_q=[0.0, 0.0],
-                input_v=[1e300, 0.0],
-            )
-        )
-        == at.OVERSPEED
-    )
+    assert look(chain, table, memory, [0.0, 0.0], [1e300, 0.0]) == at.OVERSPEED
     memory = joints_memory()
     chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
-    assert (
-        safety.watch_joints(
-            tick_of(
-                model=chain,
-                model_joints=table,
-                memory=memory,
-                input_q=[0.0, 0.0],
-                input_v=[2.4, 1.6],
-            )
-        )
-        == at.OVERSPEED
-    )
+    assert look(chain, table, memory, [0.0, 0.0], [2.4, 1.6]) == at.OVERSPEED
     assert memory.culprit == 1, "the one that is further beyond its limit"
 
 
@@ -129,45 +92,15 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     for gap, stops in ((way + 1e-3, False), (way - 1e-3, True), (-1e-3, False)):
         memory = joints_memory()
         q = [sign * (1.0 - gap)]
-        found = [
-            safety.watch_joints(
-                tick_of(
-                    model=chain,
-                    model_joints=[joint()],
-                    memory=memory,
-                    input_q=q,
-                    input_v=[sign * speed],
-                )
-            )
-            for _ in range(4)
-        ]
+        found = [look(chain, [joint()], memory, q, [sign * speed]) for _ in range(4)]
         wanted = at.NEAR_END if stops else at.NO_REASON  # braking does not help beyond the end
         assert found == [at.NO_REASON] * 2 + [wanted] * 2
         assert memory.culprit == (0 if stops else -1)
-        back = safety.watch_joints(
-            tick_of(
-                model=chain,
-                model_joints=[joint()],
-                memory=joints_memory(),
-                input_q=q,
-                input_v=[-sign * 0.01],
-            )
-        )
+        back = look(chain, [joint()], joints_memory(), q, [-sign * 0.01])
         assert back == at.NO_REASON
     at_the_end = [sign * 1.0]
     memory = joints_memory()
-    found = [
-        safety.watch_joints(
-            tick_of(
-                model=chain,
-                model_joints=[joint()],
-                memory=memory,
-                input_q=at_the_end,
-                input_v=[sign * 0.1],
-            )
-        )
-        for _ in range(3)
-    ]
+    found = [look(chain, [joint()], memory, at_the_end, [sign * 0.1]) for _ in range(3)]
     assert found[-1] == at.NEAR_END, "it still is within its range"
 
 
@@ -176,14 +109,7 @@ def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     chain = Record(n_joints=1, reaction=0.0, period=period, fast_ticks=99)
     memory = joints_memory()
-    found = [
-        safety.watch_joints(
-            tick_of(
-                model=chain, model_joints=[joint()], memory=memory, input_q=[0.99], input_v=[1.0]
-            )
-        )
-        for _ in range(ticks)
-    ]
+    found = [look(chain, [joint()], memory, [0.99], [1.0]) for _ in range(ticks)]
     assert found == [at.NO_REASON] * (ticks - 1) + [at.NEAR_END]
 
 
@@ -588,31 +514,8 @@ class Sensors:
         self.count += 1
         wrench = np.full((1, 6), float(self.count)) if wrench is None else wrench
         v = np.array(v) + (1e-9 * self.count if q is None else 0.0)
-        reason = sensors.check_sensors(
-            tick_of(
-                model=self.chain,
-                model_arms=self.arms,
-                model_joints=self.table,
-                memory=self.memory,
-                memory_joints=self.joints,
-                memory_arms=self.wrists,
-                memory_wrenches=self.last,
-                input_q=self.q,
-                input_v=v,
-                input_wrenches=wrench,
-            )
-        )
+        reason = self._read(self.q, v, wrench)
         self.memory.has_wrench = 1
-        sensors.estimate_joints(
-            tick_of(
-                model=self.chain,
-                model_joints=self.table,
-                memory=self.memory,
-                memory_joints=self.joints,
-                memory_q=self.estimate[:2],
-                memory_v=self.estimate[2:],
-            )
-        )
         self.memory.ticked += 1
         return reason
 
@@ -620,30 +523,25 @@ class Sensors:
         """A tick in which nothing was read."""
         nothing = np.full(2, np.nan)
         self.q = self.q + DT * np.array((0.3, -0.4))
-        reason = sensors.check_sensors(
-            tick_of(
-                model=self.chain,
-                model_arms=self.arms,
-                model_joints=self.table,
-                memory=self.memory,
-                memory_joints=self.joints,
-                memory_arms=self.wrists,
-                memory_wrenches=self.last,
-                input_q=nothing,
-                input_v=nothing,
-                input_wrenches=np.full((1, 6), np.nan),
-            )
+        return self._read(nothing, nothing, np.full((1, 6), np.nan))
+
+    def _read(self, q, v, wrench):
+        t = tick_of(
+            model=self.chain,
+            model_arms=self.arms,
+            model_joints=self.table,
+            memory=self.memory,
+            memory_joints=self.joints,
+            memory_arms=self.wrists,
+            memory_wrenches=self.last,
+            memory_q=self.estimate[:2],
+            memory_v=self.estimate[2:],
+            input_q=q,
+            input_v=v,
+            input_wrenches=wrench,
         )
-        sensors.estimate_joints(
-            tick_of(
-                model=self.chain,
-                model_joints=self.table,
-                memory=self.memory,
-                memory_joints=self.joints,
-                memory_q=self.estimate[:2],
-                memory_v=self.estimate[2:],
-            )
-        )
+        reason = sensors.check_sensors(t)
+        sensors.estimate_joints(t)
         return reason
 
     def until(self, most=400, **given):

@@ -1,7 +1,6 @@
 """Sensors that lie: what is not believed, what is run on without, what stops the arms."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +10,12 @@ from pytest import fixture, mark
 
 import osc_contact as osc
 from benchmarks.cases import CASES
-from osc_contact.interface import Measurement, Stamps
+from osc_contact.interface import Stamps
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 
 RUN, DEGRADED, HOLD, SAFE_STOP = osc.SafetyState
 NAN = float("nan")
-Change = Callable[[Measurement, int], Measurement]
 
 
 @fixture

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow
 from numpy.testing import assert_allclose
 from pyarrow import parquet
-from pytest import approx, mark, raises
+from pytest import approx, mark, param, raises
 from scipy import stats
 from scipy.stats import qmc
 from typer.testing import CliRunner
@@ -200,7 +200,11 @@ def test_a_key_with_two_numbers_is_exchanged_as_one():
     [
         ("two_contact_rod", [MASSES, NORMALS, "seed=integers(0, 99)"]),
         ("panda_edge", ["gains.force.integral=factor(0.5, 1.5)", "plant.friction=uniform(0, 0.1)"]),
-        ("workcell", ["seed=integers(0, 99)", "sensors.wrist.delay=uniform(1 ms, 3 ms)"]),
+        param(
+            "workcell",
+            ["seed=integers(0, 99)", "sensors.wrist.delay=uniform(1 ms, 3 ms)"],
+            marks=mark.slow,
+        ),
     ],
 )
 def test_every_row_equals_its_single_run(name, vary):
@@ -285,7 +289,7 @@ def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path
         "--vary",
         MASSES,
         "--samples",
-        "16",
+        "8",
         "--duration",
         "1.02",
         "--workers",
@@ -301,12 +305,12 @@ def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path
         process.kill()
     kept = rows.read_bytes()
     count = kept.count(b"\n") - 1
-    assert 3 <= count < 16 and not (tmp_path / TABLE).exists()
-    rows.write_bytes(kept + b'{"row": 15, "seed"')  # killed while it wrote
-    study = SweepStudy.of("two_contact_rod", [MASSES], 16, overrides=["duration=1.02"])
+    assert 3 <= count < 8 and not (tmp_path / TABLE).exists()
+    rows.write_bytes(kept + b'{"row": 7, "seed"')  # killed while it wrote
+    study = SweepStudy.of("two_contact_rod", [MASSES], 8, overrides=["duration=1.02"])
     begun = []
     resumed = run_study(study, out=tmp_path, workers=1, progress=lambda n, _: begun.append(n))
-    assert len(begun) == 16 - count
+    assert len(begun) == 8 - count
     assert resumed.equals(run_study(study, workers=1))
 
 
@@ -365,6 +369,7 @@ def test_report_shows_everything_in_one_page(tmp_path):
     assert "Sobol" not in page
 
 
+@mark.slow
 def test_report_shows_the_shares_of_a_saltelli_design(tmp_path):
     study = rod(2, MASSES, "squeeze=uniform(0, 1)", design="saltelli")
     found = write_report(run_study(study, workers=1), study, tmp_path)["variances"]
