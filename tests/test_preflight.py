@@ -277,7 +277,7 @@ LIMITS = {
         ["plant.flexible_joints.frequency=102 Hz"],
         ["plant.flexible_joints.frequency=98 Hz"],
         "doubtful",
-        "swing at 98 Hz",
+        "oscillate at 98 Hz",
     ),
     # s = F t² / 2m in 10 s
     "cart up": (balanced(0.0076), balanced(0.0084), "doubtful", "0.0084 N along its rail"),
