@@ -152,7 +152,7 @@ def test_an_edit_of_any_source_of_the_law_has_its_entries_compiled_anew(tmp_path
 
     assert result() == [5.0, 0]
     assert result() == [5.0, 1], "loaded, not compiled"
-    edited = package / "law" / "refinement.py"
+    edited = package / "law" / "limits.py"
     edited.write_text(edited.read_text().replace("s += a[i] * b[i]", "s += a[i] * b[i] + 1.0"))
     assert result() == [7.0, 0]
 

@@ -285,7 +285,7 @@ def test_a_dead_or_frozen_viewer_is_reported_once_and_never_waited_for(viewer, b
         assert isinstance(viewer.error, ViewerError)
         (record,) = caplog.records
     words = "has ended" if blow == signal.SIGKILL else "has taken nothing for 1 s"
-    assert words in record.getMessage() and "the run goes on" in record.getMessage()
+    assert words in record.getMessage() and "the run continues" in record.getMessage()
     viewer.close()
     assert viewer._process.poll() is not None
 
