@@ -1,0 +1,140 @@
+"""The Franka driver against franky-sim: libfranka's own protocol, and a plant that is not ours."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from franka_rig import FrankaServer, Press, franka
+
+import osc_contact as osc
+from osc_contact.drivers.franka import FrankaRobot
+
+OK = osc.Status.OK
+__all__ = ["franka"]
+
+# --- item 6: contact without any knowledge of joint friction and rotors ---------------------------
+
+CASES = {  # force, gap, gap believed in, joint friction, tilt, friction, settling of the plate
+    "from 50 mm": (5.0, 0.05, 0.05, 1.0, 0.0, 0.0, 0.01),
+    "no joint friction": (20.0, 0.004, 0.004, 0.0, 0.0, 0.2, 0.01),
+    "20 mm off, tilted, rough": (10.0, 0.005, 0.025, 1.0, np.deg2rad(5.0), 0.2, 0.01),
+    "twice the joint friction": (10.0, 0.004, 0.004, 2.0, 0.0, 0.2, 0.01),
+    "soft": (15.0, 0.004, 0.004, 1.0, 0.0, 0.2, 0.1),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_it_approaches_presses_slides_and_retreats(franka: FrankaServer, case: str) -> None:
+    force, gap, believed, losses, tilt, friction, settling = CASES[case]
+    scene = {"joint_friction": losses, "tilt": tilt, "friction": friction, "settling": settling}
+    task = Press(franka, force, gap, believed, scene=scene)
+    task.prepare()
+    task.run()
+    landing = task.normal[: task.landed + 500].max() / force
+    print(f"{case}: {100 * task.error():.2f} %, landing {landing:.2f} of {force} N")
+    assert set(task.status) == {OK}
+    assert task.released, "it has slid and was released"
+    assert task.error() < (0.05 if losses else 0.02)
+    assert landing < 2.0
+    slid = np.ptp(task.probe[task.landed : task.released, 1])
+    least = 0.9 if losses else 0.6  # rotors that are not known let the elbow swing
+    assert least * task.slide < slid < 1.1 * task.slide
+    assert task.normal[-1] == 0.0 and task.probe[-1, 2] - task.probe[task.released, 2] > 0.015
+
+
+# --- item 1: what goes in and what comes out ------------------------------------------------------
+
+
+def at_rest(server: FrankaServer, ticks: int, sensor: str = "tcp", **scene: object):
+    """The driver, and its measurements while the model's own weight is commanded."""
+    server.begin(height=0.0, **scene)
+    chain = osc.ClosedChain([server.arm(sensor=sensor)])
+    robot = FrankaRobot(server.host, chain)
+    data, read = chain.model.createData(), [robot.measure()]
+    for _ in range(ticks):
+        robot.command(pin.computeGeneralizedGravity(chain.model, data, read[-1].q), 1e-3)
+        read.append(robot.measure())
+    return robot, read
+
+
+def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka: FrankaServer) -> None:
+    robot, read = at_rest(franka, 200)
+    assert np.abs(robot._torques.tau_J).max() < 1e-9, "the robot adds gravity by itself"
+    assert np.abs(read[-1].q - read[0].q).max() < 1e-3
+    assert np.abs(read[-1].joint_torques).max() > 20.0, "as its own sensors read"
+    steps = np.diff([m.sequence for m in read[2:]])
+    assert set(steps) == {1} and read[-1].stamps.encoders == pytest.approx(1e-3 * read[-1].sequence)
+    assert robot.success_rate > 0.99
+    robot.stop("enough")
+    robot.stop()
+    assert "Idle" in str(robot._robot.read_once().robot_mode)
+    robot.command(np.zeros(7), 1e-3)  # it holds by itself: nothing is sent
+    assert np.abs(robot.measure().q - read[-1].q).max() < 1e-2
+
+
+@pytest.mark.parametrize("sensor", ["tcp", "hand"])
+def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka: FrankaServer, sensor: str) -> None:
+    push = {"push": [8.0, 20.0], "noise": 0.0, "joint_friction": 1.0}
+    robot, read = at_rest(franka, 60, sensor, **push)
+    X = pin.SE3(robot._data.oMf[robot._sensor])
+    force = -8.0 * np.sin(20.0 * 1e-3 * np.array([1.0, 1.3, 0.7]) * (franka.send()["steps"] - 1))
+    wrench = X.act(pin.Force(read[-1].wrenches[0]))
+    mass = 0.73 if sensor == "hand" else 0.0
+    np.testing.assert_allclose(wrench.linear - [0, 0, 9.81 * mass], force, atol=1.5)
+    about = wrench.angular - np.cross(
+        robot._base.act(robot._data.oMf[robot._tip]).translation, force
+    )
+    lever = X.act(np.array([-0.01, 0.0, 0.03])) if mass else np.zeros(3)
+    np.testing.assert_allclose(about, np.cross(lever, [0, 0, 9.81 * mass]), atol=0.5)
+    robot.stop()
+
+
+def test_torques_stay_within_the_limits_of_the_robot(franka: FrankaServer) -> None:
+    robot, _ = at_rest(franka, 1)
+    before = np.array(robot.state.tau_J_d)
+    robot.command(np.full(7, 1e6), 1e-3)
+    step = np.array(robot._torques.tau_J) - before
+    assert np.abs(step).max() == pytest.approx(0.99)
+    robot._v = 1.0 * np.array(robot.chain.model.upperVelocityLimit)  # every joint at its limit
+    robot.state = type("state", (), {"tau_J_d": robot.chain.tau_max})
+    weight = pin.computeGeneralizedGravity(robot._model, robot._data, robot._q)
+    robot.command(robot.chain.tau_max + weight, 1e-3)
+    assert (np.array(robot._torques.tau_J) < robot.chain.tau_max).all(), "braked"
+    with pytest.raises(osc.InvalidInputError, match="tau"):
+        robot.command(np.full(7, np.nan), 1e-3)
+    with pytest.raises(osc.InvalidInputError, match=r"each 1 ms, not each 2 ms"):
+        robot.command(np.zeros(7), 2e-3)
+    robot.stop()
+
+
+def test_payload_end_effector_and_mounted_sensor(franka: FrankaServer) -> None:
+    franka.begin(height=0.0)
+    ball = osc.RigidObject(pin.Inertia.FromSphere(0.5, 0.03))
+    chain = osc.ClosedChain([franka.arm()], [pin.SE3(np.eye(3), np.array([0, 0, 0.1]))], ball)
+    readings = iter([np.arange(6.0), None, [np.nan] * 6])
+    robot = FrankaRobot(franka.host, chain, wrench=lambda: next(readings))
+    assert robot.state.m_load == pytest.approx(0.5, rel=1e-6)
+    np.testing.assert_allclose(robot.state.F_x_Cload, [0.0, 0.0, 0.2034], atol=1e-6)
+    first, second, third = (robot.measure() for _ in range(3))
+    assert first.wrench_valid and first.wrenches[0].tolist() == [0, 1, 2, 3, 4, 5]
+    assert not second.wrench_valid and not third.wrench_valid and not third.wrenches.any()
+    robot._wrench = None
+    np.testing.assert_allclose(robot._hangs.mass, 0.5)
+    franka.begin(height=0.0, tcp_off=0.02)
+    with pytest.raises(osc.PlantError, match=r"tip 'tcp' is 20 mm and .* give end_effector="):
+        FrankaRobot(franka.host, chain)
+
+
+def test_what_it_refuses(franka: FrankaServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    chain = osc.ClosedChain([franka.arm()])
+    with pytest.raises(osc.PlantError, match=r"cannot be prepared: libfranka: Connection .* FCI"):
+        FrankaRobot("127.0.0.77", chain)
+    bare = osc.ClosedChain([osc.Arm.from_urdf(franka.urdf, name="fr3", tip="tcp")])
+    with pytest.raises(osc.InvalidInputError, match="give the arm a frame beyond the last joint"):
+        FrankaRobot(franka.host, bare)
+    monkeypatch.setitem(sys.modules, "pylibfranka", None)
+    with pytest.raises(osc.PlantError, match=r"pip install osc_contact\[franka\]"):
+        FrankaRobot(franka.host, chain)
