@@ -205,6 +205,7 @@ class Simulation(simulator.MujocoSimulator):
             if geom.get("contype") != "2":
                 geom.attrib |= {"contype": "0", "conaffinity": "0"}
         self.log: list[list[float]] = []
+        self.nudge = np.zeros(3)  #: N, of a hand at the tool centre
 
     def begin(self, given):
         """Arm at rest at home, and the scene as given."""
@@ -232,18 +233,19 @@ class Simulation(simulator.MujocoSimulator):
         plate.solimp[:] = 0.2, 0.9, 0.0005, 0.5, 2.0
         mujoco.mj_forward(model, data)
         self.random, self.log = np.random.default_rng(given["seed"]), []
+        self.nudge = np.zeros(3)
         self.robot.wrench, self.robot.error, self.robot.success = np.zeros(6), None, 1.0
         self.robot.tcp_off = given["tcp_off"]
         self.robot._applied_torques[:] = 0.0
 
     def _step(self):
         push, hand = self.given["push"], self.model.body("robot0_hand").id
-        if push is not None:  # by hand: slowly to and fro, at the tool centre
+        self.pushed = self.nudge
+        if push is not None:  # by hand: slowly to and fro
             t, (amount, rate) = 1e-3 * len(self.log), push
-            force = amount * np.sin(rate * t * np.array([1.0, 1.3, 0.7]))
-            self.data.xfrc_applied[hand, :3] = self.pushed = force
-            arm = self.tool() - self.data.xipos[hand]
-            self.data.xfrc_applied[hand, 3:] = np.cross(arm, force)
+            self.pushed = amount * np.sin(rate * t * np.array([1.0, 1.3, 0.7]))
+        arm = self.tool() - self.data.xipos[hand]
+        self.data.xfrc_applied[hand] = [*self.pushed, *np.cross(arm, self.pushed)]
         super()._step()
         self.note()
 
@@ -263,8 +265,7 @@ class Simulation(simulator.MujocoSimulator):
             true[3:] += np.cross(contact.pos - self.tool(), force)
         normal = data.xmat[self.model.body("plate").id].reshape(3, 3)[:, 2]
         self.log.append([*true, -true[:3] @ normal, *data.geom_xpos[self.tip], *data.qvel[:7]])
-        if self.given["push"] is not None:
-            true[:3] -= self.pushed
+        true[:3] -= self.pushed
         true[2] -= 9.81 * self.given["mass"]  # what the robot does not know that it carries
         noise = self.given["noise"] * np.repeat([1.0, 0.1], 3) * self.random.normal(size=6)
         self.robot.wrench = self.given["sign"] * true + noise
@@ -296,6 +297,8 @@ def obey(order, sim, server):
         server.clock, server.faults = sim.given["clock"], FAULTS | order.get("faults", {})
         server.reflex, server.sent = False, 0
         server.reset_state()
+    if "nudge" in order:
+        sim.nudge = np.array(order["nudge"])
     if "truth" in order:
         np.save(Path(order["truth"]), np.array(sim.log))
     return {"steps": len(sim.log)}

@@ -11,6 +11,7 @@ from franka_rig import FrankaServer, Press, franka
 
 import osc_contact as osc
 from osc_contact.drivers.franka import FrankaRobot
+from osc_contact.testing import check_robot
 
 OK = osc.Status.OK
 __all__ = ["franka"]
@@ -138,3 +139,28 @@ def test_what_it_refuses(franka: FrankaServer, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "pylibfranka", None)
     with pytest.raises(osc.PlantError, match=r"pip install osc_contact\[franka\]"):
         FrankaRobot(franka.host, chain)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_it_keeps_the_contract_of_drivers(franka: FrankaServer, sign: float) -> None:
+    """`check_robot` on the wire, with a push that shows which way the wrench is."""
+    franka.begin(height=0.0, sign=sign)
+
+    class Nudged(FrankaRobot):
+        ticks = 0
+
+        def measure(self) -> osc.Measurement:
+            self.ticks += 1
+            if self.ticks == 2500:
+                franka.send(nudge=[0.0, 8.0, 0.0])
+            return super().measure()
+
+    robot = Nudged(franka.host, osc.ClosedChain([franka.arm()]))
+    if sign > 0.0:
+        (left_out,) = check_robot(robot, nudge=[0.0, 1.0, 0.0])
+        assert left_out.startswith("the sign of the wrench is not checked by 0 N")
+        print(robot.ticks)
+    else:
+        with pytest.raises(osc.PlantError, match=r"pushed along \[0.0, 1.0, 0.0\], and the wrist"):
+            check_robot(robot, nudge=[0.0, 1.0, 0.0])
+    assert robot._control is None
