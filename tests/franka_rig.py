@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,7 @@ class FrankaServer:
 
     def begin(self, *, faults: dict[str, Any] | None = None, **scene: Any) -> None:
         if self.process.poll() is not None:
+            self.end()
             self.start()
         self.send(scene=scene, faults=faults or {})
 
@@ -67,7 +69,8 @@ class FrankaServer:
         return dict(zip(names, np.split(rows, ends, axis=1), strict=True))
 
     def end(self) -> None:
-        self.process.stdin.close()
+        with suppress(BrokenPipeError):
+            self.process.stdin.close()
         self.process.stdout.close()
         self.process.wait(10)
 
@@ -93,6 +96,7 @@ class Press:
     modelled: float = 0.004  #: of the plate that the controller believes in
     slide: float = 0.04
     ticks: int = 11000
+    hold: float = 2.8  #: s from landing to the end
     scene: dict[str, Any] = field(default_factory=dict)
     faults: dict[str, Any] = field(default_factory=dict)
 
@@ -111,6 +115,7 @@ class Press:
         self.status: list[osc.Status] = []
         self.state: list[osc.SafetyState] = []
         self.landed = self.released = 0
+        self.normal = np.zeros(1)
 
     def run(self, **loop: Any) -> None:
         """Run it, and keep what was true from its first tick on."""
@@ -144,7 +149,7 @@ class Press:
                     left = self.chain.state(q, np.zeros(7)).X_WO.translation
                 p, v, a = blend(t - 2.2, 0.5)
                 x, along, force = left, 0.02 * up, 0.0
-            if t > 2.8:
+            if t > self.hold:
                 return
             R = self.start.rotation
             yield osc.pose_reference(x + p * along, R, v * along, a * along, alpha_d=[force])

@@ -32,15 +32,15 @@ from franky_sim.franka_robot_state import FrankaRobotState
 HOME = (0.0, 0.1, 0.0, -2.0, 0.0, 2.1, 0.785)
 TCP, PROBE, RADIUS = 0.1034, 0.125, 0.015  #: m along the hand's z: tool centre, probe, its radius
 LOST = 20  #: commands in a row
-COMMUNICATION = 21  #: communication_constraints_violation among libfranka's errors
+COMMUNICATION = 31  #: communication_constraints_violation among libfranka's errors
 SCENE = {
     "clock": False, "height": 0.2, "tilt": 0.0, "friction": 0.0, "settling": 0.01,
     "joint_friction": 1.0, "armature": 1.0, "noise": 0.05, "sign": 1.0, "mass": 0.0,
     "push": None, "tcp_off": 0.0, "seed": 0,
 }  # fmt: skip
 FAULTS = {
-    "at": 0, "freeze": 0.0, "kill": False, "drop": 0, "repeat": 0, "swap": 0, "late": 0.0,
-    "lose": 0, "reflex": False,
+    "at": 0, "freeze": {}, "kill": False, "drop": 0, "repeat": 0, "swap": 0, "late": 0.0,
+    "lose": 0, "away": 0, "reflex": False,
 }  # fmt: skip
 
 
@@ -137,10 +137,12 @@ class Server(FrankaRobotServer):
         self.owed = self.begun
         faults, k = self.faults, self.sent - self.faults["at"]
         name = "_FrankaServer__udp_socket"
-        if k == 1 and faults["freeze"]:
-            time.sleep(faults["freeze"])
+        time.sleep(faults["freeze"].get(str(k), 0.0))
         if k == 1 and faults["kill"]:
             os._exit(1)
+        if 0 < k <= faults["away"] and self.moving:  # a client that does not read, nor write
+            self.owed = False
+            return
         if k <= 0 or not self.moving:
             return super().send_state()
         real = getattr(self, name)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
+import time
 
 import numpy as np
 import pinocchio as pin
@@ -44,6 +46,102 @@ def test_it_approaches_presses_slides_and_retreats(franka: FrankaServer, case: s
     least = 0.9 if losses else 0.6  # rotors that are not known let the elbow swing
     assert least * task.slide < slid < 1.1 * task.slide
     assert task.normal[-1] == 0.0 and task.probe[-1, 2] - task.probe[task.released, 2] > 0.015
+
+
+# --- item 5: faults over the wire -----------------------------------------------------------------
+
+AT = 1500  #: packets of the motion; contact has been made
+
+
+def run_faulty(task: Press, **driver: object) -> osc.PlantError | None:
+    """The task, how it ended, and what always holds: forces, arms at rest, stopped in its tick."""
+    task.hold = 1.2
+    task.prepare(**driver)
+    stops, ended = [], None
+    stop = task.robot.stop
+
+    def note(reason: str = "") -> None:
+        stops.append((len(task.status), reason))
+        stop(reason)
+
+    task.robot.stop = note
+    try:
+        task.run()
+    except osc.PlantError as error:
+        ended = error
+    assert task.normal.max(initial=0.0) < max(3.0 * task.force, 30.0)
+    if osc.SafetyState.SAFE_STOP in task.state:
+        assert stops[0][0] == task.state.index(osc.SafetyState.SAFE_STOP), "in its very tick"
+        assert stops[0][1] and stops[-1][1] == ""
+    if task.server.process.poll() is None:
+        time.sleep(0.3)
+        assert np.abs(task.server.truth()["v"][-1]).max() < 0.1, "at rest, held by the robot"
+    task.reason = stops[0][1]
+    return ended
+
+
+BENIGN = {
+    "robot frozen": {"freeze": {"1": 0.01, "60": 0.02, "120": 0.05, "180": 0.3}},
+    "client frozen 10 ms, 1 of 3 commands lost": {"away": 10, "lose": 3},
+    "1 of 2 packets dropped": {"drop": 2},
+    "dropped, repeated, reordered, late": {"drop": 10, "repeat": 2, "swap": 5, "late": 0.0005},
+}
+
+
+@pytest.mark.parametrize("fault", BENIGN)
+def test_what_the_robot_forgives_disturbs_no_contact(franka: FrankaServer, fault: str) -> None:
+    task = Press(franka, gap=0.001, faults=BENIGN[fault] | {"at": AT})
+    assert run_faulty(task) is None
+    assert set(task.status) == {OK} and len(task.status) > AT
+    assert task.normal[AT:-50] == pytest.approx(10.0, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        ({"away": 20}, "communication_constraints_violation"),
+        ({"away": 300}, "communication_constraints_violation"),
+        ({"reflex": True}, "communication_constraints_violation"),
+        ({"kill": True}, "ended the motion: libfranka: .*Look at the robot"),
+    ],
+    ids=["client frozen 20 ms", "client frozen 300 ms", "reflex", "robot killed"],
+)
+def test_a_robot_that_ends_the_motion_ends_the_loop(
+    franka: FrankaServer, fault: dict, sentence: str
+) -> None:
+    task = Press(franka, gap=0.001, faults=fault | {"at": AT})
+    ended = run_faulty(task)
+    assert ended is not None and re.search(sentence, str(ended)), ended
+    assert task.reason.startswith("PlantError: ")
+    if "kill" in fault:
+        return
+    with pytest.raises(osc.PlantError, match=r"is stopped \(.*Reflex.* connect with recover=True"):
+        FrankaRobot(franka.host, task.chain)
+    assert "Idle" in str(FrankaRobot(franka.host, task.chain, recover=True).state.robot_mode)
+
+
+def without_weight(robot: FrankaRobot):
+    return lambda: robot._estimate(robot.state) - [*(9.81 * 0.73 * robot._data.oMf[
+        robot._sensor].rotation[2]), 0.0, 0.0, 0.0]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("scene", "driver", "sentence"),
+    [
+        ({"mass": 0.5}, {}, "reads another load than it carries"),
+        ({"sign": -1.0}, {}, ""),
+        ({}, {"sensor": "hand"}, "without gravity"),
+    ],
+    ids=["wrong payload", "mirrored wrench", "no gravity"],
+)
+def test_a_wrist_that_is_wrong_ends_in_a_stop(
+    franka: FrankaServer, scene: dict, driver: dict, sentence: str
+) -> None:
+    task = Press(franka, gap=0.003, scene=scene, ticks=4000)
+    if driver:
+        driver["wrench"] = lambda: without_weight(task.robot)() if hasattr(task, "robot") else None
+    assert run_faulty(task, **driver) is None
+    assert task.state[-1] is osc.SafetyState.SAFE_STOP and sentence in task.reason
 
 
 # --- item 1: what goes in and what comes out ------------------------------------------------------
