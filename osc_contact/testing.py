@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from osc_contact.control.freshness import Freshness
+from osc_contact.control.inputs import Freshness
 from osc_contact.control.start_check import judge_load, outboard_mass
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError

@@ -32,7 +32,7 @@ from franky_sim.franka_robot_state import FrankaRobotState
 HOME = (0.0, 0.1, 0.0, -2.0, 0.0, 2.1, 0.785)
 TCP, PROBE, RADIUS = 0.1034, 0.125, 0.015  #: m along the hand's z: tool centre, probe, its radius
 LOST = 20  #: commands in a row
-COMMUNICATION = 31  #: communication_constraints_violation among libfranka's errors
+COMMUNICATION = 25  #: communication_constraints_violation among libfranka's errors
 SCENE = {
     "clock": False, "height": 0.2, "tilt": 0.0, "friction": 0.0, "settling": 0.01,
     "joint_friction": 1.0, "armature": 1.0, "noise": 0.05, "sign": 1.0, "mass": 0.0,

@@ -8,6 +8,7 @@ the weight of what hangs on the wrist is added to the wrench, which the robot es
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any, NoReturn
 
 import numpy as np
@@ -36,6 +37,7 @@ class FrankaRobot:
     Attributes:
         chain: as given.
         state: the robot's last one, of the client library.
+        read_to_write: s, from the arrival of a state until its torques were sent, of the last tick.
         success_rate: share of the last 100 commands that the robot got in time, and the least of
             all ticks: `success_rates`.
     """
@@ -82,6 +84,7 @@ class FrankaRobot:
         self._take(chain)
         self._control: Any = None
         self._stopped = False
+        self.read_to_write = 0.0
         self.success_rate = self.least_success_rate = 1.0
         try:
             self._robot = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
@@ -176,6 +179,7 @@ class FrankaRobot:
                 state = self._control.readOnce()[0]
         except self._errors as error:
             self._fail("ended the motion", error)
+        self._read_at = perf_counter()
         self.state = state
         self.success_rate = float(state.control_command_success_rate)
         if self._control is not None:
@@ -245,6 +249,7 @@ class FrankaRobot:
             step *= min(1.0, TORQUE_STEP / max(float(np.abs(step).max()), TORQUE_STEP))
             self._torques = self._lib.Torques((sent + step).tolist())
             self._control.writeOnce(self._torques)
+            self.read_to_write = perf_counter() - self._read_at
         except self._errors as error:
             self._fail("ended the motion", error)
 

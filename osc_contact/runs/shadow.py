@@ -1,0 +1,230 @@
+"""Shadow mode: the robot moves by hand under its own weight alone, and its model is judged.
+
+The controller computes every tick, and nothing of it is sent. What the joints do under the torques
+that were sent and the wrench that the wrist reads is compared with the model, joint by joint:
+
+    τ + κ Jᵀf − (M q̈ + h) = c sign(q̇) + d q̇ + o + ΔI q̈
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Measurement
+from osc_contact.spatial import Array
+
+__all__ = ["JointFinding", "Shadow", "ShadowReport"]
+
+REST_S = 0.2  #: from the beginning, in which nobody touches the arm
+HALF = 10  #: ticks to either side over which accelerations and means are taken
+EVERY = 5  #: ticks from one sample to the next
+FASTEST = 0.05  #: rad/s (m/s) that a joint must have reached to be judged
+STILL = 0.01  #: rad/s (m/s) below which friction has no sign
+FORCE = 2.0  #: N, the least rms of pushes that judge the wrench
+KAPPA = 0.5, 1.5  #: between which the wrench counts as right
+TOO_LARGE = 0.05  #: of a motor's limit; as `SafetySettings.wrist_error`
+BIAS = 2.0, 0.4  #: N, N m; as `SafetySettings.load_error`
+
+
+@dataclass(frozen=True)
+class JointFinding:
+    """What one joint does beside its model.
+
+    Attributes:
+        name: of the joint. moved: whether it was fast enough to be judged.
+        coulomb: dry friction (N m; N). viscous: friction that grows with speed (N m s/rad).
+        offset: constant torque (N m). inertia: kg m² that the model lacks, such as of the rotor.
+        rms: N m, left unexplained.
+        acceleration: rms of the predicted and of the measured acceleration (rad/s²).
+    """
+
+    name: str
+    moved: bool
+    coulomb: float
+    viscous: float
+    offset: float
+    inertia: float
+    rms: float
+    acceleration: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ShadowReport:
+    """What shadow mode found.
+
+    Attributes:
+        joints: one finding each.
+        wrench_bias: (6,) of the wrist at rest, less what hangs on it, in world axes at the object
+            (N, N m).
+        wrench_scale: κ, how much of the wrench that the wrist reads the joints feel: 1 where sign,
+            scale and frame are right, −1 where the sign is reversed; NaN: nobody pushed.
+        findings: sentences on what is wrong. forces: whether forces may be commanded: none is.
+    """
+
+    joints: tuple[JointFinding, ...]
+    wrench_bias: Array
+    wrench_scale: float
+    findings: list[str] = field(default_factory=list)
+
+    @property
+    def forces(self) -> bool:
+        """Whether forces may be commanded."""
+        return not self.findings
+
+    def lines(self) -> Iterator[str]:
+        """The report, for people."""
+        for joint in self.joints:
+            if not joint.moved:
+                yield f"{joint.name}: not moved"
+                continue
+            yield (
+                f"{joint.name}: friction {joint.coulomb:.2f} N m + {joint.viscous:.2f} N m s/rad, "
+                f"offset {joint.offset:.2f} N m, inertia {joint.inertia:+.3f} kg m², "
+                f"unexplained {joint.rms:.2f} N m"
+            )
+        force, moment = np.round(self.wrench_bias[:3], 2), np.round(self.wrench_bias[3:], 3)
+        yield f"wrist: bias {force.tolist()} N, {moment.tolist()} N m; κ = {self.wrench_scale:.2f}"
+        yield from self.findings or ["forces may be commanded"]
+
+
+class Shadow:
+    """One run in shadow mode."""
+
+    def __init__(self, controller: Any) -> None:
+        """Begin.
+
+        Raises:
+            InvalidInputError: not one arm with a wrist sensor, all of whose joints have motors.
+        """
+        chain: ClosedChain | None = getattr(controller, "chain", None)
+        if chain is None or len(chain.arms) != 1 or chain.n_a != chain.nq or None in chain.sensors:
+            raise InvalidInputError(
+                "shadow mode judges one arm with a wrist sensor, all of whose joints have motors; "
+                "run arms that hold one object each by itself"
+            )
+        self.chain, self.dt = chain, float(controller.dt)
+        self.data = chain.model.createData()
+        self.rows: list[Array] = []
+
+    def torques(self, measurement: Measurement) -> Array:
+        """(n,) what is sent: the weight that the model knows; the tick is noted."""
+        q = np.asarray(measurement.q, dtype=float)
+        sent = np.array(pin.computeGeneralizedGravity(self.chain.model, self.data, q))
+        sent = np.clip(np.nan_to_num(sent), -self.chain.tau_max, self.chain.tau_max)
+        self.rows.append(np.concatenate((q, measurement.v, sent, measurement.wrenches[0])))
+        return sent
+
+    def report(self) -> ShadowReport:
+        """Judge what was noted.
+
+        Raises:
+            InvalidInputError: less than a second was.
+        """
+        rows, n = np.array(self.rows), self.chain.nq
+        rows = rows[np.isfinite(rows).all(axis=1)] if len(rows) else rows
+        if len(rows) * self.dt < 1.0:
+            raise InvalidInputError(
+                f"shadow mode noted {len(rows) * self.dt:.3g} s; let it run for ten seconds, and "
+                "move every joint by hand"
+            )
+        rest = rows[: round(REST_S / self.dt) : EVERY]
+        bias = np.mean([self._outside(r[:n], r[3 * n :]) for r in rest], axis=0)
+        around = range(HALF, len(rows) - HALF, EVERY)
+        samples = [self._sample(rows[k - HALF : k + HALF + 1], bias) for k in around]
+        columns = (np.array(x) for x in zip(*samples, strict=True))
+        v, acceleration, left, forces, pushes, predicted = columns
+        kappa = np.nan
+        if np.sqrt(np.mean(np.sum(pushes**2, axis=1))) > FORCE:
+            kappa = self._scale(v, acceleration, left, forces)
+        used = 1.0 if np.isnan(kappa) else kappa
+        joints = tuple(
+            self._joint(
+                j, v[:, j], acceleration[:, j], left[:, j] + used * forces[:, j], predicted[:, j]
+            )
+            for j in range(n)
+        )
+        return ShadowReport(joints, bias, float(kappa), list(self._judge(joints, bias, kappa)))
+
+    def _outside(self, q: Array, wrench: Array) -> Array:
+        """(6,) reading less the load, at the object in world axes."""
+        state = self.chain.state(q, np.zeros(self.chain.nq))
+        origin = pin.SE3(np.eye(3), state.X_WO.translation)
+        sensor = state.sensors[0]
+        assert sensor is not None
+        return np.asarray(origin.actInv(sensor.act(pin.Force(wrench))).vector - state.bias_out)
+
+    def _sample(self, rows: Array, bias: Array) -> tuple[Array, ...]:
+        """Speed, acceleration, τ − (M q̈ + h), torques and force of the push, prediction."""
+        n, model = self.chain.nq, self.chain.model
+        q, v, sent, wrench = np.split(rows.mean(axis=0), [n, 2 * n, 3 * n])
+        acceleration = (rows[-1, n : 2 * n] - rows[0, n : 2 * n]) / (2 * HALF * self.dt)
+        needed = pin.rnea(model, self.data, q, v, acceleration)
+        push = -(self._outside(q, wrench) - bias)  # on the tool
+        felt = self.chain.state(q, np.zeros(n)).arms[0].J.T @ push
+        predicted = pin.aba(model, self.data, q, v, sent + felt)
+        return v, acceleration, sent - needed, felt, push[:3], np.array(predicted)
+
+    def _scale(self, v: Array, acceleration: Array, left: Array, forces: Array) -> float:
+        """κ, from all joints together; each has friction and rotors of its own."""
+        over = under = 0.0
+        for j in range(v.shape[1]):
+            own = _columns(v[:, j], acceleration[:, j])
+            rest = [x - own @ np.linalg.lstsq(own, x)[0] for x in (left[:, j], forces[:, j])]
+            over -= float(rest[0] @ rest[1]) / self.chain.tau_max[j] ** 2
+            under += float(rest[1] @ rest[1]) / self.chain.tau_max[j] ** 2
+        return over / under
+
+    def _joint(self, j: int, v: Array, a: Array, torque: Array, predicted: Array) -> JointFinding:
+        moved = bool(np.abs(v).max() > FASTEST)
+        columns = _columns(v, a)
+        found = np.linalg.lstsq(columns, torque)[0]
+        rms = float(np.sqrt(np.mean((torque - columns @ found) ** 2)))
+        both = float(np.sqrt(np.mean(predicted**2))), float(np.sqrt(np.mean(a**2)))
+        coulomb, viscous, offset, inertia = (float(x) for x in found)
+        name = self.chain.joint_names[j]
+        return JointFinding(name, moved, coulomb, viscous, offset, inertia, rms, both)
+
+    def _judge(self, joints: tuple[JointFinding, ...], bias: Array, kappa: float) -> Iterator[str]:
+        for joint, most in zip(joints, TOO_LARGE * self.chain.tau_max, strict=True):
+            if not joint.moved:
+                yield f"joint '{joint.name}' was not moved; push the tool so that it turns"
+                continue
+            for what, value in (("friction", joint.coulomb), ("a torque offset", joint.offset)):
+                if abs(value) > most:
+                    yield (
+                        f"joint '{joint.name}' has {what} of {value:.2g} N m, more than {most:.2g} "
+                        "N m, which the model does not explain: give the arm its friction, or "
+                        "correct its masses"
+                    )
+            if joint.coulomb < -0.1 * most or joint.rms > most:
+                yield (
+                    f"joint '{joint.name}' leaves {joint.rms:.2g} N m unexplained, with friction "
+                    f"of {joint.coulomb:.2g} N m: are its torques or speeds reversed?"
+                )
+        if np.linalg.norm(bias[:3]) > BIAS[0] or np.linalg.norm(bias[3:]) > BIAS[1]:
+            yield (
+                f"the wrist reads {np.round(bias, 2).tolist()} N, N m more at rest than hangs on "
+                "it: tare it (Controller.f_tare), or correct the payload"
+            )
+        if np.isnan(kappa):
+            yield f"the tool was not pushed by {FORCE:g} N; the sign of the wrench is not known"
+        elif kappa < -KAPPA[0]:
+            yield f"the wrench is reversed (κ = {kappa:.2f}): give what the arm exerts on its tool"
+        elif not KAPPA[0] < kappa < KAPPA[1]:
+            yield (
+                f"the joints feel {kappa:.2f} of the wrench that the wrist reads: its scale or the "
+                "axes of its frame are wrong, or the arm was not pushed at the tool"
+            )
+
+
+def _columns(v: Array, a: Array) -> Array:
+    """Of friction, offset and inertia: what the model's torques lack."""
+    sign = np.tanh(v / STILL)
+    return np.column_stack((sign, v, np.ones(len(v)), a))
