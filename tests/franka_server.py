@@ -25,7 +25,13 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from franky_sim import SimulationServer
-from franky_sim.franka_robot_protocol import BaseCommand, MoveStatus, RobotCommand, RobotMode
+from franky_sim.franka_robot_protocol import (
+    AutomaticErrorRecoveryCommand,
+    BaseCommand,
+    MoveStatus,
+    RobotCommand,
+    RobotMode,
+)
 from franky_sim.franka_robot_server import FrankaRobotServer
 from franky_sim.franka_robot_state import FrankaRobotState
 
@@ -273,7 +279,13 @@ class Simulation(simulator.MujocoSimulator):
         self.robot.wrench = self.given["sign"] * true + noise
 
 
+def recover(command, server):
+    server.reflex, server.robot.error = False, None
+    command.reply(0)
+
+
 def main() -> None:
+    AutomaticErrorRecoveryCommand.handle = recover
     with Simulation() as sim:
         import franky_sim.simulation_server as module
 

@@ -90,7 +90,7 @@ class FrankaRobot:
             self._robot = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
             if recover:
                 self._robot.automatic_error_recovery()
-            self.state = self._robot.read_once()
+            self._look()
             self._require_idle()
             self._set_up(end_effector, collision)
         except self._errors as error:
@@ -141,8 +141,12 @@ class FrankaRobot:
             load = (flange_to_tip * self.chain.grasps[0].X_TO).act(payload.inertia)
         inertia = load.inertia.ravel(order="F").tolist()
         robot.set_load(float(load.mass), load.lever.tolist(), inertia)
-        for _ in range(2):  # one state may have been on its way
-            self.state = robot.read_once()
+        self._look()
+
+    def _look(self) -> None:
+        """The state as of now: one may have been on its way before."""
+        for _ in range(2):
+            self.state = self._robot.read_once()
 
     def _require_idle(self) -> None:
         state, modes = self.state, self._lib.RobotMode
@@ -280,7 +284,7 @@ class FrankaRobot:
         """
         try:
             self._robot.automatic_error_recovery()
-            self.state = self._robot.read_once()
+            self._look()
         except self._errors as error:
             self._fail("does not recover", error)
         self._require_idle()

@@ -3,7 +3,10 @@
 The controller computes every tick, and nothing of it is sent. What the joints do under the torques
 that were sent and the wrench that the wrist reads is compared with the model, joint by joint:
 
-    τ + κ Jᵀf − (M q̈ + h) = c sign(q̇) + d q̇ + o + ΔI q̈
+    τ − κ Jᵀf − (M q̈ + h) = c sign(q̇) + d q̇ + o + ΔI q̈
+
+f is the wrench that the arm exerts at the wrist sensor, and M, h are of what is inboard of it:
+whatever hangs on the wrist, and whoever pushes there, needs no model.
 """
 
 from __future__ import annotations
@@ -27,8 +30,9 @@ HALF = 10  #: ticks to either side over which accelerations and means are taken
 EVERY = 5  #: ticks from one sample to the next
 FASTEST = 0.05  #: rad/s (m/s) that a joint must have reached to be judged
 STILL = 0.01  #: rad/s (m/s) below which friction has no sign
-FORCE = 2.0  #: N, the least rms of pushes that judge the wrench
-KAPPA = 0.5, 1.5  #: between which the wrench counts as right
+FELT = 0.002  #: of the motors' limits, the least rms of torques by pushes that judge the wrench
+UNEXPLAINED = 0.01  #: of a motor's limit, rms
+KAPPA = 0.7, 1.3  #: between which the wrench counts as right
 TOO_LARGE = 0.05  #: of a motor's limit; as `SafetySettings.wrist_error`
 BIAS = 2.0, 0.4  #: N, N m; as `SafetySettings.load_error`
 
@@ -42,7 +46,6 @@ class JointFinding:
         coulomb: dry friction (N m; N). viscous: friction that grows with speed (N m s/rad).
         offset: constant torque (N m). inertia: kg m² that the model lacks, such as of the rotor.
         rms: N m, left unexplained.
-        acceleration: rms of the predicted and of the measured acceleration (rad/s²).
     """
 
     name: str
@@ -52,7 +55,6 @@ class JointFinding:
     offset: float
     inertia: float
     rms: float
-    acceleration: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,9 @@ class Shadow:
             )
         self.chain, self.dt = chain, float(controller.dt)
         self.data = chain.model.createData()
+        self.inboard = chain.model.copy()
+        for link in chain.outboard[0]:
+            self.inboard.inertias[link.joint] -= link.inertia
         self.rows: list[Array] = []
 
     def torques(self, measurement: Measurement) -> Array:
@@ -137,20 +142,15 @@ class Shadow:
         rest = rows[: round(REST_S / self.dt) : EVERY]
         bias = np.mean([self._outside(r[:n], r[3 * n :]) for r in rest], axis=0)
         around = range(HALF, len(rows) - HALF, EVERY)
-        samples = [self._sample(rows[k - HALF : k + HALF + 1], bias) for k in around]
-        columns = (np.array(x) for x in zip(*samples, strict=True))
-        v, acceleration, left, forces, pushes, predicted = columns
-        kappa = np.nan
-        if np.sqrt(np.mean(np.sum(pushes**2, axis=1))) > FORCE:
-            kappa = self._scale(v, acceleration, left, forces)
+        samples = [self._sample(rows[k - HALF : k + HALF + 1]) for k in around]
+        v, acceleration, left, felt = (np.array(x) for x in zip(*samples, strict=True))
+        kappa = self._scale(v, acceleration, left, felt)
         used = 1.0 if np.isnan(kappa) else kappa
         joints = tuple(
-            self._joint(
-                j, v[:, j], acceleration[:, j], left[:, j] + used * forces[:, j], predicted[:, j]
-            )
+            self._joint(j, v[:, j], acceleration[:, j], left[:, j] - used * felt[:, j])
             for j in range(n)
         )
-        return ShadowReport(joints, bias, float(kappa), list(self._judge(joints, bias, kappa)))
+        return ShadowReport(joints, bias, kappa, list(self._judge(joints, bias, kappa)))
 
     def _outside(self, q: Array, wrench: Array) -> Array:
         """(6,) reading less the load, at the object in world axes."""
@@ -160,36 +160,36 @@ class Shadow:
         assert sensor is not None
         return np.asarray(origin.actInv(sensor.act(pin.Force(wrench))).vector - state.bias_out)
 
-    def _sample(self, rows: Array, bias: Array) -> tuple[Array, ...]:
-        """Speed, acceleration, τ − (M q̈ + h), torques and force of the push, prediction."""
-        n, model = self.chain.nq, self.chain.model
+    def _sample(self, rows: Array) -> tuple[Array, ...]:
+        """Speed, acceleration, τ − (M q̈ + h) and Jᵀf, means over a few ticks."""
+        n, model, data = self.chain.nq, self.inboard, self.data
         q, v, sent, wrench = np.split(rows.mean(axis=0), [n, 2 * n, 3 * n])
         acceleration = (rows[-1, n : 2 * n] - rows[0, n : 2 * n]) / (2 * HALF * self.dt)
-        needed = pin.rnea(model, self.data, q, v, acceleration)
-        push = -(self._outside(q, wrench) - bias)  # on the tool
-        felt = self.chain.state(q, np.zeros(n)).arms[0].J.T @ push
-        predicted = pin.aba(model, self.data, q, v, sent + felt)
-        return v, acceleration, sent - needed, felt, push[:3], np.array(predicted)
+        needed = np.array(pin.rnea(model, data, q, v, acceleration))
+        J = pin.computeFrameJacobian(model, data, q, self.chain.sensors[0])
+        return v, acceleration, sent - needed, J.T @ wrench
 
-    def _scale(self, v: Array, acceleration: Array, left: Array, forces: Array) -> float:
+    def _scale(self, v: Array, acceleration: Array, left: Array, felt: Array) -> float:
         """κ, from all joints together; each has friction and rotors of its own."""
         over = under = 0.0
-        for j in range(v.shape[1]):
+        for j, most in enumerate(self.chain.tau_max):
             own = _columns(v[:, j], acceleration[:, j])
-            rest = [x - own @ np.linalg.lstsq(own, x)[0] for x in (left[:, j], forces[:, j])]
-            over -= float(rest[0] @ rest[1]) / self.chain.tau_max[j] ** 2
-            under += float(rest[1] @ rest[1]) / self.chain.tau_max[j] ** 2
-        return over / under
+            torque, push = (
+                (x - own @ np.linalg.lstsq(own, x)[0]) / most for x in (left[:, j], felt[:, j])
+            )
+            over += float(torque @ push)
+            under += float(push @ push)
+        return over / under if under > FELT**2 * felt.size else float("nan")
 
-    def _joint(self, j: int, v: Array, a: Array, torque: Array, predicted: Array) -> JointFinding:
+    def _joint(self, j: int, v: Array, a: Array, torque: Array) -> JointFinding:
         moved = bool(np.abs(v).max() > FASTEST)
         columns = _columns(v, a)
         found = np.linalg.lstsq(columns, torque)[0]
         rms = float(np.sqrt(np.mean((torque - columns @ found) ** 2)))
-        both = float(np.sqrt(np.mean(predicted**2))), float(np.sqrt(np.mean(a**2)))
         coulomb, viscous, offset, inertia = (float(x) for x in found)
-        name = self.chain.joint_names[j]
-        return JointFinding(name, moved, coulomb, viscous, offset, inertia, rms, both)
+        return JointFinding(
+            self.chain.joint_names[j], moved, coulomb, viscous, offset, inertia, rms
+        )
 
     def _judge(self, joints: tuple[JointFinding, ...], bias: Array, kappa: float) -> Iterator[str]:
         for joint, most in zip(joints, TOO_LARGE * self.chain.tau_max, strict=True):
@@ -203,10 +203,10 @@ class Shadow:
                         "N m, which the model does not explain: give the arm its friction, or "
                         "correct its masses"
                     )
-            if joint.coulomb < -0.1 * most or joint.rms > most:
+            if joint.rms > UNEXPLAINED / TOO_LARGE * most:
                 yield (
-                    f"joint '{joint.name}' leaves {joint.rms:.2g} N m unexplained, with friction "
-                    f"of {joint.coulomb:.2g} N m: are its torques or speeds reversed?"
+                    f"joint '{joint.name}' leaves {joint.rms:.2g} N m unexplained: is it, or a "
+                    "joint near it, reversed or out of order, or the wrench of another frame?"
                 )
         if np.linalg.norm(bias[:3]) > BIAS[0] or np.linalg.norm(bias[3:]) > BIAS[1]:
             yield (
@@ -214,8 +214,8 @@ class Shadow:
                 "it: tare it (Controller.f_tare), or correct the payload"
             )
         if np.isnan(kappa):
-            yield f"the tool was not pushed by {FORCE:g} N; the sign of the wrench is not known"
-        elif kappa < -KAPPA[0]:
+            yield "the tool was hardly pushed; the sign of the wrench is not known"
+        elif kappa < -0.4:
             yield f"the wrench is reversed (κ = {kappa:.2f}): give what the arm exerts on its tool"
         elif not KAPPA[0] < kappa < KAPPA[1]:
             yield (
