@@ -122,7 +122,7 @@ class Press:
         try:
             osc.run_loop(self.robot, self.controller, self.references(), **loop)
         finally:
-            if self.server.process.poll() is None:
+            if not self.faults.get("kill"):
                 rows = self.server.truth()
                 self.normal, self.probe = (
                     rows[name][-len(self.status) :] for name in ("normal", "probe")

@@ -87,7 +87,7 @@ class FrankaRobot:
         self.read_to_write = 0.0
         self.success_rate = self.least_success_rate = 1.0
         try:
-            self._robot = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
+            self._robot: Any = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
             if recover:
                 self._robot.automatic_error_recovery()
             self._look()
@@ -122,11 +122,14 @@ class FrankaRobot:
             model.inertias[last] += load
             hangs = hangs + load
         self._hangs = model.frames[self._sensor].placement.actInv(hangs)
+        self._lift = pin.Force(-self._hangs.mass * model.gravity.linear, np.zeros(3))
         self._data = model.createData()
+        self._at = pin.SE3.Identity()
         self._speed = SPEED_SHARE * np.array(model.upperVelocityLimit)
         self._tau_max = np.array(chain.tau_max)
         self._brake = self._tau_max / (np.array(model.upperVelocityLimit) - self._speed)
         self._base = chain.arms[0].base
+        self._turn = pin.SE3(self._base.rotation, np.zeros(3))
 
     def _set_up(self, end_effector: pin.SE3 | None, collision: tuple[float, float, float]) -> None:
         torque, force, moment = collision
@@ -142,6 +145,8 @@ class FrankaRobot:
         inertia = load.inertia.ravel(order="F").tolist()
         robot.set_load(float(load.mass), load.lever.tolist(), inertia)
         self._look()
+        to_K = _pose(self.state.EE_T_K).translation
+        self._to_K = to_K if to_K.any() else None  #: from the end effector, in its axes
 
     def _look(self) -> None:
         """The state as of now: one may have been on its way before."""
@@ -159,7 +164,7 @@ class FrankaRobot:
 
     def _require_tip(self) -> None:
         self._place(np.array(self.state.q))
-        model = self._data.oMf[self._tip]
+        model = pin.updateFramePlacement(self._model, self._data, self._tip)
         robot = self._base * _pose(self.state.O_T_EE)
         away = float(np.linalg.norm(model.translation - robot.translation))
         turned = float(np.linalg.norm(pin.log3(model.rotation.T @ robot.rotation)))
@@ -206,19 +211,21 @@ class FrankaRobot:
 
     def _place(self, q: Array) -> None:
         pin.forwardKinematics(self._model, self._data, q)
-        for frame in {self._sensor, self._tip}:
-            pin.updateFramePlacement(self._model, self._data, frame)
+        pin.updateFramePlacement(self._model, self._data, self._sensor)
 
     def _estimate(self, state: Any) -> Array:
         """(6,) what a sensor would read: the robot's wrench on its surroundings, and the weight."""
         sensor = self._data.oMf[self._sensor]
-        stiffness = self._base * _pose(state.O_T_EE) * _pose(state.EE_T_K)
-        force, moment = np.split(np.array(state.O_F_ext_hat_K), 2)
-        at_K = pin.Force(self._base.rotation @ force, self._base.rotation @ moment)
-        outside = sensor.actInv(pin.SE3(np.eye(3), stiffness.translation).act(at_K))
-        lift = -self._hangs.mass * sensor.rotation.T @ self._model.gravity.linear
-        weight = np.concatenate((lift, np.cross(self._hangs.lever, lift)))
-        return np.asarray(outside.vector + weight)
+        X = state.O_T_EE
+        centre = np.array(X[12:15])
+        if self._to_K is not None:
+            centre += np.reshape(X, (4, 4)).T[:3, :3] @ self._to_K
+        self._at.translation = self._base.act(centre)
+        total = self._at.act(self._turn.act(pin.Force(np.array(state.O_F_ext_hat_K))))
+        if self._hangs.mass > 0.0:
+            self._at.translation = sensor.act(self._hangs.lever)
+            total += self._at.act(self._lift)
+        return np.asarray(sensor.actInv(total).vector)
 
     def command(self, tau: Array, duration: float) -> None:
         """Send torques; the wait for the period's end is the next `measure`.
@@ -246,6 +253,7 @@ class FrankaRobot:
             if self._control is None:
                 self._control = self._robot.start_torque_control()
                 self.state = self._control.readOnce()[0]
+                self._read_at = perf_counter()
             own = tau - pin.computeGeneralizedGravity(self._model, self._data, self._q)
             own -= self._brake * np.sign(self._v) * np.maximum(np.abs(self._v) - self._speed, 0.0)
             sent = np.array(self.state.tau_J_d)
@@ -290,6 +298,11 @@ class FrankaRobot:
         self._require_idle()
         self._stopped = False
         self.least_success_rate = 1.0
+
+    def close(self) -> None:
+        """End the motion and the connection: a robot serves one client."""
+        self.stop()
+        self._robot = None
 
     def _fail(self, what: str, error: Exception) -> NoReturn:
         self._control = None
