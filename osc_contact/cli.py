@@ -57,7 +57,7 @@ app = typer.Typer(
 )
 for command in (
     cli_sweeps.sweep, cli_sweeps.tune, cli_robots.check, cli_robots.pose, cli_robots.new,
-    cli_start.examples,
+    cli_start.examples, cli_robots.commission,
 ):  # fmt: skip
     app.command()(command)
 RECORDINGS = (".npz", ".mcap")

@@ -43,7 +43,7 @@ COMMUNICATION = 25  #: communication_constraints_violation among libfranka's err
 SCENE = {
     "clock": False, "height": 0.2, "tilt": 0.0, "friction": 0.0, "settling": 0.01,
     "joint_friction": 1.0, "armature": 1.0, "noise": 0.05, "sign": 1.0, "mass": 0.0,
-    "push": None, "tcp_off": 0.0, "seed": 0,
+    "push": None, "rest": 0.0, "tcp_off": 0.0, "seed": 0,
 }  # fmt: skip
 FAULTS = {
     "at": 0, "freeze": {}, "kill": False, "drop": 0, "repeat": 0, "swap": 0, "late": 0.0,
@@ -242,19 +242,21 @@ class Simulation(simulator.MujocoSimulator):
         plate.solimp[:] = 0.2, 0.9, 0.0005, 0.5, 2.0
         mujoco.mj_forward(model, data)
         self.random, self.log = np.random.default_rng(given["seed"]), []
-        self.nudge = np.zeros(3)
+        self.nudge, self.since = np.zeros(3), 0
         self.robot.wrench, self.robot.error, self.robot.success = np.zeros(6), None, 1.0
         self.robot.tcp_off = given["tcp_off"]
         self.robot._applied_torques[:] = 0.0
 
     def _step(self):
         push, hand = self.given["push"], self.model.body("robot0_hand").id
-        self.pushed = self.nudge
-        if push is not None:  # by hand: slowly to and fro
-            t, (amount, rate) = 1e-3 * len(self.log), push
-            self.pushed = amount * np.sin(rate * t * np.array([1.0, 1.3, 0.7]))
-        arm = self.tool() - self.data.xipos[hand]
-        self.data.xfrc_applied[hand] = [*self.pushed, *np.cross(arm, self.pushed)]
+        self.pushed = np.array([*self.nudge, 0.0, 0.0, 0.0])
+        t = 1e-3 * (len(self.log) - self.since) - self.given["rest"]
+        if push is not None and t >= 0.0:  # by hand: to and fro, and the hand turned
+            amount, rate = push
+            shares = np.array([1.0, 1.0, 0.3, 0.0, 0.0, 0.05])
+            self.pushed = shares * amount * np.cos(rate * t * np.array([1, 1.3, 0.7, 1, 1, 0.9]))
+        arm, force = self.tool() - self.data.xipos[hand], self.pushed[:3]
+        self.data.xfrc_applied[hand] = self.pushed + [0.0, 0.0, 0.0, *np.cross(arm, force)]
         super()._step()
         self.note()
 
@@ -274,7 +276,7 @@ class Simulation(simulator.MujocoSimulator):
             true[3:] += np.cross(contact.pos - self.tool(), force)
         normal = data.xmat[self.model.body("plate").id].reshape(3, 3)[:, 2]
         self.log.append([*true, -true[:3] @ normal, *data.geom_xpos[self.tip], *data.qvel[:7]])
-        true[:3] -= self.pushed
+        true -= self.pushed
         true[2] -= 9.81 * self.given["mass"]  # what the robot does not know that it carries
         noise = self.given["noise"] * np.repeat([1.0, 0.1], 3) * self.random.normal(size=6)
         self.robot.wrench = self.given["sign"] * true + noise
@@ -315,6 +317,9 @@ def obey(order, sim, server):
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(70))
         server.reflex, server.sent = False, 0
         server.reset_state()
+    if "push" in order:
+        sim.given |= {"push": order["push"], "rest": 0.5}
+        sim.since = len(sim.log)
     if "nudge" in order:
         sim.nudge = np.array(order["nudge"])
     if "truth" in order:

@@ -9,10 +9,13 @@ import time
 import numpy as np
 import pinocchio as pin
 import pytest
-from franka_rig import FrankaServer, Press, franka
+from franka_rig import PROBE, RADIUS, TIP, FrankaServer, Press, franka
+from typer.testing import CliRunner
 
 import osc_contact as osc
+from osc_contact.cli import app
 from osc_contact.drivers.franka import FrankaRobot
+from osc_contact.runs.commissioning import Commissioning
 from osc_contact.testing import check_robot
 
 OK = osc.Status.OK
@@ -181,7 +184,8 @@ def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka: FrankaServer, sens
     push = {"push": [8.0, 20.0], "noise": 0.0, "joint_friction": 1.0}
     robot, read = at_rest(franka, 60, sensor, **push)
     X = pin.SE3(robot._data.oMf[robot._sensor])
-    force = -8.0 * np.sin(20.0 * 1e-3 * np.array([1.0, 1.3, 0.7]) * (franka.send()["steps"] - 1))
+    t = 20.0 * 1e-3 * (franka.send()["steps"] - 1) * np.array([1.0, 1.3, 0.7])
+    force = -8.0 * np.array([1.0, 1.0, 0.3]) * np.cos(t)
     wrench = X.act(pin.Force(read[-1].wrenches[0]))
     mass = 0.73 if sensor == "hand" else 0.0
     np.testing.assert_allclose(wrench.linear - [0, 0, 9.81 * mass], force, atol=1.5)
@@ -264,3 +268,36 @@ def test_it_keeps_the_contract_of_drivers(franka: FrankaServer, sign: float) -> 
         with pytest.raises(osc.PlantError, match=r"pushed along \[0.0, 1.0, 0.0\], and the wrist"):
             check_robot(robot, nudge=[0.0, 1.0, 0.0])
     assert robot._control is None
+
+
+# --- item 4: commissioning ------------------------------------------------------------------------
+
+
+def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path) -> None:
+    """The arm's joints rub half as much as an FR3's; somebody leads it in shadow mode."""
+    franka.begin(height=TIP - 0.008, joint_friction=0.5)
+    robot = FrankaRobot(franka.host, osc.ClosedChain([franka.arm()]))
+    steps = []
+
+    def confirm(what: str) -> bool:
+        steps.append(what.split(":")[0])
+        franka.send(push=[8.0, 6.0] if steps[-1] == "shadow" else None)
+        return True
+
+    course = Commissioning(robot, tmp_path, PROBE + RADIUS + 0.008, confirm, 3.0, False)
+    done = course.run()
+    print("\n".join(course.lines))
+    assert done, course.lines
+    assert steps == ["model", "shadow", "contact"]
+    report = (tmp_path / "report.md").read_text()
+    assert "forces may be commanded" in report and (tmp_path / "forces.png").exists()
+    robot.close()
+
+
+def test_commissioning_ends_where_a_step_fails(franka: FrankaServer, tmp_path) -> None:
+    franka.begin(height=0.0)
+    options = ["--host", franka.host, "--urdf", str(franka.urdf), "--tip", "tcp", "--out"]
+    options += [str(tmp_path), "--yes", "--no-realtime", "--shadow-time", "1.1"]
+    done = CliRunner().invoke(app, ["commission", "franka", *options])
+    assert done.exit_code == 1 and "was not moved; push the tool" in done.output
+    assert "failed" in (tmp_path / "report.md").read_text()

@@ -299,6 +299,18 @@ class FrankaRobot:
         self._stopped = False
         self.least_success_rate = 1.0
 
+    def mass_matrix(self) -> Array:
+        """(7, 7) of the robot's own model, with hand and load, where it is (kg m²).
+
+        Raises:
+            PlantError: the robot does not answer.
+        """
+        try:
+            numbers = self._robot.load_model().mass(self.state)
+        except self._errors as error:
+            self._fail("gives no model", error)
+        return np.reshape(numbers, (7, 7))
+
     def close(self) -> None:
         """End the motion and the connection: a robot serves one client."""
         self.stop()
