@@ -88,7 +88,7 @@ def franka(tmp_path_factory: pytest.TempPathFactory):
 
 @dataclass
 class Press:
-    """Approach, press for 0.7 s, slide 40 mm, release and retreat."""
+    """Approach, press for 0.7 s, slide 40 mm in 1.3 s, release and retreat."""
 
     server: FrankaServer
     force: float = 10.0
@@ -96,7 +96,7 @@ class Press:
     modelled: float = 0.004  #: of the plate that the controller believes in
     slide: float = 0.04
     ticks: int = 11000
-    hold: float = 2.8  #: s from landing to the end
+    hold: float = 2.75  #: s from landing to the end
     scene: dict[str, Any] = field(default_factory=dict)
     faults: dict[str, Any] = field(default_factory=dict)
 

@@ -320,6 +320,12 @@ def obey(order, sim, server):
     if "push" in order:
         sim.given |= {"push": order["push"], "rest": 0.5}
         sim.since = len(sim.log)
+    if "plate" in order:  # below the probe, where that is now
+        sim.model.body("plate").pos[:] = sim.data.geom_xpos[sim.tip] - [
+            0,
+            0,
+            order["plate"] + RADIUS,
+        ]
     if "nudge" in order:
         sim.nudge = np.array(order["nudge"])
     if "truth" in order:

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pinocchio as pin
 import pytest
-from franka_rig import PROBE, RADIUS, TIP, FrankaServer, Press, franka
+from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -53,12 +53,12 @@ def test_it_approaches_presses_slides_and_retreats(franka: FrankaServer, case: s
 
 # --- item 5: faults over the wire -----------------------------------------------------------------
 
-AT = 1500  #: packets of the motion; contact has been made
+AT = 1300  #: packets of the motion; contact has been made
 
 
 def run_faulty(task: Press, **driver: object) -> osc.PlantError | None:
     """The task, how it ended, and what always holds: forces, arms at rest, stopped in its tick."""
-    task.hold = 1.2
+    task.hold = 0.7
     task.prepare(**driver)
     stops, ended = [], None
     stop = task.robot.stop
@@ -275,16 +275,16 @@ def test_it_keeps_the_contract_of_drivers(franka: FrankaServer, sign: float) -> 
 
 def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path) -> None:
     """The arm's joints rub half as much as an FR3's; somebody leads it in shadow mode."""
-    franka.begin(height=TIP - 0.008, joint_friction=0.5)
+    franka.begin(height=0.0, joint_friction=0.5)
     robot = FrankaRobot(franka.host, osc.ClosedChain([franka.arm()]))
     steps = []
 
     def confirm(what: str) -> bool:
         steps.append(what.split(":")[0])
-        franka.send(push=[8.0, 6.0] if steps[-1] == "shadow" else None)
+        franka.send(push=[8.0, 6.0] if steps[-1] == "shadow" else None, plate=0.003)
         return True
 
-    course = Commissioning(robot, tmp_path, PROBE + RADIUS + 0.008, confirm, 3.0, False)
+    course = Commissioning(robot, tmp_path, PROBE + RADIUS + 0.003, confirm, 3.0, False)
     done = course.run()
     print("\n".join(course.lines))
     assert done, course.lines
