@@ -17,6 +17,7 @@ from test_loop_ends import REFERENCE, Controller, Robot
 from test_own_driver import HOME, Driver
 
 import osc_contact as osc
+from osc_contact.runs import realtime
 from osc_contact.runs.realtime import Deadlines
 
 
@@ -37,7 +38,8 @@ class Slow(Controller):
         return super().tick(measurement, reference)
 
 
-def test_the_process_is_made_for_the_loop_and_given_back(caplog):
+def test_the_process_is_made_for_the_loop_and_given_back(caplog, monkeypatch):
+    monkeypatch.setattr(realtime, "MOST_MISSED", 10**9)
     before = gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval()
     robot = Paced()
     report = osc.run_loop(robot, Controller(), repeat(REFERENCE, 50), realtime=True)
@@ -76,7 +78,8 @@ def test_what_counts_as_missed():
     assert report.as_dict()["notes"] == ["a note"]
 
 
-def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path):
+def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch):
+    monkeypatch.setattr(realtime, "MOST_MISSED", 10**9)  # other tests run beside it
     driver = Driver()
     controller = osc.Controller(driver.chain, [], dt=1e-3, posture=HOME)
     X = driver.chain.state(HOME, np.zeros(3)).X_WO
@@ -97,11 +100,7 @@ def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path):
     recorder.journal.append = hang
     reference = osc.pose_reference(X.translation, X.rotation)
     loop = {"recorder": recorder, "viewer": Viewer(), "realtime": True}
-    try:
-        report = osc.run_loop(driver, controller, repeat(reference, 400), **loop)
-    except osc.PlantError as error:  # the machine is busy
-        assert "deadlines in a row" in str(error)
-        return
+    report = osc.run_loop(driver, controller, repeat(reference, 400), **loop)
     assert threads == {"side work"} and shown == sorted(shown) and shown
     recording = recorder.recording()
     assert len(recording) == 400 and np.isfinite(recording["q"]).all()
