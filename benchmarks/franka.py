@@ -21,7 +21,7 @@ SHARES = ("p50", "p99", "p99_9", "max")
 def measure(ticks: int = 60_000) -> Data:
     """{"machine": …, "loops": {"plain" | "realtime": report}}.
 
-    The robot is the server of the tests, in a process of its own, at 1 kHz; the arm holds its
+    The robot is the server of the tests, in a separate process, at 1 kHz; the arm holds its
     posture, and every tick is recorded.
 
     Args:

@@ -185,7 +185,7 @@ def commission(
 
     def confirm(what: str) -> bool:
         say(what)
-        return yes or typer.confirm("go on?")
+        return yes or typer.confirm("continue?")
 
     with exit_codes():
         arm = Arm.from_urdf(urdf, name=robot.value, tip=tip, wrist_sensor=tip)

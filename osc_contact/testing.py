@@ -135,8 +135,8 @@ class _Check:
         """Brake, and return slowly to where the check began."""
         for _ in range(ticks):
             q, v = self.now.q, self.now.v
-            wish = -20.0 * v - 25.0 * (q - self.rest.q)
-            self.step(self.weight(q) + self.mass(q) @ wish)
+            desired = -20.0 * v - 25.0 * (q - self.rest.q)
+            self.step(self.weight(q) + self.mass(q) @ desired)
             away = np.abs(q - self.rest.q)
             if away.max() > FAR or np.abs(v).max() > 2.0:
                 worst = int(away.argmax())
@@ -149,7 +149,7 @@ class _Check:
     # --- what is checked -------------------------------------------------------------------------
 
     def require_range(self) -> None:
-        """Positions lie within the joints' limits."""
+        """Positions are within the joints' limits."""
         low, high = np.array(self.model.lowerPositionLimit), np.array(self.model.upperPositionLimit)
         margin = np.where(np.isfinite(high - low), RANGE * (high - low), 0.0)
         q = self.now.q

@@ -1,6 +1,6 @@
 """A Franka arm over its maker's client library, as the robot of `run_loop` (extra `franka`).
 
-The robot adds the weight of its own model, and of the load it was given, to the torques it gets;
+The robot adds the weight of its model, and of the load it was given, to the torques it gets;
 Coriolis torques it leaves to the controller. So gravity is taken from the controller's torques, and
 the weight of what hangs on the wrist is added to the wrench, which the robot estimates without it.
 """

@@ -143,10 +143,10 @@ class Commissioning:
         yield f"from state to torques: {times['p50']:.0f} µs, p99 {times['p99']:.0f}; {late} late"
         name = _picture(recording, self.folder)
         yield f"landed after {motion.landed / 1e3:.2f} s; ![forces]({name})"
-        read, wanted = (recording[key][:, 0] for key in ("alpha_meas", "alpha_cmd"))
+        read, commanded = (recording[key][:, 0] for key in ("alpha_meas", "alpha_cmd"))
         for k, force in zip(motion.judged, FORCES, strict=True):
             part = slice(k - 500, k)
-            error = float(np.sqrt(np.mean((read[part] / wanted[part] - 1.0) ** 2)))
+            error = float(np.sqrt(np.mean((read[part] / commanded[part] - 1.0) ** 2)))
             yield f"{force:g} N: {100 * error:.2g} % rms"
             if error > ERROR:
                 raise PlantError(

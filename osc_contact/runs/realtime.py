@@ -89,7 +89,7 @@ class Deadlines:
         self.in_a_row = self.in_a_row + 1 if late else 0
 
     def require(self) -> None:
-        """Refuse to go on once too many in a row were missed.
+        """Refuse to continue once too many in a row were missed.
 
         Raises:
             PlantError: 20 were.
@@ -110,7 +110,7 @@ class Deadlines:
         return LoopReport(self.ticks, self.missed, found, self.counts, notes)
 
     def _bin(self, share: float) -> int:
-        """Upper end of the bin below which this share lies."""
+        """Upper end of the bin below which this share is."""
         left = share * self.ticks
         for k, count in enumerate(self.counts):
             left -= count

@@ -170,7 +170,7 @@ class Shadow:
         return v, acceleration, sent - needed, J.T @ wrench
 
     def _scale(self, v: Array, acceleration: Array, left: Array, felt: Array) -> float:
-        """κ, from all joints together; each has friction and rotors of its own."""
+        """κ, from all joints together; each has its own friction and rotor."""
         over = under = 0.0
         for j, most in enumerate(self.chain.tau_max):
             own = _columns(v[:, j], acceleration[:, j])
