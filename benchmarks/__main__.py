@@ -1,7 +1,7 @@
 """Time the control tick beside its floor and its peers, by size, on the clock, in a whole run.
 
 python -m benchmarks tick | peers | scaling | jitter | law | simulation | many_runs |
-vector_env | soak
+vector_env | soak | franka
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ BENCHMARKS: dict[str, int] = {
     "soak": 1_800_000,
     "many_runs": 20,
     "vector_env": 60,
+    "franka": 60_000,
 }
 
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)

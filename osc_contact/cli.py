@@ -62,6 +62,7 @@ for command in (
     cli_robots.pose,
     cli_robots.new,
     cli_start.examples,
+    cli_robots.commission,
 ):
     app.command()(command)
 RECORDINGS = (".npz", ".mcap")

@@ -12,6 +12,7 @@ import typer
 
 from osc_contact import robots
 from osc_contact.console import JsonOption, exit_codes, load_task, out, say
+from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs import poses
@@ -19,7 +20,7 @@ from osc_contact.runs.drafts import Press, draft
 from osc_contact.runs.report import robot_tables, write_json
 from osc_contact.scenarios import list_scenarios
 
-__all__ = ["check", "new", "pose"]
+__all__ = ["check", "commission", "new", "pose"]
 
 
 class InertiaLevel(StrEnum):
@@ -160,3 +161,39 @@ def new(
         target.write_text(text, encoding="utf-8")
         say(f"written: {target}")
         say(f"next: osc-contact inspect {target}; osc-contact run {target}")
+
+
+class Maker(StrEnum):
+    """Robots with a driver."""
+
+    franka = "franka"
+
+
+def commission(
+    robot: Annotated[Maker, typer.Argument(help="the driver")],
+    host: Annotated[str, typer.Option(help="address of the robot")],
+    urdf: Annotated[Path, typer.Option(help="model of the arm with its hand")],
+    tip: Annotated[str, typer.Option(help="frame of the model at the end effector")],
+    gap: Annotated[float, typer.Option(help="m from the tip down to a level plate")] = 0.03,
+    folder: Annotated[Path, typer.Option("--out", help="of the report")] = Path("out/commission"),
+    shadow_time: Annotated[float, typer.Option(help="s of leading the arm by the hand")] = 10.0,
+    yes: Annotated[bool, typer.Option("--yes", help="confirm every step beforehand")] = False,
+    realtime: Annotated[bool, typer.Option(help="deadlines count, 20 missed in a row stop")] = True,
+) -> None:
+    """From a robot that answers to its first contact, step by step; each is to be confirmed."""
+    from osc_contact.drivers.franka import FrankaRobot
+    from osc_contact.runs.commissioning import Commissioning
+
+    def confirm(what: str) -> bool:
+        say(what)
+        return yes or typer.confirm("continue?")
+
+    with exit_codes():
+        arm = Arm.from_urdf(urdf, name=robot.value, tip=tip, wrist_sensor=tip)
+        driver = FrankaRobot(host, ClosedChain([arm]))
+        course = Commissioning(driver, folder, gap, confirm, shadow_time, realtime)
+        done = course.run()
+        for line in course.lines:
+            say(line)
+    if not done:
+        raise typer.Exit(1)

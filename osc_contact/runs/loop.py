@@ -7,15 +7,19 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
 from inspect import signature
 from time import perf_counter
-from typing import Any, NoReturn, Protocol, TypeVar
+from typing import Any, NoReturn, Protocol, TypeVar, runtime_checkable
 
 from osc_contact.control.controller import Controller
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference, Robot
 from osc_contact.plants.judge import Plant, Truth
+from osc_contact.runs.realtime import Deadlines, LoopReport, SideWork, realtime_process
+from osc_contact.runs.shadow import Shadow
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
 
@@ -132,6 +136,7 @@ def until(requested: Callable[[], bool], items: Iterable[T]) -> Iterator[T]:
 _log = logging.getLogger(__name__)
 
 NEWS = 100  #: ticks from one call of `progress` to the next
+SHOWN = 33  #: ticks from one picture to the next, where another thread hands them to the viewer
 
 
 class Controls(Protocol):
@@ -160,6 +165,21 @@ class Records(Protocol):
     def latest(self) -> Mapping[str, Any]:
         """The channels of the last tick, for a viewer; by default none."""
         return {}
+
+
+def at_once(call: Callable[[], object]) -> None:
+    """Do something at once: what a recorder does where no thread does it."""
+    call()
+
+
+@runtime_checkable
+class HandsOver(Protocol):
+    """A recorder whose files another thread may write, and that takes notes of the loop."""
+
+    hand_over: Callable[[Callable[[], object]], None]
+
+    def note(self, meta: Mapping[str, Any]) -> None:
+        """Add to the meta data of the recording."""
 
 
 class Witness(Records):
@@ -199,7 +219,9 @@ def run_loop(
     recorder: Records | None = None,
     viewer: Shows | None = None,
     progress: Callable[[float], None] | None = None,
-) -> None:
+    realtime: bool = False,
+    shadow: bool = False,
+) -> LoopReport:
     """Measure, compute, record, command: once for each reference, then stop the robot.
 
     The robot keeps the time: `Robot.command` returns when the period is over.
@@ -219,19 +241,31 @@ def run_loop(
             was given a judge.
         viewer: shows the run while it lasts; needs a recorder that gives it channels.
         progress: called with the time (s) now and then.
+        realtime: make the process one for the loop, as far as the system permits: real-time
+            priority, locked memory, no garbage collection; files are written and pictures shown by
+            a thread that runs while the loop waits. 20 missed deadlines in a row end the loop.
+        shadow: send the model's weight in place of the controller's torques, while somebody moves
+            the arm by hand, and judge the model. The controller's stops are not carried out.
+
+    Returns:
+        How the loop ran, with the findings of `shadow`.
 
     Raises:
-        InvalidInputError: a viewer without a recorder; a robot whose `stop` takes no reason.
-        PlantError: the simulation diverged, or what else the robot raises. If its `stop` then
-            fails, too, that is a note of the error, and logged.
+        InvalidInputError: a viewer without a recorder; a robot whose `stop` takes no reason;
+            `shadow` with more than one arm.
+        PlantError: deadlines are missed, the simulation diverged, or what else the robot raises. If
+            its `stop` then fails, too, that is a note of the error, and logged.
         KeyboardInterrupt, SystemExit: a signal ended it; the latter has the code 128 + its number.
     """
     if viewer is not None and recorder is None:
         raise InvalidInputError("a viewer shows what is recorded; give the loop a recorder, too")
     _require_stop(robot)
-    with raised_signals() as signals:
+    deadlines = Deadlines(controller.dt)
+    watch = Shadow(controller) if shadow else None
+    with raised_signals() as signals, _process(realtime, recorder, controller.dt) as (notes, side):
+        course = _Course(robot, controller, recorder, viewer, signals, deadlines, side, watch)
         try:
-            _run(robot, controller, references, recorder, viewer, progress, signals)
+            course.run(references, progress)
             signals.busy = True
         except BaseException as error:
             signals.busy = True
@@ -239,37 +273,88 @@ def run_loop(
             if failure is not None:
                 error.add_note(f"robot.stop() then failed, too: {failure!r}")
             raise
+        finally:
+            report = deadlines.report(notes)
+            if realtime and isinstance(recorder, HandsOver):
+                recorder.note({"loop": report.as_dict()})
         robot.stop("")
+    if watch is not None:
+        report.shadow = watch.report()
+    return report
 
 
-def _run(
-    robot: Robot,
-    controller: Controls,
-    references: Iterable[Reference],
-    recorder: Records | None,
-    viewer: Shows | None,
-    progress: Callable[[float], None] | None,
-    signals: RaisedSignals,
-) -> None:
-    """All ticks."""
-    period = controller.dt
-    stopped = False
-    for k, reference in enumerate(references):
-        measurement = robot.measure()
-        start = perf_counter()
-        tau = controller.tick(measurement, reference)
-        seconds = perf_counter() - start
-        entered = not stopped
-        stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
-        if stopped and entered:
-            _stop(robot, getattr(controller, "reason", ""))
-        if recorder is not None:
-            signals.whole(recorder.append, measurement, reference, tau, seconds)
-            if viewer is not None:
-                viewer.show(recorder.latest())
-        robot.command(tau, period)
-        if progress is not None and k % NEWS == NEWS - 1:
-            progress((k + 1) * period)
+@contextmanager
+def _process(
+    realtime: bool, recorder: Records | None, period: float
+) -> Iterator[tuple[list[str], SideWork | None]]:
+    """The process made for the loop, and the thread beside it."""
+    if not realtime:
+        yield [], None
+        return
+    with realtime_process() as notes:
+        side = SideWork(period)
+        if isinstance(recorder, HandsOver):
+            recorder.hand_over = side.submit
+        try:
+            yield notes, side
+        finally:
+            side.close()
+            if isinstance(recorder, HandsOver):
+                recorder.hand_over = at_once
+
+
+@dataclass
+class _Course:
+    """The ticks of one loop, and what goes with them."""
+
+    robot: Robot
+    controller: Controls
+    recorder: Records | None
+    viewer: Shows | None
+    signals: RaisedSignals
+    deadlines: Deadlines
+    side: SideWork | None
+    shadow: Shadow | None
+
+    def run(
+        self, references: Iterable[Reference], progress: Callable[[float], None] | None
+    ) -> None:
+        """All ticks."""
+        robot = self.robot
+        controller = self.controller
+        side = self.side
+        shadow = self.shadow
+        period = controller.dt
+        stopped = False
+        for k, reference in enumerate(references):
+            measurement = robot.measure()
+            start = perf_counter()
+            tau = controller.tick(measurement, reference)
+            seconds = perf_counter() - start
+            entered = not stopped
+            stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
+            if stopped and entered and shadow is None:
+                _stop(robot, getattr(controller, "reason", ""))
+            if self.recorder is not None:
+                self.signals.whole(self.recorder.append, measurement, reference, tau, seconds)
+                if self.viewer is not None:
+                    self._show(self.recorder, self.viewer, k)
+            if shadow is not None:
+                tau = shadow.torques(measurement)
+            ready = perf_counter()
+            robot.command(tau, period)
+            self.deadlines.note(start, getattr(robot, "read_to_write", ready - start))
+            if side is not None:
+                self.deadlines.require()
+                side.give_way()
+            if progress is not None and k % NEWS == NEWS - 1:
+                progress((k + 1) * period)
+
+    def _show(self, recorder: Records, viewer: Shows, k: int) -> None:
+        if self.side is None:
+            viewer.show(recorder.latest())
+        elif k % SHOWN == 0 and self.side.idle:
+            self.side.submit(partial(viewer.show, recorder.latest()))
 
 
 def _stop(robot: Robot, reason: str) -> Exception | None:

@@ -32,6 +32,7 @@ from osc_contact.recorder.journal import Journal, JournalFile, MemoryJournal
 from osc_contact.robots.summary import joint_losses
 from osc_contact.runs.contacts import feet_over, force_owners
 from osc_contact.runs.free_motion import free_parts
+from osc_contact.runs.loop import at_once
 from osc_contact.spatial import Array, Poses, cross
 
 _TOGETHER = 1000  #: rows whose channels are worked out together
@@ -331,6 +332,8 @@ class Recorder:
         self._k = 0  #: rows that are not in the journal yet
         self._flushed = perf_counter()
         self._last: TickResult | None = None
+        #: writes rows; `run_loop(…, realtime=True)` has another thread do it
+        self.hand_over: Callable[[Callable[[], object]], None] = at_once
         self._lay_out(of)
 
     def _lay_out(self, of: Subject) -> None:
@@ -433,7 +436,8 @@ class Recorder:
     def flush(self) -> None:
         """Append to the journal what was noted since the last time."""
         if self._k:
-            self.journal.append(self.count - self._k, self._noted(0))
+            rows = self._noted(0).copy()
+            self.hand_over(partial(self.journal.append, self.count - self._k, rows))
             self._k = 0
             if self.truth is not None:
                 self.truth.clear()
@@ -454,8 +458,12 @@ class Recorder:
 
     def latest(self) -> Mapping[str, Any]:
         """The channels of the last tick, worked out when they are read."""
-        row = self._noted(self._k - 1)
+        row = self._noted(self._k - 1).copy()
         return Tick(partial(channels, self.of, self.truth, self.count - 1, row))
+
+    def note(self, meta: Mapping[str, Any]) -> None:
+        """Add to the meta data of the recording."""
+        self._meta |= meta
 
     def recording(self, meta: Mapping[str, Any] | None = None) -> Recording:
         """All ticks so far; a long recording stays on disk.

@@ -1,0 +1,340 @@
+"""A Franka arm over its maker's client library, as the robot of `run_loop` (extra `franka`).
+
+The robot adds the weight of its model, and of the load it was given, to the torques it gets;
+Coriolis torques it leaves to the controller. So gravity is taken from the controller's torques, and
+the weight of what hangs on the wrist is added to the wrench, which the robot estimates without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any, NoReturn
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.errors import InvalidInputError, PlantError
+from osc_contact.interface import Measurement, Stamps
+from osc_contact.spatial import Array, as_array
+
+__all__ = ["FrankaRobot"]
+
+TORQUE_STEP = 0.99  #: N m; the robot refuses torques that change by 1 N m in a millisecond
+SPEED_SHARE = 0.9  #: of a joint's speed limit, from which on torques that speed it up fade
+TIP_ERROR = 2e-3, 0.01  #: m, rad by which tip and end effector may differ
+_PERIOD = 1e-3  #: s, the robot's
+
+
+class FrankaRobot:
+    """One arm, torque-controlled at 1 kHz by `run_loop`.
+
+    `measure` waits for the robot's next state, `command` sends torques at once. The motion begins
+    with the first command and ends with `stop`, whereupon the robot holds its posture by itself.
+
+    Attributes:
+        chain: as given.
+        state: the robot's last one, of the client library.
+        read_to_write: s, from the arrival of a state until its torques were sent, of the last tick.
+        success_rate: share of the last 100 commands that the robot got in time, and the least of
+            all ticks: `success_rates`.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        chain: ClosedChain,
+        *,
+        wrench: Callable[[], ArrayLike | None] | None = None,
+        end_effector: pin.SE3 | None = None,
+        collision: tuple[float, float, float] = (40.0, 60.0, 20.0),
+        recover: bool = False,
+    ) -> None:
+        """Connect, set load, end effector and collision limits, and compare the tip.
+
+        Args:
+            host: address of the robot.
+            chain: of the one arm, whose tip is the robot's end effector, with a wrist sensor: any
+                frame beyond the last joint, such as the tip. The held object becomes the robot's
+                load.
+            wrench: reads a mounted force-torque sensor: (6,) in the convention of `Measurement`,
+                None where there is nothing new; default: the robot's own estimate.
+            end_effector: pose in the nominal end effector, which is set; None: it is left.
+            collision: joint torques (N m), forces (N) and moments (N m) of a contact at which the
+                robot stops by a reflex.
+            recover: leave a reflex or error that the robot stopped with.
+
+        Raises:
+            PlantError: no client library, no robot at this address, one that has stopped, or whose
+                end effector is not the model's tip.
+            InvalidInputError: a chain of other joints, or without a wrist sensor.
+        """
+        try:
+            import pylibfranka
+        except ImportError as error:
+            raise PlantError(
+                "the Franka driver needs the package 'pylibfranka' (Linux, Python 3.11 or 3.12): "
+                "pip install osc_contact[franka]"
+            ) from error
+        self._lib: Any = pylibfranka
+        self._errors = (RuntimeError, pylibfranka.FrankaException)
+        self.host = host
+        self.chain = chain
+        self._wrench = wrench
+        self._take(chain)
+        self._control: Any = None
+        self._stopped = False
+        self.read_to_write = 0.0
+        self.success_rate = self.least_success_rate = 1.0
+        try:
+            self._robot: Any = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
+            if recover:
+                self._robot.automatic_error_recovery()
+            self._look()
+            self._require_idle()
+            self._set_up(end_effector, collision)
+        except self._errors as error:
+            self._fail("cannot be prepared", error)
+        self._require_tip()
+
+    def _take(self, chain: ClosedChain) -> None:
+        """The model of what the robot carries by itself, and what hangs on its wrist."""
+        if len(chain.arms) != 1 or chain.nq != 7 or chain.n_a != 7 or chain.sensors[0] is None:
+            raise InvalidInputError(
+                f"a Franka has one arm of 7 motors and a wrist sensor, the chain has "
+                f"{len(chain.arms)} with {chain.nq} joints: {chain.joint_names}; give the arm a "
+                "frame beyond the last joint as wrist_sensor, and lock the fingers"
+            )
+        self._sensor = int(chain.sensors[0])
+        self._tip = int(chain.tips[0])
+        model = self._model = chain.model.copy()
+        last = model.njoints - 1
+        if model.frames[self._sensor].parentJoint != last:
+            name = model.frames[self._sensor].name
+            raise InvalidInputError(
+                f"the wrist sensor '{name}' of a Franka sits beyond its last joint"
+            )
+        hangs = pin.Inertia.Zero()
+        for link in chain.outboard[0]:
+            hangs = hangs + link.inertia
+        if chain.payload is not None:
+            held = model.frames[self._tip].placement * chain.grasps[0].X_TO
+            load = held.act(chain.payload.inertia)
+            model.inertias[last] += load
+            hangs = hangs + load
+        self._hangs = model.frames[self._sensor].placement.actInv(hangs)
+        self._lift = pin.Force(-self._hangs.mass * model.gravity.linear, np.zeros(3))
+        self._data = model.createData()
+        self._at = pin.SE3.Identity()
+        self._speed = SPEED_SHARE * np.array(model.upperVelocityLimit)
+        self._tau_max = np.array(chain.tau_max)
+        self._brake = self._tau_max / (np.array(model.upperVelocityLimit) - self._speed)
+        self._base = chain.arms[0].base
+        self._turn = pin.SE3(self._base.rotation, np.zeros(3))
+
+    def _set_up(self, end_effector: pin.SE3 | None, collision: tuple[float, float, float]) -> None:
+        torque, force, moment = collision
+        robot = self._robot
+        wrenches = [force] * 3 + [moment] * 3
+        robot.set_collision_behavior([torque] * 7, [torque] * 7, wrenches, wrenches)
+        if end_effector is not None:
+            robot.set_EE(end_effector.homogeneous.ravel(order="F").tolist())
+        payload = self.chain.payload
+        load = pin.Inertia.Zero()
+        if payload is not None:
+            flange_to_tip = _pose(self.state.F_T_EE)
+            load = (flange_to_tip * self.chain.grasps[0].X_TO).act(payload.inertia)
+        inertia = load.inertia.ravel(order="F").tolist()
+        robot.set_load(float(load.mass), load.lever.tolist(), inertia)
+        self._look()
+        to_K = _pose(self.state.EE_T_K).translation
+        self._to_K = to_K if to_K.any() else None  #: from the end effector, in its axes
+
+    def _look(self) -> None:
+        """The state as of now: one may have been on its way before."""
+        for _ in range(2):
+            self.state = self._robot.read_once()
+
+    def _require_idle(self) -> None:
+        state = self.state
+        modes = self._lib.RobotMode
+        if state.robot_mode in (modes.Reflex, modes.UserStopped, modes.Other):
+            raise PlantError(
+                f"the robot at {self.host} is stopped ({state.robot_mode}, "
+                f"{str(state.last_motion_errors) or 'no error'}); see why, release its stop "
+                "button, then connect with recover=True"
+            )
+
+    def _require_tip(self) -> None:
+        self._place(np.array(self.state.q))
+        model = pin.updateFramePlacement(self._model, self._data, self._tip)
+        robot = self._base * _pose(self.state.O_T_EE)
+        away = float(np.linalg.norm(model.translation - robot.translation))
+        turned = float(np.linalg.norm(pin.log3(model.rotation.T @ robot.rotation)))
+        if away > TIP_ERROR[0] or turned > TIP_ERROR[1]:
+            raise PlantError(
+                f"the model's tip '{self.chain.arms[0].tip}' is {1e3 * away:.3g} mm and "
+                f"{turned:.3g} rad from the robot's end effector: {_show(model)} m, not "
+                f"{_show(robot)} m; choose another tip, or give end_effector="
+            )
+
+    def measure(self) -> Measurement:
+        """Wait for the robot's next state, and take its sensors from it.
+
+        Raises:
+            PlantError: the robot ended the motion, or does not answer.
+        """
+        try:
+            if self._control is None:
+                state = self._robot.read_once()
+            else:
+                state = self._control.readOnce()[0]
+        except self._errors as error:
+            self._fail("ended the motion", error)
+        self._read_at = perf_counter()
+        self.state = state
+        self.success_rate = float(state.control_command_success_rate)
+        if self._control is not None:
+            self.least_success_rate = min(self.least_success_rate, self.success_rate)
+        self._q = np.array(state.q)
+        self._v = np.array(state.dq)
+        self._place(self._q)
+        reading = self._estimate(state) if self._wrench is None else self._wrench()
+        known = reading is not None and bool(np.isfinite(reading).all())
+        t = state.time.to_sec()
+        return Measurement(
+            self._q.copy(),
+            self._v.copy(),
+            np.array(reading, dtype=float).reshape(1, 6) if known else np.zeros((1, 6)),
+            joint_torques=np.array(state.tau_J),
+            stamps=Stamps(t, t, t, t),
+            wrench_valid=known,
+            sequence=round(t / _PERIOD),
+        )
+
+    def _place(self, q: Array) -> None:
+        pin.forwardKinematics(self._model, self._data, q)
+        pin.updateFramePlacement(self._model, self._data, self._sensor)
+
+    def _estimate(self, state: Any) -> Array:
+        """(6,) what a sensor would read: the robot's wrench on its surroundings, and the weight."""
+        sensor = self._data.oMf[self._sensor]
+        X = state.O_T_EE
+        centre = np.array(X[12:15])
+        if self._to_K is not None:
+            centre += np.reshape(X, (4, 4)).T[:3, :3] @ self._to_K
+        self._at.translation = self._base.act(centre)
+        total = self._at.act(self._turn.act(pin.Force(np.array(state.O_F_ext_hat_K))))
+        if self._hangs.mass > 0.0:
+            self._at.translation = sensor.act(self._hangs.lever)
+            total += self._at.act(self._lift)
+        return np.asarray(sensor.actInv(total).vector)
+
+    def command(self, tau: Array, duration: float) -> None:
+        """Send torques; the wait for the period's end is the next `measure`.
+
+        Less gravity they stay within the motors' limits, change by less than the robot permits in a
+        millisecond, and brake joints beyond nine tenths of their speed limit. After a stop they go
+        nowhere.
+
+        Args:
+            tau: (7,) N m, gravity and Coriolis torques included. duration: s, 1 ms.
+
+        Raises:
+            InvalidInputError: torques that are not seven finite numbers, or another period.
+            PlantError: the robot ended the motion, or does not answer.
+        """
+        tau = as_array("tau", tau, (7,))
+        if abs(duration - _PERIOD) > 1e-9:
+            raise InvalidInputError(
+                f"a Franka takes torques each {1e3 * _PERIOD:g} ms, not each {1e3 * duration:g} "
+                "ms; give the controller dt=0.001"
+            )
+        if self._stopped:
+            return
+        try:
+            if self._control is None:
+                self._control = self._robot.start_torque_control()
+                self.state = self._control.readOnce()[0]
+                self._read_at = perf_counter()
+            own = tau - pin.computeGeneralizedGravity(self._model, self._data, self._q)
+            own -= self._brake * np.sign(self._v) * np.maximum(np.abs(self._v) - self._speed, 0.0)
+            sent = np.array(self.state.tau_J_d)
+            step = np.clip(own, -self._tau_max, self._tau_max) - sent
+            step *= min(1.0, TORQUE_STEP / max(float(np.abs(step).max()), TORQUE_STEP))
+            self._torques = self._lib.Torques((sent + step).tolist())
+            self._control.writeOnce(self._torques)
+            self.read_to_write = perf_counter() - self._read_at
+        except self._errors as error:
+            self._fail("ended the motion", error)
+
+    def stop(self, reason: str = "") -> None:
+        """End the motion in order: the robot brakes and holds its posture by itself.
+
+        Args:
+            reason: why; the robot does not need it.
+
+        Raises:
+            PlantError: the robot does not answer.
+        """
+        self._stopped = True
+        control = self._control
+        self._control = None
+        if control is None:
+            return
+        self._torques.motion_finished = True
+        try:
+            control.writeOnce(self._torques)
+        except self._errors as error:
+            self._fail("did not end the motion in order", error)
+
+    def recover(self) -> None:
+        """Leave a reflex or an error, and permit a new motion, once its cause is gone.
+
+        Raises:
+            PlantError: it cannot, for example while its stop button is pressed.
+        """
+        try:
+            self._robot.automatic_error_recovery()
+            self._look()
+        except self._errors as error:
+            self._fail("does not recover", error)
+        self._require_idle()
+        self._stopped = False
+        self.least_success_rate = 1.0
+
+    def mass_matrix(self) -> Array:
+        """(7, 7) of the robot's own model, with hand and load, where it is (kg m²).
+
+        Raises:
+            PlantError: the robot does not answer.
+        """
+        try:
+            numbers = self._robot.load_model().mass(self.state)
+        except self._errors as error:
+            self._fail("gives no model", error)
+        return np.reshape(numbers, (7, 7))
+
+    def close(self) -> None:
+        """End the motion and the connection: a robot serves one client."""
+        self.stop()
+        self._robot = None
+
+    def _fail(self, what: str, error: Exception) -> NoReturn:
+        self._control = None
+        raise PlantError(
+            f"the robot at {self.host} {what}: {error}. Look at the robot and its Desk; it moves "
+            "again after recover(), or after connecting with recover=True"
+        ) from error
+
+
+def _pose(numbers: ArrayLike) -> pin.SE3:
+    """From 16 numbers, column by column."""
+    X = np.reshape(numbers, (4, 4), order="F")
+    return pin.SE3(pin.Quaternion(X[:3, :3]).normalized().toRotationMatrix(), X[:3, 3])
+
+
+def _show(X: pin.SE3) -> list[float]:
+    return [float(x) for x in np.round(X.translation, 4)]

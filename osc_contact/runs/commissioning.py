@@ -1,0 +1,212 @@
+"""From a robot that answers to its first contact: step by step, each after a confirmation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs.vertex_on_face import VertexOnFace
+from osc_contact.control.controller import Controller
+from osc_contact.drivers.franka import FrankaRobot
+from osc_contact.errors import OscContactError, PlantError
+from osc_contact.files import whole_file
+from osc_contact.interface import Reference, pose_reference
+from osc_contact.recorder import Recording
+from osc_contact.runs.loop import run_loop
+from osc_contact.runs.recorder import Recorder
+from osc_contact.scenarios.control_schema import PhaseSettings
+from osc_contact.spatial import Array
+
+__all__ = ["Commissioning"]
+
+MASS_ERROR = 0.15  #: of the largest element, by which mass matrices may differ
+TORQUE_ERROR = 0.05  #: of the motors' limits, by which torques at rest may differ
+FORCES = 5.0, 8.0  #: N, of the approach and of the step
+SLIDE = 0.02  #: m
+ERROR = 0.1  #: of the force, rms
+
+
+@dataclass
+class Commissioning:
+    """The steps on one Franka.
+
+    Attributes:
+        robot: connected. folder: of the report.
+        gap: m, from the tip down to a level plate.
+        confirm: called with what comes next; False ends the commissioning.
+        shadow_time: s, in which somebody leads the arm by the hand.
+        realtime: as of `run_loop`.
+        lines: the report so far.
+    """
+
+    robot: FrankaRobot
+    folder: Path
+    gap: float
+    confirm: Callable[[str], bool]
+    shadow_time: float = 10.0
+    realtime: bool = True
+    lines: list[str] = field(default_factory=list)
+
+    def run(self) -> bool:
+        """All steps, until one fails or is not confirmed; writes report.md and its pictures."""
+        steps = {
+            "model: nothing moves": self._model,
+            "shadow: lead the arm by the hand, at the tool, after a moment of rest": self._shadow,
+            f"contact: presses with {FORCES[0]:g} and {FORCES[1]:g} N, slides": self._press,
+        }
+        done = 0
+        for what, step in steps.items():
+            if not self.confirm(what):
+                self.lines.append(f"- {what}: left out")
+                break
+            try:
+                self.lines += [f"- {what}", *(f"  - {line}" for line in step())]
+            except OscContactError as error:
+                self.lines += [f"- {what}: failed", f"  - {error}"]
+                break
+            done += 1
+        self.robot.stop()
+        with whole_file(self.folder / "report.md") as file:
+            text = "\n".join(["# Commissioning", "", *self.lines, ""])
+            file.write_text(text, encoding="utf-8")
+        return done == len(steps)
+
+    def _model(self) -> Iterator[str]:
+        """Mass matrix and weight, against the robot's own; bias and noise of the wrist."""
+        robot = self.robot
+        model = self.robot.chain.model
+        read = [robot.measure() for _ in range(300)]
+        q = read[-1].q
+        data = model.createData()
+        M = np.array(pin.crba(model, data, q))
+        M = np.triu(M) + np.triu(M, 1).T
+        theirs = robot.mass_matrix()
+        worst = float(np.abs(M - theirs).max() / np.abs(theirs).max())
+        if worst > MASS_ERROR:
+            raise PlantError(
+                f"the mass matrices of model and robot differ by {100 * worst:.3g} % of the "
+                "largest element; is this the URDF of the robot, with its hand?"
+            )
+        yield f"mass matrices differ by {100 * worst:.2g} %"
+        torques = np.mean([np.asarray(m.joint_torques) for m in read], axis=0)
+        left = torques - pin.computeGeneralizedGravity(model, data, q)
+        share = np.abs(left) / robot.chain.tau_max
+        if share.max() > TORQUE_ERROR:
+            j = int(share.argmax())
+            raise PlantError(
+                f"at rest joint '{robot.chain.joint_names[j]}' carries {torques[j]:.3g} N m, "
+                f"{left[j]:.3g} N m more than the model's weight; correct masses, hand or payload"
+            )
+        yield f"torques at rest differ by {100 * share.max():.2g} % of the limits"
+        wrenches = np.array([m.wrenches[0] for m in read])
+        mean = wrenches.mean(axis=0)
+        noise = wrenches.std(axis=0)
+        yield f"wrist: {np.round(mean, 2).tolist()}, noise {np.round(noise, 3).tolist()} N, N m"
+
+    def _shadow(self) -> Iterator[str]:
+        """See `runs.shadow`."""
+        q, X = self._stands()
+        controller = Controller(self.robot.chain, [], dt=1e-3, posture=q)
+        hold = (pose_reference(X.translation, X.rotation) for _ in range(self._ticks))
+        found = run_loop(self.robot, controller, hold, shadow=True, realtime=self.realtime).shadow
+        assert found is not None
+        yield from found.lines()
+        if not found.forces:
+            raise PlantError("; ".join(found.findings))
+        self.robot.recover()
+
+    @property
+    def _ticks(self) -> int:
+        return round(1e3 * self.shadow_time)
+
+    def _stands(self) -> tuple[Array, pin.SE3]:
+        q = self.robot.measure().q
+        return q, self.robot.chain.state(q, np.zeros(7)).X_WO
+
+    def _press(self) -> Iterator[str]:
+        """Approach, two forces, a slide, a retreat."""
+        q, X = self._stands()
+        below = X.translation - [0.0, 0.0, self.gap]
+        plate = VertexOnFace(np.zeros(3), point=below, normal=np.array([0.0, 0.0, 1.0]))
+        life = PhaseSettings(travel=self.gap + 0.03)
+        controller = Controller(self.robot.chain, [plate], dt=1e-3, posture=q, life=life)
+        recorder = Recorder(controller)
+        motion = _Motion(controller, X)
+        loop = run_loop(
+            self.robot, controller, motion.each(), recorder=recorder, realtime=self.realtime
+        )
+        recording = recorder.recording()
+        if not motion.landed:
+            raise PlantError(f"no plate was found within {1e3 * life.travel:.0f} mm below the tip")
+        late = loop.missed
+        times = loop.read_to_write_us
+        yield f"from state to torques: {times['p50']:.0f} µs, p99 {times['p99']:.0f}; {late} late"
+        name = _picture(recording, self.folder)
+        yield f"landed after {motion.landed / 1e3:.2f} s; ![forces]({name})"
+        read, commanded = (recording[key][:, 0] for key in ("alpha_meas", "alpha_cmd"))
+        for k, force in zip(motion.judged, FORCES, strict=True):
+            part = slice(k - 500, k)
+            error = float(np.sqrt(np.mean((read[part] / commanded[part] - 1.0) ** 2)))
+            yield f"{force:g} N: {100 * error:.2g} % rms"
+            if error > ERROR:
+                raise PlantError(
+                    f"the wrist reads {100 * error:.2g} % rms beside {force:g} N; is the plate "
+                    "held, and the wrench filtered by the robot?"
+                )
+
+
+@dataclass
+class _Motion:
+    """References of the first contact."""
+
+    controller: Controller
+    X: pin.SE3
+    landed: int = 0
+    judged: tuple[int, int] = (0, 0)
+
+    def each(self) -> Iterator[Reference]:
+        side = np.array([0.0, 1.0, 0.0])
+        up = np.array([0.0, 0.0, 1.0])
+        for k in range(20_000):
+            if not self.landed and k > 50 and self.controller.phases()[0] == 2:
+                self.landed = k
+                self.judged = k + 1200, k + 3900
+            t = 1e-3 * (k - self.landed) if self.landed else 0.0
+            if t > 5.0:
+                return
+            p, v, a = _blend((t - 2.0) / 2.0)
+            r, rv, ra = _blend((t - 4.0) / 0.8)
+            force = 0.0 if k < 50 or t > 4.0 else FORCES[t > 1.2]
+            yield pose_reference(
+                self.X.translation + SLIDE * (p * side + r * up),
+                self.X.rotation,
+                SLIDE * (v / 2.0 * side + rv / 0.8 * up),
+                SLIDE * (a / 4.0 * side + ra / 0.64 * up),
+                alpha_d=[force],
+            )
+
+
+def _blend(s: float) -> tuple[float, float, float]:
+    s = min(max(s, 0.0), 1.0)
+    return (
+        s**3 * (10 - 15 * s + 6 * s**2),
+        30 * s**2 * (1 - s) ** 2,
+        60 * s * (1 - s) * (1 - 2 * s),
+    )
+
+
+def _picture(recording: Recording, folder: Path) -> str:
+    """Commanded and measured force."""
+    from osc_contact.visual.plots import panels, save, style
+
+    with style():
+        figure, (axes, *_) = panels(1, 2.5)
+        for key, label in (("alpha_cmd", "commanded"), ("alpha_meas", "measured")):
+            axes.plot(recording["t"], recording[key][:, 0], label=label)
+        axes.set(xlabel="time (s)", ylabel="force (N)")
+        axes.legend()
+    return save(figure, folder / "forces", (".png",))[0].name

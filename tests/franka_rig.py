@@ -1,0 +1,178 @@
+"""The simulated FR3 of `franka_server.py` for tests: a process, a model, a task."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import franky_sim
+import numpy as np
+import pytest
+
+import osc_contact as osc
+from osc_contact.drivers.franka import FrankaRobot
+
+URDF = Path(franky_sim.__file__).parent / "assets" / "fr3_clean.urdf"
+HAND = """
+<link name="hand"><inertial><origin xyz="-0.01 0 0.03"/><mass value="0.73"/>
+ <inertia ixx="0.001" iyy="0.0025" izz="0.0017" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="hand_joint" type="fixed"><parent link="link8"/><child link="hand"/>
+ <origin rpy="0 0 -0.7853981633974483"/></joint>
+<link name="tcp"/><joint name="tcp_joint" type="fixed"><parent link="hand"/><child link="tcp"/>
+ <origin xyz="0 0 0.1034"/></joint></robot>"""
+#: m from the tool centre, along its z
+PROBE = 0.125 - 0.1034
+RADIUS = 0.015
+TIP = 0.28454 - RADIUS  #: m, height of the probe's end at the start
+
+
+class FrankaServer:
+    """The server's process."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.urdf = folder / "fr3.urdf"
+        self.urdf.write_text(URDF.read_text().replace("</robot>", HAND))
+        self.start()
+
+    def start(self) -> None:
+        program = [sys.executable, str(Path(__file__).with_name("franka_server.py"))]
+        self.process = subprocess.Popen(
+            program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.host = self._answer()["host"]
+
+    def _answer(self) -> dict[str, Any]:
+        line = self.process.stdout.readline()
+        assert line, "the simulated robot has ended"
+        return json.loads(line)
+
+    def send(self, **order: Any) -> dict[str, Any]:
+        self.process.stdin.write(json.dumps(order) + "\n")
+        self.process.stdin.flush()
+        return self._answer()
+
+    def begin(self, *, faults: dict[str, Any] | None = None, **scene: Any) -> None:
+        if self.process.poll() is not None:
+            self.end()
+            self.start()
+        self.send(scene=scene, faults=faults or {})
+
+    def truth(self) -> dict[str, np.ndarray]:
+        """Of each step: force and moment on the plate, its normal part, the probe, speeds."""
+        self.send(truth=str(self.folder / "truth.npy"))
+        rows = np.load(self.folder / "truth.npy")
+        names = ("wrench", "normal", "probe", "v")
+        ends = (6, 7, 10)
+        return dict(zip(names, np.split(rows, ends, axis=1), strict=True))
+
+    def end(self) -> None:
+        with suppress(BrokenPipeError):
+            self.process.stdin.close()
+        self.process.stdout.close()
+        self.process.wait(10)
+
+    def arm(self, tip: str = "tcp", sensor: str = "tcp") -> osc.Arm:
+        """Nothing is known of its joints' friction and of its rotors."""
+        return osc.Arm.from_urdf(self.urdf, name="fr3", tip=tip, wrist_sensor=sensor)
+
+
+@pytest.fixture(scope="module")
+def franka(tmp_path_factory: pytest.TempPathFactory):
+    server = FrankaServer(tmp_path_factory.mktemp("franka"))
+    yield server
+    server.end()
+
+
+@dataclass
+class Press:
+    """Approach, press for 0.7 s, slide 40 mm in 1.3 s, release and retreat."""
+
+    server: FrankaServer
+    force: float = 10.0
+    gap: float = 0.004  #: of the plate
+    modelled: float = 0.004  #: of the plate that the controller believes in
+    slide: float = 0.04
+    ticks: int = 11000
+    hold: float = 2.75  #: s from landing to the end
+    scene: dict[str, Any] = field(default_factory=dict)
+    faults: dict[str, Any] = field(default_factory=dict)
+
+    def prepare(self, **driver: Any) -> None:
+        self.server.begin(height=TIP - self.gap, faults=self.faults, **self.scene)
+        self.chain = osc.ClosedChain([self.server.arm(sensor=driver.pop("sensor", "tcp"))])
+        self.robot = FrankaRobot(self.server.host, self.chain, **driver)
+        q = self.robot.measure().q
+        self.start = self.chain.state(q, np.zeros(7)).X_WO
+        table = osc.VertexOnFace(
+            [0, 0, PROBE], point=[0.5, 0, TIP - self.modelled], normal=[0, 0, 1], radius=RADIUS
+        )
+        self.controller = osc.Controller(
+            self.chain, [table], dt=1e-3, posture=q, life=osc.PhaseSettings(travel=0.1)
+        )
+        self.status: list[osc.Status] = []
+        self.state: list[osc.SafetyState] = []
+        self.landed = self.released = 0
+        self.normal = np.zeros(1)
+
+    def run(self, **loop: Any) -> None:
+        """Run it, and keep what was true from its first tick on."""
+        try:
+            osc.run_loop(self.robot, self.controller, self.references(), **loop)
+        finally:
+            if not self.faults.get("kill"):
+                rows = self.server.truth()
+                self.normal, self.probe = (
+                    rows[name][-len(self.status) :] for name in ("normal", "probe")
+                )
+                self.normal = self.normal[:, 0]
+
+    def references(self):
+        side = np.array([0.0, 1.0, 0.0])
+        up = np.array([0.0, 0.0, 1.0])
+        for k in range(self.ticks):
+            if k:
+                self.status.append(self.controller.status)
+                self.state.append(self.controller.state)
+            phase = self.controller.phases()[0] if k > 50 else 0
+            if not self.landed and phase == 2:
+                self.landed = k
+            t = 1e-3 * (k - self.landed) if self.landed else 0.0
+            if t < 2.2:
+                p, v, a = blend(t - 0.7, 1.3)
+                x = self.start.translation
+                along = self.slide * side
+                force = self.force * (k > 50)
+            else:
+                if not self.released:
+                    self.released = k
+                    q = np.array(self.robot.state.q)
+                    left = self.chain.state(q, np.zeros(7)).X_WO.translation
+                p, v, a = blend(t - 2.2, 0.5)
+                x = left
+                along = 0.02 * up
+                force = 0.0
+            if t > self.hold:
+                return
+            R = self.start.rotation
+            yield osc.pose_reference(x + p * along, R, v * along, a * along, alpha_d=[force])
+
+    def error(self) -> float:
+        """Of the force from half a second after landing until the release, rms, of the command."""
+        part = self.normal[self.landed + 500 : self.released]
+        return float(np.sqrt(np.mean((part / self.force - 1.0) ** 2)))
+
+
+def blend(t: float, duration: float) -> tuple[float, float, float]:
+    """From 0 to 1 with its two derivatives, at rest on both ends."""
+    s = min(max(t / duration, 0.0), 1.0)
+    return (
+        s**3 * (10 - 15 * s + 6 * s**2),
+        30 * s**2 * (1 - s) ** 2 / duration,
+        60 * s * (1 - s) * (1 - 2 * s) / duration**2,
+    )

@@ -1,0 +1,360 @@
+"""A simulated FR3 for the tests: franky-sim's server of libfranka's protocol, with what it lacks.
+
+The external wrench is that of the true contact, with noise. Lost commands are counted: after 20 of
+them the motion ends by a reflex, as on the robot. In step with the client (`clock` false) the
+simulation waits for each command, so that no busy machine changes a figure.
+
+`python tests/franka_server.py` prints the address, then reads one JSON object a line: {"scene":
+{...}} begins anew, {"faults": {...}} sets what the wire does, {"truth": FILE} writes what was true.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import sys
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import franky_sim.mujoco_simulator as simulator
+import mujoco
+import numpy as np
+import pinocchio as pin
+from franky_sim import SimulationServer
+from franky_sim.franka_robot_protocol import (
+    AutomaticErrorRecoveryCommand,
+    BaseCommand,
+    MoveStatus,
+    RobotCommand,
+    RobotMode,
+)
+from franky_sim.franka_robot_server import FrankaRobotServer
+from franky_sim.franka_robot_state import FrankaRobotState
+
+HOME = (0.0, 0.1, 0.0, -2.0, 0.0, 2.1, 0.785)
+#: m along the hand's z: tool centre, probe, its radius
+TCP = 0.1034
+PROBE = 0.125
+RADIUS = 0.015
+LOST = 20  #: commands in a row
+COMMUNICATION = 25  #: communication_constraints_violation among libfranka's errors
+SCENE = {
+    "clock": False, "height": 0.2, "tilt": 0.0, "friction": 0.0, "settling": 0.01,
+    "joint_friction": 1.0, "armature": 1.0, "noise": 0.05, "sign": 1.0, "mass": 0.0,
+    "push": None, "rest": 0.0, "tcp_off": 0.0, "seed": 0,
+}  # fmt: skip
+FAULTS = {
+    "at": 0, "freeze": {}, "kill": False, "drop": 0, "repeat": 0, "swap": 0, "late": 0.0,
+    "lose": 0, "away": 0, "reflex": False,
+}  # fmt: skip
+
+
+class Robot(simulator.FrankaMujocoRobot):
+    """Publishes the wrench on its environment, and the reflex that ended its motion."""
+
+    wrench = np.zeros(6)
+    error: int | None = None
+    success = 1.0
+    tcp_off = 0.0
+    torques = np.zeros(7)
+    tool = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, -np.pi / 4), np.array([0.0, 0.0, TCP]))
+
+    @property
+    def state(self):
+        """As of the last step; what no test reads is left out: that is four times as fast."""
+        errors = tuple(k == self.error for k in range(41))
+        inner = self._get_state()
+        X = self.kinematics(np.array(inner.q)).homogeneous
+        X[:3, 3] += self.tcp_off * X[:3, 2]
+        R = X[:3, :3]
+        local = [*R.T @ self.wrench[:3], *R.T @ self.wrench[3:]]
+        tool = self.tool.homogeneous
+        return FrankaRobotState(
+            q=inner.q, q_d=inner.q, dq=inner.dq, tau_J=inner.tau_j, tau_J_d=self.torques,
+            O_T_EE=X.ravel(order="F"), F_T_EE=tool.ravel(order="F"), m_ee=0.73,
+            m_load=self.m_load, F_x_Cload=self.F_x_Cload,
+            O_F_ext_hat_K=self.wrench, K_F_ext_hat_K=local,
+            errors=errors, reflex_reason=errors, control_command_success_rate=self.success,
+        )  # fmt: skip
+
+    def torque_control(self, torques, has_new_command=True):
+        self.torques = np.clip(torques, self.torque_limit_low, self.torque_limit_high)
+        model = self._BaseRobot__model
+        data = self._BaseRobot__data
+        q = np.array(self._get_state().q)
+        self._torque_control(self.torques + pin.computeGeneralizedGravity(model, data, q))
+
+    def joint_position_control(self, target_q, has_new_command=True):
+        self._joint_position_control(np.asarray(target_q))
+
+    def _post_step(self):
+        """No derivatives: they are in no state."""
+
+
+class Server(FrankaRobotServer):
+    """Loses, repeats, swaps and delays packets; ends the motion where commands stay away."""
+
+    faults: Mapping[str, Any] = FAULTS
+    lost = 0
+    sent = 0  #: packets since a motion began
+    begun = False  #: whether a command of this motion came
+    owed = False  #: whether the client got the last packet
+    reflex = False
+
+    @property
+    def moving(self) -> bool:
+        return self.udp_connected and self.current_motion_id > 0
+
+    def _post_process_commands(self):
+        fresh = self._FrankaRobotServer__has_new_command
+        robot = self.robot
+        if not self.moving:
+            self.lost = self.sent = 0
+            self.begun = False
+        elif self.begun:
+            self.lost = 0 if fresh else self.lost + 1
+            robot.success += 0.01 * (fresh - robot.success)
+        faulty = self.faults["reflex"] and self.sent > self.faults["at"]
+        if self.moving and (self.lost >= LOST or faulty):
+            robot.error = COMMUNICATION
+            self.reflex = True
+            number = self.current_motion_id
+            self.stop_motion(send_preemption_signal=False)
+            self.reset_current_motion_id()
+            self.send_state()
+            reply = (self._tcp_socket, RobotCommand.kMove, number)
+            BaseCommand.send_response(*reply, MoveStatus.kReflexAborted)
+        super()._post_process_commands()
+
+    @property
+    def robot_state(self):
+        state = super().robot_state
+        return state.replace(robot_mode=RobotMode.kReflex) if self.reflex else state
+
+    def _handle_udp_command(self, data):
+        lose = self.faults["lose"]
+        if not (lose and self.sent > self.faults["at"] and self.sent % lose == 0):
+            super()._handle_udp_command(data)
+        self.begun = self.moving
+
+    def send_state(self):
+        if not self.udp_connected:
+            return
+        self.sent += self.moving
+        self.owed = self.begun
+        faults = self.faults
+        k = self.sent - self.faults["at"]
+        name = "_FrankaServer__udp_socket"
+        time.sleep(faults["freeze"].get(str(k), 0.0))
+        if k == 1 and faults["kill"]:
+            os._exit(1)
+        if 0 < k <= faults["away"] and self.moving:  # a client that does not read, nor write
+            self.owed = False
+            return
+        if k <= 0 or not self.moving:
+            return super().send_state()
+        real = getattr(self, name)
+        wire = Wire(real, faults, k)
+        setattr(self, name, wire)
+        try:
+            super().send_state()
+        finally:
+            setattr(self, name, real)
+            self.owed = self.begun and wire.went
+
+    def process_commands(self):
+        if self.owed and self.moving and not self.clock:
+            select.select([self._FrankaServer__udp_socket], [], [], 0.9)
+        super().process_commands()
+
+
+class Wire:
+    """A socket for one packet, number k since the faults began."""
+
+    kept: list[bytes] = []  # noqa: RUF012
+
+    def __init__(self, socket, faults, k):
+        self.socket = socket
+        self.faults = faults
+        self.k = k
+        self.went = False
+
+    def sendto(self, data, address):
+        hit = {name: self.faults[name] and self.k % self.faults[name] == 0
+               for name in ("drop", "repeat", "swap")}  # fmt: skip
+        if self.faults["late"]:
+            time.sleep(self.faults["late"])
+        if hit["swap"]:
+            self.kept.append(data)
+        elif not hit["drop"]:
+            self.socket.sendto(data, address)
+            self.went = True
+            while self.kept:
+                self.socket.sendto(self.kept.pop(), address)
+            if hit["repeat"]:
+                self.socket.sendto(data, address)
+
+
+class Simulation(simulator.MujocoSimulator):
+    """An FR3 with a probe, above a plate."""
+
+    def __init__(self):
+        super().__init__()
+        simulator.FrankaMujocoRobot = Robot
+        self.robot = self.add_robot(
+            initial_q=HOME, kp=(600.0,) * 4 + (250.0,) * 3, kv=(50.0,) * 4 + (20.0,) * 3
+        )
+        hand = next(b for b in self.worldbody.iter("body") if b.get("name") == "robot0_hand")
+        contact = {"contype": "2", "conaffinity": "2", "condim": "3"}
+        ET.SubElement(hand, "geom", name="probe", type="sphere", size=str(RADIUS),
+                      pos=f"0 0 {PROBE}", mass="0", **contact)  # fmt: skip
+        ET.SubElement(hand, "body", name="load", pos=f"0 0 {TCP}")
+        load = hand.find("body[@name='load']")
+        ET.SubElement(load, "inertial", pos="0 0 0", mass="1e-6", diaginertia="1e-9 1e-9 1e-9")
+        plate = ET.SubElement(self.worldbody, "body", name="plate")
+        ET.SubElement(plate, "geom", name="plate", type="box", size="0.4 0.4 0.05",
+                      pos="0 0 -0.05", priority="1", **contact)  # fmt: skip
+        for geom in self.worldbody.iter("geom"):  # meshes of the arm touch nothing
+            if geom.get("contype") != "2":
+                geom.attrib |= {"contype": "0", "conaffinity": "0"}
+        self.log: list[list[float]] = []
+        self.nudge = np.zeros(3)  #: N, of a hand at the tool centre
+
+    def begin(self, given):
+        """Arm at rest at home, and the scene as given."""
+        self.given = given = SCENE | given
+        model = self.model
+        data = self.data
+        if not hasattr(self, "losses"):
+            self.losses = model.dof_frictionloss.copy()
+            self.rotors = model.dof_armature.copy()
+            self.tip = model.geom("probe").id
+        model.dof_frictionloss[:] = given["joint_friction"] * self.losses
+        model.dof_armature[:] = given["armature"] * self.rotors
+        model.body("load").mass[:] = max(given["mass"], 1e-6)
+        mujoco.mj_setConst(model, data)
+        mujoco.mj_resetData(model, data)
+        data.qpos[self.robot._qpos_addrs] = HOME
+        body = model.body("plate")
+        plate = model.geom("plate")
+        mujoco.mj_forward(model, data)
+        tilt = 0.5 * given["tilt"]
+        body.quat[:] = np.cos(tilt), np.sin(tilt), 0.0, 0.0
+        x, y, _ = data.geom_xpos[self.tip]
+        body.pos[:] = x, y, given["height"]
+        plate.friction[:] = given["friction"], 0.0, 0.0
+        plate.condim[:] = 3 if given["friction"] else 1
+        model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        plate.solref[:] = given["settling"], 1.0
+        plate.solimp[:] = 0.2, 0.9, 0.0005, 0.5, 2.0
+        mujoco.mj_forward(model, data)
+        self.random = np.random.default_rng(given["seed"])
+        self.log = []
+        self.nudge = np.zeros(3)
+        self.since = 0
+        self.robot.wrench = np.zeros(6)
+        self.robot.error = None
+        self.robot.success = 1.0
+        self.robot.tcp_off = given["tcp_off"]
+        self.robot._applied_torques[:] = 0.0
+
+    def _step(self):
+        push = self.given["push"]
+        hand = self.model.body("robot0_hand").id
+        self.pushed = np.array([*self.nudge, 0.0, 0.0, 0.0])
+        t = 1e-3 * (len(self.log) - self.since) - self.given["rest"]
+        if push is not None and t >= 0.0:  # by hand: to and fro, and the hand turned
+            amount, rate = push
+            shares = np.array([1.0, 1.0, 0.3, 0.0, 0.0, 0.05])
+            self.pushed = shares * amount * np.cos(rate * t * np.array([1, 1.3, 0.7, 1, 1, 0.9]))
+        arm = self.tool() - self.data.xipos[hand]
+        force = self.pushed[:3]
+        self.data.xfrc_applied[hand] = self.pushed + [0.0, 0.0, 0.0, *np.cross(arm, force)]
+        super()._step()
+        self.note()
+
+    def tool(self):
+        R = self.data.geom_xmat[self.tip].reshape(3, 3)
+        return self.data.geom_xpos[self.tip] + R @ [0.0, 0.0, TCP - PROBE]
+
+    def note(self):
+        """The wrench that the robot exerts on its environment, at its tool centre."""
+        true = np.zeros(6)
+        six = np.zeros(6)
+        data = self.data
+        for i in range(data.ncon):
+            contact = data.contact[i]
+            mujoco.mj_contactForce(self.model, data, i, six)
+            force = contact.frame.reshape(3, 3).T @ six[:3]
+            force *= 1.0 if contact.geom1 == self.tip else -1.0
+            true[:3] += force
+            true[3:] += np.cross(contact.pos - self.tool(), force)
+        normal = data.xmat[self.model.body("plate").id].reshape(3, 3)[:, 2]
+        self.log.append([*true, -true[:3] @ normal, *data.geom_xpos[self.tip], *data.qvel[:7]])
+        true -= self.pushed
+        true[2] -= 9.81 * self.given["mass"]  # what the robot does not know that it carries
+        noise = self.given["noise"] * np.repeat([1.0, 0.1], 3) * self.random.normal(size=6)
+        self.robot.wrench = self.given["sign"] * true + noise
+
+
+def recover(command, server):
+    server.reflex = False
+    server.robot.error = None
+    command.reply(0)
+
+
+def main() -> None:
+    AutomaticErrorRecoveryCommand.handle = recover
+    with Simulation() as sim:
+        import franky_sim.simulation_server as module
+
+        module.FrankaRobotServer = Server
+        with SimulationServer(sim) as whole:
+            (server,) = whole.robot_servers
+            server.clock = True
+            sim.begin({})
+            print(json.dumps({"host": server.hostname}), flush=True)
+            while True:
+                while select.select([sys.stdin], [], [], 0)[0]:
+                    line = sys.stdin.readline()
+                    if not line:
+                        return
+                    answer = obey(json.loads(line), sim, server)
+                    print(json.dumps(answer), flush=True)
+                whole.run_once(server.clock or not server.moving)
+
+
+def obey(order, sim, server):
+    if "scene" in order:
+        sim.begin(order["scene"])
+        server.clock = sim.given["clock"]
+        server.faults = FAULTS | order.get("faults", {})
+        if server.clock:
+            with suppress(OSError):
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(70))
+        server.reflex = False
+        server.sent = 0
+        server.reset_state()
+    if "push" in order:
+        sim.given |= {"push": order["push"], "rest": 0.5}
+        sim.since = len(sim.log)
+    if "plate" in order:  # below the probe, where that is now
+        sim.model.body("plate").pos[:] = sim.data.geom_xpos[sim.tip] - [
+            0,
+            0,
+            order["plate"] + RADIUS,
+        ]
+    if "nudge" in order:
+        sim.nudge = np.array(order["nudge"])
+    if "truth" in order:
+        np.save(Path(order["truth"]), np.array(sim.log))
+    return {"steps": len(sim.log)}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,307 @@
+"""The Franka driver against franky-sim: libfranka's own protocol, and a plant that is not ours."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.drivers.franka import FrankaRobot
+from osc_contact.runs.commissioning import Commissioning
+from osc_contact.testing import check_robot
+
+pytestmark = pytest.mark.slow  # minutes beside other programs; `make test` takes them back at 60 s
+
+OK = osc.Status.OK
+__all__ = ["franka"]
+
+# --- item 6: contact without any knowledge of joint friction and rotors ---------------------------
+
+CASES = {  # force, gap, gap believed in, joint friction, tilt, friction, settling of the plate
+    "from 50 mm": (5.0, 0.05, 0.05, 1.0, 0.0, 0.0, 0.01),
+    "no joint friction": (20.0, 0.004, 0.004, 0.0, 0.0, 0.2, 0.01),
+    "20 mm off, tilted, rough": (10.0, 0.005, 0.025, 1.0, np.deg2rad(5.0), 0.2, 0.01),
+    "twice the joint friction": (10.0, 0.004, 0.004, 2.0, 0.0, 0.2, 0.01),
+    "soft": (15.0, 0.004, 0.004, 1.0, 0.0, 0.2, 0.1),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_it_approaches_presses_slides_and_retreats(franka: FrankaServer, case: str) -> None:
+    force, gap, believed, losses, tilt, friction, settling = CASES[case]
+    scene = {"joint_friction": losses, "tilt": tilt, "friction": friction, "settling": settling}
+    task = Press(franka, force, gap, believed, scene=scene)
+    task.prepare()
+    task.run()
+    landing = task.normal[: task.landed + 500].max() / force
+    print(f"{case}: {100 * task.error():.2f} %, landing {landing:.2f} of {force} N")
+    assert set(task.status) == {OK}
+    assert task.released, "it has slid and was released"
+    assert task.error() < (0.05 if losses else 0.02)
+    assert landing < 2.0
+    slid = np.ptp(task.probe[task.landed : task.released, 1])
+    least = 0.9 if losses else 0.6  # rotors that are not known let the elbow swing
+    assert least * task.slide < slid < 1.1 * task.slide
+    assert task.normal[-1] == 0.0 and task.probe[-1, 2] - task.probe[task.released, 2] > 0.015
+
+
+# --- item 5: faults over the wire -----------------------------------------------------------------
+
+AT = 1300  #: packets of the motion; contact has been made
+
+
+def run_faulty(task: Press, **driver: object) -> osc.PlantError | None:
+    """The task, how it ended, and what always holds: forces, arms at rest, stopped in its tick."""
+    task.hold = 0.7
+    task.prepare(**driver)
+    stops = []
+    ended = None
+    stop = task.robot.stop
+
+    def note(reason: str = "") -> None:
+        stops.append((len(task.status), reason))
+        stop(reason)
+
+    task.robot.stop = note
+    try:
+        task.run()
+    except osc.PlantError as error:
+        ended = error
+    assert task.normal.max(initial=0.0) < max(3.0 * task.force, 30.0)
+    if osc.SafetyState.SAFE_STOP in task.state:
+        assert stops[0][0] == task.state.index(osc.SafetyState.SAFE_STOP), "in its very tick"
+        assert stops[0][1] and stops[-1][1] == ""
+    if not task.faults.get("kill"):
+        time.sleep(0.3)
+        assert np.abs(task.server.truth()["v"][-1]).max() < 0.1, "at rest, held by the robot"
+    task.reason = stops[0][1]
+    return ended
+
+
+BENIGN = {
+    "robot frozen": {"freeze": {"1": 0.01, "60": 0.02, "120": 0.05, "180": 0.3}},
+    "client frozen 10 ms, 1 of 3 commands lost": {"away": 10, "lose": 3},
+    "1 of 2 packets dropped": {"drop": 2},
+    "dropped, repeated, reordered, late": {"drop": 10, "repeat": 2, "swap": 5, "late": 0.0005},
+}
+
+
+@pytest.mark.parametrize("fault", BENIGN)
+def test_what_the_robot_forgives_disturbs_no_contact(franka: FrankaServer, fault: str) -> None:
+    task = Press(franka, gap=0.001, faults=BENIGN[fault] | {"at": AT})
+    assert run_faulty(task) is None
+    assert set(task.status) == {OK} and len(task.status) > AT
+    assert task.normal[AT:-50] == pytest.approx(10.0, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        ({"away": 20}, "communication_constraints_violation"),
+        ({"away": 300}, "communication_constraints_violation"),
+        ({"reflex": True}, "communication_constraints_violation"),
+        ({"kill": True}, "ended the motion: libfranka: .*Look at the robot"),
+    ],
+    ids=["client frozen 20 ms", "client frozen 300 ms", "reflex", "robot killed"],
+)
+def test_a_robot_that_ends_the_motion_ends_the_loop(
+    franka: FrankaServer, fault: dict, sentence: str
+) -> None:
+    task = Press(franka, gap=0.001, faults=fault | {"at": AT})
+    ended = run_faulty(task)
+    assert ended is not None and re.search(sentence, str(ended)), ended
+    assert task.reason.startswith("PlantError: ")
+    if "kill" in fault:
+        return
+    task.robot.close()
+    with pytest.raises(osc.PlantError, match=r"is stopped \(.*Reflex.* connect with recover=True"):
+        FrankaRobot(franka.host, task.chain)
+    again = FrankaRobot(franka.host, task.chain, recover=True)
+    assert "Idle" in str(again.state.robot_mode)
+
+
+def without_weight(robot: FrankaRobot):
+    return lambda: robot._estimate(robot.state) - [*(9.81 * 0.73 * robot._data.oMf[
+        robot._sensor].rotation[2]), 0.0, 0.0, 0.0]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("scene", "driver", "sentence"),
+    [
+        ({"mass": 0.5}, {}, "reads another load than it carries"),
+        ({"sign": -1.0}, {}, ""),
+        ({}, {"sensor": "hand"}, "without gravity"),
+    ],
+    ids=["wrong payload", "mirrored wrench", "no gravity"],
+)
+def test_a_wrist_that_is_wrong_ends_in_a_stop(
+    franka: FrankaServer, scene: dict, driver: dict, sentence: str
+) -> None:
+    task = Press(franka, gap=0.003, scene=scene, ticks=4000)
+    if driver:
+        driver["wrench"] = lambda: without_weight(task.robot)() if hasattr(task, "robot") else None
+    assert run_faulty(task, **driver) is None
+    assert task.state[-1] is osc.SafetyState.SAFE_STOP and sentence in task.reason
+
+
+# --- item 1: what goes in and what comes out ------------------------------------------------------
+
+
+def at_rest(server: FrankaServer, ticks: int, sensor: str = "tcp", **scene: object):
+    """The driver, and its measurements while the model's own weight is commanded."""
+    server.begin(height=0.0, **scene)
+    chain = osc.ClosedChain([server.arm(sensor=sensor)])
+    robot = FrankaRobot(server.host, chain)
+    data = chain.model.createData()
+    read = [robot.measure()]
+    for _ in range(ticks):
+        robot.command(pin.computeGeneralizedGravity(chain.model, data, read[-1].q), 1e-3)
+        read.append(robot.measure())
+    return robot, read
+
+
+def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka: FrankaServer) -> None:
+    robot, read = at_rest(franka, 200)
+    assert np.abs(robot._torques.tau_J).max() < 1e-9, "the robot adds gravity by itself"
+    assert np.abs(read[-1].q - read[0].q).max() < 1e-3
+    assert np.abs(read[-1].joint_torques).max() > 20.0, "as its own sensors read"
+    steps = np.diff([m.sequence for m in read[2:]])
+    assert set(steps) == {1} and read[-1].stamps.encoders == pytest.approx(1e-3 * read[-1].sequence)
+    assert robot.success_rate > 0.99
+    robot.stop("enough")
+    robot.stop()
+    assert "Idle" in str(robot._robot.read_once().robot_mode)
+    robot.command(np.zeros(7), 1e-3)  # it holds by itself: nothing is sent
+    assert np.abs(robot.measure().q - read[-1].q).max() < 1e-2
+
+
+@pytest.mark.parametrize("sensor", ["tcp", "hand"])
+def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka: FrankaServer, sensor: str) -> None:
+    push = {"push": [8.0, 20.0], "noise": 0.0, "joint_friction": 1.0}
+    robot, read = at_rest(franka, 60, sensor, **push)
+    X = pin.SE3(robot._data.oMf[robot._sensor])
+    t = 20.0 * 1e-3 * (franka.send()["steps"] - 1) * np.array([1.0, 1.3, 0.7])
+    force = -8.0 * np.array([1.0, 1.0, 0.3]) * np.cos(t)
+    wrench = X.act(pin.Force(read[-1].wrenches[0]))
+    mass = 0.73 if sensor == "hand" else 0.0
+    np.testing.assert_allclose(wrench.linear - [0, 0, 9.81 * mass], force, atol=1.5)
+    about = wrench.angular - np.cross(
+        robot._base.act(robot._data.oMf[robot._tip]).translation, force
+    )
+    lever = X.act(np.array([-0.01, 0.0, 0.03])) if mass else np.zeros(3)
+    np.testing.assert_allclose(about, np.cross(lever, [0, 0, 9.81 * mass]), atol=0.5)
+    robot.stop()
+
+
+def test_torques_stay_within_the_limits_of_the_robot(franka: FrankaServer) -> None:
+    robot, _ = at_rest(franka, 1)
+    before = np.array(robot.state.tau_J_d)
+    robot.command(np.full(7, 1e6), 1e-3)
+    step = np.array(robot._torques.tau_J) - before
+    assert np.abs(step).max() == pytest.approx(0.99)
+    robot._v = 1.0 * np.array(robot.chain.model.upperVelocityLimit)  # every joint at its limit
+    robot.state = type("state", (), {"tau_J_d": robot.chain.tau_max})
+    weight = pin.computeGeneralizedGravity(robot._model, robot._data, robot._q)
+    robot.command(robot.chain.tau_max + weight, 1e-3)
+    assert (np.array(robot._torques.tau_J) < robot.chain.tau_max).all(), "braked"
+    with pytest.raises(osc.InvalidInputError, match="tau"):
+        robot.command(np.full(7, np.nan), 1e-3)
+    with pytest.raises(osc.InvalidInputError, match=r"each 1 ms, not each 2 ms"):
+        robot.command(np.zeros(7), 2e-3)
+    robot.stop()
+
+
+def test_payload_end_effector_and_mounted_sensor(franka: FrankaServer) -> None:
+    franka.begin(height=0.0)
+    ball = osc.RigidObject(pin.Inertia.FromSphere(0.5, 0.03))
+    chain = osc.ClosedChain([franka.arm()], [pin.SE3(np.eye(3), np.array([0, 0, 0.1]))], ball)
+    readings = iter([np.arange(6.0), None, [np.nan] * 6])
+    robot = FrankaRobot(franka.host, chain, wrench=lambda: next(readings))
+    assert robot.state.m_load == pytest.approx(0.5, rel=1e-6)
+    np.testing.assert_allclose(robot.state.F_x_Cload, [0.0, 0.0, 0.2034], atol=1e-6)
+    first, second, third = (robot.measure() for _ in range(3))
+    assert first.wrench_valid and first.wrenches[0].tolist() == [0, 1, 2, 3, 4, 5]
+    assert not second.wrench_valid and not third.wrench_valid and not third.wrenches.any()
+    robot._wrench = None
+    np.testing.assert_allclose(robot._hangs.mass, 0.5)
+    franka.begin(height=0.0, tcp_off=0.02)
+    with pytest.raises(osc.PlantError, match=r"tip 'tcp' is 20 mm and .* give end_effector="):
+        FrankaRobot(franka.host, chain)
+
+
+def test_what_it_refuses(franka: FrankaServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    chain = osc.ClosedChain([franka.arm()])
+    with pytest.raises(osc.PlantError, match=r"cannot be prepared: libfranka: Connection .* FCI"):
+        FrankaRobot("127.0.0.77", chain)
+    bare = osc.ClosedChain([osc.Arm.from_urdf(franka.urdf, name="fr3", tip="tcp")])
+    with pytest.raises(osc.InvalidInputError, match="give the arm a frame beyond the last joint"):
+        FrankaRobot(franka.host, bare)
+    monkeypatch.setitem(sys.modules, "pylibfranka", None)
+    with pytest.raises(osc.PlantError, match=r"pip install osc_contact\[franka\]"):
+        FrankaRobot(franka.host, chain)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_it_keeps_the_contract_of_drivers(franka: FrankaServer, sign: float) -> None:
+    """`check_robot` on the wire, with a push that shows which way the wrench is."""
+    franka.begin(height=0.0, sign=sign)
+
+    class Nudged(FrankaRobot):
+        ticks = 0
+
+        def measure(self) -> osc.Measurement:
+            self.ticks += 1
+            if self.ticks == 2500:
+                franka.send(nudge=[0.0, 8.0, 0.0])
+            return super().measure()
+
+    robot = Nudged(franka.host, osc.ClosedChain([franka.arm()]))
+    if sign > 0.0:
+        (left_out,) = check_robot(robot, nudge=[0.0, 1.0, 0.0])
+        assert left_out.startswith("the sign of the wrench is not checked by 0 N")
+        print(robot.ticks)
+    else:
+        with pytest.raises(osc.PlantError, match=r"pushed along \[0.0, 1.0, 0.0\], and the wrist"):
+            check_robot(robot, nudge=[0.0, 1.0, 0.0])
+    assert robot._control is None
+
+
+# --- item 4: commissioning ------------------------------------------------------------------------
+
+
+def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path) -> None:
+    """The arm's joints rub half as much as an FR3's; somebody leads it in shadow mode."""
+    franka.begin(height=0.0, joint_friction=0.5)
+    robot = FrankaRobot(franka.host, osc.ClosedChain([franka.arm()]))
+    steps = []
+
+    def confirm(what: str) -> bool:
+        steps.append(what.split(":")[0])
+        franka.send(push=[8.0, 6.0] if steps[-1] == "shadow" else None, plate=0.003)
+        return True
+
+    course = Commissioning(robot, tmp_path, PROBE + RADIUS + 0.003, confirm, 3.0, False)
+    done = course.run()
+    print("\n".join(course.lines))
+    assert done, course.lines
+    assert steps == ["model", "shadow", "contact"]
+    report = (tmp_path / "report.md").read_text()
+    assert "forces may be commanded" in report and (tmp_path / "forces.png").exists()
+    robot.close()
+
+
+def test_commissioning_ends_where_a_step_fails(franka: FrankaServer, tmp_path) -> None:
+    franka.begin(height=0.0)
+    options = ["--host", franka.host, "--urdf", str(franka.urdf), "--tip", "tcp", "--out"]
+    options += [str(tmp_path), "--yes", "--no-realtime", "--shadow-time", "1.1"]
+    done = CliRunner().invoke(app, ["commission", "franka", *options])
+    assert done.exit_code == 1 and "was not moved; push the tool" in done.output
+    assert "failed" in (tmp_path / "report.md").read_text()

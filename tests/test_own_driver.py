@@ -1,0 +1,128 @@
+"""`check_robot` accepts drivers that keep the contract, and says what others get wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import osc_contact as osc
+from osc_contact.testing import check_robot
+
+SCENE = """
+<mujoco>
+  <option timestep="0.0005" cone="elliptic"/>
+  <default>
+    <joint armature="0.05" damping="0.5" frictionloss="0.3" range="-170 170"/>
+    <geom contype="0" conaffinity="0" size="0.03"/>
+    <motor ctrllimited="true" ctrlrange="-80 80"/>
+  </default>
+  <worldbody>
+    <body pos="0 0 0.3">
+      <joint name="base" axis="0 0 1"/> <geom type="capsule" fromto="0 0 0 0 0 0.2" mass="3"/>
+      <body pos="0 0 0.2">
+        <joint name="shoulder" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0.4 0 0" mass="3"/>
+        <body pos="0.4 0 0">
+          <joint name="elbow" axis="0 1 0"/> <geom type="capsule" fromto="0 0 0 0.3 0 0" mass="2"/>
+          <body pos="0.3 0 0">
+            <site name="sensor"/> <site name="tip" pos="0.1 0 0"/>
+            <geom size="0.02" pos="0.05 0 0.01" mass="1"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator> <motor joint="base"/> <motor joint="shoulder"/> <motor joint="elbow"/> </actuator>
+  <sensor> <force site="sensor"/> <torque site="sensor"/> </sensor>
+</mujoco>"""
+HOME = np.array([0.2, -0.6, 1.1])
+
+
+class Driver:
+    """A driver with one thing wrong."""
+
+    def __init__(self, fault: str = "") -> None:
+        model = mujoco.MjModel.from_xml_string(SCENE)
+        self.plant = osc.MujocoRobot.from_model(model, tip="tip", wrist_sensor="sensor")
+        self.plant.reset(HOME)
+        self.chain = self.plant.chain
+        self.fault = fault
+        self.stops = []
+        self.ticks = 0
+        weight = self.plant._tau.copy()
+        self.added = {"twice the weight": weight, "no weight": -weight}.get(fault, 0.0)
+
+    def measure(self) -> osc.Measurement:
+        m = self.plant.measure()
+        self.ticks += 1
+        order = {"swapped 1 2": [1, 0, 2], "swapped 2 3": [0, 2, 1]}.get(self.fault, [0, 1, 2])
+        unit = 180.0 / np.pi if self.fault == "degrees" else 1.0
+        q = unit * m.q[order]
+        v = unit * m.v[order]
+        w = m.wrenches
+        if self.fault == "speeds in degrees":
+            v = v * 180.0 / np.pi
+        if self.fault == "mirrored wrench":
+            w = -w
+        if self.fault == "mirrored joint":
+            v = v * [1, 1, -1]
+            q = (q - HOME) * [1, 1, -1] + HOME
+        if self.fault == "no gravity":
+            state = self.chain.state(m.q, np.zeros(3))
+            w = w - state.sensors[0].actInv(_force(state)).vector
+        if self.fault == "wrench of another frame":
+            w = w[:, [1, 0, 2, 4, 3, 5]]
+        number = min(self.ticks, 10) if self.fault == "stale sequence" else self.ticks
+        stamps = osc.interface.Stamps(1e-3 * (1 if self.fault == "stale stamps" else self.ticks))
+        stamps = replace(stamps, wrists=1e-3 * self.ticks)
+        return osc.Measurement(q, v, w, sequence=number, stamps=stamps)
+
+    def command(self, tau: np.ndarray, duration: float) -> None:
+        if self.fault == "blocked":
+            tau = np.zeros(3)
+        self.plant.command(tau + self.added, duration)
+
+    def stop(self, reason: str = "") -> None:
+        self.stops.append(reason)
+
+
+def _force(state):
+    import pinocchio as pin
+
+    return pin.SE3(np.eye(3), state.X_WO.translation).act(pin.Force(state.bias_out))
+
+
+def test_drivers_that_keep_the_contract_pass() -> None:
+    robot = Driver()
+    assert check_robot(robot) == []
+    assert robot.stops == ["the check has ended", ""]
+    assert check_robot(Driver().plant) == [], "readings without stamps, too"
+    assert np.abs(robot.plant.measure().q - HOME).max() < 0.03, "it is back where it was"
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        ("mirrored wrench", "the sign is reversed: give the wrench that the arm exerts"),
+        ("no gravity", "without gravity, and Measurement.wrenches includes it: add the weight"),
+        ("wrench of another frame", "the sign or the axes of the frame are others"),
+        ("no weight", "their weight seems to be missing: the robot does not add it"),
+        ("twice the weight", "their weight seems to come twice: the robot adds it"),
+        ("swapped 2 3", "joints 'arm/shoulder' and 'arm/elbow' seem to be swapped"),
+        ("swapped 1 2", "'arm/base' and 'arm/shoulder' seem to be swapped"),
+        ("degrees", "its limits are -2.967 and 2.967 rad; are positions in degrees"),
+        ("speeds in degrees", "in degrees|the unit of one"),
+        ("mirrored joint", "reversed"),
+        ("stale stamps", "stamps or sequence do not advance: nothing newer than encoders"),
+        ("stale sequence", "stamps or sequence do not advance: nothing newer than packet 10"),
+    ],
+)
+def test_what_is_wrong_is_said(fault: str, sentence: str) -> None:
+    robot = Driver(fault)
+    with pytest.raises(osc.PlantError, match=sentence) as caught:
+        check_robot(robot)
+    print(caught.value)
+    assert robot.stops, "it was stopped all the same"

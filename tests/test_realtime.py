@@ -1,0 +1,180 @@
+"""The process made for the loop, its deadlines and the thread beside it; shadow mode."""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import sys
+import threading
+import time
+from itertools import repeat
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from test_loop_ends import REFERENCE, Controller, Robot
+from test_own_driver import HOME, Driver
+
+import osc_contact as osc
+from osc_contact.runs import realtime
+from osc_contact.runs.realtime import Deadlines
+
+
+class Paced(Robot):
+    """Keeps its time, and notes in which state the process is."""
+
+    slow = 0.0
+
+    def measure(self):
+        time.sleep(1e-3)
+        self.state = gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval()
+        return super().measure()
+
+
+class Slow(Controller):
+    def tick(self, measurement, reference):
+        time.sleep(1e-3)
+        return super().tick(measurement, reference)
+
+
+def test_the_process_is_made_for_the_loop_and_given_back(caplog, monkeypatch):
+    monkeypatch.setattr(realtime, "MOST_MISSED", 10**9)
+    before = gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval()
+    robot = Paced()
+    report = osc.run_loop(robot, Controller(), repeat(REFERENCE, 50), realtime=True)
+    collects, policy, interval = robot.state
+    assert not collects and interval == pytest.approx(5e-5)
+    permitted = not any("priority" in note for note in report.notes)
+    assert (policy == os.SCHED_FIFO) == permitted
+    assert all("permit it by" in note and note in caplog.text for note in report.notes)
+    assert (gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval()) == before
+    assert report.ticks == 50 == sum(report.histogram)
+    us = report.read_to_write_us
+    assert 0.0 < us["p50"] <= us["p99"] <= us["p99_9"] and us["max"] < 1e5
+    assert robot.stops == [""]
+
+
+def test_twenty_missed_deadlines_in_a_row_stop_the_robot():
+    robot = Paced()
+    with pytest.raises(osc.PlantError, match=r"20 deadlines in a row were missed.* Free the mach"):
+        osc.run_loop(robot, Slow(), repeat(REFERENCE), realtime=True)
+    assert len(robot.stops) == 1 and robot.stops[0].startswith("PlantError: 20 deadlines")
+    report = osc.run_loop(Paced(), Slow(), repeat(REFERENCE, 40))
+    assert report.missed >= 39, "counted, but a plant that takes its time is no fault"
+
+
+def test_what_counts_as_missed():
+    deadlines = Deadlines(1e-3)
+    for k, (read, seconds) in enumerate([(0.0, 1e-4), (1e-3, 4.9e-4), (2e-3, 5.1e-4),
+                                         (4e-3, 1e-4), (5.4e-3, 1e-4)]):  # fmt: skip
+        deadlines.note(read, seconds)
+        assert deadlines.missed == (0, 0, 1, 2, 2)[k]
+    assert deadlines.in_a_row == 0
+    report = deadlines.report(["a note"])
+    assert report.read_to_write_us == pytest.approx(
+        {"p50": 105.0, "p99": 515.0, "p99_9": 515.0, "max": 510.0}
+    )
+    assert report.as_dict()["notes"] == ["a note"]
+
+
+def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch):
+    monkeypatch.setattr(realtime, "MOST_MISSED", 10**9)  # other tests run beside it
+    driver = Driver()
+    controller = osc.Controller(driver.chain, [], dt=1e-3, posture=HOME)
+    X = driver.chain.state(HOME, np.zeros(3)).X_WO
+    recorder = osc.Recorder(controller, journal=tmp_path / "run.mcap")
+    threads = set()
+    shown = []
+    append = recorder.journal.append
+
+    def hang(first, rows):
+        threads.add(threading.current_thread().name)
+        time.sleep(0.1)
+        append(first, rows)
+
+    class Viewer:
+        def show(self, tick):
+            threads.add(threading.current_thread().name)
+            shown.append(float(tick["t"]))
+            raise OSError("no browser")
+
+    recorder.journal.append = hang
+    reference = osc.pose_reference(X.translation, X.rotation)
+    loop = {"recorder": recorder, "viewer": Viewer(), "realtime": True}
+    report = osc.run_loop(driver, controller, repeat(reference, 400), **loop)
+    assert threads == {"side work"} and shown == sorted(shown) and shown
+    recording = recorder.recording()
+    assert len(recording) == 400 and np.isfinite(recording["q"]).all()
+    np.testing.assert_allclose(np.diff(recording["t"]), 1e-3)
+    assert recording.meta["loop"]["histogram"] == report.histogram
+    assert report.read_to_write_us["p50"] < 5e3
+
+
+# --- shadow mode ----------------------------------------------------------------------------------
+
+
+class Guided(Driver):
+    """A driver whose tool somebody pushes to and fro, once it has rested for 0.3 s."""
+
+    def command(self, tau, duration):
+        t = 1e-3 * self.ticks - 0.3
+        body = self.plant.model.site("tip").bodyid[0]
+        force = 12.0 * np.sin(np.array([7.0, 9.0, 5.0]) * max(t, 0.0))
+        arm = self.plant.data.site("tip").xpos - self.plant.data.xipos[body]
+        self.plant.data.xfrc_applied[body] = [*force, *np.cross(arm, force)]
+        super().command(tau, duration)
+
+
+def shadow(fault: str = "", change=lambda robot: None, ticks: int = 4000):
+    robot = Guided(fault)
+    change(robot)
+    controller = osc.Controller(robot.chain, [], dt=1e-3, posture=HOME)
+    X = robot.chain.state(HOME, np.zeros(3)).X_WO
+    reference = osc.pose_reference(X.translation, X.rotation)
+    report = osc.run_loop(robot, controller, repeat(reference, ticks), shadow=True)
+    assert robot.stops == [""], "the controller's own stops are not carried out"
+    return report.shadow
+
+
+def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
+    def rub(robot):
+        robot.plant.model.dof_frictionloss[:] = 1.0, 0.5, 1.5
+        robot.plant.model.dof_damping[:] = 0.4, 0.8, 0.2
+        robot.plant.model.dof_armature[:] = 0.25  # of which the model knows 0.05
+
+    found = shadow(change=rub)
+    print("\n".join(found.lines()))
+    assert all(joint.moved for joint in found.joints)
+    np.testing.assert_allclose([j.coulomb for j in found.joints], [1.0, 0.5, 1.5], atol=0.25)
+    np.testing.assert_allclose([j.viscous for j in found.joints], [0.4, 0.8, 0.2], atol=0.3)
+    np.testing.assert_allclose([j.inertia for j in found.joints], 0.2, atol=0.06)
+    assert max(abs(j.offset) for j in found.joints) < 0.3
+    assert found.wrench_scale == pytest.approx(1.0, abs=0.15) and found.forces
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        ("mirrored wrench", "the wrench is reversed"),
+        ("no gravity", "tare it .* or correct the payload"),
+        ("wrench of another frame", "axes of its frame are wrong|tare it"),
+        ("mirrored joint", "elbow.* unexplained: is it, or a joint near it, reversed"),
+    ],
+)
+def test_shadow_mode_says_why_no_force_may_be_commanded(fault: str, sentence: str):
+    found = shadow(fault)
+    print("\n".join(found.lines()))
+    assert not found.forces
+    assert re.search(sentence, " ".join(found.findings)), found.findings
+
+
+def test_shadow_mode_asks_for_motion_and_for_one_arm():
+    found = shadow(change=lambda robot: setattr(robot, "ticks", -9999), ticks=1100)
+    assert not found.forces and sum("was not moved" in one for one in found.findings) == 3
+    assert any("hardly pushed" in one for one in found.findings)
+    with pytest.raises(osc.InvalidInputError, match="let it run for ten seconds"):
+        shadow(ticks=500)
+    bare = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
+    with pytest.raises(osc.InvalidInputError, match="judges one arm"):
+        osc.run_loop(Robot(), bare, [osc.Reference(pin.SE3.Identity())], shadow=True)
