@@ -44,14 +44,33 @@ RADIUS = 0.015
 LOST = 20  #: commands in a row
 COMMUNICATION = 25  #: communication_constraints_violation among libfranka's errors
 SCENE = {
-    "clock": False, "height": 0.2, "tilt": 0.0, "friction": 0.0, "settling": 0.01,
-    "joint_friction": 1.0, "armature": 1.0, "noise": 0.05, "sign": 1.0, "mass": 0.0,
-    "push": None, "rest": 0.0, "tcp_off": 0.0, "seed": 0,
-}  # fmt: skip
+    "clock": False,
+    "height": 0.2,
+    "tilt": 0.0,
+    "friction": 0.0,
+    "settling": 0.01,
+    "joint_friction": 1.0,
+    "armature": 1.0,
+    "noise": 0.05,
+    "sign": 1.0,
+    "mass": 0.0,
+    "push": None,
+    "rest": 0.0,
+    "tcp_off": 0.0,
+    "seed": 0,
+}
 FAULTS = {
-    "at": 0, "freeze": {}, "kill": False, "drop": 0, "repeat": 0, "swap": 0, "late": 0.0,
-    "lose": 0, "away": 0, "reflex": False,
-}  # fmt: skip
+    "at": 0,
+    "freeze": {},
+    "kill": False,
+    "drop": 0,
+    "repeat": 0,
+    "swap": 0,
+    "late": 0.0,
+    "lose": 0,
+    "away": 0,
+    "reflex": False,
+}
 
 
 class Robot(simulator.FrankaMujocoRobot):
@@ -75,12 +94,22 @@ class Robot(simulator.FrankaMujocoRobot):
         local = [*R.T @ self.wrench[:3], *R.T @ self.wrench[3:]]
         tool = self.tool.homogeneous
         return FrankaRobotState(
-            q=inner.q, q_d=inner.q, dq=inner.dq, tau_J=inner.tau_j, tau_J_d=self.torques,
-            O_T_EE=X.ravel(order="F"), F_T_EE=tool.ravel(order="F"), m_ee=0.73,
-            m_load=self.m_load, F_x_Cload=self.F_x_Cload,
-            O_F_ext_hat_K=self.wrench, K_F_ext_hat_K=local,
-            errors=errors, reflex_reason=errors, control_command_success_rate=self.success,
-        )  # fmt: skip
+            q=inner.q,
+            q_d=inner.q,
+            dq=inner.dq,
+            tau_J=inner.tau_j,
+            tau_J_d=self.torques,
+            O_T_EE=X.ravel(order="F"),
+            F_T_EE=tool.ravel(order="F"),
+            m_ee=0.73,
+            m_load=self.m_load,
+            F_x_Cload=self.F_x_Cload,
+            O_F_ext_hat_K=self.wrench,
+            K_F_ext_hat_K=local,
+            errors=errors,
+            reflex_reason=errors,
+            control_command_success_rate=self.success,
+        )
 
     def torque_control(self, torques, has_new_command=True):
         self.torques = np.clip(torques, self.torque_limit_low, self.torque_limit_high)
@@ -185,8 +214,10 @@ class Wire:
         self.went = False
 
     def sendto(self, data, address):
-        hit = {name: self.faults[name] and self.k % self.faults[name] == 0
-               for name in ("drop", "repeat", "swap")}  # fmt: skip
+        hit = {
+            name: self.faults[name] and self.k % self.faults[name] == 0
+            for name in ("drop", "repeat", "swap")
+        }
         if self.faults["late"]:
             time.sleep(self.faults["late"])
         if hit["swap"]:
@@ -211,14 +242,30 @@ class Simulation(simulator.MujocoSimulator):
         )
         hand = next(b for b in self.worldbody.iter("body") if b.get("name") == "robot0_hand")
         contact = {"contype": "2", "conaffinity": "2", "condim": "3"}
-        ET.SubElement(hand, "geom", name="probe", type="sphere", size=str(RADIUS),
-                      pos=f"0 0 {PROBE}", mass="0", **contact)  # fmt: skip
+        ET.SubElement(
+            hand,
+            "geom",
+            name="probe",
+            type="sphere",
+            size=str(RADIUS),
+            pos=f"0 0 {PROBE}",
+            mass="0",
+            **contact,
+        )
         ET.SubElement(hand, "body", name="load", pos=f"0 0 {TCP}")
         load = hand.find("body[@name='load']")
         ET.SubElement(load, "inertial", pos="0 0 0", mass="1e-6", diaginertia="1e-9 1e-9 1e-9")
         plate = ET.SubElement(self.worldbody, "body", name="plate")
-        ET.SubElement(plate, "geom", name="plate", type="box", size="0.4 0.4 0.05",
-                      pos="0 0 -0.05", priority="1", **contact)  # fmt: skip
+        ET.SubElement(
+            plate,
+            "geom",
+            name="plate",
+            type="box",
+            size="0.4 0.4 0.05",
+            pos="0 0 -0.05",
+            priority="1",
+            **contact,
+        )
         for geom in self.worldbody.iter("geom"):  # meshes of the arm touch nothing
             if geom.get("contype") != "2":
                 geom.attrib |= {"contype": "0", "conaffinity": "0"}

@@ -71,16 +71,30 @@ JUDGES = (
 #: Whose tests come first: those of the part itself. `law_kkt` judges whole ticks after them.
 OWN = {
     "law_parts": ("vectors.py", "algebra.py", "commands.py", "grasps.py", "contact.py"),
-    "law_stages": ("reading.py", "safety.py", "operational.py", "command_filter.py",
-                   "allocation.py", "vectors.py", "tick.py", "limits.py"),
-    "contact_kinds": ("contact.py",), "pairs": ("contact.py",),
+    "law_stages": (
+        "reading.py",
+        "safety.py",
+        "operational.py",
+        "command_filter.py",
+        "allocation.py",
+        "vectors.py",
+        "tick.py",
+        "limits.py",
+    ),
+    "contact_kinds": ("contact.py",),
+    "pairs": ("contact.py",),
     "chain_oracles": ("arm_motion.py", "chain.py", "operational.py", "vectors.py", "grasps.py"),
-    "chain_state": ("arm_motion.py", "chain.py", "operational.py"), "grasps": ("grasps.py",),
+    "chain_state": ("arm_motion.py", "chain.py", "operational.py"),
+    "grasps": ("grasps.py",),
     "tilted_faces": ("contact.py",),
-    "law_watch": ("safety.py", "sensors.py"), "safety": ("safety.py",),
-    "law_phases": ("phases.py",), "law_steps": ("commands.py",), "law_linkage": ("bars.py",),
-    "law_limits": ("limits.py",), "monitor": ("monitor.py",),
-}  # fmt: skip
+    "law_watch": ("safety.py", "sensors.py"),
+    "safety": ("safety.py",),
+    "law_phases": ("phases.py",),
+    "law_steps": ("commands.py",),
+    "law_linkage": ("bars.py",),
+    "law_limits": ("limits.py",),
+    "monitor": ("monitor.py",),
+}
 SLOW = 6  #: s; a test that takes longer without compilation is no judge
 CHECK = 2.0  #: s of tests that have to pass without any mutant, three times
 SECONDS = "MUTANTS_SECONDS"  #: the file for the times of a survey

@@ -129,8 +129,10 @@ def test_a_robot_that_ends_the_motion_ends_the_loop(
 
 
 def without_weight(robot: FrankaRobot):
-    return lambda: robot._estimate(robot.state) - [*(9.81 * 0.73 * robot._data.oMf[
-        robot._sensor].rotation[2]), 0.0, 0.0, 0.0]  # fmt: skip
+    return lambda: (
+        robot._estimate(robot.state)
+        - [*(9.81 * 0.73 * robot._data.oMf[robot._sensor].rotation[2]), 0.0, 0.0, 0.0]
+    )
 
 
 @pytest.mark.parametrize(

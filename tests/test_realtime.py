@@ -66,8 +66,9 @@ def test_twenty_missed_deadlines_in_a_row_stop_the_robot():
 
 def test_what_counts_as_missed():
     deadlines = Deadlines(1e-3)
-    for k, (read, seconds) in enumerate([(0.0, 1e-4), (1e-3, 4.9e-4), (2e-3, 5.1e-4),
-                                         (4e-3, 1e-4), (5.4e-3, 1e-4)]):  # fmt: skip
+    for k, (read, seconds) in enumerate(
+        [(0.0, 1e-4), (1e-3, 4.9e-4), (2e-3, 5.1e-4), (4e-3, 1e-4), (5.4e-3, 1e-4)]
+    ):
         deadlines.note(read, seconds)
         assert deadlines.missed == (0, 0, 1, 2, 2)[k]
     assert deadlines.in_a_row == 0
@@ -178,3 +179,28 @@ def test_shadow_mode_asks_for_motion_and_for_one_arm():
     bare = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
     with pytest.raises(osc.InvalidInputError, match="judges one arm"):
         osc.run_loop(Robot(), bare, [osc.Reference(pin.SE3.Identity())], shadow=True)
+
+
+def test_an_error_of_the_thread_beside_the_loop_ends_the_run_after_the_stop(monkeypatch):
+    """The process is given back first, and the calls after the failed one are still made."""
+    monkeypatch.setattr(realtime, "MOST_MISSED", 10**9)
+    done = []
+
+    class Recorder:
+        hand_over = None
+
+        def append(self, measurement, reference, tau, seconds):
+            self.hand_over(lambda: done.append(1))
+            self.hand_over(fail)
+
+        def note(self, meta):
+            pass
+
+    def fail():
+        raise ValueError("the disk is full")
+
+    robot = Paced()
+    with pytest.raises(ValueError, match="the disk is full"):
+        given = robot, Controller(), repeat(REFERENCE, 5)
+        osc.run_loop(*given, recorder=Recorder(), realtime=True)
+    assert len(done) == 5 and robot.stops == [""]

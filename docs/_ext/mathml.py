@@ -23,7 +23,7 @@ def inline(self: Any, node: nodes.math) -> None:
 
 
 def block(self: Any, node: nodes.math_block) -> None:
-    """An equation of its own, with its number at the right."""
+    """A displayed equation, with its number at the right."""
     text = node.astext()
     number = TAG.search(text)
     told = f'<span class="number">({number[1]})</span>' if number else ""

@@ -301,6 +301,8 @@ def _process(
             side.close()
             if isinstance(recorder, HandsOver):
                 recorder.hand_over = at_once
+        if side.failure is not None:  # the robot has been stopped
+            raise side.failure
 
 
 @dataclass

@@ -163,6 +163,9 @@ class SideWork:
     """A thread for what may take long: files, viewers.
 
     It runs while the loop waits, one priority below it, and gives way within 50 µs.
+
+    Attributes:
+        failure: the first error of a call; the calls after it are made all the same.
     """
 
     def __init__(self, period: float) -> None:
@@ -171,6 +174,7 @@ class SideWork:
         self._calls: deque[Callable[[], object]] = deque()
         self._there = Event()
         self._ended = False
+        self.failure: Exception | None = None
         self._thread = Thread(target=self._work, name="side work", daemon=True)
         self._thread.start()
 
@@ -180,7 +184,7 @@ class SideWork:
         return not self._calls
 
     def submit(self, call: Callable[[], object]) -> None:
-        """Have something done soon; what it raises is logged."""
+        """Have something done soon; an error of it is logged, and kept as `failure`."""
         self._calls.append(call)
         self._there.set()
 
@@ -204,6 +208,7 @@ class SideWork:
             while self._calls:
                 try:
                     self._calls[0]()
-                except Exception:
+                except Exception as error:
                     _log.exception("side work of the control loop failed")
+                    self.failure = self.failure or error
                 self._calls.popleft()
