@@ -239,7 +239,8 @@ def run_loop(
         references: one for each tick, of any length; a generator may have no end.
         recorder: notes every tick; a `Recorder` makes a recording of them, with the truth if it
             was given a judge.
-        viewer: shows the run while it lasts; needs a recorder that gives it channels.
+        viewer: shows the run while it lasts; needs a recorder that gives it channels. One that
+            fails is logged once, and the run continues without it.
         progress: called with the time (s) now and then.
         realtime: make the process one for the loop, as far as the system permits: real-time
             priority, locked memory, no garbage collection; files are written and pictures shown by
@@ -354,9 +355,17 @@ class _Course:
 
     def _show(self, recorder: Records, viewer: Shows, k: int) -> None:
         if self.side is None:
-            viewer.show(recorder.latest())
+            self._draw(viewer, recorder.latest())
         elif k % SHOWN == 0 and self.side.idle:
-            self.side.submit(partial(viewer.show, recorder.latest()))
+            self.side.submit(partial(self._draw, viewer, recorder.latest()))
+
+    def _draw(self, viewer: Shows, tick: Mapping[str, Any]) -> None:
+        """Show a tick; a viewer that fails is reported once and left out of the rest of the run."""
+        try:
+            viewer.show(tick)
+        except Exception:
+            _log.exception("the viewer failed; the run continues without it")
+            self.viewer = None
 
 
 def _stop(robot: Robot, reason: str) -> Exception | None:

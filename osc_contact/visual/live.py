@@ -55,7 +55,7 @@ class Shows(Protocol):
     """What a run needs of a viewer."""
 
     def show(self, tick: Mapping[str, Any]) -> None:
-        """Take the channels of one tick; must return at once and never raise."""
+        """Take the channels of one tick; returns at once. An error ends the view, not the run."""
 
 
 class Viewer:
