@@ -112,9 +112,9 @@ class Press:
         table = osc.VertexOnFace(
             [0, 0, PROBE], point=[0.5, 0, TIP - self.modelled], normal=[0, 0, 1], radius=RADIUS
         )
-        self.controller = osc.Controller(
-            self.chain, [table], dt=1e-3, posture=q, life=osc.PhaseSettings(travel=0.1)
-        )
+        life = osc.PhaseSettings()
+        life = osc.PhaseSettings(travel=max(life.travel, self.gap + 0.03))
+        self.controller = osc.Controller(self.chain, [table], dt=1e-3, posture=q, life=life)
         self.status: list[osc.Status] = []
         self.state: list[osc.SafetyState] = []
         self.landed = self.released = 0

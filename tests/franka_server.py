@@ -41,6 +41,9 @@ HOME = (0.0, 0.1, 0.0, -2.0, 0.0, 2.1, 0.785)
 TCP = 0.1034
 PROBE = 0.125
 RADIUS = 0.015
+#: of the plate's damping, critical with the arm's mass at the probe; 1/s of its friction
+DAMPING = 0.3
+STICKING = 20.0
 LOST = 20  #: commands in a row
 COMMUNICATION = 25  #: communication_constraints_violation among libfranka's errors
 SCENE = {
@@ -48,7 +51,7 @@ SCENE = {
     "height": 0.2,
     "tilt": 0.0,
     "friction": 0.0,
-    "settling": 0.01,
+    "stiffness": 7e4,
     "joint_friction": 1.0,
     "armature": 1.0,
     "noise": 0.05,
@@ -241,7 +244,6 @@ class Simulation(simulator.MujocoSimulator):
             initial_q=HOME, kp=(600.0,) * 4 + (250.0,) * 3, kv=(50.0,) * 4 + (20.0,) * 3
         )
         hand = next(b for b in self.worldbody.iter("body") if b.get("name") == "robot0_hand")
-        contact = {"contype": "2", "conaffinity": "2", "condim": "3"}
         ET.SubElement(
             hand,
             "geom",
@@ -250,7 +252,6 @@ class Simulation(simulator.MujocoSimulator):
             size=str(RADIUS),
             pos=f"0 0 {PROBE}",
             mass="0",
-            **contact,
         )
         ET.SubElement(hand, "body", name="load", pos=f"0 0 {TCP}")
         load = hand.find("body[@name='load']")
@@ -263,12 +264,10 @@ class Simulation(simulator.MujocoSimulator):
             type="box",
             size="0.4 0.4 0.05",
             pos="0 0 -0.05",
-            priority="1",
-            **contact,
         )
-        for geom in self.worldbody.iter("geom"):  # meshes of the arm touch nothing
-            if geom.get("contype") != "2":
-                geom.attrib |= {"contype": "0", "conaffinity": "0"}
+        ET.SubElement(self._contact_e, "pair", geom1="probe", geom2="plate", condim="3")
+        for geom in self.worldbody.iter("geom"):  # nothing else touches
+            geom.attrib |= {"contype": "0", "conaffinity": "0"}
         self.log: list[list[float]] = []
         self.nudge = np.zeros(3)  #: N, of a hand at the tool centre
 
@@ -288,17 +287,12 @@ class Simulation(simulator.MujocoSimulator):
         mujoco.mj_resetData(model, data)
         data.qpos[self.robot._qpos_addrs] = HOME
         body = model.body("plate")
-        plate = model.geom("plate")
         mujoco.mj_forward(model, data)
         tilt = 0.5 * given["tilt"]
         body.quat[:] = np.cos(tilt), np.sin(tilt), 0.0, 0.0
         x, y, _ = data.geom_xpos[self.tip]
         body.pos[:] = x, y, given["height"]
-        plate.friction[:] = given["friction"], 0.0, 0.0
-        plate.condim[:] = 3 if given["friction"] else 1
-        model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        plate.solref[:] = given["settling"], 1.0
-        plate.solimp[:] = 0.2, 0.9, 0.0005, 0.5, 2.0
+        self.touch(given["stiffness"], given["friction"])
         mujoco.mj_forward(model, data)
         self.random = np.random.default_rng(given["seed"])
         self.log = []
@@ -309,6 +303,25 @@ class Simulation(simulator.MujocoSimulator):
         self.robot.success = 1.0
         self.robot.tcp_off = given["tcp_off"]
         self.robot._applied_torques[:] = 0.0
+
+    def touch(self, stiffness, friction):
+        """A linear spring and damper, and dry friction that does not lift the probe.
+
+        MuJoCo's cone couples both: a probe that slides with v rests higher by μ b v / k, where k and
+        b are the reference stiffness and damping of the contact. With the b of the normal direction
+        that is more than the depth of light contacts, which then open for single steps. So friction
+        gets a b of its own, a tenth, and impratio makes up for it where the probe sticks.
+        """
+        model = self.model
+        model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        model.opt.impratio = 10.0
+        share = model.body("robot0_hand").invweight0[0]  # 1/kg, as MuJoCo weighs the contact
+        damping = 2.0 * DAMPING * np.sqrt(2.0 * stiffness / share)
+        model.pair_dim[0] = 3 if friction else 1
+        model.pair_friction[0, :2] = friction
+        model.pair_solimp[0, :2] = 0.5
+        model.pair_solref[0] = -stiffness * share, -damping * share
+        model.pair_solreffriction[0] = -1e-9, -STICKING
 
     def _step(self):
         push = self.given["push"]
