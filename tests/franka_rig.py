@@ -8,6 +8,7 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import franky_sim
@@ -56,6 +57,12 @@ class FrankaServer:
         self.process.stdin.write(json.dumps(order) + "\n")
         self.process.stdin.flush()
         return self._answer()
+
+    def wait(self, steps: int) -> None:
+        """Until the robot, which holds by itself, has made so many."""
+        end = self.send()["steps"] + steps
+        while self.send()["steps"] < end:
+            sleep(0.01)
 
     def begin(self, *, faults: dict[str, Any] | None = None, **scene: Any) -> None:
         if self.process.poll() is not None:
@@ -139,9 +146,11 @@ class Press:
             if k:
                 self.status.append(self.controller.status)
                 self.state.append(self.controller.state)
-            phase = self.controller.phases()[0] if k > 50 else 0
+            phase = 0 if self.landed or k <= 50 else self.controller.phases()[0]
             if not self.landed and phase == 2:
                 self.landed = k
+            if self.state[-100:] == [osc.SafetyState.SAFE_STOP] * 100:
+                return
             t = 1e-3 * (k - self.landed) if self.landed else 0.0
             if t < 2.2:
                 p, v, a = blend(t - 0.7, 1.3)

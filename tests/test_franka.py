@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-import time
 
 import numpy as np
 import pinocchio as pin
@@ -17,8 +16,6 @@ from osc_contact.cli import app
 from osc_contact.drivers.franka import FrankaRobot
 from osc_contact.runs.commissioning import Commissioning
 from osc_contact.testing import check_robot
-
-pytestmark = pytest.mark.slow  # minutes beside other programs; `make test` takes them back at 60 s
 
 OK = osc.Status.OK
 __all__ = ["franka"]
@@ -80,7 +77,7 @@ def run_faulty(task: Press, **driver: object) -> osc.PlantError | None:
         assert stops[0][0] == task.state.index(osc.SafetyState.SAFE_STOP), "in its very tick"
         assert stops[0][1] and stops[-1][1] == ""
     if not task.faults.get("kill"):
-        time.sleep(0.3)
+        task.server.wait(300)
         assert np.abs(task.server.truth()["v"][-1]).max() < 0.1, "at rest, held by the robot"
     task.reason = stops[0][1]
     return ended
@@ -251,25 +248,29 @@ def test_what_it_refuses(franka: FrankaServer, monkeypatch: pytest.MonkeyPatch) 
         FrankaRobot(franka.host, chain)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+class Nudged(FrankaRobot):
+    """Somebody pushes its tip at some tick."""
+
+    server: FrankaServer
+    at = 2500
+    ticks = 0
+
+    def measure(self) -> osc.Measurement:
+        self.ticks += 1
+        if self.ticks == self.at:
+            self.server.send(nudge=[0.0, 8.0, 0.0])
+        return super().measure()
+
+
+@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
 def test_it_keeps_the_contract_of_drivers(franka: FrankaServer, sign: float) -> None:
     """`check_robot` on the wire, with a push that shows which way the wrench is."""
     franka.begin(height=0.0, sign=sign)
-
-    class Nudged(FrankaRobot):
-        ticks = 0
-
-        def measure(self) -> osc.Measurement:
-            self.ticks += 1
-            if self.ticks == 2500:
-                franka.send(nudge=[0.0, 8.0, 0.0])
-            return super().measure()
-
     robot = Nudged(franka.host, osc.ClosedChain([franka.arm()]))
+    robot.server = franka
     if sign > 0.0:
         (left_out,) = check_robot(robot, nudge=[0.0, 1.0, 0.0])
         assert left_out.startswith("the sign of the wrench is not checked by 0 N")
-        print(robot.ticks)
     else:
         with pytest.raises(osc.PlantError, match=r"pushed along \[0.0, 1.0, 0.0\], and the wrist"):
             check_robot(robot, nudge=[0.0, 1.0, 0.0])
@@ -279,31 +280,41 @@ def test_it_keeps_the_contract_of_drivers(franka: FrankaServer, sign: float) -> 
 # --- item 4: commissioning ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path) -> None:
     """The arm's joints rub half as much as an FR3's; somebody leads it in shadow mode."""
     franka.begin(height=0.0, joint_friction=0.5)
-    robot = FrankaRobot(franka.host, osc.ClosedChain([franka.arm()]))
+    robot = Nudged(franka.host, osc.ClosedChain([franka.arm()]))
+    robot.server = franka
     steps = []
 
     def confirm(what: str) -> bool:
         steps.append(what.split(":")[0])
-        franka.send(push=[8.0, 6.0] if steps[-1] == "shadow" else None, plate=0.003)
+        robot.at = robot.ticks + 100 * (steps[-1] == "wrench")
+        push = [8.0, 6.0] if steps[-1] == "shadow" else None
+        franka.send(nudge=[0.0, 0.0, 0.0], push=push, plate=0.003)
         return True
 
     course = Commissioning(robot, tmp_path, PROBE + RADIUS + 0.003, confirm, 3.0, False)
     done = course.run()
     print("\n".join(course.lines))
     assert done, course.lines
-    assert steps == ["model", "shadow", "contact"]
+    assert steps == ["model", "wrench", "shadow", "contact"]
     report = (tmp_path / "report.md").read_text()
     assert "forces may be commanded" in report and (tmp_path / "forces.png").exists()
     robot.close()
 
 
-def test_commissioning_ends_where_a_step_fails(franka: FrankaServer, tmp_path) -> None:
-    franka.begin(height=0.0)
+@pytest.mark.parametrize(
+    ("sign", "sentence"), [(1.0, "was not moved; push the tool"), (-1.0, "N more in world axes")]
+)
+def test_commissioning_ends_where_a_step_fails(franka, tmp_path, monkeypatch, sign, sentence):
+    franka.begin(height=0.0, sign=sign)
+    monkeypatch.setattr("osc_contact.drivers.franka.FrankaRobot", Nudged)
+    monkeypatch.setattr(Nudged, "server", franka, raising=False)
+    monkeypatch.setattr(Nudged, "at", 400)
     options = ["--host", franka.host, "--urdf", str(franka.urdf), "--tip", "tcp", "--out"]
     options += [str(tmp_path), "--yes", "--no-realtime", "--shadow-time", "1.1"]
     done = CliRunner().invoke(app, ["commission", "franka", *options])
-    assert done.exit_code == 1 and "was not moved; push the tool" in done.output
+    assert done.exit_code == 1 and sentence in " ".join(done.output.split()), done.output
     assert "failed" in (tmp_path / "report.md").read_text()
