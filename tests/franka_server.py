@@ -269,11 +269,8 @@ class Simulation(simulator.MujocoSimulator):
         self.log: list[list[float]] = []
         self.nudge = np.zeros(3)  #: N, of a hand at the tool centre
         self.since = 0
-        robot.wrench = np.zeros(6)
-        robot.error = None
-        robot.success = 1.0
-        robot.tcp_off = given["tcp_off"]
-        robot._applied_torques[:] = 0.0
+        fresh = {"wrench": np.zeros(6), "error": None, "success": 1.0}
+        vars(robot).update(fresh, tcp_off=given["tcp_off"], _applied_torques=np.zeros(7))
 
     def touch(self, stiffness, friction):
         """A linear spring and damper, and dry friction that does not lift the probe.
@@ -323,7 +320,7 @@ class Simulation(simulator.MujocoSimulator):
             force[:3] = contact.frame.reshape(3, 3).T @ six[:3]
             true += moved(force, contact.pos - self.tool())
         normal = data.xmat[self.plate].reshape(3, 3)[:, 2]
-        self.log.append([*true, -true[:3] @ normal, *data.geom_xpos[self.tip], *data.qvel[:7]])
+        self.log.append([-true[:3] @ normal, *data.geom_xpos[self.tip], *data.qvel[:7]])
         true -= self.pushed
         true[2] -= 9.81 * self.given["mass"]  # what the robot does not know that it carries
         noise = self.given["noise"] * np.repeat([1.0, 0.1], 3) * self.random.normal(size=6)

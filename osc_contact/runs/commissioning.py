@@ -20,6 +20,7 @@ from osc_contact.runs.loop import run_loop
 from osc_contact.runs.realtime import latency
 from osc_contact.runs.recorder import Recorder
 from osc_contact.scenarios.control_schema import PhaseSettings
+from osc_contact.scenarios.signals import rise
 from osc_contact.spatial import Array
 from osc_contact.testing import mean_outside, require_nudge
 
@@ -191,25 +192,11 @@ class _Motion:
             t = 1e-3 * (k - self.landed) if self.landed else 0.0
             if t > 5.0:
                 return
-            p, v, a = _blend((t - 2.0) / 2.0)
-            r, rv, ra = _blend((t - 4.0) / 0.8)
+            slid = np.array(rise(t, 2.0, 2.0))
+            raised = np.array(rise(t, 4.0, 0.8))
             force = 0.0 if k < 50 or t > 4.0 else FORCES[t > 1.2]
-            yield pose_reference(
-                self.X.translation + SLIDE * (p * side + r * up),
-                self.X.rotation,
-                SLIDE * (v / 2.0 * side + rv / 0.8 * up),
-                SLIDE * (a / 4.0 * side + ra / 0.64 * up),
-                alpha_d=[force],
-            )
-
-
-def _blend(s: float) -> tuple[float, float, float]:
-    s = min(max(s, 0.0), 1.0)
-    return (
-        s**3 * (10 - 15 * s + 6 * s**2),
-        30 * s**2 * (1 - s) ** 2,
-        60 * s * (1 - s) * (1 - 2 * s),
-    )
+            p, v, a = SLIDE * (np.outer(slid, side) + np.outer(raised, up))
+            yield pose_reference(self.X.translation + p, self.X.rotation, v, a, alpha_d=[force])
 
 
 def _picture(recording: Recording, folder: Path) -> str:
