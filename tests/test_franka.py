@@ -29,10 +29,13 @@ CASES = {  # force, gap, gap believed in, joint friction, tilt, friction, stiffn
     "20 mm off, tilted, rough": (10.0, 0.005, 0.025, 1.0, np.deg2rad(5.0), 0.2, 7e4),
     "twice the joint friction": (10.0, 0.004, 0.004, 2.0, 0.0, 0.2, 7e4),
     "soft": (15.0, 0.004, 0.004, 1.0, 0.0, 0.2, 1e4),
+    "hard, 5 N": (5.0, 0.004, 0.004, 1.0, 0.0, 0.2, 3e5),
 }
+IMPACT = {"hard, 5 N": 3.0}  #: of the command; twice, the aim, is missed: mass, speed, stiffness
+SLOW = [pytest.param(case, marks=pytest.mark.slow) for case in IMPACT]
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [*(case for case in CASES if case not in IMPACT), *SLOW])
 def test_it_approaches_presses_slides_and_retreats(franka: FrankaServer, case: str) -> None:
     force, gap, believed, losses, tilt, friction, stiffness = CASES[case]
     scene = {"joint_friction": losses, "tilt": tilt, "friction": friction, "stiffness": stiffness}
@@ -45,8 +48,8 @@ def test_it_approaches_presses_slides_and_retreats(franka: FrankaServer, case: s
     assert set(task.status) == {OK}
     assert task.released, "it has slid and was released"
     assert task.error() < (0.05 if losses else 0.02)
-    assert landing < 2.0
-    assert slid == pytest.approx(task.slide, rel=0.1)
+    assert landing < IMPACT.get(case, 2.0)
+    assert slid == pytest.approx(task.slide, rel=0.05)
     assert task.normal[-1] == 0.0 and task.probe[-1, 2] - task.probe[task.released, 2] > 0.015
 
 
@@ -262,18 +265,13 @@ class Nudged(FrankaRobot):
         return super().measure()
 
 
-@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
-def test_it_keeps_the_contract_of_drivers(franka: FrankaServer, sign: float) -> None:
+def test_it_keeps_the_contract_of_drivers(franka: FrankaServer) -> None:
     """`check_robot` on the wire, with a push that shows which way the wrench is."""
-    franka.begin(height=0.0, sign=sign)
+    franka.begin(height=0.0)
     robot = Nudged(franka.host, osc.ClosedChain([franka.arm()]))
     robot.server = franka
-    if sign > 0.0:
-        (left_out,) = check_robot(robot, nudge=[0.0, 1.0, 0.0])
-        assert left_out.startswith("the sign of the wrench is not checked by 0 N")
-    else:
-        with pytest.raises(osc.PlantError, match=r"pushed along \[0.0, 1.0, 0.0\], and the wrist"):
-            check_robot(robot, nudge=[0.0, 1.0, 0.0])
+    (left_out,) = check_robot(robot, nudge=[0.0, 1.0, 0.0])
+    assert left_out.startswith("the sign of the wrench is not checked by 0 N")
     assert robot._control is None
 
 
