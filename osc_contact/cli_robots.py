@@ -189,7 +189,8 @@ def commission(
         return yes or typer.confirm("continue?")
 
     with exit_codes():
-        arm = Arm.from_urdf(urdf, name=robot.value, tip=tip, wrist_sensor=tip)
+        # the robot compensates the friction of its joints by itself
+        arm = Arm.from_urdf(urdf, name=robot.value, tip=tip, wrist_sensor=tip, friction_factor=0.0)
         driver = FrankaRobot(host, ClosedChain([arm]))
         course = Commissioning(driver, folder, gap, confirm, shadow_time, realtime)
         done = course.run()

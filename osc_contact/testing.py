@@ -6,9 +6,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import combinations
-from time import perf_counter
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,7 +23,7 @@ from osc_contact.interface import Measurement, Robot
 from osc_contact.scenarios.control_schema import SafetySettings
 from osc_contact.spatial import Array, as_array
 
-__all__ = ["check_robot"]
+__all__ = ["check_robot", "mean_outside", "require_nudge"]
 
 HOLD = 50  #: ticks under the model's own weight
 PULSE = 30  #: ticks of a torque, and as many of its opposite
@@ -35,6 +34,7 @@ ALONE = 0.3  #: of what the fastest joint gains; less is no motion of the joint 
 FALLING = 0.3  #: share of the weight's acceleration that counts as none or twice the weight
 FAR = 0.3  #: rad (m) from the start, and 2 rad/s: the check ends at once
 RANGE = 0.05  #: of a joint's range, as of a controller that starts
+MEAN = 20  #: ticks of a mean wrench
 
 
 def check_robot(
@@ -102,7 +102,7 @@ class _Check:
         for joint in range(self.chain.nq):
             self.pulse(joint)
         if nudge is not None:
-            self.feel(as_array("nudge", nudge, (3,)), patience)
+            require_nudge(self.outside, as_array("nudge", nudge, (3,)), patience, self.dt)
 
     # --- one tick --------------------------------------------------------------------------------
 
@@ -210,18 +210,13 @@ class _Check:
             )
 
     def outside(self) -> Array:
-        """(6,) mean of what the wrists read during some ticks, in world axes at the object."""
-        sums = []
-        for _ in range(20):
+        """See `mean_outside`; the arm is held meanwhile."""
+
+        def read() -> Measurement:
             self.settle(1)
-            state = self.chain.state(self.now.q, np.zeros(self.chain.nq))
-            origin = pin.SE3(np.eye(3), state.X_WO.translation)
-            felt = np.zeros(6)
-            for X, wrench in zip(state.sensors, self.now.wrenches, strict=True):
-                if X is not None:
-                    felt = felt + origin.actInv(X.act(pin.Force(wrench))).vector
-            sums.append(felt)
-        return np.asarray(np.mean(sums, axis=0))
+            return self.now
+
+        return mean_outside(self.chain, read)
 
     def pulse(self, joint: int) -> None:
         """A torque to either side moves this joint, as the model predicts, and no other one."""
@@ -275,25 +270,54 @@ class _Check:
                 f"{predicted:.3g}; are positions and speeds in degrees, or masses too large?"
             )
 
-    def feel(self, direction: Array, patience: float) -> None:
-        """Wait for a push of the tip."""
-        at_rest = self.outside()[:3]
-        direction = direction / np.linalg.norm(direction)
-        until = perf_counter() + patience
-        while perf_counter() < until:
-            felt = at_rest - self.outside()[:3]
-            if np.linalg.norm(felt) > 2.0 * SafetySettings().load_error:
-                if felt @ direction < 0.7 * np.linalg.norm(felt):
-                    raise PlantError(
-                        f"the tip was pushed along {np.round(direction, 2).tolist()}, and the "
-                        f"wrist reads {np.round(-felt, 1).tolist()} N more in world axes; the sign "
-                        "or the axes of the frame are others: give the wrench that the arm exerts "
-                        "on the gripper, in the sensor's axes"
-                    )
-                return
-        raise PlantError(f"no push of the tip was felt within {patience:g} s")
-
     def stop(self) -> None:
         """Twice: the second time nothing happens."""
         for reason in ("the check has ended", ""):
             self.robot.stop(reason)
+
+
+def mean_outside(chain: ClosedChain, read: Callable[[], Measurement]) -> Array:
+    """(6,) mean of what the wrists read during some ticks, in world axes at the object.
+
+    Args:
+        chain: of the arms. read: gives the next measurement.
+    """
+    sums = []
+    for _ in range(MEAN):
+        m = read()
+        state = chain.state(m.q, np.zeros(chain.nq))
+        origin = pin.SE3(np.eye(3), state.X_WO.translation)
+        felt = np.zeros(6)
+        for X, wrench in zip(state.sensors, m.wrenches, strict=True):
+            if X is not None:
+                felt = felt + origin.actInv(X.act(pin.Force(wrench))).vector
+        sums.append(felt)
+    return np.asarray(np.mean(sums, axis=0))
+
+
+def require_nudge(
+    outside: Callable[[], Array], direction: Array, patience: float, dt: float
+) -> None:
+    """Wait for somebody to push the tip, and judge the direction of the force that is read.
+
+    Args:
+        outside: gives the mean wrench of some ticks, see `mean_outside`.
+        direction: (3,) of the push, in world axes. patience: s. dt: s, period of a tick.
+
+    Raises:
+        PlantError: no push was read, or one in another direction.
+    """
+    at_rest = outside()[:3]
+    direction = direction / np.linalg.norm(direction)
+    for _ in range(round(patience / (MEAN * dt))):
+        felt = at_rest - outside()[:3]
+        if np.linalg.norm(felt) > 2.0 * SafetySettings().load_error:
+            if felt @ direction < 0.7 * np.linalg.norm(felt):
+                raise PlantError(
+                    f"the tip was pushed along {np.round(direction, 2).tolist()}, and the "
+                    f"wrist reads {np.round(-felt, 1).tolist()} N more in world axes; the sign "
+                    "or the axes of the frame are others: give the wrench that the arm exerts "
+                    "on the gripper, in the sensor's axes"
+                )
+            return
+    raise PlantError(f"no push of the tip was felt within {patience:g} s")

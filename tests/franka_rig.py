@@ -8,6 +8,7 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import franky_sim
@@ -16,6 +17,7 @@ import pytest
 
 import osc_contact as osc
 from osc_contact.drivers.franka import FrankaRobot
+from osc_contact.scenarios.signals import rise
 
 URDF = Path(franky_sim.__file__).parent / "assets" / "fr3_clean.urdf"
 HAND = """
@@ -29,6 +31,7 @@ HAND = """
 PROBE = 0.125 - 0.1034
 RADIUS = 0.015
 TIP = 0.28454 - RADIUS  #: m, height of the probe's end at the start
+SLID = 2.2  #: s after landing, when it is released
 
 
 class FrankaServer:
@@ -57,6 +60,12 @@ class FrankaServer:
         self.process.stdin.flush()
         return self._answer()
 
+    def wait(self, steps: int) -> None:
+        """Until the robot, which holds by itself, has made so many."""
+        end = self.send()["steps"] + steps
+        while self.send()["steps"] < end:
+            sleep(0.01)
+
     def begin(self, *, faults: dict[str, Any] | None = None, **scene: Any) -> None:
         if self.process.poll() is not None:
             self.end()
@@ -64,12 +73,10 @@ class FrankaServer:
         self.send(scene=scene, faults=faults or {})
 
     def truth(self) -> dict[str, np.ndarray]:
-        """Of each step: force and moment on the plate, its normal part, the probe, speeds."""
+        """Of each step: normal force on the plate, place of the probe, joint speeds."""
         self.send(truth=str(self.folder / "truth.npy"))
         rows = np.load(self.folder / "truth.npy")
-        names = ("wrench", "normal", "probe", "v")
-        ends = (6, 7, 10)
-        return dict(zip(names, np.split(rows, ends, axis=1), strict=True))
+        return {"normal": rows[:, 0], "probe": rows[:, 1:4], "v": rows[:, 4:]}
 
     def end(self) -> None:
         with suppress(BrokenPipeError):
@@ -77,9 +84,10 @@ class FrankaServer:
         self.process.stdout.close()
         self.process.wait(10)
 
-    def arm(self, tip: str = "tcp", sensor: str = "tcp") -> osc.Arm:
-        """Nothing is known of its joints' friction and of its rotors."""
-        return osc.Arm.from_urdf(self.urdf, name="fr3", tip=tip, wrist_sensor=sensor)
+    def arm(self, sensor: str = "tcp") -> osc.Arm:
+        """Nothing is known of its rotors and its joints' friction; the file has 0.2 N m."""
+        known = {"tip": "tcp", "wrist_sensor": sensor, "friction_factor": 0.0}
+        return osc.Arm.from_urdf(self.urdf, name="fr3", **known)
 
 
 @pytest.fixture(scope="module")
@@ -112,9 +120,9 @@ class Press:
         table = osc.VertexOnFace(
             [0, 0, PROBE], point=[0.5, 0, TIP - self.modelled], normal=[0, 0, 1], radius=RADIUS
         )
-        self.controller = osc.Controller(
-            self.chain, [table], dt=1e-3, posture=q, life=osc.PhaseSettings(travel=0.1)
-        )
+        life = osc.PhaseSettings()
+        life = osc.PhaseSettings(travel=max(life.travel, self.gap + 0.03))
+        self.controller = osc.Controller(self.chain, [table], dt=1e-3, posture=q, life=life)
         self.status: list[osc.Status] = []
         self.state: list[osc.SafetyState] = []
         self.landed = self.released = 0
@@ -127,52 +135,31 @@ class Press:
         finally:
             if not self.faults.get("kill"):
                 rows = self.server.truth()
-                self.normal, self.probe = (
-                    rows[name][-len(self.status) :] for name in ("normal", "probe")
-                )
-                self.normal = self.normal[:, 0]
+                self.normal = rows["normal"][-len(self.status) :]
+                self.probe = rows["probe"][-len(self.status) :]
 
     def references(self):
-        side = np.array([0.0, 1.0, 0.0])
-        up = np.array([0.0, 0.0, 1.0])
+        x = self.start.translation
+        away = np.zeros(3)
         for k in range(self.ticks):
             if k:
                 self.status.append(self.controller.status)
                 self.state.append(self.controller.state)
-            phase = self.controller.phases()[0] if k > 50 else 0
-            if not self.landed and phase == 2:
+            if not self.landed and k > 50 and self.controller.phases()[0] == 2:
                 self.landed = k
-            t = 1e-3 * (k - self.landed) if self.landed else 0.0
-            if t < 2.2:
-                p, v, a = blend(t - 0.7, 1.3)
-                x = self.start.translation
-                along = self.slide * side
-                force = self.force * (k > 50)
-            else:
-                if not self.released:
-                    self.released = k
-                    q = np.array(self.robot.state.q)
-                    left = self.chain.state(q, np.zeros(7)).X_WO.translation
-                p, v, a = blend(t - 2.2, 0.5)
-                x = left
-                along = 0.02 * up
-                force = 0.0
-            if t > self.hold:
+            t = 1e-3 * (k - self.landed) * bool(self.landed)
+            if t > self.hold or self.state[-100:] == [osc.SafetyState.SAFE_STOP] * 100:
                 return
-            R = self.start.rotation
-            yield osc.pose_reference(x + p * along, R, v * along, a * along, alpha_d=[force])
+            if t >= SLID and not self.released:
+                self.released = k
+                away = self.chain.state(np.array(self.robot.state.q), np.zeros(7)).X_WO.translation
+                away = away - x - [0.0, self.slide, 0.0]
+            force = self.force * (k > 50 and not self.released)
+            sides = np.outer(rise(t, 0.7, 1.3), [0.0, self.slide, 0.0])
+            p, v, a = sides + np.outer(rise(t, SLID, 0.5), [0.0, 0.0, 0.02])
+            yield osc.pose_reference(x + away + p, self.start.rotation, v, a, alpha_d=[force])
 
     def error(self) -> float:
         """Of the force from half a second after landing until the release, rms, of the command."""
         part = self.normal[self.landed + 500 : self.released]
         return float(np.sqrt(np.mean((part / self.force - 1.0) ** 2)))
-
-
-def blend(t: float, duration: float) -> tuple[float, float, float]:
-    """From 0 to 1 with its two derivatives, at rest on both ends."""
-    s = min(max(t / duration, 0.0), 1.0)
-    return (
-        s**3 * (10 - 15 * s + 6 * s**2),
-        30 * s**2 * (1 - s) ** 2 / duration,
-        60 * s * (1 - s) * (1 - 2 * s) / duration**2,
-    )

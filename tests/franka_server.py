@@ -13,19 +13,17 @@ from __future__ import annotations
 import json
 import os
 import select
+import struct
 import sys
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import franky_sim.mujoco_simulator as simulator
 import mujoco
 import numpy as np
 import pinocchio as pin
-from franky_sim import SimulationServer
 from franky_sim.franka_robot_protocol import (
     AutomaticErrorRecoveryCommand,
     BaseCommand,
@@ -35,31 +33,37 @@ from franky_sim.franka_robot_protocol import (
 )
 from franky_sim.franka_robot_server import FrankaRobotServer
 from franky_sim.franka_robot_state import FrankaRobotState
+from franky_sim.simulation_server import LocalHostnames
 
 HOME = (0.0, 0.1, 0.0, -2.0, 0.0, 2.1, 0.785)
 #: m along the hand's z: tool centre, probe, its radius
 TCP = 0.1034
 PROBE = 0.125
 RADIUS = 0.015
+#: of the plate's damping, critical with the arm's mass at the probe; 1/s of its friction
+DAMPING = 0.3
+STICKING = 20.0
 LOST = 20  #: commands in a row
 COMMUNICATION = 25  #: communication_constraints_violation among libfranka's errors
-SCENE = {
+PERIOD = 1e-3  #: s
+#: s; the client gives up after 1 s without a packet
+PATIENCE = 0.9
+IDLE = 0.02  #: s, from step to step without a client
+SCENE: dict[str, Any] = {
     "clock": False,
     "height": 0.2,
     "tilt": 0.0,
     "friction": 0.0,
-    "settling": 0.01,
+    "stiffness": 7e4,
     "joint_friction": 1.0,
-    "armature": 1.0,
     "noise": 0.05,
     "sign": 1.0,
     "mass": 0.0,
     "push": None,
     "rest": 0.0,
     "tcp_off": 0.0,
-    "seed": 0,
 }
-FAULTS = {
+FAULTS: dict[str, Any] = {
     "at": 0,
     "freeze": {},
     "kill": False,
@@ -90,22 +94,17 @@ class Robot(simulator.FrankaMujocoRobot):
         inner = self._get_state()
         X = self.kinematics(np.array(inner.q)).homogeneous
         X[:3, 3] += self.tcp_off * X[:3, 2]
-        R = X[:3, :3]
-        local = [*R.T @ self.wrench[:3], *R.T @ self.wrench[3:]]
-        tool = self.tool.homogeneous
         return FrankaRobotState(
             q=inner.q,
-            q_d=inner.q,
+            q_d=inner.q,  # where it holds when a motion has ended
             dq=inner.dq,
             tau_J=inner.tau_j,
             tau_J_d=self.torques,
             O_T_EE=X.ravel(order="F"),
-            F_T_EE=tool.ravel(order="F"),
-            m_ee=0.73,
+            F_T_EE=self.tool.homogeneous.ravel(order="F"),
             m_load=self.m_load,
             F_x_Cload=self.F_x_Cload,
             O_F_ext_hat_K=self.wrench,
-            K_F_ext_hat_K=local,
             errors=errors,
             reflex_reason=errors,
             control_command_success_rate=self.success,
@@ -119,7 +118,7 @@ class Robot(simulator.FrankaMujocoRobot):
         self._torque_control(self.torques + pin.computeGeneralizedGravity(model, data, q))
 
     def joint_position_control(self, target_q, has_new_command=True):
-        self._joint_position_control(np.asarray(target_q))
+        self._joint_position_control(target_q)
 
     def _post_step(self):
         """No derivatives: they are in no state."""
@@ -128,16 +127,32 @@ class Robot(simulator.FrankaMujocoRobot):
 class Server(FrankaRobotServer):
     """Loses, repeats, swaps and delays packets; ends the motion where commands stay away."""
 
-    faults: Mapping[str, Any] = FAULTS
+    clock = True
+    faults = FAULTS
+    count = 0  #: of all packets
     lost = 0
     sent = 0  #: packets since a motion began
     begun = False  #: whether a command of this motion came
-    owed = False  #: whether the client got the last packet
+    owed = False  #: whether the client got the last packet, and has to reply
     reflex = False
+    kept: list[bytes] = []  # noqa: RUF012
+
+    def begin(self, faults, clock):
+        self.faults = FAULTS | faults
+        self.clock = clock
+        self.reflex = False
+        self.sent = 0
+        self.reset_state()
 
     @property
     def moving(self) -> bool:
         return self.udp_connected and self.current_motion_id > 0
+
+    @property
+    def awaited(self):
+        """Sockets on which a command has to come before the next step."""
+        due = self.owed and self.moving and not self.clock
+        return [self._FrankaServer__udp_socket] * due
 
     def _post_process_commands(self):
         fresh = self._FrankaRobotServer__has_new_command
@@ -174,61 +189,34 @@ class Server(FrankaRobotServer):
     def send_state(self):
         if not self.udp_connected:
             return
+        self.count += 1
         self.sent += self.moving
-        self.owed = self.begun
-        faults = self.faults
+        packets = [struct.pack("<Q", self.count) + self._get_state_bytes()]
         k = self.sent - self.faults["at"]
-        name = "_FrankaServer__udp_socket"
-        time.sleep(faults["freeze"].get(str(k), 0.0))
-        if k == 1 and faults["kill"]:
+        if self.moving and k > 0:
+            packets = self.spoil(packets, k)
+        for packet in packets:
+            address = self._FrankaServer__client_address, self._FrankaServer__client_udp_port
+            self._FrankaServer__udp_socket.sendto(packet, address)
+        self.owed = self.begun and bool(packets)
+
+    def spoil(self, packets, k):
+        """What goes over the wire in place of packet k since the faults began."""
+        faults = self.faults
+        hit = {name: k % (faults[name] or k + 1) == 0 for name in ("drop", "repeat", "swap")}
+        pause = faults["freeze"].get(str(k), faults["late"])
+        if pause:
+            time.sleep(pause)
+        if faults["kill"]:
             os._exit(1)
-        if 0 < k <= faults["away"] and self.moving:  # a client that does not read, nor write
-            self.owed = False
-            return
-        if k <= 0 or not self.moving:
-            return super().send_state()
-        real = getattr(self, name)
-        wire = Wire(real, faults, k)
-        setattr(self, name, wire)
-        try:
-            super().send_state()
-        finally:
-            setattr(self, name, real)
-            self.owed = self.begun and wire.went
-
-    def process_commands(self):
-        if self.owed and self.moving and not self.clock:
-            select.select([self._FrankaServer__udp_socket], [], [], 0.9)
-        super().process_commands()
-
-
-class Wire:
-    """A socket for one packet, number k since the faults began."""
-
-    kept: list[bytes] = []  # noqa: RUF012
-
-    def __init__(self, socket, faults, k):
-        self.socket = socket
-        self.faults = faults
-        self.k = k
-        self.went = False
-
-    def sendto(self, data, address):
-        hit = {
-            name: self.faults[name] and self.k % self.faults[name] == 0
-            for name in ("drop", "repeat", "swap")
-        }
-        if self.faults["late"]:
-            time.sleep(self.faults["late"])
-        if hit["swap"]:
-            self.kept.append(data)
-        elif not hit["drop"]:
-            self.socket.sendto(data, address)
-            self.went = True
-            while self.kept:
-                self.socket.sendto(self.kept.pop(), address)
-            if hit["repeat"]:
-                self.socket.sendto(data, address)
+        if k <= faults["away"]:  # a client that neither reads nor writes
+            return []
+        self.kept += packets * hit["swap"]
+        if hit["swap"] or hit["drop"]:
+            return []
+        packets = packets + self.kept + packets * hit["repeat"]
+        self.kept.clear()
+        return packets
 
 
 class Simulation(simulator.MujocoSimulator):
@@ -241,93 +229,84 @@ class Simulation(simulator.MujocoSimulator):
             initial_q=HOME, kp=(600.0,) * 4 + (250.0,) * 3, kv=(50.0,) * 4 + (20.0,) * 3
         )
         hand = next(b for b in self.worldbody.iter("body") if b.get("name") == "robot0_hand")
-        contact = {"contype": "2", "conaffinity": "2", "condim": "3"}
-        ET.SubElement(
-            hand,
-            "geom",
-            name="probe",
-            type="sphere",
-            size=str(RADIUS),
-            pos=f"0 0 {PROBE}",
-            mass="0",
-            **contact,
+        hand.extend(
+            ET.fromstring(f"""<x>
+            <geom name="probe" size="{RADIUS}" pos="0 0 {PROBE}" mass="0"/>
+            <body name="load" pos="0 0 {TCP}">
+              <inertial pos="0 0 0" mass="1e-6" diaginertia="1e-9 1e-9 1e-9"/> </body> </x>""")
         )
-        ET.SubElement(hand, "body", name="load", pos=f"0 0 {TCP}")
-        load = hand.find("body[@name='load']")
-        ET.SubElement(load, "inertial", pos="0 0 0", mass="1e-6", diaginertia="1e-9 1e-9 1e-9")
-        plate = ET.SubElement(self.worldbody, "body", name="plate")
-        ET.SubElement(
-            plate,
-            "geom",
-            name="plate",
-            type="box",
-            size="0.4 0.4 0.05",
-            pos="0 0 -0.05",
-            priority="1",
-            **contact,
+        self.worldbody.append(
+            ET.fromstring("""<body name="plate">
+            <geom name="plate" type="box" size="0.4 0.4 0.05" pos="0 0 -0.05"/> </body>""")
         )
-        for geom in self.worldbody.iter("geom"):  # meshes of the arm touch nothing
-            if geom.get("contype") != "2":
-                geom.attrib |= {"contype": "0", "conaffinity": "0"}
-        self.log: list[list[float]] = []
-        self.nudge = np.zeros(3)  #: N, of a hand at the tool centre
+        for geom in self.worldbody.iter("geom"):  # no others than this pair touch
+            geom.attrib |= {"contype": "0", "conaffinity": "0"}
+        ET.SubElement(self._contact_e, "pair", geom1="probe", geom2="plate")
 
     def begin(self, given):
         """Arm at rest at home, and the scene as given."""
         self.given = given = SCENE | given
         model = self.model
         data = self.data
+        robot = self.robot
         if not hasattr(self, "losses"):
             self.losses = model.dof_frictionloss.copy()
-            self.rotors = model.dof_armature.copy()
             self.tip = model.geom("probe").id
+            self.hand = model.body("robot0_hand").id
+            self.plate = model.body("plate").id
         model.dof_frictionloss[:] = given["joint_friction"] * self.losses
-        model.dof_armature[:] = given["armature"] * self.rotors
         model.body("load").mass[:] = max(given["mass"], 1e-6)
         mujoco.mj_setConst(model, data)
         mujoco.mj_resetData(model, data)
-        data.qpos[self.robot._qpos_addrs] = HOME
-        body = model.body("plate")
-        plate = model.geom("plate")
+        data.qpos[robot._qpos_addrs] = HOME
         mujoco.mj_forward(model, data)
         tilt = 0.5 * given["tilt"]
-        body.quat[:] = np.cos(tilt), np.sin(tilt), 0.0, 0.0
-        x, y, _ = data.geom_xpos[self.tip]
-        body.pos[:] = x, y, given["height"]
-        plate.friction[:] = given["friction"], 0.0, 0.0
-        plate.condim[:] = 3 if given["friction"] else 1
-        model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        plate.solref[:] = given["settling"], 1.0
-        plate.solimp[:] = 0.2, 0.9, 0.0005, 0.5, 2.0
+        model.body_quat[self.plate] = np.cos(tilt), np.sin(tilt), 0.0, 0.0
+        model.body_pos[self.plate] = *data.geom_xpos[self.tip][:2], given["height"]
+        self.touch(given["stiffness"], given["friction"])
         mujoco.mj_forward(model, data)
-        self.random = np.random.default_rng(given["seed"])
-        self.log = []
-        self.nudge = np.zeros(3)
+        self.random = np.random.default_rng(0)
+        self.log: list[list[float]] = []
+        self.nudge = np.zeros(3)  #: N, of a hand at the tool centre
         self.since = 0
-        self.robot.wrench = np.zeros(6)
-        self.robot.error = None
-        self.robot.success = 1.0
-        self.robot.tcp_off = given["tcp_off"]
-        self.robot._applied_torques[:] = 0.0
+        fresh = {"wrench": np.zeros(6), "error": None, "success": 1.0}
+        vars(robot).update(fresh, tcp_off=given["tcp_off"], _applied_torques=np.zeros(7))
+
+    def touch(self, stiffness, friction):
+        """A linear spring and damper, and dry friction that does not lift the probe.
+
+        MuJoCo's cone couples both: a probe that slides with v rests higher by μ b v / k, k and b
+        the reference stiffness (1/s²) and damping (1/s) of the contact. With the b of the normal
+        direction that exceeds the depth of light contacts, which then open for single steps. So
+        friction gets a smaller b of its own, and impratio makes up for it where the probe sticks.
+        """
+        model = self.model
+        model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        model.opt.impratio = 10.0
+        share = model.body_invweight0[self.hand][0]  # 1/kg, as MuJoCo weighs the contact
+        damping = 2.0 * DAMPING * np.sqrt(2.0 * stiffness / share)
+        half = 0.5  # impedance: reference values are then twice those of solref
+        model.pair_dim[0] = 3 if friction else 1
+        model.pair_friction[0, :2] = friction
+        model.pair_solimp[0, :2] = half
+        model.pair_solref[0] = -half * share * np.array([stiffness, damping])
+        model.pair_solreffriction[0] = -1e-9, -half * STICKING
 
     def _step(self):
-        push = self.given["push"]
-        hand = self.model.body("robot0_hand").id
         self.pushed = np.array([*self.nudge, 0.0, 0.0, 0.0])
-        t = 1e-3 * (len(self.log) - self.since) - self.given["rest"]
-        if push is not None and t >= 0.0:  # by hand: to and fro, and the hand turned
-            amount, rate = push
+        t = PERIOD * (len(self.log) - self.since) - self.given["rest"]
+        if self.given["push"] is not None and t >= 0.0:  # by hand: to and fro, and the hand turned
+            amount, rate = self.given["push"]
             shares = np.array([1.0, 1.0, 0.3, 0.0, 0.0, 0.05])
             self.pushed = shares * amount * np.cos(rate * t * np.array([1, 1.3, 0.7, 1, 1, 0.9]))
-        arm = self.tool() - self.data.xipos[hand]
-        force = self.pushed[:3]
-        self.data.xfrc_applied[hand] = self.pushed + [0.0, 0.0, 0.0, *np.cross(arm, force)]
+        applied = moved(self.pushed, self.tool() - self.data.xipos[self.hand])
+        self.data.xfrc_applied[self.hand] = applied
         super()._step()
         self.note()
 
     def tool(self):
         R = self.data.geom_xmat[self.tip].reshape(3, 3)
-        return self.data.geom_xpos[self.tip] + R @ [0.0, 0.0, TCP - PROBE]
+        return self.data.geom_xpos[self.tip] + R[:, 2] * (TCP - PROBE)
 
     def note(self):
         """The wrench that the robot exerts on its environment, at its tool centre."""
@@ -337,16 +316,20 @@ class Simulation(simulator.MujocoSimulator):
         for i in range(data.ncon):
             contact = data.contact[i]
             mujoco.mj_contactForce(self.model, data, i, six)
-            force = contact.frame.reshape(3, 3).T @ six[:3]
-            force *= 1.0 if contact.geom1 == self.tip else -1.0
-            true[:3] += force
-            true[3:] += np.cross(contact.pos - self.tool(), force)
-        normal = data.xmat[self.model.body("plate").id].reshape(3, 3)[:, 2]
-        self.log.append([*true, -true[:3] @ normal, *data.geom_xpos[self.tip], *data.qvel[:7]])
+            force = np.zeros(6)
+            force[:3] = contact.frame.reshape(3, 3).T @ six[:3]
+            true += moved(force, contact.pos - self.tool())
+        normal = data.xmat[self.plate].reshape(3, 3)[:, 2]
+        self.log.append([-true[:3] @ normal, *data.geom_xpos[self.tip], *data.qvel[:7]])
         true -= self.pushed
         true[2] -= 9.81 * self.given["mass"]  # what the robot does not know that it carries
         noise = self.given["noise"] * np.repeat([1.0, 0.1], 3) * self.random.normal(size=6)
         self.robot.wrench = self.given["sign"] * true + noise
+
+
+def moved(wrench, lever):
+    """A wrench about the origin of its lever."""
+    return pin.SE3(np.eye(3), lever).act(pin.Force(wrench)).vector
 
 
 def recover(command, server):
@@ -358,48 +341,48 @@ def recover(command, server):
 def main() -> None:
     AutomaticErrorRecoveryCommand.handle = recover
     with Simulation() as sim:
-        import franky_sim.simulation_server as module
-
-        module.FrankaRobotServer = Server
-        with SimulationServer(sim) as whole:
-            (server,) = whole.robot_servers
-            server.clock = True
-            sim.begin({})
-            print(json.dumps({"host": server.hostname}), flush=True)
-            while True:
-                while select.select([sys.stdin], [], [], 0)[0]:
-                    line = sys.stdin.readline()
-                    if not line:
-                        return
-                    answer = obey(json.loads(line), sim, server)
-                    print(json.dumps(answer), flush=True)
-                whole.run_once(server.clock or not server.moving)
+        server = Server(sim.robot, LocalHostnames())
+        server.init()
+        sim.start()
+        sim.begin({})
+        print(json.dumps({"host": server.hostname}), flush=True)
+        while True:
+            awaited = server.awaited
+            wait = 0.0 if server.tcp_connected else IDLE
+            if (
+                sys.stdin
+                in select.select([sys.stdin, *awaited], [], [], PATIENCE if awaited else wait)[0]
+            ):
+                line = sys.stdin.readline()
+                if not line:
+                    return
+                print(json.dumps(obey(json.loads(line), sim, server)), flush=True)
+                continue
+            start = time.perf_counter()
+            server.process_commands()
+            sim.step()
+            server.send_state()
+            if server.clock or not server.begun:
+                time.sleep(max(0.0, start + PERIOD - time.perf_counter()))
 
 
 def obey(order, sim, server):
     if "scene" in order:
         sim.begin(order["scene"])
-        server.clock = sim.given["clock"]
-        server.faults = FAULTS | order.get("faults", {})
+        server.begin(order["faults"], sim.given["clock"])
         if server.clock:
             with suppress(OSError):
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(70))
-        server.reflex = False
-        server.sent = 0
-        server.reset_state()
     if "push" in order:
         sim.given |= {"push": order["push"], "rest": 0.5}
         sim.since = len(sim.log)
     if "plate" in order:  # below the probe, where that is now
-        sim.model.body("plate").pos[:] = sim.data.geom_xpos[sim.tip] - [
-            0,
-            0,
-            order["plate"] + RADIUS,
-        ]
+        depth = [0.0, 0.0, order["plate"] + RADIUS]
+        sim.model.body_pos[sim.plate] = sim.data.geom_xpos[sim.tip] - depth
     if "nudge" in order:
         sim.nudge = np.array(order["nudge"])
     if "truth" in order:
-        np.save(Path(order["truth"]), np.array(sim.log))
+        np.save(order["truth"], np.array(sim.log))
     return {"steps": len(sim.log)}
 
 

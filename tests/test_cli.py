@@ -162,6 +162,7 @@ def test_metrics_have_the_documented_keys(done):
         "contact_fraction",
         "power",
         "tick_us",
+        "loop",
         "status",
         "at_limit",
         "first_contact_s",

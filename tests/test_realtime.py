@@ -18,7 +18,8 @@ from test_own_driver import HOME, Driver
 
 import osc_contact as osc
 from osc_contact.runs import realtime
-from osc_contact.runs.realtime import Deadlines
+from osc_contact.runs.realtime import Deadlines, latency
+from osc_contact.runs.report import verdict_table
 
 
 class Paced(Robot):
@@ -51,7 +52,7 @@ def test_the_process_is_made_for_the_loop_and_given_back(caplog, monkeypatch):
     assert (gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval()) == before
     assert report.ticks == 50 == sum(report.histogram)
     us = report.read_to_write_us
-    assert 0.0 < us["p50"] <= us["p99"] <= us["p99_9"] and us["max"] < 1e5
+    assert 0.0 < us["p50"] <= us["p99"] <= us["p99_9"]
     assert robot.stops == [""]
 
 
@@ -77,6 +78,8 @@ def test_what_counts_as_missed():
         {"p50": 105.0, "p99": 515.0, "p99_9": 515.0, "max": 510.0}
     )
     assert report.as_dict()["notes"] == ["a note"]
+    times = "p50 105 µs, p99.9 515 µs, max 510 µs; 2 of 5 deadlines missed; a bar for 100 µs,"
+    assert latency(report.as_dict()) == f"{times} logarithms of counts: | █  ▄▄{15 * ' '}|"
 
 
 def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch, caplog):
@@ -84,7 +87,7 @@ def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch, cap
     driver = Driver()
     controller = osc.Controller(driver.chain, [], dt=1e-3, posture=HOME)
     X = driver.chain.state(HOME, np.zeros(3)).X_WO
-    recorder = osc.Recorder(controller, journal=tmp_path / "run.mcap")
+    recorder = osc.Recorder(controller, driver.plant, journal=tmp_path / "run.mcap")
     threads = set()
     shown = []
     append = recorder.journal.append
@@ -104,13 +107,15 @@ def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch, cap
     recorder.journal.append = hang
     reference = osc.pose_reference(X.translation, X.rotation)
     loop = {"recorder": recorder, "viewer": Viewer(), "realtime": True}
-    report = osc.run_loop(driver, controller, repeat(reference, 400), **loop)
+    report = osc.run_loop(driver, controller, repeat(reference, 1100), **loop)
     assert threads == {"side work"} and shown == sorted(shown) and len(shown) == 3
     assert caplog.text.count("the viewer failed; the run continues without it") == 1
     recording = recorder.recording()
-    assert len(recording) == 400 and np.isfinite(recording["q"]).all()
+    assert len(recording) == 1100 and np.isfinite(recording["q"]).all()
     np.testing.assert_allclose(np.diff(recording["t"]), 1e-3)
-    assert recording.meta["loop"]["histogram"] == report.histogram
+    verdict = osc.metrics(recording)
+    assert verdict["loop"] == report.as_dict()
+    assert latency(verdict["loop"]) in list(verdict_table(verdict).columns[1].cells)
     assert report.read_to_write_us["p50"] < 5e3
 
 

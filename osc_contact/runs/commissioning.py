@@ -17,9 +17,12 @@ from osc_contact.files import whole_file
 from osc_contact.interface import Reference, pose_reference
 from osc_contact.recorder import Recording
 from osc_contact.runs.loop import run_loop
+from osc_contact.runs.realtime import latency
 from osc_contact.runs.recorder import Recorder
 from osc_contact.scenarios.control_schema import PhaseSettings
+from osc_contact.scenarios.signals import rise
 from osc_contact.spatial import Array
+from osc_contact.testing import mean_outside, require_nudge
 
 __all__ = ["Commissioning"]
 
@@ -28,6 +31,8 @@ TORQUE_ERROR = 0.05  #: of the motors' limits, by which torques at rest may diff
 FORCES = 5.0, 8.0  #: N, of the approach and of the step
 SLIDE = 0.02  #: m
 ERROR = 0.1  #: of the force, rms
+NUDGE = 0.0, 1.0, 0.0  #: direction of the push at the tool, in axes of the base
+PATIENCE = 10.0  #: s, until it comes
 
 
 @dataclass
@@ -55,6 +60,7 @@ class Commissioning:
         """All steps, until one fails or is not confirmed; writes report.md and its pictures."""
         steps = {
             "model: nothing moves": self._model,
+            f"wrench: push the tool along {list(NUDGE)}, in axes of the base": self._nudge,
             "shadow: lead the arm by the hand, at the tool, after a moment of rest": self._shadow,
             f"contact: presses with {FORCES[0]:g} and {FORCES[1]:g} N, slides": self._press,
         }
@@ -107,6 +113,16 @@ class Commissioning:
         noise = wrenches.std(axis=0)
         yield f"wrist: {np.round(mean, 2).tolist()}, noise {np.round(noise, 3).tolist()} N, N m"
 
+    def _nudge(self) -> Iterator[str]:
+        """Sign and axes of the wrench, while the robot holds by itself."""
+        chain = self.robot.chain
+
+        def outside() -> Array:
+            return mean_outside(chain, self.robot.measure)
+
+        require_nudge(outside, chain.arms[0].base.rotation @ NUDGE, PATIENCE, 1e-3)
+        yield "the wrist reads the push in its direction"
+
     def _shadow(self) -> Iterator[str]:
         """See `runs.shadow`."""
         q, X = self._stands()
@@ -142,9 +158,7 @@ class Commissioning:
         recording = recorder.recording()
         if not motion.landed:
             raise PlantError(f"no plate was found within {1e3 * life.travel:.0f} mm below the tip")
-        late = loop.missed
-        times = loop.read_to_write_us
-        yield f"from state to torques: {times['p50']:.0f} µs, p99 {times['p99']:.0f}; {late} late"
+        yield f"from state to torques: {latency(loop.as_dict())}"
         name = _picture(recording, self.folder)
         yield f"landed after {motion.landed / 1e3:.2f} s; ![forces]({name})"
         read, commanded = (recording[key][:, 0] for key in ("alpha_meas", "alpha_cmd"))
@@ -178,25 +192,11 @@ class _Motion:
             t = 1e-3 * (k - self.landed) if self.landed else 0.0
             if t > 5.0:
                 return
-            p, v, a = _blend((t - 2.0) / 2.0)
-            r, rv, ra = _blend((t - 4.0) / 0.8)
+            slid = np.array(rise(t, 2.0, 2.0))
+            raised = np.array(rise(t, 4.0, 0.8))
             force = 0.0 if k < 50 or t > 4.0 else FORCES[t > 1.2]
-            yield pose_reference(
-                self.X.translation + SLIDE * (p * side + r * up),
-                self.X.rotation,
-                SLIDE * (v / 2.0 * side + rv / 0.8 * up),
-                SLIDE * (a / 4.0 * side + ra / 0.64 * up),
-                alpha_d=[force],
-            )
-
-
-def _blend(s: float) -> tuple[float, float, float]:
-    s = min(max(s, 0.0), 1.0)
-    return (
-        s**3 * (10 - 15 * s + 6 * s**2),
-        30 * s**2 * (1 - s) ** 2,
-        60 * s * (1 - s) * (1 - 2 * s),
-    )
+            p, v, a = SLIDE * (np.outer(slid, side) + np.outer(raised, up))
+            yield pose_reference(self.X.translation + p, self.X.rotation, v, a, alpha_d=[force])
 
 
 def _picture(recording: Recording, folder: Path) -> str:

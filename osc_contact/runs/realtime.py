@@ -8,9 +8,10 @@ import logging
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import ceil, log1p
 from threading import Event, Thread
 from time import sleep
 from typing import Any
@@ -18,12 +19,14 @@ from typing import Any
 from osc_contact.errors import PlantError
 from osc_contact.runs.shadow import ShadowReport
 
-__all__ = ["Deadlines", "LoopReport", "SideWork", "realtime_process"]
+__all__ = ["Deadlines", "LoopReport", "SideWork", "latency", "realtime_process"]
 
 PRIORITY = 80  #: of SCHED_FIFO; network interrupts of real-time kernels have 50
 SWITCH_S = 5e-5  #: after which Python's other threads give way to the loop
 BIN_S = 5e-6  #: width of the histogram's bins; longer times than 2 ms share the last
 BINS = 400
+BARS = " ▁▂▃▄▅▆▇█"
+BAR_BINS = 20  #: bins of the histogram that a bar shows
 LATE_SHARE = 0.5  #: of the period from reading to writing; a robot needs the rest
 LATE_CYCLES = 1.5  #: periods from one reading to the next
 MOST_MISSED = 20  #: deadlines in a row
@@ -56,6 +59,24 @@ class LoopReport:
         """JSON-able form, which recordings carry."""
         names = ("ticks", "missed", "read_to_write_us", "histogram", "notes")
         return {name: getattr(self, name) for name in names}
+
+
+def latency(loop: Mapping[str, Any]) -> str:
+    """For people: times from a measurement to its torques, and their histogram.
+
+    Args:
+        loop: `LoopReport.as_dict`, as recordings carry it.
+    """
+    times = loop["read_to_write_us"]
+    counts = loop["histogram"]
+    bars = [sum(counts[k : k + BAR_BINS]) for k in range(0, len(counts), BAR_BINS)]
+    most = log1p(max(*bars, 1))
+    drawn = "".join(BARS[ceil((len(BARS) - 1) * log1p(n) / most)] for n in bars)
+    return (
+        f"p50 {times['p50']:.0f} µs, p99.9 {times['p99_9']:.0f} µs, max {times['max']:.0f} µs; "
+        f"{loop['missed']} of {loop['ticks']} deadlines missed; a bar for "
+        f"{1e6 * BAR_BINS * BIN_S:.0f} µs, logarithms of counts: |{drawn}|"
+    )
 
 
 class Deadlines:

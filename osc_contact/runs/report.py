@@ -18,6 +18,7 @@ from osc_contact.robots import RobotSummary
 from osc_contact.robots.summary import losses_by_arm
 from osc_contact.runs.calibration import WristCalibration
 from osc_contact.runs.inspection import Inspection
+from osc_contact.runs.realtime import latency
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.verdict import metrics
 from osc_contact.runs.viewing import DRAWN, write_scene_of
@@ -63,6 +64,8 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
     for arm, words in losses_by_arm(verdict["joint_losses"]):
         table.add_row(f"joints {arm}, in the model", words)
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
+    if verdict.get("loop"):
+        table.add_row("measurement to torques", latency(verdict["loop"]))
     table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
     if verdict["at_limit"]:
         motors = ", ".join(f"{joint} {n}" for joint, n in verdict["at_limit"])

@@ -177,7 +177,8 @@ def metrics(recording: Recording) -> dict[str, Any]:
     contact_fraction {contact}; first_contact_s {contact} (null: never); steps, see
     `step_answers`; judged_ticks; task {word, failed, why}, see `judge_task`;
     power {total_rms_W, projected_rms_W, ratio};
-    tick_us {p50, p99, p99_9, max}; status {name: ticks}; at_limit [[joint, ticks], …] of motors
+    tick_us {p50, p99, p99_9, max}; loop, as `LoopReport.as_dict` (null: not in real time);
+    status {name: ticks}; at_limit [[joint, ticks], …] of motors
     that ever stood at their limit, the one that did longest first.
 
     Under force, the magnitudes of a contact with several are called contact.1, contact.2, …
@@ -285,6 +286,7 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
             "ratio": _ratio(projected, total),
         },
         "tick_us": _tick(recording),
+        "loop": meta.get("loop"),
         "status": dict(zip(_STATUS, sums.status.tolist(), strict=True)),
         "at_limit": [[joint, n] for joint, n in sorted(worst, key=lambda one: -one[1]) if n],
         "joint_losses": meta.get("joint_losses", []),

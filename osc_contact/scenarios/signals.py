@@ -43,6 +43,7 @@ __all__ = [
     "Values",
     "total",
     "total_over",
+    "rise",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -57,10 +58,17 @@ class Signal(Protocol):
         ...
 
 
-def _rise(t: Any, start: float, duration: float) -> Values:
-    """Return the minimum-jerk rise 10s³ − 15s⁴ + 6s⁵, s = (t − start)/duration, with ds/dt.
+def rise(t: Any, start: float, duration: float) -> Values:
+    """The minimum-jerk rise 10s³ − 15s⁴ + 6s⁵ from 0 to 1, s = (t − start)/duration.
 
-    A rise of zero duration is a step whose derivatives are zero. `t` may be an array."""
+    A rise of zero duration is a step whose derivatives are zero.
+
+    Args:
+        t: s, or many times (k,). start, duration: s.
+
+    Returns:
+        The value, its first (1/s) and its second derivative (1/s²).
+    """
     if isinstance(t, np.ndarray):
         s = np.where(t >= start + duration, 1.0, np.maximum(t - start, 0.0) / (duration or 1.0))
     elif t < start:
@@ -120,7 +128,7 @@ class Sine(OfQuantity[Q], Generic[Q]):
 
     def at(self, t: Any) -> Values:
         """Return the enveloped sine and its exact derivatives (product rule); 0 before start."""
-        e, e_dot, e_ddot = _rise(t, self.start, self.ramp)
+        e, e_dot, e_ddot = rise(t, self.start, self.ramp)
         omega = 2.0 * math.pi * self.frequency
         a = float(self.amplitude)
         angle = omega * (t - self.start) + self.phase
@@ -148,7 +156,7 @@ class MinimumJerk(OfQuantity[Q], Generic[Q]):
     def at(self, t: Any) -> Values:
         """Return value times the rise and its exact derivatives."""
         value = float(self.value)
-        (e, e_dot, e_ddot) = _rise(t, self.start, self.duration)
+        (e, e_dot, e_ddot) = rise(t, self.start, self.duration)
         return value * e, value * e_dot, value * e_ddot
 
 
