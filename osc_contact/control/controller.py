@@ -37,6 +37,7 @@ from osc_contact.law.records import DEGRADED, JOINTS, OBJECT_UNKNOWN, WRISTS, By
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,
+    JointFriction,
     PhaseSettings,
     PostureTask,
     SafetySettings,
@@ -98,7 +99,7 @@ class Controller:
         laws: Laws | None = None,
         posture_task: PostureTask | None = None,
         safety: SafetySettings | None = None,
-        joint_friction: bool = True,
+        joint_friction: JointFriction | bool = True,
     ) -> None:
         """Assemble the loops.
 
@@ -123,8 +124,8 @@ class Controller:
             laws: of the user's own, in place of force law, motion law or control structure.
             posture_task: what redundant arms do with joints they do not need.
             safety: when ticks that cannot be computed end in a hold, and in a stop.
-            joint_friction: whether to make up for the friction and damping of the joints that the
-                model names.
+            joint_friction: how friction of the joints is learned and compensated; True: as
+                `JointFriction()`; False: not at all.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
@@ -143,7 +144,9 @@ class Controller:
             friction,
             life,
             SafetySettings() if safety is None else safety,
-            joint_friction,
+            (JointFriction() if joint_friction else None)
+            if isinstance(joint_friction, bool)
+            else joint_friction,
             reading,
         )
         chain.law_row(led=False)  # judges the arms
@@ -580,6 +583,19 @@ class Controller:
     @f_tare.setter
     def f_tare(self, wrench: Array) -> None:
         self._records.memory.f_tare[:] = as_array("f_tare", wrench, (6,))
+
+    @property
+    def joint_friction(self) -> Array:
+        """(n, 2) Coulomb (N m; N) and viscous friction (N m s/rad; N s/m), as learned so far.
+
+        Columns are what `Arm` takes as friction and damping, to start with next time.
+        """
+        learned = self._records.memory.friction
+        model = self._records.model.joints
+        known = learned.known != 0
+        return np.column_stack(
+            [np.where(known, learned[name], model[name]) for name in ("dry", "viscous")]
+        )
 
     @property
     def f_bias(self) -> Array:

@@ -39,8 +39,8 @@ _GIVEN = PairRow(at.GIVEN, ())
 _NEVER = 1e12  #: ticks
 _WHOLE = np.pi  #: rad or m; a larger range of a joint, or one that is open, counts as this much
 #: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
-TURNING_SLIP = 1e-3
-SLIDING_SLIP = 3e-4
+TURNING_SLIP = 3e-4
+SLIDING_SLIP = 6e-5
 
 
 def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
@@ -105,6 +105,13 @@ def pack_gains(settings: Settings, head: Any) -> None:
     head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # of a chord
     _copy(settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping")
     _copy(settings.friction or Friction(mu=0.0), head)
+    friction = settings.joint_friction
+    head.rubs = friction is not None
+    if friction is not None:
+        head.friction_learning = friction.learning
+        head.friction_share = friction.share
+        head.friction_smoothing = friction.smoothing
+        head.friction_most = friction.most
     head.reading = at.LEAST_SQUARES if settings.reading == "least_squares" else at.FILTER
     B = settings.B
     kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
@@ -163,7 +170,6 @@ def _pack_joints(settings: Settings, head: Any) -> None:
     rows.viscous[:] = model.damping
     rows.dry[:] = model.upperDryFrictionLimit
     rows.slip[:] = np.where(rows.slides != 0, SLIDING_SLIP, TURNING_SLIP)
-    head.rubs = settings.joint_friction and bool(rows.viscous.any() or rows.dry.any())
 
 
 def joint_limit_margins(

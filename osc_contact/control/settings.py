@@ -28,6 +28,7 @@ from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,
+    JointFriction,
     PhaseSettings,
     PostureTask,
     SafetySettings,
@@ -68,7 +69,7 @@ class Settings:
     friction: Friction | None = None
     phases: PhaseSettings | None = None
     safety: SafetySettings = field(default_factory=SafetySettings)
-    joint_friction: bool = True
+    joint_friction: JointFriction | None = field(default_factory=JointFriction)
     reading: Reading | None = None
 
     def __post_init__(self) -> None:

@@ -359,4 +359,6 @@ def internal_forces(t):
     for c in range(bars):
         out[c] = 0.0
         for j in range(n if t.work.commanded != 0 else 0):
-            out[c] += t.work.levers[c, j] * (joints[j].tau - joints[j].inertial)
+            out[c] += t.work.levers[c, j] * (
+                joints[j].tau - joints[j].friction - joints[j].inertial
+            )

@@ -72,7 +72,8 @@ _MODEL = _record(
         "slipping",  # whether some grasp permits motions
         "reading",  # how contact forces are read off the wrists
         "leader",  # arm that holds rigidly, or −1
-        "rubs",  # whether friction of joints is made up for
+        "rubs",  # whether friction of joints is compensated
+        "friction_learning",
         "phased",  # whether contacts are opened and closed one by one
         "guarded",  # whether readings are judged: those of a controller, not of a lone chain
         "repeats",
@@ -108,6 +109,9 @@ _MODEL = _record(
         "drift_share",
         "step_time",
         "tilt",  # see `steps`
+        "friction_share",
+        "friction_smoothing",
+        "friction_most",  # see `joint_friction`: 1/s, times a torque limit
         # see `sensors`: N, N m, times a speed limit, s without a wrench
         "force_range",
         "torque_range",
@@ -322,14 +326,35 @@ JOINT_MEMORY = _record(
         "model_q",  # speeds predicted from those read, and from those of positions
         "surprise_v",
         "surprise_q",  # what of either was not predicted, low-passed
-        # motor torques less those that model and wrist explain, low-passed, and their mean; speed
-        # of the last tick, and its rate, low-passed; s for which they have been too large
+        # see `joint_friction`: torque that h and the wrist need, motor torque beyond it, speed of
+        # the last tick, its rate
+        "needed",
         "excess",
-        "usual",
         "past_v",
         "rate",
+        "residual",
+        # permitted speed at the end of the last tick; its mean in it, and that of its sign;
+        # friction compensated; low-passed: sign, permitted speed, speed, friction
+        "permitted",
+        "speed",
+        "sign",
+        "friction",
+        "mean_sign",
+        "mean_permitted",
+        "mean_speed",
+        "mean_friction",
+        "unlearned",  # e
+        # what of the residual is not compensated, low-passed, and its mean; s for which it has been
+        # too large
+        "unexplained",
+        "usual",
         "unbalanced",
     ),
+)
+#: friction of a joint: F, D, bias and their covariance, see `joint_friction`
+FRICTION = _record(
+    whole=("known",),
+    number=("dry", "viscous", "bias", "P00", "P01", "P02", "P11", "P12", "P22"),
 )
 #: ticks since a wrist was read, s for which it has read the very same
 ARM_MEMORY = _record(whole=("unread",), number=("same",))
@@ -453,7 +478,7 @@ ARM_WORK = _record(
     mode=(6, MAX_JOINTS),  # their wrenches _e, and the joints' motions
 )
 JOINT_WORK = _record(
-    number=("q", "v", "h", "tau", "rest", "offset", "acceleration", "inertial"),
+    number=("q", "v", "h", "tau", "rest", "offset", "acceleration", "inertial", "friction"),
     R=(3, 3),
     p=3,
     column=6,
@@ -559,6 +584,7 @@ MEMORY = Nested(
     contacts=(CONTACT_MEMORY, "c"),
     torques=(_FLOAT, "a"),  # given out last
     joints=(JOINT_MEMORY, "n"),
+    friction=(FRICTION, "n"),
     arms=(ARM_MEMORY, "k"),
     q=(_FLOAT, "n"),
     v=(_FLOAT, "n"),  # as estimated, see `sensors.estimate_joints`

@@ -18,8 +18,8 @@ from math import isfinite, sqrt
 
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.jit import inner, leaf
+from osc_contact.law.joint_friction import observe_arm
 from osc_contact.law.phases import APPROACHING
-from osc_contact.law.reading import add_reading
 from osc_contact.law.records import (
     APART,
     DISAGREE,
@@ -39,7 +39,7 @@ from osc_contact.law.records import (
     WRIST_FROZEN,
     WRISTS,
 )
-from osc_contact.law.vectors import add, dot6, fill, scaled, world_wrench
+from osc_contact.law.vectors import dot6
 
 _ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
 _GAIN = 0.21  #: share of `stuck_speed` that one tick can tell: slow encoders repeat readings
@@ -58,7 +58,7 @@ _BALANCE = 0.05  #: s, of the low-pass of torques that nothing explains
 _USUAL = 1.0  #: s in which an unexplained torque becomes the usual one
 _UNBALANCED = 0.1  #: s for which torques may be unexplained
 _OUTLIER = 10.0  #: times their bound; no more of unexplained torques counts in one tick
-_STRONGEST = 2.0  #: times the motor's, or this: what it accelerates with is not cut off
+_RUBS = 0.5  #: of the friction that the model has, which may be wrong
 _APART = 0.01  #: s for which arms may hold the object at different places
 _BLIND = 0.01  #: s without a sound reading from which on a joint cannot be braked
 
@@ -169,14 +169,13 @@ def compare_speeds(t):
 def check_arms(t):
     """Whether motors, wrists and encoders of the arms fit together; a reason to stop.
 
-    Inboard of its wrist an arm needs τ = h + M q̈ + Jᵀ(w − w_out), with w the wrist's reading and
-    w_out what moves the bodies beyond it. No contact force is left in what remains, see
-    `docs/theory.md`. It must stay within `wrist_error` of the torque limit, as far as it is not
-    the usual one, and within twice that. All terms pass the same low-pass.
+    The residual of the motors less the friction that is compensated must stay within `wrist_error`
+    of the torque limit, as far as it is not the usual one, and within twice that, see
+    `joint_friction`.
     """
     arms = t.model.arms
     memory = t.memory
-    dt = t.model.period * (1 + memory.gap)
+    dt = t.model.period * (1 + max(memory.gap, memory.wrench_age))
     apart = _find_apart(t)
     memory.apart = max(memory.apart + (dt if apart >= 0 else -dt), 0.0)
     if apart >= 0 and memory.apart > _APART:
@@ -198,48 +197,24 @@ def check_arms(t):
 @inner
 def _balance_arm(t, arm, own, dt):
     """Whether unexplained torques of an arm have been too large for too long, see `check_arms`."""
-    table = t.model.joints
-    work = t.work
-    joints = t.work.joints
-    joint_memory = t.memory.joints
     found = False
+    observe_arm(t, arm, own, dt)
     first = 1.0 / t.memory.balanced  # low-passes begin as plain means
     k = max(dt / (_BALANCE + dt), first)
     slow = max(dt / (_USUAL + dt), first)
-    weight = scaled(-1.0, own.bias)
-    moving = scaled(0.0, own.bias)
-    for j in range(arm.first, arm.end):
-        known = joint_memory[j]
-        v = joints[j].v
-        if t.memory.balanced > 1:  # the same low-pass as that of torques, also while it begins
-            known.rate += k * ((v - known.past_v) / dt - known.rate)
-        known.past_v = v
-        if arm.outer_joint >= 0:  # of what is beyond the wrist, in energy coordinates
-            moving = add(moving, known.rate, joints[j].outboard)
-            if arm.filtered != 0:
-                weight = add(weight, joints[j].offset, joints[j].outboard)
-    load = work.y
-    moved = work.z
-    fill(load, weight)
-    fill(moved, moving)
-    world_wrench(work.axes, moved, moved)
-    if arm.outer_joint >= 0 and arm.filtered != 0:
-        world_wrench(work.axes, load, load)
-    add_reading(own.reading, joints[arm.sensor_joint], arm.sensor, work.C, work.s, load)
     for j in range(arm.first, arm.sensor_joint + 1):
-        known = joint_memory[j]
-        motor = table[j].motor
-        if motor < 0:
+        known = t.memory.joints[j]
+        if t.model.joints[j].motor < 0:
             continue
-        most = t.model.wrist_error * table[j].tau_max
-        excess = t.memory.torques[motor] - joints[j].h - dot6(joints[j].column, load)
-        bound = max(_OUTLIER * most, _STRONGEST * table[j].tau_max)
-        excess = min(max(excess, -bound), bound)
-        inertial = -dot6(joints[j].column, moved)
-        for i in range(arm.first, arm.end):
-            inertial += joints[j].M[i - arm.first] * joint_memory[i].rate
-        known.excess += k * (excess - known.excess)
-        rest = known.excess - inertial
+        most = t.model.wrist_error * t.model.joints[j].tau_max
+        if t.model.rubs != 0:  # what is believed of friction may be wrong by half
+            joint = t.model.joints[j]
+            most += _RUBS * (joint.dry * abs(known.mean_sign))
+            most += _RUBS * (joint.viscous * abs(known.mean_permitted))
+        bound = _OUTLIER * most
+        rest = min(max(known.residual - known.mean_friction, -bound), bound)
+        known.unexplained += k * (rest - known.unexplained)
+        rest = known.unexplained
         known.usual += slow * (rest - known.usual)
         too_much = abs(rest - known.usual) > most or abs(rest) > 2.0 * most
         known.unbalanced = max(known.unbalanced + (dt if too_much else -dt), 0.0)

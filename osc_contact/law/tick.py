@@ -38,6 +38,7 @@ from osc_contact.law.commands import (
 )
 from osc_contact.law.contact import place_contacts, take_turns
 from osc_contact.law.jit import entry, inner, leaf, prefetch
+from osc_contact.law.joint_friction import compensate_friction
 from osc_contact.law.operational import reduce_motion
 from osc_contact.law.reading import (
     add_friction,
@@ -483,6 +484,8 @@ def _row(t, flags, begin, stop):
         predict_joints(t)
         reason = allocate_torques(t)
         if reason == NO_REASON:
+            if model.rubs != 0:
+                compensate_friction(t)
             reason = finish(t)
             if model.n_arms > 2:
                 internal_forces(t)

@@ -319,7 +319,7 @@ class Rig:
             life=self.life,
             safety=control.safety,
             laws=scenario.laws() if callable(scenario.laws) else scenario.laws,
-            joint_friction=control.joint_friction,
+            joint_friction=control.joint_friction or False,
         )
 
     @property

@@ -44,6 +44,7 @@ __all__ = [
     "ForceReadingSpec",
     "Friction",
     "Gains",
+    "JointFriction",
     "JointTorqueSpec",
     "ModelErrorSpec",
     "MonitorLimits",
@@ -401,6 +402,21 @@ class Friction(Spec):
     learns nothing"""
 
 
+class JointFriction(Spec):
+    """Friction of the joints: learned from motors and wrists, and compensated."""
+
+    learning: bool = True
+    """whether Coulomb and viscous friction of each joint are learned, beginning with the values of
+    the controller's model; else these are compensated as they are"""
+    share: Annotated[Number, Field(ge=0, lt=1)] = 0.7
+    """g: of the friction that is not learned (stiction, Stribeck), which an observer compensates;
+    with 1 joints would seem frictionless at rest, and contacts hunt"""
+    smoothing: Annotated[Positive, "1/s"] = 30.0
+    """K_d, of that observer"""
+    most: Annotated[Number, Field(gt=0, le=1)] = 0.3
+    """times a motor's torque limit: more friction is not believed, nor compensated"""
+
+
 class PostureTask(Spec):
     """What redundant arms do with joints they do not need."""
 
@@ -462,9 +478,8 @@ class ControlSpec(Spec):
     """[how contact forces are read off the wrists](friction.md)"""
     friction: Friction | None = None
     """friction at the contacts that the controller takes into account"""
-    joint_friction: bool = True
-    """whether the controller makes up for the
-    [friction of the joints](robots.md#rotors-and-friction-of-the-joints) that its model knows"""
+    joint_friction: JointFriction | None = JointFriction()
+    """[friction of the joints](joint_friction.md), learned and compensated; `off`: not"""
     life: PhaseSettings | None = PhaseSettings()
     """[contacts opened, approached and closed](contact_phases.md) one by one, as their forces are
     > 0 or not; `off`: all at once, by `tare` (and the default beside one)"""
@@ -474,7 +489,7 @@ class ControlSpec(Spec):
     estimate: EstimateSpec = EstimateSpec()
     """accelerations that the velocity estimates do not know of"""
 
-    @field_validator("life", mode="before")
+    @field_validator("life", "joint_friction", mode="before")
     @classmethod
     def _may_be_off(cls, value: object) -> object:
         return None if value is False or value == "off" else value
