@@ -1,6 +1,6 @@
 """Joint friction that the controller believes wrongly: rms error of the contact force, in MuJoCo.
 
-    python -m benchmarks joint_friction [--only PART] [--workers 2]
+    python -m benchmarks.joint_friction [--only PART] [--workers 2]
 
 Each arm presses 10 N on a plate and draws a circle on it at 0.5 Hz, with default gains. Coulomb and
 viscous friction of its joints and their rotors are those of the plant; the controller's model has
@@ -37,7 +37,7 @@ class Case:
     scenario: str
     changes: tuple[str, ...]
     most: float
-    begin: float = JUDGED_FROM
+    begin: float | None = JUDGED_FROM  #: s; None: as the verdict judges, without steps
 
     def run(self) -> tuple[float, float, float, str]:
         """Rms and peak of the force error (%), share of contact (%), verdict."""
@@ -46,7 +46,15 @@ class Case:
             recording = osc.run(osc.load_scenario(_file(self.scenario), list(self.changes)))
         except osc.OscContactError as error:
             return np.nan, np.nan, np.nan, str(error)[:60]
-        word = osc.metrics(recording)["task"]["word"]
+        verdict = osc.metrics(recording)
+        word = verdict["task"]["word"]
+        if self.begin is None:
+            force = verdict["force"].values()
+            rms, peak = (
+                100.0 * max(one[key] or np.nan for one in force)
+                for key in ("rms_error_rel", "peak_error_rel")
+            )
+            return rms, peak, 100.0 * min(verdict["contact_fraction"].values()), word
         judged = recording["t"] >= self.begin
         if not judged.any():
             return np.nan, np.nan, np.nan, word
@@ -93,9 +101,58 @@ def _joints(arm: str, friction: float, damping: float, armature: float | None) -
     return tuple(given)
 
 
+#: Encoders, noise of the wrists and delay of all sensors.
+SENSORS = {
+    "20 bit, 0.05 N, 3 ms": (20, 0.05, 1.5),
+    "16 bit, 0.5 N, 3 ms": (16, 0.5, 3.0),
+}
+
+
+def _noisy(bits: int, newtons: float) -> str:
+    encoder = f"encoder: {{rate: 1 kHz, angle: {{resolution: {2.0 * np.pi / 2**bits}}}}}"
+    wrist = (
+        f"wrist: {{rate: 1 kHz, delay: 3 ms, force: {{noise: {newtons}}}, "
+        f"torque: {{noise: {0.02 * newtons}}}}}"
+    )
+    return f"sensors={{{encoder}, {wrist}}}"
+
+
+def two_arms() -> list[Case]:
+    """The rods of two arms, friction known, half known, believed too large, unknown."""
+    given = {
+        "two_contact_rod": ("friction=0.3", "damping=0.2", "armature=0.1"),
+        "dual_panda_rod": ("friction=1", "damping=2", "armature=0.1"),
+    }
+    out = []
+    for name, numbers in given.items():
+        arms = [arm.name for arm in osc.load_scenario(name).arms]
+        all_joints = tuple(f"arms.{arm}.{number}" for arm in arms for number in numbers)
+        for factor in BELIEVED:
+            changes = (*all_joints, f"model_error.joint_friction={factor}")
+            out.append(Case(f"two arms {name} x{factor:g}", name, changes, 1.5, None))
+        unknown = ("plant.joint_friction=0.02",)
+        out.append(Case(f"two arms {name} unknown 2 % of the limit", name, unknown, 2.5, None))
+    return out
+
+
+def at_rest(arm: str) -> list[Case]:
+    """Standing, and a step of the force after two seconds of it."""
+    still = ("motion=[]", "gains={}", "model_error.joint_friction=0.5")
+    still += _joints(arm, 1.0, 2.0, 0.1)
+    hold = (*still, "force.ball=[{type: constant, value: 10 N}]", "duration=10 s")
+    step = (
+        "force.ball=[{type: constant, value: 10 N}, "
+        "{type: minimum_jerk, value: 5 N, start: 2 s, duration: 0.2 s}]"
+    )
+    return [
+        Case(f"standing {arm} x0.5", arm, hold, 3.0),
+        Case(f"force step {arm} x0.5", arm, (*still, step, "duration=4 s"), 3.0),
+    ]
+
+
 def cases() -> list[Case]:
     """Rows of the table, by part."""
-    out = []
+    out = two_arms()
     for arm in TIPS:
         plain = _slide(arm)
         out.append(Case(f"clean {arm}", arm, (*plain, *_joints(arm, 0.0, 0.0, 0.1)), 0.3))
@@ -115,6 +172,10 @@ def cases() -> list[Case]:
         for share, most in ((0.005, 1.2), (0.02, 2.5)):
             unknown = (*plain, f"plant.joint_friction={share}")
             out.append(Case(f"unknown {arm} {100 * share:g} % of the limit", arm, unknown, most))
+        half = (*plain, *_joints(arm, 1.0, 2.0, 0.1), "model_error.joint_friction=0.5")
+        for what, (bits, newtons, most) in SENSORS.items():
+            out.append(Case(f"noise {arm} {what}", arm, (*half, _noisy(bits, newtons)), most))
+        out += at_rest(arm)
     return out
 
 

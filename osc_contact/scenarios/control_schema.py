@@ -411,7 +411,7 @@ class JointFriction(Spec):
     share: Annotated[Number, Field(ge=0, lt=1)] = 0.7
     """g: of the friction that is not learned (stiction, Stribeck), which an observer compensates;
     with 1 joints would seem frictionless at rest, and contacts hunt"""
-    smoothing: Annotated[Positive, "1/s"] = 30.0
+    smoothing: Annotated[Positive, "1/s"] = 100.0
     """K_d, of that observer"""
     most: Annotated[Number, Field(gt=0, le=1)] = 0.3
     """times a motor's torque limit: more friction is not believed, nor compensated"""
