@@ -170,6 +170,7 @@ def test_metrics_have_the_documented_keys(done):
         "judged_ticks",
         "task",
         "joint_losses",
+        "learned_friction",
     }
     assert (verdict["scenario"], verdict["plant"], verdict["seed"]) == (
         "two_contact_rod",

@@ -484,6 +484,7 @@ class Recorder:
             "end_state": self.of.controller.state.name,
             "end_reason": self.of.controller.reason,
             "first_reason": self._first_reason,
+            "joint_friction": self.of.controller.joint_friction.tolist(),
             "wall_s": perf_counter() - self._began[0],
             "cpu_s": process_time() - self._began[1],
         }

@@ -63,6 +63,8 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
         )
     for arm, words in losses_by_arm(verdict["joint_losses"]):
         table.add_row(f"joints {arm}, in the model", words)
+    for arm, words in losses_by_arm(verdict["learned_friction"]):
+        table.add_row(f"joints {arm}, learned", words)
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
     if verdict.get("loop"):
         table.add_row("measurement to torques", latency(verdict["loop"]))

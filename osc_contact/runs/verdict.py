@@ -266,6 +266,7 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
     position, orientation = sums.away.rms()
     (total,) = sums.total.rms()
     (projected,) = sums.projected.rms()
+    losses = meta.get("joint_losses", [])
     worst = zip(meta.get("effort_limits", {}), sums.at_limit.tolist(), strict=True)
     return {
         "scenario": meta.get("scenario", {}).get("name"),
@@ -289,7 +290,12 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
         "loop": meta.get("loop"),
         "status": dict(zip(_STATUS, sums.status.tolist(), strict=True)),
         "at_limit": [[joint, n] for joint, n in sorted(worst, key=lambda one: -one[1]) if n],
-        "joint_losses": meta.get("joint_losses", []),
+        "joint_losses": losses,
+        "learned_friction": [
+            {key: joint[key] for key in ("joint", "slides")}
+            | {"friction": round(dry, 2), "damping": round(viscous, 2)}
+            for joint, (dry, viscous) in zip(losses, meta.get("joint_friction", []), strict=False)
+        ],
     }
 
 

@@ -42,6 +42,7 @@ _LEFT_OUT = {
     "steps",
     "at_limit",
     "joint_losses",
+    "learned_friction",
 }
 
 Row = dict[str, Any]
