@@ -58,6 +58,7 @@ _BALANCE = 0.05  #: s, of the low-pass of torques that nothing explains
 _USUAL = 1.0  #: s in which an unexplained torque becomes the usual one
 _UNBALANCED = 0.1  #: s for which torques may be unexplained
 _OUTLIER = 10.0  #: times their bound; no more of unexplained torques counts in one tick
+_RUBBING = 2e-3  #: rad/s, m/s; joints that are faster than this rub
 _RUBS = 0.5  #: of the friction that the model has, which may be wrong
 _APART = 0.01  #: s for which arms may hold the object at different places
 _BLIND = 0.01  #: s without a sound reading from which on a joint cannot be braked
@@ -206,13 +207,19 @@ def _balance_arm(t, arm, own, dt):
         known = t.memory.joints[j]
         if t.model.joints[j].motor < 0:
             continue
-        most = t.model.wrist_error * t.model.joints[j].tau_max
-        if t.model.rubs != 0:  # what is believed of friction may be wrong by half
-            joint = t.model.joints[j]
-            most += _RUBS * (joint.dry * abs(known.mean_sign))
-            most += _RUBS * (joint.viscous * abs(known.mean_permitted))
+        joint = t.model.joints[j]
+        most = t.model.wrist_error * joint.tau_max
+        friction = 0.0
+        if t.model.rubs != 0:
+            learned = t.memory.friction[j]
+            speed = abs(known.mean_permitted)
+            friction = learned.dry + learned.viscous * speed  # of either sign, where a joint sticks
+            most += _RUBS * (joint.dry + joint.viscous * speed)  # this may be wrong
+        if known.mean_speed * known.unexplained > _RUBBING * abs(known.unexplained):
+            most *= 2.0  # it brakes the joint, as friction does that is not learned yet
+        rest = known.residual - min(max(known.residual, -friction), friction)
         bound = _OUTLIER * most
-        rest = min(max(known.residual - known.mean_friction, -bound), bound)
+        rest = min(max(rest, -bound), bound)
         known.unexplained += k * (rest - known.unexplained)
         rest = known.unexplained
         known.usual += slow * (rest - known.usual)
