@@ -43,7 +43,8 @@ class Case:
         """Rms and peak of the force error (%), share of contact (%), verdict."""
         logging.disable(logging.WARNING)
         try:
-            recording = osc.run(osc.load_scenario(_file(self.scenario), list(self.changes)))
+            changes = ["control.joint_friction.learning=true", *self.changes]
+            recording = osc.run(osc.load_scenario(_file(self.scenario), changes))
         except osc.OscContactError as error:
             return np.nan, np.nan, np.nan, str(error)[:60]
         verdict = osc.metrics(recording)

@@ -3,17 +3,22 @@
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark, raises
-from rigs import one_panda
-from test_joint_numbers import DRY, VISCOUS, panda
+from rigs import one_panda, random_state
+from test_decoupling import strong
+from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 
 import osc_contact as osc
 from benchmarks.joint_friction import cases
+from osc_contact.control.records import LEARNED_SLIP
+from osc_contact.interface import Measurement, Reference
 from osc_contact.law import joint_friction
 from osc_contact.law.jit import as_python
 from osc_contact.law.records import FRICTION
+from osc_contact.plants.rigid import RigidPlant
 
 CASES = {case.name: case for case in cases()}
 MOST = 30.0
+LEARNING = osc.JointFriction(learning=True)
 
 
 def learned(x, y, r, noise=0.1, dt=0.0):
@@ -48,6 +53,71 @@ def test_joints_without_friction_learn_none(dt):
     assert 0.0 <= F < 1e-3 * MOST and 0.0 <= D < 1e-3 * MOST
 
 
+@mark.parametrize("pressed", [False, True])
+@mark.parametrize("joints", [{}, {"armature": ROTORS}])
+def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
+    """D s + F s/√(s² + s₀²), s = J̄ P(V_D + dt A_D), on top of what a smooth arm takes."""
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        q, v = random_state(one_panda(), rng)
+        tau = []
+        for friction in ({"damping": 0.0, "friction": 0.0}, {"damping": VISCOUS, "friction": DRY}):
+            chain = strong(panda(**joints, **friction))
+            state = chain.state(q, v)
+            X = state.X_WO
+            n = X.rotation[:, 2]
+            corner = osc.VertexOnFace(
+                np.array([0.1, 0.02, 0.03]), X.act(np.array([0.1, 0.02, 0.03])), n
+            )
+            contacts = [corner] if pressed else []
+            wanted = Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
+            controller = osc.Controller(
+                chain,
+                contacts,
+                GAINS,
+                reading="filter",
+                safety=osc.SafetySettings.motors_only(),
+                joint_friction=LEARNING,
+            )
+            for _ in range(2):  # the first one has no tick before it
+                tau.append(controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted))
+                assert controller.status is osc.Status.OK, controller.reason
+        V = wanted.V_D + 1e-3 * wanted.A_D
+        if pressed:  # the nearest permitted twist, in the metric of the object's inertia
+            N = corner.contact(X, state.V_O).N
+            B = np.linalg.inv(chain.reference_inertia(X))
+            V = V - B @ N @ np.linalg.solve(N.T @ B @ N, N.T @ V)
+        J = state.arms[0].J
+        weighed = np.linalg.solve(state.M, J.T)
+        fastest = chain.model.velocityLimit
+        s = np.clip(weighed @ np.linalg.solve(J @ weighed, V), -fastest, fastest)
+        want = VISCOUS * s + DRY * s / np.hypot(s, LEARNED_SLIP)
+        assert_allclose(tau[3] - tau[1], want, rtol=1e-9, atol=1e-9)
+
+
+def test_known_friction_and_rotors_leave_the_wanted_acceleration_here_too():
+    """KKT of the exact plant: with friction the torques give what they give without."""
+    for chain in (panda(armature=ROTORS, damping=VISCOUS, friction=DRY), panda()):
+        rng = np.random.default_rng(2)
+        q, v = random_state(one_panda(), rng)
+        state = chain.state(q, v)
+        J = state.arms[0].J
+        weighed = np.linalg.solve(state.M, J.T)
+        v = weighed @ np.linalg.solve(J @ weighed, state.V_O)  # none that the object does not see
+        state = chain.state(q, v)
+        plant = RigidPlant(chain, [], 1e-4)
+        plant.q = q
+        plant.v = v
+        A_D = rng.normal(size=6)
+        controller = osc.Controller(chain, [], GAINS, joint_friction=LEARNING)
+        for k in (2.0, 0.0):  # the mean speed in the second tick is V_O
+            wanted = Reference(state.X_WO, state.V_O - k * 1e-3 * A_D, A_D)
+            tau = controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted)
+        _, a_O, _ = plant.accelerations(tau)
+        turning = np.concatenate((np.cross(state.V_O[3:], state.V_O[:3]), np.zeros(3)))
+        assert_allclose(a_O, A_D - turning, atol=2e-3)
+
+
 @mark.parametrize(
     "name",
     [
@@ -68,7 +138,7 @@ def test_forces_are_held_although_friction_is_believed_wrongly(name):
 
 def test_what_was_learned_is_the_start_of_the_next_controller():
     chain = panda(damping=VISCOUS, friction=DRY)
-    controller = osc.Controller(chain, [])
+    controller = osc.Controller(chain, [], joint_friction=LEARNING)
     assert_array_equal(controller.joint_friction, np.column_stack([DRY, VISCOUS]))
     memory = controller._records.memory.friction
     memory.known[2] = 1

@@ -107,11 +107,7 @@ READINGS = {
     "another speed": (lambda m, k: replace(m, v=m.v + np.eye(len(m.v))[0]), 40, "is not that of"),
     "a slow slip": (lambda m, k: pushed(m, 1e-4 * k), 300, "from what speeds add up to"),
     "a slip back": (lambda m, k: pushed(m, -3e-4 * k), 300, "from what speeds add up to"),
-    "dead wrists": (
-        lambda m, k: replace(m, wrenches=0.0 * m.wrenches),
-        255,
-        "the very same|contradict",
-    ),
+    "dead wrists": (lambda m, k: replace(m, wrenches=0.0 * m.wrenches), 255, "the very same"),
     "fair readings": (noisy, 600, None),
 }
 
@@ -127,17 +123,14 @@ def test_readings_that_contradict_one_another_stop_the_arms(case, what):
     assert controller.state is RUN, controller.reason
 
 
-@mark.parametrize("observed", [False, True])
-def test_a_packet_that_repeats_itself_in_free_motion_stops_the_arms(case, observed):
-    """Or sooner, where friction is observed: torques move no joint."""
-    free = osc.Controller(case.chain, (), case.gains, posture=case.posture, joint_friction=observed)
+def test_a_packet_that_repeats_itself_in_free_motion_stops_the_arms(case):
+    free = osc.Controller(case.chain, (), case.gains, posture=case.posture)
     still = replace(case.measurement, v=np.zeros(case.chain.nq))
     X = case.chain.state(still.q, still.v).X_WO
     for ticks in range(252):
-        assert observed or (free.state is SAFE_STOP) == (ticks == 251)
+        assert (free.state is SAFE_STOP) == (ticks == 251)
         free.tick(still, osc.Reference(X))
-    assert free.state is SAFE_STOP
-    assert ("contradict its wrist" if observed else "a packet repeats itself") in free.reason
+    assert "a packet repeats itself" in free.reason
 
 
 def test_ticks_without_a_wrench_go_on_with_the_last_one_for_a_while(case):

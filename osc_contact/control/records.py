@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from osc_contact.control.settings import Settings
 
 __all__ = [
-    "SLIDING_SLIP",
-    "TURNING_SLIP",
+    "LEARNED_SLIP",
+    "SLIP",
     "TickRecords",
     "joint_limit_margins",
     "pack_gains",
@@ -39,8 +39,9 @@ _GIVEN = PairRow(at.GIVEN, ())
 _NEVER = 1e12  #: ticks
 _WHOLE = np.pi  #: rad or m; a larger range of a joint, or one that is open, counts as this much
 #: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
-TURNING_SLIP = 3e-4
-SLIDING_SLIP = 6e-5
+SLIP = 1e-3
+LEARNED_SLIP = 3e-4  #: along speeds without noise
+SLIDING = 0.3  #: m/rad: of sliding joints
 
 
 def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
@@ -106,7 +107,9 @@ def pack_gains(settings: Settings, head: Any) -> None:
     _copy(settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping")
     _copy(settings.friction or Friction(mu=0.0), head)
     friction = settings.joint_friction
-    head.rubs = friction is not None
+    known = settings.chain.model
+    rubs = known.damping.any() or known.upperDryFrictionLimit.any()
+    head.rubs = friction is not None and (friction.learning or rubs)
     if friction is not None:
         head.friction_learning = friction.learning
         head.friction_share = friction.share
@@ -169,7 +172,8 @@ def _pack_joints(settings: Settings, head: Any) -> None:
     model = chain.model
     rows.viscous[:] = model.damping
     rows.dry[:] = model.upperDryFrictionLimit
-    rows.slip[:] = np.where(rows.slides != 0, SLIDING_SLIP, TURNING_SLIP)
+    slip = LEARNED_SLIP if settings.joint_friction and settings.joint_friction.learning else SLIP
+    rows.slip[:] = np.where(rows.slides != 0, SLIDING * slip, slip)
 
 
 def joint_limit_margins(

@@ -42,6 +42,7 @@ from osc_contact.law.vectors import (
 )
 
 _LAG = 0.01  #: s, 1/K of the residual
+_SLOW = 0.05  #: s, where it is only judged
 _SETTLED = 0.05  #: s from the first tick on in which nothing is learned
 _OUTLIER = 2.0  #: times the motor's torque; no more of a residual counts in one tick
 _MOVES = 0.01  #: rad/s; slower joints learn nothing
@@ -69,7 +70,9 @@ def observe_arm(t, arm, own, dt):
     joints = t.work.joints
     known = t.memory.joints
     begins = t.memory.balanced <= 1  # there is no last tick yet
-    k = 0.0 if begins else max(dt / (_LAG + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
+    learns = t.model.friction_learning != 0
+    lag = _LAG if learns else _SLOW
+    k = 0.0 if begins else max(dt / (lag + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
     weight = scaled(-1.0, own.bias)
     moving = scaled(0.0, own.bias)
     for j in range(arm.first, arm.end):
@@ -102,7 +105,7 @@ def observe_arm(t, arm, own, dt):
         for i in range(arm.first, arm.end):
             inertial += joints[j].M[i - arm.first] * known[i].rate
         row.residual = row.excess - inertial
-        if t.model.rubs != 0 and not begins:
+        if learns and not begins:
             _learn(t, t.model.joints[j], row, t.memory.friction[j], k, dt)
 
 
@@ -127,8 +130,7 @@ def _learn(t, joint, row, learned, k, dt):
     least = _MOVES * (_SLIDES if joint.slides != 0 else 1.0)
     y = row.mean_permitted
     if (
-        t.model.friction_learning != 0
-        and t.memory.balanced * dt > _SETTLED
+        t.memory.balanced * dt > _SETTLED
         and min(abs(speed), abs(y)) > least
         and row.mean_speed * y > _FOLLOWS * y * y
         and abs(row.mean_sign) > _FULL

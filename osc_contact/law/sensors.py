@@ -201,7 +201,8 @@ def _balance_arm(t, arm, own, dt):
     found = False
     observe_arm(t, arm, own, dt)
     first = 1.0 / t.memory.balanced  # low-passes begin as plain means
-    k = max(dt / (_BALANCE + dt), first)
+    learns = t.model.friction_learning != 0
+    k = max(dt / (_BALANCE + dt), first) if learns else 1.0
     slow = max(dt / (_USUAL + dt), first)
     for j in range(arm.first, arm.sensor_joint + 1):
         known = t.memory.joints[j]
@@ -210,7 +211,7 @@ def _balance_arm(t, arm, own, dt):
         joint = t.model.joints[j]
         most = t.model.wrist_error * joint.tau_max
         friction = 0.0
-        if t.model.rubs != 0:
+        if learns:
             learned = t.memory.friction[j]
             speed = abs(known.mean_permitted)
             friction = learned.dry + learned.viscous * speed  # of either sign, where a joint sticks

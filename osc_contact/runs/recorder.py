@@ -484,11 +484,17 @@ class Recorder:
             "end_state": self.of.controller.state.name,
             "end_reason": self.of.controller.reason,
             "first_reason": self._first_reason,
-            "joint_friction": self.of.controller.joint_friction.tolist(),
+            "joint_friction": self._learned(),
             "wall_s": perf_counter() - self._began[0],
             "cpu_s": process_time() - self._began[1],
         }
         return recording
+
+    def _learned(self) -> list[list[float]]:
+        """Friction of the joints, if the controller learns it."""
+        settings = self.of.controller.settings.joint_friction
+        learns = settings is not None and settings.learning
+        return self.of.controller.joint_friction.tolist() if learns else []
 
 
 def recording_of(

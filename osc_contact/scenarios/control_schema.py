@@ -403,11 +403,11 @@ class Friction(Spec):
 
 
 class JointFriction(Spec):
-    """Friction of the joints: learned from motors and wrists, and compensated."""
+    """Friction of the joints: as the controller's model has it, or learned from there on."""
 
-    learning: bool = True
-    """whether Coulomb and viscous friction of each joint are learned, beginning with the values of
-    the controller's model; else these are compensated as they are"""
+    learning: bool = False
+    """whether Coulomb and viscous friction of each joint are learned from motors and wrists,
+    beginning with the values of the model; else these are compensated as they are"""
     share: Annotated[Number, Field(ge=0, lt=1)] = 0.7
     """g: of the friction that is not learned (stiction, Stribeck), which an observer compensates;
     with 1 joints would seem frictionless at rest, and contacts hunt"""
@@ -479,7 +479,7 @@ class ControlSpec(Spec):
     friction: Friction | None = None
     """friction at the contacts that the controller takes into account"""
     joint_friction: JointFriction | None = JointFriction()
-    """[friction of the joints](joint_friction.md), learned and compensated; `off`: not"""
+    """[friction of the joints](joint_friction.md), compensated, learned if wanted; `off`: not"""
     life: PhaseSettings | None = PhaseSettings()
     """[contacts opened, approached and closed](contact_phases.md) one by one, as their forces are
     > 0 or not; `off`: all at once, by `tare` (and the default beside one)"""
