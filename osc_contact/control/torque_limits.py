@@ -24,10 +24,10 @@ class MotorLimits:
         chain = settings.chain
         self.chain = chain
         self.settings = settings
-        self._program = TorqueLimits(
+        self.program = TorqueLimits(
             chain.n_a, max(1, int(model.n_columns)), int(model.n_extra), _count_idle(chain)
         )
-        self._program.program.mass = chain.reference.inertia.mass
+        self.program.program.mass = chain.reference.inertia.mass
 
     def relieve(self, rows: TickRecords) -> None:
         """Torques within the limits that lose least; the force integral follows.
@@ -35,7 +35,7 @@ class MotorLimits:
         Raises:
             SolverError: none were found.
         """
-        program = self._program
+        program = self.program
         place = (rows.rows.raw, rows.at, rows.index, program.raw)
         fill_program(*place)
         program.solve(program.d, program.r, program.k, program.s)
@@ -43,7 +43,7 @@ class MotorLimits:
 
     def given_up(self, rows: TickRecords) -> LimitLoss:
         """What the last call of `relieve` cost."""
-        program = self._program
+        program = self.program
         chain = self.chain
         r = int(program.r)
         s = int(program.s)

@@ -17,11 +17,11 @@ from numba import types
 
 from osc_contact.errors import OscContactError
 from osc_contact.law import jit, limits, tick
-from osc_contact.law.code_cache import law_hash
 from osc_contact.law.compiled import announced
 from osc_contact.law.jit import bytes_at, inner, row_at, table_at
 from osc_contact.law.limits import PROGRAM
 from osc_contact.law.records import JOB, MODEL
+from osc_contact.law.sources import law_hash
 
 _job = JOB.at
 _model = MODEL.at

@@ -13,14 +13,11 @@ import logging
 import pickle
 import zlib
 from contextlib import suppress
-from functools import cache
-from hashlib import sha256
-from pathlib import Path
 from typing import Any
 
-import llvmlite
-import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+
+from osc_contact.law.sources import law_hash
 
 _log = logging.getLogger(__name__)
 
@@ -31,15 +28,6 @@ for _class, _names in (
 ):
     for _name in _names:
         getattr(_class, _name)  # another numba may have others: an AttributeError, see `jit`
-
-
-@cache
-def law_hash() -> str:
-    """SHA-256 of all sources of the law and of the versions of what compiles them."""
-    found = sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        found.update(source.read_bytes())
-    return found.hexdigest()
 
 
 class _CheckedFile(IndexDataCacheFile):
