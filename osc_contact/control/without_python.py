@@ -169,7 +169,7 @@ def _layout() -> str:
         "COMMANDED": tick.COMMANDED,
         "MEMORY_LAYOUT_WORDS": words,
         "CONTACT_BYTES": records.CONTACT_MEMORY.itemsize,
-        "OSC_FILEHEAD": HEAD,
+        "OSC_FILE_HEAD": HEAD,
     }
     lines += [f"#define {name} {value}" for name, value in numbers.items()]
     lines += [f'#define OSC_FILE_MAGIC "{MAGIC.decode()}"']
