@@ -12,6 +12,7 @@ from numpy.testing import assert_array_equal
 from pytest import fixture, mark, raises
 
 import osc_contact as osc
+from benchmarks.tick import ALL_CASES
 from osc_contact.control.saving import SavedController, controller_bytes
 from osc_contact.control.without_python import write_library
 from osc_contact.law.jit import PLAIN_PYTHON
@@ -60,6 +61,7 @@ def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path, name):
     files = tmp_path / "controller.osc", tmp_path / "recording.osc"
     said = run(library / "replay", *files)
     assert said.startswith(f"{tape.count} of {tape.count} ticks bit-equal") and tape.count == 1500
+    assert (" 0 SATURATED" not in said) == (name == "limited_rod")
     recording = bytearray(files[1].read_bytes())
     recording[-1] ^= 1  # of the last torque: the replay can fail
     files[1].write_bytes(recording)
@@ -94,6 +96,23 @@ def test_faulty_ticks_are_replayed_too(library, tmp_path):
     (tmp_path / "recording.osc").write_bytes(tape.content())
     files = tmp_path / "controller.osc", tmp_path / "recording.osc"
     assert run(library / "replay", *files).startswith("400 of 400 ticks bit-equal")
+
+
+@mark.parametrize("name", ["near_singular", "saturated", "three_arms", "contact_phases"])
+def test_every_way_a_tick_ends_is_replayed(library, tmp_path, name):
+    case = ALL_CASES[name]()
+    controller = case.controller()
+    controller.save(tmp_path / "controller.osc")
+    tape = Tape(controller)
+    rng = np.random.default_rng(6)
+    for k in range(200):
+        m = case.measurement
+        q = m.q + 1e-4 * rng.normal(size=len(m.q)) * (np.nan if k % 50 == 31 else 1.0)
+        controller.tick(replace(m, q=q), case.reference)
+    (tmp_path / "recording.osc").write_bytes(tape.content())
+    said = run(library / "replay", tmp_path / "controller.osc", tmp_path / "recording.osc")
+    assert said.startswith("200 of 200 ticks bit-equal") and " 4 HELD" in said
+    assert (" 0 " + case.status.name) not in said
 
 
 def test_the_library_needs_libc_and_libm_only(library):

@@ -9,13 +9,14 @@ Sizes of arrays are those of MODEL; nobody checks them here.
 
 from __future__ import annotations
 
-import os
 import zlib
+from contextlib import suppress
 from pathlib import Path
 
 from numba import types
 
 from osc_contact.errors import OscContactError
+from osc_contact.files import whole_file
 from osc_contact.law import jit, limits, tick
 from osc_contact.law.compiled import announced
 from osc_contact.law.jit import bytes_at, inner, row_at, table_at
@@ -98,22 +99,28 @@ def object_file() -> bytes:
             "NUMBA_DISABLE_JIT nor OSC_CONTACT_UNITS"
         )
     units = jit._units
-    path = Path(tick.rows._cache.cache_path) / f"law-{units.baseline()}-{law_hash()[:16]}.o"
-    try:
-        content = path.read_bytes()
-        if zlib.crc32(content[4:]).to_bytes(4, "little") == content[:4]:
-            return content[4:]
-    except OSError:
-        pass
+    folder = tick.rows._cache.cache_path  # None: nothing is cached here
+    path = folder and Path(folder) / f"law-{units.baseline()}-{law_hash()[:16]}.o"
+    code = _kept(path) if path else b""
+    if code:
+        return code
     kinds = {"p": types.uintp, "i": types.int64}
     with announced(tick.rows):
         roots = {
             entry.__name__: units.Unit(entry, False).translated(tuple(kinds[one] for one in given))
             for entry, given in ENTRIES.items()
         }
-        code: bytes = units.emit(roots, units.baseline())
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(f".{os.getpid()}")
-    partial.write_bytes(zlib.crc32(code).to_bytes(4, "little") + code)
-    partial.replace(path)
+        code = units.emit(roots, units.baseline())
+    if path:
+        with suppress(OSError), whole_file(path) as unfinished:
+            unfinished.write_bytes(zlib.crc32(code).to_bytes(4, "little") + code)
     return code
+
+
+def _kept(path: Path) -> bytes:
+    """The content of a file behind its checksum; nothing where it is damaged or not there."""
+    with suppress(OSError):
+        content = path.read_bytes()
+        if zlib.crc32(content[4:]).to_bytes(4, "little") == content[:4]:
+            return content[4:]
+    return b""

@@ -62,7 +62,7 @@ int main(int count, char **words) {
     next = all;
     end = all + size;
     if (memcmp(take(8), "OSCTAPE1", 8) != 0) return 2;
-    int64_t ticks = *(int64_t *)take(8), memory_bytes = *(int64_t *)take(8), equal = 0;
+    int64_t ticks = *(int64_t *)take(8), memory_bytes = *(int64_t *)take(8), equal = 0, ends[4] = {0};
     double *times = calloc((size_t)ticks, sizeof *times), *torques = calloc(n.motors, sizeof *torques);
     for (int64_t i = 0; i < ticks; i++) {
         int64_t flags = *(int64_t *)take(8), status = *(int64_t *)take(8);
@@ -92,11 +92,14 @@ int main(int count, char **words) {
             fprintf(stderr, "tick %lld: %s\n", (long long)i, osc_error_text(code));
             return 2;
         }
+        ends[out.status & 3]++;
         equal += memcmp(torques, wanted, 8 * n.motors) == 0 && out.status == status;
     }
     qsort(times, (size_t)ticks, sizeof *times, by_size);
     printf("%lld of %lld ticks bit-equal; %.1f µs median, %.1f µs p99.9, %.1f µs worst\n", (long long)equal,
            (long long)ticks, times[ticks / 2], times[ticks - 1 - ticks / 1000], times[ticks - 1]);
+    printf("%lld ticks ended OK, %lld SATURATED, %lld HELD, %lld DEGRADED\n", (long long)ends[0],
+           (long long)ends[1], (long long)ends[2], (long long)ends[3]);
     free(times);
     free(torques);
     free(all);
