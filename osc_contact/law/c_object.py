@@ -35,7 +35,12 @@ _rows, _prepare, _finish, _fill, _settle = (
 
 
 def osc_law_rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched):
-    """`tick.rows` of one controller; `touched` counts where the JOB says MOVING."""
+    """`tick.rows` of one controller.
+
+    Args:
+        raw, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched: addresses; `touched` counts where the
+            JOB says MOVING. at: where the JOB is.
+    """
     data = bytes_at(raw)
     job = _job(data, at)
     head = _model(data, job.model)
@@ -55,24 +60,40 @@ def osc_law_rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched):
 
 
 def osc_law_fill(raw, at, i, program):
-    """`limits.fill_program`; returns k, how many forces must not pull."""
+    """`limits.fill_program`; returns k, how many forces must not pull.
+
+    Args:
+        raw, program: addresses. at, i: as there.
+    """
     data = bytes_at(program)
     _fill(bytes_at(raw), at, i, data)
     return _program(data, 0).k
 
 
 def osc_law_prepare(program, slack):
-    """`limits.prepare`."""
+    """`limits.prepare`.
+
+    Args:
+        program: address. slack: as there.
+    """
     return 1 if _prepare(bytes_at(program), slack) else 0
 
 
 def osc_law_finish(program, slack):
-    """`limits.finish`."""
+    """`limits.finish`.
+
+    Args:
+        program: address. slack: as there.
+    """
     return 1 if _finish(bytes_at(program), slack) else 0
 
 
 def osc_law_settle(raw, at, i, program):
-    """`limits.settle`."""
+    """`limits.settle`.
+
+    Args:
+        raw, program: addresses. at, i: as there.
+    """
     _settle(bytes_at(raw), at, i, bytes_at(program))
     return 0
 

@@ -76,7 +76,12 @@ _program = PROGRAM.at
 
 
 def new_program(n_a: int, k_max: int, s_max: int, p: int = 0) -> Bytes:
-    """Bytes of PROGRAM for so many motors, contacts, squeeze rows and motions, at most."""
+    """Bytes of PROGRAM.
+
+    Args:
+        n_a, k_max, s_max, p: how many motors, contacts that must not pull, squeeze rows and joint
+            motions of redundant arms there are, at most.
+    """
     v = n_a + k_max
     w = 12 + s_max + p + v + k_max
     counts = {"a": n_a, "k": k_max, "s": s_max, "p": p, "v": v, "w": w, "k1": k_max + 1}
