@@ -67,13 +67,15 @@ def entry(function: Any) -> Any:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
     machine_code = None
     call = function
+    options = _PLAIN
     if _units is not None:
         machine_code = _units.MachineCode(function)
         names = ", ".join(inspect.signature(function).parameters)
         space = {"part": machine_code.called, "__name__": function.__module__}
         exec(f"def call({names}): return part({names})", space)
         call = space["call"]
-    made = _njit(nogil=True, no_cfunc_wrapper=True, **_PLAIN)(call)
+        options = {**_PLAIN, "_nrt": False}  # makes no handles of the arrays handed over
+    made = _njit(nogil=True, no_cfunc_wrapper=True, **options)(call)
     made.__wrapped__ = function
     if _cache is not None:
         made._cache = _cache.CodeCache(function, machine_code)
