@@ -135,8 +135,7 @@ class SavedController:
             place = (self._records.rows.raw, 0, 0, self._limits.raw)
             try:
                 limits.fill_program(*place)
-                p = self._limits.program
-                self._limits.solve(p.d, p.r, p.k, p.s)
+                self._limits.solve(*self._limits.counts.tolist())
                 limits.settle(*place)
             except SolverError:
                 given[3] = np.full((4, 4), np.nan)

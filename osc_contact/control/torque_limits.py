@@ -38,7 +38,7 @@ class MotorLimits:
         program = self.program
         place = (rows.rows.raw, rows.at, rows.index, program.raw)
         fill_program(*place)
-        program.solve(program.d, program.r, program.k, program.s)
+        program.solve(*program.counts.tolist())
         settle(*place)
 
     def given_up(self, rows: TickRecords) -> LimitLoss:

@@ -395,7 +395,7 @@ class TorqueLimits:
     of them counts. Torques in N m (N), forces in N.
 
     Attributes:
-        raw: bytes of PROGRAM, whose fields are attributes, too:
+        raw: bytes of PROGRAM, whose fields are attributes, too. counts: d, r, k, s in them.
         wanted, tau_max: (n_a,) torques; limits (inf: none).
         G: (n_a, 6) what each motor exerts, Lambda: (6, 6) of the chain. mass: of the object (kg).
         N, pushed: (6, 6) columns of N and, with friction, N_μ as rows. Phi_e: (6, 6) NᵀΦ_eN_μ.
@@ -415,9 +415,11 @@ class TorqueLimits:
     def _use(self, raw: Bytes) -> None:
         self.raw = raw
         self.program = PROGRAM.view(raw)
+        at = PROGRAM.dtype.fields["d"][1]
+        self.counts = raw[at : at + 32].view(np.int64)
 
     def __getattr__(self, name: str) -> Any:
-        if name in ("raw", "program"):  # not made yet
+        if name in ("raw", "program", "counts"):  # not made yet
             raise AttributeError(name)
         return getattr(self.program, name)
 
@@ -436,7 +438,7 @@ class TorqueLimits:
         import daqp
 
         p = self.program
-        p.d, p.r, p.k, p.s = d, r, k, s
+        self.counts[:] = d, r, k, s
         for slack in (0, k):
             v = len(p.tau) + slack
             end = v + k
