@@ -43,6 +43,7 @@ from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.report import write_json
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.run import shown_of
+from osc_contact.runs.tape import build as build_library
 from osc_contact.runs.viewing import Shown, require_drawable, write_scene_of
 from osc_contact.scenarios import list_scenarios
 from osc_contact.visual.browser import find_browser, write_gif, write_mp4
@@ -146,6 +147,20 @@ def reproduce(context: typer.Context) -> None:
     with exit_codes():
         program = load_program("paper")
     program.app(context.args, prog_name="osc-contact reproduce")
+
+
+@app.command()
+def build(
+    scenario: ScenarioArgument,
+    folder: Annotated[Path, typer.Option("--out", help="folder for the C library")],
+    ticks: Annotated[int, typer.Option(min=1, help="to record for the replay")] = 10_000,
+    seed: SeedOption = 0,
+    set_: SetOption = None,
+) -> None:
+    """Write the scenario's controller for C programs, with a recording to replay there."""
+    with exit_codes():
+        tape = build_library(build_rig(load_task(scenario, set_)), folder, ticks, seed)
+        say(f"{tape.count} ticks recorded. Build and replay: make -C {folder} && {folder}/replay")
 
 
 @app.command()

@@ -10,26 +10,25 @@ from pathlib import Path
 
 import numpy as np
 from numba import config
-from numpy.testing import assert_allclose
-from pytest import fixture, mark
+from pytest import fixture, mark, param
 from rich.console import Console
 
 import osc_contact as osc
 from osc_contact import console
 from osc_contact.law import jit, nested, records
 from osc_contact.law import tick as law
-from osc_contact.law.compiled import announced, parts_of, rows, tell
+from osc_contact.law.compiled import announced, parts_of, tell
 
 PLAIN = jit.PLAIN_PYTHON
 
 SOURCE = """
-from numba import njit
+from osc_contact.law.jit import entry, inner
 
-@njit
+@inner
 def twice(x):
     return 2 * x
 
-@njit(cache=True)
+@entry
 def kernel(x):
     return twice(x) + 1
 """
@@ -92,18 +91,29 @@ def work(raw, at, out):
     return A[0, 1]
 """
 
-SMALL = """
-import osc_contact as osc
-from osc_contact.law import jit
+#: torques of ticks that end in every way: OK, near a singular posture, beyond the motors' limits,
+#: held for a bad reading or none; three arms, contact phases
+WAYS = """
+import sys
+from dataclasses import replace
+import numpy as np
+from benchmarks.tick import ALL_CASES
 
-rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
-measurement = rig.plant().measure()
-controller = rig.controller()
-for k in range(5):
-    tau = controller.tick(measurement, rig.references.at(0.3 * k))
-    assert controller.status is osc.Status.OK, controller.reason
-    print(*(float(x).hex() for x in tau))
-print("public numba" if jit._INNER is jit._PLAIN else "accelerated")
+def ticks(names, count):
+    for name in names:
+        case = ALL_CASES[name]()
+        controller = case.controller()
+        rng = np.random.default_rng(4)
+        for k in range(count):
+            m = case.measurement
+            q = m.q + 1e-4 * rng.normal(size=len(m.q)) * (np.nan if k == 3 else 1.0)
+            m = replace(m, q=q, wrench_valid=k != 5)
+            tau = controller.tick(m, case.reference)
+            yield " ".join([name, controller.status.name, *(float(x).hex() for x in tau)])
+
+NAMES = "two_contact_rod one_panda near_singular saturated three_arms contact_phases".split()
+if __name__ == "__main__":
+    print(*ticks(NAMES, 8), sep="\\n")
 """
 
 
@@ -199,7 +209,7 @@ def test_parts_of_the_law_read_bytes_as_records_without_a_copy(parts):
     assert (first == raw).all()
     if hasattr(parts.work, "signatures"):
         assert len(parts.work.signatures) == 1, "one compilation serves all integers"
-        assert jit._INNER is jit._PLAIN or len(parts.step.signatures) == 1, "and all constants"
+        assert jit._units is None or len(parts.step.unit.known) == 1, "and all constants"
 
 
 RECORDS = {
@@ -222,81 +232,47 @@ def test_no_field_of_a_record_is_named_like_an_attribute(name):
         assert kind.base in (np.int64, np.float64) and offset % 8 == 0
 
 
-@mark.slow
-def test_public_numba_gives_the_same_torques(tmp_path):
-    """Without the accelerator, in a process of its own that compiles the law afresh.
+@mark.parametrize(
+    "other",
+    [
+        {"NUMBA_DISABLE_JIT": "1"},
+        param({"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_UNITS": "0"}, marks=mark.slow),
+    ],
+    ids=["plain", "public"],
+)
+def test_torques_are_equal_to_the_bit_however_the_law_is_compiled(tmp_path, other):
+    """As plain Python, and by public numba in a process that compiles afresh: some minutes.
 
     LLVM does not reorder sums at any level; the lower one compiles in two thirds of the time.
     """
-    environment = {
-        **os.environ,
-        "OSC_CONTACT_ACCELERATOR": "0",
-        "NUMBA_CACHE_DIR": str(tmp_path),
-        "NUMBA_OPT": "1",
-        "NUMBA_DISABLE_JIT": "0",
-    }
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1", **other}
     done = subprocess.run(
-        [sys.executable, "-c", SMALL], capture_output=True, text=True, timeout=900, env=environment
+        [sys.executable, "-c", WAYS], capture_output=True, text=True, timeout=900, env=environment
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    *lines, how = done.stdout.splitlines()
-    assert how == "public numba" and any(tmp_path.rglob("*.nbc"))
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
-    measurement = rig.plant().measure()
-    controller = rig.controller()
-    assert len(lines) == 5
-    for k, line in enumerate(lines):
-        got = np.array([float.fromhex(word) for word in line.split()])
-        want = controller.tick(measurement, rig.references.at(0.3 * k))
-        assert_allclose(got, want, rtol=0, atol=1e-12 * np.abs(want).max())
+    space = {"__name__": "ways"}
+    exec(WAYS, space)
+    want = list(space["ticks"](space["NAMES"], 8))
+    assert done.stdout.splitlines() == want
+    assert {line.split()[1] for line in want} == {status.name for status in osc.Status}
 
 
-def test_a_numba_without_the_accelerators_classes_is_enough(monkeypatch):
-    monkeypatch.setenv("OSC_CONTACT_ACCELERATOR", "1")
-    monkeypatch.setitem(sys.modules, "osc_contact.law.accelerator", None)
-    assert jit._accelerator() is None and jit._options(None) == (jit._PLAIN, jit._PLAIN)
-    monkeypatch.undo()
-    monkeypatch.setenv("OSC_CONTACT_ACCELERATOR", "0")
-    assert jit._accelerator() is None
-
-
-@mark.parametrize("name", ["_get_module_for_linking", "_finalize_dynamic_globals"])
-def test_a_numba_whose_libraries_have_other_methods_is_told_at_once(name):
-    """Not at the first compilation, where nothing would catch it."""
+@mark.parametrize("units", ["1", "0"])
+def test_a_numba_with_other_classes_compiles_as_it_always_does(units):
+    """And says so at once, not at the first compilation, where nothing would catch it."""
     script = (
-        "from numba.core.codegen import CodeLibrary, JITCodeLibrary\n"
-        f"[delattr(c, {name!r}) for c in JITCodeLibrary.__mro__ if {name!r} in vars(c)]\n"
+        "import sys\n"
+        "from numba.core import codegen, compiler\n"
+        "if sys.argv[1] == '1': del codegen.CPUCodeLibrary._get_module_for_linking\n"
         "from osc_contact.law import jit\n"
-        "print(jit._accelerator(), jit._ENTRY == jit._PLAIN)"
+        "square = jit.inner(lambda x: x * x)\n"
+        "print(jit._units, square(3) if sys.argv[1] == '0' else 9)"
     )
-    env = {**os.environ, "OSC_CONTACT_ACCELERATOR": "1", "NUMBA_DISABLE_JIT": "0"}
-    out = subprocess.run([sys.executable, "-c", script], env=env, capture_output=True, text=True)
-    assert out.stdout.split() == ["None", "True"], out.stderr
-
-
-def test_the_compiled_tick_keeps_no_intermediate_code():
-    """Which takes 19 MB."""
-    compiled = list(getattr(rows(), "overloads", {}).values())
-    assert PLAIN or compiled
-    assert all(one.library._shared_module is None for one in compiled)
-
-
-def test_flags_of_the_law_say_and_compare_as_numbas_own():
-    from numba.core.compiler import Flags
-
-    from osc_contact.law.accelerator import _Flags
-
-    kinds = [Flags() for _ in range(4)]
-    kinds[1].no_cpython_wrapper = kinds[2].no_cpython_wrapper = True
-    kinds[2].error_model = "numpy"
-    kinds[3].no_cpython_wrapper = True
-    for one in kinds:
-        fast = _Flags(one)
-        assert fast.values() == one.values() and hash(fast) == hash(one)
-        assert fast.copy() == fast and type(fast.copy()) is _Flags
-        for other in kinds:
-            alike = [fast == _Flags(other), fast == other, other == fast]
-            assert alike == [one == other] * 3
+    env = {**os.environ, "NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_UNITS": units}
+    command = [sys.executable, "-c", script, units]
+    out = subprocess.run(command, env=env, capture_output=True, text=True)
+    assert out.stdout.split() == ["None", "9"], out.stderr
+    assert ("longer to compile" in out.stderr) == (units == "1")
 
 
 def test_progress_rises_with_the_functions_compiled(tmp_path):

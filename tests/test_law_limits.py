@@ -17,8 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark, param, raises
 
 import osc_contact as osc
-from osc_contact.law import jit
-from osc_contact.law.limits import TorqueLimits, finish, prepare
+from osc_contact.law.limits import TorqueLimits
 
 FORCE = 1e-3
 SQUEEZE = 1e-5
@@ -136,7 +135,7 @@ def solve(case, limits=None):
     limits.floor[:k] = case.floor
     limits.E[:s] = case.E
     limits.carried[:s] = case.carried
-    limits.mass = case.mass
+    limits.program.mass = case.mass
     short = limits.solve(d, r, k, s)
     assert not limits.lost_force[r:].any() and not limits.lost_motion[: 6 - d].any()
     lost = limits.lost_force[:r], limits.lost_motion[6 - d :], limits.lost_squeeze[:s]
@@ -317,7 +316,7 @@ def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
         G=case.G * (np.arange(6) != 1),
     )
     _, _, force, *_ = agree_within(out_of_reach)
-    assert force[1] == 0.0 and np.isfinite(MADE[8]._A[:16]).all()
+    assert force[1] == 0.0 and np.isfinite(MADE[8].A[:16]).all()
 
 
 def test_a_floor_above_the_command_is_the_command():
@@ -356,13 +355,6 @@ def agree_within(case):
     return tau, *rest
 
 
-def arrays(limits):
-    parts = list(vars(limits).values())
-    while any(isinstance(x, tuple) for x in parts):
-        parts = [y for x in parts for y in (x if isinstance(x, tuple) else (x,))]
-    return [x for x in parts if isinstance(x, np.ndarray)]
-
-
 @mark.parametrize("how", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
 def test_copies_are_equal_and_share_nothing(how):
     rng = np.random.default_rng(68)
@@ -370,8 +362,8 @@ def test_copies_are_equal_and_share_nothing(how):
     case, next_case = (random_case(rng, d=6, r=3, k=3, s=1) for _ in range(2))
     tau, *_ = solve(case, limits)
     other = how(limits)
-    assert len(arrays(limits)) > 30 and other.mass == limits.mass
-    assert not any(np.shares_memory(a, b) for a in arrays(limits) for b in arrays(other))
+    assert other.mass == limits.mass
+    assert not np.shares_memory(limits.raw, other.raw)
     assert_array_equal(other.tau, tau)
     solve(next_case, limits)
     assert other.solve(*case.counts) == solve(case, limits)[-1]
@@ -393,18 +385,6 @@ def test_what_is_not_solved_is_told(monkeypatch, verdict):
     monkeypatch.setattr(daqp, "solve", fail)
     with raises(osc.SolverError, match="motor limits"):
         solve(replace(case, share=case.share[:0], floor=case.floor[:0]))
-
-
-def test_the_answer_is_the_same_where_numba_looks_at_the_arguments(monkeypatch):
-    case = random_case(np.random.default_rng(71), 8, 6, 2, 2, 1)
-    limits = TorqueLimits(8, 6, 3)
-    solve(case, limits)
-    monkeypatch.setattr(jit, "_fast", None)
-    ordinary = TorqueLimits(8, 6, 3)
-    assert ordinary._prepare is prepare and ordinary._finish is finish
-    solve(case, ordinary)
-    assert_array_equal(ordinary.tau, limits.tau)
-    assert_array_equal(ordinary.lost_force, limits.lost_force)
 
 
 def test_nothing_accumulates():

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from grasp_rigs import KINDS, random_case
-from numba import njit
 from numba.core.runtime import rtsys
 from numpy.testing import assert_allclose
 from pytest import mark, param
@@ -18,20 +17,16 @@ from test_linkage import settable_bars as by_svd
 import osc_contact as osc
 from osc_contact.dynamics.arm import effort_scale
 from osc_contact.law.bars import settable_bars
-from osc_contact.law.jit import PLAIN_PYTHON
+from osc_contact.law.jit import PLAIN_PYTHON, entry
 from osc_contact.law.records import Rows, new_model, row_of, views
 
 
-def compiled(function):
-    return function if PLAIN_PYTHON else njit(function)
-
-
-@compiled
+@entry
 def call(raw, n_locked):
     return settable_bars(row_of(raw, 0, 0), n_locked)
 
 
-@compiled
+@entry
 def often(times, raw, n_locked):
     for _ in range(times):
         settable_bars(row_of(raw, 0, 0), n_locked)

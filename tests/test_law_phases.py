@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from law_calls import phases as law
 from law_calls import tick_of
-from numba import njit
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
 
+from osc_contact.law.jit import entry
 from osc_contact.law.phases import (
     APPROACHING,
     CLOSED,
@@ -31,13 +31,12 @@ from osc_contact.scenarios.control_schema import ForceGains, MonitorLimits, Phas
 
 DT = 1e-3
 GAINS = ForceGains(30.0, 100.0)
-compiled = njit(error_model="numpy")  # not `entry`: what is cached would not notice other phases
 
 
 # --- the law's functions, called from Python ------------------------------------------------------
 
 
-@compiled
+@entry
 def begin_tick(raw, judge):
     t = row_of(raw, 0, 0)
     changed = False
@@ -48,7 +47,7 @@ def begin_tick(raw, judge):
     return changed
 
 
-@compiled
+@entry
 def end_tick(raw, independent, hot):
     t = row_of(raw, 0, 0)
     for j in range(t.model.n_columns):
@@ -59,14 +58,14 @@ def end_tick(raw, independent, hot):
     low_pass(t, independent)
 
 
-@compiled
+@entry
 def judge_all(raw, force, speed, dt, dwell, more):
     t = row_of(raw, 0, 0)
     for j in range(len(force)):
         monitor(t.model, t.memory.columns[j], force[j], speed[j], dt, dwell, more[j])
 
 
-@compiled
+@entry
 def slew_all(tau, last, step):
     slew(tau, last, step, len(tau))
 

@@ -20,7 +20,7 @@ from test_law_parts import SEEDS, close, pose, rng_of, turn
 
 import osc_contact as osc
 from osc_contact.law import records as at
-from osc_contact.law.limits import settle
+from osc_contact.law.limits import TorqueLimits, settle
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
 from osc_contact.law.records import Rows, new_model, views
 from osc_contact.law.tick import MOVING
@@ -1167,10 +1167,11 @@ def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     work.force_next[0] = 3.0
     work.gain[0] = 20.0
     work.dt = 1e-3
-    found = np.array([6.0, -1.0])
-    lost = np.array([50.0])
-    squeeze = np.array([5.0])
-    settle(rows.raw, 0, 0, found, lost, squeeze)
+    program = TorqueLimits(2, 1, 1)
+    program.tau[:] = 6.0, -1.0
+    program.lost_force[0] = 50.0
+    program.lost_squeeze[0] = 5.0
+    settle(rows.raw, 0, 0, program.raw)
     close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1
     return memory.torques.copy(), work.internal[0]

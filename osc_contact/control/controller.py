@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import replace
@@ -22,6 +23,7 @@ from osc_contact.control.inputs import (
 )
 from osc_contact.control.reasons import explain
 from osc_contact.control.records import TickRecords, pack_gains, pack_model, pack_safety
+from osc_contact.control.saving import save_controller
 from osc_contact.control.settings import Reading, Settings
 from osc_contact.control.signals import BLOCKS, Block, Signals, TickResult
 from osc_contact.control.start_check import StartCheck
@@ -47,8 +49,8 @@ from osc_contact.spatial import Array, as_array
 __all__ = ["Controller"]
 
 _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_integral", "force_integral")
-#: What `reset` sets to zero: of MEMORY, and of its columns.
-_FORGOTTEN = (
+#: What `reset` sets to zero: of MEMORY, and of rows of its tables, all of them where none is named.
+FORGOTTEN = (
     "age",
     "faults",
     "lost",
@@ -67,7 +69,11 @@ _FORGOTTEN = (
     "motion_sum",
     "force_sum",
 )
-_FORGOTTEN_OF_COLUMNS = ("underforce", "overforce", "time_since_loss", "has_desired")
+FORGOTTEN_TABLES: dict[str, tuple[str, ...]] = {
+    "joints": (),
+    "arms": (),
+    "columns": ("underforce", "overforce", "time_since_loss", "has_desired"),
+}
 
 
 class Controller:
@@ -495,12 +501,14 @@ class Controller:
         if self._start.refused:
             self._begin_start(StartCheck(), True)
         memory.state = SafetyState.RUN
-        for name in _FORGOTTEN:
+        for name in FORGOTTEN:
             memory.head[name] = 0
-        for table in (memory.joints, memory.arms):
-            table.view(np.ndarray)[:] = np.zeros(1, table.dtype)
-        for name in _FORGOTTEN_OF_COLUMNS:
-            memory.columns[name][:] = 0
+        for table, names in FORGOTTEN_TABLES.items():
+            rows = getattr(memory, table).view(np.ndarray)
+            if not names:
+                rows[:] = np.zeros(1, rows.dtype)
+            for name in names:
+                rows[name] = 0
 
     @property
     def given_up(self) -> LimitLoss | None:
@@ -642,6 +650,14 @@ class Controller:
         memory.force_rank = len(value)
 
     # --- copies -----------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write all numbers of this controller to a file, for C programs and `SavedController`.
+
+        Raises:
+            InvalidInputError: it has pairs, bodies or laws that only Python can evaluate.
+        """
+        save_controller(self, path)
 
     def with_gains(self, gains: Gains) -> Self:
         """Another controller with these gains that continues from here (bumpless transfer).

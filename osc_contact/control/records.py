@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from osc_contact.control.settings import Settings
 
 __all__ = [
+    "GAIN_FIELDS",
     "LEARNED_SLIP",
     "SLIP",
     "TickRecords",
@@ -84,6 +85,16 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
     pack_gains(settings, head)
     pack_safety(settings, head)
     return raw
+
+
+#: Gains as fields of MODEL, and of rows of MEMORY's contacts where phases do not set these.
+GAIN_FIELDS: dict[str, tuple[str, str]] = {
+    "motion.stiffness": ("stiffness", ""),
+    "motion.damping": ("damping", ""),
+    "motion.integral": ("integral", ""),
+    "force.integral": ("force_gain", "gain"),
+    "force.damping": ("force_damping", "damping"),
+}
 
 
 def pack_gains(settings: Settings, head: Any) -> None:

@@ -10,7 +10,6 @@ from osc_contact.control.records import TickRecords
 from osc_contact.control.settings import Settings
 from osc_contact.control.status import LimitLoss
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.law.jit import direct
 from osc_contact.law.limits import TorqueLimits, fill_program, settle
 
 __all__ = ["MotorLimits", "scale_torques"]
@@ -25,23 +24,10 @@ class MotorLimits:
         chain = settings.chain
         self.chain = chain
         self.settings = settings
-        self._program = TorqueLimits(
+        self.program = TorqueLimits(
             chain.n_a, max(1, int(model.n_columns)), int(model.n_extra), _count_idle(chain)
         )
-        self._program.mass = chain.reference.inertia.mass
-        self._sizes = np.zeros(4, dtype=np.int64)
-        self._fill = fill_program
-        self._settle = settle
-        self._warm = False
-        self._short = False
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_fill": None, "_settle": None, "_warm": False}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._fill = fill_program
-        self._settle = settle
+        self.program.program.mass = chain.reference.inertia.mass
 
     def relieve(self, rows: TickRecords) -> None:
         """Torques within the limits that lose least; the force integral follows.
@@ -49,24 +35,18 @@ class MotorLimits:
         Raises:
             SolverError: none were found.
         """
-        program = self._program
-        place = (rows.rows.raw, rows.at, rows.index)
-        self._fill(*place, program._given, self._sizes)
-        self._short = program.solve(*self._sizes.tolist())
-        self._settle(*place, program.tau, program.lost_force, program.lost_squeeze)
-        if len(rows.work.bars) > 1:
-            s = int(self._sizes[3])
-            rows.work.bars[:] -= rows.bar_basis()[:, :s] @ program.lost_squeeze[:s]
-        if not self._warm:
-            self._fill = direct(self._fill)
-            self._settle = direct(self._settle)
-            self._warm = True
+        program = self.program
+        place = (rows.rows.raw, rows.at, rows.index, program.raw)
+        fill_program(*place)
+        program.solve(*program.counts.tolist())
+        settle(*place)
 
     def given_up(self, rows: TickRecords) -> LimitLoss:
         """What the last call of `relieve` cost."""
-        program = self._program
+        program = self.program
         chain = self.chain
-        _, r, _, s = self._sizes.tolist()
+        r = int(program.r)
+        s = int(program.s)
         lost = program.lost_force[:r].copy()
         squeeze = program.lost_squeeze[:s].copy()
         if len(rows.work.bars) > 1:
@@ -82,7 +62,7 @@ class MotorLimits:
             lost,
             rows.motions() @ (rows.reflection().T @ program.lost_motion),
             squeeze,
-            self._short,
+            bool(program.short),
         )
 
 

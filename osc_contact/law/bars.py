@@ -6,7 +6,7 @@ from math import inf, sqrt
 
 from osc_contact.law.algebra import one_sided_jacobi
 from osc_contact.law.arm_motion import place_point
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, matrix
 from osc_contact.law.vectors import dot6, energy_motion, fill, reflect
 
 # --- Three grasps and more: forces in the bars of a virtual linkage -------------------------------
@@ -112,7 +112,7 @@ def settable_bars(t, n_locked):
 def _table(scratch, at, rows, columns):
     """(rows, columns) of the scratch from `at`, and what comes after."""
     after = at + rows * columns
-    return scratch[at:after].reshape((rows, columns)), after
+    return matrix(scratch, at, rows, columns), after
 
 
 @inner

@@ -13,29 +13,21 @@ import logging
 import pickle
 import zlib
 from contextlib import suppress
-from functools import cache
-from pathlib import Path
 from typing import Any
 
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+
+from osc_contact.law.sources import law_hash
 
 _log = logging.getLogger(__name__)
 
 for _class, _names in (
     (FunctionCache, ("load_overload", "save_overload", "flush")),
     (IndexDataCacheFile, ("load", "save", "_dump")),
+    (CompileResultCacheImpl, ("reduce", "rebuild")),
 ):
     for _name in _names:
         getattr(_class, _name)  # another numba may have others: an AttributeError, see `jit`
-
-
-@cache
-def _stamp() -> int:
-    """Of all sources of the law."""
-    stamp = 0
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        stamp = zlib.crc32(source.read_bytes(), stamp)
-    return stamp
 
 
 class _CheckedFile(IndexDataCacheFile):
@@ -58,6 +50,23 @@ class _CheckedFile(IndexDataCacheFile):
         return data
 
 
+class _WithObject(CompileResultCacheImpl):
+    """What Python calls, kept with the object that it calls."""
+
+    machine_code: Any = None
+
+    def reduce(self, data: Any) -> Any:
+        kinds = data.signature.args
+        code = self.machine_code and self.machine_code.object(kinds)
+        return kinds, code, super().reduce(data)
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        kinds, code, data = payload
+        if code is not None:
+            self.machine_code.take(kinds, code)
+        return super().rebuild(target_context, data)
+
+
 class CodeCache(FunctionCache):
     """The cache of one entry.
 
@@ -65,10 +74,16 @@ class CodeCache(FunctionCache):
     are no error.
     """
 
-    def __init__(self, function: Any) -> None:
+    _impl_class = _WithObject
+
+    def __init__(self, function: Any, machine_code: Any = None) -> None:
+        """Of a function; `machine_code`: `units.MachineCode` of it, or None: public numba."""
         super().__init__(function)
+        self._impl.machine_code = machine_code
         date = self._impl.locator.get_source_stamp()
-        self._cache_file = _CheckedFile(self.cache_path, self._impl.filename_base, (date, _stamp()))
+        self._cache_file = _CheckedFile(
+            self.cache_path, self._impl.filename_base, (date, law_hash())
+        )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code of a signature; None: there is none that can be used."""

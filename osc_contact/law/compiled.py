@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from osc_contact.law import tick as law
-from osc_contact.law.jit import PLAIN_PYTHON, forget_code
+from osc_contact.law.jit import PLAIN_PYTHON
 from osc_contact.law.records import Rows, new_model
 
 _log = logging.getLogger(__name__)
@@ -46,14 +46,13 @@ def rows() -> Any:
     with announced(call):
         call(empty.raw, 0, none, none, none_6, none_4, none, none, none, np.zeros((0, 28)))
     call.disable_compile()
-    forget_code(call)
     return call
 
 
 def parts_of(call: Any) -> set[Any]:
     """The functions of the law that an entry calls, directly or not."""
     found: set[Any] = set()
-    left = [getattr(call, "py_func", call)]
+    left = [getattr(call, "__wrapped__", call)]
     while left:
         function = left.pop()
         names = function.__code__.co_names

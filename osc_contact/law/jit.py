@@ -1,13 +1,14 @@
-"""How the law is compiled: by numba, once for every rig, or not at all.
+"""How the law is compiled: every part once, called by its symbol, or not at all.
 
 The same source runs compiled and, with NUMBA_DISABLE_JIT=1, as plain Python: a debugger steps
-through it and the tests compare the two. `inner` marks functions that compiled ones call, `entry`
-those that Python calls. Public numba is enough; `accelerator` halves the time of the first
-compilation and lets compiled runs call the tick, where the installed numba allows it.
+through it and the tests compare the two. `inner` and `leaf` mark functions that compiled ones call,
+`entry` those that Python calls. numba translates, LLVM makes one object of an entry and all that it
+calls (`units`); a numba without what that takes compiles as it always does, in three times as long.
 """
 
 from __future__ import annotations
 
+import inspect
 import logging
 import os
 from types import FunctionType
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import config, njit, types
+from numba import carray, config, njit, types  # type: ignore[attr-defined]
 from numba.core import cgutils
 from numba.extending import intrinsic
 
@@ -26,52 +27,35 @@ _njit: Any = njit
 _PLAIN: dict[str, Any] = {"error_model": "numpy"}
 
 
-def _accelerator() -> Any:
-    """The module `accelerator`; None where it is left out or this numba has other classes."""
-    if PLAIN_PYTHON or os.environ.get("OSC_CONTACT_ACCELERATOR", "1") == "0":
-        return None
+def _private(name: str, otherwise: str) -> Any:
+    """A module of the law that rests on numba's own classes; None where this numba has others."""
     try:
-        import osc_contact.law.accelerator as accelerator
+        return getattr(__import__(f"{__package__}.{name}").law, name)
     except (ImportError, AttributeError, TypeError) as error:
-        _log.info("public numba only, which takes longer to compile: %s", error)
+        _log.warning("this numba is another one, so %s: %s", otherwise, error)
         return None
-    return accelerator
 
 
-def _options(fast: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Options of parts, and of entries."""
-    if fast is None:
-        return _PLAIN, _PLAIN
-    return {**_PLAIN, **fast.part_options()}, {**_PLAIN, **fast.entry_options()}
+_units: Any = None
+_cache: Any = None
+if not PLAIN_PYTHON:
+    if os.environ.get("OSC_CONTACT_UNITS", "1") != "0":
+        _units = _private("units", "the law takes longer to compile")
+    _cache = _private("code_cache", "every process compiles the law")
 
 
-def _code_cache() -> Any:
-    """The class `code_cache.CodeCache`; None where this numba has other classes."""
-    if PLAIN_PYTHON:
-        return None
-    try:
-        import osc_contact.law.code_cache as code_cache
-    except (ImportError, AttributeError) as error:
-        _log.warning("this numba caches otherwise, so every process compiles the law: %s", error)
-        return None
-    return code_cache.CodeCache
-
-
-_fast = _accelerator()
-_cache = _code_cache()
-_INNER, _ENTRY = ({}, {}) if PLAIN_PYTHON else _options(_fast)
-#: Of the accelerator: gives back what numba keeps of an entry beside its machine code.
-forget_code: Any = (lambda entry: None) if _fast is None else _fast.forget_code
-
-
-def inner(function: Any) -> Any:
+def inner(function: Any, inlined: bool = False) -> Any:
     """A part of the law, called by compiled functions only."""
-    return function if PLAIN_PYTHON else _njit(**_INNER)(function)
+    if PLAIN_PYTHON:
+        return function
+    if _units is None:
+        return _njit(**_PLAIN, forceinline=inlined)(function)
+    return _units.called(_units.Unit(function, inlined))
 
 
 def leaf(function: Any) -> Any:
     """A small part, inlined wherever it is called."""
-    return function if PLAIN_PYTHON else _njit(**_INNER, forceinline=True)(function)
+    return inner(function, inlined=True)
 
 
 def entry(function: Any) -> Any:
@@ -81,19 +65,21 @@ def entry(function: Any) -> Any:
     """
     if PLAIN_PYTHON:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
-    made = _njit(nogil=True, **_ENTRY)(function)
+    machine_code = None
+    call = function
+    options = _PLAIN
+    if _units is not None:
+        machine_code = _units.MachineCode(function)
+        names = ", ".join(inspect.signature(function).parameters)
+        space = {"part": machine_code.called, "__name__": function.__module__}
+        exec(f"def call({names}): return part({names})", space)
+        call = space["call"]
+        options = {**_PLAIN, "_nrt": False}  # makes no handles of the arrays handed over
+    made = _njit(nogil=True, no_cfunc_wrapper=True, **options)(call)
+    made.__wrapped__ = function
     if _cache is not None:
-        made._cache = _cache(function)
+        made._cache = _cache.CodeCache(function, machine_code)
     return made
-
-
-def direct(entry: Any) -> Any:
-    """An entry that was called before, from now on without a look at the types of its arguments.
-
-    numba looks at each array of a tuple, which takes longer than small functions do. Only for
-    arguments that the caller makes itself: those of other types would be misread.
-    """
-    return entry if _fast is None else _fast.direct(entry)
 
 
 def as_python(part: Any, **instead: Any) -> Any:
@@ -115,25 +101,51 @@ def as_python(part: Any, **instead: Any) -> Any:
 
 
 if PLAIN_PYTHON:
-    pointer: Any = None
     view: Any = None
+    bytes_at: Any = None
+    row_at: Any = None
+    table_at: Any = None
+
+    def matrix(x: Any, start: int, rows: int, columns: int) -> Any:
+        """Numbers of a row from `start` as (rows, columns)."""
+        return x[start : start + rows * columns].reshape((rows, columns))
 
     def prefetch(raw: Any, start: int, count: int) -> None:
         """Bring bytes near that are read soon: nothing to do in plain Python."""
 
 else:
     #: A small part that reads bytes at an address.
-    VIEW: Any = {**_INNER, "forceinline": True, "_nrt": True} if _INNER is not _PLAIN else _PLAIN
+    VIEW: Any = {**_PLAIN, "forceinline": True, "_nrt": True}
     view = _njit(**VIEW)
 
     @intrinsic
-    def pointer(typing: Any, address: Any) -> Any:
+    def _pointer(typing: Any, address: Any) -> Any:
         """An address as a pointer."""
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
 
         return types.voidptr(types.uintp), generate
+
+    @view
+    def bytes_at(address):
+        """All bytes from an address."""
+        return carray(_pointer(address), (1 << 40,), np.uint8)
+
+    @view
+    def row_at(address, count):
+        """Numbers at an address."""
+        return carray(_pointer(address), (count,), np.float64)
+
+    @view
+    def table_at(address, rows, columns):
+        """Numbers at an address as (rows, columns)."""
+        return carray(_pointer(address), (rows, columns), np.float64)
+
+    @view
+    def matrix(x, start, rows, columns):
+        """Numbers of a row from `start` as (rows, columns)."""
+        return table_at(x.ctypes.data + np.uintp(8 * start), rows, columns)
 
     @intrinsic
     def _prefetch(typing: Any, address: Any) -> Any:

@@ -16,12 +16,81 @@ from osc_contact.law.algebra import (
     one_sided_jacobi,
     qr_rows,
 )
-from osc_contact.law.jit import direct, entry, inner
+from osc_contact.law.jit import entry, inner, matrix
+from osc_contact.law.nested import Bytes, Nested
 from osc_contact.law.operational import factor_inertia
 from osc_contact.law.phases import limit_changes
 from osc_contact.law.records import row_of
 from osc_contact.law.safety import count_computed
 from osc_contact.law.vectors import ZERO, add, dot6, fill, reflect
+
+_FLOAT = np.float64
+#: The quadratic program: what it is given, what it answers, its scratch. Sizes: a motors,
+#: k contacts that must not pull, s squeeze rows, p joint motions of redundant arms, v and w of the
+#: program's root.
+PROGRAM = Nested(
+    np.dtype(
+        [(name, np.int64) for name in ("d", "r", "k", "s", "short")]
+        + [("mass", _FLOAT)]
+        + [(name, _FLOAT, (6, 6)) for name in ("Lambda", "N", "pushed", "Phi_e", "K", "D", "P")]
+        + [("X", _FLOAT, (6, 18))]
+        + [(n, _FLOAT, (6,)) for n in ("alpha", "lost_force", "lost_motion", "extent", "psi")],
+        align=True,
+    ),
+    wanted=(_FLOAT, "a"),
+    tau_max=(_FLOAT, "a"),
+    G=(_FLOAT, "a", 6),
+    share=(_FLOAT, "k", 6),
+    floor=(_FLOAT, "k"),
+    E=(_FLOAT, "s", "a"),
+    carried=(_FLOAT, "s", 6),
+    idle=(_FLOAT, "p", "a"),
+    tau=(_FLOAT, "a"),
+    at_limit=(np.int64, "a"),
+    lost_squeeze=(_FLOAT, "s"),
+    scale=(_FLOAT, "a"),  # of z; then motion, force and squeeze per unit of it
+    motion=(_FLOAT, "a", 6),
+    force=(_FLOAT, "a", 6),
+    squeeze=(_FLOAT, "s", "a"),
+    H=(_FLOAT, "vv"),  # (v, v), f (v,), A (k, v) and the bounds as the solver takes them
+    f=(_FLOAT, "v"),
+    A=(_FLOAT, "kv"),
+    lower=(_FLOAT, "vk"),
+    upper=(_FLOAT, "vk"),
+    sense=(np.int32, "vk"),
+    z=(_FLOAT, "v"),  # the solver's answer
+    lam=(_FLOAT, "vk"),
+    rows=(_FLOAT, "v", "w"),  # of a root of H
+    point=(_FLOAT, "w"),
+    y=(_FLOAT, "w"),
+    diagonal=(_FLOAT, "w"),
+    beta=(_FLOAT, "w"),
+    bend=(_FLOAT, "w"),
+    mix=(_FLOAT, "w"),
+    t=(_FLOAT, "w"),
+    normals=(_FLOAT, "k1", "v"),
+    reduced=(_FLOAT, "v", "w"),
+    free=(np.int64, "v"),
+)
+_program = PROGRAM.at
+
+
+def new_program(n_a: int, k_max: int, s_max: int, p: int = 0) -> Bytes:
+    """Bytes of PROGRAM.
+
+    Args:
+        n_a, k_max, s_max, p: how many motors, contacts that must not pull, squeeze rows and joint
+            motions of redundant arms there are, at most.
+    """
+    v = n_a + k_max
+    w = 12 + s_max + p + v + k_max
+    counts = {"a": n_a, "k": k_max, "s": s_max, "p": p, "v": v, "w": w, "k1": k_max + 1}
+    raw = PROGRAM.new({**counts, "vv": v * v, "kv": k_max * v, "vk": v + k_max})
+    program = PROGRAM.view(raw)
+    program.mass = 1.0
+    program.tau_max[:] = np.inf
+    return raw
+
 
 # --- A point of the program, refined from its active limits ---------------------------------------
 
@@ -59,17 +128,22 @@ def _reflect(u, beta, n, x):
 
 
 @inner
-def refine(lam, w, A, bounds, rows, scratch):
+def refine(p, slack):
     """Work out z once more from `rows`, the limits that have multipliers as equations: `point`.
 
     That has the root of H's condition. Returns False where another limit is broken.
 
     Args:
-        lam: multipliers of all limits. w: columns of `rows`. A: (k, v) constraint rows.
-        bounds: (2, …) lower and upper. rows: (v, w) root of the program's H. scratch: arrays.
+        p: PROGRAM with the solver's multipliers. slack: of `prepare`.
     """
-    point, y, diagonal, beta, bend, mix, t, T, normals, reduced, free = scratch
-    (k, v) = A.shape
+    k = p.k
+    v = len(p.tau) + slack
+    w = 6 + p.d + p.s + len(p.idle) + v
+    A = matrix(p.A, 0, k, v)
+    T = matrix(p.t, 0, len(p.t), 1)
+    lam, lower, upper, rows = p.lam, p.lower, p.upper, p.rows
+    point, y, diagonal, beta, bend, mix, t = p.point, p.y, p.diagonal, p.beta, p.bend, p.mix, p.t
+    normals, reduced, free = p.normals, p.reduced, p.free
     f = 0
     kept = 0
     for i in range(w + k):
@@ -82,7 +156,7 @@ def refine(lam, w, A, bounds, rows, scratch):
             free[f] = j
             f += 1
         else:
-            point[j] = bounds[int(lam[j] > 0.0), j]
+            point[j] = upper[j] if lam[j] > 0.0 else lower[j]
             add_scaled(point[j], reduced[f], w + k, t)
     for c in range(k):
         u = normals[kept]
@@ -91,7 +165,7 @@ def refine(lam, w, A, bounds, rows, scratch):
             u[j] = rest[j, w + c]
         if lam[v + c] == 0.0 or kept == f:
             continue
-        mirrored = qr_rows(normals[kept:], T.shape[1], f - kept, diagonal, bend[kept:])  # one row
+        mirrored = qr_rows(normals[kept:], 1, f - kept, diagonal, bend[kept:])
         if not mirrored or abs(diagonal[0]) <= _DEPENDENT:
             continue
         for i in range(w + k):
@@ -100,7 +174,8 @@ def refine(lam, w, A, bounds, rows, scratch):
             add_scaled(bend[kept] * u[j], rest[j], w + k, mix)
         for j in range(f - kept):
             add_scaled(-u[j], mix, w + k, rest[j])
-        y[kept] = (bounds[int(lam[v + c] > 0.0), v + c] - t[w + c]) / diagonal[0]
+        bound = upper[v + c] if lam[v + c] > 0.0 else lower[v + c]
+        y[kept] = (bound - t[w + c]) / diagonal[0]
         add_scaled(y[kept], rest[0], w + k, t)
         kept += 1
     rest = reduced[kept:]
@@ -118,7 +193,7 @@ def refine(lam, w, A, bounds, rows, scratch):
     for j in range(v + k):
         x = point[j] if j < v else dot(A[j - v], point, v)
         room = _ROOM * (1.0 + abs(x))
-        if not bounds[0, j] - room <= x <= bounds[1, j] + room:
+        if not lower[j] - room <= x <= upper[j] + room:
             return False
     return True
 
@@ -152,11 +227,12 @@ _SLACK = 1e-9  # of the limits, for rounding errors
 
 
 @inner
-def _mobility(d, r, Lambda, N, pushed, Phi_e, work):
+def _mobility(p):
     """Rows of X: UNᵀ (6, free motions first), U(N_μ − N)ᵀ (d), U (r). P = UN_μᵀΛ⁻¹. D: UDUᵀ, each
     row divided by its `size`. K: Cholesky factor of Λ. Returns False where Λ is not positive.
     """
-    K, D, P, X, size, _ = work
+    d, r, Lambda, N, pushed, Phi_e = p.d, p.r, p.Lambda, p.N, p.pushed, p.Phi_e
+    K, D, P, X, size = p.K, p.D, p.P, p.X, p.extent
     m = 6 - d
     u = 6 + d
     for a in range(r):
@@ -186,12 +262,12 @@ def _mobility(d, r, Lambda, N, pushed, Phi_e, work):
 
 
 @inner
-def _respond(d, r, given, maps, work, rows):
+def _respond(p):
     """What each motor does: `motion`, `force`, and their energies in its row of `rows`."""
-    _, _, G, Lambda, N, pushed, Phi_e, _, _, _, _, _, _ = given
-    scale, motion, force, _ = maps
-    K, D, P, X, size, psi = work
-    if not _mobility(d, r, Lambda, N, pushed, Phi_e, work):
+    d, r, G, rows = p.d, p.r, p.G, p.rows
+    scale, motion, force = p.scale, p.motion, p.force
+    K, D, P, X, size, psi = p.K, p.D, p.P, p.X, p.extent, p.psi
+    if not _mobility(p):
         return False
     for j in range(len(scale)):
         for i in range(d):
@@ -216,44 +292,44 @@ def _respond(d, r, given, maps, work, rows):
 
 
 @entry
-def prepare(sizes, slack, mass, given, maps, work, program):
+def prepare(raw, slack):
     """Fill the program min |rowsᵀz|² with lower ≤ (z, Az) ≤ upper, z = (δτ/scale, slack).
 
+    H (v, v), A (k, v), v = n_a + slack; a motor's energies in each of `rows`.
+
     Args:
-        sizes: d, r, k, s. slack: 0, or k: forces may leave their ranges at a price.
-        mass, given: as in `TorqueLimits`, in its order.
-        maps: (n_a,) scale; (n_a, 6) motion, force, (s, n_a) squeeze per unit of z.
-        work: scratch.
-        program: H (v, v), A (k, v), v = n_a + slack, bounds (2, ≥ v + k), and a motor's energies in
-            each of rows (≥ v, ≥ 6 + d + s + v).
+        raw: bytes of PROGRAM. slack: 0, or k: forces may leave their ranges at a price.
 
     Returns:
         Whether the response of the chain could be worked out.
     """
-    wanted, tau_max, _, _, _, _, _, alpha, share, floor, E, carried, idle = given
-    scale, motion, force, squeeze = maps
-    d, r, k, s = sizes
-    H, A, bounds, rows = program
+    p = _program(raw, 0)
+    wanted, tau_max, alpha, share, floor = p.wanted, p.tau_max, p.alpha, p.share, p.floor
+    E, carried, idle, mass = p.E, p.carried, p.idle, p.mass
+    scale, motion, force, squeeze = p.scale, p.motion, p.force, p.squeeze
+    d, r, k, s = p.d, p.r, p.k, p.s
+    lower, upper, rows = p.lower, p.upper, p.rows
     n = len(scale)
-    v = len(H)
-    p = len(idle)
+    v = n + slack
+    H = matrix(p.H, 0, v, v)
+    A = matrix(p.A, 0, k, v)
     largest = 0.0
     energy = 0.0
-    w = 6 + d + s + p
+    w = 6 + d + s + len(idle)
     for j in range(n):
         if not isinf(tau_max[j]):
             largest = max(largest, tau_max[j])
     for j in range(n):
         scale[j] = tau_max[j] if not isinf(tau_max[j]) else largest if largest > 0.0 else 1.0
-        bounds[0, j] = max((-tau_max[j] - wanted[j]) / scale[j], -_INFINITE)
-        bounds[1, j] = min((tau_max[j] - wanted[j]) / scale[j], _INFINITE)
-    if not _respond(d, r, given, maps, work, rows):
+        lower[j] = max((-tau_max[j] - wanted[j]) / scale[j], -_INFINITE)
+        upper[j] = min((tau_max[j] - wanted[j]) / scale[j], _INFINITE)
+    if not _respond(p):
         return False
     for j in range(n):
         for c in range(s):
             squeeze[c, j] = E[c, j] * scale[j] - dot(carried[c, 6 - d :], motion[j], d)
             rows[j, 6 + d + c] = sqrt(_SQUEEZE / mass) * squeeze[c, j]
-        for c in range(p):
+        for c in range(len(idle)):
             rows[j, 6 + d + s + c] = sqrt(_POSTURE) * idle[c, j] * scale[j]
         energy += dot(rows[j], rows[j], w)
     size = sqrt(energy / n) if energy > 0.0 else 1.0
@@ -274,38 +350,37 @@ def prepare(sizes, slack, mass, given, maps, work, program):
             A[c, j] /= norm
         if slack > 0:
             A[c, n + c] = 1.0
-            bounds[0, n + c] = -_INFINITE
-            bounds[1, n + c] = _INFINITE
-        bounds[0, v + c] = min((floor[c] - dot(share[c], alpha, r)) / norm, 0.0)
-        bounds[1, v + c] = 0.0  # nobody presses harder than commanded
+            lower[n + c] = -_INFINITE
+            upper[n + c] = _INFINITE
+        lower[v + c] = min((floor[c] - dot(share[c], alpha, r)) / norm, 0.0)
+        upper[v + c] = 0.0  # nobody presses harder than commanded
     return True
 
 
 @entry
-def finish(solution, sizes, given, maps, program, scratch, answer):
+def finish(raw, slack):
     """Torques from the solver's z (v,) and multipliers (v + k,); whether they are finite.
 
     Args:
-        solution: z, lam of the solver. sizes, given, maps, program: of `prepare`.
-        scratch: see `refine`.
-        answer: tau, at_limit and what is lost, filled, see `TorqueLimits`.
+        raw: bytes of PROGRAM. slack: of `prepare`.
     """
-    wanted, tau_max, _, _, _, _, _, _, _, _, _, _, idle = given
-    scale, motion, force, squeeze = maps
-    tau, at_limit, lost_force, lost_motion, lost_squeeze = answer
-    z, lam = solution
-    d, r, _, s = sizes
-    _, A, bounds, rows = program
-    if refine(lam, 6 + d + s + len(idle) + len(z), A, bounds, rows, scratch):
-        for j in range(len(z)):
-            z[j] = scratch[0][j]
+    p = _program(raw, 0)
+    wanted, tau_max, z = p.wanted, p.tau_max, p.z
+    scale, motion, force, squeeze = p.scale, p.motion, p.force, p.squeeze
+    tau, at_limit, lost_squeeze = p.tau, p.at_limit, p.lost_squeeze
+    lost_force, lost_motion = p.lost_force, p.lost_motion
+    d, r, s = p.d, p.r, p.s
+    p.short = 1 if slack > 0 else 0
+    if refine(p, slack):
+        for j in range(len(scale) + slack):
+            z[j] = p.point[j]
     fill(lost_force, ZERO)
     fill(lost_motion, ZERO)
     for j in range(len(scale)):
         if not abs(z[j]) < _INFINITE:
             return False
         tau[j] = max(-tau_max[j], min(tau_max[j], wanted[j] + scale[j] * z[j]))
-        at_limit[j] = abs(tau[j]) >= tau_max[j] * (1.0 - _SLACK)
+        at_limit[j] = 1 if abs(tau[j]) >= tau_max[j] * (1.0 - _SLACK) else 0
         add_scaled(-z[j], force[j], r, lost_force)
         add_scaled(-z[j], motion[j], d, lost_motion[6 - d :])
     for c in range(s):
@@ -314,67 +389,39 @@ def finish(solution, sizes, given, maps, program, scratch, answer):
 
 
 class TorqueLimits:
-    """Keeps torques within the motors' limits: fill the arrays below in place, then `solve`.
+    """Keeps torques within the motors' limits: fill the arrays of PROGRAM in place, then `solve`.
 
     All are in energy coordinates turned so that the last d axes are free; d, r, k, s say how much
     of them counts. Torques in N m (N), forces in N.
 
     Attributes:
+        raw: bytes of PROGRAM, whose fields are attributes, too. counts: d, r, k, s in them.
         wanted, tau_max: (n_a,) torques; limits (inf: none).
-        G: (n_a, 6) what each motor exerts, Lambda: (6, 6) of the chain.
+        G: (n_a, 6) what each motor exerts, Lambda: (6, 6) of the chain. mass: of the object (kg).
         N, pushed: (6, 6) columns of N and, with friction, N_μ as rows. Phi_e: (6, 6) NᵀΦ_eN_μ.
         alpha: (6,) force command. share: (k_max, 6) forces that must not pull, out of α.
         floor: (k_max,) their least values, at most what is commanded.
         E: (s_max, n_a) rows of the squeeze. carried: (s_max, 6) what of it motions use up.
         idle: (p, n_a) joint motions ν of redundant arms, 1 kg m² or 1 kg in M, of their motors.
-        mass: of the held object (kg).
         tau: (n_a,) found. at_limit: (n_a,) which motors stand at their limit.
         lost_force: (6,), lost_motion: (6,), lost_squeeze: (s_max,) wanted less what will come; zero
             beyond r, and in locked axes.
     """
 
     def __init__(self, n_a: int, k_max: int, s_max: int, p: int = 0) -> None:
-        zeros = np.zeros
-        v = n_a + k_max
-        w = 12 + s_max + p + v + k_max
-        self._sizes = (n_a, k_max, s_max, p)
-        self.mass = 1.0
-        self._given: tuple[Any, ...] = (
-            zeros(n_a),
-            np.full(n_a, np.inf),
-            zeros((n_a, 6)),
-            *zeros((4, 6, 6)),
-            zeros(6),
-            zeros((k_max, 6)),
-            zeros(k_max),
-            zeros((s_max, n_a)),
-            zeros((s_max, 6)),
-            zeros((p, n_a)),
-        )
-        self.wanted, self.tau_max, self.G, self.Lambda, self.N = self._given[:5]
-        self.pushed, self.Phi_e, self.alpha, self.share, self.floor = self._given[5:10]
-        self.E, self.carried, self.idle = self._given[10:]
-        self._answer = zeros(n_a), zeros(n_a, dtype=bool), zeros(6), zeros(6), zeros(s_max)
-        self.tau, self.at_limit, self.lost_force, self.lost_motion, self.lost_squeeze = self._answer
-        self._maps = zeros(n_a), zeros((n_a, 6)), zeros((n_a, 6)), zeros((s_max, n_a))
-        self._work = (*zeros((3, 6, 6)), zeros((6, 18)), zeros(6), zeros(6))
-        self._H = zeros(v * v)
-        self._A = zeros(k_max * v)
-        self._f = zeros(v)
-        self._bounds = zeros((2, v + k_max))
-        self._rows = zeros((v, w))
-        self._sense = zeros(v + k_max, np.int32)
-        free = zeros(v, np.int64)
-        T = zeros((w, 1))
-        normals = zeros((k_max + 1, v))
-        reduced = zeros((v, w))
-        self._scratch = (*zeros((6, w)), T[:, 0].reshape(w), T, normals, reduced, free)
-        self._solution = zeros(v), zeros(v + k_max)
-        self._prepare = prepare
-        self._finish = finish
+        self._use(new_program(n_a, k_max, s_max, p))
         self.solve(0, 0, 0, 0)  # no tick has to wait until this is compiled
-        self._prepare = direct(prepare)
-        self._finish = direct(finish)
+
+    def _use(self, raw: Bytes) -> None:
+        self.raw = raw
+        self.program = PROGRAM.view(raw)
+        at = PROGRAM.dtype.fields["d"][1]
+        self.counts = raw[at : at + 32].view(np.int64)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("raw", "program", "counts"):  # not made yet
+            raise AttributeError(name)
+        return getattr(self.program, name)
 
     def solve(self, d: int, r: int, k: int, s: int) -> bool:
         """Find the torques within the limits that lose the least acceleration energy.
@@ -390,52 +437,37 @@ class TorqueLimits:
         """
         import daqp
 
-        given = self._given
-        maps = self._maps
-        bounds = self._bounds
-        rows = self._rows
+        p = self.program
+        self.counts[:] = d, r, k, s
         for slack in (0, k):
-            v = len(self.tau) + slack
-            H = self._H[: v * v].reshape(v, v)
-            A = self._A[: k * v].reshape(k, v)
+            v = len(p.tau) + slack
             end = v + k
-            mass = float(self.mass)
-            work = self._work
-            sizes = (d, r, k, s)
-            program = (H, A, bounds, rows)
-            if not self._prepare(sizes, slack, mass, given, maps, work, program):
+            if not prepare(self.raw, slack):
                 break
             z, _, verdict, info = daqp.solve(
-                H,
-                self._f[:v],
-                A,
-                bounds[1, :end],
-                bounds[0, :end],
-                self._sense[:end],
+                p.H[: v * v].reshape(v, v),
+                p.f[:v],
+                p.A[: k * v].reshape(k, v),
+                p.upper[:end],
+                p.lower[:end],
+                p.sense[:end],
                 primal_tol=1e-10,
             )
             if verdict <= 0:
                 continue
-            own_z = self._solution[0][:v]
-            own_lam = self._solution[1][:end]
-            own_z[:] = z
-            own_lam[:] = info["lam"]
-            if self._finish(
-                (own_z, own_lam), sizes, given, maps, program, self._scratch, self._answer
-            ):
+            p.z[:v] = z
+            p.lam[:end] = info["lam"]
+            if finish(self.raw, slack):
                 return slack > 0
         raise SolverError(
             f"no torques within the motor limits were found for {np.round(self.wanted, 3)} wanted"
         )
 
-    def __getstate__(self) -> Any:
-        return self._sizes, self.mass, (*self._given, *self._answer)
+    def __getstate__(self) -> Bytes:
+        return self.raw
 
-    def __setstate__(self, state: Any) -> None:
-        self.__init__(*state[0])  # type: ignore[misc]
-        self.mass = state[1]
-        for own, other in zip((*self._given, *self._answer), state[2], strict=True):
-            own[...] = other
+    def __setstate__(self, raw: Bytes) -> None:
+        self._use(raw.copy())
 
 
 # --- A saturated tick's records as the program ----------------------------------------------------
@@ -523,15 +555,15 @@ def _idle_motions(t, arm, own, idle, count):
 
 
 @entry
-def fill_program(raw, at, i, given, sizes):
-    """Fill the arrays of `limits.TorqueLimits`.
+def fill_program(raw, at, i, program):
+    """Fill what `limits.TorqueLimits` is given.
 
     Args:
         raw, at: as of `tick.rows`. i: a row whose tick has ended SATURATED just now.
-        given: wanted, tau_max, G, Λ, N, N_μ, Φ_e, α, share, floor, E, carried, idle.
-        sizes: (4,) d, r, k, s, filled, too.
+        program: bytes of PROGRAM.
     """
     t = row_of(raw, at, i)
+    p = _program(program, 0)
     model = t.model
     work = t.work
     arms = model.arms
@@ -541,7 +573,9 @@ def fill_program(raw, at, i, given, sizes):
     n = model.n_joints
     m = work.locked
     r = work.rank
-    wanted, tau_max, G, Lambda, N, pushed, Phi_e, alpha, share, floor, E, carried, idle = given
+    wanted, tau_max, G, Lambda, N, pushed = p.wanted, p.tau_max, p.G, p.Lambda, p.N, p.pushed
+    Phi_e, alpha, share, floor, E, carried = p.Phi_e, p.alpha, p.share, p.floor, p.E, p.carried
+    idle = p.idle
     for j in range(n):
         motor = table[j].motor
         if motor < 0:
@@ -582,34 +616,38 @@ def fill_program(raw, at, i, given, sizes):
     for k in range(model.n_arms):
         if len(idle) > 0:
             count = _idle_motions(t, arms[k], work.arms[k], idle, count)
-    sizes[0] = 6 - m
-    sizes[1] = r
-    sizes[3] = work.n_internal
-    sizes[2] = _shares(t, alpha, share, floor, len(floor))
+    p.d = 6 - m
+    p.r = r
+    p.s = work.n_internal
+    p.k = _shares(t, alpha, share, floor, len(floor))
 
 
 @entry
-def settle(raw, at, i, found, lost_force, lost_squeeze):
+def settle(raw, at, i, program):
     """Torques found, no faster than motors may change; the next tick starts from them.
 
+    Force that is lost is not integrated by the force law.
+
     Args:
-        raw, at, i: as of `fill_program`. found: (motors,) torques within the limits.
-        lost_force, lost_squeeze: desired less what will come: the force integral does not
-            integrate it.
+        raw, at, i, program: as of `fill_program`, solved.
     """
     t = row_of(raw, at, i)
+    p = _program(program, 0)
     model = t.model
     memory = t.memory
     work = t.work
     count_computed(t)
     for j in range(model.n_motors):
-        work.tau[j] = found[j]
+        work.tau[j] = p.tau[j]
     if memory.ticked > 1:
         limit_changes(t)
     for j in range(model.n_motors):
         memory.torques[j] = work.tau[j]
     for a in range(work.rank):
-        memory.force_sum[a] = work.force_next[a] - work.gain[a] * work.dt * lost_force[a]
+        memory.force_sum[a] = work.force_next[a] - work.gain[a] * work.dt * p.lost_force[a]
     memory.force_rank = work.rank
     if work.n_internal > 0 and model.n_arms == 2:
-        work.internal[0] -= lost_squeeze[0]
+        work.internal[0] -= p.lost_squeeze[0]
+    for bar in range(len(work.bars) if model.n_arms > 2 else 0):
+        for c in range(p.s):
+            work.bars[bar] -= work.basis[bar, c] * p.lost_squeeze[c]

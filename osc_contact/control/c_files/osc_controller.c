@@ -1,0 +1,336 @@
+/* The controller of osc_controller.h around the compiled law, law.o.
+ *
+ * A controller is one run of bytes, as `osc_contact.law.records.Rows` lays it out, and PROGRAM for
+ * ticks beyond the motors' limits. Offsets come from osc_layout.h, which is generated with them.
+ */
+#include "osc_controller.h"
+#include "osc_daqp.h"
+#include "osc_layout.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+extern int32_t osc_law_rows(int64_t *, void **, uintptr_t, int64_t, uintptr_t, uintptr_t, uintptr_t,
+                            uintptr_t, uintptr_t, uintptr_t, uintptr_t, uintptr_t);
+extern int32_t osc_law_fill(int64_t *, void **, uintptr_t, int64_t, int64_t, uintptr_t);
+extern int32_t osc_law_prepare(int64_t *, void **, uintptr_t, int64_t);
+extern int32_t osc_law_finish(int64_t *, void **, uintptr_t, int64_t);
+extern int32_t osc_law_settle(int64_t *, void **, uintptr_t, int64_t, int64_t, uintptr_t);
+
+struct osc_controller {
+    osc_dimensions dimensions;
+    unsigned char *raw, *program, *arena;
+    size_t raw_bytes, program_bytes, arena_bytes;
+    int64_t *job;
+    unsigned char *model, *memory, *work;
+    double *missing; /* NaN in place of readings */
+};
+
+static int64_t whole(const unsigned char *record, size_t offset) {
+    int64_t value;
+    memcpy(&value, record + offset, sizeof value);
+    return value;
+}
+
+static void set_whole(unsigned char *record, size_t offset, int64_t value) {
+    memcpy(record + offset, &value, sizeof value);
+}
+
+static double *numbers(unsigned char *record, size_t offset) {
+    return (double *)(void *)(record + offset);
+}
+
+/* A table of a record: where it begins stands in the record's first words. */
+static unsigned char *table(unsigned char *record, size_t slot) {
+    return record + whole(record, 8 * slot);
+}
+
+/* --- Files ---------------------------------------------------------------------------------- */
+
+static uint32_t checksum(const unsigned char *bytes, size_t count) { /* CRC-32 as of zlib */
+    uint32_t sum = 0xFFFFFFFFu;
+    for (size_t i = 0; i < count; i++) {
+        sum ^= bytes[i];
+        for (int bit = 0; bit < 8; bit++) sum = (sum >> 1) ^ (0xEDB88320u & (0u - (sum & 1u)));
+    }
+    return ~sum;
+}
+
+static int check(const unsigned char *file, size_t size) {
+    uint32_t version, sum;
+    if (size < OSC_FILE_HEAD + 4 || memcmp(file, OSC_FILE_MAGIC, 8) != 0) return OSC_NOT_A_CONTROLLER;
+    memcpy(&version, file + 8, 4);
+    if (version != OSC_FILE_VERSION) return OSC_OTHER_FORMAT;
+    memcpy(&sum, file + size - 4, 4);
+    if (sum != checksum(file, size - 4)) return OSC_DAMAGED;
+    if (memcmp(file + 16, OSC_LAW, 64) != 0) return OSC_OTHER_LAW;
+    return OSC_DONE;
+}
+
+static void look(osc_controller *c) {
+    osc_dimensions *n = &c->dimensions;
+    c->job = (int64_t *)(void *)c->raw;
+    c->model = c->raw + whole(c->raw, JOB_model);
+    c->memory = c->raw + whole(c->raw, JOB_memory);
+    c->work = c->raw + whole(c->raw, JOB_work);
+    n->joints = (size_t)whole(c->model, MODEL_n_joints);
+    n->arms = (size_t)whole(c->model, MODEL_n_arms);
+    n->motors = (size_t)whole(c->model, MODEL_n_motors);
+    n->contacts = (size_t)whole(c->model, MODEL_n_contacts);
+    n->forces = (size_t)whole(c->model, MODEL_n_columns);
+    n->bars = (size_t)whole(c->model, MODEL_n_bars);
+    n->period = *numbers(c->model, MODEL_period);
+}
+
+int osc_create_from(const void *data, size_t size, osc_controller **out) {
+    const unsigned char *file = data;
+    uint64_t raw_bytes, program_bytes;
+    osc_controller *c;
+    int code;
+    if (out == NULL) return OSC_NULL;
+    *out = NULL;
+    if (file == NULL) return OSC_NULL;
+    if ((code = check(file, size)) != OSC_DONE) return code;
+    memcpy(&raw_bytes, file + 80, 8);
+    memcpy(&program_bytes, file + 88, 8);
+    if (raw_bytes > size || program_bytes > size ||
+        raw_bytes + program_bytes + OSC_FILE_HEAD + 4 != size)
+        return OSC_DAMAGED;
+    if ((c = calloc(1, sizeof *c)) == NULL) return OSC_NO_MEMORY;
+    c->raw_bytes = (size_t)raw_bytes;
+    c->program_bytes = (size_t)program_bytes;
+    c->arena_bytes = 16 * c->program_bytes + (1 << 16);
+    c->raw = aligned_alloc(64, (c->raw_bytes + 63) / 64 * 64);
+    c->program = aligned_alloc(64, (c->program_bytes + 63) / 64 * 64);
+    c->arena = malloc(c->arena_bytes);
+    if (c->raw == NULL || c->program == NULL || c->arena == NULL) {
+        osc_destroy(c);
+        return OSC_NO_MEMORY;
+    }
+    memcpy(c->raw, file + OSC_FILE_HEAD, c->raw_bytes);
+    memcpy(c->program, file + OSC_FILE_HEAD + c->raw_bytes, c->program_bytes);
+    look(c);
+    size_t most = 16 + c->dimensions.joints + 6 * c->dimensions.arms + c->dimensions.forces;
+    if ((c->missing = malloc(most * sizeof(double))) == NULL) {
+        osc_destroy(c);
+        return OSC_NO_MEMORY;
+    }
+    for (size_t i = 0; i < most; i++) c->missing[i] = NAN;
+    *out = c;
+    return OSC_DONE;
+}
+
+int osc_create(const char *path, osc_controller **out) {
+    FILE *stream;
+    long size = -1;
+    unsigned char *file;
+    int code = OSC_NO_FILE;
+    if (out == NULL) return OSC_NULL;
+    *out = NULL;
+    if (path == NULL) return OSC_NULL;
+    if ((stream = fopen(path, "rb")) == NULL) return OSC_NO_FILE;
+    if (fseek(stream, 0, SEEK_END) == 0) size = ftell(stream);
+    if (size >= 0 && size < (1L << 30) && fseek(stream, 0, SEEK_SET) == 0) {
+        if ((file = malloc((size_t)size + 1)) == NULL) code = OSC_NO_MEMORY;
+        else if (fread(file, 1, (size_t)size, stream) == (size_t)size)
+            code = osc_create_from(file, (size_t)size, out);
+        free(file);
+    }
+    fclose(stream);
+    return code;
+}
+
+void osc_destroy(osc_controller *c) {
+    if (c == NULL) return;
+    free(c->raw);
+    free(c->program);
+    free(c->arena);
+    free(c->missing);
+    free(c);
+}
+
+int osc_get_dimensions(const osc_controller *c, osc_dimensions *out) {
+    if (c == NULL || out == NULL) return OSC_NULL;
+    *out = c->dimensions;
+    return OSC_DONE;
+}
+
+/* --- A tick --------------------------------------------------------------------------------- */
+
+static int fits(osc_numbers x, size_t count) {
+    if (x.data == NULL && count > 0) return x.count == count ? OSC_NULL : OSC_WRONG_SIZE;
+    if (x.count != count) return OSC_WRONG_SIZE;
+    return (uintptr_t)x.data % sizeof(double) == 0 ? OSC_DONE : OSC_UNALIGNED;
+}
+
+static int fits_all(const osc_dimensions *n, const osc_measurement *m, const osc_reference *r) {
+    int codes[] = {
+        fits(m->q, n->joints),          fits(m->v, n->joints),
+        fits(m->wrenches, 6 * n->arms), m->touched.count ? fits(m->touched, 28 * n->contacts) : 0,
+        fits(r->X_WD, 16),              fits(r->V_D, 6),
+        fits(r->A_D, 6),                r->alpha_d.count ? fits(r->alpha_d, n->forces) : 0,
+        r->squeeze_d.count ? fits(r->squeeze_d, n->bars) : 0,
+    };
+    for (size_t i = 0; i < sizeof codes / sizeof *codes; i++)
+        if (codes[i] != OSC_DONE) return codes[i];
+    return OSC_DONE;
+}
+
+static void run(osc_controller *c, const osc_measurement *m, const osc_reference *r, const double *w,
+                int64_t switches, int64_t begin) {
+    int64_t done;
+    void *unused;
+    const double *alpha = r->alpha_d.count ? r->alpha_d.data : c->missing;
+    set_whole(c->raw, JOB_switches, switches);
+    set_whole(c->raw, JOB_begin, begin);
+    osc_law_rows(&done, &unused, (uintptr_t)c->raw, 0, (uintptr_t)m->q.data, (uintptr_t)m->v.data,
+                 (uintptr_t)w, (uintptr_t)r->X_WD.data, (uintptr_t)r->V_D.data,
+                 (uintptr_t)r->A_D.data, (uintptr_t)alpha, (uintptr_t)m->touched.data);
+    set_whole(c->raw, JOB_switches, 0);
+    set_whole(c->raw, JOB_begin, LOOK);
+}
+
+/* Torques within the limits; returns whether they were found. */
+static int relieve(osc_controller *c) {
+    int64_t k, ready;
+    void *unused;
+    uintptr_t raw = (uintptr_t)c->raw, program = (uintptr_t)c->program;
+    unsigned char *p = c->program;
+    int n = (int)c->dimensions.motors;
+    osc_law_fill(&k, &unused, raw, 0, 0, program);
+    for (int pass = 0; pass < 2; pass++) {
+        int64_t slack = pass ? k : 0;
+        osc_law_prepare(&ready, &unused, program, slack);
+        if (!ready) return 0;
+        if (osc_solve(n + (int)slack, (int)k, numbers(table(p, PROGRAM_H), 0),
+                      numbers(table(p, PROGRAM_f), 0), numbers(table(p, PROGRAM_A), 0),
+                      numbers(table(p, PROGRAM_upper), 0), numbers(table(p, PROGRAM_lower), 0),
+                      (int *)(void *)table(p, PROGRAM_sense), numbers(table(p, PROGRAM_z), 0),
+                      numbers(table(p, PROGRAM_lam), 0), c->arena, c->arena_bytes) <= 0)
+            continue;
+        osc_law_finish(&ready, &unused, program, slack);
+        if (ready) {
+            osc_law_settle(&ready, &unused, raw, 0, 0, program);
+            return 1;
+        }
+    }
+    return 0;
+}
+
+int osc_tick(osc_controller *c, const osc_measurement *m, const osc_reference *r, osc_command *out) {
+    int code;
+    int64_t switches = 0;
+    if (c == NULL || m == NULL || r == NULL || out == NULL || out->torques == NULL) return OSC_NULL;
+    if ((uintptr_t)out->torques % sizeof(double) != 0) return OSC_UNALIGNED;
+    if (out->count != c->dimensions.motors) return OSC_WRONG_SIZE;
+    if ((code = fits_all(&c->dimensions, m, r)) != OSC_DONE) return code;
+    double *squeeze = numbers(table(c->memory, MEMORY_squeeze), 0);
+    size_t squeezes = c->dimensions.bars > 1 ? c->dimensions.bars : 1;
+    for (size_t i = 0; i < squeezes; i++)
+        squeeze[i] = r->squeeze_d.count ? r->squeeze_d.data[i] : 0.0;
+    if (c->dimensions.arms > 2 && r->squeeze_d.count) switches |= COMMANDED;
+    if (m->touched.count) switches |= MOVING;
+    if (m->repeated) set_whole(c->memory, MEMORY_repeated, m->repeated);
+    if (m->estimated) set_whole(c->memory, MEMORY_derived, 1);
+    if (m->wrench_missing) set_whole(c->memory, MEMORY_wrench_missing, 1);
+    run(c, m, r, m->wrenches.data, switches, LOOK);
+    if (whole(c->memory, MEMORY_status) == OSC_STATUS_SATURATED && !relieve(c)) {
+        osc_reference none = *r;
+        none.X_WD.data = c->missing; /* so that the tick counts as not computed */
+        run(c, m, &none, c->missing, 0, LOOK);
+    }
+    memcpy(out->torques, table(c->memory, MEMORY_torques), c->dimensions.motors * sizeof(double));
+    out->status = (int32_t)whole(c->memory, MEMORY_status);
+    out->reason = (int32_t)whole(c->memory, MEMORY_reason);
+    out->state = (int32_t)whole(c->memory, MEMORY_state);
+    out->unbraked = out->state == OSC_STATE_SAFE_STOP ? (int32_t)whole(c->memory, MEMORY_unbraked) : -1;
+    return OSC_DONE;
+}
+
+/* --- Settings ------------------------------------------------------------------------------- */
+
+int osc_reset(osc_controller *c) {
+    if (c == NULL) return OSC_NULL;
+    set_whole(c->memory, MEMORY_state, OSC_STATE_RUN);
+    for (size_t i = 0; i < sizeof FORGOTTEN / sizeof *FORGOTTEN; i++) {
+        const struct forgotten *one = &FORGOTTEN[i];
+        unsigned char *at = one->slot < 0 ? c->memory : table(c->memory, (size_t)one->slot);
+        size_t rows = one->slot < 0 ? 1 : (size_t)whole(c->memory, 8 * (size_t)one->count);
+        for (size_t row = 0; row < rows; row++)
+            memset(at + row * one->step + one->offset, 0, one->bytes);
+    }
+    return OSC_DONE;
+}
+
+int osc_set_tare(osc_controller *c, const double wrench[6]) {
+    if (c == NULL || wrench == NULL) return OSC_NULL;
+    for (int i = 0; i < 6; i++)
+        if (!isfinite(wrench[i])) return OSC_OUT_OF_RANGE;
+    memcpy(c->memory + MEMORY_f_tare, wrench, 6 * sizeof(double));
+    return OSC_DONE;
+}
+
+int osc_get_tare(const osc_controller *c, double wrench[6]) {
+    if (c == NULL || wrench == NULL) return OSC_NULL;
+    memcpy(wrench, c->memory + MEMORY_f_tare, 6 * sizeof(double));
+    return OSC_DONE;
+}
+
+/* The command of the motion integral stays: ∫e is scaled, or becomes a constant wrench. */
+static void keep_integral(osc_controller *c, double before, double after) {
+    double *sum = numbers(c->memory, MEMORY_motion_sum);
+    if (after > 0.0) {
+        for (int i = 0; i < 6; i++) sum[i] *= before / after;
+    } else if (whole(c->memory, MEMORY_ticked)) {
+        osc_numbers none = {c->missing, 0};
+        osc_measurement m = {none, none, none, {NULL, 0}, 0, 0, 0};
+        osc_reference r = {none, none, none, none, none};
+        run(c, &m, &r, c->missing, 0, HAND_OVER);
+    }
+}
+
+int osc_set_gain(osc_controller *c, const char *name, double value) {
+    if (c == NULL || name == NULL) return OSC_NULL;
+    if (!(value >= 0.0) || !isfinite(value)) return OSC_OUT_OF_RANGE;
+    for (size_t i = 0; i < sizeof GAINS / sizeof *GAINS; i++) {
+        const struct gain *gain = &GAINS[i];
+        if (strcmp(name, gain->name) != 0) continue;
+        double *field = numbers(c->model, gain->offset);
+        if (gain->offset == MODEL_integral && *field != value) {
+            keep_integral(c, *field, value);
+        }
+        *field = value;
+        if (gain->of_contact >= 0 && whole(c->model, MODEL_phased) == 0) {
+            unsigned char *contacts = table(c->memory, MEMORY_contacts);
+            for (size_t k = 0; k < c->dimensions.contacts; k++)
+                memcpy(contacts + k * CONTACT_BYTES + gain->of_contact, &value, sizeof value);
+        }
+        return OSC_DONE;
+    }
+    return OSC_UNKNOWN_NAME;
+}
+
+/* --- For recordings ------------------------------------------------------------------------- */
+
+int osc_get_memory(const osc_controller *c, void *out, size_t size) {
+    if (c == NULL || out == NULL) return OSC_NULL;
+    if (size != (size_t)whole(c->model, MODEL_memory_bytes)) return OSC_WRONG_SIZE;
+    memcpy(out, c->memory, size);
+    return OSC_DONE;
+}
+
+int osc_set_memory(osc_controller *c, const void *bytes, size_t size) {
+    if (c == NULL || bytes == NULL) return OSC_NULL;
+    if (size != (size_t)whole(c->model, MODEL_memory_bytes)) return OSC_WRONG_SIZE;
+    size_t layout = 8 * MEMORY_LAYOUT_WORDS;
+    if (memcmp(c->memory, bytes, layout) != 0) return OSC_WRONG_SIZE; /* of another structure */
+    memcpy(c->memory, bytes, size);
+    return OSC_DONE;
+}
+
+const char *osc_error_text(int error) {
+    int at = -error;
+    return at >= 0 && at < (int)(sizeof ERROR_TEXTS / sizeof *ERROR_TEXTS) ? ERROR_TEXTS[at] : "unknown";
+}

@@ -1,0 +1,199 @@
+"""The C library that runs controllers out of files without Python.
+
+The header and the offsets of the C sources are written from the records and settings as they are
+declared; `osc_controller.c` has none of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import tarfile
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from osc_contact.control.controller import FORGOTTEN, FORGOTTEN_TABLES
+from osc_contact.control.records import GAIN_FIELDS
+from osc_contact.control.saving import FORMAT, HEAD, MAGIC
+from osc_contact.control.status import SafetyState, Status
+from osc_contact.files import whole_file
+from osc_contact.law import records, tick
+from osc_contact.law.c_object import object_file
+from osc_contact.law.limits import PROGRAM
+from osc_contact.law.sources import law_hash
+from osc_contact.scenarios.control_schema import Gains
+
+__all__ = ["write_library"]
+
+#: enum osc_error, by its codes 0, −1, …
+ERRORS = {
+    "DONE": "no error",
+    "NULL": "a pointer is null",
+    "WRONG_SIZE": "a count is not that of osc_get_dimensions",
+    "UNALIGNED": "numbers do not begin at a multiple of 8 bytes",
+    "NO_FILE": "the file cannot be read",
+    "NOT_A_CONTROLLER": "the file is no controller",
+    "OTHER_FORMAT": "the file has another format",
+    "OTHER_LAW": "the file was written with other sources of the law than law.o was made of",
+    "DAMAGED": "the file is damaged: its checksum does not fit",
+    "NO_MEMORY": "no memory left",
+    "OUT_OF_RANGE": "a number is not finite, or negative",
+    "UNKNOWN_NAME": "no gain has this name",
+}
+_NAMED = {
+    "JOB": (records.JOB, ("switches", "begin", "model", "memory", "work")),
+    "MODEL": (
+        records.MODEL,
+        (
+            "n_joints",
+            "n_arms",
+            "n_motors",
+            "n_contacts",
+            "n_columns",
+            "n_bars",
+            "period",
+            "memory_bytes",
+            "integral",
+            "phased",
+        ),
+    ),
+    "MEMORY": (
+        records.MEMORY,
+        (
+            "repeated",
+            "derived",
+            "wrench_missing",
+            "status",
+            "reason",
+            "state",
+            "unbraked",
+            "f_tare",
+            "motion_sum",
+            "ticked",
+        ),
+    ),
+}
+_TABLES = {
+    "MEMORY": (records.MEMORY, ("contacts", "torques", "squeeze")),
+    "PROGRAM": (PROGRAM, ("H", "f", "A", "lower", "upper", "sense", "z", "lam")),
+}
+
+
+# --- The C library --------------------------------------------------------------------------------
+
+
+def write_library(folder: Path) -> None:
+    """Write law.o, the C sources around it, daqp's, and what builds them.
+
+    Args:
+        folder: is made.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    code = object_file()
+    source = files("osc_contact.control") / "c_files"
+    for item in source.iterdir():
+        path = folder / item.name
+        if item.name.endswith(".tar.xz"):
+            with item.open("rb") as stream, tarfile.open(fileobj=stream) as archive:
+                archive.extractall(folder, filter="data")
+        elif item.name.endswith(".in"):
+            with whole_file(path.with_suffix("")) as unfinished:
+                unfinished.write_text(_header(item.read_text("utf-8")), "utf-8")
+        else:
+            with whole_file(path) as unfinished:
+                unfinished.write_bytes(item.read_bytes())
+    for name, content in {"osc_layout.h": _layout().encode(), "law.o": code}.items():
+        with whole_file(folder / name) as unfinished:
+            unfinished.write_bytes(content)
+
+
+def _enum(prefix: str, names: Any) -> str:
+    return ",\n".join(f"    {prefix}{name} = {value}" for name, value in names)
+
+
+def _reasons() -> list[tuple[str, int]]:
+    names = list(vars(records))
+    own = names[names.index("NO_REASON") : names.index("APART") + 1]
+    return [(name, getattr(records, name)) for name in own]
+
+
+def _header(text: str) -> str:
+    """osc_controller.h from its frame."""
+    values = {
+        "VERSION": version("osc-contact"),
+        "FILE_VERSION": str(FORMAT),
+        "LAW": law_hash(),
+        "ERRORS": ",\n".join(
+            f"    OSC_{name} = {-code} /* {words} */"
+            for code, (name, words) in enumerate(ERRORS.items())
+        ),
+        "STATUSES": _enum("OSC_STATUS_", [(one.name, one.value) for one in Status]),
+        "STATES": _enum("OSC_STATE_", [(one.name, one.value) for one in SafetyState]),
+        "REASONS": _enum("OSC_REASON_", _reasons()),
+        "GAINS": "\n".join(f" *   {name}: {words}" for name, _, _, words in _gains()),
+    }
+    for name, value in values.items():
+        text = text.replace(f"@{name}@", value)
+    return text
+
+
+def _gains() -> list[tuple[str, int, int, str]]:
+    """Gains that may change while a controller runs: name, offset in MODEL and in rows of
+    MEMORY's contacts (−1: none), unit and meaning."""
+    found = []
+    for name, (field, of_contact) in GAIN_FIELDS.items():
+        loop, key = name.split(".")
+        info = type(getattr(Gains(), loop)).model_fields[key]
+        unit = " ".join(x for x in info.metadata if isinstance(x, str))
+        offset = records.MODEL.dtype.fields[field][1]
+        contact: Any = records.CONTACT_MEMORY.fields
+        at = contact[of_contact][1] if of_contact else -1
+        found.append((name, int(offset), int(at), f"{unit}; {info.description or ''}".strip()))
+    return found
+
+
+def _layout() -> str:
+    """osc_layout.h: offsets of fields, slots of tables."""
+    lines = ["/* Written with osc_controller.h: where fields and tables of the records are. */"]
+    for name, (kind, fields) in _NAMED.items():
+        offsets: Any = kind.dtype.fields
+        lines += [f"#define {name}_{field} {offsets[field][1]}" for field in fields]
+    for name, (kind, tables) in _TABLES.items():
+        lines += [f"#define {name}_{one} {list(kind.tables).index(one)}" for one in tables]
+    words = len(records.MEMORY.tables) + len(records.MEMORY.counts)
+    numbers = {
+        "LOOK": tick.LOOK,
+        "HAND_OVER": tick.HAND_OVER,
+        "MOVING": tick.MOVING,
+        "COMMANDED": tick.COMMANDED,
+        "MEMORY_LAYOUT_WORDS": words,
+        "CONTACT_BYTES": records.CONTACT_MEMORY.itemsize,
+        "OSC_FILE_HEAD": HEAD,
+    }
+    lines += [f"#define {name} {value}" for name, value in numbers.items()]
+    lines += [f'#define OSC_FILE_MAGIC "{MAGIC.decode()}"']
+    lines += ["static const char *const ERROR_TEXTS[] = {"]
+    lines += [f"    {json.dumps(text)}," for text in ERRORS.values()] + ["};"]
+    lines += ["struct gain { const char *name; size_t offset; int of_contact; };"]
+    lines += ["static const struct gain GAINS[] = {"]
+    lines += [f'    {{"{name}", {at}, {of}}},' for name, at, of, _ in _gains()] + ["};"]
+    lines += ["/* What osc_reset sets to zero: of MEMORY (slot −1), and of rows of its tables. */"]
+    lines += ["struct forgotten { int slot, count; size_t step, offset, bytes; };"]
+    lines += ["static const struct forgotten FORGOTTEN[] = {"]
+    lines += [f"    {{{', '.join(map(str, one))}}}," for one in _forgotten()] + ["};", ""]
+    return "\n".join(lines)
+
+
+def _forgotten() -> list[tuple[int, int, int, int, int]]:
+    fields: Any = records.MEMORY.dtype.fields
+    found = [(-1, 0, 0, fields[name][1], fields[name][0].itemsize) for name in FORGOTTEN]
+    for table, names in FORGOTTEN_TABLES.items():
+        dtype, sizes = records.MEMORY.tables[table]
+        slot = list(records.MEMORY.tables).index(table)
+        count = records.MEMORY.slot(sizes[0])
+        own: Any = dtype.fields
+        whole = [(0, dtype.itemsize)]
+        parts = [(own[one][1], own[one][0].itemsize) for one in names] or whole
+        found += [(slot, count, dtype.itemsize, at, size) for at, size in parts]
+    return found

@@ -1,0 +1,228 @@
+"""Parts of the law compiled by themselves and called by symbol; machine code of all of them.
+
+numba links what a function calls into each of its callers, so that most parts would be optimised a
+hundred times. Here each part is translated once, callers name it by its symbol, and LLVM links,
+optimises and emits all parts of an entry at once, for any processor of the platform.
+
+This is all that rests on undocumented numba (`compile_extra` and its flags, function descriptors,
+the calling convention, modules of libraries). Where it is missing, `jit` compiles with public numba
+instead, to the same results.
+"""
+
+from __future__ import annotations
+
+import inspect
+import platform
+from collections.abc import Callable
+from typing import Any
+from zlib import crc32
+
+from llvmlite import binding as llvm
+from numba import types
+from numba.core import cgutils, event
+from numba.core.codegen import CPUCodeLibrary
+from numba.core.compiler import Flags, compile_extra
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import cpu_target
+from numba.extending import intrinsic
+
+for _class, _names in (
+    (Flags, ("no_compile", "no_cpython_wrapper", "no_cfunc_wrapper", "error_model", "nrt")),
+    (CPUCodeLibrary, ("_get_module_for_linking",)),
+):
+    for _name in _names:
+        getattr(_class, _name)  # another numba may have others: an AttributeError, see `jit`
+
+#: What every processor of the platform has; elsewhere code is made for the one at hand.
+BASELINE = {"x86_64": "x86-64", "AMD64": "x86-64"}
+_made: dict[str, Any] = {}  #: translated parts by their symbols
+
+
+class Unit:
+    """A part, translated once for each list of types of its arguments.
+
+    Attributes:
+        py_func: its source. inlined: whether its callers take it in.
+    """
+
+    def __init__(self, function: Any, inlined: bool) -> None:
+        self.py_func = function
+        self.inlined = inlined
+        self.known: dict[Any, Any] = {}
+
+    @global_compiler_lock
+    def translated(self, kinds: tuple[Any, ...]) -> Any:
+        """Its signature, symbol and code without what it calls."""
+        if kinds not in self.known:
+            with event.trigger_event("numba:compile", data={"dispatcher": self}):
+                self.known[kinds] = made = self._translate(kinds)
+            _made[made.fndesc.llvm_func_name] = made
+        return self.known[kinds]
+
+    def _translate(self, kinds: tuple[Any, ...]) -> Any:
+        flags: Any = Flags()
+        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+        flags.error_model = "numpy"
+        flags.nrt = False  # the law makes no arrays, so nothing needs to be counted
+        flags.forceinline = self.inlined
+        context = cpu_target.target_context
+        return compile_extra(
+            cpu_target.typing_context, context, self.py_func, kinds, None, flags, {}
+        )
+
+
+def called(unit: Unit, name: Callable[[tuple[Any, ...]], str] | None = None) -> Any:
+    """A function of compiled code that calls a unit by its symbol.
+
+    Args:
+        unit: what is called. name: (types of its arguments) → symbol, asked when code is made for
+            a caller; None: the unit's own.
+    """
+
+    def typed(typing: Any, *given: Any) -> Any:
+        kinds = tuple(types.unliteral(one) for one in given)
+        made = unit.translated(kinds)
+        returned = made.signature.return_type
+
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            symbol = made.fndesc.llvm_func_name if name is None else name(kinds)
+            convention = context.call_conv
+            kind = convention.get_function_type(returned, kinds)
+            function = cgutils.get_or_insert_function(builder.module, kind, symbol)
+            cast = [
+                context.cast(builder, *one)
+                for one in zip(values, signature.args, kinds, strict=True)
+            ]
+            return convention.call_function(builder, function, returned, kinds, cast)[1]
+
+        return returned(*kinds), generate
+
+    parameter = inspect.Parameter
+    names = ("typing", *inspect.signature(unit.py_func).parameters)
+    typed.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [parameter(one, parameter.POSITIONAL_OR_KEYWORD) for one in names]
+    )
+    typed.__name__ = unit.py_func.__name__
+    made: Any = intrinsic(typed)
+    made.py_func = unit.py_func
+    made.unit = unit
+    return made
+
+
+# --- Machine code ---------------------------------------------------------------------------------
+
+
+def baseline() -> str:
+    """The processor that every machine of this platform can stand in for."""
+    return BASELINE.get(platform.machine()) or str(llvm.get_host_cpu_name())
+
+
+def link(roots: dict[str, Any]) -> Any:
+    """A module of some units and all that they call, which offers nothing else.
+
+    Args:
+        roots: what `Unit.translated` returned, by the symbols that the module shall offer.
+    """
+    module = llvm.parse_assembly("")
+    left = list(roots.values())
+    linked: set[str] = set()
+    while left:
+        made = left.pop()
+        if made.fndesc.llvm_func_name in linked:
+            continue
+        linked.add(made.fndesc.llvm_func_name)
+        own = made.library._final_module
+        module.link_in(own, preserve=True)
+        for library in dict.fromkeys(made.library._linking_libraries):
+            module.link_in(library._get_module_for_linking(), preserve=True)
+        left += [_made[one.name] for one in own.functions if one.name in _made]
+    for one in (*module.functions, *module.global_variables):
+        if not one.is_declaration:
+            one.linkage = "internal"
+    for symbol, made in roots.items():
+        function = module.get_function(made.fndesc.llvm_func_name)
+        function.linkage = "external"
+        function.name = symbol
+    return module
+
+
+@global_compiler_lock
+def emit(roots: dict[str, Any], cpu: str) -> bytes:
+    """An object file of some units and all that they call.
+
+    Args:
+        roots: see `link`. cpu: LLVM's name of the processor that code is made for.
+    """
+    triple = llvm.get_process_triple()
+    target = llvm.Target.from_triple(triple).create_target_machine(
+        cpu=cpu, opt=3, reloc="pic", codemodel="default"
+    )
+    module = link(roots)
+    module.triple = triple
+    module.data_layout = str(target.target_data)
+    module.verify()
+    tuning = llvm.create_pipeline_tuning_options(3)
+    tuning.loop_vectorization = tuning.slp_vectorization = True
+    builder = llvm.create_pass_builder(target, tuning)
+    builder.getModulePassManager().run(module, builder)
+    return bytes(target.emit_object(module))
+
+
+_engines: list[Any] = []  #: of loaded objects, which stay
+
+
+@global_compiler_lock
+def load(code: bytes, symbols: list[str]) -> dict[str, int]:
+    """Load an object into this process; compiled code finds its symbols from now on.
+
+    Args:
+        code: of `emit`. symbols: that it offers. Returns their addresses.
+    """
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    target = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine()
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    _engines.append(engine)
+    found = {symbol: engine.get_function_address(symbol) for symbol in symbols}
+    for symbol, address in found.items():
+        if not address:
+            raise OSError(f"the object has no {symbol}")
+        llvm.add_symbol(symbol, address)
+    return found
+
+
+class MachineCode:
+    """Objects of one function, for each list of types of its arguments.
+
+    Attributes:
+        called: what compiled functions call it by.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self.unit = Unit(function, inlined=False)
+        self.called = called(self.unit, self._loaded)
+        self._objects: dict[tuple[Any, ...], bytes] = {}
+
+    def symbol(self, kinds: tuple[Any, ...]) -> str:
+        """Of the function, for types of its arguments."""
+        function = self.unit.py_func
+        name = f"{function.__module__}.{function.__qualname__}"
+        return f"{name}.{crc32(str(kinds).encode()):08x}"
+
+    def object(self, kinds: tuple[Any, ...]) -> bytes:
+        """Made where there is none yet."""
+        if kinds not in self._objects:
+            roots = {self.symbol(kinds): self.unit.translated(kinds)}
+            self._objects[kinds] = emit(roots, baseline())
+        return self._objects[kinds]
+
+    def take(self, kinds: tuple[Any, ...], code: bytes) -> None:
+        """Load an object that was made before."""
+        self._objects[kinds] = code
+        load(code, [self.symbol(kinds)])
+
+    def _loaded(self, kinds: tuple[Any, ...]) -> str:
+        self.take(kinds, self.object(kinds))
+        return self.symbol(kinds)

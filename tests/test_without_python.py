@@ -1,0 +1,259 @@
+"""The controller without Python: its file, the C library, and a replay that is equal to the bit."""
+
+import ctypes
+import shutil
+import subprocess
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.testing import assert_array_equal
+from pytest import fixture, mark, raises
+
+import osc_contact as osc
+from benchmarks.tick import ALL_CASES
+from osc_contact.control.saving import SavedController, controller_bytes
+from osc_contact.control.without_python import write_library
+from osc_contact.law.jit import PLAIN_PYTHON
+from osc_contact.runs.run import start
+from osc_contact.runs.tape import Tape, build
+from osc_contact.scenarios.control_schema import MotionGains
+
+pytestmark = mark.skipif(
+    PLAIN_PYTHON or shutil.which("cc") is None, reason="nothing is compiled, or no C compiler"
+)
+#: packaged tasks: plain, redundant, two Pandas, bars, motor limits, bodies that move, phases
+TASKS = (
+    "two_contact_rod",
+    "panda_edge",
+    "dual_panda_rod",
+    "three_arm_plate",
+    "limited_rod",
+    "moving_face",
+    "approach_and_slide",
+)
+
+
+def run(*command, cwd=None):
+    done = subprocess.run(
+        [str(word) for word in command], capture_output=True, text=True, timeout=300, cwd=cwd
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
+    return done.stdout
+
+
+@fixture(scope="module")
+def library(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("library")
+    write_library(folder)
+    run("make", "-C", folder)
+    return folder
+
+
+def rig_of(name, *changes):
+    return osc.build_rig(osc.load_scenario(name, list(changes)))
+
+
+@mark.parametrize("name", TASKS)
+def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path, name):
+    tape = build(rig_of(name), tmp_path, ticks=1500)
+    files = tmp_path / "controller.osc", tmp_path / "recording.osc"
+    said = run(library / "replay", *files)
+    assert said.startswith(f"{tape.count} of {tape.count} ticks bit-equal") and tape.count == 1500
+    assert (" 0 SATURATED" not in said) == (name == "limited_rod")
+    recording = bytearray(files[1].read_bytes())
+    recording[-1] ^= 1  # of the last torque: the replay can fail
+    files[1].write_bytes(recording)
+    done = subprocess.run([str(library / "replay"), *map(str, files)], capture_output=True)
+    assert done.returncode == 1
+
+
+def test_faulty_ticks_are_replayed_too(library, tmp_path):
+    rig = rig_of("two_contact_rod")
+    plant, controller = start(rig)
+    content = controller_bytes(controller)
+    tape = Tape(controller)
+    measured = plant.measure()
+    rng = np.random.default_rng(3)
+    seen = set()
+    for k in range(400):
+        q = measured.q + 1e-4 * rng.normal(size=len(measured.q))
+        wrenches = measured.wrenches + rng.normal(size=measured.wrenches.shape)
+        bad = k % 50 > 44
+        given = replace(
+            measured,
+            q=q * (np.nan if bad else 1.0),
+            wrenches=wrenches,
+            wrench_valid=k % 7 != 3,
+        )
+        controller.tick(given, rig.references.at(1e-3 * k))
+        seen.add(controller.status)
+        if k == 200:
+            controller.reset()
+    assert osc.Status.HELD in seen and osc.Status.OK in seen
+    (tmp_path / "controller.osc").write_bytes(content)
+    (tmp_path / "recording.osc").write_bytes(tape.content())
+    files = tmp_path / "controller.osc", tmp_path / "recording.osc"
+    assert run(library / "replay", *files).startswith("400 of 400 ticks bit-equal")
+
+
+@mark.parametrize("name", ["near_singular", "saturated", "three_arms", "contact_phases"])
+def test_every_way_a_tick_ends_is_replayed(library, tmp_path, name):
+    case = ALL_CASES[name]()
+    controller = case.controller()
+    controller.save(tmp_path / "controller.osc")
+    tape = Tape(controller)
+    rng = np.random.default_rng(6)
+    for k in range(200):
+        m = case.measurement
+        q = m.q + 1e-4 * rng.normal(size=len(m.q)) * (np.nan if k % 50 == 31 else 1.0)
+        controller.tick(replace(m, q=q), case.reference)
+    (tmp_path / "recording.osc").write_bytes(tape.content())
+    said = run(library / "replay", tmp_path / "controller.osc", tmp_path / "recording.osc")
+    assert said.startswith("200 of 200 ticks bit-equal") and " 0 HELD" not in said
+    assert (" 0 " + case.status.name) not in said
+
+
+def test_the_library_needs_libc_and_libm_only(library):
+    linked = run("ldd", library / "libosc_controller.so").split()
+    names = {word.split(".")[0] for word in linked if word.startswith("lib")}
+    assert names <= {"libc", "libm"}, linked
+
+
+def test_careless_programs_end_in_error_codes(library, tmp_path):
+    (tmp_path / "controller.osc").write_bytes(controller_bytes(start(rig_of("limited_rod"))[1]))
+    here = Path(__file__).parent
+    flags = ["-std=gnu11", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-w"]
+    sources = [library / name for name in ("osc_controller.c", "osc_daqp.c", "law.o")]
+    include = ["-I", library, "-I", library / "daqp" / "include"]
+    program = tmp_path / "hostile"
+    run("cc", *flags, *include, here / "hostile.c", *sources, "-lm", "-lpthread", "-o", program)
+    assert run(program, tmp_path / "controller.osc") == "every call ended as it should\n"
+
+
+class Numbers(ctypes.Structure):
+    _fields_ = [("data", ctypes.c_void_p), ("count", ctypes.c_size_t)]
+
+    @classmethod
+    def of(cls, x):
+        return cls(x.ctypes.data, x.size)
+
+
+class Measurement(ctypes.Structure):
+    _fields_ = [(name, Numbers) for name in ("q", "v", "wrenches", "touched")] + [
+        (name, ctypes.c_int32) for name in ("wrench_missing", "repeated", "estimated")
+    ]
+
+
+class Reference(ctypes.Structure):
+    _fields_ = [(name, Numbers) for name in ("X_WD", "V_D", "A_D", "alpha_d", "squeeze_d")]
+
+
+class Command(ctypes.Structure):
+    _fields_ = [("torques", ctypes.c_void_p), ("count", ctypes.c_size_t)] + [
+        (name, ctypes.c_int32) for name in ("status", "reason", "state", "unbraked")
+    ]
+
+
+def tick_in_c(c, handle, m, r, motors):
+    """Torques and what is said beside them."""
+    alpha = np.array(r.alpha_d, dtype=float)
+    X = np.array(r.X_WD.homogeneous, dtype=float)
+    V, A = np.array(r.V_D, dtype=float), np.array(r.A_D, dtype=float)
+    squeeze = np.full(1, float(r.squeeze_d))
+    tau = np.zeros(motors)
+    none = Numbers(None, 0)
+    measured = Measurement(Numbers.of(m.q), Numbers.of(m.v), Numbers.of(m.wrenches), none)
+    bars = Numbers.of(squeeze) if c.bars else none
+    wanted = Reference(*(Numbers.of(x) for x in (X, V, A, alpha)), bars)
+    out = Command(tau.ctypes.data, motors)
+    assert c.osc_tick(handle, *map(ctypes.byref, (measured, wanted, out))) == 0
+    return tau, out
+
+
+@mark.parametrize("integral", [30.0, 0.0])
+def test_gains_tare_and_reset_do_in_c_what_they_do_in_python(library, tmp_path, integral):
+    rig = rig_of("two_contact_rod", "plant.type=rigid")
+    plant, controller = start(rig)
+    controller.save(tmp_path / "controller.osc")
+    c = ctypes.CDLL(str(library / "libosc_controller.so"))
+    c.bars = int(controller._records.model.n_bars)
+    handle = ctypes.c_void_p()
+    name = str(tmp_path / "controller.osc").encode()
+    assert c.osc_create(name, ctypes.byref(handle)) == 0
+    m = plant.measure()
+    rng = np.random.default_rng(8)
+    for k in range(90):
+        if k == 30:
+            gains = controller.gains
+            motion = MotionGains(stiffness=300.0, damping=40.0, integral=integral)
+            forces = gains.force.replaced(integral=gains.force.integral / 2)
+            controller = controller.with_gains(gains.replaced(motion=motion, force=forces))
+            values = {
+                "motion.stiffness": 300.0,
+                "motion.damping": 40.0,
+                "motion.integral": integral,
+                "force.integral": forces.integral,
+            }
+            for key, value in values.items():
+                assert c.osc_set_gain(handle, key.encode(), ctypes.c_double(value)) == 0
+        if k == 50:
+            tare = rng.normal(size=6)
+            controller.f_tare = tare
+            assert c.osc_set_tare(handle, tare.ctypes.data_as(ctypes.c_void_p)) == 0
+        if k == 70:
+            controller.reset()
+            assert c.osc_reset(handle) == 0
+        moved = replace(m, q=m.q + 1e-4 * rng.normal(size=len(m.q)))
+        want = controller.tick(moved, rig.references.at(1e-3 * k))
+        tau, out = tick_in_c(c, handle, moved, rig.references.at(1e-3 * k), len(want))
+        assert_array_equal(tau, want, err_msg=str(k))
+        assert (out.status, out.state) == (controller.status, controller.state)
+    c.osc_destroy(handle)
+
+
+@mark.parametrize("name", ["two_contact_rod", "limited_rod", "three_arm_plate"])
+def test_a_saved_controller_goes_on_where_it_was(tmp_path, name):
+    rig = rig_of(name)
+    plant, controller = start(rig)
+    m = plant.measure()
+    for k in range(20):
+        controller.tick(m, rig.references.at(1e-3 * k))
+    controller.save(tmp_path / "controller.osc")
+    saved = SavedController.load(tmp_path / "controller.osc")
+    assert saved.dt == controller.dt
+    rng = np.random.default_rng(2)
+    for k in range(20, 60):
+        moved = replace(m, q=m.q + 1e-3 * rng.normal(size=len(m.q)))
+        assert_array_equal(
+            saved.tick(moved, rig.references.at(1e-3 * k)),
+            controller.tick(moved, rig.references.at(1e-3 * k)),
+        )
+        assert (saved.status, saved.state) == (controller.status, controller.state)
+
+
+def signed(content):
+    return bytes(content) + zlib.crc32(bytes(content)).to_bytes(4, "little")
+
+
+def test_files_of_others_are_refused_with_both_versions():
+    content = controller_bytes(start(rig_of("two_contact_rod"))[1])
+    body = bytearray(content[:-4])
+    SavedController(signed(body))
+    for refused, words in {
+        content[:50]: "begins with OSCCTRL1",
+        signed(body[:8] + b"\x07" + body[9:]): "of format 7; this version reads 1",
+        signed(body[:16] + b"0" * 64 + body[80:]): "law 000000000000, but this one is",
+        content[:-9] + content[-8:]: "checksum",
+        signed(body[:-8]): "sizes do not fit",
+    }.items():
+        with raises(osc.InvalidInputError, match=words):
+            SavedController(bytes(refused))
+
+
+def test_what_only_python_can_evaluate_is_refused():
+    controller = start(rig_of("two_contact_rod"))[1]
+    own = controller.with_laws(force=lambda alpha_d, alpha_meas: alpha_d)
+    with raises(osc.InvalidInputError, match="only Python can evaluate"):
+        controller_bytes(own)
