@@ -95,7 +95,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         assert_allclose(tau[3] - tau[1], want, rtol=1e-9, atol=1e-9)
 
 
-def test_known_friction_and_rotors_leave_the_wanted_acceleration_here_too():
+def test_friction_known_at_the_start_leaves_the_wanted_acceleration():
     """KKT of the exact plant: with friction the torques give what they give without."""
     for chain in (panda(armature=ROTORS, damping=VISCOUS, friction=DRY), panda()):
         rng = np.random.default_rng(2)
