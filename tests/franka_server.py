@@ -278,7 +278,7 @@ class Simulation(simulator.MujocoSimulator):
         MuJoCo's cone couples both: a probe that slides with v rests higher by μ b v / k, k and b
         the reference stiffness (1/s²) and damping (1/s) of the contact. With the b of the normal
         direction that exceeds the depth of light contacts, which then open for single steps. So
-        friction gets a smaller b of its own, and impratio makes up for it where the probe sticks.
+        friction gets a separate, smaller b; impratio compensates for this where the probe sticks.
         """
         model = self.model
         model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC

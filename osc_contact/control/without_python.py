@@ -1,7 +1,7 @@
 """The C library that runs controllers out of files without Python.
 
 The header and the offsets of the C sources are written from the records and settings as they are
-declared; `osc_controller.c` has none of its own.
+declared; `osc_controller.c` contains no offset.
 """
 
 from __future__ import annotations
