@@ -1,7 +1,7 @@
 """Time the control tick beside its floor and its peers, by size, on the clock, in a whole run.
 
-python -m benchmarks tick | peers | scaling | jitter | law | simulation | many_runs |
-vector_env | soak | franka
+python -m benchmarks tick | peers | scaling | jitter | law | operational_space |
+simulation | many_runs | vector_env | soak | franka
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ BENCHMARKS: dict[str, int] = {
     "scaling": 300,
     "jitter": 4000,
     "law": 2000,
+    "operational_space": 5000,
     "simulation": 10000,
     "soak": 1_800_000,
     "many_runs": 20,

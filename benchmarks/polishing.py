@@ -196,11 +196,18 @@ class SelectionRows:
         self._sum[row] = 0.0
 
     def tick(
-        self, q: Array, v: Array, wrenches: Array, X_WD: Array, V_D: Array, *rest: Array
+        self,
+        q: Array,
+        v: Array,
+        wrenches: Array,
+        X_WD: Array,
+        *,
+        V_D: Array,
+        alpha_d: Array,
+        **_: Array | None,
     ) -> Array:
         """Torques (B, n_a); arguments as of `BatchController.tick`."""
         k = self._gains
-        alpha_d = rest[1][:, 0]
         B = len(q)
         p, R = self._env.fleet.objects()
         J = np.empty((B, 6, q.shape[1]))
@@ -214,8 +221,8 @@ class SelectionRows:
         force = self._K * e + self._D * (V_D - V)
         force[:, :3] -= (force[:, :3] @ INTO)[:, None] * INTO
         speed = V[:, :3] @ INTO
-        self._sum += self._dt * (alpha_d - alpha)
-        push = alpha_d + k.integral * self._sum - k.contact * speed
+        self._sum += self._dt * (alpha_d[:, 0] - alpha)
+        push = alpha_d[:, 0] + k.integral * self._sum - k.contact * speed
         force[:, :3] += push[:, None] * INTO
         idle = k.posture[0] * (self._rest - q) - k.posture[1] * v
         seen = np.linalg.solve(
@@ -307,7 +314,7 @@ LAWS = {
 
 
 def teach(law: str, rows: int, generations: int, seed: int, say: Any = None) -> tuple[Array, Array]:
-    """Policy (12,) that is learnt above a law, and its unevenness at each generation."""
+    """Policy (12,) that is learned above a law, and its unevenness at each generation."""
     env = make_env(rows, SLOW)
     LAWS[law](env)
     return learn(
@@ -337,14 +344,14 @@ def main(
     """Learn, judge, print, draw."""
     console = Console()
     runs = [("ours", seed) for seed in range(seeds)] + [("Jᵀ, stiff", 0)]
-    learnt = {}
+    learned = {}
     with console.status("learning") as status:
         for law, seed in runs:
-            learnt[law, seed] = teach(law, rows, generations, seed, status.update)
+            learned[law, seed] = teach(law, rows, generations, seed, status.update)
     depths = {}
     rows_of = []
     policies = {("ours", "15 N everywhere"): np.full(len(KNOTS), MEAN)}
-    policies |= {(law, f"learnt, seed {seed}"): found[0] for (law, seed), found in learnt.items()}
+    policies |= {(law, f"learned, seed {seed}"): found[0] for (law, seed), found in learned.items()}
     policies |= {(law, "best, known hardness"): best_forces(KNOTS) for law in LAWS}
     for (law, name), policy in policies.items():
         cells = []
@@ -357,11 +364,11 @@ def main(
     title = f"{JUDGED} passes with masses not met while learning"
     console.print(table_of(title, heads, rows_of))
     if figure is not None:
-        draw(learnt, depths, figure)
+        draw(learned, depths, figure)
 
 
 def draw(
-    learnt: dict[tuple[str, int], tuple[Array, Array]],
+    learned: dict[tuple[str, int], tuple[Array, Array]],
     depths: dict[tuple[str, str, float], Array],
     path: Path,
 ) -> None:
@@ -374,12 +381,12 @@ def draw(
         figure = Figure(figsize=(10.0, 3.2))
         curves, forces, depth = figure.subplots(1, 3)
         colours = dict(zip(LAWS, ("#0072B2", "#E69F00", "#D55E00"), strict=True))
-        for (law, seed), (policy, curve) in learnt.items():
+        for (law, seed), (policy, curve) in learned.items():
             label = law if seed == 0 else None
             curves.plot(100 * curve, color=colours[law], label=label)
             if law == "ours":
                 forces.plot(
-                    1e3 * KNOTS, policy, color=colours[law], label="learnt" if seed == 0 else None
+                    1e3 * KNOTS, policy, color=colours[law], label="learned" if seed == 0 else None
                 )
         curves.set(
             title="unevenness of the mean policy", xlabel="generation", ylabel="%", yscale="log"
@@ -389,7 +396,7 @@ def draw(
         middle = 500 * (EDGES[1:] + EDGES[:-1])
         for name, colour, label in (
             ("15 N everywhere", "#999999", "before"),
-            ("learnt, seed 0", "#0072B2", "after"),
+            ("learned, seed 0", "#0072B2", "after"),
         ):
             for i, one in enumerate(depths["ours", name, SLOW]):
                 depth.plot(middle, one, color=colour, lw=0.7, label=label if i == 0 else None)

@@ -29,19 +29,23 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
         Revolute,
         Screw,
         SphereOnPlane,
+        SphereOnSurface,
         VertexOnFace,
         register_pair,
     )
     from osc_contact.contacts.raibert_craig import RaibertCraig
+    from osc_contact.contacts.surface import Surface
     from osc_contact.control.batch import BatchController
     from osc_contact.control.controller import Controller
     from osc_contact.control.custom_laws import Laws
+    from osc_contact.control.impedance import admittance, impedance
     from osc_contact.control.set_point import PoseSetPoint, SetPoint, SetPointState
     from osc_contact.control.status import SafetyState, Status
     from osc_contact.dynamics.arm import Arm
     from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
     from osc_contact.dynamics.environment import Environment
     from osc_contact.dynamics.grasp import Grasp
+    from osc_contact.dynamics.operational_space import OperationalSpace, operational_space
     from osc_contact.dynamics.payload import RigidObject
     from osc_contact.errors import (
         ContactError,
@@ -68,6 +72,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.runs.recorder import Recorder
     from osc_contact.runs.rig import Rig, build_rig, register_plant
     from osc_contact.runs.run import recover, run
+    from osc_contact.runs.surface_motion import surface_references
     from osc_contact.runs.verdict import metrics
     from osc_contact.runs.viewing import open_viewer
     from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
@@ -100,6 +105,7 @@ __all__ = [
     "make_vector_env",
     "Robot",
     "run_loop",
+    "surface_references",
     "MujocoRobot",
     "Recorder",
     "Judge",
@@ -129,10 +135,13 @@ __all__ = [
     "SetPointState",
     "PoseSetPoint",
     "JerkLimits",
+    "impedance",
+    "admittance",
     "ContactPair",
     "VertexOnFace",
     "FaceOnVertex",
     "SphereOnPlane",
+    "SphereOnSurface",
     "EdgeOnEdge",
     "EdgeOnFace",
     "CylinderOnPlane",
@@ -147,6 +156,7 @@ __all__ = [
     "Free",
     "GapFunctions",
     "register_pair",
+    "Surface",
     "detect",
     "Contact",
     "RaibertCraig",
@@ -155,6 +165,8 @@ __all__ = [
     "Grasp",
     "ClosedChain",
     "ChainState",
+    "operational_space",
+    "OperationalSpace",
     "Environment",
     "ContactResponse",
     "contact_response",
@@ -180,9 +192,21 @@ def _homes() -> dict[str, str]:
     return {name.name: str(node.module) for node in imports for name in node.names}
 
 
+def _imported(name: str) -> Any:
+    """A public name from its module, or the extra that its module needs."""
+    try:
+        return getattr(import_module(_homes()[name]), name)
+    except ModuleNotFoundError as error:
+        from osc_contact.errors import missing
+
+        if words := missing(error):
+            raise ModuleNotFoundError(f"osc_contact.{name}: {words}", name=error.name) from error
+        raise
+
+
 def __getattr__(name: str) -> Any:
     if name in _homes():
-        value = getattr(import_module(_homes()[name]), name)
+        value = _imported(name)
     elif find_spec(f"{__name__}.{name}"):
         return import_module(f"{__name__}.{name}")
     elif name[0].isupper() and hasattr(import_module(_homes()["ContactPair"]), name):

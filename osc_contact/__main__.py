@@ -1,6 +1,18 @@
 """`python -m osc_contact`: the command line."""
 
-from osc_contact.cli import app
+import sys
+
+from osc_contact.errors import missing
+
+
+def main() -> None:
+    """Run the application, or end with the extra that it needs."""
+    try:
+        from osc_contact.cli import app
+    except ModuleNotFoundError as error:
+        sys.exit(missing(error) or str(error))
+    app()
+
 
 if __name__ == "__main__":
-    app()
+    main()

@@ -71,8 +71,8 @@ RECORDINGS = (".npz", ".mcap")
 PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"osc-contact {__version__}")
         raise typer.Exit
 
@@ -87,7 +87,7 @@ def main(
     """Decoupled force and motion control of arms in contact."""
     if context.invoked_subcommand is None:
         say(cli_start.FIRST_STEPS)
-    compiled.tell(lambda text: err.print(text, style="dim", highlight=False), CompilationBar())
+    compiled.report_to(lambda text: err.print(text, style="dim", highlight=False), CompilationBar())
     atexit.register(gc.freeze)  # or Python looks through all of numba's objects before it ends
 
 
@@ -168,6 +168,7 @@ def view(
     what: Annotated[
         str, typer.Argument(metavar="SCENARIO|RECORDING", help="as for `run`, or an .npz file")
     ],
+    *,
     live: Annotated[bool, typer.Option("--live", help="in a browser, during the run")] = False,
     html: Annotated[
         Path | None,

@@ -171,6 +171,7 @@ class Maker(StrEnum):
 
 def commission(
     robot: Annotated[Maker, typer.Argument(help="the driver")],
+    *,
     host: Annotated[str, typer.Option(help="address of the robot")],
     urdf: Annotated[Path, typer.Option(help="model of the arm with its hand")],
     tip: Annotated[str, typer.Option(help="frame of the model at the end effector")],

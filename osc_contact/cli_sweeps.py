@@ -43,6 +43,7 @@ SchedulerOption = Annotated[
 
 def sweep(
     scenario: ScenarioArgument,
+    *,
     vary: Annotated[
         list[str],
         typer.Option(help="path.to.key=uniform(A, B), any number; see docs/sweeps.md for others"),
@@ -63,8 +64,7 @@ def sweep(
 ) -> None:
     """Run a scenario many times with other numbers; the same command continues after a kill."""
     with exit_codes():
-        for package in ("pyarrow", "scipy"):
-            require(package)
+        require("pyarrow")
         study = SweepStudy.of(scenario, vary, samples, design, seed, changed(set_, duration))
         folder = out_dir or Path("out") / f"{Path(scenario).stem}_sweep"
         with counting("runs", study.rows) as progress:
@@ -139,6 +139,7 @@ def show_summary(study: SweepStudy, summary: dict[str, Any]) -> None:
 
 def tune(
     scenario: ScenarioArgument,
+    *,
     vary: Annotated[
         list[str] | None,
         typer.Option(help="path.to.key=DISTRIBUTION to tune (default: the gains, factors of them)"),

@@ -22,7 +22,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from osc_contact.errors import InvalidInputError, OscContactError, PlantError
+from osc_contact.errors import InvalidInputError, OscContactError, PlantError, missing
 from osc_contact.files import sole_user
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
@@ -88,19 +88,6 @@ out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
 UNFINISHED = "unfinished.mcap"
-EXTRAS = {
-    "matplotlib": "plot",
-    "mpl_toolkits": "plot",
-    "PIL": "plot",
-    "av": "video",
-    "mujoco": "sim",
-    "ruckig": "sim",
-    "pyarrow": "sweep",
-    "scipy": "sweep",
-    "gymnasium": "learn",
-    "optuna": "tune",
-    "distributed": "cluster",
-}
 
 
 class CompilationBar:
@@ -133,7 +120,7 @@ def say(text: str) -> None:
 
 
 def require(package: str) -> None:
-    """Refuse what would fail later for want of a package."""
+    """Refuse what would fail later because a package is missing."""
     if find_spec(package) is None:
         raise ModuleNotFoundError(f"No module named '{package}'", name=package)
 
@@ -169,14 +156,12 @@ def exit_codes() -> Iterator[None]:
         yield
     except (OscContactError, ImportError, OSError) as error:
         cause = error if isinstance(error, ImportError) else error.__cause__
-        package = ((cause.name or "") if isinstance(cause, ImportError) else "").partition(".")[0]
-        if isinstance(error, ImportError) and package not in EXTRAS:
+        absent = missing(cause) if isinstance(cause, ImportError) else ""
+        if isinstance(error, ImportError) and not absent:
             raise
-        words = "\n".join((str(error), *getattr(error, "__notes__", ())))
-        if package in EXTRAS:
-            words = f"{package} is not installed: pip install 'osc-contact[{EXTRAS[package]}]'"
+        words = absent or "\n".join((str(error), *getattr(error, "__notes__", ())))
         err.print(f"error: {words}", style="red", highlight=False, markup=False, soft_wrap=True)
-        failed = isinstance(error, PlantError) and package not in EXTRAS
+        failed = isinstance(error, PlantError) and not absent
         raise typer.Exit(1 if failed else 2) from error
 
 

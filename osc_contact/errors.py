@@ -18,6 +18,38 @@ __all__ = [
 ]
 
 
+#: Extra that brings a package, by the name under which it is imported.
+EXTRAS = {
+    "yaml": "scenarios",
+    "typer": "scenarios",
+    "rich": "scenarios",
+    "yourdfpy": "scenarios",
+    "meshcat": "view",
+    "tornado": "view",
+    "umsgpack": "view",
+    "matplotlib": "plot",
+    "mpl_toolkits": "plot",
+    "PIL": "plot",
+    "av": "video",
+    "mujoco": "sim",
+    "ruckig": "sim",
+    "pyarrow": "sweep",
+    "scipy": "scenarios",
+    "gymnasium": "learn",
+    "optuna": "tune",
+    "distributed": "cluster",
+    "pylibfranka": "franka",
+}
+
+
+def missing(error: ImportError) -> str:
+    """What to install where an extra's package is missing; "" for any other package."""
+    package = (error.name or "").partition(".")[0]
+    if package not in EXTRAS:
+        return ""
+    return f"{package} is not installed: pip install 'osc-contact[{EXTRAS[package]}]'"
+
+
 class OscContactError(Exception):
     """Base class: catch this one to catch whatever the toolkit raises on purpose."""
 

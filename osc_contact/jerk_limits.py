@@ -184,16 +184,16 @@ class _Fastest:
         unit = limits[0]
         self._origin = x
         self._unit = unit
-        wanted = ruckig.InputParameter(n)
+        request = ruckig.InputParameter(n)
         self._way = ruckig.Trajectory(n)
-        wanted.current_position = np.zeros(n)
-        wanted.current_velocity = v / unit
-        wanted.current_acceleration = a / unit
-        wanted.target_position = (goal - x) / unit
-        wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = limits / unit
-        wanted.synchronization = ruckig.Synchronization.Phase
+        request.current_position = np.zeros(n)
+        request.current_velocity = v / unit
+        request.current_acceleration = a / unit
+        request.target_position = (goal - x) / unit
+        request.max_velocity, request.max_acceleration, request.max_jerk = limits / unit
+        request.synchronization = ruckig.Synchronization.Phase
         try:
-            result = ruckig.Ruckig(n).calculate(wanted, self._way)
+            result = ruckig.Ruckig(n).calculate(request, self._way)
         except (ruckig.RuckigError, ValueError) as error:  # the latter: of results it cannot name
             raise SolverError(str(error)) from error
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):

@@ -68,8 +68,8 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
         want is None or want == got for want, got in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise InvalidInputError(f"{name}: expected shape {wanted}, got {array.shape}")
+        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise InvalidInputError(f"{name}: expected shape {expected}, got {array.shape}")
     if not isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise InvalidInputError(f"{name}: element {where} is {array[where]}; give a finite number")

@@ -200,6 +200,7 @@ _SLIDE = "#5B3A8E"
 
 
 def draw_cone_in_groove(
+    *,
     apex: Array,
     axis: Array,
     height: float,

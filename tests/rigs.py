@@ -7,6 +7,7 @@ import pinocchio as pin
 
 import osc_contact as osc
 from osc_contact import robots
+from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, velocity
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
 
 ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
@@ -112,3 +113,17 @@ def random_faces(X_WO, r, rng, reach_m=0.3):
 
 def contact_of(pairs, state):
     return osc.Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in pairs])
+
+
+def friction_wrenches(friction, pairs, X_WO, V_O, touched):
+    """N_μ − N (6, r): μ [s; p × s], s = v_t / √(v_t² + v_0²) at each point of contact p."""
+    columns = [np.zeros((6, 0))]
+    for i, pair in enumerate(pairs):
+        face = () if touched is None else (pin.SE3(np.array(touched.X_WE[i])), touched.V_E[i])
+        points = pair.points_of_contact(X_WO, *face[:1]) - X_WO.translation[:, None]
+        normals = pair.contact(X_WO, V_O, *face).N[:3]
+        v = velocity(Bodies.at_O(X_WO, V_O, *face).V_rel, points)
+        v = v - normals * (normals * v).sum(axis=0)
+        slides = v / np.sqrt((v * v).sum(axis=0) + friction.slip**2)
+        columns.append(friction.mu * lines_of_force(points, slides))
+    return np.hstack(columns)

@@ -172,7 +172,7 @@ def test_play_goes_on_and_a_click_in_a_plot_stops_there(browser):
     assert browser.run("player.playing")
     x = 58 + 0.5 * (1280 - 58 - 18)
     for kind in ("mousePressed", "mouseReleased"):
-        browser.ask(
+        browser.request(
             "Input.dispatchMouseEvent",
             type=kind,
             x=x,

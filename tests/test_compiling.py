@@ -17,7 +17,7 @@ import osc_contact as osc
 from osc_contact import console
 from osc_contact.law import jit, nested, records
 from osc_contact.law import tick as law
-from osc_contact.law.compiled import announced, parts_of, tell
+from osc_contact.law.compiled import announced, parts_of, report_to
 
 PLAIN = jit.PLAIN_PYTHON
 
@@ -147,8 +147,8 @@ def test_compiling_is_announced_once_and_loading_is_not(tmp_path):
     told = []
     earlier = []
     path.write_text(SOURCE)
-    tell(earlier.append)
-    tell(told.append)
+    report_to(earlier.append)
+    report_to(told.append)
     try:
         first = load(path)
         second = load(path)
@@ -164,7 +164,7 @@ def test_compiling_is_announced_once_and_loading_is_not(tmp_path):
             assert first.kernel(5) == 11
         assert len(told) == 2 and not earlier
     finally:
-        tell(lambda text: None)
+        report_to(lambda text: None)
 
 
 @fixture(params=["compiled", "plain"])
@@ -280,7 +280,7 @@ def test_progress_rises_with_the_functions_compiled(tmp_path):
     path = tmp_path / "kernel.py"
     shares = []
     path.write_text(SOURCE)
-    tell(lambda text: None, shares.append)
+    report_to(lambda text: None, shares.append)
     try:
         first = load(path)
         second = load(path)
@@ -296,7 +296,7 @@ def test_progress_rises_with_the_functions_compiled(tmp_path):
             assert second.kernel(3) == 7
         assert not shares
     finally:
-        tell(lambda text: None)
+        report_to(lambda text: None)
 
 
 def test_the_functions_counted_are_those_of_the_law():

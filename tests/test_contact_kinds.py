@@ -49,6 +49,8 @@ def keys_of(kind):
         if field.annotation is float:
             (dimension,) = (mark for mark in field.metadata if isinstance(mark, Dimension))
             told.append(f"{key}: {40 + i} {'deg' if dimension.kind == 'an angle' else 'mm'}")
+        elif key == "surface":
+            told.append("surface: {type: cylinder, radius: 300 mm}")
         elif key not in ("name", "type", "body"):
             dimension = get_args(get_args(field.annotation)[0])[1]
             told.append(f"{key}: {VALUES[dimension.kind].format(i, 10 - i)}")

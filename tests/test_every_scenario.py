@@ -20,6 +20,7 @@ from osc_contact.spatial import carry_wrench
 ROBOTS = {  # d, r, motors, words of `inspect`
     "panda_edge": (6, 1, 7, ("into the edge of 'table'", "1 motion(s) of arms")),
     "dual_panda_rod": (6, 2, 14, ("no single frame", "6 internal force(s)", "2 motion(s) of arms")),
+    "panda_dome": (6, 1, 7, ("into the surface of 'dome'", "1 motion(s) of arms")),
     "ur5_wipe": (6, 3, 6, ("cloth.3 along", "pushing only", "face on face of 'board'")),
     "three_arm_plate": (6, 3, 19, ("into the vertex of 'tripod'", "12 internal force(s)")),
     "hinge_ball_rod": (6, 2, 14, ("2 internal force(s)", "6 motion(s) of arms")),

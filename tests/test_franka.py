@@ -247,7 +247,7 @@ def test_what_it_refuses(franka: FrankaServer, monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(osc.InvalidInputError, match="give the arm a frame beyond the last joint"):
         FrankaRobot(franka.host, bare)
     monkeypatch.setitem(sys.modules, "pylibfranka", None)
-    with pytest.raises(osc.PlantError, match=r"pip install osc_contact\[franka\]"):
+    with pytest.raises(osc.PlantError, match=r"pip install 'osc-contact\[franka\]'"):
         FrankaRobot(franka.host, chain)
 
 

@@ -4,13 +4,12 @@ import numpy as np
 from environment_scenes import RTOL, close_to, scene
 from numpy.testing import assert_allclose
 from pytest import approx, mark, raises
-from rigs import panda_pair, scara_pair
+from rigs import friction_wrenches, panda_pair, scara_pair
 from test_decoupling import commanded, in_contact
 from test_effort_limits import weakened
 from test_moving_environment import object_acceleration, seen, squeeze_of
 
 import osc_contact as osc
-from osc_contact.control.custom_laws import friction_wrenches
 from osc_contact.dynamics.environment import Environment
 from osc_contact.scenarios.control_schema import Friction
 

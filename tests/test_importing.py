@@ -57,6 +57,23 @@ def test_a_recording_is_judged_without_compiler_and_simulator():
     assert not {"numba", "mujoco"} & set(printed(program))
 
 
+def test_names_of_the_core_need_no_extra():
+    program = """
+import sys
+from osc_contact.errors import EXTRAS
+sys.modules.update(dict.fromkeys(EXTRAS))
+import osc_contact as osc
+for name in osc.__all__:
+    try:
+        getattr(osc, name)
+    except ModuleNotFoundError as error:
+        assert "pip install 'osc-contact[" in str(error), error
+        print(name)
+"""
+    of_files = {"load_scenario", "list_scenarios", "sweep", "make_vector_env"}
+    assert set(printed(program)) == of_files
+
+
 def test_every_public_name_is_found_and_told():
     assert all(hasattr(osc, name) for name in osc.__all__)
     assert set(osc.__all__) <= set(dir(osc))

@@ -32,7 +32,7 @@ class Case:
     """What `TorqueLimits` is given; six coordinates, the last d of them free."""
 
     d: int
-    wanted: np.ndarray
+    desired: np.ndarray
     tau_max: np.ndarray
     G: np.ndarray
     Lambda: np.ndarray
@@ -119,11 +119,11 @@ MADE: dict[int, TorqueLimits] = {}
 
 def solve(case, limits=None):
     """By arrays that other cases have used before."""
-    n = len(case.wanted)
+    n = len(case.desired)
     (d, r, k, s) = case.counts
     if limits is None:
         limits = MADE.setdefault(n, TorqueLimits(n, K_MAX, S_MAX))
-    limits.wanted[:] = case.wanted
+    limits.desired[:] = case.desired
     limits.tau_max[:] = case.tau_max
     limits.G[:] = case.G
     limits.Lambda[:] = case.Lambda
@@ -189,7 +189,7 @@ def exact_optimum(case, tau):
     forces = share @ force
     unit = fractions(np.sqrt((forces.astype(float) ** 2).sum(axis=1)))
     A = np.vstack((fractions(np.eye(n)), forces / unit[:, None]))
-    wanted = fractions(case.wanted)
+    wanted = fractions(case.desired)
     tau_max = fractions(np.minimum(case.tau_max, 1e12))  # of motors without a limit
     ends = np.hstack(((tau_max - wanted) / scale, fractions(np.zeros(k))))
     least = np.minimum((floor - share @ fractions(case.alpha)) / unit, 0)
@@ -280,7 +280,7 @@ def test_units_of_torque_and_axes_do_not_matter(endless):
         unit = rng.uniform(0.1, 10.0, 8) if not endless else np.full(8, rng.uniform(0.1, 10.0))
         other = replace(
             case,
-            wanted=case.wanted * unit,
+            desired=case.desired * unit,
             tau_max=case.tau_max * unit,
             G=case.G / unit[:, None],
             E=case.E / unit,

@@ -43,6 +43,7 @@ class Forces:
         )
         self.owners = [Record(contact=j) for j in range(n)]
         self.contacts = [Record(phase=CLOSED) for _ in range(n)]
+        self.bodies = [Record(pushes=1) for _ in range(n)]
         self.memory = Record(step_left=0.0, step_time=RISE, ticked=1)
         self.kept = [
             Record(
@@ -87,6 +88,7 @@ class Forces:
         t = tick_of(
             model=self.chain,
             model_columns=self.owners,
+            model_bodies=self.bodies,
             memory=self.memory,
             memory_contacts=self.contacts,
             memory_columns=self.kept,
@@ -218,6 +220,10 @@ def test_an_impact_is_not_held_where_phases_close_a_contact():
         assert found[-1, 0] == approx(10.0)
     forces = Forces()
     assert forces.tick([-2.0], measured=[-40.0])[0] == approx(-40.0), "it may be pulled"
+    for pushes, start in ((1, 0.0), (0, -40.0)):
+        forces = Forces()
+        forces.bodies[0].pushes = pushes
+        assert forces.tick([2.0], measured=[-40.0])[0] == approx(start), "noise is no pull"
 
 
 def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():

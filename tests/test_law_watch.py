@@ -410,6 +410,9 @@ def test_an_approach_believes_positions_where_speeds_read_too_little():
         assert_allclose(believed, true, atol=1e-6)
         shown = np.array([approach.kept[j].velocity_from_positions for j in (3, 1)])
         assert_array_equal(believed, shown)
+        for _ in range(300):
+            approach.tick(V, true - 0.02)
+        assert_array_equal(approach.tick(V, true + 0.05), true + 0.05)  # the low-pass lags behind
         for more in (-0.0039, 0.1):
             approach = Approach(seed)
             for _ in range(300):

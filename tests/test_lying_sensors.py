@@ -212,10 +212,10 @@ def test_rows_of_a_batch_judge_their_own_sensors(case):
             four(m.v),
             wrenches,
             X,
-            four(r.V_D),
-            four(r.A_D),
-            four(r.alpha_d),
-            np.full(4, float(r.squeeze_d)),
+            V_D=four(r.V_D),
+            A_D=four(r.A_D),
+            alpha_d=four(r.alpha_d),
+            squeeze_d=np.full(4, float(r.squeeze_d)),
             wrench_valid=valid,
         )
         assert_array_equal(tau[3], one.tick(replace(m, wrench_valid=k < 1), r))

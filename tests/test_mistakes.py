@@ -42,7 +42,7 @@ def on_the_table(pair, *names):
 
 
 def test_pairs_of_ones_own_that_do_not_fit():
-    with raises(osc.ScenarioError, match=r"Gapless has no gaps; a pair of your own has"):
+    with raises(osc.ScenarioError, match=r"Gapless has no gaps; a custom pair has"):
         on_the_table(Gapless())
     with raises(osc.ScenarioError, match="reverse the sign of N or of gaps"):
         osc.build_rig(on_the_table(Floor()))

@@ -9,10 +9,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture, mark, raises
+from rigs import friction_wrenches
 from test_commands import by_definition
 
 import osc_contact as osc
-from osc_contact.control.custom_laws import Laws, force_law, friction_wrenches, motion_law
+from osc_contact.control.custom_laws import Laws, force_law, motion_law
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Touched
 from osc_contact.plants.rigid import RigidPlant

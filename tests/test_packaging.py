@@ -17,6 +17,9 @@ ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
+EXTRAS = [name for name in PROJECT["optional-dependencies"] if name != "mutation"]
+
+
 def run(*command, cwd):
     done = subprocess.run(
         [sys.executable, "-m", *command], cwd=cwd, capture_output=True, text=True, check=False
@@ -79,7 +82,9 @@ def test_wheel_carries_nothing_else(wheel):
 
 def test_wheel_declares_the_command_and_the_licence(wheel):
     info = f"osc_contact-{PROJECT['version']}.dist-info"
-    assert "osc-contact = osc_contact.cli:app" in wheel.read(f"{info}/entry_points.txt").decode()
+    assert (
+        "osc-contact = osc_contact.__main__:main" in wheel.read(f"{info}/entry_points.txt").decode()
+    )
     assert wheel.read(f"{info}/licenses/LICENSE") == (ROOT / "LICENSE").read_bytes()
     metadata = wheel.read(f"{info}/METADATA").decode()
     assert "License-Expression: BSD-3-Clause\n" in metadata
@@ -101,7 +106,7 @@ def test_source_archive_builds_the_same_wheel(wheel, tmp_path):
 
 def test_constraints_satisfy_every_bound():
     pinned = constraints()
-    for requirement in requirements("sim", "plot", "dev"):
+    for requirement in requirements(*EXTRAS):
         version = pinned.get(canonicalize_name(requirement.name))
         assert version is not None, f"{requirement} is not in constraints.txt"
         assert requirement.specifier.contains(version), f"{requirement}, but {version} is pinned"
@@ -125,7 +130,7 @@ def test_conda_recipe_asks_for_what_the_wheel_asks_for():
     further = [r for r in requirements("sweep", "tune", "learn") if r not in requirements()]
     of_python = {"python >=${{ python_min }}", "__linux"}
     for part, wanted in (
-        (set(listed["run"]) - of_python, requirements("sim", "plot")),
+        (set(listed["run"]) - of_python, requirements("scenarios", "view", "sim", "plot")),
         (listed["run_constraints"], further),
     ):
         names = {r.name: CONDA_NAMES.get(r.name, r.name.lower()) for r in wanted}
@@ -135,7 +140,7 @@ def test_conda_recipe_asks_for_what_the_wheel_asks_for():
 
 def test_every_requirement_is_bounded_on_both_sides():
     build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]
-    for requirement in [*requirements("sim", "plot", "dev"), *map(Requirement, build["requires"])]:
+    for requirement in [*requirements(*EXTRAS), *map(Requirement, build["requires"])]:
         operators = {specifier.operator for specifier in requirement.specifier}
         assert operators == {">=", "<"}, f"{requirement} has no lower or no upper bound"
 

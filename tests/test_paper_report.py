@@ -204,7 +204,7 @@ def browser(report):
 @mark.parametrize("width", [390, 1280])
 def test_it_fits_phones_and_desks(browser, width):
     metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
-    browser.ask("Emulation.setDeviceMetricsOverride", **metrics)
+    browser.request("Emulation.setDeviceMetricsOverride", **metrics)
     browser.until(f"innerWidth === {width}")
     assert browser.run("document.documentElement.scrollWidth") == width
     columns = browser.run(

@@ -7,13 +7,12 @@ import pinocchio as pin
 from numpy.testing import assert_allclose
 from pair_kinds import pose_of as pose
 from pytest import mark, raises
-from rigs import one_panda, random_faces, random_state
+from rigs import friction_wrenches, one_panda, random_faces, random_state
 from samples import first
 from test_law import inputs, motion_of, off_their_faces
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import Bodies, pushes_only, velocity
-from osc_contact.control.custom_laws import friction_wrenches
 from osc_contact.dynamics.rail import Cart, Conveyor
 from osc_contact.scenarios import list_scenarios
 from osc_contact.scenarios.control_schema import Friction, PhaseSettings

@@ -197,10 +197,10 @@ def test_rows_of_a_batch_stop_one_by_one(case):
             three(m.v),
             wrenches,
             three(r.X_WD.homogeneous),
-            three(r.V_D),
-            three(r.A_D),
-            three(r.alpha_d),
-            np.full(3, float(r.squeeze_d)),
+            V_D=three(r.V_D),
+            A_D=three(r.A_D),
+            alpha_d=three(r.alpha_d),
+            squeeze_d=np.full(3, float(r.squeeze_d)),
         )
         assert_array_equal(tau[1], single.tick(blind(case), r))
     assert batch.state.tolist() == [RUN, SAFE_STOP, RUN]

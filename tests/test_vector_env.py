@@ -191,9 +191,9 @@ def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given():
     tau = batch.tick(
         *([x, x] for x in (measurement.q, measurement.v, measurement.wrenches)),
         [reference.X_WD.homogeneous] * 2,
-        [reference.V_D] * 2,
-        [reference.A_D] * 2,
-        [reference.alpha_d] * 2,
+        V_D=[reference.V_D] * 2,
+        A_D=[reference.A_D] * 2,
+        alpha_d=[reference.alpha_d] * 2,
     )
     assert_array_equal(tau, wanted)
     assert np.abs(tau[0] - tau[1]).max() > 0.1

@@ -1,4 +1,4 @@
-"""Many controllers at once: the rows of one batch, each with a model and a memory of its own."""
+"""Many controllers at once: the rows of one batch, each with a separate model and memory."""
 
 from __future__ import annotations
 
@@ -116,6 +116,7 @@ class BatchController:
         v: npt.ArrayLike,
         wrenches: npt.ArrayLike,
         X_WD: npt.ArrayLike,
+        *,
         V_D: npt.ArrayLike | None = None,
         A_D: npt.ArrayLike | None = None,
         alpha_d: npt.ArrayLike | None = None,
@@ -132,7 +133,7 @@ class BatchController:
             squeeze_d: (B,) desired internal force, or (B, bars) with three arms and more; default
                 0 (None leaves bar forces at least effort).
             touched: (B, contacts, 28) X_WE by rows, V_E, A_E of the touched bodies; None: at rest.
-            wrench_valid: (B,) whether wrenches are new ones; rows without go on with their last.
+            wrench_valid: (B,) whether wrenches are new ones; rows without it use their last.
 
         Raises:
             InvalidInputError: wrong shapes. Numbers that are not finite end their row HELD.
@@ -236,7 +237,7 @@ class BatchController:
         self._codes[mine] = Status.OK
 
     def replace(self, row: int, controller: Controller) -> None:
-        """Let a row go on as another controller, from where that one is.
+        """Let a row continue as another controller, from where that one is.
 
         Args:
             row: its number. controller: of the batch's structure; it is not touched afterwards.

@@ -121,7 +121,7 @@ class Controller:
             posture: (n,) where redundant arms return to (default: neutral). A goal, which may lie
                 somewhat outside the joints' limits: the posture task keeps the joints inside.
             engaged: start in contact.
-            friction: what is believed of the contacts' friction; None: nothing.
+            friction: what is known of the contacts' friction; None: nothing.
             reading: how contact forces are read off the wrists, 'filter' (fig. 5) or
                 'least_squares', which friction and tilted faces do not fool; None: the latter
                 where its answer is unique (see `control.reading`).

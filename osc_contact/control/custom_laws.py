@@ -10,8 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, velocity
+from osc_contact.contacts.pairs.pair import knows_where_it_slides
 from osc_contact.control.records import TickRecords, pack_model
 from osc_contact.control.settings import Settings
 from osc_contact.control.signals import Block, Signals
@@ -20,7 +19,6 @@ from osc_contact.errors import ContactError, InvalidInputError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import records as at
 from osc_contact.law import tick as law
-from osc_contact.scenarios.control_schema import Friction
 from osc_contact.spatial import Array, classical_to_spatial
 
 __all__ = [
@@ -30,7 +28,6 @@ __all__ = [
     "MotionCommand",
     "StructureCommand",
     "force_law",
-    "friction_wrenches",
     "motion_law",
 ]
 
@@ -158,8 +155,8 @@ class CustomParts:
             for number, row in enumerate(head.bodies)
             if row.kind == at.ELSEWHERE and row.same == number
         ]
-        custom = laws.force or laws.motion or laws.structure
-        self.needed = bool(self._pairs or self._bodies or custom)
+        self._replaced = bool(laws.force or laws.motion or laws.structure)
+        self.needed = bool(self._pairs or self._bodies or self._replaced)
 
     def columns(self, model: Any) -> dict[int, int]:
         """How many columns of N the custom pairs have in a MODEL, by number of the pair."""
@@ -186,29 +183,34 @@ class CustomParts:
 
         def run(begin: int, stop: int, more: int = 0) -> bool:
             controller._run(args, flags | more, begin, stop)
-            return bool(controller._records.memory.status != at.HELD)
+            return bool(controller._records.memory.head["status"] != at.HELD)
 
         if not run(law.LOOK, law.MEASURE, law.PARTIAL if self._pairs else 0):
             return None
         records = controller._records
         try:
-            if self._pairs and records.memory.contacts.active.any():
+            if self._pairs:
                 evaluated = self._evaluate(records, measurement)
+                counts = records.model.pairs["count"]
                 columns = {number: N.shape[1] for number, (N, _, _) in evaluated.items()}
-                if any(r != records.model.pairs[c].count for c, r in columns.items()):
+                if any(r != counts[number] for number, r in columns.items()):
                     records = self._repack(controller, columns)
                     if not run(law.LOOK, law.MEASURE):
                         return None
-                for number, (N, n_gamma, wrenches) in evaluated.items():
-                    first = int(records.model.pairs[number].first)
+                for number, (N, n_gamma, points) in evaluated.items():
+                    first = records.model.pairs["first"][number]
                     rows = records.work.columns[first : first + N.shape[1]]
-                    rows.N[:] = N.T
-                    rows.n_gamma_all[:] = n_gamma
-                    rows.friction_wrench[:] = wrenches.T
+                    rows["N"] = N.T
+                    rows["n_gamma_all"] = n_gamma
+                    if points is not None:
+                        rows["point"] = points
             if self._bodies and measurement.touched is not None:
                 self._answer(records, measurement.touched)
             misfit = np.size(reference.alpha_d) != len(records.work.columns)
             if misfit and records.memory.engaged and not run(law.LOOK, law.MEASURE):
+                return None
+            if not self._replaced:
+                run(law.MEASURE, law.END)
                 return None
             if not run(law.MEASURE, law.COMMAND, law.OWN_FORCE if laws.force else 0):
                 return None
@@ -235,14 +237,14 @@ class CustomParts:
         return None
 
     def _evaluate(self, records: TickRecords, measurement: Measurement) -> dict[int, Any]:
-        """N (6, r), n_γ (r,) and N_μ − N (6, r) of the custom pairs that are in force."""
+        """N (6, r), n_γ (r,) and points (r, 3) from O, if known, of custom pairs in force."""
         X_WO = pin.SE3(records.work.X_WO.copy())
         V_O = records.work.V_O.copy()
         touched = measurement.touched
-        friction = self.settings.friction
         evaluated = {}
+        active = records.memory.contacts["active"]
         for number, pair in self._pairs:
-            if not records.memory.contacts.active[number]:
+            if not active[number]:
                 continue
             face = () if touched is None else _face(touched, number)
             contact = pair.contact(X_WO, V_O, *face)
@@ -253,15 +255,15 @@ class CustomParts:
             if not contact.split_is_unique:
                 N = N @ contact.R
                 n_gamma = n_gamma @ contact.R
-            wrenches = np.zeros(N.shape)
-            if friction is not None:
-                wrenches = _friction_wrenches(friction, pair, X_WO, V_O, *face)
-            if wrenches.shape != N.shape:
-                raise ContactError(
-                    f"{pair.name}: {len(wrenches.T)} points of contact, {len(N.T)} "
-                    "independent forces; friction needs one for each"
-                )
-            evaluated[number] = (N, n_gamma, wrenches)
+            points = None
+            if knows_where_it_slides(pair):
+                points = cast(Any, pair).points_of_contact(X_WO, *face[:1]).T - X_WO.translation
+                if len(points) != N.shape[1]:
+                    raise ContactError(
+                        f"{pair.name}: {len(points)} points of contact, {N.shape[1]} "
+                        "independent forces; friction needs one for each"
+                    )
+            evaluated[number] = (N, n_gamma, points)
         return evaluated
 
     def _answer(self, records: TickRecords, touched: Touched) -> None:
@@ -306,51 +308,6 @@ class CustomParts:
         records.work.f_S[:] = turn @ (back.T @ wrench)
 
 
-def friction_wrenches(
-    friction: Friction,
-    pairs: Sequence[ContactPair],
-    X_WO: pin.SE3,
-    V_O: Array,
-    touched: Touched | None,
-) -> Array:
-    """N_μ − N (6, r) at O, world axes: friction wrench of each column of N.
-
-    A contact that slides pulls the environment along: with the force α it applies N_μ α,
-
-        N_μ = N + μ [s; p × s],    s = v_t / √(v_t² + v_0²),
-
-    v_t the slip velocity of the object at the contact point p, in the tangent plane. N_μ stands
-    where a force acts (on the right of the wrist filter's solve, in the feed-forward of the force
-    command); N stays where the contact's constraint is tested.
-
-    Args:
-        friction: μ and slip speed v_0. pairs: the contacts.
-        X_WO, V_O: pose and twist (6,) of the object.
-        touched: motion of the bodies touched; None: at rest.
-    """
-    columns = [np.zeros((6, 0))]
-    for i, pair in enumerate(pairs):
-        face = () if touched is None else _face(touched, i)
-        columns.append(_friction_wrenches(friction, pair, X_WO, V_O, *face))
-    return np.hstack(columns)
-
-
 def _face(touched: Touched, i: int) -> tuple[Any, ...]:
     """Pose and twist of the body at a contact."""
     return pin.SE3(np.asarray(touched.X_WE[i], dtype=float)), touched.V_E[i]
-
-
-def _friction_wrenches(
-    friction: Friction,
-    pair: ContactPair,
-    X_WO: pin.SE3,
-    V_O: Array,
-    X_WE: pin.SE3 | None = None,
-    V_E: Array | None = None,
-) -> Array:
-    points = cast(Any, pair).points_of_contact(X_WO, X_WE) - X_WO.translation[:, None]
-    normals = pair.contact(X_WO, V_O, X_WE, V_E).N[:3]
-    v = velocity(Bodies.at_O(X_WO, V_O, X_WE, V_E).V_rel, points)
-    v = v - normals * (normals * v).sum(axis=0)
-    slides = v / np.sqrt((v * v).sum(axis=0) + friction.slip**2)
-    return friction.mu * lines_of_force(points, slides)

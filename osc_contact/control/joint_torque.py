@@ -76,7 +76,7 @@ class JointTorqueLoop:
         """Motor torques u (n_a,), within the limits, for one period.
 
         Args:
-            tau_d: (n_a,) wanted joint torques. tau: (n_a,) sensed ones.
+            tau_d: (n_a,) desired joint torques. tau: (n_a,) sensed ones.
             fresh: whether the sensors have sampled since the last call.
         """
         _, rate = self._rate.update(tau, fresh=fresh)

@@ -61,16 +61,16 @@ class ContactMonitor:
         x = self.limits
         for row, force, pace in zip(self.rows, alpha.tolist(), speed.tolist(), strict=True):
             _monitor(x, row, force, pace, self.dt, x.dwell, 0.0)
-        said = np.array([(row.closed, row.collision) for row in self.rows], dtype=bool)
-        closed, collision = said.reshape(-1, 2).T
+        flags = np.array([(row.closed, row.collision) for row in self.rows], dtype=bool)
+        closed, collision = flags.reshape(-1, 2).T
         return MonitorState(closed, collision)
 
 
 def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[Array, Array]:
     """What the monitor would have reported tick by tick: closed and collision (k, r).
 
-    As long as all contacts hold, nothing is armed and no force goes low, it has nothing new to
-    tell: such ticks are passed over.
+    As long as all contacts hold, nothing is armed and no force goes low, its state is
+    constant: such ticks are passed over.
 
     Args:
         monitor: its state moves on. alpha: (k, r) as for `ContactMonitor.update`. speed: (k, r).

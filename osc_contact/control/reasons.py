@@ -40,8 +40,8 @@ _SENTENCES = {
         "move, and no equation determines the split. Put them on one body, or drop one of them"
     ),
     at.INSEPARABLE: (
-        "as seen through the arms, some contact columns are dependent: their forces cannot be told "
-        "apart. Keep an independent subset"
+        "as seen through the arms, some contact columns are dependent: their forces cannot be "
+        "separated. Keep an independent subset"
     ),
     at.BAD_METRIC: "the metric B of eq. 24 is singular in the motions that the arms permit",
     at.NO_ROTATION: (

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs.law_pair import PairRow, law_row
-from osc_contact.contacts.pairs.pair import pushes_only
+from osc_contact.contacts.pairs.pair import knows_where_it_slides, pushes_only
 from osc_contact.control.status import LostDirection
 from osc_contact.dynamics.arm import effort_scale
 from osc_contact.dynamics.chain_rows import pack_chain
@@ -73,7 +73,7 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
         pair.count = r
         pair.shape_at = first_shape
         pair.freedoms = row.freedoms
-        pair.has_friction = row.rubs
+        pair.has_friction = knows_where_it_slides(settings.contacts[number])
         head.columns.contact[first_column : first_column + r] = number
         body.pushes = pushes_only(settings.contacts[number])
         body.kind, body.same, numbers = bodies[number]

@@ -62,9 +62,9 @@ class SetPoint:
                 and no time passed.
         """
         if goal is not None:
-            wanted = self._numbers("goal", goal)
-            if not np.array_equal(wanted, self._trajectory.goal):
-                self._trajectory = Trajectory(*self._trajectory.state, wanted, self._bounds)
+            target = self._numbers("goal", goal)
+            if not np.array_equal(target, self._trajectory.goal):
+                self._trajectory = Trajectory(*self._trajectory.state, target, self._bounds)
         self._trajectory.advance(self._dt)
         return SetPointState(*(x.reshape(self._shape) for x in self._trajectory.state))
 

@@ -18,8 +18,7 @@ from typing import Literal
 import numpy as np
 
 from osc_contact.contacts.pairs import ContactPair, FaceOnVertex
-from osc_contact.contacts.pairs.law_pair import law_row
-from osc_contact.contacts.pairs.pair import knows_where_it_slides
+from osc_contact.contacts.pairs.pair import count_forces, knows_where_it_slides
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
 from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -134,38 +133,32 @@ def _definite(B: Array) -> Array:
 
 
 def choose_reading(
-    wanted: Reading | None,
+    requested: Reading | None,
     pairs: Sequence[ContactPair],
     bodies: Sequence[Body | None],
 ) -> Reading:
-    """What is wanted, or the better one: least squares where their answer is unique.
+    """What is requested, or the better one: least squares where their answer is unique.
 
     Args:
-        wanted: None: choose. pairs: the contacts. bodies: of each.
+        requested: None: choose. pairs: the contacts. bodies: of each.
 
     Raises:
-        InvalidInputError: unknown, or least squares wanted where they are not possible.
+        InvalidInputError: unknown, or least squares where they are not possible.
     """
-    if wanted not in (None, "filter", "least_squares"):
+    if requested not in (None, "filter", "least_squares"):
         raise InvalidInputError(
-            f"reading = '{wanted}'; give 'filter', 'least_squares' or None, which chooses"
+            f"reading = '{requested}'; give 'filter', 'least_squares' or None, which chooses"
         )
-    unknown = [pair.name for pair in pairs if not _known(pair)]
-    if wanted == "least_squares" and unknown:
+    unknown = [pair.name for pair in pairs if not knows_where_it_slides(pair)]
+    if requested == "least_squares" and unknown:
         raise InvalidInputError(
             f"reading = 'least_squares' needs contacts that know where they touch; {unknown} do "
             "not. Give 'filter'"
         )
-    if wanted is not None:
-        return wanted
+    if requested is not None:
+        return requested
     unique = pairs and not unknown and _in_one_plane(pairs, bodies)
     return "least_squares" if unique else "filter"
-
-
-def _known(pair: ContactPair) -> bool:
-    """Whether the law itself knows where it touches."""
-    row = law_row(pair)
-    return row is not None and row.rubs
 
 
 def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:
@@ -179,7 +172,7 @@ def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -
             planes.extend((*into, height, 0.0) for into, height in columns)
         elif isinstance(pair, FaceOnVertex):
             planes.append((*pair.normal, float(pair.normal @ pair.point), 1.0))
-        elif len(pairs) > 1:
+        elif len(pairs) > 1 or count_forces(pair) > 1:
             return False
         else:
             planes.append((0.0,) * 5)  # one point

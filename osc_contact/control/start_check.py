@@ -98,7 +98,7 @@ class StartCheck:
 
 
 def is_clear(settings: Settings, rows: Any) -> bool:
-    """Whether no contact is made: every gap that the controller believes in is open.
+    """Whether no contact is made: every gap of the controller's model is open.
 
     Args:
         settings: with the contacts. rows: `TickRecords` of a tick that was computed.
@@ -121,7 +121,7 @@ def outboard_mass(chain: ClosedChain) -> float:
 
 
 def judge_load(settings: Settings, error: Array, expected: Array) -> str:
-    """What is to be said of wrists that read another load than they carry; "" for nothing.
+    """A sentence on wrists that read another load than they carry; "" for none.
 
     Args:
         settings: of the controller. error: (6,) reading less load, at O in world axes.

@@ -43,7 +43,7 @@ class LimitLoss:
     """What the motor limits cost in one tick.
 
     Attributes:
-        joints: whose motors stand at their limit. wanted, limits: of these (N m, N).
+        joints: whose motors stand at their limit. desired, limits: of these (N m, N).
         force: (r_all,) contact force magnitudes (N): commanded less predicted.
         acceleration: (6,) of the object at O in world axes, likewise (m/s², rad/s²).
         squeeze: (s,) internal force (N), likewise.
@@ -52,7 +52,7 @@ class LimitLoss:
     """
 
     joints: tuple[str, ...]
-    wanted: Array
+    desired: Array
     limits: Array
     force: Array
     acceleration: Array
@@ -61,8 +61,8 @@ class LimitLoss:
 
     def __str__(self) -> str:
         motors = ", ".join(
-            f"{name}: {wanted:.4g} of ±{limit:.4g} wanted"
-            for name, wanted, limit in zip(self.joints, self.wanted, self.limits, strict=True)
+            f"{name}: {desired:.4g} of ±{limit:.4g} desired"
+            for name, desired, limit in zip(self.joints, self.desired, self.limits, strict=True)
         )
         linear, angular = (np.linalg.norm(part) for part in np.split(self.acceleration, 2))
         text = f"{motors}; given up: motion {linear:.3f} m/s², {angular:.3f} rad/s²"

@@ -57,7 +57,7 @@ class MotorLimits:
             lost = R.T @ np.linalg.solve(R @ R.T, lost)
         return LimitLoss(
             tuple(chain.joint_names[chain.actuated[i]] for i in motors),
-            program.wanted[motors],
+            program.desired[motors],
             chain.tau_max[motors],
             lost,
             rows.motions() @ (rows.reflection().T @ program.lost_motion),
@@ -74,10 +74,10 @@ def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
     Args:
         rows: records of the tick. chain: its motors.
     """
-    wanted = rows.work.joints.tau[chain.actuated]
-    share = np.abs(wanted) / chain.tau_max
+    desired = rows.work.joints.tau[chain.actuated]
+    share = np.abs(desired) / chain.tau_max
     motor = int(np.argmax(share))
-    tau = wanted / share[motor]
+    tau = desired / share[motor]
     if rows.memory.ticked > 1:
         step = rows.model.torque_rate * rows.model.period * chain.tau_max
         change = tau - rows.memory.torques
@@ -87,7 +87,7 @@ def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
     rows.memory.lost = max(int(rows.memory.lost) - 1, 0)
     return LimitLoss(
         (chain.joint_names[chain.actuated[motor]],),
-        wanted[[motor]],
+        desired[[motor]],
         chain.tau_max[[motor]],
         np.zeros(0),
         np.zeros(6),

@@ -16,7 +16,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.errors import InvalidInputError, PlantError
+from osc_contact.errors import InvalidInputError, PlantError, missing
 from osc_contact.interface import Measurement, Stamps
 from osc_contact.spatial import Array, as_array
 
@@ -74,10 +74,7 @@ class FrankaRobot:
         try:
             import pylibfranka
         except ImportError as error:
-            raise PlantError(
-                "the Franka driver needs the package 'pylibfranka' (Linux, Python 3.11 or 3.12): "
-                "pip install osc_contact[franka]"
-            ) from error
+            raise PlantError(f"{missing(error)} (Linux, Python 3.11 or 3.12)") from error
         self._lib: Any = pylibfranka
         self._errors = (RuntimeError, pylibfranka.FrankaException)
         self.host = host

@@ -33,7 +33,7 @@ _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
 __all__ = ["ChainState", "ClosedChain"]
 
 _NONE = np.zeros(0)
-_WHY = {
+CAUSES = {
     at.BAD_INERTIA: "the joint-space inertia of an arm is not positive definite; check the masses "
     "and inertias of its links",
     at.OBJECT_UNKNOWN: "the joints do not determine where the object is, or how it moves: its "
@@ -93,7 +93,7 @@ class Look:
         """
         reason = int(self.work["reason"])
         if reason != at.NO_REASON:
-            raise ModelError(_WHY[reason])
+            raise ModelError(CAUSES[reason])
 
 
 def read_state(chain: ChainModel, now: Look, rest: Look, data: pin.Data) -> ChainState:

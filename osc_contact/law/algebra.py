@@ -297,15 +297,15 @@ def solve_lower_transposed(L, r, x):
 
 
 @inner
-def project_onto_constraint(Q, r, x, wanted):
-    """x ← the nearest x (6,) with Q x = wanted, the rows of Q (r, 6) orthonormal.
+def project_onto_constraint(Q, r, x, target):
+    """x ← the nearest x (6,) with Q x = target, the rows of Q (r, 6) orthonormal.
 
     Args:
         Q: (r, 6). r: how many rows. m: first element that counts. x: (6,), overwritten.
-        wanted: (r,) what Q x shall be.
+        target: (r,) what Q x shall be.
     """
     y = six(x)
     for _ in range(2):
         for a in range(r):
-            y = add(y, wanted[a] - dot6(Q[a], y), Q[a])
+            y = add(y, target[a] - dot6(Q[a], y), Q[a])
     fill(x, y)

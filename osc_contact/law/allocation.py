@@ -16,7 +16,7 @@ from osc_contact.law.vectors import add, dot6, fill, reflect, reflect_back, scal
 #
 # A row of E that the rows before it decide (a squeeze that the grasps do not pass on) has a pivot
 # of zero. Elimination leaves rounding errors there, as large as eps times the condition number of
-# Z, and near a singular posture no threshold tells them from a pivot. So what is left of a
+# Z, and near a singular posture no threshold separates them from a pivot. So what is left of a
 # doubtful row is projected a second time, in the joints, as in Gram-Schmidt with
 # reorthogonalisation (Björck, Numerical Methods for Least Squares Problems, 1996, section 2.4.5).
 
@@ -150,7 +150,7 @@ def _weigh(t, arm, own, row, out):
 #     τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0),   A = [G; E],   Z = A R⁻¹Aᵀ
 #
 # E holds the squeeze of two arms, the settable bar forces of three and more (`linkage`), and the
-# motions that other arms have of their own, because their grasp or their posture leaves them
+# motions that only single arms have, because their grasp or their posture leaves them
 # idle, as far as the motors drive them. Arms with more joints than they need hold their posture
 # in the dynamically consistent null space, τ_0 = (1 − JᵀJ̄ᵀ)(h + M(−k_d q̇ + k_p(q₀ − q)) +
 # diag(M) a_l(q)); passive joints have no torque.
@@ -249,7 +249,7 @@ def allocate_torques(t):
         if not add_row(t, e):
             if model.n_arms != 2:
                 return UNACTUATED
-            count = 0  # the grasps pass on no squeeze of its own: f_S decides it
+            count = 0  # the grasps pass on no separate squeeze: f_S decides it
             work.n_internal = 0
             work.internal[0] = 0.0
     size = d + count

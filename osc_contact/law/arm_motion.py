@@ -255,6 +255,16 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
 
 
 @leaf
+def weight_on_joint(w, gravity):
+    """Force or torque g of gravity at a joint, from what it carries, after `move_arm` (N, N m).
+
+    Args:
+        w: JOINT_WORK row. gravity: (3,) m/s².
+    """
+    return dot6(w.column, _times(w.body, -gravity[0], -gravity[1], -gravity[2], 0.0, 0.0, 0.0))
+
+
+@leaf
 def _sum_back(t, lo, hi, sensed, bias_out):
     """Forces and composite inertias from the tip back: h, M, outboard inertia times J."""
     work = t.work.joints

@@ -163,7 +163,7 @@ def _add_arm(t, arm, own, row):
 
 @inner
 def _add_friction(t, arm):
-    """h += D v + F s/√(s² + s_0²), with the wanted speeds s = v + J̄ (V_D + t_a A_D − V).
+    """h += D v + F s/√(s² + s_0²), with the desired speeds s = v + J̄ (V_D + t_a A_D − V).
 
     They turn round when the joints do, or a little before: torques act from this tick on. They are
     without the noise of v, of which only what does not move the object is in them. Where friction

@@ -109,24 +109,24 @@ def command_motion(t):
 
 # --- Steps of desired forces, and the brake on a contact that swings ------------------------------
 #
-# A force that is asked for at once would set a contact swinging, with its own stiffness and the
+# A force that is commanded at once would set a contact swinging, with its own stiffness and the
 # mass behind it, and move the others along. What a step leaves to be done is therefore taken off
 # the desired force at first, and let go within the rise time T along the quintic of least jerk:
 #
 #     α_s = α_d − w,   w(x) = (1 − x)³(a + bx + cx²),   x = t / T
 #
-# a, b and c go on from value, slope and curvature that w has when the next step comes. Forces that
-# change more slowly pass as they are. A contact that is new to the law starts from the force that
+# a, b and c continue from w's value, slope and curvature when the next step comes. Forces that
+# change more slowly pass unchanged. A contact that is new to the law starts from the force that
 # is measured there, in the first tick of all from none: nothing has been measured under control
 # yet. While much of a step is still to come the integral rests, which would take it for an error.
 #
-# The brake asks for the normal acceleration −κ(NᵀV_rel − v̄) in place of none, v̄ the part that
+# The brake commands the normal acceleration −κ(NᵀV_rel − v̄) in place of none, v̄ the part that
 # lasts: an object that slides along a tilted face is not braked. In accelerations the same κ
 # serves every mass, and any basis of N; the force that it takes is (NᵀΦN)⁻¹ times as much.
 
 _SUDDEN = 20.0  #: 1/s; a force that changes faster than its size times this makes a step
 _FADES = 0.5  #: 1/s; how fast the size of a force that has gone is forgotten
-_PRESSES = 0.3  #: of its desired force; with less a contact does not tell how its face is tilted
+_PRESSES = 0.3  #: of its desired force; with less a contact does not show the tilt of its face
 _RESTS = 0.1  #: of the size; where more of a step is to come the integral rests
 
 
@@ -173,6 +173,8 @@ def shape_steps(t):
         )
         if last.has_desired == 0 and t.model.phased != 0 and goal[j] > 0.0:
             before = min(before, goal[j])  # an impact is not held
+            if t.model.bodies[t.model.columns[j].contact].pushes != 0:
+                before = max(before, 0.0)  # no face pulls
         row.to_come[0] = goal[j] - before  # the step, for now
         sudden = sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
     sudden = sudden and time > 0.0
@@ -203,7 +205,7 @@ def shape_steps(t):
 
 @inner
 def _go_on(a, b, c, left, stretch):
-    """a, b, c of the quintic that goes on at x = 1 − left, and takes `stretch` times as long."""
+    """a, b, c of the quintic that continues at x = 1 − left, and takes `stretch` times as long."""
     x = 1.0 - left
     P = a + x * (b + x * c)
     slope = b + 2.0 * x * c

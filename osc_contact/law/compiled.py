@@ -1,4 +1,4 @@
-"""The compiled functions of the law, made or loaded from the cache when first asked for.
+"""The compiled functions of the law, made or loaded from the cache when first used.
 
 Compiling takes one to three minutes, once on a machine; listeners get a message and the progress.
 """
@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from osc_contact.law import terms
 from osc_contact.law import tick as law
 from osc_contact.law.jit import PLAIN_PYTHON
 from osc_contact.law.records import Rows, new_model
@@ -26,7 +27,7 @@ _PARTS = 2.0 / 3.0  #: of the time is over when all parts are translated; the re
 
 
 def _nowhere(share: float) -> None:
-    """Where progress goes as long as nobody wants to see it."""
+    """Where progress goes as long as no display is set."""
 
 
 _shown: list[Callable[[float], None]] = [_nowhere]
@@ -35,17 +36,28 @@ _shown: list[Callable[[float], None]] = [_nowhere]
 @cache
 def rows() -> Any:
     """The tick over rows, see `law.tick.rows`; other types than its own are a TypeError."""
-    call = law.rows
-    if PLAIN_PYTHON:
-        return call
     none = np.zeros(0)
     empty = Rows(new_model(1, 1, 1))
     empty.job.last = 0
     none_6 = np.zeros((0, 6))
     none_4 = np.zeros((0, 4))
-    with announced(call):
-        call(empty.raw, 0, none, none, none_6, none_4, none, none, none, np.zeros((0, 28)))
-    call.disable_compile()
+    given = none, none, none_6, none_4, none, none, none, np.zeros((0, 28))
+    return _made(law.rows, empty.raw, 0, *given)
+
+
+@cache
+def operational_space() -> Any:
+    """The terms of one arm, see `law.terms.operational_space`, likewise."""
+    none = np.zeros(0)
+    return _made(terms.operational_space, Rows(new_model(1, 1, 1)).raw, none, none, none[:, None])
+
+
+def _made(call: Any, *nothing: Any) -> Any:
+    """An entry, compiled by a call for nothing; what it compiles for is then settled."""
+    if not PLAIN_PYTHON:
+        with announced(call):
+            call(*nothing)
+        call.disable_compile()
     return call
 
 
@@ -70,8 +82,8 @@ def parts_of(call: Any) -> set[Any]:
 def announced(call: Any = None) -> Iterator[None]:
     """Log (INFO) when numba begins to compile inside the block, and how long it took.
 
-    What `tell` was given to show progress gets the share of the work that is done. Python looks
-    through its objects for those to give back less often meanwhile: numba makes millions that stay,
+    The display of `report_to` gets the share of the work that is done. Python looks through its
+    objects for those to give back less often meanwhile: numba makes millions that stay,
     and a tenth of the time would go there.
 
     Args:
@@ -115,7 +127,7 @@ class _Teller(logging.Handler):
         self.say(record.getMessage())
 
 
-def tell(say: Callable[[str], None], show: Callable[[float], None] = _nowhere) -> None:
+def report_to(say: Callable[[str], None], show: Callable[[float], None] = _nowhere) -> None:
     """Hand these messages to `say`, and progress to `show`, in place of the former listeners.
 
     Args:

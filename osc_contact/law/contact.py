@@ -15,8 +15,10 @@ from osc_contact.law.records import (
     POINTS,
     SCREW,
     SLIDE,
+    SURFACE,
     THREAD,
 )
+from osc_contact.law.surface import normal_at
 from osc_contact.law.vectors import (
     ZERO,
     add,
@@ -36,12 +38,12 @@ from osc_contact.law.vectors import (
 # left, where nothing slides, is v̄ of `steps`. docs/tuning.md: what it brings, and why it is
 # stable.
 
-_SLIDES = 0.01  #: v_1 (m/s): faster than that a point tells how its face is tilted
+_SLIDES = 0.01  #: v_1 (m/s): faster than that a point shows the tilt of its face
 
 
 @inner
 def take_turns(t):
-    """v̄ and the turns of believed normals, as the last tick left them."""
+    """v̄ and the turns of assumed normals, as the last tick left them."""
     for j in range(t.model.n_columns):
         row = t.work.columns[j]
         last = t.memory.columns[j]
@@ -52,58 +54,90 @@ def take_turns(t):
 
 
 @inner
-def follow_face(t, kind, row, X_WO, R_E, V_rel, V_goal, column):
+def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
     """Fill `turned` and `slides` (0 … 1): the face turned to what is seen to slide on it.
 
         n ← n − c dt σ (NᵀV_rel − v̄) v_t / v_t²,   σ = v_t⁴ / (v_t⁴ + v_1⁴)
 
-    v_t is the velocity that is wanted of the point along the face: noise turns nothing, nor does
-    what stands still. n stays within `tilt` of what is believed, in the axes that carry the face;
-    what is beyond v̄ takes.
+    v_t is the velocity desired of the point along the face: noise turns nothing, nor does
+    what stands still. n stays within `tilt` of what is assumed, in the axes that carry the face;
+    what is beyond v̄ takes. Where the face is curved n is that of the place where it is touched: a
+    ball that is misplaced by δ is so turned by −δ/R everywhere.
 
     Args:
-        kind: POINTS or FACE_ON_VERTEX. row: (16,) of the column. X_WO: of the object.
-        R_E: of the body. V_rel, V_goal: (6,) at O, that is and that is wanted against
-        the body. column: its N, `turn` and `drift` known.
+        pair: of one column, its N, `turn` and `drift` known. X_WO: of the object. R_E: of the body.
+        V_rel, V_goal: (6,) at O, measured and desired, against the body.
     """
     model = t.model
+    column = t.work.columns[pair.first]
     N = column.N
     turn = column.turn
     turned = column.turned
-    if kind == FACE_ON_VERTEX:
-        x, y, z = rotated(R_E, row[3], row[4], row[5])
-        x = x + R_E[0, 3] - X_WO[0, 3]
-        y = y + R_E[1, 3] - X_WO[1, 3]
-        z = z + R_E[2, 3] - X_WO[2, 3]
-    else:
-        x, y, z = rotated(X_WO, row[0], row[1], row[2])
+    believed = column.believed
+    kind = pair.kind
+    x, y, z = _tracked(pair, model.shapes, X_WO, R_E, column)
+    size = N[0] * N[0] + N[1] * N[1] + N[2] * N[2]
     a, b, c = velocity_at(V_goal, x, y, z)
-    s = N[0] * a + N[1] * b + N[2] * c
+    s = (N[0] * a + N[1] * b + N[2] * c) / size
     a = a - s * N[0]
     b = b - s * N[1]
     c = c - s * N[2]
     square = a * a + b * b + c * c
     weight = square / (square * square + _SLIDES**4)
     column.slides = weight * square
-    gain = model.drift_share * weight * (dot6(N, V_rel) - column.drift)
+    gain = model.drift_share * weight * (dot6(N, V_rel) - column.drift) / sqrt(size)
     if kind == FACE_ON_VERTEX:
         turned[0], turned[1], turned[2] = rotated_back(X_WO, a, b, c)
     else:
         turned[0], turned[1], turned[2] = rotated_back(R_E, a, b, c)
-    first = 0 if kind == FACE_ON_VERTEX else 3
     size = off = 0.0
     for i in range(3):
-        turned[i] = row[first + i] + turn[i] - gain * turned[i]
+        turned[i] = believed[i] + turn[i] - gain * turned[i]
         size += turned[i] * turned[i]
     size = sqrt(size)
     for i in range(3):
-        turned[i] = turned[i] / size - row[first + i]
+        turned[i] = turned[i] / size - believed[i]
         off += turned[i] * turned[i]
     off = sqrt(off)
     if off > model.tilt:
         column.slides = 0.0
         for i in range(3):
             turned[i] *= model.tilt / off
+
+
+@inner
+def _tracked(pair, shapes, X_WO, R_E, column):
+    """The point whose motion shows how its face is turned, from O; `believed` ← that normal."""
+    if pair.kind == GIVEN:
+        return column.point[0], column.point[1], column.point[2]
+    row = shapes[pair.shape_at].row
+    if pair.kind != SURFACE:
+        first = 0 if pair.kind == FACE_ON_VERTEX else 3
+        for i in range(3):
+            column.believed[i] = row[first + i]
+    if pair.kind == FACE_ON_VERTEX:
+        return _vertex(row, X_WO, R_E)
+    return rotated(X_WO, row[0], row[1], row[2])
+
+
+@inner
+def _turn_given(column, R_E):
+    """N of one column that Python gave, turned with its normal about where it acts."""
+    N = column.N
+    turn = column.turn
+    size = sqrt(N[0] * N[0] + N[1] * N[1] + N[2] * N[2])
+    a, b, c = rotated_back(R_E, N[0] / size, N[1] / size, N[2] / size)
+    column.believed[0] = a
+    column.believed[1] = b
+    column.believed[2] = c
+    if turn[0] == 0.0 and turn[1] == 0.0 and turn[2] == 0.0:
+        return
+    a = a + turn[0]
+    b = b + turn[1]
+    c = c + turn[2]
+    size = size / sqrt(a * a + b * b + c * c)
+    a, b, c = rotated(R_E, size * a, size * b, size * c)
+    _line(N, column.point[0], column.point[1], column.point[2], a, b, c)
 
 
 # --- N and n_γ at the operational point, in world axes, of every packaged pair --------------------
@@ -135,8 +169,8 @@ def _line(N, x, y, z, a, b, c):
 def place_contacts(t):
     """Fill N, n_γ and friction wrenches of all columns; False where a pair is degenerate.
 
-    Columns of pairs that Python evaluates (GIVEN) stay unchanged. Friction is that of the slip to
-    come, when the torques of this tick act: where a motion turns back it changes its sign within
+    Of pairs that Python evaluates (GIVEN) N, n_γ and points are there. Friction is that of the slip
+    to come, when the torques of this tick act: where a motion turns back it changes its sign within
     milliseconds.
     """
     model = t.model
@@ -156,8 +190,6 @@ def place_contacts(t):
     fill(V_rel, V_O)
     for c in range(model.n_pairs):
         pair = model.pairs[c]
-        if pair.kind == GIVEN:
-            continue
         if moving:
             E = t.input.touched[c]
             for i in range(3):
@@ -173,22 +205,26 @@ def place_contacts(t):
             V_E[4] = E[20]
             V_E[5] = E[21]
             fill(V_rel, minus(V_O, V_E))
-        motion = Motion(work.X_WO, work.V_O, R_E, V_E, V_rel, moving)
-        sine = place_pair(pair, shapes, columns, motion, work.y)
-        if not sine >= PARALLEL:
-            return False
-        if pair.count == 1 and model.tilt > 0.0 and pair.has_friction != 0 and pair.kind != EDGES:
+        alone = pair.count == 1 and pair.has_friction != 0 and pair.kind != EDGES
+        if pair.kind != GIVEN:
+            motion = Motion(work.X_WO, work.V_O, R_E, V_E, V_rel, moving)
+            sine = place_pair(pair, shapes, columns, motion, work.y)
+            if not sine >= PARALLEL:
+                return False
+        elif alone:
+            _turn_given(columns[pair.first], R_E)
+        if alone and model.tilt > 0.0:
             fill(work.z, minus(work.V_D, V_E))
-            row = shapes[pair.shape_at].row
-            column = columns[pair.first]
-            follow_face(t, pair.kind, row, X_WO, R_E, V_rel, work.z, column)
+            follow_face(t, pair, X_WO, R_E, V_rel, work.z)
         if pair.has_friction != 0 and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
             fill(work.z, add(V_rel, AHEAD * model.period, work.A_D))
             for j in range(pair.count):
-                row = shapes[pair.shape_at + j].row
                 column = columns[pair.first + j]
-                point = point_of_contact(pair.kind, row, X_WO, R_E, column.N)
-                _slide(point, work.z, work.mu, model.slip, column)
+                x, y, z = column.point[0], column.point[1], column.point[2]
+                if pair.kind != GIVEN:
+                    row = shapes[pair.shape_at + j].row
+                    x, y, z = point_of_contact(pair.kind, row, X_WO, R_E, column.N)
+                _slide((x, y, z), work.z, work.mu, model.slip, column)
     return True
 
 
@@ -201,7 +237,8 @@ def place_pair(pair, shapes, columns, motion, scratch):
         scratch: (6,).
 
     Returns:
-        The sine of the angle between two edges, where that decides whether N exists; else 1.
+        What decides whether N exists: the sine of the angle between two edges, the gradient of a
+        surface; else 1.
     """
     first = pair.first
     shape = pair.shape_at
@@ -210,6 +247,8 @@ def place_pair(pair, shapes, columns, motion, scratch):
             _point_on_plane(shapes[shape + j].row, motion, columns[first + j])
     elif pair.kind == FACE_ON_VERTEX:
         _face_on_vertex(shapes[shape].row, motion, columns[first], scratch)
+    elif pair.kind == SURFACE:
+        return _on_surface(shapes, shape, motion, columns[first])
     elif pair.kind == EDGES:
         return _edges(shapes[shape].row, motion, columns[first], scratch)
     else:
@@ -220,7 +259,7 @@ def place_pair(pair, shapes, columns, motion, scratch):
 @inner
 def _point_on_plane(row, motion, column):
     """A point of A (0:3) on a plane of E with direction into it (3:6), distance (6) along."""
-    X_WO, V_O, R_E, V_E, V_rel, moving = motion
+    X_WO, _, R_E, _, _, moving = motion
     x, y, z = rotated(X_WO, row[0], row[1], row[2])
     turn = column.turn
     a = row[3] + turn[0]
@@ -229,19 +268,26 @@ def _point_on_plane(row, motion, column):
     if moving:
         a, b, c = rotated(R_E, a, b, c)
     _line(column.N, x, y, z, a, b, c)
-    u, v, w = velocity_at(V_O, x, y, z)
+    column.n_gamma_all = _carried((x, y, z), (a, b, c), motion)
+
+
+@inner
+def _carried(p, n, motion):
+    """−ṄᵀV_rel where A carries p and E carries n, both in world axes, p from O."""
+    _, V_O, _, V_E, V_rel, moving = motion
+    u, v, w = velocity_at(V_O, p[0], p[1], p[2])
     u, v, w = cross(V_rel[3], V_rel[4], V_rel[5], u, v, w)
-    s = -(a * u + b * v + c * w)
+    s = -(n[0] * u + n[1] * v + n[2] * w)
     if moving:
-        a, b, c = cross(V_E[3], V_E[4], V_E[5], a, b, c)
-        u, v, w = velocity_at(V_rel, x, y, z)
+        a, b, c = cross(V_E[3], V_E[4], V_E[5], n[0], n[1], n[2])
+        u, v, w = velocity_at(V_rel, p[0], p[1], p[2])
         s -= a * u + b * v + c * w
-    column.n_gamma_all = s
+    return s
 
 
 @inner
 def point_of_contact(kind, row, X_WO, R_E, N):
-    """Where a magnitude of a pair that pushes acts, from O: plane, rounded vertex or object's edge.
+    """Where a magnitude of a pair that pushes acts, from O: plane, ball, vertex or object's edge.
 
     Args:
         kind: of the pair. row: (16,) of the column. X_WO: of the object. R_E: axes of the body.
@@ -249,15 +295,15 @@ def point_of_contact(kind, row, X_WO, R_E, N):
     """
     if kind == POINTS:
         x, y, z = rotated(X_WO, row[0], row[1], row[2])
-        a, b, c = rotated(R_E, row[3], row[4], row[5])  # of the plane that is believed
+        a, b, c = rotated(R_E, row[3], row[4], row[5])  # of the assumed plane
         ahead = row[6] + a * (R_E[0, 3] - X_WO[0, 3] - x)
         ahead += b * (R_E[1, 3] - X_WO[1, 3] - y) + c * (R_E[2, 3] - X_WO[2, 3] - z)
         return x + ahead * N[0], y + ahead * N[1], z + ahead * N[2]
+    if kind == SURFACE:
+        x, y, z = rotated(X_WO, row[0], row[1], row[2])
+        return x + row[3] * N[0], y + row[3] * N[1], z + row[3] * N[2]
     if kind == FACE_ON_VERTEX:
-        x, y, z = rotated(R_E, row[3], row[4], row[5])
-        x = x + R_E[0, 3] - X_WO[0, 3]
-        y = y + R_E[1, 3] - X_WO[1, 3]
-        z = z + R_E[2, 3] - X_WO[2, 3]
+        x, y, z = _vertex(row, X_WO, R_E)
         return x - row[6] * N[0], y - row[6] * N[1], z - row[6] * N[2]
     return _crossing(row, X_WO, R_E)[0]
 
@@ -271,7 +317,7 @@ def _slide(point, V_rel, mu, slip, column):
     c = N[2]
     x, y, z = point
     u, v, w = velocity_at(V_rel, x, y, z)
-    s = a * u + b * v + c * w
+    s = (a * u + b * v + c * w) / (a * a + b * b + c * c)
     u = u - s * a
     v = v - s * b
     w = w - s * c
@@ -302,13 +348,51 @@ def _rate(p, n, p_dot, n_dot, out):
 
 
 @inner
+def _on_surface(shapes, at, motion, column):
+    """A ball of A on a surface of E (see `surface`); returns |∇F|.
+
+    ṅ = ω_E × n, as on a plane, and what n changes by along the surface.
+    """
+    X_WO, _, R_E, _, V_rel, _ = motion
+    ball = shapes[at].row
+    turn = column.turn
+    believed = column.believed
+    x, y, z = rotated(X_WO, ball[0], ball[1], ball[2])
+    p = rotated_back(
+        R_E,
+        x + X_WO[0, 3] - R_E[0, 3],
+        y + X_WO[1, 3] - R_E[1, 3],
+        z + X_WO[2, 3] - R_E[2, 3],
+    )
+    u, v, w = velocity_at(V_rel, x, y, z)
+    size, n, n_dot = normal_at(shapes, at, p, rotated_back(R_E, u, v, w))
+    for i in range(3):
+        believed[i] = -n[i]
+    a, b, c = rotated(R_E, turn[0] - n[0], turn[1] - n[1], turn[2] - n[2])
+    s = 1.0 / sqrt(a * a + b * b + c * c)
+    a, b, c = s * a, s * b, s * c
+    d, e, f = rotated(R_E, s * n_dot[0], s * n_dot[1], s * n_dot[2])
+    _line(column.N, x, y, z, a, b, c)
+    s = a * u + b * v + c * w
+    bend = d * (u - s * a) + e * (v - s * b) + f * (w - s * c)
+    column.n_gamma_all = _carried((x, y, z), (a, b, c), motion) + bend
+    return size
+
+
+@leaf
+def _vertex(row, X_WO, R_E):
+    """A vertex of E (3:6 of a shape), from O."""
+    x, y, z = rotated(R_E, row[3], row[4], row[5])
+    return x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3]
+
+
+@inner
 def _face_on_vertex(row, motion, column, rate):
     """Row: normal of A's face (0:3), vertex of E (3:6), its radius (6)."""
     X_WO, V_O, R_E, V_E, V_rel, _ = motion
     turn = column.turn
     n = rotated(X_WO, row[0] + turn[0], row[1] + turn[1], row[2] + turn[2])
-    x, y, z = rotated(R_E, row[3], row[4], row[5])
-    p = (x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3])
+    p = _vertex(row, X_WO, R_E)
     _line(column.N, p[0], p[1], p[2], n[0], n[1], n[2])
     n_dot = cross(V_O[3], V_O[4], V_O[5], n[0], n[1], n[2])
     _rate(p, n, velocity_at(V_E, p[0], p[1], p[2]), n_dot, rate)
@@ -343,8 +427,8 @@ def _crossing(row, X_WO, R_E):
 def _edges(row, motion, column, rate):
     """Row: point, direction of A's edge (0:3, 3:6), of E's (6:9, 9:12), side (12), normal (13:16).
 
-    The side is ±1, or 0 where the environment's outward normal tells it. Returns the sine of the
-    edges' angle; near zero the column is not a number.
+    The side is ±1, or 0 where the environment's outward normal determines it. Returns the sine of
+    the edges' angle; near zero the column is not a number.
     """
     X_WO, V_O, R_E, V_E, V_rel, _ = motion
     e = rotated(X_WO, row[3], row[4], row[5])

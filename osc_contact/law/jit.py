@@ -149,15 +149,15 @@ else:
 
     @intrinsic
     def _prefetch(typing: Any, address: Any) -> Any:
-        """Ask for the cache line at an address."""
+        """Prefetch the cache line at an address."""
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             line = ir.IntType(8).as_pointer()
             flag = ir.IntType(32)
             kind = ir.FunctionType(ir.VoidType(), [line, flag, flag, flag])
-            ask = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+            function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
             at = builder.inttoptr(arguments[0], line)
-            builder.call(ask, [at, flag(0), flag(3), flag(1)])  # to read, near, data
+            builder.call(function, [at, flag(0), flag(3), flag(1)])  # to read, near, data
             return context.get_dummy_value()
 
         return types.void(types.uintp), generate

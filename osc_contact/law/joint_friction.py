@@ -18,7 +18,7 @@ mean over the tick, so that friction reverses within the tick in which the joint
     f + g clip(e),   f = F s/√(s² + s_0²) + D s,   ė = K_d(r − LP_K f − e),
 
 before they are limited: f is not a feedback, and e, with g < 1, is what of the friction is not
-learned. Passive joints have no motors: what is believed of their friction goes into h instead.
+learned. Passive joints have no motors: what is known of their friction goes into h instead.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ _FULL = 0.7  #: of dry friction; near a reversal nothing is learned
 _NOISE = 0.003  #: of the torque limit: residuals that are no friction
 _FORGET = 2.0  #: s
 _UNLIMITED = 100.0  #: N m, N: stands for the torque limit of motors that have none
-_VISCOUS = 20.0  #: s/rad, s/m; D is at most this times the most friction that is believed
-_BIAS = 0.02  #: of the most friction that is believed
+_VISCOUS = 20.0  #: s/rad, s/m; D is at most this times the most friction that is assumed
+_BIAS = 0.02  #: of the most friction that is assumed
 
 
 @inner
@@ -96,11 +96,12 @@ def observe_arm(t, arm, own, dt):
         motor = t.model.joints[j].motor
         if motor < 0:
             continue
-        needed = joints[j].h + dot6(joints[j].column, load)
-        mean = 0.5 * (needed + row.needed)
-        row.needed = needed
+        torque = t.memory.torques[motor]
         bound = _OUTLIER * t.model.joints[j].tau_max
-        row.excess += k * (min(max(t.memory.torques[motor] - mean, -bound), bound) - row.excess)
+        needed = joints[j].h + dot6(joints[j].column, load)
+        needed = min(max(needed, torque - bound), torque + bound)  # counts in two means
+        row.excess += k * (torque - 0.5 * (needed + row.needed) - row.excess)
+        row.needed = needed
         inertial = -dot6(joints[j].column, moved)
         for i in range(arm.first, arm.end):
             inertial += joints[j].M[i - arm.first] * known[i].rate

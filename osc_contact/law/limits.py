@@ -37,7 +37,7 @@ PROGRAM = Nested(
         + [(n, _FLOAT, (6,)) for n in ("alpha", "lost_force", "lost_motion", "extent", "psi")],
         align=True,
     ),
-    wanted=(_FLOAT, "a"),
+    desired=(_FLOAT, "a"),
     tau_max=(_FLOAT, "a"),
     G=(_FLOAT, "a", 6),
     share=(_FLOAT, "k", 6),
@@ -304,7 +304,7 @@ def prepare(raw, slack):
         Whether the response of the chain could be worked out.
     """
     p = _program(raw, 0)
-    wanted, tau_max, alpha, share, floor = p.wanted, p.tau_max, p.alpha, p.share, p.floor
+    desired, tau_max, alpha, share, floor = p.desired, p.tau_max, p.alpha, p.share, p.floor
     E, carried, idle, mass = p.E, p.carried, p.idle, p.mass
     scale, motion, force, squeeze = p.scale, p.motion, p.force, p.squeeze
     d, r, k, s = p.d, p.r, p.k, p.s
@@ -321,8 +321,8 @@ def prepare(raw, slack):
             largest = max(largest, tau_max[j])
     for j in range(n):
         scale[j] = tau_max[j] if not isinf(tau_max[j]) else largest if largest > 0.0 else 1.0
-        lower[j] = max((-tau_max[j] - wanted[j]) / scale[j], -_INFINITE)
-        upper[j] = min((tau_max[j] - wanted[j]) / scale[j], _INFINITE)
+        lower[j] = max((-tau_max[j] - desired[j]) / scale[j], -_INFINITE)
+        upper[j] = min((tau_max[j] - desired[j]) / scale[j], _INFINITE)
     if not _respond(p):
         return False
     for j in range(n):
@@ -365,7 +365,7 @@ def finish(raw, slack):
         raw: bytes of PROGRAM. slack: of `prepare`.
     """
     p = _program(raw, 0)
-    wanted, tau_max, z = p.wanted, p.tau_max, p.z
+    desired, tau_max, z = p.desired, p.tau_max, p.z
     scale, motion, force, squeeze = p.scale, p.motion, p.force, p.squeeze
     tau, at_limit, lost_squeeze = p.tau, p.at_limit, p.lost_squeeze
     lost_force, lost_motion = p.lost_force, p.lost_motion
@@ -379,7 +379,7 @@ def finish(raw, slack):
     for j in range(len(scale)):
         if not abs(z[j]) < _INFINITE:
             return False
-        tau[j] = max(-tau_max[j], min(tau_max[j], wanted[j] + scale[j] * z[j]))
+        tau[j] = max(-tau_max[j], min(tau_max[j], desired[j] + scale[j] * z[j]))
         at_limit[j] = 1 if abs(tau[j]) >= tau_max[j] * (1.0 - _SLACK) else 0
         add_scaled(-z[j], force[j], r, lost_force)
         add_scaled(-z[j], motion[j], d, lost_motion[6 - d :])
@@ -396,7 +396,7 @@ class TorqueLimits:
 
     Attributes:
         raw: bytes of PROGRAM, whose fields are attributes, too. counts: d, r, k, s in them.
-        wanted, tau_max: (n_a,) torques; limits (inf: none).
+        desired, tau_max: (n_a,) torques; limits (inf: none).
         G: (n_a, 6) what each motor exerts, Lambda: (6, 6) of the chain. mass: of the object (kg).
         N, pushed: (6, 6) columns of N and, with friction, N_μ as rows. Phi_e: (6, 6) NᵀΦ_eN_μ.
         alpha: (6,) force command. share: (k_max, 6) forces that must not pull, out of α.
@@ -404,8 +404,8 @@ class TorqueLimits:
         E: (s_max, n_a) rows of the squeeze. carried: (s_max, 6) what of it motions use up.
         idle: (p, n_a) joint motions ν of redundant arms, 1 kg m² or 1 kg in M, of their motors.
         tau: (n_a,) found. at_limit: (n_a,) which motors stand at their limit.
-        lost_force: (6,), lost_motion: (6,), lost_squeeze: (s_max,) wanted less what will come; zero
-            beyond r, and in locked axes.
+        lost_force: (6,), lost_motion: (6,), lost_squeeze: (s_max,) desired less what will come;
+            zero beyond r, and in locked axes.
     """
 
     def __init__(self, n_a: int, k_max: int, s_max: int, p: int = 0) -> None:
@@ -460,7 +460,7 @@ class TorqueLimits:
             if finish(self.raw, slack):
                 return slack > 0
         raise SolverError(
-            f"no torques within the motor limits were found for {np.round(self.wanted, 3)} wanted"
+            f"no torques within the motor limits were found for {np.round(self.desired, 3)} desired"
         )
 
     def __getstate__(self) -> Bytes:
@@ -573,14 +573,14 @@ def fill_program(raw, at, i, program):
     n = model.n_joints
     m = work.locked
     r = work.rank
-    wanted, tau_max, G, Lambda, N, pushed = p.wanted, p.tau_max, p.G, p.Lambda, p.N, p.pushed
+    desired, tau_max, G, Lambda, N, pushed = p.desired, p.tau_max, p.G, p.Lambda, p.N, p.pushed
     Phi_e, alpha, share, floor, E, carried = p.Phi_e, p.alpha, p.share, p.floor, p.E, p.carried
     idle = p.idle
     for j in range(n):
         motor = table[j].motor
         if motor < 0:
             continue
-        wanted[motor] = joints[j].tau
+        desired[motor] = joints[j].tau
         tau_max[motor] = table[j].tau_max
         fill(G[motor], joints[j].J_bar)
         reflect(work.reflectors, work.beta, m, G[motor])

@@ -114,8 +114,13 @@ def factor_inertia(lo, n, joints, K):
 
 
 @leaf
-def _weigh_joints(lo, n, joints, K, Z):
-    """Z[:n, :6] = K⁻¹Jᵀ."""
+def weigh_joints(lo, n, joints, K, Z):
+    """Z[:n, :6] = K⁻¹Jᵀ, K as in `factor_inertia`; False: M is not definite.
+
+    Args:
+        lo: first joint of the arm. n: how many. joints: JOINT_WORK rows. K: for the factor.
+        Z: rows of six.
+    """
     if not factor_inertia(lo, n, joints, K):
         return False
     for j in range(n):
@@ -148,7 +153,7 @@ def _invert_wide(t, lo, n, Lambda):
     K = work.K
     X = work.X
     Z = work.Z
-    if not _weigh_joints(lo, n, joints, K, Z):
+    if not weigh_joints(lo, n, joints, K, Z):
         return False
     if not _qr_tall(Z, n, X, work.A, work.t, work.u):  # Aᵀ = QR
         return False
@@ -222,7 +227,7 @@ def _separate(t, lo, n, m, rigid, arm, row):
     Z = work.Z
     Lambda = arm.Lambda
     kept = arm.kept
-    if not _weigh_joints(lo, n, joints, K, Z):
+    if not weigh_joints(lo, n, joints, K, Z):
         return -1
     for i in range(m):
         for j in range(n):
@@ -337,7 +342,7 @@ NONE_LEFT = 0.05
 FULL = 0.3
 _HARD = 1e-8  # shares below it are as good as 0
 _GONE = 1e-6  # of the mobility that Λ_ref has along any direction, 1
-_SMALL = 1e-9  # χ below it tells no motion of the joints
+_SMALL = 1e-9  # χ below it determines no motion of the joints
 
 
 @leaf
@@ -461,7 +466,7 @@ def _sort_rows(X, m, n):
 
 @inner
 def _unit_row(X, k, n, chi):
-    """Row k made a unit vector v; where it is too short to tell, any that is new to the others."""
+    """Row k made a unit vector v; of a null row, any that is new to the others."""
     if chi > _SMALL:
         for j in range(n):
             X[k, j] /= chi

@@ -1,14 +1,14 @@
 """Contact phases: which contacts are open, approached or closed, and what that means for the law.
 
-    OPEN ── a force is wanted ──▶ APPROACHING ── contact made ──▶ CLOSED
+    OPEN ── a force is desired ─▶ APPROACHING ── contact made ──▶ CLOSED
      ▲                             │      ▲                         │
-     └──── no force is wanted ─────┘      └────── contact lost ─────┤
-     └──────────────────── no force is wanted ──────────────────────┘
+     └──── no force is desired ────┘      └────── contact lost ─────┤
+     └──────────────────── no force is desired ─────────────────────┘
 
 An open contact is out of N: its column is free motion. A closed one is in N under the law of
 fig. 5. An approaching one is in N too, but in place of the force law one of speeds moves it towards
 its face, α_u = K_a (e + K ∫e dt) with e = v_a − NᵀV_rel: a guarded move, which meets the face with
-K_a v_a beside what its integral has learnt of the weight. This goes on in the force law once
+K_a v_a beside what its integral has learned of the weight. This passes into the force law once
 contact is made. One that was lost goes back faster to where it was: what it has moved away is
 known. So N does not change at the moment of impact, and every magnitude of a contact to be made is
 measured by the filter of fig. 5.
@@ -35,8 +35,8 @@ _FASTEST = 0.1
 #: of v_a: contact is made where an approach is slower; s of force after which also if it is not
 _SLOWED = 0.5
 _SOFT = 0.5
-_FELT = 1.5  #: times what wrists alone read; no more of an impact is believed
-_NOISE = 0.05  #: s in which the noise of a force is learnt, above which contact must be felt
+_FELT = 1.5  #: times what wrists alone read; no more of an impact counts
+_NOISE = 0.05  #: s in which the noise of a force is learned, above which contact must be felt
 _GENTLE = 0.5  #: of what counts as contact: with so much an approach at v_a pushes to gain speed
 
 
@@ -144,7 +144,7 @@ def monitor(limits, row, force, speed, dt, dwell, more):
 
 @inner
 def advance_phases(t):
-    """The phases of a tick, from what the last one measured and what is wanted now.
+    """The phases of a tick, from what the last one measured and what is desired now.
 
     Returns:
         Whether other contacts than in the last tick are in N.
@@ -152,7 +152,7 @@ def advance_phases(t):
     model = t.model
     columns = model.columns
     column_memory = t.memory.columns
-    wanted = t.work.goal
+    goal = t.work.goal
     dt = t.work.dt
     changed = False
     push = model.approach_damping * model.approach_speed
@@ -169,7 +169,7 @@ def advance_phases(t):
                 continue
             row = column_memory[j]
             dwell = model.dwell
-            more = -inf  # too little to be told from nothing
+            more = -inf  # too little to be distinguished from nothing
             if row.predicted > model.force_on:
                 more = model.lost_share * max(row.predicted - push, 0.0)
             force = row.net
@@ -184,9 +184,9 @@ def advance_phases(t):
                 contact.held = 0
             elif row.high_for > model.rise:
                 contact.held = 1
-            desired = desired or wanted[j] > 0.0
+            desired = desired or goal[j] > 0.0
             some_closed = some_closed or row.closed != 0
-            light = wanted[j] <= model.force_on  # too little to be distinguished from nothing
+            light = goal[j] <= model.force_on  # too little to be distinguished from nothing
             all_closed = all_closed and (light or row.closed != 0)
         if pushes != 0 and not desired:
             phase = OPEN
@@ -255,7 +255,7 @@ def set_goals(t):
     columns = model.columns
     contacts = t.memory.contacts
     column_memory = t.memory.columns
-    wanted = t.work.goal
+    goal = t.work.goal
     for c in range(model.n_contacts):
         contact = contacts[c]
         approaching = contact.phase == APPROACHING
@@ -270,14 +270,14 @@ def set_goals(t):
         speed = model.approach_speed
         if contact.phase == APPROACHING:
             speed = max(speed, min(speed + _RETURN * column_memory[j].gap, _FASTEST))
-        start = model.approach_damping * speed if pushes != 0 else wanted[j]
+        start = model.approach_damping * speed if pushes != 0 else goal[j]
         if contact.phase == APPROACHING:
             gentle = _GENTLE * model.force_on * speed / model.approach_speed
             moving = min(abs(column_memory[j].filtered_speed), abs(column_memory[j].speed))
             start = min(start, gentle + model.approach_damping * moving)
         if contact.phase == APPROACHING and contact.since * model.approach_speed >= model.travel:
             start = 0.0  # it has found nothing and stands still
-        t.work.goal[j] = start + _risen(t, contact, pushes) * (wanted[j] - start)
+        t.work.goal[j] = start + _risen(t, contact, pushes) * (goal[j] - start)
 
 
 @inner
@@ -334,7 +334,7 @@ def slew(tau, last, step, n):
     """Go straight from `last` to `tau`, no motor further than its `step`; `tau` is overwritten.
 
     Args:
-        tau, last: (n,) torques wanted and of the last tick (N m, N). step: (n,) > 0, likewise.
+        tau, last: (n,) desired torques, those of the last tick (N m, N). step: (n,) > 0, likewise.
     """
     share = 0.0
     for i in range(n):

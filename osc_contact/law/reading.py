@@ -186,7 +186,7 @@ def _solve_magnitudes(t, inertial):
 def _measure_at_tip(t):
     """Where nothing is held: sensors see the tip in its own motions S only, or f_c itself.
 
-    S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹, and a = Sη̇ + σ has a part of its own.
+    S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹, and a = Sη̇ + σ has a further part.
     """
     work = t.work
     r = work.rank
@@ -235,9 +235,9 @@ def _measure_at_tip(t):
 
 
 @leaf
-def integral_room(most, wanted):
+def integral_room(most, desired):
     """N; the force integral stays within ± that."""
-    return max(_WINDUP * abs(wanted), most)
+    return max(_WINDUP * abs(desired), most)
 
 
 @inner
@@ -302,13 +302,13 @@ def contact_laws(t):
 #
 # The filter of fig. 5 takes whatever pushes on the object at a contact for N_μα. Here each point of
 # contact may push along its tangents, too, by an unknown β, and the object may depart by δ from the
-# acceleration a that is wanted of it:
+# acceleration a desired of it:
 #
 #     f_meas − bias_out − Λ_out a = N_μα + Σ T_jβ_j + Λ_out δ,   Nᵀδ = 0
 #
 # Of all α, β and δ that explain the reading those are taken that make the sum of squares least,
 # each in the scale in which it is likely: β_j in w_j times a coefficient of friction, w_j the
-# force wanted of the contact; δ, by the kinetic energy of the object, in σ_a. With f all that is
+# desired force of the contact; δ, by the kinetic energy of the object, in σ_a. With f all that is
 # read but N_μα,
 #
 #     R = ΣT_jC_jT_jᵀ + σ_a²m Λ_outPΛ_outᵀ,    α = (N_μᵀR⁻¹N_μ)⁻¹N_μᵀR⁻¹f,
@@ -317,11 +317,11 @@ def contact_laws(t):
 # independent of the tangents α follows uniquely; as β → 0 it is the filter. All scales are physical
 # quantities: no norm of newtons and newton metres is taken.
 
-_ALONG = 0.3  #: coefficient of friction along the slip, beyond what is believed
+_ALONG = 0.3  #: coefficient of friction along the slip, beyond what is assumed
 _ACROSS = 0.1  #: and across it; the tangent of an error of the normal
 _DEPARTURE = 0.1  #: σ_a (m/s²)
 _LEAST_FORCE = 1.0  #: least w_j (N)
-_MOST_FRICTION = 2.0  #: coefficient that is learnt at most
+_MOST_FRICTION = 2.0  #: coefficient that is learned at most
 _NOISE = 0.01  #: of a wrist's force (N), in the metric of the object's inertia
 
 
@@ -401,7 +401,7 @@ def learn_friction(t):
     """Take the coefficient of friction after the tangential forces found along the slip.
 
     dμ/dt = k Σw_j s_jᵀβ_j / Σw_j², β_j = C_jT_jᵀR⁻¹(f − N_μα): where contacts slide, to one that
-    explains them best; where they rest, s_j = 0, nothing is learnt. The factor of R and the
+    explains them best; where they rest, s_j = 0, nothing is learned. The factor of R and the
     residual are those that `weigh_magnitudes` left.
     """
     model = t.model
@@ -440,7 +440,7 @@ def _outboard(t, x, out):
 
 @inner
 def _subtract_motion(t, f):
-    """f less Λ_out a, a the wanted acceleration as far as the contacts permit it."""
+    """f less Λ_out a, a the desired acceleration as far as the contacts permit it."""
     work = t.work
     a = work.y
     V = work.V_O

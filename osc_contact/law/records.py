@@ -49,7 +49,7 @@ LOOK, MEASURE, COMMAND, ALLOCATE, END, HAND_OVER = range(6)
 #: metrics of the motion filter, kinds of grasps, of pairs, of touched bodies
 BY_OBJECT, BY_CHAIN, BY_MATRIX = range(3)
 RIGID, HINGE, BALL, OTHER = range(4)
-POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN = range(5)
+POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN, SURFACE = range(6)
 FILTER, LEAST_SQUARES = range(2)  #: how contact forces are read off the wrists
 #: columns and freedoms of pairs given by T
 FORCE, COUPLE, THREAD = range(3)
@@ -248,7 +248,7 @@ _MEMORY = _record(
         "status",  # how the last tick ended
     ),
     number=(
-        "more_friction",  # learnt, beyond what is believed
+        "more_friction",  # learned, beyond what is assumed
         "powered",
         "ending",  # see `watch`: s of too much power, s near the end of a joint
         "still",
@@ -273,7 +273,7 @@ COLUMN_MEMORY = _record(
         "closed",
         "collision",
         "known",
-        "has_desired",  # whether a force was wanted of it in the last tick
+        "has_desired",  # whether a force was desired of it in the last tick
     ),
     number=(
         "low_for",
@@ -298,7 +298,7 @@ COLUMN_MEMORY = _record(
         "velocity_from_encoders",  # low-passed NᵀV_rel, of positions and of speeds
     ),
     to_come=3,  # of a step, see `steps`
-    turn=3,  # of the believed normal, in the axes of its body, see `steps`
+    turn=3,  # of the assumed normal, in the axes of its body, see `steps`
 )
 #: what is known of a joint from its sensors, see `sensors`; `acceleration`: as commanded last
 JOINT_MEMORY = _record(
@@ -501,7 +501,8 @@ COLUMN_WORK = _record(
     point=3,
     slip=3,  # of contact, from O; v_t / √(v_t² + v_0²) there
     turn=3,
-    turned=3,  # of the believed normal, and after this tick
+    turned=3,  # of the assumed normal, and after this tick
+    believed=3,  # that normal, into the body and in its axes, where no shape has it
 )
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E
 

@@ -34,7 +34,7 @@ from osc_contact.law.vectors import ZERO, carry_wrench, cross, fill
 
 _FULL = 0.99  #: share of its bound at which a force integral has reached it
 _SHARE = 0.2  #: share of a command; a contact that reads less is lost
-_LIGHT = 1.0  #: N; what is commanded less cannot be told from nothing
+_LIGHT = 1.0  #: N; what is commanded less cannot be distinguished from nothing
 SURE = 0.0025  #: s of evidence, at the least, that one wrong sample does not bring about
 #: a joint's time above its limit counts once more for each eighth of it that it is beyond it
 _FASTER = 8.0
@@ -95,16 +95,16 @@ def watch_contacts(t):
     dt = model.period * (1 + memory.gap)
     for a in range(work.rank):
         alpha = work.alpha_meas[a]
-        wanted = work.alpha_d[a]
+        desired = work.alpha_d[a]
         speed = work.speed[a]
         if alpha > 0.0 and speed > 0.0:
             power += alpha * speed
         row = t.memory.columns[columns[int(work.keep[a])].chosen]
-        size = abs(wanted)
-        missing = size > _LIGHT and (alpha if wanted > 0.0 else -alpha) < _SHARE * size
+        size = abs(desired)
+        missing = size > _LIGHT and (alpha if desired > 0.0 else -alpha) < _SHARE * size
         missing = missing and model.phased == 0
         if memory.force_rank == work.rank:
-            room = _FULL * integral_room(model.integral_force, wanted)
+            room = _FULL * integral_room(model.integral_force, desired)
             missing = missing or abs(memory.force_sum[a]) > room
         fair = memory.state == RUN or memory.faults > 0
         row.underforce = collect(row.underforce, dt, missing and fair)
@@ -137,7 +137,7 @@ def collect(seconds, dt, violated):
 #
 # RUN       computed, nothing lost
 # DEGRADED  motors at their limits or a singular posture near; or not computed, for a tick or two:
-#           the last torques go on
+#           the last torques continue
 # HOLD      not computed: gravity compensation and damping at the last posture that was read
 # SAFE_STOP not computed for too long or too often, a limit of the robot is passed, or a sensor is
 #           faulty, see `sensors`: braked to rest, then held; ends by a reset only

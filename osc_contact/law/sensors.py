@@ -42,7 +42,7 @@ from osc_contact.law.records import (
 from osc_contact.law.vectors import dot6
 
 _ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
-_GAIN = 0.21  #: share of `stuck_speed` that one tick can tell: slow encoders repeat readings
+_GAIN = 0.21  #: share of `stuck_speed` that one tick can show: slow encoders repeat readings
 _LAG = 0.02  #: s, of the low-pass of speeds that disagree
 _NOISE = 0.02  #: rad, m: joints may jump by as much, whatever their speed limits
 _FORGET = 0.5  #: s in which a drift between positions and speeds is forgotten
@@ -127,7 +127,7 @@ def _is_rotation(X):
 
 @inner
 def compare_speeds(t):
-    """Approaches believe positions, low-passed, where NᵀV_rel is less than they show.
+    """Approaches use speeds from positions, low-passed, where NᵀV_rel is less than they show.
 
     Speeds that read too little would drive an object into its face ever faster. The twist that
     positions show is that from the last tick's X_WO to this one's.
@@ -163,7 +163,7 @@ def compare_speeds(t):
             > _AGREE * t.model.approach_speed
         )
         if short and t.memory.contacts[t.model.columns[j].contact].phase == APPROACHING:
-            work.speed[a] = row.velocity_from_positions
+            work.speed[a] = max(speed, row.velocity_from_positions)
 
 
 @inner

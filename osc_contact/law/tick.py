@@ -265,7 +265,7 @@ def set_desired_forces(t, flags):
         if approached and r == count:
             work.gain[a] = phases.APPROACH_GAIN
             work.felt[a] = work.damping[a] * work.speed[a]
-        if own and not approached:  # a law of the user's own
+        if own and not approached:  # a custom law
             work.damping[a] = 0.0
 
 
@@ -284,7 +284,7 @@ def compare_poses(t):
 
 @inner
 def hand_over(t):
-    """What the motion integral has learnt in free directions goes on as a constant wrench.
+    """What the motion integral has learned in free directions becomes a constant wrench.
 
     That is S⁻ᵀΛ_S P_T K_i∫e, added to `f_bias`: weight errors stay balanced in directions that
     leave the motion law. The integral starts again from zero. `work` is of a tick of this chain.
@@ -435,12 +435,12 @@ def remember(t):
 # many, on as many threads as there are chunks [lo, hi). Nothing is kept but MEMORY; WORK holds what
 # the last row worked out. A tick has four parts, so that Python may step in between them:
 #
-#     LOOK      what came in and whether it is believed, phases of the contacts, the closed chain
+#     LOOK      what came in and whether it is plausible, phases of the contacts, the closed chain
 #     MEASURE   N and n_γ, what the bodies do along N, the force filter of fig. 5, the pose error
 #     COMMAND   force law, motion law, motion filter (24), control structure (21), robot limits
 #     ALLOCATE  motor torques, verdict, memory
 #
-# HAND_OVER by itself turns what the motion integral has learnt into a constant wrench.
+# HAND_OVER by itself turns what the motion integral has learned into a constant wrench.
 
 #: flags: bodies move; internal forces of three arms and more are commanded; α_u, a_u are given;
 #: how many columns N has is not known yet
@@ -500,7 +500,7 @@ def _row(t, flags, begin, stop):
 
 @inner
 def _look(t, flags):
-    """Whether what came in is believed, phases of the contacts, the closed chain; a reason."""
+    """Whether what came in is plausible, phases of the contacts, the closed chain; a reason."""
     model = t.model
     memory = t.memory
     work = t.work
@@ -571,7 +571,7 @@ def rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched):
         wrenches: (rows · arms, 6). X_WD: (rows · 4, 4). touched: (rows · contacts, 28), MOVING.
 
     Returns:
-        Twice the row to go on with (`last` when all are done), plus 1 if some row did not end OK.
+        Twice the next row (`last` when all are done), plus 1 if some row did not end OK.
     """
     job = _job(raw, at)
     flags = job.switches

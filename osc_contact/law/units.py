@@ -75,8 +75,8 @@ def called(unit: Unit, name: Callable[[tuple[Any, ...]], str] | None = None) -> 
     """A function of compiled code that calls a unit by its symbol.
 
     Args:
-        unit: what is called. name: (types of its arguments) → symbol, asked when code is made for
-            a caller; None: the unit's own.
+        unit: what is called. name: (types of its arguments) → symbol, evaluated when a caller is
+            compiled; None: that of the unit.
     """
 
     def typed(typing: Any, *given: Any) -> Any:

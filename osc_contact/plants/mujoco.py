@@ -20,7 +20,7 @@ from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import Grasp
-from osc_contact.errors import PlantError
+from osc_contact.errors import PlantError, missing
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.faces import Rail, touched
 from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
@@ -350,6 +350,7 @@ class MujocoTruth:
         body_of: Mapping[int, int],
         rails: Sequence[Rail | None],
         guided: tuple[Array, tuple[Array, ...]],
+        *,
         contacts: Sequence[ContactPair],
         on: Sequence[int],
         inertia: Array,
@@ -560,6 +561,7 @@ class MujocoPlant:
         object_urdf: Path,
         contacts: Sequence[ContactPair],
         bodies: Sequence[tuple[Path, pin.SE3]],
+        *,
         options: PlantSpec | None = None,
         rails: Sequence[Rail | None] | None = None,
         on: Sequence[int] | None = None,
@@ -584,9 +586,7 @@ class MujocoPlant:
         try:
             import mujoco
         except ImportError as error:
-            raise PlantError(
-                "the MuJoCo plant needs the package 'mujoco': pip install osc_contact[sim]"
-            ) from error
+            raise PlantError(missing(error)) from error
         self._mj: Any = mujoco
         quieten(mujoco)
         self.chain = chain
@@ -771,9 +771,9 @@ class MujocoPlant:
             self._body_of,
             self.rails,
             (self._face_q, self._guided),
-            self.contacts,
-            self.on,
-            inertia,
+            contacts=self.contacts,
+            on=self.on,
+            inertia=inertia,
         )
 
     def command(self, tau: Array, duration: float) -> None:

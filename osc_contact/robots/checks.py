@@ -105,10 +105,10 @@ def check_limits(document: Document) -> None:
             continue
         by_hand = f", or give limits={{{joint.name!r}: JointLimits(…)}} when loading"
         element = joint.element.part("limit")
-        wanted = LIMITS[2:] if joint.kind == "continuous" else LIMITS
-        missing = [key for key in wanted if key not in joint.limits]
-        if element is joint.element and len(missing) == len(wanted):
-            keys = " ".join(f'{key}="…"' for key in wanted)
+        required = LIMITS[2:] if joint.kind == "continuous" else LIMITS
+        missing = [key for key in required if key not in joint.limits]
+        if element is joint.element and len(missing) == len(required):
+            keys = " ".join(f'{key}="…"' for key in required)
             document.add("limit", element, "has no <limit>", f"add <limit {keys}/>{by_hand}")
             continue
         for key in missing:

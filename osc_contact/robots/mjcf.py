@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.errors import ModelError
+from osc_contact.errors import ModelError, missing
 from osc_contact.robots.checks import JointLimits, matching_limits
 from osc_contact.robots.findings import suggest
 from osc_contact.robots.model import check_mass_matrix, random_configurations
@@ -44,9 +44,7 @@ def compile_mjcf(mjcf: Path | str | Any) -> Any:
     try:
         import mujoco
     except ImportError as error:
-        raise ModelError(
-            "MJCF is read by the package 'mujoco': pip install osc_contact[sim]"
-        ) from error
+        raise ModelError(missing(error)) from error
     if isinstance(mjcf, mujoco.MjModel):
         return mjcf
     try:

@@ -20,6 +20,7 @@ from osc_contact.contacts.detection import CollisionShape, TrackedContact, colli
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import ContactPair, count_forces, triad
 from osc_contact.contacts.pairs.registry import make_pair
+from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.dynamics.rail import Body, Cart, Conveyor, Hinge
 from osc_contact.errors import ScenarioError
 from osc_contact.plants.faces import Rail
@@ -69,7 +70,7 @@ def build_pairs(scenario: Scenario) -> tuple[ContactPair, ...]:
     return tuple(
         spec.pair
         if isinstance(spec, OwnContactSpec)
-        else make_pair(spec, poses.get(getattr(spec, "body", ""), world))
+        else make_pair(spec, poses.get(getattr(spec, "body", ""), world), scenario.folder)
         for spec in scenario.contacts
     )
 
@@ -156,7 +157,8 @@ def _displaced(scenario: Scenario, i: int, X: pin.SE3) -> ContactPair:
         normal = X.rotation @ np.array(spec.face.normal)
         face = spec.face.model_copy(update={"point": point, "normal": normal})
         return make_pair(spec.model_copy(update={"face": face}), X)
-    return make_pair(spec, X * _body_poses(scenario)[getattr(spec, "body", "")])
+    X_WB = X * _body_poses(scenario)[getattr(spec, "body", "")]
+    return make_pair(spec, X_WB, scenario.folder)
 
 
 def _body_poses(scenario: Scenario) -> dict[str, pin.SE3]:
@@ -217,7 +219,9 @@ def feet_over(
     moments = N[3:] / size
     points = X_WO.p[:, None] + cross(directions, moments)
     surface = getattr(pair, "surface_point", None)
-    if surface is not None:
+    if isinstance(pair, SphereOnSurface):
+        points = pair.feet(X_WO, X_WE)
+    elif surface is not None:
         surface = surface[:, None] if X_WE is None else X_WE.p + X_WE.rotate(surface[:, None])
         height = (directions * (surface - X_WO.p)[:, None]).sum(axis=0)  # along each line, from O
         points = points + (height - getattr(pair, "surface_radius", 0.0)) * directions

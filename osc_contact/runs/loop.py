@@ -230,7 +230,7 @@ def run_loop(
     `SAFE_STOP`, and however the loop ends: with its references, by an error, by Ctrl-C, SIGTERM or
     SIGHUP. A signal ends the loop at once, but never amid a tick's record or amid this last stop,
     unless it is the third. That is so in the main thread, which signals come to, where the program
-    has no handler of its own; elsewhere end the references to end the loop.
+    has no handler yet; elsewhere end the references to end the loop.
 
     Args:
         robot: hardware, or a plant.

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from osc_contact import robots
@@ -103,6 +102,8 @@ def numbers(kind: str, text: str) -> Array:
     Raises:
         InvalidInputError: with what was expected.
     """
+    import yaml
+
     try:
         items = yaml.safe_load(f"[{text.strip().strip('[]')}]")
         return np.array(VECTORS[kind].validate_python(items), dtype=float)

@@ -10,12 +10,14 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Reference
 from osc_contact.runs.contacts import force_owners
+from osc_contact.runs.surface_motion import SurfaceMotion
 from osc_contact.scenarios.bodies import forces_of, magnitude_names
 from osc_contact.scenarios.control_schema import TareSpec
-from osc_contact.scenarios.schema import Scenario
+from osc_contact.scenarios.schema import MotionSpec, Scenario, SurfaceMove
 from osc_contact.scenarios.signals import MinimumJerk, Step, total_over
 from osc_contact.spatial import Array, Poses, cross, rotated, rotations
 
@@ -71,12 +73,14 @@ class References:
         X_start: pose of the object in contact at t = 0.
         directions: (3,) of each move, resolved.
         standoff: (6,) displacement off the contacts during the tare phase (zero: none).
+        surfaces: what each move follows; None: nothing.
     """
 
     scenario: Scenario
     X_start: pin.SE3
     directions: tuple[Array, ...]
     standoff: Array
+    surfaces: tuple[SurfaceMotion | None, ...]
 
     @classmethod
     def of(
@@ -101,7 +105,8 @@ class References:
             else np.array(move.direction, dtype=float)
             for move in scenario.motion
         )
-        references = cls(scenario, X_start, directions, standoff)
+        surfaces = tuple(_followed(move, pairs, X_start) for move in scenario.motion)
+        references = cls(scenario, X_start, directions, standoff, surfaces)
         t = np.linspace(0.0, scenario.duration, 2000)
         owners = force_owners(pairs)
         for name, i, force in zip(force_names(scenario), owners, references.forces(t), strict=True):
@@ -150,7 +155,19 @@ class References:
         place = np.zeros((3, 3, len(t)))  # of the origin without linear moves
         place[0] = self.X_start.translation[:, None]
         turn = None
+        ways = [
+            (one, np.einsum("ij,djk->dik", one.axes, move.over(t)))
+            for one, move in zip(self.surfaces, self.scenario.motion, strict=True)
+            if one is not None and isinstance(move, SurfaceMove)
+        ]
+        if ways:
+            on = ways[0][0]
+            u = np.einsum("ij,dik->djk", on.axes, sum(way for _, way in ways))
+            place, rotation = on.over(u)
+            turn = _Turn(*rotation)
         for move, direction in zip(self.scenario.motion, self.directions, strict=True):
+            if isinstance(move, SurfaceMove):
+                continue
             s = total_over(move.signals, t)
             if move.kind == "linear":
                 x += direction[:, None] * s[:, None]
@@ -176,6 +193,25 @@ class References:
             alpha_d=self.forces(t).T.copy(),
             squeeze_d=float(self.scenario.squeeze),
         )
+
+
+def _followed(
+    move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3
+) -> SurfaceMotion | None:
+    """What a move follows; None: nothing.
+
+    Raises:
+        ScenarioError: it names no contact on a surface.
+    """
+    if not isinstance(move, SurfaceMove):
+        return None
+    for pair in pairs:
+        if pair.name == move.contact and isinstance(pair, SphereOnSurface):
+            return SurfaceMotion(pair, X_start, move.direction)
+    known = [pair.name for pair in pairs if isinstance(pair, SphereOnSurface)]
+    raise ScenarioError(
+        f"motion: '{move.contact}' is no contact of type sphere_on_surface; there are {known}"
+    )
 
 
 @dataclass(frozen=True)

@@ -203,9 +203,9 @@ def _mujoco(parts: Parts) -> Plant:
         robots.resolve_urdf(scenario.object.urdf, scenario.folder)[0],
         parts.pairs,
         [(body.urdf[0], body.placement) for body in parts.bodies],
-        spec,
-        rails(parts.bodies),
-        parts.on,
+        options=spec,
+        rails=rails(parts.bodies),
+        on=parts.on,
         drives=hardware.drives(scenario, parts.chain, parts.state, parts.seed),
     )
 

@@ -225,7 +225,7 @@ def recover(
 
     Args:
         path: such as unfinished.mcap.
-        folder: of your own scenario, see `scenario_of`.
+        folder: of a custom scenario, see `scenario_of`.
 
     Raises:
         RecordingError: no such file, nothing in it, or not the journal of a scenario's run.

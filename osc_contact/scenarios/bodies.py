@@ -302,7 +302,7 @@ class OwnContactSpec(OnBodySpec):
         missing = [key for key in ("name", "contact", "gaps") if not hasattr(pair, key)]
         if pair is not None and missing:
             raise refuse(
-                f"a {type(pair).__name__} has no {' and no '.join(missing)}; a pair of your own "
+                f"a {type(pair).__name__} has no {' and no '.join(missing)}; a custom pair "
                 "has name, contact(X_WO, V_O, X_WE, V_E) and gaps(X_WO, X_WE)"
             )
         return {"name": data["pair"].name, **data} if isinstance(data, dict) else data

@@ -48,7 +48,7 @@ def name_problems(
             if Counter(names[:index])[name]:
                 text = f"the name {name!r} is taken by an earlier item of {key}; names are unique"
                 problems.append(((key, index, "name"), text))
-    for key, given, wanted, kind, example in (
+    for key, given, expected, kind, example in (
         ("grasps", grasps, arms, "arm", "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"),
         (
             "force",
@@ -59,14 +59,14 @@ def name_problems(
         ),
     ):
         for name in given:
-            if name not in wanted:
-                text = f"no {kind} has this name; {did_you_mean(name, wanted)}"
+            if name not in expected:
+                text = f"no {kind} has this name; {did_you_mean(name, expected)}"
                 if kind == "contact" and magnitudes.get(name, 1) > 1:
                     text = f"this contact has {magnitudes[name]} forces; " + (
                         f"give each its own entry, {name}.1 to {name}.{magnitudes[name]}"
                     )
                 problems.append(((key, name), text))
-        for name in dict.fromkeys(wanted):
+        for name in dict.fromkeys(expected):
             if name not in given:
                 text = f"the {kind} {name!r} has no entry; add {name}: {example}"
                 problems.append(((key,), text))

@@ -414,7 +414,7 @@ class JointFriction(Spec):
     smoothing: Annotated[Positive, "1/s"] = 100.0
     """K_d, of that observer"""
     most: Annotated[Number, Field(gt=0, le=1)] = 0.3
-    """times a motor's torque limit: more friction is not believed, nor compensated"""
+    """times a motor's torque limit: more friction is neither assumed nor compensated"""
 
 
 class PostureTask(Spec):
@@ -479,7 +479,7 @@ class ControlSpec(Spec):
     friction: Friction | None = None
     """friction at the contacts that the controller takes into account"""
     joint_friction: JointFriction | None = JointFriction()
-    """[friction of the joints](joint_friction.md), compensated, learned if wanted; `off`: not"""
+    """[friction of the joints](joint_friction.md), compensated, learned on request; `off`: not"""
     life: PhaseSettings | None = PhaseSettings()
     """[contacts opened, approached and closed](contact_phases.md) one by one, as their forces are
     > 0 or not; `off`: all at once, by `tare` (and the default beside one)"""

@@ -289,8 +289,8 @@ def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iter
             )
         elif item["type"] == "union_tag_invalid":
             tag = context["discriminator"].strip("'")
-            wanted = context["expected_tags"]
-            yield (*place, tag), f"expected one of {wanted}; got {context['tag']!r}"
+            expected = context["expected_tags"]
+            yield (*place, tag), f"expected one of {expected}; got {context['tag']!r}"
         else:
             yield place[:-1] if item["type"] == "missing" else place, sentence(item, owner)
     yield from sound_problems(data)

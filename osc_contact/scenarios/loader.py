@@ -108,7 +108,8 @@ class Template:
         for key, value in _pairs(overrides, problems):
             document.override(key, value)
         try:
-            scenario = Scenario.model_validate(document.data)
+            folder = self.source and self.source.parent
+            scenario = Scenario.model_validate(document.data, context={"folder": folder})
         except ValidationError as error:
             for place, complaint in complaints(error, document.data, Scenario):
                 document.report(place, complaint)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from osc_contact.jerk_limits import follow, from_rest_to_rest
 from osc_contact.scenarios.quantities import OfQuantity, Time
@@ -96,7 +97,19 @@ class Points(OfQuantity[Q], Generic[Q]):
 
     type: Literal["points"] = "points"
     points: Annotated[tuple[tuple[Time, Q], ...], Field(min_length=2, max_length=500)]
-    """a list of [time, value], such as [[0 s, 0 mm], [1 s, 20 mm]]"""
+    """a list of [time, value], such as [[0 s, 0 mm], [1 s, 20 mm]], or the name of a CSV file
+    beside the scenario with a line `time, value` for each, in SI"""
+
+    @field_validator("points", mode="before")
+    @classmethod
+    def _from_file(cls, points: Any, info: ValidationInfo) -> Any:
+        if not isinstance(points, str):
+            return points
+        file = ((info.context or {}).get("folder") or Path()) / points
+        try:
+            return np.loadtxt(file, delimiter=",", ndmin=2).tolist()
+        except (OSError, ValueError) as error:
+            raise refuse(f"expected a CSV file with lines 'time, value'; {error}") from error
 
     @field_validator("points")
     @classmethod

@@ -38,13 +38,27 @@ from osc_contact.scenarios.control_schema import (
     TareSpec,
     VerdictSpec,
 )
-from osc_contact.scenarios.document import complaints
 from osc_contact.scenarios.hardware import PlantSpec, SensorsSpec
-from osc_contact.scenarios.quantities import Force, Time, UnitVec3, Vec3
-from osc_contact.scenarios.signals import AngleSignal, ForceSignal, LengthSignal
+from osc_contact.scenarios.quantities import (
+    Acceleration,
+    Force,
+    Jerk,
+    Length,
+    Time,
+    UnitVec3,
+    Vec3,
+    Velocity,
+)
+from osc_contact.scenarios.signals import (
+    AngleSignal,
+    ForceSignal,
+    JerkLimited,
+    LengthSignal,
+    total_over,
+)
 from osc_contact.scenarios.spec import Spec, refuse
 
-__all__ = ["AngularMove", "LinearMove", "MotionSpec", "Scenario"]
+__all__ = ["AngularMove", "LinearMove", "MotionSpec", "Scenario", "SurfaceMove"]
 
 _UNIT_VECTOR: TypeAdapter[tuple[float, float, float]] = TypeAdapter(UnitVec3)
 
@@ -113,7 +127,75 @@ class AngularMove(Spec):
     """a list of signals in angles"""
 
 
-MotionSpec = Annotated[LinearMove | AngularMove, Field(discriminator="kind")]
+class SurfaceMove(Spec):
+    """A path on the curved surface of a contact, the tool turned as the normal turns.
+
+    The path is drawn in the plane that touches the surface at the start, and projected onto it.
+    With `points` or a `raster` it goes from one point to the next and rests at each; `signals` give
+    the way along `direction` instead; the displacements of several such moves are summed."""
+
+    kind: Literal["surface"] = "surface"
+    contact: Name
+    """the name of the contact, a `sphere_on_surface`"""
+    direction: UnitVec3
+    """roughly the first axis of that plane [x, y, z] in world; the second is normal × first"""
+    signals: tuple[LengthSignal, ...] = ()
+    """the way along the first axis over time, a list of signals in lengths"""
+    points: Annotated[tuple[tuple[Length, Length], ...], Field(max_length=500)] = ()
+    """places [along the first axis, along the second], from the start, which is [0, 0]"""
+    raster: tuple[Length, Length, Annotated[int, Field(ge=1, le=200)]] | None = None
+    """[length, width, lines]: lines to and fro along the first axis, the start in the middle"""
+    feed: Annotated[Velocity, Field(gt=0)] = 0.05
+    """greatest speed between points"""
+    acceleration: Annotated[Acceleration, Field(gt=0)] = 0.5
+    """greatest acceleration between points"""
+    jerk: Annotated[Jerk, Field(gt=0)] = 10.0
+    """greatest jerk between points"""
+    dwell: Annotated[Time, Field(ge=0)] = 0.0
+    """rest at each point"""
+    start: Annotated[Time, Field(ge=0)] = 0.0
+    """when the first point is left for"""
+
+    @property
+    def duration(self) -> float:
+        """When the last point is reached (s)."""
+        return self._legs()[1]
+
+    def over(self, t: Any) -> Any:
+        """(3, 2, k) displacement along the two axes, velocity and acceleration at times t (k,)."""
+        u = np.zeros((3, 2, len(t)))
+        u[:, 0] = total_over(self.signals, t)
+        for way, signal in self._legs()[0]:
+            u += np.array(signal.at(t))[:, None] * way[:, None]
+        return u
+
+    def _legs(self) -> tuple[list[tuple[Any, Any]], float]:
+        """Unit vector (2,) and signal of each leg; when the last ends."""
+        limits = {"velocity": self.feed, "acceleration": self.acceleration, "jerk": self.jerk}
+        now = self.start
+        here = np.zeros(2)
+        legs = []
+        for point in (*self._lines(), *np.reshape(self.points, (-1, 2))):
+            length = float(np.linalg.norm(point - here))
+            if length > 0.0:
+                leg = _Leg(value=length, start=now, **limits)
+                legs.append(((point - here) / length, leg))
+                now += leg.duration + self.dwell
+            here = point
+        return legs, now
+
+    def _lines(self) -> Any:
+        """(k, 2) the ends of a raster's lines."""
+        if self.raster is None:
+            return np.zeros((0, 2))
+        length, width, count = self.raster
+        x = np.tile([-0.5, 0.5, 0.5, -0.5], count)[: 2 * count] * length
+        y = np.repeat(np.linspace(-0.5, 0.5, count) if count > 1 else np.zeros(1), 2) * width
+        return np.column_stack((x, y))
+
+
+_Leg = JerkLimited[Length, Velocity, Acceleration, Jerk]
+MotionSpec = Annotated[LinearMove | AngularMove | SurfaceMove, Field(discriminator="kind")]
 
 
 class Scenario(Spec):
@@ -200,8 +282,11 @@ class Scenario(Spec):
         """
         plain = _plain(data)
         try:
-            return cls.model_validate(plain).with_source(source)
+            folder = source and source.parent
+            return cls.model_validate(plain, context={"folder": folder}).with_source(source)
         except ValidationError as error:
+            from osc_contact.scenarios.document import complaints
+
             found = complaints(error, plain, cls)
             lines = dict.fromkeys(f"{'.'.join(map(str, key))}: {text}" for key, text in found)
             raise ScenarioError("\n".join(f"scenario: {line}" for line in lines)) from error

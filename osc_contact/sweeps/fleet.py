@@ -132,7 +132,9 @@ class Fleet:
         Args:
             X_WD, V_D, A_D, alpha_d, squeeze_d: as of `BatchController.tick`.
         """
-        tau = self.control.tick(*self.measure(), X_WD, V_D, A_D, alpha_d, squeeze_d)
+        tau = self.control.tick(
+            *self.measure(), X_WD, V_D=V_D, A_D=A_D, alpha_d=alpha_d, squeeze_d=squeeze_d
+        )
         self._ctrl[:] = tau
         self._plants.step(nstep=self._steps)
         return tau

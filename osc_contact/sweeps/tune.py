@@ -118,7 +118,7 @@ def tune(
     )
     names = [f"{path}:{i}" for path, d in keys.variations for i in range(d.dims)]
 
-    def ask() -> tuple[Any, SweepStudy]:
+    def draw() -> tuple[Any, SweepStudy]:
         trial = study.ask()
         u = np.array([trial.suggest_float(name, 0.0, 1.0) for name in names])
         values = keys.values_at(u)
@@ -133,12 +133,12 @@ def tune(
     with workers_of(workers, scheduler, trials) as crew:
         while done < trials:
             count = 1 if crew is None else crew.count()
-            asked = [ask() for _ in range(min(count, trials - done))]
-            found: dict[int, list[Row]] = {id(one): [] for _, one in asked}
-            jobs = [(one, range(samples)) for _, one in asked]
+            drawn = [draw() for _ in range(min(count, trials - done))]
+            found: dict[int, list[Row]] = {id(one): [] for _, one in drawn}
+            jobs = [(one, range(samples)) for _, one in drawn]
             for one, row in make_all(crew, jobs, make_rows):
                 found[id(one)].append(row)
-            for trial, one in asked:
+            for trial, one in drawn:
                 rows = sorted(found[id(one)], key=lambda row: int(row["row"]))
                 broken = judge.excess(rows)
                 for number, excess in enumerate(broken):
@@ -146,7 +146,7 @@ def tune(
                 trial.set_user_attr("broken", broken)
                 trial.set_user_attr("numbers", judge.worst(rows))
                 study.tell(trial, judge.value(rows))
-            done += len(asked)
+            done += len(drawn)
             if progress is not None:
                 progress(done, trials)
     every = ended()

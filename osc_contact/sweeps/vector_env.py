@@ -108,15 +108,15 @@ class SensedRows:
     """What rewards are made of, of all rows after a step.
 
     Attributes:
-        force, force_wanted: (B, r) contact forces as the robot senses them, and as the scenario
-            asks for them (N).
+        force, force_desired: (B, r) contact forces as the robot senses them, and as the scenario
+            specifies them (N).
         error: (B, 6) from the object to its reference (m, rad), world axes.
         tau: (B, n_a) motor torques of the last tick (N m, N). action: (B, 6 + r).
         diverged: (B,) whether simulation or controller gave up.
     """
 
     force: Array
-    force_wanted: Array
+    force_desired: Array
     error: Array
     tau: Array
     action: Array
@@ -128,8 +128,8 @@ def tracking_reward(seen: SensedRows) -> Array:
 
     1 − mean |Δα| / mean |α| − |Δp| / 10 mm − |Δθ| / 0.1 rad, at least −1.
     """
-    scale = np.maximum(np.abs(seen.force_wanted).mean(axis=1), 1.0)
-    force = np.abs(seen.force - seen.force_wanted).mean(axis=1) / scale
+    scale = np.maximum(np.abs(seen.force_desired).mean(axis=1), 1.0)
+    force = np.abs(seen.force - seen.force_desired).mean(axis=1) / scale
     away = np.linalg.norm(seen.error[:, :3], axis=1) / 0.01
     turned = np.linalg.norm(seen.error[:, 3:], axis=1) / 0.1
     return np.nan_to_num(np.maximum(1.0 - force - away - turned, -1.0), nan=-1.0)
@@ -172,11 +172,11 @@ def make_vector_env(
         Episodes(scenario, vary, overrides, 1.0 / rate, episodes),
         num_envs,
         rate,
-        move,
-        most_force,
-        reward,
-        available_cores() if threads is None else threads,
-        AutoresetMode[autoreset.upper()],
+        move=move,
+        most_force=most_force,
+        reward=reward,
+        threads=available_cores() if threads is None else threads,
+        autoreset=AutoresetMode[autoreset.upper()],
     )
 
 
@@ -204,6 +204,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         episodes: Episodes,
         num_envs: int,
         rate: float,
+        *,
         move: tuple[float, float] | None,
         most_force: float | None,
         reward: Callable[[SensedRows], Array],
@@ -232,7 +233,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self.fleet = Fleet([first.start] * num_envs, min(threads, num_envs))
         self._step = np.zeros(num_envs, dtype=int)
         self._target = np.tile(first.places[0], (num_envs, 1, 1))
-        self._asked = np.zeros((num_envs, self._r))
+        self._forces = np.zeros((num_envs, self._r))
         self._over = np.zeros(num_envs, dtype=bool)
         self.names = self._name_numbers(first)
         numbers = gymnasium.spaces.Box(-np.inf, np.inf, (len(self.names),), np.float64)
@@ -276,7 +277,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         ):
             self._now[row] = episode = self._episodes[int(number)]
             self._target[row] = episode.places[0]
-            self._asked[row] = episode.forces[0]
+            self._forces[row] = episode.forces[0]
         self.fleet.begin({int(row): self._now[row].start for row in rows})
         self._step[rows] = 0
         self._over[rows] = False
@@ -325,8 +326,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         T = self._ticks
         dt = self.fleet.dt
         increment = np.where(going[:, None], actions[:, :6] * self.move, 0.0)
-        wanted = 0.5 * (actions[:, 6:] + 1.0) * self.most_force
-        wanted = np.where(going[:, None], wanted, self._asked)
+        forces = 0.5 * (actions[:, 6:] + 1.0) * self.most_force
+        forces = np.where(going[:, None], forces, self._forces)
         share = np.arange(1, T + 1) / T
         turns = np.repeat(increment[:, 3:].T[:, None], T, axis=1) * share[:, None]  # (3, T, B)
         E = rotations(turns.reshape(3, T * B)).reshape(3, 3, T, B).transpose(2, 3, 0, 1)
@@ -337,10 +338,10 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         still = np.zeros((B, 6))
         squeeze = np.array([episode.squeeze for episode in self._now])
         for k in range(T):
-            alpha = self._asked + share[k] * (wanted - self._asked)
+            alpha = self._forces + share[k] * (forces - self._forces)
             tau = self.fleet.tick(X[k], V, still, alpha, squeeze)
         self._target = X[-1].copy()
-        self._asked = wanted
+        self._forces = forces
         return tau
 
     def _see(self, actions: Array, tau: Array) -> SensedRows:
@@ -381,7 +382,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             control.normal_speed,
             _displacement(first, self._target),
             _displacement(first, places),
-            self._asked,
+            self._forces,
             forces,
         )
         return np.nan_to_num(np.concatenate(parts, axis=1))

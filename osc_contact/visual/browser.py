@@ -120,15 +120,15 @@ class Browser:
         os.close(commands)
         os.close(answers)
         try:
-            targets = self.ask("Target.getTargets")["targetInfos"]
+            targets = self.request("Target.getTargets")["targetInfos"]
             (target,) = [t["targetId"] for t in targets if t["type"] == "page"]
-            attached = self.ask("Target.attachToTarget", targetId=target, flatten=True)
+            attached = self.request("Target.attachToTarget", targetId=target, flatten=True)
             self.session = {"sessionId": attached["sessionId"]}
             metrics = {"width": size[0], "height": size[1], "mobile": False}
-            self.ask("Emulation.setDeviceMetricsOverride", deviceScaleFactor=density, **metrics)
+            self.request("Emulation.setDeviceMetricsOverride", deviceScaleFactor=density, **metrics)
             for domain in ("Page", "Runtime", "Log"):
-                self.ask(f"{domain}.enable")
-            self.ask("Page.navigate", url=address)
+                self.request(f"{domain}.enable")
+            self.request("Page.navigate", url=address)
             self.until(f"document.readyState === 'complete' && {ready}", OPEN_S)
         except BaseException:
             self.close()
@@ -148,7 +148,7 @@ class Browser:
         os.close(self.answers)
         self.folder.cleanup()
 
-    def ask(self, method: str, **params: Any) -> dict[str, Any]:
+    def request(self, method: str, **params: Any) -> dict[str, Any]:
         """Send a command, wait for its answer; complaints of the page go to `errors`.
 
         Raises:
@@ -186,7 +186,7 @@ class Browser:
         Raises:
             ViewerError: the script threw.
         """
-        answer = self.ask(
+        answer = self.request(
             "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
         )
         if "exceptionDetails" in answer:
@@ -208,7 +208,7 @@ class Browser:
     def png(self) -> bytes:
         """The page as a PNG, after two more of its frames."""
         self.run(FRAMES)
-        return base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
+        return base64.b64decode(self.request("Page.captureScreenshot", format="png")["data"])
 
 
 def complaints(answer: dict[str, Any]) -> list[str]:

@@ -31,8 +31,11 @@ from osc_contact.contacts.pairs import (
     FaceOnVertex,
     GapFunctions,
     SphereOnPlane,
+    SphereOnSurface,
     VertexOnFace,
 )
+from osc_contact.contacts.pairs.pair import triad
+from osc_contact.contacts.surface import Surface
 from osc_contact.errors import ContactError, InvalidInputError
 from osc_contact.spatial import Array, cross
 
@@ -223,6 +226,11 @@ class Detected:
                 f"{self.name}: no contact pair describes {self.kind} along a line; declare it with "
                 "GapFunctions"
             )
+        if a.name in ("vertex", "sphere") and e.name in ("sphere", "cylinder"):
+            surface = Surface.cylinder if e.dimension else Surface.sphere
+            along, _, axis = triad(e.direction if e.dimension else self.environment_normal).T
+            place = e.points[0], axis, along
+            return SphereOnSurface(a.points[0], a.radius, surface(e.radius), *place, self.name)
         if a.radius > 0.0 or e.radius > 0.0 or a.dimension + e.dimension < 2:
             return between_round(a, e, self.name)
         return EdgeOnEdge(
@@ -367,25 +375,23 @@ def detect(
             round_one = solid.radius + solid_e.radius > 0.0
             if round_one and separation(solid, solid_e, n) < near.distance - _EXACT:
                 n = best_direction(solid, solid_e, near.normal)
-            contact = _classified(a, solid, X_WO, e, solid_e, X_WE, n, near, margin, angle)
+            contact = _classified((a, solid, X_WO), (e, solid_e, X_WE), n, near, margin, angle)
             if contact is not None:
                 contacts.append(contact)
     return merged(contacts, object_geometry, X_WO, margin, angle)
 
 
 def _classified(
-    a: CollisionShape,
-    solid_a: Solid,
-    X_WO: pin.SE3,
-    e: CollisionShape,
-    solid_e: Solid,
-    X_WE: pin.SE3,
+    on_object: tuple[CollisionShape, Solid, pin.SE3],
+    on_face: tuple[CollisionShape, Solid, pin.SE3],
     n: Array,
     near: Nearest,
     margin: float,
     angle: float,
 ) -> Detected | None:
     """The contact of two shapes; None where they turn out to be apart after all."""
+    a, solid_a, X_WO = on_object
+    e, solid_e, X_WE = on_face
     f_a = foremost(solid_a, -n, margin, angle)
     f_e = foremost(solid_e, n, margin, angle)
     distance = separation(solid_a, solid_e, n)

@@ -28,6 +28,7 @@ from osc_contact.contacts.pairs.registry import PAIRS, register_pair
 from osc_contact.contacts.pairs.revolute import Revolute
 from osc_contact.contacts.pairs.screw import Screw
 from osc_contact.contacts.pairs.sphere_on_plane import SphereOnPlane
+from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.contacts.pairs.vertex_on_face import VertexOnFace
 
 for _file in iter_modules(__path__):
@@ -41,6 +42,7 @@ __all__ = [
     "VertexOnFace",
     "FaceOnVertex",
     "SphereOnPlane",
+    "SphereOnSurface",
     "EdgeOnEdge",
     "EdgeOnFace",
     "CylinderOnPlane",

@@ -14,15 +14,16 @@ import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import Bodies, ContactPair, store
+from osc_contact.contacts.surface import OF_ARRAYS, Shapes
 from osc_contact.errors import ContactError
 from osc_contact.law import contact as law
 from osc_contact.law.jit import as_python
-from osc_contact.law.records import TANGENTS
+from osc_contact.law.records import SURFACE, TANGENTS
 from osc_contact.spatial import Array, Poses
 
 __all__ = ["LawPair", "PairRow", "law_row", "normals_over", "shape"]
 
-_place = as_python(law.place_pair, sqrt=np.sqrt, copysign=np.copysign)
+_place = as_python(law.place_pair, **OF_ARRAYS)
 _motion = as_python(law.permitted_motion)
 _point = as_python(law.point_of_contact)
 
@@ -38,17 +39,15 @@ class PairRow(NamedTuple):
     """A pair as the compiled law reads it.
 
     Attributes:
-        kind: POINTS, FACE_ON_VERTEX, EDGES or TANGENTS of `law.tables`.
+        kind: POINTS, FACE_ON_VERTEX, EDGES, TANGENTS or SURFACE of `law.records`.
         shapes: (16,) each, see the functions of `law.contact`: the columns of N, then the permitted
             motions.
         freedoms: number of the latter.
-        rubs: whether the law has the points of contact, and so friction.
     """
 
     kind: int
     shapes: tuple[Array, ...]
     freedoms: int = 0
-    rubs: bool = False
 
 
 def shape(*parts: Array | float) -> Array:
@@ -83,16 +82,15 @@ class LawPair:
     surface_point: Array
     surface_radius: float = 0.0
     _row: PairRow
-    _numbers: tuple[Any, list[Any]]
+    _numbers: tuple[Any, Shapes]
 
     def _hold(self, row: PairRow, surface_point: Array) -> None:
         """Take the geometry of a pair that is being made."""
-        row = row._replace(rubs=self.pushes)
         count = len(row.shapes) - row.freedoms
         head = SimpleNamespace(
             kind=row.kind, count=count, freedoms=row.freedoms, first=0, shape_at=0
         )
-        shapes = [SimpleNamespace(row=one.tolist()) for one in row.shapes]
+        shapes = Shapes(row.shapes)
         store(self, _row=row, _numbers=(head, shapes), surface_point=surface_point)
 
     def row(self) -> PairRow:
@@ -136,7 +134,7 @@ class LawPair:
         shapes = self._numbers[1]
         points = [
             _point(kind, one.row, A, E, column.N)
-            for one, column in zip(shapes, columns, strict=True)
+            for one, column in zip(shapes, columns, strict=False)
         ]
         return X_WO.translation[:, None] + np.array(points).T
 
@@ -156,7 +154,7 @@ class LawPair:
     ) -> list[Any]:
         head, shapes = self._numbers
         columns = [
-            SimpleNamespace(N=[0.0] * 6, n_gamma_all=0.0, turn=(0.0, 0.0, 0.0))
+            SimpleNamespace(N=[0.0] * 6, n_gamma_all=0.0, turn=(0.0, 0.0, 0.0), believed=[0.0] * 3)
             for _ in range(head.count)
         ]
         try:
@@ -166,6 +164,11 @@ class LawPair:
         except ZeroDivisionError:
             sine = 0.0
         least = np.min(sine)
+        if not least >= law.PARALLEL and self._row.kind == SURFACE:
+            raise ContactError(
+                f"{self.name}: the ball's centre is where no one place of the surface is nearest; "
+                "start with it on the outer side, nearer than the least radius of curvature"
+            )
         if not least >= law.PARALLEL:
             raise ContactError(
                 f"{self.name}: the edges are parallel (sine of their angle {least:.2g}), so their "

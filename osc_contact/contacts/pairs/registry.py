@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -38,11 +39,12 @@ def register_pair(keys: type[ContactSpec] | None = None, **renamed: str) -> Call
     return enter
 
 
-def make_pair(spec: ContactSpec, X_WB: pin.SE3) -> ContactPair:
+def make_pair(spec: ContactSpec, X_WB: pin.SE3, folder: Path | None = None) -> ContactPair:
     """The pair that a scenario describes, its environment frame E where the world's is.
 
     Args:
         spec: of a registered kind. X_WB: pose of the body that the contact is on.
+        folder: where files are that it names.
     """
     pair, renamed = _MADE_FROM[type(spec)]
     given: dict[str, Any] = {}
@@ -52,6 +54,8 @@ def make_pair(spec: ContactSpec, X_WB: pin.SE3) -> ContactPair:
             value = X_WB.act(np.array(value))
         elif OfBody.DIRECTION in field.metadata:
             value = X_WB.rotation @ np.array(value)
+        elif hasattr(value, "made"):
+            value = value.made(folder)
         if key == "face":
             given |= {"point": value.point, "normal": value.normal}
         elif key not in ("type", "body"):

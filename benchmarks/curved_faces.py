@@ -1,0 +1,233 @@
+"""A tool that follows curved faces: what friction and misplacement cost the contact force.
+
+    python -m benchmarks.curved_faces [--faces sphere cylinder saddle] [--radii 0.1 0.3 1.0]
+
+A Panda presses the ball of a peg (12 mm) with 10 N on a sphere, a cylinder and a saddle (a spline
+fitted to a mesh) and slides to and fro on a path of 60 mm at 0.5 Hz, across the cylinder, the peg
+turned with the normal of the face. The judge is MuJoCo with friction 0 or 0.2, which the controller
+does not know, and faces that it takes to be 3 mm nearer and turned by 3 deg, to four sides. Spheres
+and cylinders are MuJoCo's own. It has no saddle: there the ball touches a plane, which before each
+of MuJoCo's steps is put where the exact saddle is nearest to the ball; see `TangentPlane`. Last,
+two Pandas hold a rod whose ball-shaped end (10 mm) does the same on a cylinder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import osc_contact as osc
+from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.robots import resolve_urdf
+from osc_contact.spatial import Array
+
+RADII = (0.1, 0.3, 1.0)
+BALL = 0.012  #: m
+TOP = np.array([0.5, 0.0, 0.25 - BALL])  #: where the ball touches at the start
+FORCE = 10.0
+CASES = {
+    "no friction": {},
+    "friction 0.2, unknown": {"plant.friction": 0.2},
+    **{
+        f"3 mm, 3 deg, side {side}": {
+            "model_error.face_offset": "3 mm",
+            "model_error.face_tilt": "3 deg",
+            "model_error.face_tilt_about": f"{side} deg",
+        }
+        for side in (0, 90, 180, 270)
+    },
+}
+TWO = "rod_on_cylinder"  #: two arms
+LEAN = np.deg2rad(25.0)  #: of the normal where the rod touches
+SHAPES = {
+    "sphere": '<sphere radius="{R}"/>',
+    "cylinder": '<cylinder radius="{R}" length="0.4"/>',
+    "saddle": '<box size="1 1 0.001"/>',
+    TWO: '<cylinder radius="{R}" length="0.4"/>',
+}
+PLANT = {"saddle": "tangent_plane"}
+BODY = """<robot name="part"><link name="part">
+<visual><geometry>{shape}</geometry></visual>
+<collision><geometry>{shape}</geometry></collision></link></robot>"""
+
+
+def saddle_mesh(path: Path, R: float, half: float = 0.06, n: int = 61) -> None:
+    """An STL of z = (x² − y²) / 2R, x, y = −half … half (m)."""
+    x, y = np.meshgrid(*[np.linspace(-half, half, n)] * 2, indexing="ij")
+    p = np.stack((x, y, (x * x - y * y) / (2 * R)), axis=-1)
+    a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
+    corners = np.concatenate(
+        [np.stack(three, 2).reshape(-1, 9) for three in ((a, b, c), (a, c, d))]
+    )
+    rows = np.zeros(len(corners), np.dtype([("f", "<f4", 12), ("pad", "<u2")]))
+    rows["f"][:, 3:] = corners
+    path.write_bytes(b" " * 80 + np.uint32(len(rows)).tobytes() + rows.tobytes())
+
+
+def scenario(folder: Path, face: str, R: float, changes: dict[str, Any]) -> osc.Scenario:
+    """The task on one face, its files in a folder."""
+    (folder / "part.urdf").write_text(BODY.format(shape=SHAPES[face].format(R=R)))
+    pose: dict[str, Any] = {"xyz": (TOP - [0, 0, R]).tolist(), "rpy": [0, 0, 0]}
+    surface: dict[str, Any] = {"type": face, "radius": R}
+    if face == "cylinder":
+        pose["rpy"] = ["90 deg", 0, 0]
+    if face == "saddle":
+        saddle_mesh(folder / "saddle.stl", R)
+        pose["xyz"] = TOP.tolist()
+        surface = {"type": "mesh", "file": "saddle.stl"}
+    wave = {"type": "sine", "amplitude": "30 mm", "frequency": "0.5 Hz", "ramp": "1 s"}
+    arm = {
+        "name": "panda",
+        "urdf": "example-robot-data:panda",
+        "tip": "panda_hand_tcp",
+        "wrist_sensor": "panda_hand",
+        "locked_joints": {"panda_finger_joint1": "11 mm", "panda_finger_joint2": "11 mm"},
+        "posture": [0.0, 0.35, 0.0, -2.0, 0.0, 2.4, 0.8],
+    }
+    contact = {
+        "name": "nose",
+        "type": "sphere_on_surface",
+        "body": "part",
+        "centre": [0, 0, -0.15],
+        "radius": BALL,
+        "surface": surface,
+    }
+    move = {"kind": "surface", "contact": "nose", "direction": [1, 0, 0], "signals": [wave]}
+    data = {
+        "name": face,
+        "description": str(R),
+        "arms": [arm],
+        "object": {"urdf": "peg.urdf", "pose": {"xyz": [0.5, 0, 0.4]}},
+        "grasps": {"panda": {"rpy": ["180 deg", 0, 0]}},
+        "environment": [{"name": "part", "urdf": "part.urdf", "pose": pose}],
+        "contacts": [contact],
+        "force": {"nose": [{"type": "constant", "value": FORCE}]},
+        "motion": [move],
+        "control": {"rate": "1 kHz"},
+        "plant": {"type": PLANT.get(face, "mujoco"), "step": "0.25 ms"},
+        "duration": 5,
+    }
+    if face == TWO:
+        held = osc.load_scenario("dual_panda_rod").as_dict()
+        data |= {key: held[key] for key in ("arms", "object", "grasps", "plant")}
+        contact |= {
+            "centre": [-0.29, 0, 0],
+            "radius": 0.01,
+            "surface": {"type": "cylinder", "radius": R},
+        }
+        outward = np.array([np.sin(LEAN), 0.0, np.cos(LEAN)])  # else the shaft would touch, too
+        place = [-0.29, 0.0, 0.4] - (R + 0.01) * outward
+        pose |= {"xyz": place.tolist(), "rpy": ["90 deg", 0, 0]}
+    for key, value in changes.items():
+        part, name = key.split(".")
+        data.setdefault(part, {})[name] = value  # type: ignore[attr-defined]
+    return osc.Scenario.from_dict(data, folder / "task.yaml")
+
+
+class TangentPlane(MujocoPlant):
+    """MujocoPlant whose one face is put, before each step, where the saddle is nearest to the ball.
+
+    Normal, place and depth of the contact are those of the saddle, exact at the beginning of each
+    of MuJoCo's steps; the plane is at rest, as the saddle is.
+    """
+
+    radius: float  #: R of z = (x² − y²) / 2R, about `TOP` (m)
+
+    def reset(self, q: Array) -> None:
+        """Start at rest at q (n,)."""
+        super().reset(q)
+        self._put()
+        self._mj.mj_forward(self.model, self.data)
+
+    def command(self, tau: Array, duration: float) -> None:
+        """Hold the torques over the steps that fit into `duration`."""
+        for _ in range(self.steps_in(duration)):
+            self._put()
+            super().command(tau, self._step)
+
+    def _put(self) -> None:
+        """The face, whose upper side is 0.5 mm above its origin."""
+        self._mj.mj_kinematics(self.model, self.data)
+        held = self.object_body
+        ball = self.data.xpos[held] + self.data.xmat[held].reshape(3, 3) @ [0, 0, -0.15]
+        foot, n = foot_on_saddle(ball - TOP, self.radius)
+        face = int(self.model.body("face0/root").id)
+        frame = int(self.model.body_parentid[face])
+        assert frame == 0
+        self.model.body_pos[face] = TOP + foot - 0.0005 * n
+        half = np.array([1.0 + n[2], -n[1], n[0], 0.0])  # from z to n the shortest way
+        self.model.body_quat[face] = half / np.linalg.norm(half)
+
+
+def foot_on_saddle(p: Array, R: float) -> tuple[Array, Array]:
+    """The point (3,) of z = (x² − y²) / 2R nearest to p (3,), and the upward normal there."""
+    x, y = p[:2]
+    for _ in range(20):  # Newton's method on the gradient of half the squared distance
+        e = (x * x - y * y) / (2 * R) - p[2]
+        g = np.array([x - p[0] + e * x / R, y - p[1] - e * y / R])
+        H = np.array([[1 + x * x / R**2 + e / R, -x * y / R**2], [0, 1 + y * y / R**2 - e / R]])
+        H[1, 0] = H[0, 1]
+        step = np.linalg.solve(H, g)
+        x, y = x - step[0], y - step[1]
+        if abs(step).max() < 1e-13:
+            break
+    n = np.array([-x / R, y / R, 1.0])
+    return np.array([x, y, (x * x - y * y) / (2 * R)]), n / np.linalg.norm(n)
+
+
+def tangent_plane(parts: Any) -> TangentPlane:
+    """The plant of the saddle; register it as `PLANT["saddle"]`."""
+    folder = parts.scenario.folder
+    plant = TangentPlane(
+        parts.chain,
+        [resolve_urdf(arm.urdf, folder)[0] for arm in parts.scenario.arms],
+        resolve_urdf(parts.scenario.object.urdf, folder)[0],
+        parts.pairs,
+        [(body.urdf[0], body.placement) for body in parts.bodies],
+        options=parts.scenario.plant,
+        on=parts.on,
+    )
+    plant.radius = float(parts.scenario.description)
+    return plant
+
+
+def judge(face: str, R: float, changes: dict[str, Any], duration: float = 5.0) -> dict[str, Any]:
+    """The verdict (`metrics`) of the task on a face.
+
+    Args:
+        face: of `SHAPES`. R: its radius (m). changes: of the scenario. duration: s.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        return osc.metrics(osc.run(scenario(Path(folder), face, R, changes), duration=duration))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--faces", nargs="+", default=list(SHAPES), choices=list(SHAPES))
+    parser.add_argument("--radii", nargs="+", type=float, default=RADII)
+    parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
+    given = parser.parse_args()
+    logging.disable(logging.WARNING)
+    osc.register_plant(PLANT["saddle"])(tangent_plane)
+    print(f"{'face':16}{'radius':>8}  {'case':24}force error, rms  closed  path, rms")
+    for face in given.faces:
+        for R in given.radii:
+            for case in given.cases:
+                verdict = judge(face, R, CASES[case])
+                force = verdict["force"]["nose"]["rms_error_rel"]
+                closed = verdict["contact_fraction"]["nose"]
+                path = 1e3 * verdict["motion"]["rms_error_m"]
+                print(
+                    f"{face:16}{R:6.1f} m  {case:24}{force:14.4%}{closed:9.1%}{path:8.3f} mm",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""Λ, μ, p, J, J̄, Φ, h of one arm against the textbook's formulas in extended precision."""
+
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pinocchio as pin
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, mark, raises
+from rigs import PANDA_Q, panda_arm, placed, scara_pair
+
+import osc_contact as osc
+from osc_contact import robots
+
+BASE = placed(0.3, -0.2, 0.5, (0.4, -1.1, 2.0))
+BALL = np.diag([1.0] * 3 + [0.1] * 3)  #: L of the inertia LLᵀ by which ranks are judged
+STEP = 3e-3
+CENTRAL = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}  #: sixth order
+
+
+def ur5():
+    urdf, _ = robots.find_robot("ur5")
+    return osc.Arm.from_urdf(urdf, name="a", tip="tool0", base=BASE, armature=0.1)
+
+
+ARMS = {
+    "panda": lambda: panda_arm("a", BASE),
+    "ur5": ur5,
+    "scara": lambda: scara_pair().arms[0],
+}
+
+
+@fixture(scope="module", params=ARMS)
+def arm(request):
+    return ARMS[request.param]()
+
+
+def inverse(A):
+    """Gauss and Jordan, in extended precision."""
+    n = len(A)
+    X = np.hstack((A, np.eye(n))).astype(np.longdouble)
+    for k in range(n):
+        X[k] /= X[k, k]
+        others = np.arange(n) != k
+        X[others] -= np.outer(X[others, k], X[k])
+    return X[:, n:]
+
+
+def jacobian(arm, q):
+    data = arm.model.createData()
+    frame = arm.model.getFrameId(arm.tip)
+    J = pin.computeFrameJacobian(arm.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+    return np.kron(np.eye(2), arm.base.rotation) @ J
+
+
+def textbook(arm, q, v):
+    """The terms, M and the least χ; J̇ by finite differences."""
+    model = arm.model.copy()
+    model.gravity.linear = arm.base.rotation.T @ model.gravity.linear
+    data = model.createData()
+    M = pin.crba(model, data, q)
+    M = np.triu(M) + np.triu(M, 1).T
+    J = jacobian(arm, q)
+    steps = {k: jacobian(arm, q + k * STEP * v) - jacobian(arm, q - k * STEP * v) for k in CENTRAL}
+    drift = sum(CENTRAL[k] * d for k, d in steps.items()) @ v / STEP
+    g = pin.computeGeneralizedGravity(model, data, q)
+    h = pin.rnea(model, data, q, v, np.zeros_like(v))
+    bar = inverse(M) @ J.T
+    Phi = J @ bar
+    chi = np.linalg.svd(BALL @ J @ np.linalg.inv(np.linalg.cholesky(M)).T)[1]
+    terms = {"J": J, "Phi": Phi, "drift": drift, "h": h}
+    if len(chi) == 6 and chi[-1] > 1.1e-3:
+        Lambda = inverse(Phi)
+        J_bar = bar @ Lambda
+        mu = J_bar.T @ (h - g) - Lambda @ drift
+        terms |= {"Lambda": Lambda, "J_bar": J_bar, "p": J_bar.T @ g, "mu": mu}
+    return terms, M, chi
+
+
+def states(arm, count, seed=30):
+    """Random ones, every second near the stretched posture: as near as 1/1000 rad."""
+    rng = np.random.default_rng(seed)
+    for k in range(count):
+        size = 10.0 ** rng.uniform(-3.0, 0.0) if k % 2 else 1.0
+        yield size * rng.uniform(-2.5, 2.5, arm.model.nq), rng.normal(size=arm.model.nv)
+
+
+def test_they_are_the_textbooks_on_500_states(arm):
+    least = np.inf
+    for q, v in states(arm, 500):
+        got = osc.operational_space(arm, q, v)
+        want, M, chi = textbook(arm, q, v)
+        for name, x in want.items():
+            x = x.astype(float)
+            assert_allclose(
+                getattr(got, name), x, rtol=0, atol=1e-10 * np.abs(x).max(), err_msg=name
+            )
+        if not (chi > 0.9e-3).all() or chi[-1] > 1.1e-3:
+            assert got.rank == (chi > 1e-3).sum()
+        if "Lambda" in want:
+            least = min(least, chi[-1])
+        a = np.random.default_rng(1).normal(size=arm.model.nv)
+        F = got.Lambda @ (got.J @ a + got.drift) + got.mu + got.p
+        if got.rank == 6:
+            wrench = got.J_bar.T @ (M @ a + got.h)
+            assert_allclose(F, wrench, rtol=0, atol=1e-9 * np.abs(wrench).max())
+        elif got.rank == arm.model.nv:  # the structure carries the rest of F
+            assert_allclose(got.J.T @ F, M @ a + got.h, rtol=0, atol=1e-6)
+            R_S = BALL**2 @ got.J  # Λ = R S (SᵀR Φ R S)⁻¹ SᵀR with S = J
+            half = R_S @ inverse(got.J.T @ R_S)
+            Lambda = (half @ M @ half.T).astype(float)
+            assert_allclose(got.Lambda, Lambda, rtol=0, atol=1e-8 * np.abs(Lambda).max())
+        P = got.J @ got.J_bar
+        assert_allclose(got.Phi @ got.Lambda, P, rtol=0, atol=1e-6)
+        assert_allclose(P @ P, P, rtol=0, atol=1e-6)
+    assert least < 5e-3 or arm.model.nv < 6, "near-singular states are among them"
+
+
+def test_rows_threads_and_memory_given_change_nothing(arm):
+    q, v = (np.array(x) for x in zip(*states(arm, 40, seed=3), strict=True))
+    batch = osc.operational_space(arm, q.tolist(), v)
+    again = pickle.loads(pickle.dumps(arm))
+    kept = osc.operational_space(arm, q[0], v[0])
+    assert osc.operational_space(arm, q, v, out=batch) is batch
+    with ThreadPoolExecutor(4) as pool:
+        others = list(pool.map(osc.operational_space, [arm, again] * 20, q, v))
+    for k, other in enumerate(others):
+        memory = kept.Lambda
+        osc.operational_space(arm, np.repeat(q[k], 2)[::2], v[k], kept)
+        assert np.shares_memory(memory, kept.Lambda)
+        for name in osc.OperationalSpace.__annotations__:
+            for one in (other, kept):
+                assert_array_equal(getattr(batch, name)[k], getattr(one, name), err_msg=name)
+
+
+@mark.parametrize(
+    ("q", "v", "words"),
+    [
+        (PANDA_Q[:6], PANDA_Q, r"q: expected shape \(7\)"),
+        ([PANDA_Q] * 2, PANDA_Q, "v: expected shape"),
+        (np.ones((2, 3, 7)), PANDA_Q, "q: expected shape"),
+        (PANDA_Q, [np.nan] * 7, r"v: element \(0,\) is nan"),
+    ],
+)
+def test_bad_states_are_refused(q, v, words):
+    arm = panda_arm("a", BASE)
+    with raises(osc.InvalidInputError, match=words):
+        osc.operational_space(arm, q, v)
+    out = osc.OperationalSpace(arm)
+    other = panda_arm("b", BASE)
+    with raises(osc.InvalidInputError, match="another arm than 'b'"):
+        osc.operational_space(other, PANDA_Q, PANDA_Q, out)
+    with raises(osc.InvalidInputError, match=r"q: expected shape \(7\), got \(2, 7\)"):
+        osc.operational_space(arm, [PANDA_Q] * 2, [PANDA_Q] * 2, out)
+    with raises(AttributeError, match="no attribute 'mass'"):
+        _ = out.mass

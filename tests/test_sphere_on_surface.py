@@ -1,0 +1,272 @@
+"""A ball on curved surfaces: kinds for the tests of all pairs, MuJoCo's frames, fits, the task."""
+
+import coal
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.testing import assert_allclose
+from pair_kinds import kind, placed, pose_of
+from pytest import approx, fixture, mark, raises
+from rigs import one_panda, random_state
+
+import osc_contact as osc
+from benchmarks import curved_faces
+from osc_contact.contacts.detection import CollisionShape
+from osc_contact.runs import rig as plants
+from osc_contact.runs.surface_motion import surface_references
+
+
+def ball_on(surface, height, slopes, axis=2):
+    """A kind: the surface for a scale, its height over x and y, the gradient of that; its z."""
+
+    def make(rng, c):
+        ball = rng.normal(size=3)
+        rho = 0.2
+        X = pose_of(rng)
+        S = c.X_E.actInv(X)
+        pair = osc.SphereOnSurface(
+            c.A(ball),
+            rho * c.per_metre,
+            surface(c.per_metre),
+            c.per_metre * S.translation,
+            2.0 * S.rotation[:, axis],
+            S.rotation[:, 0] + 0.3 * S.rotation[:, axis],
+        )
+
+        def pose(q):
+            x, y = 0.4 * np.tanh(q[3:])
+            n = np.append(-np.array(slopes(x, y)), 1.0)
+            place = np.array([x, y, height(x, y)]) + rho * n / np.linalg.norm(n)
+            return placed(pin.exp3(q[:3]), ball, X.act(place))
+
+        return pair, pose, 1
+
+    return make
+
+
+def bump(x, y):
+    return 0.03 * x * x - 0.02 * x * y + 0.0004 * y**3 - 0.0001 * x**3 * y * y
+
+
+def patch(scale):
+    x, y = (one.ravel() for one in np.meshgrid(*[np.linspace(-0.8, 0.8, 25)] * 2))
+    return osc.Surface.fitted(scale * np.array([x, y, bump(x, y)]).T, (1, 2))
+
+
+R = 20.0  #: m; for differences whose steps are 0.13 m (`kkt_oracle`)
+KINDS = {
+    "sphere_on_surface": (
+        lambda s: osc.Surface.sphere(s * R),
+        lambda x, y: np.sqrt(R * R - x * x - y * y),
+        lambda x, y: -np.array([x, y]) / np.sqrt(R * R - x * x - y * y),
+    ),
+    "ball_in_a_pipe": (
+        lambda s: osc.Surface.cylinder(-s * R),
+        lambda x, y: -np.sqrt(R * R - x * x),
+        lambda x, y: (x / np.sqrt(R * R - x * x), 0.0),
+        1,
+    ),
+    "ball_on_a_saddle": (
+        lambda s: osc.Surface.saddle(s * R, -2.0 * s * R),
+        lambda x, y: (x * x - 0.5 * y * y) / (2 * R),
+        lambda x, y: (x / R, -0.5 * y / R),
+    ),
+    "ball_on_a_fit": (
+        patch,
+        bump,
+        lambda x, y: (
+            0.06 * x - 0.02 * y - 0.0003 * x * x * y * y,
+            -0.02 * x + 0.0012 * y * y - 0.0002 * x**3 * y,
+        ),
+    ),
+}
+for _name, _how in KINDS.items():
+    _make = ball_on(*_how)
+    _make.__name__ = _name
+    kind(_make)
+
+
+# --- against MuJoCo and by hand -------------------------------------------------------------------
+
+
+@mark.parametrize("R", [0.03, 0.1, 1.0])
+@mark.parametrize("face", ["sphere", "cylinder"])
+def test_normals_gaps_and_points_are_those_of_mujoco(face, R):
+    size = f"{R}" if face == "sphere" else f"{R} 5"
+    xml = f"""<mujoco><worldbody><body name="a"><freejoint/><geom type="sphere" size="0.012"
+        pos="0.1 0.2 -0.3" mass="1"/></body><body name="e"><freejoint/>
+        <geom type="{face}" size="{size}" mass="1"/></body></worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(5)
+    pair = osc.SphereOnSurface([0.1, 0.2, -0.3], 0.012, getattr(osc.Surface, face)(R))
+    for _ in range(20):
+        X_WE = pose_of(rng)
+        n = rng.normal(size=3)
+        n[2] *= face == "sphere"
+        place = (R + 0.012 - 0.004 * rng.random()) * n / np.linalg.norm(n)
+        X_WO = X_WE * placed(pin.exp3(rng.normal(size=3)), pair.centre, place)
+        poses = [pin.SE3ToXYZQUAT(X)[[0, 1, 2, 6, 3, 4, 5]] for X in (X_WO, X_WE)]
+        data.qpos[:] = np.concatenate(poses)
+        mujoco.mj_forward(model, data)
+        assert data.ncon == 1
+        touch = data.contact[0]
+        N = pair.contact(X_WO, np.zeros(6), X_WE).N[:, 0]
+        assert_allclose(touch.frame[:3], N[:3], atol=1e-10)
+        assert touch.dist == approx(pair.gaps(X_WO, X_WE)[0], abs=1e-12)
+        solid = coal.Sphere(R) if face == "sphere" else coal.Cylinder(R, 10.0)
+        centre = pin.SE3(np.eye(3), pair.centre)
+        ball = [CollisionShape("a", coal.Sphere(0.012), centre)]
+        (found,) = osc.detect(ball, X_WO, [CollisionShape("e", solid)], X_WE)
+        assert isinstance(found.pair(), osc.SphereOnSurface)
+        other = found.pair().contact(X_WO, np.ones(6), X_WE)
+        assert_allclose(other.N[:, 0], N, atol=1e-9)
+        assert_allclose(other.n_gamma, pair.contact(X_WO, np.ones(6), X_WE).n_gamma, atol=1e-8)
+        on_ball = touch.pos - 0.5 * touch.dist * N[:3]
+        assert_allclose(pair.points_of_contact(X_WO, X_WE)[:, 0], on_ball, atol=1e-10)
+
+
+def test_what_slides_over_a_ball_falls_towards_its_centre():
+    pair = osc.SphereOnSurface(np.zeros(3), 0.012, osc.Surface.sphere(0.1))
+    X = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.112]))
+    V = np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert pair.contact(X, V).n_gamma[0] == approx(0.09 / 0.112, rel=1e-12)
+    bowl = osc.SphereOnSurface(np.zeros(3), 0.012, osc.Surface.sphere(-0.1))
+    X = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.088]))
+    assert bowl.contact(X, V).n_gamma[0] == approx(-0.09 / 0.088, rel=1e-12)
+    with raises(osc.ContactError, match="no one place of the surface is nearest"):
+        pair.contact(pin.SE3.Identity(), V)
+    with raises(osc.InvalidInputError, match="x axis of the surface"):
+        osc.SphereOnSurface(np.zeros(3), 0.0, osc.Surface.sphere(1.0), axis=[1, 0, 0])
+
+
+def test_a_fit_tells_its_error_and_refuses_too_few_points(tmp_path):
+    curved_faces.saddle_mesh(tmp_path / "saddle.stl", 0.1)
+    fit = osc.Surface.of_mesh(tmp_path / "saddle.stl")
+    assert fit.rms <= fit.worst < 5e-9  # of 32-bit numbers
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(-1, 1, (2, 3000))
+    z = np.sin(3 * x) * np.cos(2 * y)
+    rough = osc.Surface.fitted(np.array([x, y, z + 1e-3 * rng.normal(size=3000)]).T)
+    assert rough.rms == approx(1e-3, rel=0.1) and rough.worst > 3 * rough.rms
+    ball = osc.SphereOnSurface(np.zeros(3), 0.0, rough)
+    away = [ball.gaps(pin.SE3(np.eye(3), p))[0] for p in np.array([x, y, z]).T[:50]]
+    assert np.abs(away).max() < 2e-3
+    with raises(osc.InvalidInputError, match="do not determine a spline of 8 × 8 cells"):
+        osc.Surface.fitted(rng.normal(size=(40, 3)))
+    with raises(osc.ModelError, match="no mesh is read"):
+        osc.Surface.of_mesh(tmp_path / "none.stl")
+
+
+class Own(osc.SphereOnSurface):
+    """The same as a pair that only Python evaluates."""
+
+    def contact(self, *args):
+        return super().contact(*args)
+
+
+@mark.parametrize("kind", [osc.SphereOnSurface, Own])
+def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
+    """n + δ/d, normalised, is the normal of the ball moved by δ, d away; N is W(n, p) then."""
+    chain = one_panda()
+    rng = np.random.default_rng(4)
+    q, v = random_state(chain, rng)
+    X = chain.state(q, v).X_WO
+    centre = 0.1 * rng.normal(size=3)
+    n = rng.normal(size=3)
+    at = X.act(centre) + 0.112 * n / np.linalg.norm(n)
+    pair = kind(centre, 0.012, osc.Surface.sphere(0.1), at)
+    controller = osc.Controller(chain, [pair])
+    assert controller.reading == "least_squares"
+    measurement = osc.Measurement(q, v, np.zeros((1, 6)))
+    reference = osc.Reference(X, 0.3 * rng.normal(size=6), np.zeros(6), np.array([10.0]))
+    controller.tick(measurement, reference)
+    delta = 0.004 * rng.normal(size=3)
+    controller._records.memory.columns[0].turn[:] = delta / 0.112
+    controller.tick(measurement, reference)
+    there = osc.SphereOnSurface(centre, 0.012, osc.Surface.sphere(0.1), at + delta)
+    n = there.contact(X, np.zeros(6)).N[:3, 0]
+    column = controller._records.work.columns[0]
+    believed = pair.contact(X, np.zeros(6)).N[:3, 0]
+    p = X.rotation @ centre + 0.012 * (believed if kind is Own else n)
+    assert_allclose(column.point, p, atol=1e-12)
+    want = np.append(n, np.cross(p, n))
+    assert_allclose(controller.signals.contact.N[:, 0], want, atol=1e-12)
+
+
+# --- in a scenario --------------------------------------------------------------------------------
+
+
+@fixture
+def task(tmp_path, monkeypatch):
+    for register in (plants.PLANTS, plants.PLANT_TYPES):  # taken out again after the test
+        monkeypatch.setitem(register, "tangent_plane", None)
+    osc.register_plant("tangent_plane")(curved_faces.tangent_plane)
+    return lambda face="sphere", R=0.1, **changes: curved_faces.scenario(tmp_path, face, R, changes)
+
+
+def test_references_touch_all_the_way_and_are_derivatives_of_one_another(task):
+    raster = {"kind": "surface", "contact": "nose", "direction": [1, 0, 0], "dwell": 0.1}
+    raster |= {"raster": [0.04, 0.02, 3], "feed": 0.1}
+    for face, more in (("saddle", []), ("sphere", [raster])):
+        scenario = task(face)
+        scenario = scenario.replaced(motion=[*more, *([] if more else scenario.motion)])
+        rig = osc.build_rig(scenario)
+        (pair,) = rig.pairs
+        for t in (0.3, 1.3, 2.1):
+            poses = [rig.references.at(t + s).X_WD for s in (-1e-4, 0.0, 1e-4)]
+            at = rig.references.at(t)
+            assert abs(pair.gaps(at.X_WD)[0]) < 1e-15
+            v = (poses[2].translation - poses[0].translation) / 2e-4
+            w = pin.log3(poses[2].rotation @ poses[0].rotation.T) / 2e-4
+            assert_allclose(at.V_D, np.append(v, w), atol=2e-6)
+            before, after = (rig.references.at(t + s).V_D for s in (-1e-4, 1e-4))
+            assert_allclose(at.A_D, (after - before) / 2e-4, atol=1e-4)
+            n = pair.contact(at.X_WD, np.zeros(6)).N[:3, 0]
+            start = pair.contact(rig.references.at(0.0).X_WD, np.zeros(6)).N[:3, 0]
+            R = at.X_WD.rotation @ rig.references.at(0.0).X_WD.rotation.T
+            assert_allclose(R @ start, n, atol=1e-12)
+
+
+def test_a_raster_rests_at_its_corners_and_a_loop_takes_it(task):
+    rig = osc.build_rig(task())
+    (pair,) = rig.pairs
+    how = {"direction": [1, 0, 0], "force": 8.0, "raster": [0.04, 0.02, 2], "feed": 0.1}
+    all_of_it = list(surface_references(pair, rig.state().X_WO, 2e-3, dwell=0.2, **how))
+    speed = np.array([np.linalg.norm(one.V_D[:3]) for one in all_of_it])
+    resting = np.flatnonzero(np.diff((speed < 1e-9).astype(int)) == 1)
+    assert len(resting) >= 3 and speed.max() < 0.35 and all_of_it[-1].alpha_d == [8.0]
+    with raises(osc.InvalidInputError, match="along the normal"):
+        next(surface_references(pair, rig.state().X_WO, 1e-3, direction=[0, 0, 1], force=1.0))
+    move = {"kind": "surface", "contact": "tip", "direction": [1, 0, 0]}
+    with raises(osc.ScenarioError, match="'tip' is no contact of type sphere_on_surface"):
+        osc.build_rig(task().replaced(motion=[move]))
+
+
+def test_a_force_may_be_a_file(task, tmp_path):
+    t = np.linspace(0.0, 3.0, 61)
+    force = 10.0 + np.sin(3.0 * t)
+    np.savetxt(tmp_path / "force.csv", np.column_stack((t, force)), delimiter=",")
+    signal = {"type": "points", "points": "force.csv"}
+    scenario = task().replaced(force={"nose": [signal]})
+    assert_allclose(osc.build_rig(scenario).references.forces(t)[0], force, atol=1e-12)
+    assert type(scenario).from_dict(scenario.as_dict()) == scenario  # the points, not the name
+    (tmp_path / "force.csv").write_text("0, 1\n1, a\n")
+    with raises(osc.ScenarioError, match="a CSV file with lines 'time, value'"):
+        task().replaced(force={"nose": [signal]})
+
+
+@mark.parametrize("case", [*list(curved_faces.CASES)[:3], "custom pair"])
+def test_a_tool_follows_a_curved_face(task, case):
+    """The table of docs/polish_curved_part.md, its hardest rows."""
+    own = case == "custom pair"
+    scenario = task("sphere" if own else "saddle", **curved_faces.CASES.get(case, {}))
+    if own:
+        (pair,) = osc.build_rig(scenario).pairs
+        pair = Own(pair.centre, pair.radius, pair.surface, pair.origin, name="nose")
+        scenario = scenario.replaced(contacts=[{"pair": pair, "body": "part"}])
+        scenario = scenario.replaced(plant={**scenario.plant.model_dump(), "friction": 0.2})
+    found = osc.metrics(osc.run(scenario, duration=3.0))
+    limit = 5e-4 if case == "no friction" else 0.03 if "3 mm" in case else 0.015
+    assert found["force"]["nose"]["rms_error_rel"] < limit
+    assert found["contact_fraction"] == {"nose": 1.0}
