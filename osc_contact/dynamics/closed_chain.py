@@ -82,7 +82,7 @@ class Look:
         n = len(self.joints)
         M = np.zeros((n, n))
         for s in arms:
-            M[s, s] = self.joints["M"][s, : s.stop - s.start]
+            M[s, s] = self.joints.M[s, : s.stop - s.start]
         return M
 
     def require_done(self) -> None:
@@ -118,7 +118,7 @@ def read_state(chain: ChainModel, now: Look, rest: Look, data: pin.Data) -> Chai
     Lambda = work["Lambda"][m:, m:] + (chain.payload is not None) * np.eye(6 - m)
     p = rest.work["chain_bias"][m:].copy()
     mu = work["chain_bias"][m:] + work["Lambda"][m:, :m] @ sigma - p
-    W = joints["J_bar"] @ free
+    W = joints.J_bar @ free
     G = W.T[:, chain.actuated]
     M = now.inertia(chain.slices)
     X_WO = pin.SE3(work["X_WO"])
@@ -138,8 +138,8 @@ def read_state(chain: ChainModel, now: Look, rest: Look, data: pin.Data) -> Chai
         sigma=motion @ sigma_e,
         G=G,
         W=W,
-        w=joints["offset"] + joints["J_bar"] @ sigma_e,
-        h=joints["h"].copy(),
+        w=joints.offset + joints.J_bar @ sigma_e,
+        h=joints.h.copy(),
         M=M,
         arms=tuple(
             _arm_terms(now, rest, i, s, M[s, s], motion, wrench) for i, s in enumerate(chain.slices)
@@ -163,11 +163,11 @@ def _arm_terms(
 ) -> ArmTerms:
     own = now.arms[number]
     joints = now.joints[s]
-    J = motion @ joints["J"].T
-    J_bar = joints["J_bar"] @ wrench.T
+    J = motion @ joints.J.T
+    J_bar = joints.J_bar @ wrench.T
     gamma = motion @ own["gamma"]
     Lambda = wrench @ own["Lambda"] @ wrench.T
-    p = J_bar.T @ rest.joints["h"][s]
+    p = J_bar.T @ rest.joints.h[s]
     rank = int(own["n_kept"])
     return ArmTerms(
         J=J,
@@ -176,7 +176,7 @@ def _arm_terms(
         Phi=J @ np.linalg.solve(M, J.T),
         Lambda=Lambda,
         J_bar=J_bar,
-        mu=J_bar.T @ joints["h"] - p - Lambda @ gamma,
+        mu=J_bar.T @ joints.h - p - Lambda @ gamma,
         p=p,
         C=wrench @ own["resisted"][: int(own["n_locked"])].T,
         N=wrench @ own["kept"][:rank].T if own["passed"].any() else np.eye(6),
@@ -233,7 +233,7 @@ def require_pinocchio_agrees(chain: ChainModel, row: Bytes) -> None:
         for name, ours, theirs in (
             ("J", look.jacobian, data.J.T),
             ("M", look.inertia(chain.slices), data.M),
-            ("h", look.joints["h"], data.nle),
+            ("h", look.joints.h, data.nle),
         ):
             worst = float(np.abs(ours - theirs).max(initial=0.0))
             if not worst <= TOLERANCE * np.abs(theirs).max(initial=1.0):
