@@ -452,6 +452,29 @@ def own_pair() -> TickCase:
     return replace(case, name="own_pair", pairs=(own, second))
 
 
+def vertex_on_plane(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):  # type: ignore[no-untyped-def]
+    """A vertex (3) of the object on a plane at rest: direction into it (3), distance from O_W."""
+    p = np.empty(3)
+    for i in range(3):
+        p[i] = X_WO[i, 0] * given[0] + X_WO[i, 1] * given[1] + X_WO[i, 2] * given[2]
+    n = given[3:6]
+    N[:3, 0] = n
+    N[3:, 0] = np.cross(p, n)
+    n_gamma[0] = -(n * np.cross(V_O[3:], V_O[:3] + np.cross(V_O[3:], p))).sum()
+    gaps[0] = given[6] - (n * (X_WO[:3, 3] + p)).sum()
+    points[:, 0] = X_WO[:3, 3] + p
+
+
+def compiled_pair() -> TickCase:
+    """The rod rig, one of its two contacts a function that numba compiles."""
+    case = two_contact_rod()
+    first, second = case.pairs
+    n = -first.normal
+    geometry = [*first.vertex, *n, n @ first.point - first.radius]
+    own = osc.CompiledPair(vertex_on_plane, geometry, pushes=True, name=first.name)
+    return replace(case, name="compiled_pair", pairs=(own, second))
+
+
 def _in_other_arrays(name: str, make: Callable[[Array], Any]) -> TickCase:
     """The rod rig, its measurement and reference in arrays of another kind."""
     case = two_contact_rod()
@@ -486,6 +509,7 @@ SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
     "three_arms": three_arms,
     "contact_phases": contact_phases,
     "own_pair": own_pair,
+    "compiled_pair": compiled_pair,
     "single_precision": single_precision,
     "strided": strided,
     "lists": lists,

@@ -13,6 +13,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.contacts.contact import Contact
     from osc_contact.contacts.detection.detect import detect
     from osc_contact.contacts.pairs import (
+        CompiledPair,
         ConeInGroove,
         ContactPair,
         CylinderInHole,
@@ -155,6 +156,7 @@ __all__ = [
     "Fixed",
     "Free",
     "GapFunctions",
+    "CompiledPair",
     "register_pair",
     "Surface",
     "detect",

@@ -32,7 +32,7 @@ def printed(notebook):
 
 
 def test_notebooks_are_numbered():
-    assert [path.stem[:3] for path in NOTEBOOKS] == ["01_", "02_", "03_", "04_", "05_"]
+    assert [path.stem[:3] for path in NOTEBOOKS] == ["01_", "02_", "03_", "04_", "05_", "06_"]
 
 
 def test_a_page_is_embedded_whole(tmp_path):

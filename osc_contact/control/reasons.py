@@ -32,8 +32,9 @@ _SENTENCES = {
         "motion is blocked"
     ),
     at.DEGENERATE_PAIR: (
-        "two edges in contact are parallel: they touch along a line, which edge_on_edge does not "
-        "describe. Give an edge on a face, or turn the object"
+        "a contact has no N in this posture: two edges in contact are parallel (give an edge on a "
+        "face, or turn the object), no one place of a curved face is nearest, or a CompiledPair "
+        "returned what is not finite"
     ),
     at.DIFFERENT_BODIES: (
         "dependent contacts on different bodies: how their force is split decides how the bodies "

@@ -73,6 +73,7 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
         pair.count = r
         pair.shape_at = first_shape
         pair.freedoms = row.freedoms
+        pair.address = row.address
         pair.has_friction = knows_where_it_slides(settings.contacts[number])
         head.columns.contact[first_column : first_column + r] = number
         body.pushes = pushes_only(settings.contacts[number])

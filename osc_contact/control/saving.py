@@ -33,7 +33,8 @@ def controller_bytes(controller: Any) -> bytes:
     """A controller as it is, as the content of a file.
 
     Raises:
-        InvalidInputError: pairs, bodies or laws that only Python can evaluate.
+        InvalidInputError: pairs, bodies or laws that only Python can evaluate, or pairs whose
+            function is at an address of this process.
     """
     if controller._custom.needed:
         raise InvalidInputError(
@@ -41,6 +42,11 @@ def controller_bytes(controller: Any) -> bytes:
             "run without: use the packaged ones"
         )
     own = controller._records
+    if (own.model.pairs.kind == records.FUNCTION).any():
+        raise InvalidInputError(
+            "this controller calls a function of this process (CompiledPair), which a file cannot "
+            "hold: use the packaged pairs"
+        )
     program = MotorLimits(controller.settings, own.model).program
     parts = [own.rows.raw.tobytes(), program.raw.tobytes()]
     head = b"".join(

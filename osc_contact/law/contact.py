@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import namedtuple
 from math import copysign, sqrt
 
-from osc_contact.law.jit import inner, leaf
+from osc_contact.law.jit import call_at, inner, leaf
 from osc_contact.law.records import (
     COUPLE,
     EDGES,
     FACE_ON_VERTEX,
+    FUNCTION,
     GIVEN,
     LEAST_SQUARES,
     POINTS,
@@ -108,7 +109,7 @@ def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
 @inner
 def _tracked(pair, shapes, X_WO, R_E, column):
     """The point whose motion shows how its face is turned, from O; `believed` ← that normal."""
-    if pair.kind == GIVEN:
+    if pair.kind == GIVEN or pair.kind == FUNCTION:
         return column.point[0], column.point[1], column.point[2]
     row = shapes[pair.shape_at].row
     if pair.kind != SURFACE:
@@ -169,9 +170,9 @@ def _line(N, x, y, z, a, b, c):
 def place_contacts(t):
     """Fill N, n_γ and friction wrenches of all columns; False where a pair is degenerate.
 
-    Of pairs that Python evaluates (GIVEN) N, n_γ and points are there. Friction is that of the slip
-    to come, when the torques of this tick act: where a motion turns back it changes its sign within
-    milliseconds.
+    Of pairs that Python evaluates (GIVEN) N, n_γ and points are there, those of FUNCTION pairs come
+    from the user's compiled function. Friction is that of the slip to come, when the torques of
+    this tick act: where a motion turns back it changes its sign within milliseconds.
     """
     model = t.model
     shapes = model.shapes
@@ -180,10 +181,10 @@ def place_contacts(t):
     V_O = t.work.V_O
     moving = t.work.moving
     work = t.work
-    R_E = work.A
+    R_E = work.X_WE
     V_E = work.u
     V_rel = work.w
-    for i in range(3):
+    for i in range(4):
         for j in range(4):
             R_E[i, j] = 1.0 if i == j else 0.0
     fill(V_E, ZERO)
@@ -206,7 +207,13 @@ def place_contacts(t):
             V_E[5] = E[21]
             fill(V_rel, minus(V_O, V_E))
         alone = pair.count == 1 and pair.has_friction != 0 and pair.kind != EDGES
-        if pair.kind != GIVEN:
+        given = pair.kind == GIVEN or pair.kind == FUNCTION
+        if pair.kind == FUNCTION:
+            row = shapes[pair.shape_at].row
+            call_at(pair.address, X_WO, V_O, R_E, V_E, row, work.evaluated)
+            if not _take_evaluated(columns, pair.first, pair.count, work.evaluated):
+                return False
+        if not given:
             motion = Motion(work.X_WO, work.V_O, R_E, V_E, V_rel, moving)
             sine = place_pair(pair, shapes, columns, motion, work.y)
             if not sine >= PARALLEL:
@@ -221,11 +228,29 @@ def place_contacts(t):
             for j in range(pair.count):
                 column = columns[pair.first + j]
                 x, y, z = column.point[0], column.point[1], column.point[2]
-                if pair.kind != GIVEN:
+                if not given:
                     row = shapes[pair.shape_at + j].row
                     x, y, z = point_of_contact(pair.kind, row, X_WO, R_E, column.N)
                 _slide((x, y, z), work.z, work.mu, model.slip, column)
     return True
+
+
+@inner
+def _take_evaluated(columns, first, count, evaluated):
+    """N, n_γ and points of contact as a FUNCTION pair returned them; whether they are finite."""
+    zero = 0.0
+    for j in range(count):
+        column = columns[first + j]
+        given = evaluated[j]
+        for i in range(6):
+            column.N[i] = given[i]
+            zero += 0.0 * given[i]
+        column.n_gamma_all = given[6]
+        zero += 0.0 * given[6]
+        for i in range(3):
+            column.point[i] = given[8 + i]
+            zero += 0.0 * given[8 + i]
+    return zero == 0.0
 
 
 @inner

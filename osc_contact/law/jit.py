@@ -8,6 +8,7 @@ calls (`units`); a numba without what that takes compiles as it always does, in 
 
 from __future__ import annotations
 
+import ctypes
 import inspect
 import logging
 import os
@@ -100,7 +101,14 @@ def as_python(part: Any, **instead: Any) -> Any:
     return FunctionType(source.__code__, {**names, **instead}, source.__name__)
 
 
+def call_address(address: int, *arrays: Any) -> None:
+    """Call the C function at an address with the addresses of arrays."""
+    given = [one.ctypes.data for one in arrays]
+    ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(given))(int(address))(*given)
+
+
 if PLAIN_PYTHON:
+    call_at: Any = call_address
     view: Any = None
     bytes_at: Any = None
     row_at: Any = None
@@ -146,6 +154,30 @@ else:
     def matrix(x, start, rows, columns):
         """Numbers of a row from `start` as (rows, columns)."""
         return table_at(x.ctypes.data + np.uintp(8 * start), rows, columns)
+
+    @intrinsic
+    def _call(typing: Any, at: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Any:
+        """Call the C function at an address with addresses."""
+
+        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+            kind = ir.FunctionType(ir.VoidType(), [ir.IntType(64)] * 6)
+            builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
+            return context.get_dummy_value()
+
+        return types.void(*[types.uintp] * 7), generate
+
+    @view
+    def call_at(address, a, b, c, d, e, f):
+        """Call the C function at an address with the addresses of six arrays."""
+        _call(
+            np.uintp(address),
+            np.uintp(a.ctypes.data),
+            np.uintp(b.ctypes.data),
+            np.uintp(c.ctypes.data),
+            np.uintp(d.ctypes.data),
+            np.uintp(e.ctypes.data),
+            np.uintp(f.ctypes.data),
+        )
 
     @intrinsic
     def _prefetch(typing: Any, address: Any) -> Any:

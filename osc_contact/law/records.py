@@ -49,7 +49,7 @@ LOOK, MEASURE, COMMAND, ALLOCATE, END, HAND_OVER = range(6)
 #: metrics of the motion filter, kinds of grasps, of pairs, of touched bodies
 BY_OBJECT, BY_CHAIN, BY_MATRIX = range(3)
 RIGID, HINGE, BALL, OTHER = range(4)
-POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN, SURFACE = range(6)
+POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN, SURFACE, FUNCTION = range(7)
 FILTER, LEAST_SQUARES = range(2)  #: how contact forces are read off the wrists
 #: columns and freedoms of pairs given by T
 FORCE, COUPLE, THREAD = range(3)
@@ -197,7 +197,17 @@ JOINT = _record(
     placement=12,  # in the joint before it, or in the world: rotation by rows, then point
     link=10,  # mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)
 )
-PAIR = _record(whole=("kind", "first", "count", "shape_at", "freedoms", "has_friction"))
+PAIR = _record(
+    whole=(
+        "kind",
+        "first",
+        "count",
+        "shape_at",
+        "freedoms",
+        "has_friction",
+        "address",  # of the function that a FUNCTION pair is
+    )
+)
 SHAPE = _record(row=16)
 COLUMN = _record(whole=("contact",))
 BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
@@ -419,6 +429,8 @@ _WORK = _record(
     Phi_mu=(6, 6),
     mobility=(6, 6),
     B_inv_t=(6, 6),
+    X_WE=(4, 4),  # of the body whose pair is being evaluated
+    evaluated=(6, 11),  # by a FUNCTION pair: N, n_γ, gap, point of each column
     yields=(6, 6),  # NᵀΦ_e, at O
     b_N=6,
     V_N=6,

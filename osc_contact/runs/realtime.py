@@ -51,7 +51,7 @@ class LoopReport:
     ticks: int = 0
     missed: int = 0
     read_to_write_us: dict[str, float] = field(default_factory=dict)
-    histogram: list[int] = field(default_factory=list)
+    histogram: list[int] = field(default_factory=list, repr=False)
     notes: list[str] = field(default_factory=list)
     shadow: ShadowReport | None = None
 

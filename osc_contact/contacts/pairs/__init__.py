@@ -12,6 +12,7 @@ what type checkers and editors know by name.
 from importlib import import_module
 from pkgutil import iter_modules
 
+from osc_contact.contacts.pairs.compiled_pair import CompiledPair
 from osc_contact.contacts.pairs.cone_in_groove import ConeInGroove
 from osc_contact.contacts.pairs.cylinder_in_hole import CylinderInHole
 from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
@@ -56,4 +57,5 @@ __all__ = [
     "Fixed",
     "Free",
     "GapFunctions",
+    "CompiledPair",
 ]

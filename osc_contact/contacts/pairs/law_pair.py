@@ -39,15 +39,17 @@ class PairRow(NamedTuple):
     """A pair as the compiled law reads it.
 
     Attributes:
-        kind: POINTS, FACE_ON_VERTEX, EDGES, TANGENTS or SURFACE of `law.records`.
+        kind: POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, SURFACE or FUNCTION of `law.records`.
         shapes: (16,) each, see the functions of `law.contact`: the columns of N, then the permitted
             motions.
         freedoms: number of the latter.
+        address: of the C function of a pair that is a function.
     """
 
     kind: int
     shapes: tuple[Array, ...]
     freedoms: int = 0
+    address: int = 0
 
 
 def shape(*parts: Array | float) -> Array:

@@ -1,0 +1,152 @@
+"""A contact pair whose N and n_γ a user's function computes, compiled and called inside the law."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs.law_pair import PairRow
+from osc_contact.contacts.pairs.pair import Bodies, store
+from osc_contact.contacts.pairs.registry import register_pair
+from osc_contact.errors import ContactError, InvalidInputError
+from osc_contact.law.jit import PLAIN_PYTHON, call_address
+from osc_contact.law.records import FUNCTION
+from osc_contact.spatial import Array, as_array
+
+__all__ = ["CompiledPair"]
+
+_WORLD = np.eye(4)
+
+
+@register_pair()
+@dataclass(frozen=True, eq=False)
+class CompiledPair:
+    """A contact pair as one function that numba compiles; the compiled tick calls it by address.
+
+    ``function(X_WO, V_O, X_WE, V_E, parameters, N, n_gamma, gaps, points)`` reads the poses X_WO
+    and X_WE (4, 4) of object and environment body, their twists V_O and V_E (6,), both at O in
+    world axes, and the pair's parameters, and fills N (6, r), which is given as NaN, n_γ (r,), the
+    gaps (r,) and, of pairs that push, where each magnitude acts: points (3, r), world (m). The
+    latter three are given as zeros. What they mean: see `ContactPair`. The function keeps to what
+    numba compiles without Python objects, allocates nothing if it is to run in real time, and is
+    that of a module if the pair is pickled.
+
+    Attributes:
+        function: see above; plain, or made by `numba.njit`. It is compiled once for all parameters.
+        parameters: numbers of the geometry, in the units that the function takes.
+        forces: r, 1 … 6.
+        pushes: whether every magnitude is a force that must not become negative; then points are
+            given, and there may be friction.
+        name: used in messages and recordings.
+    """
+
+    function: Callable[..., None]
+    parameters: npt.ArrayLike = ()
+    forces: int = 1
+    pushes: bool = False
+    name: str = "compiled_pair"
+    _rows: Array = field(init=False, repr=False)  # parameters, 16 a row
+
+    def __post_init__(self) -> None:
+        if self.forces not in range(1, 7):
+            raise InvalidInputError(f"{self.name}.forces = {self.forces}; give r, 1 … 6")
+        numbers = as_array(f"{self.name}.parameters", self.parameters, (None,))
+        rows = np.zeros((max(self.forces, -(-len(numbers) // 16)), 16))
+        rows.flat[: len(numbers)] = numbers
+        store(self, parameters=numbers, _rows=rows)
+        self.row()
+
+    def row(self) -> PairRow:
+        """The pair as the compiled law reads it.
+
+        Raises:
+            InvalidInputError: numba cannot compile the function.
+        """
+        try:
+            address = _entry(self.function, self.forces, np.size(self.parameters))[0]
+        except Exception as error:  # of many kinds: syntax, names, types
+            raise InvalidInputError(f"{self.name}: numba cannot compile it: {error}") from error
+        return PairRow(FUNCTION, tuple(self._rows), len(self._rows) - self.forces, address)
+
+    def contact(
+        self,
+        X_WO: pin.SE3,
+        V_O: Array,
+        X_WE: pin.SE3 | None = None,
+        V_E: Array | None = None,
+    ) -> Contact:
+        """N (6, r) and n_γ (r,) at O, world axes (see `ContactPair.contact`).
+
+        Args:
+            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
+
+        Raises:
+            ContactError: N or n_γ is not finite.
+        """
+        found = self._evaluate(X_WO, X_WE, Bodies.at_O(X_WO, V_O, X_WE, V_E))
+        if not np.isfinite(found[:, :7]).all():
+            raise ContactError(f"{self.name}: N or n_γ is not finite")
+        return Contact(found[:, :6].T, found[:, 6], name=self.name)
+
+    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+        """(r,) signed errors (m or rad)."""
+        return self._evaluate(X_WO, X_WE)[:, 7]
+
+    def points_of_contact(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+        """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
+        return X_WO.translation[:, None] + self._evaluate(X_WO, X_WE)[:, 8:].T
+
+    def _evaluate(self, X_WO: pin.SE3, X_WE: pin.SE3 | None, bodies: Bodies | None = None) -> Array:
+        """(r, 11) N, n_γ, gap and point from O of each magnitude."""
+        found = np.empty((self.forces, 11))
+        V_O, V_E = (np.zeros(6),) * 2 if bodies is None else (bodies.V_A, bodies.V_E)
+        body = _WORLD if X_WE is None else X_WE.homogeneous
+        given = [X_WO.homogeneous, V_O, body, V_E]
+        rows = [np.ascontiguousarray(one, dtype=float) for one in given]
+        call_address(self.row().address, *rows, self._rows, found)
+        return found
+
+
+@cache
+def _entry(function: Any, forces: int, count: int) -> tuple[int, Any]:
+    """The address of the C function that the law calls, and what keeps it there.
+
+    Args:
+        function, forces: of the pair. count: of its parameters.
+    """
+    import numba
+
+    carray: Any = numba.carray  # type: ignore[attr-defined]
+    source = getattr(function, "py_func", function)
+    part = source if PLAIN_PYTHON else numba.njit(error_model="numpy")(source)
+
+    def evaluate(X_WO: Any, V_O: Any, X_WE: Any, V_E: Any, parameters: Any, evaluated: Any) -> None:
+        pose = carray(X_WO, (4, 4))
+        twists = carray(V_O, (6,)), carray(V_E, (6,))
+        given = carray(parameters, (count,))
+        out = carray(evaluated, (forces, 11))
+        out[:, :6] = np.nan
+        out[:, 6:] = 0.0
+        N = out[:, :6].T
+        points = out[:, 8:].T
+        body = carray(X_WE, (4, 4))
+        part(pose, twists[0], body, twists[1], given, N, out[:, 6], out[:, 7], points)
+        for i in range(forces):
+            for k in range(3):
+                out[i, 8 + k] -= pose[k, 3]
+
+    if PLAIN_PYTHON:
+        kept: Any = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(ctypes.c_double)] * 6)(evaluate)
+        return int(ctypes.cast(kept, ctypes.c_void_p).value or 0), kept
+    types: Any = numba.types
+    pointer = types.CPointer(types.float64)
+    kept = numba.cfunc(types.void(*[pointer] * 6))(evaluate)
+    return int(kept.address), kept

@@ -1,0 +1,114 @@
+"""A pair given as a function that numba compiles: the kind for the tests of all pairs, its ways."""
+
+import pickle
+
+import numpy as np
+import pinocchio as pin
+from numpy.testing import assert_allclose, assert_array_equal
+from pair_kinds import kind, placed
+from pytest import mark, raises
+from rigs import one_panda, random_state
+
+import osc_contact as osc
+
+
+def ball_on_ball(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):
+    """A ball of the object, centre and radius, on one of the environment."""
+    p = np.empty(3)
+    c = np.empty(3)
+    apart = 0.0
+    for i in range(3):
+        p[i] = c[i] = 0.0
+        for j in range(3):
+            p[i] += X_WO[i, j] * given[j]
+            c[i] += X_WE[i, j] * given[4 + j]
+        c[i] += X_WE[i, 3] - X_WO[i, 3]
+        apart += (c[i] - p[i]) ** 2
+    apart = np.sqrt(apart)
+    n = (c - p) / apart
+    p_dot = V_O[:3] + np.cross(V_O[3:], p)
+    c_dot = V_E[:3] + np.cross(V_E[3:], c)
+    slip = c_dot - p_dot
+    n_dot = slip - n * (n * slip).sum()
+    n_dot /= apart
+    N[:3, 0] = n
+    N[3:, 0] = np.cross(p, n)
+    V = V_O - V_E
+    turned = np.cross(p_dot, n) + np.cross(p, n_dot)
+    n_gamma[0] = -(n_dot * V[:3]).sum() - (turned * V[3:]).sum()
+    gaps[0] = apart - given[3] - given[7]
+    for i in range(3):
+        points[i, 0] = X_WO[i, 3] + p[i] + given[3] * n[i]
+
+
+@kind
+def compiled_pair(rng, c):
+    ball = rng.normal(size=3)
+    rest = rng.normal(size=3)
+    radii = rng.uniform(10.0, 20.0, 2)  # the oracle differentiates numerically, steps of 5 mm
+    given = np.concatenate((c.A(ball), radii[:1] * c.per_metre, c.E(rest), radii[1:] * c.per_metre))
+
+    def pose(q):
+        x, y, z = pin.exp3(np.append(q[3:], 0.0))[:, 2]
+        return placed(pin.exp3(q[:3]), ball, rest + radii.sum() * np.array([x, y, z]))
+
+    return osc.CompiledPair(ball_on_ball, given, pushes=True), pose, 1
+
+
+def nothing(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):
+    """N stays as it is given."""
+
+
+def of_no_type(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):
+    gaps[0] = {}.nothing_of_the_kind
+
+
+def two(X):
+    """A compiled pair and a packaged one of the same geometry."""
+    rng = np.random.default_rng(3)
+    ball = 0.1 * rng.normal(size=3)
+    n = rng.normal(size=3)
+    at = X.act(ball) + 0.112 * n / np.linalg.norm(n)
+    surface = osc.SphereOnSurface(ball, 0.012, osc.Surface.sphere(0.1), at, name="one")
+    given = [*ball, 0.012, *at, 0.1]
+    return osc.CompiledPair(ball_on_ball, given, pushes=True, name="one"), surface
+
+
+@mark.parametrize("friction", [None, osc.Friction(mu=0.2)])
+def test_a_controller_ticks_as_with_the_packaged_pair(friction):
+    chain = one_panda()
+    q, v = random_state(chain, np.random.default_rng(4))
+    X = chain.state(q, v).X_WO
+    measurement = osc.Measurement(q, 0.1 * v, np.ones((1, 6)))
+    reference = osc.Reference(X, np.full(6, 0.02), np.zeros(6), np.array([10.0]))
+    controllers = [osc.Controller(chain, [pair], friction=friction) for pair in two(X)]
+    for _ in range(3):
+        ours, theirs = (one.tick(measurement, reference) for one in controllers)
+        assert_allclose(ours, theirs, rtol=1e-9)
+    assert controllers[0].status is controllers[1].status is osc.Status.OK
+    again = pickle.loads(pickle.dumps(controllers[0]))
+    assert_array_equal(
+        again.tick(measurement, reference), controllers[0].tick(measurement, reference)
+    )
+
+
+def test_what_is_wrong_is_said(tmp_path):
+    with raises(osc.InvalidInputError, match="numba cannot compile it"):
+        osc.CompiledPair(of_no_type)
+    with raises(osc.InvalidInputError, match="forces = 7; give r, 1 … 6"):
+        osc.CompiledPair(nothing, forces=7)
+    empty = osc.CompiledPair(nothing)
+    with raises(osc.ContactError, match="N or n_γ is not finite"):
+        empty.contact(pin.SE3.Identity(), np.zeros(6))
+    chain = one_panda()
+    q, v = random_state(chain, np.random.default_rng(4))
+    controller = osc.Controller(chain, [empty])
+    X = chain.state(q, v).X_WO
+    tau = controller.tick(
+        osc.Measurement(q, v, np.zeros((1, 6))),
+        osc.Reference(X, np.zeros(6), np.zeros(6), np.array([1.0])),
+    )
+    assert controller.status is osc.Status.HELD and np.isfinite(tau).all()
+    assert "returned what is not finite" in controller.reason
+    with raises(osc.InvalidInputError, match="CompiledPair"):
+        controller.save(tmp_path / "controller")
