@@ -13,13 +13,11 @@ import zlib
 from contextlib import suppress
 from pathlib import Path
 
-from numba import types
-
 from osc_contact.errors import OscContactError
 from osc_contact.files import whole_file
-from osc_contact.law import jit, limits, tick
+from osc_contact.law import jit, limits, ready, terms, tick
 from osc_contact.law.compiled import announced
-from osc_contact.law.jit import bytes_at, inner, row_at, table_at
+from osc_contact.law.jit import bytes_at, inner, row_at, table_at, words_at
 from osc_contact.law.limits import PROGRAM
 from osc_contact.law.records import JOB, MODEL
 from osc_contact.law.sources import law_hash
@@ -28,9 +26,16 @@ _job = JOB.at
 _model = MODEL.at
 _program = PROGRAM.at
 
-_rows, _prepare, _finish, _fill, _settle = (
+_rows, _terms, _prepare, _finish, _fill, _settle = (
     inner(part.__wrapped__)
-    for part in (tick.rows, limits.prepare, limits.finish, limits.fill_program, limits.settle)
+    for part in (
+        tick.rows,
+        terms.operational_space,
+        limits.prepare,
+        limits.finish,
+        limits.fill_program,
+        limits.settle,
+    )
 )
 
 
@@ -57,6 +62,39 @@ def osc_law_rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched):
         row_at(alpha_d, head.n_columns),
         table_at(touched, head.n_contacts if moving else 0, 28),
     )
+
+
+def osc_law_many(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, sizes):
+    """`tick.rows` of any arrays.
+
+    Args:
+        raw, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched: addresses. at: where the JOB is.
+        sizes: address of the number of bytes, elements or rows of each array.
+    """
+    n = words_at(sizes, 9)
+    return _rows(
+        bytes_at(raw),
+        at,
+        row_at(q, n[1]),
+        row_at(v, n[2]),
+        table_at(wrenches, n[3], 6),
+        table_at(X_WD, n[4], 4),
+        row_at(V_D, n[5]),
+        row_at(A_D, n[6]),
+        row_at(alpha_d, n[7]),
+        table_at(touched, n[8], 28),
+    )
+
+
+def osc_law_terms(raw, q, v, out, sizes):
+    """`terms.operational_space`.
+
+    Args:
+        raw, q, v, out: addresses. sizes: address of the columns of `out`, then the number of
+            elements or rows of each.
+    """
+    n = words_at(sizes, 4)
+    return _terms(bytes_at(raw), row_at(q, n[1]), row_at(v, n[2]), table_at(out, n[3], n[0]))
 
 
 def osc_law_fill(raw, at, i, program):
@@ -101,6 +139,8 @@ def osc_law_settle(raw, at, i, program):
 #: Arguments of each: p address, i whole number.
 ENTRIES = {
     osc_law_rows: "pipppppppp",
+    osc_law_many: "pippppppppp",
+    osc_law_terms: "ppppp",
     osc_law_fill: "piip",
     osc_law_prepare: "pi",
     osc_law_finish: "pi",
@@ -114,6 +154,8 @@ def object_file() -> bytes:
     Raises:
         OscContactError: nothing is compiled here, or not in units.
     """
+    if jit.READY is not None:
+        return Path(jit.READY.__file__).with_name(ready.OBJECT).read_bytes()
     if jit._units is None:
         raise OscContactError(
             "the law is not compiled to objects here: see the log, or set neither "
@@ -125,6 +167,8 @@ def object_file() -> bytes:
     code = _kept(path) if path else b""
     if code:
         return code
+    from numba import types
+
     kinds = {"p": types.uintp, "i": types.int64}
     with announced(tick.rows):
         roots = {

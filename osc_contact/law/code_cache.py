@@ -15,6 +15,8 @@ import zlib
 from contextlib import suppress
 from typing import Any
 
+import llvmlite
+import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 from osc_contact.law.sources import law_hash
@@ -82,7 +84,9 @@ class CodeCache(FunctionCache):
         self._impl.machine_code = machine_code
         date = self._impl.locator.get_source_stamp()
         self._cache_file = _CheckedFile(
-            self.cache_path, self._impl.filename_base, (date, law_hash())
+            self.cache_path,
+            self._impl.filename_base,
+            (date, law_hash(), numba.__version__, llvmlite.__version__),
         )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:

@@ -18,7 +18,7 @@ import numpy as np
 
 from osc_contact.law import terms
 from osc_contact.law import tick as law
-from osc_contact.law.jit import PLAIN_PYTHON
+from osc_contact.law.jit import COMPILES, READY
 from osc_contact.law.records import Rows, new_model
 
 _log = logging.getLogger(__name__)
@@ -54,7 +54,9 @@ def operational_space() -> Any:
 
 def _made(call: Any, *nothing: Any) -> Any:
     """An entry, compiled by a call for nothing; what it compiles for is then settled."""
-    if not PLAIN_PYTHON:
+    if READY is not None:
+        return call.call
+    if COMPILES:
         with announced(call):
             call(*nothing)
         call.disable_compile()

@@ -16,15 +16,18 @@ from types import FunctionType
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba import carray, config, njit, types  # type: ignore[attr-defined]
-from numba.core import cgutils
-from numba.extending import intrinsic
 
-PLAIN_PYTHON: bool = bool(getattr(config, "DISABLE_JIT"))  # noqa: B009 - set at run time
+from osc_contact.errors import missing
+from osc_contact.law import ready
+
+#: Whether the law runs as Python.
+PLAIN_PYTHON = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+#: The library that holds the law; None: it is compiled, or runs as Python.
+READY: Any = None if PLAIN_PYTHON else ready.load()
+#: Whether numba compiles it.
+COMPILES = READY is None and not PLAIN_PYTHON
 
 _log = logging.getLogger(__name__)
-_njit: Any = njit
 _PLAIN: dict[str, Any] = {"error_model": "numpy"}
 
 
@@ -37,9 +40,18 @@ def _private(name: str, otherwise: str) -> Any:
         return None
 
 
+_njit: Any = None
 _units: Any = None
 _cache: Any = None
-if not PLAIN_PYTHON:
+if COMPILES:
+    try:
+        from llvmlite import ir
+        from numba import carray, njit, types  # type: ignore[attr-defined]
+        from numba.core import cgutils
+        from numba.extending import intrinsic
+    except ImportError as error:
+        raise ImportError(f"the law is not compiled here, and {missing(error)}") from error
+    _njit = njit
     if os.environ.get("OSC_CONTACT_UNITS", "1") != "0":
         _units = _private("units", "the law takes longer to compile")
     _cache = _private("code_cache", "every process compiles the law")
@@ -47,7 +59,7 @@ if not PLAIN_PYTHON:
 
 def inner(function: Any, inlined: bool = False) -> Any:
     """A part of the law, called by compiled functions only."""
-    if PLAIN_PYTHON:
+    if not COMPILES:
         return function
     if _units is None:
         return _njit(**_PLAIN, forceinline=inlined)(function)
@@ -64,6 +76,8 @@ def entry(function: Any) -> Any:
 
     An edit of any source of the law, or a damaged cache, has it compiled anew, see `code_cache`.
     """
+    if READY is not None:
+        return Ready(function)
     if PLAIN_PYTHON:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
     machine_code = None
@@ -81,6 +95,21 @@ def entry(function: Any) -> Any:
     if _cache is not None:
         made._cache = _cache.CodeCache(function, machine_code)
     return made
+
+
+class Ready:
+    """An entry of the library.
+
+    Attributes:
+        call: what Python calls.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self.__wrapped__ = function
+        self.call = getattr(READY, function.__name__)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.call(*arguments)
 
 
 def as_python(part: Any, **instead: Any) -> Any:
@@ -107,11 +136,12 @@ def call_address(address: int, *arrays: Any) -> None:
     ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(given))(int(address))(*given)
 
 
-if PLAIN_PYTHON:
+if not COMPILES:
     call_at: Any = call_address
     view: Any = None
     bytes_at: Any = None
     row_at: Any = None
+    words_at: Any = None
     table_at: Any = None
 
     def matrix(x: Any, start: int, rows: int, columns: int) -> Any:
@@ -144,6 +174,11 @@ else:
     def row_at(address, count):
         """Numbers at an address."""
         return carray(_pointer(address), (count,), np.float64)
+
+    @view
+    def words_at(address, count):
+        """Whole numbers at an address."""
+        return carray(_pointer(address), (count,), np.int64)
 
     @view
     def table_at(address, rows, columns):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from osc_contact.law.jit import PLAIN_PYTHON
+from osc_contact.law.jit import COMPILES
 
 Bytes = NDArray[np.uint8]
 _LINE = 64  #: bytes; each table begins a line of the cache
@@ -44,7 +44,7 @@ class Nested:
         if words:
             fields.insert(0, ("layout", np.int64, (words,)))
         self.dtype = np.dtype(fields, align=True)
-        if PLAIN_PYTHON:
+        if not COMPILES:
             self.at: Any = lambda raw, start: self.view(raw[start:])
         else:
             from osc_contact.law.nested_type import pointer_to
