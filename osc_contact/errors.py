@@ -20,6 +20,8 @@ __all__ = [
 
 #: Extra that brings a package, by the name under which it is imported.
 EXTRAS = {
+    "numba": "law",
+    "llvmlite": "law",
     "yaml": "scenarios",
     "typer": "scenarios",
     "rich": "scenarios",

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from test_ready import library  # noqa: F401
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
@@ -57,7 +58,8 @@ def test_a_recording_is_judged_without_compiler_and_simulator():
     assert not {"numba", "mujoco"} & set(printed(program))
 
 
-def test_names_of_the_core_need_no_extra():
+def test_names_of_the_core_need_no_extra(library, monkeypatch):  # noqa: F811
+    monkeypatch.setenv("OSC_CONTACT_LAW", str(library))
     program = """
 import sys
 from osc_contact.errors import EXTRAS

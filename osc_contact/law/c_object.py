@@ -9,6 +9,10 @@ Sizes of arrays are those of MODEL; nobody checks them here.
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import sysconfig
 import zlib
 from contextlib import suppress
 from pathlib import Path
@@ -189,3 +193,31 @@ def _kept(path: Path) -> bytes:
         if zlib.crc32(content[4:]).to_bytes(4, "little") == content[:4]:
             return content[4:]
     return b""
+
+
+def build(folder: Path) -> None:
+    """Make the library of `ready`, and the object beside it.
+
+    Args:
+        folder: where.
+
+    Raises:
+        OscContactError: there is no C compiler, or it has no headers of Python.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / ready.OBJECT).write_bytes(object_file())
+    source = Path(__file__).with_name("extension.c")
+    include = sysconfig.get_paths()["include"]
+    compiler = os.environ.get("CC", "cc")
+    command = [compiler, "-O2", "-shared", "-fPIC", f"-I{include}", f'-DLAW="{law_hash()}"']
+    command += [str(source), str(folder / ready.OBJECT), "-lm", "-o", str(folder / ready.LIBRARY)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True)
+    except OSError as error:
+        raise OscContactError(f"no C compiler: {error}") from error
+    if done.returncode != 0:
+        raise OscContactError(f"{compiler} cannot build the law: {done.stderr.strip()[-500:]}")
+
+
+if __name__ == "__main__":  # with OSC_CONTACT_LAW=jit where there is a library already
+    build(Path(sys.argv[1]))

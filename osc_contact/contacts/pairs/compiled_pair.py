@@ -16,7 +16,7 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.law_pair import PairRow
 from osc_contact.contacts.pairs.pair import Bodies, store
 from osc_contact.contacts.pairs.registry import register_pair
-from osc_contact.errors import ContactError, InvalidInputError
+from osc_contact.errors import ContactError, InvalidInputError, missing
 from osc_contact.law.jit import PLAIN_PYTHON, call_address
 from osc_contact.law.records import FUNCTION
 from osc_contact.spatial import Array, as_array
@@ -122,7 +122,10 @@ def _entry(function: Any, forces: int, count: int) -> tuple[int, Any]:
     Args:
         function, forces: of the pair. count: of its parameters.
     """
-    import numba
+    try:
+        import numba
+    except ImportError as error:
+        raise InvalidInputError(missing(error)) from error
 
     carray: Any = numba.carray  # type: ignore[attr-defined]
     source = getattr(function, "py_func", function)

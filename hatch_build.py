@@ -1,0 +1,67 @@
+"""Build hook of wheels: the compiled law goes in, where numba and a C compiler can make it.
+
+OSC_CONTACT_LAW=jit leaves it out: such a wheel is for every platform, and numba compiles the law
+when it is first used. A checkout installed with `pip install -e` is left as it is.
+"""
+
+import os
+import re
+import sys
+import sysconfig
+import tempfile
+from pathlib import Path
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+OLDEST = (2, 17)  # glibc of manylinux2014
+
+
+class CustomBuildHook(BuildHookInterface):
+    """Adds `osc_contact.law.ready`'s two files to a wheel."""
+
+    def dependencies(self):
+        """What pip brings into the environment that a wheel is built in."""
+        if os.environ.get("OSC_CONTACT_LAW") == "jit":
+            return []
+        core = self.metadata.core
+        arrays = [one for one in core.dependencies if one.startswith("numpy")]
+        return [*arrays, *core.optional_dependencies["law"]]
+
+    def initialize(self, version, build_data):
+        """Make both files; where that fails the wheel is one without them."""
+        if version == "editable" or os.environ.get("OSC_CONTACT_LAW") == "jit":
+            return
+        os.environ["OSC_CONTACT_LAW"] = "jit"  # numba, not a library that lies here
+        sys.path.insert(0, self.root)
+        self.folder = tempfile.TemporaryDirectory()
+        folder = Path(self.folder.name)
+        try:
+            from osc_contact.law import c_object, ready
+
+            c_object.build(folder)
+        except Exception as error:
+            self.app.display_warning(f"wheel without the compiled law, numba compiles it: {error}")
+            return
+        finally:
+            del os.environ["OSC_CONTACT_LAW"]
+            sys.path.remove(self.root)
+        for name in (ready.LIBRARY, ready.OBJECT):
+            build_data["force_include"][str(folder / name)] = f"osc_contact/law/{name}"
+        build_data["pure_python"] = False
+        build_data["tag"] = f"cp311-abi3-{platform_of(folder / ready.LIBRARY)}"
+        self.app.display_info("wheel with the compiled law")
+
+    def finalize(self, version, build_data, artifact_path):
+        """Remove the files made."""
+        if hasattr(self, "folder"):
+            self.folder.cleanup()
+
+
+def platform_of(library):
+    """The tag of the oldest Linux that a library runs on, by the versions of glibc it names."""
+    platform = re.sub(r"[.-]", "_", sysconfig.get_platform())
+    if not platform.startswith("linux_"):
+        return platform
+    found = re.findall(rb"GLIBC_(\d+)\.(\d+)", library.read_bytes())
+    fits = all((int(a), int(b)) <= OLDEST for a, b in found)
+    return platform.replace("linux", "manylinux_{}_{}".format(*OLDEST)) if fits else platform
