@@ -126,8 +126,8 @@ def push_arm(
             if good * dt >= _SETTLING:
                 begin = k * dt
                 arm = next(a.name for a in rig.model.arms if a.wrist_sensor is not None)
-                push = Push(arm, (force * _direction(rig, direction)).tolist(), begin, duration)
-                truth.pushes = (*truth.pushes, push)
+                push = {"arm": arm, "force": (force * _direction(rig, direction)).tolist()}
+                truth.pushes = (*truth.pushes, Push(**push, start=begin, duration=duration))
                 first = k + round(duration / dt)
                 last = first + after
             elif k * dt > rig.scenario.duration:
