@@ -328,10 +328,9 @@ def search(
             "(postures=), or control the force along another axis"
         )
     unstable, ours_unstable = (int((some < 0.0).sum()) for some in (classic, ours))
-    counts = (unstable, ours_unstable, float(ours.min()))
-    return WorstPosture(
-        arm, examined[worst], seed, postures, len(examined), *values[worst], *counts
-    )
+    least = float(ours.min())
+    found = (len(examined), *values[worst], unstable, ours_unstable, least)
+    return WorstPosture(arm, examined[worst], seed, postures, *found)
 
 
 def eigenvalues(arm: HybridArm, q: Array) -> tuple[Array, Array]:
