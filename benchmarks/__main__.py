@@ -4,8 +4,6 @@ python -m benchmarks tick | peers | scaling | jitter | law | operational_space |
 simulation | many_runs | vector_env | soak | franka
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, NamedTuple

@@ -8,8 +8,6 @@ faces taken to be 3 mm nearer and turned by 3 deg, to four sides. Printed is a l
 mass and side: rms force error of each contact, what its reading errs by, how long it was closed.
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import typer

@@ -7,8 +7,6 @@ then it is killed. Counted are the files that can still be read and the chunks l
 reported. Containers whose packages (pyarrow) are not installed are left out.
 """
 
-from __future__ import annotations
-
 import random
 import subprocess
 import sys

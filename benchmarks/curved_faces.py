@@ -11,8 +11,6 @@ of MuJoCo's steps is put where the exact saddle is nearest to the ball; see `Tan
 two Pandas hold a rod whose ball-shaped end (10 mm) does the same on a cylinder.
 """
 
-from __future__ import annotations
-
 import tempfile
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From a Franka's state to its torques: over libfranka's protocol, beside a simulated robot."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

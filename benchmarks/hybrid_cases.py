@@ -6,8 +6,6 @@ operational-space controller (isaac-sim/IsaacLab, source/isaaclab/test/controlle
 Panda presses on a wall and goes from goal to goal along it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path

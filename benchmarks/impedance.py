@@ -3,8 +3,6 @@
 python -m benchmarks.impedance [--picture FILE]
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The tick on the clock: absolute deadlines, compute time and wake-up jitter apart."""
 
-from __future__ import annotations
-
 import os
 import platform
 from collections.abc import Sequence

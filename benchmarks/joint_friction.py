@@ -7,8 +7,6 @@ viscous friction of its joints and their rotors are those of the plant; the cont
 the friction times a factor (0: unknown). Judged from one second of motion on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass

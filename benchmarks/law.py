@@ -1,7 +1,5 @@
 """What of a tick is the law's one call, beside Pinocchio's `computeAllTerms` of the same arms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

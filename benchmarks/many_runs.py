@@ -4,8 +4,6 @@ Workers make rows side by side. One process hands them jobs, keeps their rows an
 what it spends on a row bounds how many workers have work.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Medians of calls that take turns in one process, and what machine they were taken on."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

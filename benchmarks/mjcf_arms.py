@@ -7,8 +7,6 @@ file, without and with 0.5 kg m² in every joint: rms force error, overshoot of 
 contact, verdict. Where the wall stands follows from the posture that `osc-contact new` takes.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """Λ, μ, p, J, J̄, Φ, h of one arm beside `computeAllTerms`, and beside the same with Pinocchio."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

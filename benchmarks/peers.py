@@ -1,7 +1,5 @@
 """The tick beside what else could be run in its place, on the same rigs."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

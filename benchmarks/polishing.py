@@ -5,8 +5,6 @@ is the true contact force. No sensor reads k and no force law can know it. The d
 the pass, and a learner receives one number: how uneven it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

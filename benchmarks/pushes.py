@@ -12,8 +12,6 @@ weight of 48.07 N) sink back onto these when they are stopped, and a free cart m
 (moving_face): that is reported, and not wrong below a tenth of their speed limits.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor

@@ -8,8 +8,6 @@ largest magnitude that the channel has (or 1e-9, whichever is more). The exit co
 where a difference is above 1e-12, or where a channel, a state or the verdict of a run is another.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

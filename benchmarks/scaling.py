@@ -1,7 +1,5 @@
 """How the tick grows: with arms, with the degree of constraint r, with contacts."""
 
-from __future__ import annotations
-
 from itertools import chain
 
 import numpy as np

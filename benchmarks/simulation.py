@@ -1,7 +1,5 @@
 """How much faster than real time a whole run is, and where its time goes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps

@@ -7,8 +7,6 @@ for the process, from a tenth of the run on to its last tick, and at its most un
 has been read through.
 """
 
-from __future__ import annotations
-
 import json
 import resource
 import subprocess

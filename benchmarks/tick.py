@@ -1,7 +1,5 @@
 """The tick of some rigs beside the floor, `pin.computeAllTerms` of the same arms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 from rich.table import Table

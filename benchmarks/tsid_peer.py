@@ -8,8 +8,6 @@ cone (3 motion rows, 3 forces), fingers locked. Timed apart: `computeProblemData
 environment's Pinocchio.
 """
 
-from __future__ import annotations
-
 import glob
 import json
 import sys

@@ -1,7 +1,5 @@
 """How fast the rows of a vector environment advance, and what of it is control."""
 
-from __future__ import annotations
-
 from time import perf_counter, process_time
 
 import numpy as np

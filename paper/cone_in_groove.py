@@ -5,8 +5,6 @@ neither parallel nor perpendicular. Four pushes on the walls and two motions are
 rigid plant.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

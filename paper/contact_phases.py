@@ -4,8 +4,6 @@
 from free motion to both contacts, slides, and takes it away again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -4,8 +4,6 @@
 are what it shares with fig. 2, which `paper.cone_in_groove` draws.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations, pairwise, product
 from typing import Any

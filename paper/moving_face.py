@@ -5,8 +5,6 @@ cart, on a cart with a return spring, or on a hinge with one. Each time the full
 with one that sees the face's pose and velocity but takes it as unyielding and unaccelerated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product

@@ -1,7 +1,5 @@
 """What a study is given and what it hands back: figures, a table and its numbers by one name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The real workcell of section 6, one trouble at a time: what each costs the contact forces."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
