@@ -4,12 +4,9 @@ python -m benchmarks tick | peers | scaling | jitter | law | operational_space |
 simulation | many_runs | vector_env | soak | franka
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.table import Table
@@ -18,6 +15,7 @@ from benchmarks.measuring import machine, machine_lines
 from osc_contact.console import JsonOption, exit_codes, out, say
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs.report import write_json
+from paper.study import Data
 
 #: Name of each benchmark, which is that of its module, → ticks where none are given.
 BENCHMARKS: dict[str, int] = {
@@ -37,11 +35,10 @@ BENCHMARKS: dict[str, int] = {
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
 
-@dataclass(frozen=True)
-class Report:
+class Report(NamedTuple):
     """What a benchmark found: JSON-able data, lines about the machine, tables."""
 
-    data: dict[str, Any]
+    data: Data
     lines: tuple[str, ...]
     tables: list[Table]
 
@@ -68,12 +65,11 @@ def run_benchmark(
     if tsid_python is not None and name != "peers":
         raise InvalidInputError("only the benchmark 'peers' runs TSID; leave --tsid-python out")
     bench = import_module(f"benchmarks.{name}")
-    count = BENCHMARKS[name] if ticks is None else ticks
-    data = bench.measure(count, tsid_python) if name == "peers" else bench.measure(count)
+    more = () if tsid_python is None else (tsid_python,)
+    data = bench.measure(BENCHMARKS[name] if ticks is None else ticks, *more)
     if json_file is not None:
         write_json(data, json_file)
-    lines = machine_lines(data.get("machine") or machine())
-    return Report(data, lines, bench.tables(data))
+    return Report(data, machine_lines(data.get("machine") or machine()), bench.tables(data))
 
 
 @app.command()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ import pinocchio as pin
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.pairs import ContactPair, VertexOnFace
-from osc_contact.control.controller import Controller, Status
+from osc_contact.control.controller import Controller
+from osc_contact.control.status import Status
 from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
@@ -27,7 +29,10 @@ ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.
 END = np.array([0.29, 0.0, 0.0])
 RADIUS = 0.01  # the packaged rod's
 PANDA_Q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78])
-GAINS = Gains(osc.MotionGains(900.0, 60.0), osc.ForceGains(30.0, 100.0))
+GAINS = Gains(
+    motion=osc.MotionGains(stiffness=900.0, damping=60.0),
+    force=osc.ForceGains(integral=30.0, damping=100.0),
+)
 
 
 def require_status(controller: Controller, name: str, expected: Status = Status.OK) -> None:
@@ -48,14 +53,10 @@ def require_status(controller: Controller, name: str, expected: Status = Status.
 
 def repeatable(controller: Controller) -> Controller:
     """The same controller, to be ticked with the very same readings again and again."""
-    endless = controller.settings.safety.replaced(
-        stuck_speed=np.inf,
-        frozen_time=np.inf,
-        speed_error=np.inf,
-        position_drift=np.inf,
-        wrist_error=np.inf,
+    rules = ("stuck_speed", "frozen_time", "speed_error", "position_drift", "wrist_error")
+    return controller.with_safety(
+        controller.settings.safety.replaced(**dict.fromkeys(rules, np.inf))
     )
-    return controller.with_safety(endless)
 
 
 @dataclass(frozen=True)
@@ -113,10 +114,8 @@ class TickCase:
     def floor(self) -> Callable[[], object]:
         """`pin.computeAllTerms` of the same arms at the same q and v."""
         model = self.chain.model
-        data = self.chain.model.createData()
-        q = np.array(self.measurement.q, dtype=float)
-        v = np.array(self.measurement.v, dtype=float)
-        return lambda: pin.computeAllTerms(model, data, q, v)
+        q, v = (np.array(x, dtype=float) for x in (self.measurement.q, self.measurement.v))
+        return partial(pin.computeAllTerms, model, model.createData(), q, v)
 
 
 def in_motion(
@@ -168,18 +167,10 @@ def one_panda() -> TickCase:
 
 def two_pandas() -> TickCase:
     """Two Pandas hold a rod, each end on a face: d = 6, r = 2."""
-    down = pin.rpy.rpyToMatrix(np.pi, 0.0, 0.0)
-    turned = pin.rpy.rpyToMatrix(np.pi, 0.0, np.pi)
-    arms = [
-        panda("left", pin.SE3(np.eye(3), np.array([-0.55, 0.0, 0.0]))),
-        panda("right", pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi), np.array([0.55, 0.0, 0.0]))),
-    ]
-    grasps = [
-        pin.SE3(R, np.array([x, 0.0, 0.0])).inverse() for R, x in ((down, -0.15), (turned, 0.15))
-    ]
+    arms = [panda("left", _at(-0.55)), panda("right", _at(0.55, yaw=np.pi))]
+    grasps = [_at(-0.15, roll=np.pi).inverse(), _at(0.15, roll=np.pi, yaw=np.pi).inverse()]
     chain = ClosedChain(arms, grasps, osc.RigidObject(ROD))
-    X = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.45]))
-    q = close(chain, reach(chain, np.concatenate((PANDA_Q, PANDA_Q)), X))
+    q = close(chain, reach(chain, np.tile(PANDA_Q, 2), _at(0.0, z=0.45)))
     return _sliding("two_pandas", chain, q, [-END, END])
 
 
@@ -188,6 +179,10 @@ CASES: dict[str, Callable[[], TickCase]] = {
     "one_panda": one_panda,
     "two_pandas": two_pandas,
 }
+
+
+def _at(x: float, z: float = 0.0, roll: float = 0.0, yaw: float = 0.0) -> pin.SE3:
+    return pin.SE3(pin.rpy.rpyToMatrix(roll, 0.0, yaw), np.array([x, 0.0, z]))
 
 
 def panda(name: str, base: pin.SE3) -> osc.Arm:
@@ -204,13 +199,10 @@ def _sliding(name: str, chain: ClosedChain, q: Array, vertices: list[Array]) -> 
     up = np.array([0.0, 0.0, 1.0])
     pairs = []
     for i, vertex in enumerate(vertices):
-        outward = X.rotation @ vertex / np.linalg.norm(vertex)
-        normal = up - 0.5 * outward
-        normal = normal / np.linalg.norm(normal)
+        normal = _unit(up - 0.5 * _unit(X.rotation @ vertex))
         point = X.act(vertex) - RADIUS * normal
         pairs.append(VertexOnFace(vertex, point, normal, RADIUS, name=f"contact{i}"))
-    across = np.cross(up, X.rotation[:, 0])
-    speed = 0.1 * across / np.linalg.norm(across)
+    speed = 0.1 * _unit(np.cross(up, X.rotation[:, 0]))
 
     def reference(t: float) -> Reference:
         V = np.concatenate((speed, np.zeros(3)))
@@ -218,6 +210,10 @@ def _sliding(name: str, chain: ClosedChain, q: Array, vertices: list[Array]) -> 
         return Reference(X_WD, V, np.zeros(6), np.full(len(pairs), 10.0))
 
     return in_motion(name, chain, tuple(pairs), q, GAINS, reference)
+
+
+def _unit(x: Array) -> Array:
+    return x / np.linalg.norm(x)
 
 
 # --- Any number of arms around one object, with contacts, made up at random in code ---
@@ -313,75 +309,67 @@ def _another(
     rig: RandomRig, pairs: list[ContactPair], rng: np.random.Generator, S: Array
 ) -> VertexOnFace:
     """The one of some random faces that depends least on the others."""
-    best = None
-    least = -1.0
-    for _ in range(30):
-        vertex = rng.uniform(-0.3, 0.3, 3)
-        normal = rng.normal(size=3)
-        pair = VertexOnFace(vertex, rig.X_WO.act(vertex), normal, name=f"face{len(pairs)}")
+    half = np.linalg.cholesky(S.T @ BODY.matrix() @ S)
+
+    def apart(pair: ContactPair) -> float:
         N = np.hstack([p.contact(rig.X_WO, np.zeros(6)).N for p in (*pairs, pair)])
-        felt = np.linalg.solve(np.linalg.cholesky(S.T @ BODY.matrix() @ S), S.T @ N)
-        apart = float(np.linalg.svd(felt / np.linalg.norm(felt, axis=0))[1][-1])
-        if apart > least:
-            best = pair
-            least = apart
-    assert best is not None
-    return best
+        felt = np.linalg.solve(half, S.T @ N)
+        return float(np.linalg.svd(felt / np.linalg.norm(felt, axis=0))[1][-1])
+
+    drawn = [(rng.uniform(-0.3, 0.3, 3), rng.normal(size=3)) for _ in range(30)]
+    name = f"face{len(pairs)}"
+    return max((VertexOnFace(p, rig.X_WO.act(p), n, name=name) for p, n in drawn), key=apart)
 
 
 def _planar(rng: np.random.Generator) -> tuple[pin.Model, Array]:
-    lengths = rng.uniform(0.25, 0.4, 3)
-    turns = [(pin.JointModelRZ(), np.eye(3), np.array([a, 0.0, 0.0])) for a in (0.0, *lengths[:2])]
+    a, b, c = rng.uniform(0.25, 0.4, 3)
     q = np.array([rng.uniform(-3, 3), *rng.uniform(1.0, 1.8, 2)])  # well bent
-    return _chain(turns, np.array([lengths[2], 0.0, 0.0]), rng), q
+    return _chain([(0, 0, 0, 0), (0, a, 0, 0), (0, b, 0, 0)], (c, 0.0, 0.0), rng), q
 
 
 def _scara(rng: np.random.Generator) -> tuple[pin.Model, Array]:
     a, b = rng.uniform(0.25, 0.4, 2)
-    joints = [
-        (pin.JointModelRZ(), np.eye(3), np.array([0.0, 0.0, 0.4])),
-        (pin.JointModelRZ(), np.eye(3), np.array([a, 0.0, 0.0])),
-        (pin.JointModelPZ(), np.eye(3), np.array([b, 0.0, 0.0])),
-        (pin.JointModelRZ(), np.eye(3), np.array([0.0, 0.0, -0.2])),
-    ]
+    joints = [(0, 0, 0, 0.4), (0, a, 0, 0), (0, b, 0, 0), (0, 0, 0, -0.2)]
     q = np.array([rng.uniform(-3, 3), rng.uniform(0.6, 2.0), -0.1, rng.uniform(-3, 3)])
-    return _chain(joints, np.array([0.05, 0.0, -0.1]), rng), q
+    return _chain(joints, (0.05, 0.0, -0.1), rng, sliding=2), q
 
 
 def _ur5(rng: np.random.Generator) -> tuple[pin.Model, Array]:
     """Six revolute joints with the proportions of a UR5, lengths varied by a tenth."""
-    quarter = pin.rpy.rpyToMatrix(np.pi / 2, 0.0, 0.0)
-    k = rng.uniform(0.9, 1.1, 6)
-    joints = [
-        (pin.JointModelRZ(), np.eye(3), np.array([0.0, 0.0, 0.089 * k[0]])),
-        (pin.JointModelRZ(), quarter, np.zeros(3)),
-        (pin.JointModelRZ(), np.eye(3), np.array([0.425 * k[1], 0.0, 0.0])),
-        (pin.JointModelRZ(), np.eye(3), np.array([0.392 * k[2], 0.0, 0.109 * k[3]])),
-        (pin.JointModelRZ(), quarter, np.array([0.0, -0.095 * k[4], 0.0])),
-        (pin.JointModelRZ(), quarter.T, np.array([0.0, 0.082 * k[5], 0.0])),
-    ]
+    lengths = np.array([0.089, 0.425, 0.392, 0.109, 0.095, 0.082])
+    a, b, c, d, e, f = lengths * rng.uniform(0.9, 1.1, 6)
+    joints = [(0, 0, 0, a), (1, 0, 0, 0), (0, b, 0, 0), (0, c, 0, d), (1, 0, -e, 0), (-1, 0, f, 0)]
     q = np.array([0.0, -1.2, 1.4, -1.0, -1.5, 0.3]) + rng.uniform(-0.3, 0.3, 6)
-    return _chain(joints, np.array([0.0, 0.0, 0.12]), rng), q
+    return _chain(joints, (0.0, 0.0, 0.12), rng), q
 
 
 _MAKE = {"planar": _planar, "scara": _scara, "ur5": _ur5}
 
 
 def _chain(
-    joints: list[tuple[object, Array, Array]], tip: Array, rng: np.random.Generator
+    joints: Sequence[tuple[float, ...]],
+    tip: tuple[float, float, float],
+    rng: np.random.Generator,
+    sliding: int | None = None,
 ) -> pin.Model:
-    """A serial arm: joints with the placement of each in the one before; links of 1 to 3 kg."""
+    """A serial arm of joints about (one of them along) their z; links of 1 to 3 kg.
+
+    Args:
+        joints: quarter turns about x, and x, y, z in the joint before (m). tip: in the last (m).
+        rng: random numbers. sliding: the joint along z.
+    """
     model = pin.Model()
     last = 0
-    for i, (joint, R, p) in enumerate(joints):
-        last = model.addJoint(last, joint, pin.SE3(R, p), f"joint{i}")
+    for i, (quarters, *p) in enumerate(joints):
+        joint = pin.JointModelPZ() if i == sliding else pin.JointModelRZ()
+        R = pin.rpy.rpyToMatrix(quarters * np.pi / 2, 0.0, 0.0)
+        last = model.addJoint(last, joint, pin.SE3(R, np.array(p)), f"joint{i}")
         body = pin.Inertia(rng.uniform(1.0, 3.0), rng.uniform(-0.1, 0.1, 3), 0.02 * np.eye(3))
         model.appendBodyToJoint(last, body, pin.SE3.Identity())
     model.upperEffortLimit[:] = 1e4
-    identity = pin.SE3.Identity()
-    to_tip = pin.SE3(np.eye(3), tip)
-    model.addFrame(pin.Frame("wrist", last, 0, identity, pin.FrameType.OP_FRAME))
-    model.addFrame(pin.Frame("tip", last, 0, to_tip, pin.FrameType.OP_FRAME))
+    for name, point in {"wrist": (0.0, 0.0, 0.0), "tip": tip}.items():
+        X = pin.SE3(np.eye(3), np.array(point))
+        model.addFrame(pin.Frame(name, last, 0, X, pin.FrameType.OP_FRAME))
     return model
 
 
@@ -475,32 +463,23 @@ def compiled_pair() -> TickCase:
     return replace(case, name="compiled_pair", pairs=(own, second))
 
 
-def _in_other_arrays(name: str, make: Callable[[Array], Any]) -> TickCase:
-    """The rod rig, its measurement and reference in arrays of another kind."""
+def in_other_arrays(name: str) -> TickCase:
+    """The rod rig, its measurement and reference in arrays of another kind (of `ARRAYS`)."""
     case = two_contact_rod()
-    m = case.measurement
-    r = case.reference
-    return replace(
-        case,
-        name=name,
-        measurement=replace(m, q=make(m.q), v=make(m.v), wrenches=make(m.wrenches)),
-        reference=replace(r, V_D=make(r.V_D), A_D=make(r.A_D), alpha_d=make(r.alpha_d)),
-    )
+
+    def other(x: Any, *names: str) -> Any:
+        return replace(x, **{name_of: ARRAYS[name](getattr(x, name_of)) for name_of in names})
+
+    measurement = other(case.measurement, "q", "v", "wrenches")
+    reference = other(case.reference, "V_D", "A_D", "alpha_d")
+    return replace(case, name=name, measurement=measurement, reference=reference)
 
 
-def single_precision() -> TickCase:
-    """The rod rig, every array of single precision."""
-    return _in_other_arrays("single_precision", lambda x: x.astype(np.float32))
-
-
-def strided() -> TickCase:
-    """The rod rig, every array a view of every second element."""
-    return _in_other_arrays("strided", lambda x: np.repeat(x, 2, axis=-1)[..., ::2])
-
-
-def lists() -> TickCase:
-    """The rod rig, lists in the place of arrays."""
-    return _in_other_arrays("lists", lambda x: x.tolist())
+ARRAYS: dict[str, Callable[[Array], Any]] = {
+    "single_precision": lambda x: x.astype(np.float32),
+    "strided": lambda x: np.repeat(x, 2, axis=-1)[..., ::2],
+    "lists": lambda x: x.tolist(),
+}
 
 
 SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
@@ -509,11 +488,19 @@ SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
     "three_arms": three_arms,
     "contact_phases": contact_phases,
     "own_pair": own_pair,
+<<<<<<< HEAD
     "compiled_pair": compiled_pair,
     "single_precision": single_precision,
     "strided": strided,
     "lists": lists,
+=======
+    **{name: partial(in_other_arrays, name) for name in ARRAYS},
+>>>>>>> h26p
 }
+
+
+#: Of the rows' inputs about those of a single tick.
+SPREADS = {"q": 1e-3, "v": 1e-3, "wrenches": 0.1, "V_D": 1e-3, "A_D": 0.0, "alpha_d": 0.1}
 
 
 @dataclass(frozen=True)
@@ -538,32 +525,19 @@ class BatchCase:
             case: of the single tick. rows: how many. threads: of the batch.
         """
         rng = np.random.default_rng(0)
-        m = case.measurement
         r = case.reference
-
-        def near(x: Array, spread: float) -> Array:
-            x = np.asarray(x, dtype=float)
-            return x + spread * rng.normal(size=(rows, *x.shape))
-
-        inputs = {
-            "q": near(m.q, 1e-3),
-            "v": near(m.v, 1e-3),
-            "wrenches": near(m.wrenches, 0.1),
-            "X_WD": np.tile(r.X_WD.homogeneous, (rows, 1, 1)),
-            "V_D": near(r.V_D, 1e-3),
-            "A_D": near(r.A_D, 0.0),
-            "alpha_d": near(r.alpha_d, 0.1),
-            "squeeze_d": np.full(rows, float(r.squeeze_d)),
-        }
-        return cls(case, rows, threads, inputs)
+        inputs = {}
+        for name, spread in SPREADS.items():
+            x = np.asarray(getattr(r if hasattr(r, name) else case.measurement, name), float)
+            inputs[name] = x + spread * rng.normal(size=(rows, *x.shape))
+        X_WD = np.tile(r.X_WD.homogeneous, (rows, 1, 1))
+        squeeze = np.full(rows, float(r.squeeze_d))
+        return cls(case, rows, threads, inputs | {"X_WD": X_WD, "squeeze_d": squeeze})
 
     def tick(self) -> tuple[Callable[[], Array], Callable[[], None]]:
         """A tick of all rows, and what is to be called after each, as in `TickCase.tick`."""
         batch = osc.BatchController([self.case.controller()] * self.rows, self.threads)
         expected = self.case.status
-
-        def tick() -> Array:
-            return batch.tick(**self.inputs)
 
         def unwind() -> None:
             wrong = np.flatnonzero(batch.status != expected)
@@ -575,7 +549,7 @@ class BatchCase:
                 )
             batch.reset()
 
-        return tick, unwind
+        return partial(batch.tick, **self.inputs), unwind
 
     def floor(self) -> Callable[[], object]:
         """`pin.computeAllTerms` of all rows, one after the other."""
@@ -589,13 +563,14 @@ class BatchCase:
         return floor
 
 
-def _batch(case: Callable[[], TickCase], threads: int) -> Callable[[], BatchCase]:
-    return lambda: BatchCase.around(case(), ROWS, threads)
+def batch(case: Callable[[], TickCase], threads: int) -> BatchCase:
+    """Many rows of a case."""
+    return BatchCase.around(case(), ROWS, threads)
 
 
 BATCHES: dict[str, Callable[[], BatchCase]] = {
-    "batch_4096": _batch(one_panda, 1),
-    "batch_4096_two_threads": _batch(one_panda, 2),
-    "batch_4096_rods": _batch(two_contact_rod, 1),
-    "batch_4096_rods_two_threads": _batch(two_contact_rod, 2),
+    "batch_4096": partial(batch, one_panda, 1),
+    "batch_4096_two_threads": partial(batch, one_panda, 2),
+    "batch_4096_rods": partial(batch, two_contact_rod, 1),
+    "batch_4096_rods_two_threads": partial(batch, two_contact_rod, 2),
 }

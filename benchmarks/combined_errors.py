@@ -1,6 +1,6 @@
 """All errors of a real workcell at once: what they cost the contact forces.
 
-    python -m benchmarks.combined_errors [--rigs two_contact_rod panda_edge] [--duration 4]
+    python -m benchmarks.combined_errors [--rigs two_contact_rod --rigs panda_edge] [--duration 4]
 
 All masses of the model 20 % too large or too small, 0.3 kg hidden in the object, friction of 0.2
 believed to be 0.15, encoders and wrists with noise, wrists with 1 N of bias and 3 ms late, 500 Hz,
@@ -8,13 +8,13 @@ faces taken to be 3 mm nearer and turned by 3 deg, to four sides. Printed is a l
 mass and side: rms force error of each contact, what its reading errs by, how long it was closed.
 """
 
-from __future__ import annotations
+from itertools import product
 
-import argparse
-import logging
-from typing import Any
+import typer
 
 import osc_contact as osc
+from osc_contact.sweeps.rows import without_logged_doubts
+from paper.study import Data
 
 #: Changes of any scenario, beside those of `judge`.
 ERRORS = [
@@ -29,12 +29,12 @@ ERRORS = [
     "sensors.wrist={rate: 500 Hz, delay: 3 ms, force: {noise: 0.1 N, bias: 1 N},"
     " torque: {noise: 0.005 Nm}}",
 ]
-RIGS = ("two_contact_rod", "dual_panda_rod", "panda_edge")
+RIGS = ["two_contact_rod", "dual_panda_rod", "panda_edge"]
 MASSES = (1.2, 0.8)
 SIDES = (0, 90, 180, 270)
 
 
-def judge(name: str, mass: float, side: float, duration: float = 4.0) -> dict[str, Any]:
+def judge(name: str, mass: float, side: float, duration: float = 4.0) -> Data:
     """The verdict (`metrics`) of a scenario with all errors.
 
     Args:
@@ -46,26 +46,20 @@ def judge(name: str, mass: float, side: float, duration: float = 4.0) -> dict[st
     return osc.metrics(osc.run(osc.load_scenario(name, [*ERRORS, *masses, *more])))
 
 
-def main() -> None:
+def main(rigs: list[str] = RIGS, duration: float = 4.0) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rigs", nargs="+", default=RIGS)
-    parser.add_argument("--duration", type=float, default=4.0)
-    given = parser.parse_args()
-    logging.disable(logging.WARNING)
     print(f"{'rig':18}masses  side  force error, rms (reading)  closed  overshoot")
-    for name in given.rigs:
-        for mass in MASSES:
-            for side in SIDES:
-                verdict = judge(name, mass, side, given.duration)
-                forces = "  ".join(
-                    f"{one['rms_error_rel']:5.2%} ({one['sensing_rms_rel']:5.2%})"
-                    for one in verdict["force"].values()
-                )
-                closed = min(verdict["contact_fraction"].values())
-                most = max(step["overshoot_rel"] for step in verdict["steps"])
-                print(f"{name:18}{mass:6}{side:6}  {forces}  {closed:.2%}  {most:.0%}")
+    for name, mass, side in product(rigs, MASSES, SIDES):
+        with without_logged_doubts():
+            verdict = judge(name, mass, side, duration)
+        forces = "  ".join(
+            f"{one['rms_error_rel']:5.2%} ({one['sensing_rms_rel']:5.2%})"
+            for one in verdict["force"].values()
+        )
+        closed = min(verdict["contact_fraction"].values())
+        most = max(step["overshoot_rel"] for step in verdict["steps"])
+        print(f"{name:18}{mass:6}{side:6}  {forces}  {closed:.2%}  {most:.0%}")
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -7,8 +7,6 @@ then it is killed. Counted are the files that can still be read and the chunks l
 reported. Containers whose packages (pyarrow) are not installed are left out.
 """
 
-from __future__ import annotations
-
 import random
 import subprocess
 import sys
@@ -27,7 +25,7 @@ NUMBERS = 120
 
 def write(kind: str, path: Path) -> None:
     """Append chunks for ever."""
-    put = {"mcap": _mcap, "arrow": _arrow, "npz": _npz}[kind](path)
+    put = KINDS[kind][1](path)
     for k in count():
         put(k, np.full((ROWS, NUMBERS), float(k)))
         print(k + 1, flush=True)
@@ -66,6 +64,9 @@ def _npz(path: Path) -> Any:
     return put
 
 
+KINDS = {"mcap": ("mcap", _mcap), "arrow": ("pyarrow", _arrow), "npz": ("numpy", _npz)}
+
+
 def chunks_in(kind: str, path: Path) -> int:
     """Chunks that hold what was written; an error: the file cannot be read."""
     if kind == "mcap":
@@ -91,9 +92,8 @@ def chunks_in(kind: str, path: Path) -> int:
 
 def main(kills: int) -> None:
     """Print a line for each container."""
-    needs = {"mcap": "mcap", "arrow": "pyarrow", "npz": "numpy"}
     rng = random.Random(1)
-    for kind, package in needs.items():
+    for kind, (package, _) in KINDS.items():
         if find_spec(package) is None:
             print(f"{kind}: {package} is not installed")
             continue
@@ -103,21 +103,19 @@ def main(kills: int) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / f"run.{kind}"
                 command = [sys.executable, __file__, "--write", kind, str(path)]
-                with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-                    assert process.stdout is not None
-                    process.stdout.readline()
+                with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+                    process.stdout.readline()  # type: ignore[union-attr]
                     sleep(rng.uniform(0.0, 0.2))
                     process.kill()
-                    said = [1, *map(int, process.stdout.read().split())][-1]
+                    said = [1, *map(int, process.communicate()[0].split())][-1]
                 try:
                     lost.append(max(0, said - chunks_in(kind, path)))
                 except Exception as error:  # whatever a container's reader ends in is the result
                     unreadable.append(type(error).__name__)
-        most = max(lost, default=0)
         ends = f" ({', '.join(sorted(set(unreadable)))})" if unreadable else ""
         print(
             f"{kind}: {kills} kills, {len(unreadable)} unreadable{ends}, "
-            f"{most} chunks lost at most",
+            f"{max(lost, default=0)} chunks lost at most",
             flush=True,
         )
 

@@ -1,6 +1,6 @@
 """A tool that follows curved faces: what friction and misplacement cost the contact force.
 
-    python -m benchmarks.curved_faces [--faces sphere cylinder saddle] [--radii 0.1 0.3 1.0]
+    python -m benchmarks.curved_faces [--faces sphere --faces saddle] [--radii 0.1]
 
 A Panda presses the ball of a peg (12 mm) with 10 N on a sphere, a cylinder and a saddle (a spline
 fitted to a mesh) and slides to and fro on a path of 60 mm at 0.5 Hz, across the cylinder, the peg
@@ -11,46 +11,41 @@ of MuJoCo's steps is put where the exact saddle is nearest to the ball; see `Tan
 two Pandas hold a rod whose ball-shaped end (10 mm) does the same on a cylinder.
 """
 
-from __future__ import annotations
-
-import argparse
-import logging
 import tempfile
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import typer
 
 import osc_contact as osc
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.robots import resolve_urdf
 from osc_contact.spatial import Array
+from osc_contact.sweeps.rows import without_logged_doubts
+from paper.study import PANDA, Data
 
-RADII = (0.1, 0.3, 1.0)
+RADII = [0.1, 0.3, 1.0]
 BALL = 0.012  #: m
 TOP = np.array([0.5, 0.0, 0.25 - BALL])  #: where the ball touches at the start
 FORCE = 10.0
-CASES = {
-    "no friction": {},
-    "friction 0.2, unknown": {"plant.friction": 0.2},
-    **{
-        f"3 mm, 3 deg, side {side}": {
-            "model_error.face_offset": "3 mm",
-            "model_error.face_tilt": "3 deg",
-            "model_error.face_tilt_about": f"{side} deg",
-        }
-        for side in (0, 90, 180, 270)
-    },
-}
+CASES: dict[str, Data] = {"no friction": {}, "friction 0.2, unknown": {"plant": {"friction": 0.2}}}
+for _side in (0, 90, 180, 270):
+    _error = {"face_offset": "3 mm", "face_tilt": "3 deg", "face_tilt_about": f"{_side} deg"}
+    CASES[f"3 mm, 3 deg, side {_side}"] = {"model_error": _error}
 TWO = "rod_on_cylinder"  #: two arms
 LEAN = np.deg2rad(25.0)  #: of the normal where the rod touches
+_CYLINDER = '<cylinder radius="{R}" length="0.4"/>'
 SHAPES = {
     "sphere": '<sphere radius="{R}"/>',
-    "cylinder": '<cylinder radius="{R}" length="0.4"/>',
+    "cylinder": _CYLINDER,
     "saddle": '<box size="1 1 0.001"/>',
-    TWO: '<cylinder radius="{R}" length="0.4"/>',
+    TWO: _CYLINDER,
 }
-PLANT = {"saddle": "tangent_plane"}
+FACES = list(SHAPES)
+PLANT = "tangent_plane"
+NOSE = [0, 0, -0.15]  #: the ball's middle, in the peg
 BODY = """<robot name="part"><link name="part">
 <visual><geometry>{shape}</geometry></visual>
 <collision><geometry>{shape}</geometry></collision></link></robot>"""
@@ -61,47 +56,27 @@ def saddle_mesh(path: Path, R: float, half: float = 0.06, n: int = 61) -> None:
     x, y = np.meshgrid(*[np.linspace(-half, half, n)] * 2, indexing="ij")
     p = np.stack((x, y, (x * x - y * y) / (2 * R)), axis=-1)
     a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
-    corners = np.concatenate(
-        [np.stack(three, 2).reshape(-1, 9) for three in ((a, b, c), (a, c, d))]
-    )
+    corners = np.vstack([np.stack(three, 2).reshape(-1, 9) for three in ((a, b, c), (a, c, d))])
     rows = np.zeros(len(corners), np.dtype([("f", "<f4", 12), ("pad", "<u2")]))
     rows["f"][:, 3:] = corners
     path.write_bytes(b" " * 80 + np.uint32(len(rows)).tobytes() + rows.tobytes())
 
 
-def scenario(folder: Path, face: str, R: float, changes: dict[str, Any]) -> osc.Scenario:
+def scenario(folder: Path, face: str, R: float, changes: Data) -> osc.Scenario:
     """The task on one face, its files in a folder."""
     (folder / "part.urdf").write_text(BODY.format(shape=SHAPES[face].format(R=R)))
-    pose: dict[str, Any] = {"xyz": (TOP - [0, 0, R]).tolist(), "rpy": [0, 0, 0]}
-    surface: dict[str, Any] = {"type": face, "radius": R}
-    if face == "cylinder":
-        pose["rpy"] = ["90 deg", 0, 0]
-    if face == "saddle":
-        saddle_mesh(folder / "saddle.stl", R)
-        pose["xyz"] = TOP.tolist()
-        surface = {"type": "mesh", "file": "saddle.stl"}
+    pose: Data = {"xyz": (TOP - [0, 0, R]).tolist(), "rpy": [0, 0, 0]}
+    surface: Data = {"type": face, "radius": R}
+    contact: Data = {"name": "nose", "type": "sphere_on_surface", "body": "part"}
+    contact |= {"centre": NOSE, "radius": BALL, "surface": surface}
     wave = {"type": "sine", "amplitude": "30 mm", "frequency": "0.5 Hz", "ramp": "1 s"}
-    arm = {
-        "name": "panda",
-        "urdf": "example-robot-data:panda",
-        "tip": "panda_hand_tcp",
-        "wrist_sensor": "panda_hand",
-        "locked_joints": {"panda_finger_joint1": "11 mm", "panda_finger_joint2": "11 mm"},
-        "posture": [0.0, 0.35, 0.0, -2.0, 0.0, 2.4, 0.8],
-    }
-    contact = {
-        "name": "nose",
-        "type": "sphere_on_surface",
-        "body": "part",
-        "centre": [0, 0, -0.15],
-        "radius": BALL,
-        "surface": surface,
-    }
     move = {"kind": "surface", "contact": "nose", "direction": [1, 0, 0], "signals": [wave]}
-    data = {
+    fingers = {"panda_finger_joint1": "11 mm", "panda_finger_joint2": "11 mm"}
+    posture = [0.0, 0.35, 0.0, -2.0, 0.0, 2.4, 0.8]
+    data: Data = {
         "name": face,
         "description": str(R),
-        "arms": [arm],
+        "arms": [PANDA | {"locked_joints": fingers, "posture": posture}],
         "object": {"urdf": "peg.urdf", "pose": {"xyz": [0.5, 0, 0.4]}},
         "grasps": {"panda": {"rpy": ["180 deg", 0, 0]}},
         "environment": [{"name": "part", "urdf": "part.urdf", "pose": pose}],
@@ -109,23 +84,25 @@ def scenario(folder: Path, face: str, R: float, changes: dict[str, Any]) -> osc.
         "force": {"nose": [{"type": "constant", "value": FORCE}]},
         "motion": [move],
         "control": {"rate": "1 kHz"},
-        "plant": {"type": PLANT.get(face, "mujoco"), "step": "0.25 ms"},
+        "plant": {"type": "mujoco", "step": "0.25 ms"},
         "duration": 5,
     }
+    if face == "saddle":
+        saddle_mesh(folder / "saddle.stl", R)
+        data["plant"]["type"] = PLANT
+        pose["xyz"] = TOP.tolist()
+        contact["surface"] = {"type": "mesh", "file": "saddle.stl"}
+    elif face != "sphere":
+        pose["rpy"] = ["90 deg", 0, 0]
     if face == TWO:
         held = osc.load_scenario("dual_panda_rod").as_dict()
         data |= {key: held[key] for key in ("arms", "object", "grasps", "plant")}
-        contact |= {
-            "centre": [-0.29, 0, 0],
-            "radius": 0.01,
-            "surface": {"type": "cylinder", "radius": R},
-        }
+        surface["type"] = "cylinder"
+        contact |= {"centre": [-0.29, 0, 0], "radius": 0.01}
         outward = np.array([np.sin(LEAN), 0.0, np.cos(LEAN)])  # else the shaft would touch, too
-        place = [-0.29, 0.0, 0.4] - (R + 0.01) * outward
-        pose |= {"xyz": place.tolist(), "rpy": ["90 deg", 0, 0]}
-    for key, value in changes.items():
-        part, name = key.split(".")
-        data.setdefault(part, {})[name] = value  # type: ignore[attr-defined]
+        pose["xyz"] = ([-0.29, 0.0, 0.4] - (R + 0.01) * outward).tolist()
+    for part, values in changes.items():
+        data[part] = {**data.get(part, {}), **values}
     return osc.Scenario.from_dict(data, folder / "task.yaml")
 
 
@@ -154,11 +131,10 @@ class TangentPlane(MujocoPlant):
         """The face, whose upper side is 0.5 mm above its origin."""
         self._mj.mj_kinematics(self.model, self.data)
         held = self.object_body
-        ball = self.data.xpos[held] + self.data.xmat[held].reshape(3, 3) @ [0, 0, -0.15]
+        ball = self.data.xpos[held] + self.data.xmat[held].reshape(3, 3) @ NOSE
         foot, n = foot_on_saddle(ball - TOP, self.radius)
-        face = int(self.model.body("face0/root").id)
-        frame = int(self.model.body_parentid[face])
-        assert frame == 0
+        face = self.model.body("face0/root").id
+        assert self.model.body_parentid[face] == 0
         self.model.body_pos[face] = TOP + foot - 0.0005 * n
         half = np.array([1.0 + n[2], -n[1], n[0], 0.0])  # from z to n the shortest way
         self.model.body_quat[face] = half / np.linalg.norm(half)
@@ -169,11 +145,10 @@ def foot_on_saddle(p: Array, R: float) -> tuple[Array, Array]:
     x, y = p[:2]
     for _ in range(20):  # Newton's method on the gradient of half the squared distance
         e = (x * x - y * y) / (2 * R) - p[2]
-        g = np.array([x - p[0] + e * x / R, y - p[1] - e * y / R])
-        H = np.array([[1 + x * x / R**2 + e / R, -x * y / R**2], [0, 1 + y * y / R**2 - e / R]])
-        H[1, 0] = H[0, 1]
-        step = np.linalg.solve(H, g)
-        x, y = x - step[0], y - step[1]
+        slope = np.array([x, -y]) / R
+        H = np.eye(2) + np.outer(slope, slope) + np.diag([e, -e]) / R
+        step = np.linalg.solve(H, [x, y] - p[:2] + e * slope)
+        x, y = [x, y] - step
         if abs(step).max() < 1e-13:
             break
     n = np.array([-x / R, y / R, 1.0])
@@ -196,7 +171,8 @@ def tangent_plane(parts: Any) -> TangentPlane:
     return plant
 
 
-def judge(face: str, R: float, changes: dict[str, Any], duration: float = 5.0) -> dict[str, Any]:
+@without_logged_doubts()
+def judge(face: str, R: float, changes: Data, duration: float = 5.0) -> Data:
     """The verdict (`metrics`) of the task on a face.
 
     Args:
@@ -206,28 +182,19 @@ def judge(face: str, R: float, changes: dict[str, Any], duration: float = 5.0) -
         return osc.metrics(osc.run(scenario(Path(folder), face, R, changes), duration=duration))
 
 
-def main() -> None:
+def main(faces: list[str] = FACES, radii: list[float] = RADII) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--faces", nargs="+", default=list(SHAPES), choices=list(SHAPES))
-    parser.add_argument("--radii", nargs="+", type=float, default=RADII)
-    parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
-    given = parser.parse_args()
-    logging.disable(logging.WARNING)
-    osc.register_plant(PLANT["saddle"])(tangent_plane)
+    osc.register_plant(PLANT)(tangent_plane)
     print(f"{'face':16}{'radius':>8}  {'case':24}force error, rms  closed  path, rms")
-    for face in given.faces:
-        for R in given.radii:
-            for case in given.cases:
-                verdict = judge(face, R, CASES[case])
-                force = verdict["force"]["nose"]["rms_error_rel"]
-                closed = verdict["contact_fraction"]["nose"]
-                path = 1e3 * verdict["motion"]["rms_error_m"]
-                print(
-                    f"{face:16}{R:6.1f} m  {case:24}{force:14.4%}{closed:9.1%}{path:8.3f} mm",
-                    flush=True,
-                )
+    for face, R, case in product(faces, radii, CASES):
+        verdict = judge(face, R, CASES[case])
+        print(
+            f"{face:16}{R:6.1f} m  {case:24}{verdict['force']['nose']['rms_error_rel']:14.4%}"
+            f"{verdict['contact_fraction']['nose']:9.1%}"
+            f"{1e3 * verdict['motion']['rms_error_m']:8.3f} mm",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -36,21 +36,6 @@ from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Reference, Stamps
 from osc_contact.runs.run import Taring, start
 
-__all__ = [
-    "FAULTS",
-    "LOSSES",
-    "PHASES",
-    "Case",
-    "Fault",
-    "Run",
-    "Trial",
-    "Verdict",
-    "stay_quiet",
-    "table",
-    "try_fault",
-    "try_faults",
-]
-
 RUN, DEGRADED, HOLD, SAFE_STOP = SafetyState
 STOP_WITHIN = 0.3  #: s
 FAULT_FOR = 0.6  #: s that a lasting fault is looked at
@@ -105,44 +90,76 @@ class Trial:
         """One of n, the same all the time."""
         return int(self.kept.setdefault(f"pick{n}", int(self.rng.integers(n))))
 
+    @property
+    def motor(self) -> int:
+        """One motor's joint, the same all the time."""
+        return int(self.chain.actuated[self.pick(len(self.chain.actuated))])
+
 
 # --- what goes wrong ------------------------------------------------------------------------------
 
 
-def _set(name: str, make: Callable[[Trial, np.ndarray], np.ndarray]) -> Change:
+def _reading(name: str, make: Callable[[Trial, np.ndarray], Any]) -> Change:
+    """An array of the measurement becomes another one."""
+
     def change(t: Trial, m: Measurement, r: Reference) -> tuple[Measurement, Reference]:
-        return replace(m, **{name: make(t, np.array(getattr(m, name)))}), r
+        changes: dict[str, Any] = {name: make(t, np.array(getattr(m, name)))}
+        return replace(m, **changes), r
 
     return change
 
 
-def _one(name: str, value: Callable[[Trial, float], float]) -> Change:
-    """One number of an array, the same all the time."""
+def _whole(name: str, gain: float = 1.0, offset: float = 0.0) -> Change:
+    """All numbers of an array times and plus a number."""
+    return _reading(name, lambda t, x: gain * x + offset)
+
+
+def _one(name: str, gain: float = 1.0, offset: float = 0.0) -> Change:
+    """The same of one number, the same all the time."""
 
     def make(t: Trial, x: np.ndarray) -> np.ndarray:
         i = t.pick(x.size)
-        x.flat[i] = value(t, x.flat[i])
+        x.flat[i] = gain * x.flat[i] + offset
         return x
 
-    return _set(name, make)
+    return _reading(name, make)
 
 
-def _motor(name: str, value: Callable[[Trial, float], float]) -> Change:
-    """The same of one motor joint."""
+def _motor(name: str, gain: float = 1.0, offset: float = 0.0, drift: float = 0.0) -> Change:
+    """The same of one motor joint; drift: of its offset, in each tick."""
 
     def make(t: Trial, x: np.ndarray) -> np.ndarray:
-        i = t.chain.actuated[t.pick(len(t.chain.actuated))]
-        x[i] = value(t, x[i])
+        i = t.motor
+        x[i] = gain * x[i] + offset + drift * t.k
         return x
 
-    return _set(name, make)
+    return _reading(name, make)
 
 
-def _goal(**what: Callable[[Trial, Any], Any]) -> Change:
-    def change(t: Trial, m: Measurement, r: Reference) -> tuple[Measurement, Reference]:
-        return m, replace(r, **{key: make(t, getattr(r, key)) for key, make in what.items()})
+def _wrist(gain: float) -> Change:
+    """The wrist of one arm times a number."""
 
-    return change
+    def make(t: Trial, w: np.ndarray) -> np.ndarray:
+        w[t.pick(len(w))] *= gain
+        return w
+
+    return _reading("wrenches", make)
+
+
+def _stuck(name: str) -> Change:
+    return _reading(name, lambda t, x: t.first(name, x))
+
+
+def _noisy(name: str, size: float) -> Change:
+    return _reading(name, lambda t, x: x + size * t.rng.normal(size=x.shape))
+
+
+def _packet(make: Callable[[Trial, Measurement], Measurement]) -> Change:
+    return lambda t, m, r: (make(t, m), r)
+
+
+def _goal(name: str, make: Callable[[Any], Any]) -> Change:
+    return lambda t, m, r: (m, replace(r, **{name: make(getattr(r, name))}))
 
 
 def _both(*changes: Change) -> Change:
@@ -154,52 +171,20 @@ def _both(*changes: Change) -> Change:
     return change
 
 
-def _repeat(t: Trial, m: Measurement, r: Reference) -> tuple[Measurement, Reference]:
-    return t.first("packet", m), r
+def _turned(make: Callable[[np.ndarray], np.ndarray]) -> Change:
+    """A goal whose rotation, turned or not, is another matrix."""
+
+    def bad(X: pin.SE3) -> pin.SE3:
+        bad = X.copy()
+        bad.rotation = make(X.rotation)
+        return bad
+
+    return _goal("X_WD", bad)
 
 
-def _wrong_turn(t: Trial, X: pin.SE3) -> pin.SE3:
-    bad = X.copy()
-    bad.rotation = 1.5 * X.rotation
-    return bad
-
-
-def _mirror(t: Trial, X: pin.SE3) -> pin.SE3:
-    bad = X.copy()
-    bad.rotation = X.rotation @ np.diag([1.0, 1.0, -1.0])
-    return bad
-
-
-def _stale(t: Trial, m: Measurement, r: Reference) -> tuple[Measurement, Reference]:
-    return replace(m, sequence=7), r
-
-
-def _reordered(t: Trial, m: Measurement, r: Reference) -> tuple[Measurement, Reference]:
-    return replace(m, sequence=t.k + (3 if t.k % 2 else -3)), r
-
-
-def _clock_stands(t: Trial, m: Measurement, r: Reference) -> tuple[Measurement, Reference]:
-    return replace(m, stamps=Stamps(1.0, 1.0, 1.0, 1.0)), r
-
-
-def _no_wrench(t: Trial, m: Measurement, r: Reference) -> tuple[Measurement, Reference]:
-    return replace(m, wrenches=np.full_like(m.wrenches, NAN), wrench_valid=False), r
-
-
-def _arm(scale: float) -> Callable[[Trial, np.ndarray], np.ndarray]:
-    """The wrist of one arm times a number."""
-
-    def make(t: Trial, w: np.ndarray) -> np.ndarray:
-        w[t.pick(len(w))] *= scale
-        return w
-
-    return make
-
-
-def _held_row(t: Trial, w: np.ndarray) -> np.ndarray:
-    i = t.pick(len(w))
-    w[i] = t.first("row", w[i].copy())
-    return w
+def _held(t: Trial, x: np.ndarray, i: int) -> np.ndarray:
+    x[i] = t.first("row", x[i].copy())
+    return x
 
 
 def _weaken(share: float) -> Callable[[Trial, np.ndarray], np.ndarray]:
@@ -221,72 +206,66 @@ def _delay(t: Trial, tau: np.ndarray) -> np.ndarray:
 _STOPS = (SAFE_STOP,)
 _ON = (RUN, DEGRADED)
 _TICK = 1e-9  #: of a fault that lasts one tick
+_NO_WRENCH = _packet(lambda t, m: replace(m, wrenches=NAN * m.wrenches, wrench_valid=False))
+_JUMP = np.array([0.05, 0.0, 0.0])
 
 FAULTS: dict[str, Fault] = {
     "no fault": Fault(None, 0.0, _ON),
     # encoders
-    "encoder NaN once": Fault(_one("q", lambda t, x: NAN), _TICK, _ON),
-    "encoder NaN for ever": Fault(_one("q", lambda t, x: NAN), ends=_STOPS),
-    "encoders NaN, 15 ticks": Fault(_set("q", lambda t, x: x * NAN), 0.014, _ON),
-    "encoder spike of 1 rad, one tick": Fault(_motor("q", lambda t, x: x + 1.0), _TICK, _ON),
-    "encoder jumps by 1 rad": Fault(_motor("q", lambda t, x: x + 1.0), ends=_STOPS),
-    "encoder 1e200": Fault(_motor("q", lambda t, x: 1e200), ends=_STOPS),
-    "encoder stuck": Fault(_motor("q", lambda t, x: t.first("q", x))),
-    "encoders stuck, speeds too": Fault(
-        _both(
-            _set("q", lambda t, x: t.first("q", x)),
-            _set("v", lambda t, x: t.first("v", x)),
-        ),
-        ends=_STOPS,
-    ),
-    "encoders stuck, speeds zero": Fault(
-        _both(_set("q", lambda t, x: t.first("q", x)), _set("v", lambda t, x: 0.0 * x))
-    ),
-    "encoder mirrored": Fault(_motor("q", lambda t, x: -x)),
-    "encoder drifts by 0.2 rad/s": Fault(_motor("q", lambda t, x: x + 2e-4 * t.k)),
-    "encoder noise of 5 mrad": Fault(_set("q", lambda t, x: x + 5e-3 * t.rng.normal(size=x.shape))),
+    "encoder NaN once": Fault(_one("q", NAN), _TICK, _ON),
+    "encoder NaN for ever": Fault(_one("q", NAN), ends=_STOPS),
+    "encoders NaN, 15 ticks": Fault(_whole("q", NAN), 0.014, _ON),
+    "encoder spike of 1 rad, one tick": Fault(_motor("q", offset=1.0), _TICK, _ON),
+    "encoder jumps by 1 rad": Fault(_motor("q", offset=1.0), ends=_STOPS),
+    "encoder 1e200": Fault(_motor("q", 0.0, 1e200), ends=_STOPS),
+    "encoder stuck": Fault(_reading("q", lambda t, q: _held(t, q, t.motor))),
+    "encoders stuck, speeds too": Fault(_both(_stuck("q"), _stuck("v")), ends=_STOPS),
+    "encoders stuck, speeds zero": Fault(_both(_stuck("q"), _whole("v", 0.0))),
+    "encoder mirrored": Fault(_motor("q", -1.0)),
+    "encoder drifts by 0.2 rad/s": Fault(_motor("q", drift=2e-4)),
+    "encoder noise of 5 mrad": Fault(_noisy("q", 5e-3)),
     # speeds
-    "speed NaN once": Fault(_one("v", lambda t, x: NAN), _TICK, _ON),
-    "speed inf for ever": Fault(_one("v", lambda t, x: np.inf), ends=_STOPS),
-    "speed spike, one tick": Fault(_motor("v", lambda t, x: 100.0), _TICK, _ON),
-    "speeds zero": Fault(_set("v", lambda t, x: 0.0 * x)),
-    "speeds mirrored": Fault(_set("v", lambda t, x: -x)),
-    "speed noise of 0.05 rad/s": Fault(
-        _set("v", lambda t, x: x + 0.05 * t.rng.normal(size=x.shape))
-    ),
+    "speed NaN once": Fault(_one("v", NAN), _TICK, _ON),
+    "speed inf for ever": Fault(_one("v", offset=np.inf), ends=_STOPS),
+    "speed spike, one tick": Fault(_motor("v", 0.0, 100.0), _TICK, _ON),
+    "speeds zero": Fault(_whole("v", 0.0)),
+    "speeds mirrored": Fault(_whole("v", -1.0)),
+    "speed noise of 0.05 rad/s": Fault(_noisy("v", 0.05)),
     # wrists
-    "wrench NaN once": Fault(_one("wrenches", lambda t, x: NAN), _TICK, _ON),
-    "wrench NaN, 19 ticks": Fault(_one("wrenches", lambda t, x: NAN), 0.018, _ON),
-    "wrench NaN for ever": Fault(_one("wrenches", lambda t, x: NAN), ends=_STOPS),
-    "wrench 100 kN once": Fault(_one("wrenches", lambda t, x: 1e5), _TICK, _ON),
-    "wrench 900 N once": Fault(_one("wrenches", lambda t, x: 900.0), _TICK, _ON),
-    "wrench 100 kN for ever": Fault(_one("wrenches", lambda t, x: 1e5), ends=_STOPS),
-    "wrists read zero": Fault(_set("wrenches", lambda t, x: 0.0 * x)),
-    "one wrist reads zero": Fault(_set("wrenches", _arm(0.0))),
-    "one wrist stuck": Fault(_set("wrenches", _held_row)),
-    "wrists mirrored": Fault(_set("wrenches", lambda t, x: -x)),
-    "one wrist mirrored": Fault(_set("wrenches", _arm(-1.0))),
-    "wrist offset of 20 N": Fault(_one("wrenches", lambda t, x: x + 20.0)),
-    "wrists times 0.3": Fault(_set("wrenches", lambda t, x: 0.3 * x)),
-    "wrist noise of 5 N": Fault(
-        _set("wrenches", lambda t, x: x + 5.0 * t.rng.normal(size=x.shape))
-    ),
-    "no wrench for 15 ticks": Fault(_no_wrench, 0.014, _ON),
-    "no wrench for ever": Fault(_no_wrench, ends=_STOPS),
+    "wrench NaN once": Fault(_one("wrenches", NAN), _TICK, _ON),
+    "wrench NaN, 19 ticks": Fault(_one("wrenches", NAN), 0.018, _ON),
+    "wrench NaN for ever": Fault(_one("wrenches", NAN), ends=_STOPS),
+    "wrench 100 kN once": Fault(_one("wrenches", 0.0, 1e5), _TICK, _ON),
+    "wrench 900 N once": Fault(_one("wrenches", 0.0, 900.0), _TICK, _ON),
+    "wrench 100 kN for ever": Fault(_one("wrenches", 0.0, 1e5), ends=_STOPS),
+    "wrists read zero": Fault(_whole("wrenches", 0.0)),
+    "one wrist reads zero": Fault(_wrist(0.0)),
+    "one wrist stuck": Fault(_reading("wrenches", lambda t, w: _held(t, w, t.pick(len(w))))),
+    "wrists mirrored": Fault(_whole("wrenches", -1.0)),
+    "one wrist mirrored": Fault(_wrist(-1.0)),
+    "wrist offset of 20 N": Fault(_one("wrenches", offset=20.0)),
+    "wrists times 0.3": Fault(_whole("wrenches", 0.3)),
+    "wrist noise of 5 N": Fault(_noisy("wrenches", 5.0)),
+    "no wrench for 15 ticks": Fault(_NO_WRENCH, 0.014, _ON),
+    "no wrench for ever": Fault(_NO_WRENCH, ends=_STOPS),
     # packets
-    "packet repeats for ever": Fault(_repeat, ends=_STOPS),
-    "same sequence number": Fault(_stale, ends=_STOPS),
-    "packets out of order": Fault(_reordered, 0.2),
-    "clock stands still": Fault(_clock_stands, ends=_STOPS),
+    "packet repeats for ever": Fault(_packet(lambda t, m: t.first("packet", m)), ends=_STOPS),
+    "same sequence number": Fault(_packet(lambda t, m: replace(m, sequence=7)), ends=_STOPS),
+    "packets out of order": Fault(
+        _packet(lambda t, m: replace(m, sequence=t.k + (3 if t.k % 2 else -3))), 0.2
+    ),
+    "clock stands still": Fault(
+        _packet(lambda t, m: replace(m, stamps=Stamps(1.0, 1.0, 1.0, 1.0))), ends=_STOPS
+    ),
     # references
-    "X_WD no rotation": Fault(_goal(X_WD=_wrong_turn), ends=_STOPS),
-    "X_WD mirrored": Fault(_goal(X_WD=_mirror), ends=_STOPS),
-    "reference NaN once": Fault(_goal(V_D=lambda t, x: x * NAN), _TICK, _ON),
+    "X_WD no rotation": Fault(_turned(lambda R: 1.5 * R), ends=_STOPS),
+    "X_WD mirrored": Fault(_turned(lambda R: R * [1.0, 1.0, -1.0]), ends=_STOPS),
+    "reference NaN once": Fault(_goal("V_D", lambda V: V * NAN), _TICK, _ON),
     "reference jumps by 5 cm": Fault(
-        _goal(X_WD=lambda t, X: pin.SE3(X.rotation, X.translation + [0.05, 0.0, 0.0])), lies=False
+        _goal("X_WD", lambda X: pin.SE3(X.rotation, X.translation + _JUMP)), lies=False
     ),
     "reference accelerates by 50 m/s²": Fault(
-        _goal(A_D=lambda t, x: x + [50.0, 0, 0, 0, 0, 0]), 0.1, lies=False
+        _goal("A_D", lambda A: A + [50.0, 0, 0, 0, 0, 0]), 0.1, lies=False
     ),
     # motors
     "a motor is dead": Fault(None, lies=False, torque=_weaken(0.0)),
@@ -422,50 +401,49 @@ class Run:
         fault = FAULTS[name]
         case = self.case
         dt = self.dt
-        chain = self.rig.model
+        control = self.controller
         verdict = Verdict(name, case)
-        trial = Trial(np.random.default_rng([case.seed, len(name)]), chain)
+        trial = Trial(np.random.default_rng([case.seed, len(name)]), self.rig.model)
         last = round(min(case.begin + fault.lasts, 1e6) / dt)
-        act = np.array(chain.actuated)
-        model = chain.model
-        low = model.lowerPositionLimit[act]
-        high = model.upperPositionLimit[act]
+        act = np.array(self.rig.model.actuated)
+        model = self.rig.model.model
         beyond = outside = 0
-        highest = 0.0
+        highest = 10.0
         end = self.first + round(FAULT_FOR / dt)
         stop_q = braking = np.zeros(0)
         while self.k < end and not verdict.wrong:
             k = self.k
-            active = trial if k <= last else None
-            reference = self.step(verdict, active, fault)
+            reference = self.step(verdict, trial if k <= last else None, fault)
             true = _inside(self.plant).measure()
-            if verdict.stopped is None and self.controller.state is SAFE_STOP:
-                verdict.stopped = (k - self.first) * dt
-                stop_q = true.q[act]
-                verdict.reason = self.controller.reason
-                braking = np.abs(true.v[act]) * self.controller._records.model.reaction
-                end = max(end, k + round(REST_AFTER / dt))
-            verdict.unbraked = verdict.unbraked or self.controller.unbraked is not None
+            q = true.q[act]
             speeds = np.abs(true.v[act])
+            if verdict.stopped is None and control.state is SAFE_STOP:
+                verdict.stopped = (k - self.first) * dt
+                stop_q = q
+                verdict.reason = control.reason
+                braking = speeds * control._records.model.reaction
+                end = max(end, k + round(REST_AFTER / dt))
+            verdict.unbraked = verdict.unbraked or control.unbraked is not None
             verdict.rest_speed = float(speeds.max())
             if verdict.stopped is not None:
-                verdict.travel = float((np.abs(true.q[act] - stop_q) - braking).max())
-            share = speeds / model.velocityLimit[act]
-            verdict.speed = max(verdict.speed, float(share.max()))
-            beyond = beyond + 1 if (share > 1.0).any() else 0
-            out = (true.q[act] < low) | (true.q[act] > high)
-            outside = outside + 1 if out.any() else 0
-            highest = max(highest, float(np.max(np.abs(reference.alpha_d), initial=0.0)))
+                verdict.travel = float((np.abs(q - stop_q) - braking).max())
+            share = float((speeds / model.velocityLimit[act]).max())
+            verdict.speed = max(verdict.speed, share)
+            beyond = beyond + 1 if share > 1.0 else 0
+            inside = (q >= model.lowerPositionLimit[act]) & (q <= model.upperPositionLimit[act])
+            outside = 0 if inside.all() else outside + 1
+            highest = max([highest, *map(abs, reference.alpha_d)])
             if k % TRUTH_EVERY == 0 and not verdict.unbraked:  # else the driver's brakes hold it
-                alpha = np.abs(self.plant.truth().alpha)
-                verdict.force = max(verdict.force, float(np.max(alpha, initial=0.0)))
-            if self.controller.state is not SAFE_STOP and max(beyond, outside) * dt > STOP_WITHIN:
+                alpha = self.plant.truth().alpha.tolist()
+                verdict.force = max([verdict.force, *map(abs, alpha)])
+            if control.state is not SAFE_STOP and max(beyond, outside) * dt > STOP_WITHIN:
                 verdict.wrong.append(f"tick {k}: joints beyond their limits and no stop")
         verdict.ticks = self.k
-        verdict.state = self.controller.state
-        verdict.reason = verdict.reason or self.controller.reason
-        pushes = sum(np.linalg.norm(push.force) for push in self.rig.scenario.plant.pushes)
-        self._judge_end(verdict, fault, max(3.0 * highest, 30.0) + pushes)
+        verdict.state = control.state
+        verdict.reason = verdict.reason or control.reason
+        pushes = self.rig.scenario.plant.pushes
+        most = 3.0 * highest + sum(float(np.linalg.norm(push.force)) for push in pushes)
+        self._judge_end(verdict, fault, most)
         return verdict
 
     def _judge_end(self, verdict: Verdict, fault: Fault, most: float) -> None:
@@ -600,52 +578,35 @@ def _keep(verdict: Verdict, kept: Path | None) -> Verdict:
 
 def table(verdicts: list[Verdict]) -> str:
     """One line for each kind."""
-    head = (
-        "fault",
-        "runs",
-        "ticks",
-        "RUN",
-        "DEGR",
-        "HOLD",
-        "STOP",
-        "latest stop s",
-        "force N",
-        "speed",
-        "rate 1/s",
-        "rad/s at rest",
-        "unbraked",
-        "wrong",
-    )
-    rows = [head]
+    rows = []
     for name in FAULTS:
         mine = [v for v in verdicts if v.fault == name]
         if not mine:
             continue
-        states = [sum(v.state is s for v in mine) for s in SafetyState]
-        stops = [v.stopped for v in mine if v.stopped is not None]
-        rests = [v.rest_speed for v in mine if v.stopped is not None and not v.unbraked]
+        stopped = [v for v in mine if v.stopped is not None]
+        latest = f"{max(v.stopped or 0.0 for v in stopped):.3f}" if stopped else "-"
+        rests = [v.rest_speed for v in stopped if not v.unbraked]
+        row: dict[str, object] = {"fault": name, "runs": len(mine)}
+        row["ticks"] = sum(v.ticks for v in mine)
+        for word, state in zip(("RUN", "DEGR", "HOLD", "STOP"), SafetyState, strict=True):
+            row[word] = sum(v.state is state for v in mine)
         rows.append(
-            (
-                name,
-                str(len(mine)),
-                str(sum(v.ticks for v in mine)),
-                *map(str, states),
-                f"{max(stops):.3f}" if stops else "-",
-                f"{max(v.force for v in mine):.1f}",
-                f"{max(v.speed for v in mine):.2f}",
-                f"{max(v.rate for v in mine):.0f}",
-                f"{max(rests, default=0.0):.3f}",
-                str(sum(v.unbraked for v in mine)),
-                str(sum(bool(v.wrong) for v in mine)),
-            )
+            row
+            | {
+                "latest stop s": latest,
+                "force N": f"{max(v.force for v in mine):.1f}",
+                "speed": f"{max(v.speed for v in mine):.2f}",
+                "rate 1/s": f"{max(v.rate for v in mine):.0f}",
+                "rad/s at rest": f"{max(rests, default=0.0):.3f}",
+                "unbraked": sum(v.unbraked for v in mine),
+                "wrong": sum(bool(v.wrong) for v in mine),
+            }
         )
-    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+    lines = [list(map(str, line)) for line in (*map(list, rows[:1]), *(r.values() for r in rows))]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(
-        "  ".join(
-            x.ljust(w) if i == 0 else x.rjust(w)
-            for i, (x, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
+        "  ".join(f"{x:{'>' if i else '<'}{widths[i]}}" for i, x in enumerate(line))
+        for line in lines
     )
 
 

@@ -1,10 +1,10 @@
 """From a Franka's state to its torques: over libfranka's protocol, beside a simulated robot."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile
+from functools import partial
+from importlib import import_module
 from itertools import repeat
 from pathlib import Path
 
@@ -12,11 +12,9 @@ import numpy as np
 from rich.table import Table
 
 import osc_contact as osc
-from benchmarks.measuring import machine, require_count
+from benchmarks.measuring import SHARES, cells, machine, require_count
 from osc_contact.drivers.franka import FrankaRobot
 from paper.study import Data, table_of
-
-SHARES = ("p50", "p99", "p99_9", "max")
 
 
 def measure(ticks: int = 60_000) -> Data:
@@ -34,7 +32,7 @@ def measure(ticks: int = 60_000) -> Data:
     """
     require_count(ticks, "ticks")
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-    from franka_rig import FrankaServer
+    FrankaServer = import_module("franka_rig").FrankaServer
 
     loops = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -52,10 +50,10 @@ def measure(ticks: int = 60_000) -> Data:
                 X = chain.state(q, np.zeros(7)).X_WO
                 hold = repeat(osc.pose_reference(X.translation, X.rotation), ticks)
                 recorder = osc.Recorder(controller)
-                loop = {"recorder": recorder, "realtime": name == "realtime"}
-                found = {"ended": "complete"}
+                loop = partial(osc.run_loop, recorder=recorder, realtime=name == "realtime")
+                found: Data = {"ended": "complete"}
                 try:
-                    found |= osc.run_loop(robot, controller, hold, **loop).as_dict()
+                    found |= loop(robot, controller, hold).as_dict()
                 except osc.PlantError as error:  # as on a machine that does other things, too
                     found |= recorder.recording().meta.get("loop", {}) | {"ended": str(error)}
                 loops[name] = found | {"least_success_rate": robot.least_success_rate}
@@ -68,16 +66,12 @@ def measure(ticks: int = 60_000) -> Data:
 
 def tables(result: Data) -> list[Table]:
     """Read-to-write times of both loops, and what the system did not permit."""
+    none = {"read_to_write_us": dict.fromkeys(SHARES, np.nan), "ticks": "–", "missed": "–"}
+    loops = {name: none | loop for name, loop in result["loops"].items()}
     rows = [
-        (
-            name,
-            loop.get("ticks", "–"),
-            *(f"{loop.get('read_to_write_us', {}).get(share, np.nan):.0f}" for share in SHARES),
-            loop.get("missed", "–"),
-            f"{loop['least_success_rate']:.2f}",
-            loop["ended"],
-        )
-        for name, loop in result["loops"].items()
+        f"{name}; {loop['ticks']}; {cells(loop['read_to_write_us'], '.0f')}; {loop['missed']}; "
+        f"{loop['least_success_rate']:.2f}; {loop['ended'].replace(';', ',')}"
+        for name, loop in loops.items()
     ]
     notes = result["loops"]["realtime"].get("notes", [])
     title = "; ".join(["from a state to its torques, µs", *notes])

@@ -6,20 +6,19 @@ operational-space controller (isaac-sim/IsaacLab, source/isaaclab/test/controlle
 Panda presses on a wall and goes from goal to goal along it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 import osc_contact as osc
 from osc_contact.spatial import Array
 from osc_contact.sweeps.rows import record_sample, without_logged_doubts
 from osc_contact.sweeps.study import SweepStudy
+from paper.study import PANDA, table_of
 
 FOLDER = Path(__file__).parent
 UNKNOWN = (
@@ -67,6 +66,9 @@ class Case:
 
 
 _S = float(np.sqrt(0.5))
+_WALL = (0.645, 0.0, 0.7)
+_TILTED_WALL = (0.685 - 0.005 * _S, 0.0, 0.3 + 0.005 * _S)
+_BACK = (-1.0, 0.0, 0.0)
 _UPRIGHT = (
     Goal((0.6, 0.2, 0.5), 10.0),
     Goal((0.6, -0.29, 0.6), 10.0),
@@ -76,17 +78,9 @@ _TILTED = tuple(Goal(p, 10.0) for p in ((0.6, 0.15, 0.3), (0.6, -0.3, 0.3), (0.8
 _FORWARD = (-1.379, -1.426, 1.348, -2.041, 2.524, 2.806, -0.38)
 _DOWN = (1.663, 0.918, -1.432, -2.164, 1.646, 2.707, 0.0)
 CASES = (
-    Case("decoupled_motion", (0.645, 0.0, 0.7), (-1.0, 0.0, 0.0), _UPRIGHT, 300.0, 1.0, _FORWARD),
-    Case("variable_kp", (0.645, 0.0, 0.7), (-1.0, 0.0, 0.0), _UPRIGHT, 160.0, 0.8, _FORWARD),
-    Case(
-        "task_frame",
-        (0.685 - 0.005 * _S, 0.0, 0.3 + 0.005 * _S),
-        (-_S, 0.0, _S),
-        _TILTED,
-        400.0,
-        1.0,
-        _DOWN,
-    ),
+    Case("decoupled_motion", _WALL, _BACK, _UPRIGHT, 300.0, 1.0, _FORWARD),
+    Case("variable_kp", _WALL, _BACK, _UPRIGHT, 160.0, 0.8, _FORWARD),
+    Case("task_frame", _TILTED_WALL, (-_S, 0.0, _S), _TILTED, 400.0, 1.0, _DOWN),
 )
 
 
@@ -96,80 +90,52 @@ def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
     Args:
         case: one of `CASES`. changes: other keys.
     """
-    n = np.array(case.normal)
-    first = _on_wall(case, case.goals[0])
+    n = case.normal
     pitch = float(np.arctan2(-n[0], -n[2]))  # of the hand's z axis, about the world's y axis
     motion = []
     force = [{"type": "constant", "value": case.goals[0].force}]
-    for i, (one, two) in enumerate(zip(case.goals, case.goals[1:], strict=False)):
+    for i, (one, two) in enumerate(pairwise(case.goals)):
         start = (i + 1) * STAY_S + i * MOVE_S
         rise = {"type": "minimum_jerk", "start": start, "duration": MOVE_S}
         way = _on_wall(case, two) - _on_wall(case, one)
         length = float(np.linalg.norm(way))
-        motion.append(
-            {
-                "kind": "linear",
-                "direction": (way / length).tolist(),
-                "signals": [{**rise, "value": length}],
-            }
+        moves = (
+            ("linear", (way / length).tolist(), length),
+            ("angular", [0, 1, 0], two.turn - one.turn),
         )
-        if two.turn != one.turn:
-            motion.append(
-                {
-                    "kind": "angular",
-                    "direction": [0, 1, 0],
-                    "signals": [{**rise, "value": two.turn - one.turn}],
-                }
-            )
-        if two.force != one.force:
-            force.append({**rise, "value": two.force - one.force})
+        for kind, direction, value in moves:
+            signals = [{**rise, "value": value}]
+            motion.append({"kind": kind, "direction": direction, "signals": signals})
+        force.append({**rise, "value": two.force - one.force})
+    locked = {"panda_finger_joint1": 0.01, "panda_finger_joint2": 0.01}
+    first = {"xyz": _on_wall(case, case.goals[0]).tolist(), "rpy": [0.0, -pitch, np.pi]}
+    wall = {"xyz": list(case.wall), "rpy": [0.0, pitch + np.pi, 0.0]}
+    contact = {
+        "name": "finger",
+        "type": "sphere_on_plane",
+        "body": "wall",
+        "centre": [0.0, 0.0, 0.0],
+        "radius": RADIUS,
+        "face_point": [0.0, 0.0, 0.0],
+        "face_normal": [0.0, 0.0, 1.0],
+    }
+    damping = 2.0 * case.damping_ratio * case.stiffness**0.5
     data = {
         "name": f"hybrid_{case.name}",
-        "arms": [
-            {
-                "name": "panda",
-                "urdf": "example-robot-data:panda",
-                "tip": "panda_hand_tcp",
-                "wrist_sensor": "panda_hand",
-                "locked_joints": {"panda_finger_joint1": 0.01, "panda_finger_joint2": 0.01},
-                "posture": list(case.posture),
-            }
-        ],
-        "object": {
-            "urdf": str(FOLDER / "finger.urdf"),
-            "pose": {"xyz": first.tolist(), "rpy": [0.0, -pitch, np.pi]},
-        },
+        "arms": [PANDA | {"locked_joints": locked, "posture": list(case.posture)}],
+        "object": {"urdf": str(FOLDER / "finger.urdf"), "pose": first},
         "grasps": {"panda": {"xyz": [0.0, 0.0, 0.02]}},
-        "environment": [
-            {
-                "name": "wall",
-                "urdf": str(FOLDER / "wall.urdf"),
-                "pose": {"xyz": list(case.wall), "rpy": [0.0, pitch + np.pi, 0.0]},
-            }
-        ],
-        "contacts": [
-            {
-                "name": "finger",
-                "type": "sphere_on_plane",
-                "body": "wall",
-                "centre": [0.0, 0.0, 0.0],
-                "radius": RADIUS,
-                "face_point": [0.0, 0.0, 0.0],
-                "face_normal": [0.0, 0.0, 1.0],
-            }
-        ],
+        "environment": [{"name": "wall", "urdf": str(FOLDER / "wall.urdf"), "pose": wall}],
+        "contacts": [contact],
         "force": {"finger": force},
         "motion": motion,
         "gains": {
-            "motion": {
-                "stiffness": case.stiffness,
-                "damping": 2.0 * case.damping_ratio * case.stiffness**0.5,
-            },
+            "motion": {"stiffness": case.stiffness, "damping": damping},
             "force": {"integral": 30.0, "damping": 400.0},
         },
         "control": {"rate": 1000.0},
         "plant": {"type": "mujoco", "step": 2.5e-4},
-        "duration": len(case.goals) * STAY_S + (len(case.goals) - 1) * MOVE_S,
+        "duration": len(case.goals) * (STAY_S + MOVE_S) - MOVE_S,
     }
     return osc.Scenario.from_dict({**data, **changes})
 
@@ -181,16 +147,10 @@ def judge(case: Case, recording: osc.Recording) -> Array:
     out = []
     for i, goal in enumerate(case.goals):
         k = min(round(((i + 1) * STAY_S + i * MOVE_S) * rate), len(recording)) - 1
-        force = float(np.asarray(recording["alpha_true"])[k, 0])
-        off = np.asarray(recording["pose"])[k, :3] - _on_wall(case, goal)
-        error = np.asarray(recording["motion_error"])[k]
-        out.append(
-            (
-                abs(force - goal.force),
-                np.linalg.norm(off - n * (n @ off)),
-                np.linalg.norm(error[3:]),
-            )
-        )
+        off = recording["pose"][k, :3] - _on_wall(case, goal)
+        place = np.linalg.norm(off - n * (n @ off))
+        turn = np.linalg.norm(recording["motion_error"][k, 3:])
+        out.append((abs(recording["alpha_true"][k, 0] - goal.force), place, turn))
     return np.array(out)
 
 
@@ -216,24 +176,20 @@ SAMPLES = 16
 
 def main() -> None:
     """Run every case, alone and with what is not known; print the errors."""
-    columns = ("case", "goal", "force", "error", "along the wall", "turn")
-    alone = Table(*columns, title="exact model, no friction")
-    rough = Table(*columns, title=f"largest of {SAMPLES}: masses, friction")
+    titles = {1: "exact model, no friction", SAMPLES: f"largest of {SAMPLES}: masses, friction"}
+    rows: dict[int, list[str]] = {count: [] for count in titles}
     for case in CASES:
-        one = judge(case, osc.run(scenario_of(case)))
-        for table, errors in ((alone, one), (rough, judge_samples(case, SAMPLES).max(axis=0))):
-            for i, (goal, (force, place, turn)) in enumerate(zip(case.goals, errors, strict=True)):
-                table.add_row(
-                    case.name,
-                    str(i + 1),
-                    f"{goal.force:g} N",
-                    f"{force:.2f} N",
-                    f"{1e3 * place:.1f} mm",
-                    f"{1e3 * turn:.1f} mrad",
+        alone = judge(case, osc.run(scenario_of(case)))
+        errors = {1: alone, SAMPLES: judge_samples(case, SAMPLES).max(axis=0)}
+        for count, found in errors.items():
+            for i, (force, place, turn) in enumerate(found):
+                rows[count].append(
+                    f"{case.name}; {i + 1}; {case.goals[i].force:g} N; {force:.2f} N; "
+                    f"{1e3 * place:.1f} mm; {1e3 * turn:.1f} mrad"
                 )
-    console = Console()
-    console.print(alone)
-    console.print(rough)
+    for count, title in titles.items():
+        heads = "case; goal; force; error; along the wall; turn"
+        Console().print(table_of(title, heads, rows[count]))
 
 
 if __name__ == "__main__":

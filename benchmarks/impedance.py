@@ -3,8 +3,6 @@
 python -m benchmarks.impedance [--picture FILE]
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +15,6 @@ from rich.console import Console
 
 import osc_contact as osc
 from benchmarks.hybrid_cases import CASES, RADIUS, scenario_of
-from osc_contact.spatial import Array
 from osc_contact.visual.plots import legend, save, style
 from paper.study import table_of
 
@@ -66,15 +63,13 @@ def run(law: Callable[[], osc.Laws], wall: Wall, offset: float) -> osc.Recording
     Args:
         law: of `LAWS`. wall: of `WALLS`. offset: where the reference ends behind its surface (m).
     """
-    case = CASES[0]
-    into = [-x for x in case.normal]
     onto = {"type": "minimum_jerk", "start": 0.3, "value": offset, "duration": 0.5}
     along = {"type": "sine", "amplitude": 0.06, "frequency": 0.5, "start": SLIDES_FROM, "ramp": 0.5}
-    ways = ((into, onto), ([0, 1, 0], along))
-    body = scenario_of(case).environment[0].model_dump()
+    ways = (([1.0, 0.0, 0.0], onto), ([0, 1, 0], along))
+    (body,) = scenario_of(CASES[0]).environment
     scenario = scenario_of(
-        case,
-        environment=[{**body, "motion": wall.motion}],
+        CASES[0],
+        environment=[{**body.model_dump(), "motion": wall.motion}],
         model_error={"environment": wall.environment},
         force={"finger": [{**onto, "value": FORCE, "duration": 1.0}]},
         motion=[{"kind": "linear", "direction": d, "signals": [s]} for d, s in ways],
@@ -89,15 +84,11 @@ def run(law: Callable[[], osc.Laws], wall: Wall, offset: float) -> osc.Recording
 
 def judge(seen: osc.Recording) -> tuple[float, float, float]:
     """Largest force until it slides, rms error then (N), rms error along the wall (mm)."""
-    force = np.asarray(seen["alpha_true"])[:, 0]
-    later = np.asarray(seen["t"]) > SLIDES_FROM
-    off = np.asarray(seen["motion_error"])[later, 1:3]
-    error = 1e3 * _rms(np.linalg.norm(off, axis=1))
-    return float(force[~later].max()), _rms(force[later] - FORCE), error
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x * x)))
+    force = seen["alpha_true"][:, 0]
+    later = seen["t"] > SLIDES_FROM
+    off = 1e3 * np.linalg.norm(seen["motion_error"][later, 1:3], axis=1)
+    rms, error = (float(np.sqrt(np.mean(x * x))) for x in (force[later] - FORCE, off))
+    return float(force[~later].max()), rms, error
 
 
 def draw(seen: Mapping[tuple[str, float], Mapping[str, osc.Recording]], path: Path) -> None:
@@ -114,7 +105,7 @@ def draw(seen: Mapping[tuple[str, float], Mapping[str, osc.Recording]], path: Pa
     }
     with style():
         figure = Figure(figsize=(8.0, 8.0))
-        axes = list(figure.subplots(len(shown), 1, sharex=True))
+        axes = figure.subplots(len(shown), 1, sharex=True)
         for ax, (case, title) in zip(axes, shown.items(), strict=True):
             for name, one in seen[case].items():
                 ax.plot(one["t"], one["alpha_true"][:, 0], lw=1.0, label=name)

@@ -1,10 +1,8 @@
 """The tick on the clock: absolute deadlines, compute time and wake-up jitter apart."""
 
-from __future__ import annotations
-
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter_ns, sleep
 
@@ -12,18 +10,16 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.cases import CASES
-from benchmarks.measuring import machine, require_count, spread
+from benchmarks.measuring import SHARES, Call, cells, machine, require_count, spread
 from osc_contact.spatial import Array
 from paper.study import Data, table_of
 
 RATES_HZ = (1000, 2000, 5000)
 BLOCKS = 8
-SHARES = ("p50", "p99", "p99_9", "max")
-TICK = "tick"
-EMPTY = "empty"
+SCHEDULERS = {getattr(os, name): name for name in ("SCHED_OTHER", "SCHED_FIFO", "SCHED_RR")}
 
 
-def clocked(body: Callable[[], object], rate_hz: int, periods: int) -> tuple[Array, Array, int]:
+def clocked(body: Call, rate_hz: int, periods: int) -> tuple[Array, Array, int]:
     """Run a body at absolute deadlines k/rate; a late period is not made up for by a burst.
 
     Returns:
@@ -69,57 +65,43 @@ def measure(periods: int = 4000) -> Data:
         tick()
         unwind()
 
-    bodies: dict[str, Callable[[], object]] = {TICK: whole_tick, EMPTY: lambda: None}
+    bodies: dict[str, Call] = {"tick": whole_tick, "empty": lambda: None}
+    blocks = min(BLOCKS, periods)
     rates = {}
     for rate in RATES_HZ:
-        blocks = min(BLOCKS, periods)
-        found: dict[str, list[tuple[Array, Array, int]]] = {name: [] for name in bodies}
-        for _ in range(blocks):
-            for name, body in bodies.items():
-                found[name].append(clocked(body, rate, max(1, periods // blocks)))
-        rates[str(rate)] = {name: _joined(blocks_of) for name, blocks_of in found.items()}
+        found = [
+            [clocked(body, rate, periods // blocks) for body in bodies.values()]
+            for _ in range(blocks)
+        ]
+        joined = map(_joined, zip(*found, strict=True))
+        rates[str(rate)] = dict(zip(bodies, joined, strict=True))
+    slack = Path("/proc/self/timerslack_ns")  # how much later the kernel may wake this process
     return {
         "machine": machine(),
-        "scheduler": _scheduler(),
-        "timer_slack_us": _timer_slack(),
+        "scheduler": SCHEDULERS.get(os.sched_getscheduler(0), "another"),
+        "timer_slack_us": int(slack.read_text()) / 1e3 if slack.is_file() else None,
         "kernel": platform.version(),
         "rates": rates,
     }
 
 
-def _joined(blocks: list[tuple[Array, Array, int]]) -> Data:
-    late, spent = (np.concatenate([block[i] for block in blocks]) for i in (0, 1))
+def _joined(blocks: Sequence[tuple[Array, Array, int]]) -> Data:
+    late, spent, missed = zip(*blocks, strict=True)
+    wake_up = np.concatenate(late)
     return {
-        "periods": len(late),
-        "wake_up_us": spread(late),
-        "compute_us": spread(spent),
-        "missed": sum(block[2] for block in blocks),
+        "periods": len(wake_up),
+        "wake_up_us": spread(wake_up),
+        "compute_us": spread(np.concatenate(spent)),
+        "missed": sum(missed),
     }
-
-
-def _scheduler() -> str:
-    names = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_RR: "SCHED_RR"}
-    return names.get(os.sched_getscheduler(0), "another")
-
-
-def _timer_slack() -> float | None:
-    """How much later than requested the kernel may wake this process, µs (Linux: 50 by default)."""
-    file = Path("/proc/self/timerslack_ns")
-    return int(file.read_text()) / 1e3 if file.is_file() else None
 
 
 def tables(result: Data) -> list[Table]:
     """Wake-up and compute time of both loops at each rate."""
     title = f"absolute deadlines, {result['scheduler']}, timer slack {result['timer_slack_us']} µs"
     rows = [
-        (
-            f"{int(rate) / 1000:g} kHz",
-            name,
-            loop["periods"],
-            what,
-            *(f"{loop[key][share]:.1f}" for share in SHARES),
-            loop["missed"],
-        )
+        f"{int(rate) / 1000:g} kHz; {name}; {loop['periods']}; {what}; {cells(loop[key])}; "
+        f"{loop['missed']}"
         for rate, bodies in result["rates"].items()
         for name, loop in bodies.items()
         for what, key in (("wake-up", "wake_up_us"), ("compute", "compute_us"))

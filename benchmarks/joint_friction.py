@@ -7,10 +7,7 @@ viscous friction of its joints and their rotors are those of the plant; the cont
 the friction times a factor (0: unknown). Judged from one second of motion on.
 """
 
-from __future__ import annotations
-
-import argparse
-import logging
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -18,15 +15,28 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import numpy as np
+import typer
 
 import osc_contact as osc
-from osc_contact.contacts.pairs.pair import triad
+from benchmarks.mjcf_arms import draft_press, move_on_wall
 from osc_contact.runs import poses
-from osc_contact.runs.drafts import Press, draft
+from osc_contact.sweeps.rows import without_logged_doubts
 
 TIPS = {"ur10": "tool0", "xarm7": "link7", "panda": "panda_hand_tcp"}
-BELIEVED = (1.0, 0.5, 1.5, 0.0)
-JUDGED_FROM = 2.0  #: s: first contact, and one second of motion
+BELIEVED = {factor: f"model_error.joint_friction={factor}" for factor in (1.0, 0.5, 1.5, 0.0)}
+HALF = BELIEVED[0.5]
+JUDGED_FROM = 2.0  #: s, of the drafted scenarios: first contact, and one second of motion
+#: Friction, damping and rotors of both rods' joints.
+TWO_ARMS = {
+    "two_contact_rod": ("friction=0.3", "damping=0.2", "armature=0.1"),
+    "dual_panda_rod": ("friction=1", "damping=2", "armature=0.1"),
+}
+ROTORS = ("friction=1.0", "damping=2.0", "armature=0.1")
+#: Encoders (bit), noise of the wrists (N), the most that the error may be; 3 ms of delay.
+SENSORS = {
+    "20 bit, 0.05 N, 3 ms": (20, 0.05, 1.5),
+    "16 bit, 0.5 N, 3 ms": (16, 0.5, 3.0),
+}
 
 
 @dataclass(frozen=True)
@@ -37,33 +47,33 @@ class Case:
     scenario: str
     changes: tuple[str, ...]
     most: float
-    begin: float | None = JUDGED_FROM  #: s; None: as the verdict judges, without steps
 
+    @without_logged_doubts()
     def run(self) -> tuple[float, float, float, str]:
-        """Rms and peak of the force error (%), share of contact (%), verdict."""
-        logging.disable(logging.WARNING)
+        """Rms and peak of the force error (%), share of contact (%), verdict.
+
+        Packaged scenarios are judged as by the verdict, without steps.
+        """
         try:
             changes = ["control.joint_friction.learning=true", *self.changes]
             recording = osc.run(osc.load_scenario(_file(self.scenario), changes))
-        except osc.OscContactError as error:
-            return np.nan, np.nan, np.nan, str(error)[:60]
+        except osc.OscContactError as refusal:
+            return np.nan, np.nan, np.nan, str(refusal)[:60]
         verdict = osc.metrics(recording)
-        word = verdict["task"]["word"]
-        if self.begin is None:
-            force = verdict["force"].values()
-            rms, peak = (
-                100.0 * max(one[key] or np.nan for one in force)
+        if self.scenario in TIPS:
+            judged = recording["t"] >= JUDGED_FROM
+            force = recording["alpha_true"][judged]
+            wanted = recording["alpha_cmd"][judged]
+            error = (force - wanted) / np.abs(wanted).max()
+            found = np.sqrt(np.mean(error**2)), np.abs(error).max(), np.mean(force > 0.0)
+        else:
+            worst = [
+                max(one[key] or np.nan for one in verdict["force"].values())
                 for key in ("rms_error_rel", "peak_error_rel")
-            )
-            return rms, peak, 100.0 * min(verdict["contact_fraction"].values()), word
-        judged = recording["t"] >= self.begin
-        if not judged.any():
-            return np.nan, np.nan, np.nan, word
-        wanted = recording["alpha_cmd"][judged]
-        error = (recording["alpha_true"][judged] - wanted) / np.abs(wanted).max()
-        rms = 100.0 * float(np.sqrt(np.mean(error**2)))
-        closed = 100.0 * float(np.mean(recording["alpha_true"][judged] > 0.0))
-        return rms, 100.0 * float(np.abs(error).max()), closed, word
+            ]
+            found = (*worst, min(verdict["contact_fraction"].values()))
+        rms, peak, closed = (100.0 * float(x) for x in found)
+        return rms, peak, closed, verdict["task"]["word"]
 
 
 @cache
@@ -71,42 +81,13 @@ def _file(scenario: str) -> str:
     """A packaged scenario, or the draft for a robot."""
     if scenario not in TIPS:
         return scenario
-    path = Path(mkdtemp()) / f"{scenario}.yaml"
-    path.write_text(
-        draft(scenario, poses.arm_of(scenario, TIPS[scenario]), Press.parse("Z=10"), None, path)
-    )
-    return str(path)
+    arm = poses.arm_of(scenario, TIPS[scenario])
+    return draft_press(scenario, arm, Path(mkdtemp()) / f"{scenario}.yaml")
 
 
-def _slide(arm: str, frequency: float = 0.5, straight: bool = False) -> tuple[str, ...]:
-    """10 N at once, and a circle or a straight slide to and fro."""
-    normal = np.array(osc.load_scenario(_file(arm)).contacts[0].face.normal)
-    moves = [
-        f"{{kind: linear, direction: [{x}, {y}, {z}], signals: [{{type: sine, ramp: 1 s, "
-        f"amplitude: 20 mm, frequency: {frequency} Hz, phase: {phase} deg}}]}}"
-        for (x, y, z), phase in zip(triad(normal)[:, :2].T, (0, 90), strict=True)
-    ]
-    return (
-        f"motion=[{', '.join(moves[: 1 if straight else 2])}]",
-        "force.ball=[{type: constant, value: 10 N}]",
-        "gains={}",
-        "duration=5 s",
-    )
-
-
-def _joints(arm: str, friction: float, damping: float, armature: float | None) -> tuple[str, ...]:
-    name = osc.load_scenario(_file(arm)).arms[0].name
-    given = [f"arms.{name}.friction={friction}", f"arms.{name}.damping={damping}"]
-    if armature is not None:
-        given.append(f"arms.{name}.armature={armature}")
-    return tuple(given)
-
-
-#: Encoders, noise of the wrists and delay of all sensors.
-SENSORS = {
-    "20 bit, 0.05 N, 3 ms": (20, 0.05, 1.5),
-    "16 bit, 0.5 N, 3 ms": (16, 0.5, 3.0),
-}
+def _joints(scenario: str, numbers: Iterable[str]) -> tuple[str, ...]:
+    arms = osc.load_scenario(_file(scenario)).arms
+    return tuple(f"arms.{arm.name}.{number}" for arm in arms for number in numbers)
 
 
 def _noisy(bits: int, newtons: float) -> str:
@@ -118,77 +99,59 @@ def _noisy(bits: int, newtons: float) -> str:
     return f"sensors={{{encoder}, {wrist}}}"
 
 
-def two_arms() -> list[Case]:
-    """The rods of two arms, friction known, half known, believed too large, unknown."""
-    given = {
-        "two_contact_rod": ("friction=0.3", "damping=0.2", "armature=0.1"),
-        "dual_panda_rod": ("friction=1", "damping=2", "armature=0.1"),
-    }
+def cases() -> list[Case]:
+    """Rows of the table, by part: the rods of two arms, then each arm on its plate."""
     out = []
-    for name, numbers in given.items():
-        arms = [arm.name for arm in osc.load_scenario(name).arms]
-        all_joints = tuple(f"arms.{arm}.{number}" for arm in arms for number in numbers)
-        for factor in BELIEVED:
-            changes = (*all_joints, f"model_error.joint_friction={factor}")
-            out.append(Case(f"two arms {name} x{factor:g}", name, changes, 1.5, None))
+    for name, numbers in TWO_ARMS.items():
+        for factor, believed in BELIEVED.items():
+            changes = (*_joints(name, numbers), believed)
+            out.append(Case(f"two arms {name} x{factor:g}", name, changes, 1.5))
         unknown = ("plant.joint_friction=0.02",)
-        out.append(Case(f"two arms {name} unknown 2 % of the limit", name, unknown, 2.5, None))
+        out.append(Case(f"two arms {name} unknown 2 % of the limit", name, unknown, 2.5))
+    for arm in TIPS:
+        out += [Case(name, arm, changes, most) for name, most, changes in _of_arm(arm)]
     return out
 
 
-def at_rest(arm: str) -> list[Case]:
-    """Standing, and a step of the force after two seconds of it."""
-    still = ("motion=[]", "gains={}", "model_error.joint_friction=0.5")
-    still += _joints(arm, 1.0, 2.0, 0.1)
-    hold = (*still, "force.ball=[{type: constant, value: 10 N}]", "duration=10 s")
+def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
+    """Name, most error and changes of each case of an arm."""
+
+    def slide(frequency: float = 0.5, moves: int = 2) -> tuple[str, ...]:
+        return (*move_on_wall(_file(arm), frequency, moves), "duration=5 s")
+
+    rotors = _joints(arm, ROTORS)
+    smooth = _joints(arm, ("friction=0.0", "damping=0.0", "armature=0.1"))
+    yield f"clean {arm}", 0.3, (*slide(), *smooth)
+    for factor, believed in BELIEVED.items():
+        yield f"rotors {arm} x{factor:g}", 1.0, (*slide(), *rotors, believed)
+        if factor in (1.0, 1.5):
+            yield f"bare {arm} x{factor:g}", 2.5, (*slide(), *rotors[:2], believed)
+    for frequency, most in ((0.5, 1.0), (1.0, 1.5), (2.0, 2.0)):
+        yield f"reversals {arm} {frequency:g} Hz x0.5", most, (*slide(frequency, 1), *rotors, HALF)
+    yield f"5 mm/s {arm} x0.5", 0.3, (*slide(0.04), *rotors, HALF)
+    for share, most in ((0.005, 1.2), (0.02, 2.5)):
+        unknown = (*slide(), f"plant.joint_friction={share}")
+        yield f"unknown {arm} {100 * share:g} % of the limit", most, unknown
+    for what, (bits, newtons, most) in SENSORS.items():
+        yield f"noise {arm} {what}", most, (*slide(), *rotors, HALF, _noisy(bits, newtons))
+    still = (*slide()[1:3], *rotors, HALF, "motion=[]")
     step = (
         "force.ball=[{type: constant, value: 10 N}, "
         "{type: minimum_jerk, value: 5 N, start: 2 s, duration: 0.2 s}]"
     )
-    return [
-        Case(f"standing {arm} x0.5", arm, hold, 3.0),
-        Case(f"force step {arm} x0.5", arm, (*still, step, "duration=4 s"), 3.0),
-    ]
+    yield f"standing {arm} x0.5", 3.0, (*still, "duration=10 s")
+    yield f"force step {arm} x0.5", 3.0, (*still, step, "duration=4 s")
 
 
-def cases() -> list[Case]:
-    """Rows of the table, by part."""
-    out = two_arms()
-    for arm in TIPS:
-        plain = _slide(arm)
-        out.append(Case(f"clean {arm}", arm, (*plain, *_joints(arm, 0.0, 0.0, 0.1)), 0.3))
-        for factor in BELIEVED:
-            believed = f"model_error.joint_friction={factor}"
-            rotor = (*plain, *_joints(arm, 1.0, 2.0, 0.1), believed)
-            out.append(Case(f"rotors {arm} x{factor:g}", arm, rotor, 1.0))
-            if factor in (1.0, 1.5):
-                bare = (*plain, *_joints(arm, 1.0, 2.0, None), believed)
-                out.append(Case(f"bare {arm} x{factor:g}", arm, bare, 2.5))
-        for frequency, most in ((0.5, 1.0), (1.0, 1.5), (2.0, 2.0)):
-            turning = (*_slide(arm, frequency, straight=True), *_joints(arm, 1.0, 2.0, 0.1))
-            half = (*turning, "model_error.joint_friction=0.5")
-            out.append(Case(f"reversals {arm} {frequency:g} Hz x0.5", arm, half, most))
-        slow = (*_slide(arm, 0.04), *_joints(arm, 1.0, 2.0, 0.1), "model_error.joint_friction=0.5")
-        out.append(Case(f"5 mm/s {arm} x0.5", arm, slow, 0.3))
-        for share, most in ((0.005, 1.2), (0.02, 2.5)):
-            unknown = (*plain, f"plant.joint_friction={share}")
-            out.append(Case(f"unknown {arm} {100 * share:g} % of the limit", arm, unknown, most))
-        half = (*plain, *_joints(arm, 1.0, 2.0, 0.1), "model_error.joint_friction=0.5")
-        for what, (bits, newtons, most) in SENSORS.items():
-            out.append(Case(f"noise {arm} {what}", arm, (*half, _noisy(bits, newtons)), most))
-        out += at_rest(arm)
-    return out
+def main(only: str = "", workers: int = 2) -> None:
+    """Print the table.
 
-
-def main(given: list[str] | None = None) -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", default="", help="rows whose name contains this")
-    parser.add_argument("--workers", type=int, default=2)
-    chosen = parser.parse_args(given)
-    rows = [case for case in cases() if chosen.only in case.name]
+    Args:
+        only: rows whose name contains this.
+    """
+    rows = [case for case in cases() if only in case.name]
     print(f"{'case':40} rms %  wanted   peak %  contact %  verdict")
-    with ProcessPoolExecutor(chosen.workers) as pool:
+    with ProcessPoolExecutor(workers) as pool:
         for case, (rms, peak, closed, word) in zip(rows, pool.map(Case.run, rows), strict=True):
             print(
                 f"{case.name:40} {rms:5.2f}  {case.most:6.2f}  {peak:7.1f}  {closed:9.1f}  {word}",
@@ -197,4 +160,4 @@ def main(given: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

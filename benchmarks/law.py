@@ -1,14 +1,13 @@
 """What of a tick is the law's one call, beside Pinocchio's `computeAllTerms` of the same arms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rich.table import Table
 
 from benchmarks.cases import CASES, repeatable
-from benchmarks.measuring import machine, spread, take_turns
+from benchmarks.measuring import cells, machine, spread, take_turns
 from osc_contact import Controller, Measurement, Reference
 from paper.study import Data, table_of
 
@@ -34,7 +33,7 @@ def kernel_call(
         reference.alpha_d,
         controller._still,
     )
-    return lambda: controller._rows(*args)
+    return partial(controller._rows, *args)
 
 
 def measure(rounds: int) -> Data:
@@ -61,7 +60,7 @@ def measure(rounds: int) -> Data:
 def tables(result: Data) -> list[Table]:
     """A row for each part of each case."""
     rows = [
-        (name, part, *(f"{time:.1f}" for time in times.values()))
+        f"{name}; {part}; {cells(times)}"
         for name, parts in result["cases"].items()
         for part, times in parts.items()
     ]

@@ -4,9 +4,7 @@ Workers make rows side by side. One process hands them jobs, keeps their rows an
 what it spends on a row bounds how many workers have work.
 """
 
-from __future__ import annotations
-
-import resource
+import os
 import subprocess
 import sys
 from time import thread_time
@@ -63,7 +61,7 @@ def measure(runs: int = 20) -> Data:
 def time_rows(runs: int, duration: float) -> tuple[float, float]:
     """Least processor time (s) of a row, and of the same run by itself, taken in turns."""
     those = study(runs, duration)
-    least = [np.inf, np.inf]
+    times = []
     for number in range(runs):
         sample = those.sample(number)
         start = thread_time()
@@ -73,19 +71,18 @@ def time_rows(runs: int, duration: float) -> tuple[float, float]:
             changes = [*those.overrides, *(f"{k}={v}" for k, v in sample.overrides.items())]
             scenario = osc.load_scenario("two_contact_rod", changes)
             osc.metrics(osc.run(scenario, seed=sample.seed))
-        took = middle - start, thread_time() - middle
-        if number:  # the first finds nothing made
-            least = [min(pair) for pair in zip(least, took, strict=True)]
+        times.append((middle - start, thread_time() - middle))
     assert scenario_of(those, sample) == scenario
-    return least[0], least[1]
+    row, single = np.min(times[1:], axis=0)  # the first finds nothing made
+    return float(row), float(single)
 
 
 def _time_a_start() -> float:
     """Of a process that makes one row, the law being compiled already."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    before = os.times()
     subprocess.run([sys.executable, "-c", _ONE_ROW], check=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    after = os.times()
+    return sum(after[2:4]) - sum(before[2:4])  # of children, user and system
 
 
 def tables(result: Data) -> list[Table]:

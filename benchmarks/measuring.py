@@ -1,10 +1,10 @@
 """Medians of calls that take turns in one process, and what machine they were taken on."""
 
-from __future__ import annotations
-
 import os
 import platform
+import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter_ns
@@ -15,18 +15,25 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
+SHARES = {"p50": 50, "p99": 99, "p99_9": 99.9, "max": 100}
 PACKAGES = ("osc-contact", "pin", "numpy", "numba", "mujoco")
 WARM_UP = 5
+Call = Callable[[], object]
 
 
 def machine() -> dict[str, Any]:
     """Processor, cores, system, Python, packages: what numbers were measured on."""
+    packages = {}
+    for name in PACKAGES:
+        with suppress(PackageNotFoundError):
+            packages[name] = version(name)
+    cpu = re.search("model name\\s*: (.+)", Path("/proc/cpuinfo").read_text())
     return {
-        "cpu": _cpu(),
+        "cpu": cpu[1] if cpu else platform.processor() or platform.machine(),
         "cores": len(os.sched_getaffinity(0)),
         "system": platform.platform(terse=True),
         "python": platform.python_version(),
-        "packages": {name: found for name in PACKAGES if (found := _version(name))},
+        "packages": packages,
     }
 
 
@@ -51,7 +58,7 @@ def require_count(count: int, what: str) -> int:
 
 
 def take_turns(
-    calls: Mapping[str, Callable[[], object]],
+    calls: Mapping[str, Call],
     rounds: int,
     between: Callable[[], None] | None = None,
 ) -> dict[str, Array]:
@@ -66,10 +73,9 @@ def take_turns(
         InvalidInputError: no rounds.
     """
     require_count(rounds, "rounds")
-    functions = list(calls.values())
-    times = np.zeros((rounds + WARM_UP, len(functions)))
+    times = np.zeros((rounds + WARM_UP, len(calls)))
     for row in times:
-        for i, function in enumerate(functions):
+        for i, function in enumerate(calls.values()):
             start = perf_counter_ns()
             function()
             row[i] = perf_counter_ns() - start
@@ -85,19 +91,9 @@ def joined(blocks: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
 
 def spread(times: Array) -> dict[str, float]:
     """p50, p99, p99.9 and largest of some times, in their unit."""
-    p50, p99, p99_9 = (float(x) for x in np.percentile(times, [50, 99, 99.9]))
-    return {"p50": p50, "p99": p99, "p99_9": p99_9, "max": float(times.max())}
+    return {name: float(np.percentile(times, share)) for name, share in SHARES.items()}
 
 
-def _cpu() -> str:
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return models[0] if models else platform.processor() or platform.machine()
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
+def cells(numbers: Mapping[str, float], form: str = ".1f") -> str:
+    """Numbers as cells of `table_of`."""
+    return "; ".join(format(x, form) for x in numbers.values())

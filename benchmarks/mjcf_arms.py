@@ -7,78 +7,72 @@ file, without and with 0.5 kg m² in every joint: rms force error, overshoot of 
 contact, verdict. Where the wall stands follows from the posture that `osc-contact new` takes.
 """
 
-from __future__ import annotations
-
-import argparse
-import logging
 import tempfile
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.runs.drafts import Press, draft
+from osc_contact.sweeps.rows import without_logged_doubts
 
-#: Folder of each arm → its tip.
-ARMS = dict.fromkeys(
-    ("iiwa", "jaco", "kinova3", "panda", "sawyer", "spot_arm", "ur5e", "xarm7"), "right_hand"
-)
-CIRCLE_MM = 20.0
+ARMS = ["iiwa", "jaco", "kinova3", "panda", "sawyer", "spot_arm", "ur5e", "xarm7"]  #: folders
 
 
-def scenario_of(file: Path, tip: str, folder: Path) -> Path:
-    """The file of a scenario in which an arm presses 10 N and draws a circle, 0.5 Hz.
+def draft_press(robot: str, arm: osc.Arm, target: Path) -> str:
+    """Write a scenario in which an arm presses 10 N; the name of its file."""
+    target.write_text(draft(robot, arm, Press.parse("Z=10"), None, target))
+    return str(target)
+
+
+def move_on_wall(file: str, frequency: float = 0.5, moves: int = 2) -> list[str]:
+    """Changes of a drafted scenario: 10 N at once, and a circle (or a line) in the wall's plane.
 
     Args:
-        file: MJCF of the arm. tip: its body or site. folder: where the scenario goes.
+        file: of the scenario. frequency: Hz. moves: 1: to and fro; 2: a circle.
     """
-    arm = osc.Arm.from_mjcf(file, name="arm", tip=tip)
-    target = folder / f"{file.parent.name}.yaml"
-    target.write_text(draft(str(file), arm, Press.parse("Z=10"), None, target))
-    return target
-
-
-def _circle(path: Path) -> list[str]:
-    """Changes of a drafted scenario: 10 N at once, and a circle in the wall's plane."""
-    normal = np.array(osc.load_scenario(path).contacts[0].face.normal)
-    moves = ", ".join(
+    contact: Any = osc.load_scenario(file).contacts[0]
+    axes = zip(triad(np.array(contact.face.normal)).T[:moves], (0, 90), strict=False)
+    signals = ", ".join(
         f"{{kind: linear, direction: [{x}, {y}, {z}], signals: [{{type: sine, ramp: 1 s, "
-        f"amplitude: {CIRCLE_MM} mm, frequency: 0.5 Hz, phase: {phase} deg}}]}}"
-        for (x, y, z), phase in zip(triad(normal)[:, :2].T, (0, 90), strict=True)
+        f"amplitude: 20 mm, frequency: {frequency} Hz, phase: {phase} deg}}]}}"
+        for (x, y, z), phase in axes
     )
-    return [f"motion=[{moves}]", "force.ball=[{type: constant, value: 10 N}]", "gains={}"]
+    return [f"motion=[{signals}]", "force.ball=[{type: constant, value: 10 N}]", "gains={}"]
 
 
-def main() -> None:
+@without_logged_doubts()
+def judge(file: Path, folder: str) -> None:
+    """Print a line for each inertia of the rotors of an arm (MJCF file)."""
+    name = file.parent.name
+    arm = osc.Arm.from_mjcf(file, name="arm", tip="right_hand")
+    path = draft_press(str(file), arm, Path(folder) / f"{name}.yaml")
+    for rotors in ("file", "0.0", "0.5"):
+        changes = [*move_on_wall(path), "duration=3 s"]
+        changes += [] if rotors == "file" else [f"arms.arm.armature={rotors}"]
+        verdict = osc.metrics(osc.run(osc.load_scenario(path, changes)))
+        (force,) = verdict["force"].values()
+        print(
+            f"{name:10} {rotors:8}  {force['rms_error_rel']:16.4%}  "
+            f"{verdict['steps'][0]['overshoot_rel']:9.1%}  "
+            f"{min(verdict['contact_fraction'].values()):6.1%}  {verdict['task']['word']}",
+            flush=True,
+        )
+
+
+def main(folder: Annotated[Path, typer.Option()]) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument("--arms", nargs="+", default=list(ARMS))
-    given = parser.parse_args()
-    logging.disable(logging.WARNING)
     print(f"{'arm':10} armature  force error, rms  overshoot  closed  verdict")
-    with tempfile.TemporaryDirectory() as folder:
-        for name in given.arms:
+    with tempfile.TemporaryDirectory() as drafts:
+        for name in ARMS:
             try:
-                path = scenario_of(given.folder / name / "robot.xml", ARMS[name], Path(folder))
-                for rotors in (None, 0.0, 0.5):
-                    changes = [*_circle(path), "duration=3 s"]
-                    if rotors is not None:
-                        changes.append(f"arms.arm.armature={rotors}")
-                    verdict = osc.metrics(osc.run(osc.load_scenario(path, changes)))
-                    (force,) = verdict["force"].values()
-                    first = verdict["steps"][0]
-                    print(
-                        f"{name:10} {'file' if rotors is None else rotors!s:8}  "
-                        f"{force['rms_error_rel']:16.4%}  {first['overshoot_rel']:9.1%}  "
-                        f"{min(verdict['contact_fraction'].values()):6.1%}  "
-                        f"{verdict['task']['word']}",
-                        flush=True,
-                    )
+                judge(folder / name / "robot.xml", drafts)
             except osc.OscContactError as error:
                 print(f"{name:10} {error}", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

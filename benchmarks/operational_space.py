@@ -1,8 +1,5 @@
 """Λ, μ, p, J, J̄, Φ, h of one arm beside `computeAllTerms`, and beside the same with Pinocchio."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +8,7 @@ from rich.table import Table
 
 import osc_contact as osc
 from benchmarks.cases import PANDA_Q, panda
-from benchmarks.measuring import machine, spread, take_turns
+from benchmarks.measuring import Call, machine, spread, take_turns
 from osc_contact import robots
 from paper.study import Data, table_of
 
@@ -32,10 +29,8 @@ def measure(rounds: int) -> Data:
         "Panda": (panda("panda", pin.SE3.Identity()), PANDA_Q),
         "UR5": (ur5, np.array([0.0, -1.2, 1.4, -1.0, -1.5, 0.3])),
     }
-    return {
-        "machine": machine(),
-        "cases": {name: _time(arm, q, rounds) for name, (arm, q) in cases.items()},
-    }
+    times = {name: _time(arm, q, rounds) for name, (arm, q) in cases.items()}
+    return {"machine": machine(), "cases": times}
 
 
 def _time(arm: osc.Arm, q: Any, rounds: int) -> dict[str, dict[str, float]]:
@@ -45,7 +40,7 @@ def _time(arm: osc.Arm, q: Any, rounds: int) -> dict[str, dict[str, float]]:
     kept = osc.operational_space(arm, q, v)
     many = np.tile(q, (ROWS, 1)), np.tile(v, (ROWS, 1))
     batch = osc.operational_space(arm, *many)
-    calls: dict[str, Callable[[], object]] = {
+    calls: dict[str, Call] = {
         "pin.computeAllTerms": lambda: pin.computeAllTerms(model, data, q, v),
         "operational_space(…, out=…)": lambda: osc.operational_space(arm, q, v, out=kept),
         "operational_space(…)": lambda: osc.operational_space(arm, q, v),
@@ -79,6 +74,6 @@ def tables(result: Data) -> list[Table]:
     for name, calls in result["cases"].items():
         floor = calls["pin.computeAllTerms"]["p50"]
         for call, times in calls.items():
-            p50 = times["p50"]
-            rows.append((name, call, f"{p50:.2f}", f"{times['p99']:.2f}", f"{p50 / floor:.2f}"))
+            shown = f"{times['p50']:.2f}; {times['p99']:.2f}; {times['p50'] / floor:.2f}"
+            rows.append(f"{name}; {call}; {shown}")
     return [table_of("Λ, μ, p, J, J̄, Φ, h", "arm; call; p50 (µs); p99 (µs); ratio", rows)]

@@ -1,15 +1,14 @@
 """The tick beside what else could be run in its place, on the same rigs."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,7 +17,7 @@ from rich.table import Table
 
 import osc_contact as osc
 from benchmarks.cases import CASES, TickCase, repeatable
-from benchmarks.measuring import joined, machine, require_count, spread, take_turns
+from benchmarks.measuring import Call, cells, joined, machine, require_count, spread, take_turns
 from benchmarks.textbook import TextbookLaw
 from osc_contact import robots
 from osc_contact.plants.mujoco import MujocoPlant
@@ -38,12 +37,11 @@ HOW_TO_TSID = (
 )
 
 
-@dataclass(frozen=True)
-class Peers:
+class Peers(NamedTuple):
     """Calls by name: those of compiled code, and those that live in Python; `unwind` after each."""
 
-    compiled: dict[str, Callable[[], object]]
-    python: dict[str, Callable[[], object]]
+    compiled: dict[str, Call]
+    python: dict[str, Call]
     unwind: Callable[[], None]
 
 
@@ -56,19 +54,16 @@ def peers_of(case: TickCase) -> Peers:
         "pin.constraintDynamics": constraint_dynamics(case),
         "MuJoCo mj_inverse": mujoco_inverse(case),
     }
-    python: dict[str, Callable[[], object]] = {"textbook law in NumPy": TextbookLaw(case).tick}
+    python: dict[str, Call] = {"textbook law in NumPy": TextbookLaw(case).tick}
     state = case.chain.state(case.measurement.q, case.measurement.v)
     parts = [pair.contact(state.X_WO, state.V_O) for pair in case.pairs]
     instant = Instant(state, osc.Contact.stack(parts))
     for baseline in BASELINES.values():
         law = best_selection(instant, baseline, restarts=0)
         controller = law.install(repeatable(case.controller()))
-        python[f"{baseline.label} (in Python)"] = _ticking(controller, case)
+        ticking = partial(controller.tick, case.measurement, case.reference)
+        python[f"{baseline.label} (in Python)"] = ticking
     return Peers(compiled, python, unwind)
-
-
-def _ticking(controller: osc.Controller, case: TickCase) -> Callable[[], object]:
-    return lambda: controller.tick(case.measurement, case.reference)
 
 
 def measure(rounds: int = 500, tsid_python: Path | None = None) -> Data:
@@ -144,7 +139,7 @@ def tables(result: Data) -> list[Table]:
     for name, case in result["cases"].items():
         title = f"{name}: {result['rounds']} rounds, compiled code {10 * result['rounds']}"
         rows = (
-            (peer, *(f"{time:.1f}" for time in times.values()), f"{case['ratio'][peer]:.2f}")
+            f"{peer}; {cells(times)}; {case['ratio'][peer]:.2f}"
             for peer, times in case["peers_us"].items()
         )
         table = table_of(title, "µs; p50; p99; p99.9; max; p50 / tick", rows)
@@ -166,7 +161,7 @@ def tables(result: Data) -> list[Table]:
 DEPTH = 2e-5  # m
 
 
-def constraint_dynamics(case: TickCase) -> Callable[[], object]:
+def constraint_dynamics(case: TickCase) -> Call:
     """`pin.constraintDynamics`: forward dynamics of arms, object, loop and contacts.
 
     The object is part of the first arm's last link, six-row constraints weld the other arms to it;
@@ -176,47 +171,44 @@ def constraint_dynamics(case: TickCase) -> Callable[[], object]:
     chain = case.chain
     assert chain.payload is not None
     model = chain.model.copy()
-    tips = [model.frames[model.getFrameId(f"{a.name}/{a.tip}")] for a in chain.arms]
-    joints = [tip.parentJoint for tip in tips]
-    at = [tip.placement * grasp.X_TO for tip, grasp in zip(tips, chain.grasps, strict=True)]
-    model.appendBodyToJoint(joints[0], chain.payload.inertia, at[0])
+    ends = []
+    for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
+        tip = model.frames[model.getFrameId(f"{arm.name}/{arm.tip}")]
+        ends.append((tip.parentJoint, tip.placement * grasp.X_TO))
+    (first, at), *others = ends
+    model.appendBodyToJoint(first, chain.payload.inertia, at)
     data = model.createData()
     q = case.measurement.q
     v = case.measurement.v
     pin.forwardKinematics(model, data, q)
-    constraints = [
-        pin.RigidConstraintModel(
-            pin.ContactType.CONTACT_6D, model, joints[0], at[0], joint, X, pin.LOCAL
-        )
-        for joint, X in zip(joints[1:], at[1:], strict=True)
-    ]
+
+    def hold(kind: Any, here: pin.SE3, joint: int, there: pin.SE3) -> Any:
+        return pin.RigidConstraintModel(kind, model, first, here, joint, there, pin.LOCAL)
+
+    constraints = [hold(pin.ContactType.CONTACT_6D, at, *end) for end in others]
     for pair in case.pairs:
-        here = at[0] * pin.SE3(np.eye(3), pair.vertex)
-        there = data.oMi[joints[0]] * here
-        constraints.append(
-            pin.RigidConstraintModel(
-                pin.ContactType.CONTACT_3D, model, joints[0], here, 0, there, pin.LOCAL
-            )
-        )
+        here = at * pin.SE3(np.eye(3), pair.vertex)
+        there = data.oMi[first] * here
+        constraints.append(hold(pin.ContactType.CONTACT_3D, here, 0, there))
     states = [constraint.createData() for constraint in constraints]
     pin.initConstraintDynamics(model, data, constraints, states)
     settings = pin.ProximalSettings(1e-12, 1e-10, 10)
     tau = np.zeros(chain.nq)
     tau[chain.actuated] = case.controller().tick(case.measurement, case.reference)
     tau -= model.damping * v  # which `pin.constraintDynamics` does not know
-    return lambda: pin.constraintDynamics(model, data, q, v, tau, constraints, states, settings)
+    all_of_it = (model, data, q, v, tau, constraints, states, settings)
+    return partial(pin.constraintDynamics, *all_of_it)
 
 
-def mujoco_inverse(case: TickCase) -> Callable[[], object]:
+def mujoco_inverse(case: TickCase) -> Call:
     """`mj_inverse`: torques that explain q, v and q̈, with welds and soft contacts.
 
     Raises:
         PlantError: MuJoCo is missing or refuses the scene.
     """
-    model, data = mujoco_state(case)
     import mujoco
 
-    return lambda: mujoco.mj_inverse(model, data)
+    return partial(mujoco.mj_inverse, *mujoco_state(case))
 
 
 def mujoco_state(case: TickCase) -> tuple[Any, Any]:
@@ -229,12 +221,10 @@ def mujoco_state(case: TickCase) -> tuple[Any, Any]:
         urdfs = [_without_shapes(arm.model.name, Path(folder)) for arm in case.chain.arms]
         faces = [(robots.urdf_path("face"), pair.face_placement()) for pair in pairs]
         plant = MujocoPlant(case.chain, urdfs, robots.urdf_path("rod"), pairs, faces)
-    for name, q, v in zip(
-        case.chain.joint_names, case.measurement.q, case.measurement.v, strict=True
-    ):
+    for i, name in enumerate(case.chain.joint_names):
         joint = plant.model.joint(name)
-        plant.data.qpos[joint.qposadr] = q
-        plant.data.qvel[joint.dofadr] = v
+        plant.data.qpos[joint.qposadr] = case.measurement.q[i]
+        plant.data.qvel[joint.dofadr] = case.measurement.v[i]
     plant.hold(case.controller().tick(case.measurement, case.reference))
     return plant.model, plant.data
 
@@ -244,9 +234,8 @@ def _without_shapes(name: str, folder: Path) -> Path:
     packaged = name.startswith("scara")
     tree = ElementTree.parse(robots.urdf_path(name) if packaged else robots.find_robot(name)[0])
     for link in tree.getroot().findall("link"):
-        for kind in ("visual", "collision"):
-            for shape in link.findall(kind):
-                link.remove(shape)
+        for shape in (*link.findall("visual"), *link.findall("collision")):
+            link.remove(shape)
     path = folder / f"{name}.urdf"
     tree.write(path)
     return path

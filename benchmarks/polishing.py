@@ -5,22 +5,21 @@ is the true contact force. No sensor reads k and no force law can know it. The d
 the pass, and a learner receives one number: how uneven it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 import typer
+from matplotlib.figure import Figure
 from rich.console import Console
 
 import osc_contact as osc
 from osc_contact.spatial import Array
 from osc_contact.sweeps.vector_env import ContactVectorEnv
+from osc_contact.visual.plots import save, style
 from paper.study import table_of
 
 LENGTH = 0.1
@@ -32,6 +31,7 @@ MOST = 40.0  #: N; where k is 1 the first takes off the desired depth
 TABLE = np.array([0.5, 0.0, 0.32])  #: a point of the table's edge, which runs along y
 LOW = np.array([0.0, 0.0, -0.0424264])  #: a point of the bar's edge, which runs along x, in the bar
 INTO = np.array([0.6, 0.0, -0.8])  #: the normal of both edges, into the table
+ALONG = np.eye(3) - np.outer(INTO, INTO)  #: what is left of a vector along the faces
 VARY = {"model_error.object_mass": "uniform(0.9, 1.1)", "model_error.arm_mass": "uniform(0.9, 1.1)"}
 
 
@@ -101,11 +101,7 @@ def polish(env: ContactVectorEnv, policies: Array, seed: int) -> Passes:
         seed: of the masses.
     """
     observed, _ = env.reset(seed=seed)
-    now, then = (
-        [env.names.index(f"{whose} {axis}") for axis in ("x", "y", "z", "rx", "ry", "rz")]
-        for whose in ("set point", "scenario")
-    )
-    action = np.zeros((env.num_envs, 7))
+    first, then = (env.names.index(f"{whose} x") for whose in ("set point", "scenario"))
     knots = np.linspace(EDGES[0], EDGES[-1], policies.shape[1])
     start = env.fleet.objects()[0].copy()
     place = touch(env)[0]
@@ -114,21 +110,19 @@ def polish(env: ContactVectorEnv, policies: Array, seed: int) -> Passes:
     wears = [np.zeros(env.num_envs)]
     off = []
     while not over.all():
-        way = observed[:, then] - observed[:, now]
-        goal = place + way[:, 1]
-        force = [np.interp(y, knots, policy) for y, policy in zip(goal, policies, strict=True)]
-        action[:, :6] = way / env.move
-        action[:, 6] = 2.0 * np.array(force) / MOST - 1.0
-        observed, _, ended, truncated, _ = env.step(action)
+        way = observed[:, then : then + 6] - observed[:, first : first + 6]
+        force = [
+            np.interp(y, knots, row) for y, row in zip(place + way[:, 1], policies, strict=True)
+        ]
+        press = 2.0 * np.array(force) / MOST - 1.0
+        observed, _, ended, truncated, _ = env.step(np.column_stack((way / env.move, press)))
         over |= ended | truncated
         y, pressed = touch(env)
         place = np.where(over, place, np.maximum(place, y))
         places.append(place)
         wears.append(np.where(over, 0.0, softness(y) * pressed))
-        error = observed[:, now[:3]] - (env.fleet.objects()[0] - start)
-        off.append(
-            np.where(over, np.nan, np.linalg.norm(error - np.outer(error @ INTO, INTO), axis=1))
-        )
+        error = observed[:, first : first + 3] - (env.fleet.objects()[0] - start)
+        off.append(np.where(over, np.nan, np.linalg.norm(error @ ALONG, axis=1)))
     at = np.array(places)
     wear = np.array(wears)
     taken = np.cumsum(0.5 * (wear[1:] + wear[:-1]) * np.diff(at, axis=0), axis=0)
@@ -177,17 +171,12 @@ class SelectionRows:
 
     def __init__(self, env: ContactVectorEnv, gains: SpringGains) -> None:
         """Rows of an environment, whose `fleet.control` it becomes."""
-        self._env = env
+        self._fleet = env.fleet
         self._gains = gains
-        B = env.num_envs
-        self._K = np.repeat(gains.stiffness, 3)
-        self._D = np.repeat(gains.damping, 3)
         self._chains = [one.chain for one in env.fleet.control._settings]
         self._rest = env.fleet.measure()[0]
-        self._sum = np.zeros(B)
-        self._dt = env.fleet.dt
-        self.alpha_meas, self.normal_speed = np.zeros((2, B, 1))
-        self.state = np.full(B, int(osc.SafetyState.RUN))
+        self._sum, self.alpha_meas, self.normal_speed = np.zeros((3, env.num_envs, 1))
+        self.state = np.full(env.num_envs, int(osc.SafetyState.RUN))
         env.fleet.control = self  # type: ignore[assignment]
 
     def replace(self, row: int, controller: Any) -> None:
@@ -204,33 +193,25 @@ class SelectionRows:
         *,
         V_D: Array,
         alpha_d: Array,
-        **_: Array | None,
+        **_: Any,
     ) -> Array:
         """Torques (B, n_a); arguments as of `BatchController.tick`."""
         k = self._gains
-        B = len(q)
-        p, R = self._env.fleet.objects()
-        J = np.empty((B, 6, q.shape[1]))
-        tau = np.empty(q.shape)
-        alpha = np.empty(B)
-        e = np.concatenate((X_WD[:, :3, 3] - p, np.empty((B, 3))), axis=1)
-        for i in range(B):
-            J[i], tau[i], alpha[i] = self._look(i, q[i], p[i], R[i], wrenches[i, 0])
-            e[i, 3:] = pin.log3(X_WD[i, :3, :3] @ R[i].T)
-        V = np.einsum("bij,bj->bi", J, v)
-        force = self._K * e + self._D * (V_D - V)
-        force[:, :3] -= (force[:, :3] @ INTO)[:, None] * INTO
-        speed = V[:, :3] @ INTO
-        self._sum += self._dt * (alpha_d[:, 0] - alpha)
-        push = alpha_d[:, 0] + k.integral * self._sum - k.contact * speed
-        force[:, :3] += push[:, None] * INTO
-        idle = k.posture[0] * (self._rest - q) - k.posture[1] * v
-        seen = np.linalg.solve(
-            J @ J.transpose(0, 2, 1), np.einsum("bij,bj->bi", J, idle)[..., None]
-        )
-        force -= seen[..., 0]  # τ_0 = (1 − JᵀJᵀ⁺) idle
+        p, R = self._fleet.objects()
+        looks = [self._look(i, q[i], p[i], R[i], wrenches[i, 0]) for i in range(len(q))]
+        J, tau, alpha = (np.array(part) for part in zip(*looks, strict=True))
         self.alpha_meas[:, 0] = alpha
-        self.normal_speed[:, 0] = speed
+        turns = [pin.log3(X[:3, :3] @ now.T) for X, now in zip(X_WD, R, strict=True)]
+        e = np.hstack((X_WD[:, :3, 3] - p, turns))
+        V = np.einsum("bij,bj->bi", J, v)
+        force = np.repeat(k.stiffness, 3) * e + np.repeat(k.damping, 3) * (V_D - V)
+        self.normal_speed[:, 0] = V[:, :3] @ INTO
+        self._sum += self._fleet.dt * (alpha_d - self.alpha_meas)
+        push = alpha_d + k.integral * self._sum - k.contact * self.normal_speed
+        force[:, :3] = force[:, :3] @ ALONG + push * INTO
+        idle = k.posture[0] * (self._rest - q) - k.posture[1] * v
+        seen = np.linalg.solve(J @ J.transpose(0, 2, 1), J @ idle[..., None])
+        force -= seen[..., 0]  # τ_0 = (1 − JᵀJᵀ⁺) idle
         return tau + np.einsum("bij,bi->bj", J, force) + idle
 
     def _look(
@@ -290,8 +271,8 @@ def learn(
         policies = mean + deviation * draws.standard_normal((rows, len(start)))
         policies[0] = mean
         costs = cost(policies, int(draws.integers(2**31)))
-        curve.append(float(costs[0]))
-        told(generation, curve[-1])
+        curve.append(costs[0])
+        told(generation, costs[0])
         best = policies[np.argsort(costs)[: max(2, round(_BEST * rows))]]
         mean = best.mean(axis=0)
         deviation = _KEPT * deviation + (1.0 - _KEPT) * best.std(axis=0)
@@ -306,17 +287,20 @@ SLOW = 1.4
 FAST = 0.7  #: s, of a pass: while learning; and twice as fast, not seen while learning
 UNSEEN = 10**6
 JUDGED = 16  #: seed of passes that no learner has seen, and how many
-LAWS = {
-    "ours": lambda env: None,
-    "Jᵀ, soft": partial(SelectionRows, gains=SOFT),
-    "Jᵀ, stiff": partial(SelectionRows, gains=STIFF),
-}
+LAWS: dict[str, SpringGains | None] = {"ours": None, "Jᵀ, soft": SOFT, "Jᵀ, stiff": STIFF}
+
+
+def _env(law: str, rows: int, seconds: float) -> ContactVectorEnv:
+    env = make_env(rows, seconds)
+    gains = LAWS[law]
+    if gains is not None:
+        SelectionRows(env, gains)
+    return env
 
 
 def teach(law: str, rows: int, generations: int, seed: int, say: Any = None) -> tuple[Array, Array]:
     """Policy (12,) that is learned above a law, and its unevenness at each generation."""
-    env = make_env(rows, SLOW)
-    LAWS[law](env)
+    env = _env(law, rows, SLOW)
     return learn(
         lambda policies, episodes: polish(env, policies, episodes).uneven,
         np.full(len(KNOTS), MEAN),
@@ -330,9 +314,7 @@ def teach(law: str, rows: int, generations: int, seed: int, say: Any = None) -> 
 
 def judge(law: str, policy: Array, seconds: float) -> Passes:
     """Passes with masses that were not met while learning."""
-    env = make_env(JUDGED, seconds)
-    LAWS[law](env)
-    return polish(env, np.tile(policy, (JUDGED, 1)), UNSEEN)
+    return polish(_env(law, JUDGED, seconds), np.tile(policy, (JUDGED, 1)), UNSEEN)
 
 
 def main(
@@ -343,66 +325,56 @@ def main(
 ) -> None:
     """Learn, judge, print, draw."""
     console = Console()
-    runs = [("ours", seed) for seed in range(seeds)] + [("Jᵀ, stiff", 0)]
     learned = {}
     with console.status("learning") as status:
-        for law, seed in runs:
+        for law, seed in [*(("ours", seed) for seed in range(seeds)), ("Jᵀ, stiff", 0)]:
             learned[law, seed] = teach(law, rows, generations, seed, status.update)
-    depths = {}
-    rows_of = []
     policies = {("ours", "15 N everywhere"): np.full(len(KNOTS), MEAN)}
     policies |= {(law, f"learned, seed {seed}"): found[0] for (law, seed), found in learned.items()}
     policies |= {(law, "best, known hardness"): best_forces(KNOTS) for law in LAWS}
-    for (law, name), policy in policies.items():
-        cells = []
-        for seconds in (SLOW, FAST):
-            seen = judge(law, policy, seconds)
-            depths[law, name, seconds] = seen.depth
-            cells += [f"{seen.uneven.mean():.1%}", f"{1e3 * seen.off.mean():.2f} mm"]
-        rows_of.append((law, name, *cells))
+    seen = {
+        (*key, seconds): judge(key[0], policy, seconds)
+        for key, policy in policies.items()
+        for seconds in (SLOW, FAST)
+    }
+    cells = {
+        key: f"{one.uneven.mean():.1%}; {1e3 * one.off.mean():.2f} mm" for key, one in seen.items()
+    }
     heads = "law; policy; slow: uneven; off the path; fast: uneven; off the path"
     title = f"{JUDGED} passes with masses not met while learning"
-    console.print(table_of(title, heads, rows_of))
+    shown = [(law, name, cells[law, name, SLOW], cells[law, name, FAST]) for law, name in policies]
+    console.print(table_of(title, heads, map("; ".join, shown)))
     if figure is not None:
-        draw(learned, depths, figure)
+        draw(learned, {name: seen["ours", name, SLOW].depth for name in SHOWN}, figure)
+
+
+SHOWN = {"15 N everywhere": ("#999999", "before"), "learned, seed 0": ("#0072B2", "after")}
+"""Policies whose depths are drawn: colour and label."""
 
 
 def draw(
-    learned: dict[tuple[str, int], tuple[Array, Array]],
-    depths: dict[tuple[str, str, float], Array],
-    path: Path,
+    learned: dict[tuple[str, int], tuple[Array, Array]], depths: dict[str, Array], path: Path
 ) -> None:
     """Learning curves; forces found beside the best ones; depths before and after."""
-    from matplotlib.figure import Figure
-
-    from osc_contact.visual.plots import save, style
-
     with style():
         figure = Figure(figsize=(10.0, 3.2))
         curves, forces, depth = figure.subplots(1, 3)
         colours = dict(zip(LAWS, ("#0072B2", "#E69F00", "#D55E00"), strict=True))
         for (law, seed), (policy, curve) in learned.items():
-            label = law if seed == 0 else None
-            curves.plot(100 * curve, color=colours[law], label=label)
+            named = "_" * bool(seed)  # not in a legend
+            curves.plot(100 * curve, color=colours[law], label=named + law)
             if law == "ours":
-                forces.plot(
-                    1e3 * KNOTS, policy, color=colours[law], label="learned" if seed == 0 else None
-                )
-        curves.set(
-            title="unevenness of the mean policy", xlabel="generation", ylabel="%", yscale="log"
-        )
+                forces.plot(1e3 * KNOTS, policy, color=colours[law], label=f"{named}learned")
+        generations = {"xlabel": "generation", "ylabel": "%", "yscale": "log"}
+        curves.set(title="unevenness of the mean policy", **generations)
         forces.plot(1e3 * KNOTS, best_forces(KNOTS), "k--", lw=1.2, label="best, known hardness")
         forces.set(title="force by place", xlabel="place (mm)", ylabel="N", ylim=(0, None))
         middle = 500 * (EDGES[1:] + EDGES[:-1])
-        for name, colour, label in (
-            ("15 N everywhere", "#999999", "before"),
-            ("learned, seed 0", "#0072B2", "after"),
-        ):
-            for i, one in enumerate(depths["ours", name, SLOW]):
-                depth.plot(middle, one, color=colour, lw=0.7, label=label if i == 0 else None)
-        depth.set(
-            title=f"depth of {JUDGED} passes, 1: as desired", xlabel="place (mm)", ylim=(0, None)
-        )
+        for name, (colour, label) in SHOWN.items():
+            for i, one in enumerate(depths[name]):
+                depth.plot(middle, one, color=colour, lw=0.7, label="_" * bool(i) + label)
+        title = f"depth of {JUDGED} passes, 1: as desired"
+        depth.set(title=title, xlabel="place (mm)", ylim=(0, None))
         for ax in (curves, forces, depth):
             ax.legend()
         save(figure, path.with_suffix(""), (".png",))

@@ -12,18 +12,16 @@ weight of 48.07 N) sink back onto these when they are stopped, and a free cart m
 (moving_face): that is reported, and not wrong below a tenth of their speed limits.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from itertools import product, repeat
+from itertools import product
 from multiprocessing import get_context
 
 import numpy as np
+import typer
 
 import osc_contact as osc
 from osc_contact.plants.mujoco import MujocoPlant
@@ -99,13 +97,6 @@ def push_arm(
     first = 0
     good = 0
     k = 0
-    log = truth.log()
-
-    def judge() -> np.ndarray:
-        log.clear()
-        log.note()
-        return log.truths(log.noted()).alpha[0]
-
     seen = Pushed(name, direction, force, duration, None, None, 0.0, 0.0, 0.0, [])
     last = 0
     while begin is None or k < last:
@@ -116,7 +107,7 @@ def push_arm(
             seen.wrong.append(f"{error}"[:80])
             return seen
         k += 1
-        now = judge()
+        now = truth.truth().alpha
         wanted = np.asarray(reference.alpha_d)
         back = bool((np.abs(now - wanted) <= np.maximum(_NEAR * np.abs(wanted), _LEAST)).all())
         asked = not len(wanted) or bool((wanted > _LEAST).any())
@@ -126,8 +117,8 @@ def push_arm(
             if good * dt >= _SETTLING:
                 begin = k * dt
                 arm = next(a.name for a in rig.model.arms if a.wrist_sensor is not None)
-                push = Push(arm, (force * _direction(rig, direction)).tolist(), begin, duration)
-                truth.pushes = (*truth.pushes, push)
+                push = {"arm": arm, "force": (force * _direction(rig, direction)).tolist()}
+                truth.pushes = (*truth.pushes, Push(**push, start=begin, duration=duration))
                 first = k + round(duration / dt)
                 last = first + after
             elif k * dt > rig.scenario.duration:
@@ -192,15 +183,11 @@ def _inside(plant: object) -> MujocoPlant:
 
 def _direction(rig: Rig, word: str) -> np.ndarray:
     """(3,) unit vector in the world."""
-    lines = rig.contact().N[:3] if rig.pairs else np.zeros((3, 0))
-    into = lines.sum(axis=1)
+    into = rig.contact().N[:3].sum(axis=1) if rig.pairs else np.zeros(3)
     if not np.linalg.norm(into) > 0.1:
         into = np.array([0.0, 0.0, -1.0])
-    into = into / np.linalg.norm(into)
-    if word == "along":
-        across = np.cross(into, [0.3, 0.9, 0.4])
-        return across / np.linalg.norm(across)
-    return into if word == "into" else -into
+    lines = {"into": into, "off": -into, "along": np.cross(into, [0.3, 0.9, 0.4])}
+    return lines[word] / np.linalg.norm(lines[word])
 
 
 def table(rows: Sequence[Pushed]) -> str:
@@ -219,32 +206,27 @@ def table(rows: Sequence[Pushed]) -> str:
     return "\n".join(lines)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Push them all; 1 if anything was wrong."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--scenario", action="append", choices=packaged())
-    parser.add_argument("--force", action="append", type=float)
-    parser.add_argument("--duration", action="append", type=float)
-    parser.add_argument("--direction", action="append", choices=DIRECTIONS)
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--workers", type=int, default=2)
-    given = parser.parse_args(argv)
+def main(
+    scenario: list[str] | None = None,
+    force: list[float] | None = None,
+    duration: list[float] | None = None,
+    direction: list[str] | None = None,
+    workers: int = 2,
+) -> None:
+    """Push them all; exit with 1 if anything was wrong."""
     print(table([]))
     wrong = count = 0
     pushes = product(
-        given.scenario or packaged(),
-        given.direction or DIRECTIONS,
-        given.force or FORCES,
-        given.duration or DURATIONS,
+        scenario or packaged(), direction or DIRECTIONS, force or FORCES, duration or DURATIONS
     )
-    with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
-        for found in pool.map(push_arm, *zip(*pushes, strict=True), repeat(given.set)):
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        for found in pool.map(push_arm, *zip(*pushes, strict=True)):
             print(table([found]).split("\n")[1], flush=True)
-            wrong = wrong + bool(found.wrong)
-            count = count + 1
+            wrong += bool(found.wrong)
+            count += 1
     print(f"{count} pushes, {wrong} of them wrong")
-    return 1 if wrong else 0
+    sys.exit(bool(wrong))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    typer.run(main)

@@ -8,11 +8,10 @@ largest magnitude that the channel has (or 1e-9, whichever is more). The exit co
 where a difference is above 1e-12, or where a channel, a state or the verdict of a run is another.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ DURATION = 1.5  #: s of each run; a longer one amplifies rounding wherever conta
 TOLERANCE = 1e-12
 
 
-def record(name: str) -> dict[str, np.ndarray]:
+def record(name: str) -> dict[str, Any]:
     """Channels of a run, and the verdict of it."""
     recording = osc.run(osc.load_scenario(name), duration=DURATION, seed=1)
     channels = {key: np.asarray(recording[key]) for key in recording.channels if key != "tick_s"}

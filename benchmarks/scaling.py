@@ -1,9 +1,6 @@
 """How the tick grows: with arms, with the degree of constraint r, with contacts."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from rich.table import Table
@@ -34,26 +31,23 @@ def measure(rounds: int = 300, seed: int = 0) -> Data:
     """
     require_count(rounds, "rounds")
     rng = np.random.default_rng(seed)
-    by_arms = [
-        _Timed.of(kind, random_rig(_kinds(kind, count), rng), 2, 2, rng)
-        for kind in (*KINDS, "mixed")
-        for count in ARMS
-    ]
+    timed = {
+        "arms": [
+            _Timed(kind, random_rig(_kinds(kind, count), rng), 2, 2, rng)
+            for kind in (*KINDS, "mixed")
+            for count in ARMS
+        ]
+    }
     pair = random_rig(["ur5", "ur5"], rng)
-    by_rank = [_Timed.of("ur5", pair, r, r, rng) for r in RANKS]
-    by_contacts = [_Timed.of("ur5", pair, c, min(c, 6), rng) for c in CONTACTS]
-    by_contacts += [_Timed.of("ur5", pair, c, 1, rng) for c in CONTACTS[1:]]
+    sizes = [(c, min(c, 6)) for c in CONTACTS] + [(c, 1) for c in CONTACTS[1:]]
+    for what, counts in {"ranks": [(r, r) for r in RANKS], "contacts": sizes}.items():
+        timed[what] = [_Timed("ur5", pair, *count, rng) for count in counts]
     blocks = min(BLOCKS, rounds)
     for _ in range(blocks):  # what disturbs the machine for a while does not hit one size only
-        for one in (*by_arms, *by_rank, *by_contacts):
+        for one in chain.from_iterable(timed.values()):
             one.blocks.append(take_turns(one.calls, rounds // blocks, between=one.unwind))
-    return {
-        "machine": machine(),
-        "rounds": rounds // blocks * blocks,
-        "arms": [one.row() for one in by_arms],
-        "ranks": [one.row() for one in by_rank],
-        "contacts": [one.row() for one in by_contacts],
-    }
+    rows = {what: [one.row() for one in some] for what, some in timed.items()}
+    return {"machine": machine(), "rounds": rounds // blocks * blocks, **rows}
 
 
 def _kinds(kind: str, count: int) -> list[str]:
@@ -61,22 +55,17 @@ def _kinds(kind: str, count: int) -> list[str]:
     return [("ur5", "scara")[i % 2] if kind == "mixed" else kind for i in range(count)]
 
 
-@dataclass(frozen=True)
 class _Timed:
     """One size: what it is, what is called, the times of each block."""
 
-    size: Data
-    calls: dict[str, Callable[[], object]]
-    unwind: Callable[[], None]
-    blocks: list[dict[str, Array]]
-
-    @classmethod
-    def of(
-        cls, kind: str, rig: RandomRig, contacts: int, r: int, rng: np.random.Generator
-    ) -> _Timed:
+    def __init__(
+        self, kind: str, rig: RandomRig, contacts: int, r: int, rng: np.random.Generator
+    ) -> None:
         case = rig.case(kind, faces_of(rig, contacts, r, rng))
-        tick, unwind = case.tick()
-        size = {
+        tick, self.unwind = case.tick()
+        self.calls = {"tick": tick, "floor": case.floor()}
+        self.blocks: list[dict[str, Array]] = []
+        self.size: Data = {
             "kind": kind,
             "arms": len(case.chain.arms),
             "joints": case.chain.nq,
@@ -84,7 +73,6 @@ class _Timed:
             "contacts": contacts,
             "r": r,
         }
-        return cls(size, {"tick": tick, "floor": case.floor()}, unwind, [])
 
     def row(self) -> Data:
         tick, floor = (float(np.median(times)) for times in joined(self.blocks).values())

@@ -1,7 +1,5 @@
 """How much faster than real time a whole run is, and where its time goes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -18,6 +16,7 @@ from osc_contact.runs import recorder
 from osc_contact.runs import run as runs
 from osc_contact.runs.recorder import Recorder
 from osc_contact.runs.references import References
+from paper.study import Data, table_of
 
 SCENARIO = "two_contact_rod"
 STEPS = "plant: MuJoCo's steps"
@@ -33,8 +32,8 @@ class Ledger:
         self.spent: dict[str, float] = {}
         self._inner: list[float] = []
 
-    def begin(self, controller: osc.Controller) -> osc.Controller:
-        """Forget what was spent before a run gets its controllers."""
+    def begin(self, controller: Any = None) -> Any:
+        """Count from zero; as the law that is installed: when a run gets its controller."""
         self.spent = dict.fromkeys(self.spent, 0.0)
         return controller
 
@@ -69,7 +68,7 @@ class Ledger:
                 setattr(owner, name, function)
 
 
-def measure(ticks: int = 10000) -> dict[str, Any]:
+def measure(ticks: int = 10000) -> Data:
     """{"real_time_factor", "simulated_s", "wall_s", "cpu_s", "us_per_tick": {part: …}, …}.
 
     `two_contact_rod` on MuJoCo as packaged: 0.25 ms steps, 1 kHz control, recording on. Run for the
@@ -83,14 +82,11 @@ def measure(ticks: int = 10000) -> dict[str, Any]:
         InvalidInputError: no ticks. PlantError: MuJoCo is missing.
     """
     require_count(ticks, "ticks")
-    try:
-        import mujoco  # noqa: F401
-    except ImportError as error:
-        raise osc.PlantError("MuJoCo is missing: pip install osc_contact[sim]") from error
     scenario = osc.load_scenario(SCENARIO)
     duration = ticks / scenario.control.rate
     runs.run(scenario, duration=10 / scenario.control.rate)  # everything loaded
-    wall, cpu = min(_spent(_run(scenario, duration)) for _ in range(RUNS))
+    metas = [runs.run(scenario, duration=duration).meta for _ in range(RUNS)]
+    wall, cpu = min((meta["wall_s"], meta["cpu_s"]) for meta in metas)
     calls = [
         (STEPS, MujocoPlant, "command"),
         ("plant: measurement", MujocoPlant, "measure"),
@@ -103,12 +99,12 @@ def measure(ticks: int = 10000) -> dict[str, Any]:
     for _ in range(RUNS):
         ledger = Ledger()
         with ledger.watching(calls):
-            recording = _run(scenario, duration, ledger.begin)
-            watched.append((_spent(recording)[0], ledger, recording))
-    timed, ledger, recording = min(watched, key=lambda run: run[0])
-    ledger.spent["tick"] = float(recording["tick_s"].sum())
+            recording = runs.run(scenario, duration=duration, install=ledger.begin)
+            watched.append((recording.meta["wall_s"], ledger.spent, recording))
+    timed, spent, recording = min(watched, key=lambda run: run[0])
+    spent["tick"] = float(recording["tick_s"].sum())
     steps = min(_stepped(scenario, recording) for _ in range(RUNS))
-    parts = {name: spent / ticks * 1e6 for name, spent in ledger.spent.items()}
+    parts = {name: time / ticks * 1e6 for name, time in spent.items()}
     parts[REST] = timed / ticks * 1e6 - sum(parts.values())
     return {
         "machine": machine(),
@@ -123,17 +119,8 @@ def measure(ticks: int = 10000) -> dict[str, Any]:
         "watched_wall_s": timed,
         "us_per_tick": parts,
         "steps_us_per_tick": steps / ticks * 1e6,
-        "shares": {name: spent * ticks / 1e6 / timed for name, spent in parts.items()},
+        "shares": {name: time * ticks / 1e6 / timed for name, time in parts.items()},
     }
-
-
-def _run(scenario: osc.Scenario, duration: float, install: runs.Install | None = None) -> Recording:
-    return runs.run(scenario, duration=duration, install=install)
-
-
-def _spent(recording: Recording) -> tuple[float, float]:
-    """What a run took: s on the clock, s of processor time."""
-    return float(recording.meta["wall_s"]), float(recording.meta["cpu_s"])
 
 
 def _stepped(scenario: osc.Scenario, recording: Recording) -> float:
@@ -147,21 +134,26 @@ def _stepped(scenario: osc.Scenario, recording: Recording) -> float:
     return ledger.spent["steps"]
 
 
-def tables(result: dict[str, Any]) -> list[Table]:
+def tables(result: Data) -> list[Table]:
     """Real-time factor, and the parts of a tick of the run."""
     title = (
         f"{result['scenario']}, {result['simulated_s']:g} s in {result['wall_s']:.2f} s: "
         f"{result['real_time_factor']:.1f} × real time"
     )
-    table = Table("part", "µs per tick", "share", title=title)
-    for name, spent in result["us_per_tick"].items():
-        table.add_row(name, f"{spent:.1f}", f"{100 * result['shares'][name]:.1f} %")
+    rows = (
+        f"{name}; {spent:.1f}; {100 * result['shares'][name]:.1f} %"
+        for name, spent in result["us_per_tick"].items()
+    )
+    table = table_of(title, "part; µs per tick; share", rows)
     slower = result["watched_wall_s"] / result["wall_s"]
-    table.caption = f"shares from other runs, {slower:.2f} × as long, with its calls timed"
-    table.caption += f"; MuJoCo's steps by themselves {result['steps_us_per_tick']:.1f} µs"
+    caption = (
+        f"shares from other runs, {slower:.2f} × as long, with its calls timed"
+        f"; MuJoCo's steps by themselves {result['steps_us_per_tick']:.1f} µs"
+    )
     if result["cpu_s"] < 0.9 * result["wall_s"]:
-        table.caption += (
+        caption += (
             f"; busy machine: a processor worked {result['cpu_s']:.2f} s, "
             f"{result['simulated_s'] / result['cpu_s']:.1f} × real time"
         )
+    table.caption = caption
     return [table]

@@ -7,8 +7,6 @@ for the process, from a tenth of the run on to its last tick, and at its most un
 has been read through.
 """
 
-from __future__ import annotations
-
 import json
 import resource
 import subprocess
@@ -18,8 +16,8 @@ from pathlib import Path
 
 from rich.table import Table
 
+import osc_contact as osc
 from benchmarks.measuring import machine, require_count
-from osc_contact.scenarios import load_scenario
 from paper.study import Data, table_of
 
 SCENARIO = "two_contact_rod"
@@ -29,9 +27,7 @@ CLOCKED = "tick_s"  #: the only channel that differs from run to run
 
 def soak(ticks: int) -> Data:
     """One run, in this process: memory (MB) and a hash of all channels that no clock made."""
-    from osc_contact.runs.run import run
-
-    scenario = load_scenario(SCENARIO)
+    scenario = osc.load_scenario(SCENARIO)
     duration = ticks / scenario.control.rate
     held = []
 
@@ -39,7 +35,7 @@ def soak(ticks: int) -> Data:
         if now >= 0.1 * duration:
             held.append(resident())
 
-    recording = run(scenario, duration=duration, progress=progress)
+    recording = osc.run(scenario, duration=duration, progress=progress)
     names = [name for name in recording.channels if name != CLOCKED]
     found = sha256()
     for piece in recording.pieces(*names):
@@ -78,17 +74,8 @@ def _run(ticks: int) -> Data:
 
 def tables(data: Data) -> list[Table]:
     """Memory and hash of each run."""
-    rows = (
-        (
-            number,
-            f"{run['begin_MB']:.1f} MB",
-            f"{run['grown_MB']:.2f} MB",
-            f"{run['peak_MB']:.0f} MB",
-            run["hash"],
-            run["end"],
-        )
-        for number, run in enumerate(data["runs"], 1)
-    )
+    form = "{begin_MB:.1f} MB; {grown_MB:.2f} MB; {peak_MB:.0f} MB; {hash}; {end}"
+    rows = (f"{number}; {form.format(**run)}" for number, run in enumerate(data["runs"], 1))
     title = f"{data['scenario']}, {data['runs'][0]['ticks']} ticks"
     return [table_of(title, "run; memory; grown by; at most; hash; ended", rows)]
 

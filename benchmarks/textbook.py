@@ -5,8 +5,6 @@ and eqs. 21 to 25 are then plain NumPy. Nothing of the toolkit's own mathematics
 is left out: the gripper parts beyond the wrist sensors, whose wrench the readings are not rid of.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 from numpy.linalg import inv, lstsq, norm, pinv, svd

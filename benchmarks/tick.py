@@ -1,14 +1,11 @@
 """The tick of some rigs beside the floor, `pin.computeAllTerms` of the same arms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
-import numpy as np
 from rich.table import Table
 
 from benchmarks.cases import BATCHES, CASES, SPECIAL_CASES, BatchCase, TickCase
-from benchmarks.measuring import require_count, take_turns
+from benchmarks.measuring import cells, require_count, spread, take_turns
 from paper.study import Data, table_of
 
 ALL_CASES: dict[str, Callable[[], TickCase | BatchCase]] = {**CASES, **SPECIAL_CASES, **BATCHES}
@@ -29,25 +26,20 @@ def measure(rounds: int = 1000, cases: Iterable[str] = tuple(ALL_CASES)) -> Data
     for name in cases:
         case = ALL_CASES[name]()
         tick, unwind = case.tick()
-        rows = 1
-        count = rounds
-        if isinstance(case, BatchCase):
-            rows = case.rows
-            count = max(1, rounds // FEWER)
+        rows = getattr(case, "rows", 1)
+        count = rounds if rows == 1 else max(1, rounds // FEWER)
         times = take_turns({"tick": tick, "floor": case.floor()}, count, between=unwind)
-        ticks = times["tick"] / rows
-        p50 = float(np.median(ticks))
-        floor = float(np.median(times["floor"])) / rows
+        ticks, floors = (spread(found / rows) for found in times.values())
         result[name] = {
-            "tick_p50_us": p50,
-            "floor_p50_us": floor,
-            "ratio": p50 / floor,
-            "p99_9_us": float(np.percentile(ticks, 99.9)),
+            "tick_p50_us": ticks["p50"],
+            "floor_p50_us": floors["p50"],
+            "ratio": ticks["p50"] / floors["p50"],
+            "p99_9_us": ticks["p99_9"],
         }
     return result
 
 
 def tables(result: Data) -> list[Table]:
     """All cases in one table; those of a batch for each row."""
-    rows = ((name, *(f"{x:.1f}" for x in row.values())) for name, row in result.items())
+    rows = (f"{name}; {cells(row)}" for name, row in result.items())
     return [table_of("tick", "case; tick p50 (µs); floor p50 (µs); ratio; tick p99.9 (µs)", rows)]

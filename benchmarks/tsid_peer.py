@@ -8,8 +8,6 @@ cone (3 motion rows, 3 forces), fingers locked. Timed apart: `computeProblemData
 environment's Pinocchio.
 """
 
-from __future__ import annotations
-
 import glob
 import json
 import sys
@@ -42,21 +40,17 @@ def main(urdf: str, rounds: int) -> None:
     pose = robot.framePosition(law.data(), model.getFrameId(TOOL))
 
     contact = tsid.ContactPoint("contact", robot, TOOL, np.array([0.0, 0.0, 1.0]), 0.3, 1.0, 100.0)
-    contact.setKp(100.0 * np.ones(3))
-    contact.setKd(20.0 * np.ones(3))
-    contact.setReference(pose)
+    _set(contact, np.full(3, 100.0), 20.0, pose)
     law.addRigidContact(contact, 1e-5)
 
     tool = tsid.TaskSE3Equality("tool", robot, TOOL)
-    tool.setKp(900.0 * np.ones(6))
-    tool.setKd(60.0 * np.ones(6))
-    tool.setReference(tsid.TrajectorySE3Constant("tool", pose).computeNext())
+    still = tsid.TrajectorySE3Constant("tool", pose).computeNext()
+    _set(tool, np.full(6, 900.0), 60.0, still)
     law.addMotionTask(tool, 1.0, 1, 0.0)
 
     posture = tsid.TaskJointPosture("posture", robot)
-    posture.setKp(25.0 * np.ones(7))
-    posture.setKd(10.0 * np.ones(7))
-    posture.setReference(tsid.TrajectoryEuclidianConstant("posture", Q).computeNext())
+    rest = tsid.TrajectoryEuclidianConstant("posture", Q).computeNext()
+    _set(posture, np.full(7, 25.0), 10.0, rest)
     law.addMotionTask(posture, 1e-3, 1, 0.0)
 
     solver = tsid.SolverHQuadProgFast("solver")
@@ -75,23 +69,26 @@ def main(urdf: str, rounds: int) -> None:
         if solution.status != 0 or not np.isfinite(tau).all():
             raise SystemExit(f"TSID found no solution: status {solution.status}")
     setup, solve, floor = times[WARM_UP:].T / 1e3
-    print(
-        json.dumps(
-            {
-                "pin": pin.__version__,
-                "variables": law.nVar,
-                "total_us": _spread(setup + solve),
-                "problem_us": _spread(setup),
-                "solve_us": _spread(solve),
-                "floor_us": _spread(floor),
-            }
-        )
-    )
+    found = {
+        "pin": pin.__version__,
+        "variables": law.nVar,
+        "total_us": _spread(setup + solve),
+        "problem_us": _spread(setup),
+        "solve_us": _spread(solve),
+        "floor_us": _spread(floor),
+    }
+    print(json.dumps(found))
+
+
+def _set(task: Any, stiffness: Any, damping: float, reference: Any) -> None:
+    task.setKp(stiffness)
+    task.setKd(damping + 0.0 * stiffness)
+    task.setReference(reference)
 
 
 def _spread(times: Any) -> dict[str, float]:
-    p50, p99, p99_9 = (float(x) for x in np.percentile(times, [50, 99, 99.9]))
-    return {"p50": p50, "p99": p99, "p99_9": p99_9, "max": float(times.max())}
+    shares = {"p50": 50, "p99": 99, "p99_9": 99.9, "max": 100}
+    return {name: float(np.percentile(times, share)) for name, share in shares.items()}
 
 
 if __name__ == "__main__":

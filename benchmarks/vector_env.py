@@ -1,7 +1,5 @@
 """How fast the rows of a vector environment advance, and what of it is control."""
 
-from __future__ import annotations
-
 from time import perf_counter, process_time
 
 import numpy as np
@@ -11,7 +9,7 @@ import osc_contact as osc
 from benchmarks.measuring import machine, require_count
 from benchmarks.simulation import Ledger
 from osc_contact.sweeps.workers import available_cores
-from paper.study import Data
+from paper.study import Data, table_of
 
 SCENARIO = "panda_edge"
 ROWS = 64
@@ -34,32 +32,29 @@ def measure(steps: int = 60) -> Data:
         InvalidInputError: no steps.
     """
     require_count(steps, "steps")
-    counts = sorted({1, available_cores()})
-    cases = [_case(threads, steps) for threads in counts]
+    cases = [_case(threads, steps) for threads in sorted({1, available_cores()})]
     return {"machine": machine(), "scenario": SCENARIO, "rows": ROWS, "cases": cases}
 
 
 def _case(threads: int, steps: int) -> Data:
     env = osc.make_vector_env(SCENARIO, ROWS, threads=threads)
     env.reset(seed=0)
-    hold = np.zeros(env.action_space.shape)
+    hold = np.zeros((ROWS, 7))
     ledger = Ledger(process_time)
     watch = Ledger()
     parts_of = [("control", env.fleet.control, "tick"), ("MuJoCo", env.fleet._plants, "step")]
-    clock = np.inf
-    control = 0.0
-    parts = {REST: np.inf}
+    clocks = []
+    spent = []
     with watch.watching(parts_of[:1]), ledger.watching([*parts_of, (REST, env, "step")]):
         for _ in range(steps):
-            ledger.spent = dict.fromkeys(ledger.spent, 0.0)
-            watch.spent = dict.fromkeys(watch.spent, 0.0)
+            ledger.begin()
+            watch.begin()
             start = perf_counter()
             env.step(hold)
-            took = perf_counter() - start
-            if took < clock:
-                clock = took
-                control = watch.spent["control"]
-            parts = min(parts, dict(ledger.spent), key=lambda spent: sum(spent.values()))
+            clocks.append((perf_counter() - start, watch.spent["control"]))
+            spent.append(ledger.spent)
+    clock, control = min(clocks)
+    parts = min(spent, key=lambda spent: sum(spent.values()))
     ticks = ROWS * round(1.0 / (50.0 * env.fleet.dt))
     whole = sum(parts.values())
     return {
@@ -75,18 +70,19 @@ def _case(threads: int, steps: int) -> Data:
 def tables(result: Data) -> list[Table]:
     """Rates, and the parts of a tick."""
     cases = result["cases"]
-    title = f"{result['rows']} rows of {result['scenario']}, four plant steps a tick"
-    table = Table("", *(f"{case['threads']} threads" for case in cases), title=title)
-    rows = {
-        "control ticks a second": [f"{case['ticks_per_s']:.0f}" for case in cases],
-        "control, of the clock": [f"{case['control_of_the_clock']:.0%}" for case in cases],
-        "ticks a second of processor time": [f"{case['ticks_per_cpu_s']:.0f}" for case in cases],
+    shown = {
+        "control ticks a second": "{ticks_per_s:.0f}",
+        "control, of the clock": "{control_of_the_clock:.0%}",
+        "ticks a second of processor time": "{ticks_per_cpu_s:.0f}",
+        **{
+            name: f"{{cpu_us_per_tick[{name}]:.1f}} µs, {{shares[{name}]:.0%}}"
+            for name in cases[0]["shares"]
+        },
     }
-    for name in cases[0]["shares"]:
-        rows[name] = [
-            f"{c['cpu_us_per_tick'][name]:.1f} µs, {c['shares'][name]:.0%}" for c in cases
-        ]
-    for name, cells in rows.items():
-        table.add_row(name, *cells)
+    table = table_of(
+        f"{result['rows']} rows of {result['scenario']}, four plant steps a tick",
+        "; ".join(("", *(f"{case['threads']} threads" for case in cases))),
+        ((name, *(form.format(**case) for case in cases)) for name, form in shown.items()),
+    )
     table.caption = "parts: processor time of a tick, of all threads"
     return [table]

@@ -1,7 +1,5 @@
 """`osc-contact reproduce`, also `python -m paper`: the figures and studies, by their names."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -5,12 +5,13 @@ neither parallel nor perpendicular. Four pushes on the walls and two motions are
 rigid plant.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
-from textwrap import fill
+from textwrap import fill as fill_text
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -22,11 +23,23 @@ from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs.loop import Witness, run_loop
 from osc_contact.runs.run import start
 from osc_contact.spatial import Array, cross
-from osc_contact.visual import contact_colour
+from osc_contact.visual import OKABE_ITO, contact_colour
 from osc_contact.visual.plots import legend, panels, style
-from paper.contact_pictures import draw_cone_in_groove
+from osc_contact.visual.scene import eye
+from paper.contact_pictures import (
+    FACE,
+    HALO,
+    across,
+    circle,
+    draw_arrow,
+    draw_force,
+    draw_line,
+    fill,
+    orthographic,
+    write,
+)
 from paper.statements import Answer
-from paper.study import Ask, Data, Study, table_of
+from paper.study import PANDA, Ask, Data, Study, table_of
 
 # --- A cone in a V groove: shapes, contact, and the forces with which it presses on the walls ---
 
@@ -110,21 +123,17 @@ class Seat:
     def pair(self) -> osc.ConeInGroove:
         """The contact, r = 4."""
         cone = self.cone
-        groove = self.groove
-        return osc.ConeInGroove(
-            cone.apex, cone.axis, groove.point, groove.direction, self.axis, name="cone"
-        )
+        line = (self.groove.point, self.groove.direction)
+        return osc.ConeInGroove(cone.apex, cone.axis, *line, self.axis, name="cone")
 
     def contact(self) -> osc.Contact:
         """N, T and n_γ at the start."""
         return self.pair.contact(self.X_start, np.zeros(6))
 
-    def generators(self) -> tuple[Array, Array]:
-        """Unit directions (3,) from the apex along which the cone touches the two walls."""
-        sin = np.sin(self.half_angle)
-        cos = np.cos(self.half_angle)
-        first, second = ((self.axis - sin * n) / cos for n in self.groove.normals())
-        return first, second
+    @cached_property
+    def raibert_craig(self) -> osc.RaibertCraig:
+        """The nearest constraint frame at the start, moments over the cone's height about O."""
+        return self.contact().as_raibert_craig(self.cone.height)
 
     def wall_forces(self, X_WO: pin.SE3) -> tuple[Array, Array]:
         """Where (3, 4) and along which directions (3, 4) the cone presses on the walls.
@@ -133,13 +142,10 @@ class Seat:
         ends of both lines are another basis of N, in which a real groove can only push (≥ 0).
         """
         length = self.cone.height / np.cos(self.half_angle)
-        apex = X_WO.act(self.cone.apex)
-        points = []
-        directions = []
-        for along, normal in zip(self.generators(), self.groove.normals(), strict=True):
-            points += [apex + 0.35 * length * along, apex + length * along]
-            directions += [-normal, -normal]
-        return np.column_stack(points), np.column_stack(directions)
+        normals = np.repeat(self.groove.normals(), 2, axis=0).T
+        along = (self.axis[:, None] - np.sin(self.half_angle) * normals) / np.cos(self.half_angle)
+        points = X_WO.act(self.cone.apex)[:, None] + length * along * [0.35, 1.0, 0.35, 1.0]
+        return points, -normals
 
     @cached_property
     def from_wall_forces(self) -> Array:
@@ -150,10 +156,8 @@ class Seat:
         """
         points, directions = self.wall_forces(self.X_start)
         arms = points - self.X_start.translation[:, None]
-        R, *_ = np.linalg.lstsq(
-            self.contact().N, np.vstack((directions, cross(arms, directions))), rcond=None
-        )
-        return R
+        lines = np.vstack((directions, cross(arms, directions)))
+        return np.linalg.lstsq(self.contact().N, lines, rcond=None)[0]
 
     def motion(self, X_WO: pin.SE3) -> Array:
         """(2,) how far the cone has turned about its axis (rad) and slid along the groove (m)."""
@@ -201,43 +205,31 @@ def cone_scenario(
     """
     groove = seat.groove
     start = seat.X_start
-    apex = start.act(seat.cone.apex)
     walls = seat.from_wall_forces  # α = R λ: every wall force is part of every magnitude
-    steps = list(zip(walls.T, _STEPS, step_times, strict=False))
+    at_rest = {"type": "minimum_jerk", "duration": 0.3}
     force = {
         f"cone.{i + 1}": [
-            {"type": "minimum_jerk", "value": float(walls[i] @ _REST), "duration": 0.3},
+            {**at_rest, "value": float(row @ _REST)},
             *(
-                {"type": "step", "value": float(column[i] * value), "start": at}
-                for column, value, at in steps
+                {"type": "step", "value": float(share * value), "start": at}
+                for share, value, at in zip(row, _STEPS, step_times, strict=False)
             ),
         ]
-        for i in range(4)
+        for i, row in enumerate(walls)
     }
+    apex = start.act(seat.cone.apex)
     motion = [
         {"kind": "linear", "direction": groove.direction, "signals": [_SLIDE]},
         {"kind": "angular", "direction": seat.axis, "through": apex, "signals": [_TURN]},
     ]
+    at = {"xyz": groove.point, "rpy": [0, 0, groove.yaw]}
+    pose = {"xyz": start.translation, "rpy": pin.rpy.matrixToRpy(start.rotation)}
     data = {
         "name": "cone_in_groove",
-        "arms": [
-            {
-                "name": "panda",
-                "urdf": "example-robot-data:panda",
-                "tip": "panda_hand_tcp",
-                "wrist_sensor": "panda_hand",
-                "posture": [0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78],
-            }
-        ],
-        "object": {"urdf": "cone.urdf", "pose": _pose(start)},
+        "arms": [PANDA | {"posture": [0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78]}],
+        "object": {"urdf": "cone.urdf", "pose": pose},
         "grasps": {"panda": {}},
-        "environment": [
-            {
-                "name": "groove",
-                "urdf": "groove.urdf",
-                "pose": {"xyz": groove.point, "rpy": [0, 0, groove.yaw]},
-            }
-        ],
+        "environment": [{"name": "groove", "urdf": "groove.urdf", "pose": at}],
         "contacts": [{"pair": seat.pair, "body": "groove"}],
         "force": force,
         "motion": motion if moving else [],
@@ -247,10 +239,6 @@ def cone_scenario(
         "duration": duration,
     }
     return osc.Scenario.from_dict(data, Path(__file__))
-
-
-def _pose(X: pin.SE3) -> dict[str, object]:
-    return {"xyz": X.translation, "rpy": np.asarray(pin.rpy.matrixToRpy(X.rotation))}
 
 
 # --- The run of fig. 2, and how far steps of force and motion disturb each other ---
@@ -289,17 +277,13 @@ class ConeResult:
     motion_to_force: Array
     status: Array
 
-    @property
-    def raibert_craig(self) -> osc.RaibertCraig:
-        """The nearest constraint frame at the start, moments over the cone's height about O."""
-        return self.seat.contact().as_raibert_craig(self.seat.cone.height)
-
     def as_dict(self) -> Data:
         """The verdict, for JSON."""
         judged = self.t >= SETTLE_S
         force = (self.wall - self.wall_d)[judged]
-        motion = (self.motion - self.motion_d)[judged]
-        frame = self.raibert_craig
+        turn_rms, slide_rms = _rms((self.motion - self.motion_d)[judged])
+        turned, slid = np.ptp(self.motion, axis=0).tolist()
+        frame = self.seat.raibert_craig
         bend = self.N[2:] - 2 * self.N[1:-1] + self.N[:-2]
         return {
             "r": self.seat.contact().r,
@@ -310,13 +294,13 @@ class ConeResult:
                 "residual": frame.residual,
             },
             "duration_s": len(self.t) * PERIOD,
-            "wall_force_rms_N": np.sqrt((force**2).mean(axis=0)).tolist(),
+            "wall_force_rms_N": _rms(force),
             "wall_force_peak_error_N": float(np.abs(force).max()),
             "wall_force_least_N": float(self.wall[judged].min()),
-            "turn_rms_rad": float(np.sqrt((motion[:, 0] ** 2).mean())),
-            "slide_rms_m": float(np.sqrt((motion[:, 1] ** 2).mean())),
-            "turned_rad": float(np.ptp(self.motion[:, 0])),
-            "slid_m": float(np.ptp(self.motion[:, 1])),
+            "turn_rms_rad": turn_rms,
+            "slide_rms_m": slide_rms,
+            "turned_rad": turned,
+            "slid_m": slid,
             "force_step_to_motion": float(self.force_to_motion.max()),
             "motion_step_to_force": float(self.motion_to_force.max()),
             "contact_power_W": float(np.abs(self.power[judged]).max()),
@@ -326,25 +310,27 @@ class ConeResult:
         }
 
 
+def _rms(errors: Array) -> list[float]:
+    return np.sqrt((errors**2).mean(axis=0)).tolist()
+
+
 class _ConeWitness(Witness):
     """Keeps N as the controller had it, too, and probes the coupling now and then."""
 
-    def __init__(self, plant: RigidPlant, controller: osc.Controller, R: Array, every: int) -> None:
+    def __init__(
+        self, plant: RigidPlant, controller: osc.Controller, probe: Callable[..., Any], every: int
+    ) -> None:
         super().__init__(plant, controller)
-        self.rigid = plant
-        self.R = R
+        self.probe = probe
         self.every = every
         self.N: list[Array] = []
         self.probes: list[tuple[list[float], list[float]]] = []
 
-    def append(
-        self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
-    ) -> None:
+    def append(self, measurement: Measurement, reference: Reference, *more: Any) -> None:
         self.N.append(self.controller.signals.contact.N)
         if len(self.N) % self.every == 0:
-            probe = couplings(self.controller, self.rigid, measurement, reference, self.R)
-            self.probes.append(probe)
-        super().append(measurement, reference, tau, seconds)
+            self.probes.append(self.probe(measurement, reference))
+        super().append(measurement, reference, *more)
 
 
 def run(
@@ -373,9 +359,11 @@ def run(
     assert isinstance(plant, RigidPlant)
     t = np.arange(round(duration / PERIOD)) * PERIOD
     plan = rig.references.over(t)
-    witness = _ConeWitness(plant, controller, seat.from_wall_forces, round(probe_s / PERIOD))
+    R = seat.from_wall_forces
+    probe = partial(couplings, controller, plant, to_pair=R)
+    witness = _ConeWitness(plant, controller, probe, round(probe_s / PERIOD))
     run_loop(plant, controller, plan, recorder=witness)
-    to_walls = np.linalg.inv(seat.from_wall_forces).T
+    to_walls = np.linalg.inv(R).T
     alpha = np.array([truth.alpha for truth in witness.truths])
     N = np.array(witness.N)
     V_O = np.array([truth.V_O for truth in witness.truths])
@@ -432,34 +420,35 @@ def couplings(
     a_0, f_0 = answer(reference)
     s = controller.signals
     Lambda = s.state.metric
-    T = s.contact.T
+    Phi = np.linalg.inv(Lambda)
 
-    def size(motion: Array, force: Array) -> tuple[float, float]:
-        squares = motion @ Lambda @ motion, force @ np.linalg.solve(Lambda, force)
-        return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))
+    def size(x: Array, metric: Array) -> float:
+        return float(np.sqrt(x @ metric @ x))
 
     to_motion = []
-    to_force = []
     for step in 5.0 * to_pair.T:
         a, f = answer(replace(reference, alpha_d=reference.alpha_d + step))
-        moved, pressed = size(a - a_0, f - f_0)
-        to_motion.append(moved / pressed)
-    for step in np.hstack((T, np.eye(6))).T:
-        a, f = answer(replace(reference, A_D=reference.A_D + step))
-        to_force.append(size(step, f - f_0)[1] / size(step, f)[0])
+        to_motion.append(size(a - a_0, Lambda) / size(f - f_0, Phi))
+    to_force = []
+    for step in (*s.contact.T.T, *np.eye(6)):
+        f = answer(replace(reference, A_D=reference.A_D + step))[1]
+        to_force.append(size(f - f_0, Phi) / size(step, Lambda))
     return to_motion, to_force
 
 
 # --- The contact state of fig. 2, and a run in it ---
 
 
+_INK = OKABE_ITO["black"]
+_SLIDING = "#5B3A8E"
+
+
 def draw_state(seat: Seat) -> Figure:
     """Cone, groove, t₁, t₂ and the four lines of force that span N."""
-    X = seat.X_start
-    cone = seat.cone
-    groove = seat.groove
-    points, directions = seat.wall_forces(X)
-    frame = seat.contact().as_raibert_craig(cone.height)
+    h = seat.cone.height
+    groove = seat.groove.direction
+    apex = seat.groove.point
+    frame = seat.raibert_craig
     words = (
         "$t_1$: rotation about the cone's axis",
         "$t_2$: translation along the groove's axis",
@@ -467,22 +456,86 @@ def draw_state(seat: Seat) -> Figure:
         r"\mathbf{N} = [\,f_{c1}\ f_{c2}\ f_{c3}\ f_{c4}\,],\quad \mathbf{N}^T\mathbf{T} = 0$",
         "",
         "No constraint frame with selected axes describes it:",
-        fill(frame.reason, 52),
+        fill_text(frame.reason, 52),
         f"(nearest frame: {np.rad2deg(np.arcsin(frame.residual)):.0f}° off, moments per height)",
     )
-    return draw_cone_in_groove(
-        apex=X.act(cone.apex),
-        axis=seat.axis,
-        height=cone.height,
-        half_angle=seat.half_angle,
-        groove=groove.direction,
-        normals=groove.normals(),
-        points=points,
-        directions=directions,
-        title="Fig. 2: a cone in a groove; its axes of motion are neither parallel nor "
-        "perpendicular",
-        words=words,
-    )
+    with style():
+        room = (-0.02, -0.06, 0.68, 1.0)
+        middle = apex + 0.85 * h * seat.axis
+        figure, ax = orthographic((10.5, 6.2), room, middle, 1.25 * h, zoom=1.5)
+        ax.set_axis_off()
+        ax.view_init(33.0, np.rad2deg(np.arctan2(groove[1], groove[0])) + 180.0 + 29.0)
+        for normal in seat.groove.normals():
+            down = np.cross(normal, groove)
+            corners = np.array([(-0.5, 0.0), (1.5, 0.0), (1.5, 0.95), (-0.5, 0.95)])
+            wall = apex + h * corners @ [groove, np.sign(down @ _UP) * down]
+            fill(ax, wall[None], **FACE)
+        _draw_cone(ax, seat)
+        points, directions = (columns.T for columns in seat.wall_forces(seat.X_start))
+        for i, (p, d) in enumerate(zip(points, directions, strict=True)):
+            if i % 2 == 0:
+                name = "_" if i else "lines of contact"
+                draw_line(ax, (apex, points[i + 1]), color="#22262B", lw=3.0, zorder=4, label=name)
+            line = (p - 0.48 * h * d, p + 0.26 * h * d)
+            draw_force(ax, i, line, 1.2, p - 0.36 * h * d, p, 0.018 * h, p + 0.34 * h * d)
+        _draw_axes(ax, seat)
+        title = "Fig. 2: a cone in a groove; its axes of motion are neither parallel nor "
+        look: Data = {"x": 0.03, "y": 0.97, "ha": "left", "size": 12, "weight": "bold"}
+        figure.suptitle(title + "perpendicular", **look)
+        figure.legend(loc="upper left", bbox_to_anchor=(0.65, 0.88))
+        figure.text(0.66, 0.55, "\n".join(words), size=9, va="top", linespacing=1.5)
+    return figure
+
+
+def _draw_cone(ax: Any, seat: Seat) -> None:
+    """Side, base and the two generators that the eye sees as outline."""
+    apex = seat.groove.point
+    axis = seat.axis
+    h = seat.cone.height
+    tangent = np.tan(seat.half_angle)
+    base = apex + h * axis + h * tangent * circle(*across(axis), np.linspace(0, 2 * np.pi, 121))
+    side = np.array([[apex, a, b] for a, b in pairwise(base)])
+    seamless: Data = {"edgecolor": "none", "antialiaseds": False, "zorder": 3}
+    fill(ax, side, facecolor="#B9BEC6", alpha=0.22, **seamless)
+    fill(ax, base[None], facecolor="#9AA1AB", alpha=0.25, **seamless)
+    look: Data = {"color": "#4A4F57", "lw": 1.3, "zorder": 4}
+    draw_line(ax, base, **look)
+    view = eye(*np.deg2rad([ax.azim, ax.elev]))
+    x = view - (view @ axis) * axis
+    flat = np.linalg.norm(x)
+    x /= flat
+    angle = np.arccos(tangent * (view @ axis) / flat)
+    for end in circle(x, np.cross(axis, x), np.array([-angle, angle])):
+        draw_line(ax, (apex, apex + h * axis + h * tangent * end), **look)
+
+
+def _draw_axes(ax: Any, seat: Seat) -> None:
+    """t₁ with a round arrow, t₂ with a straight one, and the angle between them."""
+    apex = seat.groove.point
+    h = seat.cone.height
+    axis = seat.axis
+    groove = seat.groove.direction
+    for direction, colour, ends in ((axis, _INK, (-0.25, 2.0)), (groove, _SLIDING, (-0.7, 2.05))):
+        dashed = {"lw": 1.8, "ls": (0, (7, 2, 1.5, 2)), "zorder": 6}
+        draw_line(ax, apex + h * np.outer(ends, direction), color=colour, **dashed)
+    x = np.cross(axis, groove)
+    x /= np.linalg.norm(x)
+    turn = np.linspace(0.35, 2.0 * np.pi - 0.55, 60)
+    ring = apex + 1.62 * h * axis + 0.2 * h * circle(x, np.cross(axis, x), turn)
+    draw_line(ax, ring, color=_INK, lw=2.2, zorder=6)
+    draw_arrow(ax, ring[-1], ring[-1] + 1.1 * (ring[-1] - ring[-4]), _INK, 0.016 * h)
+    write(ax, apex + 2.1 * h * axis, "$t_1$", _INK, 15, va="baseline")
+    start = apex + 1.6 * h * groove
+    draw_arrow(ax, start, start + 0.42 * h * groove, _SLIDING, 0.02 * h)
+    write(ax, apex + 2.2 * h * groove, "$t_2$", _SLIDING, 15)
+    square = axis - (axis @ groove) * groove
+    square /= np.linalg.norm(square)
+    angle = float(np.arccos(axis @ groove))
+    bow = circle(groove, square, np.linspace(0.0, angle, 30))
+    draw_line(ax, apex + 1.28 * h * bow, color="#555555", lw=1.3, zorder=6)
+    (middle,) = circle(groove, square, np.array([angle / 2]))
+    text = f"{np.rad2deg(angle):.0f}°"
+    write(ax, apex + 1.43 * h * middle, text, "#333333", 11, bbox=HALO)
 
 
 def draw_run(result: ConeResult) -> Figure:
@@ -492,32 +545,32 @@ def draw_run(result: ConeResult) -> Figure:
     with style():
         figure, axes = panels(5, 1.55)
         forces, force_errors, turn, slide, motion_errors = axes
-        for i in range(4):
+        for i, (true, desired) in enumerate(zip(result.wall.T, result.wall_d.T, strict=True)):
             colour = contact_colour(i)
-            name = rf"$f_{{c{i + 1}}}$"
-            forces.plot(t, result.wall[:, i], color=colour, lw=2.0, label=name)
-            forces.plot(t, result.wall_d[:, i], **black)
-            error = result.wall[:, i] - result.wall_d[:, i]
-            force_errors.plot(t, 1e3 * error, color=colour, lw=0.9)
+            forces.plot(t, true, color=colour, lw=2.0, label=rf"$f_{{c{i + 1}}}$")
+            forces.plot(t, desired, **black)
+            force_errors.plot(t, 1e3 * (true - desired), color=colour, lw=0.9)
         forces.plot([], [], **black, label="desired")
         forces.set(ylabel="force (N)", title="A Panda presses the cone on both walls …")
         force_errors.set(ylabel="true − desired\n(mN)")
-        for k, (ax, scale, unit) in enumerate(((turn, 180 / np.pi, "°"), (slide, 1e3, "mm"))):
+        rows = (
+            (turn, 180 / np.pi, "turn $t_1$ (°)", "turn (µrad)"),
+            (slide, 1e3, "slide $t_2$ (mm)", "slide (µm)"),
+        )
+        for k, (ax, scale, name, micro) in enumerate(rows):
             colour = contact_colour(4 + k)
-            ax.plot(t, scale * result.motion[:, k], color=colour, lw=2.0, label="true")
-            ax.plot(t, scale * result.motion_d[:, k], **black, label="desired")
-            ax.set(ylabel=f"{('turn $t_1$', 'slide $t_2$')[k]} ({unit})")
-            error = 1e3 * (result.motion[:, k] - result.motion_d[:, k])
-            motion_errors.plot(
-                t, 1e3 * error, color=colour, lw=1.1, label=("turn (µrad)", "slide (µm)")[k]
-            )
+            true, desired = result.motion[:, k], result.motion_d[:, k]
+            ax.plot(t, scale * true, color=colour, lw=2.0, label="true")
+            ax.plot(t, scale * desired, **black, label="desired")
+            ax.set(ylabel=name)
+            motion_errors.plot(t, 1e6 * (true - desired), color=colour, lw=1.1, label=micro)
         turn.set_title("… while it turns and slides", fontsize=10)
         motion_errors.set(ylabel="true − desired\n(µrad, µm)", xlabel="time (s)")
         for ax in axes:
             for step in result.step_times:
                 ax.axvline(step, color="#999999", lw=0.8, ls=":", zorder=1)
-        for ax in (forces, turn, slide, motion_errors):
-            legend(ax)
+            if ax is not force_errors:
+                legend(ax)
     return figure
 
 

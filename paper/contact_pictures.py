@@ -1,10 +1,8 @@
 """Contact states as pictures, drawn from geometry in metres, world axes.
 
-Fig. 1: body, faces, contact normals as lines of force. Fig. 2: a cone in a V groove, its two twist
-axes, the lines of force on the walls.
+`draw_contact_state` is fig. 1: body, faces, contact normals as lines of force. The other functions
+are what it shares with fig. 2, which `paper.cone_in_groove` draws.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations, pairwise, product
@@ -14,13 +12,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from numpy.typing import NDArray
 
-from osc_contact.visual import OKABE_ITO, contact_colour
+from osc_contact.spatial import Array
+from osc_contact.visual import contact_colour
 from osc_contact.visual.plots import style
+from osc_contact.visual.scene import eye
 from osc_contact.visual.screws import CommonPerpendicular, common_perpendicular
 
-Array = NDArray[np.float64]
 HALO = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8}
 FACE: dict[str, Any] = {"facecolor": "#9CC5C1", "edgecolor": "#3C6E6A", "alpha": 0.45, "zorder": 2}
 
@@ -46,51 +44,24 @@ def draw_contact_state(
         (i, j): common_perpendicular(*lines[i], *lines[j])
         for i, j in combinations(range(len(lines)), 2)
     }
-    feet = [foot for pair in pairs.values() for foot in (pair.first, pair.second)]
-    cloud = np.vstack((rod, points, *faces, *feet))
+    cloud = np.vstack((rod, points, *faces, *(pair[:2] for pair in pairs.values())))
     middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
     reach = 0.62 * float(np.ptp(cloud, axis=0).max())
     with style():
-        room = (0.0, 0.02, 0.94, 0.86)
-        figure, ax = orthographic((7.2, 5.8), room, middle, reach, zoom=1.0)
+        figure, ax = orthographic((7.2, 5.8), (0.0, 0.02, 0.94, 0.86), middle, reach, zoom=1.0)
         ax.view_init(*_widest_view(directions))
         _scales(ax, middle, reach)
         for face in faces:
             fill(ax, face[None], **FACE)
-        ax.plot(*rod.T, color="#4A4F57", lw=5.0, solid_capstyle="round", zorder=4, label="body")
+        draw_line(ax, rod, color="#4A4F57", lw=5.0, solid_capstyle="round", zorder=4, label="body")
         for i, (point, direction) in enumerate(lines):
-            colour = contact_colour(i)
-            name = rf"$f_{{c{i + 1}}}$"
-            ax.plot(
-                *_inside(point, direction, middle, reach),
-                color=colour,
-                lw=1.4,
-                zorder=5,
-                label=f"line of force of {name}",
-            )
+            line = _inside(point, direction, middle, reach)
             tail = point - 0.3 * reach * direction
-            arrow(ax, tail, point, colour, 0.02 * reach)
-            ax.text(
-                *(tail - 0.07 * reach * direction),
-                name,
-                color=colour,
-                size=13,
-                zorder=7,
-                ha="center",
-                va="center",
-                bbox=HALO,
-            )
+            name_at = tail - 0.07 * reach * direction
+            draw_force(ax, i, line, 1.4, tail, point, 0.02 * reach, name_at)
         for (i, j), pair in pairs.items():
-            ax.plot(
-                *np.array([pair.first, pair.second]).T,
-                color="black",
-                lw=1.6,
-                ls=(0, (2, 1)),
-                marker="o",
-                ms=4.0,
-                zorder=6,
-                label=_relation(i, j, pair),
-            )
+            look = {"ls": (0, (2, 1)), "marker": "o", "ms": 4.0, "label": _relation(i, j, pair)}
+            draw_line(ax, pair[:2], color="black", lw=1.6, zorder=6, **look)
         figure.suptitle(title, x=0.03, y=0.97, ha="left", size=12, weight="bold")
         ax.legend(
             loc="upper right", bbox_to_anchor=(0.995, 0.94), bbox_transform=figure.transFigure
@@ -118,11 +89,15 @@ def orthographic(
     figure.set_layout_engine("none")
     ax: Any = figure.add_axes(room, projection="3d", proj_type="ortho")
     ax.computed_zorder = False
-    low = (middle - reach).tolist()
-    high = (middle + reach).tolist()
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    xlim, ylim, zlim = np.transpose([middle - reach, middle + reach]).tolist()
+    ax.set(xlim=xlim, ylim=ylim, zlim=zlim)
     ax.set_box_aspect((1.0, 1.0, 1.0), zoom=zoom)
     return figure, ax
+
+
+def draw_line(ax: Any, points: Any, **look: Any) -> None:
+    """A line through points (k, 3)."""
+    ax.plot(*np.transpose(points), **look)
 
 
 def fill(ax: Any, polygons: Array, **look: Any) -> None:
@@ -133,7 +108,25 @@ def fill(ax: Any, polygons: Array, **look: Any) -> None:
     ax.add_collection3d(Poly3DCollection(polygons, **look))
 
 
-def arrow(ax: Any, tail: Array, tip: Array, colour: str, radius: float) -> None:
+def write(ax: Any, place: Array, text: str, colour: str, size: float, **look: Any) -> None:
+    """A text whose middle is at a place (3,)."""
+    centred = {"zorder": 8, "ha": "center", "va": "center"}
+    ax.text(*place, text, color=colour, size=size, **centred | look)
+
+
+def circle(x: Array, y: Array, angles: Array) -> Array:
+    """(k, 3) points at angles (k,) of the circle with the radii x and y (3,) at 0 and π/2."""
+    return np.outer(np.cos(angles), x) + np.outer(np.sin(angles), y)
+
+
+def across(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors (3,) square to a unit vector and to one another."""
+    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    side /= np.linalg.norm(side)
+    return side, np.cross(axis, side)
+
+
+def draw_arrow(ax: Any, tail: Array, tip: Array, colour: str, radius: float) -> None:
     """Thick shaft and a cone whose apex is the tip.
 
     Args:
@@ -143,14 +136,29 @@ def arrow(ax: Any, tail: Array, tip: Array, colour: str, radius: float) -> None:
         radius: of the shaft (m).
     """
     axis = (tip - tail) / np.linalg.norm(tip - tail)
-    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    side /= np.linalg.norm(side)
     rim = tip - 4.0 * radius * axis
-    angles = np.linspace(0.0, 2.0 * np.pi, 25)[:, None]
-    ring = rim + 1.3 * radius * (np.cos(angles) * side + np.sin(angles) * np.cross(axis, side))
+    ring = rim + 1.3 * radius * circle(*across(axis), np.linspace(0.0, 2.0 * np.pi, 25))
     cone = np.array([[a, b, end] for end in (tip, rim) for a, b in pairwise(ring)])
-    ax.plot(*np.array([tail, rim]).T, color=colour, lw=3.2, solid_capstyle="butt", zorder=6)
+    draw_line(ax, (tail, rim), color=colour, lw=3.2, solid_capstyle="butt", zorder=6)
     fill(ax, cone, facecolor=colour, edgecolor="none", zorder=6)
+
+
+def draw_force(
+    ax: Any, i: int, line: Any, lw: float, tail: Array, tip: Array, radius: float, place: Array
+) -> None:
+    """The i-th contact force: its line, an arrow on it, its name.
+
+    Args:
+        ax: axes of `orthographic`. i: from 0.
+        line: (2, 3) ends of the line of force; lw: its width.
+        tail, tip: (3,) of the arrow; radius: of its shaft.
+        place: (3,) of the name.
+    """
+    colour = contact_colour(i)
+    name = rf"$f_{{c{i + 1}}}$"
+    draw_line(ax, line, color=colour, lw=lw, zorder=5, label=f"line of force of {name}")
+    draw_arrow(ax, tail, tip, colour, radius)
+    write(ax, place, name, colour, 13, bbox=HALO)
 
 
 def _relation(i: int, j: int, pair: CommonPerpendicular) -> str:
@@ -164,8 +172,8 @@ def _relation(i: int, j: int, pair: CommonPerpendicular) -> str:
 
 
 def _scales(ax: Any, middle: Array, reach: float) -> None:
-
-    for axis, name, centre in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", middle, strict=True):
+    for name, centre in zip("xyz", middle, strict=True):
+        axis = getattr(ax, f"{name}axis")
         axis.set_label_text(f"{name} (m)")
         axis.pane.set_visible(False)
         ticks = MaxNLocator(4).tick_values(centre - reach, centre + reach)
@@ -174,172 +182,20 @@ def _scales(ax: Any, middle: Array, reach: float) -> None:
 
 def _widest_view(directions: Array) -> tuple[int, int]:
     """Elevation and azimuth (deg) from where the lines are spread widest."""
-    across = [np.cross(d, e) for d, e in combinations(directions, 2)] or [np.zeros(3)]
+    square = [np.cross(d, e) for d, e in combinations(directions, 2)] or [np.zeros(3)]
 
     def spread(view: tuple[int, int]) -> float:
         elevation, azimuth = np.deg2rad(view)
-        eye = np.array([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)]) * np.cos(elevation)
-        plain = np.linalg.norm(np.cross(directions, eye), axis=1).min(initial=1.0)
-        return float(plain + 0.5 * np.linalg.norm(np.cross(across, eye), axis=1).min())
+        look = eye(azimuth, elevation)
+        plain = np.linalg.norm(np.cross(directions, look), axis=1).min(initial=1.0)
+        return float(plain + 0.5 * np.linalg.norm(np.cross(square, look), axis=1).min())
 
     return max(product((18, 24, 30), range(-150, -29, 10)), key=spread)
 
 
 def _inside(point: Array, direction: Array, middle: Array, reach: float) -> Array:
-    """The part of a line inside the cube drawn, as (3, 2)."""
+    """The part of a line inside the cube drawn, as (2, 3)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         hits = np.array([(middle + side * reach - point) / direction for side in (-1.0, 1.0)])
     ends = np.nanmax(hits.min(axis=0)), np.nanmin(hits.max(axis=0))
-    return np.array([point + s * direction for s in ends]).T
-
-
-# --- Fig. 2: a cone in a groove -----------------------------------------------------------------
-
-_TURN = OKABE_ITO["black"]
-_SLIDE = "#5B3A8E"
-
-
-def draw_cone_in_groove(
-    *,
-    apex: Array,
-    axis: Array,
-    height: float,
-    half_angle: float,
-    groove: Array,
-    normals: Sequence[Array],
-    points: Array,
-    directions: Array,
-    title: str,
-    words: Sequence[str],
-) -> Figure:
-    """Draw the cone, the groove, t₁ and t₂ with the angle between them, and lines of force.
-
-    Args:
-        apex: (3,) m. axis: (3,) unit, from apex to base. height: m. half_angle: rad.
-        groove: (3,) unit, along the groove's line, which passes through the apex.
-        normals: of the two walls, (3,) unit, out of the material.
-        points: (3, 4) where the cone presses, along the first wall and then along the second (m).
-        directions: (3, 4) unit, into the walls.
-        title: heading. words: lines of text beside the picture.
-    """
-    h = height
-    up = np.array([0.0, 0.0, 1.0])
-    with style():
-        room = (-0.02, -0.06, 0.68, 1.0)
-        figure, ax = orthographic((10.5, 6.2), room, apex + 0.85 * h * axis, 1.25 * h, zoom=1.5)
-        ax.set_axis_off()
-        ax.view_init(33.0, np.rad2deg(np.arctan2(groove[1], groove[0])) + 180.0 + 29.0)
-        for normal in normals:
-            down = np.cross(normal, groove)
-            out = down if down @ up > 0.0 else -down
-            corners = [(-0.5, 0.0), (1.5, 0.0), (1.5, 0.95), (-0.5, 0.95)]
-            wall = np.array([apex + h * (u * groove + v * out) for u, v in corners])
-            fill(ax, wall[None], **FACE)
-        side, base = _cone(apex, axis, h, half_angle)
-        seamless: dict[str, Any] = {"edgecolor": "none", "antialiaseds": False, "zorder": 3}
-        fill(ax, side, facecolor="#B9BEC6", alpha=0.22, **seamless)
-        fill(ax, base[None], facecolor="#9AA1AB", alpha=0.25, **seamless)
-        ax.plot(*base.T, color="#4A4F57", lw=1.3, zorder=4)
-        for silhouette in _silhouette(ax, apex, axis, h, half_angle):
-            ax.plot(*np.array([apex, silhouette]).T, color="#4A4F57", lw=1.3, zorder=4)
-        for i, (p, d) in enumerate(zip(points.T, directions.T, strict=True)):
-            colour = contact_colour(i)
-            name = rf"$f_{{c{i + 1}}}$"
-            if i % 2 == 0:
-                ax.plot(
-                    *np.array([apex, points[:, i + 1]]).T,
-                    color="#22262B",
-                    lw=3.0,
-                    zorder=4,
-                    label="lines of contact" if i == 0 else None,
-                )
-            ax.plot(
-                *np.array([p - 0.48 * h * d, p + 0.26 * h * d]).T,
-                color=colour,
-                lw=1.2,
-                zorder=5,
-                label=f"line of force of {name}",
-            )
-            arrow(ax, p - 0.36 * h * d, p, colour, 0.018 * h)
-            ax.text(
-                *(p + 0.34 * h * d),
-                name,
-                color=colour,
-                size=13,
-                zorder=8,
-                ha="center",
-                va="center",
-                bbox=HALO,
-            )
-        _axes(ax, apex, axis, groove, h)
-        figure.suptitle(title, x=0.03, y=0.97, ha="left", size=12, weight="bold")
-        figure.legend(loc="upper left", bbox_to_anchor=(0.65, 0.88))
-        figure.text(0.66, 0.55, "\n".join(words), size=9, va="top", linespacing=1.5)
-    return figure
-
-
-def _axes(ax: Any, apex: Array, axis: Array, groove: Array, h: float) -> None:
-    """t₁ with a round arrow, t₂ with a straight one, and the angle between them."""
-    for direction, colour, ends in ((axis, _TURN, (-0.25, 2.0)), (groove, _SLIDE, (-0.7, 2.05))):
-        line = np.array([apex + s * h * direction for s in ends])
-        ax.plot(*line.T, color=colour, lw=1.8, ls=(0, (7, 2, 1.5, 2)), zorder=6)
-    x = np.cross(axis, groove)
-    x /= np.linalg.norm(x)
-    angles = np.linspace(0.35, 2.0 * np.pi - 0.55, 60)[:, None]
-    centre = apex + 1.62 * h * axis
-    ring = centre + 0.2 * h * (np.cos(angles) * x + np.sin(angles) * np.cross(axis, x))
-    ax.plot(*ring.T, color=_TURN, lw=2.2, zorder=6)
-    arrow(ax, ring[-1], ring[-1] + 1.1 * (ring[-1] - ring[-4]), _TURN, 0.016 * h)
-    ax.text(*(apex + 2.1 * h * axis), "$t_1$", color=_TURN, size=15, zorder=8, ha="center")
-    start = apex + 1.6 * h * groove
-    arrow(ax, start, start + 0.42 * h * groove, _SLIDE, 0.02 * h)
-    ax.text(
-        *(apex + 2.2 * h * groove),
-        "$t_2$",
-        color=_SLIDE,
-        size=15,
-        zorder=8,
-        ha="center",
-        va="center",
-    )
-    across = axis - (axis @ groove) * groove
-    across /= np.linalg.norm(across)
-    angle = float(np.arccos(axis @ groove))
-    arc = np.linspace(0.0, angle, 30)[:, None]
-    bow = apex + 1.28 * h * (np.cos(arc) * groove + np.sin(arc) * across)
-    ax.plot(*bow.T, color="#555555", lw=1.3, zorder=6)
-    ax.text(
-        *(apex + 1.43 * h * (np.cos(angle / 2) * groove + np.sin(angle / 2) * across)),
-        f"{np.rad2deg(angle):.0f}°",
-        color="#333333",
-        size=11,
-        zorder=8,
-        ha="center",
-        va="center",
-        bbox=HALO,
-    )
-
-
-def _cone(apex: Array, axis: Array, h: float, half_angle: float) -> tuple[Array, Array]:
-    """Triangles (k, 3, 3) of the side, and the rim (k, 3) of the base."""
-    x = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    x /= np.linalg.norm(x)
-    angles = np.linspace(0.0, 2.0 * np.pi, 121)[:, None]
-    rim = np.cos(angles) * x + np.sin(angles) * np.cross(axis, x)
-    rim = apex + h * axis + h * np.tan(half_angle) * rim
-    return np.array([[apex, a, b] for a, b in pairwise(rim)]), rim
-
-
-def _silhouette(ax: Any, apex: Array, axis: Array, h: float, half_angle: float) -> list[Array]:
-    """Ends (3,) on the rim of the two generators that the eye sees as the cone's outline."""
-    e, a = np.deg2rad([ax.elev, ax.azim])
-    eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    x = eye - (eye @ axis) * axis
-    across = np.linalg.norm(x)
-    cosine = np.tan(half_angle) * (eye @ axis) / across
-    if abs(cosine) >= 1.0:
-        return []
-    x, y = x / across, np.cross(axis, x / across)
-    sine = np.sqrt(1.0 - cosine**2)
-    rim = apex + h * axis
-    return [rim + h * np.tan(half_angle) * (cosine * x + s * sine * y) for s in (-1.0, 1.0)]
+    return point + np.outer(ends, direction)

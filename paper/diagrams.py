@@ -4,8 +4,6 @@ No signal gets lost: what a box reads and no connection brings is named below it
 and no connection takes is named beside it. Commands come from above.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any

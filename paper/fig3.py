@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import osc_contact as osc
-from osc_contact.runs.run import run as run_scenario
 from osc_contact.runs.viewing import content_of
 from osc_contact.scenarios.bodies import ConveyorSpec
 from osc_contact.spatial import Array
@@ -54,7 +53,7 @@ class Callout:
 
     text: str
     feature: Array
-    beside: tuple[float, float] = (0.0, 0.0)
+    beside: tuple[float, float]
     colour: str = INK
 
     def draw(self, scene: Visualizer, path: str, axes: Array) -> dict[str, Any]:
@@ -69,11 +68,10 @@ class Callout:
 
         spot = self.feature + np.asarray(self.beside) @ axes
         scene[f"{path}/label"].set_transform(at(spot).homogeneous)
-        if any(self.beside):
-            size = 0.004 * float(np.hypot(*self.beside)) ** 0.5
-            _bar(scene[f"{path}/line"], self.feature, spot, 0.4 * size, plain(self.colour))
-            scene[f"{path}/dot"].set_object(Sphere(1.4 * size), plain(self.colour))
-            scene[f"{path}/dot"].set_transform(at(self.feature).homogeneous)
+        size = 0.004 * float(np.hypot(*self.beside)) ** 0.5
+        paint = plain(self.colour)
+        _bar(scene[f"{path}/line"], self.feature, spot, 0.4 * size, paint)
+        _put(scene[f"{path}/dot"], Sphere(1.4 * size), paint, at(self.feature))
         return label(f"{path}/label", self.text, self.colour)
 
 
@@ -100,30 +98,33 @@ class OverheadCamera:
 
     def draw(self, scene: Visualizer, path: str) -> None:
         """Make the nodes."""
-        from meshcat.geometry import Box, Cylinder, TriangularMeshGeometry
+        from meshcat.geometry import Box, TriangularMeshGeometry
 
-        dark = material(_DARK)
+        node = scene[path]
         metal = material(_METAL)
-        eye = np.asarray(self.eye, dtype=float)
+        eye = self.eye
         foot = np.append(self.post, 0.0)
         body = eye + [0.0, 0.0, 0.065]
         top = np.append(self.post, eye[2] + 0.14)
-        _bar(scene[f"{path}/post"], foot, top, 0.022, metal)
-        _bar(scene[f"{path}/boom"], top, body + [0.0, 0.0, 0.075], 0.018, metal)
-        _bar(scene[f"{path}/hanger"], body + [0.0, 0.0, 0.075], body, 0.012, metal)
-        scene[f"{path}/foot"].set_object(Cylinder(0.02, 0.1), metal)
-        scene[f"{path}/foot"].set_transform(along(foot + [0, 0, 0.01], [0, 0, 1]).homogeneous)
-        scene[f"{path}/body"].set_object(Box([0.11, 0.075, 0.075]), dark)
-        scene[f"{path}/body"].set_transform(at(body).homogeneous)
-        _bar(scene[f"{path}/lens"], body - [0, 0, 0.03], eye, 0.027, material("#15181C"))
-        _bar(scene[f"{path}/glass"], eye, eye - [0, 0, 0.004], 0.021, material(VISION))
+        arm = body + [0.0, 0.0, 0.075]
+        bars = {
+            "post": (foot, top, 0.022, metal),
+            "boom": (top, arm, 0.018, metal),
+            "hanger": (arm, body, 0.012, metal),
+            "foot": (foot, foot + [0, 0, 0.02], 0.1, metal),
+            "lens": (body - [0, 0, 0.03], eye, 0.027, material("#15181C")),
+            "glass": (eye, eye - [0, 0, 0.004], 0.021, material(VISION)),
+        }
         ends = self.corners
+        for k, (end, after) in enumerate(zip(ends, np.roll(ends, -1, axis=0), strict=True)):
+            bars[f"view/edge{k}"] = (eye, end, 0.0014, plain(VISION, 0.8))
+            bars[f"view/rim{k}"] = (end, after, 0.0022, plain(VISION))
+        for name, bar in bars.items():
+            _bar(node[name], *bar)
+        _put(node["body"], Box([0.11, 0.075, 0.075]), material(_DARK), at(body))
         sides = np.array([[0, k + 1, (k + 1) % 4 + 1] for k in range(4)], dtype=np.uint32)
         seen = TriangularMeshGeometry(np.vstack((eye, ends)).astype(np.float32), sides)
-        scene[f"{path}/view/sides"].set_object(seen, plain(VISION, 0.075))
-        for k, end in enumerate(ends):
-            _bar(scene[f"{path}/view/edge{k}"], eye, end, 0.0014, plain(VISION, 0.8))
-            _bar(scene[f"{path}/view/rim{k}"], end, ends[(k + 1) % 4], 0.0022, plain(VISION))
+        node["view/sides"].set_object(seen, plain(VISION, 0.075))
 
 
 def stand(node: Visualizer, X: pin.SE3, thickness: float) -> None:
@@ -154,17 +155,19 @@ def ring(node: Visualizer, X: pin.SE3, radius: float, colour: str, thickness: fl
     """
     turn = np.linspace(0.0, 2.0 * np.pi, 65)
     circle = radius * np.column_stack((np.cos(turn), np.sin(turn), np.zeros_like(turn)))
-    node.set_object(tube(circle, thickness, sides=10), material(colour, glow=0.35))
-    node.set_transform(X.homogeneous)
+    _put(node, tube(circle, thickness, sides=10), material(colour, glow=0.35), X)
 
 
-def _bar(node: Visualizer, start: Sequence[float] | Array, end: Array, r: float, how: Any) -> None:
+def _bar(node: Visualizer, start: Array, end: Array, r: float, paint: Any) -> None:
     from meshcat.geometry import Cylinder
 
-    start = np.asarray(start, dtype=float)
-    end = np.asarray(end, dtype=float)
-    node.set_object(Cylinder(float(np.linalg.norm(end - start)), r), how)
-    node.set_transform(along(0.5 * (start + end), end - start).homogeneous)
+    X = along(0.5 * (start + end), end - start)
+    _put(node, Cylinder(float(np.linalg.norm(end - start)), r), paint, X)
+
+
+def _put(node: Visualizer, shape: Any, paint: Any, X: pin.SE3) -> None:
+    node.set_object(shape, paint)
+    node.set_transform(X.homogeneous)
 
 
 # --- The workcell --------------------------------------------------------------------------------
@@ -266,23 +269,24 @@ class Workcell:
         set_stage(scene, shot.points, view, aspect)
         axes = picture_axes(view)
         labels = [c.draw(scene, f"callouts/{k}", axes) for k, c in enumerate(shot.callouts)]
-        legend = [
-            LegendEntry(VISION, "view of the overhead camera", "line", ("vision/view",)),
-            LegendEntry(JOINT_TORQUE, "joint torque sensors", "line", ("sensors/joint_torque",)),
-            LegendEntry(WRIST, "wrist force/torque sensors", "line", ("sensors/wrist",)),
-            LegendEntry("#15181C", "labels", "line", ("callouts",)),
+        entries = [
+            LegendEntry(colour, name, "line", (node,))._asdict()
+            for colour, name, node in (
+                (VISION, "view of the overhead camera", "vision/view"),
+                (JOINT_TORQUE, "joint torque sensors", "sensors/joint_torque"),
+                (WRIST, "wrist force/torque sensors", "sensors/wrist"),
+                ("#15181C", "labels", "callouts"),
+            )
         ]
-        entries = [entry._asdict() for entry in legend]
         config = EMPTY | {"legend": entries, "labels": labels, "aspect": aspect}
         return write_page(sink, path, shot.title, config)
 
     def as_dict(self) -> dict[str, str]:
         """Its parts in words, from the scenario and the rig."""
-        scenario = self.rig.scenario
         chain = self.rig.chain
-        sensors = scenario.sensors
-        wrist = scenario.sensors.wrist
-        names = [contact.name for contact in scenario.contacts]
+        sensors = self.rig.scenario.sensors
+        wrist = sensors.wrist
+        names = [contact.name for contact in self.rig.scenario.contacts]
         forces = (f"{n} {a:.1f} N" for n, a in zip(names, self.sample["alpha_true"], strict=True))
         passive = sum(len(arm.passive_joints) for arm in chain.arms)
         parts = {
@@ -342,9 +346,9 @@ def run(duration: float = 1.4, seed: int = 0, changes: Sequence[str] = ()) -> Wo
         changes: "path.to.key=value" of the scenario.
     """
     scenario = osc.load_scenario(SCENARIO, changes)
-    recording = run_scenario(scenario, duration=duration, seed=seed)
-    tick = len(recording["t"]) - 1
-    return Workcell(osc.build_rig(scenario), sample_at(recording.channels, tick))
+    recording = osc.run(scenario, duration=duration, seed=seed)
+    sample = sample_at(recording.channels, len(recording) - 1)
+    return Workcell(osc.build_rig(scenario), sample)
 
 
 def draw(cell: Workcell) -> Figure:
@@ -361,20 +365,10 @@ def draw(cell: Workcell) -> Figure:
             pictures.append(imread(write_png(page, png, size=shot.size, bare=True, density=2.0)))
     with style():
         figure = Figure(figsize=(12.0, 6.6))
-        grid = figure.add_gridspec(
-            2,
-            2,
-            width_ratios=[1.22, 1.0],
-            left=0.005,
-            right=0.995,
-            top=0.95,
-            bottom=0.005,
-            wspace=0.02,
-            hspace=0.1,
-        )
-        places = [grid[:, 0], grid[0, 1], grid[1, 1]]
-        for place, shot, picture, letter in zip(places, cell.shots(), pictures, "abc", strict=True):
-            ax = figure.add_subplot(place)
+        margins = {"left": 0.005, "right": 0.995, "top": 0.95, "bottom": 0.005}
+        grid: Data = {"wspace": 0.02, "hspace": 0.1, "width_ratios": [1.22, 1.0], **margins}
+        axes = figure.subplot_mosaic("ab;ac", gridspec_kw=grid)
+        for (letter, ax), shot, picture in zip(axes.items(), cell.shots(), pictures, strict=True):
             ax.imshow(picture, interpolation="lanczos")
             ax.set_title(f"({letter}) {shot.title}", loc="left", size=10.5)
             ax.set_axis_off()
@@ -382,34 +376,21 @@ def draw(cell: Workcell) -> Figure:
 
 
 def _whole(cell: Workcell) -> Shot:
-    at = cell.frames
     camera = cell.camera
-    X = _pose(cell.sample)
     rings = cell.rings()
-    left, right = (at[f"{name}/joint1"].translation for name in ("left", "right"))
-    feet = [
-        np.append(POST, 0.0),
-        *(p * [1, 1, 0] + [0.13 * np.sign(p[0]), 0, 0] for p in (left, right)),
-    ]
-    top = np.append(POST, camera.eye[2] + 0.17)
-    points = np.vstack((feet, [top, camera.eye + [0, 0, 0.17]], camera.corners))
+    left, right = (cell.frames[f"{name}/joint1"].translation for name in ("left", "right"))
+    feet = [p * [1, 1, 0] + [0.13 * np.sign(p[0]), 0, 0] for p in (left, right)]
+    post = np.column_stack((np.tile(POST, (2, 1)), [0.0, camera.eye[2] + 0.17]))
+    points = np.vstack((feet, post, camera.eye + [0, 0, 0.17], camera.corners))
     corner = min(_corners(cell.faces()[0]), key=lambda p: float(p[2]))
+    vision = "overhead vision: " + _vision_words(cell)
+    sensor = _edge(rings["joint_torque/left2"], 1.0)
     callouts = [
-        Callout(
-            "overhead vision: " + _vision_words(cell),
-            camera.eye + [0, 0, 0.09],
-            (0.3, 0.05),
-            VISION,
-        ),
+        Callout(vision, camera.eye + [0, 0, 0.09], (0.3, 0.05), VISION),
         Callout("left arm", left + [0, 0, 0.13], (0.16, 0.1)),
         Callout("right arm", right + [0, 0, 0.13], (-0.16, 0.14)),
-        Callout("rod", X.translation, (-0.03, -0.11)),
-        Callout(
-            "joint torque sensors",
-            _edge(rings["joint_torque/left2"], 1.0),
-            (0.06, -0.09),
-            JOINT_TORQUE,
-        ),
+        Callout("rod", _rod(cell), (-0.03, -0.11)),
+        Callout("joint torque sensors", sensor, (0.06, -0.09), JOINT_TORQUE),
         Callout("wrist sensor", _edge(rings["wrist/right"], 1.0), (0.11, 0.05), WRIST),
         Callout(_face_words(cell), corner, (0.05, -0.09)),
     ]
@@ -417,45 +398,37 @@ def _whole(cell: Workcell) -> Shot:
 
 
 def _task(cell: Workcell) -> Shot:
-    X = _pose(cell.sample)
     corners = [corner for X_WF in cell.faces() for corner in _corners(X_WF)]
     callouts = []
-    names = [contact.name.replace("_", " ") for contact in cell.rig.scenario.contacts]
-    for k, (name, side) in enumerate(zip(names, (1.0, -1.0), strict=True)):
-        point = np.asarray(cell.sample["contact_point"][k])
-        push = np.asarray(cell.sample["contact_direction"][k])
-        force = float(cell.sample["alpha_true"][k])
-        callouts.append(
-            Callout(
-                f"{name}: {force:.1f} N", point - 0.12 * push, (0.1 * side, 0.03), contact_colour(k)
-            )
-        )
-    points = np.vstack((corners, [X.translation + [0, 0, 0.12]]))
-    return Shot(
-        "two-contact task: the lines of force are skew", points, 84.0, 30.0, (620, 350), callouts
-    )
+    for k, contact in enumerate(cell.rig.scenario.contacts):
+        point, push = (cell.sample[f"contact_{what}"][k] for what in ("point", "direction"))
+        name = f"{contact.name.replace('_', ' ')}: {cell.sample['alpha_true'][k]:.1f} N"
+        beside = (0.1 - 0.2 * k, 0.03)
+        callouts.append(Callout(name, point - 0.12 * push, beside, contact_colour(k)))
+    points = np.vstack((corners, _rod(cell) + [0, 0, 0.12]))
+    title = "two-contact task: the lines of force are skew"
+    return Shot(title, points, 84.0, 30.0, (620, 350), callouts)
 
 
 def _gripper(cell: Workcell) -> Shot:
-    wrist = cell.frames["left/wrist_sensor"]
     hinge = cell.frames["left/hinge"].translation
-    rings = cell.rings()
+    side = cell.frames["left/wrist_sensor"].rotation @ [0, 0.03, 0]
+    joint, wrist = (
+        _edge(cell.rings()[name], -1.0) for name in ("joint_torque/left4", "wrist/left")
+    )
     points = hinge + np.array([[-0.13, 0.0, -0.05], [0.13, 0.0, 0.125]])
     callouts = [
-        Callout(
-            "joint torque sensor",
-            _edge(rings["joint_torque/left4"], -1.0),
-            (-0.1, 0.01),
-            JOINT_TORQUE,
-        ),
-        Callout(
-            "wrist force/torque sensor", _edge(rings["wrist/left"], -1.0), (-0.09, -0.015), WRIST
-        ),
-        Callout("free hinge", hinge + wrist.rotation @ [0, 0.03, 0], (-0.11, -0.03)),
+        Callout("joint torque sensor", joint, (-0.1, 0.01), JOINT_TORQUE),
+        Callout("wrist force/torque sensor", wrist, (-0.09, -0.015), WRIST),
+        Callout("free hinge", hinge + side, (-0.11, -0.03)),
     ]
-    return Shot(
-        "gripper: a free hinge below the wrist sensor", points, 84.0, 20.0, (620, 350), callouts
-    )
+    title = "gripper: a free hinge below the wrist sensor"
+    return Shot(title, points, 84.0, 20.0, (620, 350), callouts)
+
+
+def _rod(cell: Workcell) -> Array:
+    """(3,) its middle."""
+    return np.asarray(cell.sample["pose"][:3], dtype=float)
 
 
 def _corners(X_WF: pin.SE3) -> list[Array]:
@@ -485,14 +458,8 @@ def _face_words(cell: Workcell) -> str:
     if not isinstance(motion, ConveyorSpec):
         return "face"
     travel = motion.signals[0].at(np.inf)[0]
-    turn = 0.0
-    if motion.turn is not None:
-        turn = motion.turn.signals[0].at(np.inf)[0]
+    turn = motion.turn.signals[0].at(np.inf)[0] if motion.turn else 0.0
     return f"face, moved by {1e3 * travel:.0f} mm and {np.rad2deg(abs(turn)):.0f}°"
-
-
-def _pose(sample: Data) -> pin.SE3:
-    return pin.XYZQUATToSE3(np.asarray(sample["pose"], dtype=float))
 
 
 def study(ask: Ask) -> Study:

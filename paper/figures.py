@@ -1,8 +1,6 @@
 """The paper's figures from our own data, figs. 1, 4, 5, 6 and 8, and what they answer to the
 statements about them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

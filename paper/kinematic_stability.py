@@ -16,7 +16,7 @@ not zero are those above.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -36,73 +36,57 @@ from osc_contact.visual.plots import style
 from paper.study import Ask, Data, Study, table_of, words_of
 
 
-@dataclass(frozen=True)
-class Result:
-    """One arm: the posture found, the map through it and what happens there."""
-
-    worst: WorstPosture
-    map: PostureMap
-    histories: Histories
-
-    def as_dict(self) -> Data:
-        """For JSON; eigenvalues (1/s²) and poles (1/s) as [real, imaginary]."""
-        f = self.worst
-        h = self.histories
-        return {
-            "arm": f.arm.name,
-            "seed": f.seed,
-            "postures_drawn": f.drawn,
-            "postures": f.tried,
-            "classic_unstable": f.unstable,
-            "ours_unstable": f.ours_unstable,
-            "ours_least_eigenvalue": f.ours_least,
-            "posture_rad": f.q.tolist(),
-            "classic_eigenvalues": _pairs(f.classic),
-            "ours_eigenvalues": _pairs(f.ours),
-            "classic_poles": _pairs(poles(f.classic)),
-            "ours_poles": _pairs(poles(f.ours)),
-            "first_error_mrad": 1e3 * float(np.abs(h.ours[0]).max()),
-            "classic_left_after_s": h.left_after(),
-            "last_error_mrad": 1e3 * float(np.abs(h.ours[-1]).max()),
-            "duration_s": float(h.t[-1]),
-        }
-
-
 def study(ask: Ask) -> Study:
     """Both schemes on a planar arm and on a UR5: searched, mapped, simulated."""
-    results = []
+    found = []
     for arm, joints in ((planar_arm(), (0, 1)), (ur5_arm(), (1, 2))):
         worst = search(arm, ask.seed)
-        after = simulate(worst, ask.lasting(1.0))
-        results.append(Result(worst, posture_map(worst, joints), after))
-    data = [result.as_dict() for result in results]
+        histories = simulate(worst, ask.lasting(1.0))
+        found.append((worst, joints, posture_map(worst, joints), histories))
+    data = [as_dict(worst, histories) for worst, _, _, histories in found]
     table = table_of(
         "kinematic stability",
         "arm; postures; classic unstable; classic least λ (1/s²); ours least λ (1/s²); "
         "classic leaves the posture; ours: error first → last",
         (
-            (
-                row["arm"],
-                row["postures"],
-                row["classic_unstable"],
-                f"{row['classic_eigenvalues'][0][0]:.4g}",
-                f"{row['ours_least_eigenvalue']:.4g}",
-                words_of(row["classic_left_after_s"], "after {:.3f} s", "not"),
-                f"{row['first_error_mrad']:.3g} → {row['last_error_mrad']:.3g} mrad",
-            )
+            f"{row['arm']}; {row['postures']}; {row['classic_unstable']}; "
+            f"{row['classic_eigenvalues'][0][0]:.4g}; {row['ours_least_eigenvalue']:.4g}; "
+            f"{words_of(row['classic_left_after_s'], 'after {:.3f} s', 'not')}; "
+            f"{row['first_error_mrad']:.3g} → {row['last_error_mrad']:.3g} mrad"
             for row in data
         ),
     )
-    return Study({"kinematic_stability": draw(results)}, table, {"arms": data})
+    return Study({"kinematic_stability": draw(found)}, table, {"arms": data})
 
 
-def _pairs(values: Array) -> list[list[float]]:
-    return [[float(z.real), float(z.imag)] for z in values]
+def as_dict(worst: WorstPosture, histories: Histories) -> Data:
+    """For JSON; eigenvalues (1/s²) and poles (1/s) as [real, imaginary]."""
+    first, last = (1e3 * float(np.abs(histories.ours[k]).max()) for k in (0, -1))
+    spectra = {
+        "classic_eigenvalues": worst.classic,
+        "ours_eigenvalues": worst.ours,
+        "classic_poles": poles(worst.classic),
+        "ours_poles": poles(worst.ours),
+    }
+    return {
+        "arm": worst.arm.name,
+        "seed": worst.seed,
+        "postures_drawn": worst.drawn,
+        "postures": worst.tried,
+        "classic_unstable": worst.unstable,
+        "ours_unstable": worst.ours_unstable,
+        "ours_least_eigenvalue": worst.ours_least,
+        "posture_rad": worst.q.tolist(),
+        **{name: np.column_stack((z.real, z.imag)).tolist() for name, z in spectra.items()},
+        "first_error_mrad": first,
+        "classic_left_after_s": histories.left_after(),
+        "last_error_mrad": last,
+        "duration_s": float(histories.t[-1]),
+    }
 
 
 _WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 _HELD = pin.Inertia(1.2, np.array([0.03, 0.0, 0.02]), np.diag([4e-3, 6e-3, 5e-3]))
-_STIFFNESS = np.diag([300.0, 300.0, 300.0, 3.0, 3.0, 3.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +107,7 @@ class HybridArm:
     rows: tuple[int, ...]
     force: int
     K_q: Array
-    K_prime: Array
+    K_prime: Array = field(default_factory=lambda: np.diag([300.0, 300.0, 300.0, 3.0, 3.0, 3.0]))
 
     @cached_property
     def plant(self) -> pin.Model:
@@ -181,24 +165,25 @@ def planar_arm() -> HybridArm:
     for name, length, mass in (("shoulder", 0.5, 6.0), ("elbow", 0.4, 4.0)):
         parent = model.addJoint(parent, pin.JointModelRZ(), placement, name)
         inertia = mass * length**2 / 12 * np.diag([0.02, 1.0, 1.0])
-        link = pin.Inertia(mass, np.array([0.5 * length, 0.0, 0.0]), inertia)
-        model.appendBodyToJoint(parent, link, pin.SE3.Identity())
         placement = pin.SE3(np.eye(3), np.array([length, 0.0, 0.0]))
+        link = pin.Inertia(mass, 0.5 * placement.translation, inertia)
+        model.appendBodyToJoint(parent, link, pin.SE3.Identity())
     model.upperEffortLimit = np.full(2, 100.0)
     model.lowerEffortLimit = -model.upperEffortLimit
     model.addFrame(pin.Frame("tip", parent, placement, pin.FrameType.OP_FRAME))
-    chain = osc.ClosedChain(
-        [osc.Arm.from_urdf(model, name="planar", tip="tip")], payload=osc.RigidObject(_HELD)
-    )
-    return HybridArm("planar 2R arm", chain, (0, 1), 1, 120.0 * np.eye(2), _STIFFNESS)
+    chain = _holding(osc.Arm.from_urdf(model, name="planar", tip="tip"))
+    return HybridArm("planar 2R arm", chain, (0, 1), 1, 120.0 * np.eye(2))
+
+
+def _holding(arm: osc.Arm) -> osc.ClosedChain:
+    return osc.ClosedChain([arm], payload=osc.RigidObject(_HELD))
 
 
 def ur5_arm() -> HybridArm:
     """A UR5 that controls the force along z and all other motions of its tool."""
-    arm = osc.Arm.from_urdf(robots.find_robot("ur5")[0], name="ur5", tip="tool0")
-    chain = osc.ClosedChain([arm], payload=osc.RigidObject(_HELD))
+    chain = _holding(osc.Arm.from_urdf(robots.find_robot("ur5")[0], name="ur5", tip="tool0"))
     K_q = np.diag([400.0, 400.0, 200.0, 20.0, 20.0, 20.0])
-    return HybridArm("UR5", chain, tuple(range(6)), 2, K_q, _STIFFNESS)
+    return HybridArm("UR5", chain, tuple(range(6)), 2, K_q)
 
 
 #: s: damping = this times stiffness, in both laws.
@@ -335,26 +320,17 @@ def search(
     order = np.argsort([-regularity(arm, q) for q in drawn])
     examined = drawn[order[: round(regular * postures)]]
     values = [eigenvalues(arm, q) for q in examined]
-    classic = np.array([of_classic[0].real for of_classic, _ in values])
-    ours = np.array([of_ours[0].real for _, of_ours in values])
+    classic, ours = np.array([[one[0].real for one in both] for both in values]).T
     worst = int(classic.argmin())
     if classic[worst] >= 0.0:
         raise InvalidInputError(
             f"{arm.name}: none of {len(examined)} postures examined is unstable; draw more "
             "(postures=), or control the force along another axis"
         )
-    return WorstPosture(
-        arm=arm,
-        q=examined[worst],
-        seed=seed,
-        drawn=postures,
-        tried=len(examined),
-        classic=values[worst][0],
-        ours=values[worst][1],
-        unstable=int((classic < 0.0).sum()),
-        ours_unstable=int((ours < 0.0).sum()),
-        ours_least=float(ours.min()),
-    )
+    unstable, ours_unstable = (int((some < 0.0).sum()) for some in (classic, ours))
+    least = float(ours.min())
+    found = (len(examined), *values[worst], unstable, ours_unstable, least)
+    return WorstPosture(arm, examined[worst], seed, postures, *found)
 
 
 def eigenvalues(arm: HybridArm, q: Array) -> tuple[Array, Array]:
@@ -376,37 +352,30 @@ def regularity(arm: HybridArm, q: Array) -> float:
     return float(np.linalg.eigvalsh(L.T @ J @ np.linalg.solve(M, J.T) @ L)[0])
 
 
-@dataclass(frozen=True)
-class PostureMap:
-    """Least real part of both schemes' eigenvalues over two joints, the others as found.
-
-    Attributes:
-        joints: the two indices. grid: (k,) positions of each (rad).
-        classic, ours: (k, k), second joint by first (1/s²); NaN where the arm is singular.
-    """
-
-    joints: tuple[int, int]
-    grid: Array
-    classic: Array
-    ours: Array
-
-
-def posture_map(worst: WorstPosture, joints: tuple[int, int], count: int = 48) -> PostureMap:
-    """Both schemes over a plane of the posture space through the posture found.
+def posture_map(worst: WorstPosture, joints: tuple[int, int], count: int = 48) -> Array:
+    """(2, k, k) least real part of both schemes' eigenvalues over two joints (1/s²), see `_grid`.
 
     Args:
-        worst: arm and posture.
-        joints: indices of the two joints that are varied.
+        worst: arm and posture, in which the other joints stay.
+        joints: indices of the two joints, the second by rows.
         count: positions of each, over the whole turn.
+
+    Returns:
+        Of the classic scheme, of ours; NaN where the arm is singular.
     """
-    grid = (np.arange(count) + 0.5) / count * 2 * np.pi - np.pi  # never exactly straight
     least = np.full((2, count, count), np.nan)
     q = worst.q.copy()
+    grid = _grid(count)
     for j, i in np.ndindex(count, count):
         q[list(joints)] = grid[[i, j]]
         if regularity(worst.arm, q) > 1e-9:
             least[:, j, i] = [values[0].real for values in eigenvalues(worst.arm, q)]
-    return PostureMap(joints, grid, *least)
+    return least
+
+
+def _grid(count: int) -> Array:
+    """Positions of a joint (rad), never exactly straight."""
+    return (np.arange(count) + 0.5) / count * 2 * np.pi - np.pi
 
 
 #: rad: a joint this far off has left the posture; what the arm does from there on is not judged.
@@ -445,30 +414,26 @@ def simulate(
     t = np.arange(round(duration / step) + 1) * step
     goal = worst.arm.terms(worst.q)[2]
     start = _reached(worst, error * worst.arm.selection, goal)
-    return Histories(
-        t,
-        _integrate(worst, classic_torque, goal, start, t),
-        _integrate(worst, our_torque, goal, start, t),
-    )
+    laws = (classic_torque, our_torque)
+    return Histories(t, *(_integrate(worst, law, goal, start, t) for law in laws))
 
 
 def _integrate(worst: WorstPosture, law: Law, goal: pin.SE3, start: Array, t: Array) -> Array:
     arm = worst.arm
-    n = len(start)
     h = t[1] - t[0]
     data = arm.plant.createData()
 
     def rate(state: Array) -> Array:
-        q = state[:n]
-        v = state[n:]
-        return np.concatenate((v, pin.aba(arm.plant, data, q, v, law(arm, q, v, goal))))
+        q, v = state
+        return np.array((v, pin.aba(arm.plant, data, q, v, law(arm, q, v, goal))))
 
-    state = np.concatenate((start, np.zeros(n)))
-    out = np.full((len(t), n), np.nan)
+    state = np.array((start, np.zeros(len(start))))
+    out = np.full((len(t), len(start)), np.nan)
     for k in range(len(t)):
-        if np.abs(state[:n] - worst.q).max() > LEFT:
+        off = state[0] - worst.q
+        if np.abs(off).max() > LEFT:
             break
-        out[k] = state[:n] - worst.q
+        out[k] = off
         a = rate(state)
         b = rate(state + 0.5 * h * a)
         c = rate(state + 0.5 * h * b)
@@ -489,24 +454,28 @@ def _reached(worst: WorstPosture, offset: Array, goal: pin.SE3) -> Array:
 _LIMIT = 25.0  #: 1/s, where the colours of the maps end
 
 
-def draw(results: Sequence[Result]) -> Figure:
+def draw(found: Sequence[tuple[WorstPosture, tuple[int, int], Array, Histories]]) -> Figure:
     """A row per arm: both maps of least real parts (unstable hatched), and the joint errors."""
+    titles = (
+        r"classic: $M^{-1}K_q J^{-1}SJ$",
+        r"ours: $(T^TB^{-1}T)^{-1}T^TB^{-1}K\,T,\ K=BK'$",
+    )
     with style():
-        figure = Figure(figsize=(12.0, 4.2 * len(results) + 0.3))
-        rows = figure.subfigures(len(results), 1, squeeze=False)[:, 0]
-        for row, result in zip(rows, results, strict=True):
-            worst = result.worst
-            h = result.histories
+        figure = Figure(figsize=(12.0, 4.2 * len(found) + 0.3))
+        rows = figure.subfigures(len(found), 1, squeeze=False)[:, 0]
+        for row, (worst, joints, least, h) in zip(rows, found, strict=True):
             row.suptitle(
                 f"{worst.arm.name}: of {worst.tried} random postures (the more regular of "
                 f"{worst.drawn}) the classic scheme is unstable in {worst.unstable}, "
                 f"ours in {worst.ours_unstable}"
             )
-            classic, ours, above, below = row.subplot_mosaic("mna;mnb").values()
-            m = result.map
-            _map(classic, m, m.classic, worst, r"classic: $M^{-1}K_q J^{-1}SJ$")
-            shade = _map(ours, m, m.ours, worst, r"ours: $(T^TB^{-1}T)^{-1}T^TB^{-1}K\,T,\ K=BK'$")
-            bar = row.colorbar(shade, ax=[classic, ours], shrink=0.9, extend="both")
+            *maps, above, below = row.subplot_mosaic("mna;mnb").values()
+            for ax, values, title in zip(maps, least, titles, strict=True):
+                shade = _map(ax, values)
+                ax.plot(*np.rad2deg(worst.q[list(joints)]), "X", color="black", mec="white", ms=11)
+                x, y = (rf"$q_{joint + 1}$ (°)" for joint in joints)
+                ax.set(title=title, xlabel=x, ylabel=y, aspect="equal")
+            bar = row.colorbar(shade, ax=maps, shrink=0.9, extend="both")
             bar.set_label(r"least real part $\lambda$, as sign$(\lambda)\sqrt{|\lambda|}$ (1/s)")
             left = words_of(h.left_after(), ": a joint is 0.5 rad off after {:.2f} s", "")
             _errors(above, h.t, h.classic, f"classic, started off ×{left}")
@@ -516,19 +485,15 @@ def draw(results: Sequence[Result]) -> Figure:
     return figure
 
 
-def _map(ax: Axes, m: PostureMap, values: Array, worst: WorstPosture, title: str) -> Any:
+def _map(ax: Axes, values: Array) -> Any:
     rates = np.sign(values) * np.sqrt(np.abs(values))
-    degrees = np.rad2deg(m.grid)
-    shade = ax.pcolormesh(
-        degrees, degrees, rates, cmap="RdBu", vmin=-_LIMIT, vmax=_LIMIT, rasterized=True
-    )
+    degrees = np.rad2deg(_grid(len(values)))
+    look: Data = {"cmap": "RdBu", "vmin": -_LIMIT, "vmax": _LIMIT, "rasterized": True}
+    shade = ax.pcolormesh(degrees, degrees, rates, **look)
     ax.set_facecolor("#BBBBBB")  # singular: neither
     if np.nanmin(values) < 0.0:
         ax.contourf(degrees, degrees, values, [-1e30, 0.0], colors="none", hatches=["////"])
-    a, b = m.joints
-    ax.plot(*np.rad2deg(worst.q[[a, b]]), "X", color="black", mec="white", ms=11)
     ax.grid(False)
-    ax.set(title=title, xlabel=rf"$q_{a + 1}$ (°)", ylabel=rf"$q_{b + 1}$ (°)", aspect="equal")
     return shade
 
 

@@ -5,18 +5,15 @@ cart, on a cart with a return spring, or on a hinge with one. Each time the full
 with one that sees the face's pose and velocity but takes it as unyielding and unaccelerated.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import osc_contact as osc
 from osc_contact.recorder.judged import SETTLE_S
-from osc_contact.runs.run import run as run_scenario
-from osc_contact.runs.verdict import metrics
 from osc_contact.spatial import Array
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.plots import style
@@ -52,32 +49,20 @@ class Case:
 
     Attributes:
         face, law: keys of `FACES` and `LAWS`.
-        recording: of the run. verdict: its `metrics`.
+        recording: of the run.
+        row: what is compared: errors of both contact forces, contact kept, travel of the face.
     """
 
     face: str
     law: str
     recording: osc.Recording
-    verdict: Data
-
-    @property
-    def row(self) -> Data:
-        """What is compared: errors of both contact forces, contact kept, travel of the face."""
-        force = self.verdict["force"]
-        return {
-            "face": self.face,
-            "law": self.law,
-            **{f"{name}_rms_error_rel": f["rms_error_rel"] for name, f in force.items()},
-            "left_end_peak_error_N": force["left_end"]["peak_error_N"],
-            "contact_fraction": min(self.verdict["contact_fraction"].values()),
-            "travel_m": float(np.ptp(_travel(self.recording))),
-        }
+    row: Data
 
 
 def run(
     plant: str = "mujoco",
     duration: float = 10.0,
-    faces: Sequence[str] = tuple(FACES),
+    faces: Iterable[str] = FACES,
     tell: Callable[[str], None] = lambda _: None,
 ) -> list[Case]:
     """Every face under both laws.
@@ -88,13 +73,21 @@ def run(
         tell: called with what runs next.
     """
     cases = []
-    for face in faces:
-        for law, knowledge in LAWS.items():
-            tell(f"{face}, {law}")
-            changes = [*FACES[face], f"model_error.environment={knowledge}"]
-            scenario = osc.load_scenario("moving_face", changes)
-            recording = run_scenario(scenario, plant=plant, duration=duration)
-            cases.append(Case(face, law, recording, metrics(recording)))
+    for face, law in product(faces, LAWS):
+        tell(f"{face}, {law}")
+        changes = [*FACES[face], f"model_error.environment={LAWS[law]}", f"plant.type={plant}"]
+        recording = osc.run(osc.load_scenario("moving_face", changes), duration=duration)
+        verdict = osc.metrics(recording)
+        force = verdict["force"]
+        row = {
+            "face": face,
+            "law": law,
+            **{f"{name}_rms_error_rel": f["rms_error_rel"] for name, f in force.items()},
+            "left_end_peak_error_N": force["left_end"]["peak_error_N"],
+            "contact_fraction": min(verdict["contact_fraction"].values()),
+            "travel_m": float(np.ptp(_travel(recording))),
+        }
+        cases.append(Case(face, law, recording, row))
     return cases
 
 
@@ -112,20 +105,20 @@ def draw(cases: Sequence[Case]) -> Figure:
         figure = Figure(figsize=(9.6, 1.9 * len(faces) + 0.9))
         axes = figure.subplots(len(faces), 2, sharex=True, sharey="col", squeeze=False)
         largest = 0.0
-        for (travel, force), face in zip(axes, faces, strict=True):
-            for case in reversed([c for c in cases if c.face == face]):
-                t = case.recording["t"]
-                colour = OKABE_ITO[colours[case.law]]
-                error = case.recording["alpha_true"][:, 0] - case.recording["alpha_cmd"][:, 0]
-                rms = 100 * case.row["left_end_rms_error_rel"]
-                travel.plot(t, 1e3 * _travel(case.recording), color=colour, lw=1.4)
-                force.plot(t, error, color=colour, lw=1.1, label=f"{case.law}: {rms:.2g} % rms")
-                largest = max(largest, np.abs(error[t >= SETTLE_S]).max())
-            travel.set(title=face, ylabel="travel (mm)")
+        for case in reversed(cases):
+            travel, force = axes[faces.index(case.face)]
+            t = case.recording["t"]
+            colour = OKABE_ITO[colours[case.law]]
+            error = case.recording["alpha_true"][:, 0] - case.recording["alpha_cmd"][:, 0]
+            rms = 100 * case.row["left_end_rms_error_rel"]
+            travel.plot(t, 1e3 * _travel(case.recording), color=colour, lw=1.4)
+            force.plot(t, error, color=colour, lw=1.1, label=f"{case.law}: {rms:.2g} % rms")
+            largest = max(largest, np.abs(error[t >= SETTLE_S]).max())
+            travel.set(title=case.face, ylabel="travel (mm)")
             force.set(title="force on it, true − desired", ylabel="(N)")
             force.legend(loc="upper right", ncols=2)
-            for ax in (travel, force):
-                ax.margins(x=0.01)
+        for ax in axes.flat:
+            ax.margins(x=0.01)
         axes[0, 1].set_ylim(-1.2 * largest, 2.2 * largest)
         for ax in axes[-1]:
             ax.set_xlabel("time (s)")
@@ -141,15 +134,9 @@ def study(ask: Ask) -> Study:
         "moving_face on mujoco",
         "left face; law; left force, rms; peak; right force, rms; closed; face travels",
         (
-            (
-                row["face"],
-                row["law"],
-                f"{row['left_end_rms_error_rel']:.3%}",
-                f"{row['left_end_peak_error_N']:.3f} N",
-                f"{row['right_end_rms_error_rel']:.3%}",
-                f"{row['contact_fraction']:.2%}",
-                f"{1e3 * row['travel_m']:.1f} mm",
-            )
+            f"{row['face']}; {row['law']}; {row['left_end_rms_error_rel']:.3%}; "
+            f"{row['left_end_peak_error_N']:.3f} N; {row['right_end_rms_error_rel']:.3%}; "
+            f"{row['contact_fraction']:.2%}; {1e3 * row['travel_m']:.1f} mm"
             for row in data
         ),
     )

@@ -1,7 +1,5 @@
 """Ours and the best selection laws where plant and controller's model differ: the runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace

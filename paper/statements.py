@@ -6,8 +6,6 @@ the statements by their keys. Statements without an answer are reported as open,
 not made as missing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum

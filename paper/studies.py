@@ -1,7 +1,5 @@
 """Experiments beside the main job: each gives figures, a table and its numbers by one name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

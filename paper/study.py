@@ -1,7 +1,5 @@
 """What a study is given and what it hands back: figures, a table and its numbers by one name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +11,13 @@ from rich.table import Table
 from paper.statements import Answer
 
 Data = dict[str, Any]  #: numbers for JSON
+PANDA: Data = {
+    "name": "panda",
+    "urdf": "example-robot-data:panda",
+    "tip": "panda_hand_tcp",
+    "wrist_sensor": "panda_hand",
+}
+"""An arm of a scenario, but for its posture."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +74,16 @@ class Ask:
         return [*self.changes, *lasts]
 
 
-def table_of(title: str, heads: str, rows: Iterable[Iterable[object]]) -> Table:
+def table_of(title: str, heads: str, rows: Iterable[str | Iterable[object]]) -> Table:
     """A table to print.
 
     Args:
-        title: above it. heads: of its columns, separated by "; ". rows: with a cell for each.
+        title: above it. heads: of its columns, separated by "; ". rows: of cells, or one
+            text of cells that are separated like the heads.
     """
     table = Table(*heads.split("; "), title=title)
     for row in rows:
-        table.add_row(*map(str, row))
+        table.add_row(*(row.split("; ") if isinstance(row, str) else map(str, row)))
     return table
 
 

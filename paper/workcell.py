@@ -1,8 +1,6 @@
 """The real workcell of section 6, one trouble at a time: what each costs the contact forces."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from matplotlib.figure import Figure
@@ -51,14 +49,8 @@ class Rung:
 
     def worst(self, key: str) -> float | None:
         """The largest of a number of `metrics`' force entries over the contacts."""
-        if self.verdict is None:
-            return None
-        return max(force[key] for force in self.verdict["force"].values())
-
-    @property
-    def closed(self) -> float | None:
-        """The smallest contact fraction."""
-        return None if self.verdict is None else min(self.verdict["contact_fraction"].values())
+        forces = () if self.verdict is None else self.verdict["force"].values()
+        return max((force[key] for force in forces), default=None)
 
     def as_dict(self) -> Data:
         """JSON-able."""
@@ -66,38 +58,30 @@ class Rung:
             "force_rms_rel": self.worst("rms_error_rel"),
             "force_peak_rel": self.worst("peak_error_rel"),
             "sensing_rms_rel": self.worst("sensing_rms_rel"),
-            "contact_fraction": self.closed,
+            "contact_fraction": self.verdict and min(self.verdict["contact_fraction"].values()),
         }
 
 
-def ladder(
-    stages: Iterable[str] = tuple(STAGES),
-    duration: float = 8.0,
-    seed: int = 0,
-    overrides: Sequence[str] = (),
-    progress: Callable[[str], None] = lambda _: None,
-) -> list[Rung]:
+def ladder(stages: Iterable[str], ask: Ask) -> Iterator[Rung]:
     """Run the workcell with only part of it real, stage by stage.
 
     Args:
-        stages: names from `STAGES`; default: all.
-        duration: s of each run. seed: of everything random.
-        overrides: further changes of every run. progress: called with the stage's name.
+        stages: names from `STAGES`.
+        ask: duration (default: 8 s) and seed of each run, further changes of it.
 
     Raises:
         InvalidInputError: unknown stage.
     """
-    rungs = []
     for name in stages:
         if name not in STAGES:
             raise osc.InvalidInputError(f"no stage '{name}'; there are {', '.join(STAGES)}")
-        progress(name)
-        scenario = osc.load_scenario(SCENARIO, [*STAGES[name], *overrides])
+        ask.tell(name)
+        scenario = osc.load_scenario(SCENARIO, [*STAGES[name], *ask.changes])
         try:
-            rungs.append(Rung(name, osc.metrics(osc.run(scenario, duration=duration, seed=seed))))
+            recording = osc.run(scenario, duration=ask.lasting(8.0), seed=ask.seed)
+            yield Rung(name, osc.metrics(recording))
         except osc.PlantError:
-            rungs.append(Rung(name, None))
-    return rungs
+            yield Rung(name, None)
 
 
 def draw(rungs: Sequence[Rung]) -> Figure:
@@ -107,21 +91,18 @@ def draw(rungs: Sequence[Rung]) -> Figure:
         figure = Figure(figsize=(6.4, 0.6 + 0.42 * len(rungs)), layout="constrained")
         ax = figure.subplots()
         bars = ax.barh([rung.real for rung in rungs], errors, color=OKABE_ITO["blue"])
-        words = [
-            "diverged" if rung.verdict is None else f"{error:.2g} %"
-            for rung, error in zip(rungs, errors, strict=True)
-        ]
-        ax.bar_label(bars, words, padding=3)
-        ax.set_xscale("log")
-        ax.set_xlim(1e-2, 1e4)
+        ax.bar_label(
+            bars, [f"{error:.2g} %" if error else "diverged" for error in errors], padding=3
+        )
+        label = "force error, rms (% of the mean command), worse contact"
+        ax.set(xscale="log", xlim=(1e-2, 1e4), xlabel=label)
         ax.invert_yaxis()
-        ax.set_xlabel("force error, rms (% of the mean command), worse contact")
     return figure
 
 
 def study(ask: Ask) -> Study:
     """All stages."""
-    rungs = ladder(STAGES, ask.lasting(8.0), ask.seed, ask.changes, ask.tell)
+    rungs = list(ladder(STAGES, ask))
     data = {rung.real: rung.as_dict() for rung in rungs}
     rows = (
         (real, *(words_of(value, "{:.3%}", "diverged") for value in errors.values()))

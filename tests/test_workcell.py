@@ -69,10 +69,10 @@ def test_the_monitor_raises_no_false_alarm(everything):
 
 
 def test_ideal_parts_cost_nothing_and_the_rest_is_named():
-    (nothing,) = ladder(["nothing"], duration=1.5)
+    (nothing,) = ladder(["nothing"], Ask(duration=1.5))
     assert nothing.worst("rms_error_rel") < 2e-3
     with pytest.raises(osc.InvalidInputError, match="everything"):
-        ladder(["anything"])
+        list(ladder(["anything"], Ask()))
     assert set(STAGES) >= {"joints", "sensors", "contact friction", "everything"}
 
 
