@@ -1,6 +1,7 @@
 """The controller without Python: its file, the C library, and a replay that is equal to the bit."""
 
 import ctypes
+import re
 import subprocess
 import zlib
 from dataclasses import replace
@@ -64,6 +65,33 @@ def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path, name):
     files[1].write_bytes(recording)
     done = subprocess.run([str(library / "replay"), *map(str, files)], capture_output=True)
     assert done.returncode == 1
+
+
+STRICT = "-O2", "-Wall", "-Wextra", "-Werror"
+
+
+@fixture(scope="module")
+def rod(tmp_path_factory):
+    """A controller and a recording, as words of a call."""
+    folder = tmp_path_factory.mktemp("rod")
+    build(rig_of("two_contact_rod"), folder, ticks=300)
+    return folder / "controller.osc", folder / "recording.osc"
+
+
+@mark.parametrize("rate", [1000, 4000])
+def test_the_loop_in_real_time_counts_every_tick(library, rod, rate):
+    run("make", "-B", "-C", library, f"CFLAGS={' '.join(STRICT)}", "loop.o", "recording.o")
+    run("make", "-C", library, "loop")
+    lines = run(library / "loop", rate, 0.2, *rod).splitlines()
+    assert f"{rate // 5} ticks at {rate} Hz" in next(x for x in lines if "missed" in x)
+    for name in "tick", "latency":
+        line = next(x for x in lines if x.startswith(name + ":"))
+        figures = [float(word) for word in re.findall(r"([\d.]+) µs", line)]
+        assert len(figures) == 4 and figures == sorted(figures) and figures[0] > 0, line
+    shown = [re.fullmatch(r"  below +(\d+) µs: (\d+)", x) for x in lines]
+    assert sum(int(x[2]) for x in shown if x) == rate // 5
+    done = subprocess.run([str(library / "loop"), "often"], capture_output=True)
+    assert done.returncode == 2
 
 
 def test_faulty_ticks_are_replayed_too(library, tmp_path):
