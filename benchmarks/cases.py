@@ -488,14 +488,8 @@ SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
     "three_arms": three_arms,
     "contact_phases": contact_phases,
     "own_pair": own_pair,
-<<<<<<< HEAD
     "compiled_pair": compiled_pair,
-    "single_precision": single_precision,
-    "strided": strided,
-    "lists": lists,
-=======
     **{name: partial(in_other_arrays, name) for name in ARRAYS},
->>>>>>> h26p
 }
 
 

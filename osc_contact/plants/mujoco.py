@@ -77,7 +77,7 @@ def scene(
     off = mujoco.mjtDisableBit
     disabled = off.mjDSBL_AUTORESET | off.mjDSBL_MIDPHASE  # few geometries, all looked at
     if not any(rails):  # all that is constrained hangs together
-        disabled |= off.mjDSBL_ISLAND
+        disabled |= getattr(off, "mjDSBL_ISLAND", 0)  # older ones look for no islands
     spec.option.disableflags = int(disabled)
     for arm, urdf in zip(chain.arms, arm_urdfs, strict=True):
         part = _arm(mujoco, arm, urdf)

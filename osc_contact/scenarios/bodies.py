@@ -327,7 +327,9 @@ def _validate(value: Any) -> Any:
         return value
     if isinstance(value, dict) and hasattr(value.get("pair"), "contact"):
         return OwnContactSpec.model_validate(value)
-    return _reader(tuple(CONTACT_TYPES.values())).validate_python(value)
+    contact = _reader(tuple(CONTACT_TYPES.values())).validate_python(value)
+    type(contact).model_rebuild()  # before 2.14, pydantic writes no class that it has not built
+    return contact
 
 
 @lru_cache(maxsize=1)
