@@ -8,14 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.testing import assert_array_equal
+import pinocchio as pin
+from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
 from osc_contact.control.saving import SavedController, controller_bytes
 from osc_contact.control.without_python import write_library
+from osc_contact.drivers.franka import TORQUE_STEP
 from osc_contact.law.jit import PLAIN_PYTHON
+from osc_contact.robots.library import find_robot
 from osc_contact.runs.run import start
 from osc_contact.runs.tape import Tape, build
 from osc_contact.scenarios.control_schema import MotionGains
@@ -282,3 +285,122 @@ def test_what_only_python_can_evaluate_is_refused():
     own = controller.with_laws(force=lambda alpha_d, alpha_meas: alpha_d)
     with raises(osc.InvalidInputError, match="only Python can evaluate"):
         controller_bytes(own)
+
+
+#: where a Franka starts in the tests
+READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+
+
+def panda(weight):
+    """A chain of one Panda, whose sensor is its tip, and a controller without contacts."""
+    arm = osc.Arm.from_urdf(
+        find_robot("panda")[0],
+        name="panda",
+        tip="panda_hand_tcp",
+        wrist_sensor="panda_hand_tcp",
+        locked={"panda_finger_joint1": 0.0, "panda_finger_joint2": 0.0},
+        friction_factor=0.0,
+    )
+    chain = osc.ClosedChain([arm])
+    if not weight:
+        chain.model.gravity.linear = np.zeros(3)
+    return chain, osc.Controller(chain, [], dt=1e-3, posture=READY)
+
+
+def link_cpp(library, program, *sources, std="c++17"):
+    stubs = Path(__file__).parent / "stubs"
+    run("make", "-C", library)
+    parts = [library / name for name in ("osc_controller.o", "osc_daqp.o", "law.o")]
+    flags = [f"-std={std}", *STRICT, "-I", library, "-I", stubs]
+    run("c++", *flags, *sources, *parts, "-lm", "-o", program)
+    return program
+
+
+def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
+    program = link_cpp(library, tmp_path / "franka_loop", library / "franka_loop.cpp")
+    chain, heavy = panda(weight=True)
+    panda(weight=False)[1].save(tmp_path / "light.osc")
+    heavy.save(tmp_path / "heavy.osc")
+    rng = np.random.default_rng(4)
+    data = chain.model.createData()
+    start = chain.state(READY, np.zeros(7)).X_WO
+    states, wanted, last = [], [], np.zeros(7)
+    for k in range(101):
+        drift = 2e-3 * np.sin(0.05 * k) * np.ones(7)
+        q, v = READY + drift, 0.1 * np.cos(0.05 * k) * np.ones(7)
+        f = np.zeros(6) if k == 0 else 0.2 * rng.normal(size=6)
+        X = chain.state(q, v).X_WO.homogeneous
+        states.append(np.concatenate([q, v, X.ravel(order="F"), f]))
+        t, w, up = 1e-3 * k, 1.5708, np.array([0, 0, 0.02, 0, 0, 0]) / 2
+        reference = osc.Reference(
+            osc.pose_reference(
+                start.translation + (1 - np.cos(w * t)) * up[:3], start.rotation
+            ).X_WD,
+            w * np.sin(w * t) * up,
+            w**2 * np.cos(w * t) * up,
+            alpha_d=np.zeros(0),
+        )
+        tau = heavy.tick(osc.Measurement(q, v, f[None]), reference)
+        assert heavy.status == osc.Status.OK, heavy.reason
+        step = tau - pin.computeGeneralizedGravity(chain.model, data, q) - last
+        last = last + step * min(1.0, TORQUE_STEP / np.abs(step).max())
+        wanted.append(last)
+    (tmp_path / "robot").write_bytes(np.array(states).tobytes())
+    said = run(program, tmp_path / "robot", tmp_path / "light.osc", 0.1)
+    assert said == "0.100 s, done\n"
+    sent = np.frombuffer((tmp_path / "robot.torques").read_bytes()).reshape(-1, 8)
+    assert_array_equal(np.flatnonzero(sent[:, 7]), [100])
+    assert_allclose(sent[:, :7], wanted, atol=1e-9)
+    assert np.abs(sent[:, :7]).max() > TORQUE_STEP
+    call = [str(program), str(tmp_path / "robot"), str(tmp_path / "heavy.osc"), "0.1"]
+    done = subprocess.run(call, capture_output=True, text=True)
+    assert done.returncode == 1 and "compensates weight" in done.stderr
+
+
+@mark.parametrize("name", ["panda_edge", "dual_panda_rod"])
+def test_the_ros2_plugin_sends_what_the_controller_computes(library, tmp_path, name):
+    here = Path(__file__).parent
+    sources = library / "ros2_controller.cpp", here / "ros2_manager.cpp"
+    program = link_cpp(library, tmp_path / "manager", *sources)
+    rig = rig_of(name)
+    plant, controller = start(rig)
+    controller.reset()  # as on_activate does
+    controller.save(tmp_path / "controller.osc")
+    saved = SavedController.load(tmp_path / "controller.osc")
+    m, reference = plant.measure(), rig.references.at(0.0)
+    reference = replace(reference, V_D=np.zeros(6), A_D=np.zeros(6))
+    alpha = np.ravel(reference.alpha_d).astype(float)
+    bars = int(controller._records.model.n_bars)
+    squeeze = np.full(bars, float(np.ravel(reference.squeeze_d)[0]) if bars else 0.0)
+    arms, joints = len(m.wrenches), len(m.q)
+    rng = np.random.default_rng(5)
+    rows, wanted, seen = [], [], set()
+    for k in range(60):
+        q = m.q + 1e-4 * rng.normal(size=joints)
+        q[1] = np.nan if k == 40 else q[1]
+        given = replace(m, q=q, v=m.v + 1e-3 * rng.normal(size=joints))
+        rows.append(np.concatenate([q, given.v, m.wrenches.ravel()]))
+        wanted.append(saved.tick(given, reference))
+        seen.add(saved.status)
+    assert seen == {osc.Status.OK, osc.Status.HELD}
+    content = np.concatenate([reference.X_WD.homogeneous.ravel(), alpha, squeeze, *rows]).tobytes()
+    call = [
+        program,
+        tmp_path / "controller.osc",
+        round(1 / saved.dt),
+        arms,
+        joints // arms,
+        len(alpha),
+        bars,
+    ]
+    done = subprocess.run([str(word) for word in call], input=content, capture_output=True)
+    assert done.returncode == 0, done.stderr
+    torques = np.frombuffer(done.stdout).reshape(-1, len(wanted[0]))
+    assert_array_equal(torques[:-1], wanted)
+    assert not torques[-1].any()  # deactivated
+    names = done.stderr.decode().split()
+    assert names[0] == "arm0_0/effort" and names[joints : joints + 1] == ["arm0_0/position"]
+    assert names[-1] == f"wrist{arms - 1}/torque.z" and len(names) == 3 * joints + 6 * arms
+    call[2] = 10
+    done = subprocess.run([str(word) for word in call], input=content, capture_output=True)
+    assert done.returncode == 1 and b"update rate" in done.stderr
