@@ -1,5 +1,6 @@
-"""Build hook of wheels: the compiled law goes in, where numba and a C compiler can make it.
+"""Hooks of the build: README links that lead somewhere outside, and the compiled law in wheels.
 
+The law goes in where numba and a C compiler can make it.
 OSC_CONTACT_LAW=jit leaves it out: such a wheel is for every platform, and numba compiles the law
 when it is first used. A checkout installed with `pip install -e` is left as it is.
 """
@@ -10,9 +11,12 @@ import sys
 import sysconfig
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+from hatchling.metadata.plugin.interface import MetadataHookInterface
 
+_LINK = re.compile(r"(!?)\[([^\]]*)\]\((?!https?:|#)([^)]+)\)")
 OLDEST = (2, 17)  # glibc of manylinux2014
 
 
@@ -65,3 +69,27 @@ def platform_of(library):
     found = re.findall(rb"GLIBC_(\d+)\.(\d+)", library.read_bytes())
     fits = all((int(a), int(b)) <= OLDEST for a, b in found)
     return platform.replace("linux", "manylinux_{}_{}".format(*OLDEST)) if fits else platform
+
+
+class LinkedReadme(MetadataHookInterface):
+    """Makes links absolute where pyproject.toml gives the repository's address."""
+
+    def update(self, metadata: dict[str, Any]) -> None:
+        """Set readme and urls."""
+        text = (Path(self.root) / "README.md").read_text(encoding="utf-8")
+        address = str(self.config["address"])
+        metadata["urls"] = {"Repository": address} if address else {}
+        metadata["readme"] = {
+            "content-type": "text/markdown",
+            "text": absolute(text, address) if address else text,
+        }
+
+
+def absolute(text: str, address: str) -> str:
+    """The page with links into the repository: raw files for pictures, pages for all else."""
+
+    def link(found: re.Match[str]) -> str:
+        kind = "raw" if found[1] else "blob"
+        return f"{found[1]}[{found[2]}]({address}/{kind}/main/{found[3]})"
+
+    return _LINK.sub(link, text)

@@ -13,6 +13,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from pytest import fixture, mark
 
+from hatch_build import absolute
 from osc_contact.law import ready
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -202,3 +203,40 @@ def test_issue_templates_ask_for_something():
     for form in forms:
         told = yaml.safe_load(form.read_text(encoding="utf-8"))
         assert told.get("blank_issues_enabled") or (told["name"] and told["body"])
+
+
+def test_the_readme_leads_somewhere_once_there_is_an_address():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    linked = absolute(text, "https://example.org/o/r")
+    targets = re.findall(r"\]\(([^)]+)\)", linked)
+    assert targets and all(re.match(r"https?://|#", target) for target in targets)
+    picture = "docs/images/two_contact_rod.gif"
+    assert f"](https://example.org/o/r/raw/main/{picture})" in linked
+    assert "](https://example.org/o/r/blob/main/CONTRIBUTING.md)" in linked
+
+
+def test_workflows_and_environments_run_targets_that_exist():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    pixi = tomllib.loads((ROOT / "pixi.toml").read_text(encoding="utf-8"))
+    commands = list(pixi["tasks"].values())
+    for file in (ROOT / ".github" / "workflows").glob("*.yml"):
+        jobs = yaml.safe_load(file.read_text(encoding="utf-8"))["jobs"]
+        commands += [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    assert len(commands) >= 7
+    for command in commands:
+        assert re.search(rf"^{command.split()[1]}:", makefile, re.MULTILINE), command
+
+
+def test_only_the_job_that_publishes_may_prove_who_it_is():
+    text = (ROOT / ".github/workflows/publish.yml").read_text(encoding="utf-8")
+    jobs = yaml.safe_load(text)["jobs"]
+    assert [n for n, job in jobs.items() if "id-token" in job.get("permissions", {})] == ["publish"]
+    assert "password" not in text.split("\n", 1)[1] and jobs["publish"]["needs"] == "build"
+
+
+def test_commits_are_checked_as_make_check_does():
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    commands = [hook["entry"] for repo in hooks["repos"] for hook in repo["hooks"]]
+    (recipe,) = re.findall(r"^check: venv\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.M)
+    made = [line.strip().replace("$(BIN)", ".venv/bin") for line in recipe.splitlines()]
+    assert commands == [line.removesuffix(" .") for line in made]

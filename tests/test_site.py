@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -9,7 +10,8 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from pytest import fixture
+from pytest import fixture, mark
+from snowballstemmer import stemmer
 
 import osc_contact as osc
 
@@ -150,3 +152,27 @@ def test_names_in_tables_break_after_their_parts_only(site):
     text = (site / "docs/scenario.html").read_text(encoding="utf-8")
     name = re.sub(r"</?span[^>]*>", "", text)
     assert "contacts.<wbr>face.<wbr>urdf<" in name
+
+
+@mark.parametrize(
+    ("words", "page"),
+    [
+        ("impedance", "impedance_admittance"),
+        ("admittance", "impedance_admittance"),
+        ("hybrid force position", "glossary"),
+        ("polishing", "glossary"),
+        ("peg hole", "glossary"),
+        ("guarded move", "glossary"),
+        ("wrench frame", "glossary"),
+        ("gravity compensation", "glossary"),
+    ],
+)
+def test_words_of_the_field_are_found(site, words, page):
+    text = (site / "searchindex.js").read_text(encoding="utf-8")
+    index = json.loads(text.removeprefix("Search.setIndex(").rstrip().removesuffix(")"))
+    stem = stemmer("english").stemWord
+    found = set(range(len(index["docnames"])))
+    for word in words.split():
+        places = [index[part].get(stem(word), []) for part in ("terms", "titleterms")]
+        found &= {n for p in places for n in (p if isinstance(p, list) else [p])}
+    assert f"docs/{page}" in {index["docnames"][n] for n in found}

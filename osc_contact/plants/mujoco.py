@@ -77,7 +77,7 @@ def scene(
     off = mujoco.mjtDisableBit
     disabled = off.mjDSBL_AUTORESET | off.mjDSBL_MIDPHASE  # few geometries, all looked at
     if not any(rails):  # all that is constrained hangs together
-        disabled |= getattr(off, "mjDSBL_ISLAND", 0)  # older ones look for no islands
+        disabled |= off.mjDSBL_ISLAND
     spec.option.disableflags = int(disabled)
     for arm, urdf in zip(chain.arms, arm_urdfs, strict=True):
         part = _arm(mujoco, arm, urdf)
@@ -152,7 +152,8 @@ def _joint_numbers(spec: Any, chain: ClosedChain) -> None:
     for i, name in enumerate(chain.joint_names):
         joint = spec.joint(name)
         joint.armature = float(model.armature[i])
-        joint.damping = [model.damping[i], 0.0, 0.0]
+        damping = float(model.damping[i])  # of MuJoCo before 3.8 a number, then a polynomial
+        joint.damping = [damping, 0.0, 0.0] if np.size(joint.damping) > 1 else damping
         joint.frictionloss = dry = float(model.upperDryFrictionLimit[i])
         if dry > 0.0:  # MuJoCo's own 20 ms would turn it round 10 ms before the joint
             joint.solref_friction = [2 * spec.option.timestep, 1.0]

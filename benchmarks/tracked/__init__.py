@@ -1,0 +1,1 @@
+"""Benchmarks that `asv run` follows from commit to commit."""
