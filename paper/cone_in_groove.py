@@ -135,6 +135,11 @@ class Seat:
         """The nearest constraint frame at the start, moments over the cone's height about O."""
         return self.contact().as_raibert_craig(self.cone.height)
 
+    def generators(self) -> Array:
+        """(2, 3) unit directions from the apex along which the cone touches the two walls."""
+        slope = np.sin(self.half_angle) * np.array(self.groove.normals())
+        return (self.axis - slope) / np.cos(self.half_angle)
+
     def wall_forces(self, X_WO: pin.SE3) -> tuple[Array, Array]:
         """Where (3, 4) and along which directions (3, 4) the cone presses on the walls.
 
@@ -142,8 +147,9 @@ class Seat:
         ends of both lines are another basis of N, in which a real groove can only push (≥ 0).
         """
         length = self.cone.height / np.cos(self.half_angle)
-        normals = np.repeat(self.groove.normals(), 2, axis=0).T
-        along = (self.axis[:, None] - np.sin(self.half_angle) * normals) / np.cos(self.half_angle)
+        normals, along = (
+            np.repeat(two, 2, axis=0).T for two in (self.groove.normals(), self.generators())
+        )
         points = X_WO.act(self.cone.apex)[:, None] + length * along * [0.35, 1.0, 0.35, 1.0]
         return points, -normals
 
