@@ -205,6 +205,7 @@ def test_special_cases_are_what_they_are_called():
         "three_arms": "OK",
         "contact_phases": "OK",
         "own_pair": "OK",
+        "compiled_pair": "OK",
         "single_precision": "OK",
         "strided": "OK",
         "lists": "OK",

@@ -173,7 +173,7 @@ def parts(request, tmp_path, monkeypatch):
     path = tmp_path / "parts.py"
     path.write_text(READERS)
     if request.param == "plain":
-        monkeypatch.setattr(config, "DISABLE_JIT", 1)
+        monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
         for module in (jit, nested):
             monkeypatch.setitem(sys.modules, module.__name__, load(Path(module.__file__)))
     module = load(path)

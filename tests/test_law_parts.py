@@ -540,7 +540,7 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
         friction_wrench=np.zeros(6),
     )
     work = Record(
-        A=np.zeros((6, 6)),
+        X_WE=np.zeros((4, 4)),
         u=np.zeros(6),
         w=np.zeros(6),
         y=np.zeros(6),
