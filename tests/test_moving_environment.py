@@ -55,7 +55,7 @@ def six_dimensional(state, f_S):
 def test_equations_17_to_20_as_written_with_the_relative_inertia(rig, kind):
     """β̇, α, ϑ̇′ and f_c with Λ_rel, T, Ṫβ and f′, against the whole system (d = 6)."""
     rng = np.random.default_rng(31)
-    for _ in range(10):
+    for _ in range(4):
         s = scene(rig, kind, rng)
         state = s.state
         env = s.environment
@@ -96,7 +96,7 @@ def test_a_redundant_leg_changes_nothing_where_one_body_carries_all():
     """Two vertices and, between them, a third: n_γ of a moving body stays consistent."""
     rng = np.random.default_rng(48)
     for kind in ("free body", "prescribed"):
-        for _ in range(10):
+        for _ in range(4):
             s = scene(panda_pair, kind, rng)
             a, b = s.touches
             body = s.bodies[0]

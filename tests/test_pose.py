@@ -1,6 +1,7 @@
 """Where arms stand, and the postures that put them somewhere: `osc-contact pose`."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -25,9 +26,15 @@ def call(*words):
     return result
 
 
+@cache
+def panda():
+    """From the URDF as Pinocchio itself reads it."""
+    return pin.buildModelFromUrdf(str(robots.find_robot("panda")[0]))
+
+
 def standing(q):
-    """Pose of the Panda's tip from the URDF as Pinocchio itself reads it, fingers at 0."""
-    model = pin.buildModelFromUrdf(str(robots.find_robot("panda")[0]))
+    """Pose of the Panda's tip, fingers at 0."""
+    model = panda()
     data = model.createData()
     pin.framesForwardKinematics(model, data, np.concatenate((q, np.zeros(model.nq - len(q)))))
     return data.oMf[model.getFrameId("panda_hand_tcp")]

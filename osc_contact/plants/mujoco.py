@@ -212,7 +212,9 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
             tip.add_site(name=f"{arm.name}/hold", pos=grasp.X_TO.translation, quat=[w, x, y, z])
             tie = _tie(mujoco, spec, f"{arm.name}/weld", f"{arm.name}/hold", "object/held")
             tie.type = mujoco.mjtEq.mjEQ_WELD
-            tie.data = [0.0] * 10 + [1.0, 0.0]  # torque scale of the weld
+            data = np.zeros(len(tie.data))
+            data[10] = 1.0  # torque scale of the weld
+            tie.data = data
         for k, point in enumerate(_tie_points(grasp)):
             own = f"{arm.name}/tie.{k}"
             other = f"object/tie{i}.{k}"
