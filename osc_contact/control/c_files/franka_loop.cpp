@@ -73,7 +73,7 @@ osc_command tick(osc_controller* c, const franka::RobotState& state, const osc_r
   return out;
 }
 
-// A tick without a reference is held: at rest its torques are the weight that the controller knows.
+// A tick without a reference is held: at rest its torques are the weight of the controller's model.
 void require_weightless(const char* path, franka::RobotState state) {
   state.dq = {};
   const Controller c = load(path);
