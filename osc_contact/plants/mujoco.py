@@ -152,8 +152,7 @@ def _joint_numbers(spec: Any, chain: ClosedChain) -> None:
     for i, name in enumerate(chain.joint_names):
         joint = spec.joint(name)
         joint.armature = float(model.armature[i])
-        damping = float(model.damping[i])  # of MuJoCo before 3.8 a number, then a polynomial
-        joint.damping = [damping, 0.0, 0.0] if np.size(joint.damping) > 1 else damping
+        joint.damping = [model.damping[i], 0.0, 0.0]
         joint.frictionloss = dry = float(model.upperDryFrictionLimit[i])
         if dry > 0.0:  # MuJoCo's own 20 ms would turn it round 10 ms before the joint
             joint.solref_friction = [2 * spec.option.timestep, 1.0]
@@ -212,7 +211,9 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
             tip.add_site(name=f"{arm.name}/hold", pos=grasp.X_TO.translation, quat=[w, x, y, z])
             tie = _tie(mujoco, spec, f"{arm.name}/weld", f"{arm.name}/hold", "object/held")
             tie.type = mujoco.mjtEq.mjEQ_WELD
-            tie.data = [0.0] * 10 + [1.0, 0.0]  # torque scale of the weld
+            data = np.zeros(len(tie.data))  # 11 or 12, by version
+            data[10] = 1.0  # torque scale of the weld
+            tie.data = data
         for k, point in enumerate(_tie_points(grasp)):
             own = f"{arm.name}/tie.{k}"
             other = f"object/tie{i}.{k}"
