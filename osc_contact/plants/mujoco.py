@@ -152,8 +152,7 @@ def _joint_numbers(spec: Any, chain: ClosedChain) -> None:
     for i, name in enumerate(chain.joint_names):
         joint = spec.joint(name)
         joint.armature = float(model.armature[i])
-        damping = float(model.damping[i])  # of MuJoCo before 3.8 a number, then a polynomial
-        joint.damping = [damping, 0.0, 0.0] if np.size(joint.damping) > 1 else damping
+        joint.damping = [model.damping[i], 0.0, 0.0]
         joint.frictionloss = dry = float(model.upperDryFrictionLimit[i])
         if dry > 0.0:  # MuJoCo's own 20 ms would turn it round 10 ms before the joint
             joint.solref_friction = [2 * spec.option.timestep, 1.0]
@@ -212,7 +211,7 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
             tip.add_site(name=f"{arm.name}/hold", pos=grasp.X_TO.translation, quat=[w, x, y, z])
             tie = _tie(mujoco, spec, f"{arm.name}/weld", f"{arm.name}/hold", "object/held")
             tie.type = mujoco.mjtEq.mjEQ_WELD
-            data = np.zeros(len(tie.data))
+            data = np.zeros(len(tie.data))  # 11 or 12, by version
             data[10] = 1.0  # torque scale of the weld
             tie.data = data
         for k, point in enumerate(_tie_points(grasp)):
@@ -542,18 +541,16 @@ def _stopped() -> float:
 @cache
 def _no_clock() -> Any:
     """A clock that stands still, in compiled code."""
-    try:
-        from numba import cfunc
-    except ImportError:  # then MuJoCo reads its own
-        return None
-    return cfunc("float64()", cache=True)(_stopped).ctypes
+    from numba import cfunc
+
+    return cfunc("float64()", cache=True)(_stopped)
 
 
 def quieten(mujoco: Any) -> None:
     """Let MuJoCo write no MUJOCO_LOG.TXT and read no clock: the plant counts warnings itself."""
     mujoco.set_mju_user_warning(_log.debug)
     if mujoco.get_mjcb_time() is None:  # its profiler reads the clock thirty times a step
-        mujoco.set_mjcb_time(_no_clock())
+        mujoco.set_mjcb_time(_no_clock().ctypes)
 
 
 class MujocoPlant:
