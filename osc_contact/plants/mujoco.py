@@ -541,16 +541,18 @@ def _stopped() -> float:
 @cache
 def _no_clock() -> Any:
     """A clock that stands still, in compiled code."""
-    from numba import cfunc
-
-    return cfunc("float64()", cache=True)(_stopped)
+    try:
+        from numba import cfunc
+    except ImportError:  # then MuJoCo reads its own
+        return None
+    return cfunc("float64()", cache=True)(_stopped).ctypes
 
 
 def quieten(mujoco: Any) -> None:
     """Let MuJoCo write no MUJOCO_LOG.TXT and read no clock: the plant counts warnings itself."""
     mujoco.set_mju_user_warning(_log.debug)
     if mujoco.get_mjcb_time() is None:  # its profiler reads the clock thirty times a step
-        mujoco.set_mjcb_time(_no_clock().ctypes)
+        mujoco.set_mjcb_time(_no_clock())
 
 
 class MujocoPlant:
