@@ -35,7 +35,7 @@ from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
-from osc_contact.law.records import DEGRADED, JOINTS, OBJECT_UNKNOWN, WRISTS, Bytes
+from osc_contact.law.records import DEGRADED, HISTORY, JOINTS, OBJECT_UNKNOWN, WRISTS, Bytes
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,
@@ -285,7 +285,11 @@ class Controller:
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
         """At the start; with bodies that move, stamps, three arms, or custom code."""
         if measurement.stamps is not None or measurement.sequence is not None:
-            self._records.memory.repeated = self._freshness.require(measurement)
+            memory = self._records.memory
+            memory.repeated = self._freshness.require(measurement)
+            if measurement.stamps is not None:
+                late = measurement.stamps.encoders - measurement.stamps.wrists
+                memory.late = min(max(0.0, late / self.dt + 0.5), HISTORY)
         if measurement.estimated:
             self._records.memory.derived = 1
         if self._converting and self._custom.needed:  # custom code takes arrays
@@ -598,12 +602,18 @@ class Controller:
 
         Columns are what `Arm` takes as friction and damping, to start with next time.
         """
+        model = self.chain.model
+        known = np.column_stack([model.upperDryFrictionLimit, model.damping])
         learned = self._records.memory.friction
-        model = self._records.model.joints
-        known = learned.known != 0
-        return np.column_stack(
-            [np.where(known, learned[name], model[name]) for name in ("dry", "viscous")]
-        )
+        return np.where(learned.known[:, None] != 0, learned.theta[:, :2], known)
+
+    @property
+    def missing_inertia(self) -> Array:
+        """(n,) inertia of each joint's rotor that the model lacks, as learned so far (kg m²; kg).
+
+        Below zero where the model has too much.
+        """
+        return np.array(self._records.memory.friction.theta[:, 2])
 
     @property
     def f_bias(self) -> Array:

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GAIN_FIELDS",
-    "LEARNED_SLIP",
     "SLIP",
     "TickRecords",
     "joint_limit_margins",
@@ -40,9 +39,16 @@ _GIVEN = PairRow(at.GIVEN, ())
 _NEVER = 1e12  #: ticks
 _WHOLE = np.pi  #: rad or m; a larger range of a joint, or one that is open, counts as this much
 #: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
-SLIP = 1e-3
-LEARNED_SLIP = 3e-4  #: along speeds without noise
+SLIP = 3e-4
 SLIDING = 0.3  #: m/rad: of sliding joints
+_UNLIMITED = 100.0  #: N m, N: stands for the torque limit of motors that have none
+_NOISE = 0.003  #: of the torque limit: residuals that are no friction
+_ROUNDING = 2e-4  #: likewise, of a model without errors: of discrete time
+#: of F, D, A and bias, where F, and D and A at 1 rad/s and 1 rad/s², are at most 1: standard
+#: deviation at the start, beside half of what the model says; at most; bound
+_DOUBT = np.array([0.07, 0.07, 0.07, 0.017])
+_SPREAD = np.array([0.5, 0.5, 0.5, 0.1])
+_BOUND = np.array([1.0, 20.0, 20.0, 0.02])
 
 
 def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
@@ -118,15 +124,7 @@ def pack_gains(settings: Settings, head: Any) -> None:
     head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # of a chord
     _copy(settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping")
     _copy(settings.friction or Friction(mu=0.0), head)
-    friction = settings.joint_friction
-    known = settings.chain.model
-    rubs = known.damping.any() or known.upperDryFrictionLimit.any()
-    head.rubs = friction is not None and (friction.learning or rubs)
-    if friction is not None:
-        head.friction_learning = friction.learning
-        head.friction_share = friction.share
-        head.friction_smoothing = friction.smoothing
-        head.friction_most = friction.most
+    _pack_friction(settings, head)
     head.reading = at.LEAST_SQUARES if settings.reading == "least_squares" else at.FILTER
     B = settings.B
     kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
@@ -181,11 +179,34 @@ def _pack_joints(settings: Settings, head: Any) -> None:
     rows.posture[:] = settings.posture
     for name, values in zip(("low", "high", "width", "most"), margins, strict=True):
         rows[name][:] = values
-    model = chain.model
-    rows.viscous[:] = model.damping
-    rows.dry[:] = model.upperDryFrictionLimit
-    slip = LEARNED_SLIP if settings.joint_friction and settings.joint_friction.learning else SLIP
-    rows.slip[:] = np.where(rows.slides != 0, SLIDING * slip, slip)
+
+
+def _pack_friction(settings: Settings, head: Any) -> None:
+    """Friction of the joints as the model has it, and how far it may be learned otherwise."""
+    how = settings.joint_friction
+    if how is None:
+        return
+    model = settings.chain.model
+    rows = head.joints
+    known = np.zeros((len(rows), 4))
+    known[:, 0] = model.upperDryFrictionLimit
+    known[:, 1] = model.damping
+    head.rubs = how.learning or known.any()
+    head.friction_learning = how.learning
+    head.friction_share = how.share
+    head.friction_smoothing = how.smoothing
+    limit = np.minimum(rows.tau_max, _UNLIMITED)
+    most = how.most * limit
+    rows.friction_most[:] = most
+    rows.friction_noise[:] = _NOISE * limit
+    rows.friction_least[:] = _ROUNDING * limit
+    rows.slip[:] = np.where(rows.slides != 0, SLIDING * SLIP, SLIP)
+    rows.theta[:] = known
+    rows.doubt[:] = 0.5 * known + np.outer(most, _DOUBT)
+    rows.spread[:] = np.outer(most, _SPREAD)
+    rows.high_theta[:] = np.maximum(np.outer(most, _BOUND), known)
+    rows.low_theta[:, 2] = -np.array(model.armature)  # nothing else can be below zero
+    rows.low_theta[:, 3] = -rows.high_theta[:, 3]
 
 
 def joint_limit_margins(

@@ -6,7 +6,6 @@ from math import sqrt
 
 from osc_contact.law.algebra import one_sided_jacobi
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame
-from osc_contact.law.contact import AHEAD
 from osc_contact.law.grasps import add_slip, centre_object, filter_outboard, find_object, find_twist
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.joint_friction import believed_friction
@@ -141,9 +140,9 @@ def _add_arm(t, arm, own, row):
     for k in range(row, row + count):
         locked[k, 6] = dot6(locked[k], own.gamma)
         fill(own.resisted[k - row], locked[k])
-    if model.rubs != 0:
-        _add_friction(t, arm)
     for j in range(lo, arm.end):
+        if model.rubs != 0 and model.joints[j].motor < 0:  # other motors compensate its friction
+            joints[j].h += believed_friction(t, j)
         joints[j].offset = -dot6(joints[j].J_bar, own.gamma)
     bias = six(work.chain_bias)
     for j in range(lo, arm.end):
@@ -159,33 +158,6 @@ def _add_arm(t, arm, own, row):
         else:
             _add_outboard(t, arm, own)
     return NO_REASON, count
-
-
-@inner
-def _add_friction(t, arm):
-    """h += D v + F s/√(s² + s_0²), with the desired speeds s = v + J̄ (V_D + t_a A_D − V).
-
-    They turn round when the joints do, or a little before: torques act from this tick on. They are
-    without the noise of v, of which only what does not move the object is in them. Where friction
-    is learned, motors compensate it themselves, see `joint_friction`.
-    """
-    joints = t.work.joints
-    work = t.work
-    learned = t.model.friction_learning != 0
-    lag = work.y
-    ahead = AHEAD * t.model.period
-    for i in range(6):
-        lag[i] = work.V_D[i] + ahead * work.A_D[i] - work.V_O[i]
-    carry_motion(lag, work.O, work.C, lag)
-    energy_motion(work.axes, lag, lag)
-    for j in range(arm.first, arm.end):
-        row = t.model.joints[j]
-        if not learned:
-            v = joints[j].v
-            s = v + dot6(joints[j].J_bar, lag)
-            joints[j].h += row.viscous * v + row.dry * s / sqrt(s * s + row.slip * row.slip)
-        elif row.motor < 0:
-            joints[j].h += believed_friction(t, j)
 
 
 @leaf

@@ -7,18 +7,22 @@ Inboard of its wrist sensor an arm needs, whatever is in contact beyond it,
 with w the wrist's reading, w_out what moves the bodies beyond it, and τ_f the friction of the
 joints. The residual r = LP_K(τ − h − M q̈ − Jᵀ(w − w_out)) therefore is LP_K(τ_f): it contains no
 contact force (`docs/theory.md`, *Joint friction*). From it each joint learns Coulomb and viscous
-friction F and D by recursive least squares,
+friction F and D, and the inertia A of its rotor that the model lacks, by recursive least squares,
 
-    r ≈ φᵀθ,   φ = LP_K[s/√(s² + s_0²), s, 1],   θ = (F, D, bias),
+    r ≈ φᵀθ,   φ = LP_K[sign s, q̇, q̈, 1],   θ = (F, D, A, bias),
 
-where s is the speed that the contacts permit: J̄ P V_D, P = Ω_m(Λ_o⁻¹) of eq. 4. It has neither the
-noise of measured speeds nor the speeds of the posture task in it. The sign s/√(s² + s_0²) is its
-mean over the tick, so that friction reverses within the tick in which the joint does. Torques get
+both low-passed once more against noise. Friction is learned of the speed that the joint has, and
+compensated along the speed s that the contacts permit: J̄ P V_D, P = Ω_m(Λ_o⁻¹) of eq. 4. This has
+neither the noise of measured speeds nor the speeds of the posture task in it. The sign of s is
+s/√(s² + s_0²), its mean over the tick, so that friction reverses within the tick in which the joint
+does. Torques get
 
-    f + g clip(e),   f = F s/√(s² + s_0²) + D s,   ė = K_d(r − LP_K f − e),
+    f + g clip(e),   f = F sign s + D s + A ṡ,   ė = K_d(r − LP_K f − e),
 
 before they are limited: f is not a feedback, and e, with g < 1, is what of the friction is not
-learned. Passive joints have no motors: what is known of their friction goes into h instead.
+learned. What is compared with a wrench that comes late is of the instant at which it was read.
+Without learning θ is what the model says, and e = 0. Passive joints have no motors: what is known
+of their friction goes into h instead.
 """
 
 from __future__ import annotations
@@ -29,6 +33,7 @@ from osc_contact.law.algebra import project_onto_constraint, solve_lower
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import APPROACHING
 from osc_contact.law.reading import add_reading
+from osc_contact.law.records import HISTORY
 from osc_contact.law.vectors import (
     add,
     carry_motion,
@@ -42,18 +47,20 @@ from osc_contact.law.vectors import (
 )
 
 _LAG = 0.01  #: s, 1/K of the residual
-_SLOW = 0.05  #: s, where it is only judged
-_SETTLED = 0.05  #: s from the first tick on in which nothing is learned
+_SMOOTH = 0.03  #: s, of the second low-pass, of what is learned from
+_SETTLED = 0.15  #: s from the first tick on in which nothing is learned
 _OUTLIER = 2.0  #: times the motor's torque; no more of a residual counts in one tick
 _MOVES = 0.01  #: rad/s; slower joints learn nothing
 _SLIDES = 0.2  #: m/rad: speeds of sliding joints, where those of turning ones are constants
 _FOLLOWS = 0.09  #: of the permitted speed; a joint that moves with less of it learns nothing
 _FULL = 0.7  #: of dry friction; near a reversal nothing is learned
-_NOISE = 0.003  #: of the torque limit: residuals that are no friction
 _FORGET = 2.0  #: s
-_UNLIMITED = 100.0  #: N m, N: stands for the torque limit of motors that have none
-_VISCOUS = 20.0  #: s/rad, s/m; D is at most this times the most friction that is assumed
-_BIAS = 0.02  #: of the most friction that is assumed
+_SEEN = 3.0  #: times the noise; what is in φ with less of θ at its spread is not forgotten
+_SUDDEN = 0.05  #: s; speeds that change by their limit within less are steps
+
+#: What `history` keeps of each tick, and `means` the low-passes of.
+TORQUE, SIGN, SPEED, V, FRICTION, RATE, INERTIAL = range(7)
+_ACCELERATION = FRICTION  #: of `smooth`, in place of it
 
 
 @inner
@@ -70,9 +77,7 @@ def observe_arm(t, arm, own, dt):
     joints = t.work.joints
     known = t.memory.joints
     begins = t.memory.balanced <= 1  # there is no last tick yet
-    learns = t.model.friction_learning != 0
-    lag = _LAG if learns else _SLOW
-    k = 0.0 if begins else max(dt / (lag + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
+    k = 0.0 if begins else max(dt / (_LAG + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
     weight = scaled(-1.0, own.bias)
     moving = scaled(0.0, own.bias)
     for j in range(arm.first, arm.end):
@@ -93,120 +98,140 @@ def observe_arm(t, arm, own, dt):
     add_reading(own.reading, joints[arm.sensor_joint], arm.sensor, work.C, work.s, load)
     for j in range(arm.first, arm.sensor_joint + 1):
         row = known[j]
-        motor = t.model.joints[j].motor
-        if motor < 0:
+        joint = t.model.joints[j]
+        if joint.motor < 0:
             continue
-        torque = t.memory.torques[motor]
-        bound = _OUTLIER * t.model.joints[j].tau_max
-        needed = joints[j].h + dot6(joints[j].column, load)
-        needed = min(max(needed, torque - bound), torque + bound)  # counts in two means
-        row.excess += k * (torque - 0.5 * (needed + row.needed) - row.excess)
-        row.needed = needed
         inertial = -dot6(joints[j].column, moved)
         for i in range(arm.first, arm.end):
             inertial += joints[j].M[i - arm.first] * known[i].rate
-        row.residual = row.excess - inertial
-        if learns and not begins:
-            _learn(t, t.model.joints[j], row, t.memory.friction[j], k, dt)
+        h = joints[j].h
+        torque = t.memory.torques[joint.motor] - 0.5 * (h + row.past_h)
+        row.past_h = h
+        past = _remember(t, row, (torque, inertial), int(dt / t.model.period + 0.5))
+        torque = row.history[past, TORQUE]
+        bound = _OUTLIER * joint.tau_max
+        needed = min(max(dot6(joints[j].column, load), torque - bound), torque + bound)
+        row.means[TORQUE] += k * (torque - 0.5 * (needed + row.load) - row.means[TORQUE])
+        row.load = needed
+        for i in range(SIGN, RATE):
+            row.means[i] += k * (row.history[past, i] - row.means[i])
+        row.residual = row.means[TORQUE] - row.history[past, INERTIAL]
+        if t.model.friction_learning != 0 and not begins:
+            _learn(t, joint, row, t.memory.friction[j], row.history[past, RATE], dt)
 
 
 @leaf
-def _learn(t, joint, row, learned, k, dt):
-    """Regressors of this tick, one step of the recursive least squares, and e.
+def _remember(t, row, torques, ticks):
+    """Keep what belongs to this tick, for those that were lost, too; row of the wrench's instant.
 
     Args:
-        joint: JOINT. row: its JOINT_MEMORY. learned: its FRICTION. k: share of one tick in
-        low-passes. dt: s.
+        row: JOINT_MEMORY. torques: of the motor less h, and of inertia. ticks: since the last one
+        that was kept.
     """
-    speed = row.speed
-    row.mean_sign += k * (row.sign - row.mean_sign)
-    row.mean_permitted += k * (speed - row.mean_permitted)
-    row.mean_speed += k * (row.past_v - row.mean_speed)
-    row.mean_friction += k * (row.friction - row.mean_friction)
-    missing = row.residual - row.mean_friction
+    memory = t.memory
+    for i in range(min(ticks, HISTORY)):
+        at = (memory.instant - i) % HISTORY
+        row.history[at, TORQUE] = torques[0]
+        row.history[at, SIGN] = row.sign
+        row.history[at, SPEED] = row.speed
+        row.history[at, V] = row.past_v
+        row.history[at, FRICTION] = row.friction
+        row.history[at, RATE] = row.rate
+        row.history[at, INERTIAL] = torques[1]
+    return (memory.instant - min(memory.late, memory.balanced - 1, HISTORY - 1)) % HISTORY
+
+
+@leaf
+def _learn(t, joint, row, learned, rate, dt):
+    """One step of the recursive least squares, and e.
+
+    Args:
+        joint: JOINT. row: its JOINT_MEMORY. learned: its FRICTION. rate: of its speed, as
+        old as the wrench. dt: s.
+    """
+    means = row.means
+    missing = _significant(row.residual - means[FRICTION], joint.friction_least)
     row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (missing - row.unlearned)
-    most = t.model.friction_most * min(joint.tau_max, _UNLIMITED)
     if learned.known == 0:
-        _begin(joint, learned, most)
+        learned.known = 1
+        for i in range(4):
+            learned.theta[i] = joint.theta[i]
+            learned.P[i, i] = joint.doubt[i] * joint.doubt[i]
+    k = dt / (_SMOOTH + dt)
+    smooth = row.smooth
+    smooth[TORQUE] += k * (row.residual - smooth[TORQUE])
+    for i in range(SIGN, FRICTION):
+        smooth[i] += k * (means[i] - smooth[i])
+    smooth[_ACCELERATION] += k * (rate - smooth[_ACCELERATION])
     least = _MOVES * (_SLIDES if joint.slides != 0 else 1.0)
-    y = row.mean_permitted
+    y = smooth[SPEED]
     if (
         t.memory.balanced * dt > _SETTLED
-        and min(abs(speed), abs(y)) > least
-        and row.mean_speed * y > _FOLLOWS * y * y
-        and abs(row.mean_sign) > _FULL
+        and min(abs(row.speed), abs(y)) > least
+        and smooth[V] * y > _FOLLOWS * y * y
+        and abs(smooth[SIGN]) > _FULL
     ):
-        noise = _NOISE * most / t.model.friction_most
-        _regress(learned, row.mean_sign, y, row.residual, noise * noise / k, dt, most)
+        phi = t.work.s
+        phi[0] = smooth[SIGN]
+        phi[1] = smooth[V]
+        phi[2] = smooth[_ACCELERATION]
+        phi[3] = 1.0
+        _regress(joint, learned, phi, t.work.t, smooth[TORQUE], k, dt)
 
 
 @leaf
-def _begin(joint, learned, most):
-    """θ and its covariance before anything was learned: what the model says."""
-    learned.known = 1
-    learned.dry = joint.dry
-    learned.viscous = joint.viscous
-    own = 0.5 * joint.dry + 0.07 * most
-    learned.P00 = own * own
-    own = 0.5 * joint.viscous + 0.07 * most
-    learned.P11 = own * own
-    learned.P22 = (0.017 * most) ** 2
+def _significant(x, least):
+    """What of x exceeds what is rounding."""
+    return x - min(max(x, -least), least)
 
 
 @leaf
-def _regress(learned, x, y, r, noise, dt, most):
-    """θ ← θ + k(r − φᵀθ), k = Pφ/(R + φᵀPφ), P ← (1 − kφᵀ)P, for φ = (x, y, 1).
+def _regress(joint, learned, phi, gain, r, k, dt):
+    """θ ← θ + k(r − φᵀθ), k = Pφ/(R + φᵀPφ), P ← (1 − kφᵀ)P, beyond a dead zone of r − φᵀθ.
 
-    Old residuals are forgotten, as far as P stays below its bound.
+    Old residuals are forgotten, as far as P stays below its bound. At a bound of θ the others
+    become what is likeliest with it, or they would drift without end.
 
     Args:
-        learned: FRICTION. x, y: of φ. r: residual (N m, N). noise: R. dt: s.
-        most: bound of F and, per rad/s, of D (N m, N).
+        joint: JOINT. learned: its FRICTION. phi: (≥ 4,). gain: (≥ 8,) scratch. r: residual
+        (N m, N). k: share of one tick in r. dt: s.
     """
-    a = learned.P00 * x + learned.P01 * y + learned.P02
-    b = learned.P01 * x + learned.P11 * y + learned.P12
-    c = learned.P02 * x + learned.P12 * y + learned.P22
-    whole = noise + a * x + b * y + c
-    miss = (r - learned.dry * x - learned.viscous * y - learned.bias) / whole
-    F = learned.dry + a * miss
-    D = learned.viscous + b * miss
-    bias = learned.bias + c * miss
-    u = _grown(learned.P00 - a * a / whole, 0.5 * most, dt)
-    v = _grown(learned.P11 - b * b / whole, 0.5 * most, dt)
-    w = _grown(learned.P22 - c * c / whole, 0.1 * most, dt)
-    learned.P01 = u * v * (learned.P01 - a * b / whole)
-    learned.P02 = u * w * (learned.P02 - a * c / whole)
-    learned.P12 = v * w * (learned.P12 - b * c / whole)
-    learned.P00 = u * u * (learned.P00 - a * a / whole)
-    learned.P11 = v * v * (learned.P11 - b * b / whole)
-    learned.P22 = w * w * (learned.P22 - c * c / whole)
-    # at a bound the others are what is likeliest with it, or they would drift without end
-    beyond = F - min(max(F, 0.0), most)
-    D -= beyond * learned.P01 / learned.P00
-    bias -= beyond * learned.P02 / learned.P00
-    F -= beyond
-    beyond = D - min(max(D, 0.0), _VISCOUS * most)
-    F -= beyond * learned.P01 / learned.P11
-    bias -= beyond * learned.P12 / learned.P11
-    D -= beyond
-    beyond = bias - min(max(bias, -_BIAS * most), _BIAS * most)
-    F -= beyond * learned.P02 / learned.P22
-    D -= beyond * learned.P12 / learned.P22
-    learned.bias = bias - beyond
-    learned.dry = min(max(F, 0.0), most)
-    learned.viscous = min(max(D, 0.0), _VISCOUS * most)
-
-
-@leaf
-def _grown(variance, bound, dt):
-    """By what forgetting makes a standard deviation grow in one tick; 1 at its bound."""
-    growth = 1.0 + 0.5 * dt / _FORGET
-    return growth if variance * growth * growth < bound * bound else 1.0
+    theta = learned.theta
+    P = learned.P
+    noise = joint.friction_noise
+    whole = noise * noise / k
+    miss = r
+    for i in range(4):
+        miss -= phi[i] * theta[i]
+    miss = _significant(miss, joint.friction_least)
+    if miss == 0.0:
+        return
+    for i in range(4):
+        gain[i] = 0.0
+        for j in range(4):
+            gain[i] += P[i, j] * phi[j]
+        whole += phi[i] * gain[i]
+    for i in range(4):
+        theta[i] += gain[i] * miss / whole
+        grown = 1.0 + 0.5 * dt / _FORGET
+        deviation = grown * sqrt(P[i, i] - gain[i] * gain[i] / whole)
+        seen = abs(phi[i]) * joint.spread[i] > _SEEN * noise
+        gain[4 + i] = grown if seen and deviation < joint.spread[i] else 1.0
+    for i in range(4):
+        for j in range(i + 1):
+            P[i, j] = gain[4 + i] * gain[4 + j] * (P[i, j] - gain[i] * gain[j] / whole)
+            P[j, i] = P[i, j]
+    for i in range(4):
+        beyond = theta[i] - min(max(theta[i], joint.low_theta[i]), joint.high_theta[i])
+        for j in range(4 if beyond != 0.0 else 0):
+            theta[j] -= beyond * P[j, i] / P[i, i]
+    for i in range(4):
+        theta[i] = min(max(theta[i], joint.low_theta[i]), joint.high_theta[i])
 
 
 @inner
 def permit_speeds(t):
-    """`permitted` (n,) = J̄ P(V_D + Δt A_D) at the end of this tick; mean `speed` and `sign` in it.
+    """`permitted` (n,) = J̄ P(V_D + Δt A_D) at the end of this tick; `speed`, `sign`, `turn` in it.
 
     Faces move: NᵀV = v̄_n, and contacts that are approached at the speed of the approach.
     """
@@ -233,10 +258,12 @@ def permit_speeds(t):
     for j in range(t.model.n_joints):
         most = t.model.joints[j].rated
         row = t.memory.joints[j]
-        before = row.permitted
         s = min(max(dot6(t.work.joints[j].J_bar, x), -most), most)
+        before = row.permitted if t.memory.ticked != 0 else s
+        most /= _SUDDEN
         row.permitted = s
         row.speed = 0.5 * (s + before)
+        row.turn = min(max((s - before) / work.dt, -most), most)
         row.sign = _mean_sign(before, s, t.model.joints[j].slip)
 
 
@@ -257,7 +284,7 @@ def compensate_friction(t):
             continue
         row = t.memory.joints[j]
         row.friction = believed_friction(t, j)
-        most = t.model.friction_most * min(joint.tau_max, _UNLIMITED)
+        most = joint.friction_most
         rest = min(max(row.unlearned, -most), most)
         own.friction = row.friction + t.model.friction_share * rest
         own.tau += own.friction
@@ -265,10 +292,8 @@ def compensate_friction(t):
 
 @leaf
 def believed_friction(t, j):
-    """F s/√(s² + s_0²) + D s of joint j in this tick, as learned so far."""
-    joint = t.model.joints[j]
-    learned = t.memory.friction[j]
+    """F s/√(s² + s_0²) + D s + A ṡ of joint j in this tick, as learned so far."""
     row = t.memory.joints[j]
-    F = learned.dry if learned.known != 0 else joint.dry
-    D = learned.viscous if learned.known != 0 else joint.viscous
-    return F * row.sign + D * row.speed
+    learned = t.memory.friction[j]
+    theta = learned.theta if learned.known != 0 else t.model.joints[j].theta
+    return theta[0] * row.sign + theta[1] * row.speed + theta[2] * row.turn

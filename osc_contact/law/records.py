@@ -26,6 +26,7 @@ from osc_contact.law.nested import Bytes, Nested
 # --- What is given, what is remembered, what a tick works out -------------------------------------
 
 MAX_JOINTS = 16  #: of one arm
+HISTORY = 16  #: ticks; by fewer than so many wrenches may be late
 MOST_LOST = 3  #: lost ticks over which integrals and phases advance at once; more are a hold
 
 _INT = np.int64
@@ -73,7 +74,7 @@ _MODEL = _record(
         "reading",  # how contact forces are read off the wrists
         "leader",  # arm that holds rigidly, or −1
         "rubs",  # whether friction of joints is compensated
-        "friction_learning",
+        "friction_learning",  # and learned
         "phased",  # whether contacts are opened and closed one by one
         "guarded",  # whether readings are judged: those of a controller, not of a lone chain
         "repeats",
@@ -110,8 +111,7 @@ _MODEL = _record(
         "step_time",
         "tilt",  # see `steps`
         "friction_share",
-        "friction_smoothing",
-        "friction_most",  # see `joint_friction`: 1/s, times a torque limit
+        "friction_smoothing",  # 1/s, see `joint_friction`
         # see `sensors`: N, N m, times a speed limit, s without a wrench
         "force_range",
         "torque_range",
@@ -190,10 +190,17 @@ JOINT = _record(
         "high",
         "width",
         "most",  # see `control.joint_limits`
-        "viscous",
-        "dry",
-        "slip",  # friction, and the speed from which on the dry one is whole
+        "slip",  # speed from which on dry friction is whole
+        "friction_most",
+        "friction_noise",
+        "friction_least",  # what is assumed at most (N m, N); residuals that are none; rounding
     ),
+    # θ of `joint_friction` at the start, its standard deviation then and at most, its bounds
+    theta=4,
+    doubt=4,
+    spread=4,
+    low_theta=4,
+    high_theta=4,
     placement=12,  # in the joint before it, or in the world: rotation by rows, then point
     link=10,  # mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)
 )
@@ -253,6 +260,8 @@ _MEMORY = _record(
         "compared",
         "repeated",  # which readings of this tick are those of the last one: JOINTS, WRISTS
         "balanced",  # ticks in which wrists were compared with motor torques
+        "instant",  # the same with lost ticks
+        "late",  # ticks by which wrenches are older than the readings of the joints
         "derived",  # whether speeds are estimated from positions: no second reading of a joint
         "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
         "status",  # how the last tick ended
@@ -336,23 +345,19 @@ JOINT_MEMORY = _record(
         "model_q",  # speeds predicted from those read, and from those of positions
         "surprise_v",
         "surprise_q",  # what of either was not predicted, low-passed
-        # see `joint_friction`: torque that h and the wrist need, motor torque beyond it, speed of
-        # the last tick, its rate
-        "needed",
-        "excess",
+        # see `joint_friction`: torques that h and the wrist take, speed of the last tick, its rate
+        "past_h",
+        "load",
         "past_v",
         "rate",
         "residual",
-        # permitted speed at the end of the last tick; its mean in it, and that of its sign;
-        # friction compensated; low-passed: sign, permitted speed, speed, friction
+        # permitted speed at the end of the last tick; its mean in it, that of its sign, its rate;
+        # friction compensated
         "permitted",
         "speed",
         "sign",
+        "turn",
         "friction",
-        "mean_sign",
-        "mean_permitted",
-        "mean_speed",
-        "mean_friction",
         "unlearned",  # e
         # what of the residual is not compensated, low-passed, and its mean; s for which it has been
         # too large
@@ -360,12 +365,12 @@ JOINT_MEMORY = _record(
         "usual",
         "unbalanced",
     ),
+    history=(HISTORY, 7),
+    means=5,
+    smooth=5,  # of `joint_friction`: what it observes of a tick; low-passed, and once more
 )
-#: friction of a joint: F, D, bias and their covariance, see `joint_friction`
-FRICTION = _record(
-    whole=("known",),
-    number=("dry", "viscous", "bias", "P00", "P01", "P02", "P11", "P12", "P22"),
-)
+#: θ of a joint and its covariance, see `joint_friction`
+FRICTION = _record(whole=("known",), theta=4, P=(4, 4))
 #: ticks since a wrist was read, s for which it has read the very same
 ARM_MEMORY = _record(whole=("unread",), number=("same",))
 

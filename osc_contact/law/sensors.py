@@ -18,7 +18,7 @@ from math import isfinite, sqrt
 
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.joint_friction import observe_arm
+from osc_contact.law.joint_friction import SPEED, V, observe_arm
 from osc_contact.law.phases import APPROACHING
 from osc_contact.law.records import (
     APART,
@@ -185,6 +185,7 @@ def check_arms(t):
     if memory.wrench_missing != 0 or memory.ticked == 0:
         return NO_REASON
     memory.balanced += 1
+    memory.instant += int(dt / t.model.period + 0.5)
     for k in range(t.model.n_arms):
         if arms[k].sensor_joint < 0:
             continue
@@ -201,8 +202,7 @@ def _balance_arm(t, arm, own, dt):
     found = False
     observe_arm(t, arm, own, dt)
     first = 1.0 / t.memory.balanced  # low-passes begin as plain means
-    learns = t.model.friction_learning != 0
-    k = max(dt / (_BALANCE + dt), first) if learns else 1.0
+    k = max(dt / (_BALANCE + dt), first)
     slow = max(dt / (_USUAL + dt), first)
     for j in range(arm.first, arm.sensor_joint + 1):
         known = t.memory.joints[j]
@@ -210,13 +210,14 @@ def _balance_arm(t, arm, own, dt):
             continue
         joint = t.model.joints[j]
         most = t.model.wrist_error * joint.tau_max
-        friction = 0.0
-        if learns:
-            learned = t.memory.friction[j]
-            speed = abs(known.mean_permitted)
-            friction = learned.dry + learned.viscous * speed  # of either sign, where a joint sticks
-            most += _RUBS * (joint.dry + joint.viscous * speed)  # this may be wrong
-        if known.mean_speed * known.unexplained > _RUBBING * abs(known.unexplained):
+        theta = joint.theta
+        speed = abs(known.means[SPEED])
+        most += _RUBS * (theta[0] + theta[1] * speed)  # this may be wrong
+        if t.memory.friction[j].known != 0:
+            theta = t.memory.friction[j].theta
+        turn = abs(known.rate)  # of either sign, where a joint sticks
+        friction = theta[0] + theta[1] * speed + abs(theta[2]) * turn
+        if known.means[V] * known.unexplained > _RUBBING * abs(known.unexplained):
             most *= 2.0  # it brakes the joint, as friction does that is not learned yet
         rest = known.residual - min(max(known.residual, -friction), friction)
         bound = _OUTLIER * most

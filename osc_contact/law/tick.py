@@ -484,7 +484,7 @@ def _row(t, flags, begin, stop):
         predict_joints(t)
         reason = allocate_torques(t)
         if reason == NO_REASON:
-            if model.friction_learning != 0:
+            if model.rubs != 0:
                 compensate_friction(t)
             reason = finish(t)
             if model.n_arms > 2:

@@ -405,7 +405,7 @@ class Friction(Spec):
 class JointFriction(Spec):
     """Friction of the joints: as the controller's model has it, or learned from there on."""
 
-    learning: bool = False
+    learning: bool = True
     """whether Coulomb and viscous friction of each joint are learned from motors and wrists,
     beginning with the values of the model; else these are compensated as they are"""
     share: Annotated[Number, Field(ge=0, lt=1)] = 0.7
