@@ -9,48 +9,68 @@ from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 
 import osc_contact as osc
 from benchmarks.joint_friction import cases
-from osc_contact.control.records import LEARNED_SLIP
+from osc_contact.control.records import SLIP
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import joint_friction
 from osc_contact.law.jit import as_python
-from osc_contact.law.records import FRICTION
+from osc_contact.law.records import FRICTION, MODEL, new_model
 from osc_contact.plants.rigid import RigidPlant
 
 CASES = {case.name: case for case in cases()}
 MOST = 30.0
-LEARNING = osc.JointFriction(learning=True)
+PRIOR = np.array([9.0, 4.0, 2.0, 0.01])
 
 
-def learned(x, y, r, noise=0.1, dt=0.0):
-    """FRICTION after these residuals; dt = 0: nothing is forgotten."""
+def learned(Phi, r, noise=0.1, dt=0.0, least=0.0):
+    """θ and FRICTION after these residuals; dt = 0: nothing is forgotten, and R stays."""
+    raw = new_model(1, 1, 1)
+    joint = MODEL.view(raw).joints[0]
+    joint.friction_noise = np.sqrt(noise)
+    joint.friction_least = least
+    joint.spread[:] = MOST * np.array([0.5, 0.5, 0.5, 0.1])
+    joint.high_theta[:] = MOST * np.array([1.0, 20.0, 20.0, 0.02])
+    joint.low_theta[:] = [0.0, 0.0, -MOST, -0.02 * MOST]
     row = np.zeros(1, FRICTION).view(np.recarray)[0]
-    row.P00, row.P11, row.P22 = 9.0, 4.0, 0.01
+    row.P[:] = np.diag(PRIOR)
+    row.noise = noise
+    row.known = joint_friction.LEARNED if least == 0.0 else joint_friction.MODEL_ONLY
     regress = as_python(joint_friction._regress)
-    for a, b, c in zip(x, y, r, strict=True):
-        regress(row, a, b, c, noise, dt, MOST)
-    return np.array([row.dry, row.viscous, row.bias]), row
+    for phi, one in zip(Phi, r, strict=True):
+        regress(joint, row, phi, np.zeros(8), one, 1.0, dt)
+    as_python(joint_friction._keep_bounds)(joint, row, np.zeros((4, 4)))
+    return row.theta, row
 
 
 def test_the_estimate_is_that_of_least_squares():
     """θ = (ΦᵀΦ/R + P₀⁻¹)⁻¹Φᵀr/R, as long as no bound is met."""
     rng = np.random.default_rng(4)
-    y = rng.uniform(-2.0, 2.0, 300)
-    Phi = np.column_stack([np.sign(y), y, np.ones(300)])
-    r = Phi @ [3.0, 1.5, 0.1] + rng.normal(scale=0.3, size=300)
-    theta, row = learned(Phi[:, 0], y, r)
-    P = np.linalg.inv(Phi.T @ Phi / 0.1 + np.diag([1 / 9.0, 1 / 4.0, 100.0]))
+    v = rng.uniform(-2.0, 2.0, 300)
+    Phi = np.column_stack([np.sign(v), v, rng.uniform(-3.0, 3.0, 300), np.ones(300)])
+    r = Phi @ [3.0, 1.5, -0.4, 0.1] + rng.normal(scale=0.3, size=300)
+    theta, row = learned(Phi, r)
+    P = np.linalg.inv(Phi.T @ Phi / 0.1 + np.diag(1.0 / PRIOR))
     assert_allclose(theta, P @ Phi.T @ r / 0.1, rtol=1e-9)
-    assert_allclose([row.P00, row.P01, row.P12], [P[0, 0], P[0, 1], P[1, 2]], rtol=1e-7)
+    assert_allclose(row.P, P, rtol=1e-7, atol=1e-12)
 
 
 @mark.parametrize("dt", [0.0, 1e-3])
 def test_joints_without_friction_learn_none(dt):
-    """F and D at their bound do not drift, though one direction of θ is hardly excited."""
+    """θ at its bound does not drift, though some directions of it are hardly excited."""
     t = np.linspace(0.0, 3.0, 3000)
-    y = 0.6 + 0.1 * np.sin(t)
+    Phi = np.column_stack([np.ones(3000), 0.6 + 0.1 * np.sin(t), 0.1 * np.cos(t), np.ones(3000)])
     r = 2e-3 * np.sin(7.0 * t) - 1e-3
-    (F, D, _), _ = learned(np.ones(3000), y, r, noise=2e-3, dt=dt)
-    assert 0.0 <= F < 1e-3 * MOST and 0.0 <= D < 1e-3 * MOST
+    theta, _ = learned(Phi, r, noise=4e-6, dt=dt)
+    assert (np.abs(theta) < 1e-3 * MOST).all() and (theta[:2] >= 0.0).all()
+
+
+def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
+    """Residuals within the dead zone, or beyond it for 0.1 s, leave the model as it is."""
+    Phi = np.tile([1.0, 0.6, 0.0, 1.0], (1000, 1))
+    r = np.full(1000, 0.9e-2)
+    r[300:400] = 1.0
+    assert not learned(Phi, r, dt=1e-3, least=1e-2)[0].any()
+    r[300:600] = 1.0
+    assert learned(Phi, r, dt=1e-3, least=1e-2)[0].any()
 
 
 @mark.parametrize("pressed", [False, True])
@@ -77,7 +97,6 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
                 GAINS,
                 reading="filter",
                 safety=osc.SafetySettings.motors_only(),
-                joint_friction=LEARNING,
             )
             for _ in range(2):  # the first one has no tick before it
                 tau.append(controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted))
@@ -91,7 +110,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         weighed = np.linalg.solve(state.M, J.T)
         fastest = chain.model.velocityLimit
         s = np.clip(weighed @ np.linalg.solve(J @ weighed, V), -fastest, fastest)
-        want = VISCOUS * s + DRY * s / np.hypot(s, LEARNED_SLIP)
+        want = VISCOUS * s + DRY * s / np.hypot(s, SLIP)
         assert_allclose(tau[3] - tau[1], want, rtol=1e-9, atol=1e-9)
 
 
@@ -109,7 +128,7 @@ def test_friction_known_at_the_start_leaves_the_wanted_acceleration():
         plant.q = q
         plant.v = v
         A_D = rng.normal(size=6)
-        controller = osc.Controller(chain, [], GAINS, joint_friction=LEARNING)
+        controller = osc.Controller(chain, [], GAINS)
         for k in (2.0, 0.0):  # the mean speed in the second tick is V_O
             wanted = Reference(state.X_WO, state.V_O - k * 1e-3 * A_D, A_D)
             tau = controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted)
@@ -138,11 +157,11 @@ def test_forces_are_held_although_friction_is_believed_wrongly(name):
 
 def test_what_was_learned_is_the_start_of_the_next_controller():
     chain = panda(damping=VISCOUS, friction=DRY)
-    controller = osc.Controller(chain, [], joint_friction=LEARNING)
+    controller = osc.Controller(chain, [])
     assert_array_equal(controller.joint_friction, np.column_stack([DRY, VISCOUS]))
     memory = controller._records.memory.friction
-    memory.known[2] = 1
-    memory.dry[2] = 7.0
+    memory.known[2] = joint_friction.LEARNED
+    memory.theta[2, 0] = 7.0
     assert controller.joint_friction[2, 0] == 7.0
     friction, damping = controller.joint_friction.T
     again = osc.Controller(panda(damping=damping, friction=friction), [])

@@ -7,15 +7,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark, raises
 from rigs import ROD, one_panda, placed, random_state, scara_pair
 from samples import first
-from test_decoupling import strong
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.control.records import SLIP
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.records import MODEL
-from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.report import verdict_table
 
@@ -119,48 +116,6 @@ def test_what_a_urdf_says_of_friction_arrives():
 def test_wrong_numbers_of_joints_are_refused_with_their_name(key, value):
     with raises(osc.ModelError, match=key):
         panda(**{key: value})
-
-
-@mark.parametrize("joints", [{}, {"armature": ROTORS}])
-def test_friction_is_that_of_the_speeds_wanted_two_ticks_ahead(joints):
-    """D v + F s/√(s² + s₀²), s = v + J̄ (V_D + 2 dt A_D − V), on top of what a smooth arm takes."""
-    rng = np.random.default_rng(1)
-    for _ in range(5):
-        q, v = random_state(one_panda(), rng)
-        tau = []
-        for friction in ({"damping": 0.0, "friction": 0.0}, {"damping": VISCOUS, "friction": DRY}):
-            chain = strong(panda(**joints, **friction))
-            state = chain.state(q, v)
-            wanted = Reference(state.X_WO, 0.1 * np.arange(6.0), np.ones(6))
-            safety = osc.SafetySettings.motors_only()
-            controller = osc.Controller(chain, [], GAINS, safety=safety)
-            tau.append(controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted))
-            assert controller.status is osc.Status.OK, controller.reason
-        J = state.arms[0].J
-        weighed = np.linalg.solve(state.M, J.T)
-        ahead = wanted.V_D + 2e-3 * wanted.A_D - state.V_O
-        s = v + weighed @ np.linalg.solve(J @ weighed, ahead)
-        want = VISCOUS * v + DRY * s / np.hypot(s, SLIP)
-        assert_allclose(tau[1] - tau[0], want, rtol=1e-9, atol=1e-9)
-
-
-def test_known_friction_and_rotors_leave_the_wanted_acceleration():
-    """KKT of the exact plant: with friction the torques give what they give without."""
-    for chain in (panda(armature=ROTORS, damping=VISCOUS, friction=DRY), panda()):
-        rng = np.random.default_rng(2)
-        q, v = random_state(one_panda(), rng)
-        state = chain.state(q, v)
-        plant = RigidPlant(chain, [], 1e-4)
-        plant.q = q
-        plant.v = v
-        A_D = rng.normal(size=6)
-        wanted = Reference(state.X_WO, state.V_O, A_D)
-        controller = osc.Controller(chain, [], GAINS)
-        _, a_O, _ = plant.accelerations(
-            controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted)
-        )
-        turning = np.concatenate((np.cross(state.V_O[3:], state.V_O[:3]), np.zeros(3)))
-        assert_allclose(a_O, A_D - turning, atol=2e-3)
 
 
 def test_the_switch_leaves_friction_out():

@@ -73,6 +73,7 @@ def run_plainly(rig):
                 "wrench_meas": found.f_meas - found.bias_out,
                 "squeeze": np.squeeze(found.squeeze),
                 "squeeze_cmd": wanted.squeeze_d,
+                "friction": np.array(found.friction),
                 "status": int(controller.status),
                 "contact_phase": np.full(len(rig.pairs), 2 * controller.engaged),
                 "power_total": found.V_O @ (found.f_meas - found.bias_out - found.f_c)

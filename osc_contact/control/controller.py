@@ -130,8 +130,8 @@ class Controller:
             laws: of the user's own, in place of force law, motion law or control structure.
             posture_task: what redundant arms do with joints they do not need.
             safety: when ticks that cannot be computed end in a hold, and in a stop.
-            joint_friction: how friction of the joints is compensated, and whether it is learned;
-                True: as the model has it, `JointFriction()`; False: not at all.
+            joint_friction: how friction of the joints is learned and compensated; True:
+                `JointFriction()`; False: not at all.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor

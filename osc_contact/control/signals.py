@@ -264,6 +264,7 @@ class TickResult:
             where none is commanded.
         magnitudes, speeds: (6,) contact magnitudes measured and NᵀV_rel of the independent
             columns; the first r of them count.
+        friction: (n,) motor torques that compensate friction of the joints.
         flags: engaged (1,), phase and active (contacts,), closed and collision (r_all,).
     """
 
@@ -279,6 +280,7 @@ class TickResult:
     squeeze: Array
     magnitudes: Array
     speeds: Array
+    friction: Array
     flags: list[Array]
 
     @classmethod
@@ -310,7 +312,8 @@ class TickResult:
             columns.closed,
             columns.collision,
         ]
-        return cls(records, records.work.J_world, *[*fields, flags])
+        friction = records.work.joints.friction
+        return cls(records, records.work.J_world, *fields, friction, flags)
 
     @property
     def rank(self) -> int:

@@ -46,8 +46,8 @@ from osc_contact.law.vectors import (
     world_wrench,
 )
 
-_LAG = 0.01  #: s, 1/K of the residual
-_SMOOTH = 0.03  #: s, of the second low-pass, of what is learned from
+LAG = 0.01  #: s, 1/K of the residual
+_SMOOTH = 0.015  #: s, of the second low-pass, of what is learned from
 _SETTLED = 0.15  #: s from the first tick on in which nothing is learned
 _OUTLIER = 2.0  #: times the motor's torque; no more of a residual counts in one tick
 _MOVES = 0.01  #: rad/s; slower joints learn nothing
@@ -55,9 +55,14 @@ _SLIDES = 0.2  #: m/rad: speeds of sliding joints, where those of turning ones a
 _FOLLOWS = 0.09  #: of the permitted speed; a joint that moves with less of it learns nothing
 _FULL = 0.7  #: of dry friction; near a reversal nothing is learned
 _FORGET = 2.0  #: s
+_EVIDENCE = 0.15  #: s for which residuals must exceed rounding until anything is learned
+_SCATTER = 0.5  #: s, in which R follows the residuals that θ does not explain
+_QUIET = 0.1  #: of the noise assumed at first; R is not less
 _SEEN = 3.0  #: times the noise; what is in φ with less of θ at its spread is not forgotten
 _SUDDEN = 0.05  #: s; speeds that change by their limit within less are steps
 
+#: What θ is: nothing yet; as of the model; learned.
+UNKNOWN, MODEL_ONLY, LEARNED = range(3)
 #: What `history` keeps of each tick, and `means` the low-passes of.
 TORQUE, SIGN, SPEED, V, FRICTION, RATE, INERTIAL = range(7)
 _ACCELERATION = FRICTION  #: of `smooth`, in place of it
@@ -77,7 +82,7 @@ def observe_arm(t, arm, own, dt):
     joints = t.work.joints
     known = t.memory.joints
     begins = t.memory.balanced <= 1  # there is no last tick yet
-    k = 0.0 if begins else max(dt / (_LAG + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
+    k = 0.0 if begins else max(dt / (LAG + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
     weight = scaled(-1.0, own.bias)
     moving = scaled(0.0, own.bias)
     for j in range(arm.first, arm.end):
@@ -152,10 +157,11 @@ def _learn(t, joint, row, learned, rate, dt):
     means = row.means
     missing = _significant(row.residual - means[FRICTION], joint.friction_least)
     row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (missing - row.unlearned)
-    if learned.known == 0:
-        learned.known = 1
+    if learned.known == UNKNOWN:
+        learned.known = MODEL_ONLY
+        learned.noise = joint.friction_noise * joint.friction_noise
         for i in range(4):
-            learned.theta[i] = joint.theta[i]
+            learned.theta[i] = learned.estimate[i] = joint.theta[i]
             learned.P[i, i] = joint.doubt[i] * joint.doubt[i]
     k = dt / (_SMOOTH + dt)
     smooth = row.smooth
@@ -177,6 +183,8 @@ def _learn(t, joint, row, learned, rate, dt):
         phi[2] = smooth[_ACCELERATION]
         phi[3] = 1.0
         _regress(joint, learned, phi, t.work.t, smooth[TORQUE], k, dt)
+        if learned.known == LEARNED:
+            _keep_bounds(joint, learned, t.work.Z)
 
 
 @leaf
@@ -187,44 +195,78 @@ def _significant(x, least):
 
 @leaf
 def _regress(joint, learned, phi, gain, r, k, dt):
-    """θ ← θ + k(r − φᵀθ), k = Pφ/(R + φᵀPφ), P ← (1 − kφᵀ)P, beyond a dead zone of r − φᵀθ.
+    """θ ← θ + k(r − φᵀθ), k = Pφ/(R + φᵀPφ), P ← (1 − kφᵀ)P.
 
-    Old residuals are forgotten, as far as P stays below its bound. At a bound of θ the others
-    become what is likeliest with it, or they would drift without end.
+    Begins when residuals exceed rounding for some time: a model without errors stays as it is. R
+    follows the square of what θ does not explain. Old residuals are forgotten, as far as P stays
+    below its bound.
 
     Args:
         joint: JOINT. learned: its FRICTION. phi: (≥ 4,). gain: (≥ 8,) scratch. r: residual
         (N m, N). k: share of one tick in r. dt: s.
     """
-    theta = learned.theta
+    estimate = learned.estimate
     P = learned.P
-    noise = joint.friction_noise
-    whole = noise * noise / k
     miss = r
     for i in range(4):
-        miss -= phi[i] * theta[i]
-    miss = _significant(miss, joint.friction_least)
-    if miss == 0.0:
-        return
+        miss -= phi[i] * estimate[i]
+    if learned.known == MODEL_ONLY:
+        seen = dt if abs(miss) > joint.friction_least else -dt
+        learned.evidence = max(learned.evidence + seen, 0.0)
+        if learned.evidence <= _EVIDENCE:
+            return
+    learned.known = LEARNED
+    noise = joint.friction_noise
+    bound = 10.0 * noise
+    square = min(max(miss, -bound), bound) ** 2
+    learned.noise += dt / (_SCATTER + dt) * (square - learned.noise)
+    whole = max(learned.noise, (_QUIET * noise) ** 2) / k
     for i in range(4):
         gain[i] = 0.0
         for j in range(4):
             gain[i] += P[i, j] * phi[j]
         whole += phi[i] * gain[i]
     for i in range(4):
-        theta[i] += gain[i] * miss / whole
+        estimate[i] += gain[i] * miss / whole
         grown = 1.0 + 0.5 * dt / _FORGET
-        deviation = grown * sqrt(P[i, i] - gain[i] * gain[i] / whole)
-        seen = abs(phi[i]) * joint.spread[i] > _SEEN * noise
-        gain[4 + i] = grown if seen and deviation < joint.spread[i] else 1.0
+        deviation = grown * sqrt(max(P[i, i] - gain[i] * gain[i] / whole, 0.0))
+        shows = abs(phi[i]) * joint.spread[i] > _SEEN * noise
+        gain[4 + i] = grown if shows and deviation < joint.spread[i] else 1.0
     for i in range(4):
         for j in range(i + 1):
             P[i, j] = gain[4 + i] * gain[4 + j] * (P[i, j] - gain[i] * gain[j] / whole)
             P[j, i] = P[i, j]
+
+
+@leaf
+def _keep_bounds(joint, learned, C):
+    """θ: the estimate within its bounds; the others are what is likeliest with those at a bound.
+
+    Each of these is a condition on a Gaussian, θ ← θ − C_i (θ_i − bound)/C_ii and
+    C ← C − C_i C_iᵀ/C_ii. The estimate stays as it is, or it would drift.
+
+    Args:
+        joint: JOINT. learned: its FRICTION. C: (≥ 4, ≥ 4) scratch.
+    """
+    theta = learned.theta
     for i in range(4):
-        beyond = theta[i] - min(max(theta[i], joint.low_theta[i]), joint.high_theta[i])
-        for j in range(4 if beyond != 0.0 else 0):
-            theta[j] -= beyond * P[j, i] / P[i, i]
+        theta[i] = learned.estimate[i]
+        for j in range(4):
+            C[i, j] = learned.P[i, j]
+    for turn in range(8):  # twice: a condition may bring one before it to its bound
+        i = turn % 4
+        bound = min(max(theta[i], joint.low_theta[i]), joint.high_theta[i])
+        if theta[i] == bound or C[i, i] <= 0.0:
+            continue
+        beyond = (theta[i] - bound) / C[i, i]
+        for j in range(4):
+            theta[j] -= beyond * C[i, j]
+        for j in range(4):
+            for k in range(4):
+                if j != i and k != i:
+                    C[j, k] -= C[j, i] * C[i, k] / C[i, i]
+        for j in range(4):
+            C[i, j] = C[j, i] = 0.0
     for i in range(4):
         theta[i] = min(max(theta[i], joint.low_theta[i]), joint.high_theta[i])
 
@@ -295,5 +337,5 @@ def believed_friction(t, j):
     """F s/√(s² + s_0²) + D s + A ṡ of joint j in this tick, as learned so far."""
     row = t.memory.joints[j]
     learned = t.memory.friction[j]
-    theta = learned.theta if learned.known != 0 else t.model.joints[j].theta
+    theta = learned.theta if learned.known != UNKNOWN else t.model.joints[j].theta
     return theta[0] * row.sign + theta[1] * row.speed + theta[2] * row.turn

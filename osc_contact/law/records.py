@@ -369,8 +369,9 @@ JOINT_MEMORY = _record(
     means=5,
     smooth=5,  # of `joint_friction`: what it observes of a tick; low-passed, and once more
 )
-#: θ of a joint and its covariance, see `joint_friction`
-FRICTION = _record(whole=("known",), theta=4, P=(4, 4))
+#: θ of a joint, the same without bounds, its covariance, variance of residuals; see
+#: `joint_friction`
+FRICTION = _record(whole=("known",), number=("noise", "evidence"), theta=4, estimate=4, P=(4, 4))
 #: ticks since a wrist was read, s for which it has read the very same
 ARM_MEMORY = _record(whole=("unread",), number=("same",))
 

@@ -99,6 +99,7 @@ def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict
         "squeeze_cmd": squeeze[:, 0] if np.isnan(squeeze[:, 1:]).all() else squeeze,
         "squeeze": rows["squeeze"][:, 0] if len(controller.chain.arms) < 3 else rows["squeeze"],
         "alpha_given_up": rows["given_up"],
+        "friction": rows["friction"],
         "status": rows["status"][:, 0].astype(np.int64),
         "contact_phase": phase,
     }
@@ -342,7 +343,7 @@ class Recorder:
         contacts = len(of.pairs)
         r = len(of.owners)
         squeezes = internal_forces(len(chain.arms))
-        found = {**_FOUND, "squeeze": squeezes}
+        found = {**_FOUND, "squeeze": squeezes, "friction": chain.nq}
         if not of.free:  # what the arms can make of an error is recorded
             found["J"] = 6 * chain.nq
         unknown = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **found}
@@ -422,7 +423,10 @@ class Recorder:
         r = len(self.of.owners)
         if result is not self._last:
             self._last = result
-            self._parts = [np.ravel(getattr(result, name)) for name in self._names]
+            self._parts = [
+                result.friction if name == "friction" else np.ravel(getattr(result, name))
+                for name in self._names
+            ]
             self._flags = result.flags[: None if self.of.controller.life is not None else 1]
             self._parts[:0] = [result.magnitudes[:r], result.speeds[:r]]
         parts = self._parts
@@ -485,6 +489,7 @@ class Recorder:
             "end_reason": self.of.controller.reason,
             "first_reason": self._first_reason,
             "joint_friction": self._learned(),
+            "missing_inertia": self.of.controller.missing_inertia.tolist(),
             "wall_s": perf_counter() - self._began[0],
             "cpu_s": process_time() - self._began[1],
         }

@@ -291,12 +291,28 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
         "status": dict(zip(_STATUS, sums.status.tolist(), strict=True)),
         "at_limit": [[joint, n] for joint, n in sorted(worst, key=lambda one: -one[1]) if n],
         "joint_losses": losses,
-        "learned_friction": [
-            {key: joint[key] for key in ("joint", "slides")}
-            | {"friction": round(dry, 2), "damping": round(viscous, 2)}
-            for joint, (dry, viscous) in zip(losses, meta.get("joint_friction", []), strict=False)
-        ],
+        "learned_friction": _learned(losses, meta),
     }
+
+
+def _learned(losses: Sequence[Mapping[str, Any]], meta: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Friction and rotor of each joint as learned, rounded to what is significant.
+
+    Args:
+        losses: of the model. meta: of the recording.
+    """
+    friction = meta.get("joint_friction", [])
+    missing = meta.get("missing_inertia", [0.0] * len(friction))
+    return [
+        {
+            "joint": joint["joint"],
+            "slides": joint["slides"],
+            "friction": round(dry, 2),
+            "damping": round(viscous, 2),
+            "armature": round(joint["armature"] + inertia, 2),
+        }
+        for joint, (dry, viscous), inertia in zip(losses, friction, missing, strict=False)
+    ]
 
 
 def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | None]]:

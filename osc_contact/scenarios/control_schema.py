@@ -479,7 +479,7 @@ class ControlSpec(Spec):
     friction: Friction | None = None
     """friction at the contacts that the controller takes into account"""
     joint_friction: JointFriction | None = JointFriction()
-    """[friction of the joints](joint_friction.md), compensated, learned on request; `off`: not"""
+    """[friction of the joints](joint_friction.md), learned and compensated; `off`: neither"""
     life: PhaseSettings | None = PhaseSettings()
     """[contacts opened, approached and closed](contact_phases.md) one by one, as their forces are
     > 0 or not; `off`: all at once, by `tare` (and the default beside one)"""
@@ -506,6 +506,8 @@ class ModelErrorSpec(Spec):
     """a mass that the controller does not know of, in the object where the first arm grasps it"""
     joint_friction: NotNegative = 1.0
     """factor on the joint friction and damping of the controller's model"""
+    armature: NotNegative = 1.0
+    """factor on the rotor inertias of the controller's model"""
     environment: Literal["known", "ignored"] = "known"
     """`ignored`: the law takes every face as unyielding and unaccelerated (Φ_e = 0, b_e = 0)"""
     face_offset: Length = 0.0
