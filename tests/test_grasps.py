@@ -1,6 +1,5 @@
 """Chains of any arms with any grasps, against one full system of equations (grasp_oracle.py)."""
 
-
 import numpy as np
 import pinocchio as pin
 from grasp_oracle import ClosedLoop
@@ -74,7 +73,7 @@ GRIPS = ("ball", "hinge", "rigid", "ball", "cylinder", "slide", "ball", "hinge")
 
 def many_cases(rng):
     """Random chains of 1 to 4 arms with any grasps, of eight arms, and bare tips."""
-    yield from (draw(rng) for _ in range(60))
+    yield from (draw(rng) for _ in range(40))
     yield from (random_case(EIGHT, GRIPS, rng) for _ in range(2))
     yield from (random_case(arm, ["rigid"], rng, body=None) for arm in BARE)
 
@@ -104,7 +103,7 @@ def test_motion_and_contact_forces_agree_with_the_full_system():
             else:
                 assert np.abs(told.X_WO.homogeneous - case.X_WO.homogeneous).max() < 1e-10
                 assert np.abs(told.V_O - V).max() < 1e-9
-    assert min(seen["unactuated"], seen["untold"], seen["contacts"]) > 20, seen
+    assert min(seen["unactuated"], seen["untold"], seen["contacts"]) > 10, seen
     assert seen["d"] == set(range(7))
 
 
@@ -174,7 +173,7 @@ def test_two_grasps_that_pass_on_no_squeeze(kinds):
 def test_exact_plant_agrees():
     rng = np.random.default_rng(4)
     exact = 0
-    for case in driven(rng, 40):
+    for case in driven(rng, 20):
         pairs, N = touching(case, rng)
         v, V, _, contact = moving(case, pairs, N, rng)
         plant = plant_at(case, pairs, 1e-3, v, V)
@@ -184,7 +183,7 @@ def test_exact_plant_agrees():
         assert miss(a, oracle.a_object) < RTOL
         assert miss(alpha, oracle.alpha) < RTOL
         exact += contact.r > 0
-    assert exact > 15
+    assert exact > 7
 
 
 def test_rigid_and_ball_grasps_agree_with_pinocchio_constraint_dynamics():
