@@ -153,10 +153,6 @@ def test_another_state_of_contact_needs_only_another_file(path):
     assert_motion(verdict)
 
 
-def test_there_are_four_such_files():
-    assert len(OTHERS) == 4
-
-
 def test_a_face_asked_to_pull_is_refused():
     scenario = osc.load_scenario("two_contact_rod", ["force.right_end.1.amplitude=9 N"])
     with raises(osc.ScenarioError, match="cannot pull"):
@@ -173,19 +169,3 @@ def test_a_wrong_number_of_posture_joints_is_refused():
     scenario = osc.load_scenario("two_contact_rod", ["arms.left.posture=[0, 0, 0]"])
     with raises(osc.ScenarioError, match="posture"):
         osc.build_rig(scenario)
-
-
-def test_what_was_recorded_before_a_divergence_is_kept(monkeypatch):
-    from osc_contact.plants.mujoco import MujocoPlant
-
-    command = MujocoPlant.command
-
-    def fails_at_50_ms(self, tau, duration):
-        if self.time > 0.0495:
-            self.data.qvel[:] = np.inf
-        command(self, tau, duration)
-
-    monkeypatch.setattr(MujocoPlant, "command", fails_at_50_ms)
-    with raises(osc.PlantError) as caught:
-        osc.run(osc.load_scenario("two_contact_rod"), duration=0.2)
-    assert len(caught.value.recording["t"]) == 51

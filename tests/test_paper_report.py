@@ -101,6 +101,7 @@ def test_the_verdict():
     assert judge(figure, True, {}) is Verdict.partly
     assert judge(figure, True, dict.fromkeys(keys[1:], yes)) is Verdict.partly
     assert judge(figure, True, dict.fromkeys(keys, yes)) is Verdict.reproduced
+    assert judge(figure, True, dict.fromkeys(keys, yes), drawn=False) is Verdict.partly
     assert judge(figure, True, {keys[0]: no}) is Verdict.contradicted
     assert judge(figure, True, dict.fromkeys(keys, yes) | {keys[1]: no}) is Verdict.contradicted
     assert judge(figure, True, {"another": yes}) is Verdict.partly

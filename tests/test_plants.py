@@ -130,6 +130,10 @@ def test_divergence_is_an_error_and_leaves_no_log_file(rig, tmp_path, monkeypatc
     with caplog.at_level(logging.DEBUG), raises(osc.PlantError, match="diverged"):
         plant.command(np.zeros(8), 1e-3)
     assert list(Path(tmp_path).iterdir()) == []
+    with raises(osc.InvalidInputError, match="tau: element"):
+        plant.command(np.full(8, np.inf), 1e-3)
+    with raises(osc.InvalidInputError, match="shape"):
+        plant.hold(np.zeros(7))
 
 
 def test_rigid_plant_refuses_to_run_away(rig):

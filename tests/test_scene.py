@@ -29,7 +29,6 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
-from osc_contact.visual.parts import State, changes, track
 from osc_contact.visual.scene import (
     ASPECT,
     FIELD_OF_VIEW_DEG,
@@ -40,7 +39,7 @@ from osc_contact.visual.scene import (
     thinned,
     write_scene,
 )
-from osc_contact.visual.shapes import along, arrow_lengths, tube, urdf_geometry
+from osc_contact.visual.shapes import along, tube, urdf_geometry
 
 ROOT = "/meshcat/"
 LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
@@ -271,39 +270,6 @@ def test_the_camera_sees_everything_and_stands_no_further_than_needed(seed):
     assert (away @ view).max() < 0.0 and 0.75 < np.abs(image).max() < 1.0
 
 
-def test_changes_sends_only_what_differs():
-    sink = CommandSink()
-    moved = State(pin.SE3(np.eye(3), np.array([1.0, 2.0, 3.0])), (1.0, 2.0, 1.0))
-    before = {"a": moved, "b": State(visible=True)}
-    changes(sink.visualizer(), {}, before)
-    assert [c["type"] for c in sink.commands] == ["set_transform", "set_property"]
-    placed = matrix(sink.commands[0]) @ [0.0, 1.0, 0.0, 1.0]
-    assert np.allclose(placed, [1.0, 4.0, 3.0, 1.0]), "scaled, then moved"
-    changes(sink.visualizer(), before, {"a": moved, "b": State(visible=False)})
-    assert [(c["path"], c["value"]) for c in sink.commands[2:]] == [("/meshcat/b", False)]
-
-
-def test_track_leaves_out_only_what_changes_nothing():
-    from meshcat.animation import Animation
-
-    animation = Animation(default_framerate=30)
-    scene = CommandSink().visualizer()
-    values = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
-    track(scene["node"], animation, "opacity", "number", values)
-    track(scene["other"], animation, "opacity", "number", np.ones(5))
-    (clip,) = animation.lower()
-    keys = {key["time"]: key["value"] for key in clip["clip"]["tracks"][0]["keys"]}
-    assert keys == {0: 0.0, 3: 0.0, 4: 1.0, 5: 2.0, 7: 2.0}
-
-
-def test_short_arrow_is_a_smaller_head():
-    for length, head in ((0.01, 0.01 / 0.035), (0.035, 1.0), (0.135, 1.0)):
-        shaft, y, scale = arrow_lengths(length)
-        assert scale == approx((head,) * 3)
-        assert shaft[1] - y == approx(length, abs=2e-6)
-    assert np.isfinite([*arrow_lengths(np.nan)[0], *arrow_lengths(-3.0)[2]]).all()
-
-
 def test_a_tube_keeps_its_radius_around_every_bend():
     rng = np.random.default_rng(5)
     path = np.cumsum(rng.standard_normal((40, 3)) + [2.0, 0.0, 0.0], axis=0)
@@ -397,9 +363,3 @@ def test_urdf_shapes_lie_as_in_the_urdf(tmp_path):
     paint = drawn["/meshcat/0/shape"]["materials"][0]
     assert paint["color"] == 0xFF8000 and paint["opacity"] == approx(0.4)
     assert placed["/meshcat/4/shape/top"][2, 3] == approx(capsule.geometry.halfLength)
-
-
-@mark.parametrize("direction", [(0, 3, 0), (0, -2, 0), (1, 2, -2)])
-def test_along_takes_y_to_the_direction(direction):
-    expected = np.array(direction) / np.linalg.norm(direction)
-    assert np.allclose(along([1, 2, 3], direction).rotation[:, 1], expected)
