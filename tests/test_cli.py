@@ -113,8 +113,8 @@ def test_programs_of_the_checkout_are_missed_with_a_cure(
     command: str, folder: str, tmp_path: Path
 ) -> None:
     """As installed: another package of the name may be there, a checkout is not."""
-    shutil.copytree(ROOT / "osc_contact", tmp_path / "osc_contact")
-    shutil.copytree(ROOT / "urdf", tmp_path / "urdf")
+    for part in ("osc_contact", "urdf"):
+        shutil.copytree(ROOT / part, tmp_path / part)
     (tmp_path / folder).mkdir()
     (tmp_path / folder / "__main__.py").write_text("print('another program')")
     result = elsewhere(tmp_path, command, "fig1")

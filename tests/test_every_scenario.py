@@ -141,18 +141,6 @@ def test_every_packaged_scenario_has_a_verdict_in_a_test():
     assert {*WORDS, *NAMES, *elsewhere} == set(osc.scenarios.list_scenarios())
 
 
-@mark.parametrize("name", first(["ur5_wipe", "scara_peg"], 1))
-def test_limits_on_the_rigid_plant(name):
-    scenario = osc.load_scenario(name, ["plant.step=1 ms", "control.force.reading=filter"])
-    recording = osc.run(scenario, plant="rigid", duration=1.1)
-    verdict = osc.metrics(recording)
-    for force in verdict["force"].values():
-        assert force["rms_error_rel"] <= 0.01 and force["sensing_rms_rel"] <= 1e-9
-    assert verdict["motion"]["rms_error_m"] <= 1e-5
-    assert verdict["power"]["ratio"] <= 1e-10
-    assert recording["closed"].all()
-
-
 def test_a_corner_that_lifts_opens_the_contact(rigs):
     """Tipped by 20 mrad the block touches along an edge: no longer a face on a face."""
     rig = rigs["ur5_wipe"]
