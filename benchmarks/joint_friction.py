@@ -55,8 +55,7 @@ class Case:
         Packaged scenarios are judged as by the verdict, without steps.
         """
         try:
-            changes = ["control.joint_friction.learning=true", *self.changes]
-            recording = osc.run(osc.load_scenario(_file(self.scenario), changes))
+            recording = osc.run(osc.load_scenario(_file(self.scenario), list(self.changes)))
         except osc.OscContactError as refusal:
             return np.nan, np.nan, np.nan, str(refusal)[:60]
         verdict = osc.metrics(recording)
@@ -126,6 +125,8 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
         yield f"rotors {arm} x{factor:g}", 1.0, (*slide(), *rotors, believed)
         if factor in (1.0, 1.5):
             yield f"bare {arm} x{factor:g}", 2.5, (*slide(), *rotors[:2], believed)
+    forgotten = _joints(arm, ("armature=0.5",))
+    yield f"forgotten rotors {arm}", 1.0, (*slide(), *forgotten, "model_error.armature=0")
     for frequency, most in ((0.5, 1.0), (1.0, 1.5), (2.0, 2.0)):
         yield f"reversals {arm} {frequency:g} Hz x0.5", most, (*slide(frequency, 1), *rotors, HALF)
     yield f"5 mm/s {arm} x0.5", 0.3, (*slide(0.04), *rotors, HALF)
@@ -134,6 +135,8 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
         yield f"unknown {arm} {100 * share:g} % of the limit", most, unknown
     for what, (bits, newtons, most) in SENSORS.items():
         yield f"noise {arm} {what}", most, (*slide(), *rotors, HALF, _noisy(bits, newtons))
+    late = "sensors={wrist: {rate: 1 kHz, delay: 10 ms}}"
+    yield f"late wrist {arm} 10 ms", 5.0, (*slide(), *rotors, HALF, late)
     still = (*slide()[1:3], *rotors, HALF, "motion=[]")
     step = (
         "force.ball=[{type: constant, value: 10 N}, "

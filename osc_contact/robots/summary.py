@@ -93,7 +93,9 @@ def loss_words(joints: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(words)
 
 
-def friction_warnings(model: pin.Model, q: Array, share: float, rate: float) -> Iterator[str]:
+def friction_warnings(
+    model: pin.Model, q: Array, share: float, rate: float, passive: Sequence[str] = ()
+) -> Iterator[str]:
     """Joints whose damping weighs more than their inertia, and the least that rotors may be.
 
     With m = 1/(M⁻¹)_jj, the inertia of a joint while the others are free: damping D that is not
@@ -102,6 +104,7 @@ def friction_warnings(model: pin.Model, q: Array, share: float, rate: float) -> 
 
     Args:
         model: of one arm. q: its posture. share: g of `control.joint_friction`. rate: K (1/s).
+        passive: joints without a motor, which has no observer.
     """
     M = pin.crba(model, model.createData(), q)
     M = np.triu(M) + np.triu(M, 1).T
@@ -121,7 +124,7 @@ def friction_warnings(model: pin.Model, q: Array, share: float, rate: float) -> 
     least = [
         f"{a - own / (1.0 + share):.2g} ({name}, {a:.2g} in the model)"
         for name, a, own in zip(names, A, m, strict=True)
-        if share > 0.0 and a > own / (1.0 + share)
+        if share > 0.0 and a > own / (1.0 + share) and name not in passive
     ]
     if least:
         yield f"rotors that are smaller than {', '.join(least)} make the friction observer unstable"

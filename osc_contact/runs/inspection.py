@@ -107,7 +107,9 @@ def _friction(rig: Rig) -> Iterator[str]:
     how = rig.scenario.control.joint_friction
     for arm, own in zip(rig.model.arms, rig.model.slices, strict=True):
         share = how.share if how and how.learning else 0.0
-        for words in friction_warnings(arm.model, rig.q_contact[own], share, 1.0 / LAG):
+        q = rig.q_contact[own]
+        passive = arm.passive_joints
+        for words in friction_warnings(arm.model, q, share, 1.0 / LAG, passive):
             yield f"joints of '{arm.name}': {words}"
 
 
