@@ -150,19 +150,28 @@ def _remember(t, row, torques, ticks):
 def _learn(t, joint, row, learned, rate, dt):
     """One step of the recursive least squares, and e.
 
+    Both begin when residuals have exceeded rounding for some time: a model without errors stays as
+    it is.
+
     Args:
         joint: JOINT. row: its JOINT_MEMORY. learned: its FRICTION. rate: of its speed, as
         old as the wrench. dt: s.
     """
     means = row.means
-    missing = _significant(row.residual - means[FRICTION], joint.friction_least)
-    row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (missing - row.unlearned)
+    missing = row.residual - means[FRICTION]
     if learned.known == UNKNOWN:
         learned.known = MODEL_ONLY
         learned.noise = joint.friction_noise * joint.friction_noise
         for i in range(4):
             learned.theta[i] = learned.estimate[i] = joint.theta[i]
             learned.P[i, i] = joint.doubt[i] * joint.doubt[i]
+    if learned.known == MODEL_ONLY:
+        seen = dt if abs(missing) > joint.friction_least else -dt
+        learned.evidence = max(learned.evidence + seen, 0.0)
+        if learned.evidence > _EVIDENCE:
+            learned.known = LEARNED
+    if learned.known == LEARNED:
+        row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (missing - row.unlearned)
     k = dt / (_SMOOTH + dt)
     smooth = row.smooth
     smooth[TORQUE] += k * (row.residual - smooth[TORQUE])
@@ -172,7 +181,8 @@ def _learn(t, joint, row, learned, rate, dt):
     least = _MOVES * (_SLIDES if joint.slides != 0 else 1.0)
     y = smooth[SPEED]
     if (
-        t.memory.balanced * dt > _SETTLED
+        learned.known == LEARNED
+        and t.memory.balanced * dt > _SETTLED
         and min(abs(row.speed), abs(y)) > least
         and smooth[V] * y > _FOLLOWS * y * y
         and abs(smooth[SIGN]) > _FULL
@@ -183,22 +193,14 @@ def _learn(t, joint, row, learned, rate, dt):
         phi[2] = smooth[_ACCELERATION]
         phi[3] = 1.0
         _regress(joint, learned, phi, t.work.t, smooth[TORQUE], k, dt)
-        if learned.known == LEARNED:
-            _keep_bounds(joint, learned, t.work.Z)
-
-
-@leaf
-def _significant(x, least):
-    """What of x exceeds what is rounding."""
-    return x - min(max(x, -least), least)
+        _keep_bounds(joint, learned, t.work.Z)
 
 
 @leaf
 def _regress(joint, learned, phi, gain, r, k, dt):
     """θ ← θ + k(r − φᵀθ), k = Pφ/(R + φᵀPφ), P ← (1 − kφᵀ)P.
 
-    Begins when residuals exceed rounding for some time: a model without errors stays as it is. R
-    follows the square of what θ does not explain. Old residuals are forgotten, as far as P stays
+    R follows the square of what θ does not explain. Old residuals are forgotten, as far as P stays
     below its bound.
 
     Args:
@@ -210,12 +212,6 @@ def _regress(joint, learned, phi, gain, r, k, dt):
     miss = r
     for i in range(4):
         miss -= phi[i] * estimate[i]
-    if learned.known == MODEL_ONLY:
-        seen = dt if abs(miss) > joint.friction_least else -dt
-        learned.evidence = max(learned.evidence + seen, 0.0)
-        if learned.evidence <= _EVIDENCE:
-            return
-    learned.known = LEARNED
     noise = joint.friction_noise
     bound = 10.0 * noise
     square = min(max(miss, -bound), bound) ** 2
