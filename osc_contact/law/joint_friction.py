@@ -170,8 +170,10 @@ def _learn(t, joint, row, learned, rate, dt):
         learned.evidence = max(learned.evidence + seen, 0.0)
         if learned.evidence > _EVIDENCE:
             learned.known = LEARNED
+    sound = row.unbalanced == 0.0  # else the wrist may be wrong, and e would add to the error
     if learned.known == LEARNED:
-        row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (missing - row.unlearned)
+        aim = missing if sound else 0.0
+        row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
     k = dt / (_SMOOTH + dt)
     smooth = row.smooth
     smooth[TORQUE] += k * (row.residual - smooth[TORQUE])
@@ -182,6 +184,7 @@ def _learn(t, joint, row, learned, rate, dt):
     y = smooth[SPEED]
     if (
         learned.known == LEARNED
+        and sound
         and t.memory.balanced * dt > _SETTLED
         and min(abs(row.speed), abs(y)) > least
         and smooth[V] * y > _FOLLOWS * y * y
