@@ -325,7 +325,7 @@ def compensate_friction(t):
             continue
         row = t.memory.joints[j]
         row.friction = believed_friction(t, j)
-        most = joint.friction_most
+        most = min(joint.friction_most, t.model.wrist_error * joint.tau_max)
         rest = min(max(row.unlearned, -most), most)
         own.friction = row.friction + t.model.friction_share * rest
         own.tau += own.friction

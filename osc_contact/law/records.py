@@ -365,6 +365,7 @@ JOINT_MEMORY = _record(
         "usual",
         "unbalanced",
     ),
+    trusted=3,  # F, D and |A| as learned for long, see `sensors`
     history=(HISTORY, 7),
     means=5,
     smooth=5,  # of `joint_friction`: what it observes of a tick; low-passed, and once more

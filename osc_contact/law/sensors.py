@@ -170,7 +170,7 @@ def compare_speeds(t):
 def check_arms(t):
     """Whether motors, wrists and encoders of the arms fit together; a reason to stop.
 
-    The residual of the motors less the friction that is compensated must stay within `wrist_error`
+    The residual of the motors less friction, of either sign, must stay within `wrist_error`
     of the torque limit, as far as it is not the usual one, and within twice that, see
     `joint_friction`.
     """
@@ -215,8 +215,9 @@ def _balance_arm(t, arm, own, dt):
         most += _RUBS * (theta[0] + theta[1] * speed)  # this may be wrong
         if t.memory.friction[j].known != 0:
             theta = t.memory.friction[j].theta
-        turn = abs(known.rate)  # of either sign, where a joint sticks
-        friction = theta[0] + theta[1] * speed + abs(theta[2]) * turn
+        for i in range(3):  # slowly: a wrist that is wrong at once is not taken for friction
+            known.trusted[i] += slow * (abs(theta[i]) - known.trusted[i])
+        friction = known.trusted[0] + known.trusted[1] * speed + known.trusted[2] * abs(known.rate)
         if known.means[V] * known.unexplained > _RUBBING * abs(known.unexplained):
             most *= 2.0  # it brakes the joint, as friction does that is not learned yet
         rest = known.residual - min(max(known.residual, -friction), friction)
