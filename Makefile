@@ -4,19 +4,26 @@ PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: venv browser demo check test test-all coverage mutants docs gallery dist bench clean
+.PHONY: venv browser demo check test test-all test-plain coverage mutants docs gallery dist bench clean
 
 venv: .venv/.installed
 
+# The law is compiled while most packages are installed; it is kept in the user's cache.
 # A package index that is a local folder makes pip warn once for every package it lacks: left out.
-.venv/.installed: pyproject.toml constraints.txt
+.venv/.installed: EXTRAS := all,dev
+.venv/.demo: EXTRAS := law,scenarios,view,sim,plot
+install = set -o pipefail; OSC_CONTACT_LAW=jit $(BIN)/pip install -q --no-compile -c constraints.txt \
+	$(1) 2>&1 | { grep -v "is ignored: it is neither a file nor a directory" || true; }
+
+.venv/.installed .venv/.demo: pyproject.toml constraints.txt
 	@test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	@echo "installing into .venv"
-	@set -o pipefail; $(BIN)/pip install -q -c constraints.txt -e '.[all,dev]' 2>&1 \
-		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
+	@$(call install,numba)
+	@$(BIN)/python -m osc_contact.law.c_object & \
+		{ $(call install,-e '.[$(EXTRAS)]'); } && wait $$!
 	@touch $@
 
-demo: venv
+demo: .venv/.demo
 	$(BIN)/osc-contact run two_contact_rod --out out/two_contact_rod
 	$(BIN)/osc-contact reproduce all --out out/figures
 	@echo "look at out/two_contact_rod/scene.html and out/figures/report.html"
@@ -42,12 +49,16 @@ test: check browser
 test-all: check browser
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
+# The law's own tests as plain Python.
+LAW := $(addprefix tests/test_,$(addsuffix .py,law_kkt law_watch law_phases law_limits law_linkage law_stages))
+test-plain: venv
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n auto -k "not checked_bounds" $(LAW)
+
 # Branches that the tests run. The law is compiled, which coverage cannot look into: its own tests run
 # without compilation first.
-PLAIN := $(addprefix tests/test_,$(addsuffix .py,law_kkt law_watch law_phases law_limits law_linkage))
 coverage: venv browser
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -k "not checked_bounds" --cov --cov-report= \
-		--cov-fail-under=0 $(PLAIN)
+		--cov-fail-under=0 $(LAW)
 	$(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-append --cov-report=term
 
 # Small faults put into the law, one at a time: how many do the tests notice? For a machine that

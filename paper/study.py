@@ -40,6 +40,10 @@ class Study:
     pages: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
 
 
+def _ignore(step: str) -> None:
+    """Where nobody watches."""
+
+
 @dataclass(frozen=True)
 class Ask:
     """Options of a study.
@@ -58,7 +62,7 @@ class Ask:
     changes: Sequence[str] = ()
     samples: int | None = None
     folder: Path = Path()
-    tell: Callable[[str], None] = lambda _: None
+    tell: Callable[[str], None] = _ignore
 
     def lasting(self, usual: float) -> float:
         """The duration of its runs (s).

@@ -2,6 +2,7 @@
 
 import ctypes
 import re
+import signal
 import subprocess
 import zlib
 from dataclasses import replace
@@ -147,6 +148,29 @@ def test_the_library_needs_libc_and_libm_only(library):
     linked = run("ldd", library / "libosc_controller.so").split()
     names = {word.split(".")[0] for word in linked if word.startswith("lib")}
     assert names <= {"libc", "libm"}, linked
+
+
+def test_the_compiled_law_calls_five_functions_and_none_that_allocates_or_locks(library):
+    called = run("nm", "-u", library / "law.o").split()[1::2]
+    assert set(called) == {"atan2", "floor", "memmove", "memset", "sincos"}
+
+
+def test_no_tick_allocates(library, tmp_path):
+    """Nor does the C around the law, also beyond the motors' limits; and the trap works."""
+    tape = build(rig_of("limited_rod"), tmp_path, ticks=1500)
+    names = ["malloc", "calloc", "realloc", "aligned_alloc", "free", "osc_tick"]
+    wrap = [f"-Wl,--wrap={name}" for name in names]
+    parts = [library / f"{name}.o" for name in ("replay", "recording", "osc_controller")]
+    parts += [library / "osc_daqp.o", library / "law.o", "-lm"]
+    trap = ["cc", "-O1", "-I", library, *wrap, Path(__file__).parent / "trap.c", *parts]
+    files = tmp_path / "controller.osc", tmp_path / "recording.osc"
+    run("make", "-C", library, "replay.o", "recording.o")
+    run(*trap, "-o", tmp_path / "trapped")
+    said = run(tmp_path / "trapped", *files)
+    assert said.startswith(f"{tape.count} of {tape.count}") and " 0 SATURATED" not in said
+    run(*trap, "-DRED", "-o", tmp_path / "red")
+    done = subprocess.run([str(tmp_path / "red"), *map(str, files)], capture_output=True)
+    assert done.returncode == -signal.SIGABRT
 
 
 def test_careless_programs_end_in_error_codes(library, tmp_path):

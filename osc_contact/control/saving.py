@@ -18,8 +18,8 @@ from osc_contact.files import whole_file
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import limits, records, tick
 from osc_contact.law.compiled import rows
+from osc_contact.law.library import law_hash
 from osc_contact.law.limits import TorqueLimits
-from osc_contact.law.sources import law_hash
 from osc_contact.spatial import Array
 
 __all__ = ["SavedController", "controller_bytes", "save_controller", "touched_rows"]

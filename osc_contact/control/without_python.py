@@ -20,8 +20,8 @@ from osc_contact.control.status import SafetyState, Status
 from osc_contact.files import whole_file
 from osc_contact.law import records, tick
 from osc_contact.law.c_object import object_file
+from osc_contact.law.library import law_hash
 from osc_contact.law.limits import PROGRAM
-from osc_contact.law.sources import law_hash
 from osc_contact.scenarios.control_schema import Gains
 
 __all__ = ["write_library"]
