@@ -138,20 +138,20 @@ def draw(how, rng):
     [
         ("rigid", 0, 0),
         ("grasps", 1, 24),
-        ("slides", 10, 24),
-        ("structure", 20, 25),
-        ("near singular", 2, 24),
-        ("motors", 5, 24),
-        ("plane", 10, 24),
-        ("line", 25, 25),
-        ("same", 10, 25),
-        ("strong", 10, 25),
+        ("slides", 4, 11),
+        ("structure", 8, 12),
+        ("near singular", 2, 11),
+        ("motors", 3, 11),
+        ("plane", 5, 11),
+        ("line", 12, 12),
+        ("same", 5, 11),
+        ("strong", 5, 12),
     ],
 )
 def test_it_decides_as_singular_values_do(how, least, most):
     rng = np.random.default_rng(80)
     fewer = 0
-    for _ in range(25):
+    for _ in range(25 if how == "grasps" else 12):
         case, state = draw(how, rng)
         got = answer(given(state, case.chain))
         assert_same(got, by_svd(state, case.chain))

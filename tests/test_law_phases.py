@@ -112,10 +112,6 @@ class Phases:
         """(r,) the force integrals."""
         return self.memory.force_sum[: self.memory.force_rank].copy()
 
-    def image(self):
-        """All that is remembered, as bytes."""
-        return self.rows.memory[0].copy()
-
 
 # --- rules, whatever happens ----------------------------------------------------------------------
 
@@ -467,14 +463,13 @@ def random_ticks(rng, n, ticks):
 
 
 def run_story(seed, ticks=400):
-    """A random story; returns the transitions that happened, and all that was remembered."""
+    """A random story; returns the transitions that happened."""
     rng = np.random.default_rng(seed)
     owners, pushing, k, dt = random_contacts(rng)
     n = len(owners)
     closed = rng.random() < 0.5
     phases = Phases(owners, pushing, k, dt, np.where(closed | ~pushing, CLOSED, OPEN))
     happened = set()
-    images = []
     held = False
     ticked = False
     for wanted, alpha, speed in np.swapaxes(random_ticks(rng, n, ticks), 0, 1):
@@ -485,7 +480,6 @@ def run_story(seed, ticks=400):
         happened |= set(zip(before[pushing].tolist(), now[pushing].tolist(), strict=True))
         happened |= {"collision"} if phases.columns.collision.any() else set()
         assert changed == ((now != OPEN) != (was_here != 0)).any() and np.isfinite(goal).all()
-        images.append(phases.image())
         held = rng.random() < 0.03
         ticked = True
         here = phases.here
@@ -499,14 +493,18 @@ def run_story(seed, ticks=400):
         rank = rng.integers(0, 7) if rng.random() < 0.05 else count
         phases.memory.force_rank = rank
         phases.memory.force_sum[:rank] = rng.normal(size=rank)
-    return happened, np.array(images)
+    return happened
 
 
 def test_random_stories_make_every_transition_but_from_open_to_closed():
     """Held ticks, dependent columns and integrals of other ranks among them."""
-    happened = set().union(*(run_story(seed)[0] for seed in range(24)))
-    both = {(a, b) for a in range(3) for b in range(3)} - {(OPEN, CLOSED)}
-    assert happened == both | {"collision"}
+    every = {(a, b) for a in range(3) for b in range(3)} - {(OPEN, CLOSED)} | {"collision"}
+    happened = set()
+    for seed in range(24):
+        happened |= run_story(seed)
+        if happened >= every:
+            break
+    assert happened == every
 
 
 @settings(max_examples=40, deadline=None)

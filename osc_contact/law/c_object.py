@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
@@ -196,11 +197,14 @@ def _make(folder: Path) -> Any:
     others = sorted(folder.parent.glob("law-*"), key=lambda path: path.stat().st_mtime)
     for old in others[:-KEPT]:
         shutil.rmtree(old, ignore_errors=True)
-    return library.load(folder / library.LIBRARY)
+    made = library.load(folder / library.LIBRARY)
+    if made is None:
+        raise OscContactError(f"Python cannot load {folder / library.LIBRARY}, which was just made")
+    return made
 
 
-def _object(show: Callable[[float], None]) -> bytes:
-    """law.o of all entries."""
+def _object(show: Callable[[float], None], triple: str = "") -> bytes:
+    """law.o of all entries, see `units.emit`."""
     from numba import types
 
     units = jit.UNITS
@@ -210,7 +214,7 @@ def _object(show: Callable[[float], None]) -> bytes:
         entry.__name__: units.Unit(entry, False).translated(tuple(kinds[one] for one in given))
         for entry, given in ENTRIES.items()
     }
-    return bytes(units.emit(roots, units.baseline()))
+    return bytes(units.emit(roots, triple))
 
 
 def _link(folder: Path) -> None:
@@ -228,7 +232,10 @@ def _link(folder: Path) -> None:
         raise OscContactError(f"the C compiler cannot build the law: {done.stderr.strip()[-500:]}")
 
 
-if __name__ == "__main__":
+if __name__ == "__main__":  # PLATFORM FILE: only law.o, for another one
     report_to(print)
-    if not jit.PLAIN_PYTHON and (jit.READY is not None or jit.UNITS is not None):
+    if len(sys.argv) == 3:
+        with announced() as show:
+            Path(sys.argv[2]).write_bytes(_object(show, sys.argv[1]))
+    elif not jit.PLAIN_PYTHON and (jit.READY is not None or jit.UNITS is not None):
         print(f"the compiled law: {jit.the_library().__file__}")

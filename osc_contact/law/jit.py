@@ -49,6 +49,7 @@ def _find_units() -> Any:
 
 
 _njit: Any = None
+_config: Any = None
 UNITS: Any = None
 if COMPILES:
     try:
@@ -58,6 +59,7 @@ if COMPILES:
     except ImportError as error:
         raise ImportError(f"the law is not compiled here, and {missing(error)}") from error
     _njit = njit
+    _config = config
     UNITS = _find_units()
 
 
@@ -111,12 +113,12 @@ def the_library() -> Any:
 
 def _as_numba_does(function: Any) -> Any:
     """An entry in numba's own cache, in a folder of this law."""
-    usual = config.CACHE_DIR
-    config.CACHE_DIR = usual or str(library.kept("numba"))
+    usual = _config.CACHE_DIR
+    _config.CACHE_DIR = usual or str(library.kept("numba"))
     try:
         return _njit(nogil=True, cache=True, **_PLAIN)(function)
     finally:
-        config.CACHE_DIR = usual
+        _config.CACHE_DIR = usual
 
 
 def as_python(part: Any, **instead: Any) -> Any:

@@ -6,7 +6,8 @@ first used or by `python -m osc_contact.law.c_object`, and kept in the user's ca
 of the sources, so that an edited law is another library.
 
 Environment variables:
-    OSC_CONTACT_LAW: path of another library; "jit": none, numba compiles in its usual way.
+    OSC_CONTACT_LAW: path of another library; "compile": none that is there, so that law.o of
+        another platform can be made; "jit": none at all, numba compiles in its usual way.
     OSC_CONTACT_CACHE: folder for what is made; default osc_contact in XDG_CACHE_HOME or ~/.cache.
 """
 
@@ -68,7 +69,7 @@ def found() -> Any:
     """The library that fits the sources; None: there is none."""
     where = os.environ.get("OSC_CONTACT_LAW", "")
     if where:
-        return None if where == "jit" else load(Path(where))
+        return None if where in ("jit", "compile") else load(Path(where))
     return load(Path(__file__).with_name(LIBRARY)) or found_in(kept())
 
 

@@ -33,7 +33,7 @@ for _class, _names in (
         getattr(_class, _name)  # another numba may have others: an AttributeError, see `jit`
 
 #: What every processor of the platform has; elsewhere code is made for the one at hand.
-BASELINE = {"x86_64": "x86-64", "AMD64": "x86-64"}
+BASELINE = {"x86_64": "x86-64", "AMD64": "x86-64", "aarch64": "generic", "arm64": "generic"}
 _units: list[Unit] = []
 _made: dict[str, Any] = {}  #: translated parts by their symbols
 watchers: list[Callable[[float], None]] = []  #: take the share of the parts that is translated
@@ -145,13 +145,18 @@ def link(roots: dict[str, Any]) -> Any:
 
 
 @global_compiler_lock
-def emit(roots: dict[str, Any], cpu: str) -> bytes:
-    """An object file of some units and all that they call.
+def emit(roots: dict[str, Any], triple: str = "") -> bytes:
+    """An object file of some units and all that they call, for every processor of a platform.
 
     Args:
-        roots: see `link`. cpu: LLVM's name of the processor that code is made for.
+        roots: see `link`. triple: LLVM's name of a 64-bit platform; "": of this one.
     """
-    triple = llvm.get_process_triple()
+    cpu = baseline()
+    if triple:
+        cpu = BASELINE[triple.partition("-")[0]]
+        llvm.initialize_all_targets()
+        llvm.initialize_all_asmprinters()
+    triple = triple or llvm.get_process_triple()
     target = llvm.Target.from_triple(triple).create_target_machine(
         cpu=cpu, opt=3, reloc="pic", codemodel="default"
     )
