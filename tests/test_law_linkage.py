@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from grasp_rigs import KINDS, random_case
-from law_calls import bars as law
+from law_calls import bars
 from numpy.testing import assert_allclose
 from pytest import mark
 from test_grasps import in_millimetres
@@ -68,13 +68,13 @@ def answer(what):
     """(levers, basis (bars, s))."""
     rows, n_locked = placed(what)
     t = views(rows)
-    s = law.settable_bars(t, n_locked)
+    s = bars.settable_bars(t, n_locked)
     work = t.work
     levers = work.levers
     basis = work.basis
-    bars = len(work.levers)
+    count = len(work.levers)
     assert_allclose(basis[:, :s].T @ basis[:, :s], np.eye(s), atol=1e-12)
-    assert s < bars or (basis == np.eye(bars)).all()
+    assert s < count or (basis == np.eye(count)).all()
     return levers, basis[:, :s]
 
 
@@ -138,20 +138,20 @@ def draw(how, rng):
     [
         ("rigid", 0, 0),
         ("grasps", 1, 24),
-        ("slides", 4, 11),
-        ("structure", 8, 12),
-        ("near singular", 2, 11),
-        ("motors", 3, 11),
-        ("plane", 5, 11),
-        ("line", 12, 12),
-        ("same", 5, 11),
-        ("strong", 5, 12),
+        ("slides", 10, 24),
+        ("structure", 20, 25),
+        ("near singular", 2, 24),
+        ("motors", 5, 24),
+        ("plane", 10, 24),
+        ("line", 25, 25),
+        ("same", 10, 25),
+        ("strong", 10, 25),
     ],
 )
 def test_it_decides_as_singular_values_do(how, least, most):
     rng = np.random.default_rng(80)
     fewer = 0
-    for _ in range(25 if how == "grasps" else 12):
+    for _ in range(25):
         case, state = draw(how, rng)
         got = answer(given(state, case.chain))
         assert_same(got, by_svd(state, case.chain))
@@ -168,15 +168,6 @@ def test_eight_arms_of_seven_joints():
         levers, basis = answer(given(state, case.chain))
         assert_same((levers, basis), by_svd(state, case.chain))
         assert len(levers) == 28 and (basis.shape[1] == 18) == (kinds[1] == "rigid")
-
-
-def test_the_scratch_is_large_enough_for_arms_that_carry_everything():
-    case, state = draw("rigid", np.random.default_rng(85))
-    what = list(given(state, case.chain))
-    k = len(case.chain.arms)
-    what[8:11] = np.tile(np.eye(3), (2 * k, 1)), np.arange(k).repeat(6), 6 * k
-    levers = by_svd(state, case.chain)[0]
-    assert_same(answer(tuple(what)), (levers, np.zeros((len(levers), 0))))
 
 
 def elsewhere(case, X):
