@@ -4,7 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: venv browser demo check test test-all test-plain coverage mutants docs gallery dist bench clean
+.PHONY: venv browser demo check test test-all test-plain oldest-numba aarch64 \
+	coverage mutants docs gallery dist bench clean
 
 venv: .venv/.installed
 
@@ -53,6 +54,24 @@ test-all: check browser
 LAW := $(addprefix tests/test_,$(addsuffix .py,law_kkt law_watch law_phases law_limits law_linkage law_stages))
 test-plain: venv
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n auto -k "not checked_bounds" $(LAW)
+
+# The library as the oldest numba allowed makes it: `units.py` rests on what numba does not document.
+OLDEST := out/oldest_numba
+oldest-numba: venv
+	$(PYTHON) -m venv $(OLDEST)
+	$(OLDEST)/bin/pip install -q $$(sed -n 's/.*"\(numba\)>=\([0-9.]*\),.*/\1==\2/p' pyproject.toml)
+	OSC_CONTACT_LAW= OSC_CONTACT_CACHE=$(OLDEST)/cache $(OLDEST)/bin/python -m osc_contact.law.c_object
+	OSC_CONTACT_LAW=$$(ls $$PWD/$(OLDEST)/cache/law-*/*.so) $(BIN)/python -m pytest -n auto \
+		-m "not slow" tests/test_compiling.py tests/test_law_kkt.py tests/test_library.py
+
+# A replay on an emulated aarch64. Needs Debian's gcc-aarch64-linux-gnu, libc6-dev-arm64-cross and
+# qemu-user.
+aarch64: venv
+	$(BIN)/osc-contact build two_contact_rod --out out/aarch64
+	OSC_CONTACT_LAW=compile $(BIN)/python -m osc_contact.law.c_object aarch64-linux-gnu \
+		out/aarch64/law.o
+	$(MAKE) -B -C out/aarch64 CC=aarch64-linux-gnu-gcc LDFLAGS=-static replay
+	qemu-aarch64 out/aarch64/replay
 
 # Branches that the tests run. The law is compiled, which coverage cannot look into: its own tests run
 # without compilation first.
