@@ -112,6 +112,23 @@ def test_any_complement_decomposes(seed, r):
     close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
 
 
+@on_every_contact
+def test_identities_9_to_12(seed, r):
+    """With the bars that eqs. 10 and 12 lost; as printed they hold only where a space is empty."""
+    c = case(seed, r)
+    f1, f2 = (P.Omega_f(c.N, inverse(A)) for A in c.A)
+    g1, g2 = (P.Omega_f_bar(c.T, A) for A in c.A)
+    m1, m2 = (P.Omega_m(c.T, inverse(B)) for B in c.B)
+    w1, w2 = (P.Omega_m_bar(c.N, B) for B in c.B)
+    for one, other in ((f1, f2), (m1, m2)):
+        close(one @ other, other)
+        assert not 0 < r < 6 or np.abs(one - other).max() > 1e-6
+    for one, other, none in ((g1, g2, f2), (w1, w2, m2)):
+        close(one @ other, one)
+        assert (np.abs(one @ none) <= 1e-10 * (np.abs(one) @ np.abs(none))).all()
+        assert not 0 < r < 6 or np.abs(one @ other).max() > 1e-3
+
+
 @mark.parametrize("r", [1, 2, 3, 4, 5])
 @mark.parametrize("seed", TRIALS)
 def test_rank_five_inverse_inertia_is_enough(seed, r):
