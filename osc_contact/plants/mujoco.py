@@ -609,6 +609,7 @@ class MujocoPlant:
             spec = scene(mujoco, chain, arm_urdfs, object_urdf, bodies, options, self.rails)
             add_drives(mujoco, spec, driven, self.drives)
             self.model: Any = spec.compile()
+            self.spec: Any = spec
         except (ValueError, mujoco.FatalError) as error:
             raise PlantError(f"MuJoCo refuses the scene: {error}") from error
         self.data: Any = mujoco.MjData(self.model)
