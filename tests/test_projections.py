@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.testing import assert_array_equal
 from pytest import mark, raises
 
 from osc_contact import projections as P
@@ -73,11 +72,6 @@ def close(got, want, tolerance=1e-10):
         assert np.abs(got[rows] - want[rows]).max(initial=0.0) <= tolerance * scale
 
 
-def vanishes(left, right, tolerance=1e-10):
-    """The product is zero against the size of its summands."""
-    return bool((np.abs(left @ right) <= tolerance * (np.abs(left) @ np.abs(right))).all())
-
-
 def same_span(X, Y):
     def rank(Z):
         return int(np.linalg.matrix_rank(Z, rtol=1e-7)) if Z.size else 0  # NumPy 2.4.0: no 6×0
@@ -118,20 +112,6 @@ def test_any_complement_decomposes(seed, r):
     close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
 
 
-@mark.parametrize("unit", [1e-7, 1e7])
-def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit):
-    for r in range(1, 6):
-        c = case(0, r)
-        rng = np.random.default_rng([r, 8])
-        N_prime = SIZE[:, None] * rng.normal(size=(6, 6 - r))
-        f = SIZE * rng.normal(size=6)
-        got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
-        close(got @ f, part(N_prime, c.N, f), 1e-9)
-        N_prime[:, 0] = c.N @ rng.normal(size=r)
-        with raises(ContactError, match="N′ is not a complement of N"):
-            P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
-
-
 @on_every_contact
 def test_identities_9_to_12(seed, r):
     """With the bars that eqs. 10 and 12 lost; as printed they hold only where a space is empty."""
@@ -140,35 +120,13 @@ def test_identities_9_to_12(seed, r):
     g1, g2 = (P.Omega_f_bar(c.T, A) for A in c.A)
     m1, m2 = (P.Omega_m(c.T, inverse(B)) for B in c.B)
     w1, w2 = (P.Omega_m_bar(c.N, B) for B in c.B)
-    close(f1 @ f2, f2)
-    assert vanishes(g1, f2)
-    close(g1 @ g2, g1)
-    close(m1 @ m2, m2)
-    assert vanishes(w1, m2)
-    close(w1 @ w2, w1)
-    if 0 < r < 6:
-        assert np.abs(f1 - f2).max() > 1e-6 and np.abs(m1 - m2).max() > 1e-6
-        assert np.abs(g1 @ g2).max() > 1e-3 and np.abs(w1 @ w2).max() > 1e-3
-
-
-@mark.parametrize("seed", TRIALS)
-def test_empty_and_full_contacts(seed):
-    free = case(seed, 0)
-    clamped = case(seed, 6)
-    A = free.A[0]
-    B = free.B[0]
-    none = np.zeros((6, 0))
-    all_ = np.zeros((6, 6))
-    assert_array_equal(P.Omega_f(none, inverse(A)), all_)
-    assert_array_equal(P.Omega_m_bar(none, B), all_)
-    assert_array_equal(P.Omega_f_bar(none, A), all_)
-    assert_array_equal(P.Omega_m(none, inverse(B)), all_)
-    assert_array_equal(P.Omega_f_bar_from_complement(none, none), all_)
-    assert_array_equal(P.Omega_m_bar_from_complement(none, none), all_)
-    close(P.Omega_f_bar(free.T, A), np.eye(6))
-    close(P.Omega_m(free.T, inverse(B)), np.eye(6))
-    close(P.Omega_f(clamped.N, inverse(A)), np.eye(6))
-    close(P.Omega_m_bar(clamped.N, B), np.eye(6))
+    for one, other in ((f1, f2), (m1, m2)):
+        close(one @ other, other)
+        assert not 0 < r < 6 or np.abs(one - other).max() > 1e-6
+    for one, other, none in ((g1, g2, f2), (w1, w2, m2)):
+        close(one @ other, one)
+        assert (np.abs(one @ none) <= 1e-10 * (np.abs(one) @ np.abs(none))).all()
+        assert not 0 < r < 6 or np.abs(one @ other).max() > 1e-3
 
 
 @mark.parametrize("r", [1, 2, 3, 4, 5])
@@ -193,38 +151,6 @@ def test_rank_five_inverse_inertia_is_enough(seed, r):
     close(2 * one - two, projection, 1e-5)
 
 
-@mark.parametrize("r", [1, 2, 3, 4, 5])
-@mark.parametrize("seed", range(4))
-def test_metric_that_cannot_push_along_n_is_refused(seed, r):
-    """The wrench the structure carries itself, Φn = 0, alone or hidden in a basis of N."""
-    rng = np.random.default_rng([seed, r, 5])
-    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
-    carried = SIZE[:, None] * Q[:, :1]
-    others = SIZE[:, None] * rng.normal(size=(6, r - 1))
-    root = Q[:, 1:] @ mixing(rng, 5) / SIZE[:, None]
-    N = np.hstack((carried, others))
-    for basis in (N, N @ mixing(rng, r)):
-        with raises(ContactError, match="Ω_f"):
-            P.Omega_f(basis, root @ root.T)
-        with raises(ContactError, match="Ω̄_m"):
-            P.Omega_m_bar(basis, root @ root.T)
-    with raises(ContactError, match=r"column 0 has nᵀΦn"):
-        P.Omega_f(N, root @ root.T)
-
-
-def test_zero_and_indefinite_metrics_are_refused():
-    N = np.eye(6)[:, :2]
-    with raises(ContactError, match="column 0"):
-        P.Omega_f(N, np.zeros((6, 6)))
-    for i in (1, 5):  # along N or not: no inertia is like that
-        with raises(ContactError, match="smallest eigenvalue -1"):
-            P.Omega_m_bar(N, np.diag(np.where(np.arange(6) == i, -1.0, 1.0)))
-    mixed = np.eye(6)
-    mixed[0, 1] = mixed[1, 0] = 2.0  # positive diagonal, negative eigenvalue
-    with raises(ContactError, match="smallest eigenvalue -1"):
-        P.Omega_f(N, mixed)
-
-
 @mark.parametrize("i", range(6))
 def test_metrics_that_hardly_move_along_one_axis_are_refused_there(i):
     """Beside the others of its kind: a metric of angles alone may be as small as it likes."""
@@ -236,55 +162,51 @@ def test_metrics_that_hardly_move_along_one_axis_are_refused_there(i):
     close(P.Omega_f(np.eye(6)[:, [i]], np.diag(kind)), np.diag(np.eye(6)[i]))
 
 
-@mark.parametrize("size", [1e-6, 0.5])
-def test_metrics_that_are_nearly_symmetric_or_definite_are_refused(size):
-    """A millionth is no rounding error."""
+@mark.parametrize("size", [1e-6, 0.5, 2.0])
+def test_metrics_that_are_not_symmetric_or_not_definite_are_refused(size):
+    """A millionth is no rounding error. Along N or not."""
     N = np.eye(6)[:, :2]
     skew = np.eye(6)
-    sunken = np.diag([1.0] * 5 + [-size])
     skew[1, 0] = size
     with raises(ContactError, match=f"not symmetric \\(relative difference {size:.3g}"):
         P.Omega_f(N, skew)
-    with raises(ContactError, match=f"smallest eigenvalue -{size:.3g}"):
-        P.Omega_f(N, sunken)
+    mixed = np.eye(6)
+    mixed[0, 1] = mixed[1, 0] = 1.0 + size  # positive diagonal, negative eigenvalue
+    for sunken in (*(np.diag(np.where(np.arange(6) == i, -size, 1.0)) for i in (1, 5)), mixed):
+        with raises(ContactError, match=f"smallest eigenvalue -{size:.3g}"):
+            P.Omega_f(N, sunken)
     for within in (1e-12, -1e-12):  # is one
         skew[1, 0] = within
         close(P.Omega_f(N, skew), P.Omega_f(N, np.eye(6)))
 
 
 @mark.parametrize("k", [2, 3, 4, 5, 6])
-@mark.parametrize("seed", range(3))
-def test_dependent_columns_are_refused(seed, k):
-    rng = np.random.default_rng([seed, k])
+@mark.parametrize("zero", [True, False])
+def test_dependent_and_zero_columns_are_refused(zero, k):
+    rng = np.random.default_rng(k)
     columns = SIZE[:, None] * rng.normal(size=(6, k))
-    columns[:, -1] = columns[:, :-1] @ rng.normal(size=k - 1)
-    force = definite(rng, 1 / SIZE)
-    motion = definite(rng, 1 / SIZE)
+    columns[:, -1] = 0.0 if zero else columns[:, :-1] @ rng.normal(size=k - 1)
+    words = f"column {k - 1}" if zero else "dependent"
     for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
-        with raises(ContactError, match="dependent"):
-            law(columns, force if law in (P.Omega_f, P.Omega_m_bar) else motion)
-
-
-def test_zero_columns_are_refused():
-    columns = np.eye(6)[:, :3].copy()
-    columns[:, 1] = 0.0
-    for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
-        with raises(ContactError, match="column 1"):
-            law(columns, np.eye(6))
+        with raises(ContactError, match=words):
+            law(columns, definite(rng, 1 / SIZE))
 
 
 @mark.parametrize("r", [1, 2, 3, 4, 5])
-@mark.parametrize("seed", range(3))
-def test_no_complement_is_refused(seed, r):
+@mark.parametrize("unit", [1e-7, 1.0, 1e7])
+def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit, r):
     """One vector in common with the other space is enough."""
-    c = case(seed, r)
-    rng = np.random.default_rng([seed, r, 6])
+    c = case(0, r)
+    rng = np.random.default_rng([r, 6])
     N_prime = SIZE[:, None] * rng.normal(size=(6, 6 - r))
     T_prime = rng.normal(size=(6, r)) / SIZE[:, None]
+    f = SIZE * rng.normal(size=6)
+    got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
+    close(got @ f, part(N_prime, c.N, f), 1e-9)
     N_prime[:, 0] = c.N @ rng.normal(size=r)
     T_prime[:, 0] = c.T @ rng.normal(size=6 - r)
     with raises(ContactError, match="N′ is not a complement of N"):
-        P.Omega_f_bar_from_complement(N_prime @ mixing(rng, 6 - r), c.T)
+        P.Omega_f_bar_from_complement(unit * N_prime @ mixing(rng, 6 - r), unit * c.T)
     with raises(ContactError, match="T′ is not a complement of T"):
         P.Omega_m_bar_from_complement(T_prime @ mixing(rng, r), c.N)
     with raises(ContactError, match="complement"):
@@ -369,18 +291,6 @@ def test_laws_do_not_depend_on_frame_units_or_basis(trial, change):
     check_change(case(trial, r), X, X_f, well_mixing(rng, r), well_mixing(rng, 6 - r))
 
 
-def test_verdict_on_dependence_does_not_depend_on_frame_or_units():
-    """Two lines of force 1 mm apart are two contacts, wherever O is and whatever the unit."""
-    Phi = np.diag([0.5, 0.5, 0.5, 30.0, 30.0, 30.0])
-    N = np.array([[0, 0, 1.0, 0, 0, 0], [0, 0, 1.0, 1e-3, 0, 0]]).T
-    rng = np.random.default_rng(1)
-    for change in [frame_change] * 50 + [millimetres]:
-        X, X_f = change(rng)
-        P.Omega_f(X_f @ N, X @ Phi @ X.T * (1000.0 if change is millimetres else 1.0))
-        with raises(ContactError, match="dependent"):
-            P.Omega_f(X_f @ N[:, [0, 1, 1]], X @ Phi @ X.T)
-
-
 # Null space ---------------------------------------------------------------------------------------
 
 
@@ -394,9 +304,6 @@ def test_null_space_is_the_whole_of_it(seed, k):
     assert (np.abs(c.N.T @ T) <= 1e-12 * scale).all()
     assert (np.linalg.matrix_rank(T * SIZE[:, None]) if T.size else 0) == 6 - k
     assert k == 6 or same_span(T * SIZE[:, None], c.T * SIZE[:, None])
-    X, X_f = millimetres(np.random.default_rng(0))
-    moved = np.linalg.solve(X, P.null_space(X_f @ c.N)) if k < 6 else np.zeros((6, 0))
-    assert k == 6 or same_span(moved * SIZE[:, None], c.T * SIZE[:, None])
 
 
 def test_null_space_of_pure_forces_and_pure_couples():

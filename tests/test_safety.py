@@ -1,7 +1,5 @@
 """Ticks that cannot be computed: repeated, held, stopped; and joints that run away."""
 
-import copy
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -178,47 +176,6 @@ def test_what_raises_in_python_counts_too():
     for _ in range(20):
         other.tick(replace(case.measurement, q="nowhere"), case.reference)
     assert other.state is SAFE_STOP
-
-
-def test_rows_of_a_batch_stop_one_by_one(case):
-    batch = osc.BatchController([case.controller() for _ in range(3)])
-    single = case.controller()
-    m = case.measurement
-    r = case.reference
-
-    def three(x):
-        return np.tile(np.asarray(x, dtype=float), (3,) + (1,) * np.ndim(x))
-
-    wrenches = three(m.wrenches)
-    wrenches[1] = NAN
-    for _ in range(21):
-        tau = batch.tick(
-            three(m.q),
-            three(m.v),
-            wrenches,
-            three(r.X_WD.homogeneous),
-            V_D=three(r.V_D),
-            A_D=three(r.A_D),
-            alpha_d=three(r.alpha_d),
-            squeeze_d=np.full(3, float(r.squeeze_d)),
-        )
-        assert_array_equal(tau[1], single.tick(blind(case), r))
-    assert batch.state.tolist() == [RUN, SAFE_STOP, RUN]
-    batch.reset(np.array([False, True, False]))
-    assert batch.state.tolist() == [RUN, RUN, RUN]
-
-
-def test_copies_stay_stopped(case):
-    controller = case.controller()
-    for _ in range(20):
-        controller.tick(blind(case), case.reference)
-    for other in (copy.copy(controller), pickle.loads(pickle.dumps(controller))):
-        assert other.state is SAFE_STOP and other.state_age == 1
-        assert other.with_gains(osc.Gains()).state is SAFE_STOP
-        other.reset()
-        other.tick(case.measurement, case.reference)
-        assert other.state is RUN
-    assert controller.state is SAFE_STOP
 
 
 def test_settings_are_checked():
