@@ -45,7 +45,8 @@ class SlidingPlant(RigidPlant):
         X, V = self._object()
         J = self._jacobian(X)
         lines = []
-        for pair in self.contacts:
+        pairs: tuple[Any, ...] = self.contacts
+        for pair in pairs:
             p = pair.points_of_contact(X) - X.translation[:, None]
             n = pair.contact(X, V).N[:3]
             v = velocity(V, p)
@@ -75,7 +76,7 @@ def _plain(change: Callable[[Any], None]) -> Callable[[Parts], Any]:
     """A plant in MuJoCo with contacts as declared, for forces and friction alike."""
 
     def make(parts: Parts) -> Any:
-        plant = PLANTS["mujoco"](parts)
+        plant: Any = PLANTS["mujoco"](parts)
         spec = parts.scenario.plant
         model = plant.model
         model.pair_solref[:] = spec.solref
