@@ -1,7 +1,5 @@
 """Commands about robots: checks, kinematics, a first task."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -19,8 +17,6 @@ from osc_contact.runs import poses
 from osc_contact.runs.drafts import Press, draft
 from osc_contact.runs.report import robot_tables, write_json
 from osc_contact.scenarios import list_scenarios
-
-__all__ = ["check", "commission", "new", "pose"]
 
 
 class InertiaLevel(StrEnum):

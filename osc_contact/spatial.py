@@ -17,8 +17,6 @@
 * Poses are `pin.SE3`, named `X_WO`: "pose of O in W", maps O-coordinates to W-coordinates.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any

@@ -4,8 +4,6 @@
 "Your own driver" of the documentation for the contract that it checks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from itertools import combinations
 from types import SimpleNamespace
@@ -22,8 +20,6 @@ from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.interface import Measurement, Robot
 from osc_contact.scenarios.control_schema import SafetySettings
 from osc_contact.spatial import Array, as_array
-
-__all__ = ["check_robot", "mean_outside", "require_nudge"]
 
 HOLD = 50  #: ticks under the model's own weight
 PULSE = 30  #: ticks of a torque, and as many of its opposite

@@ -35,7 +35,7 @@ from osc_contact.contacts.raibert_craig import Triple, as_raibert_craig, selecti
 from osc_contact.control.command_filter import command
 from osc_contact.control.controller import Controller
 from osc_contact.control.signals import Signals
-from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.spatial import Array, skew
 
 

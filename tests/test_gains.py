@@ -12,7 +12,7 @@ from test_grasps import in_millimetres
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.dynamics import chain_rows
+from osc_contact.dynamics import chain_model
 from osc_contact.scenarios.control_schema import SafetySettings
 
 DT = 1e-3
@@ -213,7 +213,7 @@ def test_metres_or_millimetres_do_not_matter(monkeypatch):
         return np.subtract(*out)
 
     want = torques(chain, X, 1.0, np.ones(6))
-    monkeypatch.setattr(chain_rows, "GYRATION", 1e3 * chain_rows.GYRATION)
+    monkeypatch.setattr(chain_model, "GYRATION", 1e3 * chain_model.GYRATION)
     got = torques(small, X_mm, 1e3, force)
     assert np.abs(want).max() > 0.1
     assert_allclose(got / 1e6, want, rtol=0, atol=1e-6 * np.abs(want).max())

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from pytest import mark, raises
 
 import osc_contact as osc
-from osc_contact.dynamics.rail import Conveyor
+from osc_contact.dynamics.environment import Conveyor
 
 PLANTS = ("rigid", "mujoco")
 SAME = ("q", "tau", "pose", "alpha_true", "alpha_meas", "N", "closed", "contact_point", "face_pose")

@@ -13,7 +13,7 @@ import osc_contact as osc
 from osc_contact import jerk_limits
 from osc_contact.errors import SolverError
 from osc_contact.jerk_limits import Trajectory, follow, from_rest_to_rest
-from osc_contact.scenarios.polynomials import jerk_limited
+from osc_contact.scenarios.signals import jerk_limited
 
 SIZES = st.floats(-3.0, 3.0).map(lambda x: 10.0**x)
 SHARES = st.sampled_from([0.0, 1.0, -1.0]) | st.floats(-1.0, 1.0)

@@ -1,7 +1,5 @@
 """The decoupled force/motion controller, fig. 4: its tick, its state, and copies of it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from copy import deepcopy
@@ -30,7 +28,7 @@ from osc_contact.control.start_check import StartCheck
 from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
 from osc_contact.control.torque_limits import MotorLimits, scale_torques
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.rail import Body
+from osc_contact.dynamics.environment import Body
 from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout, SolverError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
@@ -45,8 +43,6 @@ from osc_contact.scenarios.control_schema import (
     SafetySettings,
 )
 from osc_contact.spatial import Array, as_array
-
-__all__ = ["Controller"]
 
 _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_integral", "force_integral")
 #: What `reset` sets to zero: of MEMORY, and of rows of its tables, all of them where none is named.

@@ -1,7 +1,5 @@
 """What comes in each tick: sizes, types, and whether readings are new."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -14,15 +12,6 @@ from osc_contact.errors import InvalidInputError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
 from osc_contact.law.records import JOINTS, WRISTS
 from osc_contact.spatial import Array, as_array
-
-__all__ = [
-    "Freshness",
-    "convert_arrays",
-    "converting",
-    "read_joints",
-    "require_shapes",
-    "require_sizes",
-]
 
 _DOUBLE = np.dtype(float)
 _double = partial(np.array, dtype=_DOUBLE, order="C")

@@ -1,7 +1,5 @@
 """Why a tick was held, in words: one table of sentences, filled in when they are read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -13,8 +11,6 @@ from osc_contact.control.settings import Settings
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import records as at
-
-__all__ = ["explain"]
 
 #: Code of a reason → sentence. Names in braces are those of `_FACTS`, `safety` and `head` (MODEL).
 _SENTENCES = {

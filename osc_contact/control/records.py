@@ -12,29 +12,19 @@ from osc_contact.contacts.pairs.law_pair import PairRow, law_row
 from osc_contact.contacts.pairs.pair import knows_where_it_slides, pushes_only
 from osc_contact.control.status import LostDirection
 from osc_contact.dynamics.arm import effort_scale
-from osc_contact.dynamics.chain_rows import pack_chain
-from osc_contact.dynamics.rail import Body, Cart, Conveyor
+from osc_contact.dynamics.chain_model import pack_chain
+from osc_contact.dynamics.environment import Body, Cart, Conveyor
 from osc_contact.law import records as at
 from osc_contact.law import vectors
 from osc_contact.law.records import Bytes, Rows, new_model, views
 from osc_contact.law.safety import BRAKE_RATE, SURE
 from osc_contact.scenarios.control_schema import Friction
-from osc_contact.scenarios.spec import Spec
+from osc_contact.scenarios.quantities import Spec
 from osc_contact.spatial import Array
 
 if TYPE_CHECKING:
     from osc_contact.control.settings import Settings
 
-__all__ = [
-    "GAIN_FIELDS",
-    "LEARNED_SLIP",
-    "SLIP",
-    "TickRecords",
-    "joint_limit_margins",
-    "pack_gains",
-    "pack_model",
-    "pack_safety",
-]
 
 _GIVEN = PairRow(at.GIVEN, ())
 _NEVER = 1e12  #: ticks

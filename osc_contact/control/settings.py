@@ -9,8 +9,6 @@ are independent of the tangents. Two points can always push against one another 
 between them; so the points must lie in one plane, whose normal is that of them all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -22,7 +20,7 @@ from osc_contact.contacts.pairs.pair import count_forces, knows_where_it_slides
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
 from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.rail import Body
+from osc_contact.dynamics.environment import Body
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.scenarios.control_schema import (
     Friction,
@@ -33,8 +31,6 @@ from osc_contact.scenarios.control_schema import (
     SafetySettings,
 )
 from osc_contact.spatial import Array, as_array
-
-__all__ = ["Reading", "Settings", "choose_reading"]
 
 Reading = Literal["filter", "least_squares"]
 

@@ -11,13 +11,11 @@ import pinocchio as pin
 from osc_contact.contacts.contact import Contact
 from osc_contact.control.records import TickRecords
 from osc_contact.control.settings import Settings
-from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.interface import Reference, Touched
 from osc_contact.law import records as at
 from osc_contact.spatial import Array
-
-__all__ = ["BLOCKS", "SIGNALS", "Block", "Signals", "TickResult", "internal_forces"]
 
 
 @dataclass(frozen=True)

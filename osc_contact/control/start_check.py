@@ -5,8 +5,6 @@ made, a reading that differs from that weight is no contact force: its gravity c
 its axes or the payload is wrong, or a tare is missing.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -18,8 +16,6 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement
 from osc_contact.spatial import Array
-
-__all__ = ["StartCheck", "is_clear", "judge_load"]
 
 RANGE = 0.05  #: of a joint's range; how far beyond its limits a robot may stand as it starts
 CLEAR = 1e-3  #: m, rad; contacts whose gaps are larger are not made

@@ -1,15 +1,11 @@
 """What a tick reports beside its torques: how it ended, what was lost, and in which state."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from osc_contact.spatial import Array
-
-__all__ = ["LimitLoss", "LostDirection", "Phase", "SafetyState", "Status"]
 
 
 class Status(IntEnum):

@@ -1,7 +1,5 @@
 """Joint positions: within their limits, or at which the loops are closed and the contacts touch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The closed chain at one (q, v), as values: what `ClosedChain.state` gives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

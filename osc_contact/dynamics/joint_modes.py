@@ -1,10 +1,8 @@
 """What the joints of a rig feel and how the rig swings on sprung joints with its motors held."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.errors import ModelError
 from osc_contact.spatial import Array
 

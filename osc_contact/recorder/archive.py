@@ -3,8 +3,6 @@
 Arrays of long recordings stay in a file, mapped into memory where they are read.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import struct

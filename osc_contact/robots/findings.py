@@ -1,7 +1,5 @@
 """What is wrong with a robot: one finding, one sentence; all findings become one error."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

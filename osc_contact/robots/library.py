@@ -1,7 +1,5 @@
 """Where robots come from: packaged files, the data package example-robot-data, own folders."""
 
-from __future__ import annotations
-
 import importlib.metadata
 from functools import cache
 from pathlib import Path

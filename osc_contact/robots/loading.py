@@ -1,7 +1,5 @@
 """URDF in, checked Pinocchio model out; every file is judged before Pinocchio sees it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

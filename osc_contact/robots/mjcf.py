@@ -1,7 +1,5 @@
 """MJCF in, Pinocchio model out: MuJoCo compiles the file, the numbers are taken from its model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """From a checked document to Pinocchio: it reads only text written here, from checked numbers."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ A picture holds joints, shapes and colours, and neither names of files nor anyth
 executed.
 """
 
-from __future__ import annotations
-
 import base64
 import zlib
 from collections.abc import Mapping

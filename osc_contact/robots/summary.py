@@ -1,7 +1,5 @@
 """What a robot is, in numbers and in words: joints, masses, limits, losses, tips, and a verdict."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass

@@ -5,8 +5,6 @@ silence. Extensions of simulators (gazebo, …) are passed over; of transmission
 and gear ratio are read.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 import re

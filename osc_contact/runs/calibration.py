@@ -1,7 +1,5 @@
 """Wrist calibration of a scenario's arms: static postures, sensed readings, what is found."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,8 +17,6 @@ from osc_contact.runs.rig import build_chain
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sensing.calibration import WristLoad, calibrate_wrist
 from osc_contact.spatial import Array
-
-__all__ = ["WristCalibration", "calibrate"]
 
 STEP = 1e-3
 SETTLE = 0.05  #: s, left out of each average: the readings in it may be older than the posture

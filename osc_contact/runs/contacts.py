@@ -4,8 +4,6 @@ Every pair is built in the world's coordinates at the start: its environment fra
 the world while the body it is on stands where it began.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,10 +16,9 @@ from numpy.typing import NDArray
 from osc_contact import robots
 from osc_contact.contacts.detection import CollisionShape, TrackedContact, collision_shapes
 from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.contacts.pairs.pair import ContactPair, count_forces, triad
-from osc_contact.contacts.pairs.registry import make_pair
+from osc_contact.contacts.pairs.pair import ContactPair, count_forces, make_pair, triad
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
-from osc_contact.dynamics.rail import Body, Cart, Conveyor, Hinge
+from osc_contact.dynamics.environment import Body, Cart, Conveyor, Hinge
 from osc_contact.errors import ScenarioError
 from osc_contact.plants.faces import Rail
 from osc_contact.scenarios.bodies import (

@@ -21,8 +21,6 @@ from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios import Scenario, parse_scenario
 from osc_contact.spatial import Array
 
-__all__ = ["Press", "draft"]
-
 #: radius of the stylus' ball, and how far it is from the tip
 BALL_M = 0.008
 LENGTH_M = 0.08

@@ -1,8 +1,6 @@
 """From a scenario to what makes its rig real: drives and sensors for the plant, and what the
 controller needs in front of it because of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
@@ -14,7 +12,8 @@ from numpy.typing import NDArray
 from osc_contact.control.controller import Controller
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.dynamics.assembly import object_pose
-from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.chain_state import ChainState
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.joint_modes import joint_inertias, stiffness_for
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Measurement, Robot, Stamps

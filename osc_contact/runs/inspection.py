@@ -1,7 +1,5 @@
 """What a state of contact is, in plain words: d, r, free motions, controllable forces."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from itertools import combinations
@@ -11,16 +9,14 @@ import numpy as np
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
-from osc_contact.contacts.pairs.vertex_on_face import VertexOnFace
-from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
+from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.robots.summary import joint_losses, loss_words
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.spatial import Array
 from osc_contact.visual.screws import common_perpendicular, echelon
-
-__all__ = ["Inspection", "inspect_rig"]
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,6 @@ by half, with a Hann window and the Fourier transform. An oscillation is a limit
 A period must fit six times into a window.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Rules of preflight on places: faces, bodies, object and tool compared before anything runs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

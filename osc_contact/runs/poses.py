@@ -1,7 +1,5 @@
 """Forward and inverse kinematics of arms and scenarios, within joint limits, for people."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,20 +17,6 @@ from osc_contact.runs.rig import build_chain, given_pose, posture_of
 from osc_contact.scenarios.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
-
-__all__ = [
-    "Posture",
-    "arm_of",
-    "as_dict",
-    "chain_of",
-    "numbers",
-    "outside",
-    "pose_lines",
-    "pose_text",
-    "rest",
-    "solve",
-    "stands",
-]
 
 TRIES = 40  #: random postures from which a pose is sought, after the given one
 #: a pose that is missed by less is reached

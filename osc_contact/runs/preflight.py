@@ -4,8 +4,6 @@ A rule is one function that gives a quantity, under the limits from which it is 
 refused, and the sentence of the finding.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable
 from copy import copy
@@ -33,8 +31,6 @@ from osc_contact.runs.task import Finding, Task, Values, findings, rule
 from osc_contact.scenarios.bodies import CartSpec
 from osc_contact.scenarios.control_schema import SafetySettings
 from osc_contact.spatial import Array
-
-__all__ = ["Finding", "preflight", "require_ready"]
 
 #: of rehearsals: the longest tick, its largest product with the gains
 PERIOD_S = 4e-3

@@ -1,7 +1,5 @@
 """From a scenario to the parts of a run: true chain, controller's chain, contacts, plant, start."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +13,8 @@ from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, object_pose, reach
-from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.chain_state import ChainState
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ModelError, ScenarioError

@@ -9,8 +9,6 @@ f is the wrench that the arm exerts at the wrist sensor, and M, h are of what is
 whatever hangs on the wrist, and whoever pushes there, needs no model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,8 +20,6 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement
 from osc_contact.spatial import Array
-
-__all__ = ["JointFinding", "Shadow", "ShadowReport"]
 
 REST_S = 0.2  #: from the beginning, in which nobody touches the arm
 HALF = 10  #: ticks to either side over which accelerations and means are taken

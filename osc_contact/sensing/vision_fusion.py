@@ -7,8 +7,6 @@ object and arms were when the picture was taken; a Kalman filter for one constan
 makes both agree, and the bodies are moved along with it. Errors of camera and bases cancel.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence

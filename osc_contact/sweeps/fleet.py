@@ -17,8 +17,6 @@ from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import start
 from osc_contact.spatial import Array
 
-__all__ = ["Fleet", "Start"]
-
 
 @dataclass(frozen=True)
 class Start:

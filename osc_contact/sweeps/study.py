@@ -26,8 +26,6 @@ from osc_contact.scenarios.loader import Template, read_text
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 
-__all__ = ["WORDS", "Design", "Sample", "SweepStudy"]
-
 # --- What a key may be --------------------------------------------------------------------------
 
 _CALL = re.compile(r"\s*([a-z]+)\s*\((.*)\)\s*")

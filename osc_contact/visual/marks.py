@@ -29,7 +29,6 @@ from osc_contact.visual.shapes import along, arrow, arrow_lengths, at, cylinder,
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-__all__ = ["BestFrame", "FindFrame"]
 
 LOST = "#8E939A"
 BLACK = "#15181C"

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from meshcat import Visualizer
     from meshcat.animation import Animation
 
-__all__ = ["ArmVisual", "BodyVisual", "Content"]
 
 Array = NDArray[np.float64]
 

@@ -4,8 +4,6 @@ Each function returns a matplotlib figure and shows nothing; `save` writes it as
 figures have one look: `style`, and stacked `panels` with one time axis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,8 +20,6 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.files import whole_file
 from osc_contact.recorder import Recording
 from osc_contact.visual import CONTACT_COLOURS, OKABE_ITO, contact_colour
-
-__all__ = ["contact_forces", "power", "save", "style", "torques", "tracking"]
 
 Array = NDArray[np.float64]
 Judged = NDArray[np.bool_]

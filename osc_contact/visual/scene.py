@@ -40,7 +40,6 @@ from osc_contact.visual.shapes import at, plain, rgb
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-__all__ = ["Scene", "write_scene"]
 
 MOST_FRAMES = 360
 """Key frames of a page; a longer recording gets fewer per second, and motion in between."""

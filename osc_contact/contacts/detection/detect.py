@@ -1,7 +1,5 @@
 """From collision geometry to the list of contacts, at one pose or followed over time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A cylinder of the object in a V-groove of the environment."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import pi
 from typing import Annotated, ClassVar, Literal
@@ -9,15 +7,12 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from osc_contact.contacts.pairs.pair import read_geometry, require_length
+from osc_contact.contacts.pairs.pair import read_geometry, register_pair, require_length
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes, ends
-from osc_contact.contacts.pairs.registry import register_pair
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
 from osc_contact.scenarios.quantities import Angle, Length, UnitVec3, Vec3
 from osc_contact.spatial import Array, cross
-
-__all__ = ["CylinderInVGroove"]
 
 
 class CylinderInVGrooveSpec(OnBodySpec):

@@ -1,7 +1,5 @@
 """Any contact whose gaps can be computed: N and n_γ from derivatives of the gap functions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,12 +8,9 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import Bodies, require_length
-from osc_contact.contacts.pairs.registry import register_pair
+from osc_contact.contacts.pairs.pair import Bodies, register_pair, require_length
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array, as_array, cross_twist
-
-__all__ = ["GapFunctions"]
 
 # Eighth-order central differences at the steps ±1 … ±4.
 _STEPS = np.array([1.0, 2.0, 3.0, 4.0])

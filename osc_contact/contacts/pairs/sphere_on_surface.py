@@ -1,7 +1,5 @@
 """A ball or vertex of the object on a curved surface of the environment."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -11,17 +9,13 @@ import pinocchio as pin
 from pydantic import Field
 
 from osc_contact.contacts.pairs.law_pair import LawPair, PairRow
-from osc_contact.contacts.pairs.pair import read_geometry, require_length, store
-from osc_contact.contacts.pairs.registry import register_pair
+from osc_contact.contacts.pairs.pair import read_geometry, register_pair, require_length, store
 from osc_contact.contacts.surface import Surface, distance_and_normal
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import SURFACE
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
-from osc_contact.scenarios.quantities import Length, Vec3
-from osc_contact.scenarios.spec import Spec
+from osc_contact.scenarios.quantities import Length, Spec, Vec3
 from osc_contact.spatial import Array, Poses, cross
-
-__all__ = ["SphereOnSurface"]
 
 
 class SphereSpec(Spec):
