@@ -70,7 +70,7 @@ def null_space(columns: Array) -> Array:
     if k == 0:
         return np.eye(6)
     rows, U, _ = span(columns)
-    return np.asarray(U[:, k:] / rows)
+    return U[:, k:] / rows
 
 
 def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:

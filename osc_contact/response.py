@@ -98,7 +98,7 @@ def Lambda_rel(state: ChainState, environment: Environment) -> Array:
             f"(mobility {values[0]:.2g} of the free object's). Use Φ₀ + Φ_e, its inverse."
         )
     whole = L @ vectors
-    return np.asarray((whole / values) @ whole.T)
+    return (whole / values) @ whole.T
 
 
 def require_reachable(state: ChainState, contact: Contact, Phi_e: Array | None = None) -> None:

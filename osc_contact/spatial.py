@@ -198,8 +198,7 @@ def rotations(w: Array) -> Array:
     unit = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(angle)))
     once = np.stack([cross(w, unit[:, j]) for j in range(3)], axis=1)
     twice = np.stack([cross(w, once[:, j]) for j in range(3)], axis=1)
-    out: Array = unit + a * once + b * twice
-    return out
+    return unit + a * once + b * twice
 
 
 def _quaternions(R: Array) -> Array:

@@ -288,7 +288,7 @@ def mean_outside(chain: ClosedChain, read: Callable[[], Measurement]) -> Array:
             if X is not None:
                 felt = felt + origin.actInv(X.act(pin.Force(wrench))).vector
         sums.append(felt)
-    return np.asarray(np.mean(sums, axis=0))
+    return np.mean(sums, axis=0)
 
 
 def require_nudge(

@@ -74,7 +74,7 @@ def selection_columns(frame: pin.SE3, forces: Sequence[bool], couples: Sequence[
     p = np.array(frame.translation)
     full = np.block([[E, np.zeros((3, 3))], [skew(p) @ E, E]])
     chosen = np.concatenate((_flags("forces", forces), _flags("couples", couples)))
-    return np.asarray(full[:, chosen])
+    return full[:, chosen]
 
 
 def as_raibert_craig(
@@ -309,7 +309,7 @@ def sines(E: Array, p: Array, chosen: Array, rest: Array) -> Array:
         rest: (6, 6−r) orthonormal complement of N.
     """
     across = rest.T @ _space(E, p, chosen)
-    return np.asarray(np.linalg.svd(across, compute_uv=False).max(axis=1, initial=0.0))
+    return np.linalg.svd(across, compute_uv=False).max(axis=1, initial=0.0)
 
 
 def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Array]:

@@ -14,7 +14,6 @@ from osc_contact.control.custom_laws import CustomParts, Laws
 from osc_contact.control.inputs import (
     Freshness,
     convert_arrays,
-    converting,
     read_joints,
     require_shapes,
     require_sizes,
@@ -204,7 +203,7 @@ class Controller:
     def _take_records(self, records: TickRecords) -> None:
         self._records = records
         memory = records.memory
-        plain = self._arms < 3 and not self._custom.needed and not self._starting
+        plain = self._arms < 3 and not (self._custom.needed or self._starting or self._converting)
         self._tables = (
             records.rows.raw,
             memory.squeeze,
@@ -284,7 +283,7 @@ class Controller:
             self._records.memory.repeated = self._freshness.require(measurement)
         if measurement.estimated:
             self._records.memory.derived = 1
-        if self._converting and self._custom.needed:  # custom code takes arrays
+        if self._converting:
             measurement, reference = convert_arrays(measurement, reference)
         if self._starting and self._start.is_done(self, measurement):
             self._begin_start(self._start, False)
@@ -338,8 +337,8 @@ class Controller:
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
         """A tick whose arrays are of other types, or one to be held.
 
-        That such arrays come is found out once: from then on every call of the law makes them what
-        it takes. numba's refusal costs as much as many ticks.
+        That such arrays come is found out once: from then on every tick converts them. numba's
+        refusal costs as much as many ticks.
         """
         try:
             if isinstance(error, SensorTimeout):
@@ -347,7 +346,6 @@ class Controller:
             require_sizes(measurement, reference, self.settings)
             if self._converting:
                 raise error
-            self._rows = converting(self._rows, self.chain.nq, self._arms)
             self._converting = True
             self._take_records(self._records)
             return self.tick(replace(measurement, stamps=None, sequence=None), reference)
@@ -571,7 +569,7 @@ class Controller:
         cannot be distinguished from contact forces once contact is made.
         """
         result = self.result()
-        return np.asarray(result.f_meas + self.f_tare - result.bias_out)
+        return result.f_meas + self.f_tare - result.bias_out
 
     def phases(self) -> Array:
         """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""

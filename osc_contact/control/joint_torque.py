@@ -77,7 +77,7 @@ class JointTorqueLoop:
         """
         _, rate = self._rate.update(tau, fresh=fresh)
         u = tau_d + self.gain * (tau_d - tau) - self.rate_gain * rate
-        return np.asarray(np.clip(u, -self.tau_max, self.tau_max))
+        return np.clip(u, -self.tau_max, self.tau_max)
 
     def spectral_radius(self) -> Array:
         """(n_a,) largest eigenvalue magnitude of the sampled loop, the link held.

@@ -224,14 +224,14 @@ class Signals:
 
     @cached_property
     def f_ccomm(self) -> Array:
-        return np.asarray((self.contact.N + self.friction_wrenches) @ self.alpha_u)
+        return (self.contact.N + self.friction_wrenches) @ self.alpha_u
 
     @cached_property
     def eta_c(self) -> Array:
         S = self.state.S
         a = self._records.acceleration() - self.state.sigma
         H = S.T @ self.state.metric @ S
-        return np.asarray(np.linalg.solve(H, S.T @ (self.state.metric @ a)))
+        return np.linalg.solve(H, S.T @ (self.state.metric @ a))
 
     @cached_property
     def f_S(self) -> Array:
@@ -239,7 +239,7 @@ class Signals:
         f = records.work.f_S.copy()
         f[: int(records.work.locked)] = 0.0
         wrench = np.linalg.solve(records.motions().T, records.reflection().T @ f)
-        return np.asarray(self.state.S.T @ wrench)
+        return self.state.S.T @ wrench
 
 
 def internal_forces(arms: int) -> int:

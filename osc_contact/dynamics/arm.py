@@ -60,7 +60,7 @@ def rotor_inertia(model: pin.Model) -> Array:
             raise ModelError(
                 f"joint '{name}' has a rotor inertia of {value:g}; give armature (kg m², kg) ≥ 0"
             )
-    return np.asarray(inertia)
+    return inertia
 
 
 def heaviest_rotor(model: pin.Model, gyration: float) -> float:

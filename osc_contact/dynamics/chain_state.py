@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
 import pinocchio as pin
 
 from osc_contact.dynamics.payload import ObjectTerms
@@ -141,4 +140,4 @@ class ChainState:
 
     def _sum(self, name: str) -> Array:
         """Of the object and all arms."""
-        return np.asarray(sum(getattr(part, name) for part in (self.payload, *self.arms)))
+        return sum(getattr(part, name) for part in (self.payload, *self.arms))

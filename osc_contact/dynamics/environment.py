@@ -157,8 +157,8 @@ class Environment:
             N: (6, r) at O. friction_wrenches: (6, r) what friction adds to each column of force.
         """
         if self.Phi_friction is not None:
-            return np.asarray(N.T @ self.Phi_e @ N + self.Phi_friction)
-        return np.asarray(N.T @ self.Phi_e @ (N + friction_wrenches))
+            return N.T @ self.Phi_e @ N + self.Phi_friction
+        return N.T @ self.Phi_e @ (N + friction_wrenches)
 
     @classmethod
     def fixed(cls) -> Environment:

@@ -49,4 +49,4 @@ def stiffness_for(state: ChainState, actuated: Array, frequency: float) -> Array
             "the object can move while every motor stands still: no stiffness gives the rig a "
             "first mode. Give plant.flexible_joints.stiffness for each motor instead."
         )
-    return np.asarray(unit * (frequency / first) ** 2)
+    return unit * (frequency / first) ** 2

@@ -218,7 +218,7 @@ duration: 4 s
 def _unnoisy(direction: Array) -> Array:
     """The unit vector (3,) without components that the rounding of the posture makes."""
     kept = np.where(np.abs(direction) < 1e-5, 0.0, direction)
-    return np.asarray(kept / np.linalg.norm(kept))
+    return kept / np.linalg.norm(kept)
 
 
 def _reference(robot: str) -> str:

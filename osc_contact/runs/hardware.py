@@ -230,7 +230,7 @@ class Observer:
         bad = ~np.isfinite(q) | far
         self._missed = np.where(bad, self._missed + 1.0, 0.0)
         self._believed = np.where(bad, self._believed, q)
-        return np.asarray(bad)
+        return bad
 
     def complete(self, measurement: Measurement, acceleration: Array | None) -> Measurement:
         """The measurement with everything a controller needs.

@@ -201,7 +201,7 @@ def pose_text(X: pin.SE3) -> str:
 
 
 def _degrees(X: pin.SE3) -> Array:
-    return np.asarray(np.rad2deg(pin.rpy.matrixToRpy(X.rotation)))
+    return np.rad2deg(pin.rpy.matrixToRpy(X.rotation))
 
 
 def _listed(values: Sequence[float] | Array, digits: int, unit: str = "") -> str:

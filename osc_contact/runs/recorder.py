@@ -606,9 +606,8 @@ def _orthonormal(columns: Array) -> Array:
 
 def _left(x: Array, basis: Array) -> Array:
     """What is left of x (6, k) beside an orthonormal basis (6, m, k)."""
-    left: Array = x - np.einsum("imk,mk->ik", basis, np.einsum("imk,ik->mk", basis, x))
-    return left
+    return x - np.einsum("imk,mk->ik", basis, np.einsum("imk,ik->mk", basis, x))
 
 
 def _length(x: Array) -> Array:
-    return np.asarray(np.sqrt((x * x).sum(axis=0)))
+    return np.sqrt((x * x).sum(axis=0))

@@ -405,4 +405,4 @@ def _shortest(start: Array, n: Array) -> Array:
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         R[i, j] -= a[k]
         R[j, i] += a[k]
-    return np.asarray(R)
+    return R

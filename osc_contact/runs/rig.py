@@ -119,7 +119,7 @@ def standoff_of(state: ChainState, contact: Contact, distance: float) -> Array:
     N_S = state.S.T @ contact.N
     H_inv_N = np.linalg.solve(state.S.T @ state.metric @ state.S, N_S)
     away = np.full(contact.r, -distance)  # a gap opens against N
-    return np.asarray(state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away)))
+    return state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away))
 
 
 def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:

@@ -157,7 +157,7 @@ class Shadow:
         origin = pin.SE3(np.eye(3), state.X_WO.translation)
         sensor = state.sensors[0]
         assert sensor is not None
-        return np.asarray(origin.actInv(sensor.act(pin.Force(wrench))).vector - state.bias_out)
+        return origin.actInv(sensor.act(pin.Force(wrench))).vector - state.bias_out
 
     def _sample(self, rows: Array) -> tuple[Array, ...]:
         """Speed, acceleration, τ − (M q̈ + h) and Jᵀf, means over a few ticks."""

@@ -187,57 +187,27 @@ def jerk_limited(
 def least_jerk(points: tuple[tuple[float, float], ...]) -> Polynomials:
     """The curve through (time, value) `points` that makes ∫ jerk² dt least, at rest at its stops.
 
-    A quintic spline: between points the sixth derivative vanishes, at points the third and fourth
-    are continuous (Euler–Lagrange with free velocities and accelerations there).
+    Between stops it is the quintic spline at rest at both: between points the sixth derivative
+    vanishes, at points the third and fourth are continuous (Euler–Lagrange with free velocities
+    and accelerations there).
     """
+    from scipy.interpolate import PPoly, make_interp_spline
+
     t, x = np.array(points).T
     unit = (t[-1] - t[0]) / (len(t) - 1)  # so that the unknowns are of one size
-    h: Array = np.diff(t) / unit
-    dx = np.diff(x)
-    count = len(t)
-    # unknowns: v, a of each point
-    A = np.zeros((2 * count, 2 * count))
-    b = np.zeros(2 * count)
-    stops = _stops(x.tolist())
-    for i in range(count):
-        if i in stops:
-            A[2 * i, 2 * i] = A[2 * i + 1, 2 * i + 1] = 1.0
-            continue
-        before = h[i - 1]
-        after = h[i]
-        left, here, right = (slice(2 * k, 2 * k + 2) for k in (i - 1, i, i + 1))
-        # end of the piece before = begin of the piece after
-        jerk = 2 * i
-        snap = 2 * i + 1
-        A[jerk, left] = -8 / before**2, -1 / before
-        A[jerk, here] = -12 / before**2 + 12 / after**2, 3 / before + 3 / after
-        A[jerk, right] = 8 / after**2, -1 / after
-        b[jerk] = 20 * (dx[i] / after**3 - dx[i - 1] / before**3)
-        A[snap, left] = -14 / before**3, -2 / before**2
-        A[snap, here] = -16 / before**3 - 16 / after**3, 3 / before**2 - 3 / after**2
-        A[snap, right] = -14 / after**3, 2 / after**2
-        b[snap] = -30 * (dx[i] / after**4 + dx[i - 1] / before**4)
-    v, a = np.asarray(np.linalg.solve(A, b), dtype=np.float64).reshape(count, 2).T
-    return Polynomials(t, _quintics(x, v, a, h) / unit ** np.arange(6.0)[:, None], float(x[-1]))
+    at_rest = [(1, 0.0), (2, 0.0)]
+    pieces = []
+    for begin, end in pairwise(sorted(_stops(x.tolist()))):
+        part = slice(begin, end + 1)
+        spline = make_interp_spline(t[part] / unit, x[part], k=5, bc_type=(at_rest, at_rest))
+        pieces.append(PPoly.from_spline(spline).c[::-1, 5:-5])  # without the empty ones at the ends
+    return Polynomials(t, np.hstack(pieces) / unit ** np.arange(6.0)[:, None], float(x[-1]))
 
 
 def _stops(values: list[float]) -> set[int]:
     """The points at which a curve rests: both ends, and where a value is given twice in a row."""
     twice = [i for i, (x, y) in enumerate(pairwise(values)) if x == y]
     return {0, len(values) - 1, *twice, *(i + 1 for i in twice)}
-
-
-def _quintics(x: Array, v: Array, a: Array, h: Array) -> Array:
-    """(6, k) coefficients between points with values, velocities and accelerations (k + 1,)."""
-    dx = np.diff(x)
-    dv = np.diff(v)
-    rest = dx - h * v[:-1] - h**2 * a[:-1] / 2
-    slope = dv - h * a[:-1]
-    bend = np.diff(a)
-    third = (10 * rest - 4 * h * slope + h**2 * bend / 2) / h**3
-    fourth = (-15 * rest + 7 * h * slope - h**2 * bend) / h**4
-    fifth = (6 * rest - 3 * h * slope + h**2 * bend / 2) / h**5
-    return np.array([x[:-1], v[:-1], a[:-1] / 2, third, fourth, fifth])
 
 
 class Signal(Protocol):

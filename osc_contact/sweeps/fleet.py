@@ -144,5 +144,5 @@ class Fleet:
 
     def diverged(self) -> Array:
         """(B,) whether MuJoCo has warned since the row began."""
-        counts: Array = np.asarray(self._plants.warning).reshape(self.rows, -1)
+        counts = np.reshape(self._plants.warning, (self.rows, -1))
         return np.asarray(counts.any(axis=1))

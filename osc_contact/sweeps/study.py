@@ -458,14 +458,14 @@ class SweepStudy:
         from scipy.stats import qmc
 
         if self.design == "latin":
-            return np.asarray(qmc.LatinHypercube(dims, rng=self.seed).random(self.samples))
+            return qmc.LatinHypercube(dims, rng=self.seed).random(self.samples)
         if self.design == "saltelli":
             dims *= 2
         kind = qmc.Halton if self.design == "halton" else qmc.Sobol
         points = kind(dims, scramble=True, rng=self.seed)
         if block:
             points.fast_forward(block * _BLOCK)
-        return np.asarray(points.random(_BLOCK))
+        return points.random(_BLOCK)
 
 
 _WHOLE = ("latin", "grid")  #: designs whose points depend on how many there are

@@ -172,7 +172,7 @@ def echelon(basis: ArrayLike) -> Array:
             if other != row:
                 rows[other] -= rows[other, column] * rows[row]
         row += 1
-    return np.asarray(rows[::-1].T)
+    return rows[::-1].T
 
 
 def helix(pitch: float, radius: float, length: float, count: int = 48) -> Array:

@@ -260,7 +260,7 @@ def triangle_colours(file: str | Path, count: int) -> Array | None:
     if not len(colours) or abs(len(colours) - count) > LOST_SHARE * len(colours):
         return None
     places = np.linspace(0, len(colours) - 1, count).round().astype(int)
-    return np.asarray(0.14 + 0.74 * np.clip(colours[places], 0.0, 1.0))
+    return 0.14 + 0.74 * np.clip(colours[places], 0.0, 1.0)
 
 
 def _groups(root: ET.Element) -> Iterator[tuple[list[float], int]]:

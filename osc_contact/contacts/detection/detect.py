@@ -58,8 +58,7 @@ def face_on_edge(
     """
 
     def gap(X: pin.SE3) -> Array:
-        gaps: Array = (edge - X.act(point)) @ (X.rotation @ normal) - radius
-        return gaps
+        return (edge - X.act(point)) @ (X.rotation @ normal) - radius
 
     return GapFunctions(gap, length=float(np.linalg.norm(edge[1] - edge[0])), name=name)
 

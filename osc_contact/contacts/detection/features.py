@@ -404,8 +404,7 @@ def shared_patch(
     if len(points) == 0:
         points = axes @ witness[:, None]
         points = points.T
-    reduced: Array = _reduced(points, width) @ axes
-    return reduced
+    return _reduced(points, width) @ axes
 
 
 def _of_lines(a: Array, e: Array, angle: float) -> Array:
@@ -499,8 +498,7 @@ def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
     if len(directions) == 0:
         directions = np.eye(3)[2:]
     apart = _separations(a, e, directions)
-    best: Array = directions[int(np.flatnonzero(apart >= apart.max() - _TIE)[0])]
-    return best
+    return directions[int(np.flatnonzero(apart >= apart.max() - _TIE)[0])]
 
 
 def _separations(a: Solid, e: Solid, directions: Array) -> Array:

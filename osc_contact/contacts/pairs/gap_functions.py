@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import Bodies, register_pair, require_length
+from osc_contact.contacts.pairs.pair import Bodies, Extent, check_geometry, register_pair
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array, as_array, cross_twist
 
@@ -40,12 +40,12 @@ class GapFunctions:
     """
 
     gap: Callable[[pin.SE3], npt.ArrayLike]
-    length: float = 0.1
+    length: Extent = 0.1
     step: float = 0.02
     name: str = "gap_functions"
 
     def __post_init__(self) -> None:
-        require_length(f"{self.name}.length", self.length, ">")
+        check_geometry(self)
         if not 1e-5 <= self.step <= 0.3:
             raise InvalidInputError(f"{self.name}.step = {self.step}; give 1e-5 … 0.3")
 

@@ -16,10 +16,13 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import (
     Bodies,
     ContactPair,
-    read_geometry,
+    Direction,
+    Point,
+    Radius,
+    check_geometry,
     register_pair,
-    require_length,
     store,
+    unit_vector,
 )
 from osc_contact.contacts.surface import OF_ARRAYS, Shapes
 from osc_contact.errors import ContactError, InvalidInputError
@@ -245,16 +248,15 @@ class FaceOnVertex(LawPair):
         name: used in messages and recordings.
     """
 
-    point: Array
-    normal: Array
-    vertex: Array
-    radius: float = 0.0
+    point: Point
+    normal: Direction
+    vertex: Point
+    radius: Radius = 0.0
     name: str = "face_on_vertex"
     pushes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        read_geometry(self, "vertex", "point", normal="outward normal")
-        require_length(f"{self.name}.radius", self.radius)
+        check_geometry(self)
         self._hold(
             PairRow(FACE_ON_VERTEX, (shape(self.normal, self.vertex, self.radius),)), self.vertex
         )
@@ -316,19 +318,18 @@ class EdgeOnEdge(LawPair):
         name: used in messages and recordings.
     """
 
-    point_A: Array
-    direction_A: Array
-    point_E: Array
-    direction_E: Array
+    point_A: Point
+    direction_A: Direction
+    point_E: Point
+    direction_E: Direction
     side: float | Array = 1.0
     name: str = "edge_on_edge"
     pushes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        edge = "direction of the edge"
-        read_geometry(self, "point_A", "point_E", direction_A=edge, direction_E=edge)
+        check_geometry(self)
         if np.ndim(self.side) > 0:
-            read_geometry(self, side="environment's outward normal")
+            store(self, side=unit_vector(f"{self.name}.side", self.side))
         elif self.side not in (1, -1):
             raise InvalidInputError(
                 f"{self.name}.side = {self.side}; give +1 or −1 (times e_A × e_E), or a vector "

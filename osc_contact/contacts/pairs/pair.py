@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Annotated, Any, Protocol, TypeVar, get_type_hints, runtime_checkable
 
 import numpy as np
 import pinocchio as pin
@@ -173,24 +174,40 @@ def store(pair: Any, **values: Any) -> None:
         object.__setattr__(pair, key, value)
 
 
-def read_geometry(pair: Any, *points: str, **directions: str) -> None:
-    """Check and copy the named points (3,), check and normalise the named directions (name=what it
-    is called in messages) of a frozen pair that is being made.
+#: What a number of a pair's geometry is; `check_geometry` reads it from the field's annotation.
+Point = Annotated[Array, "point"]
+Direction = Annotated[Array, "direction"]
+Radius = Annotated[float, "≥"]
+Extent = Annotated[float, ">"]
+
+
+@cache
+def _geometry(pair: Any) -> dict[str, str]:
+    """Kind of each field whose annotation states one."""
+    hints = get_type_hints(pair, include_extras=True).items()
+    return {key: hint.__metadata__[0] for key, hint in hints if hasattr(hint, "__metadata__")}
+
+
+def check_geometry(pair: Any) -> None:
+    """Check the geometry of a frozen pair that is being made; copy points, normalise directions.
 
     Raises:
-        InvalidInputError: wrong shape, not finite, or a direction that is zero.
+        InvalidInputError: wrong shape, not finite, a direction that is zero, a length < 0 (≤ 0).
     """
-    for key in points:
-        store(pair, **{key: as_array(f"{pair.name}.{key}", getattr(pair, key), (3,))})
-    for key, meaning in directions.items():
-        store(pair, **{key: unit_vector(f"{pair.name}.{key}", getattr(pair, key), meaning)})
+    made: Any = type(pair)
+    for key, kind in _geometry(made).items():
+        name = f"{pair.name}.{key}"
+        value = getattr(pair, key)
+        if kind == "point":
+            store(pair, **{key: as_array(name, value, (3,))})
+        elif kind == "direction":
+            store(pair, **{key: unit_vector(name, value)})
+        elif not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and kind == "≥"))):
+            raise InvalidInputError(f"{name} = {value}; give a length {kind} 0 m")
 
 
-def unit_vector(name: str, value: Any, meaning: str) -> Array:
-    """`value` (3,) normalised.
-
-    Args:
-        name: of the argument. value: three numbers. meaning: what it is, for the message.
+def unit_vector(name: str, value: Any) -> Array:
+    """`value` (3,) normalised; `name` is that of the argument.
 
     Raises:
         InvalidInputError: wrong shape, not finite or zero.
@@ -198,19 +215,8 @@ def unit_vector(name: str, value: Any, meaning: str) -> Array:
     vector = as_array(name, value, (3,))
     length = float(np.linalg.norm(vector))
     if length < 1e-9:
-        raise InvalidInputError(f"{name} is zero; give the {meaning}")
+        raise InvalidInputError(f"{name} is zero; give a direction")
     return vector / length
-
-
-def require_length(name: str, value: float, least: str = "≥") -> None:
-    """Refuse what is not a length ≥ 0 m (or > 0 m).
-
-    Args:
-        name: of the argument. value: m. least: "≥" or ">" 0.
-    """
-    fits = np.isfinite(value) and (value > 0.0 or (least == "≥" and value == 0.0))
-    if not fits:
-        raise InvalidInputError(f"{name} = {value}; give a length {least} 0 m")
 
 
 # The register of contact pairs: each enters it where it is written, with its keys in YAML.

@@ -10,9 +10,12 @@ from pydantic import Field
 from osc_contact.contacts.pairs.law_pair import LawPair, PairRow, shape
 from osc_contact.contacts.pairs.pair import (
     Bodies,
-    read_geometry,
+    Direction,
+    Extent,
+    Point,
+    Radius,
+    check_geometry,
     register_pair,
-    require_length,
     store,
     triad,
 )
@@ -48,7 +51,8 @@ class PointsOnPlanes(LawPair):
     def _hold_points(
         self, points: Array, into: Array, on_plane: Array, radius: float = 0.0
     ) -> None:
-        """Take points (3, r) of A, unit directions (3, r) and points of the planes (3, 1 or r)."""
+        """Take points (3, r) of A, unit directions and points of the planes, (3, 1 or r) both."""
+        into = np.broadcast_to(into, points.shape)
         heights = (into * on_plane).sum(axis=0)
         store(self, _points=points, _into=into, _reach=heights - radius, _heights=heights)
         shapes = (shape(*one) for one in zip(points.T, into.T, heights, strict=True))
@@ -103,16 +107,15 @@ class VertexOnFace(PointsOnPlanes):
         name: used in messages and recordings.
     """
 
-    vertex: Array
-    point: Array
-    normal: Array
-    radius: float = 0.0
+    vertex: Point
+    point: Point
+    normal: Direction
+    radius: Radius = 0.0
     name: str = "vertex_on_face"
     pushes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        read_geometry(self, "vertex", "point", normal="outward normal")
-        require_length(f"{self.name}.radius", self.radius)
+        check_geometry(self)
         self._hold_points(
             self.vertex[:, None], -self.normal[:, None], self.point[:, None], self.radius
         )
@@ -129,8 +132,7 @@ class VertexOnFace(PointsOnPlanes):
         """(3,) where the line of force meets the face, world (m)."""
         normal, point = self._face(X_WE)
         p: Array = X_WO.act(self.vertex)
-        on_face: Array = p - (normal @ (p - point)) * normal
-        return on_face
+        return p - (normal @ (p - point)) * normal
 
     def points_of_contact(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
         """(3, 1) the same as a column."""
@@ -179,16 +181,15 @@ class SphereOnPlane(PointsOnPlanes):
         name: used in messages and recordings.
     """
 
-    centre: Array
-    radius: float
-    point: Array
-    normal: Array
+    centre: Point
+    radius: Radius
+    point: Point
+    normal: Direction
     name: str = "sphere_on_plane"
     pushes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        read_geometry(self, "centre", "point", normal="outward normal")
-        require_length(f"{self.name}.radius", self.radius)
+        check_geometry(self)
         self._hold_points(
             self.centre[:, None], -self.normal[:, None], self.point[:, None], self.radius
         )
@@ -228,26 +229,18 @@ class EdgeOnFace(PointsOnPlanes):
         name: used in messages and recordings.
     """
 
-    point: Array
-    direction: Array
-    face_point: Array
-    face_normal: Array
-    length: float = 0.1
+    point: Point
+    direction: Direction
+    face_point: Point
+    face_normal: Direction
+    length: Extent = 0.1
     name: str = "edge_on_face"
     pushes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        read_geometry(
-            self,
-            "point",
-            "face_point",
-            direction="direction of the line",
-            face_normal="outward normal",
-        )
-        require_length(f"{self.name}.length", self.length, ">")
-        into = np.tile(-self.face_normal[:, None], 2)
+        check_geometry(self)
         feet = ends(self.point, self.direction, self.length)
-        self._hold_points(feet, into, self.face_point[:, None])
+        self._hold_points(feet, -self.face_normal[:, None], self.face_point[:, None])
 
 
 # A cylinder of the object on a plane of the environment.
@@ -286,28 +279,19 @@ class CylinderOnPlane(PointsOnPlanes):
         name: used in messages and recordings.
     """
 
-    point: Array
-    direction: Array
-    radius: float
-    face_point: Array
-    face_normal: Array
-    length: float = 0.1
+    point: Point
+    direction: Direction
+    radius: Radius
+    face_point: Point
+    face_normal: Direction
+    length: Extent = 0.1
     name: str = "cylinder_on_plane"
     pushes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        read_geometry(
-            self,
-            "point",
-            "face_point",
-            direction="direction of the line",
-            face_normal="outward normal",
-        )
-        require_length(f"{self.name}.length", self.length, ">")
-        require_length(f"{self.name}.radius", self.radius)
-        into = np.tile(-self.face_normal[:, None], 2)
+        check_geometry(self)
         feet = ends(self.point, self.direction, self.length)
-        self._hold_points(feet, into, self.face_point[:, None], self.radius)
+        self._hold_points(feet, -self.face_normal[:, None], self.face_point[:, None], self.radius)
 
 
 # A flat face of the object on a flat face of the environment.
@@ -348,23 +332,19 @@ class FaceOnFace(PointsOnPlanes):
         name: used in messages and recordings.
     """
 
-    point: Array
-    normal: Array
-    face_point: Array
-    face_normal: Array
-    size: float = 0.1
+    point: Point
+    normal: Direction
+    face_point: Point
+    face_normal: Direction
+    size: Extent = 0.1
     name: str = "face_on_face"
     pushes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        read_geometry(
-            self, "point", "face_point", normal="outward normal", face_normal="outward normal"
-        )
-        require_length(f"{self.name}.size", self.size, ">")
+        check_geometry(self)
         drawn = np.array((np.cos(_CORNERS), np.sin(_CORNERS)))
         corners = self.point[:, None] + self.size * triad(self.normal)[:, :2] @ drawn
-        into = np.tile(-self.face_normal[:, None], 3)
-        self._hold_points(corners, into, self.face_point[:, None])
+        self._hold_points(corners, -self.face_normal[:, None], self.face_point[:, None])
 
 
 # A cylinder of the object in a hole of the environment.
@@ -406,18 +386,15 @@ class CylinderInHole(PointsOnPlanes):
         name: used in messages and recordings.
     """
 
-    point: Array
-    direction: Array
-    hole_point: Array
-    hole_direction: Array
-    length: float = 0.1
+    point: Point
+    direction: Direction
+    hole_point: Point
+    hole_direction: Direction
+    length: Extent = 0.1
     name: str = "cylinder_in_hole"
 
     def __post_init__(self) -> None:
-        read_geometry(
-            self, "point", "hole_point", direction="cylinder's axis", hole_direction="hole's axis"
-        )
-        require_length(f"{self.name}.length", self.length, ">")
+        check_geometry(self)
         low, high = ends(self.point, self.direction, self.length).T
         across = triad(self.hole_direction)[:, :2]
         points = np.column_stack((low, low, high, high))

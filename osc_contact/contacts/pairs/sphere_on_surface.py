@@ -9,7 +9,14 @@ import pinocchio as pin
 from pydantic import Field
 
 from osc_contact.contacts.pairs.law_pair import LawPair, PairRow
-from osc_contact.contacts.pairs.pair import read_geometry, register_pair, require_length, store
+from osc_contact.contacts.pairs.pair import (
+    Direction,
+    Point,
+    Radius,
+    check_geometry,
+    register_pair,
+    store,
+)
 from osc_contact.contacts.surface import Surface, distance_and_normal
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import SURFACE
@@ -107,19 +114,18 @@ class SphereOnSurface(LawPair):
         name: used in messages and recordings.
     """
 
-    centre: Array
-    radius: float
+    centre: Point
+    radius: Radius
     surface: Surface
-    origin: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    axis: Array = (0.0, 0.0, 1.0)  # type: ignore[assignment]
-    along: Array = (1.0, 0.0, 0.0)  # type: ignore[assignment]
+    origin: Point = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    axis: Direction = (0.0, 0.0, 1.0)  # type: ignore[assignment]
+    along: Direction = (1.0, 0.0, 0.0)  # type: ignore[assignment]
     name: str = "sphere_on_surface"
     pushes: ClassVar[bool] = True
     X_ES: pin.SE3 = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        read_geometry(self, "centre", "origin", axis="z axis", along="x axis")
-        require_length(f"{self.name}.radius", self.radius)
+        check_geometry(self)
         y = cross(self.axis, self.along)
         sine = float(np.linalg.norm(y))
         if sine < 1e-6:

@@ -6,7 +6,15 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs.law_pair import PairRow, shape
-from osc_contact.contacts.pairs.pair import Bodies, read_geometry, register_pair, store, triad
+from osc_contact.contacts.pairs.pair import (
+    Bodies,
+    Direction,
+    Point,
+    check_geometry,
+    register_pair,
+    store,
+    triad,
+)
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import COUPLE, FORCE, SCREW, SLIDE, TANGENTS, THREAD, TURN
@@ -102,7 +110,7 @@ def held_axes(R_EA: Array) -> tuple[Array, Array]:
 
 def read_joint(pair: TangentPair) -> None:
     """Check point, axis and assembled pose of a joint that is being made."""
-    read_geometry(pair, "point", axis="axis of the joint")
+    check_geometry(pair)
     store(pair, assembled=pin.SE3(pair.assembled))  # type: ignore[attr-defined]
 
 
@@ -158,8 +166,8 @@ class Prismatic(TangentPair):
         name: used in messages and recordings.
     """
 
-    point: Array
-    axis: Array
+    point: Point
+    axis: Direction
     assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
     name: str = "prismatic"
 
@@ -189,8 +197,8 @@ class Revolute(TangentPair):
         name: used in messages and recordings.
     """
 
-    point: Array
-    axis: Array
+    point: Point
+    axis: Direction
     assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
     name: str = "revolute"
 
@@ -223,8 +231,8 @@ class Screw(TangentPair):
         name: used in messages and recordings.
     """
 
-    point: Array
-    axis: Array
+    point: Point
+    axis: Direction
     pitch: float
     assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
     name: str = "screw"
@@ -278,22 +286,15 @@ class ConeInGroove(TangentPair):
         name: used in messages and recordings.
     """
 
-    apex: Array
-    axis: Array
-    groove_point: Array
-    groove_direction: Array
-    seat: Array
+    apex: Point
+    axis: Direction
+    groove_point: Point
+    groove_direction: Direction
+    seat: Direction
     name: str = "cone_in_groove"
 
     def __post_init__(self) -> None:
-        read_geometry(
-            self,
-            "apex",
-            "groove_point",
-            axis="axis of the cone",
-            groove_direction="direction of the groove",
-            seat="direction of the seated cone's axis",
-        )
+        check_geometry(self)
         across = triad(self.groove_direction)[:, :2]
         freedoms = rotation(self.apex, self.axis), slide(self.apex, self.groove_direction)
         tilts = held_axis(self.axis, self.seat)
