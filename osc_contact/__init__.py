@@ -42,12 +42,11 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.control.set_point import PoseSetPoint, SetPoint, SetPointState
     from osc_contact.control.status import SafetyState, Status
     from osc_contact.dynamics.arm import Arm
-    from osc_contact.dynamics.chain_state import ChainState
+    from osc_contact.dynamics.chain_state import ChainState, RigidObject
     from osc_contact.dynamics.closed_chain import ClosedChain
     from osc_contact.dynamics.environment import Environment
     from osc_contact.dynamics.grasp import Grasp
     from osc_contact.dynamics.operational_space import OperationalSpace, operational_space
-    from osc_contact.dynamics.payload import RigidObject
     from osc_contact.errors import (
         ContactError,
         Interrupted,

@@ -19,9 +19,15 @@ from osc_contact.control.inputs import (
     require_sizes,
 )
 from osc_contact.control.reasons import explain
-from osc_contact.control.records import TickRecords, pack_gains, pack_model, pack_safety
+from osc_contact.control.records import (
+    Reading,
+    Settings,
+    TickRecords,
+    pack_gains,
+    pack_model,
+    pack_safety,
+)
 from osc_contact.control.saving import save_controller
-from osc_contact.control.settings import Reading, Settings
 from osc_contact.control.signals import BLOCKS, Block, Signals, TickResult
 from osc_contact.control.start_check import StartCheck
 from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status

@@ -10,8 +10,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.contacts.pairs.pair import knows_where_it_slides
-from osc_contact.control.records import TickRecords, pack_model
-from osc_contact.control.settings import Settings
+from osc_contact.control.records import Settings, TickRecords, pack_model
 from osc_contact.control.signals import Block, Signals
 from osc_contact.control.status import Phase
 from osc_contact.errors import ContactError, InvalidInputError

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.control.settings import Settings
+from osc_contact.control.records import Settings
 from osc_contact.errors import InvalidInputError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
 from osc_contact.law.records import JOINTS, WRISTS

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from osc_contact.control.inputs import require_sizes
-from osc_contact.control.records import TickRecords
-from osc_contact.control.settings import Settings
+from osc_contact.control.records import Settings, TickRecords
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import records as at

@@ -9,8 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.control.records import TickRecords
-from osc_contact.control.settings import Settings
+from osc_contact.control.records import Settings, TickRecords
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.interface import Reference, Touched

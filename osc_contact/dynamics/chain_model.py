@@ -15,8 +15,8 @@ from osc_contact.dynamics.arm import (
     rotor_inertia,
     with_distinct_frames,
 )
+from osc_contact.dynamics.chain_state import RigidObject
 from osc_contact.dynamics.grasp import Grasp, locate
-from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.law import records as at
 from osc_contact.law.records import Bytes, new_model

@@ -17,8 +17,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.dynamics.chain_model import ChainModel, chain_row
-from osc_contact.dynamics.chain_state import ArmTerms, ChainState, SingularDirection
-from osc_contact.dynamics.payload import ObjectTerms
+from osc_contact.dynamics.chain_state import ArmTerms, ChainState, ObjectTerms, SingularDirection
 from osc_contact.errors import ModelError
 from osc_contact.law import records as at
 from osc_contact.law.compiled import rows as law_rows

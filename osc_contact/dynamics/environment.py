@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.dynamics.payload import RigidObject
+from osc_contact.dynamics.chain_state import RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.projections import left_inverse
 from osc_contact.spatial import (

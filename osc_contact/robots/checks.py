@@ -16,9 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.robots.findings import ModelFinding, suggest
 from osc_contact.robots.urdf import LIMITS, Document, Inertial, Joint
-from osc_contact.robots.xml_tree import Element
+from osc_contact.robots.xml_tree import Element, ModelFinding, suggest
 from osc_contact.spatial import Array
 
 # Limits -------------------------------------------------------------------------------------------

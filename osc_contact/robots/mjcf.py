@@ -9,8 +9,8 @@ import pinocchio as pin
 
 from osc_contact.errors import ModelError, missing
 from osc_contact.robots.checks import JointLimits, matching_limits
-from osc_contact.robots.findings import suggest
 from osc_contact.robots.model import check_mass_matrix, random_configurations
+from osc_contact.robots.xml_tree import suggest
 from osc_contact.spatial import Array
 
 _NONE = 1e30  #: a limit that is none (N m, N, rad/s, m/s)

@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import ModelError
-from osc_contact.robots.findings import refuse, refuse_file, suggest
 from osc_contact.robots.urdf import MOMENTS, Document
+from osc_contact.robots.xml_tree import refuse, refuse_file, suggest
 from osc_contact.spatial import Array
 
 SAMPLES = 20

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from osc_contact.robots.findings import ModelFinding, refuse, suggest
-from osc_contact.robots.xml_tree import Element, parse
+from osc_contact.robots.xml_tree import Element, ModelFinding, parse, refuse, suggest
 
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 LIMITS = ("lower", "upper", "effort", "velocity")

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from osc_contact.control.controller import Controller
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.dynamics.assembly import object_pose
-from osc_contact.dynamics.chain_state import ChainState
+from osc_contact.dynamics.chain_state import ChainState, joint_inertias, stiffness_for
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.joint_modes import joint_inertias, stiffness_for
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Measurement, Robot, Stamps
 from osc_contact.plants.joint_drives import FlexibleJoints, JointDrives, Motors

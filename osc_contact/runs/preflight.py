@@ -15,12 +15,12 @@ import pinocchio as pin
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import knows_where_it_slides, pushes_only
 from osc_contact.control.controller import Controller
-from osc_contact.control.settings import choose_reading
+from osc_contact.control.records import choose_reading
 from osc_contact.control.start_check import is_clear, judge_load
 from osc_contact.control.status import SafetyState, Status
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
-from osc_contact.dynamics.joint_modes import modes
+from osc_contact.dynamics.chain_state import modes
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
 from osc_contact.interface import Measurement, Reference, Robot
 from osc_contact.runs import hardware, placement

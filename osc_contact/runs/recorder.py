@@ -26,8 +26,8 @@ from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Judge, TruthLog, Truths
 from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
-from osc_contact.recorder.archive import gather
 from osc_contact.recorder.journal import Journal, JournalFile, MemoryJournal
+from osc_contact.recorder.recording import gather
 from osc_contact.robots.summary import joint_losses
 from osc_contact.runs.contacts import feet_over, force_owners
 from osc_contact.runs.loop import at_once

@@ -13,10 +13,9 @@ from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, object_pose, reach
-from osc_contact.dynamics.chain_state import ChainState
+from osc_contact.dynamics.chain_state import ChainState, RigidObject
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
-from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ModelError, ScenarioError
 from osc_contact.interface import Measurement, Robot
 from osc_contact.plants.judge import Plant
