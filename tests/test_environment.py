@@ -10,9 +10,9 @@ from pytest import mark, raises
 from rigs import panda_pair, random_state, scara_pair
 
 import osc_contact as osc
-from osc_contact.control.command_filter import command
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import contact_response
+from paper.command_filter import command
 
 
 def test_a_cart_on_a_rail_needs_nothing_but_mass_and_direction():

@@ -170,7 +170,7 @@ PROOF = "`tests/test_projections.py::test_identities_9_to_12`"
         (GOOD, PROOF, None),
         ("planned", "planned", None),
         ("`osc_contact/control/custom_laws.py::Laws.force`", PROOF, None),
-        ("`osc_contact/control/signals.py::BLOCKS`", PROOF, None),
+        ("`paper/diagrams.py::BLOCKS`", PROOF, None),
         ("`osc_contact/law/reading.py::command_force`", PROOF, None),
         ("`osc_contact/law/reading.py::command_motion`", PROOF, "defines no"),
         ("planned", PROOF, "neither"),

@@ -10,10 +10,10 @@ import osc_contact as osc
 from osc_contact import projections
 from osc_contact import projections as P
 from osc_contact.contacts.contact import Contact
-from osc_contact.control.command_filter import command
 from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import ContactError
 from osc_contact.response import contact_response
+from paper.command_filter import command
 
 GAPS = [1e-4, 1e-5, 1e-6]
 FORCE_LAWS = (P.Omega_f, P.Omega_m_bar)

@@ -28,7 +28,7 @@ from osc_contact.control.records import (
     pack_safety,
 )
 from osc_contact.control.saving import save_controller
-from osc_contact.control.signals import BLOCKS, Block, Signals, TickResult
+from osc_contact.control.signals import Signals, TickResult
 from osc_contact.control.start_check import StartCheck
 from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
 from osc_contact.control.torque_limits import MotorLimits, scale_torques
@@ -537,10 +537,6 @@ class Controller:
         memory = self._records.memory
         squeeze = float(memory.squeeze[0]) if self._arms < 3 else memory.squeeze.copy()
         return Signals(self.settings, self._records, squeeze, memory.torques)
-
-    def wiring(self) -> list[Block]:
-        """The boxes of fig. 4 with the signals that each reads and writes."""
-        return self.laws.boxes(BLOCKS)
 
     def result(self) -> TickResult:
         """The numbers of the last tick that recordings keep; the next tick overwrites them.

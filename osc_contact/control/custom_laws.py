@@ -1,7 +1,7 @@
 """Laws, pairs and bodies in Python: what is evaluated between the compiled parts of a tick."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any, cast
 
@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs.pair import knows_where_it_slides
 from osc_contact.control.records import Settings, TickRecords, pack_model
-from osc_contact.control.signals import Block, Signals
+from osc_contact.control.signals import Signals
 from osc_contact.control.status import Phase
 from osc_contact.errors import ContactError, InvalidInputError
 from osc_contact.interface import Measurement, Reference, Touched
@@ -39,19 +39,6 @@ class Laws:
     force: ForceCommand | None = None
     motion: MotionCommand | None = None
     structure: StructureCommand | None = None
-
-    def boxes(self, boxes: Sequence[Block]) -> list[Block]:
-        """The boxes of fig. 4 with the names of these laws."""
-        own = {
-            "force law": self.force,
-            "motion law": self.motion,
-            "motion filter": self.structure,
-            "dynamic control structure": self.structure,
-        }
-        return [
-            replace(box, name=f"own {box.name}", equation="") if own.get(box.name) else box
-            for box in boxes
-        ]
 
     def command_force(self, alpha_d: Array, alpha_meas: Array) -> Array:
         """α_u (r,) of the custom force law.

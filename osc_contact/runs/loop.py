@@ -20,11 +20,9 @@ from threading import Event, Thread
 from time import perf_counter, sleep
 from typing import Any, NoReturn, Protocol, TypeVar, runtime_checkable
 
-from osc_contact.control.controller import Controller
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError, PlantError
 from osc_contact.interface import Measurement, Reference, Robot
-from osc_contact.plants.judge import Plant, Truth
 from osc_contact.runs.shadow import Shadow, ShadowReport
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
@@ -186,35 +184,6 @@ class HandsOver(Protocol):
 
     def note(self, meta: Mapping[str, Any]) -> None:
         """Add to the meta data of the recording."""
-
-
-class Witness(Records):
-    """Keeps of every tick the truth just after its torques have changed.
-
-    Rigid contacts answer torques at once; a `Recorder` notes what was true just before.
-
-    Attributes:
-        truths, status: of each tick.
-    """
-
-    def __init__(self, plant: Plant, controller: Controller) -> None:
-        """Watch a plant and its controller."""
-        self.plant = plant
-        self.controller = controller
-        self.truths: list[Truth] = []
-        self.status: list[int] = []
-
-    def append(
-        self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
-    ) -> None:
-        """See `Records.append`.
-
-        Args:
-            measurement, reference, tau, seconds: as of `Records.append`.
-        """
-        self.plant.hold(tau)
-        self.truths.append(self.plant.truth())
-        self.status.append(int(self.controller.status))
 
 
 def run_loop(
