@@ -7,8 +7,10 @@ is whatever it calls. Tests pass records made by hand, so that each part is judg
 from functools import cache
 from importlib import import_module
 
+import numpy as np
+
 from osc_contact.law.jit import as_python
-from osc_contact.law.records import Tick
+from osc_contact.law.records import Rows, Tick, new_model, views
 
 plain = cache(as_python)
 
@@ -34,6 +36,23 @@ def tick_of(model=None, memory=None, work=None, input=None, **tables):
         record, _, rest = name.partition("_")
         own[record][rest] = table
     return Tick(**{name: Nested(head, own[name]) for name, head in heads.items()})
+
+
+def records(arms=0, joints=0, contacts=0, columns=0, **settings):
+    """The records of a tick, as the law has them: these settings, and numbers in the scratch."""
+    t = views(Rows(new_model(arms, joints, joints, contacts, contacts, columns)))
+    write(t.work, **dict.fromkeys("ABDEuwyz", 7.0), solved=7.0, mobility=7.0)
+    return write(t.model, **settings) and t
+
+
+def write(record, **values):
+    """Fill fields of a record, arrays from their beginning on."""
+    for name, value in values.items():
+        if np.ndim(value):
+            getattr(record, name)[tuple(map(slice, np.shape(value)))] = value
+        else:
+            setattr(record, name, value)
+    return True
 
 
 class Parts:

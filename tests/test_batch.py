@@ -7,7 +7,6 @@ import subprocess
 import sys
 
 import numpy as np
-from grasp_rigs import random_case
 from numpy.testing import assert_array_equal
 from pytest import mark, raises
 from rigs import one_panda, random_faces, random_state, scara_pair
@@ -121,21 +120,6 @@ def test_reset_by_mask_and_pickles():
     again = batch.tick(**first)
     assert_array_equal(again[[0, 2]], began[[0, 2]])
     assert (again[[1, 3]] != began[[1, 3]]).any()
-
-
-def test_an_object_that_no_arm_holds_rigidly_is_found_row_by_row():
-    rng = np.random.default_rng(6)
-    case = random_case(["ur5", "ur5"], ["hinge", "ball"], rng)
-    chain = osc.ClosedChain(case.chain.arms, case.chain.grasps, case.chain.payload)
-    assert chain.leader is None
-    ones = [osc.Controller(chain, [], GAINS, posture=case.q) for _ in range(3)]
-    x = story(chain, case.q, 3, 1, rng)[0]
-    x["q"] = case.q + 1e-5 * rng.normal(size=(3, chain.nq))
-    x["alpha_d"] = np.zeros((3, 0))
-    batch = osc.BatchController([copy.copy(c) for c in ones])
-    tau = batch.tick(**x)
-    for i, c in enumerate(ones):
-        assert_array_equal(tau[i], single(c, x, i))
 
 
 def test_what_is_no_batch_is_refused():

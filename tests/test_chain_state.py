@@ -11,7 +11,7 @@ from grasp_rigs import KINDS, Case, random_case
 from kkt_oracle import State
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
-from rigs import SCARA_Q, one_panda, random_state, scara_pair
+from rigs import SCARA_Q, one_panda, placed, random_state, scara_pair
 from test_singular import straight_panda, stretched_scaras
 
 import osc_contact as osc
@@ -125,7 +125,7 @@ def test_random_chains_with_every_grasp():
     """1–4 arms; pose and twist given, and found from the joints."""
     rng = np.random.default_rng(70)
     found = 0
-    for _ in range(60):
+    for _ in range(30):
         n = rng.integers(1, 5)
         case = random_case(list(rng.choice(ARMS, n)), list(rng.choice(KINDS, n)), rng)
         v, V = case.moving(rng)
@@ -141,7 +141,7 @@ def test_random_chains_with_every_grasp():
         assert_allclose(s.X_WO.homogeneous, case.X_WO.homogeneous, atol=1e-10)
         assert_close("V_O", s.V_O, V)
         assert_arms(case.chain, s, case.q, v)
-    assert found > 30
+    assert found > 15
 
 
 def test_nothing_held_and_gravity_that_changes():
@@ -212,3 +212,15 @@ def test_a_state_is_a_value():
     for name in ("M", "Phi"):
         assert_array_equal(getattr(one, name), getattr(kept, name))
         assert_array_equal(getattr(one, name), getattr(again, name))
+
+
+def test_calibration_errors_do_not_cost_a_motion():
+    """A base turned by 1e-4 rad: the arms' locked directions differ, d stays 5."""
+    pair = scara_pair()
+    left, right = pair.arms
+    turned = replace(right, base=right.base * placed(rpy=(1e-4, -1e-4, 0.0)))
+    q, _ = random_state(pair, np.random.default_rng(8))
+    for tolerance, d in ((pair.rank_tolerance, 5), (1e-6, 4)):
+        parts = [left, turned], pair.grasps, pair.payload
+        chain = osc.ClosedChain(*parts, rank_tolerance=tolerance)
+        assert chain.state(q, np.zeros(10)).d == d

@@ -192,21 +192,6 @@ def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():
     assert (np.abs(np.diff(short_run().wall_d[500:], axis=0)).max(axis=0) > 2.0).all()
 
 
-def test_the_motion_is_the_same_with_and_without_force_steps():
-    steps = short_run()
-    none = short_run(())
-    assert np.abs(steps.wall[-1] - none.wall[-1]).min() > 2.0
-    moved = np.ptp(none.motion, axis=0)
-    assert (np.abs(steps.motion - none.motion).max(axis=0) <= 1e-9 * moved).all()
-
-
-def test_the_forces_are_the_same_at_rest_and_in_motion():
-    moving = short_run()
-    still = short_run(moving=False)
-    assert np.abs(still.motion).max() < 1e-9 and np.ptp(moving.motion[:, 1]) > 0.02
-    assert np.abs(moving.wall - still.wall).max() < 0.03
-
-
 def test_a_controller_with_a_wrong_seat_couples():
     """The coupling measured is not zero by construction."""
     c = rig().chain
@@ -219,17 +204,6 @@ def test_a_controller_with_a_wrong_seat_couples():
     R = seat().from_wall_forces
     to_motion, to_force = cg.couplings(controller, plant, plant.measure(), reference, R)
     assert max(to_motion) > 1e-4 and max(to_force) > 1e-4
-
-
-def test_one_force_per_column_is_asked_for():
-    plant = RigidPlant(rig().chain, [seat().pair], 1e-3)
-    plant.reset(rig().q_start)
-    controller = osc.Controller(rig().chain, [seat().pair], posture=rig().q_start)
-    reference = rig().references.at(1.0)
-    controller.tick(plant.measure(), replace(reference, alpha_d=np.ones(1)))
-    assert controller.status is osc.Status.HELD and "1 forces for 4 columns" in controller.reason
-    controller.tick(plant.measure(), reference)
-    assert controller.status is osc.Status.OK
 
 
 @mark.parametrize("words", [{"duration": 0.5}, {"duration": np.nan}, {"probe_s": 0.0}])

@@ -9,19 +9,7 @@ from rigs import consistent, contact_of, placed, random_faces, random_state, sca
 
 import osc_contact as osc
 from osc_contact.control.custom_laws import Laws
-from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
-
-
-def metrics_B(state, rng):
-    """Three different positive definite metrics for the filter of eq. 24."""
-    A = rng.normal(size=(6, 6))
-    total = state.metric + sum(arm.Lambda for arm in state.arms)
-    return {
-        "object": np.linalg.inv(state.metric),
-        "chain": np.linalg.inv(total),
-        "random": A @ A.T + 0.1 * np.eye(6),
-    }
 
 
 def in_contact(chain, rng, r=2):
@@ -85,53 +73,6 @@ def structured(chain, q, v, f_S, eta, squeeze, posture=None, state=None, **how):
 
     laws = Laws(structure=structure)
     return tick_with(laws, chain, [], q, v, squeeze, posture=posture, **how)[1]
-
-
-def test_steps_do_not_couple_on_the_rigid_plant():
-    """The same through the plant of a run: joint-space multipliers, its own wrist and contacts."""
-    chain = scara_pair()
-    rng = np.random.default_rng(11)
-    for _ in range(20):
-        state, _, pairs, q, v = in_contact(chain, rng)
-        plant = RigidPlant(chain, pairs, 1e-3)
-        plant.q = q
-        plant.v = v
-        for B in metrics_B(state, rng).values():
-            a_u = rng.normal(size=6) * 3
-            alpha = rng.uniform(5, 20, 2)
-            steps = (a_u, alpha), (a_u, alpha + 5.0), (a_u + 1.0, alpha)
-            (a0, f0), (a1, f1), (a2, f2) = (
-                plant.accelerations(commanded(chain, pairs, q, v, *step, B)[1])[1:]
-                for step in steps
-            )
-            assert np.abs(a1 - a0).max() <= 1e-9 * np.abs(a0).max()
-            assert np.abs(f2 - f0).max() <= 1e-9 * np.abs(f0).max()
-            assert np.abs(f1 - f0 - 5.0).max() < 1e-7
-            assert np.abs(a2 - a0).max() > 1e-3
-
-
-def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair():
-    """Eqs. 22 and 23 in the coordinates of S, where Λ_S takes the place of Λ₀."""
-    chain = scara_pair()
-    rng = np.random.default_rng(13)
-    for _ in range(60):
-        state, contact, _, q, v = in_contact(chain, rng)
-        N_S = state.S.T @ contact.N
-        offset = N_S @ np.linalg.solve(N_S.T @ N_S, contact.n_gamma - contact.N.T @ state.sigma)
-        eta = rng.normal(size=5)
-        force = rng.normal(size=5) * 10
-        f_S = state.Lambda_S @ (eta + offset) + state.b_S + force
-        tau = structured(chain, q, v, f_S, eta, 0.0)
-        got = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
-        Phi_S = np.linalg.inv(state.Lambda_S)
-        D = N_S.T @ Phi_S @ N_S
-        Omega_f = N_S @ np.linalg.solve(D, N_S.T @ Phi_S)
-        Omega_m_bar = Phi_S @ N_S @ np.linalg.solve(D, N_S.T)
-        want = eta - Omega_m_bar @ eta + Phi_S @ (force - Omega_f @ force)
-        f_c = Omega_f @ force + state.Lambda_S @ Omega_m_bar @ eta
-        a = state.S @ (want + offset) + state.sigma
-        assert_allclose(got.a_object, a, atol=1e-9 * np.abs(a).max())
-        assert_allclose(N_S @ got.alpha, f_c, atol=1e-9 * np.abs(f_c).max())
 
 
 def test_response_under_no_freedom_and_full_contact():

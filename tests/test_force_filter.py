@@ -10,13 +10,12 @@ from rigs import (
     consistent,
     contact_of,
     panda_arm,
-    panda_pair,
     placed,
     random_faces,
     random_state,
     scara_pair,
 )
-from test_decoupling import in_contact, strong
+from test_decoupling import strong
 
 import osc_contact as osc
 from osc_contact.plants.rigid import RigidPlant
@@ -39,18 +38,6 @@ def found_by_law(chain, pairs, q, v, wrenches, f_tare=0.0):
     controller.tick(osc.Measurement(q, v, wrenches), wanted)
     assert controller.status is not osc.Status.HELD, controller.reason
     return controller.result()
-
-
-@mark.parametrize("rig", [scara_pair, panda_pair])
-def test_contact_force_is_exact_at_any_speed_with_links_between_sensor_and_hinge(rig):
-    chain = rig()
-    rng = np.random.default_rng(20)
-    for _ in range(100):
-        _, _, pairs, q, v = in_contact(chain, rng)
-        tau = rng.normal(size=chain.n_a) * 20
-        wrenches, alpha = readings(chain, pairs, q, v, tau)
-        got = found_by_law(chain, pairs, q, v, wrenches).alpha_meas
-        assert_allclose(got, alpha, atol=1e-9 * max(np.abs(alpha).max(), 1.0))
 
 
 def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_told():
@@ -76,39 +63,6 @@ def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_told():
         assert miss[0] < 1e-9 * max(np.abs(alpha).max(), 1.0)  # link 8 has no mass of its own
         errors.append(miss[1])
     assert min(errors) > 0.1
-
-
-def law_filter(chain, pairs, q):
-    """Ω_f (6, 6) of the law at rest, column by column."""
-    still = np.zeros(chain.nq)
-
-    def found(f_meas):  # the wrists themselves say nothing
-        silent = np.zeros((len(chain.arms), 6))
-        return found_by_law(chain, pairs, q, still, silent, -f_meas).f_c.copy()
-
-    return np.column_stack([found(e) - found(np.zeros(6)) for e in np.eye(6)])
-
-
-def test_on_a_fixed_environment_the_filter_is_the_projection_omega_f():
-    """Eq. 5 with Λ_out: idempotent, range N, kernel Λ_out T; a left inverse of N follows."""
-    chain = scara_pair()
-    state, contact, pairs, q, _ = in_contact(chain, np.random.default_rng(22))
-    Omega = law_filter(chain, pairs, q)
-    assert_allclose(Omega @ Omega, Omega, atol=1e-10)
-    assert_allclose(Omega @ contact.N, contact.N, atol=1e-10)
-    assert_allclose(Omega @ state.Lambda_out @ contact.T, 0, atol=1e-10)
-
-
-def test_projected_power_is_zero_whatever_the_inertia():
-    """Fig. 6: ϑᵀΩ_f(A) = 0 for every A, as long as the contact holds."""
-    rng = np.random.default_rng(23)
-    for _ in range(20):
-        state, contact, *_ = in_contact(scara_pair(), rng)
-        A = rng.normal(size=(6, 6))
-        Omega_f = contact.force_projection(A @ A.T + 0.1 * np.eye(6))
-        force = rng.normal(size=6) * 10
-        total = abs(state.V_O @ force)
-        assert abs(state.V_O @ Omega_f @ force) < 1e-11 * max(total, 1.0)
 
 
 def test_the_force_law_integrates_and_damps_and_has_no_proportional_part():

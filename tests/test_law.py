@@ -11,10 +11,9 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from grasp_oracle import kkt
 from grasp_rigs import random_case
 from numpy.testing import assert_allclose, assert_array_equal
-from rigs import panda_pair, placed, random_faces, random_state
+from rigs import placed, random_faces
 
 import osc_contact as osc
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
@@ -47,27 +46,6 @@ def off_their_faces(X, r, rng):
     """Vertices somewhat above or below their faces: friction acts where the face is."""
     pairs = random_faces(X, r, rng)
     return [replace(p, point=p.point + 0.01 * rng.normal(size=3), radius=0.005) for p in pairs]
-
-
-def test_dependent_contacts():
-    """A table on four and on eight legs, three of them independent: the sum of their forces."""
-    chain = panda_pair()
-    rng = np.random.default_rng(34)
-    for legs in (4, 8):
-        q, _ = random_state(chain, rng)
-        still = np.zeros(chain.nq)
-        X = chain.state(q, still).X_WO
-        n = X.rotation @ np.array([0.0, 0.0, 1.0])
-        spots = np.column_stack((rng.uniform(-0.2, 0.2, (legs, 2)), np.full(legs, -0.05)))
-        pairs = [osc.VertexOnFace(p, X.act(p), n, name=f"leg{i}") for i, p in enumerate(spots)]
-        gains = osc.Gains(force=osc.ForceGains(0.0, 5.0))
-        controller = osc.Controller(chain, pairs, gains, safety=UNLIMITED)
-        measurement, reference = inputs(chain, q, still, rng, legs)
-        tau = controller.tick(measurement, reference)
-        assert controller.status is osc.Status.OK and controller.result().rank == 3
-        N = np.hstack([pair.contact(X, np.zeros(6)).N for pair in pairs])
-        got = kkt(chain, q, still, tau, N[:, :3], np.zeros(3))
-        assert_allclose(N[:, :3] @ got.alpha, N @ reference.alpha_d, rtol=1e-9, atol=1e-9)
 
 
 def test_signals_stay():
@@ -137,7 +115,7 @@ call()
 end = rtsys.get_allocation_stats()
 assert end.alloc == start.alloc, end.alloc - start.alloc
 before = sys.getallocatedblocks()
-for _ in range(100_000):
+for _ in range(20_000):
     controller.tick(measurement, reference)
     controller.motion_integral = np.zeros(6)
     controller.force_integral = np.zeros(0)
@@ -158,7 +136,7 @@ def run_python(*words, **environment):
     )
 
 
-def test_a_hundred_thousand_ticks_allocate_nothing():
+def test_twenty_thousand_ticks_allocate_nothing():
     """The kernel makes not even the handle numba usually makes of each array handed over."""
     done = run_python("-c", COUNT_ALLOCATIONS, NUMBA_NRT_STATS="1")
     assert done.returncode == 0 and done.stdout == "still\n", done.stderr[-2000:]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
-import pickle
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -254,7 +252,7 @@ def agree(case, tolerance):
         ({"apart": 1e-6, "bodies": True}, 1e-11),
         param({"r": None, "s": None, "passive": 3}, 1e-9, marks=mark.slow),
         ({"r": None, "s": 3, "endless": 2}, 1e-9),
-        ({"r": None, "s": None, "passive": 3, "weak": 0.05}, 1e-8),
+        param({"r": None, "s": None, "passive": 3, "weak": 0.05}, 1e-8, marks=mark.slow),
         ({"r": None, "s": None, "endless": 5}, 1e-9),
     ],
 )
@@ -263,12 +261,12 @@ def test_the_optimum_in_exact_fractions(how, tolerance):
     rng = np.random.default_rng(64)
     seen = 0
     apart = how.get("apart")
-    for _ in range(10):
+    for _ in range(6):
         case = random_case(rng, 5, **{"r": 2, "s": 1} | how)
         if apart and "bodies" not in how:
             case = replace(case, Phi_e=np.zeros((2, 2)))  # its rounding errors count as yielding
         seen += agree(case, tolerance)
-    assert seen < 10 and (seen > 1 or "weak" not in how)
+    assert seen < 6 and (seen > 1 or "weak" not in how)
 
 
 @mark.parametrize("endless", [0, 3])
@@ -353,22 +351,6 @@ def agree_within(case):
     tau, *rest = solve(case)
     assert (np.abs(tau) <= case.tau_max).all() and all(np.isfinite(x).all() for x in rest)
     return tau, *rest
-
-
-@mark.parametrize("how", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_copies_are_equal_and_share_nothing(how):
-    rng = np.random.default_rng(68)
-    limits = TorqueLimits(8, 6, 3)
-    case, next_case = (random_case(rng, d=6, r=3, k=3, s=1) for _ in range(2))
-    tau, *_ = solve(case, limits)
-    other = how(limits)
-    assert other.mass == limits.mass
-    assert not np.shares_memory(limits.raw, other.raw)
-    assert_array_equal(other.tau, tau)
-    solve(next_case, limits)
-    assert other.solve(*case.counts) == solve(case, limits)[-1]
-    assert_array_equal(other.tau, tau)
-    assert_array_equal(other.lost_force, limits.lost_force)
 
 
 @mark.parametrize("verdict", [-1, 1])

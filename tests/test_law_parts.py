@@ -2,7 +2,7 @@
 
 Fast without compilation, so that these judge small faults put into the law (`tests/mutants.py`)
 first. Arrays are larger than what counts and hold numbers beside it, as the law's scratch does.
-`test_law_stages.py` goes on with forces, stops and the stages of a tick.
+`test_law_stages.py` continues with forces, stops and the stages of a tick.
 """
 
 from itertools import product
@@ -10,7 +10,7 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import algebra, commands, contact, grasps, tick_of, vectors
+from law_calls import algebra, commands, contact, grasps, records, tick_of, vectors, write
 from law_calls import columns as columns_of_N
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
@@ -45,32 +45,6 @@ def around(rng, A, before=0, behind=2):
 # --- rows of six ----------------------------------------------------------------------------------
 
 
-@SEEDS
-def test_vectors_of_six_and_turned_points(seed):
-    rng = rng_of(seed)
-    A = rng.normal(size=(6, 6))
-    a = rng.normal(size=6)
-    b = rng.normal(size=6)
-    s = rng.normal()
-    R = rng.normal(size=(4, 4))
-    (x, y, z) = rng.normal(size=3)
-    close(vectors.dot6(a, b), a @ b, atol=1e-13)
-    assert vectors.six(a) == tuple(a)
-    vectors.fill(out := np.zeros(6), a)
-    assert_array_equal(out, a)
-    close(vectors.add(a, s, b), a + s * b, atol=1e-13)
-    close(vectors.scaled(s, a), s * a, atol=1e-13)
-    close(vectors.times6(A, a), A @ a, atol=1e-13)
-    close(vectors.rotated(R, x, y, z), R[:3, :3] @ [x, y, z], atol=1e-13)
-    close(vectors.rotated_back(R, x, y, z), R[:3, :3].T @ [x, y, z], atol=1e-13)
-    there = pin.SE3(np.eye(3), np.array([x, y, z])).actInv(pin.Motion(a))
-    close(vectors.velocity_at(a, x, y, z), there.linear, atol=1e-13)
-    lower = np.tril(A)
-    vectors.mirror(A)
-    assert_array_equal(A, lower + np.tril(lower, -1).T)
-    close(vectors.cross(*a), np.cross(a[:3], a[3:]), atol=1e-13)
-
-
 def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():
     rng = rng_of(0)
     for head in (2.0, -2.0, 0.0, 1e-9, -1e-9):
@@ -83,26 +57,6 @@ def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():
         close(H @ x, alpha * e, atol=1e-13)
         close(H @ H, np.eye(6), atol=1e-13)
         assert (alpha < 0.0) == (head >= 0.0)
-
-
-@mark.parametrize("m", range(7))
-def test_reflections_and_their_inverse(m):
-    rng = rng_of(m)
-    V = rng.normal(size=(6, 6))
-    beta = rng.normal(size=8)
-    x = rng.normal(size=6)
-    A = rng.normal(size=(6, 6))
-    A += A.T
-    H = np.eye(6)
-    for k in range(m):
-        beta[k] = 2.0 / (V[k] @ V[k])
-        H = (np.eye(6) - beta[k] * np.outer(V[k], V[k])) @ H
-    vectors.reflect(V, beta, m, y := x.copy())
-    close(y, H @ x, atol=1e-12)
-    vectors.reflect_back(V, beta, m, y := x.copy())
-    close(y, H.T @ x, atol=1e-12)
-    vectors.reflect_sides(V, beta, m, B := A.copy())
-    close(B, H @ A @ H.T, atol=1e-12)
 
 
 @mark.parametrize("rows", range(1, 7))
@@ -362,31 +316,6 @@ def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
 
 
 @SEEDS
-def test_pose_errors_and_the_motion_law(seed):
-    rng = rng_of(seed)
-    D = pose(rng)
-    B = pose(rng)
-    out = np.zeros(6)
-    if seed == 5:  # near a half turn
-        D = pin.SE3(turn(rng, 3.13) @ B.rotation, D.translation)
-    commands.pose_error(D.homogeneous, B.homogeneous, out)
-    close(out[:3], D.translation - B.translation, atol=1e-13)
-    close(out[3:], pin.log3(D.rotation @ B.rotation.T), atol=1e-7)
-    error, integral, V_D, A_D, V_O = rng.normal(size=(5, 6))
-    K, k_d, k_i = rng.uniform(1.0, 9.0, 3)
-    commands.command_motion(
-        tick_of(
-            work=Record(error=error, motion_next=integral, V_O=V_O, a_u=out),
-            input=Record(V_D=V_D, A_D=A_D),
-            model=Record(stiffness=K, damping=k_d, integral=k_i),
-        )
-    )
-    wanted = A_D + k_d * (V_D - V_O) + K * error + k_i * integral
-    wanted[:3] -= np.cross(V_O[3:], V_O[:3])
-    close(out, wanted, atol=1e-12)
-
-
-@SEEDS
 def test_a_rotation_goes_on_and_is_squared_up(seed):
     rng = rng_of(seed)
     for angle in (0.0, 1e-9, 0.9e-6, 1.1e-6, 1e-3, 0.5, 2.0, 3.1):
@@ -433,142 +362,36 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         assert R[3, 3] == 7.0 == point[3]
 
 
-GROUPS = {  # motions of a joint, their rows of T
-    "cylinder": np.eye(6)[[2, 5]],
-    "plane": np.eye(6)[[0, 1, 5]],
-    "ball": np.eye(6)[[3, 4, 5]],
-    "screw": np.array([[0.0, 0.0, 0.6, 0.0, 0.0, 0.8]]),
-    "slides": np.eye(6)[[0, 2]],
-}
-
-
-@mark.parametrize("name", GROUPS)
-def test_the_permitted_part_of_a_miss_is_taken_off(name):
-    """X = tip exp(n) exp(t) X_TO misses its grasp by n, however large the permitted t is."""
-    rng = rng_of(0)
-    T = GROUPS[name]
-    N = np.eye(6)[[i for i in range(6) if not T[:, i].any()]]
-    if name == "screw":
-        N = np.vstack((N, [0.0, 0.0, 0.8, 0.0, 0.0, -0.6]))
-    for size in (0.0, 1e-3, 0.3, 1.5):
-        n = 0.2 * rng.normal(size=len(N))
-        t = size * rng.uniform(-1.0, 1.0, len(T))
-        tip = pose(rng)
-        X_TO = pose(rng)
-        X = tip * pin.exp6(N.T @ n) * pin.exp6(T.T @ t) * X_TO
-        arm = Record(
-            m=len(N),
-            grasp=np.vstack((N, T)),
-            X_TO=np.append(X_TO.rotation.ravel(), X_TO.translation),
-        )
-        frame = np.vstack((tip.rotation, tip.translation))
-        out = np.full(6, 7.0)
-        scratch = np.zeros((2, 6, 6))
-        grasps._miss_of_group(arm, frame, X.homogeneous, *scratch, out * 0.0, out)
-        close(out[: len(N)], n, atol=1e-9)
-
-
-@SEEDS
-def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
-    rng = rng_of(seed)
-    tip = pose(rng)
-    X = pose(rng)
-    point = rng.normal(size=3)
-    axis = turn(rng)[0]
-    tip_axis = turn(rng)[0]
-    if seed == 5:  # fits
-        axis = X.rotation.T @ tip.rotation @ tip_axis
-    rows = np.zeros((6, 6))
-    rows[3:, 3:] = np.linalg.qr(np.column_stack((tip_axis, rng.normal(size=(3, 2)))))[0].T[
-        [1, 2, 0]
-    ]
-    arm = Record(point=point, axis=axis, tip_axis=tip_axis, grasp=rows, kind=at.HINGE)
-    frame = np.vstack((tip.rotation, tip.translation))
-    grasps._miss(arm, frame, X.homogeneous, out := np.full(6, 7.0))
-    between = pin.Quaternion.FromTwoVectors(tip_axis, tip.rotation.T @ X.rotation @ axis)
-    close(out[:3], tip.actInv(X.act(point)), atol=1e-12)
-    close(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), atol=1e-9)
-    arm.kind = at.BALL
-    grasps._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
-    assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
-
-
 # --- faces ----------------------------------------------------------------------------------------
-
-
-def a_pair(rng):
-    """A vertex on a face: its row, with a unit normal."""
-    row = rng.normal(size=16)
-    row[3:6] /= np.linalg.norm(row[3:6])
-    return row
-
-
-def line_of(row, X, E):
-    """Normal, vertex, and the point of the face below it, in world axes."""
-    n = E.rotation @ row[3:6]
-    p = X.act(row[:3])
-    return n, p, p + n * (n @ (E.translation - p) + row[6])
-
-
-@SEEDS
-def test_motions_that_a_body_carries(seed):
-    rng = rng_of(seed)
-    V, t, out = rng.normal(size=(3, 6))
-    want = out + 0.3 * pin.Motion(V).cross(pin.Motion(t)).vector
-    contact._add_carried(V, t, 0.3, out)
-    close(out, want, atol=1e-12)
 
 
 @mark.parametrize("moving", [False, True])
 @mark.parametrize("mu", [0.0, 0.3])
 def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
+    """A vertex on a face, on a body that moves or is the world."""
     rng = rng_of(3)
     X = pose(rng)
     E = pose(rng)
     V_O, V_W = rng.normal(size=(2, 6))
-    row = a_pair(rng)
+    vertex, normal = rng.normal(size=(2, 3))
+    normal /= np.linalg.norm(normal)
+    offset = rng.normal()
     A_D = 30.0 * rng.normal(size=6)
     dt = 1e-3
     slip = 0.01
-    pair = Record(kind=at.POINTS, first=0, count=1, shape_at=0, has_friction=1)
-    column = Record(
-        N=np.zeros(6),
-        turn=np.zeros(3),
-        n_gamma_all=0.0,
-        slip=np.zeros(3),
-        point=np.zeros(3),
-        friction_wrench=np.zeros(6),
-    )
-    work = Record(
-        X_WE=np.zeros((4, 4)),
-        u=np.zeros(6),
-        w=np.zeros(6),
-        y=np.zeros(6),
-        z=np.zeros(6),
-        A_D=A_D,
-        V_D=np.zeros(6),
-        mu=mu,
-        X_WO=X.homogeneous,
-        V_O=V_O,
-        moving=moving,
-    )
-    chain = Record(n_pairs=1, tilt=0.0, reading=at.LEAST_SQUARES, period=dt, slip=slip)
-    motion_of = np.concatenate((E.homogeneous.ravel(), V_W, np.zeros(6)))[None]
-    assert contact.place_contacts(
-        tick_of(
-            model=chain,
-            model_pairs=[pair],
-            model_shapes=[Record(row=row)],
-            work_columns=[column],
-            input_touched=motion_of,
-            work=work,
-        )
-    )
+    t = records(contacts=1, columns=1, reading=at.LEAST_SQUARES, period=dt, slip=slip)
+    write(t.model.pairs[0], kind=at.POINTS, first=0, count=1, shape_at=0, has_friction=1)
+    write(t.model.shapes[0], row=[*vertex, *normal, offset])
+    write(t.input, touched=[[*E.homogeneous.ravel(), *V_W]])
+    write(t.work, A_D=A_D, mu=mu, X_WO=X.homogeneous, V_O=V_O, moving=moving)
+    column = t.work.columns[0]
+    assert contact.place_contacts(t)
     if not moving:
         E = pin.SE3.Identity()
         V_W = np.zeros(6)
-    n, _, p = line_of(row, X, E)
-    p = p - X.translation
+    n = E.rotation @ normal
+    p = X.act(vertex)
+    p = p + n * (n @ (E.translation - p) + offset) - X.translation  # of the face, below the vertex
     body = V_W.copy()
     body[:3] += np.cross(V_W[3:], X.translation - E.translation)
     ahead = V_O - body + 2.0 * dt * A_D
@@ -578,19 +401,10 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     close(column.point, p, atol=1e-10)
     close(column.slip, s, atol=1e-10)
     close(column.friction_wrench, mu * np.append(s, np.cross(p, s)), atol=1e-10)
-    chain.reading = at.FILTER
+    t.model.reading = at.FILTER
     column.slip[:] = 9.0
-    contact.place_contacts(
-        tick_of(
-            model=chain,
-            model_pairs=[pair],
-            model_shapes=[Record(row=row)],
-            work_columns=[column],
-            input_touched=motion_of,
-            work=work,
-        )
-    )
-    assert (column.slip[0] == 9.0) == (mu == 0.0), "nobody asks"
+    contact.place_contacts(t)
+    assert (column.slip[0] == 9.0) == (mu == 0.0), "not needed"
 
 
 # --- columns that depend on one another -----------------------------------------------------------

@@ -1,9 +1,7 @@
 """Steps of desired forces and the brake, on the law's own functions: α_s against its quintic."""
 
-from types import SimpleNamespace as Record
-
 import numpy as np
-from law_calls import commands, tick_of
+from law_calls import commands, records, write
 from numpy.testing import assert_allclose
 from pytest import approx, mark
 
@@ -12,9 +10,6 @@ from osc_contact.law.phases import APPROACHING, CLOSED
 
 DT = 1e-3
 RISE = 0.05
-shape = commands.shape_steps
-keep = commands.keep_steps
-brake = commands.brake_contacts
 
 
 def eased(x):
@@ -28,81 +23,30 @@ class Forces:
 
     def __init__(self, n=1, chosen=None, **more):
         self.chosen = list(range(n)) if chosen is None else chosen
-        self.chain = Record(
-            **{
-                "period": DT,
-                "step_time": RISE,
-                "n_columns": n,
-                "drift_share": 0.25,
-                "rise": RISE,
-                "approach_damping": 200.0,
-                "approach_speed": 0.01,
-                "phased": 1,
-            }
-            | more
-        )
-        self.owners = [Record(contact=j) for j in range(n)]
-        self.contacts = [Record(phase=CLOSED) for _ in range(n)]
-        self.bodies = [Record(pushes=1) for _ in range(n)]
-        self.memory = Record(step_left=0.0, step_time=RISE, ticked=1)
-        self.kept = [
-            Record(
-                has_desired=0,
-                desired=0.0,
-                scale=0.0,
-                drift=0.0,
-                predicted=0.0,
-                to_come=np.zeros(3),
-                turn=np.zeros(3),
-            )
-            for _ in range(n)
-        ]
-        self.columns = [
-            Record(
-                chosen=0,
-                goal=0.0,
-                scale=0.0,
-                shaped=1,
-                to_come=np.zeros(3),
-                slides=0.0,
-                turned=np.zeros(3),
-            )
-            for _ in range(n)
-        ]
-        for place, j in enumerate(self.chosen):
-            self.columns[place].chosen = j
-        self.work = Record(
-            count=len(self.chosen),
-            dt=DT,
-            step_left=0.0,
-            step_time=RISE,
-            integral_scale=0.0,
-            status=at.OK,
-        )
+        given = {"period": DT, "step_time": RISE, "drift_share": 0.25, "rise": RISE}
+        given |= {"approach_damping": 200.0, "approach_speed": 0.01, "phased": 1}
+        self.t = t = records(contacts=n, columns=n, **given | more)
+        t.model.columns.contact[:] = range(n)
+        t.model.bodies.pushes[:] = 1
+        t.memory.contacts.phase[:] = CLOSED
+        write(t.memory, step_time=RISE, ticked=1)
+        write(t.work, dt=DT, step_time=RISE, status=at.OK)
+        t.work.columns.shaped[:] = 1
+        self.kept = t.memory.columns
+        self.work = t.work
 
-    def tick(self, goal, measured=None, speed=None):
+    def tick(self, goal, measured=0.0, speed=0.0):
         """α_s of the columns in N."""
-        n = self.chain.n_columns
-        goal = np.array(goal, dtype=float)
-        measured = np.zeros(n) if measured is None else np.array(measured)
-        t = tick_of(
-            model=self.chain,
-            model_columns=self.owners,
-            model_bodies=self.bodies,
-            memory=self.memory,
-            memory_contacts=self.contacts,
-            memory_columns=self.kept,
-            work=self.work,
-            work_columns=self.columns,
-            work_goal=goal,
-            work_alpha=measured,
-        )
-        shape(t)
-        here = np.array([1.0 if j in self.chosen else 0.0 for j in range(n)])
-        speed = np.zeros(n) if speed is None else np.array(speed)
-        t.work.__dict__.update(here=here, speeds=speed)
-        keep(t)
-        return np.array([self.columns[j].goal for j in self.chosen])
+        t = self.t
+        t.work.count = len(self.chosen)
+        t.work.columns.chosen[: t.work.count] = self.chosen
+        t.work.goal[:] = goal
+        t.work.alpha[:] = measured
+        commands.shape_steps(t)
+        t.work.here[:] = np.isin(range(len(t.work.here)), self.chosen)
+        t.work.speeds[:] = speed
+        commands.keep_steps(t)
+        return t.work.columns.goal[self.chosen]
 
     def run(self, goal, ticks):
         return np.array([self.tick(goal) for _ in range(ticks)])
@@ -124,7 +68,7 @@ def test_a_second_step_goes_on_from_value_slope_and_curvature(rises):
     forces = Forces()
     forces.run([10.0], 200)
     forces.run([16.0], 21)
-    forces.chain.step_time = rises[1]
+    forces.t.model.step_time = rises[1]
     found = forces.run([8.0], 100)[:, 0]
     t0 = 21 * DT
     T = rises[1]
@@ -193,7 +137,7 @@ def test_the_integral_rests_while_much_of_a_step_is_to_come():
 def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
     for ticked, start in ((1, 3.0), (0, 0.0)):
         forces = Forces()
-        forces.memory.ticked = ticked
+        forces.t.memory.ticked = ticked
         assert forces.tick([10.0], measured=[3.0])[0] == approx(start)
         assert forces.run([10.0], 60)[-1, 0] == approx(10.0)
 
@@ -202,8 +146,8 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
 def test_a_face_tells_its_tilt_where_it_carries_three_tenths_of_its_force(share):
     forces = Forces()
     forces.run([10.0], 200)
-    turned = forces.columns[0].turned = np.array([0.02, -0.01, 0.03])
-    forces.columns[0].slides = 1.0
+    turned = [0.02, -0.01, 0.03]
+    write(forces.work.columns[0], turned=turned, slides=1.0)
     forces.tick([10.0], measured=[10.0 * share], speed=[0.04])
     pressed = share > 0.3
     assert_allclose(forces.kept[0].turn, turned if pressed else 0.0)
@@ -222,14 +166,14 @@ def test_an_impact_is_not_held_where_phases_close_a_contact():
     assert forces.tick([-2.0], measured=[-40.0])[0] == approx(-40.0), "it may be pulled"
     for pushes, start in ((1, 0.0), (0, -40.0)):
         forces = Forces()
-        forces.bodies[0].pushes = pushes
+        forces.t.model.bodies.pushes[0] = pushes
         assert forces.tick([2.0], measured=[-40.0])[0] == approx(start), "noise is no pull"
 
 
 def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
     """In another order, too, and with a column out of N."""
     forces = Forces(3, chosen=[2, 0])
-    forces.contacts[2].phase = APPROACHING
+    forces.t.memory.contacts.phase[2] = APPROACHING
     forces.run([10.0, 7.0, 2.0], 200)
     found = forces.run([12.0, 9.0, 4.0], 60)
     assert_allclose(found[:, 0], 4.0)
@@ -251,7 +195,7 @@ def test_without_a_rise_time_forces_are_as_they_are_wanted():
     forces.run([10.0], 200)
     forces.run([16.0], 60)
     assert forces.kept[0].to_come.all(), "a step was made"
-    forces.chain.step_time = 0.0
+    forces.t.model.step_time = 0.0
     forces.tick([16.0])
     assert not forces.kept[0].to_come.any()
 
@@ -264,7 +208,6 @@ def test_a_column_out_of_n_is_forgotten():
     row = forces.kept[0]
     assert row.predicted > 0.0 and row.to_come.any() and row.drift > 0.0
     forces.chosen = []
-    forces.work.count = 0
     forces.tick([16.0])
     assert (row.has_desired, row.desired, row.scale, row.drift, row.predicted) == (
         0,
@@ -287,8 +230,9 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
         assert forces.kept[0].drift == approx(drift)
     forces.tick([20.0], speed=[5.0])
     assert forces.kept[0].drift == approx(drift), "the integral rests, and so does v̄"
-    rows = [Record(drift=0.5), Record(drift=0.0), Record(drift=drift)]
-    work = Record(rank=2, keep=[1.0, 0.0], speed=np.array([0.3, 0.7]), brake=np.array([20.0, 10.0]))
-    columns = [Record(chosen=2), Record(chosen=0)]
-    brake(tick_of(memory_columns=rows, work_columns=columns, work=work))
-    assert_allclose(work.brake, [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])
+    t = records(columns=3)
+    t.memory.columns.drift[:] = [0.5, 0.0, drift]
+    t.work.columns.chosen[:2] = [2, 0]
+    write(t.work, rank=2, keep=[1.0, 0.0], speed=[0.3, 0.7], brake=[20.0, 10.0])
+    commands.brake_contacts(t)
+    assert_allclose(t.work.brake[:2], [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])

@@ -9,7 +9,7 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import safety, sensors, tick_of
+from law_calls import records, safety, sensors, tick_of, write
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
 
@@ -20,21 +20,33 @@ DT = 1e-3
 BOTH = mark.parametrize("sign", [1.0, -1.0])
 
 
-def joint(**more):
-    """A joint between ∓1 rad, at most 2 rad/s, which brakes with 5 rad/s²."""
-    given = {"speed_max": 2.0, "lower": -1.0, "upper": 1.0, "brake": 0.1} | more
-    return Record(**{"rated": given["speed_max"]} | given)
+def joints(count=1, **settings):
+    """Joints between ∓1 rad, at most 2 rad/s, which brake with 5 rad/s²."""
+    t = records(arms=1, joints=count, **{"period": DT, "fast_ticks": 99} | settings)
+    t.model.joints.lower[:] = -1.0
+    t.model.joints.upper[:] = 1.0
+    t.model.joints.brake[:] = 0.1
+    for name in ("speed_max", "rated"):
+        getattr(t.model.joints, name)[:] = 2.0
+    t.model.joints.motor[:] = range(count)
+    t.memory.culprit = -1
+    return t
 
 
-def joints_memory():
-    return Record(overspeed=0, ending=0.0, culprit=-1, faults=0, gap=0)
+def wide(fast_ticks, speeds=(2.0, 2.0)):
+    """Two joints of such speed limits, far from their ends."""
+    t = joints(2, fast_ticks=fast_ticks)
+    t.model.joints.lower[:] = -9.0
+    t.model.joints.upper[:] = 9.0
+    t.model.joints.speed_max[:] = speeds
+    return t
 
 
-def look(chain, table, memory, q, v):
+def look(t, q, v):
     """The reason of one tick of the joints."""
-    return safety.watch_joints(
-        tick_of(model=chain, model_joints=table, memory=memory, input_q=q, input_v=v)
-    )
+    t.input.q[:] = q
+    t.input.v[:] = v
+    return safety.watch_joints(t)
 
 
 # --- joints ---------------------------------------------------------------------------------------
@@ -42,39 +54,32 @@ def look(chain, table, memory, q, v):
 
 @BOTH
 def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
-    chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
-    table = [joint(lower=-9.0, upper=9.0)] * 2
-    memory = joints_memory()
+    t = wide(4)
 
     def after(speeds):
-        return [look(chain, table, memory, [0.0, 0.0], [0.1, sign * v]) for v in speeds]
+        return [look(t, 0.0, [0.1, sign * v]) for v in speeds]
 
     assert set(after([2.0] * 50)) == {at.NO_REASON}, "at the limit is not above it"
     assert after([2.001] * 5) == [at.NO_REASON] * 4 + [at.OVERSPEED]
-    assert memory.culprit == 1
+    assert t.memory.culprit == 1
     # time below is taken off at the same pace, and no more than there is
-    assert set(after([1.0] * 9)) == {at.NO_REASON} and memory.overspeed == 0
+    assert set(after([1.0] * 9)) == {at.NO_REASON} and t.memory.overspeed == 0
     assert after([2.2] * 4 + [1.0] + [2.2] * 2) == [at.NO_REASON] * 6 + [at.OVERSPEED]
 
 
 @BOTH
 def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fast(sign):
-    table = [joint(lower=-9.0, upper=9.0), joint(lower=-9.0, upper=9.0, speed_max=1.0)]
     for speed, ticks in ((1.1, 22), (1.13, 11), (1.26, 8), (1.51, 5), (3.1, 2), (9.0, 1)):
         for j in range(2):
-            memory = joints_memory()
-            v = [0.0, 0.0]
-            chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=21)
-            v[j] = sign * speed * table[j].speed_max
-            found = [look(chain, table, memory, [0.0, 0.0], v) for _ in range(ticks)]
+            t = wide(21, (2.0, 1.0))
+            v = sign * speed * t.model.joints.speed_max * (np.arange(2) == j)
+            found = [look(t, 0.0, v) for _ in range(ticks)]
             assert found == [at.NO_REASON] * (ticks - 1) + [at.OVERSPEED]
-            assert memory.culprit == j
-    memory = joints_memory()
-    assert look(chain, table, memory, [0.0, 0.0], [1e300, 0.0]) == at.OVERSPEED
-    memory = joints_memory()
-    chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
-    assert look(chain, table, memory, [0.0, 0.0], [2.4, 1.6]) == at.OVERSPEED
-    assert memory.culprit == 1, "the one that is further beyond its limit"
+            assert t.memory.culprit == j
+    assert look(wide(21), 0.0, [1e150, 0.0]) == at.OVERSPEED
+    t = wide(4, (2.0, 1.0))
+    assert look(t, 0.0, [2.4, 1.6]) == at.OVERSPEED
+    assert t.memory.culprit == 1, "the one that is further beyond its limit"
 
 
 @BOTH
@@ -88,28 +93,24 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     while v > 0.0:
         way = way + (v - 0.5 * 5.0 * dt) * dt
         v = v - 5.0 * dt
-    chain = Record(n_joints=1, reaction=reaction, period=DT, fast_ticks=99)
     for gap, stops in ((way + 1e-3, False), (way - 1e-3, True), (-1e-3, False)):
-        memory = joints_memory()
-        q = [sign * (1.0 - gap)]
-        found = [look(chain, [joint()], memory, q, [sign * speed]) for _ in range(4)]
+        t = joints(reaction=reaction)
+        q = sign * (1.0 - gap)
+        found = [look(t, q, sign * speed) for _ in range(4)]
         wanted = at.NEAR_END if stops else at.NO_REASON  # braking does not help beyond the end
         assert found == [at.NO_REASON] * 2 + [wanted] * 2
-        assert memory.culprit == (0 if stops else -1)
-        back = look(chain, [joint()], joints_memory(), q, [-sign * 0.01])
-        assert back == at.NO_REASON
-    at_the_end = [sign * 1.0]
-    memory = joints_memory()
-    found = [look(chain, [joint()], memory, at_the_end, [sign * 0.1]) for _ in range(3)]
+        assert t.memory.culprit == (0 if stops else -1)
+        assert look(joints(reaction=reaction), q, -sign * 0.01) == at.NO_REASON
+    t = joints(reaction=reaction)
+    found = [look(t, sign, sign * 0.1) for _ in range(3)]
     assert found[-1] == at.NEAR_END, "it still is within its range"
 
 
 @mark.parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
 def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
-    chain = Record(n_joints=1, reaction=0.0, period=period, fast_ticks=99)
-    memory = joints_memory()
-    found = [look(chain, [joint()], memory, [0.99], [1.0]) for _ in range(ticks)]
+    t = joints(period=period)
+    found = [look(t, 0.99, 1.0) for _ in range(ticks)]
     assert found == [at.NO_REASON] * (ticks - 1) + [at.NEAR_END]
 
 
@@ -126,42 +127,18 @@ class Contacts:
     """Two columns of N, which are numbers 2 and 0 of the contacts' four."""
 
     def __init__(self, **more):
-        self.chain = Record(
-            **{
-                "period": DT,
-                "phased": 0,
-                "contact_power": 20.0,
-                "contact_force": 30.0,
-                "contact_loss_time": 0.0105,
-                "overforce_time": 0.0055,
-                "integral_force": 15.0,
-                "regain_time": 0.0305,
-            }
-            | more
-        )
-        self.memory = Record(
-            faults=0,
-            gap=0,
-            force_rank=2,
-            force_sum=np.zeros(2),
-            state=at.RUN,
-            powered=0.0,
-            culprit=-1,
-        )
-        self.columns = [Record(chosen=k) for k in (2, 9, 0, 9)]
-        self.kept = [Record(underforce=0.0, overforce=0.0, time_since_loss=0.0) for _ in range(3)]
+        limits = {"contact_power": 20.0, "contact_force": 30.0, "contact_loss_time": 0.0105}
+        limits |= {"overforce_time": 0.0055, "integral_force": 15.0, "regain_time": 0.0305}
+        self.t = records(contacts=3, columns=4, **{"period": DT} | limits | more)
+        self.memory = self.t.memory
+        self.kept = self.t.memory.columns
+        write(self.memory, force_rank=2, state=at.RUN, culprit=-1)
+        write(self.t.work, rank=2, keep=[0.0, 2.0])
+        self.t.work.columns.chosen[:] = [2, 9, 0, 9]
 
     def tick(self, alpha, wanted, speed=(0.0, 0.0)):
-        work = Record(rank=2, alpha_meas=alpha, alpha_d=wanted, speed=speed, keep=[0.0, 2.0])
-        return safety.watch_contacts(
-            tick_of(
-                model=self.chain,
-                work=work,
-                memory=self.memory,
-                work_columns=self.columns,
-                memory_columns=self.kept,
-            )
-        )
+        write(self.t.work, alpha_meas=alpha, alpha_d=wanted, speed=speed)
+        return safety.watch_contacts(self.t)
 
     def until(self, reason, *given, most=40):
         """The first tick that ends with this reason; 0: none does."""
@@ -240,50 +217,23 @@ def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sig
 # --- readings before a tick -----------------------------------------------------------------------
 
 
-def readings(**more):
+def readings():
     """What `check_readings` is given, all of it credible."""
-    given = Record(
-        chain=Record(
-            n_arms=2,
-            n_joints=2,
-            period=DT,
-            wrench_timeout=0.0205,
-            force_range=100.0,
-            torque_range=10.0,
-            plausible_speed=3.0,
-        ),
-        arms=[Record(sensor_joint=0), Record(sensor_joint=5)],
-        table=[joint(), joint(speed_max=4.0)],
-        memory=Record(wrench_missing=0, has_wrench=1, wrench_age=0, compared=1, culprit=-1),
-        joint_memory=[Record(q=0.1, unread_q=0), Record(q=0.2, unread_q=0)],
-        q=np.array([0.1, 0.2]),
-        v=np.zeros(2),
-        wrenches=np.zeros((2, 6)),
-        X_WD=np.eye(4)[:3],
-    )
-    for name, value in more.items():
-        setattr(given, name, value)
-    return given
-
-
-def judged(given):
-    t = tick_of(
-        model=given.chain,
-        model_arms=given.arms,
-        model_joints=given.table,
-        memory=given.memory,
-        memory_joints=given.joint_memory,
-        input=given,
-    )
-    return sensors.check_readings(t)
+    t = joints(2, wrench_timeout=0.0205, force_range=100.0, torque_range=10.0, plausible_speed=3.0)
+    t.model.joints.rated[:] = t.model.joints.speed_max[:] = [2.0, 4.0]
+    write(t.memory, has_wrench=1, compared=1)
+    t.memory.joints.q[:] = t.input.q[:] = [0.1, 0.2]
+    write(t.input, X_WD=np.eye(4))
+    return t
 
 
 def test_a_rotation_is_one_but_for_a_ten_thousandth():
     rng = np.random.default_rng(2)
 
     def believed(R):
-        X = np.column_stack([R, rng.uniform(-9.0, 9.0, 3)])
-        return judged(readings(X_WD=X))
+        t = readings()
+        write(t.input, X_WD=np.column_stack([R, rng.uniform(-9.0, 9.0, 3)]))
+        return sensors.check_readings(t)
 
     for axis in np.vstack((np.eye(3), 1.0 - np.eye(3)) / np.array([[[1.0]], [[np.sqrt(2)]]])):
         for angle in np.deg2rad(np.arange(0, 360, 10)):
@@ -303,28 +253,22 @@ def test_a_rotation_is_one_but_for_a_ten_thousandth():
 
 @BOTH
 def test_wrenches_within_the_range_of_their_sensors(sign):
-    for arm in range(2):
-        for axis, most in enumerate([100.0] * 3 + [10.0] * 3):
-            for size, reason in ((most, at.NO_REASON), (1.001 * most, at.OUT_OF_RANGE)):
-                given = readings()
-                given.wrenches[arm, axis] = sign * size
-                assert judged(given) == reason
-                assert given.memory.culprit == (-1 if reason == at.NO_REASON else arm)
-                given.arms[arm].sensor_joint = -1  # no sensor, no range
-                assert judged(given) == at.NO_REASON
+    for axis, most in enumerate([100.0] * 3 + [10.0] * 3):
+        for size, reason in ((most, at.NO_REASON), (1.001 * most, at.OUT_OF_RANGE)):
+            t = readings()
+            t.input.wrenches[0, axis] = sign * size
+            assert sensors.check_readings(t) == reason
+            assert t.memory.culprit == (-1 if reason == at.NO_REASON else 0)
+            t.model.arms.sensor_joint[0] = -1  # no sensor, no range
+            assert sensors.check_readings(t) == at.NO_REASON
 
 
-def test_a_tick_without_a_wrench_goes_on_with_one_that_is_young_enough():
-    for age, has, reason in (
-        (19, 1, at.NO_REASON),
-        (20, 1, at.WRENCH_TIMEOUT),
-        (0, 0, at.WRENCH_TIMEOUT),
-    ):
-        given = readings(wrenches=np.full((2, 6), np.nan))
-        given.memory.wrench_missing = 1
-        given.memory.wrench_age = age
-        given.memory.has_wrench = has
-        assert judged(given) == reason
+@mark.parametrize(("age", "has"), [(19, 1), (20, 1), (0, 0)])
+def test_a_tick_without_a_wrench_uses_one_that_is_young_enough(age, has):
+    t = readings()
+    t.input.wrenches[:] = np.nan
+    write(t.memory, wrench_missing=1, wrench_age=age, has_wrench=has)
+    assert sensors.check_readings(t) == (at.NO_REASON if age == 19 else at.WRENCH_TIMEOUT)
 
 
 @BOTH
@@ -334,17 +278,17 @@ def test_joints_move_no_further_than_they_can(sign, unread):
     for j, limit in enumerate((2.0, 4.0)):
         most = 0.02 + 3.0 * limit * DT * (1 + unread)
         for way, reason in ((most - 1e-6, at.NO_REASON), (most + 1e-6, at.JUMPED)):
-            given = readings()
-            given.joint_memory[j].unread_q = unread
-            given.q[j] += sign * way
-            assert judged(given) == reason
-            assert given.memory.culprit == (-1 if reason == at.NO_REASON else j)
-            given.memory.compared = 0  # nothing to compare with
-            assert judged(given) == at.NO_REASON
+            t = readings()
+            t.memory.joints.unread_q[j] = unread
+            t.input.q[j] += sign * way
+            assert sensors.check_readings(t) == reason
+            assert t.memory.culprit == (-1 if reason == at.NO_REASON else j)
+            t.memory.compared = 0  # nothing to compare with
+            assert sensors.check_readings(t) == at.NO_REASON
         for speed, reason in ((3.0 * limit, at.NO_REASON), (3.001 * limit, at.JUMPED)):
-            given = readings()
-            given.v[j] = sign * speed
-            assert judged(given) == reason
+            t = readings()
+            t.input.v[j] = sign * speed
+            assert sensors.check_readings(t) == reason
 
 
 # --- speeds of an approach ------------------------------------------------------------------------
@@ -355,52 +299,35 @@ class Approach:
 
     def __init__(self, seed=0, phase=APPROACHING):
         rng = np.random.default_rng(seed)
-        self.chain = Record(period=DT, approach_speed=0.02)
-        self.memory = Record(compared=1, gap=0, X_WO=np.eye(4))
-        self.work = Record(
-            rank=2,
-            keep=[0.0, 2.0],
-            V_N=0.01 * rng.normal(size=2),
-            speed=np.zeros(2),
-            X_WO=np.eye(4),
-            y=np.zeros(6),
-        )
-        self.owners = [Record(contact=k // 2) for k in range(4)]
-        self.contacts = [Record(phase=phase), Record(phase=phase)]
-        self.columns = [Record(chosen=k, N=rng.normal(size=6)) for k in (3, 1, 1, 0)]
-        self.kept = [
-            Record(known=1, velocity_from_positions=0.0, velocity_from_encoders=0.0)
-            for _ in range(4)
-        ]
+        self.t = t = records(contacts=2, columns=4, period=DT, approach_speed=0.02)
+        self.memory = t.memory
+        self.work = t.work
+        self.kept = t.memory.columns
+        write(t.memory, compared=1, X_WO=np.eye(4))
+        write(t.work, rank=2, keep=[0.0, 2.0], V_N=0.01 * rng.normal(size=2))
+        t.model.columns.contact[:] = [0, 0, 1, 1]
+        t.memory.contacts.phase[:] = phase
+        t.work.columns.chosen[:] = [3, 1, 1, 0]
+        t.work.columns.N[:] = rng.normal(size=(4, 6))
+        self.kept.known[:] = 1
 
     def true(self, V):
         """NᵀV_rel of the kept columns."""
-        return [self.columns[j].N @ V - w for j, w in zip((3, 1), self.work.V_N, strict=True)]
+        return self.work.columns.N[[3, 1]] @ V - self.work.V_N[:2]
 
     def tick(self, V, speed):
         """The object has moved by V; these speeds were read. What is believed."""
-        X = self.memory.X_WO
-        self.work.X_WO = np.eye(4)
-        self.work.X_WO[:3, 3] = X[:3, 3] + V[:3] * DT
-        self.work.X_WO[:3, :3] = pin.exp3(V[3:] * DT) @ X[:3, :3]
-        self.work.speed[:] = speed
-        sensors.compare_speeds(
-            tick_of(
-                model=self.chain,
-                memory=self.memory,
-                model_columns=self.owners,
-                memory_contacts=self.contacts,
-                work_columns=self.columns,
-                memory_columns=self.kept,
-                work=self.work,
-            )
-        )
-        self.memory.X_WO = self.work.X_WO.copy()
-        return self.work.speed.copy()
+        step = pin.SE3(pin.exp3(V[3:] * DT), np.zeros(3))
+        X = step * pin.SE3(self.memory.X_WO.copy())
+        X.translation = self.memory.X_WO[:3, 3] + V[:3] * DT
+        write(self.work, X_WO=X.homogeneous, speed=np.broadcast_to(speed, 2))
+        sensors.compare_speeds(self.t)
+        write(self.memory, X_WO=self.work.X_WO)
+        return self.work.speed[:2].copy()
 
 
 def test_an_approach_believes_positions_where_speeds_read_too_little():
-    for seed in range(20):
+    for seed in range(4):
         approach = Approach(seed)
         rng = np.random.default_rng(seed)
         V = 0.05 * rng.normal(size=6)
@@ -408,8 +335,7 @@ def test_an_approach_believes_positions_where_speeds_read_too_little():
         for _ in range(300):
             believed = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s
         assert_allclose(believed, true, atol=1e-6)
-        shown = np.array([approach.kept[j].velocity_from_positions for j in (3, 1)])
-        assert_array_equal(believed, shown)
+        assert_array_equal(believed, approach.kept.velocity_from_positions[[3, 1]])
         for _ in range(300):
             approach.tick(V, true - 0.02)
         assert_array_equal(approach.tick(V, true + 0.05), true + 0.05)  # the low-pass lags behind
@@ -426,22 +352,18 @@ def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
     for k in range(1, 60):
         approach.tick(V, 0.0)
         share = 1.0 - (20.0 / 21.0) ** k  # 20 ms
-        found = [approach.kept[j].velocity_from_positions for j in (3, 1)]
+        found = approach.kept.velocity_from_positions[[3, 1]]
         assert_allclose(found, true * share, rtol=1e-4)
-        assert [approach.kept[j].velocity_from_encoders for j in (3, 1)] == [0.0, 0.0]
+        assert not approach.kept.velocity_from_encoders.any()
     approach.memory.compared = 0
     assert_array_equal(approach.tick(V, 0.007), 0.007)
-    assert {
-        (approach.kept[j].velocity_from_positions, approach.kept[j].velocity_from_encoders)
-        for j in (3, 1)
-    } == {(0.007, 0.007)}
+    for seen in (approach.kept.velocity_from_positions, approach.kept.velocity_from_encoders):
+        assert_array_equal(seen, [0.0, 0.007, 0.0, 0.007])
     approach.memory.compared = 1
-    approach.kept[3].known = 0
+    approach.kept.known[3] = 0
     believed = approach.tick(100.0 * V * np.sign(true[0]), -9.0)
-    assert (
-        believed[0] == -9.0 == approach.kept[3].velocity_from_encoders
-        and approach.kept[1].velocity_from_encoders != -9.0
-    )
+    encoders = approach.kept.velocity_from_encoders
+    assert believed[0] == -9.0 == encoders[3] and encoders[1] != -9.0
 
 
 def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
@@ -449,65 +371,28 @@ def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
     V = np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.6])
     for _ in range(100):
         assert_array_equal(approach.tick(V, -1.0), -1.0)
-    approach.contacts[1].phase = APPROACHING  # of column 3, the first that is kept
+    approach.t.memory.contacts.phase[1] = APPROACHING  # of column 3, the first that is kept
     believed = approach.tick(V, -1.0)
-    assert believed[0] == approach.kept[3].velocity_from_positions and believed[1] == -1.0
-    assert (
-        approach.kept[0].velocity_from_positions == 0.0 == approach.kept[2].velocity_from_positions
-    ), "not in N"
+    positions = approach.kept.velocity_from_positions
+    assert believed[0] == positions[3] and believed[1] == -1.0
+    assert positions[0] == 0.0 == positions[2], "not in N"
 
 
 # --- sensors after a tick -------------------------------------------------------------------------
-
-
-MEMORY = dict.fromkeys(
-    (
-        "compared",
-        "faults",
-        "gap",
-        "culprit",
-        "has_wrench",
-        "wrench_missing",
-        "repeated",
-        "ticked",
-        "apart",
-        "unbraked",
-        "derived",
-    ),
-    0,
-) | {"frozen": 0.0, "still": 0.0, "engaged": 1, "force_rank": 1, "state": at.RUN}
-
-
-def joint_rows(n=2):
-    return [Record(**dict.fromkeys(at.JOINT_MEMORY.names, 0)) for _ in range(n)]
 
 
 class Sensors:
     """One arm of two joints with a wrist; readings differ from tick to tick if not given."""
 
     def __init__(self, **more):
-        self.chain = Record(
-            **{
-                "n_arms": 1,
-                "n_joints": 2,
-                "period": DT,
-                "frozen_time": 0.0105,
-                "stuck_speed": 0.1,
-                "speed_error": 0.1,
-                "position_drift": 0.05,
-                "plausible_speed": 10.0,
-                "force_range": 1e6,
-                "torque_range": 1e6,
-            }
-            | more
-        )
-        self.arms = [Record(sensor_joint=3)]
-        self.table = [joint(motor=0), joint(motor=1)]
-        self.memory = Record(**MEMORY)
-        self.joints = joint_rows()
-        self.wrists = [Record(unread=0, same=0.0)]
-        self.last = np.zeros((1, 6))
-        self.estimate = np.zeros(4)
+        limits = {"frozen_time": 0.0105, "stuck_speed": 0.1, "speed_error": 0.1}
+        limits |= {"position_drift": 0.05, "plausible_speed": 10.0}
+        limits |= {"force_range": 1e6, "torque_range": 1e6}
+        self.t = joints(2, **limits | more)
+        self.t.model.arms.sensor_joint[0] = 1
+        self.memory = self.t.memory
+        self.joints = self.t.memory.joints
+        write(self.memory, engaged=1, force_rank=1, state=at.RUN, culprit=0)
         self.count = 0
         self.q = np.zeros(2)
 
@@ -529,22 +414,11 @@ class Sensors:
         return self._read(nothing, nothing, np.full((1, 6), np.nan))
 
     def _read(self, q, v, wrench):
-        t = tick_of(
-            model=self.chain,
-            model_arms=self.arms,
-            model_joints=self.table,
-            memory=self.memory,
-            memory_joints=self.joints,
-            memory_arms=self.wrists,
-            memory_wrenches=self.last,
-            memory_q=self.estimate[:2],
-            memory_v=self.estimate[2:],
-            input_q=q,
-            input_v=v,
-            input_wrenches=wrench,
-        )
-        reason = sensors.check_sensors(t)
-        sensors.estimate_joints(t)
+        self.t.input.q[:] = q
+        self.t.input.v[:] = v
+        self.t.input.wrenches[:] = wrench
+        reason = sensors.check_sensors(self.t)
+        sensors.estimate_joints(self.t)
         return reason
 
     def until(self, most=400, **given):
@@ -559,10 +433,10 @@ class Sensors:
 def test_readings_that_agree_are_used():
     sensors = Sensors()
     assert sensors.until() == (0, at.NO_REASON)
-    assert_array_equal([row.q for row in sensors.joints], sensors.q)
-    assert_array_equal(sensors.estimate[:2], sensors.q)
+    assert_array_equal(sensors.joints.q, sensors.q)
+    assert_array_equal(sensors.memory.q, sensors.q)
     assert (sensors.memory.compared, sensors.memory.unbraked) == (1, -1)
-    assert_array_equal(sensors.last, 399.0)
+    assert_array_equal(sensors.memory.wrenches, 399.0)
 
 
 def test_a_wrist_in_contact_may_repeat_itself_for_so_long():
@@ -580,7 +454,7 @@ def test_a_wrist_in_contact_may_repeat_itself_for_so_long():
     sensors.memory.force_rank = 0  # free: gravity alone may well be constant
     assert sensors.until(wrench=still, most=60) == (0, at.NO_REASON)
     sensors = Sensors()
-    sensors.arms[0].sensor_joint = -1
+    sensors.t.model.arms.sensor_joint[0] = -1
     assert sensors.until(wrench=still, most=60) == (0, at.NO_REASON)
     sensors = Sensors()
     for k in range(100):  # what moves now and then begins anew
@@ -592,7 +466,7 @@ def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest():
     sensors = Sensors()
     sensors.memory.force_rank = 0
     assert sensors.until(**still) == (12, at.FROZEN)
-    assert [row.faulty for row in sensors.joints] == [3, 3], "no reading of it is sound"
+    assert (sensors.joints.faulty == 3).all(), "no reading of it is sound"
     sensors = Sensors()
     assert sensors.until(**still | {"wrench": None}, most=60) == (0, at.NO_REASON)
     for j in range(2):
@@ -620,7 +494,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
             v = np.zeros(2)
             v[j] = sign * speed
             sensors.tick(v=v, q=still)
-            sensors.joints[j].drift = -9.0 * v[j] * DT  # drift as such is far from its bound
+            sensors.joints.drift[j] = -9.0 * v[j] * DT  # drift as such is far from its bound
             found = [sensors.tick(v=v, q=still) for _ in range(ticks)]
             assert found == [at.NO_REASON] * (ticks - 1) + [at.DISAGREE], speed
             assert sensors.memory.culprit == j
@@ -641,7 +515,7 @@ def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_li
         ticks = 0
         reason = at.NO_REASON
         sensors.tick(q=np.zeros(2))
-        sensors.joints[j].acceleration = sign * 10.3  # rad/s²; a tenth is 0.2 rad/s
+        sensors.joints.acceleration[j] = sign * 10.3  # rad/s²; a tenth is 0.2 rad/s
         while reason == at.NO_REASON and ticks < 90:
             ticks += 1
             lost = every and ticks % every == every - 1
@@ -649,11 +523,11 @@ def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_li
         assert reason == at.STUCK and 20 <= ticks <= 22
         assert sensors.memory.culprit == j and sensors.joints[j].faulty & at.FAULTY_POSITION
         if not every:
-            sensors.joints[j].acceleration = sign * 1e6  # one tick shows no more than 0.21 of it
+            sensors.joints.acceleration[j] = sign * 1e6  # one tick shows no more than 0.21 of it
             sensors.tick(q=np.full(2, 0.01))
             assert sensors.until(q=np.full(2, 0.01)) == (5, at.STUCK)
             sensors.tick(q=np.zeros(2))
-            sensors.joints[j].acceleration = sign * 10.0
+            sensors.joints.acceleration[j] = sign * 10.0
             for k in range(60):  # slow encoders repeat readings
                 assert sensors.tick(q=np.full(2, 0.01 * (k // 15))) == at.NO_REASON
 
@@ -699,8 +573,7 @@ def test_which_of_two_readings_is_faulty(wrong):
     a = np.array([1.5, -2.0])
     held = 0.0
     for k in range(400):
-        for row, x in zip(sensors.joints, a, strict=True):
-            row.acceleration = x
+        sensors.joints.acceleration[:] = a
         v = v + a * DT
         q = q + v * DT
         read_q = q.copy()
@@ -721,7 +594,7 @@ def test_which_of_two_readings_is_faulty(wrong):
         if reason != at.NO_REASON:
             break
     assert reason in (at.DISAGREE, at.STUCK), wrong
-    faulty = {row.faulty for row in sensors.joints}
+    faulty = set(sensors.joints.faulty.tolist())
     if wrong in ("mirrored", "zero"):
         assert faulty == {at.FAULTY_SPEED}, "speeds of one estimator"
     else:
@@ -733,8 +606,8 @@ def test_which_of_two_readings_is_faulty(wrong):
         read_q = np.array([q[0], held]) if wrong == "stuck" else q
         sensors.tick(v=-v if wrong == "mirrored" else v, q=read_q)
     if wrong in ("mirrored", "stuck"):
-        assert_allclose(sensors.estimate[2:], v, atol=2e-2)
-        assert_allclose(sensors.estimate[:2], q, atol=2e-2)
+        assert_allclose(sensors.memory.v, v, atol=2e-2)
+        assert_allclose(sensors.memory.q, q, atol=2e-2)
         assert sensors.memory.unbraked == -1
 
 
@@ -753,23 +626,23 @@ def test_a_joint_without_a_sound_reading_cannot_be_braked():
 @BOTH
 def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
     """d' = e − d/T, T = 0.5 s, less 5 % of the speed: e (1 − exp(−t/T)) T = 50 mrad + 10 ms q̇."""
-    for j in range(2):
-        for error, speed, limit in ((0.09, 0.0, 0.05), (0.18, 1.0, 0.06)):
-            sensors = Sensors()
-            v = np.zeros(2)
-            v[j] = sign * speed
-            wrong = v.copy()
-            wrong[j] += sign * error
-            sensors.tick(v=v)
-            gone = error - 0.05 * abs(wrong[j])
-            most = limit if speed == 0.0 else 0.05 + 0.01 * abs(wrong[j])
-            ticks, reason = sensors.until(v=wrong, true=v, most=3000)
-            if gone * 0.5 > most * 1.02:
-                expected = -500.0 * np.log(1.0 - most / (0.5 * gone))
-                assert reason == at.DISAGREE and sensors.memory.culprit == j
-                assert ticks == approx(expected, rel=0.03)
-            else:
-                assert reason == at.NO_REASON
+    j = int(sign > 0.0)
+    for error, speed, limit in ((0.09, 0.0, 0.05), (0.18, 1.0, 0.06)):
+        sensors = Sensors()
+        v = np.zeros(2)
+        v[j] = sign * speed
+        wrong = v.copy()
+        wrong[j] += sign * error
+        sensors.tick(v=v)
+        gone = error - 0.05 * abs(wrong[j])
+        most = limit if speed == 0.0 else 0.05 + 0.01 * abs(wrong[j])
+        ticks, reason = sensors.until(v=wrong, true=v, most=3000)
+        if gone * 0.5 > most * 1.02:
+            expected = -500.0 * np.log(1.0 - most / (0.5 * gone))
+            assert reason == at.DISAGREE and sensors.memory.culprit == j
+            assert ticks == approx(expected, rel=0.03)
+        else:
+            assert reason == at.NO_REASON
 
 
 # --- what becomes of it ---------------------------------------------------------------------------

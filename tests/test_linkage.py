@@ -155,15 +155,6 @@ def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms):
             assert_allclose(change.sum(axis=0), 0.0, atol=1e-7)
 
 
-def test_three_balls_pass_on_the_bars_forces_alone():
-    """Forces without moments and without resultant lie along the triangle's sides: δf = E δt."""
-    rng = np.random.default_rng(71)
-    for case, *state in cases(rng, 6, 3, ["ball"]):
-        one, two = rng.normal(size=(2, 3)) * 20.0
-        (f, points, *_), (g, *_) = answers(case, *state, (one, two), rng)
-        assert_allclose((g - f).ravel(), bars_of(points) @ (two - one), atol=1e-7)
-
-
 def test_dependent_bars_share_and_the_object_does_not_notice():
     """Five arms: ten bars, nine independent; what comes is the nearest to what was wanted."""
     rng = np.random.default_rng(72)
@@ -220,33 +211,6 @@ def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable):
         assert_allclose(basis.T @ found, basis.T @ np.full(3, 30.0), atol=1e-6)
         tried += 1
     assert tried >= 3
-
-
-def test_an_arm_without_motors_leaves_two_of_three_combinations():
-    """The two others push on each other in any direction; bars feel what is in their plane."""
-    rng = np.random.default_rng(75)
-    for _ in range(4):
-        case = random_case(["ur5"] * 3, ["rigid"] * 3, rng)
-        *driving, last = case.chain.arms
-        limp = replace(last, passive_joints=tuple(last.model.names)[1:])
-        parts = ([*driving, limp], case.chain.grasps, case.chain.payload)
-        case = replace(case, chain=osc.ClosedChain(*parts))
-        still = np.zeros(18)
-        state = case.chain.state(case.q, still)
-        basis = settable_bars(state, case.chain)[1]
-        assert basis.shape == (3, 2)
-        seen = []
-        where = (case.chain, case.q, still)
-        for squeeze in (0.0, 30.0):
-            tau = structured(*where, state.b_S, np.zeros(6), squeeze, case.q, state)
-            assert np.abs(tau).max() < 1e4
-            system = case.system(still, np.zeros(6))
-            got = system.solve(forces(case, tau), np.zeros((6, 0)), np.zeros(0))
-            assert_allclose(got.a_object, 0.0, atol=1e-7)  # torques: up to 1e4
-            f, points = cut(case, still, tau, got.qdd)
-            seen.append(basis.T @ np.linalg.pinv(bars_of(points)) @ f.ravel())
-        assert_allclose(seen[1], basis.T @ np.full(3, 30.0), atol=1e-7)
-        assert np.abs(seen[1] - seen[0]).max() > 1.0
 
 
 @fixture(scope="module")

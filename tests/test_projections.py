@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.testing import assert_array_equal
 from pytest import mark, raises
 
 from osc_contact import projections as P
@@ -73,11 +72,6 @@ def close(got, want, tolerance=1e-10):
         assert np.abs(got[rows] - want[rows]).max(initial=0.0) <= tolerance * scale
 
 
-def vanishes(left, right, tolerance=1e-10):
-    """The product is zero against the size of its summands."""
-    return bool((np.abs(left @ right) <= tolerance * (np.abs(left) @ np.abs(right))).all())
-
-
 def same_span(X, Y):
     def rank(Z):
         return int(np.linalg.matrix_rank(Z, rtol=1e-7)) if Z.size else 0  # NumPy 2.4.0: no 6×0
@@ -116,59 +110,6 @@ def test_any_complement_decomposes(seed, r):
     v = rng.normal(size=6) / SIZE
     close(P.Omega_f_bar_from_complement(N_prime, c.T) @ f, part(N_prime, c.N, f), 1e-9)
     close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
-
-
-@mark.parametrize("unit", [1e-7, 1e7])
-def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit):
-    for r in range(1, 6):
-        c = case(0, r)
-        rng = np.random.default_rng([r, 8])
-        N_prime = SIZE[:, None] * rng.normal(size=(6, 6 - r))
-        f = SIZE * rng.normal(size=6)
-        got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
-        close(got @ f, part(N_prime, c.N, f), 1e-9)
-        N_prime[:, 0] = c.N @ rng.normal(size=r)
-        with raises(ContactError, match="N′ is not a complement of N"):
-            P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
-
-
-@on_every_contact
-def test_identities_9_to_12(seed, r):
-    """With the bars that eqs. 10 and 12 lost; as printed they hold only where a space is empty."""
-    c = case(seed, r)
-    f1, f2 = (P.Omega_f(c.N, inverse(A)) for A in c.A)
-    g1, g2 = (P.Omega_f_bar(c.T, A) for A in c.A)
-    m1, m2 = (P.Omega_m(c.T, inverse(B)) for B in c.B)
-    w1, w2 = (P.Omega_m_bar(c.N, B) for B in c.B)
-    close(f1 @ f2, f2)
-    assert vanishes(g1, f2)
-    close(g1 @ g2, g1)
-    close(m1 @ m2, m2)
-    assert vanishes(w1, m2)
-    close(w1 @ w2, w1)
-    if 0 < r < 6:
-        assert np.abs(f1 - f2).max() > 1e-6 and np.abs(m1 - m2).max() > 1e-6
-        assert np.abs(g1 @ g2).max() > 1e-3 and np.abs(w1 @ w2).max() > 1e-3
-
-
-@mark.parametrize("seed", TRIALS)
-def test_empty_and_full_contacts(seed):
-    free = case(seed, 0)
-    clamped = case(seed, 6)
-    A = free.A[0]
-    B = free.B[0]
-    none = np.zeros((6, 0))
-    all_ = np.zeros((6, 6))
-    assert_array_equal(P.Omega_f(none, inverse(A)), all_)
-    assert_array_equal(P.Omega_m_bar(none, B), all_)
-    assert_array_equal(P.Omega_f_bar(none, A), all_)
-    assert_array_equal(P.Omega_m(none, inverse(B)), all_)
-    assert_array_equal(P.Omega_f_bar_from_complement(none, none), all_)
-    assert_array_equal(P.Omega_m_bar_from_complement(none, none), all_)
-    close(P.Omega_f_bar(free.T, A), np.eye(6))
-    close(P.Omega_m(free.T, inverse(B)), np.eye(6))
-    close(P.Omega_f(clamped.N, inverse(A)), np.eye(6))
-    close(P.Omega_m_bar(clamped.N, B), np.eye(6))
 
 
 @mark.parametrize("r", [1, 2, 3, 4, 5])
@@ -253,38 +194,32 @@ def test_metrics_that_are_nearly_symmetric_or_definite_are_refused(size):
 
 
 @mark.parametrize("k", [2, 3, 4, 5, 6])
-@mark.parametrize("seed", range(3))
-def test_dependent_columns_are_refused(seed, k):
-    rng = np.random.default_rng([seed, k])
+@mark.parametrize("zero", [True, False])
+def test_dependent_and_zero_columns_are_refused(zero, k):
+    rng = np.random.default_rng(k)
     columns = SIZE[:, None] * rng.normal(size=(6, k))
-    columns[:, -1] = columns[:, :-1] @ rng.normal(size=k - 1)
-    force = definite(rng, 1 / SIZE)
-    motion = definite(rng, 1 / SIZE)
+    columns[:, -1] = 0.0 if zero else columns[:, :-1] @ rng.normal(size=k - 1)
+    words = f"column {k - 1}" if zero else "dependent"
     for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
-        with raises(ContactError, match="dependent"):
-            law(columns, force if law in (P.Omega_f, P.Omega_m_bar) else motion)
-
-
-def test_zero_columns_are_refused():
-    columns = np.eye(6)[:, :3].copy()
-    columns[:, 1] = 0.0
-    for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
-        with raises(ContactError, match="column 1"):
-            law(columns, np.eye(6))
+        with raises(ContactError, match=words):
+            law(columns, definite(rng, 1 / SIZE))
 
 
 @mark.parametrize("r", [1, 2, 3, 4, 5])
-@mark.parametrize("seed", range(3))
-def test_no_complement_is_refused(seed, r):
+@mark.parametrize("unit", [1e-7, 1.0, 1e7])
+def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit, r):
     """One vector in common with the other space is enough."""
-    c = case(seed, r)
-    rng = np.random.default_rng([seed, r, 6])
+    c = case(0, r)
+    rng = np.random.default_rng([r, 6])
     N_prime = SIZE[:, None] * rng.normal(size=(6, 6 - r))
     T_prime = rng.normal(size=(6, r)) / SIZE[:, None]
+    f = SIZE * rng.normal(size=6)
+    got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
+    close(got @ f, part(N_prime, c.N, f), 1e-9)
     N_prime[:, 0] = c.N @ rng.normal(size=r)
     T_prime[:, 0] = c.T @ rng.normal(size=6 - r)
     with raises(ContactError, match="N′ is not a complement of N"):
-        P.Omega_f_bar_from_complement(N_prime @ mixing(rng, 6 - r), c.T)
+        P.Omega_f_bar_from_complement(unit * N_prime @ mixing(rng, 6 - r), unit * c.T)
     with raises(ContactError, match="T′ is not a complement of T"):
         P.Omega_m_bar_from_complement(T_prime @ mixing(rng, r), c.N)
     with raises(ContactError, match="complement"):
@@ -394,9 +329,6 @@ def test_null_space_is_the_whole_of_it(seed, k):
     assert (np.abs(c.N.T @ T) <= 1e-12 * scale).all()
     assert (np.linalg.matrix_rank(T * SIZE[:, None]) if T.size else 0) == 6 - k
     assert k == 6 or same_span(T * SIZE[:, None], c.T * SIZE[:, None])
-    X, X_f = millimetres(np.random.default_rng(0))
-    moved = np.linalg.solve(X, P.null_space(X_f @ c.N)) if k < 6 else np.zeros((6, 0))
-    assert k == 6 or same_span(moved * SIZE[:, None], c.T * SIZE[:, None])
 
 
 def test_null_space_of_pure_forces_and_pure_couples():

@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from numpy.testing import assert_allclose
-from pair_kinds import pose_of as pose
 from pytest import mark, raises
-from rigs import friction_wrenches, one_panda, random_faces, random_state
+from rigs import one_panda, random_faces, random_state
 from samples import first
 from test_law import inputs, motion_of, off_their_faces
 
 import osc_contact as osc
-from osc_contact.contacts.pairs.pair import Bodies, pushes_only, velocity
+from osc_contact.contacts.pairs.pair import Bodies, velocity
 from osc_contact.dynamics.environment import Cart, Conveyor
 from osc_contact.scenarios import list_scenarios
 from osc_contact.scenarios.control_schema import Friction, PhaseSettings
@@ -261,30 +260,6 @@ def kinds(X, rng):
         osc.CylinderOnPlane(p, d, 0.03, at, n),
         osc.FaceOnFace(p, d, at, n),
     ]
-
-
-def test_every_pair_that_pushes_rubs_where_it_touches():
-    rng = np.random.default_rng(3)
-    friction = Friction(0.3, slip=1e-9)
-    for _ in range(10):
-        X = pose(rng)
-        X_WE = pose(rng)
-        V = rng.normal(size=6)
-        V_E = rng.normal(size=6)
-        touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
-        for pair in kinds(X, rng):
-            assert pushes_only(pair)
-            N = pair.contact(X, V, X_WE, V_E).N
-            points = pair.points_of_contact(X, X_WE) - X.translation[:, None]
-            assert_allclose(np.cross(points.T, N[:3].T).T, N[3:], atol=1e-12)
-            V_rel = Bodies.at_O(X, V, X_WE, V_E).V_rel
-            wrenches = friction_wrenches(friction, [pair], X, V, touched)
-            for p, column, rubbing in zip(points.T, N.T, wrenches.T, strict=True):
-                v = velocity(V_rel, p)
-                v = v - (v @ column[:3]) * column[:3]
-                assert_allclose(rubbing[:3], 0.3 * v / np.linalg.norm(v), atol=1e-8)
-                assert_allclose(rubbing[3:], np.cross(p, rubbing[:3]), atol=1e-9)
-                assert rubbing @ V_rel > 0.0  # into the environment
 
 
 def test_least_squares_is_chosen_where_its_answer_is_unique():

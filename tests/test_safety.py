@@ -180,34 +180,6 @@ def test_what_raises_in_python_counts_too():
     assert other.state is SAFE_STOP
 
 
-def test_rows_of_a_batch_stop_one_by_one(case):
-    batch = osc.BatchController([case.controller() for _ in range(3)])
-    single = case.controller()
-    m = case.measurement
-    r = case.reference
-
-    def three(x):
-        return np.tile(np.asarray(x, dtype=float), (3,) + (1,) * np.ndim(x))
-
-    wrenches = three(m.wrenches)
-    wrenches[1] = NAN
-    for _ in range(21):
-        tau = batch.tick(
-            three(m.q),
-            three(m.v),
-            wrenches,
-            three(r.X_WD.homogeneous),
-            V_D=three(r.V_D),
-            A_D=three(r.A_D),
-            alpha_d=three(r.alpha_d),
-            squeeze_d=np.full(3, float(r.squeeze_d)),
-        )
-        assert_array_equal(tau[1], single.tick(blind(case), r))
-    assert batch.state.tolist() == [RUN, SAFE_STOP, RUN]
-    batch.reset(np.array([False, True, False]))
-    assert batch.state.tolist() == [RUN, RUN, RUN]
-
-
 def test_copies_stay_stopped(case):
     controller = case.controller()
     for _ in range(20):

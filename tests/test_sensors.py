@@ -125,14 +125,6 @@ def test_encoders_give_no_velocity_and_vision_no_twist():
     assert not np.isnan(got.q).any() and got.joint_torques[0] == 7.0
 
 
-def test_a_controller_holds_its_torques_rather_than_take_velocities_that_are_not_there():
-    scenario = osc.load_scenario("two_contact_rod", ["sensors.encoder={rate: 1 kHz}"])
-    rig = osc.build_rig(scenario)
-    controller = rig.controller()
-    controller.tick(rig.plant().measure(), rig.references.at(0.0))
-    assert controller.status is osc.Status.HELD and "v" in controller.reason
-
-
 def test_vision_errs_in_millimetres_and_milliradians():
     vision = VisionSpec(1e3, position={"noise": 1e-3}, orientation={"noise": 5e-3})
     out = readings(Sensors(vision=vision), 3000)

@@ -51,7 +51,7 @@ class Look:
         """Run it in separate memory.
 
         Args:
-            row: from `chain_rows.chain_row`; led, if no pose is given.
+            row: from `chain_row`; led, if no pose is given.
             q, v: (n,). X_WO: (4, 4), V_O: (6,) of the object, if they are given.
         """
         rows = Rows(row)
