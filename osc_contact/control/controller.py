@@ -546,7 +546,7 @@ class Controller:
         """
         self._require_tick()
         if self._result is None or self._result.records is not self._records:
-            self._result = TickResult.of(self._records)
+            self._result = TickResult(self._records)
         return self._result
 
     def _require_tick(self) -> None:

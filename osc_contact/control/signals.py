@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +13,6 @@ from osc_contact.control.records import Settings, TickRecords
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.interface import Reference, Touched
-from osc_contact.law import records as at
 from osc_contact.spatial import Array
 
 
@@ -134,68 +133,31 @@ def internal_forces(arms: int) -> int:
     return max(1, arms * (arms - 1) // 2)
 
 
-@dataclass(frozen=True, eq=False)
 class TickResult:
     """Views of a controller's records: the next tick overwrites them. At O in world axes.
 
     Attributes:
         records: where all of it stands.
-        J: (n, 6) the joints' columns at the world's origin, one in each row.
+        J_world: (n, 6) the joints' columns at the world's origin, one in each row.
         f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
         f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
         error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
-        squeeze: (1,) internal force along the grasp line (N), > 0 compresses; with k ≥ 3 arms
-            (k(k − 1)/2,) that between each two grasps, as in `Reference.squeeze_d`, or zeros
-            where none is commanded.
-        magnitudes, speeds: (6,) contact magnitudes measured and NᵀV_rel of the independent
-            columns; the first r of them count.
-        flags: engaged (1,), phase and active (contacts,), closed and collision (r_all,).
     """
 
-    records: TickRecords
-    J: Array
-    f_meas: Array
-    bias_out: Array
-    f_c: Array
-    V_O: Array
-    X_WO: Array
-    error: Array
-    free_error: Array
-    squeeze: Array
-    magnitudes: Array
-    speeds: Array
-    flags: list[Array]
+    def __init__(self, records: TickRecords) -> None:
+        """What these records hold."""
+        self.records = records
 
-    @classmethod
-    def of(cls, records: TickRecords) -> TickResult:
-        """The views of these records."""
-        names = (
-            "f_meas",
-            "bias_out",
-            "f_c",
-            "V_O",
-            "X_WO",
-            "error",
-            "free_error",
-            "internal",
-            "alpha_meas",
-            "speed",
-        )
-        fields = [records.work[name] for name in names]
-        if len(records.work.bars) > 1:
-            fields[7] = records.work.bars
-        memory = records.memory
-        head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
-        contacts = memory.contacts
-        columns = memory.columns
-        flags = [
-            head["engaged"],
-            contacts.phase,
-            contacts.active,
-            columns.closed,
-            columns.collision,
-        ]
-        return cls(records, records.work.J_world, *[*fields, flags])
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.records.work, name)
+
+    @property
+    def squeeze(self) -> Array:
+        """(1,) internal force along the grasp line (N), > 0 compresses; with k ≥ 3 arms
+        (k(k − 1)/2,) that between each two grasps, as in `Reference.squeeze_d`, or zeros where none
+        is commanded."""
+        work = self.records.work
+        return work.bars if len(work.bars) > 1 else work.internal
 
     @property
     def rank(self) -> int:
@@ -205,12 +167,12 @@ class TickResult:
     @property
     def alpha_meas(self) -> Array:
         """(r,) contact magnitudes measured."""
-        return self.magnitudes[: self.rank]
+        return self.records.work.alpha_meas[: self.rank]
 
     @property
     def normal_speed(self) -> Array:
         """(r,) NᵀV_rel (m/s): 0 while the contacts last."""
-        return self.speeds[: self.rank]
+        return self.records.work.speed[: self.rank]
 
     @property
     def mobility(self) -> Array:

@@ -23,6 +23,7 @@ from osc_contact.control.status import Phase, Status
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.interface import Measurement, Reference
+from osc_contact.law import records as at
 from osc_contact.plants.judge import Judge, TruthLog, Truths
 from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
@@ -251,7 +252,7 @@ def _motion_error(of: Subject, rows: Array, N: Array, phase: Array) -> Array:
     q = rows["q"]
     error = rows["error"]
     k = len(rows)
-    J = np.ascontiguousarray(rows["J"].T).reshape(-1, 6, k).swapaxes(0, 1)
+    J = np.ascontiguousarray(rows["J_world"].T).reshape(-1, 6, k).swapaxes(0, 1)
     X = _poses(rows["X_WO"].reshape(k, 4, 4))
     held = phase[:, of.owners] != Phase.OPEN
     changes = np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1
@@ -342,7 +343,7 @@ class Recorder:
         squeezes = internal_forces(len(chain.arms))
         found = {**_FOUND, "squeeze": squeezes}
         if not of.free:  # what the arms can make of an error is recorded
-            found["J"] = 6 * chain.nq
+            found["J_world"] = 6 * chain.nq
         unknown = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **found}
         if self.truth is None:
             unknown["X_WE"] = 16 * contacts
@@ -421,8 +422,13 @@ class Recorder:
         if result is not self._last:
             self._last = result
             self._parts = [np.ravel(getattr(result, name)) for name in self._names]
-            self._flags = result.flags[: None if self.of.controller.life is not None else 1]
-            self._parts[:0] = [result.magnitudes[:r], result.speeds[:r]]
+            self._parts[:0] = [result.records.work[name][:r] for name in ("alpha_meas", "speed")]
+            head = result.records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
+            self._flags = [head["engaged"]]
+            if self.of.controller.life is not None:
+                contacts = result.records.memory.contacts
+                columns = result.records.memory.columns
+                self._flags += [contacts.phase, contacts.active, columns.closed, columns.collision]
         parts = self._parts
         if result.rank != r:
             parts = [*result.records.spread(), *parts[2:]]
