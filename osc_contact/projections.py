@@ -15,7 +15,7 @@ from typing import NoReturn
 import numpy as np
 
 from osc_contact.errors import ContactError
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, norm
 
 
 def Omega_f(N: Array, A_inv: Array) -> Array:
@@ -197,7 +197,7 @@ def _refuse(M: Array, X: Array, unseen: Array, what: str) -> NoReturn:
             f"{what}: columns {which} are dependent (least singular value of unit columns "
             f"{independent:.2g}, limit {DEPENDENT:g}). Remove the redundant ones."
         )
-    share = np.linalg.norm(X @ unseen)
+    share = norm(X @ unseen)
     which = _large(np.linalg.solve(unit, unseen))
     raise ContactError(
         f"{what}: columns {which} are dependent in the metric (least singular value "

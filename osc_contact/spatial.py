@@ -33,6 +33,7 @@ __all__ = [
     "Array",
     "as_array",
     "as_pose",
+    "norm",
     "cross",
     "skew",
     "carry_twist",
@@ -92,6 +93,11 @@ def as_pose(name: str, position: Any, rotation: Any) -> pin.SE3:
             "give a rotation matrix, such as pin.rpy.rpyToMatrix(roll, pitch, yaw)"
         )
     return pin.SE3(R, p)
+
+
+def norm(x: Array) -> float:
+    """Euclidean length √(xᵀx)."""
+    return float(np.linalg.norm(x))
 
 
 def cross(x: Array, y: Array) -> Array:

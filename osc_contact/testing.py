@@ -19,7 +19,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.interface import Measurement, Robot
 from osc_contact.scenarios.control_schema import SafetySettings
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array, as_array, norm
 
 HOLD = 50  #: ticks under the model's own weight
 PULSE = 30  #: ticks of a torque, and as many of its opposite
@@ -180,7 +180,7 @@ class _Check:
             torques = self.weight(q) - self.weight(q[order])
             cause = f"joints '{self.names[i]}' and '{self.names[j]}' seem to be swapped"
             causes[cause] = np.linalg.solve(self.mass(q[order]), torques)[order]
-        cause = min(causes, key=lambda cause: float(np.linalg.norm(causes[cause] - seen)))
+        cause = min(causes, key=lambda cause: norm(causes[cause] - seen))
         worst = int(np.abs(seen).argmax())
         raise PlantError(
             f"torques that balance the arm's weight speed up joint '{self.names[worst]}' by "
@@ -304,11 +304,11 @@ def require_nudge(
         PlantError: no push was read, or one in another direction.
     """
     at_rest = outside()[:3]
-    direction = direction / np.linalg.norm(direction)
+    direction = direction / norm(direction)
     for _ in range(round(patience / (MEAN * dt))):
         felt = at_rest - outside()[:3]
-        if np.linalg.norm(felt) > 2.0 * SafetySettings().load_error:
-            if felt @ direction < 0.7 * np.linalg.norm(felt):
+        if norm(felt) > 2.0 * SafetySettings().load_error:
+            if felt @ direction < 0.7 * norm(felt):
                 raise PlantError(
                     f"the tip was pushed along {np.round(direction, 2).tolist()}, and the "
                     f"wrist reads {np.round(-felt, 1).tolist()} N more in world axes; the sign "

@@ -24,7 +24,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.errors import ContactError, InvalidInputError
-from osc_contact.spatial import Array, as_array, carry_wrench, cross, skew
+from osc_contact.spatial import Array, as_array, carry_wrench, cross, norm, skew
 
 _DEPENDENT = 1e-10
 _VISIBLE = 1e-6
@@ -166,7 +166,7 @@ def _why(Q: Array, size: float, tolerance: float, forces: int) -> str:
     beyond_C = couples[:, r - k :] @ couples[:, r - k :].T
     a = axis_of(U, k)
     b = axis_of(couples, r - k)
-    angle = 0.0 if a is None or b is None else float(np.arctan2(np.linalg.norm(cross(a, b)), a @ b))
+    angle = 0.0 if a is None or b is None else float(np.arctan2(norm(cross(a, b)), a @ b))
     tilt = abs(np.sin(2.0 * angle))
 
     system = np.concatenate([-beyond_C @ skew(u) for u in F.T] or [np.zeros((0, 3))])
@@ -285,9 +285,9 @@ def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
     x = np.zeros(3) if a is None else a
     if b is not None:
         x = x + (b if x @ b >= 0.0 else -b)
-    x = x / np.linalg.norm(x)
+    x = x / norm(x)
     y = cross(x, _EYE[int(np.abs(x).argmin())])
-    y = y / np.linalg.norm(y)
+    y = y / norm(y)
     return np.column_stack((x, y, cross(x, y)))
 
 

@@ -33,7 +33,7 @@ from osc_contact.scenarios.control_schema import (
     SafetySettings,
 )
 from osc_contact.scenarios.quantities import Spec
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array, as_array, norm
 
 # What a controller is made of: taken once, never changed.
 #
@@ -488,7 +488,7 @@ class TickRecords:
         for name, arm in zip(names, self.work.arms, strict=True):
             for e in range(int(arm.n_lost)):
                 twist = to_motion @ arm.lost[e]
-                size = np.linalg.norm(twist[:3]) or np.linalg.norm(twist[3:])
+                size = norm(twist[:3]) or norm(twist[3:])
                 ratio = 1.0 / max(float(arm.chi[e]), 1e-12) ** 2
                 out.append(LostDirection(name, float(arm.share[e]), ratio, twist / size))
         return tuple(out)

@@ -5,7 +5,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, norm
 
 
 class Status(IntEnum):
@@ -60,7 +60,7 @@ class LimitLoss:
             f"{name}: {desired:.4g} of ±{limit:.4g} desired"
             for name, desired, limit in zip(self.joints, self.desired, self.limits, strict=True)
         )
-        linear, angular = (np.linalg.norm(part) for part in np.split(self.acceleration, 2))
+        linear, angular = (norm(part) for part in np.split(self.acceleration, 2))
         text = f"{motors}; given up: motion {linear:.3f} m/s², {angular:.3f} rad/s²"
         if len(self.force):
             text += f", contact force {np.round(self.force, 3) + 0.0} N"

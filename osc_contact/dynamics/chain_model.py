@@ -20,7 +20,8 @@ from osc_contact.dynamics.grasp import Grasp, locate
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.law import records as at
 from osc_contact.law.records import Bytes, new_model
-from osc_contact.spatial import Array, carry_twist, cross
+from osc_contact.robots.model import joint_names
+from osc_contact.spatial import Array, carry_twist, cross, norm
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ class ChainModel:
     @property
     def joint_names(self) -> list[str]:
         """All joints in the order of q and v, "arm/joint"."""
-        return list(self.model.names)[1:]
+        return joint_names(self.model)
 
     def tip_poses(self, data: pin.Data | None = None) -> list[pin.SE3]:
         """Pose of each arm's tip in the world, at the positions last given to `data`."""
@@ -390,7 +391,7 @@ def _z_frame(model: pin.Model, joint: int) -> pin.SE3:
         return pin.SE3.Identity()
     start = np.eye(3)[int(np.abs(axis).argmin())]
     first = cross(start, axis)
-    first /= np.linalg.norm(first)
+    first /= norm(first)
     return pin.SE3(np.column_stack((first, cross(axis, first), axis)), np.zeros(3))
 
 

@@ -26,6 +26,7 @@ from osc_contact.spatial import (
     classical_to_spatial,
     cross,
     cross_wrench,
+    norm,
 )
 
 
@@ -541,7 +542,7 @@ class Hinge:
 
 def _take_unit(body: object, kind: str, name: str) -> None:
     u = as_array(f"{kind}.{name}", getattr(body, name), (3,))
-    length = float(np.linalg.norm(u))
+    length = norm(u)
     if length == 0.0:
         raise InvalidInputError(f"{kind}.{name} is zero; give a direction")
     object.__setattr__(body, name, u / length)

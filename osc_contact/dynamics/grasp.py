@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.scenarios.bodies import GRASP_TYPES
-from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist
+from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist, norm
 
 _SAME = 1e-9  #: columns of unit size nearer to dependence than this are dependent
 
@@ -74,7 +74,7 @@ class Grasp:
     def hinge(cls, X_TO: pin.SE3, axis: npt.ArrayLike) -> Grasp:
         """The object turns about an axis (3,) through the tip's origin, in tip axes."""
         direction = as_array("axis of the hinge", axis, (3,))
-        length = float(np.linalg.norm(direction))
+        length = norm(direction)
         if not length > 1e-12:
             raise InvalidInputError(f"axis of the hinge: {direction} has no direction")
         return cls(X_TO, np.concatenate((np.zeros(3), direction / length))[:, None])

@@ -28,6 +28,7 @@ from osc_contact.robots.model import (
     build_model,
     check_mass_matrix,
     frame_id,
+    joint_names,
     random_configurations,
 )
 from osc_contact.robots.urdf import Document, check_mimics, check_tree, read_document
@@ -147,7 +148,7 @@ def load_body(path: Path | str) -> pin.Inertia:
     links = loaded.document.links.values()
     heavy = [link.name for link in links if link.inertial and link.inertial.mass > 0]
     if loaded.model.nv > 0:
-        moving = ", ".join(list(loaded.model.names)[1:])
+        moving = ", ".join(joint_names(loaded.model))
         raise ModelError(f"{file}: one rigid body is expected, but these joints move: {moving}")
     if len(heavy) != 1:
         raise ModelError(
@@ -223,7 +224,7 @@ def _difference(model: pin.Model, other: Any) -> tuple[float, str]:
     """The largest difference between both readers, and the link that has it."""
     data = model.createData()
     root = other.base_link
-    names = list(model.names)[1:]
+    names = joint_names(model)
     worst = 0.0
     where = root
     for q in (pin.neutral(model), *random_configurations(model, 5)):

@@ -11,7 +11,7 @@ import pinocchio as pin
 from osc_contact.errors import ModelError
 from osc_contact.robots.urdf import MOMENTS, Document
 from osc_contact.robots.xml_tree import refuse, refuse_file, suggest
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, norm
 
 SAMPLES = 20
 _ENDLESS = 1e9
@@ -34,7 +34,7 @@ def build_model(document: Document) -> pin.Model:
     except (ValueError, RuntimeError) as error:
         reason = f"Pinocchio refuses the file: {error}"
         refuse_file("tree", document.file, reason, "details are on stderr")
-    for j, name in enumerate(list(model.names)[1:]):
+    for j, name in enumerate(joint_names(model)):
         joint = document.joints[name]
         limits = {} if joint.kind == "continuous" else joint.limits
         model.lowerPositionLimit[j] = limits.get("lower", -math.inf)
@@ -76,6 +76,11 @@ def _text(document: Document) -> str:
     return ElementTree.tostring(robot, encoding="unicode")
 
 
+def joint_names(model: pin.Model) -> list[str]:
+    """Names of the joints that move, in model order."""
+    return list(model.names)[1:]
+
+
 def slides(model: pin.Model, joint: int) -> bool:
     """Whether a joint of a model is a sliding one."""
     return bool(model.joints[joint].shortname().startswith("JointModelP"))
@@ -101,8 +106,8 @@ def check_mass_matrix(model: pin.Model, document: Document | None = None) -> Non
     if model.nv == 0:
         return
     data = model.createData()
-    reach = np.array([np.linalg.norm(X.translation) for X in model.jointPlacements])
-    lever = np.array([np.linalg.norm(body.lever) for body in model.inertias])
+    reach = np.array([norm(X.translation) for X in model.jointPlacements])
+    lever = np.array([norm(body.lever) for body in model.inertias])
     below = [list(subtree) for subtree in list(model.subtrees)[1:]]
     extent = np.array([reach[tree[1:]].sum() + lever[tree].max() for tree in below])
     for q in (pin.neutral(model), *random_configurations(model, SAMPLES)):
@@ -131,7 +136,7 @@ def _is_positive(unit: Array) -> bool:
 
 
 def _refuse_mass_matrix(model: pin.Model, document: Document | None, q: Array, weak: Array) -> None:
-    names = [name for name, bad in zip(list(model.names)[1:], weak, strict=True) if bad]
+    names = [name for name, bad in zip(joint_names(model), weak, strict=True) if bad]
     reason = (
         f"the mass matrix is not positive definite at q = {np.round(q, 3).tolist()}: "
         f"joint {', '.join(names)} can move without moving mass"

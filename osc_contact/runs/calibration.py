@@ -16,7 +16,7 @@ from osc_contact.runs import hardware
 from osc_contact.runs.rig import build_chain
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sensing.calibration import WristLoad, calibrate_wrist
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, norm
 
 STEP = 1e-3
 SETTLE = 0.05  #: s, left out of each average: the readings in it may be older than the posture
@@ -42,7 +42,7 @@ class WristCalibration:
             "true_com_m": self.com.tolist(),
             "bias": self.found.bias.tolist(),
             "mass_error_rel": abs(self.found.mass / self.mass - 1.0),
-            "com_error_m": float(np.linalg.norm(self.found.com - self.com)),
+            "com_error_m": norm(self.found.com - self.com),
         }
 
 

@@ -15,7 +15,7 @@ from osc_contact.robots.summary import joint_losses, loss_words
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.bodies import magnitude_names
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, norm
 from osc_contact.visual.screws import common_perpendicular, echelon
 
 
@@ -189,10 +189,10 @@ def _twist_words(twist: Array) -> str:
     """A twist as pure translation, or as turning about an axis with a pitch."""
     v = twist[:3]
     w = twist[3:]
-    if float(np.linalg.norm(w)) < 1e-9 * max(float(np.linalg.norm(v)), 1.0):
-        return f"translation along {_vector(v / np.linalg.norm(v))}"
-    turn = w / np.linalg.norm(w)
-    speed = v / np.linalg.norm(w)
+    if norm(w) < 1e-9 * max(norm(v), 1.0):
+        return f"translation along {_vector(v / norm(v))}"
+    turn = w / norm(w)
+    speed = v / norm(w)
     pitch = float(turn @ speed)
     point = np.cross(turn, speed)
     words = f"turning about {_vector(turn)} through {_vector(point)} m from the object's origin"
@@ -202,9 +202,9 @@ def _twist_words(twist: Array) -> str:
 def _wrench_words(wrench: Array) -> str:
     force = wrench[:3]
     couple = wrench[3:]
-    if np.linalg.norm(force) < 1e-6 * np.linalg.norm(couple):
-        return f"couple about {_vector(couple / np.linalg.norm(couple))}"
-    size = np.linalg.norm(force)
+    if norm(force) < 1e-6 * norm(couple):
+        return f"couple about {_vector(couple / norm(couple))}"
+    size = norm(force)
     return f"force along {_vector(force / size)} with couple {_vector(couple / size)} m"
 
 

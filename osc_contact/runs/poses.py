@@ -13,10 +13,11 @@ from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.robots.model import joint_names
 from osc_contact.runs.rig import build_chain, given_pose, posture_of
 from osc_contact.scenarios.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, norm
 
 TRIES = 40  #: random postures from which a pose is sought, after the given one
 #: a pose that is missed by less is reached
@@ -130,10 +131,10 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
     away = []
     for tip, grasp in zip(chain.tip_poses(), chain.grasps, strict=True):
         X = tip * grasp.X_TO
-        turn = float(np.linalg.norm(pin.log3(X.rotation.T @ X_WO.rotation)))
-        shift = float(np.linalg.norm(X.translation - X_WO.translation))
+        turn = norm(pin.log3(X.rotation.T @ X_WO.rotation))
+        shift = norm(X.translation - X_WO.translation)
         if not grasp.is_rigid:  # what the grasp permits is no miss
-            shift = float(np.linalg.norm(grasp.miss(tip, X_WO)))
+            shift = norm(grasp.miss(tip, X_WO))
             turn = 0.0
         away.append((shift, turn))
     return max(shift for shift, _ in away), max(turn for _, turn in away)
@@ -186,7 +187,7 @@ def pose_lines(chain: ClosedChain, q: Array) -> list[str]:
             else f"{np.rad2deg(x):.4f} deg"
             for x, joint in zip(q[s], kinds, strict=True)
         )
-        lines.append(f"{arm.name} posture: [{values}]   # {', '.join(list(arm.model.names)[1:])}")
+        lines.append(f"{arm.name} posture: [{values}]   # {', '.join(joint_names(arm.model))}")
     pin.forwardKinematics(chain.model, chain.data, q)
     for arm, X in zip(chain.arms, chain.tip_poses(), strict=True):
         lines.append(f"{arm.name} {arm.tip}: {pose_text(X)}")

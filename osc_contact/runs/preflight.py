@@ -30,7 +30,7 @@ from osc_contact.runs.rig import Rig
 from osc_contact.runs.task import Finding, Task, Values, findings, rule
 from osc_contact.scenarios.bodies import CartSpec
 from osc_contact.scenarios.control_schema import SafetySettings
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, norm
 
 #: of rehearsals: the longest tick, its largest product with the gains
 PERIOD_S = 4e-3
@@ -251,7 +251,7 @@ def rate(task: Task) -> Values:
 def stretched(task: Task) -> Values:
     """Distance from the base, over what the stretched arm reaches."""
     for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
-        most = _length(arm) + float(np.linalg.norm(grasp.X_TO.translation))
+        most = _length(arm) + norm(grasp.X_TO.translation)
         far = np.linalg.norm(task.poses[:, :3] - arm.base.translation, axis=1)
         k = int(far.argmax())
         words = {"far": far[k], "name": arm.name, "t": task.times[k], "most": most}
@@ -298,7 +298,7 @@ def postures(task: Task) -> Values:
         except ModelError:  # it circles about a pose out of reach
             pass
         else:
-            away = float(np.linalg.norm(object_pose(chain, q).translation - X.translation))
+            away = norm(object_pose(chain, q).translation - X.translation)
             ends = np.flatnonzero(np.minimum(q - low, high - q) < 1e-6)
             names = ", ".join(chain.joint_names[j] for j in ends)
             left = f": {1e3 * away:.0f} mm are left" + f" with {names} at the end stop" * bool(
@@ -399,7 +399,7 @@ def least_peak(A: Array, b: Array) -> float:
         A: (m, n). b: (m,).
     """
     x = np.linalg.pinv(A) @ b
-    low = float(np.linalg.norm(x) / np.sqrt(len(x)))
+    low = float(norm(x) / np.sqrt(len(x)))
     high = float(np.abs(x).max())
     scale = np.linalg.norm(A, axis=1)
     rows = A / scale[:, None]
@@ -443,7 +443,7 @@ def jump(task: Task) -> Values:
     """From the pose to the first reference (m)."""
     first = task.poses[0, :3]
     now = task.state.X_WO.translation
-    yield float(np.linalg.norm(first - now)), {"first": rounded(first), "now": rounded(now)}
+    yield norm(first - now), {"first": rounded(first), "now": rounded(now)}
 
 
 @rule(

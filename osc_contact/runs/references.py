@@ -20,7 +20,7 @@ from osc_contact.scenarios.bodies import forces_of, magnitude_names
 from osc_contact.scenarios.control_schema import TareSpec
 from osc_contact.scenarios.schema import MotionSpec, Scenario, SurfaceMove
 from osc_contact.scenarios.signals import MinimumJerk, Step, total_over
-from osc_contact.spatial import Array, Poses, as_array, cross, rotated, rotations
+from osc_contact.spatial import Array, Poses, as_array, cross, norm, rotated, rotations
 
 
 def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
@@ -321,8 +321,8 @@ class SurfaceMotion:
         self._n = n[:, 0]
         along = as_array("direction", direction, (3,))
         first = along - (along @ self._n) * self._n
-        size = float(np.linalg.norm(first))
-        if size < 1e-3 * float(np.linalg.norm(along)) or size == 0.0:
+        size = norm(first)
+        if size < 1e-3 * norm(along) or size == 0.0:
             raise InvalidInputError(
                 f"direction = {along} is along the normal of the surface, {self._n.round(4)}; give "
                 "one across it"

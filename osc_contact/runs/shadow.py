@@ -19,7 +19,7 @@ import pinocchio as pin
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, norm
 
 REST_S = 0.2  #: from the beginning, in which nobody touches the arm
 HALF = 10  #: ticks to either side over which accelerations and means are taken
@@ -209,7 +209,7 @@ class Shadow:
                     f"joint '{joint.name}' leaves {joint.rms:.2g} N m unexplained: is it, or a "
                     "joint near it, reversed or out of order, or the wrench of another frame?"
                 )
-        if np.linalg.norm(bias[:3]) > BIAS[0] or np.linalg.norm(bias[3:]) > BIAS[1]:
+        if norm(bias[:3]) > BIAS[0] or norm(bias[3:]) > BIAS[1]:
             yield (
                 f"the wrist reads {np.round(bias, 2).tolist()} N, N m more at rest than hangs on "
                 "it: tare it (Controller.f_tare), or correct the payload"

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.spatial import norm
 from osc_contact.visual import contact_colour
 from osc_contact.visual.parts import Array, Frame, LegendEntry, Part, Sample, State
 from osc_contact.visual.screws import (
@@ -363,7 +364,7 @@ class Trails:
             ]
         )
         for path, point in zip(self.points.values(), points, strict=False):
-            if np.isfinite(point).all() and (not path or np.linalg.norm(point - path[-1]) >= STEP):
+            if np.isfinite(point).all() and (not path or norm(point - path[-1]) >= STEP):
                 path.append(point)
                 if len(path) > LONGEST:
                     path[:-1] = path[:-1:2]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.robots import is_mjcf, load_geometry
+from osc_contact.robots.model import joint_names
 from osc_contact.robots.pictures import mjcf_geometry, read_picture
 from osc_contact.visual.shapes import urdf_geometry
 
@@ -258,7 +259,7 @@ class MovingArm(_Drawn):
         self.model, geometry = _shapes(arm)
         self.data = self.model.createData()
         self.shapes = list(geometry.geometryObjects)
-        names = ["base", *list(self.model.names)[1:]]
+        names = ["base", *joint_names(self.model)]
         self.q = np.array([arm.locked.get(name, 0.0) for name in names[1:]])
         self.moving = [j for j, name in enumerate(names[1:]) if name not in arm.locked]
         joints = sorted({shape.parentJoint for shape in self.shapes})

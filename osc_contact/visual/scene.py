@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording, column_names
+from osc_contact.spatial import norm
 from osc_contact.visual import OKABE_ITO, contact_colour
 from osc_contact.visual.marks import (
     T_COLOUR,
@@ -294,7 +295,7 @@ def _headings(points: Array, bases: Array, pushes: Array) -> tuple[float, float]
     """Headings (rad) of the object's side, and near it of where forces are seen from the side."""
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))[:2]
     away = middle - bases[:, :2].mean(axis=0) if len(bases) else middle
-    front = float(np.arctan2(away[1], away[0])) if np.linalg.norm(away) > 0.02 else -np.pi / 3
+    front = float(np.arctan2(away[1], away[0])) if norm(away) > 0.02 else -np.pi / 3
     turns = np.deg2rad([0, 15, -15, 30, -30, 45, -45, 60, -60])
     along = [np.abs(pushes @ eye(front + turn)).max(initial=0.0) for turn in turns]
     return front, front + float(turns[np.argmin(np.round(along, 1))])
@@ -324,7 +325,7 @@ def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, f
 def picture_axes(view: Array) -> Array:
     """(2, 3) right and up of a picture that is looked at against the view."""
     right = np.cross([0.0, 0.0, 1.0], view)
-    right /= np.linalg.norm(right)
+    right /= norm(right)
     return np.array([right, np.cross(view, right)])
 
 

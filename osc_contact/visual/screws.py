@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.spatial import norm
 
 Array = NDArray[np.float64]
 FAR = 100.0
@@ -62,8 +63,8 @@ def _halves(vector: ArrayLike) -> tuple[Array, Array]:
 
 
 def _screw(line: Array, moment: Array, origin: Array) -> ScrewAxis:
-    size = float(np.linalg.norm(line))
-    arm = float(np.linalg.norm(moment))
+    size = norm(line)
+    arm = norm(moment)
     if size * FAR <= arm:
         return ScrewAxis(origin, moment / arm, float("inf"))
     direction = line / size
@@ -92,13 +93,13 @@ def common_perpendicular(
     """
     p = np.asarray(p, dtype=float)
     q = np.asarray(q, dtype=float)
-    d, e = (np.asarray(line / np.linalg.norm(line)) for line in map(np.asarray, (d, e)))
+    d, e = (np.asarray(line / norm(line)) for line in map(np.asarray, (d, e)))
     cosine = float(d @ e)
-    sine = float(np.linalg.norm(np.cross(d, e)))
+    sine = norm(np.cross(d, e))
     t = 0.0 if sine < 1e-9 else float(((d @ (q - p)) * cosine - e @ (q - p)) / sine**2)
     second = q + t * e
     first = p + (d @ (second - p)) * d
-    distance = float(np.linalg.norm(second - first))
+    distance = norm(second - first)
     return CommonPerpendicular(first, second, distance, float(np.arctan2(sine, abs(cosine))))
 
 

@@ -19,7 +19,7 @@ from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes, ends
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
 from osc_contact.scenarios.quantities import Angle, Length, UnitVec3, Vec3
-from osc_contact.spatial import cross
+from osc_contact.spatial import cross, norm
 
 
 class CylinderInVGrooveSpec(OnBodySpec):
@@ -82,7 +82,7 @@ class CylinderInVGroove(PointsOnPlanes):
     def __post_init__(self) -> None:
         check_geometry(self)
         side = cross(self.groove_direction, self.groove_outward)
-        size = float(np.linalg.norm(side))
+        size = norm(side)
         if not (0.0 < self.groove_angle < pi and size > 1e-6):
             raise InvalidInputError(
                 f"{self.name}: the walls enclose {self.groove_angle} rad and the way out of the "

@@ -10,7 +10,7 @@ import pinocchio as pin
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import Bodies, Extent, check_geometry, register_pair
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array, as_array, cross_twist
+from osc_contact.spatial import Array, as_array, cross_twist, norm
 
 # Eighth-order central differences at the steps ±1 … ±4.
 _STEPS = np.array([1.0, 2.0, 3.0, 4.0])
@@ -70,7 +70,7 @@ class GapFunctions:
         N = np.vstack((to_E.T @ N_E[:3], to_E.T @ N_E[3:]))
         V_rel = b.V_rel
         xi = np.concatenate((to_E @ V_rel[:3], to_E @ V_rel[3:]))
-        speed = float(np.linalg.norm(xi / units))  # how many units of `step` per second
+        speed = norm(xi / units)  # how many units of `step` per second
         bend = self._differences(X_EA, xi / speed)[1] * speed**2 if speed else 0.0
         return Contact(N, cross_twist(b.V_E, V_rel) @ N + bend, name=self.name)
 

@@ -14,7 +14,7 @@ import pinocchio as pin
 from osc_contact.contacts.contact import Contact
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.bodies import ContactSpec, OfBody, register_contact
-from osc_contact.spatial import Array, as_array, carry_twist, cross, skew
+from osc_contact.spatial import Array, as_array, carry_twist, cross, norm, skew
 
 _ORIGIN = np.zeros(3)
 _AT_REST = np.zeros(6)
@@ -162,9 +162,9 @@ def triad(z: Array) -> Array:
     The first column is horizontal for every z but ±y.
     """
     x = cross(np.array([0.0, 1.0, 0.0]), z)
-    if np.linalg.norm(x) < 1e-3:
+    if norm(x) < 1e-3:
         x = cross(np.array([0.0, 0.0, 1.0]), z)
-    x = x / np.linalg.norm(x)
+    x = x / norm(x)
     return np.column_stack((x, cross(z, x), z))
 
 
@@ -213,7 +213,7 @@ def unit_vector(name: str, value: Any) -> Array:
         InvalidInputError: wrong shape, not finite or zero.
     """
     vector = as_array(name, value, (3,))
-    length = float(np.linalg.norm(vector))
+    length = norm(vector)
     if length < 1e-9:
         raise InvalidInputError(f"{name} is zero; give a direction")
     return vector / length

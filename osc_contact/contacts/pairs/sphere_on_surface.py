@@ -22,7 +22,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import SURFACE
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
 from osc_contact.scenarios.quantities import Length, Spec, Vec3
-from osc_contact.spatial import Array, Poses, cross
+from osc_contact.spatial import Array, Poses, cross, norm
 
 
 class SphereSpec(Spec):
@@ -127,7 +127,7 @@ class SphereOnSurface(LawPair):
     def __post_init__(self) -> None:
         check_geometry(self)
         y = cross(self.axis, self.along)
-        sine = float(np.linalg.norm(y))
+        sine = norm(y)
         if sine < 1e-6:
             raise InvalidInputError(
                 f"{self.name}: the x axis of the surface is {sine:.2g} rad off its z axis; give "
