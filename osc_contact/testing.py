@@ -18,6 +18,7 @@ from osc_contact.control.start_check import judge_load, outboard_mass
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.interface import Measurement, Robot
+from osc_contact.robots.model import position_limits
 from osc_contact.scenarios.control_schema import SafetySettings
 from osc_contact.spatial import Array, as_array, norm
 
@@ -151,8 +152,7 @@ class _Check:
 
     def require_range(self) -> None:
         """Positions are within the joints' limits."""
-        low = np.array(self.model.lowerPositionLimit)
-        high = np.array(self.model.upperPositionLimit)
+        low, high = position_limits(self.model)
         margin = np.where(np.isfinite(high - low), RANGE * (high - low), 0.0)
         q = self.now.q
         for j in np.flatnonzero((q < low - margin) | (q > high + margin)):

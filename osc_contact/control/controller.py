@@ -229,21 +229,10 @@ class Controller:
         object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        settings = self.__dict__.get("settings")
-        if settings is not None and name in (
-            "chain",
-            "contacts",
-            "gains",
-            "dt",
-            "B",
-            "bodies",
-            "posture",
-            "friction",
-            "reading",
-        ):
-            return getattr(settings, name)
-        if settings is not None and name == "life":
-            return settings.phases
+        """Settings that were taken when the controller was made; `life` is `Settings.phases`."""
+        field = "phases" if name == "life" else name
+        if field in Settings.__dataclass_fields__ and "settings" in self.__dict__:
+            return getattr(self.settings, field)
         raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
 
     # --- a tick ----------------------------------------------------------------------------------

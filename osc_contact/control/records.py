@@ -24,6 +24,7 @@ from osc_contact.law import records as at
 from osc_contact.law import vectors
 from osc_contact.law.records import Bytes, Rows, new_model, views
 from osc_contact.law.safety import BRAKE_RATE, SURE
+from osc_contact.robots.model import position_limits
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,
@@ -107,8 +108,7 @@ class Settings:
         object.__setattr__(self, "bodies", bodies)
         if len(self.posture):
             posture = as_array("posture", self.posture, (chain.nq,))
-            lower = np.array(chain.model.lowerPositionLimit)
-            upper = np.array(chain.model.upperPositionLimit)
+            lower, upper = position_limits(chain.model)
             with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
                 beyond = GOAL_BEYOND * (upper - lower)
             require_in_range("posture", chain, posture, beyond)
@@ -372,8 +372,7 @@ def joint_limit_margins(
     Returns:
         Where the margins begin (low, high; −inf, inf at ends without limit), their width w, k w.
     """
-    lower = np.array(model.lowerPositionLimit)
-    upper = np.array(model.upperPositionLimit)
+    lower, upper = position_limits(model)
     with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
         width = margin * np.minimum(upper - lower, _WHOLE)
     return lower + width, upper - width, width, stiffness * width

@@ -15,6 +15,7 @@ from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement
+from osc_contact.robots.model import position_limits
 from osc_contact.spatial import Array, norm
 
 RANGE = 0.05  #: of a joint's range; how far beyond its limits a robot may stand as it starts
@@ -55,8 +56,7 @@ class StartCheck:
         rows = controller._records
         if not self.inside:
             model = settings.chain.model
-            lower = np.array(model.lowerPositionLimit)
-            upper = np.array(model.upperPositionLimit)
+            lower, upper = position_limits(model)
             beyond = RANGE * upper - RANGE * lower
             require_in_range("measured q", settings.chain, measurement.q, beyond)
             self.inside = True

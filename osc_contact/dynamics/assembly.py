@@ -9,6 +9,7 @@ from osc_contact.dynamics.chain_model import columns_at
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import moved
 from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.robots.model import position_limits
 from osc_contact.spatial import Array, pose_error
 
 __all__ = [
@@ -54,7 +55,7 @@ def reach(chain: ClosedChain, q: Array, X_WO: pin.SE3, tolerance: float = 1e-6) 
         ModelError: no convergence; the pose is probably out of reach.
     """
     L = np.linalg.cholesky(chain.reference_inertia(X_WO))
-    limits = np.array(chain.model.lowerPositionLimit), np.array(chain.model.upperPositionLimit)
+    limits = position_limits(chain.model)
     q = np.clip(np.array(q, dtype=float), *limits)
     damping = 1e-3
     cost, step = _reach_step(chain, q, X_WO, L, damping)
@@ -279,8 +280,7 @@ def require_in_range(name: str, chain: ClosedChain, q: Array, beyond: Array | fl
         InvalidInputError: one stands further out; with all that do, and whether they look like
             degrees.
     """
-    lower = np.array(chain.model.lowerPositionLimit)
-    upper = np.array(chain.model.upperPositionLimit)
+    lower, upper = position_limits(chain.model)
     out = np.maximum(lower - q, q - upper) > beyond + ROUNDING
     if not out.any():
         return

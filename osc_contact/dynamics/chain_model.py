@@ -20,7 +20,7 @@ from osc_contact.dynamics.grasp import Grasp, locate
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.law import records as at
 from osc_contact.law.records import Bytes, new_model
-from osc_contact.robots.model import joint_names
+from osc_contact.robots.model import joint_names, slides
 from osc_contact.spatial import Array, carry_twist, cross, norm
 
 
@@ -373,7 +373,7 @@ def _pack_joints(chain: ChainModel, rows: Any) -> None:
         parent = model.parents[j + 1]
         if joint.idx_v != j or parent != (0 if j in firsts else j):
             raise ModelError(f"joint '{model.names[j + 1]}' does not follow the one before it")
-        row.slides = joint.shortname().startswith("JointModelP")
+        row.slides = slides(model, j + 1)
         before = pin.SE3.Identity() if parent == 0 else frames[parent - 1]
         row.placement[:] = _flat_pose(before.actInv(model.jointPlacements[j + 1]) * frames[j])
         row.link[:] = _flat_inertia(frames[j].actInv(model.inertias[j + 1]))

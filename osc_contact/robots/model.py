@@ -81,6 +81,11 @@ def joint_names(model: pin.Model) -> list[str]:
     return list(model.names)[1:]
 
 
+def position_limits(model: pin.Model) -> tuple[Array, Array]:
+    """(nq,) lowest and highest position of each joint (m, rad); ∓inf: none."""
+    return np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+
+
 def slides(model: pin.Model, joint: int) -> bool:
     """Whether a joint of a model is a sliding one."""
     return bool(model.joints[joint].shortname().startswith("JointModelP"))
@@ -159,8 +164,7 @@ def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterat
         (nq,) joint positions (m, rad).
     """
     random = np.random.default_rng(seed)
-    low = np.array(model.lowerPositionLimit)
-    high = np.array(model.upperPositionLimit)
+    low, high = position_limits(model)
     open_below = ~(low > -_ENDLESS)
     open_above = ~(high < _ENDLESS)
     low[open_below] = np.where(open_above, -np.pi, high - 2 * np.pi)[open_below]

@@ -12,6 +12,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
+from osc_contact.robots.model import position_limits
 from osc_contact.runs import hardware
 from osc_contact.runs.rig import build_chain
 from osc_contact.scenarios.schema import Scenario
@@ -85,7 +86,7 @@ def _one(
     plant = RigidPlant(chain, [], STEP)
     sensed = SensedPlant(plant, hardware.sensors(scenario.sensors, chain), seed)
     away = rng.uniform(-SPREAD, SPREAD, (postures, chain.nq))
-    limits = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    limits = position_limits(chain.model)
     rotations = []
     readings = []
     for q in np.clip(start + away, *limits):

@@ -13,7 +13,7 @@ from osc_contact import robots
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.dynamics.arm import Arm
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
-from osc_contact.robots.model import joint_names
+from osc_contact.robots.model import joint_names, position_limits
 from osc_contact.runs.poses import pose_text
 from osc_contact.runs.preflight import preflight
 from osc_contact.runs.rig import build_rig
@@ -118,8 +118,7 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
     data = arm.model.createData()
     tip = robots.frame_id(model, arm.tip)
     axis = np.array(press.axis)
-    low = np.array(model.lowerPositionLimit)
-    high = np.array(model.upperPositionLimit)
+    low, high = position_limits(model)
     limits = np.minimum(np.array(model.upperEffortLimit), 1e6)
     candidates = [_unwound(q, low, high) for q in robots.random_configurations(model, POSTURES)]
     scores = []

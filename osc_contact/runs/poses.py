@@ -13,7 +13,7 @@ from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.robots.model import joint_names
+from osc_contact.robots.model import joint_names, position_limits, sliding
 from osc_contact.runs.rig import build_chain, given_pose, posture_of
 from osc_contact.scenarios.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.scenarios.schema import Scenario
@@ -142,8 +142,7 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
 
 def rest(chain: ClosedChain) -> Array:
     """(n,) the middle between the joints' limits, 0 where there are none."""
-    low = chain.model.lowerPositionLimit
-    high = chain.model.upperPositionLimit
+    low, high = position_limits(chain.model)
     ends = np.isfinite(low) & np.isfinite(high)
     with np.errstate(invalid="ignore"):
         return np.where(ends, 0.5 * (low + high), 0.0)
@@ -156,8 +155,7 @@ def stands(chain: ClosedChain, q: Array) -> pin.SE3:
 
 def outside(chain: ClosedChain, q: Array) -> list[str]:
     """A sentence for each joint outside its limits."""
-    low = chain.model.lowerPositionLimit
-    high = chain.model.upperPositionLimit
+    low, high = position_limits(chain.model)
     return [
         f"joint {name} at {x:.4g} is outside its limits [{a:.4g}, {b:.4g}]"
         for name, x, a, b in zip(chain.joint_names, q, low, high, strict=True)
@@ -180,12 +178,9 @@ def pose_lines(chain: ClosedChain, q: Array) -> list[str]:
     """Where posture and object are, as a scenario file writes it."""
     lines = []
     for arm, s in zip(chain.arms, chain.slices, strict=True):
-        kinds = list(arm.model.joints)[1:]
         values = ", ".join(
-            f"{x:.6f}"
-            if joint.shortname().startswith("JointModelP")
-            else f"{np.rad2deg(x):.4f} deg"
-            for x, joint in zip(q[s], kinds, strict=True)
+            f"{x:.6f}" if slides else f"{np.rad2deg(x):.4f} deg"
+            for x, slides in zip(q[s], sliding(arm.model), strict=True)
         )
         lines.append(f"{arm.name} posture: [{values}]   # {', '.join(joint_names(arm.model))}")
     pin.forwardKinematics(chain.model, chain.data, q)

@@ -23,6 +23,7 @@ from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.chain_state import modes
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
 from osc_contact.interface import Measurement, Reference, Robot
+from osc_contact.robots.model import position_limits, sliding
 from osc_contact.runs import hardware, placement
 from osc_contact.runs.contacts import feet, known_bodies
 from osc_contact.runs.placement import rounded
@@ -263,14 +264,9 @@ def _length(arm: Arm) -> float:
     model = arm.model
     frame = model.frames[robots.frame_id(model, arm.tip)]
     links = [X.translation for X in (*model.jointPlacements, frame.placement)]
-    low = model.lowerPositionLimit
-    high = model.upperPositionLimit
-    slides = [
-        max(abs(low[joint.idx_q]), abs(high[joint.idx_q]))
-        for joint in list(model.joints)[1:]
-        if joint.shortname().startswith("JointModelP")
-    ]
-    return float(sum(map(np.linalg.norm, links)) + sum(slides))
+    low, high = position_limits(model)
+    slides = np.maximum(np.abs(low), np.abs(high))[sliding(model)]
+    return float(sum(map(norm, links)) + slides.sum())
 
 
 @rule(
@@ -285,8 +281,7 @@ def postures(task: Task) -> Values:
         return
     chain = task.chain
     poses = task.poses
-    low = chain.model.lowerPositionLimit
-    high = chain.model.upperPositionLimit
+    low, high = position_limits(chain.model)
     ways = poses[:, :3] - poses[0, :3]
     turns = np.abs(poses[:, 3:] @ poses[0, 3:])  # cosine of half the angle
     for k in sorted({int(k) for k in (*ways.argmax(axis=0), *ways.argmin(axis=0), turns.argmin())}):

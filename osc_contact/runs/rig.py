@@ -23,6 +23,7 @@ from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
 from osc_contact.response import require_reachable
+from osc_contact.robots.model import position_limits
 from osc_contact.runs import hardware
 from osc_contact.runs.contacts import (
     EnvironmentBody,
@@ -134,7 +135,7 @@ def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
 
 
 def _require_within_limits(chain: ClosedChain, q: Array) -> None:
-    limits = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    limits = position_limits(chain.model)
     for name, x, low, high in zip(chain.joint_names, q, *limits, strict=True):
         if not low <= x <= high:
             raise ScenarioError(

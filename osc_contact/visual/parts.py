@@ -315,7 +315,7 @@ class MovingBody(_Drawn):
 
     def _placement(self, sample: Sample) -> pin.SE3:
         if self.body.face is not None and "face_pose" in sample:
-            pose = np.asarray(sample["face_pose"], dtype=float)[self.body.face]
+            pose = sample["face_pose"][self.body.face]
         elif self.body.placement is None:
             pose = _channel(sample, "pose", f"body {self.body.name!r}")
         else:

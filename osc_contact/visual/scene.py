@@ -105,7 +105,7 @@ class Scene:
         near_points = np.vstack([nothing, *near])
         points = np.vstack([near_points, *(arm.corners(samples[0]) for arm in self.arms)])
         bases = np.vstack([nothing, *(arm.arm.base.translation for arm in self.arms)])
-        directions = np.asarray(samples[0].get("contact_direction", nothing), dtype=float)
+        directions = samples[0].get("contact_direction", nothing)
         floor = float(np.min(bases[:, 2], initial=0.0))
         lowest = float(points[:, 2].min())
         if lowest <= floor - 0.05:
@@ -233,7 +233,7 @@ def write_scene(
 
 def sample_at(channels: Mapping[str, Any], tick: int) -> dict[str, Any]:
     """The channels at one tick."""
-    return {key: np.asarray(value)[tick] for key, value in channels.items()}
+    return {key: np.asarray(value[tick], dtype=float) for key, value in channels.items()}
 
 
 # --- The stage: floor, background, and a camera that sees the forces from the side --------------

@@ -129,14 +129,14 @@ def contact_normals(sample: Mapping[str, Any], owners: Sequence[int] = ()) -> No
         sample: the channels at one tick.
         owners: (r,) the contact of each column, default one column per contact.
     """
-    directions = np.asarray(sample["contact_direction"], dtype=float).reshape(-1, 3)
+    directions = np.reshape(sample["contact_direction"], (-1, 3))
     points = np.asarray(sample["contact_point"], dtype=float).reshape(-1, 3)
     closed = np.asarray(sample.get("closed", np.ones(len(points))), dtype=bool)
-    arms = points - np.asarray(sample["pose"], dtype=float)[:3]
+    arms = points - sample["pose"][:3]
     N = np.hstack([directions, np.cross(arms, directions)]).T
     owner = np.arange(len(points))
     if "N" in sample:
-        N = np.asarray(sample["N"], dtype=float)
+        N = sample["N"]
         owner = np.asarray(owners or range(N.shape[1]), dtype=np.intp)
     known = np.isfinite(points).all(axis=1)[owner] & np.isfinite(N).all(axis=0)
     N = np.where(known, N, 0.0)
