@@ -201,7 +201,9 @@ def least_jerk(points: tuple[tuple[float, float], ...]) -> Polynomials:
         part = slice(begin, end + 1)
         spline = make_interp_spline(t[part] / unit, x[part], k=5, bc_type=(at_rest, at_rest))
         pieces.append(PPoly.from_spline(spline).c[::-1, 5:-5])  # without the empty ones at the ends
-    return Polynomials(t, np.hstack(pieces) / unit ** np.arange(6.0)[:, None], float(x[-1]))
+    coefficients = np.hstack(pieces) / unit ** np.arange(6.0)[:, None]
+    coefficients[0] = x[:-1]  # exactly
+    return Polynomials(t, coefficients, float(x[-1]))
 
 
 def _stops(values: list[float]) -> set[int]:
