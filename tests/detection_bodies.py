@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.testing import assert_allclose
 
-from osc_contact.contacts.detection import CollisionShape, detect
+from osc_contact.contacts.detection import CollisionShape
 
 SIZE = np.array([0.10, 0.08, 0.06])
 BOX = [CollisionShape("box", coal.Box(*SIZE))]
@@ -70,9 +70,14 @@ def only(found):
     return found[0]
 
 
-def seen_from(X, environment_pose, shapes, **options):
-    """detect() with the object at X above the table, everything carried along to another pose."""
-    return detect(shapes, environment_pose * X, TABLE, environment_pose, **options)
+def assert_only(found, kind, points, normal, X_WO, X_WE=None, gap=0.0):
+    """One contact of this kind, whose normal is given, held by pushes in these points."""
+    found = only(found)
+    assert found.kind == kind
+    assert_allclose(found.normal, normal, atol=1e-9)
+    push = pushes(points, -np.asarray(normal), X_WO)
+    assert_kept_by_its_pair(found, X_WO, pin.SE3.Identity() if X_WE is None else X_WE, push, gap)
+    return found
 
 
 BALL = [CollisionShape("ball", coal.Sphere(0.03), pin.SE3(np.eye(3), np.array([0.01, 0.02, 0.0])))]

@@ -135,32 +135,30 @@ class System:
         """Accelerations and contact forces under joint forces (n,)."""
         n = self.n
         k = len(self.rows)
-        r = N.shape[1]
-        size = n + 6 + k + r
-        K = np.zeros((size, size))
-        y = np.zeros(size)
-        K[:n, :n] = self.M
-        K[n : n + 6, n : n + 6] = self.I
-        y[:n] = force - self.h
-        y[n : n + 6] = self.pull
-        v = self.V[:3]
-        w = self.V[3:]
-        for i, row in enumerate(self.rows):
-            K[n + 6 + i, : n + 6] = K[: n + 6, n + 6 + i] = row.coefficients
-            y[n + 6 + i] = row.right
-        K[n : n + 6, n + 6 + k :] = N
-        K[n + 6 + k :, n : n + 6] = N.T
-        y[n + 6 + k :] = n_gamma + N.T @ np.concatenate((np.cross(w, v), np.zeros(3)))
-        scale = 1.0 / np.sqrt(np.abs(K).max(axis=1))
-        Ks = K * np.outer(scale, scale)
-        x = scale * np.linalg.lstsq(Ks, scale * y, rcond=1e-13)[0]
-        for _ in range(3):
-            x += scale * np.linalg.lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
-        residual = float(np.abs(scale * (K @ x - y)).max())
-        spatial = x[n : n + 6] - np.concatenate((np.cross(w, v), np.zeros(3)))
-        pulls = -K[n : n + 6, n + 6 : n + 6 + k] * x[n + 6 : n + 6 + k]
-        loops = [pulls[:, a:b].sum(axis=1) for a, b in pairwise(self.ends)]
+        M = np.zeros((n + 6, n + 6))
+        M[:n, :n] = self.M
+        M[n:, n:] = self.I
+        product = np.concatenate((np.cross(self.V[3:], self.V[:3]), np.zeros(3)))
+        A = np.zeros((k + N.shape[1], n + 6))
+        A[:k] = [row.coefficients for row in self.rows]
+        A[k:, n:] = -N.T
+        right = np.append([row.right for row in self.rows], -n_gamma - N.T @ product)
+        K = np.block([[M, -A.T], [A, np.zeros((len(A), len(A)))]])
+        x, residual = solve(K, np.concatenate((force - self.h, self.pull, right)))
+        pulls = A[:k, n:] * x[n + 6 : n + 6 + k, None]
+        loops = [pulls[a:b].sum(axis=0) for a, b in pairwise(self.ends)]
+        spatial = x[n : n + 6] - product
         return Solution(x[:n], spatial, x[n + 6 + k :], np.array(loops), residual)
+
+
+def solve(K, y):
+    """Least squares, equilibrated and refined (loops may be redundant); and what is left."""
+    scale = 1.0 / np.sqrt(np.abs(K).max(axis=1))
+    Ks = K * np.outer(scale, scale)
+    x = scale * np.linalg.lstsq(Ks, scale * y, rcond=1e-13)[0]
+    for _ in range(3):
+        x += scale * np.linalg.lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
+    return x, float(np.abs(scale * (K @ x - y)).max())
 
 
 def across(axis):

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from environment_scenes import KINDS as SCENES
 from environment_scenes import Body, axis, on_joints
+from grasp_oracle import solve
 from grasp_rigs import Case
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
@@ -188,16 +189,6 @@ class Contact:
 # Everything at once -------------------------------------------------------------------------------
 
 
-def _solve(K, y):
-    """Least squares, equilibrated and refined: the loop of two SCARAs has a redundant row."""
-    scale = 1.0 / np.sqrt(np.abs(K).max(axis=1))
-    Ks = K * np.outer(scale, scale)
-    x = scale * np.linalg.lstsq(Ks, scale * y, rcond=1e-13)[0]
-    for _ in range(2):
-        x += scale * np.linalg.lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
-    return x
-
-
 @dataclass
 class Answer:
     """Accelerations of joints and object, contact forces, wrench (6,) of each arm at O.
@@ -308,7 +299,7 @@ class State:
         P = np.reshape(pushes, (-1, end))
         K = np.block([[M, -P.T], [A, np.zeros((len(A), len(A)))]])
         y = np.concatenate((force, right))
-        x = _solve(K, y)
+        x, _ = solve(K, y)
         assert np.abs(K @ x - y).max() < 1e-9 * max(1.0, np.abs(y).max())
         pulls = P[: self.system.ends[-1], self.n : n] * x[end : end + self.system.ends[-1], None]
         loops = [pulls[a:b].sum(axis=0) for a, b in pairwise(self.system.ends)]
@@ -346,7 +337,7 @@ class State:
         r = len(self.N)
         K = np.block([[S.T @ W @ S, NS.T], [NS, np.zeros((r, r))]])
         y = np.concatenate((S.T @ W @ (target - self.sigma), value - self.N @ self.sigma))
-        return S @ _solve(K, y)[: S.shape[1]] + self.sigma
+        return S @ solve(K, y)[0][: S.shape[1]] + self.sigma
 
     def inertia_of_all(self):
         """(6, 6) what object and arms weigh together, in the motions that the grasps permit."""

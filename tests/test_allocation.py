@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from grasp_oracle import kkt
 from numpy.testing import assert_allclose
-from rigs import PANDA_Q, panda_pair, random_state, scara_pair
-from test_decoupling import commanded, in_contact, structured
+from rigs import panda_pair, scara_pair
+from test_decoupling import commanded, in_contact
 
 import osc_contact as osc
 
@@ -32,26 +32,6 @@ def test_squeeze_arises_between_the_grasps_and_disturbs_nothing(rig):
         scale = np.abs(seen[0].a_object).max()
         assert_allclose(seen[0].a_object, seen[1].a_object, atol=1e-9 * scale)
         assert_allclose(seen[0].alpha, seen[1].alpha, atol=1e-7)
-
-
-def test_redundant_arms_return_to_their_posture_without_moving_the_object():
-    chain = panda_pair()
-    rng = np.random.default_rng(32)
-    q, _ = random_state(chain, rng)
-    v = np.zeros(14)
-    state = chain.state(q, v)
-    f_S = state.b_S  # hold still
-    nowhere = structured(chain, q, v, f_S, np.zeros(6), 0.0, q)
-    posture = np.concatenate((PANDA_Q, PANDA_Q)) + 0.3
-    pulled = structured(chain, q, v, f_S, np.zeros(6), 0.0, posture)
-    rest = kkt(chain, q, v, nowhere)
-    moving = kkt(chain, q, v, pulled)
-    assert_allclose(rest.a_object, 0, atol=1e-8)
-    assert_allclose(rest.qdd, 0, atol=1e-6)
-    assert_allclose(moving.a_object, 0, atol=1e-8)
-    for s in chain.slices:  # in the metric of M the pull shortens the way to the posture
-        gain = moving.qdd[s] @ state.M[s, s] @ (posture[s] - q[s])
-        assert gain > 1e-3
 
 
 def test_a_redundant_arm_with_passive_joints_is_refused():

@@ -148,15 +148,6 @@ def test_outboard_links_of_the_panda(sensor):
     close(rest, written_inertia(element(file, "panda_link7")).matrix(), 1e-12)
 
 
-def test_outboard_links_survive_the_merging_of_arms():
-    merged = pin.appendModel(scara().model, panda().model, 0, pin.SE3.Identity())
-    found = outboard_links(merged, merged.getFrameId("wrist_sensor"), merged.getFrameId("tool"))
-    assert [link.inertia.mass for link in found] == approx([0.35, 0.15])
-    tip = merged.getFrameId("panda_hand_tcp")
-    (hand,) = outboard_links(merged, merged.getFrameId("panda_hand"), tip)
-    assert hand.inertia.mass == approx(0.76)
-
-
 # The object ---------------------------------------------------------------------------------------
 
 
@@ -233,11 +224,6 @@ def test_lever_with_nan_is_refused_and_thin_rods_are_not():
 
 
 # The environment ----------------------------------------------------------------------------------
-
-
-def test_fixed_environment_is_all_zero():
-    for fixed in (Environment.fixed(), Environment()):
-        assert not (fixed.Phi_e.any() or fixed.b_e.any() or fixed.V_e.any())
 
 
 @mark.parametrize("seed", range(24))

@@ -1,10 +1,7 @@
 """Batches: every row is its single tick, bit for bit, whatever its neighbours do."""
 
 import copy
-import os
 import pickle
-import subprocess
-import sys
 
 import numpy as np
 from numpy.testing import assert_array_equal
@@ -140,36 +137,3 @@ def test_what_is_no_batch_is_refused():
         batch.tick(**{**x, "q": x["q"][:1]})
     with raises(osc.InvalidInputError, match="mask"):
         batch.reset([True])
-
-
-FRESH = """
-import hashlib, sys
-sys.path.insert(0, {tests!r})
-import numpy as np
-from rigs import scara_pair
-from test_batch import controllers, story, single
-import osc_contact as osc
-chain, rng = scara_pair(), np.random.default_rng(8)
-ones, q = controllers(chain, 5, rng)
-batch = osc.BatchController(ones, 2)
-x = story(chain, q, 5, 1, rng)[0]
-tau = batch.tick(**x)
-alone = np.array([single(c, x, i) for i, c in enumerate(ones)])
-assert (tau == alone).all()
-print(hashlib.sha256(tau.tobytes()).hexdigest())
-"""
-
-
-def test_two_processes_from_the_cache_say_the_same_bit_for_bit():
-    tests = os.path.dirname(__file__)
-    said = [
-        subprocess.run(
-            [sys.executable, "-c", FRESH.format(tests=tests)],
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        for _ in range(2)
-    ]
-    assert said[0].returncode == 0, said[0].stderr[-2000:]
-    assert said[0].stdout == said[1].stdout

@@ -1,19 +1,16 @@
 """The real pages in a headless Chromium: what is on the screen, the slider, the live view."""
 
-import threading
 from itertools import combinations
 
 import numpy as np
 from headless import Browser, near
-from pytest import approx, fixture, mark, raises
+from pytest import approx, fixture, raises
 from scene_samples import BASE, RECORDING, find, links, write
-from test_live import CONTENT, MODULE, TICKS
 
 from osc_contact.errors import ViewerError
 from osc_contact.visual import browser as pages
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
-from osc_contact.visual.live import Viewer
 from osc_contact.visual.marks import T_COLOUR
 
 BLUE = contact_colour(0)
@@ -90,17 +87,6 @@ def test_the_slider_moves_arms_arrows_marker_and_clock(browser):
     assert near(seen[0.9], VERMILLION) > near(seen[0.2], VERMILLION) + 100, "longer arrows"
 
 
-@mark.parametrize(("entry", "least"), [("commanded", 100), ("measured", 30), ("force, true", 100)])
-def test_each_force_is_on_the_screen(browser, entry, least):
-    switch(browser, "T:")  # so that nothing else is in front
-    whole = slide(browser, 0.9)[:600]
-    for most in (None, 20):
-        switch(browser, entry)
-        differs = (np.abs(browser.picture()[:600] - whole).max(axis=2) > 20).sum()
-        assert differs > least if most is None else differs < most
-    switch(browser, "T:")
-
-
 def test_on_a_phone_the_legend_is_folded_and_the_whole_scene_is_seen(page):
     with Browser(f"{page.as_uri()}#t=1", size=(390, 844)) as phone:
         assert phone.run("document.documentElement.scrollWidth") == 390
@@ -126,17 +112,6 @@ def test_a_browser_without_decompression_is_told(page, tmp_path):
     with Browser(old.as_uri(), ready="document.querySelector('#labels').textContent") as browser:
         told = browser.run("element('labels').textContent")
         assert "does not run in this browser" in told and "DecompressionStream" in told
-
-
-def test_a_lost_contact_is_grey(browser):
-    switch(browser, "T:")  # so that nothing else is in front
-    closed = slide(browser, 0.3)
-    lost = slide(browser, 0.5)
-    switch(browser, "T:")
-    assert browser.run("document.querySelector('#labels div').textContent") == "left end lost"
-    grey = "#8E939A"
-    assert near(lost[:600], grey, 4) > near(closed[:600], grey, 4) + 100
-    assert near(lost[:600], BLUE) < 0.5 * near(closed[:600], BLUE)
 
 
 def test_check_boxes_show_and_hide(browser):
@@ -183,41 +158,6 @@ def test_play_goes_on_and_a_click_in_a_plot_stops_there(browser):
         )
     browser.until("!player.playing")
     assert browser.run("player.time") == approx(0.5, abs=0.01)
-
-
-def test_the_live_view_updates(tmp_path):
-    with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as viewer:
-        tick = [10]
-        stop = threading.Event()
-
-        def run():
-            while not stop.wait(0.005):
-                viewer.show(TICKS[tick[0]])
-
-        loop = threading.Thread(target=run)
-        loop.start()
-        try:
-            with Browser(viewer.url) as browser:
-                pictures = {}
-                for now in (10, 95):
-                    tick[0] = now
-                    browser.until(f"Math.abs(player.time - {now / 100}) < 1e-6")
-                    pictures[now] = browser.picture(tmp_path / f"{now}.png")
-                    assert np.allclose(place_in(browser, "arms/left/hinge"), hinge(now), atol=1e-4)
-                    assert browser.run("element('live').textContent") == "LIVE"
-                assert pictures[95][:600].std() > 20
-                moved = np.abs(pictures[95] - pictures[10])[:600].max(axis=2) > 40
-                assert moved.sum() > 5000 and near(pictures[95][:600], VERMILLION) > 200
-                assert browser.run("CONFIG.curves.t.length") > 2
-                assert viewer.count_browsers() == 1
-                stop.set()
-                loop.join()
-                viewer.close()
-                browser.until("element('live').textContent === 'ENDED'")
-                assert browser.errors == []
-        finally:
-            stop.set()
-            loop.join()
 
 
 def test_png_of_a_moment(page, tmp_path, monkeypatch):

@@ -4,12 +4,11 @@ import json
 
 import numpy as np
 import pinocchio as pin
+from command_line import done, refused
 from numpy.testing import assert_allclose
 from pytest import approx, mark, raises
-from typer.testing import CliRunner
 
 import osc_contact as osc
-from osc_contact.cli import app
 from osc_contact.runs.calibration import calibrate
 from osc_contact.sensing.calibration import calibrate_wrist
 
@@ -86,10 +85,6 @@ def test_the_truth_it_is_compared_with_is_what_the_urdfs_weigh():
 
 def test_the_command_prints_and_writes_what_was_found(tmp_path):
     file = tmp_path / "found.json"
-    run = CliRunner().invoke(
-        app, ["calibrate", "panda_wrist", "--postures", "4", "--json", str(file)]
-    )
-    assert run.exit_code == 0, run.output
+    done("calibrate panda_wrist --postures 4 --json", file)
     assert json.loads(file.read_text())["arm"]["mass_error_rel"] < 0.01
-    refused = CliRunner().invoke(app, ["calibrate", "workcell"])
-    assert refused.exit_code == 2
+    refused("calibrate workcell")

@@ -7,13 +7,12 @@ import urllib.request
 from http.client import HTTPException
 
 import psutil
+from command_line import done
 from distributed import Client, LocalCluster
 from pyarrow import parquet
 from pytest import fixture, mark, raises
-from typer.testing import CliRunner
 
 import osc_contact as osc
-from osc_contact.cli import app
 from osc_contact.sweeps import cluster
 from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import TABLE, run_study
@@ -80,22 +79,9 @@ def test_a_killed_worker_loses_nothing_and_the_table_is_that_of_one_process(clie
 
 
 def test_by_command_and_address_too(client, alone, tmp_path):
-    words = [
-        "sweep",
-        "two_contact_rod",
-        "--vary",
-        MASSES,
-        "--samples",
-        "10",
-        "--set",
-        *SHORT,
-        "--scheduler",
-        client.scheduler.address,
-        "--out",
-        str(tmp_path),
-    ]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
+    address = client.scheduler.address
+    line = f"sweep two_contact_rod --samples 10 --scheduler {address} --out {tmp_path}"
+    done(line, "--vary", MASSES, "--set", *SHORT)
     assert parquet.read_table(tmp_path / TABLE).equals(alone)
 
 
@@ -104,7 +90,7 @@ def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client):
     # one death may be that of a neighbour: dask charges all that a worker was given
     client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 1))
     tilt = "model_error.face_tilt=uniform(0 deg, 2 deg)"  # no doubts before a run, as of masses
-    study = Deadly.of("two_contact_rod", [tilt], 6, seed=1, overrides=SHORT)
+    study = Deadly.of("two_contact_rod", [tilt], 3, seed=1, overrides=SHORT)
     how = {"workers": 2} if where == "processes" else {"scheduler": client}
     rows = run_study(study, **how).to_pylist()
     wanted = run_study(study, workers=1).to_pylist()
@@ -115,10 +101,11 @@ def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client):
 
 
 def test_tuning_finds_the_same_on_a_cluster(client):
-    how = {"overrides": SHORT, "trials": 4, "over": [MASSES], "samples": 2}
-    assert tune("two_contact_rod", **how, scheduler=client) == tune(
-        "two_contact_rod", **how, workers=2
+    how = {"overrides": SHORT, "trials": 3, "over": [MASSES], "samples": 2}
+    on_cluster, here = (
+        tune("two_contact_rod", **how, **where) for where in ({"scheduler": client}, {"workers": 1})
     )
+    assert on_cluster == here
 
 
 def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch):

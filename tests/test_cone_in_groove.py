@@ -115,28 +115,6 @@ def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
         assert_allclose(contact.N @ seat().from_wall_forces, lines, atol=1e-13)
 
 
-def test_no_constraint_frame_describes_it():
-    found = seat().contact().as_raibert_craig(seat().cone.height)
-    assert not found and "(i)" in found.reason and "(ii)" not in found.reason
-    assert "32° apart, neither parallel nor perpendicular" in found.reason
-    assert found.residual > 0.1
-    axis = rig().state().X_WO.rotation @ seat().cone.axis
-    assert np.rad2deg(np.arccos(axis @ seat().groove.direction)) == approx(32.0)
-
-
-def test_N_is_continuous_over_whole_turns():
-    """No column jumps or changes sign, and after a full turn N is what it was."""
-    V = np.zeros(6)
-    turns = np.linspace(0.0, 4 * np.pi, 4001)
-    N = np.array([seat().pair.contact(pose_at(turn, 0.0), V).N for turn in turns])
-    step = turns[1]
-    reach = np.linalg.norm(seat().cone.apex)  # from O
-    assert np.abs(np.diff(N, axis=0)).max() < 1.01 * reach * step
-    assert np.abs(np.diff(N, 2, axis=0)).max() < 1.01 * reach * step**2
-    assert_allclose(N[2000], N[0], atol=1e-12)
-    assert np.ptp(N[:, 3:], axis=0).max() > 0.02, "it does change"
-
-
 def test_references_move_as_their_derivatives_say_and_stay_in_contact():
     task = rig().references
     h = 1e-4

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pinocchio as pin
-from grasp_oracle import kkt
-from numpy.testing import assert_allclose
 from pytest import raises
-from rigs import consistent, contact_of, placed, random_faces, random_state, scara_pair
+from rigs import consistent, contact_of, random_faces, random_state, scara_pair
 
 import osc_contact as osc
 from osc_contact.control.custom_laws import Laws
@@ -73,27 +71,6 @@ def structured(chain, q, v, f_S, eta, squeeze, posture=None, state=None, **how):
 
     laws = Laws(structure=structure)
     return tick_with(laws, chain, [], q, v, squeeze, posture=posture, **how)[1]
-
-
-def test_response_under_no_freedom_and_full_contact():
-    """d = 0: two hinges about different axes hold one object; nothing moves and nothing breaks."""
-    arms = []
-    for name, axis, at in (("a", pin.JointModelRX(), -0.3), ("b", pin.JointModelRZ(), 0.3)):
-        model = pin.Model()
-        joint = model.addJoint(0, axis, pin.SE3.Identity(), "hinge")
-        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
-        model.addFrame(pin.Frame("tip", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-        arms.append(osc.Arm.from_urdf(model, name=name, tip="tip", base=placed(at)))
-    body = osc.RigidObject(pin.Inertia.FromSphere(2.0, 0.1))
-    chain = osc.ClosedChain(arms, [placed(0.3), placed(-0.3)], body)
-    state = chain.state(np.zeros(2), np.zeros(2))
-    assert state.d == 0
-    got = osc.contact_response(state, osc.Contact(np.zeros((6, 0))), tau=np.array([1.0, -2.0]))
-    assert_allclose(got.acceleration, 0, atol=1e-12)
-    oracle = kkt(chain, np.zeros(2), np.zeros(2), np.array([1.0, -2.0]))
-    assert_allclose(oracle.a_object, 0, atol=1e-12)
-    with raises(osc.ContactError, match="cannot push"):
-        osc.contact_response(state, osc.Contact(np.eye(6)[:, :1]), tau=np.zeros(2))
 
 
 def test_a_contact_on_the_locked_couple_is_refused():

@@ -3,7 +3,6 @@
 import json
 
 import numpy as np
-import pinocchio as pin
 from numpy.testing import assert_allclose
 from pytest import fixture, mark
 from samples import chosen, first
@@ -15,7 +14,6 @@ from osc_contact.runs.contacts import feet
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.viewing import write_scene_of
 from osc_contact.scenarios import Scenario
-from osc_contact.spatial import carry_wrench
 
 ROBOTS = {  # d, r, motors, words of `inspect`
     "panda_edge": (6, 1, 7, ("into the edge of 'table'", "1 motion(s) of arms")),
@@ -45,11 +43,6 @@ def runs(rigs):
                 signal["start"] = 1.2
         found[name] = osc.run(Scenario.model_validate(data))
     return found
-
-
-def test_all_are_listed_with_a_description():
-    listed = osc.scenarios.list_scenarios()
-    assert set(NAMES) <= set(listed) and all(listed.values())
 
 
 @mark.parametrize("name", NAMES)
@@ -148,42 +141,6 @@ def test_every_packaged_scenario_has_a_verdict_in_a_test():
     assert {*WORDS, *NAMES, *elsewhere} == set(osc.scenarios.list_scenarios())
 
 
-@mark.parametrize("name", first(["ur5_wipe", "scara_peg"], 1))
-def test_limits_on_the_rigid_plant(name):
-    scenario = osc.load_scenario(name, ["plant.step=1 ms", "control.force.reading=filter"])
-    recording = osc.run(scenario, plant="rigid", duration=1.1)
-    verdict = osc.metrics(recording)
-    for force in verdict["force"].values():
-        assert force["rms_error_rel"] <= 0.01 and force["sensing_rms_rel"] <= 1e-9
-    assert verdict["motion"]["rms_error_m"] <= 1e-5
-    assert verdict["power"]["ratio"] <= 1e-10
-    assert recording["closed"].all()
-
-
-def test_true_forces_are_the_wrench_mujoco_applies_to_the_object(rigs, runs):
-    """Of a face on a face: MuJoCo's own constraint force on the object, carried to O."""
-    rig = rigs["ur5_wipe"]
-    plant = rig.plant()
-    controller = rig.controller()
-    for k in range(150):
-        plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
-    mj = plant._mj
-    model = plant.model
-    data = plant.data
-    mj.mj_rnePostConstraint(model, data)
-    truth = plant.truth()
-    body = int(model.body("object/root").id)
-    jac = np.zeros((6, model.nv))
-    mj.mj_jac(model, data, jac[:3], jac[3:], truth.X_WO.translation, body)
-    N = np.hstack([p.contact(truth.X_WO, truth.V_O).N for p in rig.pairs])
-    # one arm, no welds: all constraint forces are contact forces, qfrc = Jᵀ(−f_c)
-    assert_allclose(data.qfrc_constraint, -jac.T @ (N @ truth.alpha), atol=2e-4)
-    assert truth.alpha.min() > 0.5
-    f_c = N @ truth.alpha
-    centre = carry_wrench(f_c, truth.X_WO.translation, feet(rig.pairs[0], truth.X_WO)[0].mean(0))
-    assert np.abs(centre[3:]).max() < 0.04 * np.linalg.norm(centre[:3])  # within the triangle
-
-
 def test_a_corner_that_lifts_opens_the_contact(rigs):
     """Tipped by 20 mrad the block touches along an edge: no longer a face on a face."""
     rig = rigs["ur5_wipe"]
@@ -201,24 +158,18 @@ def test_it_can_be_looked_at(rigs, runs, name, tmp_path):
     assert page.stat().st_size > 100_000
 
 
-def test_columns_of_the_recording_belong_together(rigs, runs):
-    recording = runs["ur5_wipe"]
-    assert recording.magnitude_names == ["cloth.1", "cloth.2", "cloth.3"]
-    assert recording.meta["columns"] == [0, 0, 0]
-    T = len(recording)
-    assert recording["N"].shape == (T, 6, 3) and recording["alpha_true"].shape == (T, 3)
-    assert recording["closed"].shape == (T, 1) and recording["contact_point"].shape == (T, 1, 3)
-    rig = rigs["ur5_wipe"]
-    for k in (0, 700, T - 1):
-        X = pin.XYZQUATToSE3(recording["pose"][k])
-        expected = rig.pairs[0].contact(X, np.zeros(6)).N
-        assert_allclose(recording["N"][k], expected, atol=1e-12)
-        corners, directions = feet(rig.pairs[0], X)
-        on_board = (corners - [0.47, 0, 0.24]) @ directions[0]
-        assert_allclose(on_board, 0.0, atol=1e-12)
-    plate = runs["three_arm_plate"]
-    assert plate.magnitude_names == ["post_1", "post_2", "post_3"]
-    assert plate["closed"].shape[1] == 3
+def test_columns_of_the_recording_belong_together(runs):
+    """One face with three columns; three posts with one each."""
+    for name, names, owners in (
+        ("ur5_wipe", ["cloth.1", "cloth.2", "cloth.3"], [0, 0, 0]),
+        ("three_arm_plate", ["post_1", "post_2", "post_3"], [0, 1, 2]),
+    ):
+        recording = runs[name]
+        assert recording.magnitude_names == names and recording.meta["columns"] == owners
+        count = len(set(owners))
+        assert recording["N"].shape[1:] == (6, 3) and recording["alpha_true"].shape[1:] == (3,)
+        assert recording["closed"].shape[1:] == (count,)
+        assert recording["contact_point"].shape[1:] == (count, 3)
 
 
 def test_only_pairs_that_push_must_push(rigs):
@@ -229,35 +180,22 @@ def test_only_pairs_that_push_must_push(rigs):
 
 def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_plant():
     """cylinder_in_hole, r = 4, held by a Panda; one magnitude is commanded negative."""
-    data = osc.load_scenario("panda_edge").as_dict()
-    data["plant"] |= {"type": "rigid", "step": 1e-3}
-    pose = {"xyz": [0.45, 0.05, 0.3], "rpy": [0.1, -0.1, 0.3]}
-    data["environment"] = [{"name": "socket", "urdf": "socket.urdf", "pose": pose}]
-    data["object"] = {"urdf": "peg.urdf", "pose": {"xyz": [0.45, 0.05, 0.43]}}
-    data["grasps"]["panda"] = {"xyz": [0, 0, 0], "rpy": [np.pi, 0, 0]}
-    data["contacts"] = [
-        {
-            "name": "hole",
-            "type": "cylinder_in_hole",
-            "body": "socket",
-            "point": [0, 0, -0.13],
-            "direction": [0, 0, 1],
-            "length": 0.04,
-            "hole_point": [0, 0, 0],
-            "hole_direction": [0, 0, 1],
-        }
-    ]
-    wanted = dict(zip(["hole.1", "hole.2", "hole.3", "hole.4"], [5.0, -3.0, 2.0, 1.0], strict=True))
-    data["force"] = {k: [{"type": "constant", "value": v}] for k, v in wanted.items()}
-    sine = {"type": "sine", "amplitude": 0.01, "frequency": 1.0, "ramp": 0.1}
-    data["motion"] = [{"kind": "linear", "direction": [0, 0, 1], "signals": [sine]}]
-    rig = osc.build_rig(Scenario.model_validate(data))
+    wanted = {"hole.1": 5.0, "hole.2": -3.0, "hole.3": 2.0, "hole.4": 1.0}
+    changes = {
+        "plant": "{type: rigid, step: 1 ms}",
+        "environment": "[{name: socket, urdf: socket.urdf, "
+        "pose: {xyz: [0.45, 0.05, 0.3], rpy: [0.1, -0.1, 0.3]}}]",
+        "object": "{urdf: peg.urdf, pose: {xyz: [0.45, 0.05, 0.43]}}",
+        "grasps.panda": "{xyz: [0, 0, 0], rpy: [180 deg, 0, 0]}",
+        "contacts": "[{name: hole, type: cylinder_in_hole, body: socket, point: [0, 0, -0.13], "
+        "direction: [0, 0, 1], length: 40 mm, hole_point: [0, 0, 0], hole_direction: [0, 0, 1]}]",
+        "force": str({k: [{"type": "constant", "value": v}] for k, v in wanted.items()}),
+        "motion": "[{kind: linear, direction: [0, 0, 1], signals: [{type: sine, "
+        "amplitude: 10 mm, frequency: 1 Hz, ramp: 0.1 s}]}]",
+    }
+    rig = osc.build_rig(osc.load_scenario("panda_edge", changes))
     assert rig.contact().r == 4 and "of either sign" in "\n".join(inspect_rig(rig).lines)
-    plant = rig.plant()
-    controller = rig.controller()
-    for k in range(300):
-        plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
-    assert_allclose(plant.truth().alpha, list(wanted.values()), atol=5e-3)
     recording = osc.run(rig.scenario, duration=0.3)
+    assert_allclose(recording["alpha_true"][-1], list(wanted.values()), atol=5e-3)
     assert recording["contact_seen"][-1, :3].all()  # hole.2 pulls and counts by its size
     assert (recording["alpha_meas"][-1, 1] < -2.9) and recording["contact_seen"].shape[1] == 4

@@ -38,20 +38,6 @@ def by_urdf(cell, arm, frame):
     return pin.SE3(np.eye(3), np.array(spec.base.xyz)) * data.oMf[model.getFrameId(frame)]
 
 
-def test_rings_are_where_the_sensors_are(cell):
-    rings = cell.rings()
-    assert sum(path.startswith("joint_torque") for path in rings) == cell.rig.chain.n_a == 8
-    for arm in ("left", "right"):
-        axis = by_urdf(cell, arm, "wrist_sensor")
-        X, _, _ = rings[f"wrist/{arm}"]
-        assert_allclose(X.rotation[:, 2], axis.rotation[:, 2], atol=1e-12)
-        away = axis.actInv(X.translation)
-        assert_allclose(away[:2], 0.0, atol=1e-12)
-        assert abs(away[2]) < 0.02
-        quill = by_urdf(cell, arm, "joint3").translation  # the third sensor is on its axis
-        assert_allclose(rings[f"joint_torque/{arm}3"][0].translation[:2], quill[:2], atol=1e-9)
-
-
 def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
     corners = cell.camera.corners
     low = corners.min(axis=0)[:2]

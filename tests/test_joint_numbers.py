@@ -2,11 +2,9 @@
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark, raises
-from rigs import ROD, one_panda, placed, random_state, scara_pair
-from samples import first
+from rigs import ROD, one_panda, placed, random_state
 from test_decoupling import strong
 
 import osc_contact as osc
@@ -15,7 +13,6 @@ from osc_contact.control.records import SLIP
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.records import MODEL
-from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.report import verdict_table
 
@@ -59,25 +56,6 @@ def test_friction_damping_and_armature_are_shown_wherever_a_robot_is():
     cells = [list(column.cells) for column in verdict_table(verdict).columns]
     rows = dict(zip(*cells, strict=True))
     assert [rows[f"joints {arm}, in the model"] for arm in ("left", "right")] == list(words)
-
-
-def bare_mass_matrix(chain, q):
-    """M without rotors, from the links alone."""
-    model = chain.model.copy()
-    model.armature = np.zeros(model.nv)
-    M = np.array(pin.crba(model, model.createData(), q))
-    return np.triu(M) + np.triu(M, 1).T
-
-
-def test_rotor_inertia_is_on_the_diagonal_of_m():
-    chain = panda(armature=ROTORS)
-    rng = np.random.default_rng(0)
-    q, v = random_state(one_panda(), rng)
-    state = chain.state(q, v)
-    assert_allclose(state.M - bare_mass_matrix(chain, q), np.diag(ROTORS), atol=1e-12)
-    J = state.arms[0].J
-    Phi = J @ np.linalg.inv(bare_mass_matrix(chain, q) + np.diag(ROTORS)) @ J.T
-    assert_allclose(state.arms[0].Phi, Phi, rtol=1e-9, atol=1e-12)
 
 
 def test_rotors_behind_gears_count_with_the_square_of_the_ratio():
@@ -142,25 +120,6 @@ def test_friction_is_that_of_the_speeds_wanted_two_ticks_ahead(joints):
         s = v + weighed @ np.linalg.solve(J @ weighed, ahead)
         want = VISCOUS * v + DRY * s / np.hypot(s, SLIP)
         assert_allclose(tau[1] - tau[0], want, rtol=1e-9, atol=1e-9)
-
-
-def test_known_friction_and_rotors_leave_the_wanted_acceleration():
-    """KKT of the exact plant: with friction the torques give what they give without."""
-    for chain in (panda(armature=ROTORS, damping=VISCOUS, friction=DRY), panda()):
-        rng = np.random.default_rng(2)
-        q, v = random_state(one_panda(), rng)
-        state = chain.state(q, v)
-        plant = RigidPlant(chain, [], 1e-4)
-        plant.q = q
-        plant.v = v
-        A_D = rng.normal(size=6)
-        wanted = Reference(state.X_WO, state.V_O, A_D)
-        controller = osc.Controller(chain, [], GAINS)
-        _, a_O, _ = plant.accelerations(
-            controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted)
-        )
-        turning = np.concatenate((np.cross(state.V_O[3:], state.V_O[:3]), np.zeros(3)))
-        assert_allclose(a_O, A_D - turning, atol=2e-3)
 
 
 def test_the_switch_leaves_friction_out():
@@ -228,29 +187,6 @@ def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
     assert lost[0] - lost[1] == approx(rate * (0.3 + 0.2 * 0.5) * 5e-3, rel=0.05)
 
 
-@mark.parametrize("plant", first(["mujoco", "rigid"], 1))
-def test_a_fast_slide_with_heavy_rotors_is_as_exact_as_without(plant):
-    """One vertex slides 0.2 m in half a second; rotors of 0.5 kg m² are known."""
-    errors = []
-    for armature in (0.0, 0.5):
-        verdict = osc.metrics(
-            osc.run(
-                osc.load_scenario(
-                    "two_contact_rod",
-                    [
-                        f"plant.type={plant}",
-                        *(["plant.step=1 ms"] if plant == "rigid" else []),
-                        *(f"arms.{s}.armature={armature}" for s in ("left", "right")),
-                    ],
-                ),
-                duration=1.6,
-            )
-        )
-        errors.append(max(f["rms_error_rel"] for f in verdict["force"].values()))
-        assert verdict["motion"]["rms_error_m"] < 2e-5
-    assert errors[1] < max(2.0 * errors[0], 1e-3)
-
-
 def test_known_friction_is_made_up_for():
     """0.5 % of the effort limits: known at least five times as good as unknown."""
     friction = "arms.ur5.friction=[0.75, 0.75, 0.75, 0.14, 0.14, 0.14]"
@@ -280,18 +216,3 @@ def test_the_constructor_judges_rotors_too():
     MODEL.view(row).joints.armature[3] = 0.0
     with raises(osc.ModelError, match="law's M differs"):
         require_pinocchio_agrees(chain, row)
-
-
-def test_arms_of_a_chain_keep_their_rotors_apart():
-    left, right = scara_pair().arms
-    heavy = osc.Arm.from_urdf(
-        robots.urdf_path("scara_right"),
-        name="right",
-        tip="tool",
-        base=right.base,
-        passive_joints=["hinge"],
-        wrist_sensor="wrist_sensor",
-        armature=[1, 2, 3, 4, 5],
-    )
-    chain = osc.ClosedChain([left, heavy], scara_pair().grasps, osc.RigidObject(ROD))
-    assert_array_equal(chain.model.armature, [0] * 5 + [1, 2, 3, 4, 5])

@@ -12,13 +12,12 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from command_line import done, refused
 from numpy.testing import assert_array_equal
 from pytest import mark, raises
-from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.cli import app
 from osc_contact.files import sole_user
 from osc_contact.recorder.journal import Journal, JournalFile
 from osc_contact.sweeps.rows import RowFile
@@ -38,11 +37,6 @@ def wait_for(there, process):
     return found
 
 
-def call(*words):
-    done = CliRunner().invoke(app, [str(word) for word in words])
-    return done.exit_code, " ".join(done.output.split())
-
-
 def test_a_second_run_in_a_folder_is_refused_and_the_first_keeps_its_rows(tmp_path):
     words = ["run", "two_contact_rod", "--duration", "1000", "--out", tmp_path]
     with subprocess.Popen(
@@ -52,11 +46,11 @@ def test_a_second_run_in_a_folder_is_refused_and_the_first_keeps_its_rows(tmp_pa
             rows = tmp_path / "unfinished.mcap"
             wait_for(rows.exists, process)
             number = rows.stat().st_ino
-            code, said = call("run", "two_contact_rod", "--duration", "1.2", "--out", tmp_path)
+            said = refused("run two_contact_rod --duration 1.2 --out", tmp_path)
             assert process.poll() is None and rows.stat().st_ino == number
         finally:
             process.kill()
-    assert code == 2 and "another program writes to" in said and "--out" in said, said
+    assert "another program writes to" in said and "--out" in said, said
     with sole_user(tmp_path):  # the lock ends with its process
         assert rows.exists()
 
@@ -234,9 +228,8 @@ def test_recordings_hold_no_folder_and_are_shown_with_the_scenarios(tmp_path, mo
     shown.mkdir()
     packaged = osc.load_scenario("two_contact_rod")
     text = Path(str(packaged.source)).read_text()
-    urdf, _ = robots.resolve_urdf(packaged.object.urdf, packaged.folder)
-    shutil.copy(urdf, home / "my_rod.urdf")
     assert packaged.object.urdf in text
+    shutil.copy(robots.urdf_path("rod"), home / "my_rod.urdf")
     (home / "mine.yaml").write_text(text.replace(packaged.object.urdf, "my_rod.urdf"))
     scenario = osc.load_scenario(home / "mine.yaml")
     recording = osc.run(scenario, duration=0.05, journal=shown / "unfinished.mcap")
@@ -245,14 +238,12 @@ def test_recordings_hold_no_folder_and_are_shown_with_the_scenarios(tmp_path, mo
         with zipfile.ZipFile(file) as archive:
             assert not any(b"somebody" in archive.read(name) for name in archive.namelist())
     assert b"somebody" not in (shown / "unfinished.mcap").read_bytes()
-    assert "source_folder" not in osc.Recording.load(path).meta
     monkeypatch.chdir(tmp_path)
+    page = tmp_path / "page.html"
     for name in ("run.npz", "unfinished.mcap"):
-        page = tmp_path / f"{name}.html"
-        code, said = call("view", shown / name, "--html", page)
-        assert code == 2 and "--folder" in said and "my_rod.urdf" in said, said
-        code, said = call("view", shown / name, "--html", page, "--folder", home)
-        assert code == 0 and page.exists(), said
+        said = refused("view", shown / name, "--html", page)
+        assert "copy them beside the recording" in said and "--folder" in said, said
+        done("view", shown / name, "--html", page, "--folder", home)
     assert len(osc.recover(shown / "unfinished.mcap", home)) == 50
-    monkeypatch.chdir(home)
-    assert call("view", path, "--html", tmp_path / "again.html")[0] == 0
+    shutil.copy(home / "my_rod.urdf", shown)
+    done("view", path, "--html", page)

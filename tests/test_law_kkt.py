@@ -477,14 +477,6 @@ def test_torques_bring_the_forces_and_the_motion_asked_for(rig, surroundings):
     assert max(count["held"], count["faded"]) < 4 * STATES * mixed + 1
 
 
-def test_there_are_two_thousand_states_on_every_pair():
-    assert STATES * len(RIGS) * len(SURROUNDINGS) >= 2000
-    assert set.union(*(rig.d for rig in RIGS.values())) == {3, 4, 5, 6}
-    made = {type(make(np.random.default_rng(0), PLAIN)[0]).__name__ for make in PAIRS.values()}
-    others = {"ContactPair", "PAIRS", "register_pair"}
-    assert made >= set(osc.contacts.pairs.__all__) - others  # and what other tests register
-
-
 # Without compilation ------------------------------------------------------------------------------
 
 

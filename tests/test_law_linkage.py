@@ -1,35 +1,19 @@
 """The virtual linkage of the law: against singular values and a full system of equations."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 from grasp_rigs import KINDS, random_case
-from numba.core.runtime import rtsys
+from law_calls import bars
 from numpy.testing import assert_allclose
-from pytest import mark, param
+from pytest import mark
 from test_grasps import in_millimetres
 from test_linkage import settable_bars as by_svd
 
 import osc_contact as osc
 from osc_contact.dynamics.arm import effort_scale
-from osc_contact.law.bars import settable_bars
-from osc_contact.law.jit import PLAIN_PYTHON, entry
-from osc_contact.law.records import Rows, new_model, row_of, views
-
-
-@entry
-def call(raw, n_locked):
-    return settable_bars(row_of(raw, 0, 0), n_locked)
-
-
-@entry
-def often(times, raw, n_locked):
-    for _ in range(times):
-        settable_bars(row_of(raw, 0, 0), n_locked)
+from osc_contact.law.records import Rows, new_model, views
 
 
 def given(state, chain):
@@ -83,13 +67,14 @@ def placed(what):
 def answer(what):
     """(levers, basis (bars, s))."""
     rows, n_locked = placed(what)
-    s = call(rows.raw, n_locked)
-    work = views(rows).work
+    t = views(rows)
+    s = bars.settable_bars(t, n_locked)
+    work = t.work
     levers = work.levers
     basis = work.basis
-    bars = len(work.levers)
+    count = len(work.levers)
     assert_allclose(basis[:, :s].T @ basis[:, :s], np.eye(s), atol=1e-12)
-    assert s < bars or (basis == np.eye(bars)).all()
+    assert s < count or (basis == np.eye(count)).all()
     return levers, basis[:, :s]
 
 
@@ -185,15 +170,6 @@ def test_eight_arms_of_seven_joints():
         assert len(levers) == 28 and (basis.shape[1] == 18) == (kinds[1] == "rigid")
 
 
-def test_the_scratch_is_large_enough_for_arms_that_carry_everything():
-    case, state = draw("rigid", np.random.default_rng(85))
-    what = list(given(state, case.chain))
-    k = len(case.chain.arms)
-    what[8:11] = np.tile(np.eye(3), (2 * k, 1)), np.arange(k).repeat(6), 6 * k
-    levers = by_svd(state, case.chain)[0]
-    assert_same(answer(tuple(what)), (levers, np.zeros((len(levers), 0))))
-
-
 def elsewhere(case, X):
     """The same chain at another place in the world."""
     arms = [replace(arm, base=X * arm.base) for arm in case.chain.arms]
@@ -222,53 +198,3 @@ def test_world_units_and_names_of_motions_do_not_matter(how):
         levers, basis = answer(tuple(mm))
         per_torque = np.where(sliding, 1.0, 1e3)
         assert_same((levers * per_torque, basis), want, basis_to=1e-8)
-
-
-def replay(source, target):
-    """What another process makes of arguments on disk; a thousand calls allocate nothing."""
-    out = {}
-    with np.load(source) as file:
-        for i in range(len(file.files) // 12):
-            what = [file[f"{i}_{part}"] for part in range(12)]
-            what = tuple(one if one.shape else one.item() for one in what)
-            out[f"{i}_levers"], out[f"{i}_basis"] = answer(what)
-    np.savez(target, **out)
-    if PLAIN_PYTHON:
-        return
-    (rows, n_locked) = placed(what)
-    before = []
-    for times in (1, 1, 1000, 0):
-        before.append(rtsys.get_allocation_stats().alloc)
-        often(times, rows.raw, n_locked)
-    assert before[3] - before[2] == before[2] - before[1], before
-
-
-@mark.parametrize("how", ["NUMBA_DISABLE_JIT", param("NUMBA_BOUNDSCHECK", marks=mark.slow)])
-def test_plain_python_and_checked_bounds_give_the_same(how, tmp_path):
-    """To the last digits, so that even the bases are the same. Nothing is allocated on the way."""
-    rng = np.random.default_rng(84)
-    wanted = []
-    arrays = {}
-    for how_drawn in ("rigid", "grasps", "slides", "structure", "motors", "plane", "line"):
-        case, state = draw(how_drawn, rng)
-        what = given(state, case.chain)
-        arrays |= {f"{len(wanted)}_{part}": value for part, value in enumerate(what)}
-        wanted.append(answer(what))
-    source = tmp_path / "in.npz"
-    target = tmp_path / "out.npz"
-    np.savez(source, **arrays)
-    script = "import sys, test_law_linkage; test_law_linkage.replay(*sys.argv[1:])"
-    done = subprocess.run(
-        [sys.executable, "-c", script, str(source), str(target)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        cwd=os.path.dirname(__file__),
-        env={**os.environ, how: "1", "NUMBA_NRT_STATS": "1"},
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    with np.load(target) as file:
-        for i, (levers, basis) in enumerate(wanted):
-            size = np.abs(levers).max()
-            assert_allclose(file[f"{i}_levers"], levers, rtol=0, atol=1e-12 * size)
-            assert_allclose(file[f"{i}_basis"], basis, rtol=0, atol=1e-12)

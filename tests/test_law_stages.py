@@ -289,22 +289,6 @@ def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
     close(X[1, :5], want, rtol=1e-12)
 
 
-def test_rows_in_order_shares_and_the_way_back():
-    rng = rng_of(0)
-    X = rng.normal(size=(5, 3 + 6 + 1)) * np.array([0.1, 5.0, 0.01, 2.0, 9.0])[:, None]
-    X[1, 3:] *= 1e-6  # what stands behind does not count
-    before = X.copy()
-    operational._sort_rows(X, 4, 3)
-    order = [*np.argsort(-np.linalg.norm(before[:4, :3], axis=1)), 4]
-    assert_array_equal(X[:, :9], before[order, :9])
-    assert_array_equal(X[:, 9], before[:, 9])
-    share = operational._share_left
-    for s, want in ((-1.0, 0.0), (0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (1.0, 1.0), (9.0, 1.0)):
-        close(share(0.05 + 0.25 * s), want, atol=1e-12)
-    t = records(posture_stiffness=3.0, retreat_damping=7.0)
-    close(operational.retreat(t, Record(posture=0.5), 0.2, 0.1), 0.9 - 0.7)
-
-
 @SEEDS
 @mark.parametrize("gone", [0.0, 1.0])
 def test_lost_motions_are_left_to_the_posture(seed, gone):

@@ -114,12 +114,6 @@ def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     assert found == [at.NO_REASON] * (ticks - 1) + [at.NEAR_END]
 
 
-def test_evidence_comes_and_goes_at_the_same_pace():
-    assert safety.collect(0.002, DT, True) == approx(0.003)
-    assert safety.collect(0.002, DT, False) == approx(0.001)
-    assert safety.collect(0.0005, DT, False) == 0.0
-
-
 # --- contacts -------------------------------------------------------------------------------------
 
 
@@ -235,15 +229,10 @@ def test_a_rotation_is_one_but_for_a_ten_thousandth():
         write(t.input, X_WD=np.column_stack([R, rng.uniform(-9.0, 9.0, 3)]))
         return sensors.check_readings(t)
 
-    for axis in np.vstack((np.eye(3), 1.0 - np.eye(3)) / np.array([[[1.0]], [[np.sqrt(2)]]])):
-        for angle in np.deg2rad(np.arange(0, 360, 10)):
-            R = pin.exp3(angle * axis)
-            assert believed(R) == at.NO_REASON
-            assert believed(R @ np.diag([1, -1, 1])) == believed(-R) == at.NO_ROTATION
     for _ in range(20):
         R = pin.exp3(rng.normal(size=3))
         assert believed(R) == at.NO_REASON
-        assert believed(R @ np.diag([1, 1, -1])) == at.NO_ROTATION
+        assert believed(R @ np.diag([1, 1, -1])) == believed(-R) == at.NO_ROTATION
         assert believed(R[:, [1, 0, 2]]) == at.NO_ROTATION
         i, j = rng.choice(3, 2, replace=False)
         for way in (np.outer(np.eye(3)[i], R[j]), np.outer(np.eye(3)[i], 0.5 * R[i])):
@@ -561,54 +550,6 @@ def test_lost_ticks_take_no_evidence_away(every):
         if reason != at.NO_REASON:
             break
     assert reason == at.DISAGREE and k < 16
-
-
-@mark.parametrize("wrong", ["mirrored", "zero", "stuck", "noisy", "drifting"])
-def test_which_of_two_readings_is_faulty(wrong):
-    """Joints that accelerate as commanded: what does not follow is faulty, and not used."""
-    rng = np.random.default_rng(7)
-    sensors = Sensors()
-    v = np.array([0.5, -0.7])
-    q = np.zeros(2)
-    a = np.array([1.5, -2.0])
-    held = 0.0
-    for k in range(400):
-        sensors.joints.acceleration[:] = a
-        v = v + a * DT
-        q = q + v * DT
-        read_q = q.copy()
-        read_v = v + 1e-9 * rng.normal(size=2)
-        if k >= 100:
-            if wrong == "mirrored":
-                read_v = -read_v
-            elif wrong == "zero":
-                read_v = 1e-9 * rng.normal(size=2)
-            elif wrong == "stuck":
-                read_q[1] = held
-            elif wrong == "noisy":
-                read_q = read_q + 5e-3 * rng.normal(size=2)
-            else:
-                read_q[1] += 0.4 * (k - 100) * DT
-        held = read_q[1]
-        reason = sensors.tick(v=read_v, q=read_q)
-        if reason != at.NO_REASON:
-            break
-    assert reason in (at.DISAGREE, at.STUCK), wrong
-    faulty = set(sensors.joints.faulty.tolist())
-    if wrong in ("mirrored", "zero"):
-        assert faulty == {at.FAULTY_SPEED}, "speeds of one estimator"
-    else:
-        assert sensors.joints[1].faulty == at.FAULTY_POSITION or wrong == "noisy"
-        assert faulty <= {0, at.FAULTY_POSITION}
-    for _ in range(40):  # what is estimated from then on follows the sound reading
-        v = v + a * DT
-        q = q + v * DT
-        read_q = np.array([q[0], held]) if wrong == "stuck" else q
-        sensors.tick(v=-v if wrong == "mirrored" else v, q=read_q)
-    if wrong in ("mirrored", "stuck"):
-        assert_allclose(sensors.memory.v, v, atol=2e-2)
-        assert_allclose(sensors.memory.q, q, atol=2e-2)
-        assert sensors.memory.unbraked == -1
 
 
 def test_a_joint_without_a_sound_reading_cannot_be_braked():

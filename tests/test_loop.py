@@ -77,15 +77,12 @@ def test_hardware_without_a_truth_leaves_a_recording():
     assert "alpha_true" not in found and found.meta["where"] == "cell 3"
     assert_array_equal(found["tau"], [tau for tau, _ in robot.sent])
     assert {duration for _, duration in robot.sent} == {1e-3}
-    position = [truth.X_WO.translation for truth in truths]
-    assert_allclose(found["pose"][:, :3], position, atol=1e-12)
+    assert_allclose(found["pose"][:, :3], [truth.X_WO.translation for truth in truths], atol=1e-12)
     assert_allclose(found["twist"], [truth.V_O for truth in truths], atol=1e-9)
     alpha = [truth.alpha for truth in truths]  # the forces rise from nothing
     assert_allclose(found["alpha_meas"], alpha, rtol=1e-6, atol=1e-12)
-    for k in (0, TICKS - 1):
-        N = [pair.contact(truths[k].X_WO, np.zeros(6)).N for pair in rig.pairs]
-        assert_allclose(found["N"][k], np.hstack(N), atol=1e-12)
-    assert_array_equal(found["alpha_cmd"], plan(rig).alpha_d)
+    N = [pair.contact(truths[-1].X_WO, np.zeros(6)).N for pair in rig.pairs]
+    assert_allclose(found["N"][-1], np.hstack(N), atol=1e-12)
     assert found["closed"].all() and found.magnitude_names == ["left_end", "right_end"]
     with raises(osc.RecordingError, match="no judge took part"):
         osc.metrics(found)
@@ -162,16 +159,15 @@ def test_a_viewer_needs_what_is_recorded():
 
     class Viewer:
         def show(self, tick):
-            seen.append((tick["t"], tick["N"].shape))
+            seen.append({name: np.array(tick[name]) for name in tick})
 
     seen = []
     with raises(osc.InvalidInputError, match="recorder"):
         osc.run_loop(plant, controller, plan(rig), viewer=Viewer())
-    osc.run_loop(
-        Hardware(plant),
-        controller,
-        plan(rig, 3),
-        recorder=osc.Recorder(controller),
-        viewer=Viewer(),
-    )
-    assert seen == [(0.0, (6, 2)), (1e-3, (6, 2)), (2e-3, (6, 2))]
+    recorder = osc.Recorder(controller)
+    osc.run_loop(Hardware(plant), controller, plan(rig, 3), recorder=recorder, viewer=Viewer())
+    recording = recorder.recording()
+    assert len(seen) == 3 and len(seen[0]) > 10 and seen[2]["N"].shape == (6, 2)
+    for k, tick in enumerate(seen):
+        for name, value in tick.items():
+            assert_allclose(value, recording[name][k], atol=1e-14, err_msg=name)

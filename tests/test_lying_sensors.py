@@ -47,27 +47,23 @@ def moved(m, joint, by):
 
 
 def test_a_rotation_that_is_none_is_refused(case):
-    X = case.reference.X_WD
-    for turn in (1.01 * X.rotation, X.rotation @ np.diag([1.0, 1.0, -1.0]), np.zeros((3, 3))):
-        controller = case.controller()
-        bad = X.copy()
-        bad.rotation = turn
-        controller.tick(case.measurement, replace(case.reference, X_WD=bad))
-        assert controller.status is osc.Status.HELD and "its rotation is none" in controller.reason
-    nearly = X.copy()
-    nearly.rotation = np.array(X.rotation, dtype=np.float32).astype(float)
+    X = case.reference.X_WD.copy()
+    X.rotation = 1.01 * X.rotation
+    controller = case.controller()
+    controller.tick(case.measurement, replace(case.reference, X_WD=X))
+    assert controller.status is osc.Status.HELD and "its rotation is none" in controller.reason
+    X.rotation = np.array(case.reference.X_WD.rotation, dtype=np.float32).astype(float)
     controller.reset()
-    controller.tick(case.measurement, replace(case.reference, X_WD=nearly))
+    controller.tick(case.measurement, replace(case.reference, X_WD=X))
     assert controller.status is osc.Status.OK
 
 
-@mark.parametrize(("axis", "size"), [(0, 1e5), (2, -1001.0), (4, 201.0)])
-def test_a_wrench_that_no_sensor_measures_is_not_believed(case, axis, size):
+def test_a_wrench_that_no_sensor_measures_is_not_believed(case):
     controller = case.controller()
     last = controller.tick(case.measurement, case.reference)
     sums = controller.force_integral.copy()
     wrenches = case.measurement.wrenches.copy()
-    wrenches[1, axis] = size
+    wrenches[1, 2] = -1001.0
     tau = controller.tick(replace(case.measurement, wrenches=wrenches), case.reference)
     assert controller.status is osc.Status.HELD
     assert f"arm '{case.chain.arms[1].name}' reads more than it measures" in controller.reason

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from command_line import done, refused
 from pytest import mark, raises
-from typer.testing import CliRunner
 
 import osc_contact as osc
-from osc_contact.cli import app
 
 
 class Floor:
@@ -87,29 +86,21 @@ def test_robots_that_are_nearly_called_so():
         osc.robots.find_robot("ur10e")
 
 
-def call(*words):
-    result = CliRunner().invoke(app, list(words))
-    return result.exit_code, result.stdout + result.stderr
-
-
 def test_a_posture_that_does_not_serve_is_called_so(tmp_path):
-    words = ("new", "--robot", "panda", "--tip", "panda_hand_tcp", "--press", "Z=10")
-    code, said = call(*words, "--posture", "0, 0, 0", "--out", str(tmp_path / "my.yaml"))
-    said = " ".join(said.split())
-    assert code == 2 and "in the posture given" in said and "or none to have one sought" in said
+    line = "new --robot panda --tip panda_hand_tcp --press Z=10 --posture '0, 0, 0' --out"
+    said = refused(line, tmp_path / "my.yaml")
+    assert "in the posture given" in said and "or none to have one sought" in said
 
 
 def test_seeds_find_other_postures():
-    words = ("pose", "panda", "--tip", "panda_hand_tcp", "--xyz", "0.4, 0.1, 0.4")
-    told = {call(*words, *seed)[1] for seed in ((), ("--seed", "1"), ("--seed", "2"))}
-    assert len(told) == 3
-    code, said = call(*words[:4], "--seed", "1")
-    assert code == 2 and "give --xyz or --rpy" in " ".join(said.split())
+    line = "pose panda --tip panda_hand_tcp --xyz '0.4, 0.1, 0.4'"
+    assert len({done(f"{line} {seed}").stdout for seed in ("", "--seed 1", "--seed 2")}) == 3
+    assert "give --xyz or --rpy" in refused("pose panda --tip panda_hand_tcp --seed 1")
 
 
 def test_inspect_prints_motions_of_a_light_object_in_small_numbers():
     rig = osc.build_rig(osc.load_scenario("panda_edge"))
-    rows = call("inspect", "panda_edge")[1].splitlines()
+    rows = done("inspect panda_edge").stdout.splitlines()
     numbers = [
         float(x) for row in rows if "(m/s)" in row or "(rad/s)" in row for x in row.split("│")[2:-1]
     ]

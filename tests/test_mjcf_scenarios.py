@@ -2,7 +2,6 @@
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
@@ -10,7 +9,6 @@ from typer.testing import CliRunner
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.cli import app
-from osc_contact.robots.pictures import mjcf_geometry
 
 TASK = """
 name: from_mjcf
@@ -134,27 +132,6 @@ def test_both_plants_accelerate_an_arm_from_mjcf_alike(tmp_path):
     assert_allclose(moved[0].q, moved[1].q, atol=1.5e-5)
     assert np.abs(moved[0].q - rigs[0].q_start).max() > 1e-3
     assert_allclose(moved[0].wrenches, moved[1].wrenches, atol=0.05)
-
-
-def test_its_shapes_are_drawn_where_mujoco_has_them(tmp_path):
-    scenario = task(tmp_path)
-    model, geometry = mjcf_geometry(tmp_path / "arm.xml", "tip")
-    assert len(geometry.geometryObjects) == 8  # of the arm, not of what lies beside it
-    mj = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
-    data = mujoco.MjData(mj)
-    mine = model.createData()
-    q = np.array([*scenario.arms[0].posture, 0.01])
-    for name, x in zip(list(model.names)[1:], q, strict=True):
-        data.qpos[int(mj.joint(name).qposadr[0])] = x
-    mujoco.mj_forward(mj, data)
-    pin.forwardKinematics(model, mine, q)
-    for shape in geometry.geometryObjects:
-        g = int(shape.name.removeprefix("geom"))
-        assert_allclose(
-            (mine.oMi[shape.parentJoint] * shape.placement).translation,
-            data.geom_xpos[g],
-            atol=1e-9,
-        )
 
 
 def test_check_describes_it_and_refuses_with_exit_code_1(tmp_path):

@@ -10,7 +10,7 @@ from scene_samples import ENDS, write
 
 from osc_contact.errors import ViewerError
 from osc_contact.visual import contact_colour
-from osc_contact.visual.browser import FRAMES, moments, one_palette, write_gif, write_mp4
+from osc_contact.visual.browser import FRAMES, moments, write_gif, write_mp4
 from osc_contact.visual.marks import T_COLOUR
 
 SIZE = (320, 300)
@@ -62,17 +62,6 @@ def test_a_video_decodes_to_the_frames_of_the_gif(page, gif):
     off = [np.abs(frame - gif[3]).mean() for frame in frames]  # at 0.5 s
     assert np.argmin(off) in (12, 13) and min(off) < 8
     assert near(frames[12][:180], contact_colour(0), 40) > 20, "its colours"
-
-
-def test_pixels_that_hardly_change_keep_their_colour():
-    rng = np.random.default_rng(3)
-    still = rng.integers(0, 255, (40, 40, 3))
-    other = np.clip(still + rng.integers(-4, 5, still.shape), 0, 255)
-    other[:5] = 255 - still[:5]
-    frames = [Image.fromarray(np.uint8(f)) for f in (still, other)]
-    first, second = (np.asarray(f.convert("RGB")).astype(int) for f in one_palette(frames))
-    assert np.array_equal(first[5:], second[5:])
-    assert np.abs(second[:5] - other[:5]).mean() < 20
 
 
 EYE = "[...viewer.camera.position.toArray(), ...nodeAt('').object.position.toArray()]"

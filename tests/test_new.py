@@ -2,14 +2,13 @@
 
 import numpy as np
 import yaml
+from command_line import done, refused
 from numpy.testing import assert_allclose
 from pytest import approx, mark
 from samples import chosen
-from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.cli import app
 from osc_contact.runs.drafts import Press, _text
 
 ARMS = {
@@ -25,19 +24,11 @@ ARMS = {
 }
 
 
-def new(*words):
-    result = CliRunner().invoke(app, ["new", *map(str, words)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
-
-
 @mark.parametrize("robot", chosen(list(ARMS), "ur10", "xarm", "so100", "baxter"))
 def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     tip, press = ARMS[robot]
     file = tmp_path / "my.yaml"
-    result = new("--robot", robot, "--tip", tip, f"--press={press}", "--out", file)
-    assert result.exit_code == 0, result.stderr
+    done(f"new --robot {robot} --tip {tip} --press={press} --out", file)
     scenario = osc.load_scenario(file)
     rig = osc.build_rig(scenario)
     assert osc.preflight(rig) == ()
@@ -54,29 +45,25 @@ def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
 
 def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path):
     file = tmp_path / "arm.yaml"
-    posture = "0, -90 deg, 90 deg, -90 deg, -90 deg, 0"
-    words = ("--robot", "ur10", "--tip", "tool0", "--posture", posture, "--out", file)
-    assert new(*words).exit_code == 0
-    again = new(*words)
-    assert again.exit_code == 2 and "exists; give another file" in again.stderr
-    done = CliRunner().invoke(app, ["run", str(file), "--out", str(tmp_path / "out")])
-    assert done.exit_code == 0 and "verdict: OK" in done.stdout
+    line = "new --robot ur10 --tip tool0 --posture '0, -90 deg, 90 deg, -90 deg, -90 deg, 0' --out"
+    done(line, file)
+    assert "exists; give another file" in refused(line, file)
+    assert "verdict: OK" in done("run", file, "--out", tmp_path / "out").stdout
 
 
 @mark.parametrize(
     ("words", "said"),
     [
-        (("--robot", "ur10", "--press", "W=3"), "an axis of the tip and newtons, such as Z=15"),
-        (("--robot", "ur10", "--press", "Z=-3"), "an axis of the tip and newtons"),
-        (("--robot", "ur10", "--press", "Z=5000"), "times their limits"),
-        (("--robot", "ur10", "--posture", "1, 2"), "2 numbers for 6 joints"),
-        (("--robot", "ur11"), "no robot 'ur11'"),
-        (("--robot", "panda"), "has 3 ends"),
+        ("ur10 --press W=3", "an axis of the tip and newtons, such as Z=15"),
+        ("ur10 --press Z=-3", "an axis of the tip and newtons"),
+        ("ur10 --press Z=5000", "times their limits"),
+        ("ur10 --posture '1, 2'", "2 numbers for 6 joints"),
+        ("ur11", "no robot 'ur11'"),
+        ("panda", "has 3 ends"),
     ],
 )
 def test_what_cannot_be_is_told_and_nothing_is_written(words, said, tmp_path):
-    result = new(*words, "--out", tmp_path / "x.yaml")
-    assert result.exit_code == 2 and said in result.stderr
+    assert said in refused(f"new --robot {words} --out", tmp_path / "x.yaml")
     assert not list(tmp_path.iterdir())
 
 

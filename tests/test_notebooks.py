@@ -8,7 +8,7 @@ from pathlib import Path
 import jupytext
 import nbclient
 import pytest
-from samples import first
+from samples import chosen
 
 from osc_contact.visual.page import embed
 
@@ -51,7 +51,9 @@ def test_a_page_is_embedded_whole(tmp_path):
     assert "321px" in shown._repr_html_() and len(repr(shown)) < 100
 
 
-@pytest.mark.parametrize("path", first(NOTEBOOKS), ids=lambda path: getattr(path, "stem", None))
+@pytest.mark.parametrize(
+    "path", chosen(NOTEBOOKS, NOTEBOOKS[1]), ids=lambda path: getattr(path, "stem", None)
+)
 def test_notebook_runs(path, tmp_path):
     notebook = execute(jupytext.read(path), tmp_path)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]

@@ -72,6 +72,20 @@ def robot_of(model, **how):
     return osc.MujocoRobot.from_model(model, **asked)
 
 
+def wiping(X, amplitude=0.04, alpha=10.0):
+    """References along a wall from X on, to and fro along z, as a function of time."""
+    z = np.array([0, 0, amplitude])
+    w = 3.0
+
+    def along(t):
+        p = X.translation + (1 - np.cos(w * t)) * z
+        v = w * np.sin(w * t) * z
+        a = w**2 * np.cos(w * t) * z
+        return osc.pose_reference(p, X.rotation, v, a, alpha_d=[alpha])
+
+    return along
+
+
 def pushes(robot, geoms):
     """(N) what MuJoCo says its contacts with these geoms of the robot carry, along the normal."""
     wanted = {int(robot.model.geom(name).id) for name in geoms}
@@ -107,16 +121,8 @@ def test_scene_is_robot_and_judge(actuators):
     controller = osc.Controller(robot.chain, [WALL], posture=start)
     X = robot.chain.state(start, np.zeros(3)).X_WO
 
-    def along(t):
-        z = np.array([0, 0, 0.04])
-        w = 3.0
-        p = X.translation + (1 - np.cos(w * t)) * z
-        v = w * np.sin(w * t) * z
-        a = w**2 * np.cos(w * t) * z
-        return osc.pose_reference(p, X.rotation, v, a, alpha_d=[10.0])
-
     spy = Spy(controller, robot)
-    osc.run_loop(robot, controller, map(along, np.arange(0, 2.5, 1e-3)), recorder=spy)
+    osc.run_loop(robot, controller, map(wiping(X), np.arange(0, 2.5, 1e-3)), recorder=spy)
     recording = spy.recording()
     assert_allclose(recording["alpha_true"][:, 0], spy.told, atol=1e-9)
     verdict = osc.metrics(recording)

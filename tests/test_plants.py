@@ -10,7 +10,6 @@ from pytest import fixture, raises
 
 import osc_contact as osc
 from osc_contact.contacts.contact import Contact
-from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs import rig as plants
 
@@ -64,16 +63,6 @@ def test_rigid_plant_at_rest_reads_weights_and_contact_forces(rig):
     assert_allclose(force, push + mass * (a_O[:3] + [0, 0, 9.81]), atol=1e-6)
 
 
-def test_mujoco_stands_where_pinocchio_says(rig):
-    plant = rig.plant()
-    assert isinstance(plant, MujocoPlant)
-    X = plant.truth().X_WO
-    state = rig.state()
-    assert_allclose(X.translation, state.X_WO.translation, atol=1e-9)
-    assert_allclose(X.rotation, state.X_WO.rotation, atol=1e-9)
-    assert_allclose(plant.measure().q, rig.q_start, atol=1e-12)
-
-
 def test_mujoco_wrist_sensors_agree_with_newton_euler(rig):
     """Reading = Λ_out a + bias + f_c, all from MuJoCo's own accelerations and contact forces."""
     plant = rig.plant()
@@ -108,21 +97,6 @@ def test_mujoco_contacts_push_and_never_pull(rig):
     assert_array_equal(truth.alpha, 0.0)
 
 
-def test_both_plants_accelerate_alike_where_contacts_stay_closed(rig):
-    """Same torques, same 50 ms: the rod goes the same way within the softness of the faces."""
-    tau = np.array([-1.9, -1.0, -15.0, 0.3, 5.7, -0.3, -17.8, 0.0])
-    soft = rig.plant()
-    hard = RigidPlant(rig.chain, rig.pairs, 2.5e-4)
-    hard.reset(rig.q_start)
-    for _ in range(50):
-        soft.command(tau, 1e-3)
-        hard.command(tau, 1e-3)
-    moved = hard.truth().X_WO.translation - rig.state().X_WO.translation
-    apart = hard.truth().X_WO.translation - soft.truth().X_WO.translation
-    assert np.linalg.norm(moved) > 1e-3
-    assert np.linalg.norm(apart) < 0.2 * np.linalg.norm(moved) + 2e-4
-
-
 def test_divergence_is_an_error_and_leaves_no_log_file(rig, tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
     plant = rig.plant()
@@ -130,6 +104,10 @@ def test_divergence_is_an_error_and_leaves_no_log_file(rig, tmp_path, monkeypatc
     with caplog.at_level(logging.DEBUG), raises(osc.PlantError, match="diverged"):
         plant.command(np.zeros(8), 1e-3)
     assert list(Path(tmp_path).iterdir()) == []
+    with raises(osc.InvalidInputError, match="tau: element"):
+        plant.command(np.full(8, np.inf), 1e-3)
+    with raises(osc.InvalidInputError, match="shape"):
+        plant.hold(np.zeros(7))
 
 
 def test_rigid_plant_refuses_to_run_away(rig):

@@ -107,18 +107,6 @@ def test_numbers_are_those_of_scenario_files():
         poses.numbers("posture", "1, x")
 
 
-def test_ends_are_the_bodies_that_carry_nothing():
-    assert robots.ends_of(robots.load_model(robots.find_robot("ur10")[0])) == ["ee_link"]
-    assert (
-        osc.Arm.from_urdf(robots.find_robot("z1")[0], name="z", tip="gripperStator").model.nv == 6
-    )
-
-
-def test_a_pose_is_reached_within_a_micrometre_and_ten_microradians():
-    for miss, reached in (((0.9e-6, 0.9e-5), True), ((1.1e-6, 0.0), False), ((0.0, 1.1e-5), False)):
-        assert poses.Posture(np.zeros(7), miss).reached == reached
-
-
 def test_joints_outside_either_limit_are_named():
     chain = osc.ClosedChain([poses.arm_of("panda", "panda_hand_tcp")])
     low = chain.model.lowerPositionLimit

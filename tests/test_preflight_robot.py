@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from pytest import approx, mark, raises
-from test_own_mujoco import START, WALL, robot_of, scene
+from test_own_mujoco import START, WALL, robot_of, scene, wiping
 
 import osc_contact as osc
 
@@ -16,16 +17,7 @@ def task(model=None, pair=WALL, alpha=10.0, amplitude=0.02, ticks=1500, guess=ST
     start = robot.touching(guess)
     robot.reset(start)
     controller = osc.Controller(robot.chain, [pair], posture=start, **how)
-    X = robot.chain.state(start, np.zeros(3)).X_WO
-    z = np.array([0, 0, amplitude])
-    w = 3.0
-
-    def along(t):
-        p = X.translation + (1 - np.cos(w * t)) * z
-        v = w * np.sin(w * t) * z
-        a = w**2 * np.cos(w * t) * z
-        return osc.pose_reference(p, X.rotation, v, a, alpha_d=[alpha])
-
+    along = wiping(robot.chain.state(start, np.zeros(3)).X_WO, amplitude, alpha)
     return robot, controller, [along(1e-3 * k) for k in range(ticks)]
 
 
@@ -130,22 +122,17 @@ class WithoutGravity:
 
 def test_a_wrist_without_gravity_is_refused_at_the_door():
     robot = WithoutGravity()
-    q = robot.measure().q
     life = osc.PhaseSettings()
+    q = robot.measure().q
     controller = osc.Controller(robot.chain, [WALL], posture=q, life=life)
     X = robot.chain.state(q, np.zeros(3)).X_WO
-    (one,) = osc.preflight(robot, controller, [osc.Reference(X, alpha_d=np.array([5.0]))])
-    assert one.refused and "without gravity" in one.text
-    (one,) = osc.preflight(
-        robot.inner, controller, [osc.Reference(pin_shifted(X, 0.2), alpha_d=np.array([5.0]))]
-    )
-    assert one.refused and "0.2 m away from where it is" in one.text
-
-
-def pin_shifted(X, by):
-    X = X.copy()
-    X.translation = X.translation + [0, 0, by]
-    return X
+    for judged, shift, words in (
+        (robot, 0.0, "without gravity"),
+        (robot.inner, 0.2, "0.2 m away from where it is"),
+    ):
+        goal = pin.SE3(X.rotation, X.translation + [0, 0, shift])
+        (one,) = osc.preflight(judged, controller, [osc.Reference(goal, alpha_d=np.array([5.0]))])
+        assert one.refused and words in one.text
 
 
 def test_what_cannot_be_looked_at_is_refused():

@@ -72,7 +72,6 @@ def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
     with started([*COMMAND, *words]) as process:
         while not (tmp_path / "unfinished.mcap").exists():
             sleep(0.05)
-        sleep(0.5)
         process.send_signal(signal.SIGINT)
         said, complaints = process.communicate(timeout=300)
     assert process.returncode == 130 and not complaints
@@ -156,6 +155,7 @@ def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tm
     same(recovered, once)
 
 
+@mark.slow
 def test_memory_does_not_grow_with_the_run():
     code = (
         "import resource, osc_contact as osc\n"

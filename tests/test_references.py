@@ -54,14 +54,6 @@ def test_twist_and_classical_acceleration_are_derivatives_of_the_pose(t, centres
     assert_allclose(here.A_D, rate, atol=1e-6)
 
 
-def test_turns_are_about_directions_fixed_in_the_world():
-    wanted = two_turns()
-    R0 = wanted.X_start.rotation
-    angle = [move.signals[0].at(1.3)[0] for move in wanted.scenario.motion[:2]]
-    want = pin.rpy.rpyToMatrix(0, angle[1], 0) @ pin.rpy.rpyToMatrix(0, 0, angle[0]) @ R0
-    assert_allclose(wanted.at(1.3).X_WD.rotation, want, atol=1e-12)
-
-
 def test_turns_about_points_are_products_of_poses():
     wanted = two_turns(CENTRES)
     t = 2.7  # after the standoff

@@ -4,12 +4,11 @@ import json
 
 import numpy as np
 import pinocchio as pin
+from command_line import done, refused
 from numpy.testing import assert_allclose
-from pytest import MonkeyPatch, approx, fixture, raises
-from typer.testing import CliRunner
+from pytest import MonkeyPatch, approx, fixture, mark, raises
 
 import osc_contact as osc
-from osc_contact.cli import app
 from osc_contact.sweeps.study import SweepStudy
 from paper import robustness as study
 from paper.selection_laws import Selection
@@ -23,26 +22,29 @@ CHANGES = ["control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.1", "verdict.
 def made(tmp_path_factory):
     """Two samples of each case, by command: (folder, what it printed)."""
     folder = tmp_path_factory.mktemp("robustness")
-    words = ["reproduce", "robustness", "--samples", "2", "--duration", "1.1", "--out", str(folder)]
+    line = f"reproduce robustness --samples 2 --duration 1.1 --out {folder}"
     with MonkeyPatch.context() as patch:
         patch.setattr(study, "_FIRST", 0)  # the best law from nominal runs alone
-        done = CliRunner().invoke(app, words)
-        again = CliRunner().invoke(app, [*words, "--seed", "1"])
-    assert done.exit_code == 0, done.output
-    assert again.exit_code == 2 and "another study" in again.stderr
-    return folder, done.stdout
+        printed = done(line).stdout
+        assert "another study" in refused(f"{line} --seed 1")
+    return folder, printed
+
+
+def assert_row_is_that_of_single_runs(row, case, number, laws):
+    points = SweepStudy.of("two_contact_rod", study.VARIED[case], 2, overrides=CHANGES)
+    drawn = points.sample(number)
+    changes = [*CHANGES, *(f"{k}={v}" for k, v in drawn.overrides.items())]
+    scenario = osc.load_scenario("two_contact_rod", changes)
+    for name, law in laws.items():
+        force, motion = errors(scenario, drawn.seed, install=law.install)
+        assert row[f"{name}.force"] == approx(force, rel=1e-6)
+        assert row[f"{name}.motion"] == approx(motion, rel=1e-6)
+        assert row[f"{name}.word"] == WORDS[case] and not row[f"{name}.failed"]
 
 
 @fixture(scope="module")
 def found(made):
     return json.loads((made[0] / "robustness.json").read_text())
-
-
-def sample_of(case, number):
-    points = SweepStudy.of("two_contact_rod", study.VARIED[case], 2, overrides=CHANGES)
-    drawn = points.sample(number)
-    changes = [*CHANGES, *(f"{k}={v}" for k, v in drawn.overrides.items())]
-    return osc.load_scenario("two_contact_rod", changes), drawn.seed
 
 
 def errors(scenario, seed, **how):
@@ -52,17 +54,12 @@ def errors(scenario, seed, **how):
     return force, verdict["motion"]["rms_error_m"]
 
 
+@mark.slow
 def test_rows_are_single_runs_of_the_same_sample_under_each_law(found):
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", CHANGES))
     laws = {"ours": study.Ours()} | {name: chosen_law(rig, name) for name in study.BASELINES}
     for case in study.VARIED:
-        row = found["rows"][case][1]
-        scenario, seed = sample_of(case, 1)
-        for name, law in laws.items():
-            force, motion = errors(scenario, seed, install=law.install)
-            assert row[f"{name}.force"] == approx(force, rel=1e-6)
-            assert row[f"{name}.motion"] == approx(motion, rel=1e-6)
-            assert row[f"{name}.word"] == WORDS[case] and not row[f"{name}.failed"]
+        assert_row_is_that_of_single_runs(found["rows"][case][1], case, 1, laws)
 
 
 def chosen_law(rig, family):
@@ -73,6 +70,33 @@ def chosen_law(rig, family):
     return min(candidates, key=lambda one: one[1] * one[2])[0]
 
 
+def test_rows_are_those_of_single_runs_and_are_not_run_again(tmp_path, monkeypatch):
+    asked = []
+    inner = study.make_all
+
+    def make_all(crew, jobs, make):
+        asked.append(len(jobs))
+        return inner(crew, jobs, make)
+
+    def candidates(_, family, __):
+        return [(study.SelectionLaw(family, chosen[0]), 1.0, 1.0)]
+
+    monkeypatch.setattr(study, "make_all", make_all)
+    monkeypatch.setattr(study, "_candidates", candidates)
+    at_O = pin.SE3.Identity()
+    couples = ((True, False, False), (False, False, True))
+    chosen = [Selection.of_frame(at_O, (False, True, False), one) for one in couples]
+    how = {"changes": CHANGES, "workers": 1}
+    first = study.run(1, tmp_path, **how)
+    second = study.run(1, tmp_path, **how)
+    assert asked == [4, 0] and first.rows == second.rows
+    assert_row_is_that_of_single_runs(first.rows["delay"][0], "delay", 0, {"ours": study.Ours()})
+    del chosen[0]
+    with raises(osc.InvalidInputError, match="seed or law"):  # rows of other laws
+        study.run(1, tmp_path, **how)
+
+
+@mark.slow
 def test_what_the_controllers_do_not_know_costs_all_of_them_accuracy(found):
     for case in ("masses", "friction", "normals"):
         for law in study.LAWS:
@@ -80,6 +104,7 @@ def test_what_the_controllers_do_not_know_costs_all_of_them_accuracy(found):
             assert worst > found["nominal"][f"{law}.force"] + 0.01  # of the command
 
 
+@mark.slow
 def test_the_table_and_the_figure_tell_what_the_rows_say(made, found):
     folder, printed = made
     assert {path.name for path in folder.iterdir()} == {
@@ -112,35 +137,3 @@ def test_failed_runs_count_as_the_largest_errors():
     wanted = np.quantile(np.where(failed, np.inf, values), (0.5, 0.9), method="inverted_cdf")
     assert_allclose(told["force"][:2], 100 * wanted)
     assert told["force"][2] is None
-
-
-def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch):
-    asked = []
-    inner = study.make_all
-
-    def make_all(crew, jobs, make):
-        asked.append(len(jobs))
-        return inner(crew, jobs, make)
-
-    monkeypatch.setattr(study, "make_all", make_all)
-    at_O = pin.SE3.Identity()
-    force = (False, True, False)
-    couples = ((True, False, False), (False, False, True))
-    chosen = [Selection.of_frame(at_O, force, one) for one in couples]
-
-    def candidates(_, family, __):
-        return [(study.SelectionLaw(family, chosen[0]), 1.0, 1.0)]
-
-    monkeypatch.setattr(study, "_candidates", candidates)
-    how = {"changes": ["duration=1.02"], "workers": 1}
-    first = study.run(1, tmp_path, **how)
-    second = study.run(1, tmp_path, **how)
-    assert asked == [4, 0] and first.rows == second.rows
-    del chosen[0]
-    with raises(osc.InvalidInputError, match="seed or law"):  # rows of other laws
-        study.run(1, tmp_path, **how)
-
-
-def test_samples_of_what_has_none_are_refused():
-    refused = CliRunner().invoke(app, ["reproduce", "fig5", "--samples", "3"])
-    assert refused.exit_code == 2 and "leave --samples out" in refused.stderr

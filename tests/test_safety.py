@@ -1,7 +1,5 @@
 """Ticks that cannot be computed: repeated, held, stopped; and joints that run away."""
 
-import copy
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -178,19 +176,6 @@ def test_what_raises_in_python_counts_too():
     for _ in range(20):
         other.tick(replace(case.measurement, q="nowhere"), case.reference)
     assert other.state is SAFE_STOP
-
-
-def test_copies_stay_stopped(case):
-    controller = case.controller()
-    for _ in range(20):
-        controller.tick(blind(case), case.reference)
-    for other in (copy.copy(controller), pickle.loads(pickle.dumps(controller))):
-        assert other.state is SAFE_STOP and other.state_age == 1
-        assert other.with_gains(osc.Gains()).state is SAFE_STOP
-        other.reset()
-        other.tick(case.measurement, case.reference)
-        assert other.state is RUN
-    assert controller.state is SAFE_STOP
 
 
 def test_settings_are_checked():

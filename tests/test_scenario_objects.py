@@ -11,6 +11,7 @@ from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
+from osc_contact.scenarios.signals import MinimumJerk
 
 PLANTS = ("rigid", "mujoco")
 SAME = ("q", "tau", "pose", "alpha_true", "alpha_meas", "N", "closed", "contact_point", "face_pose")
@@ -113,11 +114,7 @@ def test_bodies_of_ones_own(plant):
         return scenario.replaced(contacts=[left, right])
 
     def drive(t):
-        u = min(t / 0.05, 1.0)
-        s = 0.005 * u**3 * (10 - 15 * u + 6 * u * u)
-        v = 0.005 * 30 * u**2 * (1 - u) ** 2 / 0.05
-        a = 0.005 * 60 * u * (1 - u) * (1 - 2 * u) / 0.05**2
-        return np.array([[s, 0.0], [v, 0.0], [a, 0.0]])
+        return np.array([[x, 0.0] for x in MinimumJerk(value=0.005, duration=0.05).at(t)])
 
     answered = []
 

@@ -4,11 +4,10 @@ import json
 from pathlib import Path
 
 import yaml
-from pydantic import ValidationError
-from pytest import approx, mark, raises
+from pytest import mark, raises
 
 from osc_contact.errors import ScenarioError
-from osc_contact.scenarios import Scenario, list_scenarios, load_scenario, parse_scenario
+from osc_contact.scenarios import Scenario, load_scenario, parse_scenario
 
 GOOD = """\
 name: small
@@ -61,12 +60,6 @@ def test_good_file():
     assert scenario.control.metric == "object" and scenario.tare is None
     assert scenario.source == Path("some/f.yaml")
     assert parse_scenario(GOOD).source is None
-
-
-def test_scenarios_are_frozen():
-    scenario = parse_scenario(GOOD)
-    with raises(ValidationError, match="frozen"):
-        scenario.duration = 3.0
 
 
 BAD = {
@@ -280,27 +273,43 @@ def test_at_most_eight_arms():
     assert "arms: expected at most 8 items" in complaints(json.dumps(data))[0]
 
 
-OVERRIDES = [
-    ("contacts.end.radius=5 mm", lambda s: s.contacts[0].radius, 0.005),
-    ("contacts.0.radius=5 mm", lambda s: s.contacts[0].radius, 0.005),
-    ("plant.friction=0.1", lambda s: s.plant.friction, 0.1),
-    ("arms.right.posture=[1, 2 mm]", lambda s: s.arms[1].posture, (1.0, 0.002)),
-    ("arms.left.posture.1=0.2", lambda s: s.arms[0].posture[1], 0.2),
-    ("arms.left.base.xyz=[1, 0, 0]", lambda s: s.arms[0].base.xyz, (1.0, 0.0, 0.0)),
-    ("model_error.object_mass = 1.1", lambda s: s.model_error.object_mass, 1.1),
-    ("tare.duration=0.5 s", lambda s: s.tare.duration, 0.5),
-    ("motion=[]", lambda s: s.motion, ()),
-    ("plant={type: rigid, step: 1 ms}", lambda s: s.plant.type, "rigid"),
-    ("description=a=b", lambda s: s.description, "a=b"),
-    ("force.end.0.value=7 N", lambda s: s.force["end"][0].value, 7.0),
-]
+OVERRIDES = {
+    "contacts.end.radius=5 mm": 0.005,
+    "contacts.0.radius=5 mm": 0.005,
+    "plant.friction=0.1": 0.1,
+    "arms.right.posture=[1, 2 mm]": [1.0, 0.002],
+    "arms.left.posture.1=0.2": 0.2,
+    "arms.left.base.xyz=[1, 0, 0]": [1.0, 0.0, 0.0],
+    "model_error.object_mass = 1.1": 1.1,
+    "tare.duration=0.5 s": 0.5,
+    "motion=[]": [],
+    "plant={type: rigid, step: 1 ms}": {"type": "rigid", "step": 1e-3, "friction": 0.0},
+    "description=a=b": "a=b",
+    "force.end.0.value=7 N": 7.0,
+}
 
 
-@mark.parametrize(("override", "read", "wanted"), OVERRIDES, ids=[o[0] for o in OVERRIDES])
-def test_overrides(override, read, wanted):
-    assert read(parse_scenario(GOOD, None, [override])) == wanted
+def value_at(data, path):
+    """What stands at a dotted path; items of lists go by name or number."""
+    for part in path.strip().split("."):
+        if isinstance(data, list):
+            named = [item for item in data if isinstance(item, dict) and item.get("name") == part]
+            data = named[0] if named else data[int(part)]
+        else:
+            data = data[part]
+    return data
+
+
+@mark.parametrize("override", OVERRIDES)
+def test_overrides(override):
     key, _, value = override.partition("=")
-    assert read(parse_scenario(GOOD, None, {key: value})) == wanted
+    for changes in ([override], {key: value}):
+        data = json.loads(json.dumps(parse_scenario(GOOD, None, changes).as_dict()))
+        found = value_at(data, key)
+        wanted = OVERRIDES[override]
+        if isinstance(wanted, dict):  # of a group of keys some
+            found = {name: found[name] for name in wanted}
+        assert found == wanted
 
 
 BAD_OVERRIDES = [
@@ -345,11 +354,6 @@ def test_a_clash_of_two_keys_is_blamed_on_the_overridden_one():
         assert found.startswith(f"override {override}: ") and "the control period is" in found
 
 
-def test_a_missing_key_may_come_from_an_override():
-    text = GOOD.replace("control: {rate: 1 kHz}\n", "")
-    assert parse_scenario(text, None, ["control.rate=1 kHz"]).control.rate == 1000.0
-
-
 def test_round_trip():
     for scenario in (parse_scenario(GOOD, "f.yaml"), load_scenario("two_contact_rod")):
         data = json.loads(json.dumps(scenario.as_dict(), allow_nan=False))
@@ -358,31 +362,6 @@ def test_round_trip():
         assert again == scenario and again.as_dict() == data
         assert "source" not in data
     assert parse_scenario(GOOD, None, ["duration=3 s"]) != parse_scenario(GOOD)
-
-
-def test_packaged_scenarios_load_under_their_names():
-    listed = list_scenarios()
-    assert "two_contact_rod" in listed
-    for name, description in listed.items():
-        scenario = load_scenario(name)
-        assert scenario.name == name and scenario.description == description != ""
-        assert scenario.source.is_file()
-
-
-def test_two_contact_rod_touches_its_faces_and_is_skew():
-    scenario = load_scenario("two_contact_rod")
-    pose = scenario.object.pose
-    assert pose.rpy == (0.0, 0.0, 0.0)
-    lines = []
-    for contact in scenario.contacts:
-        centre = [a + b for a, b in zip(pose.xyz, contact.vertex, strict=True)]
-        for c, p, n in zip(centre, contact.face.point, contact.face.normal, strict=True):
-            assert p == approx(c - contact.radius * n, abs=1e-6)
-        lines.append((centre, contact.face.normal))
-    (p, n), (q, m) = lines
-    cross = [n[1] * m[2] - n[2] * m[1], n[2] * m[0] - n[0] * m[2], n[0] * m[1] - n[1] * m[0]]
-    assert abs(sum((a - b) * c for a, b, c in zip(p, q, cross, strict=True))) > 0.01
-    assert abs(sum(c * c for c in cross)) > 0.1
 
 
 def test_loading_by_path_and_unknown_names(tmp_path):

@@ -1,11 +1,10 @@
 """Pages of scenes, decoded: poses, lengths, colours, what is shown when, what the page fetches."""
 
-import math
 import re
-from html.parser import HTMLParser
 
 import numpy as np
 import pinocchio as pin
+from html_pages import Page
 from numpy.testing import assert_allclose
 from pytest import approx, fixture, mark, raises
 from scene_samples import (
@@ -29,7 +28,6 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
-from osc_contact.visual.parts import State, changes, track
 from osc_contact.visual.scene import (
     ASPECT,
     FIELD_OF_VIEW_DEG,
@@ -40,7 +38,7 @@ from osc_contact.visual.scene import (
     thinned,
     write_scene,
 )
-from osc_contact.visual.shapes import along, arrow_lengths, tube, urdf_geometry
+from osc_contact.visual.shapes import along, urdf_geometry
 
 ROOT = "/meshcat/"
 LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
@@ -53,46 +51,14 @@ def shown(tmp_path_factory):
 
 
 def test_page_fetches_nothing_and_escapes_its_words(shown):
-    class Fetches(HTMLParser):
-        addresses = ()
-
-        def handle_starttag(self, tag, attrs):
-            self.addresses += tuple(v for k, v in attrs if k in ("src", "href", "srcset", "data"))
-
     text = shown.page.read_text()
-    reader = Fetches()
-    reader.feed(text)
-    assert not reader.addresses and "http" not in repr(shown.commands)
+    page = Page(text)
+    assert not page.loads and not page.links and "http" not in repr(shown.commands)
     assert "default-src 'none'" in text and re.search(r'connect-src data: blob:"', text)
     assert "connect-src data: blob:;" not in text
     assert "new WebSocket" not in text.rsplit("<script>", 2)[1]
     assert "<title>test &lt;scene&gt;</title>" in text and "best \\u003cframe>" in text
     assert shown.config["legend"][-2]["text"] == "best <frame>"
-
-
-def test_page_holds_every_body_and_plays_for_ever(shown):
-    for prefix in [
-        "arms/left/base/",
-        "arms/left/joint3/",
-        "bodies/rod/",
-        "bodies/face/",
-        "floor/plane",
-        "contacts/left_end/true/shaft/rod",
-        "contacts/right_end/commanded/head/cone",
-        "contacts/left_end/measured/shaft/rod",
-        "contacts/left_end/closed/line/rod",
-        "contacts/left_end/closed/point",
-        "contacts/left_end/lost/point",
-        "twists/0/turn/axis/rod",
-        "frame/axis2/couple/ring",
-        "trails/object",
-        "trails/right_end",
-    ]:
-        assert any(path.startswith(ROOT + prefix) for path in shown.objects), prefix
-    assert shown.pose("/meshcat/bodies/face", 0).isApprox(FACE, 1e-6)
-    assert shown.animation["options"] == {"play": True, "repetitions": math.inf}
-    last = {max(keys) for keys in shown.tracks.values()}
-    assert last == {10}, "tracks of unequal length would drift apart when repeated"
 
 
 def test_arm_and_object_stand_where_the_recording_has_them(shown):
@@ -271,50 +237,6 @@ def test_the_camera_sees_everything_and_stands_no_further_than_needed(seed):
     assert (away @ view).max() < 0.0 and 0.75 < np.abs(image).max() < 1.0
 
 
-def test_changes_sends_only_what_differs():
-    sink = CommandSink()
-    moved = State(pin.SE3(np.eye(3), np.array([1.0, 2.0, 3.0])), (1.0, 2.0, 1.0))
-    before = {"a": moved, "b": State(visible=True)}
-    changes(sink.visualizer(), {}, before)
-    assert [c["type"] for c in sink.commands] == ["set_transform", "set_property"]
-    placed = matrix(sink.commands[0]) @ [0.0, 1.0, 0.0, 1.0]
-    assert np.allclose(placed, [1.0, 4.0, 3.0, 1.0]), "scaled, then moved"
-    changes(sink.visualizer(), before, {"a": moved, "b": State(visible=False)})
-    assert [(c["path"], c["value"]) for c in sink.commands[2:]] == [("/meshcat/b", False)]
-
-
-def test_track_leaves_out_only_what_changes_nothing():
-    from meshcat.animation import Animation
-
-    animation = Animation(default_framerate=30)
-    scene = CommandSink().visualizer()
-    values = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
-    track(scene["node"], animation, "opacity", "number", values)
-    track(scene["other"], animation, "opacity", "number", np.ones(5))
-    (clip,) = animation.lower()
-    keys = {key["time"]: key["value"] for key in clip["clip"]["tracks"][0]["keys"]}
-    assert keys == {0: 0.0, 3: 0.0, 4: 1.0, 5: 2.0, 7: 2.0}
-
-
-def test_short_arrow_is_a_smaller_head():
-    for length, head in ((0.01, 0.01 / 0.035), (0.035, 1.0), (0.135, 1.0)):
-        shaft, y, scale = arrow_lengths(length)
-        assert scale == approx((head,) * 3)
-        assert shaft[1] - y == approx(length, abs=2e-6)
-    assert np.isfinite([*arrow_lengths(np.nan)[0], *arrow_lengths(-3.0)[2]]).all()
-
-
-def test_a_tube_keeps_its_radius_around_every_bend():
-    rng = np.random.default_rng(5)
-    path = np.cumsum(rng.standard_normal((40, 3)) + [2.0, 0.0, 0.0], axis=0)
-    mesh = tube(np.insert(path, 7, path[7], axis=0), 0.1, sides=8)
-    rings = np.asarray(mesh.vertices, dtype=float).reshape(-1, 8, 3)
-    assert np.allclose(rings.mean(axis=1), path, atol=1e-4)
-    radii = np.linalg.norm(rings - rings.mean(axis=1, keepdims=True), axis=2)
-    assert np.allclose(radii, 0.1, atol=1e-4) and mesh.faces.max() < len(mesh.vertices)
-    tube([[0.0, 0.0, 0.0]] * 3, 0.1)
-
-
 @mark.parametrize(
     "how",
     [{"contacts": 0}, {"without": ("contact_point", "contact_direction", "closed", "alpha_true")}],
@@ -388,18 +310,12 @@ def test_urdf_shapes_lie_as_in_the_urdf(tmp_path):
     drawn = {c["path"]: c["object"] for c in sink.commands if c["type"] == "set_object"}
     placed = {c["path"]: matrix(c) for c in sink.commands if c["type"] == "set_transform"}
     box, cylinder, sphere, tetra = (drawn[f"/meshcat/{i}/shape"]["geometries"][0] for i in range(4))
-    assert (box["width"], box["height"], box["depth"]) == (1.0, 2.0, 3.0)
+    sizes = [box[key] for key in ("width", "height", "depth")]
+    assert sizes == [1.0, 2.0, 3.0] and sphere["radius"] == 0.2
     assert (cylinder["radiusTop"], cylinder["height"]) == (0.1, 0.7)
     assert np.allclose(placed["/meshcat/1/shape"][:3, :3] @ [0, 1, 0], [0, 0, 1])
-    assert sphere["radius"] == 0.2
     vertices = np.frombuffer(tetra["data"]["attributes"]["position"]["array"].data, np.float32)
     assert vertices.max() == 2.0 and len(vertices) % 3 == 0 and placed["/meshcat/2"][0, 3] == 2.0
     paint = drawn["/meshcat/0/shape"]["materials"][0]
     assert paint["color"] == 0xFF8000 and paint["opacity"] == approx(0.4)
     assert placed["/meshcat/4/shape/top"][2, 3] == approx(capsule.geometry.halfLength)
-
-
-@mark.parametrize("direction", [(0, 3, 0), (0, -2, 0), (1, 2, -2)])
-def test_along_takes_y_to_the_direction(direction):
-    expected = np.array(direction) / np.linalg.norm(direction)
-    assert np.allclose(along([1, 2, 3], direction).rotation[:, 1], expected)

@@ -12,7 +12,6 @@ from samples import first
 import osc_contact as osc
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.sensors import SensedPlant, SensorErrors, Sensors
-from osc_contact.runs.hardware import Observer
 from osc_contact.scenarios.hardware import Clock, VisionSpec
 
 STEP = 1e-3
@@ -37,11 +36,7 @@ class Toy:
         return "the truth"
 
     def poses(self):
-        """An object that swings, two arms that stand still."""
-        X = np.tile(np.eye(4), (3, 1, 1))
-        X[0, 1, 3] = 0.3 * self.time
-        X[1:, 0, 3] = -0.4, 0.4
-        return X
+        return np.tile(np.eye(4), (3, 1, 1))
 
     def measure(self):
         t = self.time
@@ -173,75 +168,6 @@ def test_impossible_clocks_are_refused(bad):
 def test_wrong_sensors_are_refused_by_the_scenario(override, said):
     with raises(osc.ScenarioError, match=said):
         osc.load_scenario("two_contact_rod", [override])
-
-
-# --- what stands between sensors and controller ---------------------------------------------------
-
-
-def observed(overrides, steps=1500, seed=0):
-    """(time, completed measurements, true motion) of the toy plant seen through a scenario."""
-    scenario = osc.load_scenario("two_contact_rod", overrides)
-    spec = scenario.sensors
-    rig = osc.build_rig(scenario)
-    from osc_contact.runs.hardware import sensors
-
-    made = sensors(spec, rig.chain)
-    toy = Toy()
-    toy.measure = lambda: replace_q(Toy.measure(toy), rig.chain.nq)
-    toy.poses = lambda: poses_at(rig.chain, toy.measure().q)
-    plant = SensedPlant(toy, made, seed)
-    observer = Observer(scenario, rig.chain)
-    out = []
-    for _ in range(steps):
-        out.append(observer.complete(plant.measure(), np.zeros(rig.chain.nq)))
-        plant.command(np.zeros(2), STEP)
-    return out
-
-
-def poses_at(chain, q):
-    """Object and tips where the joints put them."""
-    data = chain.model.createData()
-    pin.framesForwardKinematics(chain.model, data, q)
-    tips = [data.oMf[tip] for tip in chain.tips]
-    return np.array([X.homogeneous for X in (tips[0] * chain.grasps[0].X_TO, *tips)])
-
-
-def replace_q(m, n):
-    t = m.q[0]
-    return Measurement(0.1 * t * np.ones(n), 0.1 * np.ones(n), m.wrenches, m.touched)
-
-
-def test_velocities_of_joints_come_from_their_encoders():
-    out = observed(
-        [
-            "sensors.encoder={rate: 1 kHz, delay: 2 ms, angle: {noise: 0.02 mrad}, "
-            "length: {noise: 10 um}}"
-        ]
-    )
-    v = np.array([m.v for m in out[700:]])
-    q = np.array([m.q for m in out[700:]])
-    t = np.arange(700, 1500)[:, None] * STEP
-    assert_allclose(v, 0.1, atol=0.02)
-    assert_allclose(v.mean(axis=0), 0.1, rtol=0.02)
-    assert_allclose(q.mean(axis=0), np.full(10, (0.1 * t).mean()), atol=2e-5)  # no lag
-
-
-def test_moving_bodies_are_followed_by_sixty_old_pictures_a_second():
-    out = observed(
-        [
-            "sensors.vision={rate: 60 Hz, delay: 30 ms, position: {noise: 1 mm}, "
-            "orientation: {noise: 5 mrad}}"
-        ],
-        steps=4000,
-    )
-    for k in range(2000, 4000, 50):
-        t = k * STEP
-        touched = out[k].touched
-        assert np.abs(touched.X_WE[0, :3, 3] - [0.02 * t, 0, 0]).max() < 2.5e-3
-        miss = pin.log3(touched.X_WE[0, :3, :3] @ pin.exp3(np.array([0, 0, -0.1 * t])))
-        assert np.abs(miss).max() < 0.012
-    V = np.array([m.touched.V_E[0] for m in out[2000:]])
-    assert_allclose(V.mean(axis=0), [0.02, 0, 0, 0, 0, 0.1], atol=3e-3)
 
 
 # --- a better sensor is never worse ---------------------------------------------------------------

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark, raises
 
 import osc_contact as osc
-from osc_contact import robots
 from osc_contact.control.set_point import rotation_of
 
 DT = 1e-3
@@ -128,27 +127,33 @@ def test_a_goal_that_is_none_is_refused_and_the_former_is_kept(goal):
     assert_array_equal(ours.step().V_D, other.step().V_D)
 
 
-@mark.parametrize("bad", [np.nan, np.inf, -np.inf, [1.0, 2.0], "far", None])
-def test_bad_numbers_are_refused_at_the_door(bad):
+@mark.parametrize("bad", [np.nan, np.inf, "far", None])
+@mark.parametrize(
+    "make",
+    [
+        lambda bad: osc.JerkLimits([1.0, bad], 1.0, 1.0),
+        lambda bad: osc.SetPoint([0.0, 0.0, 0.0], LINEAR, DT).step([0.0, 0.0, bad]),
+        lambda bad: osc.SetPoint(0.0, LINEAR, bad),
+        lambda bad: osc.SetPoint([0.0, bad], LINEAR, DT),
+    ],
+)
+def test_bad_numbers_are_refused_at_the_door(make, bad):
     with raises(osc.InvalidInputError):
-        osc.JerkLimits(bad if bad != [1.0, 2.0] else [1.0, -2.0], 1.0, 1.0)
-    with raises(osc.InvalidInputError):
-        osc.SetPoint([0.0, 0.0, 0.0], LINEAR, DT).step([0.0, 0.0, bad])
-    with raises(osc.InvalidInputError):
-        osc.SetPoint(0.0, LINEAR, bad)
+        make(bad)
 
 
-@mark.parametrize("start", [[], [1.0, [2.0]], [[1.0, 2.0]], "far", [np.nan]])
-def test_a_start_is_a_number_or_a_row_of_numbers(start):
-    with raises(osc.InvalidInputError, match="start"):
-        osc.SetPoint(start, LINEAR, DT)
-
-
-def test_limits_are_for_one_or_for_all_coordinates_and_periods_are_positive():
-    with raises(osc.InvalidInputError, match="2 coordinates"):
-        osc.SetPoint([0.0, 0.0], osc.JerkLimits([1.0, 1.0, 1.0], 1.0, 1.0), DT)
-    with raises(osc.InvalidInputError, match="dt = 0"):
-        osc.SetPoint(0.0, LINEAR, 0.0)
+@mark.parametrize(
+    ("make", "words"),
+    [
+        *((lambda x=x: osc.SetPoint(x, LINEAR, DT), "start") for x in ([], [1, [2]], [[1, 2]])),
+        (lambda: osc.SetPoint([0, 0], osc.JerkLimits([1, 1, 1], 1, 1), DT), "2 coordinates"),
+        (lambda: osc.SetPoint(0.0, LINEAR, 0.0), "dt = 0"),
+        (lambda: osc.JerkLimits([1.0, -2.0], 1.0, 1.0), "must be > 0|positive|> 0"),
+    ],
+)
+def test_set_points_of_other_shapes_and_impossible_limits_are_refused(make, words):
+    with raises(osc.InvalidInputError, match=words):
+        make()
 
 
 def test_ruckig_missing_is_told_at_once(monkeypatch):
@@ -173,33 +178,3 @@ def test_a_reference_leaves_out_what_is_zero():
     ):
         with raises(osc.InvalidInputError):
             osc.pose_reference(**({"position": np.zeros(3)} | wrong))
-
-
-def test_a_classical_acceleration_is_what_the_arm_then_has():
-    """Fast and turning: the origin's p̈ under the controller's torques, by Pinocchio."""
-    panda = osc.Arm.from_urdf(
-        robots.find_robot("panda")[0], name="panda", tip="panda_hand_tcp", damping=0.0
-    )
-    chain = osc.ClosedChain([panda])
-    model = panda.model
-    data = model.createData()
-    tip = panda.model.getFrameId(panda.tip)
-    rng = np.random.default_rng(5)
-    q = np.array([0.0, -0.4, 0.3, -2.2, 0.0, 1.8, 0.8])
-    for _ in range(10):
-        v = rng.uniform(-1, 1, 7)
-        state = chain.state(q, v)
-        p_ddot, omega_dot = rng.normal(size=(2, 3))
-        V = state.V_O
-        X = state.X_WO
-        reference = osc.pose_reference(
-            X.translation, X.rotation, V[:3], p_ddot, V[3:], omega_dot
-        )  # the arm is where it should be: feed-forward alone
-        controller = osc.Controller(chain, [], dt=DT, posture=q)
-        tau = controller.tick(osc.Measurement(q, v, np.zeros((1, 6))), reference)
-        assert controller.status is osc.Status.OK
-        pin.forwardKinematics(model, data, q, v, pin.aba(model, model.createData(), q, v, tau))
-        found = pin.getFrameClassicalAcceleration(model, data, tip, pin.LOCAL_WORLD_ALIGNED)
-        assert_allclose(found.linear, p_ddot, atol=1e-8)
-        assert_allclose(found.angular, omega_dot, atol=1e-8)
-        assert np.abs(np.cross(V[3:], V[:3])).max() > 1e-3  # what a spatial one would miss by

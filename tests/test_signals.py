@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import yaml
 from numpy.testing import assert_allclose
 from pydantic import TypeAdapter, ValidationError
 from pytest import approx, mark, raises
@@ -59,24 +60,15 @@ def test_many_times_at_once_are_those_times_one_by_one():
     signals = [*SMOOTH, Step(value=5.0, start=0.7), Sine(amplitude=1.0, frequency=2.0, start=0.3)]
     t = np.sort(np.append(np.random.default_rng(0).uniform(-0.5, 2.0, 200), [0.1, 0.3, 0.4, 0.7]))
     for chosen in ([], *([one] for one in signals), signals):
-        found = total_over(chosen, t)
-        assert found.shape == (3, len(t))
-        assert_allclose(found.T, [total(chosen, x) for x in t], atol=1e-12)
+        summed = np.array([np.sum([one.at(x) for one in chosen], axis=0) * np.ones(3) for x in t])
+        assert_allclose(total_over(chosen, t).T, summed, atol=1e-12)
+        assert_allclose([total(chosen, x) for x in t], summed, atol=1e-12)
 
 
 def test_step_rises_at_its_start_with_zero_derivatives():
     step = Step(value=5.0, start=1.0)
     assert step.at(math.nextafter(1.0, 0.0)) == (0.0, 0.0, 0.0)
     assert step.at(1.0) == step.at(9.0) == (5.0, 0.0, 0.0)
-
-
-def test_minimum_jerk_is_the_quintic_and_holds():
-    rise = MinimumJerk(value=2.0, start=1.0, duration=4.0)
-    s = 0.25
-    assert rise.at(2.0)[0] == approx(2.0 * (10 * s**3 - 15 * s**4 + 6 * s**5), rel=1e-14)
-    assert rise.at(3.0)[0] == approx(1.0, rel=1e-14)
-    assert rise.at(0.5) == (0.0, 0.0, 0.0)
-    assert rise.at(5.0) == rise.at(50.0) == (2.0, 0.0, 0.0)
 
 
 def test_sine_is_silent_before_start_and_pure_after_the_ramp():
@@ -114,12 +106,7 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
         least = [rest_to_rest(float(d), *limits) for d in distances]
         assert signal.duration == approx(sum(least), rel=1e-9)
         v, a, j = limits
-        smooth = max(
-            1.875 * distances[2] / v,
-            math.sqrt(10 / 3**0.5 * distances[2] / a),
-            (60 * distances[2] / j) ** (1 / 3),
-        )
-        assert least[2] <= smooth * (1 + 1e-9)  # not slower than minimum jerk at the same limits
+
         t = 0.3 + np.linspace(-0.05, 1.05, 4001) * signal.duration
         x, x_dot, x_ddot = signal.at(t)
         assert np.abs(x_dot).max() <= v * (1 + 1e-9) and np.abs(x_ddot).max() <= a * (1 + 1e-9)
@@ -131,11 +118,8 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
             assert near[0] == approx(reached, abs=1e-8 * size)
             assert abs(near[1]) <= 1e-6 * v and abs(near[2]) <= 1e-3 * a + j * 1e-6 * sum(least)
         assert signal.at(math.inf) == (way[2], 0.0, 0.0) and signal.at(0.3) == (0.0, 0.0, 0.0)
-
-
-def test_jerk_limited_may_have_nowhere_to_go():
     still = JerkLimited(value=0.0, velocity=1.0, acceleration=1.0, jerk=1.0)
-    assert still.at(0.5) == still.at(2.0) == (0.0, 0.0, 0.0)
+    assert still.at(0.5) == still.at(2.0) == (0.0, 0.0, 0.0), "nowhere to go"
 
 
 def test_points_are_met_by_the_curve_of_least_jerk():
@@ -182,77 +166,59 @@ def test_two_points_are_minimum_jerk():
 
 
 @mark.parametrize(
-    ("kind", "text", "si"),
+    ("kind", "text", "si", "bad"),
     [
-        (LengthSignal, "50 mm/s", 0.05),
-        (AngleSignal, "30 deg/s", math.radians(30)),
-        (ForceSignal, "2 kN/s", 2000.0),
+        (LengthSignal, "50 mm", 0.05, "8 N"),
+        (AngleSignal, "30 deg", math.radians(30), "50 mm"),
+        (ForceSignal, "0.5 kN", 500.0, "30 deg"),
     ],
 )
-def test_limits_have_the_units_of_their_signal(kind, text, si):
+def test_the_same_signals_hold_lengths_angles_or_forces(kind, text, si, bad):
     adapter = TypeAdapter(kind)
-    data = {"type": "jerk_limited", "value": 1, "velocity": text}
-    for two, three in (("²", "³"), ("^2", "^3"), ("2", "3")):
-        more = {"acceleration": f"{text}{two}", "jerk": f"{text}{three}"}
-        signal = adapter.validate_python(data | more)
-        for found in (signal.velocity, signal.acceleration, signal.jerk):
-            assert found == approx(si, rel=1e-15)
-        with raises(ValidationError, match=r"per s²?; got|per s² in .*² per|per s²"):
-            adapter.validate_python(data | more | {"acceleration": text})
-
-
-def test_total_sums_the_triples():
-    assert total([], 1.0) == (0.0, 0.0, 0.0)
-    expected = np.sum([signal.at(0.31) for signal in SMOOTH], axis=0)
-    assert total(SMOOTH, 0.31) == approx(tuple(expected), rel=1e-14)
-
-
-@mark.parametrize(
-    ("kind", "key", "good", "bad"),
-    [
-        (LengthSignal, "value", ("50 mm", 0.05), "8 N"),
-        (AngleSignal, "value", ("30 deg", math.radians(30)), "50 mm"),
-        (ForceSignal, "value", ("0.5 kN", 500.0), "30 deg"),
-    ],
-)
-def test_the_same_signals_hold_lengths_angles_or_forces(kind, key, good, bad):
-    adapter = TypeAdapter(kind)
-    for type_ in ("constant", "step", "sine", "minimum_jerk", "jerk_limited"):
-        name = "amplitude" if type_ == "sine" else "value"
-        more = {
-            "sine": {"frequency": "2 Hz"},
-            "step": {"start": 1},
-            "minimum_jerk": {"duration": 1},
-            "jerk_limited": {"velocity": 1, "acceleration": 1, "jerk": 1},
-        }
-        data = {"type": type_, name: good[0], **more.get(type_, {})}
-        assert getattr(adapter.validate_python(data), name) == approx(good[1], rel=1e-15)
+    for type_, name, more in (
+        ("constant", "value", {}),
+        ("step", "value", {"start": 1}),
+        ("sine", "amplitude", {"frequency": "2 Hz"}),
+        ("minimum_jerk", "value", {"duration": 1}),
+        ("jerk_limited", "value", {"velocity": 1, "acceleration": 1, "jerk": 1}),
+    ):
+        data = {"type": type_, name: text, **more}
+        assert getattr(adapter.validate_python(data), name) == approx(si, rel=1e-15)
         with raises(ValidationError, match="which is a"):
             adapter.validate_python({**data, name: bad})
+    data = {"type": "jerk_limited", "value": 1, "velocity": f"{text}/s"}
+    for two, three in (("²", "³"), ("^2", "^3"), ("2", "3")):
+        data |= {"acceleration": f"{text}/s{two}", "jerk": f"{text}/s{three}"}
+        found = adapter.validate_python(data)
+        assert (found.velocity, found.acceleration, found.jerk) == approx((si,) * 3, rel=1e-15)
+        with raises(ValidationError, match=r"per s²?; got|per s² in .*² per|per s²"):
+            adapter.validate_python(data | {"acceleration": f"{text}/s"})
 
 
 @mark.parametrize(
     "bad",
     [
-        lambda: Sine(amplitude=1.0, frequency=0.0),
-        lambda: Sine(amplitude=1.0, frequency=1.0, ramp=-0.1),
-        lambda: MinimumJerk(value=1.0, duration=0.0),
-        lambda: Constant(value=math.nan),
-        lambda: Step(value=1.0),
-        lambda: Constant(value=1.0, start=2.0),
-        lambda: JerkLimited(value=1.0, velocity=1.0, acceleration=0.0, jerk=1.0),
-        lambda: JerkLimited(value=1.0, velocity=math.inf, acceleration=1.0, jerk=1.0),
-        lambda: JerkLimited(value=1.0, via=(math.nan,), velocity=1.0, acceleration=1.0, jerk=1.0),
-        lambda: Points(points=((0.0, 1.0),)),
-        lambda: Points(points=((0.0, 1.0), (1.0, 2.0), (1.0, 3.0))),
-        lambda: Points(points=((0.0, 1.0), (1.0, math.nan))),
-        lambda: Points(points=((0.0, 1.0), (1e-300, 2.0), (1.0, 3.0))),
-        lambda: Points(points=((0.0, 1.0), (10.1, 2.0), (11.1, 3.0))),
+        "{type: sine, amplitude: 1, frequency: 0}",
+        "{type: sine, amplitude: 1, frequency: 1, ramp: -0.1}",
+        "{type: minimum_jerk, value: 1, duration: 0}",
+        "{type: constant, value: .nan}",
+        "{type: step, value: 1}",
+        "{type: constant, value: 1, start: 2}",
+        "{type: jerk_limited, value: 1, velocity: 1, acceleration: 0, jerk: 1}",
+        "{type: jerk_limited, value: 1, velocity: .inf, acceleration: 1, jerk: 1}",
+        "{type: jerk_limited, value: 1, via: [.nan], velocity: 1, acceleration: 1, jerk: 1}",
+        "{type: points, points: [[0, 1]]}",
+        "{type: points, points: [[0, 1], [1, 2], [1, 3]]}",
+        "{type: points, points: [[0, 1], [1, .nan]]}",
+        "{type: points, points: [[0, 1], [1.0e-300, 2], [1, 3]]}",
+        "{type: points, points: [[0, 1], [10.1, 2], [11.1, 3]]}",
     ],
 )
 def test_impossible_signals_are_refused(bad):
-    with raises(InvalidInputError):
-        bad()
+    with raises(ValidationError):
+        TypeAdapter(ForceSignal).validate_python(yaml.safe_load(bad))
+    with raises(InvalidInputError):  # in Python
+        Sine(amplitude=1.0, frequency=0.0)
 
 
 @mark.parametrize(

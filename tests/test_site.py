@@ -6,38 +6,16 @@ import json
 import re
 import subprocess
 import sys
-from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+from html_pages import Page
 from pytest import fixture, mark
 from snowballstemmer import stemmer
 
 import osc_contact as osc
 
 ROOT = Path(__file__).resolve().parent.parent
-LOADS = {"img": "src", "script": "src", "iframe": "src", "source": "src", "object": "data"}
-
-
-class Page(HTMLParser):
-    """Where a page leads to, what it loads, and the anchors it offers."""
-
-    def __init__(self, path):
-        super().__init__()
-        self.links: list[str] = []
-        self.loads: list[str] = []
-        self.anchors: set[str] = set()
-        self.feed(path.read_text(encoding="utf-8"))
-
-    def handle_starttag(self, tag, attrs):
-        given = {key: value or "" for key, value in attrs}
-        self.anchors |= {given[key] for key in ("id", "name") if key in given}
-        if tag == "a" and "href" in given:
-            self.links.append(given["href"])
-        if tag == "link" and given.get("rel") not in ("canonical", "next", "prev"):
-            self.loads.append(given["href"])
-        if LOADS.get(tag) in given:
-            self.loads.append(given[LOADS[tag]])
 
 
 def build(source, into, *options):
@@ -60,7 +38,7 @@ def site(tmp_path_factory):
 
 @fixture(scope="module")
 def pages(site):
-    return {path: Page(path) for path in sorted(site.rglob("*.html"))}
+    return {path: Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
 
 
 def test_every_page_is_there(site):

@@ -126,16 +126,10 @@ def test_normals_gaps_and_points_are_those_of_mujoco(face, R):
         assert_allclose(pair.points_of_contact(X_WO, X_WE)[:, 0], on_ball, atol=1e-10)
 
 
-def test_what_slides_over_a_ball_falls_towards_its_centre():
+def test_what_no_ball_can_touch_is_refused():
     pair = osc.SphereOnSurface(np.zeros(3), 0.012, osc.Surface.sphere(0.1))
-    X = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.112]))
-    V = np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert pair.contact(X, V).n_gamma[0] == approx(0.09 / 0.112, rel=1e-12)
-    bowl = osc.SphereOnSurface(np.zeros(3), 0.012, osc.Surface.sphere(-0.1))
-    X = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.088]))
-    assert bowl.contact(X, V).n_gamma[0] == approx(-0.09 / 0.088, rel=1e-12)
     with raises(osc.ContactError, match="no one place of the surface is nearest"):
-        pair.contact(pin.SE3.Identity(), V)
+        pair.contact(pin.SE3.Identity(), np.zeros(6))
     with raises(osc.InvalidInputError, match="x axis of the surface"):
         osc.SphereOnSurface(np.zeros(3), 0.0, osc.Surface.sphere(1.0), axis=[1, 0, 0])
 

@@ -1,7 +1,5 @@
 """Postures outside joint limits and wrists that read a wrong weight are found at the start."""
 
-import copy
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -151,19 +149,3 @@ def test_a_tare_answers_an_offset_and_a_limit_can_be_set():
     assert free_run(offset, ticks=80, safety=loose)[1] == 79
     with raises(osc.InvalidInputError, match="load_error: must be > 0"):
         osc.SafetySettings(load_error=0.0)
-
-
-@mark.parametrize("another", [copy.copy, lambda c: pickle.loads(pickle.dumps(c))])
-def test_copies_compare_what_the_first_was_about_to(another):
-    controllers = []
-
-    def keep(k, controller):
-        if k == 20:
-            controllers.append(another(controller))
-
-    controller, _ = free_run(CHANGES["reversed"][0], keep)
-    other = controllers[0]
-    inputs = controller._inputs
-    for _ in range(100):
-        other.tick(*inputs)
-    assert other.state is osc.SafetyState.SAFE_STOP and "sign is reversed" in other.reason

@@ -13,15 +13,14 @@ import time
 
 import numpy as np
 import pyarrow
+from command_line import done
 from numpy.testing import assert_allclose
 from pyarrow import parquet
 from pytest import approx, mark, param, raises
 from scipy import stats
 from scipy.stats import qmc
-from typer.testing import CliRunner
 
 import osc_contact as osc
-from osc_contact.cli import app
 from osc_contact.runs.preflight import require_ready
 from osc_contact.sweeps.report import variances, write_report
 from osc_contact.sweeps.rows import make_rows, scenario_of
@@ -54,11 +53,6 @@ def test_numbers_are_those_of_scipys_distributions(words, oracle):
     assert_allclose(found, oracle.ppf(U), rtol=1e-9)
 
 
-def test_units_stay_with_their_numbers():
-    text, shown = parse_distribution("uniform(5 mm, 10 mm)").draw(np.array([0.5]), None)
-    assert text == "7.5 mm" and shown == {" [mm]": 7.5}
-
-
 def test_choices_and_integers_are_all_as_likely():
     u = (np.arange(3000) + 0.5) / 3000
     for words, values in (
@@ -69,15 +63,17 @@ def test_choices_and_integers_are_all_as_likely():
         assert {v: drawn.count(v) for v in values} == dict.fromkeys(values, 1000)
 
 
-def test_factors_multiply_what_the_scenario_says():
-    factor = parse_distribution("factor(0.5, 1.5)")
-    assert [factor.draw(np.array([0.75]), said)[0] for said in (4, "10 mm", [1, "2 N"])] == [
-        "5.0",
-        "12.5 mm",
-        "[1.25, 2.5 N]",
-    ]
+def test_factors_multiply_and_units_stay_with_their_numbers():
+    for words, u, before, text in (
+        ("uniform(5 mm, 10 mm)", 0.5, None, "7.5 mm"),
+        ("factor(0.5, 1.5)", 0.75, 4, "5.0"),
+        ("factor(0.5, 1.5)", 0.75, "10 mm", "12.5 mm"),
+        ("factor(0.5, 1.5)", 0.75, [1, "2 N"], "[1.25, 2.5 N]"),
+    ):
+        assert parse_distribution(words).draw(np.array([u]), before)[0] == text
+    assert parse_distribution("uniform(5 mm, 10 mm)").draw([0.5], None)[1] == {" [mm]": 7.5}
     with raises(osc.InvalidInputError, match="multiplies a number"):
-        factor.draw(np.array([0.5]), "filter")
+        parse_distribution("factor(0.5, 1.5)").draw(np.array([0.5]), "filter")
 
 
 def test_tilted_directions_fill_their_cap_evenly():
@@ -192,9 +188,6 @@ def test_a_key_with_two_numbers_is_exchanged_as_one():
         assert one == A | {name: B[name] for name in names}
 
 
-# --- rows -----------------------------------------------------------------------------------------
-
-
 @mark.parametrize(
     ("name", "vary"),
     [
@@ -207,25 +200,24 @@ def test_a_key_with_two_numbers_is_exchanged_as_one():
         ),
     ],
 )
-def test_every_row_equals_its_single_run(name, vary):
+def test_every_row_equals_the_run_of_its_command(name, vary):
     study = SweepStudy.of(name, vary, 2, overrides=SHORT)
     for row in make_rows(study, [0, 1]):
-        sample = study.sample(row["row"])
-        changes = [*SHORT, *(f"{k}={v}" for k, v in sample.overrides.items())]
-        verdict = osc.metrics(osc.run(osc.load_scenario(name, changes), seed=sample.seed))
-        assert row["word"] == verdict["task"]["word"] and row["seed"] == sample.seed
-        wanted = {
-            f"{group}.{key}": value
-            for group in ("motion", "power", "status", "contact_fraction")
-            for key, value in verdict[group].items()
-        } | {
-            f"force.{one}.{key}": value
-            for one, force in verdict["force"].items()
-            for key, value in force.items()
-        }
-        for key, value in wanted.items():
-            close = None if value is None else approx(value, rel=1e-9, abs=1e-12)
-            assert row[key] == close, key
+        _, _, scenario, *options = shlex.split(study.command(row["row"]))
+        given = list(zip(options[::2], options[1::2], strict=True))
+        changes = [value for option, value in given if option == "--set"]
+        seed = int(dict(given).get("--seed", 0))
+        verdict = osc.metrics(osc.run(osc.load_scenario(scenario, changes), seed=seed))
+        assert row["word"] == verdict["task"]["word"] and row["seed"] == seed
+        groups = {key: verdict[key] for key in ("motion", "power", "status", "contact_fraction")}
+        groups |= {f"force.{one}": force for one, force in verdict["force"].items()}
+        for group, values in groups.items():
+            for key, value in values.items():
+                close = None if value is None else approx(value, rel=1e-9, abs=1e-12)
+                assert row[f"{group}.{key}"] == close, (group, key)
+
+
+# --- rows -----------------------------------------------------------------------------------------
 
 
 def test_runs_that_fail_keep_their_reason():
@@ -280,25 +272,12 @@ def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tm
 
 
 def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path):
-    command = [
-        sys.executable,
-        "-c",
-        "from osc_contact.cli import app; app()",
-        "sweep",
-        "two_contact_rod",
-        "--vary",
-        MASSES,
-        "--samples",
-        "8",
-        "--duration",
-        "1.02",
-        "--workers",
-        "1",
-        "--out",
-        str(tmp_path),
-    ]
+    program = "from osc_contact.cli import app; app()"
+    line = f"sweep two_contact_rod --samples 8 --duration 1.02 --workers 1 --out {tmp_path} --vary"
     rows = tmp_path / ROWS
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *line.split(), MASSES], stdout=subprocess.DEVNULL
+    ) as process:
         while not (rows.exists() and rows.read_bytes().count(b"\n") > 3):
             assert process.poll() is None
             time.sleep(0.02)
@@ -317,27 +296,11 @@ def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path
 def test_command_tells_what_became_of_the_runs(tmp_path):
     json_file = tmp_path / "summary.json"
     tilt = "model_error.face_tilt=uniform(0 deg, 2 deg)"  # no doubts before a run, as of masses
-    done = CliRunner().invoke(
-        app,
-        [
-            "sweep",
-            "two_contact_rod",
-            "--vary",
-            tilt,
-            "--samples",
-            "6",
-            "--duration",
-            "1.02",
-            "--workers",
-            "1",
-            "--out",
-            str(tmp_path / "out"),
-            "--json",
-            str(json_file),
-        ],
+    printed = done(
+        f"sweep two_contact_rod --vary '{tilt}' --samples 6 --duration 1.02 --workers 1",
+        *("--out", tmp_path / "out", "--json", json_file),
     )
-    assert done.exit_code == 0, done.output
-    assert "6 runs, 100.0% without a failed task: 6 OK" in done.output
+    assert "6 runs, 100.0% without a failed task: 6 OK" in printed.output
     summary = json.loads(json_file.read_text())
     table = parquet.read_table(tmp_path / "out" / TABLE).to_pydict()
     name = "force.left_end.rms_error_rel"
@@ -347,9 +310,8 @@ def test_command_tells_what_became_of_the_runs(tmp_path):
     assert summary["sensitivities"][name][column] == approx(rho)
     worst = summary["worst"][0]
     assert worst["command"].startswith("osc-contact run two_contact_rod --set duration=1.02 --set")
-    assert worst["value"] == max(
-        max(table[f"force.{end}.rms_error_rel"]) for end in ("left_end", "right_end")
-    )
+    both = [max(table[f"force.{end}.rms_error_rel"]) for end in ("left_end", "right_end")]
+    assert worst["value"] == max(both)
 
 
 def test_report_shows_everything_in_one_page(tmp_path):
@@ -380,16 +342,6 @@ def test_report_shows_the_shares_of_a_saltelli_design(tmp_path):
         f"{share['first']:.0%} alone, {share['total']:.0%} in all" for share in shares
     ]
     assert len(shares) == 2 * len(found) > 0 and "<th>squeeze</th>" in table
-
-
-def test_the_command_of_a_row_runs_that_row():
-    study = rod(3, MASSES, NORMALS, "seed=integers(0, 99)")
-    _, _, name, *options = shlex.split(study.command(2))
-    changes = [options[i + 1] for i, word in enumerate(options) if word == "--set"]
-    seed = int(options[options.index("--seed") + 1])
-    verdict = osc.metrics(osc.run(osc.load_scenario(name, changes), seed=seed))
-    (row,) = make_rows(study, [2])
-    assert row["seed"] == seed and row["motion.rms_error_m"] == verdict["motion"]["rms_error_m"]
 
 
 def test_scenarios_made_in_python_are_swept_and_their_laws_refused():

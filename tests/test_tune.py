@@ -3,11 +3,10 @@
 import json
 
 import numpy as np
+from command_line import done
 from pytest import approx, mark, raises
-from typer.testing import CliRunner
 
 import osc_contact as osc
-from osc_contact.cli import app
 from osc_contact.sweeps import tune as tuning
 from osc_contact.sweeps.tune import tune
 
@@ -85,33 +84,15 @@ def test_trials_in_a_folder_are_gone_on_with(tmp_path):
 
 def test_command_prints_the_keys_to_paste(tmp_path):
     json_file = tmp_path / "tuned.json"
-    done = CliRunner().invoke(
-        app,
-        [
-            "tune",
-            "two_contact_rod",
-            "--duration",
-            "1.1",
-            "--trials",
-            "12",
-            "--workers",
-            "1",
-            "--vary",
-            "gains.motion.stiffness=factor(1, 4)",
-            "--objective",
-            "motion",
-            "--limit",
-            "overshoot_rel=2",
-            "--json",
-            str(json_file),
-        ],
-    )
+    key = "gains.motion.stiffness"
+    printed = done(
+        f"tune two_contact_rod --duration 1.1 --trials 5 --workers 1 --vary '{key}=factor(1, 4)' "
+        "--objective motion --limit overshoot_rel=2 --json",
+        json_file,
+    ).output
     found = json.loads(json_file.read_text())
-    assert done.exit_code == 0 and found["better"], done.output
-    assert f"gains.motion.stiffness: {found['values']['gains.motion.stiffness']}" in done.output
-    assert found["best"] == approx(
-        errors([f"gains.motion.stiffness={found['values']['gains.motion.stiffness']}"])[1]
-    )
+    assert found["better"] and f"{key}: {found['values'][key]}" in printed
+    assert found["best"] == approx(errors([f"{key}={found['values'][key]}"])[1])
 
 
 @mark.parametrize(

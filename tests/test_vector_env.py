@@ -9,6 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark, raises
+from samples import first
 
 import osc_contact as osc
 from osc_contact.control.batch import BatchController
@@ -54,18 +55,18 @@ def test_gymnasium_finds_nothing_wrong(vary):
 
 @mark.parametrize("mode", list(AutoresetMode))
 def test_rows_are_reset_as_gymnasium_resets_environments(mode):
-    """Two of three rows: random actions; the third runs away, which ends it earlier."""
+    """Two rows: random actions; the second runs away, which ends it earlier."""
     how = {"overrides": ("duration=0.3 s",), "move": (0.02, 0.01)}
-    ours = make_vector_env("panda_edge", 3, autoreset=mode.name, threads=1, **how)
-    theirs = SyncVectorEnv([lambda: One(**how)] * 3, autoreset_mode=mode)
+    ours = make_vector_env("panda_edge", 2, autoreset=mode.name, threads=1, **how)
+    theirs = SyncVectorEnv([lambda: One(**how)] * 2, autoreset_mode=mode)
     assert ours.metadata["autoreset_mode"] is mode
     for env in (ours, theirs):
         env.action_space.seed(5)
     assert_array_equal(ours.reset(seed=1)[0], theirs.reset(seed=1)[0])
-    ends = np.zeros((2, 3), dtype=int)
+    ends = np.zeros((2, 2), dtype=int)
     for _ in range(35):
         actions = 0.05 * ours.action_space.sample()
-        actions[2, :2] = -1.0
+        actions[1, :2] = -1.0
         one = ours.step(actions)
         other = theirs.step(actions)
         for x, y in zip(one[:4], other[:4], strict=True):
@@ -80,10 +81,10 @@ def test_rows_are_reset_as_gymnasium_resets_environments(mode):
                 ours.step(actions)
             x, y = (env.reset(options={"reset_mask": over.copy()})[0] for env in (ours, theirs))
             assert_array_equal(x, y)
-    assert ends[0, 2] > 2 and ends[1, 0] >= 2 and ends[0, 0] == 0  # ran away; ran out of time
+    assert ends[0, 1] > 2 and ends[1, 0] >= 2 and ends[0, 0] == 0  # ran away; ran out of time
 
 
-@mark.parametrize("name", ["panda_edge", "two_contact_rod", "hinge_ball_rod"])
+@mark.parametrize("name", first(["two_contact_rod", "panda_edge", "hinge_ball_rod"], 1))
 def test_rows_of_a_fleet_are_single_runs(name):
     """Each row with its own masses, two of them alike, on two threads."""
     scenarios = [
@@ -176,29 +177,22 @@ def test_what_cannot_be_batched_is_refused_with_the_reason():
         env.step(np.zeros((2, 6)))
 
 
-def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given():
-    rigs = [
-        osc.build_rig(osc.load_scenario("panda_edge", [f"model_error.arm_mass={m}"]))
+def test_a_row_goes_on_as_the_controller_it_was_given_or_refuses_it():
+    light, heavy = (
+        Start.of(osc.build_rig(osc.load_scenario("panda_edge", [f"model_error.arm_mass={m}"])))
         for m in (1.0, 1.3)
-    ]
-    starts = [Start.of(rig) for rig in rigs]
-    batch = BatchController([starts[0].controller] * 2)
-    batch.replace(1, starts[1].controller)
-    single = [start.rig.controller() for start in starts]
-    measurement = starts[0].plant.measure()
-    reference = rigs[0].references.at(0.0)
-    wanted = [one.tick(measurement, reference) for one in single]
-    tau = batch.tick(
-        *([x, x] for x in (measurement.q, measurement.v, measurement.wrenches)),
-        [reference.X_WD.homogeneous] * 2,
-        V_D=[reference.V_D] * 2,
-        A_D=[reference.A_D] * 2,
-        alpha_d=[reference.alpha_d] * 2,
     )
-    assert_array_equal(tau, wanted)
-    assert np.abs(tau[0] - tau[1]).max() > 0.1
+    batch = BatchController([light.controller] * 2)
+    batch.replace(1, heavy.controller)
+    measurement = light.plant.measure()
+    at = light.rig.references.at(0.0)
+    single = [start.rig.controller().tick(measurement, at) for start in (light, heavy)]
+    given = (measurement.q, measurement.v, measurement.wrenches, at.X_WD.homogeneous)
+    wanted = {name: [getattr(at, name)] * 2 for name in ("V_D", "A_D", "alpha_d")}
+    assert_array_equal(batch.tick(*([x, x] for x in given), **wanted), single)
+    assert np.abs(single[0] - single[1]).max() > 0.1
     rod = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
     with raises(osc.InvalidInputError, match="one structure"):
         batch.replace(0, rod)
     with raises(osc.InvalidInputError, match="rows 0"):
-        batch.replace(2, starts[0].controller)
+        batch.replace(2, light.controller)

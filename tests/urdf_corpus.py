@@ -124,7 +124,6 @@ SPY = '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/hostname">]>\n<robot'
 CORPUS: dict[str, Bad] = {
     # not the XML of a robot
     "empty": Bad("", "xml", "is empty", 0),
-    "blank": Bad(" \n\t\n", "xml", "is empty", 0),
     "binary": Bad(b"\x7fELF\x02\x01\x01\x00\x00\x00", "xml", "NUL byte", 1),
     "NUL in the middle": Bad(GOOD.replace("0.05", "0.0\0005", 1), "xml", "NUL byte", 8),
     "UTF-16": Bad(GOOD.encode("utf-16"), "xml", "encoded in UTF-16", 1),
@@ -170,8 +169,6 @@ CORPUS: dict[str, Bad] = {
         "is no word of URDF. Did you mean <axis>",
     ),
     "two inertials": spoil("<visual>", "<inertial/><visual>", "xml", "the first is in line 5"),
-    "two limits": spoil(FINGER_LIMIT, FINGER_LIMIT * 2, "xml", "a second <limit>", "joint 'grip'"),
-    "two origins": spoil('<origin xyz="0 0 0.15"/>', "<origin/><origin/>", "xml", "a second <"),
     # names
     "robot without name": spoil(' name="sound"', "", "name", "the robot has no name"),
     "link without name": spoil('<link name="tool"/>', "<link/>", "name", "a link without a name"),
@@ -188,7 +185,6 @@ CORPUS: dict[str, Bad] = {
         "link 'slid' does not exist. Did you mean slide",
         "joint 'roll'",
     ),
-    "unknown child": spoil('child link="tool"', 'child link="tol"', "tree", "'tol' does not exist"),
     "no parent": spoil('<parent link="hand"/>', "", "tree", "without <parent>", "joint 'grip'", 1),
     "two parents": spoil(
         'child link="finger"',
@@ -214,9 +210,7 @@ CORPUS: dict[str, Bad] = {
     "mass inf": _mass("inf", "'inf' is not a finite number"),
     "mass 1e400": _mass("1e400", "'1e400' is not a finite number"),
     "mass 1e300": _mass("1e300", "beyond ±1e\\+09"),
-    "mass in words": _mass("heavy", "'heavy' is not a finite number"),
     "decimal comma": _mass("1,5", "'1,5' is not a finite number. Decimals are written with"),
-    "digits grouped": _mass("1_500", "'1_500' is not a finite number"),
     "macro in a number": _mass("${m}", "'\\${m}' is not a finite number. Expand the macros"),
     "origin of two numbers": spoil('"0.3 0 0"', '"0.3 0"', "number", "xyz has 2 numbers, 3 are"),
     "origin nan": spoil('"0.3 0 0"', '"0.3 nan 0"', "number", "'nan'", "joint 'roll' <origin xyz="),
@@ -228,7 +222,6 @@ CORPUS: dict[str, Bad] = {
     "no joint type": spoil(' type="prismatic"', "", "joint", "no joint type", "joint 'lift'"),
     "unknown joint type": spoil('"prismatic"', '"prismatc"', "joint", "Did you mean prismatic"),
     "floating joint": spoil('"prismatic"', '"floating"', "joint", "nq ≠ nv"),
-    "planar joint": spoil('"prismatic"', '"planar"', "joint", "nq ≠ nv"),
     "axis zero": spoil('axis xyz="0 0 1"', 'axis xyz="0 0 0"', "joint", "axis has length 0"),
     "axis too long": spoil('axis xyz="0 0 1"', 'axis xyz="0 0 2"', "joint", "axis has length 2"),
     "axis without xyz": spoil('<axis xyz="1 0 0"/>', "<axis/>", "number", "xyz has 0 numbers"),
@@ -248,11 +241,8 @@ CORPUS: dict[str, Bad] = {
     "lower above upper": spoil('lower="-2"', 'lower="3"', "limit", "lower limit 3 is above"),
     "lower equals upper": spoil('lower="-2"', 'lower="2.5"', "limit", "equals the upper limit 2.5"),
     "effort 0": spoil('effort="40"', 'effort="0"', "limit", "effort limit 0 N m must be > 0"),
-    "effort negative": spoil('effort="200"', 'effort="-1"', "limit", "effort limit -1 N must be"),
-    "velocity 0": spoil('velocity="6"', 'velocity="0"', "limit", "velocity limit 0 rad/s must be"),
     "upper inf": spoil('upper="2.5"', 'upper="inf"', "number", "upper = 'inf' is not a finite"),
     "effort inf": spoil('effort="40"', 'effort="inf"', "number", "effort = 'inf' is not a finite"),
-    "velocity nan": spoil('velocity="6"', 'velocity="nan"', "number", "'nan' is not a finite"),
     # inertias
     "mass negative": _mass("-1.5", "mass -1.5 kg is negative", "inertia"),
     "mass 0": spoil('value="1.5"', 'value="0"', "inertia", "mass 0 kg with principal", up=-1),
@@ -267,21 +257,17 @@ CORPUS: dict[str, Bad] = {
     ),
     "inertia nan": spoil('ixx="0.002"', 'ixx="nan"', "number", "ixx = 'nan' is not a finite"),
     "inertia negative": spoil('izz="0.001"', 'izz="-0.001"', "inertia", "inertia is not positive"),
-    "inertia indefinite": spoil('ixy="0.001"', 'ixy="0.06"', "inertia", "is not positive"),
     "triangle violated": spoil('izz="0.001"', 'izz="0.005"', "inertia", "exceeds the sum of"),
     "moved mass missing": spoil(
         FINGER, "", "mass matrix", "joint grip can move without moving mass", "joint 'grip'", -24
     ),
     # shapes
-    "cylinder nan": spoil('radius="0.05"', 'radius="nan"', "number", "radius = 'nan'"),
     "cylinder negative": spoil('length="0.4"', 'length="-0.4"', "geometry", "negative size"),
     "unknown shape": spoil("<cylinder ", "<cone ", "geometry", "unknown shape <cone>"),
     "no shape": spoil('<cylinder radius="0.05" length="0.4"/>', "", "geometry", "one shape", up=2),
     "mesh at an address": _mesh("http://example.org/a.stl", "scheme 'http:'"),
     "mesh at an absolute path": _mesh("/etc/a.stl", "outside of the robot's folders"),
-    "mesh file://": _mesh("file:///etc/a.stl", "outside of the robot's folders"),
     "mesh above": _mesh("../../a.stl", "outside of the robot's folders"),
-    "mesh hidden above": _mesh("meshes/../../a.stl", "outside of the robot's folders"),
     "mesh above its package": _mesh("package://arm/../../etc/a.stl", "leads out of its package"),
     "mesh of another type": _mesh("meshes/passwd", "type without suffix are not read"),
     "mesh without name": _mesh("", "a mesh without filename"),
