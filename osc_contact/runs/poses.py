@@ -153,16 +153,6 @@ def stands(chain: ClosedChain, q: Array) -> pin.SE3:
     return object_pose(chain, q)
 
 
-def outside(chain: ClosedChain, q: Array) -> list[str]:
-    """A sentence for each joint outside its limits."""
-    low, high = position_limits(chain.model)
-    return [
-        f"joint {name} at {x:.4g} is outside its limits [{a:.4g}, {b:.4g}]"
-        for name, x, a, b in zip(chain.joint_names, q, low, high, strict=True)
-        if not a <= x <= b
-    ]
-
-
 def as_dict(chain: ClosedChain, q: Array) -> dict[str, Any]:
     """JSON-able: joints and poses, (4, 4) in the world."""
     X = stands(chain, q)

@@ -12,7 +12,7 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.assembly import close, object_pose, reach
+from osc_contact.dynamics.assembly import close, object_pose, outside_limits, reach
 from osc_contact.dynamics.chain_state import ChainState, RigidObject
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
@@ -23,7 +23,6 @@ from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
 from osc_contact.response import require_reachable
-from osc_contact.robots.model import position_limits
 from osc_contact.runs import hardware
 from osc_contact.runs.contacts import (
     EnvironmentBody,
@@ -102,7 +101,9 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
     q_near = reach(chain, q, X_WO)
     try:
         q_contact = close(chain, q_near, gaps)
-        _require_within_limits(chain, q_contact)
+        if found := outside_limits(chain, q_contact):
+            cure = "move object, faces or base, or change the posture"
+            raise ScenarioError(f"the contacts touch where {found[0]}; {cure}")
     except (ModelError, ScenarioError) as error:
         raise type(error)(f"{error}{_away(pairs, X_WO)}") from error
     return q_contact
@@ -132,16 +133,6 @@ def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
         f". At object.pose contact '{name}' is {1e3 * max(gaps):.0f} mm away from what it touches: "
         "move that to the object, or object.pose and posture to it"
     )
-
-
-def _require_within_limits(chain: ClosedChain, q: Array) -> None:
-    limits = position_limits(chain.model)
-    for name, x, low, high in zip(chain.joint_names, q, *limits, strict=True):
-        if not low <= x <= high:
-            raise ScenarioError(
-                f"to touch the contacts joint {name} would stand at {x:.4g}, outside its limits "
-                f"[{low:.4g}, {high:.4g}]; move object, faces or base, or change the posture"
-            )
 
 
 @dataclass(frozen=True)
