@@ -161,7 +161,7 @@ def test_the_erratum_is_stated_once_with_its_correction():
 
 
 GOOD = "`osc_contact/projections.py::Omega_f`"
-PROOF = "`tests/test_projections.py::test_identities_9_to_12`"
+PROOF = "`tests/test_projections.py::test_every_projection_is_the_decomposition_it_stands_for`"
 
 
 @mark.parametrize(
