@@ -1,6 +1,7 @@
 """What a state of contact is, in plain words: d, r, free motions, controllable forces."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -11,7 +12,8 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.dynamics.chain_state import ChainState
-from osc_contact.robots.summary import joint_losses, loss_words
+from osc_contact.law.joint_friction import _LAG as LAG
+from osc_contact.robots.summary import friction_warnings, joint_losses, loss_words
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.bodies import magnitude_names
@@ -77,6 +79,7 @@ def inspect_rig(rig: Rig) -> Inspection:
             f"joints of '{arm.name}': {loss_words(joint_losses(arm.model))}"
             for arm in rig.chain.arms
         ),
+        *_friction(rig),
         *_contact_lines(rig),
         *_skew(rig),
         *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
@@ -93,6 +96,17 @@ def inspect_rig(rig: Rig) -> Inspection:
         free=free,
         conditioning=conditioning,
     )
+
+
+def _friction(rig: Rig) -> Iterator[str]:
+    """What of friction and rotors in the controller's model limits its accuracy or stability."""
+    how = rig.scenario.control.joint_friction
+    for arm, own in zip(rig.model.arms, rig.model.slices, strict=True):
+        share = how.share if how and how.learning else 0.0
+        q = rig.q_contact[own]
+        passive = arm.passive_joints
+        for words in friction_warnings(arm.model, q, share, 1.0 / LAG, passive):
+            yield f"joints of '{arm.name}': {words}"
 
 
 def _free_motions(state: ChainState, contact: Contact) -> Array:

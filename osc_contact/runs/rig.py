@@ -367,7 +367,7 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     error = scenario.model_error
     make = chains or build_chain
     chain = make(scenario, hidden_mass=error.hidden_mass)
-    factors = error.arm_mass, error.object_mass, error.joint_friction
+    factors = error.arm_mass, error.object_mass, error.joint_friction, error.armature
     known = set(factors) == {1.0} and error.hidden_mass == 0.0
     model = chain if known else make(scenario, *factors)
     pairs = build_pairs(scenario)
@@ -394,13 +394,14 @@ def build_chain(
     arm_mass: float = 1.0,
     object_mass: float = 1.0,
     joint_friction: float = 1.0,
+    armature: float = 1.0,
     hidden_mass: float = 0.0,
 ) -> ClosedChain:
-    """Arms and object of a scenario, with masses and friction times the given factors.
+    """Arms and object of a scenario, with masses, friction and rotors times the given factors.
 
     Args:
         scenario: with arms, grasps and object.
-        arm_mass, object_mass, joint_friction: factors of model error.
+        arm_mass, object_mass, joint_friction, armature: factors of model error.
         hidden_mass: kg, a point of the object where the first arm grasps it.
     """
     source = scenario.folder
@@ -422,6 +423,9 @@ def build_chain(
         )
         for spec in scenario.arms
     ]
+    for arm in arms:
+        arm.model.armature = armature * arm.model.armature
+        arm.model.rotorInertia = armature * arm.model.rotorInertia
     body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
     grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
     held = body.scaled(object_mass)

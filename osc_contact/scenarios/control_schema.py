@@ -488,6 +488,8 @@ class ModelErrorSpec(Spec):
     """a mass that the controller does not know of, in the object where the first arm grasps it"""
     joint_friction: NotNegative = 1.0
     """factor on the joint friction and damping of the controller's model"""
+    armature: NotNegative = 1.0
+    """factor on the rotor inertias of the controller's model"""
     environment: Literal["known", "ignored"] = "known"
     """`ignored`: the law takes every face as unyielding and unaccelerated (Φ_e = 0, b_e = 0)"""
     face_offset: Length = 0.0

@@ -87,8 +87,7 @@ class Fleet:
             from mujoco.batch import Batch
         except ImportError as error:
             raise PlantError(
-                "plants advance together with mujoco.batch, of MuJoCo 4: pip install "
-                "'osc_contact[sim]'"
+                "plants advance together with mujoco.batch, of MuJoCo 4: pip install 'mujoco>=4'"
             ) from error
         first = starts[0]
         self.rows = len(starts)

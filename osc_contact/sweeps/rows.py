@@ -68,10 +68,11 @@ class Workshop:
         arm_mass: float = 1.0,
         object_mass: float = 1.0,
         joint_friction: float = 1.0,
+        armature: float = 1.0,
         hidden_mass: float = 0.0,
     ) -> ClosedChain:
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
-        factors = arm_mass, object_mass, joint_friction, hidden_mass
+        factors = arm_mass, object_mass, joint_friction, armature, hidden_mass
         key = json.dumps([content, factors, str(scenario.source)], sort_keys=True)
         if key not in self._chains:
             while len(self._chains) >= _KEPT:
