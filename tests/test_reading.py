@@ -13,7 +13,7 @@ from test_law import inputs, motion_of, off_their_faces
 import osc_contact as osc
 from benchmarks.cases import POINT
 from osc_contact.contacts.pairs.pair import Bodies, velocity
-from osc_contact.dynamics.rail import Cart, Conveyor
+from osc_contact.dynamics.environment import Cart, Conveyor
 from osc_contact.scenarios import list_scenarios
 from osc_contact.scenarios.control_schema import Friction, PhaseSettings
 from osc_contact.scenarios.schema import Scenario

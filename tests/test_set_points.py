@@ -15,7 +15,7 @@ from osc_contact import jerk_limits
 from osc_contact.control.set_point import rotation_of
 from osc_contact.errors import SolverError
 from osc_contact.jerk_limits import Trajectory, follow, from_rest_to_rest
-from osc_contact.scenarios.polynomials import jerk_limited
+from osc_contact.scenarios.signals import jerk_limited
 
 DT = 1e-3
 LINEAR = osc.JerkLimits(0.3, 2.0, 40.0)

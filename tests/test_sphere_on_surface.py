@@ -14,7 +14,7 @@ import osc_contact as osc
 from benchmarks import curved_faces
 from osc_contact.contacts.detection import CollisionShape
 from osc_contact.runs import rig as plants
-from osc_contact.runs.surface_motion import surface_references
+from osc_contact.runs.references import surface_references
 
 
 def ball_on(surface, height, slopes, axis=2):

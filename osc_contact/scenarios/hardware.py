@@ -1,7 +1,5 @@
 """What makes a rig real: the plant, flexible joints, imperfect motors, sensors and their errors."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Generic, Self, TypeVar
 
@@ -19,25 +17,11 @@ from osc_contact.scenarios.quantities import (
     Number,
     OfQuantity,
     Positive,
+    Spec,
     Time,
     Torque,
+    refuse,
 )
-from osc_contact.scenarios.spec import Spec, refuse
-
-__all__ = [
-    "PLANT_TYPES",
-    "Clock",
-    "EncoderSpec",
-    "Errors",
-    "FlexibleJointsSpec",
-    "MotorsSpec",
-    "PlantSpec",
-    "Push",
-    "SensorsSpec",
-    "TorqueSensorSpec",
-    "VisionSpec",
-    "WristSpec",
-]
 
 #: What `plant.type` may be, and whether that plant is exact: ideal joints, contacts that neither
 #: open nor end. `runs.rig.register_plant` adds to it.
