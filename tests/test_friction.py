@@ -151,7 +151,7 @@ def test_without_compensation_friction_costs_twice_as_much():
 
 
 def reversal_error(*which):
-    verdict = osc.metrics(osc.run(reversing(*which), duration=2.5))
+    verdict = osc.metrics(osc.run(reversing(*which), duration=3.0))
     assert verdict["contact_fraction"] == {"nose": 1.0}
     return verdict["force"]["nose"]["rms_error_rel"]
 
