@@ -21,7 +21,7 @@ from osc_contact.drivers.franka import TORQUE_STEP
 from osc_contact.law import records
 from osc_contact.law.jit import PLAIN_PYTHON
 from osc_contact.law.limits import PROGRAM
-from osc_contact.robots.library import find_robot
+from osc_contact.robots.loading import find_robot
 from osc_contact.runs.run import start
 from osc_contact.runs.tape import Tape, build
 from osc_contact.scenarios.control_schema import MotionGains
