@@ -306,18 +306,16 @@ def test_poses_are_those_of_pinocchio():
     rng = np.random.default_rng(5)
     w = rng.normal(size=(3, 60))
     w[:, :20] *= np.pi / np.linalg.norm(w[:, :20], axis=0)  # half turns have two quaternions
-    w[:, 20] = 0.0
-    w[:, 21] = 1e-12
+    w[:, 20:22] = [[0.0, 1e-12]] * 3
     R = rotations(w)
-    p = rng.normal(size=(3, 60))
-    x = rng.normal(size=(3, 4, 60))
+    p, x = rng.normal(size=(2, 3, 60))
     poses = Poses(R, p)
     for i in range(60):
-        assert_allclose(R[:, :, i], pin.exp3(w[:, i]), atol=1e-14)
-        want = pin.SE3ToXYZQUAT(pin.SE3(R[:, :, i], p[:, i]))
-        assert_allclose(poses.coordinates(60)[i], want, atol=1e-14)
-        assert_allclose(rotated(R, x)[:, :, i], R[:, :, i] @ x[:, :, i], atol=1e-14)
-        assert_allclose(poses.rotate_back(x[:, 0])[:, i], R[:, :, i].T @ x[:, 0, i], atol=1e-14)
+        X = pin.SE3(R[:, :, i], p[:, i])
+        assert_allclose(X.rotation, pin.exp3(w[:, i]), atol=1e-14)
+        assert_allclose(poses.coordinates(60)[i], pin.SE3ToXYZQUAT(X), atol=1e-14)
+        assert_allclose(rotated(R, x[:, None])[:, 0, i], X.rotation @ x[:, i], atol=1e-14)
+        assert_allclose(poses.rotate_back(x)[:, i], X.rotation.T @ x[:, i], atol=1e-14)
         assert_array_equal(poses[i].homogeneous[:3, 3], p[:, i])
 
 
