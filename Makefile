@@ -4,7 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: venv browser demo check test test-all coverage mutants docs gallery dist bench clean
+.PHONY: venv browser demo check test test-all versions peers coverage mutants docs gallery dist \
+	bench clean
 
 venv: .venv/.installed
 
@@ -41,6 +42,25 @@ test: check browser
 # With the tests marked slow: more states, runs and faults of the same kinds.
 test-all: check browser
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+# The tests with the oldest or newest versions of what the package needs, in an environment of
+# their own: make versions VERSIONS=lowest, or highest, within pyproject.toml.
+versions: browser
+	$(BIN)/python tests/try_dist.py --suite --versions $(VERSIONS) $(PYTHONS)
+
+# Laws of other software beside ours, and the action term for mjlab, in an environment with theirs
+# (torch, warp: some GB). CPU only; some minutes.
+peers: .venv-peers/.installed
+	.venv-peers/bin/python -m benchmarks.force_laws
+	.venv-peers/bin/python -m pytest -q -s -W default -p no:cacheprovider tests/try_mjlab.py
+
+.venv-peers/.installed: pyproject.toml constraints-peers.txt
+	@test -x .venv-peers/bin/pip || $(PYTHON) -m venv .venv-peers
+	@echo "installing into .venv-peers"
+	@set -o pipefail; .venv-peers/bin/pip install -q -c constraints-peers.txt \
+		-e '.[law,scenarios,sim]' torch newton mjlab robosuite pytest pytest-timeout 2>&1 \
+		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
+	@touch $@
 
 # Branches that the tests run. The law is compiled, which coverage cannot look into: its own tests run
 # without compilation first.
@@ -80,6 +100,6 @@ bench: venv
 	$(BIN)/python -m benchmarks tick
 
 clean:
-	rm -rf .venv out build dist *.egg-info MUJOCO_LOG.TXT \
+	rm -rf .venv .venv-* out build dist *.egg-info MUJOCO_LOG.TXT \
 		.pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

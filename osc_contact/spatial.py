@@ -46,6 +46,7 @@ __all__ = [
     "Poses",
     "rotations",
     "rotated",
+    "moved",
 ]
 
 
@@ -201,6 +202,16 @@ def rotations(w: Array) -> Array:
     once = np.stack([cross(w, unit[:, j]) for j in range(3)], axis=1)
     twice = np.stack([cross(w, once[:, j]) for j in range(3)], axis=1)
     out: Array = unit + a * once + b * twice
+    return out
+
+
+def moved(X: Array, d: Array) -> Array:
+    """(k, B, 4, 4) poses X (B, 4, 4) after displacements d (k, B, 6): m, rad, world axes."""
+    k, B = d.shape[:2]
+    E = rotations(d[..., 3:].reshape(k * B, 3).T).transpose(2, 0, 1).reshape(k, B, 3, 3)
+    out = np.tile(X, (k, 1, 1, 1))
+    out[..., :3, :3] = E @ X[:, :3, :3]
+    out[..., :3, 3] += d[..., :3]
     return out
 
 

@@ -169,7 +169,8 @@ def test_changelog_tells_of_this_version():
 
 
 @mark.parametrize(
-    "target", ["venv", "browser", "demo", "test", "gallery", "dist", "bench", "clean"]
+    "target",
+    ["venv", "browser", "demo", "test", "versions", "peers", "gallery", "dist", "bench", "clean"],
 )
 def test_make_has_the_target(target):
     text = (ROOT / "Makefile").read_text(encoding="utf-8")

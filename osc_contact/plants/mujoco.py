@@ -36,17 +36,20 @@ __all__ = ["DRIVE_MASS", "GRASP_JOINT", "GUIDES", "MujocoPlant", "MujocoTruth", 
 # --- The MuJoCo model of a rig --------------------------------------------------------------------
 #
 # The object hangs on the first arm's gripper, welded or by a joint of the grasp's kind; equality
-# constraints tie it to the others: a weld, one point (ball) or two points of an axis (hinge). Only
-# the object and the bodies of the environment touch, with the collision geometry of their URDFs and
-# soft enough not to chatter. Rotor inertia, damping and friction of the joints are the chain's.
+# constraints tie it to the others: a weld, one point (ball) or two points of an axis (hinge). Up to
+# 3.13 MuJoCo's force sensors count the torque of a weld in the axes of its site; three points are
+# tied there in its place. Only the object and the bodies of the environment touch, with the
+# collision geometry of their URDFs and soft enough not to chatter. Rotor inertia, damping and
+# friction of the joints are the chain's.
 
 #: The joint between the first arm's tip and the object, if its grasp is a hinge or a ball.
 GRASP_JOINT = "object/grasp"
-#: Distance of the two points that make a hinge from the tip's origin (m).
-HINGE_SPAN = 0.05
+#: Distance of the points that make a hinge, or a weld, from the tip's origin (m).
+TIE_SPAN = 0.05
 
 #: Heavy enough that no contact force moves a driven face between two steps (kg, kg m²).
 DRIVE_MASS = 1e6
+WELDS = 3014000  #: version of MuJoCo from which on sensors feel welds as they are
 GUIDES = ("slide", "hinge")  #: joints of a body that moves
 _NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo needs mass in moving bodies
 
@@ -152,7 +155,7 @@ def _joint_numbers(spec: Any, chain: ClosedChain) -> None:
     for i, name in enumerate(chain.joint_names):
         joint = spec.joint(name)
         joint.armature = float(model.armature[i])
-        joint.damping = [model.damping[i], 0.0, 0.0]
+        joint.damping = np.resize([model.damping[i], 0.0, 0.0], np.shape(joint.damping))
         joint.frictionloss = dry = float(model.upperDryFrictionLimit[i])
         if dry > 0.0:  # MuJoCo's own 20 ms would turn it round 10 ms before the joint
             joint.solref_friction = [2 * spec.option.timestep, 1.0]
@@ -192,7 +195,7 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
     _weigh(root, chain)
     first = chain.grasps[0]
     for i, grasp in enumerate(chain.grasps[1:], start=1):
-        for k, point in enumerate(_tie_points(grasp)):
+        for k, point in enumerate(_tie_points(mujoco, grasp)):
             root.add_site(name=f"tie{i}.{k}", pos=grasp.X_TO.actInv(point))
     if not first.is_rigid:
         axis = np.zeros(3) if first.kind == "ball" else first.X_TO.rotation.T @ first.T[3:, 0]
@@ -206,7 +209,8 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
     spec.attach(part, prefix="object/", frame=_frame(tip, first.X_TO))
     for i, (arm, grasp) in enumerate(zip(chain.arms[1:], chain.grasps[1:], strict=True), start=1):
         tip = spec.body(f"{arm.name}/{arm.tip}")
-        if grasp.is_rigid:
+        points = _tie_points(mujoco, grasp)
+        if not points:
             x, y, z, w = pin.Quaternion(grasp.X_TO.rotation).coeffs()
             tip.add_site(name=f"{arm.name}/hold", pos=grasp.X_TO.translation, quat=[w, x, y, z])
             tie = _tie(mujoco, spec, f"{arm.name}/weld", f"{arm.name}/hold", "object/held")
@@ -214,7 +218,7 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
             data = np.zeros(len(tie.data))  # 11 or 12, by version
             data[10] = 1.0  # torque scale of the weld
             tie.data = data
-        for k, point in enumerate(_tie_points(grasp)):
+        for k, point in enumerate(points):
             own = f"{arm.name}/tie.{k}"
             other = f"object/tie{i}.{k}"
             tip.add_site(name=own, pos=point)
@@ -235,14 +239,14 @@ def _weigh(root: Any, chain: ClosedChain) -> None:
     root.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
 
 
-def _tie_points(grasp: Grasp) -> list[Array]:
-    """Points of the tip frame that stay together in a hinge or a ball."""
+def _tie_points(mujoco: Any, grasp: Grasp) -> list[Array]:
+    """Points of the tip frame that stay together in a hinge or a ball; none: a weld."""
     if grasp.is_rigid:
-        return []
+        return [] if mujoco.mj_version() >= WELDS else list(TIE_SPAN * np.eye(3))
     if grasp.kind == "ball":
         return [np.zeros(3)]
     axis = grasp.T[3:, 0]
-    return [HINGE_SPAN * axis, -HINGE_SPAN * axis]
+    return [TIE_SPAN * axis, -TIE_SPAN * axis]
 
 
 def _tie(mujoco: Any, spec: Any, name: str, first: str, second: str) -> Any:
@@ -605,6 +609,7 @@ class MujocoPlant:
             spec = scene(mujoco, chain, arm_urdfs, object_urdf, bodies, options, self.rails)
             add_drives(mujoco, spec, driven, self.drives)
             self.model: Any = spec.compile()
+            self.spec: Any = spec
         except (ValueError, mujoco.FatalError) as error:
             raise PlantError(f"MuJoCo refuses the scene: {error}") from error
         self.data: Any = mujoco.MjData(self.model)
