@@ -1,7 +1,5 @@
 """Files that appear complete or not at all, and folders that one program at a time writes to."""
 
-from __future__ import annotations
-
 import os
 import uuid
 from collections.abc import Iterator
@@ -14,8 +12,6 @@ try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
-
-__all__ = ["hold", "sole_user", "whole_file"]
 
 
 def hold(number: int, what: str | os.PathLike[str]) -> None:

@@ -50,7 +50,7 @@ LEFT_OUT = (
     "sources.py",
     "units.py",
 )
-MODULES = ("projections.py", "spans.py", "response.py", "control/monitor.py")
+MODULES = ("projections.py", "response.py", "control/monitor.py")
 JUDGES = (
     "law_parts",
     "law_stages",

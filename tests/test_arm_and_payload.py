@@ -12,8 +12,8 @@ from urdf_numbers import element, written_inertia
 from osc_contact import robots
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.chain_model import outboard_links
+from osc_contact.dynamics.chain_state import RigidObject
 from osc_contact.dynamics.environment import Environment
-from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
 
 SEEDS = range(4)

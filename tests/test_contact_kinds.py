@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from osc_contact.contacts.pairs.registry import make_pair
+from osc_contact.contacts.pairs.pair import make_pair
 from osc_contact.errors import ScenarioError
 from osc_contact.runs.contacts import build_pairs, environment_bodies, feet
 from osc_contact.runs.references import force_names

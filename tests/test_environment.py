@@ -10,9 +10,9 @@ from pytest import mark, raises
 from rigs import panda_pair, random_state, scara_pair
 
 import osc_contact as osc
-from osc_contact.control.command_filter import command
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import contact_response
+from paper.command_filter import command
 
 
 def test_one_body_behind_every_contact_stays_what_it_is():

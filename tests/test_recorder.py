@@ -180,7 +180,7 @@ def test_numpy_reads_the_file_and_what_it_packed_is_read(tmp_path):
 def test_large_recordings_stay_in_their_file(tmp_path, monkeypatch):
     whole = record(10000)
     path = whole.save(tmp_path / "run.npz")
-    monkeypatch.setattr("osc_contact.recorder.archive.IN_MEMORY", 1000)
+    monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", 1000)
     loaded = Recording.load(path)
     assert len(loaded) == 10000 and loaded.meta == json.loads(json.dumps(META))
     path.unlink()  # whoever has it open goes on reading
@@ -202,7 +202,7 @@ def test_large_recordings_stay_in_their_file(tmp_path, monkeypatch):
 
 def test_a_large_file_with_a_flipped_bit_is_refused(tmp_path, monkeypatch):
     path = record(10000).save(tmp_path / "run.npz")
-    monkeypatch.setattr("osc_contact.recorder.archive.IN_MEMORY", 1000)
+    monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", 1000)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))

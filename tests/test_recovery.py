@@ -147,7 +147,7 @@ def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tm
     scenario = osc.load_scenario(name, [f"plant.type={plant}"])
     once = osc.run(scenario, duration=0.06)
     monkeypatch.setattr(rows_of_runs, "_EVERY", 0.0)
-    monkeypatch.setattr("osc_contact.recorder.archive.IN_MEMORY", 0)
+    monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", 0)
     found = osc.run(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap")
     same(found, once)
     recovered = osc.recover(tmp_path / "unfinished.mcap")

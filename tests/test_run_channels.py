@@ -13,7 +13,7 @@ from osc_contact.contacts.pairs.pair import pushes_only
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.dynamics.chain_model import columns_at
 from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.runs.free_motion import free_parts
+from osc_contact.runs.recorder import free_parts
 from osc_contact.spatial import Poses, rotated, rotations
 from paper.moving_face import FACES
 

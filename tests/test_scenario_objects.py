@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from pytest import mark, raises
 
 import osc_contact as osc
-from osc_contact.dynamics.rail import Conveyor
+from osc_contact.dynamics.environment import Conveyor
 from osc_contact.scenarios.signals import MinimumJerk
 
 PLANTS = ("rigid", "mujoco")

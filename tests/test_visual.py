@@ -7,11 +7,10 @@ from matplotlib.patches import FancyBboxPatch
 from pytest import fixture, raises
 from scene_samples import make_recording
 
-from osc_contact.control.signals import SIGNALS
 from osc_contact.errors import InvalidInputError
 from osc_contact.visual import plots
 from paper.contact_pictures import draw_contact_state
-from paper.diagrams import BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
+from paper.diagrams import BLOCKS, BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
 
 
 def test_contact_force_figure():
@@ -96,7 +95,7 @@ def diagram(request):
 def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):
     """A line's tip at the left edge, a name above, below or beside the right edge for each."""
     boxes, ax = diagram
-    assert {*LABELS, "v"} == set(SIGNALS)
+    assert {*LABELS, "v"} == {name for box in BLOCKS for name in (*box.inputs, *box.outputs)}
     shown = [t for t in ax.texts if t.get_text()]
     texts = [(t.get_text().replace("\n", " · "), t.get_window_extent()) for t in shown]
     tips = [ax.transData.transform(t.xy) for t in ax.texts if getattr(t, "arrow_patch", None)]

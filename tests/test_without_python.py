@@ -18,7 +18,7 @@ from osc_contact.control.saving import SavedController, controller_bytes
 from osc_contact.control.without_python import write_library
 from osc_contact.drivers.franka import TORQUE_STEP
 from osc_contact.law.jit import PLAIN_PYTHON
-from osc_contact.robots.library import find_robot
+from osc_contact.robots.loading import find_robot
 from osc_contact.runs.run import start
 from osc_contact.runs.tape import Tape, build
 from osc_contact.scenarios.control_schema import MotionGains

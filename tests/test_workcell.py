@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import osc_contact as osc
-from osc_contact.dynamics.joint_modes import modes
+from osc_contact.dynamics.chain_state import modes
 from osc_contact.runs.hardware import flexible_joints
 from paper import workcell
 from paper.studies import write_study

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache
+from itertools import product
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -98,8 +99,8 @@ def scene(
     _hold_object(mujoco, spec, chain, object_urdf)
     for i, (body, rail) in enumerate(zip(bodies, rails, strict=True)):
         _body(mujoco, spec, i, *body, options, rail)
-    if options.friction > 0.0 and options.own_friction != options.solref:
-        _let_slide(spec, options, options.own_friction)
+    if options.friction > 0.0:
+        _add_friction(spec, options)
     return spec
 
 
@@ -286,27 +287,49 @@ def _body(
     spec.attach(part, prefix=f"face{i}/", frame=_frame(spec.worldbody, placement))
 
 
-def _let_slide(spec: Any, options: PlantSpec, own: tuple[float, float]) -> None:
-    """Friction with a separate solref, between the object's geometries and those of all bodies.
+_IMPEDANCE = 0.03  #: MuJoCo's d of contacts with friction, at `width`
+_FRICTION_IMPEDANCE = 0.9  #: d of the friction itself
+#: 1/s, of slip: friction is whole from μ f/(9 m · 1000/s) on, and turns back 1 ms before the slip.
+_FRICTION_DAMPING = 1e3
 
-    MuJoCo's cone lifts what slides: the depth that carries a force shrinks by 2 μ v τ d, v the
-    speed, τ the time constant of friction and d the impedance. A point settles there, a face on a
-    face hops. With a longer τ it is lifted less; friction then has the impedance times the same
-    ratio, so that the slip from which on it is developed stays.
+
+def _add_friction(spec: Any, options: PlantSpec) -> None:
+    """Coulomb friction between the object's geometries and those of all bodies.
+
+    MuJoCo's cone couples slip and normal force: what slides at v rests higher by μ b v/(d k), d the
+    impedance, k and b the reference stiffness and damping. With `solref` and `solimp` as they are
+    that is more than the depth of light contacts: they chatter, and are struck where a motion turns
+    back. Spring d²k/(1 − d) and damper d b/(1 − d), both for a unit of mass, are as declared here,
+    but made by a small d and a large k, and friction has a damping and an impedance apart.
     """
-    spec.option.impratio = own[0] / options.solref[0]
+    time, ratio = options.solref
+    low, high, width = options.solimp
+    most = _IMPEDANCE
+
+    def root(d: float) -> float:
+        """Of the spring, d/√(1 − d)."""
+        return d / np.sqrt(1.0 - d)
+
+    share = most / root(high)
+    power = 1.0
+    if low != high:  # of the curve between them, by its middle
+        power = -np.log2((root(0.5 * (low + high)) - root(low)) / (root(high) - root(low)))
+    fastest = 1.0 / spec.option.timestep  # no damper stops a motion within less than a step
+    damping = min(2.0 / time * (1.0 - most) / (1.0 - high), fastest)
+    stiffness = (1.0 - most) / ((1.0 - high) * (time * ratio) ** 2)
+    friction = _FRICTION_IMPEDANCE / (1.0 - _FRICTION_IMPEDANCE)
+    spec.option.impratio = friction * (1.0 - most) / most
     for i, geom in enumerate(spec.geoms):
         geom.name = geom.name or f"geom{i}"
     held = [geom.name for geom in spec.geoms if geom.conaffinity and not geom.contype]
     touched = [geom.name for geom in spec.geoms if geom.contype and not geom.conaffinity]
-    for first in held:
-        for second in touched:
-            pair = spec.add_pair(geomname1=first, geomname2=second)
-            pair.condim = 3
-            pair.friction = [options.friction, options.friction, 0.0, 0.0, 0.0]
-            pair.solref = list(options.solref)
-            pair.solimp = [*options.solimp, 0.5, 2.0]
-            pair.solreffriction = list(own)
+    for first, second in product(held, touched):
+        pair = spec.add_pair(geomname1=first, geomname2=second)
+        pair.condim = 3
+        pair.friction = [options.friction, options.friction, 0.0, 0.0, 0.0]
+        pair.solref = [-stiffness, -damping]
+        pair.solimp = [share * root(low), most, width, 1.0, power]
+        pair.solreffriction = [-1e-9, -min(_FRICTION_DAMPING, fastest) * most]
 
 
 def _put_on_rail(mujoco: Any, part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:

@@ -1,7 +1,5 @@
 """What a robot is, in numbers and in words: joints, masses, limits, losses, tips, and a verdict."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -13,7 +11,6 @@ import pinocchio as pin
 
 from osc_contact.errors import ModelError
 from osc_contact.robots.checks import Inertias, JointLimits, check_mesh_files
-from osc_contact.robots.findings import ModelFinding
 from osc_contact.robots.loading import compare, load
 from osc_contact.robots.mjcf import compile_mjcf, is_mjcf, load_mjcf, placement_difference
 from osc_contact.robots.model import (
@@ -25,6 +22,7 @@ from osc_contact.robots.model import (
     slides,
 )
 from osc_contact.robots.urdf import Document
+from osc_contact.robots.xml_tree import ModelFinding
 from osc_contact.spatial import Array
 
 POSTURES = 200
@@ -91,6 +89,43 @@ def loss_words(joints: Sequence[Mapping[str, Any]]) -> str:
             parts.append(f"{value:.3g} {unit} ({where})")
         words.append(f"{key} {', '.join(parts)}" if parts else f"no {key}")
     return "; ".join(words)
+
+
+def friction_warnings(
+    model: pin.Model, q: Array, share: float, rate: float, passive: Sequence[str] = ()
+) -> Iterator[str]:
+    """Joints whose damping weighs more than their inertia, and the least that rotors may be.
+
+    With m = 1/(M⁻¹)_jj, the inertia of a joint while the others are free: damping D that is not
+    known moves the joint like an inertia D/K, which counts where D/m > K; and the observer with
+    share g is stable for every delay while m is believed to be at most 1 + 1/g times the true one.
+
+    Args:
+        model: of one arm. q: its posture. share: g of `control.joint_friction`. rate: K (1/s).
+        passive: joints without a motor, which has no observer.
+    """
+    M = pin.crba(model, model.createData(), q)
+    M = np.triu(M) + np.triu(M, 1).T
+    A = rotors(model)
+    m = 1.0 / np.diag(np.linalg.inv(M - np.diag(model.armature) + np.diag(A)))
+    names = list(model.names)[1:]
+    fast = [
+        f"{d / own:.3g} 1/s ({name})"
+        for name, d, own in zip(names, model.damping, m, strict=True)
+        if d > rate * own
+    ]
+    if fast:
+        yield (
+            f"damping over inertia {', '.join(fast)}, more than {rate:.0f} 1/s: an error of the "
+            "damping moves these joints more than their inertia does; give their rotors (armature)"
+        )
+    least = [
+        f"{a - own / (1.0 + share):.2g} ({name}, {a:.2g} in the model)"
+        for name, a, own in zip(names, A, m, strict=True)
+        if share > 0.0 and a > own / (1.0 + share) and name not in passive
+    ]
+    if least:
+        yield f"rotors that are smaller than {', '.join(least)} make the friction observer unstable"
 
 
 @dataclass(frozen=True)

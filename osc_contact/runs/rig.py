@@ -1,7 +1,5 @@
 """From a scenario to the parts of a run: true chain, controller's chain, contacts, plant, start."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,10 +12,10 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.assembly import close, object_pose, reach
-from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.assembly import close, object_pose, outside_limits, reach
+from osc_contact.dynamics.chain_state import ChainState, RigidObject
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
-from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ModelError, ScenarioError
 from osc_contact.interface import Measurement, Robot
 from osc_contact.plants.judge import Plant
@@ -103,7 +101,9 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
     q_near = reach(chain, q, X_WO)
     try:
         q_contact = close(chain, q_near, gaps)
-        _require_within_limits(chain, q_contact)
+        if found := outside_limits(chain, q_contact):
+            cure = "move object, faces or base, or change the posture"
+            raise ScenarioError(f"the contacts touch where {found[0]}; {cure}")
     except (ModelError, ScenarioError) as error:
         raise type(error)(f"{error}{_away(pairs, X_WO)}") from error
     return q_contact
@@ -120,7 +120,7 @@ def standoff_of(state: ChainState, contact: Contact, distance: float) -> Array:
     N_S = state.S.T @ contact.N
     H_inv_N = np.linalg.solve(state.S.T @ state.metric @ state.S, N_S)
     away = np.full(contact.r, -distance)  # a gap opens against N
-    return np.asarray(state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away)))
+    return state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away))
 
 
 def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
@@ -133,16 +133,6 @@ def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
         f". At object.pose contact '{name}' is {1e3 * max(gaps):.0f} mm away from what it touches: "
         "move that to the object, or object.pose and posture to it"
     )
-
-
-def _require_within_limits(chain: ClosedChain, q: Array) -> None:
-    limits = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
-    for name, x, low, high in zip(chain.joint_names, q, *limits, strict=True):
-        if not low <= x <= high:
-            raise ScenarioError(
-                f"to touch the contacts joint {name} would stand at {x:.4g}, outside its limits "
-                f"[{low:.4g}, {high:.4g}]; move object, faces or base, or change the posture"
-            )
 
 
 @dataclass(frozen=True)
@@ -377,7 +367,7 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     error = scenario.model_error
     make = chains or build_chain
     chain = make(scenario, hidden_mass=error.hidden_mass)
-    factors = error.arm_mass, error.object_mass, error.joint_friction
+    factors = error.arm_mass, error.object_mass, error.joint_friction, error.armature
     known = set(factors) == {1.0} and error.hidden_mass == 0.0
     model = chain if known else make(scenario, *factors)
     pairs = build_pairs(scenario)
@@ -404,13 +394,14 @@ def build_chain(
     arm_mass: float = 1.0,
     object_mass: float = 1.0,
     joint_friction: float = 1.0,
+    armature: float = 1.0,
     hidden_mass: float = 0.0,
 ) -> ClosedChain:
-    """Arms and object of a scenario, with masses and friction times the given factors.
+    """Arms and object of a scenario, with masses, friction and rotors times the given factors.
 
     Args:
         scenario: with arms, grasps and object.
-        arm_mass, object_mass, joint_friction: factors of model error.
+        arm_mass, object_mass, joint_friction, armature: factors of model error.
         hidden_mass: kg, a point of the object where the first arm grasps it.
     """
     source = scenario.folder
@@ -432,6 +423,9 @@ def build_chain(
         )
         for spec in scenario.arms
     ]
+    for arm in arms:
+        arm.model.armature = armature * arm.model.armature
+        arm.model.rotorInertia = armature * arm.model.rotorInertia
     body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
     grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
     held = body.scaled(object_mass)

@@ -30,31 +30,13 @@ from osc_contact.scenarios.quantities import (
     NotNegative,
     Number,
     Positive,
+    Spec,
     Time,
     TimeLimit,
     Velocity,
     VelocityLimit,
+    refuse,
 )
-from osc_contact.scenarios.spec import Spec, refuse
-
-__all__ = [
-    "ControlSpec",
-    "EstimateSpec",
-    "ForceGains",
-    "ForceReadingSpec",
-    "Friction",
-    "Gains",
-    "JointFriction",
-    "JointTorqueSpec",
-    "ModelErrorSpec",
-    "MonitorLimits",
-    "MotionGains",
-    "PhaseSettings",
-    "PostureTask",
-    "SafetySettings",
-    "TareSpec",
-    "VerdictSpec",
-]
 
 _UNBRAKED = 6.0  #: a speed of the contact that lasts longer than this / K_i is not braked
 _DERIVED: Any = Field(default=None)  #: follows from the other gains
@@ -506,6 +488,8 @@ class ModelErrorSpec(Spec):
     """a mass that the controller does not know of, in the object where the first arm grasps it"""
     joint_friction: NotNegative = 1.0
     """factor on the joint friction and damping of the controller's model"""
+    armature: NotNegative = 1.0
+    """factor on the rotor inertias of the controller's model"""
     environment: Literal["known", "ignored"] = "known"
     """`ignored`: the law takes every face as unyielding and unaccelerated (Φ_e = 0, b_e = 0)"""
     face_offset: Length = 0.0

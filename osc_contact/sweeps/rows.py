@@ -1,7 +1,5 @@
 """Rows of a study: each run's numbers, verdict and errors; the file and the table they go to."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os
@@ -23,8 +21,6 @@ from osc_contact.runs.run import Install, run_rig
 from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sweeps.study import Sample, SweepStudy
-
-__all__ = ["RowFile", "make_rows", "record_sample", "scenario_of"]
 
 #: Words beside those of `runs.verdict`: it could not be built or is not possible; the simulation
 #: diverged; the process that ran it died.
@@ -72,10 +68,11 @@ class Workshop:
         arm_mass: float = 1.0,
         object_mass: float = 1.0,
         joint_friction: float = 1.0,
+        armature: float = 1.0,
         hidden_mass: float = 0.0,
     ) -> ClosedChain:
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
-        factors = arm_mass, object_mass, joint_friction, hidden_mass
+        factors = arm_mass, object_mass, joint_friction, armature, hidden_mass
         key = json.dumps([content, factors, str(scenario.source)], sort_keys=True)
         if key not in self._chains:
             while len(self._chains) >= _KEPT:

@@ -24,7 +24,7 @@ from osc_contact.spatial import Array, moved
 from osc_contact.sweeps.fleet import Fleet, Start
 from osc_contact.sweeps.rows import Workshop, scenario_of, without_logged_doubts
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.workers import available_cores
+from osc_contact.sweeps.sweep import available_cores
 
 __all__ = ["ContactVectorEnv", "SensedRows", "make_vector_env", "tracking_reward"]
 
