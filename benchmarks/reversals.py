@@ -65,7 +65,6 @@ class SlidingPlant(RigidPlant):
         return solution
 
 
-@register_plant("sliding", exact=True)
 def _sliding(parts: Parts) -> RigidPlant:
     plant = SlidingPlant(parts.chain, parts.pairs, parts.scenario.plant.step)
     plant.mu = parts.scenario.plant.friction
@@ -99,12 +98,12 @@ def _without_slip(option: Any) -> None:
     option.cone = 0
 
 
-for _name, _change in {
-    "elliptic": lambda option: None,
-    "+ impratio": _with_impratio,
-    "+ noslip": _without_slip,
-}.items():
-    register_plant(_name)(_plain(_change))
+def register_plants() -> None:
+    """Enter the plants that are compared here."""
+    register_plant("sliding", exact=True)(_sliding)
+    register_plant("elliptic")(_plain(lambda option: None))
+    register_plant("+ impratio")(_plain(_with_impratio))
+    register_plant("+ noslip")(_plain(_without_slip))
 
 
 KINDS = ("mujoco", "exact", "elliptic", "+ impratio", "+ noslip")
@@ -131,6 +130,7 @@ def reversing(
 
 def main(duration: float = 3.0) -> None:
     """Print the table."""
+    register_plants()
     print(f"{'stroke':14}{'line':10}{'mu':14}" + "".join(f"{kind:>12}" for kind in KINDS))
     for stroke, line, mu, known in product(STROKES, LINES, (0.2, 0.3), (False, True)):
         cells = []

@@ -3,7 +3,7 @@
 import numpy as np
 from environment_scenes import RTOL, close_to, scene
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, fixture, mark, raises
 from rigs import friction_wrenches, panda_pair, scara_pair
 from test_decoupling import commanded, in_contact
 from test_effort_limits import weakened
@@ -11,9 +11,9 @@ from test_moving_environment import object_acceleration, seen, squeeze_of
 
 import osc_contact as osc
 from benchmarks.cases import POINT
-from benchmarks.reversals import reversing
+from benchmarks.reversals import register_plants, reversing
 from osc_contact.dynamics.environment import Environment
-from osc_contact.runs.rig import PLANTS, register_plant
+from osc_contact.runs.rig import PLANT_TYPES, PLANTS, register_plant
 from osc_contact.scenarios.control_schema import Friction
 
 
@@ -148,6 +148,17 @@ def test_forces_survive_friction_known_within_thirty_per_cent(mu, believed, limi
 
 def test_without_compensation_friction_costs_twice_as_much():
     assert worst(0.3, None, "control.friction=null") > 2 * worst(0.3, 0.3)
+
+
+@fixture(autouse=True)
+def registered():
+    """Plants of the tests, taken out again."""
+    before = dict(PLANTS), dict(PLANT_TYPES)
+    register_plants()
+    yield
+    for register, content in zip((PLANTS, PLANT_TYPES), before, strict=True):
+        register.clear()
+        register.update(content)
 
 
 def reversal_error(*which):

@@ -70,7 +70,8 @@ def test_a_killed_run_is_recovered_but_for_its_last_moments(seconds, tmp_path, w
 def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
     words = ["run", "two_contact_rod", "--duration", "1000", "--seed", "3", "--out", tmp_path]
     with started([*COMMAND, *words]) as process:
-        while not (tmp_path / "unfinished.mcap").exists():
+        journal = tmp_path / "unfinished.mcap"
+        while not journal.exists() or journal.stat().st_size < 20_000:  # until there are ticks
             sleep(0.05)
         process.send_signal(signal.SIGINT)
         said, complaints = process.communicate(timeout=300)

@@ -262,6 +262,7 @@ def test_a_tool_follows_a_curved_face(task, case):
         scenario = scenario.replaced(contacts=[{"pair": pair, "body": "part"}])
         scenario = scenario.replaced(plant={**scenario.plant.model_dump(), "friction": 0.2})
     found = osc.metrics(osc.run(scenario, duration=3.0))
-    limit = 5e-4 if case == "no friction" else 0.03 if "3 mm" in case else 0.015
+    # the custom pair with friction, which is whole from a slip of about 1 mm/s on
+    limit = 5e-4 if case == "no friction" else 0.03 if "3 mm" in case else 0.02 if own else 0.015
     assert found["force"]["nose"]["rms_error_rel"] < limit
     assert found["contact_fraction"] == {"nose": 1.0}

@@ -3,7 +3,7 @@
     python tests/try_dist.py DIST [--versions pinned|lowest|highest] [PYTHON ...]
     python tests/try_dist.py --suite [--versions …] [PYTHON ...]        (`make versions`)
 
-Installs what lies in DIST with its extras, then runs what a new user runs, in a folder of its own;
+Installs what lies in DIST with its extras, then runs what a new user runs, in a separate folder;
 the wheel also without extras, and beside the packages of `BESIDE` as far as pip resolves them. With
 --suite it runs the tests of the checkout in an environment beside it. Versions of the dependencies:
 those of constraints.txt, the lower bounds of pyproject.toml, or the highest that the bounds allow.
