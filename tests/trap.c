@@ -46,7 +46,8 @@ int __wrap_osc_tick(osc_controller *c, const osc_measurement *m, const osc_refer
                     osc_command *out) {
     ticking = 1;
 #ifdef RED
-    free(malloc(out->count));
+    void *volatile at = malloc(out->count);
+    free(at);
 #endif
     int code = __real_osc_tick(c, m, r, out);
     ticking = 0;
