@@ -46,8 +46,8 @@ int __wrap_osc_tick(osc_controller *c, const osc_measurement *m, const osc_refer
                     osc_command *out) {
     ticking = 1;
 #ifdef RED
-    void *volatile some = malloc(out->count); /* compilers leave out a pair that is not kept */
-    free(some);
+    void *volatile at = malloc(out->count);
+    free(at);
 #endif
     int code = __real_osc_tick(c, m, r, out);
     ticking = 0;
