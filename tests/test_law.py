@@ -81,7 +81,7 @@ rig = osc.build_rig(osc.load_scenario("two_contact_rod_friction"))
 from benchmarks.cases import repeatable
 controller, measurement = repeatable(rig.controller()), rig.plant().measure()
 reference = rig.references.at(0.0)
-for _ in range(100):
+for _ in range(2000):
     controller.tick(measurement, reference)
 assert controller.status is osc.Status.OK, controller.reason
 before = sys.getallocatedblocks()
