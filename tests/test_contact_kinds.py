@@ -137,7 +137,10 @@ def changed(kind, pattern, new):
 
 REFUSED = {
     "unknown kind": (text("face_on_face").replace("face_on_face", "face_onface"), "'face_on_face'"),
-    "no kind": (text("face_on_face").replace("type: face_on_face, ", ""), "for a contact "),
+    "no kind": (
+        text("face_on_face").replace("type: face_on_face, ", ""),
+        "for a contact face_on_vertex",
+    ),
     "missing key": (
         changed("edge_on_edge", r", edge_outward: \[.*?\]", ""),
         "contacts.pad: the key 'edge_outward' is missing: roughly out of the body",
