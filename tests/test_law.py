@@ -82,19 +82,20 @@ rig = osc.build_rig(osc.load_scenario("two_contact_rod_friction"))
 from benchmarks.cases import repeatable
 controller, measurement = repeatable(rig.controller()), rig.plant().measure()
 reference = rig.references.at(0.0)
-for _ in range(100):
+for _ in range(2000):
     controller.tick(measurement, reference)
 assert controller.status is osc.Status.OK, controller.reason
-gc.collect()  # what waits for it is no leak
-before = sys.getallocatedblocks()
-for _ in range(100_000):
-    controller.tick(measurement, reference)
-    controller.motion_integral = np.zeros(6)
-    controller.force_integral = np.zeros(0)
-gc.collect()
-after = sys.getallocatedblocks()
+counts = []
+for _ in range(6):
+    gc.collect()  # what waits for it is no leak
+    counts.append(sys.getallocatedblocks())
+    for _ in range(20_000):
+        controller.tick(measurement, reference)
+        controller.motion_integral = np.zeros(6)
+        controller.force_integral = np.zeros(0)
 assert controller.status is osc.Status.OK, controller.reason
-assert abs(after - before) < 50, after - before
+grown = np.diff(counts)  # now and then Python allocates for itself, a leak does in every part
+assert grown.min() < 5, grown
 print("still")
 """
 
