@@ -20,7 +20,7 @@ from osc_contact.dynamics.grasp import Grasp, locate
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.law import records as at
 from osc_contact.law.records import Bytes, new_model
-from osc_contact.robots.model import joint_names, slides
+from osc_contact.robots.model import joint_axis, joint_names, slides
 from osc_contact.spatial import Array, carry_twist, cross, norm
 
 
@@ -381,10 +381,7 @@ def _pack_joints(chain: ChainModel, rows: Any) -> None:
 
 def _z_frame(model: pin.Model, joint: int) -> pin.SE3:
     """The joint's frame rotated so that it turns about, or slides along, its z axis."""
-    data = model.joints[joint].createData()
-    q = np.zeros(1)
-    model.joints[joint].calc(data, q, q)
-    S = np.asarray(data.S).reshape(6)
+    S = joint_axis(model, joint)
     axis = S[:3] if S[:3].any() else S[3:]
     x, y, z = np.round(axis, 15)
     if (x, y, z) == (0.0, 0.0, 1.0):

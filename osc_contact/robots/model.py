@@ -91,6 +91,14 @@ def slides(model: pin.Model, joint: int) -> bool:
     return bool(model.joints[joint].shortname().startswith("JointModelP"))
 
 
+def joint_axis(model: pin.Model, joint: int) -> Array:
+    """(6,) motion subspace S of a joint of one degree of freedom, in its own frame."""
+    state = model.joints[joint].createData()
+    # Pinocchio reads the joint's entry of the whole q, and does not check its length.
+    model.joints[joint].calc(state, pin.neutral(model))
+    return np.array(state.S).reshape(6)
+
+
 def sliding(model: pin.Model) -> Array:
     """(njoints − 1,) whether each joint slides."""
     return np.array([slides(model, j) for j in range(1, model.njoints)], dtype=bool)

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.robots.mjcf import bodies_of, body_name, compile_mjcf, load_mjcf, pose
-from osc_contact.robots.model import slides
+from osc_contact.robots.model import joint_axis, slides
 from osc_contact.spatial import Array, norm
 
 MOST_CORNERS = 200_000  #: of one mesh; of a larger one its box is drawn
@@ -144,10 +144,7 @@ def scene_picture(
 
 
 def _joint(model: pin.Model, j: int) -> dict[str, Any]:
-    joint = model.joints[j]
-    state = joint.createData()
-    joint.calc(state, pin.neutral(model)[joint.idx_q : joint.idx_q + 1])
-    S = np.asarray(state.S).reshape(2, 3)
+    S = joint_axis(model, j).reshape(2, 3)
     along = slides(model, j)
     return {
         "name": model.names[j].split("/")[-1],
