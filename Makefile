@@ -4,19 +4,27 @@ PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: venv browser demo check test test-all coverage mutants docs gallery dist bench clean
+.PHONY: venv browser demo check test test-all test-plain oldest-numba aarch64 versions peers \
+	coverage mutants docs gallery dist bench clean
 
 venv: .venv/.installed
 
+# The law is compiled while most packages are installed; it is kept in the user's cache.
 # A package index that is a local folder makes pip warn once for every package it lacks: left out.
-.venv/.installed: pyproject.toml constraints.txt
+.venv/.installed: EXTRAS := all,dev
+.venv/.demo: EXTRAS := law,scenarios,view,sim,plot
+install = set -o pipefail; OSC_CONTACT_LAW=jit $(BIN)/pip install -q --no-compile -c constraints.txt \
+	$(1) 2>&1 | { grep -v "is ignored: it is neither a file nor a directory" || true; }
+
+.venv/.installed .venv/.demo: pyproject.toml constraints.txt
 	@test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	@echo "installing into .venv"
-	@set -o pipefail; $(BIN)/pip install -q -c constraints.txt -e '.[all,dev]' 2>&1 \
-		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
+	@$(call install,numba)
+	@$(BIN)/python -m osc_contact.law.c_object & \
+		{ $(call install,-e '.[$(EXTRAS)]'); } && wait $$!
 	@touch $@
 
-demo: venv
+demo: .venv/.demo
 	$(BIN)/osc-contact run two_contact_rod --out out/two_contact_rod
 	$(BIN)/osc-contact reproduce all --out out/figures
 	@echo "look at out/two_contact_rod/scene.html and out/figures/report.html"
@@ -42,12 +50,53 @@ test: check browser
 test-all: check browser
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
+# The law's own tests as plain Python.
+LAW := $(addprefix tests/test_,$(addsuffix .py,law_kkt law_watch law_phases law_limits law_linkage law_stages))
+test-plain: venv
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n auto -k "not checked_bounds" $(LAW)
+
+# The library as the oldest numba allowed makes it: `units.py` rests on what numba does not document.
+OLDEST := out/oldest_numba
+oldest-numba: venv
+	$(PYTHON) -m venv $(OLDEST)
+	$(OLDEST)/bin/pip install -q $$(sed -n 's/.*"\(numba\)>=\([0-9.]*\),.*/\1==\2/p' pyproject.toml)
+	OSC_CONTACT_LAW= OSC_CONTACT_CACHE=$(OLDEST)/cache $(OLDEST)/bin/python -m osc_contact.law.c_object
+	OSC_CONTACT_LAW=$$(ls $$PWD/$(OLDEST)/cache/law-*/*.so) $(BIN)/python -m pytest -n auto \
+		-m "not slow" tests/test_compiling.py tests/test_law_kkt.py tests/test_library.py
+
+# A replay on an emulated aarch64. Needs Debian's gcc-aarch64-linux-gnu, libc6-dev-arm64-cross and
+# qemu-user.
+aarch64: venv
+	$(BIN)/osc-contact build two_contact_rod --out out/aarch64
+	OSC_CONTACT_LAW=compile $(BIN)/python -m osc_contact.law.c_object aarch64-linux-gnu \
+		out/aarch64/law.o
+	$(MAKE) -B -C out/aarch64 CC=aarch64-linux-gnu-gcc LDFLAGS=-static replay
+	qemu-aarch64 out/aarch64/replay
+
+# The tests with the oldest or newest versions of what the package needs, in an environment of
+# their own: make versions VERSIONS=lowest, or highest, within pyproject.toml.
+versions: browser
+	$(BIN)/python tests/try_dist.py --suite --versions $(VERSIONS) $(PYTHONS)
+
+# Laws of other software beside ours, and the action term for mjlab, in an environment with theirs
+# (torch, warp: some GB). CPU only; some minutes.
+peers: .venv-peers/.installed
+	.venv-peers/bin/python -m benchmarks.force_laws
+	.venv-peers/bin/python -m pytest -q -s -W default -p no:cacheprovider tests/try_mjlab.py
+
+.venv-peers/.installed: pyproject.toml constraints-peers.txt
+	@test -x .venv-peers/bin/pip || $(PYTHON) -m venv .venv-peers
+	@echo "installing into .venv-peers"
+	@set -o pipefail; .venv-peers/bin/pip install -q -c constraints-peers.txt \
+		-e '.[law,scenarios,sim]' torch newton mjlab robosuite pytest pytest-timeout 2>&1 \
+		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
+	@touch $@
+
 # Branches that the tests run. The law is compiled, which coverage cannot look into: its own tests run
 # without compilation first.
-PLAIN := $(addprefix tests/test_,$(addsuffix .py,law_kkt law_watch law_phases law_limits law_linkage))
 coverage: venv browser
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -k "not checked_bounds" --cov --cov-report= \
-		--cov-fail-under=0 $(PLAIN)
+		--cov-fail-under=0 $(LAW)
 	$(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-append --cov-report=term
 
 # Small faults put into the law, one at a time: how many do the tests notice? For a machine that
@@ -80,6 +129,6 @@ bench: venv
 	$(BIN)/python -m benchmarks tick
 
 clean:
-	rm -rf .venv out build dist *.egg-info MUJOCO_LOG.TXT \
+	rm -rf .venv .venv-* out build dist *.egg-info MUJOCO_LOG.TXT \
 		.pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

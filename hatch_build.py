@@ -1,15 +1,14 @@
 """Hooks of the build: README links that lead somewhere outside, and the compiled law in wheels.
 
 The law goes in where numba and a C compiler can make it.
-OSC_CONTACT_LAW=jit leaves it out: such a wheel is for every platform, and numba compiles the law
-when it is first used. A checkout installed with `pip install -e` is left as it is.
+OSC_CONTACT_LAW=jit leaves it out: such a wheel is for every platform, and the law is compiled when
+it is first used. So it is where a checkout is installed with `pip install -e`.
 """
 
 import os
 import re
 import sys
 import sysconfig
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -32,33 +31,24 @@ class CustomBuildHook(BuildHookInterface):
         return [*arrays, *core.optional_dependencies["law"]]
 
     def initialize(self, version, build_data):
-        """Make both files; where that fails the wheel is one without them."""
+        """Take both files in; where they cannot be made the wheel is one without them."""
         if version == "editable" or os.environ.get("OSC_CONTACT_LAW") == "jit":
             return
-        os.environ["OSC_CONTACT_LAW"] = "jit"  # numba, not a library that lies here
         sys.path.insert(0, self.root)
-        self.folder = tempfile.TemporaryDirectory()
-        folder = Path(self.folder.name)
         try:
-            from osc_contact.law import c_object, ready
+            from osc_contact.law import jit, library
 
-            c_object.build(folder)
+            folder = Path(jit.the_library().__file__).parent
         except Exception as error:
-            self.app.display_warning(f"wheel without the compiled law, numba compiles it: {error}")
+            self.app.display_warning(f"wheel without the compiled law: {error}")
             return
         finally:
-            del os.environ["OSC_CONTACT_LAW"]
             sys.path.remove(self.root)
-        for name in (ready.LIBRARY, ready.OBJECT):
+        for name in (library.LIBRARY, library.OBJECT):
             build_data["force_include"][str(folder / name)] = f"osc_contact/law/{name}"
         build_data["pure_python"] = False
-        build_data["tag"] = f"cp311-abi3-{platform_of(folder / ready.LIBRARY)}"
+        build_data["tag"] = f"cp311-abi3-{platform_of(folder / library.LIBRARY)}"
         self.app.display_info("wheel with the compiled law")
-
-    def finalize(self, version, build_data, artifact_path):
-        """Remove the files made."""
-        if hasattr(self, "folder"):
-            self.folder.cleanup()
 
 
 def platform_of(library):

@@ -23,6 +23,63 @@ from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios.control_schema import Gains, PhaseSettings
 from osc_contact.spatial import Array
 
+#: A Panda that slides a ball-nosed peg in a circle on a tilted face with 10 N, as a scenario.
+POINT: dict[str, Any] = {
+    "name": "point",
+    "arms": [
+        {
+            "name": "panda",
+            "urdf": "example-robot-data:panda",
+            "tip": "panda_hand_tcp",
+            "wrist_sensor": "panda_hand",
+            "locked_joints": {"panda_finger_joint1": "11 mm", "panda_finger_joint2": "11 mm"},
+            "posture": [0.0, 0.35, 0.0, -2.0, 0.0, 2.4, 0.8],
+        }
+    ],
+    "object": {"urdf": "peg.urdf", "pose": {"xyz": [0.5, 0, 0.4], "rpy": [0, 0, 0]}},
+    "grasps": {"panda": {"xyz": [0, 0, 0], "rpy": ["180 deg", 0, 0]}},
+    "contacts": [
+        {
+            "name": "nose",
+            "type": "vertex_on_face",
+            "vertex": [0, 0, -0.15],
+            "radius": "12 mm",
+            "face": {
+                "urdf": "face.urdf",
+                "point": [0.49, 0, 0.24],
+                "normal": [-0.34202, 0, 0.93969],
+            },
+        }
+    ],
+    "force": {"nose": [{"type": "constant", "value": "10 N"}]},
+    "motion": [
+        {
+            "kind": "linear",
+            "direction": [0, 1, 0],
+            "signals": [
+                {"type": "sine", "amplitude": "40 mm", "frequency": "0.5 Hz", "ramp": "1 s"}
+            ],
+        },
+        {
+            "kind": "linear",
+            "direction": [0.93969, 0, 0.34202],
+            "signals": [
+                {
+                    "type": "sine",
+                    "amplitude": "40 mm",
+                    "frequency": "0.5 Hz",
+                    "phase": "90 deg",
+                    "ramp": "1 s",
+                }
+            ],
+        },
+    ],
+    "gains": {"motion": {"stiffness": 900, "damping": 60}, "force": {"integral": 30}},
+    "control": {"rate": "1 kHz"},
+    "plant": {"type": "mujoco", "step": "0.25 ms"},
+    "duration": 3,
+}
+
 DT = 1e-3
 MOVING_TICKS = 40
 ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))

@@ -27,8 +27,7 @@ UNKNOWN = (
     "plant.friction=uniform(0, 0.3)",
 )
 RADIUS = 0.01  #: m, of the finger tip
-MOVE_S = 2.0
-STAY_S = 0.5  #: from goal to goal, and there; theirs: 2.5 s or 7.5 s for both
+STAY_S = 0.5  #: at each goal; theirs: 2.5 s or 7.5 s with the way
 
 
 @dataclass(frozen=True)
@@ -54,6 +53,7 @@ class Case:
         name: of theirs. wall: a point of its front; normal: out of it, towards the robot.
         goals: one after the other. stiffness: 1/s². damping_ratio.
         posture: (7,) rad, near which the arm reaches all goals away from its joints' limits.
+        move_s: from goal to goal (s).
     """
 
     name: str
@@ -63,6 +63,7 @@ class Case:
     stiffness: float
     damping_ratio: float
     posture: tuple[float, ...]
+    move_s: float = 2.0
 
 
 _S = float(np.sqrt(0.5))
@@ -95,8 +96,8 @@ def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
     motion = []
     force = [{"type": "constant", "value": case.goals[0].force}]
     for i, (one, two) in enumerate(pairwise(case.goals)):
-        start = (i + 1) * STAY_S + i * MOVE_S
-        rise = {"type": "minimum_jerk", "start": start, "duration": MOVE_S}
+        start = goal_times(case)[i]
+        rise = {"type": "minimum_jerk", "start": start, "duration": case.move_s}
         way = _on_wall(case, two) - _on_wall(case, one)
         length = float(np.linalg.norm(way))
         moves = (
@@ -135,9 +136,14 @@ def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
         },
         "control": {"rate": 1000.0},
         "plant": {"type": "mujoco", "step": 2.5e-4},
-        "duration": len(case.goals) * (STAY_S + MOVE_S) - MOVE_S,
+        "duration": goal_times(case)[-1],
     }
     return osc.Scenario.from_dict({**data, **changes})
+
+
+def goal_times(case: Case) -> list[float]:
+    """When the run is to be at each goal, at rest (s)."""
+    return [(i + 1) * STAY_S + i * case.move_s for i in range(len(case.goals))]
 
 
 def judge(case: Case, recording: osc.Recording) -> Array:
@@ -145,8 +151,8 @@ def judge(case: Case, recording: osc.Recording) -> Array:
     rate = float(recording.meta["control_rate_hz"])
     n = np.array(case.normal)
     out = []
-    for i, goal in enumerate(case.goals):
-        k = min(round(((i + 1) * STAY_S + i * MOVE_S) * rate), len(recording)) - 1
+    for t, goal in zip(goal_times(case), case.goals, strict=True):
+        k = min(round(t * rate), len(recording)) - 1
         off = recording["pose"][k, :3] - _on_wall(case, goal)
         place = np.linalg.norm(off - n * (n @ off))
         turn = np.linalg.norm(recording["motion_error"][k, 3:])

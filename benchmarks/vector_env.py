@@ -8,7 +8,7 @@ from rich.table import Table
 import osc_contact as osc
 from benchmarks.measuring import machine, require_count
 from benchmarks.simulation import Ledger
-from osc_contact.sweeps.workers import available_cores
+from osc_contact.sweeps.sweep import available_cores
 from paper.study import Data, table_of
 
 SCENARIO = "panda_edge"

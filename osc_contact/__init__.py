@@ -38,16 +38,15 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.contacts.surface import Surface
     from osc_contact.control.batch import BatchController
     from osc_contact.control.controller import Controller
-    from osc_contact.control.custom_laws import Laws
-    from osc_contact.control.impedance import admittance, impedance
+    from osc_contact.control.custom_laws import Laws, admittance, impedance
     from osc_contact.control.set_point import PoseSetPoint, SetPoint, SetPointState
     from osc_contact.control.status import SafetyState, Status
     from osc_contact.dynamics.arm import Arm
-    from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+    from osc_contact.dynamics.chain_state import ChainState, RigidObject
+    from osc_contact.dynamics.closed_chain import ClosedChain
     from osc_contact.dynamics.environment import Environment
     from osc_contact.dynamics.grasp import Grasp
     from osc_contact.dynamics.operational_space import OperationalSpace, operational_space
-    from osc_contact.dynamics.payload import RigidObject
     from osc_contact.errors import (
         ContactError,
         Interrupted,
@@ -69,11 +68,12 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.response import ContactResponse, contact_response
     from osc_contact.runs.contacts import OwnMotion
     from osc_contact.runs.loop import run_loop
-    from osc_contact.runs.preflight import Finding, preflight
+    from osc_contact.runs.preflight import preflight
     from osc_contact.runs.recorder import Recorder
+    from osc_contact.runs.references import surface_references
     from osc_contact.runs.rig import Rig, build_rig, register_plant
     from osc_contact.runs.run import recover, run
-    from osc_contact.runs.surface_motion import surface_references
+    from osc_contact.runs.task import Finding
     from osc_contact.runs.verdict import metrics
     from osc_contact.runs.viewing import open_viewer
     from osc_contact.scenarios import Scenario, list_scenarios, load_scenario

@@ -1,7 +1,5 @@
 """Commands about robots: checks, kinematics, a first task."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -13,14 +11,13 @@ import typer
 from osc_contact import robots
 from osc_contact.console import JsonOption, exit_codes, load_task, out, say
 from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.assembly import outside_limits
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs import poses
 from osc_contact.runs.drafts import Press, draft
 from osc_contact.runs.report import robot_tables, write_json
 from osc_contact.scenarios import list_scenarios
-
-__all__ = ["check", "commission", "new", "pose"]
 
 
 class InertiaLevel(StrEnum):
@@ -113,7 +110,7 @@ def pose(
                     f"{np.rad2deg(solution.miss[1]):.3g} deg are left at the nearest posture; "
                     "give another pose, or another --seed"
                 )
-        outside = poses.outside(chain, q)
+        outside = outside_limits(chain, q)
         for line in (*poses.pose_lines(chain, q), *outside):
             say(line)
         if json_file:

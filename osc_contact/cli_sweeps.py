@@ -1,7 +1,5 @@
 """Commands of studies: many runs of one scenario with other numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -30,8 +28,6 @@ from osc_contact.sweeps.report import REPORT, write_report
 from osc_contact.sweeps.study import Design, SweepStudy
 from osc_contact.sweeps.sweep import TABLE, run_study
 from osc_contact.sweeps.tune import Tuned
-
-__all__ = ["sweep", "tune"]
 
 WorkersOption = Annotated[
     int | None, typer.Option(min=1, help="processes (default: one for each core)")

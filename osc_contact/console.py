@@ -1,7 +1,5 @@
 """Shared by commands: output and errors, exit codes, tasks, runs with a progress display."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,33 +30,6 @@ from osc_contact.runs.run import recover, run
 from osc_contact.runs.viewing import Shown, open_viewer
 from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
-
-__all__ = [
-    "CompilationBar",
-    "DurationOption",
-    "FolderOption",
-    "JsonOption",
-    "PARTIAL",
-    "PlantOption",
-    "ScenarioArgument",
-    "SeedOption",
-    "SetOption",
-    "UNFINISHED",
-    "err",
-    "exit_codes",
-    "forget_rows",
-    "load_program",
-    "load_task",
-    "open_recording",
-    "out",
-    "record",
-    "report_run",
-    "require",
-    "require_report",
-    "run_with_progress",
-    "say",
-    "show_live",
-]
 
 ScenarioArgument = Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")]
 

@@ -1,7 +1,5 @@
 """Every error of the toolkit: one base class, children that name the refused input."""
 
-from __future__ import annotations
-
 from typing import Any
 
 __all__ = [

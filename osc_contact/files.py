@@ -1,11 +1,9 @@
 """Files that appear complete or not at all, and folders that one program at a time writes to."""
 
-from __future__ import annotations
-
 import os
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from osc_contact.errors import InvalidInputError
@@ -14,8 +12,6 @@ try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
-
-__all__ = ["hold", "sole_user", "whole_file"]
 
 
 def hold(number: int, what: str | os.PathLike[str]) -> None:
@@ -62,6 +58,26 @@ def sole_user(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(number)
+
+
+@contextmanager
+def one_by_one(folder: Path) -> Iterator[None]:
+    """Make a folder, and let programs that call this do so one after another.
+
+    Where the file system has no locks, nobody waits.
+
+    Args:
+        folder: for what they make.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / ".lock", "w") as file:
+        if fcntl is not None:
+            with suppress(OSError):
+                fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """What passes between a robot and its controller: measurements, references, torques."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -10,17 +8,6 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from osc_contact.spatial import Array, as_array, as_pose
-
-__all__ = [
-    "Measurement",
-    "Reference",
-    "Robot",
-    "Seen",
-    "Stamps",
-    "Touched",
-    "as_squeeze",
-    "pose_reference",
-]
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import InvalidInputError, OscContactError, SolverError
 
-__all__ = ["Bounds", "JerkLimits", "Pieces", "Trajectory", "follow", "from_rest_to_rest"]
-
 Array = NDArray[np.float64]
 Bounds = tuple[list[float], list[float], list[float]]
 """Of velocity, acceleration and jerk, one for each coordinate."""

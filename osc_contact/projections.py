@@ -10,23 +10,12 @@ Identities 9–12, with the bars that print or scan of the paper lost (see docs/
     Ω_m(B₁) Ω_m(B₂) = Ω_m(B₂)      Ω̄_m(B₁) Ω_m(B₂) = 0      Ω̄_m(B₁) Ω̄_m(B₂) = Ω̄_m(B₁)
 """
 
-from __future__ import annotations
+from typing import NoReturn
 
 import numpy as np
 
 from osc_contact.errors import ContactError
-from osc_contact.spans import BLOCKED, BLURRED, DEPENDENT, least, orthonormal, span
-from osc_contact.spatial import Array
-
-__all__ = [
-    "Omega_f",
-    "Omega_f_bar",
-    "Omega_m",
-    "Omega_m_bar",
-    "Omega_f_bar_from_complement",
-    "Omega_m_bar_from_complement",
-    "null_space",
-]
+from osc_contact.spatial import Array, norm
 
 
 def Omega_f(N: Array, A_inv: Array) -> Array:
@@ -81,7 +70,7 @@ def null_space(columns: Array) -> Array:
     if k == 0:
         return np.eye(6)
     rows, U, _ = span(columns)
-    return np.asarray(U[:, k:] / rows)
+    return U[:, k:] / rows
 
 
 def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:
@@ -104,3 +93,159 @@ def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:
             f"{BLOCKED:g}). Choose {prime} without a vector in common with {space}."
         )
     return K @ np.linalg.solve(power, D.T)
+
+
+# Bases that rounding cannot spoil: of a space, of what it does no work on, and by a metric.
+#
+# N and Φ come from outside: columns may be 1e-6 apart, Φ may be singular. Whatever divides by
+# NᵀΦN goes through `orthonormal`, which judges both. No verdict depends on units: linear and
+# angular rows are scaled by the largest of their kind, columns to unit length.
+
+
+# Limits, each decades above what rounding leaves and decades below any real geometry.
+#: Least singular value of unit columns. Dependent ones come out with 1e-17 … 1e-14.
+DEPENDENT = 1e-12
+#: Share of a direction that a metric, or a dual space, sees: 1e-6 … 1; of none, 1e-17 … 1e-10.
+BLOCKED = 1e-8
+#: The direction that columns hardly span is known to 1e-16 by that singular value.
+BLURRED = 1e-13
+#: Eigenvalue of a scaled metric, by the largest. Zero comes out as 1e-17 … 1e-14.
+_NO_MOBILITY = 1e-12
+_ASYMMETRIC = 1e-9
+
+
+def span(columns: Array) -> tuple[Array, Array, Array]:
+    """rows (n, 1), U (n, n) and C (k, k) with N = (rows U[:, :k]) C; U orthogonal.
+
+    N (n, k), k ≤ n, has the well-conditioned basis rows U[:, :k], the same for whatever metric
+    follows, and exactly this basis does no work on U[:, k:] / rows. Six rows are three linear and
+    three angular ones; any other number is taken to be of one kind.
+    """
+    n = len(columns)
+    rows = np.ones((n, 1))
+    if n == 6:
+        largest = np.abs(columns).reshape(2, -1).max(axis=1, initial=0.0)
+        rows = np.repeat(np.where(largest > 0.0, largest, 1.0), 3)[:, None]
+    unit, length = _unit(columns / rows)
+    U, S, Vt = np.linalg.svd(unit)
+    return rows, U, S[:, None] * Vt * length
+
+
+def least(columns: Array) -> tuple[float, list[int]]:
+    """The least singular value of unit columns (n, k), k ≤ n, and which columns it is made of."""
+    _, S, Vt = np.linalg.svd(_unit(columns)[0], full_matrices=False)
+    return float(S[-1]), _large(Vt[-1])
+
+
+def orthonormal(columns: Array, metric: Array, what: str) -> tuple[Array, Array, Array]:
+    """E, W (n, k) and G (k, k) with E = NG, EᵀΦE = 1, W = ΦE: range(N) made orthonormal by Φ.
+
+    Every law with (NᵀΦN)⁻¹ = GGᵀ follows. NᵀΦN itself is never formed, which would square the
+    condition: of columns 1e-6 apart four digits would be left. With the sizes s of Φ's rows and
+    Φ = sFFᵀs: sN = QM, FᵀQ = PΣZᵀ, E = s⁻¹QZΣ⁻¹, W = sFP, G = M⁻¹ZΣ⁻¹.
+
+    Args:
+        columns: N (n, k).
+        metric: Φ (n, n), symmetric positive semidefinite, of any rank.
+        what: is being made, for messages.
+
+    Raises:
+        ContactError: Φ is not symmetric or has a negative eigenvalue; the columns are dependent;
+            Φ cannot push (or move) along one of them or along a combination.
+    """
+    n, k = columns.shape
+    if k == 0:
+        return np.zeros((n, 0)), np.zeros((n, 0)), np.zeros((0, 0))
+    if k > n:
+        raise ContactError(f"{what}: {k} columns of {n} numbers are dependent. Remove some.")
+    sizes, F = _factor(metric, what)
+    rows, U, C = span(columns)
+    Q, M = np.linalg.qr(sizes * rows * U[:, :k])
+    M = M @ C
+    independent = np.linalg.svd(_unit(M)[0], compute_uv=False)[-1]
+    P, Sigma, Zt = np.linalg.svd(F.T @ Q, full_matrices=False)
+    if independent < DEPENDENT or Sigma[-1] < max(BLOCKED, BLURRED / independent):
+        _refuse(M, F.T @ Q, Zt[-1], what)
+    Z = Zt.T / Sigma
+    return Q @ Z / sizes, sizes * (F @ P), np.linalg.solve(M, Z)
+
+
+def left_inverse(columns: Array, metric: Array, what: str) -> Array:
+    """(NᵀΦN)⁻¹NᵀΦ (k, n), the left inverse of N (n, k) that Φ (n, n) makes; see `orthonormal`.
+
+    Args:
+        columns: (n, k), independent. metric: (n, n). what: they are, for the message.
+    """
+    _, W, G = orthonormal(columns, metric, what)
+    return G @ W.T
+
+
+def _refuse(M: Array, X: Array, unseen: Array, what: str) -> NoReturn:
+    """Say why: one column, dependent columns, or a combination (k,) of those that M maps to."""
+    unit, length = _unit(M)
+    seen = np.linalg.norm(X @ unit, axis=0)
+    column = int(seen.argmin())
+    (independent, which) = least(M)
+    if seen[column] < BLOCKED:
+        raise ContactError(
+            f"{what}: column {column} has nᵀΦn = {(seen * length)[column] ** 2:.3g}, its root "
+            f"{seen[column]:.2g} of what it may be (limit {BLOCKED:g}); the metric cannot move "
+            "along it. Drop that contact, or pass a metric that is definite on N."
+        )
+    if independent < DEPENDENT:
+        raise ContactError(
+            f"{what}: columns {which} are dependent (least singular value of unit columns "
+            f"{independent:.2g}, limit {DEPENDENT:g}). Remove the redundant ones."
+        )
+    share = norm(X @ unseen)
+    which = _large(np.linalg.solve(unit, unseen))
+    raise ContactError(
+        f"{what}: columns {which} are dependent in the metric (least singular value "
+        f"{share:.2g}, limit {max(BLOCKED, BLURRED / independent):.2g}); it cannot move along one "
+        "combination of them. Drop a contact, or pass a metric that is definite on N."
+    )
+
+
+def _unit(columns: Array) -> tuple[Array, Array]:
+    """Columns of unit length, and the length that each had; one without any stays zero."""
+    length = np.linalg.norm(columns, axis=0)
+    length[length == 0.0] = 1.0
+    return columns / length, length
+
+
+def _large(weights: Array) -> list[int]:
+    """Which of them are not next to nothing."""
+    size = np.abs(weights)
+    return [int(i) for i in np.flatnonzero(size > 1e-3 * size.max())]
+
+
+def _factor(metric: Array, what: str) -> tuple[Array, Array]:
+    """sizes (n, 1) and F (n, n) of norm 1 with metric = (sizes F)(sizes F)ᵀ.
+
+    Sizes are those of the largest diagonal element of a kind: linear and angular in six
+    dimensions, each its own kind otherwise. Eigenvalues that are rounding errors, of either sign,
+    become zero: their roots would be 1e-8.
+
+    Raises:
+        ContactError: not symmetric, or a negative eigenvalue.
+    """
+    diagonal = np.maximum(np.diag(metric), 0.0)
+    if len(diagonal) == 6:
+        diagonal = np.repeat(diagonal.reshape(2, 3).max(axis=1), 3)
+    sizes = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))[:, None]
+    scaled = metric / sizes / sizes.T
+    skew = np.abs(scaled - scaled.T).max()
+    if skew > _ASYMMETRIC:
+        raise ContactError(
+            f"{what}: the metric is not symmetric (relative difference {skew:.3g}); "
+            "inertias and inverse inertias are"
+        )
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    if values[0] < -_ASYMMETRIC:
+        raise ContactError(
+            f"{what}: the scaled metric has smallest eigenvalue {values[0]:.3g}; that of an "
+            "inertia or inverse inertia is not negative. Pass a positive semidefinite metric."
+        )
+    values[values < _NO_MOBILITY * values[-1]] = 0.0
+    root = np.sqrt(values[-1]) if values[-1] > 0.0 else 1.0
+    return sizes * root, vectors * np.sqrt(np.maximum(values, 0.0)) / root

@@ -1,20 +1,16 @@
 """Equations 17 to 20: how a closed chain in contact accelerates, and how hard it presses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import ContactError, InvalidInputError, ModelError
-from osc_contact.spans import orthonormal
+from osc_contact.projections import orthonormal
 from osc_contact.spatial import Array, as_array
-
-__all__ = ["ContactResponse", "Lambda_rel", "contact_response", "require_reachable"]
 
 
 @dataclass(frozen=True)
@@ -102,7 +98,7 @@ def Lambda_rel(state: ChainState, environment: Environment) -> Array:
             f"(mobility {values[0]:.2g} of the free object's). Use Φ₀ + Φ_e, its inverse."
         )
     whole = L @ vectors
-    return np.asarray((whole / values) @ whole.T)
+    return (whole / values) @ whole.T
 
 
 def require_reachable(state: ChainState, contact: Contact, Phi_e: Array | None = None) -> None:

@@ -17,8 +17,6 @@
 * Poses are `pin.SE3`, named `X_WO`: "pose of O in W", maps O-coordinates to W-coordinates.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -35,6 +33,7 @@ __all__ = [
     "Array",
     "as_array",
     "as_pose",
+    "norm",
     "cross",
     "skew",
     "carry_twist",
@@ -46,6 +45,7 @@ __all__ = [
     "Poses",
     "rotations",
     "rotated",
+    "moved",
 ]
 
 
@@ -94,6 +94,11 @@ def as_pose(name: str, position: Any, rotation: Any) -> pin.SE3:
             "give a rotation matrix, such as pin.rpy.rpyToMatrix(roll, pitch, yaw)"
         )
     return pin.SE3(R, p)
+
+
+def norm(x: Array) -> float:
+    """Euclidean length √(xᵀx)."""
+    return float(np.linalg.norm(x))
 
 
 def cross(x: Array, y: Array) -> Array:
@@ -200,7 +205,16 @@ def rotations(w: Array) -> Array:
     unit = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(angle)))
     once = np.stack([cross(w, unit[:, j]) for j in range(3)], axis=1)
     twice = np.stack([cross(w, once[:, j]) for j in range(3)], axis=1)
-    out: Array = unit + a * once + b * twice
+    return unit + a * once + b * twice
+
+
+def moved(X: Array, d: Array) -> Array:
+    """(k, B, 4, 4) poses X (B, 4, 4) after displacements d (k, B, 6): m, rad, world axes."""
+    k, B = d.shape[:2]
+    E = rotations(d[..., 3:].reshape(k * B, 3).T).transpose(2, 0, 1).reshape(k, B, 3, 3)
+    out = np.tile(X, (k, 1, 1, 1))
+    out[..., :3, :3] = E @ X[:, :3, :3]
+    out[..., :3, 3] += d[..., :3]
     return out
 
 

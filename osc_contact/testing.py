@@ -4,8 +4,6 @@
 "Your own driver" of the documentation for the contract that it checks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from itertools import combinations
 from types import SimpleNamespace
@@ -20,10 +18,9 @@ from osc_contact.control.start_check import judge_load, outboard_mass
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.interface import Measurement, Robot
+from osc_contact.robots.model import position_limits
 from osc_contact.scenarios.control_schema import SafetySettings
-from osc_contact.spatial import Array, as_array
-
-__all__ = ["check_robot", "mean_outside", "require_nudge"]
+from osc_contact.spatial import Array, as_array, norm
 
 HOLD = 50  #: ticks under the model's own weight
 PULSE = 30  #: ticks of a torque, and as many of its opposite
@@ -155,8 +152,7 @@ class _Check:
 
     def require_range(self) -> None:
         """Positions are within the joints' limits."""
-        low = np.array(self.model.lowerPositionLimit)
-        high = np.array(self.model.upperPositionLimit)
+        low, high = position_limits(self.model)
         margin = np.where(np.isfinite(high - low), RANGE * (high - low), 0.0)
         q = self.now.q
         for j in np.flatnonzero((q < low - margin) | (q > high + margin)):
@@ -184,7 +180,7 @@ class _Check:
             torques = self.weight(q) - self.weight(q[order])
             cause = f"joints '{self.names[i]}' and '{self.names[j]}' seem to be swapped"
             causes[cause] = np.linalg.solve(self.mass(q[order]), torques)[order]
-        cause = min(causes, key=lambda cause: float(np.linalg.norm(causes[cause] - seen)))
+        cause = min(causes, key=lambda cause: norm(causes[cause] - seen))
         worst = int(np.abs(seen).argmax())
         raise PlantError(
             f"torques that balance the arm's weight speed up joint '{self.names[worst]}' by "
@@ -292,7 +288,7 @@ def mean_outside(chain: ClosedChain, read: Callable[[], Measurement]) -> Array:
             if X is not None:
                 felt = felt + origin.actInv(X.act(pin.Force(wrench))).vector
         sums.append(felt)
-    return np.asarray(np.mean(sums, axis=0))
+    return np.mean(sums, axis=0)
 
 
 def require_nudge(
@@ -308,11 +304,11 @@ def require_nudge(
         PlantError: no push was read, or one in another direction.
     """
     at_rest = outside()[:3]
-    direction = direction / np.linalg.norm(direction)
+    direction = direction / norm(direction)
     for _ in range(round(patience / (MEAN * dt))):
         felt = at_rest - outside()[:3]
-        if np.linalg.norm(felt) > 2.0 * SafetySettings().load_error:
-            if felt @ direction < 0.7 * np.linalg.norm(felt):
+        if norm(felt) > 2.0 * SafetySettings().load_error:
+            if felt @ direction < 0.7 * norm(felt):
                 raise PlantError(
                     f"the tip was pushed along {np.round(direction, 2).tolist()}, and the "
                     f"wrist reads {np.round(-felt, 1).tolist()} N more in world axes; the sign "

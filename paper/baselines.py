@@ -19,7 +19,7 @@ from osc_contact.interface import Reference
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.projections import Omega_m_bar
 from osc_contact.runs.contacts import feet
-from osc_contact.runs.loop import Witness, run_loop
+from osc_contact.runs.loop import run_loop
 from osc_contact.runs.report import require_judgeable
 from osc_contact.runs.run import run, start
 from osc_contact.scenarios import Scenario
@@ -35,7 +35,7 @@ from paper.selection_laws import (
     SelectionLaw,
     best_selection,
 )
-from paper.study import Ask, Data, Study, table_of, words_of
+from paper.study import Ask, Data, Study, Witness, table_of, words_of
 
 OURS = "ours"
 PLANTS = ("rigid", "mujoco")

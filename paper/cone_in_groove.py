@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 import osc_contact as osc
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.rigid import RigidPlant
-from osc_contact.runs.loop import Witness, run_loop
+from osc_contact.runs.loop import run_loop
 from osc_contact.runs.run import start
 from osc_contact.spatial import Array, cross
 from osc_contact.visual import OKABE_ITO, contact_colour
@@ -39,7 +39,7 @@ from paper.contact_pictures import (
     write,
 )
 from paper.statements import Answer
-from paper.study import PANDA, Ask, Data, Study, table_of
+from paper.study import PANDA, Ask, Data, Study, Witness, table_of
 
 # --- A cone in a V groove: shapes, contact, and the forces with which it presses on the walls ---
 

@@ -1,4 +1,4 @@
-"""Figs. 4 and 5: the boxes of `signals.BLOCKS` at fixed places, and the connections between them.
+"""Figs. 4 and 5: the boxes of the control loop at fixed places, and the connections between them.
 
 No signal gets lost: what a box reads and no connection brings is named below it, what it puts out
 and no connection takes is named beside it. Commands come from above.
@@ -6,15 +6,103 @@ and no connection takes is named beside it. Commands come from above.
 
 import textwrap
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Patch
 
-from osc_contact.control.signals import BLOCKS, Block
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.plots import style
+
+
+@dataclass(frozen=True)
+class Block:
+    """One box of fig. 4 or 5: what it is called, what it computes, what goes in and out."""
+
+    name: str
+    group: str
+    equation: str
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+
+
+#: The boxes of fig. 4 in the order in which the signals meet them.
+BLOCKS = (
+    Block(
+        "closed chain",
+        "model",
+        "$\\Lambda_S,\\ \\mu,\\ p,\\ S,\\ \\sigma,\\ G$\n(13)",
+        ("q", "v"),
+        ("state",),
+    ),
+    Block(
+        "contact geometry",
+        "model",
+        r"$N,\ T,\ n_\gamma$",
+        ("touched", "state"),
+        ("parts", "contact", "friction_wrenches"),
+    ),
+    Block(
+        "environment",
+        "model",
+        r"$\Phi_e,\ b_e,\ V_e$  (14)",
+        ("touched", "parts", "state", "friction_wrenches"),
+        ("environment",),
+    ),
+    Block("sum of wrist sensors", "force", r"$\Sigma$ at $O$", ("wrenches", "state"), ("f_meas",)),
+    Block(
+        "force filter",
+        "force",
+        r"$\Omega_f(\Lambda_{out})$",
+        ("f_meas", "state", "contact", "environment", "friction_wrenches"),
+        ("f_c_meas",),
+    ),
+    Block("generalised inverse", "force", r"$N^{\#}$", ("f_c_meas", "contact"), ("alpha_meas",)),
+    Block(
+        "force law",
+        "force",
+        r"$\alpha_d + K_i\int(\alpha_d-\alpha_{meas})$",
+        ("alpha_d", "contact", "state", "environment", "alpha_meas"),
+        ("alpha_u",),
+    ),
+    Block(
+        "to operational space",
+        "force",
+        r"$N\alpha_u$  (16)",
+        ("contact", "friction_wrenches", "alpha_u"),
+        ("f_ccomm",),
+    ),
+    Block(
+        "motion law",
+        "motion",
+        r"$\ddot x_d + K_d\dot e + K_p e + K_i\int e$",
+        ("contact", "state", "reference"),
+        ("a_u",),
+    ),
+    Block(
+        "motion filter",
+        "filter",
+        r"$\Omega_m(B)$  (24)",
+        ("state", "contact", "a_u", "alpha_u", "environment", "friction_wrenches", "q", "v"),
+        ("eta_c",),
+    ),
+    Block(
+        "dynamic control structure",
+        "filter",
+        "$\\Lambda_S\\dot\\eta_c+b_S+S^Tf_{ccomm}$\n(21)",
+        ("state", "eta_c", "f_ccomm"),
+        ("f_S",),
+    ),
+    Block(
+        "torque allocation",
+        "filter",
+        "$G\\tau = f_S$,\nsqueeze in null$(G)$",
+        ("state", "q", "v", "f_S", "eta_c", "squeeze_d"),
+        ("tau",),
+    ),
+)
 
 PLANT = Block("arms, object, environment", "plant", "", ("tau",), ("q", "v", "wrenches"))
 #: The control loop of fig. 4.

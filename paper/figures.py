@@ -10,14 +10,13 @@ from matplotlib.figure import Figure
 
 import osc_contact as osc
 from osc_contact.contacts.raibert_craig import as_raibert_craig
-from osc_contact.control.signals import BLOCKS, Block
 from osc_contact.recorder.judged import SETTLE_S, STEP_BLANK_S, judged_ticks
 from osc_contact.runs.viewing import object_size
 from osc_contact.spatial import Array, cross
 from osc_contact.visual import plots
 from osc_contact.visual.screws import common_perpendicular
 from paper.contact_pictures import draw_contact_state
-from paper.diagrams import LOOP, draw_blocks
+from paper.diagrams import BLOCKS, LOOP, Block, draw_blocks
 from paper.statements import Answer
 
 SCENARIO = "two_contact_rod"

@@ -27,12 +27,12 @@ from matplotlib.figure import Figure
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.control.command_filter import command
 from osc_contact.errors import InvalidInputError
-from osc_contact.spans import left_inverse
+from osc_contact.projections import left_inverse
 from osc_contact.spatial import Array, classical_to_spatial, pose_error
 from osc_contact.visual import contact_colour
 from osc_contact.visual.plots import style
+from paper.command_filter import command
 from paper.study import Ask, Data, Study, table_of, words_of
 
 

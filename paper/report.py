@@ -11,8 +11,11 @@ import re
 import shlex
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from html import escape
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +24,7 @@ from rich.table import Table
 import osc_contact as osc
 from osc_contact import __version__
 from osc_contact.console import err, out, record
+from osc_contact.law import compiled
 from osc_contact.runs.report import verdict_table, write_report
 from osc_contact.visual.page import POLICY, asset, filled, write_whole
 from osc_contact.visual.plots import PRINT, save
@@ -218,7 +222,7 @@ def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
 
 
-# --- `osc-contact reproduce`: makes figures and studies one after the other, by their names ---
+# --- `osc-contact reproduce`: makes figures and studies, by their names ---
 
 
 REPRODUCIBLE = (*figures.FIGURES, *STUDIES)
@@ -327,7 +331,7 @@ def typed(plant: str | None, duration: float | None, seed: int, changes: Sequenc
 def make(
     names: Sequence[str], folder: Path, scenario: osc.Scenario, ask: Ask, options: str = ""
 ) -> Reproduction:
-    """Make figures and studies; their tables are printed.
+    """Make figures and studies, several studies in several processes; their tables are printed.
 
     Args:
         names: of `FIGURES` and `STUDIES`.
@@ -345,20 +349,35 @@ def make(
         out.print(verdict_table(write_report(recording, scenario, of_run)))
         scene = of_run / "scene.html"
     made = {}
-    for name in drawn:
-        files = save(figures.reproduce(name, scenario, recording), folder / name, PRINT)
-        answers = {}
-        if recording is not None:
-            answers = ANSWERS[name](Evidence(osc.build_rig(scenario), recording))
-        made[name] = Made(files, answers)
-    for name in names:
-        if name in STUDIES:
-            brief = name in SLOW and len(names) > 1 and ask.duration is None
-            duration = BRIEF_S if brief else ask.duration
+    studies = {name: _ask_one(name, names, ask) for name in names if name in STUDIES}
+    with ExitStack() as stack:
+        coming = {}
+        if len(studies) > 1:
+            compiled.rows()  # made once if need be, not in every process
+            pool = stack.enter_context(ProcessPoolExecutor(mp_context=get_context("spawn")))
+            coming = {k: pool.submit(_make_study, k, folder, one) for k, one in studies.items()}
+        for name in drawn:
+            files = save(figures.reproduce(name, scenario, recording), folder / name, PRINT)
+            answers = {}
+            if recording is not None:
+                answers = ANSWERS[name](Evidence(osc.build_rig(scenario), recording))
+            made[name] = Made(files, answers)
+        for name, one in studies.items():
             with err.status(name) as status:
-                asked = replace(ask, duration=duration, tell=status.update)
-                study, written = write_study(name, folder, asked)
+                here = replace(one, tell=status.update)
+                study = coming[name].result() if coming else _make_study(name, folder, here)
             out.print(study.table)
-            more = typed(None, duration, 0, ()) if brief else ""
-            made[name] = Made(written, study.answers, study.table, study.data, more)
+            more = "" if one is ask else typed(None, one.duration, 0, ())
+            made[name] = replace(study, options=more)
     return Reproduction(made, scenario, recording, scene, options)
+
+
+def _ask_one(name: str, names: Sequence[str], ask: Ask) -> Ask:
+    """What is asked of a study: slow ones are brief among others."""
+    brief = name in SLOW and len(names) > 1 and ask.duration is None
+    return replace(ask, duration=BRIEF_S) if brief else ask
+
+
+def _make_study(name: str, folder: Path, ask: Ask) -> Made:
+    study, written = write_study(name, folder, ask)
+    return Made(written, study.answers, study.table, study.data)

@@ -14,7 +14,7 @@ import osc_contact as osc
 from osc_contact.spatial import Array
 from osc_contact.sweeps.rows import RowFile, make_rows, scenario_of
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.workers import make_all, workers_of
+from osc_contact.sweeps.sweep import make_all, workers_of
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.plots import style
 from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, SelectionLaw, best_frames

@@ -32,11 +32,11 @@ import pinocchio as pin
 
 import osc_contact as osc
 from osc_contact.contacts.raibert_craig import Triple, as_raibert_craig, selection_columns
-from osc_contact.control.command_filter import command
 from osc_contact.control.controller import Controller
 from osc_contact.control.signals import Signals
-from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.spatial import Array, skew
+from paper.command_filter import command
 
 
 def coordinates(state: ChainState, W: Array) -> Array:

@@ -8,6 +8,11 @@ from typing import Any
 from matplotlib.figure import Figure
 from rich.table import Table
 
+from osc_contact.control.controller import Controller
+from osc_contact.interface import Measurement, Reference
+from osc_contact.plants.judge import Plant, Truth
+from osc_contact.runs.loop import Records
+from osc_contact.spatial import Array
 from paper.statements import Answer
 
 Data = dict[str, Any]  #: numbers for JSON
@@ -40,6 +45,10 @@ class Study:
     pages: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
 
 
+def _ignore(step: str) -> None:
+    """Where nobody watches."""
+
+
 @dataclass(frozen=True)
 class Ask:
     """Options of a study.
@@ -58,7 +67,7 @@ class Ask:
     changes: Sequence[str] = ()
     samples: int | None = None
     folder: Path = Path()
-    tell: Callable[[str], None] = lambda _: None
+    tell: Callable[[str], None] = _ignore
 
     def lasting(self, usual: float) -> float:
         """The duration of its runs (s).
@@ -94,3 +103,32 @@ def words_of(value: float | None, form: str, without: str = "–") -> str:
         value: the number. form: for `str.format`. without: where there is none.
     """
     return without if value is None else form.format(value)
+
+
+class Witness(Records):
+    """Keeps of every tick the truth just after its torques have changed.
+
+    Rigid contacts answer torques at once; a `Recorder` notes what was true just before.
+
+    Attributes:
+        truths, status: of each tick.
+    """
+
+    def __init__(self, plant: Plant, controller: Controller) -> None:
+        """Watch a plant and its controller."""
+        self.plant = plant
+        self.controller = controller
+        self.truths: list[Truth] = []
+        self.status: list[int] = []
+
+    def append(
+        self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
+    ) -> None:
+        """See `Records.append`.
+
+        Args:
+            measurement, reference, tau, seconds: as of `Records.append`.
+        """
+        self.plant.hold(tau)
+        self.truths.append(self.plant.truth())
+        self.status.append(int(self.controller.status))

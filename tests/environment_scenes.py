@@ -13,8 +13,7 @@ from rigs import one_panda, panda_pair, random_state, scara_pair
 import osc_contact as osc
 from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.dynamics.assembly import constraint_rows, inverse_rows, row_groups
-from osc_contact.dynamics.environment import Environment
-from osc_contact.dynamics.rail import Conveyor, Hinge
+from osc_contact.dynamics.environment import Conveyor, Environment, Hinge
 from osc_contact.plants.faces import Rail, touched
 from osc_contact.response import require_reachable
 

@@ -70,8 +70,6 @@ FAULTS: dict[str, Any] = {
     "drop": 0,
     "repeat": 0,
     "swap": 0,
-    "late": 0.0,
-    "lose": 0,
     "away": 0,
     "reflex": False,
 }
@@ -125,7 +123,7 @@ class Robot(simulator.FrankaMujocoRobot):
 
 
 class Server(FrankaRobotServer):
-    """Loses, repeats, swaps and delays packets; ends the motion where commands stay away."""
+    """Drops, repeats and swaps packets, freezes; ends the motion where commands stay away."""
 
     clock = True
     faults = FAULTS
@@ -181,9 +179,7 @@ class Server(FrankaRobotServer):
         return state.replace(robot_mode=RobotMode.kReflex) if self.reflex else state
 
     def _handle_udp_command(self, data):
-        lose = self.faults["lose"]
-        if not (lose and self.sent > self.faults["at"] and self.sent % lose == 0):
-            super()._handle_udp_command(data)
+        super()._handle_udp_command(data)
         self.begun = self.moving
 
     def send_state(self):
@@ -204,9 +200,7 @@ class Server(FrankaRobotServer):
         """What goes over the wire in place of packet k since the faults began."""
         faults = self.faults
         hit = {name: k % (faults[name] or k + 1) == 0 for name in ("drop", "repeat", "swap")}
-        pause = faults["freeze"].get(str(k), faults["late"])
-        if pause:
-            time.sleep(pause)
+        time.sleep(faults["freeze"].get(str(k), 0.0))
         if faults["kill"]:
             os._exit(1)
         if k <= faults["away"]:  # a client that neither reads nor writes

@@ -20,7 +20,7 @@ from grasp_rigs import Case
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
 
-from osc_contact.dynamics.rail import Cart, Conveyor
+from osc_contact.dynamics.environment import Cart, Conveyor
 
 LWA = pin.LOCAL_WORLD_ALIGNED
 SIZE = 0.15  # of the pairs' geometry, as drawn with 1 m

@@ -50,7 +50,7 @@ LEFT_OUT = (
     "sources.py",
     "units.py",
 )
-MODULES = ("projections.py", "spans.py", "response.py", "control/monitor.py")
+MODULES = ("projections.py", "response.py", "control/monitor.py")
 JUDGES = (
     "law_parts",
     "law_stages",
@@ -69,6 +69,7 @@ JUDGES = (
     "law_steps",
     "safety",
     "friction",
+    "force_filter",
     "reading",
     "environment",
     "singular",
@@ -94,6 +95,7 @@ OWN = {
     "grasps": ("grasps.py",),
     "tilted_faces": ("contact.py",),
     "law_watch": ("safety.py", "sensors.py"),
+    "force_filter": ("reading.py",),
     "safety": ("safety.py",),
     "law_phases": ("phases.py",),
     "law_steps": ("commands.py",),

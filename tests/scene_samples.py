@@ -60,6 +60,7 @@ def make_recording(contacts=2, without=()):
         "contact_names": ENDS[:contacts],
         "arm_names": ["left"],
         "joint_names": [f"left/{n}" for n in ("joint1", "joint2", "joint3", "joint4", "hinge")],
+        "effort_limits": dict.fromkeys(f"left/joint{i}" for i in (1, 2, 3, 4)),
     }
     return Recording(meta, {k: v for k, v in channels.items() if k not in without})
 

@@ -12,8 +12,8 @@ from urdf_numbers import element, written_inertia
 from osc_contact import robots
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.chain_model import outboard_links
+from osc_contact.dynamics.chain_state import RigidObject
 from osc_contact.dynamics.environment import Environment
-from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
 
 SEEDS = range(4)
@@ -250,15 +250,8 @@ def test_impossible_environments_are_refused():
     for wrong in (
         -held,
         np.diag([1.0, 1, 1, 1, 1, -1e-3]),
-        np.diag([0.0, 0, 0, 0, 0, -1.0]),
         np.eye(6) + 2 * (np.eye(6, k=3) + np.eye(6, k=-3)),
         np.eye(6, k=3) + np.eye(6, k=-3),
     ):
         with raises(InvalidInputError, match="not positive semidefinite"):
             Environment(wrong)
-    with raises(InvalidInputError, match=r"Phi_e: expected shape \(6, 6\)"):
-        Environment(np.zeros(6))
-    with raises(InvalidInputError, match="b_e: element"):
-        Environment(b_e=np.full(6, np.nan))
-    with raises(InvalidInputError, match=r"V_e: expected shape \(6\), got \(3,\)"):
-        Environment(V_e=np.zeros(3))

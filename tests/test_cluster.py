@@ -90,7 +90,7 @@ def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client):
     # one death may be that of a neighbour: dask charges all that a worker was given
     client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 1))
     tilt = "model_error.face_tilt=uniform(0 deg, 2 deg)"  # no doubts before a run, as of masses
-    study = Deadly.of("two_contact_rod", [tilt], 3, seed=1, overrides=SHORT)
+    study = Deadly.of("two_contact_rod", [tilt], 6, seed=1, overrides=SHORT)
     how = {"workers": 2} if where == "processes" else {"scheduler": client}
     rows = run_study(study, **how).to_pylist()
     wanted = run_study(study, workers=1).to_pylist()

@@ -7,7 +7,7 @@ from rigs import one_panda, panda_pair, scara_pair
 from test_decoupling import in_contact
 
 import osc_contact as osc
-from osc_contact.control.command_filter import command
+from paper.command_filter import command
 
 
 def nearest(W, S, x, N_S, value):

@@ -1,6 +1,6 @@
-"""How the law is compiled: what its readers read, what is said meanwhile, and with public numba."""
+"""How parts of the law are compiled: what they read, in which ways, and that all ways agree."""
 
-import gc
+import ctypes
 import importlib.util
 import io
 import os
@@ -9,33 +9,16 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numba import config
 from pytest import fixture, mark, param
 from rich.console import Console
 
 import osc_contact as osc
 from osc_contact import console
-from osc_contact.law import jit, nested, records
-from osc_contact.law import tick as law
-from osc_contact.law.compiled import announced, parts_of, report_to
-
-PLAIN = jit.PLAIN_PYTHON
-
-SOURCE = """
-from osc_contact.law.jit import entry, inner
-
-@inner
-def twice(x):
-    return 2 * x
-
-@entry
-def kernel(x):
-    return twice(x) + 1
-"""
+from osc_contact.law import jit, library, nested, records
 
 READERS = """
 import numpy as np
-from osc_contact.law.jit import entry, inner, leaf
+from osc_contact.law.jit import bytes_at, entry, inner, leaf, row_at
 from osc_contact.law.nested import Nested
 
 HEAD = np.dtype(
@@ -76,8 +59,8 @@ def walk(count):
     return at
 
 
-@entry
-def work(raw, at, out):
+@inner
+def read_all(raw, at, out):
     head = record_at(raw, at)
     rows, flat, A = head.rows, head.flat, head.A
     for i in range(head.count):
@@ -89,95 +72,118 @@ def work(raw, at, out):
     head.chosen[1] = walk(4) + head.chosen[0]
     out[0] = 1.0 / (head.mass - head.mass)  # as C does it, not as Python
     return A[0, 1]
+
+
+@entry
+def work(raw, at, out):
+    return read_all(raw, at, out)
+
+
+def work_at(raw, at, out, result):
+    row_at(result, 1)[0] = read_all(bytes_at(raw), at, row_at(out, 1))
+    return 0
 """
 
 #: torques of ticks that end in every way: OK, near a singular posture, beyond the motors' limits,
-#: held for a bad reading or none; three arms, contact phases
+#: held for a bad reading or none; three arms, contact phases. Then runs of all packaged scenarios
 WAYS = """
+import hashlib
 import sys
 from dataclasses import replace
 import numpy as np
+import osc_contact as osc
 from benchmarks.tick import ALL_CASES
 
-def ticks(names, count):
-    for name in names:
-        case = ALL_CASES[name]()
-        controller = case.controller()
-        rng = np.random.default_rng(4)
-        for k in range(count):
-            m = case.measurement
-            q = m.q + 1e-4 * rng.normal(size=len(m.q)) * (np.nan if k == 3 else 1.0)
-            m = replace(m, q=q, wrench_valid=k != 5)
-            tau = controller.tick(m, case.reference)
-            yield " ".join([name, controller.status.name, *(float(x).hex() for x in tau)])
+def ticks(name, count):
+    case = ALL_CASES[name]()
+    controller = case.controller()
+    rng = np.random.default_rng(4)
+    for k in range(count):
+        m = case.measurement
+        q = m.q + 1e-4 * rng.normal(size=len(m.q)) * (np.nan if k == 3 else 1.0)
+        tau = controller.tick(replace(m, q=q, wrench_valid=k != 5), case.reference)
+        yield " ".join([name, controller.status.name, *(float(x).hex() for x in tau)])
 
-NAMES = "two_contact_rod one_panda near_singular saturated three_arms contact_phases".split()
+def recorded(name, duration):
+    found = hashlib.sha256()
+    recording = osc.run(osc.load_scenario(name), duration=duration)
+    for channel in sorted({*recording.channels} - {"tick_s"}):
+        found.update(np.ascontiguousarray(recording[channel]).tobytes())
+    return f"{name} {found.hexdigest()}"
+
+CASES = "two_contact_rod one_panda near_singular saturated three_arms contact_phases".split()
+def lines(duration):
+    for name in CASES:
+        yield from ticks(name, 8)
+    for name in osc.list_scenarios():
+        yield recorded(name, duration)
+
 if __name__ == "__main__":
-    print(*ticks(NAMES, 8), sep="\\n")
+    print(*lines(float(sys.argv[1])), sep="\\n")
 """
 
 
-def load(path):
+def load(path, name="compiled_somewhere"):
     """The module anew, as another process would see it."""
-    spec = importlib.util.spec_from_file_location("compiled_somewhere", path)
+    spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-def test_collections_are_as_usual_when_the_last_of_two_threads_has_compiled():
-    usual = gc.get_threshold()
-    one = announced()
-    other = announced()
-    try:
-        one.__enter__()
-        gc.set_threshold(50_000, 20, 100)  # as a compilation does
-        other.__enter__()
-        one.__exit__(None, None, None)
-        assert gc.get_threshold() == (50_000, 20, 100)  # the other may still compile
-        other.__exit__(None, None, None)
-        assert gc.get_threshold() == usual
-    finally:
-        gc.set_threshold(*usual)
+class Linked:
+    """`work` out of an object that units make, linked by a C compiler."""
+
+    def __init__(self, module, units, folder):
+        from numba import types
+
+        kinds = types.uintp, types.int64, types.uintp, types.uintp
+        code = units.emit({"work": units.Unit(module.work_at, False).translated(kinds)})
+        (folder / "work.o").write_bytes(code)
+        names = [str(folder / name) for name in ("work.o", "work.so")]
+        subprocess.run(["cc", "-shared", names[0], "-lm", "-o", names[1]], check=True)
+        self.call = ctypes.CDLL(names[1]).work
+        self.call.argtypes = [ctypes.c_void_p] * 3 + [ctypes.c_int64] + [ctypes.c_void_p] * 2
+
+    def __call__(self, raw, at, out):
+        found = np.zeros((2, 1))
+        result = found[0].view(np.int64).ctypes.data
+        error = self.call(result, None, raw.ctypes.data, at, out.ctypes.data, found[1].ctypes.data)
+        assert error == 0
+        return found[1, 0]
 
 
-def test_compiling_is_announced_once_and_loading_is_not(tmp_path):
-    path = tmp_path / "kernel.py"
-    told = []
-    earlier = []
-    path.write_text(SOURCE)
-    report_to(earlier.append)
-    report_to(told.append)
-    try:
-        first = load(path)
-        second = load(path)
-        with announced():
-            assert first.kernel(3) == 7
-        if getattr(config, "DISABLE_JIT"):  # noqa: B009 - set at run time
-            assert not told
-            return
-        assert len(told) == 2
-        assert told[0].startswith("compiling the control tick") and told[1].startswith("compiled")
-        with announced():
-            assert second.kernel(3) == 7
-            assert first.kernel(5) == 11
-        assert len(told) == 2 and not earlier
-    finally:
-        report_to(lambda text: None)
+WAYS_TO_COMPILE = {
+    "plain": {"NUMBA_DISABLE_JIT": "1"},
+    "jit": {"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "jit"},
+    "units": {"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": ""},
+}
 
 
-@fixture(params=["compiled", "plain"])
+@fixture(params=WAYS_TO_COMPILE)
 def parts(request, tmp_path, monkeypatch):
-    """The module of `READERS`, compiled and as plain Python."""
+    """The module of `READERS` in each way."""
     path = tmp_path / "parts.py"
     path.write_text(READERS)
-    if request.param == "plain":
-        monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
-        for module in (jit, nested):
-            monkeypatch.setitem(sys.modules, module.__name__, load(Path(module.__file__)))
+    for name, value in WAYS_TO_COMPILE[request.param].items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("OSC_CONTACT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(library, "found", lambda: None)
+    package = "osc_contact.law."
+    monkeypatch.delitem(sys.modules, package + "nested_type", raising=False)
+    for module in (jit, nested):
+        made = load(Path(module.__file__), module.__name__)
+        monkeypatch.setitem(sys.modules, module.__name__, made)
+    own = sys.modules[jit.__name__]
     module = load(path)
-    assert hasattr(module.work, "signatures") == (request.param == "compiled" and not PLAIN)
+    assert (own.PLAIN_PYTHON, own.UNITS is not None) == (
+        request.param == "plain",
+        request.param == "units",
+    )
+    assert hasattr(module.work, "signatures") == (request.param == "jit")
+    if own.UNITS is not None:
+        module.work = Linked(module, own.UNITS, tmp_path)
     return module
 
 
@@ -209,7 +215,8 @@ def test_parts_of_the_law_read_bytes_as_records_without_a_copy(parts):
     assert (first == raw).all()
     if hasattr(parts.work, "signatures"):
         assert len(parts.work.signatures) == 1, "one compilation serves all integers"
-        assert jit._units is None or len(parts.step.unit.known) == 1, "and all constants"
+    if hasattr(parts.step, "unit"):
+        assert len(parts.step.unit.known) == 1, "and all constants"
 
 
 RECORDS = {
@@ -233,76 +240,85 @@ def test_no_field_of_a_record_is_named_like_an_attribute(name):
 
 
 @mark.parametrize(
-    "other",
+    "other, duration",
     [
-        {"NUMBA_DISABLE_JIT": "1"},
-        param({"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_UNITS": "0"}, marks=mark.slow),
+        ({"NUMBA_DISABLE_JIT": "1"}, 0.02),
+        param({"NUMBA_DISABLE_JIT": "1"}, 0.25, marks=mark.slow),
+        param({"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "jit"}, 0.25, marks=mark.slow),
     ],
-    ids=["plain", "public"],
+    ids=["plain", "plain for longer", "jit"],
 )
-def test_torques_are_equal_to_the_bit_however_the_law_is_compiled(tmp_path, other):
-    """As plain Python, and by public numba in a process that compiles afresh: some minutes.
+def test_torques_are_equal_to_the_bit_however_the_law_is_compiled(tmp_path, other, duration):
+    """As plain Python, and by numba in its usual way in another process: some minutes.
 
     LLVM does not reorder sums at any level; the lower one compiles in two thirds of the time.
     """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1", **other}
     done = subprocess.run(
-        [sys.executable, "-c", WAYS], capture_output=True, text=True, timeout=900, env=environment
+        [sys.executable, "-c", WAYS, str(duration)],
+        capture_output=True,
+        text=True,
+        timeout=900,
+        env=environment,
     )
     assert done.returncode == 0, done.stderr[-3000:]
     space = {"__name__": "ways"}
     exec(WAYS, space)
-    want = list(space["ticks"](space["NAMES"], 8))
+    want = list(space["lines"](duration))
     assert done.stdout.splitlines() == want
-    assert {line.split()[1] for line in want} == {status.name for status in osc.Status}
+    assert {status.name for status in osc.Status} <= {line.split()[1] for line in want}
 
 
-@mark.parametrize("units", ["1", "0"])
-def test_a_numba_with_other_classes_compiles_as_it_always_does(units):
-    """And says so at once, not at the first compilation, where nothing would catch it."""
-    script = (
-        "import sys\n"
-        "from numba.core import codegen, compiler\n"
-        "if sys.argv[1] == '1': del codegen.CPUCodeLibrary._get_module_for_linking\n"
-        "from osc_contact.law import jit\n"
-        "square = jit.inner(lambda x: x * x)\n"
-        "print(jit._units, square(3) if sys.argv[1] == '0' else 9)"
-    )
-    env = {**os.environ, "NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_UNITS": units}
-    command = [sys.executable, "-c", script, units]
+ANOTHER_NUMBA = """
+import sys
+from numba.core import codegen
+if sys.argv[1] == "other numba":
+    del codegen.CPUCodeLibrary._get_module_for_linking
+from osc_contact.law import jit
+square = jit.inner(lambda x: x * x)
+print(jit.UNITS, square(3) if sys.argv[1] != "other numba" else 9)
+"""
+
+
+@mark.parametrize(
+    "changes",
+    [
+        {},
+        {"CC": "no-such-compiler"},
+        {"OSC_CONTACT_LAW": "jit"},
+    ],
+    ids=["other numba", "no compiler", "asked for"],
+)
+def test_what_lacks_for_a_library_is_said_and_numba_compiles_as_it_always_does(
+    changes, request, tmp_path
+):
+    """At once, not at the first compilation, where nothing would catch it."""
+    which = request.node.callspec.id
+    env = {**os.environ, "NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "", **changes}
+    env["OSC_CONTACT_CACHE"] = str(tmp_path)
+    command = [sys.executable, "-c", ANOTHER_NUMBA, which]
     out = subprocess.run(command, env=env, capture_output=True, text=True)
     assert out.stdout.split() == ["None", "9"], out.stderr
-    assert ("longer to compile" in out.stderr) == (units == "1")
+    assert ("longer to compile" in out.stderr) == (which != "asked for")
 
 
-def test_progress_rises_with_the_functions_compiled(tmp_path):
-    """From 0 to 1, whatever is compiled, and nothing where it comes from the cache."""
-    path = tmp_path / "kernel.py"
+def test_progress_rises_with_the_parts_translated(parts):
+    units = sys.modules[jit.__name__].UNITS
+    if units is None:
+        return
     shares = []
-    path.write_text(SOURCE)
-    report_to(lambda text: None, shares.append)
-    try:
-        first = load(path)
-        second = load(path)
-        with announced(first.kernel):
-            assert first.kernel(3) == 7
-        if getattr(config, "DISABLE_JIT"):  # noqa: B009 - set at run time
-            assert not shares
-            return
-        assert shares == sorted(shares) and len(shares) >= 2
-        assert 0.0 < shares[0] < 1.0 and shares[-1] == 1.0
-        shares.clear()
-        with announced(second.kernel):
-            assert second.kernel(3) == 7
-        assert not shares
-    finally:
-        report_to(lambda text: None)
+    units.watchers[:] = [shares.append]
+    from numba import types
 
+    @units.called
+    @lambda function: units.Unit(function, False)
+    def first(x):
+        return 2.0 * x
 
-def test_the_functions_counted_are_those_of_the_law():
-    parts = {part.__qualname__ for part in parts_of(law.rows)}
-    assert {"_row", "cholesky", "find_lost", "advance_phases", "guard"} <= parts
-    assert not any(name.startswith("test") for name in parts)
+    second = units.Unit(lambda x: first(x) + 1.0, False)
+    second.translated((types.float64,))
+    units.watchers.clear()
+    assert len(shares) == 2 and 0.0 < shares[0] < shares[1] <= 1.0
 
 
 def test_the_bar_of_the_commands_ends_with_the_compilation(monkeypatch):

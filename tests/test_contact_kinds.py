@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from osc_contact.contacts.pairs.registry import make_pair
+from osc_contact.contacts.pairs.pair import make_pair
 from osc_contact.errors import ScenarioError
 from osc_contact.runs.contacts import build_pairs, environment_bodies, feet
 from osc_contact.runs.references import force_names
@@ -137,7 +137,10 @@ def changed(kind, pattern, new):
 
 REFUSED = {
     "unknown kind": (text("face_on_face").replace("face_on_face", "face_onface"), "'face_on_face'"),
-    "no kind": (text("face_on_face").replace("type: face_on_face, ", ""), "for a contact cyl"),
+    "no kind": (
+        text("face_on_face").replace("type: face_on_face, ", ""),
+        "for a contact face_on_vertex",
+    ),
     "missing key": (
         changed("edge_on_edge", r", edge_outward: \[.*?\]", ""),
         "contacts.pad: the key 'edge_outward' is missing: roughly out of the body",

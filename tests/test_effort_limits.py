@@ -129,7 +129,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
     """KKT conditions of the program, its matrices sampled from the full multibody system."""
     chain = rig()
     rng = np.random.default_rng(40)
-    for k in range(12):
+    for k in range(8):
         controller, measurement, wanted, tau = limited_tick(chain, rng, k % 4, share)
         answers = Answers(controller, measurement, wanted)
         cost = controller.given_up

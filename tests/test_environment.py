@@ -10,9 +10,9 @@ from pytest import mark, raises
 from rigs import panda_pair, random_state, scara_pair
 
 import osc_contact as osc
-from osc_contact.control.command_filter import command
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import contact_response
+from paper.command_filter import command
 
 
 def test_one_body_behind_every_contact_stays_what_it_is():
@@ -68,20 +68,15 @@ AT = {"X_WE": pin.SE3.Identity(), "O": np.zeros(3)}
     "make, message",
     [
         (lambda: Environment.moving(**AT, V_E=np.zeros(3), A_E=np.zeros(6)), "V_E: expected shape"),
-        (lambda: Environment.moving(**AT, V_E=np.zeros(6), A_E=np.full(6, np.nan)), "A_E: element"),
         (lambda: Environment.rigid_body(BODY, **AT, V_E=np.zeros(6), gravity=[9.81]), "gravity"),
-        (lambda: Environment.rigid_body(BODY, **AT, V_E=np.full(6, np.inf)), "V_E: element"),
         (lambda: Environment.rigid_body(BODY, **AT, V_E=np.zeros(6), wrench=[1.0]), "wrench"),
         (lambda: Environment.rail(BODY, **AT, axes=np.zeros(3), rates=[0.0]), "axes: expected"),
         (lambda: Environment.rail(BODY, **AT, axes=np.ones(6), rates=[0.0, 1.0]), "rates"),
-        (lambda: Environment.rail(BODY, **AT, axes=[[1.0], [1.0, 2.0]], rates=[0.0]), "axes"),
-        (lambda: Environment.rail(BODY, **AT, axes=[np.nan] * 6, rates=[0.0]), "axes: element"),
         (lambda: Environment.rail(BODY, **AT, axes=np.ones(6), rates=[0], force=[1, 2]), "force"),
         (lambda: Environment.combine([osc.Contact(np.eye(6)[:, :1])], [], np.eye(6)), "1 contacts"),
         (lambda: of_two(np.eye(3)), r"Phi_N: expected shape \(2, 2\)"),
         (lambda: of_two([[1.0, 0.1], [0.0, 1.0]]), "Phi_N is not symmetric"),
         (lambda: of_two([[1.0, 2.0], [2.0, 1.0]]), "Phi_N is not positive semidefinite"),
-        (lambda: of_two([[1.0, 0.0], [0.0, np.nan]]), "Phi_N: element"),
     ],
 )
 def test_bad_arguments_are_refused(make, message):

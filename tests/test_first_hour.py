@@ -2,29 +2,23 @@
 
 import shlex
 import shutil
-import subprocess
-import sys
 
+from command_line import call
 from test_docs import FENCE, ROOT
 
 PAGE = ROOT / "docs" / "press_and_slide.md"
-PROGRAM = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
 
 
-def run(line, folder):
-    """Output of one command of the page."""
-    name, *words = shlex.split(line)
-    if name == "cp":
-        source, target = words
-        shutil.copy(ROOT / source, folder / target)
+def run(line):
+    """Output of one command of the page, in the working folder."""
+    if line.startswith("cp "):
+        _, source, target = shlex.split(line)
+        shutil.copy(ROOT / source, target)
         return ""
-    assert name == "osc-contact", f"no way to run {line!r}"
-    done = subprocess.run(
-        [*PROGRAM, *words], cwd=folder, capture_output=True, text=True, timeout=300
-    )
-    refused = "=-1 mm" in line
-    assert done.returncode == (2 if refused else 0), done.stderr
-    return done.stdout + done.stderr
+    assert line.startswith("osc-contact "), f"no way to run {line!r}"
+    result = call(line.removeprefix("osc-contact "))
+    assert result.exit_code == (2 if "=-1 mm" in line else 0), result.output
+    return result.output
 
 
 def edit(patch, file):
@@ -39,14 +33,15 @@ def edit(patch, file):
     file.write_text(text, encoding="utf-8")
 
 
-def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path):
+def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     said = ""
     kinds = []
     for fence in FENCE.finditer(PAGE.read_text(encoding="utf-8")):
         kind = fence[1]
         text = fence[2]
         if kind == "sh":
-            said = "".join(run(line, tmp_path) for line in text.splitlines())
+            said = "".join(run(line) for line in text.splitlines())
         elif kind == "diff":
             edit(text, tmp_path / "my_rod.yaml")
         elif kind == "text" and kinds[-1] != "python":  # tests/test_docs.py runs the program

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pinocchio as pin
+from grasp_rigs import random_case
+from kkt_oracle import Contact, State
 from numpy.testing import assert_allclose
 from pytest import mark, raises
 from rigs import (
@@ -12,10 +14,9 @@ from rigs import (
     panda_arm,
     placed,
     random_faces,
-    random_state,
     scara_pair,
 )
-from test_decoupling import strong
+from test_grasps import touching
 
 import osc_contact as osc
 from osc_contact.plants.rigid import RigidPlant
@@ -65,40 +66,6 @@ def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_told():
     assert min(errors) > 0.1
 
 
-def test_the_force_law_integrates_and_damps_and_has_no_proportional_part():
-    """A thousand ticks of one reading while the object crosses its faces."""
-    chain = strong(scara_pair())
-    rng = np.random.default_rng(26)
-    q, v = random_state(chain, rng)
-    state = chain.state(q, v)
-    pairs = random_faces(state.X_WO, 2, rng)
-    N = contact_of(pairs, state).N
-    desired = np.array([10.0, 8.0])
-    controller = osc.Controller(
-        chain,
-        pairs,
-        osc.Gains(force=osc.ForceGains(30.0, 50.0)),
-        safety=osc.SafetySettings.motors_only(),
-    )
-    measured = osc.Measurement(q, v, np.zeros((2, 6)))
-    wanted = osc.Reference(state.X_WO, alpha_d=desired)
-    controller.tick(measured, wanted)
-    off = controller.result().alpha_meas - [9.0, 8.5]
-    controller.f_tare = N @ off
-    controller.force_integral = np.zeros(2)
-    friction_wrenches = 50.0 * N.T @ state.V_O
-    assert np.abs(friction_wrenches).min() > 0.1
-    for k in range(1, 1001):
-        controller.tick(measured, wanted)
-        assert controller.status is osc.Status.OK
-        if k in (1, 1000):
-            sums = 0.03 * k * np.array([1.0, -0.5])
-            assert_allclose(
-                controller.signals.alpha_u, desired + sums - friction_wrenches, rtol=1e-8
-            )
-    assert_allclose(controller.force_integral, [30.0, -15.0], rtol=1e-8)
-
-
 @mark.parametrize("bad", [{"integral": -1.0}, {"damping": float("nan")}])
 def test_bad_force_gains_are_refused(bad):
     with raises(osc.InvalidInputError, match="ForceGains"):
@@ -117,3 +84,23 @@ def pressing(chain, rng):
     free = chain.state(q, v)
     pairs = random_faces(free.X_WO, 2, rng)
     return q, consistent(chain, q, v, contact_of(pairs, free).N), pairs
+
+
+@mark.parametrize("arm", ["panda", "ur5", "2R", "3R", "4R"])
+def test_forces_at_a_tip_that_holds_nothing(arm):
+    """What moves beyond the sensor is taken out, whatever the motions that the tip has."""
+    rng = np.random.default_rng(27)
+    seen = 0
+    for _ in range(12):
+        case = random_case([arm], ["rigid"], rng, body=None)
+        pairs, _ = touching(case, rng)
+        contacts = [Contact(pair.name, pair, None, case.X_WO) for pair in pairs]
+        state = State(case, contacts, rest=State(case, []))
+        state.move(rng)
+        truth = state.answer(20.0 * rng.normal(size=case.chain.n_a))
+        found = found_by_law(case.chain, pairs, case.q, state.v, state.readings(truth))
+        assert_allclose(
+            found.alpha_meas, truth.alpha, atol=1e-8 * np.abs(truth.alpha).max(initial=1.0)
+        )
+        seen += len(pairs)
+    assert seen > 8

@@ -3,14 +3,17 @@
 import numpy as np
 from environment_scenes import RTOL, close_to, scene
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, fixture, mark, raises
 from rigs import friction_wrenches, panda_pair, scara_pair
 from test_decoupling import commanded, in_contact
 from test_effort_limits import weakened
 from test_moving_environment import object_acceleration, seen, squeeze_of
 
 import osc_contact as osc
+from benchmarks.cases import POINT
+from benchmarks.reversals import register_plants, reversing
 from osc_contact.dynamics.environment import Environment
+from osc_contact.runs.rig import PLANT_TYPES, PLANTS, register_plant
 from osc_contact.scenarios.control_schema import Friction
 
 
@@ -145,6 +148,61 @@ def test_forces_survive_friction_known_within_thirty_per_cent(mu, believed, limi
 
 def test_without_compensation_friction_costs_twice_as_much():
     assert worst(0.3, None, "control.friction=null") > 2 * worst(0.3, 0.3)
+
+
+@fixture(autouse=True)
+def registered():
+    """Plants of the tests, taken out again."""
+    before = dict(PLANTS), dict(PLANT_TYPES)
+    register_plants()
+    yield
+    for register, content in zip((PLANTS, PLANT_TYPES), before, strict=True):
+        register.clear()
+        register.update(content)
+
+
+def reversal_error(*which):
+    verdict = osc.metrics(osc.run(reversing(*which), duration=3.0))
+    assert verdict["contact_fraction"] == {"nose": 1.0}
+    return verdict["force"]["nose"]["rms_error_rel"]
+
+
+@mark.parametrize("known", [True, False])
+@mark.parametrize("stroke", [(20, 2), (5, 4)])
+def test_straight_reversals(stroke, known):
+    assert reversal_error("mujoco", stroke, "across", 0.3, known) < 0.01
+    assert reversal_error("mujoco", stroke, "steepest", 0.2, known) < 0.01
+
+
+def test_reversals_on_rigid_faces_and_in_a_cone_that_strikes():
+    """The exact plant knows no part of MuJoCo; one impedance for both directions lifts the peg."""
+    assert reversal_error("exact", (20, 2), "across", 0.2, True) < 0.002
+    assert reversal_error("elliptic", (20, 2), "across", 0.2, True) > 0.03
+
+
+@mark.parametrize("solref", [[0.01, 1], [0.004, 0.7]])
+def test_friction_leaves_a_face_as_stiff_as_it_is(solref):
+    """How deep 10 N press the peg, against contacts without friction."""
+    plants = []
+
+    @register_plant("kept")
+    def keep(parts):
+        plants.append(PLANTS["mujoco"](parts))
+        return plants[-1]
+
+    for mu in (0.0, 0.2):
+        plant = {**POINT["plant"], "type": "kept", "friction": mu, "solref": solref}
+        osc.run(osc.Scenario.from_dict({**POINT, "plant": plant, "motion": []}), duration=0.5)
+    depth = [float(plant.data.contact.dist[0]) for plant in plants]
+    assert depth[1] == approx(depth[0], rel=0.1)
+
+
+@mark.parametrize("mu", [0.1, 0.3])
+def test_a_face_slides_on_a_face_with_friction(mu):
+    scenario = osc.load_scenario("ur5_wipe", [f"plant.friction={mu}", "duration=3 s"])
+    verdict = osc.metrics(osc.run(scenario))
+    assert verdict["contact_fraction"] == {"cloth": 1.0}
+    assert max(force["rms_error_rel"] for force in verdict["force"].values()) < 0.01
 
 
 def test_friction_on_contacts_without_known_points_is_refused():

@@ -1,9 +1,11 @@
 """The hybrid cases of another framework's tests: forces and places at every goal."""
 
 import numpy as np
+import pinocchio as pin
 from pytest import approx, mark
 
 import osc_contact as osc
+from benchmarks import force_laws
 from benchmarks.hybrid_cases import CASES, RADIUS, judge, judge_samples, scenario_of
 
 
@@ -29,3 +31,31 @@ def test_wrong_masses_and_friction_cost_little(case):
     """The tests these cases come from accept 5 N in the median."""
     force, place, turn = judge_samples(case, 3).max(axis=(0, 1))
     assert force < 1.0 and place < 0.01 and turn < 0.02
+
+
+@mark.parametrize("name", [force_laws.OURS, "Isaac Lab 3, rebuilt", "CRISP, rebuilt"])
+def test_laws_of_other_software_do_what_is_commanded(name):
+    done = force_laws.follow(scenario_of(CASES[2]), CASES[2], force_laws.LAWS[name], steps=True)
+    assert len(done.force) == done.wanted
+    for end in (399, 799, 1199):
+        assert done.force[end] == approx(done.force_goal[end], rel=0.05)
+    assert done.force_goal[-1] == CASES[2].goals[0].force + force_laws.FORCE_STEP
+    assert np.abs(done.off[-1, :2]).max() < 1e-3 < 4e-3 < np.abs(done.off[800, :2]).max()
+
+
+def test_damping_acts_only_near_a_singular_posture():
+    rng = np.random.default_rng(1)
+    J, root, a = rng.normal(size=(6, 7)), rng.normal(size=(7, 7)), np.zeros(7)
+    still = pin.SE3.Identity()
+    goal = pin.SE3(np.eye(3), np.array([0.01, 0.0, 0.0]))
+
+    def torques(thresholds, J):
+        rest = (a, a, still, np.zeros(6), J, root @ root.T + np.eye(7), a, a, 0.0)
+        s = force_laws.Sight(*rest, np.array([0.0, 0.0, 1.0]), goal, np.zeros(6), 0.0)
+        return force_laws.isaac_lab(s, CASES[0], thresholds)(s)
+
+    far = torques(force_laws.DAMPED, J)
+    np.testing.assert_allclose(far, torques(None, J), rtol=1e-9)
+    J[0] = J[1] + 1e-5 * J[0]
+    near = np.linalg.norm(torques(force_laws.DAMPED, J))
+    assert near < 1e-2 * np.linalg.norm(torques(None, J))

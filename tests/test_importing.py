@@ -4,10 +4,10 @@ import subprocess
 import sys
 
 import pytest
-from test_ready import library  # noqa: F401
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
+from osc_contact.law import jit
 
 LATER = (
     "matplotlib",
@@ -58,8 +58,9 @@ def test_a_recording_is_judged_without_compiler_and_simulator():
     assert not {"numba", "mujoco"} & set(printed(program))
 
 
-def test_names_of_the_core_need_no_extra(library, monkeypatch):  # noqa: F811
-    monkeypatch.setenv("OSC_CONTACT_LAW", str(library))
+@pytest.mark.skipif(jit.PLAIN_PYTHON, reason="numba stands in place of the library")
+def test_names_of_the_core_need_no_extra(monkeypatch):
+    monkeypatch.setenv("OSC_CONTACT_LAW", jit.the_library().__file__)
     program = """
 import sys
 from osc_contact.errors import EXTRAS

@@ -7,7 +7,7 @@ from samples import first
 
 import osc_contact as osc
 from osc_contact.control.joint_torque import JointTorqueLoop
-from osc_contact.dynamics.joint_modes import joint_inertias, modes, stiffness_for
+from osc_contact.dynamics.chain_state import joint_inertias, modes, stiffness_for
 from osc_contact.plants.joint_drives import FlexibleJoints, Motors
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.hardware import drives

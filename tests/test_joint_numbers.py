@@ -123,7 +123,8 @@ def test_mujocos_mass_matrix_is_that_of_chain_and_object():
     plant = rig.plant()
     state = rig.state()
     M = np.zeros((plant.model.nv, plant.model.nv))
-    mujoco.mj_fullM(plant.model, plant.data, M)
+    for row, unit in zip(M, np.eye(len(M)), strict=True):
+        mujoco.mj_mulM(plant.model, plant.data, row, unit)
     J = state.arms[0].J
     ours = state.M + J.T @ state.payload.Lambda @ J
     assert_allclose(M[np.ix_(plant._v, plant._v)], ours, atol=1e-6)
@@ -191,3 +192,27 @@ def test_the_constructor_judges_rotors_too():
     MODEL.view(row).joints.armature[3] = 0.0
     with raises(osc.ModelError, match="law's M differs"):
         require_pinocchio_agrees(chain, row)
+
+
+def test_inspect_names_what_limits_compensation_of_friction():
+    """D/m > K = 100/s where the rotor is missing; the least rotor leaves m g/(1 + g) in all."""
+    learning = "control.joint_friction.learning=true"
+    rig = rig_of(learning, "arms.ur5.armature=0.3", "arms.ur5.damping=2")
+    lines = inspect_rig(rig).lines
+    (least,) = (line for line in lines if "observer unstable" in line)
+    M = rig.model.state(rig.q_contact, np.zeros(6)).M
+    for name, m in zip(
+        rig.model.arms[0].model.names[1:], 1.0 / np.diag(np.linalg.inv(M)), strict=True
+    ):
+        needed = 0.3 - m + m * 0.7 / 1.7
+        assert (f"{needed:.2g} ({name}, 0.3 in the model)" in least) == (needed > 0.0)
+    assert not any("damping over inertia" in line for line in lines)
+    lines = inspect_rig(rig_of("arms.ur5.damping=2")).lines
+    (fast,) = (line for line in lines if "damping over inertia" in line)
+    assert "118 1/s (wrist_3_joint)" in fast and not any("unstable" in line for line in lines)
+
+
+def test_rotors_believed_wrongly_are_in_the_model_alone():
+    rig = rig_of("arms.ur5.armature=0.5", "model_error.armature=0.6")
+    assert_allclose(rig.chain.model.armature, 0.5)
+    assert_allclose(rig.model.model.armature, 0.3)

@@ -73,32 +73,29 @@ def test_signals_stay():
 
 
 COUNT_ALLOCATIONS = """
+import gc
 import sys
 import numpy as np
 import osc_contact as osc
-from numba.core.runtime import rtsys
 
 rig = osc.build_rig(osc.load_scenario("two_contact_rod_friction"))
 from benchmarks.cases import repeatable
 controller, measurement = repeatable(rig.controller()), rig.plant().measure()
 reference = rig.references.at(0.0)
-for _ in range(100):
+for _ in range(2000):
     controller.tick(measurement, reference)
 assert controller.status is osc.Status.OK, controller.reason
-from benchmarks.law import kernel_call
-call = kernel_call(controller, measurement, reference)
-start = rtsys.get_allocation_stats()
-call()
-end = rtsys.get_allocation_stats()
-assert end.alloc == start.alloc, end.alloc - start.alloc
-before = sys.getallocatedblocks()
-for _ in range(20_000):
-    controller.tick(measurement, reference)
-    controller.motion_integral = np.zeros(6)
-    controller.force_integral = np.zeros(0)
-after = sys.getallocatedblocks()
+counts = []
+for _ in range(6):
+    gc.collect()  # what waits for it is no leak
+    counts.append(sys.getallocatedblocks())
+    for _ in range(20_000):
+        controller.tick(measurement, reference)
+        controller.motion_integral = np.zeros(6)
+        controller.force_integral = np.zeros(0)
 assert controller.status is osc.Status.OK, controller.reason
-assert abs(after - before) < 50, after - before
+grown = np.diff(counts)  # now and then Python allocates for itself, a leak does in every part
+assert grown.min() < 5, grown
 print("still")
 """
 
@@ -113,9 +110,9 @@ def run_python(*words, **environment):
     )
 
 
-def test_twenty_thousand_ticks_allocate_nothing():
-    """The kernel makes not even the handle numba usually makes of each array handed over."""
-    done = run_python("-c", COUNT_ALLOCATIONS, NUMBA_NRT_STATS="1")
+def test_a_hundred_thousand_ticks_allocate_nothing():
+    """In Python; that the compiled law cannot allocate is seen in test_without_python."""
+    done = run_python("-c", COUNT_ALLOCATIONS)
     assert done.returncode == 0 and done.stdout == "still\n", done.stderr[-2000:]
 
 

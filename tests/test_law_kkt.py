@@ -493,6 +493,7 @@ def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     words += "np.savez(sys.argv[1], *some_torques())"
     path = os.pathsep.join((os.path.dirname(__file__), *sys.path))
     where = {how: "1", "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": path}
+    where["OSC_CONTACT_LAW"] = "jit"
     done = subprocess.run(
         [sys.executable, "-c", words, str(tmp_path / "tau.npz")],
         capture_output=True,

@@ -348,6 +348,66 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         assert R[3, 3] == 7.0 == point[3]
 
 
+GROUPS = {  # motions of a joint, their rows of T
+    "cylinder": np.eye(6)[[2, 5]],
+    "plane": np.eye(6)[[0, 1, 5]],
+    "ball": np.eye(6)[[3, 4, 5]],
+    "screw": np.array([[0.0, 0.0, 0.6, 0.0, 0.0, 0.8]]),
+    "slides": np.eye(6)[[0, 2]],
+}
+
+
+@mark.parametrize("name", GROUPS)
+def test_the_permitted_part_of_a_miss_is_taken_off(name):
+    """X = tip exp(n) exp(t) X_TO misses its grasp by n, however large the permitted t is."""
+    rng = rng_of(0)
+    T = GROUPS[name]
+    N = np.eye(6)[[i for i in range(6) if not T[:, i].any()]]
+    if name == "screw":
+        N = np.vstack((N, [0.0, 0.0, 0.8, 0.0, 0.0, -0.6]))
+    for size in (0.0, 1e-3, 0.3, 1.5):
+        n = 0.2 * rng.normal(size=len(N))
+        t = size * rng.uniform(-1.0, 1.0, len(T))
+        tip = pose(rng)
+        X_TO = pose(rng)
+        X = tip * pin.exp6(N.T @ n) * pin.exp6(T.T @ t) * X_TO
+        arm = Record(
+            m=len(N),
+            grasp=np.vstack((N, T)),
+            X_TO=np.append(X_TO.rotation.ravel(), X_TO.translation),
+        )
+        frame = np.vstack((tip.rotation, tip.translation))
+        out = np.full(6, 7.0)
+        scratch = np.zeros((2, 6, 6))
+        grasps._miss_of_group(arm, frame, X.homogeneous, *scratch, out * 0.0, out)
+        close(out[: len(N)], n, atol=1e-9)
+
+
+@SEEDS
+def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
+    rng = rng_of(seed)
+    tip = pose(rng)
+    X = pose(rng)
+    point = rng.normal(size=3)
+    axis = turn(rng)[0]
+    tip_axis = turn(rng)[0]
+    if seed == 5:  # fits
+        axis = X.rotation.T @ tip.rotation @ tip_axis
+    rows = np.zeros((6, 6))
+    rows[3:, 3:] = np.linalg.qr(np.column_stack((tip_axis, rng.normal(size=(3, 2)))))[0].T[
+        [1, 2, 0]
+    ]
+    arm = Record(point=point, axis=axis, tip_axis=tip_axis, grasp=rows, kind=at.HINGE)
+    frame = np.vstack((tip.rotation, tip.translation))
+    grasps._miss(arm, frame, X.homogeneous, out := np.full(6, 7.0))
+    between = pin.Quaternion.FromTwoVectors(tip_axis, tip.rotation.T @ X.rotation @ axis)
+    close(out[:3], tip.actInv(X.act(point)), atol=1e-12)
+    close(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), atol=1e-9)
+    arm.kind = at.BALL
+    grasps._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
+    assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
+
+
 # --- faces ----------------------------------------------------------------------------------------
 
 

@@ -128,7 +128,7 @@ def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms):
     """The forces cut at the grasps, projected on the bars; then the motion-inducing rest."""
     rng = np.random.default_rng(70)
     count = arms * (arms - 1) // 2
-    for case, *state in cases(rng, 8, arms, ["rigid", "rigid", "ball"]):
+    for case, *state in cases(rng, 4, arms, ["rigid", "rigid", "ball"]):
         one, two = rng.normal(size=(2, count)) * 20.0
         commands = (one, two, 7.5, 0.0)
         seen = list(answers(case, *state, commands, rng))

@@ -145,19 +145,16 @@ def test_another_state_of_contact_needs_only_another_file(path):
     assert_motion(verdict)
 
 
-def test_a_face_asked_to_pull_is_refused():
-    scenario = osc.load_scenario("two_contact_rod", ["force.right_end.1.amplitude=9 N"])
-    with raises(osc.ScenarioError, match="cannot pull"):
-        osc.build_rig(scenario)
-
-
-def test_a_face_out_of_reach_is_refused():
-    scenario = osc.load_scenario("two_contact_rod", ["contacts.left_end.face.point=[-1.5, 0, 0.2]"])
-    with raises(osc.OscContactError):
-        osc.build_rig(scenario)
-
-
-def test_a_wrong_number_of_posture_joints_is_refused():
-    scenario = osc.load_scenario("two_contact_rod", ["arms.left.posture=[0, 0, 0]"])
-    with raises(osc.ScenarioError, match="posture"):
-        osc.build_rig(scenario)
+@mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ("force.right_end.1.amplitude=9 N", osc.ScenarioError, "cannot pull"),
+        ("contacts.left_end.face.point=[-1.5, 0, 0.2]", osc.OscContactError, ""),
+        ("arms.left.posture=[0, 0, 0]", osc.ScenarioError, "posture"),
+    ],
+)
+def test_what_cannot_be_built_is_refused(change, error, words):
+    """A face that would have to pull, one out of reach, a posture of too few joints."""
+    with raises(error) as refused:
+        osc.build_rig(osc.load_scenario("two_contact_rod", [change]))
+    assert words in str(refused.value)

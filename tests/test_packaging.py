@@ -14,7 +14,7 @@ from packaging.utils import canonicalize_name
 from pytest import fixture, mark
 
 from hatch_build import absolute
-from osc_contact.law import ready
+from osc_contact.law import library
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -105,7 +105,7 @@ def test_source_archive_builds_the_same_wheel(wheel, tmp_path, monkeypatch):
     assert f"tests/{Path(__file__).name}" in inside
     (tmp_path / "wheel").mkdir()
     with wheel_of(sdist, tmp_path / "wheel") as second:
-        law = {f"osc_contact/law/{name}" for name in (ready.LIBRARY, ready.OBJECT)}
+        law = {f"osc_contact/law/{name}" for name in (library.LIBRARY, library.OBJECT)}
         assert law <= set(wheel.namelist())
         assert set(second.namelist()) == set(wheel.namelist()) - law
 
@@ -169,7 +169,8 @@ def test_changelog_tells_of_this_version():
 
 
 @mark.parametrize(
-    "target", ["venv", "browser", "demo", "test", "gallery", "dist", "bench", "clean"]
+    "target",
+    ["venv", "browser", "demo", "test", "versions", "peers", "gallery", "dist", "bench", "clean"],
 )
 def test_make_has_the_target(target):
     text = (ROOT / "Makefile").read_text(encoding="utf-8")

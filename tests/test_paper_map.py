@@ -170,7 +170,7 @@ PROOF = "`tests/test_projections.py::test_every_projection_is_the_decomposition_
         (GOOD, PROOF, None),
         ("planned", "planned", None),
         ("`osc_contact/control/custom_laws.py::Laws.force`", PROOF, None),
-        ("`osc_contact/control/signals.py::BLOCKS`", PROOF, None),
+        ("`paper/diagrams.py::BLOCKS`", PROOF, None),
         ("planned", PROOF, "neither"),
         (GOOD + " and more", PROOF, "neither"),
         ("`osc_contact/nowhere.py::Omega_f`", PROOF, "no file"),

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.cli import app
+from osc_contact.dynamics.assembly import outside_limits
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs import poses
 
@@ -111,11 +112,11 @@ def test_joints_outside_either_limit_are_named():
     chain = osc.ClosedChain([poses.arm_of("panda", "panda_hand_tcp")])
     low = chain.model.lowerPositionLimit
     high = chain.model.upperPositionLimit
-    assert poses.outside(chain, low) == poses.outside(chain, high) == []
+    assert outside_limits(chain, low) == outside_limits(chain, high) == []
     assert_allclose(poses.rest(chain), (low + high) / 2, atol=1e-15)
     for k, name in enumerate(chain.joint_names):
         for q in (low - 1e-3 * np.eye(7)[k], high + 1e-3 * np.eye(7)[k]):
-            (said,) = poses.outside(chain, q)
+            (said,) = outside_limits(chain, q)
             assert said.startswith(f"joint {name} at ")
 
 
@@ -124,7 +125,7 @@ def test_of_poses_out_of_reach_the_nearest_is_given():
     chain = osc.ClosedChain([poses.arm_of("panda", "panda_hand_tcp")])
     far = pin.SE3(np.eye(3), np.array([0.9, 0.9, 0.3]))
     found = poses.solve(chain, far, poses.rest(chain))
-    assert not found.reached and not poses.outside(chain, found.q)
+    assert not found.reached and not outside_limits(chain, found.q)
     reached = [standing(q).translation for q in robots.random_configurations(chain.model, 2000, 3)]
     nearest = min(np.linalg.norm(x - far.translation) for x in reached)
     assert np.linalg.norm(standing(found.q).translation - far.translation) < nearest + 0.05

@@ -112,6 +112,23 @@ def test_any_complement_decomposes(seed, r):
     close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
 
 
+@on_every_contact
+def test_identities_9_to_12(seed, r):
+    """With the bars that eqs. 10 and 12 lost; as printed they hold only where a space is empty."""
+    c = case(seed, r)
+    f1, f2 = (P.Omega_f(c.N, inverse(A)) for A in c.A)
+    g1, g2 = (P.Omega_f_bar(c.T, A) for A in c.A)
+    m1, m2 = (P.Omega_m(c.T, inverse(B)) for B in c.B)
+    w1, w2 = (P.Omega_m_bar(c.N, B) for B in c.B)
+    for one, other in ((f1, f2), (m1, m2)):
+        close(one @ other, other)
+        assert not 0 < r < 6 or np.abs(one - other).max() > 1e-6
+    for one, other, none in ((g1, g2, f2), (w1, w2, m2)):
+        close(one @ other, one)
+        assert (np.abs(one @ none) <= 1e-10 * (np.abs(one) @ np.abs(none))).all()
+        assert not 0 < r < 6 or np.abs(one @ other).max() > 1e-3
+
+
 @mark.parametrize("r", [1, 2, 3, 4, 5])
 @mark.parametrize("seed", TRIALS)
 def test_rank_five_inverse_inertia_is_enough(seed, r):
@@ -132,25 +149,6 @@ def test_rank_five_inverse_inertia_is_enough(seed, r):
     extra = definite(rng, 1 / SIZE)
     one, two = (P.Omega_f(c.N, Phi + e * extra) for e in (1e-7, 2e-7))
     close(2 * one - two, projection, 1e-5)
-
-
-@mark.parametrize("r", [1, 2, 3, 4, 5])
-@mark.parametrize("seed", range(4))
-def test_metric_that_cannot_push_along_n_is_refused(seed, r):
-    """The wrench the structure carries itself, Φn = 0, alone or hidden in a basis of N."""
-    rng = np.random.default_rng([seed, r, 5])
-    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
-    carried = SIZE[:, None] * Q[:, :1]
-    others = SIZE[:, None] * rng.normal(size=(6, r - 1))
-    root = Q[:, 1:] @ mixing(rng, 5) / SIZE[:, None]
-    N = np.hstack((carried, others))
-    for basis in (N, N @ mixing(rng, r)):
-        with raises(ContactError, match="Ω_f"):
-            P.Omega_f(basis, root @ root.T)
-        with raises(ContactError, match="Ω̄_m"):
-            P.Omega_m_bar(basis, root @ root.T)
-    with raises(ContactError, match=r"column 0 has nᵀΦn"):
-        P.Omega_f(N, root @ root.T)
 
 
 @mark.parametrize("i", range(6))
@@ -291,18 +289,6 @@ def test_laws_do_not_depend_on_frame_units_or_basis(trial, change):
     X, X_f = change(rng)
     check_change(case(trial, r), X, X_f, np.eye(r), np.eye(6 - r))
     check_change(case(trial, r), X, X_f, well_mixing(rng, r), well_mixing(rng, 6 - r))
-
-
-def test_verdict_on_dependence_does_not_depend_on_frame_or_units():
-    """Two lines of force 1 mm apart are two contacts, wherever O is and whatever the unit."""
-    Phi = np.diag([0.5, 0.5, 0.5, 30.0, 30.0, 30.0])
-    N = np.array([[0, 0, 1.0, 0, 0, 0], [0, 0, 1.0, 1e-3, 0, 0]]).T
-    rng = np.random.default_rng(1)
-    for change in [frame_change] * 50 + [millimetres]:
-        X, X_f = change(rng)
-        P.Omega_f(X_f @ N, X @ Phi @ X.T * (1000.0 if change is millimetres else 1.0))
-        with raises(ContactError, match="dependent"):
-            P.Omega_f(X_f @ N[:, [0, 1, 1]], X @ Phi @ X.T)
 
 
 # Null space ---------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from pytest import approx, mark, raises
 
 import osc_contact as osc
-from osc_contact.contacts import constraint_frames
+from osc_contact.contacts import raibert_craig
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.raibert_craig import as_raibert_craig, selection_columns
 from osc_contact.errors import ContactError, InvalidInputError
@@ -89,7 +89,7 @@ def test_columns_of_a_selection():
 
 
 def test_every_frame_and_selection_is_recognised_in_any_basis(monkeypatch):
-    monkeypatch.setattr(constraint_frames, "_REFINEMENTS", 0)  # by construction, not by search
+    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", 0)  # by construction, not by search
     rng = np.random.default_rng(1)
     kinds = set()
     for _ in range(300):
@@ -235,7 +235,7 @@ def test_a_nearly_parallel_pair_says_what_it_nearly_is():
 @mark.parametrize("noise", [1e-3, 1e-6])
 def test_the_residual_grows_no_faster_than_the_noise(noise, refinements, monkeypatch):
     """Neither does that of the frames as constructed."""
-    monkeypatch.setattr(constraint_frames, "_REFINEMENTS", refinements)
+    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", refinements)
     rng = np.random.default_rng(3)
     scale = np.array([1.0] * 3 + [SIZE] * 3)[:, None]
     for _ in range(300):

@@ -12,7 +12,7 @@ from pytest import mark, raises
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.robots import JointLimits, library
+from osc_contact.robots import JointLimits, loading
 
 ARMS = (
     "TwoDofs",
@@ -104,7 +104,7 @@ def test_every_robot_of_the_data_package_has_a_verdict():
     names = (*ARMS, *OTHERS, *HELPED, *REFUSED)
     files = [robots.find_robot(name)[0] for name in names]
     assert len(set(files)) == len(files)
-    assert set(files) == set(library._robot_data_root().glob("*/*/*.urdf"))
+    assert set(files) == set(loading._robot_data_root().glob("*/*/*.urdf"))
 
 
 def test_the_page_on_robots_has_these_verdicts() -> None:

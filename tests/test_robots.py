@@ -10,7 +10,7 @@ from urdf_numbers import element, numbers, placement, written_inertia
 
 from osc_contact import robots
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.robots import library, loading
+from osc_contact.robots import loading
 from osc_contact.robots.model import build_model
 
 ARMS = ("scara_left.urdf", "scara_right.urdf")
@@ -164,7 +164,7 @@ def test_urdf_path_knows_the_packaged_files():
 
 
 def test_urdf_path_finds_the_folder_of_an_installed_package(monkeypatch, tmp_path):
-    monkeypatch.setattr(library, "_PACKAGE", tmp_path.resolve() / "osc_contact")
+    monkeypatch.setattr(loading, "_PACKAGE", tmp_path.resolve() / "osc_contact")
     for folder in ("urdf", "osc_contact/urdf"):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "rod.urdf").touch()
@@ -183,9 +183,9 @@ def test_robot_names_that_are_unknown_or_ambiguous_are_refused():
 
 def test_missing_robot_data_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setattr(
-        library.pin, "__file__", str(tmp_path / "lib/py/site/pinocchio/__init__.py")
+        loading.pin, "__file__", str(tmp_path / "lib/py/site/pinocchio/__init__.py")
     )
-    monkeypatch.setattr(library, "ROBOT_DATA", "no-such-robot-data")
+    monkeypatch.setattr(loading, "ROBOT_DATA", "no-such-robot-data")
     with raises(ModelError, match="pip install no-such-robot-data"):
         robots.find_robot("panda")
 

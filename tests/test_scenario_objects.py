@@ -3,52 +3,24 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.testing import assert_allclose
 from pytest import mark, raises
 
 import osc_contact as osc
-from osc_contact.dynamics.rail import Conveyor
+from osc_contact.dynamics.environment import Conveyor
 from osc_contact.scenarios.signals import MinimumJerk
 
 PLANTS = ("rigid", "mujoco")
 SAME = ("q", "tau", "pose", "alpha_true", "alpha_meas", "N", "closed", "contact_point", "face_pose")
 
 
-@dataclass(frozen=True)
-class Tip:
-    """A round tip on a plane, written from first principles: gap = n·(x − p) − ρ."""
+class Tip(osc.VertexOnFace):
+    """Evaluated by Python."""
 
-    name: str
-    tip: np.ndarray
-    point: np.ndarray
-    normal: np.ndarray
-    radius: float
-    pushes = True
-
-    @property
-    def surface_point(self):
-        return self.point
-
-    def _at(self, X_WE):
-        if X_WE is None:
-            return self.point, self.normal
-        return X_WE.act(self.point), X_WE.rotation @ self.normal
-
-    def contact(self, X_WO, V_O, X_WE=None, V_E=None):
-        _, n = self._at(X_WE)
-        r = X_WO.rotation @ self.tip
-        w = V_O[3:]
-        turning = np.cross(w, V_O[:3] + np.cross(w, r))  # of a spatial acceleration
-        N = -np.concatenate((n, np.cross(r, n)))
-        assert V_E is None or not np.any(V_E)
-        return osc.Contact(N[:, None], [n @ turning], name=self.name)
-
-    def gaps(self, X_WO, X_WE=None):
-        p, n = self._at(X_WE)
-        return np.array([n @ (X_WO.act(self.tip) - p) - self.radius])
+    def contact(self, *args):
+        return super().contact(*args)
 
 
 def rod(plant, **changes):
@@ -88,7 +60,9 @@ def assert_same(ours, theirs, atol=1e-7):
 @mark.parametrize("plant", PLANTS)
 def test_pairs_of_ones_own(plant):
     plain = rod(plant)
-    pairs = [Tip(p.name, p.vertex, p.point, p.normal, p.radius) for p in osc.build_rig(plain).pairs]
+    pairs = [
+        Tip(p.vertex, p.point, p.normal, p.radius, name=p.name) for p in osc.build_rig(plain).pairs
+    ]
     own = on_bodies(plain, pairs)
     ours = osc.run(own)
     theirs = osc.run(plain)

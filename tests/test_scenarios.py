@@ -64,7 +64,6 @@ def test_good_file():
 
 BAD = {
     "unknown key": ("tip: tool\n", "tpi: tool\n", 5, "arms.left.tpi", "did you mean 'tip'?"),
-    "unknown top key": ("duration: 2 s", "durration: 2 s", 31, "durration", "'duration'"),
     "unknown signal key": (
         "{type: constant, value: 3 N}",
         "{type: constant, value: 3 N, stat: 1}",
@@ -87,7 +86,6 @@ BAD = {
         "",
         "the key 'control' is missing: the tick rate",
     ),
-    "missing in signal": (", frequency: 1 Hz", "", 25, "motion.0.signals.0", "'frequency' is miss"),
     "wrong unit": (
         "radius: 10 mm",
         "radius: 8 N",
@@ -105,12 +103,10 @@ BAD = {
     ),
     "unknown unit": ("2 s", "2 sec", 31, "duration", "'sec' is not a known unit"),
     "nan": ("2 s", ".nan", 31, "duration", "got nan, which is not finite"),
-    "inf in list": ("[0, 0]}\n", "[0, .inf]}\n", 7, "arms.right.posture.1", "not finite"),
     "nan in vector": ("vertex: [0, 0, 0]", "vertex: [0, .NaN, 0]", 15, "contacts.end.vertex.1", ""),
     "true for number": ("40}", "true}", 27, "gains.motion.damping", "a plain number; got True"),
     "short vector": ("vertex: [0, 0, 0]", "vertex: [0, 0]", 15, "contacts.end.vertex", "[0, 0]"),
     "zero normal": ("[0, 0, 2]", "[0, 0, 0]", 17, "contacts.end.face.normal", "whose length is 0"),
-    "zero axis": ("[0, 0, 1]", "[0, 0, 0]", 23, "motion.0.direction", "expected a direction"),
     "tangent of angular move": (
         "direction: [0, 0, 1]",
         "direction: common_tangent",
@@ -125,13 +121,6 @@ BAD = {
         "motion.0.direction",
         "expected a direction [x, y, z] or common_tangent; got 'up'",
     ),
-    "zero linear direction": (
-        "kind: angular\n    direction: [0, 0, 1]",
-        "kind: linear\n    direction: [0, 0, 0]",
-        23,
-        "motion.0.direction",
-        "whose length is 0",
-    ),
     "unit in linear direction": (
         "kind: angular\n    direction: [0, 0, 1]",
         "kind: linear\n    direction: [0, 1 N, 0]",
@@ -142,8 +131,6 @@ BAD = {
     "negative radius": ("10 mm", "-1 mm", 16, "contacts.end.radius", "must be >= 0; got '-1 mm'"),
     "zero rate": ("1 kHz}", "0 Hz}", 29, "control.rate", "must be > 0; got '0 Hz'"),
     "negative gain": ("damping: 40", "damping: -1", 27, "gains.motion.damping", "must be >= 0"),
-    "zero step": ("0.25 ms", "0", 30, "plant.step", "must be > 0; got 0"),
-    "zero duration": ("2 s", "0 s", 31, "duration", "must be > 0"),
     "step and period": (
         "0.25 ms",
         "0.3 ms",
@@ -154,11 +141,8 @@ BAD = {
     ),
     "step beyond period": ("0.25 ms", "3 ms", 30, "plant.step", "e.g. a step of 1 ms"),
     "plant type": ("mujoco", "bullet", 30, "plant.type", "expected 'mujoco' or 'rigid'; got 'bul"),
-    "solref": ("0.25 ms}", "0.25 ms, solref: [0, 1]}", 30, "plant.solref.0", "must be > 0; got 0"),
     "solref length": ("0.25 ms}", "0.25 ms, solref: [1]}", 30, "plant.solref", "item 1 is missing"),
     "solimp": ("0.25 ms}", "0.25 ms, solimp: [0.2, 1, 1]}", 30, "plant.solimp.1", "must be < 1"),
-    "solimp width": ("0.25 ms}", "0.25 ms, solimp: [0.2, 0.5, 0]}", 30, "plant.solimp.2", "> 0"),
-    "friction": ("0.25 ms}", "0.25 ms, friction: -0.1}", 30, "plant.friction", "must be >= 0"),
     "model error": (
         "duration: 2 s",
         "model_error: {arm_mass: 0}\nduration: 2 s",
@@ -166,7 +150,6 @@ BAD = {
         "model_error.arm_mass",
         "must be > 0",
     ),
-    "tare": ("duration: 2 s", "tare: {standoff: 0}\nduration: 2 s", 31, "tare.standoff", "> 0"),
     "text for group": ("object: {urdf: rod.urdf}", "object: rod", 8, "object", "a group of keys"),
     "text for list": ("[30 deg, 0.1 m]", "30 deg", 6, "arms.left.posture", "expected a list; got"),
     "empty list": ("[30 deg, 0.1 m]", "[]", 6, "arms.left.posture", "at least 1 items; got []"),

@@ -9,11 +9,11 @@ from rigs import SCARA_Q, one_panda, scara_pair
 from samples import first
 
 import osc_contact as osc
-from osc_contact.control.command_filter import command
 from osc_contact.control.controller import Controller
 from osc_contact.interface import Measurement, Reference
 from osc_contact.scenarios import Scenario
 from osc_contact.scenarios.control_schema import MotionGains, PostureTask
+from paper.command_filter import command
 
 GAINS = osc.Gains(MotionGains(400, 40))
 STRAIGHT = -np.arctan(0.0825 / 0.316) - np.arctan(0.0825 / 0.384)  # the Panda's elbow has offsets

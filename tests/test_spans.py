@@ -7,13 +7,13 @@ from pytest import fixture, mark, raises
 from test_projections import SIZE, close, frame_change, millimetres, well_mixing
 
 import osc_contact as osc
+from osc_contact import projections
 from osc_contact import projections as P
-from osc_contact import spans
 from osc_contact.contacts.contact import Contact
-from osc_contact.control.command_filter import command
 from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import ContactError
 from osc_contact.response import contact_response
+from paper.command_filter import command
 
 GAPS = [1e-4, 1e-5, 1e-6]
 FORCE_LAWS = (P.Omega_f, P.Omega_m_bar)
@@ -24,7 +24,7 @@ MOTION_LAWS = (P.Omega_m, P.Omega_f_bar)
 def limits(request, monkeypatch):
     """No verdict here may hang on a limit: each holds with limits a hundred times off."""
     for name in ("DEPENDENT", "BLOCKED", "BLURRED", "_NO_MOBILITY"):
-        monkeypatch.setattr(spans, name, getattr(spans, name) * request.param)
+        monkeypatch.setattr(projections, name, getattr(projections, name) * request.param)
 
 
 def orthogonal(rng):
@@ -149,12 +149,12 @@ def test_orthonormal_is_what_it_says(n, seed):
         N = rng.normal(size=(n, k))
         root = rng.normal(size=(n, n)) + 3.0 * np.eye(n)
         Phi = root @ root.T
-        E, W, G = spans.orthonormal(N, Phi, "test")
+        E, W, G = projections.orthonormal(N, Phi, "test")
         assert_allclose(E, N @ G, atol=1e-10)
         assert_allclose(E.T @ Phi @ E, np.eye(k), atol=1e-12)
         assert_allclose(W, Phi @ E, atol=1e-11)
         assert_allclose(N.T @ Phi @ N @ G @ G.T, np.eye(k), atol=1e-8)
-        assert_allclose(spans.left_inverse(N, Phi, "test") @ N, np.eye(k), atol=1e-10)
+        assert_allclose(projections.left_inverse(N, Phi, "test") @ N, np.eye(k), atol=1e-10)
 
 
 def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():

@@ -31,7 +31,7 @@ def test_postures_outside_the_limits_are_refused_with_numbers_and_cure(door):
         "touching": robot.touching,
         "posture": lambda q: osc.Controller(robot.chain, [WALL], posture=q),
     }
-    words = rf"arm/elbow at {OUT[door]:g} \(limits -2 … 2\).* file"
+    words = rf"arm/elbow at {OUT[door]:g} is outside its limits \[-2, 2\].* file"
     with raises(osc.InvalidInputError, match=words):
         doors[door](np.array([0.3, OUT[door], -1.2]))
     with raises(osc.InvalidInputError, match=r"look like degrees: give np.radians"):
@@ -45,14 +45,14 @@ def test_a_posture_may_be_a_goal_beyond_the_limits_by_less_than_one_and_a_half_r
     near = np.array([0.3, sign * 7.9, -1.2])
     far = np.array([0.3, sign * 8.1, -1.2])
     assert osc.Controller(chain, [WALL], posture=near).settings.posture[1] == near[1]
-    with raises(osc.InvalidInputError, match=r"posture: outside the limits.* arm/elbow at"):
+    with raises(osc.InvalidInputError, match=r"posture: joint arm/elbow at .* is outside"):
         osc.Controller(chain, [WALL], posture=far)
 
 
 def test_a_touching_posture_outside_the_limits_is_refused():
     far = limited(wall=0.5)
     far.contacts = [osc.VertexOnFace([0, 0, 0], [0.1, 0, 0.5], [-1, 0, 0], name="behind")]
-    with raises(osc.ModelError, match="touching: outside the limits"):
+    with raises(osc.ModelError, match=r"touching: joint .* is outside"):
         far.touching([1.9, 1.9, 0.0])
 
 

@@ -248,11 +248,8 @@ def test_runs_too_short_to_be_judged_are_refused():
 
 
 def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tmp_path):
-    vary = {
-        "model_error.object_mass": "uniform(0.8, 1.2)",
-        "contacts.left_end.face.normal": "tilt(5 deg)",
-    }
-    alone = osc.sweep("two_contact_rod", vary, 10, overrides=SHORT, workers=1)
+    how = {"vary": [MASSES, NORMALS], "overrides": SHORT}
+    alone = osc.sweep("two_contact_rod", **how, samples=10, workers=1)
     killed = []
 
     def kill_one(done, total):
@@ -260,15 +257,14 @@ def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tm
             killed.append(multiprocessing.active_children()[0])
             os.kill(killed[0].pid, signal.SIGKILL)
 
-    both = osc.sweep(
-        "two_contact_rod", vary, 10, overrides=SHORT, workers=2, out=tmp_path, progress=kill_one
-    )
+    how["out"] = tmp_path
+    both = osc.sweep("two_contact_rod", **how, samples=10, workers=2, progress=kill_one)
     assert killed and alone.equals(both)
     assert parquet.read_table(tmp_path / TABLE).equals(alone)
-    more = osc.sweep("two_contact_rod", vary, 12, overrides=SHORT, workers=1, out=tmp_path)
+    more = osc.sweep("two_contact_rod", **how, samples=12, workers=1)
     assert more.num_rows == 12 and more.slice(0, 10).equals(alone)
     with raises(osc.InvalidInputError, match="another study"):
-        osc.sweep("two_contact_rod", vary, 12, overrides=SHORT, out=tmp_path, seed=1)
+        osc.sweep("two_contact_rod", **how, samples=12, seed=1)
 
 
 def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path):

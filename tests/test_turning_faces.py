@@ -9,7 +9,7 @@ from test_moving_face import HINGE, TURNING, on_the_move, rig_of
 from test_pairs import BY_T
 
 import osc_contact as osc
-from osc_contact.dynamics.rail import Hinge
+from osc_contact.dynamics.environment import Hinge
 from osc_contact.plants.faces import Rail
 from osc_contact.spatial import carry_twist, classical_to_spatial
 

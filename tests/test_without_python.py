@@ -2,6 +2,7 @@
 
 import ctypes
 import re
+import signal
 import subprocess
 import zlib
 from dataclasses import replace
@@ -14,11 +15,13 @@ from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
-from osc_contact.control.saving import SavedController, controller_bytes
+from osc_contact.control.saving import HEAD, SavedController, controller_bytes
 from osc_contact.control.without_python import write_library
 from osc_contact.drivers.franka import TORQUE_STEP
+from osc_contact.law import records
 from osc_contact.law.jit import PLAIN_PYTHON
-from osc_contact.robots.library import find_robot
+from osc_contact.law.limits import PROGRAM
+from osc_contact.robots.loading import find_robot
 from osc_contact.runs.run import start
 from osc_contact.runs.tape import Tape, build
 from osc_contact.scenarios.control_schema import MotionGains
@@ -149,6 +152,29 @@ def test_the_library_needs_libc_and_libm_only(library):
     assert names <= {"libc", "libm"}, linked
 
 
+def test_the_compiled_law_calls_five_functions_and_none_that_allocates_or_locks(library):
+    called = run("nm", "-u", library / "law.o").split()[1::2]
+    assert set(called) == {"atan2", "floor", "memmove", "memset", "sincos"}
+
+
+def test_no_tick_allocates(library, tmp_path):
+    """Nor does the C around the law, also beyond the motors' limits; and the trap works."""
+    tape = build(rig_of("limited_rod"), tmp_path, ticks=1500)
+    names = ["malloc", "calloc", "realloc", "aligned_alloc", "free", "osc_tick"]
+    wrap = [f"-Wl,--wrap={name}" for name in names]
+    parts = [library / f"{name}.o" for name in ("replay", "recording", "osc_controller")]
+    parts += [library / "osc_daqp.o", library / "law.o", "-lm"]
+    trap = ["cc", "-O1", "-I", library, *wrap, Path(__file__).parent / "trap.c", *parts]
+    files = tmp_path / "controller.osc", tmp_path / "recording.osc"
+    run("make", "-C", library, "replay.o", "recording.o")
+    run(*trap, "-o", tmp_path / "trapped")
+    said = run(tmp_path / "trapped", *files)
+    assert said.startswith(f"{tape.count} of {tape.count}") and " 0 SATURATED" not in said
+    run(*trap, "-DRED", "-o", tmp_path / "red")
+    done = subprocess.run([str(tmp_path / "red"), *map(str, files)], capture_output=True)
+    assert done.returncode == -signal.SIGABRT
+
+
 def test_careless_programs_end_in_error_codes(library, tmp_path):
     (tmp_path / "controller.osc").write_bytes(controller_bytes(start(rig_of("limited_rod"))[1]))
     here = Path(__file__).parent
@@ -261,6 +287,20 @@ def test_a_saved_controller_goes_on_where_it_was(tmp_path, name):
         assert (saved.status, saved.state) == (controller.status, controller.state)
 
 
+MODEL_SIZES = (
+    "n_arms",
+    "n_joints",
+    "n_motors",
+    "n_contacts",
+    "n_shapes",
+    "n_columns",
+    "n_bars",
+    "n_extra",
+    "row_bytes",
+    "memory_bytes",
+)
+
+
 def signed(content):
     return bytes(content) + zlib.crc32(bytes(content)).to_bytes(4, "little")
 
@@ -278,6 +318,42 @@ def test_files_of_others_are_refused_with_both_versions():
     }.items():
         with raises(osc.InvalidInputError, match=words):
             SavedController(bytes(refused))
+
+
+@mark.parametrize("name", ["two_contact_rod", "three_arm_plate"])
+def test_crafted_files_with_a_right_checksum_do_not_reach_beyond_their_bytes(
+    library, tmp_path, name
+):
+    """Each word that says where something is, or how much of it, replaced by others."""
+    content = controller_bytes(start(rig_of(name))[1])
+    raw = np.frombuffer(content, np.uint8)[HEAD:-4]
+    job = records.JOB.view(raw)
+    starts = [int(getattr(job, name)) for name in ("model", "memory", "work", "input")]
+    fields = records.MODEL.dtype.fields
+    size = int.from_bytes(content[80:88], "little")
+    kinds = [records.MODEL, records.MEMORY, records.WORK, records.INPUT, PROGRAM]
+    words = [records.JOB.dtype.fields[one][1] for one in ("model", "memory", "work", "input")]
+    words += [starts[0] + fields[one][1] for one in MODEL_SIZES]
+    for at, kind in zip([*starts, size], kinds, strict=True):
+        words += range(at, at + 8 * (len(kind.tables) + len(kind.counts)), 8)
+    crafted = []
+    for at in words:
+        for value in (-1, 0, 1 << 40, (1 << 63) - 1, int(raw[at : at + 8].view(np.int64)[0]) + 64):
+            body = bytearray(content[:-4])
+            word = value.to_bytes(8, "little", signed=True)
+            if body[HEAD + at : HEAD + at + 8] != word:
+                body[HEAD + at : HEAD + at + 8] = word
+                crafted.append(signed(body))
+    for one in crafted:
+        with raises(osc.InvalidInputError, match="do not lie"):
+            SavedController(one)
+    (tmp_path / "crafted").write_bytes(b"".join(len(x).to_bytes(8, "little") + x for x in crafted))
+    here = Path(__file__).parent
+    flags = ["-std=gnu11", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-w"]
+    sources = [library / name for name in ("osc_controller.c", "osc_daqp.c", "law.o")]
+    include = ["-I", library, "-I", library / "daqp" / "include"]
+    run("cc", *flags, *include, here / "crafted.c", *sources, "-lm", "-o", tmp_path / "read")
+    assert run(tmp_path / "read", tmp_path / "crafted") == f"{len(crafted)} refused\n"
 
 
 def test_what_only_python_can_evaluate_is_refused():

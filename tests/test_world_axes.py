@@ -7,8 +7,6 @@ from numpy.testing import assert_allclose
 from pytest import approx, mark
 from rigs import one_panda, panda_pair, random_state, scara_pair
 
-import osc_contact as osc
-
 ARMS = ["scara", "ur5", "panda", "2R", "3R"]
 CHAINS = {"one_panda": one_panda, "panda_pair": panda_pair, "scara_pair": scara_pair}
 
@@ -61,33 +59,6 @@ def test_the_wrench_has_the_power_of_all_that_moves(name):
         power += state.V_O @ (weight.Lambda @ a + weight.mu + weight.p)
         wrench = state.Lambda @ a + state.mu + state.p
         assert wrench @ state.V_O == approx(power, rel=1e-8, abs=1e-8)
-
-
-def test_another_operational_point_carries_them_as_wrenches():
-    """The object's frame 0.2 m on and turned: Λ a + μ + p of the same motion, carried."""
-    chain = one_panda()
-    rng = np.random.default_rng(20)
-    q, v = random_state(chain, rng)
-    shift = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.2])), np.array([0.1, -0.15, 0.1]))
-    body = chain.payload
-    inertia = shift.actInv(body.inertia)
-    moved = osc.ClosedChain(
-        chain.arms, [X.X_TO * shift for X in chain.grasps], osc.RigidObject(inertia)
-    )
-    here = chain.state(q, v)
-    there = moved.state(q, v)
-    r = there.X_WO.translation - here.X_WO.translation
-    spin = np.linalg.norm(here.V_O[3:])
-    assert np.linalg.norm(r) > 0.1 and spin > 0.1
-    carry = np.eye(6)
-    carry[:3, 3:] = -pin.skew(r)  # twists, and spatial accelerations, from O to the new point
-    a = rng.normal(size=6)
-    close(there.V_O, carry @ here.V_O)
-    want = here.Lambda @ a + here.mu + here.p
-    got = there.Lambda @ (carry @ a) + there.mu + there.p
-    close(carry.T @ got, want, 1e-8)
-    close(carry.T @ there.p, here.p, 1e-8)
-    close(carry.T @ there.Lambda @ carry, here.Lambda, 1e-8)
 
 
 @mark.parametrize("name", ["one_panda", "panda_pair"])

@@ -1,13 +1,16 @@
 """`make dist`: wheel and sdist, each tried in an empty environment outside of the checkout.
 
     python tests/try_dist.py DIST [--versions pinned|lowest|highest] [PYTHON ...]
+    python tests/try_dist.py --suite [--versions …] [PYTHON ...]        (`make versions`)
 
-Installs what lies in DIST with its extras, then runs what a new user runs, in a folder of its own.
-Versions of the dependencies: those of constraints.txt, the lower bounds of pyproject.toml, or the
-highest that the bounds allow.
+Installs what lies in DIST with its extras, then runs what a new user runs, in a separate folder;
+the wheel also without extras, and beside the packages of `BESIDE` as far as pip resolves them. With
+--suite it runs the tests of the checkout in an environment beside it. Versions of the dependencies:
+those of constraints.txt, the lower bounds of pyproject.toml, or the highest that the bounds allow.
 """
 
 import argparse
+import json
 import os
 import re
 import shutil
@@ -30,18 +33,31 @@ COMMANDS = (
     ("python", "mine/01_osc_contact.py"),
 )
 TESTS = ("test_contact.py", "test_projections.py", "test_importing.py", "test_movie.py")
+BESIDE = ("franky-sim", "robosuite", "mjlab", "newton")
+#: Tests of pages whose tools need newer versions of what the package needs, too.
+OF_PAGES = ("test_site.py", "test_notebooks.py")
+OTHERS_WARN = ("optuna.exceptions.ExperimentalWarning",)  # of what is an argument of optuna 5
+OF_NEWER = "not vector_env and not learning.md"  # MuJoCo 4 advances many plants at once
 WRITTEN = ("rod/metrics.json", "rod/scene.html", "rod.gif")
 
 
 def main():
-    """Try every file of the folder with every Python."""
+    """Try every file of the folder with every Python, or run the tests with each."""
     ask = argparse.ArgumentParser()
-    ask.add_argument("dist", type=Path)
-    ask.add_argument("pythons", nargs="*", default=[sys.executable])
+    ask.add_argument("--suite", action="store_true")
     ask.add_argument("--versions", choices=("pinned", "lowest", "highest"), default="pinned")
+    ask.add_argument("given", nargs="*")
     asked = ask.parse_intermixed_args()  # Pythons may come after options
-    for python in asked.pythons:
-        for file in sorted([*asked.dist.glob("*.whl"), *asked.dist.glob("*.tar.gz")]):
+    if asked.suite:
+        for python in asked.given or [sys.executable]:
+            suite(python, asked.versions)
+        return
+    dist, *pythons = asked.given
+    for python in pythons or [sys.executable]:
+        for file in sorted([*Path(dist).glob("*.whl"), *Path(dist).glob("*.tar.gz")]):
+            if file.suffix == ".whl":
+                core(file.resolve(), python)
+                beside(file.resolve(), python)
             attempt(file.resolve(), python, asked.versions)
 
 
@@ -50,8 +66,93 @@ def lowest():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     users = [*project["dependencies"]]
     for extra, listed in project["optional-dependencies"].items():
-        users += listed if extra not in ("all", "docs", "dev", "mutation") else []
-    return [re.sub(r">=([^,]+),.*", r"==\1", requirement) for requirement in users]
+        users += listed if extra not in ("all", "docs", "test", "dev", "mutation") else []
+    # matplotlib 3.9 calls what later versions of pyparsing warn of
+    return ["pyparsing<3.3", *(re.sub(r">=([^,]+),.*", r"==\1", one) for one in users)]
+
+
+def limits(folder, versions):
+    """pip's options that choose the versions."""
+    if versions == "pinned":
+        return "-c", str(ROOT / "constraints.txt")
+    bounds = folder / "bounds.txt"
+    bounds.write_text("\n".join(lowest() if versions == "lowest" else []), encoding="utf-8")
+    return "-c", str(bounds)
+
+
+def environment(folder, python, name="env"):
+    """A new one: the variables of its commands, and its pip."""
+    run(folder, {}, python, "-m", "venv", "--clear", name)
+    around = {
+        "PATH": f"{folder / name / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "NUMBA_CACHE_DIR": str(folder / name / "compiled"),
+    }
+    return around, (str(folder / name / "bin/python"), "-m", "pip", "install", "-q")
+
+
+def suite(python, versions):
+    """The tests of the checkout, with the law compiled by that environment's numba."""
+    name = f".venv-{versions}"
+    around, pip = environment(ROOT, python, name)
+    run(ROOT, around, *pip, *limits(ROOT / name, versions), "-e", f"{ROOT}[test]")
+    around |= {"OSC_CONTACT_LAW": "jit", "PYTHONDONTWRITEBYTECODE": "1"}
+    others = [f"--ignore=tests/{test}" for test in OF_PAGES]
+    warned = (f"-Wignore::{one}" for one in ("DeprecationWarning", *OTHERS_WARN))
+    how = ("-q", "-n", "auto", "-p", "no:cacheprovider", *warned)
+    if versions == "lowest":
+        others += ["-k", OF_NEWER]
+    done = subprocess.run(
+        [str(ROOT / name / "bin/python"), "-m", "pytest", *how, "-m", "not slow", *others],
+        cwd=ROOT,
+        env=os.environ | around,
+    )
+    if done.returncode:
+        sys.exit(f"the tests fail with {versions} versions")
+
+
+def core(file, python):
+    """What Pinocchio alone brings, and what the wheel adds; its loop runs without extras."""
+    with tempfile.TemporaryDirectory(prefix="osc_contact_core_") as name:
+        folder = Path(name)
+        around, pip = environment(folder, python)
+        empty = size(folder)
+        run(folder, around, *pip, "pin")
+        before = size(folder)
+        run(folder, around, *pip, str(file))
+        after = size(folder)
+        run(folder, around, *pip, "--no-deps", "example-robot-data")  # the robot of the program
+        page = (ROOT / "docs/own_loop.md").read_text(encoding="utf-8")
+        run(folder, around, "python", "-c", page.split("```python\n")[1].split("```")[0])
+    for what, found in (("pin", before), (f"{file.name}, no extras", after)):
+        packages, size_of = (x - y for x, y in zip(found, empty, strict=True))
+        print(f"  {what}: {packages} packages, {size_of / 1e6:.0f} MB", flush=True)
+
+
+def size(folder):
+    """Packages of the environment, and its bytes."""
+    site = next((folder / "env/lib").glob("python*/site-packages"))
+    files = (path for path in (folder / "env").rglob("*") if path.is_file())
+    return len([*site.glob("*.dist-info")]), sum(path.lstat().st_size for path in files)
+
+
+def beside(file, python):
+    """What pip chooses where the package with all extras is installed beside others, each alone."""
+    with tempfile.TemporaryDirectory(prefix="osc_contact_beside_") as name:
+        folder = Path(name)
+        around, pip = environment(folder, python)
+        torch = folder / "torch.txt"  # mjlab needs it: one version, not all of them
+        pinned = (ROOT / "constraints-peers.txt").read_text(encoding="utf-8")
+        torch.write_text(re.search(r"^torch==.*$", pinned, re.M)[0], encoding="utf-8")
+        for other in BESIDE:
+            report = folder / f"{other}.json"
+            options = ("--dry-run", "--report", str(report), "-c", str(torch))
+            run(folder, around, *pip, *options, f"{file}[all]", other)
+            found = {
+                item["metadata"]["name"].lower(): item["metadata"]["version"]
+                for item in json.loads(report.read_text(encoding="utf-8"))["install"]
+            }
+            shown = ", ".join(f"{n} {found[n]}" for n in (other, "numpy", "pin", "mujoco"))
+            print(f"  beside {other}: {shown}", flush=True)
 
 
 def attempt(file, python, versions):
@@ -60,16 +161,8 @@ def attempt(file, python, versions):
         folder = Path(name)
         print(f"{file.name} with {python}, {versions} versions, in {folder}", flush=True)
         begin = perf_counter()
-        run(folder, {}, python, "-m", "venv", "env")
-        around = {
-            "PATH": f"{folder / 'env/bin'}{os.pathsep}{os.environ['PATH']}",
-            "NUMBA_CACHE_DIR": str(folder / "compiled"),
-        }
-        pip = (str(folder / "env/bin/python"), "-m", "pip", "install", "-q")
-        bounds = folder / "bounds.txt"
-        bounds.write_text("\n".join(lowest() if versions == "lowest" else []), encoding="utf-8")
-        limits = ("-c", str(ROOT / "constraints.txt" if versions == "pinned" else bounds))
-        run(folder, around, *pip, *limits, f"{file}[all]")
+        around, pip = environment(folder, python)
+        run(folder, around, *pip, *limits(folder, versions), f"{file}[all]")
         installed = perf_counter()
         for command in PICTURE:
             run(folder, around, *command)
@@ -116,7 +209,7 @@ def run(folder, around, *command):
         [program, *command[1:]], cwd=folder, env=environment, capture_output=True, text=True
     )
     shown = " ".join(Path(command[0]).name if k == 0 else word for k, word in enumerate(command))
-    print(f"  {perf_counter() - begin:6.1f} s  {shown[:90]}", flush=True)
+    print(f"  {perf_counter() - begin:6.1f} s  {' '.join(shown.split())[:90]}", flush=True)
     if done.returncode:
         sys.exit(f"{done.stdout}\n{done.stderr}\nexit code {done.returncode}: {shown}")
 

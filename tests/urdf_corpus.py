@@ -174,7 +174,6 @@ CORPUS: dict[str, Bad] = {
     "link without name": spoil('<link name="tool"/>', "<link/>", "name", "a link without a name"),
     "name of 300 letters": spoil('"tool"', '"' + "x" * 300 + '"', "name", "300 characters"),
     "two links of a name": spoil('"finger"', '"hand"', "name", "a second link.*in line 25"),
-    "two joints of a name": spoil('"lift"', '"turn"', "name", "a second joint.*in line 39"),
     "the world's name": spoil('"tool"', '"universe"', "name", "means the world", "link 'universe'"),
     # tree
     "no link": Bad('<robot name="r"/>', "tree", "has no link", 1),
@@ -208,15 +207,12 @@ CORPUS: dict[str, Bad] = {
     # numbers
     "mass nan": _mass("nan", "value = 'nan' is not a finite number"),
     "mass inf": _mass("inf", "'inf' is not a finite number"),
-    "mass 1e400": _mass("1e400", "'1e400' is not a finite number"),
     "mass 1e300": _mass("1e300", "beyond ±1e\\+09"),
     "decimal comma": _mass("1,5", "'1,5' is not a finite number. Decimals are written with"),
     "macro in a number": _mass("${m}", "'\\${m}' is not a finite number. Expand the macros"),
     "origin of two numbers": spoil('"0.3 0 0"', '"0.3 0"', "number", "xyz has 2 numbers, 3 are"),
-    "origin nan": spoil('"0.3 0 0"', '"0.3 nan 0"', "number", "'nan'", "joint 'roll' <origin xyz="),
     "origin with commas": spoil('"0.3 0 0"', '"0.3,0,0"', "number", "parted by blanks"),
     "inertia entry missing": spoil(' izz="0.001"', "", "number", "izz is missing", "link 'hand'"),
-    "damping nan": spoil('damping="0.1"', 'damping="nan"', "number", "damping = 'nan'"),
     "mimic offset nan": spoil('offset="0.1"', 'offset="nan"', "number", "offset = 'nan'"),
     # joints
     "no joint type": spoil(' type="prismatic"', "", "joint", "no joint type", "joint 'lift'"),
@@ -224,7 +220,6 @@ CORPUS: dict[str, Bad] = {
     "floating joint": spoil('"prismatic"', '"floating"', "joint", "nq ≠ nv"),
     "axis zero": spoil('axis xyz="0 0 1"', 'axis xyz="0 0 0"', "joint", "axis has length 0"),
     "axis too long": spoil('axis xyz="0 0 1"', 'axis xyz="0 0 2"', "joint", "axis has length 2"),
-    "axis without xyz": spoil('<axis xyz="1 0 0"/>', "<axis/>", "number", "xyz has 0 numbers"),
     "friction negative": spoil('friction="0.2"', 'friction="-0.2"', "joint", "-0.2 is negative"),
     "mimic of nothing": spoil(
         'mimic joint="lift"',
@@ -233,13 +228,10 @@ CORPUS: dict[str, Bad] = {
         "follows the joint 'left', which does not exist. Did you mean lift",
     ),
     "mimic of itself": spoil('mimic joint="lift"', 'mimic joint="grip"', "joint", "follows itself"),
-    "mimic of fixed joint": spoil('mimic joint="lift"', 'mimic joint="tip"', "joint", "the fixed"),
     # limits
     "no limit": spoil(FINGER_LIMIT, "", "limit", "has no <limit>", "joint 'grip'", 5),
     "lower missing": spoil('lower="-2" ', "", "limit", "lower is missing", "joint 'turn' <limit>"),
-    "effort missing": spoil(' effort="10"', "", "limit", "effort is missing", "joint 'roll'"),
     "lower above upper": spoil('lower="-2"', 'lower="3"', "limit", "lower limit 3 is above"),
-    "lower equals upper": spoil('lower="-2"', 'lower="2.5"', "limit", "equals the upper limit 2.5"),
     "effort 0": spoil('effort="40"', 'effort="0"', "limit", "effort limit 0 N m must be > 0"),
     "upper inf": spoil('upper="2.5"', 'upper="inf"', "number", "upper = 'inf' is not a finite"),
     "effort inf": spoil('effort="40"', 'effort="inf"', "number", "effort = 'inf' is not a finite"),
@@ -255,7 +247,6 @@ CORPUS: dict[str, Bad] = {
         "link 'finger'",
         2,
     ),
-    "inertia nan": spoil('ixx="0.002"', 'ixx="nan"', "number", "ixx = 'nan' is not a finite"),
     "inertia negative": spoil('izz="0.001"', 'izz="-0.001"', "inertia", "inertia is not positive"),
     "triangle violated": spoil('izz="0.001"', 'izz="0.005"', "inertia", "exceeds the sum of"),
     "moved mass missing": spoil(
@@ -271,7 +262,6 @@ CORPUS: dict[str, Bad] = {
     "mesh above its package": _mesh("package://arm/../../etc/a.stl", "leads out of its package"),
     "mesh of another type": _mesh("meshes/passwd", "type without suffix are not read"),
     "mesh without name": _mesh("", "a mesh without filename"),
-    "mesh scale nan": spoil('scale="1 1 1"', 'scale="1 nan 1"', "number", "scale = 'nan'"),
 }
 
 SOUND: dict[str, Callable[[str], str | bytes]] = {

@@ -18,9 +18,8 @@ from pydantic.fields import FieldInfo
 import osc_contact.contacts.pairs  # noqa: F401 - the kinds of contact
 from osc_contact.scenarios import Scenario
 from osc_contact.scenarios.bodies import CONTACT_TYPES, ContactSpec
-from osc_contact.scenarios.quantities import Dimension
+from osc_contact.scenarios.quantities import Dimension, Spec, meaning
 from osc_contact.scenarios.signals import ForceSignal
-from osc_contact.scenarios.spec import Spec, meaning
 
 PAGE = Path(__file__).parents[1] / "scenario.md"
 BLOCK = re.compile(r"(?<=<!-- keys: )(.*?) -->\n.*?(?=<!-- end of keys -->)", re.S)

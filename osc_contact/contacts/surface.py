@@ -18,8 +18,6 @@ from osc_contact.law.jit import as_python
 from osc_contact.law.surface import is_near, nearest
 from osc_contact.spatial import Array, as_array
 
-__all__ = ["OF_ARRAYS", "Shapes", "Surface", "distance_and_normal"]
-
 _UPWARD = 0.5  #: least z of a triangle's unit normal that belongs to a fitted surface
 _near = as_python(is_near)
 

@@ -1,7 +1,5 @@
 """Many controllers at once: the rows of one batch, each with a separate model and memory."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
@@ -20,8 +18,6 @@ from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
 from osc_contact.law.records import Rows
 from osc_contact.spatial import Array
-
-__all__ = ["BatchController"]
 
 
 class BatchController:

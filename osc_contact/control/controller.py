@@ -1,7 +1,5 @@
 """The decoupled force/motion controller, fig. 4: its tick, its state, and copies of it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from copy import deepcopy
@@ -16,21 +14,26 @@ from osc_contact.control.custom_laws import CustomParts, Laws
 from osc_contact.control.inputs import (
     Freshness,
     convert_arrays,
-    converting,
     read_joints,
     require_shapes,
     require_sizes,
 )
 from osc_contact.control.reasons import explain
-from osc_contact.control.records import TickRecords, pack_gains, pack_model, pack_safety
+from osc_contact.control.records import (
+    Reading,
+    Settings,
+    TickRecords,
+    pack_gains,
+    pack_model,
+    pack_safety,
+)
 from osc_contact.control.saving import save_controller
-from osc_contact.control.settings import Reading, Settings
-from osc_contact.control.signals import BLOCKS, Block, Signals, TickResult
+from osc_contact.control.signals import Signals, TickResult
 from osc_contact.control.start_check import StartCheck
 from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
 from osc_contact.control.torque_limits import MotorLimits, scale_torques
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.rail import Body
+from osc_contact.dynamics.environment import Body
 from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout, SolverError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
@@ -45,8 +48,6 @@ from osc_contact.scenarios.control_schema import (
     SafetySettings,
 )
 from osc_contact.spatial import Array, as_array
-
-__all__ = ["Controller"]
 
 _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_integral", "force_integral")
 #: What `reset` sets to zero: of MEMORY, and of rows of its tables, all of them where none is named.
@@ -208,7 +209,7 @@ class Controller:
     def _take_records(self, records: TickRecords) -> None:
         self._records = records
         memory = records.memory
-        plain = self._arms < 3 and not self._custom.needed and not self._starting
+        plain = self._arms < 3 and not (self._custom.needed or self._starting or self._converting)
         self._tables = (
             records.rows.raw,
             memory.squeeze,
@@ -228,21 +229,10 @@ class Controller:
         object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        settings = self.__dict__.get("settings")
-        if settings is not None and name in (
-            "chain",
-            "contacts",
-            "gains",
-            "dt",
-            "B",
-            "bodies",
-            "posture",
-            "friction",
-            "reading",
-        ):
-            return getattr(settings, name)
-        if settings is not None and name == "life":
-            return settings.phases
+        """Settings that were taken when the controller was made; `life` is `Settings.phases`."""
+        field = "phases" if name == "life" else name
+        if field in Settings.__dataclass_fields__ and "settings" in self.__dict__:
+            return getattr(self.settings, field)
         raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
 
     # --- a tick ----------------------------------------------------------------------------------
@@ -292,7 +282,7 @@ class Controller:
                 memory.late = min(max(0.0, late / self.dt + 0.5), HISTORY)
         if measurement.estimated:
             self._records.memory.derived = 1
-        if self._converting and self._custom.needed:  # custom code takes arrays
+        if self._converting:
             measurement, reference = convert_arrays(measurement, reference)
         if self._starting and self._start.is_done(self, measurement):
             self._begin_start(self._start, False)
@@ -346,8 +336,8 @@ class Controller:
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
         """A tick whose arrays are of other types, or one to be held.
 
-        That such arrays come is found out once: from then on every call of the law makes them what
-        it takes. numba's refusal costs as much as many ticks.
+        That such arrays come is found out once: from then on every tick converts them. numba's
+        refusal costs as much as many ticks.
         """
         try:
             if isinstance(error, SensorTimeout):
@@ -355,7 +345,6 @@ class Controller:
             require_sizes(measurement, reference, self.settings)
             if self._converting:
                 raise error
-            self._rows = converting(self._rows, self.chain.nq, self._arms)
             self._converting = True
             self._take_records(self._records)
             return self.tick(replace(measurement, stamps=None, sequence=None), reference)
@@ -542,10 +531,6 @@ class Controller:
         squeeze = float(memory.squeeze[0]) if self._arms < 3 else memory.squeeze.copy()
         return Signals(self.settings, self._records, squeeze, memory.torques)
 
-    def wiring(self) -> list[Block]:
-        """The boxes of fig. 4 with the signals that each reads and writes."""
-        return self.laws.boxes(BLOCKS)
-
     def result(self) -> TickResult:
         """The numbers of the last tick that recordings keep; the next tick overwrites them.
 
@@ -554,7 +539,7 @@ class Controller:
         """
         self._require_tick()
         if self._result is None or self._result.records is not self._records:
-            self._result = TickResult.of(self._records)
+            self._result = TickResult(self._records)
         return self._result
 
     def _require_tick(self) -> None:
@@ -579,7 +564,7 @@ class Controller:
         cannot be distinguished from contact forces once contact is made.
         """
         result = self.result()
-        return np.asarray(result.f_meas + self.f_tare - result.bias_out)
+        return result.f_meas + self.f_tare - result.bias_out
 
     def phases(self) -> Array:
         """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""

@@ -1,31 +1,19 @@
 """What comes in each tick: sizes, types, and whether readings are new."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from osc_contact.control.settings import Settings
+from osc_contact.control.records import Settings
 from osc_contact.errors import InvalidInputError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
 from osc_contact.law.records import JOINTS, WRISTS
 from osc_contact.spatial import Array, as_array
 
-__all__ = [
-    "Freshness",
-    "convert_arrays",
-    "converting",
-    "read_joints",
-    "require_shapes",
-    "require_sizes",
-]
-
-_DOUBLE = np.dtype(float)
-_double = partial(np.array, dtype=_DOUBLE, order="C")
+_double = partial(np.array, dtype=float, order="C")
 _NEVER = float("-inf")
 _READINGS = {"encoders": JOINTS, "wrists": WRISTS, "packet": JOINTS | WRISTS}
 
@@ -104,57 +92,6 @@ def convert_arrays(measurement: Measurement, reference: Reference) -> tuple[Meas
             alpha_d=_double(reference.alpha_d, ndmin=1),
         ),
     )
-
-
-def converting(rows: Callable[..., int], n: int, arms: int) -> Callable[..., int]:
-    """The law's call for arrays of any type and order, and for lists.
-
-    Args:
-        rows: the call that takes arrays of double precision. n: joints. arms: how many.
-    """
-    q_ = np.zeros(n)
-    v_ = np.zeros(n)
-    w_ = np.zeros((arms, 6))
-    V_ = np.zeros(6)
-    A_ = np.zeros(6)
-    joints = q_.shape
-    wrists = w_.shape
-    six = V_.shape
-
-    def call(
-        raw: Any,
-        at: Any,
-        q: Any,
-        v: Any,
-        wrenches: Any,
-        X_WD: Any,
-        V_D: Any,
-        A_D: Any,
-        alpha_d: Any,
-        touched: Any,
-    ) -> int:
-        try:
-            fits = q.shape == v.shape == joints and wrenches.shape == wrists
-            fits = fits and V_D.shape == A_D.shape == six and alpha_d.ndim == 1
-        except AttributeError:  # of lists
-            fits = False
-        if not fits:
-            q = _double(q)
-            v = _double(v)
-            wrenches = _double(wrenches)
-            V_D = _double(V_D)
-            A_D = _double(A_D)
-            a = _double(alpha_d, ndmin=1)
-            return rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, a, touched)
-        q_[...] = q
-        v_[...] = v
-        w_[...] = wrenches
-        V_[...] = V_D
-        A_[...] = A_D
-        a = alpha_d.astype(_DOUBLE)
-        return rows(raw, at, q_, v_, w_, X_WD, V_, A_, a, touched)
-
-    return call
 
 
 def read_joints(x: Any, n: int) -> Array:

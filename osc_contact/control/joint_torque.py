@@ -10,8 +10,6 @@ friction seem 1 + k_p times smaller. There is no integral: what it would remove 
 and it would wind up in every contact loss. The loop runs at its own, higher rate.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,8 +18,6 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.control_schema import JointTorqueSpec
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.spatial import Array, as_array
-
-__all__ = ["JointTorqueLoop"]
 
 #: The rate τ̇ is estimated with a bandwidth this many times that of the loop.
 RATE_BANDWIDTH = 6.0
@@ -81,7 +77,7 @@ class JointTorqueLoop:
         """
         _, rate = self._rate.update(tau, fresh=fresh)
         u = tau_d + self.gain * (tau_d - tau) - self.rate_gain * rate
-        return np.asarray(np.clip(u, -self.tau_max, self.tau_max))
+        return np.clip(u, -self.tau_max, self.tau_max)
 
     def spectral_radius(self) -> Array:
         """(n_a,) largest eigenvalue magnitude of the sampled loop, the link held.

@@ -6,8 +6,6 @@ hysteresis; power only around the moment when contact is made, so that noisy vel
 followed by vision) raise no alarm while it lasts.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -17,8 +15,6 @@ from osc_contact.law import phases
 from osc_contact.law.jit import as_python
 from osc_contact.scenarios.control_schema import MonitorLimits
 from osc_contact.spatial import Array
-
-__all__ = ["ContactMonitor", "MonitorState", "watch_series"]
 
 _monitor = as_python(phases.monitor)  # one number at a time, in Python
 

@@ -1,20 +1,15 @@
 """Why a tick was held, in words: one table of sentences, filled in when they are read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from osc_contact.control.inputs import require_sizes
-from osc_contact.control.records import TickRecords
-from osc_contact.control.settings import Settings
+from osc_contact.control.records import Settings, TickRecords
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import records as at
-
-__all__ = ["explain"]
 
 #: Code of a reason → sentence. Names in braces are those of `_FACTS`, `safety` and `head` (MODEL).
 _SENTENCES = {

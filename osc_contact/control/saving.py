@@ -18,8 +18,9 @@ from osc_contact.files import whole_file
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import limits, records, tick
 from osc_contact.law.compiled import rows
+from osc_contact.law.library import law_hash
 from osc_contact.law.limits import TorqueLimits
-from osc_contact.law.sources import law_hash
+from osc_contact.law.nested import Bytes, Nested
 from osc_contact.spatial import Array
 
 __all__ = ["SavedController", "controller_bytes", "save_controller", "touched_rows"]
@@ -88,6 +89,8 @@ class SavedController:
             InvalidInputError: it is damaged, no controller, or of another format or law.
         """
         raw, program = _parts(content)
+        if not _is_whole(raw, program):
+            raise InvalidInputError("the file is damaged: records do not lie as their sizes say")
         self._call = rows()
         model = raw[int(records.JOB.view(raw).model) :]
         self._records = TickRecords(model[: records.MODEL.view(model).row_bytes])
@@ -192,3 +195,32 @@ def _parts(content: bytes) -> list[Any]:
     numbers = np.frombuffer(content, np.uint8)
     ends = np.cumsum([HEAD, *sizes])
     return [numbers[a:b].copy() for a, b in pairwise(ends)]
+
+
+def _is_whole(raw: Bytes, program: Bytes) -> bool:
+    """Whether records and tables are where those of new ones with the same counts are."""
+    sizes = ("n_arms", "n_joints", "n_motors", "n_contacts", "n_shapes", "n_columns")
+    derived = ("n_pairs", "n_bars", "n_extra", "row_bytes", "memory_bytes")
+    try:
+        at = int(records.JOB.view(raw).model)
+        (head,) = raw[at:][: records.MODEL.dtype.itemsize].view(records.MODEL.dtype)
+        new = records.Rows(records.new_model(*(int(head[name]) for name in sizes)))
+        layout = program.view(np.int64)
+        solver = limits.new_program(*(int(layout[limits.PROGRAM.slot(one)]) for one in "aksp"))
+    except (ValueError, IndexError, MemoryError, OverflowError):
+        return False
+    if len(new.raw) != len(raw) or len(solver) != len(program):
+        return False
+    job = records.JOB.view(new.raw)
+    model = records.MODEL.view(new.model[0])
+    layouts = [(new.raw, raw, 0, records.JOB.dtype.itemsize)]
+    for name in ("model", "memory", "work", "input"):
+        kind = getattr(records, name.upper())
+        layouts.append((new.raw, raw, int(getattr(job, name)), _layout_bytes(kind)))
+    layouts.append((solver, program, 0, _layout_bytes(limits.PROGRAM)))
+    same = all((a[at : at + n] == b[at : at + n]).all() for a, b, at, n in layouts)
+    return same and all(head[name] == getattr(model, name) for name in derived)
+
+
+def _layout_bytes(kind: Nested) -> int:
+    return 8 * (len(kind.tables) + len(kind.counts))

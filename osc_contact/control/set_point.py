@@ -1,7 +1,5 @@
 """Set points that may be moved at any time: followed within limits, one state each period."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -13,8 +11,6 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Reference, as_squeeze
 from osc_contact.jerk_limits import JerkLimits, Trajectory
 from osc_contact.spatial import Array, as_array, as_pose, cross, skew
-
-__all__ = ["PoseSetPoint", "SetPoint", "SetPointState", "rotation_of"]
 
 
 class SetPointState(NamedTuple):

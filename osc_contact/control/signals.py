@@ -2,134 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.control.records import TickRecords
-from osc_contact.control.settings import Settings
-from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.control.records import Settings, TickRecords
+from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.interface import Reference, Touched
-from osc_contact.law import records as at
 from osc_contact.spatial import Array
-
-__all__ = ["BLOCKS", "SIGNALS", "Block", "Signals", "TickResult", "internal_forces"]
-
-
-@dataclass(frozen=True)
-class Block:
-    """One box of fig. 4 or 5: what it is called, what it computes, what goes in and out."""
-
-    name: str
-    group: str
-    equation: str
-    inputs: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
-
-
-#: The boxes of fig. 4 in the order in which the signals meet them.
-BLOCKS = (
-    Block(
-        "closed chain",
-        "model",
-        "$\\Lambda_S,\\ \\mu,\\ p,\\ S,\\ \\sigma,\\ G$\n(13)",
-        ("q", "v"),
-        ("state",),
-    ),
-    Block(
-        "contact geometry",
-        "model",
-        r"$N,\ T,\ n_\gamma$",
-        ("touched", "state"),
-        ("parts", "contact", "friction_wrenches"),
-    ),
-    Block(
-        "environment",
-        "model",
-        r"$\Phi_e,\ b_e,\ V_e$  (14)",
-        ("touched", "parts", "state", "friction_wrenches"),
-        ("environment",),
-    ),
-    Block("sum of wrist sensors", "force", r"$\Sigma$ at $O$", ("wrenches", "state"), ("f_meas",)),
-    Block(
-        "force filter",
-        "force",
-        r"$\Omega_f(\Lambda_{out})$",
-        ("f_meas", "state", "contact", "environment", "friction_wrenches"),
-        ("f_c_meas",),
-    ),
-    Block("generalised inverse", "force", r"$N^{\#}$", ("f_c_meas", "contact"), ("alpha_meas",)),
-    Block(
-        "force law",
-        "force",
-        r"$\alpha_d + K_i\int(\alpha_d-\alpha_{meas})$",
-        ("alpha_d", "contact", "state", "environment", "alpha_meas"),
-        ("alpha_u",),
-    ),
-    Block(
-        "to operational space",
-        "force",
-        r"$N\alpha_u$  (16)",
-        ("contact", "friction_wrenches", "alpha_u"),
-        ("f_ccomm",),
-    ),
-    Block(
-        "motion law",
-        "motion",
-        r"$\ddot x_d + K_d\dot e + K_p e + K_i\int e$",
-        ("contact", "state", "reference"),
-        ("a_u",),
-    ),
-    Block(
-        "motion filter",
-        "filter",
-        r"$\Omega_m(B)$  (24)",
-        ("state", "contact", "a_u", "alpha_u", "environment", "friction_wrenches", "q", "v"),
-        ("eta_c",),
-    ),
-    Block(
-        "dynamic control structure",
-        "filter",
-        "$\\Lambda_S\\dot\\eta_c+b_S+S^Tf_{ccomm}$\n(21)",
-        ("state", "eta_c", "f_ccomm"),
-        ("f_S",),
-    ),
-    Block(
-        "torque allocation",
-        "filter",
-        "$G\\tau = f_S$,\nsqueeze in null$(G)$",
-        ("state", "q", "v", "f_S", "eta_c", "squeeze_d"),
-        ("tau",),
-    ),
-)
-
-SIGNALS = (
-    "q",
-    "v",
-    "wrenches",
-    "touched",
-    "reference",
-    "alpha_d",
-    "squeeze_d",
-    "state",
-    "parts",
-    "contact",
-    "friction_wrenches",
-    "environment",
-    "f_meas",
-    "f_c_meas",
-    "alpha_meas",
-    "alpha_u",
-    "f_ccomm",
-    "a_u",
-    "eta_c",
-    "f_S",
-    "tau",
-)
 
 
 class Signals:
@@ -226,14 +110,14 @@ class Signals:
 
     @cached_property
     def f_ccomm(self) -> Array:
-        return np.asarray((self.contact.N + self.friction_wrenches) @ self.alpha_u)
+        return (self.contact.N + self.friction_wrenches) @ self.alpha_u
 
     @cached_property
     def eta_c(self) -> Array:
         S = self.state.S
         a = self._records.acceleration() - self.state.sigma
         H = S.T @ self.state.metric @ S
-        return np.asarray(np.linalg.solve(H, S.T @ (self.state.metric @ a)))
+        return np.linalg.solve(H, S.T @ (self.state.metric @ a))
 
     @cached_property
     def f_S(self) -> Array:
@@ -241,7 +125,7 @@ class Signals:
         f = records.work.f_S.copy()
         f[: int(records.work.locked)] = 0.0
         wrench = np.linalg.solve(records.motions().T, records.reflection().T @ f)
-        return np.asarray(self.state.S.T @ wrench)
+        return self.state.S.T @ wrench
 
 
 def internal_forces(arms: int) -> int:
@@ -249,71 +133,32 @@ def internal_forces(arms: int) -> int:
     return max(1, arms * (arms - 1) // 2)
 
 
-@dataclass(frozen=True, eq=False)
 class TickResult:
     """Views of a controller's records: the next tick overwrites them. At O in world axes.
 
     Attributes:
         records: where all of it stands.
-        J: (n, 6) the joints' columns at the world's origin, one in each row.
+        J_world: (n, 6) the joints' columns at the world's origin, one in each row.
         f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
         f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
         error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
-        squeeze: (1,) internal force along the grasp line (N), > 0 compresses; with k ≥ 3 arms
-            (k(k − 1)/2,) that between each two grasps, as in `Reference.squeeze_d`, or zeros
-            where none is commanded.
-        magnitudes, speeds: (6,) contact magnitudes measured and NᵀV_rel of the independent
-            columns; the first r of them count.
         friction: (n,) motor torques that compensate friction of the joints.
-        flags: engaged (1,), phase and active (contacts,), closed and collision (r_all,).
     """
 
-    records: TickRecords
-    J: Array
-    f_meas: Array
-    bias_out: Array
-    f_c: Array
-    V_O: Array
-    X_WO: Array
-    error: Array
-    free_error: Array
-    squeeze: Array
-    magnitudes: Array
-    speeds: Array
-    friction: Array
-    flags: list[Array]
+    def __init__(self, records: TickRecords) -> None:
+        """What these records hold."""
+        self.records = records
 
-    @classmethod
-    def of(cls, records: TickRecords) -> TickResult:
-        """The views of these records."""
-        names = (
-            "f_meas",
-            "bias_out",
-            "f_c",
-            "V_O",
-            "X_WO",
-            "error",
-            "free_error",
-            "internal",
-            "alpha_meas",
-            "speed",
-        )
-        fields = [records.work[name] for name in names]
-        if len(records.work.bars) > 1:
-            fields[7] = records.work.bars
-        memory = records.memory
-        head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
-        contacts = memory.contacts
-        columns = memory.columns
-        flags = [
-            head["engaged"],
-            contacts.phase,
-            contacts.active,
-            columns.closed,
-            columns.collision,
-        ]
-        friction = records.work.joints.friction
-        return cls(records, records.work.J_world, *fields, friction, flags)
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.records.work, name)
+
+    @property
+    def squeeze(self) -> Array:
+        """(1,) internal force along the grasp line (N), > 0 compresses; with k ≥ 3 arms
+        (k(k − 1)/2,) that between each two grasps, as in `Reference.squeeze_d`, or zeros where none
+        is commanded."""
+        work = self.records.work
+        return work.bars if len(work.bars) > 1 else work.internal
 
     @property
     def rank(self) -> int:
@@ -323,12 +168,12 @@ class TickResult:
     @property
     def alpha_meas(self) -> Array:
         """(r,) contact magnitudes measured."""
-        return self.magnitudes[: self.rank]
+        return self.records.work.alpha_meas[: self.rank]
 
     @property
     def normal_speed(self) -> Array:
         """(r,) NᵀV_rel (m/s): 0 while the contacts last."""
-        return self.speeds[: self.rank]
+        return self.records.work.speed[: self.rank]
 
     @property
     def mobility(self) -> Array:

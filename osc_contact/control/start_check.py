@@ -5,21 +5,18 @@ made, a reading that differs from that weight is no contact force: its gravity c
 its axes or the payload is wrong, or a tare is missing.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.control.settings import Settings
+from osc_contact.control.records import Settings
 from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement
-from osc_contact.spatial import Array
-
-__all__ = ["StartCheck", "is_clear", "judge_load"]
+from osc_contact.robots.model import position_limits
+from osc_contact.spatial import Array, norm
 
 RANGE = 0.05  #: of a joint's range; how far beyond its limits a robot may stand as it starts
 CLEAR = 1e-3  #: m, rad; contacts whose gaps are larger are not made
@@ -59,8 +56,7 @@ class StartCheck:
         rows = controller._records
         if not self.inside:
             model = settings.chain.model
-            lower = np.array(model.lowerPositionLimit)
-            upper = np.array(model.upperPositionLimit)
+            lower, upper = position_limits(model)
             beyond = RANGE * upper - RANGE * lower
             require_in_range("measured q", settings.chain, measurement.q, beyond)
             self.inside = True
@@ -130,17 +126,17 @@ def judge_load(settings: Settings, error: Array, expected: Array) -> str:
     chain = settings.chain
     most = settings.safety.load_error
     tips = [link.inertia.lever for links in chain.outboard for link in links]
-    lever = max([LEVER, *(float(np.linalg.norm(c)) for c in tips)])
-    force, torque = (float(np.linalg.norm(part)) for part in (error[:3], error[3:]))
+    lever = max([LEVER, *(norm(c) for c in tips)])
+    force, torque = (norm(part) for part in (error[:3], error[3:]))
     if force <= most and torque <= most * lever:
         return ""
-    weight = float(np.linalg.norm(expected[:3]))
-    if np.linalg.norm(error[:3] + expected[:3]) < LIKE * weight:
+    weight = norm(expected[:3])
+    if norm(error[:3] + expected[:3]) < LIKE * weight:
         cause = (
             "The readings seem to be without gravity, and Measurement.wrenches includes it: add "
             "the weight of what hangs on the sensor"
         )
-    elif np.linalg.norm(error[:3] + 2.0 * expected[:3]) < LIKE * weight:
+    elif norm(error[:3] + 2.0 * expected[:3]) < LIKE * weight:
         cause = (
             "It seems that the sign is reversed: give the wrench that the arm exerts on the gripper"
         )

@@ -1,15 +1,11 @@
 """What a tick reports beside its torques: how it ended, what was lost, and in which state."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
-from osc_contact.spatial import Array
-
-__all__ = ["LimitLoss", "LostDirection", "Phase", "SafetyState", "Status"]
+from osc_contact.spatial import Array, norm
 
 
 class Status(IntEnum):
@@ -64,7 +60,7 @@ class LimitLoss:
             f"{name}: {desired:.4g} of ±{limit:.4g} desired"
             for name, desired, limit in zip(self.joints, self.desired, self.limits, strict=True)
         )
-        linear, angular = (np.linalg.norm(part) for part in np.split(self.acceleration, 2))
+        linear, angular = (norm(part) for part in np.split(self.acceleration, 2))
         text = f"{motors}; given up: motion {linear:.3f} m/s², {angular:.3f} rad/s²"
         if len(self.force):
             text += f", contact force {np.round(self.force, 3) + 0.0} N"

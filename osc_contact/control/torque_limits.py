@@ -1,18 +1,13 @@
 """Torques of a saturated tick within the motors' limits, and what that costs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 
-from osc_contact.control.records import TickRecords
-from osc_contact.control.settings import Settings
+from osc_contact.control.records import Settings, TickRecords
 from osc_contact.control.status import LimitLoss
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.law.limits import TorqueLimits, fill_program, settle
-
-__all__ = ["MotorLimits", "scale_torques"]
 
 NEAR_SINGULAR = 2  #: motions that a singular posture may add to those of a redundant arm
 

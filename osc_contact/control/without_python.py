@@ -20,8 +20,8 @@ from osc_contact.control.status import SafetyState, Status
 from osc_contact.files import whole_file
 from osc_contact.law import records, tick
 from osc_contact.law.c_object import object_file
+from osc_contact.law.library import law_hash
 from osc_contact.law.limits import PROGRAM
-from osc_contact.law.sources import law_hash
 from osc_contact.scenarios.control_schema import Gains
 
 __all__ = ["write_library"]
@@ -42,7 +42,7 @@ ERRORS = {
     "UNKNOWN_NAME": "no gain has this name",
 }
 _NAMED = {
-    "JOB": (records.JOB, ("switches", "begin", "model", "memory", "work")),
+    "JOB": (records.JOB, ("switches", "begin", "model", "memory", "work", "input")),
     "MODEL": (
         records.MODEL,
         (
@@ -53,6 +53,7 @@ _NAMED = {
             "n_columns",
             "n_bars",
             "period",
+            "row_bytes",
             "memory_bytes",
             "integral",
             "phased",
@@ -73,6 +74,25 @@ _NAMED = {
             "ticked",
         ),
     ),
+}
+#: counts of tables, and the field of MODEL that says the same
+_SAME = {
+    "k": "n_arms",
+    "n": "n_joints",
+    "a": "n_motors",
+    "c": "n_contacts",
+    "s": "n_shapes",
+    "r": "n_columns",
+    "bars": "n_bars",
+    "e": "n_extra",
+}
+_RECORDS = {
+    "JOB": records.JOB,
+    "MODEL": records.MODEL,
+    "MEMORY": records.MEMORY,
+    "WORK": records.WORK,
+    "INPUT": records.INPUT,
+    "PROGRAM": PROGRAM,
 }
 _TABLES = {
     "MEMORY": (records.MEMORY, ("contacts", "torques", "squeeze")),
@@ -178,11 +198,37 @@ def _layout() -> str:
     lines += ["struct gain { const char *name; size_t offset; int of_contact; };"]
     lines += ["static const struct gain GAINS[] = {"]
     lines += [f'    {{"{name}", {at}, {of}}},' for name, at, of, _ in _gains()] + ["};"]
+    lines += _structure()
     lines += ["/* What osc_reset sets to zero: of MEMORY (slot −1), and of rows of its tables. */"]
     lines += ["struct forgotten { int slot, count; size_t step, offset, bytes; };"]
     lines += ["static const struct forgotten FORGOTTEN[] = {"]
     lines += [f"    {{{', '.join(map(str, one))}}}," for one in _forgotten()] + ["};", ""]
     return "\n".join(lines)
+
+
+def _structure() -> list[str]:
+    """Heads of records, the tables behind them, and counts that stand in MODEL, too."""
+    heads = ", ".join(str(kind.dtype.itemsize) for kind in _RECORDS.values())
+    fields: Any = records.MODEL.dtype.fields
+    tables = []
+    same = []
+    for name, kind in _RECORDS.items():
+        for dtype, sizes in kind.tables.values():
+            rows = [-1 - kind.slot(one) if isinstance(one, str) else one for one in (*sizes, 1)]
+            tables.append(f"    {{{name}, {dtype.itemsize}, {rows[0]}, {rows[1]}}},")
+        known = [one for one in kind.counts if one in (_SAME if name != "PROGRAM" else "a")]
+        same += [f"    {{{name}, {kind.slot(one)}, {fields[_SAME[one]][1]}}}," for one in known]
+    return [
+        "/* Sizes of tables: numbers, or −1 − the slot of the layout that has them. */",
+        f"enum {{ {', '.join(_RECORDS)}, RECORDS }};",
+        f"static const size_t HEADS[] = {{{heads}}};",
+        "static const struct { int record; size_t bytes; int rows, columns; } TABLES[] = {",
+        *tables,
+        "};",
+        "static const struct { int record, slot; size_t field; } COUNTS[] = {",
+        *same,
+        "};",
+    ]
 
 
 def _forgotten() -> list[tuple[int, int, int, int, int]]:

@@ -5,8 +5,6 @@ Coriolis torques it leaves to the controller. So gravity is taken from the contr
 the weight of what hangs on the wrist is added to the wrench, which the robot estimates without it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from time import perf_counter
 from typing import Any, NoReturn
@@ -19,8 +17,6 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, PlantError, missing
 from osc_contact.interface import Measurement, Stamps
 from osc_contact.spatial import Array, as_array
-
-__all__ = ["FrankaRobot"]
 
 TORQUE_STEP = 0.99  #: N m; the robot refuses torques that change by 1 N m in a millisecond
 SPEED_SHARE = 0.9  #: of a joint's speed limit, from which on torques that speed it up fade

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.errors import ModelError
-from osc_contact.robots.model import rotors, sliding
+from osc_contact.robots.model import joint_names, rotors, sliding
 from osc_contact.spatial import Array
 
 PerJoint = float | Sequence[float] | Array  #: a number for all joints, or one for each
@@ -55,12 +55,12 @@ def rotor_inertia(model: pin.Model) -> Array:
         ModelError: one that is negative or not finite.
     """
     inertia = rotors(model)
-    for name, value in zip(list(model.names)[1:], inertia, strict=True):
+    for name, value in zip(joint_names(model), inertia, strict=True):
         if not 0.0 <= value < np.inf:
             raise ModelError(
                 f"joint '{name}' has a rotor inertia of {value:g}; give armature (kg m², kg) ≥ 0"
             )
-    return np.asarray(inertia)
+    return inertia
 
 
 def heaviest_rotor(model: pin.Model, gyration: float) -> float:
@@ -88,7 +88,7 @@ def with_joints(
         numbers = np.asarray(value, dtype=float)
         if numbers.shape not in ((), (model.nv,)):
             raise ModelError(
-                f"{key}: {numbers.size} numbers for {model.nv} joints {list(model.names)[1:]}; "
+                f"{key}: {numbers.size} numbers for {model.nv} joints {joint_names(model)}; "
                 "give one for each, or a single one for all"
             )
         if not (np.isfinite(numbers).all() and (numbers >= 0.0).all()):
@@ -177,7 +177,7 @@ class Arm:
             model, follows = robots.load_coupled(Path(urdf), tip)
         held = dict(locked or {})
         _require_joints(model, (*passive_joints, *held))
-        every_joint = list(model.names)[1:]
+        every_joint = joint_names(model)
         model = _path_to(model, robots.frame_id(model, tip), held)
         _require_uncoupled(model, follows)
         if isinstance(urdf, pin.Model):
@@ -234,17 +234,17 @@ class Arm:
 
 
 def _require_joints(model: pin.Model, names: Sequence[str]) -> None:
-    missing = [name for name in names if name not in list(model.names)[1:]]
+    missing = [name for name in names if name not in joint_names(model)]
     if missing:
         raise ModelError(
             f"no moving joint called {missing[0]!r} on the way to the tip; "
-            f"there are {list(model.names)[1:]}"
+            f"there are {joint_names(model)}"
         )
 
 
 def _require_uncoupled(model: pin.Model, follows: Mapping[str, str]) -> None:
     """No joint that moves the tip may follow another one."""
-    for name in list(model.names)[1:]:
+    for name in joint_names(model):
         if name in follows:
             raise ModelError(
                 f"joint {name!r} on the way to the tip follows "
@@ -272,7 +272,7 @@ def _warn_of_followers(arm: Arm, follows: Mapping[str, str]) -> None:
 
 def _require_sound(model: pin.Model) -> None:
     """What a ready model must satisfy: nq = nv, and a positive definite mass matrix."""
-    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+    for name, joint in zip(joint_names(model), list(model.joints)[1:], strict=True):
         if joint.nq != joint.nv:
             raise ModelError(
                 f"joint {name!r} ({joint.shortname()}) has nq = {joint.nq} but nv = {joint.nv}; "

@@ -1,7 +1,5 @@
 """Joint positions: within their limits, or at which the loops are closed and the contacts touch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -11,6 +9,7 @@ from osc_contact.dynamics.chain_model import columns_at
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import moved
 from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.robots.model import position_limits
 from osc_contact.spatial import Array, pose_error
 
 __all__ = [
@@ -23,6 +22,7 @@ __all__ = [
     "object_columns",
     "object_pose",
     "reach",
+    "outside_limits",
     "require_in_range",
     "row_groups",
 ]
@@ -56,7 +56,7 @@ def reach(chain: ClosedChain, q: Array, X_WO: pin.SE3, tolerance: float = 1e-6) 
         ModelError: no convergence; the pose is probably out of reach.
     """
     L = np.linalg.cholesky(chain.reference_inertia(X_WO))
-    limits = np.array(chain.model.lowerPositionLimit), np.array(chain.model.upperPositionLimit)
+    limits = position_limits(chain.model)
     q = np.clip(np.array(q, dtype=float), *limits)
     damping = 1e-3
     cost, step = _reach_step(chain, q, X_WO, L, damping)
@@ -268,31 +268,36 @@ def _reach_step(
 ROUNDING = 1e-6  #: m, rad; what a number may lose on its way through a file
 
 
+def outside_limits(chain: ClosedChain, q: Array, beyond: Array | float = 0.0) -> list[str]:
+    """Words about each joint that stands outside its limits.
+
+    Args:
+        chain: whose joints they are.
+        q: (n,) positions (rad, m). Numbers that are not finite are not compared.
+        beyond: (n,) or one number: how far past its limits a joint may stand (rad, m).
+    """
+    lower, upper = position_limits(chain.model)
+    return [
+        f"joint {chain.joint_names[j]} at {q[j]:.4g} is outside its limits "
+        f"[{lower[j]:.4g}, {upper[j]:.4g}]"
+        for j in np.flatnonzero(np.maximum(lower - q, q - upper) > beyond)
+    ]
+
+
 def require_in_range(name: str, chain: ClosedChain, q: Array, beyond: Array | float = 0.0) -> None:
     """Refuse joint positions outside the joints' limits.
 
     Args:
-        name: of the argument, for the message.
-        chain: whose joints they are.
-        q: (n,) positions (rad, m). Numbers that are not finite are not compared.
-        beyond: (n,) or one number: how far past its limits a joint may stand (rad, m).
+        name: of the argument, for the message. chain, q, beyond: as of `outside_limits`.
 
     Raises:
         InvalidInputError: one stands further out; with all that do, and whether they look like
             degrees.
     """
-    lower = np.array(chain.model.lowerPositionLimit)
-    upper = np.array(chain.model.upperPositionLimit)
-    out = np.maximum(lower - q, q - upper) > beyond + ROUNDING
-    if not out.any():
+    found = outside_limits(chain, q, beyond + ROUNDING)
+    if not found:
         return
-    found = [
-        f"{chain.joint_names[j]} at {q[j]:.4g} (limits {lower[j]:.4g} … {upper[j]:.4g})"
-        for j in np.flatnonzero(out)
-    ]
-    turned = np.radians(q)
-    cure = "give positions within the limits, or correct the limits in the robot's file"
-    if np.abs(q).max() > np.pi and ((lower <= turned) & (turned <= upper)).all():
+    cure = "give positions (rad or m) within the limits, or correct those in the robot's file"
+    if np.abs(q).max() > np.pi and not outside_limits(chain, np.radians(q)):
         cure = f"the numbers look like degrees: give np.radians({np.round(q, 4).tolist()})"
-    listed = ", ".join(found)
-    raise InvalidInputError(f"{name}: outside the limits of its joint (rad or m): {listed}; {cure}")
+    raise InvalidInputError(f"{name}: {', '.join(found)}; {cure}")

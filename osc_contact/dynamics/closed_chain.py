@@ -8,8 +8,6 @@ and Φ₀ = S Λ_S⁻¹ Sᵀ takes the place of Λ₀⁻¹: a 6×6 matrix of ran
 Grasps may permit motions (`Grasp`); these have no mass and no motor drives them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -18,10 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from osc_contact.dynamics.chain_model import ChainModel
-from osc_contact.dynamics.chain_rows import chain_row
-from osc_contact.dynamics.chain_state import ArmTerms, ChainState, SingularDirection
-from osc_contact.dynamics.payload import ObjectTerms
+from osc_contact.dynamics.chain_model import ChainModel, chain_row
+from osc_contact.dynamics.chain_state import ArmTerms, ChainState, ObjectTerms, SingularDirection
 from osc_contact.errors import ModelError
 from osc_contact.law import records as at
 from osc_contact.law.compiled import rows as law_rows
@@ -30,7 +26,6 @@ from osc_contact.law.vectors import motions, reflection, wrenches
 from osc_contact.spatial import Array, as_array, carry_twist
 
 _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
-__all__ = ["ChainState", "ClosedChain"]
 
 _NONE = np.zeros(0)
 CAUSES = {
@@ -56,7 +51,7 @@ class Look:
         """Run it in separate memory.
 
         Args:
-            row: from `chain_rows.chain_row`; led, if no pose is given.
+            row: from `chain_row`; led, if no pose is given.
             q, v: (n,). X_WO: (4, 4), V_O: (6,) of the object, if they are given.
         """
         rows = Rows(row)

@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.scenarios.bodies import GRASP_TYPES
-from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist
+from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist, norm
 
 _SAME = 1e-9  #: columns of unit size nearer to dependence than this are dependent
 
@@ -74,7 +74,7 @@ class Grasp:
     def hinge(cls, X_TO: pin.SE3, axis: npt.ArrayLike) -> Grasp:
         """The object turns about an axis (3,) through the tip's origin, in tip axes."""
         direction = as_array("axis of the hinge", axis, (3,))
-        length = float(np.linalg.norm(direction))
+        length = norm(direction)
         if not length > 1e-12:
             raise InvalidInputError(f"axis of the hinge: {direction} has no direction")
         return cls(X_TO, np.concatenate((np.zeros(3), direction / length))[:, None])
@@ -122,7 +122,7 @@ class Grasp:
             left = self._displacement(away)
             if np.abs(part).max() < 1e-14:
                 break
-        return np.asarray(self.N.T @ left)
+        return self.N.T @ left
 
     def whitened(self, X_WT: pin.SE3, X_WO: pin.SE3, L: Array) -> tuple[Array, Array]:
         """L⁻¹N (6, 6−k) made orthonormal, and the miss (6−k,) along it.
@@ -136,7 +136,7 @@ class Grasp:
     def _displacement(self, X: pin.SE3) -> Array:
         """(6,) of a relative pose: point and rotation by themselves, where T only turns."""
         if self.T[:3].any():
-            return np.asarray(pin.log6(X).vector)
+            return pin.log6(X).vector
         return np.concatenate((X.translation, pin.log3(X.rotation)))
 
 
@@ -232,7 +232,7 @@ def _solved(
             "axes at the object) while every arm stands still. Grasp it so that this is blocked, "
             "or give the measured pose and twist: state(q, v, X_WO, V_O)."
         )
-    return np.asarray(np.linalg.solve(L.T, Vh.T @ ((U.T @ np.concatenate(right)) / s)))
+    return np.linalg.solve(L.T, Vh.T @ ((U.T @ np.concatenate(right)) / s))
 
 
 def _aligned(grasps: Sequence[Grasp], tips: Sequence[pin.SE3]) -> pin.SE3:

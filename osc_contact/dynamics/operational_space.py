@@ -1,7 +1,5 @@
 """Operational-space dynamics of one arm at its tip, alone: Λ, μ, p, J, J̄, Φ, h in world axes."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 
@@ -12,8 +10,6 @@ from osc_contact.law import records as at
 from osc_contact.law.compiled import operational_space as compiled
 from osc_contact.law.records import Bytes, Rows
 from osc_contact.spatial import Array, as_array
-
-__all__ = ["OperationalSpace", "operational_space"]
 
 
 class OperationalSpace:

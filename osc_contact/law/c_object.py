@@ -9,23 +9,26 @@ Sizes of arrays are those of MODEL; nobody checks them here.
 
 from __future__ import annotations
 
-import os
+import logging
+import shutil
 import subprocess
 import sys
-import sysconfig
-import zlib
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory, mkdtemp
+from typing import Any
 
 from osc_contact.errors import OscContactError
-from osc_contact.files import whole_file
-from osc_contact.law import jit, limits, ready, terms, tick
-from osc_contact.law.compiled import announced
+from osc_contact.files import one_by_one
+from osc_contact.law import jit, library, limits, terms, tick
+from osc_contact.law.compiled import announced, report_to
 from osc_contact.law.jit import bytes_at, inner, row_at, table_at, words_at
 from osc_contact.law.limits import PROGRAM
 from osc_contact.law.records import JOB, MODEL
-from osc_contact.law.sources import law_hash
 
+_log = logging.getLogger(__name__)
+KEPT = 16  #: libraries of other laws, 2 MB each, stay in the cache
+_TRANSLATION = 0.8  #: of the time is over when all parts are translated; the rest is machine code
 _job = JOB.at
 _model = MODEL.at
 _program = PROGRAM.at
@@ -153,71 +156,86 @@ ENTRIES = {
 
 
 def object_file() -> bytes:
-    """Of all entries, for every processor of this platform; made once, then cached.
+    """Of all entries, for every processor of this platform.
 
     Raises:
-        OscContactError: nothing is compiled here, or not in units.
+        OscContactError: the library cannot be made here.
     """
-    if jit.READY is not None:
-        return Path(jit.READY.__file__).with_name(ready.OBJECT).read_bytes()
-    if jit._units is None:
+    return Path(jit.the_library().__file__).with_name(library.OBJECT).read_bytes()
+
+
+def make() -> Any:
+    """Make the library, unless another process has made it meanwhile.
+
+    Raises:
+        OscContactError: the law is compiled in numba's usual way, or the C compiler fails.
+    """
+    if jit.UNITS is None:
         raise OscContactError(
-            "the law is not compiled to objects here: see the log, or set neither "
-            "NUMBA_DISABLE_JIT nor OSC_CONTACT_UNITS"
+            "no library of the law is made here: that takes a C compiler, Python.h and a numba "
+            "within the bounds of pyproject.toml, and neither NUMBA_DISABLE_JIT nor OSC_CONTACT_LAW"
         )
-    units = jit._units
-    folder = tick.rows._cache.cache_path  # None: nothing is cached here
-    path = folder and Path(folder) / f"law-{units.baseline()}-{law_hash()[:16]}.o"
-    code = _kept(path) if path else b""
-    if code:
-        return code
+    folder = library.kept()
+    try:
+        with one_by_one(folder.parent):
+            return library.found_in(folder) or _make(folder)
+    except OSError as error:
+        _log.warning("the compiled law cannot be kept, so every process compiles it: %s", error)
+        return _make(Path(mkdtemp()) / folder.name)
+
+
+def _make(folder: Path) -> Any:
+    """Make the folder whole or not at all, and load the library."""
+    with announced() as show, TemporaryDirectory(dir=folder.parent) as unfinished:
+        new = Path(unfinished) / folder.name
+        new.mkdir()
+        (new / library.OBJECT).write_bytes(_object(show))
+        _link(new)
+        (new / library.CHECKSUM).write_text(library.checksum(new))
+        shutil.rmtree(folder, ignore_errors=True)  # a damaged one
+        new.rename(folder)
+    others = sorted(folder.parent.glob("law-*"), key=lambda path: path.stat().st_mtime)
+    for old in others[:-KEPT]:
+        shutil.rmtree(old, ignore_errors=True)
+    made = library.load(folder / library.LIBRARY)
+    if made is None:
+        raise OscContactError(f"Python cannot load {folder / library.LIBRARY}, which was just made")
+    return made
+
+
+def _object(show: Callable[[float], None], triple: str = "") -> bytes:
+    """law.o of all entries, see `units.emit`."""
     from numba import types
 
+    units = jit.UNITS
     kinds = {"p": types.uintp, "i": types.int64}
-    with announced(tick.rows):
-        roots = {
-            entry.__name__: units.Unit(entry, False).translated(tuple(kinds[one] for one in given))
-            for entry, given in ENTRIES.items()
-        }
-        code = units.emit(roots, units.baseline())
-    if path:
-        with suppress(OSError), whole_file(path) as unfinished:
-            unfinished.write_bytes(zlib.crc32(code).to_bytes(4, "little") + code)
-    return code
+    units.watchers[:] = [lambda share: show(_TRANSLATION * share)]
+    roots = {
+        entry.__name__: units.Unit(entry, False).translated(tuple(kinds[one] for one in given))
+        for entry, given in ENTRIES.items()
+    }
+    return bytes(units.emit(roots, triple))
 
 
-def _kept(path: Path) -> bytes:
-    """The content of a file behind its checksum; nothing where it is damaged or not there."""
-    with suppress(OSError):
-        content = path.read_bytes()
-        if zlib.crc32(content[4:]).to_bytes(4, "little") == content[:4]:
-            return content[4:]
-    return b""
-
-
-def build(folder: Path) -> None:
-    """Make the library of `ready`, and the object beside it.
-
-    Args:
-        folder: where.
+def _link(folder: Path) -> None:
+    """Make the library of the object in a folder.
 
     Raises:
-        OscContactError: there is no C compiler, or it has no headers of Python.
+        OscContactError: the C compiler fails.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / ready.OBJECT).write_bytes(object_file())
     source = Path(__file__).with_name("extension.c")
-    include = sysconfig.get_paths()["include"]
-    compiler = os.environ.get("CC", "cc")
-    command = [compiler, "-O2", "-shared", "-fPIC", f"-I{include}", f'-DLAW="{law_hash()}"']
-    command += [str(source), str(folder / ready.OBJECT), "-lm", "-o", str(folder / ready.LIBRARY)]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True)
-    except OSError as error:
-        raise OscContactError(f"no C compiler: {error}") from error
+    command = [library.COMPILER, "-O2", "-shared", "-fPIC", f"-I{library.HEADERS}"]
+    command += [f'-DLAW="{library.law_hash()}"', str(source), str(folder / library.OBJECT)]
+    command += ["-lm", "-o", str(folder / library.LIBRARY)]
+    done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode != 0:
-        raise OscContactError(f"{compiler} cannot build the law: {done.stderr.strip()[-500:]}")
+        raise OscContactError(f"the C compiler cannot build the law: {done.stderr.strip()[-500:]}")
 
 
-if __name__ == "__main__":  # with OSC_CONTACT_LAW=jit where there is a library already
-    build(Path(sys.argv[1]))
+if __name__ == "__main__":  # PLATFORM FILE: only law.o, for another one
+    report_to(print)
+    if len(sys.argv) == 3:
+        with announced() as show:
+            Path(sys.argv[2]).write_bytes(_object(show, sys.argv[1]))
+    elif not jit.PLAIN_PYTHON and (jit.READY is not None or jit.UNITS is not None):
+        print(f"the compiled law: {jit.the_library().__file__}")

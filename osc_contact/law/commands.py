@@ -195,7 +195,7 @@ def shape_steps(t):
         row.to_come[0] = a
         row.to_come[1] = b
         row.to_come[2] = c
-        w = a if sudden else left**3 * (a + x * (b + x * c))
+        w = a if sudden else left * left * left * (a + x * (b + x * c))
         row.goal -= w
         if row.scale > 0.0:
             largest = max(largest, abs(w) / row.scale)
@@ -210,7 +210,7 @@ def _go_on(a, b, c, left, stretch):
     P = a + x * (b + x * c)
     slope = b + 2.0 * x * c
     bend = 2.0 * c
-    w = left**3 * P
+    w = left * left * left * P
     w_1 = stretch * left**2 * (left * slope - 3.0 * P)
     w_2 = stretch**2 * left * (6.0 * P - 6.0 * left * slope + left**2 * bend)
     return w, w_1 + 3.0 * w, 0.5 * w_2 + 3.0 * w_1 + 6.0 * w

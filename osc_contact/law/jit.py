@@ -1,29 +1,32 @@
-"""How the law is compiled: every part once, called by its symbol, or not at all.
+"""How the law is compiled: to one library, made once; by numba in its usual way; or not at all.
 
 The same source runs compiled and, with NUMBA_DISABLE_JIT=1, as plain Python: a debugger steps
 through it and the tests compare the two. `inner` and `leaf` mark functions that compiled ones call,
-`entry` those that Python calls. numba translates, LLVM makes one object of an entry and all that it
-calls (`units`); a numba without what that takes compiles as it always does, in three times as long.
+`entry` those that Python calls. Where no library fits the sources (`library`), numba translates
+each part once, and LLVM and a C compiler make the library of all (`units`, `c_object`). Without a C
+compiler, or with a numba that lacks what this takes, numba compiles as it always does, to the same
+results in three times as long; OSC_CONTACT_LAW=jit asks for that.
 """
 
 from __future__ import annotations
 
 import ctypes
-import inspect
 import logging
 import os
+from functools import cache, cached_property
+from importlib import import_module
 from types import FunctionType
 from typing import Any
 
 import numpy as np
 
 from osc_contact.errors import missing
-from osc_contact.law import ready
+from osc_contact.law import library
 
 #: Whether the law runs as Python.
 PLAIN_PYTHON = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 #: The library that holds the law; None: it is compiled, or runs as Python.
-READY: Any = None if PLAIN_PYTHON else ready.load()
+READY: Any = None if PLAIN_PYTHON else library.found()
 #: Whether numba compiles it.
 COMPILES = READY is None and not PLAIN_PYTHON
 
@@ -31,39 +34,42 @@ _log = logging.getLogger(__name__)
 _PLAIN: dict[str, Any] = {"error_model": "numpy"}
 
 
-def _private(name: str, otherwise: str) -> Any:
-    """A module of the law that rests on numba's own classes; None where this numba has others."""
-    try:
-        return getattr(__import__(f"{__package__}.{name}").law, name)
-    except (ImportError, AttributeError, TypeError) as error:
-        _log.warning("this numba is another one, so %s: %s", otherwise, error)
+def _find_units() -> Any:
+    """`units`; None where numba compiles in its usual way."""
+    if os.environ.get("OSC_CONTACT_LAW") == "jit":
         return None
+    reason: object = library.obstacle()
+    try:
+        if not reason:
+            return import_module(f"{__package__}.units")
+    except (ImportError, AttributeError, TypeError) as error:
+        reason = f"this numba is another one ({error})"
+    _log.warning("%s, so the law takes longer to compile", reason)
+    return None
 
 
 _njit: Any = None
-_units: Any = None
-_cache: Any = None
+_config: Any = None
+UNITS: Any = None
 if COMPILES:
     try:
         from llvmlite import ir
-        from numba import carray, njit, types  # type: ignore[attr-defined]
-        from numba.core import cgutils
+        from numba import carray, config, njit, types  # type: ignore[attr-defined]
         from numba.extending import intrinsic
     except ImportError as error:
         raise ImportError(f"the law is not compiled here, and {missing(error)}") from error
     _njit = njit
-    if os.environ.get("OSC_CONTACT_UNITS", "1") != "0":
-        _units = _private("units", "the law takes longer to compile")
-    _cache = _private("code_cache", "every process compiles the law")
+    _config = config
+    UNITS = _find_units()
 
 
 def inner(function: Any, inlined: bool = False) -> Any:
     """A part of the law, called by compiled functions only."""
     if not COMPILES:
         return function
-    if _units is None:
+    if UNITS is None:
         return _njit(**_PLAIN, forceinline=inlined)(function)
-    return _units.called(_units.Unit(function, inlined))
+    return UNITS.called(UNITS.Unit(function, inlined))
 
 
 def leaf(function: Any) -> Any:
@@ -72,44 +78,47 @@ def leaf(function: Any) -> Any:
 
 
 def entry(function: Any) -> Any:
-    """What Python calls: compiled at the first call, then cached on disk. Releases the GIL.
-
-    An edit of any source of the law, or a damaged cache, has it compiled anew, see `code_cache`.
-    """
-    if READY is not None:
-        return Ready(function)
+    """What Python calls, one of `c_object.ENTRIES`. Releases the GIL."""
     if PLAIN_PYTHON:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
-    machine_code = None
-    call = function
-    options = _PLAIN
-    if _units is not None:
-        machine_code = _units.MachineCode(function)
-        names = ", ".join(inspect.signature(function).parameters)
-        space = {"part": machine_code.called, "__name__": function.__module__}
-        exec(f"def call({names}): return part({names})", space)
-        call = space["call"]
-        options = {**_PLAIN, "_nrt": False}  # makes no handles of the arrays handed over
-    made = _njit(nogil=True, no_cfunc_wrapper=True, **options)(call)
-    made.__wrapped__ = function
-    if _cache is not None:
-        made._cache = _cache.CodeCache(function, machine_code)
-    return made
+    if COMPILES and UNITS is None:
+        return _as_numba_does(function)
+    return Entry(function)
 
 
-class Ready:
-    """An entry of the library.
-
-    Attributes:
-        call: what Python calls.
-    """
+class Entry:
+    """An entry of the library."""
 
     def __init__(self, function: Any) -> None:
         self.__wrapped__ = function
-        self.call = getattr(READY, function.__name__)
+
+    @cached_property
+    def call(self) -> Any:
+        """What Python calls."""
+        return getattr(the_library(), self.__wrapped__.__name__)
 
     def __call__(self, *arguments: Any) -> Any:
         return self.call(*arguments)
+
+
+@cache
+def the_library() -> Any:
+    """The library of the law; made now where there is none.
+
+    Raises:
+        OscContactError: it cannot be made here.
+    """
+    return READY or import_module(f"{__package__}.c_object").make()
+
+
+def _as_numba_does(function: Any) -> Any:
+    """An entry in numba's own cache, in a folder of this law."""
+    usual = _config.CACHE_DIR
+    _config.CACHE_DIR = usual or str(library.kept("numba"))
+    try:
+        return _njit(nogil=True, cache=True, **_PLAIN)(function)
+    finally:
+        _config.CACHE_DIR = usual
 
 
 def as_python(part: Any, **instead: Any) -> Any:
@@ -222,7 +231,7 @@ else:
             line = ir.IntType(8).as_pointer()
             flag = ir.IntType(32)
             kind = ir.FunctionType(ir.VoidType(), [line, flag, flag, flag])
-            function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+            function = builder.module.declare_intrinsic("llvm.prefetch.p0", (), kind)
             at = builder.inttoptr(arguments[0], line)
             builder.call(function, [at, flag(0), flag(3), flag(1)])  # to read, near, data
             return context.get_dummy_value()

@@ -423,7 +423,7 @@ def learn_friction(t):
         f[3], f[4], f[5] = cross(p[0], p[1], p[2], s[0], s[1], s[2])
         _push_on(t, f, chosen)
         share = (_ALONG**2 - _ACROSS**2) * (s[0] ** 2 + s[1] ** 2 + s[2] ** 2) + _ACROSS**2
-        found += w**3 * share * dot6(f, y)
+        found += w * w * w * share * dot6(f, y)
         whole += w * w
     more = work.more_friction + model.learning * work.dt * found / whole
     work.more_friction = min(max(more, -model.mu), _MOST_FRICTION - model.mu)

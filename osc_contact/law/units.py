@@ -15,11 +15,10 @@ import inspect
 import platform
 from collections.abc import Callable
 from typing import Any
-from zlib import crc32
 
 from llvmlite import binding as llvm
 from numba import types
-from numba.core import cgutils, event
+from numba.core import cgutils
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler import Flags, compile_extra
 from numba.core.compiler_lock import global_compiler_lock
@@ -34,8 +33,10 @@ for _class, _names in (
         getattr(_class, _name)  # another numba may have others: an AttributeError, see `jit`
 
 #: What every processor of the platform has; elsewhere code is made for the one at hand.
-BASELINE = {"x86_64": "x86-64", "AMD64": "x86-64"}
+BASELINE = {"x86_64": "x86-64", "AMD64": "x86-64", "aarch64": "generic", "arm64": "generic"}
+_units: list[Unit] = []
 _made: dict[str, Any] = {}  #: translated parts by their symbols
+watchers: list[Callable[[float], None]] = []  #: take the share of the parts that is translated
 
 
 class Unit:
@@ -49,14 +50,16 @@ class Unit:
         self.py_func = function
         self.inlined = inlined
         self.known: dict[Any, Any] = {}
+        _units.append(self)
 
     @global_compiler_lock
     def translated(self, kinds: tuple[Any, ...]) -> Any:
         """Its signature, symbol and code without what it calls."""
         if kinds not in self.known:
-            with event.trigger_event("numba:compile", data={"dispatcher": self}):
-                self.known[kinds] = made = self._translate(kinds)
+            self.known[kinds] = made = self._translate(kinds)
             _made[made.fndesc.llvm_func_name] = made
+            for watch in watchers:
+                watch(sum(bool(unit.known) for unit in _units) / len(_units))
         return self.known[kinds]
 
     def _translate(self, kinds: tuple[Any, ...]) -> Any:
@@ -71,13 +74,8 @@ class Unit:
         )
 
 
-def called(unit: Unit, name: Callable[[tuple[Any, ...]], str] | None = None) -> Any:
-    """A function of compiled code that calls a unit by its symbol.
-
-    Args:
-        unit: what is called. name: (types of its arguments) → symbol, evaluated when a caller is
-            compiled; None: that of the unit.
-    """
+def called(unit: Unit) -> Any:
+    """A function of compiled code that calls a unit by its symbol."""
 
     def typed(typing: Any, *given: Any) -> Any:
         kinds = tuple(types.unliteral(one) for one in given)
@@ -85,7 +83,7 @@ def called(unit: Unit, name: Callable[[tuple[Any, ...]], str] | None = None) -> 
         returned = made.signature.return_type
 
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            symbol = made.fndesc.llvm_func_name if name is None else name(kinds)
+            symbol = made.fndesc.llvm_func_name
             convention = context.call_conv
             kind = convention.get_function_type(returned, kinds)
             function = cgutils.get_or_insert_function(builder.module, kind, symbol)
@@ -147,13 +145,18 @@ def link(roots: dict[str, Any]) -> Any:
 
 
 @global_compiler_lock
-def emit(roots: dict[str, Any], cpu: str) -> bytes:
-    """An object file of some units and all that they call.
+def emit(roots: dict[str, Any], triple: str = "") -> bytes:
+    """An object file of some units and all that they call, for every processor of a platform.
 
     Args:
-        roots: see `link`. cpu: LLVM's name of the processor that code is made for.
+        roots: see `link`. triple: LLVM's name of a 64-bit platform; "": of this one.
     """
-    triple = llvm.get_process_triple()
+    cpu = baseline()
+    if triple:
+        cpu = BASELINE[triple.partition("-")[0]]
+        llvm.initialize_all_targets()
+        llvm.initialize_all_asmprinters()
+    triple = triple or llvm.get_process_triple()
     target = llvm.Target.from_triple(triple).create_target_machine(
         cpu=cpu, opt=3, reloc="pic", codemodel="default"
     )
@@ -166,63 +169,3 @@ def emit(roots: dict[str, Any], cpu: str) -> bytes:
     builder = llvm.create_pass_builder(target, tuning)
     builder.getModulePassManager().run(module, builder)
     return bytes(target.emit_object(module))
-
-
-_engines: list[Any] = []  #: of loaded objects, which stay
-
-
-@global_compiler_lock
-def load(code: bytes, symbols: list[str]) -> dict[str, int]:
-    """Load an object into this process; compiled code finds its symbols from now on.
-
-    Args:
-        code: of `emit`. symbols: that it offers. Returns their addresses.
-    """
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    target = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine()
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-    engine.finalize_object()
-    _engines.append(engine)
-    found = {symbol: engine.get_function_address(symbol) for symbol in symbols}
-    for symbol, address in found.items():
-        if not address:
-            raise OSError(f"the object has no {symbol}")
-        llvm.add_symbol(symbol, address)
-    return found
-
-
-class MachineCode:
-    """Objects of one function, for each list of types of its arguments.
-
-    Attributes:
-        called: what compiled functions call it by.
-    """
-
-    def __init__(self, function: Any) -> None:
-        self.unit = Unit(function, inlined=False)
-        self.called = called(self.unit, self._loaded)
-        self._objects: dict[tuple[Any, ...], bytes] = {}
-
-    def symbol(self, kinds: tuple[Any, ...]) -> str:
-        """Of the function, for types of its arguments."""
-        function = self.unit.py_func
-        name = f"{function.__module__}.{function.__qualname__}"
-        return f"{name}.{crc32(str(kinds).encode()):08x}"
-
-    def object(self, kinds: tuple[Any, ...]) -> bytes:
-        """Made where there is none yet."""
-        if kinds not in self._objects:
-            roots = {self.symbol(kinds): self.unit.translated(kinds)}
-            self._objects[kinds] = emit(roots, baseline())
-        return self._objects[kinds]
-
-    def take(self, kinds: tuple[Any, ...], code: bytes) -> None:
-        """Load an object that was made before."""
-        self._objects[kinds] = code
-        load(code, [self.symbol(kinds)])
-
-    def _loaded(self, kinds: tuple[Any, ...]) -> str:
-        self.take(kinds, self.object(kinds))
-        return self.symbol(kinds)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache
+from itertools import product
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -36,17 +37,20 @@ __all__ = ["DRIVE_MASS", "GRASP_JOINT", "GUIDES", "MujocoPlant", "MujocoTruth", 
 # --- The MuJoCo model of a rig --------------------------------------------------------------------
 #
 # The object hangs on the first arm's gripper, welded or by a joint of the grasp's kind; equality
-# constraints tie it to the others: a weld, one point (ball) or two points of an axis (hinge). Only
-# the object and the bodies of the environment touch, with the collision geometry of their URDFs and
-# soft enough not to chatter. Rotor inertia, damping and friction of the joints are the chain's.
+# constraints tie it to the others: a weld, one point (ball) or two points of an axis (hinge). Up to
+# 3.13 MuJoCo's force sensors count the torque of a weld in the axes of its site; three points are
+# tied there in its place. Only the object and the bodies of the environment touch, with the
+# collision geometry of their URDFs and soft enough not to chatter. Rotor inertia, damping and
+# friction of the joints are the chain's.
 
 #: The joint between the first arm's tip and the object, if its grasp is a hinge or a ball.
 GRASP_JOINT = "object/grasp"
-#: Distance of the two points that make a hinge from the tip's origin (m).
-HINGE_SPAN = 0.05
+#: Distance of the points that make a hinge, or a weld, from the tip's origin (m).
+TIE_SPAN = 0.05
 
 #: Heavy enough that no contact force moves a driven face between two steps (kg, kg m²).
 DRIVE_MASS = 1e6
+WELDS = 3014000  #: version of MuJoCo from which on sensors feel welds as they are
 GUIDES = ("slide", "hinge")  #: joints of a body that moves
 _NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo needs mass in moving bodies
 
@@ -95,8 +99,8 @@ def scene(
     _hold_object(mujoco, spec, chain, object_urdf)
     for i, (body, rail) in enumerate(zip(bodies, rails, strict=True)):
         _body(mujoco, spec, i, *body, options, rail)
-    if options.friction > 0.0 and options.own_friction != options.solref:
-        _let_slide(spec, options, options.own_friction)
+    if options.friction > 0.0:
+        _add_friction(spec, options)
     return spec
 
 
@@ -152,7 +156,7 @@ def _joint_numbers(spec: Any, chain: ClosedChain) -> None:
     for i, name in enumerate(chain.joint_names):
         joint = spec.joint(name)
         joint.armature = float(model.armature[i])
-        joint.damping = [model.damping[i], 0.0, 0.0]
+        joint.damping = np.resize([model.damping[i], 0.0, 0.0], np.shape(joint.damping))
         joint.frictionloss = dry = float(model.upperDryFrictionLimit[i])
         if dry > 0.0:  # MuJoCo's own 20 ms would turn it round 10 ms before the joint
             joint.solref_friction = [2 * spec.option.timestep, 1.0]
@@ -192,7 +196,7 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
     _weigh(root, chain)
     first = chain.grasps[0]
     for i, grasp in enumerate(chain.grasps[1:], start=1):
-        for k, point in enumerate(_tie_points(grasp)):
+        for k, point in enumerate(_tie_points(mujoco, grasp)):
             root.add_site(name=f"tie{i}.{k}", pos=grasp.X_TO.actInv(point))
     if not first.is_rigid:
         axis = np.zeros(3) if first.kind == "ball" else first.X_TO.rotation.T @ first.T[3:, 0]
@@ -206,7 +210,8 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
     spec.attach(part, prefix="object/", frame=_frame(tip, first.X_TO))
     for i, (arm, grasp) in enumerate(zip(chain.arms[1:], chain.grasps[1:], strict=True), start=1):
         tip = spec.body(f"{arm.name}/{arm.tip}")
-        if grasp.is_rigid:
+        points = _tie_points(mujoco, grasp)
+        if not points:
             x, y, z, w = pin.Quaternion(grasp.X_TO.rotation).coeffs()
             tip.add_site(name=f"{arm.name}/hold", pos=grasp.X_TO.translation, quat=[w, x, y, z])
             tie = _tie(mujoco, spec, f"{arm.name}/weld", f"{arm.name}/hold", "object/held")
@@ -214,7 +219,7 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
             data = np.zeros(len(tie.data))  # 11 or 12, by version
             data[10] = 1.0  # torque scale of the weld
             tie.data = data
-        for k, point in enumerate(_tie_points(grasp)):
+        for k, point in enumerate(points):
             own = f"{arm.name}/tie.{k}"
             other = f"object/tie{i}.{k}"
             tip.add_site(name=own, pos=point)
@@ -235,14 +240,14 @@ def _weigh(root: Any, chain: ClosedChain) -> None:
     root.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
 
 
-def _tie_points(grasp: Grasp) -> list[Array]:
-    """Points of the tip frame that stay together in a hinge or a ball."""
+def _tie_points(mujoco: Any, grasp: Grasp) -> list[Array]:
+    """Points of the tip frame that stay together in a hinge or a ball; none: a weld."""
     if grasp.is_rigid:
-        return []
+        return [] if mujoco.mj_version() >= WELDS else list(TIE_SPAN * np.eye(3))
     if grasp.kind == "ball":
         return [np.zeros(3)]
     axis = grasp.T[3:, 0]
-    return [HINGE_SPAN * axis, -HINGE_SPAN * axis]
+    return [TIE_SPAN * axis, -TIE_SPAN * axis]
 
 
 def _tie(mujoco: Any, spec: Any, name: str, first: str, second: str) -> Any:
@@ -282,27 +287,49 @@ def _body(
     spec.attach(part, prefix=f"face{i}/", frame=_frame(spec.worldbody, placement))
 
 
-def _let_slide(spec: Any, options: PlantSpec, own: tuple[float, float]) -> None:
-    """Friction with a separate solref, between the object's geometries and those of all bodies.
+_IMPEDANCE = 0.03  #: MuJoCo's d of contacts with friction, at `width`
+_FRICTION_IMPEDANCE = 0.9  #: d of the friction itself
+#: 1/s, of slip: friction is whole from μ f/(9 m · 1000/s) on, and turns back 1 ms before the slip.
+_FRICTION_DAMPING = 1e3
 
-    MuJoCo's cone lifts what slides: the depth that carries a force shrinks by 2 μ v τ d, v the
-    speed, τ the time constant of friction and d the impedance. A point settles there, a face on a
-    face hops. With a longer τ it is lifted less; friction then has the impedance times the same
-    ratio, so that the slip from which on it is developed stays.
+
+def _add_friction(spec: Any, options: PlantSpec) -> None:
+    """Coulomb friction between the object's geometries and those of all bodies.
+
+    MuJoCo's cone couples slip and normal force: what slides at v rests higher by μ b v/(d k), d the
+    impedance, k and b the reference stiffness and damping. With `solref` and `solimp` as they are
+    that is more than the depth of light contacts: they chatter, and are struck where a motion turns
+    back. Spring d²k/(1 − d) and damper d b/(1 − d), both for a unit of mass, are as declared here,
+    but made by a small d and a large k, and friction has a damping and an impedance apart.
     """
-    spec.option.impratio = own[0] / options.solref[0]
+    time, ratio = options.solref
+    low, high, width = options.solimp
+    most = _IMPEDANCE
+
+    def root(d: float) -> float:
+        """Of the spring, d/√(1 − d)."""
+        return d / np.sqrt(1.0 - d)
+
+    share = most / root(high)
+    power = 1.0
+    if low != high:  # of the curve between them, by its middle
+        power = -np.log2((root(0.5 * (low + high)) - root(low)) / (root(high) - root(low)))
+    fastest = 1.0 / spec.option.timestep  # no damper stops a motion within less than a step
+    damping = min(2.0 / time * (1.0 - most) / (1.0 - high), fastest)
+    stiffness = (1.0 - most) / ((1.0 - high) * (time * ratio) ** 2)
+    friction = _FRICTION_IMPEDANCE / (1.0 - _FRICTION_IMPEDANCE)
+    spec.option.impratio = friction * (1.0 - most) / most
     for i, geom in enumerate(spec.geoms):
         geom.name = geom.name or f"geom{i}"
     held = [geom.name for geom in spec.geoms if geom.conaffinity and not geom.contype]
     touched = [geom.name for geom in spec.geoms if geom.contype and not geom.conaffinity]
-    for first in held:
-        for second in touched:
-            pair = spec.add_pair(geomname1=first, geomname2=second)
-            pair.condim = 3
-            pair.friction = [options.friction, options.friction, 0.0, 0.0, 0.0]
-            pair.solref = list(options.solref)
-            pair.solimp = [*options.solimp, 0.5, 2.0]
-            pair.solreffriction = list(own)
+    for first, second in product(held, touched):
+        pair = spec.add_pair(geomname1=first, geomname2=second)
+        pair.condim = 3
+        pair.friction = [options.friction, options.friction, 0.0, 0.0, 0.0]
+        pair.solref = [-stiffness, -damping]
+        pair.solimp = [share * root(low), most, width, 1.0, power]
+        pair.solreffriction = [-1e-9, -min(_FRICTION_DAMPING, fastest) * most]
 
 
 def _put_on_rail(mujoco: Any, part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:
@@ -605,6 +632,7 @@ class MujocoPlant:
             spec = scene(mujoco, chain, arm_urdfs, object_urdf, bodies, options, self.rails)
             add_drives(mujoco, spec, driven, self.drives)
             self.model: Any = spec.compile()
+            self.spec: Any = spec
         except (ValueError, mujoco.FatalError) as error:
             raise PlantError(f"MuJoCo refuses the scene: {error}") from error
         self.data: Any = mujoco.MjData(self.model)

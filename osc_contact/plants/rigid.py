@@ -20,9 +20,9 @@ from osc_contact.dynamics.assembly import (
     object_pose,
     row_groups,
 )
+from osc_contact.dynamics.chain_state import ObjectTerms
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import moved
-from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
 from osc_contact.plants.faces import (

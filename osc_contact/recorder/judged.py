@@ -5,8 +5,6 @@ closed contact has a force to judge; of the approach there is none, and the land
 overshoot. What happens after a landing counts, contact lost or not, until no force is commanded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
@@ -14,17 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from osc_contact.recorder.recording import Recording
-
-__all__ = [
-    "CLOSED",
-    "LANDING_S",
-    "READ",
-    "SETTLE_S",
-    "STEP_BLANK_S",
-    "JudgedTicks",
-    "judged_ticks",
-    "stretches",
-]
 
 SETTLE_S = 1.0  #: judged from here on
 LANDING_S = 0.35  #: a force is judged from so long after its contact closed: the landing

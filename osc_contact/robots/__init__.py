@@ -6,21 +6,25 @@ A URDF passes, in this order: strict XML with line numbers (`xml_tree`), words, 
 """
 
 from osc_contact.robots.checks import Inertias, JointLimits
-from osc_contact.robots.findings import ModelFinding, suggest
-from osc_contact.robots.library import ROBOT_DATA, find_robot, locate, resolve_urdf, urdf_path
 from osc_contact.robots.loading import (
+    ROBOT_DATA,
     Loaded,
     cross_check,
+    find_robot,
     load,
     load_body,
     load_coupled,
     load_geometry,
     load_model,
     load_robot,
+    locate,
+    resolve_urdf,
+    urdf_path,
 )
 from osc_contact.robots.mjcf import compile_mjcf, couplings, is_mjcf, load_mjcf
 from osc_contact.robots.model import check_mass_matrix, ends_of, frame_id, random_configurations
 from osc_contact.robots.summary import RobotReport, RobotSummary, check_robot, summarise
+from osc_contact.robots.xml_tree import ModelFinding, suggest
 
 __all__ = [
     "ROBOT_DATA",

@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.robots.findings import ModelFinding, suggest
+from osc_contact.robots.model import joint_names
 from osc_contact.robots.urdf import LIMITS, Document, Inertial, Joint
-from osc_contact.robots.xml_tree import Element
+from osc_contact.robots.xml_tree import Element, ModelFinding, suggest
 from osc_contact.spatial import Array
 
 # Limits -------------------------------------------------------------------------------------------
@@ -204,7 +204,7 @@ def check_moving_bodies(document: Document, model: pin.Model) -> None:
     """Note moving bodies whose kinetic energy can be negative."""
     bodies = list(model.inertias)[1:]
     rows = _principal([body.inertia for body in bodies])
-    for name, body, moments, slack in zip(list(model.names)[1:], bodies, *rows, strict=True):
+    for name, body, moments, slack in zip(joint_names(model), bodies, *rows, strict=True):
         if body.mass < 0 or moments[0] < -slack:
             reason = f"the body that it moves has mass {body.mass:g} kg and principal moments "
             reason += f"{_listed(moments)} kg m²: its energy can be negative"

@@ -1,7 +1,5 @@
 """MJCF in, Pinocchio model out: MuJoCo compiles the file, the numbers are taken from its model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,8 +9,8 @@ import pinocchio as pin
 
 from osc_contact.errors import ModelError, missing
 from osc_contact.robots.checks import JointLimits, matching_limits
-from osc_contact.robots.findings import suggest
-from osc_contact.robots.model import check_mass_matrix, random_configurations
+from osc_contact.robots.model import check_mass_matrix, joint_names, random_configurations
+from osc_contact.robots.xml_tree import suggest
 from osc_contact.spatial import Array
 
 _NONE = 1e30  #: a limit that is none (N m, N, rad/s, m/s)
@@ -172,7 +170,7 @@ def load_mjcf(
             X = place.X * pose(mj.site_pos[s], mj.site_quat[s])
             # beside its body, behind the same joint: a force sensor cuts before its body
             _add_frame(model, mj.site(s).name, place._replace(X=X), pin.FrameType.OP_FRAME)
-    names = list(model.names)[1:]
+    names = joint_names(model)
     for name, given in matching_limits(names, limits or {}).items():
         for key, value in given.items():
             _set_limit(model, key, names.index(name), value)
@@ -287,7 +285,7 @@ def placement_difference(mj: Any, model: pin.Model) -> float:
     sim = mujoco.MjData(mj)
     worst = 0.0
     joints = {joint_name(mj, j): int(mj.jnt_qposadr[j]) for j in range(mj.njnt)}
-    at = [joints[name] for name in list(model.names)[1:]]
+    at = [joints[name] for name in joint_names(model)]
     bodies = [b for b in range(1, mj.nbody) if model.existBodyName(body_name(mj, b))]
     for q in random_configurations(model, _POSTURES):
         sim.qpos[at] = q

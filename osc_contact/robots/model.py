@@ -1,7 +1,5 @@
 """From a checked document to Pinocchio: it reads only text written here, from checked numbers."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
@@ -11,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import ModelError
-from osc_contact.robots.findings import refuse, refuse_file, suggest
 from osc_contact.robots.urdf import MOMENTS, Document
-from osc_contact.spatial import Array
+from osc_contact.robots.xml_tree import refuse, refuse_file, suggest
+from osc_contact.spatial import Array, norm
 
 SAMPLES = 20
 _ENDLESS = 1e9
@@ -36,7 +34,7 @@ def build_model(document: Document) -> pin.Model:
     except (ValueError, RuntimeError) as error:
         reason = f"Pinocchio refuses the file: {error}"
         refuse_file("tree", document.file, reason, "details are on stderr")
-    for j, name in enumerate(list(model.names)[1:]):
+    for j, name in enumerate(joint_names(model)):
         joint = document.joints[name]
         limits = {} if joint.kind == "continuous" else joint.limits
         model.lowerPositionLimit[j] = limits.get("lower", -math.inf)
@@ -78,9 +76,27 @@ def _text(document: Document) -> str:
     return ElementTree.tostring(robot, encoding="unicode")
 
 
+def joint_names(model: pin.Model) -> list[str]:
+    """Names of the joints that move, in model order."""
+    return list(model.names)[1:]
+
+
+def position_limits(model: pin.Model) -> tuple[Array, Array]:
+    """(nq,) lowest and highest position of each joint (m, rad); ∓inf: none."""
+    return np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+
+
 def slides(model: pin.Model, joint: int) -> bool:
     """Whether a joint of a model is a sliding one."""
     return bool(model.joints[joint].shortname().startswith("JointModelP"))
+
+
+def joint_axis(model: pin.Model, joint: int) -> Array:
+    """(6,) motion subspace S of a joint of one degree of freedom, in its own frame."""
+    state = model.joints[joint].createData()
+    # Pinocchio reads the joint's entry of the whole q, and does not check its length.
+    model.joints[joint].calc(state, pin.neutral(model))
+    return np.array(state.S).reshape(6)
 
 
 def sliding(model: pin.Model) -> Array:
@@ -103,8 +119,8 @@ def check_mass_matrix(model: pin.Model, document: Document | None = None) -> Non
     if model.nv == 0:
         return
     data = model.createData()
-    reach = np.array([np.linalg.norm(X.translation) for X in model.jointPlacements])
-    lever = np.array([np.linalg.norm(body.lever) for body in model.inertias])
+    reach = np.array([norm(X.translation) for X in model.jointPlacements])
+    lever = np.array([norm(body.lever) for body in model.inertias])
     below = [list(subtree) for subtree in list(model.subtrees)[1:]]
     extent = np.array([reach[tree[1:]].sum() + lever[tree].max() for tree in below])
     for q in (pin.neutral(model), *random_configurations(model, SAMPLES)):
@@ -133,7 +149,7 @@ def _is_positive(unit: Array) -> bool:
 
 
 def _refuse_mass_matrix(model: pin.Model, document: Document | None, q: Array, weak: Array) -> None:
-    names = [name for name, bad in zip(list(model.names)[1:], weak, strict=True) if bad]
+    names = [name for name, bad in zip(joint_names(model), weak, strict=True) if bad]
     reason = (
         f"the mass matrix is not positive definite at q = {np.round(q, 3).tolist()}: "
         f"joint {', '.join(names)} can move without moving mass"
@@ -156,8 +172,7 @@ def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterat
         (nq,) joint positions (m, rad).
     """
     random = np.random.default_rng(seed)
-    low = np.array(model.lowerPositionLimit)
-    high = np.array(model.upperPositionLimit)
+    low, high = position_limits(model)
     open_below = ~(low > -_ENDLESS)
     open_above = ~(high < _ENDLESS)
     low[open_below] = np.where(open_above, -np.pi, high - 2 * np.pi)[open_below]

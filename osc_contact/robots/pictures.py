@@ -4,8 +4,6 @@ A picture holds joints, shapes and colours, and neither names of files nor anyth
 executed.
 """
 
-from __future__ import annotations
-
 import base64
 import zlib
 from collections.abc import Mapping
@@ -18,8 +16,8 @@ import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.robots.mjcf import bodies_of, body_name, compile_mjcf, load_mjcf, pose
-from osc_contact.robots.model import slides
-from osc_contact.spatial import Array
+from osc_contact.robots.model import joint_axis, slides
+from osc_contact.spatial import Array, norm
 
 MOST_CORNERS = 200_000  #: of one mesh; of a larger one its box is drawn
 _MESH = 7  #: MuJoCo's number of the type
@@ -146,10 +144,7 @@ def scene_picture(
 
 
 def _joint(model: pin.Model, j: int) -> dict[str, Any]:
-    joint = model.joints[j]
-    state = joint.createData()
-    joint.calc(state, pin.neutral(model)[joint.idx_q : joint.idx_q + 1])
-    S = np.asarray(state.S).reshape(2, 3)
+    S = joint_axis(model, j).reshape(2, 3)
     along = slides(model, j)
     return {
         "name": model.names[j].split("/")[-1],
@@ -208,7 +203,7 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
         turning = pin.JointModelRevoluteUnaligned
         make = pin.JointModelPrismaticUnaligned if joint["slides"] else turning
         axis = np.array(joint["axis"], dtype=float)
-        moving = make(axis / np.linalg.norm(axis))
+        moving = make(axis / norm(axis))
         model.addJoint(int(joint["parent"]), moving, _pose(joint["place"]), str(joint["name"]))
     for i, shape in enumerate(picture["shapes"]):
         joint = int(shape["joint"])
@@ -226,7 +221,7 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
 
 def _pose(place: Any) -> pin.SE3:
     X = np.array(place, dtype=float)
-    if X.shape != (7,) or not np.isfinite(X).all() or abs(np.linalg.norm(X[3:]) - 1.0) > 1e-3:
+    if X.shape != (7,) or not np.isfinite(X).all() or abs(norm(X[3:]) - 1.0) > 1e-3:
         raise ValueError(f"{place} is no pose")
-    X[3:] /= np.linalg.norm(X[3:])
+    X[3:] /= norm(X[3:])
     return pin.XYZQUATToSE3(X)

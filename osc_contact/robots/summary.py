@@ -1,7 +1,5 @@
 """What a robot is, in numbers and in words: joints, masses, limits, losses, tips, and a verdict."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -13,7 +11,6 @@ import pinocchio as pin
 
 from osc_contact.errors import ModelError
 from osc_contact.robots.checks import Inertias, JointLimits, check_mesh_files
-from osc_contact.robots.findings import ModelFinding
 from osc_contact.robots.loading import compare, load
 from osc_contact.robots.mjcf import compile_mjcf, is_mjcf, load_mjcf, placement_difference
 from osc_contact.robots.model import (
@@ -25,6 +22,7 @@ from osc_contact.robots.model import (
     slides,
 )
 from osc_contact.robots.urdf import Document
+from osc_contact.robots.xml_tree import ModelFinding
 from osc_contact.spatial import Array
 
 POSTURES = 200

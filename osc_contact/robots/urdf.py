@@ -5,8 +5,6 @@ silence. Extensions of simulators (gazebo, …) are passed over; of transmission
 and gear ratio are read.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 import re
@@ -14,8 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from osc_contact.robots.findings import ModelFinding, refuse, suggest
-from osc_contact.robots.xml_tree import Element, parse
+from osc_contact.robots.xml_tree import Element, ModelFinding, parse, refuse, suggest
 
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 LIMITS = ("lower", "upper", "effort", "velocity")

@@ -1,7 +1,5 @@
 """Wrist calibration of a scenario's arms: static postures, sensed readings, what is found."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,13 +12,12 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
+from osc_contact.robots.model import position_limits
 from osc_contact.runs import hardware
 from osc_contact.runs.rig import build_chain
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sensing.calibration import WristLoad, calibrate_wrist
-from osc_contact.spatial import Array
-
-__all__ = ["WristCalibration", "calibrate"]
+from osc_contact.spatial import Array, norm
 
 STEP = 1e-3
 SETTLE = 0.05  #: s, left out of each average: the readings in it may be older than the posture
@@ -46,7 +43,7 @@ class WristCalibration:
             "true_com_m": self.com.tolist(),
             "bias": self.found.bias.tolist(),
             "mass_error_rel": abs(self.found.mass / self.mass - 1.0),
-            "com_error_m": float(np.linalg.norm(self.found.com - self.com)),
+            "com_error_m": norm(self.found.com - self.com),
         }
 
 
@@ -89,7 +86,7 @@ def _one(
     plant = RigidPlant(chain, [], STEP)
     sensed = SensedPlant(plant, hardware.sensors(scenario.sensors, chain), seed)
     away = rng.uniform(-SPREAD, SPREAD, (postures, chain.nq))
-    limits = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    limits = position_limits(chain.model)
     rotations = []
     readings = []
     for q in np.clip(start + away, *limits):

@@ -1,7 +1,5 @@
 """From a robot that answers to its first contact: step by step, each after a confirmation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,22 +7,19 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs.vertex_on_face import VertexOnFace
+from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.control.controller import Controller
 from osc_contact.drivers.franka import FrankaRobot
 from osc_contact.errors import OscContactError, PlantError
 from osc_contact.files import whole_file
 from osc_contact.interface import Reference, pose_reference
 from osc_contact.recorder import Recording
-from osc_contact.runs.loop import run_loop
-from osc_contact.runs.realtime import latency
+from osc_contact.runs.loop import latency, run_loop
 from osc_contact.runs.recorder import Recorder
 from osc_contact.scenarios.control_schema import PhaseSettings
 from osc_contact.scenarios.signals import rise
 from osc_contact.spatial import Array
 from osc_contact.testing import mean_outside, require_nudge
-
-__all__ = ["Commissioning"]
 
 MASS_ERROR = 0.15  #: of the largest element, by which mass matrices may differ
 TORQUE_ERROR = 0.05  #: of the motors' limits, by which torques at rest may differ

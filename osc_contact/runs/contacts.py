@@ -4,8 +4,6 @@ Every pair is built in the world's coordinates at the start: its environment fra
 the world while the body it is on stands where it began.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,10 +16,9 @@ from numpy.typing import NDArray
 from osc_contact import robots
 from osc_contact.contacts.detection import CollisionShape, TrackedContact, collision_shapes
 from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.contacts.pairs.pair import ContactPair, count_forces, triad
-from osc_contact.contacts.pairs.registry import make_pair
+from osc_contact.contacts.pairs.pair import ContactPair, count_forces, make_pair, triad
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
-from osc_contact.dynamics.rail import Body, Cart, Conveyor, Hinge
+from osc_contact.dynamics.environment import Body, Cart, Conveyor, Hinge
 from osc_contact.errors import ScenarioError
 from osc_contact.plants.faces import Rail
 from osc_contact.scenarios.bodies import (
@@ -34,7 +31,7 @@ from osc_contact.scenarios.bodies import (
 )
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import total
-from osc_contact.spatial import Array, Poses, cross
+from osc_contact.spatial import Array, Poses, cross, norm
 
 _STEP = 1e-6  #: m, rad; by so much an object is moved to see its gaps change
 
@@ -95,7 +92,7 @@ def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
                 "numbers; there is one column of N (6,) for each gap"
             )
         for j, column in enumerate(N.T):
-            V = _STEP * column / max(float(np.linalg.norm(column)), 1e-12)
+            V = _STEP * column / max(norm(column), 1e-12)
             turned = pin.exp3(V[3:]) @ X_WO.rotation
             moved = spec.pair.gaps(pin.SE3(turned, X_WO.translation + V[:3]))
             rate = (float(moved[j]) - before[j]) / _STEP
@@ -135,7 +132,7 @@ def misplaced(
         outward = -directions[0]
         foot = points[0]
         across = np.cross([0.0, 0.0, 1.0], outward)
-        size = float(np.linalg.norm(across))
+        size = norm(across)
         across = triad(outward)[:, 0] if size < 1e-3 else across / size
         about = pin.exp3(error.face_tilt_about * outward) @ across
         turn = pin.SE3(pin.exp3(error.face_tilt * about), foot + error.face_offset * outward)

@@ -13,15 +13,14 @@ from osc_contact import robots
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.dynamics.arm import Arm
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
+from osc_contact.robots.model import joint_names, position_limits
 from osc_contact.runs.poses import pose_text
 from osc_contact.runs.preflight import preflight
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.run import run
 from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios import Scenario, parse_scenario
-from osc_contact.spatial import Array
-
-__all__ = ["Press", "draft"]
+from osc_contact.spatial import Array, norm
 
 #: radius of the stylus' ball, and how far it is from the tip
 BALL_M = 0.008
@@ -119,8 +118,7 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
     data = arm.model.createData()
     tip = robots.frame_id(model, arm.tip)
     axis = np.array(press.axis)
-    low = np.array(model.lowerPositionLimit)
-    high = np.array(model.upperPositionLimit)
+    low, high = position_limits(model)
     limits = np.minimum(np.array(model.upperEffortLimit), 1e6)
     candidates = [_unwound(q, low, high) for q in robots.random_configurations(model, POSTURES)]
     scores = []
@@ -155,7 +153,7 @@ def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
     model = arm.model
     data = arm.model.createData()
     if len(q) != model.nv:
-        names = ", ".join(list(model.names)[1:])
+        names = ", ".join(joint_names(model))
         raise InvalidInputError(f"posture: {len(q)} numbers for {model.nv} joints: {names}")
     pin.forwardKinematics(model, data, q)
     X_WT = pin.updateFramePlacement(model, data, robots.frame_id(model, arm.tip))
@@ -164,8 +162,8 @@ def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
     down = X_WT.rotation @ axis
     point = X_WT.translation + (LENGTH_M + BALL_M) * down
     along = _tangent(model, data, q, robots.frame_id(model, arm.tip), down)
-    joints = ", ".join(list(model.names)[1:])
-    travel = min(20.0, 1e3 * 0.05 * float(np.linalg.norm(X_WT.translation)))
+    joints = ", ".join(joint_names(model))
+    travel = min(20.0, 1e3 * 0.05 * norm(X_WT.translation))
     return f"""\
 # {robot} presses a stylus on a plate with {press.force:g} N and slides along it.
 # A quantity is a number in SI or a string with a unit; docs/scenario.md has every key.
@@ -220,7 +218,7 @@ duration: 4 s
 def _unnoisy(direction: Array) -> Array:
     """The unit vector (3,) without components that the rounding of the posture makes."""
     kept = np.where(np.abs(direction) < 1e-5, 0.0, direction)
-    return np.asarray(kept / np.linalg.norm(kept))
+    return kept / norm(kept)
 
 
 def _reference(robot: str) -> str:

@@ -1,8 +1,6 @@
 """From a scenario to what makes its rig real: drives and sensors for the plant, and what the
 controller needs in front of it because of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
@@ -14,13 +12,14 @@ from numpy.typing import NDArray
 from osc_contact.control.controller import Controller
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.dynamics.assembly import object_pose
-from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
-from osc_contact.dynamics.joint_modes import joint_inertias, stiffness_for
+from osc_contact.dynamics.chain_state import ChainState, joint_inertias, stiffness_for
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Measurement, Robot, Stamps
 from osc_contact.plants.joint_drives import FlexibleJoints, JointDrives, Motors
 from osc_contact.plants.judge import Plant
 from osc_contact.plants.sensors import SensorErrors, Sensors
+from osc_contact.robots.model import sliding
 from osc_contact.runs.contacts import EnvironmentBody
 from osc_contact.scenarios.hardware import Clock, EncoderSpec, SensorsSpec
 from osc_contact.scenarios.schema import Scenario
@@ -70,9 +69,9 @@ def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int)
     spec = scenario.plant
     motors = None
     if spec.motors is not None:
-        sliding = _sliding(chain)[chain.actuated]
+        slides = sliding(chain.model)[chain.actuated]
         errors = spec.motors.bias, spec.motors.ripple
-        motors = Motors.drawn(chain.tau_max, sliding, *errors, np.random.default_rng([seed, 2]))
+        motors = Motors.drawn(chain.tau_max, slides, *errors, np.random.default_rng([seed, 2]))
     friction = spec.joint_friction * chain.tau_max if spec.joint_friction else None
     return JointDrives(flexible_joints(scenario, chain, state), motors, friction)
 
@@ -128,13 +127,7 @@ def _markers(bodies: Sequence[EnvironmentBody]) -> Array | None:
 
 def _joint_errors(spec: EncoderSpec, chain: ClosedChain, error: Callable[[Any], float]) -> Array:
     """(n,) an error of the encoders, by whether the joint turns or slides."""
-    return np.where(_sliding(chain), error(spec.length), error(spec.angle))
-
-
-def _sliding(chain: ClosedChain) -> Array:
-    """(n,) which joints move along their axis."""
-    kinds = [joint.shortname() for joint in list(chain.model.joints)[1:]]
-    return np.array([kind.startswith("JointModelP") for kind in kinds])
+    return np.where(sliding(chain.model), error(spec.length), error(spec.angle))
 
 
 def torque_loop(
@@ -197,7 +190,7 @@ class Observer:
                 _joint_errors(spec.encoder, chain, attrgetter("noise")),
                 _joint_errors(spec.encoder, chain, attrgetter("resolution")) / np.sqrt(12.0),
             )
-            unknown = np.where(_sliding(chain), believed.joint_linear, believed.joint_angular)
+            unknown = np.where(sliding(chain.model), believed.joint_linear, believed.joint_angular)
             limit = np.array(chain.model.velocityLimit)
             limit = np.where(limit > 0.0, limit, np.inf)
             period = max(self.dt, 1.0 / spec.encoder.rate)
@@ -231,7 +224,7 @@ class Observer:
         bad = ~np.isfinite(q) | far
         self._missed = np.where(bad, self._missed + 1.0, 0.0)
         self._believed = np.where(bad, self._believed, q)
-        return np.asarray(bad)
+        return bad
 
     def complete(self, measurement: Measurement, acceleration: Array | None) -> Measurement:
         """The measurement with everything a controller needs.

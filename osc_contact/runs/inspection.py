@@ -1,7 +1,5 @@
 """What a state of contact is, in plain words: d, r, free motions, controllable forces."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,17 +10,15 @@ import numpy as np
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
-from osc_contact.contacts.pairs.vertex_on_face import VertexOnFace
-from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
+from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.law.joint_friction import LAG
 from osc_contact.robots.summary import friction_warnings, joint_losses, loss_words
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.bodies import magnitude_names
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, norm
 from osc_contact.visual.screws import common_perpendicular, echelon
-
-__all__ = ["Inspection", "inspect_rig"]
 
 
 @dataclass(frozen=True)
@@ -207,10 +203,10 @@ def _twist_words(twist: Array) -> str:
     """A twist as pure translation, or as turning about an axis with a pitch."""
     v = twist[:3]
     w = twist[3:]
-    if float(np.linalg.norm(w)) < 1e-9 * max(float(np.linalg.norm(v)), 1.0):
-        return f"translation along {_vector(v / np.linalg.norm(v))}"
-    turn = w / np.linalg.norm(w)
-    speed = v / np.linalg.norm(w)
+    if norm(w) < 1e-9 * max(norm(v), 1.0):
+        return f"translation along {_vector(v / norm(v))}"
+    turn = w / norm(w)
+    speed = v / norm(w)
     pitch = float(turn @ speed)
     point = np.cross(turn, speed)
     words = f"turning about {_vector(turn)} through {_vector(point)} m from the object's origin"
@@ -220,9 +216,9 @@ def _twist_words(twist: Array) -> str:
 def _wrench_words(wrench: Array) -> str:
     force = wrench[:3]
     couple = wrench[3:]
-    if np.linalg.norm(force) < 1e-6 * np.linalg.norm(couple):
-        return f"couple about {_vector(couple / np.linalg.norm(couple))}"
-    size = np.linalg.norm(force)
+    if norm(force) < 1e-6 * norm(couple):
+        return f"couple about {_vector(couple / norm(couple))}"
+    size = norm(force)
     return f"force along {_vector(force / size)} with couple {_vector(couple / size)} m"
 
 

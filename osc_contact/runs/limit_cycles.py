@@ -15,8 +15,6 @@ by half, with a Hann window and the Fourier transform. An oscillation is a limit
 A period must fit six times into a window.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -131,16 +129,14 @@ def _lines(signal: Array, least: float) -> np.ndarray[Any, np.dtype[np.bool_]]:
 def _spectrum(signal: Array) -> Array:
     """(n/2 + 1,) amplitude of a signal's lines, its trend removed."""
     window = np.hanning(len(signal))
-    found: Array = np.abs(np.fft.rfft(_levelled(signal) * window)) * (2.0 / window.sum())
-    return found
+    return np.abs(np.fft.rfft(_levelled(signal) * window)) * (2.0 / window.sum())
 
 
 def _levelled(signal: Array) -> Array:
     """A signal less its linear trend."""
     x = np.linspace(-1.0, 1.0, len(signal))
     level = signal - signal.mean()
-    left: Array = level - x * (x @ level) / (x @ x)
-    return left
+    return level - x * (x @ level) / (x @ x)
 
 
 def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycle | None]:

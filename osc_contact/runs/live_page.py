@@ -1,15 +1,11 @@
 """The process behind a live view: ``python -m osc_contact.runs.live_page DESCRIPTOR``."""
 
-from __future__ import annotations
-
 import pickle
 import socket
 import sys
 
 from osc_contact.runs.viewing import best_frame
 from osc_contact.visual.server import serve
-
-__all__ = ["main"]
 
 
 def main() -> None:

@@ -1,7 +1,5 @@
 """Rules of preflight on places: faces, bodies, object and tool compared before anything runs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +19,7 @@ from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.task import Task, Values, rule
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, norm
 
 BESIDE_M = 0.005  #: a contact further than this beside body or object is refused
 PROBE_M = 0.002  #: how far in front of and behind a contact geometry is looked for
@@ -72,11 +70,11 @@ def start(rig: Rig) -> Values:
     for pair in rig.pairs:
         if getattr(pair, "surface_point", None) is not None:
             points.extend(feet(pair, now)[0])
-    moved = max(float(np.linalg.norm(p - given.act(now.actInv(p)))) for p in points)
+    moved = max(norm(p - given.act(now.actInv(p))) for p in points)
     words = {
         "mm": 1e3 * moved,
         "where": rounded(now.translation),
-        "turned": np.rad2deg(np.linalg.norm(pin.log3(given.rotation.T @ now.rotation))),
+        "turned": np.rad2deg(norm(pin.log3(given.rotation.T @ now.rotation))),
         "given": rounded(given.translation),
     }
     yield moved, words
@@ -314,7 +312,7 @@ def turn(task: Task) -> Values:
         rise = np.array(
             [probe.distance(point + e)[0] - probe.distance(point - e)[0] for e in steps]
         )
-        own = rise / max(float(np.linalg.norm(rise)), 1e-12)
+        own = rise / max(norm(rise), 1e-12)
         plane = getattr(pair, "normal", None)
         # at edges and corners geometry recedes in many directions
         if (plane is not None and np.allclose(plane, normal)) or normal @ own <= 0.0:

@@ -1,7 +1,5 @@
 """Forward and inverse kinematics of arms and scenarios, within joint limits, for people."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,24 +13,11 @@ from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.robots.model import joint_names, position_limits, sliding
 from osc_contact.runs.rig import build_chain, given_pose, posture_of
 from osc_contact.scenarios.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array
-
-__all__ = [
-    "Posture",
-    "arm_of",
-    "as_dict",
-    "chain_of",
-    "numbers",
-    "outside",
-    "pose_lines",
-    "pose_text",
-    "rest",
-    "solve",
-    "stands",
-]
+from osc_contact.spatial import Array, norm
 
 TRIES = 40  #: random postures from which a pose is sought, after the given one
 #: a pose that is missed by less is reached
@@ -146,10 +131,10 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
     away = []
     for tip, grasp in zip(chain.tip_poses(), chain.grasps, strict=True):
         X = tip * grasp.X_TO
-        turn = float(np.linalg.norm(pin.log3(X.rotation.T @ X_WO.rotation)))
-        shift = float(np.linalg.norm(X.translation - X_WO.translation))
+        turn = norm(pin.log3(X.rotation.T @ X_WO.rotation))
+        shift = norm(X.translation - X_WO.translation)
         if not grasp.is_rigid:  # what the grasp permits is no miss
-            shift = float(np.linalg.norm(grasp.miss(tip, X_WO)))
+            shift = norm(grasp.miss(tip, X_WO))
             turn = 0.0
         away.append((shift, turn))
     return max(shift for shift, _ in away), max(turn for _, turn in away)
@@ -157,8 +142,7 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
 
 def rest(chain: ClosedChain) -> Array:
     """(n,) the middle between the joints' limits, 0 where there are none."""
-    low = chain.model.lowerPositionLimit
-    high = chain.model.upperPositionLimit
+    low, high = position_limits(chain.model)
     ends = np.isfinite(low) & np.isfinite(high)
     with np.errstate(invalid="ignore"):
         return np.where(ends, 0.5 * (low + high), 0.0)
@@ -167,17 +151,6 @@ def rest(chain: ClosedChain) -> Array:
 def stands(chain: ClosedChain, q: Array) -> pin.SE3:
     """Where a posture puts the object, or the tip of an arm that holds none."""
     return object_pose(chain, q)
-
-
-def outside(chain: ClosedChain, q: Array) -> list[str]:
-    """A sentence for each joint outside its limits."""
-    low = chain.model.lowerPositionLimit
-    high = chain.model.upperPositionLimit
-    return [
-        f"joint {name} at {x:.4g} is outside its limits [{a:.4g}, {b:.4g}]"
-        for name, x, a, b in zip(chain.joint_names, q, low, high, strict=True)
-        if not a <= x <= b
-    ]
 
 
 def as_dict(chain: ClosedChain, q: Array) -> dict[str, Any]:
@@ -195,14 +168,11 @@ def pose_lines(chain: ClosedChain, q: Array) -> list[str]:
     """Where posture and object are, as a scenario file writes it."""
     lines = []
     for arm, s in zip(chain.arms, chain.slices, strict=True):
-        kinds = list(arm.model.joints)[1:]
         values = ", ".join(
-            f"{x:.6f}"
-            if joint.shortname().startswith("JointModelP")
-            else f"{np.rad2deg(x):.4f} deg"
-            for x, joint in zip(q[s], kinds, strict=True)
+            f"{x:.6f}" if slides else f"{np.rad2deg(x):.4f} deg"
+            for x, slides in zip(q[s], sliding(arm.model), strict=True)
         )
-        lines.append(f"{arm.name} posture: [{values}]   # {', '.join(list(arm.model.names)[1:])}")
+        lines.append(f"{arm.name} posture: [{values}]   # {', '.join(joint_names(arm.model))}")
     pin.forwardKinematics(chain.model, chain.data, q)
     for arm, X in zip(chain.arms, chain.tip_poses(), strict=True):
         lines.append(f"{arm.name} {arm.tip}: {pose_text(X)}")
@@ -217,7 +187,7 @@ def pose_text(X: pin.SE3) -> str:
 
 
 def _degrees(X: pin.SE3) -> Array:
-    return np.asarray(np.rad2deg(pin.rpy.matrixToRpy(X.rotation)))
+    return np.rad2deg(pin.rpy.matrixToRpy(X.rotation))
 
 
 def _listed(values: Sequence[float] | Array, digits: int, unit: str = "") -> str:

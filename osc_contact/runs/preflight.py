@@ -4,8 +4,6 @@ A rule is one function that gives a quantity, under the limits from which it is 
 refused, and the sentence of the finding.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable
 from copy import copy
@@ -17,14 +15,15 @@ import pinocchio as pin
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import knows_where_it_slides, pushes_only
 from osc_contact.control.controller import Controller
-from osc_contact.control.settings import choose_reading
+from osc_contact.control.records import choose_reading
 from osc_contact.control.start_check import is_clear, judge_load
 from osc_contact.control.status import SafetyState, Status
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
-from osc_contact.dynamics.joint_modes import modes
+from osc_contact.dynamics.chain_state import modes
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
 from osc_contact.interface import Measurement, Reference, Robot
+from osc_contact.robots.model import position_limits, sliding
 from osc_contact.runs import hardware, placement
 from osc_contact.runs.contacts import feet, known_bodies
 from osc_contact.runs.placement import rounded
@@ -32,9 +31,7 @@ from osc_contact.runs.rig import Rig
 from osc_contact.runs.task import Finding, Task, Values, findings, rule
 from osc_contact.scenarios.bodies import CartSpec
 from osc_contact.scenarios.control_schema import SafetySettings
-from osc_contact.spatial import Array
-
-__all__ = ["Finding", "preflight", "require_ready"]
+from osc_contact.spatial import Array, norm
 
 #: of rehearsals: the longest tick, its largest product with the gains
 PERIOD_S = 4e-3
@@ -255,7 +252,7 @@ def rate(task: Task) -> Values:
 def stretched(task: Task) -> Values:
     """Distance from the base, over what the stretched arm reaches."""
     for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
-        most = _length(arm) + float(np.linalg.norm(grasp.X_TO.translation))
+        most = _length(arm) + norm(grasp.X_TO.translation)
         far = np.linalg.norm(task.poses[:, :3] - arm.base.translation, axis=1)
         k = int(far.argmax())
         words = {"far": far[k], "name": arm.name, "t": task.times[k], "most": most}
@@ -267,14 +264,9 @@ def _length(arm: Arm) -> float:
     model = arm.model
     frame = model.frames[robots.frame_id(model, arm.tip)]
     links = [X.translation for X in (*model.jointPlacements, frame.placement)]
-    low = model.lowerPositionLimit
-    high = model.upperPositionLimit
-    slides = [
-        max(abs(low[joint.idx_q]), abs(high[joint.idx_q]))
-        for joint in list(model.joints)[1:]
-        if joint.shortname().startswith("JointModelP")
-    ]
-    return float(sum(map(np.linalg.norm, links)) + sum(slides))
+    low, high = position_limits(model)
+    slides = np.maximum(np.abs(low), np.abs(high))[sliding(model)]
+    return float(sum(map(norm, links)) + slides.sum())
 
 
 @rule(
@@ -289,8 +281,7 @@ def postures(task: Task) -> Values:
         return
     chain = task.chain
     poses = task.poses
-    low = chain.model.lowerPositionLimit
-    high = chain.model.upperPositionLimit
+    low, high = position_limits(chain.model)
     ways = poses[:, :3] - poses[0, :3]
     turns = np.abs(poses[:, 3:] @ poses[0, 3:])  # cosine of half the angle
     for k in sorted({int(k) for k in (*ways.argmax(axis=0), *ways.argmin(axis=0), turns.argmin())}):
@@ -302,7 +293,7 @@ def postures(task: Task) -> Values:
         except ModelError:  # it circles about a pose out of reach
             pass
         else:
-            away = float(np.linalg.norm(object_pose(chain, q).translation - X.translation))
+            away = norm(object_pose(chain, q).translation - X.translation)
             ends = np.flatnonzero(np.minimum(q - low, high - q) < 1e-6)
             names = ", ".join(chain.joint_names[j] for j in ends)
             left = f": {1e3 * away:.0f} mm are left" + f" with {names} at the end stop" * bool(
@@ -403,7 +394,7 @@ def least_peak(A: Array, b: Array) -> float:
         A: (m, n). b: (m,).
     """
     x = np.linalg.pinv(A) @ b
-    low = float(np.linalg.norm(x) / np.sqrt(len(x)))
+    low = float(norm(x) / np.sqrt(len(x)))
     high = float(np.abs(x).max())
     scale = np.linalg.norm(A, axis=1)
     rows = A / scale[:, None]
@@ -447,7 +438,7 @@ def jump(task: Task) -> Values:
     """From the pose to the first reference (m)."""
     first = task.poses[0, :3]
     now = task.state.X_WO.translation
-    yield float(np.linalg.norm(first - now)), {"first": rounded(first), "now": rounded(now)}
+    yield norm(first - now), {"first": rounded(first), "now": rounded(now)}
 
 
 @rule(

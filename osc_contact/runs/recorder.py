@@ -1,7 +1,5 @@
 """What the control loop leaves behind: every tick noted, a recording in the end."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -22,16 +20,17 @@ from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.control.signals import TickResult, internal_forces
 from osc_contact.control.status import Phase, Status
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.interface import Measurement, Reference
+from osc_contact.law import records as at
 from osc_contact.plants.judge import Judge, TruthLog, Truths
 from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
-from osc_contact.recorder.archive import gather
 from osc_contact.recorder.journal import Journal, JournalFile, MemoryJournal
+from osc_contact.recorder.recording import gather
 from osc_contact.robots.summary import joint_losses
 from osc_contact.runs.contacts import feet_over, force_owners
-from osc_contact.runs.free_motion import free_parts
 from osc_contact.runs.loop import at_once
 from osc_contact.spatial import Array, Poses, cross
 
@@ -254,7 +253,7 @@ def _motion_error(of: Subject, rows: Array, N: Array, phase: Array) -> Array:
     q = rows["q"]
     error = rows["error"]
     k = len(rows)
-    J = np.ascontiguousarray(rows["J"].T).reshape(-1, 6, k).swapaxes(0, 1)
+    J = np.ascontiguousarray(rows["J_world"].T).reshape(-1, 6, k).swapaxes(0, 1)
     X = _poses(rows["X_WO"].reshape(k, 4, 4))
     held = phase[:, of.owners] != Phase.OPEN
     changes = np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1
@@ -345,7 +344,7 @@ class Recorder:
         squeezes = internal_forces(len(chain.arms))
         found = {**_FOUND, "squeeze": squeezes, "friction": chain.nq}
         if not of.free:  # what the arms can make of an error is recorded
-            found["J"] = 6 * chain.nq
+            found["J_world"] = 6 * chain.nq
         unknown = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **found}
         if self.truth is None:
             unknown["X_WE"] = 16 * contacts
@@ -423,12 +422,14 @@ class Recorder:
         r = len(self.of.owners)
         if result is not self._last:
             self._last = result
-            self._parts = [
-                result.friction if name == "friction" else np.ravel(getattr(result, name))
-                for name in self._names
-            ]
-            self._flags = result.flags[: None if self.of.controller.life is not None else 1]
-            self._parts[:0] = [result.magnitudes[:r], result.speeds[:r]]
+            self._parts = [np.ravel(getattr(result, name)) for name in self._names]
+            self._parts[:0] = [result.records.work[name][:r] for name in ("alpha_meas", "speed")]
+            head = result.records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
+            self._flags = [head["engaged"]]
+            if self.of.controller.life is not None:
+                contacts = result.records.memory.contacts
+                columns = result.records.memory.columns
+                self._flags += [contacts.phase, contacts.active, columns.closed, columns.collision]
         parts = self._parts
         if result.rank != r:
             parts = [*result.records.spread(), *parts[2:]]
@@ -544,3 +545,77 @@ def describe_subject(of: Subject) -> dict[str, Any]:
         "force_steps_s": [],
         "force_rise_s": of.controller.gains.force.rise,
     }
+
+
+# The part of a motion error that could be removed: what arms can make and contacts permit.
+
+
+_SAME = 1e-6  #: of directions of unit length, what counts as none
+
+
+def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x: Array) -> Array:
+    """The part in range(S) ∩ T of small displacements x at O, cut in the object's metric: (6, k).
+
+    For d = 6 this is Ω_m(Λ_o⁻¹) x. For fewer motions that projection would answer the yielding of
+    a contact, a displacement along N, with turns that the arms cannot make. Computed in coordinates
+    in which the object's inertia is the identity.
+
+    Args:
+        chain: of the arms. q: (k, n) joint positions. J: (6, n, k) the joints' columns there, at
+            the world's origin. X_WO: k poses. N: (6, r, k) lines of force in contact.
+        x: (6, k) displacements at O (m, rad).
+    """
+    L = np.linalg.cholesky(chain.reference_inertia(pin.SE3.Identity()))  # in the object's axes
+
+    def in_object(columns: Array) -> Array:
+        return np.concatenate((X_WO.rotate_back(columns[:3]), X_WO.rotate_back(columns[3:])))
+
+    def whitened(motions: Array) -> Array:
+        return np.tensordot(L.T, in_object(motions), 1)
+
+    J = np.concatenate((J[:3] + cross(J[3:], X_WO.p[:, None]), J[3:]))
+    outside = [np.zeros((6, 0, len(q)))]  # of what each arm can make
+    for i, (arm, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
+        motions = J[:, arm]
+        if not grasp.is_rigid:
+            slips = []
+            for k, joints in enumerate(q):
+                pin.forwardKinematics(chain.model, chain.data, joints)
+                slips.append(grasp.motions_at(chain.tip_poses()[i], X_WO.p[:, k]))
+            motions = np.concatenate((motions, np.stack(slips, axis=2)), axis=1)
+        B = _orthonormal(whitened(motions))
+        outside.append(_orthonormal(np.eye(6)[:, :, None] - np.einsum("imk,jmk->ijk", B, B)))
+    locked = np.concatenate(outside, axis=1)
+    if locked.any():  # several arms may lock the same, but for their loops' openings
+        U, s, _ = np.linalg.svd(locked.transpose(2, 0, 1), full_matrices=False)
+        locked = (U * (s > _SAME * s[:, :1])[:, None]).transpose(1, 2, 0)
+    lines = np.tensordot(np.linalg.inv(L), in_object(N), 1)
+    basis = _orthonormal(np.concatenate((locked, lines), axis=1))
+    own = np.tensordot(np.linalg.inv(L.T), _left(whitened(x), basis), 1)
+    return np.concatenate((X_WO.rotate(own[:3]), X_WO.rotate(own[3:])))
+
+
+def _orthonormal(columns: Array) -> Array:
+    """An orthonormal basis (6, m, k) of columns (6, n, k), by Gram and Schmidt.
+
+    A column of which nothing is left beside those before it is a zero.
+    """
+    basis = np.zeros((6, 0, columns.shape[2]))
+    for column in columns.transpose(1, 0, 2):
+        left = column / np.maximum(_length(column), 1.0)
+        for _ in range(2):  # once more for what rounding left
+            left = _left(left, basis)
+        size = _length(left)
+        unit = np.where(size > _SAME, left / np.maximum(size, _SAME), 0.0)
+        if unit.any():
+            basis = np.concatenate((basis, unit[:, None]), axis=1)
+    return basis
+
+
+def _left(x: Array, basis: Array) -> Array:
+    """What is left of x (6, k) beside an orthonormal basis (6, m, k)."""
+    return x - np.einsum("imk,mk->ik", basis, np.einsum("imk,ik->mk", basis, x))
+
+
+def _length(x: Array) -> Array:
+    return np.sqrt((x * x).sum(axis=0))

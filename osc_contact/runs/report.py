@@ -1,7 +1,5 @@
 """What people read: tables of the command line, and the files that a run leaves behind."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,7 +16,7 @@ from osc_contact.robots import RobotSummary
 from osc_contact.robots.summary import losses_by_arm
 from osc_contact.runs.calibration import WristCalibration
 from osc_contact.runs.inspection import Inspection
-from osc_contact.runs.realtime import latency
+from osc_contact.runs.loop import latency
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.verdict import metrics
 from osc_contact.runs.viewing import DRAWN, write_scene_of

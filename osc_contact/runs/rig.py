@@ -1,7 +1,5 @@
 """From a scenario to the parts of a run: true chain, controller's chain, contacts, plant, start."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,10 +12,10 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.assembly import close, object_pose, reach
-from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.assembly import close, object_pose, outside_limits, reach
+from osc_contact.dynamics.chain_state import ChainState, RigidObject
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
-from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ModelError, ScenarioError
 from osc_contact.interface import Measurement, Robot
 from osc_contact.plants.judge import Plant
@@ -103,7 +101,9 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
     q_near = reach(chain, q, X_WO)
     try:
         q_contact = close(chain, q_near, gaps)
-        _require_within_limits(chain, q_contact)
+        if found := outside_limits(chain, q_contact):
+            cure = "move object, faces or base, or change the posture"
+            raise ScenarioError(f"the contacts touch where {found[0]}; {cure}")
     except (ModelError, ScenarioError) as error:
         raise type(error)(f"{error}{_away(pairs, X_WO)}") from error
     return q_contact
@@ -120,7 +120,7 @@ def standoff_of(state: ChainState, contact: Contact, distance: float) -> Array:
     N_S = state.S.T @ contact.N
     H_inv_N = np.linalg.solve(state.S.T @ state.metric @ state.S, N_S)
     away = np.full(contact.r, -distance)  # a gap opens against N
-    return np.asarray(state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away)))
+    return state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away))
 
 
 def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
@@ -133,16 +133,6 @@ def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
         f". At object.pose contact '{name}' is {1e3 * max(gaps):.0f} mm away from what it touches: "
         "move that to the object, or object.pose and posture to it"
     )
-
-
-def _require_within_limits(chain: ClosedChain, q: Array) -> None:
-    limits = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
-    for name, x, low, high in zip(chain.joint_names, q, *limits, strict=True):
-        if not low <= x <= high:
-            raise ScenarioError(
-                f"to touch the contacts joint {name} would stand at {x:.4g}, outside its limits "
-                f"[{low:.4g}, {high:.4g}]; move object, faces or base, or change the posture"
-            )
 
 
 @dataclass(frozen=True)

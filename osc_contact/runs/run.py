@@ -1,7 +1,5 @@
 """One run: plant and controller, tick by tick, into a recording."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from copy import copy

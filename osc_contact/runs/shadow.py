@@ -9,8 +9,6 @@ f is the wrench that the arm exerts at the wrist sensor, and M, h are of what is
 whatever hangs on the wrist, and whoever pushes there, needs no model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,9 +19,7 @@ import pinocchio as pin
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement
-from osc_contact.spatial import Array
-
-__all__ = ["JointFinding", "Shadow", "ShadowReport"]
+from osc_contact.spatial import Array, norm
 
 REST_S = 0.2  #: from the beginning, in which nobody touches the arm
 HALF = 10  #: ticks to either side over which accelerations and means are taken
@@ -161,7 +157,7 @@ class Shadow:
         origin = pin.SE3(np.eye(3), state.X_WO.translation)
         sensor = state.sensors[0]
         assert sensor is not None
-        return np.asarray(origin.actInv(sensor.act(pin.Force(wrench))).vector - state.bias_out)
+        return origin.actInv(sensor.act(pin.Force(wrench))).vector - state.bias_out
 
     def _sample(self, rows: Array) -> tuple[Array, ...]:
         """Speed, acceleration, τ − (M q̈ + h) and Jᵀf, means over a few ticks."""
@@ -213,7 +209,7 @@ class Shadow:
                     f"joint '{joint.name}' leaves {joint.rms:.2g} N m unexplained: is it, or a "
                     "joint near it, reversed or out of order, or the wrench of another frame?"
                 )
-        if np.linalg.norm(bias[:3]) > BIAS[0] or np.linalg.norm(bias[3:]) > BIAS[1]:
+        if norm(bias[:3]) > BIAS[0] or norm(bias[3:]) > BIAS[1]:
             yield (
                 f"the wrist reads {np.round(bias, 2).tolist()} N, N m more at rest than hangs on "
                 "it: tare it (Controller.f_tare), or correct the payload"

@@ -1,7 +1,5 @@
 """A controller for programs without Python, with a recording of ticks to replay there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,8 +16,6 @@ from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import Taring, start
 from osc_contact.spatial import Array
-
-__all__ = ["Tape", "build"]
 
 MAGIC = b"OSCTAPE1"
 #: flags of a tick, as in replay.c; from REPEATED on: which readings are those of the last tick

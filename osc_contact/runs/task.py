@@ -14,7 +14,8 @@ import pinocchio as pin
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.controller import Controller
-from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.chain_state import ChainState
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.recorder.recording import column_names

@@ -1,7 +1,5 @@
 """The verdict on a recording: the numbers of metrics.json, and the task in a word."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,8 +12,6 @@ from osc_contact.recorder.judged import CLOSED, SETTLE_S, JudgedTicks
 from osc_contact.runs.limit_cycles import worst_cycles
 from osc_contact.scenarios.control_schema import VerdictSpec
 from osc_contact.spatial import Array
-
-__all__ = ["RULES", "STEP_WINDOW_S", "Rule", "judge_task", "metrics", "step_answers"]
 
 STEP_WINDOW_S = 0.5  #: a step's overshoot is looked for this long, or until the next step
 _READ = (

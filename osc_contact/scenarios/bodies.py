@@ -29,12 +29,13 @@ from osc_contact.scenarios.quantities import (
     JointValue,
     Mass,
     Number,
+    Spec,
     Torque,
     UnitVec3,
     Vec3,
+    refuse,
 )
 from osc_contact.scenarios.signals import AngleSignal, LengthSignal
-from osc_contact.scenarios.spec import Spec, refuse
 
 # --- Arms, grasps, the object ---------------------------------------------------------------------
 

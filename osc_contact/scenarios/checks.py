@@ -1,7 +1,5 @@
 """Checks across the keys of a scenario: names that belong together, times that divide."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -11,15 +9,7 @@ from pydantic import ValidationError
 from osc_contact.scenarios.bodies import magnitude_names, raw_magnitudes
 from osc_contact.scenarios.control_schema import ControlSpec
 from osc_contact.scenarios.hardware import PlantSpec
-from osc_contact.scenarios.spec import did_you_mean
-
-__all__ = [
-    "Problem",
-    "body_problems",
-    "name_problems",
-    "sound_problems",
-    "timing_problems",
-]
+from osc_contact.scenarios.quantities import did_you_mean
 
 Problem = tuple[tuple[str | int, ...], str]
 """Where (keys and list indices) and what is wrong."""

@@ -30,31 +30,13 @@ from osc_contact.scenarios.quantities import (
     NotNegative,
     Number,
     Positive,
+    Spec,
     Time,
     TimeLimit,
     Velocity,
     VelocityLimit,
+    refuse,
 )
-from osc_contact.scenarios.spec import Spec, refuse
-
-__all__ = [
-    "ControlSpec",
-    "EstimateSpec",
-    "ForceGains",
-    "ForceReadingSpec",
-    "Friction",
-    "Gains",
-    "JointFriction",
-    "JointTorqueSpec",
-    "ModelErrorSpec",
-    "MonitorLimits",
-    "MotionGains",
-    "PhaseSettings",
-    "PostureTask",
-    "SafetySettings",
-    "TareSpec",
-    "VerdictSpec",
-]
 
 _UNBRAKED = 6.0  #: a speed of the contact that lasts longer than this / K_i is not braked
 _DERIVED: Any = Field(default=None)  #: follows from the other gains

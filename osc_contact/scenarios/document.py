@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from osc_contact.errors import ScenarioError
 from osc_contact.scenarios.bodies import CONTACT_TYPES, ContactSpec
 from osc_contact.scenarios.checks import Problem, sound_problems
-from osc_contact.scenarios.spec import did_you_mean, sentence
+from osc_contact.scenarios.quantities import did_you_mean, sentence
 
 # --- YAML text to nodes ---------------------------------------------------------------------------
 

@@ -1,7 +1,5 @@
 """What makes a rig real: the plant, flexible joints, imperfect motors, sensors and their errors."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Generic, Self, TypeVar
 
@@ -19,30 +17,15 @@ from osc_contact.scenarios.quantities import (
     Number,
     OfQuantity,
     Positive,
+    Spec,
     Time,
     Torque,
+    refuse,
 )
-from osc_contact.scenarios.spec import Spec, refuse
-
-__all__ = [
-    "PLANT_TYPES",
-    "Clock",
-    "EncoderSpec",
-    "Errors",
-    "FlexibleJointsSpec",
-    "MotorsSpec",
-    "PlantSpec",
-    "Push",
-    "SensorsSpec",
-    "TorqueSensorSpec",
-    "VisionSpec",
-    "WristSpec",
-]
 
 #: What `plant.type` may be, and whether that plant is exact: ideal joints, contacts that neither
 #: open nor end. `runs.rig.register_plant` adds to it.
 PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
-_LEAST_SLIDING = 0.015  #: s, of the friction of points that slide: with less they lose contact
 
 Q = TypeVar("Q", bound=float)
 Fraction = Annotated[Number, Field(gt=0, lt=1)]
@@ -130,9 +113,6 @@ class PlantSpec(Spec):
     """MuJoCo: impedance at zero depth, at width, width"""
     friction: NotNegative = 0.0
     """MuJoCo: Coulomb coefficient of the faces"""
-    friction_solref: Annotated[tuple[Positive, Positive], "s, –"] | None = None
-    """MuJoCo: `solref` of friction alone, longer where [faces slide](friction.md#mujoco); null: as
-    `solref`, but at least 15 ms"""
     flexible_joints: FlexibleJointsSpec | None = None
     """MuJoCo: a spring between each motor and its link"""
     motors: MotorsSpec | None = None
@@ -155,12 +135,6 @@ class PlantSpec(Spec):
     def exact(self) -> bool:
         """Whether joints are ideal and contacts bilateral, without ends: see `PLANT_TYPES`."""
         return PLANT_TYPES[self.type]
-
-    @property
-    def own_friction(self) -> tuple[float, float]:
-        """The solref of friction."""
-        time, ratio = self.solref
-        return self.friction_solref or (max(time, _LEAST_SLIDING), ratio)
 
 
 class Clock(Spec):

@@ -13,10 +13,8 @@ from pydantic import ValidationError
 
 from osc_contact.errors import ScenarioError
 from osc_contact.scenarios.document import Problems, ScenarioDocument, complaints
+from osc_contact.scenarios.quantities import did_you_mean
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.scenarios.spec import did_you_mean
-
-__all__ = ["Template", "list_scenarios", "load_scenario", "parse_scenario", "read_text"]
 
 LARGEST = 1_000_000  #: bytes of a scenario file; the packaged ones have a few thousand
 FILES = Path(__file__).parent / "files"

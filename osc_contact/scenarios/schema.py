@@ -44,10 +44,12 @@ from osc_contact.scenarios.quantities import (
     Force,
     Jerk,
     Length,
+    Spec,
     Time,
     UnitVec3,
     Vec3,
     Velocity,
+    refuse,
 )
 from osc_contact.scenarios.signals import (
     AngleSignal,
@@ -56,9 +58,6 @@ from osc_contact.scenarios.signals import (
     LengthSignal,
     total_over,
 )
-from osc_contact.scenarios.spec import Spec, refuse
-
-__all__ = ["AngularMove", "LinearMove", "MotionSpec", "Scenario", "SurfaceMove"]
 
 _UNIT_VECTOR: TypeAdapter[tuple[float, float, float]] = TypeAdapter(UnitVec3)
 

@@ -9,8 +9,6 @@ distinguish them; where they do not (every SCARA), weight and bias are one unkno
 can only be tared.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,8 +16,6 @@ import numpy as np
 
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array, skew
-
-__all__ = ["WristLoad", "calibrate_wrist"]
 
 NAMES = ("m", *(f"{name}_{axis}" for name in ("m c", "b_f", "b_τ") for axis in "xyz"))
 

@@ -26,8 +26,6 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
-__all__ = ["VelocityEstimate"]
-
 
 @dataclass
 class VelocityEstimate:

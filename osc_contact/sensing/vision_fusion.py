@@ -7,8 +7,6 @@ object and arms were when the picture was taken; a Kalman filter for one constan
 makes both agree, and the bodies are moved along with it. Errors of camera and bases cancel.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -54,7 +52,7 @@ class History:
         (t0, x0) = self._kept[max(after - 1, 0)]
         (t1, x1) = self._kept[after]
         share = 0.0 if t1 == t0 else min(max((t - t0) / (t1 - t0), 0.0), 1.0)
-        return np.asarray(x0 + share * (x1 - x0))
+        return x0 + share * (x1 - x0)
 
 
 @dataclass

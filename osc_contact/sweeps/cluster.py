@@ -1,17 +1,12 @@
 """A dask cluster: one that runs somewhere, or one of this machine alone (extra `cluster`)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
-from distributed.scheduler import KilledWorker
 
 from osc_contact import __version__
 from osc_contact.errors import InvalidInputError
-
-__all__ = ["LOCAL", "KilledWorker", "connect"]
 
 LOCAL = "local"  #: the scheduler that is made for the occasion
 _PATIENCE_S = 20.0  #: for a scheduler that does not answer, and for the first worker

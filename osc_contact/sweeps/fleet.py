@@ -17,8 +17,6 @@ from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import start
 from osc_contact.spatial import Array
 
-__all__ = ["Fleet", "Start"]
-
 
 @dataclass(frozen=True)
 class Start:
@@ -89,8 +87,7 @@ class Fleet:
             from mujoco.batch import Batch
         except ImportError as error:
             raise PlantError(
-                "plants advance together with mujoco.batch, of MuJoCo 4: pip install "
-                "'osc_contact[sim]'"
+                "plants advance together with mujoco.batch, of MuJoCo 4: pip install 'mujoco>=4'"
             ) from error
         first = starts[0]
         self.rows = len(starts)
@@ -146,5 +143,5 @@ class Fleet:
 
     def diverged(self) -> Array:
         """(B,) whether MuJoCo has warned since the row began."""
-        counts: Array = np.asarray(self._plants.warning).reshape(self.rows, -1)
+        counts = np.reshape(self._plants.warning, (self.rows, -1))
         return np.asarray(counts.any(axis=1))

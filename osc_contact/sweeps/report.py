@@ -3,8 +3,6 @@
 It answers how many runs succeed, how large errors get, and what they depend on.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from collections import Counter
@@ -20,8 +18,6 @@ from osc_contact import __version__
 from osc_contact.spatial import Array
 from osc_contact.sweeps.study import SweepStudy
 from osc_contact.visual.page import POLICY, asset, filled, write_whole
-
-__all__ = ["REPORT", "summarise", "write_report"]
 
 REPORT = "report.html"
 SUMMARY = "summary.json"

@@ -1,7 +1,5 @@
 """Rows of a study: each run's numbers, verdict and errors; the file and the table they go to."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os
@@ -23,8 +21,6 @@ from osc_contact.runs.run import Install, run_rig
 from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sweeps.study import Sample, SweepStudy
-
-__all__ = ["RowFile", "make_rows", "record_sample", "scenario_of"]
 
 #: Words beside those of `runs.verdict`: it could not be built or is not possible; the simulation
 #: diverged; the process that ran it died.

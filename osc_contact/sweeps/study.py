@@ -24,9 +24,7 @@ import numpy as np
 from osc_contact.errors import InvalidInputError, ScenarioError
 from osc_contact.scenarios.loader import Template, read_text
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array
-
-__all__ = ["WORDS", "Design", "Sample", "SweepStudy"]
+from osc_contact.spatial import Array, norm
 
 # --- What a key may be --------------------------------------------------------------------------
 
@@ -179,11 +177,11 @@ def _tilt(text: str, parts: list[str]) -> Distribution:
 
     def draw(u: Array, value: Any) -> Drawn:
         n = np.array(value, dtype=float)
-        n /= np.linalg.norm(n)
+        n /= norm(n)
         angle = float(np.arccos(1.0 - float(u[0]) * (1.0 - np.cos(most))))
         heading = 2.0 * np.pi * float(u[1])
         a = np.cross(np.eye(3)[int(np.abs(n).argmin())], n)
-        a /= np.linalg.norm(a)
+        a /= norm(a)
         side = np.cos(heading) * a + np.sin(heading) * np.cross(n, a)
         tilted = np.cos(angle) * n + np.sin(angle) * side
         shown = ", ".join(repr(float(x)) for x in tilted)
@@ -460,14 +458,14 @@ class SweepStudy:
         from scipy.stats import qmc
 
         if self.design == "latin":
-            return np.asarray(qmc.LatinHypercube(dims, rng=self.seed).random(self.samples))
+            return qmc.LatinHypercube(dims, rng=self.seed).random(self.samples)
         if self.design == "saltelli":
             dims *= 2
         kind = qmc.Halton if self.design == "halton" else qmc.Sobol
         points = kind(dims, scramble=True, rng=self.seed)
         if block:
             points.fast_forward(block * _BLOCK)
-        return np.asarray(points.random(_BLOCK))
+        return points.random(_BLOCK)
 
 
 _WHOLE = ("latin", "grid")  #: designs whose points depend on how many there are

@@ -1,7 +1,5 @@
 """Keys of a scenario tuned by Optuna: shipped values against found ones, under limits."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,9 +11,7 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.sweeps.rows import make_rows, require_long_enough, scenario_of
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.workers import make_all, workers_of
-
-__all__ = ["GAINS", "Tuned", "tune"]
+from osc_contact.sweeps.sweep import make_all, workers_of
 
 #: Keys that are tuned if none are named, where the scenario states them.
 GAINS = (

@@ -20,11 +20,11 @@ from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.loader import Template, read_text
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array, rotations
+from osc_contact.spatial import Array, moved
 from osc_contact.sweeps.fleet import Fleet, Start
 from osc_contact.sweeps.rows import Workshop, scenario_of, without_logged_doubts
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.workers import available_cores
+from osc_contact.sweeps.sweep import available_cores
 
 __all__ = ["ContactVectorEnv", "SensedRows", "make_vector_env", "tracking_reward"]
 
@@ -328,12 +328,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         increment = np.where(going[:, None], actions[:, :6] * self.move, 0.0)
         forces = 0.5 * (actions[:, 6:] + 1.0) * self.most_force
         forces = np.where(going[:, None], forces, self._forces)
-        share = np.arange(1, T + 1) / T
-        turns = np.repeat(increment[:, 3:].T[:, None], T, axis=1) * share[:, None]  # (3, T, B)
-        E = rotations(turns.reshape(3, T * B)).reshape(3, 3, T, B).transpose(2, 3, 0, 1)
-        X = np.tile(self._target, (T, 1, 1, 1))
-        X[:, :, :3, :3] = E @ self._target[:, :3, :3]
-        X[:, :, :3, 3] += share[:, None, None] * increment[:, :3]
+        share = np.arange(1, T + 1)[:, None, None] / T
+        X = moved(self._target, share * increment)
         V = increment / (T * dt)
         still = np.zeros((B, 6))
         squeeze = np.array([episode.squeeze for episode in self._now])

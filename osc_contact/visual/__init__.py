@@ -6,8 +6,6 @@ keeps its colour from the scene to the plots. It is the colour-blind-safe palett
 (2008).
 """
 
-from __future__ import annotations
-
 __all__ = ["OKABE_ITO", "CONTACT_COLOURS", "contact_colour"]
 
 OKABE_ITO: dict[str, str] = {

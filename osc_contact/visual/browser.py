@@ -26,7 +26,6 @@ from osc_contact.files import whole_file
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["find_browser", "write_gif", "write_mp4", "write_png"]
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 VARIABLE = "OSC_CONTACT_BROWSER"

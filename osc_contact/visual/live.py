@@ -27,8 +27,6 @@ import numpy as np
 
 from osc_contact.errors import InvalidInputError, ViewerError
 
-__all__ = ["Viewer"]
-
 LOG = logging.getLogger("osc_contact.viewer")
 CHANNELS = (
     "t",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.spatial import norm
 from osc_contact.visual import contact_colour
 from osc_contact.visual.parts import Array, Frame, LegendEntry, Part, Sample, State
 from osc_contact.visual.screws import (
@@ -29,7 +30,6 @@ from osc_contact.visual.shapes import along, arrow, arrow_lengths, at, cylinder,
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-__all__ = ["BestFrame", "FindFrame"]
 
 LOST = "#8E939A"
 BLACK = "#15181C"
@@ -150,8 +150,8 @@ class ContactForce(Part):
         """Pose whose y-axis is the line of force, near the contact point; the pitch (m)."""
         if not normals.known[self.column]:
             return pin.SE3.Identity(), 0.0
-        point: Array = np.asarray(sample["contact_point"], dtype=float)[self.contact]
-        screw = wrench_screw(normals.N[:, self.column], np.asarray(sample["pose"])[:3])
+        point: Array = sample["contact_point"][self.contact]
+        screw = wrench_screw(normals.N[:, self.column], sample["pose"][:3])
         if not np.isinf(screw.pitch):
             point = screw.point + ((point - screw.point) @ screw.direction) * screw.direction
         return along(point, screw.direction), screw.pitch
@@ -256,7 +256,7 @@ class TwistAxes(Part):
 
     def _screws(self, sample: Sample) -> list[tuple[pin.SE3, float]]:
         normals = contact_normals(sample, self.owners)
-        origin = np.asarray(sample["pose"], dtype=float)[:3]
+        origin = sample["pose"][:3]
         screws = [twist_screw(t, origin) for t in tangents(normals.N[:, normals.pressed]).T]
         return [(along(screw.point, screw.direction), screw.pitch) for screw in screws]
 
@@ -322,7 +322,7 @@ class ConstraintFrame(Part):
         if self.found is None or not np.array_equal(self.found[0], N):
             self.found = N, self.find(N)
         best = self.found[1]
-        origin = np.asarray(sample["pose"], dtype=float)[:3]
+        origin = sample["pose"][:3]
         frame = {"frame": State(at(origin) * best.frame, visible=N.shape[1] > 0)}
         for axis in range(3):
             frame[f"frame/axis{axis}/force"] = State(visible=bool(best.forces[axis]))
@@ -359,12 +359,12 @@ class Trails:
         """Take one tick in; a step of less than 0.5 mm is left out."""
         points = np.vstack(
             [
-                np.asarray(sample.get("pose", [np.nan] * 3), dtype=float)[:3],
+                sample.get("pose", [np.nan] * 3)[:3],
                 np.reshape(sample.get("contact_point", ()), (-1, 3)),
             ]
         )
         for path, point in zip(self.points.values(), points, strict=False):
-            if np.isfinite(point).all() and (not path or np.linalg.norm(point - path[-1]) >= STEP):
+            if np.isfinite(point).all() and (not path or norm(point - path[-1]) >= STEP):
                 path.append(point)
                 if len(path) > LONGEST:
                     path[:-1] = path[:-1:2]

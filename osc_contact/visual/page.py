@@ -25,7 +25,6 @@ from osc_contact.files import whole_file
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-__all__ = ["embed"]
 
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "

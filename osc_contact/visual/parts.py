@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.robots import is_mjcf, load_geometry
+from osc_contact.robots.model import joint_names
 from osc_contact.robots.pictures import mjcf_geometry, read_picture
 from osc_contact.visual.shapes import urdf_geometry
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from meshcat import Visualizer
     from meshcat.animation import Animation
 
-__all__ = ["ArmVisual", "BodyVisual", "Content"]
 
 Array = NDArray[np.float64]
 
@@ -259,7 +259,7 @@ class MovingArm(_Drawn):
         self.model, geometry = _shapes(arm)
         self.data = self.model.createData()
         self.shapes = list(geometry.geometryObjects)
-        names = ["base", *list(self.model.names)[1:]]
+        names = ["base", *joint_names(self.model)]
         self.q = np.array([arm.locked.get(name, 0.0) for name in names[1:]])
         self.moving = [j for j, name in enumerate(names[1:]) if name not in arm.locked]
         joints = sorted({shape.parentJoint for shape in self.shapes})
@@ -315,7 +315,7 @@ class MovingBody(_Drawn):
 
     def _placement(self, sample: Sample) -> pin.SE3:
         if self.body.face is not None and "face_pose" in sample:
-            pose = np.asarray(sample["face_pose"], dtype=float)[self.body.face]
+            pose = sample["face_pose"][self.body.face]
         elif self.body.placement is None:
             pose = _channel(sample, "pose", f"body {self.body.name!r}")
         else:

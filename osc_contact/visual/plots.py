@@ -4,9 +4,7 @@ Each function returns a matplotlib figure and shows nothing; `save` writes it as
 figures have one look: `style`, and stacked `panels` with one time axis.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,8 +20,6 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.files import whole_file
 from osc_contact.recorder import Recording
 from osc_contact.visual import CONTACT_COLOURS, OKABE_ITO, contact_colour
-
-__all__ = ["contact_forces", "power", "save", "style", "torques", "tracking"]
 
 Array = NDArray[np.float64]
 Judged = NDArray[np.bool_]
@@ -248,12 +244,15 @@ def torques(recording: Recording) -> Figure:
     """
     t = _get(recording, "t")
     tau = _get(recording, "tau")
-    names = _actuated_names(recording.meta, tau.shape[1])
+    count = tau.shape[1]
+    recorded = recording.meta.get("effort_limits") or {}
+    names = list(recorded if len(recorded) == count else recording.meta.get("joint_names", ()))
+    if len(names) != count:
+        names = [f"actuator {i + 1}" for i in range(count)]
     arms = [str(name) for name in recording.meta.get("arm_names", [])]
     groups = {arm: [i for i, n in enumerate(names) if n.startswith(arm)] for arm in arms}
     if sorted(i for group in groups.values() for i in group) != list(range(len(names))):
         groups = {"all actuators": list(range(len(names)))}
-    recorded = recording.meta.get("effort_limits") or {}
     limits = [recorded.get(name) for name in names]
     known = all(limits)
     shown = 100.0 * tau / np.array(limits, dtype=float) if known else tau
@@ -280,21 +279,6 @@ def _get(recording: Recording, key: str) -> Array:
             f"the recording has no channel {key!r}; it has {sorted(recording.channels)}"
         )
     return np.asarray(recording.channels[key], dtype=float)
-
-
-def _actuated_names(meta: Mapping[str, Any], count: int) -> list[str]:
-    """Names of the actuated joints: the recorded names, without the scenario's passive joints."""
-    names = [str(name) for name in meta.get("joint_names", [])]
-    scenario = meta.get("scenario", {})
-    arms = scenario.get("arms", []) if isinstance(scenario, dict) else []
-    passive = [(arm["name"], joint) for arm in arms for joint in arm.get("passive_joints", [])]
-    driven = [
-        name
-        for name in names
-        if not any(name.startswith(arm) and name.endswith(joint) for arm, joint in passive)
-    ]
-    unnamed = [f"actuator {i + 1}" for i in range(count)]
-    return next(found for found in (names, driven, unnamed) if len(found) == count)
 
 
 def _counted(shape: tuple[int, ...], judged: Judged | None) -> Judged:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording, column_names
+from osc_contact.spatial import norm
 from osc_contact.visual import OKABE_ITO, contact_colour
 from osc_contact.visual.marks import (
     T_COLOUR,
@@ -40,7 +41,6 @@ from osc_contact.visual.shapes import at, plain, rgb
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-__all__ = ["Scene", "write_scene"]
 
 MOST_FRAMES = 360
 """Key frames of a page; a longer recording gets fewer per second, and motion in between."""
@@ -105,7 +105,7 @@ class Scene:
         near_points = np.vstack([nothing, *near])
         points = np.vstack([near_points, *(arm.corners(samples[0]) for arm in self.arms)])
         bases = np.vstack([nothing, *(arm.arm.base.translation for arm in self.arms)])
-        directions = np.asarray(samples[0].get("contact_direction", nothing), dtype=float)
+        directions = samples[0].get("contact_direction", nothing)
         floor = float(np.min(bases[:, 2], initial=0.0))
         lowest = float(points[:, 2].min())
         if lowest <= floor - 0.05:
@@ -233,7 +233,7 @@ def write_scene(
 
 def sample_at(channels: Mapping[str, Any], tick: int) -> dict[str, Any]:
     """The channels at one tick."""
-    return {key: np.asarray(value)[tick] for key, value in channels.items()}
+    return {key: np.asarray(value[tick], dtype=float) for key, value in channels.items()}
 
 
 # --- The stage: floor, background, and a camera that sees the forces from the side --------------
@@ -295,7 +295,7 @@ def _headings(points: Array, bases: Array, pushes: Array) -> tuple[float, float]
     """Headings (rad) of the object's side, and near it of where forces are seen from the side."""
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))[:2]
     away = middle - bases[:, :2].mean(axis=0) if len(bases) else middle
-    front = float(np.arctan2(away[1], away[0])) if np.linalg.norm(away) > 0.02 else -np.pi / 3
+    front = float(np.arctan2(away[1], away[0])) if norm(away) > 0.02 else -np.pi / 3
     turns = np.deg2rad([0, 15, -15, 30, -30, 45, -45, 60, -60])
     along = [np.abs(pushes @ eye(front + turn)).max(initial=0.0) for turn in turns]
     return front, front + float(turns[np.argmin(np.round(along, 1))])
@@ -325,7 +325,7 @@ def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, f
 def picture_axes(view: Array) -> Array:
     """(2, 3) right and up of a picture that is looked at against the view."""
     right = np.cross([0.0, 0.0, 1.0], view)
-    right /= np.linalg.norm(right)
+    right /= norm(right)
     return np.array([right, np.cross(view, right)])
 
 

@@ -7,8 +7,6 @@ couple or a pure translation. Axis and pitch depend neither on units nor on the 
 (R. S. Ball, A Treatise on the Theory of Screws, 1900).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -16,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.spatial import norm
 
 Array = NDArray[np.float64]
 FAR = 100.0
@@ -64,8 +63,8 @@ def _halves(vector: ArrayLike) -> tuple[Array, Array]:
 
 
 def _screw(line: Array, moment: Array, origin: Array) -> ScrewAxis:
-    size = float(np.linalg.norm(line))
-    arm = float(np.linalg.norm(moment))
+    size = norm(line)
+    arm = norm(moment)
     if size * FAR <= arm:
         return ScrewAxis(origin, moment / arm, float("inf"))
     direction = line / size
@@ -94,13 +93,13 @@ def common_perpendicular(
     """
     p = np.asarray(p, dtype=float)
     q = np.asarray(q, dtype=float)
-    d, e = (np.asarray(line / np.linalg.norm(line)) for line in map(np.asarray, (d, e)))
+    d, e = (np.asarray(line / norm(line)) for line in map(np.asarray, (d, e)))
     cosine = float(d @ e)
-    sine = float(np.linalg.norm(np.cross(d, e)))
+    sine = norm(np.cross(d, e))
     t = 0.0 if sine < 1e-9 else float(((d @ (q - p)) * cosine - e @ (q - p)) / sine**2)
     second = q + t * e
     first = p + (d @ (second - p)) * d
-    distance = float(np.linalg.norm(second - first))
+    distance = norm(second - first)
     return CommonPerpendicular(first, second, distance, float(np.arctan2(sine, abs(cosine))))
 
 
@@ -130,14 +129,14 @@ def contact_normals(sample: Mapping[str, Any], owners: Sequence[int] = ()) -> No
         sample: the channels at one tick.
         owners: (r,) the contact of each column, default one column per contact.
     """
-    directions = np.asarray(sample["contact_direction"], dtype=float).reshape(-1, 3)
+    directions = np.reshape(sample["contact_direction"], (-1, 3))
     points = np.asarray(sample["contact_point"], dtype=float).reshape(-1, 3)
     closed = np.asarray(sample.get("closed", np.ones(len(points))), dtype=bool)
-    arms = points - np.asarray(sample["pose"], dtype=float)[:3]
+    arms = points - sample["pose"][:3]
     N = np.hstack([directions, np.cross(arms, directions)]).T
     owner = np.arange(len(points))
     if "N" in sample:
-        N = np.asarray(sample["N"], dtype=float)
+        N = sample["N"]
         owner = np.asarray(owners or range(N.shape[1]), dtype=np.intp)
     known = np.isfinite(points).all(axis=1)[owner] & np.isfinite(N).all(axis=0)
     N = np.where(known, N, 0.0)
@@ -174,7 +173,7 @@ def echelon(basis: ArrayLike) -> Array:
             if other != row:
                 rows[other] -= rows[other, column] * rows[row]
         row += 1
-    return np.asarray(rows[::-1].T)
+    return rows[::-1].T
 
 
 def helix(pitch: float, radius: float, length: float, count: int = 48) -> Array:

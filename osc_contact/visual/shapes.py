@@ -16,6 +16,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.spatial import norm
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -40,7 +41,7 @@ def along(point: ArrayLike, direction: ArrayLike) -> pin.SE3:
         InvalidInputError: the direction is zero or not finite.
     """
     direction = np.asarray(direction, dtype=float)
-    length = float(np.linalg.norm(direction))
+    length = norm(direction)
     if not np.isfinite(length) or length == 0.0:
         raise InvalidInputError(f"direction {direction.tolist()} has no finite length > 0")
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 1.0, 0.0]), direction / length)
@@ -161,7 +162,7 @@ def tube(points: ArrayLike, radius: float, sides: int = 6) -> Any:
     rings = []
     for point, ahead in zip(path, forward, strict=True):
         side = side - (side @ ahead) * ahead  # carried along without twisting
-        side /= max(float(np.linalg.norm(side)), 1e-12)
+        side /= max(norm(side), 1e-12)
         circle = np.outer(np.cos(angles), side) + np.outer(np.sin(angles), np.cross(ahead, side))
         rings.append(point + radius * circle)
     first = np.arange((len(path) - 1) * sides).reshape(-1, sides)
@@ -260,7 +261,7 @@ def triangle_colours(file: str | Path, count: int) -> Array | None:
     if not len(colours) or abs(len(colours) - count) > LOST_SHARE * len(colours):
         return None
     places = np.linspace(0, len(colours) - 1, count).round().astype(int)
-    return np.asarray(0.14 + 0.74 * np.clip(colours[places], 0.0, 1.0))
+    return 0.14 + 0.74 * np.clip(colours[places], 0.0, 1.0)
 
 
 def _groups(root: ET.Element) -> Iterator[tuple[list[float], int]]:

@@ -1,7 +1,5 @@
 """From collision geometry to the list of contacts, at one pose or followed over time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,7 +35,7 @@ from osc_contact.contacts.pairs import (
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.contacts.surface import Surface
 from osc_contact.errors import ContactError, InvalidInputError
-from osc_contact.spatial import Array, cross
+from osc_contact.spatial import Array, cross, norm
 
 # --- Gaps between faces, edges and rims -----------------------------------------------------------
 #
@@ -60,10 +58,9 @@ def face_on_edge(
     """
 
     def gap(X: pin.SE3) -> Array:
-        gaps: Array = (edge - X.act(point)) @ (X.rotation @ normal) - radius
-        return gaps
+        return (edge - X.act(point)) @ (X.rotation @ normal) - radius
 
-    return GapFunctions(gap, length=float(np.linalg.norm(edge[1] - edge[0])), name=name)
+    return GapFunctions(gap, length=norm(edge[1] - edge[0]), name=name)
 
 
 def rim_on_face(rim: Feature, point: Array, normal: Array, sine: float, name: str) -> GapFunctions:
@@ -79,7 +76,7 @@ def rim_on_face(rim: Feature, point: Array, normal: Array, sine: float, name: st
     centre, axis, radius = rim.disc
 
     def gap(X: pin.SE3) -> Array:
-        reach = radius * np.linalg.norm(cross(normal, X.rotation @ axis))
+        reach = radius * norm(cross(normal, X.rotation @ axis))
         return np.array([normal @ (X.act(centre) - point) - reach])
 
     return GapFunctions(gap, length=radius, step=min(1e-2, _STEP * sine), name=name)
@@ -96,7 +93,7 @@ def face_on_rim(point: Array, normal: Array, rim: Feature, sine: float, name: st
 
     def gap(X: pin.SE3) -> Array:
         n = X.rotation @ normal
-        return np.array([n @ (centre - X.act(point)) - radius * np.linalg.norm(cross(n, axis))])
+        return np.array([n @ (centre - X.act(point)) - radius * norm(cross(n, axis))])
 
     return GapFunctions(gap, length=radius, step=min(1e-2, _STEP * sine), name=name)
 
@@ -124,10 +121,10 @@ def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
             lines.append(X.rotation @ a.direction)
         if len(lines) == 2:
             across = cross(lines[0], lines[1])
-            return np.array([abs(across @ apart) / np.linalg.norm(across) - reach])
+            return np.array([abs(across @ apart) / norm(across) - reach])
         for along in lines:
             apart = apart - (apart @ along) * along
-        return np.array([np.linalg.norm(apart) - reach])
+        return np.array([norm(apart) - reach])
 
     return GapFunctions(gap, length=reach, name=name)
 
@@ -200,7 +197,7 @@ class Detected:
             size = float(np.linalg.norm(self.points - self.points.mean(axis=0), axis=1).max())
             return FaceOnFace(point, a.normal, face, normal, size, name)
         if a.dimension == 1:
-            length = float(np.linalg.norm(self.points[1] - self.points[0]))
+            length = norm(self.points[1] - self.points[0])
             if a.radius > 0.0:
                 return CylinderOnPlane(point, a.direction, a.radius, face, normal, length, name)
             return EdgeOnFace(point, a.direction, face, normal, length, name)
@@ -244,7 +241,7 @@ class Detected:
 
 
 def _sine(x: Array, y: Array) -> float:
-    return float(np.linalg.norm(cross(x, y)))
+    return norm(cross(x, y))
 
 
 # --- Contacts of one pair that are one ------------------------------------------------------------
@@ -291,7 +288,7 @@ def _rank(contact: Detected) -> tuple[int, bool, float]:
 
 
 def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
-    inclined = float(np.linalg.norm(cross(a.normal, b.normal)))
+    inclined = norm(cross(a.normal, b.normal))
     if inclined > angle or a.normal @ b.normal < 0.0:
         return False
     return bool(np.abs((a.points - b.points[0]) @ b.normal).max() <= margin)
@@ -304,7 +301,7 @@ def _spanned(points: Array, other: Detected, margin: float) -> bool:
         return True
     if other.r == 2:
         along = other.points[-1] - other.points[0]
-        along = along / np.linalg.norm(along)
+        along = along / norm(along)
         away = away - np.outer(away @ along, along)
     return bool(np.linalg.norm(away, axis=1).max() <= margin)
 
@@ -513,8 +510,7 @@ class TrackedContact:
         X_EO = X_WO if X_WE is None else X_WE.actInv(X_WO)
         moved = self._X_EO.actInv(X_EO)
         near = (
-            np.linalg.norm(moved.translation) <= self._travel
-            and np.linalg.norm(pin.log3(moved.rotation)) <= self._turn
+            norm(moved.translation) <= self._travel and norm(pin.log3(moved.rotation)) <= self._turn
         )
         if self.pairs and near:
             return self.pairs

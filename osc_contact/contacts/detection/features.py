@@ -14,8 +14,9 @@ import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots import load_geometry
+from osc_contact.robots.model import joint_names
 from osc_contact.robots.xml_tree import read_bytes
-from osc_contact.spatial import Array, cross
+from osc_contact.spatial import Array, cross, norm
 
 # --- Solids of a collision geometry ---------------------------------------------------------------
 
@@ -109,7 +110,7 @@ def _read(file: Path, text: bytes) -> tuple[CollisionShape, ...]:
     """See `collision_shapes`; `text` is the file's, so that one that was read is not read again."""
     model, geometry, document = load_geometry(file, pin.GeometryType.COLLISION)
     if model.nv > 0:
-        moving = ", ".join(list(model.names)[1:])
+        moving = ", ".join(joint_names(model))
         raise ModelError(f"{file}: one rigid body is expected, but these joints move: {moving}")
     if len(geometry.geometryObjects) == 0:
         raise ModelError(f"{file}: no link has a <collision> element; nothing can touch")
@@ -188,7 +189,7 @@ def _convex(name: str, mesh: Any) -> Any:
     size = np.ptp(corners, axis=0).max()
     a, b, c = (corners[triangles[:, i]] for i in range(3))
     for normal, point in zip(np.cross(b - a, c - a), a, strict=True):
-        height = (corners - point) @ normal / (np.linalg.norm(normal) or 1.0)
+        height = (corners - point) @ normal / (norm(normal) or 1.0)
         if height.max() > _CONVEX_SLACK * size and height.min() < -_CONVEX_SLACK * size:
             raise ModelError(
                 f"{name}: the mesh is not convex (corners lie up to {height.max():.3g} m outside "
@@ -268,14 +269,14 @@ class Feature:
     def direction(self) -> Array:
         """(3,) unit direction of a line."""
         along: Array = self.points[-1] - self.points[0]
-        return along / np.linalg.norm(along)
+        return along / norm(along)
 
     @property
     def disc(self) -> tuple[Array, Array, float]:
         """(centre, axis, radius) of a rim."""
         if self.centre is None or self.axis is None:
             raise InvalidInputError(f"a {self.name} is no rim and has no disc")
-        return self.centre, self.axis, float(np.linalg.norm(self.points[0] - self.centre))
+        return self.centre, self.axis, norm(self.points[0] - self.centre)
 
     def moved(self, X: pin.SE3) -> Feature:
         """The same feature in the coordinates X maps to."""
@@ -325,7 +326,7 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
     points = solid.corners[active]
     if len(points) > 2 and not _collinear(points):
         normal = solid.normals[int((solid.normals @ d).argmax())]
-        if np.linalg.norm(cross(normal, d)) <= angle:
+        if norm(cross(normal, d)) <= angle:
             return Feature("face", 2, _round_trip(points, normal), 0.0, normal)
         others = active[active != top]  # steeper than `angle` across: the flattest edge is left
         flattest = others[int((drop[others] / distance[others]).argmin())]
@@ -340,16 +341,16 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
 def plane_axes(n: Array) -> Array:
     """(2, 3) two unit vectors that make a right-handed system with the unit vector n."""
     u = cross(n, np.eye(3)[int(np.abs(n).argmin())])
-    u /= np.linalg.norm(u)
+    u /= norm(u)
     return np.array((u, cross(n, u)))
 
 
 def _of_cylinder(solid: Solid, axis: Array, d: Array, margin: float, angle: float) -> Feature:
     along = float(axis @ d)
     radial = d - along * axis
-    sine = float(np.linalg.norm(radial))
+    sine = norm(radial)
     end = solid.corners[int((solid.corners @ d).argmax())]
-    length = float(np.linalg.norm(solid.corners[1] - solid.corners[0]))
+    length = norm(solid.corners[1] - solid.corners[0])
     if sine <= min(margin / (2.0 * solid.radius), angle):
         normal = axis if along > 0.0 else -axis
         turn = 2.0 * np.pi * np.arange(_DISC_POINTS) / _DISC_POINTS
@@ -404,15 +405,14 @@ def shared_patch(
     if len(points) == 0:
         points = axes @ witness[:, None]
         points = points.T
-    reduced: Array = _reduced(points, width) @ axes
-    return reduced
+    return _reduced(points, width) @ axes
 
 
 def _of_lines(a: Array, e: Array, angle: float) -> Array:
     """Where two line pieces cross, or the piece in which two parallel ones run side by side."""
     along_a = a[1] - a[0]
     along_e = e[1] - e[0]
-    lengths = np.linalg.norm(along_a), np.linalg.norm(along_e)
+    lengths = norm(along_a), norm(along_e)
     sine = (along_a[0] * along_e[1] - along_a[1] * along_e[0]) / (lengths[0] * lengths[1])
     if abs(sine) > angle:
         s, _ = np.linalg.solve(np.column_stack((along_a, -along_e)), e[0] - a[0])
@@ -494,13 +494,12 @@ def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
     length = np.linalg.norm(crosses, axis=1)
     crosses = crosses[length > 1e-6] / length[length > 1e-6, None]
     directions = np.vstack((e.normals, -a.normals, crosses, -crosses))
-    if guess is not None and np.linalg.norm(guess) > 0.5:
-        directions = np.vstack((directions, guess / np.linalg.norm(guess)))
+    if guess is not None and norm(guess) > 0.5:
+        directions = np.vstack((directions, guess / norm(guess)))
     if len(directions) == 0:
         directions = np.eye(3)[2:]
     apart = _separations(a, e, directions)
-    best: Array = directions[int(np.flatnonzero(apart >= apart.max() - _TIE)[0])]
-    return best
+    return directions[int(np.flatnonzero(apart >= apart.max() - _TIE)[0])]
 
 
 def _separations(a: Solid, e: Solid, directions: Array) -> Array:
@@ -520,13 +519,13 @@ def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:
         return -a.normal
     if a.dimension == e.dimension == 1:
         across = cross(a.direction, e.direction)
-        if np.linalg.norm(across) <= angle:
+        if norm(across) <= angle:
             return n
     elif a.axis is not None or e.axis is not None:
         return n  # of a rim: the solver's
     else:
         across = _nearest(a, e) - _nearest(e, a)
-    across = across / np.linalg.norm(across)
+    across = across / norm(across)
     return across if across @ n > 0.0 else -across
 
 

@@ -13,24 +13,27 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from osc_contact.contacts.pairs.compiled_pair import CompiledPair
-from osc_contact.contacts.pairs.cone_in_groove import ConeInGroove
-from osc_contact.contacts.pairs.cylinder_in_hole import CylinderInHole
 from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
-from osc_contact.contacts.pairs.cylinder_on_plane import CylinderOnPlane
-from osc_contact.contacts.pairs.edge_on_edge import EdgeOnEdge
-from osc_contact.contacts.pairs.edge_on_face import EdgeOnFace
-from osc_contact.contacts.pairs.face_on_face import FaceOnFace
-from osc_contact.contacts.pairs.face_on_vertex import FaceOnVertex
-from osc_contact.contacts.pairs.fixed import Fixed, Free
 from osc_contact.contacts.pairs.gap_functions import GapFunctions
-from osc_contact.contacts.pairs.pair import ContactPair
-from osc_contact.contacts.pairs.prismatic import Prismatic
-from osc_contact.contacts.pairs.registry import PAIRS, register_pair
-from osc_contact.contacts.pairs.revolute import Revolute
-from osc_contact.contacts.pairs.screw import Screw
-from osc_contact.contacts.pairs.sphere_on_plane import SphereOnPlane
+from osc_contact.contacts.pairs.law_pair import EdgeOnEdge, FaceOnVertex
+from osc_contact.contacts.pairs.pair import PAIRS, ContactPair, register_pair
+from osc_contact.contacts.pairs.points_on_planes import (
+    CylinderInHole,
+    CylinderOnPlane,
+    EdgeOnFace,
+    FaceOnFace,
+    SphereOnPlane,
+    VertexOnFace,
+)
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
-from osc_contact.contacts.pairs.vertex_on_face import VertexOnFace
+from osc_contact.contacts.pairs.tangent_pair import (
+    ConeInGroove,
+    Fixed,
+    Free,
+    Prismatic,
+    Revolute,
+    Screw,
+)
 
 for _file in iter_modules(__path__):
     import_module(f"{__name__}.{_file.name}")

@@ -1,7 +1,5 @@
 """A contact pair whose N and n_γ a user's function computes, compiled and called inside the law."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,14 +12,11 @@ import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.law_pair import PairRow
-from osc_contact.contacts.pairs.pair import Bodies, store
-from osc_contact.contacts.pairs.registry import register_pair
+from osc_contact.contacts.pairs.pair import Bodies, register_pair, store
 from osc_contact.errors import ContactError, InvalidInputError, missing
 from osc_contact.law.jit import PLAIN_PYTHON, call_address
 from osc_contact.law.records import FUNCTION
 from osc_contact.spatial import Array, as_array
-
-__all__ = ["CompiledPair"]
 
 _WORLD = np.eye(4)
 

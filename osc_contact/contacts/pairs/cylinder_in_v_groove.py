@@ -1,7 +1,5 @@
 """A cylinder of the object in a V-groove of the environment."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import pi
 from typing import Annotated, ClassVar, Literal
@@ -9,15 +7,19 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from osc_contact.contacts.pairs.pair import read_geometry, require_length
+from osc_contact.contacts.pairs.pair import (
+    Direction,
+    Extent,
+    Point,
+    Radius,
+    check_geometry,
+    register_pair,
+)
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes, ends
-from osc_contact.contacts.pairs.registry import register_pair
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
 from osc_contact.scenarios.quantities import Angle, Length, UnitVec3, Vec3
-from osc_contact.spatial import Array, cross
-
-__all__ = ["CylinderInVGroove"]
+from osc_contact.spatial import cross, norm
 
 
 class CylinderInVGrooveSpec(OnBodySpec):
@@ -66,30 +68,21 @@ class CylinderInVGroove(PointsOnPlanes):
         name: used in messages and recordings.
     """
 
-    point: Array
-    direction: Array
-    radius: float
-    groove_point: Array
-    groove_direction: Array
-    groove_outward: Array
+    point: Point
+    direction: Direction
+    radius: Radius
+    groove_point: Point
+    groove_direction: Direction
+    groove_outward: Direction
     groove_angle: float = pi / 2
-    length: float = 0.1
+    length: Extent = 0.1
     name: str = "cylinder_in_v_groove"
     pushes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        read_geometry(
-            self,
-            "point",
-            "groove_point",
-            direction="cylinder's axis",
-            groove_direction="direction of the groove",
-            groove_outward="way out of the groove",
-        )
-        require_length(f"{self.name}.radius", self.radius)
-        require_length(f"{self.name}.length", self.length, ">")
+        check_geometry(self)
         side = cross(self.groove_direction, self.groove_outward)
-        size = float(np.linalg.norm(side))
+        size = norm(side)
         if not (0.0 < self.groove_angle < pi and size > 1e-6):
             raise InvalidInputError(
                 f"{self.name}: the walls enclose {self.groove_angle} rad and the way out of the "

@@ -1,7 +1,5 @@
 """Any contact whose gaps can be computed: N and n_γ from derivatives of the gap functions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,12 +8,9 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import Bodies, require_length
-from osc_contact.contacts.pairs.registry import register_pair
+from osc_contact.contacts.pairs.pair import Bodies, Extent, check_geometry, register_pair
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array, as_array, cross_twist
-
-__all__ = ["GapFunctions"]
+from osc_contact.spatial import Array, as_array, cross_twist, norm
 
 # Eighth-order central differences at the steps ±1 … ±4.
 _STEPS = np.array([1.0, 2.0, 3.0, 4.0])
@@ -45,12 +40,12 @@ class GapFunctions:
     """
 
     gap: Callable[[pin.SE3], npt.ArrayLike]
-    length: float = 0.1
+    length: Extent = 0.1
     step: float = 0.02
     name: str = "gap_functions"
 
     def __post_init__(self) -> None:
-        require_length(f"{self.name}.length", self.length, ">")
+        check_geometry(self)
         if not 1e-5 <= self.step <= 0.3:
             raise InvalidInputError(f"{self.name}.step = {self.step}; give 1e-5 … 0.3")
 
@@ -75,7 +70,7 @@ class GapFunctions:
         N = np.vstack((to_E.T @ N_E[:3], to_E.T @ N_E[3:]))
         V_rel = b.V_rel
         xi = np.concatenate((to_E @ V_rel[:3], to_E @ V_rel[3:]))
-        speed = float(np.linalg.norm(xi / units))  # how many units of `step` per second
+        speed = norm(xi / units)  # how many units of `step` per second
         bend = self._differences(X_EA, xi / speed)[1] * speed**2 if speed else 0.0
         return Contact(N, cross_twist(b.V_E, V_rel) @ N + bend, name=self.name)
 

@@ -4,24 +4,34 @@ The tick runs these functions compiled, `LawPair` runs the same source as Python
 instant, on arrays at many.
 """
 
-from __future__ import annotations
-
+from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from pydantic import Field
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import Bodies, ContactPair, store
+from osc_contact.contacts.pairs.pair import (
+    Bodies,
+    ContactPair,
+    Direction,
+    Point,
+    Radius,
+    check_geometry,
+    register_pair,
+    store,
+    unit_vector,
+)
 from osc_contact.contacts.surface import OF_ARRAYS, Shapes
-from osc_contact.errors import ContactError
+from osc_contact.errors import ContactError, InvalidInputError
 from osc_contact.law import contact as law
 from osc_contact.law.jit import as_python
-from osc_contact.law.records import SURFACE, TANGENTS
+from osc_contact.law.records import EDGES, FACE_ON_VERTEX, SURFACE, TANGENTS
+from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
+from osc_contact.scenarios.quantities import Length, UnitVec3, Vec3
 from osc_contact.spatial import Array, Poses
-
-__all__ = ["LawPair", "PairRow", "law_row", "normals_over", "shape"]
 
 _place = as_python(law.place_pair, **OF_ARRAYS)
 _motion = as_python(law.permitted_motion)
@@ -201,3 +211,136 @@ def _elements(X: pin.SE3) -> _Elements:
 
 def _elements_over(X: Poses) -> _Elements:
     return {(i, j): X.p[i] if j == 3 else X.R[i, j] for i in range(3) for j in range(4)}
+
+
+# A face of the object on a vertex of the environment.
+
+
+class FaceOnVertexSpec(OnBodySpec):
+    """A face of the object on a (rounded) vertex of a body, r = 1."""
+
+    forces: ClassVar[int] = 1
+    type: Literal["face_on_vertex"] = "face_on_vertex"
+    point: Vec3
+    """a point of the object's face [x, y, z] in the object frame"""
+    normal: UnitVec3
+    """the outward normal of the object's face [x, y, z] in the object frame"""
+    body_vertex: BodyPoint
+    """the centre of the rounded vertex [x, y, z] in the body frame"""
+    radius: Annotated[Length, Field(ge=0)] = 0.0
+    """of the rounding"""
+
+
+@register_pair(FaceOnVertexSpec, body_vertex="vertex")
+@dataclass(frozen=True, eq=False)
+class FaceOnVertex(LawPair):
+    """A face of the held object on a vertex of the environment (r = 1).
+
+    N = [n; (p − O) × n] with n the *outward* normal of the object's face, which points into the
+    environment, and p the vertex. Now the object carries n and the environment p: ṅ = ω_O × n,
+    ṗ = v_E(p).
+
+    Attributes:
+        point: (3,) a point of the face in the object frame (m).
+        normal: (3,) outward normal of the face in the object frame; normalised on entry.
+        vertex: (3,) vertex, or centre of the rounded vertex, in the environment frame (m).
+        radius: of the rounded vertex (m).
+        name: used in messages and recordings.
+    """
+
+    point: Point
+    normal: Direction
+    vertex: Point
+    radius: Radius = 0.0
+    name: str = "face_on_vertex"
+    pushes: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        check_geometry(self)
+        self._hold(
+            PairRow(FACE_ON_VERTEX, (shape(self.normal, self.vertex, self.radius),)), self.vertex
+        )
+        store(self, surface_radius=self.radius)
+
+    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+        """(1,) distance between face and vertex surface (m), negative when they overlap."""
+        b = Bodies.at_O(X_WO, X_WE=X_WE)
+        apart = b.point_E(self.vertex) - b.point_A(self.point)
+        return (b.R_A @ self.normal @ apart - self.radius)[None]
+
+
+# An edge of the object across an edge of the environment.
+
+
+class EdgeOnEdgeSpec(OnBodySpec):
+    """An edge of the object across an edge of a body, r = 1."""
+
+    forces: ClassVar[int] = 1
+    type: Literal["edge_on_edge"] = "edge_on_edge"
+    point: Vec3
+    """a point of the object's edge [x, y, z] in the object frame"""
+    direction: UnitVec3
+    """along the object's edge [x, y, z] in the object frame"""
+    edge_point: BodyPoint
+    """a point of the body's edge [x, y, z] in the body frame"""
+    edge_direction: BodyDirection
+    """along the body's edge [x, y, z] in the body frame"""
+    edge_outward: BodyDirection
+    """roughly out of the body at its edge [x, y, z] in the body frame"""
+
+
+@register_pair(
+    EdgeOnEdgeSpec,
+    point="point_A",
+    direction="direction_A",
+    edge_point="point_E",
+    edge_direction="direction_E",
+    edge_outward="side",
+)
+@dataclass(frozen=True, eq=False)
+class EdgeOnEdge(LawPair):
+    """An edge of the held object across an edge of the environment (r = 1).
+
+    N = [n; (p − O) × n], n = ± e_A × e_E / |e_A × e_E| into the environment, p the crossing point,
+    which neither body carries: it slides along both edges, ṗ = v_A(p) + ṡ e_A. With e_A, e_E unit,
+    ṅ = ± (1 − nnᵀ)(ė_A × e_E + e_A × ė_E) / |e_A × e_E|. With the gap g open, p is the
+    point of the object's edge nearest to the other one and
+    ṫ e_E − ṡ e_A = v_A(p) − v_E(p + g n) + g ṅ in the plane ⟂ n, so N and n_γ stay exact.
+
+    Attributes:
+        point_A: (3,) a point of the object's edge, in the object frame (m).
+        direction_A: (3,) along that edge; normalised on entry.
+        point_E: (3,) a point of the environment's edge, in the environment frame (m).
+        direction_E: (3,) along that edge; normalised on entry.
+        side: which way n points: +1 along e_A × e_E, −1 against it, or an outward normal (3,) of
+            the environment at its edge, in the environment frame; roughly is enough, its component
+            along e_A × e_E decides.
+        name: used in messages and recordings.
+    """
+
+    point_A: Point
+    direction_A: Direction
+    point_E: Point
+    direction_E: Direction
+    side: float | Array = 1.0
+    name: str = "edge_on_edge"
+    pushes: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        check_geometry(self)
+        if np.ndim(self.side) > 0:
+            store(self, side=unit_vector(f"{self.name}.side", self.side))
+        elif self.side not in (1, -1):
+            raise InvalidInputError(
+                f"{self.name}.side = {self.side}; give +1 or −1 (times e_A × e_E), or a vector "
+                "that points out of the environment, towards the object"
+            )
+        side = (0.0, self.side) if np.ndim(self.side) else (self.side, np.zeros(3))
+        lines = self.point_A, self.direction_A, self.point_E, self.direction_E
+        self._hold(PairRow(EDGES, (shape(*lines, *side),)), self.point_E)
+
+    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+        """(1,) distance between the two lines (m), negative when they have passed each other."""
+        b = Bodies.at_O(X_WO, X_WE=X_WE)
+        n = self.contact(X_WO, np.zeros(6), X_WE).N[:3, 0]
+        return (n @ (b.point_E(self.point_E) - b.point_A(self.point_A)))[None]

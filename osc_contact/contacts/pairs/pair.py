@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Protocol, TypeVar, get_type_hints, runtime_checkable
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array, as_array, carry_twist, cross, skew
-
-__all__ = [
-    "Bodies",
-    "ContactPair",
-    "count_forces",
-    "knows_where_it_slides",
-    "lines_of_force",
-    "lines_of_force_rate",
-    "pushes_only",
-    "read_geometry",
-    "require_length",
-    "store",
-    "triad",
-    "unit_vector",
-    "velocity",
-]
+from osc_contact.scenarios.bodies import ContactSpec, OfBody, register_contact
+from osc_contact.spatial import Array, as_array, carry_twist, cross, norm, skew
 
 _ORIGIN = np.zeros(3)
 _AT_REST = np.zeros(6)
@@ -174,9 +162,9 @@ def triad(z: Array) -> Array:
     The first column is horizontal for every z but ±y.
     """
     x = cross(np.array([0.0, 1.0, 0.0]), z)
-    if np.linalg.norm(x) < 1e-3:
+    if norm(x) < 1e-3:
         x = cross(np.array([0.0, 0.0, 1.0]), z)
-    x = x / np.linalg.norm(x)
+    x = x / norm(x)
     return np.column_stack((x, cross(z, x), z))
 
 
@@ -186,41 +174,98 @@ def store(pair: Any, **values: Any) -> None:
         object.__setattr__(pair, key, value)
 
 
-def read_geometry(pair: Any, *points: str, **directions: str) -> None:
-    """Check and copy the named points (3,), check and normalise the named directions (name=what it
-    is called in messages) of a frozen pair that is being made.
+#: What a number of a pair's geometry is; `check_geometry` reads it from the field's annotation.
+Point = Annotated[Array, "point"]
+Direction = Annotated[Array, "direction"]
+Radius = Annotated[float, "≥"]
+Extent = Annotated[float, ">"]
+
+
+@cache
+def _geometry(pair: Any) -> dict[str, str]:
+    """Kind of each field whose annotation states one."""
+    hints = get_type_hints(pair, include_extras=True).items()
+    return {key: hint.__metadata__[0] for key, hint in hints if hasattr(hint, "__metadata__")}
+
+
+def check_geometry(pair: Any) -> None:
+    """Check the geometry of a frozen pair that is being made; copy points, normalise directions.
 
     Raises:
-        InvalidInputError: wrong shape, not finite, or a direction that is zero.
+        InvalidInputError: wrong shape, not finite, a direction that is zero, a length < 0 (≤ 0).
     """
-    for key in points:
-        store(pair, **{key: as_array(f"{pair.name}.{key}", getattr(pair, key), (3,))})
-    for key, meaning in directions.items():
-        store(pair, **{key: unit_vector(f"{pair.name}.{key}", getattr(pair, key), meaning)})
+    made: Any = type(pair)
+    for key, kind in _geometry(made).items():
+        name = f"{pair.name}.{key}"
+        value = getattr(pair, key)
+        if kind == "point":
+            store(pair, **{key: as_array(name, value, (3,))})
+        elif kind == "direction":
+            store(pair, **{key: unit_vector(name, value)})
+        elif not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and kind == "≥"))):
+            raise InvalidInputError(f"{name} = {value}; give a length {kind} 0 m")
 
 
-def unit_vector(name: str, value: Any, meaning: str) -> Array:
-    """`value` (3,) normalised.
-
-    Args:
-        name: of the argument. value: three numbers. meaning: what it is, for the message.
+def unit_vector(name: str, value: Any) -> Array:
+    """`value` (3,) normalised; `name` is that of the argument.
 
     Raises:
         InvalidInputError: wrong shape, not finite or zero.
     """
     vector = as_array(name, value, (3,))
-    length = float(np.linalg.norm(vector))
+    length = norm(vector)
     if length < 1e-9:
-        raise InvalidInputError(f"{name} is zero; give the {meaning}")
+        raise InvalidInputError(f"{name} is zero; give a direction")
     return vector / length
 
 
-def require_length(name: str, value: float, least: str = "≥") -> None:
-    """Refuse what is not a length ≥ 0 m (or > 0 m).
+# The register of contact pairs: each enters it where it is written, with its keys in YAML.
+
+
+Pair = TypeVar("Pair", bound=type[Any])
+
+#: Every registered pair by the name of its class.
+PAIRS: dict[str, type[ContactPair]] = {}
+_MADE_FROM: dict[type[ContactSpec], tuple[Callable[..., ContactPair], dict[str, str]]] = {}
+
+
+def register_pair(keys: type[ContactSpec] | None = None, **renamed: str) -> Callable[[Pair], Pair]:
+    """Class decorator: enter a pair in the register.
 
     Args:
-        name: of the argument. value: m. least: "≥" or ">" 0.
+        keys: keys of such a contact in a scenario. None: it is made in Python only.
+        renamed: keys that the class calls otherwise, such as face_point="point".
     """
-    fits = np.isfinite(value) and (value > 0.0 or (least == "≥" and value == 0.0))
-    if not fits:
-        raise InvalidInputError(f"{name} = {value}; give a length {least} 0 m")
+
+    def enter(pair: Pair) -> Pair:
+        PAIRS[pair.__name__] = pair
+        if keys is not None:
+            register_contact(keys)
+            _MADE_FROM[keys] = pair, renamed
+        return pair
+
+    return enter
+
+
+def make_pair(spec: ContactSpec, X_WB: pin.SE3, folder: Path | None = None) -> ContactPair:
+    """The pair that a scenario describes, its environment frame E where the world's is.
+
+    Args:
+        spec: of a registered kind. X_WB: pose of the body that the contact is on.
+        folder: where files are that it names.
+    """
+    pair, renamed = _MADE_FROM[type(spec)]
+    given: dict[str, Any] = {}
+    for key, field in type(spec).model_fields.items():
+        value = getattr(spec, key)
+        if OfBody.POINT in field.metadata:
+            value = X_WB.act(np.array(value))
+        elif OfBody.DIRECTION in field.metadata:
+            value = X_WB.rotation @ np.array(value)
+        elif hasattr(value, "made"):
+            value = value.made(folder)
+        if key == "face":
+            given |= {"point": value.point, "normal": value.normal}
+        elif key not in ("type", "body"):
+            given[renamed.get(key, key)] = value
+    return pair(**given)

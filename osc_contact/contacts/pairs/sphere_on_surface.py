@@ -1,7 +1,5 @@
 """A ball or vertex of the object on a curved surface of the environment."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -11,17 +9,20 @@ import pinocchio as pin
 from pydantic import Field
 
 from osc_contact.contacts.pairs.law_pair import LawPair, PairRow
-from osc_contact.contacts.pairs.pair import read_geometry, require_length, store
-from osc_contact.contacts.pairs.registry import register_pair
+from osc_contact.contacts.pairs.pair import (
+    Direction,
+    Point,
+    Radius,
+    check_geometry,
+    register_pair,
+    store,
+)
 from osc_contact.contacts.surface import Surface, distance_and_normal
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import SURFACE
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
-from osc_contact.scenarios.quantities import Length, Vec3
-from osc_contact.scenarios.spec import Spec
-from osc_contact.spatial import Array, Poses, cross
-
-__all__ = ["SphereOnSurface"]
+from osc_contact.scenarios.quantities import Length, Spec, Vec3
+from osc_contact.spatial import Array, Poses, cross, norm
 
 
 class SphereSpec(Spec):
@@ -113,21 +114,20 @@ class SphereOnSurface(LawPair):
         name: used in messages and recordings.
     """
 
-    centre: Array
-    radius: float
+    centre: Point
+    radius: Radius
     surface: Surface
-    origin: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    axis: Array = (0.0, 0.0, 1.0)  # type: ignore[assignment]
-    along: Array = (1.0, 0.0, 0.0)  # type: ignore[assignment]
+    origin: Point = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    axis: Direction = (0.0, 0.0, 1.0)  # type: ignore[assignment]
+    along: Direction = (1.0, 0.0, 0.0)  # type: ignore[assignment]
     name: str = "sphere_on_surface"
     pushes: ClassVar[bool] = True
     X_ES: pin.SE3 = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        read_geometry(self, "centre", "origin", axis="z axis", along="x axis")
-        require_length(f"{self.name}.radius", self.radius)
+        check_geometry(self)
         y = cross(self.axis, self.along)
-        sine = float(np.linalg.norm(y))
+        sine = norm(y)
         if sine < 1e-6:
             raise InvalidInputError(
                 f"{self.name}: the x axis of the surface is {sine:.2g} rad off its z axis; give "

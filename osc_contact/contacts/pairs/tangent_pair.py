@@ -1,26 +1,24 @@
 """Pairs given by T: N annihilates T by construction, n_γ = NᵀṪβ."""
 
-from __future__ import annotations
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs.law_pair import PairRow, shape
-from osc_contact.contacts.pairs.pair import Bodies, read_geometry, store, triad
+from osc_contact.contacts.pairs.pair import (
+    Bodies,
+    Direction,
+    Point,
+    check_geometry,
+    register_pair,
+    store,
+    triad,
+)
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
+from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import COUPLE, FORCE, SCREW, SLIDE, TANGENTS, THREAD, TURN
 from osc_contact.spatial import Array
-
-__all__ = [
-    "TangentPair",
-    "held_axes",
-    "held_axis",
-    "read_joint",
-    "screw",
-    "slide",
-    "thread",
-    "rotation",
-]
 
 _NONE = np.zeros((3, 0))
 
@@ -112,5 +110,192 @@ def held_axes(R_EA: Array) -> tuple[Array, Array]:
 
 def read_joint(pair: TangentPair) -> None:
     """Check point, axis and assembled pose of a joint that is being made."""
-    read_geometry(pair, "point", axis="axis of the joint")
+    check_geometry(pair)
     store(pair, assembled=pin.SE3(pair.assembled))  # type: ignore[attr-defined]
+
+
+# The object clamped to the environment, and no contact at all.
+
+
+_ORIGIN = np.zeros(3)
+
+
+@register_pair()
+@dataclass(frozen=True, eq=False)
+class Fixed(TangentPair):
+    """The object clamped to the environment (r = 6): three distances of its origin, three angles.
+
+    Attributes:
+        assembled: the pose of the object in the environment frame.
+        name: used in messages and recordings.
+    """
+
+    assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    name: str = "fixed"
+
+    def __post_init__(self) -> None:
+        pose = self.assembled
+        self._hold_tangents(_ORIGIN, np.eye(3), pose.translation, held_axes(pose.rotation))
+
+
+@register_pair()
+@dataclass(frozen=True, eq=False)
+class Free(TangentPair):
+    """No contact (r = 0)."""
+
+    name: str = "free"
+
+    def __post_init__(self) -> None:
+        self._hold_tangents(_ORIGIN, np.zeros((3, 0)), _ORIGIN)
+
+
+# A slide between object and environment.
+
+
+@register_pair()
+@dataclass(frozen=True, eq=False)
+class Prismatic(TangentPair):
+    """A slide: the object moves along an axis of the environment and does not turn (r = 5).
+
+    Gaps: two distances of the point from the line, three angles.
+
+    Attributes:
+        point: (3,) a point of the line in the object frame (m).
+        axis: (3,) in the object frame; normalised on entry.
+        assembled: a pose of the object in the environment frame at which the slide is closed.
+        name: used in messages and recordings.
+    """
+
+    point: Point
+    axis: Direction
+    assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    name: str = "prismatic"
+
+    def __post_init__(self) -> None:
+        read_joint(self)
+        seat = self.assembled.rotation @ self.axis
+        turns = held_axes(self.assembled.rotation)
+        freedoms = (slide(self.point, seat),)
+        on_line = self.assembled.act(self.point)
+        self._hold_tangents(self.point, triad(seat)[:, :2], on_line, turns, freedoms)
+
+
+# A hinge between object and environment.
+
+
+@register_pair()
+@dataclass(frozen=True, eq=False)
+class Revolute(TangentPair):
+    """A hinge: the object turns about an axis of the environment (r = 5).
+
+    Gaps: three distances of the point, two angles of the axis.
+
+    Attributes:
+        point: (3,) a point of the axis in the object frame (m).
+        axis: (3,) in the object frame; normalised on entry.
+        assembled: a pose of the object in the environment frame at which the hinge is closed.
+        name: used in messages and recordings.
+    """
+
+    point: Point
+    axis: Direction
+    assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    name: str = "revolute"
+
+    def __post_init__(self) -> None:
+        read_joint(self)
+        seat = self.assembled.rotation @ self.axis
+        tilts = held_axis(self.axis, seat)
+        freedoms = (rotation(self.point, self.axis),)
+        on_axis = self.assembled.act(self.point)
+        self._hold_tangents(self.point, triad(seat), on_axis, tilts, freedoms)
+
+
+# A screw between object and environment.
+
+
+@register_pair()
+@dataclass(frozen=True, eq=False)
+class Screw(TangentPair):
+    """A screw: the object turns about an axis of the environment and advances with it (r = 5).
+
+    Gaps: two distances of the point from the axis, two angles of the axis, and the advance that
+    the angle does not account for, to the nearest turn of the thread (m). Their gradient is −N in
+    the assembled screw; N annihilates T in any pose.
+
+    Attributes:
+        point: (3,) a point of the axis in the object frame (m).
+        axis: (3,) in the object frame; normalised on entry.
+        pitch: advance along the axis (m/rad, not per turn); negative: left-handed.
+        assembled: a pose of the object in the environment frame at which the screw is closed.
+        name: used in messages and recordings.
+    """
+
+    point: Point
+    axis: Direction
+    pitch: float
+    assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    name: str = "screw"
+    _seat: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        read_joint(self)
+        if not np.isfinite(self.pitch) or self.pitch == 0.0:
+            raise InvalidInputError(
+                f"{self.name}.pitch = {self.pitch}; give m/rad other than 0 (else: Revolute)"
+            )
+        store(self, _seat=triad(self.assembled.rotation @ self.axis))
+        axes = self.point, self.axis, self._seat[:, 2], self.pitch
+        on_axis = self.assembled.act(self.point)
+        tilts = held_axis(self.axis, self._seat[:, 2])
+        self._hold_tangents(
+            self.point, self._seat[:, :2], on_axis, tilts, (screw(*axes),), (thread(*axes),)
+        )
+
+    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+        """(5,) signed errors, the last one wrapped to ±π |pitch|."""
+        b = Bodies.at_O(X_WO, X_WE=X_WE)
+        x, y, d = b.rotate_E(self._seat).T
+        spoke = b.R_A @ (self.assembled.rotation.T @ self._seat[:, 0])  # along x when assembled
+        angle = np.arctan2(y @ spoke, x @ spoke)
+        on_axis = b.point_E(self.assembled.act(self.point))
+        ahead = d @ (b.point_A(self.point) - on_axis) / self.pitch - angle
+        wrapped = -self.pitch * np.remainder(ahead + np.pi, 2 * np.pi) + self.pitch * np.pi
+        return np.append(super().gaps(X_WO, X_WE), wrapped)
+
+
+# The cone in its groove (fig. 2 of the paper): a pair given by T that no constraint frame fits.
+
+
+@register_pair()
+@dataclass(frozen=True, eq=False)
+class ConeInGroove(TangentPair):
+    """Fig. 2 of the paper: a cone turns about its axis and slides along a groove (r = 4).
+
+    T = [rotation about the cone's axis, carried by the object | translation along the groove,
+    carried by the environment]. The gaps: two distances of the apex from the groove's line, two
+    angles of the axis from its seat. No constraint frame describes it unless seat and groove are
+    parallel or perpendicular.
+
+    Attributes:
+        apex: (3,) of the cone in the object frame (m).
+        axis: (3,) of the cone in the object frame; normalised on entry.
+        groove_point: (3,) a point of the line on which the apex slides, environment frame (m).
+        groove_direction: (3,) along that line, environment frame; normalised on entry.
+        seat: (3,) the direction the cone's axis has in the environment frame; normalised.
+        name: used in messages and recordings.
+    """
+
+    apex: Point
+    axis: Direction
+    groove_point: Point
+    groove_direction: Direction
+    seat: Direction
+    name: str = "cone_in_groove"
+
+    def __post_init__(self) -> None:
+        check_geometry(self)
+        across = triad(self.groove_direction)[:, :2]
+        freedoms = rotation(self.apex, self.axis), slide(self.apex, self.groove_direction)
+        tilts = held_axis(self.axis, self.seat)
+        self._hold_tangents(self.apex, across, self.groove_point, tilts, freedoms)

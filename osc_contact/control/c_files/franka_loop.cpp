@@ -1,6 +1,6 @@
-/* A Franka arm held by a controller without Python, over libfranka 0.15:
+/* A Franka arm held by a controller without Python, over libfranka 0.15 or later:
  *
- *     franka_loop HOST CONTROLLER SECONDS
+ *     franka_loop HOST CONTROLLER SECONDS [norealtime]
  *
  * The robot adds the weight of its model and of its load by itself, and its estimate of the wrench is
  * without weight: the controller is made of a chain without gravity. One that compensates weight is
@@ -15,6 +15,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <exception>
 #include <limits>
 #include <memory>
@@ -93,9 +94,9 @@ void step_from(const Joints& last, Joints& tau) {
   for (size_t i = 0; i < 7; i++) tau[i] = last[i] + (tau[i] - last[i]) * kTorqueStep / most;
 }
 
-void run(const char* host, const char* path, double seconds) {
+void run(const char* host, const char* path, double seconds, franka::RealtimeConfig realtime) {
   const Controller c = load(path);
-  franka::Robot robot(host);
+  franka::Robot robot(host, realtime);
   robot.setCollisionBehavior({{40, 40, 40, 40, 40, 40, 40}}, {{40, 40, 40, 40, 40, 40, 40}},
                              {{60, 60, 60, 20, 20, 20}}, {{60, 60, 60, 20, 20, 20}});
   const franka::RobotState start = robot.readOnce();
@@ -120,12 +121,14 @@ void run(const char* host, const char* path, double seconds) {
 }  // namespace
 
 int main(int count, char** words) {
-  if (count != 4) {
-    std::fprintf(stderr, "franka_loop HOST CONTROLLER SECONDS\n");
+  const bool simulated = count == 5 && std::strcmp(words[4], "norealtime") == 0;
+  if (count != 4 && !simulated) {
+    std::fprintf(stderr, "franka_loop HOST CONTROLLER SECONDS [norealtime]\n");
     return 2;
   }
+  const auto realtime = simulated ? franka::RealtimeConfig::kIgnore : franka::RealtimeConfig::kEnforce;
   try {
-    run(words[1], words[2], std::atof(words[3]));
+    run(words[1], words[2], std::atof(words[3]), realtime);
   } catch (const std::exception& error) {  // franka::Exception is one
     std::fprintf(stderr, "%s\n", error.what());
     return 1;

@@ -69,6 +69,49 @@ static int check(const unsigned char *file, size_t size) {
     return OSC_DONE;
 }
 
+static size_t line_end(size_t at) { return (at + 63) / 64 * 64; }
+
+static size_t size_of(const unsigned char *bytes, int given) {
+    return given < 0 ? (size_t)whole(bytes, 8 * (size_t)(-1 - given)) : (size_t)given;
+}
+
+/* Bytes of a record, from its layout; 0 where tables are not where their sizes put them. */
+static size_t record_bytes(int record, const unsigned char *bytes, size_t most) {
+    size_t end = HEADS[record], slot = 0;
+    if (end > most) return 0;
+    for (size_t i = 0; i < sizeof TABLES / sizeof *TABLES; i++) {
+        if (TABLES[i].record != record) continue;
+        size_t rows = size_of(bytes, TABLES[i].rows), columns = size_of(bytes, TABLES[i].columns);
+        size_t start = line_end(end);
+        if (rows > most || columns > most || (size_t)whole(bytes, 8 * slot++) != start) return 0;
+        if (rows > 0 && columns > (most - end) / rows) return 0;
+        end = start + TABLES[i].bytes * rows * columns;
+        if (end > most) return 0;
+    }
+    return line_end(end) <= most ? line_end(end) : 0;
+}
+
+/* Whether records lie where JOB says, one behind the other, and agree on their sizes. */
+static int is_whole(const osc_controller *c) {
+    static const size_t places[] = {0, JOB_model, JOB_memory, JOB_work, JOB_input};
+    const unsigned char *at[RECORDS];
+    size_t sizes[RECORDS], end = 0;
+    for (int record = JOB; record < RECORDS; record++) {
+        int apart = record == PROGRAM;
+        size_t most = apart ? c->program_bytes : c->raw_bytes - end;
+        at[record] = apart ? c->program : c->raw + end;
+        if (record > JOB && !apart && (size_t)whole(c->raw, places[record]) != end) return 0;
+        if ((sizes[record] = record_bytes(record, at[record], most)) == 0) return 0;
+        end += apart ? 0 : sizes[record];
+    }
+    for (size_t i = 0; i < sizeof COUNTS / sizeof *COUNTS; i++)
+        if (whole(at[COUNTS[i].record], 8 * (size_t)COUNTS[i].slot) != whole(at[MODEL], COUNTS[i].field))
+            return 0;
+    return end == c->raw_bytes && sizes[PROGRAM] == c->program_bytes &&
+           (size_t)whole(at[MODEL], MODEL_row_bytes) == sizes[MODEL] &&
+           (size_t)whole(at[MODEL], MODEL_memory_bytes) == sizes[MEMORY];
+}
+
 static void look(osc_controller *c) {
     osc_dimensions *n = &c->dimensions;
     c->job = (int64_t *)(void *)c->raw;
@@ -95,7 +138,7 @@ int osc_create_from(const void *data, size_t size, osc_controller **out) {
     if ((code = check(file, size)) != OSC_DONE) return code;
     memcpy(&raw_bytes, file + 80, 8);
     memcpy(&program_bytes, file + 88, 8);
-    if (raw_bytes > size || program_bytes > size ||
+    if (raw_bytes > size || program_bytes > size || raw_bytes % 64 || program_bytes % 64 ||
         raw_bytes + program_bytes + OSC_FILE_HEAD + 4 != size)
         return OSC_DAMAGED;
     if ((c = calloc(1, sizeof *c)) == NULL) return OSC_NO_MEMORY;
@@ -111,6 +154,10 @@ int osc_create_from(const void *data, size_t size, osc_controller **out) {
     }
     memcpy(c->raw, file + OSC_FILE_HEAD, c->raw_bytes);
     memcpy(c->program, file + OSC_FILE_HEAD + c->raw_bytes, c->program_bytes);
+    if (!is_whole(c)) {
+        osc_destroy(c);
+        return OSC_DAMAGED;
+    }
     look(c);
     size_t most = 16 + c->dimensions.joints + 6 * c->dimensions.arms + c->dimensions.forces;
     if ((c->missing = malloc(most * sizeof(double))) == NULL) {

@@ -5,8 +5,6 @@ locked directions come first. Here any `ChainState` is brought into such coordin
 functions run as Python, and what they say is brought back.
 """
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,8 +18,6 @@ from osc_contact.law.jit import as_python
 from osc_contact.law.records import BY_MATRIX, BY_OBJECT, NO_REASON, WORK, Tick
 from osc_contact.response import require_reachable
 from osc_contact.spatial import Array
-
-__all__ = ["command"]
 
 _prepare = as_python(command_filter.require_reachable)
 _filter = as_python(command_filter.filter_motion)

@@ -1,0 +1,472 @@
+"""Force and motion laws of other software beside ours: one plant, one task, the same model.
+
+    make peers        (or, in its environment: python -m benchmarks.force_laws [--only NAME])
+
+A Panda presses its finger on a wall and moves along it, in MuJoCo at 1 kHz: the cases of
+`hybrid_cases` with friction, steps at rest, and a wall that is touched with the arm nearly
+stretched. Newton's and robosuite's laws are those of their packages; Isaac Lab's and CRISP's are
+rebuilt from their sources. Every law but ours reads its model (pose, J, M, gravity) from the
+simulator itself, as Isaac Lab's does, and the true contact force. Laws that feed forces back do it
+with Isaac Lab's gain of 0.1; the gains of the motion are those of the case, except CRISP's, which
+are its defaults in N/m.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from rich.console import Console
+
+import osc_contact as osc
+from benchmarks.hybrid_cases import CASES, Case, goal_times, scenario_of
+from osc_contact.spatial import Array, pose_error
+from paper.study import table_of
+
+FEEDBACK = 0.1  #: of forces, Isaac Lab's tests
+POSTURE = 10.0  #: 1/s², critically damped, in the null space; robosuite's and Newton's alike
+FRICTION = 0.3
+STEP_S = 0.4
+FORCE_STEP = 5.0  #: N
+MOTION_STEP = 5e-3  #: m
+
+_CASE = CASES[0]
+_FAR = replace(_CASE.goals[0], point=(0.6, 0.67, 0.5))
+STRETCHED = replace(_CASE, name="stretched", goals=(_CASE.goals[0], _FAR, _CASE.goals[0]))
+"""9 mm before the arm is stretched, where J loses a rank."""
+
+
+# --- What a law is given, and the laws -----------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Sight:
+    """The arm as the simulator knows it at one instant; tool: the finger's middle, world axes.
+
+    Attributes:
+        q, v: (7,) rad, rad/s. X: of the tool. V: (6,) its twist. J: (6, 7). M: (7, 7).
+        gravity, coriolis: (7,) N m. force: of the contact (N). axis: (3,) into the wall.
+        goal: pose of the tool; V_goal: (6,); force_goal: N.
+    """
+
+    q: Array
+    v: Array
+    X: pin.SE3
+    V: Array
+    J: Array
+    M: Array
+    gravity: Array
+    coriolis: Array
+    force: float
+    axis: Array
+    goal: pin.SE3
+    V_goal: Array
+    force_goal: float
+
+    @property
+    def error(self) -> Array:
+        """(6,) from the tool to its goal (m, rad), world axes."""
+        return pose_error(self.goal, self.X)
+
+
+class Eyes:
+    """Reads a plant."""
+
+    def __init__(self, plant: Any, axis: Array) -> None:
+        import mujoco
+
+        self._mj = mujoco
+        self._plant = plant
+        self._axis = axis
+        self._data = mujoco.MjData(plant.model)
+        self._body = plant.object_body
+
+    def look(self, reference: osc.Reference) -> Sight:
+        """Now, with what is desired."""
+        mj = self._mj
+        model = self._plant.model
+        data = self._data
+        n = model.nv
+        coriolis, gravity = np.zeros((2, n))
+        M = np.zeros((n, n))
+        Jp, Jr = np.zeros((2, 3, n))
+        data.qpos[:] = self._plant.data.qpos
+        data.qvel[:] = 0.0
+        mj.mj_fwdPosition(model, data)
+        mj.mj_rne(model, data, 0, gravity)
+        data.qvel[:] = self._plant.data.qvel
+        mj.mj_fwdVelocity(model, data)
+        mj.mj_rne(model, data, 0, coriolis)
+        mj.mj_fullM(model, data, M)
+        mj.mj_jacBody(model, data, Jp, Jr, self._body)
+        J = np.vstack((Jp, Jr))
+        v = data.qvel.copy()
+        return Sight(
+            data.qpos.copy(),
+            v,
+            pin.SE3(data.xmat[self._body].reshape(3, 3).copy(), data.xpos[self._body].copy()),
+            J @ v,
+            J,
+            M,
+            gravity,
+            coriolis - gravity,
+            float(self._plant.truth().alpha[0]),
+            self._axis,
+            reference.X_WD,
+            reference.V_D,
+            float(reference.alpha_d[0]),
+        )
+
+
+Law = Callable[[Sight], Array]  #: torques
+Makes = Callable[[Sight, Case], Law]  #: from the start
+
+
+def _frame(axis: Array) -> Array:
+    """(3, 3) axes of the wall, the third one into it."""
+    side = np.array([0.0, 1.0, 0.0])
+    return np.column_stack((side, np.cross(axis, side), axis))
+
+
+def _selection(axis: Array) -> tuple[Array, Array]:
+    """Ω and Ω̄ (6, 6): everything but the force along the axis moves."""
+    force = np.zeros((6, 6))
+    force[:3, :3] = np.outer(axis, axis)
+    return np.eye(6) - force, force
+
+
+def _gains(case: Case) -> tuple[float, float]:
+    return case.stiffness, 2.0 * case.damping_ratio * case.stiffness**0.5
+
+
+def newton(start: Sight, case: Case, projection: bool) -> Law:
+    """Newton 1.8's `ControllerOperationalSpaceModelFree`, the real one, on the CPU."""
+    import warp as wp
+    from newton.controllers import ControllerOperationalSpaceModelFree
+
+    wp.config.quiet = True
+    R = _frame(start.axis)
+    frame = pin.SE3(R, np.zeros(3))
+    stiffness, damping = _gains(case)
+    controller = ControllerOperationalSpaceModelFree(
+        controlled_dofs_per_robot=wp.array([len(start.q)], dtype=wp.int32, device="cpu"),
+        motion_stiffness=stiffness,
+        motion_damping=damping,
+        operational_frame_pose_world=wp.transform(*_transform(frame)),
+        use_wrench_feedforward=True,
+        use_wrench_feedback=True,
+        use_motion_wrench_projection=projection,
+        motion_selection_axes=wp.spatial_vector(1.0, 1.0, 0.0, 1.0, 1.0, 1.0),
+        wrench_selection_axes=wp.spatial_vector(0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
+        wrench_stiffness=FEEDBACK,
+        use_null_space_control=True,
+        null_space_stiffness=POSTURE,
+        null_space_damping=2.0 * POSTURE**0.5,
+        device="cpu",
+    )
+    inputs, outputs = controller.input(), controller.output()
+    inputs.joint_q_des_null.assign(start.q)
+
+    def law(s: Sight) -> Array:
+        wrench = np.r_[s.axis, np.zeros(3)]
+        twist = np.r_[R.T @ s.V_goal[:3], R.T @ s.V_goal[3:]]
+        for port, value in (
+            (inputs.tool_pose_world, _transform(s.X)),
+            (inputs.tool_twist_world, s.V),
+            (inputs.jacobian_tool_world, s.J),
+            (inputs.mass_matrix, s.M),
+            (inputs.gravity_force, s.gravity),
+            (inputs.desired_tool_pose_operational, _transform(frame.actInv(s.goal))),
+            (inputs.desired_twist_operational, twist),
+            (inputs.desired_wrench_world, s.force_goal * wrench),
+            (inputs.measured_wrench_world, s.force * wrench),
+            (inputs.joint_q, s.q),
+            (inputs.joint_qd, s.v),
+        ):
+            port.assign(np.asarray(value, np.float32).reshape(port.numpy().shape))
+        controller.step(inputs=inputs, outputs=outputs, dt=1e-3)
+        return outputs.joint_f.numpy().astype(float)
+
+    return law
+
+
+def _transform(X: pin.SE3) -> Array:
+    return np.array(pin.SE3ToXYZQUAT(X))
+
+
+def isaac_lab(start: Sight, case: Case, thresholds: tuple[float, float] | None) -> Law:
+    """Isaac Lab's `OperationalSpaceController`, rebuilt; full decoupling and posture control.
+
+    Args:
+        start, case: of the run.
+        thresholds: of Isaac Lab 3: eigenvalues of J M⁻¹Jᵀ relative to the largest, below which
+            directions are damped (pull request 7903); None: the plain inverse of before.
+    """
+    stiffness, damping = _gains(case)
+    motion, force = _selection(start.axis)
+    goal_q = start.q
+
+    def inverse(Phi: Array) -> Array:
+        if thresholds is None:
+            return np.linalg.inv(Phi)
+        low, high = thresholds
+        values, vectors = np.linalg.eigh(0.5 * (Phi + Phi.T))
+        share = np.clip((values / values[-1] - low) / (high - low), 0.0, 1.0)
+        weight = share**2 * (3.0 - 2.0 * share)
+        return (vectors / (values + low * values[-1] * (1.0 - weight))) @ vectors.T
+
+    def law(s: Sight) -> Array:
+        Lambda = inverse(s.J @ np.linalg.solve(s.M, s.J.T))
+        a = motion @ (stiffness * s.error) - motion @ (damping * s.V)
+        pressed = s.force_goal + FEEDBACK * (s.force_goal - s.force)
+        F = motion @ Lambda @ a + force @ np.r_[s.axis * pressed, np.zeros(3)]
+        posture = POSTURE * (goal_q - s.q) - 2.0 * POSTURE**0.5 * s.v
+        return s.J.T @ (F - Lambda @ s.J @ posture) + s.M @ posture + s.gravity
+
+    return law
+
+
+def robosuite(start: Sight, case: Case) -> Law:
+    """robosuite's `OperationalSpaceController`, the real `run_controller`.
+
+    It has no force command: the goal lies as deep in the wall as presses with the force at the
+    start.
+    """
+    from types import SimpleNamespace
+
+    from robosuite.controllers.parts.arm.osc import OperationalSpaceController
+
+    class Fed(OperationalSpaceController):  # type: ignore[misc]
+        """Takes its states from us, not from a simulation of robosuite's."""
+
+        def __init__(self) -> None:
+            self.kp, self.kd = (np.full(6, gain) for gain in _gains(case))
+            self.interpolator_pos = self.interpolator_ori = None
+            self.input_ref_frame = "world"
+            self.uncoupling = True
+            self.initial_joint = start.q
+            self.naming_prefix = self.part_name = ""
+            still = SimpleNamespace(
+                get_site_xvelp=lambda _: np.zeros(3), get_site_xvelr=lambda _: np.zeros(3)
+            )
+            self.sim = SimpleNamespace(data=still)
+
+        def update(self, force: bool = False) -> None:
+            """Done by the law below."""
+
+        @property
+        def torque_compensation(self) -> Array:
+            """Gravity and velocity terms."""
+            return self.bias
+
+    controller = Fed()
+    Phi = start.J[:3] @ np.linalg.solve(start.M, start.J[:3].T)
+    depth = 1.0 / (case.stiffness * start.axis @ np.linalg.solve(Phi, start.axis))  # m/N
+
+    def law(s: Sight) -> Array:
+        controller.goal_pos = s.goal.translation + depth * s.force_goal * s.axis
+        controller.goal_ori = s.goal.rotation
+        controller.ref_pos, controller.ref_ori_mat = s.X.translation, s.X.rotation
+        controller.ref_pos_vel, controller.ref_ori_vel = s.V[:3], s.V[3:]
+        controller.joint_pos, controller.joint_vel = s.q, s.v
+        controller.J_full, controller.J_pos, controller.J_ori = s.J, s.J[:3], s.J[3:]
+        controller.mass_matrix = s.M
+        controller.bias = s.gravity + s.coriolis
+        return np.array(controller.run_controller())
+
+    return law
+
+
+def crisp(start: Sight, case: Case) -> Law:
+    """crisp_controllers' Cartesian impedance with a `target_wrench`, in open loop; rebuilt.
+
+    Its default gains but none along the axis; axes of the tool, error limits and filter of the
+    target pose as by default, with compensation of gravity and velocity terms.
+    """
+    stiffness = np.array([500.0, 500.0, 0.0, 30.0, 30.0, 30.0])
+    damping = 2.0 * stiffness**0.5
+    clip = np.repeat([0.1, 0.5], 3)
+    target = start.X.copy()
+
+    def law(s: Sight) -> Array:
+        nonlocal target
+        target = pin.SE3.Interpolate(target, s.goal, 0.1)
+        R = s.X.rotation
+        J = np.vstack((R.T @ s.J[:3], R.T @ s.J[3:]))
+        off = R.T @ (target.translation - s.X.translation)
+        error = np.clip(np.r_[off, pin.log3(R.T @ target.rotation)], -clip, clip)
+        wrench = np.r_[R.T @ s.axis * s.force_goal, np.zeros(3)]
+        posture = (np.eye(len(s.q)) - np.linalg.pinv(J) @ J) @ (start.q - s.q - 2.0 * s.v)
+        F = stiffness * error - damping * (J @ s.v) + wrench
+        return J.T @ F + np.clip(posture, -5.0, 5.0) + s.gravity + s.coriolis
+
+    return law
+
+
+OURS = "ours"
+DAMPED = (1e-5, 1e-4)  #: Isaac Lab's defaults
+LAWS: dict[str, Makes | None] = {
+    OURS: None,
+    "Newton 1.8": lambda s, c: newton(s, c, projection=False),
+    "Newton 1.8, projected": lambda s, c: newton(s, c, projection=True),
+    "Isaac Lab 3, rebuilt": lambda s, c: isaac_lab(s, c, DAMPED),
+    "robosuite 1.5": robosuite,
+    "CRISP, rebuilt": crisp,
+}
+UNDAMPED = "Isaac Lab 2, rebuilt"  #: without damping near singular postures
+
+
+# --- One run --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a law did, tick by tick.
+
+    Attributes:
+        force, force_goal: (k,) N. off: (k, 6) from the object to its goal in the axes of the wall,
+            the third one into it (m, rad). tau: (k, 7) N m. speed: (k, 7) rad/s.
+        tick: (k,) µs of the law itself. wanted: ticks of the whole run.
+    """
+
+    force: Array
+    force_goal: Array
+    off: Array
+    tau: Array
+    speed: Array
+    tick: Array
+    wanted: int
+
+    def rms(self, part: slice = slice(None)) -> tuple[float, float, float]:
+        """Of forces (N), along the wall (mm) and of turns (mrad); NaN where the run ended early."""
+        if len(self.force) < self.wanted:
+            return np.nan, np.nan, np.nan
+        force = (self.force - self.force_goal)[part]
+        off = self.off[part]
+        along, turn = (np.sqrt((x**2).sum(axis=1).mean()) for x in (off[:, :2], off[:, 3:]))
+        return float(np.sqrt((force**2).mean())), 1e3 * float(along), 1e3 * float(turn)
+
+
+def follow(scenario: osc.Scenario, case: Case, makes: Makes | None, steps: bool = False) -> Done:
+    """Run a law: through the task, or at rest with a step of the force and one of the motion."""
+    rig = osc.build_rig(scenario)
+    plant = rig.plant()
+    controller = rig.controller()
+    axis = -np.array(case.normal)
+    turn = _frame(axis)
+    eyes = Eyes(plant, axis)
+    period = controller.dt
+    count = round((3 * STEP_S if steps else scenario.duration) * scenario.control.rate)
+    references = _steps(rig, turn, count, period) if steps else rig.references.each(count, period)
+    first = rig.references.at(0.0)
+    plant.hold(controller.tick(plant.measure(), first))
+    law = None if makes is None else makes(eyes.look(first), case)
+    limits = rig.chain.model.upperEffortLimit
+    rows = []
+    for reference in references:
+        measured = plant.measure()
+        sight = eyes.look(reference)
+        begin = perf_counter()
+        tau = controller.tick(measured, reference) if law is None else law(sight)
+        took = 1e6 * (perf_counter() - begin)
+        error = sight.error.reshape(2, 3) @ turn
+        rows.append((sight.force, sight.force_goal, took, *error.ravel(), *tau, *sight.v))
+        if not np.isfinite(tau).all():
+            break
+        try:
+            plant.command(np.clip(tau, -limits, limits), period)
+        except osc.PlantError:
+            break
+    table = np.array(rows)
+    return Done(
+        table[:, 0], table[:, 1], table[:, 3:9], table[:, 9:16], table[:, 16:], table[:, 2], count
+    )
+
+
+def _steps(rig: osc.Rig, turn: Array, count: int, period: float) -> Iterator[osc.Reference]:
+    rest = replace(rig.references.at(0.0), V_D=np.zeros(6), A_D=np.zeros(6))
+    pressed = replace(rest, alpha_d=rest.alpha_d + FORCE_STEP)
+    X = rest.X_WD
+    aside = pin.SE3(X.rotation, X.translation + MOTION_STEP * turn[:, 1])
+    for k in range(count):
+        done = int(k * period / STEP_S + 1e-9)
+        yield (rest, pressed, replace(pressed, X_WD=aside))[done]
+
+
+# --- The tables -----------------------------------------------------------------------------------
+
+
+def of_the_tests(names: list[str], friction: float) -> list[str]:
+    """A row for each case and law: errors at the goals, and over the whole run."""
+    rows = []
+    for case in CASES:
+        plant = {"type": "mujoco", "step": 2.5e-4, "friction": friction}
+        for name in names:
+            done = follow(scenario_of(case, plant=plant), case, LAWS[name])
+            rest = [round(1e3 * t) - 1 for t in goal_times(case)]
+            force, along, turn = done.rms(slice(100, None))
+            at_rest = np.abs(done.force - done.force_goal).take(rest, mode="clip").max()
+            rows.append(f"{case.name}; {name}; {at_rest:.2f}; {force:.2f}; {along:.2f}; {turn:.1f}")
+    return rows
+
+
+def of_steps(names: list[str]) -> list[str]:
+    """A row for each law: what a step of one does to the other, and its tick."""
+    rows = []
+    for name in names:
+        done = follow(scenario_of(_CASE), _CASE, LAWS[name], steps=True)
+        at = round(1e3 * STEP_S)
+        moved = done.off[at : 2 * at, :2] - done.off[at - 1, :2]
+        pressed = (done.force - done.force_goal)[2 * at :]
+        tick = np.percentile(done.tick[10:], (50, 99))
+        rows.append(
+            f"{name}; {1e6 * np.linalg.norm(moved, axis=1).max():.0f}; "
+            f"{np.abs(pressed).max():.2f}; {tick[0]:.0f}; {tick[1]:.0f}"
+        )
+    return rows
+
+
+def of_the_stretched_arm(names: list[str]) -> list[str]:
+    """A row for each law and speed: along the wall until the arm is nearly stretched, and back."""
+    rows = []
+    laws = {name: LAWS[name] for name in names} | {UNDAMPED: lambda s, c: isaac_lab(s, c, None)}
+    for move_s in (2.0, 8.0):
+        case = replace(STRETCHED, move_s=move_s)
+        limits = osc.build_rig(scenario_of(case)).chain.model
+        for name, makes in laws.items():
+            done = follow(scenario_of(case), case, makes)
+            force, along, turn = done.rms(slice(100, None))
+            torque = (np.abs(done.tau[100:]) / limits.upperEffortLimit).max()
+            speed = (np.abs(done.speed) / limits.upperVelocityLimit).max()
+            rows.append(
+                f"{move_s:g}; {name}; {force:.2f}; {along:.2f}; {turn:.1f}; {100 * torque:.0f}; "
+                f"{100 * speed:.0f}"
+            )
+    return rows
+
+
+def main() -> None:
+    """Print the three tables."""
+    ask = argparse.ArgumentParser(description=__doc__)
+    ask.add_argument("--only", help="laws whose names contain this")
+    asked = ask.parse_args()
+    names = [name for name in LAWS if asked.only is None or asked.only in name]
+    show = Console(width=120).print
+    head = "case; law; at the goals (N); force rms (N); along the wall (mm); turn (mrad)"
+    for friction in (0.0, FRICTION):
+        title = f"Isaac Lab's hybrid tests rebuilt, friction {friction:g}: force and motion errors"
+        show(table_of(title, head, of_the_tests(names, friction)))
+    head = "law; 5 N step moves it by (µm); 5 mm step: force error (N); tick p50 (µs); p99 (µs)"
+    show(table_of("cross-coupling at rest, and the law's own time", head, of_steps(names)))
+    head = "way (s); law; force rms (N); along (mm); turn (mrad); torque (%); speed (%)"
+    title = f"to {_FAR.point[1]:g} m aside, where the arm is nearly stretched, and back"
+    show(table_of(title, head, of_the_stretched_arm(names)))
+
+
+if __name__ == "__main__":
+    main()

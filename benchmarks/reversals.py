@@ -1,0 +1,150 @@
+"""Straight reversals with friction: what of the force error is the simulator's.
+
+    python -m benchmarks.reversals [--duration 3]
+
+A Panda slides a ball-nosed peg to and fro on a tilted face with 10 N, along a line across the arm
+and along the steepest one. Printed is the rms force error of each line on four plants:
+
+    mujoco        as packaged: a small impedance of the contacts, see `plants.mujoco`
+    elliptic      solref and solimp for normal forces and friction alike, MuJoCo's elliptic cone
+    + impratio    the same with impratio 100; + noslip: with ten iterations against slip
+    exact         rigid contact and regularised Coulomb friction, no part of MuJoCo
+"""
+
+from collections.abc import Callable
+from itertools import product
+from typing import Any
+
+import numpy as np
+import typer
+
+import osc_contact as osc
+from benchmarks.cases import POINT
+from osc_contact.contacts.pairs.pair import lines_of_force, velocity
+from osc_contact.plants.rigid import RigidPlant, Solution
+from osc_contact.runs.rig import PLANTS, Parts, register_plant
+from osc_contact.spatial import Array, carry_wrench
+
+STROKES = ((20, 2), (5, 4))  #: mm, Hz
+LINES = {"across": [0, 1, 0], "steepest": [0.93969, 0, 0.34202]}
+SLIP = 1e-3  #: m/s, at which the exact plant's friction has 1/√2 of its size
+
+
+class SlidingPlant(RigidPlant):
+    """The exact plant of one arm whose points of contact rub: μ α v_t / √(v_t² + v_0²).
+
+    The motors of an arm without passive joints make any wrench at O: friction f is −Jᵀf in place of
+    torques, and is added to what the wrist reads.
+    """
+
+    mu = 0.0
+    rounds = 3  #: of α and friction, which determine one another
+
+    def _solve(self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0) -> Solution:
+        solution = super()._solve(tau, with_wrenches, ahead)
+        X, V = self._object()
+        J = self._jacobian(X)
+        lines = []
+        pairs: tuple[Any, ...] = self.contacts
+        for pair in pairs:
+            p = pair.points_of_contact(X) - X.translation[:, None]
+            n = pair.contact(X, V).N[:3]
+            v = velocity(V, p)
+            v = v - n * (n * v).sum(axis=0)
+            lines.append(lines_of_force(p, v / np.sqrt((v * v).sum(axis=0) + SLIP**2)))
+        friction = np.zeros(6)
+        for _ in range(self.rounds):
+            friction = self.mu * np.hstack(lines) @ solution.alpha
+            solution = super()._solve(tau - J.T @ friction, with_wrenches, ahead)
+        if with_wrenches:
+            sensor = self._sensors[0]
+            assert sensor is not None
+            at = self.data.oMi[sensor.joint] * sensor.placement
+            f = carry_wrench(friction, X.translation, at.translation).reshape(2, 3)
+            solution.wrenches[0] += (f @ at.rotation).ravel()
+        return solution
+
+
+def _sliding(parts: Parts) -> RigidPlant:
+    plant = SlidingPlant(parts.chain, parts.pairs, parts.scenario.plant.step)
+    plant.mu = parts.scenario.plant.friction
+    return plant
+
+
+def _plain(change: Callable[[Any], None]) -> Callable[[Parts], Any]:
+    """A plant in MuJoCo with contacts as declared, for forces and friction alike."""
+
+    def make(parts: Parts) -> Any:
+        plant: Any = PLANTS["mujoco"](parts)
+        spec = parts.scenario.plant
+        model = plant.model
+        model.pair_solref[:] = spec.solref
+        model.pair_solreffriction[:] = 0.0
+        model.pair_solimp[:] = [*spec.solimp, 0.5, 2.0]
+        model.opt.impratio = 1.0
+        change(model.opt)
+        return plant
+
+    return make
+
+
+def _with_impratio(option: Any) -> None:
+    option.impratio = 100.0
+
+
+def _without_slip(option: Any) -> None:
+    option.noslip_iterations = 10
+
+    option.cone = 0
+
+
+def register_plants() -> None:
+    """Enter the plants that are compared here."""
+    register_plant("sliding", exact=True)(_sliding)
+    register_plant("elliptic")(_plain(lambda option: None))
+    register_plant("+ impratio")(_plain(_with_impratio))
+    register_plant("+ noslip")(_plain(_without_slip))
+
+
+KINDS = ("mujoco", "exact", "elliptic", "+ impratio", "+ noslip")
+
+
+def reversing(
+    kind: str, stroke: tuple[int, int], line: str, mu: float, known: bool
+) -> osc.Scenario:
+    """The scenario of one entry.
+
+    Args:
+        kind: of `KINDS`. stroke: amplitude (mm), frequency (Hz). line: of `LINES`.
+        mu: coefficient of friction. known: whether the controller is given it.
+    """
+    amplitude, frequency = stroke
+    sine = {"type": "sine", "amplitude": f"{amplitude} mm", "ramp": "1 s"}
+    sine["frequency"] = f"{frequency} Hz"
+    plant = {**POINT["plant"], "type": "sliding" if kind == "exact" else kind, "friction": mu}
+    control = {**POINT["control"], **({"friction": {"mu": mu}} if known else {})}
+    motion = [{"kind": "linear", "direction": LINES[line], "signals": [sine]}]
+    changes = {"plant": plant, "control": control, "motion": motion, "gains": {}}
+    return osc.Scenario.from_dict({**POINT, **changes})
+
+
+def main(duration: float = 3.0) -> None:
+    """Print the table."""
+    register_plants()
+    print(f"{'stroke':14}{'line':10}{'mu':14}" + "".join(f"{kind:>12}" for kind in KINDS))
+    for stroke, line, mu, known in product(STROKES, LINES, (0.2, 0.3), (False, True)):
+        cells = []
+        for kind in KINDS if mu == 0.2 and known else KINDS[:1]:
+            verdict = osc.metrics(
+                osc.run(reversing(kind, stroke, line, mu, known), duration=duration)
+            )
+            cells.append(f"{verdict['force']['nose']['rms_error_rel']:12.2%}")
+        move = f"{stroke[0]} mm {stroke[1]} Hz"
+        print(
+            f"{move:14}{line:10}{mu} {'known' if known else 'unknown':10}" + "".join(cells),
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,174 @@
+"""The compiled law touches only the bytes it is given: each part lies between guard pages."""
+
+import ctypes
+import mmap
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.testing import assert_array_equal
+from pytest import mark
+
+import osc_contact as osc
+from benchmarks.tick import ALL_CASES
+from osc_contact.control.saving import touched_rows
+from osc_contact.law import jit, records, tick
+from osc_contact.law.compiled import rows
+from osc_contact.law.limits import TorqueLimits, fill_program, settle
+from osc_contact.runs.run import start
+
+CASES = [
+    "two_contact_rod",
+    "one_panda",
+    "near_singular",
+    "saturated",
+    "three_arms",
+    "contact_phases",
+]
+MOVING = "moving_face"  #: bodies that move
+MARGIN = 1 << 20  #: bytes on both sides that must not be touched
+
+NO_ACCESS = 0
+
+kept = []
+
+
+def guarded(content, at_end=True, writable=True, beyond=0):
+    """A copy that begins or ends at a page without access.
+
+    Args:
+        content: array. at_end: whether it ends there. writable: or a write is a fault, too.
+        beyond: bytes by which it lies too far.
+    """
+    content = np.ascontiguousarray(content)
+    size = -(-max(content.nbytes, 1) // mmap.PAGESIZE) * mmap.PAGESIZE
+    pages = mmap.mmap(-1, MARGIN + size + MARGIN)
+    kept.append(pages)
+    at = MARGIN + (size - content.nbytes if at_end else 0) + beyond
+    whole = np.frombuffer(pages, np.uint8)
+    whole[at : at + content.nbytes] = content.view(np.uint8).ravel()
+    found = whole[at : at + content.nbytes].view(content.dtype).reshape(content.shape)
+    first = ctypes.addressof(ctypes.c_char.from_buffer(pages))
+    protect(first, MARGIN, NO_ACCESS)
+    protect(first + MARGIN + size, MARGIN, NO_ACCESS)
+    if not writable:
+        protect(first + MARGIN, size, mmap.PROT_READ)
+    return found
+
+
+def protect(address, size, access):
+    libc = ctypes.CDLL(None, use_errno=True)
+    assert libc.mprotect(ctypes.c_void_p(address), ctypes.c_size_t(size), access) == 0
+
+
+class Guarded:
+    """A controller whose records, program, readings and references lie apart from one another."""
+
+    def __init__(self, controller, at_end, beyond):
+        own = controller._records
+        self.at_end = at_end
+        job = records.JOB.view(own.rows.raw)
+        parts = {
+            name: (int(getattr(job, name)), getattr(own.rows, name)[0])
+            for name in ("model", "memory", "work", "input")
+        }
+        self.job = guarded(own.rows.jobs[0], at_end)
+        head = records.JOB.view(self.job)
+        base = self.job.ctypes.data
+        self.parts = {}
+        for name, (_, content) in parts.items():
+            shift = beyond if name == "work" else 0
+            part = guarded(content, at_end, name != "model", shift)
+            setattr(head, name, part.ctypes.data - base)
+            self.parts[name] = part
+        self.memory = records.MEMORY.view(self.parts["memory"])
+        model = records.MODEL.view(self.parts["model"])
+        self.columns = int(model.n_columns)
+        limits = TorqueLimits(int(model.n_motors), max(1, self.columns), int(model.n_extra), 8)
+        limits.program.mass = controller.chain.reference.inertia.mass
+        limits._use(guarded(limits.raw, at_end))
+        self.limits = limits
+
+    def tick(self, m, reference):
+        """Status and torques."""
+        flags = 0
+        touched = np.zeros((0, 28))
+        if m.touched is not None:
+            flags |= tick.MOVING
+            touched = touched_rows(m.touched)
+        self.memory.wrench_missing = int(m.wrench_valid is not None and not m.wrench_valid)
+        self.memory.squeeze[:] = squeeze = reference.squeeze_d
+        if len(m.wrenches) > 2 and np.any(squeeze):
+            flags |= tick.COMMANDED
+        X = reference.X_WD.homogeneous
+        alpha = np.asarray(reference.alpha_d, dtype=float)
+        given = m.q, m.v, m.wrenches, X, reference.V_D, reference.A_D, alpha, touched
+        job = records.JOB.view(self.job)
+        job.switches = flags
+        rows()(self.job, 0, *(guarded(x, self.at_end, writable=False) for x in given))
+        job.switches = 0
+        if self.memory.status == osc.Status.SATURATED:
+            fill_program(self.job, 0, 0, self.limits.raw)
+            self.limits.solve(*self.limits.counts.tolist())
+            settle(self.job, 0, 0, self.limits.raw)
+        return osc.Status(int(self.memory.status)), np.array(self.memory.torques)
+
+
+def prepared(name):
+    """A controller, a measurement, and a reference."""
+    if name == MOVING:
+        rig = osc.build_rig(osc.load_scenario(name))
+        plant, controller = start(rig)
+        return controller, plant.measure(), rig.references.at(0.0)
+    case = ALL_CASES[name]()
+    return case.controller(), case.measurement, case.reference
+
+
+def tick_between_guards(name, at_end, beyond=0):
+    """Ticks of two controllers, one between guard pages, are the same. Prints how they ended."""
+    controller, m, reference = prepared(name)
+    controller.tick(m, reference)
+    other = Guarded(controller, at_end, beyond)
+    rng = np.random.default_rng(3)
+    seen = set()
+    for k in range(30):
+        q = m.q + 1e-4 * rng.normal(size=len(m.q)) * (np.nan if k % 10 == 7 else 1.0)
+        given = replace(m, q=q, wrench_valid=k % 9 != 5)
+        tau = controller.tick(given, reference)
+        status, torques = other.tick(given, reference)
+        assert status is controller.status, (k, status, controller.status)
+        assert_array_equal(torques, tau)
+        seen.add(status.name)
+        if controller.state is osc.SafetyState.SAFE_STOP:
+            break
+    print(*sorted(seen))
+
+
+def run(*arguments):
+    """In a separate process, which an access outside ends."""
+    words = f"import test_guarded_memory as t; t.tick_between_guards(*{arguments!r})"
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    return subprocess.run(
+        [sys.executable, "-c", words],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={**os.environ, "PYTHONPATH": path},
+    )
+
+
+@mark.parametrize("at_end", [True, False], ids=["behind", "before"])
+@mark.parametrize("name", [*CASES, MOVING])
+def test_no_tick_reads_or_writes_outside_of_its_records(name, at_end):
+    done = run(name, at_end)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "HELD" in done.stdout and len(done.stdout.split()) >= 2
+
+
+@mark.skipif(jit.PLAIN_PYTHON, reason="arrays of NumPy end where they end")
+def test_records_too_near_to_the_guard_are_noticed():
+    assert run("two_contact_rod", True, 4096).returncode == -signal.SIGSEGV
