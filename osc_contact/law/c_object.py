@@ -18,6 +18,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
 
+import numpy as np
+
 from osc_contact.errors import OscContactError
 from osc_contact.files import one_by_one
 from osc_contact.law import jit, library, limits, terms, tick
@@ -224,7 +226,8 @@ def _link(folder: Path) -> None:
         OscContactError: the C compiler fails.
     """
     source = Path(__file__).with_name("extension.c")
-    command = [library.COMPILER, "-O2", "-shared", "-fPIC", f"-I{library.HEADERS}"]
+    command = [library.COMPILER, "-O2", "-shared", "-fPIC"]
+    command += [f"-I{library.HEADERS}", f"-I{np.get_include()}"]
     command += [f'-DLAW="{library.law_hash()}"', str(source), str(folder / library.OBJECT)]
     command += ["-lm", "-o", str(folder / library.LIBRARY)]
     done = subprocess.run(command, capture_output=True, text=True)
