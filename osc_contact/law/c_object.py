@@ -240,5 +240,5 @@ if __name__ == "__main__":  # PLATFORM FILE: only law.o, for another one
     if len(sys.argv) == 3:
         with announced() as show:
             Path(sys.argv[2]).write_bytes(_object(show, sys.argv[1]))
-    elif not jit.PLAIN_PYTHON and (jit.READY is not None or jit.UNITS is not None):
+    elif jit.HAS_LIBRARY:
         print(f"the compiled law: {jit.the_library().__file__}")
