@@ -102,7 +102,8 @@ class Eyes:
         data.qvel[:] = self._plant.data.qvel
         mj.mj_fwdVelocity(model, data)
         mj.mj_rne(model, data, 0, coriolis)
-        mj.mj_fullM(model, data, M)
+        for row, axis in zip(M, np.eye(n), strict=True):
+            mj.mj_mulM(model, data, row, axis)
         mj.mj_jacBody(model, data, Jp, Jr, self._body)
         J = np.vstack((Jp, Jr))
         v = data.qvel.copy()

@@ -58,7 +58,7 @@ def test_a_recording_is_judged_without_compiler_and_simulator():
     assert not {"numba", "mujoco"} & set(printed(program))
 
 
-@pytest.mark.skipif(jit.PLAIN_PYTHON, reason="numba stands in place of the library")
+@pytest.mark.skipif(not jit.HAS_LIBRARY, reason="numba stands in place of the library")
 def test_names_of_the_core_need_no_extra(monkeypatch):
     monkeypatch.setenv("OSC_CONTACT_LAW", jit.the_library().__file__)
     program = """

@@ -62,7 +62,7 @@ def settable_bars(state, chain):
 
     Left out are dependent bars, what the arms' structure carries, what no torques in null(G) make.
     """
-    tolerance = chain.rank_tolerance
+    tolerance = chain.angle_tolerance
     root = np.sqrt(chain.reference.inertia.mass)
     with np.errstate(invalid="ignore"):
         E = np.nan_to_num(bars_of(state.grasp_points))  # no bar between grasps in one place
@@ -184,7 +184,7 @@ def test_commands_by_number_and_by_bar(plate):
     assert_array_equal(by_bar, [5.0, -3.0, 8.0])
     pair = osc.build_rig(osc.load_scenario("two_contact_rod"))
     two = pair.controller()
-    wanted = replace(pair.references.at(0.0), squeeze_d=np.array([5.0]))
+    wanted = replace(pair.references.at(0.0), squeeze_d=np.array([5.0, 5.0]))
     two.tick(pair.plant().measure(), wanted)
     assert two.status is osc.Status.HELD and "2 arms take a number" in two.reason
     for bad in (np.zeros(2), np.array([1.0, np.nan, 0.0]), np.zeros((3, 1)), "5 N", np.nan, [1, 2]):

@@ -79,7 +79,7 @@ def test_T_is_what_the_free_coordinates_can_do(name, turn):
     T = contact.T
     rates = np.linalg.lstsq(T, twists, rcond=None)[0]
     assert_allclose(T @ rates, twists, atol=1e-9 * (1 + np.abs(twists).max(initial=0)))
-    assert np.linalg.matrix_rank(rates) == 6 - contact.r
+    assert contact.r == 6 or np.linalg.matrix_rank(rates) == 6 - contact.r
 
 
 @mark.parametrize("turn", TURNS)

@@ -18,6 +18,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
 
+import numpy as np
+
 from osc_contact.errors import OscContactError
 from osc_contact.files import one_by_one
 from osc_contact.law import jit, library, limits, terms, tick
@@ -224,7 +226,8 @@ def _link(folder: Path) -> None:
         OscContactError: the C compiler fails.
     """
     source = Path(__file__).with_name("extension.c")
-    command = [library.COMPILER, "-O2", "-shared", "-fPIC", f"-I{library.HEADERS}"]
+    command = [library.COMPILER, "-O2", "-shared", "-fPIC"]
+    command += [f"-I{library.HEADERS}", f"-I{np.get_include()}"]
     command += [f'-DLAW="{library.law_hash()}"', str(source), str(folder / library.OBJECT)]
     command += ["-lm", "-o", str(folder / library.LIBRARY)]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -237,5 +240,5 @@ if __name__ == "__main__":  # PLATFORM FILE: only law.o, for another one
     if len(sys.argv) == 3:
         with announced() as show:
             Path(sys.argv[2]).write_bytes(_object(show, sys.argv[1]))
-    elif not jit.PLAIN_PYTHON and (jit.READY is not None or jit.UNITS is not None):
+    elif jit.HAS_LIBRARY:
         print(f"the compiled law: {jit.the_library().__file__}")

@@ -61,6 +61,8 @@ if COMPILES:
     _njit = njit
     _config = config
     UNITS = _find_units()
+#: Whether there is a library of the law, or one can be made.
+HAS_LIBRARY = READY is not None or UNITS is not None
 
 
 def inner(function: Any, inlined: bool = False) -> Any:
@@ -129,7 +131,7 @@ def as_python(part: Any, **instead: Any) -> Any:
         instead: other values of global names, such as sqrt=np.sqrt, which takes arrays.
     """
     source = getattr(part, "py_func", part)
-    names = dict(source.__globals__)
+    names = source.__globals__ | _IN_PYTHON
     for name in source.__code__.co_names:
         called = getattr(names.get(name), "py_func", names.get(name))
         if not isinstance(called, FunctionType) or called is source:  # a field has its name
@@ -145,21 +147,27 @@ def call_address(address: int, *arrays: Any) -> None:
     ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(given))(int(address))(*given)
 
 
+def reshape(x: Any, start: int, rows: int, columns: int) -> Any:
+    """Numbers of a row from `start` as (rows, columns)."""
+    return x[start : start + rows * columns].reshape((rows, columns))
+
+
+def no_prefetch(raw: Any, start: int, count: int) -> None:
+    """Bring bytes near that are read soon: nothing to do in plain Python."""
+
+
+#: What stands in plain Python for the parts that read addresses.
+_IN_PYTHON: dict[str, Any] = {"call_at": call_address, "matrix": reshape, "prefetch": no_prefetch}
+
 if not COMPILES:
     call_at: Any = call_address
+    matrix: Any = reshape
+    prefetch: Any = no_prefetch
     view: Any = None
     bytes_at: Any = None
     row_at: Any = None
     words_at: Any = None
     table_at: Any = None
-
-    def matrix(x: Any, start: int, rows: int, columns: int) -> Any:
-        """Numbers of a row from `start` as (rows, columns)."""
-        return x[start : start + rows * columns].reshape((rows, columns))
-
-    def prefetch(raw: Any, start: int, count: int) -> None:
-        """Bring bytes near that are read soon: nothing to do in plain Python."""
-
 else:
     #: A small part that reads bytes at an address.
     VIEW: Any = {**_PLAIN, "forceinline": True, "_nrt": True}
