@@ -66,7 +66,8 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
     for changes, learns in ([], False), (["model_error.joint_friction=0.9"], True):
         friction = ["arms.left.friction=1", "arms.right.friction=1"] if learns else []
         rise = "gains.force.rise=0 s"
-        rig = osc.build_rig(osc.load_scenario("two_contact_rod", [rise, *friction, *changes]))
+        given = [rise, "control.joint_friction.learning=true", *friction, *changes]
+        rig = osc.build_rig(osc.load_scenario("two_contact_rod", given))
         controller = rig.controller()
         osc.run_loop(rig.plant(), controller, rig.references.each(6000, controller.dt))
         memory = controller._records.memory
@@ -156,6 +157,26 @@ def test_friction_known_at_the_start_leaves_the_wanted_acceleration():
 def test_forces_are_held_although_friction_is_believed_wrongly(name):
     rms, _, closed, word = CASES[name].run()
     assert rms <= CASES[name].most and closed == 100.0 and word == "OK"
+
+
+@mark.parametrize(
+    ("friction", "damping", "asked", "learns"),
+    [
+        (0.2, 0.0, None, False),  # noise: less than 0.3 % of 87 N m
+        (0.3, 0.0, None, True),
+        (0.0, 0.3, None, True),
+        (0.0, 0.0, None, False),
+        (0.0, 0.0, True, True),
+        (0.3, 0.0, False, False),
+    ],
+)
+def test_friction_is_learned_where_the_model_has_some(friction, damping, asked, learns):
+    joints = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    chain = panda(damping=damping * joints, friction=friction * joints)
+    how = osc.JointFriction(learning=asked)
+    controller = osc.Controller(chain, [], joint_friction=how)
+    assert controller.settings.joint_friction.learning is learns
+    assert controller._records.model.friction_learning == learns
 
 
 def test_what_was_learned_is_the_start_of_the_next_controller():

@@ -117,6 +117,8 @@ class Settings:
         object.__setattr__(self, "posture", posture)
         if self.friction is not None:
             _require_known_points(self.contacts)
+        joint_friction = choose_learning(self.joint_friction, chain)
+        object.__setattr__(self, "joint_friction", joint_friction)
         reading = choose_reading(self.reading, self.contacts, bodies)
         object.__setattr__(self, "reading", reading)
         if self.gains.force.integral * self.dt >= 1.0:
@@ -171,6 +173,16 @@ def choose_reading(
     return "least_squares" if unique else "filter"
 
 
+def choose_learning(how: JointFriction | None, chain: ClosedChain) -> JointFriction | None:
+    """What is requested; `learning` None becomes whether a motor's friction exceeds the noise."""
+    if how is None or how.learning is not None:
+        return how
+    model = chain.model
+    friction = (np.array(model.upperDryFrictionLimit) + model.damping)[chain.actuated]
+    rubs = friction > _NOISE * np.minimum(chain.tau_max, _UNLIMITED)
+    return how.model_copy(update={"learning": bool(rubs.any())})
+
+
 def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:
     """Whether all points of contact stay in one plane, of the environment or of the object."""
     if any(body is not bodies[0] for body in bodies):
@@ -202,7 +214,6 @@ def _require_known_points(pairs: Sequence[ContactPair]) -> None:
                 "contact, so its friction is not known. Leave control.friction out, or give the "
                 "pair a method points_of_contact(X_WO, X_WE)"
             )
-
 
 
 _GIVEN = PairRow(at.GIVEN, ())
