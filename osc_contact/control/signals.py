@@ -142,7 +142,6 @@ class TickResult:
         f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
         f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
         error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
-        friction: (n,) motor torques that compensate friction of the joints.
     """
 
     def __init__(self, records: TickRecords) -> None:
@@ -159,6 +158,11 @@ class TickResult:
         is commanded."""
         work = self.records.work
         return work.bars if len(work.bars) > 1 else work.internal
+
+    @property
+    def friction(self) -> Array:
+        """(n,) motor torques that compensate friction of the joints."""
+        return self.records.work.joints.friction
 
     @property
     def rank(self) -> int:

@@ -422,7 +422,7 @@ class Recorder:
         r = len(self.of.owners)
         if result is not self._last:
             self._last = result
-            self._parts = [np.ravel(getattr(result, name)) for name in self._names]
+            self._parts = [getattr(result, name).reshape(-1) for name in self._names]
             self._parts[:0] = [result.records.work[name][:r] for name in ("alpha_meas", "speed")]
             head = result.records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
             self._flags = [head["engaged"]]
