@@ -378,7 +378,6 @@ def _pack_friction(settings: Settings, head: Any) -> None:
     head.friction_smoothing = how.smoothing
     limit = np.minimum(rows.tau_max, _UNLIMITED)
     most = how.most * limit
-    rows.friction_most[:] = most
     rows.friction_noise[:] = _NOISE * limit
     rows.friction_least[:] = _ROUNDING * limit
     rows.slip[:] = np.where(rows.slides != 0, SLIDING * SLIP, SLIP)

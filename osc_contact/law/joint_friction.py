@@ -19,8 +19,9 @@ does. Torques get
 
     f + g clip(e),   f = F sign s + D s + A ṡ,   ė = K_d(r − LP_K f − e),
 
-before they are limited: f is not a feedback, and e, with g < 1, is what of the friction is not
-learned. What is compared with a wrench that comes late is of the instant at which it was read.
+before they are limited: f is not a feedback, and e, with g < 1 and |e| ≤ F + D |s|, is what of the
+friction is not learned. A wrist that is wrong feeds e, too: where no friction is known or learned,
+e is zero. What is compared with a wrench that comes late is of the instant at which it was read.
 Without learning θ is what the model says, and e = 0. Passive joints have no motors: what is known
 of their friction goes into h instead.
 """
@@ -272,16 +273,15 @@ def _keep_bounds(joint, learned, C):
 
 @inner
 def permit_speeds(t):
-    """`permitted` (n,) = J̄ P(V_D + Δt A_D) at the end of this tick; `speed`, `sign`, `turn` in it.
+    """`speed` (n,) = J̄ P V_D, its rate `turn` since the last tick, and the mean of its sign.
 
-    Faces move: NᵀV = v̄_n, and contacts that are approached at the speed of the approach.
+    A_D is left out: a step of it would press on contacts at once. Faces move: NᵀV = v̄_n, and
+    contacts that are approached at the speed of the approach.
     """
     work = t.work
     x = work.y
     m = work.locked
-    for i in range(6):
-        x[i] = work.V_D[i] + t.model.period * work.A_D[i]
-    carry_motion(x, work.O, work.C, x)
+    carry_motion(work.V_D, work.O, work.C, x)
     energy_motion(work.axes, x, x)
     reflect(work.reflectors, work.beta, m, x)
     for i in range(m):
@@ -300,12 +300,12 @@ def permit_speeds(t):
         most = t.model.joints[j].rated
         row = t.memory.joints[j]
         s = min(max(dot6(t.work.joints[j].J_bar, x), -most), most)
-        before = row.permitted if t.memory.ticked != 0 else s
+        before = row.speed if t.memory.ticked != 0 else s
         most /= _SUDDEN
-        row.permitted = s
-        row.speed = 0.5 * (s + before)
+        row.speed = s
         row.turn = min(max((s - before) / work.dt, -most), most)
-        row.sign = _mean_sign(before, s, t.model.joints[j].slip)
+        then = s + t.model.period * row.turn
+        row.sign = _mean_sign(s, then, t.model.joints[j].slip)
 
 
 @leaf
@@ -325,10 +325,18 @@ def compensate_friction(t):
             continue
         row = t.memory.joints[j]
         row.friction = believed_friction(t, j)
-        most = min(joint.friction_most, t.model.wrist_error * joint.tau_max)
+        most = min(largest_friction(t, j), t.model.wrist_error * joint.tau_max)
         rest = min(max(row.unlearned, -most), most)
         own.friction = row.friction + t.model.friction_share * rest
         own.tau += own.friction
+
+
+@leaf
+def largest_friction(t, j):
+    """F + D |s| of joint j, as learned so far."""
+    learned = t.memory.friction[j]
+    theta = learned.theta if learned.known != UNKNOWN else t.model.joints[j].theta
+    return theta[0] + theta[1] * abs(t.memory.joints[j].speed)
 
 
 @leaf

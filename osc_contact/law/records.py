@@ -192,9 +192,8 @@ JOINT = _record(
         "width",
         "most",  # see `control.joint_limits`
         "slip",  # speed from which on dry friction is whole
-        "friction_most",
         "friction_noise",
-        "friction_least",  # what is assumed at most (N m, N); residuals that are none; rounding
+        "friction_least",  # residuals that are none (N m, N); rounding
     ),
     # θ of `joint_friction` at the start, its standard deviation then and at most, its bounds
     theta=4,
@@ -352,9 +351,7 @@ JOINT_MEMORY = _record(
         "past_v",
         "rate",
         "residual",
-        # permitted speed at the end of the last tick; its mean in it, that of its sign, its rate;
-        # friction compensated
-        "permitted",
+        # permitted speed, the mean of its sign in this tick, its rate; friction compensated
         "speed",
         "sign",
         "turn",
