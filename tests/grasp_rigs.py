@@ -103,7 +103,7 @@ class Case:
         return x[: self.chain.nq], x[self.chain.nq :]
 
 
-def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, body=BODY):
+def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BODY):
     """Arms of `arms` with grasps of `kinds`, bases wherever that puts them."""
     X_WO = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-0.5, 0.5, 3)), rng.uniform(-0.5, 0.5, 3))
     parts = []
@@ -152,5 +152,5 @@ def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, bod
         told.append((kind, X_TO, axis / np.linalg.norm(axis)))
         positions.append(q)
     payload = None if body is None else osc.RigidObject(body)
-    chain = osc.ClosedChain(parts, held, payload, rank_tolerance=tolerance, allow_unactuated=True)
+    chain = osc.ClosedChain(parts, held, payload, angle_tolerance=angle, allow_unactuated=True)
     return Case(chain, np.concatenate(positions), X_WO, told)

@@ -58,7 +58,8 @@ def assert_arms(chain, s, q, v, tolerance=1e-8):
         passed = np.linalg.qr(np.linalg.solve(root, N))[0]
         seen = passed.T @ root.T @ J @ np.linalg.inv(np.linalg.cholesky(M)).T
         U, sizes, Vh = np.linalg.svd(seen)
-        rank = np.count_nonzero(sizes > chain.rank_tolerance)
+        ratio = (1.0 + 1.0 / np.maximum(sizes, 1e-30) ** 2) / (1.0 + 1.0 / sizes.max() ** 2)
+        rank = np.count_nonzero(ratio < chain.rank_tolerance**-2)
         inverse = (Vh[:rank].T / sizes[:rank]) @ U[:, :rank].T
         J_bar = np.linalg.inv(np.linalg.cholesky(M)).T @ inverse @ passed.T @ root.T
         assert arm.rank == rank
@@ -220,7 +221,7 @@ def test_calibration_errors_do_not_cost_a_motion():
     left, right = pair.arms
     turned = replace(right, base=right.base * placed(rpy=(1e-4, -1e-4, 0.0)))
     q, _ = random_state(pair, np.random.default_rng(8))
-    for tolerance, d in ((pair.rank_tolerance, 5), (1e-6, 4)):
+    for tolerance, d in ((pair.angle_tolerance, 5), (1e-6, 4)):
         parts = [left, turned], pair.grasps, pair.payload
-        chain = osc.ClosedChain(*parts, rank_tolerance=tolerance)
+        chain = osc.ClosedChain(*parts, angle_tolerance=tolerance)
         assert chain.state(q, np.zeros(10)).d == d

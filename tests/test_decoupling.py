@@ -31,7 +31,8 @@ def in_contact(chain, rng, r=2):
 def strong(chain):
     """The same chain with motors in the same proportions that reach no limit."""
     parts = chain.arms, chain.grasps, chain.payload
-    out = osc.ClosedChain(*parts, rank_tolerance=chain.rank_tolerance)
+    how = chain.rank_tolerance, chain.angle_tolerance
+    out = osc.ClosedChain(*parts, rank_tolerance=how[0], angle_tolerance=how[1])
     out.tau_max = 1e4 * chain.tau_max
     return out
 

@@ -256,6 +256,33 @@ def test_first_contact_and_steps_overshoot_little_whatever_the_mass(mass):
     assert first < 0.2 and later < 0.2
 
 
+STRETCHED = {
+    "0.0001": ([0.6, 0.01, -0.15, 0.85, -0.1, -0.1], [-0.3, 0.16, 0.94]),
+    "0.002": ([0.15, 0.06, -0.05, 0.37, 0.0, 0.04], [0.15, -0.05, 0.99]),
+    "0.012": ([0.15, 0.32, -0.19, 0.13, 0.33, 0.08], [0.18, -0.45, 0.87]),
+    "overloaded": ([0.74, 0.79, -0.49, 0.69, 0.41, -0.26], [0.18, -0.96, 0.22]),
+}
+
+
+@mark.parametrize("chi", STRETCHED)
+def test_near_singular_contact_is_made_softly_and_kept_or_the_run_is_refused(chi):
+    """Talos' arm without joint friction; the last posture's weight is above a motor's limit."""
+    robot, tip, *_ = ARMS["1.5 kg"]
+    data = one_arm(robot, tip, *STRETCHED[chi], 0.0).as_dict()
+    data["arms"][0] |= {"friction": 0.0, "damping": 0.0}
+    scenario = osc.Scenario.from_dict(data)
+    if chi == "overloaded":
+        with raises(osc.ScenarioError, match=r"arm_left_2_joint needs 24\.3\d N m .*limit of 22"):
+            osc.run(scenario)
+        return
+    state = osc.build_rig(scenario).state()
+    assert min(lost.chi for lost in state.singular_directions) < 1.3 * float(chi)
+    run = pressed(scenario, "end")
+    first, later, _ = overshoots(run)
+    assert first < 0.2 and later < 0.2
+    assert run["alpha_true"][run["t"] > 0.3].min() > 9.5
+
+
 HEAVY = [ARMATURE.format(side, 2) for side in ("left", "right")]
 STEPS = [("two_contact_rod", HEAVY, "left_end"), ("three_arm_plate", [], "post_1")]
 STEPS += [("two_contact_rod", [], "left_end"), ("scara_peg", [], "wall_x")]

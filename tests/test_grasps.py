@@ -113,7 +113,7 @@ def test_near_and_in_singular_postures(bend):
     rng = np.random.default_rng(2)
     compared = 0
     for _ in range(30):
-        case = draw(rng, bends=[bend] * 4, tolerance=1e-7)
+        case = draw(rng, bends=[bend] * 4, angle=1e-7)
         v, V, state, _ = moving(case, [], NOTHING.N, rng)
         tau = any_torques(case, rng)
         oracle = solved(case, v, V, tau)

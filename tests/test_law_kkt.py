@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from grasp_rigs import KINDS, Case, random_case
+from grasp_rigs import BODY, KINDS, Case, random_case
 from kkt_oracle import BODIES, PAIRS, PLAIN, Answer, Contact, State, Touched, touch
 from numpy.testing import assert_allclose
 from pytest import mark, param
@@ -475,6 +475,40 @@ def test_torques_bring_the_forces_and_the_motion_asked_for(rig, surroundings):
     assert seen["pairs"] >= {name for name in where.pairs if rig == "ur5" or COLUMNS[name] < 2}
     assert max(count["near"], count["rough"]) < 2 * STATES
     assert max(count["held"], count["faded"]) < 4 * STATES * mixed + 1
+
+
+# Near singular postures ---------------------------------------------------------------------------
+
+
+def nearly_singular(rng, n, weight):
+    """One to three UR5s, the elbow of the first straight, and now and then its wrist."""
+    body = pin.Inertia(weight * BODY.mass, BODY.lever, weight * BODY.inertia)
+    bends = [10.0 ** rng.uniform(-4.5, -1.0), *rng.uniform(0.5, 1.5, n - 1)]
+    case = random_case(["ur5"] * n, ["rigid"] * n, rng, bends=bends, body=body)
+    return replace(case, chain=strong(case.chain))
+
+
+@mark.parametrize("weight", [1.0, 1e-2])
+@mark.parametrize("n", [1, 2, 3])
+def test_near_singular_postures_motion_is_given_up_and_force_is_not(n, weight):
+    """Down to where rounding locks a direction, with one to six columns, an object light or not."""
+    rng = np.random.default_rng([n, int(1.0 / weight)])
+    found = defaultdict(list)
+    for i in range(48):
+        if i % 4 == 0:
+            rest = State(nearly_singular(rng, n, weight), [])
+        state = State(rest.case, some_contacts(rest, i, rng, SURROUNDINGS["world"]), 0.0, rest)
+        state.move(rng)
+        if max(np.abs(state.v).max(), np.abs(state.V).max()) > FASTEST:
+            continue
+        t = tick(state, state.contacts, i, rng)
+        assert t.controller.status is osc.Status.DEGRADED, t.controller.reason
+        least = min(lost.chi for lost in t.controller.signals.state.singular_directions)
+        off = miss_of_forces(t, state.answer(t.tau).alpha, forces_asked_for(t))
+        assert off < 1e-12 / (state.apart() * least) ** 2 + 1e-9, (off, least, state.apart())
+        found[len(state.N)].append(least)
+    assert set(found) == set(range(7))
+    assert min(map(min, found.values())) < 3e-4
 
 
 # Without compilation ------------------------------------------------------------------------------

@@ -41,7 +41,7 @@ def given(state, chain):
         locked.copy(),
         owners,
         len(owners),
-        chain.rank_tolerance,
+        chain.angle_tolerance,
     )
 
 
@@ -50,7 +50,7 @@ def placed(what):
     k, n, points, first, end, force_levers, G, effort, locked, owners, n_locked, tolerance = what
     rows = Rows(new_model(k, n, 0))
     model, _, work, _ = views(rows)
-    model.tolerance = tolerance
+    model.angle_tolerance = tolerance
     model.arms.first = first
     model.arms.end = end
     work.points[:] = points

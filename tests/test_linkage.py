@@ -62,7 +62,7 @@ def settable_bars(state, chain):
 
     Left out are dependent bars, what the arms' structure carries, what no torques in null(G) make.
     """
-    tolerance = chain.rank_tolerance
+    tolerance = chain.angle_tolerance
     root = np.sqrt(chain.reference.inertia.mass)
     with np.errstate(invalid="ignore"):
         E = np.nan_to_num(bars_of(state.grasp_points))  # no bar between grasps in one place

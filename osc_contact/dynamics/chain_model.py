@@ -78,6 +78,10 @@ GYRATION = 0.1  #: m, of the ball that stands for the heaviest arm, see `law.sin
 #: 1 kg with a radius of gyration of 0.1 m.
 _REFERENCE = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
 
+#: Below it Λ of an arm, ~1/tolerance², loses more to rounding, ε/tolerance², than the arm still
+#: moves in the direction, ~tolerance: ε^(1/3), 6e-6.
+RANK_TOLERANCE = float(np.cbrt(np.finfo(float).eps))
+
 
 class ChainModel:
     """What a closed chain is made of; `ClosedChain` adds its state at (q, v).
@@ -100,7 +104,8 @@ class ChainModel:
         grasps: Sequence[pin.SE3 | Grasp] | None = None,
         payload: RigidObject | None = None,
         *,
-        rank_tolerance: float = 1e-3,
+        rank_tolerance: float = RANK_TOLERANCE,
+        angle_tolerance: float = 1e-3,
         allow_unactuated: bool = False,
     ) -> None:
         """Merge the arms into one model.
@@ -110,9 +115,12 @@ class ChainModel:
             grasps: for each arm X_TO, pose of the object in its tip frame, held rigidly, or a
                 `Grasp` that permits motions (default: the tip itself, rigidly).
             payload: the held object; None: nothing but the last link.
-            rank_tolerance: an arm direction counts as locked when the arm's apparent inertia in it
-                is 1/tolerance² of the object's; two arms' locked directions count as the same
-                when they differ by less than this angle (rad, in the object's energy metric).
+            rank_tolerance: an arm direction counts as locked when the inertia of arm and object in
+                it is more than 1/tolerance² times that in the direction where it is least. A
+                matter of rounding only.
+            angle_tolerance: two arms' locked directions count as the same when they differ by less
+                than this angle (rad, in the object's energy metric), and so do wrenches of their
+                grasps. A matter of calibration: of bases, joint axes and encoders.
             allow_unactuated: give the state also where no motor drives some motion of the object,
                 to study how it moves by itself; a controller needs every motion driven.
 
@@ -141,6 +149,7 @@ class ChainModel:
         self.payload = payload
         self.reference = payload or RigidObject(_REFERENCE)
         self.rank_tolerance = rank_tolerance
+        self.angle_tolerance = angle_tolerance
         self.model = _merge(self.arms)
         self.data = self.model.createData()
         self.slices: tuple[slice, ...] = tuple(
@@ -202,7 +211,7 @@ class ChainModel:
         if self.leader is not None:
             return self._placement(self.tips[self.leader], data) * self.grasps[self.leader].X_TO
         tips = self.tip_poses(data)
-        return locate(self.grasps, tips, self.reference_inertia, self.rank_tolerance)
+        return locate(self.grasps, tips, self.reference_inertia, self.angle_tolerance)
 
     def sensor_poses(self, data: pin.Data | None = None) -> tuple[pin.SE3 | None, ...]:
         """Placement of each wrist sensor in the world, likewise; None: the arm has none."""
@@ -305,7 +314,8 @@ def pack_chain(chain: ChainModel, raw: Bytes, leader: int | None) -> None:
 
 def _pack_object(chain: ChainModel, head: Any, leader: int | None) -> None:
     head.held = chain.payload is not None
-    head.tolerance = chain.rank_tolerance
+    head.rank_tolerance = chain.rank_tolerance
+    head.angle_tolerance = chain.angle_tolerance
     head.slipping = not all(grasp.is_rigid for grasp in chain.grasps)
     head.leader = -1 if leader is None else leader
     head.gravity[:] = chain.model.gravity.linear

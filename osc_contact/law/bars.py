@@ -54,7 +54,7 @@ def settable_bars(t, n_locked):
     work = t.work
     k = t.model.n_arms
     n = t.model.n_joints
-    tolerance = t.model.tolerance
+    tolerance = t.model.angle_tolerance
     levers = work.levers
     basis = work.basis
     bars = k * (k - 1) // 2

@@ -280,7 +280,7 @@ def _intersect(t, count):
         square = 0.0
         for i in range(6):
             square += locked[k, i] * locked[k, i]
-        if sqrt(square) > t.model.tolerance and m < 6:
+        if sqrt(square) > t.model.angle_tolerance and m < 6:
             for i in range(6):
                 sigma[i] += locked[k, i] * locked[k, 6] / square
                 V[m, i] = locked[k, i]

@@ -37,15 +37,16 @@ _DEFINITE = 1e-12  #: least share of a pivot of an effort metric
 def arm_terms(t, lo, n, m, rigid, arm, row):
     """J̄, Λ and the locked wrenches of one arm; returns their number, or −1 if M is not definite.
 
-    With M = KKᵀ and J K⁻ᵀ = U Σ Vᵀ directions with σ ≤ tolerance count as locked; the QR below
-    decides where 1/λ_max(Λ), the least σ² of all, is above it beyond doubt.
+    With M = KKᵀ and J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ²: directions
+    with σ²(1 + σ_max²) ≤ tolerance² σ_max² count as locked, whatever the object weighs. The QR
+    below decides where 1/λ_max(Λ), the least σ² of all, is above that beyond doubt.
 
     Args:
         lo, n: its first joint, its number of joints. m: wrenches that its grasp passes on.
         rigid: whether these are all six. arm: ARM_WORK row; Lambda, kept, n_kept, n_locked filled.
         row: of `locked_rows`, from which on the wrenches that it locks are put.
     """
-    tolerance = t.model.tolerance
+    tolerance = t.model.rank_tolerance
     joints = t.work.joints
     work = t.work
     X = work.X
@@ -241,11 +242,13 @@ def _separate(t, lo, n, m, rigid, arm, row):
             joints[lo + j].J_bar[a] = 0.0
     count = 0
     left = 0
+    largest = 0.0
     for k in range(m):
-        square = 0.0
-        for j in range(n):
-            square += X[k, j] * X[k, j]
-        if sqrt(square) > t.model.tolerance:
+        largest = max(largest, _square(X[k], n))
+    least = t.model.rank_tolerance * t.model.rank_tolerance * largest / (1.0 + largest)
+    for k in range(m):
+        square = _square(X[k], n)
+        if square > least:
             for j in range(n):
                 bar = joints[lo + j].J_bar
                 for i in range(6):
@@ -262,6 +265,14 @@ def _separate(t, lo, n, m, rigid, arm, row):
     arm.n_kept = left
     solve_inertia_transposed(lo, n, K, joints)
     return count
+
+
+@inner
+def _square(row, n):
+    s = 0.0
+    for j in range(n):
+        s += row[j] * row[j]
+    return s
 
 
 @leaf
@@ -404,10 +415,7 @@ def find_lost(t, arm, own):
     one_sided_jacobi(X, m, n, 6)
     _sort_rows(X, m, n)
     for k in range(arm.full_rank):
-        square = 0.0
-        for j in range(n):
-            square += X[k, j] * X[k, j]
-        chi = sqrt(square)
+        chi = sqrt(_square(X[k], n))
         _unit_row(X, k, n, chi)
         if chi >= FULL:
             continue
@@ -453,9 +461,7 @@ def _sort_rows(X, m, n):
         best = a
         longest = -1.0
         for b in range(a, m):
-            square = 0.0
-            for j in range(n):
-                square += X[b, j] * X[b, j]
+            square = _square(X[b], n)
             if square > longest:
                 best = b
                 longest = square

@@ -83,7 +83,8 @@ _MODEL = _record(
         "memory_bytes",  # of one controller
     ),
     number=(
-        "tolerance",
+        "rank_tolerance",  # see `dynamics.chain_model`
+        "angle_tolerance",
         "stiffness",
         "damping",
         "integral",

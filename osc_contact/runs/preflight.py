@@ -66,7 +66,7 @@ def preflight(
     """
     if isinstance(task, Rig):
         of = Task.of_rig(task)
-        found = findings(RIG_RULES, task)
+        found = findings(RIG_RULES, task) + findings((weights,), of)
     elif controller is None:
         raise InvalidInputError(
             "preflight takes the rig of a scenario, or a robot with its controller and references"
@@ -448,9 +448,16 @@ def jump(task: Task) -> Values:
     "{most:.4g}; all that moves weighs {mass:.4g} kg: are masses in kg and lengths in m?",
 )
 def weights(task: Task) -> Values:
-    """Torques that hold the arm, as shares of the motors' limits."""
+    """Torques that hold the arms before contacts bear, shares of the motors' limits.
+
+    And a single arm's object; several arms share it in any way.
+    """
     chain = task.chain
     bias = pin.computeGeneralizedGravity(chain.model, chain.model.createData(), task.q)
+    if chain.payload is not None and len(chain.arms) == 1 and chain.grasps[0].is_rigid:
+        state = task.state
+        load = chain.payload.terms(state.X_WO, np.zeros(6), chain.model.gravity.linear).p
+        bias = bias + state.arms[0].J.T @ load
     bias = bias[chain.actuated]
     share = np.abs(bias) / np.minimum(chain.tau_max, 1e12)
     worst = int(share.argmax())
