@@ -8,7 +8,7 @@ from __future__ import annotations
 CODES: dict[str, int] = {}
 SENTENCES: dict[int, str] = {}
 #: Reasons from this code on stop the arms at once, until `reset`; the others end with their tick.
-LASTING = 18
+LASTING = 50
 
 
 def declare_reason(name: str, code: int, sentence: str) -> int:

@@ -22,23 +22,23 @@ from osc_contact.law.vectors import ZERO, carry_wrench, cross, fill
 
 OVERSPEED = declare_reason(
     "OVERSPEED",
-    18,
+    50,
     "joint {joint} stayed above its speed limit of {speed:.4g} rad/s or m/s for "
     "{safety.overspeed_time:g} s; the arms are braked",
 )
 NEAR_END = declare_reason(
     "NEAR_END",
-    19,
+    51,
     "joint {joint} came so near to the end of its range [{low:.4g}, {high:.4g}] that it could "
     "just be stopped before, braked from its speed limit in brake_time = "
     "{safety.brake_time:g} s",
 )
 POWERED = declare_reason(
-    "POWERED", 20, "more than contact_power = {safety.contact_power:g} W went into the contacts"
+    "POWERED", 52, "more than contact_power = {safety.contact_power:g} W went into the contacts"
 )
 CONTACT_LOST = declare_reason(
     "CONTACT_LOST",
-    21,
+    53,
     "{contact}: less than a fifth of its command was read for {safety.contact_loss_time:g} s, "
     "or its integral stood at its bound ({force:.3g} N when last computed), or it was not held "
     "again {safety.regain_time:g} s after it was lost. Contact is lost, or a wrist sensor is "
@@ -46,7 +46,7 @@ CONTACT_LOST = declare_reason(
 )
 OVERFORCE = declare_reason(
     "OVERFORCE",
-    22,
+    54,
     "{contact}: more than {safety.contact_force:g} N and three times its command was read for "
     "{safety.overforce_time:g} s ({force:.3g} N when last computed)",
 )

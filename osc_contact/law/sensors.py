@@ -55,40 +55,40 @@ WRENCH_TIMEOUT = declare_reason(
 )
 STUCK = declare_reason(
     "STUCK",
-    23,
+    55,
     "the encoder of joint {joint} reads the very same though it was commanded to gain "
     "{safety.stuck_speed:g} of its speed limit",
 )
 FROZEN = declare_reason(
     "FROZEN",
-    24,
+    56,
     "all readings are the very same for {safety.frozen_time:g} s: a packet repeats itself. "
     "Sensors too coarse to show any noise take frozen_time = inf",
 )
 WRIST_FROZEN = declare_reason(
     "WRIST_FROZEN",
-    25,
+    57,
     "the wrist of arm '{arm}' reads the very same for {safety.frozen_time:g} s: it is dead, or "
     "its last reading repeats itself. Sensors too coarse to show any noise take frozen_time = "
     "inf",
 )
 DISAGREE = declare_reason(
     "DISAGREE",
-    26,
+    58,
     "the speed of joint {joint} is not that of its positions: they differ by more than "
     "{safety.speed_error:g} of its speed limit, or positions drift by more than "
     "{safety.position_drift:g} rad or m from what speeds add up to",
 )
 UNBALANCED = declare_reason(
     "UNBALANCED",
-    27,
+    59,
     "the motor torques of arm '{arm}' contradict its wrist by more than wrist_error = "
     "{safety.wrist_error:g} of their limits: the sensor's sign, scale, offset, frame or arm is "
     "wrong, or the masses of the links, or a joint rubs",
 )
 APART = declare_reason(
     "APART",
-    28,
+    60,
     "arm '{arm}' is more than closure_error = {closure_mm:g} mm away from where the others "
     "hold the object: an encoder is wrong, those of two arms are swapped, or a grasp has "
     "slipped",
