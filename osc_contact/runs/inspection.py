@@ -16,6 +16,7 @@ from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.law.joint_friction import LAG
 from osc_contact.robots.summary import friction_warnings, joint_losses, loss_words
 from osc_contact.runs.contacts import feet
+from osc_contact.runs.landing import landings
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.spatial import Array, norm
@@ -82,6 +83,7 @@ def inspect_rig(rig: Rig) -> Inspection:
         ),
         *_friction(rig),
         *_contact_lines(rig),
+        *(f"{one.sentence} (v √(k m))." for one in landings(rig)),
         *_skew(rig),
         *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
         *_redundancy(len(rig.chain.arms), internal, own),

@@ -26,6 +26,7 @@ from osc_contact.interface import Measurement, Reference, Robot
 from osc_contact.robots.model import position_limits, sliding
 from osc_contact.runs import hardware, placement
 from osc_contact.runs.contacts import feet, known_bodies
+from osc_contact.runs.landing import landings
 from osc_contact.runs.placement import rounded
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.task import Finding, Task, Values, findings, rule
@@ -212,6 +213,18 @@ def carts(rig: Rig) -> Values:
         preload = cart.preload - float(push.mean())
         words = {"left": push[-1], "duration": rig.scenario.duration, "preload": preload}
         yield most, {"name": body.name, **words}
+
+
+@rule(
+    2.0,
+    np.inf,
+    "{sentence}, {value:.2g} times its command; lower control.life.speed",
+)
+def landing(rig: Rig) -> Values:
+    """Expected peaks of contacts that are still to be made, over their commands."""
+    for one in landings(rig):
+        if one.free and one.command > 0.0:
+            yield one.peak / one.command, {"sentence": one.sentence}
 
 
 # --- every task ---------------------------------------------------------------------------------
@@ -495,6 +508,6 @@ def measured_range(task: Task) -> Values:
 
 #: What a task has to follow; a new rule is entered in one of these rows. `joints` go through a
 #: motion that none of `MOTION_RULES` finds fault with.
-RIG_RULES = (sensors, tare, springs, swinging, *placement.RIG_RULES, friction, carts)
+RIG_RULES = (sensors, tare, springs, swinging, *placement.RIG_RULES, friction, carts, landing)
 ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range, *placement.SCENE_RULES)
 MOTION_RULES = (stretched, postures, placement.lifted)

@@ -1,0 +1,52 @@
+"""First contacts: the peak that is expected beside the one that MuJoCo shows."""
+
+import numpy as np
+from pytest import approx, mark
+
+import osc_contact as osc
+from osc_contact.runs.landing import landings
+
+PUSH = 10.0  # N, of either end of the rod
+
+
+def approach(speed, rate=1.0):
+    """Landings of the scenario, its contacts `rate` times as fast as they are."""
+    rig = osc.build_rig(osc.load_scenario("approach_and_slide"))
+    tau, damping = rig.scenario.plant.solref
+    words = [f"control.life.speed={speed}", f"plant.solref=[{tau / rate}, {damping}]"]
+    return osc.load_scenario("approach_and_slide", words)
+
+
+@mark.parametrize("speed", [0.03, 0.1])
+def test_landings_are_as_hard_as_expected(speed):
+    one = approach(speed)
+    expected = [landing.peak for landing in landings(osc.build_rig(one))]
+    peaks = osc.run(one, duration=2.5)["alpha_true"].max(axis=0)
+    assert (peaks < np.maximum(2.0 * PUSH, 1.2 * np.array(expected))).all()
+    assert peaks.max() > 0.5 * max(expected)
+
+
+def test_the_peak_grows_with_speed_and_with_the_root_of_the_stiffness():
+    first = landings(osc.build_rig(approach(0.2)))
+    fast = landings(osc.build_rig(approach(0.4)))
+    stiff = landings(osc.build_rig(approach(0.2, rate=2.0)))
+    for one, two, three in zip(first, fast, stiff, strict=True):
+        assert one.peak == approx(one.speed * np.sqrt(one.stiffness * one.mass))
+        assert two.peak == approx(2.0 * one.peak) == approx(three.peak)
+        assert three.stiffness == approx(4.0 * one.stiffness)
+
+
+@mark.parametrize(("speed", "hard"), [(0.1, False), (0.2, True)])
+def test_hard_landings_are_announced(speed, hard):
+    rig = osc.build_rig(approach(speed))
+    texts = [finding.text for finding in osc.preflight(rig) if "lands at" in finding.text]
+    assert len(texts) == 2 * hard
+    for text, landing in zip(texts, landings(rig), strict=False):
+        assert landing.sentence in text and "lower control.life.speed" in text
+
+
+def test_contacts_that_exist_already_are_not_announced():
+    rig = osc.build_rig(osc.load_scenario("panda_edge", ["control.life.speed=0.1"]))
+    (edge,) = landings(rig)
+    assert not edge.free and edge.peak > 3.0 * edge.command
+    assert not [finding for finding in osc.preflight(rig) if "lands at" in finding.text]
