@@ -59,7 +59,6 @@ class TextbookLaw:
             M = data.M[s, s]
             h = data.nle[s]
             gamma = shift @ drift.vector
-            h = h + model.damping[s] * v[s]  # viscous friction; dry friction is left out
             Minv = inv(M)
             Lambda = pinv(J @ Minv @ J.T, rcond=1e-9)
             arms.append((s, J, M, h, gamma, Lambda, Minv @ J.T @ Lambda))
@@ -143,7 +142,15 @@ class TextbookLaw:
         eta = eta + B_N @ inv(N_S.T @ B_N) @ (N.T @ (a - sigma) - N_S.T @ eta)
         eta = eta - B_N @ inv(N_S.T @ B_N) @ (N_S.T @ eta - n_gamma + N.T @ sigma)
         f_S = Lambda_S @ eta + S.T @ bias + N_S @ alpha_u
-        return self.allocated(arms, G, f_S, S @ eta + sigma, v, O)
+
+        # viscous friction along permitted speeds; dry friction is left out
+        speeds = inv(H) @ S.T @ Lambda_o @ case.reference.V_D
+        permitted = S @ (speeds - B_N @ inv(N_S.T @ B_N) @ N_S.T @ speeds)
+        friction = np.zeros(model.nv)
+        for s, *_, J_bar in arms:
+            friction[s] = model.damping[s] * (J_bar @ permitted)
+        tau = self.allocated(arms, G, f_S, S @ eta + sigma, v, O)
+        return tau + self.selected.T @ friction
 
     def allocated(self, arms, G, f_S, acceleration, v, O) -> Array:  # type: ignore[no-untyped-def]  # noqa: E741
         """Least torques, weighted by 1/τ_max², for f_S and the squeeze of two arms."""
