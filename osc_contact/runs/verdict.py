@@ -287,6 +287,8 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
         "status": dict(zip(_STATUS, sums.status.tolist(), strict=True)),
         "at_limit": [[joint, n] for joint, n in sorted(worst, key=lambda one: -one[1]) if n],
         "joint_losses": losses,
+        "normals": dict(zip(recording.magnitude_names, meta.get("normal_std", []), strict=False)),
+        "force_per_normal": meta.get("force_per_normal", 0.0),
         "learned_friction": [
             {key: joint[key] for key in ("joint", "slides")}
             | {"friction": round(dry, 2), "damping": round(viscous, 2)}
