@@ -40,8 +40,7 @@ from osc_contact.law.vectors import (
 # part g along n shows. docs/tuning.md: what it brings, and why it is stable.
 #
 # The covariance P of the error goes with the estimate. What n does not explain, such as a face that
-# yields, is new every 1/c; r is its mean square, without what is faster than 4c. With ĝ the direction
-# of v_t,
+# yields, is new every 1/c; r is its mean square, without what is faster than 4c. With ĝ along v_t,
 #
 #     κ = c dt σ λ,   λ = p/(p + r),   p = |v_t|² ĝᵀPĝ
 #     P ← (1 − κĝĝᵀ) P (1 − κĝĝᵀ) + κ²/(c dt) r/|v_t|² ĝĝᵀ

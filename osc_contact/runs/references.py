@@ -93,14 +93,14 @@ class References:
         X_start: pin.SE3,
         pairs: Sequence[ContactPair],
         standoff: Array,
-        showing: Array,
+        showing: Array | None = None,
     ) -> References:
         """Resolve `common_tangent` and check that no face is to pull.
 
         Args:
             scenario: with the signals. X_start: pose of the object at the start.
             pairs: the contacts. standoff: (contacts,) gaps at the start (m).
-            showing: as an attribute.
+            showing: as an attribute; None: zero.
 
         Raises:
             ScenarioError: see `common_tangent`; or a desired force is negative at some time.
@@ -112,6 +112,7 @@ class References:
             for move in scenario.motion
         )
         surfaces = tuple(_followed(move, pairs, X_start) for move in scenario.motion)
+        showing = np.zeros(6) if showing is None else showing
         references = cls(scenario, X_start, directions, standoff, surfaces, showing)
         t = np.linspace(0.0, scenario.duration, 2000)
         owners = force_owners(pairs)
