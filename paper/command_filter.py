@@ -15,7 +15,8 @@ from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import ContactError
 from osc_contact.law import allocation, command_filter
 from osc_contact.law.jit import as_python
-from osc_contact.law.records import BY_MATRIX, BY_OBJECT, NO_REASON, WORK, Tick
+from osc_contact.law.reasons import NO_REASON
+from osc_contact.law.records import BY_MATRIX, BY_OBJECT, WORK, Tick
 from osc_contact.response import require_reachable
 from osc_contact.spatial import Array
 

@@ -11,7 +11,17 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import allocation, operational, phases, reading, records, safety, tick, write
+from law_calls import (
+    allocation,
+    operational,
+    phases,
+    reading,
+    reasons,
+    records,
+    safety,
+    tick,
+    write,
+)
 from law_calls import command_filter as command
 from numpy.testing import assert_array_equal
 from pytest import mark
@@ -24,7 +34,7 @@ from osc_contact.law import records as at
 from osc_contact.law.limits import TorqueLimits, settle
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
 from osc_contact.law.records import Rows, new_model, views
-from osc_contact.law.tick import MOVING
+from osc_contact.law.tick import BAD_INPUT, MOVING
 
 # --- forces ---------------------------------------------------------------------------------------
 
@@ -290,11 +300,11 @@ def test_columns_on_which_the_arms_can_push(held):
     rng = rng_of(held)
     root = rng.normal(size=(6, 6))
     Lambda = root @ root.T + np.eye(6)
-    assert judged(np.zeros((0, 6)), Lambda, held)[0] == at.NO_REASON
+    assert judged(np.zeros((0, 6)), Lambda, held)[0] == reasons.NO_REASON
     for m in (0, 2, 5):
         N = rng.normal(size=(min(3, 6 - m), 6))
         reason, work, t = judged(N, Lambda, held, m)
-        assert (reason, command._judge_reach(t)) == (at.NO_REASON, at.NO_REASON)
+        assert (reason, command._judge_reach(t)) == (reasons.NO_REASON, reasons.NO_REASON)
         L = np.linalg.cholesky((Lambda + held * np.eye(6))[m:, m:])
         seen = np.linalg.solve(L, N[:, m:].T)
         pivots = np.abs(np.diag(np.linalg.qr(seen)[1]))
@@ -303,23 +313,25 @@ def test_columns_on_which_the_arms_can_push(held):
             hidden = N.copy()
             hidden[a, m:] = L @ np.full(6 - m, 0.5e-5)  # seen with 0.25e-10 (6 − m) of its square
             reason, work, _ = judged(hidden, Lambda, held, m)
-            assert (reason, work.where) == (at.UNREACHABLE, a)
+            assert (reason, work.where) == (command.UNREACHABLE, a)
             close(work.amount, (6 - m) * 0.25e-10 / (hidden[a] @ hidden[a]), rtol=1e-6)
-    assert judged(N, Lambda, held, 6)[0] == at.UNREACHABLE
+    assert judged(N, Lambda, held, 6)[0] == command.UNREACHABLE
     # 1/Λ along the column, beside 1: on either side of 1e-9
-    for mobility, want in ((0.5e-9, at.UNREACHABLE), (2e-9, at.NO_REASON)):
+    for mobility, want in ((0.5e-9, command.UNREACHABLE), (2e-9, reasons.NO_REASON)):
         heavy = np.eye(6) / 7.0
         heavy[3, 3] = 1.0 / mobility
         reason, work, _ = judged(np.eye(6)[[1, 3]], heavy, held)
-        assert reason == want and (want == at.NO_REASON or work.where == 1)
+        assert reason == want and (want == reasons.NO_REASON or work.where == 1)
     # columns that differ by so much
-    for apart, want in ((0.3e-10, at.INSEPARABLE), (3e-10, at.NO_REASON)):
+    for apart, want in ((0.3e-10, command.INSEPARABLE), (3e-10, reasons.NO_REASON)):
         N = np.zeros((2, 6))
         N[:, 1] = 1.0
         N[1, 4] = apart
         assert judged(N, np.eye(6), held)[0] == want
     none = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
-    assert judged(np.eye(6)[:2], none, held)[0] == (at.NO_REASON if held else at.BAD_METRIC)
+    assert judged(np.eye(6)[:2], none, held)[0] == (
+        reasons.NO_REASON if held else command.BAD_METRIC
+    )
 
 
 # --- stages ---------------------------------------------------------------------------------------
@@ -356,7 +368,7 @@ def a_tick():
     controller._rows = lambda *given: seen.append(given) or tick(*given)
     controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
     memory = controller._records.memory
-    assert memory.reason == at.NO_REASON and memory.engaged
+    assert memory.reason == reasons.NO_REASON and memory.engaged
     controller._records.job[0] = MOVING
     return tick, seen[-1], memory
 
@@ -368,7 +380,7 @@ def test_inputs_of_other_sizes_are_none():
         for other in (x[:-1], np.concatenate((x, x[:1]))):
             changed = (*given[:place], np.ascontiguousarray(other), *given[place + 1 :])
             tick(*changed)
-            assert (memory.status, memory.reason) == (at.HELD, at.BAD_INPUT), place
+            assert (memory.status, memory.reason) == (at.HELD, BAD_INPUT), place
 
 
 @mark.parametrize("place", [2, 3])
@@ -396,7 +408,7 @@ def ask_command(flags=0, of_memory=None, integral=2.0, **of_work):
     called = {}
     decide = tick.altered(
         "command",
-        filter_motion=lambda t: at.NO_REASON,
+        filter_motion=lambda t: reasons.NO_REASON,
         command_object=lambda t: None,
         hand_over=lambda t: called.update(handed=True),
         reduce_motion=lambda *given: called.update(reduced=True),
@@ -409,7 +421,7 @@ def ask_command(flags=0, of_memory=None, integral=2.0, **of_work):
     write(t.memory, force_sum=[0.5, -0.5], force_rank=2, motion_sum=0.1)
     write(t.memory, **(of_memory or {}))
     write(t.input, V_D=1.0, A_D=1.0)
-    assert decide(t, flags) == at.NO_REASON
+    assert decide(t, flags) == reasons.NO_REASON
     return t.work, t.memory, called
 
 

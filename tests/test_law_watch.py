@@ -9,12 +9,22 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import records, safety, sensors, tick_of, write
+from law_calls import reasons, records, safety, sensors, tick_of, write
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
 
 from osc_contact.law import records as at
 from osc_contact.law.phases import APPROACHING, CLOSED
+from osc_contact.law.sensors import (
+    DISAGREE,
+    FROZEN,
+    JUMPED,
+    NO_ROTATION,
+    OUT_OF_RANGE,
+    STUCK,
+    WRENCH_TIMEOUT,
+    WRIST_FROZEN,
+)
 
 DT = 1e-3
 BOTH = mark.parametrize("sign", [1.0, -1.0])
@@ -59,12 +69,12 @@ def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
     def after(speeds):
         return [look(t, 0.0, [0.1, sign * v]) for v in speeds]
 
-    assert set(after([2.0] * 50)) == {at.NO_REASON}, "at the limit is not above it"
-    assert after([2.001] * 5) == [at.NO_REASON] * 4 + [at.OVERSPEED]
+    assert set(after([2.0] * 50)) == {reasons.NO_REASON}, "at the limit is not above it"
+    assert after([2.001] * 5) == [reasons.NO_REASON] * 4 + [safety.OVERSPEED]
     assert t.memory.culprit == 1
     # time below is taken off at the same pace, and no more than there is
-    assert set(after([1.0] * 9)) == {at.NO_REASON} and t.memory.overspeed == 0
-    assert after([2.2] * 4 + [1.0] + [2.2] * 2) == [at.NO_REASON] * 6 + [at.OVERSPEED]
+    assert set(after([1.0] * 9)) == {reasons.NO_REASON} and t.memory.overspeed == 0
+    assert after([2.2] * 4 + [1.0] + [2.2] * 2) == [reasons.NO_REASON] * 6 + [safety.OVERSPEED]
 
 
 @BOTH
@@ -74,11 +84,11 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
             t = wide(21, (2.0, 1.0))
             v = sign * speed * t.model.joints.speed_max * (np.arange(2) == j)
             found = [look(t, 0.0, v) for _ in range(ticks)]
-            assert found == [at.NO_REASON] * (ticks - 1) + [at.OVERSPEED]
+            assert found == [reasons.NO_REASON] * (ticks - 1) + [safety.OVERSPEED]
             assert t.memory.culprit == j
-    assert look(wide(21), 0.0, [1e150, 0.0]) == at.OVERSPEED
+    assert look(wide(21), 0.0, [1e150, 0.0]) == safety.OVERSPEED
     t = wide(4, (2.0, 1.0))
-    assert look(t, 0.0, [2.4, 1.6]) == at.OVERSPEED
+    assert look(t, 0.0, [2.4, 1.6]) == safety.OVERSPEED
     assert t.memory.culprit == 1, "the one that is further beyond its limit"
 
 
@@ -97,13 +107,14 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
         t = joints(reaction=reaction)
         q = sign * (1.0 - gap)
         found = [look(t, q, sign * speed) for _ in range(4)]
-        wanted = at.NEAR_END if stops else at.NO_REASON  # braking does not help beyond the end
-        assert found == [at.NO_REASON] * 2 + [wanted] * 2
+        # braking does not help beyond the end
+        wanted = safety.NEAR_END if stops else reasons.NO_REASON
+        assert found == [reasons.NO_REASON] * 2 + [wanted] * 2
         assert t.memory.culprit == (0 if stops else -1)
-        assert look(joints(reaction=reaction), q, -sign * 0.01) == at.NO_REASON
+        assert look(joints(reaction=reaction), q, -sign * 0.01) == reasons.NO_REASON
     t = joints(reaction=reaction)
     found = [look(t, sign, sign * 0.1) for _ in range(3)]
-    assert found[-1] == at.NEAR_END, "it still is within its range"
+    assert found[-1] == safety.NEAR_END, "it still is within its range"
 
 
 @mark.parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
@@ -111,7 +122,7 @@ def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     t = joints(period=period)
     found = [look(t, 0.99, 1.0) for _ in range(ticks)]
-    assert found == [at.NO_REASON] * (ticks - 1) + [at.NEAR_END]
+    assert found == [reasons.NO_REASON] * (ticks - 1) + [safety.NEAR_END]
 
 
 # --- contacts -------------------------------------------------------------------------------------
@@ -138,7 +149,7 @@ class Contacts:
         """The first tick that ends with this reason; 0: none does."""
         for k in range(1, most):
             found = self.tick(*given)
-            assert found in (at.NO_REASON, reason)
+            assert found in (reasons.NO_REASON, reason)
             if found == reason:
                 return k
         return 0
@@ -147,9 +158,9 @@ class Contacts:
 def test_power_that_moves_into_faces_adds_up():
     wanted = (10.0, 10.0)
     for speed, ticks in (((1.0, 0.99), 0), ((1.0, 1.01), 3), ((2.5, -9.0), 3), ((1.9, -9.0), 0)):
-        assert Contacts().until(at.POWERED, (10.0, 10.0), wanted, speed) == ticks
-    assert Contacts().until(at.POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
-    assert Contacts(period=10e-3).until(at.POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
+        assert Contacts().until(safety.POWERED, (10.0, 10.0), wanted, speed) == ticks
+    assert Contacts().until(safety.POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
+    assert Contacts(period=10e-3).until(safety.POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
     contacts = Contacts()
     contacts.tick((10.0, 10.0), wanted, (3.0, 3.0))
     assert contacts.memory.powered == approx(DT)
@@ -157,7 +168,7 @@ def test_power_that_moves_into_faces_adds_up():
 
 @mark.parametrize("column", [0, 1])
 def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
-    for astray, reason in ((0.0304, at.NO_REASON), (0.0306, at.CONTACT_LOST)):
+    for astray, reason in ((0.0304, reasons.NO_REASON), (0.0306, safety.CONTACT_LOST)):
         contacts = Contacts(phased=1)
         contacts.kept[2 * (1 - column)].time_since_loss = astray  # columns 2 and 0 of the contacts'
         assert contacts.tick((0.0, 0.0), (2.0, 2.0)) == reason
@@ -174,15 +185,15 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
     fine = 5.0
     for alpha, ticks in ((2.01, 0), (1.99, 11), (-8.0, 11), (0.0, 11)):
         contacts = Contacts()
-        assert contacts.until(at.CONTACT_LOST, both(alpha, fine), wanted) == ticks
+        assert contacts.until(safety.CONTACT_LOST, both(alpha, fine), wanted) == ticks
         assert contacts.memory.culprit == (-1 if not ticks else (2, 0)[column])
     for command, ticks in ((1.0, 0), (1.01, 11)):  # too little to be told from nothing
-        assert Contacts().until(at.CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
+        assert Contacts().until(safety.CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
     contacts = Contacts(phased=1)  # contact phases see to it
-    assert contacts.until(at.CONTACT_LOST, both(0.0, fine), wanted) == 0
+    assert contacts.until(safety.CONTACT_LOST, both(0.0, fine), wanted) == 0
     contacts = Contacts()
     contacts.memory.state = at.DEGRADED_STATE
-    assert contacts.until(at.CONTACT_LOST, both(0.0, fine), wanted) == 0
+    assert contacts.until(safety.CONTACT_LOST, both(0.0, fine), wanted) == 0
 
 
 @BOTH
@@ -193,10 +204,10 @@ def test_a_force_integral_at_its_bound_tells_that_nothing_is_felt(sign):
             contacts = Contacts()
             contacts.memory.force_sum[1] = sign * share * room
             given = (command, command), (command, command)
-            assert contacts.until(at.CONTACT_LOST, *given) == ticks
+            assert contacts.until(safety.CONTACT_LOST, *given) == ticks
             contacts.memory.force_rank = 1  # integrals of other columns
             contacts.kept[0].underforce = 0.0
-            assert contacts.until(at.CONTACT_LOST, *given) == 0
+            assert contacts.until(safety.CONTACT_LOST, *given) == 0
 
 
 @BOTH
@@ -204,7 +215,7 @@ def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sig
     for command, alpha, ticks in ((5.0, 29.9, 0), (5.0, 30.1, 6), (20.0, 59.0, 0), (20.0, 61.0, 6)):
         contacts = Contacts()
         given = (5.0, sign * alpha), (5.0, sign * command)
-        assert contacts.until(at.OVERFORCE, *given) == ticks
+        assert contacts.until(safety.OVERFORCE, *given) == ticks
         assert contacts.memory.culprit == (0 if ticks else -1)
 
 
@@ -231,25 +242,25 @@ def test_a_rotation_is_one_but_for_a_ten_thousandth():
 
     for _ in range(20):
         R = pin.exp3(rng.normal(size=3))
-        assert believed(R) == at.NO_REASON
-        assert believed(R @ np.diag([1, 1, -1])) == believed(-R) == at.NO_ROTATION
-        assert believed(R[:, [1, 0, 2]]) == at.NO_ROTATION
+        assert believed(R) == reasons.NO_REASON
+        assert believed(R @ np.diag([1, 1, -1])) == believed(-R) == NO_ROTATION
+        assert believed(R[:, [1, 0, 2]]) == NO_ROTATION
         i, j = rng.choice(3, 2, replace=False)
         for way in (np.outer(np.eye(3)[i], R[j]), np.outer(np.eye(3)[i], 0.5 * R[i])):
-            for size, reason in ((0.97e-4, at.NO_REASON), (1.03e-4, at.NO_ROTATION)):
+            for size, reason in ((0.97e-4, reasons.NO_REASON), (1.03e-4, NO_ROTATION)):
                 assert believed(R + size * way) == reason
 
 
 @BOTH
 def test_wrenches_within_the_range_of_their_sensors(sign):
     for axis, most in enumerate([100.0] * 3 + [10.0] * 3):
-        for size, reason in ((most, at.NO_REASON), (1.001 * most, at.OUT_OF_RANGE)):
+        for size, reason in ((most, reasons.NO_REASON), (1.001 * most, OUT_OF_RANGE)):
             t = readings()
             t.input.wrenches[0, axis] = sign * size
             assert sensors.check_readings(t) == reason
-            assert t.memory.culprit == (-1 if reason == at.NO_REASON else 0)
+            assert t.memory.culprit == (-1 if reason == reasons.NO_REASON else 0)
             t.model.arms.sensor_joint[0] = -1  # no sensor, no range
-            assert sensors.check_readings(t) == at.NO_REASON
+            assert sensors.check_readings(t) == reasons.NO_REASON
 
 
 @mark.parametrize(("age", "has"), [(19, 1), (20, 1), (0, 0)])
@@ -257,7 +268,7 @@ def test_a_tick_without_a_wrench_uses_one_that_is_young_enough(age, has):
     t = readings()
     t.input.wrenches[:] = np.nan
     write(t.memory, wrench_missing=1, wrench_age=age, has_wrench=has)
-    assert sensors.check_readings(t) == (at.NO_REASON if age == 19 else at.WRENCH_TIMEOUT)
+    assert sensors.check_readings(t) == (reasons.NO_REASON if age == 19 else WRENCH_TIMEOUT)
 
 
 @BOTH
@@ -266,15 +277,15 @@ def test_joints_move_no_further_than_they_can(sign, unread):
     """20 mrad, and three times the speed limit since the last reading that was believed."""
     for j, limit in enumerate((2.0, 4.0)):
         most = 0.02 + 3.0 * limit * DT * (1 + unread)
-        for way, reason in ((most - 1e-6, at.NO_REASON), (most + 1e-6, at.JUMPED)):
+        for way, reason in ((most - 1e-6, reasons.NO_REASON), (most + 1e-6, JUMPED)):
             t = readings()
             t.memory.joints.unread_q[j] = unread
             t.input.q[j] += sign * way
             assert sensors.check_readings(t) == reason
-            assert t.memory.culprit == (-1 if reason == at.NO_REASON else j)
+            assert t.memory.culprit == (-1 if reason == reasons.NO_REASON else j)
             t.memory.compared = 0  # nothing to compare with
-            assert sensors.check_readings(t) == at.NO_REASON
-        for speed, reason in ((3.0 * limit, at.NO_REASON), (3.001 * limit, at.JUMPED)):
+            assert sensors.check_readings(t) == reasons.NO_REASON
+        for speed, reason in ((3.0 * limit, reasons.NO_REASON), (3.001 * limit, JUMPED)):
             t = readings()
             t.input.v[j] = sign * speed
             assert sensors.check_readings(t) == reason
@@ -414,14 +425,14 @@ class Sensors:
         """Ticks until a reason is found, and the reason."""
         for k in range(1, most):
             reason = self.tick(**given)
-            if reason != at.NO_REASON:
+            if reason != reasons.NO_REASON:
                 return k, reason
-        return 0, at.NO_REASON
+        return 0, reasons.NO_REASON
 
 
 def test_readings_that_agree_are_used():
     sensors = Sensors()
-    assert sensors.until() == (0, at.NO_REASON)
+    assert sensors.until() == (0, reasons.NO_REASON)
     assert_array_equal(sensors.joints.q, sensors.q)
     assert_array_equal(sensors.memory.q, sensors.q)
     assert (sensors.memory.compared, sensors.memory.unbraked) == (1, -1)
@@ -431,45 +442,45 @@ def test_readings_that_agree_are_used():
 def test_a_wrist_in_contact_may_repeat_itself_for_so_long():
     still = np.arange(6.0)[None]
     sensors = Sensors()
-    assert sensors.until(wrench=still) == (12, at.WRIST_FROZEN)
+    assert sensors.until(wrench=still) == (12, WRIST_FROZEN)
     assert sensors.memory.culprit == 0
     for axis in range(6):  # one number that moves is enough
         sensors = Sensors()
         for k in range(40):
             moving = still.copy()
             moving[0, axis] += k
-            assert sensors.tick(wrench=moving) == at.NO_REASON
+            assert sensors.tick(wrench=moving) == reasons.NO_REASON
     sensors = Sensors()
     sensors.memory.force_rank = 0  # free: gravity alone may well be constant
-    assert sensors.until(wrench=still, most=60) == (0, at.NO_REASON)
+    assert sensors.until(wrench=still, most=60) == (0, reasons.NO_REASON)
     sensors = Sensors()
     sensors.t.model.arms.sensor_joint[0] = -1
-    assert sensors.until(wrench=still, most=60) == (0, at.NO_REASON)
+    assert sensors.until(wrench=still, most=60) == (0, reasons.NO_REASON)
     sensors = Sensors()
     for k in range(100):  # what moves now and then begins anew
-        assert sensors.tick(wrench=still + k // 10) == at.NO_REASON
+        assert sensors.tick(wrench=still + k // 10) == reasons.NO_REASON
 
 
 def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest():
     still = {"wrench": np.ones((1, 6)), "q": np.ones(2), "v": (0.0, 0.0)}
     sensors = Sensors()
     sensors.memory.force_rank = 0
-    assert sensors.until(**still) == (12, at.FROZEN)
+    assert sensors.until(**still) == (12, FROZEN)
     assert (sensors.joints.faulty == 3).all(), "no reading of it is sound"
     sensors = Sensors()
-    assert sensors.until(**still | {"wrench": None}, most=60) == (0, at.NO_REASON)
+    assert sensors.until(**still | {"wrench": None}, most=60) == (0, reasons.NO_REASON)
     for j in range(2):
         sensors = Sensors()
         q = np.ones(2)
         sensors.memory.force_rank = 0
         for k in range(60):
             q[j] = 1.0 + 1e-12 * (k % 2)
-            assert sensors.tick(**still | {"q": q.copy()}) == at.NO_REASON
+            assert sensors.tick(**still | {"q": q.copy()}) == reasons.NO_REASON
     sensors = Sensors()
     sensors.memory.force_rank = 0
     for k in range(60):
         v = (0.0, 1e-12 * (k % 2))
-        assert sensors.tick(**still | {"v": v}) == at.NO_REASON
+        assert sensors.tick(**still | {"v": v}) == reasons.NO_REASON
     assert sensors.memory.frozen == 0
 
 
@@ -485,14 +496,14 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
             sensors.tick(v=v, q=still)
             sensors.joints.drift[j] = -9.0 * v[j] * DT  # drift as such is far from its bound
             found = [sensors.tick(v=v, q=still) for _ in range(ticks)]
-            assert found == [at.NO_REASON] * (ticks - 1) + [at.DISAGREE], speed
+            assert found == [reasons.NO_REASON] * (ticks - 1) + [DISAGREE], speed
             assert sensors.memory.culprit == j
             assert sensors.memory.still == approx(1e-3 * ticks)
         for other in ({"q": still + 1e-12}, {"v": v * (1.0 + 1e-12)}):
             sensors.tick(**{"v": v, "q": still} | other)
             assert sensors.memory.still == 0
     sensors = Sensors(speed_error=inf)
-    assert sensors.until(v=(0.0, 0.0), q=still, most=90) == (0, at.NO_REASON), "at rest"
+    assert sensors.until(v=(0.0, 0.0), q=still, most=90) == (0, reasons.NO_REASON), "at rest"
 
 
 @BOTH
@@ -502,23 +513,23 @@ def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_li
     for j in range(2):
         sensors = Sensors(speed_error=inf, position_drift=inf, frozen_time=inf)
         ticks = 0
-        reason = at.NO_REASON
+        reason = reasons.NO_REASON
         sensors.tick(q=np.zeros(2))
         sensors.joints.acceleration[j] = sign * 10.3  # rad/s²; a tenth is 0.2 rad/s
-        while reason == at.NO_REASON and ticks < 90:
+        while reason == reasons.NO_REASON and ticks < 90:
             ticks += 1
             lost = every and ticks % every == every - 1
             reason = sensors.lose() if lost else sensors.tick(q=np.zeros(2))
-        assert reason == at.STUCK and 20 <= ticks <= 22
+        assert reason == STUCK and 20 <= ticks <= 22
         assert sensors.memory.culprit == j and sensors.joints[j].faulty & at.FAULTY_POSITION
         if not every:
             sensors.joints.acceleration[j] = sign * 1e6  # one tick shows no more than 0.21 of it
             sensors.tick(q=np.full(2, 0.01))
-            assert sensors.until(q=np.full(2, 0.01)) == (5, at.STUCK)
+            assert sensors.until(q=np.full(2, 0.01)) == (5, STUCK)
             sensors.tick(q=np.zeros(2))
             sensors.joints.acceleration[j] = sign * 10.0
             for k in range(60):  # slow encoders repeat readings
-                assert sensors.tick(q=np.full(2, 0.01 * (k // 15))) == at.NO_REASON
+                assert sensors.tick(q=np.full(2, 0.01 * (k // 15))) == reasons.NO_REASON
 
 
 @BOTH
@@ -531,7 +542,7 @@ def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
             wrong[j] += sign * error
             sensors.tick(v=v)
             ticks, reason = sensors.until(v=wrong, true=v)
-            assert (reason == at.DISAGREE) == found
+            assert (reason == DISAGREE) == found
             if found:
                 assert sensors.memory.culprit == j
             if error == 1.0:  # 1 − exp(−t / 20 ms) = 0.2, a tick or two for the sampling
@@ -547,9 +558,9 @@ def test_lost_ticks_take_no_evidence_away(every):
     for k in range(1, 60):
         lost = k % every == every - 1
         reason = sensors.lose() if lost else sensors.tick(v=-v, true=v)
-        if reason != at.NO_REASON:
+        if reason != reasons.NO_REASON:
             break
-    assert reason == at.DISAGREE and k < 16
+    assert reason == DISAGREE and k < 16
 
 
 def test_a_joint_without_a_sound_reading_cannot_be_braked():
@@ -580,10 +591,10 @@ def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
         ticks, reason = sensors.until(v=wrong, true=v, most=3000)
         if gone * 0.5 > most * 1.02:
             expected = -500.0 * np.log(1.0 - most / (0.5 * gone))
-            assert reason == at.DISAGREE and sensors.memory.culprit == j
+            assert reason == DISAGREE and sensors.memory.culprit == j
             assert ticks == approx(expected, rel=0.03)
         else:
-            assert reason == at.NO_REASON
+            assert reason == reasons.NO_REASON
 
 
 # --- what becomes of it ---------------------------------------------------------------------------

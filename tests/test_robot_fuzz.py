@@ -29,7 +29,7 @@ def test_no_mutant_crashes_and_none_is_accepted_with_a_bad_mass_matrix(count):
     assert sum(verdicts.values()) == result["mutants"] == count
     assert result["broken"] == []
     assert result["least_eigenvalue"] > 1e-12 and result["largest_difference"] < 1e-6
-    assert result["slowest_ms"] < 500  # one scheduling hiccup is no failure; a hang is
+    assert result["slowest_ms"] < 10_000  # a hang; how fast it is, benchmarks measure
     assert "no finding" not in verdicts, "Pinocchio refused what our own checks let through"
     for check in ("accepted", "xml", "number", "tree", "limit", "inertia", "joint"):
         assert verdicts[check] > count / 100, "the mutants must reach every check"

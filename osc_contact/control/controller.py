@@ -37,8 +37,9 @@ from osc_contact.dynamics.environment import Body
 from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout, SolverError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
+from osc_contact.law.chain import OBJECT_UNKNOWN
 from osc_contact.law.compiled import rows
-from osc_contact.law.records import DEGRADED, JOINTS, OBJECT_UNKNOWN, WRISTS, Bytes
+from osc_contact.law.records import DEGRADED, JOINTS, WRISTS, Bytes
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,

@@ -22,6 +22,7 @@ from osc_contact.law import records, tick
 from osc_contact.law.c_object import object_file
 from osc_contact.law.library import law_hash
 from osc_contact.law.limits import PROGRAM
+from osc_contact.law.reasons import CODES
 from osc_contact.scenarios.control_schema import Gains
 
 __all__ = ["write_library"]
@@ -132,12 +133,6 @@ def _enum(prefix: str, names: Any) -> str:
     return ",\n".join(f"    {prefix}{name} = {value}" for name, value in names)
 
 
-def _reasons() -> list[tuple[str, int]]:
-    names = list(vars(records))
-    own = names[names.index("NO_REASON") : names.index("APART") + 1]
-    return [(name, getattr(records, name)) for name in own]
-
-
 def _header(text: str) -> str:
     """osc_controller.h from its frame."""
     values = {
@@ -150,7 +145,7 @@ def _header(text: str) -> str:
         ),
         "STATUSES": _enum("OSC_STATUS_", [(one.name, one.value) for one in Status]),
         "STATES": _enum("OSC_STATE_", [(one.name, one.value) for one in SafetyState]),
-        "REASONS": _enum("OSC_REASON_", _reasons()),
+        "REASONS": _enum("OSC_REASON_", CODES.items()),
         "GAINS": "\n".join(f" *   {name}: {words}" for name, _, _, words in _gains()),
     }
     for name, value in values.items():

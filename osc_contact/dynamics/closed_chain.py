@@ -20,7 +20,9 @@ from osc_contact.dynamics.chain_model import ChainModel, chain_row
 from osc_contact.dynamics.chain_state import ArmTerms, ChainState, ObjectTerms, SingularDirection
 from osc_contact.errors import ModelError
 from osc_contact.law import records as at
+from osc_contact.law.chain import OBJECT_UNKNOWN
 from osc_contact.law.compiled import rows as law_rows
+from osc_contact.law.reasons import NO_REASON, SENTENCES
 from osc_contact.law.records import Bytes, Rows, views
 from osc_contact.law.vectors import motions, reflection, wrenches
 from osc_contact.spatial import Array, as_array, carry_twist
@@ -28,13 +30,6 @@ from osc_contact.spatial import Array, as_array, carry_twist
 _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
 
 _NONE = np.zeros(0)
-CAUSES = {
-    at.BAD_INERTIA: "the joint-space inertia of an arm is not positive definite; check the masses "
-    "and inertias of its links",
-    at.OBJECT_UNKNOWN: "the joints do not determine where the object is, or how it moves: its "
-    "grasps let it move while every arm stands still. Grasp it so that this is blocked, or give "
-    "the measured pose and twist: state(q, v, X_WO, V_O)",
-}
 
 
 class Look:
@@ -87,8 +82,9 @@ class Look:
             ModelError: an arm without inertia, or joints that do not determine where the object is.
         """
         reason = int(self.work["reason"])
-        if reason != at.NO_REASON:
-            raise ModelError(CAUSES[reason])
+        if reason != NO_REASON:
+            measured = ", or give the measured pose and twist: state(q, v, X_WO, V_O)"
+            raise ModelError(SENTENCES[reason] + measured * (reason == OBJECT_UNKNOWN))
 
 
 def read_state(chain: ChainModel, now: Look, rest: Look, data: pin.Data) -> ChainState:

@@ -4,10 +4,11 @@ import numpy as np
 import numpy.typing as npt
 
 from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.closed_chain import CAUSES, ClosedChain
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.law import records as at
+from osc_contact.law.chain import BAD_INERTIA
 from osc_contact.law.compiled import operational_space as compiled
+from osc_contact.law.reasons import SENTENCES
 from osc_contact.law.records import Bytes, Rows
 from osc_contact.spatial import Array, as_array
 
@@ -136,6 +137,6 @@ def operational_space(
         q, v = (as_array(name, x, shape).reshape(-1) for name, x in (("q", q), ("v", v)))
         done = call(raw, q, v, numbers)
         if done < len(numbers):
-            raise ModelError(CAUSES[at.BAD_INERTIA])
+            raise ModelError(SENTENCES[BAD_INERTIA])
     own.free.append(raw)
     return out

@@ -6,10 +6,11 @@ from math import isfinite, sqrt
 
 from osc_contact.law.algebra import cholesky, cholesky_solve, form_q, qr_rows
 from osc_contact.law.bars import internal_rows
+from osc_contact.law.chain import UNACTUATED
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.limits import dot
 from osc_contact.law.operational import retreat
-from osc_contact.law.records import NO_REASON, UNACTUATED
+from osc_contact.law.reasons import NO_REASON
 from osc_contact.law.vectors import add, dot6, fill, reflect, reflect_back, scaled, six, times6
 
 # --- Rows of the allocation: Z = A R⁻¹Aᵀ of A = [G; E], its factor, row by row of E ---------------

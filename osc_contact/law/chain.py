@@ -11,13 +11,10 @@ from osc_contact.law.grasps import add_slip, centre_object, filter_outboard, fin
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.joint_friction import believed_friction
 from osc_contact.law.operational import arm_terms, effort_metric, find_lost, may_be_singular
+from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
-    BAD_INERTIA,
     GIVEN_POSE,
     GIVEN_TWIST,
-    NO_REASON,
-    OBJECT_UNKNOWN,
-    UNACTUATED,
 )
 from osc_contact.law.vectors import (
     ZERO,
@@ -35,6 +32,25 @@ from osc_contact.law.vectors import (
     set_axes,
     six,
     world_wrench,
+)
+
+OBJECT_UNKNOWN = declare_reason(
+    "OBJECT_UNKNOWN",
+    2,
+    "the joints do not determine where the object is: its grasps let it move while every arm "
+    "stands still. Grasp it so that this is blocked",
+)
+BAD_INERTIA = declare_reason(
+    "BAD_INERTIA",
+    3,
+    "the joint-space inertia of an arm is not positive definite; check the masses and inertias "
+    "of its links",
+)
+UNACTUATED = declare_reason(
+    "UNACTUATED",
+    4,
+    "the motors cannot drive every motion of the object. Add a motor, or grasp so that the "
+    "motion is blocked",
 )
 
 

@@ -6,13 +6,11 @@ from math import sqrt
 
 from osc_contact.law.algebra import lu_solve, orthonormalise, solve_lower_transposed
 from osc_contact.law.jit import inner
+from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
     CART,
-    CONTRADICTION,
     CONVEYOR,
-    DIFFERENT_BODIES,
     ELSEWHERE,
-    NO_REASON,
 )
 from osc_contact.law.vectors import (
     ZERO,
@@ -23,6 +21,21 @@ from osc_contact.law.vectors import (
     energy_wrench,
     fill,
     six,
+)
+
+CONTRADICTION = declare_reason(
+    "CONTRADICTION",
+    6,
+    "{column_contact}: singular at this instant. Its force depends on those of other contacts, "
+    "but the acceleration that keeps it does not: column {column} needs n_γ = {n_gamma:.6g}, "
+    "the others imply {amount:.6g}. Drop one of these contacts, or move through this pose "
+    "slower or with the others released",
+)
+DIFFERENT_BODIES = declare_reason(
+    "DIFFERENT_BODIES",
+    7,
+    "dependent contacts on different bodies: how their force is split decides how the bodies "
+    "move, and no equation determines the split. Put them on one body, or drop one of them",
 )
 
 # --- Which columns of N count, which are independent, how the others follow -----------------------

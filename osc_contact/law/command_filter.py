@@ -11,13 +11,10 @@ from math import sqrt
 
 from osc_contact.law.algebra import cholesky, orthonormalise, project_onto_constraint, solve_lower
 from osc_contact.law.jit import inner
+from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
-    BAD_METRIC,
     BY_CHAIN,
     BY_OBJECT,
-    INSEPARABLE,
-    NO_REASON,
-    UNREACHABLE,
 )
 from osc_contact.law.vectors import (
     carry_motion,
@@ -32,6 +29,23 @@ from osc_contact.law.vectors import (
     reflect_sides,
     six,
     world_motion,
+)
+
+UNREACHABLE = declare_reason(
+    "UNREACHABLE",
+    8,
+    "the arms cannot push on contact column {kept} ({kept_contact}): its mobility is "
+    "{amount:.2g} of the free object's. The structure carries this force; leave the contact "
+    "out of N.",
+)
+INSEPARABLE = declare_reason(
+    "INSEPARABLE",
+    9,
+    "as seen through the arms, some contact columns are dependent: their forces cannot be "
+    "separated. Keep an independent subset",
+)
+BAD_METRIC = declare_reason(
+    "BAD_METRIC", 10, "the metric B of eq. 24 is singular in the motions that the arms permit"
 )
 
 _REACH = 1e-9  #: least mobility along a column, beside that of the free object

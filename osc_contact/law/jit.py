@@ -147,22 +147,22 @@ def call_address(address: int, *arrays: Any) -> None:
     ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(given))(int(address))(*given)
 
 
-def reshape(x: Any, start: int, rows: int, columns: int) -> Any:
+def _reshape(x: Any, start: int, rows: int, columns: int) -> Any:
     """Numbers of a row from `start` as (rows, columns)."""
     return x[start : start + rows * columns].reshape((rows, columns))
 
 
-def no_prefetch(raw: Any, start: int, count: int) -> None:
+def _no_prefetch(raw: Any, start: int, count: int) -> None:
     """Bring bytes near that are read soon: nothing to do in plain Python."""
 
 
 #: What stands in plain Python for the parts that read addresses.
-_IN_PYTHON: dict[str, Any] = {"call_at": call_address, "matrix": reshape, "prefetch": no_prefetch}
+_IN_PYTHON: dict[str, Any] = {"call_at": call_address, "matrix": _reshape, "prefetch": _no_prefetch}
 
 if not COMPILES:
     call_at: Any = call_address
-    matrix: Any = reshape
-    prefetch: Any = no_prefetch
+    matrix: Any = _reshape
+    prefetch: Any = _no_prefetch
     view: Any = None
     bytes_at: Any = None
     row_at: Any = None

@@ -538,38 +538,6 @@ BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E
 
 #: How a tick ends.
 OK, SATURATED, HELD, DEGRADED = range(4)
-#: Why it is held.
-(
-    NO_REASON,
-    BAD_INPUT,
-    OBJECT_UNKNOWN,
-    BAD_INERTIA,
-    UNACTUATED,
-    DEGENERATE_PAIR,
-    CONTRADICTION,
-    DIFFERENT_BODIES,
-    UNREACHABLE,
-    INSEPARABLE,
-    BAD_METRIC,
-    NOT_FINITE,
-    BLIND,
-    STOPPED,
-    NO_ROTATION,
-    OUT_OF_RANGE,
-    JUMPED,
-    WRENCH_TIMEOUT,
-    OVERSPEED,
-    NEAR_END,
-    POWERED,
-    CONTACT_LOST,
-    OVERFORCE,
-    STUCK,
-    FROZEN,
-    WRIST_FROZEN,
-    DISAGREE,
-    UNBALANCED,
-    APART,  # from OVERSPEED on: stop at once
-) = range(29)
 #: What the controller does, see `safety`.
 RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)
 

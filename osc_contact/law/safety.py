@@ -8,22 +8,48 @@ from osc_contact.law.arm_motion import move_arm, place_arm, place_point
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import slew
 from osc_contact.law.reading import integral_room
+from osc_contact.law.reasons import LASTING, NO_REASON, declare_reason
 from osc_contact.law.records import (
-    CONTACT_LOST,
     DEGRADED_STATE,
     HOLD,
-    NEAR_END,
-    NO_REASON,
     OK,
-    OVERFORCE,
-    OVERSPEED,
-    POWERED,
     RUN,
     SAFE_STOP,
     SATURATED,
 )
 from osc_contact.law.sensors import check_sensors, estimate_joints
 from osc_contact.law.vectors import ZERO, carry_wrench, cross, fill
+
+OVERSPEED = declare_reason(
+    "OVERSPEED",
+    50,
+    "joint {joint} stayed above its speed limit of {speed:.4g} rad/s or m/s for "
+    "{safety.overspeed_time:g} s; the arms are braked",
+)
+NEAR_END = declare_reason(
+    "NEAR_END",
+    51,
+    "joint {joint} came so near to the end of its range [{low:.4g}, {high:.4g}] that it could "
+    "just be stopped before, braked from its speed limit in brake_time = "
+    "{safety.brake_time:g} s",
+)
+POWERED = declare_reason(
+    "POWERED", 52, "more than contact_power = {safety.contact_power:g} W went into the contacts"
+)
+CONTACT_LOST = declare_reason(
+    "CONTACT_LOST",
+    53,
+    "{contact}: less than a fifth of its command was read for {safety.contact_loss_time:g} s, "
+    "or its integral stood at its bound ({force:.3g} N when last computed), or it was not held "
+    "again {safety.regain_time:g} s after it was lost. Contact is lost, or a wrist sensor is "
+    "dead or wired with the wrong sign",
+)
+OVERFORCE = declare_reason(
+    "OVERFORCE",
+    54,
+    "{contact}: more than {safety.contact_force:g} N and three times its command was read for "
+    "{safety.overforce_time:g} s ({force:.3g} N when last computed)",
+)
 
 # --- Limits of the robot: speeds, ends of joint ranges, contact forces and power ------------------
 #
@@ -186,7 +212,7 @@ def guard(
         memory.faults += 1
         memory.lost += 1
         memory.cause = reason if cause == NO_REASON else cause
-        if memory.lost >= model.fault_ticks or memory.cause >= OVERSPEED:
+        if memory.lost >= model.fault_ticks or memory.cause >= LASTING:
             _enter(t, SAFE_STOP)
         elif memory.faults > memory.repeats:
             _enter(t, HOLD)

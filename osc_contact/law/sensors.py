@@ -20,26 +20,79 @@ from osc_contact.law.arm_motion import place_point
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.joint_friction import observe_arm
 from osc_contact.law.phases import APPROACHING
+from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
-    APART,
-    DISAGREE,
     FAULTY_POSITION,
     FAULTY_SPEED,
-    FROZEN,
     JOINTS,
-    JUMPED,
-    NO_REASON,
-    NO_ROTATION,
     OTHER,
-    OUT_OF_RANGE,
     SAFE_STOP,
-    STUCK,
-    UNBALANCED,
-    WRENCH_TIMEOUT,
-    WRIST_FROZEN,
     WRISTS,
 )
 from osc_contact.law.vectors import dot6
+
+NO_ROTATION = declare_reason(
+    "NO_ROTATION",
+    14,
+    "reference X_WD: its rotation is none (R Rᵀ = 1 and det R = 1 are missed by more than 1e-4)",
+)
+OUT_OF_RANGE = declare_reason(
+    "OUT_OF_RANGE",
+    15,
+    "the wrist of arm '{arm}' reads more than it measures (force_range = {head.force_range:g} "
+    "N, torque_range = {head.torque_range:g} N m)",
+)
+JUMPED = declare_reason(
+    "JUMPED",
+    16,
+    "joint {joint} jumps: it reads faster than plausible_speed = {safety.plausible_speed:g} "
+    "times its speed limit of {speed:.4g} rad/s or m/s",
+)
+WRENCH_TIMEOUT = declare_reason(
+    "WRENCH_TIMEOUT",
+    17,
+    "no wrench was read for longer than wrench_timeout = {safety.wrench_timeout:g} s",
+)
+STUCK = declare_reason(
+    "STUCK",
+    55,
+    "the encoder of joint {joint} reads the very same though it was commanded to gain "
+    "{safety.stuck_speed:g} of its speed limit",
+)
+FROZEN = declare_reason(
+    "FROZEN",
+    56,
+    "all readings are the very same for {safety.frozen_time:g} s: a packet repeats itself. "
+    "Sensors too coarse to show any noise take frozen_time = inf",
+)
+WRIST_FROZEN = declare_reason(
+    "WRIST_FROZEN",
+    57,
+    "the wrist of arm '{arm}' reads the very same for {safety.frozen_time:g} s: it is dead, or "
+    "its last reading repeats itself. Sensors too coarse to show any noise take frozen_time = "
+    "inf",
+)
+DISAGREE = declare_reason(
+    "DISAGREE",
+    58,
+    "the speed of joint {joint} is not that of its positions: they differ by more than "
+    "{safety.speed_error:g} of its speed limit, or positions drift by more than "
+    "{safety.position_drift:g} rad or m from what speeds add up to",
+)
+UNBALANCED = declare_reason(
+    "UNBALANCED",
+    59,
+    "the motor torques of arm '{arm}' contradict its wrist by more than wrist_error = "
+    "{safety.wrist_error:g} of their limits: the sensor's sign, scale, offset, frame or arm is "
+    "wrong, or the masses of the links, or a joint rubs",
+)
+APART = declare_reason(
+    "APART",
+    60,
+    "arm '{arm}' is more than closure_error = {closure_mm:g} mm away from where the others "
+    "hold the object: an encoder is wrong, those of two arms are swapped, or a grasp has "
+    "slipped",
+)
 
 _ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
 _GAIN = 0.21  #: share of `stuck_speed` that one tick can show: slow encoders repeat readings

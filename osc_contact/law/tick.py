@@ -13,7 +13,7 @@ from osc_contact.law.allocation import (
     predict_joints,
 )
 from osc_contact.law.bars import internal_forces
-from osc_contact.law.chain import solve_chain
+from osc_contact.law.chain import OBJECT_UNKNOWN, solve_chain
 from osc_contact.law.columns import (
     answer_bodies,
     choose_columns,
@@ -23,6 +23,7 @@ from osc_contact.law.columns import (
     still_bodies,
 )
 from osc_contact.law.command_filter import (
+    BAD_METRIC,
     filter_motion,
     permit_error,
     reflect_columns,
@@ -49,14 +50,11 @@ from osc_contact.law.reading import (
     sum_readings,
     weigh_magnitudes,
 )
+from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
     ALLOCATE,
-    BAD_INPUT,
-    BAD_METRIC,
-    BLIND,
     BY_OBJECT,
     COMMAND,
-    DEGENERATE_PAIR,
     DEGRADED,
     END,
     HAND_OVER,
@@ -67,13 +65,9 @@ from osc_contact.law.records import (
     MEASURE,
     MODEL,
     MOST_LOST,
-    NO_REASON,
-    NOT_FINITE,
-    OBJECT_UNKNOWN,
     OK,
     SAFE_STOP,
     SATURATED,
-    STOPPED,
     row_of,
 )
 from osc_contact.law.safety import guard, watch_contacts, watch_joints
@@ -92,6 +86,28 @@ from osc_contact.law.vectors import (
     scaled,
     world_wrench,
 )
+
+BAD_INPUT = declare_reason("BAD_INPUT", 1, "")
+DEGENERATE_PAIR = declare_reason(
+    "DEGENERATE_PAIR",
+    5,
+    "a contact has no N in this posture: two edges in contact are parallel (give an edge on a "
+    "face, or turn the object), no one place of a curved face is nearest, or a CompiledPair "
+    "returned what is not finite",
+)
+NOT_FINITE = declare_reason(
+    "NOT_FINITE",
+    11,
+    "the computed torques are not finite: the measured state or the integrals are out of any "
+    "range. Check the sensors; reset the integrals",
+)
+BLIND = declare_reason(
+    "BLIND",
+    12,
+    "the inertia beyond the wrist sensors is singular: the contact force cannot be determined "
+    "from them. Check mass and inertia of gripper and object",
+)
+STOPPED = declare_reason("STOPPED", 13, "")
 
 # --- The stages of a tick in the order of fig. 4 --------------------------------------------------
 
