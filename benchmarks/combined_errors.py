@@ -1,6 +1,7 @@
 """All errors of a real workcell at once: what they cost the contact forces.
 
     python -m benchmarks.combined_errors [--rigs two_contact_rod --rigs panda_edge] [--duration 4]
+                                         [--dither]
 
 All masses of the model 20 % too large or too small, 0.3 kg hidden in the object, friction of 0.2
 believed to be 0.15, encoders and wrists with noise, wrists with 1 N of bias and 3 ms late, 500 Hz,
@@ -34,24 +35,26 @@ MASSES = (1.2, 0.8)
 SIDES = (0, 90, 180, 270)
 
 
-def judge(name: str, mass: float, side: float, duration: float = 4.0) -> Data:
+def judge(name: str, mass: float, side: float, duration: float = 4.0, dither: bool = False) -> Data:
     """The verdict (`metrics`) of a scenario with all errors.
 
     Args:
         name: of the scenario. mass: factor on the controller's masses.
         side: deg, of the axis about which faces are turned. duration: s.
+        dither: whether points show their normals first.
     """
     masses = [f"model_error.{of}={mass}" for of in ("arm_mass", "object_mass")]
     more = [f"model_error.face_tilt_about={side} deg", f"duration={duration} s"]
+    more += ["control.dither={}"] * dither
     return osc.metrics(osc.run(osc.load_scenario(name, [*ERRORS, *masses, *more])))
 
 
-def main(rigs: list[str] = RIGS, duration: float = 4.0) -> None:
+def main(rigs: list[str] = RIGS, duration: float = 4.0, dither: bool = False) -> None:
     """Print the table."""
     print(f"{'rig':18}masses  side  force error, rms (reading)  closed  overshoot")
     for name, mass, side in product(rigs, MASSES, SIDES):
         with without_logged_doubts():
-            verdict = judge(name, mass, side, duration)
+            verdict = judge(name, mass, side, duration, dither)
         forces = "  ".join(
             f"{one['rms_error_rel']:5.2%} ({one['sensing_rms_rel']:5.2%})"
             for one in verdict["force"].values()

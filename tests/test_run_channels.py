@@ -82,6 +82,7 @@ def run_plainly(rig):
                 **truth,
                 **lines(rig, truth),
                 "motion_error": error(rig, controller, read, truth),
+                "normal_std": np.where(controller.normal_std > 0.0, controller.normal_std, np.nan),
                 "alpha_given_up": np.zeros(len(pushing))
                 if controller.given_up is None
                 else controller.given_up.force,

@@ -602,6 +602,21 @@ class Controller:
         return np.array(self._records.memory.friction.theta[:, 2])
 
     @property
+    def normal_covariance(self) -> Array:
+        """(r, 3, 3) covariance of the assumed normal of each force magnitude (rad²).
+
+        In the axes of the body that carries the normal; where edges cross, of the body's edge along
+        the normal. NaN: not estimated, or the contact is open.
+        """
+        P = np.array(self._records.memory.columns.covariance).reshape(-1, 3, 3)
+        return np.where((self.normal_std > 0.0)[:, None, None], P, np.nan)
+
+    @property
+    def normal_std(self) -> Array:
+        """(r,) the same where each is least certain (rad); 0: not estimated."""
+        return np.array(self._records.memory.columns.normal_std)
+
+    @property
     def f_bias(self) -> Array:
         """(6,) constant wrench added to the command at O (N, N m)."""
         return np.array(self._records.memory.f_bias)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import atan2, copysign, sqrt
 
+from osc_contact.law.contact import learn_normal
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import APPROACHING, predict_force
 from osc_contact.law.records import SATURATED
@@ -241,7 +242,10 @@ def keep_steps(t):
             row.scale = 0.0
             row.drift = 0.0
             row.to_come[0] = row.to_come[1] = row.to_come[2] = row.predicted = 0.0
-            row.turn[0] = row.turn[1] = row.turn[2] = 0.0
+            row.turn[0] = row.turn[1] = row.turn[2] = row.unexplained = 0.0
+            row.residual = row.normal_std = 0.0
+            for i in range(9):
+                row.covariance[i] = 0.0
             continue
         predict_force(t, row, columns[j].goal, work.status == SATURATED, work.dt)
         row.has_desired = columns[j].shaped
@@ -250,6 +254,8 @@ def keep_steps(t):
         presses = columns[j].shaped != 0 and t.work.alpha[j] > _PRESSES * goal[j] > 0.0
         lasting = t.work.speeds[j] * (1.0 - columns[j].slides if presses else 1.0)
         row.drift += work.integral_scale * t.model.drift_share * (lasting - row.drift)
+        share = work.integral_scale * t.model.drift_share if presses else 0.0
+        learn_normal(share, row, columns[j])
         for i in range(3):
             row.to_come[i] = columns[j].to_come[i]
             if presses:

@@ -36,9 +36,20 @@ from osc_contact.law.vectors import (
 #
 # A point that slides at v_t along a face whose normal n is wrong by ε leaves the face that is
 # believed in at v = εᵀv_t. Where one point touches one face, n is turned until it does not; what is
-# left, where nothing slides, is v̄ of `steps`. docs/tuning.md: what it brings, and why it is
-# stable.
+# left, where nothing slides, is v̄ of `steps`. Where edges cross, that of the body is turned: its
+# part g along n shows. docs/tuning.md: what it brings, and why it is stable.
+#
+# The covariance P of the error goes with the estimate. What n does not explain, such as a face that
+# yields, is new every 1/c; r is its mean square, without what is faster than 4c. With ĝ along v_t,
+#
+#     κ = c dt σ λ,   λ = p/(p + r),   p = |v_t|² ĝᵀPĝ
+#     P ← (1 − κĝĝᵀ) P (1 − κĝĝᵀ) + κ²/(c dt) r/|v_t|² ĝĝᵀ
+#
+# from P_0 of a cone of the half angle `tilt`, its square over 4 in each direction. What n has no
+# share in, 1 − σλ, v̄ takes.
 
+_LEAST_SQUARE = 1e-30  # (m/s)²
+_FASTER = 4.0  # c, of the low-pass
 _SLIDES = 0.01  #: v_1 (m/s): faster than that a point shows the tilt of its face
 
 
@@ -50,15 +61,18 @@ def take_turns(t):
         last = t.memory.columns[j]
         row.drift = last.drift
         row.slides = 0.0
+        row.lever = 0.0
         for i in range(3):
             row.turn[i] = row.turned[i] = last.turn[i]
+        for i in range(9):
+            row.prior[i] = 0.0
 
 
 @inner
 def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
     """Fill `turned` and `slides` (0 … 1): the face turned to what is seen to slide on it.
 
-        n ← n − c dt σ (NᵀV_rel − v̄) v_t / v_t²,   σ = v_t⁴ / (v_t⁴ + v_1⁴)
+        n ← n − κ (NᵀV_rel − v̄) v_t / v_t²,   σ = v_t⁴ / (v_t⁴ + v_1⁴)
 
     v_t is the velocity desired of the point along the face: noise turns nothing, nor does
     what stands still. n stays within `tilt` of what is assumed, in the axes that carry the face;
@@ -83,14 +97,32 @@ def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
     a = a - s * N[0]
     b = b - s * N[1]
     c = c - s * N[2]
+    if kind == EDGES:
+        a, b, c = _shown_by_edges(pair, model.shapes, X_WO, R_E, column, (a, b, c))
     square = a * a + b * b + c * c
-    weight = square / (square * square + _SLIDES**4)
-    column.slides = weight * square
-    gain = model.drift_share * weight * (dot6(N, V_rel) - column.drift) / sqrt(size)
+    column.lever = square
+    column.unexplained = (dot6(N, V_rel) - column.drift) / sqrt(size)
+    s = 1.0 / sqrt(size)
+    n = (s * N[0], s * N[1], s * N[2])
     if kind == FACE_ON_VERTEX:
         turned[0], turned[1], turned[2] = rotated_back(X_WO, a, b, c)
+        n = rotated_back(X_WO, n[0], n[1], n[2])
     else:
         turned[0], turned[1], turned[2] = rotated_back(R_E, a, b, c)
+        n = rotated_back(R_E, n[0], n[1], n[2])
+    s = 1.0 / sqrt(max(square, _LEAST_SQUARE))
+    for i in range(3):
+        column.shown[i] = s * turned[i]
+        for j in range(3):  # of the turn of a face across n, of an edge along n
+            across = (1.0 if i == j else 0.0) - n[i] * n[j]
+            share = n[i] * n[j] if kind == EDGES else across
+            column.prior[3 * i + j] = 0.25 * model.tilt * model.tilt * share
+    last = t.memory.columns[pair.first]
+    expected = square * _quadratic(last.covariance, column.shown)
+    column.slides = square * square / (square * square + _SLIDES**4)
+    if expected > 0.0:
+        column.slides *= expected / (expected + last.residual)
+    gain = model.drift_share * column.slides * column.unexplained / max(square, _LEAST_SQUARE)
     size = off = 0.0
     for i in range(3):
         turned[i] = believed[i] + turn[i] - gain * turned[i]
@@ -107,17 +139,74 @@ def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
 
 
 @inner
+def _shown_by_edges(pair, shapes, X_WO, R_E, column, v):
+    """g = ±(v_t × e)/|e × f|: turning E's edge f by δ turns n so that NᵀV_rel changes by gᵀδ."""
+    row = shapes[pair.shape_at].row
+    N = column.N
+    e = rotated(X_WO, row[3], row[4], row[5])
+    f = _turned_edge(row, R_E, column.turn)
+    m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
+    s = 1.0 / (N[0] * m[0] + N[1] * m[1] + N[2] * m[2])
+    a, b, c = cross(v[0], v[1], v[2], e[0], e[1], e[2])
+    return s * a, s * b, s * c
+
+
+@inner
+def _quadratic(P, u):
+    """uᵀPu."""
+    s = 0.0
+    for i in range(3):
+        s += u[i] * (P[3 * i] * u[0] + P[3 * i + 1] * u[1] + P[3 * i + 2] * u[2])
+    return s
+
+
+@leaf
+def learn_normal(share, last, column):
+    """Covariance, largest standard deviation and residual after a tick.
+
+    Args:
+        share: c dt of the estimate. last: COLUMN_MEMORY, changed. column: COLUMN_WORK.
+    """
+    P = last.covariance
+    u = column.shown
+    if P[0] + P[4] + P[8] == 0.0:
+        for i in range(9):
+            P[i] = column.prior[i]
+    if share == 0.0 and last.normal_std > 0.0:
+        return
+    square = column.lever * column.lever
+    last.unexplained += _FASTER * share * (column.unexplained - last.unexplained)
+    found = last.unexplained * last.unexplained - column.lever * _quadratic(P, u)
+    last.residual += share * square / (square + _SLIDES**4) * (max(found, 0.0) - last.residual)
+    k = share * column.slides
+    x = P[0] * u[0] + P[1] * u[1] + P[2] * u[2]
+    y = P[3] * u[0] + P[4] * u[1] + P[5] * u[2]
+    z = P[6] * u[0] + P[7] * u[1] + P[8] * u[2]
+    w = (x, y, z)
+    noise = last.residual / (max(column.lever, _LEAST_SQUARE) * max(share, 1e-12))
+    s = k * k * (u[0] * x + u[1] * y + u[2] * z + noise)
+    for i in range(3):
+        for j in range(3):
+            P[3 * i + j] += s * u[i] * u[j] - k * (w[i] * u[j] + u[i] * w[j])
+    half = 0.5 * (P[0] + P[4] + P[8])  # of a matrix of rank two
+    minors = P[0] * P[4] - P[1] * P[3] + P[0] * P[8] - P[2] * P[6] + P[4] * P[8] - P[5] * P[7]
+    last.normal_std = sqrt(half + sqrt(max(half * half - minors, 0.0)))
+
+
+@inner
 def _tracked(pair, shapes, X_WO, R_E, column):
     """The point whose motion shows how its face is turned, from O; `believed` ← that normal."""
     if pair.kind == GIVEN or pair.kind == FUNCTION:
         return column.point[0], column.point[1], column.point[2]
     row = shapes[pair.shape_at].row
     if pair.kind != SURFACE:
-        first = 0 if pair.kind == FACE_ON_VERTEX else 3
+        first = 0 if pair.kind == FACE_ON_VERTEX else 9 if pair.kind == EDGES else 3
         for i in range(3):
             column.believed[i] = row[first + i]
     if pair.kind == FACE_ON_VERTEX:
         return _vertex(row, X_WO, R_E)
+    if pair.kind == EDGES:
+        return _crossing(row, X_WO, R_E, _turned_edge(row, R_E, column.turn))[0]
     return rotated(X_WO, row[0], row[1], row[2])
 
 
@@ -206,7 +295,7 @@ def place_contacts(t):
             V_E[4] = E[20]
             V_E[5] = E[21]
             fill(V_rel, minus(V_O, V_E))
-        alone = pair.count == 1 and pair.has_friction != 0 and pair.kind != EDGES
+        alone = pair.count == 1 and pair.has_friction != 0
         given = pair.kind == GIVEN or pair.kind == FUNCTION
         if pair.kind == FUNCTION:
             row = shapes[pair.shape_at].row
@@ -330,7 +419,7 @@ def point_of_contact(kind, row, X_WO, R_E, N):
     if kind == FACE_ON_VERTEX:
         x, y, z = _vertex(row, X_WO, R_E)
         return x - row[6] * N[0], y - row[6] * N[1], z - row[6] * N[2]
-    return _crossing(row, X_WO, R_E)[0]
+    return _crossing(row, X_WO, R_E, rotated(R_E, row[9], row[10], row[11]))[0]
 
 
 @inner
@@ -432,10 +521,19 @@ def _along_first(a, e, m, mm):
 
 
 @inner
-def _crossing(row, X_WO, R_E):
-    """Where A's edge comes nearest to E's, from O, and from a point of A's edge to one of E's."""
+def _turned_edge(row, R_E, turn):
+    """The direction of E's edge, a unit vector, as it is taken to be."""
+    a = row[9] + turn[0]
+    b = row[10] + turn[1]
+    c = row[11] + turn[2]
+    size = sqrt(a * a + b * b + c * c)
+    return rotated(R_E, a / size, b / size, c / size)
+
+
+@inner
+def _crossing(row, X_WO, R_E, f):
+    """Where A's edge comes nearest to E's, f, from O, and a point of E's edge from one of A's."""
     e = rotated(X_WO, row[3], row[4], row[5])
-    f = rotated(R_E, row[9], row[10], row[11])
     m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
     q = rotated(X_WO, row[0], row[1], row[2])
     x, y, z = rotated(R_E, row[6], row[7], row[8])
@@ -457,7 +555,7 @@ def _edges(row, motion, column, rate):
     """
     X_WO, V_O, R_E, V_E, V_rel, _ = motion
     e = rotated(X_WO, row[3], row[4], row[5])
-    f = rotated(R_E, row[9], row[10], row[11])
+    f = _turned_edge(row, R_E, column.turn)
     m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
     mm = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
     sine = sqrt(mm)
@@ -467,7 +565,7 @@ def _edges(row, motion, column, rate):
         side = -(o[0] * m[0] + o[1] * m[1] + o[2] * m[2])
     scale = copysign(1.0 / sine, side)
     n = (scale * m[0], scale * m[1], scale * m[2])
-    p, apart = _crossing(row, X_WO, R_E)
+    p, apart = _crossing(row, X_WO, R_E, f)
     gap = n[0] * apart[0] + n[1] * apart[1] + n[2] * apart[2]
     a = cross(V_O[3], V_O[4], V_O[5], e[0], e[1], e[2])
     a = cross(a[0], a[1], a[2], f[0], f[1], f[2])

@@ -313,11 +313,15 @@ COLUMN_MEMORY = _record(
         "gap",
         "time_since_loss",  # see `phases`: N to be read, m and s since it was lost
         "noise",  # N
+        "unexplained",  # m/s, low-passed speed that the estimate of the normal does not explain
+        "residual",  # (m/s)², its mean square
+        "normal_std",  # rad, of that estimate where it is least certain; 0: none
         "velocity_from_positions",
         "velocity_from_encoders",  # low-passed NᵀV_rel, of positions and of speeds
     ),
     to_come=3,  # of a step, see `steps`
     turn=3,  # of the assumed normal, in the axes of its body, see `steps`
+    covariance=9,  # of that turn (rad²); 0: not estimated
 )
 #: what is known of a joint from its sensors, see `sensors`; `acceleration`: as commanded last
 JOINT_MEMORY = _record(
@@ -508,7 +512,18 @@ JOINT_WORK = _record(
 )
 COLUMN_WORK = _record(
     whole=("chosen", "shaped"),
-    number=("n_gamma", "n_gamma_all", "extent", "alpha_d", "goal", "scale", "slides", "drift"),
+    number=(
+        "n_gamma",
+        "n_gamma_all",
+        "extent",
+        "alpha_d",
+        "goal",
+        "scale",
+        "slides",
+        "drift",
+        "unexplained",
+        "lever",
+    ),
     N=6,
     friction_wrench=6,
     energy=6,
@@ -519,6 +534,8 @@ COLUMN_WORK = _record(
     slip=3,  # of contact, from O; v_t / √(v_t² + v_0²) there
     turn=3,
     turned=3,  # of the assumed normal, and after this tick
+    shown=3,  # direction in which sliding shows its error, in the same axes
+    prior=9,  # covariance before anything has slid
     believed=3,  # that normal, into the body and in its axes, where no shape has it
 )
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E

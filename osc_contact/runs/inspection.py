@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.control.records import choose_learning
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.law.joint_friction import LAG
 from osc_contact.robots.summary import friction_warnings, joint_losses, loss_words
 from osc_contact.runs.contacts import feet
+from osc_contact.runs.dither import gain_in_words, known_to
 from osc_contact.runs.landing import landings
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.bodies import magnitude_names
@@ -85,6 +86,7 @@ def inspect_rig(rig: Rig) -> Inspection:
         *_contact_lines(rig),
         *(f"{one.sentence} (v √(k m))." for one in landings(rig)),
         *_skew(rig),
+        *_normals(rig),
         *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
         *_redundancy(len(rig.chain.arms), internal, own),
         f"conditioning of the contact forces: {conditioning:.3g} (1 = independent of each other)",
@@ -110,6 +112,23 @@ def _friction(rig: Rig) -> Iterator[str]:
         passive = arm.passive_joints
         for words in friction_warnings(arm.model, q, share, 1.0 / LAG, passive):
             yield f"joints of '{arm.name}': {words}"
+
+
+def _normals(rig: Rig) -> Iterator[str]:
+    """What of the contact normals the motion does not show, and what that costs."""
+    std = 0.5 * rig.gains.force.tilt
+    if std == 0.0:
+        return
+    velocities = np.abs(rig.references.overview[1].V_D).max(initial=0.0)
+    for pair in rig.pairs:
+        if knows_where_it_slides(pair) and velocities == 0.0:
+            yield (
+                f"the normal of '{pair.name}' cannot be observed: no motion is commanded; it is "
+                "taken as given."
+            )
+    share = known_to(rig.pairs, rig.state(), 1.0)
+    if rig.scenario.control.dither is None and (words := gain_in_words(share, std)):
+        yield f"with normals known to {np.rad2deg(std):.3g} deg (gains.force.tilt / 2), {words}."
 
 
 def _free_motions(state: ChainState, contact: Contact) -> Array:

@@ -99,6 +99,7 @@ def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict
         "squeeze": rows["squeeze"][:, 0] if len(controller.chain.arms) < 3 else rows["squeeze"],
         "alpha_given_up": rows["given_up"],
         "friction": rows["friction"],
+        "normal_std": np.where(rows["normal_std"] > 0.0, rows["normal_std"], np.nan),
         "status": rows["status"][:, 0].astype(np.int64),
         "contact_phase": phase,
     }
@@ -349,7 +350,7 @@ class Recorder:
         if self.truth is None:
             unknown["X_WE"] = 16 * contacts
         numbers = {"tick_s": 1, "status": 1, "squeeze_d": squeezes, "given_up": r}
-        flags = {"engaged": 1}
+        flags = {"engaged": 1, "normal_std": r}
         if of.controller.life is not None:
             flags |= {"phase": contacts, "active": contacts, "closed": r, "collision": r}
         sizes = {**unknown, "tau": chain.n_a, **numbers, **flags}
@@ -425,10 +426,10 @@ class Recorder:
             self._parts = [getattr(result, name).reshape(-1) for name in self._names]
             self._parts[:0] = [result.records.work[name][:r] for name in ("alpha_meas", "speed")]
             head = result.records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
-            self._flags = [head["engaged"]]
+            columns = result.records.memory.columns
+            self._flags = [head["engaged"], columns.normal_std]
             if self.of.controller.life is not None:
                 contacts = result.records.memory.contacts
-                columns = result.records.memory.columns
                 self._flags += [contacts.phase, contacts.active, columns.closed, columns.collision]
         parts = self._parts
         if result.rank != r:
@@ -491,6 +492,7 @@ class Recorder:
             "first_reason": self._first_reason,
             "joint_friction": self._learned(),
             "missing_inertia": self.of.controller.missing_inertia.tolist(),
+            "normal_std": [std or None for std in self.of.controller.normal_std.tolist()],
             "wall_s": perf_counter() - self._began[0],
             "cpu_s": process_time() - self._began[1],
         }

@@ -16,6 +16,7 @@ from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.errors import InvalidInputError, ScenarioError
 from osc_contact.interface import Reference
 from osc_contact.runs.contacts import force_owners
+from osc_contact.runs.dither import slides
 from osc_contact.scenarios.bodies import forces_of, magnitude_names
 from osc_contact.scenarios.control_schema import TareSpec
 from osc_contact.scenarios.schema import MotionSpec, Scenario, SurfaceMove
@@ -75,6 +76,7 @@ class References:
         directions: (3,) of each move, resolved.
         standoff: (6,) displacement off the contacts during the tare phase (zero: none).
         surfaces: what each move follows; None: nothing.
+        showing: (6,) motion of `control.dither`, at its origin, for each metre along the line.
     """
 
     scenario: Scenario
@@ -82,6 +84,7 @@ class References:
     directions: tuple[Array, ...]
     standoff: Array
     surfaces: tuple[SurfaceMotion | None, ...]
+    showing: Array
 
     @classmethod
     def of(
@@ -90,12 +93,14 @@ class References:
         X_start: pin.SE3,
         pairs: Sequence[ContactPair],
         standoff: Array,
+        showing: Array | None = None,
     ) -> References:
         """Resolve `common_tangent` and check that no face is to pull.
 
         Args:
             scenario: with the signals. X_start: pose of the object at the start.
             pairs: the contacts. standoff: (contacts,) gaps at the start (m).
+            showing: as an attribute; None: zero.
 
         Raises:
             ScenarioError: see `common_tangent`; or a desired force is negative at some time.
@@ -107,7 +112,8 @@ class References:
             for move in scenario.motion
         )
         surfaces = tuple(_followed(move, pairs, X_start) for move in scenario.motion)
-        references = cls(scenario, X_start, directions, standoff, surfaces)
+        showing = np.zeros(6) if showing is None else showing
+        references = cls(scenario, X_start, directions, standoff, surfaces, showing)
         t = np.linspace(0.0, scenario.duration, 2000)
         owners = force_owners(pairs)
         for name, i, force in zip(force_names(scenario), owners, references.forces(t), strict=True):
@@ -177,6 +183,10 @@ class References:
                 turn = turn.then(direction, s)
                 if move.through is not None:
                     place = _swung(place, direction, np.array(move.through), s)
+        if self.scenario.control.dither is not None:
+            s = np.array(slides(self.scenario.control.dither, self.engage_at, t))
+            x += self.showing[:3, None] * s[:, None]
+            turn = (_Turn.start(len(t)) if turn is None else turn).then(self.showing[3:], s)
         x[1:] += place[1:]
         if self.scenario.tare is not None:
             away = _away(self.scenario.tare, t)

@@ -15,6 +15,7 @@ from osc_contact.recorder.judged import SETTLE_S, judged_ticks
 from osc_contact.robots import RobotSummary
 from osc_contact.robots.summary import losses_by_arm
 from osc_contact.runs.calibration import WristCalibration
+from osc_contact.runs.dither import gain_in_words
 from osc_contact.runs.inspection import Inspection
 from osc_contact.runs.loop import latency
 from osc_contact.runs.rig import build_rig
@@ -63,6 +64,12 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
         table.add_row(f"joints {arm}, in the model", words)
     for arm, words in losses_by_arm(verdict["learned_friction"]):
         table.add_row(f"joints {arm}, learned", words)
+    for name, std in verdict["normals"].items():
+        if std is not None:
+            table.add_row(f"normal of {name}", f"known to {np.rad2deg(std):.2g} deg")
+    least = max((std for std in verdict["normals"].values() if std is not None), default=0.0)
+    if words := gain_in_words(verdict["force_per_normal"], least):
+        table.add_row("", words)
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
     if verdict.get("loop"):
         table.add_row("measurement to torques", latency(verdict["loop"]))

@@ -36,6 +36,7 @@ from osc_contact.runs.contacts import (
     require_own_pairs,
     tracked,
 )
+from osc_contact.runs.dither import showing_twist
 from osc_contact.runs.recorder import Subject
 from osc_contact.runs.references import References
 from osc_contact.scenarios.bodies import GraspSpec
@@ -382,7 +383,8 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     q_start = q_contact
     if scenario.tare is not None:
         standoff = standoff_of(state, contact, float(scenario.tare.standoff))
-    references = References.of(scenario, state.X_WO, pairs, standoff)
+    showing = showing_twist(pairs, state, contact.N)
+    references = References.of(scenario, state.X_WO, pairs, standoff, showing)
     if scenario.tare is not None:
         q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
     bodies = environment_bodies(scenario)

@@ -23,6 +23,7 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.journal import Journal, MemoryJournal
 from osc_contact.robots import resolve_urdf
 from osc_contact.runs.contacts import environment_bodies
+from osc_contact.runs.dither import known_to
 from osc_contact.runs.loop import end_requested, run_loop, until
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.recorder import Recorder, recording_of
@@ -142,6 +143,7 @@ def describe_run(rig: Rig, seed: int, doubts: Sequence[str]) -> dict[str, Any]:
         "seed": seed,
         "force_steps_s": force_steps(scenario),
         "doubts": list(doubts),
+        "force_per_normal": known_to(rig.pairs, rig.state(), 1.0),
     }
 
 

@@ -288,6 +288,8 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
         "at_limit": [[joint, n] for joint, n in sorted(worst, key=lambda one: -one[1]) if n],
         "joint_losses": losses,
         "learned_friction": _learned(losses, meta),
+        "normals": dict(zip(recording.magnitude_names, meta.get("normal_std", []), strict=False)),
+        "force_per_normal": meta.get("force_per_normal", 0.0),
     }
 
 

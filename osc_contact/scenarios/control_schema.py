@@ -446,6 +446,19 @@ class EstimateSpec(Spec):
     """of tracked bodies"""
 
 
+class Dither(Spec):
+    """A bounded sine along the line between two points of contact, so that they show their normals.
+
+    It begins when contacts engage, and fades."""
+
+    amplitude: Annotated[Length, Field(gt=0)] = 4e-3
+    """of the motion along the line, as far as arms and contacts permit it"""
+    frequency: Annotated[Frequency, Field(gt=0)] = 2.0
+    """its frequency"""
+    duration: Annotated[Time, Field(gt=0)] = 2.5
+    """after which it has faded"""
+
+
 class ControlSpec(Spec):
     """Tick rate (Hz), the metric B of eq. 24, where N comes from, how contacts live."""
 
@@ -467,6 +480,8 @@ class ControlSpec(Spec):
     life: PhaseSettings | None = PhaseSettings()
     """[contacts opened, approached and closed](contact_phases.md) one by one, as their forces are
     > 0 or not; `off`: all at once, by `tare` (and the default beside one)"""
+    dither: Dither | None = None
+    """a motion by which [two points show their normals](friction.md#all-errors-at-once)"""
     safety: SafetySettings = SafetySettings()
     """ticks that cannot be computed, [limits of the robot](reliability.md#limits-of-the-robot):
     [safety states](reliability.md); `.inf`: no limit"""

@@ -39,6 +39,8 @@ _LEFT_OUT = {
     "at_limit",
     "joint_losses",
     "learned_friction",
+    "normals",
+    "force_per_normal",
 }
 
 Row = dict[str, Any]

@@ -1,0 +1,110 @@
+"""A bounded motion by which two points show their normals, and what forces are known to without."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+from pytest import approx, mark
+
+import osc_contact as osc
+from benchmarks.combined_errors import ERRORS
+from osc_contact.runs.contacts import feet
+from osc_contact.runs.dither import known_to, showing_twist, slides
+from osc_contact.runs.inspection import inspect_rig
+from osc_contact.runs.report import verdict_table
+from osc_contact.scenarios.control_schema import Dither
+
+H = 1e-5
+
+
+def test_it_is_bounded_smooth_and_ends():
+    dither = Dither(amplitude=0.004, frequency=2.0, duration=2.5)
+    t = np.linspace(0.0, 4.0, 4001)
+    s, s_1, s_2 = slides(dither, 0.5, t)
+    outside = (t <= 0.5) | (t >= 3.0)
+    assert np.abs(s).max() == approx(0.004, rel=0.01)
+    for x in (s, s_1, s_2):
+        assert np.abs(x[outside]).max() < 1e-9
+    later, before = (np.array(slides(dither, 0.5, t + h)) for h in (H, -H))
+    assert_allclose((later[0] - before[0]) / (2 * H), s_1, atol=1e-7)
+    assert_allclose((later[1] - before[1]) / (2 * H), s_2, atol=2e-5)
+
+
+@mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "hinge_ball_rod"])
+def test_arms_and_contacts_permit_it_and_both_points_slide_along_their_line(name):
+    rig = osc.build_rig(osc.load_scenario(name, ["control.dither={}"]))
+    state = rig.state()
+    N = rig.contact().N
+    V = showing_twist(rig.pairs, state, N)
+    assert np.abs(N.T @ V).max() < 1e-9 and np.abs(state.C.T @ V).max(initial=0.0) < 1e-9
+    points = [feet(pair, state.X_WO)[0][0] for pair in rig.pairs]
+    u = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
+    for point in points:
+        assert (V[:3] + np.cross(V[3:], point - state.X_WO.translation)) @ u == approx(1.0)
+    t = 1.1
+    now, plain = (
+        osc.build_rig(osc.load_scenario(name, [f"control.dither={how}"])).references.at(t)
+        for how in ("{}", "null")
+    )
+    s = slides(Dither(), rig.references.engage_at, np.array([t]))
+    assert_allclose(now.V_D - plain.V_D, V * s[1], atol=2e-3)
+    assert np.abs(now.V_D - plain.V_D).max() > 1e-3
+
+
+def test_nothing_is_shown_where_there_are_no_two_points():
+    for name in ("panda_edge", "ur5_wipe"):
+        rig = osc.build_rig(osc.load_scenario(name, ["control.dither={}"]))
+        assert not showing_twist(rig.pairs, rig.state(), rig.contact().N).any()
+        assert known_to(rig.pairs, rig.state(), 1.0) == 0.0
+
+
+def test_what_a_wrong_normal_costs_two_points():
+    """Least squares over forces ±s u and the pushes along both faces that then are left."""
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    state = rig.state()
+    X = state.X_WO
+    n = [-pair.normal for pair in rig.pairs]  # into the faces
+    points = [X.act(pair.vertex) for pair in rig.pairs]
+    u = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
+    rng = np.random.default_rng(0)
+    costs = []
+    for _ in range(4000):
+        left = []
+        shown = []
+        for one in n:
+            along = u - (one @ u) * one
+            push = 10.0 * 0.05 * rng.normal() * along / np.linalg.norm(along)
+            left.append(push)  # what the true force has beside the believed normal
+            shown.append(along)
+        left = np.concatenate((left[0], -left[1]))
+        shown = np.concatenate(shown)
+        s = (shown @ left) / (shown @ shown)
+        costs.append([s * (one @ u) / 10.0 for one in n])
+    want = np.sqrt(np.mean(np.square(costs), axis=0)).max()
+    assert known_to(rig.pairs, state, 0.05) == approx(want, rel=0.05)
+
+
+def test_inspect_and_the_verdict_suggest_it_with_its_gain():
+    changes = ["gains={}", "duration=1.2 s"]
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod", changes))
+    said = [line for line in inspect_rig(rig).lines if "control.dither={}" in line]
+    assert len(said) == 1 and "known to 5 deg" in said[0]
+    without = osc.build_rig(osc.load_scenario("two_contact_rod", [*changes, "control.dither={}"]))
+    assert not any("control.dither" in line for line in inspect_rig(without).lines)
+    standing = osc.build_rig(osc.load_scenario("two_contact_rod", [*changes, "motion=[]"]))
+    said = [line for line in inspect_rig(standing).lines if "cannot be observed" in line]
+    assert len(said) == 2
+    verdict = osc.metrics(osc.run(standing.scenario))
+    assert set(verdict["normals"]) == {"left_end", "right_end"}
+    rows = [str(cell) for column in verdict_table(verdict).columns for cell in column.cells]
+    assert any("known to 5 deg" in cell for cell in rows)
+    assert any("control.dither={} would" in cell for cell in rows)
+
+
+def test_under_all_errors_it_brings_two_points_to_three_per_cent():
+    masses = ["model_error.arm_mass=1.2", "model_error.object_mass=1.2"]
+    error = []
+    for dither in ("null", "{}"):
+        changes = [*ERRORS, *masses, f"control.dither={dither}", "duration=4 s"]
+        verdict = osc.metrics(osc.run(osc.load_scenario("two_contact_rod", changes)))
+        assert set(verdict["contact_fraction"].values()) == {1.0}
+        error.append(max(one["rms_error_rel"] for one in verdict["force"].values()))
+    assert error[1] < 0.031 and error[1] < 0.8 * error[0], error
