@@ -264,7 +264,7 @@ def test_a_run_is_the_same_with_a_viewer_that_dies_in_it(caplog):
         assert viewer.error is not None and len(caplog.records) == 1
     for name, values in plain.channels.items():
         if name != "tick_s":
-            assert np.array_equal(values, watched[name]), name
+            assert np.array_equal(values, watched[name], equal_nan=True), name
 
 
 def test_nothing_that_is_shown_can_raise(viewer, caplog):
