@@ -117,7 +117,8 @@ def test_they_are_the_textbooks_on_500_states(arm):
             R_S = BALL**2 @ got.J  # Λ = R S (SᵀR Φ R S)⁻¹ SᵀR with S = J
             half = R_S @ inverse(got.J.T @ R_S)
             Lambda = (half @ M @ half.T).astype(float)
-            atol = max(1e-8, 1e-15 / chi[rank - 1] ** 2) * np.abs(Lambda).max()
+            # rounding of M and J, which every BLAS kernel does in another order
+            atol = max(1e-8, 3e-15 / chi[rank - 1] ** 2) * np.abs(Lambda).max()
             assert_allclose(got.Lambda, Lambda, rtol=0, atol=atol)
         P = got.J @ got.J_bar
         atol = max(1e-6, 1e-12 / chi[rank - 1] ** 2)

@@ -188,6 +188,7 @@ def test_the_paper_has_the_sections_of_the_journal_and_cites_what_it_lists():
         "State of the field",
         "Software design",
         "Research impact statement",
+        "AI usage disclosure",
         "References",
     ]
     listed = re.findall(

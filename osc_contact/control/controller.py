@@ -279,6 +279,7 @@ class Controller:
             memory = self._records.memory
             memory.repeated = self._freshness.require(measurement)
             if measurement.stamps is not None:
+                memory.stamped = memory.stamped or memory.instant + 1
                 late = measurement.stamps.encoders - measurement.stamps.wrists
                 memory.late = min(max(0.0, late / self.dt + 0.5), HISTORY)
         if measurement.estimated:

@@ -64,7 +64,7 @@ _SUDDEN = 0.05  #: s; speeds that change by their limit within less are steps
 
 #: What θ is: nothing yet; as of the model; learned.
 UNKNOWN, MODEL_ONLY, LEARNED = range(3)
-#: What `history` keeps of each tick, and `means` the low-passes of.
+#: What `PAST` keeps of each tick, and `means` the low-passes of.
 TORQUE, SIGN, SPEED, V, FRICTION, RATE, INERTIAL = range(7)
 _ACCELERATION = FRICTION  #: of `smooth`, in place of it
 
@@ -113,38 +113,37 @@ def observe_arm(t, arm, own, dt):
         h = joints[j].h
         torque = t.memory.torques[joint.motor] - 0.5 * (h + row.past_h)
         row.past_h = h
-        past = _remember(t, row, (torque, inertial), int(dt / t.model.period + 0.5))
-        torque = row.history[past, TORQUE]
+        then = (torque, row.sign, row.speed, row.past_v, row.friction, row.rate, inertial)
+        if t.memory.stamped != 0:
+            then = _align(t, t.memory.past[j], then, int(dt / t.model.period + 0.5))
+        torque = then[TORQUE]
         bound = _OUTLIER * joint.tau_max
         needed = min(max(dot6(joints[j].column, load), torque - bound), torque + bound)
         row.means[TORQUE] += k * (torque - 0.5 * (needed + row.load) - row.means[TORQUE])
         row.load = needed
         for i in range(SIGN, RATE):
-            row.means[i] += k * (row.history[past, i] - row.means[i])
-        row.residual = row.means[TORQUE] - row.history[past, INERTIAL]
+            row.means[i] += k * (then[i] - row.means[i])
+        row.residual = row.means[TORQUE] - then[INERTIAL]
         if t.model.friction_learning != 0 and not begins:
-            _learn(t, joint, row, t.memory.friction[j], row.history[past, RATE], dt)
+            _learn(t, joint, row, t.memory.friction[j], then[RATE], dt)
 
 
 @leaf
-def _remember(t, row, torques, ticks):
-    """Keep what belongs to this tick, for those that were lost, too; row of the wrench's instant.
+def _align(t, row, now, ticks):
+    """What belongs to the wrench's instant; that of this tick is kept, for lost ones, too.
 
     Args:
-        row: JOINT_MEMORY. torques: of the motor less h, and of inertia. ticks: since the last one
-        that was kept.
+        row: PAST of the joint. now: what belongs to this tick. ticks: since the last one that was
+        kept.
     """
     memory = t.memory
     for i in range(min(ticks, HISTORY)):
         at = (memory.instant - i) % HISTORY
-        row.history[at, TORQUE] = torques[0]
-        row.history[at, SIGN] = row.sign
-        row.history[at, SPEED] = row.speed
-        row.history[at, V] = row.past_v
-        row.history[at, FRICTION] = row.friction
-        row.history[at, RATE] = row.rate
-        row.history[at, INERTIAL] = torques[1]
-    return (memory.instant - min(memory.late, memory.balanced - 1, HISTORY - 1)) % HISTORY
+        for kind in range(len(now)):
+            row.history[at, kind] = now[kind]
+    kept = min(memory.balanced - 1, memory.instant - memory.stamped, HISTORY - 1)
+    x = row.history[(memory.instant - min(memory.late, kept)) % HISTORY]
+    return (x[TORQUE], x[SIGN], x[SPEED], x[V], x[FRICTION], x[RATE], x[INERTIAL])
 
 
 @leaf

@@ -261,6 +261,7 @@ _MEMORY = _record(
         "repeated",  # which readings of this tick are those of the last one: JOINTS, WRISTS
         "balanced",  # ticks in which wrists were compared with motor torques
         "instant",  # the same with lost ticks
+        "stamped",  # `instant` from which on wrenches have stamps; 0: they have none
         "late",  # ticks by which wrenches are older than the readings of the joints
         "derived",  # whether speeds are estimated from positions: no second reading of a joint
         "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
@@ -368,10 +369,10 @@ JOINT_MEMORY = _record(
         "unbalanced",
     ),
     trusted=3,  # F, D and |A| as learned for long, see `sensors`
-    history=(HISTORY, 7),
     means=5,
     smooth=5,  # of `joint_friction`: what it observes of a tick; low-passed, and once more
 )
+PAST = _record(history=(HISTORY, 7))  #: of a joint, where wrenches have stamps
 #: θ of a joint, the same without bounds, its covariance, variance of residuals; see
 #: `joint_friction`
 FRICTION = _record(whole=("known",), number=("noise", "evidence"), theta=4, estimate=4, P=(4, 4))
@@ -588,6 +589,7 @@ MEMORY = Nested(
     torques=(_FLOAT, "a"),  # given out last
     joints=(JOINT_MEMORY, "n"),
     friction=(FRICTION, "n"),
+    past=(PAST, "n"),
     arms=(ARM_MEMORY, "k"),
     q=(_FLOAT, "n"),
     v=(_FLOAT, "n"),  # as estimated, see `sensors.estimate_joints`
