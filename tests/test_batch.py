@@ -137,3 +137,18 @@ def test_what_is_no_batch_is_refused():
         batch.tick(**{**x, "q": x["q"][:1]})
     with raises(osc.InvalidInputError, match="mask"):
         batch.reset([True])
+
+
+def test_rows_that_share_a_model_part_when_one_is_replaced():
+    chain = scara_pair()
+    rng = np.random.default_rng(9)
+    (one, other), q = controllers(chain, 2, rng)
+    batch = osc.BatchController([one] * 3)
+    x = story(chain, q, 3, 1, rng)[0]
+    began = batch.tick(**x)
+    batch.reset()
+    batch.replace(1, other)
+    again = batch.tick(**x)
+    assert_array_equal(again[[0, 2]], began[[0, 2]])
+    assert_array_equal(again[1], single(copy.copy(other), x, 1))
+    assert (again[1] != began[1]).any()

@@ -24,18 +24,18 @@ PRIOR = np.array([9.0, 4.0, 2.0, 0.01])
 def learned(Phi, r, noise=0.1, dt=0.0):
     """θ and FRICTION after these residuals; dt = 0: nothing is forgotten, and R stays."""
     raw = new_model(1, 1, 1)
-    joint = MODEL.view(raw).joints[0]
-    joint.friction_noise = np.sqrt(noise)
-    joint.spread[:] = MOST * np.array([0.5, 0.5, 0.5, 0.3])
-    joint.high_theta[:] = MOST * np.array([1.0, 20.0, 20.0, 1.0])
-    joint.low_theta[:] = [0.0, 0.0, -MOST, -MOST]
+    prior = MODEL.view(raw).priors[0]
+    prior.noise = np.sqrt(noise)
+    prior.spread[:] = MOST * np.array([0.5, 0.5, 0.5, 0.3])
+    prior.high[:] = MOST * np.array([1.0, 20.0, 20.0, 1.0])
+    prior.low[:] = [0.0, 0.0, -MOST, -MOST]
     row = np.zeros(1, FRICTION).view(np.recarray)[0]
     row.P[:] = np.diag(PRIOR)
     row.noise = noise
     regress = as_python(joint_friction._regress)
     for phi, one in zip(Phi, r, strict=True):
-        regress(joint, row, phi, np.zeros(8), one, 1.0, dt)
-    as_python(joint_friction._keep_bounds)(joint, row, np.zeros((4, 4)))
+        regress(prior, row, phi, np.zeros(8), one, 1.0, dt)
+    as_python(joint_friction._keep_bounds)(prior, row, np.zeros((4, 4)))
     return row.theta, row
 
 
@@ -71,7 +71,7 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
         controller = rig.controller()
         osc.run_loop(rig.plant(), controller, rig.references.each(6000, controller.dt))
         memory = controller._records.memory
-        assert (memory.friction.known == joint_friction.LEARNED).any() == learns
+        assert (memory.friction_known == joint_friction.LEARNED).any() == learns
         assert memory.joints.unlearned.any() == learns
 
 
@@ -183,9 +183,9 @@ def test_what_was_learned_is_the_start_of_the_next_controller():
     chain = panda(damping=VISCOUS, friction=DRY)
     controller = osc.Controller(chain, [])
     assert_array_equal(controller.joint_friction, np.column_stack([DRY, VISCOUS]))
-    memory = controller._records.memory.friction
-    memory.known[2] = joint_friction.LEARNED
-    memory.theta[2, 0] = 7.0
+    memory = controller._records.memory
+    memory.friction_known[2] = joint_friction.LEARNED
+    memory.friction.theta[2, 0] = 7.0
     assert controller.joint_friction[2, 0] == 7.0
     friction, damping = controller.joint_friction.T
     again = osc.Controller(panda(damping=damping, friction=friction), [])

@@ -245,7 +245,14 @@ class BatchController:
             raise InvalidInputError(f"row {row}; the batch has rows 0 … {self.rows - 1}")
         self._require_fitting(row, controller)
         records = controller._records
-        self._bytes.model[row] = records.model_bytes
+        model = self._bytes.model
+        if model.flags.writeable:
+            model[row] = records.model_bytes
+        elif (model[row] != records.model_bytes).any():
+            model = model.copy()
+            model[row] = records.model_bytes
+            self._bytes = Rows(model, self._bytes.memory, self.threads)
+            self._look()
         for memory in (self._bytes.memory, self._start):
             memory[row] = records.memory_bytes
         self._settings[row] = controller.settings

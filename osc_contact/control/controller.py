@@ -591,8 +591,9 @@ class Controller:
         """
         model = self.chain.model
         known = np.column_stack([model.upperDryFrictionLimit, model.damping])
-        learned = self._records.memory.friction
-        return np.where(learned.known[:, None] != 0, learned.theta[:, :2], known)
+        memory = self._records.memory
+        learned = memory.friction_known != 0
+        return np.where(learned[:, None], memory.friction.theta[:, :2], known)
 
     @property
     def missing_inertia(self) -> Array:

@@ -378,15 +378,16 @@ def _pack_friction(settings: Settings, head: Any) -> None:
     head.friction_smoothing = how.smoothing
     limit = np.minimum(rows.tau_max, _UNLIMITED)
     most = how.most * limit
-    rows.friction_noise[:] = _NOISE * limit
-    rows.friction_least[:] = _ROUNDING * limit
+    priors = head.priors
+    priors.noise[:] = _NOISE * limit
+    priors.rounding[:] = _ROUNDING * limit
     rows.slip[:] = np.where(rows.slides != 0, SLIDING * SLIP, SLIP)
     rows.theta[:] = known
-    rows.doubt[:] = 0.5 * known + np.outer(most, _DOUBT)
-    rows.spread[:] = np.outer(most, _SPREAD)
-    rows.high_theta[:] = np.maximum(np.outer(most, _BOUND), known)
-    rows.low_theta[:, 2] = -np.array(model.armature)  # nothing else can be below zero
-    rows.low_theta[:, 3] = -rows.high_theta[:, 3]
+    priors.doubt[:] = 0.5 * known + np.outer(most, _DOUBT)
+    priors.spread[:] = np.outer(most, _SPREAD)
+    priors.high[:] = np.maximum(np.outer(most, _BOUND), known)
+    priors.low[:, 2] = -np.array(model.armature)  # nothing else can be below zero
+    priors.low[:, 3] = -priors.high[:, 3]
 
 
 def joint_limit_margins(

@@ -125,7 +125,7 @@ def observe_arm(t, arm, own, dt):
             row.means[i] += k * (then[i] - row.means[i])
         row.residual = row.means[TORQUE] - then[INERTIAL]
         if t.model.friction_learning != 0 and not begins:
-            _learn(t, joint, row, t.memory.friction[j], then[RATE], dt)
+            _learn(t, j, then[RATE], dt)
 
 
 @leaf
@@ -147,35 +147,39 @@ def _align(t, row, now, ticks):
 
 
 @leaf
-def _learn(t, joint, row, learned, rate, dt):
+def _learn(t, j, rate, dt):
     """One step of the recursive least squares, and e.
 
     Both begin when residuals have exceeded rounding for some time: a model without errors stays as
     it is.
 
     Args:
-        joint: JOINT. row: its JOINT_MEMORY. learned: its FRICTION. rate: of its speed, as
-        old as the wrench. dt: s.
+        j: joint. rate: of its speed, as old as the wrench. dt: s.
     """
+    joint = t.model.joints[j]
+    prior = t.model.priors[j]
+    row = t.memory.joints[j]
+    learned = t.memory.friction[j]
+    known = t.memory.friction_known
     means = row.means
     missing = row.residual - means[FRICTION]
-    if learned.known == UNKNOWN:
-        learned.known = MODEL_ONLY
-        learned.noise = joint.friction_noise * joint.friction_noise
+    if known[j] == UNKNOWN:
+        known[j] = MODEL_ONLY
+        learned.noise = prior.noise * prior.noise
         for i in range(4):
             learned.theta[i] = learned.estimate[i] = joint.theta[i]
-            learned.P[i, i] = joint.doubt[i] * joint.doubt[i]
-    if learned.known == MODEL_ONLY:
-        seen = dt if abs(missing) > joint.friction_least else -dt
+            learned.P[i, i] = prior.doubt[i] * prior.doubt[i]
+    if known[j] == MODEL_ONLY:
+        seen = dt if abs(missing) > prior.rounding else -dt
         learned.evidence = max(learned.evidence + seen, 0.0)
         if learned.evidence > _EVIDENCE:
-            learned.known = LEARNED
+            known[j] = LEARNED
     sound = row.unbalanced == 0.0  # else the wrist may be wrong, and e would add to the error
-    if learned.known == LEARNED:
+    if known[j] == LEARNED:
         aim = missing if sound else 0.0
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
     k = dt / (_SMOOTH + dt)
-    smooth = row.smooth
+    smooth = learned.smooth
     smooth[TORQUE] += k * (row.residual - smooth[TORQUE])
     for i in range(SIGN, FRICTION):
         smooth[i] += k * (means[i] - smooth[i])
@@ -183,7 +187,7 @@ def _learn(t, joint, row, learned, rate, dt):
     least = _MOVES * (_SLIDES if joint.slides != 0 else 1.0)
     y = smooth[SPEED]
     if (
-        learned.known == LEARNED
+        known[j] == LEARNED
         and sound
         and t.memory.balanced * dt > _SETTLED
         and min(abs(row.speed), abs(y)) > least
@@ -195,27 +199,27 @@ def _learn(t, joint, row, learned, rate, dt):
         phi[1] = smooth[V]
         phi[2] = smooth[_ACCELERATION]
         phi[3] = 1.0
-        _regress(joint, learned, phi, t.work.t, smooth[TORQUE], k, dt)
-        _keep_bounds(joint, learned, t.work.Z)
+        _regress(prior, learned, phi, t.work.t, smooth[TORQUE], k, dt)
+        _keep_bounds(prior, learned, t.work.Z)
 
 
 @leaf
-def _regress(joint, learned, phi, gain, r, k, dt):
+def _regress(prior, learned, phi, gain, r, k, dt):
     """θ ← θ + k(r − φᵀθ), k = Pφ/(R + φᵀPφ), P ← (1 − kφᵀ)P.
 
     R follows the square of what θ does not explain. Old residuals are forgotten, as far as P stays
     below its bound.
 
     Args:
-        joint: JOINT. learned: its FRICTION. phi: (≥ 4,). gain: (≥ 8,) scratch. r: residual
-        (N m, N). k: share of one tick in r. dt: s.
+        prior: PRIOR of a joint. learned: its FRICTION. phi: (≥ 4,). gain: (≥ 8,) scratch.
+        r: residual (N m, N). k: share of one tick in r. dt: s.
     """
     estimate = learned.estimate
     P = learned.P
     miss = r
     for i in range(4):
         miss -= phi[i] * estimate[i]
-    noise = joint.friction_noise
+    noise = prior.noise
     bound = 10.0 * noise
     square = min(max(miss, -bound), bound) ** 2
     learned.noise += dt / (_SCATTER + dt) * (square - learned.noise)
@@ -229,8 +233,8 @@ def _regress(joint, learned, phi, gain, r, k, dt):
         estimate[i] += gain[i] * miss / whole
         grown = 1.0 + 0.5 * dt / _FORGET
         deviation = grown * sqrt(max(P[i, i] - gain[i] * gain[i] / whole, 0.0))
-        shows = abs(phi[i]) * joint.spread[i] > _SEEN * noise
-        gain[4 + i] = grown if shows and deviation < joint.spread[i] else 1.0
+        shows = abs(phi[i]) * prior.spread[i] > _SEEN * noise
+        gain[4 + i] = grown if shows and deviation < prior.spread[i] else 1.0
     for i in range(4):
         for j in range(i + 1):
             P[i, j] = gain[4 + i] * gain[4 + j] * (P[i, j] - gain[i] * gain[j] / whole)
@@ -238,14 +242,14 @@ def _regress(joint, learned, phi, gain, r, k, dt):
 
 
 @leaf
-def _keep_bounds(joint, learned, C):
+def _keep_bounds(prior, learned, C):
     """θ: the estimate within its bounds; the others are what is likeliest with those at a bound.
 
     Each of these is a condition on a Gaussian, θ ← θ − C_i (θ_i − bound)/C_ii and
     C ← C − C_i C_iᵀ/C_ii. The estimate stays as it is, or it would drift.
 
     Args:
-        joint: JOINT. learned: its FRICTION. C: (≥ 4, ≥ 4) scratch.
+        prior: PRIOR of a joint. learned: its FRICTION. C: (≥ 4, ≥ 4) scratch.
     """
     theta = learned.theta
     for i in range(4):
@@ -254,7 +258,7 @@ def _keep_bounds(joint, learned, C):
             C[i, j] = learned.P[i, j]
     for turn in range(8):  # twice: a condition may bring one before it to its bound
         i = turn % 4
-        bound = min(max(theta[i], joint.low_theta[i]), joint.high_theta[i])
+        bound = min(max(theta[i], prior.low[i]), prior.high[i])
         if theta[i] == bound or C[i, i] <= 0.0:
             continue
         beyond = (theta[i] - bound) / C[i, i]
@@ -267,7 +271,7 @@ def _keep_bounds(joint, learned, C):
         for j in range(4):
             C[i, j] = C[j, i] = 0.0
     for i in range(4):
-        theta[i] = min(max(theta[i], joint.low_theta[i]), joint.high_theta[i])
+        theta[i] = min(max(theta[i], prior.low[i]), prior.high[i])
 
 
 @inner
@@ -331,17 +335,21 @@ def compensate_friction(t):
 
 
 @leaf
+def _theta(t, j, i):
+    """θ_i of joint j: as learned so far, or as of the model."""
+    if t.memory.friction_known[j] != UNKNOWN:
+        return t.memory.friction[j].theta[i]
+    return t.model.joints[j].theta[i]
+
+
+@leaf
 def largest_friction(t, j):
     """F + D |s| of joint j, as learned so far."""
-    learned = t.memory.friction[j]
-    theta = learned.theta if learned.known != UNKNOWN else t.model.joints[j].theta
-    return theta[0] + theta[1] * abs(t.memory.joints[j].speed)
+    return _theta(t, j, 0) + _theta(t, j, 1) * abs(t.memory.joints[j].speed)
 
 
 @leaf
 def believed_friction(t, j):
     """F s/√(s² + s_0²) + D s + A ṡ of joint j in this tick, as learned so far."""
     row = t.memory.joints[j]
-    learned = t.memory.friction[j]
-    theta = learned.theta if learned.known != UNKNOWN else t.model.joints[j].theta
-    return theta[0] * row.sign + theta[1] * row.speed + theta[2] * row.turn
+    return _theta(t, j, 0) * row.sign + _theta(t, j, 1) * row.speed + _theta(t, j, 2) * row.turn

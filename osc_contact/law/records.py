@@ -192,18 +192,14 @@ JOINT = _record(
         "width",
         "most",  # see `control.joint_limits`
         "slip",  # speed from which on dry friction is whole
-        "friction_noise",
-        "friction_least",  # residuals that are none (N m, N); rounding
     ),
-    # θ of `joint_friction` at the start, its standard deviation then and at most, its bounds
-    theta=4,
-    doubt=4,
-    spread=4,
-    low_theta=4,
-    high_theta=4,
+    theta=4,  # of `joint_friction`, at the start
     placement=12,  # in the joint before it, or in the world: rotation by rows, then point
     link=10,  # mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)
 )
+#: Of θ: residuals that are no friction, and rounding (N m, N); standard deviation at the start and
+#: at most; bounds.
+PRIOR = _record(number=("noise", "rounding"), doubt=4, spread=4, low=4, high=4)
 PAIR = _record(
     whole=(
         "kind",
@@ -369,13 +365,12 @@ JOINT_MEMORY = _record(
         "unbalanced",
     ),
     trusted=3,  # F, D and |A| as learned for long, see `sensors`
-    means=5,
-    smooth=5,  # of `joint_friction`: what it observes of a tick; low-passed, and once more
+    means=5,  # of `joint_friction`: what it observes of a tick, low-passed
 )
 PAST = _record(history=(HISTORY, 7))  #: of a joint, where wrenches have stamps
-#: θ of a joint, the same without bounds, its covariance, variance of residuals; see
-#: `joint_friction`
-FRICTION = _record(whole=("known",), number=("noise", "evidence"), theta=4, estimate=4, P=(4, 4))
+#: θ of a joint, the same without bounds, its covariance, variance of residuals; means low-passed
+#: once more; see `joint_friction`
+FRICTION = _record(number=("noise", "evidence"), theta=4, estimate=4, P=(4, 4), smooth=5)
 #: ticks since a wrist was read, s for which it has read the very same
 ARM_MEMORY = _record(whole=("unread",), number=("same",))
 
@@ -582,19 +577,21 @@ MODEL = Nested(
     shapes=(SHAPE, "s"),
     columns=(COLUMN, "r"),
     bodies=(BODY, "c"),
+    priors=(PRIOR, "n"),  # last: read where friction is learned only
 )
 MEMORY = Nested(
     _MEMORY,
     contacts=(CONTACT_MEMORY, "c"),
     torques=(_FLOAT, "a"),  # given out last
     joints=(JOINT_MEMORY, "n"),
-    friction=(FRICTION, "n"),
-    past=(PAST, "n"),
     arms=(ARM_MEMORY, "k"),
     q=(_FLOAT, "n"),
     v=(_FLOAT, "n"),  # as estimated, see `sensors.estimate_joints`
+    friction_known=(_INT, "n"),  # see `joint_friction`
     wrenches=(_FLOAT, "k", 6),  # last read
     squeeze=(_FLOAT, "squeezes"),  # internal forces that are commanded (N)
+    friction=(FRICTION, "n"),  # used where friction is learned only
+    past=(PAST, "n"),  # used where wrenches have stamps only
     columns=(COLUMN_MEMORY, "r"),  # last: pairs in Python may change r
 )
 WORK = Nested(
@@ -719,7 +716,8 @@ class Rows:
 
     Attributes:
         numbers, raw: all of it, as numbers and as bytes.
-        model, memory: (rows, size) MODEL and MEMORY of each row.
+        model, memory: (rows, size) MODEL and MEMORY of each row; where all MODELs are the same, one
+            that all rows share and nobody writes to.
         jobs, work, input: (threads, size) JOB, WORK and INPUT of each thread.
         starts: where the JOB of each thread is.
         job: JOB of the first thread.
@@ -743,9 +741,10 @@ class Rows:
         )
         if memory is None:
             memory = np.tile(MEMORY.new(counts), (len(model), 1))
+        shared = len(model) > 1 and (model == model[0]).all()
         parts = {
             "jobs": np.tile(JOB.new(counts), (threads, 1)),
-            "model": model,
+            "model": model[:1] if shared else model,
             "memory": np.atleast_2d(memory),
             "work": np.tile(WORK.new(counts), (threads, 1)),
             "input": np.tile(INPUT.new(counts), (threads, 1)),
@@ -760,13 +759,15 @@ class Rows:
             here[:] = part
             setattr(self, name, here)
             end += part.size
+        if shared:
+            self.model = np.broadcast_to(self.model[0], model.shape)
         self.starts = [i * self.jobs.shape[1] for i in range(threads)]
         for i in range(threads):
             job = JOB.view(self.jobs[i])
             job.stop = END
             job.last = job.count = len(model)
             job.model = starts["model"]
-            job.model_step = model.shape[1]
+            job.model_step = self.model.strides[0]
             job.memory = starts["memory"]
             job.work = starts["work"] + i * self.work.shape[1]
             job.input = starts["input"] + i * self.input.shape[1]

@@ -266,7 +266,7 @@ def _balance_arm(t, arm, own, dt):
         theta = joint.theta
         speed = abs(known.means[SPEED])
         most += _RUBS * (theta[0] + theta[1] * speed)  # this may be wrong
-        if t.memory.friction[j].known != 0:
+        if t.memory.friction_known[j] != 0:
             theta = t.memory.friction[j].theta
         for i in range(3):  # slowly: a wrist that is wrong at once is not taken for friction
             known.trusted[i] += slow * (abs(theta[i]) - known.trusted[i])

@@ -63,6 +63,7 @@ from osc_contact.law.records import (
     LEAST_SQUARES,
     LOOK,
     MEASURE,
+    MEMORY,
     MODEL,
     MOST_LOST,
     OK,
@@ -465,8 +466,9 @@ COMMANDED = 2
 PARTIAL = 16
 MISFIT, NO_FORCES = 64, 128  # set inside: sizes of what came in; of alpha_d
 
-_job = JOB.at
-_model = MODEL.at
+_job, _model, _memory = (kind.at for kind in (JOB, MODEL, MEMORY))
+_PRIORS = list(MODEL.tables).index("priors")
+_FRICTION, _COLUMNS = (list(MEMORY.tables).index(name) for name in ("friction", "columns"))
 
 
 @inner
@@ -594,6 +596,10 @@ def rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched):
     count = job.count
     head = _model(raw, job.model)
     size = head.memory_bytes
+    used = head.layout[_PRIORS] if job.model_step != 0 else 0  # what a row is read of, as a rule
+    layout = _memory(raw, job.memory).layout
+    unused = layout[_FRICTION]
+    columns = layout[_COLUMNS]
     n = head.n_joints
     k = head.n_arms
     c = head.n_contacts
@@ -615,8 +621,10 @@ def rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched):
     violated = 0
     for i in range(job.first, job.last):
         if i + 1 < job.last:
-            prefetch(raw, job.model + (i + 1) * job.model_step, job.model_step)
-            prefetch(raw, job.memory + (i + 1) * size, size)
+            prefetch(raw, job.model + (i + 1) * job.model_step, used)
+            following = job.memory + (i + 1) * size
+            prefetch(raw, following, unused)
+            prefetch(raw, following + columns, size - columns)
         t = row_of(raw, at, i)
         memory = t.memory
         given = t.input
