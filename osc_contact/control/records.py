@@ -18,7 +18,7 @@ from osc_contact.dynamics.arm import effort_scale
 from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.chain_model import pack_chain
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.environment import Body, Cart, Conveyor
+from osc_contact.dynamics.environment import Body, Cart, Conveyor, Yielding
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.law import records as at
 from osc_contact.law import vectors
@@ -430,6 +430,8 @@ def _body_kinds(bodies: Sequence[Body | None]) -> list[tuple[int, int, list[floa
         same = numbers.setdefault(body, c)
         if type(body) is Conveyor:
             out.append((at.CONVEYOR, same, []))
+        elif type(body) is Yielding:
+            out.append((at.YIELDING, same, [body.compliance]))
         elif type(body) is Cart:
             u = body.direction
             weight = float(u @ np.array(body.gravity))

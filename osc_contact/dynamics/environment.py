@@ -445,6 +445,35 @@ class Conveyor:
 
 
 @dataclass(frozen=True, eq=False)
+class Yielding:
+    """A body on an unknown elastic support, such as a part in a soft jig: Φ_e = 0, b_e = 0.
+
+    The force loop then stays passive also where the contact moves slowly, and forces that are
+    commanded are expected to move it.
+
+    Attributes:
+        compliance: along the contact normal (m/N), to about ± 30 %.
+
+    Raises:
+        InvalidInputError: a compliance that is not positive.
+    """
+
+    compliance: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.compliance < np.inf:
+            raise InvalidInputError(f"yielding: compliance = {self.compliance:g} m/N; give > 0")
+
+    def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
+        """See `Body.environment`; `A_E` is not used.
+
+        Args:
+            X_WE, V_E, A_E, O: as of `Body.environment`.
+        """
+        return Environment.moving(X_WE=X_WE, V_E=V_E, A_E=np.zeros(6), O=O)
+
+
+@dataclass(frozen=True, eq=False)
 class Cart:
     """A body of mass m on a straight rail: m s̈ = u·(f + m g) + preload − k s − c ṡ.
 

@@ -7,7 +7,7 @@ from math import atan2, copysign, sqrt
 from osc_contact.law.contact import learn_normal
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import APPROACHING, predict_force
-from osc_contact.law.records import SATURATED
+from osc_contact.law.records import SATURATED, YIELDING
 from osc_contact.law.vectors import cross
 
 # --- The motion law: pose error, PID, and the classical acceleration made spatial -----------------
@@ -124,6 +124,14 @@ def command_motion(t):
 # The brake commands the normal acceleration −κ(NᵀV_rel − v̄) in place of none, v̄ the part that
 # lasts: an object that slides along a tilted face is not braked. In accelerations the same κ
 # serves every mass, and any basis of N; the force that it takes is (NᵀΦN)⁻¹ times as much.
+#
+# On a face that yields, by s per unit of force, that is too little where the contact moves slowly,
+# and nothing where its motion is measured. There
+#
+#     b = κ(u + (K_i − w) p),   u = NᵀV − v̂ − s α̇_s,   ṗ = u − w p
+#
+# with v̂ how the face is driven, a low pass of V_N − s α̇ where its motion is measured, else 0; w is
+# the rate of v̄ and of this low pass.
 
 _SUDDEN = 20.0  #: 1/s; a force that changes faster than its size times this makes a step
 _FADES = 0.5  #: 1/s; how fast the size of a force that has gone is forgotten
@@ -219,11 +227,41 @@ def _go_on(a, b, c, left, stretch):
 
 @inner
 def brake_contacts(t):
-    """`brake` (r,) ← κ(NᵀV_rel − v̄), in m/s² for columns that are forces."""
+    """`brake` (r,) ← κ(NᵀV_rel − v̄), in m/s² for columns that are forces; of yielding faces b."""
     work = t.work
     for a in range(work.rank):
-        drift = t.memory.columns[t.work.columns[int(work.keep[a])].chosen].drift
-        work.brake[a] *= work.speed[a] - drift
+        j = t.work.columns[int(work.keep[a])].chosen
+        body = t.model.bodies[t.model.columns[j].contact]
+        if body.kind == YIELDING:
+            work.brake[a] *= _yielding(t, a, j, body.parameters[0])
+        else:
+            work.brake[a] *= work.speed[a] - t.memory.columns[j].drift
+
+
+@leaf
+def _yielding(t, a, j, s):
+    """u + (K_i − w) p of column j, kept as a; its states in WORK are those of the next tick."""
+    work = t.work
+    dt = work.dt
+    row = t.work.columns[j]
+    last = t.memory.columns[j]
+    w = t.model.drift_share / t.model.period
+    alpha = work.alpha_meas[a]
+    face = work.V_N[a]
+    measured = face != 0.0
+    presses = row.shaped != 0
+    commanded = s * (row.goal - last.eased) / dt if presses and last.has_desired != 0 else 0.0
+    explained = w * s * alpha
+    driven = face
+    if presses:
+        driven = last.driven - explained if measured else 0.0
+    u = work.speed[a] + face - driven - commanded
+    p = last.deflection if presses else 0.0
+    row.eased = row.goal
+    row.driven = driven + explained + w * dt * (face - driven)
+    row.deflection = p + dt * (u - w * p)
+    row.hidden = 0 if measured else 1
+    return u + (t.model.force_gain - w) * p
 
 
 @inner
@@ -240,7 +278,7 @@ def keep_steps(t):
             row.has_desired = 0
             row.desired = 0.0
             row.scale = 0.0
-            row.drift = 0.0
+            row.drift = row.driven = row.deflection = row.eased = 0.0
             row.to_come[0] = row.to_come[1] = row.to_come[2] = row.predicted = 0.0
             row.turn[0] = row.turn[1] = row.turn[2] = row.unexplained = 0.0
             row.residual = row.normal_std = 0.0
@@ -251,7 +289,11 @@ def keep_steps(t):
         row.has_desired = columns[j].shaped
         row.desired = goal[j]
         row.scale = columns[j].scale
+        row.driven = columns[j].driven
+        row.deflection = columns[j].deflection
+        row.eased = columns[j].eased
         presses = columns[j].shaped != 0 and t.work.alpha[j] > _PRESSES * goal[j] > 0.0
+        presses = presses and columns[j].hidden == 0  # else it seems to be turned
         lasting = t.work.speeds[j] * (1.0 - columns[j].slides if presses else 1.0)
         row.drift += work.integral_scale * t.model.drift_share * (lasting - row.drift)
         share = work.integral_scale * t.model.drift_share if presses else 0.0

@@ -55,7 +55,7 @@ FILTER, LEAST_SQUARES = range(2)  #: how contact forces are read off the wrists
 #: columns and freedoms of pairs given by T
 FORCE, COUPLE, THREAD = range(3)
 TURN, SLIDE, SCREW = range(3)
-UNYIELDING, CONVEYOR, CART, ELSEWHERE = range(4)
+UNYIELDING, CONVEYOR, CART, YIELDING, ELSEWHERE = range(5)
 
 _MODEL = _record(
     whole=(
@@ -306,6 +306,9 @@ COLUMN_MEMORY = _record(
         "desired",
         "scale",
         "drift",  # desired force, its size, lasting speed, see `steps`
+        "driven",
+        "deflection",
+        "eased",  # m/s, m, α_s (N): of a yielding face, see `commands`
         "predicted",
         "gap",
         "time_since_loss",  # see `phases`: N to be read, m and s since it was lost
@@ -507,7 +510,7 @@ JOINT_WORK = _record(
     M=MAX_JOINTS,
 )
 COLUMN_WORK = _record(
-    whole=("chosen", "shaped"),
+    whole=("chosen", "shaped", "hidden"),  # hidden: it yields, and its motion is not measured
     number=(
         "n_gamma",
         "n_gamma_all",
@@ -517,6 +520,9 @@ COLUMN_WORK = _record(
         "scale",
         "slides",
         "drift",
+        "driven",
+        "deflection",
+        "eased",
         "unexplained",
         "lever",
     ),

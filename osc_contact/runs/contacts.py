@@ -18,7 +18,7 @@ from osc_contact.contacts.detection import CollisionShape, TrackedContact, colli
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import ContactPair, count_forces, make_pair, triad
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
-from osc_contact.dynamics.environment import Body, Cart, Conveyor, Hinge
+from osc_contact.dynamics.environment import Body, Cart, Conveyor, Hinge, Yielding
 from osc_contact.errors import ScenarioError
 from osc_contact.plants.faces import Rail
 from osc_contact.scenarios.bodies import (
@@ -287,20 +287,23 @@ def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail | None]:
     return found
 
 
-def known_bodies(
-    bodies: Sequence[EnvironmentBody], contacts: int, ignored: bool
-) -> list[Body | None]:
+def known_bodies(bodies: Sequence[EnvironmentBody], contacts: int, how: str) -> list[Body | None]:
     """The answer of the body at each contact in the controller's model.
 
     Args:
-        bodies: of the environment. contacts: how many. ignored: the model has none.
+        bodies: of the environment. contacts: how many. how: `model_error.environment`.
     """
     known: list[Body | None] = [None] * contacts
-    for body in () if ignored else bodies:
-        if body.motion is not None:
-            answer = _own_motion(body.motion).body
-            for i in body.contacts:
-                known[i] = answer
+    for body in bodies:
+        if body.motion is None or how == "ignored":
+            continue
+        answer = _own_motion(body.motion).body
+        if how == "compliance":
+            if not isinstance(answer, Cart) or answer.stiffness == 0.0:
+                continue
+            answer = Yielding(1.0 / answer.stiffness)
+        for i in body.contacts:
+            known[i] = answer
     return known
 
 

@@ -147,7 +147,7 @@ def friction(rig: Rig) -> Values:
     control = rig.scenario.control
     if rig.scenario.plant.exact or control.friction is not None or not rig.pairs:
         return
-    bodies = known_bodies(rig.bodies, len(rig.pairs), False)
+    bodies = known_bodies(rig.bodies, len(rig.pairs), "known")
     if choose_reading(control.force.reading, rig.pairs, bodies) == "filter":
         slides = all(map(knows_where_it_slides, rig.pairs))
         other = "set control.force.reading=least_squares, or " if slides else ""

@@ -295,14 +295,13 @@ class Rig:
         """The controller with the scenario's gains, knowing only `model`."""
         scenario = self.scenario
         control = self.scenario.control
-        ignored = scenario.model_error.environment == "ignored"
         return Controller(
             self.model,
             self.controlled_pairs(),
             self.gains,
             dt=1.0 / control.rate,
             B=control.metric,
-            bodies=known_bodies(self.bodies, len(self.pairs), ignored),
+            bodies=known_bodies(self.bodies, len(self.pairs), scenario.model_error.environment),
             posture=self.q_contact,
             engaged=scenario.tare is None,
             friction=control.friction,

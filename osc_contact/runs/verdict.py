@@ -122,7 +122,7 @@ RULES = (
         "limit_cycle",
         "force {name} oscillates by ± {limit_cycle_N:.3g} N at {limit_cycle_Hz:.3g} Hz, "
         "{limit_cycle_rel:.1%} of its command (limit {limit:.1%}), uncommanded: a limit cycle; "
-        "lower gains.force.bandwidth, or give yielding faces their stiffness and mass",
+        "lower gains.force.bandwidth, or give yielding faces their compliance",
     ),
     Rule(
         "POOR",

@@ -507,8 +507,9 @@ class ModelErrorSpec(Spec):
     """factor on the joint friction and damping of the controller's model"""
     armature: NotNegative = 1.0
     """factor on the rotor inertias of the controller's model"""
-    environment: Literal["known", "ignored"] = "known"
-    """`ignored`: the law takes every face as unyielding and unaccelerated (Φ_e = 0, b_e = 0)"""
+    environment: Literal["known", "compliance", "ignored"] = "known"
+    """`ignored`: the law takes every face as unyielding and unaccelerated (Φ_e = 0, b_e = 0);
+    `compliance`: but for how much carts on springs yield ([soft faces](tuning.md#soft-faces))"""
     face_offset: Length = 0.0
     """the controller takes each body touched to stand so much nearer, along its first line of
     force"""

@@ -1,0 +1,134 @@
+"""Faces on unknown elastic supports: the brake of docs/tuning.md#soft-faces, measured or not."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose
+from pytest import mark, raises
+
+import osc_contact as osc
+from osc_contact.dynamics.environment import Yielding
+
+DT = 1e-3
+INTO = np.array([-0.501104, -0.200441, -0.841854])  # the left face, along the contact's normal
+WEIGHT = 9.81 * INTO[2]  #: N/kg along it, with the sign of what holds it
+
+
+def soft_rig(stiffness, mass=1.0, damping=5.0, known="compliance"):
+    """`moving_face` with its left face on a spring that carries the weight, default gains."""
+    cart = (
+        f"{{type: cart, direction: {INTO.tolist()}, mass: {mass} kg, stiffness: {stiffness}, "
+        f"damping: {damping}, preload: {WEIGHT * mass} N}}"
+    )
+    changes = [
+        f"contacts.left_end.face.motion={cart}",
+        "gains={}",
+        f"model_error.environment={known}",
+        "duration=3 s",
+    ]
+    return osc.build_rig(osc.load_scenario("moving_face", changes))
+
+
+def run(rig, measured, ticks=3000, compliance=None):
+    """Relative force errors (ticks, 2) from 1 s on, and what the brake of the left end sees."""
+    plant = rig.plant()
+    controller = rig.controller()
+    if compliance is not None:
+        controller._records.model.bodies.parameters[0, 0] = compliance
+    errors = []
+    seen = []
+    for k in range(ticks):
+        measurement = plant.measure()
+        reference = rig.references.at(DT * k)
+        if not measured:
+            measurement = replace(measurement, touched=None)
+        plant.command(controller.tick(measurement, reference), DT)
+        alpha = plant.truth().alpha
+        assert k < 300 or (alpha > 0.0).all()
+        work = controller._records.work
+        face = work.V_N[0]
+        seen.append((work.speed[0] + face, face, work.alpha_meas[0], work.columns.goal[0]))
+        seen[-1] += (work.brake[0],)
+        if k >= 1000:
+            errors.append(alpha / reference.alpha_d - 1.0)
+    assert controller.state is osc.SafetyState.RUN
+    return np.array(errors), np.array(seen), controller
+
+
+@mark.parametrize("measured", [True, False], ids=["measured", "not measured"])
+@mark.parametrize("stiffness", [2e3, 1e4, 1e5])
+def test_forces_on_a_soft_jig_are_kept(stiffness, measured):
+    errors, _, _ = run(soft_rig(stiffness), measured)
+    assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.02).all()
+
+
+@mark.parametrize("seed", range(6))
+def test_any_support_from_2_to_100_kN_per_m(seed):
+    """Masses, dampings and stiffnesses at random, the compliance known to 30 %."""
+    rng = np.random.default_rng(seed)
+    stiffness = 10 ** rng.uniform(3.3, 5.0)
+    rig = soft_rig(stiffness, rng.uniform(0.3, 3.0), rng.uniform(0.0, 20.0))
+    believed = rng.uniform(0.7, 1.3) / stiffness
+    errors, _, _ = run(rig, bool(seed % 2), compliance=believed)
+    assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.03).all()
+
+
+@mark.parametrize("measured", [True, False], ids=["measured", "not measured"])
+def test_the_brake_is_the_filter_of_the_tuning_page(measured):
+    """b = κ (σ + K_i)/(σ + w) (NᵀV − v̂ − s σα_s), v̂ = w/(σ + w) (V_N − s σα), as convolutions."""
+    stiffness = 2e3
+    _, seen, controller = run(soft_rig(stiffness), measured, 1500)
+    V, V_face, alpha, alpha_s, brake = seen.T
+    gains = controller.gains.force
+    w = gains.drift
+    begin = 1000  # the start is forgotten: exp(−w t) < 1 %
+    t = DT * np.arange(len(V))
+    low = w * DT * np.exp(-w * t)
+
+    def rate(x):
+        return np.diff(x, prepend=x[0]) / DT
+
+    def low_pass(x):
+        return np.convolve(x, low)[: len(x)]
+
+    driven = low_pass(V_face - rate(alpha) / stiffness) if measured else 0.0 * V
+    u = V - driven - rate(alpha_s) / stiffness
+    expected = gains.brake * (u + (gains.integral - w) / w * low_pass(u))
+    scale = np.abs(expected[begin:]).max()
+    assert scale > 0.1
+    assert_allclose(brake[begin:], expected[begin:], atol=0.06 * scale)
+
+
+def poles(k, m, K_i, kappa, w, passive):
+    """Of m σ v = −(1 + K_i/σ) e − m b, e = k v/σ; b of a soft face, or κ σ/(σ + w) v."""
+    brake = [kappa, kappa * K_i if passive else 0.0]
+    own = m * np.polymul(np.polyadd([1.0, w, 0.0], brake), [1.0, 0.0, 0.0])
+    return np.roots(np.polyadd(own, k * np.polymul([1.0, K_i], [1.0, w])))
+
+
+def test_the_loop_is_stable_on_every_spring_and_the_usual_one_above_a_bound():
+    gains = osc.Gains().force
+    K_i, kappa, w = gains.integral, gains.brake, gains.drift
+    bound = K_i * w * (w + kappa) ** 2 / ((kappa - K_i) * (w + K_i))  # of k/m, Routh
+    for ratio in 10.0 ** np.linspace(1, 7, 40):
+        assert poles(ratio, 1.0, K_i, kappa, w, True).real.max() < 0.0
+        usual = poles(ratio, 1.0, K_i, kappa, w, False).real.max()
+        if abs(ratio / bound - 1.0) > 0.05:
+            assert (usual < 0.0) == (ratio > bound)
+
+
+def test_the_arm_in_contact_is_passive():
+    """Re Z(jω) > 0 of Z = −e/v: no passive face makes the loop unstable, whatever its mass."""
+    gains = osc.Gains().force
+    K_i, kappa, w = gains.integral, gains.brake, gains.drift
+    s = 1j * 10.0 ** np.linspace(-3, 5, 400)
+    Z = (s + kappa * (s + K_i) / (s + w)) / (1.0 + K_i / s)
+    assert (Z.real > 0.0).all()
+    Z = (s + kappa * s / (s + w)) / (1.0 + K_i / s)
+    assert (Z.real < 0.0).any(), "the usual brake is not"
+
+
+def test_what_is_no_compliance_is_refused():
+    for value in (0.0, -1e-4, np.inf, np.nan):
+        with raises(osc.InvalidInputError, match="compliance"):
+            Yielding(value)
