@@ -230,7 +230,7 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
         assert forces.kept[0].drift == approx(drift)
     forces.tick([20.0], speed=[5.0])
     assert forces.kept[0].drift == approx(drift), "the integral rests, and so does v̄"
-    t = records(columns=3)
+    t = records(columns=3, contacts=1)
     t.memory.columns.drift[:] = [0.5, 0.0, drift]
     t.work.columns.chosen[:2] = [2, 0]
     write(t.work, rank=2, keep=[1.0, 0.0], speed=[0.3, 0.7], brake=[20.0, 10.0])
