@@ -14,7 +14,14 @@ INTO = np.array([-0.501104, -0.200441, -0.841854])  # the left face, along the c
 WEIGHT = 9.81 * INTO[2]  #: N/kg along it, with the sign of what holds it
 
 
-def soft_rig(stiffness, mass=1.0, damping=5.0, known="compliance"):
+#: Encoders of 16 bits, wrists with 0.5 N of noise that are 3 ms late.
+NOISY = (
+    "sensors={encoder: {rate: 1 kHz, angle: {resolution: 0.0001}}, "
+    "wrist: {rate: 1 kHz, delay: 3 ms, force: {noise: 0.5}, torque: {noise: 0.01}}}"
+)
+
+
+def soft_rig(stiffness, mass=1.0, damping=5.0, more=()):
     """`moving_face` with its left face on a spring that carries the weight, default gains."""
     cart = (
         f"{{type: cart, direction: {INTO.tolist()}, mass: {mass} kg, stiffness: {stiffness}, "
@@ -23,8 +30,9 @@ def soft_rig(stiffness, mass=1.0, damping=5.0, known="compliance"):
     changes = [
         f"contacts.left_end.face.motion={cart}",
         "gains={}",
-        f"model_error.environment={known}",
+        "model_error.environment=compliance",
         "duration=3 s",
+        *more,
     ]
     return osc.build_rig(osc.load_scenario("moving_face", changes))
 
@@ -60,6 +68,13 @@ def run(rig, measured, ticks=3000, compliance=None):
 def test_forces_on_a_soft_jig_are_kept(stiffness, measured):
     errors, _, _ = run(soft_rig(stiffness), measured)
     assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.02).all()
+
+
+@mark.parametrize("stiffness", [2e3, 5e4])
+def test_sensors_of_real_arms_do(stiffness):
+    found = osc.metrics(osc.run(soft_rig(stiffness, more=[NOISY]).scenario))
+    assert found["task"]["word"] == "OK"
+    assert found["force"]["left_end"]["rms_error_rel"] < 0.02
 
 
 @mark.parametrize("seed", range(6))
