@@ -116,6 +116,26 @@ def cases() -> list[Case]:
         out.append(Case(f"two arms {name} unknown 2 % of the limit", name, unknown, 2.5))
     for arm in TIPS:
         out += [Case(name, arm, changes, most) for name, most, changes in _of_arm(arm)]
+    return out + _drawn(12)
+
+
+def _drawn(count: int) -> list[Case]:
+    """Arms, motions, friction, damping, rotors and what is believed of them, at random."""
+    rng = np.random.default_rng(0)
+    out = []
+    for i in range(count):
+        arm = str(rng.choice(list(TIPS)))
+        motion = move_on_wall(_file(arm), rng.uniform(0.1, 0.8), int(rng.integers(1, 3)))
+        numbers = zip(
+            ("friction", "damping", "armature"),
+            rng.uniform([0.3, 0.3, 0.05], [1.5, 3.0, 0.2]),
+            strict=True,
+        )
+        joints = _joints(arm, (f"{key}={value}" for key, value in numbers))
+        believed = f"model_error.joint_friction={rng.uniform(0.5, 1.5)}"
+        out.append(
+            Case(f"random {i} {arm}", arm, (*motion, *joints, believed, "duration=5 s"), 1.0)
+        )
     return out
 
 
