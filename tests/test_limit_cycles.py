@@ -115,6 +115,8 @@ def test_a_part_in_a_soft_jig_swings_and_a_stiff_one_does_not():
     force = soft["force"]["left_end"]
     assert soft["task"]["failed"] and force["rms_error_rel"] > 0.4
     assert 6.0 < force["limit_cycle_Hz"] < 14.0 and force["limit_cycle_rel"] > 0.4
+    omega = 2.0 * np.pi * force["limit_cycle_Hz"]
+    assert force["limit_cycle_m_per_N"] == approx(1.0 / (1e4 - 1.0 * omega**2), rel=0.1)
     assert any("a limit cycle" in why and "compliance" in why for why in soft["task"]["why"])
     stiff = osc.metrics(osc.run(osc.load_scenario("two_contact_rod"), duration=4.0))
     assert stiff["task"]["word"] == "OK" and stiff["force"]["left_end"]["limit_cycle_rel"] is None

@@ -63,7 +63,6 @@ class BatchController:
         B = self.rows
         self._n = int(head.n_joints)
         self._k = int(head.n_arms)
-        self._n_a = int(head.n_motors)
         self._r = int(head.n_columns)
         self._c = int(head.n_contacts)
         self._still = np.zeros((0, 28))

@@ -39,11 +39,15 @@ _ARM = 0.1  #: m; a rotation counts as the motion of a point so far away
 
 @dataclass(frozen=True)
 class Cycle:
-    """An oscillation of a force: amplitude (N), frequency (Hz), amplitude over mean command."""
+    """An oscillation of a force: amplitude (N), frequency (Hz), amplitude over mean command.
+
+    compliance: travel of the contact along its normal over the amplitude (m/N); None: not recorded.
+    """
 
     amplitude: float
     frequency: float
     relative: float
+    compliance: float | None
 
 
 def find_cycle(
@@ -176,7 +180,14 @@ def _cycle_in(
         return None
     along, across = _speeds(window, j) if "N" in window else (None, None)
     found = find_cycle(error, dt, list(commands.T), driven_Hz, along, across)
-    return found and Cycle(*found, found[0] / mean)
+    if found is None:
+        return None
+    amplitude, frequency = found
+    compliance = None
+    if across is not None:
+        speed = _spectrum(across)[round(frequency * len(error) * dt)]
+        compliance = float(speed) / (2.0 * np.pi * frequency * amplitude)
+    return Cycle(amplitude, frequency, amplitude / mean, compliance)
 
 
 def _speeds(window: Mapping[str, Array], j: int) -> tuple[Array, Array]:

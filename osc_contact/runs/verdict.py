@@ -122,7 +122,7 @@ RULES = (
         "limit_cycle",
         "force {name} oscillates by ± {limit_cycle_N:.3g} N at {limit_cycle_Hz:.3g} Hz, "
         "{limit_cycle_rel:.1%} of its command (limit {limit:.1%}), uncommanded: a limit cycle; "
-        "lower gains.force.bandwidth, or give yielding faces their compliance",
+        "lower gains.force.bandwidth, or give a yielding face its compliance, limit_cycle_m_per_N",
     ),
     Rule(
         "POOR",
@@ -167,7 +167,8 @@ def metrics(recording: Recording) -> dict[str, Any]:
     Keys: scenario, plant, seed (None for a loop of the user's own), duration_s, ticks,
     real_time_factor;
     force {contact: rms_error_N, rms_error_rel, peak_error_N, peak_error_rel, mean_command_N,
-    sensing_rms_rel, limit_cycle_N, limit_cycle_Hz, limit_cycle_rel}, of closed contacts, see
+    sensing_rms_rel, limit_cycle_N, limit_cycle_Hz, limit_cycle_rel, limit_cycle_m_per_N}, of closed
+    contacts, see
     `osc_contact.recorder.judged` and `limit_cycles`;
     motion {rms_error_m, rms_error_rad} along the free directions;
     contact_fraction {contact}; first_contact_s {contact} (null: never); steps, see
@@ -335,6 +336,7 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
             "limit_cycle_N": cycle and cycle.amplitude,
             "limit_cycle_Hz": cycle and cycle.frequency,
             "limit_cycle_rel": cycle and cycle.relative,
+            "limit_cycle_m_per_N": cycle and cycle.compliance,
         }
     return found
 
