@@ -220,8 +220,8 @@ def _go_on(a, b, c, left, stretch):
     slope = b + 2.0 * x * c
     bend = 2.0 * c
     w = left * left * left * P
-    w_1 = stretch * left**2 * (left * slope - 3.0 * P)
-    w_2 = stretch**2 * left * (6.0 * P - 6.0 * left * slope + left**2 * bend)
+    w_1 = stretch * (left * left) * (left * slope - 3.0 * P)
+    w_2 = (stretch * stretch) * left * (6.0 * P - 6.0 * left * slope + left * left * bend)
     return w, w_1 + 3.0 * w, 0.5 * w_2 + 3.0 * w_1 + 6.0 * w
 
 

@@ -221,9 +221,10 @@ def _regress(prior, learned, phi, gain, r, k, dt):
         miss -= phi[i] * estimate[i]
     noise = prior.noise
     bound = 10.0 * noise
-    square = min(max(miss, -bound), bound) ** 2
+    bounded = min(max(miss, -bound), bound)
+    square = bounded * bounded
     learned.noise += dt / (_SCATTER + dt) * (square - learned.noise)
-    whole = max(learned.noise, (_QUIET * noise) ** 2) / k
+    whole = max(learned.noise, (_QUIET * noise) * (_QUIET * noise)) / k
     for i in range(4):
         gain[i] = 0.0
         for j in range(4):

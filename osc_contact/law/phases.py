@@ -312,7 +312,7 @@ def torque_rate(t, share):
     slow = min((1.0 - share) / (1.0 - _SLOW), 1.0)
     for c in range(model.n_contacts if model.phased != 0 and slow > 0.0 else 0):
         if t.memory.contacts[c].since < _CHANGES:
-            rate = min(rate, model.phase_rate / slow**2)
+            rate = min(rate, model.phase_rate / (slow * slow))
     return rate
 
 

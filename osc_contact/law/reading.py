@@ -422,7 +422,8 @@ def learn_friction(t):
             f[i] = s[i]
         f[3], f[4], f[5] = cross(p[0], p[1], p[2], s[0], s[1], s[2])
         _push_on(t, f, chosen)
-        share = (_ALONG**2 - _ACROSS**2) * (s[0] ** 2 + s[1] ** 2 + s[2] ** 2) + _ACROSS**2
+        square = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
+        share = (_ALONG**2 - _ACROSS**2) * square + _ACROSS**2
         found += w * w * w * share * dot6(f, y)
         whole += w * w
     more = work.more_friction + model.learning * work.dt * found / whole
@@ -494,9 +495,10 @@ def _weigh_tangents(t, R):
         column = columns[chosen]
         w = max(abs(t.work.goal[chosen]), _LEAST_FORCE)
         largest = max(largest, w)
-        size = sqrt(column.N[0] ** 2 + column.N[1] ** 2 + column.N[2] ** 2)
+        N = column.N
+        size = sqrt(N[0] * N[0] + N[1] * N[1] + N[2] * N[2])
         for i in range(3):
-            n[i] = column.N[i] / size
+            n[i] = N[i] / size
         for k in range(4):
             scale = w * (_ACROSS if k < 3 else more)
             for i in range(3):
