@@ -254,7 +254,7 @@ class CustomParts:
         columns = {**self.columns(old.model), **changed}
         new = TickRecords(pack_model(self.settings, columns))
         begin = at.MEMORY.dtype.fields["layout"][0].itemsize
-        same = int(new.memory.layout[list(at.MEMORY.tables).index("columns")])
+        same = int(new.memory.layout[at.MEMORY.start("columns")])
         new.memory_bytes[begin:same] = old.memory_bytes[begin:same]
         phase = new.memory.contacts.phase[new.model.columns.contact]
         new.memory.columns.closed[:] = phase == Phase.CLOSED

@@ -175,7 +175,7 @@ def _layout() -> str:
         offsets: Any = kind.dtype.fields
         lines += [f"#define {name}_{field} {offsets[field][1]}" for field in fields]
     for name, (kind, tables) in _TABLES.items():
-        lines += [f"#define {name}_{one} {list(kind.tables).index(one)}" for one in tables]
+        lines += [f"#define {name}_{one} {kind.start(one)}" for one in tables]
     words = len(records.MEMORY.tables) + len(records.MEMORY.counts)
     numbers = {
         "LOOK": tick.LOOK,
@@ -231,7 +231,7 @@ def _forgotten() -> list[tuple[int, int, int, int, int]]:
     found = [(-1, 0, 0, fields[name][1], fields[name][0].itemsize) for name in FORGOTTEN]
     for table, names in FORGOTTEN_TABLES.items():
         dtype, sizes = records.MEMORY.tables[table]
-        slot = list(records.MEMORY.tables).index(table)
+        slot = records.MEMORY.start(table)
         count = records.MEMORY.slot(sizes[0])
         own: Any = dtype.fields
         whole = [(0, dtype.itemsize)]

@@ -231,37 +231,60 @@ def brake_contacts(t):
     work = t.work
     for a in range(work.rank):
         j = t.work.columns[int(work.keep[a])].chosen
-        body = t.model.bodies[t.model.columns[j].contact]
-        if body.kind == YIELDING:
-            work.brake[a] *= _yielding(t, a, j, body.parameters[0])
-        else:
+        if not _yields(t, j):
             work.brake[a] *= work.speed[a] - t.memory.columns[j].drift
+            continue
+        u, p, _ = _deflection(t, a, j)
+        work.brake[a] *= u + (t.model.force_gain - _washout(t)) * p
+        column = t.work.columns[j]
+        if work.V_N[a] == 0.0:  # its yield would seem to be a tilt
+            column.slides = 0.0
+            for i in range(3):
+                column.turned[i] = column.turn[i]
 
 
 @leaf
-def _yielding(t, a, j, s):
-    """u + (K_i − w) p of column j, kept as a; its states in WORK are those of the next tick."""
+def _yields(t, j):
+    """Whether column j is of a body that yields by an unknown support."""
+    return t.model.bodies[t.model.columns[j].contact].kind == YIELDING
+
+
+@leaf
+def _washout(t):
+    """w (1/s)."""
+    return t.model.drift_share / t.model.period
+
+
+@leaf
+def _deflection(t, a, j):
+    """u (m/s), p (m) and v̂ (m/s) of column j, kept as a; NᵀV_e = 0 is a motion not measured."""
     work = t.work
-    dt = work.dt
-    row = t.work.columns[j]
+    column = t.work.columns[j]
     last = t.memory.columns[j]
-    w = t.model.drift_share / t.model.period
-    alpha = work.alpha_meas[a]
+    s = t.model.bodies[t.model.columns[j].contact].parameters[0]
     face = work.V_N[a]
-    measured = face != 0.0
-    presses = row.shaped != 0
-    commanded = s * (row.goal - last.eased) / dt if presses and last.has_desired != 0 else 0.0
-    explained = w * s * alpha
-    driven = face
-    if presses:
-        driven = last.driven - explained if measured else 0.0
-    u = work.speed[a] + face - driven - commanded
-    p = last.deflection if presses else 0.0
-    row.eased = row.goal
-    row.driven = driven + explained + w * dt * (face - driven)
-    row.deflection = p + dt * (u - w * p)
-    row.hidden = 0 if measured else 1
-    return u + (t.model.force_gain - w) * p
+    if column.shaped == 0:  # not in contact yet
+        return work.speed[a], 0.0, face
+    driven = last.driven - _washout(t) * s * work.alpha_meas[a] if face != 0.0 else 0.0
+    commanded = s * (column.goal - last.eased) / work.dt if last.has_desired != 0 else 0.0
+    return work.speed[a] + face - driven - commanded, last.deflection, driven
+
+
+@leaf
+def _keep_deflections(t):
+    """v̂ + w s α, p and α_s of yielding faces for the next tick."""
+    work = t.work
+    w = _washout(t)
+    for a in range(work.rank):
+        j = t.work.columns[int(work.keep[a])].chosen
+        if not _yields(t, j):
+            continue
+        u, p, driven = _deflection(t, a, j)
+        s = t.model.bodies[t.model.columns[j].contact].parameters[0]
+        row = t.memory.columns[j]
+        row.driven = driven + w * (s * work.alpha_meas[a] + work.dt * (work.V_N[a] - driven))
+        row.deflection = p + work.dt * (u - w * p)
+        row.eased = t.work.columns[j].goal
 
 
 @inner
@@ -270,6 +293,7 @@ def keep_steps(t):
     columns = t.work.columns
     work = t.work
     goal = t.work.goal
+    _keep_deflections(t)  # before what they begin from is overwritten
     t.memory.step_left = work.step_left
     t.memory.step_time = work.step_time
     for j in range(t.model.n_columns):
@@ -289,11 +313,7 @@ def keep_steps(t):
         row.has_desired = columns[j].shaped
         row.desired = goal[j]
         row.scale = columns[j].scale
-        row.driven = columns[j].driven
-        row.deflection = columns[j].deflection
-        row.eased = columns[j].eased
         presses = columns[j].shaped != 0 and t.work.alpha[j] > _PRESSES * goal[j] > 0.0
-        presses = presses and columns[j].hidden == 0  # else it seems to be turned
         lasting = t.work.speeds[j] * (1.0 - columns[j].slides if presses else 1.0)
         row.drift += work.integral_scale * t.model.drift_share * (lasting - row.drift)
         share = work.integral_scale * t.model.drift_share if presses else 0.0

@@ -60,10 +60,6 @@ def take_turns(t):
         row = t.work.columns[j]
         last = t.memory.columns[j]
         row.drift = last.drift
-        row.driven = last.driven
-        row.deflection = last.deflection
-        row.eased = last.eased
-        row.hidden = 0
         row.slides = 0.0
         row.lever = 0.0
         for i in range(3):

@@ -55,6 +55,10 @@ class Nested:
         """Which word of the layout holds a count."""
         return len(self.tables) + self.counts.index(size)
 
+    def start(self, table: str) -> int:
+        """Which word of the layout says where a table begins."""
+        return list(self.tables).index(table)
+
     def new(self, counts: dict[str, int]) -> Bytes:
         """Bytes in which nothing stands but the layout.
 

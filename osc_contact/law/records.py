@@ -510,7 +510,7 @@ JOINT_WORK = _record(
     M=MAX_JOINTS,
 )
 COLUMN_WORK = _record(
-    whole=("chosen", "shaped", "hidden"),  # hidden: it yields, and its motion is not measured
+    whole=("chosen", "shaped"),
     number=(
         "n_gamma",
         "n_gamma_all",
@@ -520,9 +520,6 @@ COLUMN_WORK = _record(
         "scale",
         "slides",
         "drift",
-        "driven",
-        "deflection",
-        "eased",
         "unexplained",
         "lever",
     ),

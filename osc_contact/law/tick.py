@@ -467,8 +467,8 @@ PARTIAL = 16
 MISFIT, NO_FORCES = 64, 128  # set inside: sizes of what came in; of alpha_d
 
 _job, _model, _memory = (kind.at for kind in (JOB, MODEL, MEMORY))
-_PRIORS = list(MODEL.tables).index("priors")
-_FRICTION, _COLUMNS = (list(MEMORY.tables).index(name) for name in ("friction", "columns"))
+_PRIORS = MODEL.start("priors")
+_FRICTION, _COLUMNS = (MEMORY.start(name) for name in ("friction", "columns"))
 
 
 @inner
