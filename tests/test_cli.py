@@ -304,6 +304,12 @@ def test_view_refuses_the_wrong_times_and_meta(brief, tmp_path):
             assert words in refused("view", path, "--html", page)
 
 
+def test_view_makes_the_page_of_a_contact_with_several_forces(tmp_path):
+    recording = osc_contact.run(load_scenario("ur5_wipe"), duration=0.02)
+    path = recording.save(tmp_path / "run.npz")
+    done("view", path, "--html", tmp_path / "page.html")
+
+
 @mark.parametrize("name", ["run.npz", "run.mcap"])
 def test_view_refuses_files_that_are_no_recordings(name, brief, tmp_path):
     whole = brief.save(tmp_path / "whole.npz").read_bytes()

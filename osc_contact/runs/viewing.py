@@ -149,7 +149,7 @@ def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
         "N": (6, r),
         "contact_point": (contacts, 3),
         "contact_direction": (contacts, 3),
-        "closed": (r,),
+        "closed": (contacts,),
         "alpha_cmd": (r,),
         "alpha_meas": (r,),
         "alpha_true": (r,),
