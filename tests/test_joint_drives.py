@@ -99,6 +99,18 @@ def test_springs_share_the_inertias_of_the_joints():
     assert_allclose(modes(state, driven, 4 * K), 2 * modes(state, driven, K), rtol=1e-12)
 
 
+def test_joint_friction_does_not_depend_on_speed():
+    """Also of wrists of little inertia, which MuJoCo's own time constant would make viscous."""
+    share = 0.02
+    rig = rig_of(f"plant.joint_friction={share}", name="ur5_wipe")
+    plant = rig.plant()
+    v = np.array([0.05, -0.05, 0.5, -0.5, 0.05, -0.05])
+    plant.data.qvel[plant._v] = v
+    plant._mj.mj_forward(plant.model, plant.data)
+    friction = plant.data.qfrc_constraint[plant._v]
+    assert_allclose(friction, -share * rig.chain.tau_max * np.sign(v), rtol=0.02)
+
+
 def test_joint_friction_holds_a_motor_until_it_is_overcome():
     rig = free_rig(FLEXIBLE, "plant.joint_friction=0.05")
     plant = rig.plant()

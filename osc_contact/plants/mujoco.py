@@ -24,7 +24,7 @@ from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import PlantError, missing
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.faces import Rail, touched
-from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
+from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives, add_dry_friction
 from osc_contact.plants.judge import Truth, Truths, require_duration
 from osc_contact.robots import is_mjcf
 from osc_contact.robots.mjcf import mjcf_skeleton
@@ -157,9 +157,8 @@ def _joint_numbers(spec: Any, chain: ClosedChain) -> None:
         joint = spec.joint(name)
         joint.armature = float(model.armature[i])
         joint.damping = np.resize([model.damping[i], 0.0, 0.0], np.shape(joint.damping))
-        joint.frictionloss = dry = float(model.upperDryFrictionLimit[i])
-        if dry > 0.0:  # MuJoCo's own 20 ms would turn it round 10 ms before the joint
-            joint.solref_friction = [2 * spec.option.timestep, 1.0]
+        joint.frictionloss = 0.0
+        add_dry_friction(spec, joint, float(model.upperDryFrictionLimit[i]))
 
 
 def _frame(body: Any, X: pin.SE3) -> Any:
