@@ -6,14 +6,13 @@ import coal
 import numpy as np
 import pinocchio as pin
 from numpy.testing import assert_allclose
+from rigs import shift
 
 from osc_contact.contacts.detection import CollisionShape
 
 SIZE = np.array([0.10, 0.08, 0.06])
 BOX = [CollisionShape("box", coal.Box(*SIZE))]
-TABLE = [
-    CollisionShape("table", coal.Box(1.0, 0.8, 0.1), pin.SE3(np.eye(3), np.array([0, 0, -0.05])))
-]
+TABLE = [CollisionShape("table", coal.Box(1.0, 0.8, 0.1), shift([0, 0, -0.05]))]
 """Its top is z = 0."""
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3))) * SIZE
 DEPTHS = (0.0, 5e-4, -5e-4)
@@ -33,7 +32,7 @@ def standing(rotation, points, rng, lift=0.0):
 
 
 def random_pose(rng):
-    return pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
+    return pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3))
 
 
 def pushes(points, directions, X_WO):
@@ -80,7 +79,7 @@ def assert_only(found, kind, points, normal, X_WO, X_WE=None, gap=0.0):
     return found
 
 
-BALL = [CollisionShape("ball", coal.Sphere(0.03), pin.SE3(np.eye(3), np.array([0.01, 0.02, 0.0])))]
+BALL = [CollisionShape("ball", coal.Sphere(0.03), shift([0.01, 0.02, 0.0]))]
 CAN = [CollisionShape("can", coal.Cylinder(0.03, 0.12))]
 PILL = [CollisionShape("pill", coal.Capsule(0.03, 0.12))]
 AXIS = np.array([[0, 0, -0.06], [0, 0, 0.06]])

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from grasp_rigs import Case
-from rigs import one_panda, panda_pair, random_state, scara_pair
+from rigs import largest, one_panda, panda_pair, random_state, scara_pair, unit
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import VertexOnFace
@@ -24,7 +24,7 @@ RTOL = 1e-9
 
 def close_to(got, want):
     """Largest difference relative to the size of the vector."""
-    return np.abs(got - want).max(initial=0.0) / max(np.abs(want).max(initial=0.0), 1e-3)
+    return largest(got - want) / max(largest(want), 1e-3)
 
 
 LWA = pin.LOCAL_WORLD_ALIGNED
@@ -83,14 +83,14 @@ def one_joint(joint, rng, X, prescribed=False):
     model.appendBodyToJoint(1, random_inertia(rng), pin.SE3.Identity())
     q = pin.integrate(model, pin.neutral(model), rng.uniform(-0.5, 0.5, model.nv))
     v = rng.uniform(-1, 1, model.nv)
-    tau = rng.normal(size=model.nv) * 5
-    acceleration = rng.normal(size=model.nv) * 3 if prescribed else None
+    tau = rng.standard_normal(model.nv) * 5
+    acceleration = rng.standard_normal(model.nv) * 3 if prescribed else None
     return Body(model, q, v, tau, "body", acceleration)
 
 
 def axis(rng):
-    x = rng.normal(size=3)
-    return x / np.linalg.norm(x)
+    x = rng.standard_normal(3)
+    return unit(x)
 
 
 def rigid(rng, at):
@@ -133,7 +133,9 @@ def linkage(rng, at):
     for k, name in ((1, "upper"), (2, "touched")):
         X = random_placement(rng, np.zeros(3))
         model.addFrame(pin.Frame(name, k, 0, X, pin.FrameType.OP_FRAME))
-    body = Body(model, rng.normal(size=2), rng.normal(size=2), rng.normal(size=2) * 2, "touched")
+    body = Body(
+        model, rng.standard_normal(2), rng.standard_normal(2), rng.standard_normal(2) * 2, "touched"
+    )
     return body, lambda O: Environment.articulated(
         body.model, body.q, body.v, body.tau, "touched", O
     )
@@ -178,7 +180,7 @@ def turning(rng, at):
     """`Rail` and `Conveyor`: a driven slide that carries a driven hinge."""
     u = axis(rng)
     a = axis(rng)
-    rates = rng.normal(size=2) * 3
+    rates = rng.standard_normal(2) * 3
     joints = pin.JointModelPrismaticUnaligned(u), pin.JointModelRevoluteUnaligned(a)
     model, c, q, v = on_joints(rng, at, *joints, inertia=random_inertia(rng))
     rail = Rail(u, a, c, lambda t: (q, v, rates))
@@ -274,7 +276,7 @@ def scene(rig, kind, rng):
         made = [make(rng, O) for make in makers]
         bodies = [m[0] for m in made]
         each = [m[1](O) for m in made]
-        touches = [Touch(rng.uniform(-0.3, 0.3, 3), rng.normal(size=3), i) for i in owners]
+        touches = [Touch(rng.uniform(-0.3, 0.3, 3), rng.standard_normal(3), i) for i in owners]
         N = np.hstack([p.N for p in contacts_at(state, bodies, touches)])
         try:
             require_reachable(state, osc.Contact(N))

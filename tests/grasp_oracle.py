@@ -12,6 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import lstsq
+from rigs import largest, unit
 
 LWA = pin.LOCAL_WORLD_ALIGNED
 PITCH = 0.1  # of screws (m/rad)
@@ -129,7 +131,7 @@ class System:
         A = np.vstack((A, np.hstack((np.zeros((N.shape[1], self.n)), N.T))))
         _, s, Vh = np.linalg.svd(A)
         free = Vh[np.count_nonzero(s > 1e-9 * s[0]) :]
-        return free.T @ (free @ rng.normal(size=self.n + 6))
+        return free.T @ (free @ rng.standard_normal(self.n + 6))
 
     def solve(self, force, N, n_gamma):
         """Accelerations and contact forces under joint forces (n,)."""
@@ -155,17 +157,17 @@ def solve(K, y):
     """Least squares, equilibrated and refined (loops may be redundant); and what is left."""
     scale = 1.0 / np.sqrt(np.abs(K).max(axis=1))
     Ks = K * np.outer(scale, scale)
-    x = scale * np.linalg.lstsq(Ks, scale * y, rcond=1e-13)[0]
+    x = scale * lstsq(Ks, scale * y, rcond=1e-13)[0]
     for _ in range(3):
-        x += scale * np.linalg.lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
-    return x, float(np.abs(scale * (K @ x - y)).max())
+        x += scale * lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
+    return x, float(largest(scale * (K @ x - y)))
 
 
 def across(axis):
     """Two unit vectors perpendicular to an axis (3,)."""
     first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    first /= np.linalg.norm(first)
-    return first, np.cross(axis / np.linalg.norm(axis), first)
+    first = unit(first)
+    return first, np.cross(unit(axis), first)
 
 
 def kkt(chain, q, v, tau, N=None, n_gamma=None):

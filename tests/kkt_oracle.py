@@ -17,8 +17,11 @@ from environment_scenes import KINDS as SCENES
 from environment_scenes import Body, axis, on_joints
 from grasp_oracle import solve
 from grasp_rigs import Case
+from numpy.linalg import norm, svd
+from numpy.random import default_rng
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
+from rigs import largest, shift
 
 from osc_contact.dynamics.environment import Cart, Conveyor
 
@@ -108,12 +111,14 @@ def touch(name, rng, X_EO):
     """A pair of a kind whose geometry lies so that it is in contact with the object at X_EO."""
     while True:
         seed = rng.integers(2**32)
-        pair, pose, r = PAIRS[name](np.random.default_rng(seed), PLAIN)
+        pair, pose, r = PAIRS[name](default_rng(seed), PLAIN)
         if abs(getattr(pair, "pitch", 1.0)) > 0.3:  # a thread coarser than the differences
             break
     drawn = pin.SE3(X_EO.rotation, X_EO.translation / SIZE)
-    there = Coordinates(X_E=pose(0.7 * rng.normal(size=6 - r)) * drawn.inverse(), per_metre=SIZE)
-    return PAIRS[name](np.random.default_rng(seed), there)[0]
+    there = Coordinates(
+        X_E=pose(0.7 * rng.standard_normal(6 - r)) * drawn.inverse(), per_metre=SIZE
+    )
+    return PAIRS[name](default_rng(seed), there)[0]
 
 
 def slopes(f, k):
@@ -151,7 +156,7 @@ class Contact:
     def bend(self, V):
         """(r,) second derivative of the gaps while nothing accelerates."""
         v = np.zeros(0) if self.on is None else self.on.body.v
-        speed = max(1.0, np.abs(V).max(), np.abs(v).max(initial=0.0))
+        speed = max(1.0, largest(V), largest(v))
         return speed**2 * rate(lambda t: self.gaps(t / speed * V, t / speed * v), 2, STEP)
 
     def slip(self, V):
@@ -165,7 +170,7 @@ class Contact:
             X_WE = self.on.X
             V_E = b.V
             J = pin.computeFrameJacobian(b.model, data, b.q, b.id, LWA)
-        n = X_WE.rotation @ self.pair.normal / np.linalg.norm(self.pair.normal)
+        n = X_WE.rotation @ self.pair.normal / norm(self.pair.normal)
         arm = self.X_WO.rotation @ self.pair.vertex - self.pair.radius * n
         far = self.X_WO.translation + arm - X_WE.translation
         return V[:3] + np.cross(V[3:], arm) - V_E[:3] - np.cross(V_E[3:], far), arm, far, J
@@ -182,7 +187,7 @@ class Contact:
     def friction(self, V, mu):
         """Coulomb's force on the object (6,) and on the joints of the body, for one newton."""
         slip, arm, far, J = self.slip(V)
-        f = -mu * slip / np.linalg.norm(slip)
+        f = -mu * slip / norm(slip)
         return np.concatenate((f, np.cross(arm, f))), -J.T @ np.concatenate((f, np.cross(far, f)))
 
 
@@ -230,11 +235,11 @@ class State:
         rows = self.system.rows
         n = self.n
         self.grasps = np.vstack([np.zeros((0, n + 6)), *(row.coefficients for row in rows)])
-        U, values, Vh = np.linalg.svd(self.grasps)
+        U, values, Vh = svd(self.grasps)
         rank = np.count_nonzero(values > 1e-9 * values.max(initial=1.0))
         right = U[:, :rank].T @ np.array([row.right for row in rows])
         self.Z = Vh[rank:]
-        S, sizes, _ = np.linalg.svd(self.Z[:, n:].T)
+        S, sizes, _ = svd(self.Z[:, n:].T)
         self.S = S[:, : np.count_nonzero(sizes > 1e-9)]
         self.sigma = (Vh[:rank].T @ (right / values[:rank]))[n:]
 
@@ -242,10 +247,10 @@ class State:
         """A random velocity that keeps grasps and contacts."""
         A = np.vstack((self.grasps, np.hstack((np.zeros((len(self.N), self.n)), self.N))))
         b = np.concatenate((np.zeros(len(self.grasps)), *(-c.speed() for c in self.contacts)))
-        x = rng.normal(size=self.n + 6)
+        x = rng.standard_normal(self.n + 6)
         for _ in range(2):
             x += np.linalg.lstsq(A, b - A @ x, rcond=1e-10)[0]
-        assert np.abs(A @ x - b).max(initial=0.0) < 1e-11
+        assert largest(A @ x - b) < 1e-11
         self._at(x[: self.n], x[self.n :])
 
     def answer(self, tau):
@@ -300,7 +305,7 @@ class State:
         K = np.block([[M, -P.T], [A, np.zeros((len(A), len(A)))]])
         y = np.concatenate((force, right))
         x, _ = solve(K, y)
-        assert np.abs(K @ x - y).max() < 1e-9 * max(1.0, np.abs(y).max())
+        assert largest(K @ x - y) < 1e-9 * max(1.0, largest(y))
         pulls = P[: self.system.ends[-1], self.n : n] * x[end : end + self.system.ends[-1], None]
         loops = [pulls[a:b].sum(axis=0) for a, b in pairwise(self.system.ends)]
         a = x[self.n : n]
@@ -318,7 +323,7 @@ class State:
         data = chain.model.createData()
         pin.forwardKinematics(model, data, self.case.q, self.v, answer.qdd)
         pin.updateFramePlacements(model, data)
-        at_O = pin.SE3(np.eye(3), self.case.X_WO.translation)
+        at_O = shift(self.case.X_WO.translation)
         for arm, links, pull in zip(chain.arms, chain.outboard, answer.loops, strict=True):
             total = at_O.act(pin.Force(pull))
             for link in links:
@@ -358,4 +363,4 @@ class State:
             return 0.0
         size = np.sqrt(np.einsum("ri,ir->r", N, np.linalg.solve(inertia, N.T)))
         felt = np.linalg.solve(np.linalg.cholesky(S.T @ inertia @ S), S.T @ N.T) / size
-        return np.linalg.svd(felt, compute_uv=False).min(initial=1.0)
+        return svd(felt, compute_uv=False).min(initial=1.0)

@@ -15,6 +15,9 @@ from importlib import import_module
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import norm
+from numpy.random import default_rng
+from rigs import shift
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
@@ -32,9 +35,9 @@ class Path:
 
     @classmethod
     def random(cls, rng):
-        q = rng.normal(size=4)
-        R0 = pin.Quaternion(*(q / np.linalg.norm(q))).matrix()
-        return cls(R0, rng.normal(size=(3, 3)), rng.normal(size=(2, 3)))
+        q = rng.standard_normal(4)
+        R0 = pin.Quaternion(*(q / norm(q))).matrix()
+        return cls(R0, rng.standard_normal((3, 3)), rng.standard_normal((2, 3)))
 
     def __call__(self, t):
         p0, p1, p2 = self.p
@@ -98,8 +101,8 @@ def kind(make):
 
 
 def unit(rng):
-    vector = rng.normal(size=3)
-    return vector / np.linalg.norm(vector)
+    vector = rng.standard_normal(3)
+    return vector / norm(vector)
 
 
 def about(axis, angle):
@@ -109,7 +112,7 @@ def about(axis, angle):
 def carrying(start, end):
     """A rotation that turns one unit vector into another."""
     axis = np.cross(start, end)
-    sine = np.linalg.norm(axis)
+    sine = norm(axis)
     return pin.exp3(np.arctan2(sine, start @ end) * axis / sine)
 
 
@@ -123,13 +126,13 @@ def in_plane(normal):
 
 
 def pose_of(rng):
-    return pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
+    return pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3))
 
 
 @kind
 def vertex_on_face(rng, c):
-    vertex = rng.normal(size=3)
-    point = rng.normal(size=3)
+    vertex = rng.standard_normal(3)
+    point = rng.standard_normal(3)
     n = unit(rng)
     rho = 0.2
     plane = in_plane(n)
@@ -139,8 +142,8 @@ def vertex_on_face(rng, c):
 
 @kind
 def sphere_on_plane(rng, c):
-    centre = rng.normal(size=3)
-    point = rng.normal(size=3)
+    centre = rng.standard_normal(3)
+    point = rng.standard_normal(3)
     n = unit(rng)
     rho = 0.3
     plane = in_plane(n)
@@ -150,9 +153,9 @@ def sphere_on_plane(rng, c):
 
 @kind
 def face_on_vertex(rng, c):
-    point = rng.normal(size=3)
+    point = rng.standard_normal(3)
     n = unit(rng)
-    vertex = rng.normal(size=3)
+    vertex = rng.standard_normal(3)
     rho = 0.2
     plane = in_plane(n)
     pair = osc.FaceOnVertex(c.A(point), c.along_A(n), c.E(vertex), rho * c.per_metre)
@@ -160,7 +163,7 @@ def face_on_vertex(rng, c):
 
 
 def crossed_edges(rng, c, hint):
-    a, b = rng.normal(size=(2, 3))
+    a, b = rng.standard_normal((2, 3))
     e = unit(rng)
     f = unit(rng)
     # turned by at most about 1 rad from perpendicular, so that the edges never become parallel
@@ -181,9 +184,9 @@ def edge_on_edge_with_hint(rng, c):
 
 
 def line_on_plane(rng, make, rho):
-    point = rng.normal(size=3)
+    point = rng.standard_normal(3)
     e = unit(rng)
-    face = rng.normal(size=3)
+    face = rng.standard_normal(3)
     n = unit(rng)
     plane = in_plane(n)
     R0 = carrying(e, plane[0])
@@ -215,9 +218,9 @@ def cylinder_on_plane(rng, c):
 
 @kind
 def face_on_face(rng, c):
-    point = rng.normal(size=3)
+    point = rng.standard_normal(3)
     n = unit(rng)
-    face = rng.normal(size=3)
+    face = rng.standard_normal(3)
     m = unit(rng)
     R0 = carrying(n, -m)
     plane = in_plane(m)
@@ -227,9 +230,9 @@ def face_on_face(rng, c):
 
 @kind
 def cylinder_in_hole(rng, c):
-    point = rng.normal(size=3)
+    point = rng.standard_normal(3)
     e = unit(rng)
-    hole = rng.normal(size=3)
+    hole = rng.standard_normal(3)
     h = unit(rng)
     R0 = carrying(e, h)
     pair = osc.CylinderInHole(c.A(point), c.along_A(e), c.E(hole), c.along_E(h), 0.2 * c.per_metre)
@@ -239,9 +242,9 @@ def cylinder_in_hole(rng, c):
 @kind
 def cone_in_groove(rng, c):
     apex, axis, point, groove, seat = (
-        rng.normal(size=3),
+        rng.standard_normal(3),
         unit(rng),
-        rng.normal(size=3),
+        rng.standard_normal(3),
         *(unit(rng) for _ in range(2)),
     )
     R0 = carrying(axis, seat)
@@ -253,7 +256,7 @@ def cone_in_groove(rng, c):
 
 @kind
 def revolute(rng, c):
-    point = rng.normal(size=3)
+    point = rng.standard_normal(3)
     e = unit(rng)
     X = pose_of(rng)
     pair = osc.Revolute(c.A(point), c.along_A(e), c.pose(X))
@@ -262,16 +265,16 @@ def revolute(rng, c):
 
 @kind
 def prismatic(rng, c):
-    point = rng.normal(size=3)
+    point = rng.standard_normal(3)
     e = unit(rng)
     X = pose_of(rng)
     pair = osc.Prismatic(c.A(point), c.along_A(e), c.pose(X))
-    return pair, lambda q: X * pin.SE3(np.eye(3), q[0] * e), 5
+    return pair, lambda q: X * shift(q[0] * e), 5
 
 
 @kind
 def screw(rng, c):
-    point = rng.normal(size=3)
+    point = rng.standard_normal(3)
     e = unit(rng)
     X = pose_of(rng)
     pitch = rng.normal()
@@ -292,8 +295,8 @@ def free(rng, c):
 
 @kind
 def point_on_a_saddle(rng, c):
-    vertex = rng.normal(size=3)
-    (k, m) = rng.normal(size=2)
+    vertex = rng.standard_normal(3)
+    (k, m) = rng.standard_normal(2)
     X = pose_of(rng)
 
     def gap(X_EA):
@@ -309,7 +312,7 @@ def point_on_a_saddle(rng, c):
 
 @kind
 def bead_on_a_wire(rng, c):
-    bead = rng.normal(size=3)
+    bead = rng.standard_normal(3)
     X = pose_of(rng)
 
     def gap(X_EA):
@@ -359,20 +362,20 @@ class Motion:
     @classmethod
     def keeping(cls, name, turn):
         """Both bodies move, the object on the free coordinates of the pair."""
-        rng = np.random.default_rng([turn, 7])
+        rng = default_rng([turn, 7])
         pair, pose, r = KINDS[name](rng, PLAIN)
         env = Path.random(rng)
-        q = 0.7 * rng.normal(size=(3, 6 - r))
+        q = 0.7 * rng.standard_normal((3, 6 - r))
         return cls(pair, lambda t: env(t) * pose(q[0] + q[1] * t + q[2] * t * t), env)
 
     @classmethod
     def breaking(cls, name, turn, open_by=0.0):
         """Both bodies move at will, at t = 0 in contact or `open_by` (m, rad) away from it."""
-        rng = np.random.default_rng([turn, 8])
+        rng = default_rng([turn, 8])
         pair, pose, r = KINDS[name](rng, PLAIN)
         env = Path.random(rng)
-        away = open_by * rng.normal(size=6)
-        start = env(0.0) * pose(0.7 * rng.normal(size=6 - r))
+        away = open_by * rng.standard_normal(6)
+        start = env(0.0) * pose(0.7 * rng.standard_normal(6 - r))
         path = Path.random(rng)
         p = np.vstack((start.translation + away[:3], path.p[1:]))
         return cls(pair, Path(pin.exp3(away[3:]) @ start.rotation, p, path.w), env)
@@ -380,7 +383,7 @@ class Motion:
     @property
     def relative(self):
         """V_rel and a_rel at O, from differentiated poses, carried by Pinocchio."""
-        at_O = pin.SE3(np.eye(3), self.env(0.0).translation - self.body(0.0).translation)
+        at_O = shift(self.env(0.0).translation - self.body(0.0).translation)
         return tuple(
             a - at_O.act(pin.Motion(e)).vector
             for a, e in zip(kinematics(self.body), kinematics(self.env), strict=True)
@@ -397,16 +400,16 @@ class Motion:
     def N_at(self, t):
         """(6, r) N at time t, written at the operational point of t = 0."""
         N = self.pair.contact(self.body(t), STILL, self.env(t)).N
-        away = pin.SE3(np.eye(3), self.body(t).translation - self.body(0.0).translation)
+        away = shift(self.body(t).translation - self.body(0.0).translation)
         return away.toActionMatrixInverse().T @ N
 
 
 def free_motions(name, turn):
     """A contact, and the twists (6, 6−r) of the object along each free coordinate, from poses."""
-    rng = np.random.default_rng([turn, 10])
+    rng = default_rng([turn, 10])
     pair, pose, r = KINDS[name](rng, PLAIN)
     X_WE = pose_of(rng)
-    q = 0.7 * rng.normal(size=6 - r)
+    q = 0.7 * rng.standard_normal(6 - r)
     X_WO = X_WE * pose(q)
     twists = [kinematics(lambda t, e=e: X_WE * pose(q + t * e))[0] for e in np.eye(6 - r)]
     return pair.contact(X_WO, STILL, X_WE), np.reshape(twists, (6 - r, 6)).T
@@ -414,10 +417,10 @@ def free_motions(name, turn):
 
 def touching(name, X_WO, seed, per_metre=1.0):
     """A pair of a kind that touches the world at a pose of the object."""
-    _, pose, r = KINDS[name](np.random.default_rng(seed), PLAIN)
+    _, pose, r = KINDS[name](default_rng(seed), PLAIN)
     X = pin.SE3(X_WO.rotation, X_WO.translation / per_metre)
-    X_E = pose(0.3 * np.random.default_rng(seed).normal(size=6 - r)) * X.inverse()
-    return KINDS[name](np.random.default_rng(seed), Coordinates(X_E=X_E, per_metre=per_metre))[0]
+    X_E = pose(0.3 * default_rng(seed).standard_normal(6 - r)) * X.inverse()
+    return KINDS[name](default_rng(seed), Coordinates(X_E=X_E, per_metre=per_metre))[0]
 
 
 def snake(name):

@@ -4,11 +4,39 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
+from pytest import raises
 
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, velocity
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
+
+UNLIMITED = osc.SafetySettings.motors_only()
+"""States drawn at random are no motion: no limits but those of motors."""
+
+
+def largest(x):
+    """The largest absolute element, 0 of none."""
+    return np.abs(x).max(initial=0.0)
+
+
+def unit(x):
+    return x / np.linalg.norm(x)
+
+
+def shift(p):
+    """A pose that turns nothing."""
+    return pin.SE3(np.eye(3), np.array(p, dtype=float))
+
+
+def refused(words):
+    """What a public call says of bad input."""
+    return raises(osc.InvalidInputError, match=words)
+
+
+def rig_of(name, *changes):
+    return osc.build_rig(osc.load_scenario(name, list(changes)))
+
 
 ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
 """A rod whose centre of mass is off its axis, so that no term of the maths vanishes."""

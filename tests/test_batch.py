@@ -4,9 +4,10 @@ import copy
 import pickle
 
 import numpy as np
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from pytest import mark, raises
-from rigs import one_panda, random_faces, random_state, scara_pair
+from pytest import mark
+from rigs import one_panda, random_faces, random_state, refused, scara_pair
 
 import osc_contact as osc
 from osc_contact.scenarios.control_schema import PhaseSettings
@@ -25,7 +26,7 @@ def controllers(chain, count, rng, **how):
         gains = osc.Gains(
             motion, osc.ForceGains(bandwidth=k / 6) if i % 2 else osc.ForceGains(k, 5)
         )
-        posture = q + 0.1 * rng.normal(size=chain.nq)
+        posture = q + 0.1 * rng.standard_normal(chain.nq)
         out.append(osc.Controller(chain, random_faces(X, 2, rng), gains, posture=posture, **how))
     return out, q
 
@@ -35,12 +36,12 @@ def story(chain, q, count, ticks, rng):
     X = chain.state(q, np.zeros(chain.nq)).X_WO.homogeneous
     return [
         {
-            "q": q + 1e-3 * rng.normal(size=(count, chain.nq)),
-            "v": 1e-2 * rng.normal(size=(count, chain.nq)),
-            "wrenches": 5.0 * rng.normal(size=(count, len(chain.arms), 6)),
+            "q": q + 1e-3 * rng.standard_normal((count, chain.nq)),
+            "v": 1e-2 * rng.standard_normal((count, chain.nq)),
+            "wrenches": 5.0 * rng.standard_normal((count, len(chain.arms), 6)),
             "X_WD": np.repeat(X[None], count, axis=0),
-            "V_D": 0.02 * rng.normal(size=(count, 6)),
-            "A_D": 0.1 * rng.normal(size=(count, 6)),
+            "V_D": 0.02 * rng.standard_normal((count, 6)),
+            "A_D": 0.1 * rng.standard_normal((count, 6)),
             "alpha_d": rng.uniform(2, 20, (count, 2)),
             "squeeze_d": rng.uniform(0, 3, count),
         }
@@ -65,7 +66,7 @@ def single(controller, x, i):
 )
 def test_rows_are_single_ticks_bit_for_bit(rig, life, threads):
     chain = rig()
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     count = 12
     ones, q = controllers(chain, count, rng, life=life)
     batch = osc.BatchController(ones, threads)
@@ -86,7 +87,7 @@ def test_rows_are_single_ticks_bit_for_bit(rig, life, threads):
 
 def test_saturated_rows_get_torques_within_their_limits():
     strong = scara_pair()
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     chain = osc.ClosedChain(strong.arms, strong.grasps, strong.payload)
     chain.tau_max = 0.1 * strong.tau_max
     q, v = random_state(strong, rng)
@@ -104,7 +105,7 @@ def test_saturated_rows_get_torques_within_their_limits():
 
 def test_reset_by_mask_and_pickles():
     chain = scara_pair()
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     ones, q = controllers(chain, 4, rng)
     batch = osc.BatchController(ones)
     first, *rest = story(chain, q, 4, 4, rng)
@@ -121,27 +122,27 @@ def test_reset_by_mask_and_pickles():
 
 def test_what_is_no_batch_is_refused():
     chain = scara_pair()
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     ones, q = controllers(chain, 2, rng)
-    with raises(osc.InvalidInputError, match="≥ 1"):
+    with refused("≥ 1"):
         osc.BatchController([])
     fewer = osc.Controller(chain, ones[0].contacts[:1], GAINS)
-    with raises(osc.InvalidInputError, match="n_columns"):
+    with refused("n_columns"):
         osc.BatchController([ones[0], fewer])
     own = ones[0].with_laws(force=lambda a, b: a)
-    with raises(osc.InvalidInputError, match="only Python"):
+    with refused("only Python"):
         osc.BatchController([own])
     batch = osc.BatchController(ones)
     x = story(chain, q, 2, 1, rng)[0]
-    with raises(osc.InvalidInputError, match=r"q: expected shape \(2, 10\)"):
+    with refused(r"q: expected shape \(2, 10\)"):
         batch.tick(**{**x, "q": x["q"][:1]})
-    with raises(osc.InvalidInputError, match="mask"):
+    with refused("mask"):
         batch.reset([True])
 
 
 def test_rows_that_share_a_model_part_when_one_is_replaced():
     chain = scara_pair()
-    rng = np.random.default_rng(9)
+    rng = default_rng(9)
     (one, other), q = controllers(chain, 2, rng)
     batch = osc.BatchController([one] * 3)
     x = story(chain, q, 3, 1, rng)[0]

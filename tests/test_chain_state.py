@@ -9,9 +9,11 @@ import numpy as np
 import pinocchio as pin
 from grasp_rigs import KINDS, Case, random_case
 from kkt_oracle import State
+from numpy.linalg import cholesky, inv, matrix_rank, solve, svd
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
-from rigs import SCARA_Q, one_panda, placed, random_state, scara_pair
+from rigs import SCARA_Q, largest, one_panda, placed, random_state, scara_pair, shift
 from test_singular import straight_panda, stretched_scaras
 
 import osc_contact as osc
@@ -21,7 +23,7 @@ LWA = pin.LOCAL_WORLD_ALIGNED
 
 
 def assert_close(name, got, want, tolerance=1e-8):
-    size = max(1.0, np.abs(want).max(initial=0.0))
+    size = max(1.0, largest(want))
     assert_allclose(got, want, rtol=0, atol=tolerance * size, err_msg=name)
 
 
@@ -42,9 +44,9 @@ def assert_arms(chain, s, q, v, tolerance=1e-8):
     O = s.X_WO.translation
     X = chain.tip_poses(data)
     assert_allclose(s.grasp_points, [one.translation for one in X], atol=1e-12)
-    root = np.linalg.cholesky(s.metric)
+    root = cholesky(s.metric)
     for i, (arm, part, grasp) in enumerate(zip(s.arms, chain.slices, chain.grasps, strict=True)):
-        to_O = pin.SE3(np.eye(3), X[i].translation - O).action
+        to_O = shift(X[i].translation - O).action
         J = to_O @ pin.getFrameJacobian(model, data, chain.tips[i], LWA)[:, part]
         gamma = to_O @ pin.getFrameAcceleration(model, data, chain.tips[i], LWA).vector
         N = np.eye(6)
@@ -55,20 +57,20 @@ def assert_arms(chain, s, q, v, tolerance=1e-8):
         M = data.M[part, part]
         h = data.nle[part]
         g = data.g[part]
-        passed = np.linalg.qr(np.linalg.solve(root, N))[0]
-        seen = passed.T @ root.T @ J @ np.linalg.inv(np.linalg.cholesky(M)).T
-        U, sizes, Vh = np.linalg.svd(seen)
+        passed = np.linalg.qr(solve(root, N))[0]
+        seen = passed.T @ root.T @ J @ inv(cholesky(M)).T
+        U, sizes, Vh = svd(seen)
         ratio = (1.0 + 1.0 / np.maximum(sizes, 1e-30) ** 2) / (1.0 + 1.0 / sizes.max() ** 2)
         rank = np.count_nonzero(ratio < chain.rank_tolerance**-2)
         inverse = (Vh[:rank].T / sizes[:rank]) @ U[:, :rank].T
-        J_bar = np.linalg.inv(np.linalg.cholesky(M)).T @ inverse @ passed.T @ root.T
+        J_bar = inv(cholesky(M)).T @ inverse @ passed.T @ root.T
         assert arm.rank == rank
         Lambda = J_bar.T @ M @ J_bar
         for name, want in {
             "J": J,
             "gamma": gamma,
             "M": M,
-            "Phi": J @ np.linalg.solve(M, J.T),
+            "Phi": J @ solve(M, J.T),
             "J_bar": J_bar,
             "Lambda": Lambda,
             "mu": J_bar.T @ (h - g) - Lambda @ gamma,
@@ -109,11 +111,11 @@ def assert_chain(case, v, V, s, rng):
         oracle.system.I @ product - oracle.system.pull,
     )
     assert_close("G", s.G, s.W.T[:, chain.actuated])
-    assert_close("Φ", s.Phi, s.S @ np.linalg.solve(s.Lambda_S, s.S.T))
-    undriven = np.linalg.matrix_rank(s.S, 1e-9) - np.linalg.matrix_rank(s.G, 1e-6)
+    assert_close("Φ", s.Phi, s.S @ solve(s.Lambda_S, s.S.T))
+    undriven = matrix_rank(s.S, 1e-9) - matrix_rank(s.G, 1e-6)
     assert s.unactuated.shape[1] == undriven
-    answer = oracle.answer(20.0 * rng.normal(size=chain.n_a))
-    at_O = pin.SE3(np.eye(3), s.X_WO.translation).inverse()
+    answer = oracle.answer(20.0 * rng.standard_normal(chain.n_a))
+    at_O = shift(s.X_WO.translation).inverse()
     total = np.zeros(6)
     for reading, X, F in zip(oracle.readings(answer), s.sensors, s.filters, strict=True):
         wrench = (at_O * X).act(pin.Force(reading)).vector
@@ -124,7 +126,7 @@ def assert_chain(case, v, V, s, rng):
 
 def test_random_chains_with_every_grasp():
     """1–4 arms; pose and twist given, and found from the joints."""
-    rng = np.random.default_rng(70)
+    rng = default_rng(70)
     found = 0
     for _ in range(30):
         n = rng.integers(1, 5)
@@ -148,12 +150,12 @@ def test_random_chains_with_every_grasp():
 def test_nothing_held_and_gravity_that_changes():
     """The tip has no inertia: metric and ranks are those of a small ball."""
     panda = one_panda()
-    rng = np.random.default_rng(72)
+    rng = default_rng(72)
     chain = osc.ClosedChain(panda.arms, panda.grasps, None)
     for gravity in ([0.0, 0.0, -9.81], [1.0, -3.0, 2.0]):
         chain.model.gravity.linear = np.array(gravity)
-        q = straight_panda(-1.5) + 0.3 * rng.normal(size=7)
-        v = rng.normal(size=7)
+        q = straight_panda(-1.5) + 0.3 * rng.standard_normal(7)
+        v = rng.standard_normal(7)
         s = chain.state(q, v)
         case = Case(chain, q, s.X_WO, [("rigid", grasp.X_TO, None) for grasp in chain.grasps])
         assert_arms(chain, s, q, v)
@@ -164,9 +166,9 @@ def test_nothing_held_and_gravity_that_changes():
 def test_a_pose_that_is_given_counts_more_than_what_the_joints_say(rig):
     """O somewhere else: everything is expressed there, and the twist is the tip's."""
     chain = rig()
-    rng = np.random.default_rng(71)
+    rng = default_rng(71)
     q, v = random_state(chain, rng)
-    X = chain.state(q, v).X_WO * pin.exp6(pin.Motion(0.05 * rng.normal(size=6)))
+    X = chain.state(q, v).X_WO * pin.exp6(pin.Motion(0.05 * rng.standard_normal(6)))
     s = chain.state(q, v, X)
     assert_array_equal(s.X_WO.homogeneous, X.homogeneous)
     assert_arms(chain, s, q, v)
@@ -183,11 +185,11 @@ def test_what_singular_postures_lose():
         c = pin.skew(s.X_WO.rotation @ chain.reference.inertia.lever)
         ball = np.block([[np.eye(3), -c], [c, 0.1**2 * np.eye(3) - c @ c]])
         assert_close("Λ_ref", s.reference, s.metric + chain.arm_mass * ball)
-        L = np.linalg.cholesky(s.reference)
+        L = cholesky(s.reference)
         lost = list(s.singular_directions)
         for i, arm in enumerate(s.arms):
-            K = np.linalg.cholesky(arm.M)
-            sizes = np.linalg.svd(L.T @ np.linalg.solve(K, arm.J.T).T, compute_uv=False)
+            K = cholesky(arm.M)
+            sizes = svd(L.T @ solve(K, arm.J.T).T, compute_uv=False)
             chis = sizes[: chain.full_ranks[i]]
             mine = [one for one in lost if one.arm == i]
             assert_allclose(
@@ -205,7 +207,7 @@ def test_what_singular_postures_lose():
 def test_a_state_is_a_value():
     """A later one changes nothing in it, and two at the same place are the same to the last bit."""
     chain = scara_pair()
-    rng = np.random.default_rng(73)
+    rng = default_rng(73)
     one = chain.state(SCARA_Q, np.zeros(10))
     kept = replace(one, M=one.M.copy(), Phi=one.Phi.copy())
     chain.state(*random_state(chain, rng))
@@ -220,7 +222,7 @@ def test_calibration_errors_do_not_cost_a_motion():
     pair = scara_pair()
     left, right = pair.arms
     turned = replace(right, base=right.base * placed(rpy=(1e-4, -1e-4, 0.0)))
-    q, _ = random_state(pair, np.random.default_rng(8))
+    q, _ = random_state(pair, default_rng(8))
     for tolerance, d in ((pair.angle_tolerance, 5), (1e-6, 4)):
         parts = [left, turned], pair.grasps, pair.payload
         chain = osc.ClosedChain(*parts, angle_tolerance=tolerance)

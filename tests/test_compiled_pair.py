@@ -4,10 +4,11 @@ import pickle
 
 import numpy as np
 import pinocchio as pin
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import kind, placed
 from pytest import mark, raises
-from rigs import one_panda, random_state
+from rigs import one_panda, random_state, refused
 
 import osc_contact as osc
 
@@ -43,8 +44,8 @@ def ball_on_ball(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):
 
 @kind
 def compiled_pair(rng, c):
-    ball = rng.normal(size=3)
-    rest = rng.normal(size=3)
+    ball = rng.standard_normal(3)
+    rest = rng.standard_normal(3)
     radii = rng.uniform(10.0, 20.0, 2)  # the oracle differentiates numerically, steps of 5 mm
     given = np.concatenate((c.A(ball), radii[:1] * c.per_metre, c.E(rest), radii[1:] * c.per_metre))
 
@@ -65,9 +66,9 @@ def of_no_type(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):
 
 def two(X):
     """A compiled pair and a packaged one of the same geometry."""
-    rng = np.random.default_rng(3)
-    ball = 0.1 * rng.normal(size=3)
-    n = rng.normal(size=3)
+    rng = default_rng(3)
+    ball = 0.1 * rng.standard_normal(3)
+    n = rng.standard_normal(3)
     at = X.act(ball) + 0.112 * n / np.linalg.norm(n)
     surface = osc.SphereOnSurface(ball, 0.012, osc.Surface.sphere(0.1), at, name="one")
     given = [*ball, 0.012, *at, 0.1]
@@ -77,7 +78,7 @@ def two(X):
 @mark.parametrize("friction", [None, osc.Friction(mu=0.2)])
 def test_a_controller_ticks_as_with_the_packaged_pair(friction):
     chain = one_panda()
-    q, v = random_state(chain, np.random.default_rng(4))
+    q, v = random_state(chain, default_rng(4))
     X = chain.state(q, v).X_WO
     measurement = osc.Measurement(q, 0.1 * v, np.ones((1, 6)))
     reference = osc.Reference(X, np.full(6, 0.02), np.zeros(6), np.array([10.0]))
@@ -93,15 +94,15 @@ def test_a_controller_ticks_as_with_the_packaged_pair(friction):
 
 
 def test_what_is_wrong_is_said(tmp_path):
-    with raises(osc.InvalidInputError, match="numba cannot compile it"):
+    with refused("numba cannot compile it"):
         osc.CompiledPair(of_no_type)
-    with raises(osc.InvalidInputError, match="forces = 7; give r, 1 … 6"):
+    with refused("forces = 7; give r, 1 … 6"):
         osc.CompiledPair(nothing, forces=7)
     empty = osc.CompiledPair(nothing)
     with raises(osc.ContactError, match="N or n_γ is not finite"):
         empty.contact(pin.SE3.Identity(), np.zeros(6))
     chain = one_panda()
-    q, v = random_state(chain, np.random.default_rng(4))
+    q, v = random_state(chain, default_rng(4))
     controller = osc.Controller(chain, [empty])
     X = chain.state(q, v).X_WO
     tau = controller.tick(
@@ -110,5 +111,5 @@ def test_what_is_wrong_is_said(tmp_path):
     )
     assert controller.status is osc.Status.HELD and np.isfinite(tau).all()
     assert "returned what is not finite" in controller.reason
-    with raises(osc.InvalidInputError, match="CompiledPair"):
+    with refused("CompiledPair"):
         controller.save(tmp_path / "controller")

@@ -283,11 +283,7 @@ print(jit.UNITS, square(3) if sys.argv[1] != "other numba" else 9)
 
 @mark.parametrize(
     "changes",
-    [
-        {},
-        {"CC": "no-such-compiler"},
-        {"OSC_CONTACT_LAW": "jit"},
-    ],
+    [{}, {"CC": "no-such-compiler"}, {"OSC_CONTACT_LAW": "jit"}],
     ids=["other numba", "no compiler", "asked for"],
 )
 def test_what_lacks_for_a_library_is_said_and_numba_compiles_as_it_always_does(

@@ -6,19 +6,17 @@ from typing import get_args
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.linalg import norm
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from rigs import shift
 
 from osc_contact.contacts.pairs.pair import make_pair
 from osc_contact.errors import ScenarioError
 from osc_contact.runs.contacts import build_pairs, environment_bodies, feet
 from osc_contact.runs.references import force_names
 from osc_contact.scenarios import parse_scenario
-from osc_contact.scenarios.bodies import (
-    CONTACT_TYPES,
-    OnBodySpec,
-    OnPlaneSpec,
-    magnitude_names,
-)
+from osc_contact.scenarios.bodies import CONTACT_TYPES, OnBodySpec, OnPlaneSpec, magnitude_names
 from osc_contact.scenarios.quantities import Dimension
 
 HEAD = """\
@@ -83,10 +81,10 @@ def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
     X_WB = pin.SE3(
         pin.rpy.rpyToMatrix(np.deg2rad(20), -0.3, np.deg2rad(50)), np.array([0.1, -0.2, 0.3])
     )
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     for _ in range(5):
-        X = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
-        V = rng.normal(size=6)
+        X = pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3))
+        V = rng.standard_normal(6)
         ours = pair.contact(X, V)
         theirs = own.contact(X, V, X_WB)
         assert ours.r == CONTACT_TYPES[kind].forces == len(force_names(scenario))
@@ -104,12 +102,12 @@ def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
 def test_feet_lie_on_the_lines_of_force_and_on_the_touched_surface(kind):
     scenario = parse_scenario(text(kind))
     (pair,) = build_pairs(scenario)
-    rng = np.random.default_rng(8)
-    X = pin.SE3(pin.exp3(0.3 * rng.normal(size=3)), 0.1 * rng.normal(size=3))
-    E = pin.SE3(np.eye(3), np.array([0.02, -0.03, 0.01]))  # the body has slid
+    rng = default_rng(8)
+    X = pin.SE3(pin.exp3(0.3 * rng.standard_normal(3)), 0.1 * rng.standard_normal(3))
+    E = shift([0.02, -0.03, 0.01])  # the body has slid
     points, directions = feet(pair, X, E)
     N = pair.contact(X, np.zeros(6), E).N
-    assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-12)
+    assert_allclose(norm(directions, axis=1), 1.0, atol=1e-12)
     moments = np.cross(points - X.translation, directions)
     assert_allclose(np.vstack((directions.T, moments.T)), N, atol=1e-12)
     bodies = environment_bodies(scenario)
@@ -119,7 +117,7 @@ def test_feet_lie_on_the_lines_of_force_and_on_the_touched_surface(kind):
     if isinstance(spec, OnPlaneSpec):
         assert_allclose((local - spec.face_point) @ spec.face_normal, 0.0, atol=1e-12)
     if kind == "face_on_vertex":
-        away = np.linalg.norm(local[0] - spec.body_vertex)
+        away = norm(local[0] - spec.body_vertex)
         assert away == pytest.approx(spec.radius, abs=1e-12)
     if kind == "edge_on_edge":
         n = on_body.rotation.T @ directions[0]

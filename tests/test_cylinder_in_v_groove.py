@@ -1,10 +1,10 @@
 """A cylinder in a V-groove: its kind for the tests of all pairs, its walls, and a task."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 from pair_kinds import about, carrying, in_plane, kind, placed, unit
+from rigs import refused, shift
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
@@ -12,9 +12,9 @@ from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
 
 @kind
 def cylinder_in_v_groove(rng, c):
-    point = rng.normal(size=3)
+    point = rng.standard_normal(3)
     e = unit(rng)
-    foot = rng.normal(size=3)
+    foot = rng.standard_normal(3)
     g = unit(rng)
     rho = 0.15
     angle = rng.uniform(0.6, 2.2)
@@ -37,20 +37,20 @@ def cylinder_in_v_groove(rng, c):
 def test_each_wall_is_pushed_at_right_angles_from_inside():
     """A square groove along y that opens upwards, its walls 45° to each side."""
     pair = CylinderInVGroove([0, 0, 0], [0, 1, 0], 0.1, [0, 0, 0], [0, 1, 0], [0, 0, 1])
-    X = pin.SE3(np.eye(3), np.array([0.0, 0.3, 0.1 * np.sqrt(2)]))
+    X = shift([0.0, 0.3, 0.1 * np.sqrt(2)])
     assert_allclose(pair.gaps(X), 0.0, atol=1e-15)
     forces = pair.contact(X, np.zeros(6)).N[:3]
     right = np.array([1.0, 0.0, -1.0]) / np.sqrt(2)
     left = np.array([-1.0, 0.0, -1.0]) / np.sqrt(2)
     assert_allclose(forces.T, [right, left, right, left], atol=1e-15)
-    lifted = pin.SE3(np.eye(3), X.translation + [0, 0, 0.01])
+    lifted = shift(X.translation + [0, 0, 0.01])
     assert_allclose(pair.gaps(lifted), 0.01 / np.sqrt(2), atol=1e-15)
 
 
 @pytest.mark.parametrize("wrong", [{"groove_angle": 3.2}, {"groove_outward": [0, 2, 0]}])
 def test_a_groove_without_walls_is_refused(wrong):
     good = {"groove_direction": [0, 1, 0], "groove_outward": [0, 0, 1]}
-    with pytest.raises(osc.InvalidInputError, match="rod: the walls enclose"):
+    with refused("rod: the walls enclose"):
         CylinderInVGroove([0, 0, 0], [0, 1, 0], 0.1, [0, 0, 0], **{**good, **wrong}, name="rod")
 
 

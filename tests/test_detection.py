@@ -28,8 +28,11 @@ from detection_bodies import (
     random_pose,
     standing,
 )
+from numpy.linalg import norm
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, fixture, mark, raises
+from rigs import rig_of, shift, unit
 
 import osc_contact as osc
 from osc_contact import robots
@@ -88,7 +91,7 @@ RESTING = [
         BALL,
         BALL[0].placement.translation[None],
         0.03,
-        lambda rng: pin.exp3(rng.normal(size=3)),
+        lambda rng: pin.exp3(rng.standard_normal(3)),
     ),
     ("cylinder on plane", "plane on cylinder", 2, CAN, AXIS, 0.03, lying),
     ("cylinder on plane", "plane on cylinder", 2, PILL, AXIS, 0.03, lying),
@@ -101,7 +104,7 @@ RESTING = [
 def test_a_body_that_rests_on_a_plane_touches_in_its_lowest_points(seed, row, below):
     """Each of the two may be the object."""
     above, under, r, shapes, points, radius, tilt = row
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     depth = DEPTHS[seed % 3]
     X_WT = random_pose(rng)
     X = standing(tilt(rng), points, rng, lift=radius - depth)
@@ -115,7 +118,7 @@ def test_a_body_that_rests_on_a_plane_touches_in_its_lowest_points(seed, row, be
     kind, normal = (under, -up) if below else (above, up)
     found = assert_only(found, kind, lowest, normal, X_WO, X_WE, -depth)
     assert len(found.points) == len(lowest) and found.r == r
-    away = np.linalg.norm(found.points[:, None] - lowest, axis=2).min(axis=0)
+    away = norm(found.points[:, None] - lowest, axis=2).min(axis=0)
     assert away.max() < 1e-9 + below * abs(depth)
     assert found.distance == approx(-depth, abs=1e-9)
 
@@ -123,8 +126,8 @@ def test_a_body_that_rests_on_a_plane_touches_in_its_lowest_points(seed, row, be
 def box_on_table(size, *tilt):
     """A box of another size standing on its lowest corner, tilted by roll and pitch."""
     corners = CORNERS / (CORNERS.max(axis=0) * 2) * size
-    X = standing(pin.rpy.rpyToMatrix(*tilt, 0), corners, np.random.default_rng(1))
-    floor = [CollisionShape("floor", coal.Box(9, 9, 1), pin.SE3(np.eye(3), -0.5 * UP))]
+    X = standing(pin.rpy.rpyToMatrix(*tilt, 0), corners, default_rng(1))
+    floor = [CollisionShape("floor", coal.Box(9, 9, 1), shift(-0.5 * UP))]
     return only(detect([CollisionShape("other", coal.Box(*size))], X, floor))
 
 
@@ -148,7 +151,7 @@ def test_a_face_too_steep_across_leaves_its_flattest_edge(tilt, along):
 
 
 def test_an_overlap_narrower_than_the_margin_is_a_line():
-    X = pin.SE3(np.eye(3), np.array([0.5496, 0.1, 0.03]))
+    X = shift([0.5496, 0.1, 0.03])
     ends = np.array([[0.4998, 0.06, 0.0], [0.4998, 0.14, 0.0]])
     found = assert_only(detect(BOX, X, TABLE), "edge on face", ends, UP, X)
     assert_allclose(found.points[np.argsort(found.points[:, 1])], ends, atol=1e-9)
@@ -157,29 +160,27 @@ def test_an_overlap_narrower_than_the_margin_is_a_line():
 @SEEDS
 def test_corners_that_point_at_one_another_touch_on_their_bodies(seed):
     """Where edges near both corners cross beyond their ends, the contact stays on them."""
-    rng = np.random.default_rng(seed)
-    R = pin.exp3(rng.normal(size=3))
-    down = -np.abs(rng.normal(size=3))
-    down /= np.linalg.norm(down)
+    rng = default_rng(seed)
+    R = pin.exp3(rng.standard_normal(3))
+    down = -np.abs(rng.standard_normal(3))
+    down = unit(down)
     corner = CORNERS[((CORNERS @ R.T) @ down).argmax()]
-    found = only(
-        detect(BOX, pin.SE3(R, -5e-4 * down - R @ corner), BOX, pin.SE3(np.eye(3), -SIZE / 2))
-    )
+    found = only(detect(BOX, pin.SE3(R, -5e-4 * down - R @ corner), BOX, shift(-SIZE / 2)))
     assert 0.0 < found.distance <= 5e-4
     slack = 1e-9 if found.kind == "edge on edge" else 5e-4
     assert (np.abs(found.object_point) <= SIZE / 2 + slack).all()
-    assert np.linalg.norm(found.object_point - corner) < 0.01
+    assert norm(found.object_point - corner) < 0.01
 
 
 def test_a_corner_in_a_corner_touches_floor_and_walls():
     """Three contacts in one point: they repeat one another in place, not in direction."""
     room = [
-        CollisionShape("floor", coal.Box(1, 1, 0.1), pin.SE3(np.eye(3), np.array([0, 0, -0.05]))),
-        CollisionShape("wall", coal.Box(0.1, 1, 1), pin.SE3(np.eye(3), np.array([-0.05, 0, 0]))),
-        CollisionShape("side", coal.Box(1, 0.1, 1), pin.SE3(np.eye(3), np.array([0, -0.05, 0]))),
+        CollisionShape("floor", coal.Box(1, 1, 0.1), shift([0, 0, -0.05])),
+        CollisionShape("wall", coal.Box(0.1, 1, 1), shift([-0.05, 0, 0])),
+        CollisionShape("side", coal.Box(1, 0.1, 1), shift([0, -0.05, 0])),
     ]
     ball = [CollisionShape("ball", coal.Sphere(0.0))]
-    X = pin.SE3(np.eye(3), np.zeros(3))
+    X = pin.SE3.Identity()
     found = detect(ball, X, room)
     assert sorted(d.environment_shape for d in found) == ["floor", "side", "wall"]
     N = osc.Contact.stack([d.pair().contact(X, np.zeros(6)) for d in found]).N
@@ -191,7 +192,7 @@ def test_where_the_distance_solver_fails_the_shapes_decide(monkeypatch):
     monkeypatch.setattr(
         sys.modules["osc_contact.contacts.detection.detect"], "nearest", lambda *_: failed
     )
-    X = standing(pin.rpy.rpyToMatrix(0.4, 0.5, 0), CORNERS, np.random.default_rng(0), lift=-5e-4)
+    X = standing(pin.rpy.rpyToMatrix(0.4, 0.5, 0), CORNERS, default_rng(0), lift=-5e-4)
     found = only(detect(BOX, X, TABLE))
     assert found.kind == "vertex on face" and found.distance == approx(-5e-4)
     X.translation += 2e-3 * UP
@@ -201,12 +202,12 @@ def test_where_the_distance_solver_fails_the_shapes_decide(monkeypatch):
 @mark.parametrize("gap", [1.1e-3, 0.02, 1.0])
 @mark.parametrize("seed", range(2))
 def test_what_is_apart_does_not_touch(seed, gap):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     for tilt in (np.eye(3), pin.rpy.rpyToMatrix(0.4, 0, 0), pin.rpy.rpyToMatrix(0.4, 0.6, 0)):
         X = standing(tilt, CORNERS, rng, lift=gap)
         assert detect(BOX, X, TABLE) == []
         assert len(detect(BOX, X, TABLE, margin=1.05 * gap)) == 1
-    beside = pin.SE3(np.eye(3), np.array([0.55 + gap, 0.0, -0.02]))
+    beside = shift([0.55 + gap, 0.0, -0.02])
     assert detect(BOX, beside, TABLE) == []
 
 
@@ -216,7 +217,7 @@ def test_what_is_apart_does_not_touch(seed, gap):
 @SEEDS
 def test_crossed_edges_touch_in_their_crossing_point(seed):
     """Both boxes stand on an edge, roof against roof, ridges crossed at a random angle."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     depth = DEPTHS[seed % 3]
     lower = [CollisionShape("ridge", coal.Box(0.4, 0.1, 0.1))]
     roll, other = np.pi / 4 + rng.uniform(-0.2, 0.2, 2)
@@ -243,7 +244,7 @@ def test_crossed_edges_touch_in_their_crossing_point(seed):
 @fixture(scope="module")
 def rod():
     """(rod's shapes, declared pairs, (plate's shapes, pose) of each, start pose)."""
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    rig = rig_of("two_contact_rod")
     plate = collision_shapes(robots.urdf_path("face.urdf"))
     plates = [(plate, pair.face_placement()) for pair in rig.pairs]
     return collision_shapes(robots.urdf_path("rod.urdf")), rig.pairs, plates, rig.state().X_WO
@@ -254,7 +255,7 @@ def test_the_rod_finds_the_contacts_the_scenario_declares(rod):
     for pair, (plate, X_WE), side in zip(declared, plates, ("left", "right"), strict=True):
         contact = only(detect(shapes, X_WO, plate, X_WE))
         assert (contact.name, contact.kind) == (f"{side}_end on plate", "sphere on plane")
-        V_O = np.random.default_rng(0).normal(size=6)
+        V_O = default_rng(0).standard_normal(6)
         mine = contact.pair().contact(X_WO, V_O, X_WE)
         theirs = pair.contact(X_WO, V_O)
         assert_allclose(mine.N, theirs.N, atol=1e-9)
@@ -280,12 +281,9 @@ def test_a_rim_inside_a_ball_gives_way_to_the_ball(rod):
 
 def test_two_feet_make_one_face_and_two_balls_two_points():
     def pair_of(shape):
-        return [
-            CollisionShape(f"foot{x:+.1f}", shape, pin.SE3(np.eye(3), np.array([x, 0, 0])))
-            for x in (-0.1, 0.1)
-        ]
+        return [CollisionShape(f"foot{x:+.1f}", shape, shift([x, 0, 0])) for x in (-0.1, 0.1)]
 
-    X = pin.SE3(np.eye(3), np.array([0, 0, 0.02]))
+    X = shift([0, 0, 0.02])
     found = only(detect(pair_of(coal.Box(0.04, 0.04, 0.04)), X, TABLE))
     assert (found.kind, found.r) == ("face on face", 3)
     assert [d.r for d in detect(pair_of(coal.Sphere(0.02)), X, TABLE)] == [1, 1]
@@ -296,7 +294,7 @@ def test_two_feet_make_one_face_and_two_balls_two_points():
 
 @SEEDS
 def test_a_standing_cylinder_is_one_face_contact(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     depth = DEPTHS[seed % 3]
     X = standing(np.diag([1, -1, -1.0]) if seed % 2 else np.eye(3), AXIS, rng, lift=-depth)
     X_WE = random_pose(rng)
@@ -305,13 +303,13 @@ def test_a_standing_cylinder_is_one_face_contact(seed):
     three = moved(X_WE, middle + 0.03 * np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0]]))
     found = detect(CAN, X_WO, TABLE, X_WE)
     found = assert_only(found, "face on face", three, X_WE.rotation @ UP, X_WO, X_WE, -depth)
-    radii = np.linalg.norm(found.points - X_WE.act(middle), axis=1)
+    radii = norm(found.points - X_WE.act(middle), axis=1)
     assert_allclose(radii, 0.03, atol=1e-9)
 
 
 @SEEDS
 def test_a_standing_capsule_touches_with_its_cap(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     X = standing(pin.rpy.rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0), AXIS, rng, lift=0.03)
     low = X.translation + X.rotation @ AXIS[0] - 0.03 * UP
     found = assert_only(detect(PILL, X, TABLE), "sphere on plane", [low], UP, X)
@@ -325,7 +323,7 @@ RIM = np.array([[0, -0.03, -0.06]])  #: lowest point of a can: turning about x l
 @mark.parametrize("below", [False, True])
 def test_a_cylinder_tipped_on_the_rim_of_its_end(below, seed):
     """Also as what lies under a face of the object; it rolls about its own axis, in contact."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     X = standing(pin.rpy.rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0), RIM, rng)
     table = random_pose(rng)
     can = table * X
@@ -348,7 +346,7 @@ def test_a_cylinder_tipped_on_the_rim_of_its_end(below, seed):
 
 def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
     """5 mrad: N from a gap that bends within 0.15 mm. A disc 2 m wide rises 1 mm in 0.8 mrad."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = standing(pin.rpy.rpyToMatrix(5e-3, 0, 0), RIM, rng)
     assert_only(detect(CAN, X, TABLE), "rim on face", [X.act(RIM[0])], UP, X)
     for shape, turn, low, kind in (
@@ -361,19 +359,19 @@ def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
         X = standing(pin.rpy.rpyToMatrix(tilt, 0, 0), np.array([low]), rng)
         X.translation = X.translation * [0, 0, 1]
         big = [CollisionShape("big", shape)]
-        floor = [CollisionShape("floor", coal.Box(9, 9, 1), pin.SE3(np.eye(3), -0.5 * UP))]
+        floor = [CollisionShape("floor", coal.Box(9, 9, 1), shift(-0.5 * UP))]
         assert only(detect(big, X, floor)).kind == kind
 
 
 @SEEDS
 def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
     """Nearest point of the axis, overlapping by up to 3 mm: no solver knows this normal well."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     depth = (*DEPTHS, 3e-3)[seed % 4]
     n = np.append(rng.uniform(0.2, 1.0, 2), rng.uniform(0.2, 1.0))
-    n /= np.linalg.norm(n)
-    z = np.cross(n, rng.normal(size=3))
-    z /= np.linalg.norm(z)
+    n = unit(n)
+    z = np.cross(n, rng.standard_normal(3))
+    z = unit(z)
     corner = np.array([0.5, 0.4, 0.0])
     X = pin.SE3(np.column_stack((n, np.cross(z, n), z)), corner)
     X.translation = corner + (0.03 - depth) * n + 0.03 * rng.uniform(-1, 1) * z
@@ -382,17 +380,17 @@ def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
 
 @SEEDS
 def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     outward = np.append(rng.uniform(0.2, 1.0, 2), 0.0)
     for kind, corner, away in (
         ("sphere on edge", np.array([0.5, 0.4, -0.05]), outward),
         ("sphere on vertex", np.array([0.5, 0.4, 0.0]), outward + rng.uniform(0.2, 1.0) * UP),
     ):
-        n = away / np.linalg.norm(away)
-        X = pin.SE3(np.eye(3), corner + 0.03 * n - BALL[0].placement.translation)
+        n = unit(away)
+        X = shift(corner + 0.03 * n - BALL[0].placement.translation)
         found = assert_only(detect(BALL, X, TABLE), kind, [corner], n, X)
         assert_allclose(found.points, [corner], atol=1e-9)
-        spin = np.concatenate((np.zeros(3), rng.normal(size=3)))  # in place: nothing moves
+        spin = np.concatenate((np.zeros(3), rng.standard_normal(3)))  # in place: nothing moves
         spin[:3] = -np.cross(spin[3:], BALL[0].placement.translation)
         spun = found.pair().contact(X, spin)
         assert_allclose(spun.N.T @ spin, 0.0, atol=1e-9)
@@ -408,7 +406,7 @@ def _centripetal(X, V):
 
 @SEEDS
 def test_crossed_pills_touch_between_their_axes(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     lie = pin.rpy.rpyToMatrix(np.pi / 2, 0, 0)
     turn = pin.rpy.rpyToMatrix(0, 0, rng.uniform(0.2, np.pi - 0.2))
     s, t = rng.uniform(-0.05, 0.05, 2)
@@ -424,7 +422,7 @@ def test_crossed_pills_touch_between_their_axes(seed):
 
 
 def test_pills_side_by_side_have_no_pair():
-    X = pin.SE3(np.eye(3), np.array([0.06, 0.0, 0.01]))
+    X = shift([0.06, 0.0, 0.01])
     found = only(detect(PILL, X, PILL))
     assert (found.kind, found.r) == ("cylinder on cylinder", 2)
     assert_allclose(np.sort(found.points[:, 2]), [-0.05, 0.06], atol=1e-9)

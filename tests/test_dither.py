@@ -1,8 +1,11 @@
 """A bounded motion by which two points show their normals, and what forces are known to without."""
 
 import numpy as np
+from numpy.linalg import norm
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
+from rigs import largest, rig_of, unit
 
 import osc_contact as osc
 from benchmarks.combined_errors import ERRORS
@@ -20,9 +23,9 @@ def test_it_is_bounded_smooth_and_ends():
     t = np.linspace(0.0, 4.0, 4001)
     s, s_1, s_2 = slides(dither, 0.5, t)
     outside = (t <= 0.5) | (t >= 3.0)
-    assert np.abs(s).max() == approx(0.004, rel=0.01)
+    assert largest(s) == approx(0.004, rel=0.01)
     for x in (s, s_1, s_2):
-        assert np.abs(x[outside]).max() < 1e-9
+        assert largest(x[outside]) < 1e-9
     later, before = (np.array(slides(dither, 0.5, t + h)) for h in (H, -H))
     assert_allclose((later[0] - before[0]) / (2 * H), s_1, atol=1e-7)
     assert_allclose((later[1] - before[1]) / (2 * H), s_2, atol=2e-5)
@@ -30,48 +33,45 @@ def test_it_is_bounded_smooth_and_ends():
 
 @mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "hinge_ball_rod"])
 def test_arms_and_contacts_permit_it_and_both_points_slide_along_their_line(name):
-    rig = osc.build_rig(osc.load_scenario(name, ["control.dither={}"]))
+    rig = rig_of(name, "control.dither={}")
     state = rig.state()
     N = rig.contact().N
     V = showing_twist(rig.pairs, state, N)
-    assert np.abs(N.T @ V).max() < 1e-9 and np.abs(state.C.T @ V).max(initial=0.0) < 1e-9
+    assert largest(N.T @ V) < 1e-9 and largest(state.C.T @ V) < 1e-9
     points = [feet(pair, state.X_WO)[0][0] for pair in rig.pairs]
-    u = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
+    u = unit(points[1] - points[0])
     for point in points:
         assert (V[:3] + np.cross(V[3:], point - state.X_WO.translation)) @ u == approx(1.0)
     t = 1.1
-    now, plain = (
-        osc.build_rig(osc.load_scenario(name, [f"control.dither={how}"])).references.at(t)
-        for how in ("{}", "null")
-    )
+    now, plain = (rig_of(name, f"control.dither={how}").references.at(t) for how in ("{}", "null"))
     s = slides(Dither(), rig.references.engage_at, np.array([t]))
     assert_allclose(now.V_D - plain.V_D, V * s[1], atol=2e-3)
-    assert np.abs(now.V_D - plain.V_D).max() > 1e-3
+    assert largest(now.V_D - plain.V_D) > 1e-3
 
 
 def test_nothing_is_shown_where_there_are_no_two_points():
     for name in ("panda_edge", "ur5_wipe"):
-        rig = osc.build_rig(osc.load_scenario(name, ["control.dither={}"]))
+        rig = rig_of(name, "control.dither={}")
         assert not showing_twist(rig.pairs, rig.state(), rig.contact().N).any()
         assert known_to(rig.pairs, rig.state(), 1.0) == 0.0
 
 
 def test_what_a_wrong_normal_costs_two_points():
     """Least squares over forces ±s u and the pushes along both faces that then are left."""
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    rig = rig_of("two_contact_rod")
     state = rig.state()
     X = state.X_WO
     n = [-pair.normal for pair in rig.pairs]  # into the faces
     points = [X.act(pair.vertex) for pair in rig.pairs]
-    u = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
-    rng = np.random.default_rng(0)
+    u = unit(points[1] - points[0])
+    rng = default_rng(0)
     costs = []
     for _ in range(4000):
         left = []
         shown = []
         for one in n:
             along = u - (one @ u) * one
-            push = 10.0 * 0.05 * rng.normal() * along / np.linalg.norm(along)
+            push = 10.0 * 0.05 * rng.normal() * along / norm(along)
             left.append(push)  # what the true force has beside the believed normal
             shown.append(along)
         left = np.concatenate((left[0], -left[1]))
@@ -84,12 +84,12 @@ def test_what_a_wrong_normal_costs_two_points():
 
 def test_inspect_and_the_verdict_suggest_it_with_its_gain():
     changes = ["gains={}", "duration=1.2 s"]
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod", changes))
+    rig = rig_of("two_contact_rod", *changes)
     said = [line for line in inspect_rig(rig).lines if "control.dither={}" in line]
     assert len(said) == 1 and "known to 5 deg" in said[0]
-    without = osc.build_rig(osc.load_scenario("two_contact_rod", [*changes, "control.dither={}"]))
+    without = rig_of("two_contact_rod", *changes, "control.dither={}")
     assert not any("control.dither" in line for line in inspect_rig(without).lines)
-    standing = osc.build_rig(osc.load_scenario("two_contact_rod", [*changes, "motion=[]"]))
+    standing = rig_of("two_contact_rod", *changes, "motion=[]")
     said = [line for line in inspect_rig(standing).lines if "cannot be observed" in line]
     assert len(said) == 2
     verdict = osc.metrics(osc.run(standing.scenario))

@@ -6,9 +6,11 @@ from dataclasses import replace
 import daqp
 import numpy as np
 from grasp_oracle import kkt
+from numpy.linalg import cholesky, solve
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, fixture, mark, raises
-from rigs import one_panda, panda_pair, scara_pair
+from rigs import UNLIMITED, largest, one_panda, panda_pair, scara_pair, unit
 from test_decoupling import in_contact
 
 import osc_contact as osc
@@ -29,7 +31,7 @@ MAX = np.finfo(float).max
 
 def motors_only(chain, pairs, gains):
     """A controller for states drawn at random: no limits but those of its motors."""
-    return Controller(chain, pairs, gains, safety=osc.SafetySettings.motors_only())
+    return Controller(chain, pairs, gains, safety=UNLIMITED)
 
 
 def idle_motions(state, chain):
@@ -38,9 +40,9 @@ def idle_motions(state, chain):
     for arm, part, grasp in zip(state.arms, chain.slices, chain.grasps, strict=True):
         if part.stop - part.start > grasp.N.shape[1]:
             null = np.linalg.svd(arm.N.T @ arm.J)[2][arm.rank :].T
-            factor = np.linalg.cholesky(null.T @ arm.M @ null)
+            factor = cholesky(null.T @ arm.M @ null)
             rows.append(np.zeros((null.shape[1], chain.nq)))
-            rows[-1][:, part] = np.linalg.solve(factor, null.T)
+            rows[-1][:, part] = solve(factor, null.T)
     return np.vstack(rows)[:, chain.actuated]
 
 
@@ -55,7 +57,9 @@ def demanding(chain, rng, r):
     """Controller, measurement and reference of a tick that motors with `share` could not make."""
     state, _, pairs, q, v = in_contact(chain, rng, r)
     wrenches = np.zeros((len(chain.arms), 6))
-    reference = Reference(state.X_WO, state.V_O, 2 * rng.normal(size=6), rng.uniform(5, 20, r), 5.0)
+    reference = Reference(
+        state.X_WO, state.V_O, 2 * rng.standard_normal(6), rng.uniform(5, 20, r), 5.0
+    )
     return pairs, Measurement(q, v, wrenches), reference
 
 
@@ -72,7 +76,7 @@ def limited_tick(chain, rng, r, share):
     while True:
         pairs, measurement, reference = demanding(chain, rng, r)
         wanted = wanted_torques(chain, pairs, measurement, reference)
-        weak = weakened(chain, chain.tau_max * share * np.abs(wanted / chain.tau_max).max())
+        weak = weakened(chain, chain.tau_max * share * largest(wanted / chain.tau_max))
         controller = motors_only(weak, pairs, GAINS)
         tau = controller.tick(measurement, reference)
         assert controller.status is osc.Status.SATURATED, controller.reason
@@ -93,7 +97,7 @@ class Answers:
         line = np.zeros(6)
         if len(chain.arms) == 2:
             grasps = s.state.grasp_points
-            line[:3] = (grasps[1] - grasps[0]) / np.linalg.norm(grasps[1] - grasps[0])
+            line[:3] = unit(grasps[1] - grasps[0])
 
         def at(tau):
             got = kkt(chain, measurement.q, measurement.v, tau, s.contact.N, s.contact.n_gamma)
@@ -110,11 +114,11 @@ class Answers:
         r = self.s.contact.r
         inertia = self.chain.payload.terms(s.state.X_WO, np.zeros(6), np.zeros(3)).Lambda
         N = s.contact.N
-        normal = N.T @ np.linalg.solve(inertia, N)
+        normal = N.T @ solve(inertia, N)
         rows = np.vstack(
             (
-                np.linalg.cholesky(inertia).T @ self.slope[:6],
-                np.sqrt(FORCE) * np.linalg.cholesky(normal).T @ self.slope[6 : 6 + r],
+                cholesky(inertia).T @ self.slope[:6],
+                np.sqrt(FORCE) * cholesky(normal).T @ self.slope[6 : 6 + r],
                 np.sqrt(SQUEEZE / self.chain.payload.inertia.mass) * self.slope[6 + r :],
                 np.sqrt(POSTURE) * idle_motions(self.s.state, self.chain) * self.scale,
             )
@@ -128,7 +132,7 @@ class Answers:
 def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
     """KKT conditions of the program, its matrices sampled from the full multibody system."""
     chain = rig()
-    rng = np.random.default_rng(40)
+    rng = default_rng(40)
     for k in range(8):
         controller, measurement, wanted, tau = limited_tick(chain, rng, k % 4, share)
         answers = Answers(controller, measurement, wanted)
@@ -141,7 +145,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
         z = (tau - wanted) / answers.scale
         got = answers.base + answers.slope @ z
         # what came is what was said
-        size = np.abs(answers.slope).max()
+        size = largest(answers.slope)
         assert_allclose(answers.base[6 : 6 + r], s.alpha_u, atol=1e-6)
         assert_allclose(answers.base[6 : 6 + r] - got[6 : 6 + r], cost.force, atol=1e-6)
         lost = answers.base[:6] - got[:6]
@@ -163,36 +167,36 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
         slack = np.concatenate((limit - np.abs(tau), got[6 : 6 + r] - floor, cost.force))
         C = C[slack < np.repeat([1e-9, 1e-6], [n, 2 * r])].T
         multipliers, *_ = np.linalg.lstsq(C, gradient, rcond=1e-9)
-        weight = np.abs(rows.T @ np.abs(rows @ z)).max() + np.abs(gradient).max()
+        weight = largest(rows.T @ np.abs(rows @ z)) + largest(gradient)
         assert_allclose(C @ multipliers, gradient, atol=1e-5 * weight)
-        assert (multipliers >= -1e-5 * np.abs(multipliers).max()).all()
+        assert (multipliers >= -1e-5 * largest(multipliers)).all()
 
 
 @mark.parametrize("rig", [scara_pair, one_panda])
 def test_within_the_limits_nothing_changes_and_beyond_them_nothing_jumps(rig):
     chain = rig()
-    rng = np.random.default_rng(41)
+    rng = default_rng(41)
     for r in (0, 2):
         pairs, measurement, reference = demanding(chain, rng, r)
         before = None
         wanted = wanted_torques(chain, pairs, measurement, reference)
-        worst = np.abs(wanted / chain.tau_max).max()
+        worst = largest(wanted / chain.tau_max)
         for share in (1.0002, 1.00001, 0.9998, 0.9996, 0.9994):
             weak = weakened(chain, chain.tau_max * worst * share)
             limited = motors_only(weak, pairs, GAINS)
             tau = limited.tick(measurement, reference)
             if share >= 1.0:
                 assert limited.status is osc.Status.OK and limited.given_up is None
-                size = np.abs(wanted).max()
+                size = largest(wanted)
                 assert_allclose(tau, wanted, rtol=0, atol=1e-12 * size)
             if before is not None:
-                assert np.abs((tau - before) / weak.tau_max).max() < 0.02
+                assert largest((tau - before) / weak.tau_max) < 0.02
             before = tau
 
 
 def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch):
     chain = scara_pair()
-    rng = np.random.default_rng(44)
+    rng = default_rng(44)
     pairs, measurement, reference = demanding(chain, rng, 1)
     strong = chain.tau_max
     weak = 0.02 * chain.tau_max
@@ -211,7 +215,7 @@ def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch):
 def test_motors_without_limit():
     """DBL_MAX and inf are no limits: torques are finite, and those of strong motors."""
     chain = one_panda()
-    pairs, measurement, reference = demanding(chain, np.random.default_rng(45), 2)
+    pairs, measurement, reference = demanding(chain, default_rng(45), 2)
     model = chain.arms[0].model.copy()
     model.upperEffortLimit = np.full(7, MAX)
     endless = osc.ClosedChain([replace(chain.arms[0], model=model)], chain.grasps, chain.payload)
@@ -221,7 +225,7 @@ def test_motors_without_limit():
         controller = motors_only(one, pairs, GAINS)
         found.append(controller.tick(measurement, reference))
         assert controller.status is osc.Status.OK, controller.reason
-    assert_allclose(found[0], found[1], atol=1e-9 * np.abs(found[1]).max())
+    assert_allclose(found[0], found[1], atol=1e-9 * largest(found[1]))
     for limit, status in ((60.0, osc.Status.OK), (0.5, osc.Status.SATURATED)):
         some = weakened(chain, np.where(np.arange(7) % 2, np.inf, limit))
         controller = motors_only(some, pairs, GAINS)
@@ -244,7 +248,7 @@ def test_a_motor_that_can_do_nothing_is_refused(limit):
 def test_integrals_rest_while_motors_are_at_their_limits():
     """The motion integral stays, and the force integral takes back what will not come."""
     chain = scara_pair()
-    rng = np.random.default_rng(46)
+    rng = default_rng(46)
     for _ in range(5):
         pairs, measurement, reference = demanding(chain, rng, 2)
         controller = motors_only(weakened(chain, 0.03 * chain.tau_max), pairs, GAINS)
@@ -299,7 +303,7 @@ def test_the_other_contact_and_the_motion_are_left_alone(run):
     assert (run["status"][asked] == 1).all()
     assert run["alpha_given_up"][asked, 0].min() > 10.0
     assert np.abs(run["alpha_true"] - run["alpha_cmd"])[asked, 1].max() < 0.2
-    assert np.abs(run["motion_error"][asked, :3]).max() < 1e-3
+    assert largest(run["motion_error"][asked, :3]) < 1e-3
 
 
 def test_a_saturated_redundant_arm_does_not_whirl():
@@ -315,5 +319,5 @@ def test_a_saturated_redundant_arm_does_not_whirl():
     for _ in range(40):
         plant.command(controller.tick(plant.measure(), wanted), 1e-3)
         saturated += controller.status is osc.Status.SATURATED
-        fastest = max(fastest, np.abs(plant.measure().v).max())
+        fastest = max(fastest, largest(plant.measure().v))
     assert saturated > 5 and fastest < 1.0  # rad/s; 5.1 where idle motions cost nothing

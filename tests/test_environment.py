@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from environment_scenes import RTOL, close_to, linkage, random_inertia, scene
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import mark, raises
-from rigs import panda_pair, random_state, scara_pair
+from rigs import largest, panda_pair, random_state, refused, scara_pair
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Environment
@@ -17,7 +18,7 @@ from paper.command_filter import command
 
 def test_one_body_behind_every_contact_stays_what_it_is():
     """Shared bodies couple their contacts; as one environment or by their normals is the same."""
-    rng = np.random.default_rng(44)
+    rng = default_rng(44)
     s = scene(panda_pair, "free body", rng)
     env = s.environment
     assert Environment.combine(s.parts, [env, env], s.state.metric) is env
@@ -25,11 +26,11 @@ def test_one_body_behind_every_contact_stays_what_it_is():
     alike = Environment.of_contacts(
         N, N.T @ env.Phi_e @ N, N.T @ env.b_e, N.T @ env.V_e, s.state.metric
     )
-    tau = rng.normal(size=s.chain.n_a) * 20
+    tau = rng.standard_normal(s.chain.n_a) * 20
     a, b = (contact_response(s.state, s.contact, e, tau=tau) for e in (env, alike))
     assert close_to(b.alpha, a.alpha) < RTOL
     assert close_to(b.acceleration, a.acceleration) < RTOL
-    assert np.abs(b.a_e - a.a_e).max() > 1e-3  # only Nᵀa_e has a meaning
+    assert largest(b.a_e - a.a_e) > 1e-3  # only Nᵀa_e has a meaning
     assert close_to(N.T @ b.a_e, N.T @ a.a_e) < RTOL
     apart = Environment.combine(s.parts, [env, replace(env)], s.state.metric)
     assert close_to(contact_response(s.state, s.contact, apart, tau=tau).alpha, a.alpha) > 1e-3
@@ -37,19 +38,19 @@ def test_one_body_behind_every_contact_stays_what_it_is():
 
 @mark.parametrize("seed", range(8))
 def test_the_environment_of_several_contacts_does_not_depend_on_frame_or_units(seed):
-    rng = np.random.default_rng([seed, 45])
-    N = rng.normal(size=(6, 3))
-    half = rng.normal(size=(3, 2))
-    b_N = rng.normal(size=3)
-    V_N = rng.normal(size=3)
+    rng = default_rng([seed, 45])
+    N = rng.standard_normal((6, 3))
+    half = rng.standard_normal((3, 2))
+    b_N = rng.standard_normal(3)
+    V_N = rng.standard_normal(3)
     inertia = random_inertia(rng).matrix()
     env = Environment.of_contacts(N, half @ half.T, b_N, V_N, inertia)
     assert_allclose(N.T @ env.Phi_e @ N, half @ half.T, atol=1e-10)
     assert_allclose(N.T @ env.b_e, b_N, atol=1e-10)
-    X = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3)), rng.normal(size=3)).action
+    X = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3)), rng.standard_normal(3)).action
     X = np.diag([1e3, 1e3, 1e3, 1, 1, 1]) @ X  # mm
     F = np.linalg.inv(X).T
-    Q = rng.normal(size=(3, 3))  # forces; and another basis of N
+    Q = rng.standard_normal((3, 3))  # forces; and another basis of N
     moved = Environment.of_contacts(
         F @ N @ Q, Q.T @ half @ half.T @ Q, Q.T @ b_N, Q.T @ V_N, F @ inertia @ F.T
     )
@@ -80,7 +81,7 @@ AT = {"X_WE": pin.SE3.Identity(), "O": np.zeros(3)}
     ],
 )
 def test_bad_arguments_are_refused(make, message):
-    with raises(osc.InvalidInputError, match=message):
+    with refused(message):
         make()
 
 
@@ -121,11 +122,11 @@ def test_impossible_bodies_are_refused(make, message):
 
 
 def test_impossible_mechanisms_and_dependent_contacts_are_refused():
-    body, _ = linkage(np.random.default_rng(46), np.zeros(3))
+    body, _ = linkage(default_rng(46), np.zeros(3))
     args = (body.q, body.v, body.tau)
     with raises(osc.ModelError, match="touchd"):
         Environment.articulated(body.model, *args, "touchd", np.zeros(3))
-    with raises(osc.InvalidInputError, match="tau: expected shape"):
+    with refused("tau: expected shape"):
         Environment.articulated(body.model, body.q, body.v, np.zeros(3), "touched", np.zeros(3))
     body.model.inertias[1] = body.model.inertias[2] = pin.Inertia.Zero()
     with raises(osc.ModelError, match="joint-space inertia"):
@@ -138,7 +139,7 @@ def test_impossible_mechanisms_and_dependent_contacts_are_refused():
 def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_does_is_not():
     """The SCARA pair cannot turn about its locked couple; a free body behind it can."""
     chain = scara_pair()
-    rng = np.random.default_rng(47)
+    rng = default_rng(47)
     state = chain.state(*random_state(chain, rng))
     locked = osc.Contact(state.C)
     rolled = Environment(state.C @ state.C.T * 0.1)

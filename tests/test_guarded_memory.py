@@ -10,8 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import mark
+from rigs import rig_of
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
@@ -121,7 +123,7 @@ class Guarded:
 def prepared(name):
     """A controller, a measurement, and a reference."""
     if name == MOVING:
-        rig = osc.build_rig(osc.load_scenario(name))
+        rig = rig_of(name)
         plant, controller = start(rig)
         return controller, plant.measure(), rig.references.at(0.0)
     case = ALL_CASES[name]()
@@ -133,10 +135,10 @@ def tick_between_guards(name, at_end, beyond=0):
     controller, m, reference = prepared(name)
     controller.tick(m, reference)
     other = Guarded(controller, at_end, beyond)
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     seen = set()
     for k in range(30):
-        q = m.q + 1e-4 * rng.normal(size=len(m.q)) * (np.nan if k % 10 == 7 else 1.0)
+        q = m.q + 1e-4 * rng.standard_normal(len(m.q)) * (np.nan if k % 10 == 7 else 1.0)
         given = replace(m, q=q, wrench_valid=k % 9 != 5)
         tau = controller.tick(given, reference)
         status, torques = other.tick(given, reference)

@@ -2,7 +2,10 @@
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import norm
+from numpy.random import default_rng
 from pytest import approx, mark
+from rigs import largest, shift
 
 import osc_contact as osc
 from benchmarks import force_laws
@@ -40,14 +43,14 @@ def test_laws_of_other_software_do_what_is_commanded(name):
     for end in (399, 799, 1199):
         assert done.force[end] == approx(done.force_goal[end], rel=0.05)
     assert done.force_goal[-1] == CASES[2].goals[0].force + force_laws.FORCE_STEP
-    assert np.abs(done.off[-1, :2]).max() < 1e-3 < 4e-3 < np.abs(done.off[800, :2]).max()
+    assert largest(done.off[-1, :2]) < 1e-3 < 4e-3 < largest(done.off[800, :2])
 
 
 def test_damping_acts_only_near_a_singular_posture():
-    rng = np.random.default_rng(1)
-    J, root, a = rng.normal(size=(6, 7)), rng.normal(size=(7, 7)), np.zeros(7)
+    rng = default_rng(1)
+    J, root, a = rng.standard_normal((6, 7)), rng.standard_normal((7, 7)), np.zeros(7)
     still = pin.SE3.Identity()
-    goal = pin.SE3(np.eye(3), np.array([0.01, 0.0, 0.0]))
+    goal = shift([0.01, 0.0, 0.0])
 
     def torques(thresholds, J):
         rest = (a, a, still, np.zeros(6), J, root @ root.T + np.eye(7), a, a, 0.0)
@@ -57,5 +60,5 @@ def test_damping_acts_only_near_a_singular_posture():
     far = torques(force_laws.DAMPED, J)
     np.testing.assert_allclose(far, torques(None, J), rtol=1e-9)
     J[0] = J[1] + 1e-5 * J[0]
-    near = np.linalg.norm(torques(force_laws.DAMPED, J))
-    assert near < 1e-2 * np.linalg.norm(torques(None, J))
+    near = norm(torques(force_laws.DAMPED, J))
+    assert near < 1e-2 * norm(torques(None, J))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from grasp_rigs import random_case
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from test_grasps import NOTHING, forces
 
@@ -26,11 +27,11 @@ def cases():
 @pytest.mark.parametrize("arms, kinds, which, seed", list(cases()))
 def test_idle_motions_obey_the_posture_task(arms, kinds, which, seed):
     """Accelerations by the full system of equations; gravity acts on idle joints too."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     case = random_case(arms, kinds, rng)
     chain = osc.ClosedChain(case.chain.arms, case.chain.grasps, case.chain.payload)
     v, V = (0.1 * x for x in case.moving(rng))
-    rest = case.q + 0.05 * rng.normal(size=chain.nq)
+    rest = case.q + 0.05 * rng.standard_normal(chain.nq)
     controller = Controller(chain, [], posture=rest)
     reference = osc.Reference(case.X_WO, V)
     tau = controller.tick(osc.Measurement(case.q, v, np.zeros((len(arms), 6))), reference)
@@ -48,7 +49,7 @@ def test_idle_motions_obey_the_posture_task(arms, kinds, which, seed):
 
 def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
     """A passive joint that swings by itself: nothing holds it, and nothing is held up by it."""
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     case = random_case(["4R"], ["rigid"], rng)
     arm = case.chain.arms[0]
     loose = osc.Arm(arm.name, arm.model, arm.tip, arm.base, ("joint1",), arm.wrist_sensor)

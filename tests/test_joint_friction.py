@@ -1,9 +1,11 @@
 """Joint friction: what is learned, against least squares in NumPy; what it brings, in MuJoCo."""
 
 import numpy as np
+from numpy.linalg import inv, solve
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import mark, raises
-from rigs import one_panda, random_state
+from pytest import mark
+from rigs import UNLIMITED, one_panda, random_state, refused, rig_of
 from test_decoupling import strong
 from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 
@@ -41,12 +43,12 @@ def learned(Phi, r, noise=0.1, dt=0.0):
 
 def test_the_estimate_is_that_of_least_squares():
     """θ = (ΦᵀΦ/R + P₀⁻¹)⁻¹Φᵀr/R, as long as no bound is met."""
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     v = rng.uniform(-2.0, 2.0, 300)
     Phi = np.column_stack([np.sign(v), v, rng.uniform(-3.0, 3.0, 300), np.ones(300)])
     r = Phi @ [3.0, 1.5, -0.4, 0.1] + rng.normal(scale=0.3, size=300)
     theta, row = learned(Phi, r)
-    P = np.linalg.inv(Phi.T @ Phi / 0.1 + np.diag(1.0 / PRIOR))
+    P = inv(Phi.T @ Phi / 0.1 + np.diag(1.0 / PRIOR))
     assert_allclose(theta, P @ Phi.T @ r / 0.1, rtol=1e-9)
     assert_allclose(row.P, P, rtol=1e-7, atol=1e-12)
 
@@ -67,7 +69,7 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
         friction = ["arms.left.friction=1", "arms.right.friction=1"] if learns else []
         rise = "gains.force.rise=0 s"
         given = [rise, "control.joint_friction.learning=true", *friction, *changes]
-        rig = osc.build_rig(osc.load_scenario("two_contact_rod", given))
+        rig = rig_of("two_contact_rod", *given)
         controller = rig.controller()
         osc.run_loop(rig.plant(), controller, rig.references.each(6000, controller.dt))
         memory = controller._records.memory
@@ -79,7 +81,7 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
 @mark.parametrize("joints", [{}, {"armature": ROTORS}])
 def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
     """D s + F s/√(s² + s₀²), s = J̄ P V_D, on top of what a smooth arm takes; without A_D."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     for _ in range(5):
         q, v = random_state(one_panda(), rng)
         tau = []
@@ -93,25 +95,19 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
             )
             contacts = [corner] if pressed else []
             wanted = Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
-            controller = osc.Controller(
-                chain,
-                contacts,
-                GAINS,
-                reading="filter",
-                safety=osc.SafetySettings.motors_only(),
-            )
+            controller = osc.Controller(chain, contacts, GAINS, reading="filter", safety=UNLIMITED)
             for _ in range(2):  # the first one has no tick before it
                 tau.append(controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted))
                 assert controller.status is osc.Status.OK, controller.reason
         V = wanted.V_D
         if pressed:  # the nearest permitted twist, in the metric of the object's inertia
             N = corner.contact(X, state.V_O).N
-            B = np.linalg.inv(chain.reference_inertia(X))
-            V = V - B @ N @ np.linalg.solve(N.T @ B @ N, N.T @ V)
+            B = inv(chain.reference_inertia(X))
+            V = V - B @ N @ solve(N.T @ B @ N, N.T @ V)
         J = state.arms[0].J
-        weighed = np.linalg.solve(state.M, J.T)
+        weighed = solve(state.M, J.T)
         fastest = chain.model.velocityLimit
-        s = np.clip(weighed @ np.linalg.solve(J @ weighed, V), -fastest, fastest)
+        s = np.clip(weighed @ solve(J @ weighed, V), -fastest, fastest)
         want = VISCOUS * s + DRY * s / np.hypot(s, SLIP)
         assert_allclose(tau[3] - tau[1], want, rtol=1e-9, atol=1e-9)
 
@@ -119,17 +115,17 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
 def test_friction_known_at_the_start_leaves_the_wanted_acceleration():
     """KKT of the exact plant: with friction the torques give what they give without."""
     for chain in (panda(armature=ROTORS, damping=VISCOUS, friction=DRY), panda()):
-        rng = np.random.default_rng(2)
+        rng = default_rng(2)
         q, v = random_state(one_panda(), rng)
         state = chain.state(q, v)
         J = state.arms[0].J
-        weighed = np.linalg.solve(state.M, J.T)
-        v = weighed @ np.linalg.solve(J @ weighed, state.V_O)  # none that the object does not see
+        weighed = solve(state.M, J.T)
+        v = weighed @ solve(J @ weighed, state.V_O)  # none that the object does not see
         state = chain.state(q, v)
         plant = RigidPlant(chain, [], 1e-4)
         plant.q = q
         plant.v = v
-        A_D = rng.normal(size=6)
+        A_D = rng.standard_normal(6)
         controller = osc.Controller(chain, [], GAINS)
         for k in (1.0, 0.0):  # the speed in the second tick is V_O
             wanted = Reference(state.X_WO, state.V_O - k * 1e-3 * A_D, A_D)
@@ -196,6 +192,6 @@ def test_what_was_learned_is_the_start_of_the_next_controller():
 
 def test_settings_out_of_range_are_refused():
     for wrong in ({"share": 1.0}, {"most": 0.0}, {"smoothing": -1.0}):
-        with raises(osc.InvalidInputError, match=next(iter(wrong))):
+        with refused(next(iter(wrong))):
             osc.JointFriction(**wrong)
     assert osc.Controller(one_panda(), [], joint_friction=False).settings.joint_friction is None

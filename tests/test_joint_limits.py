@@ -4,11 +4,12 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pinocchio as pin
 from grasp_oracle import kkt
+from numpy.linalg import inv
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark, raises
-from rigs import PANDA_Q, ROD, one_panda, panda_pair, scara_pair
+from pytest import approx, mark
+from rigs import PANDA_Q, ROD, UNLIMITED, largest, one_panda, panda_pair, refused, scara_pair, shift
 from test_decoupling import commanded, in_contact, structured
 
 import osc_contact as osc
@@ -47,7 +48,7 @@ def panda(**limits):
     model.lowerPositionLimit = lower
     model.upperPositionLimit = upper
     arm = osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp", wrist_sensor="panda_hand")
-    grasp = pin.SE3(np.eye(3), np.array([0.02, 0.01, 0.08]))
+    grasp = shift([0.02, 0.01, 0.08])
     return osc.ClosedChain([arm], [grasp], osc.RigidObject(ROD))
 
 
@@ -87,7 +88,7 @@ def test_the_push_is_a_bounded_slope_of_a_potential():
     assert_allclose(pushes, -slopes, atol=1e-6 * k)
     assert (np.abs(pushes) <= k * w + 1e-9).all()
     assert (pushes[:, 1] == 0.0).all() and (pushes[:, 2] <= 0.0).all()
-    assert np.abs(np.diff(pushes, axis=0)).max() < 1.6 * k * (x[1] - x[0])  # slope 3/2 k at most
+    assert largest(np.diff(pushes, axis=0)) < 1.6 * k * (x[1] - x[0])  # slope 3/2 k at most
     assert not push_of(PANDA_Q, limits).any()
 
 
@@ -95,16 +96,16 @@ def test_the_push_is_a_bounded_slope_of_a_potential():
 def test_object_and_contact_forces_do_not_feel_it(rig):
     """On the KKT system, with two contacts; arms without joints to spare get no push at all."""
     chain = rig()
-    rng = np.random.default_rng(60)
+    rng = default_rng(60)
     for _ in range(10):
         state, contact, pairs, q, v = in_contact(chain, rng)
-        a_u = rng.normal(size=6)
+        a_u = rng.standard_normal(6)
         alpha = rng.uniform(5, 20, 2)
         close = limits_near(chain, q, rng)
         push = push_of(
             q, joint_limit_margins(close.model, PUSHING.limit_stiffness, PUSHING.limit_margin)
         )
-        B = np.linalg.inv(state.metric)
+        B = inv(state.metric)
         one, two = (
             commanded(close, pairs, q, v, a_u, alpha, B, posture=q, posture_task=task)[1]
             for task in (CALM, PUSHING)
@@ -113,11 +114,11 @@ def test_object_and_contact_forces_do_not_feel_it(rig):
             assert_array_equal(one, two)
             continue
         base, other = (kkt(chain, q, v, tau, contact.N, contact.n_gamma) for tau in (one, two))
-        size = np.abs(base.a_object).max()
+        size = largest(base.a_object)
         assert_allclose(other.a_object, base.a_object, atol=1e-9 * size)
-        assert_allclose(other.alpha, base.alpha, atol=1e-9 * np.abs(base.alpha).max())
+        assert_allclose(other.alpha, base.alpha, atol=1e-9 * largest(base.alpha))
         gain = other.qdd - base.qdd
-        assert np.abs(gain).max() > 1.0
+        assert largest(gain) > 1.0
         for s in chain.slices:  # its own work on the joints it moves is never negative
             assert gain[s] @ (np.diag(state.M)[s] * push[s]) > 0.0
 
@@ -138,7 +139,7 @@ def limits_near(chain, q, rng):
 
 def test_one_joint_near_its_limit_is_never_pushed_towards_it():
     """Whatever the inertia couples: n_i M_ii a_i has the sign of a_i along the null motion."""
-    rng = np.random.default_rng(61)
+    rng = default_rng(61)
     still = np.zeros(7)
     for _ in range(50):
         q = PANDA_Q + rng.uniform(-0.6, 0.6, 7)
@@ -151,7 +152,7 @@ def test_one_joint_near_its_limit_is_never_pushed_towards_it():
         )
         q_dd = np.linalg.solve(state.M, two - one)
         assert q_dd[j] <= 1e-9
-        whole = (state.M[j, j] * 400.0 * 0.05 * 2.01) ** 2 * np.linalg.inv(state.M)[j, j]
+        whole = (state.M[j, j] * 400.0 * 0.05 * 2.01) ** 2 * inv(state.M)[j, j]
         assert (two - one) @ q_dd <= whole  # the projection takes energy away
 
 
@@ -175,32 +176,32 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     for _ in range(400):
         tau = controller.tick(plant.measure(), wanted)
         assert controller.status is osc.Status.OK, controller.reason
-        jump = max(jump, 0.0 if before is None else np.abs(tau - before).max())
+        jump = max(jump, 0.0 if before is None else largest(tau - before))
         before = tau
         plant.command(tau, 2e-3)
         farthest = max(farthest, plant.q[0])
     assert (farthest < 0.2) == (stiffness > 0.0)
     assert jump < 2.0  # N m, in 2 ms
     moved = plant.truth().X_WO
-    assert np.abs(moved.translation - X.translation).max() < 1e-5
+    assert largest(moved.translation - X.translation) < 1e-5
 
 
 @mark.parametrize("past", [-0.3, -0.1, -0.02, 0.0, 0.05])
 def test_idle_motions_are_pushed_away_from_their_limits(past):
     """Some joints inside their margins, some beyond their limits, some with a limit on one side."""
-    rng = np.random.default_rng(62)
+    rng = default_rng(62)
     for _ in range(3):
         q = PANDA_Q + rng.uniform(-0.5, 0.5, 7)
-        v = rng.normal(size=7)
+        v = rng.standard_normal(7)
         ends = {f"joint{j}": (-np.inf, q[j - 1] - past) for j in (1, 4)}
         ends |= {f"joint{j}": (q[j - 1] + past, q[j - 1] + 3.0) for j in (3, 6)}
         chain = panda(**ends)
-        posture = q + 0.1 * rng.normal(size=7)
+        posture = q + 0.1 * rng.standard_normal(7)
         task = PostureTask()
         push = push_of(q, joint_limit_margins(chain.model, task.limit_stiffness, task.limit_margin))
         assert push.any() == (past > -0.15)
         state = chain.state(q, v)
-        safety = osc.SafetySettings.motors_only()
+        safety = UNLIMITED
         controller = osc.Controller(chain, [], posture=posture, safety=safety, joint_friction=False)
         wanted = osc.Reference(state.X_WO, V_D=state.V_O)
         tau = controller.tick(osc.Measurement(q, v, np.zeros((1, 6))), wanted)
@@ -208,7 +209,7 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
         own = state.h + state.M @ (task.stiffness * (posture - q) - task.damping * v)
         own += np.diag(state.M) * push
         idle = np.linalg.svd(state.arms[0].J)[2][6]
-        assert idle @ tau == approx(idle @ own, abs=1e-9 * np.abs(own).max())
+        assert idle @ tau == approx(idle @ own, abs=1e-9 * largest(own))
 
 
 def test_gains_out_of_range_are_refused():
@@ -218,5 +219,5 @@ def test_gains_out_of_range_are_refused():
         {"limit_stiffness": -1.0},
         {"limit_stiffness": np.nan},
     ):
-        with raises(osc.InvalidInputError, match=next(iter(bad))):
+        with refused(next(iter(bad))):
             PostureTask(**bad)

@@ -6,8 +6,11 @@ from functools import cache, partial
 import numpy as np
 import pinocchio as pin
 from command_line import done, refused
+from numpy.linalg import inv
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark, raises
+from rigs import largest
 
 from osc_contact.errors import InvalidInputError
 from paper import kinematic_stability as ks
@@ -52,7 +55,7 @@ def oracle_classic(arm, q, v, goal):
     J = numeric_jacobian(arm, q)[rows]
     S = np.diag([row != arm.force for row in rows]).astype(float)
     x = displacement(goal, tip_pose(arm, q))[rows]
-    q_e = np.linalg.inv(J) @ S @ (x + ks.DAMPING_S * J @ v)
+    q_e = inv(J) @ S @ (x + ks.DAMPING_S * J @ v)
     return pin.rnea(arm.plant, arm.plant.createData(), q, v, np.zeros(len(q))) - arm.K_q @ q_e
 
 
@@ -66,7 +69,7 @@ def oracle_ours(arm, q, v, goal):
     m = body.mass
     cx = pin.skew(c)
     Lambda = np.block([[m * np.eye(3), -m * cx], [m * cx, R @ body.inertia @ R.T - m * cx @ cx]])
-    a_u = -np.linalg.inv(Lambda) @ arm.K_prime @ (displacement(goal, X) + ks.DAMPING_S * J @ v)
+    a_u = -inv(Lambda) @ arm.K_prime @ (displacement(goal, X) + ks.DAMPING_S * J @ v)
     across = J[arm.force]
     KKT = np.block([[J.T @ Lambda @ J, across[:, None]], [across[None], np.zeros((1, 1))]])
     qdd = np.linalg.solve(KKT, np.append(J.T @ Lambda @ a_u, 0.0))[:-1]
@@ -91,14 +94,14 @@ def numeric_poles(arm, law, q0, h=1e-5):
     )
     values = np.linalg.eigvals(A)
     values = values[np.argsort(np.abs(values))]
-    assert np.abs(values[:2]).max() < 0.05
+    assert largest(values[:2]) < 0.05
     return np.sort_complex(values[2:])
 
 
 def assert_same_poles(got, expected):
     """As sets: each has a partner."""
     distance = np.abs(got[:, None] - expected[None, :])
-    scale = np.abs(expected).max()
+    scale = largest(expected)
     assert distance.min(axis=0).max() < 2e-4 * scale and distance.min(axis=1).max() < 2e-4 * scale
 
 
@@ -114,7 +117,7 @@ def test_the_laws_simulated_are_the_laws_judged(name):
 def test_ours_is_real_and_positive_next_to_singularities(name):
     """The elbow (and the UR5's wrist) all but straight: J is as good as singular there."""
     arm = arm_of(name)
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     bends = {"planar": [1], "ur5": [2, 4]}[name]
     unstable = 0
     for _ in range(60):
@@ -123,22 +126,22 @@ def test_ours_is_real_and_positive_next_to_singularities(name):
             q[joint] = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-4.0, -2.0)
         assert regularity(arm, q) < 1e-4
         classic, ours = eigenvalues(arm, q)
-        assert np.abs(ours.imag).max() < 1e-6 * ours.real.min() and ours.real.min() > 1.0
+        assert largest(ours.imag) < 1e-6 * ours.real.min() and ours.real.min() > 1.0
         unstable += classic.real.min() < 0.0
     assert unstable > 5, "here the classic scheme has a hard time"
 
 
 def test_ours_is_real_and_positive_for_any_contact_metric_and_stiffness():
-    rng = np.random.default_rng(6)
+    rng = default_rng(6)
     for _ in range(300):
         s = rng.integers(1, 7)
-        A, C = rng.normal(size=(2, 6, 6))
+        A, C = rng.standard_normal((2, 6, 6))
         B = A @ A.T + 0.01 * np.eye(6)
         K = C @ C.T + 0.01 * np.eye(6)
-        values = ks.our_eigenvalues(rng.normal(size=(6, s)), B, K)
+        values = ks.our_eigenvalues(rng.standard_normal((6, s)), B, K)
         assert len(values) == s
         assert values.real.min() > 0.0
-        assert np.abs(values.imag).max() < 1e-6 * np.abs(values).max()
+        assert largest(values.imag) < 1e-6 * largest(values)
 
 
 @both
@@ -155,7 +158,7 @@ def test_search_counts_what_it_says(name):
     """The same draw again: the regular postures, and the least real part of each."""
     arm = arm_of(name)
     found = ks.search(arm, 4, 400, 0.6)
-    drawn = np.random.default_rng(4).uniform(-np.pi, np.pi, (400, arm.chain.nq))
+    drawn = default_rng(4).uniform(-np.pi, np.pi, (400, arm.chain.nq))
     judged = sorted(drawn, key=lambda q: -regularity(arm, q))[:240]
     least = np.array([eigenvalues(arm, q)[0].real.min() for q in judged])
     assert (found.drawn, found.tried, found.ours_unstable) == (400, 240, 0)
@@ -173,7 +176,7 @@ def test_the_classic_scheme_leaves_as_fast_as_its_pole_says_and_ours_returns():
     assert 1e-7 < size[-1] < 1e-3, "grown, and small still"
     rate = np.polyfit(h.t[later], np.log(size[later]), 1)[0]
     assert rate == approx(ks.poles(found.classic)[-1].real, rel=0.01)
-    assert np.abs(h.ours[-1]).max() < 2e-3 * np.abs(h.ours[0]).max()
+    assert largest(h.ours[-1]) < 2e-3 * largest(h.ours[0])
     goal = tip_pose(found.arm, found.q)
     start = tip_pose(found.arm, found.q + h.ours[0])
     assert_allclose(displacement(goal, start)[:2], [1e-9, 0.0], atol=1e-14)
@@ -214,7 +217,7 @@ def test_eigenvalues_give_the_poles_of_the_closed_loop(name):
     found = found_by(name)
     assert found.classic.real.min() < 0.0 < ks.poles(found.classic).real.max()
     assert ks.poles(found.ours).real.max() < -1.0
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     postures = [found.q]
     while len(postures) < 5:
         q = rng.uniform(-np.pi, np.pi, arm.chain.nq)

@@ -2,6 +2,7 @@
 
 import numpy as np
 from pytest import approx, mark
+from rigs import rig_of
 
 import osc_contact as osc
 from osc_contact.runs.landing import landings
@@ -11,7 +12,7 @@ PUSH = 10.0  # N, of either end of the rod
 
 def approach(speed, rate=1.0):
     """Landings of the scenario, its contacts `rate` times as fast as they are."""
-    rig = osc.build_rig(osc.load_scenario("approach_and_slide"))
+    rig = rig_of("approach_and_slide")
     tau, damping = rig.scenario.plant.solref
     words = [f"control.life.speed={speed}", f"plant.solref=[{tau / rate}, {damping}]"]
     return osc.load_scenario("approach_and_slide", words)
@@ -46,7 +47,7 @@ def test_hard_landings_are_announced(speed, hard):
 
 
 def test_contacts_that_exist_already_are_not_announced():
-    rig = osc.build_rig(osc.load_scenario("panda_edge", ["control.life.speed=0.1"]))
+    rig = rig_of("panda_edge", "control.life.speed=0.1")
     (edge,) = landings(rig)
     assert not edge.free and edge.peak > 3.0 * edge.command
     assert not [finding for finding in osc.preflight(rig) if "lands at" in finding.text]

@@ -12,8 +12,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from grasp_rigs import random_case
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from rigs import placed, random_faces
+from rigs import largest, placed, random_faces, rig_of, unit
 
 import osc_contact as osc
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
@@ -25,31 +26,31 @@ UNLIMITED = osc.SafetySettings.motors_only()  # states that follow one another a
 
 def inputs(chain, q, v, rng, columns, touched=None):
     """Any readings, and a reference somewhat off."""
-    X = chain.state(q, v).X_WO * pin.exp6(pin.Motion(0.02 * rng.normal(size=6)))
-    wrenches = 10 * rng.normal(size=(len(chain.arms), 6))
+    X = chain.state(q, v).X_WO * pin.exp6(pin.Motion(0.02 * rng.standard_normal(6)))
+    wrenches = 10 * rng.standard_normal((len(chain.arms), 6))
     alpha_d = rng.uniform(5, 20, columns)
     squeeze = 5.0 if len(chain.arms) < 3 else 0.0  # more than two are the readable path's
-    reference = Reference(X, 0.1 * rng.normal(size=6), rng.normal(size=6), alpha_d, squeeze)
+    reference = Reference(X, 0.1 * rng.standard_normal(6), rng.standard_normal(6), alpha_d, squeeze)
     return Measurement(q, v, wrenches, touched), reference
 
 
 def motion_of(rng, contacts):
     """Bodies displaced by some centimetres and turned by some tenths of a radian."""
     spread = np.repeat([0.05, 0.3], 3)
-    X = np.array([pin.exp6(spread * rng.normal(size=6)).homogeneous for _ in range(contacts)])
+    X = np.array([pin.exp6(spread * rng.standard_normal(6)).homogeneous for _ in range(contacts)])
     X = X.reshape(contacts, 4, 4)
-    A = rng.normal(size=(contacts, 6))
-    return Touched(X, rng.normal(size=(contacts, 6)), A)
+    A = rng.standard_normal((contacts, 6))
+    return Touched(X, rng.standard_normal((contacts, 6)), A)
 
 
 def off_their_faces(X, r, rng):
     """Vertices somewhat above or below their faces: friction acts where the face is."""
     pairs = random_faces(X, r, rng)
-    return [replace(p, point=p.point + 0.01 * rng.normal(size=3), radius=0.005) for p in pairs]
+    return [replace(p, point=p.point + 0.01 * rng.standard_normal(3), radius=0.005) for p in pairs]
 
 
 def test_signals_stay():
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    rig = rig_of("two_contact_rod")
     fast = rig.controller().with_safety(UNLIMITED)
     measurement = rig.plant().measure()
     reference = rig.references.at(0.0)
@@ -123,7 +124,7 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     joint = 0
     X = placed(0.1, 0.2, 0.3, (0.3, -0.2, 0.5))
     axis = np.array([0.3, -0.5, 0.8])
-    axis /= np.linalg.norm(axis)
+    axis = unit(axis)
     kinds = [
         pin.JointModelRX(),
         pin.JointModelPY(),
@@ -133,7 +134,7 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
         pin.JointModelRZ(),
         pin.JointModelPZ(),
     ]
-    rng = np.random.default_rng(41)
+    rng = default_rng(41)
     for i, kind in enumerate(kinds):
         joint = model.addJoint(joint, kind, X, f"joint{i}")
         model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Random())
@@ -144,12 +145,12 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     chain = osc.ClosedChain([osc.Arm.from_urdf(model, name="arm", tip="tip")], payload=body)
     for _ in range(5):
         q = rng.uniform(-1, 1, 7)
-        v = rng.normal(size=7)
+        v = rng.standard_normal(7)
         data = chain.model.createData()
         state = chain.state(q, v)
         pin.computeAllTerms(chain.model, data, q, v)
-        assert_allclose(state.M, data.M, rtol=0, atol=1e-10 * np.abs(data.M).max())
-        assert_allclose(state.h, data.nle, rtol=0, atol=1e-10 * np.abs(data.nle).max())
+        assert_allclose(state.M, data.M, rtol=0, atol=1e-10 * largest(data.M))
+        assert_allclose(state.h, data.nle, rtol=0, atol=1e-10 * largest(data.nle))
     row = chain.law_row(led=False).copy()
     require_pinocchio_agrees(chain, row)
     MODEL.view(row).joints.link[3][0] *= 1.0 + 1e-6
@@ -159,7 +160,7 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
 
 @pytest.mark.parametrize("seed", [1, 12, 14])
 def test_an_arm_that_its_grasp_leaves_idle_motions_is_in_no_singular_posture(seed):
-    case = random_case(["scara", "ur5"], ["slide", "rigid"], np.random.default_rng(seed))
+    case = random_case(["scara", "ur5"], ["slide", "rigid"], default_rng(seed))
     chain = osc.ClosedChain(case.chain.arms, case.chain.grasps, case.chain.payload)
     controller = osc.Controller(chain, [], posture=case.q)
     measurement = Measurement(case.q, np.zeros(chain.nq), np.zeros((2, 6)))

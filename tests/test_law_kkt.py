@@ -30,9 +30,11 @@ import numpy as np
 import pinocchio as pin
 from grasp_rigs import BODY, KINDS, Case, random_case
 from kkt_oracle import BODIES, PAIRS, PLAIN, Answer, Contact, State, Touched, touch
+from numpy.linalg import lstsq, solve, svd
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import mark, param
-from rigs import random_state, scara_pair
+from rigs import UNLIMITED, largest, random_state, scara_pair
 from test_decoupling import strong
 from test_linkage import bars_of
 
@@ -55,7 +57,7 @@ LEAST_APART = 0.03
 FASTEST = 5.0
 SLOWEST = 0.02  # m/s, rad/s; of what slides
 ROUGH = {"bead_on_a_wire", "point_on_a_saddle"}  # gap functions
-COLUMNS = {name: make(np.random.default_rng(0), PLAIN)[2] for name, make in PAIRS.items()}
+COLUMNS = {name: make(default_rng(0), PLAIN)[2] for name, make in PAIRS.items()}
 
 
 # Arms ---------------------------------------------------------------------------------------------
@@ -205,7 +207,7 @@ class Tick:
 
 def tick(state, contacts, i, rng):
     """A controller's first tick at a state that any torques brought about; `contacts`: its own."""
-    A = rng.normal(size=(6, 6))
+    A = rng.standard_normal((6, 6))
     case = state.case
     k = len(case.chain.arms)
     rigid = all(grasp.is_rigid for grasp in case.chain.grasps)
@@ -220,8 +222,8 @@ def tick(state, contacts, i, rng):
         bodies=[None if c.on is None else c.on.known for c in contacts],
         friction=Friction(state.mu, slip=1e-9) if state.mu else None,
         reading=("filter", "filter", None)[i // 2 % 3],
-        posture=case.q + 0.1 * rng.normal(size=case.chain.nq),
-        safety=osc.SafetySettings.motors_only(),  # random speeds are above the joints' limits
+        posture=case.q + 0.1 * rng.standard_normal(case.chain.nq),
+        safety=UNLIMITED,  # random speeds are above the joints' limits
     )
     touched = None
     if state.bodies:
@@ -230,14 +232,14 @@ def tick(state, contacts, i, rng):
         X_WE, V_E, A_E = np.split(seen, (16, 22), axis=1)
         touched = osc.interface.Touched(X_WE.reshape(-1, 4, 4), V_E, A_E)
     # six numbers an arm whatever its motors: the states that follow are the same for every rig
-    torques = np.resize(20.0 * rng.normal(size=(k, 6)), case.chain.n_a)
+    torques = np.resize(20.0 * rng.standard_normal((k, 6)), case.chain.n_a)
     truth = state.answer(torques)
     measured = osc.Measurement(case.q, state.v, state.readings(truth), touched)
     squeeze = rng.uniform(0.0, 5.0, k * (k - 1) // 2) * rigid
     reference = osc.Reference(
-        case.X_WO * pin.exp6(pin.Motion(0.02 * rng.normal(size=6))),
-        0.1 * rng.normal(size=6),
-        rng.normal(size=6) * (state.mu == 0.0),  # else friction is that of a slip to come
+        case.X_WO * pin.exp6(pin.Motion(0.02 * rng.standard_normal(6))),
+        0.1 * rng.standard_normal(6),
+        rng.standard_normal(6) * (state.mu == 0.0),  # else friction is that of a slip to come
         rng.uniform(5.0, 20.0, sum(len(c.along_object) for c in contacts)),
         squeeze if rigid and k > 2 else squeeze.sum() if k == 2 else 0.0,
     )
@@ -250,14 +252,14 @@ def ticks(rig, surroundings):
     """Ticks at random states without end, always the same ones."""
     names = [*RIGS, *SURROUNDINGS]
     where = SURROUNDINGS[surroundings]
-    rng = np.random.default_rng([names.index(rig), names.index(surroundings)])
+    rng = default_rng([names.index(rig), names.index(surroundings)])
     i = 0
     while True:
         if i % 4 == 0:
             rest = State(RIGS[rig].make(rng), [])
         state = State(rest.case, some_contacts(rest, i, rng, where), where.mu, rest)
         state.move(rng)
-        if max(np.abs(state.v).max(), np.abs(state.V).max()) > FASTEST:
+        if max(largest(state.v), largest(state.V)) > FASTEST:
             continue
         if where.mu and min(np.linalg.norm(c.slip(state.V)[0]) for c in state.contacts) < SLOWEST:
             continue
@@ -268,7 +270,7 @@ def ticks(rig, surroundings):
 
 def miss(got, expected):
     """Largest error relative to the size of the vector, or to 1."""
-    return np.abs(got - expected).max(initial=0.0) / np.abs(expected).max(initial=1.0)
+    return largest(got - expected) / np.abs(expected).max(initial=1.0)
 
 
 def miss_of_geometry(t):
@@ -306,9 +308,9 @@ def forces_asked_for(t):
     if len(t.contacts) == len(t.state.contacts):
         measured = found.alpha_meas
     else:
-        measured = np.linalg.lstsq(
-            -np.vstack([c.along_object for c in t.contacts]).T, found.f_c, rcond=1e-9
-        )[0]
+        measured = lstsq(-np.vstack([c.along_object for c in t.contacts]).T, found.f_c, rcond=1e-9)[
+            0
+        ]
     return alpha_d + K_F * DT * (alpha_d - measured)
 
 
@@ -334,8 +336,8 @@ def motion_asked_for(t, a):
     metric = np.linalg.inv(t.B) if metric is None else metric()
     command = reference.A_D + K_D * (reference.V_D - state.V) + K_P * error
     if k_i := t.controller.gains.motion.integral:  # of the part of the error that contacts permit
-        mobile = np.linalg.solve(metric, state.N.T)
-        blocked = np.linalg.lstsq(state.N @ mobile, state.N @ error, rcond=1e-12)[0]
+        mobile = solve(metric, state.N.T)
+        blocked = lstsq(state.N @ mobile, state.N @ error, rcond=1e-12)[0]
         command = command + k_i * DT * (error - mobile @ blocked)
     command = state.nearest(inertia, command, state.N @ command)
     return state.nearest(metric, command, state.N @ a)
@@ -357,11 +359,11 @@ def effort_in_vain(t):
     for tip, s in zip(chain.tips, chain.slices, strict=True):
         J = pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
         if J.shape[1] > 6:
-            null = np.linalg.svd(J)[2][6:]
+            null = svd(J)[2][6:]
             idle.append(np.zeros((len(null), chain.nq)))
             idle[-1][:, s] = null
-            weighed = np.linalg.solve(data.M[s, s], J.T)
-            posture[s] = pull[s] - J.T @ np.linalg.solve(J @ weighed, weighed.T @ pull[s])
+            weighed = solve(data.M[s, s], J.T)
+            posture[s] = pull[s] - J.T @ solve(J @ weighed, weighed.T @ pull[s])
     idle = np.vstack(idle)[:, chain.actuated]
     posture = posture[chain.actuated]
     points = [data.oMf[tip].translation for tip in chain.tips]
@@ -376,11 +378,11 @@ def effort_in_vain(t):
     columns = []
     for i, size in enumerate(scale):
         columns.append(outcome(t.tau + size * np.eye(len(scale))[i]) - at)
-    _, sizes, Vh = np.linalg.svd(np.array(columns).T / np.abs(columns).max())
+    _, sizes, Vh = svd(np.array(columns).T / largest(columns))
     spare = Vh[np.count_nonzero(sizes > 1e-8) :]
     task = (t.tau - posture) / scale
-    assert np.abs(idle @ (t.tau - pull[chain.actuated])).max(initial=0.0) < 1e-6 * max(scale)
-    return np.abs(spare @ task).max(initial=0.0) / np.abs(task).max()
+    assert largest(idle @ (t.tau - pull[chain.actuated])) < 1e-6 * max(scale)
+    return largest(spare @ task) / largest(task)
 
 
 def same_in_a_batch(t):
@@ -495,14 +497,14 @@ def nearly_singular(rng, n, weight):
 @mark.parametrize("n", [1, 2, 3])
 def test_near_singular_postures_motion_is_given_up_and_force_is_not(n, weight):
     """Down to where rounding locks a direction, with one to six columns, an object light or not."""
-    rng = np.random.default_rng([n, int(1.0 / weight)])
+    rng = default_rng([n, int(1.0 / weight)])
     found = defaultdict(list)
     for i in range(48):
         if i % 4 == 0:
             rest = State(nearly_singular(rng, n, weight), [])
         state = State(rest.case, some_contacts(rest, i, rng, SURROUNDINGS["world"]), 0.0, rest)
         state.move(rng)
-        if max(np.abs(state.v).max(), np.abs(state.V).max()) > FASTEST:
+        if max(largest(state.v), largest(state.V)) > FASTEST:
             continue
         t = tick(state, state.contacts, i, rng)
         assert t.controller.status is osc.Status.DEGRADED, t.controller.reason
@@ -541,4 +543,4 @@ def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     assert done.returncode == 0, done.stderr[-3000:]
     found = np.load(tmp_path / "tau.npz")
     for name, want in zip(found.files, some_torques(), strict=True):
-        assert_allclose(found[name], want, rtol=0, atol=1e-12 * np.abs(want).max())
+        assert_allclose(found[name], want, rtol=0, atol=1e-12 * largest(want))

@@ -11,8 +11,10 @@ from fractions import Fraction
 
 import daqp
 import numpy as np
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark, param, raises
+from rigs import largest
 
 import osc_contact as osc
 from osc_contact.law.limits import TorqueLimits
@@ -72,9 +74,9 @@ def random_case(
     d = int(rng.integers(3, 7)) if d is None else d
     r = int(rng.integers(0, d + 1)) if r is None else r
     s = int(rng.choice([0, 1, 3])) if s is None else s
-    root = rng.normal(size=(6, 6))
-    N = rng.normal(size=(r, 6))
-    friction_wrenches = 0.3 * rng.normal(size=(r, 6)) * rng.integers(0, 2)
+    root = rng.standard_normal((6, 6))
+    N = rng.standard_normal((r, 6))
+    friction_wrenches = 0.3 * rng.standard_normal((r, 6)) * rng.integers(0, 2)
     if apart and r > 1:
         N[-1] = N[0] + apart * N[-1]
         friction_wrenches[-1] = friction_wrenches[0] + apart * friction_wrenches[-1]
@@ -92,14 +94,14 @@ def random_case(
         share = R.T @ np.linalg.inv(R @ R.T)
     share = share[len(share) - (int(rng.integers(0, len(share) + 1)) if k is None else k) :]
     tau_max = rng.uniform(5.0, 80.0, n)
-    wanted = rng.normal(size=n) * tau_max * min(1.0, np.sqrt(weak))
+    wanted = rng.standard_normal(n) * tau_max * min(1.0, np.sqrt(weak))
     tau_max *= weak
     tau_max[rng.permutation(n)[:endless]] = np.inf
     return Case(
         d,
         wanted,
         tau_max,
-        rng.normal(size=(n, 6)),
+        rng.standard_normal((n, 6)),
         np.eye(6) + root @ root.T / 6,
         N,
         N + friction_wrenches,
@@ -107,8 +109,8 @@ def random_case(
         alpha,
         share,
         np.minimum(1.0, share @ alpha),
-        rng.normal(size=(s, n)),
-        rng.normal(size=(s, 6)),
+        rng.standard_normal((s, n)),
+        rng.standard_normal((s, 6)),
     )
 
 
@@ -205,7 +207,7 @@ def exact_optimum(case, tau):
 def active_limits(H, A, starts, ends, give, sides):
     """z of min zᵀHz with starts ≤ Az ≤ ends, and how far the limits gave way."""
     n = len(H)
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     for step in range(300):
         rows = sorted(sides)
         C = A[rows]
@@ -233,11 +235,11 @@ def agree(case, tolerance):
     tau, at_limit, force, motion, squeeze, short = solve(case)
     want, *lost, there = exact_optimum(case, tau)
     assert short == there and (np.abs(tau) <= case.tau_max).all()
-    assert np.abs((tau - want) / case.scale).max() < tolerance
+    assert largest((tau - want) / case.scale) < tolerance
     near = np.abs(want) >= case.tau_max * (1.0 - 1e-9)
     assert_array_equal(at_limit, near)
     for got, exact in zip((force, motion, squeeze), lost, strict=True):
-        size = 1.0 + np.abs(exact).max(initial=0.0)
+        size = 1.0 + largest(exact)
         assert_allclose(got, exact, rtol=0, atol=tolerance * size)
     return short
 
@@ -258,7 +260,7 @@ def agree(case, tolerance):
 )
 def test_the_optimum_in_exact_fractions(how, tolerance):
     """Stationary, feasible, with multipliers of the right sign; short only where it must be."""
-    rng = np.random.default_rng(64)
+    rng = default_rng(64)
     seen = 0
     apart = how.get("apart")
     for _ in range(6):
@@ -271,7 +273,7 @@ def test_the_optimum_in_exact_fractions(how, tolerance):
 
 @mark.parametrize("endless", [0, 3])
 def test_units_of_torque_and_axes_do_not_matter(endless):
-    rng = np.random.default_rng(66)
+    rng = default_rng(66)
     for weak in (1.0, 0.05) * 20:
         case = random_case(rng, weak=weak, endless=endless)
         tau, at_limit, *_, short = solve(case)
@@ -285,7 +287,7 @@ def test_units_of_torque_and_axes_do_not_matter(endless):
         )
         turn = np.eye(6)
         m = 6 - case.d
-        turn[m:, m:] = np.linalg.qr(rng.normal(size=(case.d, case.d)))[0]
+        turn[m:, m:] = np.linalg.qr(rng.standard_normal((case.d, case.d)))[0]
         turned = replace(
             case,
             G=case.G @ turn.T,
@@ -297,11 +299,11 @@ def test_units_of_torque_and_axes_do_not_matter(endless):
         for same, factor in ((other, unit), (turned, 1.0)):
             got, there, *_, also = solve(same)
             assert also == short and (there == at_limit).all()
-            assert np.abs((got / factor - tau) / case.scale).max() < 1e-9
+            assert largest((got / factor - tau) / case.scale) < 1e-9
 
 
 def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
-    rng = np.random.default_rng(67)
+    rng = default_rng(67)
     case = random_case(rng, d=6, r=2, k=2, s=1)
     for G in (0.0 * case.G, case.G * (np.arange(8) > 3)[:, None]):
         agree_within(replace(case, G=G, E=0.0 * case.E))
@@ -318,7 +320,7 @@ def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
 
 
 def test_a_floor_above_the_command_is_the_command():
-    case = random_case(np.random.default_rng(72), d=6, r=2, k=2, s=1)
+    case = random_case(default_rng(72), d=6, r=2, k=2, s=1)
     low = replace(case, alpha=case.alpha / 100.0)
     for got, want in zip(solve(low), solve(replace(low, floor=low.share @ low.alpha)), strict=True):
         assert_array_equal(got, want)
@@ -335,7 +337,7 @@ def test_a_floor_that_another_implies_changes_nothing(monkeypatch):
         active.append(info["lam"][-1] != 0.0)
         return z + 1e-9, value, verdict, info  # to be seen, if it is not worked out once more
 
-    rng = np.random.default_rng(73)
+    rng = default_rng(73)
     for _ in range(40):
         case = random_case(rng, d=5, r=2, k=2, s=1)
         twice = replace(case, share=case.share[[0, 1, 1]], floor=case.floor[[0, 1, 1]])
@@ -343,7 +345,7 @@ def test_a_floor_that_another_implies_changes_nothing(monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(daqp, "solve", both)
             got, *_, also = solve(twice)
-        assert also == short and (short or np.abs((got - want) / case.scale).max() < 1e-11)
+        assert also == short and (short or largest((got - want) / case.scale) < 1e-11)
     assert sum(active) > 10
 
 
@@ -355,8 +357,8 @@ def agree_within(case):
 
 @mark.parametrize("verdict", [-1, 1])
 def test_what_is_not_solved_is_told(monkeypatch, verdict):
-    case = random_case(np.random.default_rng(69), d=6, r=2, k=2, s=1, weak=0.05)
-    solve(random_case(np.random.default_rng(69), d=6, r=2, k=2, s=1))
+    case = random_case(default_rng(69), d=6, r=2, k=2, s=1, weak=0.05)
+    solve(random_case(default_rng(69), d=6, r=2, k=2, s=1))
     with raises(osc.SolverError, match="motor limits"):
         MADE[8].Lambda[:] = -np.eye(6)
         MADE[8].solve(6, 2, 2, 1)
@@ -372,7 +374,7 @@ def test_what_is_not_solved_is_told(monkeypatch, verdict):
 def test_nothing_accumulates():
     limits = TorqueLimits(8, 6, 3)
     counts = (6, 2, 2, 1)
-    solve(random_case(np.random.default_rng(70), 8, *counts), limits)
+    solve(random_case(default_rng(70), 8, *counts), limits)
     for _ in range(2):
         before = sys.getallocatedblocks()
         for _ in range(2000):
@@ -383,14 +385,14 @@ def test_nothing_accumulates():
 
 def answers():
     """What both ways of running the same source are compared by, as shares of its size."""
-    rng = np.random.default_rng(71)
+    rng = default_rng(71)
     out = []
     for i in range(60):
         case = random_case(
             rng, 8 + 6 * (i % 2), weak=(1.0, 0.05)[i // 2 % 2], passive=i % 3, endless=i % 5 // 4
         )
         tau, at_limit, *lost, short = solve(case)
-        lost = [x / (1.0 + np.abs(x).max(initial=0.0)) for x in lost]
+        lost = [x / (1.0 + largest(x)) for x in lost]
         out.append([*np.concatenate((tau / case.scale, at_limit, *lost)), float(short)])
     return out
 

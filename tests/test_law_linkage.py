@@ -6,8 +6,10 @@ import numpy as np
 import pinocchio as pin
 from grasp_rigs import KINDS, random_case
 from law_calls import bars
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import mark
+from rigs import largest
 from test_grasps import in_millimetres
 from test_linkage import settable_bars as by_svd
 
@@ -80,7 +82,7 @@ def answer(what):
 
 def assert_same(got, want, levers_to=1e-10, basis_to=1e-9):
     """The same levers, and bases that span the same."""
-    size = np.abs(want[0]).max()
+    size = largest(want[0])
     assert_allclose(got[0], want[0], rtol=0, atol=levers_to * size)
     assert got[1].shape == want[1].shape
     assert_allclose(got[1] @ got[1].T, want[1] @ want[1].T, rtol=0, atol=basis_to)
@@ -108,7 +110,7 @@ def moved_points(points, how, rng):
         size = rng.choice([0.0, 10 ** rng.uniform(-5, -1)])
         points[:, 2] = points[0, 2] + size * rng.uniform(-1, 1, len(points))
     elif how == "line":
-        points = points[0] + np.outer(rng.uniform(-1, 1, len(points)), rng.normal(size=3))
+        points = points[0] + np.outer(rng.uniform(-1, 1, len(points)), rng.standard_normal(3))
     elif how == "same":
         points[1] = points[0]
     return points
@@ -149,7 +151,7 @@ def draw(how, rng):
     ],
 )
 def test_it_decides_as_singular_values_do(how, least, most):
-    rng = np.random.default_rng(80)
+    rng = default_rng(80)
     fewer = 0
     for _ in range(25):
         case, state = draw(how, rng)
@@ -161,7 +163,7 @@ def test_it_decides_as_singular_values_do(how, least, most):
 
 
 def test_eight_arms_of_seven_joints():
-    rng = np.random.default_rng(81)
+    rng = default_rng(81)
     for kinds in (["rigid"] * 8, ["rigid", *["cylinder"] * 7]):
         case = random_case(["panda"] * 8, kinds, rng)
         state = at_rest(case)
@@ -180,16 +182,16 @@ def elsewhere(case, X):
 @mark.parametrize("how", ["rigid", "grasps", "slides", "structure", "near singular"])
 def test_world_units_and_names_of_motions_do_not_matter(how):
     """Also the basis of the object's motions that G is written in."""
-    rng = np.random.default_rng(83)
+    rng = default_rng(83)
     for _ in range(8):
         case, state = draw(how, rng)
         what = given(state, case.chain)
         want = answer(what)
-        X = pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(-2, 2, 3))
+        X = pin.SE3(pin.exp3(rng.standard_normal(3)), rng.uniform(-2, 2, 3))
         other = elsewhere(case, X)
         assert_same(answer(given(at_rest(other), other.chain)), want, basis_to=1e-8)
         mixed = list(what)
-        mixed[6] = what[6] @ (np.eye(state.d) + 0.3 * rng.normal(size=(state.d, state.d)))
+        mixed[6] = what[6] @ (np.eye(state.d) + 0.3 * rng.standard_normal((state.d, state.d)))
         assert_same(answer(tuple(mixed)), want)
         chain, q, X_WO = in_millimetres(case)
         sliding = np.abs(q - case.q) > 0.0

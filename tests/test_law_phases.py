@@ -7,14 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from law_calls import phases as law
 from law_calls import tick_of
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
+from rigs import largest
 
-from osc_contact.law.phases import (
-    APPROACHING,
-    CLOSED,
-    OPEN,
-)
+from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
 from osc_contact.law.records import Rows, new_model, views
 from osc_contact.scenarios.control_schema import ForceGains, MonitorLimits, PhaseSettings
 
@@ -238,7 +236,7 @@ def test_the_inertia_of_a_flying_object_is_not_taken_for_contact():
         phases.end([a], [v], np.eye(1) / mass, independent=True)
         found.append(phases.columns[0].net)
     found = np.array(found)
-    assert np.abs(found[60:300]).max() < 1e-3 * mass * 3.0 + 0.01
+    assert largest(found[60:300]) < 1e-3 * mass * 3.0 + 0.01
     assert found[-1] == approx(8.0, rel=1e-4)
 
 
@@ -330,8 +328,8 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_torques_go_straight_and_not_too_far(seed):
-    rng = np.random.default_rng(seed)
-    tau, last = rng.normal(size=(2, 8)) * 10
+    rng = default_rng(seed)
+    tau, last = rng.standard_normal((2, 8)) * 10
     step = rng.uniform(0.1, 5, 8)
     out = tau.copy()
     law.slew(out, last, step, len(out))
@@ -387,11 +385,11 @@ def test_more_columns_than_there_is_room_for_start_without_integrals(count):
 
 
 def test_mobility_rows_may_come_in_any_order_and_a_singular_one_counts_for_nothing():
-    rng = np.random.default_rng(3)
-    D = rng.normal(size=(3, 3))
-    alpha = rng.normal(size=3)
+    rng = default_rng(3)
+    D = rng.standard_normal((3, 3))
+    alpha = rng.standard_normal(3)
     turned = np.array([2, 0, 1])
-    speeds = rng.normal(size=(5, 3))
+    speeds = rng.standard_normal((5, 3))
     straight, mixed, singular = (
         Phases(np.arange(3), [True] * 3, phase=[CLOSED] * 3) for _ in "abc"
     )
@@ -399,7 +397,7 @@ def test_mobility_rows_may_come_in_any_order_and_a_singular_one_counts_for_nothi
         straight.end(alpha, speed, D, True)
         mixed.end(alpha, speed, D[np.ix_(turned, turned)], True, turned)
         singular.end(alpha, speed, np.ones((3, 3)), True)
-    assert np.abs(straight.columns.net - alpha).max() > 0.1
+    assert largest(straight.columns.net - alpha) > 0.1
     assert_allclose(mixed.columns.net, straight.columns.net, rtol=0, atol=1e-9)
     assert_allclose(singular.columns.net, alpha, rtol=0, atol=1e-12)
 
@@ -458,13 +456,13 @@ def random_ticks(rng, n, ticks):
                 k = end
         if rng.random() < 0.5:  # all alike: contacts with several columns are made as one
             values[:] = values[:, :1]
-    out[1:] += np.array([0.05, 3e-4])[:, None, None] * rng.normal(size=(2, ticks, n))
+    out[1:] += np.array([0.05, 3e-4])[:, None, None] * rng.standard_normal((2, ticks, n))
     return out
 
 
 def run_story(seed, ticks=400):
     """A random story; returns the transitions that happened."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     owners, pushing, k, dt = random_contacts(rng)
     n = len(owners)
     closed = rng.random() < 0.5
@@ -486,13 +484,13 @@ def run_story(seed, ticks=400):
         if held:
             continue
         count = np.count_nonzero(here)
-        A = rng.normal(size=(count, count))
-        D = 0.3 * A @ A.T + np.eye(count) + 0.2 * rng.normal(size=(count, count))
+        A = rng.standard_normal((count, count))
+        D = 0.3 * A @ A.T + np.eye(count) + 0.2 * rng.standard_normal((count, count))
         independent = rng.random() < 0.95 or count < 2
         phases.end(alpha * here, speed * here, D, independent, limited=rng.random() < 0.05)
         rank = rng.integers(0, 7) if rng.random() < 0.05 else count
         phases.memory.force_rank = rank
-        phases.memory.force_sum[:rank] = rng.normal(size=rank)
+        phases.memory.force_sum[:rank] = rng.standard_normal(rank)
     return happened
 
 
@@ -510,7 +508,7 @@ def test_random_stories_make_every_transition_but_from_open_to_closed():
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_one_magnitude_is_judged_by_its_rules(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     limits = random_contacts(rng)[2]
     if rng.random() < 0.2:
         limits = limits.replaced(patience=0.0, leaving=1e-12)
@@ -536,7 +534,7 @@ def test_one_magnitude_is_judged_by_its_rules(seed):
 @given(st.integers(0, 2**32 - 1))
 def test_measurements_are_low_passed_and_freed_of_inertia(seed):
     """α − D⁻¹ d(NᵀV)/dt, each by the same low-pass of first order; pulls count as noise."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     n = rng.integers(1, 7)
     lag = rng.choice([1e-9, 1e-3, 1e-2])
     phases = Phases(np.arange(n), [True] * n, PhaseSettings(lag=lag))
@@ -546,10 +544,10 @@ def test_measurements_are_low_passed_and_freed_of_inertia(seed):
     for _ in range(60):
         phases.contacts.active = rng.random(n) < 0.8
         here = phases.here
-        alpha, speed = here * rng.normal(size=(2, n)) * np.array([[9.0], [0.02]])
+        alpha, speed = here * rng.standard_normal((2, n)) * np.array([[9.0], [0.02]])
         count = np.count_nonzero(here)
         inertia = np.zeros((n, n))
-        D = rng.normal(size=(count, count)) * 0.2 + np.eye(count)
+        D = rng.standard_normal((count, count)) * 0.2 + np.eye(count)
         if independent := rng.random() < 0.8:
             inertia[np.ix_(here, here)] = np.linalg.inv(D)
         force = np.where(known, force + share * (alpha - force), alpha)

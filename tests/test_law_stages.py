@@ -23,9 +23,10 @@ from law_calls import (
     write,
 )
 from law_calls import command_filter as command
+from numpy.linalg import cholesky, qr
 from numpy.testing import assert_array_equal
 from pytest import mark
-from rigs import random_faces, random_state, scara_pair
+from rigs import random_faces, random_state, scara_pair, shift
 from test_law import UNLIMITED, inputs, motion_of
 from test_law_parts import SEEDS, close, pose, rng_of, turn
 
@@ -108,15 +109,15 @@ class Stop:
         self.joints = t.work.joints
         for name in ("h", "acceleration", "column"):
             field = getattr(self.joints, name)
-            field[:] = rng.normal(size=field.shape)
-        self.joints.M[:, :2] = rng.normal(size=(4, 2))
+            field[:] = rng.standard_normal(field.shape)
+        self.joints.M[:, :2] = rng.standard_normal((4, 2))
         self.joints.R[3] = self.tip.rotation
         self.joints.p[3] = self.tip.translation
         self.table = t.model.joints
         self.table.motor[:] = motors
         self.table.tau_max[:] = inf
         write(t.memory, X_WO=pose(rng).homogeneous)
-        write(t.work, y=rng.normal(size=6), u=rng.normal(size=6))
+        write(t.work, y=rng.standard_normal(6), u=rng.standard_normal(6))
         t.work.A[:3, :3] = turn(rng)
 
     def pull(self, mass):
@@ -172,7 +173,7 @@ def test_each_arm_carries_its_share_of_the_weight(how):
     close(work.u[:3], X.translation, atol=1e-12)
     close(work.A[:3, :3], X.rotation, atol=1e-12)
     weight = pin.Force(-2.0 * stop.t.model.gravity, np.zeros(3))
-    close(work.y, pin.SE3(np.eye(3), X.translation).act(weight).vector, atol=1e-11)
+    close(work.y, shift(X.translation).act(weight).vector, atol=1e-11)
 
 
 # --- singular postures ----------------------------------------------------------------------------
@@ -181,7 +182,7 @@ def test_each_arm_carries_its_share_of_the_weight(how):
 @SEEDS
 def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_large(seed):
     rng = rng_of(seed)
-    root = rng.normal(size=(6, 6))
+    root = rng.standard_normal((6, 6))
     reference = 10.0 ** rng.uniform(-2.0, 1.0, 6)
     Lambda = root @ root.T
     beside = np.sqrt((Lambda**2 / np.outer(reference, reference)).sum())
@@ -201,15 +202,15 @@ def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
     small = operational._unit_row
     for k in range(n):
         X = np.zeros((n + 1, n + 2))
-        X[:k, :k] = np.linalg.qr(rng.normal(size=(k, k)))[0]
+        X[:k, :k] = qr(rng.standard_normal((k, k)))[0]
         if k == n - 1 and n > 2:
-            X[:k, :n] = np.linalg.qr(rng.normal(size=(n, n)))[0][:k]
-        X[k] = chi * rng.normal(size=n + 2)
+            X[:k, :n] = qr(rng.standard_normal((n, n)))[0][:k]
+        X[k] = chi * rng.standard_normal(n + 2)
         behind = X[k, n:].copy()
         small(X, k, n, chi)
         close(X[: k + 1, :n] @ X[: k + 1, :n].T, np.eye(k + 1), atol=1e-12)
         assert_array_equal(X[k, n:], behind)
-    X = rng.normal(size=(3, 7))
+    X = rng.standard_normal((3, 7))
     want = X[1, :5] / 0.3
     small(X, 1, 5, 0.3)
     close(X[1, :5], want, rtol=1e-12)
@@ -222,10 +223,10 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     rng = rng_of(seed)
     n = 3
     lo = 2
-    root = rng.normal(size=(n, n))
-    M, h, tau, rest = root @ root.T, *rng.normal(size=(3, n))
-    q, v, posture = rng.normal(size=(3, lo + n))
-    modes = np.linalg.inv(np.linalg.cholesky(M)).T[:, :2].T
+    root = rng.standard_normal((n, n))
+    M, h, tau, rest = root @ root.T, *rng.standard_normal((3, n))
+    q, v, posture = rng.standard_normal((3, lo + n))
+    modes = np.linalg.inv(cholesky(M)).T[:, :2].T
     t = records(joints=lo + n, posture_stiffness=3.0, retreat_damping=7.0)
     t.model.joints.posture[:] = posture
     t.input.q[:] = q
@@ -298,16 +299,16 @@ def judged(N, Lambda, held, m=0):
 @mark.parametrize("held", [0, 1])
 def test_columns_on_which_the_arms_can_push(held):
     rng = rng_of(held)
-    root = rng.normal(size=(6, 6))
+    root = rng.standard_normal((6, 6))
     Lambda = root @ root.T + np.eye(6)
     assert judged(np.zeros((0, 6)), Lambda, held)[0] == reasons.NO_REASON
     for m in (0, 2, 5):
-        N = rng.normal(size=(min(3, 6 - m), 6))
+        N = rng.standard_normal((min(3, 6 - m), 6))
         reason, work, t = judged(N, Lambda, held, m)
         assert (reason, command._judge_reach(t)) == (reasons.NO_REASON, reasons.NO_REASON)
-        L = np.linalg.cholesky((Lambda + held * np.eye(6))[m:, m:])
+        L = cholesky((Lambda + held * np.eye(6))[m:, m:])
         seen = np.linalg.solve(L, N[:, m:].T)
-        pivots = np.abs(np.diag(np.linalg.qr(seen)[1]))
+        pivots = np.abs(np.diag(qr(seen)[1]))
         close(work.amount, min(pivots / np.linalg.norm(seen, axis=0)), rtol=1e-7)
         for a in range(len(N) if m else 0):
             hidden = N.copy()

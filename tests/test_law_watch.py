@@ -10,6 +10,7 @@ from types import SimpleNamespace as Record
 import numpy as np
 import pinocchio as pin
 from law_calls import reasons, records, safety, sensors, tick_of, write
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
 
@@ -233,7 +234,7 @@ def readings():
 
 
 def test_a_rotation_is_one_but_for_a_ten_thousandth():
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
 
     def believed(R):
         t = readings()
@@ -241,7 +242,7 @@ def test_a_rotation_is_one_but_for_a_ten_thousandth():
         return sensors.check_readings(t)
 
     for _ in range(20):
-        R = pin.exp3(rng.normal(size=3))
+        R = pin.exp3(rng.standard_normal(3))
         assert believed(R) == reasons.NO_REASON
         assert believed(R @ np.diag([1, 1, -1])) == believed(-R) == NO_ROTATION
         assert believed(R[:, [1, 0, 2]]) == NO_ROTATION
@@ -298,17 +299,17 @@ class Approach:
     """Columns 3 and 1 of N are kept; the object moves with the twist V, at O."""
 
     def __init__(self, seed=0, phase=APPROACHING):
-        rng = np.random.default_rng(seed)
+        rng = default_rng(seed)
         self.t = t = records(contacts=2, columns=4, period=DT, approach_speed=0.02)
         self.memory = t.memory
         self.work = t.work
         self.kept = t.memory.columns
         write(t.memory, compared=1, X_WO=np.eye(4))
-        write(t.work, rank=2, keep=[0.0, 2.0], V_N=0.01 * rng.normal(size=2))
+        write(t.work, rank=2, keep=[0.0, 2.0], V_N=0.01 * rng.standard_normal(2))
         t.model.columns.contact[:] = [0, 0, 1, 1]
         t.memory.contacts.phase[:] = phase
         t.work.columns.chosen[:] = [3, 1, 1, 0]
-        t.work.columns.N[:] = rng.normal(size=(4, 6))
+        t.work.columns.N[:] = rng.standard_normal((4, 6))
         self.kept.known[:] = 1
 
     def true(self, V):
@@ -329,8 +330,8 @@ class Approach:
 def test_an_approach_believes_positions_where_speeds_read_too_little():
     for seed in range(4):
         approach = Approach(seed)
-        rng = np.random.default_rng(seed)
-        V = 0.05 * rng.normal(size=6)
+        rng = default_rng(seed)
+        V = 0.05 * rng.standard_normal(6)
         true = np.array(approach.true(V))
         for _ in range(300):
             believed = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s

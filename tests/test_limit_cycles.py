@@ -1,6 +1,7 @@
 """Limit cycles: oscillations of a force that last and that nobody commanded, and what is none."""
 
 import numpy as np
+from numpy.random import default_rng
 from pytest import approx, mark
 
 import osc_contact as osc
@@ -8,7 +9,7 @@ from osc_contact.runs.limit_cycles import find_cycle, worst_cycles
 
 DT = 1e-3
 T = np.arange(4000) * DT
-RNG = np.random.default_rng(1)
+RNG = default_rng(1)
 
 
 def sine(frequency, amplitude=1.0):
@@ -26,7 +27,7 @@ def square(frequency):
 
 
 def band_noise(low, high):
-    spectrum = np.fft.rfft(RNG.normal(size=len(T)))
+    spectrum = np.fft.rfft(RNG.standard_normal(len(T)))
     f = np.fft.rfftfreq(len(T), DT)
     return np.fft.irfft(np.where((f > low) & (f < high), spectrum, 0.0), len(T))
 
@@ -37,12 +38,12 @@ CYCLES = {
     "growing": np.exp(0.5 * T) * sine(7.0),
     "grown to its bound": np.minimum(np.exp(2.0 * (T - 1.0)), 1.0) * sine(12.0),
     "cut off where the contact opens": np.maximum(sine(9.0, 12.0), -10.0),
-    "under noise": sine(9.0) + 0.3 * RNG.normal(size=len(T)),
+    "under noise": sine(9.0) + 0.3 * RNG.standard_normal(len(T)),
     "drifting with the posture": np.sin(2 * np.pi * (9.0 * T + 0.15 * T**2)),
     "beside an error that follows the command": sine(9.0) + 2.0 * sine(0.5),
 }
 OTHERS = {
-    "noise": RNG.normal(size=len(T)),
+    "noise": RNG.standard_normal(len(T)),
     "noise through a narrow filter": band_noise(8.0, 12.0),
     "one that rings down": np.exp(-2.0 * T) * sine(8.0),
     "struck at every reversal of 0.5 Hz": rings(1.0),

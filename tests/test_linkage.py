@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from grasp_rigs import random_case
+from numpy.linalg import lstsq, norm, pinv, svd
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture, mark
-from rigs import contact_of, random_faces
+from rigs import contact_of, largest, random_faces, rig_of, unit
 from test_decoupling import structured
 from test_grasps import forces, moving
 
@@ -24,7 +26,7 @@ def bars_of(points):
     for i in range(k):
         for j in range(i + 1, k):
             f = np.zeros((k, 3))
-            f[i] = (points[j] - points[i]) / np.linalg.norm(points[j] - points[i])
+            f[i] = unit(points[j] - points[i])
             f[j] = -f[i]
             columns.append(f.ravel())
     return np.array(columns).T
@@ -43,7 +45,7 @@ def cut(case, v, tau, qdd):
         f = model.getFrameId(f"{arm.name}/{arm.tip}")
         J = pin.getFrameJacobian(model, data, f, LWA)[:, s]
         J = J[:3] if kind == "ball" else J
-        wrench, *_ = np.linalg.lstsq(J.T, balance[s], rcond=1e-10)
+        wrench, *_ = lstsq(J.T, balance[s], rcond=1e-10)
         assert_allclose(J.T @ wrench, balance[s], atol=1e-6)
         out.append(wrench[:3])
         points.append(data.oMf[f].translation.copy())
@@ -52,7 +54,7 @@ def cut(case, v, tau, qdd):
 
 def spans(A, tolerance, size=None):
     """Orthonormal columns: what A (m, n) spans, and what it takes to zero; `size` of its values."""
-    U, s, Vh = np.linalg.svd(A)
+    U, s, Vh = svd(A)
     rank = np.count_nonzero(s > tolerance * (s.max(initial=0.0) if size is None else size))
     return U[:, :rank], Vh[rank:].T
 
@@ -66,7 +68,7 @@ def settable_bars(state, chain):
     root = np.sqrt(chain.reference.inertia.mass)
     with np.errstate(invalid="ignore"):
         E = np.nan_to_num(bars_of(state.grasp_points))  # no bar between grasps in one place
-    share = np.split(np.linalg.pinv(E, rcond=tolerance), len(chain.arms), axis=1)
+    share = np.split(pinv(E, rcond=tolerance), len(chain.arms), axis=1)
     levers = np.hstack(
         [own @ arm.J_bar[:, :3].T for own, arm in zip(share, state.arms, strict=True)]
     )
@@ -78,7 +80,7 @@ def settable_bars(state, chain):
     known = np.isfinite(chain.tau_max)
     effort = np.where(known, chain.tau_max, chain.tau_max[known].max(initial=0.0) or 1.0)
     quiet = spans(state.G * effort, 1e-9)[1]
-    U, size, Vh = np.linalg.svd(basis.T @ (levers[:, chain.actuated] * effort), full_matrices=False)
+    U, size, Vh = svd(basis.T @ (levers[:, chain.actuated] * effort), full_matrices=False)
     some = size > 1e-9 * size.max(initial=0.0)
     # by the angle to null(G): an arm near a singular posture makes some forces all too easily
     apart = spans(Vh[some] @ quiet, tolerance, 1.0)[0]
@@ -108,12 +110,12 @@ def cases(rng, count, arms, kinds):
 
 def answers(case, state, contact, v, V, commands, rng):
     """For each squeeze command: forces at the tips, points, acceleration, contact forces."""
-    posture = case.q + 0.1 * rng.normal(size=case.chain.nq)
-    eta = rng.normal(size=state.d)
+    posture = case.q + 0.1 * rng.standard_normal(case.chain.nq)
+    eta = rng.standard_normal(state.d)
     lever = state.S.T @ contact.N
-    eta -= np.linalg.pinv(lever.T) @ (lever.T @ eta)
+    eta -= pinv(lever.T) @ (lever.T @ eta)
     want = contact.n_gamma - contact.N.T @ state.sigma
-    eta += np.linalg.pinv(lever.T) @ want
+    eta += pinv(lever.T) @ want
     alpha = rng.uniform(5, 20, contact.r)
     f_S = state.Lambda_S @ eta + state.b_S + lever @ alpha
     for command in commands:
@@ -126,44 +128,44 @@ def answers(case, state, contact, v, V, commands, rng):
 @mark.parametrize("arms", [3, 4])
 def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms):
     """The forces cut at the grasps, projected on the bars; then the motion-inducing rest."""
-    rng = np.random.default_rng(70)
+    rng = default_rng(70)
     count = arms * (arms - 1) // 2
     for case, *state in cases(rng, 4, arms, ["rigid", "rigid", "ball"]):
-        one, two = rng.normal(size=(2, count)) * 20.0
+        one, two = rng.standard_normal((2, count)) * 20.0
         commands = (one, two, 7.5, 0.0)
         seen = list(answers(case, *state, commands, rng))
         points = seen[0][1]
         E = bars_of(points)
         for command, (f, *_) in zip(commands[:3], seen, strict=False):
-            t = np.linalg.lstsq(E, f.ravel(), rcond=1e-12)[0]
+            t = lstsq(E, f.ravel(), rcond=1e-12)[0]
             assert_allclose(t, command * np.ones(count), atol=1e-7 * 20.0)
         for f, _, a, alpha in seen[1:]:
-            size = np.abs(seen[0][2]).max()
+            size = largest(seen[0][2])
             assert_allclose(a, seen[0][2], atol=1e-9 * max(size, 1.0))
-            assert_allclose(alpha, seen[0][3], atol=1e-9 * np.abs(alpha).max())
+            assert_allclose(alpha, seen[0][3], atol=1e-9 * largest(alpha))
             change = f - seen[0][0]
             assert_allclose(change.sum(axis=0), 0.0, atol=1e-7)
 
 
 def test_dependent_bars_share_and_the_object_does_not_notice():
     """Five arms: ten bars, nine independent; what comes is the nearest to what was wanted."""
-    rng = np.random.default_rng(72)
+    rng = default_rng(72)
     for case, *state in cases(rng, 2, 5, ["rigid", "ball"]):
-        wanted = rng.normal(size=10) * 20.0
+        wanted = rng.standard_normal(10) * 20.0
         one, other = answers(case, *state, (wanted, 0.0), rng)
         (f, points, a, alpha) = one
         (_, _, b, beta) = other
         E = bars_of(points)
-        assert_allclose(np.linalg.pinv(E) @ f.ravel(), np.linalg.pinv(E) @ (E @ wanted), atol=1e-6)
-        assert_allclose(a, b, atol=1e-9 * max(np.abs(a).max(), 1.0))
-        assert_allclose(alpha, beta, atol=1e-9 * np.abs(beta).max())
+        assert_allclose(pinv(E) @ f.ravel(), pinv(E) @ (E @ wanted), atol=1e-6)
+        assert_allclose(a, b, atol=1e-9 * max(largest(a), 1.0))
+        assert_allclose(alpha, beta, atol=1e-9 * largest(beta))
 
 
 @fixture(scope="module")
 def plate():
     """With gains for one mass."""
     gains = "gains={force: {integral: 10, damping: 3000}}"
-    return osc.build_rig(osc.load_scenario("three_arm_plate", [gains]))
+    return rig_of("three_arm_plate", gains)
 
 
 def test_commands_by_number_and_by_bar(plate):
@@ -176,13 +178,13 @@ def test_commands_by_number_and_by_bar(plate):
         got = fast.tick(measurement, wanted)
         assert fast.status is osc.Status.OK, fast.reason
         if np.ndim(squeeze) == 0 and squeeze == 0.0:
-            least = np.linalg.norm(got / plate.chain.tau_max)
-        assert np.linalg.norm(got / plate.chain.tau_max) >= least
+            least = norm(got / plate.chain.tau_max)
+        assert norm(got / plate.chain.tau_max) >= least
         found = fast.result().squeeze
         assert_allclose(found, squeeze * np.ones(3), atol=1e-8, rtol=0)
     by_bar = osc.pose_reference([0, 0, 0], squeeze_d=np.array([5.0, -3.0, 8.0])).squeeze_d
     assert_array_equal(by_bar, [5.0, -3.0, 8.0])
-    pair = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    pair = rig_of("two_contact_rod")
     two = pair.controller()
     wanted = replace(pair.references.at(0.0), squeeze_d=np.array([5.0, 5.0]))
     two.tick(pair.plant().measure(), wanted)
@@ -205,7 +207,7 @@ def test_motor_limits_take_it_first(plate):
     assert (np.abs(tau) <= plate.chain.tau_max).all()
     lost = controller.given_up
     assert lost.squeeze.shape == (3,) and lost.squeeze[0] > 1000.0
-    assert np.abs(lost.acceleration).max() < 0.1 and np.abs(lost.force).max() < 1.0
+    assert largest(lost.acceleration) < 0.1 and largest(lost.force) < 1.0
     assert_allclose(controller.result().squeeze, squeeze - lost.squeeze, rtol=1e-9)
 
 

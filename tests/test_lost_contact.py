@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from pytest import mark
+from rigs import rig_of
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -36,7 +37,7 @@ def pull_away(name, by):
         The controller, joint speeds as shares of their limits, share of ticks that some contact was
         known to be lost.
     """
-    rig = osc.build_rig(osc.load_scenario(name))
+    rig = rig_of(name)
     plant, controller = start(rig, 0)
     robot = rig.robot(plant, controller)
     judge = plant
@@ -87,7 +88,7 @@ def test_a_face_that_is_near_is_found_again(name):
 
 
 def test_a_contact_that_is_not_found_again_stops_the_arms_until_a_reset():
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    rig = rig_of("two_contact_rod")
     plant, controller = start(rig, 0)
     rows = controller._records
     for k in range(30):

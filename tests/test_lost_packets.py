@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.testing import assert_allclose
 from pytest import mark
+from rigs import largest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -104,8 +105,8 @@ def test_arms_whose_wrist_is_frozen_are_held_where_they_are():
         where[run.k] = run.plant.measure().q
     assert run.controller.state is SAFE_STOP
     assert "reads the very same" in run.controller.reason
-    assert np.abs(where[2100] - where[1100]).max() < 5e-3, "held, while the load settles"
-    assert np.abs(where[2100] - where[1900]).max() < 2e-4, "and not creeping"
+    assert largest(where[2100] - where[1100]) < 5e-3, "held, while the load settles"
+    assert largest(where[2100] - where[1900]) < 2e-4, "and not creeping"
 
 
 def test_speeds_estimated_from_encoders_are_no_second_reading_of_them():

@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture, mark
+from rigs import rig_of
 
 import osc_contact as osc
 from benchmarks.cases import CASES
@@ -89,8 +91,8 @@ def stuck(m, k):
 
 def noisy(m, k):
     """A scale error of 4 %, noise of 0.1 mrad (mm) and 20 mrad/s."""
-    rng = np.random.default_rng(k)
-    noise = rng.normal(size=(2, len(m.q)))
+    rng = default_rng(k)
+    noise = rng.standard_normal((2, len(m.q)))
     return replace(m, q=m.q + 1e-4 * noise[0], v=1.04 * m.v + 0.02 * noise[1])
 
 
@@ -231,7 +233,7 @@ def test_one_bad_encoder_sample_does_not_blind_the_velocity_estimate():
 
 @mark.parametrize("bad", [NAN, 1e6, 0.5])
 def test_an_observed_arm_runs_on_after_one_bad_encoder_sample(bad):
-    rig = osc.build_rig(osc.load_scenario("workcell"))
+    rig = rig_of("workcell")
     observer = rig.observer()
     plant = rig.plant(0)
     m = plant.measure()

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 from numpy.testing import assert_array_equal
 from pytest import fixture, mark, raises
+from rigs import rig_of, shift
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -23,7 +23,7 @@ KINDS = {
 
 @fixture(scope="module")
 def rig():
-    return osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
+    return rig_of("two_contact_rod", "plant.type=rigid")
 
 
 def of_kind(kind, measurement, reference):
@@ -104,7 +104,7 @@ def test_a_list_of_wrong_length_is_still_refused(rig):
 
 
 def test_a_plain_number_is_the_force_of_the_only_contact():
-    rig = osc.build_rig(osc.load_scenario("panda_edge"))
+    rig = rig_of("panda_edge")
     measurement = rig.plant().measure()
     at = rig.references.at(0.0)
     assert at.alpha_d.shape == (1,)
@@ -120,7 +120,7 @@ def test_a_plain_number_is_the_force_of_the_only_contact():
 
 
 def test_the_gap_of_gap_functions_may_be_a_plain_number():
-    X = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.02]))
+    X = shift([0.0, 0.0, 0.02])
     V = np.zeros(6)
     many = osc.GapFunctions(lambda X: X.translation[2:]).contact(X, V)
     one = osc.GapFunctions(lambda X: X.translation[2]).contact(X, V)

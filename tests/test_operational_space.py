@@ -5,9 +5,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pinocchio as pin
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture, mark, raises
-from rigs import PANDA_Q, panda_arm, placed, scara_pair
+from rigs import PANDA_Q, largest, panda_arm, placed, refused, scara_pair
 
 import osc_contact as osc
 from osc_contact import robots
@@ -24,11 +25,7 @@ def ur5():
     return osc.Arm.from_urdf(urdf, name="a", tip="tool0", base=BASE, armature=0.1)
 
 
-ARMS = {
-    "panda": lambda: panda_arm("a", BASE),
-    "ur5": ur5,
-    "scara": lambda: scara_pair().arms[0],
-}
+ARMS = {"panda": lambda: panda_arm("a", BASE), "ur5": ur5, "scara": lambda: scara_pair().arms[0]}
 
 
 @fixture(scope="module", params=ARMS)
@@ -86,10 +83,10 @@ def textbook(arm, q, v):
 
 def states(arm, count, seed=30):
     """Random ones, every second near the stretched posture: as near as 1e-5 rad."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     for k in range(count):
         size = 10.0 ** rng.uniform(-5.0, 0.0) if k % 2 else 1.0
-        yield size * rng.uniform(-2.5, 2.5, arm.model.nq), rng.normal(size=arm.model.nv)
+        yield size * rng.uniform(-2.5, 2.5, arm.model.nq), rng.standard_normal(arm.model.nv)
 
 
 def test_they_are_the_textbooks_on_500_states(arm):
@@ -100,17 +97,17 @@ def test_they_are_the_textbooks_on_500_states(arm):
         rank = rank_of(chi)
         for name, x in want.items():  # J knows χ to 1e-16
             x = x.astype(float)
-            atol = max(1e-10, 1e-14 / chi[-1]) * np.abs(x).max()
+            atol = max(1e-10, 1e-14 / chi[-1]) * largest(x)
             assert_allclose(getattr(got, name), x, rtol=0, atol=atol, err_msg=name)
         if rank_of(chi, 0.9) == rank_of(chi, 1.1):
             assert got.rank == rank
         if "Lambda" in want:
             least = min(least, chi[-1])
-        a = np.random.default_rng(1).normal(size=arm.model.nv)
+        a = default_rng(1).standard_normal(arm.model.nv)
         F = got.Lambda @ (got.J @ a + got.drift) + got.mu + got.p
         if got.rank == 6:
             wrench = got.J_bar.T @ (M @ a + got.h)
-            atol = max(1e-9, 1e-15 / chi[-1] ** 2) * np.abs(wrench).max()
+            atol = max(1e-9, 1e-15 / chi[-1] ** 2) * largest(wrench)
             assert_allclose(F, wrench, rtol=0, atol=atol)
         elif got.rank == arm.model.nv:  # the structure carries the rest of F
             assert_allclose(got.J.T @ F, M @ a + got.h, rtol=0, atol=1e-6)
@@ -118,7 +115,7 @@ def test_they_are_the_textbooks_on_500_states(arm):
             half = R_S @ inverse(got.J.T @ R_S)
             Lambda = (half @ M @ half.T).astype(float)
             # rounding of M and J, which every BLAS kernel does in another order
-            atol = max(1e-8, 3e-15 / chi[rank - 1] ** 2) * np.abs(Lambda).max()
+            atol = max(1e-8, 3e-15 / chi[rank - 1] ** 2) * largest(Lambda)
             assert_allclose(got.Lambda, Lambda, rtol=0, atol=atol)
         P = got.J @ got.J_bar
         atol = max(1e-6, 1e-12 / chi[rank - 1] ** 2)
@@ -155,13 +152,13 @@ def test_rows_threads_and_memory_given_change_nothing(arm):
 )
 def test_bad_states_are_refused(q, v, words):
     arm = panda_arm("a", BASE)
-    with raises(osc.InvalidInputError, match=words):
+    with refused(words):
         osc.operational_space(arm, q, v)
     out = osc.OperationalSpace(arm)
     other = panda_arm("b", BASE)
-    with raises(osc.InvalidInputError, match="another arm than 'b'"):
+    with refused("another arm than 'b'"):
         osc.operational_space(other, PANDA_Q, PANDA_Q, out)
-    with raises(osc.InvalidInputError, match=r"q: expected shape \(7\), got \(2, 7\)"):
+    with refused(r"q: expected shape \(7\), got \(2, 7\)"):
         osc.operational_space(arm, [PANDA_Q] * 2, [PANDA_Q] * 2, out)
     with raises(AttributeError, match="no attribute 'mass'"):
         _ = out.mass

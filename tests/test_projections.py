@@ -10,7 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import inv, matrix_rank, qr, solve
+from numpy.random import default_rng
 from pytest import mark, raises
+from rigs import largest
 
 from osc_contact import projections as P
 from osc_contact.errors import ContactError
@@ -33,18 +36,18 @@ class Case:
 
 def definite(rng, size):
     """A random positive definite matrix whose elements have the magnitudes size·sizeᵀ."""
-    X = rng.normal(size=(6, 6))
+    X = rng.standard_normal((6, 6))
     return (X @ X.T + 0.3 * np.eye(6)) * np.outer(size, size)
 
 
 def mixing(rng, n):
     """A well-conditioned change of basis."""
-    return rng.normal(size=(n, n)) + 3.0 * np.eye(n)
+    return rng.standard_normal((n, n)) + 3.0 * np.eye(n)
 
 
 def case(seed, r):
-    rng = np.random.default_rng([seed, r])
-    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    rng = default_rng([seed, r])
+    Q = qr(rng.standard_normal((6, 6)))[0]
     return Case(
         N=SIZE[:, None] * (Q[:, :r] @ mixing(rng, r)),
         T=(Q[:, r:] @ mixing(rng, 6 - r)) / SIZE[:, None],
@@ -54,13 +57,13 @@ def case(seed, r):
 
 
 def inverse(A):
-    inverted = np.linalg.inv(A)
+    inverted = inv(A)
     return 0.5 * (inverted + inverted.T)
 
 
 def part(first, second, x):
     """The component of x in range(first) when the rest lies in range(second): eqs. 1 and 2."""
-    magnitudes = np.linalg.solve(np.hstack((first, second)), x)
+    magnitudes = solve(np.hstack((first, second)), x)
     return first @ magnitudes[: first.shape[1]]
 
 
@@ -68,16 +71,16 @@ def close(got, want, tolerance=1e-10):
     """Equal relative to the larger of the two, linear and angular rows each on their own scale."""
     assert got.shape == want.shape
     for rows in (slice(0, 3), slice(3, 6)):
-        scale = max(np.abs(want[rows]).max(initial=0.0), np.abs(got[rows]).max(initial=0.0), 1e-3)
-        assert np.abs(got[rows] - want[rows]).max(initial=0.0) <= tolerance * scale
+        scale = max(largest(want[rows]), largest(got[rows]), 1e-3)
+        assert largest(got[rows] - want[rows]) <= tolerance * scale
 
 
 def same_span(X, Y):
     def rank(Z):
-        return int(np.linalg.matrix_rank(Z, rtol=1e-7)) if Z.size else 0  # NumPy 2.4.0: no 6×0
+        return int(matrix_rank(Z, rtol=1e-7)) if Z.size else 0  # NumPy 2.4.0: no 6×0
 
-    X = X / max(np.abs(X).max(initial=0.0), 1e-9)
-    Y = Y / max(np.abs(Y).max(initial=0.0), 1e-9)
+    X = X / max(largest(X), 1e-9)
+    Y = Y / max(largest(Y), 1e-9)
     return rank(X) == rank(Y) == rank(np.hstack((X, Y)))
 
 
@@ -103,11 +106,11 @@ def test_every_projection_is_the_decomposition_it_stands_for(seed, r):
 def test_any_complement_decomposes(seed, r):
     """Eqs. 3 and 4 with complements that no definite matrix need have made."""
     c = case(seed, r)
-    rng = np.random.default_rng([seed, r, 1])
-    N_prime = SIZE[:, None] * rng.normal(size=(6, 6 - r))
-    T_prime = rng.normal(size=(6, r)) / SIZE[:, None]
-    f = SIZE * rng.normal(size=6)
-    v = rng.normal(size=6) / SIZE
+    rng = default_rng([seed, r, 1])
+    N_prime = SIZE[:, None] * rng.standard_normal((6, 6 - r))
+    T_prime = rng.standard_normal((6, r)) / SIZE[:, None]
+    f = SIZE * rng.standard_normal(6)
+    v = rng.standard_normal(6) / SIZE
     close(P.Omega_f_bar_from_complement(N_prime, c.T) @ f, part(N_prime, c.N, f), 1e-9)
     close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
 
@@ -122,11 +125,11 @@ def test_identities_9_to_12(seed, r):
     w1, w2 = (P.Omega_m_bar(c.N, B) for B in c.B)
     for one, other in ((f1, f2), (m1, m2)):
         close(one @ other, other)
-        assert not 0 < r < 6 or np.abs(one - other).max() > 1e-6
+        assert not 0 < r < 6 or largest(one - other) > 1e-6
     for one, other, none in ((g1, g2, f2), (w1, w2, m2)):
         close(one @ other, one)
         assert (np.abs(one @ none) <= 1e-10 * (np.abs(one) @ np.abs(none))).all()
-        assert not 0 < r < 6 or np.abs(one @ other).max() > 1e-3
+        assert not 0 < r < 6 or largest(one @ other) > 1e-3
 
 
 @mark.parametrize("r", [1, 2, 3, 4, 5])
@@ -134,11 +137,11 @@ def test_identities_9_to_12(seed, r):
 def test_rank_five_inverse_inertia_is_enough(seed, r):
     """Dual SCARA: Φ has rank 5, Λ does not exist; the laws are the limit of definite metrics."""
     c = case(seed, r)
-    rng = np.random.default_rng([seed, r, 4])
-    root = rng.normal(size=(6, 5)) / SIZE[:, None]
+    rng = default_rng([seed, r, 4])
+    root = rng.standard_normal((6, 5)) / SIZE[:, None]
     Phi = root @ root.T
-    assert np.linalg.matrix_rank(Phi) == 5
-    f = SIZE * rng.normal(size=6)
+    assert matrix_rank(Phi) == 5
+    f = SIZE * rng.standard_normal(6)
     alpha = np.linalg.lstsq(root.T @ c.N, root.T @ f, rcond=None)[0]
     projection = P.Omega_f(c.N, Phi)
     close(projection @ f, c.N @ alpha, 1e-8)
@@ -183,9 +186,9 @@ def test_metrics_that_are_not_symmetric_or_not_definite_are_refused(size):
 @mark.parametrize("k", [2, 3, 4, 5, 6])
 @mark.parametrize("zero", [True, False])
 def test_dependent_and_zero_columns_are_refused(zero, k):
-    rng = np.random.default_rng(k)
-    columns = SIZE[:, None] * rng.normal(size=(6, k))
-    columns[:, -1] = 0.0 if zero else columns[:, :-1] @ rng.normal(size=k - 1)
+    rng = default_rng(k)
+    columns = SIZE[:, None] * rng.standard_normal((6, k))
+    columns[:, -1] = 0.0 if zero else columns[:, :-1] @ rng.standard_normal(k - 1)
     words = f"column {k - 1}" if zero else "dependent"
     for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
         with raises(ContactError, match=words):
@@ -197,14 +200,14 @@ def test_dependent_and_zero_columns_are_refused(zero, k):
 def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit, r):
     """One vector in common with the other space is enough."""
     c = case(0, r)
-    rng = np.random.default_rng([r, 6])
-    N_prime = SIZE[:, None] * rng.normal(size=(6, 6 - r))
-    T_prime = rng.normal(size=(6, r)) / SIZE[:, None]
-    f = SIZE * rng.normal(size=6)
+    rng = default_rng([r, 6])
+    N_prime = SIZE[:, None] * rng.standard_normal((6, 6 - r))
+    T_prime = rng.standard_normal((6, r)) / SIZE[:, None]
+    f = SIZE * rng.standard_normal(6)
     got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
     close(got @ f, part(N_prime, c.N, f), 1e-9)
-    N_prime[:, 0] = c.N @ rng.normal(size=r)
-    T_prime[:, 0] = c.T @ rng.normal(size=6 - r)
+    N_prime[:, 0] = c.N @ rng.standard_normal(r)
+    T_prime[:, 0] = c.T @ rng.standard_normal(6 - r)
     with raises(ContactError, match="N′ is not a complement of N"):
         P.Omega_f_bar_from_complement(unit * N_prime @ mixing(rng, 6 - r), unit * c.T)
     with raises(ContactError, match="T′ is not a complement of T"):
@@ -218,12 +221,12 @@ def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit, r):
 
 def well_mixing(rng, n):
     """A change of basis that costs hardly any digits: columns turned, then scaled."""
-    return np.linalg.qr(rng.normal(size=(n, n)))[0] * 10 ** rng.uniform(-2, 2, n)
+    return qr(rng.standard_normal((n, n)))[0] * 10 ** rng.uniform(-2, 2, n)
 
 
 def frame_change(rng):
     """Turned axes and another operational point, up to 2 m away: motions by X, forces by X*."""
-    rotation = pin.Quaternion(*(q := rng.normal(size=4)) / np.linalg.norm(q)).matrix()
+    rotation = pin.Quaternion(*(q := rng.standard_normal(4)) / np.linalg.norm(q)).matrix()
     X = pin.SE3(rotation, rng.uniform(-2.0, 2.0, size=3))
     return X.toActionMatrix(), X.toDualActionMatrix()
 
@@ -243,8 +246,8 @@ def check_change(c, X, X_f, R, Q):
 
     Forces map with X_f, motions with X; A: M⁶ → F⁶ maps as X_f A X⁻¹, B: F⁶ → M⁶ as X B X_f⁻¹.
     """
-    X_inv = np.linalg.inv(X)
-    X_f_inv = np.linalg.inv(X_f)
+    X_inv = inv(X)
+    X_f_inv = inv(X_f)
     N = X_f @ c.N @ R
     T = X @ c.T @ Q
 
@@ -256,16 +259,16 @@ def check_change(c, X, X_f, R, Q):
 
     A = c.A[0]
     B = c.B[0]
-    rng = np.random.default_rng(0)
-    f = SIZE * rng.normal(size=6)
-    v = rng.normal(size=6) / SIZE
+    rng = default_rng(0)
+    f = SIZE * rng.standard_normal(6)
+    v = rng.standard_normal(6) / SIZE
     for new, old, law, x in (
         (P.Omega_f(N, of_mobility(inverse(A))), P.Omega_f(c.N, inverse(A)), X_f, f),
         (P.Omega_f_bar(T, of_inertia(A)), P.Omega_f_bar(c.T, A), X_f, f),
         (P.Omega_m(T, of_inertia(inverse(B))), P.Omega_m(c.T, inverse(B)), X, v),
         (P.Omega_m_bar(N, of_mobility(B)), P.Omega_m_bar(c.N, B), X, v),
     ):
-        close(np.linalg.solve(law, new @ law @ x), old @ x, 1e-9)
+        close(solve(law, new @ law @ x), old @ x, 1e-9)
     N_prime = A @ c.T
     T_prime = B @ c.N
     close(
@@ -283,7 +286,7 @@ def check_change(c, X, X_f, R, Q):
 @mark.parametrize("change", [frame_change, millimetres, millimetres_and_grams])
 @mark.parametrize("trial", range(21))
 def test_laws_do_not_depend_on_frame_units_or_basis(trial, change):
-    rng = np.random.default_rng([trial, 7])
+    rng = default_rng([trial, 7])
     r = trial % 7
     assert callable(change)
     X, X_f = change(rng)
@@ -302,12 +305,12 @@ def test_null_space_is_the_whole_of_it(seed, k):
     assert T.shape == (6, 6 - k)
     scale = np.abs(c.N).T @ np.abs(T)
     assert (np.abs(c.N.T @ T) <= 1e-12 * scale).all()
-    assert (np.linalg.matrix_rank(T * SIZE[:, None]) if T.size else 0) == 6 - k
+    assert (matrix_rank(T * SIZE[:, None]) if T.size else 0) == 6 - k
     assert k == 6 or same_span(T * SIZE[:, None], c.T * SIZE[:, None])
 
 
 def test_null_space_of_pure_forces_and_pure_couples():
     for columns in (np.eye(6)[:, :2], np.eye(6)[:, 3:], 1e-6 * np.eye(6)[:, 5:]):
         T = P.null_space(columns)
-        assert np.abs(columns.T @ T).max() <= 1e-15
-        assert np.linalg.matrix_rank(np.hstack((columns / np.abs(columns).max(), T))) == 6
+        assert largest(columns.T @ T) <= 1e-15
+        assert matrix_rank(np.hstack((columns / largest(columns), T))) == 6

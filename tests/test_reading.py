@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import cholesky, inv, solve, svd
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from pytest import mark, raises
-from rigs import one_panda, random_faces, random_state
+from pytest import mark
+from rigs import UNLIMITED, one_panda, random_faces, random_state, refused
 from samples import chosen, first
 from test_law import inputs, motion_of, off_their_faces
 
@@ -123,23 +125,23 @@ def explained(f_meas, state, contact, environment, friction_wrenches, A_D, wante
     mass = metric[0, 0]
     V = state.V_O
     r = contact.N.shape[1]
-    pull = np.linalg.solve(metric, N)
-    pull = pull @ np.linalg.inv(N.T @ pull)  # least motion for given normal accelerations
+    pull = solve(metric, N)
+    pull = pull @ inv(N.T @ pull)  # least motion for given normal accelerations
     a = A_D - np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
     a = a + pull @ (contact.n_gamma + N.T @ environment.b_e - N.T @ a)
     H = N + friction_wrenches + out @ pull @ environment.yielding(N, friction_wrenches)
     tangents = []
     for (p, n, s), force in zip(where, wanted, strict=True):
-        basis = np.linalg.svd(n[None])[2][1:].T
+        basis = svd(n[None])[2][1:].T
         C = ACROSS**2 * np.eye(2) + (ALONG**2 - ACROSS**2) * np.outer(basis.T @ s, basis.T @ s)
-        wrench = np.vstack((np.eye(3), pin.skew(p))) @ basis @ np.linalg.cholesky(C)
+        wrench = np.vstack((np.eye(3), pin.skew(p))) @ basis @ cholesky(C)
         wrench = wrench * max(abs(force), LEAST_FORCE)
         tangents.append(wrench + out @ pull @ (N.T @ environment.Phi_e @ wrench))
-    L = np.linalg.cholesky(metric)
-    free = np.linalg.svd(np.linalg.solve(L, N).T)[2][r:].T  # orthonormal, energy coordinates
-    free = DEPARTURE * np.sqrt(mass) * np.linalg.solve(L.T, free)
+    L = cholesky(metric)
+    free = svd(solve(L, N).T)[2][r:].T  # orthonormal, energy coordinates
+    free = DEPARTURE * np.sqrt(mass) * solve(L.T, free)
     unlikely = np.hstack((*tangents, out @ free))
-    sharp = np.sqrt(mass) / NOISE * np.linalg.inv(L)
+    sharp = np.sqrt(mass) / NOISE * inv(L)
     k = unlikely.shape[1]
     rows = np.vstack((sharp @ np.hstack((H, unlikely)), np.eye(k, r + k, r)))
     known = np.append(sharp @ (f_meas - state.bias_out - out @ a), np.zeros(k))
@@ -152,16 +154,14 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
     """Vertices near their faces, on bodies at rest or moving; any reading."""
     on = {"conveyor": Conveyor(), "cart": Cart([1, 2, 3], 5.0, 100, 3, 2)}.get(body)
     chain = one_panda()
-    rng = np.random.default_rng(6)
+    rng = default_rng(6)
     slip = 0.01
     for k in range(8):
         q, v = random_state(chain, rng)
         pairs = off_their_faces(chain.state(q, v).X_WO, 1 + k % 3, rng)
         n = len(pairs)
         how = {"bodies": [on] * n, "friction": Friction(mu, slip) if mu else None}
-        controller = osc.Controller(
-            chain, pairs, reading="least_squares", safety=osc.SafetySettings.motors_only(), **how
-        )
+        controller = osc.Controller(chain, pairs, reading="least_squares", safety=UNLIMITED, **how)
         touched = motion_of(rng, n) if body else None
         measurement, reference = inputs(chain, q, v, rng, n, touched)
         reference = replace(reference, A_D=np.zeros(6))  # friction is that of a slip to come
@@ -193,9 +193,9 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
 
 def kinds(X, rng):
     """Every packaged pair that pushes, touching at pose X."""
-    p = 0.1 * rng.normal(size=3)
-    n = rng.normal(size=3)
-    d = rng.normal(size=3)
+    p = 0.1 * rng.standard_normal(3)
+    n = rng.standard_normal(3)
+    d = rng.standard_normal(3)
     at = X.act(p)
     return [
         osc.VertexOnFace(p, at, n, 0.01),
@@ -210,7 +210,7 @@ def kinds(X, rng):
 
 def test_least_squares_is_chosen_where_its_answer_is_unique():
     chain = one_panda()
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     X = chain.state(*random_state(chain, rng)).X_WO
     one, other = random_faces(X, 2, rng)
     shifted = replace(one, vertex=one.vertex + one.normal @ X.rotation * 0.0 + 0.01)
@@ -232,13 +232,13 @@ def test_least_squares_is_chosen_where_its_answer_is_unique():
 
 def test_impossible_readings_are_refused():
     chain = one_panda()
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     X = chain.state(*random_state(chain, rng)).X_WO
     hinge = osc.Revolute([0, 0, 0], [0, 0, 1], X, name="hinge")
-    with raises(osc.InvalidInputError, match="hinge"):
+    with refused("hinge"):
         osc.Controller(chain, [hinge], reading="least_squares")
     faces = random_faces(X, 1, rng)
-    with raises(osc.InvalidInputError, match="gyro"):
+    with refused("gyro"):
         osc.Controller(chain, faces, reading="gyro")
 
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pinocchio as pin
 from grasp_oracle import kkt
+from numpy.linalg import norm, solve
 from numpy.testing import assert_allclose
 from pytest import approx, mark
-from rigs import SCARA_Q, one_panda, scara_pair
+from rigs import SCARA_Q, largest, one_panda, scara_pair
 from samples import first
 
 import osc_contact as osc
@@ -64,14 +65,14 @@ def assert_faded(chain, q, v, posture, controller):
         assert one.left == approx(share_left(lost.chi), abs=1e-9) == lost.share
         assert one.inertia_ratio == approx(1.0 / max(lost.chi, 1e-12) ** 2, rel=1e-6)
         row = S.T @ lost.wrench
-        size = np.linalg.norm(np.linalg.solve(L, row))
+        size = norm(solve(L, row))
         if not lost.locked and size > 1e-3:
             target = lost.chi * (lost.mode @ arm.M @ retreat[part]) - lost.wrench @ (a - arm.gamma)
             weight = np.sqrt((1.0 - lost.share) / max(lost.share, 1e-8)) / size
             rows.append(weight * row)
             right.append(weight * target)
     change = S @ np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
-    size = max(np.abs(a).max(), np.abs(change).max())
+    size = max(largest(a), largest(change))
     assert_allclose(S @ s.eta_c + state.sigma, a + change, rtol=0, atol=1e-6 * size)
 
 
@@ -134,7 +135,7 @@ def test_torques_are_continuous_through_the_straight_elbow(rest):
         assert controller.status is not osc.Status.HELD, controller.reason
         ranks.add(controller.signals.state.arms[0].rank)
         if before is not None:
-            assert np.abs((tau - before) / chain.tau_max).max() < 0.02, offset
+            assert largest((tau - before) / chain.tau_max) < 0.02, offset
         before = tau
         if k % 5 == 0:
             assert_faded(chain, q, v, posture, controller)
@@ -152,7 +153,7 @@ def test_torques_of_the_pair_are_continuous_until_both_elbows_are_straight():
         state = controller.signals.state
         ranks.add(state.arms[0].rank)
         if before is not None:
-            assert np.abs((tau - before) / chain.tau_max).max() < 0.02, q[1]
+            assert largest((tau - before) / chain.tau_max) < 0.02, q[1]
         before = tau
         if k % 5 == 0:
             assert_faded(chain, q, np.zeros(10), postures[0], controller)
@@ -176,10 +177,10 @@ def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
     M = s.state.arms[0].M
     assert lost.mode @ M @ got.qdd == approx(lost.mode @ M @ want, rel=1e-3)
     # the command changes by what the object resists least
-    push = np.linalg.solve(s.state.metric, lost.wrench)
+    push = solve(s.state.metric, lost.wrench)
     change = got.a_object - s.a_u
     along = (change @ s.state.metric @ push) / (push @ s.state.metric @ push)
-    assert_allclose(change, along * push, atol=1e-6 * np.abs(change).max())
+    assert_allclose(change, along * push, atol=1e-6 * largest(change))
 
 
 def test_the_lost_direction_is_named_and_ordinary_postures_lose_none():
@@ -190,7 +191,7 @@ def test_the_lost_direction_is_named_and_ordinary_postures_lose_none():
     assert lost.arm == "arm" and 0.0 <= lost.left < 1.0 and lost.inertia_ratio > 10.0
     assert "arm" in controller.reason and "singular" in controller.reason
     away = chain.state(straight_panda(0.02), np.zeros(7)).X_WO.translation
-    assert abs(lost.twist[:3] @ (away - [0, 0, 0.333])) > 0.5 * np.linalg.norm(away)
+    assert abs(lost.twist[:3] @ (away - [0, 0, 0.333])) > 0.5 * norm(away)
     bent, _ = tick(chain, straight_panda(-1.5), np.zeros(7))
     assert bent.status is osc.Status.OK and bent.lost_directions == ()
 
@@ -230,7 +231,7 @@ def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(run):
     arms, duration, plant = run
     recording = outward(*arms, duration, plant)
     share = recording["tau"] / np.array(list(recording.meta["effort_limits"].values()))
-    assert np.isfinite(share).all() and np.abs(share).max() <= 1.0
-    assert np.abs(np.diff(share, axis=0)).max() < 0.15
+    assert np.isfinite(share).all() and largest(share) <= 1.0
+    assert largest(np.diff(share, axis=0)) < 0.15
     assert (recording["status"] == 3).sum() > 50 and not (recording["status"] == 2).any()
-    assert np.abs(recording["motion_error"][-1, :3]).max() < 1e-3
+    assert largest(recording["motion_error"][-1, :3]) < 1e-3

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import norm
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import mark, raises
+from pytest import mark
+from rigs import refused, shift, unit
 
-from osc_contact.errors import InvalidInputError, OscContactError
+from osc_contact.errors import OscContactError
 from osc_contact.spatial import (
     as_array,
     carry_twist,
@@ -28,11 +31,11 @@ def by_columns(function, *given):
 @mark.parametrize("columns", [0, 1, 5])
 def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
     """The input is left alone."""
-    rng = np.random.default_rng(columns)
-    V, U, F = given = rng.normal(size=(3, 6, columns))
+    rng = default_rng(columns)
+    V, U, F = given = rng.standard_normal((3, 6, columns))
     kept = given.copy()
-    start, end = rng.normal(size=(2, 3))
-    X = pin.SE3(np.eye(3), start - end)
+    start, end = rng.standard_normal((2, 3))
+    X = shift(start - end)
     pairs = [(cross(V[:3], U[:3]), lambda v, u: pin.skew(v[:3]) @ u[:3], (V, U))]
     pairs += [(carry_twist(V, start, end), lambda v: X.act(pin.Motion(v)).vector, (V,))]
     pairs += [(carry_wrench(F, start, end), lambda f: X.act(pin.Force(f)).vector, (F,))]
@@ -53,11 +56,11 @@ def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
 @mark.parametrize("seed", SEEDS)
 def test_classical_to_spatial_agrees_with_pinocchio(seed):
     pin.seed(seed)
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     model = pin.buildSampleModelManipulator()
     data = model.createData()
     q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
-    v, a = rng.normal(size=(2, model.nv))
+    v, a = rng.standard_normal((2, model.nv))
     pin.forwardKinematics(model, data, q, v, a)
     pin.updateFramePlacements(model, data)
     at = (model, data, model.nframes - 1, pin.LOCAL_WORLD_ALIGNED)
@@ -74,9 +77,9 @@ def test_pose_error_carries_the_object_to_its_goal(seed):
     X_WO = pin.SE3.Random()
     e = pose_error(X_WD, X_WO)
     assert_allclose(X_WO.translation + e[:3], X_WD.translation, atol=1e-14)
-    turned = pin.AngleAxis(float(np.linalg.norm(e[3:])), e[3:] / np.linalg.norm(e[3:]))
+    turned = pin.AngleAxis(float(norm(e[3:])), unit(e[3:]))
     assert_allclose(turned.matrix() @ X_WO.rotation, X_WD.rotation, atol=1e-12)
-    assert np.linalg.norm(e[3:]) <= np.pi + 1e-12
+    assert norm(e[3:]) <= np.pi + 1e-12
 
 
 def test_as_array_returns_a_fresh_float_copy():
@@ -108,6 +111,6 @@ def test_as_array_returns_a_fresh_float_copy():
     ],
 )
 def test_as_array_refuses_what_does_not_fit(value, shape, message):
-    with raises(InvalidInputError, match=message) as caught:
+    with refused(message) as caught:
         as_array("tool", value, shape)
     assert isinstance(caught.value, OscContactError) and isinstance(caught.value, ValueError)

@@ -2,9 +2,12 @@
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import inv, lstsq, norm, svd
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pair_kinds import Motion, pose_of
 from pytest import approx, mark, raises
+from rigs import largest, shift
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import GapFunctions, VertexOnFace
@@ -21,18 +24,18 @@ def table(X_WO, V_O, X_WE, V_E):
 
 
 def moving_table(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     X_WE = pose_of(rng)
     yaw = pin.exp3(rng.normal() * UP)
-    standing = pin.SE3(yaw, np.array([*rng.normal(size=2), 0.4]))
-    return table(X_WE * standing, rng.normal(size=6), X_WE, rng.normal(size=6))
+    standing = pin.SE3(yaw, np.array([*rng.standard_normal(2), 0.4]))
+    return table(X_WE * standing, rng.standard_normal(6), X_WE, rng.standard_normal(6))
 
 
 def mobility(rng):
     """Φ (6, 6) of a body about as large as the table."""
-    turn = pin.exp3(rng.normal(size=3))
+    turn = pin.exp3(rng.standard_normal(3))
     spread = turn @ np.diag(rng.uniform(0.6, 1.0, 3)) @ turn.T
-    return np.linalg.inv(pin.Inertia(5.0, rng.uniform(-0.2, 0.2, 3), spread).matrix())
+    return inv(pin.Inertia(5.0, rng.uniform(-0.2, 0.2, 3), spread).matrix())
 
 
 def all_columns(parts):
@@ -42,7 +45,7 @@ def all_columns(parts):
 @mark.parametrize("seed", range(4))
 def test_a_table_on_four_legs_has_three_forces_and_a_split_that_is_not_unique(seed):
     """On a moving floor, moving at will; R leads back to N, n_γ and the least split."""
-    rng = np.random.default_rng([seed, 1])
+    rng = default_rng([seed, 1])
     parts = moving_table(seed)
     Phi = mobility(rng)
     N_all, n_all = all_columns(parts)
@@ -51,9 +54,9 @@ def test_a_table_on_four_legs_has_three_forces_and_a_split_that_is_not_unique(se
         assert all((N_all == column[:, None]).all(axis=0).any() for column in stacked.N.T)
         assert_allclose(stacked.N @ stacked.R, N_all, atol=1e-12)
         assert_allclose(stacked.n_gamma @ stacked.R, n_all, atol=1e-11)
-        alpha = rng.normal(size=3) * 20
+        alpha = rng.standard_normal(3) * 20
         split = stacked.magnitudes(alpha)
-        least = np.linalg.lstsq(N_all, stacked.N @ alpha, rcond=1e-9)[0]
+        least = lstsq(N_all, stacked.N @ alpha, rcond=1e-9)[0]
         assert_allclose(split, least, atol=1e-10)
         assert_allclose(stacked.R @ split, alpha, atol=1e-11)  # and forth
 
@@ -61,19 +64,19 @@ def test_a_table_on_four_legs_has_three_forces_and_a_split_that_is_not_unique(se
 def dependent_parts(rng):
     """Contacts of sizes 0 to 3, independent each, of rank 1 to 6 together; columns 1e-3 … 1e3."""
     rank = int(rng.integers(1, 7))
-    basis = rng.normal(size=(6, rank))
-    n_gamma = rng.normal(size=rank)
+    basis = rng.standard_normal((6, rank))
+    n_gamma = rng.standard_normal(rank)
     parts = []
     for _ in range(rng.integers(2, 6)):
         k = min(int(rng.integers(0, 4)), rank)
-        mix = rng.normal(size=(rank, k)) * 10 ** rng.uniform(-3, 3, size=k)
+        mix = rng.standard_normal((rank, k)) * 10 ** rng.uniform(-3, 3, size=k)
         parts.append(Contact(basis @ mix, n_gamma @ mix))
     return parts, min(rank, sum(c.r for c in parts))
 
 
 @mark.parametrize("seed", range(12))
 def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
-    rng = np.random.default_rng([seed, 2])
+    rng = default_rng([seed, 2])
     parts, rank = dependent_parts(rng)
     N_all, n_all = all_columns(parts)
     half = len(parts) // 2
@@ -85,31 +88,31 @@ def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
     ):
         assert stacked.r == rank
         assert stacked.split_is_unique == (N_all.shape[1] == rank)
-        assert_allclose(stacked.N @ stacked.R, N_all, atol=1e-9 * np.abs(N_all).max(initial=0))
-        scale = np.abs(n_all).max(initial=0.0)
+        assert_allclose(stacked.N @ stacked.R, N_all, atol=1e-9 * largest(N_all))
+        scale = largest(n_all)
         assert_allclose(stacked.n_gamma @ stacked.R, n_all, atol=1e-9 * scale)
-        unit = stacked.N / np.linalg.norm(stacked.N, axis=0)
-        everything = N_all / np.linalg.norm(N_all, axis=0)
-        values = np.linalg.svd(everything, compute_uv=False)
+        unit = stacked.N / norm(stacked.N, axis=0)
+        everything = N_all / norm(N_all, axis=0)
+        values = svd(everything, compute_uv=False)
         if rank:  # the columns kept are not much worse conditioned than all together
-            assert np.linalg.svd(unit, compute_uv=False)[-1] > 0.02 * values[rank - 1]
+            assert svd(unit, compute_uv=False)[-1] > 0.02 * values[rank - 1]
 
 
 @mark.parametrize("seed", range(4))
 def test_the_contact_force_is_that_of_all_contacts_in_any_order(seed):
     """A free table pressed on four legs: against one multiplier for each leg, by least squares."""
-    rng = np.random.default_rng([seed, 3])
+    rng = default_rng([seed, 3])
     parts = moving_table(seed)
     Phi = mobility(rng)
-    f = rng.normal(size=6) * 30
+    f = rng.standard_normal(6) * 30
     N_all, n_all = all_columns(parts)
-    K = np.block([[np.linalg.inv(Phi), N_all], [N_all.T, np.zeros((4, 4))]])
-    f_all = N_all @ np.linalg.lstsq(K, np.concatenate((f, n_all)), rcond=1e-12)[0][6:]
+    K = np.block([[inv(Phi), N_all], [N_all.T, np.zeros((4, 4))]])
+    f_all = N_all @ lstsq(K, np.concatenate((f, n_all)), rcond=1e-12)[0][6:]
     for _ in range(5):
         stacked = Contact.stack([parts[i] for i in rng.permutation(4)], Phi)
         N = stacked.N
         alpha = np.linalg.solve(N.T @ Phi @ N, N.T @ Phi @ f - stacked.n_gamma)
-        assert_allclose(N @ alpha, f_all, atol=1e-9 * np.abs(f_all).max())
+        assert_allclose(N @ alpha, f_all, atol=1e-9 * largest(f_all))
 
 
 # The verdict --------------------------------------------------------------------------------------
@@ -117,9 +120,9 @@ def test_the_contact_force_is_that_of_all_contacts_in_any_order(seed):
 
 def change(rng):
     """Motions, forces, and power in other axes, about a point up to 100 m away, in mm and g."""
-    X = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3) * 10 ** rng.uniform(-1, 2))
+    X = pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3) * 10 ** rng.uniform(-1, 2))
     motion = np.diag([1e3] * 3 + [1.0] * 3) @ X.toActionMatrix()
-    return motion, 1e9 * np.linalg.inv(motion).T, 1e9
+    return motion, 1e9 * inv(motion).T, 1e9
 
 
 def parallel(y):
@@ -132,7 +135,7 @@ def test_the_rank_knows_no_frame_origin_basis_or_unit(apart, r):
     """Two parallel lines of force: 200 changes for each distance, the same verdict, map and force.
 
     The limit of 1e-10 is counted in the object's own size."""
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     Phi = mobility(rng)
     lines = [parallel(0.1), parallel(0.1 + apart)]
     plain = Contact.stack(lines, Phi)
@@ -195,20 +198,20 @@ def test_contacts_given_by_tangents_in_motion(name, turn):
         X_WO = motion.body(t)
         X_WE = motion.env(t)
         T = motion.pair.contact(X_WO, np.zeros(6), X_WE).T
-        away = pin.SE3(np.eye(3), X_WO.translation - motion.body(0.0).translation)
+        away = shift(X_WO.translation - motion.body(0.0).translation)
         T = away.toActionMatrix() @ T
-        return T @ np.linalg.inv(start.T @ T)  # any basis of T(t) becomes the same smooth one
+        return T @ inv(start.T @ T)  # any basis of T(t) becomes the same smooth one
 
     start = contact.T
     now = carried(0.0)
     rates = [(carried(k * h) - carried(-k * h)) / (2 * k * h) for k in (1, 2)]
     T_dot = (4 * rates[0] - rates[1]) / 3
-    beta = np.linalg.lstsq(now, V_rel, rcond=None)[0]
+    beta = lstsq(now, V_rel, rcond=None)[0]
     given = Contact.from_tangents(now, T_dot_beta=T_dot @ beta)
-    assert given.r == contact.r and np.abs(given.N.T @ now).max() < 1e-12
-    scale = 1.0 + np.abs(a_rel).max()
+    assert given.r == contact.r and largest(given.N.T @ now) < 1e-12
+    scale = 1.0 + largest(a_rel)
     assert_allclose(given.n_gamma, given.N.T @ a_rel, atol=1e-8 * scale)
-    assert np.abs(given.n_gamma).max() > 1e-4
+    assert largest(given.n_gamma) > 1e-4
 
 
 def test_tangents_with_two_rates_or_half_of_one_are_refused():

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import norm
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pair_kinds import pose_of
 from pytest import approx, mark
-from rigs import one_panda, random_state
+from rigs import one_panda, random_state, unit
 from test_moving_face import FACES
 from test_reading import judged, point
 
@@ -38,8 +40,7 @@ def slid(scenario, duration):
     (believed,) = rig.controlled_pairs()
     n = believed.normal - controller._records.memory.columns[0].turn
     off = [
-        float(np.rad2deg(np.arcsin(np.linalg.norm(np.cross(n, pair.normal)))))
-        for pair in (true, believed)
+        float(np.rad2deg(np.arcsin(norm(np.cross(n, pair.normal))))) for pair in (true, believed)
     ]
     return *off, osc.metrics(run) if duration > 1.0 else None
 
@@ -137,7 +138,7 @@ def test_the_covariance_is_that_of_the_error_and_settles(about):
     rig = osc.build_rig(scenario)
     controller = max(kept, key=lambda c: c._records.memory.ticked)
     n = rig.controlled_pairs()[0].normal - controller._records.memory.columns[0].turn
-    miss = np.linalg.norm(np.cross(n, rig.pairs[0].normal))
+    miss = norm(np.cross(n, rig.pairs[0].normal))
     assert miss < 3.0 * std[-1]
     P = controller.normal_covariance[0]
     assert np.sqrt(np.linalg.eigvalsh(P)[-1]) == approx(controller.normal_std[0], rel=1e-3)
@@ -162,8 +163,8 @@ def test_what_stands_keeps_its_uncertainty():
 
 def touching(kind, X, X_WE, rng):
     """A pair of one point that touches at X, and the pose of the body with its normal."""
-    p = 0.1 * rng.normal(size=3)
-    n = rng.normal(size=3)
+    p = 0.1 * rng.standard_normal(3)
+    n = rng.standard_normal(3)
     at = X_WE.actInv(X.act(p))
     if kind == "face_on_vertex":
         return osc.FaceOnVertex(p, n, at, 0.01), X
@@ -177,7 +178,7 @@ def touching(kind, X, X_WE, rng):
 def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, moving):
     """N and n_γ against the pair made anew; the turn against its formula in world axes."""
     chain = one_panda()
-    rng = np.random.default_rng(11)
+    rng = default_rng(11)
     gains = osc.Gains()
     for _ in range(5):
         q, v = random_state(chain, rng)
@@ -188,18 +189,18 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         V_E = np.zeros(6)
         if moving:
             X_WE = pose_of(rng)
-            V_E = 0.1 * rng.normal(size=6)
+            V_E = 0.1 * rng.standard_normal(6)
         pair, carrier = touching(kind, X, X_WE, rng)
         touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
         controller = osc.Controller(chain, [pair], gains, dt=DT)
         measurement = osc.Measurement(q, v, np.zeros((1, 6)), touched if moving else None)
-        V_D = 0.3 * rng.normal(size=6)
+        V_D = 0.3 * rng.standard_normal(6)
         reference = osc.Reference(X, V_D, np.zeros(6), np.array([10.0]))
         controller.tick(measurement, reference)
         memory = controller._records.memory.columns[0]
-        d = 0.03 * rng.normal(size=3)
+        d = 0.03 * rng.standard_normal(3)
         new = pair.normal + d
-        new /= np.linalg.norm(new)
+        new = unit(new)
         sign = 1.0 if kind == "face_on_vertex" else -1.0
         memory.turn[:] = sign * (new - pair.normal)
         memory.drift = 0.02
@@ -225,7 +226,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         n = n - rate * share * (across - 0.02) * along / square
         turned = controller._records.work.columns[0].turned
         got = carrier.rotation @ (sign * pair.normal + turned)
-        assert_allclose(got, n / np.linalg.norm(n), atol=1e-10)
+        assert_allclose(got, unit(n), atol=1e-10)
 
 
 def crossing(pair, X):
@@ -239,23 +240,23 @@ def crossing(pair, X):
 def test_a_turned_edge_is_the_pair_with_that_edge_and_turns_by_the_law():
     """N and n_γ against the pair made anew; what shows, from a difference of NᵀV."""
     chain = one_panda()
-    rng = np.random.default_rng(12)
+    rng = default_rng(12)
     for _ in range(5):
         q, v = random_state(chain, rng)
         state = chain.state(q, v)
         X = state.X_WO
-        d = rng.normal(size=3)
-        e = X.rotation.T @ rng.normal(size=3)
-        p = 0.1 * rng.normal(size=3)
+        d = rng.standard_normal(3)
+        e = X.rotation.T @ rng.standard_normal(3)
+        p = 0.1 * rng.standard_normal(3)
         pair = osc.EdgeOnEdge(p, e, X.act(p), d, 1)
         controller = osc.Controller(chain, [pair], osc.Gains(), dt=DT)
         measurement = osc.Measurement(q, v, np.zeros((1, 6)))
-        V_D = 0.3 * rng.normal(size=6)
+        V_D = 0.3 * rng.standard_normal(6)
         reference = osc.Reference(X, V_D, np.zeros(6), np.array([10.0]))
         controller.tick(measurement, reference)
         memory = controller._records.memory.columns[0]
-        new = pair.direction_E + 0.03 * rng.normal(size=3)
-        turn = new / np.linalg.norm(new) - pair.direction_E
+        new = pair.direction_E + 0.03 * rng.standard_normal(3)
+        turn = unit(new) - pair.direction_E
         memory.turn[:] = turn
         memory.drift = 0.02
         controller.tick(measurement, reference)
@@ -278,7 +279,7 @@ def test_a_turned_edge_is_the_pair_with_that_edge_and_turns_by_the_law():
         rate = 1 - np.exp(-osc.Gains().force.drift * DT)
         f = pair.direction_E + turn - rate * share * (across - 0.02) * shown / square
         got = pair.direction_E + controller._records.work.columns[0].turned
-        assert_allclose(got, f / np.linalg.norm(f), atol=1e-8)
+        assert_allclose(got, unit(f), atol=1e-8)
 
 
 def test_gains_for_one_mass_leave_faces_as_they_are_told():

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture, mark, raises
+from rigs import largest
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
@@ -106,17 +108,14 @@ def test_faulty_ticks_are_replayed_too(library, tmp_path):
     content = controller_bytes(controller)
     tape = Tape(controller)
     measured = plant.measure()
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     seen = set()
     for k in range(400):
-        q = measured.q + 1e-4 * rng.normal(size=len(measured.q))
-        wrenches = measured.wrenches + rng.normal(size=measured.wrenches.shape)
+        q = measured.q + 1e-4 * rng.standard_normal(len(measured.q))
+        wrenches = measured.wrenches + rng.standard_normal(measured.wrenches.shape)
         bad = k % 50 > 44
         given = replace(
-            measured,
-            q=q * (np.nan if bad else 1.0),
-            wrenches=wrenches,
-            wrench_valid=k % 7 != 3,
+            measured, q=q * (np.nan if bad else 1.0), wrenches=wrenches, wrench_valid=k % 7 != 3
         )
         controller.tick(given, rig.references.at(1e-3 * k))
         seen.add(controller.status)
@@ -135,10 +134,10 @@ def test_every_way_a_tick_ends_is_replayed(library, tmp_path, name):
     controller = case.controller()
     controller.save(tmp_path / "controller.osc")
     tape = Tape(controller)
-    rng = np.random.default_rng(6)
+    rng = default_rng(6)
     for k in range(200):
         m = case.measurement
-        q = m.q + 1e-4 * rng.normal(size=len(m.q)) * (np.nan if k % 50 == 31 else 1.0)
+        q = m.q + 1e-4 * rng.standard_normal(len(m.q)) * (np.nan if k % 50 == 31 else 1.0)
         controller.tick(replace(m, q=q), case.reference)
     (tmp_path / "recording.osc").write_bytes(tape.content())
     said = run(library / "replay", tmp_path / "controller.osc", tmp_path / "recording.osc")
@@ -237,7 +236,7 @@ def test_gains_tare_and_reset_do_in_c_what_they_do_in_python(library, tmp_path, 
     name = str(tmp_path / "controller.osc").encode()
     assert c.osc_create(name, ctypes.byref(handle)) == 0
     m = plant.measure()
-    rng = np.random.default_rng(8)
+    rng = default_rng(8)
     for k in range(90):
         if k == 30:
             gains = controller.gains
@@ -253,13 +252,13 @@ def test_gains_tare_and_reset_do_in_c_what_they_do_in_python(library, tmp_path, 
             for key, value in values.items():
                 assert c.osc_set_gain(handle, key.encode(), ctypes.c_double(value)) == 0
         if k == 50:
-            tare = rng.normal(size=6)
+            tare = rng.standard_normal(6)
             controller.f_tare = tare
             assert c.osc_set_tare(handle, tare.ctypes.data_as(ctypes.c_void_p)) == 0
         if k == 70:
             controller.reset()
             assert c.osc_reset(handle) == 0
-        moved = replace(m, q=m.q + 1e-4 * rng.normal(size=len(m.q)))
+        moved = replace(m, q=m.q + 1e-4 * rng.standard_normal(len(m.q)))
         want = controller.tick(moved, rig.references.at(1e-3 * k))
         tau, out = tick_in_c(c, handle, moved, rig.references.at(1e-3 * k), len(want))
         assert_array_equal(tau, want, err_msg=str(k))
@@ -277,9 +276,9 @@ def test_a_saved_controller_goes_on_where_it_was(tmp_path, name):
     controller.save(tmp_path / "controller.osc")
     saved = SavedController.load(tmp_path / "controller.osc")
     assert saved.dt == controller.dt
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     for k in range(20, 60):
-        moved = replace(m, q=m.q + 1e-3 * rng.normal(size=len(m.q)))
+        moved = replace(m, q=m.q + 1e-3 * rng.standard_normal(len(m.q)))
         assert_array_equal(
             saved.tick(moved, rig.references.at(1e-3 * k)),
             controller.tick(moved, rig.references.at(1e-3 * k)),
@@ -397,14 +396,14 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
     chain, heavy = panda(weight=True)
     panda(weight=False)[1].save(tmp_path / "light.osc")
     heavy.save(tmp_path / "heavy.osc")
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     data = chain.model.createData()
     start = chain.state(READY, np.zeros(7)).X_WO
     states, wanted, last = [], [], np.zeros(7)
     for k in range(101):
         drift = 2e-3 * np.sin(0.05 * k) * np.ones(7)
         q, v = READY + drift, 0.1 * np.cos(0.05 * k) * np.ones(7)
-        f = np.zeros(6) if k == 0 else 0.2 * rng.normal(size=6)
+        f = np.zeros(6) if k == 0 else 0.2 * rng.standard_normal(6)
         X = chain.state(q, v).X_WO.homogeneous
         states.append(np.concatenate([q, v, X.ravel(order="F"), f]))
         t, w, up = 1e-3 * k, 1.5708, np.array([0, 0, 0.02, 0, 0, 0]) / 2
@@ -419,7 +418,7 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
         tau = heavy.tick(osc.Measurement(q, v, f[None]), reference)
         assert heavy.status == osc.Status.OK, heavy.reason
         step = tau - pin.computeGeneralizedGravity(chain.model, data, q) - last
-        last = last + step * min(1.0, TORQUE_STEP / np.abs(step).max())
+        last = last + step * min(1.0, TORQUE_STEP / largest(step))
         wanted.append(last)
     (tmp_path / "robot").write_bytes(np.array(states).tobytes())
     said = run(program, tmp_path / "robot", tmp_path / "light.osc", 0.1)
@@ -427,7 +426,7 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
     sent = np.frombuffer((tmp_path / "robot.torques").read_bytes()).reshape(-1, 8)
     assert_array_equal(np.flatnonzero(sent[:, 7]), [100])
     assert_allclose(sent[:, :7], wanted, atol=1e-9)
-    assert np.abs(sent[:, :7]).max() > TORQUE_STEP
+    assert largest(sent[:, :7]) > TORQUE_STEP
     call = [str(program), str(tmp_path / "robot"), str(tmp_path / "heavy.osc"), "0.1"]
     done = subprocess.run(call, capture_output=True, text=True)
     assert done.returncode == 1 and "compensates weight" in done.stderr
@@ -449,12 +448,12 @@ def test_the_ros2_plugin_sends_what_the_controller_computes(library, tmp_path, n
     bars = int(controller._records.model.n_bars)
     squeeze = np.full(bars, float(np.ravel(reference.squeeze_d)[0]) if bars else 0.0)
     arms, joints = len(m.wrenches), len(m.q)
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     rows, wanted, seen = [], [], set()
     for k in range(60):
-        q = m.q + 1e-4 * rng.normal(size=joints)
+        q = m.q + 1e-4 * rng.standard_normal(joints)
         q[1] = np.nan if k == 40 else q[1]
-        given = replace(m, q=q, v=m.v + 1e-3 * rng.normal(size=joints))
+        given = replace(m, q=q, v=m.v + 1e-3 * rng.standard_normal(joints))
         rows.append(np.concatenate([q, given.v, m.wrenches.ravel()]))
         wanted.append(saved.tick(given, reference))
         seen.add(saved.status)

@@ -3,22 +3,23 @@
 import numpy as np
 import pinocchio as pin
 from grasp_rigs import KINDS, random_case
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
-from rigs import one_panda, panda_pair, random_state, scara_pair
+from rigs import largest, one_panda, panda_pair, random_state, scara_pair
 
 ARMS = ["scara", "ur5", "panda", "2R", "3R"]
 CHAINS = {"one_panda": one_panda, "panda_pair": panda_pair, "scara_pair": scara_pair}
 
 
 def close(got, want, digits=1e-9):
-    size = max(1.0, np.abs(want).max(initial=0.0))
+    size = max(1.0, largest(want))
     assert_allclose(got, want, rtol=0, atol=digits * size)
 
 
 def some_states(count=40):
     """Chains of 1–3 arms with any grasps, at random states that their loops permit."""
-    rng = np.random.default_rng(16)
+    rng = default_rng(16)
     for _ in range(count):
         n = rng.integers(1, 4)
         case = random_case(list(rng.choice(ARMS, n)), list(rng.choice(KINDS, n)), rng)
@@ -43,14 +44,14 @@ def test_along_S_they_are_the_reduced_ones():
 def test_the_wrench_has_the_power_of_all_that_moves(name):
     """Vᵀ(Λa + μ + p): what Newton and Euler (Pinocchio) give joints and object together."""
     chain = CHAINS[name]()
-    rng = np.random.default_rng(17)
+    rng = default_rng(17)
     for _ in range(10):
         q, v = random_state(chain, rng)
         state = chain.state(q, v)
         eta = np.linalg.lstsq(state.S, state.V_O, rcond=None)[0]
         v = state.W @ eta  # without what redundant arms do by themselves
         state = chain.state(q, v)
-        eta_dot = rng.normal(size=state.d)
+        eta_dot = rng.standard_normal(state.d)
         a = state.S @ eta_dot + state.sigma
         a_q = state.W @ eta_dot + state.w
         model = chain.model
@@ -65,9 +66,9 @@ def test_the_wrench_has_the_power_of_all_that_moves(name):
 def test_with_six_motions_the_inertia_is_the_inverse_of_the_mobility(name):
     """Λ₀ = Φ⁻¹ where d = 6; the SCARA pair's Φ has rank five and no inverse."""
     chain = CHAINS[name]()
-    state = chain.state(*random_state(chain, np.random.default_rng(21)))
+    state = chain.state(*random_state(chain, default_rng(21)))
     close(state.Lambda @ state.Phi, np.eye(6), 1e-7)
     pair = scara_pair()
-    state = pair.state(*random_state(pair, np.random.default_rng(22)))
-    assert state.d == 5 and np.abs(state.Lambda @ state.Phi - np.eye(6)).max() > 0.1
+    state = pair.state(*random_state(pair, default_rng(22)))
+    assert state.d == 5 and largest(state.Lambda @ state.Phi - np.eye(6)) > 0.1
     close(state.Phi @ state.Lambda @ state.Phi, state.Phi, 1e-8)
