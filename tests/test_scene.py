@@ -169,7 +169,7 @@ def test_a_column_with_a_couple_is_a_screw(tmp_path):
     shown = Shown(write(tmp_path, changed(N=N)))
     offset = shown.pose(LEFT, 3).translation - p[30, 0]
     assert np.allclose(np.cross(offset, d[30, 0]), 0.0, atol=1e-6)
-    path, turned = shown.path_of_tube(f"{LEFT}/closed/pitch")
+    path, turned = shown.path_of_tube(f"{LEFT}/closed/line/pitch")
     assert np.polyfit(turned, path[:, 1], 1)[0] == approx(pitch, rel=1e-3)
     couple = 0.1 * RECORDING["alpha_true"][80, 1]
     assert shown.length(f"{RIGHT}/true", 8) == approx(couple, abs=1e-5)
@@ -230,8 +230,8 @@ def test_the_camera_sees_everything_and_stands_no_further_than_needed(seed):
     points = rng.standard_normal((30, 3)) * rng.uniform(0.1, 2.0, 3)
     view = rng.standard_normal(3) + [0.0, 0.0, 0.5]
     view /= np.linalg.norm(view)
-    target, distance = fitted(points, view)
-    away = points - target - distance * view
+    target, offset = fitted(points, view)
+    away = points - target - offset
     image = away @ picture_axes(view).T / -(away @ view)[:, None] / [ASPECT, 1.0]
     image /= np.tan(np.deg2rad(FIELD_OF_VIEW_DEG / 2))
     assert (away @ view).max() < 0.0 and 0.75 < np.abs(image).max() < 1.0

@@ -8,7 +8,7 @@ where the two agree. A contact that is lost turns grey.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,15 +17,8 @@ import pinocchio as pin
 from osc_contact.spatial import norm
 from osc_contact.visual import contact_colour
 from osc_contact.visual.parts import Array, Frame, LegendEntry, Part, Sample, State
-from osc_contact.visual.screws import (
-    Normals,
-    contact_normals,
-    helix,
-    tangents,
-    twist_screw,
-    wrench_screw,
-)
-from osc_contact.visual.shapes import along, arrow, arrow_lengths, at, cylinder, plain, tube
+from osc_contact.visual.screws import helix, tangents, twist_screw, wrench_screw
+from osc_contact.visual.shapes import along, at, cylinder, material, on_y, plain, tube
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -41,6 +34,9 @@ LINE = (-0.5 * LINE_LENGTH, 0.5 * LINE_LENGTH)
 METRES_PER_NEWTON = 0.01
 METRES_PER_NEWTON_METRE = 0.1
 BESIDE = 0.017
+HEAD_LENGTH = 0.035
+"""Length of an arrow's head in m; shorter arrows are all head, shrunk."""
+SHORTEST = 1e-6
 SHOWN_FROM = 1e-3  # N
 WRENCH_HELIX = (0.03, 0.24)
 """Radius and length (m) of the path that shows the pitch of a line of force."""
@@ -50,6 +46,7 @@ LEAST_PITCH = 0.005
 class _Arrow(NamedTuple):
     """How one of the three forces of a contact is drawn."""
 
+    name: str
     channel: str
     words: str
     look: str
@@ -57,11 +54,25 @@ class _Arrow(NamedTuple):
     opacity: float = 1.0
 
 
-ARROWS = {
-    "true": _Arrow("alpha_true", "force, true", "solid", 0.006),
-    "commanded": _Arrow("alpha_cmd", "commanded", "pale", 0.012, 0.32),
-    "measured": _Arrow("alpha_meas", "measured", "thin", 0.0028),
-}
+ARROWS = (
+    _Arrow("true", "alpha_true", "force, true", "solid", 0.006),
+    _Arrow("commanded", "alpha_cmd", "commanded", "pale", 0.012, 0.32),
+    _Arrow("measured", "alpha_meas", "measured", "thin", 0.0028),
+)
+
+
+def arrow_states(path: str, length: float) -> Frame:
+    """States that make an arrow `length` m long, with its tip at its origin, along the y-axis.
+
+    The head keeps its size; an arrow shorter than its head is a smaller head without shaft.
+    """
+    length = max(length, SHORTEST) if np.isfinite(length) else SHORTEST
+    head = min(1.0, length / HEAD_LENGTH)
+    shaft = max(length - HEAD_LENGTH, SHORTEST)
+    return {
+        f"{path}/shaft": State(on_y(-HEAD_LENGTH * head), (head, shaft, head)),
+        f"{path}/head": State(scale=(head, head, head)),
+    }
 
 
 class ContactForce(Part):
@@ -71,21 +82,18 @@ class ContactForce(Part):
         name: of the node, unique.
         column: which column of N it is.
         contact: which contact it belongs to; gives the colour.
-        owners: the contact of every column.
         first: the sample at which the pitch of the line is drawn.
     """
 
-    def __init__(
-        self, name: str, column: int, contact: int, owners: Sequence[int], first: Sample
-    ) -> None:
+    def __init__(self, name: str, column: int, contact: int, first: Sample) -> None:
         self.path = f"contacts/{name}"
         self.words = name.replace("_", " ")
         self.column = column
         self.contact = contact
-        self.owners = owners
         self.colour = contact_colour(contact)
-        self.arrows = [kind for kind, how in ARROWS.items() if how.channel in first]
-        self.last, pitch = self._place(first, contact_normals(first, owners))
+        self.arrows = [arrow for arrow in ARROWS if arrow.channel in first]
+        self.last = pin.SE3.Identity()
+        pitch = self._place(first)
         self.couple = np.isinf(pitch)
         self.pitch = pitch if abs(pitch) > LEAST_PITCH else 0.0
 
@@ -101,81 +109,71 @@ class ContactForce(Part):
             cylinder(node[f"{state}/line/rod"], paint, LINE, 0.002)
             if self.pitch:
                 path = helix(0.0 if self.couple else self.pitch, *WRENCH_HELIX)
-                node[f"{state}/pitch"].set_object(tube(path, 0.002), paint)
-        for kind in self.arrows:
-            how = ARROWS[kind]
-            colour = BLACK if kind == "measured" else self.colour
-            arrow(node[kind], colour, how.radius, how.opacity, heads=1 + self.couple)
-        if "measured" in self.arrows:
-            node["measured"].set_transform(at([BESIDE, 0.0, 0.0]).homogeneous)
+                node[f"{state}/line/pitch"].set_object(tube(path, 0.002), paint)
+        for arrow in self.arrows:
+            measured = arrow.name == "measured"
+            part = node[arrow.name]
+            part.set_transform(at([BESIDE * measured, 0.0, 0.0]).homogeneous)
+            paint = material(BLACK if measured else self.colour, arrow.opacity, glow=0.12)
+            cylinder(part["shaft/rod"], paint, (-1.0, 0.0), arrow.radius)
+            for name, tip in (("cone", 0.0), ("second", -0.025))[: 1 + self.couple]:
+                ends = tip - HEAD_LENGTH, tip
+                cylinder(part[f"head/{name}"], paint, ends, 2.4 * arrow.radius, top=0.0)
 
     def states(self, sample: Sample) -> Frame:
         """Pose, lengths and visibility at one tick."""
-        normals = contact_normals(sample, self.owners)
-        known = bool(normals.known[self.column])
-        pressed = bool(normals.pressed[self.column])
-        if known:
-            self.last = self._place(sample, normals)[0]
+        self._place(sample)
+        known, pressed = (bool(flags[self.column]) for flags in sample["normals"][1:])
         frame = {
             self.path: State(self.last),
             f"{self.path}/closed": State(visible=pressed),
             f"{self.path}/lost": State(visible=known and not pressed),
         }
         unit = METRES_PER_NEWTON_METRE if self.couple else METRES_PER_NEWTON
-        longest = 0.0
-        for kind in self.arrows:
-            alpha = float(sample[ARROWS[kind].channel][self.column])
-            shaft, shaft_y, head = arrow_lengths(unit * alpha)
-            drawn = pressed if kind == "true" else known
-            frame[f"{self.path}/{kind}"] = State(visible=drawn and alpha > SHOWN_FROM)
-            frame[f"{self.path}/{kind}/shaft"] = State(at([0.0, shaft_y, 0.0]), shaft)
-            frame[f"{self.path}/{kind}/head"] = State(scale=head)
-            longest = max(longest, np.nan_to_num(unit * alpha, posinf=0.0))
-        frame[f"{self.path}/label"] = State(at([0.0, -longest - 0.045, 0.0]))
+        lengths = [0.0]
+        for arrow in self.arrows:
+            alpha = float(sample[arrow.channel][self.column])
+            drawn = pressed if arrow.name == "true" else known
+            path = f"{self.path}/{arrow.name}"
+            frame[path] = State(visible=drawn and alpha > SHOWN_FROM)
+            frame |= arrow_states(path, unit * alpha)
+            lengths.append(np.nan_to_num(unit * alpha, posinf=0.0))
+        frame[f"{self.path}/label"] = State(on_y(-max(lengths) - 0.045))
         return frame
 
-    def ends(self, sample: Sample) -> Array:
-        """(k, 3) ends of the longest arrow at one tick; none where the contact is not known."""
-        label = self.states(sample)[f"{self.path}/label"].matrix
-        known = contact_normals(sample, self.owners).known[self.column]
-        if label is None or not known:
-            return np.zeros((0, 3))
-        return np.array([self.last.translation, self.last * label[:3, 3]])
+    def corners(self, sample: Sample) -> Array:
+        """(k, 3) tip and label at one tick; none where the contact is not known."""
+        label = self.states(sample)[f"{self.path}/label"].pose
+        known = sample["normals"].known[self.column]
+        ends = [X.translation for X in (self.last, self.last * label) if known]
+        return np.reshape(ends, (-1, 3))
 
-    def legend(self) -> Iterable[LegendEntry]:
-        """The contact's colour; the check boxes are shared by all contacts."""
-        return [LegendEntry(self.colour, self.words)]
-
-    def _place(self, sample: Sample, normals: Normals) -> tuple[pin.SE3, float]:
-        """Pose whose y-axis is the line of force, near the contact point; the pitch (m)."""
-        if not normals.known[self.column]:
-            return pin.SE3.Identity(), 0.0
-        point: Array = sample["contact_point"][self.contact]
-        screw = wrench_screw(normals.N[:, self.column], sample["pose"][:3])
-        if not np.isinf(screw.pitch):
-            point = screw.point + ((point - screw.point) @ screw.direction) * screw.direction
-        return along(point, screw.direction), screw.pitch
+    def _place(self, sample: Sample) -> float:
+        """Put the y-axis on the line of force, near the contact point, if known; the pitch (m)."""
+        N, known, _ = sample["normals"]
+        if not known[self.column]:
+            return 0.0
+        point = sample["contact_point"][self.contact]
+        foot, direction, pitch = wrench_screw(N[:, self.column], sample["pose"][:3])
+        if not np.isinf(pitch):
+            point = foot + ((point - foot) @ direction) * direction
+        self.last = along(point, direction)
+        return pitch
 
 
-def toggles(forces: Sequence[ContactForce]) -> list[LegendEntry]:
-    """The check boxes that all contacts share."""
+def legend(forces: Sequence[ContactForce]) -> list[LegendEntry]:
+    """Colours of the contacts, and the check boxes that all contacts share."""
     if not forces:
         return []
-
-    def entry(words: str, look: str, *names: str) -> LegendEntry:
-        paths = tuple(f"{force.path}/{name}" for force in forces for name in names)
-        return LegendEntry(BLACK, words, look, paths)
-
-    lines = ["closed/line", "lost/line"]
-    if any(force.pitch for force in forces):
-        lines += ["closed/pitch", "lost/pitch"]
-    return [
-        *(
-            entry(ARROWS[kind].words, ARROWS[kind].look, f"{kind}/shaft", f"{kind}/head")
-            for kind in forces[0].arrows
-        ),
-        entry("N: lines of force (grey: contact lost)", "line", *lines),
+    rows = [
+        (one.words, one.look, f"{one.name}/shaft", f"{one.name}/head") for one in forces[0].arrows
     ]
+    rows.append(("N: lines of force (grey: contact lost)", "line", "closed/line", "lost/line"))
+    entries = [LegendEntry(force.colour, force.words) for force in forces]
+    for words, look, *names in rows:
+        paths = tuple(f"{force.path}/{name}" for force in forces for name in names)
+        entries.append(LegendEntry(BLACK, words, look, paths))
+    return entries
 
 
 # --- Motions permitted --------------------------------------------------------------------------
@@ -205,14 +203,11 @@ class TwistAxes(Part):
     advances; the height of a path is drawn up to 0.5 m.
     """
 
-    def __init__(self, first: Sample, owners: Sequence[int] = ()) -> None:
-        self.owners = owners
-        pitches = [pitch for _, pitch in self._screws(first)]
-        pitches += [0.0] * (6 - len(pitches))
-        self.pitches = [
-            pitch if LEAST_TWIST_PITCH < abs(pitch) < np.inf else LEAST_TWIST_PITCH
-            for pitch in pitches
-        ]
+    def __init__(self, first: Sample) -> None:
+        self.pitches = [LEAST_TWIST_PITCH] * 6
+        for i, (_, pitch) in enumerate(_screws(first)):
+            if LEAST_TWIST_PITCH < abs(pitch) < np.inf:
+                self.pitches[i] = pitch
 
     def draw(self, scene: Visualizer) -> None:
         """Make the nodes of all six axes that T can have."""
@@ -220,52 +215,49 @@ class TwistAxes(Part):
         half = 0.5 * SLIDE_LENGTH
         for i, pitch in enumerate(self.pitches):
             node = scene[f"twists/{i}"]
-            path = helix(pitch, *TWIST_HELIX)
-            node["turn/path/tube"].set_object(tube(path, 0.0019), paint)
+            node["turn/path/tube"].set_object(tube(helix(pitch, *TWIST_HELIX), 0.0019), paint)
             cylinder(node["turn/axis/rod"], paint, (-0.5 * AXIS_LENGTH, 0.5 * AXIS_LENGTH), 0.0013)
             cylinder(node["turn/end/head"], paint, (-0.002, 0.018), 0.006, top=0.0)
             cylinder(node["slide/axis/rod"], paint, (-half, half), 0.0019)
             cylinder(node["slide/up"], paint, (half - 0.008, half + 0.02), 0.007, top=0.0)
-            cylinder(node["slide/down"], paint, (0.008 - half, -half - 0.02), 0.007, top=0.0)
+            cylinder(node["slide/down"], paint, (-half - 0.02, 0.008 - half), 0.0, top=0.007)
 
     def states(self, sample: Sample) -> Frame:
         """Where the axes are at one tick; those that T does not have are hidden."""
-        screws = self._screws(sample)
+        screws = _screws(sample)
         frame: Frame = {}
         for i, reference in enumerate(self.pitches):
             path = f"twists/{i}"
             pose, pitch = screws[i] if i < len(screws) else (pin.SE3.Identity(), 0.0)
             turns = bool(np.isfinite(pitch))
-            stretch = _stretch(pitch if turns else 0.0, reference)
-            curve = helix(reference, *TWIST_HELIX) * [1.0, stretch, 1.0]
+            curve = helix(reference, *TWIST_HELIX)
+            most = TALLEST / np.ptp(curve[:, 1])
+            stretch = float(np.clip(pitch / reference, -most, most)) if turns else 0.0
+            if abs(stretch) < 1e-6:
+                stretch = 1e-6
+            curve *= [1.0, stretch, 1.0]
             end = 0.53 * (AXIS_LENGTH if turns else SLIDE_LENGTH + 0.06)
             frame |= {
                 path: State(pose, visible=i < len(screws)),
                 f"{path}/turn": State(visible=turns),
                 f"{path}/slide": State(visible=not turns),
                 f"{path}/turn/path": State(scale=(1.0, stretch, 1.0)),
-                f"{path}/label": State(at([0.0, end, 0.0])),
+                f"{path}/label": State(on_y(end)),
                 f"{path}/turn/end": State(along(curve[-1], curve[-1] - curve[-2])),
             }
         return frame
 
-    def legend(self) -> Iterable[LegendEntry]:
-        """One entry."""
+    def legend(self) -> LegendEntry:
+        """Its line of the legend."""
         paths = tuple(f"twists/{i}/{node}" for i in range(6) for node in TWIST_NODES)
-        yield LegendEntry(T_COLOUR, "T: a basis of the motions permitted", "turn", paths)
-
-    def _screws(self, sample: Sample) -> list[tuple[pin.SE3, float]]:
-        normals = contact_normals(sample, self.owners)
-        origin = sample["pose"][:3]
-        screws = [twist_screw(t, origin) for t in tangents(normals.N[:, normals.pressed]).T]
-        return [(along(screw.point, screw.direction), screw.pitch) for screw in screws]
+        return LegendEntry(T_COLOUR, "T: a basis of the motions permitted", "turn", paths)
 
 
-def _stretch(pitch: float, reference: float) -> float:
-    """How much the path drawn at the reference pitch is stretched along the axis."""
-    most = TALLEST / np.ptp(helix(reference, *TWIST_HELIX)[:, 1])
-    stretch = float(np.clip(pitch / reference, -most, most))
-    return stretch if abs(stretch) > 1e-6 else 1e-6
+def _screws(sample: Sample) -> list[tuple[pin.SE3, float]]:
+    """Pose, whose y-axis is the axis, and pitch of each motion that the closed contacts permit."""
+    N, _, pressed = sample["normals"]
+    screws = [twist_screw(t, sample["pose"][:3]) for t in tangents(N[:, pressed]).T]
+    return [(along(screw.point, screw.direction), screw.pitch) for screw in screws]
 
 
 # --- The best single frame ----------------------------------------------------------------------
@@ -293,9 +285,8 @@ FindFrame = Callable[[Array], BestFrame]
 class ConstraintFrame(Part):
     """Raibert and Craig's frame that comes closest to N: the lines of force it would select."""
 
-    def __init__(self, find: FindFrame, owners: Sequence[int] = (), words: str = "") -> None:
+    def __init__(self, find: FindFrame, words: str) -> None:
         self.find = find
-        self.owners = owners
         self.words = words
         self.found: tuple[Array, BestFrame] | None = None
 
@@ -311,29 +302,29 @@ class ConstraintFrame(Part):
             node.set_transform(along(np.zeros(3), direction).homogeneous)
             cylinder(node["stub/rod"], plain(BLACK, 0.45), (-0.05, 0.05), 0.0035)
             for k in range(DASHES):  # dashes: not a line of force the contact really has
-                begin, end = LINE_LENGTH * ((np.array([k + 0.2, k + 0.8])) / DASHES - 0.5)
-                cylinder(node[f"force/line/{k}"], paint, (begin, end), 0.002)
+                ends = LINE_LENGTH * (np.array([k + 0.2, k + 0.8]) / DASHES - 0.5)
+                cylinder(node[f"force/line/{k}"], paint, ends.tolist(), 0.002)
             node["couple/ring"].set_object(ring, paint)
 
     def states(self, sample: Sample) -> Frame:
         """Where the frame is at one tick, and what it selects."""
-        normals = contact_normals(sample, self.owners)
-        N = normals.N[:, normals.pressed]
+        N, _, pressed = sample["normals"]
+        N = N[:, pressed]
         if self.found is None or not np.array_equal(self.found[0], N):
             self.found = N, self.find(N)
         best = self.found[1]
-        origin = sample["pose"][:3]
-        frame = {"frame": State(at(origin) * best.frame, visible=N.shape[1] > 0)}
-        for axis in range(3):
-            frame[f"frame/axis{axis}/force"] = State(visible=bool(best.forces[axis]))
-            frame[f"frame/axis{axis}/couple"] = State(visible=bool(best.couples[axis]))
+        X = at(sample["pose"][:3]) * best.frame
+        frame = {"frame": State(X, visible=N.shape[1] > 0)}
+        for axis, (force, couple) in enumerate(zip(best.forces, best.couples, strict=True)):
+            frame[f"frame/axis{axis}/force"] = State(visible=bool(force))
+            frame[f"frame/axis{axis}/couple"] = State(visible=bool(couple))
         return frame
 
-    def legend(self) -> Iterable[LegendEntry]:
-        """One entry."""
+    def legend(self) -> LegendEntry:
+        """Its line of the legend."""
         kinds = ("stub", "force/line", "couple/ring")
         paths = tuple(f"frame/axis{axis}/{kind}" for axis in range(3) for kind in kinds)
-        yield LegendEntry(BLACK, self.words, "frame", ("frame/origin", *paths), shown=False)
+        return LegendEntry(BLACK, self.words, "frame", ("frame/origin", *paths), shown=False)
 
 
 # --- Trails -------------------------------------------------------------------------------------
@@ -357,12 +348,8 @@ class Trails:
 
     def extend(self, sample: Sample) -> None:
         """Take one tick in; a step of less than 0.5 mm is left out."""
-        points = np.vstack(
-            [
-                sample.get("pose", [np.nan] * 3)[:3],
-                np.reshape(sample.get("contact_point", ()), (-1, 3)),
-            ]
-        )
+        contacts = np.reshape(sample.get("contact_point", ()), (-1, 3))
+        points = np.vstack((sample.get("pose", [np.nan] * 3)[:3], contacts))
         for path, point in zip(self.points.values(), points, strict=False):
             if np.isfinite(point).all() and (not path or norm(point - path[-1]) >= STEP):
                 path.append(point)
@@ -377,7 +364,7 @@ class Trails:
                 scene[f"trails/{name}"].set_object(tube(path, 0.004, sides=5), paint)
                 self.drawn[name] = len(path)
 
-    def legend(self) -> list[LegendEntry]:
-        """One entry."""
+    def legend(self) -> LegendEntry:
+        """Its line of the legend."""
         paths = tuple(f"trails/{name}" for name in self.colours)
-        return [LegendEntry(TRAIL_COLOUR, "trails of object and contacts", "trail", paths)]
+        return LegendEntry(TRAIL_COLOUR, "trails of object and contacts", "trail", paths)

@@ -7,11 +7,11 @@ the parts drawn from URDFs; those that mark contacts are in `visual.marks`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 Sample = Mapping[str, Any]
-"""The channels of a recording at one tick."""
+"""The channels of a recording at one tick; for marks at contacts also its `normals`."""
 
 
 class State(NamedTuple):
@@ -48,12 +48,12 @@ class State(NamedTuple):
     visible: bool | None = None
 
     @property
-    def matrix(self) -> Array | None:
+    def matrix(self) -> Any:
         """(4, 4) scaled, then placed; None where neither is given."""
         if self.pose is None and self.scale is None:
             return None
-        placed: Array = np.eye(4) if self.pose is None else self.pose.homogeneous
-        return placed * np.array([*(self.scale or (1.0, 1.0, 1.0)), 1.0])
+        placed = np.eye(4) if self.pose is None else self.pose.homogeneous
+        return placed * [*(self.scale or (1.0, 1.0, 1.0)), 1.0]
 
 
 Frame = dict[str, State]
@@ -78,20 +78,14 @@ class LegendEntry(NamedTuple):
     shown: bool = True
 
 
-class Part:
+class Part(Protocol):
     """One part of a scene."""
 
     def draw(self, scene: Visualizer) -> None:
         """Make the nodes."""
-        raise NotImplementedError
 
     def states(self, sample: Sample) -> Frame:
         """States of the nodes at one tick."""
-        raise NotImplementedError
-
-    def legend(self) -> Iterable[LegendEntry]:
-        """Its lines of the legend; none where a part explains itself."""
-        return ()
 
 
 # --- From states to pages -----------------------------------------------------------------------
@@ -138,8 +132,7 @@ def track(
     changed = np.any(values[1:] != values[:-1], axis=tuple(range(1, values.ndim)))
     if not changed.any():
         return
-    kept = np.concatenate(([True], changed)) | np.concatenate((changed, [True]))
-    frames = np.flatnonzero(kept)
+    frames = np.flatnonzero(np.append(True, changed) | np.append(changed, True))
     clip = animation.clips.setdefault(node.path, AnimationClip(fps=animation.default_framerate))
     clip.tracks[name] = AnimationTrack(name, kind, frames.tolist(), values[frames].tolist())
 
@@ -154,8 +147,7 @@ def changes(scene: Visualizer, before: Frame, after: Frame) -> None:
     for path, state in after.items():
         old = before.get(path, State())
         matrix = state.matrix
-        last = old.matrix
-        if matrix is not None and (last is None or not np.array_equal(matrix, last)):
+        if matrix is not None and not np.array_equal(matrix, old.matrix):
             scene[path].set_transform(matrix)
         if state.visible is not None and state.visible != old.visible:
             scene[path].set_property("visible", state.visible)
@@ -219,12 +211,13 @@ class Content:
 class _Drawn(Part):
     """Shapes of a file, on nodes that move.
 
-    Attributes:
-        shapes: of the file. paths: the node of each joint that carries shapes.
+    Args:
+        geometry: the shapes. nodes: name of the node of each joint; only joints with shapes get it.
     """
 
-    shapes: Sequence[pin.GeometryObject]
-    paths: Mapping[int, str]
+    def __init__(self, geometry: pin.GeometryModel, nodes: Sequence[str]) -> None:
+        self.shapes = list(geometry.geometryObjects)
+        self.paths = {shape.parentJoint: nodes[shape.parentJoint] for shape in self.shapes}
 
     def draw(self, scene: Visualizer) -> None:
         """Make the nodes."""
@@ -258,12 +251,10 @@ class MovingArm(_Drawn):
         self.arm = arm
         self.model, geometry = _shapes(arm)
         self.data = self.model.createData()
-        self.shapes = list(geometry.geometryObjects)
-        names = ["base", *joint_names(self.model)]
-        self.q = np.array([arm.locked.get(name, 0.0) for name in names[1:]])
-        self.moving = [j for j, name in enumerate(names[1:]) if name not in arm.locked]
-        joints = sorted({shape.parentJoint for shape in self.shapes})
-        self.paths = {joint: f"arms/{arm.name}/{names[joint]}" for joint in joints}
+        names = joint_names(self.model)
+        super().__init__(geometry, [f"arms/{arm.name}/{name}" for name in ("base", *names)])
+        self.q = np.array([arm.locked.get(name, 0.0) for name in names])
+        self.moving = [j for j, name in enumerate(names) if name not in arm.locked]
 
     def placements(self, sample: Sample) -> dict[str, pin.SE3]:
         """Placement of every link; where q is not known (NaN) it stays where it was.
@@ -292,37 +283,21 @@ class MovingBody(_Drawn):
 
     def __init__(self, body: BodyVisual) -> None:
         self.body = body
-        _, geometry, _ = load_geometry(body.urdf, pin.GeometryType.VISUAL, body.package_dirs)
-        self.shapes = list(geometry.geometryObjects)
         self.path = f"bodies/{body.name}"
-        self.paths = {shape.parentJoint: self.path for shape in self.shapes}
+        model, geometry, _ = load_geometry(body.urdf, pin.GeometryType.VISUAL, body.package_dirs)
+        super().__init__(geometry, [self.path] * model.njoints)
         self.last = pin.SE3.Identity() if body.placement is None else body.placement
 
-    def draw(self, scene: Visualizer) -> None:
-        """Make the nodes."""
-        super().draw(scene)
-        if self.body.placement is not None:
-            scene[self.path].set_transform(self.body.placement.homogeneous)
-
-    def states(self, sample: Sample) -> Frame:
-        """Its placement, if it moves."""
-        placement = self._placement(sample)
-        return {} if placement is self.body.placement else {self.path: State(placement)}
-
     def placements(self, sample: Sample) -> dict[str, pin.SE3]:
-        """Its placement."""
-        return {self.path: self._placement(sample)}
-
-    def _placement(self, sample: Sample) -> pin.SE3:
+        """Its placement; where its pose is not known (NaN) it stays where it was."""
+        pose = np.full(7, np.nan)
         if self.body.face is not None and "face_pose" in sample:
             pose = sample["face_pose"][self.body.face]
         elif self.body.placement is None:
             pose = _channel(sample, "pose", f"body {self.body.name!r}")
-        else:
-            return self.body.placement
-        if np.isfinite(pose).all():  # else it is not known, and stays where it was
+        if np.isfinite(pose).all():
             self.last = pin.XYZQUATToSE3(pose)
-        return self.last
+        return {self.path: self.last}
 
 
 def _shapes(arm: ArmVisual) -> tuple[pin.Model, pin.GeometryModel]:

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording, column_names
 from osc_contact.spatial import norm
-from osc_contact.visual import OKABE_ITO, contact_colour
-from osc_contact.visual.marks import (
-    T_COLOUR,
-    ConstraintFrame,
-    ContactForce,
-    FindFrame,
-    Trails,
-    TwistAxes,
-    toggles,
-)
+from osc_contact.visual import OKABE_ITO, contact_colour, marks
+from osc_contact.visual.marks import FindFrame
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
 from osc_contact.visual.parts import (
     ArmVisual,
@@ -29,13 +20,13 @@ from osc_contact.visual.parts import (
     BodyVisual,
     Content,
     Frame,
-    LegendEntry,
     MovingArm,
     MovingBody,
     Part,
     Sample,
     animate,
 )
+from osc_contact.visual.screws import contact_normals
 from osc_contact.visual.shapes import at, plain, rgb
 
 if TYPE_CHECKING:
@@ -56,28 +47,34 @@ class Scene:
     """
 
     def __init__(self, content: Content, first: Sample, find: FindFrame | None = None) -> None:
+        located = {"contact_point", "contact_direction", "pose"} <= first.keys()
+        contacts = content.contacts if located else ()
+        self.owners = list(content.columns or range(len(contacts))) if contacts else []
+        first = self._with_normals(first)
+        names = column_names(contacts, self.owners)
+        columns = enumerate(zip(names, self.owners, strict=True))
         self.arms = [MovingArm(arm) for arm in content.arms]
         self.bodies = [MovingBody(body) for body in content.bodies]
-        located = {"contact_point", "contact_direction", "pose"} <= first.keys()
-        contacts = list(content.contacts) if located else []
-        owners = list(content.columns or range(len(contacts))) if contacts else []
-        names = column_names(contacts, owners)
-        self.forces = [
-            ContactForce(name, column, owners[column], owners, first)
-            for column, name in enumerate(names)
-        ]
+        self.forces = [marks.ContactForce(name, i, owner, first) for i, (name, owner) in columns]
         self.parts: list[Part] = [*self.arms, *self.bodies, *self.forces]
+        self.trails = marks.Trails(contacts)
+        self.legend = marks.legend(self.forces)
         if contacts:
-            self.parts.append(TwistAxes(first, owners))
+            axes = marks.TwistAxes(first)
+            self.parts.append(axes)
+            self.legend.append(axes.legend())
         if contacts and find is not None:
-            self.parts.append(ConstraintFrame(find, owners, content.frame_words))
-        self.trails = Trails(contacts)
-        self.panels = panels_of(first, names, owners)
+            frame = marks.ConstraintFrame(find, content.frame_words)
+            self.parts.append(frame)
+            self.legend.append(frame.legend())
+        self.legend.append(self.trails.legend())
+        self.panels = panels_of(first, names, self.owners)
+        self.lines = [line for panel in self.panels for line in panel["lines"]]
 
-    @property
-    def lines(self) -> list[dict[str, Any]]:
-        """The plotted lines of all panels."""
-        return [line for panel in self.panels for line in panel["lines"]]
+    def _with_normals(self, sample: Sample) -> Sample:
+        return (
+            {**sample, "normals": contact_normals(sample, self.owners)} if self.owners else sample
+        )
 
     def draw(self, scene: Visualizer) -> None:
         """Make all nodes."""
@@ -86,6 +83,7 @@ class Scene:
 
     def states(self, sample: Sample) -> Frame:
         """Where everything is at one tick."""
+        sample = self._with_normals(sample)
         return {path: state for part in self.parts for path, state in part.states(sample).items()}
 
     def look(self, scene: Visualizer, samples: Sequence[Sample]) -> list[dict[str, Any]]:
@@ -100,10 +98,10 @@ class Scene:
             from where, seen from there (m, world).
         """
         nothing = np.zeros((0, 3))
-        near = [body.corners(sample) for body in self.bodies for sample in samples]
-        near += [force.ends(sample) for force in self.forces for sample in samples]
-        near_points = np.vstack([nothing, *near])
-        points = np.vstack([near_points, *(arm.corners(samples[0]) for arm in self.arms)])
+        samples = [self._with_normals(sample) for sample in samples]
+        small: Sequence[MovingBody | marks.ContactForce] = (*self.bodies, *self.forces)
+        near = np.vstack([nothing, *(part.corners(one) for part in small for one in samples)])
+        points = np.vstack([near, *(arm.corners(samples[0]) for arm in self.arms)])
         bases = np.vstack([nothing, *(arm.arm.base.translation for arm in self.arms)])
         directions = samples[0].get("contact_direction", nothing)
         floor = float(np.min(bases[:, 2], initial=0.0))
@@ -111,43 +109,39 @@ class Scene:
         if lowest <= floor - 0.05:
             floor = lowest - 0.1
         front, side = _headings(points, bases, np.nan_to_num(directions.reshape(-1, 3)))
-        if not len(near_points):
-            near_points = points
+        if not len(near):
+            near = points
         views = {
             "whole": (points, eye(side)),
-            "contacts": (near_points, eye(side)),
-            "from above": (near_points, eye(front, np.deg2rad(85.0))),
+            "contacts": (near, eye(side)),
+            "from above": (near, eye(front, np.deg2rad(85.0))),
             "other side": (points, eye(side + np.pi)),
         }
         set_stage(scene, points, views["whole"][1], floor=floor)
         cameras = []
         for name, (seen, view) in views.items():
-            target, distance = fitted(seen, view)
-            offset = distance * view
+            target, offset = fitted(seen, view)
             cameras.append({"name": name, "target": target.tolist(), "offset": offset.tolist()})
         return cameras
 
     def config(self, **more: Any) -> dict[str, Any]:
         """What the page's scripts need: legend, labels and plots."""
-        entries: list[LegendEntry] = [e for force in self.forces for e in force.legend()]
-        entries += toggles(self.forces)
-        entries += [entry for part in self.parts for entry in part.legend() if entry.paths]
-        entries += self.trails.legend()
-        keys = [(line["key"], line["index"]) for line in self.lines]
+        numbers = {(line["key"], line["index"]): k for k, line in enumerate(self.lines)}
         labels = [
             label(
                 f"{force.path}/label",
                 force.words,
                 force.colour,
-                line=keys.index(key) if (key := ("alpha_true", force.column)) in keys else None,
+                line=numbers.get(("alpha_true", force.column)),
                 unit="N m" if force.couple else "N",
                 lost=f"{force.path}/lost",
             )
             for force in self.forces
         ]
         if self.forces:
-            labels += [label(f"twists/{i}/label", f"t{'₁₂₃₄₅₆'[i]}", T_COLOUR) for i in range(6)]
-        legend = [entry._asdict() for entry in entries]
+            for i, name in enumerate(("t₁", "t₂", "t₃", "t₄", "t₅", "t₆")):
+                labels.append(label(f"twists/{i}/label", name, marks.T_COLOUR))
+        legend = [entry._asdict() for entry in self.legend]
         return EMPTY | {"legend": legend, "labels": labels, "panels": self.panels} | more
 
 
@@ -198,8 +192,8 @@ def write_scene(
     if t.size == 0 or fps < 1:
         raise InvalidInputError(f"{t.size} ticks at {fps} frames/s make no picture: both need >= 1")
     length = float(t[-1] - t[0])
-    fps = min(float(fps), MOST_FRAMES / length) if length > 0.0 else float(fps)
-    times = np.arange(int(np.floor(length * fps + 1e-9)) + 1) / fps
+    fps = float(min(fps, MOST_FRAMES / length)) if length else float(fps)
+    times = np.arange(int(length * fps + 1e-9) + 1) / fps
     ticks = np.minimum(np.searchsorted(t - t[0], times - 1e-9), t.size - 1)
     samples = [sample_at(recording.channels, int(tick)) for tick in ticks]
     meta = recording.meta
@@ -215,10 +209,12 @@ def write_scene(
 
     animation = Animation(default_framerate=fps)
     picture.draw(scene)
+    frames = []
     for sample in samples:
         picture.trails.extend(sample)
+        frames.append(picture.states(sample))
     picture.trails.draw(scene)
-    animate(scene, animation, [picture.states(sample) for sample in samples])
+    animate(scene, animation, frames)
     cameras = picture.look(scene, samples[:: max(len(samples) // 20, 1)])
     scene.set_animation(animation, play=True, repetitions=float("inf"))
     config = picture.config(
@@ -279,9 +275,9 @@ def set_stage(
     ground["grid"].set_object(
         LineSegments(PointsGeometry(ends), LineBasicMaterial(color=rgb(GRID_COLOUR)))
     )
-    target, distance = fitted(points, view, aspect)
+    target, offset = fitted(points, view, aspect)
     scene.set_transform(at(-target).homogeneous)
-    x, y, z = (distance * view).tolist()
+    x, y, z = offset.tolist()
     camera = scene["/Cameras/default/rotated/<object>"]
     camera.set_property("position", [x, z, -y])
     camera.set_property("fov", FIELD_OF_VIEW_DEG)
@@ -301,8 +297,8 @@ def _headings(points: Array, bases: Array, pushes: Array) -> tuple[float, float]
     return front, front + float(turns[np.argmin(np.round(along, 1))])
 
 
-def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, float]:
-    """Where to look (m) and from how far away, so that the points (k, 3) fill the picture.
+def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, Array]:
+    """Where to look and, from there, where the eye is (m), so that the points fill the picture.
 
     Args:
         points: (k, 3) m.
@@ -319,7 +315,7 @@ def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, f
         image = seen[:, :2] / (distance - seen[:, 2:])
         shift = 0.5 * (image.min(axis=0) + image.max(axis=0)) * distance
         target = target + axes[:2].T @ shift
-    return target, max(distance, 0.3)
+    return target, max(distance, 0.3) * view
 
 
 def picture_axes(view: Array) -> Array:
@@ -359,7 +355,7 @@ def panels_of(
             "key": key,
             "index": i,
             "look": look,
-            "colour": contact_colour(owners[i]) if look != "dashed" else "#15181C",
+            "colour": contact_colour(owners[i]) if look != "dashed" else marks.BLACK,
             "name": name.replace("_", " ") if look == "solid" else "",
         }
         for key, look in _FORCES
@@ -382,10 +378,10 @@ def panels_of(
 
 def values(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> Array:
     """(lines,) at one tick, or (lines, T): the numbers of all lines."""
-    found = [
-        channels[line["key"]] if line["index"] < 0 else channels[line["key"]][..., line["index"]]
-        for line in lines
-    ]
+    found = []
+    for line in lines:
+        channel = channels[line["key"]]
+        found.append(channel if line["index"] < 0 else channel[..., line["index"]])
     return np.array(found, dtype=float)
 
 
@@ -407,15 +403,12 @@ def thinned(
         bins: stretches of equally many ticks.
     """
     t = np.asarray(channels["t"], dtype=float)
-    rows: Iterable[Array] = values(lines, channels)
+    rows = list(values(lines, channels))
     if len(t) > 2 * bins:
         stretches = np.array_split(np.arange(len(t)), bins)
-        t = np.array([t[part[k]] for part in stretches for k in (0, -1)])
-        rows = [row[_extremes(row, stretches)] for row in np.nan_to_num(values(lines, channels))]
+        t = t[[part[k] for part in stretches for k in (0, -1)]]
+        for number, row in enumerate(np.nan_to_num(rows)):
+            places = [(row[part].argmin(), row[part].argmax()) for part in stretches]
+            found = [part[sorted(ends)] for part, ends in zip(stretches, places, strict=True)]
+            rows[number] = row[np.concatenate(found)]
     return {"t": np.round(t, 4).tolist(), "y": [rounded(row) for row in rows]}
-
-
-def _extremes(row: Array, stretches: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
-    """Places of the smallest and largest value of each stretch, in order of time."""
-    found = [part[sorted((row[part].argmin(), row[part].argmax()))] for part in stretches]
-    return np.concatenate(found)

@@ -41,8 +41,18 @@ def wrench_screw(wrench: ArrayLike, origin: ArrayLike) -> ScrewAxis:
     Raises:
         InvalidInputError: zero, not finite or not (6,).
     """
-    force, moment = _halves(wrench)
-    return _screw(force, moment, np.asarray(origin, dtype=float))
+    values = np.asarray(wrench, dtype=float)
+    if values.shape != (6,) or not np.isfinite(values).all() or not values.any():
+        raise InvalidInputError(f"{values.tolist()} is no screw: 6 finite numbers, not all zero")
+    line, moment = np.split(values, 2)
+    point = np.asarray(origin, dtype=float)
+    size = norm(line)
+    arm = norm(moment)
+    if size * FAR <= arm:
+        return ScrewAxis(point, moment / arm, float("inf"))
+    direction = line / size
+    across = np.cross(direction, moment / size)
+    return ScrewAxis(point + across, direction, float(direction @ moment / size))
 
 
 def twist_screw(twist: ArrayLike, origin: ArrayLike) -> ScrewAxis:
@@ -51,26 +61,7 @@ def twist_screw(twist: ArrayLike, origin: ArrayLike) -> ScrewAxis:
     Raises:
         InvalidInputError: zero, not finite or not (6,).
     """
-    velocity, turn = _halves(twist)
-    return _screw(turn, velocity, np.asarray(origin, dtype=float))
-
-
-def _halves(vector: ArrayLike) -> tuple[Array, Array]:
-    values = np.asarray(vector, dtype=float)
-    if values.shape != (6,) or not np.isfinite(values).all() or not values.any():
-        raise InvalidInputError(f"{values.tolist()} is no screw: 6 finite numbers, not all zero")
-    return values[:3], values[3:]
-
-
-def _screw(line: Array, moment: Array, origin: Array) -> ScrewAxis:
-    size = norm(line)
-    arm = norm(moment)
-    if size * FAR <= arm:
-        return ScrewAxis(origin, moment / arm, float("inf"))
-    direction = line / size
-    return ScrewAxis(
-        origin + np.cross(direction, moment / size), direction, float(direction @ moment / size)
-    )
+    return wrench_screw(np.roll(twist, 3), origin)  # ω is the line, v the moment
 
 
 class CommonPerpendicular(NamedTuple):
@@ -108,13 +99,11 @@ class Normals(NamedTuple):
 
     Attributes:
         N: (6, r) at O, world axes; columns that are not known are zero.
-        owner: (r,) which contact each column belongs to.
         known: (r,) whether the contact's place was recorded at this tick.
         pressed: (r,) whether it is also closed, so that N really holds the column.
     """
 
     N: Array
-    owner: NDArray[np.intp]
     known: NDArray[np.bool_]
     pressed: NDArray[np.bool_]
 
@@ -141,7 +130,7 @@ def contact_normals(sample: Mapping[str, Any], owners: Sequence[int] = ()) -> No
     known = np.isfinite(points).all(axis=1)[owner] & np.isfinite(N).all(axis=0)
     N = np.where(known, N, 0.0)
     known &= N.any(axis=0)
-    return Normals(N, owner, known, known & closed[owner])
+    return Normals(N, known, known & closed[owner])
 
 
 def tangents(N: Array) -> Array:

@@ -22,16 +22,17 @@ if TYPE_CHECKING:
     from meshcat import Visualizer
 
 Array = NDArray[np.float64]
-Triple = tuple[float, float, float]
-HEAD_LENGTH = 0.035
-"""Length of an arrow's head in m; shorter arrows are all head, shrunk."""
-_SHORTEST = 1e-6
 _Y_TO_Z = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.zeros(3))
 
 
 def at(point: ArrayLike) -> pin.SE3:
     """Pose at a point (m), not turned."""
     return pin.SE3(np.eye(3), np.asarray(point, dtype=float))
+
+
+def on_y(y: float) -> pin.SE3:
+    """Pose on the y-axis (m), not turned."""
+    return at([0.0, y, 0.0])
 
 
 def along(point: ArrayLike, direction: ArrayLike) -> pin.SE3:
@@ -93,51 +94,16 @@ def cylinder(
     Args:
         node: that gets the cylinder.
         paint: its material.
-        ends: where it begins and ends on the y-axis of the parent node (m).
-        radius: at its beginning (m).
-        top: radius at its end (m), default the same; 0 makes a cone.
+        ends: its lower and upper end on the y-axis of the parent node (m).
+        radius: at its lower end (m).
+        top: radius at its upper end (m), default the same; 0 makes a cone.
     """
     from meshcat.geometry import Cylinder
 
-    begin, end = ends
-    length = abs(end - begin)
-    radii = (radius, radius if top is None else top)
-    bottom, upper = radii if begin < end else radii[::-1]
-    node.set_object(Cylinder(length, radiusTop=upper, radiusBottom=bottom), paint)
-    if begin + end:
-        node.set_transform(at([0.0, 0.5 * (begin + end), 0.0]).homogeneous)
-
-
-def arrow(
-    node: Visualizer, colour: str, radius: float = 0.006, opacity: float = 1.0, heads: int = 1
-) -> None:
-    """Arrow whose TIP is the node's origin and that points along the node's y-axis.
-
-    Its length is changed by the scales of the children ``shaft`` and ``head`` (see
-    `arrow_lengths`), which an animation can do; freshly made it is 1 m + head long.
-
-    Args:
-        node: that gets the arrow.
-        colour: ``#RRGGBB``.
-        radius: of the shaft (m).
-        opacity: 0 (invisible) … 1.
-        heads: one, or two behind one another for a couple.
-    """
-    paint = material(colour, opacity, glow=0.12)
-    for name, tip in (("cone", 0.0), ("second", -0.025))[:heads]:
-        cylinder(node[f"head/{name}"], paint, (tip - HEAD_LENGTH, tip), 2.4 * radius, top=0.0)
-    cylinder(node["shaft/rod"], paint, (-1.0, 0.0), radius)
-
-
-def arrow_lengths(length: float) -> tuple[Triple, float, Triple]:
-    """What makes an arrow ``length`` m long: scale of the shaft, its y, scale of the head.
-
-    The head keeps its size; an arrow shorter than its head is a smaller head without shaft.
-    """
-    length = max(length, _SHORTEST) if np.isfinite(length) else _SHORTEST
-    head = min(1.0, length / HEAD_LENGTH)
-    stretch = max(length - HEAD_LENGTH, _SHORTEST)
-    return (head, stretch, head), -HEAD_LENGTH * head, (head, head, head)
+    low, high = ends
+    upper = radius if top is None else top
+    node.set_object(Cylinder(high - low, radiusTop=upper, radiusBottom=radius), paint)
+    node.set_transform(on_y(0.5 * (low + high)).homogeneous)
 
 
 def tube(points: ArrayLike, radius: float, sides: int = 6) -> Any:
@@ -159,16 +125,16 @@ def tube(points: ArrayLike, radius: float, sides: int = 6) -> Any:
     forward /= np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-12)
     side = np.cross(forward[0], np.eye(3)[np.argmin(np.abs(forward[0]))])
     angles = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    circle = radius * np.array([np.cos(angles), np.sin(angles)]).T
     rings = []
     for point, ahead in zip(path, forward, strict=True):
         side = side - (side @ ahead) * ahead  # carried along without twisting
         side /= max(norm(side), 1e-12)
-        circle = np.outer(np.cos(angles), side) + np.outer(np.sin(angles), np.cross(ahead, side))
-        rings.append(point + radius * circle)
+        rings.append(point + circle @ [side, np.cross(ahead, side)])
     first = np.arange((len(path) - 1) * sides).reshape(-1, sides)
     second = np.roll(first, -1, axis=1)
-    faces = [(first, second, first + sides), (second, second + sides, first + sides)]
-    triangles = np.concatenate([np.stack(f, axis=-1).reshape(-1, 3) for f in faces])
+    faces = [[first, second, first + sides], [second, second + sides, first + sides]]
+    triangles = np.array(faces).transpose(0, 2, 3, 1).reshape(-1, 3)
     return TriangularMeshGeometry(np.vstack(rings).astype(np.float32), triangles.astype(np.uint32))
 
 
@@ -205,10 +171,9 @@ def urdf_geometry(node: Visualizer, shape: pin.GeometryObject) -> None:
     elif isinstance(form, coal.BVHModelBase):
         corners = np.asarray(form.vertices(), dtype=np.float32).reshape(-1, 3)
         faces = map(form.tri_indices, range(form.num_tris))
-        triangles = np.array([[face[k] for k in range(3)] for face in faces])
-        colours = None
-        if not shape.overrideMaterial:
-            colours = vertex_colours(shape.meshPath, triangles, len(corners))
+        triangles = np.array([[face[0], face[1], face[2]] for face in faces])
+        own = None if shape.overrideMaterial else shape.meshPath
+        colours = own and vertex_colours(own, triangles, len(corners))
         if colours is not None:
             paint = mc.MeshLambertMaterial(color=0xFFFFFF, vertexColors=True)
         body.set_object(mc.TriangularMeshGeometry(corners, triangles, colours), paint)
