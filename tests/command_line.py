@@ -1,7 +1,5 @@
 """The command line inside the process of the tests."""
 
-from __future__ import annotations
-
 import shlex
 
 from typer.testing import CliRunner

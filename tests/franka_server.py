@@ -8,8 +8,6 @@ simulation waits for each command, so that no busy machine changes a figure.
 {...}} begins anew, {"faults": {...}} sets what the wire does, {"truth": FILE} writes what was true.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import select
@@ -143,7 +141,7 @@ class Server(FrankaRobotServer):
         self.reset_state()
 
     @property
-    def moving(self) -> bool:
+    def moving(self):
         return self.udp_connected and self.current_motion_id > 0
 
     @property
@@ -332,7 +330,7 @@ def recover(command, server):
     command.reply(0)
 
 
-def main() -> None:
+def main():
     AutomaticErrorRecoveryCommand.handle = recover
     with Simulation() as sim:
         server = Server(sim.robot, LocalHostnames())

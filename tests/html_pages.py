@@ -8,7 +8,7 @@ LOADS = ("src", "srcset", "data", "srcdoc")
 class Page(HTMLParser):
     """Words outside of scripts, addresses that are loaded, links, and anchors to link to."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text):
         super().__init__()
         self.words: list[str] = []
         self.loads: list[str] = []

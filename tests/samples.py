@@ -1,14 +1,11 @@
 """What every `make test` runs of a long list; `make test-all` runs the others, too."""
 
-import pytest
+from pytest import mark, param
 
 
 def first(items, count=2):
     """Parameters, one for each item: those behind the first `count` are slow."""
-    return [
-        item if i < count else pytest.param(item, marks=pytest.mark.slow)
-        for i, item in enumerate(items)
-    ]
+    return [item if i < count else param(item, marks=mark.slow) for i, item in enumerate(items)]
 
 
 def chosen(items, *names):

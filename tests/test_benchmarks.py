@@ -9,6 +9,7 @@ from time import perf_counter, sleep
 
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark, raises
 from samples import first
@@ -21,7 +22,6 @@ from benchmarks.measuring import take_turns
 from benchmarks.peers import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
 from osc_contact.control.status import Phase
-from osc_contact.errors import InvalidInputError
 
 ROOT = Path(__file__).parents[1]
 GROWS = """import mmap
@@ -141,7 +141,7 @@ def test_many_runs_program(monkeypatch):
 
 @mark.parametrize("module", [tick, peers, scaling, jitter, law, simulation, many_runs, vector_env])
 def test_benchmarks_refuse_no_ticks(module):
-    with raises(InvalidInputError, match=r"0 .* give no time"):
+    with invalid_input(r"0 .* give no time"):
         module.measure(0)
 
 
@@ -161,7 +161,7 @@ def test_every_timed_tick_is_checked_and_begins_alike(name):
     another = next(status for status in osc.Status if status is not case.status)
     tick, unwind = replace(case, status=another).tick()
     tick()
-    with raises(InvalidInputError, match=f"ended {case.status.name}.*expected {another.name}"):
+    with invalid_input(f"ended {case.status.name}.*expected {another.name}"):
         unwind()
 
 
@@ -198,7 +198,7 @@ def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads):
     assert len(np.unique(torques[:, 0])) == rows.rows, "every row is at a state of its own"
     rows.inputs["q"][3, 0] = np.nan
     tick()
-    with raises(InvalidInputError, match="ended HELD in 1 rows, the first of them 3"):
+    with invalid_input("ended HELD in 1 rows, the first of them 3"):
         unwind()
 
 
@@ -282,11 +282,11 @@ def test_tsid_runs_in_its_own_interpreter(tmp_path):
     assert tsid["ratio"] == approx(9.3 / tsid["tick_us"]["p50"])
     assert "TSID / tick" in str(report.tables[-1].caption)
     broken = interpreter(tmp_path / "broken", "echo 'no module tsid' >&2; exit 1")
-    with raises(InvalidInputError, match=r"no module tsid.*pip install"):
+    with invalid_input(r"no module tsid.*pip install"):
         run_benchmark("peers", 1, tsid_python=broken)
-    with raises(InvalidInputError, match=r"cannot be run.*pip install"):
+    with invalid_input(r"cannot be run.*pip install"):
         run_benchmark("peers", 1, tsid_python=tmp_path / "nowhere")
-    with raises(InvalidInputError, match="only the benchmark 'peers'"):
+    with invalid_input("only the benchmark 'peers'"):
         run_benchmark("jitter", 1, tsid_python=python)
 
 

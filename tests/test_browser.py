@@ -3,11 +3,11 @@
 from itertools import combinations
 
 import numpy as np
+from complaints import viewer_error
 from headless import Browser, near
-from pytest import approx, fixture, raises
+from pytest import approx, fixture
 from scene_samples import BASE, RECORDING, find, links, write
 
-from osc_contact.errors import ViewerError
 from osc_contact.visual import browser as pages
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
@@ -104,7 +104,7 @@ def test_on_a_phone_the_legend_is_folded_and_the_whole_scene_is_seen(page):
 
 
 def test_a_browser_without_decompression_is_told(page, tmp_path):
-    text = page.read_text(encoding="utf-8")
+    text = page.read_text()
     old = tmp_path / "old.html"
     old.write_text(
         text.replace("<body>", "<body><script>delete window.DecompressionStream</script>")
@@ -171,10 +171,10 @@ def test_png_of_a_moment(page, tmp_path, monkeypatch):
     scene = pixels[1.0][:430]
     assert scene.std() > 20 and near(scene, BLUE) > near(pixels[0.1][:430], BLUE) + 50
     assert sorted(p.name for p in (tmp_path / "deep").iterdir()) == ["0.1.png", "1.0.png"]
-    with raises(ViewerError, match="gave no answer"):
+    with viewer_error("gave no answer"):
         monkeypatch.setenv("OSC_CONTACT_BROWSER", "/bin/false")
         write_png(page, tmp_path / "none.png")
-    with raises(ViewerError, match=r"no browser .*apt-get install chromium"):
+    with viewer_error(r"no browser .*apt-get install chromium"):
         monkeypatch.setenv("OSC_CONTACT_BROWSER", "/no/browser/here")
         write_png(page, tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()

@@ -1,7 +1,5 @@
 """The command line: what it says, what it writes, how it exits."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -53,10 +51,10 @@ def test_examples_are_the_programs_of_the_docs(tmp_path):
     done("examples", folder)
     files = sorted(folder.iterdir())
     assert len(files) >= 10 and files[0].name == "01_osc_contact.py"
-    first = files[0].read_text(encoding="utf-8")
-    assert first.split("\n", 2)[2] in (ROOT / "README.md").read_text(encoding="utf-8")
+    first = files[0].read_text()
+    assert first.split("\n", 2)[2] in (ROOT / "README.md").read_text()
     for file in files:
-        compile(file.read_text(encoding="utf-8"), str(file), "exec")
+        compile(file.read_text(), str(file), "exec")
     assert "is there already" in refused("examples", folder)
 
 
@@ -108,10 +106,8 @@ def elsewhere(path, *words):
     )
 
 
-@mark.parametrize(("command", "folder"), [("reproduce", "paper"), ("bench", "benchmarks")])
-def test_programs_of_the_checkout_are_missed_with_a_cure(
-    command: str, folder: str, tmp_path: Path
-) -> None:
+@mark.parametrize("command, folder", [("reproduce", "paper"), ("bench", "benchmarks")])
+def test_programs_of_the_checkout_are_missed_with_a_cure(command, folder, tmp_path):
     """As installed: another package of the name may be there, a checkout is not."""
     for part in ("osc_contact", "urdf"):
         shutil.copytree(ROOT / part, tmp_path / part)
@@ -162,7 +158,7 @@ def test_reproduce_all_from_a_short_run(tmp_path):
     assert "contradicted" not in verdicts.values()
     assert all(verdicts[name] == "reproduced" for name in ("fig1", "fig2", "fig4", "fig6", "fig8"))
     assert verdicts["fig5"] == "partly reproduced", "no force steps in this run"
-    report = (tmp_path / "report.html").read_text(encoding="utf-8")
+    report = (tmp_path / "report.html").read_text()
     missing = 8 - len(verdicts)
     assert report.count("nothing here makes this figure yet.</div>") == missing
     for name in names:
@@ -182,7 +178,7 @@ def test_bad_scenario_is_told_with_its_line(tmp_path):
 
 
 @mark.parametrize(
-    ("line", "message"),
+    "line, message",
     [
         ("inspect two_contact_rob", "no packaged scenario 'two_contact_rob'"),
         ("reproduce fig9", "no figure 'fig9'; there are fig1"),
@@ -229,7 +225,7 @@ def test_failed_run_exits_with_1_and_keeps_what_was_recorded(tmp_path, monkeypat
 
 
 @mark.parametrize(
-    ("package", "extra", "line"),
+    "package, extra, line",
     [
         ("matplotlib", "plot", "reproduce fig4"),
         ("matplotlib", "plot", f"run {SHORT}"),
@@ -335,7 +331,7 @@ def test_view_makes_the_page_of_a_recording(ran, brief, tmp_path):
     page = tmp_path / "deep" / "page.html"
     result = done("view", ran[0] / "recording.npz", "--html", page, "--time", "0.5")
     assert f"written: {page}" in result.stdout.replace("\n", "")
-    text = page.read_text(encoding="utf-8")
+    text = page.read_text()
     assert '"still": 0.5' in text and "best single frame" in text
     moved, of_the_run = (
         [c for c in read_commands(file) if c["type"] != "set_object"]

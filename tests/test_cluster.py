@@ -8,6 +8,7 @@ from http.client import HTTPException
 
 import psutil
 from command_line import done
+from complaints import invalid_input
 from distributed import Client, LocalCluster
 from pyarrow import parquet
 from pytest import fixture, mark, raises
@@ -112,7 +113,7 @@ def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch):
     monkeypatch.setattr(cluster, "_PATIENCE_S", 0.5)
 
     def refused(scheduler, complaint, **how):
-        with raises(osc.InvalidInputError, match=complaint):
+        with invalid_input(complaint):
             osc.sweep("two_contact_rod", [MASSES], 2, overrides=SHORT, scheduler=scheduler, **how)
 
     refused(client, "a cluster has its own", workers=2)

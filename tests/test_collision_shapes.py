@@ -5,15 +5,15 @@ import textwrap
 import coal
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input, model_error
 from detection_bodies import BOX, CORNERS, TABLE, only, standing
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, mark
 
 from osc_contact import robots
 from osc_contact.contacts import detection
 from osc_contact.contacts.detection import CollisionShape, collision_shapes, detect
 from osc_contact.contacts.detection.features import nearest
-from osc_contact.errors import InvalidInputError, ModelError
 
 
 def test_shapes_of_a_urdf_have_the_names_and_places_of_the_file():
@@ -110,12 +110,12 @@ def test_a_dented_mesh_is_refused(tmp_path):
     dented = [f for f in CUBE_FACES if f not in ((4, 6, 7), (4, 7, 5))]
     dented += [(4, 6, 8), (6, 7, 8), (7, 5, 8), (5, 4, 8)]
     stl(tmp_path / "dent.stl", corners, dented)
-    with raises(ModelError, match="not convex"):
+    with model_error("not convex"):
         collision_shapes(urdf(tmp_path, MESH.format("dent.stl")))
 
 
 @mark.parametrize(
-    ("collision", "joint", "message"),
+    "collision, joint, message",
     [
         ("", "", "no link has a <collision>"),
         (
@@ -127,24 +127,24 @@ def test_a_dented_mesh_is_refused(tmp_path):
     ],
 )
 def test_files_that_are_no_body_are_refused(tmp_path, collision, joint, message):
-    with raises(ModelError, match=message):
+    with model_error(message):
         collision_shapes(urdf(tmp_path, collision, textwrap.dedent(joint)))
 
 
 def test_a_missing_file_is_named():
-    with raises(ModelError, match=r"nowhere\.urdf"):
+    with model_error(r"nowhere\.urdf"):
         collision_shapes("nowhere.urdf")
 
 
 def test_bad_input_is_refused_at_the_door():
     X = pin.SE3.Identity()
     for options in ({"margin": 0.0}, {"margin": np.nan}, {"angle": 0.0}, {"angle": 0.5}):
-        with raises(InvalidInputError, match=next(iter(options))):
+        with invalid_input(next(iter(options))):
             detect(BOX, X, TABLE, **options)
-    with raises(InvalidInputError, match="Ellipsoid"):
+    with invalid_input("Ellipsoid"):
         CollisionShape("egg", coal.Ellipsoid(1, 2, 3))
     puffed = coal.Box(1, 1, 1)
     puffed.setSweptSphereRadius(0.01)
-    with raises(InvalidInputError, match="swept"):
+    with invalid_input("swept"):
         CollisionShape("puffed", puffed)
     assert set(detection.__all__) >= {"detect", "Detected", "CollisionShape", "collision_shapes"}

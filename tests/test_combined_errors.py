@@ -1,8 +1,9 @@
 """All errors of a real workcell at once, the keys of `model_error` that make them."""
 
 import numpy as np
+from complaints import scenario_error
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, mark
 
 import osc_contact as osc
 from benchmarks.combined_errors import MASSES, judge
@@ -11,7 +12,7 @@ GRAVITY = 9.81
 
 
 @mark.parametrize("mass", MASSES)
-@mark.parametrize(("name", "side"), [("two_contact_rod", 90), ("panda_edge", 0)])
+@mark.parametrize("name, side", [("two_contact_rod", 90), ("panda_edge", 0)])
 def test_all_errors_at_once(name, mass, side):
     verdict = judge(name, mass, side)
     assert set(verdict["contact_fraction"].values()) == {1.0}
@@ -64,7 +65,7 @@ def test_a_pair_of_ones_own_cannot_be_displaced():
     own = [{"pair": osc.build_rig(scenario).pairs[0], "body": "wall"}, scenario.contacts[1]]
     wall = {"name": "wall", "urdf": "face.urdf"}
     rig = osc.build_rig(scenario.replaced(contacts=own, environment=[wall]))
-    with raises(osc.ScenarioError, match="put another pair into the controller"):
+    with scenario_error("put another pair into the controller"):
         rig.controller()
 
 

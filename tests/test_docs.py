@@ -29,7 +29,7 @@ SHORT = ["control.rate=250 Hz"]  # few ticks: only the keys matter
 
 
 def text_of(page):
-    return page.read_text(encoding="utf-8")
+    return page.read_text()
 
 
 def blocks(language):
@@ -64,7 +64,7 @@ def programs():
     return [b for b in blocks("python") if "osc_contact.learn" not in b.values[1]]
 
 
-@mark.parametrize(("page", "code", "shown"), programs())
+@mark.parametrize("page, code, shown", programs())
 def test_program_runs_and_prints_what_is_shown(page, code, shown, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for register in (plants.PLANTS, plants.PLANT_TYPES):  # a page enters a plant: taken out again
@@ -88,7 +88,7 @@ def command_lines():
 
 
 @mark.parametrize("line", command_lines())
-def test_command_exists_and_parses(line: str) -> None:
+def test_command_exists_and_parses(line):
     group = typer.main.get_command(app)
     _, name, *arguments = shlex.split(line, comments=True)
     assert name in group.commands, f"{name} is no command of osc-contact"
@@ -99,7 +99,7 @@ def test_command_exists_and_parses(line: str) -> None:
         osc.load_scenario(arguments[0], changes)
 
 
-@mark.parametrize(("page", "code", "shown"), blocks("yaml"))
+@mark.parametrize("page, code, shown", blocks("yaml"))
 def test_yaml_is_a_piece_of_a_scenario(page, code, shown):
     scenario = osc.load_scenario("two_contact_rod").as_dict()
     names = {contact["name"] for contact in scenario["contacts"]}
@@ -120,13 +120,13 @@ def test_links_and_pictures_exist(page):
             assert file.is_file(), f"{page.name} points at {target}, which is not there"
 
 
-def test_the_picture_of_the_rooms_is_that_of_the_imports() -> None:
+def test_the_picture_of_the_rooms_is_that_of_the_imports():
     """After a change of the imports: python docs/draw_rooms.py."""
     script = runpy.run_path(str(ROOT / "docs" / "draw_rooms.py"))
-    assert script["PICTURE"].read_text(encoding="utf-8") == script["drawing"]()
+    assert script["PICTURE"].read_text() == script["drawing"]()
 
 
-def test_pictures_are_small_and_all_shown() -> None:
+def test_pictures_are_small_and_all_shown():
     shown = {
         (page.parent / target).resolve()
         for page in PAGES
@@ -170,7 +170,7 @@ def pair_rows():
     return [(TICKED.findall(row[0])[0], row) for row in table_rows("contacts.md", "Pairs")]
 
 
-def test_every_pair_has_a_row_with_its_r_and_its_keys() -> None:
+def test_every_pair_has_a_row_with_its_r_and_its_keys():
     rows = dict(pair_rows())
     assert set(rows) == set(PAIRS)
     told = {}
@@ -262,7 +262,7 @@ def test_each_of_the_thirty_bad_inputs_has_a_test():
     for row in rows:
         (cited,) = TICKED.findall(row[-1])
         file, name = cited.split("::")
-        source = (ROOT / file).read_text(encoding="utf-8")
+        source = (ROOT / file).read_text()
         assert re.search(rf"^def {name}\(", source, re.MULTILINE), cited
 
 

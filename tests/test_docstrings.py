@@ -31,7 +31,7 @@ def is_command(function):
 
 def records():
     """Arguments of the law that are records: one table explains them all."""
-    text = (PACKAGE / "law" / "records.py").read_text(encoding="utf-8")
+    text = (PACKAGE / "law" / "records.py").read_text()
     rows = re.findall(r"^\| (`.*`) \|", ast.get_docstring(ast.parse(text)) or "", re.M)
     return set(re.findall(r"`(\w+)`", " ".join(rows)))
 
@@ -54,9 +54,7 @@ def test_arguments_are_explained():
     of_law = records()
     assert of_law == {"t", "arm", "own"}
     found = {
-        str(path): unexplained(
-            path.read_text(encoding="utf-8"), of_law if path.parent.name == "law" else ()
-        )
+        str(path): unexplained(path.read_text(), of_law if path.parent.name == "law" else ())
         for path in FILES
     }
     assert {path: functions for path, functions in found.items() if functions} == {}
@@ -73,7 +71,7 @@ def test_what_is_left_out_is_found():
 
 def test_options_of_commands_have_their_help():
     names = ("console.py", "cli.py", "cli_robots.py", "cli_sweeps.py")
-    trees = [ast.parse((PACKAGE / name).read_text(encoding="utf-8")) for name in names]
+    trees = [ast.parse((PACKAGE / name).read_text()) for name in names]
     aliases = {
         target.id: ast.unparse(one.value)
         for tree in trees

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from matplotlib.image import imread
 from numpy.testing import assert_allclose
+from pytest import fixture
 from scene_samples import read_commands
 
 from osc_contact import robots
@@ -23,7 +23,7 @@ SOON = [
 ]
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def cell():
     return fig3.run(1.45, changes=SOON)
 
@@ -62,7 +62,7 @@ def test_every_label_hangs_on_a_node_and_says_what_the_scenario_says(cell, tmp_p
     for k, shot in enumerate(cell.shots()):
         page = cell.page(shot, tmp_path / f"{k}.html")
         drawn = {c["path"] for c in read_commands(page)}
-        text = page.read_text(encoding="utf-8")
+        text = page.read_text()
         for i, callout in enumerate(shot.callouts):
             assert f"/meshcat/callouts/{i}/label" in drawn
             assert json.dumps(callout.text) in text

@@ -26,18 +26,18 @@ def edit(patch, file):
     lines = patch.splitlines()
     old = [line[1:] for line in lines if line.startswith("-")]
     new = [line[1:] for line in lines if line.startswith("+")]
-    text = file.read_text(encoding="utf-8")
+    text = file.read_text()
     for before, after in zip(old, new, strict=True):
         assert text.count(before) == 1, f"{before!r} is not in the file"
         text = text.replace(before, after)
-    file.write_text(text, encoding="utf-8")
+    file.write_text(text)
 
 
 def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     said = ""
     kinds = []
-    for fence in FENCE.finditer(PAGE.read_text(encoding="utf-8")):
+    for fence in FENCE.finditer(PAGE.read_text()):
         kind = fence[1]
         text = fence[2]
         if kind == "sh":

@@ -1,14 +1,13 @@
 """The Franka driver against franky-sim: libfranka's own protocol, and a plant that is not ours."""
 
-from __future__ import annotations
-
 import re
 import sys
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from complaints import invalid_input, plant_error
 from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
+from pytest import approx, mark, param
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -32,11 +31,11 @@ CASES = {  # force, gap, gap believed in, joint friction, tilt, friction, stiffn
     "hard, 5 N": (5.0, 0.004, 0.004, 1.0, 0.0, 0.2, 3e5),
 }
 IMPACT = {"hard, 5 N": 3.0}  #: of the command; twice, the aim, is missed: mass, speed, stiffness
-SLOW = [pytest.param(case, marks=pytest.mark.slow) for case in IMPACT]
+SLOW = [param(case, marks=mark.slow) for case in IMPACT]
 
 
-@pytest.mark.parametrize("case", [*(case for case in CASES if case not in IMPACT), *SLOW])
-def test_it_approaches_presses_slides_and_retreats(franka: FrankaServer, case: str) -> None:
+@mark.parametrize("case", [*(case for case in CASES if case not in IMPACT), *SLOW])
+def test_it_approaches_presses_slides_and_retreats(franka, case):
     force, gap, believed, losses, tilt, friction, stiffness = CASES[case]
     scene = {"joint_friction": losses, "tilt": tilt, "friction": friction, "stiffness": stiffness}
     task = Press(franka, force, gap, believed, scene=scene)
@@ -49,7 +48,7 @@ def test_it_approaches_presses_slides_and_retreats(franka: FrankaServer, case: s
     assert task.released, "it has slid and was released"
     assert task.error() < (0.05 if losses else 0.02)
     assert landing < IMPACT.get(case, 2.0)
-    assert slid == pytest.approx(task.slide, rel=0.05)
+    assert slid == approx(task.slide, rel=0.05)
     assert task.normal[-1] == 0.0 and task.probe[-1, 2] - task.probe[task.released, 2] > 0.015
 
 
@@ -58,7 +57,7 @@ def test_it_approaches_presses_slides_and_retreats(franka: FrankaServer, case: s
 AT = 1300  #: packets of the motion; contact has been made
 
 
-def run_faulty(task: Press, **driver: object) -> osc.PlantError | None:
+def run_faulty(task, **driver):
     """The task, how it ended, and what always holds: forces, arms at rest, stopped in its tick."""
     task.hold = 0.7
     task.prepare(**driver)
@@ -66,7 +65,7 @@ def run_faulty(task: Press, **driver: object) -> osc.PlantError | None:
     ended = None
     stop = task.robot.stop
 
-    def note(reason: str = "") -> None:
+    def note(reason=""):
         stops.append((len(task.status), reason))
         stop(reason)
 
@@ -93,16 +92,16 @@ BENIGN = {
 }
 
 
-@pytest.mark.parametrize("fault", BENIGN)
-def test_what_the_robot_forgives_disturbs_no_contact(franka: FrankaServer, fault: str) -> None:
+@mark.parametrize("fault", BENIGN)
+def test_what_the_robot_forgives_disturbs_no_contact(franka, fault):
     task = Press(franka, gap=0.001, faults=BENIGN[fault] | {"at": AT})
     assert run_faulty(task) is None
     assert set(task.status) == {OK} and len(task.status) > AT
-    assert task.normal[AT:-50] == pytest.approx(10.0, rel=0.3)
+    assert task.normal[AT:-50] == approx(10.0, rel=0.3)
 
 
-@pytest.mark.parametrize(
-    ("fault", "sentence"),
+@mark.parametrize(
+    "fault, sentence",
     [
         ({"away": 20}, "communication_constraints_violation"),
         ({"away": 300}, "communication_constraints_violation"),
@@ -111,9 +110,7 @@ def test_what_the_robot_forgives_disturbs_no_contact(franka: FrankaServer, fault
     ],
     ids=["client frozen 20 ms", "client frozen 300 ms", "reflex", "robot killed"],
 )
-def test_a_robot_that_ends_the_motion_ends_the_loop(
-    franka: FrankaServer, fault: dict, sentence: str
-) -> None:
+def test_a_robot_that_ends_the_motion_ends_the_loop(franka, fault, sentence):
     task = Press(franka, gap=0.001, faults=fault | {"at": AT})
     ended = run_faulty(task)
     assert ended is not None and re.search(sentence, str(ended)), ended
@@ -121,21 +118,21 @@ def test_a_robot_that_ends_the_motion_ends_the_loop(
     if "kill" in fault:
         return
     task.robot.close()
-    with pytest.raises(osc.PlantError, match=r"is stopped \(.*Reflex.* connect with recover=True"):
+    with plant_error(r"is stopped \(.*Reflex.* connect with recover=True"):
         FrankaRobot(franka.host, task.chain)
     again = FrankaRobot(franka.host, task.chain, recover=True)
     assert "Idle" in str(again.state.robot_mode)
 
 
-def without_weight(robot: FrankaRobot):
+def without_weight(robot):
     return lambda: (
         robot._estimate(robot.state)
         - [*(9.81 * 0.73 * robot._data.oMf[robot._sensor].rotation[2]), 0.0, 0.0, 0.0]
     )
 
 
-@pytest.mark.parametrize(
-    ("scene", "driver", "sentence"),
+@mark.parametrize(
+    "scene, driver, sentence",
     [
         ({"mass": 0.5}, {}, "reads another load than it carries"),
         ({"sign": -1.0}, {}, ""),
@@ -143,9 +140,7 @@ def without_weight(robot: FrankaRobot):
     ],
     ids=["wrong payload", "mirrored wrench", "no gravity"],
 )
-def test_a_wrist_that_is_wrong_ends_in_a_stop(
-    franka: FrankaServer, scene: dict, driver: dict, sentence: str
-) -> None:
+def test_a_wrist_that_is_wrong_ends_in_a_stop(franka, scene, driver, sentence):
     task = Press(franka, gap=0.003, scene=scene, ticks=4000)
     if driver:
         driver["wrench"] = lambda: without_weight(task.robot)() if hasattr(task, "robot") else None
@@ -156,7 +151,7 @@ def test_a_wrist_that_is_wrong_ends_in_a_stop(
 # --- item 1: what goes in and what comes out ------------------------------------------------------
 
 
-def at_rest(server: FrankaServer, ticks: int, sensor: str = "tcp", **scene: object):
+def at_rest(server, ticks, sensor="tcp", **scene):
     """The driver, and its measurements while the model's own weight is commanded."""
     server.begin(height=0.0, **scene)
     chain = osc.ClosedChain([server.arm(sensor=sensor)])
@@ -169,13 +164,13 @@ def at_rest(server: FrankaServer, ticks: int, sensor: str = "tcp", **scene: obje
     return robot, read
 
 
-def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka: FrankaServer) -> None:
+def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka):
     robot, read = at_rest(franka, 200)
     assert np.abs(robot._torques.tau_J).max() < 1e-9, "the robot adds gravity by itself"
     assert np.abs(read[-1].q - read[0].q).max() < 1e-3
     assert np.abs(read[-1].joint_torques).max() > 20.0, "as its own sensors read"
     steps = np.diff([m.sequence for m in read[2:]])
-    assert set(steps) == {1} and read[-1].stamps.encoders == pytest.approx(1e-3 * read[-1].sequence)
+    assert set(steps) == {1} and read[-1].stamps.encoders == approx(1e-3 * read[-1].sequence)
     assert robot.success_rate > 0.99
     robot.stop("enough")
     robot.stop()
@@ -184,8 +179,8 @@ def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka: Fra
     assert np.abs(robot.measure().q - read[-1].q).max() < 1e-2
 
 
-@pytest.mark.parametrize("sensor", ["tcp", "hand"])
-def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka: FrankaServer, sensor: str) -> None:
+@mark.parametrize("sensor", ["tcp", "hand"])
+def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka, sensor):
     push = {"push": [8.0, 20.0], "noise": 0.0, "joint_friction": 1.0}
     robot, read = at_rest(franka, 60, sensor, **push)
     X = pin.SE3(robot._data.oMf[robot._sensor])
@@ -202,31 +197,31 @@ def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka: FrankaServer, sens
     robot.stop()
 
 
-def test_torques_stay_within_the_limits_of_the_robot(franka: FrankaServer) -> None:
+def test_torques_stay_within_the_limits_of_the_robot(franka):
     robot, _ = at_rest(franka, 1)
     before = np.array(robot.state.tau_J_d)
     robot.command(np.full(7, 1e6), 1e-3)
     step = np.array(robot._torques.tau_J) - before
-    assert np.abs(step).max() == pytest.approx(0.99)
+    assert np.abs(step).max() == approx(0.99)
     robot._v = 1.0 * np.array(robot.chain.model.upperVelocityLimit)  # every joint at its limit
     robot.state = type("state", (), {"tau_J_d": robot.chain.tau_max})
     weight = pin.computeGeneralizedGravity(robot._model, robot._data, robot._q)
     robot.command(robot.chain.tau_max + weight, 1e-3)
     assert (np.array(robot._torques.tau_J) < robot.chain.tau_max).all(), "braked"
-    with pytest.raises(osc.InvalidInputError, match="tau"):
+    with invalid_input("tau"):
         robot.command(np.full(7, np.nan), 1e-3)
-    with pytest.raises(osc.InvalidInputError, match=r"each 1 ms, not each 2 ms"):
+    with invalid_input(r"each 1 ms, not each 2 ms"):
         robot.command(np.zeros(7), 2e-3)
     robot.stop()
 
 
-def test_payload_end_effector_and_mounted_sensor(franka: FrankaServer) -> None:
+def test_payload_end_effector_and_mounted_sensor(franka):
     franka.begin(height=0.0)
     ball = osc.RigidObject(pin.Inertia.FromSphere(0.5, 0.03))
     chain = osc.ClosedChain([franka.arm()], [pin.SE3(np.eye(3), np.array([0, 0, 0.1]))], ball)
     readings = iter([np.arange(6.0), None, [np.nan] * 6])
     robot = FrankaRobot(franka.host, chain, wrench=lambda: next(readings))
-    assert robot.state.m_load == pytest.approx(0.5, rel=1e-6)
+    assert robot.state.m_load == approx(0.5, rel=1e-6)
     np.testing.assert_allclose(robot.state.F_x_Cload, [0.0, 0.0, 0.2034], atol=1e-6)
     first, second, third = (robot.measure() for _ in range(3))
     assert first.wrench_valid and first.wrenches[0].tolist() == [0, 1, 2, 3, 4, 5]
@@ -234,19 +229,19 @@ def test_payload_end_effector_and_mounted_sensor(franka: FrankaServer) -> None:
     robot._wrench = None
     np.testing.assert_allclose(robot._hangs.mass, 0.5)
     franka.begin(height=0.0, tcp_off=0.02)
-    with pytest.raises(osc.PlantError, match=r"tip 'tcp' is 20 mm and .* give end_effector="):
+    with plant_error(r"tip 'tcp' is 20 mm and .* give end_effector="):
         FrankaRobot(franka.host, chain)
 
 
-def test_what_it_refuses(franka: FrankaServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_it_refuses(franka, monkeypatch):
     chain = osc.ClosedChain([franka.arm()])
-    with pytest.raises(osc.PlantError, match=r"cannot be prepared: libfranka: Connection .* FCI"):
+    with plant_error(r"cannot be prepared: libfranka: Connection .* FCI"):
         FrankaRobot("127.0.0.77", chain)
     bare = osc.ClosedChain([osc.Arm.from_urdf(franka.urdf, name="fr3", tip="tcp")])
-    with pytest.raises(osc.InvalidInputError, match="give the arm a frame beyond the last joint"):
+    with invalid_input("give the arm a frame beyond the last joint"):
         FrankaRobot(franka.host, bare)
     monkeypatch.setitem(sys.modules, "pylibfranka", None)
-    with pytest.raises(osc.PlantError, match=r"pip install 'osc-contact\[franka\]'"):
+    with plant_error(r"pip install 'osc-contact\[franka\]'"):
         FrankaRobot(franka.host, chain)
 
 
@@ -257,14 +252,14 @@ class Nudged(FrankaRobot):
     at = 2500
     ticks = 0
 
-    def measure(self) -> osc.Measurement:
+    def measure(self):
         self.ticks += 1
         if self.ticks == self.at:
             self.server.send(nudge=[0.0, 8.0, 0.0])
         return super().measure()
 
 
-def test_it_keeps_the_contract_of_drivers(franka: FrankaServer) -> None:
+def test_it_keeps_the_contract_of_drivers(franka):
     """`check_robot` on the wire, with a push that shows which way the wrench is."""
     franka.begin(height=0.0)
     robot = Nudged(franka.host, osc.ClosedChain([franka.arm()]))
@@ -277,15 +272,15 @@ def test_it_keeps_the_contract_of_drivers(franka: FrankaServer) -> None:
 # --- item 4: commissioning ------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path) -> None:
+@mark.slow
+def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path):
     """The arm's joints rub half as much as an FR3's; somebody leads it in shadow mode."""
     franka.begin(height=0.0, joint_friction=0.5)
     robot = Nudged(franka.host, osc.ClosedChain([franka.arm()]))
     robot.server = franka
     steps = []
 
-    def confirm(what: str) -> bool:
+    def confirm(what):
         steps.append(what.split(":")[0])
         robot.at = robot.ticks + 100 * (steps[-1] == "wrench")
         push = [8.0, 6.0] if steps[-1] == "shadow" else None
@@ -302,8 +297,8 @@ def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path
     robot.close()
 
 
-@pytest.mark.parametrize(
-    ("sign", "sentence"), [(1.0, "was not moved; push the tool"), (-1.0, "N more in world axes")]
+@mark.parametrize(
+    "sign, sentence", [(1.0, "was not moved; push the tool"), (-1.0, "N more in world axes")]
 )
 def test_commissioning_ends_where_a_step_fails(franka, tmp_path, monkeypatch, sign, sentence):
     franka.begin(height=0.0, sign=sign)

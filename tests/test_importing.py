@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-import pytest
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
@@ -36,13 +36,13 @@ def printed(program):
     return done.stdout.split()
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def loaded():
     program = "import osc_contact as o, sys; o.Controller, o.load_scenario, o.run, o.MujocoRobot"
     return set(printed(f"{program}; print(*sys.modules)"))
 
 
-@pytest.mark.parametrize("module", LATER)
+@mark.parametrize("module", LATER)
 def test_what_few_programs_need_is_imported_where_it_is_used(loaded, module):
     assert "osc_contact.control.controller" in loaded
     assert module not in loaded
@@ -58,7 +58,7 @@ def test_a_recording_is_judged_without_compiler_and_simulator():
     assert not {"numba", "mujoco"} & set(printed(program))
 
 
-@pytest.mark.skipif(not jit.HAS_LIBRARY, reason="numba stands in place of the library")
+@mark.skipif(not jit.HAS_LIBRARY, reason="numba stands in place of the library")
 def test_names_of_the_core_need_no_extra(monkeypatch):
     monkeypatch.setenv("OSC_CONTACT_LAW", jit.the_library().__file__)
     program = """
@@ -81,7 +81,7 @@ def test_every_public_name_is_found_and_told():
     assert all(hasattr(osc, name) for name in osc.__all__)
     assert set(osc.__all__) <= set(dir(osc))
     assert set(PAIRS) <= set(osc.__all__), "name the pair in osc_contact and in contacts.pairs"
-    with pytest.raises(AttributeError, match="no attribute 'Contorller'"):
+    with raises(AttributeError, match="no attribute 'Contorller'"):
         osc.Contorller  # noqa: B018
 
 

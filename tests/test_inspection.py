@@ -133,7 +133,7 @@ def test_json_form_is_plain(found):
 
 
 @mark.parametrize(
-    ("left", "right", "words"),
+    "left, right, words",
     [
         ([0, 0, -1], [0, 0, -1], "press along parallel lines, 580.0 mm apart."),
         ([0, 0, 1], [0, 0, -1], "580.0 mm apart"),

@@ -1,8 +1,9 @@
 """Flexible joints, motors and joint friction in MuJoCo, and the loop that makes up for them."""
 
 import numpy as np
+from complaints import invalid_input, plant_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark, raises
+from pytest import approx, mark
 from samples import first
 
 import osc_contact as osc
@@ -158,7 +159,7 @@ def test_springs_by_number():
 
 
 @mark.parametrize(
-    ("overrides", "said"),
+    "overrides, said",
     [
         (["plant.flexible_joints={}"], "got neither"),
         (["plant.flexible_joints={frequency: 5 Hz, stiffness: {left: [1]}}"], "got both"),
@@ -171,14 +172,14 @@ def test_springs_by_number():
     ],
 )
 def test_wrong_drives_are_refused_by_the_scenario(overrides, said):
-    with raises(osc.ScenarioError, match=said):
+    with scenario_error(said):
         osc.load_scenario("two_contact_rod", overrides)
 
 
 @mark.parametrize("stiffness", ["{left: [1, 1, 1], right: [1, 1, 1, 1]}", "{left: [1, 1, 1, 1]}"])
 def test_springs_must_fit_the_motors(stiffness):
     rig = rig_of(f"plant.flexible_joints={{stiffness: {stiffness}}}")
-    with raises(osc.ScenarioError, match="give 4 numbers"):
+    with scenario_error("give 4 numbers"):
         rig.plant()
 
 
@@ -187,12 +188,12 @@ def test_springs_for_an_unknown_arm_are_refused():
     rig = rig_of(
         f"plant.flexible_joints={{stiffness: {{left: {four}, right: {four}, up: {four}}}}}"
     )
-    with raises(osc.ScenarioError, match="up"):
+    with scenario_error("up"):
         rig.plant()
 
 
 def test_impossible_springs_are_refused():
-    with raises(osc.PlantError, match="stiffness"):
+    with plant_error("stiffness"):
         FlexibleJoints(np.array([-1.0]), np.array([0.0]), np.array([1.0]))
 
 
@@ -235,7 +236,7 @@ def test_the_loop_decays_as_fast_as_its_spectral_radius(gain):
 
 
 def test_a_gain_the_sampled_loop_cannot_bear_is_refused_and_would_diverge():
-    with raises(osc.InvalidInputError, match="unstable"):
+    with invalid_input("unstable"):
         loop_of(6000.0)
     loop = loop_of(60.0)
     loop.gain = 6000.0

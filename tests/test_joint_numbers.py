@@ -2,8 +2,9 @@
 
 import mujoco
 import numpy as np
+from complaints import model_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark, raises
+from pytest import approx, mark
 from rigs import ROD, one_panda, placed, random_state
 
 import osc_contact as osc
@@ -93,7 +94,7 @@ def test_what_a_urdf_says_of_friction_arrives():
 @mark.parametrize("key", ["armature", "damping", "friction"])
 @mark.parametrize("value", [[1.0, 2.0], -0.1, np.nan])
 def test_wrong_numbers_of_joints_are_refused_with_their_name(key, value):
-    with raises(osc.ModelError, match=key):
+    with model_error(key):
         panda(**{key: value})
 
 
@@ -176,7 +177,7 @@ def test_known_friction_is_made_up_for():
 
 
 def test_joints_with_springs_have_their_rotors_in_the_springs():
-    with raises(osc.ScenarioError, match="motor_inertia"):
+    with scenario_error("motor_inertia"):
         rig_of(
             *(f"arms.{side}.armature=0.1" for side in ("left", "right")),
             "plant.flexible_joints={frequency: 5 Hz}",
@@ -190,7 +191,7 @@ def test_the_constructor_judges_rotors_too():
     row = chain.law_row(led=False).copy()
     require_pinocchio_agrees(chain, row)
     MODEL.view(row).joints.armature[3] = 0.0
-    with raises(osc.ModelError, match="law's M differs"):
+    with model_error("law's M differs"):
         require_pinocchio_agrees(chain, row)
 
 

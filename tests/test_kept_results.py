@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 from command_line import done, refused
+from complaints import invalid_input, recording_error
 from numpy.testing import assert_array_equal
-from pytest import mark, raises
+from pytest import mark
 
 import osc_contact as osc
 from osc_contact import robots
@@ -117,7 +118,7 @@ def test_damaged_rows_are_named_with_the_line_and_a_cure(kind, at, tmp_path):
     lines[at - 1] = DAMAGE[kind](lines[at - 1])
     path.write_bytes(b"\n".join(lines) + b"\n")
     damaged = path.read_bytes()
-    with raises(osc.InvalidInputError, match=rf"rows\.jsonl: line {at} is damaged \(.+\); rem"):
+    with invalid_input(rf"rows\.jsonl: line {at} is damaged \(.+\); rem"):
         RowFile(path, study)
     assert path.read_bytes() == damaged
     del lines[at - 1]
@@ -137,7 +138,7 @@ def test_rows_beyond_a_study_and_cells_of_another_kind(tmp_path):
     file = RowFile(tmp_path / "rows.jsonl", study)
     file.append([row_of(1) | {"x": "half"}])
     file.close()
-    with raises(osc.InvalidInputError, match=r"'x' are of several kinds .* are damaged"):
+    with invalid_input(r"'x' are of several kinds .* are damaged"):
         osc.sweep("two_contact_rod", study.vary, 3, out=tmp_path, workers=1)
 
 
@@ -145,13 +146,13 @@ def test_two_programs_do_not_write_rows_to_one_file(tmp_path):
     path = tmp_path / "rows.jsonl"
     study = study_of()
     file = RowFile(path, study)
-    with raises(osc.InvalidInputError, match=r"another program writes to .*rows\.jsonl"):
+    with invalid_input(r"another program writes to .*rows\.jsonl"):
         RowFile(path, study)
     file.append([row_of(0)])
     file.close()
     other = SweepStudy.of("two_contact_rod", ["seed=integers(0, 99)"], 4)
     for _ in range(2):  # a refusal holds nothing
-        with raises(osc.InvalidInputError, match="another study") as refused:
+        with invalid_input("another study") as refused:
             RowFile(path, other)
     file = RowFile(path, study)
     file.close()
@@ -161,10 +162,10 @@ def test_two_programs_do_not_write_rows_to_one_file(tmp_path):
 def test_metrics_of_a_recording_without_meta_name_what_is_missing():
     channels = {"t": np.arange(2000) * 1e-3, "alpha_true": np.zeros((2000, 2))}
     recording = osc.Recording({}, channels)
-    with raises(osc.RecordingError, match="meta has no 'contact_names', but nothing"):
+    with recording_error("meta has no 'contact_names', but nothing"):
         osc.metrics(recording)
     recording.meta["contact_names"] = ["left", "right"]
-    with raises(osc.RecordingError, match=r"has no 'control_rate_hz', but contact_names;"):
+    with recording_error(r"has no 'control_rate_hz', but contact_names;"):
         osc.metrics(recording)
     assert recording.meta.get("plant") is None and json.dumps(recording.meta)
 

@@ -17,12 +17,13 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import umsgpack
+from complaints import invalid_input, viewer_error
 from pytest import approx, fixture, mark, raises
 from scene_samples import ARMS, BODIES, ENDS, RECORDING, URDF, links
 from tornado.websocket import websocket_connect
 
 import osc_contact as osc
-from osc_contact.errors import InvalidInputError, ViewerError
+from osc_contact.errors import ViewerError
 from osc_contact.visual.live import Viewer
 from osc_contact.visual.parts import Content
 
@@ -287,7 +288,7 @@ def test_at_most_so_many_ticks_per_second_are_sent():
             time.sleep(TICK_S)
         assert 2 <= sent <= 21
     for rate in (0.0, 61.0, float("nan")):
-        with raises(InvalidInputError, match="1 to 60"):
+        with invalid_input("1 to 60"):
             Viewer(MODULE, (), rate=rate)
 
 
@@ -308,9 +309,9 @@ def test_the_server_ends_with_the_program_however_that_ends():
 
 
 def test_a_viewer_that_cannot_start_says_why():
-    with raises(ViewerError, match=r"does not start: .*no_such_module"):
+    with viewer_error(r"does not start: .*no_such_module"):
         Viewer("osc_contact.no_such_module", ())
-    with raises(ViewerError, match="does not start: ValueError: not enough values"):
+    with viewer_error("does not start: ValueError: not enough values"):
         Viewer(MODULE, (CONTENT,))
 
 

@@ -146,7 +146,7 @@ def test_another_state_of_contact_needs_only_another_file(path):
 
 
 @mark.parametrize(
-    ("change", "error", "words"),
+    "change, error, words",
     [
         ("force.right_end.1.amplitude=9 N", osc.ScenarioError, "cannot pull"),
         ("contacts.left_end.face.point=[-1.5, 0, 0.2]", osc.OscContactError, ""),

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import mark
 
 from osc_contact import robots
 from osc_contact.visual.shapes import triangle_colours, vertex_colours
@@ -44,8 +44,8 @@ def test_triangles_have_the_colours_of_their_materials(tmp_path):
     assert_allclose(found, [RED] * 4 + [BLUE] * 3, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "count"),
+@mark.parametrize(
+    "name, text, count",
     [
         ("two.stl", DAE, 3),
         ("two.dae", DAE, 4),

@@ -1,11 +1,10 @@
 """Mistakes in Python and at the command line that are told in a sentence with its cure."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np
 from command_line import done, refused
+from complaints import invalid_input, model_error, scenario_error
 from pytest import mark, raises
 
 import osc_contact as osc
@@ -41,16 +40,16 @@ def on_the_table(pair, *names):
 
 
 def test_pairs_of_ones_own_that_do_not_fit():
-    with raises(osc.ScenarioError, match=r"Gapless has no gaps; a custom pair has"):
+    with scenario_error(r"Gapless has no gaps; a custom pair has"):
         on_the_table(Gapless())
-    with raises(osc.ScenarioError, match="reverse the sign of N or of gaps"):
+    with scenario_error("reverse the sign of N or of gaps"):
         osc.build_rig(on_the_table(Floor()))
-    with raises(osc.ScenarioError, match="one column of N"):
+    with scenario_error("one column of N"):
         osc.build_rig(on_the_table(TwoGaps(), "floor.1", "floor.2"))
 
 
 @mark.parametrize(
-    ("install", "words"),
+    "install, words",
     [
         (5, "got 5"),
         (lambda: None, "takes 0 positional arguments"),
@@ -60,7 +59,7 @@ def test_pairs_of_ones_own_that_do_not_fit():
 )
 def test_what_install_takes(install, words):
     scenario = osc.load_scenario("panda_edge", ["duration=1.1 s"])
-    with raises(osc.InvalidInputError, match=f"install= takes a function.*{words}"):
+    with invalid_input(f"install= takes a function.*{words}"):
         osc.run(scenario, install=install)
 
 
@@ -82,7 +81,7 @@ def test_one_force_for_two_contacts():
 
 
 def test_robots_that_are_nearly_called_so():
-    with raises(osc.ModelError, match="Did you mean ur10 "):
+    with model_error("Did you mean ur10 "):
         osc.robots.find_robot("ur10e")
 
 

@@ -3,8 +3,9 @@
 import mujoco
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, fixture, mark, raises
+from pytest import approx, fixture, mark
 
 import osc_contact as osc
 from osc_contact import robots
@@ -129,7 +130,7 @@ def test_a_urdf_whose_links_are_called_as_its_joints(tmp_path):
 
 
 @mark.parametrize(
-    ("old", "new", "says"),
+    "old, new, says",
     [
         ('armature="2"', 'armature="2" stiffness="5"', "spring"),
         ('<body name="hand"', '<body name="hand" gravcomp="1"', "gravcomp"),
@@ -140,12 +141,12 @@ def test_a_urdf_whose_links_are_called_as_its_joints(tmp_path):
 def test_what_the_law_does_not_know_is_refused(tmp_path, old, new, says):
     assert ARM.count(old) == 1
     (tmp_path / "arm.xml").write_text(ARM.replace(old, new))
-    with raises(osc.ModelError, match=says):
+    with model_error(says):
         osc.Arm.from_mjcf(tmp_path / "arm.xml", name="a", tip="tip")
 
 
 def test_names_that_are_not_there_are_told(mj):
-    with raises(osc.ModelError, match="no body or site 'tipp'"):
+    with model_error("no body or site 'tipp'"):
         osc.Arm.from_mjcf(mj, name="a", tip="tipp")
-    with raises(osc.InvalidInputError, match="no moving joint matches"):
+    with invalid_input("no moving joint matches"):
         robots.load_mjcf(mj, "tip", limits={"nobody": robots.JointLimits(effort=1.0)})

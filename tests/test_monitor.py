@@ -1,8 +1,9 @@
 """Contact or not, collision or not: the monitor on signals whose story is known."""
 
 import numpy as np
+from complaints import invalid_input
 from numpy.testing import assert_array_equal
-from pytest import mark, raises
+from pytest import mark
 
 import osc_contact as osc
 from osc_contact.control.monitor import ContactMonitor, watch_series
@@ -72,13 +73,13 @@ def test_power_is_no_collision_long_after_contact_was_made():
 
 
 def test_thresholds_without_hysteresis_are_refused():
-    with raises(osc.InvalidInputError, match="above force_off"):
+    with invalid_input("above force_off"):
         MonitorLimits(force_on=0.4, force_off=0.4)
 
 
 @mark.parametrize("power", [0.0, -0.05])
 def test_a_power_that_is_no_threshold_is_refused(power):
-    with raises(osc.InvalidInputError, match="power: must be > 0"):
+    with invalid_input("power: must be > 0"):
         MonitorLimits(power=power)
 
 

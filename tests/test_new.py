@@ -52,7 +52,7 @@ def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path)
 
 
 @mark.parametrize(
-    ("words", "said"),
+    "words, said",
     [
         ("ur10 --press W=3", "an axis of the tip and newtons, such as Z=15"),
         ("ur10 --press Z=-3", "an axis of the tip and newtons"),

@@ -1,13 +1,11 @@
 """Every notebook runs from top to bottom in a fresh kernel, as its text stands here."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
 from pathlib import Path
 
 import jupytext
 import nbclient
-import pytest
+from pytest import mark, raises
 from samples import chosen
 
 from osc_contact.visual.page import embed
@@ -38,7 +36,7 @@ def test_notebooks_are_numbered():
 
 def test_a_page_is_embedded_whole(tmp_path):
     page = '<!DOCTYPE html>\n<p title="a & b">it\'s "here"</p>\n'
-    (tmp_path / "page.html").write_text(page, encoding="utf-8")
+    (tmp_path / "page.html").write_text(page)
     shown = embed(tmp_path / "page.html", height=321)
     found: dict[str, str | None] = {}
 
@@ -51,7 +49,7 @@ def test_a_page_is_embedded_whole(tmp_path):
     assert "321px" in shown._repr_html_() and len(repr(shown)) < 100
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "path", chosen(NOTEBOOKS, NOTEBOOKS[1]), ids=lambda path: getattr(path, "stem", None)
 )
 def test_notebook_runs(path, tmp_path):
@@ -68,7 +66,7 @@ def test_notebook_runs(path, tmp_path):
     pictures = [
         output for cell in code for output in cell.outputs if "image/png" in output.get("data", {})
     ]
-    assert len(pictures) >= path.read_text(encoding="utf-8").count("plots.contact_forces(")
+    assert len(pictures) >= path.read_text().count("plots.contact_forces(")
     shown = [
         output.data.get("text/html", "")
         for cell in code
@@ -80,6 +78,6 @@ def test_notebook_runs(path, tmp_path):
 
 def test_an_error_in_a_cell_fails(tmp_path):
     notebook = jupytext.reads("# %%\nprint('before')\n\n# %%\n1 / 0\n", fmt="py:percent")
-    with pytest.raises(nbclient.exceptions.CellExecutionError, match="ZeroDivisionError"):
+    with raises(nbclient.exceptions.CellExecutionError, match="ZeroDivisionError"):
         execute(notebook, tmp_path)
     assert printed(notebook) == "before\n"

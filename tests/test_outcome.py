@@ -1,13 +1,12 @@
 """The verdict in a word: overshoot, lost contacts, motions that run away, exit codes."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
 import numpy as np
 from command_line import call, done
-from pytest import approx, mark, raises
+from complaints import invalid_input
+from pytest import approx, mark
 
 import osc_contact as osc
 from osc_contact.recorder import Recording
@@ -89,7 +88,7 @@ held = changed("status", 1500, 1600, 2) | changed("motion_error", 1500, 1600, np
 
 
 @mark.parametrize(
-    ("word", "sentence", "channels", "meta"),
+    "word, sentence, channels, meta",
     [
         ("LOST!", "open for up to 0.06 s", changed("closed", 2000, 2060, 0), {}),
         ("OK", "", changed("closed", 2000, 2015, 0), {}),
@@ -254,5 +253,5 @@ def test_the_first_reason_is_kept_beyond_a_stop():
 
 def test_a_run_too_short_to_be_judged_is_refused_with_its_length():
     recording = osc.run(osc.load_scenario("two_contact_rod", ["duration=0.02 s"]))
-    with raises(osc.InvalidInputError, match="20 ticks ends before t = 1 s"):
+    with invalid_input("20 ticks ends before t = 1 s"):
         osc.metrics(recording)

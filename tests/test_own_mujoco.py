@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pinocchio as pin
+from complaints import plant_error
 from numpy.testing import assert_allclose
 from pytest import approx, mark, raises
 
@@ -157,7 +158,7 @@ def test_only_the_tool_touches():
     assert pushes(robot, ["tool"]) == 0.0 and truth.alpha[0] == 0.0 and not truth.closed[0]
 
 
-@mark.parametrize(("friction", "told"), [(0.1, False), (0.6, True)])
+@mark.parametrize("friction, told", [(0.1, False), (0.6, True)])
 def test_much_friction_is_told(caplog, friction, told):
     model = scene()
     model.geom("wall").friction[0] = friction
@@ -175,7 +176,7 @@ def test_the_model_given_stays_as_it_is():
 
 
 @mark.parametrize(
-    ("how", "told"),
+    "how, told",
     [
         ({"tip": "tipp"}, "no body or site 'tipp'. Did you mean tip"),
         ({"wrist_sensor": "wirst"}, "no site 'wirst'. Did you mean wrist"),
@@ -189,12 +190,12 @@ def test_names_that_are_not_there(how, told):
 
 
 def test_a_site_without_sensors_is_told_with_the_line_to_add():
-    with raises(osc.PlantError, match=r'no torque sensor; .*<torque site="wrist"/>'):
+    with plant_error(r'no torque sensor; .*<torque site="wrist"/>'):
         robot_of(scene(sensors='<force site="wrist"/>'))
 
 
 def test_a_step_that_does_not_fit_the_control_period_is_refused():
     robot = robot_of(scene(step=0.002))
-    with raises(osc.PlantError, match=r"1 ms is no whole number .* steps of 2 ms"):
+    with plant_error(r"1 ms is no whole number .* steps of 2 ms"):
         robot.command(np.zeros(3), 1e-3)
     assert robot.time == 0.0

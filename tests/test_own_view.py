@@ -6,16 +6,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pinocchio as pin
-import pytest
 from command_line import done, refused
 from headless import Browser, near
+from pytest import fixture, mark
 from test_own_mujoco import START, WALL, robot_of, scene, wiping
 
 import osc_contact as osc
 from osc_contact.robots.pictures import read_picture
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def recorded(tmp_path_factory):
     """A robot, its recording and the file of it."""
     robot = robot_of(scene(), locked={"grip": 0.02})
@@ -89,7 +89,7 @@ def with_picture(recording, picture):
     return osc.Recording(recording.meta | {"picture": picture}, dict(recording.channels))
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "damage",
     [
         lambda p: None,

@@ -17,7 +17,7 @@ from hatch_build import absolute
 from osc_contact.law import jit, library
 
 ROOT = Path(__file__).resolve().parent.parent
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
 EXTRAS = [name for name in PROJECT["optional-dependencies"] if name != "mutation"]
@@ -51,7 +51,7 @@ def requirements(*extras):
 
 
 def constraints():
-    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.+!]+", line) for line in lines)
     assert lines == sorted(lines, key=str.lower)
     pairs = [line.split("==") for line in lines]
@@ -59,7 +59,7 @@ def constraints():
 
 
 @mark.parametrize(
-    ("folder", "pattern", "inside"),
+    "folder, pattern, inside",
     [
         ("urdf", "*.urdf", "osc_contact/urdf"),
         ("osc_contact/scenarios/files", "*.yaml", "osc_contact/scenarios/files"),
@@ -127,7 +127,7 @@ CONDA_NAMES = {
 
 
 def test_conda_recipe_asks_for_what_the_wheel_asks_for():
-    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text())
     assert recipe["context"]["version"] == PROJECT["version"]
     assert f">={recipe['context']['python_min']}" == PROJECT["requires-python"]
     (command,) = recipe["build"]["python"]["entry_points"]
@@ -145,14 +145,14 @@ def test_conda_recipe_asks_for_what_the_wheel_asks_for():
 
 
 def test_every_requirement_is_bounded_on_both_sides():
-    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]
     for requirement in [*requirements(*EXTRAS), *map(Requirement, build["requires"])]:
         operators = {specifier.operator for specifier in requirement.specifier}
         assert operators == {">=", "<"}, f"{requirement} has no lower or no upper bound"
 
 
 def test_citation_names_the_software_and_the_paper():
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert citation["cff-version"] == "1.2.0"
     assert citation["type"] == "software"
     assert str(citation["version"]) == PROJECT["version"]
@@ -165,7 +165,7 @@ def test_citation_names_the_software_and_the_paper():
 
 
 def test_changelog_tells_of_this_version():
-    assert f"## [{PROJECT['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"## [{PROJECT['version']}]" in (ROOT / "CHANGELOG.md").read_text()
 
 
 @mark.parametrize(
@@ -173,12 +173,12 @@ def test_changelog_tells_of_this_version():
     ["venv", "browser", "demo", "test", "versions", "peers", "gallery", "dist", "bench", "clean"],
 )
 def test_make_has_the_target(target):
-    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    text = (ROOT / "Makefile").read_text()
     assert re.search(rf"^{target}:", text, re.MULTILINE), f"the Makefile has no target {target}"
 
 
 def test_the_paper_has_the_sections_of_the_journal_and_cites_what_it_lists():
-    text = (ROOT / "paper" / "joss" / "paper.md").read_text(encoding="utf-8")
+    text = (ROOT / "paper" / "joss" / "paper.md").read_text()
     front = yaml.safe_load(text.split("---\n")[1])
     assert {"title", "tags", "authors", "affiliations", "date", "bibliography"} <= set(front)
     headings = re.findall(r"^# (.*)$", text, re.MULTILINE)
@@ -203,12 +203,12 @@ def test_issue_templates_ask_for_something():
     forms = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
     assert len(forms) == 3
     for form in forms:
-        told = yaml.safe_load(form.read_text(encoding="utf-8"))
+        told = yaml.safe_load(form.read_text())
         assert told.get("blank_issues_enabled") or (told["name"] and told["body"])
 
 
 def test_the_readme_leads_somewhere_once_there_is_an_address():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "README.md").read_text()
     linked = absolute(text, "https://example.org/o/r")
     targets = re.findall(r"\]\(([^)]+)\)", linked)
     assert targets and all(re.match(r"https?://|#", target) for target in targets)
@@ -218,11 +218,11 @@ def test_the_readme_leads_somewhere_once_there_is_an_address():
 
 
 def test_workflows_and_environments_run_targets_that_exist():
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    pixi = tomllib.loads((ROOT / "pixi.toml").read_text(encoding="utf-8"))
+    makefile = (ROOT / "Makefile").read_text()
+    pixi = tomllib.loads((ROOT / "pixi.toml").read_text())
     commands = list(pixi["tasks"].values())
     for file in (ROOT / ".github" / "workflows").glob("*.yml"):
-        jobs = yaml.safe_load(file.read_text(encoding="utf-8"))["jobs"]
+        jobs = yaml.safe_load(file.read_text())["jobs"]
         commands += [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
     assert len(commands) >= 7
     for command in commands:
@@ -230,14 +230,14 @@ def test_workflows_and_environments_run_targets_that_exist():
 
 
 def test_only_the_job_that_publishes_may_prove_who_it_is():
-    text = (ROOT / ".github/workflows/publish.yml").read_text(encoding="utf-8")
+    text = (ROOT / ".github/workflows/publish.yml").read_text()
     jobs = yaml.safe_load(text)["jobs"]
     assert [n for n, job in jobs.items() if "id-token" in job.get("permissions", {})] == ["publish"]
     assert "password" not in text.split("\n", 1)[1] and jobs["publish"]["needs"] == "build"
 
 
 def test_commits_are_checked_as_make_check_does():
-    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())
     commands = [hook["entry"] for repo in hooks["repos"] for hook in repo["hooks"]]
     (recipe,) = re.findall(r"^check: venv\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.M)
     made = [line.strip().replace("$(BIN)", ".venv/bin") for line in recipe.splitlines()]

@@ -95,12 +95,12 @@ def yaml_names(data, prefix=""):
 @cache
 def names_of(path):
     if path.suffix == ".py":
-        return frozenset(names_in(ast.parse(path.read_text(encoding="utf-8"))))
+        return frozenset(names_in(ast.parse(path.read_text())))
     if path.suffix == ".urdf":
         kinds = ("link", "joint")
         root = ElementTree.parse(path).getroot()
         return frozenset(e.get("name", "") for kind in kinds for e in root.findall(kind))
-    return frozenset(yaml_names(yaml.safe_load(path.read_text(encoding="utf-8"))))
+    return frozenset(yaml_names(yaml.safe_load(path.read_text())))
 
 
 def complaint(reference, *, test):
@@ -133,7 +133,7 @@ def check(row):
     return problems
 
 
-ROWS = rows_of(PAGE.read_text(encoding="utf-8"))
+ROWS = rows_of(PAGE.read_text())
 
 
 @mark.parametrize("row", ROWS, ids=[row[0].split(":")[0] for row in ROWS])
@@ -155,7 +155,7 @@ def test_every_part_of_the_rig_has_one_row():
 
 
 def test_the_erratum_is_stated_once_with_its_correction():
-    text = PAGE.read_text(encoding="utf-8")
+    text = PAGE.read_text()
     assert text.count("**Erratum.**") == 1
     assert "Ω̄_f(A₁) Ω_f(A₂) = 0" in text and "Ω̄_m(B₁) Ω_m(B₂) = 0" in text
 
@@ -165,7 +165,7 @@ PROOF = "`tests/test_projections.py::test_every_projection_is_the_decomposition_
 
 
 @mark.parametrize(
-    ("where", "test", "words"),
+    "where, test, words",
     [
         (GOOD, PROOF, None),
         ("planned", "planned", None),

@@ -5,9 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from complaints import invalid_input
 from headless import Browser, near
 from html_pages import Page
-from pytest import fixture, mark, raises
+from pytest import fixture, mark
 from rich.table import Table
 
 import osc_contact as osc
@@ -124,7 +125,7 @@ def test_answers_can_fail(evidence):
 
 
 def test_the_report_tells_statements_numbers_verdicts_and_commands(report):
-    text = report.read_text(encoding="utf-8")
+    text = report.read_text()
     told = Page(text).text
     for figure in PAPER:
         for words in (figure.shows, *figure.states.values()):
@@ -151,7 +152,7 @@ def test_the_report_tells_statements_numbers_verdicts_and_commands(report):
 
 
 def test_the_report_fetches_nothing(report):
-    text = report.read_text(encoding="utf-8")
+    text = report.read_text()
     found = Page(text)
     assert [v[:14] for v in found.loads] == 5 * ["data:image/svg"] + ["data:image/png"]
     assert "osc-contact reproduce steps --duration 10 --plant rigid" in text
@@ -201,7 +202,7 @@ def test_names_and_options():
     names = names_of("all")
     assert set(FIGURES) <= set(names) and "workcell" not in names
     assert {name for name in STUDIES if name.startswith("fig")} <= set(names), "slow or not"
-    with raises(osc.InvalidInputError, match="no figure 'fig9'"):
+    with invalid_input("no figure 'fig9'"):
         names_of("fig9")
     assert typed(None, None, 0, ()) == ""
     assert typed("rigid", 1.05, 3, ["a=[1, 2]"]) == (

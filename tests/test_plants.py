@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input, model_error, plant_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import fixture, raises
+from pytest import fixture
 
 import osc_contact as osc
 from osc_contact.contacts.contact import Contact
@@ -101,12 +102,12 @@ def test_divergence_is_an_error_and_leaves_no_log_file(rig, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     plant = rig.plant()
     plant.data.qvel[:] = np.inf
-    with caplog.at_level(logging.DEBUG), raises(osc.PlantError, match="diverged"):
+    with caplog.at_level(logging.DEBUG), plant_error("diverged"):
         plant.command(np.zeros(8), 1e-3)
     assert list(Path(tmp_path).iterdir()) == []
-    with raises(osc.InvalidInputError, match="tau: element"):
+    with invalid_input("tau: element"):
         plant.command(np.full(8, np.inf), 1e-3)
-    with raises(osc.InvalidInputError, match="shape"):
+    with invalid_input("shape"):
         plant.hold(np.zeros(7))
 
 
@@ -114,19 +115,19 @@ def test_rigid_plant_refuses_to_run_away(rig):
     plant = RigidPlant(rig.chain, rig.pairs, 1e-3)
     plant.reset(rig.q_contact)
     plant.v, _ = plant._on_constraints(np.full(10, 2e3), np.zeros(6))
-    with raises(osc.PlantError, match="diverged"):
+    with plant_error("diverged"):
         plant.command(np.zeros(8), 1e-3)
 
 
 def test_a_tare_on_the_rigid_plant_is_refused():
     scenario = osc.load_scenario("two_contact_rod_mismatch", ["plant.type=rigid"])
-    with raises(osc.ScenarioError, match="bilateral"):
+    with scenario_error("bilateral"):
         osc.build_rig(scenario).plant()
 
 
 def test_the_scene_needs_an_object(rig):
     chain = osc.ClosedChain(rig.chain.arms, rig.chain.grasps)
-    with raises(osc.ModelError, match="payload"):
+    with model_error("payload"):
         RigidPlant(chain, rig.pairs, 1e-3)
 
 
@@ -148,7 +149,7 @@ def test_a_registered_plant_is_named_in_scenarios(monkeypatch):
     rigid = osc.run(osc.load_scenario("two_contact_rod", {**changes, "plant.type": "rigid"}))
     difference = np.abs(own["alpha_true"] - rigid["alpha_true"]).max()
     assert 0.0 < difference < 0.1  # half the step: another plant, nearly the same forces
-    with raises(osc.ScenarioError, match="the halved plant's are bilateral"):
+    with scenario_error("the halved plant's are bilateral"):
         osc.build_rig(osc.load_scenario("approach_and_slide", changes)).plant()
-    with raises(osc.ScenarioError, match="'mujoco', 'rigid' or 'halved'; got 'bullet'"):
+    with scenario_error("'mujoco', 'rigid' or 'halved'; got 'bullet'"):
         osc.load_scenario("two_contact_rod", {"plant.type": "bullet"})

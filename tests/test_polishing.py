@@ -1,8 +1,8 @@
 """The learning example: what it gauges, what it learns in a few generations, and the other law."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, mark
 from samples import first
 
 from benchmarks.polishing import (
@@ -31,7 +31,7 @@ def test_the_strategy_finds_what_it_is_not_told():
 
     found, curve = learn(cost, np.zeros(3), 1.0, 40, 25, seed=1)
     assert_allclose(found, hidden, atol=0.1)
-    assert curve[0] == pytest.approx(hidden @ hidden, abs=0.05) and len(curve) == 25
+    assert curve[0] == approx(hidden @ hidden, abs=0.05) and len(curve) == 25
 
 
 def test_an_even_force_wears_as_soft_as_the_edge_is():
@@ -43,7 +43,7 @@ def test_an_even_force_wears_as_soft_as_the_edge_is():
     assert seen.off.max() < 1e-3
 
 
-@pytest.mark.slow
+@mark.slow
 def test_a_few_generations_learn_the_hidden_hardness():
     policy, curve = teach("ours", rows=32, generations=12, seed=0)
     assert curve[0] > 0.3
@@ -52,7 +52,7 @@ def test_a_few_generations_learn_the_hidden_hardness():
     assert np.corrcoef(policy, best_forces(KNOTS))[0, 1] > 0.8
 
 
-@pytest.mark.parametrize("law", first(list(LAWS)))
+@mark.parametrize("law", first(list(LAWS)))
 def test_the_best_forces_wear_evenly_above_every_law(law):
     slow, fast = (judge(law, best_forces(KNOTS), seconds) for seconds in (SLOW, FAST))
     assert slow.uneven.mean() < 0.05 and fast.uneven.mean() < 0.08

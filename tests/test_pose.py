@@ -5,15 +5,15 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from complaints import invalid_input
 from numpy.testing import assert_allclose
+from pytest import mark
 from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.cli import app
 from osc_contact.dynamics.assembly import outside_limits
-from osc_contact.errors import InvalidInputError
 from osc_contact.runs import poses
 
 POSTURE = "10 deg, -45 deg, 0, -135 deg, 0.1, 90 deg, 45 deg"
@@ -84,8 +84,8 @@ def test_a_scenario_tells_where_its_postures_put_the_object_and_how_to_put_it_el
     assert_allclose(tips, [[-0.15, 0.05, 0.2], [0.15, 0.05, 0.2]], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
+@mark.parametrize(
+    "words, said",
     [
         (("panda",), "panda has 3 ends: "),
         ((*TIP, "--posture", "1, 2"), "2 numbers for 7 joints"),
@@ -104,7 +104,7 @@ def test_what_is_wrong_is_told_with_exit_code_2(words, said):
 
 def test_numbers_are_those_of_scenario_files():
     assert_allclose(poses.numbers("rpy", "[180 deg, 0, 1]"), [np.pi, 0, 1])
-    with pytest.raises(InvalidInputError, match="posture"):
+    with invalid_input("posture"):
         poses.numbers("posture", "1, x")
 
 

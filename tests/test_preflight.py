@@ -4,6 +4,7 @@ import logging
 
 import numpy as np
 from command_line import call, refused
+from complaints import scenario_error
 from pytest import approx, mark, raises
 
 import osc_contact as osc
@@ -62,7 +63,7 @@ def test_what_cannot_run_is_refused_at_every_door(name, tmp_path):
     change, cure = REFUSED[name]
     for line in ("inspect two_contact_rod --set", f"run two_contact_rod --out {tmp_path} --set"):
         assert cure in refused(line, change)
-    with raises(osc.ScenarioError, match=cure.replace("?", r"\?")):
+    with scenario_error(cure.replace("?", r"\?")):
         osc.run(osc.load_scenario("two_contact_rod", [change]), duration=0.5)
 
 
@@ -128,7 +129,7 @@ def test_other_kinds_of_contact_are_looked_at_too(name):
 
 
 @mark.parametrize(
-    ("name", "force", "told"),
+    "name, force, told",
     [
         ("scara_peg", 90, False),
         ("scara_peg", 160, True),

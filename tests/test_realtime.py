@@ -1,7 +1,5 @@
 """The process made for the loop, its deadlines and the thread beside it; shadow mode."""
 
-from __future__ import annotations
-
 import gc
 import os
 import re
@@ -12,7 +10,8 @@ from itertools import repeat
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from complaints import invalid_input, plant_error
+from pytest import approx, mark, raises
 from test_loop_ends import REFERENCE, Controller, Robot
 from test_own_driver import HOME, Driver
 
@@ -45,7 +44,7 @@ def test_the_process_is_made_for_the_loop_and_given_back(caplog, monkeypatch):
     robot = Paced()
     report = osc.run_loop(robot, Controller(), repeat(REFERENCE, 50), realtime=True)
     collects, policy, interval = robot.state
-    assert not collects and interval == pytest.approx(5e-5)
+    assert not collects and interval == approx(5e-5)
     permitted = not any("priority" in note for note in report.notes)
     assert (policy == os.SCHED_FIFO) == permitted
     assert all("permit it by" in note and note in caplog.text for note in report.notes)
@@ -58,7 +57,7 @@ def test_the_process_is_made_for_the_loop_and_given_back(caplog, monkeypatch):
 
 def test_twenty_missed_deadlines_in_a_row_stop_the_robot():
     robot = Paced()
-    with pytest.raises(osc.PlantError, match=r"20 deadlines in a row were missed.* Free the mach"):
+    with plant_error(r"20 deadlines in a row were missed.* Free the mach"):
         osc.run_loop(robot, Slow(), repeat(REFERENCE), realtime=True)
     assert len(robot.stops) == 1 and robot.stops[0].startswith("PlantError: 20 deadlines")
     report = osc.run_loop(Paced(), Slow(), repeat(REFERENCE, 40))
@@ -74,7 +73,7 @@ def test_what_counts_as_missed():
         assert deadlines.missed == (0, 0, 1, 2, 2)[k]
     assert deadlines.in_a_row == 0
     report = deadlines.report(["a note"])
-    assert report.read_to_write_us == pytest.approx(
+    assert report.read_to_write_us == approx(
         {"p50": 105.0, "p99": 515.0, "p99_9": 515.0, "max": 510.0}
     )
     assert report.as_dict()["notes"] == ["a note"]
@@ -132,7 +131,7 @@ class Guided(Driver):
         super().command(tau, duration)
 
 
-def shadow(fault: str = "", change=lambda robot: None, ticks: int = 4000):
+def shadow(fault="", change=lambda robot: None, ticks=4000):
     robot = Guided(fault)
     change(robot)
     controller = osc.Controller(robot.chain, [], dt=1e-3, posture=HOME)
@@ -156,11 +155,11 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
     np.testing.assert_allclose([j.viscous for j in found.joints], [0.4, 0.8, 0.2], atol=0.3)
     np.testing.assert_allclose([j.inertia for j in found.joints], 0.2, atol=0.06)
     assert max(abs(j.offset) for j in found.joints) < 0.3
-    assert found.wrench_scale == pytest.approx(1.0, abs=0.15) and found.forces
+    assert found.wrench_scale == approx(1.0, abs=0.15) and found.forces
 
 
-@pytest.mark.parametrize(
-    ("fault", "sentence"),
+@mark.parametrize(
+    "fault, sentence",
     [
         ("mirrored wrench", "the wrench is reversed"),
         ("no gravity", "tare it .* or correct the payload"),
@@ -168,7 +167,7 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
         ("mirrored joint", "elbow.* unexplained: is it, or a joint near it, reversed"),
     ],
 )
-def test_shadow_mode_says_why_no_force_may_be_commanded(fault: str, sentence: str):
+def test_shadow_mode_says_why_no_force_may_be_commanded(fault, sentence):
     found = shadow(fault)
     print("\n".join(found.lines()))
     assert not found.forces
@@ -179,10 +178,10 @@ def test_shadow_mode_asks_for_motion_and_for_one_arm():
     found = shadow(change=lambda robot: setattr(robot, "ticks", -9999), ticks=1100)
     assert not found.forces and sum("was not moved" in one for one in found.findings) == 3
     assert any("hardly pushed" in one for one in found.findings)
-    with pytest.raises(osc.InvalidInputError, match="let it run for ten seconds"):
+    with invalid_input("let it run for ten seconds"):
         shadow(ticks=500)
     bare = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
-    with pytest.raises(osc.InvalidInputError, match="judges one arm"):
+    with invalid_input("judges one arm"):
         osc.run_loop(Robot(), bare, [osc.Reference(pin.SE3.Identity())], shadow=True)
 
 
@@ -205,7 +204,7 @@ def test_an_error_of_the_thread_beside_the_loop_ends_the_run_after_the_stop(monk
         raise ValueError("the disk is full")
 
     robot = Paced()
-    with pytest.raises(ValueError, match="the disk is full"):
+    with raises(ValueError, match="the disk is full"):
         given = robot, Controller(), repeat(REFERENCE, 5)
         osc.run_loop(*given, recorder=Recorder(), realtime=True)
     assert len(done) == 5 and robot.stops == [""]

@@ -6,6 +6,7 @@ import os
 import zipfile
 
 import numpy as np
+from complaints import recording_error
 from numpy.testing import assert_array_equal
 from pytest import mark, raises
 
@@ -30,7 +31,7 @@ def record(ticks=5):
 
 
 @mark.parametrize(
-    ("make", "message"),
+    "make, message",
     [
         (lambda: Recording({"a": float("nan")}, {}), "JSON-able"),
         (lambda: Recording({"a": np.zeros(2)}, {}), "JSON-able"),
@@ -43,7 +44,7 @@ def record(ticks=5):
     ],
 )
 def test_bad_input_is_refused(make, message):
-    with raises(RecordingError, match=message):
+    with recording_error(message):
         make()
 
 
@@ -66,7 +67,7 @@ def test_an_empty_recording_survives(tmp_path):
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "out").write_text("")
-    with raises(RecordingError, match="cannot write the recording"):
+    with recording_error("cannot write the recording"):
         record().save(tmp_path / "out" / "run.npz")
 
 
@@ -103,14 +104,14 @@ def npy():
 def test_unknown_files_are_refused(tmp_path, content):
     path = tmp_path / "run.npz"
     path.write_bytes(content)
-    with raises(RecordingError, match=r"run\.npz|ticks|meta"):
+    with recording_error(r"run\.npz|ticks|meta"):
         Recording.load(path)
 
 
 def test_missing_files_are_refused(tmp_path):
-    with raises(RecordingError, match="there is no such file"):
+    with recording_error("there is no such file"):
         Recording.load(tmp_path / "none.npz")
-    with raises(RecordingError, match="there is no such file"):
+    with recording_error("there is no such file"):
         Recording.load(tmp_path)
 
 
@@ -206,7 +207,7 @@ def test_a_large_file_with_a_flipped_bit_is_refused(tmp_path, monkeypatch):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
-    with raises(RecordingError, match="checksum of"):
+    with recording_error("checksum of"):
         Recording.load(path)
 
 
@@ -219,7 +220,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_at_once(tmp_path):
         for _ in range(300):
             entry.write(bytes(1 << 20))
     assert path.stat().st_size < 400_000
-    with raises(RecordingError, match=r"unpack from 0\.3\d* MB to 314\.6 MB"):
+    with recording_error(r"unpack from 0\.3\d* MB to 314\.6 MB"):
         Recording.load(path)
 
 
@@ -235,7 +236,7 @@ def test_headers_that_promise_more_than_there_is_are_refused(tmp_path):
             stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 40,)}
         )
         archive.writestr("q.npy", stream.getvalue() + bytes(80))
-    with raises(RecordingError, match=r"80 bytes for shape \(1099511627776,\)"):
+    with recording_error(r"80 bytes for shape \(1099511627776,\)"):
         Recording.load(path)
 
 

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose
 from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.errors import ModelError
 from osc_contact.robots import JointLimits, loading
 
 ARMS = (
@@ -107,7 +108,7 @@ def test_every_robot_of_the_data_package_has_a_verdict():
     assert set(files) == set(loading._robot_data_root().glob("*/*/*.urdf"))
 
 
-def test_the_page_on_robots_has_these_verdicts() -> None:
+def test_the_page_on_robots_has_these_verdicts():
     page = (Path(__file__).parent.parent / "docs" / "robots.md").read_text()
     told = re.search(
         r"Of its (\d+) files (\d+) load unchanged.*?(\d+) need.*?(\d+) are", page, re.S
@@ -144,10 +145,10 @@ def test_robot_with_defects_is_refused_and_usable_with_a_decision(name):
 
 @mark.parametrize("name", REFUSED)
 def test_defect_robot_is_refused_with_its_reason(name):
-    with raises(ModelError, match=REFUSED[name].replace(".", r"\.")):
+    with model_error(REFUSED[name].replace(".", r"\.")):
         robots.load_model(robots.find_robot(name)[0], inertias="positive")
     if name == "romeo_description/romeo":
-        with raises(ModelError, match="mass matrix is not positive definite"):
+        with model_error("mass matrix is not positive definite"):
             robots.load_model(robots.find_robot(name)[0], limits={"*": MOTOR})
 
 
@@ -207,13 +208,13 @@ def test_an_arm_with_continuous_joints_makes_a_chain_any_number_of_turns_round()
 
 def test_ready_models_are_judged_too():
     wrapped = pin.buildModelFromUrdf(str(robots.find_robot("kinova")[0]))
-    with raises(ModelError, match=r"j2s6s200_joint_1.*nq = 2 but nv = 1; load the URDF by"):
+    with model_error(r"j2s6s200_joint_1.*nq = 2 but nv = 1; load the URDF by"):
         osc.Arm.from_urdf(wrapped, name="k", tip="j2s6s200_end_effector")
     panda = robots.load_model(robots.find_robot("panda")[0])
     bodies = list(panda.inertias)
     for i in range(1, panda.njoints):
         panda.inertias[i] = pin.Inertia.Zero() if i >= 7 else bodies[i]
-    with raises(ModelError, match="panda_joint7 can move without moving mass"):
+    with model_error("panda_joint7 can move without moving mass"):
         osc.Arm.from_urdf(panda, name="p", tip="panda_hand_tcp")
 
 
@@ -243,13 +244,13 @@ def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path):
     _, geometry, _ = robots.load_geometry(mesh_robot(inside, "m.obj"), kind)
     assert geometry.ngeoms == 1
     absolute = mesh_robot(inside, str(outside / "m.obj"))
-    with raises(ModelError, match="outside of the robot's folders"):
+    with model_error("outside of the robot's folders"):
         robots.load_geometry(absolute, kind)
     assert robots.load_geometry(absolute, kind, [outside])[1].ngeoms == 1
     (inside / "link.obj").symlink_to(outside / "m.obj")
-    with raises(ModelError, match=r"leads to .*/secret/m\.obj, outside"):
+    with model_error(r"leads to .*/secret/m\.obj, outside"):
         robots.load_geometry(mesh_robot(inside, "link.obj"), kind)
-    with raises(ModelError, match="the mesh is not there; looked for"):
+    with model_error("the mesh is not there; looked for"):
         robots.load_geometry(mesh_robot(inside, "package://robot/m.obj"), kind)
     assert (
         robots.load_geometry(mesh_robot(inside, "package://robot/m.obj"), kind, [tmp_path])[
@@ -262,7 +263,7 @@ def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path):
 @mark.parametrize("texture", ["/etc/hostname", "file:///etc/hostname", "../../secret.png"])
 def test_collada_files_that_take_textures_from_elsewhere_are_refused(tmp_path, texture):
     (tmp_path / "m.dae").write_text(f"<COLLADA><init_from> {texture} </init_from></COLLADA>")
-    with raises(ModelError, match=r"m\.dae takes a texture from"):
+    with model_error(r"m\.dae takes a texture from"):
         robots.load_geometry(mesh_robot(tmp_path, "m.dae"), pin.GeometryType.VISUAL)
 
 
@@ -272,5 +273,5 @@ def test_limits_as_words_of_the_command_line():
         JointLimits(effort=5.0, velocity=2.5),
     )
     for wrong in ("j1", "effort=5", "j1:torque=3", "j1:effort=x", "j1:effort=-1", "j1:"):
-        with raises(InvalidInputError, match=r"j1|effort"):
+        with invalid_input(r"j1|effort"):
             JointLimits.parse(wrong)

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, fixture, mark, raises
+from pytest import approx, fixture, mark
 
 import osc_contact as osc
 from benchmarks.cases import CASES, SPECIAL_CASES, repeatable
-from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
 
 RUN = osc.SafetyState.RUN
@@ -142,9 +142,9 @@ def test_brakes_take_energy_though_motors_are_too_weak_for_all_of_them():
 
 
 def test_limits_are_checked_and_can_be_changed(case):
-    with raises(InvalidInputError, match="torque_rate: must be > 0"):
+    with invalid_input("torque_rate: must be > 0"):
         osc.SafetySettings(torque_rate=0.0)
-    with raises(InvalidInputError, match="brake_time: must be >= 0; got -1"):
+    with invalid_input("brake_time: must be >= 0; got -1"):
         osc.SafetySettings(brake_time=-1.0)
     controller = case.controller()
     controller.tick(case.measurement, case.reference)

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pinocchio as pin
 from command_line import call, done, refused
+from complaints import model_error
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, mark
 from urdf_corpus import GOOD
 
 from osc_contact import robots
-from osc_contact.errors import ModelError
 
 
 def write(folder, text):
@@ -85,7 +85,7 @@ def test_mobility_is_the_share_of_the_last_body_in_the_energy(tmp_path):
     assert (np.array(tip.mobility) <= 1 + 1e-9).all()
 
 
-@mark.parametrize(("length", "mass"), [(1e3, 1.0), (1.0, 1e-3), (0.0254, 0.4536)])
+@mark.parametrize("length, mass", [(1e3, 1.0), (1.0, 1e-3), (0.0254, 0.4536)])
 def test_mobility_does_not_depend_on_units(tmp_path, length, mass):
     masses = [4.0, 3.0, 2.0, 1.0, 0.5, 0.4]
     (here,) = summary(tmp_path, chain(SIX_AXES, masses)).tips
@@ -102,9 +102,9 @@ def test_the_tip_can_be_chosen(tmp_path):
     assert [tip.tip for tip in every.tips] == ["finger", "tool"] and every.more_tips == 0
     (slide,) = robots.summarise(loaded.model, loaded.document, "slide").tips
     assert (slide.tip, slide.joints, len(slide.mobility)) == ("slide", 2, 2)
-    with raises(ModelError, match="no frame 'tol'"):
+    with model_error("no frame 'tol'"):
         robots.summarise(loaded.model, loaded.document, "tol")
-    with raises(ModelError, match="no joint moves the frame 'base'"):
+    with model_error("no joint moves the frame 'base'"):
         robots.summarise(loaded.model, loaded.document, "base")
     assert robots.load(robots.urdf_path("rod")).model.nv == 0
     rod = robots.check_robot(robots.urdf_path("rod"))
@@ -158,7 +158,7 @@ def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path):
 
 
 @mark.parametrize(
-    ("line", "message"),
+    "line, message",
     [
         ("./absent.urdf", "neither the file"),
         ("absent.urdf", "neither the file"),

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, mark
 from urdf_numbers import element, numbers, placement, written_inertia
 
 from osc_contact import robots
-from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots import loading
 from osc_contact.robots.model import build_model
 
@@ -157,9 +157,9 @@ def inertia_column(compiled, data, unit):
 def test_urdf_path_knows_the_packaged_files():
     assert robots.urdf_path("rod.urdf") == robots.urdf_path("rod")
     assert robots.urdf_path("rod").is_file()
-    with raises(ModelError, match=r"Did you mean scara_left\.urdf"):
+    with model_error(r"Did you mean scara_left\.urdf"):
         robots.urdf_path("scara_lft.urdf")
-    with raises(ModelError, match=r"no packaged URDF is called '../urdf/rod.urdf'"):
+    with model_error(r"no packaged URDF is called '../urdf/rod.urdf'"):
         robots.urdf_path("../urdf/rod.urdf")
 
 
@@ -172,9 +172,9 @@ def test_urdf_path_finds_the_folder_of_an_installed_package(monkeypatch, tmp_pat
 
 
 def test_robot_names_that_are_unknown_or_ambiguous_are_refused():
-    with raises(ModelError, match="Did you mean panda"):
+    with model_error("Did you mean panda"):
         robots.find_robot("pandda")
-    with raises(ModelError, match=r"ambiguous.*anymal_c_simple_description/anymal"):
+    with model_error(r"ambiguous.*anymal_c_simple_description/anymal"):
         robots.find_robot("anymal")
     path, _ = robots.find_robot("anymal_c_simple_description/anymal")
     assert path.parent.parent.name == "anymal_c_simple_description"
@@ -186,7 +186,7 @@ def test_missing_robot_data_says_what_to_install(monkeypatch, tmp_path):
         loading.pin, "__file__", str(tmp_path / "lib/py/site/pinocchio/__init__.py")
     )
     monkeypatch.setattr(loading, "ROBOT_DATA", "no-such-robot-data")
-    with raises(ModelError, match="pip install no-such-robot-data"):
+    with model_error("pip install no-such-robot-data"):
         robots.find_robot("panda")
 
 
@@ -198,16 +198,16 @@ def test_resolve_urdf_knows_three_places(tmp_path):
     assert robots.resolve_urdf(str(own)) == (own.resolve(), (tmp_path.resolve(),))
     panda, package_dir = robots.find_robot("panda")
     assert robots.resolve_urdf("example-robot-data:panda", tmp_path) == (panda, (package_dir,))
-    with raises(ModelError, match="Did you mean panda"):
+    with model_error("Did you mean panda"):
         robots.resolve_urdf("example-robot-data:pnda", tmp_path)
-    with raises(ModelError, match=r"Did you mean face\.urdf"):
+    with model_error(r"Did you mean face\.urdf"):
         robots.resolve_urdf("fce.urdf", tmp_path)
 
 
 def test_frame_id_is_checked():
     model = robots.load_model(robots.urdf_path("scara_left"))
     assert model.frames[robots.frame_id(model, "tool")].name == "tool"
-    with raises(ModelError, match=r"no frame 'tol'. Did you mean tool"):
+    with model_error(r"no frame 'tol'. Did you mean tool"):
         robots.frame_id(model, "tol")
 
 
@@ -260,23 +260,23 @@ def test_thin_rods_and_massless_markers_are_accepted(tmp_path):
 def test_parallel_joints_with_one_mass_between_them_are_named(tmp_path):
     file = write(tmp_path, links={"empty": "", "tip": BALL})
     file.write_text(file.read_text().replace('<origin xyz="0.1 0 0"/>', ""))
-    with raises(ModelError, match="joint turn, next1 can move without moving mass"):
+    with model_error("joint turn, next1 can move without moving mass"):
         robots.load_model(file)
 
 
 def test_what_is_no_file_is_refused(tmp_path):
-    with raises(ModelError, match="does not exist"):
+    with model_error("does not exist"):
         robots.load_model(tmp_path / "absent.urdf")
-    with raises(ModelError, match="is not a file"):
+    with model_error("is not a file"):
         robots.load_model(tmp_path)
 
 
 def test_load_body_wants_one_rigid_link(tmp_path):
-    with raises(ModelError, match="these joints move: turn"):
+    with model_error("these joints move: turn"):
         robots.load_body(write(tmp_path))
-    with raises(ModelError, match=r"found 2 \(tip, end\)"):
+    with model_error(r"found 2 \(tip, end\)"):
         robots.load_body(write(tmp_path, kind="fixed", links={"tip": BALL, "end": BALL}))
-    with raises(ModelError, match=r"found 0 \(none\)"):
+    with model_error(r"found 0 \(none\)"):
         robots.load_body(write(tmp_path, kind="fixed", links={"tip": ""}))
     inertia = robots.load_body(write(tmp_path, kind="fixed"))
     assert_allclose(inertia.lever, [0.1, 0, 0])
@@ -289,7 +289,7 @@ def test_cross_check_reports_where_two_readers_differ(tmp_path, monkeypatch):
         return model
 
     monkeypatch.setattr(loading, "build_model", crooked)
-    with raises(ModelError, match=r"link 'tip': two URDF readers place .* 2e-09 apart"):
+    with model_error(r"link 'tip': two URDF readers place .* 2e-09 apart"):
         robots.cross_check(write(tmp_path))
 
 
@@ -298,7 +298,7 @@ def test_cross_check_reports_where_two_readers_differ(tmp_path, monkeypatch):
 
 def test_limits_given_by_hand_stand_in_for_missing_ones(tmp_path):
     file = write(tmp_path, limit="", links={"tip": BALL, "end": BALL})
-    with raises(ModelError, match=r"joint 'turn': has no <limit>.*JointLimits"):
+    with model_error(r"joint 'turn': has no <limit>.*JointLimits"):
         robots.load_model(file)
     given = robots.JointLimits(lower=-1.5, upper=2.5, effort=7, velocity=3)
     free = robots.JointLimits(-math.inf, math.inf, 4, 5)
@@ -307,7 +307,7 @@ def test_limits_given_by_hand_stand_in_for_missing_ones(tmp_path):
     assert np.array_equal(model.upperPositionLimit, [2.5, math.inf])
     assert np.array_equal(model.effortLimit, [7, 4])
     assert np.array_equal(model.velocityLimit, [3, 5])
-    with raises(InvalidInputError, match=r"no moving joint matches 'trun'. Did you mean turn"):
+    with invalid_input(r"no moving joint matches 'trun'. Did you mean turn"):
         robots.load_model(file, limits={"trun": given})
 
 
@@ -315,7 +315,7 @@ def test_limits_given_by_hand_win_over_those_of_the_file(tmp_path):
     file = write(tmp_path, limit=LIMIT.replace('effort="2"', 'effort="0"'))
     model = robots.load_model(file, limits={"turn": robots.JointLimits(effort=9)})
     assert model.effortLimit[0] == 9 and model.velocityLimit[0] == 3
-    with raises(ModelError, match="lower limit 5 is above the upper limit 1"):
+    with model_error("lower limit 5 is above the upper limit 1"):
         robots.load_model(file, limits={"turn": robots.JointLimits(lower=5, effort=9)})
 
 
@@ -332,7 +332,7 @@ def test_limits_given_by_hand_win_over_those_of_the_file(tmp_path):
     ],
 )
 def test_impossible_limits_cannot_be_given(wrong):
-    with raises(InvalidInputError, match="JointLimits"):
+    with invalid_input("JointLimits"):
         robots.JointLimits(**wrong)
 
 
@@ -341,18 +341,18 @@ def test_positive_is_content_with_moving_bodies_that_have_energy(tmp_path):
     file = write(tmp_path, links={"tip": BALL, "flag": slip})
     fixed = 'name="next0" type="fixed"'
     file.write_text(file.read_text().replace('name="next1" type="revolute"', fixed))
-    with raises(ModelError, match="link 'flag' <inertia>: the inertia is not positive"):
+    with model_error("link 'flag' <inertia>: the inertia is not positive"):
         robots.load_model(file)
     assert robots.load_model(file, inertias="positive").nv == 1
     alone = write(tmp_path, links={"tip": slip.replace('"-1e-3"', '"-9e-3"')})
-    with raises(ModelError, match=r"joint 'turn': the body that it moves .* negative"):
+    with model_error(r"joint 'turn': the body that it moves .* negative"):
         robots.load_model(alone, inertias="positive")
     flat = write(tmp_path, links={"tip": inertial("1", "0.1", "0.1", "0.3")})
     assert robots.load_model(flat, inertias="positive").nv == 1
     heavy = write(tmp_path, links={"tip": inertial("-1", "0.1", "0.1", "0.1")})
-    with raises(ModelError, match="mass -1 kg is negative"):
+    with model_error("mass -1 kg is negative"):
         robots.load_model(heavy, inertias="positive")
-    with raises(InvalidInputError, match="there is: possible, positive"):
+    with invalid_input("there is: possible, positive"):
         robots.load_model(file, inertias="any")
 
 
@@ -371,5 +371,5 @@ def test_the_verdict_on_the_mass_matrix_does_not_depend_on_units(tmp_path, lengt
     if rotor == 1e-9:
         assert robots.load_model(file).nv == 3
     else:
-        with raises(ModelError, match="next2 can move without moving mass"):
+        with model_error("next2 can move without moving mass"):
             robots.load_model(file)

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pinocchio as pin
+from complaints import plant_error
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import KINDS, PLAIN, pose_of
-from pytest import mark, raises
+from pytest import mark
 
 import osc_contact as osc
 from osc_contact.contacts import pairs
@@ -291,7 +292,7 @@ def test_a_run_that_fails_leaves_all_channels_of_what_came_before(monkeypatch):
             raise osc.PlantError("enough")
 
     monkeypatch.setattr(MujocoPlant, "command", failing)
-    with raises(osc.PlantError, match="enough") as failure:
+    with plant_error("enough") as failure:
         osc.run(scenario)
     part = failure.value.recording
     assert len(part) == 12 and part.channels.keys() == whole.channels.keys()

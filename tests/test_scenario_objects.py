@@ -1,10 +1,9 @@
 """Scenarios made in Python: pairs, moving bodies and laws of one's own, on both plants."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
+from complaints import scenario_error
 from numpy.testing import assert_allclose
 from pytest import mark, raises
 
@@ -104,7 +103,7 @@ def test_bodies_of_ones_own(plant):
     assert_same(ours, theirs, 1e-6)
     assert answered and np.ptp(ours["face_pose"][:, 0, :3], axis=0).max() > 1e-3
     late = osc.OwnMotion(osc.Rail(direction, motion=lambda t: drive(t + 0.02)))
-    with raises(osc.ScenarioError, match="away from where the contacts touch"):
+    with scenario_error("away from where the contacts touch"):
         osc.build_rig(with_motion(late)).plant()
 
 
@@ -141,7 +140,7 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
 
 
 @mark.parametrize(
-    ("parts", "words"),
+    "parts, words",
     [
         ({"duration": -1.0}, "duration: must be > 0"),
         ({"gains": {"motion": {"stiffness": 1, "frequency": 2}}}, "frequency beside stiffness"),
@@ -153,5 +152,5 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
     ],
 )
 def test_what_does_not_fit_is_told_as_for_a_file(parts, words):
-    with raises(osc.ScenarioError, match=words):
+    with scenario_error(words):
         osc.load_scenario("two_contact_rod").replaced(**parts)

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import yaml
+from complaints import scenario_error
 from pytest import mark, raises
 
 from osc_contact.errors import ScenarioError
@@ -319,7 +320,7 @@ BAD_OVERRIDES = [
 ]
 
 
-@mark.parametrize(("override", "message"), BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
+@mark.parametrize("override, message", BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
 def test_bad_overrides_are_named_instead_of_a_line(override, message):
     found = complaints(GOOD, [override])
     message = message.removeprefix(override.partition("=")[0] + ": ")  # the key is told once
@@ -349,18 +350,18 @@ def test_round_trip():
 
 def test_loading_by_path_and_unknown_names(tmp_path):
     path = tmp_path / "mine.yaml"
-    path.write_text(GOOD, encoding="utf-8")
+    path.write_text(GOOD)
     scenario = load_scenario(path, {"duration": "1 s"})
     assert scenario.source == path and scenario.duration == 1.0
     assert load_scenario(str(path)).duration == 2.0
-    with raises(ScenarioError, match="did you mean 'two_contact_rod'"):
+    with scenario_error("did you mean 'two_contact_rod'"):
         load_scenario("two_contact_rood")
     for bad in (tmp_path / "none.yaml", tmp_path):
-        with raises(ScenarioError, match="cannot read the scenario file"):
+        with scenario_error("cannot read the scenario file"):
             load_scenario(bad)
     path.write_bytes(b"name: \xff\xfe")
-    with raises(ScenarioError, match="cannot read the scenario file"):
+    with scenario_error("cannot read the scenario file"):
         load_scenario(path)
-    path.write_text(GOOD.replace("2 s", "2 N"), encoding="utf-8")
-    with raises(ScenarioError, match=r"mine\.yaml:31: duration: expected a time"):
+    path.write_text(GOOD.replace("2 s", "2 N"))
+    with scenario_error(r"mine\.yaml:31: duration: expected a time"):
         load_scenario(path)

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input
 from html_pages import Page
 from numpy.testing import assert_allclose
 from pytest import approx, fixture, mark, raises
@@ -24,7 +25,6 @@ from scene_samples import (
     write,
 )
 
-from osc_contact.errors import InvalidInputError
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
@@ -109,7 +109,7 @@ def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
     assert np.ptp([*paint[f"{LEFT}/lost/line/rod"].to_bytes(3)]) < 16, "grey"
 
 
-@mark.parametrize(("frame", "count"), [(2, 4), (5, 5), (9, 4)])  # the left one is lost at 5
+@mark.parametrize("frame, count", [(2, 4), (5, 5), (9, 4)])  # the left one is lost at 5
 def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, count):
     """The velocity of each contact point, moved as drawn, has no part along the force.
 
@@ -251,7 +251,7 @@ SHORT_ARM = [ARMS[0]._replace(q_slice=slice(0, 4))]
 
 
 @mark.parametrize(
-    ("make", "complaint"),
+    "make, complaint",
     [
         (lambda p: write_scene(RECORDING, SHORT_ARM, [], p), r"takes 4 numbers of q.*nq = 5"),
         (lambda p: write_scene(make_recording(without=("pose",)), [], BODIES, p), "'pose'"),
@@ -266,7 +266,7 @@ SHORT_ARM = [ARMS[0]._replace(q_slice=slice(0, 4))]
     ],
 )
 def test_scene_refuses_what_does_not_fit(make, complaint, tmp_path):
-    with raises(InvalidInputError, match=complaint):
+    with invalid_input(complaint):
         make(tmp_path / "scene.html")
     assert not any(tmp_path.iterdir())
 
@@ -278,7 +278,7 @@ def test_page_is_written_whole_or_not_at_all(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["taken"]
     empty = tmp_path / "empty.html"
     empty.write_text("<html></html>")
-    with raises(InvalidInputError, match="no drawing commands"):
+    with invalid_input("no drawing commands"):
         write_png(empty, tmp_path / "empty.png")
 
 

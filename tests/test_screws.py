@@ -2,13 +2,10 @@
 
 import numpy as np
 import pinocchio as pin
-from pytest import mark, raises
+from complaints import invalid_input
+from pytest import mark
 
-from osc_contact.errors import InvalidInputError
-from osc_contact.visual.screws import (
-    twist_screw,
-    wrench_screw,
-)
+from osc_contact.visual.screws import twist_screw, wrench_screw
 
 SEEDS = range(4)
 
@@ -47,5 +44,5 @@ def test_couples_and_translations_have_no_pitch_and_nonsense_is_refused():
     slide = twist_screw([0, 3.0, 0, 0, 0, 0], [1, 2, 3])
     assert np.isinf(slide.pitch) and np.allclose(slide.direction, [0, 1, 0])
     for bad in (np.zeros(6), np.ones(5), [np.nan, 0, 0, 0, 0, 1]):
-        with raises(InvalidInputError, match="no screw"):
+        with invalid_input("no screw"):
             twist_screw(bad, np.zeros(3))

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark, raises
+from pytest import approx, mark
 from samples import first
 
 import osc_contact as osc
@@ -93,7 +94,7 @@ def test_resolution_rounds_to_whole_steps():
     assert np.abs(q - true).max() <= 0.005 + 1e-12
 
 
-@mark.parametrize(("rate", "delay"), [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
+@mark.parametrize("rate, delay", [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
 def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
     """Reading at t: the value at the last multiple of the period that is `delay` or more old."""
     out = readings(Sensors(encoders=(Clock(rate, delay), SensorErrors())), 500)
@@ -150,12 +151,12 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
 
 @mark.parametrize("bad", [(0.0, 0, 0), (1.0, -1, 0), (1.0, 0, 1.0)])
 def test_impossible_clocks_are_refused(bad):
-    with raises(osc.InvalidInputError, match="Clock"):
+    with invalid_input("Clock"):
         Clock(*bad)
 
 
 @mark.parametrize(
-    ("override", "said"),
+    "override, said",
     [
         ("sensors.encoder={rate: 1 kHz, angle: {noise: 1 mm}}", "an angle"),
         ("sensors.encoder={angle: {noise: 1 mrad}}", "'rate' is missing"),
@@ -166,7 +167,7 @@ def test_impossible_clocks_are_refused(bad):
     ],
 )
 def test_wrong_sensors_are_refused_by_the_scenario(override, said):
-    with raises(osc.ScenarioError, match=said):
+    with scenario_error(said):
         osc.load_scenario("two_contact_rod", [override])
 
 

@@ -166,7 +166,7 @@ def test_two_points_are_minimum_jerk():
 
 
 @mark.parametrize(
-    ("kind", "text", "si", "bad"),
+    "kind, text, si, bad",
     [
         (LengthSignal, "50 mm", 0.05, "8 N"),
         (AngleSignal, "30 deg", math.radians(30), "50 mm"),
@@ -222,7 +222,7 @@ def test_impossible_signals_are_refused(bad):
 
 
 @mark.parametrize(
-    ("kind", "text", "si"),
+    "kind, text, si",
     [
         (Length, "50 mm", 0.05),
         (Length, "3µm", 3e-6),
@@ -247,7 +247,7 @@ def test_units_are_converted_to_the_nearest_float(kind, text, si):
 
 
 @mark.parametrize(
-    ("kind", "value", "message"),
+    "kind, value, message",
     [
         (Length, "8 N", "expected a length in m, mm, cm, µm; got '8 N', which is a force"),
         (Length, "8 ell", "got '8 ell', and 'ell' is not a known unit"),

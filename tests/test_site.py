@@ -1,7 +1,5 @@
 """The site: builds without a warning, its links lead somewhere, and it fetches nothing."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
@@ -38,14 +36,14 @@ def site(tmp_path_factory):
 
 @fixture(scope="module")
 def pages(site):
-    return {path: Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
+    return {path: Page(path.read_text()) for path in sorted(site.rglob("*.html"))}
 
 
 def test_every_page_is_there(site):
     sources = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/api/*.rst")]
     for source in [*sources, *ROOT.glob("notebooks/*.py")]:
         assert (site / source.relative_to(ROOT)).with_suffix(".html").is_file(), source.name
-    assert "docs/index.html" in (site / "index.html").read_text(encoding="utf-8")
+    assert "docs/index.html" in (site / "index.html").read_text()
 
 
 def test_every_link_leads_to_a_page_and_an_anchor(site, pages):
@@ -76,8 +74,8 @@ def test_nothing_is_fetched_from_elsewhere(site, pages):
 
 
 def test_every_public_name_has_its_place_in_reading_order():
-    order = re.findall(r"^api/\w+$", (ROOT / "docs/index.md").read_text(encoding="utf-8"), re.M)
-    text = "".join((ROOT / "docs" / f"{page}.rst").read_text(encoding="utf-8") for page in order)
+    order = re.findall(r"^api/\w+$", (ROOT / "docs/index.md").read_text(), re.M)
+    text = "".join((ROOT / "docs" / f"{page}.rst").read_text() for page in order)
     pairs = [f".. autoclass:: {name}" for name in osc.__all__ if name in osc.PAIRS]
     text = text.replace(".. contact-pairs::", "\n".join(pairs))
     told = re.findall(r"^\.\. auto(?:class|function|exception):: (\w+)$", text, re.M)
@@ -85,25 +83,25 @@ def test_every_public_name_has_its_place_in_reading_order():
 
 
 def test_docstrings_reach_the_pages(site):
-    text = (site / "docs/api/response.html").read_text(encoding="utf-8")
+    text = (site / "docs/api/response.html").read_text()
     assert "α = D⁻¹[NᵀSΛ_S⁻¹(f_S − b_S)" in text and "TypeAlias" not in text
     assert "neither the chain nor the environment yields" in text  # Raises:
 
 
 def test_notebooks_are_pages(site):
-    text = (site / "notebooks/03_two_contact_task.html").read_text(encoding="utf-8")
+    text = (site / "notebooks/03_two_contact_task.html").read_text()
     assert "no constraint frame" in text and "build_rig" in text
     assert "matplotlib</span> <span" not in text and "fmt: skip" not in text
 
 
 def test_a_link_that_leads_nowhere_stops_the_build(tmp_path):
-    (tmp_path / "index.md").write_text("# A page\n\n[no](nowhere.md)\n", encoding="utf-8")
+    (tmp_path / "index.md").write_text("# A page\n\n[no](nowhere.md)\n")
     done = build(tmp_path, tmp_path, "-C", "-D", "extensions=myst_parser")
     assert done.returncode != 0 and "nowhere.md" in done.stderr
 
 
 def test_equations_are_drawn_without_a_script(site):
-    text = (site / "docs/theory.html").read_text(encoding="utf-8")
+    text = (site / "docs/theory.html").read_text()
     assert text.count("<math ") >= 20 and "<mtable" in text
     assert "$$" not in text and "&=" not in text and "\\tag" not in text and "<mi>&<" not in text
     assert '<span class="number">(24)</span>' in text
@@ -118,7 +116,7 @@ def test_first_uses_of_symbols_lead_to_the_glossary(site):
         "scenario": "r",
     }
     for page, names in wanted.items():
-        text = (site / f"docs/{page}.html").read_text(encoding="utf-8")
+        text = (site / f"docs/{page}.html").read_text()
         links = re.findall(r'<a class="term [^>]*>(.*?)</a>', text)
         linked = [re.sub("</?sub>", "", link.replace("<sub>", "_")) for link in links]
         assert len(linked) == len(set(linked)), page
@@ -127,13 +125,13 @@ def test_first_uses_of_symbols_lead_to_the_glossary(site):
 
 
 def test_names_in_tables_break_after_their_parts_only(site):
-    text = (site / "docs/scenario.html").read_text(encoding="utf-8")
+    text = (site / "docs/scenario.html").read_text()
     name = re.sub(r"</?span[^>]*>", "", text)
     assert "contacts.<wbr>face.<wbr>urdf<" in name
 
 
 @mark.parametrize(
-    ("words", "page"),
+    "words, page",
     [
         ("impedance", "impedance_admittance"),
         ("admittance", "impedance_admittance"),
@@ -146,7 +144,7 @@ def test_names_in_tables_break_after_their_parts_only(site):
     ],
 )
 def test_words_of_the_field_are_found(site, words, page):
-    text = (site / "searchindex.js").read_text(encoding="utf-8")
+    text = (site / "searchindex.js").read_text()
     index = json.loads(text.removeprefix("Search.setIndex(").rstrip().removesuffix(")"))
     stem = stemmer("english").stemWord
     found = set(range(len(index["docnames"])))

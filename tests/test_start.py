@@ -2,8 +2,9 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from complaints import model_error
 from numpy.testing import assert_allclose
+from pytest import mark
 
 import osc_contact as osc
 from osc_contact.dynamics.assembly import reach
@@ -27,7 +28,7 @@ def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same()
     assert np.mean(np.array(missed) < 1e-4) > 0.3  # the rest would have to go round end stops
 
 
-@pytest.mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "three_arm_plate"])
+@mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "three_arm_plate"])
 def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
     scenario = osc.load_scenario(name, ["object.pose=null"])
     rig = osc.build_rig(scenario)
@@ -50,5 +51,5 @@ def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():
 
 def test_where_no_arm_tells_the_pose_it_must_be_given():
     changes = ["object.pose=null", "grasps.left.type=ball", "grasps.left.axis=null"]
-    with pytest.raises(osc.ModelError, match="pose"):
+    with model_error("pose"):
         osc.build_rig(osc.load_scenario("hinge_ball_rod", changes))

@@ -5,10 +5,11 @@ import warnings
 import gymnasium
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import mark, raises
+from pytest import mark
 from samples import first
 
 import osc_contact as osc
@@ -77,7 +78,7 @@ def test_rows_are_reset_as_gymnasium_resets_environments(mode):
         for i in np.flatnonzero(over) if "final_obs" in one[4] else ():
             assert_array_equal(one[4]["final_obs"][i], other[4]["final_obs"][i])
         if mode is AutoresetMode.DISABLED and over.any():
-            with raises(osc.InvalidInputError, match="reset them"):
+            with invalid_input("reset them"):
                 ours.step(actions)
             x, y = (env.reset(options={"reset_mask": over.copy()})[0] for env in (ours, theirs))
             assert_array_equal(x, y)
@@ -167,13 +168,13 @@ def test_seeds_draw_the_same_episodes_again_and_others_draw_others():
 
 
 def test_what_cannot_be_batched_is_refused_with_the_reason():
-    with raises(osc.InvalidInputError, match="sensors have errors"):
+    with invalid_input("sensors have errors"):
         make_vector_env("workcell", 2)
-    with raises(osc.InvalidInputError, match="divides that of control"):
+    with invalid_input("divides that of control"):
         make_vector_env("panda_edge", 2, rate=70.0)
     env = make_vector_env("panda_edge", 2, overrides=SHORT, threads=1)
     env.reset()
-    with raises(osc.InvalidInputError, match="actions: expected"):
+    with invalid_input("actions: expected"):
         env.step(np.zeros((2, 6)))
 
 
@@ -182,5 +183,5 @@ def test_a_row_refuses_a_controller_of_another_structure():
     batch = BatchController([light] * 2)
     rod = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
     for row, controller, words in ((0, rod, "one structure"), (2, light, "rows 0")):
-        with raises(osc.InvalidInputError, match=words):
+        with invalid_input(words):
             batch.replace(row, controller)

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, mark
 from samples import first
 from test_moving_face import TURNING
 
@@ -65,7 +66,7 @@ def test_the_covariance_is_that_of_the_error():
 
 def test_history_tells_what_was():
     history = History(0.1)
-    with raises(osc.InvalidInputError, match="empty"):
+    with invalid_input("empty"):
         history.at(0.0)
     for k in range(301):
         history.add(1e-3 * k, np.array([1e-3 * k, 2.0]))
@@ -79,7 +80,7 @@ def test_history_tells_what_was():
 
 @mark.parametrize("bad", [{"position": 0.0}, {"prior": (1.0, 0.0)}, {"drift": (-1.0, 0.0)}])
 def test_impossible_noise_is_refused(bad):
-    with raises(osc.InvalidInputError, match="registration"):
+    with invalid_input("registration"):
         Registration(**{"position": 1e-3, "orientation": 1e-3} | bad)
 
 

@@ -3,12 +3,12 @@
 from itertools import combinations, pairwise
 
 import numpy as np
+from complaints import invalid_input
 from matplotlib.patches import FancyBboxPatch
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from pytest import fixture, raises
+from pytest import fixture
 from scene_samples import make_recording
 
-from osc_contact.errors import InvalidInputError
 from osc_contact.visual import plots
 from paper.contact_pictures import draw_contact_state
 from paper.diagrams import BLOCKS, BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
@@ -76,7 +76,7 @@ def test_tracking_and_torque_figures():
     (arm,) = plots.torques(limited).axes
     assert "% of its limit" in arm.get_ylabel() and len(arm.lines) == 6, "both limits are drawn"
     assert np.allclose(arm.lines[3].get_ydata()[-1], 80.0) and "80 %" in arm.lines[3].get_label()
-    with raises(InvalidInputError, match="no channel 'tau'"):
+    with invalid_input("no channel 'tau'"):
         plots.torques(make_recording(without=("tau",)))
 
 

@@ -3,8 +3,9 @@
 import json
 
 import numpy as np
-import pytest
+from complaints import invalid_input
 from numpy.testing import assert_allclose
+from pytest import fixture
 
 import osc_contact as osc
 from osc_contact.dynamics.chain_state import modes
@@ -37,7 +38,7 @@ SOON = [
 ]
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def everything():
     moved = [change.replace("start=0.8 s", "duration=2 s") for change in SOON]
     return osc.run(osc.load_scenario("workcell", [*SOON, *moved]), duration=3.2, seed=1)
@@ -65,7 +66,7 @@ def test_the_monitor_raises_no_false_alarm(everything):
 def test_ideal_parts_cost_nothing_and_the_rest_is_named():
     (nothing,) = ladder(["nothing"], Ask(duration=1.5))
     assert nothing.worst("rms_error_rel") < 2e-3
-    with pytest.raises(osc.InvalidInputError, match="everything"):
+    with invalid_input("everything"):
         list(ladder(["anything"], Ask()))
     assert set(STAGES) >= {"joints", "sensors", "contact friction", "everything"}
 

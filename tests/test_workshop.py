@@ -1,8 +1,8 @@
 """What the runs of a sweep share: every number of a recording is that of the run by itself."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_array_equal
+from pytest import raises
 
 import osc_contact as osc
 from osc_contact import robots
@@ -70,7 +70,7 @@ def test_doubts_and_refusals_are_those_of_a_run():
     scenario = osc.load_scenario("two_contact_rod", ["duration=0.05 s", "control.rate=80 Hz"])
     rig = osc.build_rig(scenario)
     assert require_ready(rig) == run_rig(rig).meta["doubts"] != []
-    with pytest.raises(osc.ScenarioError):
+    with raises(osc.ScenarioError):
         run_rig(osc.build_rig(scenario.replaced(control={"rate": 20.0})))
 
 

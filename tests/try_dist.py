@@ -65,7 +65,7 @@ def main():
 
 def lowest():
     """The lower bound of every dependency, as pip's constraints."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     users = [*project["dependencies"]]
     for extra, listed in project["optional-dependencies"].items():
         users += listed if extra not in ("all", "docs", "test", "dev", "mutation") else []
@@ -78,7 +78,7 @@ def limits(folder, versions):
     if versions == "pinned":
         return "-c", str(ROOT / "constraints.txt")
     bounds = folder / "bounds.txt"
-    bounds.write_text("\n".join(lowest() if versions == "lowest" else []), encoding="utf-8")
+    bounds.write_text("\n".join(lowest() if versions == "lowest" else []))
     return "-c", str(bounds)
 
 
@@ -125,7 +125,7 @@ def core(file, python):
         run(folder, around, *pip, str(file))
         after = size(folder)
         run(folder, around, *pip, "--no-deps", "example-robot-data")  # the robot of the program
-        page = (ROOT / "docs/own_loop.md").read_text(encoding="utf-8")
+        page = (ROOT / "docs/own_loop.md").read_text()
         run(folder, around, "python", "-c", page.split("```python\n")[1].split("```")[0])
     for what, found in (("pin", before), (f"{file.name}, no extras", after)):
         packages, size_of = (x - y for x, y in zip(found, empty, strict=True))
@@ -145,15 +145,15 @@ def beside(file, python):
         folder = Path(name)
         around, pip = environment(folder, python)
         torch = folder / "torch.txt"  # mjlab needs it: one version, not all of them
-        pinned = (ROOT / "constraints-peers.txt").read_text(encoding="utf-8")
-        torch.write_text(re.search(r"^torch==.*$", pinned, re.M)[0], encoding="utf-8")
+        pinned = (ROOT / "constraints-peers.txt").read_text()
+        torch.write_text(re.search(r"^torch==.*$", pinned, re.M)[0])
         for other in BESIDE:
             report = folder / f"{other}.json"
             options = ("--dry-run", "--report", str(report), "-c", str(torch))
             run(folder, around, *pip, *options, f"{file}[all]", other)
             found = {
                 item["metadata"]["name"].lower(): item["metadata"]["version"]
-                for item in json.loads(report.read_text(encoding="utf-8"))["install"]
+                for item in json.loads(report.read_text())["install"]
             }
             shown = ", ".join(f"{n} {found[n]}" for n in (other, "numpy", "pin", "mujoco"))
             print(f"  beside {other}: {shown}", flush=True)

@@ -119,7 +119,7 @@ def test_periods_that_do_not_fit_are_refused(parts):
 
 
 def test_programs_of_the_page_on_learning():
-    page = (Path(__file__).parents[1] / "docs" / "learning.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[1] / "docs" / "learning.md").read_text()
     programs = re.findall(r"^```python\n(.*?)^```$\n+```text\n(.*?)^```$", page, re.M | re.S)
     (mine,) = [pair for pair in programs if "osc_contact.learn" in pair[0]]
     lines = []

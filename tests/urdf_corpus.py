@@ -1,12 +1,10 @@
 """A sound URDF and the ways to spoil it: name → (text, check, words of the reason, line)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
 GOOD = """\
-<?xml version="1.0" encoding="utf-8"?>
+<?xml version="1.0" ?>
 <robot name="sound">
   <link name="base"/>
   <link name="column">

@@ -4,8 +4,6 @@ Run as ``python urdf_mutants.py SEED COUNT``: prints one line of JSON. A crash o
 what the caller looks for, so this runs by itself.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import re
