@@ -9,9 +9,9 @@ from complaints import invalid_input
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
 from rigs import consistent, contact_of, one_panda, random_faces, random_state
+from scenario_runs import rig_of
 
 import osc_contact as osc
-from osc_contact.runs.rig import build_rig
 from paper.baselines import PLANTS, compare, measured_coupling, run_steps
 from paper.selection_laws import (
     BASELINES,
@@ -177,7 +177,7 @@ def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_
 
 
 def fig1():
-    rig = build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
+    rig = rig_of("two_contact_rod", "plant.type=rigid")
     return rig, Instant(rig.state(), rig.contact())
 
 
@@ -232,7 +232,7 @@ def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
 
 
 def test_cross_talk_on_mujoco_is_ten_times_smaller_than_that_of_the_best_baseline():
-    rig = build_rig(osc.load_scenario("two_contact_rod", ["control.rate=250 Hz"]))
+    rig = rig_of("two_contact_rod", "control.rate=250 Hz")
     _, instant = fig1()
     ours = run_steps(rig, Ours(), instant)
     assert ours.closed > 0.99 and ours.saturated == 0

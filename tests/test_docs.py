@@ -9,6 +9,7 @@ from pathlib import Path
 import typer
 import yaml
 from pytest import fixture, mark, param
+from scenario_runs import rig_of, run_of
 from test_paper_map import complaint
 
 import osc_contact as osc
@@ -186,7 +187,7 @@ def test_every_pair_has_a_row_with_its_r_and_its_keys():
 
 @fixture(scope="module")
 def recording():
-    return osc.run(osc.load_scenario("two_contact_rod", SHORT), duration=1.1)
+    return run_of("two_contact_rod", *SHORT, duration=1.1)
 
 
 def leaves(data, prefix, contacts):
@@ -243,7 +244,7 @@ def test_every_packaged_scenario_has_a_card_and_studies_follow():
 
 
 def test_names_in_the_glossary_exist():
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod", SHORT))
+    rig = rig_of("two_contact_rod", *SHORT)
     state = rig.state()
     owners = {"state": state, "arm": state.arms[0], "contact": rig.contact(), "chain": rig.chain}
     owners["osc"] = osc

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from pytest import fixture, mark
 from samples import chosen, first
+from scenario_runs import rig_of, verdict_of
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import pushes_only
@@ -29,7 +30,7 @@ NAMES = list(ROBOTS)
 
 @fixture(scope="module")
 def rigs():
-    return {name: osc.build_rig(osc.load_scenario(name)) for name in NAMES}
+    return {name: rig_of(name) for name in NAMES}
 
 
 @fixture(scope="module")
@@ -130,7 +131,7 @@ WORDS = {
 @mark.parametrize("name", chosen(WORDS, "approach_and_slide", "limited_rod", "moving_face"))
 def test_verdicts_of_the_other_scenarios(name):
     word, gentle = WORDS[name]
-    verdict = osc.metrics(osc.run(osc.load_scenario(name), duration=3.3))
+    verdict = verdict_of(name, duration=3.3)
     assert verdict["task"]["word"] == word, verdict["task"]
     for step in verdict["steps"] if gentle else ():
         assert step["overshoot_N"] <= 0.05 * max(abs(step["commanded_N"]), 1.0), step

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from pytest import approx, fixture, mark
+from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.runs.inspection import inspect_rig
@@ -15,7 +16,7 @@ from osc_contact.spatial import carry_twist
 
 @fixture(scope="module")
 def rig():
-    return osc.build_rig(osc.load_scenario("two_contact_rod"))
+    return rig_of()
 
 
 @fixture(scope="module")

@@ -15,6 +15,7 @@ from complaints import invalid_input
 from numpy.testing import assert_allclose
 from pytest import fixture, mark, raises
 from samples import first
+from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.control.status import SafetyState
@@ -102,7 +103,7 @@ def test_a_stop_is_reported_in_its_tick_and_braking_goes_on():
 
 @mark.parametrize("faulty", [{"q": np.nan}, {"v": 100.0}], ids=["lost", "fast"])
 def test_the_reason_is_the_controllers_sentence(faulty):
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
+    rig = rig_of("two_contact_rod", "plant.type=rigid")
     plant, controller = start(rig)
 
     class Faulty(Robot):

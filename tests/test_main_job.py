@@ -6,6 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from pytest import approx, fixture, mark, raises
 from samples import first
+from scenario_runs import rig_of, run_of, verdict_of, worst_force
 
 import osc_contact as osc
 
@@ -14,12 +15,12 @@ OTHERS = sorted((Path(__file__).parent / "scenarios").glob("*.yaml"))
 
 @fixture(scope="module")
 def nominal():
-    return osc.run(osc.load_scenario("two_contact_rod"))
+    return run_of()
 
 
 @fixture(scope="module")
 def mismatch():
-    return osc.run(osc.load_scenario("two_contact_rod_mismatch"))
+    return run_of("two_contact_rod_mismatch")
 
 
 def assert_motion(verdict):
@@ -120,7 +121,7 @@ def test_without_the_tare_wrong_masses_spoil_the_forces():
         "two_contact_rod", ["model_error.object_mass=1.2", "model_error.arm_mass=1.2"]
     )
     verdict = osc.metrics(osc.run(scenario, duration=2.0))
-    assert max(f["rms_error_rel"] for f in verdict["force"].values()) > 0.03
+    assert worst_force(verdict) > 0.03
 
 
 def test_rigid_plant_projects_all_power_away():
@@ -138,7 +139,7 @@ def test_rigid_plant_projects_all_power_away():
 @mark.parametrize("path", first(OTHERS), ids=lambda path: getattr(path, "stem", None))
 def test_another_state_of_contact_needs_only_another_file(path):
     """Moved faces, other normals, rod or commands: the limits hold without touching code."""
-    verdict = osc.metrics(osc.run(osc.load_scenario(path)))
+    verdict = verdict_of(path)
     for force in verdict["force"].values():
         assert force["rms_error_rel"] <= 0.01
         assert force["peak_error_rel"] <= 0.05
@@ -156,5 +157,5 @@ def test_another_state_of_contact_needs_only_another_file(path):
 def test_what_cannot_be_built_is_refused(change, error, words):
     """A face that would have to pull, one out of reach, a posture of too few joints."""
     with raises(error) as refused:
-        osc.build_rig(osc.load_scenario("two_contact_rod", [change]))
+        rig_of("two_contact_rod", change)
     assert words in str(refused.value)

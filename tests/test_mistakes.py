@@ -6,6 +6,7 @@ import numpy as np
 from command_line import done, refused
 from complaints import invalid_input, model_error, scenario_error
 from pytest import mark, raises
+from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
 
@@ -68,11 +69,11 @@ def test_mistakes_of_an_install_are_its_own():
         return controller + 1
 
     with raises(TypeError, match="unsupported operand"):
-        osc.run(osc.load_scenario("panda_edge"), install=install)
+        run_of("panda_edge", install=install)
 
 
 def test_one_force_for_two_contacts():
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    rig = rig_of()
     controller = rig.controller()
     at = rig.references.at(0.0)
     controller.tick(rig.plant().measure(), osc.Reference(at.X_WD, alpha_d=10.0))
@@ -98,7 +99,7 @@ def test_seeds_find_other_postures():
 
 
 def test_inspect_prints_motions_of_a_light_object_in_small_numbers():
-    rig = osc.build_rig(osc.load_scenario("panda_edge"))
+    rig = rig_of("panda_edge")
     rows = done("inspect panda_edge").stdout.splitlines()
     numbers = [
         float(x) for row in rows if "(m/s)" in row or "(rad/s)" in row for x in row.split("│")[2:-1]

@@ -4,8 +4,8 @@ import numpy as np
 from complaints import invalid_input
 from numpy.testing import assert_array_equal
 from pytest import mark
+from scenario_runs import run_of
 
-import osc_contact as osc
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.scenarios.control_schema import MonitorLimits
 
@@ -84,7 +84,7 @@ def test_a_power_that_is_no_threshold_is_refused(power):
 
 
 def test_a_run_with_closed_contacts_is_seen_as_such():
-    recording = osc.run(osc.load_scenario("two_contact_rod"), duration=0.3)
+    recording = run_of(duration=0.3)
     assert recording["contact_seen"][20:].all()
     assert not recording["collision_seen"][20:].any()
 

@@ -7,6 +7,7 @@ import numpy as np
 from command_line import call, done
 from complaints import invalid_input
 from pytest import approx, mark
+from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.recorder import Recording
@@ -252,6 +253,6 @@ def test_the_first_reason_is_kept_beyond_a_stop():
 
 
 def test_a_run_too_short_to_be_judged_is_refused_with_its_length():
-    recording = osc.run(osc.load_scenario("two_contact_rod", ["duration=0.02 s"]))
+    recording = run_of("two_contact_rod", "duration=0.02 s")
     with invalid_input("20 ticks ends before t = 1 s"):
         osc.metrics(recording)

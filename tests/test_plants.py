@@ -8,6 +8,7 @@ import pinocchio as pin
 from complaints import invalid_input, model_error, plant_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture
+from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
 from osc_contact.contacts.contact import Contact
@@ -17,7 +18,7 @@ from osc_contact.runs import rig as plants
 
 @fixture(scope="module")
 def rig():
-    return osc.build_rig(osc.load_scenario("two_contact_rod"))
+    return rig_of()
 
 
 def energy(plant):
@@ -142,14 +143,14 @@ def test_a_registered_plant_is_named_in_scenarios(monkeypatch):
         seen.append(parts)
         return RigidPlant(parts.chain, parts.pairs, parts.scenario.plant.step / 2)
 
-    changes = {"plant.type": "halved", "duration": "0.05 s"}
-    own = osc.run(osc.load_scenario("two_contact_rod", changes))
+    short = "duration=0.05 s"
+    own = run_of("two_contact_rod", "plant.type=halved", short)
     (parts,) = seen
     assert parts.on == (0, 1) and parts.scenario.plant.exact
-    rigid = osc.run(osc.load_scenario("two_contact_rod", {**changes, "plant.type": "rigid"}))
+    rigid = run_of("two_contact_rod", "plant.type=rigid", short)
     difference = np.abs(own["alpha_true"] - rigid["alpha_true"]).max()
     assert 0.0 < difference < 0.1  # half the step: another plant, nearly the same forces
     with scenario_error("the halved plant's are bilateral"):
-        osc.build_rig(osc.load_scenario("approach_and_slide", changes)).plant()
+        rig_of("approach_and_slide", "plant.type=halved", short).plant()
     with scenario_error("'mujoco', 'rigid' or 'halved'; got 'bullet'"):
-        osc.load_scenario("two_contact_rod", {"plant.type": "bullet"})
+        osc.load_scenario("two_contact_rod", ["plant.type=bullet"])

@@ -6,6 +6,7 @@ import numpy as np
 from command_line import call, refused
 from complaints import scenario_error
 from pytest import approx, mark, raises
+from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
 from osc_contact.runs.preflight import least_peak
@@ -55,7 +56,7 @@ DOUBTFUL = {
 
 @mark.parametrize("name", osc.list_scenarios())
 def test_packaged_scenarios_pass_without_a_word(name):
-    assert osc.preflight(osc.build_rig(osc.load_scenario(name))) == ()
+    assert osc.preflight(rig_of(name)) == ()
 
 
 @mark.parametrize("name", REFUSED)
@@ -64,7 +65,7 @@ def test_what_cannot_run_is_refused_at_every_door(name, tmp_path):
     for line in ("inspect two_contact_rod --set", f"run two_contact_rod --out {tmp_path} --set"):
         assert cure in refused(line, change)
     with scenario_error(cure.replace("?", r"\?")):
-        osc.run(osc.load_scenario("two_contact_rod", [change]), duration=0.5)
+        run_of("two_contact_rod", change, duration=0.5)
 
 
 @mark.parametrize("name", DOUBTFUL)
@@ -75,7 +76,7 @@ def test_what_is_doubtful_is_told_at_every_door(name, caplog):
         assert result.exit_code == 1 and "free motion 1" in result.stdout
         assert words in caplog.text
         caplog.clear()
-        recording = osc.run(osc.load_scenario("two_contact_rod", [change]), duration=0.5)
+        recording = run_of("two_contact_rod", change, duration=0.5)
         assert words in caplog.text and words in recording.meta["doubts"][0]
 
 
@@ -123,7 +124,7 @@ ELSEWHERE = {
 def test_other_kinds_of_contact_are_looked_at_too(name):
     scenario, changes, cure = ELSEWHERE[name]
     with raises((osc.ScenarioError, osc.ModelError), match=cure):
-        osc.run(osc.load_scenario(scenario, changes), duration=0.5)
+        run_of(scenario, *changes, duration=0.5)
     words = [word for change in changes for word in ("--set", change)]
     assert call("inspect", scenario, *words).exit_code == 2
 
@@ -171,7 +172,7 @@ def test_a_contact_without_forces_is_no_trouble():
 def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
     motion = f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]"
     for change, told in ((motion, True), ("motion.1.signals.0.start=1.5 s", True)):
-        rig = osc.build_rig(osc.load_scenario("approach_and_slide", [change]))
+        rig = rig_of("approach_and_slide", change)
         assert any("does not permit it" in one.text for one in osc.preflight(rig)) == told
 
 
@@ -190,19 +191,19 @@ def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
     ],
 )
 def test_what_is_cured_is_not_told(changes):
-    assert osc.preflight(osc.build_rig(osc.load_scenario("two_contact_rod", changes))) == ()
+    assert osc.preflight(rig_of("two_contact_rod", *changes)) == ()
 
 
 def test_a_torque_loop_that_diverges_is_refused_before_it_runs():
     changes = ["plant.flexible_joints.frequency=60 Hz", "control.joint_torque={rate: 4 kHz}"]
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod", changes))
+    rig = rig_of("two_contact_rod", *changes)
     (finding,) = osc.preflight(rig)
     assert finding.refused and "lower control.joint_torque.gain" in finding.text
 
 
 def told(name, *changes):
     """Findings as "doubtful" or "refused", with their texts."""
-    found = osc.preflight(osc.build_rig(osc.load_scenario(name, list(changes))))
+    found = osc.preflight(rig_of(name, *changes))
     return [("refused" if one.refused else "doubtful", one.text) for one in found]
 
 

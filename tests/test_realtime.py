@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, plant_error
 from pytest import approx, mark, raises
+from scenario_runs import rig_of
 from test_loop_ends import REFERENCE, Controller, Robot
 from test_own_driver import HOME, Driver
 
@@ -180,7 +181,7 @@ def test_shadow_mode_asks_for_motion_and_for_one_arm():
     assert any("hardly pushed" in one for one in found.findings)
     with invalid_input("let it run for ten seconds"):
         shadow(ticks=500)
-    bare = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
+    bare = rig_of().controller()
     with invalid_input("judges one arm"):
         osc.run_loop(Robot(), bare, [osc.Reference(pin.SE3.Identity())], shadow=True)
 

@@ -5,13 +5,14 @@ import pinocchio as pin
 from complaints import scenario_error
 from numpy.testing import assert_allclose
 from pytest import approx, mark
+from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.runs.references import References, common_tangent, force_steps
 
 
 def references(*overrides):
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod_mismatch", list(overrides)))
+    rig = rig_of("two_contact_rod_mismatch", *overrides)
     return rig.references
 
 
@@ -36,7 +37,7 @@ def two_turns(centres=(None, None)):
     ]
     scenario = Scenario.model_validate(data)
     X = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.1, 0.2, 0.3]))
-    pairs = osc.build_rig(osc.load_scenario("two_contact_rod")).pairs
+    pairs = rig_of().pairs
     return References.of(scenario, X, pairs, np.array([0.01, 0.0, 0.02, 0.1, -0.2, 0.05]))
 
 
@@ -81,7 +82,7 @@ def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after)
 
 
 def test_common_tangent_lies_in_every_face_and_must_be_unique():
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    rig = rig_of()
     pairs = rig.pairs
     X = rig.state().X_WO
     u = common_tangent(pairs, X)

@@ -8,6 +8,7 @@ from command_line import done, refused
 from complaints import invalid_input
 from numpy.testing import assert_allclose
 from pytest import MonkeyPatch, approx, fixture, mark
+from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.sweeps.study import SweepStudy
@@ -57,7 +58,7 @@ def errors(scenario, seed, **how):
 
 @mark.slow
 def test_rows_are_single_runs_of_the_same_sample_under_each_law(found):
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod", CHANGES))
+    rig = rig_of("two_contact_rod", *CHANGES)
     laws = {"ours": study.Ours()} | {name: chosen_law(rig, name) for name in study.BASELINES}
     for case in study.VARIED:
         assert_row_is_that_of_single_runs(found["rows"][case][1], case, 1, laws)

@@ -6,6 +6,7 @@ from complaints import plant_error
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import KINDS, PLAIN, pose_of
 from pytest import mark
+from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.contacts import pairs
@@ -347,7 +348,7 @@ def test_lines_of_force_over_time_are_those_of_the_pair(name):
 def test_free_parts_are_the_free_part_of_each_in_singular_states_too():
     rng = np.random.default_rng(7)
     for name in ("two_contact_rod", "scara_peg", "ur5_wipe"):
-        rig = osc.build_rig(osc.load_scenario(name))
+        rig = rig_of(name)
         chain = rig.model
         k = 40
         q = rig.q_contact + 0.1 * rng.normal(size=(k, chain.nq))  # loops open: d changes

@@ -9,6 +9,7 @@ from complaints import invalid_input, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
 from samples import first
+from scenario_runs import verdict_of, worst_force
 
 import osc_contact as osc
 from osc_contact.interface import Measurement, Touched
@@ -180,9 +181,9 @@ BITS = "sensors.encoder={rate: %g Hz, angle: {resolution: %.9e rad}, length: {re
 def worst_force(name, rate, encoder):
     """Largest rms error of a contact force relative to its command, 2 s judged, MuJoCo."""
     changes = [f"control.rate={rate} Hz", *([] if encoder is None else [encoder])]
-    verdict = osc.metrics(osc.run(osc.load_scenario(name, changes), duration=3.0))
+    verdict = verdict_of(name, *changes, duration=3.0)
     assert set(verdict["contact_fraction"].values()) == {1.0}
-    return max(force["rms_error_rel"] for force in verdict["force"].values())
+    return worst_force(verdict)
 
 
 @mark.parametrize("rate", first([250, 500, 1000], 1))

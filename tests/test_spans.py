@@ -5,9 +5,9 @@ import numpy as np
 from complaints import contact_error
 from numpy.testing import assert_allclose
 from pytest import fixture, mark
+from scenario_runs import rig_of
 from test_projections import SIZE, close, frame_change, millimetres, well_mixing
 
-import osc_contact as osc
 from osc_contact import projections
 from osc_contact import projections as P
 from osc_contact.contacts.contact import Contact
@@ -159,7 +159,7 @@ def test_orthonormal_is_what_it_says(n, seed):
 
 def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
     """Eqs. 17, 18, 24 and P_T on the rod; columns 1e-4 apart are as near as a law accepts."""
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    rig = rig_of()
     rng = np.random.default_rng(8)
     state = rig.model.state(rig.q_contact, 0.3 * rng.normal(size=len(rig.q_contact)))
     good = rig.contact().N

@@ -5,6 +5,7 @@ import pinocchio as pin
 from complaints import model_error
 from numpy.testing import assert_allclose
 from pytest import mark
+from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.dynamics.assembly import reach
@@ -12,7 +13,7 @@ from osc_contact.dynamics.assembly import reach
 
 def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same():
     """A Panda is sent from one random posture to the pose of another, 60 times."""
-    chain = osc.build_rig(osc.load_scenario("panda_edge")).chain
+    chain = rig_of("panda_edge").chain
     low = chain.model.lowerPositionLimit
     high = chain.model.upperPositionLimit
     rng = np.random.default_rng(3)
@@ -43,13 +44,13 @@ def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
 
 
 def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["object.pose=null"]))
+    rig = rig_of("two_contact_rod", "object.pose=null")
     assert osc.preflight(rig) == ()
-    given = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    given = rig_of()
     assert np.linalg.norm(given.state().X_WO.translation - rig.state().X_WO.translation) < 1e-3
 
 
 def test_where_no_arm_tells_the_pose_it_must_be_given():
     changes = ["object.pose=null", "grasps.left.type=ball", "grasps.left.axis=null"]
     with model_error("pose"):
-        osc.build_rig(osc.load_scenario("hinge_ball_rod", changes))
+        rig_of("hinge_ball_rod", *changes)

@@ -18,6 +18,7 @@ from complaints import invalid_input
 from numpy.testing import assert_allclose
 from pyarrow import parquet
 from pytest import approx, mark, param, raises
+from scenario_runs import verdict_of
 from scipy import stats
 from scipy.stats import qmc
 
@@ -208,7 +209,7 @@ def test_every_row_equals_the_run_of_its_command(name, vary):
         given = list(zip(options[::2], options[1::2], strict=True))
         changes = [value for option, value in given if option == "--set"]
         seed = int(dict(given).get("--seed", 0))
-        verdict = osc.metrics(osc.run(osc.load_scenario(scenario, changes), seed=seed))
+        verdict = verdict_of(scenario, *changes, seed=seed)
         assert row["word"] == verdict["task"]["word"] and row["seed"] == seed
         groups = {key: verdict[key] for key in ("motion", "power", "status", "contact_fraction")}
         groups |= {f"force.{one}": force for one, force in verdict["force"].items()}

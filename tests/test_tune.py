@@ -5,6 +5,7 @@ import json
 import numpy as np
 from command_line import done
 from pytest import approx, mark, raises
+from scenario_runs import verdict_of, worst_force
 
 import osc_contact as osc
 from osc_contact.sweeps import tune as tuning
@@ -16,8 +17,8 @@ ONE = {"overrides": SHORT, "workers": 1}
 
 def errors(changes):
     """Largest relative force error, position error, largest overshoot of one run."""
-    verdict = osc.metrics(osc.run(osc.load_scenario("two_contact_rod", [*SHORT, *changes])))
-    force = max(one["rms_error_rel"] for one in verdict["force"].values())
+    verdict = verdict_of("two_contact_rod", *SHORT, *changes)
+    force = worst_force(verdict)
     steps = [step["overshoot_rel"] for step in verdict["steps"]]
     return force, verdict["motion"]["rms_error_m"], max(steps)
 

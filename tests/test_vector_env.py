@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark
 from samples import first
+from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.control.batch import BatchController
@@ -179,9 +180,9 @@ def test_what_cannot_be_batched_is_refused_with_the_reason():
 
 
 def test_a_row_refuses_a_controller_of_another_structure():
-    light = Start.of(osc.build_rig(osc.load_scenario("panda_edge"))).controller
+    light = Start.of(rig_of("panda_edge")).controller
     batch = BatchController([light] * 2)
-    rod = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
+    rod = rig_of().controller()
     for row, controller, words in ((0, rod, "one structure"), (2, light, "rows 0")):
         with invalid_input(words):
             batch.replace(row, controller)

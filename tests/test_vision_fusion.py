@@ -6,6 +6,7 @@ from complaints import invalid_input
 from numpy.testing import assert_allclose
 from pytest import approx, mark
 from samples import first
+from scenario_runs import rig_of
 from test_moving_face import TURNING
 
 import osc_contact as osc
@@ -98,7 +99,7 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
     changes = [*slow, VISION, f"plant.type={plant}", "plant.step=1 ms", "control.rate=1 kHz"]
     if plant == "mujoco":
         changes[-2] = "plant.step=0.25 ms"
-    rig = osc.build_rig(osc.load_scenario("moving_face", changes))
+    rig = rig_of("moving_face", *changes)
     sensed = rig.plant(2)
     controller = rig.controller()
     observer = rig.observer()
@@ -128,7 +129,7 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
 
 
 def test_vision_tracks_rod_and_arms_where_they_are():
-    rig = osc.build_rig(osc.load_scenario("moving_face", ["plant.type=rigid", VISION]))
+    rig = rig_of("moving_face", "plant.type=rigid", VISION)
     sensed = rig.plant(5)
     seen = sensed.measure().seen
     truth = sensed.truth()

@@ -6,6 +6,7 @@ import numpy as np
 from complaints import invalid_input
 from numpy.testing import assert_allclose
 from pytest import fixture
+from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.dynamics.chain_state import modes
@@ -41,7 +42,7 @@ SOON = [
 @fixture(scope="module")
 def everything():
     moved = [change.replace("start=0.8 s", "duration=2 s") for change in SOON]
-    return osc.run(osc.load_scenario("workcell", [*SOON, *moved]), duration=3.2, seed=1)
+    return run_of("workcell", *SOON, *moved, duration=3.2, seed=1)
 
 
 def test_forces_survive_everything_while_the_faces_move(everything):

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.testing import assert_array_equal
 from pytest import raises
+from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact import robots
@@ -76,6 +77,6 @@ def test_doubts_and_refusals_are_those_of_a_run():
 
 def test_start_leaves_the_controller_that_only_gave_first_torques_behind():
     """Both controllers of a start know nothing of one another."""
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    rig = rig_of()
     _, controller = start(rig)
     assert not controller._records.memory.ticked

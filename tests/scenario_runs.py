@@ -1,0 +1,23 @@
+"""Packaged scenarios with changes, of the two-contact rod unless another is named: rigs, runs."""
+
+import osc_contact as osc
+
+
+def rig_of(name="two_contact_rod", *changes):
+    """What a scenario describes."""
+    return osc.build_rig(osc.load_scenario(name, changes))
+
+
+def run_of(name="two_contact_rod", *changes, **how):
+    """The recording of its run."""
+    return osc.run(osc.load_scenario(name, changes), **how)
+
+
+def verdict_of(name="two_contact_rod", *changes, **how):
+    """What a run of it is judged to be."""
+    return osc.metrics(run_of(name, *changes, **how))
+
+
+def worst_force(verdict):
+    """Largest rms error of a contact force, relative to its command."""
+    return max(force["rms_error_rel"] for force in verdict["force"].values())
