@@ -1,5 +1,6 @@
 """A run's channels, worked out together at its end, against plain computations tick by tick."""
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 from complaints import plant_error
@@ -16,6 +17,7 @@ from osc_contact.control.monitor import ContactMonitor
 from osc_contact.dynamics.chain_model import columns_at
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.recorder import free_parts
+from osc_contact.runs.run import start
 from osc_contact.spatial import Poses, rotated, rotations
 from paper.moving_face import FACES
 
@@ -27,44 +29,46 @@ ON_SURFACE = {
     pairs.FaceOnFace: "face_point",
 }
 WORLD = pin.SE3.Identity()
+REST = np.zeros(6)
 
 
 def run_plainly(rig):
     """Channels of a run, each from its definition, tick by tick."""
-    plant = rig.plant(3)
-    controller = rig.controller()
-    first = rig.controller()
-    plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+    plant, controller = start(rig, 3)
     robot = rig.robot(plant, controller)
+    tare = rig.scenario.tare
     period = 1.0 / rig.scenario.control.rate
     pushing = np.array([pushes_only(rig.pairs[i]) for i in rig.owners])
+    zero = np.zeros(len(pushing))
     monitor = ContactMonitor(len(pushing), period)
     ticks = []
     samples = []
-    plan = rig.references.over(np.arange(round(rig.scenario.duration / period)) * period)
-    for k, wanted in enumerate(plan):
+    times = np.arange(round(rig.scenario.duration / period)) * period
+    for t, wanted in zip(times, rig.references.over(times), strict=True):
         read = plant.measure()
         truth = judged(plant)
         tau = controller.tick(read, wanted)
-        tare = rig.scenario.tare
         if tare is not None and not controller.engaged:
-            if 2 * tare.duration / 3 <= k * period < tare.duration:
+            if 2 * tare.duration / 3 <= t < tare.duration:
                 samples.append(controller.residual_wrench())
-            elif samples and k * period >= tare.duration:
+            elif samples and t >= tare.duration:
                 controller.f_tare = np.mean(samples, axis=0)
                 samples = []
-            if k * period >= tare.duration + tare.approach:
+            if t >= tare.duration + tare.approach:
                 controller.engage()
         found = controller.result()
-        alpha = speed = np.zeros(len(pushing))
+        alpha = speed = zero
         if len(found.alpha_meas):
             contact = controller.signals.contact
             alpha = contact.magnitudes(found.alpha_meas)
             speed = found.normal_speed @ contact.R
         seen = monitor.update(np.where(pushing, alpha, np.abs(alpha)), speed)
+        wrench = found.f_meas - found.bias_out
+        std = controller.normal_std
+        given_up = controller.given_up
         ticks.append(
             {
-                "t": k * period,
+                "t": t,
                 "q": read.q,
                 "v": read.v,
                 "tau": tau,
@@ -72,22 +76,19 @@ def run_plainly(rig):
                 "alpha_meas": alpha,
                 "contact_seen": seen.closed,
                 "collision_seen": seen.collision,
-                "wrench_meas": found.f_meas - found.bias_out,
+                "wrench_meas": wrench,
                 "squeeze": np.squeeze(found.squeeze),
                 "squeeze_cmd": wanted.squeeze_d,
                 "friction": np.array(found.friction),
                 "status": int(controller.status),
                 "contact_phase": np.full(len(rig.pairs), 2 * controller.engaged),
-                "power_total": found.V_O @ (found.f_meas - found.bias_out - found.f_c)
-                + alpha @ speed,
+                "power_total": found.V_O @ (wrench - found.f_c) + alpha @ speed,
                 "power_projected": alpha @ speed,
                 **truth,
                 **lines(rig, truth),
                 "motion_error": error(rig, controller, read, truth),
-                "normal_std": np.where(controller.normal_std > 0.0, controller.normal_std, np.nan),
-                "alpha_given_up": np.zeros(len(pushing))
-                if controller.given_up is None
-                else controller.given_up.force,
+                "normal_std": np.where(std > 0.0, std, np.nan),
+                "alpha_given_up": zero if given_up is None else given_up.force,
             }
         )
         robot.command(tau, period)
@@ -99,113 +100,77 @@ def judged(plant):
     if not isinstance(plant, MujocoPlant):
         truth = plant.truth()
         E = truth.X_WE or [WORLD] * len(plant.contacts)
-        return {
-            "pose": pin.SE3ToXYZQUAT(truth.X_WO),
-            "twist": truth.V_O,
-            "E": E,
-            "alpha_true": truth.alpha,
-            "closed": truth.closed,
-        }
-    import mujoco
-
+        return told(truth.X_WO, truth.V_O, E, truth.alpha, truth.closed)
     model = plant.model
     data = plant.data
-    body = int(model.body("object/root").id)
+    body = model.body("object/root").id
     V = np.zeros(6)
     force = np.zeros(6)
     X = pin.SE3(data.xmat[body].reshape(3, 3).copy(), data.xpos[body].copy())
     mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, V, 0)
-    E = []
-    root_of = {}
-    for i, rail in enumerate(plant.rails):
-        E.append(WORLD if rail is None else moved(model, data, f"face{i}", rail))
-        root_of[int(model.body(f"face{i}/root").id)] = i
-
-    def face(geom):
-        at = int(model.geom_bodyid[geom])
-        while at and at not in root_of:
-            at = int(model.body_parentid[at])
-        return root_of.get(at)
-
+    E = [moved(model, data, f"face{i}", rail) for i, rail in enumerate(plant.rails)]
+    roots = {model.body(f"face{i}/root").id: i for i in range(len(E))}
     pushed = np.zeros((len(E), 6))
     touched = np.zeros(len(E), dtype=bool)
     for k, contact in enumerate(data.contact):
-        first, second = (face(geom) for geom in contact.geom)
+        first, second = map(roots.get, model.body_rootid[model.geom_bodyid[contact.geom]])
         mujoco.mj_contactForce(model, data, k, force)
         n = force[0] * contact.frame[:3] * (1.0 if first is None else -1.0)
         at = second if first is None else first
         pushed[at] += np.concatenate((n, np.cross(contact.pos - X.translation, n)))
         touched[at] |= contact.efc_address >= 0
     alpha = []
-    presses = []
+    closed = []
     Phi = np.linalg.inv(plant.chain.reference_inertia(X))
     for at in range(len(E)):  # contacts on one body follow one another in every scenario below
-        here = [pair for pair, on in zip(plant.contacts, plant.on, strict=True) if on == at]
-        N = np.hstack([pair.contact(X, np.zeros(6), E[at]).N for pair in here])
+        here = np.flatnonzero(np.equal(plant.on, at))
+        N = [plant.contacts[i].contact(X, REST, E[at]).N for i in here]
+        ends = np.cumsum([n.shape[1] for n in N])
+        N = np.hstack(N)
         share = np.linalg.solve(N.T @ Phi @ N, N.T @ Phi @ pushed[at])
         # a face that bears nothing of what its body takes gets errors of either sign, 1e-17 … 1e-7
-        noise = np.abs(share) <= 1e-6 * np.abs(share).max()
-        assert (noise | (np.abs(share) > 1e-4 * np.abs(share).max())).all()  # else: touch and go
-        presses.append(touched[at] & (share > 0.0) & ~noise)
-        alpha.append(share if touched[at] else np.zeros(N.shape[1]))
-    alpha = np.concatenate(alpha)
-    presses = np.concatenate(presses)
-    start = 0
-    closed = []
-    for pair, on in zip(plant.contacts, plant.on, strict=True):
-        r = pair.contact(X, np.zeros(6)).r
-        closed.append(touched[on] and presses[start : start + r].all())
-        start += r
-    return {
-        "pose": pin.SE3ToXYZQUAT(X),
-        "twist": np.concatenate((V[3:], V[:3])),
-        "E": [E[on] for on in plant.on],
-        "alpha_true": alpha,
-        "closed": closed,
-    }
+        size = np.abs(share) / np.abs(share).max(initial=1e-300)
+        assert ((size <= 1e-6) | (size > 1e-4)).all()  # else: touch and go
+        presses = touched[at] & (share > 0.0) & (size > 1e-6)
+        closed += [part.all() for part in np.split(presses, ends[:-1])]
+        alpha.append(share * touched[at])
+    return told(X, np.roll(V, 3), [E[on] for on in plant.on], np.concatenate(alpha), closed)
+
+
+def told(X, V, E, alpha, closed):
+    return {"pose": pin.SE3ToXYZQUAT(X), "twist": V, "E": E, "alpha_true": alpha, "closed": closed}
 
 
 def moved(model, data, body, rail):
-    """Where a slide and the hinge on it have carried a body."""
-    names = {model.joint(j).name for j in range(model.njnt)}
-    s, turn = (
-        float(data.joint(f"{body}/{kind}").qpos[0]) if f"{body}/{kind}" in names else 0.0
-        for kind in ("slide", "hinge")
-    )
-    K = np.cross(np.eye(3), rail.axis)
-    R = np.eye(3) + np.sin(turn) * K + (1.0 - np.cos(turn)) * K @ K
+    """Where a slide and the hinge on it have carried a body; without either, nowhere."""
+    if rail is None:
+        return WORLD
+    joints = {model.joint(j).name: data.qpos[model.jnt_qposadr[j]] for j in range(model.njnt)}
+    s, turn = (joints.get(f"{body}/{kind}", 0.0) for kind in ("slide", "hinge"))
+    R = pin.exp3(turn * rail.axis)
     return pin.SE3(R, rail.through + s * rail.direction - R @ rail.through)
 
 
 def lines(rig, truth):
     """Unit columns of N at the true pose, where they meet the surface, poses of the faces."""
     X = pin.XYZQUATToSE3(truth["pose"])
+    O = X.translation
     N = []
-    points = []
-    directions = []
-    poses = []
+    found = {"contact_point": [], "contact_direction": [], "face_pose": []}
     for pair, on, E in zip(rig.pairs, rig.on, truth["E"], strict=True):
-        columns = pair.contact(X, np.zeros(6), E).N
+        columns = pair.contact(X, REST, E).N
         columns = columns / np.linalg.norm(columns[:3], axis=0)
-        gap = pair.gaps(X, E)
-        feet = [np.cross(n[:3], n[3:]) for n in columns.T]  # nearest to O on each line
-        surface = E.act(getattr(pair, ON_SURFACE[type(pair)]))
+        surface = E.act(getattr(pair, ON_SURFACE[type(pair)])) - O
         above = pair.radius if type(pair) is pairs.FaceOnVertex else 0.0
-        feet = [
-            f + (n[:3] @ (surface - X.translation - f) - above) * n[:3]
-            for f, n in zip(feet, columns.T, strict=True)
-        ]
-        assert len(gap) == len(feet)
+        d = columns[:3].T
+        feet = np.cross(d, columns[3:].T)  # nearest to O on each line
+        feet += (np.sum(d * (surface - feet), axis=1) - above)[:, None] * d
+        assert len(pair.gaps(X, E)) == len(feet)
         N.append(columns)
-        points.append(np.mean(feet, axis=0) + X.translation)
-        directions.append(columns[:3, 0])
-        poses.append(pin.SE3ToXYZQUAT(E * rig.bodies[on].placement))
-    return {
-        "N": np.hstack(N),
-        "contact_point": points,
-        "contact_direction": directions,
-        "face_pose": poses,
-    }
+        found["contact_point"].append(feet.mean(axis=0) + O)
+        found["contact_direction"].append(d[0])
+        found["face_pose"].append(pin.SE3ToXYZQUAT(E * rig.bodies[on].placement))
+    return found | {"N": np.hstack(N)}
 
 
 def free_part(chain, q, X_WO, N, x):
@@ -237,8 +202,7 @@ def error(rig, controller, read, truth):
     found = controller.result()
     if rig.d == 6:
         return found.free_error.copy()
-    N = lines(rig, truth)["N"]
-    N = N if controller.engaged else N[:, :0]
+    N = lines(rig, truth)["N"][:, : None if controller.engaged else 0]
     return free_part(rig.model, read.q, pin.SE3(found.X_WO.copy()), N, found.error)
 
 
@@ -301,11 +265,6 @@ def test_a_run_that_fails_leaves_all_channels_of_what_came_before(monkeypatch):
         assert_allclose(part[name], whole[name][:12], atol=1e-13, err_msg=name)
 
 
-def random_poses(rng, k):
-    w = rng.normal(size=(3, k)) * np.where(rng.random(k) < 0.2, 1e-9, 2.0)
-    return Poses(rotations(w), rng.normal(size=(3, k))), w
-
-
 def test_poses_are_those_of_pinocchio():
     rng = np.random.default_rng(5)
     w = rng.normal(size=(3, 60))
@@ -324,9 +283,8 @@ def test_poses_are_those_of_pinocchio():
 
 
 def stacked(poses):
-    return Poses(
-        np.stack([X.rotation for X in poses], -1), np.stack([X.translation for X in poses], -1)
-    )
+    H = np.stack([X.homogeneous for X in poses], -1)
+    return Poses(H[:3, :3], H[:3, 3])
 
 
 @mark.parametrize("name", KINDS)
@@ -341,7 +299,7 @@ def test_lines_of_force_over_time_are_those_of_the_pair(name):
         found = normals_over(pair, stacked(X), moving)
         assert found.shape == (6, r, 5)
         for i in range(5):
-            want = pair.contact(X[i], np.zeros(6), None if moving is None else E[i]).N
+            want = pair.contact(X[i], REST, moving and E[i]).N
             assert_allclose(found[:, :, i], want, atol=1e-13)
 
 
@@ -355,7 +313,7 @@ def test_free_parts_are_the_free_part_of_each_in_singular_states_too():
         q[:10] = rig.q_contact + 1e-7 * rng.normal(size=(10, chain.nq))
         q[10] = 0.0
         q[11] = rig.q_contact  # stretched out
-        X, _ = random_poses(rng, k)
+        X = Poses(rotations(2.0 * rng.normal(size=(3, k))), rng.normal(size=(3, k)))
         N = rng.normal(size=(6, 2, k))
         x = rng.normal(size=(6, k))
         N[:, 1, 12] = 2.0 * N[:, 0, 12]
