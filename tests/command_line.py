@@ -1,6 +1,9 @@
 """The command line inside the process of the tests."""
 
+import json
 import shlex
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from typer.testing import CliRunner
 
@@ -20,6 +23,17 @@ def done(line, *words):
     result = call(line, *words)
     assert result.exit_code == 0, result.output
     return result
+
+
+def answered(line, *words):
+    """The same: (result, what it writes with --json)."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder, "found.json")
+        return done(line, *words, "--json", file), read_json(file)
+
+
+def read_json(file):
+    return json.loads(file.read_text())
 
 
 def refused(line, *words):

@@ -13,7 +13,7 @@ from typing import Any
 
 import franky_sim
 import numpy as np
-import pytest
+from pytest import fixture
 
 import osc_contact as osc
 from osc_contact.drivers.franka import FrankaRobot
@@ -37,61 +37,60 @@ SLID = 2.2  #: s after landing, when it is released
 class FrankaServer:
     """The server's process."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder = folder
         self.urdf = folder / "fr3.urdf"
         self.urdf.write_text(URDF.read_text().replace("</robot>", HAND))
         self.start()
 
-    def start(self) -> None:
-        program = [sys.executable, str(Path(__file__).with_name("franka_server.py"))]
-        self.process = subprocess.Popen(
-            program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+    def start(self):
+        program = [sys.executable, Path(__file__).with_name("franka_server.py")]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self.process = subprocess.Popen(program, **pipes, text=True)
         self.host = self._answer()["host"]
 
-    def _answer(self) -> dict[str, Any]:
+    def _answer(self):
         line = self.process.stdout.readline()
         assert line, "the simulated robot has ended"
         return json.loads(line)
 
-    def send(self, **order: Any) -> dict[str, Any]:
+    def send(self, **order):
         self.process.stdin.write(json.dumps(order) + "\n")
         self.process.stdin.flush()
         return self._answer()
 
-    def wait(self, steps: int) -> None:
+    def wait(self, steps):
         """Until the robot, which holds by itself, has made so many."""
         end = self.send()["steps"] + steps
         while self.send()["steps"] < end:
             sleep(0.01)
 
-    def begin(self, *, faults: dict[str, Any] | None = None, **scene: Any) -> None:
+    def begin(self, *, faults=None, **scene):
         if self.process.poll() is not None:
             self.end()
             self.start()
         self.send(scene=scene, faults=faults or {})
 
-    def truth(self) -> dict[str, np.ndarray]:
+    def truth(self):
         """Of each step: normal force on the plate, place of the probe, joint speeds."""
         self.send(truth=str(self.folder / "truth.npy"))
         rows = np.load(self.folder / "truth.npy")
         return {"normal": rows[:, 0], "probe": rows[:, 1:4], "v": rows[:, 4:]}
 
-    def end(self) -> None:
+    def end(self):
         with suppress(BrokenPipeError):
             self.process.stdin.close()
         self.process.stdout.close()
         self.process.wait(10)
 
-    def arm(self, sensor: str = "tcp") -> osc.Arm:
+    def arm(self, sensor="tcp"):
         """Nothing is known of its rotors and its joints' friction; the file has 0.2 N m."""
         known = {"tip": "tcp", "wrist_sensor": sensor, "friction_factor": 0.0}
         return osc.Arm.from_urdf(self.urdf, name="fr3", **known)
 
 
-@pytest.fixture(scope="module")
-def franka(tmp_path_factory: pytest.TempPathFactory):
+@fixture(scope="module")
+def franka(tmp_path_factory):
     server = FrankaServer(tmp_path_factory.mktemp("franka"))
     yield server
     server.end()
@@ -111,7 +110,7 @@ class Press:
     scene: dict[str, Any] = field(default_factory=dict)
     faults: dict[str, Any] = field(default_factory=dict)
 
-    def prepare(self, **driver: Any) -> None:
+    def prepare(self, **driver):
         self.server.begin(height=TIP - self.gap, faults=self.faults, **self.scene)
         self.chain = osc.ClosedChain([self.server.arm(sensor=driver.pop("sensor", "tcp"))])
         self.robot = FrankaRobot(self.server.host, self.chain, **driver)
@@ -128,7 +127,7 @@ class Press:
         self.landed = self.released = 0
         self.normal = np.zeros(1)
 
-    def run(self, **loop: Any) -> None:
+    def run(self, **loop):
         """Run it, and keep what was true from its first tick on."""
         try:
             osc.run_loop(self.robot, self.controller, self.references(), **loop)
@@ -159,7 +158,7 @@ class Press:
             p, v, a = sides + np.outer(rise(t, SLID, 0.5), [0.0, 0.0, 0.02])
             yield osc.pose_reference(x + away + p, self.start.rotation, v, a, alpha_d=[force])
 
-    def error(self) -> float:
+    def error(self):
         """Of the force from half a second after landing until the release, rms, of the command."""
         part = self.normal[self.landed + 500 : self.released]
         return float(np.sqrt(np.mean((part / self.force - 1.0) ** 2)))

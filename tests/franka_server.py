@@ -16,7 +16,6 @@ import sys
 import time
 import xml.etree.ElementTree as ET
 from contextlib import suppress
-from typing import Any
 
 import franky_sim.mujoco_simulator as simulator
 import mujoco
@@ -47,30 +46,16 @@ PERIOD = 1e-3  #: s
 #: s; the client gives up after 1 s without a packet
 PATIENCE = 0.9
 IDLE = 0.02  #: s, from step to step without a client
-SCENE: dict[str, Any] = {
-    "clock": False,
+NOTHING = ("clock", "tilt", "friction", "mass", "push", "rest", "tcp_off")
+SCENE = dict.fromkeys(NOTHING, 0) | {
     "height": 0.2,
-    "tilt": 0.0,
-    "friction": 0.0,
     "stiffness": 7e4,
     "joint_friction": 1.0,
     "noise": 0.05,
     "sign": 1.0,
-    "mass": 0.0,
-    "push": None,
-    "rest": 0.0,
-    "tcp_off": 0.0,
 }
-FAULTS: dict[str, Any] = {
-    "at": 0,
-    "freeze": {},
-    "kill": False,
-    "drop": 0,
-    "repeat": 0,
-    "swap": 0,
-    "away": 0,
-    "reflex": False,
-}
+FAULTS = dict.fromkeys(("at", "kill", "drop", "repeat", "swap", "away", "reflex"), 0)
+FAULTS["freeze"] = {}
 
 
 class Robot(simulator.FrankaMujocoRobot):
@@ -244,8 +229,7 @@ class Simulation(simulator.MujocoSimulator):
         if not hasattr(self, "losses"):
             self.losses = model.dof_frictionloss.copy()
             self.tip = model.geom("probe").id
-            self.hand = model.body("robot0_hand").id
-            self.plate = model.body("plate").id
+            self.hand, self.plate = (model.body(name).id for name in ("robot0_hand", "plate"))
         model.dof_frictionloss[:] = given["joint_friction"] * self.losses
         model.body("load").mass[:] = max(given["mass"], 1e-6)
         mujoco.mj_setConst(model, data)
@@ -278,16 +262,17 @@ class Simulation(simulator.MujocoSimulator):
         share = model.body_invweight0[self.hand][0]  # 1/kg, as MuJoCo weighs the contact
         damping = 2.0 * DAMPING * np.sqrt(2.0 * stiffness / share)
         half = 0.5  # impedance: reference values are then twice those of solref
-        model.pair_dim[0] = 3 if friction else 1
-        model.pair_friction[0, :2] = friction
-        model.pair_solimp[0, :2] = half
-        model.pair_solref[0] = -half * share * np.array([stiffness, damping])
-        model.pair_solreffriction[0] = -1e-9, -half * STICKING
+        pair = model.pair(0)
+        pair.dim[:] = 3 if friction else 1
+        pair.friction[:2] = friction
+        pair.solimp[:2] = half
+        pair.solref[:] = -half * share * np.array([stiffness, damping])
+        pair.solreffriction[:] = -1e-9, -half * STICKING
 
     def _step(self):
         self.pushed = np.array([*self.nudge, 0.0, 0.0, 0.0])
         t = PERIOD * (len(self.log) - self.since) - self.given["rest"]
-        if self.given["push"] is not None and t >= 0.0:  # by hand: to and fro, and the hand turned
+        if self.given["push"] and t >= 0.0:  # by hand: to and fro, and the hand turned
             amount, rate = self.given["push"]
             shares = np.array([1.0, 1.0, 0.3, 0.0, 0.0, 0.05])
             self.pushed = shares * amount * np.cos(rate * t * np.array([1, 1.3, 0.7, 1, 1, 0.9]))
@@ -297,21 +282,18 @@ class Simulation(simulator.MujocoSimulator):
         self.note()
 
     def tool(self):
-        R = self.data.geom_xmat[self.tip].reshape(3, 3)
-        return self.data.geom_xpos[self.tip] + R[:, 2] * (TCP - PROBE)
+        return self.data.geom_xpos[self.tip] + self.data.geom_xmat[self.tip][2::3] * (TCP - PROBE)
 
     def note(self):
         """The wrench that the robot exerts on its environment, at its tool centre."""
         true = np.zeros(6)
-        six = np.zeros(6)
+        force = np.zeros(6)
         data = self.data
-        for i in range(data.ncon):
-            contact = data.contact[i]
-            mujoco.mj_contactForce(self.model, data, i, six)
-            force = np.zeros(6)
-            force[:3] = contact.frame.reshape(3, 3).T @ six[:3]
-            true += moved(force, contact.pos - self.tool())
-        normal = data.xmat[self.plate].reshape(3, 3)[:, 2]
+        for i, contact in enumerate(data.contact):
+            mujoco.mj_contactForce(self.model, data, i, force)
+            in_world = force[:3] @ contact.frame.reshape(3, 3)
+            true += moved([*in_world, 0.0, 0.0, 0.0], contact.pos - self.tool())
+        normal = data.xmat[self.plate][2::3]
         self.log.append([-true[:3] @ normal, *data.geom_xpos[self.tip], *data.qvel[:7]])
         true -= self.pushed
         true[2] -= 9.81 * self.given["mass"]  # what the robot does not know that it carries
@@ -321,7 +303,7 @@ class Simulation(simulator.MujocoSimulator):
 
 def moved(wrench, lever):
     """A wrench about the origin of its lever."""
-    return pin.SE3(np.eye(3), lever).act(pin.Force(wrench)).vector
+    return pin.SE3(np.eye(3), lever).act(pin.Force(np.array(wrench))).vector
 
 
 def recover(command, server):
@@ -341,12 +323,9 @@ def main():
         while True:
             awaited = server.awaited
             wait = 0.0 if server.tcp_connected else IDLE
-            if (
-                sys.stdin
-                in select.select([sys.stdin, *awaited], [], [], PATIENCE if awaited else wait)[0]
-            ):
-                line = sys.stdin.readline()
-                if not line:
+            wait = PATIENCE if awaited else wait
+            if sys.stdin in select.select([sys.stdin, *awaited], [], [], wait)[0]:
+                if not (line := sys.stdin.readline()):
                     return
                 print(json.dumps(obey(json.loads(line), sim, server)), flush=True)
                 continue

@@ -1,10 +1,8 @@
 """The selection laws against their publications, their best frames, and the comparison."""
 
-import json
-
 import numpy as np
 import pinocchio as pin
-from command_line import done, refused
+from command_line import answered, read_json, refused
 from complaints import invalid_input
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
@@ -250,12 +248,12 @@ def test_cross_talk_on_mujoco_is_ten_times_smaller_than_that_of_the_best_baselin
 def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
     """At 200 Hz, for a short task: everything the command makes, and what the numbers say."""
     line = "reproduce baselines --duration 1.05 --set 'control.rate=200 Hz'"
-    printed = done(line, "--out", tmp_path, "--json", tmp_path / "again.json").stdout
-    names = {"again.json", *(f"baselines.{kind}" for kind in ("json", "png", "svg", "pdf"))}
+    result, again = answered(line, "--out", tmp_path)
+    names = {f"baselines.{kind}" for kind in ("json", "png", "svg", "pdf")}
     assert {path.name for path in tmp_path.iterdir()} == names
     assert (tmp_path / "baselines.pdf").read_bytes().startswith(b"%PDF")
-    found = json.loads((tmp_path / "baselines.json").read_text())
-    assert found == json.loads((tmp_path / "again.json").read_text())["studies"]["baselines"]
+    found = read_json(tmp_path / "baselines.json")
+    assert found == again["studies"]["baselines"]
     laws = found["laws"]
     assert list(laws) == ["ours", "khatib", "isaac_lab"]
     assert max(laws["ours"]["measured"].values()) <= 1e-9
@@ -268,7 +266,9 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
     most = {name: max(law["mujoco"]["force_to_motion_m"]) for name, law in laws.items()}
     ratio = min(most["khatib"], most["isaac_lab"]) / most["ours"]
     assert found["smaller_than_best_baseline"]["mujoco"]["force_to_motion"] == approx(ratio)
-    assert all(words in printed for words in ("Khatib, Newton, SAI", "Isaac Lab", f"{ratio:.3g}"))
+    assert all(
+        words in result.stdout for words in ("Khatib, Newton, SAI", "Isaac Lab", f"{ratio:.3g}")
+    )
 
 
 def test_the_comparison_refuses_what_it_cannot_compare():

@@ -9,6 +9,7 @@ from time import perf_counter, sleep
 
 import numpy as np
 import pinocchio as pin
+from command_line import read_json
 from complaints import invalid_input
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark, raises
@@ -53,7 +54,7 @@ def run_program(name, ticks, folder):
     json_file = folder / "b.json"
     ended = start(name, "--ticks", str(ticks), "--json", json_file)
     assert ended.returncode == 0, ended.stderr
-    result = json.loads(json_file.read_text())
+    result = read_json(json_file)
     about = result["machine"]
     assert about["cpu"] in ended.stdout and f"pin {about['packages']['pin']}" in ended.stdout
     assert about["cores"] >= 1 and about["python"] == sys.version.split()[0]

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pinocchio as pin
+from command_line import read_json
 from matplotlib.image import imread
 from numpy.testing import assert_allclose
 from pytest import fixture
@@ -94,7 +95,7 @@ def test_reproduce_fig3_renders_it(cell, tmp_path, monkeypatch):
     view = np.array([0x2B, 0x7C, 0xAE]) / 255  # edges of what the camera sees, on the left half
     near = np.abs(picture[:, : picture.shape[1] // 2] - view).max(axis=2) < 0.1
     assert near.sum() > 500
-    told = json.loads((tmp_path / "fig3.json").read_text())
+    told = read_json(tmp_path / "fig3.json")
     assert told["overhead vision"].startswith("60 Hz") and "8 motors" in told["arms"]
 
 

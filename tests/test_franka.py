@@ -5,13 +5,13 @@ import sys
 
 import numpy as np
 import pinocchio as pin
+from command_line import call
 from complaints import invalid_input, plant_error
 from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
+from numpy.testing import assert_allclose
 from pytest import approx, mark, param
-from typer.testing import CliRunner
 
 import osc_contact as osc
-from osc_contact.cli import app
 from osc_contact.drivers.franka import FrankaRobot
 from osc_contact.runs.commissioning import Commissioning
 from osc_contact.testing import check_robot
@@ -125,10 +125,8 @@ def test_a_robot_that_ends_the_motion_ends_the_loop(franka, fault, sentence):
 
 
 def without_weight(robot):
-    return lambda: (
-        robot._estimate(robot.state)
-        - [*(9.81 * 0.73 * robot._data.oMf[robot._sensor].rotation[2]), 0.0, 0.0, 0.0]
-    )
+    weight = 9.81 * 0.73 * robot._data.oMf[robot._sensor].rotation[2]
+    return robot._estimate(robot.state) - [*weight, 0.0, 0.0, 0.0]
 
 
 @mark.parametrize(
@@ -143,7 +141,7 @@ def without_weight(robot):
 def test_a_wrist_that_is_wrong_ends_in_a_stop(franka, scene, driver, sentence):
     task = Press(franka, gap=0.003, scene=scene, ticks=4000)
     if driver:
-        driver["wrench"] = lambda: without_weight(task.robot)() if hasattr(task, "robot") else None
+        driver["wrench"] = lambda: without_weight(task.robot) if hasattr(task, "robot") else None
     assert run_faulty(task, **driver) is None
     assert task.state[-1] is osc.SafetyState.SAFE_STOP and sentence in task.reason
 
@@ -181,19 +179,18 @@ def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka):
 
 @mark.parametrize("sensor", ["tcp", "hand"])
 def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka, sensor):
-    push = {"push": [8.0, 20.0], "noise": 0.0, "joint_friction": 1.0}
-    robot, read = at_rest(franka, 60, sensor, **push)
+    robot, read = at_rest(franka, 60, sensor, push=[8.0, 20.0], noise=0.0)
     X = pin.SE3(robot._data.oMf[robot._sensor])
     t = 20.0 * 1e-3 * (franka.send()["steps"] - 1) * np.array([1.0, 1.3, 0.7])
     force = -8.0 * np.array([1.0, 1.0, 0.3]) * np.cos(t)
     wrench = X.act(pin.Force(read[-1].wrenches[0]))
     mass = 0.73 if sensor == "hand" else 0.0
-    np.testing.assert_allclose(wrench.linear - [0, 0, 9.81 * mass], force, atol=1.5)
-    about = wrench.angular - np.cross(
-        robot._base.act(robot._data.oMf[robot._tip]).translation, force
-    )
-    lever = X.act(np.array([-0.01, 0.0, 0.03])) if mass else np.zeros(3)
-    np.testing.assert_allclose(about, np.cross(lever, [0, 0, 9.81 * mass]), atol=0.5)
+    weight = [0, 0, 9.81 * mass]
+    assert_allclose(wrench.linear - weight, force, atol=1.5)
+    tip = robot._base.act(robot._data.oMf[robot._tip]).translation
+    lever = X.act(np.array([-0.01, 0.0, 0.03]))
+    about = np.cross(tip, force) + np.cross(lever, weight)
+    assert_allclose(wrench.angular, about, rtol=0, atol=0.5)
     robot.stop()
 
 
@@ -203,7 +200,7 @@ def test_torques_stay_within_the_limits_of_the_robot(franka):
     robot.command(np.full(7, 1e6), 1e-3)
     step = np.array(robot._torques.tau_J) - before
     assert np.abs(step).max() == approx(0.99)
-    robot._v = 1.0 * np.array(robot.chain.model.upperVelocityLimit)  # every joint at its limit
+    robot._v = robot.chain.model.upperVelocityLimit.copy()  # every joint at its limit
     robot.state = type("state", (), {"tau_J_d": robot.chain.tau_max})
     weight = pin.computeGeneralizedGravity(robot._model, robot._data, robot._q)
     robot.command(robot.chain.tau_max + weight, 1e-3)
@@ -222,12 +219,12 @@ def test_payload_end_effector_and_mounted_sensor(franka):
     readings = iter([np.arange(6.0), None, [np.nan] * 6])
     robot = FrankaRobot(franka.host, chain, wrench=lambda: next(readings))
     assert robot.state.m_load == approx(0.5, rel=1e-6)
-    np.testing.assert_allclose(robot.state.F_x_Cload, [0.0, 0.0, 0.2034], atol=1e-6)
+    assert_allclose(robot.state.F_x_Cload, [0.0, 0.0, 0.2034], atol=1e-6)
     first, second, third = (robot.measure() for _ in range(3))
     assert first.wrench_valid and first.wrenches[0].tolist() == [0, 1, 2, 3, 4, 5]
     assert not second.wrench_valid and not third.wrench_valid and not third.wrenches.any()
     robot._wrench = None
-    np.testing.assert_allclose(robot._hangs.mass, 0.5)
+    assert_allclose(robot._hangs.mass, 0.5)
     franka.begin(height=0.0, tcp_off=0.02)
     with plant_error(r"tip 'tcp' is 20 mm and .* give end_effector="):
         FrankaRobot(franka.host, chain)
@@ -305,8 +302,7 @@ def test_commissioning_ends_where_a_step_fails(franka, tmp_path, monkeypatch, si
     monkeypatch.setattr("osc_contact.drivers.franka.FrankaRobot", Nudged)
     monkeypatch.setattr(Nudged, "server", franka, raising=False)
     monkeypatch.setattr(Nudged, "at", 400)
-    options = ["--host", franka.host, "--urdf", str(franka.urdf), "--tip", "tcp", "--out"]
-    options += [str(tmp_path), "--yes", "--no-realtime", "--shadow-time", "1.1"]
-    done = CliRunner().invoke(app, ["commission", "franka", *options])
+    line = f"commission franka --host {franka.host} --urdf {franka.urdf} --tip tcp --out {tmp_path}"
+    done = call(f"{line} --yes --no-realtime --shadow-time 1.1")
     assert done.exit_code == 1 and sentence in " ".join(done.output.split()), done.output
     assert "failed" in (tmp_path / "report.md").read_text()

@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import zipfile
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from command_line import done, refused
 from complaints import invalid_input, recording_error
 from numpy.testing import assert_array_equal
+from processes import alive, wait_until
 from pytest import mark
 
 import osc_contact as osc
@@ -25,27 +25,15 @@ from osc_contact.sweeps.rows import RowFile
 from osc_contact.sweeps.study import SweepStudy
 
 COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
-PATIENCE = 300.0  #: s
-
-
-def wait_for(there, process):
-    """Wait for something that a process is to do."""
-    deadline = time.monotonic() + PATIENCE
-    while not (found := there()):
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    return found
 
 
 def test_a_second_run_in_a_folder_is_refused_and_the_first_keeps_its_rows(tmp_path):
     words = ["run", "two_contact_rod", "--duration", "1000", "--out", tmp_path]
-    with subprocess.Popen(
-        [*COMMAND, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as process:
+    how = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    with subprocess.Popen([*COMMAND, *words], **how) as process:
         try:
             rows = tmp_path / "unfinished.mcap"
-            wait_for(rows.exists, process)
+            wait_until(rows.exists, process=process)
             number = rows.stat().st_ino
             said = refused("run two_contact_rod --duration 1.2 --out", tmp_path)
             assert process.poll() is None and rows.stat().st_ino == number
@@ -69,9 +57,9 @@ def test_rows_of_chunks_that_come_again_are_read_once(tmp_path):
         file.append(first, rows_of(first, count))
     file.close()
     journal = Journal(path)
-    pieces = list(journal.rows())
-    assert_array_equal(np.concatenate([x["x"][:, 0] for _, x in pieces]), np.arange(11))
-    assert [first for first, _ in pieces] == [0, 5, 8, 10]
+    firsts, pieces = zip(*journal.rows(), strict=True)
+    assert_array_equal(np.concatenate(pieces)["x"][:, 0], np.arange(11))
+    assert firsts == (0, 5, 8, 10)
     assert journal.missing == [
         f"ticks {part} come again, and are left out there"
         for part in ("0 to 4", "3 to 7", "10 to 10")
@@ -90,6 +78,13 @@ def study_of(samples=4):
 
 def row_of(number):
     return {"row": number, "seed": number, "word": "HELD", "failed": False, "why": "", "x": 0.5}
+
+
+def write(path, study, *rows):
+    file = RowFile(path, study)
+    file.append(rows)
+    file.close()
+    return file
 
 
 DAMAGE = {
@@ -111,9 +106,7 @@ DAMAGE = {
 def test_damaged_rows_are_named_with_the_line_and_a_cure(kind, at, tmp_path):
     path = tmp_path / "rows.jsonl"
     study = study_of()
-    file = RowFile(path, study)
-    file.append(map(row_of, range(3)))
-    file.close()
+    write(path, study, *map(row_of, range(3)))
     lines = path.read_bytes().splitlines()
     lines[at - 1] = DAMAGE[kind](lines[at - 1])
     path.write_bytes(b"\n".join(lines) + b"\n")
@@ -123,21 +116,16 @@ def test_damaged_rows_are_named_with_the_line_and_a_cure(kind, at, tmp_path):
     assert path.read_bytes() == damaged
     del lines[at - 1]
     path.write_bytes(b"".join(line + b"\n" for line in lines) if at > 1 else b"")  # the cure
-    file = RowFile(path, study)
-    assert sorted(file.done) == ([0, 2] if at > 1 else [])
-    file.close()
+    assert sorted(write(path, study).done) == ([0, 2] if at > 1 else [])
 
 
 def test_rows_beyond_a_study_and_cells_of_another_kind(tmp_path):
     study = study_of(3)
-    file = RowFile(tmp_path / "rows.jsonl", study)
-    file.append([*map(row_of, range(3)), row_of(-1), row_of(17)])
-    file.close()
+    path = tmp_path / "rows.jsonl"
+    write(path, study, *map(row_of, (0, 1, 2, -1, 17)))
     table = osc.sweep("two_contact_rod", study.vary, 3, out=tmp_path, workers=1)
     assert table["row"].to_pylist() == [0, 1, 2]
-    file = RowFile(tmp_path / "rows.jsonl", study)
-    file.append([row_of(1) | {"x": "half"}])
-    file.close()
+    write(path, study, row_of(1) | {"x": "half"})
     with invalid_input(r"'x' are of several kinds .* are damaged"):
         osc.sweep("two_contact_rod", study.vary, 3, out=tmp_path, workers=1)
 
@@ -154,9 +142,7 @@ def test_two_programs_do_not_write_rows_to_one_file(tmp_path):
     for _ in range(2):  # a refusal holds nothing
         with invalid_input("another study") as refused:
             RowFile(path, other)
-    file = RowFile(path, study)
-    file.close()
-    assert refused and file.done == {0: row_of(0)}
+    assert refused and write(path, study).done == {0: row_of(0)}
 
 
 def test_metrics_of_a_recording_without_meta_name_what_is_missing():
@@ -190,31 +176,21 @@ def children_of(number):
     return found
 
 
-def alive(number):
-    try:
-        return "\nState:\tZ" not in Path(f"/proc/{number}/status").read_text()
-    except FileNotFoundError:
-        return False
-
-
 @mark.skipif(not Path("/proc/self/task").exists(), reason="children are found in /proc")
 def test_workers_end_with_a_sweep_that_is_killed(tmp_path):
     (tmp_path / "sweep.py").write_text(SWEEP)
     command = [sys.executable, tmp_path / "sweep.py", tmp_path / "out"]
     package = {"PYTHONPATH": str(Path(osc.__file__).parents[1])}
-    process = subprocess.Popen(command, env={**os.environ, **package})
+    process = subprocess.Popen(command, env=os.environ | package)
     rows = tmp_path / "out" / "rows.jsonl"
     workers = []
     try:
-        wait_for(lambda: rows.exists() and rows.read_bytes().count(b"\n") > 2, process)
+        wait_until(lambda: rows.exists() and rows.read_bytes().count(b"\n") > 2, process=process)
         workers = children_of(process.pid)
         assert len(workers) >= 2
         process.kill()
         process.wait()
-        deadline = time.monotonic() + 2.0
-        while time.monotonic() < deadline and any(map(alive, workers)):
-            time.sleep(0.02)
-        assert not any(map(alive, workers)), "workers outlive their sweep"
+        wait_until(lambda: not any(map(alive, workers)), 2.0)  # none outlives its sweep
     finally:
         process.kill()
         process.wait()

@@ -18,7 +18,9 @@ import numpy as np
 import pinocchio as pin
 import umsgpack
 from complaints import invalid_input, viewer_error
+from processes import alive, wait_until
 from pytest import approx, fixture, mark, raises
+from scenario_runs import assert_same_run
 from scene_samples import ARMS, BODIES, ENDS, RECORDING, URDF, links
 from tornado.websocket import websocket_connect
 
@@ -61,24 +63,21 @@ def get(viewer, path="/", **headers):
     return answer.status, text
 
 
-def feed(viewer, seconds, ticks=TICKS):
-    """Show ticks at about 1 kHz; seconds (n,) that each call took."""
-    spent = []
+def feed(viewer, seconds):
+    """Show ticks at about 1 kHz; no call waits for the viewer's process.
+
+    The bound separates a wait, which has no end if that is stopped, from a pause by the operating
+    system.
+    """
+    calls = 0
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         start = time.perf_counter()
-        viewer.show(ticks[len(spent) % len(ticks)])
-        spent.append(time.perf_counter() - start)
+        viewer.show(TICKS[calls % len(TICKS)])
+        spent = time.perf_counter() - start
+        assert spent < 1.0, f"a call took {1e3 * spent:.0f} ms: it waited"
+        calls += 1
         time.sleep(TICK_S)
-    return np.array(spent)
-
-
-def assert_none_waited(spent):
-    """No call waited for the viewer's process: one that is stopped would be waited for for ever.
-
-    The bound separates a wait, which has no end, from a pause by the operating system.
-    """
-    assert spent.max() < 1.0, f"a call took {1e3 * spent.max():.0f} ms: it waited"
 
 
 class Client:
@@ -156,19 +155,13 @@ def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(las
         await late.leave()
 
     asyncio.run(watch())
-    end = time.monotonic() + 5.0
-    while lasting.count_browsers():
-        assert time.monotonic() < end
-        time.sleep(0.02)
+    wait_until(lambda: not lasting.count_browsers(), 5.0)
 
 
 def test_the_page_holds_the_scene_after_the_first_tick(lasting):
+    wait_until(lambda: "CONFIG" in get(lasting)[1], 20.0)
     status, text = get(lasting)
-    end = time.monotonic() + 20.0
-    while "CONFIG" not in text:
-        assert status == 200 and time.monotonic() < end
-        time.sleep(0.05)
-        status, text = get(lasting)
+    assert status == 200
     assert '"live": true' in text and "new WebSocket" in text
     assert "connect-src data: blob: 'self'" in text
 
@@ -190,19 +183,18 @@ def sockets(pid):
     return opened, listening
 
 
-def python(lines):
+def python(*lines):
     """Run lines of Python in a separate process, beside this file."""
-    head = "import os, sys; sys.path.insert(0, 'tests'); import test_live as t\n"
-    return subprocess.run(
-        [sys.executable, "-c", head + lines], capture_output=True, text=True, cwd=URDF.parent
-    )
+    head = "import os, sys; sys.path.insert(0, 'tests'); import test_live as t"
+    command = [sys.executable, "-c", "\n".join((head, *lines))]
+    return subprocess.run(command, capture_output=True, text=True, cwd=URDF.parent)
 
 
 def test_the_runs_own_process_opens_no_network_socket():
     done = python(
-        "with t.Viewer(t.MODULE, (t.CONTENT, 0.6)) as viewer:\n"
-        "    t.feed(viewer, 0.3)\n"
-        "    print(t.sockets(os.getpid()), len(t.sockets(viewer._process.pid)[1]))"
+        "with t.Viewer(t.MODULE, (t.CONTENT, 0.6)) as viewer:",
+        "    t.feed(viewer, 0.3)",
+        "    print(t.sockets(os.getpid()), len(t.sockets(viewer._process.pid)[1]))",
     )
     assert done.stdout.strip() == "([], []) 1", done.stdout + done.stderr
 
@@ -241,9 +233,9 @@ def test_foreign_names_and_foreign_pages_get_nothing(lasting):
 @mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stopped"])
 def test_a_dead_or_frozen_viewer_is_reported_once_and_never_waited_for(viewer, blow, caplog):
     with caplog.at_level(logging.INFO, "osc_contact.viewer"):
-        assert_none_waited(feed(viewer, 0.5))
+        feed(viewer, 0.5)
         viewer._process.send_signal(blow)
-        assert_none_waited(feed(viewer, 2.5))
+        feed(viewer, 2.5)
         assert isinstance(viewer.error, ViewerError)
         (record,) = caplog.records
     words = "has ended" if blow == signal.SIGKILL else "has taken nothing for 1 s"
@@ -256,16 +248,10 @@ def test_a_run_is_the_same_with_a_viewer_that_dies_in_it(caplog):
     scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
     plain = osc.run(scenario, duration=0.15)
     with osc.open_viewer(scenario, rate=60.0) as viewer:
-        watched = osc.run(
-            scenario,
-            duration=0.15,
-            progress=lambda t: viewer._process.kill() if t > 0.05 else None,
-            viewer=viewer,
-        )
+        how = {"progress": lambda t: viewer._process.kill() if t > 0.05 else None}
+        watched = osc.run(scenario, duration=0.15, viewer=viewer, **how)
         assert viewer.error is not None and len(caplog.records) == 1
-    for name, values in plain.channels.items():
-        if name != "tick_s":
-            assert np.array_equal(values, watched[name], equal_nan=True), name
+    assert_same_run(plain, watched)
 
 
 def test_nothing_that_is_shown_can_raise(viewer, caplog):
@@ -294,18 +280,11 @@ def test_at_most_so_many_ticks_per_second_are_sent():
 
 def test_the_server_ends_with_the_program_however_that_ends():
     done = python(
-        "viewer = t.Viewer(t.MODULE, (t.CONTENT, 0.6))\n"
-        "print(viewer._process.pid, flush=True); os._exit(7)"
+        "viewer = t.Viewer(t.MODULE, (t.CONTENT, 0.6))",
+        "print(viewer._process.pid, flush=True); os._exit(7)",
     )
     assert done.returncode == 7, done.stderr
-    pid = int(done.stdout)
-    end = time.monotonic() + 10.0
-    while Path(f"/proc/{pid}").exists():
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-        if state == "Z":
-            break
-        assert time.monotonic() < end, "the server outlives the program"
-        time.sleep(0.05)
+    wait_until(lambda: not alive(int(done.stdout)), 10.0)
 
 
 def test_a_viewer_that_cannot_start_says_why():
@@ -316,13 +295,11 @@ def test_a_viewer_that_cannot_start_says_why():
 
 
 def test_no_part_of_meshcat_that_opens_sockets_is_imported():
-    script = (
-        "import sys, osc_contact.runs.live_page\n"
-        "from osc_contact.visual.page import CommandSink\n"
-        "CommandSink().visualizer()\n"
-        "print([m for m in sys.modules if 'ngrok' in m])"
+    done = python(
+        "from osc_contact.visual.page import CommandSink",
+        "CommandSink().visualizer()",
+        "print([m for m in sys.modules if 'ngrok' in m])",
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
 
@@ -330,7 +307,7 @@ def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog):
     missing = BODIES[0]._replace(urdf="/no/such/file.urdf")
     broken = replace(CONTENT, bodies=(missing, *BODIES[1:]))
     with Viewer(MODULE, (broken, 0.6), rate=60.0) as viewer:
-        assert_none_waited(feed(viewer, 1.5))
+        feed(viewer, 1.5)
         said = str(viewer.error)
         assert "has ended (exit code" in said and len(caplog.records) == 1
         assert "/no/such/file.urdf" in said, "the cause is missing"

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input
 from numpy.testing import assert_allclose
+from processes import wait_until
 from pytest import fixture, mark, raises
 from samples import first
 from scenario_runs import rig_of
@@ -274,14 +275,9 @@ finally:
 
 @mark.parametrize("number", first(SIGNALS, 1))
 def test_a_process_that_is_signalled_stops_its_robot_and_keeps_its_recording(number, tmp_path):
-    process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, str(tmp_path)], stderr=subprocess.PIPE, text=True
-    )
-    deadline = time.monotonic() + 300
-    while not (tmp_path / "moving").exists():
-        assert process.poll() is None, process.stderr.read()
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    command = [sys.executable, "-c", PROGRAM, tmp_path]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    wait_until((tmp_path / "moving").exists, process=process)
     process.send_signal(number)
     errors = process.communicate(timeout=60)[1]
     expected = -signal.SIGINT if number == signal.SIGINT else 128 + number

@@ -4,7 +4,7 @@ import json
 from typing import Any
 
 import numpy as np
-from command_line import call, done
+from command_line import call, done, read_json
 from complaints import invalid_input
 from pytest import approx, mark
 from scenario_runs import run_of
@@ -214,7 +214,7 @@ def test_a_doubtful_run_says_so_and_ends_with_exit_code_1(tmp_path):
     """The word is never OK where the exit code is not 0."""
     heavy = "--set model_error.arm_mass=1.01 --set model_error.object_mass=1.01"
     result = call(f"run two_contact_rod --duration 1.2 {heavy} --out", tmp_path)
-    task = json.loads((tmp_path / "metrics.json").read_text())["task"]
+    task = read_json(tmp_path / "metrics.json")["task"]
     assert result.exit_code == 1 and task["word"] == "DOUBTFUL" and not task["failed"], task
     assert "verdict: DOUBTFUL" in result.stdout and "before it ran: " in result.stdout
 
@@ -228,14 +228,14 @@ def test_a_run_that_loses_its_contact_ends_with_exit_code_1(tmp_path):
     result = call("run two_contact_rod --duration 1.6 --set", away, "--out", tmp_path)
     assert result.exit_code == 1, result.output
     assert "the task failed" in result.stdout and "contact 'left_end' was lost" in result.stdout
-    assert json.loads((tmp_path / "metrics.json").read_text())["task"]["failed"] is True
+    assert read_json(tmp_path / "metrics.json")["task"]["failed"] is True
 
 
 def test_an_ordinary_run_tells_its_first_contact_and_ends_well(tmp_path):
     """Two forces commanded at once at t = 0 are let in: neither overshoots."""
     result = done("run two_contact_rod --duration 1.2 --out", tmp_path)
     assert "verdict: OK" in result.stdout
-    steps = json.loads((tmp_path / "metrics.json").read_text())["steps"]
+    steps = read_json(tmp_path / "metrics.json")["steps"]
     truth = Recording.load(tmp_path / "recording.npz")["alpha_true"][:500, 0]
     left = next(s for s in steps if s["force"] == "left_end")
     assert left["peak_N"] == truth.max() == approx(10 * (1 + left["overshoot_rel"]))

@@ -1,36 +1,32 @@
 """Where arms stand, and the postures that put them somewhere: `osc-contact pose`."""
 
-import json
 from functools import cache
 
 import numpy as np
 import pinocchio as pin
+from command_line import answered, call, done, refused
 from complaints import invalid_input
 from numpy.testing import assert_allclose
 from pytest import mark
-from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.cli import app
 from osc_contact.dynamics.assembly import outside_limits
 from osc_contact.runs import poses
 
 POSTURE = "10 deg, -45 deg, 0, -135 deg, 0.1, 90 deg, 45 deg"
-TIP = ("panda", "--tip", "panda_hand_tcp")
-
-
-def call(*words):
-    result = CliRunner().invoke(app, ["pose", *map(str, words)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+TIP = "pose panda --tip panda_hand_tcp"
 
 
 @cache
 def panda():
     """From the URDF as Pinocchio itself reads it."""
     return pin.buildModelFromUrdf(str(robots.find_robot("panda")[0]))
+
+
+@cache
+def panda_chain():
+    return osc.ClosedChain([poses.arm_of("panda", "panda_hand_tcp")])
 
 
 def standing(q):
@@ -41,44 +37,41 @@ def standing(q):
     return data.oMf[model.getFrameId("panda_hand_tcp")]
 
 
-def test_forward_kinematics_of_a_robot_by_name(tmp_path):
-    result = call(*TIP, "--posture", POSTURE, "--json", tmp_path / "pose.json")
-    assert result.exit_code == 0 and "panda panda_hand_tcp: {xyz: [" in result.stdout
-    found = json.loads((tmp_path / "pose.json").read_text())
+def test_forward_kinematics_of_a_robot_by_name():
+    result, found = answered(f"{TIP} --posture", POSTURE)
+    assert "panda panda_hand_tcp: {xyz: [" in result.stdout
     q = np.array([np.deg2rad(10), -np.pi / 4, 0, -0.75 * np.pi, 0.1, np.pi / 2, np.pi / 4])
     assert_allclose(list(found["posture"].values()), q, atol=1e-12)
     assert_allclose(found["tips"]["panda"], standing(q).homogeneous, atol=1e-9)
 
 
-def test_inverse_kinematics_keep_the_limits_and_print_what_a_file_takes(tmp_path):
-    file = tmp_path / "pose.json"
+def test_inverse_kinematics_keep_the_limits_and_print_what_a_file_takes():
     for xyz in ("0.4, 10 cm, 0.3", "[-0.3, 0.4, 0.5]", "0.1, -0.5, 0.2"):
-        result = call(*TIP, f"--xyz={xyz}", "--rpy", "180 deg, 0, 0", "--json", file)
-        assert result.exit_code == 0, result.stdout
-        q = np.array(list(json.loads(file.read_text())["posture"].values()))
+        result, found = answered(f"{TIP} --rpy '180 deg, 0, 0' --xyz='{xyz}'")
+        q = np.array(list(found["posture"].values()))
         X = standing(q)
         assert_allclose(X.translation, poses.numbers("xyz", xyz), atol=1e-6)
         assert_allclose(X.rotation, np.diag([1, -1, -1]), atol=1e-5)
         typed = result.stdout.split("[")[1].split("]")[0]
         assert_allclose(poses.numbers("posture", typed), q, atol=1e-6)
-        arm = poses.arm_of("panda", "panda_hand_tcp").model
-        assert np.all(q >= arm.lowerPositionLimit) and np.all(q <= arm.upperPositionLimit)
+        assert not outside_limits(panda_chain(), q)
 
 
 def test_what_is_out_of_reach_or_outside_the_limits_is_told_with_exit_code_1():
-    far = call(*TIP, "--xyz", "3, 0, 0.5")
-    assert far.exit_code == 1 and "not reached within the joints' limits" in far.stdout
-    bent = call(*TIP, "--posture", "0, 0, 0, 0, 0, 90 deg, 0")
-    assert bent.exit_code == 1
-    assert "joint panda/panda_joint4 at 0 is outside its limits [-3.072, -0.0698]" in bent.stdout
+    for words, told in (
+        ("--xyz '3, 0, 0.5'", "not reached within the joints' limits"),
+        (
+            "--posture '0, 0, 0, 0, 0, 90 deg, 0'",
+            "joint panda/panda_joint4 at 0 is outside its limits [-3.072, -0.0698]",
+        ),
+    ):
+        result = call(f"{TIP} {words}")
+        assert result.exit_code == 1 and told in result.stdout
 
 
-def test_a_scenario_tells_where_its_postures_put_the_object_and_how_to_put_it_elsewhere(tmp_path):
-    result = call("two_contact_rod", "--json", tmp_path / "a.json")
-    assert result.exit_code == 0 and "object pose: {xyz: [" in result.stdout
-    moved = call("two_contact_rod", "--xyz", "0, 5 cm, 0.2", "--json", tmp_path / "b.json")
-    assert moved.exit_code == 0
-    found = json.loads((tmp_path / "b.json").read_text())
+def test_a_scenario_tells_where_its_postures_put_the_object_and_how_to_put_it_elsewhere():
+    assert "object pose: {xyz: [" in done("pose two_contact_rod").stdout
+    _, found = answered("pose two_contact_rod --xyz '0, 5 cm, 0.2'")
     assert_allclose(np.array(found["object"])[:3, 3], [0, 0.05, 0.2], atol=1e-6)
     tips = [np.array(found["tips"][arm])[:3, 3] for arm in ("left", "right")]
     assert_allclose(tips, [[-0.15, 0.05, 0.2], [0.15, 0.05, 0.2]], atol=1e-6)
@@ -87,19 +80,18 @@ def test_a_scenario_tells_where_its_postures_put_the_object_and_how_to_put_it_el
 @mark.parametrize(
     "words, said",
     [
-        (("panda",), "panda has 3 ends: "),
-        ((*TIP, "--posture", "1, 2"), "2 numbers for 7 joints"),
-        ((*TIP, "--xyz", "1, 2"), "xyz '1, 2'"),
-        ((*TIP, "--xyz", "1 kg, 0, 0"), "a length"),
-        (("two_contact_rod", "--tip", "tool"), "a scenario names its own"),
-        (("panda", "--set", "a=1"), "give --posture"),
-        (("pandaa",), "no robot 'pandaa'"),
-        (("arm.xml",), "'arm.xml' is neither the file"),
+        ("pose panda", "panda has 3 ends: "),
+        (f"{TIP} --posture '1, 2'", "2 numbers for 7 joints"),
+        (f"{TIP} --xyz '1, 2'", "xyz '1, 2'"),
+        (f"{TIP} --xyz '1 kg, 0, 0'", "a length"),
+        ("pose two_contact_rod --tip tool", "a scenario names its own"),
+        ("pose panda --set a=1", "give --posture"),
+        ("pose pandaa", "no robot 'pandaa'"),
+        ("pose arm.xml", "'arm.xml' is neither the file"),
     ],
 )
 def test_what_is_wrong_is_told_with_exit_code_2(words, said):
-    result = call(*words)
-    assert result.exit_code == 2 and said in result.stderr
+    assert said in refused(words)
 
 
 def test_numbers_are_those_of_scenario_files():
@@ -109,7 +101,7 @@ def test_numbers_are_those_of_scenario_files():
 
 
 def test_joints_outside_either_limit_are_named():
-    chain = osc.ClosedChain([poses.arm_of("panda", "panda_hand_tcp")])
+    chain = panda_chain()
     low = chain.model.lowerPositionLimit
     high = chain.model.upperPositionLimit
     assert outside_limits(chain, low) == outside_limits(chain, high) == []
@@ -122,7 +114,7 @@ def test_joints_outside_either_limit_are_named():
 
 def test_of_poses_out_of_reach_the_nearest_is_given():
     """The arm points at it, as far as it goes: no farther off than any posture tried at random."""
-    chain = osc.ClosedChain([poses.arm_of("panda", "panda_hand_tcp")])
+    chain = panda_chain()
     far = pin.SE3(np.eye(3), np.array([0.9, 0.9, 0.3]))
     found = poses.solve(chain, far, poses.rest(chain))
     assert not found.reached and not outside_limits(chain, found.q)

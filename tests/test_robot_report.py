@@ -1,11 +1,10 @@
 """`osc-contact check` and the summary it prints, against closed forms and other routes."""
 
-import json
 import math
 
 import numpy as np
 import pinocchio as pin
-from command_line import call, done, refused
+from command_line import answered, call, read_json, refused
 from complaints import model_error
 from numpy.testing import assert_allclose
 from pytest import approx, mark
@@ -114,8 +113,8 @@ def test_the_tip_can_be_chosen(tmp_path):
 # The command ------------------------------------------------------------------------------------
 
 
-def test_check_prints_verdict_joints_and_tips(tmp_path):
-    printed = done("check panda --json", tmp_path / "panda.json").stdout
+def test_check_prints_verdict_joints_and_tips():
+    result, found = answered("check panda")
     for words in (
         "panda.urdf: sound, loaded in",
         "9 joints move, 13 links, 17.45 kg",
@@ -124,8 +123,7 @@ def test_check_prints_verdict_joints_and_tips(tmp_path):
         "panda_hand_tcp",
         "mobility",
     ):
-        assert words in printed, words
-    found = json.loads((tmp_path / "panda.json").read_text())
+        assert words in result.stdout, words
     assert found["sound"] is True and found["findings"] == [] and found["meshes_missing"] == 0
     assert found["reader_difference"] < 1e-12 and 0 < found["load_ms"] < 1000
     assert found["robot"]["dof"] == 9 and len(found["robot"]["joints"]) == 9
@@ -139,7 +137,7 @@ def test_check_tells_everything_that_is_wrong(tmp_path):
     assert "arm.urdf:44:5: joint 'turn' <limit effort='0'>: effort limit 0 N m" in result.stdout
     assert "arm.urdf:7:7: link 'column' <mass value='-4'>: mass -4 kg is" in result.stdout
     assert result.stdout.endswith("arm.urdf: refused, 2 findings\n")
-    found = json.loads((tmp_path / "bad.json").read_text())
+    found = read_json(tmp_path / "bad.json")
     assert found["sound"] is False and found["robot"] is None
     assert [(f["check"], f["line"]) for f in found["findings"]] == [("limit", 44), ("inertia", 7)]
 
@@ -149,9 +147,8 @@ def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path):
     file = write(tmp_path, text.replace("meshes/column.stl", "/opt/meshes/column.stl"))
     line = f"check {file} --limit t*:effort=7,lower=-1 --inertias positive --tip hand"
     assert "outside of the robot's folders" in call(line).stdout
-    result = done(f"{line} --package-dir /opt/meshes --json", tmp_path / "c.json")
+    result, found = answered(f"{line} --package-dir /opt/meshes")
     assert "1 mesh files were not found" in result.stdout
-    found = json.loads((tmp_path / "c.json").read_text())
     assert found["robot"]["joints"][0]["effort"] == 7 and found["meshes_missing"] == 1
     assert [joint["lower"] for joint in found["robot"]["joints"]].count(None) == 1
     assert [tip["tip"] for tip in found["robot"]["tips"]] == ["hand"]

@@ -1,10 +1,8 @@
 """Robustness study: all laws meet the same plants, and do not know what varies."""
 
-import json
-
 import numpy as np
 import pinocchio as pin
-from command_line import done, refused
+from command_line import done, read_json, refused
 from complaints import invalid_input
 from numpy.testing import assert_allclose
 from pytest import MonkeyPatch, approx, fixture, mark
@@ -46,7 +44,7 @@ def assert_row_is_that_of_single_runs(row, case, number, laws):
 
 @fixture(scope="module")
 def found(made):
-    return json.loads((made[0] / "robustness.json").read_text())
+    return read_json(made[0] / "robustness.json")
 
 
 def errors(scenario, seed, **how):

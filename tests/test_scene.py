@@ -85,8 +85,8 @@ def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown,
     tick = 10 * frame
     node = (LEFT, RIGHT)[i]
     placed = shown.pose(node, frame)
-    assert np.allclose(placed.translation, RECORDING["contact_point"][tick, i], atol=1e-6)
-    assert np.allclose(placed.rotation[:, 1], RECORDING["contact_direction"][tick, i], atol=1e-6)
+    for found, channel in ((placed.translation, "point"), (placed.rotation[:, 1], "direction")):
+        assert_allclose(found, RECORDING[f"contact_{channel}"][tick, i], atol=1e-6)
     for arrow, channel in (("true", "true"), ("commanded", "cmd"), ("measured", "meas")):
         alpha = RECORDING[f"alpha_{channel}"][tick, i]
         assert shown.length(f"{node}/{arrow}", frame) == approx(0.01 * alpha, abs=1e-5)
@@ -125,10 +125,9 @@ def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, co
         on_axis = placed.translation
         omega = np.zeros(3)
         v = axis
-        assert shown.at(f"{node}/slide", "visible", frame) != shown.at(
-            f"{node}/turn", "visible", frame
-        )
-        if shown.at(f"{node}/turn", "visible", frame):
+        slides, turns = (shown.at(f"{node}/{way}", "visible", frame) for way in ("slide", "turn"))
+        assert slides != turns
+        if turns:
             path, turned = shown.path_of_tube(f"{node}/turn/path/tube")
             path = path * shown.at(f"{node}/turn/path", "scale", frame)
             pitch = (path[-1, 1] - path[0, 1]) / (turned[-1] - turned[0])
@@ -283,11 +282,9 @@ def test_page_is_written_whole_or_not_at_all(tmp_path):
 
 
 def test_urdf_shapes_lie_as_in_the_urdf(tmp_path):
-    mesh = tmp_path / "tetra.stl"
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype="<f4")
-    facets = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
-    body = b"".join(b"\0" * 12 + corners[f].tobytes() + b"\0\0" for f in facets)
-    mesh.write_bytes(b"\0" * 80 + len(facets).to_bytes(4, "little") + body)
+    mesh = tmp_path / "tetra.obj"
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    mesh.write_text(f"{corners}f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     shapes = (
         '<box size="1 2 3"/>',
         '<cylinder radius="0.1" length="0.7"/>',

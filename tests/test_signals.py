@@ -1,6 +1,7 @@
 """Signals: values, exact derivatives, sums; quantities: units and their refusals."""
 
 import math
+import re
 
 import numpy as np
 import yaml
@@ -49,11 +50,10 @@ SMOOTH = [
 def test_derivatives_match_central_differences(signal):
     h = 1e-5
     for t in np.linspace(0.005, 1.2, 241) + 1.23e-3:
-        before = signal.at(t - h)
-        here = signal.at(t)
-        after = signal.at(t + h)
-        assert here[1] == approx((after[0] - before[0]) / (2 * h), abs=2e-5)
-        assert here[2] == approx((after[1] - before[1]) / (2 * h), abs=2e-3)
+        rates = np.subtract(signal.at(t + h), signal.at(t - h)) / (2 * h)
+        _, x_dot, x_ddot = signal.at(t)
+        assert x_dot == approx(rates[0], abs=2e-5)
+        assert x_ddot == approx(rates[1], abs=2e-3)
 
 
 def test_many_times_at_once_are_those_times_one_by_one():
@@ -75,7 +75,7 @@ def test_sine_is_silent_before_start_and_pure_after_the_ramp():
     sine = Sine(amplitude=4.0, frequency=0.5, phase=0.3, start=1.0, ramp=0.5)
     assert sine.at(0.999) == (0.0, 0.0, 0.0)
     w = math.pi
-    angle = w * 1.0 + 0.3
+    angle = w + 0.3
     wanted = (4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle))
     assert sine.at(2.0) == approx(wanted, rel=1e-13)
 
@@ -93,20 +93,12 @@ def rest_to_rest(distance, v, a, j):
 def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
     rng = np.random.default_rng(1)
     for _ in range(300):
-        *limits, size = 10.0 ** rng.uniform(-3, 3, 4)
-        limits = [float(x) for x in limits]
-        way = [float(x) for x in size * rng.uniform(-1, 1, 3)]
-        signal = JerkLimited(
-            via=way[:2],
-            value=way[2],
-            start=0.3,
-            **dict(zip(("velocity", "acceleration", "jerk"), limits, strict=True)),
-        )
-        distances = np.abs(np.diff([0.0, *way]))
-        least = [rest_to_rest(float(d), *limits) for d in distances]
+        v, a, j, size = (10.0 ** rng.uniform(-3, 3, 4)).tolist()
+        way = (size * rng.uniform(-1, 1, 3)).tolist()
+        limits = {"velocity": v, "acceleration": a, "jerk": j}
+        signal = JerkLimited(via=way[:2], value=way[2], start=0.3, **limits)
+        least = [rest_to_rest(d, v, a, j) for d in np.abs(np.diff([0.0, *way]))]
         assert signal.duration == approx(sum(least), rel=1e-9)
-        v, a, j = limits
-
         t = 0.3 + np.linspace(-0.05, 1.05, 4001) * signal.duration
         x, x_dot, x_ddot = signal.at(t)
         assert np.abs(x_dot).max() <= v * (1 + 1e-9) and np.abs(x_ddot).max() <= a * (1 + 1e-9)
@@ -114,9 +106,9 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
         steps = np.diff(x) - 0.5 * (x_dot[1:] + x_dot[:-1]) * np.diff(t)  # trapezoids, h³ x⃛/12
         assert np.abs(steps).max() <= np.diff(t)[0] ** 3 * j / 6 + 1e-12 * size
         for reached, when in zip(way, 0.3 + np.cumsum(least), strict=True):
-            near = signal.at(float(when))
-            assert near[0] == approx(reached, abs=1e-8 * size)
-            assert abs(near[1]) <= 1e-6 * v and abs(near[2]) <= 1e-3 * a + j * 1e-6 * sum(least)
+            x, x_dot, x_ddot = signal.at(float(when))
+            assert x == approx(reached, abs=1e-8 * size)
+            assert abs(x_dot) <= 1e-6 * v and abs(x_ddot) <= 1e-3 * a + j * 1e-6 * sum(least)
         assert signal.at(math.inf) == (way[2], 0.0, 0.0) and signal.at(0.3) == (0.0, 0.0, 0.0)
     still = JerkLimited(value=0.0, velocity=1.0, acceleration=1.0, jerk=1.0)
     assert still.at(0.5) == still.at(2.0) == (0.0, 0.0, 0.0), "nowhere to go"
@@ -128,7 +120,7 @@ def test_points_are_met_by_the_curve_of_least_jerk():
     for _ in range(20):
         times = np.cumsum(rng.uniform(0.2, 1.0, rng.integers(2, 8)))
         values = rng.normal(size=len(times))
-        signal = Points(points=list(zip(times.tolist(), values.tolist(), strict=True)))
+        signal = Points(points=np.column_stack((times, values)).tolist())
         assert_allclose(signal.at(times)[0], values, atol=1e-10)
         assert signal.at(-1.0) == (values[0], 0.0, 0.0)
         assert signal.at(math.inf) == (values[-1], 0.0, 0.0)
@@ -139,20 +131,16 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         eta_ddot = np.gradient(np.gradient(eta, t), t)
         jerk = np.gradient(a, t)[5:-5]
         eta_jerk = np.gradient(eta_ddot, t)[5:-5]
-        product = (jerk * eta_jerk).sum()
-        sizes = ((jerk**2).sum() * (eta_jerk**2).sum()) ** 0.5
-        assert abs(product) <= 2e-3 * sizes
-        change = np.abs(np.diff(np.gradient(jerk, t[5:-5])))[2:-2]  # of the fourth derivative
-        assert change.max() <= 0.05 * max(1.0, np.abs(np.gradient(jerk, t[5:-5])).max())
+        assert abs(jerk @ eta_jerk) <= 2e-3 * np.linalg.norm(jerk) * np.linalg.norm(eta_jerk)
+        fourth = np.gradient(jerk, t[5:-5])
+        assert np.abs(np.diff(fourth))[2:-2].max() <= 0.05 * max(1.0, np.abs(fourth).max())
 
 
 def test_a_value_given_twice_is_held_and_parts_the_curve():
     t = np.linspace(-0.2, 8.0, 2000)
-    first = ((0.0, 3.0), (0.4, 5.0), (0.9, 4.0))
-    last = ((6.0, 4.0), (6.3, 1.0), (7.0, 2.0))
-    both = np.array(Points(points=(*first, *last)).at(t))
-    before = np.array(Points(points=first).at(t))
-    after = np.array(Points(points=last).at(t))
+    first = [(0.0, 3.0), (0.4, 5.0), (0.9, 4.0)]
+    last = [(6.0, 4.0), (6.3, 1.0), (7.0, 2.0)]
+    both, before, after = (np.array(Points(points=p).at(t)) for p in (first + last, first, last))
     assert_allclose(both, np.where(t < 3.0, before, after), atol=1e-9)
     held = (t >= 0.9) & (t <= 6.0)
     assert_allclose(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
@@ -174,7 +162,7 @@ def test_two_points_are_minimum_jerk():
     ],
 )
 def test_the_same_signals_hold_lengths_angles_or_forces(kind, text, si, bad):
-    adapter = TypeAdapter(kind)
+    read = TypeAdapter(kind).validate_python
     for type_, name, more in (
         ("constant", "value", {}),
         ("step", "value", {"start": 1}),
@@ -183,16 +171,16 @@ def test_the_same_signals_hold_lengths_angles_or_forces(kind, text, si, bad):
         ("jerk_limited", "value", {"velocity": 1, "acceleration": 1, "jerk": 1}),
     ):
         data = {"type": type_, name: text, **more}
-        assert getattr(adapter.validate_python(data), name) == approx(si, rel=1e-15)
+        assert getattr(read(data), name) == approx(si, rel=1e-15)
         with raises(ValidationError, match="which is a"):
-            adapter.validate_python({**data, name: bad})
+            read(data | {name: bad})
     data = {"type": "jerk_limited", "value": 1, "velocity": f"{text}/s"}
     for two, three in (("²", "³"), ("^2", "^3"), ("2", "3")):
         data |= {"acceleration": f"{text}/s{two}", "jerk": f"{text}/s{three}"}
-        found = adapter.validate_python(data)
+        found = read(data)
         assert (found.velocity, found.acceleration, found.jerk) == approx((si,) * 3, rel=1e-15)
         with raises(ValidationError, match=r"per s²?; got|per s² in .*² per|per s²"):
-            adapter.validate_python(data | {"acceleration": f"{text}/s"})
+            read(data | {"acceleration": f"{text}/s"})
 
 
 @mark.parametrize(
@@ -264,26 +252,19 @@ def test_units_are_converted_to_the_nearest_float(kind, text, si):
     ],
 )
 def test_wrong_quantities_say_what_would_be_right(kind, value, message):
-    with raises(ValidationError) as caught:
+    with raises(ValidationError, match=re.escape(message)):
         TypeAdapter(kind).validate_python(value)
-    assert message in caught.value.errors()[0]["msg"]
 
 
 def test_vectors():
-    vec3 = TypeAdapter(Vec3)
-    unit = TypeAdapter(UnitVec3)
-    assert vec3.validate_python([0, "50 mm", 1.0]) == (0.0, 0.05, 1.0)
-    loaded = unit.validate_python([0.4, 0.3, -0.87])
+    vec3, unit = (TypeAdapter(kind).validate_python for kind in (Vec3, UnitVec3))
+    assert vec3([0, "50 mm", 1.0]) == (0.0, 0.05, 1.0)
+    loaded = unit([0.4, 0.3, -0.87])
     assert math.hypot(*loaded) == approx(1.0, abs=4e-16)
     assert np.cross(loaded, [0.4, 0.3, -0.87]) == approx(np.zeros(3), abs=1e-16)
-    for adapter, bad in ((vec3, [1, 2]), (vec3, "abc"), (vec3, [1, 2, "3 N"]), (unit, [0, 0, 0])):
+    for read, bad in ((vec3, [1, 2]), (vec3, "abc"), (vec3, [1, 2, "3 N"]), (unit, [0, 0, 0])):
         with raises(ValidationError, match="expected"):
-            adapter.validate_python(bad)
-
-
-def test_normalising_twice_changes_no_bit():
-    unit = TypeAdapter(UnitVec3)
-    rng = np.random.default_rng(0)
-    for vector in rng.normal(size=(2000, 3)).tolist():
-        once = unit.validate_python(vector)
-        assert unit.validate_python(once) == once
+            read(bad)
+    for vector in np.random.default_rng(0).normal(size=(2000, 3)).tolist():
+        once = unit(vector)
+        assert unit(once) == once, "normalised twice: no bit changes"

@@ -9,13 +9,13 @@ import shlex
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pyarrow
-from command_line import done
+from command_line import answered, read_json
 from complaints import invalid_input
 from numpy.testing import assert_allclose
+from processes import wait_until
 from pyarrow import parquet
 from pytest import approx, mark, param, raises
 from scenario_runs import verdict_of
@@ -273,12 +273,9 @@ def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path
     program = "from osc_contact.cli import app; app()"
     line = f"sweep two_contact_rod --samples 8 --duration 1.02 --workers 1 --out {tmp_path} --vary"
     rows = tmp_path / ROWS
-    with subprocess.Popen(
-        [sys.executable, "-c", program, *line.split(), MASSES], stdout=subprocess.DEVNULL
-    ) as process:
-        while not (rows.exists() and rows.read_bytes().count(b"\n") > 3):
-            assert process.poll() is None
-            time.sleep(0.02)
+    command = [sys.executable, "-c", program, *line.split(), MASSES]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        wait_until(lambda: rows.exists() and rows.read_bytes().count(b"\n") > 3, process=process)
         process.kill()
     kept = rows.read_bytes()
     count = kept.count(b"\n") - 1
@@ -292,15 +289,11 @@ def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path
 
 
 def test_command_tells_what_became_of_the_runs(tmp_path):
-    json_file = tmp_path / "summary.json"
     tilt = "model_error.face_tilt=uniform(0 deg, 2 deg)"  # no doubts before a run, as of masses
-    printed = done(
-        f"sweep two_contact_rod --vary '{tilt}' --samples 6 --duration 1.02 --workers 1",
-        *("--out", tmp_path / "out", "--json", json_file),
-    )
+    line = f"sweep two_contact_rod --vary '{tilt}' --samples 6 --duration 1.02 --workers 1 --out"
+    printed, summary = answered(line, tmp_path)
     assert "6 runs, 100.0% without a failed task: 6 OK" in printed.output
-    summary = json.loads(json_file.read_text())
-    table = parquet.read_table(tmp_path / "out" / TABLE).to_pydict()
+    table = parquet.read_table(tmp_path / TABLE).to_pydict()
     name = "force.left_end.rms_error_rel"
     assert summary["quantiles"][name]["50 %"] == approx(np.median(table[name]))
     column = "model_error.face_tilt [deg]"
@@ -318,7 +311,7 @@ def test_report_shows_everything_in_one_page(tmp_path):
     summary = write_report(table, study, tmp_path)
     failed = table.column("failed").to_pylist()
     assert summary["success_rate"] == approx(1 - sum(failed) / 5) and 0 < sum(failed) < 5
-    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    assert summary == read_json(tmp_path / "summary.json")
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 2
     assert "://" not in page and set(re.findall('src="(.{5})', page)) == {"data:"}

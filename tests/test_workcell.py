@@ -1,8 +1,7 @@
 """Everything on: what the workcell promises, in runs short enough for a test."""
 
-import json
-
 import numpy as np
+from command_line import read_json
 from complaints import invalid_input
 from numpy.testing import assert_allclose
 from pytest import fixture
@@ -76,6 +75,6 @@ def test_the_study_tells_and_draws_what_a_part_costs(tmp_path, monkeypatch):
     stage = "joints, no torque loop"
     monkeypatch.setattr(workcell, "STAGES", {stage: STAGES[stage]})
     study, written = write_study("workcell", tmp_path, Ask(duration=1.2))
-    told = json.loads((tmp_path / "workcell.json").read_text())[stage]
+    told = read_json(tmp_path / "workcell.json")[stage]
     assert told["force_rms_rel"] is None or told["force_rms_rel"] > 0.25
     assert all(path.is_file() for path in written) and study.table.row_count == 1
