@@ -10,7 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark, raises
 from rigs import largest, refused, shift
-from urdf_numbers import element, written_inertia
+from robot_numbers import element, written_inertia
 
 from osc_contact import robots
 from osc_contact.dynamics.arm import Arm

@@ -1,12 +1,12 @@
 """Rotor inertia and friction of the joints: in the model, in the law, in both plants."""
 
-import mujoco
 import numpy as np
 from complaints import model_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
 from rigs import ROD, one_panda, placed, random_state
-from scenario_runs import worst_force
+from robot_numbers import mass_matrix
+from scenario_runs import rig_of, verdict_of, worst_force
 
 import osc_contact as osc
 from osc_contact import robots
@@ -59,16 +59,16 @@ def test_friction_damping_and_armature_are_shown_wherever_a_robot_is():
 
 
 def test_rotors_behind_gears_count_with_the_square_of_the_ratio():
-    urdf, _ = robots.find_robot("panda")
-    model = robots.load_model(urdf)
+    def armature():
+        arm = osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp")
+        return osc.ClosedChain([arm]).model.armature
+
+    model = robots.load_model(robots.find_robot("panda")[0])
     model.rotorInertia = np.full(model.nv, 2e-5)
     model.rotorGearRatio = np.arange(model.nv) * 10.0
-    arm = osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp")
-    chain = osc.ClosedChain([arm])
-    assert_allclose(chain.model.armature, 2e-5 * (np.arange(7) * 10.0) ** 2)
+    assert_allclose(armature(), 2e-5 * (np.arange(7) * 10.0) ** 2)
     model.armature = np.full(model.nv, 0.3)  # it says what is felt at the joint
-    chain = osc.ClosedChain([osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp")])
-    assert_array_equal(chain.model.armature, 0.3)
+    assert_array_equal(armature(), 0.3)
 
 
 def test_a_transmission_tells_rotor_and_gear(tmp_path):
@@ -116,17 +116,11 @@ def test_the_switch_leaves_friction_out():
 # --- plants ---------------------------------------------------------------------------------------
 
 
-def rig_of(*overrides, name="ur5_wipe"):
-    return osc.build_rig(osc.load_scenario(name, list(overrides)))
-
-
 def test_mujocos_mass_matrix_is_that_of_chain_and_object():
-    rig = rig_of("arms.ur5.armature=[1, 2, 3, 4, 5, 6]")
+    rig = rig_of("ur5_wipe", "arms.ur5.armature=[1, 2, 3, 4, 5, 6]")
     plant = rig.plant()
     state = rig.state()
-    M = np.zeros((plant.model.nv, plant.model.nv))
-    for row, unit in zip(M, np.eye(len(M)), strict=True):
-        mujoco.mj_mulM(plant.model, plant.data, row, unit)
+    M = mass_matrix(plant.model, plant.data)
     J = state.arms[0].J
     ours = state.M + J.T @ state.payload.Lambda @ J
     assert_allclose(M[np.ix_(plant._v, plant._v)], ours, atol=1e-6)
@@ -135,20 +129,13 @@ def test_mujocos_mass_matrix_is_that_of_chain_and_object():
 @mark.parametrize("plant", ["mujoco", "rigid"])
 def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
     """Speed lost in 5 ms: (F + D v)/(M⁻¹)⁻¹ of the joint, others free, no gravity to speak of."""
-    keys = [
-        f"plant.type={plant}",
-        "contacts=[]",
-        "environment=[]",
-        "force={}",
-        "motion=[]",
-        "control.rate=1 kHz",
-    ]
+    bare = (*(f"{key}=[]" for key in ("contacts", "environment", "motion")), "force={}")
+    rubs = (
+        f"arms.ur5.{key}=[0, 0, 0, 0, 0, {x}]" for key, x in (("friction", 0.3), ("damping", 0.2))
+    )
     lost = []
-    for extra in (
-        [],
-        ["arms.ur5.friction=[0, 0, 0, 0, 0, 0.3]", "arms.ur5.damping=[0, 0, 0, 0, 0, 0.2]"],
-    ):
-        rig = rig_of(*keys, *extra)
+    for extra in ((), rubs):
+        rig = rig_of("ur5_wipe", f"plant.type={plant}", "control.rate=1 kHz", *bare, *extra)
         world = rig.plant()
         v = np.zeros(6)
         v[5] = 0.5
@@ -159,30 +146,27 @@ def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
         world.command(np.zeros(6), 5e-3)
         lost.append(world.measure().v[5])
     state = rig.state()
-    M = np.array(state.M)
-    M += state.arms[0].J.T @ state.payload.Lambda @ state.arms[0].J
-    rate = np.linalg.inv(M)[5, 5]
+    J = state.arms[0].J
+    rate = np.linalg.inv(state.M + J.T @ state.payload.Lambda @ J)[5, 5]
     assert lost[0] - lost[1] == approx(rate * (0.3 + 0.2 * 0.5) * 5e-3, rel=0.05)
 
 
 def test_known_friction_is_made_up_for():
     """0.5 % of the effort limits: known at least five times as good as unknown."""
     friction = "arms.ur5.friction=[0.75, 0.75, 0.75, 0.14, 0.14, 0.14]"
-    worst = []
-    for extra in ([], ["control.joint_friction=false"]):
-        verdict = osc.metrics(
-            osc.run(osc.load_scenario("ur5_wipe", [friction, *extra]), duration=3.0)
-        )
-        worst.append(worst_force(verdict))
-    assert worst[0] < 0.03 and worst[1] > 0.1
+    known, unknown = (
+        worst_force(verdict_of("ur5_wipe", friction, f"control.joint_friction={on}", duration=3.0))
+        for on in ("true", "false")
+    )
+    assert known < 0.03 and unknown > 0.1
 
 
 def test_joints_with_springs_have_their_rotors_in_the_springs():
     with scenario_error("motor_inertia"):
         rig_of(
+            "two_contact_rod",
             *(f"arms.{side}.armature=0.1" for side in ("left", "right")),
             "plant.flexible_joints={frequency: 5 Hz}",
-            name="two_contact_rod",
         ).plant()
 
 
@@ -199,22 +183,21 @@ def test_the_constructor_judges_rotors_too():
 def test_inspect_names_what_limits_compensation_of_friction():
     """D/m > K = 100/s where the rotor is missing; the least rotor leaves m g/(1 + g) in all."""
     learning = "control.joint_friction.learning=true"
-    rig = rig_of(learning, "arms.ur5.armature=0.3", "arms.ur5.damping=2")
+    rig = rig_of("ur5_wipe", learning, "arms.ur5.armature=0.3", "arms.ur5.damping=2")
     lines = inspect_rig(rig).lines
     (least,) = (line for line in lines if "observer unstable" in line)
     M = rig.model.state(rig.q_contact, np.zeros(6)).M
-    for name, m in zip(
-        rig.model.arms[0].model.names[1:], 1.0 / np.diag(np.linalg.inv(M)), strict=True
-    ):
+    felt = 1.0 / np.diag(np.linalg.inv(M))
+    for name, m in zip(rig.model.arms[0].model.names[1:], felt, strict=True):
         needed = 0.3 - m + m * 0.7 / 1.7
         assert (f"{needed:.2g} ({name}, 0.3 in the model)" in least) == (needed > 0.0)
     assert not any("damping over inertia" in line for line in lines)
-    lines = inspect_rig(rig_of("arms.ur5.damping=2")).lines
+    lines = inspect_rig(rig_of("ur5_wipe", "arms.ur5.damping=2")).lines
     (fast,) = (line for line in lines if "damping over inertia" in line)
     assert "118 1/s (wrist_3_joint)" in fast and not any("unstable" in line for line in lines)
 
 
 def test_rotors_believed_wrongly_are_in_the_model_alone():
-    rig = rig_of("arms.ur5.armature=0.5", "model_error.armature=0.6")
+    rig = rig_of("ur5_wipe", "arms.ur5.armature=0.5", "model_error.armature=0.6")
     assert_allclose(rig.chain.model.armature, 0.5)
     assert_allclose(rig.model.model.armature, 0.3)

@@ -15,7 +15,8 @@ from osc_contact import robots
 from osc_contact.errors import ModelError
 from osc_contact.robots import JointLimits, loading
 
-ARMS = (
+SOUND = (
+    # arms, and upper bodies with arms
     "TwoDofs",
     "alex_nub_hands",
     "alex_sake_hands",
@@ -40,9 +41,7 @@ ARMS = (
     "ur5_joint_limited",
     "xarm",
     "z1",
-)
-"""Arms, and upper bodies with arms, that load as they are."""
-OTHERS = (
+    # legged and flying robots
     "a1",
     "alexander_v1.lowerBodyOnly",
     "g1_29dof_rev_1_0",
@@ -63,7 +62,7 @@ OTHERS = (
     "talos_reduced_box",
     "talos_reduced_corrected",
 )
-"""Legged and flying robots that load as they are."""
+"""They load as they are."""
 MOTOR = JointLimits(effort=5.0, velocity=5.0)
 SWING = JointLimits(-math.inf, math.inf, 5.0, 5.0)
 POSITIVE = ("inertia", {"inertias": "positive"})
@@ -102,7 +101,7 @@ REFUSED = {
 
 
 def test_every_robot_of_the_data_package_has_a_verdict():
-    names = (*ARMS, *OTHERS, *HELPED, *REFUSED)
+    names = (*SOUND, *HELPED, *REFUSED)
     files = [robots.find_robot(name)[0] for name in names]
     assert len(set(files)) == len(files)
     assert set(files) == set(loading._robot_data_root().glob("*/*/*.urdf"))
@@ -113,17 +112,14 @@ def test_the_page_on_robots_has_these_verdicts():
     told = re.search(
         r"Of its (\d+) files (\d+) load unchanged.*?(\d+) need.*?(\d+) are", page, re.S
     )
-    assert told is not None
-    loading = len(ARMS) + len(OTHERS)
-    helped = len(HELPED)
-    refused = len(REFUSED)
-    assert [int(n) for n in told.groups()] == [loading + helped + refused, loading, helped, refused]
+    counts = [len(group) for group in (SOUND, HELPED, REFUSED)]
+    assert [int(n) for n in told.groups()] == [sum(counts), *counts]
     table = page.split("| robots | what is wrong")[1]
     for name in (*HELPED, *REFUSED):
         assert f"`{name.rpartition('/')[2]}`" in table, name
 
 
-@mark.parametrize("name", (*ARMS, *OTHERS))
+@mark.parametrize("name", SOUND)
 def test_sound_robot_loads_and_both_readers_agree(name):
     file, package_dir = robots.find_robot(name)
     model = robots.load_model(file, package_dirs=[package_dir])
@@ -177,22 +173,21 @@ def test_continuous_joint_is_a_revolute_joint_without_end_stops(name, seed):
     rng = np.random.default_rng(seed)
     q = rng.uniform(-9, 9, ours.nq)
     v, a = rng.normal(size=(2, ours.nv))
-    x = pin.neutral(theirs)
-    for joint, other in zip(list(ours.joints)[1:], list(theirs.joints)[1:], strict=True):
-        endless = other.nq == 2
-        angle = q[joint.idx_q]
-        wrapped = (math.cos(angle), math.sin(angle)) if endless else angle
-        x[other.idx_q : other.idx_q + other.nq] = wrapped
-        limits = ours.lowerPositionLimit[joint.idx_q], ours.upperPositionLimit[joint.idx_q]
-        assert np.isinf(limits).tolist() == [endless] * 2
-    d = ours.createData()
-    e = theirs.createData()
-    tau = pin.rnea(ours, d, q, v, a)
-    assert_allclose(tau, pin.rnea(theirs, e, x, v, a), atol=1e-10)
-    pin.framesForwardKinematics(ours, d, q)
-    pin.framesForwardKinematics(theirs, e, x)
-    for i in range(ours.nframes):
-        assert_allclose(d.oMf[i].homogeneous, e.oMf[i].homogeneous, atol=1e-13)
+    x = []
+    for angle, other in zip(q, list(theirs.joints)[1:], strict=True):
+        x += [math.cos(angle), math.sin(angle)] if other.nq == 2 else [angle]
+    endless = [joint.nq == 2 for joint in list(theirs.joints)[1:]]
+    for limit in (ours.lowerPositionLimit, ours.upperPositionLimit):
+        assert np.isinf(limit).tolist() == endless
+    found = []
+    for model, at in ((ours, q), (theirs, np.array(x))):
+        data = model.createData()
+        tau = pin.rnea(model, data, at, v, a)
+        pin.framesForwardKinematics(model, data, at)
+        found.append((tau, [X.homogeneous for X in data.oMf]))
+    (tau, poses), (their_tau, their_poses) = found
+    assert_allclose(tau, their_tau, atol=1e-10)
+    assert_allclose(poses, their_poses, atol=1e-13)
 
 
 def test_an_arm_with_continuous_joints_makes_a_chain_any_number_of_turns_round():
@@ -211,9 +206,8 @@ def test_ready_models_are_judged_too():
     with model_error(r"j2s6s200_joint_1.*nq = 2 but nv = 1; load the URDF by"):
         osc.Arm.from_urdf(wrapped, name="k", tip="j2s6s200_end_effector")
     panda = robots.load_model(robots.find_robot("panda")[0])
-    bodies = list(panda.inertias)
-    for i in range(1, panda.njoints):
-        panda.inertias[i] = pin.Inertia.Zero() if i >= 7 else bodies[i]
+    for i in range(7, panda.njoints):
+        panda.inertias[i] = pin.Inertia.Zero()
     with model_error("panda_joint7 can move without moving mass"):
         osc.Arm.from_urdf(panda, name="p", tip="panda_hand_tcp")
 
@@ -236,9 +230,8 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path):
     inside = tmp_path / "robot"
     outside = tmp_path / "secret"
-    inside.mkdir()
-    outside.mkdir()
     for folder in (inside, outside):
+        folder.mkdir()
         (folder / "m.obj").write_text(TRIANGLE)
     kind = pin.GeometryType.VISUAL
     _, geometry, _ = robots.load_geometry(mesh_robot(inside, "m.obj"), kind)
@@ -252,12 +245,8 @@ def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path):
         robots.load_geometry(mesh_robot(inside, "link.obj"), kind)
     with model_error("the mesh is not there; looked for"):
         robots.load_geometry(mesh_robot(inside, "package://robot/m.obj"), kind)
-    assert (
-        robots.load_geometry(mesh_robot(inside, "package://robot/m.obj"), kind, [tmp_path])[
-            1
-        ].ngeoms
-        == 1
-    )
+    packaged = mesh_robot(inside, "package://robot/m.obj")
+    assert robots.load_geometry(packaged, kind, [tmp_path])[1].ngeoms == 1
 
 
 @mark.parametrize("texture", ["/etc/hostname", "file:///etc/hostname", "../../secret.png"])

@@ -2,12 +2,13 @@
 
 import math
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose
 from pytest import approx, mark
-from urdf_numbers import element, numbers, placement, written_inertia
+from robot_numbers import element, mass_matrix, numbers, placement, written_inertia
 
 from osc_contact import robots
 from osc_contact.robots import loading
@@ -28,28 +29,29 @@ MASSES = {
 MIRROR = np.diag([1.0, -1.0, 1.0])
 
 
-def solid(geometry):
+def solid(shape):
     """Inertia of a primitive of density 1."""
-    shape = geometry[0]
+    size, radius, length = (numbers(shape.get(key)) for key in ("size", "radius", "length"))
     if shape.tag == "box":
-        size = numbers(shape.get("size"))
-        return pin.Inertia.FromBox(float(size.prod()), *size)
-    radius = float(shape.get("radius", "nan"))
+        return pin.Inertia.FromBox(size.prod(), *size)
     if shape.tag == "cylinder":
-        length = float(shape.get("length", "nan"))
-        return pin.Inertia.FromCylinder(np.pi * radius**2 * length, radius, length)
+        return pin.Inertia.FromCylinder(*(np.pi * radius**2 * length), *radius, *length)
     assert shape.tag == "sphere"
-    return pin.Inertia.FromSphere(4 / 3 * np.pi * radius**3, radius)
+    return pin.Inertia.FromSphere(*(4 / 3 * np.pi * radius**3), *radius)
 
 
 def solids_inertia(link, mass):
     """Inertia of the visual solids at uniform density, scaled to ``mass``."""
     total = pin.Inertia.Zero()
     for visual in link.findall("visual"):
-        geometry = visual.find("geometry")
-        assert geometry is not None
-        total += placement(visual).act(solid(geometry))
+        total += placement(visual).act(solid(visual.find("geometry")[0]))
     return pin.Inertia(mass, total.lever, total.inertia * (mass / total.mass))
+
+
+def limits(model):
+    """Of effort, speed, and the lower and upper ones of position."""
+    position = model.lowerPositionLimit, model.upperPositionLimit
+    return [x.tolist() for x in (model.effortLimit, model.velocityLimit, *position)]
 
 
 # The packaged arms ------------------------------------------------------------------------------
@@ -61,10 +63,12 @@ def test_scara_has_the_announced_joints_and_limits(name):
     assert list(model.names)[1:] == JOINTS
     kinds = [joint.shortname()[-2:] for joint in model.joints[1:]]
     assert kinds == ["RZ", "RZ", "ed", "RZ", "RY"], "the third is prismatic, unaligned: downwards"
-    assert np.array_equal(model.effortLimit, [60, 35, 200, 10, 1])
-    assert np.array_equal(model.velocityLimit, [3, 4, 1, 8, 10])
-    assert np.array_equal(model.lowerPositionLimit, [-2.9, -2.7, 0, -3.1, -1.2])
-    assert np.array_equal(model.upperPositionLimit, [2.9, 2.7, 0.26, 3.1, 1.2])
+    assert limits(model) == [
+        [60, 35, 200, 10, 1],
+        [3, 4, 1, 8, 10],
+        [-2.9, -2.7, 0, -3.1, -1.2],
+        [2.9, 2.7, 0.26, 3.1, 1.2],
+    ]
     assert not model.upperDryFrictionLimit.any() and not model.damping.any()
 
 
@@ -114,8 +118,6 @@ def test_a_second_reader_places_every_link_alike(name):
 
 @mark.parametrize("name", ARMS + BODIES)
 def test_mujoco_compiles_the_file_and_agrees_on_masses(name):
-    import mujoco
-
     spec = mujoco.MjSpec.from_file(str(robots.urdf_path(name)))
     spec.compiler.fusestatic = False
     spec.compiler.discardvisual = False
@@ -136,19 +138,9 @@ def test_mujoco_compiles_the_file_and_agrees_on_masses(name):
         data.qpos[:] = random.uniform(model.lowerPositionLimit, model.upperPositionLimit)
         mujoco.mj_forward(compiled, data)
         M = pin.crba(model, ours, data.qpos.copy())
-        theirs = np.column_stack([inertia_column(compiled, data, unit) for unit in np.eye(5)])
-        assert_allclose(theirs, M, rtol=1e-6, atol=1e-9)
-        assert_allclose(
-            data.qfrc_bias, pin.computeGeneralizedGravity(model, ours, data.qpos.copy()), atol=1e-9
-        )
-
-
-def inertia_column(compiled, data, unit):
-    import mujoco
-
-    column = np.zeros(unit.size)
-    mujoco.mj_mulM(compiled, data, column, unit)
-    return column
+        assert_allclose(mass_matrix(compiled, data), M, rtol=1e-6, atol=1e-9)
+        weight = pin.computeGeneralizedGravity(model, ours, data.qpos.copy())
+        assert_allclose(data.qfrc_bias, weight, atol=1e-9)
 
 
 # Where files are found --------------------------------------------------------------------------
@@ -165,10 +157,10 @@ def test_urdf_path_knows_the_packaged_files():
 
 def test_urdf_path_finds_the_folder_of_an_installed_package(monkeypatch, tmp_path):
     monkeypatch.setattr(loading, "_PACKAGE", tmp_path.resolve() / "osc_contact")
-    for folder in ("urdf", "osc_contact/urdf"):
-        (tmp_path / folder).mkdir(parents=True)
-        (tmp_path / folder / "rod.urdf").touch()
-        assert robots.urdf_path("rod") == tmp_path.resolve() / folder / "rod.urdf"
+    for folder in (tmp_path / "urdf", tmp_path / "osc_contact/urdf"):
+        folder.mkdir(parents=True)
+        (folder / "rod.urdf").touch()
+        assert robots.urdf_path("rod") == folder.resolve() / "rod.urdf"
 
 
 def test_robot_names_that_are_unknown_or_ambiguous_are_refused():
@@ -182,9 +174,7 @@ def test_robot_names_that_are_unknown_or_ambiguous_are_refused():
 
 
 def test_missing_robot_data_says_what_to_install(monkeypatch, tmp_path):
-    monkeypatch.setattr(
-        loading.pin, "__file__", str(tmp_path / "lib/py/site/pinocchio/__init__.py")
-    )
+    monkeypatch.setattr(loading.pin, "__file__", f"{tmp_path}/lib/py/site/pinocchio/__init__.py")
     monkeypatch.setattr(loading, "ROBOT_DATA", "no-such-robot-data")
     with model_error("pip install no-such-robot-data"):
         robots.find_robot("panda")
@@ -212,54 +202,49 @@ def test_frame_id_is_checked():
 
 
 def test_frame_id_prefers_the_body_over_a_joint_of_the_same_name(tmp_path):
-    model = robots.load_model(write(tmp_path, joint='name="tip"', links={"tip": BALL}))
+    model = robots.load_model(write(tmp_path, joint="tip"))
     assert model.frames[robots.frame_id(model, "tip")].type == pin.FrameType.BODY
 
 
 # Files that are refused -------------------------------------------------------------------------
 
 
-def inertial(mass, ixx, iyy, izz, ixy="0"):
-    return (
-        f'<inertial><mass value="{mass}"/><inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" '
-        f'ixy="{ixy}" ixz="0" iyz="0"/></inertial>'
-    )
+def inertial(mass, ixx, iyy, izz):
+    moments = f'ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"'
+    return f'<inertial><mass value="{mass}"/><inertia {moments}/></inertial>'
 
 
-BALL = inertial("1", "0.1", "0.1", "0.1")
+BALL = inertial(1, 0.1, 0.1, 0.1)
 LIMIT = '<limit lower="-1" upper="1" effort="2" velocity="3"/>'
 
 
-def write(folder, *, joint='name="turn"', kind="revolute", axis="0 0 1", limit=LIMIT, links=None):
-    """A chain base → link → … of joints of one kind, as a file."""
-    bodies = {"tip": BALL} if links is None else links
+def write(folder, *changes, limit=LIMIT, joint="turn", kind="revolute", **links):
+    """A chain base → link → … of joints of one kind, as a file; changes (old, new) of its text."""
     text = '<robot name="toy"><link name="base"/>'
     parent = "base"
-    for i, (name, content) in enumerate(bodies.items()):
-        label = joint if i == 0 else f'name="next{i}"'
+    for i, (name, content) in enumerate((links or {"tip": BALL}).items()):
+        label = f"next{i}" if i else joint
         text += (
-            f'<link name="{name}">{content}</link><joint {label} type="{kind}">'
+            f'<link name="{name}">{content}</link><joint name="{label}" type="{kind}">'
             f'<parent link="{parent}"/><child link="{name}"/><origin xyz="0.1 0 0"/>'
-            f'<axis xyz="{axis}"/>{limit}</joint>'
+            f'<axis xyz="0 0 1"/>{limit}</joint>'
         )
         parent = name
+    for old, new in changes:
+        text = text.replace(old, new)
     file = folder / "toy.urdf"
     file.write_text(text + "</robot>")
     return file
 
 
 def test_thin_rods_and_massless_markers_are_accepted(tmp_path):
-    marker = inertial("0", "0", "0", "0")
-    thin = inertial("1", "0", "0.1", "0.1")
-    file = write(tmp_path, links={"marker": marker, "tip": thin})
-    text = file.read_text().replace('name="turn" type="revolute"', 'name="turn" type="fixed"')
-    file.write_text(text)
-    assert robots.load_model(file).nv == 1
+    bodies = {"marker": inertial(0, 0, 0, 0), "tip": inertial(1, 0, 0.1, 0.1)}
+    fixed = ('name="turn" type="revolute"', 'name="turn" type="fixed"')
+    assert robots.load_model(write(tmp_path, fixed, **bodies)).nv == 1
 
 
 def test_parallel_joints_with_one_mass_between_them_are_named(tmp_path):
-    file = write(tmp_path, links={"empty": "", "tip": BALL})
-    file.write_text(file.read_text().replace('<origin xyz="0.1 0 0"/>', ""))
+    file = write(tmp_path, ('<origin xyz="0.1 0 0"/>', ""), empty="", tip=BALL)
     with model_error("joint turn, next1 can move without moving mass"):
         robots.load_model(file)
 
@@ -275,9 +260,9 @@ def test_load_body_wants_one_rigid_link(tmp_path):
     with model_error("these joints move: turn"):
         robots.load_body(write(tmp_path))
     with model_error(r"found 2 \(tip, end\)"):
-        robots.load_body(write(tmp_path, kind="fixed", links={"tip": BALL, "end": BALL}))
+        robots.load_body(write(tmp_path, kind="fixed", tip=BALL, end=BALL))
     with model_error(r"found 0 \(none\)"):
-        robots.load_body(write(tmp_path, kind="fixed", links={"tip": ""}))
+        robots.load_body(write(tmp_path, kind="fixed", tip=""))
     inertia = robots.load_body(write(tmp_path, kind="fixed"))
     assert_allclose(inertia.lever, [0.1, 0, 0])
 
@@ -297,16 +282,13 @@ def test_cross_check_reports_where_two_readers_differ(tmp_path, monkeypatch):
 
 
 def test_limits_given_by_hand_stand_in_for_missing_ones(tmp_path):
-    file = write(tmp_path, limit="", links={"tip": BALL, "end": BALL})
+    file = write(tmp_path, limit="", tip=BALL, end=BALL)
     with model_error(r"joint 'turn': has no <limit>.*JointLimits"):
         robots.load_model(file)
     given = robots.JointLimits(lower=-1.5, upper=2.5, effort=7, velocity=3)
     free = robots.JointLimits(-math.inf, math.inf, 4, 5)
     model = robots.load_model(file, limits={"next*": free, "turn": given})
-    assert np.array_equal(model.lowerPositionLimit, [-1.5, -math.inf])
-    assert np.array_equal(model.upperPositionLimit, [2.5, math.inf])
-    assert np.array_equal(model.effortLimit, [7, 4])
-    assert np.array_equal(model.velocityLimit, [3, 5])
+    assert limits(model) == [[7, 4], [3, 5], [-1.5, -math.inf], [2.5, math.inf]]
     with invalid_input(r"no moving joint matches 'trun'. Did you mean turn"):
         robots.load_model(file, limits={"trun": given})
 
@@ -337,19 +319,18 @@ def test_impossible_limits_cannot_be_given(wrong):
 
 
 def test_positive_is_content_with_moving_bodies_that_have_energy(tmp_path):
-    slip = inertial("0.1", "1e-3", "1e-3", "-1e-3")  # a link no body can be, fixed to a good one
-    file = write(tmp_path, links={"tip": BALL, "flag": slip})
-    fixed = 'name="next0" type="fixed"'
-    file.write_text(file.read_text().replace('name="next1" type="revolute"', fixed))
+    slip = inertial(0.1, 1e-3, 1e-3, -1e-3)  # a link no body can be, fixed to a good one
+    fixed = ('name="next1" type="revolute"', 'name="next0" type="fixed"')
+    file = write(tmp_path, fixed, tip=BALL, flag=slip)
     with model_error("link 'flag' <inertia>: the inertia is not positive"):
         robots.load_model(file)
     assert robots.load_model(file, inertias="positive").nv == 1
-    alone = write(tmp_path, links={"tip": slip.replace('"-1e-3"', '"-9e-3"')})
+    alone = write(tmp_path, tip=inertial(0.1, 1e-3, 1e-3, -9e-3))
     with model_error(r"joint 'turn': the body that it moves .* negative"):
         robots.load_model(alone, inertias="positive")
-    flat = write(tmp_path, links={"tip": inertial("1", "0.1", "0.1", "0.3")})
+    flat = write(tmp_path, tip=inertial(1, 0.1, 0.1, 0.3))
     assert robots.load_model(flat, inertias="positive").nv == 1
-    heavy = write(tmp_path, links={"tip": inertial("-1", "0.1", "0.1", "0.1")})
+    heavy = write(tmp_path, tip=inertial(-1, 0.1, 0.1, 0.1))
     with model_error("mass -1 kg is negative"):
         robots.load_model(heavy, inertias="positive")
     with invalid_input("there is: possible, positive"):
@@ -362,12 +343,11 @@ def test_positive_is_content_with_moving_bodies_that_have_energy(tmp_path):
 def test_the_verdict_on_the_mass_matrix_does_not_depend_on_units(tmp_path, length, mass, rotor):
     """A slide, a turn and a slim rod about its own axis: an inertia of 1e-15 kg m² is rounding."""
     moment = mass * length**2
-    rod = inertial(repr(mass), repr(0.1 * moment), repr(0.1 * moment), repr(rotor * moment))
-    slim = rod.replace("<inertial>", f'<inertial><origin xyz="0 0 {0.5 * length!r}"/>')
-    file = write(tmp_path, links={"car": rod, "arm": rod, "rod": slim})
-    text = file.read_text().replace('xyz="0.1 0 0"', f'xyz="{0.3 * length!r} 0 0"')
-    text = text.replace('name="turn" type="revolute"', 'name="turn" type="prismatic"')
-    file.write_text(text)
+    rod = inertial(mass, 0.1 * moment, 0.1 * moment, rotor * moment)
+    slim = rod.replace("<inertial>", f'<inertial><origin xyz="0 0 {0.5 * length}"/>')
+    scaled = ('xyz="0.1 0 0"', f'xyz="{0.3 * length} 0 0"')
+    sliding = ('name="turn" type="revolute"', 'name="turn" type="prismatic"')
+    file = write(tmp_path, scaled, sliding, car=rod, arm=rod, rod=slim)
     if rotor == 1e-9:
         assert robots.load_model(file).nv == 3
     else:

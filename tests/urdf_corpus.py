@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 GOOD = """\
-<?xml version="1.0" ?>
+<?xml version="1.0" encoding="utf-8"?>
 <robot name="sound">
   <link name="base"/>
   <link name="column">

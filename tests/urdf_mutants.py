@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from robot_numbers import numbers, placement, written_inertia
 from urdf_corpus import GOOD
-from urdf_numbers import numbers, placement, written_inertia
 
 from osc_contact import robots
 from osc_contact.errors import ModelError
