@@ -262,12 +262,11 @@ class Simulation(simulator.MujocoSimulator):
         share = model.body_invweight0[self.hand][0]  # 1/kg, as MuJoCo weighs the contact
         damping = 2.0 * DAMPING * np.sqrt(2.0 * stiffness / share)
         half = 0.5  # impedance: reference values are then twice those of solref
-        pair = model.pair(0)
-        pair.dim[:] = 3 if friction else 1
-        pair.friction[:2] = friction
-        pair.solimp[:2] = half
-        pair.solref[:] = -half * share * np.array([stiffness, damping])
-        pair.solreffriction[:] = -1e-9, -half * STICKING
+        model.pair_dim[:] = 3 if friction else 1
+        model.pair_friction[:, :2] = friction
+        model.pair_solimp[:, :2] = half
+        model.pair_solref[:] = -half * share * np.array([stiffness, damping])
+        model.pair_solreffriction[:] = -1e-9, -half * STICKING
 
     def _step(self):
         self.pushed = np.array([*self.nudge, 0.0, 0.0, 0.0])

@@ -71,15 +71,14 @@ def test_a_cut_file_loses_the_chunk_of_the_cut(tmp_path):
 
 def test_flipped_bits_cost_their_chunk_and_are_told(tmp_path):
     path = tmp_path / "run.mcap"
-    journal = written(path)
-    journal.close()
+    written(path).close()
     whole = path.read_bytes()
     rng = random.Random(1)
     told = 0
     for _ in range(100):
         damaged = bytearray(whole)
         damaged[rng.randrange(len(whole))] ^= 1 << rng.randrange(8)
-        path.write_bytes(bytes(damaged))
+        path.write_bytes(damaged)
         try:
             _, count, missing = read(path)
         except RecordingError as error:  # its first bytes

@@ -1,7 +1,6 @@
 """The verdict in a word: overshoot, lost contacts, motions that run away, exit codes."""
 
 import json
-from typing import Any
 
 import numpy as np
 from command_line import call, done, read_json
@@ -19,10 +18,10 @@ RATE = 1000
 TICKS = 3000
 
 
-def made(meta=None, **channels):
+def made(meta=(), **channels):
     """A recording of one contact that follows its command, but for what is given."""
     ones = np.ones((TICKS, 1))
-    plain: dict[str, Any] = {
+    plain = {
         "t": np.arange(TICKS) / RATE,
         "alpha_cmd": 10 * ones,
         "alpha_true": 10 * ones,
@@ -49,7 +48,11 @@ def made(meta=None, **channels):
         "end_state": "RUN",
         "end_reason": "",
     }
-    return Recording({**about, **(meta or {})}, {**plain, **channels})
+    return Recording(about | dict(meta), plain | channels)
+
+
+def rows_of(verdict):
+    return [str(cell) for column in verdict_table(verdict).columns for cell in column.cells]
 
 
 def changed(name, start, stop, value):
@@ -60,7 +63,7 @@ def changed(name, start, stop, value):
 
 
 def test_a_step_is_told_with_its_overshoot_and_the_first_contact_too():
-    command, truth = (np.full((TICKS, 1), 10.0) for _ in range(2))
+    command, truth = np.full((2, TICKS, 1), 10.0)
     command[2000:] = truth[2000:] = 4.0
     truth[:40] = 0.0
     truth[40:90] = 13.0
@@ -71,15 +74,16 @@ def test_a_step_is_told_with_its_overshoot_and_the_first_contact_too():
         made({"force_steps_s": [2.0]}, alpha_cmd=command, alpha_true=truth, closed=closed)
     )
     assert verdict["first_contact_s"] == {"tip": approx(0.04)}
-    first, step = verdict["steps"]
     keys = ("what", "from_N", "to_N", "peak_N", "overshoot_rel")
-    assert [first[key] for key in keys] == ["first contact", 0.0, 10.0, 13.0, approx(0.3)]
-    assert [step[key] for key in keys] == ["step", 10.0, 4.0, approx(3.4), approx(0.1)]
-    assert step["t_s"] == 2.0
+    assert [[step[key] for key in keys] for step in verdict["steps"]] == [
+        ["first contact", 0.0, 10.0, 13.0, approx(0.3)],
+        ["step", 10.0, 4.0, approx(3.4), approx(0.1)],
+    ]
+    assert verdict["steps"][1]["t_s"] == 2.0
     assert verdict["task"] == {"word": "OK", "failed": False, "why": []}
-    rows = [str(cell) for column in verdict_table(verdict).columns for cell in column.cells]
-    assert any("reaches 13 N of 10 N, overshoot 30 %" in row for row in rows)
-    assert any("from 10 N to 4 N; reaches 3.4 N of 4 N, overshoot 10 %" in row for row in rows)
+    rows = "\n".join(rows_of(verdict))
+    assert "reaches 13 N of 10 N, overshoot 30 %" in rows
+    assert "from 10 N to 4 N; reaches 3.4 N of 4 N, overshoot 10 %" in rows
 
 
 open_late = changed("closed", 2000, 2500, 0)
@@ -130,17 +134,16 @@ held = changed("status", 1500, 1600, 2) | changed("motion_error", 1500, 1600, np
 def test_each_word_has_its_threshold(word, sentence, channels, meta):
     """A word with an exclamation mark is a task that failed."""
     verdict = osc.metrics(made(meta, **channels))
-    failed = word.endswith("!")
-    word = word.removesuffix("!")
-    assert (verdict["task"]["word"], verdict["task"]["failed"]) == (word, failed), verdict["task"]
+    task = verdict["task"]
+    assert task["word"] + "!" * task["failed"] == word, task
     assert json.loads(json.dumps(verdict, allow_nan=False)) == verdict
     lines = list(task_lines(verdict))
-    assert lines[0] == f"verdict: {word}" + ", the task failed" * failed
+    assert lines[0] == "verdict: " + word.replace("!", ", the task failed")
     assert sentence in "\n".join(lines)
 
 
 def test_the_gravest_word_is_said_and_every_reason():
-    both = {**changed("closed", 2000, 2100, 0), **changed("status", 1500, 1501, 2)}
+    both = changed("closed", 2000, 2100, 0) | changed("status", 1500, 1501, 2)
     task = osc.metrics(made(**both))["task"]
     assert task["word"] == "LOST"
     lost, often, held_ticks = task["why"]
@@ -160,11 +163,8 @@ LIMITS = {
 
 def test_each_limit_is_a_key_of_the_scenario():
     """A run that fails passes once the scenario permits what failed it."""
-    assert (
-        set(LIMITS)
-        == set(VerdictSpec.model_fields)
-        == {rule.limit for rule in RULES if isinstance(rule.limit, str)}
-    )
+    of_rules = {rule.limit for rule in RULES if isinstance(rule.limit, str)}
+    assert set(LIMITS) == set(VerdictSpec.model_fields) == of_rules
     for key, (permitted, channels) in LIMITS.items():
         assert osc.metrics(made(**channels))["task"]["failed"], key
         limits = {key: permitted} | ({"open_share": 0.1} if key == "lost_time" else {})
@@ -206,8 +206,7 @@ def test_a_run_that_begins_with_an_approach_is_judged_by_its_phases():
 def test_a_power_ratio_that_is_large_says_why():
     for share, words in ((1.41, ("141 %", "power into the contacts")), (0.01, ("ratio 1 %",))):
         verdict = osc.metrics(made(power_projected=np.full(TICKS, share)))
-        rows = [str(cell) for column in verdict_table(verdict).columns for cell in column.cells]
-        assert any(all(word in row for word in words) for row in rows)
+        assert any(all(word in row for word in words) for row in rows_of(verdict))
 
 
 def test_a_doubtful_run_says_so_and_ends_with_exit_code_1(tmp_path):
@@ -245,7 +244,7 @@ def test_an_ordinary_run_tells_its_first_contact_and_ends_well(tmp_path):
 def test_the_first_reason_is_kept_beyond_a_stop():
     """A law of one's own that returns nonsense stops the arms; the cause is the first tick's."""
     task = osc.load_scenario("two_contact_rod", ["duration=1.05 s"])
-    recording = osc.run(task.replaced(laws=osc.Laws(force=lambda desired, measured: 5.0)))
+    recording = osc.run(task.replaced(laws=osc.Laws(force=lambda *forces: 5.0)))
     assert recording.meta["end_state"] == "SAFE_STOP"
     assert recording.meta["first_reason"].startswith("at 0.000 s: the force law returned 5.0")
     (stopped, *_) = osc.metrics(recording)["task"]["why"]

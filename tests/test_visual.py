@@ -5,9 +5,10 @@ from itertools import combinations, pairwise
 import numpy as np
 from complaints import invalid_input
 from matplotlib.patches import FancyBboxPatch
+from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from pytest import fixture
-from scene_samples import make_recording
+from scene_samples import RECORDING, changed, make_recording
 
 from osc_contact.visual import plots
 from paper.contact_pictures import draw_contact_state
@@ -15,13 +16,12 @@ from paper.diagrams import BLOCKS, BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, d
 
 
 def test_contact_force_figure():
-    figure = plots.contact_forces(make_recording())
-    left, right, error = figure.axes
+    left, right, error = plots.contact_forces(RECORDING).axes
     assert [line.get_label() for line in left.lines] == ["desired", "true", "measured"]
     assert [ax.get_title(loc="left") for ax in (left, right)] == ["left end", "right end"]
     widths = [line.get_linewidth() for line in left.lines]
     assert widths[0] > 2 * widths[1] > 3 * widths[2], "seen when equal"
-    assert np.allclose(left.lines[1].get_ydata(), make_recording()["alpha_true"][:, 0])
+    assert np.allclose(left.lines[1].get_ydata(), RECORDING["alpha_true"][:, 0])
     assert np.allclose(error.lines[1].get_ydata(), -1.0)
     assert "rms 1 N, peak 1 N" in error.lines[1].get_label()
     assert left.get_ylabel().endswith("(N)") and error.get_xlabel() == "time (s)"
@@ -30,9 +30,9 @@ def test_contact_force_figure():
 
 
 def test_force_error_is_scaled_by_what_counts():
-    recording = make_recording()
-    recording.channels["alpha_true"] = recording["alpha_cmd"] + 1e-3
-    recording.channels["alpha_true"][:20] += 7.0  # touching down
+    true = RECORDING["alpha_cmd"] + 1e-3
+    true[:20] += 7.0  # touching down
+    recording = changed(alpha_true=true)
     judged = np.ones((101, 2), dtype=bool)
     judged[:20] = judged[50:55] = False
     *forces, error = plots.contact_forces(recording, judged).axes
@@ -49,20 +49,19 @@ def test_force_error_is_scaled_by_what_counts():
 
 
 def test_power_figure_leaves_steps_out_of_the_rms():
-    recording = make_recording()
-    plain = plots.power(recording)
-    blanked = plots.power(recording, ~np.isin(np.arange(101), range(50, 55)))
+    plain = plots.power(RECORDING)
+    blanked = plots.power(RECORDING, ~np.isin(np.arange(101), range(50, 55)))
     assert plain.axes[0].get_ylim() == plain.axes[1].get_ylim()
     assert "398 mW" in plain.axes[1].get_title(loc="left")
     counted = np.r_[0:50, 55:101]
-    rms = 1e3 * np.sqrt(np.mean(recording["power_projected"][counted] ** 2))
+    rms = 1e3 * np.sqrt(np.mean(RECORDING["power_projected"][counted] ** 2))
     assert f"rms {rms:.3g} mW" in blanked.axes[1].get_title(loc="left")
     assert len(blanked.axes[2].patches) == 1 and not plain.axes[2].patches
     assert blanked.axes[2].get_ylim()[1] < 0.02 < plain.axes[2].get_ylim()[1]
 
 
 def test_tracking_and_torque_figures():
-    linear, angular, way = plots.tracking(make_recording(), judged_from=1.0).axes
+    linear, angular, way = plots.tracking(RECORDING, judged_from=1.0).axes
     assert np.allclose(linear.lines[2].get_ydata()[-1], 4.0), "mm"
     assert np.allclose(angular.lines[1].get_ydata()[-1], 5.0), "mrad"
     assert "rms 5 mm" in linear.get_title(loc="left") and len(linear.patches) == 1
@@ -101,10 +100,8 @@ def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):
     texts = [(t.get_text().replace("\n", " · "), t.get_window_extent()) for t in shown]
     tips = [ax.transData.transform(t.xy) for t in ax.texts if getattr(t, "arrow_patch", None)]
     for block, box in boxes:
-        assert ("q" in block.inputs, "q" in block.outputs) == (
-            "v" in block.inputs,
-            "v" in block.outputs,
-        ), "v is drawn with q"
+        for signals in (block.inputs, block.outputs):
+            assert ("q" in signals) == ("v" in signals), "v is drawn with q"
         wanted = [LABELS[s] for s in block.inputs if s != "v"]
         named = [
             name
@@ -138,16 +135,14 @@ def test_diagrams_are_legible(diagram):
     for line in ax.lines:
         for (x0, y0), (x1, y1) in pairwise(ax.transData.transform(line.get_xydata())):
             for room in rooms:
-                inside_x = min(x0, x1) < room.x1 - 2 and max(x0, x1) > room.x0 + 2
-                inside_y = min(y0, y1) < room.y1 - 2 and max(y0, y1) > room.y0 + 2
-                assert not (inside_x and inside_y)
+                assert not room.padded(-2).overlaps(Bbox([(x0, y0), (x1, y1)]))
     groups = {GROUPS[block.group][1] for block, _ in boxes}
     assert {text.get_text() for text in ax.get_legend().get_texts()} == groups | {BY_NAME}
 
 
 def test_contact_picture_tells_how_the_lines_lie():
     rod = np.array([[-0.3, 0, 0], [0.3, 0, 0]])
-    face = np.array([[-0.4, -0.1, 0], [-0.2, -0.1, 0], [-0.2, 0.1, 0], [-0.4, 0.1, 0]])
+    face = rod[0] + 0.1 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     directions = np.array([[0, 0, -1.0], [0, 1, 0]])
     (ax,) = draw_contact_state(rod, directions, rod, [face], "skew").axes
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
