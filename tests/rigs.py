@@ -2,15 +2,18 @@
 
 from functools import cache
 
+import complaints
 import numpy as np
 import pinocchio as pin
-from pytest import raises
+import scenario_runs
 
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, velocity
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
 
+refused = complaints.invalid_input
+rig_of = scenario_runs.rig_of
 UNLIMITED = osc.SafetySettings.motors_only()
 """States drawn at random are no motion: no limits but those of motors."""
 
@@ -27,15 +30,6 @@ def unit(x):
 def shift(p):
     """A pose that turns nothing."""
     return pin.SE3(np.eye(3), np.array(p, dtype=float))
-
-
-def refused(words):
-    """What a public call says of bad input."""
-    return raises(osc.InvalidInputError, match=words)
-
-
-def rig_of(name, *changes):
-    return osc.build_rig(osc.load_scenario(name, list(changes)))
 
 
 ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))

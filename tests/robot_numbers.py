@@ -1,6 +1,7 @@
 """Numbers of robots: of URDFs, read from their text by the standard library; of MuJoCo's models."""
 
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -18,8 +19,9 @@ def mass_matrix(model, data):
 
 
 def element(name, link):
-    """A link of a packaged file."""
-    return ElementTree.parse(robots.urdf_path(name)).find(f"link[@name='{link}']")
+    """A link of a file, or of a packaged file by its name."""
+    path = name if isinstance(name, Path) else robots.urdf_path(name)
+    return ElementTree.parse(path).find(f"link[@name='{link}']")
 
 
 def numbers(text):

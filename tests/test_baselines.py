@@ -4,9 +4,10 @@ import numpy as np
 import pinocchio as pin
 from command_line import answered, read_json, refused
 from complaints import invalid_input
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
-from rigs import consistent, contact_of, one_panda, random_faces, random_state
+from rigs import consistent, contact_of, largest, one_panda, random_faces, random_state
 from scenario_runs import rig_of
 
 import osc_contact as osc
@@ -128,7 +129,7 @@ def isaac_lab(selection, Lambda, a, f):
 )
 def test_laws_are_what_was_published(key, published):
     """On one arm with six motions, moving, any frame and flags: f_S = Sᵀ(F + μ + p)."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     pin.seed(1)
     for _ in range(40):
         state, contact, Lambda, bias = panda(rng)
@@ -138,7 +139,7 @@ def test_laws_are_what_was_published(key, published):
         F = published(law.selection, Lambda, a, contact.N @ alpha)
         want = state.S.T @ (F + bias)
         got = law.f_S(state, contact, a, alpha)
-        assert_allclose(got, want, atol=1e-9 * np.abs(want).max())
+        assert_allclose(got, want, atol=1e-9 * largest(want))
 
 
 def representable(rng):
@@ -159,7 +160,7 @@ def representable(rng):
 
 def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_too():
     """There every law of that kind does what ours does; selection after Λ still costs force."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     pin.seed(2)
     for _ in range(20):
         instant, selection = representable(rng)
@@ -194,7 +195,7 @@ def test_on_the_skew_contact_every_frame_couples_and_the_plant_says_the_same():
 
 def test_the_search_finds_frames_no_worse_than_200_random_ones_and_the_same_from_any_seed():
     _, instant = fig1()
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     for baseline in BASELINES.values():
         least = instant.coupling(best_selection(instant, baseline)).cost
         costs = []
@@ -224,8 +225,8 @@ def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
         assert_array_equal(getattr(after, name), getattr(before, name), name)
     assert_allclose(after.eta_c, law.eta(after.state, after.a_u), atol=1e-9)
     want = law.f_S(after.state, after.contact, after.a_u, after.alpha_u)
-    assert_allclose(after.f_S, want, atol=1e-9 * np.abs(want).max())
-    assert_allclose(after.state.G @ tau, want, atol=1e-9 * np.abs(want).max())
+    assert_allclose(after.f_S, want, atol=1e-9 * largest(want))
+    assert_allclose(after.state.G @ tau, want, atol=1e-9 * largest(want))
     assert rig.controller().laws.structure is None, "other controllers keep theirs"
 
 
@@ -241,7 +242,7 @@ def test_cross_talk_on_mujoco_is_ten_times_smaller_than_that_of_the_best_baselin
         assert other.force_to_motion.max() > 10 * ours.force_to_motion.max()
         assert other.motion_to_force.max() > 10 * ours.motion_to_force.max()
         last = other.window(1)  # force steps do arrive
-        assert np.abs(other.alpha[last][-1] - other.alpha_d[last][-1]).max() < 0.2
+        assert largest(other.alpha[last][-1] - other.alpha_d[last][-1]) < 0.2
 
 
 @mark.slow

@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 from command_line import answered, refused
 from complaints import model_error
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark, raises
 
@@ -25,7 +26,7 @@ def tilted(rng, k, angle=0.6):
 
 
 def test_exact_readings_give_exact_loads():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     for _ in range(20):
         mass = rng.uniform(0.3, 5)
         com = rng.uniform(-0.1, 0.1, 3)
@@ -38,7 +39,7 @@ def test_exact_readings_give_exact_loads():
 
 
 def test_the_standard_errors_are_the_spread_of_many_calibrations():
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     R = tilted(rng, 6)
     noise = np.repeat([0.05, 0.003], 3)
     clean = np.array([at_rest(X, 1.2, np.array([0.02, -0.01, 0.05]), np.zeros(6)) for X in R])
@@ -61,7 +62,7 @@ def test_a_wrist_that_only_turns_about_the_vertical_is_refused():
 
 @mark.parametrize("k, noise", [(2, 1.0), (4, 0.0), (4, float("nan"))])
 def test_bad_input_is_refused(k, noise):
-    R = tilted(np.random.default_rng(2), k)
+    R = tilted(default_rng(2), k)
     with raises(osc.InvalidInputError):
         calibrate_wrist(R, np.zeros((k, 6)), noise)
 

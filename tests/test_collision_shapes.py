@@ -9,6 +9,7 @@ from complaints import invalid_input, model_error
 from detection_bodies import BOX, CORNERS, TABLE, only, standing
 from numpy.testing import assert_allclose
 from pytest import approx, mark
+from rigs import shift
 
 from osc_contact import robots
 from osc_contact.contacts import detection
@@ -94,13 +95,13 @@ def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path):
         assert (found.kind, found.r) == ("face on face", 3)
         assert found.distance == approx(0.0, abs=1e-9)
         assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
-        assert detect(mesh, pin.SE3(np.eye(3), np.array([0, 0, 0.01])), TABLE) == []
+        assert detect(mesh, shift([0, 0, 0.01]), TABLE) == []
 
 
 def test_a_distance_that_is_no_number_counts_as_touching(monkeypatch):
     """The shapes have the last word, see `separation`."""
     monkeypatch.setattr(coal, "distance", lambda *_: np.finfo(float).max)
-    X = pin.SE3(np.eye(3), np.array([0, 0, 0.03]))
+    X = shift([0, 0, 0.03])
     assert nearest(BOX[0].shape, X, TABLE[0].shape, X).distance == 0.0
     assert only(detect(BOX, X, TABLE)).kind == "face on face"
 

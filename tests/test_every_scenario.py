@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+from numpy.linalg import lstsq, norm, solve
 from numpy.testing import assert_allclose
 from pytest import fixture, mark
 from samples import chosen, first
@@ -59,7 +60,7 @@ def test_it_starts_touching_within_limits_and_is_told_in_words(rigs, name):
     X = rig.state().X_WO
     assert max(np.abs(pair.gaps(X)).max() for pair in rig.pairs) < 1e-12
     wanted = rig.scenario.object.pose
-    assert np.linalg.norm(X.translation - np.array(wanted.xyz)) < 0.02  # near what the file says
+    assert norm(X.translation - np.array(wanted.xyz)) < 0.02  # near what the file says
     for t in np.linspace(0.0, rig.scenario.duration, 50):
         assert (rig.references.at(t).alpha_d > 0.0).all()
 
@@ -72,9 +73,9 @@ def test_geometry_touches_where_the_pairs_say(rigs, name):
     assert isinstance(plant, MujocoPlant)
     state = rig.state()
     contact = rig.contact()
-    held = np.linalg.solve(state.Phi + 1e-9 * np.eye(6), np.eye(6))
-    H_inv_N = np.linalg.solve(state.S.T @ held @ state.S, state.S.T @ contact.N)
-    eta = H_inv_N @ np.linalg.solve(contact.N.T @ state.S @ H_inv_N, 1e-4 * np.ones(contact.r))
+    held = solve(state.Phi + 1e-9 * np.eye(6), np.eye(6))
+    H_inv_N = solve(state.S.T @ held @ state.S, state.S.T @ contact.N)
+    eta = H_inv_N @ solve(contact.N.T @ state.S @ H_inv_N, 1e-4 * np.ones(contact.r))
     plant.reset(rig.q_contact + state.W @ eta)
     points = np.array([plant.data.contact[k].pos for k in range(plant.data.ncon)])
     X = plant.truth().X_WO
@@ -83,11 +84,11 @@ def test_geometry_touches_where_the_pairs_say(rigs, name):
     for pair, (places, directions) in zip(rig.pairs, everywhere, strict=True):
         away = points - places.mean(axis=0)
         height = np.abs(away @ directions[0])
-        near = np.linalg.norm(away, axis=1) < (0.12 if len(places) > 1 else 1e-3)
+        near = norm(away, axis=1) < (0.12 if len(places) > 1 else 1e-3)
         assert near.any(), f"{pair.name}: nothing touches there"
         assert height[near].max() < 2e-4
     for point in points:
-        assert min(np.linalg.norm(p.mean(axis=0) - point) for p, _ in everywhere) < 0.12
+        assert min(norm(p.mean(axis=0) - point) for p, _ in everywhere) < 0.12
 
 
 @mark.parametrize("name", NAMES)
@@ -147,7 +148,7 @@ def test_a_corner_that_lifts_opens_the_contact(rigs):
     rig = rigs["ur5_wipe"]
     plant = rig.plant()
     tipped = rig.state()
-    eta = np.linalg.lstsq(tipped.S, np.array([0, 0, 0, 0, 0.02, 0.0]), rcond=None)[0]
+    eta = lstsq(tipped.S, np.array([0, 0, 0, 0, 0.02, 0.0]), rcond=None)[0]
     plant.reset(rig.q_contact + tipped.W @ eta)
     truth = plant.truth()
     assert plant.data.ncon > 0 and not truth.closed[0]

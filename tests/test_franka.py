@@ -10,6 +10,7 @@ from complaints import invalid_input, plant_error
 from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
 from numpy.testing import assert_allclose
 from pytest import approx, mark, param
+from rigs import largest, shift
 
 import osc_contact as osc
 from osc_contact.drivers.franka import FrankaRobot
@@ -80,7 +81,7 @@ def run_faulty(task, **driver):
         assert stops[0][1] and stops[-1][1] == ""
     if not task.faults.get("kill"):
         task.server.wait(300)
-        assert np.abs(task.server.truth()["v"][-1]).max() < 0.1, "at rest, held by the robot"
+        assert largest(task.server.truth()["v"][-1]) < 0.1, "at rest, held by the robot"
     task.reason = stops[0][1]
     return ended
 
@@ -164,9 +165,9 @@ def at_rest(server, ticks, sensor="tcp", **scene):
 
 def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka):
     robot, read = at_rest(franka, 200)
-    assert np.abs(robot._torques.tau_J).max() < 1e-9, "the robot adds gravity by itself"
-    assert np.abs(read[-1].q - read[0].q).max() < 1e-3
-    assert np.abs(read[-1].joint_torques).max() > 20.0, "as its own sensors read"
+    assert largest(robot._torques.tau_J) < 1e-9, "the robot adds gravity by itself"
+    assert largest(read[-1].q - read[0].q) < 1e-3
+    assert largest(read[-1].joint_torques) > 20.0, "as its own sensors read"
     steps = np.diff([m.sequence for m in read[2:]])
     assert set(steps) == {1} and read[-1].stamps.encoders == approx(1e-3 * read[-1].sequence)
     assert robot.success_rate > 0.99
@@ -174,7 +175,7 @@ def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka):
     robot.stop()
     assert "Idle" in str(robot._robot.read_once().robot_mode)
     robot.command(np.zeros(7), 1e-3)  # it holds by itself: nothing is sent
-    assert np.abs(robot.measure().q - read[-1].q).max() < 1e-2
+    assert largest(robot.measure().q - read[-1].q) < 1e-2
 
 
 @mark.parametrize("sensor", ["tcp", "hand"])
@@ -199,7 +200,7 @@ def test_torques_stay_within_the_limits_of_the_robot(franka):
     before = np.array(robot.state.tau_J_d)
     robot.command(np.full(7, 1e6), 1e-3)
     step = np.array(robot._torques.tau_J) - before
-    assert np.abs(step).max() == approx(0.99)
+    assert largest(step) == approx(0.99)
     robot._v = robot.chain.model.upperVelocityLimit.copy()  # every joint at its limit
     robot.state = type("state", (), {"tau_J_d": robot.chain.tau_max})
     weight = pin.computeGeneralizedGravity(robot._model, robot._data, robot._q)
@@ -215,7 +216,7 @@ def test_torques_stay_within_the_limits_of_the_robot(franka):
 def test_payload_end_effector_and_mounted_sensor(franka):
     franka.begin(height=0.0)
     ball = osc.RigidObject(pin.Inertia.FromSphere(0.5, 0.03))
-    chain = osc.ClosedChain([franka.arm()], [pin.SE3(np.eye(3), np.array([0, 0, 0.1]))], ball)
+    chain = osc.ClosedChain([franka.arm()], [shift([0, 0, 0.1])], ball)
     readings = iter([np.arange(6.0), None, [np.nan] * 6])
     robot = FrankaRobot(franka.host, chain, wrench=lambda: next(readings))
     assert robot.state.m_load == approx(0.5, rel=1e-6)

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import lstsq, matrix_rank, norm
 from pytest import approx, fixture, mark
+from rigs import largest
 from scenario_runs import rig_of
 
 import osc_contact as osc
@@ -48,12 +50,12 @@ def numbers(text):
 def test_dimensions(found, rig):
     state = rig.state()
     assert (found.d, found.r) == (5, 2) and found.free.shape == (6, 3)
-    assert np.linalg.matrix_rank(state.Phi, tol=1e-9 * np.linalg.norm(state.Phi)) == found.d
+    assert matrix_rank(state.Phi, tol=1e-9 * norm(state.Phi)) == found.d
     assert "2 arm(s), 10 joints, 8 motors" in found.lines[0] and "d = 5" in found.lines[0]
     assert sentence(found, "3 motions stay free", "2 contact forces can be controlled")
     assert sentence(found, "3 internal force(s)"), "8 motors, 5 motions"
-    assert np.abs(found.N.T @ found.T).max() < 1e-12
-    assert np.linalg.matrix_rank(np.hstack([found.N, found.T])) == 6
+    assert largest(found.N.T @ found.T) < 1e-12
+    assert matrix_rank(np.hstack([found.N, found.T])) == 6
 
 
 def test_free_motions_keep_loops_and_contacts_closed(found, rig):
@@ -62,13 +64,13 @@ def test_free_motions_keep_loops_and_contacts_closed(found, rig):
     q = rig.q_contact
     state = rig.state()
     for twist in found.free.T:
-        eta, *_ = np.linalg.lstsq(state.S, twist, rcond=None)
+        eta, *_ = lstsq(state.S, twist, rcond=None)
         step = 1e-6
         pin.forwardKinematics(chain.model, chain.data, q + step * (state.W @ eta))
         first, second = chain.object_poses()
-        assert np.abs((first.inverse() * second).homogeneous - np.eye(4)).max() < 1e-9
+        assert largest((first.inverse() * second).homogeneous - np.eye(4)) < 1e-9
         for pair in rig.pairs:
-            assert abs(pair.gap(first) - pair.gap(state.X_WO)) < 1e-10 * np.linalg.norm(twist)
+            assert abs(pair.gap(first) - pair.gap(state.X_WO)) < 1e-10 * norm(twist)
 
 
 def test_the_words_of_a_free_motion_are_its_twist(found):
@@ -82,21 +84,21 @@ def test_the_words_of_a_free_motion_are_its_twist(found):
             pitch = re.search(r"advancing (-?[0-9.]+) mm/rad", line)
             slide = 1e-3 * float(pitch.group(1)) if pitch else 0.0
             shown = carry_twist(np.concatenate([slide * axis, axis]), point, np.zeros(3))
-        cosine = shown @ twist / (np.linalg.norm(shown) * np.linalg.norm(twist))
+        cosine = shown @ twist / (norm(shown) * norm(twist))
         assert cosine == approx(1.0, abs=1e-5), line
     assert sum("translation along" in line for line in found.lines) == 1, "the common tangent"
     tangent = np.cross(*found.N[:3].T)
     shown = numbers(sentence(found, "translation along"))
-    assert np.abs(np.cross(tangent / np.linalg.norm(tangent), shown)).max() < 2e-3
+    assert largest(np.cross(tangent / norm(tangent), shown)) < 2e-3
 
 
 def test_skew_lines_against_an_independent_computation(found, rig):
     """Distance by the reciprocal product of the two wrenches, angle by the arc cosine."""
     a, b = found.N.T
     product = abs(a[:3] @ b[3:] + a[3:] @ b[:3])
-    cosine = a[:3] @ b[:3] / (np.linalg.norm(a[:3]) * np.linalg.norm(b[:3]))
+    cosine = a[:3] @ b[:3] / (norm(a[:3]) * norm(b[:3]))
     sine = np.sqrt(1.0 - cosine**2)
-    gap = product / (np.linalg.norm(a[:3]) * np.linalg.norm(b[:3]) * sine)
+    gap = product / (norm(a[:3]) * norm(b[:3]) * sine)
     line = sentence(found, "lines of force")
     assert f"enclose {np.degrees(np.arccos(abs(cosine))):.1f}°" in line
     assert f"pass {1e3 * gap:.1f} mm apart" in line

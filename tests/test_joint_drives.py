@@ -2,8 +2,11 @@
 
 import numpy as np
 from complaints import invalid_input, plant_error, scenario_error
+from numpy.linalg import cholesky, eigh, solve
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
+from rigs import largest
 from samples import first
 from scenario_runs import worst_force
 
@@ -35,16 +38,14 @@ def test_the_motor_obeys_spongs_equation():
     """J_m θ̈ = u − τ, from MuJoCo's own accelerations, at speed."""
     rig = free_rig(FLEXIBLE)
     plant = rig.plant()
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     J = plant.drives.flexible.motor_inertia
     for _ in range(20):
         tau = 0.2 * rig.chain.tau_max * rng.uniform(-1, 1, 8) * np.tile([1, 1, 0.1, 0.1], 2)
         plant.command(tau, 2e-3)
         plant._mj.mj_forward(plant.model, plant.data)
         theta_dd = plant.data.qacc[plant._v[rig.chain.actuated]]
-        assert_allclose(
-            J * theta_dd, tau - plant.measure().joint_torques, atol=1e-6 * np.abs(tau).max()
-        )
+        assert_allclose(J * theta_dd, tau - plant.measure().joint_torques, atol=1e-6 * largest(tau))
 
 
 def test_a_held_rig_starts_with_wound_up_springs_at_the_same_pose():
@@ -67,10 +68,10 @@ def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain()
     K = plant.drives.flexible.stiffness
     assert modes(state, rig.chain.actuated, K)[0] == approx(4.0, rel=1e-9)
     W = state.W[rig.chain.actuated]
-    L = np.linalg.cholesky(state.Lambda_S)
-    _, shapes = np.linalg.eigh(np.linalg.solve(L, np.linalg.solve(L, W.T @ (K[:, None] * W)).T))
-    velocity = state.W @ np.linalg.solve(L.T, shapes[:, 0])
-    velocity *= 0.02 / np.abs(velocity).max()
+    L = cholesky(state.Lambda_S)
+    _, shapes = eigh(solve(L, solve(L, W.T @ (K[:, None] * W)).T))
+    velocity = state.W @ solve(L.T, shapes[:, 0])
+    velocity *= 0.02 / largest(velocity)
     plant.hold(holding(rig))
     driven = rig.chain.actuated
     plant.data.qvel[plant._spring_v] = velocity[driven]
@@ -132,14 +133,14 @@ def test_joint_friction_holds_a_motor_until_it_is_overcome():
 
 def test_motor_errors_are_those_drawn():
     motors = Motors.drawn(
-        np.array([60.0, 200.0]), np.array([False, True]), 0.01, 0.005, np.random.default_rng(3)
+        np.array([60.0, 200.0]), np.array([False, True]), 0.01, 0.005, default_rng(3)
     )
     assert_allclose(np.abs(motors.bias), [0.6, 2.0])
     turn = np.linspace(0, 2 * np.pi, 1000)
     error = np.array([motors.torque(np.zeros(2), np.array([x, x * 0.01])) for x in turn])
     assert_allclose(np.ptp(error, axis=0), [2 * 0.3, 2 * 1.0], rtol=1e-3)
     again = Motors.drawn(
-        np.array([60.0, 200.0]), np.array([False, True]), 0.01, 0.005, np.random.default_rng(3)
+        np.array([60.0, 200.0]), np.array([False, True]), 0.01, 0.005, default_rng(3)
     )
     assert_array_equal(motors.phase, again.phase)
 
@@ -244,7 +245,7 @@ def test_a_gain_the_sampled_loop_cannot_bear_is_refused_and_would_diverge():
     loop.bandwidth = np.sqrt(1700.0 * 6001.0 / 0.45) * np.ones(1)
     loop.rate_gain = 2 * 0.7 * 6001.0 / loop.bandwidth
     assert loop.spectral_radius()[0] > 1.0
-    assert np.abs(simulated(loop, 300)).max() > 1e3
+    assert largest(simulated(loop, 300)) > 1e3
 
 
 def test_errors_of_the_motor_shrink_by_one_plus_gain():

@@ -4,6 +4,7 @@ import av
 import numpy as np
 from complaints import viewer_error
 from headless import Browser, near
+from numpy.linalg import norm
 from numpy.testing import assert_allclose
 from PIL import Image, ImageSequence
 from pytest import approx, fixture
@@ -96,10 +97,10 @@ def test_cameras_look_from_where_they_say(page):
             ]
             assert np.abs(np.array(ends)[:, :2]).max() < 1, f"{name} sees both contacts"
         assert browser.errors == []
-    high = {name: eye[1] / np.linalg.norm(eye) for name, eye in eyes.items()}
+    high = {name: eye[1] / norm(eye) for name, eye in eyes.items()}
     assert high["from above"] > 0.99 and high["whole"] == approx(np.sin(np.deg2rad(28)))
-    assert np.linalg.norm(eyes["contacts"]) < np.linalg.norm(eyes["whole"])
-    flat = [eyes[name][[0, 2]] / np.linalg.norm(eyes[name][[0, 2]]) for name in names]
+    assert norm(eyes["contacts"]) < norm(eyes["whole"])
+    flat = [eyes[name][[0, 2]] / norm(eyes[name][[0, 2]]) for name in names]
     assert_allclose(flat[3], -flat[0], atol=1e-6)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 from complaints import scenario_error
+from numpy.linalg import norm
 from numpy.testing import assert_allclose
 from pytest import approx, mark
 from scenario_runs import rig_of
@@ -66,7 +67,7 @@ def test_turns_about_points_are_products_of_poses():
         X = to * pin.SE3(pin.exp3(angle * axis), np.zeros(3)) * to.inverse() * X
     X.translation += [wanted.scenario.motion[2].signals[0].at(t)[0], 0, 0]
     assert_allclose(wanted.at(t).X_WD.homogeneous, X.homogeneous, atol=1e-12)
-    assert np.linalg.norm(X.translation - wanted.X_start.translation) > 0.02
+    assert norm(X.translation - wanted.X_start.translation) > 0.02
 
 
 @mark.parametrize("life, after", [("off", 0.0), ("{}", 0.2)])
@@ -76,7 +77,7 @@ def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after)
     start = wanted.at(0.0).X_WD
     engaged = wanted.at(wanted.engage_at + after).X_WD
     assert wanted.engage_at == approx(0.6 - after)
-    gap = np.linalg.norm(start.translation - wanted.X_start.translation)
+    gap = norm(start.translation - wanted.X_start.translation)
     assert gap > 3e-3
     assert_allclose(engaged.translation, wanted.X_start.translation, atol=1e-12)
 
@@ -86,7 +87,7 @@ def test_common_tangent_lies_in_every_face_and_must_be_unique():
     pairs = rig.pairs
     X = rig.state().X_WO
     u = common_tangent(pairs, X)
-    assert np.linalg.norm(u) == approx(1.0)
+    assert norm(u) == approx(1.0)
     for pair in pairs:
         assert abs(u @ pair.normal) < 1e-12
     with scenario_error("span 1"):

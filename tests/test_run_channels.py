@@ -4,6 +4,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from complaints import plant_error
+from numpy.linalg import cholesky, inv, lstsq, norm, solve, svd
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import KINDS, PLAIN, pose_of
 from pytest import mark
@@ -121,13 +123,13 @@ def judged(plant):
         touched[at] |= contact.efc_address >= 0
     alpha = []
     closed = []
-    Phi = np.linalg.inv(plant.chain.reference_inertia(X))
+    Phi = inv(plant.chain.reference_inertia(X))
     for at in range(len(E)):  # contacts on one body follow one another in every scenario below
         here = np.flatnonzero(np.equal(plant.on, at))
         N = [plant.contacts[i].contact(X, REST, E[at]).N for i in here]
         ends = np.cumsum([n.shape[1] for n in N])
         N = np.hstack(N)
-        share = np.linalg.solve(N.T @ Phi @ N, N.T @ Phi @ pushed[at])
+        share = solve(N.T @ Phi @ N, N.T @ Phi @ pushed[at])
         # a face that bears nothing of what its body takes gets errors of either sign, 1e-17 … 1e-7
         size = np.abs(share) / np.abs(share).max(initial=1e-300)
         assert ((size <= 1e-6) | (size > 1e-4)).all()  # else: touch and go
@@ -159,7 +161,7 @@ def lines(rig, truth):
     found = {"contact_point": [], "contact_direction": [], "face_pose": []}
     for pair, on, E in zip(rig.pairs, rig.on, truth["E"], strict=True):
         columns = pair.contact(X, REST, E).N
-        columns = columns / np.linalg.norm(columns[:3], axis=0)
+        columns = columns / norm(columns[:3], axis=0)
         surface = E.act(getattr(pair, ON_SURFACE[type(pair)])) - O
         above = pair.radius if type(pair) is pairs.FaceOnVertex else 0.0
         d = columns[:3].T
@@ -175,7 +177,7 @@ def lines(rig, truth):
 
 def free_part(chain, q, X_WO, N, x):
     """Of one instant, by singular values: x in range(S) ∩ T, cut in the object's metric."""
-    L = np.linalg.cholesky(chain.reference_inertia(X_WO))
+    L = cholesky(chain.reference_inertia(X_WO))
     pin.computeJointJacobians(chain.model, chain.data, q)
     J = L.T @ columns_at(chain.data.J, X_WO.translation)
     slips = [
@@ -187,14 +189,14 @@ def free_part(chain, q, X_WO, N, x):
     )
     S = outside(locked) if locked.shape[1] else np.eye(6)
     e = S.T @ (L.T @ x)
-    N_S = S.T @ np.linalg.solve(L, N)
-    e = e - N_S @ np.linalg.lstsq(N_S, e, rcond=None)[0]
-    return np.asarray(np.linalg.solve(L.T, S @ e))
+    N_S = S.T @ solve(L, N)
+    e = e - N_S @ lstsq(N_S, e, rcond=None)[0]
+    return np.asarray(solve(L.T, S @ e))
 
 
 def outside(columns):
     """Orthonormal complement of the range of (6, k)."""
-    U, s, _ = np.linalg.svd(columns)
+    U, s, _ = svd(columns)
     return U[:, int(np.count_nonzero(s > 1e-6 * s[0])) :]
 
 
@@ -266,9 +268,9 @@ def test_a_run_that_fails_leaves_all_channels_of_what_came_before(monkeypatch):
 
 
 def test_poses_are_those_of_pinocchio():
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     w = rng.normal(size=(3, 60))
-    w[:, :20] *= np.pi / np.linalg.norm(w[:, :20], axis=0)  # half turns have two quaternions
+    w[:, :20] *= np.pi / norm(w[:, :20], axis=0)  # half turns have two quaternions
     w[:, 20:22] = [[0.0, 1e-12]] * 3
     R = rotations(w)
     p, x = rng.normal(size=(2, 3, 60))
@@ -289,7 +291,7 @@ def stacked(poses):
 
 @mark.parametrize("name", KINDS)
 def test_lines_of_force_over_time_are_those_of_the_pair(name):
-    rng = np.random.default_rng(6)
+    rng = default_rng(6)
     pair, pose, r = KINDS[name](rng, PLAIN)
     touching = [pose(0.5 * rng.normal(size=6 - r)) for _ in range(5)]
     faces = [pose_of(rng) for _ in range(5)]
@@ -304,7 +306,7 @@ def test_lines_of_force_over_time_are_those_of_the_pair(name):
 
 
 def test_free_parts_are_the_free_part_of_each_in_singular_states_too():
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     for name in ("two_contact_rod", "scara_peg", "ur5_wipe"):
         rig = rig_of(name)
         chain = rig.model

@@ -8,6 +8,7 @@ import pinocchio as pin
 from complaints import invalid_input, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
+from rigs import largest
 from samples import first
 from scenario_runs import verdict_of, worst_force
 
@@ -79,12 +80,12 @@ def test_noise_and_bias_have_the_size_given():
     out = readings(Sensors(wrists=(clock, SensorErrors(noise, bias))), 4000)
     read = np.array([m.wrenches for m in out])
     offset = read.mean(axis=0) - 5.0
-    assert np.all(np.abs(offset) < bias + 0.1 * noise) and np.abs(offset / bias).max() > 0.2
+    assert np.all(np.abs(offset) < bias + 0.1 * noise) and largest(offset / bias) > 0.2
     assert_allclose(read.std(axis=0) / noise, 1.0, atol=0.06)
     white = (read - read.mean(axis=0)).reshape(len(read), -1)
     together = np.corrcoef(white.T) - np.eye(12)
-    assert np.abs(together).max() < 0.08
-    assert np.abs((white[1:] * white[:-1]).mean(axis=0) / white.var(axis=0)).max() < 0.08
+    assert largest(together) < 0.08
+    assert largest((white[1:] * white[:-1]).mean(axis=0) / white.var(axis=0)) < 0.08
 
 
 def test_resolution_rounds_to_whole_steps():
@@ -92,7 +93,7 @@ def test_resolution_rounds_to_whole_steps():
     q = np.array([m.q for m in out])
     assert_allclose(q / 0.01, np.round(q / 0.01), atol=1e-9)
     true = np.arange(101)[:, None] * STEP * np.arange(1, 4)
-    assert np.abs(q - true).max() <= 0.005 + 1e-12
+    assert largest(q - true) <= 0.005 + 1e-12
 
 
 @mark.parametrize("rate, delay", [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
@@ -143,7 +144,7 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
     first, again, other = (readings(sensors, 50, seed) for seed in (1, 1, 2))
     for a, b in zip(first, again, strict=True):
         assert_array_equal(a.q, b.q)
-    assert np.abs(first[-1].q - other[-1].q).max() > 1e-3
+    assert largest(first[-1].q - other[-1].q) > 1e-3
     plant = SensedPlant(Toy(), sensors, 1)
     plant.command(np.zeros(2), STEP)
     plant.reset(np.zeros(3))

@@ -3,6 +3,7 @@ refused, and nothing in between. On every BLAS kernel alike."""
 
 import numpy as np
 from complaints import contact_error
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import fixture, mark
 from scenario_runs import rig_of
@@ -62,7 +63,7 @@ def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_b
     seed, rank, gap
 ):
     """Up to what the columns' own last digit, 1e-16 / gap, makes of the space they span."""
-    rng = np.random.default_rng([seed, rank, 2])
+    rng = default_rng([seed, rank, 2])
     r = 2 + seed % 4
     near, good = nearly_dependent(rng, r, gap)
     Phi = metric(rng, 1 / SIZE, rank)
@@ -81,7 +82,7 @@ def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_b
 @mark.parametrize("rank", [5, 6])
 @mark.parametrize("seed", range(4))
 def test_columns_a_millionth_apart_are_accepted_in_every_frame(seed, rank):
-    rng = np.random.default_rng([seed, rank, 3])
+    rng = default_rng([seed, rank, 3])
     near, _ = nearly_dependent(rng, 2 + seed % 4, 1e-6)
     force = metric(rng, 1 / SIZE, rank)
     motion = metric(rng, SIZE, rank)
@@ -97,7 +98,7 @@ def test_columns_a_millionth_apart_are_accepted_in_every_frame(seed, rank):
 @mark.parametrize("r", [1, 2, 3, 4, 5])
 def test_singular_metrics_are_refused_in_every_frame(r):
     """Φn = 0 for a column n, for a combination, and for one of columns that are hardly apart."""
-    rng = np.random.default_rng([r, 4])
+    rng = default_rng([r, 4])
     for _ in range(60):
         Q = orthogonal(rng)
         root = Q[:, 1:] * 10 ** rng.uniform(-1.2, 0.0, 5) / SIZE[:, None]
@@ -115,7 +116,7 @@ def test_singular_metrics_are_refused_in_every_frame(r):
 @mark.usefixtures("limits")
 @mark.parametrize("k", [2, 3, 4, 5, 6, 7])
 def test_dependent_columns_are_refused_in_every_frame(k):
-    rng = np.random.default_rng([k, 5])
+    rng = default_rng([k, 5])
     for rank in (5, 6):
         for _ in range(30):
             N = SIZE[:, None] * rng.normal(size=(6, k))
@@ -144,7 +145,7 @@ def test_messages_name_the_columns():
 @mark.parametrize("n", [1, 4, 6])
 @mark.parametrize("seed", range(5))
 def test_orthonormal_is_what_it_says(n, seed):
-    rng = np.random.default_rng([n, seed, 7])
+    rng = default_rng([n, seed, 7])
     for k in range(n + 1):
         N = rng.normal(size=(n, k))
         root = rng.normal(size=(n, n)) + 3.0 * np.eye(n)
@@ -160,7 +161,7 @@ def test_orthonormal_is_what_it_says(n, seed):
 def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
     """Eqs. 17, 18, 24 and P_T on the rod; columns 1e-4 apart are as near as a law accepts."""
     rig = rig_of()
-    rng = np.random.default_rng(8)
+    rng = default_rng(8)
     state = rig.model.state(rig.q_contact, 0.3 * rng.normal(size=len(rig.q_contact)))
     good = rig.contact().N
     gap = 1e-4

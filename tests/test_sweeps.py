@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow
 from command_line import answered, read_json
 from complaints import invalid_input
+from numpy.linalg import norm
 from numpy.testing import assert_allclose
 from processes import wait_until
 from pyarrow import parquet
@@ -80,16 +81,16 @@ def test_factors_multiply_and_units_stay_with_their_numbers():
 
 def test_tilted_directions_fill_their_cap_evenly():
     """On a sphere the height above the rim of a cap is uniform (Archimedes)."""
-    normal = np.array([0.5, 0.2, 0.84]) / np.linalg.norm([0.5, 0.2, 0.84])
+    normal = np.array([0.5, 0.2, 0.84]) / norm([0.5, 0.2, 0.84])
     u = np.random.default_rng(0).random((4000, 2))
     tilt = parse_distribution("tilt(20 deg)")
     drawn = np.array([json.loads(tilt.draw(x, normal.tolist())[0]) for x in u])
-    assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-12)
+    assert_allclose(norm(drawn, axis=1), 1.0, atol=1e-12)
     height = (drawn @ normal - np.cos(np.deg2rad(20))) / (1 - np.cos(np.deg2rad(20)))
     assert height.min() > -1e-12
     assert stats.kstest(height, "uniform").pvalue > 0.01
     sideways = drawn - np.outer(drawn @ normal, normal)
-    assert np.linalg.norm(sideways.mean(axis=0)) < 0.01
+    assert norm(sideways.mean(axis=0)) < 0.01
 
 
 @mark.parametrize(

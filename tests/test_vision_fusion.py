@@ -3,8 +3,10 @@
 import numpy as np
 import pinocchio as pin
 from complaints import invalid_input
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
+from rigs import largest
 from samples import first
 from scenario_runs import rig_of
 from test_moving_face import TURNING
@@ -37,7 +39,7 @@ def lacking(estimate, true):
 
 
 def test_without_noise_one_picture_finds_the_camera():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     for _ in range(20):
         X_WC = displaced(rng, (0.1, 0.3))
         known = scattered(rng)
@@ -48,7 +50,7 @@ def test_without_noise_one_picture_finds_the_camera():
 
 def test_the_covariance_is_that_of_the_error():
     """Normalised squared error over 300 cameras: chi² with 6 degrees of freedom, mean 6 ± 0.2."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     prior = (5e-3, 5e-3)
     squares = []
     spread = []
@@ -134,18 +136,18 @@ def test_vision_tracks_rod_and_arms_where_they_are():
     seen = sensed.measure().seen
     truth = sensed.truth()
     for X, Y in zip((seen.object, *seen.tips), sensed.plant.poses(), strict=True):
-        assert 1e-4 < np.abs(X[:3, 3] - Y[:3, 3]).max() < 1.5e-2
+        assert 1e-4 < largest(X[:3, 3] - Y[:3, 3]) < 1.5e-2
         assert np.linalg.norm(pin.log3(X[:3, :3] @ Y[:3, :3].T)) < 0.04
     assert_allclose(sensed.plant.poses()[0], truth.X_WO.homogeneous, atol=1e-12)
     assert seen.tips.shape == (2, 4, 4)
 
 
 def test_a_wandering_camera_is_followed():
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     known = scattered(rng)
     moved = pin.SE3(pin.exp3(np.array([0, 0, 2e-3])), np.array([3e-3, 0, 0]))
     found = Registration(*NOISE, drift=(1e-3, 1e-3))
     for where in (pin.SE3.Identity(), moved):
         for _ in range(600):
             found.update(known, [noisy(where.inverse() * X, rng) for X in known], 1 / 60)
-    assert np.abs(lacking(found.X, moved)).max() < 1.5e-3
+    assert largest(lacking(found.X, moved)) < 1.5e-3
