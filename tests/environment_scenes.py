@@ -14,7 +14,7 @@ import osc_contact as osc
 from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.dynamics.assembly import constraint_rows, inverse_rows, row_groups
 from osc_contact.dynamics.environment import Conveyor, Environment, Hinge
-from osc_contact.plants.faces import Rail, touched
+from osc_contact.plants.faces import Faces, Rail
 from osc_contact.response import require_reachable
 
 G = np.array([0.0, 0.0, -9.81])
@@ -184,7 +184,9 @@ def turning(rng, at):
     joints = pin.JointModelPrismaticUnaligned(u), pin.JointModelRevoluteUnaligned(a)
     model, c, q, v = on_joints(rng, at, *joints, inertia=random_inertia(rng))
     rail = Rail(u, a, c, lambda t: (q, v, rates))
-    seen = touched([rail], [0], q[None], v[None], rates[None])
+    faces = Faces([rail], [0])
+    faces.drive(0.0)
+    seen = faces.touched()
     X = pin.SE3(seen.X_WE[0])
     V = seen.V_E[0]
     A = seen.A_E[0]

@@ -66,7 +66,7 @@ def test_a_law_that_ignores_the_face_is_wrong():
 def test_a_cart_obeys_newton():
     """m s̈ = u·(f + m g) − k s − c ṡ along the recorded path, by finite differences."""
     rig = rig_of("plant.type=rigid", "plant.step=1 ms", "gains.force.rise=0 s", *SPRING)
-    rail = rig.plant().rails[0]
+    rail = rig.plant().faces.rails[0]
     plant, controller = on_the_move(rig, 0)
     path = []
     force = []

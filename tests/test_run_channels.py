@@ -110,7 +110,7 @@ def judged(plant):
     force = np.zeros(6)
     X = pin.SE3(data.xmat[body].reshape(3, 3).copy(), data.xpos[body].copy())
     mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, V, 0)
-    E = [moved(model, data, f"face{i}", rail) for i, rail in enumerate(plant.rails)]
+    E = [moved(model, data, f"face{i}", rail) for i, rail in enumerate(plant.faces.rails)]
     roots = {model.body(f"face{i}/root").id: i for i in range(len(E))}
     pushed = np.zeros((len(E), 6))
     touched = np.zeros(len(E), dtype=bool)
@@ -125,7 +125,7 @@ def judged(plant):
     closed = []
     Phi = inv(plant.chain.reference_inertia(X))
     for at in range(len(E)):  # contacts on one body follow one another in every scenario below
-        here = np.flatnonzero(np.equal(plant.on, at))
+        here = np.flatnonzero(np.equal(plant.faces.on, at))
         N = [plant.contacts[i].contact(X, REST, E[at]).N for i in here]
         ends = np.cumsum([n.shape[1] for n in N])
         N = np.hstack(N)
@@ -136,7 +136,7 @@ def judged(plant):
         presses = touched[at] & (share > 0.0) & (size > 1e-6)
         closed += [part.all() for part in np.split(presses, ends[:-1])]
         alpha.append(share * touched[at])
-    return told(X, np.roll(V, 3), [E[on] for on in plant.on], np.concatenate(alpha), closed)
+    return told(X, np.roll(V, 3), [E[on] for on in plant.faces.on], np.concatenate(alpha), closed)
 
 
 def told(X, V, E, alpha, closed):
@@ -145,7 +145,7 @@ def told(X, V, E, alpha, closed):
 
 def moved(model, data, body, rail):
     """Where a slide and the hinge on it have carried a body; without either, nowhere."""
-    if rail is None:
+    if not rail.joints:
         return WORLD
     joints = {model.joint(j).name: data.qpos[model.jnt_qposadr[j]] for j in range(model.njnt)}
     s, turn = (joints.get(f"{body}/{kind}", 0.0) for kind in ("slide", "hinge"))

@@ -108,7 +108,7 @@ def test_a_turning_face_is_where_its_signals_say(plant):
 def test_a_hinged_face_takes_the_power_of_its_contact():
     """½Iθ̇² + ½kθ² − preload θ grows by α NᵀV_e − cθ̇²: the ledger of a contact that moves."""
     rig = rig_of("plant.type=rigid", "plant.step=1 ms", "gains.force.rise=0 s", *HINGE)
-    rail = rig.plant().rails[0]
+    rail = rig.plant().faces.rails[0]
     plant, controller = on_the_move(rig, 0)
     energy = []
     power = []
@@ -158,7 +158,7 @@ def test_a_turned_face_is_found_by_its_geometry_where_it_is():
     rig = rig_of(*TURNING)
     rng = default_rng(3)
     pair = rig.pairs[0]
-    rail = rig.plant().rails[0]
+    rail = rig.plant().faces.rails[0]
     tracked = rig_of("control.contacts=detected", *TURNING).controlled_pairs()[0]
     X_WO = rig.state().X_WO
     for angle in np.deg2rad([0.0, 2.0, 5.0, -5.0]):

@@ -12,24 +12,18 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.interface import Touched
 from osc_contact.spatial import Array, Poses, classical_to_spatial, cross, rotated, rotations
 
-__all__ = [
-    "Motion",
-    "Rail",
-    "along_rails",
-    "drift_of_faces",
-    "driven_accelerations",
-    "force_on_rail",
-    "free_rails",
-    "poses",
-    "touched",
-]
+__all__ = ["Faces", "Motion", "Rail"]
 
 Motion = Callable[[float], tuple[Array, Array, Array]]
 
 
+def _none() -> Array:
+    return np.zeros(3)
+
+
 @dataclass(frozen=True)
 class Rail:
-    """A slide along u, and on it a hinge about a; either may be missing.
+    """A slide along u, and on it a hinge about a; without either the body rests.
 
     s = (travel (m), angle (rad)) from the assembled pose. A point that was at x is at
     c + u s₁ + R(a, s₂)(x − c); the hinge's axis keeps its direction.
@@ -43,9 +37,9 @@ class Rail:
         stiffness, damping, preload: of a free body, per m and N or per rad and N m.
     """
 
-    direction: Array = field(default_factory=lambda: np.zeros(3))
-    axis: Array = field(default_factory=lambda: np.zeros(3))
-    through: Array = field(default_factory=lambda: np.zeros(3))
+    direction: Array = field(default_factory=_none)
+    axis: Array = field(default_factory=_none)
+    through: Array = field(default_factory=_none)
     motion: Motion | None = None
     inertia: float = 1.0
     stiffness: float = 0.0
@@ -90,107 +84,101 @@ class Rail:
         out[:3] += cross(spin, cross(spin, arm))
         return out
 
+    def force(self, s: Array, rates: Array, gravity: Array) -> float:
+        """Force along a free body's joint besides the contact's (N, N m); hinges are balanced.
 
-def poses(rails: Sequence[Rail | None], s: Array) -> list[pin.SE3]:
-    """X_WE of every body; s (bodies, 2)."""
-    return [
-        pin.SE3.Identity() if rail is None else rail.pose(row)
-        for rail, row in zip(rails, s, strict=True)
-    ]
+        Args:
+            s, rates: (2,) coordinates and rates. gravity: (3,) m/s².
+        """
+        k = self.joints[0]
+        weight = self.inertia * float(self.direction @ gravity)
+        return float(weight + self.preload - self.stiffness * s[k] - self.damping * rates[k])
 
 
-def touched(
-    rails: Sequence[Rail | None], on: Sequence[int], s: Array, rates: Array, second: Array
-) -> Touched | None:
-    """Readings of encoders on the rails and drives; None where nothing can move.
+class Faces:
+    """The bodies of an environment, where they are on their rails, and what touches them.
 
-    Args:
-        rails: one for each body, None: fixed.
-        on: the body of each contact.
-        s, rates, second: (bodies, 2) along each rail; of `second` that of drives counts.
+    Attributes:
+        rails: of each body. on: the body of each contact.
+        s, rates, second: (bodies, 2) coordinates and derivatives; of `second` that of drives.
+        driven: motions by body. moving: whether a body has a joint, driven or free.
+        free: numbers of the bodies that follow the contact force, and of the joint of each.
     """
-    if not any(rails):
-        return None
-    X = np.tile(np.eye(4), (len(on), 1, 1))
-    V = np.zeros((len(on), 6))
-    A = np.zeros((len(on), 6))
-    for i, body in enumerate(on):
-        rail = rails[body]
-        if rail is None:
-            continue
-        pose = rail.pose(s[body])
-        X[i] = pose.homogeneous
-        p = pose.translation
-        V[i] = rail.twist(s[body], rates[body], p)
-        if rail.motion is not None:
-            A[i] = rail.acceleration(s[body], rates[body], second[body], p)
-    return Touched(X, V, A)
 
+    def __init__(
+        self, rails: Sequence[Rail] | None, on: Sequence[int] | None, contacts: int = 0
+    ) -> None:
+        """Every body in its assembled pose.
 
-def driven_accelerations(rails: Sequence[Rail | None], time: float) -> Array:
-    """(bodies, 2) accelerations of the driven ones; 0 for others."""
-    return np.array(
-        [np.zeros(2) if r is None or r.motion is None else r.motion(time)[2] for r in rails]
-    ).reshape(-1, 2)
+        Args:
+            rails: of each body; default: all rest. on: the body of each contact; default: each
+                has its own. contacts: their number.
+        """
+        self.on = tuple(range(contacts) if on is None else on)
+        self.rails = tuple(rails or [Rail()] * (max(self.on, default=-1) + 1))
+        self.moving = [bool(rail.joints) for rail in self.rails]
+        self.driven = {i: rail.motion for i, rail in enumerate(self.rails) if rail.motion}
+        free = [
+            (i, rail.joints[0])
+            for i, rail in enumerate(self.rails)
+            if rail.joints and rail.motion is None
+        ]
+        self.free = tuple(np.array(free, dtype=int).reshape(-1, 2).T)
+        self.s, self.rates, self.second = np.zeros((3, len(self.rails), 2))
 
+    def drive(self, t: float) -> None:
+        """Put the driven bodies where their motions are at time t (s)."""
+        for i, motion in self.driven.items():
+            self.s[i], self.rates[i], self.second[i] = motion(t)
 
-def along_rails(
-    rails: Sequence[Rail | None], on: Sequence[int], s: Array, parts: list[Contact], point: Array
-) -> Array:
-    """(r, bodies, 2) Nᵀ × the twists per unit rate: how fast each gap closes with them.
+    def poses(self) -> list[pin.SE3]:
+        """X_WE of the body at each contact."""
+        return [self.rails[body].pose(self.s[body]) for body in self.on]
 
-    Args:
-        rails: of the bodies. on: the body of each contact. s: (bodies, 2) travel and angle.
-        parts: the contacts. point: (3,) where their columns are given.
-    """
-    out = np.zeros((sum(c.r for c in parts), len(rails), 2))
-    row = 0
-    for part, body in zip(parts, on, strict=True):
-        rail = rails[body]
-        if rail is not None:
+    def twists(self, X_WE: Sequence[pin.SE3]) -> list[Array]:
+        """V_E, (6,) each, of the bodies at the contacts, at the origins of their poses."""
+        return [
+            self.rails[body].twist(self.s[body], self.rates[body], X.translation)
+            for body, X in zip(self.on, X_WE, strict=True)
+        ]
+
+    def touched(self) -> Touched | None:
+        """Readings of encoders on the rails and drives; None where nothing can move."""
+        if not any(self.moving):
+            return None
+        X_WE = self.poses()
+        A = np.zeros((len(self.on), 6))
+        for i, body in enumerate(self.on):
+            if body in self.driven:
+                along = self.s[body], self.rates[body], self.second[body]
+                A[i] = self.rails[body].acceleration(*along, X_WE[i].translation)
+        X = np.array([X.homogeneous for X in X_WE]).reshape(-1, 4, 4)
+        return Touched(X, np.reshape(self.twists(X_WE), (-1, 6)), A)
+
+    def closing(self, parts: Sequence[Contact], point: Array) -> tuple[Array, Array]:
+        """Nᵀ × the motion of the bodies: how fast each gap closes with them.
+
+        Args:
+            parts: the contacts. point: (3,) where their columns are given.
+
+        Returns:
+            (r, bodies, 2) for the twist per unit rate; (r,) for the spatial acceleration that the
+            rates and the drives make.
+        """
+        r = sum(part.r for part in parts)
+        along = np.zeros((r, len(self.rails), 2))
+        drift = np.zeros(r)
+        end = 0
+        for part, body in zip(parts, self.on, strict=True):
+            rows = slice(end, end + part.r)
+            end = rows.stop
+            if not self.moving[body]:
+                continue
+            rail = self.rails[body]
+            s = self.s[body]
+            rates = self.rates[body]
             for k, rate in enumerate(np.eye(2)):
-                twist = rail.twist(s[body], rate, point)
-                out[row : row + part.r, body, k] = part.N.T @ twist
-        row += part.r
-    return out
-
-
-def drift_of_faces(
-    rails: Sequence[Rail | None],
-    on: Sequence[int],
-    s: Array,
-    rates: Array,
-    parts: list[Contact],
-    point: Array,
-) -> Array:
-    """(r,) Nᵀ × the spatial acceleration at the point of bodies at s̈ = 0; as `along_rails`.
-
-    Args:
-        rails, on, s, parts, point: as there. rates: (bodies, 2) of s.
-    """
-    out = [np.zeros(0)]
-    for part, body in zip(parts, on, strict=True):
-        rail = rails[body]
-        drift = np.zeros(6)
-        if rail is not None:
-            drift = rail.acceleration(s[body], rates[body], np.zeros(2), point)
-            drift = classical_to_spatial(drift, rail.twist(s[body], rates[body], point))
-        out.append(part.N.T @ drift)
-    return np.concatenate(out)
-
-
-def free_rails(rails: Sequence[Rail | None]) -> dict[int, Rail]:
-    """The bodies that follow the contact force."""
-    return {i: r for i, r in enumerate(rails) if r is not None and r.motion is None}
-
-
-def force_on_rail(rail: Rail, s: Array, rates: Array, gravity: Array) -> float:
-    """Force along a free body's joint besides the contact's (N, N m); hinges are balanced.
-
-    Args:
-        rail: of the body. s, rates: (2,) coordinates and rates. gravity: (3,) m/s².
-    """
-    k = rail.joints[0]
-    weight = rail.inertia * float(rail.direction @ gravity)
-    spring = rail.stiffness * s[k] + rail.damping * rates[k]
-    return float(weight + rail.preload - spring)
+                along[rows, body, k] = part.N.T @ rail.twist(s, rate, point)
+            a = rail.acceleration(s, rates, self.second[body], point)
+            drift[rows] = part.N.T @ classical_to_spatial(a, rail.twist(s, rates, point))
+        return along, drift

@@ -99,32 +99,19 @@ class JointDrives:
     friction: Array | None = field(default=None)
 
 
-def add_dry_friction(spec: Any, joint: Any, friction: float) -> None:
-    """Coulomb friction of a joint, in addition to what it has.
-
-    MuJoCo's own time constant of 20 ms would make it viscous where a joint's inertia is small, and
-    turn it round 10 ms before the joint.
-
-    Args:
-        spec: scene. joint: of it. friction: N m, N.
-    """
-    joint.frictionloss += friction
-    joint.solref_friction = [2 * spec.option.timestep, 1.0]
-
-
-def add_drives(mujoco: Any, spec: Any, names: Sequence[str], drives: JointDrives) -> None:
+def add_drives(spec: Any, names: Sequence[str], drives: JointDrives) -> None:
     """Put springs, motor inertias and friction into a MuJoCo scene.
 
     The named joint keeps its name, its limits and its motor and becomes the motor's; a second,
     sprung joint about the same axis follows it in the same body.
 
     Args:
-        mujoco, spec: module and scene. names: of the driven joints. drives: what to add.
+        spec: the scene. names: of the driven joints. drives: what to add.
     """
     for i, name in enumerate(names):
         joint = spec.joint(name)
         if drives.friction is not None:
-            add_dry_friction(spec, joint, float(drives.friction[i]))
+            joint.frictionloss += float(drives.friction[i])
         if drives.flexible is None:
             continue
         joint.armature = float(drives.flexible.motor_inertia[i])
@@ -133,7 +120,7 @@ def add_drives(mujoco: Any, spec: Any, names: Sequence[str], drives: JointDrives
             type=joint.type,
             pos=joint.pos,
             axis=joint.axis,
-            limited=mujoco.mjtLimited.mjLIMITED_FALSE,
+            limited=0,
             stiffness=float(drives.flexible.stiffness[i]),
             damping=float(drives.flexible.damping[i]),
         )

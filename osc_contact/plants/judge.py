@@ -88,10 +88,14 @@ class Watched:
 
     def note(self) -> None:
         """Keep the truth of this instant."""
-        self._noted.append(_numbers(self._judge.truth(), len(self._contacts)))
+        truth = self._judge.truth()
+        faces = truth.X_WE or (pin.SE3.Identity(),) * len(self._contacts)
+        poses = [X.homogeneous[:3] for X in (truth.X_WO, *faces)]
+        numbers = (truth.V_O, truth.X_WE is not None, truth.closed, truth.alpha)
+        self._noted.append(np.concatenate((*poses, *numbers), axis=None))
 
     def noted(self, start: int = 0) -> Array:
-        """(k, m): X_WO, V_O, 1 if faces move, closed, X_WE, alpha."""
+        """(k, m): X_WO and X_WE, V_O, 1 if faces move, closed, alpha."""
         return np.array(self._noted[start:])
 
     def clear(self) -> None:
@@ -101,31 +105,14 @@ class Watched:
     def truths(self, noted: Array) -> Truths:
         """See `TruthLog.truths`."""
         c = len(self._contacts)
-        X, V_O, moving, closed, faces, alpha = np.split(
-            noted, np.cumsum([12, 6, 1, c, 12 * c]), axis=1
+        poses, V_O, moving, closed, alpha = np.split(
+            noted, np.cumsum([12 * (1 + c), 6, 1, c]), axis=1
         )
-        X_WO = _poses(X)
-        X_WE: list[Poses | None] = [None] * c
-        if moving.any():
-            X_WE = [_poses(faces[:, 12 * i : 12 * i + 12]) for i in range(c)]
-        N = (normals_over(p, X_WO, X) for p, X in zip(self._contacts, X_WE, strict=True))
-        return Truths(alpha, closed > 0.0, X_WO, V_O, tuple(X_WE), tuple(N))
-
-
-def _numbers(truth: Truth, contacts: int) -> Array:
-    moving = truth.X_WE is not None
-    faces = truth.X_WE if truth.X_WE is not None else (pin.SE3.Identity(),) * contacts
-    placed = [x for X in faces for x in (X.rotation.ravel(), X.translation)]
-    X = truth.X_WO
-    return np.concatenate(
-        (X.rotation.ravel(), X.translation, truth.V_O, [moving], truth.closed, *placed, truth.alpha)
-    )
-
-
-def _poses(numbers: Array) -> Poses:
-    """Of (k, 12) rotations, row by row, and positions."""
-    R = numbers[:, :9].reshape(-1, 3, 3).transpose(1, 2, 0)
-    return Poses(np.ascontiguousarray(R), np.ascontiguousarray(numbers[:, 9:].T))
+        X = poses.reshape(-1, 1 + c, 3, 4).transpose(1, 2, 3, 0).copy()
+        X_WO, *faces = (Poses(x[:, :3], x[:, 3]) for x in X)
+        X_WE = tuple(faces) if moving.any() else (None,) * c
+        N = tuple(normals_over(p, X_WO, E) for p, E in zip(self._contacts, X_WE, strict=True))
+        return Truths(alpha, closed > 0.0, X_WO, V_O, X_WE, N)
 
 
 class Judge(Protocol):

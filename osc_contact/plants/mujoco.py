@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache, lru_cache
 from itertools import product
-from math import isfinite
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -23,15 +22,15 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import PlantError, missing
 from osc_contact.interface import Measurement, Touched
-from osc_contact.plants.faces import Rail, touched
-from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives, add_dry_friction
+from osc_contact.plants.faces import Faces, Rail
+from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
 from osc_contact.plants.judge import Truth, Truths, require_duration
 from osc_contact.robots import is_mjcf
-from osc_contact.robots.mjcf import mjcf_skeleton
+from osc_contact.robots.mjcf import mjcf_skeleton, placed, weld_joints
 from osc_contact.scenarios.hardware import PlantSpec, Push
 from osc_contact.spatial import Array, Poses, as_array, cross
 
-__all__ = ["DRIVE_MASS", "GRASP_JOINT", "GUIDES", "MujocoPlant", "MujocoTruth", "scene"]
+__all__ = ["MujocoPlant", "MujocoTruth"]
 
 
 # --- The MuJoCo model of a rig --------------------------------------------------------------------
@@ -53,24 +52,27 @@ DRIVE_MASS = 1e6
 WELDS = 3014000  #: version of MuJoCo from which on sensors feel welds as they are
 GUIDES = ("slide", "hinge")  #: joints of a body that moves
 _NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo needs mass in moving bodies
+OBJECT = -1  #: of `MujocoPlant.body_of`
+OTHER = -2
 
 
 def scene(
-    mujoco: Any,
     chain: ClosedChain,
     arm_urdfs: Sequence[Path],
     object_urdf: Path,
     bodies: Sequence[tuple[Path, pin.SE3]],
     options: PlantSpec,
-    rails: Sequence[Rail | None],
+    rails: Sequence[Rail],
 ) -> Any:
     """The uncompiled specification, see `MujocoPlant`.
 
     Args:
-        mujoco: the module. chain: of the arms. arm_urdfs, object_urdf: their files.
+        chain: of the arms. arm_urdfs, object_urdf: their files.
         bodies: URDF and pose of each body touched. options: of the plant.
-        rails: how each body moves; None: at rest.
+        rails: how each body moves.
     """
+    import mujoco
+
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.fusestatic = False
@@ -80,52 +82,73 @@ def scene(
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     off = mujoco.mjtDisableBit
     disabled = off.mjDSBL_AUTORESET | off.mjDSBL_MIDPHASE  # few geometries, all looked at
-    if not any(rails):  # all that is constrained hangs together
+    if not any(rail.joints for rail in rails):  # all that is constrained hangs together
         disabled |= off.mjDSBL_ISLAND
     spec.option.disableflags = int(disabled)
-    for arm, urdf in zip(chain.arms, arm_urdfs, strict=True):
-        part = _arm(mujoco, arm, urdf)
-        spec.attach(part, prefix=f"{arm.name}/", frame=_frame(spec.worldbody, arm.base))
-        if arm.wrist_sensor is not None:
-            _wrist_sensor(mujoco, spec, arm.name)
-    _joint_numbers(spec, chain)
-    for index in chain.actuated:
-        name = chain.joint_names[index]
-        limit = float(chain.model.upperEffortLimit[index])
+    for arm, file in zip(chain.arms, arm_urdfs, strict=True):
+        frame = spec.worldbody.add_frame(**placed(arm.base))
+        spec.attach(_arm(arm, file), prefix=f"{arm.name}/", frame=frame)
+        for kind in ("force", "torque") if arm.wrist_sensor is not None else ():
+            spec.add_sensor(
+                name=f"{arm.name}/{kind}",
+                type=getattr(mujoco.mjtSensor, f"mjSENS_{kind.upper()}"),
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                objname=f"{arm.name}/wrist",
+            )
+    model = chain.model
+    for i, name in enumerate(chain.joint_names):
+        joint = spec.joint(name)
+        joint.armature = float(model.armature[i])
+        joint.damping = np.resize([model.damping[i], 0.0, 0.0], np.shape(joint.damping))
+        joint.frictionloss = float(model.upperDryFrictionLimit[i])
+        # of this and of what drives add: MuJoCo's own 20 ms would make it viscous where the inertia
+        # is small, and turn it round 10 ms before the joint
+        joint.solref_friction = [2 * options.step, 1.0]
+    for actuated in chain.actuated:
+        name = chain.joint_names[actuated]
+        limit = float(model.upperEffortLimit[actuated])
         motor = spec.add_actuator(
             name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrlrange=[-limit, limit]
         )
         motor.set_to_motor()
-    _hold_object(mujoco, spec, chain, object_urdf)
-    for i, (body, rail) in enumerate(zip(bodies, rails, strict=True)):
-        _body(mujoco, spec, i, *body, options, rail)
+    _hold_object(spec, chain, object_urdf)
+    for i, ((file, placement), rail) in enumerate(zip(bodies, rails, strict=True)):
+        part, root = _read_body(file)
+        for geom in part.geoms:
+            geom.contype = 1
+            geom.conaffinity = 0
+            geom.priority = 1
+            geom.solref = list(options.solref)
+            geom.solimp = [*options.solimp, 0.5, 2.0]
+            geom.condim = 1 if options.friction == 0.0 else 3
+            geom.friction = [options.friction, 0.0, 0.0]
+        if rail.joints:
+            _put_on_rail(part, root, placement, rail)
+        frame = spec.worldbody.add_frame(**placed(placement))
+        spec.attach(part, prefix=f"face{i}/", frame=frame)
     if options.friction > 0.0:
         _add_friction(spec, options)
     return spec
 
 
-def _arm(mujoco: Any, arm: Arm, file: Path) -> Any:
+def _arm(arm: Arm, file: Path) -> Any:
     """An arm without shapes and losses, locked joints welded, a site where its wrist sensor is."""
+    import mujoco
+
     if is_mjcf(file):
-        return mjcf_skeleton(mujoco, file, arm.tip, arm.wrist_sensor, arm.locked)
-    part = mujoco.MjSpec.from_string(_skeleton(file))
+        return mjcf_skeleton(file, arm.tip, arm.wrist_sensor, arm.locked)
+    part = mujoco.MjSpec.from_string(_without_shapes(file.read_bytes()))
     part.compiler.fusestatic = False
-    for joint in list(part.joints):
-        if joint.name in arm.locked:
-            _lock(mujoco, part, joint, arm.locked[joint.name])
+    weld_joints(part, arm.locked)
     if arm.wrist_sensor is not None:
         part.body(arm.wrist_sensor).add_site(name="wrist")
     return part
 
 
-def _skeleton(urdf: Path) -> str:
-    """A robot's URDF without shapes, which may be meshes, and without losses in its joints."""
-    return _without_shapes(urdf.read_bytes())
-
-
 @lru_cache(maxsize=32)
-def _without_shapes(text: bytes) -> str:
-    root = ElementTree.fromstring(text)
+def _without_shapes(urdf: bytes) -> str:
+    """A robot's URDF without shapes, which may be meshes, and without losses in its joints."""
+    root = ElementTree.fromstring(urdf)
     for element in root.iter():
         for tag in ("visual", "collision", "dynamics"):
             for child in element.findall(tag):
@@ -133,157 +156,83 @@ def _without_shapes(text: bytes) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _lock(mujoco: Any, part: Any, joint: Any, position: float) -> None:
-    """Weld a link where its joint is held; a URDF's joints have the axes of their child links."""
-    body = joint.parent
-    axis = np.array(joint.axis)
-    pose = np.zeros(3)
-    turn = np.zeros(4)
-    if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
-        mujoco.mju_rotVecQuat(pose, position * axis, body.quat)
-        body.pos = np.array(body.pos) + pose
-    else:
-        mujoco.mju_axisAngle2Quat(turn, axis, position)
-        held = np.zeros(4)
-        mujoco.mju_mulQuat(held, body.quat, turn)
-        body.quat = held
-    part.delete(joint)
+def _read_body(urdf: Path) -> tuple[Any, Any]:
+    """The specification of a body of its own, and its root."""
+    import mujoco
+
+    part = mujoco.MjSpec.from_file(str(urdf))
+    part.compiler.fusestatic = False
+    root = part.worldbody.first_body()
+    root.name = "root"
+    return part, root
 
 
-def _joint_numbers(spec: Any, chain: ClosedChain) -> None:
-    """Rotor inertia, damping and dry friction of every joint, as the chain has them."""
-    model = chain.model
-    for i, name in enumerate(chain.joint_names):
-        joint = spec.joint(name)
-        joint.armature = float(model.armature[i])
-        joint.damping = np.resize([model.damping[i], 0.0, 0.0], np.shape(joint.damping))
-        joint.frictionloss = 0.0
-        add_dry_friction(spec, joint, float(model.upperDryFrictionLimit[i]))
-
-
-def _frame(body: Any, X: pin.SE3) -> Any:
-    x, y, z, w = pin.Quaternion(X.rotation).coeffs()
-    return body.add_frame(pos=X.translation, quat=[w, x, y, z])
-
-
-def _wrist_sensor(mujoco: Any, spec: Any, arm: str) -> None:
-    for kind in ("force", "torque"):
-        spec.add_sensor(
-            name=f"{arm}/{kind}",
-            type=getattr(mujoco.mjtSensor, f"mjSENS_{kind.upper()}"),
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            objname=f"{arm}/wrist",
-        )
-
-
-def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None:
+def _hold_object(spec: Any, chain: ClosedChain, urdf: Path) -> None:
     """The object rides on the first arm; equality constraints tie it to the others."""
+    import mujoco
+
     for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
         if grasp.kind == "other":
             raise PlantError(
                 f"arm '{arm.name}': MuJoCo is given rigid, hinge and ball grasps only; "
                 "use the rigid plant"
             )
-    part = mujoco.MjSpec.from_file(str(urdf))
-    part.compiler.fusestatic = False
+    part, root = _read_body(urdf)
     for geom in part.geoms:
         geom.contype = 0
         geom.conaffinity = 1
-    root = part.worldbody.first_body()
-    root.name = "root"
-    root.add_site(name="held")
-    _weigh(root, chain)
+    assert chain.payload is not None
+    inertia = chain.payload.inertia
+    if inertia.mass != root.mass:  # the chain's object is not the one of the file
+        I = inertia.inertia  # noqa: E741 - the field's letter
+        root.explicitinertial = True
+        root.mass = inertia.mass
+        root.ipos = inertia.lever
+        root.iquat = [1.0, 0.0, 0.0, 0.0]
+        root.fullinertia = [*np.diag(I), I[0, 1], I[0, 2], I[1, 2]]
     first = chain.grasps[0]
-    for i, grasp in enumerate(chain.grasps[1:], start=1):
-        for k, point in enumerate(_tie_points(mujoco, grasp)):
-            root.add_site(name=f"tie{i}.{k}", pos=grasp.X_TO.actInv(point))
     if not first.is_rigid:
-        axis = np.zeros(3) if first.kind == "ball" else first.X_TO.rotation.T @ first.T[3:, 0]
         root.add_joint(
             name="grasp",
             type=getattr(mujoco.mjtJoint, f"mjJNT_{first.kind.upper()}"),
             pos=first.X_TO.inverse().translation,
-            **({} if first.kind == "ball" else {"axis": axis}),
+            axis=[0, 0, 1] if first.kind == "ball" else first.X_TO.rotation.T @ first.T[3:, 0],
         )
-    tip = spec.body(f"{chain.arms[0].name}/{chain.arms[0].tip}")
-    spec.attach(part, prefix="object/", frame=_frame(tip, first.X_TO))
-    for i, (arm, grasp) in enumerate(zip(chain.arms[1:], chain.grasps[1:], strict=True), start=1):
-        tip = spec.body(f"{arm.name}/{arm.tip}")
-        points = _tie_points(mujoco, grasp)
-        if not points:
-            x, y, z, w = pin.Quaternion(grasp.X_TO.rotation).coeffs()
-            tip.add_site(name=f"{arm.name}/hold", pos=grasp.X_TO.translation, quat=[w, x, y, z])
-            tie = _tie(mujoco, spec, f"{arm.name}/weld", f"{arm.name}/hold", "object/held")
-            tie.type = mujoco.mjtEq.mjEQ_WELD
-            data = np.zeros(len(tie.data))  # 11 or 12, by version
-            data[10] = 1.0  # torque scale of the weld
-            tie.data = data
-        for k, point in enumerate(points):
-            own = f"{arm.name}/tie.{k}"
-            other = f"object/tie{i}.{k}"
-            tip.add_site(name=own, pos=point)
-            _tie(mujoco, spec, own, own, other).type = mujoco.mjtEq.mjEQ_CONNECT
+    tips = [spec.body(f"{arm.name}/{arm.tip}") for arm in chain.arms]
+    spec.attach(part, prefix="object/", frame=tips[0].add_frame(**placed(first.X_TO)))
+    held = spec.body("object/root")
+    for arm, tip, grasp in list(zip(chain.arms, tips, chain.grasps, strict=True))[1:]:
+        points = _tie_points(grasp)
+        poses = [pin.SE3(np.eye(3), point) for point in points] or [grasp.X_TO]
+        for k, X in enumerate(poses):
+            name = f"{arm.name}/tie.{k}"
+            tip.add_site(name=name, **placed(X))
+            held.add_site(name=f"object/{name}", **placed(grasp.X_TO.actInv(X)))
+            tie = spec.add_equality(
+                name=name,
+                type=mujoco.mjtEq.mjEQ_CONNECT if points else mujoco.mjtEq.mjEQ_WELD,
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                name1=name,
+                name2=f"object/{name}",
+                solref=[2 * spec.option.timestep, 1.0],
+                solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
+            )
+            if not points:
+                data = np.zeros(len(tie.data))  # 11 or 12, by version
+                data[10] = 1.0  # torque scale of the weld
+                tie.data = data
 
 
-def _weigh(root: Any, chain: ClosedChain) -> None:
-    """The chain's object where that is not the one of the file."""
-    assert chain.payload is not None
-    inertia = chain.payload.inertia
-    if inertia.mass == root.mass:
-        return
-    I = inertia.inertia  # noqa: E741 - the field's letter
-    root.explicitinertial = True
-    root.mass = inertia.mass
-    root.ipos = inertia.lever
-    root.iquat = [1.0, 0.0, 0.0, 0.0]
-    root.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
-
-
-def _tie_points(mujoco: Any, grasp: Grasp) -> list[Array]:
+def _tie_points(grasp: Grasp) -> list[Array]:
     """Points of the tip frame that stay together in a hinge or a ball; none: a weld."""
+    import mujoco
+
     if grasp.is_rigid:
         return [] if mujoco.mj_version() >= WELDS else list(TIE_SPAN * np.eye(3))
     if grasp.kind == "ball":
         return [np.zeros(3)]
     axis = grasp.T[3:, 0]
     return [TIE_SPAN * axis, -TIE_SPAN * axis]
-
-
-def _tie(mujoco: Any, spec: Any, name: str, first: str, second: str) -> Any:
-    return spec.add_equality(
-        name=name,
-        objtype=mujoco.mjtObj.mjOBJ_SITE,
-        name1=first,
-        name2=second,
-        solref=[2 * spec.option.timestep, 1.0],
-        solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
-    )
-
-
-def _body(
-    mujoco: Any,
-    spec: Any,
-    i: int,
-    urdf: Path,
-    placement: pin.SE3,
-    options: PlantSpec,
-    rail: Rail | None,
-) -> None:
-    part = mujoco.MjSpec.from_file(str(urdf))
-    part.compiler.fusestatic = False
-    root = part.worldbody.first_body()
-    root.name = "root"
-    for geom in part.geoms:
-        geom.contype = 1
-        geom.conaffinity = 0
-        geom.priority = 1
-        geom.solref = list(options.solref)
-        geom.solimp = [*options.solimp, 0.5, 2.0]
-        geom.condim = 1 if options.friction == 0.0 else 3
-        geom.friction = [options.friction, 0.0, 0.0]
-    if rail is not None:
-        _put_on_rail(mujoco, part, root, placement, rail)
-    spec.attach(part, prefix=f"face{i}/", frame=_frame(spec.worldbody, placement))
 
 
 _IMPEDANCE = 0.03  #: MuJoCo's d of contacts with friction, at `width`
@@ -331,11 +280,13 @@ def _add_friction(spec: Any, options: PlantSpec) -> None:
         pair.solreffriction = [-1e-9, -min(_FRICTION_DAMPING, fastest) * most]
 
 
-def _put_on_rail(mujoco: Any, part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:
+def _put_on_rail(part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:
     """A slide, a hinge or both, whose inertia is all there is: a cart's weighs, others' does not.
 
     It sits in the joints (armature), where a slide and a hinge do not act on one another.
     """
+    import mujoco
+
     driven = rail.motion is not None
     for body in part.bodies[1:]:  # links fixed to the body weigh nothing beside it
         body.explicitinertial = True
@@ -371,67 +322,36 @@ class MujocoTruth:
     columns of the contacts on that body share: exactly, as far as it lies in their range.
     """
 
-    def __init__(
-        self,
-        plant: tuple[Any, Any],
-        body: int,
-        body_of: Mapping[int, int],
-        rails: Sequence[Rail | None],
-        guided: tuple[Array, tuple[Array, ...]],
-        *,
-        contacts: Sequence[ContactPair],
-        on: Sequence[int],
-        inertia: Array,
-    ) -> None:
-        """Watch a plant.
-
-        Args:
-            plant: `MjModel` and `MjData`. Cones are elliptic: the first number of a contact's
-                constraint force is its normal force.
-            body: the object's. body_of: body of the environment by its geom; geoms that are not
-                named, and −1, are the object's, others neither.
-            rails: how each of these moves. guided: places in qpos of their joints; the body of
-                each joint and whether it is the travel (0) or the angle (1).
-            contacts: the pairs. on: the body of each.
-            inertia: (6, 6) of the object at its origin, in its own axes.
-        """
-        model, self._data = plant
-        self._rails = rails
-        self._on = on
-        self._contacts = tuple(contacts)
-        self._travel, self._guided = guided
-        d = self._data
-        root = int(model.body_rootid[body])
-        self.place: pin.SE3 | None = None  #: of the object in that body
+    def __init__(self, plant: MujocoPlant) -> None:
+        """Watch a plant; cones are elliptic: a contact's first constraint force is its normal's."""
+        self._plant = plant
+        data = plant.data
+        body = plant.object_body
+        root = int(plant.model.body_rootid[body])
         self._parts: tuple[Array, ...] = (
-            d.xpos[body],
-            d.xmat[body],
-            d.cvel[body],
-            d.subtree_com[root],
+            data.xpos[body],
+            data.xmat[body],
+            data.cvel[body],
+            data.subtree_com[root],
         )
-        self._body_of = np.full(model.ngeom, -1)
-        self._body_of[list(body_of)] = list(body_of.values())
-        self._Phi = np.linalg.inv(inertia)
+        inertia = plant.chain.reference_inertia(pin.SE3.Identity())
+        self._root = np.linalg.cholesky(np.linalg.inv(inertia)).T  #: Φ = rootᵀ root
         self._seen = -1
         self._states: list[Array] = []
         self._points: list[Array] = []
-        self._forces: list[Array] = []
 
     def note(self) -> None:
         """Keep where the object and bodies on rails are, and each contact with its force."""
-        data = self._data
-        parts = self._parts
-        if len(self._travel):
-            parts = (*parts, data.qpos[self._travel])
-        self._states.append(np.concatenate(parts))
+        data = self._plant.data
+        self._states.append(np.concatenate((*self._parts, data.qpos[self._plant.face_q])))
         if data.ncon != self._seen:  # contacts stand at the start of MuJoCo's arena at every step
             contact = data.contact
             self._seen = data.ncon
-            self._address = contact.efc_address
-            self._contact = contact.geom, self._address[:, None], contact.pos, contact.frame[:, :3]
-        self._points.append(np.concatenate(self._contact, axis=1))
+            self._address = contact.efc_address[:, None]
+            self._contact = contact.geom, self._address, contact.pos, contact.frame[:, :3]
         force = data.efc_force
-        self._forces.append(force.take(self._address) if len(force) else np.zeros(self._seen))
+        normal = force.take(self._address) if len(force) else np.zeros((self._seen, 1))
+        self._points.append(np.concatenate((*self._contact, normal), axis=1))
 
     def noted(self, start: int = 0) -> Array:
         """(k, m): R, p and twist of the object, where bodies on rails are, and of each body
@@ -441,116 +361,93 @@ class MujocoTruth:
         p, R, velocity, centre, travelled = np.split(
             np.array(self._states[start:]).T, [3, 12, 18, 21]
         )
-        k = p.shape[1]
-        R = R.reshape(3, 3, k)
-        if self.place is not None:
-            p = p + np.einsum("ijk,j->ik", R, self.place.translation)
-            R = np.einsum("ijk,jl->ilk", R, self.place.rotation)
+        R = R.reshape(3, 3, -1)
+        place = self._plant.place
+        p = p + np.einsum("ijk,j->ik", R, place.translation)
+        R = np.einsum("ijk,jl->ilk", R, place.rotation)
         omega = velocity[:3]
         v = velocity[3:] + cross(omega, p - centre)
-        parts = (R.reshape(9, k), p, v, omega, travelled, *self._wrenches(p, start))
+        parts = (R.reshape(9, -1), p, v, omega, travelled, *self._wrenches(p, start))
         return np.concatenate(parts).T
 
     def _wrenches(self, O: Array, start: int) -> tuple[Array, Array]:  # noqa: E741
         """Into each body: (6 bodies, k) at O (3, k), and whether it is touched (bodies, k)."""
         k = O.shape[1]
-        bodies = len(self._rails)
+        bodies = len(self._plant.faces.rails)
         pushed = np.zeros((bodies, k, 6))
         touched = np.zeros((bodies, k))
+        counts = [len(one) for one in self._points[start:]]
         points = np.concatenate(self._points[start:])
-        first, second = self._body_of[points[:, :2].astype(int)].T
-        body = np.maximum(first, second)
-        here = (np.minimum(first, second) == -1) & (body >= 0)  # the object is one of the two
-        tick = np.repeat(np.arange(k), [len(one) for one in self._points[start:]])
+        between = self._plant.body_of[points[:, :2].astype(int)]
+        here = (between.min(axis=1) == OBJECT) & (between.max(axis=1) >= 0)
+        points = points[here]
+        tick = np.repeat(np.arange(k), counts)[here]
+        body = between[here].max(axis=1)
         presses = points[:, 2] >= 0.0
-        size = np.where(presses, np.concatenate(self._forces[start:]), 0.0)
         # the normal points from the first geom to the second
-        f = np.where(first < 0, size, -size) * points[:, 6:].T
-        wrench = np.concatenate((f, cross(points[:, 3:6].T - O[:, tick], f)))
-        body = body[here]
-        tick = tick[here]
-        np.add.at(pushed, (body, tick), wrench[:, here].T)
-        np.logical_or.at(touched, (body, tick), presses[here])
+        sign = np.where(between[here, 0] == OBJECT, 1.0, -1.0)
+        f = np.where(presses, sign * points[:, 9], 0.0) * points[:, 6:9].T
+        moment = cross(points[:, 3:6].T - O[:, tick], f)
+        np.add.at(pushed, (body, tick), np.concatenate((f, moment)).T)
+        np.logical_or.at(touched, (body, tick), presses)
         return pushed.transpose(0, 2, 1).reshape(-1, k), touched
 
     def clear(self) -> None:
         """Forget the instants noted so far."""
-        for notes in (self._states, self._points, self._forces):
-            notes.clear()
+        self._states.clear()
+        self._points.clear()
 
     def truths(self, noted: Array) -> Truths:
         """See `TruthLog.truths`."""
+        plant = self._plant
+        faces = plant.faces
         k = len(noted)
-        bodies = len(self._rails)
-        sizes = [9, 3, 6, len(self._travel), 6 * bodies]
+        bodies = len(faces.rails)
+        sizes = [9, 3, 6, len(plant.face_q), 6 * bodies]
         R, p, V_O, travelled, pushed, touched = np.split(noted.T.copy(), np.cumsum(sizes))
         X_WO = Poses(R.reshape(3, 3, k), p)
-        X_WE = self._faces(travelled.T)
-        N = tuple(normals_over(q, X_WO, X) for q, X in zip(self._contacts, X_WE, strict=True))
+        X_WE: tuple[Poses | None, ...] = (None,) * len(faces.on)
+        if len(travelled):
+            s = np.zeros((bodies, 2, k))
+            s[plant.guided] = travelled
+            poses = [rail.over(*path) for rail, path in zip(faces.rails, s, strict=True)]
+            X_WE = tuple(poses[body] for body in faces.on)
+        N = tuple(normals_over(q, X_WO, X) for q, X in zip(plant.contacts, X_WE, strict=True))
         alpha, closed = self._shares(X_WO, N, pushed.reshape(bodies, 6, k), touched > 0.0)
         return Truths(alpha, closed, X_WO, V_O.T.copy(), X_WE, N)
-
-    def _faces(self, travelled: Array) -> tuple[Poses | None, ...]:
-        """Of each contact the poses of its body; None for all where no body can move."""
-        if not len(self._travel):
-            return (None,) * len(self._on)
-        k = len(travelled)
-        s = np.zeros((len(self._rails), 2, k))
-        s[self._guided] = travelled.T
-        still = Poses(np.eye(3)[:, :, None], np.zeros((3, k)))
-        poses = [
-            still if rail is None else rail.over(*path)
-            for rail, path in zip(self._rails, s, strict=True)
-        ]
-        return tuple(poses[body] for body in self._on)
 
     def _shares(
         self, X_WO: Poses, N: Sequence[Array], pushed: Array, touched: Array
     ) -> tuple[Array, Array]:
-        """Magnitudes (k, r) and whether each contact touches (k, contacts)."""
-        k = touched.shape[1]
-        alpha = [np.zeros((part.shape[1], k)) for part in N]
-        presses = [np.zeros(part.shape, dtype=bool) for part in alpha]
-        for body in sorted(set(self._on)):
+        """Magnitudes (k, r) and whether each contact touches (k, contacts).
+
+        α with NᵀΦN α = NᵀΦf, Φ⁻¹ the inertia of the object: the least-squares solution of what the
+        object alone would feel of the columns and of the wrench f.
+        """
+        on = self._plant.faces.on
+        owner = np.repeat(np.arange(len(N)), [part.shape[1] for part in N])
+        alpha = np.zeros((touched.shape[1], len(owner)))
+        presses = alpha > 0.0
+        for body in sorted(set(on)):
             rows = touched[body]
-            here = [i for i, other in enumerate(self._on) if other == body]
+            here = [i for i, other in enumerate(on) if other == body]
             if not rows.any():
                 continue
+            F = np.concatenate([*(N[i] for i in here), pushed[body][:, None]], axis=1)[:, :, rows]
             at = Poses(X_WO.R[:, :, rows], X_WO.p[:, rows])
-            columns = _in_axes_of(at, np.concatenate([N[i][:, :, rows] for i in here], axis=1))
-            whole = _in_axes_of(at, pushed[body][:, None, rows])
-            share = _split(columns, self._Phi, whole[:, 0])
-            felt = share * self._mobility(columns) > _PRESSES * self._mobility(whole)
-            ends = np.cumsum([len(alpha[i]) for i in here])[:-1]
-            for i, part, on in zip(here, np.split(share, ends), np.split(felt, ends), strict=True):
-                alpha[i][:, rows] = part
-                presses[i][:, rows] = on
-        closed = [
-            touched[body] & (on.all(axis=0) if pushes_only(pair) else True)
-            for body, pair, on in zip(self._on, self._contacts, presses, strict=True)
-        ]
-        both = np.concatenate([np.zeros((0, k)), *alpha])
-        return both.T.copy(), np.array(closed, dtype=bool).reshape(-1, k).T.copy()
-
-    def _mobility(self, wrenches: Array) -> Array:
-        """√(fᵀΦf) (m, k), what the object alone would feel of wrenches (6, m, k) in its axes."""
-        return np.sqrt((wrenches * np.tensordot(self._Phi, wrenches, 1)).sum(axis=0))
-
-
-def _in_axes_of(X: Poses, wrenches: Array) -> Array:
-    """Wrenches (6, m, k) at O in the object's axes."""
-    return np.concatenate((X.rotate_back(wrenches[:3]), X.rotate_back(wrenches[3:])))
-
-
-def _split(N: Array, Phi: Array, f: Array) -> Array:
-    """(r, k) α with NᵀΦ N α = NᵀΦ f; N (6, r, k), Φ (6, 6), f (6, k)."""
-    r = N.shape[1]
-    Phi_N = np.tensordot(Phi, N, 1)
-    right = (Phi_N * f[:, None]).sum(axis=0)
-    gram = np.array([[(N[:, i] * Phi_N[:, j]).sum(axis=0) for j in range(r)] for i in range(r)])
-    if r == 1:
-        return np.asarray(right / gram[0])
-    return np.asarray(np.linalg.solve(gram.transpose(2, 0, 1), right.T[:, :, None])[:, :, 0].T)
+            F = np.concatenate((at.rotate_back(F[:3]), at.rotate_back(F[3:])))  # object axes
+            F = np.moveaxis(np.tensordot(self._root, F, 1), 2, 0)
+            columns = F[..., :-1]
+            share = np.linalg.solve(columns.mT @ columns, columns.mT @ F[..., -1:])[..., 0]
+            size = np.linalg.norm(F, axis=1)
+            places = np.ix_(rows, np.isin(owner, here))
+            alpha[places] = share
+            presses[places] = share * size[:, :-1] > _PRESSES * size[:, -1:]
+        closed = np.empty((len(alpha), len(N)), dtype=bool)
+        for i, (body, pair) in enumerate(zip(on, self._plant.contacts, strict=True)):
+            all_press = presses[:, owner == i].all(axis=1)
+            closed[:, i] = touched[body] & (all_press if pushes_only(pair) else True)
+        return alpha, closed
 
 
 # --- The plant ------------------------------------------------------------------------------------
@@ -582,7 +479,24 @@ def quieten(mujoco: Any) -> None:
 
 
 class MujocoPlant:
-    """Arms, object and environment in MuJoCo (needs the extra `sim`)."""
+    """Arms, object and environment in MuJoCo (needs the extra `sim`).
+
+    Attributes:
+        model, data, spec: MuJoCo's. chain: the true arms. contacts: the pairs.
+        faces: bodies of the environment. pushes: forces from outside. drives: of the joints.
+        time: s since the last reset.
+        object_body: the number of the object's body in `model`. place: of the object in it.
+        body_of: (ngeom,) body of the environment by geom; −1: of the object, −2: neither.
+        guided: of the joints of moving bodies the body, and whether it is travel (0) or angle (1).
+        face_q: their places in qpos.
+    """
+
+    spec: Any = None
+    pushes: Sequence[Push] = ()
+    drives = JointDrives()
+    place = pin.SE3.Identity()
+    _springs = _spring_v = _face_v = face_q = np.array([], dtype=int)
+    guided: tuple[Array, ...] = (face_q, face_q)
 
     def __init__(
         self,
@@ -593,7 +507,7 @@ class MujocoPlant:
         bodies: Sequence[tuple[Path, pin.SE3]],
         *,
         options: PlantSpec | None = None,
-        rails: Sequence[Rail | None] | None = None,
+        rails: Sequence[Rail] | None = None,
         on: Sequence[int] | None = None,
         drives: JointDrives | None = None,
     ) -> None:
@@ -617,76 +531,83 @@ class MujocoPlant:
             import mujoco
         except ImportError as error:
             raise PlantError(missing(error)) from error
-        self._mj: Any = mujoco
         quieten(mujoco)
-        self.chain = chain
-        self.contacts = tuple(contacts)
-        options = PlantSpec(step=2.5e-4) if options is None else options
-        self.on = tuple(range(len(self.contacts)) if on is None else on)
-        self.rails: list[Rail | None] = list(rails or [None] * len(bodies))
+        options = options or PlantSpec(step=2.5e-4)
         self.pushes = options.pushes
-        self.drives = JointDrives() if drives is None else drives
+        self.drives = drives or JointDrives()
+        faces = Faces(rails or [Rail()] * len(bodies), on, len(contacts))
         driven = [chain.joint_names[j] for j in chain.actuated]
         try:
-            spec = scene(mujoco, chain, arm_urdfs, object_urdf, bodies, options, self.rails)
-            add_drives(mujoco, spec, driven, self.drives)
-            self.model: Any = spec.compile()
-            self.spec: Any = spec
+            spec = self.spec = scene(chain, arm_urdfs, object_urdf, bodies, options, faces.rails)
+            add_drives(spec, driven, self.drives)
+            model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             raise PlantError(f"MuJoCo refuses the scene: {error}") from error
-        self.data: Any = mujoco.MjData(self.model)
-        joints = [self.model.joint(name) for name in chain.joint_names]
-        self._q = np.array([int(j.qposadr[0]) for j in joints])
-        self._v = np.array([int(j.dofadr[0]) for j in joints])
-        self._springs = self._spring_v = np.array([], dtype=int)
+        self._connect(model, chain, contacts, faces)
+        self._q, self._v = self._places(chain.joint_names)
         if self.drives.flexible is not None:
-            springs = [self.model.joint(f"{name}/{SPRING}") for name in driven]
-            self._springs = np.array([int(j.qposadr[0]) for j in springs])
-            self._spring_v = np.array([int(j.dofadr[0]) for j in springs])
-        self._object = int(self.model.body("object/root").id)
-        self._seen = [self._object] + [
-            int(self.model.body(f"{arm.name}/{arm.tip}").id) for arm in chain.arms
-        ]
-        roots = [int(self.model.body(f"face{i}/root").id) for i in range(len(bodies))]
-        self._body_of = {geom: i for i, root in enumerate(roots) for geom in self._geoms_of(root)}
-        self._moved = {i: rail for i, rail in enumerate(self.rails) if rail is not None}
-        kinds = [(i, k) for i, rail in self._moved.items() for k in rail.joints]
-        guides = [self.model.joint(f"face{i}/{GUIDES[k]}") for i, k in kinds]
-        self._guided = tuple(np.array(kinds, dtype=int).reshape(-1, 2).T)  # body, joint
-        self._face_q = np.array([int(j.qposadr[0]) for j in guides], dtype=int)
-        self._face_v = np.array([int(j.dofadr[0]) for j in guides], dtype=int)
-        self._driven = any(rail.motion is not None for rail in self._moved.values())
-        if self._driven:  # the drive's mass must not set the scale of the solver's accuracy
-            self.model.stat.meaninertia = 1.0
+            self._springs, self._spring_v = self._places([f"{name}/{SPRING}" for name in driven])
+        self.object_body = int(model.body("object/root").id)
+        tips = [int(model.body(f"{arm.name}/{arm.tip}").id) for arm in chain.arms]
+        self._seen = [self.object_body, *tips]
+        self.body_of = np.full(model.ngeom, OBJECT)
+        for i in range(len(bodies)):
+            self.body_of[self._geoms_of(int(model.body(f"face{i}/root").id))] = i
+        guides = [(i, k) for i, rail in enumerate(faces.rails) for k in rail.joints]
+        self.guided = tuple(np.array(guides, dtype=int).reshape(-1, 2).T)
+        self.face_q, self._face_v = self._places([f"face{i}/{GUIDES[k]}" for i, k in guides])
+        self._drives = np.isin(self.guided[0], list(faces.driven))
+        if faces.driven:  # the drive's mass must not set the scale of the solver's accuracy
+            model.stat.meaninertia = 1.0
         self._sensed = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
-        readings = [self.model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
+        readings = [model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
         self._readings = np.add.outer(np.array(readings, dtype=int), np.arange(6))
-        self._look_in()
 
-    def _look_in(self) -> None:
-        """Views of what every step reads and writes."""
+    def _connect(
+        self, model: Any, chain: ClosedChain, contacts: Sequence[ContactPair], faces: Faces
+    ) -> None:
+        """The state of a compiled scene, and views of what every step reads and writes."""
+        import mujoco
+
+        self._mj: Any = mujoco
+        self.model = model
+        self.data: Any = mujoco.MjData(model)
+        self.chain = chain
+        self.contacts = tuple(contacts)
+        self.faces = faces
         self._qpos = self.data.qpos
         self._qvel = self.data.qvel
         self._sensordata = self.data.sensordata
         self._ctrl = self.data.ctrl
         self._warnings = self.data.warning.number
-        self._size = self._ctrl.shape
-        self._calm = bytes(self._warnings.nbytes)
-        self._option = self.model.opt
-        self._step = float(self._option.timestep)
-        self._flags = int(self._option.disableflags)
-        self._blind = int(self._mj.mjtDisableBit.mjDSBL_SENSOR)
+        self._option = model.opt
+        self._step = float(model.opt.timestep)
+        self._flags = int(model.opt.disableflags)
+        self._blind = self._flags | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self.time = 0.0
+
+    def _places(self, joints: Sequence[str]) -> tuple[Array, Array]:
+        """Places of joints in qpos and qvel."""
+        ids = np.array([self.model.joint(name).id for name in joints], dtype=int)
+        return self.model.jnt_qposadr[ids], self.model.jnt_dofadr[ids]
+
+    def _geoms_of(self, root: int) -> Array:
+        """Geoms of a body and of the bodies that hang on it."""
+        bodies = [root]
+        for body in range(root + 1, self.model.nbody):
+            if self.model.body_parentid[body] in bodies:
+                bodies.append(body)
+        return np.flatnonzero(np.isin(self.model.geom_bodyid, bodies))
 
     def reset(self, q: Array) -> None:
         """Start at rest at joint positions q (n,); loops and gaps must fit."""
         q = as_array("q", q, (self.chain.nq,))
         self._mj.mj_resetData(self.model, self.data)
-        self.data.qpos[self._q] = q
+        self._qpos[self._q] = q
         self._turn_object(q)
         self.time = 0.0
-        for i, v in zip(self._guided[0], self._face_v, strict=True):
-            self.data.qfrc_applied[v] = self._moved[i].preload
+        preloads = [self.faces.rails[i].preload for i in self.guided[0]]
+        self.data.qfrc_applied[self._face_v] = preloads
         self._drive(0.0)
         self._mj.mj_forward(self.model, self.data)
 
@@ -697,30 +618,27 @@ class MujocoPlant:
             return
         X_WO = object_pose(self.chain, q)
         R = (self.chain.tip_poses()[0] * grasp.X_TO).rotation.T @ X_WO.rotation
-        joint = self.model.joint(GRASP_JOINT)
-        start = int(joint.qposadr[0])
+        joint = self.data.joint(GRASP_JOINT)
         if grasp.kind == "ball":
-            x, y, z, w = pin.Quaternion(R).coeffs()
-            self.data.qpos[start : start + 4] = w, x, y, z
+            joint.qpos = placed(pin.SE3(R, np.zeros(3)))["quat"]
         else:
-            self.data.qpos[start] = pin.log3(R) @ joint.axis
+            joint.qpos = pin.log3(R) @ self.model.joint(GRASP_JOINT).axis
 
     def hold(self, tau: Array) -> None:
         """Apply torques from now on; time stands still."""
         self._send(tau)
         if self.drives.flexible is not None:  # springs wound up, motors where that puts them
-            q = self._joints(self.data.qpos, self._q, self._springs)[self.chain.actuated]
-            wound = -self.data.ctrl / self.drives.flexible.stiffness
-            self.data.qpos[self._springs] = wound
-            self.data.qpos[self._q[self.chain.actuated]] = q - wound
+            motors = self._q[self.chain.actuated]
+            links = self._qpos[motors] + self._qpos[self._springs]
+            wound = -self._ctrl / self.drives.flexible.stiffness
+            self._qpos[motors] = links - wound
+            self._qpos[self._springs] = wound
         self._mj.mj_forward(self.model, self.data)
 
     def _send(self, tau: Array) -> None:
-        known = type(tau) is np.ndarray and tau.shape == self._size
-        if not known or not isfinite(tau.dot(tau)):
-            tau = as_array("tau", tau, self._size)
+        tau = as_array("tau", tau, self._ctrl.shape)
         if self.drives.motors is not None:
-            tau = self.drives.motors.torque(tau, self.data.qpos[self._q[self.chain.actuated]])
+            tau = self.drives.motors.torque(tau, self._qpos[self._q[self.chain.actuated]])
         self._ctrl[:] = tau
 
     def readings(self, qpos: Array, qvel: Array, sensed: Array) -> tuple[Array, Array, Array]:
@@ -732,11 +650,8 @@ class MujocoPlant:
         Returns:
             q, v (…, n) and wrenches (…, arms, 6), zero where an arm has no sensor.
         """
-        wrenches = sensed.take(self._readings, axis=-1)
-        if len(self._readings) < len(self.chain.arms):
-            known = wrenches
-            wrenches = np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
-            wrenches[..., self._sensed, :] = known
+        wrenches = np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
+        wrenches[..., self._sensed, :] = sensed.take(self._readings, axis=-1)
         q = self._joints(qpos, self._q, self._springs)
         return q, self._joints(qvel, self._v, self._spring_v), wrenches
 
@@ -752,9 +667,8 @@ class MujocoPlant:
         flexible = self.drives.flexible
         if flexible is None:
             return self._ctrl.copy()
-        wound = self.data.qpos[self._springs]
-        rate = self.data.qvel[self._spring_v]
-        return -flexible.stiffness * wound - flexible.damping * rate
+        wound = self._qpos[self._springs]
+        return -flexible.stiffness * wound - flexible.damping * self._qvel[self._spring_v]
 
     def measure(self) -> Measurement:
         """Encoders after the last step, wrist wrenches as of its beginning (one step old)."""
@@ -762,23 +676,23 @@ class MujocoPlant:
         return Measurement(q, v, wrenches, self._touched(), self._joint_torques())
 
     def _touched(self) -> Touched | None:
-        if not self._moved:
-            return None
-        s, rates, second = np.zeros((3, len(self.rails), 2))
-        s[self._guided] = self.data.qpos[self._face_q]
-        rates[self._guided] = self.data.qvel[self._face_v]
-        for i, rail in self._moved.items():
-            if rail.motion is not None:
-                second[i] = rail.motion(self.time)[2]
-        return touched(self.rails, self.on, s, rates, second)
+        faces = self.faces
+        faces.drive(self.time)
+        faces.s[self.guided] = self._qpos[self.face_q]
+        faces.rates[self.guided] = self._qvel[self._face_v]
+        return faces.touched()
 
     def _drive(self, t: float) -> None:
-        """Put driven faces where they are to be at t, and push them on to the next step."""
-        now = {i: rail.motion(t) for i, rail in self._moved.items() if rail.motion is not None}
-        for i, k, q, v in zip(*self._guided, self._face_q, self._face_v, strict=True):
-            if i in now:
-                self.data.qpos[q], self.data.qvel[v], acceleration = (x[k] for x in now[i])
-                self.data.qfrc_applied[v] = DRIVE_MASS * acceleration
+        """Put driven faces where they are at t, with the force that moves them to the next step."""
+        faces = self.faces
+        faces.drive(t)
+        v = self._face_v[self._drives]
+        s, rates, second = (
+            x[self.guided][self._drives] for x in (faces.s, faces.rates, faces.second)
+        )
+        self._qpos[self.face_q[self._drives]] = s
+        self._qvel[v] = rates
+        self.data.qfrc_applied[v] = DRIVE_MASS * second
 
     def truth(self) -> Truth:
         """As of the last step's beginning, like the wrenches; see `MujocoTruth`."""
@@ -791,24 +705,19 @@ class MujocoPlant:
         X = np.tile(np.eye(4), (len(self._seen), 1, 1))
         X[:, :3, :3] = self.data.xmat[self._seen].reshape(-1, 3, 3)
         X[:, :3, 3] = self.data.xpos[self._seen]
+        X @= self.place.homogeneous
         return X
 
     def log(self) -> MujocoTruth:
         """A log of the truth."""
-        inertia = self.chain.reference_inertia(pin.SE3.Identity())
-        return MujocoTruth(
-            (self.model, self.data),
-            self._object,
-            self._body_of,
-            self.rails,
-            (self._face_q, self._guided),
-            contacts=self.contacts,
-            on=self.on,
-            inertia=inertia,
-        )
+        return MujocoTruth(self)
 
     def command(self, tau: Array, duration: float) -> None:
-        """Hold the torques over the steps that fit into `duration`."""
+        """Hold the torques over the steps that fit into `duration`.
+
+        Raises:
+            PlantError: MuJoCo has warned: the simulation diverged.
+        """
         require_duration(duration)
         self._send(tau)
         if self.pushes:
@@ -816,45 +725,31 @@ class MujocoPlant:
             for push in self.pushes:
                 self._push(push, push.at(self.time))
         steps = self.steps_in(duration)
-        if not self._driven:
+        if self.faces.driven:
+            for k in range(steps):
+                self._drive(self.time + k * self._step)
+                self._mj.mj_step(self.model, self.data)
+        else:
             if steps > 1:  # readings in between are not used
-                self._option.disableflags = self._flags | self._blind
+                self._option.disableflags = self._blind
                 self._mj.mj_step(self.model, self.data, steps - 1)
                 self._option.disableflags = self._flags
             self._mj.mj_step(self.model, self.data)
-        for k in range(steps if self._driven else 0):
-            self._drive(self.time + k * self._step)
-            self._mj.mj_step(self.model, self.data)
         self.time += steps * self._step
-        if self._warnings.tobytes() != self._calm:  # of accelerations that are not finite, too
-            self.require_calm()
-
-    def require_calm(self) -> None:
-        """Whether MuJoCo has warned of anything since the start.
-
-        Raises:
-            PlantError: it has: the simulation diverged.
-        """
-        if not self._warnings.any():
-            return
-        kinds = [self._mj.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
-        raise PlantError(
-            f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(kinds)}); largest speed "
-            f"{np.abs(self.data.qvel).max():.3g}. Lower the gains or the plant step."
-        )
+        if self._warnings.any():  # of accelerations that are not finite, too
+            kinds = [self._mj.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
+            raise PlantError(
+                f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(kinds)}); largest speed "
+                f"{np.abs(self._qvel).max():.3g}. Lower the gains or the plant step."
+            )
 
     def stop(self, reason: str = "") -> None:
         """Nothing to do."""
 
     @property
-    def object_body(self) -> int:
-        """The number of the object's body in `model`."""
-        return self._object
-
-    @property
     def steps_alone(self) -> bool:
         """Whether MuJoCo's steps are all there is to a period: no driven faces, errors, pushes."""
-        return not (self._moved or self.pushes or self.drives.motors is not None)
+        return not (any(self.faces.moving) or self.pushes or self.drives.motors is not None)
 
     def steps_in(self, period: float) -> int:
         """How many of MuJoCo's steps a control period (s) has."""
@@ -866,11 +761,3 @@ class MujocoPlant:
         arm = self.data.site_xpos[sensor.id] - self.data.xipos[body]
         self.data.xfrc_applied[body, :3] += force
         self.data.xfrc_applied[body, 3:] += cross(arm, force)
-
-    def _geoms_of(self, root: int) -> set[int]:
-        """Geoms of a body and of the bodies fixed to it."""
-        bodies = {root}
-        for body in range(root + 1, self.model.nbody):
-            if int(self.model.body_parentid[body]) in bodies:
-                bodies.add(body)
-        return {g for g in range(self.model.ngeom) if int(self.model.geom_bodyid[g]) in bodies}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -15,10 +15,10 @@ from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, ModelError, PlantError
-from osc_contact.plants.joint_drives import JointDrives
-from osc_contact.plants.mujoco import MujocoPlant, MujocoTruth, quieten
+from osc_contact.plants.faces import Faces, Rail
+from osc_contact.plants.mujoco import OBJECT, OTHER, MujocoPlant, quieten
 from osc_contact.robots import suggest
-from osc_contact.robots.mjcf import compile_mjcf, motors_of
+from osc_contact.robots.mjcf import compile_mjcf, joint_name, motors_of, pose
 from osc_contact.robots.pictures import scene_picture
 from osc_contact.spatial import Array, as_array
 
@@ -35,27 +35,22 @@ _SPHERE = 2  #: MuJoCo's number of the type
 class SceneProbe:
     """A copy of a scene, as it is at one instant, in which one geom of the tool becomes a point."""
 
-    def __init__(self, model: Any, data: Any, tool: Iterable[int], others: Iterable[int]) -> None:
+    def __init__(self, model: Any, data: Any, tool: Sequence[int], others: Sequence[int]) -> None:
         """Take the copy.
 
         Args:
             model, data: MuJoCo's. tool: its geoms. others: geoms that are not the arm's.
         """
-        import mujoco
-
-        self._mj = mujoco
         self._model = model
         self._data = copy.copy(data)
-        pairs = [(a, b) for a in tool for b in others if _meet(model, a, b)]
-        self.pairs = pairs
-        self._others = sorted({b for _, b in pairs})
-        if pairs:
-            self._point = pairs[0][0]
+        self.pairs = [(a, b) for a in tool for b in others if _can_touch(model, a, b)]
+        self._others = sorted({b for _, b in self.pairs})
+        if self.pairs:
+            self._point = point = self.pairs[0][0]
             self._probe = copy.copy(model)
             self._at = copy.copy(data)
-            self._probe.geom_type[self._point] = _SPHERE
-            self._probe.geom_size[self._point] = _POINT_M
-            self._probe.geom_rbound[self._point] = _POINT_M
+            self._probe.geom_type[point] = _SPHERE
+            self._probe.geom_size[point] = self._probe.geom_rbound[point] = _POINT_M
 
     def distance(self, point: Array) -> tuple[float, str]:
         """Of a point of the world (3,) from the nearest geom (m), and that one's name.
@@ -63,34 +58,34 @@ class SceneProbe:
         It is negative within the geom; inf where there is none within 10 m.
         """
         self._at.geom_xpos[self._point] = point
-        return self._nearest(self._probe, self._at, [(self._point, b) for b in self._others])
+        return _nearest(self._probe, self._at, [(self._point, b) for b in self._others])
 
     def clearance(self) -> tuple[float, str]:
         """The same of the tool; negative where it penetrates."""
-        return self._nearest(self._model, self._data, self.pairs)
-
-    def _nearest(self, model: Any, data: Any, pairs: list[tuple[int, int]]) -> tuple[float, str]:
-        ends = np.zeros(6)
-        found = [
-            (float(self._mj.mj_geomDistance(model, data, a, b, FAR_M, ends)), b) for a, b in pairs
-        ]
-        least, geom = min(found)
-        return (least if least < FAR_M else np.inf), model.geom(geom).name or f"geom {geom}"
+        return _nearest(self._model, self._data, self.pairs)
 
 
-def _meet(model: Any, a: int, b: int) -> bool:
-    """Whether MuJoCo lets two geoms touch."""
-    return bool(
-        (model.geom_contype[a] & model.geom_conaffinity[b])
-        | (model.geom_contype[b] & model.geom_conaffinity[a])
+def _nearest(model: Any, data: Any, pairs: list[tuple[int, int]]) -> tuple[float, str]:
+    from mujoco import mj_geomDistance
+
+    ends = np.zeros(6)
+    least, geom = min(
+        (float(mj_geomDistance(model, data, *ab, FAR_M, ends)), ab[1]) for ab in pairs
     )
+    return (least if least < FAR_M else np.inf), model.geom(geom).name or f"geom {geom}"
+
+
+def _can_touch(model: Any, a: int, b: int) -> bool:
+    """Whether MuJoCo lets two geoms touch."""
+    kinds = model.geom_contype
+    others = model.geom_conaffinity
+    return bool((kinds[a] & others[b]) | (kinds[b] & others[a]))
 
 
 # --- The robot ------------------------------------------------------------------------------------
 
 MUCH_FRICTION = 0.5  #: a coefficient that is reported
 _log = logging.getLogger(__name__)
-_LINK = -2  # geoms that belong neither to the tool nor to what it touches
 
 
 class MujocoRobot(MujocoPlant):
@@ -153,42 +148,38 @@ class MujocoRobot(MujocoPlant):
             passive_joints=passive_joints,
         )
         robot = cls.__new__(cls)
-        robot._take(mujoco, mj, ClosedChain([arm]), contacts)
+        robot._take(mj, ClosedChain([arm]), contacts)
         robot._keyframe = None if keyframe is None else int(mj.key(keyframe).id)
-        robot._place(np.array(robot.data.qpos[robot._q]))
+        robot._place(np.array(robot._qpos[robot._q]))
         return robot
 
-    def _take(self, mujoco: Any, mj: Any, chain: ClosedChain, contacts: Sequence[Any]) -> None:
+    def _take(self, mj: Any, chain: ClosedChain, contacts: Sequence[ContactPair]) -> None:
+        self._connect(mj, chain, contacts, Faces([Rail()], (0,) * len(contacts)))
         arm = chain.arms[0]
-        self._mj = mujoco
-        self.model = mj
-        self.data = mujoco.MjData(mj)
-        self.chain = chain
-        self.contacts = tuple(contacts)
-        self.on = (0,) * len(contacts)
-        self.rails = [None]
-        self.pushes = ()
-        self.drives = JointDrives()
-        number = {mj.joint(j).name or f"joint{j}": j for j in range(mj.njnt)}
+        number = {joint_name(mj, j): j for j in range(mj.njnt)}
         joints = np.array([number[name] for name in list(arm.model.names)[1:]])
         self._q = mj.jnt_qposadr[joints]
         self._v = mj.jnt_dofadr[joints]
         self._held = {int(mj.jnt_qposadr[number[j]]): at for j, at in arm.locked.items()}
-        self._springs = self._spring_v = np.array([], dtype=int)
         self._take_motors(joints[chain.actuated])
-        self._place_tip(arm.tip)
+        if arm.tip in [mj.body(b).name for b in range(mj.nbody)]:
+            self.object_body = int(mj.body(arm.tip).id)
+        else:
+            site = mj.site(arm.tip)
+            self.object_body = int(site.bodyid[0])
+            self.place = pose(site.pos, site.quat)
+        self._seen = [self.object_body] * 2
         self._sensed = []
         self._readings = np.zeros((0, 6), dtype=int)
-        tool = self._object
+        tool = self.object_body
         if arm.wrist_sensor is not None:
             tool = self._take_sensor(arm.wrist_sensor)
-        self._sort_geoms(tool)
-        self._tell_friction(tool)
-        self._moved = {}
-        self._driven = False
-        self._guided = (np.array([], dtype=int),) * 2
-        self._face_q = self._face_v = np.array([], dtype=int)
-        self._look_in()
+        # the tool, other links of the arm that move, and everything else, which is one body
+        bodies = mj.geom_bodyid
+        own = mj.body_rootid[bodies] == mj.body_rootid[tool]
+        self.body_of = np.where(own & (mj.body_weldid[bodies] != 0), OTHER, 0)
+        self.body_of[self._geoms_of(tool)] = OBJECT
+        self._warn_of_friction(np.flatnonzero(~own))
 
     def _take_motors(self, joints: Array) -> None:
         """Where torques go: through a plain motor, or to the joint itself."""
@@ -205,65 +196,34 @@ class MujocoRobot(MujocoPlant):
         self._direct = mj.jnt_dofadr[joints][self._motors < 0]
         driven = self._motors[self._motors >= 0]
         self._per_torque = mj.actuator_gear[driven, 0] * mj.actuator_gainprm[driven, 0]
-        self._tau = np.zeros(len(joints))
-
-    def _place_tip(self, tip: str) -> None:
-        mj = self.model
-        self._tip = pin.SE3.Identity()
-        if tip in [mj.body(b).name for b in range(mj.nbody)]:
-            self._object = int(mj.body(tip).id)
-        else:
-            site = mj.site(tip)
-            self._object = int(mj.site_bodyid[site.id])
-            w, x, y, z = site.quat
-            self._tip = pin.SE3(pin.Quaternion(w, x, y, z).toRotationMatrix(), np.array(site.pos))
-        self._seen = [self._object] * 2
 
     def _take_sensor(self, name: str) -> int:
         """Places of its readings; returns the body that it weighs, with all beyond."""
         mj = self.model
-        kinds = self._mj.mjtSensor
-        site = int(mj.site(name).id)
+        site = mj.site(name)
         rows = []
-        for kind, tag in ((kinds.mjSENS_FORCE, "force"), (kinds.mjSENS_TORQUE, "torque")):
-            sensors = [
-                i
-                for i in range(mj.nsensor)
-                if mj.sensor_type[i] == kind and mj.sensor_objid[i] == site
-            ]
-            if not sensors:
+        for tag in ("force", "torque"):
+            kind = getattr(self._mj.mjtSensor, f"mjSENS_{tag.upper()}")
+            sensors = np.flatnonzero((mj.sensor_type == kind) & (mj.sensor_objid == site.id))
+            if not len(sensors):
                 raise PlantError(
                     f'site {name!r} has no {tag} sensor; add to <sensor>: <{tag} site="{name}"/>'
                 )
-            rows.append(int(mj.sensor_adr[sensors[0]]) + np.arange(3))
+            rows.append(mj.sensor_adr[sensors[0]] + np.arange(3))
         self._sensed = [0]
         self._readings = np.concatenate(rows)[None]
-        return int(mj.site_bodyid[site])
+        return int(site.bodyid[0])
 
-    def _sort_geoms(self, tool: int) -> None:
-        """Tool, other links of the arm that move, and everything else, which is one body."""
-        mj = self.model
-        on_tool = self._geoms_of(tool)
-        others = [g for g in range(mj.ngeom) if g not in on_tool]
-        bodies = mj.geom_bodyid[others]
-        links = (mj.body_rootid[bodies] == mj.body_rootid[tool]) & (mj.body_weldid[bodies] != 0)
-        self._body_of = dict(zip(others, np.where(links, _LINK, 0), strict=True))
-
-    def _tell_friction(self, tool: int) -> None:
+    def _warn_of_friction(self, others: Array) -> None:
         """Warn of friction that MuJoCo gives what has none named, and that few surfaces have."""
         mj = self.model
         most = 0.0
-        own = mj.body_rootid[mj.geom_bodyid] == mj.body_rootid[tool]
-        for one in self._geoms_of(tool):
-            for other in np.flatnonzero(~own):
-                first = int(mj.geom_priority[one])
-                second = int(mj.geom_priority[other])
-                both = [one] * (first >= second) + [other] * (second >= first)
-                meet = (mj.geom_contype[one] & mj.geom_conaffinity[other]) | (
-                    mj.geom_contype[other] & mj.geom_conaffinity[one]
-                )
-                if meet and max(mj.geom_condim[both]) > 1:
-                    most = max(most, float(max(mj.geom_friction[both, 0])))
+        for one in np.flatnonzero(self.body_of == OBJECT).tolist():
+            for other in others.tolist():
+                both = np.array([one, other])
+                both = both[mj.geom_priority[both] == mj.geom_priority[both].max()]
+                if _can_touch(mj, one, other) and mj.geom_condim[both].max() > 1:
+                    most = max(most, float(mj.geom_friction[both, 0].max()))
         if most >= MUCH_FRICTION:
             _log.warning(
                 "friction of tool and scene has a coefficient of %g (MuJoCo's default: 1): "
@@ -290,10 +250,10 @@ class MujocoRobot(MujocoPlant):
             self._mj.mj_resetData(self.model, self.data)
         else:
             self._mj.mj_resetDataKeyframe(self.model, self.data, self._keyframe)
-            self.data.qvel[:] = 0.0
+            self._qvel[:] = 0.0
         for at, held in self._held.items():
-            self.data.qpos[at] = held
-        self.data.qpos[self._q] = q
+            self._qpos[at] = held
+        self._qpos[self._q] = q
         self.time = 0.0
         model = self.chain.model
         self.hold(pin.computeGeneralizedGravity(model, model.createData(), q)[self.chain.actuated])
@@ -349,33 +309,21 @@ class MujocoRobot(MujocoPlant):
         mj = self.model
         number = {int(adr): j for j, adr in enumerate(mj.jnt_qposadr)}
         joints = {number[int(at)]: k + 1 for k, at in enumerate(self._q)}
-        return scene_picture(mj, self.data, model, np.array(self.data.qpos[self._q]), joints)
+        return scene_picture(mj, self.data, model, np.array(self._qpos[self._q]), joints)
 
     def probe(self) -> SceneProbe:
         """Distances from what the tool can touch, as the scene is now."""
-        tool = [g for g in range(self.model.ngeom) if g not in self._body_of]
-        others = [g for g, body in self._body_of.items() if body != _LINK]
+        tool, others = (np.flatnonzero(self.body_of == which).tolist() for which in (OBJECT, 0))
         return SceneProbe(self.model, self.data, tool, others)
 
     def _send(self, tau: Array) -> None:
         self._tau = as_array("tau", tau, (self.chain.n_a,))
         driven = self._motors >= 0
-        self.data.ctrl[self._motors[driven]] = self._tau[driven] / self._per_torque
+        self._ctrl[self._motors[driven]] = self._tau[driven] / self._per_torque
         self.data.qfrc_applied[self._direct] = self._tau[~driven]
 
     def _joint_torques(self) -> Array:
         return self._tau.copy()
-
-    def poses(self) -> Array:
-        """See `Judge.poses`."""
-        tip: Array = self._tip.homogeneous
-        return super().poses() @ tip
-
-    def log(self) -> MujocoTruth:
-        """A log of the truth."""
-        log = super().log()
-        log.place = self._tip
-        return log
 
 
 def _is_plain(mj: Any, actuator: int) -> bool:

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -22,6 +23,8 @@ from osc_contact.spatial import Array
 __all__ = ["SensorErrors", "SensedPlant", "Sensor", "Sensors"]
 
 _ON_TIME = 1e-9  # s, rounding of sums of steps
+#: Of each sensor but vision, by the name of its stamp, what of a measurement it reads.
+_READ = {"encoders": "q", "joint_torques": "joint_torques", "wrists": "wrenches"}
 
 
 @dataclass(frozen=True)
@@ -36,18 +39,6 @@ class SensorErrors:
     noise: Array | float = 0.0
     bias: Array | float = 0.0
     resolution: Array | float = 0.0
-
-
-@dataclass(frozen=True)
-class _Drawn:
-    noise: Array
-    bias: Array
-    resolution: Array
-
-    def applied(self, value: Array, rng: np.random.Generator) -> Array:
-        read = value + self.bias + self.noise * rng.standard_normal(value.shape)
-        step = np.where(self.resolution > 0.0, self.resolution, 1.0)
-        return np.where(self.resolution > 0.0, np.round(read / step) * step, read)
 
 
 @dataclass
@@ -153,98 +144,83 @@ class SensedPlant:
 
     def measure(self) -> Measurement:
         """What has arrived by now, and when it was sampled."""
-        measurement = self.plant.measure()
-        stamps = Stamps(*[self.time] * 4)
+        stamps = dict.fromkeys((*_READ, "vision"), self.time)
+        read: dict[str, Any] = {}
         for name, sensor in self._sensor.items():
-            at, reading = sensor.read(self.time)
-            stamps = replace(stamps, **{name: at})
-            if name == "encoders":
-                measurement = replace(measurement, q=reading, v=np.full(len(reading), np.nan))
-            elif name == "joint_torques":
-                measurement = replace(measurement, joint_torques=reading)
-            elif name == "wrists":
-                measurement = replace(measurement, wrenches=reading)
-            else:
-                measurement = self._pictured(measurement, reading)
-        return replace(measurement, stamps=stamps)
+            stamps[name], reading = sensor.read(self.time)
+            read |= self._pictured(reading) if name == "vision" else {_READ[name]: reading}
+        if "q" in read:
+            read["v"] = np.full_like(read["q"], np.nan)
+        return replace(self.plant.measure(), stamps=Stamps(**stamps), **read)
 
     def _begin(self) -> None:
         self.time = self.plant.time
         ideal = self.plant.measure()
-        streams = iter(np.random.default_rng([self.seed, 1]).spawn(4))
+        self._robots = len(self.plant.poses())  # object and arms come before the bodies
         self._sensor: dict[str, Sensor] = {}
-        for name in ("encoders", "joint_torques", "wrists"):
-            rng = next(streams)
+        streams = np.random.default_rng([self.seed, 1]).spawn(4)
+        for name, rng in zip((*_READ, "vision"), streams, strict=True):
             spec = getattr(self.sensors, name)
             value = None if spec is None else self._value(name, ideal)
-            if spec is not None and value is not None:
+            if value is None:
+                continue
+            if name == "vision":
+                clock = spec
+                corrupt = _pictures(spec, len(value), rng)
+            else:
                 clock, errors = spec
-                self._sensor[name] = Sensor(clock, _noisy(errors, value.shape, rng), rng)
-        rng = next(streams)
-        vision = self.sensors.vision
-        if vision is not None:
-            poses = self._value("vision", ideal)
-            self._robots = len(self.plant.poses())  # object and arms come before the bodies
-            self._sensor["vision"] = Sensor(vision, _pictures(vision, len(poses), rng), rng)
-        for name, sensor in self._sensor.items():
-            sensor.begin(self.time, self._value(name, ideal))
+                corrupt = _noisy(errors, value.shape, rng)
+            self._sensor[name] = Sensor(clock, corrupt, rng)
+            self._sensor[name].begin(self.time, value)
 
-    def _value(self, name: str, ideal: Measurement) -> Array:
-        """The ideal reading behind a sensor, by the name of its stamp."""
-        if name == "vision":
-            poses = self.plant.poses()
-            touched = ideal.touched
-            if touched is None:
-                return poses
-            markers = self.sensors.markers
-            bodies = touched.X_WE if markers is None else touched.X_WE @ markers
-            return np.concatenate((poses, bodies))
-        attribute = {"encoders": "q", "joint_torques": "joint_torques", "wrists": "wrenches"}[name]
-        value: Array = getattr(ideal, attribute)
-        return value
+    def _value(self, name: str, ideal: Measurement) -> Any:
+        """The ideal reading behind a sensor, by the name of its stamp; None: there is none."""
+        if name != "vision":
+            return getattr(ideal, _READ[name])
+        poses = self.plant.poses()
+        if ideal.touched is None:
+            return poses
+        markers = np.eye(4) if self.sensors.markers is None else self.sensors.markers
+        return np.concatenate((poses, ideal.touched.X_WE @ markers))
 
-    def _pictured(self, measurement: Measurement, poses: Array) -> Measurement:
-        """The measurement with what a picture shows."""
-        measurement = replace(measurement, seen=Seen(poses[0], poses[1 : self._robots]))
+    def _pictured(self, poses: Array) -> dict[str, Any]:
+        """What a picture shows, as parts of a measurement."""
+        read: dict[str, Any] = {"seen": Seen(poses[0], poses[1 : self._robots])}
         bodies = poses[self._robots :]
-        markers = self.sensors.markers
-        if not len(bodies):
-            return measurement
-        if markers is not None:
-            bodies = bodies @ np.linalg.inv(markers)
-        unknown = np.full((len(bodies), 6), np.nan)
-        return replace(measurement, touched=Touched(bodies, unknown, np.zeros_like(unknown)))
-
-
-def _draw(
-    errors: SensorErrors | Errors[float], shape: tuple[int, ...], rng: np.random.Generator
-) -> _Drawn:
-    """The errors of one sensor, its bias fixed."""
-    return _Drawn(
-        np.broadcast_to(errors.noise, shape),
-        np.broadcast_to(errors.bias, shape) * rng.uniform(-1.0, 1.0, shape),
-        np.broadcast_to(errors.resolution, shape),
-    )
+        if len(bodies):
+            if self.sensors.markers is not None:
+                bodies = bodies @ np.linalg.inv(self.sensors.markers)
+            unknown = np.full((len(bodies), 6), np.nan)
+            read["touched"] = Touched(bodies, unknown, np.zeros_like(unknown))
+        return read
 
 
 def _noisy(
-    errors: SensorErrors, shape: tuple[int, ...], rng: np.random.Generator
+    errors: SensorErrors | Errors[float], shape: tuple[int, ...], rng: np.random.Generator
 ) -> Callable[[Array], Array]:
-    drawn = _draw(errors, shape, rng)
-    return lambda value: drawn.applied(value, rng)
+    """The errors of one sensor, its bias fixed, as a function of values of that shape."""
+    bias = np.broadcast_to(errors.bias, shape) * rng.uniform(-1.0, 1.0, shape)
+    steps = np.broadcast_to(errors.resolution, shape) > 0.0
+    step = np.where(steps, errors.resolution, 1.0)
+
+    def corrupt(value: Array) -> Array:
+        read = value + bias + errors.noise * rng.standard_normal(shape)
+        return np.where(steps, np.round(read / step) * step, read)
+
+    return corrupt
 
 
 def _pictures(vision: VisionSpec, n: int, rng: np.random.Generator) -> Callable[[Array], Array]:
     """All poses displaced alike by the camera's frame, each by its own bias and noise."""
-    shift = _draw(vision.position, (n, 3), rng)
-    turn = _draw(vision.orientation, (n, 3), rng)
+    shifted = _noisy(vision.position, (n, 3), rng)
+    turned = _noisy(vision.orientation, (n, 3), rng)
     offset = vision.frame_position * rng.uniform(-1.0, 1.0, 3)
     R_CW = pin.exp3(vision.frame_orientation * rng.uniform(-1.0, 1.0, 3))
 
     def corrupt(X: Array) -> Array:
         read = X.copy()
-        read[:, :3, 3] = shift.applied(X[:, :3, 3] @ R_CW.T + offset, rng)
-        for i, error in enumerate(turn.applied(np.zeros((n, 3)), rng)):
+        read[:, :3, 3] = shifted(X[:, :3, 3] @ R_CW.T + offset)
+        for i, error in enumerate(turned(np.zeros((n, 3)))):
             read[i, :3, :3] = pin.exp3(error) @ R_CW @ X[i, :3, :3]
         return read
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 from urllib.parse import unquote
 
 import numpy as np
@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.robots.model import joint_names
-from osc_contact.robots.urdf import LIMITS, Document, Inertial, Joint
+from osc_contact.robots.urdf import LIMITS, Document
 from osc_contact.robots.xml_tree import Element, ModelFinding, suggest
 from osc_contact.spatial import Array
 
@@ -105,35 +105,29 @@ def check_limits(document: Document) -> None:
             continue
         by_hand = f", or give limits={{{joint.name!r}: JointLimits(…)}} when loading"
         element = joint.element.part("limit")
+        limits = joint.limits
         required = LIMITS[2:] if joint.kind == "continuous" else LIMITS
-        missing = [key for key in required if key not in joint.limits]
+        missing = [key for key in required if key not in limits]
         if element is joint.element and len(missing) == len(required):
             keys = " ".join(f'{key}="…"' for key in required)
-            document.add("limit", element, "has no <limit>", f"add <limit {keys}/>{by_hand}")
+            element.note("limit", "has no <limit>", f"add <limit {keys}/>{by_hand}")
             continue
         for key in missing:
             reason = f"{key} is missing: a reader would take 0"
-            document.add("limit", element, reason, f'write {key}="…"{by_hand}')
-        _check_values(document, joint, element, by_hand)
-
-
-def _check_values(document: Document, joint: Joint, element: Element, by_hand: str) -> None:
-    limits = joint.limits
-    units = ("N", "m/s") if joint.kind == "prismatic" else ("N m", "rad/s")
-    for key, unit in zip(LIMITS[2:], units, strict=True):
-        if key in limits and not limits[key] > 0:
-            reason = f"{key} limit {limits[key]:g} {unit} must be > 0"
-            cure = f"write what the joint can bear, passive joints too{by_hand}"
-            document.add("limit", element, reason, cure, key)
-    if joint.kind == "continuous" or not {"lower", "upper"} <= limits.keys():
-        return
-    low = limits["lower"]
-    high = limits["upper"]
-    if low >= high:
-        word = "is above" if low > high else "equals"
-        cure = "exchange them" if low > high else 'make the joint fixed or "continuous"'
-        reason = f"lower limit {low:g} {word} the upper limit {high:g}"
-        document.add("limit", element, reason, f"{cure}{by_hand}", "lower")
+            element.note("limit", reason, f'write {key}="…"{by_hand}')
+        units = ("N", "m/s") if joint.kind == "prismatic" else ("N m", "rad/s")
+        for key, unit in zip(LIMITS[2:], units, strict=True):
+            if key in limits and not limits[key] > 0:
+                reason = f"{key} limit {limits[key]:g} {unit} must be > 0"
+                cure = f"write what the joint can bear, passive joints too{by_hand}"
+                element.note("limit", reason, cure, key)
+        low = limits.get("lower", -math.inf)
+        high = limits.get("upper", math.inf)
+        if joint.kind != "continuous" and low >= high:
+            word = "is above" if low > high else "equals"
+            cure = "exchange them" if low > high else 'make the joint fixed or "continuous"'
+            reason = f"lower limit {low:g} {word} the upper limit {high:g}"
+            element.note("limit", reason, f"{cure}{by_hand}", "lower")
 
 
 # Inertias -----------------------------------------------------------------------------------------
@@ -147,6 +141,7 @@ are looked at, and only their kinetic energy must not be negative. Then the mass
 positive definite, but no distribution of mass need have those moments.
 """
 
+_TENSOR = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")  # row by row
 _SLACK = 1e-6
 """Relative slack of the link's own moments: the digits a URDF carries."""
 _DUST = 1e-12
@@ -160,7 +155,7 @@ def require_level(inertias: str) -> None:
         raise InvalidInputError(f"inertias={inertias!r}; there is: {', '.join(levels)}")
 
 
-def _principal(tensors: Sequence[Array]) -> tuple[Array, Array]:
+def _principal(tensors: Sequence[Any]) -> tuple[Array, Array]:
     """(k, 3) principal moments, ascending, and (k,) what rounding may make of each."""
     moments = np.linalg.eigvalsh(np.reshape(tensors, (-1, 3, 3)))
     sizes = np.abs(moments).max(axis=1, initial=0.0)
@@ -173,31 +168,31 @@ def check_inertias(document: Document, inertias: Inertias) -> None:
     for body in bodies:
         if body.mass < 0:
             reason = f"mass {body.mass:g} kg is negative"
-            document.add("inertia", body.element.part("mass"), reason, "weigh the link", "value")
+            body.element.part("mass").note("inertia", reason, "weigh the link", "value")
     if inertias == "positive":
         return
-    for body, moments, slack in zip(bodies, *_principal([_tensor(b) for b in bodies]), strict=True):
-        if body.mass >= 0:
-            _check_body(document, body, moments, slack)
-
-
-def _check_body(document: Document, body: Inertial, moments: Array, slack: float) -> None:
-    listed = f"principal moments {_listed(moments)} kg m²"
-    excess = moments[2] - moments[0] - moments[1]
-    if body.mass == 0 and np.abs(moments).max() > slack:
-        reason = f"mass 0 kg with {listed}"
-        cure = "give it a mass"
-    elif moments[0] < -slack:
-        reason = f"the inertia is not positive: {listed}"
-        cure = "check the signs of ixy, ixz, iyz"
-    elif excess > slack:
-        reason = f"no body has the {listed}: the largest exceeds the sum of the others by "
-        reason += f"{excess:.3g}"
-        cure = "check the units (kg m², about the centre of mass)"
-    else:
-        return
-    relax = ', or load with inertias="positive" if the other links make up for it'
-    document.add("inertia", body.element.part("inertia"), reason, cure + relax)
+    tensors = [[body.moments[key] for key in _TENSOR] for body in bodies]
+    for body, moments, slack in zip(bodies, *_principal(tensors), strict=True):
+        listed = f"principal moments {_listed(moments)} kg m²"
+        excess = moments[2] - moments[0] - moments[1]
+        if body.mass < 0:
+            continue
+        if body.mass == 0 and np.abs(moments).max() > slack:
+            reason = f"mass 0 kg with {listed}"
+            cure = "give it a mass"
+        elif moments[0] < -slack:
+            reason = f"the inertia is not positive: {listed}"
+            cure = "check the signs of ixy, ixz, iyz"
+        elif excess > slack:
+            reason = (
+                f"no body has the {listed}: the largest exceeds the sum of the others by "
+                f"{excess:.3g}"
+            )
+            cure = "check the units (kg m², about the centre of mass)"
+        else:
+            continue
+        relax = ', or load with inertias="positive" if the other links make up for it'
+        body.element.part("inertia").note("inertia", reason, cure + relax)
 
 
 def check_moving_bodies(document: Document, model: pin.Model) -> None:
@@ -206,16 +201,12 @@ def check_moving_bodies(document: Document, model: pin.Model) -> None:
     rows = _principal([body.inertia for body in bodies])
     for name, body, moments, slack in zip(joint_names(model), bodies, *rows, strict=True):
         if body.mass < 0 or moments[0] < -slack:
-            reason = f"the body that it moves has mass {body.mass:g} kg and principal moments "
-            reason += f"{_listed(moments)} kg m²: its energy can be negative"
+            reason = (
+                f"the body that it moves has mass {body.mass:g} kg and principal moments "
+                f"{_listed(moments)} kg m²: its energy can be negative"
+            )
             cure = "correct the <inertial> of its links"
-            document.add("inertia", document.joints[name].element, reason, cure)
-
-
-def _tensor(inertial: Inertial) -> Array:
-    upper = np.zeros((3, 3))
-    upper[np.triu_indices(3)] = inertial.moments
-    return upper + np.triu(upper, 1).T
+            document.joints[name].element.note("inertia", reason, cure)
 
 
 def _listed(moments: Array) -> str:
@@ -240,12 +231,12 @@ def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
     """
     for link in document.links.values():
         for part in link.element.findall("visual", "collision"):
-            document.pose(part)
+            part.origin()
             shapes = [shape for one in part.findall("geometry") for shape in one.children]
             if len(shapes) != 1:
-                document.add("geometry", part, f"<{part.tag}> needs one <geometry> with one shape")
+                part.note("geometry", f"<{part.tag}> needs one <geometry> with one shape")
             else:
-                _check_shape(document, shapes[0], package_dirs)
+                _check_shape(shapes[0], package_dirs)
 
 
 def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> list[ModelFinding]:
@@ -254,18 +245,18 @@ def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> list[M
     addresses: dict[str, Element] = {}
     for mesh in document.root.iter("mesh"):
         addresses.setdefault(mesh.get("filename"), mesh)
-    roots = [root.resolve() for root in _roots(document, package_dirs)]
+    roots = [root.resolve() for root in _roots(document.file, package_dirs)]
     missing = []
     for address, mesh in addresses.items():
-        places = [_plain(document, address)]
+        places = [_plain(document.file, address)]
         if address.startswith(_PACKAGE):
             places = [folder / address.removeprefix(_PACKAGE) for folder in package_dirs]
         file = next((path for path in places if path.is_file()), None)
         if file is None:
             looked = f"the mesh is not there; looked for {', '.join(map(str, places)) or 'nothing'}"
-            missing.append(document.finding("mesh", mesh, looked, "pass package_dirs", "filename"))
+            missing.append(mesh.finding("mesh", looked, "pass package_dirs", "filename"))
         elif problem := _file_problem(file, roots):
-            document.add("mesh", mesh, *problem, "filename")
+            mesh.note("mesh", *problem, "filename")
     return missing
 
 
@@ -274,10 +265,10 @@ def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
     real = file.resolve()
     if not _inside(real, roots):
         return f"leads to {real}, outside of the robot's folders", "copy the file"
-    size = real.stat().st_size / 2**20
-    limit = MAX_MESH_BYTES / 2**20
-    if size > limit:
-        return f"has {size:.0f} MiB", f"simplify it to at most {limit:.0f} MiB"
+    size = real.stat().st_size
+    if size > MAX_MESH_BYTES:
+        limit = f"simplify it to at most {MAX_MESH_BYTES / 2**20:.0f} MiB"
+        return f"has {size / 2**20:.0f} MiB", limit
     for found in _TEXTURE.findall(real.read_bytes()) if file.suffix.lower() == ".dae" else ():
         texture = unquote(found.decode("utf-8", "replace"))
         if _leads_out(texture):
@@ -286,27 +277,26 @@ def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
     return None
 
 
-def _check_shape(document: Document, shape: Element, package_dirs: Sequence[Path]) -> None:
+def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
     if shape.tag == "mesh":
-        document.vector(shape, "scale", (1.0, 1.0, 1.0))
-        if problem := _address_problem(document, shape.get("filename"), package_dirs):
-            document.add("mesh", shape, *problem, "filename")
+        shape.vector("scale", (1.0, 1.0, 1.0))
+        if problem := _address_problem(shape.file, shape.get("filename"), package_dirs):
+            shape.note("mesh", *problem, "filename")
         return
     if shape.tag == "box":
-        sizes = dict(zip("xyz", document.vector(shape, "size", None), strict=True))
+        sizes = dict(zip("xyz", shape.vector("size"), strict=True))
     elif shape.tag in _SIZES:
-        sizes = {key: document.number(shape, key) for key in _SIZES[shape.tag]}
+        sizes = {key: shape.number(key) for key in _SIZES[shape.tag]}
     else:
         cure = "use box, cylinder, capsule, sphere or mesh"
-        document.add("geometry", shape, f"unknown shape <{shape.tag}>", cure)
+        shape.note("geometry", f"unknown shape <{shape.tag}>", cure)
         return
-    listed = ", ".join(f"{key} {size:g} m" for key, size in sizes.items() if size < 0)
-    if listed:
-        document.add("geometry", shape, f"negative size: {listed}", "sizes are lengths")
+    if listed := ", ".join(f"{key} {size:g} m" for key, size in sizes.items() if size < 0):
+        shape.note("geometry", f"negative size: {listed}", "sizes are lengths")
 
 
 def _address_problem(
-    document: Document, address: str, package_dirs: Sequence[Path]
+    urdf: Path, address: str, package_dirs: Sequence[Path]
 ) -> tuple[str, str] | None:
     """(what is wrong with a mesh address, cure)."""
     cure = "keep meshes below the URDF's folder, or pass the folder in package_dirs"
@@ -315,11 +305,8 @@ def _address_problem(
     if not address:
         return "a mesh without filename", 'write filename="…"'
     if suffix not in MESH_TYPES:
-        types = ", ".join(MESH_TYPES)
-        return (
-            f"meshes of the type {suffix or 'without suffix'} are not read",
-            f"convert it to {types}",
-        )
+        reason = f"meshes of the type {suffix or 'without suffix'} are not read"
+        return reason, f"convert it to {', '.join(MESH_TYPES)}"
     if scheme and scheme[0] not in ("package:", "file:"):
         return f"the address has the scheme {scheme[0]!r}: only local files are read", cure
     if address.startswith(_PACKAGE):
@@ -328,18 +315,18 @@ def _address_problem(
         if package in ("", ".", "..") or not slash or _leads_out(rest):
             return "the address leads out of its package", cure
         return None
-    roots = [Path(os.path.normpath(root)) for root in _roots(document, package_dirs)]
-    if _inside(Path(os.path.normpath(_plain(document, address))), roots):
-        return None
-    return "the mesh lies outside of the robot's folders", cure
+    roots = [Path(os.path.normpath(root)) for root in _roots(urdf, package_dirs)]
+    if not _inside(Path(os.path.normpath(_plain(urdf, address))), roots):
+        return "the mesh lies outside of the robot's folders", cure
+    return None
 
 
-def _plain(document: Document, address: str) -> Path:
-    return document.file.absolute().parent / address.removeprefix("file://")
+def _plain(urdf: Path, address: str) -> Path:
+    return urdf.absolute().parent / address.removeprefix("file://")
 
 
-def _roots(document: Document, package_dirs: Sequence[Path]) -> list[Path]:
-    return [document.file.absolute().parent, *(folder.absolute() for folder in package_dirs)]
+def _roots(urdf: Path, package_dirs: Sequence[Path]) -> list[Path]:
+    return [folder.absolute() for folder in (urdf.parent, *package_dirs)]
 
 
 def _inside(place: Path, roots: Sequence[Path]) -> bool:

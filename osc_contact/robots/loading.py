@@ -174,7 +174,7 @@ def load_geometry(
     file = Path(path)
     folders = [Path(folder) for folder in package_dirs]
     document = _sound(file, folders)
-    document.findings.extend(check_mesh_files(document, folders))
+    document.root.findings.extend(check_mesh_files(document, folders))
     document.require()
     model = build_model(document)
     try:

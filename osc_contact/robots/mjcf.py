@@ -119,16 +119,23 @@ def pose(position: Array, quaternion: Array) -> pin.SE3:
     return pin.SE3(pin.Quaternion(*quaternion).toRotationMatrix(), np.array(position))
 
 
-def _anchor(mj: Any, joint: int) -> pin.SE3:
-    return pin.SE3(np.eye(3), np.array(mj.jnt_pos[joint]))
+def placed(X: pin.SE3) -> dict[str, Array]:
+    """A pose as the arguments of MuJoCo's bodies, frames and sites."""
+    x, y, z, w = pin.Quaternion(X.rotation).coeffs()
+    return {"pos": X.translation, "quat": np.array([w, x, y, z])}
 
 
-def _motion(mj: Any, joint: int, position: float) -> pin.SE3:
-    """What a joint does to what is behind it, from `ref` to a position."""
-    by = (position - mj.qpos0[mj.jnt_qposadr[joint]]) * np.array(mj.jnt_axis[joint])
-    if mj.jnt_type[joint] == _SLIDE:
-        return pin.SE3(np.eye(3), by)
-    return pin.SE3(pin.exp3(by), np.zeros(3))
+def _moved(kind: int, place: Array, displacement: Array) -> pin.SE3:
+    """What a joint at a place does to what is behind it.
+
+    Args:
+        kind: MuJoCo's number of its type. place: (3,) m.
+        displacement: (3,) along its axis (m, rad).
+    """
+    if kind == _SLIDE:
+        return pin.SE3(np.eye(3), displacement)
+    R = pin.exp3(displacement)
+    return pin.SE3(R, place - R @ place)
 
 
 # The Pinocchio model ------------------------------------------------------------------------------
@@ -230,9 +237,11 @@ def _add_joint(mj: Any, model: pin.Model, j: int, body: _Place) -> _Place:
             "does not know; set its stiffness to 0"
         )
     make = pin.JointModelPrismaticUnaligned if kind == _SLIDE else pin.JointModelRevoluteUnaligned
-    anchor = _anchor(mj, j)
-    X = body.X * anchor * _motion(mj, j, 0.0)
-    number = model.addJoint(body.joint, make(np.array(mj.jnt_axis[j])), X, name)
+    axis = np.array(mj.jnt_axis[j])
+    anchor = pin.SE3(np.eye(3), np.array(mj.jnt_pos[j]))
+    start = -mj.qpos0[mj.jnt_qposadr[j]] * axis
+    X = body.X * _moved(kind, anchor.translation, start) * anchor
+    number = model.addJoint(body.joint, make(axis), X, name)
     frame = model.addJointFrame(number, body.frame)
     v = model.joints[number].idx_v
     dof = mj.jnt_dofadr[j]
@@ -301,9 +310,7 @@ def placement_difference(mj: Any, model: pin.Model) -> float:
 # The arm without shapes, for MuJoCo ---------------------------------------------------------------
 
 
-def mjcf_skeleton(
-    mujoco: Any, path: Path, tip: str, sensor: str | None, locked: Mapping[str, float]
-) -> Any:
+def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str, float]) -> Any:
     """A `MjSpec` of the tip's kinematic tree: bodies, inertias and joints, nothing else.
 
     Joints carry neither losses nor springs; those in `locked` are welded where they are held. A
@@ -311,7 +318,6 @@ def mjcf_skeleton(
     the body of that name.
 
     Args:
-        mujoco: the module.
         path: the MJCF file.
         tip: body or site at the arm's end.
         sensor: site of the wrist sensor, if there is one.
@@ -321,22 +327,24 @@ def mjcf_skeleton(
         ModelError: a locked joint moves its body after one that is not locked.
     """
     mj = compile_mjcf(path)
+    import mujoco  # it is there: the file has been compiled
+
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.fusestatic = False
     made: dict[int, Any] = {0: spec.worldbody}
     for b in bodies_of(mj, tip):
-        X, joints = _held(mj, b, locked)
-        x, y, z, w = pin.Quaternion(X.rotation).coeffs()
-        body = made[int(mj.body_parentid[b])].add_body(
-            name=body_name(mj, b), pos=X.translation, quat=[w, x, y, z]
+        made[b] = body = made[int(mj.body_parentid[b])].add_body(
+            name=body_name(mj, b),
+            pos=mj.body_pos[b],
+            quat=mj.body_quat[b],
+            explicitinertial=True,
+            mass=float(mj.body_mass[b]),
+            ipos=mj.body_ipos[b],
+            iquat=mj.body_iquat[b],
+            inertia=mj.body_inertia[b],
         )
-        body.explicitinertial = True
-        body.mass = float(mj.body_mass[b])
-        body.ipos = mj.body_ipos[b]
-        body.iquat = mj.body_iquat[b]
-        body.inertia = mj.body_inertia[b]
-        for j in joints:
+        for j in joints_of(mj, b):
             body.add_joint(
                 name=joint_name(mj, j),
                 type=mujoco.mjtJoint(int(mj.jnt_type[j])),
@@ -346,7 +354,7 @@ def mjcf_skeleton(
                 range=mj.jnt_range[j],
                 limited=int(bool(mj.jnt_limited[j])),
             )
-        made[b] = body
+    weld_joints(spec, locked)
     bodies = [mj.body(b).name for b in made]
     if tip not in bodies:
         at = mj.site(tip)
@@ -359,20 +367,25 @@ def mjcf_skeleton(
     return spec
 
 
-def _held(mj: Any, b: int, locked: Mapping[str, float]) -> tuple[pin.SE3, list[int]]:
-    """Where a body stands in its parent, locked joints held, and its other joints."""
-    X = pose(mj.body_pos[b], mj.body_quat[b])
-    free: list[int] = []
-    for j in joints_of(mj, b):
-        name = joint_name(mj, j)
-        if name not in locked:
-            free.append(j)
-            continue
-        if free:
+def weld_joints(spec: Any, locked: Mapping[str, float]) -> None:
+    """Weld bodies of a `MjSpec` where their joints are held.
+
+    Args:
+        spec: the arm. locked: positions (m, rad) of the joints that are held.
+
+    Raises:
+        ModelError: a locked joint moves its body after one that is not locked.
+    """
+    for joint in [joint for joint in spec.joints if joint.name in locked]:
+        body = joint.parent
+        if body.joints[0].name != joint.name:
             raise ModelError(
-                f"joint {name!r} is locked, and moves its body after {mj.joint(free[-1]).name!r}, "
-                "which is not: give each its own body"
+                f"joint {joint.name!r} is locked, and moves its body after "
+                f"{body.joints[0].name!r}, which is not: give each its own body"
             )
-        anchor = _anchor(mj, j)
-        X = X * anchor * _motion(mj, j, locked[name]) * anchor.inverse()
-    return X, free
+        displacement = (locked[joint.name] - joint.ref) * np.array(joint.axis)
+        moved = _moved(int(joint.type), np.array(joint.pos), displacement)
+        X = placed(pose(body.pos, body.quat) * moved)
+        body.pos = X["pos"]
+        body.quat = X["quat"]
+        spec.delete(joint)

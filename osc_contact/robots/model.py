@@ -9,11 +9,12 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import ModelError
-from osc_contact.robots.urdf import MOMENTS, Document
+from osc_contact.robots.urdf import LIMITS, Document
 from osc_contact.robots.xml_tree import refuse, refuse_file, suggest
 from osc_contact.spatial import Array, norm
 
 SAMPLES = 20
+_NO_RANGE = {"lower": 0.0, "upper": 0.0}  # set afterwards: URDF knows no infinite ones
 _ENDLESS = 1e9
 """A position limit beyond (m or rad) is none; Pinocchio writes 1.8e308 for it."""
 _DIAGONAL_FLOOR = 1e-13
@@ -60,19 +61,18 @@ def _text(document: Document) -> str:
         node = add(robot, "link", name=link.name)
         if link.inertial is not None:
             body = add(node, "inertial")
-            add(body, "origin", xyz=link.inertial.xyz, rpy=link.inertial.rpy)
+            add(body, "origin", **link.inertial.origin)
             add(body, "mass", value=link.inertial.mass)
-            add(body, "inertia", **dict(zip(MOMENTS, link.inertial.moments, strict=True)))
+            add(body, "inertia", **link.inertial.moments)
     for joint in document.joints.values():
         kind = "revolute" if joint.kind == "continuous" else joint.kind
-        limits = {key: joint.limits.get(key, 0.0) for key in ("effort", "velocity")}
         node = add(robot, "joint", name=joint.name, type=kind)
         add(node, "parent", link=joint.parent)
         add(node, "child", link=joint.child)
-        add(node, "origin", xyz=joint.xyz, rpy=joint.rpy)
+        add(node, "origin", **joint.origin)
         add(node, "axis", xyz=joint.axis)
-        add(node, "limit", lower=0.0, upper=0.0, **limits)
-        add(node, "dynamics", damping=joint.damping, friction=joint.friction)
+        add(node, "limit", **(dict.fromkeys(LIMITS, 0.0) | joint.limits | _NO_RANGE))
+        add(node, "dynamics", **joint.losses)
     return ElementTree.tostring(robot, encoding="unicode")
 
 
@@ -157,7 +157,7 @@ def _refuse_mass_matrix(model: pin.Model, document: Document | None, q: Array, w
     cure = "give the links behind it an <inertial>"
     if document is None:
         raise ModelError(f"model {model.name!r}: {reason}. {cure}")
-    refuse([document.finding("mass matrix", document.joints[names[0]].element, reason, cure)])
+    refuse([document.joints[names[0]].element.finding("mass matrix", reason, cure)])
 
 
 def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterator[Array]:

@@ -268,15 +268,15 @@ def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
     return s, rates, second
 
 
-def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail | None]:
-    """How each body of the plant moves; None: not at all.
+def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail]:
+    """How each body of the plant moves.
 
     Raises:
         ScenarioError: a driven body does not start where the contacts touch.
     """
-    found = [None if body.motion is None else _own_motion(body.motion).rail for body in bodies]
+    found = [Rail() if body.motion is None else _own_motion(body.motion).rail for body in bodies]
     for body, rail in zip(bodies, found, strict=True):
-        if rail is not None and rail.motion is not None:
+        if rail.motion is not None:
             (travel, angle), (speed, rate), _ = rail.motion(0.0)
             if max(map(abs, (travel, angle, speed, rate))) > 1e-9:
                 raise ScenarioError(
