@@ -14,12 +14,14 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import Any
 
 import numpy as np
 import typer
 
 import osc_contact as osc
 from benchmarks.mjcf_arms import draft_press, move_on_wall
+from osc_contact.contacts.pairs.pair import triad
 from osc_contact.runs import poses
 from osc_contact.sweeps.rows import without_logged_doubts
 
@@ -116,7 +118,25 @@ def cases() -> list[Case]:
         out.append(Case(f"two arms {name} unknown 2 % of the limit", name, unknown, 2.5))
     for arm in TIPS:
         out += [Case(name, arm, changes, most) for name, most, changes in _of_arm(arm)]
-    return out + _drawn(12)
+    return out + _as_drafted("xarm7") + _drawn(12)
+
+
+def _as_drafted(arm: str) -> list[Case]:
+    """A task as `new` writes it, with all of the URDF; motions that the wall does not permit."""
+    file = _file(arm)
+    contact: Any = osc.load_scenario(file).contacts[0]
+    along, _, normal = triad(np.array(contact.face.normal)).T
+    sine = "signals: [{type: sine, amplitude: 20 mm, frequency: 0.25 Hz, ramp: 1 s}]"
+    motions = {"untouched": None, "along the normal": normal, "45 deg into it": along - normal}
+    out = []
+    for name, direction in motions.items():
+        changes = ["duration=6 s"]
+        if direction is not None:
+            changes.append(f"motion=[{{kind: linear, direction: {direction.tolist()}, {sine}}}]")
+        out.append(Case(f"as new {arm} {name}", arm, tuple(changes), 2.0))
+        rotors = _joints(arm, ["armature=0.05"])
+        out.append(Case(f"as new {arm} {name}, rotors", arm, (*changes, *rotors), 1.0))
+    return out
 
 
 def _drawn(count: int) -> list[Case]:

@@ -23,7 +23,7 @@ from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import PlantError, missing
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.faces import Faces, Rail
-from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
+from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives, set_dry_friction
 from osc_contact.plants.judge import Truth, Truths, require_duration
 from osc_contact.robots import is_mjcf
 from osc_contact.robots.mjcf import mjcf_skeleton, placed, weld_joints
@@ -100,10 +100,7 @@ def scene(
         joint = spec.joint(name)
         joint.armature = float(model.armature[i])
         joint.damping = np.resize([model.damping[i], 0.0, 0.0], np.shape(joint.damping))
-        joint.frictionloss = float(model.upperDryFrictionLimit[i])
-        # of this and of what drives add: MuJoCo's own 20 ms would make it viscous where the inertia
-        # is small, and turn it round 10 ms before the joint
-        joint.solref_friction = [2 * options.step, 1.0]
+        set_dry_friction(joint, float(model.upperDryFrictionLimit[i]), options.step)
     for actuated in chain.actuated:
         name = chain.joint_names[actuated]
         limit = float(model.upperEffortLimit[actuated])
