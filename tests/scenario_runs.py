@@ -25,6 +25,18 @@ def worst_force(verdict):
     return max(force["rms_error_rel"] for force in verdict["force"].values())
 
 
+def assert_accurate(verdict, forces=True):
+    """Forces within 1 % rms and 5 % peak, 0.5 mm and 2 mrad, closed and unsaturated throughout."""
+    for force in verdict["force"].values() if forces else ():
+        assert force["rms_error_rel"] <= 0.01
+        assert force["peak_error_rel"] <= 0.05
+        assert force["sensing_rms_rel"] <= 0.01
+    assert verdict["motion"]["rms_error_m"] <= 0.5e-3
+    assert verdict["motion"]["rms_error_rad"] <= 2e-3
+    assert set(verdict["contact_fraction"].values()) == {1.0}
+    assert verdict["status"] == {"ok": verdict["ticks"], "saturated": 0, "held": 0, "degraded": 0}
+
+
 def assert_same_run(one, other):
     """All channels to the last bit but the time that each tick took."""
     assert one.channels.keys() == other.channels.keys()

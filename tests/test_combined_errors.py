@@ -9,8 +9,6 @@ from scenario_runs import rig_of, verdict_of, worst_force
 import osc_contact as osc
 from benchmarks.combined_errors import MASSES, judge
 
-GRAVITY = 9.81
-
 
 @mark.parametrize("mass", MASSES)
 @mark.parametrize("name, side", [("two_contact_rod", 90), ("panda_edge", 0)])
@@ -22,22 +20,20 @@ def test_all_errors_at_once(name, mass, side):
 
 def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
     """It weighs m g where the left arm grasps the rod; MuJoCo's own masses tell the same."""
-    hidden = osc.load_scenario("two_contact_rod", ["model_error.hidden_mass=0.3 kg"])
-    rigs = [osc.build_rig(s) for s in (hidden, osc.load_scenario("two_contact_rod"))]
-    rig = rigs[0]
+    rig = rig_of("two_contact_rod", "model_error.hidden_mass=0.3 kg")
+    rigs = rig, rig_of()
     X = rig.state().X_WO
-    gravity = np.array([0.0, 0.0, -GRAVITY])
-    carried = [chain.payload.terms(X, np.zeros(6), gravity).p for chain in (rig.chain, rig.model)]
-    up = np.array([0.0, 0.0, 0.3 * GRAVITY])
+    gravity = np.array([0.0, 0.0, -9.81])
+    true, believed = (
+        chain.payload.terms(X, np.zeros(6), gravity).p for chain in (rig.chain, rig.model)
+    )
     tip = np.array([-0.15, 0.0, 0.0])  # of the left arm, in the frame of the rod
-    want = np.concatenate((up, np.cross(X.rotation @ tip, up)))
-    assert_allclose(carried[0] - carried[1], want, atol=1e-9)
-    plants = [rig.plant().model for rig in rigs]
-    masses = [model.body_subtreemass[0] for model in plants]
-    assert masses[0] - masses[1] == approx(0.3, abs=1e-9)
-    rod = [model.body("object/root") for model in plants]
-    middle = (0.3 * tip + rod[1].mass * rod[1].ipos) / rod[0].mass
-    assert_allclose(rod[0].ipos, middle, atol=1e-9)
+    want = np.cross(X.rotation @ tip, -0.3 * gravity)
+    assert_allclose(true - believed, [*(-0.3 * gravity), *want], atol=1e-9)
+    with_mass, without = (rig.plant().model for rig in rigs)
+    assert with_mass.body_subtreemass[0] - without.body_subtreemass[0] == approx(0.3, abs=1e-9)
+    rod, bare = (model.body("object/root") for model in (with_mass, without))
+    assert_allclose(rod.ipos, (0.3 * tip + bare.mass * bare.ipos) / rod.mass, atol=1e-9)
 
 
 @mark.parametrize("name", ["two_contact_rod", "panda_edge", "ur5_wipe", "three_arm_plate"])
@@ -72,8 +68,7 @@ def test_a_pair_of_ones_own_cannot_be_displaced():
 
 def test_friction_that_turns_back_is_commanded_in_time():
     """Of two Pandas that slide to and fro, with friction that they learn."""
-    scenario = osc.load_scenario("dual_panda_rod", ["plant.friction=0.2", "duration=4 s"])
-    verdict = osc.metrics(osc.run(scenario))
+    verdict = verdict_of("dual_panda_rod", "plant.friction=0.2", "duration=4 s")
     assert worst_force(verdict) < 0.015
 
 

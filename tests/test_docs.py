@@ -30,7 +30,8 @@ SHORT = ["control.rate=250 Hz"]  # few ticks: only the keys matter
 
 
 def text_of(page):
-    return page.read_text()
+    """Of a page, or of one in docs/ by its name."""
+    return (ROOT / "docs" / page).read_text()
 
 
 def blocks(language):
@@ -51,13 +52,9 @@ def blocks(language):
 
 def table_rows(page, heading):
     """Cells of the tables below a heading, without their first two lines."""
-    section = text_of(ROOT / "docs" / page).split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    section = text_of(page).split(f"\n## {heading}\n")[1].split("\n## ")[0]
     lines = [line for line in section.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
-
-
-def first_cells(page, heading):
-    return {name for row in table_rows(page, heading) for name in TICKED.findall(row[0])}
 
 
 def programs():
@@ -80,12 +77,10 @@ def command_lines():
     found = []
     for page in PAGES:
         text = text_of(page)
-        inline = TICKED.findall(FENCE.sub("", text))
-        fenced = [line for fence in FENCE.finditer(text) for line in fence[2].splitlines()]
-        for line in (*inline, *fenced, *re.findall(r"^ {4}(.*)$", text, re.MULTILINE)):
-            if line.startswith("osc-contact "):
-                found.append(line)
-    return sorted(set(found))
+        found += TICKED.findall(FENCE.sub("", text))
+        found += [line for fence in FENCE.finditer(text) for line in fence[2].splitlines()]
+        found += re.findall(r"^ {4}(.*)$", text, re.MULTILINE)
+    return sorted({line for line in found if line.startswith("osc-contact ")})
 
 
 @mark.parametrize("line", command_lines())
@@ -121,9 +116,13 @@ def test_links_and_pictures_exist(page):
             assert file.is_file(), f"{page.name} points at {target}, which is not there"
 
 
+def program(name):
+    return runpy.run_path(f"{ROOT}/docs/{name}")
+
+
 def test_the_picture_of_the_rooms_is_that_of_the_imports():
     """After a change of the imports: python docs/draw_rooms.py."""
-    script = runpy.run_path(str(ROOT / "docs" / "draw_rooms.py"))
+    script = program("draw_rooms.py")
     assert script["PICTURE"].read_text() == script["drawing"]()
 
 
@@ -150,7 +149,7 @@ def test_files_named_in_backticks_exist(page):
 
 
 def test_every_section_of_the_theory_says_where_it_is_computed():
-    for section in text_of(ROOT / "docs" / "theory.md").split("\n## ")[1:]:
+    for section in text_of("theory.md").split("\n## ")[1:]:
         assert re.search(r"^In code: `osc_contact/\S+::\S+`", section, re.M), section.split("\n")[0]
 
 
@@ -159,20 +158,14 @@ def test_every_section_of_the_theory_says_where_it_is_computed():
 
 def test_tables_of_keys_are_those_of_the_declarations():
     """After a change of a setting: python docs/_ext/scenario_keys.py."""
-    page = text_of(ROOT / "docs" / "scenario.md")
-    updated = runpy.run_path(str(ROOT / "docs" / "_ext" / "scenario_keys.py"))["updated"]
-    assert updated(page) == page
+    page = text_of("scenario.md")
+    assert program("_ext/scenario_keys.py")["updated"](page) == page
     keys = {row[0].strip("`") for row in table_rows("scenario.md", "Control and plant")}
     assert {"gains.motion.frequency", "control.safety.wrist_error", "plant.solref"} <= keys
 
 
-def pair_rows():
-    """Name and cells of every contact pair."""
-    return [(TICKED.findall(row[0])[0], row) for row in table_rows("contacts.md", "Pairs")]
-
-
 def test_every_pair_has_a_row_with_its_r_and_its_keys():
-    rows = dict(pair_rows())
+    rows = {TICKED.findall(row[0])[0]: row for row in table_rows("contacts.md", "Pairs")}
     assert set(rows) == set(PAIRS)
     told = {}
     for name, row in rows.items():
@@ -192,36 +185,32 @@ def recording():
 
 def leaves(data, prefix, contacts):
     if not isinstance(data, dict):
-        return {prefix}
+        return {prefix[1:]}
     found = set()
     for key, value in data.items():
-        name = "NAME" if key in contacts else key
-        found |= leaves(value, f"{prefix}.{name}" if prefix else name, contacts)
+        found |= leaves(value, f"{prefix}.{'NAME' if key in contacts else key}", contacts)
     return found
 
 
 def test_every_metric_is_documented(recording):
     names = recording.meta["contact_names"]
-    told = first_cells("metrics.md", "metrics.json")
-    assert told == leaves(osc.metrics(recording), "", names)
+    rows = table_rows("metrics.md", "metrics.json")
+    assert {name for row in rows for name in TICKED.findall(row[0])} == leaves(
+        osc.metrics(recording), "", names
+    )
 
 
 def test_every_channel_is_documented_with_its_shape(recording):
     sizes = {"T": len(recording), "n": 10, "n_a": 8, "r": 2, "c": 2}
     told = {}
     for row in table_rows("metrics.md", "The recording"):
-        shape = tuple(
-            int(sizes.get(part, part))
-            for part in row[1].strip("()").replace(" ", "").split(",")
-            if part
-        )
+        shape = tuple(int(sizes.get(part, part)) for part in re.findall(r"\w+", row[1]))
         told |= {name: shape for name in TICKED.findall(row[0])}
     assert told == {name: array.shape for name, array in recording.channels.items()}
 
 
 def test_every_entry_of_the_meta_is_named(recording):
-    text = text_of(ROOT / "docs" / "metrics.md")
-    told = text.split("`Recording.meta` holds")[1].split("```")[0]
+    told = text_of("metrics.md").split("`Recording.meta` holds")[1].split("```")[0]
     assert set(TICKED.findall(told)) == set(recording.meta)
 
 
@@ -230,7 +219,7 @@ def test_every_entry_of_the_meta_is_named(recording):
 
 def test_every_packaged_scenario_has_a_card_and_studies_follow():
     """Made by `make gallery`: a picture, the command and the verdict of its run."""
-    cards = text_of(ROOT / "docs" / "gallery.md").split("\n## ")[1:]
+    cards = text_of("gallery.md").split("\n## ")[1:]
     scenarios = list(osc.list_scenarios())
     studies = ["fig2", "fig3", "kinematic_stability"]  # others are scenarios or figures of pages
     names = [card.split("\n")[0] for card in cards]
@@ -249,7 +238,7 @@ def test_names_in_the_glossary_exist():
     owners = {"state": state, "arm": state.arms[0], "contact": rig.contact(), "chain": rig.chain}
     owners["osc"] = osc
     named = 0
-    for line in text_of(ROOT / "docs" / "glossary.md").splitlines():
+    for line in text_of("glossary.md").splitlines():
         cells = line.split("|")
         for owner, name in re.findall(r"`(\w+)\.(\w+)`", cells[2] if len(cells) > 3 else ""):
             assert hasattr(owners[owner], name), f"{owner}.{name}"
@@ -263,8 +252,7 @@ def test_each_of_the_thirty_bad_inputs_has_a_test():
     for row in rows:
         (cited,) = TICKED.findall(row[-1])
         file, name = cited.split("::")
-        source = (ROOT / file).read_text()
-        assert re.search(rf"^def {name}\(", source, re.MULTILINE), cited
+        assert re.search(rf"^def {name}\(", text_of(ROOT / file), re.MULTILINE), cited
 
 
 def test_the_readme_is_short_and_shows_a_picture_and_a_program_with_its_output_first():

@@ -171,9 +171,9 @@ def test_a_contact_without_forces_is_no_trouble():
 
 def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
     motion = f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]"
-    for change, told in ((motion, True), ("motion.1.signals.0.start=1.5 s", True)):
-        rig = rig_of("approach_and_slide", change)
-        assert any("does not permit it" in one.text for one in osc.preflight(rig)) == told
+    for change in (motion, "motion.1.signals.0.start=1.5 s"):
+        found = told("approach_and_slide", change)
+        assert any("does not permit it" in text for _, text in found)
 
 
 @mark.parametrize(
@@ -196,15 +196,14 @@ def test_what_is_cured_is_not_told(changes):
 
 def test_a_torque_loop_that_diverges_is_refused_before_it_runs():
     changes = ["plant.flexible_joints.frequency=60 Hz", "control.joint_torque={rate: 4 kHz}"]
-    rig = rig_of("two_contact_rod", *changes)
-    (finding,) = osc.preflight(rig)
-    assert finding.refused and "lower control.joint_torque.gain" in finding.text
+    ((kind, text),) = told("two_contact_rod", *changes)
+    assert kind == "refused" and "lower control.joint_torque.gain" in text
 
 
 def told(name, *changes):
     """Findings as "doubtful" or "refused", with their texts."""
     found = osc.preflight(rig_of(name, *changes))
-    return [("refused" if one.refused else "doubtful", one.text) for one in found]
+    return [(("doubtful", "refused")[one.refused], one.text) for one in found]
 
 
 LEAN = 0.841854  #: cos of the angle between the faces' normals and the vertical
@@ -299,14 +298,10 @@ def test_a_contact_may_lie_five_millimetres_beside_its_body():
 
 
 def test_forces_beyond_the_motors_are_doubtful_then_refused():
-    found = {
-        newtons: told("dual_panda_rod", f"force.left_end=[{{type: constant, value: {newtons} N}}]")
+    fine, *beyond = (
+        told("dual_panda_rod", f"force.left_end=[{{type: constant, value: {newtons} N}}]")
         for newtons in (430, 460, 1180, 1250)
-    }
-    assert found[430] == []
-    assert [found[newtons][0][0] for newtons in (460, 1180, 1250)] == [
-        "doubtful",
-        "doubtful",
-        "refused",
-    ]
-    assert "2.9 times their limits" in found[1180][0][1]
+    )
+    assert fine == []
+    assert [found[0][0] for found in beyond] == ["doubtful", "doubtful", "refused"]
+    assert "2.9 times their limits" in beyond[1][0][1]

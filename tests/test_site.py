@@ -18,20 +18,21 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def build(source, into, *options):
     """As `make docs`, without running the notebooks: tests/test_notebooks.py runs them."""
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
-    command += ["-D", "run_notebooks=0", "-d", str(into / "doctrees"), *options]
-    return subprocess.run(
-        [*command, str(source), str(into / "site")], capture_output=True, text=True, timeout=300
-    )
+    line = f"-m sphinx -W --keep-going -q -b html -D run_notebooks=0 -d {into}/doctrees"
+    command = [sys.executable, *line.split(), *options, source, into / "site"]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
 
 
 @fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("docs")
-    done = build(ROOT, folder, "-c", str(ROOT / "docs"))
-    assert done.returncode == 0, done.stderr
-    assert not done.stderr
+    done = build(ROOT, folder, "-c", ROOT / "docs")
+    assert done.returncode == 0 and not done.stderr, done.stderr
     return folder / "site"
+
+
+def text_of(site, page):
+    return (site / f"{page}.html").read_text()
 
 
 @fixture(scope="module")
@@ -43,7 +44,7 @@ def test_every_page_is_there(site):
     sources = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/api/*.rst")]
     for source in [*sources, *ROOT.glob("notebooks/*.py")]:
         assert (site / source.relative_to(ROOT)).with_suffix(".html").is_file(), source.name
-    assert "docs/index.html" in (site / "index.html").read_text()
+    assert "docs/index.html" in text_of(site, "index")
 
 
 def test_every_link_leads_to_a_page_and_an_anchor(site, pages):
@@ -83,13 +84,13 @@ def test_every_public_name_has_its_place_in_reading_order():
 
 
 def test_docstrings_reach_the_pages(site):
-    text = (site / "docs/api/response.html").read_text()
+    text = text_of(site, "docs/api/response")
     assert "α = D⁻¹[NᵀSΛ_S⁻¹(f_S − b_S)" in text and "TypeAlias" not in text
     assert "neither the chain nor the environment yields" in text  # Raises:
 
 
 def test_notebooks_are_pages(site):
-    text = (site / "notebooks/03_two_contact_task.html").read_text()
+    text = text_of(site, "notebooks/03_two_contact_task")
     assert "no constraint frame" in text and "build_rig" in text
     assert "matplotlib</span> <span" not in text and "fmt: skip" not in text
 
@@ -101,7 +102,7 @@ def test_a_link_that_leads_nowhere_stops_the_build(tmp_path):
 
 
 def test_equations_are_drawn_without_a_script(site):
-    text = (site / "docs/theory.html").read_text()
+    text = text_of(site, "docs/theory")
     assert text.count("<math ") >= 20 and "<mtable" in text
     assert "$$" not in text and "&=" not in text and "\\tag" not in text and "<mi>&<" not in text
     assert '<span class="number">(24)</span>' in text
@@ -116,7 +117,7 @@ def test_first_uses_of_symbols_lead_to_the_glossary(site):
         "scenario": "r",
     }
     for page, names in wanted.items():
-        text = (site / f"docs/{page}.html").read_text()
+        text = text_of(site, f"docs/{page}")
         links = re.findall(r'<a class="term [^>]*>(.*?)</a>', text)
         linked = [re.sub("</?sub>", "", link.replace("<sub>", "_")) for link in links]
         assert len(linked) == len(set(linked)), page
@@ -125,9 +126,8 @@ def test_first_uses_of_symbols_lead_to_the_glossary(site):
 
 
 def test_names_in_tables_break_after_their_parts_only(site):
-    text = (site / "docs/scenario.html").read_text()
-    name = re.sub(r"</?span[^>]*>", "", text)
-    assert "contacts.<wbr>face.<wbr>urdf<" in name
+    text = text_of(site, "docs/scenario")
+    assert "contacts.<wbr>face.<wbr>urdf<" in re.sub(r"</?span[^>]*>", "", text)
 
 
 @mark.parametrize(

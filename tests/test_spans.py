@@ -9,7 +9,6 @@ from pytest import fixture, mark
 from scenario_runs import rig_of
 from test_projections import SIZE, close, frame_change, millimetres, well_mixing
 
-from osc_contact import projections
 from osc_contact import projections as P
 from osc_contact.contacts.contact import Contact
 from osc_contact.dynamics.environment import Environment
@@ -25,7 +24,7 @@ MOTION_LAWS = (P.Omega_m, P.Omega_f_bar)
 def limits(request, monkeypatch):
     """No verdict here may hang on a limit: each holds with limits a hundred times off."""
     for name in ("DEPENDENT", "BLOCKED", "BLURRED", "_NO_MOBILITY"):
-        monkeypatch.setattr(projections, name, getattr(projections, name) * request.param)
+        monkeypatch.setattr(P, name, getattr(P, name) * request.param)
 
 
 def orthogonal(rng):
@@ -71,11 +70,10 @@ def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_b
     v = rng.normal(size=6) / SIZE
     for X, X_f in changes(rng):
         for basis in (np.eye(r), np.diag(10 ** rng.uniform(-3, 3, r))):
-            N = X_f @ near @ basis
-            force = P.Omega_f(N, X @ Phi @ X.T) @ X_f @ f
-            motion = P.Omega_m_bar(N, X @ Phi @ X.T) @ X @ v
-            close(np.linalg.solve(X_f, force), P.Omega_f(good, Phi) @ f, 3e-13 / gap)
-            close(np.linalg.solve(X, motion), P.Omega_m_bar(good, Phi) @ v, 3e-13 / gap)
+            given = X_f @ near @ basis, X @ Phi @ X.T
+            for law, x, way in ((P.Omega_f, f, X_f), (P.Omega_m_bar, v, X)):
+                found = np.linalg.solve(way, law(*given) @ way @ x)
+                close(found, law(good, Phi) @ x, 3e-13 / gap)
 
 
 @mark.usefixtures("limits")
@@ -117,29 +115,31 @@ def test_singular_metrics_are_refused_in_every_frame(r):
 @mark.parametrize("k", [2, 3, 4, 5, 6, 7])
 def test_dependent_columns_are_refused_in_every_frame(k):
     rng = default_rng([k, 5])
-    for rank in (5, 6):
-        for _ in range(30):
-            N = SIZE[:, None] * rng.normal(size=(6, k))
-            N[:, -1] = N[:, :-1] @ rng.normal(size=k - 1)
-            Phi = metric(rng, 1 / SIZE, rank)
-            for X, X_f in changes(rng):
-                for law in FORCE_LAWS + MOTION_LAWS:
-                    with contact_error("dependent"):
-                        law(X_f @ N, X @ Phi @ X.T)
+    for rank in 30 * (5, 6):
+        N = SIZE[:, None] * rng.normal(size=(6, k))
+        N[:, -1] = N[:, :-1] @ rng.normal(size=k - 1)
+        Phi = metric(rng, 1 / SIZE, rank)
+        for X, X_f in changes(rng):
+            for law in FORCE_LAWS + MOTION_LAWS:
+                with contact_error("dependent"):
+                    law(X_f @ N, X @ Phi @ X.T)
 
 
 def test_messages_name_the_columns():
     e = np.eye(6)
     singular = np.diag([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])
-    with contact_error(r"column 1 has nᵀΦn = 0, .* Drop that contact"):
-        P.Omega_f(e[:, [0, 2]], singular)
-    hidden = np.column_stack((e[0], e[1] + e[2], e[1] - e[2]))
-    with contact_error(r"columns \[1, 2\] are dependent in the metric"):
-        P.Omega_f(hidden, singular)
-    with contact_error(r"columns \[0, 2\] are dependent \(least"):
-        P.Omega_f(np.column_stack((e[0], e[1], -3.0 * e[0])), np.eye(6))
-    with contact_error("not symmetric"):
-        P.Omega_f(e[:, :1], np.eye(6) + 1e-6 * np.eye(6, k=1))
+    for columns, Phi, words in (
+        ((e[0], e[2]), singular, r"column 1 has nᵀΦn = 0, .* Drop that contact"),
+        (
+            (e[0], e[1] + e[2], e[1] - e[2]),
+            singular,
+            r"columns \[1, 2\] are dependent in the metric",
+        ),
+        ((e[0], e[1], -3.0 * e[0]), e, r"columns \[0, 2\] are dependent \(least"),
+        ((e[0],), e + 1e-6 * np.eye(6, k=1), "not symmetric"),
+    ):
+        with contact_error(words):
+            P.Omega_f(np.column_stack(columns), Phi)
 
 
 @mark.parametrize("n", [1, 4, 6])
@@ -150,12 +150,12 @@ def test_orthonormal_is_what_it_says(n, seed):
         N = rng.normal(size=(n, k))
         root = rng.normal(size=(n, n)) + 3.0 * np.eye(n)
         Phi = root @ root.T
-        E, W, G = projections.orthonormal(N, Phi, "test")
+        E, W, G = P.orthonormal(N, Phi, "test")
         assert_allclose(E, N @ G, atol=1e-10)
         assert_allclose(E.T @ Phi @ E, np.eye(k), atol=1e-12)
         assert_allclose(W, Phi @ E, atol=1e-11)
         assert_allclose(N.T @ Phi @ N @ G @ G.T, np.eye(k), atol=1e-8)
-        assert_allclose(projections.left_inverse(N, Phi, "test") @ N, np.eye(k), atol=1e-10)
+        assert_allclose(P.left_inverse(N, Phi, "test") @ N, np.eye(k), atol=1e-10)
 
 
 def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
@@ -169,22 +169,14 @@ def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
     Phi_e = np.diag([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])
     for environment in (Environment.fixed(), Environment(Phi_e, rng.normal(size=6))):
         # forces are given on the near columns: C⁻¹ would round them, 1/gap as large
-        n_gamma = rng.normal(size=2)
-        share = rng.normal(size=2)
-        near = Contact(good @ C, n_gamma @ C)
-        well = Contact(good, n_gamma)
+        n_gamma, share = rng.normal(size=(2, 2))
         a = rng.normal(size=6)
         f_S = rng.normal(size=state.d)
-
-        def solve(contact, share, **given):
-            a = given["a"]
-            f_S = given["f_S"]
-            environment = given["environment"]
+        found = []
+        for N, n_g, alpha in ((good @ C, n_gamma @ C, share), (good, n_gamma, C @ share)):
+            contact = Contact(N, n_g)
             answer = contact_response(state, contact, environment, f_S=f_S)
-            commands = command(state, contact, a, share, "object", environment)
-            return [*commands, answer.f_c, answer.acceleration]
-
-        given = {"a": a, "f_S": f_S, "environment": environment}
-        found = solve(near, share, **given)
-        for one, other in zip(found, solve(well, C @ share, **given), strict=True):
+            commands = command(state, contact, a, alpha, "object", environment)
+            found.append([*commands, answer.f_c, answer.acceleration])
+        for one, other in zip(*found, strict=True):
             assert_allclose(one, other, rtol=0.0, atol=1e-10 * np.abs(other).max())

@@ -37,9 +37,8 @@ class One(gymnasium.Env):
         return observation[0], {"sample": int(infos["sample"][0])}
 
     def step(self, action):
-        observation, reward, terminated, truncated, infos = self.rows.step(action[None])
-        info = {"sample": int(infos["sample"][0])}
-        return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+        observation, *ended, infos = self.rows.step(action[None])
+        return observation[0], *(x.item() for x in ended), {"sample": int(infos["sample"][0])}
 
 
 def part(env, observation, name):
@@ -69,15 +68,14 @@ def test_rows_are_reset_as_gymnasium_resets_environments(mode):
     for _ in range(35):
         actions = 0.05 * ours.action_space.sample()
         actions[1, :2] = -1.0
-        one = ours.step(actions)
-        other = theirs.step(actions)
-        for x, y in zip(one[:4], other[:4], strict=True):
+        (*one, info), (*other, their_info) = (env.step(actions) for env in (ours, theirs))
+        for x, y in zip(one, other, strict=True):
             assert_array_equal(x, y)
+        ends += one[2:]
         over = one[2] | one[3]
-        ends += np.array([one[2], one[3]])
-        assert ("final_obs" in one[4]) == ("final_obs" in other[4])
-        for i in np.flatnonzero(over) if "final_obs" in one[4] else ():
-            assert_array_equal(one[4]["final_obs"][i], other[4]["final_obs"][i])
+        assert ("final_obs" in info) == ("final_obs" in their_info)
+        for i in np.flatnonzero(over) if "final_obs" in info else ():
+            assert_array_equal(info["final_obs"][i], their_info["final_obs"][i])
         if mode is AutoresetMode.DISABLED and over.any():
             with invalid_input("reset them"):
                 ours.step(actions)
@@ -101,13 +99,10 @@ def test_rows_of_a_fleet_are_single_runs(name):
     for k in range(200):
         q, v, _ = fleet.measure()
         X = np.array([pin.XYZQUATToSE3(plans[i].X_WD[k]).homogeneous for i in rows])
-        fields = (
-            np.array([getattr(plans[i], f)[k] for i in rows]) for f in ("V_D", "A_D", "alpha_d")
-        )
-        tau = fleet.tick(X, *fields, np.array([plans[i].squeeze_d for i in rows]))
-        for row, i in enumerate(rows):
-            for one, channel in ((q, "q"), (v, "v"), (tau, "tau")):
-                assert_allclose(one[row], recordings[i][channel][k], atol=1e-9)
+        fields = ([getattr(plans[i], f)[k] for i in rows] for f in ("V_D", "A_D", "alpha_d"))
+        tau = fleet.tick(X, *map(np.array, fields), np.array([plans[i].squeeze_d for i in rows]))
+        for found, channel in ((q, "q"), (v, "v"), (tau, "tau")):
+            assert_allclose(found, [recordings[i][channel][k] for i in rows], atol=1e-9)
     assert not fleet.diverged().any()
 
 
@@ -169,10 +164,12 @@ def test_seeds_draw_the_same_episodes_again_and_others_draw_others():
 
 
 def test_what_cannot_be_batched_is_refused_with_the_reason():
-    with invalid_input("sensors have errors"):
-        make_vector_env("workcell", 2)
-    with invalid_input("divides that of control"):
-        make_vector_env("panda_edge", 2, rate=70.0)
+    for name, how, words in (
+        ("workcell", {}, "sensors have errors"),
+        ("panda_edge", {"rate": 70.0}, "divides that of control"),
+    ):
+        with invalid_input(words):
+            make_vector_env(name, 2, **how)
     env = make_vector_env("panda_edge", 2, overrides=SHORT, threads=1)
     env.reset()
     with invalid_input("actions: expected"):
