@@ -2,14 +2,13 @@
 
 import mujoco
 import numpy as np
+from command_line import call, done
 from complaints import model_error
 from numpy.testing import assert_allclose
 from pytest import approx, mark
-from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.cli import app
 
 TASK = """
 name: from_mjcf
@@ -74,25 +73,26 @@ SIX = """
 </mujoco>"""
 
 
-def task(folder, tip="tip", **changes):
+def arm(folder, old="", new="", equality=""):
+    """The file of SIX, with a change and an equality."""
+    file = folder / "arm.xml"
+    file.write_text(SIX.replace("EQUALITY", equality).replace(old, new, 1))
+    return file
+
+
+def task(folder, tip="tip", *changes):
     """A scenario whose arm is SIX; the face lies where MuJoCo itself puts the stylus."""
-    text = SIX.replace("EQUALITY", "")
-    (folder / "arm.xml").write_text(text)
-    mj = mujoco.MjModel.from_xml_string(text)
+    mj = mujoco.MjModel.from_xml_path(str(arm(folder)))
     data = mujoco.MjData(mj)
-    for k, x in enumerate((0.3, -0.8, 1.2, 0.4, -0.7, 0.2)):
-        data.qpos[int(mj.joint(f"j{k + 1}").qposadr[0])] = x
+    for k, x in enumerate((0.3, -0.8, 1.2, 0.4, -0.7, 0.2), 1):
+        data.joint(f"j{k}").qpos[:] = x
     mujoco.mj_kinematics(mj, data)
     at = data.site("tip") if tip == "tip" else data.body(tip)
-    out = -np.array(at.xmat).reshape(3, 3)[:, 2]
-    point = np.array(at.xpos) - 0.088 * out
+    out = -at.xmat[2::3]
+    text = TASK.replace("TIP", tip).replace("NORMAL", str(out.tolist()))
     file = folder / "task.yaml"
-    file.write_text(
-        TASK.replace("TIP", tip)
-        .replace("POINT", str(point.tolist()))
-        .replace("NORMAL", str(out.tolist()))
-    )
-    return osc.load_scenario(file, changes.get("changes", ()))
+    file.write_text(text.replace("POINT", str((at.xpos - 0.088 * out).tolist())))
+    return osc.load_scenario(file, changes)
 
 
 @mark.parametrize("tip", ["tip", "hand"])
@@ -112,52 +112,48 @@ def test_both_plants_accelerate_an_arm_from_mjcf_alike(tmp_path):
     """Free fall from a posture, damping included, two joints and a finger held where told."""
     scenario = task(
         tmp_path,
-        changes=[
-            "contacts=[]",
-            "force={}",
-            "arms.arm.locked_joints={grip: 4 mm, j2: -0.8, j4: 0.4}",
-            "arms.arm.posture=[0.3, 1.2, -0.7, 0.2]",
-            "arms.arm.friction=0 Nm",
-            "plant.step=0.05 ms",
-        ],
+        "tip",
+        "contacts=[]",
+        "force={}",
+        "arms.arm.locked_joints={grip: 4 mm, j2: -0.8, j4: 0.4}",
+        "arms.arm.posture=[0.3, 1.2, -0.7, 0.2]",
+        "arms.arm.friction=0 Nm",
+        "plant.step=0.05 ms",
     )
-    rigs = [
-        osc.build_rig(scenario),
-        osc.build_rig(scenario.replaced(plant={"type": "rigid", "step": 5e-5})),
-    ]
-    moved = []
-    for rig in rigs:
+
+    def fallen(scenario):
+        rig = osc.build_rig(scenario)
         plant = rig.plant()
         plant.command(np.zeros(4), 0.02)
-        moved.append(plant.measure())
-    assert_allclose(moved[0].q, moved[1].q, atol=1.5e-5)
-    assert np.abs(moved[0].q - rigs[0].q_start).max() > 1e-3
-    assert_allclose(moved[0].wrenches, moved[1].wrenches, atol=0.05)
+        read = plant.measure()
+        assert np.abs(read.q - rig.q_start).max() > 1e-3
+        return read
+
+    ours = fallen(scenario)
+    theirs = fallen(scenario.replaced(plant={"type": "rigid", "step": 5e-5}))
+    assert_allclose(ours.q, theirs.q, atol=1.5e-5)
+    assert_allclose(ours.wrenches, theirs.wrenches, atol=0.05)
 
 
 def test_check_describes_it_and_refuses_with_exit_code_1(tmp_path):
-    task(tmp_path)
-    report = robots.check_robot(tmp_path / "arm.xml")
+    file = arm(tmp_path)
+    report = robots.check_robot(file)
     assert report.sound and report.reader_difference < 1e-12
     assert report.summary.dof == 7 and report.summary.mass == approx(12.45)
     assert [joint.kind for joint in report.summary.joints] == 6 * ["revolute"] + ["prismatic"]
     assert report.summary.joints[0].effort == 80.0 and np.isinf(report.summary.joints[1].effort)
-    result = CliRunner().invoke(app, ["check", str(tmp_path / "arm.xml"), "--tip", "tip"])
-    assert result.exit_code == 0 and "sound" in result.stdout
-    (tmp_path / "bad.xml").write_text(
-        SIX.replace('name="j3" axis', 'name="j3" stiffness="5" axis').replace("EQUALITY", "")
-    )
-    refused = CliRunner().invoke(app, ["check", str(tmp_path / "bad.xml")])
+    assert "sound" in done(f"check {file} --tip tip").stdout
+    refused = call("check", arm(tmp_path, 'name="j3"', 'name="j3" stiffness="5"'))
     assert refused.exit_code == 1 and "spring of 5" in refused.stdout
 
 
 def test_joints_that_follow_others_on_the_way_to_the_tip_are_refused(tmp_path):
-    text = SIX.replace("EQUALITY", '<equality><joint joint1="j3" joint2="j2"/></equality>')
-    (tmp_path / "arm.xml").write_text(text)
+    how = {"name": "a", "tip": "tip"}
+    follows = '<equality><joint joint1="{}" joint2="j2"/></equality>'
+    file = arm(tmp_path, equality=follows.format("j3"))
     with model_error("'j3' on the way to the tip follows joint 'j2'"):
-        osc.Arm.from_mjcf(tmp_path / "arm.xml", name="a", tip="tip")
+        osc.Arm.from_mjcf(file, **how)
     both = {"j2": 0.1, "j3": 0.1}
-    assert osc.Arm.from_urdf(tmp_path / "arm.xml", name="a", tip="tip", locked=both).model.nv == 4
-    grip = text.replace('joint1="j3"', 'joint1="grip"')
-    (tmp_path / "arm.xml").write_text(grip)
-    assert osc.Arm.from_mjcf(tmp_path / "arm.xml", name="a", tip="tip").model.nv == 6
+    assert osc.Arm.from_urdf(file, locked=both, **how).model.nv == 4
+    file = arm(tmp_path, equality=follows.format("grip"))
+    assert osc.Arm.from_mjcf(file, **how).model.nv == 6

@@ -34,23 +34,18 @@ def test_the_picture_stands_where_mujoco_puts_the_shapes(recorded):
     robot, recording, _ = recorded
     model, shapes = read_picture(recording.meta["picture"])
     data = model.createData()
-    robot.reset(np.array([0.7, -0.4, 1.1]))
-    robot.data.qpos[robot.model.joint("grip").qposadr[0]] = 0.02
+    q = np.array([0.7, -0.4, 1.1])
+    robot.reset(q)
+    robot.data.joint("grip").qpos[:] = 0.02
     mujoco.mj_forward(robot.model, robot.data)
-    pin.forwardKinematics(model, data, np.array([0.7, -0.4, 1.1]))
-    drawn = np.array(
-        [
-            (data.oMi[one.parentJoint] * one.placement).translation
-            for one in shapes.geometryObjects
-            if one.parentJoint
-        ]
-    )
-    names = ["upper", "lower", "tool"]
-    for name in names:
-        at = robot.data.geom(name).xpos
-        assert np.linalg.norm(drawn - at, axis=1).min() < 1e-6, name
-    fixed = [one.placement.translation for one in shapes.geometryObjects if not one.parentJoint]
-    assert np.linalg.norm(fixed - robot.data.geom("wall").xpos, axis=1).min() < 1e-6
+    pin.forwardKinematics(model, data, q)
+    drawn = {True: [], False: []}
+    for one in shapes.geometryObjects:
+        X = data.oMi[one.parentJoint] * one.placement
+        drawn[one.parentJoint > 0].append(X.translation)
+    for name in ("upper", "lower", "tool", "wall"):
+        away = drawn[name != "wall"] - robot.data.geom(name).xpos
+        assert np.linalg.norm(away, axis=1).min() < 1e-6, name
 
 
 def test_a_recording_carries_no_path_and_is_drawn(recorded, tmp_path):
@@ -85,10 +80,6 @@ def test_a_viewer_takes_the_robot_and_its_recording(recorded, tmp_path):
             page.until("element('live').textContent === 'ENDED'")
 
 
-def with_picture(recording, picture):
-    return osc.Recording(recording.meta | {"picture": picture}, dict(recording.channels))
-
-
 @mark.parametrize(
     "damage",
     [
@@ -102,5 +93,6 @@ def with_picture(recording, picture):
 def test_damaged_pictures_are_refused(recorded, damage, tmp_path):
     _, recording, _ = recorded
     file = tmp_path / "bad.npz"
-    with_picture(recording, damage(recording.meta["picture"])).save(file)
+    bad = {"picture": damage(recording.meta["picture"])}
+    osc.Recording(recording.meta | bad, dict(recording.channels)).save(file)
     assert "picture" in refused("view", file, "--html", tmp_path / "page.html")

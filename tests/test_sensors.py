@@ -128,15 +128,11 @@ def test_vision_errs_in_millimetres_and_milliradians():
     out = readings(Sensors(vision=vision), 3000)
     X = np.array([m.touched.X_WE[0] for m in out])
     t = np.arange(len(X)) * STEP
-    shift = X[:, :3, 3] - np.outer(0.02 * t, [1, 0, 0])
-    turn = np.array(
-        [
-            pin.log3(R @ pin.exp3(np.array([0, 0, -0.1 * s])))
-            for R, s in zip(X[:, :3, :3], t, strict=True)
-        ]
-    )
-    assert_allclose(shift.std(axis=0), 1e-3, rtol=0.06)
-    assert_allclose(turn.std(axis=0), 5e-3, rtol=0.06)
+    away = X[:, :3, 3] - np.outer(0.02 * t, [1, 0, 0])
+    back = np.outer(-0.1 * t, [0, 0, 1])
+    turn = [pin.log3(R @ pin.exp3(w)) for R, w in zip(X[:, :3, :3], back, strict=True)]
+    assert_allclose(away.std(axis=0), 1e-3, rtol=0.06)
+    assert_allclose(np.std(turn, axis=0), 5e-3, rtol=0.06)
 
 
 def test_one_seed_one_run_and_a_reset_begins_it_again():
@@ -151,10 +147,10 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
     assert_array_equal(plant.measure().q, first[0].q)
 
 
-@mark.parametrize("bad", [(0.0, 0, 0), (1.0, -1, 0), (1.0, 0, 1.0)])
-def test_impossible_clocks_are_refused(bad):
-    with invalid_input("Clock"):
-        Clock(*bad)
+def test_impossible_clocks_are_refused():
+    for bad in ((0.0, 0, 0), (1.0, -1, 0), (1.0, 0, 1.0)):
+        with invalid_input("Clock"):
+            Clock(*bad)
 
 
 @mark.parametrize(
