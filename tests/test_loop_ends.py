@@ -78,10 +78,9 @@ class Controller:
 def usual_handlers():
     """Signals count, though a shell that runs the tests in the background ignores some."""
     usual = signal.default_int_handler, signal.SIG_DFL, signal.SIG_DFL
-    before = [signal.signal(number, one) for number, one in zip(SIGNALS, usual, strict=True)]
+    before = list(map(signal.signal, SIGNALS, usual))
     yield
-    for number, handler in zip(SIGNALS, before, strict=True):
-        signal.signal(number, handler)
+    list(map(signal.signal, SIGNALS, before))
 
 
 def send(number):
@@ -89,15 +88,16 @@ def send(number):
 
 
 def handlers():
-    return [signal.getsignal(number) for number in SIGNALS]
+    return list(map(signal.getsignal, SIGNALS))
 
 
 def test_a_stop_is_reported_in_its_tick_and_braking_goes_on():
     robot = Robot()
     osc.run_loop(robot, Controller(stops_at=[3, 6]), repeat(REFERENCE, 8))
     assert robot.stops == ["tick 3: an encoder", "tick 6: an encoder", ""]
-    at = robot.calls.index(("stop", "tick 3: an encoder"))
-    assert robot.calls[at - 1 : at + 2] == [("measure",), robot.calls[at], ("command", -1.0)]
+    stop = "stop", "tick 3: an encoder"
+    at = robot.calls.index(stop)
+    assert robot.calls[at - 1 : at + 2] == [("measure",), stop, ("command", -1.0)]
     sent = [given[0] for name, *given in robot.calls if name == "command"]
     assert sent == [1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0]
 

@@ -1,11 +1,11 @@
 """`check_robot` accepts drivers that keep the contract, and says what others get wrong."""
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
+import pinocchio as pin
 from complaints import plant_error
 from pytest import mark
+from rigs import shift
 
 import osc_contact as osc
 from osc_contact.testing import check_robot
@@ -57,26 +57,31 @@ class Driver:
     def measure(self):
         m = self.plant.measure()
         self.ticks += 1
-        order = {"swapped 1 2": [1, 0, 2], "swapped 2 3": [0, 2, 1]}.get(self.fault, [0, 1, 2])
-        unit = 180.0 / np.pi if self.fault == "degrees" else 1.0
-        q = unit * m.q[order]
-        v = unit * m.v[order]
+        fault = self.fault
+        q = m.q
+        v = m.v
         w = m.wrenches
-        if self.fault == "speeds in degrees":
-            v = v * 180.0 / np.pi
-        if self.fault == "mirrored wrench":
+        if fault.startswith("swapped"):
+            order = {"swapped 1 2": [1, 0, 2], "swapped 2 3": [0, 2, 1]}[fault]
+            q, v = (x[order] for x in (q, v))
+        elif fault == "degrees":
+            q, v = np.rad2deg((q, v))
+        elif fault == "speeds in degrees":
+            v = np.rad2deg(v)
+        elif fault == "mirrored wrench":
             w = -w
-        if self.fault == "mirrored joint":
+        elif fault == "mirrored joint":
             v = v * [1, 1, -1]
             q = (q - HOME) * [1, 1, -1] + HOME
-        if self.fault == "no gravity":
-            state = self.chain.state(m.q, np.zeros(3))
-            w = w - state.sensors[0].actInv(_force(state)).vector
-        if self.fault == "wrench of another frame":
+        elif fault == "no gravity":
+            state = self.chain.state(q, np.zeros(3))
+            force = shift(state.X_WO.translation).act(pin.Force(state.bias_out))
+            w = w - state.sensors[0].actInv(force).vector
+        elif fault == "wrench of another frame":
             w = w[:, [1, 0, 2, 4, 3, 5]]
-        number = min(self.ticks, 10) if self.fault == "stale sequence" else self.ticks
-        stamps = osc.interface.Stamps(1e-3 * (1 if self.fault == "stale stamps" else self.ticks))
-        stamps = replace(stamps, wrists=1e-3 * self.ticks)
+        number = min(self.ticks, 10) if fault == "stale sequence" else self.ticks
+        encoders = 1 if fault == "stale stamps" else self.ticks
+        stamps = osc.interface.Stamps(1e-3 * encoders, wrists=1e-3 * self.ticks)
         return osc.Measurement(q, v, w, sequence=number, stamps=stamps)
 
     def command(self, tau, duration):
@@ -86,12 +91,6 @@ class Driver:
 
     def stop(self, reason=""):
         self.stops.append(reason)
-
-
-def _force(state):
-    import pinocchio as pin
-
-    return pin.SE3(np.eye(3), state.X_WO.translation).act(pin.Force(state.bias_out))
 
 
 def test_drivers_that_keep_the_contract_pass():

@@ -81,8 +81,8 @@ def wiping(X, amplitude=0.04, alpha=10.0):
     w = 3.0
 
     def along(t):
-        s, c = np.sin(w * t), np.cos(w * t)
-        p, v, a = np.outer([1 - c, w * s, w**2 * c], [0, 0, amplitude])
+        along_z = 1 - np.cos(w * t), w * np.sin(w * t), w**2 * np.cos(w * t)
+        p, v, a = np.outer(along_z, [0, 0, amplitude])
         return osc.pose_reference(X.translation + p, X.rotation, v, a, alpha_d=[alpha])
 
     return along

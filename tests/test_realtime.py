@@ -11,6 +11,7 @@ from itertools import repeat
 import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, plant_error
+from numpy.testing import assert_allclose
 from pytest import approx, mark, raises
 from scenario_runs import rig_of
 from test_loop_ends import REFERENCE, Controller, Robot
@@ -22,6 +23,10 @@ from osc_contact.runs.loop import Deadlines, latency
 from osc_contact.runs.report import verdict_table
 
 
+def state_of_process():
+    return gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval()
+
+
 class Paced(Robot):
     """Keeps its time, and notes in which state the process is."""
 
@@ -29,7 +34,7 @@ class Paced(Robot):
 
     def measure(self):
         time.sleep(1e-3)
-        self.state = gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval()
+        self.state = state_of_process()
         return super().measure()
 
 
@@ -41,7 +46,7 @@ class Slow(Controller):
 
 def test_the_process_is_made_for_the_loop_and_given_back(caplog, monkeypatch):
     monkeypatch.setattr(loop, "MOST_MISSED", 10**9)
-    before = gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval()
+    before = state_of_process()
     robot = Paced()
     report = osc.run_loop(robot, Controller(), repeat(REFERENCE, 50), realtime=True)
     collects, policy, interval = robot.state
@@ -49,7 +54,7 @@ def test_the_process_is_made_for_the_loop_and_given_back(caplog, monkeypatch):
     permitted = not any("priority" in note for note in report.notes)
     assert (policy == os.SCHED_FIFO) == permitted
     assert all("permit it by" in note and note in caplog.text for note in report.notes)
-    assert (gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval()) == before
+    assert state_of_process() == before
     assert report.ticks == 50 == sum(report.histogram)
     us = report.read_to_write_us
     assert 0.0 < us["p50"] <= us["p99"] <= us["p99_9"]
@@ -67,11 +72,15 @@ def test_twenty_missed_deadlines_in_a_row_stop_the_robot():
 
 def test_what_counts_as_missed():
     deadlines = Deadlines(1e-3)
-    for k, (read, seconds) in enumerate(
-        [(0.0, 1e-4), (1e-3, 4.9e-4), (2e-3, 5.1e-4), (4e-3, 1e-4), (5.4e-3, 1e-4)]
+    for read, seconds, missed in (
+        (0.0, 1e-4, 0),
+        (1e-3, 4.9e-4, 0),
+        (2e-3, 5.1e-4, 1),
+        (4e-3, 1e-4, 2),
+        (5.4e-3, 1e-4, 2),
     ):
         deadlines.note(read, seconds)
-        assert deadlines.missed == (0, 0, 1, 2, 2)[k]
+        assert deadlines.missed == missed
     assert deadlines.in_a_row == 0
     report = deadlines.report(["a note"])
     assert report.read_to_write_us == approx(
@@ -106,8 +115,8 @@ def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch, cap
 
     recorder.journal.append = hang
     goals = repeat(osc.pose_reference(X.translation, X.rotation), 1100)
-    how = {"recorder": recorder, "viewer": Viewer(), "realtime": True}
-    report = osc.run_loop(driver, controller, goals, **how)
+    watched = {"recorder": recorder, "viewer": Viewer()}
+    report = osc.run_loop(driver, controller, goals, realtime=True, **watched)
     assert threads == {"side work"} and shown == sorted(shown) and len(shown) == 3
     assert caplog.text.count("the viewer failed; the run continues without it") == 1
     recording = recorder.recording()
@@ -152,10 +161,13 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
     found = shadow(change=rub)
     print("\n".join(found.lines()))
     assert all(joint.moved for joint in found.joints)
-    np.testing.assert_allclose([j.coulomb for j in found.joints], [1.0, 0.5, 1.5], atol=0.25)
-    np.testing.assert_allclose([j.viscous for j in found.joints], [0.4, 0.8, 0.2], atol=0.3)
-    np.testing.assert_allclose([j.inertia for j in found.joints], 0.2, atol=0.06)
-    assert max(abs(j.offset) for j in found.joints) < 0.3
+    for key, wanted, atol in (
+        ("coulomb", [1.0, 0.5, 1.5], 0.25),
+        ("viscous", [0.4, 0.8, 0.2], 0.3),
+        ("inertia", 0.2, 0.06),
+        ("offset", 0.0, 0.3),
+    ):
+        assert_allclose([getattr(j, key) for j in found.joints], wanted, atol=atol)
     assert found.wrench_scale == approx(1.0, abs=0.15) and found.forces
 
 
@@ -205,7 +217,7 @@ def test_an_error_of_the_thread_beside_the_loop_ends_the_run_after_the_stop(monk
         raise ValueError("the disk is full")
 
     robot = Paced()
+    given = robot, Controller(), repeat(REFERENCE, 5)
     with raises(ValueError, match="the disk is full"):
-        given = robot, Controller(), repeat(REFERENCE, 5)
         osc.run_loop(*given, recorder=Recorder(), realtime=True)
     assert len(done) == 5 and robot.stops == [""]

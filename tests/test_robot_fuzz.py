@@ -14,10 +14,8 @@ TESTS = Path(__file__).resolve().parent
 
 def run(*command):
     """Standard output of a Python process that must end well; a crash has a return code < 0."""
-    environment = dict(os.environ, PYTHONPATH=f"{TESTS.parent}{os.pathsep}{TESTS}")
-    done = subprocess.run(
-        [sys.executable, *command], capture_output=True, text=True, timeout=300, env=environment
-    )
+    how = {"env": os.environ | {"PYTHONPATH": f"{TESTS.parent}{os.pathsep}{TESTS}"}, "timeout": 300}
+    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, **how)
     assert done.returncode == 0, f"return code {done.returncode}: {done.stderr[-2000:]}"
     return done.stdout
 

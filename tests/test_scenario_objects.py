@@ -3,9 +3,11 @@
 import json
 
 import numpy as np
+import pinocchio as pin
 from complaints import scenario_error
 from numpy.testing import assert_allclose
 from pytest import mark, raises
+from rigs import unit
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
@@ -22,35 +24,25 @@ class Tip(osc.VertexOnFace):
         return super().contact(*args)
 
 
-def rod(plant, **changes):
-    changes = {"control.rate": "500 Hz", "plant.type": plant, "duration": "0.04 s", **changes}
-    changes.setdefault("plant.step", "2 ms" if plant == "rigid" else "0.25 ms")
-    return osc.load_scenario("two_contact_rod", changes)
+def task(plant, name="two_contact_rod"):
+    step = {"rigid": "2 ms", "mujoco": "0.25 ms"}[plant]
+    changes = f"plant.type={plant}", f"plant.step={step}", "control.rate=500 Hz", "duration=0.04 s"
+    return osc.load_scenario(name, changes)
 
 
 def on_bodies(scenario, pairs):
     """The same contacts on bodies of the environment instead of faces of their own."""
-    bodies = [
-        {
-            "name": body.name,
-            "urdf": "face.urdf",
-            "pose": {"xyz": body.placement.translation, "rpy": osc_rpy(body.placement)},
-        }
-        for body in osc.build_rig(scenario).bodies
-    ]
-    contacts = [
-        {"pair": pair, "body": body["name"]} for pair, body in zip(pairs, bodies, strict=True)
-    ]
+    bodies = []
+    contacts = []
+    for pair, body in zip(pairs, osc.build_rig(scenario).bodies, strict=True):
+        X = body.placement
+        pose = {"xyz": X.translation, "rpy": pin.rpy.matrixToRpy(X.rotation)}
+        bodies.append({"name": body.name, "urdf": "face.urdf", "pose": pose})
+        contacts.append({"pair": pair, "body": body.name})
     return scenario.replaced(environment=bodies, contacts=contacts)
 
 
-def osc_rpy(X):
-    import pinocchio as pin
-
-    return pin.rpy.matrixToRpy(X.rotation)
-
-
-def assert_same(ours, theirs, atol=1e-7):
+def assert_same(ours, theirs, atol):
     assert ours.channels.keys() == theirs.channels.keys()
     for name in SAME:
         assert_allclose(ours[name], theirs[name], rtol=0, atol=atol, err_msg=name)
@@ -58,14 +50,13 @@ def assert_same(ours, theirs, atol=1e-7):
 
 @mark.parametrize("plant", PLANTS)
 def test_pairs_of_ones_own(plant):
-    plain = rod(plant)
+    plain = task(plant)
     pairs = [
         Tip(p.vertex, p.point, p.normal, p.radius, name=p.name) for p in osc.build_rig(plain).pairs
     ]
     own = on_bodies(plain, pairs)
     ours = osc.run(own)
-    theirs = osc.run(plain)
-    assert_same(ours, theirs, 1e-6)
+    assert_same(ours, osc.run(plain), 1e-6)
     assert ours.magnitude_names == ["left_end", "right_end"] and not ours["status"].any()
     contact = json.loads(json.dumps(ours.meta["scenario"]))["contacts"][0]
     assert contact == {"name": "left_end", "body": "face_left_end", "pair": "Tip"}
@@ -74,12 +65,9 @@ def test_pairs_of_ones_own(plant):
 @mark.parametrize("plant", PLANTS)
 def test_bodies_of_ones_own(plant):
     """A face driven by a function, and what the controller makes of it, as of a conveyor."""
-    direction = np.array([-0.904196, -0.361677, 0.227199])
-    direction /= np.linalg.norm(direction)
+    direction = unit(np.array([-0.904196, -0.361677, 0.227199]))
     signal = {"type": "minimum_jerk", "value": 0.005, "start": 0.0, "duration": 0.05}
-    changes = {"control.rate": "500 Hz", "duration": "0.04 s", "plant.type": plant}
-    changes["plant.step"] = "2 ms" if plant == "rigid" else "0.25 ms"
-    scenario = osc.load_scenario("moving_face", changes)
+    scenario = task(plant, "moving_face")
 
     def with_motion(motion):
         left, right = (contact.model_dump() for contact in scenario.contacts)
@@ -99,8 +87,7 @@ def test_bodies_of_ones_own(plant):
     own = osc.OwnMotion(osc.Rail(direction, motion=drive), Belt())
     packaged = {"type": "conveyor", "direction": direction, "signals": [signal]}
     ours = osc.run(with_motion(own))
-    theirs = osc.run(with_motion(packaged))
-    assert_same(ours, theirs, 1e-6)
+    assert_same(ours, osc.run(with_motion(packaged)), 1e-6)
     assert answered and np.ptp(ours["face_pose"][:, 0, :3], axis=0).max() > 1e-3
     late = osc.OwnMotion(osc.Rail(direction, motion=lambda t: drive(t + 0.02)))
     with scenario_error("away from where the contacts touch"):
@@ -109,7 +96,7 @@ def test_bodies_of_ones_own(plant):
 
 @mark.parametrize("plant", PLANTS)
 def test_laws_of_ones_own(plant):
-    plain = rod(plant)
+    plain = task(plant)
     made = []
 
     class Proportional:
@@ -121,8 +108,7 @@ def test_laws_of_ones_own(plant):
             self.calls += 1
             return desired + 0.2 * (desired - measured)
 
-    own = plain.replaced(laws=lambda: osc.Laws(force=Proportional()))
-    ours = osc.run(own)
+    ours = osc.run(plain.replaced(laws=lambda: osc.Laws(force=Proportional())))
     theirs = osc.run(plain, install=lambda c: c.with_laws(force=Proportional()))
     assert_same(ours, theirs, 0.0)
     assert [law.calls for law in made] == [20, 1, 20, 1], "every controller has its own"
