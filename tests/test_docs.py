@@ -1,16 +1,20 @@
-"""README and docs: programs run and print what is shown, commands parse, keys and links exist."""
+"""README and docs: programs run, commands parse, keys, links, names and arguments are explained."""
 
+import ast
 import re
 import runpy
 import shlex
+import shutil
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from textwrap import indent
 
 import typer
 import yaml
+from command_line import call
 from pytest import fixture, mark, param
 from scenario_runs import rig_of, run_of
-from test_paper_map import complaint
 
 import osc_contact as osc
 from osc_contact.cli import app
@@ -89,7 +93,7 @@ def test_command_exists_and_parses(line):
     _, name, *arguments = shlex.split(line, comments=True)
     assert name in group.commands, f"{name} is no command of osc-contact"
     group.commands[name].make_context(name, list(arguments))  # raises on unknown options
-    made_there = "my_rod.yaml"  # tests/test_first_hour.py runs these
+    made_there = "my_rod.yaml"  # tests/test_docs.py runs these
     if name in ("run", "inspect") and arguments[0] not in ("SCENARIO", made_there):
         changes = [value for option, value in pairwise(arguments) if option == "--set"]
         osc.load_scenario(arguments[0], changes)
@@ -262,3 +266,304 @@ def test_the_readme_is_short_and_shows_a_picture_and_a_program_with_its_output_f
     assert program[2] and 10 <= len([x for x in program[1].splitlines() if x.strip()]) <= 15
     start = text.index("```python")
     assert "|---" not in text[:start] and ".gif" in text[:start], "a moving picture comes first"
+
+
+# docs/paper_map.md against the code: every row complete, every name and test really there.
+
+
+MAP = ROOT / "docs" / "paper_map.md"
+REFERENCE = re.compile(r"`([^`\s]+)`")
+CELL = re.compile(r"`[^`\s]+`(, `[^`\s]+`)*")
+RIG = (
+    "two SCARA arms",
+    "gripper hinges",
+    "rod,",
+    "vision",
+    "joint torque sensors",
+    "joint-level controller",
+    "wrist force sensors",
+    "two end-point contacts",
+    "N continuously updated",
+    "Λ₀ = Λ₀l + Λ₀r + Λ₀o",
+    "force filter",
+    "generalised inverse of N",
+    "force controller",
+    "feed-forward",
+    "power test",
+    "contact made, lost and regained",
+)
+
+
+def rows_of(text):
+    """(what, where, test) of every table row that speaks of the paper."""
+    rows = []
+    for line in text.splitlines():
+        if not line.startswith("|"):
+            continue
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if cells[0] == "what" or set("".join(cells)) <= set("-: "):
+            continue
+        assert len(cells) == 3, f"not three cells: {line}"
+        rows.append(cells)
+    return rows
+
+
+def names_in(tree):
+    """Functions, classes and module variables, and "Class.name" of methods and attributes."""
+    found = set()
+    for node in tree.body:
+        found.update(_defined(node))
+        if isinstance(node, ast.ClassDef):
+            own = {name for item in node.body for name in _defined(item)}
+            own.update(re.findall(r"\bself\.(\w+)(?:: [^=\n]+)? = ", ast.unparse(node)))
+            found.update(f"{node.name}.{name}" for name in own)
+    return found
+
+
+def _defined(node):
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        return [node.name]
+    targets = getattr(node, "targets", [getattr(node, "target", None)])
+    return [target.id for target in targets if isinstance(target, ast.Name)]
+
+
+def yaml_names(data, prefix=""):
+    """Dotted keys; list items go by their `name`."""
+    pairs = data.items() if isinstance(data, dict) else []
+    if isinstance(data, list):
+        pairs = [(item["name"], item) for item in data if isinstance(item, dict) and "name" in item]
+    found = set()
+    for key, value in pairs:
+        found |= {f"{prefix}{key}"} | yaml_names(value, f"{prefix}{key}.")
+    return found
+
+
+@cache
+def names_of(path):
+    text = path.read_text()
+    if path.suffix == ".py":
+        return names_in(ast.parse(text))
+    if path.suffix == ".urdf":
+        return set(re.findall(r'<(?:link|joint) name="(.*?)"', text))
+    return yaml_names(yaml.safe_load(text))
+
+
+def complaint(reference, *, test):
+    """What is wrong with a reference path::name; None: nothing."""
+    file, _, name = reference.partition("::")
+    path = ROOT / file
+    if not path.is_file():
+        return f"no file {file}"
+    if test and not (file.startswith("tests/test_") and name.startswith("test_")):
+        return f"{reference} is no test"
+    if not test and file.startswith("tests/"):
+        return f"{reference} lives in the tests"
+    if not name or name not in names_of(path):
+        return f"{file} defines no {name!r}"
+    return None
+
+
+def check(row):
+    """Every complaint about one row."""
+    what, where, test = row
+    if where == test == "planned":
+        return []
+    problems = []
+    for cell, is_test in ((where, False), (test, True)):
+        if not CELL.fullmatch(cell):
+            problems.append(f"{what}: neither references nor planned in both columns: {cell!r}")
+            continue
+        found = (complaint(reference, test=is_test) for reference in REFERENCE.findall(cell))
+        problems += [f"{what}: {text}" for text in found if text]
+    return problems
+
+
+ROWS = rows_of(MAP.read_text())
+
+
+@mark.parametrize("row", ROWS, ids=[row[0].split(":")[0] for row in ROWS])
+def test_row_is_complete_or_planned(row):
+    assert not check(row), "\n".join(check(row))
+
+
+def test_every_equation_and_figure_has_one_row():
+    starts = [what.partition(":")[0] for what, _, _ in ROWS]
+    wanted = [f"eq. {n}" for n in range(1, 26)] + [f"fig. {n}" for n in range(1, 9)]
+    assert [start for start in starts if start != "rig"] == wanted
+
+
+def test_every_part_of_the_rig_has_one_row():
+    parts = [what for what, _, _ in ROWS if what.startswith("rig: ")]
+    for part, wanted in zip(parts, RIG, strict=True):
+        assert part.startswith(f"rig: {wanted}")
+
+
+def test_the_erratum_is_stated_once_with_its_correction():
+    text = MAP.read_text()
+    assert text.count("**Erratum.**") == 1
+    assert "Ω̄_f(A₁) Ω_f(A₂) = 0" in text and "Ω̄_m(B₁) Ω_m(B₂) = 0" in text
+
+
+GOOD = "`osc_contact/projections.py::Omega_f`"
+PROOF = "`tests/test_projections.py::test_every_projection_is_the_decomposition_it_stands_for`"
+
+
+@mark.parametrize(
+    "where, test, words",
+    [
+        (GOOD, PROOF, None),
+        ("planned", "planned", None),
+        ("`osc_contact/control/custom_laws.py::Laws.force`", PROOF, None),
+        ("`paper/diagrams.py::BLOCKS`", PROOF, None),
+        ("planned", PROOF, "neither"),
+        (GOOD + " and more", PROOF, "neither"),
+        ("`osc_contact/nowhere.py::Omega_f`", PROOF, "no file"),
+        ("`osc_contact/projections.py::Omega_g`", PROOF, "defines no"),
+        ("`osc_contact/projections.py::np`", PROOF, "defines no"),
+        ("`osc_contact/contacts/contact.py::Contact.nowhere`", PROOF, "defines no"),
+        ("`urdf/scara_left.urdf::elbow`", PROOF, "defines no"),
+        ("`osc_contact/scenarios/files/two_contact_rod.yaml::contacts.middle`", PROOF, "defines"),
+        (GOOD, "`tests/test_projections.py::test_nothing`", "defines no"),
+        (GOOD, "`tests/test_projections.py::case`", "is no test"),
+        (GOOD, GOOD, "is no test"),
+        (PROOF, PROOF, "lives in the tests"),
+    ],
+)
+def test_the_checker_itself(where, test, words):
+    problems = check(("eq. 0: an example", where, test))
+    assert not problems if words is None else any(words in text for text in problems)
+
+
+# Docstrings: every public function that takes three things or more says what each of them is.
+
+
+PACKAGE = ROOT / "osc_contact"
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def public_functions(node):
+    """Functions of a module, and methods of its classes, whose names have no underscore."""
+    for child in getattr(node, "body", []):
+        if isinstance(child, ast.ClassDef | ast.FunctionDef) and not child.name.startswith("_"):
+            if isinstance(child, ast.FunctionDef):
+                yield child
+            else:
+                yield from public_functions(child)
+
+
+def arguments(function):
+    every = function.args.posonlyargs + function.args.args + function.args.kwonlyargs
+    return [one for one in every if one.arg not in ("self", "cls")]
+
+
+def is_command(function):
+    """Of the command line: its options have their help where they stand."""
+    return "Option" in ast.unparse(function.args)
+
+
+def records():
+    """Arguments of the law that are records: one table explains them all."""
+    text = (PACKAGE / "law" / "records.py").read_text()
+    rows = re.findall(r"^\| (`.*`) \|", ast.get_docstring(ast.parse(text)) or "", re.M)
+    return set(re.findall(r"`(\w+)`", " ".join(rows)))
+
+
+def unexplained(text, known=()):
+    """Public functions of a module with an argument that neither docstring nor table explains."""
+    found = []
+    for function in public_functions(ast.parse(text)):
+        names = [one.arg for one in arguments(function)]
+        if len(names) < 3 or is_command(function):
+            continue
+        _, _, described = (ast.get_docstring(function) or "").partition("Args:")
+        left_out = [name for name in names if name not in described and name not in known]
+        if left_out:
+            found.append(f"{function.name}: {', '.join(left_out)}")
+    return found
+
+
+def test_arguments_are_explained():
+    of_law = records()
+    assert of_law == {"t", "arm", "own"}
+    for path in FILES:
+        known = of_law if path.parent.name == "law" else ()
+        assert unexplained(path.read_text(), known) == [], path
+    assert len(FILES) > 100
+
+
+def test_what_is_left_out_is_found():
+    text = 'def carry(x, start, end):\n    """x.\n\n    Args:\n        x, start: (3,).\n    """'
+    assert unexplained(text) == ["carry: end"]
+    assert unexplained(text.replace("x, start", "x, start, end")) == []
+    assert unexplained(text.replace("carry", "_carry")) == []
+    assert unexplained(f"class Body:\n{indent(text, '    ')}") == ["carry: end"]
+
+
+def test_options_of_commands_have_their_help():
+    names = ("console.py", "cli.py", "cli_robots.py", "cli_sweeps.py")
+    trees = [ast.parse((PACKAGE / name).read_text()) for name in names]
+    aliases = {
+        target.id: ast.unparse(one.value)
+        for tree in trees
+        for one in tree.body
+        if isinstance(one, ast.Assign)
+        for target in one.targets
+        if isinstance(target, ast.Name)
+    }
+    for name, tree in zip(names, trees, strict=True):
+        for function in filter(is_command, public_functions(tree)):
+            for one in arguments(function):
+                kind = ast.unparse(one.annotation)
+                described = "help=" in aliases.get(kind, kind) or kind == "typer.Context"
+                assert described, f"{name} {function.name}: {one.arg}"
+
+
+# The newcomer's page: its commands run one after the other in a folder, and say what it says.
+
+
+NEWCOMERS = ROOT / "docs" / "press_and_slide.md"
+
+
+def run_line(line):
+    """Output of one command of the page, in the working folder."""
+    if line.startswith("cp "):
+        _, source, target = shlex.split(line)
+        shutil.copy(ROOT / source, target)
+        return ""
+    assert line.startswith("osc-contact "), f"no way to run {line!r}"
+    result = call(line.removeprefix("osc-contact "))
+    assert result.exit_code == (2 if "=-1 mm" in line else 0), result.output
+    return result.output
+
+
+def edit(patch, file):
+    """Do what a patch of the page says: each line with a minus becomes the next one with a plus."""
+    lines = patch.splitlines()
+    old = [line[1:] for line in lines if line.startswith("-")]
+    new = [line[1:] for line in lines if line.startswith("+")]
+    text = file.read_text()
+    for before, after in zip(old, new, strict=True):
+        assert text.count(before) == 1, f"{before!r} is not in the file"
+        text = text.replace(before, after)
+    file.write_text(text)
+
+
+def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said = ""
+    kinds = []
+    for fence in FENCE.finditer(NEWCOMERS.read_text()):
+        kind = fence[1]
+        text = fence[2]
+        if kind == "sh":
+            said = "".join(run_line(line) for line in text.splitlines())
+        elif kind == "diff":
+            edit(text, tmp_path / "my_rod.yaml")
+        elif kind == "text" and kinds[-1] != "python":  # tests/test_docs.py runs the program
+            assert text.strip() in said
+        kinds.append(kind)
+    programs = ["sh", "text", "diff", "sh", "text", "sh", "text", "python", "text", *3 * ["sh"]]
+    assert kinds == programs
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"my_rod.html", "my_rod"}
+    assert (tmp_path / "out" / "my_rod" / "metrics.json").exists()
+    assert (tmp_path / "my_task.yaml").exists()

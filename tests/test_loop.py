@@ -1,15 +1,25 @@
-"""The control loop: hardware without a truth, judges, own controllers, recorders without end."""
+"""The control loop: hardware without a truth, judges, own controllers, and how it ends."""
 
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
 from dataclasses import replace
 from itertools import islice, repeat
 
 import numpy as np
+import pinocchio as pin
 from complaints import invalid_input, recording_error
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark, raises
+from processes import wait_until
+from pytest import approx, fixture, mark, raises
+from samples import first
 from scenario_runs import assert_same_run, rig_of
 
 import osc_contact as osc
+from osc_contact.control.status import SafetyState
 from osc_contact.runs.run import start
 
 TICKS = 30
@@ -161,3 +171,272 @@ def test_a_viewer_needs_what_is_recorded():
     for k, tick in enumerate(seen):
         for name, value in tick.items():
             assert_allclose(value, recording[name][k], atol=1e-14, err_msg=name)
+
+
+# How `run_loop` ends: the robot is stopped at once and with a reason, by real signals, too.
+
+
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+REFERENCE = osc.Reference(pin.SE3.Identity())
+READING = osc.Measurement(np.zeros(1), np.zeros(1), np.zeros((1, 6)))
+
+
+class Robot:
+    """Notes what it is sent, in order; `at` calls something in a call of a name."""
+
+    def __init__(self, **at):
+        self.calls = []
+        self.at = at
+
+    def _note(self, name, *given):
+        self.calls.append((name, *given))
+        self.at.get(name, lambda: None)()
+
+    def measure(self):
+        self._note("measure")
+        return READING
+
+    def command(self, tau, duration):
+        self._note("command", float(tau[0]))
+
+    def stop(self, reason=""):
+        self._note("stop", reason)
+
+    @property
+    def stops(self):
+        return [given[0] for name, *given in self.calls if name == "stop"]
+
+
+class Controller:
+    """Enters a stop at a tick, and brakes from then on."""
+
+    dt = 1e-3
+
+    def __init__(self, stops_at=()):
+        self.stops_at = stops_at
+        self.ticks = 0
+        self.state = SafetyState.RUN
+        self.reason = ""
+
+    def tick(self, measurement, reference):
+        if self.ticks in self.stops_at:
+            self.state = SafetyState.SAFE_STOP
+            self.reason = f"tick {self.ticks}: an encoder"
+        if self.ticks - 2 in self.stops_at:  # somebody resets it
+            self.state = SafetyState.RUN
+        self.ticks += 1
+        return np.array([-1.0 if self.state is SafetyState.SAFE_STOP else 1.0])
+
+
+@fixture(autouse=True)
+def usual_handlers():
+    """Signals count, though a shell that runs the tests in the background ignores some."""
+    usual = signal.default_int_handler, signal.SIG_DFL, signal.SIG_DFL
+    before = list(map(signal.signal, SIGNALS, usual))
+    yield
+    list(map(signal.signal, SIGNALS, before))
+
+
+def send(number):
+    return lambda: os.kill(os.getpid(), number)
+
+
+def handlers():
+    return list(map(signal.getsignal, SIGNALS))
+
+
+def test_a_stop_is_reported_in_its_tick_and_braking_goes_on():
+    robot = Robot()
+    osc.run_loop(robot, Controller(stops_at=[3, 6]), repeat(REFERENCE, 8))
+    assert robot.stops == ["tick 3: an encoder", "tick 6: an encoder", ""]
+    stop = "stop", "tick 3: an encoder"
+    at = robot.calls.index(stop)
+    assert robot.calls[at - 1 : at + 2] == [("measure",), stop, ("command", -1.0)]
+    sent = [given[0] for name, *given in robot.calls if name == "command"]
+    assert sent == [1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0]
+
+
+@mark.parametrize("faulty", [{"q": np.nan}, {"v": 100.0}], ids=["lost", "fast"])
+def test_the_reason_is_the_controllers_sentence(faulty):
+    rig = rig_of("two_contact_rod", "plant.type=rigid")
+    plant, controller = start(rig)
+
+    class Faulty(Robot):
+        def measure(self):
+            super().measure()
+            read = plant.measure()
+            wrong = {name: getattr(read, name) + error for name, error in faulty.items()}
+            return replace(read, **wrong) if len(self.calls) > 20 else read
+
+        def stop(self, reason=""):
+            super().stop(reason)
+            entered.append((controller.state, controller.state_age))
+
+        def command(self, tau, duration):
+            self._note("command", float(tau[0]))
+            plant.command(tau, duration)
+
+    robot = Faulty()
+    entered = []
+    osc.run_loop(robot, controller, rig.references.each(60, controller.dt))
+    assert len(robot.stops) == 2 and robot.stops[1] == ""
+    assert entered[0][0] is SafetyState.SAFE_STOP and entered[0][1] <= 1
+    assert len(robot.stops[0]) > 20 and " " in robot.stops[0], robot.stops
+    assert robot.calls[-2][0] == "command", "braking torques are sent to the end"
+
+
+def test_a_stop_that_fails_hides_no_error_and_ends_no_braking(caplog):
+    def fail():
+        raise OSError("no brakes")
+
+    def unplug():
+        raise ConnectionError("the cable is out")
+
+    robot = Robot(stop=fail, command=unplug)
+    with raises(ConnectionError, match="cable") as caught:
+        osc.run_loop(robot, Controller(), [REFERENCE])
+    assert robot.stops == ["ConnectionError: the cable is out"]
+    assert any("no brakes" in note for note in caught.value.__notes__)
+    assert "no brakes" in caplog.text
+
+    robot = Robot()
+    robot.at = {"stop": lambda: fail() if robot.stops == ["tick 1: an encoder"] else None}
+    osc.run_loop(robot, Controller(stops_at=[1]), repeat(REFERENCE, 3))
+    assert robot.stops == ["tick 1: an encoder", ""] and robot.calls[-2] == ("command", -1.0)
+
+    with raises(OSError, match="no brakes"):  # nothing else went wrong: this is the error
+        osc.run_loop(Robot(stop=fail), Controller(), [REFERENCE])
+
+
+def test_a_driver_whose_stop_takes_no_reason_is_refused_before_it_moves():
+    class Old(Robot):
+        def stop(self):
+            self._note("stop", "")
+
+    robot = Old()
+    with invalid_input(r'Old takes no reason.*stop\(self, reason=""\)'):
+        osc.run_loop(robot, Controller(), [REFERENCE])
+    assert not robot.calls
+
+
+@mark.parametrize("number", SIGNALS)
+@mark.parametrize("where", ["measure", "command"])
+def test_a_signal_ends_the_loop_with_the_robot_stopped(number, where):
+    before = handlers()
+    robot = Robot(**{where: send(number)})
+    with raises(KeyboardInterrupt if number == signal.SIGINT else SystemExit) as caught:
+        osc.run_loop(robot, Controller(), repeat(REFERENCE))
+    assert robot.stops == [signal.Signals(number).name] and robot.calls[-1][0] == "stop"
+    assert len(robot.calls) <= 3 and handlers() == before
+    if number != signal.SIGINT:
+        assert caught.value.code == 128 + number
+
+
+def test_a_signal_ends_a_driver_that_waits_for_ever():
+    robot = Robot(measure=lambda: time.sleep(60))
+    threading.Timer(0.2, send(signal.SIGTERM)).start()
+    began = time.perf_counter()
+    with raises(SystemExit):
+        osc.run_loop(robot, Controller(), repeat(REFERENCE))
+    assert robot.stops == ["SIGTERM"] and time.perf_counter() - began < 10
+
+
+def test_no_signal_interrupts_the_record_of_a_tick_or_the_stop():
+    rows = []
+    robot = Robot()
+
+    class Records:
+        def append(self, *tick):
+            send(signal.SIGTERM)()
+            rows.append(tick)
+
+        def latest(self):
+            return {}
+
+    ended = []
+    robot.at["stop"] = lambda: (send(signal.SIGHUP)(), ended.append("whole"))
+    with raises(SystemExit) as caught:
+        osc.run_loop(robot, Controller(), repeat(REFERENCE), recorder=Records())
+    assert len(rows) == 1 and ended == ["whole"] and robot.stops == ["SIGTERM"]
+    assert caught.value.code == 128 + signal.SIGTERM
+    robot = Robot(stop=send(signal.SIGTERM))  # after the last reference: kept until it is stopped
+    with raises(SystemExit):
+        osc.run_loop(robot, Controller(), [REFERENCE])
+    assert robot.calls[-1] == ("stop", "")
+
+
+def test_the_third_signal_ends_a_stop_that_does_not_return():
+    robot = Robot(measure=send(signal.SIGTERM))
+    robot.at["stop"] = lambda: (send(signal.SIGTERM)(), send(signal.SIGTERM)(), time.sleep(60))
+    began = time.perf_counter()
+    with raises(SystemExit):
+        osc.run_loop(robot, Controller(), [REFERENCE])
+    assert time.perf_counter() - began < 10
+
+
+def test_handlers_of_the_program_and_other_threads_are_left_alone():
+    seen = []
+    during = []
+    before = signal.signal(signal.SIGTERM, lambda number, frame: seen.append(number))
+    own = signal.getsignal(signal.SIGTERM)
+    try:
+        robot = Robot(command=send(signal.SIGTERM))
+        osc.run_loop(robot, Controller(), repeat(REFERENCE, 3))
+        assert len(seen) == 3 and robot.stops == [""]
+        assert signal.getsignal(signal.SIGTERM) is own
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    robot = Robot(command=lambda: during.append(handlers()))
+    usual = handlers()
+    thread = threading.Thread(target=osc.run_loop, args=(robot, Controller(), repeat(REFERENCE, 2)))
+    thread.start()
+    thread.join()
+    assert during == [usual, usual] and robot.stops == [""]
+
+
+PROGRAM = """
+import signal, sys
+from itertools import count
+from pathlib import Path
+import osc_contact as osc
+from osc_contact.runs.run import start
+
+folder = Path(sys.argv[1])
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may ignore it
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
+plant, controller = start(rig)
+
+class Robot:
+    measure = plant.measure
+
+    def command(self, tau, duration):
+        plant.command(tau, duration)
+        if plant.time > 0.05:
+            (folder / "moving").touch()
+
+    def stop(self, reason=""):
+        with (folder / "stops").open("a") as file:
+            file.write(reason + "\\n")
+
+recorder = osc.Recorder(controller, plant, journal=folder / "unfinished.mcap")
+try:
+    osc.run_loop(Robot(), controller, (rig.references.at(0.0) for _ in count()), recorder=recorder)
+finally:
+    recorder.recording().save(folder / "recording.npz")
+"""
+
+
+@mark.parametrize("number", first(SIGNALS, 1))
+def test_a_process_that_is_signalled_stops_its_robot_and_keeps_its_recording(number, tmp_path):
+    command = [sys.executable, "-c", PROGRAM, tmp_path]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    wait_until((tmp_path / "moving").exists, process=process)
+    process.send_signal(number)
+    errors = process.communicate(timeout=60)[1]
+    expected = -signal.SIGINT if number == signal.SIGINT else 128 + number
+    assert process.returncode == expected, errors
+    assert (tmp_path / "stops").read_text().split("\n")[:-1] == [signal.Signals(number).name]
+    recording = osc.Recording.load(tmp_path / "recording.npz")
+    assert len(recording) >= 50 and np.isfinite(recording["tau"]).all()
+    assert_allclose(np.diff(recording["t"]), 1e-3, atol=1e-9)

@@ -1,16 +1,22 @@
-"""A user's own MuJoCo scene as robot and judge, held to MuJoCo's own contact forces."""
+"""A user's own MuJoCo scene as robot and judge, looked at before it runs, and its pictures."""
 
+import json
 from copy import copy
+from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pinocchio as pin
-from complaints import plant_error
+from command_line import done, refused
+from complaints import invalid_input, plant_error
+from headless import Browser, near
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark, raises
+from pytest import approx, fixture, mark, raises
 from scenario_runs import worst_force
 
 import osc_contact as osc
+from osc_contact.robots.pictures import read_picture
 
 MOTORS = """<motor joint="wrist_pitch" gear="-5" ctrllimited="true" ctrlrange="-20 20"/>
 <motor joint="shoulder" gear="10"/><motor joint="elbow"/>"""
@@ -198,3 +204,248 @@ def test_a_step_that_does_not_fit_the_control_period_is_refused():
     with plant_error(r"1 ms is no whole number .* steps of 2 ms"):
         robot.command(np.zeros(3), 1e-3)
     assert robot.time == 0.0
+
+
+# A robot of one's own is looked at before it runs, and compared with its MuJoCo scene.
+
+
+def task(model=None, pair=WALL, alpha=10.0, amplitude=0.02, ticks=1500, guess=START, **how):
+    """Robot, controller and references of an arm that wipes a wall."""
+    robot = robot_of(scene() if model is None else model, contacts=[pair])
+    start = robot.touching(guess)
+    robot.reset(start)
+    controller = osc.Controller(robot.chain, [pair], posture=start, **how)
+    along = wiping(robot.chain.state(start, np.zeros(3)).X_WO, amplitude, alpha)
+    return robot, controller, [along(1e-3 * k) for k in range(ticks)]
+
+
+def heavy(factor):
+    model = scene()
+    model.body_mass[:] *= factor
+    model.body_inertia[:] *= factor
+    model.actuator_ctrllimited[:] = 1
+    model.actuator_ctrlrange[:] = -40, 40
+    return model
+
+
+NEAR = [0.3, 0.4, -1.2]
+
+
+def short(limit):
+    """The elbow's range ends so far beyond its position in contact."""
+    model = scene()
+    at = robot_of(model).touching(NEAR)[1]
+    model.joint("elbow").range[:] = at - limit, at + limit
+    model.joint("elbow").limited[:] = 1
+    return model
+
+
+def moved(**change):
+    return {"pair": replace(WALL, **change)}
+
+
+def tool_radius(radius):
+    model = scene()
+    model.geom("tool").size[0] = radius
+    return model
+
+
+AT = 0.4298  #: m, where the tip begins
+TILTED = [-np.cos(0.2), 0, np.sin(0.2)]
+WRONG = {
+    "wall 20 mm deeper": (lambda: {"model": scene(wall=0.52)}, "20 mm before the nearest"),
+    "wall 20 mm nearer": (lambda: {"model": scene(wall=0.48)}, "20 mm inside the nearest geom, 'w"),
+    "reversed normal": (lambda: moved(normal=[1, 0, 0]), "180 deg away from that of 'wall'"),
+    "tilted normal": (lambda: moved(normal=TILTED, point=[0.5, 0, AT]), "11.5 deg away"),
+    "mass in grams": (lambda: {"model": heavy(1000.0)}, "are masses in kg"),
+    "15,000 N": (lambda: {"alpha": 15e3}, "force_range = 1000 N"),
+    "a force that pulls": (lambda: {"alpha": -10.0}, "cannot pull"),
+    "step of MuJoCo": (lambda: {"model": scene(step=0.0007)}, "no whole number of MuJoCo's steps"),
+    "end of a joint": (lambda: {"model": short(0.05), "guess": NEAR}, "arm/elbow"),
+    "tool of another size": (lambda: {"model": tool_radius(0.005)}, "the tool is 10 mm away"),
+    "slow loop": (lambda: {"gains": osc.Gains(osc.MotionGains(400.0, 900.0))}, "control.rate"),
+}
+
+
+@mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_found_before_it_runs(name):
+    make, words = WRONG[name]
+    found = osc.preflight(*task(**make()))
+    kinds = {one.refused for one in found if words in one.text}
+    assert kinds == {name not in ("tilted normal", "slow loop")}, found
+
+
+def test_a_sound_task_is_passed_and_left_as_it_is():
+    robot, controller, references = task()
+    assert osc.preflight(robot, controller, iter(references)) == ()
+    assert not controller._records.memory.ticked and robot.time == 0.0
+    osc.run_loop(robot, controller, references)
+    assert robot.truth().alpha[0] == approx(10.0, rel=0.02)
+
+
+def test_a_joint_too_fast_is_named_with_its_time():
+    robot, controller, references = task(amplitude=0.2, ticks=800)
+    robot.chain.model.velocityLimit[:] = 0.5
+    (one,) = osc.preflight(robot, controller, references)
+    assert one.refused and "above its speed limit of 0.5" in one.text and "at t = 0." in one.text
+
+
+def test_a_controller_with_other_masses_is_found():
+    robot, _, references = task()
+    other = robot_of(heavy(1.3)).chain
+    controller = osc.Controller(other, [WALL], posture=robot.measure().q)
+    found = [x for x in osc.preflight(robot, controller, references) if "weighs" in x.text]
+    assert [(x.text.split(" weighs")[0], x.refused) for x in found] == [
+        ("all that moves", False),
+        ("what the wrist carries", False),
+    ]
+
+
+class WithoutGravity:
+    """A robot whose wrist reads forces without the weight of the hand, 20 mm off the wall."""
+
+    def __init__(self):
+        self.inner = robot_of(scene())
+        self.inner.contacts = [replace(WALL, point=[0.48, 0, 0.5])]
+        self.inner.reset(self.inner.touching(START))
+        self.chain = self.inner.chain
+
+    def measure(self):
+        read = self.inner.measure()
+        return replace(read, wrenches=np.zeros((1, 6)))
+
+
+def test_a_wrist_without_gravity_is_refused_at_the_door():
+    robot = WithoutGravity()
+    q = robot.measure().q
+    controller = osc.Controller(robot.chain, [WALL], posture=q, life=osc.PhaseSettings())
+    X = robot.chain.state(q, np.zeros(3)).X_WO
+    for judged, shift, words in (
+        (robot, 0.0, "without gravity"),
+        (robot.inner, 0.2, "0.2 m away from where it is"),
+    ):
+        goal = osc.pose_reference(X.translation + [0, 0, shift], X.rotation, alpha_d=[5.0])
+        (one,) = osc.preflight(judged, controller, [goal])
+        assert one.refused and words in one.text
+
+
+def test_what_cannot_be_looked_at_is_refused():
+    robot, controller, references = task()
+    bad = [replace(references[0], alpha_d=np.zeros(2))]
+    for given, words in (
+        ((), "its controller and references"),
+        ((controller, []), "no references"),
+        ((controller, bad), "1 columns of N"),
+    ):
+        with invalid_input(words):
+            osc.preflight(robot, *given)
+
+
+def test_distances_in_a_scene_are_those_of_its_shapes():
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco><asset><mesh name="cube" vertex="-1 -1 -1 1 -1 -1 1 1 -1 -1 1 -1 -1 -1 1 1 -1 1 1 1 1
+      -1 1 1"/></asset>
+    <worldbody><geom type="plane" size="5 5 1"/>
+    <geom name="die" type="mesh" mesh="cube" pos="5 0 3"/>
+    <geom name="box" type="box" size="1 1 1" pos="0 0 3"/>
+    <body name="hand" pos="0 0 6"><joint type="slide"/><geom size="0.1" mass="1"/></body>
+    </worldbody></mujoco>""")
+    robot = osc.MujocoRobot.from_model(model, tip="hand")
+    probe = robot.probe()
+    for point, want in (
+        ([0, 0, 4.5], 0.5),
+        ([0, 0, 3.7], -0.3),
+        ([0, 0.9, 3], -0.1),
+        ([3, 0, 0.2], 0.2),
+        ([5, 0, 4.2], 0.2),
+        ([3, 0, -0.4], -0.4),
+        ([5, 0, 3.8], -0.2),
+    ):
+        assert probe.distance(np.array(point, dtype=float))[0] == approx(want, abs=1e-5)
+    assert probe.clearance() == (approx(1.9), "box")
+
+
+# Pictures of a robot in a MuJoCo scene of one's own, and of recordings that it leaves.
+
+
+@fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A robot, its recording and the file of it."""
+    robot = robot_of(scene(), locked={"grip": 0.02})
+    start = robot.touching(START)
+    robot.reset(start)
+    controller = osc.Controller(robot.chain, [WALL], posture=start)
+    recorder = osc.Recorder(controller, robot)
+    along = wiping(robot.chain.state(start, np.zeros(3)).X_WO)
+    osc.run_loop(robot, controller, map(along, np.arange(0, 0.4, 1e-3)), recorder=recorder)
+    file = tmp_path_factory.mktemp("own") / "own.npz"
+    recorder.recording().save(file)
+    return robot, osc.Recording.load(file), file
+
+
+def test_the_picture_stands_where_mujoco_puts_the_shapes(recorded):
+    robot, recording, _ = recorded
+    model, shapes = read_picture(recording.meta["picture"])
+    data = model.createData()
+    q = np.array([0.7, -0.4, 1.1])
+    robot.reset(q)
+    robot.data.joint("grip").qpos[:] = 0.02
+    mujoco.mj_forward(robot.model, robot.data)
+    pin.forwardKinematics(model, data, q)
+    drawn = {True: [], False: []}
+    for one in shapes.geometryObjects:
+        X = data.oMi[one.parentJoint] * one.placement
+        drawn[one.parentJoint > 0].append(X.translation)
+    for name in ("upper", "lower", "tool", "wall"):
+        away = drawn[name != "wall"] - robot.data.geom(name).xpos
+        assert np.linalg.norm(away, axis=1).min() < 1e-6, name
+
+
+def test_a_recording_carries_no_path_and_is_drawn(recorded, tmp_path):
+    _, recording, file = recorded
+    text = json.dumps(recording.meta)
+    assert str(Path.cwd()) not in text and "/home" not in text and "/tmp" not in text
+    page = tmp_path / "own.html"
+    png = tmp_path / "own.png"
+    done("view", file, "--html", page)
+    assert "arms/arm/elbow" in page.read_text() or page.stat().st_size > 5e5
+    done("view", file, "--png", png)
+    from PIL import Image
+
+    pixels = np.asarray(Image.open(png).convert("RGB")).astype(int)
+    assert pixels.reshape(-1, 3).std(axis=0).max() > 10.0
+
+
+def test_a_viewer_takes_the_robot_and_its_recording(recorded, tmp_path):
+    robot, recording, _ = recorded
+    with osc.open_viewer(robot) as viewer:
+        for tick in (0, 200):
+            viewer._due = 0.0
+            viewer.show(recording.at(tick))
+        with Browser(viewer.url) as page:
+            page.until("element('live').textContent === 'LIVE'")
+            goal = float(recording["t"][200])
+            page.until(f"Math.abs(player.time - {goal}) < 1e-6")
+            pixels = page.picture(tmp_path / "live.png")[:600]
+            assert pixels.std() > 10 and near(pixels, "#0072B2") > 20
+            assert viewer.error is None and viewer.count_browsers() == 1
+            viewer.close()
+            page.until("element('live').textContent === 'ENDED'")
+
+
+@mark.parametrize(
+    "damage",
+    [
+        lambda p: None,
+        lambda p: p | {"joints": p["joints"][:1]},
+        lambda p: p | {"shapes": [p["shapes"][0] | {"place": [0, 0, 0]}]},
+        lambda p: p | {"shapes": [p["shapes"][0] | {"joint": 99}]},
+        lambda p: p | {"shapes": [{**p["shapes"][0], "kind": 7, "corners": "???", "faces": ""}]},
+    ],
+)
+def test_damaged_pictures_are_refused(recorded, damage, tmp_path):
+    _, recording, _ = recorded
+    file = tmp_path / "bad.npz"
+    bad = {"picture": damage(recording.meta["picture"])}
+    osc.Recording(recording.meta | bad, dict(recording.channels)).save(file)
+    assert "picture" in refused("view", file, "--html", tmp_path / "page.html")

@@ -1,18 +1,22 @@
-"""Where arms stand, and the postures that put them somewhere: `osc-contact pose`."""
+"""Where arms stand and where runs start: `pose`, postures, and scenarios for any arm by `new`."""
 
 from functools import cache
 
 import numpy as np
 import pinocchio as pin
+import yaml
 from command_line import answered, call, done, refused
-from complaints import invalid_input
+from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose
-from pytest import mark
+from pytest import approx, mark
+from samples import chosen
+from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.dynamics.assembly import outside_limits
+from osc_contact.dynamics.assembly import outside_limits, reach
 from osc_contact.runs import poses
+from osc_contact.runs.drafts import Press, _text
 
 POSTURE = "10 deg, -45 deg, 0, -135 deg, 0.1, 90 deg, 45 deg"
 TIP = "pose panda --tip panda_hand_tcp"
@@ -132,3 +136,123 @@ def test_every_arm_must_get_there():
     chain, q, X = poses.chain_of(osc.load_scenario("hinge_ball_rod"))
     near = pin.SE3(X.rotation, X.translation + np.array([0.0, 0.01, 0.01]))
     assert poses.solve(chain, near, q).reached
+
+
+# Where runs start: inverse kinematics within limits, and the pose that the posture gives.
+
+
+def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same():
+    """A Panda is sent from one random posture to the pose of another, 60 times."""
+    chain = rig_of("panda_edge").chain
+    low = chain.model.lowerPositionLimit
+    high = chain.model.upperPositionLimit
+    rng = np.random.default_rng(3)
+    missed = []
+    for _ in range(60):
+        start, goal = rng.uniform(low, high, (2, chain.nq))
+        pin.framesForwardKinematics(chain.model, chain.data, goal)
+        X = chain.object_pose()
+        q = reach(chain, start, X)
+        assert np.all(q >= low) and np.all(q <= high)
+        pin.framesForwardKinematics(chain.model, chain.data, q)
+        missed.append(np.linalg.norm(chain.object_pose().translation - X.translation))
+    assert np.mean(np.array(missed) < 1e-4) > 0.3  # the rest would have to go round end stops
+
+
+@mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "three_arm_plate"])
+def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
+    scenario = osc.load_scenario(name, ["object.pose=null"])
+    rig = osc.build_rig(scenario)
+    arm = scenario.arms[0]
+    one = rig.chain.arms[0]
+    data = one.model.createData()
+    pin.framesForwardKinematics(one.model, data, np.array(arm.posture))
+    tip = data.oMf[one.model.getFrameId(arm.tip)]
+    grasp = scenario.grasps[arm.name]
+    held = pin.SE3(pin.rpy.rpyToMatrix(*grasp.rpy), np.array(grasp.xyz))
+    assert_allclose((one.base * tip * held).homogeneous, rig.X_given, atol=1e-12)
+
+
+def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():
+    rig = rig_of("two_contact_rod", "object.pose=null")
+    assert osc.preflight(rig) == ()
+    given = rig_of()
+    assert np.linalg.norm(given.state().X_WO.translation - rig.state().X_WO.translation) < 1e-3
+
+
+def test_where_no_arm_tells_the_pose_it_must_be_given():
+    changes = ["object.pose=null", "grasps.left.type=ball", "grasps.left.axis=null"]
+    with model_error("pose"):
+        rig_of("hinge_ball_rod", *changes)
+
+
+# `osc-contact new`: a scenario for any arm, which runs and is OK.
+
+
+ARMS = {
+    "ur10": ("tool0", "Z=15"),
+    "panda": ("panda_hand_tcp", "Z=15"),
+    "xarm": ("link_eef", "-X=10"),
+    "so100": ("jaw", "Z=3"),
+    "kinova": ("j2s6s200_end_effector", "Z=10"),
+    "z1": ("gripperStator", "X=10"),
+    "baxter": ("left_gripper", "Z=10"),
+    "tiago_pro": ("arm_left_tool_link", "Z=10"),
+    "talos_left_arm": ("wrist_left_ft_tool_link", "Z=10"),
+}
+
+
+@mark.parametrize("robot", chosen(list(ARMS), "ur10", "xarm", "so100", "baxter"))
+def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
+    tip, press = ARMS[robot]
+    file = tmp_path / "my.yaml"
+    done(f"new --robot {robot} --tip {tip} --press={press} --out", file)
+    scenario = osc.load_scenario(file)
+    rig = osc.build_rig(scenario)
+    assert osc.preflight(rig) == ()
+    verdict = osc.metrics(osc.run(scenario, seed=1))
+    assert verdict["task"]["word"] == "OK" and verdict["contact_fraction"] == {"ball": 1.0}
+    wanted = Press.parse(press)
+    assert verdict["force"]["ball"]["mean_command_N"] == approx(wanted.force)
+    assert verdict["force"]["ball"]["rms_error_rel"] < 0.05
+    chain = rig.chain
+    chain.state(rig.q_contact, np.zeros(chain.nq))
+    pressed = chain.tip_poses()[0].rotation @ np.array(wanted.axis)
+    assert_allclose(pressed, -np.array(scenario.contacts[0].face.normal), atol=1e-4)
+
+
+def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path):
+    file = tmp_path / "arm.yaml"
+    line = "new --robot ur10 --tip tool0 --posture '0, -90 deg, 90 deg, -90 deg, -90 deg, 0' --out"
+    done(line, file)
+    assert "exists; give another file" in refused(line, file)
+    assert "verdict: OK" in done("run", file, "--out", tmp_path / "out").stdout
+
+
+@mark.parametrize(
+    "words, said",
+    [
+        ("ur10 --press W=3", "an axis of the tip and newtons, such as Z=15"),
+        ("ur10 --press Z=-3", "an axis of the tip and newtons"),
+        ("ur10 --press Z=5000", "times their limits"),
+        ("ur10 --posture '1, 2'", "2 numbers for 6 joints"),
+        ("ur11", "no robot 'ur11'"),
+        ("panda", "has 3 ends"),
+    ],
+)
+def test_what_cannot_be_is_told_and_nothing_is_written(words, said, tmp_path):
+    assert said in refused(f"new --robot {words} --out", tmp_path / "x.yaml")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_plane_wall_has_an_exact_normal():
+    """Six digits of the posture turn the tip by 1e-6; on such a wall motions would be screws."""
+    urdf, _ = robots.find_robot("ur10")
+    arm = osc.Arm.from_urdf(urdf, name="ur10", tip="tool0")
+    q = np.round(np.deg2rad([0.0, -30.0, -30.0, -30.0, -90.0, 0.0]), 6)
+    data = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q))
+    normal = data["contacts"][0]["face"]["normal"]
+    assert sorted(np.abs(normal)) == [0.0, 0.0, 1.0]
+    slanted = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q + 0.3))
+    normal = np.array(slanted["contacts"][0]["face"]["normal"])
+    assert np.linalg.norm(normal) == approx(1.0, abs=1e-6) and np.abs(normal).min() > 1e-3

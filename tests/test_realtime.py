@@ -14,7 +14,7 @@ from complaints import invalid_input, plant_error
 from numpy.testing import assert_allclose
 from pytest import approx, mark, raises
 from scenario_runs import rig_of
-from test_loop_ends import REFERENCE, Controller, Robot
+from test_loop import REFERENCE, Controller, Robot
 from test_own_driver import HOME, Driver
 
 import osc_contact as osc

@@ -1,9 +1,20 @@
-"""Every kind of bad URDF is refused with file, line, element and reason, at once and alive."""
+"""Checks of robots: every kind of bad URDF is refused alive; the report of `osc-contact check`."""
 
+import json
+import math
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
-from pytest import mark, raises
+import numpy as np
+import pinocchio as pin
+from command_line import answered, call, read_json, refused
+from complaints import model_error
+from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
+from samples import first
 from urdf_corpus import CORPUS, GOOD, SOUND
 
 from osc_contact import robots
@@ -44,3 +55,230 @@ def test_every_check_has_a_row_on_the_page_on_robots():
     page = (Path(__file__).parent.parent / "docs" / "robots.md").read_text()
     rows = re.findall(r"^\| ([a-z ]+) \|", page.split("| check |")[1].split("\n\n")[0], re.M)
     assert {bad.check for bad in CORPUS.values()} | {"second reader"} == set(rows)
+
+
+# `osc-contact check` and the summary it prints, against closed forms and other routes.
+
+
+def chain(joints, masses, length=1.0, mass=1.0):
+    """Joints (kind, axis, origin in m) one behind the other, with boxes of the given masses."""
+    text = '<robot name="toy"><link name="l0"/>'
+    for i, ((kind, axis, origin), m) in enumerate(zip(joints, masses, strict=True), 1):
+        x, y, z = (float(part) * length for part in origin.split())
+        I = 0.1 * m * mass * length**2
+        body = (
+            f'<inertial><origin xyz="{0.3 * length} 0 {0.1 * length}"/><mass value="{m * mass}"/>'
+            f'<inertia ixx="{I}" iyy="{1.5 * I}" izz="{1.7 * I}" ixy="0" ixz="0" iyz="{0.1 * I}"/>'
+            "</inertial>"
+            if m
+            else ""
+        )
+        text += (
+            f'<link name="l{i}">{body}</link><joint name="j{i}" type="{kind}">'
+            f'<parent link="l{i - 1}"/><child link="l{i}"/><origin xyz="{x} {y} {z}"/>'
+            f'<axis xyz="{axis}"/><limit lower="{-length if kind == "prismatic" else -1.5}" '
+            f'upper="{length if kind == "prismatic" else 1.5}" effort="1" velocity="1"/></joint>'
+        )
+    return text + "</robot>"
+
+
+def summary(folder, text):
+    loaded = robots.load(write(folder, text))
+    return robots.summarise(loaded.model, loaded.document)
+
+
+SIX_AXES = [
+    ("revolute", "0 0 1", "0 0 0.3"),
+    ("revolute", "0 1 0", "0.1 0 0.2"),
+    ("prismatic", "0 0 1", "0.4 0 0"),
+    ("revolute", "1 0 0", "0.2 0 0.1"),
+    ("revolute", "0 1 0", "0.2 0.1 0"),
+    ("revolute", "0 0 1", "0.1 0 0"),
+]
+
+
+def test_a_gantry_has_the_masses_it_pushes(tmp_path):
+    axes = [("prismatic", axis, "0 0 0") for axis in ("1 0 0", "0 1 0", "0 0 1")]
+    robot = summary(tmp_path, chain(axes, [5.0, 3.0, 2.0]))
+    assert [joint.moved_mass for joint in robot.joints] == approx([10.0, 5.0, 2.0])
+    assert robot.mass == robot.moving_mass == approx(10.0)
+    (tip,) = robot.tips
+    assert tip.mass == approx((2.0, 10.0)) and tip.inertia == (math.inf, math.inf)
+    assert np.array(tip.mobility) == approx(np.repeat(np.sqrt([1, 2 / 5, 2 / 10]), 2).reshape(3, 2))
+
+
+def test_mobility_is_the_share_of_the_last_body_in_the_energy(tmp_path):
+    """σ² are the eigenvalues of M⁻¹ M', M' the mass matrix with the last body alone."""
+    masses = [4.0, 3.0, 2.0, 1.0, 0.5, 0.4]
+    (tip,) = summary(tmp_path, chain(SIX_AXES, masses)).tips
+    whole = robots.load_model(write(tmp_path, chain(SIX_AXES, masses)))
+    last = pin.buildModelFromXML(chain(SIX_AXES, [0.0] * 5 + [0.4]))
+    d = whole.createData()
+    e = last.createData()
+    sigma = []
+    for q in robots.model.random_configurations(whole, 200):
+        M = np.array(pin.crba(whole, d, q))
+        M_last = np.array(pin.crba(last, e, q))
+        sigma.append(np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(M, M_last)).real)[::-1]))
+    expected = np.column_stack((np.min(sigma, axis=0), np.max(sigma, axis=0)))
+    assert_allclose(np.array(tip.mobility), expected, rtol=1e-6)
+    assert (np.array(tip.mobility) <= 1 + 1e-9).all()
+
+
+@mark.parametrize("length, mass", [(1e3, 1.0), (1.0, 1e-3), (0.0254, 0.4536)])
+def test_mobility_does_not_depend_on_units(tmp_path, length, mass):
+    masses = [4.0, 3.0, 2.0, 1.0, 0.5, 0.4]
+    (here,) = summary(tmp_path, chain(SIX_AXES, masses)).tips
+    (there,) = summary(tmp_path, chain(SIX_AXES, masses, length, mass)).tips
+    assert_allclose(there.mobility, here.mobility, rtol=1e-7)
+    assert_allclose(there.mass, np.array(here.mass) * mass, rtol=1e-7)
+    assert_allclose(there.inertia, np.array(here.inertia) * mass * length**2, rtol=1e-7)
+
+
+def test_the_tip_can_be_chosen(tmp_path):
+    file = write(tmp_path, GOOD)
+    loaded = robots.load(file)
+    every = robots.summarise(loaded.model, loaded.document)
+    assert [tip.tip for tip in every.tips] == ["finger", "tool"] and every.more_tips == 0
+    (slide,) = robots.summarise(loaded.model, loaded.document, "slide").tips
+    assert (slide.tip, slide.joints, len(slide.mobility)) == ("slide", 2, 2)
+    with model_error("no frame 'tol'"):
+        robots.summarise(loaded.model, loaded.document, "tol")
+    with model_error("no joint moves the frame 'base'"):
+        robots.summarise(loaded.model, loaded.document, "base")
+    assert robots.load(robots.urdf_path("rod")).model.nv == 0
+    rod = robots.check_robot(robots.urdf_path("rod"))
+    assert rod.sound and rod.summary is not None and rod.summary.tips == ()
+
+
+# The command ------------------------------------------------------------------------------------
+
+
+def test_check_prints_verdict_joints_and_tips():
+    result, found = answered("check panda")
+    for words in (
+        "panda.urdf: sound, loaded in",
+        "9 joints move, 13 links, 17.45 kg",
+        "-3.072 … -0.0698 rad",
+        "87 N m",
+        "panda_hand_tcp",
+        "mobility",
+    ):
+        assert words in result.stdout, words
+    assert found["sound"] is True and found["findings"] == [] and found["meshes_missing"] == 0
+    assert found["reader_difference"] < 1e-12 and 0 < found["load_ms"] < 1000
+    assert found["robot"]["dof"] == 9 and len(found["robot"]["joints"]) == 9
+    assert found["robot"]["mass"] == approx(17.45, abs=0.01)
+
+
+def test_check_tells_everything_that_is_wrong(tmp_path):
+    text = GOOD.replace('effort="40"', 'effort="0"').replace('value="4"', 'value="-4"')
+    result = call("check", write(tmp_path, text), "--json", tmp_path / "bad.json")
+    assert result.exit_code == 1 and not result.stderr
+    assert "arm.urdf:44:5: joint 'turn' <limit effort='0'>: effort limit 0 N m" in result.stdout
+    assert "arm.urdf:7:7: link 'column' <mass value='-4'>: mass -4 kg is" in result.stdout
+    assert result.stdout.endswith("arm.urdf: refused, 2 findings\n")
+    found = read_json(tmp_path / "bad.json")
+    assert found["sound"] is False and found["robot"] is None
+    assert [(f["check"], f["line"]) for f in found["findings"]] == [("limit", 44), ("inertia", 7)]
+
+
+def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path):
+    text = GOOD.replace('effort="40"', 'effort="0"').replace('izz="0.001"', 'izz="0.005"')
+    file = write(tmp_path, text.replace("meshes/column.stl", "/opt/meshes/column.stl"))
+    line = f"check {file} --limit t*:effort=7,lower=-1 --inertias positive --tip hand"
+    assert "outside of the robot's folders" in call(line).stdout
+    result, found = answered(f"{line} --package-dir /opt/meshes")
+    assert "1 mesh files were not found" in result.stdout
+    assert found["robot"]["joints"][0]["effort"] == 7 and found["meshes_missing"] == 1
+    assert [joint["lower"] for joint in found["robot"]["joints"]].count(None) == 1
+    assert [tip["tip"] for tip in found["robot"]["tips"]] == ["hand"]
+
+
+@mark.parametrize(
+    "line, message",
+    [
+        ("./absent.urdf", "neither the file"),
+        ("absent.urdf", "neither the file"),
+        ("pnda", "Did you mean panda"),
+        ("example-robot-data:pnda", "Did you mean panda"),
+        ("panda --tip hnd", "no frame 'hnd'"),
+        ("panda --limit elbow:effort=3", "no moving joint matches 'elbow'"),
+        ("panda --limit panda_joint1:torque=3", "expected JOINT:key=number"),
+        ("panda --inertias any", "positive"),
+        ("/", "is neither the file"),
+    ],
+)
+def test_bad_words_end_with_2(line, message):
+    assert message in refused(f"check {line}")
+
+
+# Mutants of sound URDFs in a process of their own, and the inputs that kill Pinocchio.
+
+
+TESTS = Path(__file__).resolve().parent
+
+
+def run(*command):
+    """Standard output of a Python process that must end well; a crash has a return code < 0."""
+    how = {"env": os.environ | {"PYTHONPATH": f"{TESTS.parent}{os.pathsep}{TESTS}"}, "timeout": 300}
+    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, **how)
+    assert done.returncode == 0, f"return code {done.returncode}: {done.stderr[-2000:]}"
+    return done.stdout
+
+
+@mark.parametrize("count", first([2_500, 20_000], 1))
+def test_no_mutant_crashes_and_none_is_accepted_with_a_bad_mass_matrix(count):
+    result = json.loads(run("-W", "error", str(TESTS / "urdf_mutants.py"), "1999", str(count)))
+    verdicts = result["verdicts"]
+    assert sum(verdicts.values()) == result["mutants"] == count
+    assert result["broken"] == []
+    assert result["least_eigenvalue"] > 1e-12 and result["largest_difference"] < 1e-6
+    assert result["slowest_ms"] < 10_000  # a hang; how fast it is, benchmarks measure
+    assert "no finding" not in verdicts, "Pinocchio refused what our own checks let through"
+    for check in ("accepted", "xml", "number", "tree", "limit", "inertia", "joint"):
+        assert verdicts[check] > count / 100, "the mutants must reach every check"
+    assert verdicts["mass matrix"] > count / 4000
+
+
+def test_the_longest_robot_that_is_accepted_does_not_kill_the_process():
+    out = run(
+        "-c",
+        """
+import pathlib, tempfile
+from osc_contact import robots
+from osc_contact.errors import ModelError
+BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+def chain(n):
+    joints = ''.join(f'<joint name="j{i}" type="fixed"><parent link="l{i}"/><child link="l{i+1}"/></joint>'
+                     for i in range(n - 1))
+    return '<robot name="r">' + ''.join(f'<link name="l{i}">{BODY}</link>' for i in range(n)) + joints + '</robot>'
+file = pathlib.Path(tempfile.mkdtemp()) / 'chain.urdf'
+file.write_text(chain(512))
+print(robots.load_model(file).nframes, robots.cross_check(file) < 1e-9)
+for n in (513, 4000, 20000):
+    file.write_text(chain(n))
+    try:
+        robots.load_model(file)
+    except ModelError as error:
+        print('more than 512 links' in str(error))
+""",  # noqa: E501
+    )
+    assert out.split() == ["1024", "True", "True", "True", "True"]
+
+
+def test_unknown_frames_and_joints_are_refused_before_pinocchio_is_asked():
+    out = run(
+        "-c",
+        """
+from osc_contact import Arm, robots
+from osc_contact.errors import ModelError
+for wrong in (dict(tip='nope'), dict(wrist_sensor='nope'), dict(tip=''),
+              dict(locked={'nope': 0.0}), dict(passive_joints=['universe'])):
+    try:
+        Arm.from_urdf(robots.urdf_path('scara_left'), name='a', **{'tip': 'tool', **wrong})
+    except ModelError:
+        print('refused')
+""",
+    )
+    assert out.split() == ["refused"] * 5

@@ -1,4 +1,4 @@
-"""Pages of scenes, decoded: poses, lengths, colours, what is shown when, what the page fetches."""
+"""Pages of scenes, decoded: poses, lengths, colours, screws, what is shown and fetched."""
 
 import re
 
@@ -26,6 +26,7 @@ from scene_samples import (
     write,
 )
 
+from osc_contact import robots
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
@@ -39,7 +40,8 @@ from osc_contact.visual.scene import (
     thinned,
     write_scene,
 )
-from osc_contact.visual.shapes import along, urdf_geometry
+from osc_contact.visual.screws import twist_screw, wrench_screw
+from osc_contact.visual.shapes import along, triangle_colours, urdf_geometry, vertex_colours
 
 ROOT = "/meshcat/"
 LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
@@ -317,3 +319,113 @@ def test_urdf_shapes_lie_as_in_the_urdf(tmp_path):
     paint = drawn["/meshcat/0/shape"]["materials"][0]
     assert paint["color"] == 0xFF8000 and paint["opacity"] == approx(0.4)
     assert placed["/meshcat/4/shape/top"][2, 3] == approx(capsule.geometry.halfLength)
+
+
+# Screws of wrenches and twists, the basis of T, against motions and moments computed anew.
+
+
+SEEDS = range(4)
+
+
+@mark.parametrize("seed", SEEDS)
+def test_twist_axis_is_where_a_finite_motion_only_advances(seed):
+    """exp(V) moves the points of the axis along the axis, by the pitch per radian."""
+    rng = np.random.default_rng(seed)
+    twist = rng.standard_normal(6)
+    origin = rng.standard_normal(3)
+    point, direction, pitch = twist_screw(twist, origin)
+    motion = pin.exp6(pin.Motion(twist))  # about `origin`
+    angle = np.linalg.norm(twist[3:])
+    for s in (-1.0, 0.0, 2.0):
+        p = point + s * direction - origin
+        assert np.allclose(motion * p - p, pitch * angle * direction, atol=1e-9)
+    assert abs((point - origin) @ direction) < 1e-9, "the nearest point"
+
+
+@mark.parametrize("seed", SEEDS)
+def test_wrench_has_only_a_couple_along_its_axis_wherever_it_is_given(seed):
+    rng = np.random.default_rng(seed)
+    (force, moment) = rng.standard_normal((2, 3))
+    origins = rng.standard_normal((2, 3))
+    for origin in origins:
+        there = moment + np.cross(origins[0] - origin, force)
+        point, direction, pitch = wrench_screw([*force, *there], origin)
+        on_axis = there + np.cross(origin - point, force)
+        assert np.allclose(on_axis, pitch * force, atol=1e-9)
+        assert np.allclose(direction * np.linalg.norm(force), force)
+
+
+def test_couples_and_translations_have_no_pitch_and_nonsense_is_refused():
+    couple = wrench_screw([0, 0, 0, 0, 0, 2.0], [1, 2, 3])
+    assert np.isinf(couple.pitch) and np.allclose(couple.direction, [0, 0, 1])
+    slide = twist_screw([0, 3.0, 0, 0, 0, 0], [1, 2, 3])
+    assert np.isinf(slide.pitch) and np.allclose(slide.direction, [0, 1, 0])
+    for bad in (np.zeros(6), np.ones(5), [np.nan, 0, 0, 0, 0, 1]):
+        with invalid_input("no screw"):
+            twist_screw(bad, np.zeros(3))
+
+
+# Colours of COLLADA meshes: by material, in the order of the file's triangles.
+
+
+DAE = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<library_effects>
+ <effect id="r-fx"><profile_COMMON><technique sid="t"><phong>
+  <diffuse><color>1 0 0 1</color></diffuse></phong></technique></profile_COMMON></effect>
+ <effect id="b-fx"><profile_COMMON><technique sid="t"><phong>
+  <diffuse><color>0 0 1 1</color></diffuse></phong></technique></profile_COMMON></effect>
+</library_effects>
+<library_materials>
+ <material id="red"><instance_effect url="#r-fx"/></material>
+ <material id="blue"><instance_effect url="#b-fx"/></material>
+</library_materials>
+<library_geometries>
+ <geometry id="g"><mesh>
+  <triangles material="one" count="2"/><triangles material="two" count="1"/>
+ </mesh></geometry>
+</library_geometries>
+<library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g">
+ <bind_material><technique_common>
+  <instance_material symbol="one" target="#red"/><instance_material symbol="two" target="#blue"/>
+ </technique_common></bind_material>
+</instance_geometry></node></visual_scene></library_visual_scenes>
+</COLLADA>
+"""
+RED = (0.88, 0.14, 0.14)
+BLUE = (0.14, 0.14, 0.88)
+
+
+def test_triangles_have_the_colours_of_their_materials(tmp_path):
+    file = tmp_path / "two.dae"
+    file.write_text(DAE)
+    assert_allclose(triangle_colours(file, 3), [RED, RED, BLUE], atol=1e-12)
+    found = vertex_colours(file, np.array([[0, 1, 2], [2, 1, 3], [4, 5, 6]]), 7)
+    assert_allclose(found, [RED] * 4 + [BLUE] * 3, atol=1e-6)
+
+
+@mark.parametrize(
+    "name, text, count",
+    [
+        ("two.stl", DAE, 3),
+        ("two.dae", DAE, 4),
+        ("two.dae", "<COLLADA", 3),
+        ("two.dae", DAE.replace('count="2"', 'count="many"'), 3),
+        ("two.dae", '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema"/>', 0),
+    ],
+)
+def test_what_is_not_told_is_not_guessed(name, text, count, tmp_path):
+    (tmp_path / name).write_text(text)
+    assert triangle_colours(tmp_path / name, count) is None
+
+
+def test_the_pandas_hand_is_white_with_dark_parts():
+    """Its DAE tells 1 1 1 and 0.25 0.25 0.25 among others; read with Pinocchio's triangles."""
+    path, folders = robots.locate("panda")
+    _, geometry, _ = robots.load_geometry(path, pin.GeometryType.VISUAL, folders)
+    (hand,) = [shape for shape in geometry.geometryObjects if shape.name == "panda_hand_0"]
+    colours = triangle_colours(hand.meshPath, hand.geometry.num_tris)
+    assert colours is not None and len(colours) == hand.geometry.num_tris
+    grey = np.ptp(colours, axis=1) < 0.03
+    assert grey.mean() > 0.9, "no colour but grey"
+    assert 0.3 < (colours[:, 0] < 0.4).mean() < 0.6, "the dark parts: 2798 of 7078 triangles"

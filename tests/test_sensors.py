@@ -1,21 +1,29 @@
-"""Sensors: their statistics, their clocks, and a plant seen through them."""
+"""Sensors: statistics and clocks, calibration, estimates of velocity, vision with encoders."""
 
+import re
 from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
-from complaints import invalid_input, scenario_error
+from command_line import answered, refused
+from complaints import invalid_input, model_error, scenario_error
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark
+from pytest import approx, mark, raises
 from rigs import largest
 from samples import first
-from scenario_runs import verdict_of, worst_force
+from scenario_runs import rig_of, verdict_of, worst_force
+from test_moving_face import TURNING
 
 import osc_contact as osc
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.sensors import SensedPlant, SensorErrors, Sensors
+from osc_contact.runs.calibration import calibrate
 from osc_contact.scenarios.hardware import Clock, VisionSpec
+from osc_contact.sensing.calibration import calibrate_wrist
+from osc_contact.sensing.velocity_estimate import VelocityEstimate
+from osc_contact.sensing.vision_fusion import History, Registration
 
 STEP = 1e-3
 
@@ -194,3 +202,331 @@ def test_a_better_encoder_is_never_worse(name, rate):
     ]
     assert all(better <= 1.02 * worse for worse, better in pairwise(errors)), errors
     assert errors[-1] <= 1e-3
+
+
+# Wrist calibration: exact without noise, within its promise under noise, refused when blind.
+
+
+G = np.array([0.0, 0.0, -9.81])
+
+
+def at_rest(R, mass, com, bias):
+    """What holds a body up, by hand: minus its weight, through its centre of mass."""
+    weight = R.T @ (mass * G)
+    return np.concatenate((-weight, np.cross(com, -weight))) + bias
+
+
+def tilted(rng, k, angle=0.6):
+    return [pin.exp3(angle * rng.normal(size=3)) for _ in range(k)]
+
+
+def test_exact_readings_give_exact_loads():
+    rng = default_rng(0)
+    for _ in range(20):
+        mass = rng.uniform(0.3, 5)
+        com = rng.uniform(-0.1, 0.1, 3)
+        bias = rng.normal(size=6)
+        R = tilted(rng, 5)
+        load = calibrate_wrist(R, np.array([at_rest(X, mass, com, bias) for X in R]))
+        assert load.mass == approx(mass, rel=1e-10)
+        assert_allclose(load.com, com, atol=1e-10)
+        assert_allclose(load.bias, bias, atol=1e-9)
+
+
+def test_the_standard_errors_are_the_spread_of_many_calibrations():
+    rng = default_rng(1)
+    R = tilted(rng, 6)
+    noise = np.repeat([0.05, 0.003], 3)
+    clean = np.array([at_rest(X, 1.2, np.array([0.02, -0.01, 0.05]), np.zeros(6)) for X in R])
+    loads = [
+        calibrate_wrist(R, clean + noise * rng.standard_normal(clean.shape), noise)
+        for _ in range(2000)
+    ]
+    spread = np.std([load.mass for load in loads])
+    assert loads[0].mass_error == approx(spread, rel=0.1)
+    assert_allclose(loads[0].com_error, np.std([load.com for load in loads], axis=0), rtol=0.25)
+
+
+def test_a_wrist_that_only_turns_about_the_vertical_is_refused():
+    """Every SCARA: weight and bias cannot be told apart."""
+    R = [pin.exp3(np.array([0.0, 0.0, a])) for a in np.linspace(0, 3, 8)]
+    readings = np.array([at_rest(X, 1.0, np.array([0.01, 0.0, 0.05]), np.zeros(6)) for X in R])
+    with model_error(r"m, .*b_f_z.*tared"):
+        calibrate_wrist(R, readings)
+
+
+@mark.parametrize("k, noise", [(2, 1.0), (4, 0.0), (4, float("nan"))])
+def test_bad_input_is_refused(k, noise):
+    R = tilted(default_rng(2), k)
+    with raises(osc.InvalidInputError):
+        calibrate_wrist(R, np.zeros((k, 6)), noise)
+
+
+def test_a_panda_finds_mass_to_one_per_cent_and_centre_to_two_millimetres():
+    for seed in range(2):
+        (found,) = calibrate(osc.load_scenario("panda_wrist"), postures=6, average=0.1, seed=seed)
+        told = found.as_dict()
+        assert told["mass_error_rel"] < 0.01
+        assert told["com_error_m"] < 2e-3
+        assert np.abs(found.found.bias[:3]).max() > 0.2  # there was something to find
+
+
+def test_the_truth_it_is_compared_with_is_what_the_urdfs_weigh():
+    (found,) = calibrate(osc.load_scenario("panda_wrist", ["sensors={}"]), average=0.01)
+    assert found.mass == approx(0.73 + 0.015 * 2 + 1.5, abs=0.01)  # hand, fingers, rod
+    assert found.found.mass == approx(found.mass, rel=1e-9)
+    assert_allclose(found.found.com, found.com, atol=1e-9)
+
+
+def test_the_command_prints_and_writes_what_was_found():
+    assert answered("calibrate panda_wrist --postures 4")[1]["arm"]["mass_error_rel"] < 0.01
+    refused("calibrate workcell")
+
+
+# The velocity estimate against the Riccati equation and against what it has to see.
+
+
+DT = 1e-3
+
+
+def white(acceleration, dt):
+    """(2, 2) what white acceleration of power acceleration² dt does to [x, v] in one period."""
+    power = acceleration**2 * dt
+    return power * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+
+
+def riccati(noise, acceleration, dt):
+    """Stationary gain (2,) and covariance after the update, by iterating the filter equations."""
+    F = np.array([[1.0, dt], [0.0, 1.0]])
+    P = np.eye(2)
+    for _ in range(20_000):
+        P = F @ P @ F.T + white(acceleration, dt)
+        K = P[:, 0] / (P[0, 0] + noise**2)
+        P = P - np.outer(K, P[0])
+    return K, P
+
+
+@mark.parametrize("noise, acceleration", [(2e-5, 2.0), (1e-4, 0.5), (1e-6, 50.0), (1e-9, 2.0)])
+def test_gains_are_those_of_the_riccati_equation(noise, acceleration):
+    estimate = VelocityEstimate.optimal(noise, acceleration, DT)
+    K, _ = riccati(noise, acceleration, DT)
+    assert_allclose([estimate.alpha[0], estimate.beta[0] / DT], K, rtol=1e-6)
+
+
+@mark.parametrize("noise", np.geomspace(1e-15, 1e-2, 14))
+@mark.parametrize("dt", [1e-3, 2e-3, 4e-3, 1 / 60])
+def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noise, dt):
+    """Eigenvalues of the error from sample to sample: at worst 0.27 from one to the next."""
+    estimate = VelocityEstimate.optimal(noise, 2.0, dt)
+    K = np.array([estimate.alpha[0], estimate.beta[0] / dt])
+    F = np.array([[1.0, dt], [0.0, 1.0]])
+    poles = np.linalg.eigvals((np.eye(2) - np.outer(K, [1.0, 0.0])) @ F)
+    assert largest(poles) < 1.0 and poles.real.min() > -0.27
+
+
+def test_exact_positions_give_the_velocity_at_once():
+    """From a wrong velocity on; an unknown acceleration errs by less than half a period of it."""
+    estimate = VelocityEstimate.optimal(1e-9, 2.0, DT)
+    a = 3.0
+    estimate.update(np.zeros(1))
+    estimate.v = np.array([0.5])
+    for t in DT * np.arange(1, 13):
+        _, v = estimate.update(np.array([0.5 * a * t**2]))
+    assert abs(v - a * t) < 0.5 * a * DT
+
+
+def test_errors_are_as_large_as_the_riccati_equation_says():
+    rng = np.random.default_rng(0)
+    noise = 2e-5
+    unknown = 2.0
+    estimate = VelocityEstimate.optimal(np.full(20, noise), np.full(20, unknown), DT)
+    F = np.array([[1.0, DT], [0.0, 1.0]])
+    x = np.zeros((2, 20))  # and speeds
+    errors = []
+    root = np.linalg.cholesky(white(unknown, DT))
+    for _ in range(4000):
+        x = F @ x + root @ rng.standard_normal((2, 20))
+        errors.append(estimate.update(x[0] + noise * rng.standard_normal(20)) - x)
+    _, P = riccati(noise, unknown, DT)
+    assert_allclose(
+        np.mean(np.square(errors[501:]), axis=(0, 2)), np.diag(P), rtol=0.0975
+    )  # 5 % of the errors
+
+
+def test_a_reading_that_is_not_fresh_only_predicts():
+    estimate = VelocityEstimate(np.array([0.5]), np.array([0.1]), DT)
+    estimate.update(np.array([1.0]))
+    estimate.v = np.array([2.0])
+    x, v = estimate.update(np.array([99.0]), np.array([10.0]), fresh=False)
+    assert_allclose([x[0], v[0]], [1.0 + 2e-3 + 5e-6, 2.01], rtol=1e-12)
+
+
+def test_a_slow_sensor_is_followed_between_its_samples():
+    """60 Hz readings of a ramp, estimates every millisecond: smooth and right."""
+    estimate = VelocityEstimate.optimal(1e-3, 0.05, DT, sample=1 / 60)
+    found = []
+    for t in DT * np.arange(6000):
+        fresh = int(t * 60) != int((t - DT) * 60)
+        found.append(estimate.update(np.array([0.02 * t]), 0.0, fresh))
+    x, v = np.array(found[4000:])[..., 0].T
+    assert_allclose(v, 0.02, rtol=0.01)
+    assert largest(np.diff(x)) < 1e-3  # no jumps at the samples
+
+
+@mark.parametrize("alpha, beta, dt", [(0.5, 3.5, DT), (-0.1, 0.1, DT), (0.5, 0.1, 0.0)])
+def test_unstable_gains_are_refused(alpha, beta, dt):
+    with invalid_input("stable"):
+        VelocityEstimate(np.array([alpha]), np.array([beta]), dt)
+
+
+def test_a_sensor_without_any_error_is_refused():
+    with invalid_input("resolution"):
+        VelocityEstimate.optimal(0.0, 1.0, DT)
+
+
+def test_it_does_not_lag_along_a_known_acceleration():
+    """0.5 Hz sine of 0.3 rad, 20 µrad of noise: the joints of a sliding rod."""
+    rng = np.random.default_rng(1)
+    w = np.pi
+    t = DT * np.arange(8000)
+    x, v, a = 0.3 * np.array([np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t)])[..., None]
+    read = x[1:] + 2e-5 * rng.standard_normal((7999, 1))
+    known = VelocityEstimate.optimal(2e-5, 0.2, DT)
+    got = [known.update(*given)[1] for given in zip(read, a[:-1], strict=True)]
+    assert np.mean((got - v[1:])[2000:] ** 2) < 1e-6
+
+
+# Vision fused with encoders: the camera's frame found, its delay undone, its noise believed.
+
+
+NOISE = (1e-3, 5e-3)
+
+
+def displaced(rng, size):
+    """A pose, some (m, rad) away from the identity."""
+    return pin.SE3(pin.exp3(size[1] * rng.normal(size=3)), size[0] * rng.normal(size=3))
+
+
+def scattered(rng):
+    return [displaced(rng, (0.4, 1.0)) for _ in range(3)]
+
+
+def noisy(X, rng, noise=NOISE):
+    """As the plant's camera errs: shifted, and turned about its own origin in world axes."""
+    R = pin.exp3(noise[1] * rng.normal(size=3)) @ X.rotation
+    return pin.SE3(R, X.translation + noise[0] * rng.normal(size=3))
+
+
+def lacking(estimate, true):
+    """ξ = [δ; θ] with true = (exp(θ), δ) ∘ estimate."""
+    rest = true * estimate.inverse()
+    return np.concatenate((rest.translation, pin.log3(rest.rotation)))
+
+
+def test_without_noise_one_picture_finds_the_camera():
+    rng = default_rng(0)
+    for _ in range(20):
+        X_WC = displaced(rng, (0.1, 0.3))
+        known = scattered(rng)
+        found = Registration(1e-9, 1e-9, prior=(1.0, 1.0))
+        found.update(known, [X_WC.inverse() * X for X in known])
+        assert_allclose(lacking(found.X, X_WC), 0.0, atol=1e-8)
+
+
+def test_the_covariance_is_that_of_the_error():
+    """Normalised squared error over 300 cameras: chi² with 6 degrees of freedom, mean 6 ± 0.2."""
+    rng = default_rng(1)
+    prior = (5e-3, 5e-3)
+    squares = []
+    spread = []
+    for _ in range(300):
+        X_WC = displaced(rng, prior)
+        known = scattered(rng)
+        found = Registration(*NOISE, prior=prior, drift=(0.0, 0.0))
+        for _ in range(8):
+            found.update(known, [noisy(X_WC.inverse() * X, rng) for X in known], 1 / 60)
+        error = lacking(found.X, X_WC)
+        squares.append(error @ np.linalg.solve(found.P, error))
+        spread.append(error / np.sqrt(np.diag(found.P)))
+    assert np.mean(squares) == approx(6.0, abs=4 * np.sqrt(12 / 300))
+    assert_allclose(np.std(spread, axis=0), 1.0, atol=0.15)
+
+
+def test_history_tells_what_was():
+    history = History(0.1)
+    with invalid_input("empty"):
+        history.at(0.0)
+    for k in range(301):
+        history.add(1e-3 * k, np.array([1e-3 * k, 2.0]))
+    assert_allclose(history.at(0.2345), [0.2345, 2.0], atol=1e-12)
+    assert_allclose(history.at(9.0), [0.3, 2.0])
+    assert history.at(0.0)[0] == approx(0.2, abs=2e-3)  # no further back than 0.1 s
+    alone = History(1.0)
+    alone.add(0.0, np.ones(1))
+    assert alone.at(-1.0) == alone.at(5.0) == 1.0
+
+
+@mark.parametrize("bad", [{"position": 0.0}, {"prior": (1.0, 0.0)}, {"drift": (-1.0, 0.0)}])
+def test_impossible_noise_is_refused(bad):
+    with invalid_input("registration"):
+        Registration(**{"position": 1e-3, "orientation": 1e-3} | bad)
+
+
+VISION = (
+    "sensors.vision={rate: 60 Hz, delay: 30 ms, position: {noise: 1 mm}, "
+    "orientation: {noise: 5 mrad}, frame_position: 5 mm, frame_orientation: 5 mrad}"
+)
+
+
+@mark.parametrize("plant", first(["mujoco", "rigid"], 1))
+def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
+    """Against the true N, with and without the fusion, while the face travels and tilts."""
+    slow = [
+        re.sub(": (0.7|1) Hz", ": 0.1 Hz", c).replace("ramp: 0.1 s", "ramp: 4 s") for c in TURNING
+    ]
+    step = {"mujoco": "0.25 ms", "rigid": "1 ms"}[plant]
+    changes = f"plant.type={plant}", f"plant.step={step}", "control.rate=1 kHz"
+    rig = rig_of("moving_face", *slow, VISION, *changes)
+    sensed = rig.plant(2)
+    controller = rig.controller()
+    observer = rig.observer()
+    pair = rig.pairs[0]
+    squares = []
+    for k in range(2500):
+        read = sensed.measure()
+        done = observer.complete(read, None)
+        if k >= 1200 and k % 20 == 0:
+            truth = sensed.truth()
+            n = pair.direction(truth.X_WE[0])
+            for touched in (done.touched, read.touched):
+                X_WE = pin.SE3(touched.X_WE[0])
+                off = np.cross(n, pair.direction(X_WE))
+                squares.append([off @ off, *pair.gaps(truth.X_WO, X_WE) ** 2])
+        sensed.command(controller.tick(done, rig.references.at(1e-3 * k)), 1e-3)
+    fused, raw = np.sqrt(np.mean(np.reshape(squares, (-1, 2, 2)), axis=0))
+    assert fused[0] < 4e-3 and fused[1] < 1.2e-3, fused  # rad; m from where it touches
+    assert (fused < 0.6 * raw).all(), (fused, raw)
+    assert controller.status is osc.Status.OK
+
+
+def test_vision_tracks_rod_and_arms_where_they_are():
+    rig = rig_of("moving_face", "plant.type=rigid", VISION)
+    sensed = rig.plant(5)
+    seen = sensed.measure().seen
+    truth = sensed.truth()
+    for X, Y in zip((seen.object, *seen.tips), sensed.plant.poses(), strict=True):
+        assert 1e-4 < largest(X[:3, 3] - Y[:3, 3]) < 1.5e-2
+        assert np.linalg.norm(pin.log3(X[:3, :3] @ Y[:3, :3].T)) < 0.04
+    assert_allclose(sensed.plant.poses()[0], truth.X_WO.homogeneous, atol=1e-12)
+    assert seen.tips.shape == (2, 4, 4)
+
+
+def test_a_wandering_camera_is_followed():
+    rng = default_rng(2)
+    known = scattered(rng)
+    moved = pin.SE3(pin.exp3(np.array([0, 0, 2e-3])), np.array([3e-3, 0, 0]))
+    found = Registration(*NOISE, drift=(1e-3, 1e-3))
+    for where in (pin.SE3.Identity(), moved):
+        for _ in range(600):
+            found.update(known, [noisy(where.inverse() * X, rng) for X in known], 1 / 60)
+    assert largest(lacking(found.X, moved)) < 1.5e-3

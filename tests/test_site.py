@@ -1,23 +1,28 @@
-"""The site: builds without a warning, its links lead somewhere, and it fetches nothing."""
+"""The site and the notebooks: they build and run, links lead somewhere, nothing is fetched."""
 
 import json
 import re
 import subprocess
 import sys
+from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import jupytext
+import nbclient
 from html_pages import Page
-from pytest import fixture, mark
+from pytest import fixture, mark, raises
+from samples import chosen
 from snowballstemmer import stemmer
 
 import osc_contact as osc
+from osc_contact.visual.page import embed
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
 def build(source, into, *options):
-    """As `make docs`, without running the notebooks: tests/test_notebooks.py runs them."""
+    """As `make docs`, without running the notebooks: tests/test_site.py runs them."""
     line = f"-m sphinx -W --keep-going -q -b html -D run_notebooks=0 -d {into}/doctrees"
     command = [sys.executable, *line.split(), *options, source, into / "site"]
     return subprocess.run(command, capture_output=True, text=True, timeout=300)
@@ -152,3 +157,79 @@ def test_words_of_the_field_are_found(site, words, page):
         places = [index[part].get(stem(word), []) for part in ("terms", "titleterms")]
         found &= {n for p in places for n in (p if isinstance(p, list) else [p])}
     assert f"docs/{page}" in {index["docnames"][n] for n in found}
+
+
+# Every notebook runs from top to bottom in a fresh kernel, as its text stands here.
+
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
+
+
+def execute(notebook, folder):
+    """Run all cells in a new kernel whose working folder is `folder`; raises on the first error."""
+    client = nbclient.NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}}
+    )
+    return client.execute()
+
+
+def printed(notebook):
+    return "".join(
+        output.text
+        for cell in notebook.cells
+        for output in cell.get("outputs", ())
+        if output.output_type == "stream" and output.name == "stdout"
+    )
+
+
+def test_notebooks_are_numbered():
+    assert [path.stem[:3] for path in NOTEBOOKS] == ["01_", "02_", "03_", "04_", "05_", "06_"]
+
+
+def test_a_page_is_embedded_whole(tmp_path):
+    page = '<!DOCTYPE html>\n<p title="a & b">it\'s "here"</p>\n'
+    (tmp_path / "page.html").write_text(page)
+    shown = embed(tmp_path / "page.html", height=321)
+    found: dict[str, str | None] = {}
+
+    class Reader(HTMLParser):
+        def handle_starttag(self, tag, attrs):
+            found[tag] = dict(attrs).get("srcdoc")
+
+    Reader().feed(shown._repr_html_())
+    assert found == {"iframe": page}
+    assert "321px" in shown._repr_html_() and len(repr(shown)) < 100
+
+
+@mark.parametrize(
+    "path", chosen(NOTEBOOKS, NOTEBOOKS[1]), ids=lambda path: getattr(path, "stem", None)
+)
+def test_notebook_runs(path, tmp_path):
+    notebook = execute(jupytext.read(path), tmp_path)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert code and all(cell.execution_count for cell in code)
+    complaints = [
+        output.text
+        for cell in code
+        for output in cell.outputs
+        if output.output_type == "stream" and output.name == "stderr"
+    ]
+    assert not complaints
+    pictures = [
+        output for cell in code for output in cell.outputs if "image/png" in output.get("data", {})
+    ]
+    assert len(pictures) >= path.read_text().count("plots.contact_forces(")
+    shown = [
+        output.data.get("text/html", "")
+        for cell in code
+        for output in cell.outputs[-1:]
+        if "data" in output
+    ]
+    assert sum("MeshCat" in page and page.startswith("<iframe") for page in shown) == 1
+
+
+def test_an_error_in_a_cell_fails(tmp_path):
+    notebook = jupytext.reads("# %%\nprint('before')\n\n# %%\n1 / 0\n", fmt="py:percent")
+    with raises(nbclient.exceptions.CellExecutionError, match="ZeroDivisionError"):
+        execute(notebook, tmp_path)
+    assert printed(notebook) == "before\n"

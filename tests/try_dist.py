@@ -35,7 +35,7 @@ COMMANDS = (
 TESTS = ("test_contact.py", "test_projections.py", "test_importing.py", "test_movie.py")
 BESIDE = ("franky-sim", "robosuite", "mjlab", "newton")
 #: Tests of pages whose tools need newer versions of what the package needs, too.
-OF_PAGES = ("test_site.py", "test_notebooks.py")
+OF_PAGES = ("test_site.py",)
 OTHERS_WARN = ("optuna.exceptions.ExperimentalWarning",)  # of what is an argument of optuna 5
 #: Tests of what differs with versions: layers need a tool of `dev`, robots come and go.
 OF_PINNED = "not picture_of_the_rooms and not every_robot_of_the_data"
