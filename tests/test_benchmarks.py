@@ -35,40 +35,40 @@ print(resident() - before)"""  # in a process of its own: others free memory mea
 SPREAD = {"p50", "p99", "p99_9", "max"}
 
 
-def start(*words):
-    command = [sys.executable, "-W", "error", "-m", "benchmarks", *map(str, words)]
+def start(line):
+    command = [sys.executable, "-W", "error", "-m", "benchmarks", *line.split()]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT)
 
 
 def test_benchmark_refuses_bad_input(tmp_path):
-    for words, message in (
-        (("nope",), "no benchmark 'nope'"),
-        (("law", "--ticks", "many"), "valid integer"),
-    ):
-        done = start(*words, "--json", tmp_path / "b.json")
+    file = tmp_path / "b.json"
+    for line, message in (("nope", "no benchmark 'nope'"), ("law --ticks many", "valid integer")):
+        done = start(f"{line} --json {file}")
         assert done.returncode == 2 and message in done.stderr and not done.stdout
-    assert not (tmp_path / "b.json").exists()
+    assert not file.exists()
 
 
 def run_program(name, ticks, folder):
     """(JSON, printed) of a program."""
     json_file = folder / "b.json"
-    ended = start(name, "--ticks", str(ticks), "--json", json_file)
+    ended = start(f"{name} --ticks {ticks} --json {json_file}")
     assert ended.returncode == 0, ended.stderr
     result = read_json(json_file)
     about = result["machine"]
-    assert about["cpu"] in ended.stdout and f"pin {about['packages']['pin']}" in ended.stdout
+    packages = about["packages"]
+    assert about["cpu"] in ended.stdout and f"pin {packages['pin']}" in ended.stdout
     assert about["cores"] >= 1 and about["python"] == sys.version.split()[0]
-    assert about["packages"]["osc-contact"] == osc.__version__
+    assert packages["osc-contact"] == osc.__version__
     return result, ended.stdout
 
 
 def judge_peers(result):
     for case in result["cases"].values():
-        assert len(case["peers_us"]) == 7
-        tick = case["peers_us"]["tick"]["p50"]
-        for name, times in case["peers_us"].items():
-            assert case["ratio"][name] == approx(times["p50"] / tick)
+        medians = {name: times["p50"] for name, times in case["peers_us"].items()}
+        assert len(medians) == 7
+        assert case["ratio"] == approx(
+            {name: p50 / medians["tick"] for name, p50 in medians.items()}
+        )
     assert set(result["tsid"]) == {"missing"}
 
 
@@ -111,13 +111,12 @@ PROGRAMS = (judge_law, judge_peers, judge_scaling, judge_jitter, judge_simulatio
 
 def times_of(data):
     """Every table of times in a result, and every number of microseconds."""
-    if isinstance(data, list | tuple):
-        return [found for item in data for found in times_of(item)]
-    if not isinstance(data, dict):
-        return []
-    if set(data) == SPREAD:
-        return [data]
-    return [found for item in data.values() for found in times_of(item)]
+    if isinstance(data, dict):
+        if set(data) == SPREAD:
+            return [data]
+        data = list(data.values())
+    items = data if isinstance(data, list | tuple) else ()
+    return [found for item in items for found in times_of(item)]
 
 
 @mark.parametrize("judge", first(PROGRAMS, 1))
@@ -171,11 +170,12 @@ def test_special_cases_are_what_they_are_called():
     found = {name: make() for name, make in SPECIAL_CASES.items()}
     unusual = {name: case.status.name for name, case in found.items() if case.status.value}
     assert unusual == {"near_singular": "DEGRADED", "saturated": "SATURATED"}
-    last = {name: case.controller() for name, case in found.items()}
-    for name, controller in last.items():
-        controller.tick(found[name].measurement, found[name].reference)
-    (left, right) = last["near_singular"].lost_directions
-    assert 0.0 < left.left < 1.0 and 0.0 < right.left < 1.0
+    last = {}
+    for name, case in found.items():
+        last[name] = case.controller()
+        last[name].tick(case.measurement, case.reference)
+    lost = last["near_singular"].lost_directions
+    assert [0.0 < one.left < 1.0 for one in lost] == [True, True]
     assert last["saturated"].given_up is not None
     bars = found["three_arms"].reference.squeeze_d
     assert_allclose(last["three_arms"].result().squeeze, bars, atol=1e-6)
@@ -190,13 +190,15 @@ def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads):
     for _ in range(2):  # from the same memory each time
         torques = tick()
         unwind()
+        case = rows.case
         for i in range(rows.rows):
-            of_row = {name: array[i] for name, array in rows.inputs.items()}
-            wanted = replace(
-                rows.case.reference, **{k: of_row[k] for k in ("V_D", "A_D", "alpha_d")}
-            )
-            read = replace(rows.case.measurement, **{k: of_row[k] for k in ("q", "v", "wrenches")})
-            assert_array_equal(torques[i], rows.case.controller().tick(read, wanted))
+
+            def of_row(given, *names, i=i):
+                return replace(given, **{name: rows.inputs[name][i] for name in names})
+
+            wanted = of_row(case.reference, "V_D", "A_D", "alpha_d")
+            read = of_row(case.measurement, "q", "v", "wrenches")
+            assert_array_equal(torques[i], case.controller().tick(read, wanted))
     assert len(np.unique(torques[:, 0])) == rows.rows, "every row is at a state of its own"
     rows.inputs["q"][3, 0] = np.nan
     tick()
@@ -251,10 +253,9 @@ def test_mujoco_inverse_explains_the_torques_on_every_contact(name):
 
 @mark.parametrize("name", [*CASES, "three_arms"])
 def test_constraint_dynamics_moves_the_joints_as_commanded(name):
-    case = replace(
-        (CASES | SPECIAL_CASES)[name](), pairs=()
-    )  # Pinocchio's contacts do not slide, ours do
-    case = replace(case, reference=replace(case.reference, alpha_d=np.zeros(0)))
+    case = (CASES | SPECIAL_CASES)[name]()
+    reference = replace(case.reference, alpha_d=np.zeros(0))
+    case = replace(case, pairs=(), reference=reference)  # Pinocchio's contacts do not slide
     # friction is compensated along the speed that is commanded, not along the one read here
     case.chain.model.damping = np.zeros(case.chain.nq)
     controller = case.controller()
@@ -274,8 +275,8 @@ def interpreter(path, script):
 
 def test_tsid_runs_in_its_own_interpreter(tmp_path):
     times = {"p50": 9.3, "p99": 10.0, "p99_9": 11.0, "max": 12.0}
-    parts = ("total_us", "problem_us", "solve_us", "floor_us")
-    said = {"pin": "3.4.0", **dict.fromkeys(parts, times)}
+    parts = (f"{part}_us" for part in ("total", "problem", "solve", "floor"))
+    said = {"pin": "3.4.0"} | dict.fromkeys(parts, times)
     python = interpreter(tmp_path / "python", f"echo '{json.dumps(said)}'")
     report = run_benchmark("peers", 1, tsid_python=python)
     panda = report.data["cases"]["one_panda"]
@@ -284,12 +285,13 @@ def test_tsid_runs_in_its_own_interpreter(tmp_path):
     assert tsid["ratio"] == approx(9.3 / tsid["tick_us"]["p50"])
     assert "TSID / tick" in str(report.tables[-1].caption)
     broken = interpreter(tmp_path / "broken", "echo 'no module tsid' >&2; exit 1")
-    with invalid_input(r"no module tsid.*pip install"):
-        run_benchmark("peers", 1, tsid_python=broken)
-    with invalid_input(r"cannot be run.*pip install"):
-        run_benchmark("peers", 1, tsid_python=tmp_path / "nowhere")
-    with invalid_input("only the benchmark 'peers'"):
-        run_benchmark("jitter", 1, tsid_python=python)
+    for name, other, words in (
+        ("peers", broken, r"no module tsid.*pip install"),
+        ("peers", tmp_path / "nowhere", r"cannot be run.*pip install"),
+        ("jitter", python, "only the benchmark 'peers'"),
+    ):
+        with invalid_input(words):
+            run_benchmark(name, 1, tsid_python=other)
 
 
 @mark.slow

@@ -15,8 +15,7 @@ from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.runs.inspection import inspect_rig
-from osc_contact.runs.references import References, common_tangent, force_steps
-from osc_contact.spatial import carry_twist
+from osc_contact.runs.references import References, common_tangent
 
 
 @fixture(scope="module")
@@ -29,13 +28,13 @@ def found(rig):
     return inspect_rig(rig)
 
 
-def pressed(rig, left, right, at=0.29):
+def pressed(rig, left, right):
     """The report with other push directions at the two ends of the rod."""
-    pairs = [
+    pairs = tuple(
         osc.VertexOnFace([x, 0, 0], [x, 0, 0.2], -np.array(push), name=name)
-        for name, x, push in (("left_end", -at, left), ("right_end", at, right))
-    ]
-    return inspect_rig(replace(rig, pairs=tuple(pairs)))
+        for name, x, push in (("left_end", -0.29, left), ("right_end", 0.29, right))
+    )
+    return inspect_rig(replace(rig, pairs=pairs))
 
 
 def sentence(found, *words):
@@ -45,9 +44,7 @@ def sentence(found, *words):
 
 def numbers(text):
     """The numbers of the first [x, y, z] in a text."""
-    match = re.search(r"\[([^\]]*)\]", text)
-    assert match, text
-    return np.array([float(word) for word in match.group(1).split(",")])
+    return np.array(re.search(r"\[([^\]]*)\]", text)[1].split(","), dtype=float)
 
 
 def test_dimensions(found, rig):
@@ -80,13 +77,13 @@ def test_the_words_of_a_free_motion_are_its_twist(found):
     for i, twist in enumerate(found.free.T):
         line = sentence(found, f"free motion {i + 1}:")
         if "translation" in line:
-            shown = np.concatenate([numbers(line), np.zeros(3)])
+            shown = np.append(numbers(line), np.zeros(3))
         else:
             axis = numbers(line)
             point = numbers(line.split("through", 1)[1])
             pitch = re.search(r"advancing (-?[0-9.]+) mm/rad", line)
-            slide = 1e-3 * float(pitch.group(1)) if pitch else 0.0
-            shown = carry_twist(np.concatenate([slide * axis, axis]), point, np.zeros(3))
+            slide = 1e-3 * float(pitch[1]) if pitch else 0.0
+            shown = np.append(slide * axis + np.cross(point, axis), axis)
         cosine = shown @ twist / (norm(shown) * norm(twist))
         assert cosine == approx(1.0, abs=1e-5), line
     assert sum("translation along" in line for line in found.lines) == 1, "the common tangent"
@@ -97,11 +94,10 @@ def test_the_words_of_a_free_motion_are_its_twist(found):
 
 def test_skew_lines_against_an_independent_computation(found, rig):
     """Distance by the reciprocal product of the two wrenches, angle by the arc cosine."""
-    a, b = found.N.T
+    a, b = (n / norm(n[:3]) for n in found.N.T)
     product = abs(a[:3] @ b[3:] + a[3:] @ b[:3])
-    cosine = a[:3] @ b[:3] / (norm(a[:3]) * norm(b[:3]))
-    sine = np.sqrt(1.0 - cosine**2)
-    gap = product / (norm(a[:3]) * norm(b[:3]) * sine)
+    cosine = a[:3] @ b[:3]
+    gap = product / np.sqrt(1.0 - cosine**2)
     line = sentence(found, "lines of force")
     assert f"enclose {np.degrees(np.arccos(abs(cosine))):.1f}°" in line
     assert f"pass {1e3 * gap:.1f} mm apart" in line
@@ -235,7 +231,3 @@ def test_common_tangent_lies_in_every_face_and_must_be_unique():
         assert abs(u @ pair.normal) < 1e-12
     with scenario_error("span 1"):
         common_tangent(pairs[:1], X)
-
-
-def test_force_steps_are_found():
-    assert force_steps(osc.load_scenario("two_contact_rod")) == [5.0]

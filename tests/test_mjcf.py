@@ -145,8 +145,6 @@ def test_what_the_law_does_not_know_is_refused(tmp_path, old, new, says):
 
 
 def test_names_that_are_not_there_are_told(mj):
-    with model_error("no body or site 'tipp'"):
-        osc.Arm.from_mjcf(mj, name="a", tip="tipp")
     with invalid_input("no moving joint matches"):
         robots.load_mjcf(mj, "tip", limits={"nobody": robots.JointLimits(effort=1.0)})
 

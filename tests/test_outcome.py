@@ -265,11 +265,9 @@ def test_a_run_too_short_to_be_judged_is_refused_with_its_length():
 DT = 1e-3
 
 
-def told(alpha, speed, limits=None):
-    monitor = ContactMonitor(1, DT, limits or MonitorLimits())
-    states = [
-        monitor.update(np.array([a]), np.array([s])) for a, s in zip(alpha, speed, strict=True)
-    ]
+def told(alpha, speed):
+    monitor = ContactMonitor(1, DT)
+    states = [monitor.update(*given) for given in np.stack((alpha, speed), axis=1)[..., None]]
     closed = np.array([s.closed[0] for s in states])
     return closed, np.flatnonzero([s.collision[0] for s in states])
 
@@ -286,16 +284,16 @@ def test_approach_contact_loss_and_contact_again():
         speed[hit : hit + 4] = [0.03, 0.02, 0.01, 0.002]
     closed, collisions = told(alpha, speed)
     assert np.flatnonzero(np.diff(closed.astype(int))).tolist() == [299, 704, 899]
-    assert len(collisions) == 2
-    assert collisions[0] in range(300, 305) and collisions[1] in range(900, 905)
+    first, second = collisions
+    assert first in range(300, 305) and second in range(900, 905)
 
 
 def test_forces_and_powers_between_the_thresholds_change_nothing():
     limits = MonitorLimits()
     between = 0.5 * (limits.force_on + limits.force_off)
-    for start in (False, True):
+    for start in (0, 1):
         monitor = ContactMonitor(1, DT, limits)
-        monitor.rows[0].closed = int(start)
+        monitor.rows[0].closed = start
         for _ in range(100):
             seen = monitor.update(np.array([between]), np.zeros(1))
             assert seen.closed[0] == start and not seen.collision[0]
@@ -310,36 +308,25 @@ def test_a_short_gap_is_not_a_lost_contact_and_a_long_one_is():
 
 
 def test_one_long_burst_of_power_is_one_collision():
-    alpha = np.zeros(100)
-    speed = np.zeros(100)
-    alpha[20:] = 10.0
-    speed[20:60] = 0.02
-    _, collisions = told(alpha, speed)
+    """And power long after contact was made is none."""
+    t = np.arange(100)
+    _, collisions = told(10.0 * (t >= 20), 0.02 * ((t >= 20) & (t < 60)))
     assert collisions.tolist() == [20]
-
-
-def test_power_is_no_collision_long_after_contact_was_made():
-    speed = np.zeros(100)
-    speed[50:60] = 0.05
-    _, collisions = told(np.full(100, 10.0), speed)
+    _, collisions = told(np.full(100, 10.0), 0.05 * ((t >= 50) & (t < 60)))
     assert len(collisions) == 0
 
 
-def test_thresholds_without_hysteresis_are_refused():
-    with invalid_input("above force_off"):
-        MonitorLimits(force_on=0.4, force_off=0.4)
-
-
-@mark.parametrize("power", [0.0, -0.05])
-def test_a_power_that_is_no_threshold_is_refused(power):
-    with invalid_input("power: must be > 0"):
-        MonitorLimits(power=power)
-
-
-def test_a_run_with_closed_contacts_is_seen_as_such():
-    recording = run_of(duration=0.3)
-    assert recording["contact_seen"][20:].all()
-    assert not recording["collision_seen"][20:].any()
+@mark.parametrize(
+    "limits, words",
+    [
+        ({"force_on": 0.4, "force_off": 0.4}, "above force_off"),
+        ({"power": 0.0}, "power: must be > 0"),
+        ({"power": -0.05}, "power: must be > 0"),
+    ],
+)
+def test_what_is_no_threshold_is_refused(limits, words):
+    with invalid_input(words):
+        MonitorLimits(**limits)
 
 
 @mark.parametrize("seed", range(4))

@@ -121,12 +121,6 @@ def test_rigid_plant_refuses_to_run_away(rig):
         plant.command(np.zeros(8), 1e-3)
 
 
-def test_a_tare_on_the_rigid_plant_is_refused():
-    scenario = osc.load_scenario("two_contact_rod_mismatch", ["plant.type=rigid"])
-    with scenario_error("bilateral"):
-        osc.build_rig(scenario).plant()
-
-
 def test_the_scene_needs_an_object(rig):
     chain = osc.ClosedChain(rig.chain.arms, rig.chain.grasps)
     with model_error("payload"):

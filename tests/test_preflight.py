@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 from command_line import call, done, refused
-from complaints import invalid_input, model_error, scenario_error
+from complaints import invalid_input, scenario_error
 from pytest import approx, mark, raises
 from scenario_runs import rig_of, run_of
 
@@ -379,11 +379,6 @@ def test_one_force_for_two_contacts():
     controller.tick(rig.plant().measure(), osc.Reference(at.X_WD, alpha_d=10.0))
     assert controller.status is osc.Status.HELD
     assert "1 forces for 2 columns of N; give one for each degree" in controller.reason
-
-
-def test_robots_that_are_nearly_called_so():
-    with model_error("Did you mean ur10 "):
-        osc.robots.find_robot("ur10e")
 
 
 def test_a_posture_that_does_not_serve_is_called_so(tmp_path):

@@ -192,8 +192,6 @@ def test_resolve_urdf_knows_three_places(tmp_path):
     assert robots.resolve_urdf(str(own)) == (own.resolve(), (tmp_path.resolve(),))
     panda, package_dir = robots.find_robot("panda")
     assert robots.resolve_urdf("example-robot-data:panda", tmp_path) == (panda, (package_dir,))
-    with model_error("Did you mean panda"):
-        robots.resolve_urdf("example-robot-data:pnda", tmp_path)
     with model_error(r"Did you mean face\.urdf"):
         robots.resolve_urdf("fce.urdf", tmp_path)
 

@@ -494,8 +494,6 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
     [
         ({"duration": -1.0}, "duration: must be > 0"),
         ({"gains": {"motion": {"stiffness": 1, "frequency": 2}}}, "frequency beside stiffness"),
-        ({"durations": 1.0}, "did you mean 'duration'"),
-        ({"force": {"middle": [{"type": "constant", "value": 1}]}}, "middle"),
         ({"laws": "proportional"}, "expected osc.Laws"),
         ({"contacts": [{"pair": "cone", "body": "groove"}]}, "the key 'type' is missing"),
         ({"contacts": [{"pair": osc.Free(), "body": "table"}], "force": {}}, "environment"),

@@ -324,10 +324,7 @@ def test_urdf_shapes_lie_as_in_the_urdf(tmp_path):
 # Screws of wrenches and twists, the basis of T, against motions and moments computed anew.
 
 
-SEEDS = range(4)
-
-
-@mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", range(4))
 def test_twist_axis_is_where_a_finite_motion_only_advances(seed):
     """exp(V) moves the points of the axis along the axis, by the pitch per radian."""
     rng = np.random.default_rng(seed)
@@ -342,7 +339,7 @@ def test_twist_axis_is_where_a_finite_motion_only_advances(seed):
     assert abs((point - origin) @ direction) < 1e-9, "the nearest point"
 
 
-@mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", range(4))
 def test_wrench_has_only_a_couple_along_its_axis_wherever_it_is_given(seed):
     rng = np.random.default_rng(seed)
     (force, moment) = rng.standard_normal((2, 3))
