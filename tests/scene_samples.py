@@ -122,8 +122,8 @@ class Shown:
             for a in self.animation["animations"]
             for track in a["clip"]["tracks"]
         }
-        text = re.search(r"^const CONFIG = (.*);$", page.read_text(), re.MULTILINE)
-        self.config = json.loads(text[1])
+        (text,) = re.findall(r"^const CONFIG = (.*);$", page.read_text(), re.MULTILINE)
+        self.config = json.loads(text)
 
     def of(self, kind):
         """Commands of a type."""
@@ -134,15 +134,15 @@ class Shown:
         keys = self.tracks.get((path, key))
         if keys is not None:
             return keys[max(k for k in keys if k <= frame)]
-        for command in reversed(self.commands):
-            if command["path"] == path and command.get("property") == key:
-                return command["value"]
+        found = {"visible": True, "scale": [1.0] * 3}
+        X = pin.SE3.Identity()
+        for command in self.commands:
             if command["path"] == path and command["type"] == "set_transform":
-                numbers = pin.SE3ToXYZQUAT(pin.SE3(matrix(command))).tolist()
-                if key in ("position", "quaternion"):
-                    return numbers[:3] if key == "position" else numbers[3:]
-        rest = {"visible": True, "scale": [1.0] * 3, "position": [0.0] * 3}
-        return rest.get(key, [0.0, 0.0, 0.0, 1.0])
+                X = pin.SE3(matrix(command))
+            elif command["path"] == path and "property" in command:
+                found[command["property"]] = command["value"]
+        numbers = pin.SE3ToXYZQUAT(X).tolist()
+        return ({"position": numbers[:3], "quaternion": numbers[3:]} | found)[key]
 
     def pose(self, path, frame):
         """Placement of a node in its parent."""
