@@ -13,7 +13,7 @@ from typing import Any
 
 import franky_sim
 import numpy as np
-from pytest import fixture
+from samples import module_fixture
 
 import osc_contact as osc
 from osc_contact.drivers.franka import FrankaRobot
@@ -89,7 +89,7 @@ class FrankaServer:
         return osc.Arm.from_urdf(self.urdf, name="fr3", **known)
 
 
-@fixture(scope="module")
+@module_fixture
 def franka(tmp_path_factory):
     server = FrankaServer(tmp_path_factory.mktemp("franka"))
     yield server

@@ -296,7 +296,7 @@ class Simulation(simulator.MujocoSimulator):
         self.log.append([-true[:3] @ normal, *data.geom_xpos[self.tip], *data.qvel[:7]])
         true -= self.pushed
         true[2] -= 9.81 * self.given["mass"]  # what the robot does not know that it carries
-        noise = self.given["noise"] * np.repeat([1.0, 0.1], 3) * self.random.normal(size=6)
+        noise = self.given["noise"] * np.repeat([1.0, 0.1], 3) * self.random.standard_normal(6)
         self.robot.wrench = self.given["sign"] * true + noise
 
 

@@ -1,6 +1,9 @@
-"""What every `make test` runs of a long list; `make test-all` runs the others, too."""
+"""Rows of tests, what modules share, and what every `make test` runs of a long list."""
 
-from pytest import mark, param
+from pytest import fixture, mark, param
+
+parametrize = mark.parametrize
+module_fixture = fixture(scope="module")
 
 
 def first(items, count=2):
@@ -9,5 +12,5 @@ def first(items, count=2):
 
 
 def chosen(items, *names):
-    """Likewise with all that are not named."""
+    """Likewise with all that are not named: `make test-all` runs them, too."""
     return first([*names, *(item for item in items if item not in names)], len(names))

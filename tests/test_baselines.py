@@ -106,7 +106,7 @@ def test_laws_are_what_was_published(key, published):
         Lambda = np.linalg.inv(state.Phi)
         bias = np.linalg.solve(state.S.T, state.b_S) - Lambda @ state.sigma  # μ + p with −Λγ
         law = random_law(BASELINES[key], rng)
-        a = rng.normal(size=6) * 3
+        a = rng.standard_normal(6) * 3
         alpha = rng.uniform(5, 20, 2)
         back = shift(law.selection.linear.translation).toActionMatrix()  # motions to O
         there = np.linalg.solve(back, a), back.T @ contact.N @ alpha
@@ -124,7 +124,7 @@ def representable(rng):
     selection = Selection.of_frame(frame, flags(rng), (False, True, False))
     N = frame.toDualActionMatrix()[:, [*selection.forces, *selection.couples]]
     r = N.shape[1]
-    mixed = N @ (np.eye(r) + 0.3 * rng.normal(size=(r, r)))
+    mixed = N @ (np.eye(r) + 0.3 * rng.standard_normal((r, r)))
     return Instant(state, osc.Contact(mixed, np.zeros(r))), selection
 
 

@@ -14,7 +14,7 @@ from complaints import invalid_input
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark, raises
 from rigs import largest
-from samples import first
+from samples import first, parametrize
 
 import osc_contact as osc
 from benchmarks import jitter, law, many_runs, peers, scaling, simulation, tick, vector_env
@@ -119,7 +119,7 @@ def times_of(data):
     return [found for item in items for found in times_of(item)]
 
 
-@mark.parametrize("judge", first(PROGRAMS, 1))
+@parametrize("judge", first(PROGRAMS, 1))
 def test_programs_write_what_they_measure(judge, tmp_path, monkeypatch):
     monkeypatch.delenv(peers.TSID_PYTHON, raising=False)
     result, printed = run_program(judge.__name__.removeprefix("judge_"), 16, tmp_path)
@@ -140,13 +140,13 @@ def test_many_runs_program(monkeypatch):
     assert table.row_count == 4
 
 
-@mark.parametrize("module", [tick, peers, scaling, jitter, law, simulation, many_runs, vector_env])
+@parametrize("module", [tick, peers, scaling, jitter, law, simulation, many_runs, vector_env])
 def test_benchmarks_refuse_no_ticks(module):
     with invalid_input(r"0 .* give no time"):
         module.measure(0)
 
 
-@mark.parametrize("name", [*CASES, *SPECIAL_CASES])
+@parametrize("name", [*CASES, *SPECIAL_CASES])
 def test_every_timed_tick_is_checked_and_begins_alike(name):
     """Integrals are zero at every timed tick; one that ends in another way is not timed."""
     case = (CASES | SPECIAL_CASES)[name]()
@@ -183,7 +183,7 @@ def test_special_cases_are_what_they_are_called():
     assert [type(pair) for pair in last["own_pair"].contacts] == [OwnFace, osc.VertexOnFace]
 
 
-@mark.parametrize("threads", [1, 2])
+@parametrize("threads", [1, 2])
 def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads):
     rows = BatchCase.around(CASES["one_panda"](), 5, threads)
     tick, unwind = rows.tick()
@@ -206,7 +206,7 @@ def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads):
         unwind()
 
 
-@mark.parametrize("name", [*CASES, "own_pair"])
+@parametrize("name", [*CASES, "own_pair"])
 def test_textbook_law_gives_our_torques(name):
     """Without force integral: what the textbook's Ω_f(Λ_o) leaves out changes no torque then."""
     case = (CASES | SPECIAL_CASES)[name]()
@@ -216,12 +216,12 @@ def test_textbook_law_gives_our_torques(name):
     )
     rng = np.random.default_rng(50)
     for _ in range(5):  # what is wanted varies
-        error = pin.exp6(pin.Motion(0.001 * rng.normal(size=6)))
+        error = pin.exp6(pin.Motion(0.001 * rng.standard_normal(6)))
         reference = replace(
             case.reference,
             X_WD=case.reference.X_WD * error,
-            A_D=rng.normal(size=6),
-            V_D=0.1 * rng.normal(size=6),
+            A_D=rng.standard_normal(6),
+            V_D=0.1 * rng.standard_normal(6),
             alpha_d=rng.uniform(5.0, 20.0, len(case.pairs)),
             squeeze_d=rng.uniform(0.0, 20.0),
         )
@@ -237,7 +237,7 @@ def test_textbook_law_gives_our_torques(name):
         assert_allclose(textbook.motion_sum, integral, rtol=0, atol=1e-12)
 
 
-@mark.parametrize("name", ["two_contact_rod", "one_panda"])
+@parametrize("name", ["two_contact_rod", "one_panda"])
 def test_mujoco_inverse_explains_the_torques_on_every_contact(name):
     import mujoco
 
@@ -251,7 +251,7 @@ def test_mujoco_inverse_explains_the_torques_on_every_contact(name):
     assert_allclose(data.qfrc_inverse[dofs], wanted, atol=1e-4)
 
 
-@mark.parametrize("name", [*CASES, "three_arms"])
+@parametrize("name", [*CASES, "three_arms"])
 def test_constraint_dynamics_moves_the_joints_as_commanded(name):
     case = (CASES | SPECIAL_CASES)[name]()
     reference = replace(case.reference, alpha_d=np.zeros(0))

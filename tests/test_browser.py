@@ -5,7 +5,8 @@ from itertools import combinations
 import numpy as np
 from complaints import viewer_error
 from headless import Browser, near
-from pytest import approx, fixture
+from pytest import approx
+from samples import module_fixture
 from scene_samples import BASE, RECORDING, find, links, write
 
 from osc_contact.visual import browser as pages
@@ -19,13 +20,13 @@ LABELS = "[...document.querySelectorAll('#labels div')].filter(d => d.style.disp
 PLACE = "nodeAt('{}').object.getWorldPosition(new MeshCat.THREE.Vector3()).toArray()"
 
 
-@fixture(scope="module")
+@module_fixture
 def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
     return write(folder, fps=20, find=find, frame_words="best frame")
 
 
-@fixture(scope="module")
+@module_fixture
 def browser(page):
     with Browser(f"{page.as_uri()}#t=1") as opened:
         yield opened

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import typer
 from command_line import answered, call, done, read_json, refused
-from pytest import approx, fixture, mark
+from pytest import approx, mark
+from samples import module_fixture, parametrize
 from scene_samples import read_commands
 
 import osc_contact
@@ -27,7 +28,7 @@ SHORT = f"{ROD} --duration 1.05"
 STARTS = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
 
 
-@fixture(scope="module")
+@module_fixture
 def ran(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     return folder, done(f"run {SHORT} --seed 7 --out {folder} --json {folder}/deep/again.json")
@@ -101,7 +102,7 @@ def elsewhere(path, *words):
     return subprocess.run(command, **how, capture_output=True, text=True, timeout=120)
 
 
-@mark.parametrize("command, folder", [("reproduce", "paper"), ("bench", "benchmarks")])
+@parametrize("command, folder", [("reproduce", "paper"), ("bench", "benchmarks")])
 def test_programs_of_the_checkout_are_missed_with_a_cure(command, folder, tmp_path):
     """As installed: another package of the name may be there, a checkout is not."""
     for part in ("osc_contact", "urdf"):
@@ -168,7 +169,7 @@ def test_bad_scenario_is_told_with_its_line(tmp_path):
         assert f"bad.yaml:{line}: squeeze" in refused(command, file)
 
 
-@mark.parametrize(
+@parametrize(
     "line, message",
     [
         ("inspect two_contact_rob", "no packaged scenario 'two_contact_rob'"),
@@ -215,7 +216,7 @@ def test_failed_run_exits_with_1_and_keeps_what_was_recorded(tmp_path, monkeypat
     assert 20 <= len(Recording.load(tmp_path / PARTIAL)) <= 21
 
 
-@mark.parametrize(
+@parametrize(
     "package, extra, line",
     [
         ("matplotlib", "plot", "reproduce fig4"),
@@ -241,7 +242,7 @@ def test_installed_command_pipes_and_exits_like_the_application(tmp_path):
 # --- view -----------------------------------------------------------------------------------------
 
 
-@fixture(scope="module")
+@module_fixture
 def brief():
     scenario = load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
     return osc_contact.run(scenario, duration=0.05)
@@ -260,7 +261,7 @@ DRAWN = (*NEEDED, "face_pose", "N", "contact_point", "contact_direction", "close
 DRAWN += ("alpha_meas", "alpha_true", "power_total", "power_projected")
 
 
-@mark.parametrize("name", DRAWN)
+@parametrize("name", DRAWN)
 def test_view_refuses_channels_that_no_run_of_its_scenario_has(name, brief, tmp_path):
     def page(values):
         return page_of(brief, tmp_path, {name: values})
@@ -294,7 +295,7 @@ def test_view_makes_the_page_of_a_contact_with_several_forces(tmp_path):
     done("view", path, "--html", tmp_path / "page.html")
 
 
-@mark.parametrize("name", ["run.npz", "run.mcap"])
+@parametrize("name", ["run.npz", "run.mcap"])
 def test_view_refuses_files_that_are_no_recordings(name, brief, tmp_path):
     whole = brief.save(tmp_path / "whole.npz").read_bytes()
     noise = np.random.default_rng(8).integers(0, 256, 3000, dtype=np.uint8).tobytes()
@@ -308,7 +309,7 @@ def test_view_refuses_files_that_are_no_recordings(name, brief, tmp_path):
     assert not page.exists()
 
 
-@mark.parametrize("first", [0, 20])
+@parametrize("first", [0, 20])
 def test_view_draws_ticks_that_were_held_where_things_were_before(first, brief, tmp_path):
     gaps = {name: brief[name].astype(float) for name in DRAWN if name != "t"}
     for values in gaps.values():
@@ -345,7 +346,7 @@ def test_view_runs_a_scenario_and_writes_to_out(tmp_path, monkeypatch):
         assert Path(file).read_bytes().startswith(start)
 
 
-@mark.parametrize("what", ["scenario", "recording"])
+@parametrize("what", ["scenario", "recording"])
 def test_view_live_serves_a_page_while_it_runs(what, brief, tmp_path):
     file = brief.save(tmp_path / "short.npz")
     line = f"view {ROD} --duration 0.1" if what == "scenario" else f"view {file}"

@@ -11,7 +11,8 @@ from command_line import done
 from complaints import invalid_input
 from distributed import Client, LocalCluster
 from pyarrow import parquet
-from pytest import fixture, mark, raises
+from pytest import mark, raises
+from samples import module_fixture
 
 import osc_contact as osc
 from osc_contact.sweeps import cluster
@@ -32,13 +33,13 @@ class Deadly(SweepStudy):
         return super().sample(number)
 
 
-@fixture(scope="module")
+@module_fixture
 def client():
     with cluster.connect(cluster.LOCAL, 2) as client:
         yield client
 
 
-@fixture(scope="module")
+@module_fixture
 def alone():
     """The table of one process."""
     return osc.sweep("two_contact_rod", [MASSES], 10, overrides=SHORT, workers=1)

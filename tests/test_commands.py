@@ -3,8 +3,8 @@
 import numpy as np
 from complaints import contact_error
 from numpy.testing import assert_allclose
-from pytest import mark
 from rigs import one_panda, panda_pair, scara_pair
+from samples import parametrize
 from test_decoupling import in_contact
 
 import osc_contact as osc
@@ -39,21 +39,21 @@ def assert_close(got, want):
         assert_allclose(one, other, rtol=0, atol=1e-9 * size)
 
 
-@mark.parametrize("kind", ["object", "chain", "matrix"])
-@mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
+@parametrize("kind", ["object", "chain", "matrix"])
+@parametrize("rig", [scara_pair, panda_pair, one_panda])
 def test_commands_are_the_nearest_that_contacts_permit(rig, kind):
     """Fixed faces and bodies that move, yield and are dragged along; d = 5, 6."""
     chain = rig()
     rng = np.random.default_rng(80)
     for _ in range(20):
         state, contact, *_ = in_contact(chain, rng)
-        A = rng.normal(size=(6, 6))
-        half = rng.normal(size=(6, 3))
+        A = rng.standard_normal((6, 6))
+        half = rng.standard_normal((6, 3))
         B = A @ A.T + np.eye(6) if kind == "matrix" else kind
-        a_u = rng.normal(size=6)
+        a_u = rng.standard_normal(6)
         alpha_u = rng.uniform(1, 20, contact.r)
-        moving = osc.Environment(half @ half.T, rng.normal(size=6), rng.normal(size=6))
-        friction_wrenches = 0.1 * rng.normal(size=contact.N.shape)
+        moving = osc.Environment(half @ half.T, rng.standard_normal(6), rng.standard_normal(6))
+        friction_wrenches = 0.1 * rng.standard_normal(contact.N.shape)
         for how in (
             (osc.Environment.fixed(), np.zeros_like(friction_wrenches)),
             (moving, friction_wrenches),

@@ -13,7 +13,8 @@ from textwrap import indent
 import typer
 import yaml
 from command_line import call
-from pytest import fixture, mark, param
+from pytest import param
+from samples import module_fixture, parametrize
 from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
@@ -66,7 +67,7 @@ def programs():
     return [b for b in blocks("python") if "osc_contact.learn" not in b.values[1]]
 
 
-@mark.parametrize("page, code, shown", programs())
+@parametrize("page, code, shown", programs())
 def test_program_runs_and_prints_what_is_shown(page, code, shown, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for register in (plants.PLANTS, plants.PLANT_TYPES):  # a page enters a plant: taken out again
@@ -87,7 +88,7 @@ def command_lines():
     return sorted({line for line in found if line.startswith("osc-contact ")})
 
 
-@mark.parametrize("line", command_lines())
+@parametrize("line", command_lines())
 def test_command_exists_and_parses(line):
     group = typer.main.get_command(app)
     _, name, *arguments = shlex.split(line, comments=True)
@@ -99,7 +100,7 @@ def test_command_exists_and_parses(line):
         osc.load_scenario(arguments[0], changes)
 
 
-@mark.parametrize("page, code, shown", blocks("yaml"))
+@parametrize("page, code, shown", blocks("yaml"))
 def test_yaml_is_a_piece_of_a_scenario(page, code, shown):
     scenario = osc.load_scenario("two_contact_rod").as_dict()
     names = {contact["name"] for contact in scenario["contacts"]}
@@ -112,7 +113,7 @@ def test_yaml_is_a_piece_of_a_scenario(page, code, shown):
     Scenario.model_validate(scenario)
 
 
-@mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_and_pictures_exist(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", text_of(page)):
         if not target.startswith("https://"):
@@ -143,7 +144,7 @@ def test_pictures_are_small_and_all_shown():
         assert picture.stat().st_size <= most, picture
 
 
-@mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@parametrize("page", PAGES, ids=lambda page: page.name)
 def test_files_named_in_backticks_exist(page):
     for name in TICKED.findall(FENCE.sub("", text_of(page))):
         if re.fullmatch(r"(osc_contact|urdf|docs|tests|notebooks|paper|benchmarks)/[\w./]*", name):
@@ -182,7 +183,7 @@ def test_every_pair_has_a_row_with_its_r_and_its_keys():
     }
 
 
-@fixture(scope="module")
+@module_fixture
 def recording():
     return run_of("two_contact_rod", *SHORT, duration=1.1)
 
@@ -381,7 +382,7 @@ def check(row):
 ROWS = rows_of(MAP.read_text())
 
 
-@mark.parametrize("row", ROWS, ids=[row[0].split(":")[0] for row in ROWS])
+@parametrize("row", ROWS, ids=[row[0].split(":")[0] for row in ROWS])
 def test_row_is_complete_or_planned(row):
     assert not check(row), "\n".join(check(row))
 
@@ -408,7 +409,7 @@ GOOD = "`osc_contact/projections.py::Omega_f`"
 PROOF = "`tests/test_projections.py::test_every_projection_is_the_decomposition_it_stands_for`"
 
 
-@mark.parametrize(
+@parametrize(
     "where, test, words",
     [
         (GOOD, PROOF, None),

@@ -8,9 +8,9 @@ from command_line import read_json
 from complaints import invalid_input, scenario_error
 from numpy.linalg import lstsq, norm, solve
 from numpy.testing import assert_allclose
-from pytest import approx, fixture, mark, raises
+from pytest import approx, raises
 from rigs import largest
-from samples import chosen, first
+from samples import chosen, first, module_fixture, parametrize
 from scenario_runs import assert_accurate, rig_of, run_of, verdict_of, worst_force
 
 import osc_contact as osc
@@ -40,12 +40,12 @@ ROBOTS = {  # d, r, motors, words of `inspect`
 NAMES = list(ROBOTS)
 
 
-@fixture(scope="module")
+@module_fixture
 def rigs():
     return {name: rig_of(name) for name in NAMES}
 
 
-@fixture(scope="module")
+@module_fixture
 def runs(rigs):
     """Each on MuJoCo for 2 s, with changes of a commanded force brought forward to 1.2 s."""
     found = {}
@@ -58,7 +58,7 @@ def runs(rigs):
     return found
 
 
-@mark.parametrize("name", NAMES)
+@parametrize("name", NAMES)
 def test_it_starts_touching_within_limits_and_is_told_in_words(rigs, name):
     rig = rigs[name]
     d, r, motors, words = ROBOTS[name]
@@ -76,7 +76,7 @@ def test_it_starts_touching_within_limits_and_is_told_in_words(rigs, name):
         assert (rig.references.at(t).alpha_d > 0.0).all()
 
 
-@mark.parametrize("name", NAMES)
+@parametrize("name", NAMES)
 def test_geometry_touches_where_the_pairs_say(rigs, name):
     """Pressed 0.1 mm into every contact, MuJoCo finds points on every body and none elsewhere."""
     rig = rigs[name]
@@ -102,7 +102,7 @@ def test_geometry_touches_where_the_pairs_say(rigs, name):
     assert np.min(distances, axis=0).max() < 0.12
 
 
-@mark.parametrize("name", NAMES)
+@parametrize("name", NAMES)
 def test_limits_on_mujoco(runs, name):
     """And first contacts and steps at most 5 % above the command, from the first tick on."""
     verdict = osc.metrics(runs[name])
@@ -126,7 +126,7 @@ WORDS = {
 }
 
 
-@mark.parametrize("name", chosen(WORDS, "approach_and_slide", "limited_rod", "moving_face"))
+@parametrize("name", chosen(WORDS, "approach_and_slide", "limited_rod", "moving_face"))
 def test_verdicts_of_the_other_scenarios(name):
     word, gentle = WORDS[name]
     verdict = verdict_of(name, duration=3.3)
@@ -151,7 +151,7 @@ def test_a_corner_that_lifts_opens_the_contact(rigs):
     assert plant.data.ncon > 0 and not truth.closed[0]
 
 
-@mark.parametrize("name", first(NAMES, 1))
+@parametrize("name", first(NAMES, 1))
 def test_it_can_be_looked_at(rigs, runs, name, tmp_path):
     page = write_scene_of(runs[name], rigs[name], tmp_path / "scene.html")
     assert page.stat().st_size > 100_000
@@ -206,12 +206,12 @@ def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_p
 OTHERS = sorted((Path(__file__).parent / "scenarios").glob("*.yaml"))
 
 
-@fixture(scope="module")
+@module_fixture
 def nominal():
     return run_of()
 
 
-@fixture(scope="module")
+@module_fixture
 def mismatch():
     return run_of("two_contact_rod_mismatch")
 
@@ -308,13 +308,13 @@ def test_rigid_plant_projects_all_power_away():
         assert force["sensing_rms_rel"] <= 1e-9
 
 
-@mark.parametrize("path", first(OTHERS), ids=lambda path: getattr(path, "stem", None))
+@parametrize("path", first(OTHERS), ids=lambda path: getattr(path, "stem", None))
 def test_another_state_of_contact_needs_only_another_file(path):
     """Moved faces, other normals, rod or commands: the limits hold without touching code."""
     assert_accurate(verdict_of(path))
 
 
-@mark.parametrize(
+@parametrize(
     "change, error, words",
     [
         ("force.right_end.1.amplitude=9 N", osc.ScenarioError, "cannot pull"),
@@ -353,7 +353,7 @@ SOON = [
 ]
 
 
-@fixture(scope="module")
+@module_fixture
 def everything():
     moved = [change.replace("start=0.8 s", "duration=2 s") for change in SOON]
     return run_of("workcell", *SOON, *moved, duration=3.2, seed=1)
@@ -397,8 +397,8 @@ def test_the_study_tells_and_draws_what_a_part_costs(tmp_path, monkeypatch):
 # All errors of a real workcell at once, the keys of `model_error` that make them.
 
 
-@mark.parametrize("mass", MASSES)
-@mark.parametrize("name, side", [("two_contact_rod", 90), ("panda_edge", 0)])
+@parametrize("mass", MASSES)
+@parametrize("name, side", [("two_contact_rod", 90), ("panda_edge", 0)])
 def test_all_errors_at_once(name, mass, side):
     verdict = judge(name, mass, side)
     assert set(verdict["contact_fraction"].values()) == {1.0}
@@ -423,7 +423,7 @@ def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
     assert_allclose(rod.ipos, (0.3 * tip + bare.mass * bare.ipos) / rod.mass, atol=1e-9)
 
 
-@mark.parametrize("name", ["two_contact_rod", "panda_edge", "ur5_wipe", "three_arm_plate"])
+@parametrize("name", ["two_contact_rod", "panda_edge", "ur5_wipe", "three_arm_plate"])
 def test_bodies_are_believed_to_be_nearer(name):
     rig = rig_of(name, "model_error.face_offset=3 mm")
     for body in rig.bodies:
@@ -459,7 +459,7 @@ def test_friction_that_turns_back_is_commanded_in_time():
     assert worst_force(verdict) < 0.015
 
 
-@mark.parametrize("time", [0.004, 0.02])
+@parametrize("time", [0.004, 0.02])
 def test_points_that_slide_on_hard_faces_keep_contact(time):
     changes = ["plant.friction=0.2", f"plant.solref=[{time}, 1]", "duration=2 s"]
     verdict = verdict_of("two_contact_rod", *changes)

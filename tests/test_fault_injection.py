@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from pytest import mark
+from samples import parametrize
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -37,13 +37,13 @@ ELSEWHERE = (
 )
 
 
-@mark.parametrize("name", FAULTS)
+@parametrize("name", FAULTS)
 def test_every_kind_of_fault_in_contact(name):
     verdict = try_fault(name, "contact")
     assert not verdict.wrong, table([verdict])
 
 
-@mark.parametrize("where", first(ELSEWHERE, 5))
+@parametrize("where", first(ELSEWHERE, 5))
 def test_faults_in_other_phases(where):
     name, phase = where
     assert phase in PHASES
@@ -59,14 +59,14 @@ def _drawn(count, seed):
     return [(some[i], sorted(rng.choice(sorted(FAULTS), 3, replace=False))) for i in chosen]
 
 
-@mark.parametrize("drawn", first(_drawn(8, 25), 1), ids=lambda x: str(x)[:60])
+@parametrize("drawn", first(_drawn(8, 25), 1), ids=lambda x: str(x)[:60])
 def test_faults_while_ticks_are_lost_in_packaged_scenarios(drawn):
     case, names = drawn
     verdicts = try_faults(case, names)
     assert not [v.wrong for v in verdicts if v.wrong], table(verdicts)
 
 
-@mark.parametrize("scenario", ["two_contact_rod", "panda_edge"])
+@parametrize("scenario", ["two_contact_rod", "panda_edge"])
 def test_noise_and_delay_stop_nothing(scenario):
     assert stay_quiet(scenario, 3.0) == ""
 

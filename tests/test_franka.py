@@ -11,6 +11,7 @@ from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
 from numpy.testing import assert_allclose
 from pytest import approx, mark, param
 from rigs import largest, shift
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.drivers.franka import FrankaRobot
@@ -35,7 +36,7 @@ IMPACT = {"hard, 5 N": 3.0}  #: of the command; twice, the aim, is missed: mass,
 SLOW = [param(case, marks=mark.slow) for case in IMPACT]
 
 
-@mark.parametrize("case", [*(case for case in CASES if case not in IMPACT), *SLOW])
+@parametrize("case", [*(case for case in CASES if case not in IMPACT), *SLOW])
 def test_it_approaches_presses_slides_and_retreats(franka, case):
     force, gap, believed, losses, tilt, friction, stiffness = CASES[case]
     scene = {"joint_friction": losses, "tilt": tilt, "friction": friction, "stiffness": stiffness}
@@ -93,7 +94,7 @@ BENIGN = {
 }
 
 
-@mark.parametrize("fault", BENIGN)
+@parametrize("fault", BENIGN)
 def test_what_the_robot_forgives_disturbs_no_contact(franka, fault):
     task = Press(franka, gap=0.001, faults=BENIGN[fault] | {"at": AT})
     assert run_faulty(task) is None
@@ -101,7 +102,7 @@ def test_what_the_robot_forgives_disturbs_no_contact(franka, fault):
     assert task.normal[AT:-50] == approx(10.0, rel=0.3)
 
 
-@mark.parametrize(
+@parametrize(
     "fault, sentence",
     [
         ({"away": 20}, "communication_constraints_violation"),
@@ -130,7 +131,7 @@ def without_weight(robot):
     return robot._estimate(robot.state) - [*weight, 0.0, 0.0, 0.0]
 
 
-@mark.parametrize(
+@parametrize(
     "scene, driver, sentence",
     [
         ({"mass": 0.5}, {}, "reads another load than it carries"),
@@ -178,7 +179,7 @@ def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka):
     assert largest(robot.measure().q - read[-1].q) < 1e-2
 
 
-@mark.parametrize("sensor", ["tcp", "hand"])
+@parametrize("sensor", ["tcp", "hand"])
 def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka, sensor):
     robot, read = at_rest(franka, 60, sensor, push=[8.0, 20.0], noise=0.0)
     X = pin.SE3(robot._data.oMf[robot._sensor])
@@ -295,7 +296,7 @@ def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path
     robot.close()
 
 
-@mark.parametrize(
+@parametrize(
     "sign, sentence", [(1.0, "was not moved; push the tool"), (-1.0, "N more in world axes")]
 )
 def test_commissioning_ends_where_a_step_fails(franka, tmp_path, monkeypatch, sign, sentence):

@@ -3,7 +3,8 @@
 import subprocess
 import sys
 
-from pytest import fixture, mark, raises
+from pytest import mark, raises
+from samples import module_fixture
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
@@ -36,7 +37,7 @@ def printed(program):
     return done.stdout.split()
 
 
-@fixture(scope="module")
+@module_fixture
 def loaded():
     program = "import osc_contact as o, sys; o.Controller, o.load_scenario, o.run, o.MujocoRobot"
     return set(printed(f"{program}; print(*sys.modules)"))

@@ -9,8 +9,9 @@ import pinocchio as pin
 from complaints import scenario_error
 from numpy.linalg import lstsq, matrix_rank, norm
 from numpy.testing import assert_allclose
-from pytest import approx, fixture, mark
+from pytest import approx
 from rigs import largest
+from samples import module_fixture, parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
@@ -18,12 +19,12 @@ from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.references import References, common_tangent
 
 
-@fixture(scope="module")
+@module_fixture
 def rig():
     return rig_of()
 
 
-@fixture(scope="module")
+@module_fixture
 def found(rig):
     return inspect_rig(rig)
 
@@ -134,7 +135,7 @@ def test_json_form_is_plain(found):
     assert np.allclose(data["free"], found.free) and np.allclose(data["N"], found.N)
 
 
-@mark.parametrize(
+@parametrize(
     "left, right, words",
     [
         ([0, 0, -1], [0, 0, -1], "press along parallel lines, 580.0 mm apart."),
@@ -181,8 +182,8 @@ def two_turns(centres=(None, None)):
     return References.of(scenario, X, pairs, np.array([0.01, 0.0, 0.02, 0.1, -0.2, 0.05]))
 
 
-@mark.parametrize("centres", [(None, None), CENTRES])
-@mark.parametrize("t", [0.2, 0.45, 0.55, 1.3, 2.7])
+@parametrize("centres", [(None, None), CENTRES])
+@parametrize("t", [0.2, 0.45, 0.55, 1.3, 2.7])
 def test_twist_and_classical_acceleration_are_derivatives_of_the_pose(t, centres):
     wanted = two_turns(centres)
     h = 1e-5
@@ -209,7 +210,7 @@ def test_turns_about_points_are_products_of_poses():
     assert norm(X.translation - wanted.X_start.translation) > 0.02
 
 
-@mark.parametrize("life, after", [("off", 0.0), ("{}", 0.2)])
+@parametrize("life, after", [("off", 0.0), ("{}", 0.2)])
 def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after):
     """Or 0.2 s later, while contacts are approached."""
     wanted = references(f"control.life={life}")

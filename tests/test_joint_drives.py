@@ -8,9 +8,9 @@ from complaints import invalid_input, plant_error, scenario_error
 from numpy.linalg import cholesky, eigh, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark
+from pytest import approx
 from rigs import largest
-from samples import first
+from samples import first, parametrize
 from scenario_runs import rig_of, verdict_of, worst_force
 
 import osc_contact as osc
@@ -100,7 +100,7 @@ def test_springs_share_the_inertias_of_the_joints():
     assert_allclose(modes(state, driven, 4 * K), 2 * modes(state, driven, K), rtol=1e-12)
 
 
-@mark.parametrize("inertia", [2e-4, 2.0])
+@parametrize("inertia", [2e-4, 2.0])
 def test_joint_friction_is_dry_for_light_joints_too(inertia):
     """I v̇ = τ − F sign v: at rest below F, and above it 5 % of F are left to accelerate."""
     spec = mujoco.MjSpec()
@@ -163,7 +163,7 @@ def test_springs_by_number():
     assert_array_equal(made.motor_inertia, [1, 1, 1, 1, 0.1, 0.1, 0.1, 0.1])
 
 
-@mark.parametrize(
+@parametrize(
     "overrides, said",
     [
         (["plant.flexible_joints={}"], "got neither"),
@@ -184,7 +184,7 @@ def test_wrong_drives_are_refused_by_the_scenario(overrides, said):
 FOUR = "[1, 1, 1, 1]"
 
 
-@mark.parametrize(
+@parametrize(
     "stiffness, said",
     [
         (f"left: [1, 1, 1], right: {FOUR}", "give 4 numbers"),
@@ -228,7 +228,7 @@ def simulated(loop, steps, bias=0.0, substeps=50):
     return np.array(out)
 
 
-@mark.parametrize("gain", [20.0, 60.0, 300.0])
+@parametrize("gain", [20.0, 60.0, 300.0])
 def test_the_loop_decays_as_fast_as_its_spectral_radius(gain):
     loop = loop_of(gain)
     radius = float(loop.spectral_radius()[0])
@@ -260,7 +260,7 @@ def test_motor_limits_are_kept():
     assert loop_of(tau_max=10.0).command(np.array([5.0]), np.array([-5.0]))[0] == 10.0
 
 
-@mark.parametrize("frequency", first([5, 3, 10], 1))
+@parametrize("frequency", first([5, 3, 10], 1))
 def test_forces_survive_flexible_joints_with_the_loop_and_not_without(frequency):
     """Force ≤ 5 % rms and at least 5 × better than without the loop."""
     flexible = f"plant.flexible_joints={{frequency: {frequency} Hz}}"

@@ -3,9 +3,10 @@
 import numpy as np
 from complaints import model_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark
+from pytest import approx
 from rigs import ROD, one_panda, placed, random_state
 from robot_numbers import mass_matrix
+from samples import parametrize
 from scenario_runs import rig_of, verdict_of, worst_force
 
 import osc_contact as osc
@@ -92,8 +93,8 @@ def test_what_a_urdf_says_of_friction_arrives():
     assert_array_equal(model.upperDryFrictionLimit, 1.0)
 
 
-@mark.parametrize("key", ["armature", "damping", "friction"])
-@mark.parametrize("value", [[1.0, 2.0], -0.1, np.nan])
+@parametrize("key", ["armature", "damping", "friction"])
+@parametrize("value", [[1.0, 2.0], -0.1, np.nan])
 def test_wrong_numbers_of_joints_are_refused_with_their_name(key, value):
     with model_error(key):
         panda(**{key: value})
@@ -126,7 +127,7 @@ def test_mujocos_mass_matrix_is_that_of_chain_and_object():
     assert_allclose(M[np.ix_(plant._v, plant._v)], ours, atol=1e-6)
 
 
-@mark.parametrize("plant", ["mujoco", "rigid"])
+@parametrize("plant", ["mujoco", "rigid"])
 def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
     """Speed lost in 5 ms: (F + D v)/(M⁻¹)⁻¹ of the joint, others free, no gravity to speak of."""
     bare = (*(f"{key}=[]" for key in ("contacts", "environment", "motion")), "force={}")

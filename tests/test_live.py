@@ -20,6 +20,7 @@ import umsgpack
 from complaints import invalid_input, viewer_error
 from processes import alive, wait_until
 from pytest import approx, fixture, mark, raises
+from samples import module_fixture
 from scenario_runs import assert_same_run
 from scene_samples import ARMS, BODIES, ENDS, RECORDING, URDF, links
 from tornado.websocket import websocket_connect
@@ -35,7 +36,7 @@ TICKS = [{k: v[i] for k, v in RECORDING.channels.items()} for i in range(len(REC
 TICK_S = 1e-3
 
 
-@fixture(scope="module")
+@module_fixture
 def lasting():
     """For tests that leave it as it was."""
     with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as opened:

@@ -14,8 +14,8 @@ import pinocchio as pin
 from complaints import invalid_input, recording_error
 from numpy.testing import assert_allclose, assert_array_equal
 from processes import wait_until
-from pytest import approx, fixture, mark, raises
-from samples import first
+from pytest import approx, fixture, raises
+from samples import first, parametrize
 from scenario_runs import assert_same_run, rig_of
 
 import osc_contact as osc
@@ -57,7 +57,7 @@ class Hardware:
         self.stopped += 1
 
 
-@mark.parametrize("scenario", [RIGID, RIGID[:1]], ids=["rigid", "mujoco"])
+@parametrize("scenario", [RIGID, RIGID[:1]], ids=["rigid", "mujoco"])
 def test_a_plant_in_the_loop_leaves_what_run_leaves(scenario):
     rig, plant, controller = started(*scenario)
     recorder = osc.Recorder(controller, plant, subject=rig.subject(controller))
@@ -245,7 +245,7 @@ def test_a_stop_is_reported_in_its_tick_and_braking_goes_on():
     assert sent == [1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0]
 
 
-@mark.parametrize("faulty", [{"q": np.nan}, {"v": 100.0}], ids=["lost", "fast"])
+@parametrize("faulty", [{"q": np.nan}, {"v": 100.0}], ids=["lost", "fast"])
 def test_the_reason_is_the_controllers_sentence(faulty):
     rig = rig_of("two_contact_rod", "plant.type=rigid")
     plant, controller = start(rig)
@@ -308,8 +308,8 @@ def test_a_driver_whose_stop_takes_no_reason_is_refused_before_it_moves():
     assert not robot.calls
 
 
-@mark.parametrize("number", SIGNALS)
-@mark.parametrize("where", ["measure", "command"])
+@parametrize("number", SIGNALS)
+@parametrize("where", ["measure", "command"])
 def test_a_signal_ends_the_loop_with_the_robot_stopped(number, where):
     before = handlers()
     robot = Robot(**{where: send(number)})
@@ -416,7 +416,7 @@ finally:
 """
 
 
-@mark.parametrize("number", first(SIGNALS, 1))
+@parametrize("number", first(SIGNALS, 1))
 def test_a_process_that_is_signalled_stops_its_robot_and_keeps_its_recording(number, tmp_path):
     command = [sys.executable, "-c", PROGRAM, tmp_path]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)

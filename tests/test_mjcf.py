@@ -6,8 +6,9 @@ import pinocchio as pin
 from command_line import call, done
 from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, fixture, mark
+from pytest import approx, fixture
 from robot_numbers import mass_matrix
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact import robots
@@ -69,7 +70,7 @@ def test_mass_matrix_forces_and_frames_are_mujocos(mj):
     assert list(model.names)[1:] == JOINTS
     for _ in range(5):
         q = rng.uniform(-1, 1, 4)
-        v = rng.normal(size=4)
+        v = rng.standard_normal(4)
         truth, dofs = at(mj, q, v)
         pin.computeAllTerms(model, data, q, v)
         pin.updateFramePlacements(model, data)
@@ -128,7 +129,7 @@ def test_a_urdf_whose_links_are_called_as_its_joints(tmp_path):
     assert osc.ClosedChain([arm]).nq == 2
 
 
-@mark.parametrize(
+@parametrize(
     "old, new, says",
     [
         ('armature="2"', 'armature="2" stiffness="5"', "spring"),
@@ -237,7 +238,7 @@ def task(folder, tip="tip", *changes):
     return osc.load_scenario(file, changes)
 
 
-@mark.parametrize("tip", ["tip", "hand"])
+@parametrize("tip", ["tip", "hand"])
 def test_a_scenario_takes_an_mjcf_file(tmp_path, tip):
     scenario = task(tmp_path, tip)
     rig = osc.build_rig(scenario)

@@ -7,7 +7,8 @@ from headless import Browser, near
 from numpy.linalg import norm
 from numpy.testing import assert_allclose
 from PIL import Image, ImageSequence
-from pytest import approx, fixture
+from pytest import approx
+from samples import module_fixture
 from scene_samples import ENDS, write
 
 from osc_contact.visual import contact_colour
@@ -17,12 +18,12 @@ from osc_contact.visual.marks import T_COLOUR
 SIZE = (320, 300)
 
 
-@fixture(scope="module")
+@module_fixture
 def page(tmp_path_factory):
     return write(tmp_path_factory.mktemp("m"), fps=30)
 
 
-@fixture(scope="module")
+@module_fixture
 def gif(page):
     path = write_gif(page, page.with_suffix(".gif"), 0.0, 1.0, SIZE, most=6)
     with Image.open(path) as picture:

@@ -6,7 +6,8 @@ import numpy as np
 from command_line import call, done, read_json
 from complaints import invalid_input
 from numpy.testing import assert_array_equal
-from pytest import approx, mark
+from pytest import approx
+from samples import parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
@@ -94,7 +95,7 @@ turned = np.array([0, 0, 0, 0.4, 0, 0])
 held = changed("status", 1500, 1600, 2) | changed("motion_error", 1500, 1600, np.nan)
 
 
-@mark.parametrize(
+@parametrize(
     "word, sentence, channels, meta",
     [
         ("LOST!", "open for up to 0.06 s", changed("closed", 2000, 2060, 0), {}),
@@ -316,7 +317,7 @@ def test_one_long_burst_of_power_is_one_collision():
     assert len(collisions) == 0
 
 
-@mark.parametrize(
+@parametrize(
     "limits, words",
     [
         ({"force_on": 0.4, "force_off": 0.4}, "above force_off"),
@@ -329,13 +330,13 @@ def test_what_is_no_threshold_is_refused(limits, words):
         MonitorLimits(**limits)
 
 
-@mark.parametrize("seed", range(4))
+@parametrize("seed", range(4))
 def test_a_series_is_watched_as_tick_by_tick(seed):
     """Ticks that are passed over tell nothing new: contacts lost and made again, with bursts."""
     rng = np.random.default_rng(seed)
     alpha = np.repeat(rng.choice([8.0, 0.0, 0.45, 3.0], (60, 2)), rng.integers(1, 40, 60), axis=0)
-    alpha = alpha + 0.02 * rng.normal(size=alpha.shape)
-    speed = 0.02 * rng.normal(size=alpha.shape)
+    alpha = alpha + 0.02 * rng.standard_normal(alpha.shape)
+    speed = 0.02 * rng.standard_normal(alpha.shape)
     closed, collision = watch_series(ContactMonitor(2, DT), alpha, speed)
     other = ContactMonitor(2, DT)
     seen = [other.update(a, v) for a, v in zip(alpha, speed, strict=True)]

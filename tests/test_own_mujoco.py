@@ -12,7 +12,8 @@ from command_line import done, refused
 from complaints import invalid_input, plant_error
 from headless import Browser, near
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, fixture, mark, raises
+from pytest import approx, raises
+from samples import module_fixture, parametrize
 from scenario_runs import worst_force
 
 import osc_contact as osc
@@ -119,7 +120,7 @@ class Spy(osc.Recorder):
         super().append(*tick)
 
 
-@mark.parametrize("actuators", [MOTORS, SERVOS, NONE], ids=["motors", "servos", "none"])
+@parametrize("actuators", [MOTORS, SERVOS, NONE], ids=["motors", "servos", "none"])
 def test_scene_is_robot_and_judge(actuators):
     robot = robot_of(scene(actuators), locked={"grip": 0.03}, keyframe="ball_aside")
     assert robot.chain.joint_names == ["arm/shoulder", "arm/elbow", "arm/wrist_pitch"]
@@ -163,7 +164,7 @@ def test_only_the_tool_touches():
     assert pushes(robot, ["tool"]) == 0.0 and truth.alpha[0] == 0.0 and not truth.closed[0]
 
 
-@mark.parametrize("friction, told", [(0.1, False), (0.6, True)])
+@parametrize("friction, told", [(0.1, False), (0.6, True)])
 def test_much_friction_is_told(caplog, friction, told):
     model = scene()
     model.geom("wall").friction[0] = friction
@@ -180,7 +181,7 @@ def test_the_model_given_stays_as_it_is():
     assert model.opt.cone == before.opt.cone != robot.model.opt.cone
 
 
-@mark.parametrize(
+@parametrize(
     "how, told",
     [
         ({"tip": "tipp"}, "no body or site 'tipp'. Did you mean tip"),
@@ -267,7 +268,7 @@ WRONG = {
 }
 
 
-@mark.parametrize("name", WRONG)
+@parametrize("name", WRONG)
 def test_what_is_wrong_is_found_before_it_runs(name):
     make, words = WRONG[name]
     found = osc.preflight(*task(**make()))
@@ -368,7 +369,7 @@ def test_distances_in_a_scene_are_those_of_its_shapes():
 # Pictures of a robot in a MuJoCo scene of one's own, and of recordings that it leaves.
 
 
-@fixture(scope="module")
+@module_fixture
 def recorded(tmp_path_factory):
     """A robot, its recording and the file of it."""
     robot = robot_of(scene(), locked={"grip": 0.02})
@@ -433,7 +434,7 @@ def test_a_viewer_takes_the_robot_and_its_recording(recorded, tmp_path):
             page.until("element('live').textContent === 'ENDED'")
 
 
-@mark.parametrize(
+@parametrize(
     "damage",
     [
         lambda p: None,

@@ -11,7 +11,7 @@ from pathlib import Path
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
-from pytest import fixture, mark
+from samples import module_fixture, parametrize
 
 from hatch_build import absolute
 from osc_contact.law import jit, library
@@ -45,7 +45,7 @@ def wheel_of(source, folder):
     return zipfile.ZipFile(wheel)
 
 
-@fixture(scope="module")
+@module_fixture
 def wheel(tmp_path_factory):
     with wheel_of(ROOT, tmp_path_factory.mktemp("wheel")) as archive:
         yield archive
@@ -66,7 +66,7 @@ def constraints():
     return {canonicalize_name(name): version for name, version in pairs}
 
 
-@mark.parametrize(
+@parametrize(
     "folder, pattern, inside",
     [
         ("urdf", "*.urdf", "osc_contact/urdf"),
@@ -175,7 +175,7 @@ def test_changelog_tells_of_this_version():
     assert f"## [{PROJECT['version']}]" in text_of("CHANGELOG.md")
 
 
-@mark.parametrize(
+@parametrize(
     "target",
     ["venv", "browser", "demo", "test", "versions", "peers", "gallery", "dist", "bench", "clean"],
 )

@@ -13,8 +13,9 @@ from headless import Browser, near
 from html_pages import Page
 from matplotlib.image import imread
 from numpy.testing import assert_allclose
-from pytest import fixture, mark
+from pytest import mark
 from rich.table import Table
+from samples import module_fixture
 from scene_samples import read_commands
 
 import osc_contact as osc
@@ -35,13 +36,13 @@ SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} 100"><path d="M0 
 READY = "document.querySelector('main') !== null"
 
 
-@fixture(scope="module")
+@module_fixture
 def evidence():
     scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
     return Evidence(build_rig(scenario), osc.run(scenario, duration=1.2))
 
 
-@fixture(scope="module")
+@module_fixture
 def report(evidence, tmp_path_factory):
     """All that `reproduce all` makes, with small pictures; figs. 3 and 7 are left out."""
     folder = tmp_path_factory.mktemp("report")
@@ -173,7 +174,7 @@ def test_the_report_fetches_nothing(report):
     assert sorted(p.name for p in report.parent.iterdir()) == ["report.html"]
 
 
-@fixture(scope="module")
+@module_fixture
 def browser(report):
     with Browser(report.as_uri(), ready=READY) as opened:
         yield opened
@@ -233,7 +234,7 @@ SOON = [
 ]
 
 
-@fixture(scope="module")
+@module_fixture
 def cell():
     return fig3.run(1.45, changes=SOON)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, model_error, plant_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import fixture
 from rigs import largest, shift
+from samples import module_fixture
 from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
@@ -17,7 +17,7 @@ from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs import rig as plants
 
 
-@fixture(scope="module")
+@module_fixture
 def rig():
     return rig_of()
 

@@ -8,8 +8,8 @@ import yaml
 from command_line import answered, call, done, refused
 from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose
-from pytest import approx, mark
-from samples import chosen
+from pytest import approx
+from samples import chosen, parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
@@ -81,7 +81,7 @@ def test_a_scenario_tells_where_its_postures_put_the_object_and_how_to_put_it_el
     assert_allclose(tips, [[-0.15, 0.05, 0.2], [0.15, 0.05, 0.2]], atol=1e-6)
 
 
-@mark.parametrize(
+@parametrize(
     "words, said",
     [
         ("pose panda", "panda has 3 ends: "),
@@ -159,7 +159,7 @@ def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same()
     assert np.mean(np.array(missed) < 1e-4) > 0.3  # the rest would have to go round end stops
 
 
-@mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "three_arm_plate"])
+@parametrize("name", ["two_contact_rod", "ur5_wipe", "three_arm_plate"])
 def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
     scenario = osc.load_scenario(name, ["object.pose=null"])
     rig = osc.build_rig(scenario)
@@ -202,7 +202,7 @@ ARMS = {
 }
 
 
-@mark.parametrize("robot", chosen(list(ARMS), "ur10", "xarm", "so100", "baxter"))
+@parametrize("robot", chosen(list(ARMS), "ur10", "xarm", "so100", "baxter"))
 def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     tip, press = ARMS[robot]
     file = tmp_path / "my.yaml"
@@ -229,7 +229,7 @@ def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path)
     assert "verdict: OK" in done("run", file, "--out", tmp_path / "out").stdout
 
 
-@mark.parametrize(
+@parametrize(
     "words, said",
     [
         ("ur10 --press W=3", "an axis of the tip and newtons, such as Z=15"),

@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 from command_line import call, done, refused
 from complaints import invalid_input, scenario_error
-from pytest import approx, mark, raises
+from pytest import approx, raises
+from samples import parametrize
 from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
@@ -55,12 +56,12 @@ DOUBTFUL = {
 }
 
 
-@mark.parametrize("name", osc.list_scenarios())
+@parametrize("name", osc.list_scenarios())
 def test_packaged_scenarios_pass_without_a_word(name):
     assert osc.preflight(rig_of(name)) == ()
 
 
-@mark.parametrize("name", REFUSED)
+@parametrize("name", REFUSED)
 def test_what_cannot_run_is_refused_at_every_door(name, tmp_path):
     change, cure = REFUSED[name]
     for line in ("inspect two_contact_rod --set", f"run two_contact_rod --out {tmp_path} --set"):
@@ -69,7 +70,7 @@ def test_what_cannot_run_is_refused_at_every_door(name, tmp_path):
         run_of("two_contact_rod", change, duration=0.5)
 
 
-@mark.parametrize("name", DOUBTFUL)
+@parametrize("name", DOUBTFUL)
 def test_what_is_doubtful_is_told_at_every_door(name, caplog):
     change, words = DOUBTFUL[name]
     with caplog.at_level(logging.WARNING, "osc_contact.preflight"):
@@ -121,7 +122,7 @@ ELSEWHERE = {
 }
 
 
-@mark.parametrize("name", ELSEWHERE)
+@parametrize("name", ELSEWHERE)
 def test_other_kinds_of_contact_are_looked_at_too(name):
     scenario, changes, cure = ELSEWHERE[name]
     with raises((osc.ScenarioError, osc.ModelError), match=cure):
@@ -130,7 +131,7 @@ def test_other_kinds_of_contact_are_looked_at_too(name):
     assert call("inspect", scenario, *words).exit_code == 2
 
 
-@mark.parametrize(
+@parametrize(
     "name, force, told",
     [
         ("scara_peg", 90, False),
@@ -177,7 +178,7 @@ def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
         assert any("does not permit it" in text for _, text in found)
 
 
-@mark.parametrize(
+@parametrize(
     "changes",
     [
         [
@@ -280,7 +281,7 @@ LIMITS = {
 }
 
 
-@mark.parametrize("name", LIMITS)
+@parametrize("name", LIMITS)
 def test_what_is_told_begins_at_its_limit(name):
     below, above, kind, words = LIMITS[name]
     assert kind not in [one for one, _ in told("two_contact_rod", *below)]
@@ -349,7 +350,7 @@ def test_pairs_of_ones_own_that_do_not_fit():
         osc.build_rig(on_the_table(TwoGaps(), "floor.1", "floor.2"))
 
 
-@mark.parametrize(
+@parametrize(
     "install, words",
     [
         (5, "got 5"),

@@ -18,6 +18,7 @@ from complaints import invalid_input, recording_error
 from numpy.testing import assert_array_equal
 from processes import alive, wait_until
 from pytest import mark, raises
+from samples import parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
@@ -46,7 +47,7 @@ def record(ticks=5):
     )
 
 
-@mark.parametrize(
+@parametrize(
     "make, message",
     [
         (lambda: Recording({"a": float("nan")}, {}), "JSON-able"),
@@ -102,7 +103,7 @@ def npz(about, **arrays):
     return written(np.savez, meta=np.array(about), **arrays)
 
 
-@mark.parametrize(
+@parametrize(
     "content",
     [
         b"",
@@ -250,8 +251,8 @@ def test_headers_that_promise_more_than_there_is_are_refused(tmp_path):
         Recording.load(path)
 
 
-@mark.parametrize("broken", ["os.replace", "os.fsync", "zipfile.ZipFile.open"])
-@mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt("stopped")])
+@parametrize("broken", ["os.replace", "os.fsync", "zipfile.ZipFile.open"])
+@parametrize("error", [OSError("disk full"), KeyboardInterrupt("stopped")])
 def test_a_failed_save_keeps_the_older_file_and_leaves_nothing_else(
     tmp_path, monkeypatch, broken, error
 ):
@@ -433,8 +434,8 @@ DAMAGE = {
 }
 
 
-@mark.parametrize("at", [1, 3])
-@mark.parametrize("kind", DAMAGE)
+@parametrize("at", [1, 3])
+@parametrize("kind", DAMAGE)
 def test_damaged_rows_are_named_with_the_line_and_a_cure(kind, at, tmp_path):
     path = tmp_path / "rows.jsonl"
     study = study_of()

@@ -13,8 +13,8 @@ import pinocchio as pin
 from command_line import answered, call, read_json, refused
 from complaints import model_error
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
-from samples import first
+from pytest import approx, raises
+from samples import first, parametrize
 from urdf_corpus import CORPUS, GOOD, SOUND
 
 from osc_contact import robots
@@ -31,7 +31,7 @@ def test_the_corpus_is_large_and_every_entry_differs():
     assert len({bad.text for bad in CORPUS.values()}) == len(CORPUS) >= 60
 
 
-@mark.parametrize("name", CORPUS)
+@parametrize("name", CORPUS)
 def test_bad_file_is_refused_with_place_and_reason(name, tmp_path):
     bad = CORPUS[name]
     file = write(tmp_path, bad.text)
@@ -44,7 +44,7 @@ def test_bad_file_is_refused_with_place_and_reason(name, tmp_path):
     assert first.element.startswith(bad.element)
 
 
-@mark.parametrize("name", SOUND)
+@parametrize("name", SOUND)
 def test_sound_variant_is_accepted_and_both_readers_agree(name, tmp_path):
     file = write(tmp_path, SOUND[name](GOOD))
     assert robots.load_model(file).nv == 4
@@ -125,7 +125,7 @@ def test_mobility_is_the_share_of_the_last_body_in_the_energy(tmp_path):
     assert (np.array(tip.mobility) <= 1 + 1e-9).all()
 
 
-@mark.parametrize("length, mass", [(1e3, 1.0), (1.0, 1e-3), (0.0254, 0.4536)])
+@parametrize("length, mass", [(1e3, 1.0), (1.0, 1e-3), (0.0254, 0.4536)])
 def test_mobility_does_not_depend_on_units(tmp_path, length, mass):
     masses = [4.0, 3.0, 2.0, 1.0, 0.5, 0.4]
     (here,) = summary(tmp_path, chain(SIX_AXES, masses)).tips
@@ -195,7 +195,7 @@ def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path):
     assert [tip["tip"] for tip in found["robot"]["tips"]] == ["hand"]
 
 
-@mark.parametrize(
+@parametrize(
     "line, message",
     [
         ("./absent.urdf", "neither the file"),
@@ -227,7 +227,7 @@ def run(*command):
     return done.stdout
 
 
-@mark.parametrize("count", first([2_500, 20_000], 1))
+@parametrize("count", first([2_500, 20_000], 1))
 def test_no_mutant_crashes_and_none_is_accepted_with_a_bad_mass_matrix(count):
     result = json.loads(run("-W", "error", str(TESTS / "urdf_mutants.py"), "1999", str(count)))
     verdicts = result["verdicts"]

@@ -121,7 +121,7 @@ def test_brakes_take_energy_though_motors_are_too_weak_for_all_of_them():
     rng = np.random.default_rng(5)
     weak = 0
     for _ in range(50):
-        q = case.measurement.q + 0.2 * rng.normal(size=7)
+        q = case.measurement.q + 0.2 * rng.standard_normal(7)
         v = 0.7 * model.velocityLimit * rng.uniform(-1.0, 1.0, 7)
         tau = case.controller().tick(osc.Measurement(q, v, np.full((1, 6), np.nan)), case.reference)
         assert (np.abs(tau) <= chain.tau_max * (1 + 1e-12)).all()

@@ -9,8 +9,9 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, raises
 from robot_numbers import element, mass_matrix, numbers, placement, written_inertia
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact import robots
@@ -61,7 +62,7 @@ def limits(model):
 # The packaged arms ------------------------------------------------------------------------------
 
 
-@mark.parametrize("name", ARMS)
+@parametrize("name", ARMS)
 def test_scara_has_the_announced_joints_and_limits(name):
     model = robots.load_model(robots.urdf_path(name))
     assert list(model.names)[1:] == JOINTS
@@ -76,7 +77,7 @@ def test_scara_has_the_announced_joints_and_limits(name):
     assert not model.upperDryFrictionLimit.any() and not model.damping.any()
 
 
-@mark.parametrize("name", ARMS)
+@parametrize("name", ARMS)
 def test_scara_inertias_are_those_of_the_visible_solids(name):
     for link, mass in MASSES.items():
         written = written_inertia(element(name, link))
@@ -115,12 +116,12 @@ def test_rod_inertia_is_that_of_a_capsule():
 # Second readers ---------------------------------------------------------------------------------
 
 
-@mark.parametrize("name", ARMS + BODIES)
+@parametrize("name", ARMS + BODIES)
 def test_a_second_reader_places_every_link_alike(name):
     assert robots.cross_check(robots.urdf_path(name)) < 1e-12
 
 
-@mark.parametrize("name", ARMS + BODIES)
+@parametrize("name", ARMS + BODIES)
 def test_mujoco_compiles_the_file_and_agrees_on_masses(name):
     spec = mujoco.MjSpec.from_file(str(robots.urdf_path(name)))
     spec.compiler.fusestatic = False
@@ -303,7 +304,7 @@ def test_limits_given_by_hand_win_over_those_of_the_file(tmp_path):
         robots.load_model(file, limits={"turn": robots.JointLimits(lower=5, effort=9)})
 
 
-@mark.parametrize(
+@parametrize(
     "wrong",
     [
         {"effort": 0.0},
@@ -339,9 +340,9 @@ def test_positive_is_content_with_moving_bodies_that_have_energy(tmp_path):
         robots.load_model(file, inertias="any")
 
 
-@mark.parametrize("length", [1e-3, 1.0, 1e3], ids=["mm", "m", "km"])
-@mark.parametrize("mass", [1e-3, 1.0, 1e3], ids=["g", "kg", "t"])
-@mark.parametrize("rotor", [0.0, 1e-9, 1e-15])
+@parametrize("length", [1e-3, 1.0, 1e3], ids=["mm", "m", "km"])
+@parametrize("mass", [1e-3, 1.0, 1e3], ids=["g", "kg", "t"])
+@parametrize("rotor", [0.0, 1e-9, 1e-15])
 def test_the_verdict_on_the_mass_matrix_does_not_depend_on_units(tmp_path, length, mass, rotor):
     """A slide, a turn and a slim rod about its own axis: an inertia of 1e-15 kg m² is rounding."""
     moment = mass * length**2
@@ -464,7 +465,7 @@ def test_the_page_on_robots_has_these_verdicts():
         assert f"`{name.rpartition('/')[2]}`" in table, name
 
 
-@mark.parametrize("name", SOUND)
+@parametrize("name", SOUND)
 def test_sound_robot_loads_and_both_readers_agree(name):
     file, package_dir = robots.find_robot(name)
     model = robots.load_model(file, package_dirs=[package_dir])
@@ -473,7 +474,7 @@ def test_sound_robot_loads_and_both_readers_agree(name):
         assert robots.cross_check(file) < 1e-12
 
 
-@mark.parametrize("name", HELPED)
+@parametrize("name", HELPED)
 def test_robot_with_defects_is_refused_and_usable_with_a_decision(name):
     file = robots.find_robot(name)[0]
     (check, options) = HELPED[name]
@@ -484,7 +485,7 @@ def test_robot_with_defects_is_refused_and_usable_with_a_decision(name):
     assert robots.load_model(file, **options).nv > 0
 
 
-@mark.parametrize("name", REFUSED)
+@parametrize("name", REFUSED)
 def test_defect_robot_is_refused_with_its_reason(name):
     with model_error(REFUSED[name].replace(".", r"\.")):
         robots.load_model(robots.find_robot(name)[0], inertias="positive")
@@ -493,7 +494,7 @@ def test_defect_robot_is_refused_with_its_reason(name):
             robots.load_model(robots.find_robot(name)[0], limits={"*": MOTOR})
 
 
-@mark.parametrize("name", ["panda", "ur5", "xarm", "solo12", "talos_left_arm"])
+@parametrize("name", ["panda", "ur5", "xarm", "solo12", "talos_left_arm"])
 def test_the_model_is_the_one_pinocchio_reads_from_the_file(name):
     """Nothing is lost on the way through our own text: bodies, joints, frames, limits."""
     file = robots.find_robot(name)[0]
@@ -506,8 +507,8 @@ def test_the_model_is_the_one_pinocchio_reads_from_the_file(name):
 # Continuous joints ------------------------------------------------------------------------------
 
 
-@mark.parametrize("seed", range(5))
-@mark.parametrize("name", ["kinova", "double_pendulum_continuous", "tiago_pro"])
+@parametrize("seed", range(5))
+@parametrize("name", ["kinova", "double_pendulum_continuous", "tiago_pro"])
 def test_continuous_joint_is_a_revolute_joint_without_end_stops(name, seed):
     """Against Pinocchio's own (cos, sin) model at the same posture, velocity and acceleration."""
     file = robots.find_robot(name)[0]
@@ -517,7 +518,7 @@ def test_continuous_joint_is_a_revolute_joint_without_end_stops(name, seed):
     assert theirs.nq > theirs.nv == ours.nv == ours.nq
     rng = np.random.default_rng(seed)
     q = rng.uniform(-9, 9, ours.nq)
-    v, a = rng.normal(size=(2, ours.nv))
+    v, a = rng.standard_normal((2, ours.nv))
     x = []
     for angle, other in zip(q, list(theirs.joints)[1:], strict=True):
         x += [math.cos(angle), math.sin(angle)] if other.nq == 2 else [angle]
@@ -594,7 +595,7 @@ def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path):
     assert robots.load_geometry(packaged, kind, [tmp_path])[1].ngeoms == 1
 
 
-@mark.parametrize("texture", ["/etc/hostname", "file:///etc/hostname", "../../secret.png"])
+@parametrize("texture", ["/etc/hostname", "file:///etc/hostname", "../../secret.png"])
 def test_collada_files_that_take_textures_from_elsewhere_are_refused(tmp_path, texture):
     (tmp_path / "m.dae").write_text(f"<COLLADA><init_from> {texture} </init_from></COLLADA>")
     with model_error(r"m\.dae takes a texture from"):

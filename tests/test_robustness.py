@@ -5,7 +5,8 @@ import pinocchio as pin
 from command_line import done, read_json, refused
 from complaints import invalid_input
 from numpy.testing import assert_allclose
-from pytest import MonkeyPatch, approx, fixture, mark
+from pytest import MonkeyPatch, approx, mark
+from samples import module_fixture
 from scenario_runs import rig_of
 
 import osc_contact as osc
@@ -18,7 +19,7 @@ WORDS = {"masses": "DOUBTFUL", "friction": "DOUBTFUL", "delay": "OK", "normals":
 CHANGES = ["control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.1", "verdict.force_rms=0.9"]
 
 
-@fixture(scope="module")
+@module_fixture
 def made(tmp_path_factory):
     """Two samples of each case, by command: (folder, what it printed)."""
     folder = tmp_path_factory.mktemp("robustness")
@@ -42,7 +43,7 @@ def assert_row_is_that_of_single_runs(row, case, number, laws):
         assert row[f"{name}.word"] == WORDS[case] and not row[f"{name}.failed"]
 
 
-@fixture(scope="module")
+@module_fixture
 def found(made):
     return read_json(made[0] / "robustness.json")
 

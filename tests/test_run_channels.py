@@ -8,7 +8,7 @@ from numpy.linalg import cholesky, inv, lstsq, norm, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import KINDS, PLAIN, pose_of
-from pytest import mark
+from samples import parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
@@ -227,7 +227,7 @@ RUNS = {
 }
 
 
-@mark.parametrize("name", RUNS)
+@parametrize("name", RUNS)
 def test_channels_are_what_they_are_defined_to_be(name):
     plant, duration, changes = RUNS[name]
     changes = [*changes, f"plant.type={plant}", f"duration={duration}", "control.life=off"]
@@ -269,11 +269,11 @@ def test_a_run_that_fails_leaves_all_channels_of_what_came_before(monkeypatch):
 
 def test_poses_are_those_of_pinocchio():
     rng = default_rng(5)
-    w = rng.normal(size=(3, 60))
+    w = rng.standard_normal((3, 60))
     w[:, :20] *= np.pi / norm(w[:, :20], axis=0)  # half turns have two quaternions
     w[:, 20:22] = [[0.0, 1e-12]] * 3
     R = rotations(w)
-    p, x = rng.normal(size=(2, 3, 60))
+    p, x = rng.standard_normal((2, 3, 60))
     poses = Poses(R, p)
     for i in range(60):
         X = pin.SE3(R[:, :, i], p[:, i])
@@ -289,11 +289,11 @@ def stacked(poses):
     return Poses(H[:3, :3], H[:3, 3])
 
 
-@mark.parametrize("name", KINDS)
+@parametrize("name", KINDS)
 def test_lines_of_force_over_time_are_those_of_the_pair(name):
     rng = default_rng(6)
     pair, pose, r = KINDS[name](rng, PLAIN)
-    touching = [pose(0.5 * rng.normal(size=6 - r)) for _ in range(5)]
+    touching = [pose(0.5 * rng.standard_normal(6 - r)) for _ in range(5)]
     faces = [pose_of(rng) for _ in range(5)]
     for E in ([WORLD] * 5, faces, faces[:1] * 5):
         X = [X_WE * X_EA for X_WE, X_EA in zip(E, touching, strict=True)]
@@ -311,13 +311,13 @@ def test_free_parts_are_the_free_part_of_each_in_singular_states_too():
         rig = rig_of(name)
         chain = rig.model
         k = 40
-        q = rig.q_contact + 0.1 * rng.normal(size=(k, chain.nq))  # loops open: d changes
-        q[:10] = rig.q_contact + 1e-7 * rng.normal(size=(10, chain.nq))
+        q = rig.q_contact + 0.1 * rng.standard_normal((k, chain.nq))  # loops open: d changes
+        q[:10] = rig.q_contact + 1e-7 * rng.standard_normal((10, chain.nq))
         q[10] = 0.0
         q[11] = rig.q_contact  # stretched out
-        X = Poses(rotations(2.0 * rng.normal(size=(3, k))), rng.normal(size=(3, k)))
-        N = rng.normal(size=(6, 2, k))
-        x = rng.normal(size=(6, k))
+        X = Poses(rotations(2.0 * rng.standard_normal((3, k))), rng.standard_normal((3, k)))
+        N = rng.standard_normal((6, 2, k))
+        x = rng.standard_normal((6, k))
         N[:, 1, 12] = 2.0 * N[:, 0, 12]
         N[:, 0, 13] = 0.0  # dependent, and none at all
         J = np.zeros((6, chain.nq, k))

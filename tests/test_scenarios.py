@@ -8,8 +8,9 @@ import pinocchio as pin
 import yaml
 from complaints import scenario_error
 from numpy.testing import assert_allclose
-from pytest import mark, raises
+from pytest import raises
 from rigs import unit
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
@@ -220,7 +221,7 @@ def test_a_bad_item_is_not_told_as_a_list_too_short():
         assert len(str(caught.value).splitlines()) == 1, caught.value
 
 
-@mark.parametrize("case", BAD)
+@parametrize("case", BAD)
 def test_bad_files_name_line_key_and_cure(case):
     old, new, line, key, message = BAD[case]
     assert GOOD.count(old) >= 1
@@ -234,7 +235,7 @@ def test_alias_is_refused_at_its_line():
     assert [one.split(":")[1] for one in complaints(text)] == ["15", "23"]
 
 
-@mark.parametrize("text", ["", "# nothing\n", "- a\n- b\n", "just text"])
+@parametrize("text", ["", "# nothing\n", "- a\n- b\n", "just text"])
 def test_a_file_without_keys(text):
     assert complaints(text) == [
         "f.yaml:1: expected keys such as name, arms, object; got no group of keys"
@@ -291,7 +292,7 @@ def value_at(data, path):
     return data
 
 
-@mark.parametrize("override", OVERRIDES)
+@parametrize("override", OVERRIDES)
 def test_overrides(override):
     key, _, value = override.partition("=")
     for changes in ([override], {key: value}):
@@ -327,7 +328,7 @@ BAD_OVERRIDES = [
 ]
 
 
-@mark.parametrize("override, message", BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
+@parametrize("override, message", BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
 def test_bad_overrides_are_named_instead_of_a_line(override, message):
     found = complaints(GOOD, [override])
     message = message.removeprefix(override.partition("=")[0] + ": ")  # the key is told once
@@ -412,7 +413,7 @@ def assert_same(ours, theirs, atol):
         assert_allclose(ours[name], theirs[name], rtol=0, atol=atol, err_msg=name)
 
 
-@mark.parametrize("plant", PLANTS)
+@parametrize("plant", PLANTS)
 def test_pairs_of_ones_own(plant):
     plain = task(plant)
     pairs = [
@@ -426,7 +427,7 @@ def test_pairs_of_ones_own(plant):
     assert contact == {"name": "left_end", "body": "face_left_end", "pair": "Tip"}
 
 
-@mark.parametrize("plant", PLANTS)
+@parametrize("plant", PLANTS)
 def test_bodies_of_ones_own(plant):
     """A face driven by a function, and what the controller makes of it, as of a conveyor."""
     direction = unit(np.array([-0.904196, -0.361677, 0.227199]))
@@ -458,7 +459,7 @@ def test_bodies_of_ones_own(plant):
         osc.build_rig(with_motion(late)).plant()
 
 
-@mark.parametrize("plant", PLANTS)
+@parametrize("plant", PLANTS)
 def test_laws_of_ones_own(plant):
     plain = task(plant)
     made = []
@@ -489,7 +490,7 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
     assert loaded.replaced(duration=2.0).duration == 2.0
 
 
-@mark.parametrize(
+@parametrize(
     "parts, words",
     [
         ({"duration": -1.0}, "duration: must be > 0"),

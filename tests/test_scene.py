@@ -5,8 +5,9 @@ import pinocchio as pin
 from complaints import invalid_input
 from html_pages import Page
 from numpy.testing import assert_allclose
-from pytest import approx, fixture, mark, raises
+from pytest import approx, raises
 from rigs import largest, shift
+from samples import module_fixture, parametrize
 from scene_samples import (
     ARMS,
     BODIES,
@@ -45,7 +46,7 @@ ROOT = "/meshcat/"
 LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
 
 
-@fixture(scope="module")
+@module_fixture
 def shown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
     return Shown(write(folder, find=find, frame_words="best <frame>"))
@@ -81,8 +82,8 @@ def test_a_face_follows_its_recorded_pose(tmp_path):
         assert shown.pose("/meshcat/bodies/face", frame).isApprox(expected, 1e-5)
 
 
-@mark.parametrize("frame", [3, 8])
-@mark.parametrize("i", [0, 1])
+@parametrize("frame", [3, 8])
+@parametrize("i", [0, 1])
 def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown, i, frame):
     tick = 10 * frame
     node = (LEFT, RIGHT)[i]
@@ -114,7 +115,7 @@ def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
     assert np.ptp([*paint[f"{LEFT}/lost/line/rod"].to_bytes(3)]) < 16, "grey"
 
 
-@mark.parametrize("frame, count", [(2, 4), (5, 5), (9, 4)])  # the left one is lost at 5
+@parametrize("frame, count", [(2, 4), (5, 5), (9, 4)])  # the left one is lost at 5
 def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, count):
     """The velocity of each contact point, moved as drawn, has no part along the force.
 
@@ -226,7 +227,7 @@ def test_a_long_recording_gets_fewer_frames_per_second(tmp_path):
     assert last / fps == approx(40.0)
 
 
-@mark.parametrize("seed", range(20))
+@parametrize("seed", range(20))
 def test_the_camera_sees_everything_and_stands_no_further_than_needed(seed):
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((30, 3)) * rng.uniform(0.1, 2.0, 3)
@@ -239,7 +240,7 @@ def test_the_camera_sees_everything_and_stands_no_further_than_needed(seed):
     assert (away @ view).max() < 0.0 and 0.75 < largest(image) < 1.0
 
 
-@mark.parametrize(
+@parametrize(
     "how",
     [{"contacts": 0}, {"without": ("contact_point", "contact_direction", "closed", "alpha_true")}],
 )
@@ -252,7 +253,7 @@ def test_scene_without_contacts(how, tmp_path):
 SHORT_ARM = [ARMS[0]._replace(q_slice=slice(0, 4))]
 
 
-@mark.parametrize(
+@parametrize(
     "make, complaint",
     [
         (lambda p: write_scene(RECORDING, SHORT_ARM, [], p), r"takes 4 numbers of q.*nq = 5"),
@@ -326,7 +327,7 @@ def test_urdf_shapes_lie_as_in_the_urdf(tmp_path):
 # Screws of wrenches and twists, the basis of T, against motions and moments computed anew.
 
 
-@mark.parametrize("seed", range(4))
+@parametrize("seed", range(4))
 def test_twist_axis_is_where_a_finite_motion_only_advances(seed):
     """exp(V) moves the points of the axis along the axis, by the pitch per radian."""
     rng = np.random.default_rng(seed)
@@ -341,7 +342,7 @@ def test_twist_axis_is_where_a_finite_motion_only_advances(seed):
     assert abs((point - origin) @ direction) < 1e-9, "the nearest point"
 
 
-@mark.parametrize("seed", range(4))
+@parametrize("seed", range(4))
 def test_wrench_has_only_a_couple_along_its_axis_wherever_it_is_given(seed):
     rng = np.random.default_rng(seed)
     (force, moment) = rng.standard_normal((2, 3))
@@ -405,7 +406,7 @@ def test_triangles_have_the_colours_of_their_materials(tmp_path):
     assert_allclose(found, [RED] * 4 + [BLUE] * 3, atol=1e-6)
 
 
-@mark.parametrize(
+@parametrize(
     "name, text, count",
     [
         ("two.stl", DAE, 3),

@@ -10,9 +10,9 @@ from command_line import answered, refused
 from complaints import invalid_input, model_error, scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark, raises
+from pytest import approx, raises
 from rigs import largest
-from samples import first
+from samples import first, parametrize
 from scenario_runs import rig_of, verdict_of, worst_force
 from test_moving_face import TURNING
 
@@ -104,7 +104,7 @@ def test_resolution_rounds_to_whole_steps():
     assert largest(q - true) <= 0.005 + 1e-12
 
 
-@mark.parametrize("rate, delay", [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
+@parametrize("rate, delay", [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
 def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
     """Reading at t: the value at the last multiple of the period that is `delay` or more old."""
     out = readings(Sensors(encoders=(Clock(rate, delay), SensorErrors())), 500)
@@ -161,7 +161,7 @@ def test_impossible_clocks_are_refused():
             Clock(*bad)
 
 
-@mark.parametrize(
+@parametrize(
     "override, said",
     [
         ("sensors.encoder={rate: 1 kHz, angle: {noise: 1 mm}}", "an angle"),
@@ -190,8 +190,8 @@ def force_error(name, rate, encoder):
     return worst_force(verdict)
 
 
-@mark.parametrize("rate", first([250, 500, 1000], 1))
-@mark.parametrize("name", first(["two_contact_rod", "ur5_wipe"], 1))
+@parametrize("rate", first([250, 500, 1000], 1))
+@parametrize("name", first(["two_contact_rod", "ur5_wipe"], 1))
 def test_a_better_encoder_is_never_worse(name, rate):
     errors = [
         force_error(name, rate, encoder)
@@ -217,7 +217,7 @@ def at_rest(R, mass, com, bias):
 
 
 def tilted(rng, k, angle=0.6):
-    return [pin.exp3(angle * rng.normal(size=3)) for _ in range(k)]
+    return [pin.exp3(angle * rng.standard_normal(3)) for _ in range(k)]
 
 
 def test_exact_readings_give_exact_loads():
@@ -225,7 +225,7 @@ def test_exact_readings_give_exact_loads():
     for _ in range(20):
         mass = rng.uniform(0.3, 5)
         com = rng.uniform(-0.1, 0.1, 3)
-        bias = rng.normal(size=6)
+        bias = rng.standard_normal(6)
         R = tilted(rng, 5)
         load = calibrate_wrist(R, np.array([at_rest(X, mass, com, bias) for X in R]))
         assert load.mass == approx(mass, rel=1e-10)
@@ -255,7 +255,7 @@ def test_a_wrist_that_only_turns_about_the_vertical_is_refused():
         calibrate_wrist(R, readings)
 
 
-@mark.parametrize("k, noise", [(2, 1.0), (4, 0.0), (4, float("nan"))])
+@parametrize("k, noise", [(2, 1.0), (4, 0.0), (4, float("nan"))])
 def test_bad_input_is_refused(k, noise):
     R = tilted(default_rng(2), k)
     with raises(osc.InvalidInputError):
@@ -306,15 +306,15 @@ def riccati(noise, acceleration, dt):
     return K, P
 
 
-@mark.parametrize("noise, acceleration", [(2e-5, 2.0), (1e-4, 0.5), (1e-6, 50.0), (1e-9, 2.0)])
+@parametrize("noise, acceleration", [(2e-5, 2.0), (1e-4, 0.5), (1e-6, 50.0), (1e-9, 2.0)])
 def test_gains_are_those_of_the_riccati_equation(noise, acceleration):
     estimate = VelocityEstimate.optimal(noise, acceleration, DT)
     K, _ = riccati(noise, acceleration, DT)
     assert_allclose([estimate.alpha[0], estimate.beta[0] / DT], K, rtol=1e-6)
 
 
-@mark.parametrize("noise", np.geomspace(1e-15, 1e-2, 14))
-@mark.parametrize("dt", [1e-3, 2e-3, 4e-3, 1 / 60])
+@parametrize("noise", np.geomspace(1e-15, 1e-2, 14))
+@parametrize("dt", [1e-3, 2e-3, 4e-3, 1 / 60])
 def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noise, dt):
     """Eigenvalues of the error from sample to sample: at worst 0.27 from one to the next."""
     estimate = VelocityEstimate.optimal(noise, 2.0, dt)
@@ -373,7 +373,7 @@ def test_a_slow_sensor_is_followed_between_its_samples():
     assert largest(np.diff(x)) < 1e-3  # no jumps at the samples
 
 
-@mark.parametrize("alpha, beta, dt", [(0.5, 3.5, DT), (-0.1, 0.1, DT), (0.5, 0.1, 0.0)])
+@parametrize("alpha, beta, dt", [(0.5, 3.5, DT), (-0.1, 0.1, DT), (0.5, 0.1, 0.0)])
 def test_unstable_gains_are_refused(alpha, beta, dt):
     with invalid_input("stable"):
         VelocityEstimate(np.array([alpha]), np.array([beta]), dt)
@@ -404,7 +404,7 @@ NOISE = (1e-3, 5e-3)
 
 def displaced(rng, size):
     """A pose, some (m, rad) away from the identity."""
-    return pin.SE3(pin.exp3(size[1] * rng.normal(size=3)), size[0] * rng.normal(size=3))
+    return pin.SE3(pin.exp3(size[1] * rng.standard_normal(3)), size[0] * rng.standard_normal(3))
 
 
 def scattered(rng):
@@ -413,8 +413,8 @@ def scattered(rng):
 
 def noisy(X, rng, noise=NOISE):
     """As the plant's camera errs: shifted, and turned about its own origin in world axes."""
-    R = pin.exp3(noise[1] * rng.normal(size=3)) @ X.rotation
-    return pin.SE3(R, X.translation + noise[0] * rng.normal(size=3))
+    R = pin.exp3(noise[1] * rng.standard_normal(3)) @ X.rotation
+    return pin.SE3(R, X.translation + noise[0] * rng.standard_normal(3))
 
 
 def lacking(estimate, true):
@@ -466,7 +466,7 @@ def test_history_tells_what_was():
     assert alone.at(-1.0) == alone.at(5.0) == 1.0
 
 
-@mark.parametrize("bad", [{"position": 0.0}, {"prior": (1.0, 0.0)}, {"drift": (-1.0, 0.0)}])
+@parametrize("bad", [{"position": 0.0}, {"prior": (1.0, 0.0)}, {"drift": (-1.0, 0.0)}])
 def test_impossible_noise_is_refused(bad):
     with invalid_input("registration"):
         Registration(**{"position": 1e-3, "orientation": 1e-3} | bad)
@@ -478,7 +478,7 @@ VISION = (
 )
 
 
-@mark.parametrize("plant", first(["mujoco", "rigid"], 1))
+@parametrize("plant", first(["mujoco", "rigid"], 1))
 def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
     """Against the true N, with and without the fusion, while the face travels and tilts."""
     slow = [

@@ -8,8 +8,9 @@ import yaml
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pydantic import TypeAdapter, ValidationError
-from pytest import approx, mark, raises
+from pytest import approx, raises
 from rigs import largest
+from samples import parametrize
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.quantities import (
@@ -48,7 +49,7 @@ SMOOTH = [
 ]
 
 
-@mark.parametrize("signal", SMOOTH, ids=repr)
+@parametrize("signal", SMOOTH, ids=repr)
 def test_derivatives_match_central_differences(signal):
     h = 1e-5
     for t in np.linspace(0.005, 1.2, 241) + 1.23e-3:
@@ -121,7 +122,7 @@ def test_points_are_met_by_the_curve_of_least_jerk():
     rng = default_rng(2)
     for _ in range(20):
         times = np.cumsum(rng.uniform(0.2, 1.0, rng.integers(2, 8)))
-        values = rng.normal(size=len(times))
+        values = rng.standard_normal(len(times))
         signal = Points(points=np.column_stack((times, values)).tolist())
         assert_allclose(signal.at(times)[0], values, atol=1e-10)
         assert signal.at(-1.0) == (values[0], 0.0, 0.0)
@@ -155,7 +156,7 @@ def test_two_points_are_minimum_jerk():
     assert_allclose(ours, theirs, atol=1e-10)
 
 
-@mark.parametrize(
+@parametrize(
     "kind, text, si, bad",
     [
         (LengthSignal, "50 mm", 0.05, "8 N"),
@@ -185,7 +186,7 @@ def test_the_same_signals_hold_lengths_angles_or_forces(kind, text, si, bad):
             read(data | {"acceleration": f"{text}/s"})
 
 
-@mark.parametrize(
+@parametrize(
     "bad",
     [
         "{type: sine, amplitude: 1, frequency: 0}",
@@ -211,7 +212,7 @@ def test_impossible_signals_are_refused(bad):
         Sine(amplitude=1.0, frequency=0.0)
 
 
-@mark.parametrize(
+@parametrize(
     "kind, text, si",
     [
         (Length, "50 mm", 0.05),
@@ -236,7 +237,7 @@ def test_units_are_converted_to_the_nearest_float(kind, text, si):
     assert TypeAdapter(kind).validate_python(text) == si
 
 
-@mark.parametrize(
+@parametrize(
     "kind, value, message",
     [
         (Length, "8 N", "expected a length in m, mm, cm, µm; got '8 N', which is a force"),

@@ -11,8 +11,8 @@ from urllib.parse import unquote, urlsplit
 import jupytext
 import nbclient
 from html_pages import Page
-from pytest import fixture, mark, raises
-from samples import chosen
+from pytest import raises
+from samples import chosen, module_fixture, parametrize
 from snowballstemmer import stemmer
 
 import osc_contact as osc
@@ -28,7 +28,7 @@ def build(source, into, *options):
     return subprocess.run(command, capture_output=True, text=True, timeout=300)
 
 
-@fixture(scope="module")
+@module_fixture
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("docs")
     done = build(ROOT, folder, "-c", ROOT / "docs")
@@ -40,7 +40,7 @@ def text_of(site, page):
     return (site / f"{page}.html").read_text()
 
 
-@fixture(scope="module")
+@module_fixture
 def pages(site):
     return {path: Page(path.read_text()) for path in sorted(site.rglob("*.html"))}
 
@@ -135,7 +135,7 @@ def test_names_in_tables_break_after_their_parts_only(site):
     assert "contacts.<wbr>face.<wbr>urdf<" in re.sub(r"</?span[^>]*>", "", text)
 
 
-@mark.parametrize(
+@parametrize(
     "words, page",
     [
         ("impedance", "impedance_admittance"),
@@ -201,9 +201,7 @@ def test_a_page_is_embedded_whole(tmp_path):
     assert "321px" in shown._repr_html_() and len(repr(shown)) < 100
 
 
-@mark.parametrize(
-    "path", chosen(NOTEBOOKS, NOTEBOOKS[1]), ids=lambda path: getattr(path, "stem", None)
-)
+@parametrize("path", chosen(NOTEBOOKS, NOTEBOOKS[1]), ids=lambda path: getattr(path, "stem", None))
 def test_notebook_runs(path, tmp_path):
     notebook = execute(jupytext.read(path), tmp_path)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]

@@ -6,6 +6,7 @@ from complaints import contact_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import fixture, mark
+from samples import parametrize
 from scenario_runs import rig_of
 from test_projections import SIZE, close, frame_change, millimetres, well_mixing
 
@@ -28,7 +29,7 @@ def limits(request, monkeypatch):
 
 
 def orthogonal(rng):
-    return np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    return np.linalg.qr(rng.standard_normal((6, 6)))[0]
 
 
 def metric(rng, size, rank):
@@ -55,9 +56,9 @@ def changes(rng):
     yield other[0] @ one[0], other[1] @ one[1]
 
 
-@mark.parametrize("gap", GAPS)
-@mark.parametrize("rank", [5, 6])
-@mark.parametrize("seed", range(4))
+@parametrize("gap", GAPS)
+@parametrize("rank", [5, 6])
+@parametrize("seed", range(4))
 def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_basis(
     seed, rank, gap
 ):
@@ -66,8 +67,8 @@ def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_b
     r = 2 + seed % 4
     near, good = nearly_dependent(rng, r, gap)
     Phi = metric(rng, 1 / SIZE, rank)
-    f = SIZE * rng.normal(size=6)
-    v = rng.normal(size=6) / SIZE
+    f = SIZE * rng.standard_normal(6)
+    v = rng.standard_normal(6) / SIZE
     for X, X_f in changes(rng):
         for basis in (np.eye(r), np.diag(10 ** rng.uniform(-3, 3, r))):
             given = X_f @ near @ basis, X @ Phi @ X.T
@@ -77,8 +78,8 @@ def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_b
 
 
 @mark.usefixtures("limits")
-@mark.parametrize("rank", [5, 6])
-@mark.parametrize("seed", range(4))
+@parametrize("rank", [5, 6])
+@parametrize("seed", range(4))
 def test_columns_a_millionth_apart_are_accepted_in_every_frame(seed, rank):
     rng = default_rng([seed, rank, 3])
     near, _ = nearly_dependent(rng, 2 + seed % 4, 1e-6)
@@ -93,7 +94,7 @@ def test_columns_a_millionth_apart_are_accepted_in_every_frame(seed, rank):
 
 
 @mark.usefixtures("limits")
-@mark.parametrize("r", [1, 2, 3, 4, 5])
+@parametrize("r", [1, 2, 3, 4, 5])
 def test_singular_metrics_are_refused_in_every_frame(r):
     """Φn = 0 for a column n, for a combination, and for one of columns that are hardly apart."""
     rng = default_rng([r, 4])
@@ -101,7 +102,7 @@ def test_singular_metrics_are_refused_in_every_frame(r):
         Q = orthogonal(rng)
         root = Q[:, 1:] * 10 ** rng.uniform(-1.2, 0.0, 5) / SIZE[:, None]
         Phi = root @ root.T  # and Φ SIZE Q[:, 0] = 0
-        N = SIZE[:, None] * np.hstack((Q[:, :1], rng.normal(size=(6, r - 1))))
+        N = SIZE[:, None] * np.hstack((Q[:, :1], rng.standard_normal((6, r - 1))))
         near = N.copy()
         near[:, 0] = N[:, -1] + 1e-6 * N[:, 0]
         for X, X_f in changes(rng):
@@ -112,12 +113,12 @@ def test_singular_metrics_are_refused_in_every_frame(r):
 
 
 @mark.usefixtures("limits")
-@mark.parametrize("k", [2, 3, 4, 5, 6, 7])
+@parametrize("k", [2, 3, 4, 5, 6, 7])
 def test_dependent_columns_are_refused_in_every_frame(k):
     rng = default_rng([k, 5])
     for rank in 30 * (5, 6):
-        N = SIZE[:, None] * rng.normal(size=(6, k))
-        N[:, -1] = N[:, :-1] @ rng.normal(size=k - 1)
+        N = SIZE[:, None] * rng.standard_normal((6, k))
+        N[:, -1] = N[:, :-1] @ rng.standard_normal(k - 1)
         Phi = metric(rng, 1 / SIZE, rank)
         for X, X_f in changes(rng):
             for law in FORCE_LAWS + MOTION_LAWS:
@@ -142,13 +143,13 @@ def test_messages_name_the_columns():
             P.Omega_f(np.column_stack(columns), Phi)
 
 
-@mark.parametrize("n", [1, 4, 6])
-@mark.parametrize("seed", range(5))
+@parametrize("n", [1, 4, 6])
+@parametrize("seed", range(5))
 def test_orthonormal_is_what_it_says(n, seed):
     rng = default_rng([n, seed, 7])
     for k in range(n + 1):
-        N = rng.normal(size=(n, k))
-        root = rng.normal(size=(n, n)) + 3.0 * np.eye(n)
+        N = rng.standard_normal((n, k))
+        root = rng.standard_normal((n, n)) + 3.0 * np.eye(n)
         Phi = root @ root.T
         E, W, G = P.orthonormal(N, Phi, "test")
         assert_allclose(E, N @ G, atol=1e-10)
@@ -162,16 +163,16 @@ def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
     """Eqs. 17, 18, 24 and P_T on the rod; columns 1e-4 apart are as near as a law accepts."""
     rig = rig_of()
     rng = default_rng(8)
-    state = rig.model.state(rig.q_contact, 0.3 * rng.normal(size=len(rig.q_contact)))
+    state = rig.model.state(rig.q_contact, 0.3 * rng.standard_normal(len(rig.q_contact)))
     good = rig.contact().N
     gap = 1e-4
     C = np.array([[1.0, 1.0], [0.0, gap]])  # N = good C
     Phi_e = np.diag([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])
-    for environment in (Environment.fixed(), Environment(Phi_e, rng.normal(size=6))):
+    for environment in (Environment.fixed(), Environment(Phi_e, rng.standard_normal(6))):
         # forces are given on the near columns: C⁻¹ would round them, 1/gap as large
-        n_gamma, share = rng.normal(size=(2, 2))
-        a = rng.normal(size=6)
-        f_S = rng.normal(size=state.d)
+        n_gamma, share = rng.standard_normal((2, 2))
+        a = rng.standard_normal(6)
+        f_S = rng.standard_normal(state.d)
         found = []
         for N, n_g, alpha in ((good @ C, n_gamma @ C, share), (good, n_gamma, C @ share)):
             contact = Contact(N, n_g)

@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose
 from processes import wait_until
 from pyarrow import parquet
 from pytest import approx, mark, param, raises
+from samples import parametrize
 from scenario_runs import assert_same_run, rig_of, verdict_of
 from scipy import stats
 from scipy.stats import qmc
@@ -47,7 +48,7 @@ def rod(samples, *vary, **how):
 # --- what a key may be ----------------------------------------------------------------------------
 
 
-@mark.parametrize(
+@parametrize(
     "words, oracle",
     [
         ("uniform(-2, 3)", stats.uniform(-2, 5)),
@@ -95,7 +96,7 @@ def test_tilted_directions_fill_their_cap_evenly():
     assert norm(sideways.mean(axis=0)) < 0.01
 
 
-@mark.parametrize(
+@parametrize(
     "words",
     [
         "0.8",
@@ -121,7 +122,7 @@ def test_what_is_not_understood_is_refused_with_how_it_is_written(words):
 # --- points ---------------------------------------------------------------------------------------
 
 
-@mark.parametrize("design, points", [("halton", qmc.Halton), ("sobol", qmc.Sobol)])
+@parametrize("design, points", [("halton", qmc.Halton), ("sobol", qmc.Sobol)])
 def test_points_are_scipys_and_those_behind_a_block_go_on(design, points):
     study = rod(3000, "squeeze=uniform(0, 1)", "seed=integers(0, 9)", design=design, seed=4)
     oracle = points(2, scramble=True, rng=4).random(2048)
@@ -151,7 +152,7 @@ def test_a_grid_has_every_combination_and_both_ends():
     assert len({json.dumps(one) for one in found}) == 6
 
 
-@mark.parametrize(
+@parametrize(
     "vary, complaint",
     [
         (["squeeze"], "path.to.key=distribution"),
@@ -193,7 +194,7 @@ def test_a_key_with_two_numbers_is_exchanged_as_one():
         assert one == A | {name: B[name] for name in names}
 
 
-@mark.parametrize(
+@parametrize(
     "name, vary",
     [
         ("two_contact_rod", [MASSES, NORMALS, "seed=integers(0, 99)"]),

@@ -2,7 +2,8 @@
 
 import numpy as np
 from command_line import answered
-from pytest import approx, mark, raises
+from pytest import approx, raises
+from samples import parametrize
 from scenario_runs import verdict_of, worst_force
 
 import osc_contact as osc
@@ -66,7 +67,7 @@ def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatc
     assert found.numbers["force"][0] == approx(max(force[0]))
 
 
-@mark.parametrize("most, broken", [(0.001, ("overshoot_rel > 0.001",)), (9.0, ())])
+@parametrize("most, broken", [(0.001, ("overshoot_rel > 0.001",)), (9.0, ())])
 def test_limits_that_no_trial_keeps_are_named(most, broken):
     found = tune("two_contact_rod", limits={"overshoot_rel": most}, trials=3, **ONE)
     assert found.broken == broken and not (broken and found.better)
@@ -91,7 +92,7 @@ def test_command_prints_the_keys_to_paste():
     assert found["best"] == approx(errors([f"{key}={found['values'][key]}"])[1])
 
 
-@mark.parametrize(
+@parametrize(
     "how, complaint",
     [
         ({"objective": "speed"}, "give force, motion, both, or a column"),

@@ -9,8 +9,7 @@ from complaints import invalid_input
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import mark
-from samples import first
+from samples import first, parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
@@ -45,7 +44,7 @@ def part(env, observation, name):
     return observation[..., [i for i, n in enumerate(env.names) if n.startswith(name)]]
 
 
-@mark.parametrize("vary", [{}, MASS])
+@parametrize("vary", [{}, MASS])
 def test_gymnasium_finds_nothing_wrong(vary):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -54,7 +53,7 @@ def test_gymnasium_finds_nothing_wrong(vary):
     assert [one for one in told if "infinity" not in one and "spec" not in one] == []
 
 
-@mark.parametrize("mode", list(AutoresetMode))
+@parametrize("mode", list(AutoresetMode))
 def test_rows_are_reset_as_gymnasium_resets_environments(mode):
     """Two rows: random actions; the second runs away, which ends it earlier."""
     how = {"overrides": ("duration=0.3 s",), "move": (0.02, 0.01)}
@@ -84,7 +83,7 @@ def test_rows_are_reset_as_gymnasium_resets_environments(mode):
     assert ends[0, 1] > 2 and ends[1, 0] >= 2 and ends[0, 0] == 0  # ran away; ran out of time
 
 
-@mark.parametrize("name", first(["two_contact_rod", "panda_edge", "hinge_ball_rod"], 1))
+@parametrize("name", first(["two_contact_rod", "panda_edge", "hinge_ball_rod"], 1))
 def test_rows_of_a_fleet_are_single_runs(name):
     """Each row with its own masses, two of them alike, on two threads."""
     scenarios = [
