@@ -3,6 +3,7 @@
 import io
 
 import numpy as np
+from PIL import Image
 
 from osc_contact.visual import browser
 
@@ -12,15 +13,17 @@ class Browser(browser.Browser):
 
     def picture(self, file=None):
         """Pixels (height, width, 3) of the page, after two more of its frames."""
-        from PIL import Image
-
         png = self.png()
         if file is not None:
             file.write_bytes(png)
-        return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+        return pixels_of(Image.open(io.BytesIO(png)))
 
     def __enter__(self):
         return self
+
+
+def pixels_of(picture):
+    return np.asarray(picture.convert("RGB")).astype(int)
 
 
 def near(pixels, colour, tolerance=24):

@@ -1,7 +1,10 @@
-"""Rows of tests, what modules share, and what every `make test` runs of a long list."""
+"""The checkout, rows of tests, what modules share, what every `make test` runs of a long list."""
+
+from pathlib import Path
 
 from pytest import fixture, mark, param
 
+ROOT = Path(__file__).resolve().parent.parent  #: of the checkout
 parametrize = mark.parametrize
 module_fixture = fixture(scope="module")
 

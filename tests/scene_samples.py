@@ -4,18 +4,18 @@ import base64
 import json
 import re
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import umsgpack
+from samples import ROOT
 
 from osc_contact.recorder import Recording
 from osc_contact.visual.marks import BestFrame
 from osc_contact.visual.parts import ArmVisual, BodyVisual
 from osc_contact.visual.scene import write_scene
 
-URDF = Path(__file__).parents[1] / "urdf"
+URDF = ROOT / "urdf"
 BASE = pin.SE3(np.eye(3), np.array([-0.35, -0.4, 0.0]))
 FACE = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.4, 0.0), np.array([-0.3, 0.0, 0.19]))
 FRAME = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.01, 0.02, 0.25]))

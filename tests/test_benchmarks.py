@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 from time import perf_counter, sleep
 
 import numpy as np
@@ -14,7 +13,7 @@ from complaints import invalid_input
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark, raises
 from rigs import largest
-from samples import first, parametrize
+from samples import ROOT, first, parametrize
 
 import osc_contact as osc
 from benchmarks import jitter, law, many_runs, peers, scaling, simulation, tick, vector_env
@@ -25,7 +24,6 @@ from benchmarks.peers import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
 from osc_contact.control.status import Phase
 
-ROOT = Path(__file__).parents[1]
 GROWS = """import mmap
 from benchmarks.soak import resident
 pages, before = mmap.mmap(-1, 32 << 20), resident()

@@ -4,7 +4,8 @@ from itertools import combinations
 
 import numpy as np
 from complaints import viewer_error
-from headless import Browser, near
+from headless import Browser, near, pixels_of
+from PIL import Image
 from pytest import approx
 from samples import module_fixture
 from scene_samples import BASE, RECORDING, find, links, write
@@ -152,12 +153,10 @@ def test_play_goes_on_and_a_click_in_a_plot_stops_there(browser):
 
 
 def test_png_of_a_moment(page, tmp_path, monkeypatch):
-    from PIL import Image
-
     pixels = {}
     for time in (0.1, 1.0):
         path = write_png(page, tmp_path / "deep" / f"{time}.png", time, (900, 700))
-        pixels[time] = np.asarray(Image.open(path).convert("RGB")).astype(int)
+        pixels[time] = pixels_of(Image.open(path))
         assert pixels[time].shape == (700, 900, 3)
     scene = pixels[1.0][:430]
     assert scene.std() > 20 and near(scene, BLUE) > near(pixels[0.1][:430], BLUE) + 50

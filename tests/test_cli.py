@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from command_line import answered, call, done, read_json, refused
 from pytest import approx, mark
-from samples import module_fixture, parametrize
+from samples import ROOT, module_fixture, parametrize
 from scene_samples import read_commands
 
 import osc_contact
@@ -22,7 +22,6 @@ from osc_contact.recorder import Recording
 from osc_contact.scenarios import load_scenario
 from osc_contact.visual.plots import PRINT
 
-ROOT = Path(__file__).parents[1]
 ROD = "two_contact_rod --plant rigid --set 'plant.step=1 ms'"
 SHORT = f"{ROD} --duration 1.05"
 STARTS = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}

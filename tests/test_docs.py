@@ -7,14 +7,13 @@ import shlex
 import shutil
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from textwrap import indent
 
 import typer
 import yaml
 from command_line import call
 from pytest import param
-from samples import module_fixture, parametrize
+from samples import ROOT, module_fixture, parametrize
 from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
@@ -24,7 +23,6 @@ from osc_contact.runs import rig as plants
 from osc_contact.scenarios import Scenario
 from osc_contact.scenarios.bodies import CONTACT_TYPES
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGES = [
     *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY", "CODE_OF_CONDUCT")),
     *sorted((ROOT / "docs").glob("*.md")),

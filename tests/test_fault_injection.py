@@ -1,14 +1,7 @@
 """Faults in closed loop on the MuJoCo plant; see benchmarks/fault_injection.py."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
-from samples import parametrize
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from samples import first
+from samples import first, parametrize
 
 from benchmarks.fault_injection import (
     FAULTS,

@@ -226,6 +226,12 @@ def usual_handlers():
     list(map(signal.signal, SIGNALS, before))
 
 
+def loop_of(robot, ticks=None, stops_at=(), **how):
+    """Run the loop for some ticks, or until something ends it."""
+    references = repeat(REFERENCE) if ticks is None else repeat(REFERENCE, ticks)
+    return osc.run_loop(robot, Controller(stops_at), references, **how)
+
+
 def send(number):
     return lambda: os.kill(os.getpid(), number)
 
@@ -236,7 +242,7 @@ def handlers():
 
 def test_a_stop_is_reported_in_its_tick_and_braking_goes_on():
     robot = Robot()
-    osc.run_loop(robot, Controller(stops_at=[3, 6]), repeat(REFERENCE, 8))
+    loop_of(robot, 8, [3, 6])
     assert robot.stops == ["tick 3: an encoder", "tick 6: an encoder", ""]
     stop = "stop", "tick 3: an encoder"
     at = robot.calls.index(stop)
@@ -283,18 +289,18 @@ def test_a_stop_that_fails_hides_no_error_and_ends_no_braking(caplog):
 
     robot = Robot(stop=fail, command=unplug)
     with raises(ConnectionError, match="cable") as caught:
-        osc.run_loop(robot, Controller(), [REFERENCE])
+        loop_of(robot, 1)
     assert robot.stops == ["ConnectionError: the cable is out"]
     assert any("no brakes" in note for note in caught.value.__notes__)
     assert "no brakes" in caplog.text
 
     robot = Robot()
     robot.at = {"stop": lambda: fail() if robot.stops == ["tick 1: an encoder"] else None}
-    osc.run_loop(robot, Controller(stops_at=[1]), repeat(REFERENCE, 3))
+    loop_of(robot, 3, [1])
     assert robot.stops == ["tick 1: an encoder", ""] and robot.calls[-2] == ("command", -1.0)
 
     with raises(OSError, match="no brakes"):  # nothing else went wrong: this is the error
-        osc.run_loop(Robot(stop=fail), Controller(), [REFERENCE])
+        loop_of(Robot(stop=fail), 1)
 
 
 def test_a_driver_whose_stop_takes_no_reason_is_refused_before_it_moves():
@@ -304,7 +310,7 @@ def test_a_driver_whose_stop_takes_no_reason_is_refused_before_it_moves():
 
     robot = Old()
     with invalid_input(r'Old takes no reason.*stop\(self, reason=""\)'):
-        osc.run_loop(robot, Controller(), [REFERENCE])
+        loop_of(robot, 1)
     assert not robot.calls
 
 
@@ -314,7 +320,7 @@ def test_a_signal_ends_the_loop_with_the_robot_stopped(number, where):
     before = handlers()
     robot = Robot(**{where: send(number)})
     with raises(KeyboardInterrupt if number == signal.SIGINT else SystemExit) as caught:
-        osc.run_loop(robot, Controller(), repeat(REFERENCE))
+        loop_of(robot)
     assert robot.stops == [signal.Signals(number).name] and robot.calls[-1][0] == "stop"
     assert len(robot.calls) <= 3 and handlers() == before
     if number != signal.SIGINT:
@@ -326,7 +332,7 @@ def test_a_signal_ends_a_driver_that_waits_for_ever():
     threading.Timer(0.2, send(signal.SIGTERM)).start()
     began = time.perf_counter()
     with raises(SystemExit):
-        osc.run_loop(robot, Controller(), repeat(REFERENCE))
+        loop_of(robot)
     assert robot.stops == ["SIGTERM"] and time.perf_counter() - began < 10
 
 
@@ -345,12 +351,12 @@ def test_no_signal_interrupts_the_record_of_a_tick_or_the_stop():
     ended = []
     robot.at["stop"] = lambda: (send(signal.SIGHUP)(), ended.append("whole"))
     with raises(SystemExit) as caught:
-        osc.run_loop(robot, Controller(), repeat(REFERENCE), recorder=Records())
+        loop_of(robot, recorder=Records())
     assert len(rows) == 1 and ended == ["whole"] and robot.stops == ["SIGTERM"]
     assert caught.value.code == 128 + signal.SIGTERM
     robot = Robot(stop=send(signal.SIGTERM))  # after the last reference: kept until it is stopped
     with raises(SystemExit):
-        osc.run_loop(robot, Controller(), [REFERENCE])
+        loop_of(robot, 1)
     assert robot.calls[-1] == ("stop", "")
 
 
@@ -359,7 +365,7 @@ def test_the_third_signal_ends_a_stop_that_does_not_return():
     robot.at["stop"] = lambda: (send(signal.SIGTERM)(), send(signal.SIGTERM)(), time.sleep(60))
     began = time.perf_counter()
     with raises(SystemExit):
-        osc.run_loop(robot, Controller(), [REFERENCE])
+        loop_of(robot, 1)
     assert time.perf_counter() - began < 10
 
 
@@ -370,14 +376,14 @@ def test_handlers_of_the_program_and_other_threads_are_left_alone():
     own = signal.getsignal(signal.SIGTERM)
     try:
         robot = Robot(command=send(signal.SIGTERM))
-        osc.run_loop(robot, Controller(), repeat(REFERENCE, 3))
+        loop_of(robot, 3)
         assert len(seen) == 3 and robot.stops == [""]
         assert signal.getsignal(signal.SIGTERM) is own
     finally:
         signal.signal(signal.SIGTERM, before)
     robot = Robot(command=lambda: during.append(handlers()))
     usual = handlers()
-    thread = threading.Thread(target=osc.run_loop, args=(robot, Controller(), repeat(REFERENCE, 2)))
+    thread = threading.Thread(target=loop_of, args=(robot, 2))
     thread.start()
     thread.join()
     assert during == [usual, usual] and robot.stops == [""]

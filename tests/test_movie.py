@@ -3,7 +3,7 @@
 import av
 import numpy as np
 from complaints import viewer_error
-from headless import Browser, near
+from headless import Browser, near, pixels_of
 from numpy.linalg import norm
 from numpy.testing import assert_allclose
 from PIL import Image, ImageSequence
@@ -29,7 +29,7 @@ def gif(page):
     with Image.open(path) as picture:
         assert picture.format == "GIF" and picture.info["loop"] == 0
         assert picture.info["duration"] == 170  # ms: six frames of one second
-        return [np.asarray(f.convert("RGB")).astype(int) for f in ImageSequence.Iterator(picture)]
+        return [pixels_of(frame) for frame in ImageSequence.Iterator(picture)]
 
 
 def test_frames_are_of_equal_steps_and_play_in_real_time():

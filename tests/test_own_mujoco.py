@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 from command_line import done, refused
 from complaints import invalid_input, plant_error
-from headless import Browser, near
+from headless import Browser, near, pixels_of
 from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
 from pytest import approx, raises
 from samples import module_fixture, parametrize
 from scenario_runs import worst_force
@@ -411,9 +412,7 @@ def test_a_recording_carries_no_path_and_is_drawn(recorded, tmp_path):
     done("view", file, "--html", page)
     assert "arms/arm/elbow" in page.read_text() or page.stat().st_size > 5e5
     done("view", file, "--png", png)
-    from PIL import Image
-
-    pixels = np.asarray(Image.open(png).convert("RGB")).astype(int)
+    pixels = pixels_of(Image.open(png))
     assert pixels.reshape(-1, 3).std(axis=0).max() > 10.0
 
 

@@ -11,12 +11,10 @@ from pathlib import Path
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
-from samples import module_fixture, parametrize
+from samples import ROOT, module_fixture, parametrize
 
 from hatch_build import absolute
 from osc_contact.law import jit, library
-
-ROOT = Path(__file__).resolve().parent.parent
 
 
 def text_of(name):

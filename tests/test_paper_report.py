@@ -3,7 +3,6 @@
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +14,7 @@ from matplotlib.image import imread
 from numpy.testing import assert_allclose
 from pytest import mark
 from rich.table import Table
-from samples import module_fixture
+from samples import ROOT, module_fixture
 from scene_samples import read_commands
 
 import osc_contact as osc
@@ -75,8 +74,8 @@ def test_the_paper_has_eight_figures_and_all_that_we_make_are_among_them():
     ours = {name for name in (*FIGURES, *STUDIES) if name.startswith("fig")}
     assert ours <= {figure.name for figure in PAPER}
     assert set(ANSWERS) == set(FIGURES), "figures that are no studies are answered here"
-    paper = Path(__file__).parents[1] / "docs" / "paper_map.md"
-    planned = re.findall(r"^\| fig\. (\d):.*\| planned \|", paper.read_text(), re.M)
+    paper = (ROOT / "docs/paper_map.md").read_text()
+    planned = re.findall(r"^\| fig\. (\d):.*\| planned \|", paper, re.M)
     missing = {figure.name for figure in PAPER} - ours
     assert {f"fig{n}" for n in planned} == missing, "the map and the registry disagree"
 

@@ -14,7 +14,7 @@ from complaints import invalid_input, plant_error
 from numpy.testing import assert_allclose
 from pytest import approx, mark, raises
 from scenario_runs import rig_of
-from test_loop import REFERENCE, Controller, Robot
+from test_loop import REFERENCE, Controller, Robot, loop_of
 from test_own_driver import HOME, Driver
 
 import osc_contact as osc
@@ -48,7 +48,7 @@ def test_the_process_is_made_for_the_loop_and_given_back(caplog, monkeypatch):
     monkeypatch.setattr(loop, "MOST_MISSED", 10**9)
     before = state_of_process()
     robot = Paced()
-    report = osc.run_loop(robot, Controller(), repeat(REFERENCE, 50), realtime=True)
+    report = loop_of(robot, 50, realtime=True)
     collects, policy, interval = robot.state
     assert not collects and interval == approx(5e-5)
     permitted = not any("priority" in note for note in report.notes)
@@ -217,7 +217,6 @@ def test_an_error_of_the_thread_beside_the_loop_ends_the_run_after_the_stop(monk
         raise ValueError("the disk is full")
 
     robot = Paced()
-    given = robot, Controller(), repeat(REFERENCE, 5)
     with raises(ValueError, match="the disk is full"):
-        osc.run_loop(*given, recorder=Recorder(), realtime=True)
+        loop_of(robot, 5, recorder=Recorder(), realtime=True)
     assert len(done) == 5 and robot.stops == [""]

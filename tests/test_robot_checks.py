@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +13,7 @@ from command_line import answered, call, read_json, refused
 from complaints import model_error
 from numpy.testing import assert_allclose
 from pytest import approx, raises
-from samples import first, parametrize
+from samples import ROOT, first, parametrize
 from urdf_corpus import CORPUS, GOOD, SOUND
 
 from osc_contact import robots
@@ -52,7 +51,7 @@ def test_sound_variant_is_accepted_and_both_readers_agree(name, tmp_path):
 
 
 def test_every_check_has_a_row_on_the_page_on_robots():
-    page = (Path(__file__).parent.parent / "docs" / "robots.md").read_text()
+    page = (ROOT / "docs/robots.md").read_text()
     rows = re.findall(r"^\| ([a-z ]+) \|", page.split("| check |")[1].split("\n\n")[0], re.M)
     assert {bad.check for bad in CORPUS.values()} | {"second reader"} == set(rows)
 
@@ -216,12 +215,12 @@ def test_bad_words_end_with_2(line, message):
 # Mutants of sound URDFs in a process of their own, and the inputs that kill Pinocchio.
 
 
-TESTS = Path(__file__).resolve().parent
+TESTS = ROOT / "tests"
 
 
 def run(*command):
     """Standard output of a Python process that must end well; a crash has a return code < 0."""
-    how = {"env": os.environ | {"PYTHONPATH": f"{TESTS.parent}{os.pathsep}{TESTS}"}, "timeout": 300}
+    how = {"env": os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{TESTS}"}, "timeout": 300}
     done = subprocess.run([sys.executable, *command], capture_output=True, text=True, **how)
     assert done.returncode == 0, f"return code {done.returncode}: {done.stderr[-2000:]}"
     return done.stdout

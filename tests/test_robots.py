@@ -2,7 +2,6 @@
 
 import math
 import re
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,7 +10,7 @@ from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose
 from pytest import approx, raises
 from robot_numbers import element, mass_matrix, numbers, placement, written_inertia
-from samples import parametrize
+from samples import ROOT, parametrize
 
 import osc_contact as osc
 from osc_contact import robots
@@ -454,7 +453,7 @@ def test_every_robot_of_the_data_package_has_a_verdict():
 
 
 def test_the_page_on_robots_has_these_verdicts():
-    page = (Path(__file__).parent.parent / "docs" / "robots.md").read_text()
+    page = (ROOT / "docs/robots.md").read_text()
     told = re.search(
         r"Of its (\d+) files (\d+) load unchanged.*?(\d+) need.*?(\d+) are", page, re.S
     )

@@ -10,7 +10,7 @@ from complaints import scenario_error
 from numpy.testing import assert_allclose
 from pytest import raises
 from rigs import unit
-from samples import parametrize
+from samples import ROOT, parametrize
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
@@ -211,7 +211,7 @@ BAD = {
 
 
 def test_a_bad_item_is_not_told_as_a_list_too_short():
-    path = Path(__file__).parent / "scenarios" / "set_points.yaml"
+    path = ROOT / "tests/scenarios/set_points.yaml"
     for wrong in (
         "force.left_end.0.points=[[0 s, 1 N], [1 s, 2 mm]]",
         "motion.0.signals.0.velocity=3 N/s",

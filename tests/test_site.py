@@ -5,20 +5,17 @@ import re
 import subprocess
 import sys
 from html.parser import HTMLParser
-from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import jupytext
 import nbclient
 from html_pages import Page
 from pytest import raises
-from samples import chosen, module_fixture, parametrize
+from samples import ROOT, chosen, module_fixture, parametrize
 from snowballstemmer import stemmer
 
 import osc_contact as osc
 from osc_contact.visual.page import embed
-
-ROOT = Path(__file__).resolve().parent.parent
 
 
 def build(source, into, *options):
@@ -162,7 +159,7 @@ def test_words_of_the_field_are_found(site, words, page):
 # Every notebook runs from top to bottom in a fresh kernel, as its text stands here.
 
 
-NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
+NOTEBOOKS = sorted(ROOT.glob("notebooks/*.py"))
 
 
 def execute(notebook, folder):
