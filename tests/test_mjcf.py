@@ -286,7 +286,7 @@ def test_check_describes_it_and_refuses_with_exit_code_1(tmp_path):
     assert [joint.kind for joint in report.summary.joints] == 6 * ["revolute"] + ["prismatic"]
     assert report.summary.joints[0].effort == 80.0 and np.isinf(report.summary.joints[1].effort)
     assert "sound" in done(f"check {file} --tip tip").stdout
-    refused = call("check", arm(tmp_path, 'name="j3"', 'name="j3" stiffness="5"'))
+    refused = call("check", arm(tmp_path, 'name="j3" axis', 'name="j3" stiffness="5" axis'))
     assert refused.exit_code == 1 and "spring of 5" in refused.stdout
 
 
