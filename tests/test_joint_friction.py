@@ -148,6 +148,7 @@ def test_friction_known_at_the_start_leaves_the_wanted_acceleration():
         "late wrist xarm7 10 ms",
         "force step ur10 x0.5",
         "two arms two_contact_rod x1.5",
+        "two arms dual_panda_rod x0",
     ],
 )
 def test_forces_are_held_although_friction_is_believed_wrongly(name):

@@ -11,11 +11,12 @@ friction F and D, and the inertia A of its rotor that the model lacks, by recurs
 
     r ≈ φᵀθ,   φ = LP_K[sign s, q̇, q̈, 1],   θ = (F, D, A, bias),
 
-both low-passed once more against noise. Friction is learned of the speed that the joint has, and
-compensated along the speed s that the contacts permit: J̄ P V_D, P = Ω_m(Λ_o⁻¹) of eq. 4. This has
-neither the noise of measured speeds nor the speeds of the posture task in it. The sign of s is
-s/√(s² + s_0²), its mean over the tick, so that friction reverses within the tick in which the joint
-does. Torques get
+both low-passed once more against noise. A joint that rests although s commands it has at least the
+friction that it shows: what of r exceeds F + D |s| is learned as F. Friction is learned of the
+speed that the joint has, and compensated along the speed s that the contacts permit: J̄ P V_D,
+P = Ω_m(Λ_o⁻¹) of eq. 4. This has neither the noise of measured speeds nor the speeds of the posture
+task in it. The sign of s is s/√(s² + s_0²), its mean over the tick, so that friction reverses
+within the tick in which the joint does. Torques get
 
     f + g clip(e),   f = F sign s + D s + A ṡ,   ė = K_d(r − LP_K f − e),
 
@@ -186,19 +187,24 @@ def _learn(t, j, rate, dt):
     smooth[_ACCELERATION] += k * (rate - smooth[_ACCELERATION])
     least = _MOVES * (_SLIDES if joint.slides != 0 else 1.0)
     y = smooth[SPEED]
+    moves = min(abs(row.speed), abs(y)) > least and smooth[V] * y > _FOLLOWS * y * y
+    excess = smooth[TORQUE] * smooth[SIGN] - largest_friction(t, j)
+    sticks = excess > _SEEN * sqrt(learned.noise)
     if (
         known[j] == LEARNED
         and sound
         and t.memory.balanced * dt > _SETTLED
-        and min(abs(row.speed), abs(y)) > least
-        and smooth[V] * y > _FOLLOWS * y * y
+        and (moves or sticks)
         and abs(smooth[SIGN]) > _FULL
     ):
         phi = t.work.s
         phi[0] = smooth[SIGN]
-        phi[1] = smooth[V]
-        phi[2] = smooth[_ACCELERATION]
-        phi[3] = 1.0
+        for i in range(1, 4):
+            phi[i] = 0.0
+        if moves:
+            phi[1] = smooth[V]
+            phi[2] = smooth[_ACCELERATION]
+            phi[3] = 1.0
         _regress(prior, learned, phi, t.work.t, smooth[TORQUE], k, dt)
         _keep_bounds(prior, learned, t.work.Z)
 
