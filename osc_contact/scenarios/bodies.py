@@ -18,7 +18,6 @@ from pydantic import (
     TypeAdapter,
     WrapSerializer,
     WrapValidator,
-    field_validator,
     model_validator,
 )
 
@@ -28,11 +27,17 @@ from osc_contact.scenarios.quantities import (
     JointForce,
     JointValue,
     Mass,
-    Number,
+    NotEmpty,
+    NotNegative,
+    NotNegativeNumber,
+    Positive,
+    PositiveNumber,
     Spec,
+    T,
     Torque,
     UnitVec3,
     Vec3,
+    one_of,
     refuse,
 )
 from osc_contact.scenarios.signals import AngleSignal, LengthSignal
@@ -48,12 +53,9 @@ def _listed(value: Any) -> Any:
     return value if isinstance(value, list | tuple) else (value,)
 
 
-PerJoint = Annotated[
-    tuple[Annotated[Number, Field(ge=0)], ...], BeforeValidator(_listed), Field(min_length=1)
-]
-ForcePerJoint = Annotated[
-    tuple[Annotated[JointForce, Field(ge=0)], ...], BeforeValidator(_listed), Field(min_length=1)
-]
+_PerJoint = Annotated[NotEmpty[T], BeforeValidator(_listed)]
+PerJoint = _PerJoint[NotNegativeNumber]
+ForcePerJoint = _PerJoint[NotNegative[JointForce]]
 
 
 class PoseSpec(Spec):
@@ -72,25 +74,18 @@ GRASP_TYPES: dict[str, bool] = {}
 class GraspSpec(PoseSpec):
     """X_TO: pose of the object in the tip frame of the arm that holds it, and how it does so."""
 
-    type: str = "rigid"
+    type: Annotated[str, one_of(GRASP_TYPES)] = "rigid"
     """`rigid`; `hinge`: the object also turns about an axis of the tip frame; `ball`: about its
     origin"""
     axis: UnitVec3 | None = None
     """the axis of a hinge [x, y, z], in the tip frame, through its origin"""
 
-    @field_validator("type")
-    @classmethod
-    def _is_registered(cls, value: str) -> str:
-        if value not in GRASP_TYPES:
-            *names, last = map(repr, GRASP_TYPES)
-            raise refuse(f"expected {', '.join(names)} or {last}; got {value!r}")
-        return value
-
     @model_validator(mode="after")
     def _has_its_axis(self) -> GraspSpec:
         if GRASP_TYPES[self.type] and self.axis is None:
-            kind = self.type
-            raise refuse(f"a {kind} needs an axis [x, y, z] in the tip frame; add axis: [0, 1, 0]")
+            raise refuse(
+                f"a {self.type} needs an axis [x, y, z] in the tip frame; add axis: [0, 1, 0]"
+            )
         if not GRASP_TYPES[self.type] and self.axis is not None:
             raise refuse(f"a {self.type} grasp has no axis; leave it out, or set type: hinge")
         return self
@@ -113,7 +108,7 @@ class ArmSpec(Spec):
     """joints without a motor"""
     locked_joints: dict[str, JointValue] = Field(default_factory=dict)
     """by name, joints held where given; those that do not move the tip hold at 0 if not named"""
-    effort_factor: Annotated[Number, Field(gt=0)] = 1.0
+    effort_factor: PositiveNumber = 1.0
     """multiplies the effort limits of the URDF: weaker or stronger motors"""
     armature: PerJoint | None = None
     """rotor inertia as felt at the joints (kg m², kg), one for all or one for each"""
@@ -121,7 +116,7 @@ class ArmSpec(Spec):
     """viscous friction (N m s/rad, N s/m), one for all joints or one for each"""
     friction: ForcePerJoint | None = None
     """dry friction such as 0.4 Nm, one for all joints or one for each"""
-    posture: Annotated[tuple[JointValue, ...], Field(min_length=1)]
+    posture: NotEmpty[JointValue]
     """the start guess of all joints in model order, such as [30 deg, 0.1 m]"""
 
 
@@ -144,7 +139,7 @@ class TurnSpec(Spec):
     """the axis of the turn [x, y, z] in world"""
     through: Vec3
     """a point of the axis [x, y, z] in world at the start"""
-    signals: Annotated[tuple[AngleSignal, ...], Field(min_length=1)]
+    signals: NotEmpty[AngleSignal]
     """a list of signals in angles, 0 at the start"""
 
 
@@ -156,7 +151,7 @@ class ConveyorSpec(Spec):
     type: Literal["conveyor"] = "conveyor"
     direction: UnitVec3
     """the direction of travel [x, y, z] in world"""
-    signals: Annotated[tuple[LengthSignal, ...], Field(min_length=1)]
+    signals: NotEmpty[LengthSignal]
     """a list of signals in lengths, 0 at the start"""
     turn: TurnSpec | None = None
     """turn of a conveyor while it travels; the axis travels with it"""
@@ -168,11 +163,11 @@ class CartSpec(Spec):
     type: Literal["cart"] = "cart"
     direction: UnitVec3
     """the direction of the rail [x, y, z] in world"""
-    mass: Annotated[Mass, Field(gt=0)]
+    mass: Positive[Mass]
     """the mass of the cart, such as 3 kg"""
-    stiffness: Annotated[Number, Field(ge=0)] = 0.0
+    stiffness: NotNegativeNumber = 0.0
     """of the spring that pulls it back to its start"""
-    damping: Annotated[Number, Field(ge=0)] = 0.0
+    damping: NotNegativeNumber = 0.0
     """of its motion"""
     preload: Force = 0.0
     """constant force along the direction"""
@@ -186,11 +181,11 @@ class HingeSpec(Spec):
     """the axis of the hinge [x, y, z] in world"""
     through: Vec3
     """a point of the axis [x, y, z] in world"""
-    inertia: Annotated[Number, Field(gt=0)]
+    inertia: PositiveNumber
     """the moment of inertia about the axis, kg m², such as 0.02"""
-    stiffness: Annotated[Number, Field(ge=0)] = 0.0
+    stiffness: NotNegativeNumber = 0.0
     """of the spring that pulls it back to its start"""
-    damping: Annotated[Number, Field(ge=0)] = 0.0
+    damping: NotNegativeNumber = 0.0
     """of its motion"""
     preload: Torque = 0.0
     """constant moment about the axis"""
@@ -355,16 +350,3 @@ def magnitude_names(contacts: Mapping[str, int]) -> list[str]:
         contacts: name → r.
     """
     return [name if r == 1 else f"{name}.{k + 1}" for name, r in contacts.items() for k in range(r)]
-
-
-def raw_magnitudes(contacts: Any) -> dict[str, int] | None:
-    """Name → r of contacts as a file has them; None where names or types are not sound."""
-    if not isinstance(contacts, list):
-        return None
-    magnitudes = {}
-    for item in contacts:
-        name, kind = (item.get("name"), item.get("type")) if isinstance(item, dict) else (0, 0)
-        if not isinstance(name, str) or not name or kind not in CONTACT_TYPES:
-            return None
-        magnitudes[name] = CONTACT_TYPES[str(kind)].forces
-    return magnitudes

@@ -1,12 +1,11 @@
 """Checks across the keys of a scenario: names that belong together, times that divide."""
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import ValidationError
 
-from osc_contact.scenarios.bodies import magnitude_names, raw_magnitudes
+from osc_contact.scenarios.bodies import CONTACT_TYPES, ContactSpec, magnitude_names
 from osc_contact.scenarios.control_schema import ControlSpec
 from osc_contact.scenarios.hardware import PlantSpec
 from osc_contact.scenarios.quantities import did_you_mean
@@ -15,166 +14,129 @@ Problem = tuple[tuple[str | int, ...], str]
 """Where (keys and list indices) and what is wrong."""
 
 
-def name_problems(
-    arms: Sequence[str],
-    contacts: Sequence[str],
-    grasps: Iterable[str],
-    force: Iterable[str],
-    magnitudes: Mapping[str, int],
-) -> list[Problem]:
-    """Check that names are unique, that each arm has a grasp and each contact its forces.
-
-    `magnitudes`: the number of forces by contact name.
+def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
+    """What does not fit together, as far as the keys that are compared are sound themselves.
 
     Args:
-        arms, contacts, grasps: names. force: keys of `reference.force`.
-        magnitudes: number of forces by contact name.
+        data: the keys of a scenario, as a file has them or validated.
     """
-    grasps = list(grasps)
-    force = list(force)
-    problems = list[Problem]()
-    for key, names in (("arms", arms), ("contacts", contacts)):
-        for index, name in enumerate(names):
-            if Counter(names[:index])[name]:
+    names = {key: _names(data.get(key, ())) for key in ("arms", "contacts", "environment")}
+    for key, own in names.items():
+        for index, name in enumerate(own or ()):
+            if own and name in own[:index]:
                 text = f"the name {name!r} is taken by an earlier item of {key}; names are unique"
-                problems.append(((key, index, "name"), text))
-    for key, given, expected, kind, example in (
-        ("grasps", grasps, arms, "arm", "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"),
-        (
-            "force",
-            force,
-            magnitude_names(magnitudes),
-            "contact",
-            "[{type: constant, value: 0 N}]",
-        ),
-    ):
-        for name in given:
-            if name not in expected:
-                text = f"no {kind} has this name; {did_you_mean(name, expected)}"
-                if kind == "contact" and magnitudes.get(name, 1) > 1:
-                    text = f"this contact has {magnitudes[name]} forces; " + (
-                        f"give each its own entry, {name}.1 to {name}.{magnitudes[name]}"
-                    )
-                problems.append(((key, name), text))
-        for name in dict.fromkeys(expected):
-            if name not in given:
-                text = f"the {kind} {name!r} has no entry; add {name}: {example}"
-                problems.append(((key,), text))
-    return problems
-
-
-def body_problems(bodies: Sequence[str], used: Sequence[str | None]) -> list[Problem]:
-    """Check that bodies have different names and that contacts are on bodies that exist.
-
-    `used`: the body of each contact, None where it brings its own face.
-    """
-    problems = list[Problem]()
-    for index, name in enumerate(bodies):
-        if name in bodies[:index]:
-            text = f"the name {name!r} is taken by an earlier item of environment; names are unique"
-            problems.append((("environment", index, "name"), text))
-        if name not in used:
-            text = f"no contact is on the body {name!r}; give one its name as body, or remove it"
-            problems.append((("environment", index), text))
-    for index, body in enumerate(used):
-        if body is not None and body not in bodies:
-            text = f"no body of environment has this name; {did_you_mean(body, bodies)}"
-            problems.append((("contacts", index, "body"), text))
-    return problems
-
-
-def timing_problems(control: ControlSpec, plant: PlantSpec) -> list[Problem]:
-    """Check that the control period is a whole multiple of the plant step (within 1e-9), and so
-    for the joint torque loop; and that the plant has the drives required."""
-    return [
-        *_step_problems(control, plant),
-        *_torque_loop_problems(control, plant),
-        *_rigid_problems(plant),
-    ]
-
-
-def _rigid_problems(plant: PlantSpec) -> Iterator[Problem]:
-    """Exact plants have ideal joints."""
-    if plant.exact:
-        for key in ("flexible_joints", "motors", "joint_friction", "pushes"):
-            if getattr(plant, key):
-                text = (
-                    "an exact plant has ideal joints and contacts that do not open; leave it out, "
-                    "or take plant.type mujoco"
-                )
-                yield ("plant", key), text
-
-
-def _torque_loop_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]:
-    loop = control.joint_torque
-    if loop is None:
-        return
-    key = ("control", "joint_torque")
-    if plant.flexible_joints is None:
-        text = (
-            "a joint torque loop acts on springs, and the joints are stiff; add "
-            "plant.flexible_joints, or leave it out"
-        )
-        yield key, text
-    calls = loop.rate / control.rate
-    steps = 1.0 / (loop.rate * plant.step)
-    if not all(round(n) >= 1 and abs(n - round(n)) <= 1e-9 for n in (calls, steps)):
-        text = (
-            f"the loop runs {calls:.9g} times in a control period and {steps:.9g} plant steps pass "
-            f"in its period (control.rate {control.rate:g} Hz, plant.step {plant.step:g} s); both "
-            "must be whole numbers"
-        )
-        yield (*key, "rate"), text
-
-
-def _step_problems(control: ControlSpec, plant: PlantSpec) -> list[Problem]:
-    steps = 1.0 / (control.rate * plant.step)
-    whole = round(steps)
-    if whole >= 1 and abs(steps - whole) <= 1e-9:
-        return []
-    right = 1.0 / (control.rate * max(1, whole))
-    text = (
-        f"the control period is {steps:.9g} plant steps (control.rate {control.rate:g} Hz, "
-        f"plant.step {plant.step:g} s); it must be a whole number of them, e.g. a step of "
-        f"{right * 1e3:.9g} ms"
-    )
-    return [(("plant", "step"), text)]
-
-
-def sound_problems(data: Any) -> Iterator[Problem]:
-    """Run the checks across keys on raw data, each as far as its own keys are sound."""
-
-    def names(key: str) -> list[str] | None:
-        items = data.get(key, [])
-        found = (
-            [item.get("name") if isinstance(item, dict) else None for item in items]
-            if isinstance(items, list)
-            else [None]
-        )
-        named = [name if isinstance(name, str) else "" for name in found]
-        return named if all(named) else None
-
-    def group(key: str, fallback: list[str]) -> list[str]:
-        given = data.get(key, {} if key == "force" else None)
-        return list(given) if isinstance(given, dict) else fallback
-
-    arms = names("arms")
-    contacts = names("contacts")
-    magnitudes = raw_magnitudes(data.get("contacts", []))
+                yield (key, index, "name"), text
+    arms, on, bodies = names.values()
+    contacts = data.get("contacts", ())
     if arms is not None:
-        yield from name_problems(arms, [], group("grasps", arms), [], {})
-    if contacts is not None:
-        forces = {} if magnitudes is None else magnitudes
-        given = group("force", magnitude_names(forces)) if magnitudes is not None else []
-        yield from name_problems([], contacts, [], given, forces)
-    bodies = names("environment")
-    if bodies is not None and isinstance(data.get("contacts", []), list):
-        items = data.get("contacts", [])
-        used = [item.get("body") if isinstance(item, dict) else None for item in items]
-        yield from body_problems(bodies, [name if isinstance(name, str) else None for name in used])
+        example = "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"
+        yield from _entries("grasps", "arm", data.get("grasps"), dict.fromkeys(arms, 1), example)
+    if on is not None:
+        forces = dict(zip(on, map(_forces, contacts), strict=True))
+        example = "[{type: constant, value: 0 N}]"
+        yield from _entries("force", "contact", data.get("force", {}), forces, example)
+    if bodies is not None and isinstance(contacts, list | tuple):
+        on_body = [_value(contact, "body") for contact in contacts]
+        for index, name in enumerate(bodies):
+            if name not in on_body:
+                text = (
+                    f"no contact is on the body {name!r}; give one its name as body, or remove it"
+                )
+                yield ("environment", index), text
+        for index, body in enumerate(on_body):
+            if isinstance(body, str) and body not in bodies:
+                text = f"no body of environment has this name; {did_you_mean(body, bodies)}"
+                yield ("contacts", index, "body"), text
     try:
         control = ControlSpec.model_validate(data.get("control"))
         plant = PlantSpec.model_validate(data.get("plant"))
     except ValidationError:
         return
-    yield from timing_problems(control, plant)
+    yield from _plant_problems(control, plant)
+
+
+def _value(item: Any, key: str) -> Any:
+    return item.get(key) if isinstance(item, dict) else getattr(item, key, None)
+
+
+def _names(items: Any) -> list[str] | None:
+    """Of the items of a list; None: they are not all sound."""
+    if not isinstance(items, list | tuple):
+        return None
+    found = [_value(item, "name") for item in items]
+    return found if all(isinstance(name, str) and name for name in found) else None
+
+
+def _forces(contact: Any) -> Any:
+    """r of a contact; None: its type is not sound."""
+    kind = contact
+    if not isinstance(contact, ContactSpec):
+        kind = CONTACT_TYPES.get(str(_value(contact, "type")))
+    return kind and kind.forces
+
+
+def _entries(
+    key: str, kind: str, given: Any, forces: Mapping[str, int], example: str
+) -> Iterator[Problem]:
+    """Each arm has a grasp, and each force of a contact its signals.
+
+    Args:
+        key: of the group. kind: of what it has entries for. given: the group.
+        forces: how many entries each one has, by its name. example: of an entry.
+    """
+    if not isinstance(given, Mapping) or None in forces.values():
+        return
+    expected = magnitude_names(forces)
+    for name in given:
+        if name not in expected:
+            text = f"no {kind} has this name; {did_you_mean(name, expected)}"
+            if forces.get(name, 1) > 1:
+                text = (
+                    f"this contact has {forces[name]} forces; give each its own entry, {name}.1 to "
+                    f"{name}.{forces[name]}"
+                )
+            yield (key, name), text
+    for name in expected:
+        if name not in given:
+            yield (key,), f"the {kind} {name!r} has no entry; add {name}: {example}"
+
+
+def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]:
+    """The plant has the drives required, and periods are whole multiples (within 1e-9)."""
+    steps = 1.0 / (control.rate * plant.step)
+    if not _is_whole(steps):
+        right = 1.0 / (control.rate * max(1, round(steps)))
+        text = (
+            f"the control period is {steps:.9g} plant steps (control.rate {control.rate:g} Hz, "
+            f"plant.step {plant.step:g} s); it must be a whole number of them, e.g. a step of "
+            f"{right * 1e3:.9g} ms"
+        )
+        yield ("plant", "step"), text
+    if loop := control.joint_torque:
+        key = ("control", "joint_torque")
+        if plant.flexible_joints is None:
+            text = (
+                "a joint torque loop acts on springs, and the joints are stiff; add "
+                "plant.flexible_joints, or leave it out"
+            )
+            yield key, text
+        calls = loop.rate / control.rate
+        steps = 1.0 / (loop.rate * plant.step)
+        if not (_is_whole(calls) and _is_whole(steps)):
+            text = (
+                f"the loop runs {calls:.9g} times in a control period and {steps:.9g} plant steps "
+                f"pass in its period (control.rate {control.rate:g} Hz, plant.step "
+                f"{plant.step:g} s); both must be whole numbers"
+            )
+            yield (*key, "rate"), text
+    for drive in ("flexible_joints", "motors", "joint_friction", "pushes") if plant.exact else ():
+        if getattr(plant, drive):
+            text = (
+                "an exact plant has ideal joints and contacts that do not open; leave it out, or "
+                "take plant.type mujoco"
+            )
+            yield ("plant", drive), text
+
+
+def _is_whole(number: float) -> bool:
+    return round(number) >= 1 and abs(number - round(number)) <= 1e-9

@@ -6,7 +6,6 @@ that have a field of the same name in the law's record are copied there by name.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from math import inf, pi, radians, sqrt
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -28,8 +27,10 @@ from osc_contact.scenarios.quantities import (
     Limit,
     Mass,
     NotNegative,
+    NotNegativeNumber,
     Number,
     Positive,
+    PositiveNumber,
     Spec,
     Time,
     TimeLimit,
@@ -58,16 +59,15 @@ class _GainsOfOneLoop(Spec):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        given = self.model_fields_set
-        chosen = [key for key in self.serving if key in given]
-        beside = [key for key in self.numbers if key in given]
+        values = {key: getattr(self, key) for key in self.model_fields_set}
+        chosen = [key for key in self.serving if key in values]
+        beside = [key for key in self.numbers if key in values]
         if chosen and beside:
             raise refuse(
                 f"{', '.join(chosen)} beside {', '.join(beside)}: give {', '.join(self.serving)}, "
                 f"or {', '.join(self.numbers)}; to replace them with --set, set the group: "
                 f"--set '{self.example}'"
             )
-        values = {key: getattr(self, key) for key in given}
         self.__dict__.update(self._values(not beside, values) | values)
         return self
 
@@ -91,17 +91,17 @@ class MotionGains(_GainsOfOneLoop):
     numbers = ("stiffness", "damping", "integral")
     example = "gains.motion={frequency: 5 Hz}"
 
-    stiffness: Annotated[NotNegative, "1/s²"] = _DERIVED
+    stiffness: Annotated[NotNegativeNumber, "1/s²"] = _DERIVED
     """K_p = (2π `frequency`)²; 400 1/s² if no gain of the loop is given"""
-    damping: Annotated[NotNegative, "1/s"] = _DERIVED
+    damping: Annotated[NotNegativeNumber, "1/s"] = _DERIVED
     """K_d = 4π `frequency` `damping_ratio`; beside `stiffness`"""
-    integral: Annotated[NotNegative, "1/s³"] = _DERIVED
+    integral: Annotated[NotNegativeNumber, "1/s³"] = _DERIVED
     """K_i = K_p / `integral_time`; beside `stiffness`, below `stiffness` × `damping`"""
-    frequency: Annotated[Frequency, Field(gt=0)] = _DERIVED
+    frequency: Positive[Frequency] = _DERIVED
     """natural frequency of the motion loop, the same for positions and angles; 3.2 Hz"""
-    damping_ratio: NotNegative = _DERIVED
+    damping_ratio: NotNegativeNumber = _DERIVED
     """of the motion loop; 1"""
-    integral_time: Annotated[Time, Field(gt=0)] = _DERIVED
+    integral_time: Positive[Time] = _DERIVED
     """time in which the integral does as much as the stiffness; no integral, 0.2 s with a tare"""
 
     @model_validator(mode="after")
@@ -115,28 +115,24 @@ class MotionGains(_GainsOfOneLoop):
         return self
 
     def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
-        if not serves_every_mass:
-            if not {"stiffness", "damping"} <= given.keys():
-                raise refuse("give stiffness (1/s²) and damping (1/s) together, or frequency (Hz)")
+        if serves_every_mass:
+            omega = 2.0 * pi * given.get("frequency", 10.0 / pi)
+            K = omega**2
+            D = 2.0 * omega * given.get("damping_ratio", 1.0)
+            K_i = K / given.get("integral_time", inf)
+        elif {"stiffness", "damping"} <= given.keys():
             K = given["stiffness"]
             D = given["damping"]
             K_i = given.get("integral", 0.0)
-            return {
-                "integral": 0.0,
-                "frequency": sqrt(K) / (2.0 * pi),
-                "damping_ratio": D / (2.0 * sqrt(K)) if K > 0.0 else 0.0,
-                "integral_time": K / K_i if K_i > 0.0 else inf,
-            }
-        omega = 2.0 * pi * given["frequency"] if "frequency" in given else 20.0
-        ratio = given.get("damping_ratio", 1.0)
-        time = given.get("integral_time", inf)
+        else:
+            raise refuse("give stiffness (1/s²) and damping (1/s) together, or frequency (Hz)")
         return {
-            "stiffness": omega**2,
-            "damping": 2.0 * omega * ratio,
-            "integral": omega**2 / time,
-            "frequency": omega / (2.0 * pi),
-            "damping_ratio": ratio,
-            "integral_time": time,
+            "stiffness": K,
+            "damping": D,
+            "integral": K_i,
+            "frequency": sqrt(K) / (2.0 * pi),
+            "damping_ratio": D / (2.0 * sqrt(K)) if K > 0.0 else 0.0,
+            "integral_time": K / K_i if K_i > 0.0 else inf,
         }
 
 
@@ -151,20 +147,20 @@ class ForceGains(_GainsOfOneLoop):
     numbers = ("integral", "damping", "brake")
     example = "gains.force={bandwidth: 5 Hz}"
 
-    integral: Annotated[NotNegative, "1/s"] = _DERIVED
+    integral: Annotated[NotNegativeNumber, "1/s"] = _DERIVED
     """K_i = 2π `bandwidth`, at which errors of the force fade; below 1 / period"""
-    damping: Annotated[NotNegative, "N s/m"] = _DERIVED
+    damping: Annotated[NotNegativeNumber, "N s/m"] = _DERIVED
     """K_v of the normal velocity, for one mass; beside `integral`, 0"""
-    bandwidth: Annotated[Frequency, Field(gt=0)] = _DERIVED
+    bandwidth: Positive[Frequency] = _DERIVED
     """at which errors of the force fade; 5 Hz if no gain of the loop is given"""
-    damping_ratio: NotNegative = _DERIVED
+    damping_ratio: NotNegativeNumber = _DERIVED
     """brakes a contact that swings, by the mass behind it; 0.7; above ½ none swings up"""
-    rise: Annotated[Time, Field(ge=0)] = _DERIVED
+    rise: NotNegative[Time] = _DERIVED
     """time that a step of a desired force takes; 0.25 s, 0 beside `integral`"""
     tilt: Annotated[Angle, Field(ge=0, le=0.8)] = _DERIVED
     """a face on which one point slides is taken to be turned to the measured motion, by so much at
     most ([tuning](tuning.md#why)); 10 deg, 0 beside `integral`"""
-    brake: Annotated[NotNegative, "1/s"] = _DERIVED
+    brake: Annotated[NotNegativeNumber, "1/s"] = _DERIVED
     """κ = 2 `damping_ratio` K_i of the normal velocity, a force of κ(NᵀΦN)⁻¹; beside `integral`"""
 
     @property
@@ -173,6 +169,8 @@ class ForceGains(_GainsOfOneLoop):
         return self.integral / _UNBRAKED
 
     def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
+        K_i = 2.0 * pi * given.get("bandwidth", 5.0)
+        brake = 2.0 * given.get("damping_ratio", 0.7) * K_i
         if not serves_every_mass:
             if "integral" not in given:
                 raise refuse(
@@ -180,25 +178,14 @@ class ForceGains(_GainsOfOneLoop):
                 )
             K_i = given["integral"]
             brake = given.get("brake", 0.0)
-            return {
-                "damping": 0.0,
-                "bandwidth": K_i / (2.0 * pi),
-                "damping_ratio": brake / (2.0 * K_i) if K_i > 0.0 else 0.0,
-                "rise": 0.0,
-                "tilt": 0.0,
-                "brake": 0.0,
-            }
-        bandwidth = given.get("bandwidth", 5.0)
-        ratio = given.get("damping_ratio", 0.7)
-        K_i = 2.0 * pi * bandwidth
         return {
             "integral": K_i,
             "damping": 0.0,
-            "bandwidth": bandwidth,
-            "damping_ratio": ratio,
-            "rise": 0.25,
-            "tilt": radians(10.0),
-            "brake": 2.0 * ratio * K_i,
+            "bandwidth": K_i / (2.0 * pi),
+            "damping_ratio": brake / (2.0 * K_i) if K_i > 0.0 else 0.0,
+            "rise": 0.25 * serves_every_mass,
+            "tilt": radians(10.0) * serves_every_mass,
+            "brake": brake,
         }
 
 
@@ -214,17 +201,17 @@ class Gains(Spec):
 class MonitorLimits(Spec):
     """When contact counts as made, as lost, and as a collision."""
 
-    force_on: Annotated[Force, Field(gt=0)] = 1.0
+    force_on: Positive[Force] = 1.0
     """contact is made above that force"""
-    force_off: Annotated[Force, Field(gt=0)] = 0.4
+    force_off: Positive[Force] = 0.4
     """and lost below that, plus a fifth of the force commanded"""
-    power: Annotated[Positive, "W"] = 0.05
+    power: Annotated[PositiveNumber, "W"] = 0.05
     """a contact made with more projected power (in size) is a collision"""
-    patience: Annotated[Time, Field(ge=0)] = 0.005
+    patience: NotNegative[Time] = 0.005
     """the force must stay low for so long before contact counts as lost"""
-    window: Annotated[Time, Field(ge=0)] = 0.02
+    window: NotNegative[Time] = 0.02
     """after contact is made, in which a collision is detected"""
-    dwell: Annotated[Time, Field(ge=0)] = 0.0
+    dwell: NotNegative[Time] = 0.0
     """the force must stay high for so long before contact counts as made (sensor noise)"""
     leaving: VelocityLimit = inf
     """an object that leaves its face faster has no contact, whatever the force: a face does not
@@ -243,29 +230,29 @@ class MonitorLimits(Spec):
 class PhaseSettings(MonitorLimits):
     """How contacts are made and kept: opened, approached and closed one by one."""
 
-    speed: Annotated[Velocity, Field(gt=0)] = 0.01
+    speed: Positive[Velocity] = 0.01
     """v_a of the approach, along −N"""
-    damping: Annotated[Positive, "N s/m"] = 200.0
+    damping: Annotated[PositiveNumber, "N s/m"] = 200.0
     """K_a of the approach; K_a v_a is the force with which it meets the face"""
-    travel: Annotated[Length, Field(gt=0)] = 0.05
+    travel: Positive[Length] = 0.05
     """an approach that has covered more at its speed stands still"""
-    rise: Annotated[Time, Field(gt=0)] = 0.05
+    rise: Positive[Time] = 0.05
     """from contact made, with K_a v_a, to the full force"""
-    least: Annotated[Force, Field(gt=0)] = 0.2
+    least: Positive[Force] = 0.2
     """α_min, least force command of a closed contact that can only push"""
-    torque_rate: Annotated[Positive, "1/s"] = 20.0
+    torque_rate: Annotated[PositiveNumber, "1/s"] = 20.0
     """after a change of phase no motor torque changes faster than its limit times this"""
-    share: Positive = 0.2
+    share: PositiveNumber = 0.2
     """of the desired force; a closed contact with less is lost"""
-    lag: Annotated[Time, Field(gt=0)] = 0.006
+    lag: Positive[Time] = 0.006
     """of the low-pass before the monitor"""
-    force_on: Annotated[Force, Field(gt=0)] = 0.6
+    force_on: Positive[Force] = 0.6
     """contact is made above that force"""
-    force_off: Annotated[Force, Field(gt=0)] = 0.3
+    force_off: Positive[Force] = 0.3
     """and lost below that, plus `share` of the force commanded"""
-    power: Annotated[Positive, "W"] = 0.004
+    power: Annotated[PositiveNumber, "W"] = 0.004
     """a contact made with more projected power is a collision"""
-    dwell: Annotated[Time, Field(ge=0)] = 0.002
+    dwell: NotNegative[Time] = 0.002
     """the force must stay high for so long before contact counts as made (sensor noise)"""
     leaving: VelocityLimit = 0.03
     """an object that leaves its face faster has no contact, whatever the force"""
@@ -289,20 +276,20 @@ class PhaseSettings(MonitorLimits):
 class SafetySettings(Spec):
     """Ticks that cannot be computed, and limits of the robot beside its motors'."""
 
-    repeats: Annotated[int, Field(ge=0)] = 2
+    repeats: NotNegative[int] = 2
     """ticks in a row that cannot be computed and repeat the last torques; later ones
     [hold the posture](reliability.md)"""
-    stop_after: Annotated[int, Field(gt=0)] = 20
+    stop_after: Positive[int] = 20
     """how many more such ticks than computed ones stop the controller: 20 in a row, or more than
     half of them for longer"""
     overspeed_time: TimeLimit = 0.02
     """a motor joint above its speed limit for longer stops the controller; time below it is taken
     off"""
-    hold_rate: Annotated[Positive, "1/s"] = 20.0
+    hold_rate: Annotated[PositiveNumber, "1/s"] = 20.0
     """ω of q̈ = −2ω q̇ − ω²(q − q_hold) in a hold and a stop"""
     torque_rate: Annotated[Limit, "1/s"] = 200.0
     """no motor torque changes faster than its limit times this"""
-    brake_time: Annotated[Time, Field(ge=0)] = 0.1
+    brake_time: NotNegative[Time] = 0.1
     """in which joints can be braked from their speed limit: they are stopped before their ends; 0:
     ends are not watched"""
     contact_power: Annotated[Limit, "W"] = 20.0
@@ -353,13 +340,12 @@ class SafetySettings(Spec):
     @classmethod
     def motors_only(cls, **keys: Any) -> SafetySettings:
         """No limits but those of the motors and of `keys`: for ticks that are not one motion."""
-        return cls(**{"brake_time": 0.0} | dict.fromkeys(cls._limits(), inf) | keys)
-
-    @classmethod
-    def _limits(cls) -> Iterator[str]:
-        for key, field in cls.model_fields.items():
-            if any(getattr(mark, "open", False) for mark in field.metadata):
-                yield key
+        unlimited = {
+            key: inf
+            for key, field in cls.model_fields.items()
+            if any(getattr(mark, "open", False) for mark in field.metadata)
+        }
+        return cls(**{"brake_time": 0.0, **unlimited, **keys})
 
     @model_validator(mode="after")
     def _stops_after_repeats(self) -> Self:
@@ -374,12 +360,12 @@ class SafetySettings(Spec):
 class Friction(Spec):
     """Friction at the contacts that the controller takes into account."""
 
-    mu: NotNegative
+    mu: NotNegativeNumber
     """the Coulomb coefficient, the same at all contacts, such as 0.1"""
-    slip: Annotated[Velocity, Field(gt=0)] = 0.002
+    slip: Positive[Velocity] = 0.002
     """v_0, the slip speed from which on friction counts as fully developed; below it the direction
     is not known well enough to push against"""
-    learning: Annotated[NotNegative, "1/s"] = 5.0
+    learning: Annotated[NotNegativeNumber, "1/s"] = 5.0
     """how fast μ follows what `least_squares` reads while contacts slide; 0: not at all; `filter`
     learns nothing"""
 
@@ -394,7 +380,7 @@ class JointFriction(Spec):
     share: Annotated[Number, Field(ge=0, lt=1)] = 0.7
     """g: of the friction that is not learned (stiction, Stribeck), which an observer compensates;
     with 1 joints would seem frictionless at rest, and contacts hunt"""
-    smoothing: Annotated[Positive, "1/s"] = 100.0
+    smoothing: Annotated[PositiveNumber, "1/s"] = 100.0
     """K_d, of that observer"""
     most: Annotated[Number, Field(gt=0, le=1)] = 0.3
     """times a motor's torque limit: more friction is neither assumed nor compensated"""
@@ -403,13 +389,13 @@ class JointFriction(Spec):
 class PostureTask(Spec):
     """What redundant arms do with joints they do not need."""
 
-    stiffness: Annotated[NotNegative, "1/s²"] = 25.0
+    stiffness: Annotated[NotNegativeNumber, "1/s²"] = 25.0
     """of the pull towards the posture"""
-    damping: Annotated[NotNegative, "1/s"] = 10.0
+    damping: Annotated[NotNegativeNumber, "1/s"] = 10.0
     """of joint motions beside the task"""
-    retreat_damping: Annotated[NotNegative, "1/s"] = 50.0
+    retreat_damping: Annotated[NotNegativeNumber, "1/s"] = 50.0
     """instead of `damping`, of joint motions that a singular posture takes from the task"""
-    limit_stiffness: Annotated[NotNegative, "1/s²"] = 400.0
+    limit_stiffness: Annotated[NotNegativeNumber, "1/s²"] = 400.0
     """of the push away from joint limits; 0: none"""
     limit_margin: Annotated[Number, Field(gt=0, lt=0.5)] = 0.05
     """where that push begins, as a share of the joint's range (see `JointLimitAvoidance`)"""
@@ -418,11 +404,11 @@ class PostureTask(Spec):
 class JointTorqueSpec(Spec):
     """The joint torque loop: its rate (Hz), gain and damping ratio."""
 
-    rate: Annotated[Frequency, Field(gt=0)]
+    rate: Positive[Frequency]
     """the rate of the loop, a whole multiple of `control.rate`, such as 4 kHz"""
-    gain: Positive = 60.0
+    gain: PositiveNumber = 60.0
     """k_p: errors of motor and spring seem 1 + gain times smaller"""
-    damping_ratio: Positive = 0.7
+    damping_ratio: PositiveNumber = 0.7
     """of the closed loop"""
 
 
@@ -436,13 +422,13 @@ class ForceReadingSpec(Spec):
 class EstimateSpec(Spec):
     """Accelerations that the estimates of velocities do not know of: joints, tracked bodies."""
 
-    joint_angular: Annotated[Positive, "rad/s²"] = 2.0
+    joint_angular: Annotated[PositiveNumber, "rad/s²"] = 2.0
     """of turning joints"""
-    joint_linear: Annotated[Positive, "m/s²"] = 0.5
+    joint_linear: Annotated[PositiveNumber, "m/s²"] = 0.5
     """of sliding joints"""
-    body_angular: Annotated[Positive, "rad/s²"] = 0.1
+    body_angular: Annotated[PositiveNumber, "rad/s²"] = 0.1
     """of tracked bodies"""
-    body_linear: Annotated[Positive, "m/s²"] = 0.05
+    body_linear: Annotated[PositiveNumber, "m/s²"] = 0.05
     """of tracked bodies"""
 
 
@@ -451,18 +437,18 @@ class Dither(Spec):
 
     It begins when contacts engage, and fades."""
 
-    amplitude: Annotated[Length, Field(gt=0)] = 4e-3
+    amplitude: Positive[Length] = 4e-3
     """of the motion along the line, as far as arms and contacts permit it"""
-    frequency: Annotated[Frequency, Field(gt=0)] = 2.0
+    frequency: Positive[Frequency] = 2.0
     """its frequency"""
-    duration: Annotated[Time, Field(gt=0)] = 2.5
+    duration: Positive[Time] = 2.5
     """after which it has faded"""
 
 
 class ControlSpec(Spec):
     """Tick rate (Hz), the metric B of eq. 24, where N comes from, how contacts live."""
 
-    rate: Annotated[Frequency, Field(gt=0)]
+    rate: Positive[Frequency]
     """the tick rate, such as 1 kHz"""
     metric: Literal["object", "chain"] = "object"
     """B of eq. 24: `object` (Λ_o⁻¹) or `chain` ((ΣΛ_i + Λ_o)⁻¹)"""
@@ -497,15 +483,15 @@ class ControlSpec(Spec):
 class ModelErrorSpec(Spec):
     """What the controller's model has wrong: masses, friction and faces."""
 
-    object_mass: Positive = 1.0
+    object_mass: PositiveNumber = 1.0
     """factor on the controller's object mass and inertia"""
-    arm_mass: Positive = 1.0
+    arm_mass: PositiveNumber = 1.0
     """factor on the controller's link masses and inertias"""
-    hidden_mass: Annotated[Mass, Field(ge=0)] = 0.0
+    hidden_mass: NotNegative[Mass] = 0.0
     """a mass that the controller does not know of, in the object where the first arm grasps it"""
-    joint_friction: NotNegative = 1.0
+    joint_friction: NotNegativeNumber = 1.0
     """factor on the joint friction and damping of the controller's model"""
-    armature: NotNegative = 1.0
+    armature: NotNegativeNumber = 1.0
     """factor on the rotor inertias of the controller's model"""
     environment: Literal["known", "compliance", "ignored"] = "known"
     """`ignored`: the law takes every face as unyielding and unaccelerated (Φ_e = 0, b_e = 0);
@@ -523,28 +509,28 @@ class ModelErrorSpec(Spec):
 class TareSpec(Spec):
     """Zeroing of the wrist sensors in free space before contact is made."""
 
-    duration: Annotated[Time, Field(gt=0)] = 0.4
+    duration: Positive[Time] = 0.4
     """at rest off the faces; the last third is averaged"""
-    standoff: Annotated[Length, Field(gt=0)] = 0.01
+    standoff: Positive[Length] = 0.01
     """gap during that time"""
-    approach: Annotated[Time, Field(gt=0)] = 0.3
+    approach: Positive[Time] = 0.3
     """time from there to contact; where contacts have phases these meet it at their own speed"""
 
 
 class VerdictSpec(Spec):
     """Beyond these limits a run's task has failed (`verdict`), see `runs.verdict`."""
 
-    force_rms: Positive = 0.1
+    force_rms: PositiveNumber = 0.1
     """rms error of a force, of its mean command"""
-    limit_cycle: Positive = 0.05
+    limit_cycle: PositiveNumber = 0.05
     """amplitude of a [limit cycle](metrics.md#limit-cycles), of the mean command"""
-    open_share: NotNegative = 0.01
+    open_share: NotNegativeNumber = 0.01
     """of its judged time that a contact is open"""
-    lost_time: Annotated[Time, Field(gt=0)] = 0.05
+    lost_time: Positive[Time] = 0.05
     """that a contact is open in a row while the controller takes it as closed"""
-    distance: Annotated[Length, Field(gt=0)] = 0.1
+    distance: Positive[Length] = 0.1
     """of the object from its reference, along the free directions"""
-    angle: Annotated[Angle, Field(gt=0)] = 0.3
+    angle: Positive[Angle] = 0.3
     """of the object from its reference, along the free directions"""
-    held_share: NotNegative = 0.01
+    held_share: NotNegativeNumber = 0.01
     """of the ticks that could not be computed"""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import types
 from collections.abc import Iterable, Iterator, Sequence
-from copy import deepcopy
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import yaml
@@ -13,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from osc_contact.errors import ScenarioError
 from osc_contact.scenarios.bodies import CONTACT_TYPES, ContactSpec
-from osc_contact.scenarios.checks import Problem, sound_problems
+from osc_contact.scenarios.checks import Problem, problems_across
 from osc_contact.scenarios.quantities import did_you_mean, sentence
 
 # --- YAML text to nodes ---------------------------------------------------------------------------
@@ -122,14 +121,6 @@ class ScenarioDocument:
             self.data = self._read(node, ())
         self.origins[()] = node.start_mark.line + 1 if node is not None else 1
 
-    def copy(self, problems: Problems) -> ScenarioDocument:
-        """The same data, to be changed; complaints go to `problems`."""
-        other = ScenarioDocument.__new__(ScenarioDocument)
-        other.problems = problems
-        other.origins = dict(self.origins)
-        other.data = deepcopy(self.data)
-        return other
-
     def _read(self, node: yaml.Node, key: Key) -> Any:
         self.origins.setdefault(key, node.start_mark.line + 1)
         if isinstance(node, yaml.SequenceNode):
@@ -161,16 +152,12 @@ class ScenarioDocument:
             quiet.raise_any()
             if not value.strip():
                 raise ScenarioError("no value is given; write null to clear a key")
-            key = self._create_parents(path, override)
+            holder, key = self._create_parents(path, override)
         except ScenarioError as error:
             self.problems.at_override(override, str(error))
             return
-        for old in [old for old in self.origins if old[: len(key)] == key]:
-            del self.origins[old]
+        self.origins = {old: line for old, line in self.origins.items() if old[: len(key)] != key}
         self.origins[key] = override
-        holder = self.data
-        for part in key[:-1]:
-            holder = holder[part]
         holder[key[-1]] = inner.data
 
     def value(self, path: str) -> Any:
@@ -178,14 +165,11 @@ class ScenarioDocument:
 
         Raises:
             ScenarioError: no such path."""
-        *way, last = self._create_parents(path, path)
-        holder = self.data
-        for part in way:
-            holder = holder[part]
-        return holder.get(last) if isinstance(holder, dict) else holder[last]
+        holder, key = self._create_parents(path, path)
+        return _child(holder, key[-1])
 
-    def _create_parents(self, path: str, override: str) -> Key:
-        """Return the key of `path`; groups that the file leaves out are begun."""
+    def _create_parents(self, path: str, override: str) -> tuple[Any, Key]:
+        """Return what holds the value at `path`, and its key; groups left out are begun."""
         key: Key = ()
         holder = self.data
         parts = path.split(".")
@@ -199,19 +183,18 @@ class ScenarioDocument:
             where = ".".join(parts[:depth]) or "the scenario"
             if not part:
                 raise ScenarioError("the path has an empty part; write path.to.key=value")
+            step: str | int = part
             if isinstance(holder, list):
-                step: str | int = _item(holder, part, where)
-            elif isinstance(holder, dict):
-                step = part
-                if depth < len(parts) - 1 and holder.get(part) is None:
-                    holder[part] = {}
-                    self.origins[(*key, part)] = override
-            else:
+                step = _item(holder, part, where)
+            elif not isinstance(holder, dict):
                 raise ScenarioError(f"{where} is {holder!r} and has no keys or items")
             key = (*key, step)
             if depth < len(parts) - 1:
+                if _child(holder, step) is None:
+                    holder[step] = {}
+                    self.origins[key] = override
                 holder = holder[step]
-        return key
+        return holder, key
 
     def report(self, key: Key, text: str) -> None:
         """Complain about `key`, or about the nearest parent that has an origin."""
@@ -293,7 +276,7 @@ def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iter
             yield (*place, tag), f"expected one of {expected}; got {context['tag']!r}"
         else:
             yield place[:-1] if item["type"] == "missing" else place, sentence(item, owner)
-    yield from sound_problems(data)
+    yield from problems_across(data)
 
 
 def _locate(loc: Iterable[str | int], root: type[BaseModel]) -> tuple[Key, type[BaseModel] | None]:

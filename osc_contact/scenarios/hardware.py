@@ -5,7 +5,7 @@ from typing import Annotated, Generic, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from osc_contact.scenarios.quantities import (
     Angle,
@@ -13,13 +13,17 @@ from osc_contact.scenarios.quantities import (
     ForceVec3,
     Frequency,
     Length,
+    NotEmpty,
     NotNegative,
+    NotNegativeNumber,
     Number,
     OfQuantity,
     Positive,
+    PositiveNumber,
     Spec,
     Time,
     Torque,
+    one_of,
     refuse,
 )
 
@@ -30,20 +34,20 @@ PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
 Q = TypeVar("Q", bound=float)
 Fraction = Annotated[Number, Field(gt=0, lt=1)]
 Probability = Annotated[Number, Field(ge=0, lt=1)]
-PerMotor = Annotated[tuple[Positive, ...], Field(min_length=1)]
+PerMotor = NotEmpty[PositiveNumber]
 
 
 class FlexibleJointsSpec(Spec):
     """Springs between motors and links, by the rig's first mode or by number."""
 
-    frequency: Annotated[Frequency, Field(gt=0)] | None = None
+    frequency: Positive[Frequency] | None = None
     """first mode of the rig out of contact, motors held, loops closed, such as 5 Hz; springs are
     proportional to the joints' inertias"""
     stiffness: Annotated[dict[str, PerMotor], "N m/rad, N/m"] | None = None
     """instead: by arm name, one number for each motor"""
-    damping_ratio: NotNegative = 0.02
+    damping_ratio: NotNegativeNumber = 0.02
     """of motor against link"""
-    motor_inertia: Annotated[Positive | dict[str, PerMotor], "–, kg m², kg"] = 0.5
+    motor_inertia: Annotated[PositiveNumber | dict[str, PerMotor], "–, kg m², kg"] = 0.5
     """a share of each joint's own inertia, or by arm name one number for each motor"""
 
     @model_validator(mode="after")
@@ -59,9 +63,9 @@ class FlexibleJointsSpec(Spec):
 class MotorsSpec(Spec):
     """Errors of the motors as shares of each one's limit; signs and phases are drawn."""
 
-    bias: NotNegative = 0.0
+    bias: NotNegativeNumber = 0.0
     """share of each motor's limit"""
-    ripple: NotNegative = 0.0
+    ripple: NotNegativeNumber = 0.0
     """amplitude, share of each motor's limit: a sine of motor travel, 24 per rad or one in 10 mm"""
 
 
@@ -75,11 +79,11 @@ class Push(Spec):
     """the name of an arm with a wrist sensor, which does not feel the force"""
     force: ForceVec3
     """its peak [x, y, z] in world"""
-    start: Annotated[Time, Field(ge=0)] = 0.0
+    start: NotNegative[Time] = 0.0
     """when it first acts"""
-    duration: Annotated[Time, Field(gt=0)]
+    duration: Positive[Time]
     """how long it acts, such as 20 ms"""
-    every: Annotated[Time, Field(ge=0)] = 0.0
+    every: NotNegative[Time] = 0.0
     """after which it comes again, longer than `duration`; 0: never"""
 
     @model_validator(mode="after")
@@ -103,33 +107,25 @@ class Push(Spec):
 class PlantSpec(Spec):
     """The simulated workcell: step (s) and the contact parameters of the MuJoCo plant."""
 
-    type: str = "mujoco"
+    type: Annotated[str, one_of(PLANT_TYPES)] = "mujoco"
     """`mujoco` or `rigid`, or the name of a plant that a program has registered"""
-    step: Annotated[Time, Field(gt=0)]
+    step: Positive[Time]
     """the simulation step, such as 0.25 ms; the control period is a whole multiple"""
-    solref: Annotated[tuple[Positive, Positive], "s, –"] = (0.01, 1.0)
+    solref: Annotated[tuple[PositiveNumber, PositiveNumber], "s, –"] = (0.01, 1.0)
     """MuJoCo: time constant and damping ratio of the faces"""
-    solimp: Annotated[tuple[Fraction, Fraction, Positive], "–, –, m"] = (0.2, 0.9, 0.0005)
+    solimp: Annotated[tuple[Fraction, Fraction, PositiveNumber], "–, –, m"] = (0.2, 0.9, 0.0005)
     """MuJoCo: impedance at zero depth, at width, width"""
-    friction: NotNegative = 0.0
+    friction: NotNegativeNumber = 0.0
     """MuJoCo: Coulomb coefficient of the faces"""
     flexible_joints: FlexibleJointsSpec | None = None
     """MuJoCo: a spring between each motor and its link"""
     motors: MotorsSpec | None = None
     """MuJoCo: what the motors add to the torque commanded"""
-    joint_friction: NotNegative = 0.0
+    joint_friction: NotNegativeNumber = 0.0
     """MuJoCo: Coulomb friction at each motor, share of its limit, that the controller does not know
     of"""
     pushes: tuple[Push, ...] = ()
     """MuJoCo: half sines of force from outside on the wrists of arms"""
-
-    @field_validator("type")
-    @classmethod
-    def _is_registered(cls, value: str) -> str:
-        if value not in PLANT_TYPES:
-            *names, last = map(repr, PLANT_TYPES)
-            raise refuse(f"expected {', '.join(names)} or {last}; got {value!r}")
-        return value
 
     @property
     def exact(self) -> bool:
@@ -140,9 +136,9 @@ class PlantSpec(Spec):
 class Clock(Spec):
     """When a sensor samples and how its readings arrive."""
 
-    rate: Annotated[Frequency, Field(gt=0)]
+    rate: Positive[Frequency]
     """samples per second, such as 1 kHz"""
-    delay: Annotated[Time, Field(ge=0)] = 0.0
+    delay: NotNegative[Time] = 0.0
     """until a sample arrives"""
     dropout: Probability = 0.0
     """probability that a sample is lost"""
@@ -151,11 +147,11 @@ class Clock(Spec):
 class Errors(OfQuantity[Q], Generic[Q]):
     """Errors of a measured quantity."""
 
-    noise: Annotated[Q, Field(ge=0)] = 0.0  # type: ignore[assignment]
+    noise: NotNegative[Q] = 0.0  # type: ignore[assignment]
     """standard deviation of a sample"""
-    bias: Annotated[Q, Field(ge=0)] = 0.0  # type: ignore[assignment]
+    bias: NotNegative[Q] = 0.0  # type: ignore[assignment]
     """constant over the run, drawn uniform within ± the number given"""
-    resolution: Annotated[Q, Field(ge=0)] = 0.0  # type: ignore[assignment]
+    resolution: NotNegative[Q] = 0.0  # type: ignore[assignment]
     """step of the reading"""
 
 
@@ -188,10 +184,10 @@ class VisionSpec(Clock):
     """errors of each coordinate of a pose"""
     orientation: Errors[Angle] = Errors[Angle]()
     """errors of the rotation of a pose, about each axis"""
-    frame_position: Annotated[Length, Field(ge=0)] = 0.0
+    frame_position: NotNegative[Length] = 0.0
     """± displacement of the camera's frame against the robots', drawn once; found from the pictures
     of object and arms"""
-    frame_orientation: Annotated[Angle, Field(ge=0)] = 0.0
+    frame_orientation: NotNegative[Angle] = 0.0
     """± rotation of the camera's frame, likewise"""
 
 

@@ -6,6 +6,7 @@ line of every key, changed by overrides, and only then validated."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -65,12 +66,10 @@ class Template:
         Raises:
             ScenarioError: one line per complaint."""
         self.source = None if source is None else Path(source)
-        self._name = "scenario" if self.source is None else str(self.source)
-        problems = Problems(self._name)
+        problems = Problems(str(self.source or "scenario"))
         if len(text) > LARGEST:
             raise ScenarioError(f"{len(text)} characters; scenarios are read up to {LARGEST}")
         self._document = ScenarioDocument(text, problems)
-        self._problems = list(problems.found)
         if not isinstance(self._document.data, dict):
             problems.at_line(1, "expected keys such as name, arms, object; got no group of keys")
             problems.raise_any()
@@ -88,32 +87,32 @@ class Template:
 
         Raises:
             ScenarioError: no such path, or an override is wrong."""
-        problems = Problems(self._name)
-        document = self._document.copy(problems)
-        for key, value in _pairs(overrides, problems):
-            document.override(key, value)
-        problems.raise_any()
+        document = self._changed(overrides)
+        document.problems.raise_any()
         return document.value(path)
+
+    def _changed(self, overrides: Overrides) -> ScenarioDocument:
+        """The document after overrides."""
+        document = deepcopy(self._document)
+        for key, value in _pairs(overrides, document.problems):
+            document.override(key, value)
+        return document
 
     def make(self, overrides: Overrides = ()) -> Scenario:
         """A scenario, changed by overrides, see `load_scenario`.
 
         Raises:
             ScenarioError: what is wrong with the file or with an override (all complaints)."""
-        problems = Problems(self._name)
-        problems.found = list(self._problems)
-        document = self._document.copy(problems)
-        for key, value in _pairs(overrides, problems):
-            document.override(key, value)
+        document = self._changed(overrides)
         try:
             folder = self.source and self.source.parent
             scenario = Scenario.model_validate(document.data, context={"folder": folder})
         except ValidationError as error:
             for place, complaint in complaints(error, document.data, Scenario):
                 document.report(place, complaint)
-            problems.raise_any()
+            document.problems.raise_any()
             raise
-        problems.raise_any()
+        document.problems.raise_any()
         return scenario.with_source(self.source)
 
 
@@ -145,8 +144,7 @@ def read_text(name_or_path: str | Path) -> tuple[str, Path]:
 
 def _pairs(overrides: Overrides, problems: Problems) -> Iterator[tuple[str, str]]:
     if isinstance(overrides, Mapping):
-        yield from ((path.strip(), str(value)) for path, value in overrides.items())
-        return
+        overrides = [f"{path}={value}" for path, value in overrides.items()]
     for item in (overrides,) if isinstance(overrides, str) else overrides:
         path, equals, value = item.partition("=")
         if equals:

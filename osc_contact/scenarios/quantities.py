@@ -6,7 +6,7 @@ import math
 import re
 import reprlib
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from difflib import get_close_matches
@@ -85,6 +85,18 @@ class Spec(BaseModel):
         """
         given = {key: getattr(self, key) for key in self.model_fields_set}
         return type(self)(**given | keys)
+
+
+def one_of(known: Mapping[str, Any]) -> AfterValidator:
+    """Accepts the names that are registered in `known` by then."""
+
+    def check(value: str) -> str:
+        if value not in known:
+            *names, last = map(repr, known)
+            raise refuse(f"expected {', '.join(names)} or {last}; got {value!r}")
+        return value
+
+    return AfterValidator(check)
 
 
 def refuse(text: str) -> PydanticCustomError:
@@ -296,25 +308,28 @@ ForceRate3 = Annotated[float, _FORCE_RATES[2]]
 Number = Annotated[float, _NUMBER]
 JointForce = Annotated[float, _JOINT_FORCE, "N m, N"]
 JointValue = Annotated[float, _JOINT_VALUE, "m, rad"]
-Positive = Annotated[Number, Field(gt=0)]
-NotNegative = Annotated[Number, Field(ge=0)]
+T = TypeVar("T")
+Positive = Annotated[T, Field(gt=0)]
+NotNegative = Annotated[T, Field(ge=0)]
+NotEmpty = Annotated[tuple[T, ...], Field(min_length=1)]
+PositiveNumber = Positive[Number]
+NotNegativeNumber = NotNegative[Number]
 
 # What is limited up to there; .inf in a file: no limit.
-_LIMIT = Field(gt=0)
-Limit = Annotated[float, replace(_NUMBER, open=True), _LIMIT]
-ForceLimit = Annotated[float, replace(_FORCE, open=True), _LIMIT]
-LengthLimit = Annotated[float, replace(_LENGTH, open=True), _LIMIT]
-TimeLimit = Annotated[float, replace(_TIME, open=True), _LIMIT]
-VelocityLimit = Annotated[float, replace(_LENGTH_RATES[0], open=True), _LIMIT]
+Limit = Positive[Annotated[float, replace(_NUMBER, open=True)]]
+ForceLimit = Positive[Annotated[float, replace(_FORCE, open=True)]]
+LengthLimit = Positive[Annotated[float, replace(_LENGTH, open=True)]]
+TimeLimit = Positive[Annotated[float, replace(_TIME, open=True)]]
+VelocityLimit = Positive[Annotated[float, replace(_LENGTH_RATES[0], open=True)]]
 
 
-def _three(what: str) -> Callable[[Any], Any]:
+def _three(what: str) -> BeforeValidator:
     def check(value: Any) -> Any:
         if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 3:
             raise refuse(f"expected {what}; got {value!r}")
         return value
 
-    return check
+    return BeforeValidator(check)
 
 
 def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -330,13 +345,11 @@ def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]
     return (value[0] / norm, value[1] / norm, value[2] / norm)
 
 
-Vec3 = Annotated[tuple[Length, Length, Length], BeforeValidator(_three("three lengths [x, y, z]"))]
-ForceVec3 = Annotated[tuple[Force, Force, Force], BeforeValidator(_three("three forces [x, y, z]"))]
-AngleVec3 = Annotated[
-    tuple[Angle, Angle, Angle], BeforeValidator(_three("three angles [roll, pitch, yaw]"))
-]
+Vec3 = Annotated[tuple[Length, Length, Length], _three("three lengths [x, y, z]")]
+ForceVec3 = Annotated[tuple[Force, Force, Force], _three("three forces [x, y, z]")]
+AngleVec3 = Annotated[tuple[Angle, Angle, Angle], _three("three angles [roll, pitch, yaw]")]
 UnitVec3 = Annotated[
     tuple[Number, Number, Number],
-    BeforeValidator(_three("a direction of three numbers [x, y, z]")),
+    _three("a direction of three numbers [x, y, z]"),
     AfterValidator(unit_vector),
 ]

@@ -11,7 +11,6 @@ import numpy as np
 from pydantic import (
     BeforeValidator,
     Field,
-    PlainSerializer,
     PlainValidator,
     PrivateAttr,
     TypeAdapter,
@@ -28,9 +27,8 @@ from osc_contact.scenarios.bodies import (
     GraspSpec,
     Name,
     ObjectSpec,
-    forces_of,
 )
-from osc_contact.scenarios.checks import body_problems, name_problems, timing_problems
+from osc_contact.scenarios.checks import problems_across
 from osc_contact.scenarios.control_schema import (
     ControlSpec,
     Gains,
@@ -44,6 +42,9 @@ from osc_contact.scenarios.quantities import (
     Force,
     Jerk,
     Length,
+    NotEmpty,
+    NotNegative,
+    Positive,
     Spec,
     Time,
     UnitVec3,
@@ -68,10 +69,6 @@ def _direction(value: Any) -> Any:
     if isinstance(value, str):
         raise refuse(f"expected a direction [x, y, z] or common_tangent; got {value!r}")
     return _UNIT_VECTOR.validate_python(value)
-
-
-def _as_it_is(value: Any) -> Any:
-    return value
 
 
 def _no_common_tangent(value: Any) -> Any:
@@ -102,13 +99,9 @@ class LinearMove(Spec):
     """A translation along a fixed world direction; signals in metres, summed."""
 
     kind: Literal["linear"] = "linear"
-    direction: Annotated[
-        tuple[float, float, float] | Literal["common_tangent"],
-        PlainValidator(_direction),
-        PlainSerializer(_as_it_is),
-    ]
+    direction: Annotated[Any, PlainValidator(_direction)]
     """a world direction [x, y, z] or common_tangent"""
-    signals: Annotated[tuple[LengthSignal, ...], Field(min_length=1)]
+    signals: NotEmpty[LengthSignal]
     """a list of signals in lengths"""
 
 
@@ -122,7 +115,7 @@ class AngularMove(Spec):
     """a world axis [x, y, z]"""
     through: Vec3 | None = None
     """point of the axis, world, which linear moves carry along; null: the object's origin"""
-    signals: Annotated[tuple[AngleSignal, ...], Field(min_length=1)]
+    signals: NotEmpty[AngleSignal]
     """a list of signals in angles"""
 
 
@@ -144,15 +137,15 @@ class SurfaceMove(Spec):
     """places [along the first axis, along the second], from the start, which is [0, 0]"""
     raster: tuple[Length, Length, Annotated[int, Field(ge=1, le=200)]] | None = None
     """[length, width, lines]: lines to and fro along the first axis, the start in the middle"""
-    feed: Annotated[Velocity, Field(gt=0)] = 0.05
+    feed: Positive[Velocity] = 0.05
     """greatest speed between points"""
-    acceleration: Annotated[Acceleration, Field(gt=0)] = 0.5
+    acceleration: Positive[Acceleration] = 0.5
     """greatest acceleration between points"""
-    jerk: Annotated[Jerk, Field(gt=0)] = 10.0
+    jerk: Positive[Jerk] = 10.0
     """greatest jerk between points"""
-    dwell: Annotated[Time, Field(ge=0)] = 0.0
+    dwell: NotNegative[Time] = 0.0
     """rest at each point"""
-    start: Annotated[Time, Field(ge=0)] = 0.0
+    start: NotNegative[Time] = 0.0
     """when the first point is left for"""
 
     @property
@@ -214,9 +207,7 @@ class Scenario(Spec):
     """bodies that contacts are on, any number of contacts each"""
     contacts: tuple[AnyContact, ...] = ()
     """the [contact pairs](contacts.md#pairs)"""
-    force: dict[str, Annotated[tuple[ForceSignal, ...], Field(min_length=1)]] = Field(
-        default_factory=dict
-    )
+    force: dict[str, NotEmpty[ForceSignal]] = Field(default_factory=dict)
     """by contact name, a list of signals that are summed; a contact with several forces has an
     entry for each: `pad.1`, `pad.2`, …"""
     motion: tuple[MotionSpec, ...] = ()
@@ -299,8 +290,7 @@ class Scenario(Spec):
         Raises:
             ScenarioError: the parts do not fit together.
         """
-        kept = {key: getattr(self, key) for key in type(self).model_fields}
-        return self.from_dict({**kept, **parts}, self.source)
+        return self.from_dict({**dict(self), **parts}, self.source)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain JSON-able data (SI) that loads back to an equal scenario."""
@@ -334,21 +324,10 @@ class Scenario(Spec):
 
     @model_validator(mode="after")
     def _check_across(self) -> Scenario:
-        found = name_problems(
-            [arm.name for arm in self.arms],
-            [contact.name for contact in self.contacts],
-            self.grasps,
-            self.force,
-            forces_of(self.contacts),
-        )
-        found += body_problems(
-            [body.name for body in self.environment],
-            [getattr(contact, "body", None) for contact in self.contacts],
-        )
-        found += timing_problems(self.control, self.plant)
+        found = [
+            InitErrorDetails(type=refuse(text), loc=key, input=None)
+            for key, text in problems_across(dict(self))
+        ]
         if found:
-            raise ValidationError.from_exception_data(
-                "Scenario",
-                [InitErrorDetails(type=refuse(text), loc=loc, input=None) for loc, text in found],
-            )
+            raise ValidationError.from_exception_data("Scenario", found)
         return self

@@ -26,7 +26,9 @@ from osc_contact.scenarios.quantities import (
     Frequency,
     Jerk,
     Length,
+    NotNegative,
     OfQuantity,
+    Positive,
     Time,
     Velocity,
     refuse,
@@ -48,30 +50,19 @@ class Polynomials:
     """Polynomials of the time since the last knot; outside the knots the curve is at rest.
 
     Attributes:
-        knots: (k + 1,) times (s), increasing. coefficients: (degree + 1, k), rising powers.
-        last: the value from the last knot on.
+        curve: the `scipy.interpolate.PPoly`. last: the value from the last knot on.
     """
 
-    knots: Array
-    coefficients: Array
+    curve: Any
     last: float
 
     def at(self, t: Any) -> Values:
         """Return value, first and second derivative at the time or times t (s)."""
-        if np.ndim(t) == 0:
-            return tuple(float(x[0]) for x in self.at(np.array([t])))  # type: ignore[return-value]
-        first = self.knots[0]
-        end = self.knots[-1]
-        i = np.clip(np.searchsorted(self.knots, t, side="right") - 1, 0, len(self.knots) - 2)
-        s = np.clip(t, first, end) - self.knots[i]
-        c = self.coefficients[:, i]
-        x, x_dot, x_ddot = np.zeros((3, len(t)))
-        for row in c[::-1]:  # Horner's scheme, differentiated twice
-            x_ddot = x_ddot * s + 2.0 * x_dot
-            x_dot = x_dot * s + x
-            x = x * s + row
+        first, end = self.curve.x[[0, -1]]
+        s = np.clip(t, first, end)
         moves = (t > first) & (t < end)
-        return np.where(t >= end, self.last, x), x_dot * moves, x_ddot * moves
+        value = np.where(t >= end, self.last, self.curve(s))
+        return value[()], self.curve(s, 1) * moves, self.curve(s, 2) * moves
 
 
 class JerkLimited(OfQuantity[Q], Generic[Q, V, A, J]):
@@ -84,27 +75,26 @@ class JerkLimited(OfQuantity[Q], Generic[Q, V, A, J]):
     """way points before `value`, at rest at each"""
     start: Time = 0.0
     """when it begins, at 0"""
-    velocity: Annotated[V, Field(gt=0)]
+    velocity: Positive[V]
     """the greatest rate, such as 0.1 m/s"""
-    acceleration: Annotated[A, Field(gt=0)]
+    acceleration: Positive[A]
     """the greatest second derivative, such as 1 m/s²"""
-    jerk: Annotated[J, Field(gt=0)]
+    jerk: Positive[J]
     """the greatest third derivative, such as 20 m/s³"""
 
     @property
     def duration(self) -> float:
         """How long it takes from `start` on (s)."""
-        knots = self._pieces().knots
-        return float(knots[-1] - knots[0])
+        first, end = self._pieces().curve.x[[0, -1]].tolist()
+        return end - first
 
     def at(self, t: Any) -> Values:
         """Return value and its exact derivatives."""
         return self._pieces().at(t)
 
     def _pieces(self) -> Polynomials:
-        points = (0.0, *map(float, self.via), float(self.value))
-        limits = float(self.velocity), float(self.acceleration), float(self.jerk)
-        return jerk_limited(points, float(self.start), *limits)
+        points = (0.0, *self.via, self.value)
+        return jerk_limited(points, self.start, self.velocity, self.acceleration, self.jerk)
 
 
 class Points(OfQuantity[Q], Generic[Q]):
@@ -162,6 +152,8 @@ def jerk_limited(
         points: to rest at. start: where it begins.
         velocity, acceleration, jerk: limits, in units of the points per s, s², s³.
     """
+    from scipy.interpolate import PPoly
+
     knots = [start]
     columns = []
     now = points[0]
@@ -169,18 +161,18 @@ def jerk_limited(
         if (way := there - here) == 0.0:
             continue
         state = here, 0.0, 0.0
-        sign = 1.0 if way > 0.0 else -1.0
+        sign = math.copysign(1.0, way)
         for duration, size in from_rest_to_rest(abs(way), velocity, acceleration, jerk):
             if knots[-1] + duration > knots[-1]:
                 x, v, a = state
-                columns.append((x, v, a / 2.0, sign * size / 6.0))
+                columns.append((sign * size / 6.0, a / 2.0, v, x))
                 knots.append(knots[-1] + duration)
                 state = follow(((duration, sign * size),), duration, x, v, a)
         now = there
     if not columns:  # nowhere to go
         knots = [start, start + 1.0]
-        columns = [(now, 0.0, 0.0, 0.0)]
-    return Polynomials(np.array(knots), np.array(columns).T, now)
+        columns = [(0.0, 0.0, 0.0, now)]
+    return Polynomials(PPoly(np.array(columns).T, knots), now)
 
 
 @lru_cache(maxsize=64)
@@ -200,10 +192,10 @@ def least_jerk(points: tuple[tuple[float, float], ...]) -> Polynomials:
     for begin, end in pairwise(sorted(_stops(x.tolist()))):
         part = slice(begin, end + 1)
         spline = make_interp_spline(t[part] / unit, x[part], k=5, bc_type=(at_rest, at_rest))
-        pieces.append(PPoly.from_spline(spline).c[::-1, 5:-5])  # without the empty ones at the ends
-    coefficients = np.hstack(pieces) / unit ** np.arange(6.0)[:, None]
-    coefficients[0] = x[:-1]  # exactly
-    return Polynomials(t, coefficients, float(x[-1]))
+        pieces.append(PPoly.from_spline(spline).c[:, 5:-5])  # without the empty ones at the ends
+    coefficients = np.hstack(pieces) / unit ** np.arange(5.0, -1.0, -1.0)[:, None]
+    coefficients[-1] = x[:-1]  # exactly
+    return Polynomials(PPoly(coefficients, t), float(x[-1]))
 
 
 def _stops(values: list[float]) -> set[int]:
@@ -279,13 +271,13 @@ class Sine(OfQuantity[Q], Generic[Q]):
     type: Literal["sine"] = "sine"
     amplitude: Q
     """the amplitude, with its unit"""
-    frequency: Annotated[Frequency, Field(gt=0)]
+    frequency: Positive[Frequency]
     """the frequency, such as 0.5 Hz"""
     phase: Angle = 0.0
     """at `start`"""
     start: Time = 0.0
     """when it begins"""
-    ramp: Annotated[Time, Field(ge=0)] = 0.0
+    ramp: NotNegative[Time] = 0.0
     """time in which the amplitude rises, minimum jerk"""
 
     def at(self, t: Any) -> Values:
@@ -312,7 +304,7 @@ class MinimumJerk(OfQuantity[Q], Generic[Q]):
     """the final value, with its unit"""
     start: Time = 0.0
     """when it begins"""
-    duration: Annotated[Time, Field(gt=0)]
+    duration: Positive[Time]
     """the time the rise takes, such as 0.3 s"""
 
     def at(self, t: Any) -> Values:

@@ -18,7 +18,7 @@ from osc_contact.contacts.pairs.pair import (
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes, ends
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
-from osc_contact.scenarios.quantities import Angle, Length, UnitVec3, Vec3
+from osc_contact.scenarios.quantities import Angle, Length, NotNegative, Positive, UnitVec3, Vec3
 from osc_contact.spatial import cross, norm
 
 
@@ -31,7 +31,7 @@ class CylinderInVGrooveSpec(OnBodySpec):
     """the middle of the axis [x, y, z] in the object frame"""
     direction: UnitVec3
     """along the axis [x, y, z] in the object frame"""
-    radius: Annotated[Length, Field(ge=0)] = 0.0
+    radius: NotNegative[Length] = 0.0
     """of the cylinder"""
     groove_point: BodyPoint
     """a point of the line in which the walls meet [x, y, z] in the body frame"""
@@ -41,7 +41,7 @@ class CylinderInVGrooveSpec(OnBodySpec):
     """roughly out of the groove, midway between its walls [x, y, z] in the body frame"""
     groove_angle: Annotated[Angle, Field(gt=0, lt=pi)] = pi / 2
     """from wall to wall"""
-    length: Annotated[Length, Field(gt=0)] = 0.1
+    length: Positive[Length] = 0.1
     """between the two points of the axis at which forces are commanded"""
 
 

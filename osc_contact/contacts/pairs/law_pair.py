@@ -6,11 +6,10 @@ instant, on arrays at many.
 
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import (
@@ -30,7 +29,7 @@ from osc_contact.law import contact as law
 from osc_contact.law.jit import as_python
 from osc_contact.law.records import EDGES, FACE_ON_VERTEX, SURFACE, TANGENTS
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
-from osc_contact.scenarios.quantities import Length, UnitVec3, Vec3
+from osc_contact.scenarios.quantities import Length, NotNegative, UnitVec3, Vec3
 from osc_contact.spatial import Array, Poses
 
 _place = as_python(law.place_pair, **OF_ARRAYS)
@@ -227,7 +226,7 @@ class FaceOnVertexSpec(OnBodySpec):
     """the outward normal of the object's face [x, y, z] in the object frame"""
     body_vertex: BodyPoint
     """the centre of the rounded vertex [x, y, z] in the body frame"""
-    radius: Annotated[Length, Field(ge=0)] = 0.0
+    radius: NotNegative[Length] = 0.0
     """of the rounding"""
 
 

@@ -1,11 +1,10 @@
 """Pairs made of points of the object, each held on a plane of the environment."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field
 
 from osc_contact.contacts.pairs.law_pair import LawPair, PairRow, shape
 from osc_contact.contacts.pairs.pair import (
@@ -27,7 +26,7 @@ from osc_contact.scenarios.bodies import (
     OnFaceSpec,
     OnPlaneSpec,
 )
-from osc_contact.scenarios.quantities import Length, UnitVec3, Vec3
+from osc_contact.scenarios.quantities import Length, NotNegative, Positive, UnitVec3, Vec3
 from osc_contact.spatial import Array
 
 
@@ -86,7 +85,7 @@ class VertexOnFaceSpec(OnFaceSpec):
     type: Literal["vertex_on_face"] = "vertex_on_face"
     vertex: Vec3
     """the centre of the rounded vertex [x, y, z] in the object frame"""
-    radius: Annotated[Length, Field(ge=0)] = 0.0
+    radius: NotNegative[Length] = 0.0
     """of the rounding"""
 
 
@@ -162,7 +161,7 @@ class SphereOnPlaneSpec(OnPlaneSpec):
     type: Literal["sphere_on_plane"] = "sphere_on_plane"
     centre: Vec3
     """the centre of the sphere [x, y, z] in the object frame"""
-    radius: Annotated[Length, Field(ge=0)] = 0.0
+    radius: NotNegative[Length] = 0.0
     """of the sphere"""
 
 
@@ -207,7 +206,7 @@ class EdgeOnFaceSpec(OnPlaneSpec):
     """the middle of the edge [x, y, z] in the object frame"""
     direction: UnitVec3
     """along the edge [x, y, z] in the object frame"""
-    length: Annotated[Length, Field(gt=0)] = 0.1
+    length: Positive[Length] = 0.1
     """between the two points of the edge at which forces are commanded"""
 
 
@@ -255,9 +254,9 @@ class CylinderOnPlaneSpec(OnPlaneSpec):
     """the middle of the axis [x, y, z] in the object frame"""
     direction: UnitVec3
     """along the axis [x, y, z] in the object frame"""
-    radius: Annotated[Length, Field(ge=0)] = 0.0
+    radius: NotNegative[Length] = 0.0
     """of the cylinder"""
-    length: Annotated[Length, Field(gt=0)] = 0.1
+    length: Positive[Length] = 0.1
     """between the two points of the axis at which forces are commanded"""
 
 
@@ -309,7 +308,7 @@ class FaceOnFaceSpec(OnPlaneSpec):
     """the middle of the triangle [x, y, z] in the object frame"""
     normal: UnitVec3
     """the outward normal of the object's face [x, y, z] in the object frame"""
-    size: Annotated[Length, Field(gt=0)] = 0.1
+    size: Positive[Length] = 0.1
     """from the middle of the face to the three corners at which forces are commanded"""
 
 
@@ -363,7 +362,7 @@ class CylinderInHoleSpec(OnBodySpec):
     """a point of the hole's axis [x, y, z] in the body frame"""
     hole_direction: BodyDirection
     """along the hole's axis [x, y, z] in the body frame"""
-    length: Annotated[Length, Field(gt=0)] = 0.1
+    length: Positive[Length] = 0.1
     """between the two points of the axis at which forces are commanded"""
 
 

@@ -21,7 +21,7 @@ from osc_contact.contacts.surface import Surface, distance_and_normal
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import SURFACE
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
-from osc_contact.scenarios.quantities import Length, Spec, Vec3
+from osc_contact.scenarios.quantities import Length, NotNegative, Spec, Vec3
 from osc_contact.spatial import Array, Poses, cross, norm
 
 
@@ -80,7 +80,7 @@ class SphereOnSurfaceSpec(OnBodySpec):
     type: Literal["sphere_on_surface"] = "sphere_on_surface"
     centre: Vec3
     """the centre of the ball [x, y, z] in the object frame"""
-    radius: Annotated[Length, Field(ge=0)] = 0.0
+    radius: NotNegative[Length] = 0.0
     """of the ball"""
     surface: Annotated[
         SphereSpec | CylinderSpec | SaddleSpec | MeshSpec, Field(discriminator="type")
