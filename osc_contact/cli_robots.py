@@ -11,7 +11,7 @@ import typer
 from osc_contact import robots
 from osc_contact.console import JsonOption, exit_codes, load_task, out, say
 from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.assembly import outside_limits
+from osc_contact.dynamics.assembly import object_pose, outside_limits
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs import poses
@@ -94,7 +94,7 @@ def pose(
             if q.shape != (chain.nq,):
                 names = ", ".join(chain.joint_names)
                 raise InvalidInputError(f"posture: {len(q)} numbers for {chain.nq} joints: {names}")
-        now = X if posture is None and X is not None else poses.stands(chain, q)
+        now = X if posture is None and X is not None else object_pose(chain, q)
         reached = True
         if seed is not None and xyz is None and rpy is None:
             raise InvalidInputError("--seed is of the search for a posture; give --xyz or --rpy")

@@ -10,8 +10,8 @@ from rigs import largest, rig_of, unit
 import osc_contact as osc
 from benchmarks.combined_errors import ERRORS
 from osc_contact.runs.contacts import feet
-from osc_contact.runs.dither import known_to, showing_twist, slides
 from osc_contact.runs.inspection import inspect_rig
+from osc_contact.runs.references import known_to, showing_twist, slides
 from osc_contact.runs.report import verdict_table
 from osc_contact.scenarios.control_schema import Dither
 

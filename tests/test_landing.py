@@ -5,7 +5,7 @@ from pytest import approx, mark
 from rigs import rig_of
 
 import osc_contact as osc
-from osc_contact.runs.landing import landings
+from osc_contact.runs.rig import landings
 
 PUSH = 10.0  # N, of either end of the rod
 

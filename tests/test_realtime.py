@@ -19,7 +19,7 @@ from test_own_driver import HOME, Driver
 
 import osc_contact as osc
 from osc_contact.runs import loop
-from osc_contact.runs.loop import Deadlines, latency
+from osc_contact.runs.loop import LoopReport, latency
 from osc_contact.runs.report import verdict_table
 
 
@@ -71,7 +71,7 @@ def test_twenty_missed_deadlines_in_a_row_stop_the_robot():
 
 
 def test_what_counts_as_missed():
-    deadlines = Deadlines(1e-3)
+    report = LoopReport(1e-3)
     for read, seconds, missed in (
         (0.0, 1e-4, 0),
         (1e-3, 4.9e-4, 0),
@@ -79,10 +79,10 @@ def test_what_counts_as_missed():
         (4e-3, 1e-4, 2),
         (5.4e-3, 1e-4, 2),
     ):
-        deadlines.note(read, seconds)
-        assert deadlines.missed == missed
-    assert deadlines.in_a_row == 0
-    report = deadlines.report(["a note"])
+        report.note(read, seconds)
+        assert report.missed == missed
+    assert report.in_a_row == 0
+    report.notes = ["a note"]
     assert report.read_to_write_us == approx(
         {"p50": 105.0, "p99": 515.0, "p99_9": 515.0, "max": 510.0}
     )
@@ -117,7 +117,7 @@ def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch, cap
     goals = repeat(osc.pose_reference(X.translation, X.rotation), 1100)
     watched = {"recorder": recorder, "viewer": Viewer()}
     report = osc.run_loop(driver, controller, goals, realtime=True, **watched)
-    assert threads == {"side work"} and shown == sorted(shown) and len(shown) == 3
+    assert threads == {"side work_0"} and shown == sorted(shown) and len(shown) == 3
     assert caplog.text.count("the viewer failed; the run continues without it") == 1
     recording = recorder.recording()
     assert len(recording) == 1100 and np.isfinite(recording["q"]).all()

@@ -203,7 +203,7 @@ def test_large_recordings_stay_in_their_file(tmp_path, monkeypatch):
     assert len(loaded) == 10000 and loaded.meta == json.loads(json.dumps(META))
     path.unlink()  # whoever has it open goes on reading
     for name, values in whole.channels.items():
-        assert loaded.channels.columns[name].nbytes == values.nbytes
+        assert loaded.channels.data[name].nbytes == values.nbytes
         assert_array_equal(loaded[name], values)
         assert_array_equal(loaded.rows(7, 9, name)[name], values[7:9])
         assert_array_equal(loaded.at(-1)[name], values[-1])

@@ -39,7 +39,17 @@ _MOST = 1 << 28  #: bytes of a record; more is damage
 _DAMAGED = (McapError, ValueError, KeyError, TypeError, OverflowError, MemoryError, struct.error)
 
 
-class JournalFile:
+class _Descriptor:
+    """An open file, closed with the object that holds it."""
+
+    _number = -1
+
+    def __del__(self) -> None:
+        if self._number >= 0:
+            os.close(self._number)
+
+
+class JournalFile(_Descriptor):
     """Writes a journal.
 
     Attributes:
@@ -121,12 +131,8 @@ class JournalFile:
             )
             os.ftruncate(self._number, self._whole)  # the part of a chunk that had room
 
-    def __del__(self) -> None:
-        if hasattr(self, "_number"):
-            os.close(self._number)
 
-
-class Journal:
+class Journal(_Descriptor):
     """Reads a journal, whole or not: every chunk that is, and what is missing.
 
     Attributes:
@@ -225,10 +231,6 @@ class Journal:
                 return at + place
             at += _SEARCHED - len(_SIGN) + 1
         return size
-
-    def __del__(self) -> None:
-        if hasattr(self, "_number"):
-            os.close(self._number)
 
 
 class _From:

@@ -64,17 +64,17 @@ class JudgedTicks:
         for i in range(len(self.landed)):
             commanded = (np.asarray(piece["alpha_cmd"])[:, self.columns == i] != 0.0).any(axis=1)
             commanded |= np.asarray(piece["contact_phase"])[:, i] == CLOSED
-            self._follow(i, t, commanded, np.asarray(piece["closed"], dtype=bool)[:, i])
-            contacts[:, i] = self._settled
-            whole &= self._settled | ~commanded
+            closed = np.asarray(piece["closed"], dtype=bool)[:, i]
+            contacts[:, i] = self._settled(i, t, commanded, closed)
+            whole &= contacts[:, i] | ~commanded
         quiet = np.ones(len(t), dtype=bool)
         for begin, end in self._blanks:
             quiet &= ~((t >= begin - 1e-9) & (t < end - 1e-9))
         return contacts, contacts[:, self.columns] & quiet[:, None], whole & quiet
 
-    def _follow(self, i: int, t: Array, commanded: Flags, closed: Flags) -> None:
-        """Contact i through some ticks; which of them are judged is left in `_settled`."""
-        self._settled = np.zeros(len(t), dtype=bool)
+    def _settled(self, i: int, t: Array, commanded: Flags, closed: Flags) -> Flags:
+        """Which ticks of contact i are judged."""
+        settled = np.zeros(len(t), dtype=bool)
         if self.landed[i] is None and closed.any():
             self.landed[i] = float(t[np.argmax(closed)])
         for start, stop in stretches(commanded):
@@ -89,7 +89,8 @@ class JudgedTicks:
             self.open[i] = since is None
             if since is not None:
                 begin = max(SETTLE_S, since + LANDING_S if since > 0.0 else 0.0)
-                self._settled[start:stop] = t[start:stop] >= begin - 1e-9
+                settled[start:stop] = t[start:stop] >= begin - 1e-9
+        return settled
 
 
 def judged_ticks(recording: Recording) -> tuple[Flags, Flags]:
@@ -101,5 +102,5 @@ def judged_ticks(recording: Recording) -> tuple[Flags, Flags]:
 
 def stretches(flags: Flags) -> Iterator[tuple[int, int]]:
     """[start, stop) of ticks with the same flag."""
-    edges = [0, *(np.flatnonzero(flags[1:] != flags[:-1]) + 1).tolist(), len(flags)]
-    yield from ((a, b) for a, b in pairwise(edges) if b > a)
+    edges = np.flatnonzero(flags[1:] != flags[:-1]) + 1
+    yield from pairwise([0, *edges.tolist(), len(flags)] if len(flags) else [])

@@ -9,6 +9,7 @@ import struct
 import tempfile
 import zipfile
 import zlib
+from collections import UserDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import prod
 from pathlib import Path
@@ -232,26 +233,11 @@ _PIECE = 1 << 14  #: ticks that are judged or drawn at once
 _FROM_DISK = 1 << 11  #: the same of a recording that stays on disk, and is to take little memory
 
 
-class Channels(Mapping[str, Array]):
+class Channels(UserDict[str, Array]):
     """Channels that may stay on disk; such a one is read whole at each access."""
 
-    def __init__(self, columns: dict[str, Array]) -> None:
-        self.columns = columns
-
     def __getitem__(self, name: str) -> Array:
-        return read_column(self.columns[name])
-
-    def __setitem__(self, name: str, values: Array) -> None:
-        self.columns[name] = values
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.columns
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.columns)
-
-    def __len__(self) -> int:
-        return len(self.columns)
+        return read_column(self.data[name])
 
 
 class Meta(dict[str, Any]):
@@ -279,34 +265,34 @@ class Recording:
         RecordingError: meta is not JSON-able, or the channels do not fit together."""
 
     def __init__(self, meta: Mapping[str, Any], channels: Mapping[str, npt.ArrayLike]) -> None:
-        self.meta: dict[str, Any] = Meta(_plain(meta))
-        columns: dict[str, Array] = {}
+        try:
+            self.meta: dict[str, Any] = Meta(json.loads(json.dumps(dict(meta), allow_nan=False)))
+        except (TypeError, ValueError) as error:
+            text = f"meta must be JSON-able (finite numbers, text): {error}"
+            raise RecordingError(text) from error
+        self.channels = Channels()
         for name, values in channels.items():
             array = np.asarray(values)
-            _check_name(name)
-            if array.dtype.kind not in "biuf" or len(array.shape) < 1:
+            if not name.isidentifier() or name in _RESERVED:
+                raise RecordingError(
+                    f"{name!r} cannot name a channel; use an identifier, not {_RESERVED}"
+                )
+            if array.dtype.kind not in "biuf" or not array.shape:
                 raise RecordingError(
                     f"channel {name!r} has dtype {array.dtype} and shape {array.shape}; expected "
                     "bool, int or float with the tick as first axis"
                 )
-            columns[name] = array
-        self.channels = Channels(columns)
-        lengths = {name: len(array) for name, array in columns.items()}
+            self.channels[name] = array
+        lengths = {name: len(array) for name, array in self.channels.data.items()}
         if len(set(lengths.values())) > 1:
             raise RecordingError(f"channels differ in their number of ticks: {lengths}")
 
     def __getitem__(self, name: str) -> Array:
         """Return the channel `name`."""
-        self._require(name)
-        return self.channels[name]
+        return self.rows(0, len(self), name)[name]
 
     def __contains__(self, name: object) -> bool:
         return name in self.channels
-
-    def _require(self, name: str) -> None:
-        if name not in self.channels:
-            known = ", ".join(self.channels) or "none"
-            raise RecordingError(f"no channel {name!r} in this recording; there are: {known}")
 
     @property
     def magnitude_names(self) -> list[str]:
@@ -316,19 +302,21 @@ class Recording:
 
     def __len__(self) -> int:
         """Return the number of control ticks."""
-        return len(next(iter(self.channels.columns.values()), ()))
+        return len(next(iter(self.channels.data.values()), ()))
 
     def rows(self, start: int, stop: int, *names: str) -> dict[str, Array]:
         """The ticks start to stop − 1 of some channels, by default of all."""
         rows = {}
         for name in names or self.channels:
-            self._require(name)
-            rows[name] = read_column(self.channels.columns[name], start, stop)
+            if name not in self.channels:
+                known = ", ".join(self.channels) or "none"
+                raise RecordingError(f"no channel {name!r} in this recording; there are: {known}")
+            rows[name] = read_column(self.channels.data[name], start, stop)
         return rows
 
     def pieces(self, *names: str) -> Iterator[dict[str, Array]]:
         """All ticks of some channels, some thousand at a time."""
-        stays = any(map(is_mapped, self.channels.columns.values()))
+        stays = any(map(is_mapped, self.channels.data.values()))
         many = _FROM_DISK if stays else _PIECE
         for start in range(0, len(self), many):
             yield self.rows(start, start + many, *names)
@@ -340,15 +328,15 @@ class Recording:
 
     def thinned(self, most: int) -> Recording:
         """Every k-th tick, the least k that leaves no more than so many; in memory."""
-        step = max(1, -(-len(self) // most))
-        if step == 1:
+        step = -(-len(self) // most)
+        if step <= 1:
             return self
         kept: dict[str, list[Array]] = {name: [] for name in self.channels}
         start = 0
         for piece in self.pieces():
             for name, values in piece.items():
                 kept[name].append(values[-start % step :: step].copy())
-            start += len(piece[name])
+            start += len(values)
         return Recording(self.meta, {name: np.concatenate(some) for name, some in kept.items()})
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -360,7 +348,7 @@ class Recording:
         Raises:
             RecordingError: the file cannot be written; an older file of the name is kept."""
         target = Path(path)
-        columns = self.channels.columns
+        columns = self.channels.data
         times = {name: columns[name] for name in _TIMES if name in columns}
         spent = {key: self.meta[key] for key in _META_TIMES if key in self.meta}
         kept = {key: value for key, value in self.meta.items() if key not in spent}
@@ -416,9 +404,7 @@ class Recording:
                 columns |= times
                 if isinstance(meta, dict):
                     meta |= {k: v for k, v in spent["meta"].items() if k in _META_TIMES}
-        ranks = {name: rank for rank, name in enumerate(order)}
-        last = len(ranks)
-        names = sorted(columns, key=lambda name: ranks.get(name, last))
+        names = [*(name for name in order if name in columns), *columns]
         return cls(meta, {name: columns[name] for name in names})
 
 
@@ -445,19 +431,6 @@ def _read(source: Path) -> tuple[dict[str, Any], dict[str, Array]]:
             f"{source} has recording format {version!r}; this version reads format {_FORMAT}"
         )
     return content, columns
-
-
-def _check_name(name: str) -> None:
-    if not name.isidentifier() or name in _RESERVED:
-        raise RecordingError(f"{name!r} cannot name a channel; use an identifier, not {_RESERVED}")
-
-
-def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
-    try:
-        plain = json.loads(json.dumps(dict(meta), allow_nan=False))
-    except (TypeError, ValueError) as error:
-        raise RecordingError(f"meta must be JSON-able (finite numbers, text): {error}") from error
-    return dict(plain)
 
 
 def column_names(contacts: Sequence[str], owners: Sequence[int]) -> list[str]:

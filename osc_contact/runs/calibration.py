@@ -93,8 +93,10 @@ def _one(
         encoders, wrenches = _averages(sensed, plant, q, average)
         rotations.append(_placement(chain, encoders, sensor).rotation)
         readings.append(wrenches)
-    samples = average / STEP
-    load = calibrate_wrist(rotations, np.array(readings), _noise(scenario) / np.sqrt(samples))
+    wrist = scenario.sensors.wrist
+    sizes = LEAST_NOISE if wrist is None else (wrist.force.noise, wrist.torque.noise)
+    noise = np.repeat(np.maximum(sizes, LEAST_NOISE), 3) / np.sqrt(average / STEP)
+    load = calibrate_wrist(rotations, np.array(readings), noise)
     true = _outboard(chain, start, sensor)
     return WristCalibration(arm.name, load, true.mass, np.array(true.lever))
 
@@ -107,16 +109,14 @@ def _averages(
     plant.reset(q)
     plant.time = now  # the sensors' clocks continue
     gravity = pin.computeGeneralizedGravity(plant.model, plant.data, plant.q)
-    tau = gravity[plant.chain.actuated]
-    encoders = []
-    wrenches = []
+    readings = []
     for k in range(round((SETTLE + average) / STEP)):
-        sensed.command(tau, STEP)
+        sensed.command(gravity[plant.chain.actuated], STEP)
         if k * STEP >= SETTLE:
             read = sensed.measure()
-            encoders.append(read.q)
-            wrenches.append(read.wrenches[0])
-    return np.mean(encoders, axis=0), np.mean(wrenches, axis=0)
+            readings.append(np.concatenate((read.q, read.wrenches[0])))
+    q_read, wrench = np.split(np.mean(readings, axis=0), [len(q)])
+    return q_read, wrench
 
 
 def _placement(chain: ClosedChain, q: Array, frame: int) -> pin.SE3:
@@ -134,9 +134,3 @@ def _outboard(chain: ClosedChain, q: Array, sensor: int) -> pin.Inertia:
     if chain.payload is not None:
         total = total + (X_SW * chain.object_poses()[0]).act(chain.payload.inertia)
     return total
-
-
-def _noise(scenario: Scenario) -> Array:
-    wrist = scenario.sensors.wrist
-    sizes = LEAST_NOISE if wrist is None else (wrist.force.noise, wrist.torque.noise)
-    return np.repeat(np.maximum(np.array(sizes, dtype=float), LEAST_NOISE), 3)

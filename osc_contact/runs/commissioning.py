@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -79,14 +80,14 @@ class Commissioning:
     def _model(self) -> Iterator[str]:
         """Mass matrix and weight, against the robot's own; bias and noise of the wrist."""
         robot = self.robot
-        model = self.robot.chain.model
+        model = robot.chain.model
         read = [robot.measure() for _ in range(300)]
         q = read[-1].q
         data = model.createData()
         M = np.array(pin.crba(model, data, q))
         M = np.triu(M) + np.triu(M, 1).T
         theirs = robot.mass_matrix()
-        worst = float(np.abs(M - theirs).max() / np.abs(theirs).max())
+        worst = np.abs(M - theirs).max() / np.abs(theirs).max()
         if worst > MASS_ERROR:
             raise PlantError(
                 f"the mass matrices of model and robot differ by {100 * worst:.3g} % of the "
@@ -97,16 +98,16 @@ class Commissioning:
         left = torques - pin.computeGeneralizedGravity(model, data, q)
         share = np.abs(left) / robot.chain.tau_max
         if share.max() > TORQUE_ERROR:
-            j = int(share.argmax())
+            j = share.argmax()
             raise PlantError(
                 f"at rest joint '{robot.chain.joint_names[j]}' carries {torques[j]:.3g} N m, "
                 f"{left[j]:.3g} N m more than the model's weight; correct masses, hand or payload"
             )
         yield f"torques at rest differ by {100 * share.max():.2g} % of the limits"
         wrenches = np.array([m.wrenches[0] for m in read])
-        mean = wrenches.mean(axis=0)
-        noise = wrenches.std(axis=0)
-        yield f"wrist: {np.round(mean, 2).tolist()}, noise {np.round(noise, 3).tolist()} N, N m"
+        mean = wrenches.mean(axis=0).round(2).tolist()
+        noise = wrenches.std(axis=0).round(3).tolist()
+        yield f"wrist: {mean}, noise {noise} N, N m"
 
     def _nudge(self) -> Iterator[str]:
         """Sign and axes of the wrench, while the robot holds by itself."""
@@ -122,17 +123,14 @@ class Commissioning:
         """See `runs.shadow`."""
         q, X = self._stands()
         controller = Controller(self.robot.chain, [], dt=1e-3, posture=q)
-        hold = (pose_reference(X.translation, X.rotation) for _ in range(self._ticks))
+        ticks = round(1e3 * self.shadow_time)
+        hold = repeat(pose_reference(X.translation, X.rotation), ticks)
         found = run_loop(self.robot, controller, hold, shadow=True, realtime=self.realtime).shadow
         assert found is not None
         yield from found.lines()
         if not found.forces:
             raise PlantError("; ".join(found.findings))
         self.robot.recover()
-
-    @property
-    def _ticks(self) -> int:
-        return round(1e3 * self.shadow_time)
 
     def _stands(self) -> tuple[Array, pin.SE3]:
         q = self.robot.measure().q
@@ -159,7 +157,7 @@ class Commissioning:
         read, commanded = (recording[key][:, 0] for key in ("alpha_meas", "alpha_cmd"))
         for k, force in zip(motion.judged, FORCES, strict=True):
             part = slice(k - 500, k)
-            error = float(np.sqrt(np.mean((read[part] / commanded[part] - 1.0) ** 2)))
+            error = np.sqrt(np.mean((read[part] / commanded[part] - 1.0) ** 2))
             yield f"{force:g} N: {100 * error:.2g} % rms"
             if error > ERROR:
                 raise PlantError(
@@ -178,8 +176,6 @@ class _Motion:
     judged: tuple[int, int] = (0, 0)
 
     def each(self) -> Iterator[Reference]:
-        side = np.array([0.0, 1.0, 0.0])
-        up = np.array([0.0, 0.0, 1.0])
         for k in range(20_000):
             if not self.landed and k > 50 and self.controller.phases()[0] == 2:
                 self.landed = k
@@ -187,10 +183,10 @@ class _Motion:
             t = 1e-3 * (k - self.landed) if self.landed else 0.0
             if t > 5.0:
                 return
-            slid = np.array(rise(t, 2.0, 2.0))
-            raised = np.array(rise(t, 4.0, 0.8))
+            slid = rise(t, 2.0, 2.0)
+            raised = rise(t, 4.0, 0.8)
             force = 0.0 if k < 50 or t > 4.0 else FORCES[t > 1.2]
-            p, v, a = SLIDE * (np.outer(slid, side) + np.outer(raised, up))
+            p, v, a = SLIDE * np.column_stack((np.zeros(3), slid, raised))
             yield pose_reference(self.X.translation + p, self.X.rotation, v, a, alpha_d=[force])
 
 

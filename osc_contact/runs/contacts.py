@@ -8,12 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from osc_contact import robots
+from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.detection import CollisionShape, TrackedContact, collision_shapes
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import ContactPair, count_forces, make_pair, triad
@@ -72,6 +74,11 @@ def build_pairs(scenario: Scenario) -> tuple[ContactPair, ...]:
     )
 
 
+def contact_at(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Contact:
+    """All contacts of an object at rest at X_WO."""
+    return Contact.stack([pair.contact(X_WO, np.zeros(6)) for pair in pairs])
+
+
 def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
     """Refuse pairs given as objects whose N does not go with their gaps: d gaps/dt = −NᵀV.
 
@@ -84,7 +91,7 @@ def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
     for spec in scenario.contacts:
         if not isinstance(spec, OwnContactSpec):
             continue
-        N = np.asarray(spec.pair.contact(X_WO, np.zeros(6)).N, dtype=float)
+        N = spec.pair.contact(X_WO, np.zeros(6)).N
         before = np.asarray(spec.pair.gaps(X_WO), dtype=float)
         if N.shape != (6, len(before)):
             raise ScenarioError(
@@ -95,8 +102,8 @@ def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
             V = _STEP * column / max(norm(column), 1e-12)
             turned = pin.exp3(V[3:]) @ X_WO.rotation
             moved = spec.pair.gaps(pin.SE3(turned, X_WO.translation + V[:3]))
-            rate = (float(moved[j]) - before[j]) / _STEP
-            want = float(-column @ V) / _STEP
+            rate = (moved[j] - before[j]) / _STEP
+            want = -column @ V / _STEP
             if abs(rate - want) > 0.5 * abs(want):
                 raise ScenarioError(
                     f"contact '{spec.name}': along column {j + 1} of its N the gap changes by "
@@ -128,9 +135,8 @@ def misplaced(
     for body in bodies:
         if not body.contacts:
             continue
-        points, directions = feet(pairs[body.contacts[0]], X_WO)
-        outward = -directions[0]
-        foot = points[0]
+        (foot, *_), (inward, *_) = feet(pairs[body.contacts[0]], X_WO)
+        outward = -inward
         across = np.cross([0.0, 0.0, 1.0], outward)
         size = norm(across)
         across = triad(outward)[:, 0] if size < 1e-3 else across / size
@@ -168,19 +174,20 @@ def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:
     Raises:
         ModelError: a URDF is not found.
     """
-    source = scenario.folder
-    bodies = []
+    bodies: list[Any] = []
     for i, spec in enumerate(scenario.contacts):
         if isinstance(spec, OnFaceSpec):
-            face = spec.face
-            placement = pin.SE3(triad(np.array(face.normal)), np.array(face.point))
-            urdf = robots.resolve_urdf(face.urdf, source)
-            bodies.append(EnvironmentBody(f"face_{spec.name}", urdf, placement, face.motion, (i,)))
+            placement = pin.SE3(triad(np.array(spec.face.normal)), np.array(spec.face.point))
+            bodies.append((f"face_{spec.name}", spec.face, placement, [i]))
     for body in scenario.environment:
         on = [i for i, c in enumerate(scenario.contacts) if getattr(c, "body", None) == body.name]
-        urdf = robots.resolve_urdf(body.urdf, source)
-        bodies.append(EnvironmentBody(body.name, urdf, pose_of(body.pose), body.motion, tuple(on)))
-    return tuple(bodies)
+        bodies.append((body.name, body, pose_of(body.pose), on))
+    return tuple(
+        EnvironmentBody(
+            name, robots.resolve_urdf(spec.urdf, scenario.folder), X_WB, spec.motion, tuple(on)
+        )
+        for name, spec, X_WB, on in bodies
+    )
 
 
 def force_owners(pairs: Sequence[ContactPair]) -> NDArray[np.intp]:
@@ -243,22 +250,18 @@ def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
     if isinstance(motion, OwnMotion):
         return motion
     if isinstance(motion, ConveyorSpec):
-        direction = np.array(motion.direction)
         turn = motion.turn
-        axis = through = np.zeros(3)
-        if turn is not None:
-            axis = np.array(turn.axis)
-            through = np.array(turn.through)
-        return OwnMotion(Rail(direction, axis, through, partial(_commanded, motion)), Conveyor())
+        axis, through = np.zeros((2, 3)) if turn is None else np.array((turn.axis, turn.through))
+        driven = partial(_commanded, motion)
+        return OwnMotion(Rail(np.array(motion.direction), axis, through, driven), Conveyor())
     freely = {key: getattr(motion, key) for key in ("stiffness", "damping", "preload")}
     if isinstance(motion, CartSpec):
         direction = np.array(motion.direction)
         m = motion.mass
         return OwnMotion(Rail(direction, inertia=m, **freely), Cart(direction, m, **freely))
-    line = (np.array(motion.axis), np.array(motion.through))
+    freely |= {"axis": np.array(motion.axis), "through": np.array(motion.through)}
     inertia = motion.inertia
-    rail = Rail(axis=line[0], through=line[1], inertia=inertia, **freely)
-    return OwnMotion(rail, Hinge(*line, inertia, **freely))
+    return OwnMotion(Rail(inertia=inertia, **freely), Hinge(inertia=inertia, **freely))
 
 
 def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
@@ -295,13 +298,14 @@ def known_bodies(bodies: Sequence[EnvironmentBody], contacts: int, how: str) -> 
     """
     known: list[Body | None] = [None] * contacts
     for body in bodies:
-        if body.motion is None or how == "ignored":
-            continue
-        answer = _own_motion(body.motion).body
+        answer = None
+        if body.motion is not None and how != "ignored":
+            answer = _own_motion(body.motion).body
         if how == "compliance":
-            if not isinstance(answer, Cart) or answer.stiffness == 0.0:
-                continue
-            answer = Yielding(1.0 / answer.stiffness)
+            if isinstance(answer, Cart) and answer.stiffness > 0.0:
+                answer = Yielding(1.0 / answer.stiffness)
+            else:
+                answer = None
         for i in body.contacts:
             known[i] = answer
     return known

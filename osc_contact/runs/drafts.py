@@ -42,7 +42,7 @@ class Press:
     force: float
 
     def __str__(self) -> str:
-        k = int(np.abs(self.axis).argmax())
+        k = np.abs(self.axis).argmax()
         return f"{'-' * (self.axis[k] < 0.0)}{'xyz'[k]}"
 
     @classmethod
@@ -58,12 +58,12 @@ class Press:
             force = float(number.removesuffix("N"))
         except ValueError:
             force = -1.0
-        if letter not in ("X", "Y", "Z") or not (0.0 < force < np.inf):
+        if letter not in ("X", "Y", "Z") or not 0.0 < force < np.inf:
             raise InvalidInputError(
                 f"press {text!r}: expected an axis of the tip and newtons, such as Z=15 or -X=5"
             )
         sign = -1.0 if name.startswith("-") else 1.0
-        x, y, z = (sign if one == letter else 0.0 for one in "XYZ")
+        x, y, z = (sign * (one == letter) for one in "XYZ")
         return cls((x, y, z), force)
 
 
@@ -84,9 +84,8 @@ def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Pat
         try:
             text = _text(robot, arm, press, q)
             scenario = parse_scenario(text, target)
-            complaints = [one.text for one in preflight(build_rig(scenario))] or _rehearsed(
-                scenario
-            )
+            found = [one.text for one in preflight(build_rig(scenario))]
+            complaints = found or _rehearsed(scenario)
             if not complaints:
                 return text
         except OscContactError as error:
@@ -120,33 +119,28 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
     axis = np.array(press.axis)
     low, high = position_limits(model)
     limits = np.minimum(np.array(model.upperEffortLimit), 1e6)
-    candidates = [_unwound(q, low, high) for q in robots.random_configurations(model, POSTURES)]
+    candidates = []
     scores = []
-    for q in candidates:
+    for q in robots.random_configurations(model, POSTURES):
+        turned = (q + np.pi) % (2 * np.pi) - np.pi  # angles between ∓π, where limits allow it
+        q = np.where((turned >= low) & (turned <= high), turned, q)
+        candidates.append(q)
         pin.forwardKinematics(model, data, q)
         X = pin.updateFramePlacement(model, data, tip)
-        J = _jacobian(model, data, q, tip)
-        M = np.array(pin.crba(model, data, q)).reshape(model.nv, model.nv)
-        K = np.linalg.cholesky(M)
+        J, M = _jacobian(model, data, q, tip)
         down = X.rotation @ axis
-        sizes = np.linalg.svd(np.linalg.solve(K, J.T), compute_uv=False)
+        sizes = np.linalg.svd(np.linalg.solve(np.linalg.cholesky(M), J.T), compute_uv=False)
         load = pin.computeGeneralizedGravity(model, data, q) - J.T @ (press.force * down)
-        strain = float(np.abs(load / limits).max())
+        strain = np.abs(load / limits).max()
         with np.errstate(invalid="ignore"):
             room = np.minimum(q - low, high - q) / np.minimum(high - low, 2 * np.pi)
-        margin = float(np.nanmin(np.where(np.isfinite(room), room, 0.5)))
+        margin = np.nanmin(np.where(np.isfinite(room), room, 0.5))
         rank = min(3, model.nv)
         score = sizes[rank - 1] / sizes[0] + min(margin, 0.15) / 0.15 - 0.5 * down[2]
         score += 0.5 * min(X.translation[2], 0.1) / 0.1 - max(0.0, strain - 0.4) * 5.0
         scores.append(score)
     for k in np.argsort(scores)[::-1][:TRIED]:
         yield candidates[k]
-
-
-def _unwound(q: Array, low: Array, high: Array) -> Array:
-    """The same posture with angles between ∓π, where the limits allow it; slides are shorter."""
-    turned = (q + np.pi) % (2 * np.pi) - np.pi
-    return np.where((turned >= low) & (turned <= high), turned, q)
 
 
 def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
@@ -234,16 +228,14 @@ def _reference(robot: str) -> str:
 
 def _tangent(model: pin.Model, data: pin.Data, q: Array, tip: int, down: Array) -> Array:
     """The direction (3,) along the plate in which the tip moves most easily."""
-    J = _jacobian(model, data, q, tip)
-    M = np.array(pin.crba(model, data, q)).reshape(model.nv, model.nv)
-    A = J @ np.linalg.solve(M, J.T)
+    J, M = _jacobian(model, data, q, tip)
     P = np.eye(3) - np.outer(down, down)
-    values, vectors = np.linalg.eigh(P @ A @ P)
-    along: Array = vectors[:, int(np.argmax(values))]
+    along: Array = np.linalg.eigh(P @ J @ np.linalg.solve(M, J.T) @ P)[1][:, -1]
     return along * np.sign(along[np.abs(along).argmax()])
 
 
-def _jacobian(model: pin.Model, data: pin.Data, q: Array, tip: int) -> Array:
-    """(3, n) of the tip's velocity in the world; Pinocchio drops an axis where n is 1."""
+def _jacobian(model: pin.Model, data: pin.Data, q: Array, tip: int) -> tuple[Array, Array]:
+    """J (3, n) of the tip in the world, M (n, n); Pinocchio drops an axis where n is 1."""
     J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)
-    return np.asarray(J).reshape(6, model.nv)[:3]
+    M = np.array(pin.crba(model, data, q))
+    return np.reshape(J, (6, model.nv))[:3], M.reshape(model.nv, model.nv)

@@ -3,6 +3,7 @@ controller needs in front of it because of them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from operator import attrgetter
 from typing import Any
 
@@ -79,17 +80,17 @@ def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int)
 def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]]) -> Array:
     """(n_a,) numbers of all arms, in the order of the motors."""
     names = [arm.name for arm in chain.arms]
-    extra = sorted(set(given) - set(names))
-    if extra:
+    if extra := sorted(set(given) - set(names)):
         raise ScenarioError(f"plant.flexible_joints.{key}: no arm {extra}; there are {names}")
-    for arm in chain.arms:
+    numbers = [list(given.get(name, ())) for name in names]
+    for arm, own in zip(chain.arms, numbers, strict=True):
         motors = arm.model.nv - len(arm.passive_joints)
-        if len(given.get(arm.name, ())) != motors:
+        if len(own) != motors:
             raise ScenarioError(
                 f"plant.flexible_joints.{key}: give {motors} numbers for arm '{arm.name}', one for "
-                f"each motor; got {list(given.get(arm.name, ()))}"
+                f"each motor; got {own}"
             )
-    return np.concatenate([given[name] for name in names])
+    return np.concatenate(numbers)
 
 
 def sensors(
@@ -100,23 +101,27 @@ def sensors(
     Args:
         spec: `plant.sensors`. chain: of the arms. bodies: that cameras track.
     """
-    encoder = spec.encoder
-    torque = spec.joint_torque
-    wrist = spec.wrist
-    made = Sensors(vision=spec.vision, markers=_markers(bodies))
-    if encoder is not None:
-        made = replace(made, encoders=_sensor(encoder, lambda e: _joint_errors(encoder, chain, e)))
-    if torque is not None:
-        made = replace(made, joint_torques=_sensor(torque, lambda e: e(torque) * chain.tau_max))
-    if wrist is not None:
-        six = _sensor(wrist, lambda e: np.repeat([e(wrist.force), e(wrist.torque)], 3))
-        made = replace(made, wrists=six)
-    return made
+
+    def six(wrist: Any, error: Any) -> Array:
+        return np.repeat([error(wrist.force), error(wrist.torque)], 3)
+
+    return Sensors(
+        encoders=_sensor(spec.encoder, partial(_joint_errors, chain)),
+        joint_torques=_sensor(spec.joint_torque, lambda torque, e: e(torque) * chain.tau_max),
+        wrists=_sensor(spec.wrist, six),
+        vision=spec.vision,
+        markers=_markers(bodies),
+    )
 
 
-def _sensor(clock: Clock, size: Callable[[Any], Array]) -> tuple[Clock, SensorErrors]:
+def _sensor(
+    clock: Clock | None, size: Callable[[Any, Any], Array]
+) -> tuple[Clock, SensorErrors] | None:
     """A clock, and `size` of noise, bias and resolution."""
-    return clock, SensorErrors(*[size(attrgetter(e)) for e in ("noise", "bias", "resolution")])
+    if clock is None:
+        return None
+    errors = map(attrgetter, ("noise", "bias", "resolution"))
+    return clock, SensorErrors(*[size(clock, error) for error in errors])
 
 
 def _markers(bodies: Sequence[EnvironmentBody]) -> Array | None:
@@ -125,7 +130,7 @@ def _markers(bodies: Sequence[EnvironmentBody]) -> Array | None:
     return np.array([of[i] for i in sorted(of)]) if of else None
 
 
-def _joint_errors(spec: EncoderSpec, chain: ClosedChain, error: Callable[[Any], float]) -> Array:
+def _joint_errors(chain: ClosedChain, spec: EncoderSpec, error: Callable[[Any], float]) -> Array:
     """(n,) an error of the encoders, by whether the joint turns or slides."""
     return np.where(sliding(chain.model), error(spec.length), error(spec.angle))
 
@@ -186,30 +191,33 @@ class Observer:
         self._joints: VelocityEstimate | None = None
         self._spec = spec
         if spec.encoder is not None:
-            noise = np.hypot(
-                _joint_errors(spec.encoder, chain, attrgetter("noise")),
-                _joint_errors(spec.encoder, chain, attrgetter("resolution")) / np.sqrt(12.0),
+            noise, step = (
+                _joint_errors(chain, spec.encoder, attrgetter(e)) for e in ("noise", "resolution")
             )
             unknown = np.where(sliding(chain.model), believed.joint_linear, believed.joint_angular)
-            limit = np.array(chain.model.velocityLimit)
+            limit = chain.model.velocityLimit
             limit = np.where(limit > 0.0, limit, np.inf)
             period = max(self.dt, 1.0 / spec.encoder.rate)
             self._reach = scenario.control.safety.plausible_speed * limit * period
             self._believed = np.full(chain.nq, np.nan)
             self._missed = np.zeros(chain.nq)
             self._joints = VelocityEstimate.optimal(
-                np.maximum(noise, 1e-9), unknown, self.dt, 1.0 / spec.encoder.rate
+                np.maximum(np.hypot(noise, step / np.sqrt(12.0)), 1e-9),
+                unknown,
+                self.dt,
+                1.0 / spec.encoder.rate,
             )
         self.vision: VisionFusion | None = None
-        if (eyes := spec.vision) is not None:
-            noise = [max(of.noise, 1e-9) for of in (eyes.position, eyes.orientation)]
+        if (camera := spec.vision) is not None:
+            position = max(camera.position.noise, 1e-9)
+            orientation = max(camera.orientation.noise, 1e-9)
             self.vision = VisionFusion(
                 lambda q: [object_pose(chain, q), *chain.tip_poses()],
-                Registration(noise[0], noise[1]),
+                Registration(position, orientation),
                 (believed.body_linear, believed.body_angular),
                 dt=self.dt,
-                period=1.0 / eyes.rate,
-                delay=eyes.delay,
+                period=1.0 / camera.rate,
+                delay=camera.delay,
                 markers=_markers(bodies),
             )
 
@@ -238,18 +246,17 @@ class Observer:
             return measurement
         if self._joints is not None and self._spec.encoder is not None:
             known = np.zeros(len(measurement.q)) if acceleration is None else acceleration
-            fresh = stamps.encoders > self._seen.encoders
             bad = self._not_believed(measurement.q)
             if bad.any() and self._joints.x is None:
                 return measurement
+            fresh = stamps.encoders > self._seen.encoders
             q, v = self._joints.update(np.where(bad, np.nan, measurement.q), known, fresh)
             q = np.where(bad, np.nan, q + self._spec.encoder.delay * v)
             measurement = replace(measurement, q=q, v=v, estimated=True)
         if self.vision is not None and measurement.touched is not None:
             now = self._ticks * self.dt
-            touched = self.vision.update(
-                now, measurement.q, stamps.vision, measurement.seen, measurement.touched
-            )
+            pictures = stamps.vision, measurement.seen, measurement.touched
+            touched = self.vision.update(now, measurement.q, *pictures)
             measurement = replace(measurement, touched=touched)
         self._ticks += 1
         self._seen = stamps

@@ -16,9 +16,8 @@ from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.law.joint_friction import LAG
 from osc_contact.robots.summary import friction_warnings, joint_losses, loss_words
 from osc_contact.runs.contacts import feet
-from osc_contact.runs.dither import gain_in_words, known_to
-from osc_contact.runs.landing import landings
-from osc_contact.runs.rig import Rig
+from osc_contact.runs.references import gain_in_words, known_to
+from osc_contact.runs.rig import Rig, landings
 from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.spatial import Array, norm
 from osc_contact.visual.screws import common_perpendicular, echelon
@@ -75,7 +74,10 @@ def inspect_rig(rig: Rig) -> Inspection:
     lines = [
         f"{len(rig.chain.arms)} arm(s), {rig.chain.nq} joints, {motors} motors; "
         f"the object can make d = {state.d} independent motions.",
-        *_locked(state),
+        *(
+            f"the arms' structure carries the wrench {_wrench_words(c)}: it cannot be controlled."
+            for c in state.C.T
+        ),
         f"{len(rig.pairs)} contact(s) constrain r = {contact.r} of them; "
         f"{state.d - contact.r} motions stay free, {contact.r} contact forces can be controlled.",
         *(
@@ -133,28 +135,18 @@ def _normals(rig: Rig) -> Iterator[str]:
 
 def _free_motions(state: ChainState, contact: Contact) -> Array:
     """Basis of range(S) ∩ T, echelon form: translations first, as simple as they come."""
-    N_S = state.S.T @ contact.N
-    _, _, Vh = np.linalg.svd(N_S.T, full_matrices=True)
+    Vh = np.linalg.svd(contact.N.T @ state.S)[2]
     return echelon(state.S @ Vh[contact.r :].T)
 
 
-def _locked(state: ChainState) -> list[str]:
-    return [
-        f"the arms' structure carries the wrench {_wrench_words(c)}: it cannot be controlled."
-        for c in state.C.T
-    ]
-
-
-def _redundancy(arms: int, internal: int, own: int) -> list[str]:
-    lines = []
+def _redundancy(arms: int, internal: int, own: int) -> Iterator[str]:
     if internal or arms > 1:
-        lines.append(
+        yield (
             f"{internal} internal force(s) can be set without moving the object or pressing harder"
             + (" (squeeze along the grasp line is one)." if arms == 2 else ".")
         )
     if own:
-        lines.append(f"{own} motion(s) of arms leave the object where it is: postures to choose.")
-    return lines
+        yield f"{own} motion(s) of arms leave the object where it is: postures to choose."
 
 
 def _column_names(rig: Rig) -> list[str]:
@@ -163,9 +155,8 @@ def _column_names(rig: Rig) -> list[str]:
     return magnitude_names({pair.name: len(feet(pair, X)[0]) for pair in rig.pairs})
 
 
-def _contact_lines(rig: Rig) -> list[str]:
+def _contact_lines(rig: Rig) -> Iterator[str]:
     X = rig.state().X_WO
-    lines = []
     for i, pair in enumerate(rig.pairs):
         points, directions = feet(pair, X)
         if len(points) == 1:
@@ -174,21 +165,18 @@ def _contact_lines(rig: Rig) -> list[str]:
                 if isinstance(pair, VertexOnFace)
                 else f"the {_words(pair).split()[-1]} of '{_body(rig, i)}'"
             )
-            lines.append(
+            yield (
                 f"contact '{pair.name}': force along {_vector(directions[0])} into {kind}, "
                 f"through {_vector(points[0])} m."
             )
             continue
         sign = "pushing only" if pushes_only(pair) else "of either sign"
-        lines.append(
+        yield (
             f"contact '{pair.name}' ({_words(pair)} of '{_body(rig, i)}'): {len(points)} forces at "
             f"once, {sign}; any force and couple it transmits is made of them:"
         )
-        lines += [
-            f"  {pair.name}.{k + 1} along {_vector(d)} through {_vector(p)} m"
-            for k, (p, d) in enumerate(zip(points, directions, strict=True))
-        ]
-    return lines
+        for k, (p, d) in enumerate(zip(points, directions, strict=True)):
+            yield f"  {pair.name}.{k + 1} along {_vector(d)} through {_vector(p)} m"
 
 
 def _words(pair: ContactPair) -> str:
@@ -200,44 +188,39 @@ def _body(rig: Rig, contact: int) -> str:
     return rig.bodies[rig.on[contact]].name
 
 
-def _skew(rig: Rig) -> list[str]:
+def _skew(rig: Rig) -> Iterator[str]:
     """The distance and angle of lines of force, two contacts with one line each at a time."""
-    X = rig.state().X_WO
-    all_lines = [(pair, *feet(pair, X)) for pair in rig.pairs]
-    lines = []
-    for (a, p, d), (b, q, e) in combinations([one for one in all_lines if len(one[1]) == 1], 2):
+    lines = [(pair, *feet(pair, rig.state().X_WO)) for pair in rig.pairs]
+    for (a, p, d), (b, q, e) in combinations([one for one in lines if len(one[1]) == 1], 2):
         between = common_perpendicular(p[0], d[0], q[0], e[0])
         names = f"'{a.name}' and '{b.name}'"
         gap = f"{1e3 * between.distance:.1f} mm apart"
         if between.angle < 1e-9:
-            lines.append(f"{names} press along parallel lines, {gap}.")
+            yield f"{names} press along parallel lines, {gap}."
             continue
         skew = between.distance > 1e-6
         kind = "skew: no single frame's axes hold both" if skew else "they meet in a point"
-        lines.append(
+        yield (
             f"the lines of force of {names} enclose {np.degrees(between.angle):.1f}° and pass "
             f"{gap} ({kind})."
         )
-    return lines
 
 
 def _twist_words(twist: Array) -> str:
     """A twist as pure translation, or as turning about an axis with a pitch."""
-    v = twist[:3]
-    w = twist[3:]
+    v, w = np.split(twist, 2)
     if norm(w) < 1e-9 * max(norm(v), 1.0):
         return f"translation along {_vector(v / norm(v))}"
     turn = w / norm(w)
     speed = v / norm(w)
-    pitch = float(turn @ speed)
+    pitch = turn @ speed
     point = np.cross(turn, speed)
     words = f"turning about {_vector(turn)} through {_vector(point)} m from the object's origin"
     return words + (f", advancing {1e3 * pitch:.1f} mm/rad" if abs(pitch) > 5e-5 else "")
 
 
 def _wrench_words(wrench: Array) -> str:
-    force = wrench[:3]
-    couple = wrench[3:]
+    force, couple = np.split(wrench, 2)
     if norm(force) < 1e-6 * norm(couple):
         return f"couple about {_vector(couple / norm(couple))}"
     size = norm(force)
@@ -245,5 +228,4 @@ def _wrench_words(wrench: Array) -> str:
 
 
 def _vector(x: Array) -> str:
-    rounded = np.round(x, 3) + 0.0
-    return "[" + ", ".join(f"{value:.3f}" for value in rounded) + "]"
+    return f"[{', '.join(f'{value:.3f}' for value in np.round(x, 3) + 0.0)}]"

@@ -72,8 +72,7 @@ def find_cycle(
     """
     n = len(error)
     line = _levelled(error)
-    spectrum = np.hanning(n)
-    power = np.abs(np.fft.rfft(line * spectrum)) ** 2
+    power = np.abs(np.fft.rfft(line * np.hanning(n))) ** 2
     bins = np.arange(len(power))
     free = ~_commanded(n, dt, commands, driven_Hz, along, across)
     free &= (bins >= _PERIODS) & (bins <= n // 4)
@@ -84,16 +83,14 @@ def find_cycle(
     bands = [np.abs(bins - m * peak) <= reach for m in (1, 2, 3)]
     if power[free & np.any(bands, axis=0)].sum() < _DOMINANT * power[free].sum():
         return None
-    transform = np.where(bands[0] & free, np.fft.rfft(line), 0.0)
-    analytic = np.zeros(n, dtype=complex)
-    analytic[: len(transform)] = 2.0 * transform
-    envelope = np.abs(np.fft.ifft(analytic))[n // 10 : n - n // 10]
+    analytic = np.fft.ifft(np.where(bands[0] & free, 2.0 * np.fft.rfft(line), 0.0), n)
+    envelope = np.abs(analytic)[n // 10 : n - n // 10]
     if not envelope.all():
         return None
     log = np.log(envelope)
     x = np.linspace(-0.5, 0.5, len(envelope))
-    slope, level = np.polyfit(x, log, 1)
-    if slope < np.log(1.0 - _FALL) or np.std(log - slope * x - level) > _SCATTER:
+    slope, _ = np.polyfit(x, log, 1)
+    if slope < np.log(1.0 - _FALL) or np.std(log - slope * x) > _SCATTER:
         return None
     return float(np.median(envelope)), peak / (n * dt)
 
@@ -109,7 +106,7 @@ def _commanded(
     """(n/2 + 1,) the bins that hold a line of a command, or a low harmonic of one."""
     lines = np.zeros(n // 2 + 1, dtype=bool)
     for command in commands:
-        lines |= _lines(command, 1e-6 * float(np.abs(command).max(initial=1e-3)))
+        lines |= _lines(command, 1e-6 * np.abs(command).max(initial=1e-3))
     if along is not None and across is not None:
         inward = _spectrum(across)
         for speed in along.T:
@@ -118,16 +115,14 @@ def _commanded(
         centre = round(frequency * n * dt)
         lines[max(centre - 2, 0) : centre + 3] = True
     bins = np.arange(len(lines))
-    found = lines.copy()
-    for harmonic in (2, 3):
-        found |= lines[np.round(bins / harmonic).astype(int)]
-    return found
+    harmonics = [lines[np.round(bins / m).astype(int)] for m in (1, 2, 3)]
+    return np.any(harmonics, axis=0)
 
 
 def _lines(signal: Array, least: float) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Bins in which a signal has a line of at least an amplitude."""
     spectrum = _spectrum(signal)
-    return spectrum > max(_LINE * float(spectrum.max()), least)
+    return spectrum > max(_LINE * spectrum.max(), least)
 
 
 def _spectrum(signal: Array) -> Array:

@@ -9,16 +9,17 @@ import os
 import signal
 import sys
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from inspect import signature
-from math import ceil, log1p
-from threading import Event, Thread
+from math import ceil, inf, log1p
 from time import perf_counter, sleep
-from typing import Any, NoReturn, Protocol, TypeVar, runtime_checkable
+from typing import Any, NoReturn, Protocol
+
+import numpy as np
 
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError, PlantError
@@ -33,7 +34,6 @@ _USUAL: dict[int, Any] = {
     for name in ("SIGINT", "SIGTERM", "SIGHUP")
     if hasattr(signal, name)
 }
-T = TypeVar("T")
 Handler = Callable[[int, Any], None]
 
 
@@ -95,8 +95,8 @@ def raised_signals() -> Iterator[RaisedSignals]:
 
 
 @contextmanager
-def end_requested() -> Iterator[Callable[[], bool]]:
-    """Whether a signal that ends programs came since the block began.
+def noted_signals() -> Iterator[list[int]]:
+    """The signals that end programs and came since the block began.
 
     The first is only noted; the second ends the program as always.
     """
@@ -107,7 +107,7 @@ def end_requested() -> Iterator[Callable[[], bool]]:
         _restore(note)
 
     with _handled(note):
-        yield lambda: bool(seen)
+        yield seen
 
 
 @contextmanager
@@ -127,14 +127,6 @@ def _restore(note: Handler) -> None:
     for number, usual in _USUAL.items():
         if signal.getsignal(number) == note:
             signal.signal(number, usual)
-
-
-def until(requested: Callable[[], bool], items: Iterable[T]) -> Iterator[T]:
-    """Items until the end is requested."""
-    for item in items:
-        if requested():
-            return
-        yield item
 
 
 _log = logging.getLogger(__name__)
@@ -174,16 +166,6 @@ class Records(Protocol):
 def at_once(call: Callable[[], object]) -> None:
     """Do something at once: what a recorder does where no thread does it."""
     call()
-
-
-@runtime_checkable
-class HandsOver(Protocol):
-    """A recorder whose files another thread may write, and that takes notes of the loop."""
-
-    hand_over: Callable[[Callable[[], object]], None]
-
-    def note(self, meta: Mapping[str, Any]) -> None:
-        """Add to the meta data of the recording."""
 
 
 def run_loop(
@@ -236,12 +218,47 @@ def run_loop(
     if viewer is not None and recorder is None:
         raise InvalidInputError("a viewer shows what is recorded; give the loop a recorder, too")
     _require_stop(robot)
-    deadlines = Deadlines(controller.dt)
-    watch = Shadow(controller) if shadow else None
-    with raised_signals() as signals, _process(realtime, recorder, controller.dt) as (notes, side):
-        course = _Course(robot, controller, recorder, viewer, signals, deadlines, side, watch)
+    period = controller.dt
+    report = LoopReport(period)
+    judge = Shadow(controller) if shadow else None
+    stopped = False
+
+    def draw(tick: Mapping[str, Any]) -> None:
+        nonlocal viewer
         try:
-            course.run(references, progress)
+            if viewer is not None:
+                viewer.show(tick)
+        except Exception:
+            _log.exception("the viewer failed; the run continues without it")
+            viewer = None
+
+    with raised_signals() as signals, _process(realtime, recorder, report) as side:
+        try:
+            for k, reference in enumerate(references):
+                measurement = robot.measure()
+                start = perf_counter()
+                tau = controller.tick(measurement, reference)
+                seconds = perf_counter() - start
+                entered = not stopped
+                stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
+                if stopped and entered and not shadow:
+                    _stop(robot, getattr(controller, "reason", ""))
+                if recorder is not None:
+                    signals.whole(recorder.append, measurement, reference, tau, seconds)
+                    if viewer is not None and side is None:
+                        draw(recorder.latest())
+                    elif viewer is not None and side is not None and k % SHOWN == 0 and side.idle:
+                        side.submit(partial(draw, recorder.latest()))
+                if judge is not None:
+                    tau = judge.torques(measurement)
+                ready = perf_counter()
+                robot.command(tau, period)
+                report.note(start, getattr(robot, "read_to_write", ready - start))
+                if side is not None:
+                    report.require()
+                    side.give_way()
+                if progress is not None and k % NEWS == NEWS - 1:
+                    progress((k + 1) * period)
             signals.busy = True
         except BaseException as error:
             signals.busy = True
@@ -249,98 +266,31 @@ def run_loop(
             if failure is not None:
                 error.add_note(f"robot.stop() then failed, too: {failure!r}")
             raise
-        finally:
-            report = deadlines.report(notes)
-            if realtime and isinstance(recorder, HandsOver):
-                recorder.note({"loop": report.as_dict()})
         robot.stop("")
-    if watch is not None:
-        report.shadow = watch.report()
+    if judge is not None:
+        report.shadow = judge.report()
     return report
 
 
 @contextmanager
-def _process(
-    realtime: bool, recorder: Records | None, period: float
-) -> Iterator[tuple[list[str], SideWork | None]]:
-    """The process made for the loop, and the thread beside it."""
+def _process(realtime: bool, recorder: Any, report: LoopReport) -> Iterator[SideWork | None]:
+    """The process made for the loop, and the thread beside it; None: nothing is changed."""
     if not realtime:
-        yield [], None
+        yield None
         return
-    with realtime_process() as notes:
-        side = SideWork(period)
-        if isinstance(recorder, HandsOver):
+    with realtime_process() as report.notes:
+        side = SideWork(report.period)
+        if hasattr(recorder, "hand_over"):
             recorder.hand_over = side.submit
         try:
-            yield notes, side
+            yield side
         finally:
             side.close()
-            if isinstance(recorder, HandsOver):
+            if hasattr(recorder, "hand_over"):
                 recorder.hand_over = at_once
+                recorder.note({"loop": report.as_dict()})
         if side.failure is not None:  # the robot has been stopped
             raise side.failure
-
-
-@dataclass
-class _Course:
-    """The ticks of one loop, and what goes with them."""
-
-    robot: Robot
-    controller: Controls
-    recorder: Records | None
-    viewer: Shows | None
-    signals: RaisedSignals
-    deadlines: Deadlines
-    side: SideWork | None
-    shadow: Shadow | None
-
-    def run(
-        self, references: Iterable[Reference], progress: Callable[[float], None] | None
-    ) -> None:
-        """All ticks."""
-        robot = self.robot
-        controller = self.controller
-        side = self.side
-        shadow = self.shadow
-        period = controller.dt
-        stopped = False
-        for k, reference in enumerate(references):
-            measurement = robot.measure()
-            start = perf_counter()
-            tau = controller.tick(measurement, reference)
-            seconds = perf_counter() - start
-            entered = not stopped
-            stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
-            if stopped and entered and shadow is None:
-                _stop(robot, getattr(controller, "reason", ""))
-            if self.recorder is not None:
-                self.signals.whole(self.recorder.append, measurement, reference, tau, seconds)
-                if self.viewer is not None:
-                    self._show(self.recorder, self.viewer, k)
-            if shadow is not None:
-                tau = shadow.torques(measurement)
-            ready = perf_counter()
-            robot.command(tau, period)
-            self.deadlines.note(start, getattr(robot, "read_to_write", ready - start))
-            if side is not None:
-                self.deadlines.require()
-                side.give_way()
-            if progress is not None and k % NEWS == NEWS - 1:
-                progress((k + 1) * period)
-
-    def _show(self, recorder: Records, viewer: Shows, k: int) -> None:
-        if self.side is None:
-            self._draw(viewer, recorder.latest())
-        elif k % SHOWN == 0 and self.side.idle:
-            self.side.submit(partial(self._draw, viewer, recorder.latest()))
-
-    def _draw(self, viewer: Shows, tick: Mapping[str, Any]) -> None:
-        """Show a tick; a viewer that fails is reported once and left out of the rest of the run."""
-        try:
-            viewer.show(tick)
-        except Exception:
-            _log.exception("the viewer failed; the run continues without it")
-            self.viewer = None
 
 
 def _stop(robot: Robot, reason: str) -> Exception | None:
@@ -386,21 +336,64 @@ _LOCK_ALL = 3  # MCL_CURRENT | MCL_FUTURE
 class LoopReport:
     """How a loop ran.
 
+    A deadline is missed where torques come later than half a period after their measurement, or a
+    measurement later than one and a half periods after the last one.
+
     Attributes:
-        ticks: computed. missed: deadlines, see `Deadlines`.
-        read_to_write_us: "p50", "p99", "p99_9", "max" of the time from a measurement to its
-            torques, to 5 µs.
-        histogram: counts of that time, in bins of 5 µs.
+        period: of the loop (s).
+        ticks: computed. missed: deadlines. in_a_row: those missed last.
+        histogram: counts of the time from a measurement to its torques, in bins of 5 µs.
+        largest: of these times (s).
         notes: what the system did not permit, a sentence each.
         shadow: what a run with `shadow=True` found; else None.
     """
 
+    period: float
     ticks: int = 0
     missed: int = 0
-    read_to_write_us: dict[str, float] = field(default_factory=dict)
-    histogram: list[int] = field(default_factory=list, repr=False)
+    in_a_row: int = 0
+    histogram: list[int] = field(default_factory=lambda: [0] * (BINS + 1), repr=False)
+    largest: float = 0.0
     notes: list[str] = field(default_factory=list)
     shadow: ShadowReport | None = None
+    _last: float = inf
+
+    def note(self, read: float, seconds: float) -> None:
+        """One tick.
+
+        Args:
+            read: s, when it was measured. seconds: from then until its torques were sent.
+        """
+        self.histogram[min(int(seconds / BIN_S), BINS)] += 1
+        self.largest = max(self.largest, seconds)
+        late = seconds > LATE_SHARE * self.period or read - self._last > LATE_CYCLES * self.period
+        self._last = read
+        self.ticks += 1
+        self.missed += late
+        self.in_a_row = self.in_a_row + 1 if late else 0
+
+    def require(self) -> None:
+        """Refuse to continue once too many deadlines in a row were missed.
+
+        Raises:
+            PlantError: 20 were.
+        """
+        if self.in_a_row >= MOST_MISSED:
+            raise PlantError(
+                f"{self.in_a_row} deadlines in a row were missed, {self.missed} of {self.ticks} in "
+                f"all: torques took up to {1e3 * self.largest:.3g} ms, a period is "
+                f"{1e3 * self.period:g} ms. Free the machine of other work, permit real-time "
+                "priority, or raise the period"
+            )
+
+    @property
+    def read_to_write_us(self) -> dict[str, float]:
+        """ "p50", "p99", "p99_9", "max" of the time from a measurement to its torques, to 5 µs."""
+        shares = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
+        counts = np.cumsum(self.histogram)
+        bins = {name: np.searchsorted(counts, x * self.ticks) for name, x in shares.items()}
+        times = {name: 1e6 * BIN_S * (int(k) + 1) for name, k in bins.items()}
+        return {**times, "max": 1e6 * self.largest}
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form, which recordings carry."""
@@ -424,67 +417,6 @@ def latency(loop: Mapping[str, Any]) -> str:
         f"{loop['missed']} of {loop['ticks']} deadlines missed; a bar for "
         f"{1e6 * BAR_BINS * BIN_S:.0f} µs, logarithms of counts: |{drawn}|"
     )
-
-
-class Deadlines:
-    """When torques were sent, tick by tick.
-
-    A deadline is missed where torques come later than half a period after their measurement, or a
-    measurement later than one and a half periods after the last one.
-    """
-
-    def __init__(self, period: float) -> None:
-        """Begin a loop of this period (s)."""
-        self.period = period
-        self.counts = [0] * (BINS + 1)
-        self.largest = 0.0
-        self.ticks = self.missed = self.in_a_row = 0
-        self.last: float | None = None
-
-    def note(self, read: float, seconds: float) -> None:
-        """One tick.
-
-        Args:
-            read: s, when it was measured. seconds: from then until its torques were sent.
-        """
-        self.counts[min(int(seconds / BIN_S), BINS)] += 1
-        self.largest = max(self.largest, seconds)
-        cycle = 0.0 if self.last is None else read - self.last
-        late = seconds > LATE_SHARE * self.period or cycle > LATE_CYCLES * self.period
-        self.last = read
-        self.ticks += 1
-        self.missed += late
-        self.in_a_row = self.in_a_row + 1 if late else 0
-
-    def require(self) -> None:
-        """Refuse to continue once too many in a row were missed.
-
-        Raises:
-            PlantError: 20 were.
-        """
-        if self.in_a_row >= MOST_MISSED:
-            raise PlantError(
-                f"{self.in_a_row} deadlines in a row were missed, {self.missed} of {self.ticks} in "
-                f"all: torques took up to {1e3 * self.largest:.3g} ms, a period is "
-                f"{1e3 * self.period:g} ms. Free the machine of other work, permit real-time "
-                "priority, or raise the period"
-            )
-
-    def report(self, notes: list[str]) -> LoopReport:
-        """Of the loop so far; `notes` are handed on."""
-        shares = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
-        found = {name: 1e6 * BIN_S * self._bin(share) for name, share in shares.items()}
-        found["max"] = 1e6 * self.largest
-        return LoopReport(self.ticks, self.missed, found, self.counts, notes)
-
-    def _bin(self, share: float) -> int:
-        """Upper end of the bin below which this share is."""
-        left = share * self.ticks
-        for k, count in enumerate(self.counts):
-            left -= count
-            if left <= 0:
-                return k + 1
-        return BINS + 1
 
 
 @contextmanager
@@ -539,44 +471,36 @@ class SideWork:
     def __init__(self, period: float) -> None:
         """Begin; the loop leaves a tenth of its period (s) to it where there is work."""
         self._slack = SLACK_SHARE * period
-        self._calls: deque[Callable[[], object]] = deque()
-        self._there = Event()
-        self._ended = False
+        self._thread = ThreadPoolExecutor(1, "side work", _lower_priority)
+        self._last: Future[None] | None = None
         self.failure: Exception | None = None
-        self._thread = Thread(target=self._work, name="side work", daemon=True)
-        self._thread.start()
 
     @property
     def idle(self) -> bool:
         """Whether nothing is left to do."""
-        return not self._calls
+        return self._last is None or self._last.done()
 
     def submit(self, call: Callable[[], object]) -> None:
         """Have something done soon; an error of it is logged, and kept as `failure`."""
-        self._calls.append(call)
-        self._there.set()
+        self._last = self._thread.submit(self._make, call)
 
     def give_way(self) -> None:
         """Called by the loop when its torques are sent."""
-        if self._calls:
+        if not self.idle:
             sleep(self._slack)
 
     def close(self) -> None:
         """Wait until everything is done."""
-        self._ended = True
-        self._there.set()
-        self._thread.join()
+        self._thread.shutdown()
 
-    def _work(self) -> None:
-        if hasattr(os, "SCHED_FIFO") and os.sched_getscheduler(0) == os.SCHED_FIFO:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY - 1))
-        while self._calls or not self._ended:
-            self._there.wait()
-            self._there.clear()
-            while self._calls:
-                try:
-                    self._calls[0]()
-                except Exception as error:
-                    _log.exception("side work of the control loop failed")
-                    self.failure = self.failure or error
-                self._calls.popleft()
+    def _make(self, call: Callable[[], object]) -> None:
+        try:
+            call()
+        except Exception as error:
+            _log.exception("side work of the control loop failed")
+            self.failure = self.failure or error
+
+
+def _lower_priority() -> None:
+    if hasattr(os, "SCHED_FIFO") and os.sched_getscheduler(0) == os.SCHED_FIFO:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY - 1))

@@ -34,6 +34,11 @@ def rounded(x: Array, digits: int = 4) -> list[float]:
     return list(np.round(x, digits).tolist())
 
 
+def has_place(pair: ContactPair) -> bool:
+    """Whether a contact touches at points that are known."""
+    return getattr(pair, "surface_point", None) is not None
+
+
 # --- a scenario ---------------------------------------------------------------------------------
 
 
@@ -51,7 +56,7 @@ def normals(rig: Rig) -> Values:
     for spec in rig.scenario.contacts:
         face = getattr(spec, "face", None)
         if face is not None:
-            behind = float(np.min((np.array(face.point) - points) @ face.normal))
+            behind = np.min((np.array(face.point) - points) @ face.normal)
             yield behind, {"name": spec.name, "mm": 1e3 * behind}
 
 
@@ -67,9 +72,8 @@ def start(rig: Rig) -> Values:
     given = rig.X_given
     now = rig.state().X_WO
     points = [now.translation]
-    for pair in rig.pairs:
-        if getattr(pair, "surface_point", None) is not None:
-            points.extend(feet(pair, now)[0])
+    for pair in filter(has_place, rig.pairs):
+        points.extend(feet(pair, now)[0])
     moved = max(norm(p - given.act(now.actInv(p))) for p in points)
     words = {
         "mm": 1e3 * moved,
@@ -118,7 +122,7 @@ def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
     held = _Solid("the object", urdf, rig.state().X_WO)
     bodies = [_Solid(f"'{body.name}'", body.urdf[0], body.placement) for body in rig.bodies]
     for i, pair in enumerate(rig.pairs):
-        if getattr(pair, "surface_point", None) is not None:
+        if has_place(pair):
             yield i, pair, {"body": bodies[rig.on[i]], "object": held}
 
 
@@ -176,9 +180,8 @@ def inside(rig: Rig) -> Values:
     """Depth of the object in a body, for another cause than those above (m)."""
     if rig.scenario.plant.exact or any(normals.findings(rig)) or any(inverted.findings(rig)):
         return
-    for name, (body, held) in {
-        solids["body"].name: solids.values() for _, _, solids in _solids(rig)
-    }.items():
+    pairs = {solids["body"].name: solids.values() for _, _, solids in _solids(rig)}
+    for name, (body, held) in pairs.items():
         for a in body.shapes if held.shapes else ():
             depth = max(-_distance(a, body.placement, b, held.placement) for b in held.shapes)
             yield depth, {"name": name, "mm": 1e3 * depth}
@@ -203,7 +206,7 @@ def lifted(task: Task) -> Values:
         pressed |= task.bound  # else it opens when its force ends
         gaps = [pair.gaps(pin.XYZQUATToSE3(X)) for X in task.poses[kept[pressed]]]
         if task.rests[i] and gaps:
-            worst = float(np.abs(gaps).max(initial=0.0))
+            worst = np.abs(gaps).max(initial=0.0)
             way = "into" if -np.min(gaps, initial=0.0) >= np.max(gaps, initial=0.0) else "off"
             yield worst, {"mm": 1e3 * worst, "way": way, "name": pair.name}
 
@@ -235,8 +238,7 @@ def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]
     probe = _scene(task)
     X = task.state.X_WO
     for pair in task.pairs if probe is not None and probe.pairs else ():
-        known = getattr(pair, "surface_point", None) is not None
-        if known and pushes_only(pair) and np.abs(pair.gaps(X)).max() < NEAR_M:
+        if has_place(pair) and pushes_only(pair) and np.abs(pair.gaps(X)).max() < NEAR_M:
             for point, inward in zip(*feet(pair, X), strict=True):
                 yield pair, point, -inward, *probe.distance(point)
 
@@ -277,7 +279,7 @@ def masses(task: Task) -> Values:
             believed = mass(task.controller.chain)
             true = mass(task.robot.chain)
             if true > 0.0 and believed > 0.0:
-                ratio = float(abs(np.log(believed / true)))
+                ratio = abs(np.log(believed / true))
                 yield ratio, {"what": what, "believed": believed, "true": true}
 
 
@@ -346,7 +348,7 @@ def tool(task: Task) -> Values:
     faces = list(_faces(task))
     if faces and max(abs(away) for *_, away, _ in faces) <= PLACE_DOUBTFUL:
         X = task.state.X_WO
-        gap = min(float(np.min(pair.gaps(X))) for pair in task.pairs if pushes_only(pair))
+        gap = min(np.min(pair.gaps(X)) for pair in task.pairs if pushes_only(pair))
         away, geom = _scene(task).clearance()
         words = {"geom": geom, "gap": round(1e3 * gap, 3) + 0.0, "away": 1e3 * away}
         yield abs(away - gap), words

@@ -114,10 +114,10 @@ def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = No
         except ModelError:  # it circles about a pose out of reach
             continue
         posture = Posture(found, _miss(chain, found, X_WO))
-        if posture.reached:
-            return posture
-        if best is None or sum(posture.miss) < sum(best.miss):
+        if best is None or posture.reached or sum(posture.miss) < sum(best.miss):
             best = posture
+        if best.reached:
+            return best
     if best is None:
         raise ModelError(
             f"no posture comes near {np.round(X_WO.translation, 4).tolist()} m; is it within the "
@@ -133,11 +133,10 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
         X = tip * grasp.X_TO
         turn = norm(pin.log3(X.rotation.T @ X_WO.rotation))
         shift = norm(X.translation - X_WO.translation)
-        if not grasp.is_rigid:  # what the grasp permits is no miss
-            shift = norm(grasp.miss(tip, X_WO))
-            turn = 0.0
-        away.append((shift, turn))
-    return max(shift for shift, _ in away), max(turn for _, turn in away)
+        # what a loose grasp permits is no miss
+        away.append((shift, turn) if grasp.is_rigid else (norm(grasp.miss(tip, X_WO)), 0.0))
+    shift, turn = np.max(away, axis=0).tolist()
+    return shift, turn
 
 
 def rest(chain: ClosedChain) -> Array:
@@ -148,14 +147,9 @@ def rest(chain: ClosedChain) -> Array:
         return np.where(ends, 0.5 * (low + high), 0.0)
 
 
-def stands(chain: ClosedChain, q: Array) -> pin.SE3:
-    """Where a posture puts the object, or the tip of an arm that holds none."""
-    return object_pose(chain, q)
-
-
 def as_dict(chain: ClosedChain, q: Array) -> dict[str, Any]:
     """JSON-able: joints and poses, (4, 4) in the world."""
-    X = stands(chain, q)
+    X = object_pose(chain, q)
     tips = zip(chain.arms, chain.tip_poses(), strict=True)
     return {
         "posture": dict(zip(chain.joint_names, map(float, q), strict=True)),
@@ -183,11 +177,8 @@ def pose_lines(chain: ClosedChain, q: Array) -> list[str]:
 
 def pose_text(X: pin.SE3) -> str:
     """A pose as a scenario file writes it (m, deg)."""
-    return f"{{xyz: [{_listed(X.translation, 6)}], rpy: [{_listed(_degrees(X), 4, ' deg')}]}}"
-
-
-def _degrees(X: pin.SE3) -> Array:
-    return np.rad2deg(pin.rpy.matrixToRpy(X.rotation))
+    angles = np.rad2deg(pin.rpy.matrixToRpy(X.rotation))
+    return f"{{xyz: [{_listed(X.translation, 6)}], rpy: [{_listed(angles, 4, ' deg')}]}}"
 
 
 def _listed(values: Sequence[float] | Array, digits: int, unit: str = "") -> str:

@@ -26,9 +26,8 @@ from osc_contact.interface import Measurement, Reference, Robot
 from osc_contact.robots.model import position_limits, sliding
 from osc_contact.runs import hardware, placement
 from osc_contact.runs.contacts import feet, known_bodies
-from osc_contact.runs.landing import landings
 from osc_contact.runs.placement import rounded
-from osc_contact.runs.rig import Rig
+from osc_contact.runs.rig import Rig, landings
 from osc_contact.runs.task import Finding, Task, Values, findings, rule
 from osc_contact.scenarios.bodies import CartSpec
 from osc_contact.scenarios.control_schema import SafetySettings
@@ -108,7 +107,7 @@ def require_ready(rig: Rig) -> list[str]:
 def sensors(rig: Rig) -> Values:
     """Arms that measure no force."""
     for arm in rig.chain.arms if rig.pairs else ():
-        yield float(arm.wrist_sensor is None), {"name": arm.name}
+        yield arm.wrist_sensor is None, {"name": arm.name}
 
 
 @rule(
@@ -210,7 +209,7 @@ def carts(rig: Rig) -> Values:
             speed = (m * speed + dt * (force - k * s)) / (m + dt * c + dt**2 * k)
             s += dt * speed
             most = max(most, abs(s))
-        preload = cart.preload - float(push.mean())
+        preload = cart.preload - push.mean()
         words = {"left": push[-1], "duration": rig.scenario.duration, "preload": preload}
         yield most, {"name": body.name, **words}
 
@@ -267,9 +266,9 @@ def stretched(task: Task) -> Values:
     for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
         most = _length(arm) + norm(grasp.X_TO.translation)
         far = np.linalg.norm(task.poses[:, :3] - arm.base.translation, axis=1)
-        k = int(far.argmax())
+        k = far.argmax()
         words = {"far": far[k], "name": arm.name, "t": task.times[k], "most": most}
-        yield float(far[k]) / most, words
+        yield far[k] / most, words
 
 
 def _length(arm: Arm) -> float:
@@ -297,7 +296,7 @@ def postures(task: Task) -> Values:
     low, high = position_limits(chain.model)
     ways = poses[:, :3] - poses[0, :3]
     turns = np.abs(poses[:, 3:] @ poses[0, 3:])  # cosine of half the angle
-    for k in sorted({int(k) for k in (*ways.argmax(axis=0), *ways.argmin(axis=0), turns.argmin())}):
+    for k in sorted({*ways.argmax(axis=0), *ways.argmin(axis=0), turns.argmin()}):
         X = pin.XYZQUATToSE3(poses[k])
         away = np.inf
         left = ""
@@ -389,38 +388,34 @@ def motors(task: Task) -> Values:
     needed = state.b_S[:, None] + state.S.T @ contact.N @ contact.R @ task.forces.T
     shares = np.linalg.pinv(state.G * limits) @ needed  # of each motor's limit, least squares
     order = np.argsort(np.abs(shares).max(axis=0))
-    k, usual = (int(order[i]) for i in (-1, len(order) // 2))
+    k, usual = order[[-1, len(order) // 2]]
     most = least_peak(state.G * limits, needed[:, k])
     # a peak that is a little too high saturates for a while
     if most > motors.refused or least_peak(state.G * limits, needed[:, usual]) > 1.0:
-        j = int(task.forces[k].argmax())
-        motor = int(np.abs(shares[:, k]).argmax())
+        j = task.forces[k].argmax()
+        motor = np.abs(shares[:, k]).argmax()
         joint = chain.joint_names[chain.actuated[motor]]
         words = {"name": task.force_names[j], "force": task.forces[k, j], "t": task.times[k]}
         yield most, {**words, "joint": joint, "most": limits[motor]}
 
 
 def least_peak(A: Array, b: Array) -> float:
-    """The smallest max |x| of all x with A x = b, to 1 %, by bisection on the bound.
+    """The smallest max |x| of all x with A x = b, to 0.2 %: min t² + ε|x|² with |x| ≤ t.
 
     Args:
         A: (m, n). b: (m,).
     """
-    x = np.linalg.pinv(A) @ b
-    low = float(norm(x) / np.sqrt(len(x)))
-    high = float(np.abs(x).max())
-    scale = np.linalg.norm(A, axis=1)
-    rows = A / scale[:, None]
-    right = b / scale
-    while high - low > 0.01 * high:
-        bound = 0.5 * (low + high)
-        box = np.full(len(x), bound)
-        upper = np.concatenate((box, right))
-        lower = np.concatenate((-box, right))
-        sense = np.concatenate((np.zeros(len(x)), np.full(len(b), 5))).astype(np.int32)
-        flag = daqp.solve(np.eye(len(x)), np.zeros(len(x)), rows, upper, lower, sense)[2]
-        low, high = (low, bound) if flag > 0 else (bound, high)
-    return high
+    m, n = A.shape
+    size = float(np.abs(np.linalg.pinv(A) @ b).max())
+    x = np.eye(n, n + 1)
+    t = np.eye(1, n + 1, n)
+    rows = np.vstack((t - x, t + x, np.pad(A, ((0, 0), (0, 1)))))
+    lower = np.append(np.zeros(2 * n), b / max(size, 1e-300))
+    upper = np.append(np.full(2 * n, 1e30), lower[2 * n :])
+    sense = np.repeat([0, 5], (2 * n, m)).astype(np.int32)
+    H = np.diag(np.append(np.full(n, 1e-4), 1.0))
+    found = daqp.solve(H, np.zeros(n + 1), rows, upper, lower, sense)[0]
+    return size * float(np.abs(found[:n]).max())
 
 
 # --- a robot ------------------------------------------------------------------------------------
@@ -473,10 +468,10 @@ def weights(task: Task) -> Values:
         bias = bias + state.arms[0].J.T @ load
     bias = bias[chain.actuated]
     share = np.abs(bias) / np.minimum(chain.tau_max, 1e12)
-    worst = int(share.argmax())
+    worst = share.argmax()
     joint = chain.joint_names[chain.actuated[worst]]
     words = {"torque": bias[worst], "most": chain.tau_max[worst]}
-    yield float(share[worst]), {"joint": joint, **words, "mass": placement.mass_of(chain)}
+    yield share[worst], {"joint": joint, **words, "mass": placement.mass_of(chain)}
 
 
 @rule(
@@ -487,7 +482,7 @@ def pulls(task: Task) -> Values:
     for name, owner, force in zip(task.force_names, task.owners, task.forces.T, strict=True):
         if pushes_only(task.pairs[owner]):
             least = int(force.argmin())
-            yield -float(force[least]), {"name": name, "t": task.times[least]}
+            yield -force[least], {"name": name, "t": task.times[least]}
 
 
 @rule(
@@ -501,9 +496,9 @@ def measured_range(task: Task) -> Values:
     """Forces, over what a wrist sensor may read."""
     most = task.safety.force_range
     for name, force in zip(task.force_names, np.abs(task.forces).T, strict=True):
-        k = int(force.argmax())
+        k = force.argmax()
         words = {"name": name, "t": task.times[k], "force": force[k], "range": most}
-        yield float(force[k]) / most, words
+        yield force[k] / most, words
 
 
 #: What a task has to follow; a new rule is entered in one of these rows. `joints` go through a

@@ -1,18 +1,17 @@
 """What the control loop leaves behind: every tick noted, a recording in the end."""
 
 import logging
+from collections import UserDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import pairwise
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
@@ -53,11 +52,6 @@ class Subject:
     placements: tuple[pin.SE3, ...]
     owners: Array
     free: bool
-
-    @cached_property
-    def pushing(self) -> NDArray[np.bool_]:
-        """(r,) whether each force magnitude must not become negative."""
-        return np.array([pushes_only(self.pairs[i]) for i in self.owners], dtype=bool)
 
 
 def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict[str, Array]:
@@ -108,43 +102,30 @@ def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict
     return {name: np.ascontiguousarray(values) for name, values in made.items()}
 
 
-class Monitor:
-    """What the contact monitor finds for each magnitude, from projected force and power.
-
-    Where a magnitude may have either sign its size counts.
-    """
-
-    def __init__(self, of: Subject) -> None:
-        """Begin at the first tick."""
-        self._of = of
-        self._monitor = ContactMonitor(len(of.owners), of.controller.dt)
-
-    def channels(self, rows: Array) -> dict[str, Array]:
-        """Of the ticks that follow those before."""
-        if self._of.controller.life is not None:  # the controller had a monitor
-            pushing = self._of.pushing  # what can pull stays in contact
-            closed = rows["closed"] > 0.0
-            collision = rows["collision"] > 0.0
-            return {"contact_seen": closed | ~pushing, "collision_seen": collision & pushing}
-        alpha = np.where(self._of.pushing, rows["alpha"], np.abs(rows["alpha"]))
-        closed, collision = watch_series(self._monitor, alpha, rows["speed"])
-        return {"contact_seen": closed, "collision_seen": collision}
-
-
 def work_out(
     of: Subject, log: TruthLog | None, parts: Iterable[tuple[int, Array]]
 ) -> Iterator[dict[str, Array]]:
     """All channels of a journal's rows, block after block.
 
-    The blocks are the same however the rows came, and so is every bit of the channels.
+    The blocks are the same however the rows came, and so is every bit of the channels. Contacts
+    made and collisions are found from projected force and power; where a magnitude may have either
+    sign its size counts.
 
     Args:
         of: what was run. log: the judge's; None: there is none.
         parts: of the journal: index of the first row, and (rows, columns) numbers.
     """
-    monitor = Monitor(of)
+    pushing = np.array([pushes_only(of.pairs[i]) for i in of.owners], dtype=bool)
+    monitor = ContactMonitor(len(of.owners), of.controller.dt)
     for first, rows in _blocks(parts):
-        yield channels(of, log, first, rows) | monitor.channels(rows)
+        if of.controller.life is not None:  # the controller had a monitor
+            closed = (rows["closed"] > 0.0) | ~pushing  # what can pull stays in contact
+            collision = (rows["collision"] > 0.0) & pushing
+        else:
+            alpha = np.where(pushing, rows["alpha"], np.abs(rows["alpha"]))
+            closed, collision = watch_series(monitor, alpha, rows["speed"])
+        seen = {"contact_seen": closed, "collision_seen": collision}
+        yield channels(of, log, first, rows) | seen
 
 
 def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
@@ -171,7 +152,7 @@ def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
         yield begin, np.concatenate(waiting)
 
 
-class Tick(Mapping[str, Any]):
+class Tick(UserDict[str, Any]):
     """The channels of one tick, worked out when they are read."""
 
     def __init__(self, made: Callable[[], dict[str, Array]]) -> None:
@@ -179,17 +160,9 @@ class Tick(Mapping[str, Any]):
         self._made = made
 
     @cached_property
-    def _rows(self) -> dict[str, Array]:
-        return self._made()
-
-    def __getitem__(self, name: str) -> Any:
-        return self._rows[name][0]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._rows)
-
-    def __len__(self) -> int:
-        return len(self._rows)
+    def data(self) -> dict[str, Any]:  # type: ignore[override]
+        """Of the only row."""
+        return {name: rows[0] for name, rows in self._made().items()}
 
 
 def _phases(of: Subject, rows: Array) -> Array:
@@ -221,27 +194,22 @@ def _lines(of: Subject, truth: Truths, k: int) -> tuple[Array, Array, Array]:
     """Unit lines of force (6, r, k), and of each contact where they meet the surface, their mean,
     and the direction of the first: (k, contacts, 3) both."""
     N = [np.zeros((6, 0, k))]
-    points = []
-    directions = []
+    feet = []
     for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
         p, n = feet_over(pair, own, truth.X_WO, X_WE)
         N.append(np.concatenate((n, cross(p - truth.X_WO.p[:, None], n))))
-        points.append(p.mean(axis=1).T)
-        directions.append(n[:, 0].T)
-    shape = (len(of.pairs), k, 3)
-    first, second = (np.reshape(x, shape).transpose(1, 0, 2) for x in (points, directions))
-    return np.concatenate(N, axis=1), first, second
+        feet.append((p.mean(axis=1).T, n[:, 0].T))
+    points, directions = np.reshape(feet, (-1, 2, k, 3)).transpose(1, 2, 0, 3)
+    return np.concatenate(N, axis=1), points, directions
 
 
 def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
     out = np.zeros((k, len(of.pairs), 7))
     for i, X_WE in enumerate(truth.X_WE):
-        body = of.placements[i]
-        R = body.rotation[:, :, None]
-        p = body.translation[:, None]
+        R = of.placements[i].rotation[:, :, None]
+        p = of.placements[i].translation[:, None]
         if X_WE is not None:
-            moved = np.stack([X_WE.rotate(R[:, j]) for j in range(3)], axis=1)
-            R = moved
+            R = X_WE.rotate(R)
             p = X_WE.p + X_WE.rotate(p)
         out[:, i] = Poses(R, p).coordinates(k)
     return out
@@ -256,18 +224,13 @@ def _motion_error(of: Subject, rows: Array, N: Array, phase: Array) -> Array:
     k = len(rows)
     J = np.ascontiguousarray(rows["J_world"].T).reshape(-1, 6, k).swapaxes(0, 1)
     X = _poses(rows["X_WO"].reshape(k, 4, 4))
-    held = phase[:, of.owners] != Phase.OPEN
-    changes = np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1
     known = np.isfinite(np.concatenate((q, error), axis=1)).all(axis=1)  # others were held
     out = np.full((k, 6), np.nan)
-    for a, b in pairwise([0, *changes, k]):
-        i = a + np.flatnonzero(known[a:b])
-        if not len(i):
-            continue
-        poses = Poses(X.R[..., i], X.p[:, i])
-        lines = N[:, held[a]][..., i]
+    if known.any():
+        poses = Poses(X.R[..., known], X.p[:, known])
+        lines = np.where(phase[:, of.owners].T != Phase.OPEN, N, 0.0)[..., known]
         chain = of.controller.chain
-        out[i] = free_parts(chain, q[i], J[:, :, i], poses, lines, error[i].T).T
+        out[known] = free_parts(chain, q[known], J[..., known], poses, lines, error[known].T).T
     return out
 
 
@@ -361,7 +324,6 @@ class Recorder:
         self._unknown = np.full(sum(unknown.values()), np.nan)
         self._numbers = np.zeros(sum(numbers.values()))
         self._squeezes, self._given_up = np.split(self._numbers[2:], [squeezes])
-        self._squeeze: float | None = None  #: commanded in the last tick, if nothing else changed
         self._flags: list[Array] = [np.zeros(sum(flags.values()))]
 
     @property
@@ -383,10 +345,14 @@ class Recorder:
         row = self._rows[self._k]
         status = self.of.controller.status
         numbers = self._numbers
-        numbers[0] = seconds
-        numbers[1] = status
-        if status is not Status.OK or reference.squeeze_d is not self._squeeze:
-            self._note_numbers(status, reference.squeeze_d)
+        numbers[:2] = seconds, status
+        self._squeezes[:] = np.nan  # after a single squeeze; that distinguishes it from several
+        with suppress(TypeError, ValueError):  # the tick was held
+            self._squeezes[: np.size(reference.squeeze_d)] = reference.squeeze_d
+        cost = self.of.controller.given_up if status is Status.SATURATED else None
+        self._given_up[:] = 0.0
+        if cost is not None and len(cost.force) == len(self._given_up):
+            self._given_up[:] = cost.force
         try:
             found = self._found(measurement)
             parts = (measurement.q, measurement.v, reference.alpha_d, *found)
@@ -400,22 +366,6 @@ class Recorder:
             self._first_reason = f"at {at:.3f} s: {self.of.controller.reason}"
         self._k += 1
         self.count += 1
-
-    def _note_numbers(self, status: Status, squeeze: float | Array) -> None:
-        """Commanded squeeze, and what motor limits cost: seldom another than in the last tick.
-
-        A single squeeze is followed by NaNs: that distinguishes it from several.
-        """
-        self._squeezes[:] = np.nan
-        self._given_up[:] = 0.0
-        with suppress(TypeError, ValueError):  # the tick was held
-            self._squeezes[: np.size(squeeze)] = squeeze
-        cost = self.of.controller.given_up if status is Status.SATURATED else None
-        if cost is not None and len(cost.force) == len(self._given_up):
-            self._given_up[:] = cost.force
-        self._squeeze = None
-        if status is Status.OK and isinstance(squeeze, float):
-            self._squeeze = squeeze
 
     def _found(self, measurement: Measurement) -> list[Array]:
         """What the last tick found: views of the controller's records."""
@@ -486,23 +436,19 @@ class Recorder:
         recording = recording_of(self.of, self.truth, self.journal.read(), about)
         if self.error is not None:
             recording.meta["missing"] = [str(self.error)]
+        controller = self.of.controller
+        learns = getattr(controller.settings.joint_friction, "learning", False)
         recording.meta |= {
-            "end_state": self.of.controller.state.name,
-            "end_reason": self.of.controller.reason,
+            "end_state": controller.state.name,
+            "end_reason": controller.reason,
             "first_reason": self._first_reason,
-            "joint_friction": self._learned(),
-            "missing_inertia": self.of.controller.missing_inertia.tolist(),
-            "normal_std": [std or None for std in self.of.controller.normal_std.tolist()],
+            "joint_friction": controller.joint_friction.tolist() if learns else [],
+            "missing_inertia": controller.missing_inertia.tolist(),
+            "normal_std": [std or None for std in controller.normal_std.tolist()],
             "wall_s": perf_counter() - self._began[0],
             "cpu_s": process_time() - self._began[1],
         }
         return recording
-
-    def _learned(self) -> list[list[float]]:
-        """Friction of the joints, if the controller learns it."""
-        settings = self.of.controller.settings.joint_friction
-        learns = settings is not None and settings.learning
-        return self.of.controller.joint_friction.tolist() if learns else []
 
 
 def recording_of(
@@ -531,13 +477,12 @@ def _subject(controller: Controller) -> Subject:
 def describe_subject(of: Subject) -> dict[str, Any]:
     """Meta data on what is recorded."""
     chain = of.controller.chain
+    limits = [limit if limit < np.inf else None for limit in chain.tau_max.tolist()]
+    motors = [chain.joint_names[j] for j in chain.actuated]
     return {
         "arm_names": [arm.name for arm in chain.arms],
         "joint_names": chain.joint_names,
-        "effort_limits": {
-            chain.joint_names[j]: float(limit) if np.isfinite(limit) else None
-            for j, limit in zip(chain.actuated, chain.tau_max, strict=True)
-        },
+        "effort_limits": dict(zip(motors, limits, strict=True)),
         "joint_losses": [
             one for arm in chain.arms for one in joint_losses(arm.model, f"{arm.name}/")
         ],
@@ -569,14 +514,12 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
     """
     L = np.linalg.cholesky(chain.reference_inertia(pin.SE3.Identity()))  # in the object's axes
 
-    def in_object(columns: Array) -> Array:
-        return np.concatenate((X_WO.rotate_back(columns[:3]), X_WO.rotate_back(columns[3:])))
-
-    def whitened(motions: Array) -> Array:
-        return np.tensordot(L.T, in_object(motions), 1)
+    def in_object(columns: Array, scale: Array) -> Array:
+        own = np.concatenate((X_WO.rotate_back(columns[:3]), X_WO.rotate_back(columns[3:])))
+        return np.tensordot(scale, own, 1)
 
     J = np.concatenate((J[:3] + cross(J[3:], X_WO.p[:, None]), J[3:]))
-    outside = [np.zeros((6, 0, len(q)))]  # of what each arm can make
+    locked = [_onto(in_object(N, np.linalg.inv(L)))]  # projections onto what cannot be
     for i, (arm, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
         motions = J[:, arm]
         if not grasp.is_rigid:
@@ -585,39 +528,15 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
                 pin.forwardKinematics(chain.model, chain.data, joints)
                 slips.append(grasp.motions_at(chain.tip_poses()[i], X_WO.p[:, k]))
             motions = np.concatenate((motions, np.stack(slips, axis=2)), axis=1)
-        B = _orthonormal(whitened(motions))
-        outside.append(_orthonormal(np.eye(6)[:, :, None] - np.einsum("imk,jmk->ijk", B, B)))
-    locked = np.concatenate(outside, axis=1)
-    if locked.any():  # several arms may lock the same, but for their loops' openings
-        U, s, _ = np.linalg.svd(locked.transpose(2, 0, 1), full_matrices=False)
-        locked = (U * (s > _SAME * s[:, :1])[:, None]).transpose(1, 2, 0)
-    lines = np.tensordot(np.linalg.inv(L), in_object(N), 1)
-    basis = _orthonormal(np.concatenate((locked, lines), axis=1))
-    own = np.tensordot(np.linalg.inv(L.T), _left(whitened(x), basis), 1)
+        locked.append(np.eye(6) - _onto(in_object(motions, L.T)))
+    _, sizes, axes = np.linalg.svd(np.concatenate(locked, axis=1), full_matrices=False)
+    free = axes * (sizes < _SAME)[:, :, None]  # arms may lock the same, but for their openings
+    left = np.einsum("kmi,kmj,jk->ik", free, free, in_object(x, L.T))
+    own = np.tensordot(np.linalg.inv(L.T), left, 1)
     return np.concatenate((X_WO.rotate(own[:3]), X_WO.rotate(own[3:])))
 
 
-def _orthonormal(columns: Array) -> Array:
-    """An orthonormal basis (6, m, k) of columns (6, n, k), by Gram and Schmidt.
-
-    A column of which nothing is left beside those before it is a zero.
-    """
-    basis = np.zeros((6, 0, columns.shape[2]))
-    for column in columns.transpose(1, 0, 2):
-        left = column / np.maximum(_length(column), 1.0)
-        for _ in range(2):  # once more for what rounding left
-            left = _left(left, basis)
-        size = _length(left)
-        unit = np.where(size > _SAME, left / np.maximum(size, _SAME), 0.0)
-        if unit.any():
-            basis = np.concatenate((basis, unit[:, None]), axis=1)
-    return basis
-
-
-def _left(x: Array, basis: Array) -> Array:
-    """What is left of x (6, k) beside an orthonormal basis (6, m, k)."""
-    return x - np.einsum("imk,mk->ik", basis, np.einsum("imk,ik->mk", basis, x))
-
-
-def _length(x: Array) -> Array:
-    return np.sqrt((x * x).sum(axis=0))
+def _onto(columns: Array) -> Array:
+    """(k, 6, 6) projections onto the spans of columns (6, n, k)."""
+    A = (columns / np.maximum(np.linalg.norm(columns, axis=0), _SAME)).transpose(2, 0, 1)
+    return A @ np.linalg.pinv(A, _SAME)

@@ -5,22 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
+from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.errors import InvalidInputError, ScenarioError
 from osc_contact.interface import Reference
-from osc_contact.runs.contacts import force_owners
-from osc_contact.runs.dither import slides
+from osc_contact.runs.contacts import feet, force_owners
 from osc_contact.scenarios.bodies import forces_of, magnitude_names
-from osc_contact.scenarios.control_schema import TareSpec
+from osc_contact.scenarios.control_schema import Dither, TareSpec
+from osc_contact.scenarios.quantities import Length
 from osc_contact.scenarios.schema import MotionSpec, Scenario, SurfaceMove
-from osc_contact.scenarios.signals import MinimumJerk, Step, total_over
+from osc_contact.scenarios.signals import Sine, Step, Values, rise, total_over
 from osc_contact.spatial import Array, Poses, as_array, cross, norm, rotated, rotations
 
 
@@ -31,8 +33,8 @@ def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
         ScenarioError: the contacts leave none, or more than one.
     """
     pushes = [pair.contact(X_WO, np.zeros(6)).N[:3].T for pair in pairs]
-    _, s, Vh = np.linalg.svd(np.vstack([np.zeros((0, 3)), *pushes]), full_matrices=True)
-    rank = int(np.count_nonzero(s > 1e-6))
+    _, s, Vh = np.linalg.svd(np.vstack([np.zeros((0, 3)), *pushes]))
+    rank = np.count_nonzero(s > 1e-6)
     if rank != 2:
         raise ScenarioError(
             f"direction: common_tangent needs contact forces that span a plane; {len(pairs)} "
@@ -52,14 +54,10 @@ def force_steps(scenario: Scenario) -> list[float]:
 
     Contacts that engage after a tare are such steps, too.
     """
-    steps = {
-        float(signal.start)
-        for signals in scenario.force.values()
-        for signal in signals
-        if isinstance(signal, Step)
-    }
-    if (tare := scenario.tare) is not None and scenario.control.life is None:
-        steps.add(float(tare.duration + tare.approach))
+    signals = chain.from_iterable(scenario.force.values())
+    steps = {signal.start for signal in signals if isinstance(signal, Step)}
+    if scenario.tare is not None and scenario.control.life is None:
+        steps.add(scenario.tare.duration + scenario.tare.approach)
     return sorted(steps)
 
 
@@ -108,7 +106,7 @@ class References:
         directions = tuple(
             common_tangent(pairs, X_start)
             if move.direction == "common_tangent"
-            else np.array(move.direction, dtype=float)
+            else np.array(move.direction)
             for move in scenario.motion
         )
         surfaces = tuple(_followed(move, pairs, X_start) for move in scenario.motion)
@@ -118,7 +116,7 @@ class References:
         owners = force_owners(pairs)
         for name, i, force in zip(force_names(scenario), owners, references.forces(t), strict=True):
             if pushes_only(pairs[i]) and (force < 0.0).any():
-                first = int(np.argmax(force < 0.0))
+                first = np.argmax(force < 0.0)
                 raise ScenarioError(
                     f"force.{name} is {force[first]:.3g} N at t = {t[first]:.3g} s; this "
                     "contact cannot pull. Raise the constant part or lower the amplitude."
@@ -132,8 +130,7 @@ class References:
         tare = self.scenario.tare
         if tare is None:
             return 0.0
-        by_life = self.scenario.control.life is not None
-        return float(tare.duration) if by_life else float(tare.duration + tare.approach)
+        return tare.duration + tare.approach * (self.scenario.control.life is None)
 
     def at(self, t: float) -> Reference:
         """The reference at time t (s); accelerations are classical."""
@@ -158,10 +155,10 @@ class References:
 
     def over(self, t: Array) -> Plan:
         """The references at many times t (k,), worked out together."""
-        x = np.zeros((3, 3, len(t)))  # displacement, velocity, acceleration
-        place = np.zeros((3, 3, len(t)))  # of the origin without linear moves
+        x = np.zeros((3, 3, len(t)))  # displacement, velocity, acceleration by linear moves
+        place = np.zeros((3, 3, len(t)))  # of the origin without them
         place[0] = self.X_start.translation[:, None]
-        turn = None
+        turn = _Turn.start(len(t))
         ways = [
             (one, np.einsum("ij,djk->dik", one.axes, move.over(t)))
             for one, move in zip(self.surfaces, self.scenario.motion, strict=True)
@@ -169,9 +166,8 @@ class References:
         ]
         if ways:
             on = ways[0][0]
-            u = np.einsum("ij,dik->djk", on.axes, sum(way for _, way in ways))
-            place, rotation = on.over(u)
-            turn = _Turn(*rotation)
+            place, turn = on.over(np.einsum("ij,dik->djk", on.axes, sum(way for _, way in ways)))
+        twists = []
         for move, direction in zip(self.scenario.motion, self.directions, strict=True):
             if isinstance(move, SurfaceMove):
                 continue
@@ -179,31 +175,18 @@ class References:
             if move.kind == "linear":
                 x += direction[:, None] * s[:, None]
             else:
-                turn = _Turn.start(len(t)) if turn is None else turn
                 turn = turn.then(direction, s)
                 if move.through is not None:
                     place = _swung(place, direction, np.array(move.through), s)
         if self.scenario.control.dither is not None:
-            s = np.array(slides(self.scenario.control.dither, self.engage_at, t))
-            x += self.showing[:3, None] * s[:, None]
-            turn = (_Turn.start(len(t)) if turn is None else turn).then(self.showing[3:], s)
-        x[1:] += place[1:]
+            slid = slides(self.scenario.control.dither, self.engage_at, t)
+            twists.append((self.showing, np.array(slid)))
         if self.scenario.tare is not None:
-            away = _away(self.scenario.tare, t)
-            x += self.standoff[:3, None] * away[:, None]
-            turn = (_Turn.start(len(t)) if turn is None else turn).then(self.standoff[3:], away)
-        R = self.X_start.rotation[:, :, None]
-        spin = np.zeros((2, 3, len(t)))
-        if turn is not None:
-            R = rotated(turn.R, R)
-            spin = np.stack((turn.omega, turn.omega_dot))
-        return Plan(
-            X_WD=Poses(R, place[0] + x[0]).coordinates(len(t)),
-            V_D=np.concatenate((x[1], spin[0])).T.copy(),
-            A_D=np.concatenate((x[2], spin[1])).T.copy(),
-            alpha_d=self.forces(t).T.copy(),
-            squeeze_d=float(self.scenario.squeeze),
-        )
+            twists.append((self.standoff, _away(self.scenario.tare, t)))
+        for twist, s in twists:
+            x += twist[:3, None] * s[:, None]
+            turn = turn.then(twist[3:], s)
+        return Plan.of(place + x, turn, self.X_start, self.forces(t), self.scenario.squeeze)
 
 
 def _followed(
@@ -241,6 +224,25 @@ class Plan:
     alpha_d: Array
     squeeze_d: float
 
+    @classmethod
+    def of(
+        cls, place: Array, turn: _Turn, X_start: pin.SE3, alpha: Array, squeeze: float = 0.0
+    ) -> Plan:
+        """Of the origin's (3, 3, k) position, velocity and acceleration, and its turn from X_start.
+
+        Args:
+            place, turn, X_start: of the object. alpha: (r, k) desired magnitudes. squeeze: desired.
+        """
+        p, v, a = place
+        R = rotated(turn.R, X_start.rotation[:, :, None])
+        return cls(
+            X_WD=Poses(R, p).coordinates(p.shape[1]),
+            V_D=np.concatenate((v, turn.omega)).T.copy(),
+            A_D=np.concatenate((a, turn.omega_dot)).T.copy(),
+            alpha_d=alpha.T.copy(),
+            squeeze_d=squeeze,
+        )
+
     def __iter__(self) -> Iterator[Reference]:
         fields = (self.X_WD, self.V_D, self.A_D, self.alpha_d)
         for X, V, A, alpha in zip(*fields, strict=True):
@@ -262,36 +264,30 @@ class _Turn:
 
     def then(self, axis: Array, s: Array) -> _Turn:
         """Followed by a turn of s[0]·axis about a direction fixed in the world; s (3, k)."""
-        along = axis[:, None]
-        E = rotations(along * s[0])
+        angle, rate, second = axis[:, None] * s[:, None]
+        E = rotations(angle)
         omega = rotated(E, self.omega)
-        return _Turn(
-            rotated(E, self.R),
-            along * s[1] + omega,
-            along * s[2] + rotated(E, self.omega_dot) + cross(along * s[1], omega),
-        )
+        omega_dot = second + rotated(E, self.omega_dot) + cross(rate, omega)
+        return _Turn(rotated(E, self.R), rate + omega, omega_dot)
 
 
 def _swung(place: Array, axis: Array, through: Array, s: Array) -> Array:
     """A point's (3, 3, k) position, velocity, acceleration once turned by s (3, k) about an axis
     (3,) through a point (3,) of the world."""
-    along = axis[:, None]
+    angle, w, w_dot = axis[:, None] * s[:, None]
     c = through[:, None]
-    E = rotations(along * s[0])
-    w = along * s[1]
-    w_dot = along * s[2]
-    arm = rotated(E, place[0] - c)
-    rate = rotated(E, place[1])
-    bend = rotated(E, place[2])
+    E = rotations(angle)
+    p, v, a = place
+    arm = rotated(E, p - c)
+    carried = rotated(E, v)
     velocity = cross(w, arm)
-    second = cross(w_dot, arm) + cross(w, velocity) + 2.0 * cross(w, rate) + bend
-    return np.array([c + arm, velocity + rate, second])
+    second = cross(w_dot, arm) + cross(w, velocity) + 2.0 * cross(w, carried) + rotated(E, a)
+    return np.array([c + arm, velocity + carried, second])
 
 
 def _away(tare: TareSpec, t: Array) -> Array:
     """How far off the contacts, 1 → 0, with derivatives: (3, k)."""
-    came = total_over([MinimumJerk(value=1.0, start=tare.duration, duration=tare.approach)], t)
-    return np.array([[1.0], [0.0], [0.0]]) - came
+    return np.array([[1.0], [0.0], [0.0]]) - np.array(rise(t, tare.duration, tare.approach))
 
 
 # The tool follows a surface: references for a ball that moves on it, turned with its normal.
@@ -339,10 +335,10 @@ class SurfaceMotion:
             )
         self.axes = np.column_stack((first / size, cross(self._n, first / size)))
 
-    def over(self, u: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-        """Of the object's origin (3, 3, k) position, velocity, acceleration; of its turn from the
+    def over(self, u: Array) -> tuple[Array, _Turn]:
+        """Position, velocity, acceleration (3, 3, k) of the origin; the turn from the start.
 
-        start R (3, 3, k), ω and ω̇ (3, k). Derivatives are differences along the path itself.
+        Derivatives are differences along the path itself.
 
         Args:
             u: (3, 2, k) displacement along the axes, velocity and acceleration (m, s).
@@ -357,7 +353,7 @@ class SurfaceMotion:
         origin = foot + self._pair.radius * n - np.einsum("ijk,j->ik", R, arm)
         place = _derivatives(origin.reshape(3, 5, k))
         turn, first, second = _derivatives(R.reshape(3, 3, 5, k))
-        return place, (turn, _odd(first, turn), _odd(second, turn))
+        return place, _Turn(turn, _odd(first, turn), _odd(second, turn))
 
 
 def surface_references(
@@ -385,13 +381,8 @@ def surface_references(
     motion = SurfaceMotion(pair, X_start, direction)
     move = SurfaceMove(contact=pair.name, direction=direction, **path)
     t = np.arange(0.0, move.duration if duration is None else duration, period)
-    place, (R, omega, omega_dot) = motion.over(move.over(t))
-    alpha = np.broadcast_to(np.asarray(force, dtype=float), t.shape)
-    R = rotated(R, np.repeat(X_start.rotation[:, :, None], len(t), axis=2))
-    for i in range(len(t)):
-        V = np.concatenate((place[1, :, i], omega[:, i]))
-        A = np.concatenate((place[2, :, i], omega_dot[:, i]))
-        yield Reference(pin.SE3(R[:, :, i], place[0, :, i]), V, A, alpha[i : i + 1])
+    alpha = np.broadcast_to(np.asarray(force, dtype=float), (1, len(t)))
+    yield from Plan.of(*motion.over(move.over(t)), X_start, alpha)
 
 
 def _derivatives(x: Array) -> Array:
@@ -416,3 +407,98 @@ def _shortest(start: Array, n: Array) -> Array:
         R[i, j] -= a[k]
         R[j, i] += a[k]
     return R
+
+
+# A bounded motion that shows the normals of contacts, and how well forces are known without it.
+#
+# The force ±s u between two points of contact, u the line through both, adds nothing to what wrists
+# read. Only the normals distinguish it from the commanded forces: errors of these along u, of the
+# standard deviation σ each, leave s uncertain by ασ/√(τ_1² + τ_2²), τ_j the part of u along face j,
+# and the force on j by |u·n_j| of that. A normal shows where its point slides (`law.contact`).
+
+SHOWN_TO = float(np.deg2rad(0.5))  #: rad, of normals after a dither, under all errors of a workcell
+
+
+def slides(dither: Dither, start: float, t: Array) -> Values:
+    """Way along the line (m) at times t (k,), its rate and second derivative.
+
+    A sine that rises within a quarter of the time and fades in the last one.
+
+    Args:
+        dither: its settings. start: when it begins (s). t: (k,) times (s).
+    """
+    quarter = 0.25 * dither.duration
+    sine = Sine[Length](
+        amplitude=dither.amplitude, frequency=dither.frequency, start=start, ramp=quarter
+    )
+    s, s_1, s_2 = sine.at(t)
+    e, e_1, e_2 = rise(t, start + 3.0 * quarter, quarter)
+    return s * (1.0 - e), s_1 * (1.0 - e) - s * e_1, s_2 * (1.0 - e) - 2.0 * s_1 * e_1 - s * e_2
+
+
+def opposed(pairs: Sequence[ContactPair], state: ChainState) -> tuple[Array, Array, Array] | None:
+    """Line u (3,) between the two points furthest apart, the points (2, 3), normals (2, 3).
+
+    Only contacts of one point count; None: there are not two of them.
+    """
+    single = [pair for pair in pairs if knows_where_it_slides(pair)]
+    found = [(p[0], n[0]) for p, n in (feet(pair, state.X_WO) for pair in single) if len(p) == 1]
+    if len(found) < 2:
+        return None
+    a, b = max(combinations(found, 2), key=lambda two: norm(two[1][0] - two[0][0]))
+    line = b[0] - a[0]
+    if norm(line) < 1e-6:
+        return None
+    return line / norm(line), np.array((a[0], b[0])), np.array((a[1], b[1]))
+
+
+def showing_twist(pairs: Sequence[ContactPair], state: ChainState, N: Array) -> Array:
+    """(6,) the motion of least energy that arms and contacts permit along the line, 1 m/s there.
+
+    Zero where there is no line between two points, or where nothing can slide along it.
+
+    Args:
+        pairs: the contacts. state: of the arms. N: (6, r) of all contacts at O.
+    """
+    found = opposed(pairs, state)
+    if found is None:
+        return np.zeros(6)
+    u, points, _ = found
+    along = np.concatenate((u, np.cross(points.mean(axis=0) - state.X_WO.translation, u)))
+    rows = np.column_stack((N, along)).T @ state.S
+    mobile = np.linalg.solve(state.S.T @ state.metric @ state.S, rows.T)
+    wanted = np.zeros(len(rows))
+    wanted[-1] = 1.0
+    multipliers = np.linalg.lstsq(rows @ mobile, wanted, rcond=1e-9)[0]
+    V: Array = state.S @ (mobile @ multipliers)
+    return V if abs(along @ V - 1.0) < 1e-6 else np.zeros(6)
+
+
+def known_to(pairs: Sequence[ContactPair], state: ChainState, std: float) -> float:
+    """Standard deviation of the forces of two points on one another, as a share of their size.
+
+    Args:
+        pairs: the contacts. state: of the arms. std: of their normals along the line (rad).
+    """
+    found = opposed(pairs, state)
+    if found is None:
+        return 0.0
+    u, _, normals = found
+    along = np.abs(normals @ u)
+    left = np.sqrt(np.maximum(1.0 - along**2, 0.0))
+    return float(along.max() * std / max(norm(left), 1e-3))
+
+
+def gain_in_words(share: float, std: float) -> str:
+    """What a dither would bring; empty where it is not worth it.
+
+    Args:
+        share: of the forces, for each rad of the normals, see `known_to`. std: of the normals now.
+    """
+    if not share * std > 0.01 or std < 2.0 * SHOWN_TO:
+        return ""
+    return (
+        f"two points push on one another, and their forces are known to {share * std:.1%} only; "
+        f"control.dither={{}} would show the normals to about {np.rad2deg(SHOWN_TO):.1f} deg, the "
+        f"forces to {share * SHOWN_TO:.1%}"
+    )

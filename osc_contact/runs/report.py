@@ -15,9 +15,9 @@ from osc_contact.recorder.judged import SETTLE_S, judged_ticks
 from osc_contact.robots import RobotSummary
 from osc_contact.robots.summary import losses_by_arm
 from osc_contact.runs.calibration import WristCalibration
-from osc_contact.runs.dither import gain_in_words
 from osc_contact.runs.inspection import Inspection
 from osc_contact.runs.loop import latency
+from osc_contact.runs.references import gain_in_words
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.verdict import metrics
 from osc_contact.runs.viewing import DRAWN, write_scene_of
@@ -45,8 +45,8 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
     for contact, first in verdict["first_contact_s"].items():
         words = "never" if first is None else _first(first, contact, verdict["steps"])
         table.add_row(f"first contact {contact}", words)
-    for name, words in _steps(verdict["steps"]):
-        table.add_row(name, words)
+    for row in _steps(verdict["steps"]):
+        table.add_row(*row)
     motion = verdict["motion"]
     power = verdict["power"]
     tick = verdict["tick_us"]
@@ -100,13 +100,13 @@ def _steps(steps: Sequence[Mapping[str, Any]], most: int = 3) -> Iterator[tuple[
         if step["what"] == "step":
             by_force.setdefault(step["force"], []).append(step)
     for name, some in by_force.items():
-        shown = some if len(some) <= most else [max(some, key=lambda s: s["overshoot_rel"])]
-        for s in shown:
-            label = f"step {name}" if len(some) <= most else f"worst of {len(some)} steps {name}"
-            yield (
-                label,
-                (f"at {s['t_s']:.3f} s from {s['from_N']:.3g} N to {s['to_N']:.3g} N; {_over(s)}"),
-            )
+        label = f"step {name}"
+        if len(some) > most:
+            label = f"worst of {len(some)} steps {name}"
+            some = [max(some, key=lambda s: s["overshoot_rel"])]
+        for s in some:
+            change = f"at {s['t_s']:.3f} s from {s['from_N']:.3g} N to {s['to_N']:.3g} N"
+            yield label, f"{change}; {_over(s)}"
 
 
 def _share(ratio: float | None) -> str:
@@ -159,13 +159,10 @@ def calibration_table(found: Sequence[WristCalibration]) -> Table:
     """What hangs on each wrist sensor, found and true."""
     table = Table("wrist", "mass", "centre of mass (mm)", "bias (N, N m)", title="wrist sensors")
     for one in found:
-        for kind, mass, com in (
-            ("found", one.found.mass, one.found.com),
-            ("true", one.mass, one.com),
-        ):
-            bias = np.array2string(one.found.bias, precision=3) if kind == "found" else ""
-            centre = np.array2string(1e3 * com, precision=2, suppress_small=True)
-            table.add_row(f"{one.arm}, {kind}", f"{mass:.4f} kg", centre, bias)
+        bias = np.array2string(one.found.bias, precision=3)
+        for kind, load, words in (("found", one.found, bias), ("true", one, "")):
+            centre = np.array2string(1e3 * load.com, precision=2, suppress_small=True)
+            table.add_row(f"{one.arm}, {kind}", f"{load.mass:.4f} kg", centre, words)
     return table
 
 

@@ -3,13 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import sqrt
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import ContactPair
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, object_pose, outside_limits, reach
@@ -27,7 +28,9 @@ from osc_contact.runs import hardware
 from osc_contact.runs.contacts import (
     EnvironmentBody,
     build_pairs,
+    contact_at,
     environment_bodies,
+    feet,
     force_owners,
     known_bodies,
     misplaced,
@@ -36,11 +39,10 @@ from osc_contact.runs.contacts import (
     require_own_pairs,
     tracked,
 )
-from osc_contact.runs.dither import showing_twist
 from osc_contact.runs.recorder import Subject
-from osc_contact.runs.references import References
-from osc_contact.scenarios.bodies import GraspSpec
-from osc_contact.scenarios.control_schema import Gains, PhaseSettings
+from osc_contact.runs.references import References, showing_twist
+from osc_contact.scenarios.bodies import CartSpec, GraspSpec, magnitude_names
+from osc_contact.scenarios.control_schema import Gains, ModelErrorSpec, PhaseSettings
 from osc_contact.scenarios.hardware import PLANT_TYPES
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
@@ -55,7 +57,7 @@ def posture_of(scenario: Scenario, chain: ClosedChain) -> Array:
         ScenarioError: not one number for each joint on the way to a tip.
     """
     q = np.concatenate([arm.posture for arm in scenario.arms])
-    if q.shape != (chain.nq,):
+    if len(q) != chain.nq:
         counts = ", ".join(f"{arm.name} {arm.model.nv}" for arm in chain.arms)
         raise ScenarioError(
             f"posture: {len(q)} joint positions given; on the way to their tips the arms "
@@ -94,8 +96,7 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
     """
 
     def gaps(X: pin.SE3) -> tuple[Array, Array]:
-        rest = np.zeros(6)
-        N = [pair.contact(X, rest).N for pair in pairs]
+        N = [pair.contact(X, np.zeros(6)).N for pair in pairs]
         gap = np.concatenate([np.zeros(0), *(pair.gaps(X) for pair in pairs)])
         return gap, np.hstack([np.zeros((6, 0)), *N])
 
@@ -103,8 +104,10 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
     try:
         q_contact = close(chain, q_near, gaps)
         if found := outside_limits(chain, q_contact):
-            cure = "move object, faces or base, or change the posture"
-            raise ScenarioError(f"the contacts touch where {found[0]}; {cure}")
+            raise ScenarioError(
+                f"the contacts touch where {found[0]}; move object, faces or base, or change the "
+                "posture"
+            )
     except (ModelError, ScenarioError) as error:
         raise type(error)(f"{error}{_away(pairs, X_WO)}") from error
     return q_contact
@@ -126,12 +129,12 @@ def standoff_of(state: ChainState, contact: Contact, distance: float) -> Array:
 
 def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
     """Which contact is furthest from its face at the given pose, in words."""
-    gaps = [float(np.abs(pair.gaps(X_WO)).max(initial=0.0)) for pair in pairs]
-    if max(gaps, default=0.0) < FAR_M:
+    gaps = [(np.abs(pair.gaps(X_WO)).max(initial=0.0), pair.name) for pair in pairs]
+    gap, name = max(gaps, default=(0.0, ""))
+    if gap < FAR_M:
         return ""
-    name = pairs[int(np.argmax(gaps))].name
     return (
-        f". At object.pose contact '{name}' is {1e3 * max(gaps):.0f} mm away from what it touches: "
+        f". At object.pose contact '{name}' is {1e3 * gap:.0f} mm away from what it touches: "
         "move that to the object, or object.pose and posture to it"
     )
 
@@ -187,14 +190,13 @@ def _rigid(parts: Parts) -> Plant:
 @register_plant("mujoco")
 def _mujoco(parts: Parts) -> Plant:
     scenario = parts.scenario
-    spec = parts.scenario.plant
     return MujocoPlant(
         parts.chain,
         [robots.resolve_urdf(arm.urdf, scenario.folder)[0] for arm in scenario.arms],
         robots.resolve_urdf(scenario.object.urdf, scenario.folder)[0],
         parts.pairs,
         [(body.urdf[0], body.placement) for body in parts.bodies],
-        options=spec,
+        options=scenario.plant,
         rails=rails(parts.bodies),
         on=parts.on,
         drives=hardware.drives(scenario, parts.chain, parts.state, parts.seed),
@@ -238,14 +240,14 @@ class Rig:
             ScenarioError: a tare on an exact plant, whose contacts cannot open.
         """
         scenario = self.scenario
-        spec = self.scenario.plant
-        if spec.exact and scenario.tare is not None:
+        kind = scenario.plant.type
+        if scenario.plant.exact and scenario.tare is not None:
             raise ScenarioError(
-                f"a tare needs contacts that open; the {spec.type} plant's are bilateral. "
+                f"a tare needs contacts that open; the {kind} plant's are bilateral. "
                 "Use plant.type=mujoco, or set tare: null"
             )
         parts = Parts(scenario, self.chain, self.pairs, self.bodies, self.on, self.state(), seed)
-        plant = PLANTS[spec.type](parts)
+        plant = PLANTS[kind](parts)
         plant.reset(self.q_start)
         if scenario.sensors.ideal:
             return plant
@@ -294,7 +296,7 @@ class Rig:
     def controller(self) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
         scenario = self.scenario
-        control = self.scenario.control
+        control = scenario.control
         return Controller(
             self.model,
             self.controlled_pairs(),
@@ -350,8 +352,7 @@ class Rig:
 
     def contact(self) -> Contact:
         """The contact state there."""
-        state = self.state()
-        return Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in self.pairs])
+        return contact_at(self.pairs, self.state().X_WO)
 
 
 def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = None) -> Rig:
@@ -366,46 +367,38 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     """
     error = scenario.model_error
     make = chains or build_chain
-    chain = make(scenario, hidden_mass=error.hidden_mass)
-    factors = error.arm_mass, error.object_mass, error.joint_friction, error.armature
-    known = set(factors) == {1.0} and error.hidden_mass == 0.0
-    model = chain if known else make(scenario, *factors)
+    hidden = ModelErrorSpec(hidden_mass=error.hidden_mass)
+    keys = ("arm_mass", "object_mass", "joint_friction", "armature")
+    believed = ModelErrorSpec(**{key: getattr(error, key) for key in keys})
+    chain = make(scenario, hidden)
+    model = chain if believed == hidden else make(scenario, believed)
     pairs = build_pairs(scenario)
     posture = posture_of(scenario, chain)
     X_given = given_pose(scenario, chain, posture)
     require_own_pairs(scenario, X_given)
     q_contact = touching(chain, pairs, posture, X_given)
     state = chain.state(q_contact, np.zeros(chain.nq))
-    contact = Contact.stack([pair.contact(state.X_WO, np.zeros(6)) for pair in pairs])
+    contact = contact_at(pairs, state.X_WO)
     require_reachable(state, contact)
-    standoff = np.zeros(6)
-    q_start = q_contact
-    if scenario.tare is not None:
-        standoff = standoff_of(state, contact, float(scenario.tare.standoff))
+    tare = scenario.tare
+    standoff = np.zeros(6) if tare is None else standoff_of(state, contact, tare.standoff)
     showing = showing_twist(pairs, state, contact.N)
     references = References.of(scenario, state.X_WO, pairs, standoff, showing)
-    if scenario.tare is not None:
+    q_start = q_contact
+    if tare is not None:
         q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
     bodies = environment_bodies(scenario)
     return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_given)
 
 
-def build_chain(
-    scenario: Scenario,
-    arm_mass: float = 1.0,
-    object_mass: float = 1.0,
-    joint_friction: float = 1.0,
-    armature: float = 1.0,
-    hidden_mass: float = 0.0,
-) -> ClosedChain:
-    """Arms and object of a scenario, with masses, friction and rotors times the given factors.
+def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> ClosedChain:
+    """Arms and object of a scenario; masses, friction and rotors times the factors of an error.
 
     Args:
-        scenario: with arms, grasps and object.
-        arm_mass, object_mass, joint_friction, armature: factors of model error.
-        hidden_mass: kg, a point of the object where the first arm grasps it.
+        scenario: with arms, grasps and object. error: with the factors, and a hidden mass.
     """
     source = scenario.folder
+    error = error or ModelErrorSpec()
     arms = [
         Arm.from_urdf(
             robots.resolve_urdf(spec.urdf, source)[0],
@@ -415,24 +408,25 @@ def build_chain(
             passive_joints=spec.passive_joints,
             locked=spec.locked_joints,
             wrist_sensor=spec.wrist_sensor,
-            mass_factor=arm_mass,
-            effort_factor=float(spec.effort_factor),
+            mass_factor=error.arm_mass,
+            effort_factor=spec.effort_factor,
             armature=_per_joint(spec.armature),
             damping=_per_joint(spec.damping),
             friction=_per_joint(spec.friction),
-            friction_factor=joint_friction,
+            friction_factor=error.joint_friction,
         )
         for spec in scenario.arms
     ]
     for arm in arms:
-        arm.model.armature = armature * arm.model.armature
-        arm.model.rotorInertia = armature * arm.model.rotorInertia
+        arm.model.armature = error.armature * arm.model.armature
+        arm.model.rotorInertia = error.armature * arm.model.rotorInertia
     body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
     grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
-    held = body.scaled(object_mass)
-    if hidden_mass > 0.0:
+    held = body.scaled(error.object_mass)
+    if error.hidden_mass > 0.0:  # a point
         at_grasp = grasps[0].X_TO.inverse().translation
-        held = RigidObject(held.inertia + pin.Inertia(hidden_mass, at_grasp, np.zeros((3, 3))))
+        point = pin.Inertia(error.hidden_mass, at_grasp, np.zeros((3, 3)))
+        held = RigidObject(held.inertia + point)
     return ClosedChain(arms, grasps, held)
 
 
@@ -444,3 +438,71 @@ def _per_joint(given: Sequence[float] | None) -> float | Sequence[float] | None:
 def _grasp(spec: GraspSpec) -> Grasp:
     axis = () if spec.axis is None else (spec.axis,)
     return GRASPS[spec.type](pose_of(spec), *axis)
+
+
+# How hard contacts are met: the peak of the force that a landing is expected to have.
+
+
+@dataclass(frozen=True)
+class Landing:
+    """One force of a contact that is approached.
+
+    Attributes:
+        name: of the force. speed: v_a of the approach (m/s).
+        mass: behind the contact along its normal, 1 / NᵀΦ₀N (kg).
+        stiffness: of contact and face in series (N/m). command: the largest (N).
+        peak: expected, v √(k m) (N), or the command where that is more.
+        free: whether the contact is still to be made when the run begins.
+    """
+
+    name: str
+    speed: float
+    mass: float
+    stiffness: float
+    command: float
+    peak: float
+    free: bool
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        return (
+            f"'{self.name}' lands at {1e3 * self.speed:.3g} mm/s with {self.mass:.3g} kg behind it "
+            f"on {1e-3 * self.stiffness:.3g} kN/m: up to {self.peak:.3g} N"
+        )
+
+
+def landings(rig: Rig) -> list[Landing]:
+    """Of every force that can only push; none where contacts are not approached.
+
+    MuJoCo's contacts are springs with the rate ω of `solref`, whatever the mass: k = m ω². A face
+    of mass m_e on a spring is met twice, by its mass and by its spring.
+    """
+    life = rig.life
+    if life is None or not rig.pairs:
+        return []
+    plant = rig.scenario.plant
+    rate = 1.0 / (plant.solref[0] * plant.solref[1] * sqrt(plant.solimp[1]))
+    state = rig.state()
+    contact = rig.contact()
+    lines = [feet(pair, state.X_WO)[1] for pair in rig.pairs]
+    names = magnitude_names({p.name: len(d) for p, d in zip(rig.pairs, lines, strict=True)})
+    commands = rig.references.overview[1].alpha_d
+    columns = zip(names, rig.owners, np.vstack(lines), (contact.N @ contact.R).T, strict=True)
+    out = []
+    for (name, owner, direction, N), wanted in zip(columns, commands.T, strict=True):
+        mass = 1.0 / N @ state.Phi @ N
+        stiffness = mass * rate**2
+        met = mass * rate
+        motion = rig.bodies[rig.on[owner]].motion
+        if isinstance(motion, CartSpec) and (along := float(direction @ motion.direction) ** 2):
+            met = rate / (1.0 / mass + along / motion.mass)
+            if motion.stiffness > 0.0:
+                stiffness = 1.0 / (1.0 / stiffness + along / motion.stiffness)
+                met = max(met, sqrt(stiffness * mass))
+        command = float(wanted.max())
+        free = rig.scenario.tare is not None or not wanted[0] > 0.0
+        peak = max(life.speed * met, command)
+        if pushes_only(rig.pairs[owner]):
+            out.append(Landing(name, life.speed, mass, stiffness, command, peak, free))
+    return out

@@ -1,8 +1,9 @@
 """One run: plant and controller, tick by tick, into a recording."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,10 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.journal import Journal, MemoryJournal
 from osc_contact.robots import resolve_urdf
 from osc_contact.runs.contacts import environment_bodies
-from osc_contact.runs.dither import known_to
-from osc_contact.runs.loop import end_requested, run_loop, until
+from osc_contact.runs.loop import noted_signals, run_loop
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.recorder import Recorder, recording_of
-from osc_contact.runs.references import force_steps
+from osc_contact.runs.references import force_steps, known_to
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.runs.viewing import Shown
 from osc_contact.scenarios.schema import Scenario
@@ -74,10 +74,11 @@ def run(
         PlantError: the simulation diverged; `error.recording` holds what came before.
         Interrupted: Ctrl-C, SIGTERM or SIGHUP ended it; likewise.
     """
-    changes: dict[str, Any] = {} if duration is None else {"duration": duration}
+    if duration is not None:
+        scenario = scenario.replaced(duration=duration)
     if plant is not None:
-        changes["plant"] = scenario.plant.model_dump() | {"type": plant}
-    rig = build_rig(scenario.replaced(**changes) if changes else scenario)
+        scenario = scenario.replaced(plant={**dict(scenario.plant), "type": plant})
+    rig = build_rig(scenario)
     return run_rig(rig, seed, progress=progress, viewer=viewer, install=install, journal=journal)
 
 
@@ -103,48 +104,33 @@ def run_rig(
     doubts = require_ready(rig)
     plant, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
+    meta = {
+        "scenario": scenario.as_dict(),
+        "source": scenario.source and scenario.source.name,
+        "plant": scenario.plant.type,
+        "seed": seed,
+        "force_steps_s": force_steps(scenario),
+        "doubts": doubts,
+        "force_per_normal": known_to(rig.pairs, rig.state(), 1.0),
+    }
     recorder = Recorder(
-        controller,
-        plant,
-        subject=rig.subject(controller),
-        journal=journal,
-        meta=describe_run(rig, seed, doubts),
+        controller, plant, subject=rig.subject(controller), journal=journal, meta=meta
     )
-    with end_requested() as requested:
+    with noted_signals() as signals:
         try:
             robot = rig.robot(plant, controller)
             taring = controller if scenario.tare is None else Taring(rig, controller)
-            plan = until(requested, rig.references.each(ticks, controller.dt))
+            plan = takewhile(lambda _: not signals, rig.references.each(ticks, controller.dt))
             run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
         except PlantError as error:
             error.recording = recorder.recording()
             raise
-    if requested() and recorder.count < ticks:
+    if signals and recorder.count < ticks:
         ended = recorder.count * controller.dt
         interrupted = Interrupted(f"ended on request at t = {ended:g} s")
         interrupted.recording = recorder.recording({"ended_s": ended})
         raise interrupted
     return recorder.recording()
-
-
-def describe_run(rig: Rig, seed: int, doubts: Sequence[str]) -> dict[str, Any]:
-    """Meta data of the recording of a rig's run.
-
-    Args:
-        rig: what ran.
-        seed: of everything random.
-        doubts: found by the preflight.
-    """
-    scenario = rig.scenario
-    return {
-        "scenario": scenario.as_dict(),
-        "source": None if scenario.source is None else scenario.source.name,
-        "plant": scenario.plant.type,
-        "seed": seed,
-        "force_steps_s": force_steps(scenario),
-        "doubts": list(doubts),
-        "force_per_normal": known_to(rig.pairs, rig.state(), 1.0),
-    }
 
 
 def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plant, Controller]:
@@ -191,7 +177,7 @@ class Taring:
 
     def __init__(self, rig: Rig, controller: Controller) -> None:
         assert rig.scenario.tare is not None
-        self.duration = float(rig.scenario.tare.duration)
+        self.duration = rig.scenario.tare.duration
         self.engage_at = rig.references.engage_at
         self.controller = controller
         self.dt = controller.dt
@@ -201,12 +187,10 @@ class Taring:
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """See `Controller.tick`."""
         tau = self.controller.tick(measurement, reference)
-        if not self.controller.engaged:
-            self._watch(self.ticks * self.dt)
+        t = self.ticks * self.dt
         self.ticks += 1
-        return tau
-
-    def _watch(self, t: float) -> None:
+        if self.controller.engaged:
+            return tau
         if 2 * self.duration / 3 <= t < self.duration:  # once the start has settled
             self.samples.append(self.controller.residual_wrench())
         elif self.samples and t >= self.duration:
@@ -214,6 +198,7 @@ class Taring:
             self.samples = []
         if t >= self.engage_at:
             self.controller.engage()
+        return tau
 
 
 def recover(
@@ -280,12 +265,14 @@ def scenario_of(
     except (ScenarioError, ValueError) as error:
         raise RecordingError(f"{path} does not hold the scenario that was run: {error}") from error
     given = [] if folder is None else [Path(folder).resolve()]
-    places = list(dict.fromkeys([*given, path.resolve().parent, Path.cwd()]))
+    places = dict.fromkeys([*given, path.resolve().parent, Path.cwd()])
     missing = ModelError()
     for place in places:
         placed = scenario.with_source(place / str(meta.get("source")))
         try:
-            _require_urdfs(placed, place)
+            for urdf in (*(arm.urdf for arm in placed.arms), placed.object.urdf):
+                resolve_urdf(urdf, place)
+            environment_bodies(placed)
         except ModelError as error:
             missing = error
         else:
@@ -295,9 +282,3 @@ def scenario_of(
         "the scenario's folder (--folder, or folder= in Python), or start there, or copy them "
         f"beside the recording. ({missing})"
     )
-
-
-def _require_urdfs(scenario: Scenario, folder: Path) -> None:
-    for urdf in (*(arm.urdf for arm in scenario.arms), scenario.object.urdf):
-        resolve_urdf(urdf, folder)
-    environment_bodies(scenario)

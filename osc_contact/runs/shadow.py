@@ -109,7 +109,7 @@ class Shadow:
                 "run arms that hold one object each by itself"
             )
         self.chain = chain
-        self.dt = float(controller.dt)
+        self.dt = controller.dt
         self.data = chain.model.createData()
         self.inboard = chain.model.copy()
         for link in chain.outboard[0]:
@@ -130,9 +130,9 @@ class Shadow:
         Raises:
             InvalidInputError: less than a second was.
         """
-        rows = np.array(self.rows)
         n = self.chain.nq
-        rows = rows[np.isfinite(rows).all(axis=1)] if len(rows) else rows
+        rows = np.reshape(self.rows, (-1, 3 * n + 6))
+        rows = rows[np.isfinite(rows).all(axis=1)]
         if len(rows) * self.dt < 1.0:
             raise InvalidInputError(
                 f"shadow mode noted {len(rows) * self.dt:.3g} s; let it run for ten seconds, and "
@@ -162,12 +162,10 @@ class Shadow:
     def _sample(self, rows: Array) -> tuple[Array, ...]:
         """Speed, acceleration, τ − (M q̈ + h) and Jᵀf, means over a few ticks."""
         n = self.chain.nq
-        model = self.inboard
-        data = self.data
         q, v, sent, wrench = np.split(rows.mean(axis=0), [n, 2 * n, 3 * n])
         acceleration = (rows[-1, n : 2 * n] - rows[0, n : 2 * n]) / (2 * HALF * self.dt)
-        needed = np.array(pin.rnea(model, data, q, v, acceleration))
-        J = pin.computeFrameJacobian(model, data, q, self.chain.sensors[0])
+        needed = np.array(pin.rnea(self.inboard, self.data, q, v, acceleration))
+        J = pin.computeFrameJacobian(self.inboard, self.data, q, self.chain.sensors[0])
         return v, acceleration, sent - needed, J.T @ wrench
 
     def _scale(self, v: Array, acceleration: Array, left: Array, felt: Array) -> float:
@@ -175,11 +173,10 @@ class Shadow:
         over = under = 0.0
         for j, most in enumerate(self.chain.tau_max):
             own = _columns(v[:, j], acceleration[:, j])
-            torque, push = (
-                (x - own @ np.linalg.lstsq(own, x)[0]) / most for x in (left[:, j], felt[:, j])
-            )
-            over += float(torque @ push)
-            under += float(push @ push)
+            both = np.column_stack((left[:, j], felt[:, j]))
+            torque, push = (both - own @ np.linalg.lstsq(own, both)[0]).T / most
+            over += torque @ push
+            under += push @ push
         return over / under if under > FELT**2 * felt.size else float("nan")
 
     def _joint(self, j: int, v: Array, a: Array, torque: Array) -> JointFinding:
@@ -187,10 +184,9 @@ class Shadow:
         columns = _columns(v, a)
         found = np.linalg.lstsq(columns, torque)[0]
         rms = float(np.sqrt(np.mean((torque - columns @ found) ** 2)))
-        coulomb, viscous, offset, inertia = (float(x) for x in found)
-        return JointFinding(
-            self.chain.joint_names[j], moved, coulomb, viscous, offset, inertia, rms
-        )
+        coulomb, viscous, offset, inertia = found.tolist()
+        name = self.chain.joint_names[j]
+        return JointFinding(name, moved, coulomb, viscous, offset, inertia, rms)
 
     def _judge(self, joints: tuple[JointFinding, ...], bias: Array, kappa: float) -> Iterator[str]:
         for joint, most in zip(joints, TOO_LARGE * self.chain.tau_max, strict=True):

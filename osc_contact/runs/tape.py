@@ -56,17 +56,17 @@ class Tape:
     def _note(
         self, measurement: Measurement, reference: Reference, memory: Any, tau: Array
     ) -> None:
+        model = self._controller._records.model
         squeeze = np.ravel(reference.squeeze_d)
-        bars = int(self._controller._records.model.n_bars)
-        given = bool(squeeze.any()) and bars > 0
+        given = squeeze.any() and model.n_bars > 0
         missing = measurement.wrench_valid is not None and not measurement.wrench_valid
         flags = MEMORY * (memory is not None) + TOUCHED * (measurement.touched is not None)
         flags += WRENCH_MISSING * missing + ESTIMATED * bool(measurement.estimated)
-        flags += SQUEEZE * given
-        forces = np.zeros(int(self._controller._records.model.n_columns))
+        flags += SQUEEZE * bool(given)
+        forces = np.zeros(model.n_columns)
         alpha = np.ravel(reference.alpha_d)
         forces[: len(alpha)] = alpha
-        parts: list[Any] = [np.array([flags, int(self._controller.status)], np.int64)]
+        parts: list[Any] = [np.array([flags, self._controller.status], np.int64)]
         parts += [] if memory is None else [memory]
         numbers = [
             measurement.q,
@@ -76,7 +76,7 @@ class Tape:
             reference.V_D,
             reference.A_D,
             forces,
-            np.broadcast_to(squeeze, (bars,)) if given else (),
+            np.broadcast_to(squeeze, model.n_bars) if given else (),
             () if measurement.touched is None else touched_rows(measurement.touched),
             tau,
         ]

@@ -19,7 +19,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.recorder.recording import column_names
-from osc_contact.runs.contacts import force_owners
+from osc_contact.runs.contacts import contact_at, force_owners
 from osc_contact.runs.references import force_names
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.control_schema import Gains, SafetySettings
@@ -130,8 +130,7 @@ class Task:
     def of_rig(cls, rig: Rig) -> Task:
         """Of a scenario."""
         scenario = rig.scenario
-        references = rig.references
-        times, plan = references.overview
+        times, plan = rig.references.overview
         tare = scenario.tare
         return cls(
             chain=rig.chain,
@@ -145,7 +144,7 @@ class Task:
             times=times,
             poses=plan.X_WD,
             forces=plan.alpha_d,
-            every=lambda period: references.each(int(scenario.duration / period), period),
+            every=lambda period: rig.references.each(int(scenario.duration / period), period),
             force_names=[f"force.{name}" for name in force_names(scenario)],
             owners=rig.owners,
             rests=[rig.bodies[body].motion is None for body in rig.on],
@@ -213,6 +212,4 @@ class Task:
     @cached_property
     def contact(self) -> Contact:
         """All contacts there."""
-        X = self.state.X_WO
-        V = self.state.V_O
-        return Contact.stack([pair.contact(X, V) for pair in self.pairs])
+        return contact_at(self.pairs, self.state.X_WO)

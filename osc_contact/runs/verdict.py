@@ -207,7 +207,8 @@ class _Sums:
 
     Attributes:
         ticks: which are judged. count: how many are, but for contacts. duration: of the run (s).
-        openings: of contacts. cycles: the worst of each force.
+        judged, opened: (contacts,) ticks that each is judged, and open then.
+        longest: row of open ticks that the controller took as closed. cycles: the worst of forces.
         status, at_limit: ticks by status, and by motor.
     """
 
@@ -220,18 +221,18 @@ class _Sums:
         meta = recording.meta
         self.ticks = JudgedTicks(meta, len(recording.magnitude_names))
         self.duration = len(recording) / float(meta["control_rate_hz"])
-        self.openings = _Openings(len(meta["contact_names"]))
+        self.opened, self.judged, self.longest, run = np.zeros((4, len(meta["contact_names"])), int)
         self.command, self.error, self.sensing = (_Series() for _ in range(3))
         self.total, self.projected, self.away, self.closed = (_Series() for _ in range(4))
-        limits = meta.get("effort_limits", {}).values()
-        effort = np.array([np.inf if most is None else most for most in limits], dtype=float)
+        limits = list(meta.get("effort_limits", {}).values())
+        effort = np.nan_to_num(np.array(limits, dtype=float), nan=np.inf)
         self.at_limit = np.zeros(len(effort), dtype=int)
         self.status = np.zeros(len(_STATUS), dtype=int)
         self.count = 0
         judged_forces = [np.zeros((0, len(self.ticks.columns)), dtype=bool)]
         for piece in recording.pieces(*_READ):
             judged = piece["t"] >= SETTLE_S - 1e-9
-            self.count += int(judged.sum())
+            self.count += judged.sum()
             settled, counted, quiet = self.ticks.add(piece)
             command, truth, sensed = (
                 np.where(counted, piece[f"alpha_{key}"], np.nan) for key in ("cmd", "true", "meas")
@@ -243,13 +244,19 @@ class _Sums:
             self.projected.add(piece["power_projected"][quiet])
             self.away.add(np.linalg.norm(piece["motion_error"][judged].reshape(-1, 2, 3), axis=2))
             self.closed.add(piece["closed"][judged])
-            self.openings.add(piece["closed"], piece["contact_phase"] == CLOSED, settled)
+            opened = ~piece["closed"].astype(bool) & settled
+            self.judged += settled.sum(axis=0)
+            self.opened += opened.sum(axis=0)
+            lost = opened & (piece["contact_phase"] == CLOSED)
+            run *= lost.any()
+            for row in lost if lost.any() else ():
+                run = (run + 1) * row
+                np.maximum(self.longest, run, out=self.longest)
             judged_forces.append(counted & np.isfinite(truth - command))
             self.status += np.bincount(piece["status"], minlength=len(_STATUS))
             tau = np.abs(piece["tau"][:, : len(effort)])
             self.at_limit += (tau >= effort * (1.0 - 1e-9)).sum(axis=0)
-        judged = np.concatenate(judged_forces)
-        self.cycles = worst_cycles(recording, judged, least_cycle)
+        self.cycles = worst_cycles(recording, np.concatenate(judged_forces), least_cycle)
 
 
 def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
@@ -259,7 +266,7 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
         recording: of the run. sums: of its ticks.
     """
     meta = recording.meta
-    contacts = recording.meta["contact_names"]
+    contacts = meta["contact_names"]
     position, orientation = sums.away.rms()
     (total,) = sums.total.rms()
     (projected,) = sums.projected.rms()
@@ -322,9 +329,7 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
     """
     found = {}
     error = sums.error
-    means = sums.command.mean()
-    cycles = sums.cycles
-    columns = (means, error.rms(), error.peak(), sums.sensing.rms(), cycles)
+    columns = (sums.command.mean(), error.rms(), error.peak(), sums.sensing.rms(), sums.cycles)
     for name, mean, rms, peak, sensed, cycle in zip(names, *columns, strict=True):
         found[name] = {
             "rms_error_N": rms,
@@ -351,7 +356,6 @@ def _facts(
     """
     meta = recording.meta
     landed = sums.ticks.landed
-    openings = sums.openings
     distance, angle = sums.away.peak()
     run = {
         **verdict["status"],
@@ -369,13 +373,13 @@ def _facts(
             "name": name,
             "open_at_end": sums.ticks.open[i],
             "again": "" if landed[i] is None else " again",
-            "longest_loss": openings.longest[i] / float(meta["control_rate_hz"]),
-            "open_share": openings.ticks[i] / max(openings.judged[i], 1),
+            "longest_loss": sums.longest[i] / float(meta["control_rate_hz"]),
+            "open_share": sums.opened[i] / max(sums.judged[i], 1),
         }
         for i, name in enumerate(verdict["first_contact_s"])
     ]
     forces = [
-        {"name": name, "unjudged": not openings.judged[i] and landed[i] is not None, **force}
+        {"name": name, "unjudged": not sums.judged[i] and landed[i] is not None, **force}
         for i, (name, force) in zip(sums.ticks.columns, verdict["force"].items(), strict=True)
     ]
     doubts = [{"counts": 1, "sentence": text} for text in meta.get("doubts", ())]
@@ -389,19 +393,16 @@ class _Series:
     """
 
     def __init__(self) -> None:
-        self._counts: Any = 0
-        self._sums: Any = 0.0
-        self._squares: Any = 0.0
-        self._peaks: Any = 0.0
+        self._counts = self._sums = self._squares = self._peaks = np.zeros(1)
 
     def add(self, values: Array) -> None:
         """Ticks (k,) or (k, m)."""
         rows = np.array(values if values.ndim > 1 else values[:, None], dtype=float)
         finite = np.isfinite(rows)
         rows[~finite] = 0.0
-        self._counts += finite.sum(axis=0)
-        self._sums += rows.sum(axis=0)
-        self._squares += (rows**2).sum(axis=0)
+        self._counts = self._counts + finite.sum(axis=0)
+        self._sums = self._sums + rows.sum(axis=0)
+        self._squares = self._squares + (rows**2).sum(axis=0)
         self._peaks = np.maximum(self._peaks, np.abs(rows).max(axis=0, initial=0.0))
 
     def mean(self) -> list[float | None]:
@@ -421,8 +422,8 @@ def _tick(recording: Recording) -> dict[str, float | None]:
     keys = ("p50", "p99", "p99_9", "max")
     if "tick_s" not in recording:  # its times were not kept beside it
         return dict.fromkeys(keys)
-    pieces = recording.pieces("tick_s")
-    seconds = np.concatenate([piece["tick_s"].astype(np.float32) for piece in pieces])
+    pieces = [piece["tick_s"].astype(np.float32) for piece in recording.pieces("tick_s")]
+    seconds = np.concatenate(pieces)
     values = np.percentile(seconds, [50, 99, 99.9, 100], overwrite_input=True) * 1e6
     return dict(zip(keys, values.tolist(), strict=True))
 
@@ -430,36 +431,6 @@ def _tick(recording: Recording) -> dict[str, float | None]:
 def _ratio(part: float | None, whole: float | None) -> float | None:
     """None where there is nothing to compare with: JSON has no NaN."""
     return part / whole if whole and part is not None else None
-
-
-class _Openings:
-    """How long each contact was open while it was judged.
-
-    Attributes:
-        ticks: (c,) open, with a force commanded. judged: (c,) judged at all.
-        longest: (c,) longest row of ticks that the controller took as closed beside.
-    """
-
-    def __init__(self, contacts: int) -> None:
-        self._run = np.zeros(contacts, int)
-        self.longest = np.zeros(contacts, int)
-        self.ticks = np.zeros(contacts, int)
-        self.judged = np.zeros(contacts, int)
-
-    def add(self, closed: Array, believed: Array, judged: Array) -> None:
-        """Ticks (k, contacts) that follow one another.
-
-        Args:
-            closed: plant's truth. believed: by the controller. judged: see `JudgedTicks`.
-        """
-        opened = ~np.asarray(closed, dtype=bool) & judged
-        self.judged += judged.sum(axis=0)
-        self.ticks += opened.sum(axis=0)
-        lost = opened & believed
-        self._run *= lost.any()
-        for row in lost if lost.any() else ():
-            self._run = np.where(row, self._run + 1, 0)
-            np.maximum(self.longest, self._run, out=self.longest)
 
 
 def step_answers(recording: Recording, landings: Sequence[float | None]) -> list[dict[str, Any]]:
@@ -485,7 +456,7 @@ def step_answers(recording: Recording, landings: Sequence[float | None]) -> list
             changes.append((round(first * rate), column, True))
         begin = max(2, round((first or 0.0) * rate))
         changes += [(k, column, False) for k in steps if k > begin]
-    rows = [_answer(recording, rate, steps, *one) for one in sorted(changes)]
+    rows = (_answer(recording, rate, steps, *one) for one in sorted(changes))
     return [row for row in rows if row is not None]
 
 
@@ -503,28 +474,30 @@ def _answer(
         return None
     if first:
         start = 0.0
-        goal = float(command[after[0]])
+        goal = command[after[0]]
     else:
-        start = float(command[before - 1])
-        goal = float(command[before])
-        drift = start - float(command[before - 2])  # of signals that do not step
+        before_last, start, goal = command[before - 2 : before + 1]
+        drift = start - before_last  # of signals that do not step
         if not abs(goal - start - drift) > 0.01 * np.abs(command[after]).max():
             return None
     if goal == start:
         return None
-    way = float(np.sign(goal - start))
-    worst = after[np.argmax(way * (truth - command)[after])]
-    over = max(0.0, way * float(truth[worst] - command[worst]))
+    excess = np.sign(goal - start) * (truth - command)
+    worst = after[np.argmax(excess[after])]
+    over = max(0.0, excess[worst])
+    numbers = {
+        "from_N": start,
+        "to_N": goal,
+        "peak_N": truth[worst],
+        "commanded_N": command[worst],
+        "overshoot_N": over,
+        "overshoot_rel": over / abs(goal - start),
+    }
     return {
         "t_s": k / rate,
         "force": recording.magnitude_names[column],
         "what": "first contact" if first else "step",
-        "from_N": start,
-        "to_N": goal,
-        "peak_N": float(truth[worst]),
-        "commanded_N": float(command[worst]),
-        "overshoot_N": over,
-        "overshoot_rel": over / abs(goal - start),
+        **{key: float(value) for key, value in numbers.items()},
     }
 
 
@@ -545,20 +518,17 @@ def judge_task(
         sentences}. A subject that a rule has applied to is not compared with later rules for the
         same quantity.
     """
-    found: list[tuple[Rule, str]] = []
-    seen = set()
+    found: dict[tuple[str, int, str], tuple[Rule, str]] = {}
     for rule in rules:
         limit = getattr(limits, rule.limit) if isinstance(rule.limit, str) else rule.limit
         for i, fact in enumerate(facts[rule.subject]):
             value = fact[rule.quantity]
-            key = (rule.subject, i, rule.quantity)
-            if value is None or not value > limit or key in seen:
-                continue
-            seen.add(key)
-            words = {**fact, "limit": limit, "limit_mm": 1e3 * limit}
-            found.append((rule, rule.sentence.format(**words)))
+            if value is not None and value > limit:
+                words = {**fact, "limit": limit, "limit_mm": 1e3 * limit}
+                text = rule.sentence.format(**words)
+                found.setdefault((rule.subject, i, rule.quantity), (rule, text))
     return {
-        "word": found[0][0].word if found else "OK",
-        "failed": any(rule.fails for rule, _ in found),
-        "why": [why for _, why in found],
+        "word": next((rule.word for rule, _ in found.values()), "OK"),
+        "failed": any(rule.fails for rule, _ in found.values()),
+        "why": [why for _, why in found.values()],
     }

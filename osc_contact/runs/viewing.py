@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
@@ -79,7 +80,7 @@ class Shown:
             contacts = meta["contact_names"], meta["columns"]
             if len(recording) and "contact_point" in recording and contacts[0]:
                 points = recording["contact_point"][0] - recording["pose"][0, :3]
-                size = max(size, float(np.nanmax(np.linalg.norm(points, axis=1), initial=0.0)))
+                size = max(size, np.nanmax(np.linalg.norm(points, axis=1), initial=0.0))
             shown = _of_picture(meta["picture"], name, contacts, size, joints)
             Scene(shown.content, {})
         except (KeyError, TypeError, IndexError, ValueError, InvalidInputError) as error:
@@ -108,13 +109,12 @@ def write_scene_of(
     """
     shown = Shown.of(rig)
     content = shown.content
-    size = shown.size
     return write_scene(
         recording.thinned(DRAWN),
         content.arms,
         content.bodies,
         path,
-        find=lambda N: best_frame(N, size),
+        find=lambda N: best_frame(N, shown.size),
         frame_words=content.frame_words,
         still=still,
     )
@@ -140,9 +140,8 @@ def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
             )
     r = len(owners)
     contacts = len(names)
-    one: tuple[int, ...] = ()
-    shapes = {
-        "t": one,
+    shapes: dict[str, tuple[int, ...]] = {
+        "t": (),
         "q": (shown.joints,),
         "pose": (7,),
         "face_pose": (contacts, 7),
@@ -150,11 +149,8 @@ def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
         "contact_point": (contacts, 3),
         "contact_direction": (contacts, 3),
         "closed": (contacts,),
-        "alpha_cmd": (r,),
-        "alpha_meas": (r,),
-        "alpha_true": (r,),
-        "power_total": one,
-        "power_projected": one,
+        **dict.fromkeys(("alpha_cmd", "alpha_meas", "alpha_true"), (r,)),
+        **dict.fromkeys(("power_total", "power_projected"), ()),
     }
     recording = recording.thinned(DRAWN)
     for name, shape in shapes.items():
@@ -239,7 +235,7 @@ def object_size(pairs: Sequence[ContactPair], X: pin.SE3 | None) -> float:
         return 0.1
     vertices = np.vstack([feet(pair, X)[0] for pair in pairs]) - X.translation
     apart = np.linalg.norm(vertices[:, None] - vertices[None], axis=2).max()
-    return max(float(apart), float(np.linalg.norm(vertices, axis=1).max()), 0.1)
+    return max(apart, float(np.linalg.norm(vertices, axis=1).max()), 0.1)
 
 
 class RealTime:
@@ -294,8 +290,7 @@ def picture(recording: Recording, rig: Rig | Shown, path: Path, time: float | No
         raise InvalidInputError(
             f"time {moment:g} s is not in the recording, which spans {t[0]:g} to {t[-1]:g} s"
         )
-    with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
-        page = write_scene_of(recording, rig, Path(folder) / "scene.html")
+    with _page(recording, rig) as page:
         return write_png(page, path, moment)
 
 
@@ -315,6 +310,11 @@ def moving_picture(
     """
     find_browser()
     t = recording["t"]
-    with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
-        page = write_scene_of(recording, rig, Path(folder) / "scene.html")
+    with _page(recording, rig) as page:
         return write(page, path, float(t[0]), float(t[-1]))
+
+
+@contextmanager
+def _page(recording: Recording, rig: Rig | Shown) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
+        yield write_scene_of(recording, rig, Path(folder) / "scene.html")

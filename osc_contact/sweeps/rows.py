@@ -19,6 +19,7 @@ from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.runs.rig import Rig, build_chain, build_rig
 from osc_contact.runs.run import Install, run_rig
 from osc_contact.runs.verdict import metrics
+from osc_contact.scenarios.control_schema import ModelErrorSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sweeps.study import Sample, SweepStudy
 
@@ -64,22 +65,13 @@ class Workshop:
         """See `build_rig`."""
         return build_rig(scenario, self._chain)
 
-    def _chain(
-        self,
-        scenario: Scenario,
-        arm_mass: float = 1.0,
-        object_mass: float = 1.0,
-        joint_friction: float = 1.0,
-        armature: float = 1.0,
-        hidden_mass: float = 0.0,
-    ) -> ClosedChain:
+    def _chain(self, scenario: Scenario, error: ModelErrorSpec) -> ClosedChain:
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
-        factors = arm_mass, object_mass, joint_friction, armature, hidden_mass
-        key = json.dumps([content, factors, str(scenario.source)], sort_keys=True)
+        key = json.dumps([content, dict(error), str(scenario.source)], sort_keys=True)
         if key not in self._chains:
             while len(self._chains) >= _KEPT:
                 self._chains.popitem(last=False)
-            self._chains[key] = build_chain(scenario, *factors)
+            self._chains[key] = build_chain(scenario, error)
         self._chains.move_to_end(key)
         return self._chains[key]
 
