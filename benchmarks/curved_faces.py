@@ -155,19 +155,19 @@ def foot_on_saddle(p: Array, R: float) -> tuple[Array, Array]:
     return np.array([x, y, (x * x - y * y) / (2 * R)]), n / np.linalg.norm(n)
 
 
-def tangent_plane(parts: Any) -> TangentPlane:
+def tangent_plane(rig: Any, seed: int) -> TangentPlane:
     """The plant of the saddle; register it as `PLANT["saddle"]`."""
-    folder = parts.scenario.folder
+    folder = rig.scenario.folder
     plant = TangentPlane(
-        parts.chain,
-        [resolve_urdf(arm.urdf, folder)[0] for arm in parts.scenario.arms],
-        resolve_urdf(parts.scenario.object.urdf, folder)[0],
-        parts.pairs,
-        [(body.urdf[0], body.placement) for body in parts.bodies],
-        options=parts.scenario.plant,
-        on=parts.on,
+        rig.chain,
+        [resolve_urdf(arm.urdf, folder)[0] for arm in rig.scenario.arms],
+        resolve_urdf(rig.scenario.object.urdf, folder)[0],
+        rig.pairs,
+        [(body.urdf[0], body.placement) for body in rig.bodies],
+        options=rig.scenario.plant,
+        on=rig.on,
     )
-    plant.radius = float(parts.scenario.description)
+    plant.radius = float(rig.scenario.description)
     return plant
 
 

@@ -22,7 +22,7 @@ import osc_contact as osc
 from benchmarks.cases import POINT
 from osc_contact.contacts.pairs.pair import lines_of_force, velocity
 from osc_contact.plants.rigid import RigidPlant, Solution
-from osc_contact.runs.rig import PLANTS, Parts, register_plant
+from osc_contact.runs.rig import PLANTS, MakesPlant, Rig, register_plant
 from osc_contact.spatial import Array, carry_wrench
 
 STROKES = ((20, 2), (5, 4))  #: mm, Hz
@@ -65,18 +65,18 @@ class SlidingPlant(RigidPlant):
         return solution
 
 
-def _sliding(parts: Parts) -> RigidPlant:
-    plant = SlidingPlant(parts.chain, parts.pairs, parts.scenario.plant.step)
-    plant.mu = parts.scenario.plant.friction
+def _sliding(rig: Rig, seed: int) -> RigidPlant:
+    plant = SlidingPlant(rig.chain, rig.pairs, rig.scenario.plant.step)
+    plant.mu = rig.scenario.plant.friction
     return plant
 
 
-def _plain(change: Callable[[Any], None]) -> Callable[[Parts], Any]:
+def _plain(change: Callable[[Any], None]) -> MakesPlant:
     """A plant in MuJoCo with contacts as declared, for forces and friction alike."""
 
-    def make(parts: Parts) -> Any:
-        plant: Any = PLANTS["mujoco"](parts)
-        spec = parts.scenario.plant
+    def make(rig: Rig, seed: int) -> Any:
+        plant: Any = PLANTS["mujoco"](rig, seed)
+        spec = rig.scenario.plant
         model = plant.model
         model.pair_solref[:] = spec.solref
         model.pair_solreffriction[:] = 0.0

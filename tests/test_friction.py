@@ -187,8 +187,8 @@ def test_friction_leaves_a_face_as_stiff_as_it_is(solref):
     plants = []
 
     @register_plant("kept")
-    def keep(parts):
-        plants.append(PLANTS["mujoco"](parts))
+    def keep(rig, seed):
+        plants.append(PLANTS["mujoco"](rig, seed))
         return plants[-1]
 
     for mu in (0.0, 0.2):

@@ -128,20 +128,20 @@ def test_the_scene_needs_an_object(rig):
 
 
 def test_a_registered_plant_is_named_in_scenarios(monkeypatch):
-    """A plant of one's own: built from the parts of the rig, judged and refused as it says."""
+    """A plant of one's own: built from the rig, judged and refused as it says."""
     for register in (plants.PLANTS, plants.PLANT_TYPES):  # taken out again after the test
         monkeypatch.setitem(register, "halved", None)
     seen = []
 
     @osc.register_plant("halved", exact=True)
-    def make(parts):
-        seen.append(parts)
-        return RigidPlant(parts.chain, parts.pairs, parts.scenario.plant.step / 2)
+    def make(rig, seed):
+        seen.append(rig)
+        return RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step / 2)
 
     short = "duration=0.05 s"
     own = run_of("two_contact_rod", "plant.type=halved", short)
-    (parts,) = seen
-    assert parts.on == (0, 1) and parts.scenario.plant.exact
+    (rig,) = seen
+    assert rig.on == (0, 1) and rig.scenario.plant.exact
     rigid = run_of("two_contact_rod", "plant.type=rigid", short)
     difference = largest(own["alpha_true"] - rigid["alpha_true"])
     assert 0.0 < difference < 0.1  # half the step: another plant, nearly the same forces

@@ -27,7 +27,6 @@ from scipy.stats import qmc
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.detection import collision_shapes
-from osc_contact.recorder.journal import MemoryJournal
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.run import run_rig, start
 from osc_contact.sweeps.report import variances, write_report
@@ -377,7 +376,7 @@ def test_rigs_of_a_workshop_are_those_built_alone():
         for normal in ("0.50", "0.53")
     ]
     for scenario in scenarios:
-        compare(osc.run(scenario), run_rig(workshop.rig(scenario), journal=MemoryJournal()))
+        compare(osc.run(scenario), run_rig(workshop.rig(scenario)))
     rigs = [workshop.rig(scenario) for scenario in scenarios]
     assert len({id(rig.chain) for rig in rigs}) == 1 and len({id(rig.model) for rig in rigs}) == 2
     assert len({rig.q_contact.tobytes() for rig in rigs}) == 2  # the normals do vary

@@ -8,13 +8,14 @@ be read by itself. A chunk goes to the operating system whole, before the next b
 from __future__ import annotations
 
 import json
+import mmap
 import os
 import struct
 import tempfile
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,17 +40,7 @@ _MOST = 1 << 28  #: bytes of a record; more is damage
 _DAMAGED = (McapError, ValueError, KeyError, TypeError, OverflowError, MemoryError, struct.error)
 
 
-class _Descriptor:
-    """An open file, closed with the object that holds it."""
-
-    _number = -1
-
-    def __del__(self) -> None:
-        if self._number >= 0:
-            os.close(self._number)
-
-
-class JournalFile(_Descriptor):
+class JournalFile:
     """Writes a journal.
 
     Attributes:
@@ -131,8 +122,12 @@ class JournalFile(_Descriptor):
             )
             os.ftruncate(self._number, self._whole)  # the part of a chunk that had room
 
+    def __del__(self) -> None:
+        if hasattr(self, "_number"):
+            os.close(self._number)
 
-class Journal(_Descriptor):
+
+class Journal:
     """Reads a journal, whole or not: every chunk that is, and what is missing.
 
     Attributes:
@@ -152,10 +147,10 @@ class Journal(_Descriptor):
         self.missing: list[str] = []
         self._name = "the recording" if isinstance(source, int) else str(source)
         try:
-            if isinstance(source, int):
-                self._number = os.dup(source)
-            else:
-                self._number = os.open(source, os.O_RDONLY)
+            with open(source, "rb", closefd=isinstance(source, Path)) as file:
+                size = os.fstat(file.fileno()).st_size
+                where = file.fileno() if size else -1  # an empty file: one zero
+                self._file: Any = mmap.mmap(where, size or 1, access=mmap.ACCESS_READ)
         except OSError as error:
             raise RecordingError(f"no recording {source}: {error.strerror}") from error
         found = next((data for channel, data in self._messages() if channel == _ABOUT), None)
@@ -196,13 +191,11 @@ class Journal(_Descriptor):
 
     def _messages(self) -> Iterator[tuple[int, bytes]]:
         """(MCAP channel, data) of the messages in all whole chunks; after damage, from the next."""
+        file = self._file
         at = lost = 0
-        size = os.fstat(self._number).st_size
-        while at < size:
-            source = _From(self._number, at, size)
-            records = StreamReader(
-                cast(IO[bytes], source), at > 0, True, record_size_limit=_MOST
-            ).records
+        while 0 <= at < len(file):
+            file.seek(at)
+            records = StreamReader(file, at > 0, True, record_size_limit=_MOST).records
             try:
                 for record in records:
                     if isinstance(record, Chunk):
@@ -211,40 +204,18 @@ class Journal(_Descriptor):
                         for one in breakup_chunk(record):
                             if isinstance(one, Message):
                                 yield one.channel_id, one.data
-                    at = source.at
+                    at = file.tell()
+                    file.madvise(mmap.MADV_DONTNEED)  # what was read needs no memory
                 else:
                     return  # a footer was read
             except _DAMAGED:
                 pass
-            except OSError as error:
-                raise RecordingError(f"{self._name} cannot be read: {error}") from error
             lost = at
-            at = self._next_chunk(at + 1, size)
-        words = f"; its last {size - lost} bytes are no whole chunk" if size > lost else ""
+            # where the first chunk that begins later does; none: −1
+            at = max(file.find(_SIGN, at + 1 + _INSIDE) - _INSIDE, -1)
+        left = len(file) - lost
+        words = f"; its last {left} bytes are no whole chunk" if left else ""
         self.missing.append(f"the run was cut short, the file has no end{words}")
-
-    def _next_chunk(self, at: int, size: int) -> int:
-        """Where the first chunk that begins at or after a byte does; the file's size: nowhere."""
-        while at < size:
-            place = os.pread(self._number, _SEARCHED, at + _INSIDE).find(_SIGN)
-            if place >= 0:
-                return at + place
-            at += _SEARCHED - len(_SIGN) + 1
-        return size
-
-
-class _From:
-    """Reads an open file from a byte on, by itself."""
-
-    def __init__(self, number: int, at: int, size: int) -> None:
-        self.number = number
-        self.at = at
-        self.size = size
-
-    def read(self, count: int) -> bytes:
-        data = os.pread(self.number, min(count, max(0, self.size - self.at)), self.at)
-        self.at += len(data)
-        return data
 
 
 def _bytes(record: McapRecord) -> bytes:
@@ -261,33 +232,3 @@ def _chunk(channel: int, number: int, data: bytes) -> bytes:
 
 _SIGN = _bytes(_CHANNELS[_ROWS])  #: what every chunk of rows holds
 _INSIDE = _chunk(_ROWS, 0, b"").index(_SIGN)  #: bytes of a chunk before it
-_SEARCHED = 1 << 20
-
-
-class MemoryJournal:
-    """Rows kept in memory, for runs that are short and need not survive a kill.
-
-    Attributes:
-        error: None, memory does not fail.
-    """
-
-    error = None
-
-    def __init__(self) -> None:
-        """Begin with no rows."""
-        self._kept: list[tuple[int, Array]] = []
-
-    def append(self, first: int, rows: Array) -> None:
-        """Keep rows, of which the first has this number."""
-        self._kept.append((first, rows.copy()))
-
-    def rows(self) -> Iterator[tuple[int, Array]]:
-        """(number of the first row, rows), in order."""
-        return iter(self._kept)
-
-    def close(self) -> None:
-        """Nothing to do."""
-
-    def read(self) -> MemoryJournal:
-        """The rows are in memory: the journal itself."""
-        return self

@@ -18,7 +18,6 @@ from osc_contact.robots.summary import friction_warnings, joint_losses, loss_wor
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.references import gain_in_words, known_to
 from osc_contact.runs.rig import Rig, landings
-from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.spatial import Array, norm
 from osc_contact.visual.screws import common_perpendicular, echelon
 
@@ -97,7 +96,7 @@ def inspect_rig(rig: Rig) -> Inspection:
         d=state.d,
         r=contact.r,
         lines=tuple(lines),
-        contacts=tuple(_column_names(rig)),
+        contacts=tuple(rig.force_names),
         N=contact.N,
         T=contact.T,
         free=free,
@@ -147,12 +146,6 @@ def _redundancy(arms: int, internal: int, own: int) -> Iterator[str]:
         )
     if own:
         yield f"{own} motion(s) of arms leave the object where it is: postures to choose."
-
-
-def _column_names(rig: Rig) -> list[str]:
-    """Names of the columns of N, as in commands and metrics."""
-    X = rig.state().X_WO
-    return magnitude_names({pair.name: len(feet(pair, X)[0]) for pair in rig.pairs})
 
 
 def _contact_lines(rig: Rig) -> Iterator[str]:

@@ -26,7 +26,7 @@ from osc_contact.law import records as at
 from osc_contact.plants.judge import Judge, TruthLog, Truths
 from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
-from osc_contact.recorder.journal import Journal, JournalFile, MemoryJournal
+from osc_contact.recorder.journal import Journal, JournalFile
 from osc_contact.recorder.recording import gather
 from osc_contact.robots.summary import joint_losses
 from osc_contact.runs.contacts import feet_over, force_owners
@@ -265,7 +265,7 @@ class Recorder:
         judge: Judge | None = None,
         *,
         subject: Subject | None = None,
-        journal: Path | MemoryJournal | None = None,
+        journal: Path | None = None,
         meta: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin.
@@ -275,7 +275,7 @@ class Recorder:
             judge: the source of the truth, if there is one.
             subject: the true contacts, where they are not the controller's.
             journal: the file of the rows, such as unfinished.mcap; None: a temporary one, which
-                goes with the process; or where rows are kept in memory.
+                goes with the process.
             meta: more meta data beside names, rate and times.
 
         Raises:
@@ -286,9 +286,7 @@ class Recorder:
         self._meta = {**describe_subject(of), **(meta or {})}
         if isinstance(judge, MujocoRobot):
             self._meta["picture"] = judge.picture()
-        self.journal = (
-            journal if isinstance(journal, MemoryJournal) else JournalFile(journal, self._meta)
-        )
+        self.journal = JournalFile(journal, self._meta)
         self.truth = None if judge is None else judge.log()
         self.count = 0
         self._first_reason = ""  #: why the first tick that failed could not be computed
@@ -452,7 +450,7 @@ class Recorder:
 
 
 def recording_of(
-    of: Subject, log: TruthLog | None, journal: Journal | MemoryJournal, meta: Mapping[str, Any]
+    of: Subject, log: TruthLog | None, journal: Journal, meta: Mapping[str, Any]
 ) -> Recording:
     """The recording of a journal's rows.
 

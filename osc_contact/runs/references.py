@@ -18,7 +18,7 @@ from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.errors import InvalidInputError, ScenarioError
 from osc_contact.interface import Reference
 from osc_contact.runs.contacts import feet, force_owners
-from osc_contact.scenarios.bodies import forces_of, magnitude_names
+from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.scenarios.control_schema import Dither, TareSpec
 from osc_contact.scenarios.quantities import Length
 from osc_contact.scenarios.schema import MotionSpec, Scenario, SurfaceMove
@@ -46,7 +46,7 @@ def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
 
 def force_names(scenario: Scenario) -> list[str]:
     """Names of all force magnitudes, in the order of alpha: ``tip``, ``pad.1``, ``pad.2``, …"""
-    return magnitude_names(forces_of(scenario.contacts))
+    return magnitude_names({contact.name: contact.forces for contact in scenario.contacts})
 
 
 def force_steps(scenario: Scenario) -> list[float]:

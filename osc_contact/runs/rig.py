@@ -23,6 +23,7 @@ from osc_contact.plants.judge import Plant
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
+from osc_contact.recorder import column_names
 from osc_contact.response import require_reachable
 from osc_contact.runs import hardware
 from osc_contact.runs.contacts import (
@@ -41,7 +42,7 @@ from osc_contact.runs.contacts import (
 )
 from osc_contact.runs.recorder import Subject
 from osc_contact.runs.references import References, showing_twist
-from osc_contact.scenarios.bodies import CartSpec, GraspSpec, magnitude_names
+from osc_contact.scenarios.bodies import CartSpec, GraspSpec
 from osc_contact.scenarios.control_schema import Gains, ModelErrorSpec, PhaseSettings
 from osc_contact.scenarios.hardware import PLANT_TYPES
 from osc_contact.scenarios.schema import Scenario
@@ -139,70 +140,6 @@ def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
     )
 
 
-@dataclass(frozen=True)
-class Parts:
-    """What a plant is made of.
-
-    Attributes:
-        scenario: that is run; its `plant` has the options.
-        chain: the true arms and object. state: of the chain at rest, in contact.
-        pairs: the contacts. bodies: of the environment. on: the body of each contact, by number.
-        seed: of everything random.
-    """
-
-    scenario: Scenario
-    chain: ClosedChain
-    pairs: tuple[ContactPair, ...]
-    bodies: tuple[EnvironmentBody, ...]
-    on: tuple[int, ...]
-    state: ChainState
-    seed: int
-
-
-MakesPlant = Callable[[Parts], Plant]
-#: Every registered plant by its name in scenarios.
-PLANTS: dict[str, MakesPlant] = {}
-
-
-def register_plant(name: str, *, exact: bool = False) -> Callable[[MakesPlant], MakesPlant]:
-    """Function decorator: enter a plant in the register, for `plant.type` of scenarios.
-
-    Args:
-        name: in scenarios.
-        exact: its joints are ideal and its contacts neither open nor end: then no tare, motor
-            error, push or edge of a face.
-    """
-
-    def enter(make: MakesPlant) -> MakesPlant:
-        PLANTS[name] = make
-        PLANT_TYPES[name] = exact
-        return make
-
-    return enter
-
-
-@register_plant("rigid", exact=True)
-def _rigid(parts: Parts) -> Plant:
-    step = parts.scenario.plant.step
-    return RigidPlant(parts.chain, parts.pairs, step, rails(parts.bodies), parts.on)
-
-
-@register_plant("mujoco")
-def _mujoco(parts: Parts) -> Plant:
-    scenario = parts.scenario
-    return MujocoPlant(
-        parts.chain,
-        [robots.resolve_urdf(arm.urdf, scenario.folder)[0] for arm in scenario.arms],
-        robots.resolve_urdf(scenario.object.urdf, scenario.folder)[0],
-        parts.pairs,
-        [(body.urdf[0], body.placement) for body in parts.bodies],
-        options=scenario.plant,
-        rails=rails(parts.bodies),
-        on=parts.on,
-        drives=hardware.drives(scenario, parts.chain, parts.state, parts.seed),
-    )
-
-
 TARE_INTEGRAL_S = 0.2  #: integral_time of the motion where there is a tare
 
 
@@ -246,8 +183,7 @@ class Rig:
                 f"a tare needs contacts that open; the {kind} plant's are bilateral. "
                 "Use plant.type=mujoco, or set tare: null"
             )
-        parts = Parts(scenario, self.chain, self.pairs, self.bodies, self.on, self.state(), seed)
-        plant = PLANTS[kind](parts)
+        plant = PLANTS[kind](self, seed)
         plant.reset(self.q_start)
         if scenario.sensors.ideal:
             return plant
@@ -337,6 +273,11 @@ class Rig:
         """(r,) the contact of each force magnitude."""
         return force_owners(self.pairs)
 
+    @property
+    def force_names(self) -> list[str]:
+        """Names of the force magnitudes: ``tip``, ``pad.1``, ``pad.2``, …"""
+        return column_names([pair.name for pair in self.pairs], self.owners.tolist())
+
     @cached_property
     def d(self) -> int:
         """Motions the object can make at the start."""
@@ -353,6 +294,51 @@ class Rig:
     def contact(self) -> Contact:
         """The contact state there."""
         return contact_at(self.pairs, self.state().X_WO)
+
+
+MakesPlant = Callable[[Rig, int], Plant]
+#: Every registered plant by its name in scenarios: makes it of a rig and a seed.
+PLANTS: dict[str, MakesPlant] = {}
+
+
+def register_plant(name: str, *, exact: bool = False) -> Callable[[MakesPlant], MakesPlant]:
+    """Function decorator: enter a plant in the register, for `plant.type` of scenarios.
+
+    The function makes it of a `Rig` and the seed of everything random.
+
+    Args:
+        name: in scenarios.
+        exact: its joints are ideal and its contacts neither open nor end: then no tare, motor
+            error, push or edge of a face.
+    """
+
+    def enter(make: MakesPlant) -> MakesPlant:
+        PLANTS[name] = make
+        PLANT_TYPES[name] = exact
+        return make
+
+    return enter
+
+
+@register_plant("rigid", exact=True)
+def _rigid(rig: Rig, seed: int) -> Plant:
+    return RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step, rails(rig.bodies), rig.on)
+
+
+@register_plant("mujoco")
+def _mujoco(rig: Rig, seed: int) -> Plant:
+    scenario = rig.scenario
+    return MujocoPlant(
+        rig.chain,
+        [robots.resolve_urdf(arm.urdf, scenario.folder)[0] for arm in scenario.arms],
+        robots.resolve_urdf(scenario.object.urdf, scenario.folder)[0],
+        rig.pairs,
+        [(body.urdf[0], body.placement) for body in rig.bodies],
+        options=scenario.plant,
+        rails=rails(rig.bodies),
+        on=rig.on,
+        drives=hardware.drives(scenario, rig.chain, rig.state(), seed),
+    )
 
 
 def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = None) -> Rig:
@@ -485,13 +471,12 @@ def landings(rig: Rig) -> list[Landing]:
     rate = 1.0 / (plant.solref[0] * plant.solref[1] * sqrt(plant.solimp[1]))
     state = rig.state()
     contact = rig.contact()
-    lines = [feet(pair, state.X_WO)[1] for pair in rig.pairs]
-    names = magnitude_names({p.name: len(d) for p, d in zip(rig.pairs, lines, strict=True)})
+    directions = np.vstack([feet(pair, state.X_WO)[1] for pair in rig.pairs])
     commands = rig.references.overview[1].alpha_d
-    columns = zip(names, rig.owners, np.vstack(lines), (contact.N @ contact.R).T, strict=True)
+    columns = zip(rig.force_names, rig.owners, directions, (contact.N @ contact.R).T, strict=True)
     out = []
     for (name, owner, direction, N), wanted in zip(columns, commands.T, strict=True):
-        mass = 1.0 / N @ state.Phi @ N
+        mass = 1.0 / (N @ state.Phi @ N)
         stiffness = mass * rate**2
         met = mass * rate
         motion = rig.bodies[rig.on[owner]].motion

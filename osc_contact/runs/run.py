@@ -21,7 +21,7 @@ from osc_contact.errors import (
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Plant
 from osc_contact.recorder import Recording
-from osc_contact.recorder.journal import Journal, MemoryJournal
+from osc_contact.recorder.journal import Journal
 from osc_contact.robots import resolve_urdf
 from osc_contact.runs.contacts import environment_bodies
 from osc_contact.runs.loop import noted_signals, run_loop
@@ -89,13 +89,12 @@ def run_rig(
     progress: Progress | None = None,
     viewer: Shows | None = None,
     install: Install | None = None,
-    journal: Path | MemoryJournal | None = None,
+    journal: Path | None = None,
 ) -> Recording:
     """Run a rig and record it.
 
     Args:
-        rig: see `build_rig`. seed, progress, viewer, install: see `run`.
-        journal: see `run`; a `MemoryJournal` for runs that need not survive a kill.
+        rig: see `build_rig`. seed, progress, viewer, install, journal: see `run`.
 
     Raises:
         ScenarioError, PlantError, Interrupted: see `run`.

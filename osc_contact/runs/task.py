@@ -20,7 +20,6 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.recorder.recording import column_names
 from osc_contact.runs.contacts import contact_at, force_owners
-from osc_contact.runs.references import force_names
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.control_schema import Gains, SafetySettings
 from osc_contact.spatial import Array
@@ -145,7 +144,7 @@ class Task:
             poses=plan.X_WD,
             forces=plan.alpha_d,
             every=lambda period: rig.references.each(int(scenario.duration / period), period),
-            force_names=[f"force.{name}" for name in force_names(scenario)],
+            force_names=[f"force.{name}" for name in rig.force_names],
             owners=rig.owners,
             rests=[rig.bodies[body].motion is None for body in rig.on],
             bound=rig.life is None,

@@ -232,7 +232,7 @@ class _Sums:
         judged_forces = [np.zeros((0, len(self.ticks.columns)), dtype=bool)]
         for piece in recording.pieces(*_READ):
             judged = piece["t"] >= SETTLE_S - 1e-9
-            self.count += judged.sum()
+            self.count += int(judged.sum())
             settled, counted, quiet = self.ticks.add(piece)
             command, truth, sensed = (
                 np.where(counted, piece[f"alpha_{key}"], np.nan) for key in ("cmd", "true", "meas")

@@ -338,11 +338,6 @@ def _reader(kinds: tuple[type[ContactSpec], ...]) -> TypeAdapter[Any]:
 AnyContact = Annotated[SerializeAsAny[ContactSpec], PlainValidator(_validate)]
 
 
-def forces_of(contacts: tuple[ContactSpec, ...]) -> dict[str, int]:
-    """Name → number of independent forces r of each contact."""
-    return {contact.name: contact.forces for contact in contacts}
-
-
 def magnitude_names(contacts: Mapping[str, int]) -> list[str]:
     """Names of all force magnitudes: ``tip`` for one, ``pad.1``, ``pad.2``, … for several.
 

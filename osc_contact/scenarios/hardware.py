@@ -1,7 +1,7 @@
 """What makes a rig real: the plant, flexible joints, imperfect motors, sensors and their errors."""
 
 import math
-from typing import Annotated, Generic, Self, TypeVar
+from typing import Annotated, Generic, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from osc_contact.scenarios.quantities import (
     OfQuantity,
     Positive,
     PositiveNumber,
+    Q,
     Spec,
     Time,
     Torque,
@@ -31,7 +32,6 @@ from osc_contact.scenarios.quantities import (
 #: open nor end. `runs.rig.register_plant` adds to it.
 PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
 
-Q = TypeVar("Q", bound=float)
 Fraction = Annotated[Number, Field(gt=0, lt=1)]
 Probability = Annotated[Number, Field(ge=0, lt=1)]
 PerMotor = NotEmpty[PositiveNumber]

@@ -29,6 +29,7 @@ from osc_contact.scenarios.quantities import (
     NotNegative,
     OfQuantity,
     Positive,
+    Q,
     Time,
     Velocity,
     refuse,
@@ -39,7 +40,6 @@ from osc_contact.scenarios.quantities import (
 
 Array = npt.NDArray[np.float64]
 Values = tuple[Any, Any, Any]  #: value, first and second derivative, each a number or (k,)
-Q = TypeVar("Q", bound=float)
 V = TypeVar("V", bound=float)
 A = TypeVar("A", bound=float)
 J = TypeVar("J", bound=float)

@@ -14,7 +14,6 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import Interrupted, InvalidInputError, OscContactError, PlantError
 from osc_contact.files import hold, whole_file
 from osc_contact.recorder import Recording
-from osc_contact.recorder.journal import MemoryJournal
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.runs.rig import Rig, build_chain, build_rig
 from osc_contact.runs.run import Install, run_rig
@@ -130,7 +129,7 @@ def record_sample(
     """
     workshop = Workshop() if workshop is None else workshop
     rig = workshop.rig(scenario_of(study, sample))
-    return run_rig(rig, sample.seed, install=install, journal=MemoryJournal())
+    return run_rig(rig, sample.seed, install=install)
 
 
 def scenario_of(study: SweepStudy, sample: Sample) -> Scenario:
