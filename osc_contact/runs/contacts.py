@@ -91,7 +91,7 @@ def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
     for spec in scenario.contacts:
         if not isinstance(spec, OwnContactSpec):
             continue
-        N = spec.pair.contact(X_WO, np.zeros(6)).N
+        N = np.asarray(spec.pair.contact(X_WO, np.zeros(6)).N)
         before = np.asarray(spec.pair.gaps(X_WO), dtype=float)
         if N.shape != (6, len(before)):
             raise ScenarioError(
