@@ -5,9 +5,10 @@ Coriolis torques it leaves to the controller. So gravity is taken from the contr
 the weight of what hangs on the wrist is added to the wrench, which the robot estimates without it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from time import perf_counter
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -72,7 +73,6 @@ class FrankaRobot:
         except ImportError as error:
             raise PlantError(f"{missing(error)} (Linux, Python 3.11 or 3.12)") from error
         self._lib: Any = pylibfranka
-        self._errors = (RuntimeError, pylibfranka.FrankaException)
         self.host = host
         self.chain = chain
         self._wrench = wrench
@@ -81,15 +81,13 @@ class FrankaRobot:
         self._stopped = False
         self.read_to_write = 0.0
         self.success_rate = self.least_success_rate = 1.0
-        try:
+        with self._reporting("cannot be prepared"):
             self._robot: Any = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
             if recover:
                 self._robot.automatic_error_recovery()
             self._look()
             self._require_idle()
             self._set_up(end_effector, collision)
-        except self._errors as error:
-            self._fail("cannot be prepared", error)
         self._require_tip()
 
     def _take(self, chain: ClosedChain) -> None:
@@ -139,11 +137,11 @@ class FrankaRobot:
         if payload is not None:
             flange_to_tip = _pose(self.state.F_T_EE)
             load = (flange_to_tip * self.chain.grasps[0].X_TO).act(payload.inertia)
-        inertia = load.inertia.ravel(order="F").tolist()
-        robot.set_load(float(load.mass), load.lever.tolist(), inertia)
+        robot.set_load(
+            float(load.mass), load.lever.tolist(), load.inertia.ravel(order="F").tolist()
+        )
         self._look()
-        to_K = _pose(self.state.EE_T_K).translation
-        self._to_K = to_K if to_K.any() else None  #: from the end effector, in its axes
+        self._K = np.array(self.state.EE_T_K[12:])  #: (4,) homogeneous, in the end effector
 
     def _look(self) -> None:
         """The state as of now: one may have been on its way before."""
@@ -179,13 +177,11 @@ class FrankaRobot:
         Raises:
             PlantError: the robot ended the motion, or does not answer.
         """
-        try:
+        with self._reporting("ended the motion"):
             if self._control is None:
                 state = self._robot.read_once()
             else:
                 state = self._control.readOnce()[0]
-        except self._errors as error:
-            self._fail("ended the motion", error)
         self._read_at = perf_counter()
         self.state = state
         self.success_rate = float(state.control_command_success_rate)
@@ -214,15 +210,11 @@ class FrankaRobot:
     def _estimate(self, state: Any) -> Array:
         """(6,) what a sensor would read: the robot's wrench on its surroundings, and the weight."""
         sensor = self._data.oMf[self._sensor]
-        X = state.O_T_EE
-        centre = np.array(X[12:15])
-        if self._to_K is not None:
-            centre += np.reshape(X, (4, 4)).T[:3, :3] @ self._to_K
-        self._at.translation = self._base.act(centre)
+        K = np.reshape(state.O_T_EE, (4, 4), order="F") @ self._K
+        self._at.translation = self._base.act(K[:3])
         total = self._at.act(self._turn.act(pin.Force(np.array(state.O_F_ext_hat_K))))
-        if self._hangs.mass > 0.0:
-            self._at.translation = sensor.act(self._hangs.lever)
-            total += self._at.act(self._lift)
+        self._at.translation = sensor.act(self._hangs.lever)
+        total += self._at.act(self._lift)
         return np.asarray(sensor.actInv(total).vector)
 
     def command(self, tau: Array, duration: float) -> None:
@@ -247,7 +239,7 @@ class FrankaRobot:
             )
         if self._stopped:
             return
-        try:
+        with self._reporting("ended the motion"):
             if self._control is None:
                 self._control = self._robot.start_torque_control()
                 self.state = self._control.readOnce()[0]
@@ -260,8 +252,6 @@ class FrankaRobot:
             self._torques = self._lib.Torques((sent + step).tolist())
             self._control.writeOnce(self._torques)
             self.read_to_write = perf_counter() - self._read_at
-        except self._errors as error:
-            self._fail("ended the motion", error)
 
     def stop(self, reason: str = "") -> None:
         """End the motion in order: the robot brakes and holds its posture by itself.
@@ -278,10 +268,8 @@ class FrankaRobot:
         if control is None:
             return
         self._torques.motion_finished = True
-        try:
+        with self._reporting("did not end the motion in order"):
             control.writeOnce(self._torques)
-        except self._errors as error:
-            self._fail("did not end the motion in order", error)
 
     def recover(self) -> None:
         """Leave a reflex or an error, and permit a new motion, once its cause is gone.
@@ -289,11 +277,9 @@ class FrankaRobot:
         Raises:
             PlantError: it cannot, for example while its stop button is pressed.
         """
-        try:
+        with self._reporting("does not recover"):
             self._robot.automatic_error_recovery()
             self._look()
-        except self._errors as error:
-            self._fail("does not recover", error)
         self._require_idle()
         self._stopped = False
         self.least_success_rate = 1.0
@@ -304,23 +290,25 @@ class FrankaRobot:
         Raises:
             PlantError: the robot does not answer.
         """
-        try:
-            numbers = self._robot.load_model().mass(self.state)
-        except self._errors as error:
-            self._fail("gives no model", error)
-        return np.reshape(numbers, (7, 7))
+        with self._reporting("gives no model"):
+            return np.reshape(self._robot.load_model().mass(self.state), (7, 7))
 
     def close(self) -> None:
         """End the motion and the connection: a robot serves one client."""
         self.stop()
         self._robot = None
 
-    def _fail(self, what: str, error: Exception) -> NoReturn:
-        self._control = None
-        raise PlantError(
-            f"the robot at {self.host} {what}: {error}. Look at the robot and its Desk; it moves "
-            "again after recover(), or after connecting with recover=True"
-        ) from error
+    @contextmanager
+    def _reporting(self, what: str) -> Iterator[None]:
+        """Errors of the client library become ones that say what the robot did, and what to do."""
+        try:
+            yield
+        except (RuntimeError, self._lib.FrankaException) as error:
+            self._control = None
+            raise PlantError(
+                f"the robot at {self.host} {what}: {error}. Look at the robot and its Desk; it "
+                "moves again after recover(), or after connecting with recover=True"
+            ) from error
 
 
 def _pose(numbers: ArrayLike) -> pin.SE3:

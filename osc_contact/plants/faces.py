@@ -9,10 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import ContactPair
 from osc_contact.interface import Touched
 from osc_contact.spatial import Array, Poses, classical_to_spatial, cross, rotated, rotations
-
-__all__ = ["Faces", "Motion", "Rail"]
 
 Motion = Callable[[float], tuple[Array, Array, Array]]
 
@@ -84,16 +83,6 @@ class Rail:
         out[:3] += cross(spin, cross(spin, arm))
         return out
 
-    def force(self, s: Array, rates: Array, gravity: Array) -> float:
-        """Force along a free body's joint besides the contact's (N, N m); hinges are balanced.
-
-        Args:
-            s, rates: (2,) coordinates and rates. gravity: (3,) m/s².
-        """
-        k = self.joints[0]
-        weight = self.inertia * float(self.direction @ gravity)
-        return float(weight + self.preload - self.stiffness * s[k] - self.damping * rates[k])
-
 
 class Faces:
     """The bodies of an environment, where they are on their rails, and what touches them.
@@ -106,7 +95,10 @@ class Faces:
     """
 
     def __init__(
-        self, rails: Sequence[Rail] | None, on: Sequence[int] | None, contacts: int = 0
+        self,
+        rails: Sequence[Rail] | None,
+        on: Sequence[int] | None,
+        contacts: int = 0,
     ) -> None:
         """Every body in its assembled pose.
 
@@ -131,16 +123,51 @@ class Faces:
         for i, motion in self.driven.items():
             self.s[i], self.rates[i], self.second[i] = motion(t)
 
+    def pulls(self, gravity: Array) -> list[float]:
+        """Force along each free joint besides the contacts' (N, N m); hinges are balanced.
+
+        Args:
+            gravity: (3,) m/s².
+        """
+        forces = []
+        for i, k in zip(*self.free, strict=True):
+            rail = self.rails[i]
+            weight = rail.inertia * (rail.direction @ gravity)
+            spring = rail.stiffness * self.s[i, k] + rail.damping * self.rates[i, k]
+            forces.append(float(weight + rail.preload - spring))
+        return forces
+
     def poses(self) -> list[pin.SE3]:
         """X_WE of the body at each contact."""
-        return [self.rails[body].pose(self.s[body]) for body in self.on]
+        return [
+            self.rails[body].pose(self.s[body]) if self.moving[body] else pin.SE3.Identity()
+            for body in self.on
+        ]
 
     def twists(self, X_WE: Sequence[pin.SE3]) -> list[Array]:
         """V_E, (6,) each, of the bodies at the contacts, at the origins of their poses."""
         return [
             self.rails[body].twist(self.s[body], self.rates[body], X.translation)
+            if self.moving[body]
+            else np.zeros(6)
             for body, X in zip(self.on, X_WE, strict=True)
         ]
+
+    def parts(self, contacts: Sequence[ContactPair], X_WO: pin.SE3, V_O: Array) -> list[Contact]:
+        """N and n_γ of every contact with the object at X_WO, V_O (6,) and the bodies as they are.
+
+        Args:
+            contacts: the pairs. X_WO: pose of the object. V_O: its twist.
+        """
+        X_WE = self.poses()
+        pairs = zip(contacts, X_WE, self.twists(X_WE), strict=True)
+        return [pair.contact(X_WO, V_O, X_E, V_E) for pair, X_E, V_E in pairs]
+
+    def gaps(self, contacts: Sequence[ContactPair], X_WO: pin.SE3) -> tuple[Array, Array]:
+        """(r,) gaps (m) of the contacts with the object at X_WO, and their N (6, r)."""
+        pairs = zip(contacts, self.poses(), strict=True)
+        gaps = [np.zeros(0), *(pair.gaps(X_WO, X_E) for pair, X_E in pairs)]
+        return np.concatenate(gaps), stacked(self.parts(contacts, X_WO, np.zeros(6)))[0]
 
     def touched(self) -> Touched | None:
         """Readings of encoders on the rails and drives; None where nothing can move."""
@@ -182,3 +209,9 @@ class Faces:
             a = rail.acceleration(s, rates, self.second[body], point)
             drift[rows] = part.N.T @ classical_to_spatial(a, rail.twist(s, rates, point))
         return along, drift
+
+
+def stacked(parts: Sequence[Contact]) -> tuple[Array, Array]:
+    """N (6, r) and n_γ (r,) of all contacts side by side."""
+    N = np.hstack([np.zeros((6, 0)), *(c.N for c in parts)])
+    return N, np.concatenate([np.zeros(0), *(c.n_gamma for c in parts)])

@@ -11,8 +11,6 @@ import numpy as np
 from osc_contact.errors import PlantError
 from osc_contact.spatial import Array, as_array
 
-__all__ = ["FlexibleJoints", "JointDrives", "Motors", "add_drives"]
-
 SPRING = "spring"  #: suffix of the second joint that the plant puts behind a motor
 
 
@@ -35,9 +33,8 @@ class FlexibleJoints:
     motor_inertia: Array
 
     def __post_init__(self) -> None:
-        n = np.asarray(self.stiffness).shape
         for name in ("stiffness", "damping", "motor_inertia"):
-            value = as_array(name, getattr(self, name), n)
+            value = as_array(name, getattr(self, name), np.asarray(self.stiffness).shape)
             least = 0.0 if name == "damping" else 1e-9
             if value.min(initial=least) < least:
                 raise PlantError(
@@ -129,16 +126,16 @@ def add_drives(spec: Any, names: Sequence[str], drives: JointDrives) -> None:
     for i, name in enumerate(names):
         joint = spec.joint(name)
         if drives.friction is not None:
-            joint.frictionloss += float(drives.friction[i])
+            joint.frictionloss += drives.friction[i]
         if drives.flexible is None:
             continue
-        joint.armature = float(drives.flexible.motor_inertia[i])
+        joint.armature = drives.flexible.motor_inertia[i]
         joint.parent.add_joint(
             name=f"{name}/{SPRING}",
             type=joint.type,
             pos=joint.pos,
             axis=joint.axis,
             limited=0,
-            stiffness=float(drives.flexible.stiffness[i]),
-            damping=float(drives.flexible.damping[i]),
+            stiffness=drives.flexible.stiffness[i],
+            damping=drives.flexible.damping[i],
         )

@@ -21,7 +21,7 @@ from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import PlantError, missing
-from osc_contact.interface import Measurement, Touched
+from osc_contact.interface import Measurement
 from osc_contact.plants.faces import Faces, Rail
 from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives, set_dry_friction
 from osc_contact.plants.judge import Truth, Truths, require_duration
@@ -29,9 +29,6 @@ from osc_contact.robots import is_mjcf
 from osc_contact.robots.mjcf import mjcf_skeleton, placed, weld_joints
 from osc_contact.scenarios.hardware import PlantSpec, Push
 from osc_contact.spatial import Array, Poses, as_array, cross
-
-__all__ = ["MujocoPlant", "MujocoTruth"]
-
 
 # --- The MuJoCo model of a rig --------------------------------------------------------------------
 #
@@ -51,7 +48,7 @@ TIE_SPAN = 0.05
 DRIVE_MASS = 1e6
 WELDS = 3014000  #: version of MuJoCo from which on sensors feel welds as they are
 GUIDES = ("slide", "hinge")  #: joints of a body that moves
-_NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo needs mass in moving bodies
+_LEAST_INERTIA = 1e-9  # kg, kg m²: MuJoCo needs mass in moving bodies
 OBJECT = -1  #: of `MujocoPlant.body_of`
 OTHER = -2
 
@@ -98,12 +95,12 @@ def scene(
     model = chain.model
     for i, name in enumerate(chain.joint_names):
         joint = spec.joint(name)
-        joint.armature = float(model.armature[i])
+        joint.armature = model.armature[i]
         joint.damping = np.resize([model.damping[i], 0.0, 0.0], np.shape(joint.damping))
-        set_dry_friction(joint, float(model.upperDryFrictionLimit[i]), options.step)
+        set_dry_friction(joint, model.upperDryFrictionLimit[i], options.step)
     for actuated in chain.actuated:
         name = chain.joint_names[actuated]
-        limit = float(model.upperEffortLimit[actuated])
+        limit = model.upperEffortLimit[actuated]
         motor = spec.add_actuator(
             name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrlrange=[-limit, limit]
         )
@@ -291,7 +288,7 @@ def _put_on_rail(part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:
         body.mass = 0.0
         body.inertia = [0.0] * 3
     cart = not driven and rail.joints == [0]
-    root.mass = rail.inertia if cart else _NEXT_TO_NOTHING
+    root.mass = rail.inertia if cart else _LEAST_INERTIA
     root.inertia = [root.mass] * 3
     for k in rail.joints:
         root.add_joint(
@@ -324,7 +321,7 @@ class MujocoTruth:
         self._plant = plant
         data = plant.data
         body = plant.object_body
-        root = int(plant.model.body_rootid[body])
+        root = plant.model.body_rootid[body]
         self._parts: tuple[Array, ...] = (
             data.xpos[body],
             data.xmat[body],
@@ -340,7 +337,7 @@ class MujocoTruth:
     def note(self) -> None:
         """Keep where the object and bodies on rails are, and each contact with its force."""
         data = self._plant.data
-        self._states.append(np.concatenate((*self._parts, data.qpos[self._plant.face_q])))
+        self._states.append(np.concatenate((*self._parts, data.qpos.take(self._plant.face_q))))
         if data.ncon != self._seen:  # contacts stand at the start of MuJoCo's arena at every step
             contact = data.contact
             self._seen = data.ncon
@@ -514,7 +511,7 @@ class MujocoPlant:
             chain: the true arms and grasps; names, frames, poses and what rotors and friction
                 add to the joints are taken from it.
             arm_urdfs: one file for each arm. object_urdf: the held object.
-            contacts: what true forces are expressed in; what touches is the geometry's business.
+            contacts: what true forces are expressed in; what touches is decided by the geometry.
             bodies: URDF and pose in the world of each body of the environment.
             options: step, softness, friction and pushes on the arms; default: a step of 0.25 ms.
             rails: how each body moves; default: all are fixed.
@@ -544,12 +541,12 @@ class MujocoPlant:
         self._q, self._v = self._places(chain.joint_names)
         if self.drives.flexible is not None:
             self._springs, self._spring_v = self._places([f"{name}/{SPRING}" for name in driven])
-        self.object_body = int(model.body("object/root").id)
-        tips = [int(model.body(f"{arm.name}/{arm.tip}").id) for arm in chain.arms]
+        self.object_body = model.body("object/root").id
+        tips = [model.body(f"{arm.name}/{arm.tip}").id for arm in chain.arms]
         self._seen = [self.object_body, *tips]
         self.body_of = np.full(model.ngeom, OBJECT)
         for i in range(len(bodies)):
-            self.body_of[self._geoms_of(int(model.body(f"face{i}/root").id))] = i
+            self.body_of[self._geoms_of(model.body(f"face{i}/root").id)] = i
         guides = [(i, k) for i, rail in enumerate(faces.rails) for k in rail.joints]
         self.guided = tuple(np.array(guides, dtype=int).reshape(-1, 2).T)
         self.face_q, self._face_v = self._places([f"face{i}/{GUIDES[k]}" for i, k in guides])
@@ -578,8 +575,8 @@ class MujocoPlant:
         self._ctrl = self.data.ctrl
         self._warnings = self.data.warning.number
         self._option = model.opt
-        self._step = float(model.opt.timestep)
-        self._flags = int(model.opt.disableflags)
+        self._step = model.opt.timestep
+        self._flags = model.opt.disableflags
         self._blind = self._flags | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self.time = 0.0
 
@@ -603,8 +600,7 @@ class MujocoPlant:
         self._qpos[self._q] = q
         self._turn_object(q)
         self.time = 0.0
-        preloads = [self.faces.rails[i].preload for i in self.guided[0]]
-        self.data.qfrc_applied[self._face_v] = preloads
+        self.data.qfrc_applied[self._face_v] = [self.faces.rails[i].preload for i in self.guided[0]]
         self._drive(0.0)
         self._mj.mj_forward(self.model, self.data)
 
@@ -613,7 +609,7 @@ class MujocoPlant:
         grasp = self.chain.grasps[0]
         if grasp.is_rigid:
             return
-        X_WO = object_pose(self.chain, q)
+        X_WO = object_pose(self.chain, q)  # and the chain's placements, which tip_poses reads
         R = (self.chain.tip_poses()[0] * grasp.X_TO).rotation.T @ X_WO.rotation
         joint = self.data.joint(GRASP_JOINT)
         if grasp.kind == "ball":
@@ -647,8 +643,10 @@ class MujocoPlant:
         Returns:
             q, v (…, n) and wrenches (…, arms, 6), zero where an arm has no sensor.
         """
-        wrenches = np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
-        wrenches[..., self._sensed, :] = sensed.take(self._readings, axis=-1)
+        wrenches = known = sensed.take(self._readings, axis=-1)
+        if len(self._sensed) < len(self.chain.arms):
+            wrenches = np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
+            wrenches[..., self._sensed, :] = known
         q = self._joints(qpos, self._q, self._springs)
         return q, self._joints(qvel, self._v, self._spring_v), wrenches
 
@@ -670,14 +668,12 @@ class MujocoPlant:
     def measure(self) -> Measurement:
         """Encoders after the last step, wrist wrenches as of its beginning (one step old)."""
         q, v, wrenches = self.readings(self._qpos, self._qvel, self._sensordata)
-        return Measurement(q, v, wrenches, self._touched(), self._joint_torques())
-
-    def _touched(self) -> Touched | None:
         faces = self.faces
-        faces.drive(self.time)
-        faces.s[self.guided] = self._qpos[self.face_q]
-        faces.rates[self.guided] = self._qvel[self._face_v]
-        return faces.touched()
+        if len(self.face_q):
+            faces.drive(self.time)
+            faces.s[self.guided] = self._qpos[self.face_q]
+            faces.rates[self.guided] = self._qvel[self._face_v]
+        return Measurement(q, v, wrenches, faces.touched(), self._joint_torques())
 
     def _drive(self, t: float) -> None:
         """Put driven faces where they are at t, with the force that moves them to the next step."""
@@ -733,7 +729,7 @@ class MujocoPlant:
                 self._option.disableflags = self._flags
             self._mj.mj_step(self.model, self.data)
         self.time += steps * self._step
-        if self._warnings.any():  # of accelerations that are not finite, too
+        if any(self._warnings.tolist()):  # of accelerations that are not finite, too
             kinds = [self._mj.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
             raise PlantError(
                 f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(kinds)}); largest speed "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import logging
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -21,9 +22,6 @@ from osc_contact.robots import suggest
 from osc_contact.robots.mjcf import compile_mjcf, joint_name, motors_of, pose
 from osc_contact.robots.pictures import scene_picture
 from osc_contact.spatial import Array, as_array
-
-__all__ = ["MujocoRobot", "SceneProbe"]
-
 
 # --- Distances of points and of the tool from what the tool can touch -----------------------------
 
@@ -69,9 +67,7 @@ def _nearest(model: Any, data: Any, pairs: list[tuple[int, int]]) -> tuple[float
     from mujoco import mj_geomDistance
 
     ends = np.zeros(6)
-    least, geom = min(
-        (float(mj_geomDistance(model, data, *ab, FAR_M, ends)), ab[1]) for ab in pairs
-    )
+    least, geom = min((mj_geomDistance(model, data, *ab, FAR_M, ends), ab[1]) for ab in pairs)
     return (least if least < FAR_M else np.inf), model.geom(geom).name or f"geom {geom}"
 
 
@@ -149,7 +145,7 @@ class MujocoRobot(MujocoPlant):
         )
         robot = cls.__new__(cls)
         robot._take(mj, ClosedChain([arm]), contacts)
-        robot._keyframe = None if keyframe is None else int(mj.key(keyframe).id)
+        robot._keyframe = None if keyframe is None else mj.key(keyframe).id
         robot._place(np.array(robot._qpos[robot._q]))
         return robot
 
@@ -160,10 +156,10 @@ class MujocoRobot(MujocoPlant):
         joints = np.array([number[name] for name in list(arm.model.names)[1:]])
         self._q = mj.jnt_qposadr[joints]
         self._v = mj.jnt_dofadr[joints]
-        self._held = {int(mj.jnt_qposadr[number[j]]): at for j, at in arm.locked.items()}
+        self._held = {mj.jnt_qposadr[number[j]]: at for j, at in arm.locked.items()}
         self._take_motors(joints[chain.actuated])
         if arm.tip in [mj.body(b).name for b in range(mj.nbody)]:
-            self.object_body = int(mj.body(arm.tip).id)
+            self.object_body = mj.body(arm.tip).id
         else:
             site = mj.site(arm.tip)
             self.object_body = int(site.bodyid[0])
@@ -184,18 +180,20 @@ class MujocoRobot(MujocoPlant):
     def _take_motors(self, joints: Array) -> None:
         """Where torques go: through a plain motor, or to the joint itself."""
         mj = self.model
+        kinds = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
+        per_torque = mj.actuator_gear[:, 0] * mj.actuator_gainprm[:, 0]
+        plain = (per_torque != 0.0) & ~np.any(kinds, axis=0)  # force is gain × control, at once
         motors = []
         for joint in joints:
-            own = motors_of(mj, int(joint))
-            if len(own) == 1 and _is_plain(mj, own[0]):
+            own = motors_of(mj, joint)
+            if len(own) == 1 and plain[own[0]]:
                 motors.append(own[0])
                 continue
             motors.append(-1)
             mj.actuator_gainprm[own] = mj.actuator_biasprm[own] = 0.0
         self._motors = np.array(motors, dtype=int)
         self._direct = mj.jnt_dofadr[joints][self._motors < 0]
-        driven = self._motors[self._motors >= 0]
-        self._per_torque = mj.actuator_gear[driven, 0] * mj.actuator_gainprm[driven, 0]
+        self._per_torque = per_torque[self._motors[self._motors >= 0]]
 
     def _take_sensor(self, name: str) -> int:
         """Places of its readings; returns the body that it weighs, with all beyond."""
@@ -267,13 +265,7 @@ class MujocoRobot(MujocoPlant):
         """
         q = as_array("q", q, (self.chain.nq,))
         require_in_range("touching", self.chain, q)
-
-        def gaps(X_WO: pin.SE3) -> tuple[Array, Array]:
-            N = [pair.contact(X_WO, np.zeros(6)).N for pair in self.contacts]
-            gap = np.concatenate([np.zeros(0), *(pair.gaps(X_WO) for pair in self.contacts)])
-            return gap, np.hstack([np.zeros((6, 0)), *N])
-
-        found = close(self.chain, q, gaps)
+        found = close(self.chain, q, partial(self.faces.gaps, self.contacts))
         try:
             require_in_range("touching", self.chain, found)
         except InvalidInputError as error:
@@ -307,8 +299,8 @@ class MujocoRobot(MujocoPlant):
         """What is seen of the scene, as JSON data; recordings carry it, see `robots.pictures`."""
         model = self.chain.model
         mj = self.model
-        number = {int(adr): j for j, adr in enumerate(mj.jnt_qposadr)}
-        joints = {number[int(at)]: k + 1 for k, at in enumerate(self._q)}
+        number = {adr: j for j, adr in enumerate(mj.jnt_qposadr)}
+        joints = {number[at]: k + 1 for k, at in enumerate(self._q)}
         return scene_picture(mj, self.data, model, np.array(self._qpos[self._q]), joints)
 
     def probe(self) -> SceneProbe:
@@ -324,14 +316,6 @@ class MujocoRobot(MujocoPlant):
 
     def _joint_torques(self) -> Array:
         return self._tau.copy()
-
-
-def _is_plain(mj: Any, actuator: int) -> bool:
-    """Whether its force is gain × control, at once."""
-    kinds = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
-    return not any(int(kind[actuator]) for kind in kinds) and bool(
-        mj.actuator_gainprm[actuator, 0] * mj.actuator_gear[actuator, 0]
-    )
 
 
 def _require(called: str, name: str, known: Sequence[str]) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.dynamics.assembly import (
     closed,
@@ -24,7 +23,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import moved
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
-from osc_contact.plants.faces import Faces, Rail
+from osc_contact.plants.faces import Faces, Rail, stacked
 from osc_contact.plants.judge import Truth, Watched, require_duration
 from osc_contact.robots import frame_id
 from osc_contact.robots.model import sliding
@@ -93,12 +92,6 @@ def beside(A: Array, B: Array) -> Array:
     return np.block([[A, none], [none.T, B]])
 
 
-def stacked(parts: list[Contact]) -> tuple[Array, Array]:
-    """N (6, r) and n_γ (r,) of all contacts side by side."""
-    N = np.hstack([np.zeros((6, 0)), *(c.N for c in parts)])
-    return N, np.concatenate([np.zeros(0), *(c.n_gamma for c in parts)])
-
-
 # --- The plant ------------------------------------------------------------------------------------
 #
 # It shares no formula with the closed chain of the controller: no S, no Λ_S, but all joints of all
@@ -135,7 +128,7 @@ class RigidPlant:
         self.chain = chain
         self._payload = chain.payload
         self.contacts = tuple(contacts)
-        self.faces = Faces(rails, on, len(self.contacts))
+        self.faces = Faces(rails, on, len(contacts))
         self.dt = step
         self.time = 0.0
         self.model = chain.model.copy()
@@ -247,12 +240,11 @@ class RigidPlant:
         chain = self.chain
         model = self.model
         faces = self.faces
-        n = chain.nq
         pin.computeAllTerms(model, self.data, self.q, self.v)
-        pin.forwardKinematics(model, self.data, self.q, self.v, np.zeros(n))
+        pin.forwardKinematics(model, self.data, self.q, self.v, 0.0 * self.v)
         X, V = self._object()
         O = X.translation  # noqa: E741
-        parts = self._parts(X, V)
+        parts = self.faces.parts(self.contacts, X, V)
         N, n_gamma = stacked(parts)
         J = self._jacobian(X)
         first = object_columns(chain, J)
@@ -291,30 +283,25 @@ class RigidPlant:
         A = np.vstack(rows)
         size = len(M)
         bodies, joints = faces.free
-        free = [faces.rails[i] for i in bodies]
-        if free:
+        if len(bodies):
             own = -along[:, bodies, joints]
-            A = np.hstack((A, np.vstack((np.zeros((ends[-1], len(free))), own))))
-            M = beside(M, np.diag([rail.inertia for rail in free]))
-            states = zip(free, faces.s[bodies], faces.rates[bodies], strict=True)
-            pulls = [rail.force(s, rates, model.gravity.linear) for rail, s, rates in states]
-            force = np.concatenate((force, pulls))
+            A = np.hstack((A, np.vstack((np.zeros((ends[-1], len(bodies))), own))))
+            M = beside(M, np.diag([faces.rails[i].inertia for i in bodies]))
+            force = np.concatenate((force, faces.pulls(model.gravity.linear)))
         unheld = np.linalg.solve(M, force)
         inverse, multipliers = inverse_rows(A, M, row_groups(chain))
         short = np.concatenate(right) - A @ unheld
         x = unheld + inverse @ short
         lam = multipliers @ short  # M x = force + Aᵀλ
-        qdd = x[:n]
         sdd = faces.second.copy()
         sdd[faces.free] = x[size:]
-        alpha = -lam[ends[-1] :]
-        a_O = first @ x[:size] + gamma_O
+        *shares, alpha = np.split(lam, ends[1:])
+        qdd = x[: chain.nq]
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
-            shares = np.split(lam, ends[1:])
-            loops = [passed @ share for passed, share in zip(normals, shares, strict=False)]
-            wrenches = self._wrist(qdd, loops, N @ alpha, X)
-        return Solution(qdd, sdd, a_O, alpha, wrenches)
+            loops = [passed @ share for passed, share in zip(normals, shares, strict=True)]
+            wrenches = self._wrist(qdd, loops, -N @ alpha, X)
+        return Solution(qdd, sdd, first @ x[:size] + gamma_O, -alpha, wrenches)
 
     def _wrist(self, qdd: Array, loops: list[Array], f_c: Array, X: pin.SE3) -> Array:
         """Wrist wrenches in sensor axes: what each arm's joint transmits, minus its own side.
@@ -357,22 +344,14 @@ class RigidPlant:
         a = pin.getFrameAcceleration(self.model, self.data, self.chain.tips[i], pin.WORLD).vector
         return carry_twist(a, np.zeros(3), X.translation)
 
-    def _parts(self, X: pin.SE3, V: Array) -> list[Contact]:
-        """N and n_γ of every contact with the object at X, V and the faces where they are."""
-        X_WE = self.faces.poses()
-        motions = zip(self.contacts, X_WE, self.faces.twists(X_WE), strict=True)
-        return [pair.contact(X, V, X_E, V_E) for pair, X_E, V_E in motions]
-
     def _gaps(self, X: pin.SE3) -> tuple[Array, Array]:
-        pairs = zip(self.contacts, self.faces.poses(), strict=True)
-        gaps = [np.zeros(0), *(pair.gaps(X, X_E) for pair, X_E in pairs)]
-        return np.concatenate(gaps), stacked(self._parts(X, np.zeros(6)))[0]
+        return self.faces.gaps(self.contacts, X)
 
     def _on_constraints(self, v: Array, V: Array) -> tuple[Array, Array]:
         chain = self.chain
         pin.computeAllTerms(chain.model, chain.data, self.q, v)
         X = self._X if chain.leader is None else chain.object_pose()
-        parts = self._parts(X, np.zeros(6))
+        parts = self.faces.parts(self.contacts, X, np.zeros(6))
         A = constraint_rows(chain, X.translation, stacked(parts)[0])
         along = self.faces.closing(parts, X.translation)[0]
         b = np.zeros(len(A))

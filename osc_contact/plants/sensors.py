@@ -1,7 +1,7 @@
 """Imperfect sensors: a rate, a delay, noise, bias, resolution, lost samples.
 
-`SensedPlant` wraps any plant and is one: it turns ideal readings into sensed ones, so that neither
-the plant inside nor the controller outside knows. Every draw comes from one seed.
+`SensedPlant` wraps any plant and is one: it replaces ideal readings by sensed ones, which
+changes neither plant nor controller. Every random number comes from one seed.
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ from osc_contact.interface import Measurement, Seen, Stamps, Touched
 from osc_contact.plants.judge import Plant, Truth, TruthLog
 from osc_contact.scenarios.hardware import Clock, Errors, VisionSpec
 from osc_contact.spatial import Array
-
-__all__ = ["SensorErrors", "SensedPlant", "Sensor", "Sensors"]
 
 _ON_TIME = 1e-9  # s, rounding of sums of steps
 #: Of each sensor but vision, by the name of its stamp, what of a measurement it reads.

@@ -80,19 +80,16 @@ def matching_limits(
         InvalidInputError: a key that no moving joint matches.
     """
     known = list(names)
-    matches = {
-        name: [key for key in limits if name == key or fnmatchcase(name, key)] for name in known
-    }
-    for key in limits:
-        if not any(key in keys for keys in matches.values()):
+    found: dict[str, dict[str, float]] = {}
+    for key, given in reversed(list(limits.items())):
+        matched = [name for name in known if name == key or fnmatchcase(name, key)]
+        if not matched:
             raise InvalidInputError(
                 f"limits: no moving joint matches {key!r}. {suggest(key, known)}"
             )
-    return {
-        name: {key: x for key, x in asdict(limits[keys[0]]).items() if x is not None}
-        for name, keys in matches.items()
-        if keys
-    }
+        values = {which: x for which, x in asdict(given).items() if x is not None}
+        found |= dict.fromkeys(matched, values)
+    return found
 
 
 def check_limits(document: Document) -> None:
@@ -205,8 +202,9 @@ def check_moving_bodies(document: Document, model: pin.Model) -> None:
                 f"the body that it moves has mass {body.mass:g} kg and principal moments "
                 f"{_listed(moments)} kg m²: its energy can be negative"
             )
-            cure = "correct the <inertial> of its links"
-            document.joints[name].element.note("inertia", reason, cure)
+            document.joints[name].element.note(
+                "inertia", reason, "correct the <inertial> of its links"
+            )
 
 
 def _listed(moments: Array) -> str:
@@ -288,8 +286,9 @@ def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
     elif shape.tag in _SIZES:
         sizes = {key: shape.number(key) for key in _SIZES[shape.tag]}
     else:
-        cure = "use box, cylinder, capsule, sphere or mesh"
-        shape.note("geometry", f"unknown shape <{shape.tag}>", cure)
+        shape.note(
+            "geometry", f"unknown shape <{shape.tag}>", "use box, cylinder, capsule, sphere or mesh"
+        )
         return
     if listed := ", ".join(f"{key} {size:g} m" for key, size in sizes.items() if size < 0):
         shape.note("geometry", f"negative size: {listed}", "sizes are lengths")
@@ -310,8 +309,7 @@ def _address_problem(
     if scheme and scheme[0] not in ("package:", "file:"):
         return f"the address has the scheme {scheme[0]!r}: only local files are read", cure
     if address.startswith(_PACKAGE):
-        inside = address.removeprefix(_PACKAGE).lstrip("/")
-        package, slash, rest = inside.partition("/")
+        package, slash, rest = address.removeprefix(_PACKAGE).lstrip("/").partition("/")
         if package in ("", ".", "..") or not slash or _leads_out(rest):
             return "the address leads out of its package", cure
         return None

@@ -211,12 +211,19 @@ def compare(model: pin.Model, file: Path) -> float:
         other = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
         worst, link = _difference(model, other)
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
-        reason = f"the second reader (yourdfpy) fails: {type(error).__name__}: {error}"
-        refuse_file("second reader", file, reason)
+        refuse_file(
+            "second reader",
+            file,
+            f"the second reader (yourdfpy) fails: {type(error).__name__}: {error}",
+        )
     if not worst <= CROSS_CHECK_TOLERANCE:
         reason = f"link {link!r}: two URDF readers place link {link!r} {worst:.3g} apart "
-        cure = "look at the origins and axes of the joints above it"
-        refuse_file("second reader", file, f"{reason}(allowed {CROSS_CHECK_TOLERANCE:g})", cure)
+        refuse_file(
+            "second reader",
+            file,
+            f"{reason}(allowed {CROSS_CHECK_TOLERANCE:g})",
+            "look at the origins and axes of the joints above it",
+        )
     return worst
 
 
@@ -234,7 +241,7 @@ def _difference(model: pin.Model, other: Any) -> tuple[float, str]:
                 joints[name] = mimic.multiplier * joints[mimic.joint] + mimic.offset
         if joints:
             other.update_cfg({name: joints[name] for name in other.actuated_joint_names})
-        pin.framesForwardKinematics(model, data, np.array([joints[name] for name in names]))
+        pin.framesForwardKinematics(model, data, np.array(list(joints.values())))
         X_WR = data.oMf[frame_id(model, root)]
         for link in other.link_map:
             ours = X_WR.actInv(data.oMf[frame_id(model, link)]).homogeneous
@@ -283,10 +290,9 @@ def urdf_path(name: str) -> Path:
     Raises:
         ModelError: no packaged file has that name.
     """
-    packaged = _packaged()
-    file = packaged.get(name) or packaged.get(f"{name}.urdf")
+    file = _find_packaged(name)
     if file is None:
-        raise ModelError(f"no packaged URDF is called {name!r}. {suggest(name, packaged)}")
+        raise ModelError(f"no packaged URDF is called {name!r}. {suggest(name, _packaged())}")
     return file
 
 
@@ -353,13 +359,17 @@ def locate(reference: str) -> tuple[Path, tuple[Path, ...]]:
         ModelError: nothing is found; the message names the places searched.
     """
     plain = "/" not in reference and "\\" not in reference and not Path(reference).is_file()
-    packaged = _packaged()
-    if plain and (file := packaged.get(reference) or packaged.get(f"{reference}.urdf")):
+    if plain and (file := _find_packaged(reference)):
         return file, ()
     if plain and ":" not in reference and not reference.endswith((".urdf", ".xml")):
         path, package_dir = find_robot(reference)
         return path, (package_dir,)
     return resolve_urdf(reference)
+
+
+def _find_packaged(name: str) -> Path | None:
+    packaged = _packaged()
+    return packaged.get(name) or packaged.get(f"{name}.urdf")
 
 
 def _packaged() -> dict[str, Path]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree.ElementTree import ParseError, iterparse
 
 import numpy as np
 import pinocchio as pin
@@ -25,12 +26,9 @@ def is_mjcf(path: Path | str) -> bool:
     """Whether a file begins as MJCF does, with <mujoco>."""
     try:
         with Path(path).open("rb") as stream:
-            head = stream.read(1 << 16)
-    except OSError:
+            return bool(next(iterparse(stream, ["start"]))[1].tag == "mujoco")
+    except (OSError, ValueError, LookupError, ParseError, StopIteration):
         return False
-    tags = (part.split(None, 1) for part in head.split(b"<")[1:])
-    first = (tag[0] for tag in tags if tag and tag[0][:1] not in (b"?", b"!"))
-    return next(first, b"").rstrip(b"/>").startswith(b"mujoco")
 
 
 def compile_mjcf(mjcf: Path | str | Any) -> Any:
@@ -70,24 +68,22 @@ def body_name(mj: Any, body: int) -> str:
 
 def joints_of(mj: Any, body: int) -> range:
     """Numbers of the joints that move a body in its parent."""
-    first = int(mj.body_jntadr[body])
-    return range(first, first + int(mj.body_jntnum[body]))
+    first = mj.body_jntadr[body]
+    return range(first, first + mj.body_jntnum[body])
 
 
 def motors_of(mj: Any, joint: int) -> list[int]:
     """Numbers of the actuators that act on a joint directly."""
-    direct = (0, 1)  # mjTRN_JOINT, mjTRN_JOINTINPARENT
-    pairs = zip(mj.actuator_trntype, mj.actuator_trnid[:, 0], strict=True)
-    return [a for a, (kind, driven) in enumerate(pairs) if kind in direct and driven == joint]
+    direct = np.isin(mj.actuator_trntype, (0, 1))  # mjTRN_JOINT, mjTRN_JOINTINPARENT
+    return list(np.flatnonzero(direct & (mj.actuator_trnid[:, 0] == joint)))
 
 
 def couplings(mj: Any) -> dict[str, str]:
     """Joint → the joint that it follows by an <equality> of the file, "" where it is held."""
     found = {}
     for e in np.flatnonzero((mj.eq_type == 2) & (mj.eq_active0 != 0)):  # mjEQ_JOINT
-        master = int(mj.eq_obj2id[e])
-        follower = joint_name(mj, int(mj.eq_obj1id[e]))
-        found[follower] = "" if master < 0 else joint_name(mj, master)
+        master = mj.eq_obj2id[e]
+        found[joint_name(mj, mj.eq_obj1id[e])] = "" if master < 0 else joint_name(mj, master)
     return found
 
 
@@ -99,19 +95,18 @@ def bodies_of(mj: Any, tip: str | None) -> list[int]:
     """
     root = mj.body_rootid
     if tip is None:
-        free = {root[mj.jnt_bodyid[j]] for j in np.flatnonzero(mj.jnt_type == _FREE)}
-        found = [b for b in range(1, mj.nbody) if root[b] not in free]
-        if mj.nbody > 1 and not found:
+        loose = np.isin(root, root[mj.jnt_bodyid[mj.jnt_type == _FREE]])
+        if mj.nbody > 1 and loose[1:].all():
             raise ModelError("every body hangs on a free joint, which is not supported; fix a base")
-        return found
-    sites = {mj.site(s).name: int(mj.site_bodyid[s]) for s in range(mj.nsite)}
+        return list(np.flatnonzero(~loose)[1:])
+    sites = {mj.site(s).name: mj.site_bodyid[s] for s in range(mj.nsite)}
     places = sites | {mj.body(b).name: b for b in range(mj.nbody)}
     if tip not in places:
         known = filter(None, places)
         raise ModelError(f"the MuJoCo model has no body or site {tip!r}. {suggest(tip, known)}")
     if places[tip] == 0:
         raise ModelError(f"no joint moves {tip!r}: it is fixed to the world")
-    return [b for b in range(1, mj.nbody) if root[b] == root[places[tip]]]
+    return list(np.flatnonzero(root == root[places[tip]]))
 
 
 def pose(position: Array, quaternion: Array) -> pin.SE3:
@@ -170,17 +165,16 @@ def load_mjcf(
     model.gravity.linear = np.array(mj.opt.gravity)
     places = {0: _Place(0, pin.SE3.Identity(), 0)}
     for b in bodies_of(mj, tip):
-        places[b] = _add_body(mj, model, b, places[int(mj.body_parentid[b])])
+        places[b] = _add_body(mj, model, b, places[mj.body_parentid[b]])
     for s in range(mj.nsite):
-        place = places.get(int(mj.site_bodyid[s]))
+        place = places.get(mj.site_bodyid[s])
         if place is not None and mj.site(s).name:
             X = place.X * pose(mj.site_pos[s], mj.site_quat[s])
             # beside its body, behind the same joint: a force sensor cuts before its body
             _add_frame(model, mj.site(s).name, place._replace(X=X), pin.FrameType.OP_FRAME)
     names = joint_names(model)
     for name, given in matching_limits(names, limits or {}).items():
-        for key, value in given.items():
-            _set_limit(model, key, names.index(name), value)
+        _set_limits(model, names.index(name), given)
     check_mass_matrix(model)
     return model
 
@@ -205,12 +199,13 @@ def _add_body(mj: Any, model: pin.Model, b: int, parent: _Place) -> _Place:
         place = _add_joint(mj, model, j, place)
     R = pin.Quaternion(*mj.body_iquat[b]).toRotationMatrix()
     about_centre: Array = R @ np.diag(mj.body_inertia[b]) @ R.T
-    inertia = pin.Inertia(float(mj.body_mass[b]), np.array(mj.body_ipos[b]), about_centre)
+    inertia = pin.Inertia(mj.body_mass[b], np.array(mj.body_ipos[b]), about_centre)
     if mj.body_jntnum[b]:
         model.appendBodyToJoint(place.joint, inertia, place.X)
     else:
-        kind = pin.FrameType.FIXED_JOINT
-        place = place._replace(frame=_add_frame(model, f"{name}_weld", place, kind, inertia))
+        place = place._replace(
+            frame=_add_frame(model, f"{name}_weld", place, pin.FrameType.FIXED_JOINT, inertia)
+        )
     _add_frame(model, name, place, pin.FrameType.BODY)
     return place
 
@@ -225,7 +220,7 @@ def _add_frame(
 def _add_joint(mj: Any, model: pin.Model, j: int, body: _Place) -> _Place:
     """A joint where `body` stands; returns the place of the body behind it."""
     name = joint_name(mj, j)
-    kind = int(mj.jnt_type[j])
+    kind = mj.jnt_type[j]
     if kind in (_FREE, _BALL):
         raise ModelError(
             f"joint {name!r} is a {('free', 'ball')[kind]} joint (nq ≠ nv), which is not "
@@ -239,31 +234,28 @@ def _add_joint(mj: Any, model: pin.Model, j: int, body: _Place) -> _Place:
     make = pin.JointModelPrismaticUnaligned if kind == _SLIDE else pin.JointModelRevoluteUnaligned
     axis = np.array(mj.jnt_axis[j])
     anchor = pin.SE3(np.eye(3), np.array(mj.jnt_pos[j]))
-    start = -mj.qpos0[mj.jnt_qposadr[j]] * axis
-    X = body.X * _moved(kind, anchor.translation, start) * anchor
+    X = body.X * _moved(kind, anchor.translation, -mj.qpos0[mj.jnt_qposadr[j]] * axis) * anchor
     number = model.addJoint(body.joint, make(axis), X, name)
     frame = model.addJointFrame(number, body.frame)
     v = model.joints[number].idx_v
     dof = mj.jnt_dofadr[j]
     model.armature[v] = mj.dof_armature[dof]
     model.damping[v] = mj.dof_damping[dof]
-    ends = mj.jnt_range[j] if mj.jnt_limited[j] else (-np.inf, np.inf)
-    _set_limit(model, "lower", v, ends[0])
-    _set_limit(model, "upper", v, ends[1])
-    _set_limit(model, "effort", v, _effort(mj, j))
-    _set_limit(model, "velocity", v, _NONE)
-    _set_limit(model, "dryFriction", v, mj.dof_frictionloss[dof])
+    lower, upper = mj.jnt_range[j] if mj.jnt_limited[j] else (-np.inf, np.inf)
+    limits = {"lower": lower, "upper": upper, "effort": _effort(mj, j), "velocity": _NONE}
+    _set_limits(model, v, limits | {"dryFriction": mj.dof_frictionloss[dof]})
     return _Place(number, anchor.inverse(), frame)
 
 
-def _set_limit(model: pin.Model, key: str, v: int, value: float) -> None:
-    """Set a position limit, or both limits ± of another quantity."""
-    if key in ("lower", "upper"):
-        getattr(model, f"{key}PositionLimit")[v] = value
-        return
-    quantity = f"{key[0].upper()}{key[1:]}Limit"
-    getattr(model, f"upper{quantity}")[v] = value
-    getattr(model, f"lower{quantity}")[v] = -value
+def _set_limits(model: pin.Model, v: int, limits: Mapping[str, float]) -> None:
+    """Set position limits, and both limits ± of other quantities."""
+    for key, value in limits.items():
+        if key in ("lower", "upper"):
+            getattr(model, f"{key}PositionLimit")[v] = value
+            continue
+        quantity = f"{key[0].upper()}{key[1:]}Limit"
+        getattr(model, f"upper{quantity}")[v] = value
+        getattr(model, f"lower{quantity}")[v] = -value
 
 
 def _effort(mj: Any, joint: int) -> float:
@@ -277,9 +269,8 @@ def _effort(mj: Any, joint: int) -> float:
     for a in motors_of(mj, joint):
         force = least(mj.actuator_forcerange[a]) if mj.actuator_forcelimited[a] else _NONE
         if mj.actuator_ctrllimited[a] and mj.actuator_biastype[a] == 0:
-            gain = abs(float(mj.actuator_gainprm[a, 0]))
-            force = min(force, gain * least(mj.actuator_ctrlrange[a]))
-        strong += abs(float(mj.actuator_gear[a, 0])) * force if force < _NONE else _NONE
+            force = min(force, abs(mj.actuator_gainprm[a, 0]) * least(mj.actuator_ctrlrange[a]))
+        strong += abs(mj.actuator_gear[a, 0]) * force if force < _NONE else _NONE
     return min(most, strong) if strong > 0.0 else most
 
 
@@ -293,7 +284,7 @@ def placement_difference(mj: Any, model: pin.Model) -> float:
     data = model.createData()
     sim = mujoco.MjData(mj)
     worst = 0.0
-    joints = {joint_name(mj, j): int(mj.jnt_qposadr[j]) for j in range(mj.njnt)}
+    joints = {joint_name(mj, j): mj.jnt_qposadr[j] for j in range(mj.njnt)}
     at = [joints[name] for name in joint_names(model)]
     bodies = [b for b in range(1, mj.nbody) if model.existBodyName(body_name(mj, b))]
     for q in random_configurations(model, _POSTURES):
@@ -334,12 +325,12 @@ def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str,
     spec.compiler.fusestatic = False
     made: dict[int, Any] = {0: spec.worldbody}
     for b in bodies_of(mj, tip):
-        made[b] = body = made[int(mj.body_parentid[b])].add_body(
+        made[b] = body = made[mj.body_parentid[b]].add_body(
             name=body_name(mj, b),
             pos=mj.body_pos[b],
             quat=mj.body_quat[b],
             explicitinertial=True,
-            mass=float(mj.body_mass[b]),
+            mass=mj.body_mass[b],
             ipos=mj.body_ipos[b],
             iquat=mj.body_iquat[b],
             inertia=mj.body_inertia[b],
@@ -347,10 +338,10 @@ def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str,
         for j in joints_of(mj, b):
             body.add_joint(
                 name=joint_name(mj, j),
-                type=mujoco.mjtJoint(int(mj.jnt_type[j])),
+                type=mujoco.mjtJoint(mj.jnt_type[j]),
                 pos=mj.jnt_pos[j],
                 axis=mj.jnt_axis[j],
-                ref=float(mj.qpos0[mj.jnt_qposadr[j]]),
+                ref=mj.qpos0[mj.jnt_qposadr[j]],
                 range=mj.jnt_range[j],
                 limited=int(bool(mj.jnt_limited[j])),
             )
@@ -358,12 +349,12 @@ def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str,
     bodies = [mj.body(b).name for b in made]
     if tip not in bodies:
         at = mj.site(tip)
-        made[int(at.bodyid[0])].add_body(name=tip, pos=at.pos, quat=at.quat)
+        made[at.bodyid[0]].add_body(name=tip, pos=at.pos, quat=at.quat)
     if sensor in bodies:
         spec.body(sensor).add_site(name="wrist")
     elif sensor is not None:
         at = mj.site(sensor)
-        made[int(at.bodyid[0])].add_site(name="wrist", pos=at.pos, quat=at.quat)
+        made[at.bodyid[0]].add_site(name="wrist", pos=at.pos, quat=at.quat)
     return spec
 
 

@@ -38,7 +38,7 @@ def mjcf_geometry(path: Path | str, tip: str | None) -> tuple[pin.Model, pin.Geo
         kind = int(mj.geom_type[g])
         shape = mesh_of(*_mesh_rows(mj, g)) if kind == _MESH else _solid(kind, mj.geom_size[g])
         if shape is not None:
-            name = body_name(mj, int(mj.geom_bodyid[g]))
+            name = body_name(mj, mj.geom_bodyid[g])
             frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
             X = frame.placement * pose(mj.geom_pos[g], mj.geom_quat[g])
             _add(geometry, f"geom{g}", frame.parentJoint, X, shape, _colour(mj, g))
@@ -51,7 +51,7 @@ def _touches_nothing(mj: Any, g: int) -> bool:
 
 def _colour(mj: Any, g: int) -> Array:
     """(4,) of a geom's material, or its own."""
-    material = int(mj.geom_matid[g])
+    material = mj.geom_matid[g]
     return np.array(mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[g], dtype=float)
 
 
@@ -66,11 +66,11 @@ def _add(
 
 def _mesh_rows(mj: Any, g: int) -> tuple[Any, Any]:
     """Corners (k, 3) in m and faces (m, 3) of the mesh of a geom."""
-    mesh = mj.mesh(int(mj.geom_dataid[g]))
-    v = int(mesh.vertadr[0])
-    f = int(mesh.faceadr[0])
-    corners = mj.mesh_vert[v : v + int(mesh.vertnum[0])]
-    return corners, mj.mesh_face[f : f + int(mesh.facenum[0])]
+    mesh = mj.mesh(mj.geom_dataid[g])
+    v = mesh.vertadr[0]
+    f = mesh.faceadr[0]
+    corners = mj.mesh_vert[v : v + mesh.vertnum[0]]
+    return corners, mj.mesh_face[f : f + mesh.facenum[0]]
 
 
 def _solid(kind: int, size: Any) -> Any:
@@ -98,12 +98,9 @@ def mesh_of(corners: Any, faces: Any) -> coal.BVHModelOBBRSS:
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(corners):
         raise ValueError(f"faces name corners beyond {len(corners)}")
     mesh = coal.BVHModelOBBRSS()
-    triangles = coal.StdVec_Triangle()
-    points = coal.StdVec_Vec3s()
-    points.extend([np.array(corner, dtype=float) for corner in corners])
-    triangles.extend([coal.Triangle(*(int(k) for k in face)) for face in faces])
     mesh.beginModel(len(faces), len(corners))
-    mesh.addSubModel(points, triangles)
+    mesh.addVertices(np.array(corners, dtype=float))
+    mesh.addTriangles(np.array(faces, dtype=np.int32))
     mesh.endModel()
     return mesh
 
@@ -124,14 +121,14 @@ def scene_picture(
     """
     at = model.createData()
     pin.forwardKinematics(model, at, q)
-    moves = {int(mj.jnt_bodyid[j]): joint for j, joint in joints.items()}
+    moves = {mj.jnt_bodyid[j]: joint for j, joint in joints.items()}
     owner = [0] * mj.nbody
     for b in range(1, mj.nbody):
-        owner[b] = moves.get(b, owner[int(mj.body_parentid[b])])
-    dressed = {int(mj.geom_bodyid[g]) for g in range(mj.ngeom) if _touches_nothing(mj, g)}
+        owner[b] = moves.get(b, owner[mj.body_parentid[b]])
+    dressed = {mj.geom_bodyid[g] for g in range(mj.ngeom) if _touches_nothing(mj, g)}
     shapes = []
     for g in range(mj.ngeom):
-        body = int(mj.geom_bodyid[g])
+        body = mj.geom_bodyid[g]
         joint = owner[body]
         rgba = _colour(mj, g)
         hidden = joint and body in dressed and not _touches_nothing(mj, g)
@@ -171,8 +168,7 @@ def _packed(rows: Any, kind: str) -> str:
 
 
 def _unpacked(text: str, kind: str) -> Any:
-    most = 12 * MOST_CORNERS
-    raw = zlib.decompressobj().decompress(base64.b64decode(text, validate=True), most)
+    raw = zlib.decompressobj().decompress(base64.b64decode(text, validate=True), 12 * MOST_CORNERS)
     return np.frombuffer(raw, dtype=kind).reshape(-1, 3)
 
 

@@ -3,11 +3,13 @@
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from pydantic_core import to_jsonable_python
 
 from osc_contact.errors import ModelError
 from osc_contact.robots.checks import Inertias, JointLimits, check_mesh_files
@@ -17,14 +19,16 @@ from osc_contact.robots.model import (
     SAMPLES,
     ends_of,
     frame_id,
+    joint_names,
     random_configurations,
     rotors,
-    slides,
+    sliding,
 )
 from osc_contact.robots.urdf import Document
 from osc_contact.robots.xml_tree import ModelFinding
 from osc_contact.spatial import Array
 
+jsonable = partial(to_jsonable_python, inf_nan_mode="null")
 POSTURES = 200
 NO_LIMIT = 1e30  #: N m, N, rad/s, m/s: as large as none
 _SHOWN_TIPS = 12
@@ -46,16 +50,12 @@ def joint_losses(model: pin.Model, prefix: str = "") -> list[dict[str, Any]]:
         Of each joint its name, friction (N m, N), damping (N m s/rad, N s/m), armature (kg m²,
         kg), and whether it slides.
     """
-    quantities = {
-        "friction": model.upperDryFrictionLimit,
-        "damping": model.damping,
-        "armature": rotors(model),
-    }
+    quantities = (model.upperDryFrictionLimit, model.damping, rotors(model))
+    rows = zip(joint_names(model), *quantities, sliding(model), strict=True)
     return [
-        {"joint": f"{prefix}{model.names[j]}"}
-        | {key: float(values[model.joints[j].idx_v]) for key, values in quantities.items()}
-        | {"slides": slides(model, j)}
-        for j in range(1, model.njoints)
+        {"joint": f"{prefix}{name}", "slides": bool(slides)}
+        | dict(zip(_UNITS, map(float, losses), strict=True))
+        for name, *losses, slides in rows
     ]
 
 
@@ -108,7 +108,7 @@ def friction_warnings(
     M = np.triu(M) + np.triu(M, 1).T
     A = rotors(model)
     m = 1.0 / np.diag(np.linalg.inv(M - np.diag(model.armature) + np.diag(A)))
-    names = list(model.names)[1:]
+    names = joint_names(model)
     fast = [
         f"{d / own:.3g} 1/s ({name})"
         for name, d, own in zip(names, model.damping, m, strict=True)
@@ -186,14 +186,16 @@ class RobotSummary:
     @property
     def loss_words(self) -> str:
         """Friction, damping and armature of the joints in one line."""
-        slide = "prismatic"
         return loss_words(
-            [asdict(one) | {"joint": one.name, "slides": one.kind == slide} for one in self.joints]
+            [
+                asdict(one) | {"joint": one.name, "slides": one.kind == "prismatic"}
+                for one in self.joints
+            ]
         )
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form; infinite numbers become null."""
-        return _finite(asdict(self))
+        return jsonable(self)
 
 
 def summarise(model: pin.Model, document: Document, tip: str | None = None) -> RobotSummary:
@@ -217,17 +219,18 @@ def _summary(
     pin.crba(model, data, pin.neutral(model))
     joints = []
     for j, losses in enumerate(joint_losses(model)):
-        name = losses["joint"]
+        name = losses.pop("joint")
+        kind = "prismatic" if losses.pop("slides") else "revolute"
         joints.append(
             JointSummary(
                 name,
-                kinds.get(name, "prismatic" if losses["slides"] else "revolute"),
-                float(model.lowerPositionLimit[j]),
-                float(model.upperPositionLimit[j]),
+                kinds.get(name, kind),
+                model.lowerPositionLimit[j],
+                model.upperPositionLimit[j],
                 _limit(model.upperEffortLimit[j]),
                 _limit(model.upperVelocityLimit[j]),
-                float(data.Ycrb[j + 1].mass),
-                **{key: losses[key] for key in _UNITS},
+                data.Ycrb[j + 1].mass,
+                **losses,
             )
         )
     frames = [frame_id(model, name) for name in (ends_of(model) if tip is None else [tip])]
@@ -238,7 +241,7 @@ def _summary(
         model.nv,
         sum(frame.type == pin.FrameType.BODY for frame in model.frames),
         mass,
-        sum(float(inertia.mass) for inertia in list(model.inertias)[1:]),
+        sum(inertia.mass for inertia in list(model.inertias)[1:]),
         tuple(joints),
         tuple(_tip(model, frame) for frame in frames[:_SHOWN_TIPS]),
         len(frames[_SHOWN_TIPS:]),
@@ -248,7 +251,7 @@ def _summary(
 def _tip(model: pin.Model, frame: int) -> TipSummary:
     data = model.createData()
     placed = model.frames[frame]
-    used = [model.joints[j].idx_v for j in list(model.supports[placed.parentJoint])[1:]]
+    joints = len(model.supports[placed.parentJoint]) - 1  # without the universe
     body = placed.placement.inverse().act(model.inertias[placed.parentJoint])
     moments = np.linalg.eigvalsh(body.inertia)
     solid = body.mass > 0 and moments[0] > 1e-9 * moments[2]
@@ -259,37 +262,27 @@ def _tip(model: pin.Model, frame: int) -> TipSummary:
     for q in random_configurations(model, POSTURES):
         M = np.array(pin.crba(model, data, q))
         J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
-        K = np.linalg.cholesky(M.T)
-        A = np.linalg.solve(K, J.T).T
+        A = np.linalg.solve(np.linalg.cholesky(M.T), J.T).T
         linear.append(np.linalg.eigvalsh(A[:3] @ A[:3].T))
         angular.append(np.linalg.eigvalsh(A[3:] @ A[3:].T))
-        mobility.append(np.linalg.svd(L.T @ A, compute_uv=False)[: len(used)])
+        mobility.append(np.linalg.svd(L.T @ A, compute_uv=False)[:joints])
     extremes = np.column_stack((np.min(mobility, axis=0), np.max(mobility, axis=0)))
     sigma = tuple(map(tuple, extremes.tolist())) if solid else ()
-    return TipSummary(placed.name, len(used), _inverse(linear), _inverse(angular), sigma)
+    return TipSummary(placed.name, joints, _inverse(linear), _inverse(angular), sigma)
 
 
 def _inverse(eigenvalues: list[Array]) -> tuple[float, float]:
     """(smallest, largest) of 1/λ; an eigenvalue at rounding level counts as 0."""
     values = np.array(eigenvalues)
-    top = values.max(initial=0.0)
-    if top <= 0.0:
-        return float("inf"), float("inf")
-    bottom = values.min()
-    return 1.0 / float(top), 1.0 / float(bottom) if bottom > 1e-12 * top else float("inf")
+    values[values <= 1e-12 * values.max()] = 0.0
+    with np.errstate(divide="ignore"):
+        inverse = 1.0 / values
+    return float(inverse.min()), float(inverse.max())
 
 
 def _limit(value: float) -> float:
     """Infinite where a file that names none got a huge number instead."""
     return float(value) if value < NO_LIMIT else float("inf")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 @dataclass(frozen=True)
@@ -338,11 +331,8 @@ class RobotReport:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form."""
-        whole: dict[str, Any] = _finite(asdict(self))
-        robot = whole.pop("summary")
-        for finding in whole["findings"]:
-            del finding["file"]
-        return whole | {"file": str(self.file), "sound": self.sound, "robot": robot}
+        whole = jsonable(self, exclude={"findings": {"__all__": {"file"}}})
+        return whole | {"sound": self.sound, "robot": whole.pop("summary")}
 
 
 def check_robot(
@@ -396,5 +386,5 @@ def _check_mjcf(
         if isinstance(error.__cause__, ImportError):
             raise
         return RobotReport(file, (ModelFinding("mjcf", file, 0, 0, "", str(error), ""),))
-    mass = float(mj.body_subtreemass[0])
-    return RobotReport(file, (), load_ms, difference, 0, _summary(model, file.stem, {}, mass, tip))
+    summary = _summary(model, file.stem, {}, mj.body_subtreemass[0], tip)
+    return RobotReport(file, (), load_ms, difference, 0, summary)
