@@ -176,6 +176,10 @@ class Poses:
         """Vectors x, see `rotated`, of the body in world axes."""
         return rotated(self.R, x)
 
+    def act(self, x: Array) -> Array:
+        """Points x of the body in the world."""
+        return self.p + self.rotate(x)
+
     def rotate_back(self, x: Array) -> Array:
         """Vectors x of the world in body axes."""
         return rotated(self.R.transpose(1, 0, 2), x)

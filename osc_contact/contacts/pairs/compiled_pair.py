@@ -12,18 +12,16 @@ import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.law_pair import PairRow
-from osc_contact.contacts.pairs.pair import Bodies, register_pair, store
+from osc_contact.contacts.pairs.pair import Bodies, PackagedPair, register_pair, store
 from osc_contact.errors import ContactError, InvalidInputError, missing
 from osc_contact.law.jit import PLAIN_PYTHON, call_address
 from osc_contact.law.records import FUNCTION
 from osc_contact.spatial import Array, as_array
 
-_WORLD = np.eye(4)
-
 
 @register_pair()
 @dataclass(frozen=True, eq=False)
-class CompiledPair:
+class CompiledPair(PackagedPair):
     """A contact pair as one function that numba compiles; the compiled tick calls it by address.
 
     ``function(X_WO, V_O, X_WE, V_E, parameters, N, n_gamma, gaps, points)`` reads the poses X_WO
@@ -71,40 +69,23 @@ class CompiledPair:
             raise InvalidInputError(f"{self.name}: numba cannot compile it: {error}") from error
         return PairRow(FUNCTION, tuple(self._rows), len(self._rows) - self.forces, address)
 
-    def contact(
-        self,
-        X_WO: pin.SE3,
-        V_O: Array,
-        X_WE: pin.SE3 | None = None,
-        V_E: Array | None = None,
-    ) -> Contact:
-        """N (6, r) and n_γ (r,) at O, world axes (see `ContactPair.contact`).
-
-        Args:
-            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
-
-        Raises:
-            ContactError: N or n_γ is not finite.
-        """
-        found = self._evaluate(X_WO, X_WE, Bodies.at_O(X_WO, V_O, X_WE, V_E))
+    def _contact(self, b: Bodies) -> Contact:
+        found = self._evaluate(b)
         if not np.isfinite(found[:, :7]).all():
             raise ContactError(f"{self.name}: N or n_γ is not finite")
         return Contact(found[:, :6].T, found[:, 6], name=self.name)
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
-        """(r,) signed errors (m or rad)."""
-        return self._evaluate(X_WO, X_WE)[:, 7]
+    def _gaps(self, b: Bodies) -> Array:
+        return self._evaluate(b)[:, 7]
 
     def points_of_contact(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
         """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
-        return X_WO.translation[:, None] + self._evaluate(X_WO, X_WE)[:, 8:].T
+        return X_WO.translation[:, None] + self._evaluate(Bodies.at_O(X_WO, X_WE=X_WE))[:, 8:].T
 
-    def _evaluate(self, X_WO: pin.SE3, X_WE: pin.SE3 | None, bodies: Bodies | None = None) -> Array:
+    def _evaluate(self, b: Bodies) -> Array:
         """(r, 11) N, n_γ, gap and point from O of each magnitude."""
         found = np.empty((self.forces, 11))
-        V_O, V_E = (np.zeros(6),) * 2 if bodies is None else (bodies.V_A, bodies.V_E)
-        body = _WORLD if X_WE is None else X_WE.homogeneous
-        given = [X_WO.homogeneous, V_O, body, V_E]
+        given = b.X_A.homogeneous, b.V_A, b.X_E.homogeneous, b.V_E
         rows = [np.ascontiguousarray(one, dtype=float) for one in given]
         call_address(self.row().address, *rows, self._rows, found)
         return found
@@ -128,15 +109,15 @@ def _entry(function: Any, forces: int, count: int) -> tuple[int, Any]:
 
     def evaluate(X_WO: Any, V_O: Any, X_WE: Any, V_E: Any, parameters: Any, evaluated: Any) -> None:
         pose = carray(X_WO, (4, 4))
-        twists = carray(V_O, (6,)), carray(V_E, (6,))
+        body = carray(X_WE, (4, 4))
         given = carray(parameters, (count,))
         out = carray(evaluated, (forces, 11))
         out[:, :6] = np.nan
         out[:, 6:] = 0.0
         N = out[:, :6].T
         points = out[:, 8:].T
-        body = carray(X_WE, (4, 4))
-        part(pose, twists[0], body, twists[1], given, N, out[:, 6], out[:, 7], points)
+        V_A = carray(V_O, (6,))
+        part(pose, V_A, body, carray(V_E, (6,)), given, N, out[:, 6], out[:, 7], points)
         for i in range(forces):
             for k in range(3):
                 out[i, 8 + k] -= pose[k, 3]
@@ -145,6 +126,5 @@ def _entry(function: Any, forces: int, count: int) -> tuple[int, Any]:
         kept: Any = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(ctypes.c_double)] * 6)(evaluate)
         return int(ctypes.cast(kept, ctypes.c_void_p).value or 0), kept
     types: Any = numba.types
-    pointer = types.CPointer(types.float64)
-    kept = numba.cfunc(types.void(*[pointer] * 6))(evaluate)
+    kept = numba.cfunc(types.void(*[types.CPointer(types.float64)] * 6))(evaluate)
     return int(kept.address), kept

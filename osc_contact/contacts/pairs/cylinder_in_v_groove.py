@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import pi
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -10,28 +10,30 @@ from pydantic import Field
 from osc_contact.contacts.pairs.pair import (
     Direction,
     Extent,
+    ExtentKey,
     Point,
     Radius,
+    RadiusKey,
     check_geometry,
     register_pair,
 )
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes, ends
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
-from osc_contact.scenarios.quantities import Angle, Length, NotNegative, Positive, UnitVec3, Vec3
+from osc_contact.scenarios.quantities import Angle, UnitVec3, Vec3
 from osc_contact.spatial import cross, norm
 
 
 class CylinderInVGrooveSpec(OnBodySpec):
     """A cylinder of the object in a V-groove: forces at two of its points on each wall, r = 4."""
 
-    forces: ClassVar[int] = 4
+    forces = 4
     type: Literal["cylinder_in_v_groove"] = "cylinder_in_v_groove"
     point: Vec3
     """the middle of the axis [x, y, z] in the object frame"""
     direction: UnitVec3
     """along the axis [x, y, z] in the object frame"""
-    radius: NotNegative[Length] = 0.0
+    radius: RadiusKey = 0.0
     """of the cylinder"""
     groove_point: BodyPoint
     """a point of the line in which the walls meet [x, y, z] in the body frame"""
@@ -41,7 +43,7 @@ class CylinderInVGrooveSpec(OnBodySpec):
     """roughly out of the groove, midway between its walls [x, y, z] in the body frame"""
     groove_angle: Annotated[Angle, Field(gt=0, lt=pi)] = pi / 2
     """from wall to wall"""
-    length: Positive[Length] = 0.1
+    length: ExtentKey = 0.1
     """between the two points of the axis at which forces are commanded"""
 
 
@@ -77,7 +79,7 @@ class CylinderInVGroove(PointsOnPlanes):
     groove_angle: float = pi / 2
     length: Extent = 0.1
     name: str = "cylinder_in_v_groove"
-    pushes: ClassVar[bool] = True
+    pushes = True
 
     def __post_init__(self) -> None:
         check_geometry(self)
@@ -89,10 +91,9 @@ class CylinderInVGroove(PointsOnPlanes):
                 f"groove is {np.arcsin(min(size, 1.0)):.3g} rad off its direction; give an angle "
                 "between 0 and π, and a way out that is not along the groove"
             )
-        side, middle = side / size, cross(side / size, self.groove_direction)
+        side = side / size
         across = np.cos(self.groove_angle / 2) * side
-        along = np.sin(self.groove_angle / 2) * middle
+        along = np.sin(self.groove_angle / 2) * cross(side, self.groove_direction)
         into = np.column_stack((across - along, -across - along))
-        low, high = ends(self.point, self.direction, self.length).T
-        points = np.column_stack((low, low, high, high))
-        self._hold_points(points, np.hstack((into, into)), self.groove_point[:, None], self.radius)
+        points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
+        self._hold_points(points, np.hstack((into, into)), self.groove_point, self.radius)

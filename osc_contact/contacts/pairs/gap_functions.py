@@ -8,7 +8,13 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import Bodies, Extent, check_geometry, register_pair
+from osc_contact.contacts.pairs.pair import (
+    Bodies,
+    Extent,
+    PackagedPair,
+    check_geometry,
+    register_pair,
+)
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array, as_array, cross_twist, norm
 
@@ -20,7 +26,7 @@ _SECOND = np.array([8064.0, -1008.0, 128.0, -9.0]) / 5040.0
 
 @register_pair()
 @dataclass(frozen=True, eq=False)
-class GapFunctions:
+class GapFunctions(PackagedPair):
     """r smooth functions of the relative pose that the contact keeps at zero, 0 ≤ r ≤ 6.
 
     N = −∂g/∂ξ for relative displacements ξ at O, and, since g(X_EA) depends on the relative pose
@@ -49,36 +55,22 @@ class GapFunctions:
         if not 1e-5 <= self.step <= 0.3:
             raise InvalidInputError(f"{self.name}.step = {self.step}; give 1e-5 … 0.3")
 
-    def contact(
-        self,
-        X_WO: pin.SE3,
-        V_O: Array,
-        X_WE: pin.SE3 | None = None,
-        V_E: Array | None = None,
-    ) -> Contact:
-        """N (6, r) and n_γ (r,) at O, world axes (see `ContactPair.contact`).
-
-        Args:
-            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
-        """
-        b = Bodies.at_O(X_WO, V_O, X_WE, V_E)
-        X_EA = _relative(X_WO, X_WE)
-        to_E = np.eye(3) if b.R_E is None else b.R_E.T
+    def _contact(self, b: Bodies) -> Contact:
+        X_EA = b.X_E.actInv(b.X_A)
+        to_E = np.kron(np.eye(2), b.X_E.rotation.T)
         units = np.repeat([self.length, 1.0], 3)
         slopes = [self._differences(X_EA, xi)[0] for xi in np.diag(units)]
-        N_E = -np.array(slopes) / units[:, None]  # axes of E, at O
-        N = np.vstack((to_E.T @ N_E[:3], to_E.T @ N_E[3:]))
+        N = -to_E.T @ (np.array(slopes) / units[:, None])  # at O
         V_rel = b.V_rel
-        xi = np.concatenate((to_E @ V_rel[:3], to_E @ V_rel[3:]))
+        xi = to_E @ V_rel
         speed = norm(xi / units)  # how many units of `step` per second
         bend = self._differences(X_EA, xi / speed)[1] * speed**2 if speed else 0.0
         return Contact(N, cross_twist(b.V_E, V_rel) @ N + bend, name=self.name)
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
-        """(r,) the gap functions themselves."""
-        return self._gaps(_relative(X_WO, X_WE))
+    def _gaps(self, b: Bodies) -> Array:
+        return self._at(b.X_E.actInv(b.X_A))
 
-    def _gaps(self, X_EA: pin.SE3) -> Array:
+    def _at(self, X_EA: pin.SE3) -> Array:
         return as_array(f"{self.name}.gap(X_EA)", self.gap(X_EA), (None,))
 
     def _differences(self, X_EA: pin.SE3, xi: Array) -> tuple[Array, Array]:
@@ -88,15 +80,9 @@ class GapFunctions:
         turned = pin.SE3(X_EA.rotation, np.zeros(3))
 
         def g(s: float) -> Array:
-            return self._gaps(at_A * pin.exp6(s * xi) * turned)
+            return self._at(at_A * pin.exp6(s * xi) * turned)
 
-        here = self._gaps(X_EA)
         ahead = np.array([g(k * self.step) for k in _STEPS])
         behind = np.array([g(-k * self.step) for k in _STEPS])
         first = _FIRST @ (ahead - behind) / self.step
-        second = _SECOND @ (ahead + behind - 2.0 * here) / self.step**2
-        return first, second
-
-
-def _relative(X_WO: pin.SE3, X_WE: pin.SE3 | None) -> pin.SE3:
-    return X_WO if X_WE is None else X_WE.actInv(X_WO)
+        return first, _SECOND @ (ahead + behind - 2.0 * self._at(X_EA)) / self.step**2

@@ -16,8 +16,10 @@ from osc_contact.contacts.pairs.pair import (
     Bodies,
     ContactPair,
     Direction,
+    PackagedPair,
     Point,
     Radius,
+    RadiusKey,
     check_geometry,
     register_pair,
     store,
@@ -29,7 +31,7 @@ from osc_contact.law import contact as law
 from osc_contact.law.jit import as_python
 from osc_contact.law.records import EDGES, FACE_ON_VERTEX, SURFACE, TANGENTS
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
-from osc_contact.scenarios.quantities import Length, NotNegative, UnitVec3, Vec3
+from osc_contact.scenarios.quantities import UnitVec3, Vec3
 from osc_contact.spatial import Array, Poses
 
 _place = as_python(law.place_pair, **OF_ARRAYS)
@@ -39,7 +41,7 @@ _point = as_python(law.point_of_contact)
 #: Elements of a matrix as the law reads them, M[i, j]: a dictionary is faster than an array.
 _Elements = dict[tuple[int, int], Any]
 _IDENTITY: _Elements = {(i, j): float(i == j) for i in range(3) for j in range(4)}
-_AT_REST = [0.0] * 6
+_AT_REST = np.zeros(6)
 #: Methods that determine a row; a class that replaces one of them differs from its row.
 _TOLD_BY_ROW = ("contact", "direction", "point_on_face", "points_of_contact")
 
@@ -81,7 +83,7 @@ def law_row(pair: ContactPair) -> PairRow | None:
     return None if changed else row()
 
 
-class LawPair:
+class LawPair(PackagedPair):
     """A pair that the law evaluates.
 
     Attributes:
@@ -89,7 +91,6 @@ class LawPair:
     """
 
     pushes: ClassVar[bool] = False
-    name: str
     surface_point: Array
     surface_radius: float = 0.0
     _row: PairRow
@@ -97,37 +98,19 @@ class LawPair:
 
     def _hold(self, row: PairRow, surface_point: Array) -> None:
         """Take the geometry of a pair that is being made."""
-        count = len(row.shapes) - row.freedoms
-        head = SimpleNamespace(
-            kind=row.kind, count=count, freedoms=row.freedoms, first=0, shape_at=0
-        )
-        shapes = Shapes(row.shapes)
-        store(self, _row=row, _numbers=(head, shapes), surface_point=surface_point)
+        head = SimpleNamespace(**row._asdict(), first=0, shape_at=0)
+        head.count = len(row.shapes) - row.freedoms
+        store(self, _row=row, _numbers=(head, Shapes(row.shapes)), surface_point=surface_point)
 
     def row(self) -> PairRow:
         """The pair as the compiled law reads it."""
         return self._row
 
-    def contact(
-        self,
-        X_WO: pin.SE3,
-        V_O: Array,
-        X_WE: pin.SE3 | None = None,
-        V_E: Array | None = None,
-    ) -> Contact:
-        """N (6, r), n_γ (r,) and, if the pair is given by it, T (6, 6−r) at O, world axes.
-
-        Args:
-            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
-
-        Raises:
-            ContactError: two edges are parallel.
-        """
-        b = Bodies.at_O(X_WO, V_O, X_WE, V_E)
-        A = _elements(X_WO)
-        E = _IDENTITY if X_WE is None else _elements(X_WE)
-        moving = X_WE is not None or V_E is not None
-        columns = self._columns(A, b.V_A.tolist(), E, b.V_E.tolist(), b.V_rel.tolist(), moving)
+    def _contact(self, b: Bodies) -> Contact:
+        """And T (6, 6−r), if the pair is given by it."""
+        A = _elements(b.X_A)
+        E = _elements(b.X_E)
+        columns = self._columns(A, E, b.V_A, b.V_E)
         N = np.array([column.N for column in columns]).reshape(-1, 6).T
         n_gamma = np.array([column.n_gamma_all for column in columns])
         T = None
@@ -140,20 +123,15 @@ class LawPair:
         """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
         A = _elements(X_WO)
         E = _IDENTITY if X_WE is None else _elements(X_WE)
-        columns = self._columns(A, _AT_REST, E, _AT_REST, _AT_REST, X_WE is not None)
-        kind = self._row.kind
-        shapes = self._numbers[1]
-        points = [
-            _point(kind, one.row, A, E, column.N)
-            for one, column in zip(shapes, columns, strict=False)
-        ]
+        each = zip(self._numbers[1], self._columns(A, E), strict=False)
+        points = [_point(self._row.kind, one.row, A, E, column.N) for one, column in each]
         return X_WO.translation[:, None] + np.array(points).T
 
     def normals(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
         """(6, r, k) N at k instants; see `normals_over`."""
         A = _elements_over(X_WO)
         E = _IDENTITY if X_WE is None else _elements_over(X_WE)
-        columns = self._columns(A, _AT_REST, E, _AT_REST, _AT_REST, X_WE is not None)
+        columns = self._columns(A, E)
         N = np.empty((6, len(columns), X_WO.p.shape[-1]))
         for j, column in enumerate(columns):
             for i in range(6):
@@ -161,7 +139,7 @@ class LawPair:
         return N
 
     def _columns(
-        self, A: _Elements, V_O: Any, E: _Elements, V_E: Any, V_rel: Any, moving: bool
+        self, A: _Elements, E: _Elements, V_O: Array = _AT_REST, V_E: Array = _AT_REST
     ) -> list[Any]:
         head, shapes = self._numbers
         columns = [
@@ -170,7 +148,8 @@ class LawPair:
         ]
         try:
             with np.errstate(all="ignore"):
-                motion = law.Motion(A, V_O, E, V_E, V_rel, moving)
+                V_rel = (V_O - V_E).tolist()
+                motion = law.Motion(A, V_O.tolist(), E, V_E.tolist(), V_rel, True)
                 sine = _place(head, shapes, columns, motion, [0.0] * 6)
         except ZeroDivisionError:
             sine = 0.0
@@ -197,9 +176,10 @@ def normals_over(pair: ContactPair, X_WO: Poses, X_WE: Poses | None = None) -> A
     """
     if isinstance(pair, LawPair) and law_row(pair) is not None:
         return pair.normals(X_WO, X_WE)
-    k = X_WO.p.shape[-1]
-    X_E = [None] * k if X_WE is None else [X_WE[i] for i in range(k)]
-    parts = [pair.contact(X_WO[i], np.zeros(6), X_E[i]).N for i in range(k)]
+    parts = [
+        pair.contact(X_WO[i], _AT_REST, None if X_WE is None else X_WE[i]).N
+        for i in range(X_WO.p.shape[-1])
+    ]
     return np.stack(parts, axis=-1)
 
 
@@ -218,7 +198,7 @@ def _elements_over(X: Poses) -> _Elements:
 class FaceOnVertexSpec(OnBodySpec):
     """A face of the object on a (rounded) vertex of a body, r = 1."""
 
-    forces: ClassVar[int] = 1
+    forces = 1
     type: Literal["face_on_vertex"] = "face_on_vertex"
     point: Vec3
     """a point of the object's face [x, y, z] in the object frame"""
@@ -226,7 +206,7 @@ class FaceOnVertexSpec(OnBodySpec):
     """the outward normal of the object's face [x, y, z] in the object frame"""
     body_vertex: BodyPoint
     """the centre of the rounded vertex [x, y, z] in the body frame"""
-    radius: NotNegative[Length] = 0.0
+    radius: RadiusKey = 0.0
     """of the rounding"""
 
 
@@ -252,20 +232,18 @@ class FaceOnVertex(LawPair):
     vertex: Point
     radius: Radius = 0.0
     name: str = "face_on_vertex"
-    pushes: ClassVar[bool] = True
+    pushes = True
 
     def __post_init__(self) -> None:
         check_geometry(self)
-        self._hold(
-            PairRow(FACE_ON_VERTEX, (shape(self.normal, self.vertex, self.radius),)), self.vertex
-        )
+        row = shape(self.normal, self.vertex, self.radius)
+        self._hold(PairRow(FACE_ON_VERTEX, (row,)), self.vertex)
         store(self, surface_radius=self.radius)
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def _gaps(self, b: Bodies) -> Array:
         """(1,) distance between face and vertex surface (m), negative when they overlap."""
-        b = Bodies.at_O(X_WO, X_WE=X_WE)
         apart = b.point_E(self.vertex) - b.point_A(self.point)
-        return (b.R_A @ self.normal @ apart - self.radius)[None]
+        return (b.point_A(self.normal) @ apart - self.radius)[None]
 
 
 # An edge of the object across an edge of the environment.
@@ -274,7 +252,7 @@ class FaceOnVertex(LawPair):
 class EdgeOnEdgeSpec(OnBodySpec):
     """An edge of the object across an edge of a body, r = 1."""
 
-    forces: ClassVar[int] = 1
+    forces = 1
     type: Literal["edge_on_edge"] = "edge_on_edge"
     point: Vec3
     """a point of the object's edge [x, y, z] in the object frame"""
@@ -323,7 +301,7 @@ class EdgeOnEdge(LawPair):
     direction_E: Direction
     side: float | Array = 1.0
     name: str = "edge_on_edge"
-    pushes: ClassVar[bool] = True
+    pushes = True
 
     def __post_init__(self) -> None:
         check_geometry(self)
@@ -338,8 +316,7 @@ class EdgeOnEdge(LawPair):
         lines = self.point_A, self.direction_A, self.point_E, self.direction_E
         self._hold(PairRow(EDGES, (shape(*lines, *side),)), self.point_E)
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def _gaps(self, b: Bodies) -> Array:
         """(1,) distance between the two lines (m), negative when they have passed each other."""
-        b = Bodies.at_O(X_WO, X_WE=X_WE)
-        n = self.contact(X_WO, np.zeros(6), X_WE).N[:3, 0]
+        n = self._contact(b).N[:3, 0]
         return (n @ (b.point_E(self.point_E) - b.point_A(self.point_A)))[None]

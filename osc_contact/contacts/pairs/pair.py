@@ -10,13 +10,15 @@ from typing import Annotated, Any, Protocol, TypeVar, get_type_hints, runtime_ch
 
 import numpy as np
 import pinocchio as pin
+from pydantic import Field
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.bodies import ContactSpec, OfBody, register_contact
+from osc_contact.scenarios.quantities import Length
 from osc_contact.spatial import Array, as_array, carry_twist, cross, norm, skew
 
-_ORIGIN = np.zeros(3)
+_WORLD = pin.SE3.Identity()
 _AT_REST = np.zeros(6)
 
 
@@ -92,9 +94,8 @@ def knows_where_it_slides(pair: ContactPair) -> bool:
 class Bodies:
     """Object A and environment E at one instant: positions from O, motions at O, world axes."""
 
-    R_A: Array
-    R_E: Array | None  # None: E's axes are the world's
-    origin_E: Array
+    X_A: pin.SE3
+    X_E: pin.SE3
     V_A: Array
     V_E: Array
 
@@ -112,10 +113,10 @@ class Bodies:
             X_WO, X_WE: poses of object and environment; X_WE None: the world's.
             V_O: (6,) twist of the object at O. V_E: (6,) of the environment at its origin.
         """
-        O_W = X_WO.translation
-        start = _ORIGIN if X_WE is None else X_WE.translation
-        V_env = _AT_REST if V_E is None else carry_twist(V_E, start, O_W)
-        return cls(X_WO.rotation, None if X_WE is None else X_WE.rotation, start - O_W, V_O, V_env)
+        X_E = _WORLD if X_WE is None else X_WE
+        if V_E is not None:
+            V_E = carry_twist(V_E, X_E.translation, X_WO.translation)
+        return cls(X_WO, X_E, V_O, _AT_REST if V_E is None else V_E)
 
     @property
     def V_rel(self) -> Array:
@@ -124,15 +125,48 @@ class Bodies:
 
     def rotate_E(self, direction: Array) -> Array:
         """A direction (3,), or columns (3, k), of E in world axes."""
-        return direction if self.R_E is None else self.R_E @ direction
+        return self.X_E.rotation @ direction
 
     def point_A(self, point: Array) -> Array:
         """Points (3,) or (3, k) of A, from O."""
-        return self.R_A @ point
+        return self.X_A.rotation @ point
 
     def point_E(self, point: Array) -> Array:
         """A point (3,) of E, from O."""
-        return self.origin_E + self.rotate_E(point)
+        return self.X_E.translation - self.X_A.translation + self.rotate_E(point)
+
+
+class PackagedPair:
+    """A pair whose `contact` and `gaps` are evaluated on `Bodies`; see `ContactPair`."""
+
+    name: str
+
+    def contact(
+        self,
+        X_WO: pin.SE3,
+        V_O: Array,
+        X_WE: pin.SE3 | None = None,
+        V_E: Array | None = None,
+    ) -> Contact:
+        """N (6, r) and n_γ (r,) at O, world axes (see `ContactPair.contact`).
+
+        Args:
+            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
+
+        Raises:
+            ContactError: there is no N in these poses, such as that of two parallel edges.
+        """
+        return self._contact(Bodies.at_O(X_WO, V_O, X_WE, V_E))
+
+    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+        """(r,) signed errors (m or rad), 0 in contact; distances are negative in an overlap."""
+        return self._gaps(Bodies.at_O(X_WO, X_WE=X_WE))
+
+    def _contact(self, b: Bodies) -> Contact:
+        raise NotImplementedError
+
+    def _gaps(self, b: Bodies) -> Array:
+        raise NotImplementedError
 
 
 def velocity(V: Array, points: Array) -> Array:
@@ -179,6 +213,9 @@ Point = Annotated[Array, "point"]
 Direction = Annotated[Array, "direction"]
 Radius = Annotated[float, "≥"]
 Extent = Annotated[float, ">"]
+#: The latter two as keys of a scenario.
+RadiusKey = Annotated[Length, Field(ge=0)]
+ExtentKey = Annotated[Length, Field(gt=0)]
 
 
 @cache

@@ -1,7 +1,7 @@
 """Pairs made of points of the object, each held on a plane of the environment."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -11,8 +11,10 @@ from osc_contact.contacts.pairs.pair import (
     Bodies,
     Direction,
     Extent,
+    ExtentKey,
     Point,
     Radius,
+    RadiusKey,
     check_geometry,
     register_pair,
     store,
@@ -26,7 +28,7 @@ from osc_contact.scenarios.bodies import (
     OnFaceSpec,
     OnPlaneSpec,
 )
-from osc_contact.scenarios.quantities import Length, NotNegative, Positive, UnitVec3, Vec3
+from osc_contact.scenarios.quantities import UnitVec3, Vec3
 from osc_contact.spatial import Array
 
 
@@ -50,19 +52,17 @@ class PointsOnPlanes(LawPair):
     def _hold_points(
         self, points: Array, into: Array, on_plane: Array, radius: float = 0.0
     ) -> None:
-        """Take points (3, r) of A, unit directions and points of the planes, (3, 1 or r) both."""
+        """Take points (3, r) of A, unit directions (3, 1 or r), and a point (3,) of all planes."""
         into = np.broadcast_to(into, points.shape)
-        heights = (into * on_plane).sum(axis=0)
+        heights = on_plane @ into
         store(self, _points=points, _into=into, _reach=heights - radius, _heights=heights)
-        shapes = (shape(*one) for one in zip(points.T, into.T, heights, strict=True))
-        self._hold(PairRow(POINTS, tuple(shapes)), on_plane[:, 0])
+        shapes = map(shape, points.T, into.T, heights)
+        self._hold(PairRow(POINTS, tuple(shapes)), on_plane)
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def _gaps(self, b: Bodies) -> Array:
         """(r,) signed distances (m), negative where the two overlap."""
-        b = Bodies.at_O(X_WO, X_WE=X_WE)
-        p = b.point_A(self._points)
-        n = b.rotate_E(self._into)
-        return self._reach + b.origin_E @ n - np.einsum("ij,ij->j", p, n)
+        apart = b.point_E(np.zeros(3))[:, None] - b.point_A(self._points)
+        return self._reach + np.einsum("ij,ij->j", apart, b.rotate_E(self._into))
 
 
 def ends(point: Array, direction: Array, length: float) -> Array:
@@ -81,11 +81,11 @@ def ends(point: Array, direction: Array, length: float) -> Array:
 class VertexOnFaceSpec(OnFaceSpec):
     """A rounded vertex of the object on a face of the environment."""
 
-    forces: ClassVar[int] = 1
+    forces = 1
     type: Literal["vertex_on_face"] = "vertex_on_face"
     vertex: Vec3
     """the centre of the rounded vertex [x, y, z] in the object frame"""
-    radius: NotNegative[Length] = 0.0
+    radius: RadiusKey = 0.0
     """of the rounding"""
 
 
@@ -111,13 +111,11 @@ class VertexOnFace(PointsOnPlanes):
     normal: Direction
     radius: Radius = 0.0
     name: str = "vertex_on_face"
-    pushes: ClassVar[bool] = True
+    pushes = True
 
     def __post_init__(self) -> None:
         check_geometry(self)
-        self._hold_points(
-            self.vertex[:, None], -self.normal[:, None], self.point[:, None], self.radius
-        )
+        self._hold_points(self.vertex[:, None], -self.normal[:, None], self.point, self.radius)
 
     def row(self) -> PairRow:
         """The pair as the compiled law reads it."""
@@ -157,11 +155,11 @@ class VertexOnFace(PointsOnPlanes):
 class SphereOnPlaneSpec(OnPlaneSpec):
     """A sphere (or rounded vertex) of the object on a face of a body, r = 1."""
 
-    forces: ClassVar[int] = 1
+    forces = 1
     type: Literal["sphere_on_plane"] = "sphere_on_plane"
     centre: Vec3
     """the centre of the sphere [x, y, z] in the object frame"""
-    radius: NotNegative[Length] = 0.0
+    radius: RadiusKey = 0.0
     """of the sphere"""
 
 
@@ -185,13 +183,11 @@ class SphereOnPlane(PointsOnPlanes):
     point: Point
     normal: Direction
     name: str = "sphere_on_plane"
-    pushes: ClassVar[bool] = True
+    pushes = True
 
     def __post_init__(self) -> None:
         check_geometry(self)
-        self._hold_points(
-            self.centre[:, None], -self.normal[:, None], self.point[:, None], self.radius
-        )
+        self._hold_points(self.centre[:, None], -self.normal[:, None], self.point, self.radius)
 
 
 # An edge of the object on a face of the environment.
@@ -200,13 +196,13 @@ class SphereOnPlane(PointsOnPlanes):
 class EdgeOnFaceSpec(OnPlaneSpec):
     """A straight edge of the object on a face of a body: forces at two of its points, r = 2."""
 
-    forces: ClassVar[int] = 2
+    forces = 2
     type: Literal["edge_on_face"] = "edge_on_face"
     point: Vec3
     """the middle of the edge [x, y, z] in the object frame"""
     direction: UnitVec3
     """along the edge [x, y, z] in the object frame"""
-    length: Positive[Length] = 0.1
+    length: ExtentKey = 0.1
     """between the two points of the edge at which forces are commanded"""
 
 
@@ -234,12 +230,12 @@ class EdgeOnFace(PointsOnPlanes):
     face_normal: Direction
     length: Extent = 0.1
     name: str = "edge_on_face"
-    pushes: ClassVar[bool] = True
+    pushes = True
 
     def __post_init__(self) -> None:
         check_geometry(self)
         feet = ends(self.point, self.direction, self.length)
-        self._hold_points(feet, -self.face_normal[:, None], self.face_point[:, None])
+        self._hold_points(feet, -self.face_normal[:, None], self.face_point)
 
 
 # A cylinder of the object on a plane of the environment.
@@ -248,15 +244,15 @@ class EdgeOnFace(PointsOnPlanes):
 class CylinderOnPlaneSpec(OnPlaneSpec):
     """A cylinder of the object on a face of a body: forces at two of its points, r = 2."""
 
-    forces: ClassVar[int] = 2
+    forces = 2
     type: Literal["cylinder_on_plane"] = "cylinder_on_plane"
     point: Vec3
     """the middle of the axis [x, y, z] in the object frame"""
     direction: UnitVec3
     """along the axis [x, y, z] in the object frame"""
-    radius: NotNegative[Length] = 0.0
+    radius: RadiusKey = 0.0
     """of the cylinder"""
-    length: Positive[Length] = 0.1
+    length: ExtentKey = 0.1
     """between the two points of the axis at which forces are commanded"""
 
 
@@ -285,12 +281,12 @@ class CylinderOnPlane(PointsOnPlanes):
     face_normal: Direction
     length: Extent = 0.1
     name: str = "cylinder_on_plane"
-    pushes: ClassVar[bool] = True
+    pushes = True
 
     def __post_init__(self) -> None:
         check_geometry(self)
         feet = ends(self.point, self.direction, self.length)
-        self._hold_points(feet, -self.face_normal[:, None], self.face_point[:, None], self.radius)
+        self._hold_points(feet, -self.face_normal[:, None], self.face_point, self.radius)
 
 
 # A flat face of the object on a flat face of the environment.
@@ -302,13 +298,13 @@ _CORNERS = np.deg2rad([90.0, 210.0, 330.0])
 class FaceOnFaceSpec(OnPlaneSpec):
     """A face of the object on a face of a body: forces at three corners of a triangle, r = 3."""
 
-    forces: ClassVar[int] = 3
+    forces = 3
     type: Literal["face_on_face"] = "face_on_face"
     point: Vec3
     """the middle of the triangle [x, y, z] in the object frame"""
     normal: UnitVec3
     """the outward normal of the object's face [x, y, z] in the object frame"""
-    size: Positive[Length] = 0.1
+    size: ExtentKey = 0.1
     """from the middle of the face to the three corners at which forces are commanded"""
 
 
@@ -337,13 +333,13 @@ class FaceOnFace(PointsOnPlanes):
     face_normal: Direction
     size: Extent = 0.1
     name: str = "face_on_face"
-    pushes: ClassVar[bool] = True
+    pushes = True
 
     def __post_init__(self) -> None:
         check_geometry(self)
         drawn = np.array((np.cos(_CORNERS), np.sin(_CORNERS)))
         corners = self.point[:, None] + self.size * triad(self.normal)[:, :2] @ drawn
-        self._hold_points(corners, -self.face_normal[:, None], self.face_point[:, None])
+        self._hold_points(corners, -self.face_normal[:, None], self.face_point)
 
 
 # A cylinder of the object in a hole of the environment.
@@ -352,7 +348,7 @@ class FaceOnFace(PointsOnPlanes):
 class CylinderInHoleSpec(OnBodySpec):
     """A cylinder of the object in a hole without play: two cross forces at two points, r = 4."""
 
-    forces: ClassVar[int] = 4
+    forces = 4
     type: Literal["cylinder_in_hole"] = "cylinder_in_hole"
     point: Vec3
     """the middle of the cylinder's axis [x, y, z] in the object frame"""
@@ -362,7 +358,7 @@ class CylinderInHoleSpec(OnBodySpec):
     """a point of the hole's axis [x, y, z] in the body frame"""
     hole_direction: BodyDirection
     """along the hole's axis [x, y, z] in the body frame"""
-    length: Positive[Length] = 0.1
+    length: ExtentKey = 0.1
     """between the two points of the axis at which forces are commanded"""
 
 
@@ -394,7 +390,6 @@ class CylinderInHole(PointsOnPlanes):
 
     def __post_init__(self) -> None:
         check_geometry(self)
-        low, high = ends(self.point, self.direction, self.length).T
+        points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
         across = triad(self.hole_direction)[:, :2]
-        points = np.column_stack((low, low, high, high))
-        self._hold_points(points, np.hstack((across, across)), self.hole_point[:, None])
+        self._hold_points(points, np.hstack((across, across)), self.hole_point)

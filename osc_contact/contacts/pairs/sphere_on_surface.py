@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -10,9 +10,11 @@ from pydantic import Field
 
 from osc_contact.contacts.pairs.law_pair import LawPair, PairRow
 from osc_contact.contacts.pairs.pair import (
+    Bodies,
     Direction,
     Point,
     Radius,
+    RadiusKey,
     check_geometry,
     register_pair,
     store,
@@ -21,7 +23,7 @@ from osc_contact.contacts.surface import Surface, distance_and_normal
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import SURFACE
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
-from osc_contact.scenarios.quantities import Length, NotNegative, Spec, Vec3
+from osc_contact.scenarios.quantities import Length, Spec, Vec3
 from osc_contact.spatial import Array, Poses, cross, norm
 
 
@@ -76,11 +78,11 @@ class MeshSpec(Spec):
 class SphereOnSurfaceSpec(OnBodySpec):
     """A ball or vertex of the object on a curved surface of a body, r = 1."""
 
-    forces: ClassVar[int] = 1
+    forces = 1
     type: Literal["sphere_on_surface"] = "sphere_on_surface"
     centre: Vec3
     """the centre of the ball [x, y, z] in the object frame"""
-    radius: NotNegative[Length] = 0.0
+    radius: RadiusKey = 0.0
     """of the ball"""
     surface: Annotated[
         SphereSpec | CylinderSpec | SaddleSpec | MeshSpec, Field(discriminator="type")
@@ -121,7 +123,7 @@ class SphereOnSurface(LawPair):
     axis: Direction = (0.0, 0.0, 1.0)  # type: ignore[assignment]
     along: Direction = (1.0, 0.0, 0.0)  # type: ignore[assignment]
     name: str = "sphere_on_surface"
-    pushes: ClassVar[bool] = True
+    pushes = True
     X_ES: pin.SE3 = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -150,16 +152,14 @@ class SphereOnSurface(LawPair):
         n = R @ n
         return away, points - away * n, n
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def _gaps(self, b: Bodies) -> Array:
         """(1,) signed distance of the ball (m), negative where it overlaps."""
-        p = X_WO.act(self.centre)
-        p = p if X_WE is None else X_WE.actInv(p)
+        p = b.X_E.actInv(b.X_A.act(self.centre))
         return self.nearest(p[:, None])[0] - self.radius
 
     def feet(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
         """(3, 1, k) of k instants the point of the surface nearest to the ball, world (m)."""
-        p = X_WO.p + X_WO.rotate(self.centre[:, None])
+        p = X_WO.act(self.centre[:, None])
         if X_WE is None:
             return self.nearest(p)[1][:, None]
-        foot = self.nearest(X_WE.rotate_back(p - X_WE.p))[1]
-        return (X_WE.p + X_WE.rotate(foot))[:, None]
+        return X_WE.act(self.nearest(X_WE.rotate_back(p - X_WE.p))[1])[:, None]

@@ -52,49 +52,22 @@ class TangentPair(PointsOnPlanes):
         Args:
             point: (3,) of A. into: (3, k) unit directions of E. on_plane: (3,) a point of E.
             right_angles: arms (3, m) of A and marks (3, m) of E.
-            freedoms: made by `rotation`, `slide`, `screw`. threads: columns made by `thread`.
+            freedoms: shapes of TURN about an axis of A through a point of A; of SLIDE along an
+                axis of E, its rate read at a point of A; of SCREW, the turn and pitch (m/rad) times
+                its rate along the seat's axis of E. threads: columns that hold one to its pitch.
         """
         points = np.tile(point[:, None], into.shape[1])
-        (arms, marks) = right_angles
+        arms, marks = right_angles
         store(self, _points=points, _into=into, _reach=on_plane @ into, _arms=arms, _marks=marks)
-        forces = (shape(p, n, FORCE) for p, n in zip(points.T, into.T, strict=True))
+        forces = (shape(point, n, FORCE) for n in into.T)
         couples = (shape(a, u, COUPLE) for a, u in zip(arms.T, marks.T, strict=True))
         shapes = (*forces, *couples, *threads, *freedoms)
         self._hold(PairRow(TANGENTS, shapes, len(freedoms)), on_plane)
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def _gaps(self, b: Bodies) -> Array:
         """(r,) signed errors: m for the points, rad (to first order) for the directions."""
-        b = Bodies.at_O(X_WO, X_WE=X_WE)
-        angles = -np.einsum("ij,ij->j", b.R_A @ self._arms, b.rotate_E(self._marks))
-        return np.concatenate((super().gaps(X_WO, X_WE), angles))
-
-
-def rotation(point: Array, axis: Array) -> Array:
-    """Rotation about an axis of A through a point of A."""
-    return shape(point, axis, TURN)
-
-
-def slide(point: Array, axis: Array) -> Array:
-    """Translation along an axis of E; its rate is read at a point of A."""
-    return shape(point, axis, SLIDE)
-
-
-def screw(point: Array, axis: Array, seat: Array, pitch: float) -> Array:
-    """Rotation about an axis of A, and pitch (m/rad) times its rate along the seat's axis of E.
-
-    Args:
-        point, axis: (3,) in A (m, unit vector). seat: (3,) axis in E. pitch: m/rad.
-    """
-    return shape(point, axis, SCREW, seat, pitch)
-
-
-def thread(point: Array, axis: Array, seat: Array, pitch: float) -> Array:
-    """The column of N that holds a screw to its pitch.
-
-    Args:
-        point, axis, seat, pitch: as in `screw`.
-    """
-    return shape(point, seat, THREAD, axis, pitch)
+        angles = -np.einsum("ij,ij->j", b.point_A(self._arms), b.rotate_E(self._marks))
+        return np.concatenate((super()._gaps(b), angles))
 
 
 def held_axis(axis: Array, seat: Array) -> tuple[Array, Array]:
@@ -152,9 +125,16 @@ class Free(TangentPair):
 # A slide between object and environment.
 
 
+@dataclass(frozen=True, eq=False)
+class _Joint(TangentPair):
+    point: Point
+    axis: Direction
+    assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
+
+
 @register_pair()
 @dataclass(frozen=True, eq=False)
-class Prismatic(TangentPair):
+class Prismatic(_Joint):
     """A slide: the object moves along an axis of the environment and does not turn (r = 5).
 
     Gaps: two distances of the point from the line, three angles.
@@ -166,18 +146,15 @@ class Prismatic(TangentPair):
         name: used in messages and recordings.
     """
 
-    point: Point
-    axis: Direction
-    assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
     name: str = "prismatic"
 
     def __post_init__(self) -> None:
         read_joint(self)
         seat = self.assembled.rotation @ self.axis
         turns = held_axes(self.assembled.rotation)
-        freedoms = (slide(self.point, seat),)
         on_line = self.assembled.act(self.point)
-        self._hold_tangents(self.point, triad(seat)[:, :2], on_line, turns, freedoms)
+        freedom = shape(self.point, seat, SLIDE)
+        self._hold_tangents(self.point, triad(seat)[:, :2], on_line, turns, (freedom,))
 
 
 # A hinge between object and environment.
@@ -185,7 +162,7 @@ class Prismatic(TangentPair):
 
 @register_pair()
 @dataclass(frozen=True, eq=False)
-class Revolute(TangentPair):
+class Revolute(_Joint):
     """A hinge: the object turns about an axis of the environment (r = 5).
 
     Gaps: three distances of the point, two angles of the axis.
@@ -197,18 +174,15 @@ class Revolute(TangentPair):
         name: used in messages and recordings.
     """
 
-    point: Point
-    axis: Direction
-    assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
     name: str = "revolute"
 
     def __post_init__(self) -> None:
         read_joint(self)
         seat = self.assembled.rotation @ self.axis
-        tilts = held_axis(self.axis, seat)
-        freedoms = (rotation(self.point, self.axis),)
         on_axis = self.assembled.act(self.point)
-        self._hold_tangents(self.point, triad(seat), on_axis, tilts, freedoms)
+        freedom = shape(self.point, self.axis, TURN)
+        tilts = held_axis(self.axis, seat)
+        self._hold_tangents(self.point, triad(seat), on_axis, tilts, (freedom,))
 
 
 # A screw between object and environment.
@@ -244,24 +218,24 @@ class Screw(TangentPair):
             raise InvalidInputError(
                 f"{self.name}.pitch = {self.pitch}; give m/rad other than 0 (else: Revolute)"
             )
-        store(self, _seat=triad(self.assembled.rotation @ self.axis))
-        axes = self.point, self.axis, self._seat[:, 2], self.pitch
+        axes = triad(self.assembled.rotation @ self.axis)
+        store(self, _seat=axes)
+        seat = axes[:, 2]
+        freedom = shape(self.point, self.axis, SCREW, seat, self.pitch)
+        thread = shape(self.point, seat, THREAD, self.axis, self.pitch)
         on_axis = self.assembled.act(self.point)
-        tilts = held_axis(self.axis, self._seat[:, 2])
-        self._hold_tangents(
-            self.point, self._seat[:, :2], on_axis, tilts, (screw(*axes),), (thread(*axes),)
-        )
+        tilts = held_axis(self.axis, seat)
+        self._hold_tangents(self.point, axes[:, :2], on_axis, tilts, (freedom,), (thread,))
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def _gaps(self, b: Bodies) -> Array:
         """(5,) signed errors, the last one wrapped to ±π |pitch|."""
-        b = Bodies.at_O(X_WO, X_WE=X_WE)
         x, y, d = b.rotate_E(self._seat).T
-        spoke = b.R_A @ (self.assembled.rotation.T @ self._seat[:, 0])  # along x when assembled
+        spoke = b.point_A(self.assembled.rotation.T @ self._seat[:, 0])  # along x when assembled
         angle = np.arctan2(y @ spoke, x @ spoke)
         on_axis = b.point_E(self.assembled.act(self.point))
         ahead = d @ (b.point_A(self.point) - on_axis) / self.pitch - angle
         wrapped = -self.pitch * np.remainder(ahead + np.pi, 2 * np.pi) + self.pitch * np.pi
-        return np.append(super().gaps(X_WO, X_WE), wrapped)
+        return np.append(super()._gaps(b), wrapped)
 
 
 # The cone in its groove (fig. 2 of the paper): a pair given by T that no constraint frame fits.
@@ -296,6 +270,7 @@ class ConeInGroove(TangentPair):
     def __post_init__(self) -> None:
         check_geometry(self)
         across = triad(self.groove_direction)[:, :2]
-        freedoms = rotation(self.apex, self.axis), slide(self.apex, self.groove_direction)
+        turn = shape(self.apex, self.axis, TURN)
+        freedoms = turn, shape(self.apex, self.groove_direction, SLIDE)
         tilts = held_axis(self.axis, self.seat)
         self._hold_tangents(self.apex, across, self.groove_point, tilts, freedoms)
