@@ -12,7 +12,8 @@ import pinocchio as pin
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.contacts.pairs import ContactPair, VertexOnFace
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.control.controller import Controller
 from osc_contact.control.status import Status
 from osc_contact.dynamics.assembly import close, object_pose, reach

@@ -12,27 +12,27 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.contacts.contact import Contact
     from osc_contact.contacts.detection.detect import detect
-    from osc_contact.contacts.pairs import (
-        CompiledPair,
-        ConeInGroove,
-        ContactPair,
+    from osc_contact.contacts.pairs import ContactPair, register_pair
+    from osc_contact.contacts.pairs.compiled_pair import CompiledPair
+    from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
+    from osc_contact.contacts.pairs.gap_functions import GapFunctions
+    from osc_contact.contacts.pairs.law_pair import EdgeOnEdge, FaceOnVertex
+    from osc_contact.contacts.pairs.points_on_planes import (
         CylinderInHole,
-        CylinderInVGroove,
         CylinderOnPlane,
-        EdgeOnEdge,
         EdgeOnFace,
         FaceOnFace,
-        FaceOnVertex,
+        SphereOnPlane,
+        VertexOnFace,
+    )
+    from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
+    from osc_contact.contacts.pairs.tangent_pair import (
+        ConeInGroove,
         Fixed,
         Free,
-        GapFunctions,
         Prismatic,
         Revolute,
         Screw,
-        SphereOnPlane,
-        SphereOnSurface,
-        VertexOnFace,
-        register_pair,
     )
     from osc_contact.contacts.raibert_craig import RaibertCraig
     from osc_contact.contacts.surface import Surface

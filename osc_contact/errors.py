@@ -2,20 +2,6 @@
 
 from typing import Any
 
-__all__ = [
-    "OscContactError",
-    "InvalidInputError",
-    "ModelError",
-    "ContactError",
-    "ScenarioError",
-    "SolverError",
-    "PlantError",
-    "RecordingError",
-    "ViewerError",
-    "Interrupted",
-]
-
-
 #: Extra that brings a package, by the name under which it is imported.
 EXTRAS = {
     "numba": "law",

@@ -1,6 +1,7 @@
 """What passes between a robot and its controller: measurements, references, torques."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -112,14 +113,6 @@ class Robot(Protocol):
         """
 
 
-def _six() -> Array:
-    return np.zeros(6)
-
-
-def _none() -> Array:
-    return np.zeros(0)
-
-
 @dataclass(frozen=True)
 class Reference:
     """The user's commands at one tick; what is left out is zero.
@@ -140,9 +133,9 @@ class Reference:
     """
 
     X_WD: pin.SE3
-    V_D: Array = field(default_factory=_six)
-    A_D: Array = field(default_factory=_six)
-    alpha_d: Array = field(default_factory=_none)
+    V_D: Array = field(default_factory=partial(np.zeros, 6))
+    A_D: Array = field(default_factory=partial(np.zeros, 6))
+    alpha_d: Array = field(default_factory=partial(np.zeros, 0))
     squeeze_d: float | Array = 0.0
 
 

@@ -20,26 +20,28 @@ from osc_contact.spatial import Array, norm
 
 def Omega_f(N: Array, A_inv: Array) -> Array:
     """Ω_f(A) = N (NᵀA⁻¹N)⁻¹ NᵀA⁻¹, eq. 5: the part of a force in N. N (6, r), A_inv (6, 6)."""
-    E, W, _ = orthonormal(N, A_inv, "Ω_f")
-    return E @ W.T
+    return _onto(N, A_inv, "Ω_f")
 
 
 def Omega_f_bar(T: Array, A: Array) -> Array:
     """Ω̄_f(A) = A T (TᵀAT)⁻¹ Tᵀ, eq. 6: the part of a force outside N. T (6, 6−r), A (6, 6)."""
-    E, W, _ = orthonormal(T, A, "Ω̄_f")
-    return W @ E.T
+    return _onto(T, A, "Ω̄_f").T
 
 
 def Omega_m(T: Array, B_inv: Array) -> Array:
     """Ω_m(B) = T (TᵀB⁻¹T)⁻¹ TᵀB⁻¹, eq. 7: the part of a motion in T. T (6, 6−r), B_inv (6, 6)."""
-    E, W, _ = orthonormal(T, B_inv, "Ω_m")
-    return E @ W.T
+    return _onto(T, B_inv, "Ω_m")
 
 
 def Omega_m_bar(N: Array, B: Array) -> Array:
     """Ω̄_m(B) = B N (NᵀBN)⁻¹ Nᵀ, eq. 8: the part of a motion outside T. N (6, r), B (6, 6)."""
-    E, W, _ = orthonormal(N, B, "Ω̄_m")
-    return W @ E.T
+    return _onto(N, B, "Ω̄_m").T
+
+
+def _onto(columns: Array, metric: Array, what: str) -> Array:
+    """N (NᵀΦN)⁻¹ NᵀΦ."""
+    E, W, _ = orthonormal(columns, metric, what)
+    return E @ W.T
 
 
 def Omega_f_bar_from_complement(N_prime: Array, T: Array) -> Array:
@@ -105,6 +107,8 @@ def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:
 # Limits, each decades above what rounding leaves and decades below any real geometry.
 #: Least singular value of unit columns. Dependent ones come out with 1e-17 … 1e-14.
 DEPENDENT = 1e-12
+#: The same for the columns of a contact; far below any real geometry.
+INDEPENDENT = 1e-10
 #: Share of a direction that a metric, or a dual space, sees: 1e-6 … 1; of none, 1e-17 … 1e-10.
 BLOCKED = 1e-8
 #: The direction that columns hardly span is known to 1e-16 by that singular value.
@@ -112,6 +116,48 @@ BLURRED = 1e-13
 #: Eigenvalue of a scaled metric, by the largest. Zero comes out as 1e-17 … 1e-14.
 _NO_MOBILITY = 1e-12
 _ASYMMETRIC = 1e-9
+
+
+def scaled_columns(columns: Array, name: str = "N") -> tuple[Array, Array]:
+    """Columns (n, k) scaled to unit length, and their lengths (k,); `name` is that of the matrix.
+
+    Raises:
+        ContactError: a column is zero.
+    """
+    size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    if not size.all():
+        raise ContactError(f"{name}: column {int(size.argmin())} is zero; remove it")
+    return columns / size, size
+
+
+def independent(scaled: Array) -> bool:
+    """Whether scaled columns (6, k) are independent."""
+    k = scaled.shape[1]
+    if k < 2:
+        return True
+    return k <= 6 and bool(np.linalg.svd(scaled, compute_uv=False)[-1] >= INDEPENDENT)
+
+
+def require_independent(columns: Array, name: str) -> None:
+    """Refuse zero and dependent columns (6, k), naming them.
+
+    Raises:
+        ContactError: with the columns involved.
+    """
+    if columns.shape[1] > 6:
+        raise ContactError(
+            f"{name}: {columns.shape[1]} columns in a 6-dimensional space are dependent; their "
+            "magnitudes cannot be distinguished. Keep six or fewer independent ones."
+        )
+    scaled, _ = scaled_columns(columns, name)
+    if independent(scaled):
+        return
+    smallest, which = least(scaled)
+    raise ContactError(
+        f"{name}: columns {which} are dependent (smallest scaled singular value "
+        f"{smallest:.2g}, limit {INDEPENDENT:g}); keep an independent subset, the "
+        "split of the force among dependent contacts is not unique"
+    )
 
 
 def span(columns: Array) -> tuple[Array, Array, Array]:

@@ -24,29 +24,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from pinocchio import SE3
 
 from osc_contact.errors import InvalidInputError
 
 Array = NDArray[Any]
-
-__all__ = [
-    "Array",
-    "as_array",
-    "as_pose",
-    "norm",
-    "cross",
-    "skew",
-    "carry_twist",
-    "carry_wrench",
-    "cross_twist",
-    "cross_wrench",
-    "classical_to_spatial",
-    "pose_error",
-    "Poses",
-    "rotations",
-    "rotated",
-    "moved",
-]
 
 
 def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
@@ -76,7 +58,7 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     return array
 
 
-def as_pose(name: str, position: Any, rotation: Any) -> pin.SE3:
+def as_pose(name: str, position: Any, rotation: Any) -> SE3:
     """Return the pose of `position` (3,) and rotation matrix `rotation` (3, 3).
 
     Args:
@@ -93,7 +75,20 @@ def as_pose(name: str, position: Any, rotation: Any) -> pin.SE3:
             f"{name} rotation: RᵀR differs from 1 by {off:.3g} and det R = {np.linalg.det(R):.3g}; "
             "give a rotation matrix, such as pin.rpy.rpyToMatrix(roll, pitch, yaw)"
         )
-    return pin.SE3(R, p)
+    return SE3(R, p)
+
+
+def unit_vector(name: str, value: Any) -> Array:
+    """`value` (3,) normalised; `name` is that of the argument.
+
+    Raises:
+        InvalidInputError: wrong shape, not finite or zero.
+    """
+    vector = as_array(name, value, (3,))
+    length = norm(vector)
+    if length < 1e-9:
+        raise InvalidInputError(f"{name} is zero; give a direction")
+    return vector / length
 
 
 def norm(x: Array) -> float:
@@ -152,7 +147,7 @@ def classical_to_spatial(a_classical: Array, V: Array) -> Array:
     return out
 
 
-def pose_error(X_WD: pin.SE3, X_WO: pin.SE3) -> Array:
+def pose_error(X_WD: SE3, X_WO: SE3) -> Array:
     """Displacement (6,) from O to D, world axes at O: [p_D − p_O; log₃(R_D R_Oᵀ)] (m, rad)."""
     rotation: Array = pin.log3(X_WD.rotation @ X_WO.rotation.T)
     return np.concatenate((X_WD.translation - X_WO.translation, rotation))
@@ -168,9 +163,9 @@ class Poses:
     R: Array
     p: Array
 
-    def __getitem__(self, i: int) -> pin.SE3:
+    def __getitem__(self, i: int) -> SE3:
         R, p = (x[..., min(i, x.shape[-1] - 1)] for x in (self.R, self.p))
-        return pin.SE3(R, p)
+        return SE3(R, p)
 
     def rotate(self, x: Array) -> Array:
         """Vectors x, see `rotated`, of the body in world axes."""

@@ -17,7 +17,7 @@ from rigs import rig_of
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
-from osc_contact.control.saving import touched_rows
+from osc_contact.control.inputs import touched_rows
 from osc_contact.law import jit, records, tick
 from osc_contact.law.compiled import rows
 from osc_contact.law.limits import TorqueLimits, fill_program, settle

@@ -32,6 +32,7 @@ from test_law_parts import SEEDS, close, pose, rng_of, turn
 
 import osc_contact as osc
 from osc_contact.law import records as at
+from osc_contact.law.compiled import rows
 from osc_contact.law.limits import TorqueLimits, settle
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
 from osc_contact.law.records import Rows, new_model, views
@@ -364,14 +365,14 @@ def a_tick():
     q, v = random_state(chain, rng)
     pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
     controller = osc.Controller(chain, pairs, safety=UNLIMITED)
-    tick = controller._rows
+    own = controller._records
+    run = own.run
     seen = []
-    controller._rows = lambda *given: seen.append(given) or tick(*given)
+    own.run = lambda given, *how: seen.append(given) or run(given, *how)
     controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
-    memory = controller._records.memory
-    assert memory.reason == reasons.NO_REASON and memory.engaged
-    controller._records.job[0] = MOVING
-    return tick, seen[-1], memory
+    assert own.memory.reason == reasons.NO_REASON and own.memory.engaged
+    own.rows.job.switches = MOVING
+    return rows(), (own.rows.raw, 0, *seen[-1]), own.memory
 
 
 def test_inputs_of_other_sizes_are_none():

@@ -59,10 +59,10 @@ class Contact:
             np.zeros(self.r) if n_gamma is None else as_array("n_gamma", n_gamma, (self.r,))
         )
         self.name = name
-        require_independent(self.N, "N")
+        projections.require_independent(self.N, "N")
         if T is not None:
             tangents = as_array("T", T, (6, 6 - self.r))
-            require_independent(tangents, "T")
+            projections.require_independent(tangents, "T")
             require_reciprocal(self.N, tangents)
             self.__dict__["T"] = tangents
 
@@ -93,7 +93,7 @@ class Contact:
             ContactError: dependent or zero columns.
         """
         tangents = as_array("T", T, (6, None))
-        require_independent(tangents, "T")
+        projections.require_independent(tangents, "T")
         N = projections.null_space(tangents)
         if T_dot_beta is not None:
             if n_gamma is not None:
@@ -145,10 +145,10 @@ class Contact:
             return cls(np.zeros((6, 0)))
         N = np.hstack([c.N for c in contacts])
         n_gamma = np.concatenate([c.n_gamma for c in contacts])
-        scaled, size = scaled_columns(N, Phi_ref)
-        keep = None
+        weighed = N if Phi_ref is None else _factor(Phi_ref).T @ N
+        scaled, size = projections.scaled_columns(weighed)
         R = None
-        if not independent(scaled):
+        if not projections.independent(scaled):
             keep, R = reduce(scaled, size)
             owners = [c.name or f"contact {i}" for i, c in enumerate(contacts) for _ in range(c.r)]
             require_consistent(n_gamma, keep, R, size, owners)
@@ -157,13 +157,22 @@ class Contact:
         if not all(c.split_is_unique for c in contacts):
             inner = block_diagonal([c.R for c in contacts])
             R = inner if R is None else R @ inner
-        stacked = cls.__new__(cls)  # the verdict has been given above, with Phi_ref
-        stacked.N = N
-        stacked.n_gamma = n_gamma
-        stacked.name = ""
+        return cls.judged(N, n_gamma, R)  # above, with Phi_ref
+
+    @classmethod
+    def judged(cls, N: Array, n_gamma: Array, R: Array | None = None) -> Contact:
+        """A contact whose columns are known to be independent.
+
+        Args:
+            N: (6, r). n_gamma: (r,). R: (r, r_all) all columns from these; None: there are no more.
+        """
+        contact = cls.__new__(cls)
+        contact.N = N
+        contact.n_gamma = n_gamma
+        contact.name = ""
         if R is not None:
-            stacked.__dict__["R"] = R
-        return stacked
+            contact.__dict__["R"] = R
+        return contact
 
     @property
     def r(self) -> int:
@@ -194,12 +203,10 @@ class Contact:
         them.
         """
         split = as_array("alpha", alpha, (self.r,))
-        return split if "R" not in self.__dict__ else self._share @ split
-
-    @cached_property
-    def _share(self) -> Array:
-        """(r_all, r) the pseudo-inverse of R: R has full row rank, and magnitudes have a norm."""
-        return self.R.T @ np.linalg.inv(self.R @ self.R.T)
+        if "R" not in self.__dict__:
+            return split
+        # by the pseudo-inverse of R: R has full row rank, and magnitudes have a norm
+        return self.R.T @ np.linalg.solve(self.R @ self.R.T, split)
 
     def as_raibert_craig(
         self, size: float = 1.0, tolerance: float = 1e-9, centre: npt.ArrayLike | None = None
@@ -245,64 +252,11 @@ class Contact:
 # of NᵀΦN, without the digits that forming NᵀΦN would lose.
 
 
-#: Smallest singular value of scaled columns; far below any real geometry.
-_RANK_TOLERANCE = 1e-10
 _PIVOT = 0.3
 _RECIPROCAL = 1e-9
 _CONSISTENT = 1e-6
 #: Rounding error of n_γ when the bodies hardly move (m/s², rad/s²).
 _STILL = 1e-9
-
-
-def scaled_columns(columns: Array, Phi_ref: Array | None, name: str = "N") -> tuple[Array, Array]:
-    """Columns (6, k) scaled to unit size, and their sizes (k,).
-
-    Args:
-        columns: (6, k). Phi_ref: (6, 6) metric of their size; None: the Euclidean one.
-        name: of the matrix, for messages.
-
-    Raises:
-        ContactError: a column is zero.
-        InvalidInputError: Phi_ref is not symmetric positive definite.
-    """
-    if Phi_ref is not None:
-        columns = _factor(Phi_ref).T @ columns
-    size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    if not size.all():
-        raise ContactError(f"{name}: column {int(size.argmin())} is zero; remove it")
-    return columns / size, size
-
-
-def independent(scaled: Array) -> bool:
-    """Whether scaled columns (6, k) are independent."""
-    k = scaled.shape[1]
-    if k < 2:
-        return True
-    return k <= 6 and bool(np.linalg.svd(scaled, compute_uv=False)[-1] >= _RANK_TOLERANCE)
-
-
-def require_independent(columns: Array, name: str) -> None:
-    """Refuse zero and dependent columns (6, k), naming them.
-
-    Raises:
-        ContactError: with the columns involved.
-    """
-    if columns.shape[1] > 6:
-        raise ContactError(
-            f"{name}: {columns.shape[1]} columns in a 6-dimensional space are dependent; their "
-            "magnitudes cannot be distinguished. Keep six or fewer independent ones."
-        )
-    scaled, _ = scaled_columns(columns, None, name)
-    if independent(scaled):
-        return
-    singular = np.linalg.svd(scaled)
-    weight = np.abs(singular.Vh[-1])
-    which = [int(i) for i in np.flatnonzero(weight > 1e-3 * weight.max())]
-    raise ContactError(
-        f"{name}: columns {which} are dependent (smallest scaled singular value "
-        f"{singular.S[-1]:.2g}, limit {_RANK_TOLERANCE:g}); keep an independent subset, the "
-        "split of the force among dependent contacts is not unique"
-    )
 
 
 def require_reciprocal(N: Array, T: Array) -> None:
@@ -328,7 +282,7 @@ def reduce(scaled: Array, size: Array) -> tuple[list[int], Array]:
     those kept before is not much smaller than the largest one: well-conditioned, and no toss-up
     between columns that are equally good.
     """
-    rank = int((np.linalg.svd(scaled, compute_uv=False) >= _RANK_TOLERANCE).sum())
+    rank = int((np.linalg.svd(scaled, compute_uv=False) >= projections.INDEPENDENT).sum())
     rest = scaled.copy()
     keep: list[int] = []
     for _ in range(rank):

@@ -21,12 +21,12 @@ from itertools import permutations, product
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
+from pinocchio import SE3
 
-from osc_contact.errors import ContactError, InvalidInputError
+from osc_contact.errors import InvalidInputError
+from osc_contact.projections import require_independent
 from osc_contact.spatial import Array, as_array, carry_wrench, cross, norm, skew
 
-_DEPENDENT = 1e-10
 _VISIBLE = 1e-6
 _EYE = np.eye(3)
 _SIGNED = [_EYE[:, p] * s for p in permutations(range(3)) for s in product((1.0, -1.0), repeat=3)]
@@ -49,7 +49,7 @@ class RaibertCraig:
         reason: why N has no constraint frame, in plain words; empty if it has one.
     """
 
-    frame: pin.SE3
+    frame: SE3
     forces: Triple
     couples: Triple
     residual: float
@@ -59,7 +59,7 @@ class RaibertCraig:
         return not self.reason
 
 
-def selection_columns(frame: pin.SE3, forces: Sequence[bool], couples: Sequence[bool]) -> Array:
+def selection_columns(frame: SE3, forces: Sequence[bool], couples: Sequence[bool]) -> Array:
     """N (6, r) of a frame: [e_i; p × e_i] where forces[i], then [0; e_i] where couples[i].
 
     Args:
@@ -70,9 +70,7 @@ def selection_columns(frame: pin.SE3, forces: Sequence[bool], couples: Sequence[
     Raises:
         InvalidInputError: not three flags.
     """
-    E = np.array(frame.rotation)
-    p = np.array(frame.translation)
-    full = np.block([[E, np.zeros((3, 3))], [skew(p) @ E, E]])
+    full = frame.toDualActionMatrix()
     chosen = np.concatenate((_flags("forces", forces), _flags("couples", couples)))
     return full[:, chosen]
 
@@ -124,7 +122,7 @@ def as_raibert_craig(
     selected = (chosen[best].reshape(2, 3) @ np.abs(P)) > 0.5
     forces, couples = ((bool(x), bool(y), bool(z)) for x, y, z in selected)
     reason = "" if sine[best] <= tolerance else _why(Q, size, tolerance, sum(forces))
-    frame = pin.SE3(triads[best] @ P, middle + size * points[best])
+    frame = SE3(triads[best] @ P, middle + size * points[best])
     return RaibertCraig(frame, forces, couples, float(sine[best]), reason)
 
 
@@ -135,21 +133,13 @@ def _flags(name: str, flags: Sequence[bool]) -> Array:
     return array.astype(bool)
 
 
-def _orthonormal(columns: Array, centre: Array, size: float) -> tuple[Array, Array]:
+def _orthonormal(columns: Array, centre: Array, size: float) -> tuple[Array, ...]:
     """Bases (6, r) of N and (6, 6−r) of its complement, moments about `centre` over `size`."""
     scaled = carry_wrench(columns, np.zeros(3), centre)
     scaled[3:] /= size
-    length = np.linalg.norm(scaled, axis=0)
-    if columns.shape[1] > 6 or length.min(initial=1.0) == 0.0:
-        raise ContactError(f"N: {columns.shape[1]} columns, some zero or dependent; remove them")
-    U, sigma, _ = np.linalg.svd(scaled / length)
-    if sigma.min(initial=1.0) < _DEPENDENT:
-        raise ContactError(
-            f"N: the columns are dependent (smallest scaled singular value {sigma[-1]:.2g}, limit "
-            f"{_DEPENDENT:g}); keep an independent subset"
-        )
-    r = columns.shape[1]
-    return U[:, :r], U[:, r:]
+    require_independent(scaled, "N")
+    U = np.linalg.svd(scaled / np.linalg.norm(scaled, axis=0))[0]
+    return tuple(np.split(U, [columns.shape[1]], axis=1))
 
 
 # Why not ------------------------------------------------------------------------------------------

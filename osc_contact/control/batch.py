@@ -2,20 +2,21 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from osc_contact.control.controller import Controller
-from osc_contact.control.records import TickRecords
+from osc_contact.control.records import STILL, TickRecords
 from osc_contact.control.status import Status
-from osc_contact.control.torque_limits import MotorLimits
+from osc_contact.control.torque_limits import MotorLimits, relieve
+from osc_contact.dynamics.assembly import object_pose
 from osc_contact.errors import InvalidInputError, ModelError, SolverError
 from osc_contact.law import records as at
 from osc_contact.law import tick as law
-from osc_contact.law.compiled import rows
+from osc_contact.law.compiled import rows as law_rows
 from osc_contact.law.records import Rows
 from osc_contact.spatial import Array
 
@@ -58,19 +59,10 @@ class BatchController:
             threads,
         )
         self._start = self._bytes.memory.copy()
-        self._call = first._rows
-        head = first._records.model
-        B = self.rows
-        self._n = int(head.n_joints)
-        self._k = int(head.n_arms)
-        self._r = int(head.n_columns)
-        self._c = int(head.n_contacts)
-        self._still = np.zeros((0, 28))
-        self._zeros = np.zeros((B, 6))
         self._look()
         self._codes[:] = Status.OK
         self._limits: dict[int, MotorLimits] = {}
-        self._pool = _pool(threads)
+        self._pool = ThreadPoolExecutor(threads)
 
     def _require_fitting(self, i: int, one: Controller) -> None:
         found = _structure_of(one)
@@ -89,20 +81,18 @@ class BatchController:
     def _look(self) -> None:
         """Heads of all memories, (B, …) their columns, torques and squeezes; JOB of each thread."""
         memory = self._bytes.memory
-        begin = int(self._bytes.job.memory)
-
-        def table(start: int, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Any:
-            strides = (memory.strides[0], *np.zeros(shape, dtype).strides)
-            return np.ndarray((self.rows, *shape), dtype, self._bytes.raw, begin + start, strides)
-
         one = at.MEMORY.view(memory[0])
         starts = dict(zip(at.MEMORY.tables, one.layout.tolist(), strict=False))
-        self._memories = table(0, at.MEMORY.dtype, ())
+
+        def table(name: str) -> Any:
+            rows = getattr(one, name)
+            return memory[:, starts[name] :][:, : rows.nbytes].view(rows.dtype)
+
+        self._memories = memory[:, : at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)[:, 0]
         self._codes = self._memories["status"]
-        self._columns, self._torques, self._squeeze = (
-            table(starts[name], getattr(one, name).dtype, getattr(one, name).shape)
-            for name in ("columns", "torques", "squeeze")
-        )
+        self._columns = table("columns")
+        self._torques = table("torques")
+        self._squeeze = table("squeeze")
         self._jobs = [at.JOB.view(raw) for raw in self._bytes.jobs]
 
     def tick(
@@ -134,39 +124,37 @@ class BatchController:
             InvalidInputError: wrong shapes. Numbers that are not finite end their row HELD.
         """
         B = self.rows
-        zeros = self._zeros
+        n, k, r, c = (
+            self._structure[name] for name in ("n_joints", "n_arms", "n_columns", "n_contacts")
+        )
         flags = 0
-        motion = self._still
+        motion = STILL
         if touched is not None:
-            motion = _table("touched", touched, (B, self._c, 28)).reshape(B * self._c, 28)
+            motion = _table("touched", touched, (B, c, 28)).reshape(-1, 28)
             flags |= law.MOVING
         self._squeeze[:] = 0.0
         if squeeze_d is not None:
             self._squeeze[:] = np.reshape(np.asarray(squeeze_d, dtype=float), (B, -1))
-            flags |= law.COMMANDED if self._k > 2 else 0
-        desired = np.zeros((B, self._r)) if alpha_d is None else alpha_d
+            flags |= law.COMMANDED if k > 2 else 0
+        joints = _table("q", q, (B, n))
         args = (
-            _table("q", q, (B, self._n)).ravel(),
-            _table("v", v, (B, self._n)).ravel(),
-            _table("wrenches", wrenches, (B, self._k, 6)).reshape(B * self._k, 6),
-            _table("X_WD", X_WD, (B, 4, 4)).reshape(4 * B, 4),
-            _table("V_D", zeros if V_D is None else V_D, (B, 6)).ravel(),
-            _table("A_D", zeros if A_D is None else A_D, (B, 6)).ravel(),
-            _table("alpha_d", desired, (B, self._r)).ravel(),
+            joints.ravel(),
+            _table("v", v, (B, n)).ravel(),
+            _table("wrenches", wrenches, (B, k, 6)).reshape(-1, 6),
+            _table("X_WD", X_WD, (B, 4, 4)).reshape(-1, 4),
+            _table("V_D", V_D, (B, 6)).ravel(),
+            _table("A_D", A_D, (B, 6)).ravel(),
+            _table("alpha_d", alpha_d, (B, r)).ravel(),
             motion,
         )
         if wrench_valid is not None:
             self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
-        self._locate(args[0].reshape(B, self._n))
+        self._locate(joints)
         ends = np.linspace(0, B, self.threads + 1).astype(int).tolist()
-        others = (
-            []
-            if self._pool is None
-            else [
-                self._pool.submit(self._run, i, ends[i], ends[i + 1], flags, args)
-                for i in range(1, self.threads)
-            ]
-        )
+        others = [
+            self._pool.submit(self._run, i, ends[i], ends[i + 1], flags, args)
+            for i in range(1, self.threads)
+        ]
         try:
             self._run(0, 0, ends[1], flags, args)
         finally:
@@ -182,7 +170,7 @@ class BatchController:
         job.last = hi
         while lo < hi:
             job.first = lo
-            lo = self._call(self._bytes.raw, start, *args) >> 1
+            lo = law_rows()(self._bytes.raw, start, *args) >> 1
             if self._codes[lo - 1] == Status.SATURATED:
                 self._relieve(lo - 1, thread, args)
 
@@ -192,7 +180,7 @@ class BatchController:
         if i not in self._limits:
             self._limits[i] = MotorLimits(self._settings[i], rows.model)
         try:
-            self._limits[i].relieve(rows)
+            relieve(self._limits[i].program, rows)
         except SolverError:
             job = self._jobs[thread]
             flags = job.switches
@@ -200,7 +188,7 @@ class BatchController:
             job.switches = flags | law.MISFIT
             job.first = i
             job.last = i + 1
-            self._call(self._bytes.raw, rows.at, *args)
+            law_rows()(self._bytes.raw, rows.at, *args)
             job.switches = flags
             job.last = last
 
@@ -210,14 +198,10 @@ class BatchController:
             return
         for i in np.flatnonzero(self._memories["located"] == 0):
             chain = self._settings[i].chain
-            data = chain.model.createData()
-            pin.forwardKinematics(chain.model, data, q[i])
-            try:
-                X_WO = chain.object_pose(data).homogeneous
-            except ModelError:
-                continue
-            self._memories["X_WO"][i] = X_WO
-            self._memories["located"][i] = 1
+            with suppress(ModelError):
+                X_WO = object_pose(chain, q[i], chain.model.createData())
+                self._memories["X_WO"][i] = X_WO.homogeneous
+                self._memories["located"][i] = 1
 
     def reset(self, mask: npt.ArrayLike | None = None) -> None:
         """Rows back to the memory they began with.
@@ -279,21 +263,16 @@ class BatchController:
         return np.array(self._columns["speed"])
 
     def __getstate__(self) -> dict[str, Any]:
-        gone = ["_pool", "_call", "_memories", "_codes", "_columns", "_torques", "_squeeze"]
-        own = {name: x for name, x in self.__dict__.items() if name not in [*gone, "_jobs"]}
+        made = "_pool", "_memories", "_codes", "_columns", "_torques", "_squeeze", "_jobs"
+        own = {name: x for name, x in self.__dict__.items() if name not in made}
         return {**own, "_bytes": (self._bytes.model, self._bytes.memory)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _call=rows())
+        self.__dict__.update(state)
         model, memory = state["_bytes"]
         self._bytes = Rows(model, memory, self.threads)
         self._look()
-        self._pool = _pool(self.threads)
-
-
-def _pool(threads: int) -> ThreadPoolExecutor | None:
-    """Of the threads beside the one that calls."""
-    return ThreadPoolExecutor(threads - 1) if threads > 1 else None
+        self._pool = ThreadPoolExecutor(self.threads)
 
 
 def _structure_of(controller: Controller) -> dict[str, int]:
@@ -312,8 +291,10 @@ def _structure_of(controller: Controller) -> dict[str, int]:
     return {name: int(head[name]) for name in shape}
 
 
-def _table(name: str, x: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
-    """x as a contiguous array of numbers of this shape; numbers need not be finite."""
+def _table(name: str, x: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
+    """x as a contiguous array of numbers of this shape, which need not be finite; None: zeros."""
+    if x is None:
+        return np.zeros(shape)
     array = np.ascontiguousarray(x, dtype=float)
     if array.shape != shape:
         raise InvalidInputError(f"{name}: expected shape {shape}, got {array.shape}")

@@ -2,12 +2,11 @@
 
 import os
 from collections.abc import Callable, Sequence
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
-import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.custom_laws import CustomParts, Laws
@@ -15,11 +14,13 @@ from osc_contact.control.inputs import (
     Freshness,
     convert_arrays,
     read_joints,
+    read_tick,
     require_shapes,
     require_sizes,
 )
-from osc_contact.control.reasons import explain
+from osc_contact.control.reasons import explain, unbraked_joint
 from osc_contact.control.records import (
+    STILL,
     Reading,
     Settings,
     TickRecords,
@@ -31,15 +32,15 @@ from osc_contact.control.saving import save_controller
 from osc_contact.control.signals import Signals, TickResult
 from osc_contact.control.start_check import StartCheck
 from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
-from osc_contact.control.torque_limits import MotorLimits, scale_torques
+from osc_contact.control.torque_limits import MotorLimits, relieve, scale_torques
+from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Body
 from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout, SolverError
-from osc_contact.interface import Measurement, Reference, Touched
-from osc_contact.law import tick as law
+from osc_contact.interface import Measurement, Reference
 from osc_contact.law.chain import OBJECT_UNKNOWN
-from osc_contact.law.compiled import rows
-from osc_contact.law.records import DEGRADED, HISTORY, JOINTS, WRISTS, Bytes
+from osc_contact.law.compiled import rows as law_rows
+from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, JOINTS, WRISTS, Bytes
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,
@@ -89,6 +90,13 @@ class Controller:
         settings, laws: as given. chain, contacts, gains, dt, B, bodies, posture, friction, life:
             of the settings. reading: as given, or as chosen.
     """
+
+    _limits: MotorLimits | None = None
+    _given_up: LimitLoss | None = None
+    _failure: Exception | None = None
+    _inputs: tuple[Any, Any] = (None, None)  #: of the last tick that did not end OK
+    _result: TickResult | None = None
+    _converting = False  #: whether arrays of other types came, which are converted since
 
     def __init__(
         self,
@@ -142,24 +150,22 @@ class Controller:
         """
         settings = Settings(
             chain,
-            tuple(contacts),
-            Gains() if gains is None else gains,
+            contacts,
+            gains or Gains(),
             dt,
             B,
-            () if bodies is None else tuple(bodies),
-            np.zeros(0) if posture is None else posture,
-            PostureTask() if posture_task is None else posture_task,
+            bodies or (),
+            posture,
+            posture_task or PostureTask(),
             friction,
             life,
-            SafetySettings() if safety is None else safety,
-            (JointFriction() if joint_friction else None)
-            if isinstance(joint_friction, bool)
-            else joint_friction,
+            safety or SafetySettings(),
+            joint_friction,
             reading,
         )
         chain.law_row(led=False)  # judges the arms
-        self._begin(settings, Laws() if laws is None else laws)
-        memory = self._records.memory
+        self._begin(settings, laws or Laws(), StartCheck())
+        memory = self._memory
         force = settings.gains.force
         memory.X_WO[:] = np.eye(4)
         memory.engaged = engaged
@@ -177,47 +183,30 @@ class Controller:
             memory.columns.closed[:] = 0
 
     def _begin(
-        self,
-        settings: Settings,
-        laws: Laws,
-        model: Bytes | None = None,
-        custom: CustomParts | None = None,
+        self, settings: Settings, laws: Laws, start: StartCheck, model: Bytes | None = None
     ) -> None:
         """Take what a controller is made of; `model`: bytes of MODEL, where they are known."""
         self.__dict__.update(settings=settings, laws=laws)
-        self._custom = CustomParts(settings, laws) if custom is None else custom
-        self._rows: Any = rows()
-        self._still = np.zeros((0, 28))
-        self._moving = np.zeros((len(settings.contacts), 28))
-        self._arms = len(settings.chain.arms)
-        self._limits: MotorLimits | None = None
-        self._given_up: LimitLoss | None = None
-        self._failure: Exception | None = None
-        self._inputs: tuple[Any, Any] = (None, None)  #: of the last tick that did not end OK
-        self._result: TickResult | None = None
-        self._converting = False  #: arrays of other types came: the law's call converts
+        self._custom = CustomParts(settings, laws)
         self._freshness = Freshness(settings.dt, settings.safety.wrench_timeout)
-        self._start = StartCheck()
-        self._starting = True
-        self._take_records(TickRecords(self._custom.model if model is None else model))
-
-    def _begin_start(self, start: StartCheck, starting: bool) -> None:
-        """Look at joints and wrists in the ticks to come, or look no more."""
         self._start = start
-        self._starting = starting
-        self._take_records(self._records)
+        self._take_records(TickRecords(self._custom.model if model is None else model))
 
     def _take_records(self, records: TickRecords) -> None:
         self._records = records
-        memory = records.memory
-        plain = self._arms < 3 and not (self._custom.needed or self._starting or self._converting)
+        self._memory = records.memory
+        self._plan()
+
+    def _plan(self) -> None:
+        """Choose how the ticks to come are computed: by one call of the law, or part by part."""
+        memory = self._memory
+        special = self._custom.needed or not self._start.done or self._converting
         self._tables = (
-            records.rows.raw,
+            self._records.rows.raw,
             memory.squeeze,
             memory.torques,
-            self._still,
-            self._rows,
-            plain,
+            law_rows(),
+            len(memory.squeeze) == 1 and not special,
         )
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -230,10 +219,9 @@ class Controller:
         object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        """Settings that were taken when the controller was made; `life` is `Settings.phases`."""
-        field = "phases" if name == "life" else name
-        if field in Settings.__dataclass_fields__ and "settings" in self.__dict__:
-            return getattr(self.settings, field)
+        """Settings that were taken when the controller was made."""
+        if name in Settings.__dataclass_fields__ and "settings" in self.__dict__:
+            return getattr(self.settings, name)
         raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
 
     # --- a tick ----------------------------------------------------------------------------------
@@ -245,7 +233,7 @@ class Controller:
         is no fault of a sensor. Never returns a torque that is not finite or exceeds a limit: a
         tick that cannot be computed repeats the last good torques, see `status`.
         """
-        raw, squeeze, torques, still, call, plain = self._tables
+        raw, squeeze, torques, call, plain = self._tables
         try:
             if (
                 plain
@@ -266,7 +254,7 @@ class Controller:
                     reference.V_D,
                     reference.A_D,
                     reference.alpha_d,
-                    still,
+                    STILL,
                 )
                 return torques.copy() if done == 2 else self._end(measurement, reference)
             return self._tick(measurement, reference)
@@ -275,65 +263,24 @@ class Controller:
 
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
         """At the start; with bodies that move, stamps, three arms, or custom code."""
+        memory = self._memory
         if measurement.stamps is not None or measurement.sequence is not None:
-            memory = self._records.memory
             memory.repeated = self._freshness.require(measurement)
             if measurement.stamps is not None:
                 memory.stamped = memory.stamped or memory.instant + 1
                 late = measurement.stamps.encoders - measurement.stamps.wrists
                 memory.late = min(max(0.0, late / self.dt + 0.5), HISTORY)
-        if measurement.estimated:
-            self._records.memory.derived = 1
         if self._converting:
             measurement, reference = convert_arrays(measurement, reference)
-        if self._starting and self._start.is_done(self, measurement):
-            self._begin_start(self._start, False)
-        if measurement.wrench_valid is not None and not measurement.wrench_valid:
-            self._records.memory.wrench_missing = 1
-        touched = measurement.touched
-        flags = 0
-        table = self._still
-        if touched is not None:
-            table = self._motions(touched)
-            flags = law.MOVING
-        if self._arms < 3:
-            self._records.memory.squeeze[0] = reference.squeeze_d
-        else:
-            flags |= self._bar_forces(reference.squeeze_d)
-        args = (
-            measurement.q,
-            measurement.v,
-            measurement.wrenches,
-            reference.X_WD.homogeneous,
-            reference.V_D,
-            reference.A_D,
-            reference.alpha_d,
-            table,
-        )
+        given, flags = read_tick(self._records, measurement, reference)
+        if not self._start.done and self._start.look(self, measurement):
+            self._plan()
         error = None
         if self._custom.needed:
-            error = self._custom.tick(self, measurement, reference, args, flags)
-        elif self._run(args, flags) == 2:
+            error = self._custom.tick(self, measurement, reference, given, flags)
+        elif self._records.run(given, flags) == 2:
             return self.last_torques()
         return self._end(measurement, reference, error)
-
-    def _run(
-        self, args: tuple[Any, ...], flags: int = 0, begin: int = law.LOOK, stop: int = law.END
-    ) -> int:
-        """Parts of a tick, which the law's call returns the end of."""
-        raw = self._records.rows.raw
-        job = self._records.job
-        if not flags and begin == law.LOOK and stop == law.END:
-            return int(self._rows(raw, 0, *args))
-        job[0] = flags
-        job[1] = begin
-        job[2] = stop
-        try:
-            return int(self._rows(raw, 0, *args))
-        finally:
-            job[0] = 0
-            job[1] = law.LOOK
-            job[2] = law.END
 
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
         """A tick whose arrays are of other types, or one to be held.
@@ -348,12 +295,12 @@ class Controller:
             if self._converting:
                 raise error
             self._converting = True
-            self._take_records(self._records)
+            self._plan()
             return self.tick(replace(measurement, stamps=None, sequence=None), reference)
         except Exception as why:
             if isinstance(why, SensorTimeout):
-                self._records.memory.repeated = JOINTS | WRISTS
-            if not self._records.memory.ticked:
+                self._memory.repeated = JOINTS | WRISTS
+            if not self._memory.ticked:
                 require_shapes(measurement, reference, self.settings)
             self._inputs = (measurement, reference)
             self._failure = why
@@ -362,27 +309,22 @@ class Controller:
     def _hold(self, measurement: Measurement) -> Array:
         """Torques (n_a,) of a tick that failed outside of the law: one that is not computed."""
         n = self.chain.nq
-        six = np.zeros(6)
         q, v = (read_joints(getattr(measurement, name, None), n) for name in "qv")
-        wrenches = np.full((self._arms, 6), np.nan)
-        self._run((q, v, wrenches, np.eye(4), six, six, np.zeros(0), self._still))
+        self._records.hold(q, v)
         return self.last_torques()
 
     def _end(
-        self,
-        measurement: Measurement,
-        reference: Reference,
-        error: Exception | None = None,
+        self, measurement: Measurement, reference: Reference, error: Exception | None = None
     ) -> Array:
         """What is left to do after a tick that did not end OK; `error`: raised outside the law."""
-        code = int(self._records.memory.status)
+        code = int(self._memory.status)
         if code == DEGRADED:  # the law did it all, and nothing of the controller's has changed
             return self.last_torques()
         self._given_up = None
         self._inputs = (measurement, reference)
         self._failure = error
         if code == Status.HELD:
-            if not self._records.memory.ticked:
+            if not self._memory.ticked:
                 require_shapes(measurement, reference, self.settings)
             if self._records.work.reason == OBJECT_UNKNOWN and self._locate(measurement.q):
                 return self.tick(replace(measurement, stamps=None, sequence=None), reference)
@@ -393,38 +335,20 @@ class Controller:
                     return self.last_torques()
                 if self._limits is None:
                     self._limits = MotorLimits(self.settings, self._records.model)
-                self._limits.relieve(self._records)
+                relieve(self._limits.program, self._records)
             except SolverError as why:
                 self._hold(measurement)
                 self._failure = why
         return self.last_torques()
 
-    def _motions(self, touched: Touched) -> Array:
-        table = self._moving
-        count = len(self._moving)
-        if len(touched.X_WE) != count or len(touched.V_E) != count or len(touched.A_E) != count:
-            raise InvalidInputError(f"touched: {len(touched.X_WE)} motions for {count} contacts")
-        table[:, :16] = np.reshape(touched.X_WE, (count, 16))
-        table[:, 16:22] = touched.V_E
-        table[:, 22:] = touched.A_E
-        return table
-
-    def _bar_forces(self, squeeze_d: float | Array) -> int:
-        """Internal forces of three arms and more; the number 0 leaves them at least effort."""
-        self._records.memory.squeeze[:] = squeeze_d
-        return 0 if np.ndim(squeeze_d) == 0 and squeeze_d == 0.0 else law.COMMANDED
-
     def _locate(self, q: Array) -> bool:
         """Find the object from the joints alone; from then on the law does, tick by tick."""
-        chain = self.chain
-        memory = self._records.memory
-        if chain.leader is not None or memory.located == 2:  # 2: tried at this tick already
+        memory = self._memory
+        if self.chain.leader is not None or memory.located == 2:  # 2: tried at this tick already
             memory.located = 0
             return False
-        data = chain.model.createData()
-        pin.forwardKinematics(chain.model, data, q)
         try:
-            X_WO = chain.object_pose(data)
+            X_WO = object_pose(self.chain, q, self.chain.model.createData())
         except OscContactError:
             return False
         memory.X_WO[:] = X_WO.homogeneous
@@ -440,7 +364,7 @@ class Controller:
         if not self.engaged:
             self._require_tick()
             self._start.judge(self)
-            self._begin_start(self._start, self._starting or bool(self._start.refused))
+            self._plan()
             self._hand_over()
             self.force_integral = np.zeros(0)
             self.engaged = True
@@ -450,7 +374,7 @@ class Controller:
     @property
     def status(self) -> Status:
         """How the last tick ended."""
-        return Status(int(self._records.memory.status))
+        return Status(int(self._memory.status))
 
     @property
     def reason(self) -> str:
@@ -462,17 +386,17 @@ class Controller:
     @property
     def state(self) -> SafetyState:
         """Whether the controller runs, holds a posture or has stopped; see `SafetyState`."""
-        return SafetyState(int(self._records.memory.state))
+        return SafetyState(int(self._memory.state))
 
     @property
     def state_age(self) -> int:
         """Ticks since `state` last changed."""
-        return int(self._records.memory.age)
+        return int(self._memory.age)
 
     @property
     def faults(self) -> int:
         """Ticks in a row, up to the last one, that could not be computed."""
-        return int(self._records.memory.faults)
+        return int(self._memory.faults)
 
     @property
     def repeated(self) -> int:
@@ -485,16 +409,15 @@ class Controller:
 
         The arms are to be stopped by their mechanical brakes then.
         """
-        joint = int(self._records.memory.unbraked)
-        stopped = self.state is SafetyState.SAFE_STOP
-        return self.chain.joint_names[joint] if stopped and joint >= 0 else None
+        return unbraked_joint(self._records, self.settings)
 
     def reset(self) -> None:
         """Run again after a stop: both integrals at zero; tare, bias and phases are kept."""
-        memory = self._records.memory
+        memory = self._memory
         self._freshness.forget()
         if self._start.refused:
-            self._begin_start(StartCheck(), True)
+            self._start = StartCheck()
+            self._plan()
         memory.state = SafetyState.RUN
         for name in FORGOTTEN:
             memory.head[name] = 0
@@ -529,9 +452,7 @@ class Controller:
             InvalidInputError: there was none yet.
         """
         self._require_tick()
-        memory = self._records.memory
-        squeeze = float(memory.squeeze[0]) if self._arms < 3 else memory.squeeze.copy()
-        return Signals(self.settings, self._records, squeeze, memory.torques)
+        return Signals(self.settings, self._records)
 
     def result(self) -> TickResult:
         """The numbers of the last tick that recordings keep; the next tick overwrites them.
@@ -545,7 +466,7 @@ class Controller:
         return self._result
 
     def _require_tick(self) -> None:
-        if not self._records.memory.ticked:
+        if not self._memory.ticked:
             raise InvalidInputError(
                 "no tick has been computed yet; call tick first"
                 + (f" (the last one was held: {self.reason})" if self.status else "")
@@ -553,7 +474,7 @@ class Controller:
 
     def last_torques(self) -> Array:
         """(n_a,) what the last tick gave out."""
-        return self._records.memory.torques.copy()
+        return self._memory.torques.copy()
 
     def joint_acceleration(self) -> Array:
         """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
@@ -570,18 +491,18 @@ class Controller:
 
     def phases(self) -> Array:
         """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""
-        contacts = self._records.memory.contacts
+        contacts = self._memory.contacts
         phase = contacts.phase if self.life is not None else Phase.CLOSED
         return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
 
     @property
     def f_tare(self) -> Array:
         """(6,) constant error of the wrist readings at O (N, N m), removed from each."""
-        return np.array(self._records.memory.f_tare)
+        return np.array(self._memory.f_tare)
 
     @f_tare.setter
     def f_tare(self, wrench: Array) -> None:
-        self._records.memory.f_tare[:] = as_array("f_tare", wrench, (6,))
+        self._memory.f_tare[:] = as_array("f_tare", wrench, (6,))
 
     @property
     def joint_friction(self) -> Array:
@@ -591,7 +512,7 @@ class Controller:
         """
         model = self.chain.model
         known = np.column_stack([model.upperDryFrictionLimit, model.damping])
-        memory = self._records.memory
+        memory = self._memory
         learned = memory.friction_known != 0
         return np.where(learned[:, None], memory.friction.theta[:, :2], known)
 
@@ -601,7 +522,7 @@ class Controller:
 
         Below zero where the model has too much.
         """
-        return np.array(self._records.memory.friction.theta[:, 2])
+        return np.array(self._memory.friction.theta[:, 2])
 
     @property
     def normal_covariance(self) -> Array:
@@ -610,52 +531,52 @@ class Controller:
         In the axes of the body that carries the normal; where edges cross, of the body's edge along
         the normal. NaN: not estimated, or the contact is open.
         """
-        P = np.array(self._records.memory.columns.covariance).reshape(-1, 3, 3)
+        P = np.array(self._memory.columns.covariance).reshape(-1, 3, 3)
         return np.where((self.normal_std > 0.0)[:, None, None], P, np.nan)
 
     @property
     def normal_std(self) -> Array:
         """(r,) the same where each is least certain (rad); 0: not estimated."""
-        return np.array(self._records.memory.columns.normal_std)
+        return np.array(self._memory.columns.normal_std)
 
     @property
     def f_bias(self) -> Array:
         """(6,) constant wrench added to the command at O (N, N m)."""
-        return np.array(self._records.memory.f_bias)
+        return np.array(self._memory.f_bias)
 
     @f_bias.setter
     def f_bias(self, wrench: Array) -> None:
-        self._records.memory.f_bias[:] = as_array("f_bias", wrench, (6,))
+        self._memory.f_bias[:] = as_array("f_bias", wrench, (6,))
 
     @property
     def engaged(self) -> bool:
         """Whether the contacts are part of the model; False: the object counts as free."""
-        return bool(self._records.memory.engaged)
+        return bool(self._memory.engaged)
 
     @engaged.setter
     def engaged(self, engaged: bool) -> None:
-        self._records.memory.engaged = engaged
+        self._memory.engaged = engaged
         if self.life is None or not engaged:
-            self._records.memory.contacts.active[:] = engaged
+            self._memory.contacts.active[:] = engaged
 
     @property
     def motion_integral(self) -> Array:
         """(6,) ∫e dt of the motion law (m s, rad s)."""
-        return np.array(self._records.memory.motion_sum)
+        return np.array(self._memory.motion_sum)
 
     @motion_integral.setter
     def motion_integral(self, value: Array) -> None:
-        self._records.memory.motion_sum[:] = as_array("motion integral", value, (6,))
+        self._memory.motion_sum[:] = as_array("motion integral", value, (6,))
 
     @property
     def force_integral(self) -> Array:
         """(r,) K_i ∫(α_d − α_meas) dt of the force law (N)."""
-        memory = self._records.memory
+        memory = self._memory
         return np.array(memory.force_sum[: int(memory.force_rank)])
 
     @force_integral.setter
     def force_integral(self, value: Array) -> None:
-        memory = self._records.memory
+        memory = self._memory
         value = as_array("force integral", value, (None,))
         if len(value) > 6:
             raise InvalidInputError(f"force integral: {len(value)} values; N has 6 columns at most")
@@ -680,7 +601,7 @@ class Controller:
         """
         settings = replace(self.settings, gains=gains)
         other = self._another(settings, self.laws)
-        memory = other._records.memory
+        memory = other._memory
         model = other._records.model
         pack_gains(settings, model)
         before = self.gains.motion.integral
@@ -692,7 +613,7 @@ class Controller:
             model.integral = before
             other._hand_over()
             model.integral = 0.0
-        if settings.phases is None:
+        if settings.life is None:
             memory.contacts.gain[:] = gains.force.integral
             memory.contacts.damping[:] = gains.force.damping
             memory.contacts.brake[:] = gains.force.brake
@@ -711,53 +632,30 @@ class Controller:
 
     def _another(self, settings: Settings, laws: Laws) -> Self:
         other = type(self).__new__(type(self))
-        same = settings is self.settings and laws is self.laws
-        records = self._records
-        other._begin(settings, laws, records.model_bytes, self._custom if same else None)
-        other._records.memory_bytes[:] = records.memory_bytes
-        other._records.memory.status = Status.OK
-        other._begin_start(deepcopy(self._start), self._starting)
-        return other
-
-    def __copy__(self) -> Self:
-        other = self._another(self.settings, self.laws)
-        other._records.work_bytes[:] = self._records.work_bytes
-        other._records.memory.status = self.status
-        other._given_up = self.given_up
-        other._failure = self._failure
-        other._inputs = self._inputs
+        other._begin(settings, laws, deepcopy(self._start), self._records.model_bytes)
+        other._records.memory_bytes[:] = self._records.memory_bytes
+        other._memory.status = Status.OK
         return other
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        return self.__copy__()
+        return copy(self)  # settings and laws are shared
 
     def __getstate__(self) -> dict[str, Any]:
         r = self._records
+        failure = None if self._failure is None else OscContactError(str(self._failure))
         return {
-            "settings": self.settings,
-            "laws": self.laws,
+            "parts": (self.settings, self.laws, deepcopy(self._start)),
             "columns": self._custom.columns(r.model),
-            "memory": r.memory_bytes,
-            "work": r.work_bytes,
-            "given_up": self.given_up,
-            "inputs": self._inputs,
-            "start": (self._start, self._starting),
-            "failure": None if self._failure is None else str(self._failure),
+            "bytes": (r.memory_bytes, r.work_bytes),
+            "ended": {"_given_up": self.given_up, "_inputs": self._inputs, "_failure": failure},
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        settings = state["settings"]
-        self._begin(settings, state["laws"], pack_model(settings, state["columns"]))
-        self._records.memory_bytes[:] = state["memory"]
-        self._records.work_bytes[:] = state["work"]
-        self._begin_start(*state["start"])
-        self._given_up = state["given_up"]
-        self._inputs = state["inputs"]
-        why = state["failure"]
-        self._failure = None if why is None else OscContactError(why)
+        settings, laws, start = state["parts"]
+        self._begin(settings, laws, start, pack_model(settings, state["columns"]))
+        self._records.memory_bytes[:], self._records.work_bytes[:] = state["bytes"]
+        self.__dict__.update(state["ended"])
 
     def _hand_over(self) -> None:
         zeros = np.zeros(self.chain.nq)
-        six = np.zeros(6)
-        given = zeros, zeros, np.zeros((self._arms, 6)), np.eye(4), six, six, np.zeros(0)
-        self._run((*given, self._still), begin=law.HAND_OVER)
+        self._records.hold(zeros, zeros, reading=0.0, begin=HAND_OVER)

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import isfinite
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.contacts.pairs.pair import knows_where_it_slides
 from osc_contact.control.records import Settings, TickRecords, pack_model
@@ -46,10 +46,9 @@ class Laws:
         Raises:
             InvalidInputError: it returned anything but r finite numbers.
         """
-        assert self.force is not None
-        returned = self.force(alpha_d, alpha_meas)
         r = len(alpha_meas)
-        return _finite("force", returned, (r,), f"{r} finite numbers, one for each column of N")
+        words = f"{r} finite numbers, one for each column of N"
+        return self._call("force", (r,), words, alpha_d, alpha_meas)
 
     def command_motion(self, reference: Any, X_WO: Any, V_O: Array) -> Array:
         """Spatial acceleration (6,) of the custom motion law.
@@ -60,8 +59,7 @@ class Laws:
         Raises:
             InvalidInputError: it returned anything but six finite numbers.
         """
-        assert self.motion is not None
-        a = _finite("motion", self.motion(reference, X_WO, V_O), (6,), "six finite numbers")
+        a = self._call("motion", (6,), "six finite numbers", reference, X_WO, V_O)
         return classical_to_spatial(a, V_O)
 
     def command_structure(self, signals: Signals) -> tuple[Array, Array]:
@@ -70,21 +68,18 @@ class Laws:
         Raises:
             InvalidInputError: it returned anything but twice d finite numbers.
         """
-        assert self.structure is not None
         d = signals.state.d
-        expected = f"η̇_c and f_S, {d} finite numbers each"
-        eta, f_S = _finite("structure", self.structure(signals), (2, d), expected)
+        words = f"η̇_c and f_S, {d} finite numbers each"
+        eta, f_S = self._call("structure", (2, d), words, signals)
         return eta, f_S
 
-
-def _finite(law: str, returned: Any, shape: tuple[int, ...], expected: str) -> Array:
-    try:
-        array = np.asarray(returned, dtype=float)
-    except (TypeError, ValueError):
-        array = np.zeros(0)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise InvalidInputError(f"the {law} law returned {returned}: return {expected}")
-    return array
+    def _call(self, law: str, shape: tuple[int, ...], expected: str, *given: Any) -> Array:
+        returned = getattr(self, law)(*given)
+        try:
+            return as_array(law, returned, shape)
+        except InvalidInputError as error:
+            text = f"the {law} law returned {returned}: return {expected}"
+            raise InvalidInputError(text) from error
 
 
 def force_law(make: Callable[[], ForceCommand]) -> Callable[[Any], Any]:
@@ -120,18 +115,16 @@ class CustomParts:
         self.laws = laws
         self.model = pack_model(settings, {})
         head = at.MODEL.view(self.model)
-        self._pairs = [
+        self._pairs: list[tuple[int, Any]] = [
             (number, settings.contacts[number])
-            for number, row in enumerate(head.pairs)
-            if row.kind == at.GIVEN
+            for number in np.flatnonzero(head.pairs.kind == at.GIVEN).tolist()
         ]
-        self._bodies = [
+        self._bodies: list[tuple[int, Any]] = [
             (number, settings.bodies[number])
             for number, row in enumerate(head.bodies)
             if row.kind == at.ELSEWHERE and row.same == number
         ]
-        self._replaced = bool(laws.force or laws.motion or laws.structure)
-        self.needed = bool(self._pairs or self._bodies or self._replaced)
+        self.needed = bool(self._pairs or self._bodies) or laws != Laws()
 
     def columns(self, model: Any) -> dict[int, int]:
         """How many columns of N the custom pairs have in a MODEL, by number of the pair."""
@@ -155,98 +148,93 @@ class CustomParts:
             What custom code raised: then the posture is held.
         """
         laws = self.laws
+        records = controller._records
 
         def run(begin: int, stop: int, more: int = 0) -> bool:
-            controller._run(args, flags | more, begin, stop)
-            return bool(controller._records.memory.head["status"] != at.HELD)
+            records.run(args, flags | more, begin, stop)
+            return bool(records.memory.status != at.HELD)
 
-        if not run(law.LOOK, law.MEASURE, law.PARTIAL if self._pairs else 0):
+        if not run(at.LOOK, at.MEASURE, law.PARTIAL if self._pairs else 0):
             return None
-        records = controller._records
         try:
-            if self._pairs:
-                evaluated = self._evaluate(records, measurement)
-                counts = records.model.pairs["count"]
-                columns = {number: N.shape[1] for number, (N, _, _) in evaluated.items()}
-                if any(r != counts[number] for number, r in columns.items()):
-                    records = self._repack(controller, columns)
-                    if not run(law.LOOK, law.MEASURE):
-                        return None
-                for number, (N, n_gamma, points) in evaluated.items():
-                    first = records.model.pairs["first"][number]
-                    rows = records.work.columns[first : first + N.shape[1]]
-                    rows["N"] = N.T
-                    rows["n_gamma_all"] = n_gamma
-                    if points is not None:
-                        rows["point"] = points
+            evaluated = self._evaluate(records, measurement) if self._pairs else {}
+            columns = {number: N.shape[1] for number, (N, _, _) in evaluated.items()}
+            counts = records.model.pairs.count
+            if any(r != counts[number] for number, r in columns.items()):
+                records = self._repack(controller, columns)
+                if not run(at.LOOK, at.MEASURE):
+                    return None
+            for number, (N, n_gamma, points) in evaluated.items():
+                first = records.model.pairs.first[number]
+                rows = records.work.columns[first : first + N.shape[1]]
+                rows.N = N.T
+                rows.n_gamma_all = n_gamma
+                if points is not None:
+                    rows.point = points
             if self._bodies and measurement.touched is not None:
                 self._answer(records, measurement.touched)
             misfit = np.size(reference.alpha_d) != len(records.work.columns)
-            if misfit and records.memory.engaged and not run(law.LOOK, law.MEASURE):
+            if misfit and records.memory.engaged and not run(at.LOOK, at.MEASURE):
                 return None
-            if not self._replaced:
-                run(law.MEASURE, law.END)
-                return None
-            if not run(law.MEASURE, law.COMMAND, law.OWN_FORCE if laws.force else 0):
+            force = law.OWN_FORCE if laws.force else 0
+            motion = law.OWN_MOTION if laws.motion else 0
+            if not run(at.MEASURE, at.COMMAND, force):
                 return None
             work = records.work
-            given = 0
             if laws.force is not None:
                 r = int(work.rank)
                 work.alpha_u[:r] = laws.command_force(
                     work.alpha_d[:r].copy(), work.alpha_meas[:r].copy()
                 )
-                given |= law.OWN_FORCE
             if laws.motion is not None:
-                X_WO = pin.SE3(work.X_WO.copy())
+                X_WO = SE3(work.X_WO.copy())
                 work.a_u[:] = laws.command_motion(reference, X_WO, work.V_O.copy())
-                given |= law.OWN_MOTION
-            if not run(law.COMMAND, law.ALLOCATE, given):
+            if not run(at.COMMAND, at.ALLOCATE, force | motion):
                 return None
             if laws.structure is not None:
                 self._structure(records)
         except Exception as error:  # whatever custom code raises ends as a status
             controller._hold(measurement)
             return error
-        run(law.ALLOCATE, law.END)
+        run(at.ALLOCATE, at.END)
         return None
 
     def _evaluate(self, records: TickRecords, measurement: Measurement) -> dict[int, Any]:
         """N (6, r), n_γ (r,) and points (r, 3) from O, if known, of custom pairs in force."""
-        X_WO = pin.SE3(records.work.X_WO.copy())
+        X_WO = SE3(records.work.X_WO.copy())
         V_O = records.work.V_O.copy()
         touched = measurement.touched
         evaluated = {}
-        active = records.memory.contacts["active"]
         for number, pair in self._pairs:
-            if not active[number]:
+            if not records.memory.contacts.active[number]:
                 continue
-            face = () if touched is None else _face(touched, number)
+            face: tuple[Any, ...] = ()
+            if touched is not None:
+                X_WE = SE3(np.asarray(touched.X_WE[number], dtype=float))
+                face = X_WE, touched.V_E[number]
             contact = pair.contact(X_WO, V_O, *face)
-            N = contact.N
-            n_gamma = contact.n_gamma
-            if not isfinite(np.vdot(N, N) + np.vdot(n_gamma, n_gamma)):
+            columns = np.vstack((contact.N, contact.n_gamma))
+            if not np.isfinite(columns).all():
                 raise ContactError(f"{pair.name}: N or n_γ is not finite")
             if not contact.split_is_unique:
-                N = N @ contact.R
-                n_gamma = n_gamma @ contact.R
+                columns = columns @ contact.R
+            N = columns[:6]
             points = None
             if knows_where_it_slides(pair):
-                points = cast(Any, pair).points_of_contact(X_WO, *face[:1]).T - X_WO.translation
+                points = pair.points_of_contact(X_WO, *face[:1]).T - X_WO.translation
                 if len(points) != N.shape[1]:
                     raise ContactError(
                         f"{pair.name}: {len(points)} points of contact, {N.shape[1]} "
                         "independent forces; friction needs one for each"
                     )
-            evaluated[number] = (N, n_gamma, points)
+            evaluated[number] = N, columns[6], points
         return evaluated
 
     def _answer(self, records: TickRecords, touched: Touched) -> None:
         O = records.work.O.copy()  # noqa: E741
         for c, body in self._bodies:
-            assert body is not None
-            e = body.environment(pin.SE3(touched.X_WE[c]), touched.V_E[c], touched.A_E[c], O)
-            records.work.bodies.answer[c] = np.concatenate((e.Phi_e.ravel(), e.b_e, e.V_e))
+            e = body.environment(SE3(touched.X_WE[c]), touched.V_E[c], touched.A_E[c], O)
+            records.work.bodies.answer[c] = *e.Phi_e.flat, *e.b_e, *e.V_e
 
     def _repack(self, controller: Any, changed: dict[int, int]) -> TickRecords:
         """Records with other numbers of columns; the rest of the memory is kept."""
@@ -272,20 +260,15 @@ class CustomParts:
         if fill is not None:
             fill(records)
             return
-        signals = Signals(self.settings, records, 0.0, records.memory.torques)
+        signals = Signals(self.settings, records)
         eta, f_S = self.laws.command_structure(signals)
         state = signals.state
         turn = records.reflection()
         back = records.motions()
         records.work.x[:] = turn @ np.linalg.solve(back, state.S @ eta + state.sigma)
-        H = state.S.T @ state.metric @ state.S
-        wrench = state.metric @ state.S @ np.linalg.solve(H, f_S)
+        weighed = state.metric @ state.S
+        wrench = weighed @ np.linalg.solve(state.S.T @ weighed, f_S)
         records.work.f_S[:] = turn @ (back.T @ wrench)
-
-
-def _face(touched: Touched, i: int) -> tuple[Any, ...]:
-    """Pose and twist of the body at a contact."""
-    return pin.SE3(np.asarray(touched.X_WE[i], dtype=float)), touched.V_E[i]
 
 
 # Impedance and admittance control as `Laws`: for contacts that no model describes.
@@ -321,9 +304,8 @@ def impedance(stiffness: npt.ArrayLike = (1000.0, 100.0), damping_ratio: float =
     Flexible-Joint Robots, Springer, 2008 (own inertia). A. Albu-Schäffer, C. Ott, U. Frese,
     G. Hirzinger, Cartesian impedance control of redundant robots, ICRA 2003 (D).
     """
-    K = _on_axes("stiffness", stiffness)
-    ratio = _on_axes("damping_ratio", (damping_ratio, damping_ratio))[0]
-    return Laws(structure=_Impedance(K, float(ratio)))
+    ratio = _on_axes("damping_ratio", [damping_ratio] * 2)
+    return Laws(structure=_Impedance(_on_axes("stiffness", stiffness), float(ratio[0])))
 
 
 def admittance(
@@ -358,8 +340,8 @@ def admittance(
     M = _on_axes("mass", mass, positive=True)
     D = _on_axes("damping", damping)
     K = _on_axes("stiffness", stiffness)
-    rate = _on_axes("frequency", (frequency, frequency), positive=True)[0]
-    return Laws(structure=_Admittance(M, D, K, 2.0 * np.pi * float(rate)))
+    rate = _on_axes("frequency", [frequency] * 2, positive=True)
+    return Laws(structure=_Admittance(M, D, K, 2.0 * np.pi * float(rate[0])))
 
 
 def _on_axes(name: str, given: npt.ArrayLike, positive: bool = False) -> Array:
@@ -458,8 +440,8 @@ class _Admittance(_Structure):
         self.rate = pushed / (self.M + dt * (self.D + dt * self.K))  # implicit Euler: stable
         self.c = self.c + dt * self.rate
         R_c = pin.exp3(self.c[3:]) @ work.X_WD[:3, :3]
-        X_WC = pin.SE3(R_c, work.X_WD[:3, 3] + self.c[:3])
-        e = pose_error(X_WC, pin.SE3(work.X_WO.copy()))
+        X_WC = SE3(R_c, work.X_WD[:3, 3] + self.c[:3])
+        e = pose_error(X_WC, SE3(work.X_WO.copy()))
         e_dot = work.V_D + self.rate - work.V_O
         A = work.A_D + (self.rate - before) / dt
         return A + 2.0 * self.omega * e_dot + self.omega**2 * e, reading

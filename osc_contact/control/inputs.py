@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.control.records import Settings
+from osc_contact.control.records import STILL, Settings, TickRecords
 from osc_contact.errors import InvalidInputError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
+from osc_contact.law import tick as law
 from osc_contact.law.records import JOINTS, WRISTS
 from osc_contact.spatial import Array, as_array
 
@@ -24,11 +25,8 @@ def _arrays(
     """Names, values and shapes of the arrays that every tick takes."""
     n = settings.chain.nq
     k = len(settings.chain.arms)
-    yield "q", getattr(measurement, "q", None), (n,)
-    yield "v", getattr(measurement, "v", None), (n,)
-    yield "wrenches", getattr(measurement, "wrenches", None), (k, 6)
-    yield "V_D", getattr(reference, "V_D", None), (6,)
-    yield "A_D", getattr(reference, "A_D", None), (6,)
+    for name, shape in {"q": (n,), "v": (n,), "wrenches": (k, 6), "V_D": (6,), "A_D": (6,)}.items():
+        yield name, getattr(measurement, name, getattr(reference, name, None)), shape
 
 
 def require_sizes(measurement: Measurement, reference: Reference, settings: Settings) -> None:
@@ -76,22 +74,64 @@ def convert_arrays(measurement: Measurement, reference: Reference) -> tuple[Meas
     """Both with new arrays, contiguous and of double precision."""
     touched = measurement.touched
     if touched is not None:
-        touched = Touched(_double(touched.X_WE), _double(touched.V_E), _double(touched.A_E))
-    return (
-        replace(
-            measurement,
-            q=_double(measurement.q),
-            v=_double(measurement.v),
-            wrenches=_double(measurement.wrenches),
-            touched=touched,
-        ),
-        replace(
-            reference,
-            V_D=_double(reference.V_D),
-            A_D=_double(reference.A_D),
-            alpha_d=_double(reference.alpha_d, ndmin=1),
-        ),
+        touched = Touched(*map(_double, (touched.X_WE, touched.V_E, touched.A_E)))
+    q, v, wrenches, V_D, A_D = map(
+        _double,
+        (measurement.q, measurement.v, measurement.wrenches, reference.V_D, reference.A_D),
     )
+    alpha_d = _double(reference.alpha_d, ndmin=1)
+    return (
+        replace(measurement, q=q, v=v, wrenches=wrenches, touched=touched),
+        replace(reference, V_D=V_D, A_D=A_D, alpha_d=alpha_d),
+    )
+
+
+def touched_rows(touched: Touched) -> Array:
+    """(contacts, 28) X_WE by rows, V_E, A_E."""
+    count = len(touched.X_WE)
+    if len(touched.V_E) != count or len(touched.A_E) != count:
+        raise InvalidInputError(f"touched: {count} poses, but other numbers of motions")
+    table = np.empty((count, 28))
+    table[:, :16] = np.reshape(touched.X_WE, (count, 16))
+    table[:, 16:22] = touched.V_E
+    table[:, 22:] = touched.A_E
+    return table
+
+
+def read_tick(
+    records: TickRecords, measurement: Measurement, reference: Reference
+) -> tuple[tuple[Any, ...], int]:
+    """What the law's call takes in a tick, and its switches; the marks of readings go to MEMORY.
+
+    Args:
+        records: of the controller. measurement, reference: of the tick.
+    """
+    memory = records.memory
+    if measurement.estimated:
+        memory.derived = 1
+    if measurement.wrench_valid is not None and not measurement.wrench_valid:
+        memory.wrench_missing = 1
+    flags = 0
+    squeeze = reference.squeeze_d
+    memory.squeeze[:] = squeeze
+    # with three arms and more, the number 0 leaves internal forces at least effort
+    if len(memory.squeeze) > 1 and not (np.ndim(squeeze) == 0 and squeeze == 0.0):
+        flags = law.COMMANDED
+    table = STILL
+    if measurement.touched is not None:
+        table = touched_rows(measurement.touched)
+        flags |= law.MOVING
+    given = (
+        measurement.q,
+        measurement.v,
+        measurement.wrenches,
+        reference.X_WD.homogeneous,
+        reference.V_D,
+        reference.A_D,
+        reference.alpha_d,
+        table,
+    )
+    return given, flags
 
 
 def read_joints(x: Any, n: int) -> Array:
@@ -130,9 +170,7 @@ class Freshness:
         """
         stamps = measurement.stamps
         number = measurement.sequence
-        given: dict[str, float] = {}
-        if stamps is not None:
-            given = {"encoders": stamps.encoders, "wrists": stamps.wrists}
+        given = {} if stamps is None else {"encoders": stamps.encoders, "wrists": stamps.wrists}
         if number is not None:
             given["packet"] = number
         flags = 0

@@ -10,7 +10,7 @@ friction seem 1 + k_p times smaller. There is no integral: what it would remove 
 and it would wind up in every contact loss. The loop runs at its own, higher rate.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,6 +32,8 @@ class JointTorqueLoop:
         motor_inertia: (n_a,) J_m (kg m²; kg).
         tau_max: (n_a,) limits of the motors.
         settings: rate, gain k_p and damping ratio of the closed loop.
+        dt: period of the loop (s). gain: k_p. rate_gain: (n_a,) k_d (s).
+        bandwidth: (n_a,) ω√(1 + k_p) (rad/s).
 
     Raises:
         InvalidInputError: impossible numbers, or the sampled loop would be unstable.
@@ -41,10 +43,6 @@ class JointTorqueLoop:
     motor_inertia: Array
     tau_max: Array
     settings: JointTorqueSpec
-    dt: float = field(init=False)  #: period of the loop (s)
-    gain: float = field(init=False)  #: k_p
-    rate_gain: Array = field(init=False)  #: (n_a,) k_d (s)
-    bandwidth: Array = field(init=False)  #: (n_a,) ω√(1 + k_p) (rad/s)
 
     def __post_init__(self) -> None:
         n = len(self.tau_max)
@@ -84,26 +82,19 @@ class JointTorqueLoop:
 
         States τ, τ̇ of the joint (exact over one period, u held) and the two of the estimate.
         """
+        dt = self.dt
         radii = []
-        for K, J, k_d, a, b in zip(
-            self.stiffness, self.motor_inertia, self.rate_gain, *self._rate.gains(), strict=True
-        ):
+        of_joints = self.stiffness, self.motor_inertia, self.rate_gain
+        for K, J, k_d, a, b in zip(*of_joints, self._rate.alpha, self._rate.beta, strict=True):
             w = float(np.sqrt(K / J))
-            dt = self.dt
             c = np.cos(w * dt)
             s = np.sin(w * dt)
-            joint = np.array([[c, s / w], [-w * s, c]])
             push = np.array([1.0 - c, w * s])
-            # estimate: x̂⁻ = (τ̂ + τ̂̇ dt, τ̂̇), x̂ = x̂⁻ + (a, b/dt)(τ − τ̂⁻)
-            keep = np.array([[1 - a, (1 - a) * dt], [-b / dt, 1 - b]])
-            take = np.array([a, b / dt])
-            # u from the estimate after it has seen τ
-            u_joint = np.array([-self.gain - k_d * take[1], 0.0])
-            u_estimate = -k_d * keep[1]
             A = np.zeros((4, 4))
-            A[:2, :2] = joint + np.outer(push, u_joint)
-            A[:2, 2:] = np.outer(push, u_estimate)
-            A[2:, :2] = np.outer(take, [1.0, 0.0])
-            A[2:, 2:] = keep
+            A[:2, :2] = [[c, s / w], [-w * s, c]]
+            # estimate: x̂⁻ = (τ̂ + τ̂̇ dt, τ̂̇), x̂ = x̂⁻ + (a, b/dt)(τ − τ̂⁻)
+            A[2:] = [[a, 0.0, 1 - a, (1 - a) * dt], [b / dt, 0.0, -b / dt, 1 - b]]
+            # u from the estimate after it has seen τ
+            A[:2] -= np.outer(push, k_d * A[3] + [self.gain, 0.0, 0.0, 0.0])
             radii.append(np.abs(np.linalg.eigvals(A)).max())
         return np.array(radii)

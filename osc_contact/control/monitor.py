@@ -57,9 +57,8 @@ class ContactMonitor:
         x = self.limits
         for row, force, pace in zip(self.rows, alpha.tolist(), speed.tolist(), strict=True):
             _monitor(x, row, force, pace, self.dt, x.dwell, 0.0)
-        flags = np.array([(row.closed, row.collision) for row in self.rows], dtype=bool)
-        closed, collision = flags.reshape(-1, 2).T
-        return MonitorState(closed, collision)
+        flags = np.array([[row.closed, row.collision] for row in self.rows], dtype=bool)
+        return MonitorState(*flags.reshape(-1, 2).T)
 
 
 def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[Array, Array]:
@@ -74,6 +73,7 @@ def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[A
     closed = np.ones(alpha.shape, dtype=bool)
     collision = np.zeros(alpha.shape, dtype=bool)
     low = np.flatnonzero((alpha < monitor.limits.force_off).any(axis=1))
+    low = np.append(low, len(alpha))
     k = 0
     while k < len(alpha):
         seen = monitor.update(alpha[k], speed[k])
@@ -81,6 +81,5 @@ def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[A
         collision[k] = seen.collision
         k += 1
         if monitor.calm:
-            coming = np.searchsorted(low, k)
-            k = int(low[coming]) if coming < len(low) else len(alpha)
+            k = int(low[np.searchsorted(low, k)])
     return closed, collision

@@ -1,6 +1,5 @@
 """Why a tick was held, in words: sentences of the law, filled in when they are read."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,41 +14,57 @@ from osc_contact.law.command_filter import UNREACHABLE
 from osc_contact.law.reasons import LASTING, SENTENCES
 from osc_contact.law.tick import BAD_INPUT, STOPPED
 
-#: Values of sentences, of the joint, arm or column at fault i, or of where the geometry fails.
-_FACTS: dict[str, Callable[[TickRecords, Settings, int], Any]] = {
-    "joint": lambda rows, given, i: given.chain.joint_names[i],
-    "speed": lambda rows, given, i: given.chain.model.velocityLimit[i],
-    "low": lambda rows, given, i: given.chain.model.lowerPositionLimit[i],
-    "high": lambda rows, given, i: given.chain.model.upperPositionLimit[i],
-    "arm": lambda rows, given, i: given.chain.arms[i].name,
-    "contact": lambda rows, given, i: _contact(rows, given, i),
-    "force": lambda rows, given, i: float(rows.memory.columns.alpha[i]),
-    "safety": lambda rows, given, i: given.safety,
-    "closure_mm": lambda rows, given, i: 1e3 * given.safety.closure_error,
-    "head": lambda rows, given, i: rows.model,
-    "amount": lambda rows, given, i: float(rows.work.amount),
-    "column": lambda rows, given, i: int(rows.work.where),
-    "column_contact": lambda rows, given, i: _contact(rows, given, int(rows.work.where)),
-    "n_gamma": lambda rows, given, i: float(rows.work.columns.n_gamma_all[int(rows.work.where)]),
-    "kept": lambda rows, given, i: int(rows.kept()[int(rows.work.where)]),
-    "kept_contact": lambda rows, given, i: _contact(
-        rows, given, int(rows.kept()[int(rows.work.where)])
-    ),
-}
-
-
-def _contact(records: TickRecords, settings: Settings, column: int) -> str:
-    return settings.contacts[records.model.columns.contact[column]].name
-
 
 class _Facts(dict[str, Any]):
     """The values that a sentence names, each found as it is named."""
 
     def __init__(self, records: TickRecords, settings: Settings) -> None:
-        self.where = (records, settings, int(records.memory.culprit))
+        self.rows = records
+        self.settings = settings
 
     def __missing__(self, name: str) -> Any:
-        return _FACTS[name](*self.where)
+        """Of the joint, arm or column at fault i, or of the column where the geometry fails."""
+        rows = self.rows
+        chain = self.settings.chain
+        i = int(rows.memory.culprit)
+        where = int(rows.work.where)
+        match name:
+            case "joint":
+                return chain.joint_names[i]
+            case "speed":
+                return chain.model.velocityLimit[i]
+            case "low":
+                return chain.model.lowerPositionLimit[i]
+            case "high":
+                return chain.model.upperPositionLimit[i]
+            case "arm":
+                return chain.arms[i].name
+            case "contact":
+                return self._contact(i)
+            case "force":
+                return float(rows.memory.columns.alpha[i])
+            case "safety":
+                return self.settings.safety
+            case "closure_mm":
+                return 1e3 * self.settings.safety.closure_error
+            case "head":
+                return rows.model
+            case "amount":
+                return float(rows.work.amount)
+            case "column":
+                return where
+            case "column_contact":
+                return self._contact(where)
+            case "n_gamma":
+                return float(rows.work.columns.n_gamma_all[where])
+            case "kept":
+                return int(rows.kept()[where])
+            case "kept_contact":
+                return self._contact(rows.kept()[where])
+        raise KeyError(name)
+
+    def _contact(self, column: int) -> str:
+        return self.settings.contacts[self.rows.model.columns.contact[column]].name
 
 
 def explain(
@@ -66,6 +81,12 @@ def explain(
         measurement, reference: what came in. failure: error of Python code called in it.
     """
     code = int(records.work.reason)
+    warning = ""
+    if joint := unbraked_joint(records, settings):
+        warning = (
+            f". No sound reading of joint {joint} is left: its motor "
+            "cannot brake it reliably, engage the mechanical brakes"
+        )
     facts = _Facts(records, settings)
     if code == STOPPED:
         cause = int(records.memory.cause)
@@ -75,9 +96,9 @@ def explain(
         elif cause != BAD_INPUT:
             why = SENTENCES.get(cause, "").format_map(facts)
         why = why or "code called in the tick failed"
-        return f"stopped, until reset() is called. Cause: {why}{_unbraked(records, settings)}"
+        return f"stopped, until reset() is called. Cause: {why}{warning}"
     if failure is not None:
-        return f"{failure}{_unbraked(records, settings)}"
+        return f"{failure}{warning}"
     if code == BAD_INPUT:
         try:
             require_sizes(measurement, reference, settings)
@@ -92,12 +113,8 @@ def explain(
     return SENTENCES[code].format_map(facts) + lasting
 
 
-def _unbraked(records: TickRecords, settings: Settings) -> str:
-    """A sentence about a stopped joint without any sound reading; empty: there is none."""
+def unbraked_joint(records: TickRecords, settings: Settings) -> str | None:
+    """A stopped joint without any sound reading, or None."""
     joint = int(records.memory.unbraked)
-    if joint < 0 or records.memory.state != at.SAFE_STOP:
-        return ""
-    return (
-        f". No sound reading of joint {settings.chain.joint_names[joint]} is left: its motor "
-        "cannot brake it reliably, engage the mechanical brakes"
-    )
+    stopped = joint >= 0 and records.memory.state == at.SAFE_STOP
+    return settings.chain.joint_names[joint] if stopped else None

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs import ContactPair, FaceOnVertex
-from osc_contact.contacts.pairs.law_pair import PairRow, law_row
-from osc_contact.contacts.pairs.pair import count_forces, knows_where_it_slides, pushes_only
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.law_pair import FaceOnVertex, PairRow, law_row
+from osc_contact.contacts.pairs.pair import (
+    count_forces,
+    knows_where_it_slides,
+    pushes_only,
+    store,
+)
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
 from osc_contact.control.status import LostDirection
 from osc_contact.dynamics.arm import effort_scale
@@ -22,6 +27,7 @@ from osc_contact.dynamics.environment import Body, Cart, Conveyor, Yielding
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.law import records as at
 from osc_contact.law import vectors
+from osc_contact.law.compiled import rows as law_rows
 from osc_contact.law.records import Bytes, Rows, new_model, views
 from osc_contact.law.safety import BRAKE_RATE, SURE
 from osc_contact.robots.model import position_limits
@@ -70,17 +76,17 @@ class Settings:
 
     chain: ClosedChain
     contacts: Sequence[ContactPair]
-    gains: Gains = field(default_factory=Gains)
-    dt: float = 1e-3
-    B: Array | str = "object"
-    bodies: Sequence[Body | None] = ()
-    posture: Array = field(default_factory=lambda: np.zeros(0))
-    posture_task: PostureTask = field(default_factory=PostureTask)
-    friction: Friction | None = None
-    phases: PhaseSettings | None = None
-    safety: SafetySettings = field(default_factory=SafetySettings)
-    joint_friction: JointFriction | None = field(default_factory=JointFriction)
-    reading: Reading | None = None
+    gains: Gains
+    dt: float
+    B: Array | str
+    bodies: Sequence[Body | None]
+    posture: Array | None
+    posture_task: PostureTask
+    friction: Friction | None
+    life: PhaseSettings | None
+    safety: SafetySettings
+    joint_friction: JointFriction | bool | None
+    reading: Reading | None
 
     def __post_init__(self) -> None:
         chain = self.chain
@@ -92,35 +98,41 @@ class Settings:
                     f"B = '{self.B}'; give 'object', 'chain' or a (6, 6) matrix"
                 )
         else:
-            object.__setattr__(self, "B", _definite(as_array("B", self.B, (6, 6))))
+            store(self, B=_definite(as_array("B", self.B, (6, 6))))
+        contacts = tuple(self.contacts)
         blind = [arm.name for arm in chain.arms if arm.wrist_sensor is None]
-        if self.contacts and blind:
+        if contacts and blind:
             raise InvalidInputError(
                 "contact forces are measured in the wrists of all arms together, but "
                 f"{blind} have no wrist_sensor; name its frame when loading the arm"
             )
-        object.__setattr__(self, "contacts", tuple(self.contacts))
-        bodies = tuple(self.bodies) or (None,) * len(self.contacts)
-        if len(bodies) != len(self.contacts):
+        bodies = tuple(self.bodies) or (None,) * len(contacts)
+        if len(bodies) != len(contacts):
             raise InvalidInputError(
-                f"{len(self.contacts)} contacts but {len(bodies)} bodies; give one for each contact"
+                f"{len(contacts)} contacts but {len(bodies)} bodies; give one for each contact"
             )
-        object.__setattr__(self, "bodies", bodies)
-        if len(self.posture):
+        posture = np.zeros(chain.nq)
+        if self.posture is not None:
             posture = as_array("posture", self.posture, (chain.nq,))
             lower, upper = position_limits(chain.model)
             with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
                 beyond = GOAL_BEYOND * (upper - lower)
             require_in_range("posture", chain, posture, beyond)
-        else:
-            posture = np.zeros(chain.nq)
-        object.__setattr__(self, "posture", posture)
-        if self.friction is not None:
-            _require_known_points(self.contacts)
-        joint_friction = choose_learning(self.joint_friction, chain)
-        object.__setattr__(self, "joint_friction", joint_friction)
-        reading = choose_reading(self.reading, self.contacts, bodies)
-        object.__setattr__(self, "reading", reading)
+        for pair in contacts:
+            if self.friction is not None and not knows_where_it_slides(pair):
+                raise InvalidInputError(
+                    f"contact '{pair.name}' is a {type(pair).__name__}, which has no points of "
+                    "contact, so its friction is not known. Leave control.friction out, or give "
+                    "the pair a method points_of_contact(X_WO, X_WE)"
+                )
+        store(
+            self,
+            contacts=contacts,
+            bodies=bodies,
+            posture=posture,
+            joint_friction=choose_learning(self.joint_friction, chain),
+            reading=choose_reading(self.reading, contacts, bodies),
+        )
         if self.gains.force.integral * self.dt >= 1.0:
             raise InvalidInputError(
                 f"force gain integral = {self.gains.force.integral:g} 1/s at a period of "
@@ -173,8 +185,10 @@ def choose_reading(
     return "least_squares" if unique else "filter"
 
 
-def choose_learning(how: JointFriction | None, chain: ClosedChain) -> JointFriction | None:
+def choose_learning(how: JointFriction | bool | None, chain: ClosedChain) -> JointFriction | None:
     """What is requested; `learning` None becomes whether a motor's friction exceeds the noise."""
+    if isinstance(how, bool):
+        how = JointFriction() if how else None
     if how is None or how.learning is not None:
         return how
     model = chain.model
@@ -194,29 +208,19 @@ def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -
             planes.extend((*into, height, 0.0) for into, height in columns)
         elif isinstance(pair, FaceOnVertex):
             planes.append((*pair.normal, float(pair.normal @ pair.point), 1.0))
-        elif len(pairs) > 1 or count_forces(pair) > 1:
-            return False
         else:
-            planes.append((0.0,) * 5)  # one point
+            return len(pairs) == count_forces(pair) == 1  # one point
     return bool(np.ptp(np.array(planes), axis=0).max() < _SAME)
 
 
-def _require_known_points(pairs: Sequence[ContactPair]) -> None:
-    """Refuse contacts that do not know where they touch.
-
-    Raises:
-        InvalidInputError: with the contact's name.
-    """
-    for pair in pairs:
-        if not knows_where_it_slides(pair):
-            raise InvalidInputError(
-                f"contact '{pair.name}' is a {type(pair).__name__}, which has no points of "
-                "contact, so its friction is not known. Leave control.friction out, or give the "
-                "pair a method points_of_contact(X_WO, X_WE)"
-            )
-
-
 _GIVEN = PairRow(at.GIVEN, ())
+#: Bodies that the law evaluates, and their parameters.
+_BODIES: dict[type, tuple[int, tuple[str, ...]]] = {
+    type(None): (at.UNYIELDING, ()),
+    Conveyor: (at.CONVEYOR, ()),
+    Yielding: (at.YIELDING, ("compliance",)),
+    Cart: (at.CART, ("direction", "mass", "stiffness", "damping", "preload", "descent")),
+}
 _NEVER = 1e12  #: ticks
 _WHOLE = np.pi  #: rad or m; a larger range of a joint, or one that is open, counts as this much
 #: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
@@ -251,8 +255,10 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
     pack_chain(chain, raw, chain.leader)
     _pack_joints(settings, head)
     first_column = first_shape = 0
-    bodies = _body_kinds(settings.bodies)
-    for number, (row, r) in enumerate(zip(pairs, counts, strict=True)):
+    for number, row in enumerate(pairs):
+        r = counts[number]
+        contact = settings.contacts[number]
+        touched = settings.bodies[number]
         pair = head.pairs[number]
         body = head.bodies[number]
         pair.kind = row.kind
@@ -261,15 +267,16 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
         pair.shape_at = first_shape
         pair.freedoms = row.freedoms
         pair.address = row.address
-        pair.has_friction = knows_where_it_slides(settings.contacts[number])
+        pair.has_friction = knows_where_it_slides(contact)
         head.columns.contact[first_column : first_column + r] = number
-        body.pushes = pushes_only(settings.contacts[number])
-        body.kind, body.same, numbers = bodies[number]
+        body.pushes = pushes_only(contact)
+        body.kind, names = _BODIES.get(type(touched), (at.ELSEWHERE, ()))
+        body.same = number if touched is None else settings.bodies.index(touched)
+        numbers = np.hstack([[], *(getattr(touched, name) for name in names)])
         body.parameters[: len(numbers)] = numbers
         first_column += r
         first_shape += len(row.shapes)
-    for place, shape in zip(head.shapes, shapes, strict=True):
-        place.row[:] = shape
+    head.shapes.row[:] = np.reshape(shapes, (-1, 16))
     pack_gains(settings, head)
     pack_safety(settings, head)
     return raw
@@ -311,10 +318,10 @@ def pack_gains(settings: Settings, head: Any) -> None:
     kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
     head.metric = kinds[B] if isinstance(B, str) else at.BY_MATRIX
     head.B_inv[:] = np.eye(6) if isinstance(B, str) else np.linalg.inv(B)
-    head.phased = settings.phases is not None
-    if settings.phases is not None:
+    head.phased = settings.life is not None
+    if settings.life is not None:
         _copy(
-            settings.phases,
+            settings.life,
             head,
             speed="approach_speed",
             damping="approach_damping",
@@ -364,7 +371,7 @@ def _pack_joints(settings: Settings, head: Any) -> None:
 
 def _pack_friction(settings: Settings, head: Any) -> None:
     """Friction of the joints as the model has it, and how far it may be learned otherwise."""
-    how = settings.joint_friction
+    how: Any = settings.joint_friction
     if how is None:
         return
     model = settings.chain.model
@@ -419,27 +426,8 @@ def _copy(settings: Spec, head: Any, **names: str) -> None:
             setattr(head, name, getattr(settings, key))
 
 
-def _body_kinds(bodies: Sequence[Body | None]) -> list[tuple[int, int, list[float]]]:
-    """Kind, first contact on the same body, parameters."""
-    out: list[tuple[int, int, list[float]]] = []
-    numbers: dict[Any, int] = {}
-    for c, body in enumerate(bodies):
-        if body is None:
-            out.append((at.UNYIELDING, c, []))
-            continue
-        same = numbers.setdefault(body, c)
-        if type(body) is Conveyor:
-            out.append((at.CONVEYOR, same, []))
-        elif type(body) is Yielding:
-            out.append((at.YIELDING, same, [body.compliance]))
-        elif type(body) is Cart:
-            u = body.direction
-            weight = float(u @ np.array(body.gravity))
-            numbers_of = [*u, body.mass, body.stiffness, body.damping, body.preload, weight]
-            out.append((at.CART, same, [float(x) for x in numbers_of]))
-        else:
-            out.append((at.ELSEWHERE, same, []))
-    return out
+STILL = np.zeros((0, 28))  #: motion of the touched bodies where all of them rest
+_WHOLE_TICK = 0, at.LOOK, at.END
 
 
 class TickRecords:
@@ -448,7 +436,6 @@ class TickRecords:
     Attributes:
         rows: the bytes; index, thread: which row of them, whose WORK. at: of its JOB.
         model, memory, work: views, see `law.tables`; model_bytes, memory_bytes, work_bytes.
-        job: words of JOB, `switches`, `begin` and `stop` first.
     """
 
     def __init__(self, rows: Rows | Bytes, index: int = 0, thread: int = 0) -> None:
@@ -459,8 +446,34 @@ class TickRecords:
         self.model_bytes: Bytes = rows.model[index]
         self.memory_bytes: Bytes = rows.memory[index]
         self.work_bytes: Bytes = rows.work[thread]
-        self.job = rows.jobs[thread].view(np.int64)
+        self._job = rows.jobs[thread].view(np.int64)  # `switches`, `begin` and `stop` first
         self.model, self.memory, self.work, _ = views(rows, index, thread)
+
+    def run(
+        self, given: tuple[Any, ...], flags: int = 0, begin: int = at.LOOK, stop: int = at.END
+    ) -> int:
+        """Parts of a tick; what the law's call returns, of one row 2 where it ended OK.
+
+        Args:
+            given: q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched. flags: switches of `law.tick`.
+            begin, stop: first part, and the one before which it ends.
+        """
+        self._job[:3] = flags, begin, stop
+        try:
+            return int(law_rows()(self.rows.raw, 0, *given))
+        finally:
+            self._job[:3] = _WHOLE_TICK
+
+    def hold(self, q: Array, v: Array, reading: float = np.nan, begin: int = at.LOOK) -> None:
+        """Run a tick, or its part `begin`, that has no reference.
+
+        Args:
+            q, v: (n,). reading: of all wrists; NaN: the tick cannot be computed.
+            begin: as in `run`.
+        """
+        wrenches = np.full((len(self.model.arms), 6), reading)
+        six = np.zeros(6)
+        self.run((q, v, wrenches, np.eye(4), six, six, np.zeros(0), STILL), begin=begin)
 
     def copy(self) -> TickRecords:
         """The same in separate bytes."""
@@ -468,10 +481,6 @@ class TickRecords:
         other.memory_bytes[:] = self.memory_bytes
         other.work_bytes[:] = self.work_bytes
         return other
-
-    def bar_basis(self) -> Array:
-        """(bars, bars) whose first columns are the settable bar forces, see `law.linkage`."""
-        return np.asarray(self.work.basis)
 
     # --- energy coordinates, turned, and back ----------------------------------------------------
 

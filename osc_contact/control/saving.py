@@ -6,28 +6,28 @@ import os
 import zlib
 from itertools import pairwise
 from pathlib import Path
+from struct import Struct
 from typing import Any, Self
 
 import numpy as np
 
+from osc_contact.control.inputs import convert_arrays, read_tick
 from osc_contact.control.records import TickRecords
 from osc_contact.control.status import SafetyState, Status
-from osc_contact.control.torque_limits import MotorLimits
+from osc_contact.control.torque_limits import MotorLimits, relieve
 from osc_contact.errors import InvalidInputError, SolverError
 from osc_contact.files import whole_file
 from osc_contact.interface import Measurement, Reference
-from osc_contact.law import limits, records, tick
-from osc_contact.law.compiled import rows
+from osc_contact.law import limits, records
 from osc_contact.law.library import law_hash
 from osc_contact.law.limits import TorqueLimits
 from osc_contact.law.nested import Bytes, Nested
 from osc_contact.spatial import Array
 
-__all__ = ["SavedController", "controller_bytes", "save_controller", "touched_rows"]
-
 MAGIC = b"OSCCTRL1"
 FORMAT = 1
-HEAD = 96  #: bytes: magic, format (u32), 0 (u32), law (64), sizes of the two parts (u64)
+_HEAD = Struct("<8sI4x64s2Q")  #: magic, format, law, sizes of the two parts
+HEAD = _HEAD.size
 
 
 def controller_bytes(controller: Any) -> bytes:
@@ -50,15 +50,7 @@ def controller_bytes(controller: Any) -> bytes:
         )
     program = MotorLimits(controller.settings, own.model).program
     parts = [own.rows.raw.tobytes(), program.raw.tobytes()]
-    head = b"".join(
-        (
-            MAGIC,
-            FORMAT.to_bytes(4, "little"),
-            bytes(4),
-            law_hash().encode(),
-            *(len(part).to_bytes(8, "little") for part in parts),
-        )
-    )
+    head = _HEAD.pack(MAGIC, FORMAT, law_hash().encode(), *map(len, parts))
     content = b"".join((head, *parts))
     return content + zlib.crc32(content).to_bytes(4, "little")
 
@@ -91,7 +83,6 @@ class SavedController:
         raw, program = _parts(content)
         if not _is_whole(raw, program):
             raise InvalidInputError("the file is damaged: records do not lie as their sizes say")
-        self._call = rows()
         model = raw[int(records.JOB.view(raw).model) :]
         self._records = TickRecords(model[: records.MODEL.view(model).row_bytes])
         self._records.rows.raw[:] = raw
@@ -113,49 +104,14 @@ class SavedController:
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """Motor torques (n_a,) for one control period, see `Controller.tick`."""
-        memory = self._records.memory
-        squeeze = reference.squeeze_d
-        flags = 0
-        touched = np.zeros((0, 28))
-        memory.squeeze[:] = squeeze
-        if len(self._records.model.arms) > 2 and not (np.ndim(squeeze) == 0 and squeeze == 0.0):
-            flags |= tick.COMMANDED
-        if measurement.touched is not None:
-            touched = touched_rows(measurement.touched)
-            flags |= tick.MOVING
-        if measurement.estimated:
-            memory.derived = 1
-        if measurement.wrench_valid is not None and not measurement.wrench_valid:
-            memory.wrench_missing = 1
-        given = [
-            np.ascontiguousarray(x, dtype=float)
-            for x in (
-                measurement.q,
-                measurement.v,
-                measurement.wrenches,
-                reference.X_WD.homogeneous,
-                reference.V_D,
-                reference.A_D,
-                reference.alpha_d,
-            )
-        ]
-        self._run(given, touched, flags)
+        given, flags = read_tick(self._records, *convert_arrays(measurement, reference))
+        self._records.run(given, flags)
         if self.status is Status.SATURATED:
-            place = (self._records.rows.raw, 0, 0, self._limits.raw)
             try:
-                limits.fill_program(*place)
-                self._limits.solve(*self._limits.counts.tolist())
-                limits.settle(*place)
+                relieve(self._limits, self._records)
             except SolverError:
-                given[3] = np.full((4, 4), np.nan)
-                self._run(given, np.zeros((0, 28)), 0)
-        return np.array(memory.torques)
-
-    def _run(self, given: list[Array], touched: Array, flags: int) -> None:
-        job = self._records.job
-        job[0] = flags
-        self._call(self._records.rows.raw, 0, *given, touched)
-        job[0] = 0
+                self._records.hold(*given[:2])
+        return np.array(self._records.memory.torques)
 
     @property
     def status(self) -> Status:
@@ -168,28 +124,20 @@ class SavedController:
         return SafetyState(int(self._records.memory.state))
 
 
-def touched_rows(touched: Any) -> Array:
-    """(contacts, 28) X_WE by rows, V_E, A_E."""
-    count = len(touched.X_WE)
-    return np.hstack([np.reshape(touched.X_WE, (count, 16)), touched.V_E, touched.A_E])
-
-
 def _parts(content: bytes) -> list[Any]:
     """The two parts of a file, checked."""
     if len(content) < HEAD + 4 or content[:8] != MAGIC:
         raise InvalidInputError("no controller: such a file begins with OSCCTRL1")
-    form = int.from_bytes(content[8:12], "little")
+    _, form, law, *sizes = _HEAD.unpack(content[:HEAD])
     if form != FORMAT:
         raise InvalidInputError(f"a controller of format {form}; this version reads {FORMAT}")
     if zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little"):
         raise InvalidInputError("the file is damaged: its checksum does not fit")
-    law = content[16:80].decode()
-    if law != law_hash():
+    if law.decode() != law_hash():
         raise InvalidInputError(
-            f"written with the law {law[:12]}, but this one is {law_hash()[:12]}: the records may "
-            "differ. Save the controller again with this version"
+            f"written with the law {law.decode()[:12]}, but this one is {law_hash()[:12]}: the "
+            "records may differ. Save the controller again with this version"
         )
-    sizes = [int.from_bytes(content[at : at + 8], "little") for at in (80, 88)]
     if sum(sizes) + HEAD + 4 != len(content):
         raise InvalidInputError("the file is damaged: its sizes do not fit")
     numbers = np.frombuffer(content, np.uint8)

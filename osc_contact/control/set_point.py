@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
+from pinocchio import SE3
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Reference, as_squeeze
@@ -92,14 +93,14 @@ class PoseSetPoint:
         InvalidInputError: start, limits or dt are not finite, of wrong shape or out of range.
     """
 
-    def __init__(self, start: pin.SE3, linear: JerkLimits, angular: JerkLimits, dt: float) -> None:
+    def __init__(self, start: SE3, linear: JerkLimits, angular: JerkLimits, dt: float) -> None:
         self._dt = _period(dt)
         bounds = zip(linear.each(3), angular.each(3), strict=True)
         velocity, acceleration, jerk = (moving + turning for moving, turning in bounds)
         self._bounds = (velocity, acceleration, jerk)
         self.reset(start)
 
-    def reset(self, X: pin.SE3) -> None:
+    def reset(self, X: SE3) -> None:
         """Rest at X from now on, wherever it was: at the start, or after the arm was held."""
         self._goal = _pose("start", X)
         self._base: Array = self._goal.rotation
@@ -109,7 +110,7 @@ class PoseSetPoint:
 
     def step(
         self,
-        goal: pin.SE3 | None = None,
+        goal: SE3 | None = None,
         alpha_d: ArrayLike = (),
         squeeze_d: float | Array = 0.0,
     ) -> Reference:
@@ -124,20 +125,20 @@ class PoseSetPoint:
         """
         forces = as_array("alpha_d", alpha_d, (None,))
         squeeze = as_squeeze("squeeze_d", squeeze_d)
-        if goal is not None and not (isinstance(goal, pin.SE3) and goal == self._goal):
+        if goal is not None and not (isinstance(goal, SE3) and goal == self._goal):
             self._aim(_pose("goal", goal))
         self._trajectory.advance(self._dt)
         x, v, a = self._trajectory.state
         R, omega, omega_dot = rotation_of(x[3:], v[3:], a[3:])
         return Reference(
-            pin.SE3(R @ self._base, x[:3]),
+            SE3(R @ self._base, x[:3]),
             np.concatenate((v[:3], omega)),
             np.concatenate((a[:3], omega_dot)),
             forces,
             squeeze,
         )
 
-    def _aim(self, goal: pin.SE3) -> None:
+    def _aim(self, goal: SE3) -> None:
         """Begin a new way at the present state; at w = 0, ẇ = ω and ẅ = ω̇."""
         x, v, a = self._trajectory.state
         R, v[3:], a[3:] = rotation_of(x[3:], v[3:], a[3:])
@@ -162,8 +163,8 @@ def _period(dt: float) -> float:
     return period
 
 
-def _pose(name: str, X: pin.SE3) -> pin.SE3:
-    if not isinstance(X, pin.SE3):
+def _pose(name: str, X: SE3) -> SE3:
+    if not isinstance(X, SE3):
         raise InvalidInputError(f"{name}: expected a pin.SE3, got {type(X).__name__}")
     return as_pose(name, X.translation, X.rotation)
 

@@ -8,7 +8,7 @@ its axes or the payload is wrong, or a tare is missing.
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.control.records import Settings
 from osc_contact.dynamics.assembly import require_in_range
@@ -30,22 +30,27 @@ class StartCheck:
     """The first ticks of one controller, until all is compared.
 
     Attributes:
+        done: whether nothing is left to be looked at.
         refused: why the controller does not run; empty: nothing is wrong so far.
         readings: (6,) wrist readings less what the model predicts, at O, one for each tick.
         expected: (6,) what it predicts, as of the last tick.
     """
 
-    def __init__(self, refused: str = "") -> None:
-        self.refused = refused
+    def __init__(self) -> None:
+        self.done = False
+        self.refused = ""
         self.inside = False
         self.readings: list[Array] = []
         self.expected = np.zeros(6)
 
-    def is_done(self, controller: Any, measurement: Measurement) -> bool:
+    def look(self, controller: Any, measurement: Measurement) -> bool:
         """Look at the joints as they are now, and at the wrists as of the last computed tick.
 
         Args:
             controller: the `Controller` whose records hold that tick. measurement: of now.
+
+        Returns:
+            `done`.
 
         Raises:
             InvalidInputError: joints outside their limits, or a wrist that reads another load.
@@ -55,32 +60,27 @@ class StartCheck:
         settings = controller.settings
         rows = controller._records
         if not self.inside:
-            model = settings.chain.model
-            lower, upper = position_limits(model)
+            lower, upper = position_limits(settings.chain.model)
             beyond = RANGE * upper - RANGE * lower
             require_in_range("measured q", settings.chain, measurement.q, beyond)
             self.inside = True
-        if not settings.contacts or settings.safety.load_error == np.inf:
-            return True
-        if not rows.memory.ticked or rows.work.reason:
-            return False
-        if not is_clear(settings, rows):
-            self.readings = self.readings if len(self.readings) >= FEWEST else []
-            return self._end(controller)
-        inertial = np.zeros(6)
-        inertial[:3] = outboard_mass(settings.chain) * rows.work.A_D[:3]
-        self.readings.append(controller.residual_wrench() - inertial)
-        self.expected = controller.result().bias_out.copy()
-        if len(self.readings) < max(FEWEST, WINDOW_S / settings.dt):
-            return False
-        return self._end(controller)
-
-    def _end(self, controller: Any) -> bool:
-        """All readings are there; those of free objects are judged by `engage`, without a tare."""
-        if controller.engaged:
-            self.judge(controller)
-        if self.refused:
-            raise InvalidInputError(self.refused)
+        if settings.contacts and settings.safety.load_error < np.inf:
+            if not rows.memory.ticked or rows.work.reason:
+                return False
+            if is_clear(settings, rows):
+                inertial = np.zeros(6)
+                inertial[:3] = outboard_mass(settings.chain) * rows.work.A_D[:3]
+                self.readings.append(controller.residual_wrench() - inertial)
+                self.expected = controller.result().bias_out.copy()
+                if len(self.readings) < max(FEWEST, WINDOW_S / settings.dt):
+                    return False
+            elif len(self.readings) < FEWEST:
+                self.readings = []
+            if controller.engaged:  # else `engage` judges
+                self.judge(controller)
+            if self.refused:
+                raise InvalidInputError(self.refused)
+        self.done = True
         return True
 
     def judge(self, controller: Any) -> None:
@@ -91,6 +91,7 @@ class StartCheck:
         if self.readings and not controller.f_tare.any():
             error = np.median(self.readings, axis=0)
             self.refused = judge_load(controller.settings, error, self.expected)
+            self.done = self.done and not self.refused
 
 
 def is_clear(settings: Settings, rows: Any) -> bool:
@@ -99,13 +100,10 @@ def is_clear(settings: Settings, rows: Any) -> bool:
     Args:
         settings: with the contacts. rows: `TickRecords` of a tick that was computed.
     """
-    X_WO = pin.SE3(np.array(rows.work.X_WO))
-    for i, pair in enumerate(settings.contacts):
-        X_WE = None
-        if rows.work.moving:
-            X_WE = pin.SE3(np.reshape(rows.work.bodies.motion[i, :16], (4, 4)).copy())
-        gaps = pair.gaps(X_WO, X_WE)
-        if len(gaps) and not np.min(np.abs(gaps)) > CLEAR:
+    X_WO = SE3(np.array(rows.work.X_WO))
+    for pair, motion in zip(settings.contacts, rows.work.bodies.motion, strict=True):
+        X_WE = SE3(motion[:16].reshape(4, 4).copy()) if rows.work.moving else None
+        if not (np.abs(pair.gaps(X_WO, X_WE)) > CLEAR).all():
             return False
     return True
 
@@ -126,8 +124,8 @@ def judge_load(settings: Settings, error: Array, expected: Array) -> str:
     chain = settings.chain
     most = settings.safety.load_error
     tips = [link.inertia.lever for links in chain.outboard for link in links]
-    lever = max([LEVER, *(norm(c) for c in tips)])
-    force, torque = (norm(part) for part in (error[:3], error[3:]))
+    lever = max([LEVER, *map(norm, tips)])
+    force, torque = map(norm, np.split(error, 2))
     if force <= most and torque <= most * lever:
         return ""
     weight = norm(expected[:3])

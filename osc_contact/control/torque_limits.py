@@ -9,6 +9,19 @@ from osc_contact.control.status import LimitLoss
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.law.limits import TorqueLimits, fill_program, settle
 
+
+def relieve(program: TorqueLimits, rows: TickRecords) -> None:
+    """Torques within the limits that lose least; the force integral follows.
+
+    Raises:
+        SolverError: none were found.
+    """
+    place = (rows.rows.raw, rows.at, rows.index, program.raw)
+    fill_program(*place)
+    program.solve(*program.counts.tolist())
+    settle(*place)
+
+
 NEAR_SINGULAR = 2  #: motions that a singular posture may add to those of a redundant arm
 
 
@@ -24,18 +37,6 @@ class MotorLimits:
         )
         self.program.program.mass = chain.reference.inertia.mass
 
-    def relieve(self, rows: TickRecords) -> None:
-        """Torques within the limits that lose least; the force integral follows.
-
-        Raises:
-            SolverError: none were found.
-        """
-        program = self.program
-        place = (rows.rows.raw, rows.at, rows.index, program.raw)
-        fill_program(*place)
-        program.solve(*program.counts.tolist())
-        settle(*place)
-
     def given_up(self, rows: TickRecords) -> LimitLoss:
         """What the last call of `relieve` cost."""
         program = self.program
@@ -45,7 +46,7 @@ class MotorLimits:
         lost = program.lost_force[:r].copy()
         squeeze = program.lost_squeeze[:s].copy()
         if len(rows.work.bars) > 1:
-            squeeze = rows.bar_basis()[:, :s] @ squeeze
+            squeeze = rows.work.basis[:, :s] @ squeeze
         motors = np.flatnonzero(program.at_limit)
         if r != int(rows.work.count):
             R = rows.shares()
@@ -69,32 +70,28 @@ def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
     Args:
         rows: records of the tick. chain: its motors.
     """
+    memory = rows.memory
     desired = rows.work.joints.tau[chain.actuated]
     share = np.abs(desired) / chain.tau_max
     motor = int(np.argmax(share))
     tau = desired / share[motor]
-    if rows.memory.ticked > 1:
+    if memory.ticked > 1:
         step = rows.model.torque_rate * rows.model.period * chain.tau_max
-        change = tau - rows.memory.torques
-        tau = rows.memory.torques + change / max(1.0, np.max(np.abs(change) / step))
-    rows.memory.torques[:] = tau
-    rows.memory.faults = 0  # computed after all
-    rows.memory.lost = max(int(rows.memory.lost) - 1, 0)
-    return LimitLoss(
-        (chain.joint_names[chain.actuated[motor]],),
-        desired[[motor]],
-        chain.tau_max[[motor]],
-        np.zeros(0),
-        np.zeros(6),
-        np.zeros(0),
-        False,
-    )
+        change = tau - memory.torques
+        tau = memory.torques + change / max(1.0, np.max(np.abs(change) / step))
+    memory.torques[:] = tau
+    memory.faults = 0  # computed after all
+    memory.lost = max(int(memory.lost) - 1, 0)
+    none = np.zeros(0)
+    motors = [motor]
+    names = (chain.joint_names[chain.actuated[motor]],)
+    limits = chain.tau_max[motors]
+    return LimitLoss(names, desired[motors], limits, none, np.zeros(6), none, False)
 
 
 def _count_idle(chain: ClosedChain) -> int:
     """How many joint motions of redundant arms leave the object alone, singular postures too."""
     counts = [
-        part.stop - part.start - grasp.N.shape[1]
-        for part, grasp in zip(chain.slices, chain.grasps, strict=True)
+        arm.model.nv - grasp.N.shape[1] for arm, grasp in zip(chain.arms, chain.grasps, strict=True)
     ]
     return sum(count + NEAR_SINGULAR for count in counts if count > 0)

@@ -25,8 +25,6 @@ from osc_contact.law.limits import PROGRAM
 from osc_contact.law.reasons import CODES
 from osc_contact.scenarios.control_schema import Gains
 
-__all__ = ["write_library"]
-
 #: enum osc_error, by its codes 0, −1, …
 ERRORS = {
     "DONE": "no error",
@@ -43,37 +41,31 @@ ERRORS = {
     "UNKNOWN_NAME": "no gain has this name",
 }
 _NAMED = {
-    "JOB": (records.JOB, ("switches", "begin", "model", "memory", "work", "input")),
+    "JOB": ("switches", "begin", "model", "memory", "work", "input"),
     "MODEL": (
-        records.MODEL,
-        (
-            "n_joints",
-            "n_arms",
-            "n_motors",
-            "n_contacts",
-            "n_columns",
-            "n_bars",
-            "period",
-            "row_bytes",
-            "memory_bytes",
-            "integral",
-            "phased",
-        ),
+        "n_joints",
+        "n_arms",
+        "n_motors",
+        "n_contacts",
+        "n_columns",
+        "n_bars",
+        "period",
+        "row_bytes",
+        "memory_bytes",
+        "integral",
+        "phased",
     ),
     "MEMORY": (
-        records.MEMORY,
-        (
-            "repeated",
-            "derived",
-            "wrench_missing",
-            "status",
-            "reason",
-            "state",
-            "unbraked",
-            "f_tare",
-            "motion_sum",
-            "ticked",
-        ),
+        "repeated",
+        "derived",
+        "wrench_missing",
+        "status",
+        "reason",
+        "state",
+        "unbraked",
+        "f_tare",
+        "motion_sum",
+        "ticked",
     ),
 }
 #: counts of tables, and the field of MODEL that says the same
@@ -96,8 +88,8 @@ _RECORDS = {
     "PROGRAM": PROGRAM,
 }
 _TABLES = {
-    "MEMORY": (records.MEMORY, ("contacts", "torques", "squeeze")),
-    "PROGRAM": (PROGRAM, ("H", "f", "A", "lower", "upper", "sense", "z", "lam")),
+    "MEMORY": ("contacts", "torques", "squeeze"),
+    "PROGRAM": ("H", "f", "A", "lower", "upper", "sense", "z", "lam"),
 }
 
 
@@ -111,20 +103,16 @@ def write_library(folder: Path) -> None:
         folder: is made.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    code = object_file()
-    source = files("osc_contact.control") / "c_files"
-    for item in source.iterdir():
-        path = folder / item.name
+    contents = {"osc_layout.h": _layout().encode(), "law.o": object_file()}
+    for item in (files("osc_contact.control") / "c_files").iterdir():
         if item.name.endswith(".tar.xz"):
             with item.open("rb") as stream, tarfile.open(fileobj=stream) as archive:
                 archive.extractall(folder, filter="data")
         elif item.name.endswith(".in"):
-            with whole_file(path.with_suffix("")) as unfinished:
-                unfinished.write_text(_header(item.read_text("utf-8")), "utf-8")
+            contents[item.name.removesuffix(".in")] = _header(item.read_text("utf-8")).encode()
         else:
-            with whole_file(path) as unfinished:
-                unfinished.write_bytes(item.read_bytes())
-    for name, content in {"osc_layout.h": _layout().encode(), "law.o": code}.items():
+            contents[item.name] = item.read_bytes()
+    for name, content in contents.items():
         with whole_file(folder / name) as unfinished:
             unfinished.write_bytes(content)
 
@@ -171,11 +159,11 @@ def _gains() -> list[tuple[str, int, int, str]]:
 def _layout() -> str:
     """osc_layout.h: offsets of fields, slots of tables."""
     lines = ["/* Written with osc_controller.h: where fields and tables of the records are. */"]
-    for name, (kind, fields) in _NAMED.items():
-        offsets: Any = kind.dtype.fields
+    for name, fields in _NAMED.items():
+        offsets: Any = _RECORDS[name].dtype.fields
         lines += [f"#define {name}_{field} {offsets[field][1]}" for field in fields]
-    for name, (kind, tables) in _TABLES.items():
-        lines += [f"#define {name}_{one} {kind.start(one)}" for one in tables]
+    for name, tables in _TABLES.items():
+        lines += [f"#define {name}_{one} {_RECORDS[name].start(one)}" for one in tables]
     words = len(records.MEMORY.tables) + len(records.MEMORY.counts)
     numbers = {
         "LOOK": tick.LOOK,

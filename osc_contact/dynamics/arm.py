@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
+from osc_contact.dynamics.chain_state import scaled_inertia
 from osc_contact.errors import ModelError
 from osc_contact.robots.model import joint_names, rotors, sliding
 from osc_contact.spatial import Array
@@ -70,17 +71,19 @@ def heaviest_rotor(model: pin.Model, gyration: float) -> float:
 
 
 def with_joints(
-    model: pin.Model, given: Mapping[str, PerJoint], friction_factor: float = 1.0
+    model: pin.Model, given: Mapping[str, PerJoint | None], friction_factor: float = 1.0
 ) -> pin.Model:
     """The model with other numbers of its joints; itself if there are none.
 
     Args:
-        model: of one arm. given: "armature", "damping" and "friction", see `Arm.from_urdf`.
+        model: of one arm. given: "armature", "damping" and "friction", see `Arm.from_urdf`; None:
+            those of the model.
         friction_factor: on damping and friction, given or not.
 
     Raises:
         ModelError: not one number for each joint, or one that is negative or not finite.
     """
+    given = {key: x for key, x in given.items() if x is not None}
     if not given and friction_factor == 1.0:
         return model
     model = model.copy()
@@ -175,7 +178,7 @@ class Arm:
             follows = {urdf.names[a]: urdf.names[b] for a, b in pairs}
         else:
             model, follows = robots.load_coupled(Path(urdf), tip)
-        held = dict(locked or {})
+        held = locked or {}
         _require_joints(model, (*passive_joints, *held))
         every_joint = joint_names(model)
         model = _path_to(model, robots.frame_id(model, tip), held)
@@ -192,8 +195,7 @@ class Arm:
             model.upperEffortLimit *= effort_factor
             model.lowerEffortLimit *= effort_factor
         given = {"armature": armature, "damping": damping, "friction": friction}
-        joints = {key: x for key, x in given.items() if x is not None}
-        model = with_joints(model, joints, friction_factor)
+        model = with_joints(model, given, friction_factor)
         X_WB = base or pin.SE3.Identity()
         still = {j: held.get(j, 0.0) for j in every_joint if j not in list(model.names)}
         arm = cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)
@@ -320,12 +322,9 @@ def with_distinct_frames(model: pin.Model) -> dict[str, str]:
 
 
 def _with_masses_scaled(model: pin.Model, factor: float) -> pin.Model:
-    def scale(inertia: pin.Inertia) -> pin.Inertia:
-        return pin.Inertia(inertia.mass * factor, inertia.lever, inertia.inertia * factor)
-
     scaled = model.copy()
     for j in range(1, scaled.njoints):
-        scaled.inertias[j] = scale(scaled.inertias[j])
+        scaled.inertias[j] = scaled_inertia(scaled.inertias[j], factor)
     for frame in scaled.frames:
-        frame.inertia = scale(frame.inertia)
+        frame.inertia = scaled_inertia(frame.inertia, factor)
     return scaled

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.dynamics.chain_model import columns_at
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -12,36 +13,24 @@ from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots.model import position_limits
 from osc_contact.spatial import Array, pose_error
 
-__all__ = [
-    "Gaps",
-    "close",
-    "closed",
-    "constraint_rows",
-    "inertia_of",
-    "inverse_rows",
-    "object_columns",
-    "object_pose",
-    "reach",
-    "outside_limits",
-    "require_in_range",
-    "row_groups",
-]
-
 #: Gaps (r,) and N (6, r) at a pose of the object: a gap closes as the object moves along N.
-Gaps = Callable[[pin.SE3], tuple[Array, Array]]
+Gaps = Callable[[SE3], tuple[Array, Array]]
 
 
-def object_pose(chain: ClosedChain, q: Array) -> pin.SE3:
+def object_pose(chain: ClosedChain, q: Array, data: pin.Data | None = None) -> SE3:
     """Pose of the object when the joints stand at q.
+
+    Args:
+        chain: the arms. q: (n,). data: to work in; default: the chain's own.
 
     Raises:
         ModelError: they do not determine it.
     """
-    pin.forwardKinematics(chain.model, chain.data, q)
-    return chain.object_pose()
+    pin.forwardKinematics(chain.model, data or chain.data, q)
+    return chain.object_pose(data)
 
 
-def reach(chain: ClosedChain, q: Array, X_WO: pin.SE3, tolerance: float = 1e-6) -> Array:
+def reach(chain: ClosedChain, q: Array, X_WO: SE3, tolerance: float = 1e-6) -> Array:
     """Bring every grasp as near to an object pose as the arms can (inverse kinematics).
 
     Levenberg–Marquardt on the energy-weighted pose errors, (object's inertia)½ × displacement,
@@ -64,11 +53,10 @@ def reach(chain: ClosedChain, q: Array, X_WO: pin.SE3, tolerance: float = 1e-6) 
         there = np.clip(q + step, *limits)
         next_cost, next_step = _reach_step(chain, there, X_WO, L, 0.3 * damping)
         if next_cost <= cost:
-            moved_by = np.abs(there - q).max()
-            q = there
-            if moved_by < tolerance:
-                return q
+            if np.abs(there - q).max() < tolerance:
+                return there
             damping = max(0.3 * damping, 1e-12)
+            q = there
             cost = next_cost
             step = next_step
         else:
@@ -104,11 +92,11 @@ def close(
 def closed(
     chain: ClosedChain,
     q: Array,
-    X_WO: pin.SE3 | None = None,
+    X_WO: SE3 | None = None,
     gaps: Gaps | None = None,
     tolerance: float = 1e-13,
     max_steps: int = 30,
-) -> tuple[Array, pin.SE3]:
+) -> tuple[Array, SE3]:
     """`close` with the object's pose: where no arm holds it rigidly, it finds its own place.
 
     Args:
@@ -120,7 +108,6 @@ def closed(
     """
     q = np.array(q, dtype=float)
     X = X_WO
-    error = np.zeros(0)
     for _ in range(max_steps):
         pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
         if X is None or chain.leader is not None:
@@ -134,21 +121,22 @@ def closed(
         q = q - step[: chain.nq]
         if chain.leader is None:
             X = moved(X, -step[chain.nq :])
-    if np.abs(error).max() <= 100 * tolerance:
+    left = np.abs(error).max()
+    if left <= 100 * tolerance:
         assert X is not None
         return q, X
     raise ModelError(
-        f"the loops and contacts do not close: the largest error left is {np.abs(error).max():.3g} "
+        f"the loops and contacts do not close: the largest error left is {left:.3g} "
         "(m or rad). Start the object nearer to the contacts, or check grasps and faces"
     )
 
 
-def _loop_errors(chain: ClosedChain, X_WO: pin.SE3) -> list[Array]:
+def _loop_errors(chain: ClosedChain, X_WO: SE3) -> list[Array]:
     """What each arm but the leader misses the object by (m, rad), as `constraint_rows` has it."""
-    held = enumerate(zip(chain.grasps, chain.tip_poses(), strict=True))
+    tips = chain.tip_poses()
     return [
-        pose_error(X_WO, tip * grasp.X_TO) if grasp.is_rigid else grasp.miss(tip, X_WO)
-        for i, (grasp, tip) in held
+        pose_error(X_WO, tips[i] * grasp.X_TO) if grasp.is_rigid else grasp.miss(tips[i], X_WO)
+        for i, grasp in enumerate(chain.grasps)
         if i != chain.leader
     ]
 
@@ -167,7 +155,7 @@ def object_columns(chain: ClosedChain, J: Array) -> Array:
     return first
 
 
-def inertia_of(chain: ClosedChain, X_WO: pin.SE3) -> Array:
+def inertia_of(chain: ClosedChain, X_WO: SE3) -> Array:
     """Inertia of the coordinates of `object_columns`: M, or M beside the object's own."""
     n = chain.nq
     if chain.leader is not None:
@@ -191,15 +179,15 @@ def constraint_rows(chain: ClosedChain, O: Array, N: Array) -> Array:  # noqa: E
     """
     J = columns_at(chain.data.J, O)
     first = object_columns(chain, J)
+    tips = chain.tip_poses()
     rows = []
-    held = zip(chain.slices, chain.grasps, chain.tip_poses(), strict=True)
-    for i, (s, grasp, tip) in enumerate(held):
+    for i, grasp in enumerate(chain.grasps):
         if i != chain.leader:
+            s = chain.slices[i]
             loop = first.copy()
             loop[:, s] -= J[:, s]
-            rows.append(loop if grasp.is_rigid else grasp.wrenches_at(tip, O).T @ loop)
-    rows.append(-N.T @ first)
-    return np.vstack(rows)
+            rows.append(loop if grasp.is_rigid else grasp.wrenches_at(tips[i], O).T @ loop)
+    return np.vstack([*rows, -N.T @ first])
 
 
 def row_groups(chain: ClosedChain) -> list[int]:
@@ -240,7 +228,7 @@ def inverse_rows(A: Array, M: Array, groups: Sequence[int]) -> tuple[Array, Arra
 
 
 def _reach_step(
-    chain: ClosedChain, q: Array, X_WO: pin.SE3, L: Array, damping: float
+    chain: ClosedChain, q: Array, X_WO: SE3, L: Array, damping: float
 ) -> tuple[float, Array]:
     pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
     cost = 0.0
@@ -251,9 +239,8 @@ def _reach_step(
             miss = L.T @ pose_error(X_WO, X)
             J = L.T @ columns_at(chain.data.J[:, s], X.translation)
         else:  # the rows of N alone, made orthonormal in the object's metric
-            O = X_WO.translation  # noqa: E741
             Q, miss = grasp.whitened(tip, X_WO, L)
-            J = Q.T @ L.T @ columns_at(chain.data.J[:, s], O)
+            J = Q.T @ L.T @ columns_at(chain.data.J[:, s], X_WO.translation)
         cost += 0.5 * float(miss @ miss)
         slope = J.T @ miss
         low = chain.model.lowerPositionLimit[s]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact import robots
 from osc_contact.dynamics.arm import (
@@ -101,7 +102,7 @@ class ChainModel:
     def __init__(
         self,
         arms: Sequence[Arm],
-        grasps: Sequence[pin.SE3 | Grasp] | None = None,
+        grasps: Sequence[SE3 | Grasp] | None = None,
         payload: RigidObject | None = None,
         *,
         rank_tolerance: float = RANK_TOLERANCE,
@@ -134,7 +135,7 @@ class ChainModel:
         if len(set(names)) != len(names):
             raise ModelError(f"arm names must differ, got {names}; pass name= to Arm.from_urdf")
         self.arms = tuple(arms)
-        given = [pin.SE3.Identity() for _ in arms] if grasps is None else grasps
+        given = [SE3.Identity() for _ in arms] if grasps is None else grasps
         self.grasps = tuple(g if isinstance(g, Grasp) else Grasp.rigid(g) for g in given)
         rigid = [i for i, grasp in enumerate(self.grasps) if grasp.is_rigid]
         self.leader = rigid[0] if rigid else None
@@ -152,26 +153,19 @@ class ChainModel:
         self.angle_tolerance = angle_tolerance
         self.model = _merge(self.arms)
         self.data = self.model.createData()
-        self.slices: tuple[slice, ...] = tuple(
-            slice(end - arm.model.nv, end)
-            for arm, end in zip(arms, np.cumsum([a.model.nv for a in arms]), strict=True)
-        )
+        ends = np.cumsum([0, *(arm.model.nv for arm in arms)]).tolist()
+        self.slices: tuple[slice, ...] = tuple(map(slice, ends, ends[1:]))
         passive = [f"{arm.name}/{joint}" for arm in arms for joint in arm.passive_joints]
         self.actuated = np.flatnonzero(~np.isin(self.joint_names, passive))
         self.tau_max = effort_limits(self.model, self.actuated)
-        self.full_ranks = tuple(
-            _full_rank(arm.model, arm.tip, grasp)
-            for arm, grasp in zip(arms, self.grasps, strict=True)
-        )
+        self.full_ranks = tuple(map(_full_rank, arms, self.grasps))
         self.arm_mass = max(
             sum(i.mass for i in arm.model.inertias) + heaviest_rotor(arm.model, GYRATION)
-            for arm in self.arms
+            for arm in arms
         )
         self.tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
         self.sensors = [
-            None
-            if a.wrist_sensor is None
-            else robots.frame_id(self.model, f"{a.name}/{a.wrist_sensor}")
+            robots.frame_id(self.model, f"{a.name}/{a.wrist_sensor}") if a.wrist_sensor else None
             for a in arms
         ]
         self.outboard: list[list[OutboardLink]] = [
@@ -194,15 +188,15 @@ class ChainModel:
         """All joints in the order of q and v, "arm/joint"."""
         return joint_names(self.model)
 
-    def tip_poses(self, data: pin.Data | None = None) -> list[pin.SE3]:
+    def tip_poses(self, data: pin.Data | None = None) -> list[SE3]:
         """Pose of each arm's tip in the world, at the positions last given to `data`."""
         return [self._placement(f, data) for f in self.tips]
 
-    def object_poses(self) -> list[pin.SE3]:
+    def object_poses(self) -> list[SE3]:
         """Pose of the object according to each arm, its grasp at zero, at the same positions."""
         return [tip * grasp.X_TO for tip, grasp in zip(self.tip_poses(), self.grasps, strict=True)]
 
-    def object_pose(self, data: pin.Data | None = None) -> pin.SE3:
+    def object_pose(self, data: pin.Data | None = None) -> SE3:
         """Pose of the object at the same positions.
 
         Raises:
@@ -213,17 +207,17 @@ class ChainModel:
         tips = self.tip_poses(data)
         return locate(self.grasps, tips, self.reference_inertia, self.angle_tolerance)
 
-    def sensor_poses(self, data: pin.Data | None = None) -> tuple[pin.SE3 | None, ...]:
+    def sensor_poses(self, data: pin.Data | None = None) -> tuple[SE3 | None, ...]:
         """Placement of each wrist sensor in the world, likewise; None: the arm has none."""
         return tuple(None if f is None else self._placement(f, data) for f in self.sensors)
 
-    def reference_inertia(self, X_WO: pin.SE3) -> Array:
+    def reference_inertia(self, X_WO: SE3) -> Array:
         """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
         return self.reference.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
 
-    def _placement(self, frame: int, data: pin.Data | None = None) -> pin.SE3:
+    def _placement(self, frame: int, data: pin.Data | None = None) -> SE3:
         at = self.model.frames[frame]
-        return (self.data if data is None else data).oMi[at.parentJoint] * at.placement
+        return (data or self.data).oMi[at.parentJoint] * at.placement
 
     def unactuated_motions(self, G: Array, S: Array) -> Array:
         """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""
@@ -231,7 +225,7 @@ class ChainModel:
             return np.zeros((6, 0))
         limits = np.where(np.isfinite(self.tau_max), self.tau_max, 1.0)
         U, s, _ = np.linalg.svd(G * limits)
-        driven = int(np.count_nonzero(s >= 1e-9 * s.max(initial=0.0))) if s.any() else 0
+        driven = np.count_nonzero((s > 0.0) & (s >= 1e-9 * s.max(initial=0.0)))
         motions: Array = S @ U[:, driven:]
         if motions.shape[1] and not self.allow_unactuated:
             raise ModelError(
@@ -243,13 +237,14 @@ class ChainModel:
         return motions
 
 
-def _full_rank(model: pin.Model, tip: str, grasp: Grasp) -> int:
+def _full_rank(arm: Arm, grasp: Grasp) -> int:
     """Motions of the object that an arm makes in ordinary postures, according to its grasp.
 
     The largest rank of NᵀJ in a few random postures.
     """
+    model = arm.model
     data = model.createData()
-    frame = robots.frame_id(model, tip)
+    frame = robots.frame_id(model, arm.tip)
     postures = np.random.default_rng(0).uniform(-1.0, 1.0, (4, model.nq))
     jacobians = (pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL) for q in postures)
     return max(int(np.linalg.matrix_rank(grasp.N.T @ J, tol=1e-6)) for J in jacobians)
@@ -327,20 +322,21 @@ def _pack_object(chain: ChainModel, head: Any, leader: int | None) -> None:
     ball = np.repeat((chain.arm_mass, chain.arm_mass * GYRATION**2), 3)
     head.reference[:] = 1.0 + ball / head.principal[[0, 0, 0, 1, 2, 3]]
     head.lightness[:] = 1.0 / head.reference
-    X_LO = pin.SE3.Identity()  # without a leader: in the object's own frame
+    X_LO = SE3.Identity()  # without a leader: in the object's own frame
     if leader is not None:
         tip = chain.model.frames[chain.tips[leader]]
         X_LO = _in_joint(chain.model, tip) * chain.grasps[leader].X_TO
     head.X_LO[:] = _flat_pose(X_LO)
-    head.X_LP[:] = _flat_pose(X_LO * pin.SE3(axes, body.lever))
+    head.X_LP[:] = _flat_pose(X_LO * SE3(axes, body.lever))
 
 
 def _pack_arms(chain: ChainModel, rows: Any) -> None:
     model = chain.model
     for i, (row, grasp, part) in enumerate(zip(rows, chain.grasps, chain.slices, strict=True)):
-        if part.stop - part.start > at.MAX_JOINTS:
+        joints = part.stop - part.start
+        if joints > at.MAX_JOINTS:
             raise ModelError(
-                f"arm '{chain.arms[i].name}' has {part.stop - part.start} joints; the control "
+                f"arm '{chain.arms[i].name}' has {joints} joints; the control "
                 f"law takes {at.MAX_JOINTS} at most. Lock those that need not move (locked=)"
             )
         row.first = part.start
@@ -384,30 +380,30 @@ def _pack_joints(chain: ChainModel, rows: Any) -> None:
         if joint.idx_v != j or parent != (0 if j in firsts else j):
             raise ModelError(f"joint '{model.names[j + 1]}' does not follow the one before it")
         row.slides = slides(model, j + 1)
-        before = pin.SE3.Identity() if parent == 0 else frames[parent - 1]
+        before = SE3.Identity() if parent == 0 else frames[parent - 1]
         row.placement[:] = _flat_pose(before.actInv(model.jointPlacements[j + 1]) * frames[j])
         row.link[:] = _flat_inertia(frames[j].actInv(model.inertias[j + 1]))
 
 
-def _z_frame(model: pin.Model, joint: int) -> pin.SE3:
+def _z_frame(model: pin.Model, joint: int) -> SE3:
     """The joint's frame rotated so that it turns about, or slides along, its z axis."""
     S = joint_axis(model, joint)
     axis = S[:3] if S[:3].any() else S[3:]
     x, y, z = np.round(axis, 15)
     if (x, y, z) == (0.0, 0.0, 1.0):
-        return pin.SE3.Identity()
+        return SE3.Identity()
     start = np.eye(3)[int(np.abs(axis).argmin())]
     first = cross(start, axis)
     first /= norm(first)
-    return pin.SE3(np.column_stack((first, cross(axis, first), axis)), np.zeros(3))
+    return SE3(np.column_stack((first, cross(axis, first), axis)), np.zeros(3))
 
 
-def _in_joint(model: pin.Model, frame: pin.Frame) -> pin.SE3:
+def _in_joint(model: pin.Model, frame: pin.Frame) -> SE3:
     """A frame's placement in its joint, whose z axis is the joint's."""
     return _z_frame(model, frame.parentJoint).actInv(frame.placement)
 
 
-def _flat_pose(X: pin.SE3) -> Array:
+def _flat_pose(X: SE3) -> Array:
     """(12,) rotation by rows, then point."""
     return np.concatenate((X.rotation.ravel(), X.translation))
 

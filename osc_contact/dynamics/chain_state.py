@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.errors import ModelError
 from osc_contact.spatial import Array, cross_wrench
@@ -51,13 +52,13 @@ class RigidObject:
                 "not exceed the sum of the other two"
             )
 
-    def terms(self, X_WO: pin.SE3, V_O: Array, gravity: Array) -> ObjectTerms:
+    def terms(self, X_WO: SE3, V_O: Array, gravity: Array) -> ObjectTerms:
         """Inertia, velocity and gravity wrenches at O; gravity (3,) in m/s².
 
         Args:
             X_WO: pose of the object. V_O: (6,) its twist at O. gravity: (3,) m/s².
         """
-        at_O = pin.SE3(X_WO.rotation, np.zeros(3))
+        at_O = SE3(X_WO.rotation, np.zeros(3))
         Lambda: Array = at_O.act(self.inertia).matrix()
         mu = cross_wrench(V_O, Lambda @ V_O)
         p = -Lambda[:, :3] @ gravity
@@ -73,8 +74,12 @@ class RigidObject:
             raise ModelError(
                 f"object mass factor {factor}: give a positive number, 1 = as modelled"
             )
-        I = self.inertia  # noqa: E741 - the field's letter
-        return RigidObject(pin.Inertia(I.mass * factor, I.lever, I.inertia * factor))
+        return RigidObject(scaled_inertia(self.inertia, factor))
+
+
+def scaled_inertia(inertia: pin.Inertia, factor: float) -> pin.Inertia:
+    """Mass and rotational inertia times `factor`, the centre of mass in its place."""
+    return pin.Inertia(inertia.mass * factor, inertia.lever, inertia.inertia * factor)
 
 
 @dataclass(frozen=True)
@@ -143,7 +148,7 @@ class ChainState:
         Sᵀ(Λ a + μ + p + f_c) = Λ_S η̇ + μ_S + p_S + Sᵀf_c = G τ,    a = S η̇ + σ
     """
 
-    X_WO: pin.SE3  #: pose of the object
+    X_WO: SE3  #: pose of the object
     V_O: Array  #: (6,) its twist
     S: Array  #: (6, d) basis of the motions every arm permits
     C: Array  #: (6, 6−d) the wrenches they resist, CᵀS = 0
@@ -161,16 +166,15 @@ class ChainState:
     payload: ObjectTerms  #: Λ_o, μ_o, p_o
     metric: Array  #: (6, 6) Λ_o, or the reference inertia when nothing is held
     grasp_points: Array  #: (arms, 3) world
-    sensors: tuple[pin.SE3 | None, ...]  #: placement of each wrist sensor in the world
+    sensors: tuple[SE3 | None, ...]  #: placement of each wrist sensor in the world
     filters: tuple[Array | None, ...]  #: (6, 6) F_i at O for each wrist reading; None: as it is
     Lambda_out: Array  #: (6, 6) inertia seen by the wrist sensors together (not symmetric)
     bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
     unactuated: Array  #: (6, u) motions of the object that no motor drives
     reference: Array  #: (6, 6) object and heaviest arm, which singular postures are judged by
     full_ranks: tuple[int, ...]  #: motions each arm makes, as N sees them, in ordinary postures
-    singular_directions: tuple[
-        SingularDirection, ...
-    ]  #: directions that arms near a singular posture are losing
+    #: directions that arms near a singular posture are losing
+    singular_directions: tuple[SingularDirection, ...]
 
     @property
     def d(self) -> int:
@@ -220,11 +224,9 @@ def joint_inertias(state: ChainState, actuated: Array) -> Array:
 
     diag(M + JᵀΛ_oJ / arms), kg m² (kg for sliding joints).
     """
-    shared = [
-        np.diag(arm.M + arm.J.T @ state.payload.Lambda @ arm.J / len(state.arms))
-        for arm in state.arms
-    ]
-    return np.concatenate(shared)[actuated]
+    Lambda = state.payload.Lambda / len(state.arms)
+    felt = [np.diag(arm.M + arm.J.T @ Lambda @ arm.J) for arm in state.arms]
+    return np.concatenate(felt)[actuated]
 
 
 def modes(state: ChainState, actuated: Array, stiffness: Array) -> Array:

@@ -75,17 +75,6 @@ class Look:
             M[s, s] = self.joints.M[s, : s.stop - s.start]
         return M
 
-    def require_done(self) -> None:
-        """Refuse what the law could not take.
-
-        Raises:
-            ModelError: an arm without inertia, or joints that do not determine where the object is.
-        """
-        reason = int(self.work["reason"])
-        if reason != NO_REASON:
-            measured = ", or give the measured pose and twist: state(q, v, X_WO, V_O)"
-            raise ModelError(SENTENCES[reason] + measured * (reason == OBJECT_UNKNOWN))
-
 
 def read_state(chain: ChainModel, now: Look, rest: Look, data: pin.Data) -> ChainState:
     """The state of a chain.
@@ -101,19 +90,19 @@ def read_state(chain: ChainModel, now: Look, rest: Look, data: pin.Data) -> Chai
     joints = now.joints
     motion = motions(work)
     wrench = wrenches(work)
-    m = int(work["locked"])
+    m = int(work.locked)
     locked, free = np.split(reflection(work).T, [m], axis=1)  # what η̇ moves, in energy coordinates
     S = motion @ free
-    sigma = work["sigma"][:m]
+    sigma = work.sigma[:m]
     sigma_e = locked @ sigma
-    Lambda = work["Lambda"][m:, m:] + (chain.payload is not None) * np.eye(6 - m)
-    p = rest.work["chain_bias"][m:].copy()
-    mu = work["chain_bias"][m:] + work["Lambda"][m:, :m] @ sigma - p
+    Lambda = work.Lambda[m:, m:] + (chain.payload is not None) * np.eye(6 - m)
+    p = rest.work.chain_bias[m:].copy()
+    mu = work.chain_bias[m:] + work.Lambda[m:, :m] @ sigma - p
     W = joints.J_bar @ free
     G = W.T[:, chain.actuated]
     M = now.inertia(chain.slices)
-    X_WO = pin.SE3(work["X_WO"])
-    V_O = work["V_O"].copy()
+    X_WO = pin.SE3(work.X_WO)
+    V_O = work.V_O.copy()
     payload = _NOTHING
     if chain.payload is not None:
         payload = chain.payload.terms(X_WO, V_O, chain.model.gravity.linear)
@@ -139,11 +128,14 @@ def read_state(chain: ChainModel, now: Look, rest: Look, data: pin.Data) -> Chai
         metric=wrench @ wrench.T,
         grasp_points=np.array([tip.translation for tip in chain.tip_poses(data)]),
         sensors=chain.sensor_poses(data),
-        filters=tuple(_filters(chain, now, motion, wrench)),
-        Lambda_out=wrench @ work["out_T"].T @ wrench.T,
-        bias_out=work["bias_out"].copy(),
+        filters=tuple(
+            wrench @ own.filter @ motion.T if links and not grasp.is_rigid else None
+            for grasp, links, own in zip(chain.grasps, chain.outboard, now.arms, strict=True)
+        ),
+        Lambda_out=wrench @ work.out_T.T @ wrench.T,
+        bias_out=work.bias_out.copy(),
         unactuated=chain.unactuated_motions(G, S),
-        reference=(wrench * now.head["reference"]) @ wrench.T,
+        reference=(wrench * now.head.reference) @ wrench.T,
         full_ranks=chain.full_ranks,
         singular_directions=tuple(_singular_directions(chain, now, motion, wrench)),
     )
@@ -156,10 +148,10 @@ def _arm_terms(
     joints = now.joints[s]
     J = motion @ joints.J.T
     J_bar = joints.J_bar @ wrench.T
-    gamma = motion @ own["gamma"]
-    Lambda = wrench @ own["Lambda"] @ wrench.T
+    gamma = motion @ own.gamma
+    Lambda = wrench @ own.Lambda @ wrench.T
     p = J_bar.T @ rest.joints.h[s]
-    rank = int(own["n_kept"])
+    rank = int(own.n_kept)
     return ArmTerms(
         J=J,
         gamma=gamma,
@@ -169,33 +161,26 @@ def _arm_terms(
         J_bar=J_bar,
         mu=J_bar.T @ joints.h - p - Lambda @ gamma,
         p=p,
-        C=wrench @ own["resisted"][: int(own["n_locked"])].T,
-        N=wrench @ own["kept"][:rank].T if own["passed"].any() else np.eye(6),
+        C=wrench @ own.resisted[: int(own.n_locked)].T,
+        N=wrench @ own.kept[:rank].T if own.passed.any() else np.eye(6),
         rank=rank,
     )
 
 
-def _filters(chain: ChainModel, now: Look, motion: Array, wrench: Array) -> Any:
-    """Of each wrist's reading, as matrices at O."""
-    for grasp, links, own in zip(chain.grasps, chain.outboard, now.arms, strict=True):
-        filtered = links and not grasp.is_rigid
-        yield wrench @ own["filter"] @ motion.T if filtered else None
-
-
 def _singular_directions(chain: ChainModel, now: Look, motion: Array, wrench: Array) -> Any:
     """Every direction that the law found an arm to be losing."""
-    reference = now.head["reference"]
+    reference = now.head.reference
     for i, (own, s) in enumerate(zip(now.arms, chain.slices, strict=True)):
-        for e in range(int(own["n_lost"])):
-            lost = own["lost"][e]
+        for e in range(int(own.n_lost)):
+            lost = own.lost[e]
             yield SingularDirection(
                 i,
-                float(own["chi"][e]),
-                float(own["share"][e]),
+                float(own.chi[e]),
+                float(own.share[e]),
                 wrench @ lost,
                 motion @ (lost / reference),
-                own["mode"][e, : s.stop - s.start].copy(),
-                bool(own["gone"][e]),
+                own.mode[e, : s.stop - s.start].copy(),
+                bool(own.gone[e]),
             )
 
 
@@ -270,15 +255,19 @@ class ClosedChain(ChainModel):
         pin.forwardKinematics(self.model, data, q, v)
         led = X_WO is None and V_O is None and self.leader is not None
         row = self.law_row(led)
+        still = np.zeros(self.nq)
         if led:
             now = Look(row, q, v)
-            rest = Look(row, q, np.zeros(self.nq))
+            rest = Look(row, q, still)
         else:
             X_WO = X_WO or self.object_pose(data)
             V_O = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
             now = Look(row, q, v, X_WO.homogeneous, V_O)
-            rest = Look(row, q, np.zeros(self.nq), X_WO.homogeneous, np.zeros(6))
-        now.require_done()
+            rest = Look(row, q, still, X_WO.homogeneous, np.zeros(6))
+        reason = int(now.work.reason)
+        if reason != NO_REASON:
+            measured = ", or give the measured pose and twist: state(q, v, X_WO, V_O)"
+            raise ModelError(SENTENCES[reason] + measured * (reason == OBJECT_UNKNOWN))
         return read_state(self, now, rest, data)
 
     def _twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:

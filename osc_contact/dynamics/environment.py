@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact import robots
 from osc_contact.dynamics.chain_state import RigidObject
@@ -26,7 +27,7 @@ from osc_contact.spatial import (
     classical_to_spatial,
     cross,
     cross_wrench,
-    norm,
+    unit_vector,
 )
 
 
@@ -80,43 +81,6 @@ def element_sizes(Phi: Array) -> Array:
     return np.outer(scale, scale)
 
 
-def guided_body(
-    inertia: pin.Inertia,
-    X_WE: pin.SE3,
-    A: Array,
-    rates: Array,
-    O: npt.ArrayLike,  # noqa: E741 - the operational point
-    gravity: npt.ArrayLike,
-    Q: Array,
-) -> tuple[Array, Array, Array]:
-    """Φ_e (6, 6), b_e (6,) and V_e (6,) at O: AᵀIA s̈ = Q + Aᵀ(weight − V ×* IV) at its origin.
-
-    No drift: a space of motions fixed in the world has none, and one fixed in the body V × V.
-
-    Args:
-        inertia: in the body's own frame (kg, m). X_WE: its pose in the world.
-        A: (6, k) twists per unit rate at its origin. rates: (k,) how fast it moves along each.
-        O: (3,) operational point in the world (m). gravity: (3,) m/s².
-        Q: (k,) what else acts along each twist (N, N m).
-
-    Raises:
-        InvalidInputError: wrong shapes or non-finite numbers.
-        ModelError: no inertia along one of the twists.
-    """
-    p = X_WE.translation
-    point = as_array("O", O, (3,))
-    I: Array = pin.SE3(X_WE.rotation, np.zeros(3)).act(inertia).matrix()  # noqa: E741
-    V = A @ rates
-    acting = I[:, :3] @ as_array("gravity", gravity, (3,)) - cross_wrench(V, I @ V)
-    M_inv = inverse(A.T @ I @ A, "the body's inertia along its axes")
-    at_O = carry_twist(A, p, point)
-    return (
-        symmetric(at_O @ M_inv @ at_O.T),
-        at_O @ (M_inv @ (Q + A.T @ acting)),
-        carry_twist(V, p, point),
-    )
-
-
 _ZERO = np.zeros(3)
 
 
@@ -147,7 +111,7 @@ class Environment:
     Phi_friction: Array | None = None
 
     def __post_init__(self) -> None:
-        for name, shape in (("Phi_e", (6, 6)), ("b_e", (6,)), ("V_e", (6,))):
+        for name, shape in {"Phi_e": (6, 6), "b_e": (6,), "V_e": (6,)}.items():
             object.__setattr__(self, name, as_array(name, getattr(self, name), shape))
         require_inverse_inertia("Phi_e", self.Phi_e / element_sizes(self.Phi_e))
 
@@ -170,7 +134,7 @@ class Environment:
     def moving(
         cls,
         *,
-        X_WE: pin.SE3,
+        X_WE: SE3,
         V_E: npt.ArrayLike,
         A_E: npt.ArrayLike,
         O: npt.ArrayLike,  # noqa: E741 - the operational point
@@ -197,7 +161,7 @@ class Environment:
         cls,
         inertia: pin.Inertia,
         *,
-        X_WE: pin.SE3,
+        X_WE: SE3,
         V_E: npt.ArrayLike,
         O: npt.ArrayLike,  # noqa: E741 - the operational point
         gravity: npt.ArrayLike = _ZERO,
@@ -219,16 +183,19 @@ class Environment:
             ModelError: an impossible inertia.
         """
         RigidObject(inertia)
-        force = np.zeros(6) if wrench is None else as_array("wrench", wrench, (6,))
+        force = None if wrench is None else as_array("wrench", wrench, (6,))
         rates = as_array("V_E", V_E, (6,))
-        return cls(*guided_body(inertia, X_WE, np.eye(6), rates, O, gravity, force))
+        free = np.eye(6)
+        return cls.rail(
+            inertia, X_WE=X_WE, axes=free, rates=rates, O=O, gravity=gravity, force=force
+        )
 
     @classmethod
     def rail(
         cls,
         inertia: pin.Inertia,
         *,
-        X_WE: pin.SE3,
+        X_WE: SE3,
         axes: npt.ArrayLike,
         rates: npt.ArrayLike,
         O: npt.ArrayLike,  # noqa: E741 - the operational point
@@ -236,6 +203,9 @@ class Environment:
         force: npt.ArrayLike | None = None,
     ) -> Environment:
         """A rigid body that moves only along given twists: Φ_e = A(AᵀIA)⁻¹Aᵀ, of rank k.
+
+        AᵀIA s̈ = Q + Aᵀ(weight − V ×* IV) at its origin. No drift: a space of motions fixed in the
+        world has none, and one fixed in the body V × V.
 
         A cart on a rail along `x`: `axes=[*x, 0, 0, 0]`, `rates=[speed]`,
         `force=[−k·s − c·speed]`. A door: axes=[ω × (p − hinge), ω] with ω a unit vector along the
@@ -261,8 +231,15 @@ class Environment:
         A = as_array("axes", columns[:, None] if columns.ndim == 1 else columns, (6, None))
         k = A.shape[1]
         Q = np.zeros(k) if force is None else as_array("force", force, (k,))
-        speeds = as_array("rates", rates, (k,))
-        return cls(*guided_body(inertia, X_WE, A, speeds, O, gravity, Q))
+        V = A @ as_array("rates", rates, (k,))
+        p = X_WE.translation
+        point = as_array("O", O, (3,))
+        I: Array = SE3(X_WE.rotation, _ZERO).act(inertia).matrix()  # noqa: E741
+        acting = I[:, :3] @ as_array("gravity", gravity, (3,)) - cross_wrench(V, I @ V)
+        M_inv = inverse(A.T @ I @ A, "the body's inertia along its axes")
+        at_O = carry_twist(A, p, point)
+        b_e = at_O @ (M_inv @ (Q + A.T @ acting))
+        return cls(symmetric(at_O @ M_inv @ at_O.T), b_e, carry_twist(V, p, point))
 
     @classmethod
     def articulated(
@@ -297,7 +274,7 @@ class Environment:
             joint = model.getJointId(frame)
         else:
             joint = model.frames[robots.frame_id(model, frame)].parentJoint
-        data = model.createData() if data is None else data
+        data = data or model.createData()
         pin.computeAllTerms(model, data, q, v)
         free = tau - data.nle
         M_inv = inverse(np.array(data.M), "the environment's joint-space inertia")
@@ -421,7 +398,7 @@ def _move_as_one(a: Environment, b: Environment) -> bool:
 class Body(Protocol):
     """A body that answers contact forces; it returns how, each tick, at the operational point."""
 
-    def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
+    def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
         """Φ_e, b_e and V_e at O (3,), from the body's measured pose, twist and known acceleration
         (`interface.Touched`).
 
@@ -435,7 +412,7 @@ class Body(Protocol):
 class Conveyor:
     """A body whose motion is prescribed and does not yield: Φ_e = 0, b_e as commanded."""
 
-    def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
+    def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
         """See `Body.environment`.
 
         Args:
@@ -464,7 +441,7 @@ class Yielding:
         if not 0.0 < self.compliance < np.inf:
             raise InvalidInputError(f"yielding: compliance = {self.compliance:g} m/N; give > 0")
 
-    def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
+    def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
         """See `Body.environment`; `A_E` is not used.
 
         Args:
@@ -496,24 +473,27 @@ class Cart:
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
 
     def __post_init__(self) -> None:
-        _take_unit(self, "cart", "direction")
+        object.__setattr__(self, "direction", unit_vector("cart.direction", self.direction))
         _require_possible(self, "cart", "mass")
 
-    def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
+    @property
+    def descent(self) -> float:
+        """u·g (m/s²)."""
+        return float(self.direction @ np.array(self.gravity))
+
+    def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
         """See `Body.environment`; `A_E` is not used: the cart's acceleration follows from f.
 
         Args:
             X_WE, V_E, A_E, O: as of `Body.environment`.
         """
         u = self.direction
-        travel = float(u @ X_WE.translation)
         speed = float(u @ V_E[:3])
-        force = self.preload - self.stiffness * travel - self.damping * speed
-        axis = np.concatenate((u, np.zeros(3)))
+        force = self.preload - self.stiffness * (u @ X_WE.translation) - self.damping * speed
         return Environment.rail(
-            pin.Inertia(self.mass, np.zeros(3), np.zeros((3, 3))),
+            pin.Inertia(self.mass, _ZERO, np.zeros((3, 3))),
             X_WE=X_WE,
-            axes=axis,
+            axes=[*u, 0.0, 0.0, 0.0],
             rates=[speed],
             O=O,
             gravity=self.gravity,
@@ -545,41 +525,33 @@ class Hinge:
     preload: float = 0.0
 
     def __post_init__(self) -> None:
-        _take_unit(self, "hinge", "axis")
+        object.__setattr__(self, "axis", unit_vector("hinge.axis", self.axis))
         object.__setattr__(self, "through", as_array("hinge.through", self.through, (3,)))
         _require_possible(self, "hinge", "inertia")
 
-    def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
+    def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
         """See `Body.environment`; `A_E` is not used: the acceleration follows from f.
 
         Args:
             X_WE, V_E, A_E, O: as of `Body.environment`.
         """
         a = self.axis
-        angle = float(a @ pin.log3(X_WE.rotation))
         rate = float(a @ V_E[3:])
+        angle = a @ pin.log3(X_WE.rotation)
         moment = self.preload - self.stiffness * angle - self.damping * rate
         return Environment.rail(
-            pin.Inertia(0.0, np.zeros(3), self.inertia * np.eye(3)),
+            pin.Inertia(0.0, _ZERO, self.inertia * np.eye(3)),
             X_WE=X_WE,
-            axes=np.concatenate((cross(a, X_WE.translation - self.through), a)),
+            axes=[*cross(a, X_WE.translation - self.through), *a],
             rates=[rate],
             O=O,
             force=[moment],
         )
 
 
-def _take_unit(body: object, kind: str, name: str) -> None:
-    u = as_array(f"{kind}.{name}", getattr(body, name), (3,))
-    length = norm(u)
-    if length == 0.0:
-        raise InvalidInputError(f"{kind}.{name} is zero; give a direction")
-    object.__setattr__(body, name, u / length)
-
-
 def _require_possible(body: object, kind: str, inertia: str) -> None:
     for name in (inertia, "stiffness", "damping", "preload"):
         value = getattr(body, name)
-        least = -np.inf if name == "preload" else 0.0
-        if not np.isfinite(value) or value < least or (name == inertia and value == 0.0):
+        sound = value > 0.0 if name == inertia else name == "preload" or value >= 0.0
+        if not (np.isfinite(value) and sound):
             raise InvalidInputError(f"{kind}.{name} = {value}; give a number a {kind} can have")

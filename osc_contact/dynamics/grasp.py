@@ -14,10 +14,11 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.scenarios.bodies import GRASP_TYPES
-from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist, norm
+from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist, unit_vector
 
 _SAME = 1e-9  #: columns of unit size nearer to dependence than this are dependent
 
@@ -37,12 +38,12 @@ class Grasp:
             made (they are no group: take a hinge, a ball, a slide, a cylinder, a screw, a plane).
     """
 
-    X_TO: pin.SE3
+    X_TO: SE3
     T: Array = field(default_factory=lambda: np.zeros((6, 0)))
     N: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.X_TO, pin.SE3):
+        if not isinstance(self.X_TO, SE3):
             raise InvalidInputError(f"X_TO: expected a pin.SE3, got {type(self.X_TO).__name__}")
         T = as_array("T of the grasp", self.T, (6, None))
         size = np.linalg.norm(T, axis=0)
@@ -66,21 +67,18 @@ class Grasp:
                 )
 
     @classmethod
-    def rigid(cls, X_TO: pin.SE3) -> Grasp:
+    def rigid(cls, X_TO: SE3) -> Grasp:
         """The object does not move against the tip."""
         return cls(X_TO)
 
     @classmethod
-    def hinge(cls, X_TO: pin.SE3, axis: npt.ArrayLike) -> Grasp:
+    def hinge(cls, X_TO: SE3, axis: npt.ArrayLike) -> Grasp:
         """The object turns about an axis (3,) through the tip's origin, in tip axes."""
-        direction = as_array("axis of the hinge", axis, (3,))
-        length = norm(direction)
-        if not length > 1e-12:
-            raise InvalidInputError(f"axis of the hinge: {direction} has no direction")
-        return cls(X_TO, np.concatenate((np.zeros(3), direction / length))[:, None])
+        direction = unit_vector("axis of the hinge", axis)
+        return cls(X_TO, np.append(np.zeros(3), direction)[:, None])
 
     @classmethod
-    def ball(cls, X_TO: pin.SE3) -> Grasp:
+    def ball(cls, X_TO: SE3) -> Grasp:
         """The object turns freely about the tip's origin."""
         return cls(X_TO, np.vstack((np.zeros((3, 3)), np.eye(3))))
 
@@ -99,32 +97,31 @@ class Grasp:
             return "other"
         return "hinge" if T.shape[1] == 1 else "ball"
 
-    def wrenches_at(self, X_WT: pin.SE3, O: Array) -> Array:  # noqa: E741 - operational point
+    def wrenches_at(self, X_WT: SE3, O: Array) -> Array:  # noqa: E741 - operational point
         """N (6, 6−k) in world axes at O, the tip standing at X_WT."""
         return carry_wrench(_turned(X_WT, self.N), X_WT.translation, O)
 
-    def motions_at(self, X_WT: pin.SE3, O: Array) -> Array:  # noqa: E741
+    def motions_at(self, X_WT: SE3, O: Array) -> Array:  # noqa: E741
         """T (6, k) in world axes at O, the tip standing at X_WT."""
         return carry_twist(_turned(X_WT, self.T), X_WT.translation, O)
 
-    def miss(self, X_WT: pin.SE3, X_WO: pin.SE3) -> Array:
+    def miss(self, X_WT: SE3, X_WO: SE3) -> Array:
         """How far the object is from where the grasp can hold it, (6−k,) along N (m, rad).
 
         Its rate is N(O)ᵀ(V_O − V_tip), exactly where it vanishes: the permitted part of the
         displacement from tip to object is taken off first.
         """
         away = X_WT.actInv(X_WO * self.X_TO.inverse())  # zero motion: identity
-        T = self.T
         left = self._displacement(away)
-        for _ in range(50 if T.shape[1] else 0):
-            part = np.linalg.lstsq(T, left, rcond=None)[0]
-            away = away * pin.exp6(pin.Motion(T @ part)).inverse()
-            left = self._displacement(away)
-            if np.abs(part).max() < 1e-14:
+        for _ in range(50):
+            part = np.linalg.lstsq(self.T, left, rcond=None)[0]
+            if np.abs(part).max(initial=0.0) < 1e-14:
                 break
+            away = away * pin.exp6(pin.Motion(self.T @ part)).inverse()
+            left = self._displacement(away)
         return self.N.T @ left
 
-    def whitened(self, X_WT: pin.SE3, X_WO: pin.SE3, L: Array) -> tuple[Array, Array]:
+    def whitened(self, X_WT: SE3, X_WO: SE3, L: Array) -> tuple[Array, Array]:
         """L⁻¹N (6, 6−k) made orthonormal, and the miss (6−k,) along it.
 
         Args:
@@ -133,14 +130,14 @@ class Grasp:
         Q, R = np.linalg.qr(np.linalg.solve(L, self.wrenches_at(X_WT, X_WO.translation)))
         return Q, np.linalg.solve(R.T, self.miss(X_WT, X_WO))
 
-    def _displacement(self, X: pin.SE3) -> Array:
+    def _displacement(self, X: SE3) -> Array:
         """(6,) of a relative pose: point and rotation by themselves, where T only turns."""
         if self.T[:3].any():
             return pin.log6(X).vector
         return np.concatenate((X.translation, pin.log3(X.rotation)))
 
 
-def _turned(X: pin.SE3, columns: Array) -> Array:
+def _turned(X: SE3, columns: Array) -> Array:
     """Twists or wrenches (6, k) in the axes that X turns them into, at the same point."""
     return (X.rotation @ columns.reshape(2, 3, -1)).reshape(6, -1)
 
@@ -179,10 +176,10 @@ register_grasp("ball", Grasp.ball, axis=False)
 
 def locate(
     grasps: Sequence[Grasp],
-    tips: Sequence[pin.SE3],
-    inertia: Callable[[pin.SE3], Array],
+    tips: Sequence[SE3],
+    inertia: Callable[[SE3], Array],
     tolerance: float,
-) -> pin.SE3:
+) -> SE3:
     """The pose at which all grasps fit the tips; where none does, the nearest in energy.
 
     Begins with the rotation that best aligns points and axes (Kabsch 1976), then Gauss–Newton on
@@ -207,24 +204,20 @@ def locate(
     return X
 
 
-def moved(X: pin.SE3, displacement: Array) -> pin.SE3:
+def moved(X: SE3, displacement: Array) -> SE3:
     """A pose displaced by (6,) at its own origin, world axes (m, rad)."""
-    return pin.SE3(pin.exp3(displacement[3:]) @ X.rotation, X.translation + displacement[:3])
+    return SE3(pin.exp3(displacement[3:]) @ X.rotation, X.translation + displacement[:3])
 
 
 def _solved(
-    grasps: Sequence[Grasp], tips: Sequence[pin.SE3], X: pin.SE3, L: Array, tolerance: float
+    grasps: Sequence[Grasp], tips: Sequence[SE3], X: SE3, L: Array, tolerance: float
 ) -> Array:
     """x (6,) with N_iᵀx = miss_i, each grasp's rows made orthonormal in the metric LLᵀ."""
-    rows = []
-    right = []
-    for grasp, tip in zip(grasps, tips, strict=True):
-        N, miss = grasp.whitened(tip, X, L)
-        rows.append(N.T)
-        right.append(miss)
-    U, s, Vh = np.linalg.svd(np.vstack(rows), full_matrices=False)
+    parts = [grasp.whitened(tip, X, L) for grasp, tip in zip(grasps, tips, strict=True)]
+    rows = np.vstack([N.T for N, _ in parts])
+    U, s, Vh = np.linalg.svd(rows, full_matrices=False)
     if len(s) < 6 or s[5] < tolerance:
-        motion = np.linalg.solve(L.T, np.linalg.svd(np.vstack(rows))[2][5])
+        motion = np.linalg.solve(L.T, np.linalg.svd(rows)[2][5])
         motion /= np.abs(motion).max()
         raise ModelError(
             "the joints do not determine where the object is: its grasps let it make the motion "
@@ -232,33 +225,30 @@ def _solved(
             "axes at the object) while every arm stands still. Grasp it so that this is blocked, "
             "or give the measured pose and twist: state(q, v, X_WO, V_O)."
         )
-    return np.linalg.solve(L.T, Vh.T @ ((U.T @ np.concatenate(right)) / s))
+    right = np.concatenate([miss for _, miss in parts])
+    return np.linalg.solve(L.T, Vh.T @ ((U.T @ right) / s))
 
 
-def _aligned(grasps: Sequence[Grasp], tips: Sequence[pin.SE3]) -> pin.SE3:
+def _aligned(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
     """A start: the pose that best brings grasp points together and axes parallel."""
-    # pairs of points, in the object and in the world
-    own = []
-    seen = []
+    points = []  # pairs of them, in the object and in the world
     turns = np.zeros((3, 3))
     radius = 0.1  # a metre of axis counts as this much distance between points
     for grasp, tip in zip(grasps, tips, strict=True):
-        T = grasp.T
         X_OT = grasp.X_TO.inverse()
-        if not T[:3].any():
-            own.append(X_OT.translation)
-            seen.append(tip.translation)
-        axes = _fixed_axes(T[3:])
+        if not grasp.T[:3].any():
+            points.append((X_OT.translation, tip.translation))
+        axes = _fixed_axes(grasp.T[3:])
         turns += radius**2 * (tip.rotation @ axes) @ (X_OT.rotation @ axes).T
-    if own:
-        p = np.array(own)
-        x = np.array(seen)
-        turns += (x - x.mean(axis=0)).T @ (p - p.mean(axis=0))
+    if points:
+        middle, target = np.mean(points, axis=0)
+        p, x = np.swapaxes(points, 0, 1)
+        turns += (x - target).T @ (p - middle)
     U, _, Vh = np.linalg.svd(turns)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vh)]) @ Vh
-    if own:
-        return pin.SE3(R, x.mean(axis=0) - R @ p.mean(axis=0))
-    return pin.SE3(R, (tips[0] * grasps[0].X_TO).translation)
+    if points:
+        return SE3(R, target - R @ middle)
+    return SE3(R, (tips[0] * grasps[0].X_TO).translation)
 
 
 def _fixed_axes(turning: Array) -> Array:

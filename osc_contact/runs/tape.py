@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from osc_contact.control.controller import Controller
-from osc_contact.control.saving import controller_bytes, touched_rows
+from osc_contact.control.inputs import touched_rows
+from osc_contact.control.saving import controller_bytes
 from osc_contact.control.without_python import write_library
 from osc_contact.files import whole_file
 from osc_contact.interface import Measurement, Reference

@@ -197,7 +197,7 @@ class Task:
             force_names=[f"alpha_d of {name}" for name in names],
             owners=owners,
             rests=[body is None for body in settings.bodies],
-            bound=settings.phases is None,
+            bound=settings.life is None,
             controller=controller,
             robot=robot,
             measured=measured,

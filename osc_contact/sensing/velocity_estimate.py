@@ -19,7 +19,7 @@ does not lag along the command.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,14 +34,13 @@ class VelocityEstimate:
     Attributes:
         alpha, beta: (k,) gains of position and of velocity.
         dt: period of `update` (s). sample: period of the sensor (s), which the gains are for.
+        x, v: (k,) last estimate; x None: there was none.
     """
 
     alpha: Array
     beta: Array
     dt: float
     sample: float = 0.0  #: 0: the same
-    x: Array | None = field(default=None, init=False)  #: (k,) last estimate
-    v: Array = field(init=False)  #: (k,)
 
     def __post_init__(self) -> None:
         self.alpha = np.atleast_1d(self.alpha)
@@ -53,6 +52,7 @@ class VelocityEstimate:
                 f"velocity estimate: α = {self.alpha}, β = {self.beta}, dt = {self.dt}; a stable "
                 "filter has α > 0, β > 0, 2α + β < 4, dt > 0"
             )
+        self.x: Array | None = None
         self.v = np.zeros(len(self.alpha))
 
     @classmethod
@@ -88,10 +88,6 @@ class VelocityEstimate:
         """Critically damped: both poles at exp(−bandwidth · dt), bandwidth (k,) in rad/s."""
         pole = np.exp(-np.atleast_1d(bandwidth) * dt)
         return cls(1.0 - pole**2, (1.0 - pole) ** 2, dt)
-
-    def gains(self) -> tuple[Array, Array]:
-        """(α, β), each (k,)."""
-        return self.alpha, self.beta
 
     def update(
         self, x: Array, acceleration: Array | float = 0.0, fresh: bool = True

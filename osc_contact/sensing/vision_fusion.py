@@ -14,13 +14,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Seen, Touched
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.spatial import Array, carry_twist, skew
-
-__all__ = ["BodyEstimate", "History", "Registration", "VisionFusion"]
 
 _ITERATIONS = 4  # of the update, which is nonlinear in large turns
 
@@ -49,10 +48,9 @@ class History:
             raise InvalidInputError("the history is empty; add a value before asking for one")
         times = [kept for kept, _ in self._kept]
         after = min(max(bisect_right(times, t), 1), len(times) - 1)
-        (t0, x0) = self._kept[max(after - 1, 0)]
-        (t1, x1) = self._kept[after]
-        share = 0.0 if t1 == t0 else min(max((t - t0) / (t1 - t0), 0.0), 1.0)
-        return x0 + share * (x1 - x0)
+        t0, x0 = self._kept[max(after - 1, 0)]
+        t1, x1 = self._kept[after]
+        return x0 + np.clip((t - t0) / (t1 - t0 or 1.0), 0.0, 1.0) * (x1 - x0)
 
 
 @dataclass
@@ -77,8 +75,7 @@ class Registration:
     orientation: float
     prior: tuple[float, float] = (0.02, 0.05)
     drift: tuple[float, float] = (2e-5, 2e-5)
-    X: pin.SE3 = field(default_factory=pin.SE3.Identity)
-    P: Array = field(init=False)
+    X: SE3 = field(default_factory=SE3.Identity)
 
     def __post_init__(self) -> None:
         sizes = (self.position, self.orientation, *self.prior)
@@ -89,9 +86,7 @@ class Registration:
             )
         self.P = np.diag(np.repeat(self.prior, 3)) ** 2
 
-    def update(
-        self, known: Sequence[pin.SE3], seen: Sequence[pin.SE3], elapsed: float = 0.0
-    ) -> pin.SE3:
+    def update(self, known: Sequence[SE3], seen: Sequence[SE3], elapsed: float = 0.0) -> SE3:
         """X_WC after one picture.
 
         Args:
@@ -102,7 +97,6 @@ class Registration:
         believed = np.linalg.inv(self.P + elapsed * np.diag(np.repeat(self.drift, 3)) ** 2)
         weights = np.repeat((self.position, self.orientation), 3) ** -2.0
         start = self.X
-        information = believed
         for _ in range(_ITERATIONS):  # in information form: exact noise-free poses do no harm
             information = believed.copy()
             push = -believed @ _displacement(start, self.X)
@@ -115,12 +109,12 @@ class Registration:
                 information += H.T @ (weights[:, None] * H)
                 push += H.T @ (weights * y)
             xi = np.linalg.solve(information, push)
-            self.X = pin.SE3(pin.exp3(xi[3:]), xi[:3]) * self.X
+            self.X = SE3(pin.exp3(xi[3:]), xi[:3]) * self.X
         self.P = np.linalg.inv(information)
         return self.X
 
 
-def _displacement(start: pin.SE3, end: pin.SE3) -> Array:
+def _displacement(start: SE3, end: SE3) -> Array:
     """ξ (6,) with end = (exp(θ), δ) ∘ start."""
     rest = end * start.inverse()
     return np.concatenate((rest.translation, pin.log3(rest.rotation)))
@@ -133,7 +127,7 @@ class BodyEstimate:
     channels: VelocityEstimate
     R_first: Array
 
-    def update(self, X: pin.SE3, fresh: bool, delay: float) -> tuple[pin.SE3, Array]:
+    def update(self, X: SE3, fresh: bool, delay: float) -> tuple[SE3, Array]:
         """(pose, twist (6,) at its origin) now, from a pose that is `delay` old.
 
         Args:
@@ -142,7 +136,7 @@ class BodyEstimate:
         turned = pin.log3(X.rotation @ self.R_first.T)
         x, rate = self.channels.update(np.concatenate((X.translation, turned)), fresh=fresh)
         x = x + delay * rate
-        pose = pin.SE3(pin.exp3(x[3:]) @ self.R_first, x[:3])
+        pose = SE3(pin.exp3(x[3:]) @ self.R_first, x[:3])
         return pose, np.concatenate((rate[:3], pin.Jexp3(-x[3:]) @ rate[3:]))
 
 
@@ -155,7 +149,7 @@ class VisionFusion:
 
     def __init__(
         self,
-        known: Callable[[Array], Sequence[pin.SE3]],
+        known: Callable[[Array], Sequence[SE3]],
         registration: Registration,
         acceleration: tuple[float, float],
         *,
@@ -177,7 +171,7 @@ class VisionFusion:
         self.history = History(2.0 * (delay + period))
         self._known = known
         self._delay = delay
-        self._markers = None if markers is None else [pin.SE3(np.array(X)) for X in markers]
+        self._markers = None if markers is None else [SE3(np.array(X)) for X in markers]
         self._acceleration = np.repeat(acceleration, 3)
         self._dt = dt
         self._period = period
@@ -200,10 +194,10 @@ class VisionFusion:
             elapsed = 0.0 if self._stamp is None else stamp - self._stamp
             self._stamp = stamp
             if seen is not None:
-                poses = [pin.SE3(np.array(X)) for X in (seen.object, *seen.tips)]
+                poses = [SE3(np.array(X)) for X in (seen.object, *seen.tips)]
                 self.registration.update(self._known(self.history.at(stamp)), poses, elapsed)
-        frames = [pin.SE3(np.array(X)) for X in touched.X_WE]
-        markers = self._markers or [pin.SE3.Identity()] * len(frames)
+        frames = [SE3(np.array(X)) for X in touched.X_WE]
+        markers = self._markers or [SE3.Identity()] * len(frames)
         if not self._bodies:
             self._bodies = [
                 BodyEstimate(self._channels(), (X * M).rotation.copy())
@@ -216,7 +210,7 @@ class VisionFusion:
             X_CM, V = body.update(X_CE * M, fresh, self._delay)  # filtered where it is seen
             X_WM = X_WC * X_CM
             X = X_WM * M.inverse()
-            turned = np.concatenate((X_WC.rotation @ V[:3], X_WC.rotation @ V[3:]))
+            turned = (X_WC.rotation @ V.reshape(2, 3, 1)).ravel()
             X_WE.append(X.homogeneous)
             V_E.append(carry_twist(turned, X_WM.translation, X.translation))
         return Touched(np.array(X_WE), np.array(V_E), touched.A_E)

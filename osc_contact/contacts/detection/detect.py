@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import coal
 import numpy as np
 import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.detection.features import (
@@ -20,19 +21,18 @@ from osc_contact.contacts.detection.features import (
     separation,
     shared_patch,
 )
-from osc_contact.contacts.pairs import (
-    ContactPair,
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.gap_functions import GapFunctions
+from osc_contact.contacts.pairs.law_pair import EdgeOnEdge, FaceOnVertex
+from osc_contact.contacts.pairs.pair import triad
+from osc_contact.contacts.pairs.points_on_planes import (
     CylinderOnPlane,
-    EdgeOnEdge,
     EdgeOnFace,
     FaceOnFace,
-    FaceOnVertex,
-    GapFunctions,
     SphereOnPlane,
-    SphereOnSurface,
     VertexOnFace,
 )
-from osc_contact.contacts.pairs.pair import triad
+from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.contacts.surface import Surface
 from osc_contact.errors import ContactError, InvalidInputError
 from osc_contact.spatial import Array, cross, norm
@@ -57,13 +57,15 @@ def face_on_edge(
         radius: of the line (m). name: of the pair.
     """
 
-    def gap(X: pin.SE3) -> Array:
+    def gap(X: SE3) -> Array:
         return (edge - X.act(point)) @ (X.rotation @ normal) - radius
 
     return GapFunctions(gap, length=norm(edge[1] - edge[0]), name=name)
 
 
-def rim_on_face(rim: Feature, point: Array, normal: Array, sine: float, name: str) -> GapFunctions:
+def rim_on_face(
+    rim: Feature, point: Array, normal: Array, sine: float, name: str, turned: bool = False
+) -> GapFunctions:
     """The rim of a disc of the object on a plane of the environment, r = 1; rolling is free.
 
     g = n·(c − p) − R |n × a|: the disc with centre c and axis a reaches R sin∠(n, a) down.
@@ -71,29 +73,14 @@ def rim_on_face(rim: Feature, point: Array, normal: Array, sine: float, name: st
 
     Args:
         rim: of the object, in its frame. point, normal: (3,) of the plane. sine: of ∠(n, a).
-        name: of the pair.
+        name: of the pair. turned: the plane is the object's, the rim the environment's.
     """
     centre, axis, radius = rim.disc
 
-    def gap(X: pin.SE3) -> Array:
+    def gap(X: SE3) -> Array:
+        X = X.inverse() if turned else X
         reach = radius * norm(cross(normal, X.rotation @ axis))
         return np.array([normal @ (X.act(centre) - point) - reach])
-
-    return GapFunctions(gap, length=radius, step=min(1e-2, _STEP * sine), name=name)
-
-
-def face_on_rim(point: Array, normal: Array, rim: Feature, sine: float, name: str) -> GapFunctions:
-    """A plane of the object on the rim of a disc of the environment, r = 1; see rim_on_face.
-
-    Args:
-        point, normal: (3,) of the plane, in the object's frame. rim: of the environment.
-        sine: of ∠(n, a). name: of the pair.
-    """
-    centre, axis, radius = rim.disc
-
-    def gap(X: pin.SE3) -> Array:
-        n = X.rotation @ normal
-        return np.array([n @ (centre - X.act(point)) - radius * norm(cross(n, axis))])
 
     return GapFunctions(gap, length=radius, step=min(1e-2, _STEP * sine), name=name)
 
@@ -114,7 +101,7 @@ def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
         )
     reach = a.radius + e.radius
 
-    def gap(X: pin.SE3) -> Array:
+    def gap(X: SE3) -> Array:
         apart = X.act(a.points[0]) - e.points[0]
         lines = [e.direction] if e.dimension == 1 else []
         if a.dimension == 1:
@@ -192,7 +179,8 @@ class Detected:
         face = self.environment_point
         name = self.name
         if a.axis is not None:
-            return rim_on_face(a, face, normal, _sine(a.axis, self.object_normal), name)
+            sine = norm(cross(a.axis, self.object_normal))
+            return rim_on_face(a, face, normal, sine, name)
         if a.normal is not None:
             size = float(np.linalg.norm(self.points - self.points.mean(axis=0), axis=1).max())
             return FaceOnFace(point, a.normal, face, normal, size, name)
@@ -210,7 +198,8 @@ class Detected:
         face = self.object_point
         name = self.name
         if e.axis is not None:
-            return face_on_rim(face, normal, e, _sine(e.axis, self.environment_normal), name)
+            sine = norm(cross(e.axis, self.environment_normal))
+            return rim_on_face(e, face, normal, sine, name, turned=True)
         if e.dimension == 1:
             return face_on_edge(face, normal, e.points, e.radius, name)
         return FaceOnVertex(face, normal, self.environment_point, e.radius, name)
@@ -240,10 +229,6 @@ class Detected:
         )
 
 
-def _sine(x: Array, y: Array) -> float:
-    return norm(cross(x, y))
-
-
 # --- Contacts of one pair that are one ------------------------------------------------------------
 
 _BURIED = 1e-6
@@ -253,7 +238,7 @@ _BURIED = 1e-6
 def merged(
     contacts: Sequence[Detected],
     object_geometry: Sequence[CollisionShape],
-    X_WO: pin.SE3,
+    X_WO: SE3,
     margin: float,
     angle: float,
 ) -> list[Detected]:
@@ -280,7 +265,7 @@ def merged(
             for other in kept
         ):
             kept.append(contact)
-    return [contact for contact in contacts if any(contact is other for other in kept)]
+    return [contact for contact in contacts if contact in kept]
 
 
 def _rank(contact: Detected) -> tuple[int, bool, float]:
@@ -306,21 +291,13 @@ def _spanned(points: Array, other: Detected, margin: float) -> bool:
     return bool(np.linalg.norm(away, axis=1).max() <= margin)
 
 
-def _buried(contact: Detected, shape: CollisionShape, X_WO: pin.SE3) -> bool:
+def _buried(contact: Detected, shape: CollisionShape, X_WO: SE3) -> bool:
     """Whether the touching part of the object lies inside another of its shapes."""
     if contact.object_shape == shape.name or contact.r > 1:
         return False
     surface = X_WO.act(contact.object_point) - contact.object_feature.radius * contact.normal
-    X = X_WO * shape.placement
-    depth = coal.distance(
-        coal.Sphere(0.0),
-        coal.Transform3s(np.eye(3), surface),
-        shape.shape,
-        coal.Transform3s(X.rotation, X.translation),
-        coal.DistanceRequest(),
-        coal.DistanceResult(),
-    )
-    return bool(depth <= _BURIED)
+    point = SE3(np.eye(3), surface)
+    return nearest(coal.Sphere(0.0), point, shape.shape, X_WO * shape.placement).distance <= _BURIED
 
 
 # --- Detection ------------------------------------------------------------------------------------
@@ -331,9 +308,9 @@ _EXACT = 1e-9
 
 def detect(
     object_geometry: Sequence[CollisionShape],
-    X_WO: pin.SE3,
+    X_WO: SE3,
     environment_geometry: Sequence[CollisionShape],
-    X_WE: pin.SE3 | None = None,
+    X_WE: SE3 | None = None,
     *,
     margin: float = 1e-3,
     angle: float = 1e-3,
@@ -358,7 +335,7 @@ def detect(
         raise InvalidInputError(f"margin = {margin}; give a length > 0 m")
     if not 0.0 < angle < 0.1:
         raise InvalidInputError(f"angle = {angle}; give an angle between 0 and 0.1 rad")
-    X_WE = pin.SE3.Identity() if X_WE is None else X_WE
+    X_WE = SE3.Identity() if X_WE is None else X_WE
     placed = [(e, e.solid.moved(X_WE), X_WE * e.placement) for e in environment_geometry]
     contacts = []
     for a in object_geometry:
@@ -379,8 +356,8 @@ def detect(
 
 
 def _classified(
-    on_object: tuple[CollisionShape, Solid, pin.SE3],
-    on_face: tuple[CollisionShape, Solid, pin.SE3],
+    on_object: tuple[CollisionShape, Solid, SE3],
+    on_face: tuple[CollisionShape, Solid, SE3],
     n: Array,
     near: Nearest,
     margin: float,
@@ -421,13 +398,11 @@ def _classified(
 
 def _kind(a: Feature, e: Feature) -> str:
     """As the field calls it: a face under something round is a plane."""
-    name_a = a.name
-    name_e = e.name
-    if name_e == "face" and a.radius > 0.0:
-        name_e = "plane"
-    if name_a == "face" and e.radius > 0.0:
-        name_a = "plane"
-    return f"{name_a} on {name_e}"
+    names = (
+        "plane" if one.name == "face" and other.radius > 0.0 else one.name
+        for one, other in ((a, e), (e, a))
+    )
+    return " on ".join(names)
 
 
 def _lifted(feature: Feature, patch: Array, n: Array) -> Array:
@@ -477,17 +452,17 @@ class TrackedContact:
         self.name = name
         self.pairs: tuple[ContactPair, ...] = ()
         self.lookups = 0
-        self._shapes = tuple(object_geometry), tuple(environment_geometry)
+        self._shapes = object_geometry, environment_geometry
         self._margin = margin
         self._travel = travel
         self._turn = turn
-        self._X_EO = pin.SE3.Identity()
+        self._X_EO = SE3.Identity()
 
     def contact(
         self,
-        X_WO: pin.SE3,
+        X_WO: SE3,
         V_O: Array,
-        X_WE: pin.SE3 | None = None,
+        X_WE: SE3 | None = None,
         V_E: Array | None = None,
     ) -> Contact:
         """N (6, r) and n_γ (r,) of all that touches (see `ContactPair.contact`).
@@ -502,17 +477,15 @@ class TrackedContact:
         parts = [pair.contact(X_WO, V_O, X_WE, V_E) for pair in pairs]
         return parts[0] if len(parts) == 1 else Contact.stack(parts)
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def gaps(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """Gaps of the pairs found, one below the other (m, rad)."""
         return np.concatenate([pair.gaps(X_WO, X_WE) for pair in self._touching(X_WO, X_WE)])
 
-    def _touching(self, X_WO: pin.SE3, X_WE: pin.SE3 | None) -> tuple[ContactPair, ...]:
+    def _touching(self, X_WO: SE3, X_WE: SE3 | None) -> tuple[ContactPair, ...]:
         X_EO = X_WO if X_WE is None else X_WE.actInv(X_WO)
         moved = self._X_EO.actInv(X_EO)
-        near = (
-            norm(moved.translation) <= self._travel and norm(pin.log3(moved.rotation)) <= self._turn
-        )
-        if self.pairs and near:
+        far = norm(moved.translation) > self._travel or norm(pin.log3(moved.rotation)) > self._turn
+        if self.pairs and not far:
             return self.pairs
         shapes, bodies = self._shapes
         detected = detect(shapes, X_WO, bodies, X_WE, margin=self._margin)

@@ -11,7 +11,9 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
+from pinocchio import SE3
 
+from osc_contact.contacts.pairs.pair import triad
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots import load_geometry
 from osc_contact.robots.model import joint_names
@@ -43,7 +45,7 @@ class Solid:
     normals: Array = field(default_factory=lambda: np.zeros((0, 3)))
     edges: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
-    def moved(self, X: pin.SE3) -> Solid:
+    def moved(self, X: SE3) -> Solid:
         """The same solid in the coordinates X maps to."""
         R = X.rotation
         t = X.translation
@@ -77,7 +79,7 @@ class CollisionShape:
 
     name: str
     shape: Any
-    placement: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    placement: SE3 = field(default_factory=SE3.Identity)
     solid: Solid = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -127,7 +129,7 @@ def _read(file: Path, text: bytes) -> tuple[CollisionShape, ...]:
         shape = item.geometry
         if isinstance(shape, coal.BVHModelBase):
             shape = _convex(f"{file}: {name}", shape)
-        shapes.append(CollisionShape(name, shape, pin.SE3(item.placement)))
+        shapes.append(CollisionShape(name, shape, SE3(item.placement)))
     return tuple(shapes)
 
 
@@ -198,7 +200,7 @@ def _convex(name: str, mesh: Any) -> Any:
     points = coal.StdVec_Vec3s()
     faces = coal.StdVec_Triangle()
     points.extend(list(corners))
-    faces.extend([coal.Triangle(*(int(k) for k in triangle)) for triangle in triangles])
+    faces.extend([coal.Triangle(*triangle) for triangle in triangles.tolist()])
     return coal.Convex(points, faces)
 
 
@@ -220,7 +222,7 @@ class Nearest:
     witness: Array
 
 
-def nearest(a: Any, X_A: pin.SE3, e: Any, X_E: pin.SE3) -> Nearest:
+def nearest(a: Any, X_A: SE3, e: Any, X_E: SE3) -> Nearest:
     """Of two coal shapes at these poses.
 
     Args:
@@ -235,7 +237,7 @@ def nearest(a: Any, X_A: pin.SE3, e: Any, X_E: pin.SE3) -> Nearest:
     return Nearest(float(distance), normal, witness)
 
 
-def _placed(X: pin.SE3) -> coal.Transform3s:
+def _placed(X: SE3) -> coal.Transform3s:
     return coal.Transform3s(X.rotation, X.translation)
 
 
@@ -278,7 +280,7 @@ class Feature:
             raise InvalidInputError(f"a {self.name} is no rim and has no disc")
         return self.centre, self.axis, norm(self.points[0] - self.centre)
 
-    def moved(self, X: pin.SE3) -> Feature:
+    def moved(self, X: SE3) -> Feature:
         """The same feature in the coordinates X maps to."""
         normal = None if self.normal is None else X.rotation @ self.normal
         centre = None if self.centre is None else X.act(self.centre)
@@ -338,13 +340,6 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
     return Feature("cylinder" if solid.radius > 0.0 else "edge", 1, ends, solid.radius)
 
 
-def plane_axes(n: Array) -> Array:
-    """(2, 3) two unit vectors that make a right-handed system with the unit vector n."""
-    u = cross(n, np.eye(3)[int(np.abs(n).argmin())])
-    u /= norm(u)
-    return np.array((u, cross(n, u)))
-
-
 def _of_cylinder(solid: Solid, axis: Array, d: Array, margin: float, angle: float) -> Feature:
     along = float(axis @ d)
     radial = d - along * axis
@@ -354,7 +349,7 @@ def _of_cylinder(solid: Solid, axis: Array, d: Array, margin: float, angle: floa
     if sine <= min(margin / (2.0 * solid.radius), angle):
         normal = axis if along > 0.0 else -axis
         turn = 2.0 * np.pi * np.arange(_DISC_POINTS) / _DISC_POINTS
-        disc = np.column_stack((np.cos(turn), np.sin(turn))) @ plane_axes(normal)
+        disc = np.column_stack((np.cos(turn), np.sin(turn))) @ triad(normal)[:, :2].T
         return Feature("face", 2, end + solid.radius * disc, 0.0, normal)
     if abs(along) <= min(margin / length, angle):
         return Feature("cylinder", 1, solid.corners, solid.radius)
@@ -369,7 +364,7 @@ def _collinear(points: Array) -> bool:
 
 def _round_trip(points: Array, normal: Array) -> Array:
     """The corners of a convex face in counterclockwise order."""
-    flat = (points - points.mean(axis=0)) @ plane_axes(normal).T
+    flat = (points - points.mean(axis=0)) @ triad(normal)[:, :2]
     return points[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))]
 
 
@@ -389,7 +384,7 @@ def shared_patch(
         a, e: features of object and environment. n: (3,) unit vector. witness: (3,) point (m).
         width: m. angle: tolerance (rad).
     """
-    axes = plane_axes(n)
+    axes = triad(n)[:, :2].T
     flat_a = a.points @ axes.T
     flat_e = e.points @ axes.T
     if a.dimension == 0:
@@ -403,8 +398,7 @@ def shared_patch(
     else:
         points = _clip(flat_e, flat_a)
     if len(points) == 0:
-        points = axes @ witness[:, None]
-        points = points.T
+        points = (axes @ witness)[None]
     return _reduced(points, width) @ axes
 
 
@@ -452,8 +446,7 @@ def _reduced(points: Array, width: float) -> Array:
         return points
     middle = points.mean(axis=0)
     directions = np.linalg.svd(points - middle)[2]
-    along = (points - middle) @ directions.T[:, 0]
-    across = (points - middle) @ directions.T[:, 1]
+    along, across = directions @ (points - middle).T
     if np.ptp(along) <= width:
         return middle[None, :]
     if np.ptp(across) <= width:

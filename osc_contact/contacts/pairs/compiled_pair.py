@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.law_pair import PairRow
@@ -48,7 +48,7 @@ class CompiledPair(PackagedPair):
     name: str = "compiled_pair"
     _rows: Array = field(init=False, repr=False)  # parameters, 16 a row
 
-    def __post_init__(self) -> None:
+    def _make(self) -> None:
         if self.forces not in range(1, 7):
             raise InvalidInputError(f"{self.name}.forces = {self.forces}; give r, 1 … 6")
         numbers = as_array(f"{self.name}.parameters", self.parameters, (None,))
@@ -78,7 +78,7 @@ class CompiledPair(PackagedPair):
     def _gaps(self, b: Bodies) -> Array:
         return self._evaluate(b)[:, 7]
 
-    def points_of_contact(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
         return X_WO.translation[:, None] + self._evaluate(Bodies.at_O(X_WO, X_WE=X_WE))[:, 8:].T
 

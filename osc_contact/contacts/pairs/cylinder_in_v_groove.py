@@ -14,7 +14,6 @@ from osc_contact.contacts.pairs.pair import (
     Point,
     Radius,
     RadiusKey,
-    check_geometry,
     register_pair,
 )
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes, ends
@@ -81,8 +80,7 @@ class CylinderInVGroove(PointsOnPlanes):
     name: str = "cylinder_in_v_groove"
     pushes = True
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         side = cross(self.groove_direction, self.groove_outward)
         size = norm(side)
         if not (0.0 < self.groove_angle < pi and size > 1e-6):

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import (
     Bodies,
     Extent,
     PackagedPair,
-    check_geometry,
     register_pair,
 )
 from osc_contact.errors import InvalidInputError
@@ -45,13 +45,12 @@ class GapFunctions(PackagedPair):
         name: used in messages and recordings.
     """
 
-    gap: Callable[[pin.SE3], npt.ArrayLike]
+    gap: Callable[[SE3], npt.ArrayLike]
     length: Extent = 0.1
     step: float = 0.02
     name: str = "gap_functions"
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         if not 1e-5 <= self.step <= 0.3:
             raise InvalidInputError(f"{self.name}.step = {self.step}; give 1e-5 … 0.3")
 
@@ -70,14 +69,14 @@ class GapFunctions(PackagedPair):
     def _gaps(self, b: Bodies) -> Array:
         return self._at(b.X_E.actInv(b.X_A))
 
-    def _at(self, X_EA: pin.SE3) -> Array:
+    def _at(self, X_EA: SE3) -> Array:
         return as_array(f"{self.name}.gap(X_EA)", self.gap(X_EA), (None,))
 
-    def _differences(self, X_EA: pin.SE3, xi: Array) -> tuple[Array, Array]:
+    def _differences(self, X_EA: SE3, xi: Array) -> tuple[Array, Array]:
         """First and second derivative of the gaps along the constant twist xi (6,), at A's origin
         in E's axes."""
-        at_A = pin.SE3(np.eye(3), X_EA.translation)
-        turned = pin.SE3(X_EA.rotation, np.zeros(3))
+        at_A = SE3(np.eye(3), X_EA.translation)
+        turned = SE3(X_EA.rotation, np.zeros(3))
 
         def g(s: float) -> Array:
             return self._at(at_A * pin.exp6(s * xi) * turned)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import (
@@ -20,10 +20,8 @@ from osc_contact.contacts.pairs.pair import (
     Point,
     Radius,
     RadiusKey,
-    check_geometry,
     register_pair,
     store,
-    unit_vector,
 )
 from osc_contact.contacts.surface import OF_ARRAYS, Shapes
 from osc_contact.errors import ContactError, InvalidInputError
@@ -32,7 +30,7 @@ from osc_contact.law.jit import as_python
 from osc_contact.law.records import EDGES, FACE_ON_VERTEX, SURFACE, TANGENTS
 from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
 from osc_contact.scenarios.quantities import UnitVec3, Vec3
-from osc_contact.spatial import Array, Poses
+from osc_contact.spatial import Array, Poses, unit_vector
 
 _place = as_python(law.place_pair, **OF_ARRAYS)
 _motion = as_python(law.permitted_motion)
@@ -119,7 +117,7 @@ class LawPair(PackagedPair):
             T = np.array([_motion(one.row, A, E) for one in freedoms]).reshape(-1, 6).T
         return Contact(N, n_gamma, T=T, name=self.name)
 
-    def points_of_contact(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
         A = _elements(X_WO)
         E = _IDENTITY if X_WE is None else _elements(X_WE)
@@ -183,7 +181,7 @@ def normals_over(pair: ContactPair, X_WO: Poses, X_WE: Poses | None = None) -> A
     return np.stack(parts, axis=-1)
 
 
-def _elements(X: pin.SE3) -> _Elements:
+def _elements(X: SE3) -> _Elements:
     rows = X.homogeneous.tolist()
     return {(i, j): rows[i][j] for i in range(3) for j in range(4)}
 
@@ -234,8 +232,7 @@ class FaceOnVertex(LawPair):
     name: str = "face_on_vertex"
     pushes = True
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         row = shape(self.normal, self.vertex, self.radius)
         self._hold(PairRow(FACE_ON_VERTEX, (row,)), self.vertex)
         store(self, surface_radius=self.radius)
@@ -303,8 +300,7 @@ class EdgeOnEdge(LawPair):
     name: str = "edge_on_edge"
     pushes = True
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         if np.ndim(self.side) > 0:
             store(self, side=unit_vector(f"{self.name}.side", self.side))
         elif self.side not in (1, -1):

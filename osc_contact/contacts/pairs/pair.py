@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Annotated, Any, Protocol, TypeVar, get_type_hints, runtime_checkable
 
 import numpy as np
-import pinocchio as pin
+from pinocchio import SE3
 from pydantic import Field
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.bodies import ContactSpec, OfBody, register_contact
 from osc_contact.scenarios.quantities import Length
-from osc_contact.spatial import Array, as_array, carry_twist, cross, norm, skew
+from osc_contact.spatial import Array, as_array, carry_twist, cross, norm, skew, unit_vector
 
-_WORLD = pin.SE3.Identity()
+_WORLD = SE3.Identity()
 _AT_REST = np.zeros(6)
 
 
@@ -47,9 +47,9 @@ class ContactPair(Protocol):
 
     def contact(
         self,
-        X_WO: pin.SE3,
+        X_WO: SE3,
         V_O: Array,
-        X_WE: pin.SE3 | None = None,
+        X_WE: SE3 | None = None,
         V_E: Array | None = None,
     ) -> Contact:
         """N (6, r) and n_γ (r,) at O, world axes.
@@ -62,14 +62,14 @@ class ContactPair(Protocol):
                 that origin is the world's.
         """
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def gaps(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """(r,) signed errors (m, or rad where the column of N is a couple), 0 in contact."""
 
 
 def count_forces(pair: ContactPair) -> int:
     """r, how many force magnitudes a pair has: one for each of its gaps."""
     if (row := getattr(pair, "row", None)) is None:
-        return len(pair.gaps(pin.SE3.Identity()))
+        return len(pair.gaps(SE3.Identity()))
     shown = row()  # true in every pose; gaps of edges that are parallel do not exist
     return len(shown.shapes) - int(shown.freedoms)
 
@@ -94,17 +94,17 @@ def knows_where_it_slides(pair: ContactPair) -> bool:
 class Bodies:
     """Object A and environment E at one instant: positions from O, motions at O, world axes."""
 
-    X_A: pin.SE3
-    X_E: pin.SE3
+    X_A: SE3
+    X_E: SE3
     V_A: Array
     V_E: Array
 
     @classmethod
     def at_O(
         cls,
-        X_WO: pin.SE3,
+        X_WO: SE3,
         V_O: Array = _AT_REST,
-        X_WE: pin.SE3 | None = None,
+        X_WE: SE3 | None = None,
         V_E: Array | None = None,
     ) -> Bodies:
         """The arguments of `ContactPair.contact`, E's twist carried to O.
@@ -141,11 +141,18 @@ class PackagedPair:
 
     name: str
 
+    def __post_init__(self) -> None:
+        check_geometry(self)
+        self._make()
+
+    def _make(self) -> None:
+        """Check and keep what else there is of the geometry."""
+
     def contact(
         self,
-        X_WO: pin.SE3,
+        X_WO: SE3,
         V_O: Array,
-        X_WE: pin.SE3 | None = None,
+        X_WE: SE3 | None = None,
         V_E: Array | None = None,
     ) -> Contact:
         """N (6, r) and n_γ (r,) at O, world axes (see `ContactPair.contact`).
@@ -158,7 +165,7 @@ class PackagedPair:
         """
         return self._contact(Bodies.at_O(X_WO, V_O, X_WE, V_E))
 
-    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def gaps(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """(r,) signed errors (m or rad), 0 in contact; distances are negative in an overlap."""
         return self._gaps(Bodies.at_O(X_WO, X_WE=X_WE))
 
@@ -243,19 +250,6 @@ def check_geometry(pair: Any) -> None:
             raise InvalidInputError(f"{name} = {value}; give a length {kind} 0 m")
 
 
-def unit_vector(name: str, value: Any) -> Array:
-    """`value` (3,) normalised; `name` is that of the argument.
-
-    Raises:
-        InvalidInputError: wrong shape, not finite or zero.
-    """
-    vector = as_array(name, value, (3,))
-    length = norm(vector)
-    if length < 1e-9:
-        raise InvalidInputError(f"{name} is zero; give a direction")
-    return vector / length
-
-
 # The register of contact pairs: each enters it where it is written, with its keys in YAML.
 
 
@@ -284,7 +278,7 @@ def register_pair(keys: type[ContactSpec] | None = None, **renamed: str) -> Call
     return enter
 
 
-def make_pair(spec: ContactSpec, X_WB: pin.SE3, folder: Path | None = None) -> ContactPair:
+def make_pair(spec: ContactSpec, X_WB: SE3, folder: Path | None = None) -> ContactPair:
     """The pair that a scenario describes, its environment frame E where the world's is.
 
     Args:

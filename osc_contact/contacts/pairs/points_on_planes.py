@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.contacts.pairs.law_pair import LawPair, PairRow, shape
 from osc_contact.contacts.pairs.pair import (
@@ -15,7 +15,6 @@ from osc_contact.contacts.pairs.pair import (
     Point,
     Radius,
     RadiusKey,
-    check_geometry,
     register_pair,
     store,
     triad,
@@ -54,15 +53,16 @@ class PointsOnPlanes(LawPair):
     ) -> None:
         """Take points (3, r) of A, unit directions (3, 1 or r), and a point (3,) of all planes."""
         into = np.broadcast_to(into, points.shape)
-        heights = on_plane @ into
+        heights = (into * on_plane[:, None]).sum(axis=0)
         store(self, _points=points, _into=into, _reach=heights - radius, _heights=heights)
         shapes = map(shape, points.T, into.T, heights)
         self._hold(PairRow(POINTS, tuple(shapes)), on_plane)
 
     def _gaps(self, b: Bodies) -> Array:
         """(r,) signed distances (m), negative where the two overlap."""
-        apart = b.point_E(np.zeros(3))[:, None] - b.point_A(self._points)
-        return self._reach + np.einsum("ij,ij->j", apart, b.rotate_E(self._into))
+        n = b.rotate_E(self._into)
+        apart = (b.X_E.translation - b.X_A.translation) @ n
+        return self._reach + apart - np.einsum("ij,ij->j", b.point_A(self._points), n)
 
 
 def ends(point: Array, direction: Array, length: float) -> Array:
@@ -113,37 +113,36 @@ class VertexOnFace(PointsOnPlanes):
     name: str = "vertex_on_face"
     pushes = True
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         self._hold_points(self.vertex[:, None], -self.normal[:, None], self.point, self.radius)
 
     def row(self) -> PairRow:
         """The pair as the compiled law reads it."""
         return self._row
 
-    def gap(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> float:
+    def gap(self, X_WO: SE3, X_WE: SE3 | None = None) -> float:
         """Distance between vertex surface and face (m), negative when they overlap."""
         return float(self.gaps(X_WO, X_WE)[0])
 
-    def point_on_face(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def point_on_face(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """(3,) where the line of force meets the face, world (m)."""
         normal, point = self._face(X_WE)
         p: Array = X_WO.act(self.vertex)
         return p - (normal @ (p - point)) * normal
 
-    def points_of_contact(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+    def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """(3, 1) the same as a column."""
         return self.point_on_face(X_WO, X_WE)[:, None]
 
-    def direction(self, X_WE: pin.SE3 | None = None) -> Array:
+    def direction(self, X_WE: SE3 | None = None) -> Array:
         """(3,) unit vector into the face, world: the direction of a positive contact force."""
         return -self._face(X_WE)[0]
 
-    def face_placement(self) -> pin.SE3:
+    def face_placement(self) -> SE3:
         """Pose of the face's surface in the environment frame: z along the outward normal."""
-        return pin.SE3(triad(self.normal), self.point)
+        return SE3(triad(self.normal), self.point)
 
-    def _face(self, X_WE: pin.SE3 | None) -> tuple[Array, Array]:
+    def _face(self, X_WE: SE3 | None) -> tuple[Array, Array]:
         if X_WE is None:
             return self.normal, self.point
         return X_WE.rotation @ self.normal, X_WE.act(self.point)
@@ -185,8 +184,7 @@ class SphereOnPlane(PointsOnPlanes):
     name: str = "sphere_on_plane"
     pushes = True
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         self._hold_points(self.centre[:, None], -self.normal[:, None], self.point, self.radius)
 
 
@@ -232,8 +230,7 @@ class EdgeOnFace(PointsOnPlanes):
     name: str = "edge_on_face"
     pushes = True
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         feet = ends(self.point, self.direction, self.length)
         self._hold_points(feet, -self.face_normal[:, None], self.face_point)
 
@@ -283,8 +280,7 @@ class CylinderOnPlane(PointsOnPlanes):
     name: str = "cylinder_on_plane"
     pushes = True
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         feet = ends(self.point, self.direction, self.length)
         self._hold_points(feet, -self.face_normal[:, None], self.face_point, self.radius)
 
@@ -335,8 +331,7 @@ class FaceOnFace(PointsOnPlanes):
     name: str = "face_on_face"
     pushes = True
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         drawn = np.array((np.cos(_CORNERS), np.sin(_CORNERS)))
         corners = self.point[:, None] + self.size * triad(self.normal)[:, :2] @ drawn
         self._hold_points(corners, -self.face_normal[:, None], self.face_point)
@@ -388,8 +383,7 @@ class CylinderInHole(PointsOnPlanes):
     length: Extent = 0.1
     name: str = "cylinder_in_hole"
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
         across = triad(self.hole_direction)[:, :2]
         self._hold_points(points, np.hstack((across, across)), self.hole_point)

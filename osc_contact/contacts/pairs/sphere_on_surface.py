@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import pinocchio as pin
+from pinocchio import SE3
 from pydantic import Field
 
 from osc_contact.contacts.pairs.law_pair import LawPair, PairRow
@@ -15,7 +15,6 @@ from osc_contact.contacts.pairs.pair import (
     Point,
     Radius,
     RadiusKey,
-    check_geometry,
     register_pair,
     store,
 )
@@ -124,10 +123,9 @@ class SphereOnSurface(LawPair):
     along: Direction = (1.0, 0.0, 0.0)  # type: ignore[assignment]
     name: str = "sphere_on_surface"
     pushes = True
-    X_ES: pin.SE3 = field(init=False, repr=False)
+    X_ES: SE3 = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         y = cross(self.axis, self.along)
         sine = norm(y)
         if sine < 1e-6:
@@ -136,7 +134,7 @@ class SphereOnSurface(LawPair):
                 "one across it"
             )
         y = y / sine
-        seat = pin.SE3(np.column_stack((cross(y, self.axis), y, self.axis)), self.origin)
+        seat = SE3(np.column_stack((cross(y, self.axis), y, self.axis)), self.origin)
         shapes = self.surface.rows(self.centre, self.radius, seat)
         store(self, X_ES=seat)
         self._hold(PairRow(SURFACE, shapes, len(shapes) - 1), self.origin)

@@ -3,14 +3,13 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-import pinocchio as pin
+from pinocchio import SE3
 
 from osc_contact.contacts.pairs.law_pair import PairRow, shape
 from osc_contact.contacts.pairs.pair import (
     Bodies,
     Direction,
     Point,
-    check_geometry,
     register_pair,
     store,
     triad,
@@ -81,12 +80,6 @@ def held_axes(R_EA: Array) -> tuple[Array, Array]:
     return R_EA.T[:, [1, 2, 0]], np.eye(3)[:, [2, 0, 1]]
 
 
-def read_joint(pair: TangentPair) -> None:
-    """Check point, axis and assembled pose of a joint that is being made."""
-    check_geometry(pair)
-    store(pair, assembled=pin.SE3(pair.assembled))  # type: ignore[attr-defined]
-
-
 # The object clamped to the environment, and no contact at all.
 
 
@@ -103,10 +96,10 @@ class Fixed(TangentPair):
         name: used in messages and recordings.
     """
 
-    assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    assembled: SE3 = field(default_factory=SE3.Identity)
     name: str = "fixed"
 
-    def __post_init__(self) -> None:
+    def _make(self) -> None:
         pose = self.assembled
         self._hold_tangents(_ORIGIN, np.eye(3), pose.translation, held_axes(pose.rotation))
 
@@ -118,7 +111,7 @@ class Free(TangentPair):
 
     name: str = "free"
 
-    def __post_init__(self) -> None:
+    def _make(self) -> None:
         self._hold_tangents(_ORIGIN, np.zeros((3, 0)), _ORIGIN)
 
 
@@ -129,7 +122,7 @@ class Free(TangentPair):
 class _Joint(TangentPair):
     point: Point
     axis: Direction
-    assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    assembled: SE3 = field(default_factory=SE3.Identity)
 
 
 @register_pair()
@@ -148,8 +141,8 @@ class Prismatic(_Joint):
 
     name: str = "prismatic"
 
-    def __post_init__(self) -> None:
-        read_joint(self)
+    def _make(self) -> None:
+        store(self, assembled=SE3(self.assembled))
         seat = self.assembled.rotation @ self.axis
         turns = held_axes(self.assembled.rotation)
         on_line = self.assembled.act(self.point)
@@ -176,8 +169,8 @@ class Revolute(_Joint):
 
     name: str = "revolute"
 
-    def __post_init__(self) -> None:
-        read_joint(self)
+    def _make(self) -> None:
+        store(self, assembled=SE3(self.assembled))
         seat = self.assembled.rotation @ self.axis
         on_axis = self.assembled.act(self.point)
         freedom = shape(self.point, self.axis, TURN)
@@ -208,12 +201,12 @@ class Screw(TangentPair):
     point: Point
     axis: Direction
     pitch: float
-    assembled: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    assembled: SE3 = field(default_factory=SE3.Identity)
     name: str = "screw"
     _seat: Array = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        read_joint(self)
+    def _make(self) -> None:
+        store(self, assembled=SE3(self.assembled))
         if not np.isfinite(self.pitch) or self.pitch == 0.0:
             raise InvalidInputError(
                 f"{self.name}.pitch = {self.pitch}; give m/rad other than 0 (else: Revolute)"
@@ -267,8 +260,7 @@ class ConeInGroove(TangentPair):
     seat: Direction
     name: str = "cone_in_groove"
 
-    def __post_init__(self) -> None:
-        check_geometry(self)
+    def _make(self) -> None:
         across = triad(self.groove_direction)[:, :2]
         turn = shape(self.apex, self.axis, TURN)
         freedoms = turn, shape(self.apex, self.groove_direction, SLIDE)
