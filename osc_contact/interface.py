@@ -169,20 +169,20 @@ def pose_reference(
     )
     X_WD = as_pose("reference", position, np.eye(3) if rotation is None else rotation)
     return Reference(
-        X_WD, V_D, A_D, as_array("alpha_d", alpha_d, (None,)), as_squeeze("squeeze_d", squeeze_d)
+        X_WD, V_D, A_D, as_array("alpha_d", alpha_d, (None,)), as_numbers("squeeze_d", squeeze_d)
     )
 
 
-def as_squeeze(name: str, squeeze_d: ArrayLike, pairs: int | None = None) -> float | Array:
-    """A finite number, or an array of one for each of the pairs (None: any number of them).
+def as_numbers(name: str, value: ArrayLike, count: int | None = None) -> float | Array:
+    """A finite number, or an array (count,) of them.
 
     Args:
-        name: of the argument. squeeze_d: N. pairs: of arms.
+        name: of the argument. value: a number, or several. count: None: any number of them.
 
     Raises:
         InvalidInputError: it is neither.
     """
-    by_pair = isinstance(squeeze_d, list | tuple)
-    if by_pair or (isinstance(squeeze_d, np.ndarray) and squeeze_d.ndim):
-        return as_array(name, squeeze_d, (pairs,))
-    return float(as_array(name, squeeze_d, ()))
+    several = isinstance(value, list | tuple)
+    if several or (isinstance(value, np.ndarray) and value.ndim):
+        return as_array(name, value, (count,))
+    return float(as_array(name, value, ()))

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import InvalidInputError, OscContactError, SolverError
 
 Array = NDArray[np.float64]
-Bounds = tuple[list[float], list[float], list[float]]
+Bounds = tuple[list[float], ...]
 """Of velocity, acceleration and jerk, one for each coordinate."""
 Pieces = tuple[tuple[float, float], ...]
 """Durations and jerks of a motion, one piece after the other."""
@@ -58,7 +58,7 @@ class JerkLimits:
         Raises:
             InvalidInputError: neither one nor n numbers were given.
         """
-        bounds: list[list[float]] = []
+        bounds = []
         for key, value in vars(self).items():
             bound = np.asarray(value, dtype=np.float64)
             if bound.shape not in ((), (1,), (n,)):
@@ -67,7 +67,7 @@ class JerkLimits:
                     "one for each"
                 )
             bounds.append(np.broadcast_to(bound, (n,)).tolist())
-        return bounds[0], bounds[1], bounds[2]
+        return tuple(bounds)
 
 
 def from_rest_to_rest(way: float, v: float, a: float, j: float) -> Pieces:

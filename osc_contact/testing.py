@@ -218,19 +218,16 @@ class _Check:
         """A torque to either side moves this joint, as the model predicts, and no other one."""
         name = self.names[joint]
         most = float(self.chain.tau_max[joint])
-        gained = np.zeros(self.chain.nq)
-        turned = 0.0
         for share in SHARES:
             M = self.mass(self.now.q)
             a = min(share * most / M[joint, joint], SPEED / (PULSE * self.dt))
             gained = np.zeros(self.chain.nq)
             turned = 0.0
             summed = 0.0
-            torque = 0.0
+            torque = max(M[joint, joint] * a, share * most * (share > SHARES[1]))
+            tau = M[:, joint] * torque / M[joint, joint]
             for sign in (1.0, -1.0):
                 before = self.now
-                torque = max(M[joint, joint] * a, share * most * (share > SHARES[1]))
-                tau = M[:, joint] * torque / M[joint, joint]
                 for _ in range(PULSE):
                     self.step(self.weight(self.now.q) + sign * tau)
                     summed += sign * self.now.v[joint] * self.dt

@@ -330,7 +330,7 @@ def test_a_grasp_keeps_its_motions_and_nothing_else():
         (lambda X: osc.Grasp(X, np.zeros((6, 1))), "column is zero"),
         (lambda X: osc.Grasp(X, np.full((6, 1), np.nan)), "nan"),
         (lambda X: osc.Grasp(X, np.ones((3, 1))), "shape"),
-        (lambda X: osc.Grasp.hinge(X, [0, 0, 0]), "no direction"),
+        (lambda X: osc.Grasp.hinge(X, [0, 0, 0]), "give a direction"),
         (lambda X: osc.Grasp(np.eye(4)), "pin.SE3"),
     ],
 )

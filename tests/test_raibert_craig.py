@@ -318,9 +318,9 @@ def test_malformed_selections_are_refused(flags):
         *((dict(tolerance=tolerance), "tolerance = ") for tolerance in (0.0, 1.0, np.nan)),
         (dict(N=np.eye(5)), r"N: expected shape \(6, any\)"),
         (dict(centre=np.zeros(2)), r"centre: expected shape \(3\)"),
-        (dict(N=np.ones((6, 2))), "columns are dependent"),
-        (dict(N=np.zeros((6, 1))), "remove them"),
-        (dict(N=np.ones((6, 7))), "remove them"),
+        (dict(N=np.ones((6, 2))), r"columns \[0, 1\] are dependent"),
+        (dict(N=np.zeros((6, 1))), "column 0 is zero; remove it"),
+        (dict(N=np.ones((6, 7))), "7 columns in a 6-dimensional space"),
     ],
 )
 def test_impossible_input_is_refused(given, words):

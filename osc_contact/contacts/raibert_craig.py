@@ -175,14 +175,12 @@ def _why(Q: Array, size: float, tolerance: float, forces: int) -> str:
 
 def _tilt_in_words(forces: int, couples: int, angle: float) -> str:
     angle = min(angle, np.pi - angle)
-    names = [
-        f"the {'line' if dimension == 1 else 'normal of the plane'} of the {what}"
-        for dimension, what in ((forces, "forces"), (couples, "couples"))
-    ]
+    line = "the line of the"
+    plane = "the normal of the plane of the"
     return (
         "(i) the couples and the forces have no common triad of axes: "
-        f"{names[0]} and {names[1]} are {np.rad2deg(angle):.4g}° apart, "
-        "neither parallel nor perpendicular"
+        f"{line if forces == 1 else plane} forces and {line if couples == 1 else plane} couples "
+        f"are {np.rad2deg(angle):.4g}° apart, neither parallel nor perpendicular"
     )
 
 
@@ -312,6 +310,8 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
         E, p, chosen, rest: as in `sines`.
     """
     damping = np.full(len(E), 1e-3)
+    E = E.copy()
+    p = p.copy()
     S = _space(E, p, chosen)
     across = rest.T @ S
     for _ in range(_REFINEMENTS):
@@ -328,10 +328,9 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
         new_S = _space(new_E, new_p, chosen)
         new_across = rest.T @ new_S
         better = (new_across**2).sum(axis=(1, 2)) < (across**2).sum(axis=(1, 2))
-        pick = better[:, None, None]
-        E = np.where(pick, new_E, E)
-        p = np.where(better[:, None], new_p, p)
-        S = np.where(pick, new_S, S)
-        across = np.where(pick, new_across, across)
+        E[better] = new_E[better]
+        p[better] = new_p[better]
+        S[better] = new_S[better]
+        across[better] = new_across[better]
         damping = np.where(better, 0.2 * damping, 10.0 * damping)
     return E, p

@@ -9,7 +9,7 @@ import numpy as np
 
 from osc_contact.control.records import STILL, Settings, TickRecords
 from osc_contact.errors import InvalidInputError, SensorTimeout
-from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
+from osc_contact.interface import Measurement, Reference, Touched, as_numbers
 from osc_contact.law import tick as law
 from osc_contact.law.records import JOINTS, WRISTS
 from osc_contact.spatial import Array, as_array
@@ -52,7 +52,7 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
         raise InvalidInputError(f"reference alpha_d: {alpha_d} N; no robot presses with 1e6 N")
     if k < 3 and np.ndim(reference.squeeze_d):
         raise InvalidInputError(f"reference squeeze_d: {k} arms take a number, got an array")
-    as_squeeze("reference squeeze_d", reference.squeeze_d, k * (k - 1) // 2)
+    as_numbers("reference squeeze_d", reference.squeeze_d, k * (k - 1) // 2)
     as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))
 
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from pinocchio import SE3
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.interface import Reference, as_squeeze
+from osc_contact.interface import Reference, as_numbers
 from osc_contact.jerk_limits import JerkLimits, Trajectory
 from osc_contact.spatial import Array, as_array, as_pose, cross, skew
 
@@ -39,8 +39,7 @@ class SetPoint:
 
     def __init__(self, start: ArrayLike, limits: JerkLimits, dt: float) -> None:
         self._dt = _period(dt)
-        number = not isinstance(start, list | tuple) and np.ndim(start) == 0
-        numbers = as_array("start", start, () if number else (None,))
+        numbers = np.asarray(as_numbers("start", start))
         if numbers.size == 0:
             raise InvalidInputError("start is empty; give a number, or one for each coordinate")
         self._shape = numbers.shape
@@ -96,8 +95,7 @@ class PoseSetPoint:
     def __init__(self, start: SE3, linear: JerkLimits, angular: JerkLimits, dt: float) -> None:
         self._dt = _period(dt)
         bounds = zip(linear.each(3), angular.each(3), strict=True)
-        velocity, acceleration, jerk = (moving + turning for moving, turning in bounds)
-        self._bounds = (velocity, acceleration, jerk)
+        self._bounds = tuple(moving + turning for moving, turning in bounds)
         self.reset(start)
 
     def reset(self, X: SE3) -> None:
@@ -124,7 +122,7 @@ class PoseSetPoint:
                 former goal is kept and no time passed.
         """
         forces = as_array("alpha_d", alpha_d, (None,))
-        squeeze = as_squeeze("squeeze_d", squeeze_d)
+        squeeze = as_numbers("squeeze_d", squeeze_d)
         if goal is not None and not (isinstance(goal, SE3) and goal == self._goal):
             self._aim(_pose("goal", goal))
         self._trajectory.advance(self._dt)

@@ -31,7 +31,6 @@ class MotorLimits:
     def __init__(self, settings: Settings, model: Any) -> None:
         chain = settings.chain
         self.chain = chain
-        self.settings = settings
         self.program = TorqueLimits(
             chain.n_a, max(1, int(model.n_columns)), int(model.n_extra), _count_idle(chain)
         )

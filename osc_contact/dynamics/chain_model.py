@@ -301,13 +301,9 @@ def pack_chain(chain: ChainModel, raw: Bytes, leader: int | None) -> None:
         chain: to pack. raw: bytes of the row.
         leader: arm that holds the object rigidly; None: no arm does.
     """
-    model = at.MODEL.view(raw)
-    _pack_object(chain, model, leader)
-    _pack_arms(chain, model.arms)
-    _pack_joints(chain, model.joints)
-
-
-def _pack_object(chain: ChainModel, head: Any, leader: int | None) -> None:
+    head = at.MODEL.view(raw)
+    _pack_arms(chain, head.arms)
+    _pack_joints(chain, head.joints)
     head.held = chain.payload is not None
     head.rank_tolerance = chain.rank_tolerance
     head.angle_tolerance = chain.angle_tolerance
@@ -324,8 +320,7 @@ def _pack_object(chain: ChainModel, head: Any, leader: int | None) -> None:
     head.lightness[:] = 1.0 / head.reference
     X_LO = SE3.Identity()  # without a leader: in the object's own frame
     if leader is not None:
-        tip = chain.model.frames[chain.tips[leader]]
-        X_LO = _in_joint(chain.model, tip) * chain.grasps[leader].X_TO
+        X_LO = _in_joint(chain.model, chain.tips[leader]) * chain.grasps[leader].X_TO
     head.X_LO[:] = _flat_pose(X_LO)
     head.X_LP[:] = _flat_pose(X_LO * SE3(axes, body.lever))
 
@@ -342,15 +337,14 @@ def _pack_arms(chain: ChainModel, rows: Any) -> None:
         row.first = part.start
         row.end = part.stop
         row.full_rank = chain.full_ranks[i]
-        tip = model.frames[chain.tips[i]]
+        tip = chain.tips[i]
         sensor = chain.sensors[i]
-        row.tip_joint = tip.parentJoint - 1
+        row.tip_joint = model.frames[tip].parentJoint - 1
         row.tip[:] = _flat_pose(_in_joint(model, tip))
         row.sensor_joint = row.outer_joint = -1
         if sensor is not None:
-            frame = model.frames[sensor]
-            row.sensor_joint = frame.parentJoint - 1
-            row.sensor[:] = _flat_pose(_in_joint(model, frame))
+            row.sensor_joint = model.frames[sensor].parentJoint - 1
+            row.sensor[:] = _flat_pose(_in_joint(model, sensor))
         if chain.outboard[i]:
             link = chain.outboard[i][0]
             row.outer_joint = link.joint - 1
@@ -373,16 +367,17 @@ def _pack_joints(chain: ChainModel, rows: Any) -> None:
     firsts = {part.start for part in chain.slices}
     rows.motor[:] = -1
     rows.armature[:] = model.armature
-    frames = [_z_frame(model, j + 1) for j in range(len(rows))]
+    frames = [SE3.Identity(), *(_z_frame(model, j + 1) for j in range(len(rows)))]
     for j, row in enumerate(rows):
         joint = model.joints[j + 1]
         parent = model.parents[j + 1]
         if joint.idx_v != j or parent != (0 if j in firsts else j):
             raise ModelError(f"joint '{model.names[j + 1]}' does not follow the one before it")
         row.slides = slides(model, j + 1)
-        before = SE3.Identity() if parent == 0 else frames[parent - 1]
-        row.placement[:] = _flat_pose(before.actInv(model.jointPlacements[j + 1]) * frames[j])
-        row.link[:] = _flat_inertia(frames[j].actInv(model.inertias[j + 1]))
+        frame = frames[j + 1]
+        before = frames[parent]
+        row.placement[:] = _flat_pose(before.actInv(model.jointPlacements[j + 1]) * frame)
+        row.link[:] = _flat_inertia(frame.actInv(model.inertias[j + 1]))
 
 
 def _z_frame(model: pin.Model, joint: int) -> SE3:
@@ -398,8 +393,9 @@ def _z_frame(model: pin.Model, joint: int) -> SE3:
     return SE3(np.column_stack((first, cross(axis, first), axis)), np.zeros(3))
 
 
-def _in_joint(model: pin.Model, frame: pin.Frame) -> SE3:
+def _in_joint(model: pin.Model, number: int) -> SE3:
     """A frame's placement in its joint, whose z axis is the joint's."""
+    frame = model.frames[number]
     return _z_frame(model, frame.parentJoint).actInv(frame.placement)
 
 
