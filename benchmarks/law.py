@@ -9,6 +9,8 @@ from rich.table import Table
 from benchmarks.cases import CASES, repeatable
 from benchmarks.measuring import cells, machine, spread, take_turns
 from osc_contact import Controller, Measurement, Reference
+from osc_contact.control.records import STILL
+from osc_contact.law.compiled import rows
 from paper.study import Data, table_of
 
 
@@ -31,9 +33,9 @@ def kernel_call(
         reference.V_D,
         reference.A_D,
         reference.alpha_d,
-        controller._still,
+        STILL,
     )
-    return partial(controller._rows, *args)
+    return partial(rows(), *args)
 
 
 def measure(rounds: int) -> Data:
