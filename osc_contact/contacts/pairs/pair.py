@@ -10,12 +10,11 @@ from typing import Annotated, Any, Protocol, TypeVar, get_type_hints, runtime_ch
 
 import numpy as np
 from pinocchio import SE3
-from pydantic import Field
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.bodies import ContactSpec, OfBody, register_contact
-from osc_contact.scenarios.quantities import Length
+from osc_contact.scenarios.quantities import Length, NotNegative, Positive
 from osc_contact.spatial import Array, as_array, carry_twist, cross, norm, skew, unit_vector
 
 _WORLD = SE3.Identity()
@@ -221,8 +220,8 @@ Direction = Annotated[Array, "direction"]
 Radius = Annotated[float, "≥"]
 Extent = Annotated[float, ">"]
 #: The latter two as keys of a scenario.
-RadiusKey = Annotated[Length, Field(ge=0)]
-ExtentKey = Annotated[Length, Field(gt=0)]
+RadiusKey = NotNegative[Length]
+ExtentKey = Positive[Length]
 
 
 @cache
