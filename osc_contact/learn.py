@@ -104,8 +104,10 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         self._wrists = cfg.wrists or tuple(
             (own.format(arm.name, "force"), own.format(arm.name, "torque")) for arm in chain.arms
         )
-        every, of_action = cfg.controller.dt / env.physics_dt, env.step_dt / cfg.controller.dt
-        self._every, self._ticks = round(every), round(of_action)
+        every = cfg.controller.dt / env.physics_dt
+        of_action = env.step_dt / cfg.controller.dt
+        self._every = round(every)
+        self._ticks = round(of_action)
         if max(abs(every - self._every), abs(of_action - self._ticks)) > 1e-6 or not self._every:
             raise InvalidInputError(
                 f"physics every {env.physics_dt:g} s, control every {cfg.controller.dt:g} s, "
@@ -160,15 +162,11 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
 
     def _begin(self, forces: Array) -> None:
         """Set points of environments that were reset: where their objects are."""
-        fresh = np.flatnonzero(self._fresh)
-        if not len(fresh):
-            return
         chain = self.cfg.controller.chain
-        still = np.zeros(chain.nq)
         q = self._read(self._entity.data.joint_pos[:, self._joints])
-        for i in fresh:
-            self._target[i] = chain.state(q[i], still).X_WO.homogeneous
-        self._forces[fresh] = forces[fresh]
+        for i in np.flatnonzero(self._fresh):
+            self._target[i] = chain.state(q[i], np.zeros(chain.nq)).X_WO.homogeneous
+            self._forces[i] = forces[i]
 
     @staticmethod
     def _read(x: torch.Tensor) -> Array:

@@ -30,7 +30,7 @@ from osc_contact.contacts.detection import collision_shapes
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.run import run_rig, start
 from osc_contact.sweeps.report import variances, write_report
-from osc_contact.sweeps.rows import Workshop, make_rows, scenario_of
+from osc_contact.sweeps.rows import RigBuilder, make_rows, scenario_of
 from osc_contact.sweeps.study import SweepStudy, parse_distribution
 from osc_contact.sweeps.sweep import ROWS, TABLE, run_study
 
@@ -360,9 +360,9 @@ def compare(one, other):
     assert one.meta | clocks == other.meta | clocks
 
 
-def test_rigs_of_a_workshop_are_those_built_alone():
+def test_rigs_that_share_chains_are_those_built_alone():
     """In an order in which every chain that is kept has been used by another run."""
-    workshop = Workshop()
+    builder = RigBuilder()
     scenarios = [
         osc.load_scenario(
             "two_contact_rod",
@@ -376,8 +376,8 @@ def test_rigs_of_a_workshop_are_those_built_alone():
         for normal in ("0.50", "0.53")
     ]
     for scenario in scenarios:
-        compare(osc.run(scenario), run_rig(workshop.rig(scenario)))
-    rigs = [workshop.rig(scenario) for scenario in scenarios]
+        compare(osc.run(scenario), run_rig(builder.rig(scenario)))
+    rigs = [builder.rig(scenario) for scenario in scenarios]
     assert len({id(rig.chain) for rig in rigs}) == 1 and len({id(rig.model) for rig in rigs}) == 2
     assert len({rig.q_contact.tobytes() for rig in rigs}) == 2  # the normals do vary
 

@@ -98,11 +98,8 @@ class Fleet:
         self._models = [one.plant.model for one in starts]
         self._plants: Any = Batch(first.plant.model, self.rows, nthread=threads)
         self._plants.set_models(self._models)
-        bind = self._plants.bind
-        self._qpos = bind("qpos")
-        self._qvel = bind("qvel")
-        self._ctrl = bind("ctrl")
-        self._sensed, self._xpos, self._xmat = (bind(n) for n in ("sensordata", "xpos", "xmat"))
+        names = ("qpos", "qvel", "sensordata", "ctrl", "xpos", "xmat")
+        *self._sensed, self._ctrl, self._xpos, self._xmat = map(self._plants.bind, names)
         self._plants.state[:] = [one.state for one in starts]
         self._plants.forward()
 
@@ -119,7 +116,7 @@ class Fleet:
 
     def measure(self) -> tuple[Array, Array, Array]:
         """q, v (B, n) and wrist wrenches (B, arms, 6), as `MujocoPlant.measure` gives them."""
-        return self._plant.readings(self._qpos, self._qvel, self._sensed)
+        return self._plant.readings(*self._sensed)
 
     def tick(
         self, X_WD: Array, V_D: Array, A_D: Array, alpha_d: Array, squeeze_d: Array | None = None

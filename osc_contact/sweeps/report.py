@@ -22,6 +22,7 @@ from osc_contact.visual.page import POLICY, asset, filled, write_whole
 REPORT = "report.html"
 SUMMARY = "summary.json"
 _SHOWN = 4  #: errors that are drawn; as many causes of each
+_WORST = 5  #: runs that are named
 
 
 def write_report(table: Any, study: SweepStudy, folder: Path) -> dict[str, Any]:
@@ -35,15 +36,23 @@ def write_report(table: Any, study: SweepStudy, folder: Path) -> dict[str, Any]:
     write_whole(json.dumps(summary, indent=2, allow_nan=False), folder / SUMMARY)
     pictures = _draw(table, study, summary, folder) if find_spec("matplotlib") else ()
     title = f"{Path(study.name or study.template.make().name).stem}: {summary['rows']} runs"
+    errors = {
+        error: [f"{value:.3g}" for value in found.values()]
+        for error, found in summary["quantiles"].items()
+    }
+    causes = {
+        error: ["" if rho is None else f"{rho:+.2f}" for rho in found.values()]
+        for error, found in summary["sensitivities"].items()
+    }
     parts = {
         "policy": POLICY,
         "style": asset("report.css"),
         "title": escape(title),
         "about": _about(study, summary),
-        "errors": _errors(summary),
+        "errors": _table(("median", "90 %", "99 %", "largest"), errors),
         "pictures": "".join(map(_picture, pictures)),
-        "causes": _causes(summary),
-        "shares": _shares(summary),
+        "causes": _table(study.sample(0).shown, causes),
+        "shares": _shares(study, summary),
         "worst": "".join(map(_worst, summary["worst"])),
     }
     write_whole(filled("sweep.html", parts), folder / REPORT)
@@ -63,38 +72,20 @@ def _about(study: SweepStudy, summary: Mapping[str, Any]) -> str:
     )
 
 
-def _errors(summary: Mapping[str, Any]) -> str:
-    rows = (
-        (name, *(f"{value:.3g}" for value in values.values()))
-        for name, values in summary["quantiles"].items()
-    )
-    return _table(("error", "median", "90 %", "99 %", "largest"), rows)
-
-
-def _causes(summary: Mapping[str, Any]) -> str:
-    found = summary["sensitivities"]
-    rows = (
-        (error, *("" if rho is None else f"{rho:+.2f}" for rho in causes.values()))
-        for error, causes in found.items()
-    )
-    return _table(("error", *next(iter(found.values()), {})), rows)
-
-
-def _shares(summary: Mapping[str, Any]) -> str:
+def _shares(study: SweepStudy, summary: Mapping[str, Any]) -> str:
     """Sobol's indices of the design "saltelli"; nothing with others."""
-    found = {error: shares for error, shares in summary["variances"].items() if shares}
-    if not found:
-        return ""
-    rows = (
-        (error, *(f"{s['first']:.0%} alone, {s['total']:.0%} in all" for s in shares.values()))
-        for error, shares in found.items()
-    )
-    return (
+    rows = {
+        error: [f"{s['first']:.0%} alone, {s['total']:.0%} in all" for s in found.values()]
+        for error, found in summary["variances"].items()
+        if found
+    }
+    text = (
         "<h3>Shares of the variance</h3><p>What each key makes of an error's variance alone, and "
         "in all with what it does together with others (Sobol's indices). With few samples they "
         'are rough, and a small one may come out negative.</p><div class="wide">'
-        f"{_table(('error', *next(iter(found.values()))), rows)}</div>"
+        f"{_table([path for path, _ in study.variations], rows)}</div>"
     )
+    return text * bool(rows)
 
 
 def _worst(one: Mapping[str, Any]) -> str:
@@ -105,12 +96,12 @@ def _worst(one: Mapping[str, Any]) -> str:
     return f"<p>Row {one['row']}: <b>{escape(one['word'])}</b>{value}{why}</p>{command}"
 
 
-def _table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    lines = "".join(
-        "<tr>" + "".join(f"<{cell}>{escape(text)}</{cell}>" for text in row) + "</tr>"
-        for cell, row in (("th", heads), *(("td", row) for row in rows))
-    )
-    return f"<table>{lines}</table>"
+def _table(heads: Iterable[str], rows: Mapping[str, Iterable[str]]) -> str:
+    lines = [("th", "error", heads), *(("td", error, cells) for error, cells in rows.items())]
+    text = ""
+    for kind, *cells in ((kind, error, *cells) for kind, error, cells in lines):
+        text += "<tr>" + "".join(f"<{kind}>{escape(cell)}</{kind}>" for cell in cells) + "</tr>"
+    return f"<table>{text}</table>"
 
 
 def _picture(path: Path) -> str:
@@ -134,9 +125,8 @@ def _draw(table: Any, study: SweepStudy, summary: Mapping[str, Any], folder: Pat
         spread = Figure(figsize=(8.0, 3.4))
         ax = spread.subplots()
         for name in shown:
-            x = np.sort(numbers(table, name))
-            x = x[np.isfinite(x)]
-            ax.step(x, (np.arange(len(x)) + 1) / len(x), where="post", label=name)
+            x = numbers(table, name)
+            ax.ecdf(x[np.isfinite(x)], label=name)
         if all(summary["quantiles"][name]["50 %"] > 0.0 for name in shown):
             ax.set_xscale("log")
         ax.set(title="Share of runs below an error", xlabel="error", ylabel="share of runs")
@@ -169,11 +159,11 @@ _ERRORS = (
 )
 
 
-def summarise(table: Any, study: SweepStudy, worst: int = 5) -> dict[str, Any]:
+def summarise(table: Any, study: SweepStudy) -> dict[str, Any]:
     """Success rate, quantiles, sensitivities and the worst runs.
 
     Args:
-        table: of `sweep`. study: of it. worst: how many of them are named.
+        table: of `sweep`. study: of it.
 
     Returns:
         rows, success_rate, words {word: runs}, quantiles {column: {"50 %": …}}, sensitivities
@@ -183,18 +173,20 @@ def summarise(table: Any, study: SweepStudy, worst: int = 5) -> dict[str, Any]:
     words = Counter(table.column("word").to_pylist())
     failed = table.column("failed").to_pylist()
     columns = judged_columns(table)
+    quantiles = {}
+    for name in columns:
+        x = numbers(table, name)
+        if np.isfinite(x).any():
+            found = np.nanquantile(x, QUANTILES).tolist()
+            quantiles[name] = {f"{100 * q:g} %": v for q, v in zip(QUANTILES, found, strict=True)}
     return {
         "rows": table.num_rows,
         "success_rate": 1.0 - sum(failed) / max(1, len(failed)),
         "words": dict(words.most_common()),
-        "quantiles": {
-            name: {f"{100 * q:g} %": float(np.nanquantile(x, q)) for q in QUANTILES}
-            for name in columns
-            if np.isfinite(x := numbers(table, name)).any()
-        },
+        "quantiles": quantiles,
         "sensitivities": {name: sensitivities(table, study, name) for name in columns},
         "variances": {name: variances(table, study, name) for name in columns},
-        "worst": worst_rows(table, study, worst),
+        "worst": worst_rows(table, study),
     }
 
 
@@ -219,15 +211,13 @@ def sensitivities(table: Any, study: SweepStudy, name: str) -> dict[str, float |
     """
     from scipy.stats import spearmanr
 
-    found: dict[str, float | None] = {}
+    found: dict[str, float | None] = dict.fromkeys(study.sample(0).shown)
     error = numbers(table, name)
-    for column in study.sample(0).shown:
-        found[column] = None
-        if _varies(table, column):
-            x = numbers(table, column)
-            known = np.isfinite(x) & np.isfinite(error)
-            if known.sum() > 2 and np.ptp(x[known]) > 0.0 and np.ptp(error[known]) > 0.0:
-                found[column] = float(spearmanr(x[known], error[known]).statistic)
+    for column in filter(lambda column: _varies(table, column), found):
+        both = np.array([numbers(table, column), error])
+        both = both[:, np.isfinite(both).all(axis=0)]
+        if both.shape[1] > 2 and np.ptp(both, axis=1).all():
+            found[column] = float(spearmanr(*both).statistic)
     return found
 
 
@@ -249,32 +239,29 @@ def variances(table: Any, study: SweepStudy, name: str) -> dict[str, dict[str, f
     A, B, *AB = f.reshape(study.samples, -1).T
     parts = {"f_A": A[None], "f_B": B[None], "f_AB": np.array(AB)[:, None]}
     found = sobol_indices(func=parts, n=study.samples)
-    shares = zip(np.ravel(found.first_order), np.ravel(found.total_order), strict=True)
+    first, total = (np.ravel(x).tolist() for x in (found.first_order, found.total_order))
     return {
-        path: {"first": float(first), "total": float(total)}
-        for (path, _), (first, total) in zip(study.variations, shares, strict=True)
+        path: {"first": first[k], "total": total[k]} for k, (path, _) in enumerate(study.variations)
     }
 
 
-def worst_rows(table: Any, study: SweepStudy, count: int) -> list[dict[str, Any]]:
+def worst_rows(table: Any, study: SweepStudy) -> list[dict[str, Any]]:
     """Runs that failed first, then those of the largest force errors, each with its command.
 
     Args:
         table: of the study, one row a run.
         study: gives the command that repeats a run.
-        count: how many at most.
     """
     judged = [name for name in judged_columns(table) if name.endswith(".rms_error_rel")]
     found = []
     for row in table.to_pylist():
-        errors = {name: row.get(name) or 0.0 for name in judged}
-        name = max(judged, key=lambda name: errors[name], default=None)
+        errors = {name: row[name] or 0.0 for name in judged}
+        name = max(judged, key=errors.__getitem__, default=None)
         about = {key: row[key] for key in ("row", "word", "why")}
-        value = None if name is None else row.get(name)
-        badness = bool(row["failed"]), max(errors.values(), default=0.0)
-        found.append((badness, about | {"column": name, "value": value}))
-    found.sort(key=lambda one: one[0], reverse=True)
-    return [one | {"command": study.command(one["row"])} for _, one in found[:count]]
+        about |= {"column": name, "value": name and row[name]}
+        found.append((row["failed"], max(errors.values(), default=0.0), about))
+    found.sort(key=lambda one: one[:2], reverse=True)
+    return [one | {"command": study.command(one["row"])} for *_, one in found[:_WORST]]
 
 
 def _varies(table: Any, name: str) -> bool:

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.errors import Interrupted, InvalidInputError, OscContactError, PlantError
-from osc_contact.files import hold, whole_file
+from osc_contact.errors import InvalidInputError, OscContactError, PlantError
+from osc_contact.files import hold
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.runs.rig import Rig, build_chain, build_rig
@@ -20,7 +20,7 @@ from osc_contact.runs.run import Install, run_rig
 from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.control_schema import ModelErrorSpec
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.sweeps.study import Sample, SweepStudy
+from osc_contact.sweeps.study import Sample, SweepStudy, texts
 
 #: Words beside those of `runs.verdict`: it could not be built or is not possible; the simulation
 #: diverged; the process that ran it died.
@@ -50,11 +50,16 @@ Row = dict[str, Any]
 _KEPT = 8  #: chains; where each run has its own masses they are not needed again
 
 
-class Workshop:
+class RigBuilder(threading.local):
     """Builds rigs; chains of the same arms, object and factors are the same chain.
 
-    Not for use in several threads: chains hold scratch memory.
+    Each thread has chains of its own: they hold scratch memory.
+
+    Attributes:
+        study: whose rows this thread made last.
     """
+
+    study: SweepStudy | None = None
 
     def __init__(self) -> None:
         """No chains."""
@@ -68,14 +73,14 @@ class Workshop:
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
         key = json.dumps([content, dict(error), str(scenario.source)], sort_keys=True)
         if key not in self._chains:
-            while len(self._chains) >= _KEPT:
-                self._chains.popitem(last=False)
             self._chains[key] = build_chain(scenario, error)
+            if len(self._chains) > _KEPT:
+                self._chains.popitem(last=False)
         self._chains.move_to_end(key)
         return self._chains[key]
 
 
-_mine = threading.local()  # workshops are not shared between threads
+_rigs = RigBuilder()
 
 
 def make_rows(
@@ -88,13 +93,11 @@ def make_rows(
     Args:
         study: of the rows. numbers: of them. install: puts another law into each controller.
     """
-    if not hasattr(_mine, "study"):
-        _mine.workshop = Workshop()
-        _mine.study = study
-    if _mine.study.fingerprint != study.fingerprint:
-        _mine.study = study
+    if _rigs.study is not None and _rigs.study.fingerprint == study.fingerprint:
+        study = _rigs.study  # which is read already
+    _rigs.study = study
     with without_logged_doubts():
-        rows = [_row(_mine.study, _mine.workshop, number, install) for number in numbers]
+        rows = [_row(study, study.sample(number), install) for number in numbers]
     return json.loads(json.dumps(rows))  # as they come out of a file
 
 
@@ -110,32 +113,24 @@ def without_logged_doubts() -> Iterator[None]:
         logger.setLevel(before)
 
 
-def record_sample(
-    study: SweepStudy,
-    sample: Sample,
-    workshop: Workshop | None = None,
-    install: Install | None = None,
-) -> Recording:
+def record_sample(study: SweepStudy, sample: Sample, install: Install | None = None) -> Recording:
     """The recording of one run of a study.
 
     Args:
         study: which the sample belongs to.
         sample: its changes and its seed.
-        workshop: keeps the parts that runs share (None: nothing is shared).
         install: puts another law into each controller.
 
     Raises:
         OscContactError: it cannot be built, is not possible, or diverges.
     """
-    workshop = Workshop() if workshop is None else workshop
-    rig = workshop.rig(scenario_of(study, sample))
+    rig = _rigs.rig(scenario_of(study, sample))
     return run_rig(rig, sample.seed, install=install)
 
 
 def scenario_of(study: SweepStudy, sample: Sample) -> Scenario:
     """The scenario of one run."""
-    changes = [*study.overrides, *(f"{k}={v}" for k, v in sample.overrides.items())]
-    return study.template.make(changes)
+    return study.template.make([*study.overrides, *texts(sample.overrides)])
 
 
 def require_long_enough(scenario: Scenario) -> None:
@@ -154,32 +149,28 @@ def require_long_enough(scenario: Scenario) -> None:
 def crashed_row(study: SweepStudy, number: int) -> Row:
     """The row of a run that ended its process, twice."""
     why = "its process died twice; run it alone to find the cause"
-    return _head(study.sample(number)) | {"word": CRASHED, "failed": True, "why": why}
+    return _head(study.sample(number), CRASHED, why)
 
 
-def _row(study: SweepStudy, workshop: Workshop, number: int, install: Install | None = None) -> Row:
-    sample = study.sample(number)
-    row = _head(sample)
+def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
     try:
-        recording = record_sample(study, sample, workshop, install)
+        recording = record_sample(study, sample, install)
         verdict = metrics(recording)
-    except Interrupted:
-        raise
-    except PlantError as error:
-        return row | {"word": DIVERGED, "failed": True, "why": str(error)}
     except OscContactError as error:
-        return row | {"word": REFUSED, "failed": True, "why": str(error)}
+        word = DIVERGED if isinstance(error, PlantError) else REFUSED
+        return _head(sample, word, str(error))
     task = verdict["task"]
-    row |= {"word": task["word"], "failed": task["failed"], "why": "\n".join(task["why"])}
+    row = _head(sample, task["word"], "\n".join(task["why"]), task["failed"])
     row["doubts"] = "\n".join(recording.meta["doubts"])
-    row |= dict(_flat("", {k: v for k, v in verdict.items() if k not in _LEFT_OUT}))
+    row |= _flat("", {k: v for k, v in verdict.items() if k not in _LEFT_OUT})
     for name in ("overshoot_N", "overshoot_rel"):
         row[name] = max((step[name] for step in verdict["steps"]), default=None)
     return row
 
 
-def _head(sample: Sample) -> Row:
-    return {"row": sample.number, "seed": sample.seed, **sample.shown}
+def _head(sample: Sample, word: str, why: str, failed: bool = True) -> Row:
+    about = {"word": word, "failed": failed, "why": why}
+    return {"row": sample.number, "seed": sample.seed, **sample.shown, **about}
 
 
 def _flat(path: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -227,20 +218,21 @@ class RowFile:
     def _continue(self, text: bytes, study: SweepStudy, laws: Any) -> None:
         """Read the rows that the file holds, and make it end with a whole line."""
         whole = text[: text.rfind(b"\n") + 1]
-        lines = whole.splitlines()
-        head = self._read(1, lines[0], "study", str) if lines else {}
-        if lines and (head.get("study"), head.get("laws")) != (study.fingerprint, laws):
+        self._file.truncate(len(whole))
+        head, *lines = whole.splitlines() or [b""]
+        if not head:
+            named = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
+            self._write(named if laws is None else named | {"laws": laws})
+            return
+        of = self._read(1, head, "study", str)
+        if (of["study"], of.get("laws")) != (study.fingerprint, laws):
             raise InvalidInputError(
                 f"{self.path} holds the rows of another study: another scenario, other "
                 "distributions, another design, seed or law; give another folder, or remove it"
             )
-        for number, line in enumerate(lines[1:], 2):
+        for number, line in enumerate(lines, 2):
             row = self._read(number, line, "row", int)
             self.done[row["row"]] = row
-        self._file.truncate(len(whole))
-        if not lines:
-            named = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
-            self._write(named if laws is None else named | {"laws": laws})
 
     def _read(self, number: int, line: bytes, key: str, kind: type) -> Row:
         """A line as an object with a key of a kind.
@@ -284,15 +276,12 @@ def make_table(rows: Sequence[Row], study: SweepStudy) -> Any:
     """
     import pyarrow as pa
 
-    ordered = sorted(rows, key=lambda row: int(row["row"]))
-    names = list(dict.fromkeys(name for row in ordered for name in row))
+    ordered = sorted(rows, key=lambda row: row["row"])
     columns = {}
-    for name in names:
+    for name in dict.fromkeys(name for row in ordered for name in row):
         values = [row.get(name) for row in ordered]
         try:
-            columns[name] = pa.array(
-                [json.dumps(x) if isinstance(x, list | dict) else x for x in values]
-            )
+            columns[name] = pa.array([json.dumps(x) if isinstance(x, list) else x for x in values])
         except pa.ArrowException as error:
             raise InvalidInputError(
                 f"the values of {name!r} are of several kinds ({error}): rows are damaged; remove "
@@ -306,11 +295,3 @@ def make_table(rows: Sequence[Row], study: SweepStudy) -> Any:
         "design": json.dumps([study.design, study.samples, study.seed]),
     }
     return pa.table(columns).replace_schema_metadata(about)
-
-
-def write_table(table: Any, path: Path) -> None:
-    """Write it as Parquet."""
-    from pyarrow import parquet
-
-    with whole_file(path) as unfinished:
-        parquet.write_table(table, unfinished)

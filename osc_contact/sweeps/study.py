@@ -10,8 +10,8 @@ from __future__ import annotations
 import json
 import re
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass
 from functools import cached_property
 from hashlib import sha256
 from math import prod
@@ -52,6 +52,9 @@ class Distribution:
     ends: bool = False
 
 
+Make = Callable[[str, Sequence[str]], Distribution]  #: from the text and its parts
+
+
 def parse_distribution(text: str) -> Distribution:
     """A distribution from its words, see `WORDS`.
 
@@ -88,51 +91,67 @@ def _quantities(parts: Sequence[str], count: int) -> tuple[list[float], str]:
     """So many numbers with one unit."""
     if len(parts) != count:
         raise ValueError(f"{len(parts)} values given, {count} needed")
-    found = [_NUMBER.fullmatch(part) for part in parts]
-    if None in found:
-        raise ValueError(f"{parts[found.index(None)]!r} is no number with or without a unit")
-    units = {match[2] for match in found if match}
+    values = []
+    units = set()
+    for part in parts:
+        match = _NUMBER.fullmatch(part)
+        if match is None:
+            raise ValueError(f"{part!r} is no number with or without a unit")
+        values.append(float(match[1]))
+        units.add(match[2])
     if len(units) > 1:
         raise ValueError(f"the units {sorted(units)} differ")
-    return [float(match[1]) for match in found if match], units.pop()
+    return values, units.pop()
 
 
-def _scalar(
-    at: Callable[[float, float, float], float],
-    fits: Callable[[float, float], bool],
-    complaint: str,
-    of_scenario: bool = False,
-    ends: bool = True,
-) -> Callable[[str, list[str]], Distribution]:
+def _scalar(at: Callable[[float, float, float], float]) -> Make:
     """Words with two numbers in one unit.
 
     Args:
-        at: (u, first, second) → value. fits: which numbers make sense. complaint: about others.
-        of_scenario: whether the value multiplies that of the scenario. ends: see `Distribution`.
+        at: (u, first, second) → value.
     """
 
-    def make(text: str, parts: list[str]) -> Distribution:
+    def make(text: str, parts: Sequence[str]) -> Distribution:
         (first, second), unit = _quantities(parts, 2)
-        if not fits(first, second) or (of_scenario and unit):
-            raise ValueError(complaint)
+        at(0.5, first, second)  # refuses what makes no sense
 
-        def draw(u: Array, value: Any) -> Drawn:
+        def draw(u: Array, _: Any) -> Drawn:
             x = at(float(u[0]), first, second)
-            if of_scenario:
-                return _times(value, x), {" [factor]": x}
             return f"{x!r} {unit}".strip(), {f" [{unit}]" if unit else "": x}
 
-        return Distribution(text, 1, draw, ends=ends)
+        return Distribution(text, 1, draw, ends=at is not _normal)
 
     return make
 
 
-def _linear(u: float, low: float, high: float) -> float:
+def _uniform(u: float, low: float, high: float) -> float:
+    if low >= high:
+        raise ValueError("the first number must be below the second")
     return low + u * (high - low)
 
 
-def _below(low: float, high: float) -> bool:
-    return low < high
+def _loguniform(u: float, low: float, high: float) -> float:
+    if not 0.0 < low < high:
+        raise ValueError("both ends must be positive, the lower one first")
+    return low * (high / low) ** u
+
+
+def _normal(u: float, mean: float, spread: float) -> float:
+    if spread <= 0.0:
+        raise ValueError("the standard deviation must be positive")
+    return NormalDist(mean, spread).inv_cdf(min(max(u, 1e-9), 1 - 1e-9))
+
+
+def _factor(text: str, parts: Sequence[str]) -> Distribution:
+    uniform = _scalar(_uniform)(text, parts)
+    if _quantities(parts, 2)[1]:
+        raise ValueError("give two factors without a unit")
+
+    def draw(u: Array, value: Any) -> Drawn:
+        x = float(uniform.draw(u, None)[0])
+        return _times(value, x), {" [factor]": x}
+
+    return Distribution(text, 1, draw, ends=True)
 
 
 def _choice(text: str, parts: Sequence[str], values: Sequence[Any] = ()) -> Distribution:
@@ -151,7 +170,7 @@ def _choice(text: str, parts: Sequence[str], values: Sequence[Any] = ()) -> Dist
     return Distribution(text, 1, draw, len(parts))
 
 
-def _integers(text: str, parts: list[str]) -> Distribution:
+def _integers(text: str, parts: Sequence[str]) -> Distribution:
     low, high = map(int, parts)
     if low > high:
         raise ValueError(f"{low} is above {high}")
@@ -169,7 +188,7 @@ def _times(value: Any, factor: float) -> str:
     return f"{float(match[1]) * factor!r} {match[2]}".strip()
 
 
-def _tilt(text: str, parts: list[str]) -> Distribution:
+def _tilt(text: str, parts: Sequence[str]) -> Distribution:
     (most,), unit = _quantities(parts, 1)
     most = np.deg2rad(most) if unit == "deg" else most
     if unit not in ("deg", "rad", "") or not 0.0 < most <= np.pi:
@@ -184,44 +203,17 @@ def _tilt(text: str, parts: list[str]) -> Distribution:
         a /= norm(a)
         side = np.cos(heading) * a + np.sin(heading) * np.cross(n, a)
         tilted = np.cos(angle) * n + np.sin(angle) * side
-        shown = ", ".join(repr(float(x)) for x in tilted)
-        return f"[{shown}]", {".tilt [rad]": angle, ".heading [rad]": heading}
+        return str(tilted.tolist()), {".tilt [rad]": angle, ".heading [rad]": heading}
 
     return Distribution(text, 2, draw)
 
 
 #: Words, what makes distributions of them, and how they are written.
-WORDS: dict[str, tuple[Callable[[str, list[str]], Distribution], str]] = {
-    "uniform": (
-        _scalar(_linear, _below, "the first number must be below the second"),
-        "uniform(LOW, HIGH), in one unit",
-    ),
-    "loguniform": (
-        _scalar(
-            lambda u, low, high: low * (high / low) ** u,
-            lambda low, high: 0.0 < low < high,
-            "both ends must be positive, the lower one first",
-        ),
-        "loguniform(LOW, HIGH), both positive, in one unit",
-    ),
-    "normal": (
-        _scalar(
-            lambda u, mean, spread: NormalDist(mean, spread).inv_cdf(min(max(u, 1e-9), 1 - 1e-9)),
-            lambda mean, spread: spread > 0.0,
-            "the standard deviation must be positive",
-            ends=False,
-        ),
-        "normal(MEAN, STANDARD DEVIATION), in one unit",
-    ),
-    "factor": (
-        _scalar(
-            _linear,
-            _below,
-            "give two factors without a unit, the smaller one first",
-            of_scenario=True,
-        ),
-        "factor(LOW, HIGH) of the scenario's own value",
-    ),
+WORDS: dict[str, tuple[Make, str]] = {
+    "uniform": (_scalar(_uniform), "uniform(LOW, HIGH), in one unit"),
+    "loguniform": (_scalar(_loguniform), "loguniform(LOW, HIGH), both positive, in one unit"),
+    "normal": (_scalar(_normal), "normal(MEAN, STANDARD DEVIATION), in one unit"),
+    "factor": (_factor, "factor(LOW, HIGH) of the scenario's value, without a unit"),
     "tilt": (_tilt, "tilt(ANGLE): a direction of the scenario turned by at most so much"),
     "choice": (_choice, "choice(A, B, …), any values"),
     "integers": (_integers, "integers(LOW, HIGH), both included"),
@@ -316,7 +308,7 @@ class SweepStudy:
         return study
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), tuple(getattr(self, one.name) for one in fields(self))
+        return type(self), astuple(self)
 
     def require_sound(self) -> None:
         """Whether all of it can be understood, as far as the first row shows.
@@ -340,7 +332,7 @@ class SweepStudy:
             raise InvalidInputError(f"a key varies twice: {paths}")
         sample = self.sample(0)
         try:
-            self.template.make([*self.overrides, *_texts(sample.overrides)])
+            self.template.make([*self.overrides, *texts(sample.overrides)])
         except ScenarioError as error:
             raise ScenarioError(f"the first of the runs cannot be made:\n{error}") from error
 
@@ -382,25 +374,19 @@ class SweepStudy:
 
     def sample(self, number: int) -> Sample:
         """The numbers of one run."""
-        overrides: dict[str, str] = {}
-        shown: dict[str, Any] = {}
-        for path, text, values in self._drawn(self._point(number)):
-            shown |= {path + suffix: value for suffix, value in values.items()}
-            overrides[path] = text
+        overrides, shown = self.at(self._point(number))
         seed = int(overrides.pop(SEED, self.seed))
         return Sample(number, seed, overrides, shown)
 
-    def values_at(self, u: Array) -> dict[str, str]:
-        """{path: value} at a point: numbers (dims,) between 0 and 1."""
-        return {path: text for path, text, _ in self._drawn(u)}
-
-    def _drawn(self, u: Array) -> Iterator[tuple[str, str, dict[str, Any]]]:
-        end = 0
+    def at(self, u: Array) -> tuple[dict[str, str], dict[str, Any]]:
+        """Overrides and what the table shows at a point: numbers (dims,) between 0 and 1."""
+        overrides = {}
+        shown: dict[str, Any] = {}
         for path, distribution in self.variations:
-            begin = end
-            end = end + distribution.dims
-            text, values = distribution.draw(u[begin:end], self._stated.get(path))
-            yield path, text, values
+            own, u = np.split(u, [distribution.dims])
+            overrides[path], values = distribution.draw(own, self._stated.get(path))
+            shown |= {path + suffix: value for suffix, value in values.items()}
+        return overrides, shown
 
     def command(self, number: int) -> str | None:
         """The line of a shell that runs one sample by itself; None: it was made in Python."""
@@ -408,7 +394,7 @@ class SweepStudy:
             return None
         sample = self.sample(number)
         words = ["osc-contact", "run", self.name]
-        for change in (*self.overrides, *_texts(sample.overrides)):
+        for change in (*self.overrides, *texts(sample.overrides)):
             words += ["--set", change]
         return shlex.join([*words, "--seed", str(sample.seed)])
 
@@ -422,28 +408,21 @@ class SweepStudy:
         }
 
     def _point(self, number: int) -> Array:
-        """(dims,) numbers between 0 and 1."""
+        """(dims,) numbers between 0 and 1; "saltelli": A, B, and A with a key of B, one by one."""
+        dims = [distribution.dims for _, distribution in self.variations]
         if self.design == "grid":
-            place = np.unravel_index(number, self._levels)
             count = np.array(self._levels)
-            ends = np.array([d.ends for _, d in self.variations for _ in range(d.dims)])
-            return np.where(
-                ends & (count > 1),
-                place / np.maximum(count - 1, 1),
-                (np.array(place) + 0.5) / count,
-            )
+            place = np.array(np.unravel_index(number, count))
+            ends = np.repeat([distribution.ends for _, distribution in self.variations], dims)
+            middle = (place + 0.5) / count
+            return np.where(ends & (count > 1), place / np.maximum(count - 1, 1), middle)
         if self.design == "saltelli":
-            return self._exchanged(*divmod(number, len(self.variations) + 2))
+            number, turn = divmod(number, len(self.variations) + 2)
+            A, B = np.split(self._in_block(number), 2)
+            if turn < 2:
+                return B if turn else A
+            return np.where(np.repeat(range(len(dims)), dims) == turn - 2, B, A)
         return self._in_block(number)
-
-    def _exchanged(self, number: int, turn: int) -> Array:
-        """Points A, B, and A with the numbers of one key from B after the other."""
-        A, B = np.split(self._in_block(number), 2)
-        if turn < 2:
-            return B if turn else A
-        ends = np.cumsum([distribution.dims for _, distribution in self.variations])
-        key = np.searchsorted(ends, np.arange(len(A)), side="right")
-        return np.where(key == turn - 2, B, A)
 
     def _in_block(self, number: int) -> Array:
         block = 0 if self.design in _WHOLE else number // _BLOCK
@@ -452,7 +431,7 @@ class SweepStudy:
         return self._points[block][number - block * _BLOCK]
 
     def _block(self, block: int) -> Array:
-        dims = sum(distribution.dims for _, distribution in self.variations)
+        dims = len(self._levels)
         if not dims or self.design == "random":
             return np.random.default_rng([self.seed, block]).random((_BLOCK, dims))
         from scipy.stats import qmc
@@ -471,5 +450,6 @@ class SweepStudy:
 _WHOLE = ("latin", "grid")  #: designs whose points depend on how many there are
 
 
-def _texts(overrides: Mapping[str, str]) -> list[str]:
+def texts(overrides: Mapping[str, str]) -> list[str]:
+    """Overrides as path=value."""
     return [f"{path}={value}" for path, value in overrides.items()]

@@ -14,23 +14,24 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from itertools import islice
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
 from osc_contact.errors import OscContactError
+from osc_contact.files import whole_file
 from osc_contact.law import compiled
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sweeps.rows import (
+    Row,
     RowFile,
     crashed_row,
     make_rows,
     make_table,
     require_long_enough,
     scenario_of,
-    write_table,
 )
 from osc_contact.sweeps.study import Design, SweepStudy
 
@@ -100,28 +101,29 @@ def run_study(
         study: what to run.
         out, workers, scheduler, progress: as of `sweep`.
     """
-    import pyarrow  # noqa: F401 - refused before the runs, not after them
+    from pyarrow import parquet  # refused before the runs, not after them
 
     require_long_enough(scenario_of(study, study.sample(0)))
-    rows = None if out is None else RowFile(Path(out) / ROWS, study)
-    kept = {} if rows is None else rows.done
-    done = {number: kept[number] for number in range(study.rows) if number in kept}
-    left = [number for number in range(study.rows) if number not in done]
-    jobs = [(study, left[i : i + _CHUNK]) for i in range(0, len(left), _CHUNK)]
-    try:
-        with workers_of(workers, scheduler, len(jobs)) as crew:
-            for _, row in make_all(crew, jobs, make_rows):
-                done[row["row"]] = row
-                if rows is not None:
-                    rows.append([row])
-                if progress is not None:
-                    progress(len(done), study.rows)
-    finally:
-        if rows is not None:
-            rows.close()
-    table = make_table(list(done.values()), study)
+    with ExitStack() as stack:
+        rows = None
+        if out is not None:
+            rows = stack.enter_context(closing(RowFile(Path(out) / ROWS, study)))
+        done = {} if rows is None else rows.done
+        left = [number for number in range(study.rows) if number not in done]
+        ended = study.rows - len(left)
+        jobs = [(study, left[i : i + _CHUNK]) for i in range(0, len(left), _CHUNK)]
+        crew = stack.enter_context(workers_of(workers, scheduler, len(jobs)))
+        for _, row in make_all(crew, jobs, make_rows):
+            done[row["row"]] = row
+            ended += 1
+            if rows is not None:
+                rows.append([row])
+            if progress is not None:
+                progress(ended, study.rows)
+    table = make_table([done[number] for number in range(study.rows)], study)
     if out is not None:
-        write_table(table, Path(out) / TABLE)
+        with whole_file(Path(out) / TABLE) as unfinished:
+            parquet.write_table(table, unfinished)
     return table
 
 
@@ -130,7 +132,6 @@ def run_study(
 
 _AHEAD = 2  #: jobs that wait for each worker
 
-Row = dict[str, Any]
 Job = tuple[SweepStudy, Sequence[int]]  #: a study, and the numbers of the rows to make
 MakesRows = Callable[[SweepStudy, Sequence[int]], list[Row]]
 

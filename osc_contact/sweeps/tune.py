@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.sweeps.rows import make_rows, require_long_enough, scenario_of
-from osc_contact.sweeps.study import SweepStudy
+from osc_contact.sweeps.rows import Row, make_rows, require_long_enough, scenario_of
+from osc_contact.sweeps.study import SweepStudy, texts
 from osc_contact.sweeps.sweep import make_all, workers_of
 
 #: Keys that are tuned if none are named, where the scenario states them.
@@ -28,8 +28,6 @@ _LIMITED = {"overshoot_rel": 0.05, "status.saturated": 0.0}
 """Columns that are limited if no limits are given, and what is permitted in any case."""
 _SLACK = 1.05  #: limits that are not given are the shipped values times this
 _WORST = 1e3  #: of a run that was refused or diverged: worse than all that ran
-
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -116,43 +114,33 @@ def tune(
 
     def draw() -> tuple[Any, SweepStudy]:
         trial = study.ask()
-        u = np.array([trial.suggest_float(name, 0.0, 1.0) for name in names])
-        values = keys.values_at(u)
+        values = keys.at(np.array([trial.suggest_float(name, 0.0, 1.0) for name in names]))[0]
         trial.set_user_attr("values", values)
-        changes = tuple(f"{path}={value}" for path, value in values.items())
-        return trial, replace(base, overrides=(*base.overrides, *changes))
+        return trial, replace(base, overrides=(*base.overrides, *texts(values)))
 
     def ended() -> list[Any]:
         return study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))
 
-    done = len(ended())
     with workers_of(workers, scheduler, trials) as crew:
-        while done < trials:
-            count = 1 if crew is None else crew.count()
-            drawn = [draw() for _ in range(min(count, trials - done))]
-            found: dict[int, list[Row]] = {id(one): [] for _, one in drawn}
-            jobs = [(one, range(samples)) for _, one in drawn]
-            for one, row in make_all(crew, jobs, make_rows):
-                found[id(one)].append(row)
+        while (left := trials - len(ended())) > 0:
+            drawn = [draw() for _ in range(min(crew.count() if crew else 1, left))]
+            made = list(make_all(crew, [(one, range(samples)) for _, one in drawn], make_rows))
             for trial, one in drawn:
-                rows = sorted(found[id(one)], key=lambda row: int(row["row"]))
-                broken = judge.excess(rows)
-                for number, excess in enumerate(broken):
-                    trial.set_constraint(str(number), excess)
-                trial.set_user_attr("broken", broken)
+                rows = [row for own, row in made if own is one]
+                for words, excess in judge.excess(rows).items():
+                    trial.set_constraint(words, excess)
                 trial.set_user_attr("numbers", judge.worst(rows))
                 study.tell(trial, judge.value(rows))
-            done += len(drawn)
             if progress is not None:
-                progress(done, trials)
+                progress(trials - left + len(drawn), trials)
     every = ended()
-    best = min(every, key=lambda t: (sum(max(0.0, x) for x in t.user_attrs["broken"]), t.value))
+    best = min(every, key=lambda trial: (sum(trial.constraints.values()), trial.value))
     after = best.user_attrs["numbers"]
     return Tuned(
         shipped=judge.value(shipped),
-        best=float(best.value or 0.0),
-        broken=judge.words(best.user_attrs["broken"]),
-        values=dict(best.user_attrs["values"]),
+        best=best.value,
+        broken=tuple(words for words, excess in best.constraints.items() if excess),
+        values=best.user_attrs["values"],
         trials=len(every),
         numbers={name: (before, after[name]) for name, before in judge.worst(shipped).items()},
     )
@@ -181,7 +169,7 @@ class _Judge:
         self, objective: str, shipped: Sequence[Row], limits: Mapping[str, float] | None
     ) -> None:
         self._objective = objective
-        self._limits = dict(limits or {})
+        self._limits: Mapping[str, float] = limits or {}
         self._forces = [
             name for name in shipped[0] if re.fullmatch(r"force\..*\.rms_.*error_rel", name)
         ]
@@ -216,12 +204,13 @@ class _Judge:
         """The objective: its mean over the samples."""
         return self._mean(rows, self._objective)
 
-    def excess(self, rows: Sequence[Row]) -> list[float]:
-        """By how much of itself each limit is broken, > 0: it is; tasks that failed first."""
+    def excess(self, rows: Sequence[Row]) -> dict[str, float]:
+        """Limit, in words → by how much of itself it is broken; first the share of failed tasks."""
         worst = self.worst(rows)
-        failed = float(np.mean([bool(row["failed"]) for row in rows]))
-        over = (max(0.0, (worst[n] - x) / max(abs(x), 1.0)) for n, x in self._limits.items())
-        return [failed, *over]
+        found = {"a task fails": float(np.mean([row["failed"] for row in rows]))}
+        for name, most in self._limits.items():
+            found[f"{name} > {most:g}"] = max(0.0, (worst[name] - most) / max(abs(most), 1.0))
+        return found
 
     def worst(self, rows: Sequence[Row]) -> dict[str, float]:
         """Objective's parts and limited columns, the worst over the samples."""
@@ -229,8 +218,3 @@ class _Judge:
         for name in (*_LIMITED, *self._limits):
             found[name] = max(float(row.get(name) or 0.0) for row in rows)
         return found
-
-    def words(self, excess: Sequence[float]) -> tuple[str, ...]:
-        """The limits that are broken."""
-        names = ["a task fails", *(f"{n} > {most:g}" for n, most in self._limits.items())]
-        return tuple(name for name, x in zip(names, excess, strict=True) if x > 0.0)

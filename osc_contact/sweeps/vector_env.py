@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from osc_contact.scenarios.loader import Template, read_text
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, moved
 from osc_contact.sweeps.fleet import Fleet, Start
-from osc_contact.sweeps.rows import Workshop, scenario_of, without_logged_doubts
+from osc_contact.sweeps.rows import RigBuilder, scenario_of, without_logged_doubts
 from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import available_cores
 
@@ -53,6 +54,7 @@ class Episodes:
 
     Attributes:
         scenario: of the episodes. count: how many different ones there are.
+        get: number → episode.
     """
 
     def __init__(
@@ -78,20 +80,15 @@ class Episodes:
             )
         self.scenario = scenario
         self.count = count if vary else 1
-        self._workshop = Workshop()
+        self._rigs = RigBuilder()
         self._period = period
-        self._made: dict[int, Episode] = {}
-
-    def __getitem__(self, number: int) -> Episode:
-        if number not in self._made:
-            self._made[number] = self._make(number)
-        return self._made[number]
+        self.get = cache(self._make)
 
     def _make(self, number: int) -> Episode:
         scenario = self.scenario
         if self._study is not None:
             scenario = scenario_of(self._study, self._study.sample(number))
-        rig = self._workshop.rig(scenario)
+        rig = self._rigs.rig(scenario)
         steps = int(np.floor(scenario.duration / self._period + 1e-9))
         plan = rig.references.over(np.arange(steps + 1) * self._period)
         places = np.array([pin.XYZQUATToSE3(x).homogeneous for x in plan.X_WD])
@@ -211,7 +208,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         threads: int,
         autoreset: AutoresetMode,
     ) -> None:
-        first = episodes[0]
+        first = episodes.get(0)
         control_rate = 1.0 / first.start.controller.dt
         self._ticks = round(control_rate / rate)
         if num_envs < 1 or self._ticks < 1 or abs(self._ticks * rate - control_rate) > 1e-6 * rate:
@@ -220,16 +217,17 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
                 "give one environment at least, and a rate that divides that of control"
             )
         self.num_envs = num_envs
+        self._mode = autoreset
         self.metadata = {"autoreset_mode": autoreset, "render_modes": []}
         self._episodes = episodes
         self._reward = reward
-        self._away = (episodes.scenario.verdict.distance, episodes.scenario.verdict.angle)
-        self._mode = autoreset
+        verdict = episodes.scenario.verdict
+        self._away = (verdict.distance, verdict.angle)
         self._r = first.forces.shape[1]
         self.move = np.repeat(_needed(first.places) if move is None else move, 3)
         largest = 2.0 * float(np.abs(first.forces).max(initial=0.0))
         self.most_force = largest if most_force is None else most_force
-        self._now: list[Episode] = [first] * num_envs
+        self._now = [first] * num_envs
         self.fleet = Fleet([first.start] * num_envs, min(threads, num_envs))
         self._step = np.zeros(num_envs, dtype=int)
         self._target = np.tile(first.places[0], (num_envs, 1, 1))
@@ -245,15 +243,21 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _name_numbers(self, first: Episode) -> list[str]:
         chain = first.start.rig.chain
-        forces = [f"{i}" for i in range(self._r)]
+        forces = range(self._r)
         axes = ("x", "y", "z", "rx", "ry", "rz")
-        return [
-            *(f"{kind} {joint}" for kind in "qv" for joint in chain.joint_names),
-            *(f"wrench {arm.name} {kind}{x}" for arm in chain.arms for kind in "fm" for x in "xyz"),
-            *(f"{kind} {i}" for kind in ("force", "normal speed") for i in forces),
-            *(f"{whose} {axis}" for whose in ("set point", "scenario") for axis in axes),
-            *(f"{whose} force {i}" for whose in ("desired", "scenario") for i in forces),
-        ]
+        wrench = ("fx", "fy", "fz", "mx", "my", "mz")
+        groups = (
+            ("q", chain.joint_names),
+            ("v", chain.joint_names),
+            *((f"wrench {arm.name}", wrench) for arm in chain.arms),
+            ("force", forces),
+            ("normal speed", forces),
+            ("set point", axes),
+            ("scenario", axes),
+            ("desired force", forces),
+            ("scenario force", forces),
+        )
+        return [f"{what} {one}" for what, every in groups for one in every]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -271,14 +275,15 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return self._observe(), self._infos()
 
     def _begin(self, mask: Array) -> None:
-        rows = np.flatnonzero(mask)
-        for row, number in zip(
-            rows, self.np_random.integers(self._episodes.count, size=len(rows)), strict=True
-        ):
-            self._now[row] = episode = self._episodes[int(number)]
+        rows = np.flatnonzero(mask).tolist()
+        if not rows:
+            return
+        numbers = self.np_random.integers(self._episodes.count, size=len(rows))
+        for row, number in zip(rows, numbers.tolist(), strict=True):
+            self._now[row] = episode = self._episodes.get(number)
             self._target[row] = episode.places[0]
             self._forces[row] = episode.forces[0]
-        self.fleet.begin({int(row): self._now[row].start for row in rows})
+        self.fleet.begin({row: self._now[row].start for row in rows})
         self._step[rows] = 0
         self._over[rows] = False
 
@@ -297,8 +302,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             )
         going = ~again
         tau = self._advance(actions, going)
-        if again.any():
-            self._begin(again)
+        self._begin(again)
         self._step[going] += 1
         seen = self._see(actions, tau)
         rewards = np.where(going, self._reward(seen), 0.0)
@@ -322,20 +326,17 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _advance(self, actions: Array, going: Array) -> Array:
         """The ticks of one action; rows that are over stand still. Returns the last torques."""
-        B = self.num_envs
         T = self._ticks
-        dt = self.fleet.dt
         increment = np.where(going[:, None], actions[:, :6] * self.move, 0.0)
         forces = 0.5 * (actions[:, 6:] + 1.0) * self.most_force
         forces = np.where(going[:, None], forces, self._forces)
         share = np.arange(1, T + 1)[:, None, None] / T
         X = moved(self._target, share * increment)
-        V = increment / (T * dt)
-        still = np.zeros((B, 6))
+        V = increment / (T * self.fleet.dt)
+        alpha = self._forces + share * (forces - self._forces)
         squeeze = np.array([episode.squeeze for episode in self._now])
         for k in range(T):
-            alpha = self._forces + share[k] * (forces - self._forces)
-            tau = self.fleet.tick(X[k], V, still, alpha, squeeze)
+            tau = self.fleet.tick(X[k], V, np.zeros_like(V), alpha[k], squeeze)
         self._target = X[-1].copy()
         self._forces = forces
         return tau
@@ -356,9 +357,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         steps = np.minimum(self._step + ahead, self._last)
         at = list(zip(self._now, steps, strict=True))
         forces = np.array([episode.forces[k] for episode, k in at])
-        return np.array([episode.places[k] for episode, k in at]), forces.reshape(
-            self.num_envs, self._r
-        )
+        return np.array([episode.places[k] for episode, k in at]), forces
 
     @property
     def _last(self) -> Array:
