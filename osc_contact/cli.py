@@ -6,9 +6,11 @@ import re
 import unicodedata
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer import Argument, Exit, Option
+from typer.core import TyperGroup
 
 from osc_contact import __version__, cli_robots, cli_sweeps
 from osc_contact.console import (
@@ -49,7 +51,18 @@ from osc_contact.runs.viewing import Shown, require_drawable, write_scene_of
 from osc_contact.scenarios import list_scenarios
 from osc_contact.visual.browser import find_browser, write_gif, write_mp4
 
+
+class Commands(TyperGroup):
+    """All commands; errors end them with an exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command of the line."""
+        with exit_codes():
+            return super().invoke(ctx)
+
+
 app = typer.Typer(
+    cls=Commands,
     help="Decoupled force and motion control of arms in contact.",
     invoke_without_command=True,
     pretty_exceptions_enable=False,
@@ -72,14 +85,14 @@ PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_opt
 def _show_version(requested: bool) -> None:
     if requested:
         typer.echo(f"osc-contact {__version__}")
-        raise typer.Exit
+        raise Exit
 
 
 @app.callback()
 def main(
     context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="and exit")
+        bool, Option("--version", callback=_show_version, is_eager=True, help="and exit")
     ] = False,
 ) -> None:
     """Decoupled force and motion control of arms in contact."""
@@ -95,95 +108,90 @@ def run(
     plant: PlantOption = None,
     duration: DurationOption = None,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="folder for the results (default: out/SCENARIO)")
+        Path | None, Option("--out", help="folder for the results (default: out/SCENARIO)")
     ] = None,
     seed: SeedOption = 0,
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Run a scenario; write metrics.json, the recording, figures and an HTML scene."""
-    with exit_codes():
-        chosen = load_task(scenario, set_, plant, duration)
-        folder = out_dir or Path("out") / chosen.file_stem
-        require_report(chosen)
-        with sole_user(folder):
-            interrupted = None
-            try:
-                recording = run_with_progress(chosen, seed, folder)
-            except Interrupted as error:
-                recording = error.recording
-                interrupted = error
-                say(str(error))
-            written, failed = report_run(recording, chosen, folder, json_file)
-            forget_rows(folder)
-        for sentence in recording.meta.get("missing", ()):
-            say(sentence)
-        say(f"written to {folder}: {written}")
-        if interrupted is not None:
-            raise typer.Exit(130)
-        if failed or recording.meta.get("missing") or recording.meta.get("doubts"):
-            raise typer.Exit(1)
+    chosen = load_task(scenario, set_, plant, duration)
+    folder = out_dir or Path("out") / chosen.file_stem
+    require_report(chosen)
+    code = 0
+    with sole_user(folder):
+        try:
+            recording = run_with_progress(chosen, seed, folder)
+        except Interrupted as error:
+            recording = error.recording
+            code = 130
+            say(str(error))
+        written, failed = report_run(recording, chosen, folder, json_file)
+        forget_rows(folder)
+    missing = recording.meta.get("missing", ())
+    for sentence in missing:
+        say(sentence)
+    say(f"written to {folder}: {written}")
+    if failed or missing or recording.meta.get("doubts"):
+        code = code or 1
+    raise Exit(code)
 
 
 @app.command()
 def export(
-    recording: Annotated[Path, typer.Argument(help="recording.npz, or unfinished.mcap of a run")],
-    file: Annotated[Path, typer.Argument(help="to write: .npz, .csv or .mcap")],
+    recording: Annotated[Path, Argument(help="recording.npz, or unfinished.mcap of a run")],
+    file: Annotated[Path, Argument(help="to write: .npz, .csv or .mcap")],
     folder: FolderOption = None,
 ) -> None:
     """Write a recording for other programs; recover that of a run that was killed."""
-    with exit_codes():
-        loaded = open_recording(str(recording), folder)
-        for sentence in loaded.meta.get("missing", ()):
-            say(sentence)
-        say(f"written: {loaded.export(file)}")
+    loaded = open_recording(str(recording), folder)
+    for sentence in loaded.meta.get("missing", ()):
+        say(sentence)
+    say(f"written: {loaded.export(file)}")
 
 
 @app.command(context_settings=PASSED_ON)
 def reproduce(context: typer.Context) -> None:
     """Make the paper's figures from our own data, with a report on them (needs a checkout)."""
-    with exit_codes():
-        program = load_program("paper")
-    program.app(context.args, prog_name="osc-contact reproduce")
+    load_program("paper").app(context.args, prog_name="osc-contact reproduce")
 
 
 @app.command()
 def build(
     scenario: ScenarioArgument,
-    folder: Annotated[Path, typer.Option("--out", help="folder for the C library")],
-    ticks: Annotated[int, typer.Option(min=1, help="to record for the replay")] = 10_000,
+    folder: Annotated[Path, Option("--out", help="folder for the C library")],
+    ticks: Annotated[int, Option(min=1, help="to record for the replay")] = 10_000,
     seed: SeedOption = 0,
     set_: SetOption = None,
 ) -> None:
     """Write the scenario's controller for C programs, with a recording to replay there."""
-    with exit_codes():
-        tape = build_library(build_rig(load_task(scenario, set_)), folder, ticks, seed)
-        say(f"{tape.count} ticks recorded. Build and replay: make -C {folder} && {folder}/replay")
+    tape = build_library(build_rig(load_task(scenario, set_)), folder, ticks, seed)
+    say(f"{tape.count} ticks recorded. Build and replay: make -C {folder} && {folder}/replay")
 
 
 @app.command()
 def view(
     what: Annotated[
-        str, typer.Argument(metavar="SCENARIO|RECORDING", help="as for `run`, or an .npz file")
+        str, Argument(metavar="SCENARIO|RECORDING", help="as for `run`, or an .npz file")
     ],
     *,
-    live: Annotated[bool, typer.Option("--live", help="in a browser, during the run")] = False,
+    live: Annotated[bool, Option("--live", help="in a browser, during the run")] = False,
     html: Annotated[
         Path | None,
-        typer.Option("--html", help="one file that needs no server", show_default=False),
+        Option("--html", help="one file that needs no server", show_default=False),
     ] = None,
-    png: Annotated[Path | None, typer.Option("--png", help="a picture of the page")] = None,
-    gif: Annotated[Path | None, typer.Option("--gif", help="a moving picture of it")] = None,
+    png: Annotated[Path | None, Option("--png", help="a picture of the page")] = None,
+    gif: Annotated[Path | None, Option("--gif", help="a moving picture of it")] = None,
     mp4: Annotated[
-        Path | None, typer.Option("--mp4", help="a video of it (extra `video`)", show_default=False)
+        Path | None, Option("--mp4", help="a video of it (extra `video`)", show_default=False)
     ] = None,
     time: Annotated[
         float | None,
-        typer.Option(help="s: stand still there (PNG: default the middle)", show_default=False),
+        Option(help="s: stand still there (PNG: default the middle)", show_default=False),
     ] = None,
     hold: Annotated[
         float | None,
-        typer.Option(help="s: wait for a browser, stay after the end (terminal: until Ctrl-C)"),
+        Option(help="s: wait for a browser, stay after the end (terminal: until Ctrl-C)"),
     ] = None,
     plant: PlantOption = None,
     duration: DurationOption = None,
@@ -192,47 +200,45 @@ def view(
     folder: FolderOption = None,
 ) -> None:
     """Look at a scenario or a recording: page with a time slider (default), PNG, GIF, MP4, live."""
-    with exit_codes():
-        if live + sum(file is not None for file in (html, png, gif, mp4)) > 1:
-            raise InvalidInputError(
-                "give one of --live, --html FILE, --png FILE, --gif FILE and --mp4 FILE"
-            )
-        film = gif or mp4
-        if film is not None and time is not None:
-            kind = "a GIF" if gif else "a video"
-            raise InvalidInputError(f"{kind} shows the whole recording: leave --time out")
-        if png is not None or film is not None:
-            find_browser()
-        if mp4 is not None:
-            require("av")
-        if film is not None:
-            require("PIL")
-        recording = scenario = None
-        if what.endswith(RECORDINGS):
-            if set_ or plant or duration is not None:
-                raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
-            recording = open_recording(what, folder)
-            shown = shown_of(recording, Path(what), folder)
-            require_drawable(recording, shown, what)
-        else:
-            scenario = load_task(what, set_, plant, duration)
-            shown = Shown.of(build_rig(scenario))
-        if live:
-            show_live(shown, scenario, recording, seed, hold)
-            return
-        if recording is None and scenario is not None:
-            recording = run_with_progress(scenario, seed, None)
-        assert recording is not None
-        if png is not None:
-            say(f"written: {viewing.picture(recording, shown, png, time)}")
-            return
-        if film is not None:
-            write = write_gif if gif is not None else write_mp4
-            say(f"written: {viewing.moving_picture(recording, shown, film, write)}")
-            return
-        name = Path(what).stem if scenario is None else scenario.file_stem
-        page = html or Path("out") / f"{name}.html"
-        say(f"written: {write_scene_of(recording, shown, page, time)}")
+    if live + sum(file is not None for file in (html, png, gif, mp4)) > 1:
+        raise InvalidInputError(
+            "give one of --live, --html FILE, --png FILE, --gif FILE and --mp4 FILE"
+        )
+    film = gif or mp4
+    if film and time is not None:
+        kind = "a GIF" if gif else "a video"
+        raise InvalidInputError(f"{kind} shows the whole recording: leave --time out")
+    if png or film:
+        find_browser()
+    if mp4:
+        require("av")
+    if film:
+        require("PIL")
+    recording = scenario = None
+    if what.endswith(RECORDINGS):
+        if set_ or plant or duration is not None:
+            raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
+        recording = open_recording(what, folder)
+        shown = shown_of(recording, Path(what), folder)
+        require_drawable(recording, shown, what)
+    else:
+        scenario = load_task(what, set_, plant, duration)
+        shown = Shown.of(build_rig(scenario))
+    if live:
+        show_live(shown, scenario, recording, seed, hold)
+        return
+    if scenario is not None:
+        recording = run_with_progress(scenario, seed, None)
+    assert recording is not None
+    if png:
+        written = viewing.picture(recording, shown, png, time)
+    elif film:
+        write = write_gif if gif else write_mp4
+        written = viewing.moving_picture(recording, shown, film, write)
+    else:
+        page = html or Path("out") / f"{Path(what).stem}.html"
+        written = write_scene_of(recording, shown, page, time)
+    say(f"written: {written}")
 
 
 @app.command()
@@ -240,53 +246,48 @@ def inspect(
     scenario: ScenarioArgument, set_: SetOption = None, json_file: JsonOption = None
 ) -> None:
     """Say in plain words what the contact state is: d, r, free motions, forces, N and T."""
-    with exit_codes():
-        rig = build_rig(load_task(scenario, set_))
-        doubts = require_ready(rig)
-        inspection = inspect_rig(rig)
-        for line in inspection.lines:
-            say(line)
-        for table in report.basis_tables(inspection):
-            out.print(table)
-        if json_file:
-            write_json(inspection.as_dict(), json_file)
+    rig = build_rig(load_task(scenario, set_))
+    doubts = require_ready(rig)
+    inspection = inspect_rig(rig)
+    for line in inspection.lines:
+        say(line)
+    for table in report.basis_tables(inspection):
+        out.print(table)
+    if json_file:
+        write_json(inspection.as_dict(), json_file)
     if doubts:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 @app.command()
 def calibrate(
     scenario: ScenarioArgument,
-    postures: Annotated[int, typer.Option(min=3, help="static postures")] = 8,
+    postures: Annotated[int, Option(min=3, help="static postures")] = 8,
     seed: SeedOption = 0,
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Find mass, centre of mass and bias at each wrist sensor from static postures."""
-    with exit_codes():
-        loads = calibrate_wrists(load_task(scenario, set_), postures, seed=seed)
-        out.print(report.calibration_table(loads))
-        if json_file:
-            write_json({one.arm: one.as_dict() for one in loads}, json_file)
+    loads = calibrate_wrists(load_task(scenario, set_), postures, seed=seed)
+    out.print(report.calibration_table(loads))
+    if json_file:
+        write_json({one.arm: one.as_dict() for one in loads}, json_file)
 
 
 @app.command("list")
 def list_(json_file: JsonOption = None) -> None:
     """List the packaged scenarios."""
-    with exit_codes():
-        scenarios = list_scenarios()
-        out.print(report.scenario_table(scenarios))
-        say("osc-contact reproduce --help lists the figures")
-        if json_file:
-            write_json({"scenarios": scenarios}, json_file)
+    scenarios = list_scenarios()
+    out.print(report.scenario_table(scenarios))
+    say("osc-contact reproduce --help lists the figures")
+    if json_file:
+        write_json({"scenarios": scenarios}, json_file)
 
 
 @app.command(context_settings=PASSED_ON)
 def bench(context: typer.Context) -> None:
     """Time the control tick, and more: `python -m benchmarks` (needs a checkout)."""
-    with exit_codes():
-        program = load_program("benchmarks")
-    program.app(context.args, prog_name="osc-contact bench")
+    load_program("benchmarks").app(context.args, prog_name="osc-contact bench")
 
 
 # Where to begin: five commands, and the short programs of the docs as files.
@@ -318,19 +319,18 @@ HEADING = re.compile(r"^#{1,2} (.*)$", re.MULTILINE)
 
 @app.command()
 def examples(
-    folder: Annotated[Path, typer.Argument(help="where to write them")] = Path("examples"),
+    folder: Annotated[Path, Argument(help="where to write them")] = Path("examples"),
 ) -> None:
     """Write the short programs of the docs as files, each of which runs by itself."""
-    with exit_codes():
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InvalidInputError(f"{folder} is there already: name an empty or a new folder")
-        folder.mkdir(parents=True, exist_ok=True)
-        for number, (name, page, code) in enumerate(programs(), start=1):
-            path = folder / f"{number:02d}_{name}.py"
-            with whole_file(path) as unfinished:
-                unfinished.write_text(f"# From {page}\n\n{code}", encoding="utf-8")
-            say(f"written: {path}")
-        say(f"run one: python {path}")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InvalidInputError(f"{folder} is there already: name an empty or a new folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, (name, page, code) in enumerate(programs(), start=1):
+        path = folder / f"{number:02d}_{name}.py"
+        with whole_file(path) as unfinished:
+            unfinished.write_text(f"# From {page}\n\n{code}", encoding="utf-8")
+        say(f"written: {path}")
+    say(f"run one: python {path}")
 
 
 def programs() -> Iterator[tuple[str, str, str]]:

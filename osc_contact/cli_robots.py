@@ -7,9 +7,10 @@ from typing import Annotated
 import numpy as np
 import pinocchio as pin
 import typer
+from typer import Argument, Exit, Option
 
 from osc_contact import robots
-from osc_contact.console import JsonOption, exit_codes, load_task, out, say
+from osc_contact.console import JsonOption, SetOption, load_task, out, say
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, outside_limits
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -29,94 +30,89 @@ class InertiaLevel(StrEnum):
 
 def check(
     robot: Annotated[
-        str, typer.Argument(help="a URDF, an MJCF file, or the name of a robot such as panda")
+        str, Argument(help="a URDF, an MJCF file, or the name of a robot such as panda")
     ],
-    tip: Annotated[str | None, typer.Option(help="frame to describe (default: all ends)")] = None,
+    tip: Annotated[str | None, Option(help="frame to describe (default: all ends)")] = None,
     limit: Annotated[
         list[str] | None,
-        typer.Option("--limit", help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
+        Option("--limit", help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
     ] = None,
     inertias: Annotated[
-        InertiaLevel, typer.Option(help="positive: for parameters that no body has exactly")
+        InertiaLevel, Option(help="positive: for parameters that no body has exactly")
     ] = InertiaLevel.possible,
     package_dir: Annotated[
-        list[Path] | None, typer.Option("--package-dir", help="folder that may hold meshes")
+        list[Path] | None, Option("--package-dir", help="folder that may hold meshes")
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Check a robot's URDF or MJCF and describe the robot; exit code 1 if something is wrong."""
-    with exit_codes():
-        path, folders = robots.locate(robot)
-        report = robots.check_robot(
-            path,
-            limits=dict(robots.JointLimits.parse(text) for text in limit or []),
-            inertias=inertias.value,
-            package_dirs=[*folders, *(package_dir or [])],
-            tip=tip,
-        )
-        for line in report.lines():
-            say(line)
-        for table in robot_tables(report.summary) if report.summary else ():
-            out.print(table)
-        if json_file:
-            write_json(report.as_dict(), json_file)
+    path, folders = robots.locate(robot)
+    report = robots.check_robot(
+        path,
+        limits=dict(robots.JointLimits.parse(text) for text in limit or []),
+        inertias=inertias.value,
+        package_dirs=[*folders, *(package_dir or [])],
+        tip=tip,
+    )
+    for line in report.lines():
+        say(line)
+    for table in robot_tables(report.summary) if report.summary else ():
+        out.print(table)
+    if json_file:
+        write_json(report.as_dict(), json_file)
     if not report.sound:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def pose(
     what: Annotated[
-        str, typer.Argument(metavar="ROBOT|SCENARIO", help="a name, a URDF, an MJCF, a YAML file")
+        str, Argument(metavar="ROBOT|SCENARIO", help="a name, a URDF, an MJCF, a YAML file")
     ],
-    tip: Annotated[str | None, typer.Option(help="frame of a robot (default: its end)")] = None,
+    tip: Annotated[str | None, Option(help="frame of a robot (default: its end)")] = None,
     posture: Annotated[
-        str | None, typer.Option(help='where the joints are: "0, -45 deg, …" (m, rad)')
+        str | None, Option(help='where the joints are: "0, -45 deg, …" (m, rad)')
     ] = None,
-    xyz: Annotated[
-        str | None, typer.Option(help='put tip or object there: "0.4, 0, 30 cm" (m)')
-    ] = None,
+    xyz: Annotated[str | None, Option(help='put tip or object there: "0.4, 0, 30 cm" (m)')] = None,
     rpy: Annotated[
-        str | None, typer.Option(help='and turn it so: "180 deg, 0, 0" (rad); default: unchanged')
+        str | None, Option(help='and turn it so: "180 deg, 0, 0" (rad); default: unchanged')
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="begin from random postures, not from --posture")
+        int | None, Option(min=0, help="begin from random postures, not from --posture")
     ] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="path.to.key=value, of a scenario")
-    ] = None,
+    set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Where a posture puts tip and object; with --xyz, --rpy the posture that puts them there."""
-    with exit_codes():
-        chain, q, X = _standing(what, tip, set_)
-        if posture is not None:
-            q = poses.numbers("posture", posture)
-            if q.shape != (chain.nq,):
-                names = ", ".join(chain.joint_names)
-                raise InvalidInputError(f"posture: {len(q)} numbers for {chain.nq} joints: {names}")
-        now = X if posture is None and X is not None else object_pose(chain, q)
-        reached = True
-        if seed is not None and xyz is None and rpy is None:
-            raise InvalidInputError("--seed is of the search for a posture; give --xyz or --rpy")
-        if xyz is not None or rpy is not None:
-            p = now.translation if xyz is None else poses.numbers("xyz", xyz)
-            R = now.rotation if rpy is None else pin.rpy.rpyToMatrix(*poses.numbers("rpy", rpy))
-            solution = poses.solve(chain, pin.SE3(R, p), q, seed)
-            q = solution.q
-            reached = solution.reached
-            if not reached:
-                say(
-                    f"not reached within the joints' limits: {1e3 * solution.miss[0]:.3g} mm and "
-                    f"{np.rad2deg(solution.miss[1]):.3g} deg are left at the nearest posture; "
-                    "give another pose, or another --seed"
-                )
-        outside = outside_limits(chain, q)
-        for line in (*poses.pose_lines(chain, q), *outside):
-            say(line)
-        if json_file:
-            write_json(poses.as_dict(chain, q), json_file)
+    chain, q, X = _standing(what, tip, set_)
+    if posture is not None:
+        q = poses.numbers("posture", posture)
+        if q.shape != (chain.nq,):
+            names = ", ".join(chain.joint_names)
+            raise InvalidInputError(f"posture: {len(q)} numbers for {chain.nq} joints: {names}")
+    now = X if posture is None and X is not None else object_pose(chain, q)
+    reached = True
+    if seed is not None and xyz is None and rpy is None:
+        raise InvalidInputError("--seed is of the search for a posture; give --xyz or --rpy")
+    if xyz is not None or rpy is not None:
+        p = now.translation if xyz is None else poses.numbers("xyz", xyz)
+        R = now.rotation if rpy is None else pin.rpy.rpyToMatrix(*poses.numbers("rpy", rpy))
+        solution = poses.solve(chain, pin.SE3(R, p), q, seed)
+        q = solution.q
+        reached = solution.reached
+        if not reached:
+            shift, turn = solution.miss
+            say(
+                f"not reached within the joints' limits: {1e3 * shift:.3g} mm and "
+                f"{np.rad2deg(turn):.3g} deg are left at the nearest posture; "
+                "give another pose, or another --seed"
+            )
+    outside = outside_limits(chain, q)
+    for line in (*poses.pose_lines(chain, q), *outside):
+        say(line)
+    if json_file:
+        write_json(poses.as_dict(chain, q), json_file)
     if outside or not reached:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def _standing(
@@ -134,30 +130,29 @@ def _standing(
 
 
 def new(
-    robot: Annotated[str, typer.Option(help="a name such as ur10, a URDF or an MJCF file")],
+    robot: Annotated[str, Option(help="a name such as ur10, a URDF or an MJCF file")],
     press: Annotated[
-        str, typer.Option(help="axis of the tip and force: Z=15 presses along its z with 15 N")
+        str, Option(help="axis of the tip and force: Z=15 presses along its z with 15 N")
     ] = "Z=10",
     tip: Annotated[
-        str | None, typer.Option(help="frame that carries the stylus (default: the robot's end)")
+        str | None, Option(help="frame that carries the stylus (default: the robot's end)")
     ] = None,
     posture: Annotated[
-        str | None, typer.Option(help='where it starts (default: one is sought): "0, -45 deg, …"')
+        str | None, Option(help='where it starts (default: one is sought): "0, -45 deg, …"')
     ] = None,
     file: Annotated[
-        Path | None, typer.Option("--out", help="to write (default: ROBOT_press.yaml)")
+        Path | None, Option("--out", help="to write (default: ROBOT_press.yaml)")
     ] = None,
 ) -> None:
     """Write a scenario that runs: a robot presses a stylus on a plate and slides along it."""
-    with exit_codes():
-        q = None if posture is None else poses.numbers("posture", posture)
-        target = file or Path(f"{Path(robot).stem}_press.yaml")
-        if target.exists():
-            raise InvalidInputError(f"{target} exists; give another file with --out")
-        text = draft(robot, poses.arm_of(robot, tip), Press.parse(press), q, target)
-        target.write_text(text, encoding="utf-8")
-        say(f"written: {target}")
-        say(f"next: osc-contact inspect {target}; osc-contact run {target}")
+    q = None if posture is None else poses.numbers("posture", posture)
+    target = file or Path(f"{Path(robot).stem}_press.yaml")
+    if target.exists():
+        raise InvalidInputError(f"{target} exists; give another file with --out")
+    text = draft(robot, poses.arm_of(robot, tip), Press.parse(press), q, target)
+    target.write_text(text, encoding="utf-8")
+    say(f"written: {target}")
+    say(f"next: osc-contact inspect {target}; osc-contact run {target}")
 
 
 class Maker(StrEnum):
@@ -167,16 +162,16 @@ class Maker(StrEnum):
 
 
 def commission(
-    robot: Annotated[Maker, typer.Argument(help="the driver")],
+    robot: Annotated[Maker, Argument(help="the driver")],
     *,
-    host: Annotated[str, typer.Option(help="address of the robot")],
-    urdf: Annotated[Path, typer.Option(help="model of the arm with its hand")],
-    tip: Annotated[str, typer.Option(help="frame of the model at the end effector")],
-    gap: Annotated[float, typer.Option(help="m from the tip down to a level plate")] = 0.03,
-    folder: Annotated[Path, typer.Option("--out", help="of the report")] = Path("out/commission"),
-    shadow_time: Annotated[float, typer.Option(help="s of leading the arm by the hand")] = 10.0,
-    yes: Annotated[bool, typer.Option("--yes", help="confirm every step beforehand")] = False,
-    realtime: Annotated[bool, typer.Option(help="deadlines count, 20 missed in a row stop")] = True,
+    host: Annotated[str, Option(help="address of the robot")],
+    urdf: Annotated[Path, Option(help="model of the arm with its hand")],
+    tip: Annotated[str, Option(help="frame of the model at the end effector")],
+    gap: Annotated[float, Option(help="m from the tip down to a level plate")] = 0.03,
+    folder: Annotated[Path, Option("--out", help="of the report")] = Path("out/commission"),
+    shadow_time: Annotated[float, Option(help="s of leading the arm by the hand")] = 10.0,
+    yes: Annotated[bool, Option("--yes", help="confirm every step beforehand")] = False,
+    realtime: Annotated[bool, Option(help="deadlines count, 20 missed in a row stop")] = True,
 ) -> None:
     """From a robot that answers to its first contact, step by step; each is to be confirmed."""
     from osc_contact.drivers.franka import FrankaRobot
@@ -186,13 +181,12 @@ def commission(
         say(what)
         return yes or typer.confirm("continue?")
 
-    with exit_codes():
-        # the robot compensates the friction of its joints by itself
-        arm = Arm.from_urdf(urdf, name=robot.value, tip=tip, wrist_sensor=tip, friction_factor=0.0)
-        driver = FrankaRobot(host, ClosedChain([arm]))
-        course = Commissioning(driver, folder, gap, confirm, shadow_time, realtime)
-        done = course.run()
-        for line in course.lines:
-            say(line)
+    # the robot compensates the friction of its joints by itself
+    arm = Arm.from_urdf(urdf, name=robot.value, tip=tip, wrist_sensor=tip, friction_factor=0.0)
+    driver = FrankaRobot(host, ClosedChain([arm]))
+    course = Commissioning(driver, folder, gap, confirm, shadow_time, realtime)
+    done = course.run()
+    for line in course.lines:
+        say(line)
     if not done:
-        raise typer.Exit(1)
+        raise Exit(1)

@@ -6,9 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import MofNCompleteColumn, TimeRemainingColumn
 from rich.table import Table
+from typer import Exit, Option
 
 from osc_contact.console import (
     DurationOption,
@@ -16,9 +16,9 @@ from osc_contact.console import (
     ScenarioArgument,
     SeedOption,
     SetOption,
-    err,
-    exit_codes,
+    changed,
     out,
+    progress_bar,
     require,
     say,
 )
@@ -29,11 +29,9 @@ from osc_contact.sweeps.study import Design, SweepStudy
 from osc_contact.sweeps.sweep import TABLE, run_study
 from osc_contact.sweeps.tune import Tuned
 
-WorkersOption = Annotated[
-    int | None, typer.Option(min=1, help="processes (default: one for each core)")
-]
+WorkersOption = Annotated[int | None, Option(min=1, help="processes (default: one for each core)")]
 SchedulerOption = Annotated[
-    str | None, typer.Option(help="of a dask cluster that does it: its address, or `local`")
+    str | None, Option(help="of a dask cluster that does it: its address, or `local`")
 ]
 
 
@@ -42,50 +40,40 @@ def sweep(
     *,
     vary: Annotated[
         list[str],
-        typer.Option(help="path.to.key=uniform(A, B), any number; see docs/sweeps.md for others"),
+        Option(help="path.to.key=uniform(A, B), any number; see docs/sweeps.md for others"),
     ],
     samples: Annotated[
-        int, typer.Option(min=1, help="points; on a grid: values of each key that can have any")
+        int, Option(min=1, help="points; on a grid: values of each key that can have any")
     ] = 100,
-    design: Annotated[Design, typer.Option(help="how they are placed")] = "halton",
+    design: Annotated[Design, Option(help="how they are placed")] = "halton",
     seed: SeedOption = 0,
     duration: DurationOption = None,
     set_: SetOption = None,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="folder (default: out/SCENARIO_sweep)")
+        Path | None, Option("--out", help="folder (default: out/SCENARIO_sweep)")
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Run a scenario many times with other numbers; the same command continues after a kill."""
-    with exit_codes():
-        require("pyarrow")
-        study = SweepStudy.of(scenario, vary, samples, design, seed, changed(set_, duration))
-        folder = out_dir or Path("out") / f"{Path(scenario).stem}_sweep"
-        with counting("runs", study.rows) as progress:
-            try:
-                table = run_study(
-                    study, out=folder, workers=workers, scheduler=scheduler, progress=progress
-                )
-            except KeyboardInterrupt:
-                say(f"interrupted; the same command continues with what is in {folder}")
-                raise typer.Exit(130) from None
-        summary = write_report(table, study, folder)
-        show_summary(study, summary)
-        columns = f"{table.num_rows} rows of {table.num_columns} columns"
-        say(f"written to {folder}: {TABLE}, {columns}; {REPORT}")
-        if json_file:
-            write_json(summary, json_file)
-
-
-def changed(set_: list[str] | None, duration: float | None) -> list[str]:
-    """What is set in all runs.
-
-    Args:
-        set_: path=value of the command. duration: of the runs (s), if one was given.
-    """
-    return [*(set_ or []), *([] if duration is None else [f"duration={duration!r}"])]
+    require("pyarrow")
+    study = SweepStudy.of(scenario, vary, samples, design, seed, changed(set_, duration=duration))
+    folder = out_dir or Path("out") / f"{Path(scenario).stem}_sweep"
+    with counting("runs", study.rows) as progress:
+        try:
+            table = run_study(
+                study, out=folder, workers=workers, scheduler=scheduler, progress=progress
+            )
+        except KeyboardInterrupt:
+            say(f"interrupted; the same command continues with what is in {folder}")
+            raise Exit(130) from None
+    summary = write_report(table, study, folder)
+    show_summary(study, summary)
+    columns = f"{table.num_rows} rows of {table.num_columns} columns"
+    say(f"written to {folder}: {TABLE}, {columns}; {REPORT}")
+    if json_file:
+        write_json(summary, json_file)
 
 
 @contextmanager
@@ -95,13 +83,7 @@ def counting(what: str, total: int) -> Iterator[Callable[[int, int], None]]:
     Args:
         what: is counted. total: how many there are.
     """
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
+    with progress_bar(MofNCompleteColumn(), TimeRemainingColumn()) as bar:
         task = bar.add_task(what, total=total)
         yield lambda done, _: bar.update(task, completed=done)
 
@@ -127,10 +109,8 @@ def show_summary(study: SweepStudy, summary: dict[str, Any]) -> None:
         out.print(table)
     for one in summary["worst"][:3]:
         value = "" if one["value"] is None else f", {one['column']} {one['value']:.3g}"
-        say(
-            f"row {one['row']}: {one['word']}{value}"
-            + (f"\n  {one['command']}" * bool(one["command"]))
-        )
+        command = f"\n  {one['command']}" * bool(one["command"])
+        say(f"row {one['row']}: {one['word']}{value}{command}")
 
 
 def tune(
@@ -138,56 +118,55 @@ def tune(
     *,
     vary: Annotated[
         list[str] | None,
-        typer.Option(help="path.to.key=DISTRIBUTION to tune (default: the gains, factors of them)"),
+        Option(help="path.to.key=DISTRIBUTION to tune (default: the gains, factors of them)"),
     ] = None,
     objective: Annotated[
-        str, typer.Option(help="force | motion | both | a column of the sweep's table")
+        str, Option(help="force | motion | both | a column of the sweep's table")
     ] = "both",
     limit: Annotated[
         list[str] | None,
-        typer.Option(help="COLUMN=MOST (default: overshoots and saturated ticks of the shipped)"),
+        Option(help="COLUMN=MOST (default: overshoots and saturated ticks of the shipped)"),
     ] = None,
-    trials: Annotated[int, typer.Option(min=1, help="in all")] = 60,
+    trials: Annotated[int, Option(min=1, help="in all")] = 60,
     over: Annotated[
-        list[str] | None, typer.Option(help="path.to.key=DISTRIBUTION of what is not known")
+        list[str] | None, Option(help="path.to.key=DISTRIBUTION of what is not known")
     ] = None,
-    samples: Annotated[int, typer.Option(min=1, help="of that, for each trial")] = 1,
+    samples: Annotated[int, Option(min=1, help="of that, for each trial")] = 1,
     seed: SeedOption = 0,
     duration: DurationOption = None,
     set_: SetOption = None,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="folder of the trials; continues them")
+        Path | None, Option("--out", help="folder of the trials; continues them")
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Tune keys of a scenario with Optuna; print those to paste."""
-    with exit_codes():
-        require("optuna")
-        from osc_contact.sweeps.tune import tune as find
+    require("optuna")
+    from osc_contact.sweeps.tune import tune as find
 
-        with counting("trials", trials) as progress:
-            tuned = find(
-                scenario,
-                vary or (),
-                objective=objective,
-                limits=_limits(limit or []),
-                trials=trials,
-                over=over or (),
-                samples=samples,
-                seed=seed,
-                overrides=changed(set_, duration),
-                out=out_dir,
-                workers=workers,
-                scheduler=scheduler,
-                progress=progress,
-            )
-        show_tuned(tuned, objective)
-        if json_file:
-            write_json(asdict(tuned) | {"better": tuned.better}, json_file)
+    with counting("trials", trials) as progress:
+        tuned = find(
+            scenario,
+            vary or (),
+            objective=objective,
+            limits=_limits(limit or []),
+            trials=trials,
+            over=over or (),
+            samples=samples,
+            seed=seed,
+            overrides=changed(set_, duration=duration),
+            out=out_dir,
+            workers=workers,
+            scheduler=scheduler,
+            progress=progress,
+        )
+    show_tuned(tuned, objective)
+    if json_file:
+        write_json(asdict(tuned) | {"better": tuned.better}, json_file)
     if not tuned.better:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def _limits(texts: list[str]) -> dict[str, float]:

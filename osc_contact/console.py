@@ -10,15 +10,16 @@ from pathlib import Path
 from types import ModuleType
 from typing import Annotated
 
-import typer
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     Progress,
+    ProgressColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from typer import Argument, Exit, Option
 
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError, missing
 from osc_contact.files import sole_user
@@ -31,7 +32,7 @@ from osc_contact.runs.viewing import Shown, open_viewer
 from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
 
-ScenarioArgument = Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")]
+ScenarioArgument = Annotated[str, Argument(help="packaged name (see `list`) or a YAML file")]
 
 
 class PlantName(StrEnum):
@@ -41,24 +42,30 @@ class PlantName(StrEnum):
     rigid = "rigid"
 
 
-PlantOption = Annotated[PlantName | None, typer.Option(help="instead of the scenario's own")]
+PlantOption = Annotated[PlantName | None, Option(help="instead of the scenario's own")]
 DurationOption = Annotated[
-    float | None, typer.Option(help="seconds, instead of the scenario's own", show_default=False)
+    float | None, Option(help="seconds, instead of the scenario's own", show_default=False)
 ]
-SeedOption = Annotated[int, typer.Option(min=0, help="of everything random")]
+SeedOption = Annotated[int, Option(min=0, help="of everything random")]
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", help="path.to.key=value, any number of times")
+    list[str] | None, Option("--set", help="path.to.key=value, any number of times")
 ]
 FolderOption = Annotated[
     Path | None,
-    typer.Option(help="of the scenario's file, if its URDFs are beside it", show_default=False),
+    Option(help="of the scenario's file, if its URDFs are beside it", show_default=False),
 ]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="also write the result as JSON")]
+JsonOption = Annotated[Path | None, Option("--json", help="also write the result as JSON")]
 
 out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
 UNFINISHED = "unfinished.mcap"
+
+
+def progress_bar(*columns: ProgressColumn) -> Progress:
+    """A bar below the other output, on terminals only, with what else its line shows."""
+    first = TextColumn("{task.description}"), BarColumn()
+    return Progress(*first, *columns, console=err, transient=True, disable=not err.is_terminal)
 
 
 class CompilationBar:
@@ -74,15 +81,14 @@ class CompilationBar:
             share: of the work that is done, 0 … 1.
         """
         if self._bar is None and share < 1.0:
-            columns = (TextColumn("compiling"), BarColumn(), TimeElapsedColumn())
-            self._bar = Progress(*columns, console=err, transient=True, disable=not err.is_terminal)
+            self._bar = progress_bar(TimeElapsedColumn())
             self._bar.add_task("compiling", total=1.0)
             self._bar.start()
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], completed=share)
-        if self._bar is not None and share >= 1.0:
-            self._bar.stop()
-            self._bar = None
+            if share >= 1.0:
+                self._bar.stop()
+                self._bar = None
 
 
 def say(text: str) -> None:
@@ -133,7 +139,7 @@ def exit_codes() -> Iterator[None]:
         words = absent or "\n".join((str(error), *getattr(error, "__notes__", ())))
         err.print(f"error: {words}", style="red", highlight=False, markup=False, soft_wrap=True)
         failed = isinstance(error, PlantError) and not absent
-        raise typer.Exit(1 if failed else 2) from error
+        raise Exit(1 if failed else 2) from error
 
 
 def run_with_progress(
@@ -146,14 +152,8 @@ def run_with_progress(
         folder: that is there: a failed run leaves its recording in it, and any run its rows while
             it lasts.
     """
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed:.1f} s"),
-        TimeRemainingColumn(),
-    )
     journal = None if folder is None else folder / UNFINISHED
-    with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
+    with progress_bar(TextColumn("{task.completed:.1f} s"), TimeRemainingColumn()) as bar:
         task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
         try:
             return run(
@@ -232,21 +232,36 @@ def show_live(
         hold: s for which the page stays; None: until it is closed.
     """
     at_terminal = out.is_terminal
+    patience = stay = hold or 0.0
+    if hold is None and at_terminal:
+        patience = 15.0
+        stay = float("inf")
     with open_viewer(shown) as viewer:
-        say(f"open {viewer.url}" + ("   (Ctrl-C ends it)" if at_terminal else ""))
-        patience = hold if hold is not None else 15.0 * at_terminal
+        say(f"open {viewer.url}" + "   (Ctrl-C ends it)" * at_terminal)
         viewing.wait_for(lambda: viewer.count_browsers() > 0, patience)
         try:
-            if recording is None and scenario is not None:
-                run_with_progress(scenario, seed, None, viewing.RealTime(viewer))
-            elif recording is not None:
+            if recording is not None:
                 viewing.replay(recording, viewer)
-            stay = hold if hold is not None else (float("inf") if at_terminal else 0.0)
+            elif scenario is not None:
+                run_with_progress(scenario, seed, None, viewing.RealTime(viewer))
             viewing.wait_for(lambda: viewer.error is not None, stay)
         except KeyboardInterrupt:
             return
         if viewer.error is not None:
             raise viewer.error
+
+
+def changed(
+    overrides: list[str] | None, plant: str | None = None, duration: float | None = None
+) -> list[str]:
+    """What the command line changes of a scenario.
+
+    Args:
+        overrides: KEY=VALUE. plant, duration: instead of the scenario's (duration in s).
+    """
+    given = {"plant.type": plant, "duration": duration}
+    options = [f"{key}={value}" for key, value in given.items() if value is not None]
+    return [*(overrides or ()), *options]
 
 
 def load_task(
@@ -258,15 +273,9 @@ def load_task(
     """A scenario with what the command line changes of it.
 
     Args:
-        name: of the scenario, or its file. overrides: KEY=VALUE.
-        plant, duration: instead of the scenario's (duration in s).
+        name: of the scenario, or its file. overrides, plant, duration: see `changed`.
     """
-    changes = list(overrides or [])
-    if plant is not None:
-        changes.append(f"plant.type={plant}")
-    if duration is not None:
-        changes.append(f"duration={duration!r}")
-    return load_scenario(name, changes)
+    return load_scenario(name, changed(overrides, plant, duration))
 
 
 def require_report(scenario: Scenario) -> None:
