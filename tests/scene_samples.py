@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +13,7 @@ from samples import ROOT
 
 from osc_contact.recorder import Recording
 from osc_contact.visual.marks import BestFrame
-from osc_contact.visual.parts import ArmVisual, BodyVisual
+from osc_contact.visual.parts import ArmVisual, BodyVisual, Content
 from osc_contact.visual.scene import write_scene
 
 URDF = ROOT / "urdf"
@@ -78,9 +79,14 @@ def find(N):
     return BestFrame(FRAME, (True, N.shape[1] > 1, False), (False, False, True))
 
 
-def write(folder, recording=RECORDING, fps=10, **how):
+CONTENT = Content("test <scene>", ARMS, BODIES, ENDS)
+
+
+def write(folder, recording=RECORDING, fps=10, frame_words="best single frame", **how):
     """The recording's page."""
-    return write_scene(recording, ARMS, BODIES, folder / "scene.html", fps, **how)
+    contacts = recording.meta["contact_names"]
+    content = replace(CONTENT, contacts=contacts, frame_words=frame_words)
+    return write_scene(recording, content, folder / "scene.html", fps, **how)
 
 
 def links(q):

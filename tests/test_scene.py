@@ -29,6 +29,7 @@ from osc_contact import robots
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
+from osc_contact.visual.parts import Content
 from osc_contact.visual.scene import (
     ASPECT,
     FIELD_OF_VIEW_DEG,
@@ -250,15 +251,18 @@ def test_scene_without_contacts(how, tmp_path):
     assert not any("contacts" in p or "twists" in p for p in paths)
 
 
-SHORT_ARM = [ARMS[0]._replace(q_slice=slice(0, 4))]
+SHORT_ARM = Content("", [ARMS[0]._replace(q_slice=slice(0, 4))])
 
 
 @parametrize(
     "make, complaint",
     [
-        (lambda p: write_scene(RECORDING, SHORT_ARM, [], p), r"takes 4 numbers of q.*nq = 5"),
-        (lambda p: write_scene(make_recording(without=("pose",)), [], BODIES, p), "'pose'"),
-        (lambda p: write_scene(RECORDING, [], [], p, fps=0), "0 frames/s"),
+        (lambda p: write_scene(RECORDING, SHORT_ARM, p), r"takes 4 numbers of q.*nq = 5"),
+        (
+            lambda p: write_scene(make_recording(without=("pose",)), Content("", [], BODIES), p),
+            "'pose'",
+        ),
+        (lambda p: write_scene(RECORDING, Content("", []), p, fps=0), "0 frames/s"),
         (
             lambda p: write_page(
                 CommandSink(), p, "t", EMPTY | {"legend": [{"colour": "red;}", "text": "x"}]}

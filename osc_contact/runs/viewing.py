@@ -25,7 +25,7 @@ from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 from osc_contact.visual.browser import find_browser, write_gif, write_png
-from osc_contact.visual.live import Viewer
+from osc_contact.visual.live import CHANNELS, Viewer
 from osc_contact.visual.marks import BestFrame
 from osc_contact.visual.parts import ArmVisual, BodyVisual, Content
 from osc_contact.visual.scene import Scene, write_scene
@@ -108,14 +108,11 @@ def write_scene_of(
         still: s; the page opens standing still at that time instead of playing.
     """
     shown = Shown.of(rig)
-    content = shown.content
     return write_scene(
         recording.thinned(DRAWN),
-        content.arms,
-        content.bodies,
+        shown.content,
         path,
         find=lambda N: best_frame(N, shown.size),
-        frame_words=content.frame_words,
         still=still,
     )
 
@@ -138,22 +135,10 @@ def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
                 f"{source}: its {key} are {recording.meta[key]!r}; runs of {shown.name} "
                 f"have {of_rig!r}"
             )
-    r = len(owners)
-    contacts = len(names)
-    shapes: dict[str, tuple[int, ...]] = {
-        "t": (),
-        "q": (shown.joints,),
-        "pose": (7,),
-        "face_pose": (contacts, 7),
-        "N": (6, r),
-        "contact_point": (contacts, 3),
-        "contact_direction": (contacts, 3),
-        "closed": (contacts,),
-        **dict.fromkeys(("alpha_cmd", "alpha_meas", "alpha_true"), (r,)),
-        **dict.fromkeys(("power_total", "power_projected"), ()),
-    }
+    sizes = {"joints": shown.joints, "contacts": len(names), "forces": len(owners)}
     recording = recording.thinned(DRAWN)
-    for name, shape in shapes.items():
+    for name, sides in CHANNELS.items():
+        shape = tuple(side if isinstance(side, int) else sizes[side] for side in sides)
         if name not in recording and name != "t":
             continue
         values = np.asarray(recording[name], dtype=float)

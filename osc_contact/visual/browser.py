@@ -98,11 +98,8 @@ class Browser:
         self.rest = b""
         self.session: dict[str, str] = {}
         self.errors: list[str] = []
-        flags = [
-            *FLAGS,
-            f"--user-data-dir={self.folder.name}",
-            f"--window-size={size[0]},{size[1]}",
-        ]
+        width, height = size
+        flags = [*FLAGS, f"--user-data-dir={self.folder.name}", f"--window-size={width},{height}"]
         if os.geteuid() == 0:  # as in many containers: Chromium refuses its sandbox
             flags.append("--no-sandbox")
         commands, self.commands = os.pipe()
@@ -123,8 +120,8 @@ class Browser:
             (target,) = [t["targetId"] for t in targets if t["type"] == "page"]
             attached = self.request("Target.attachToTarget", targetId=target, flatten=True)
             self.session = {"sessionId": attached["sessionId"]}
-            metrics = {"width": size[0], "height": size[1], "mobile": False}
-            self.request("Emulation.setDeviceMetricsOverride", deviceScaleFactor=density, **metrics)
+            screen = {"width": width, "height": height, "deviceScaleFactor": density}
+            self.request("Emulation.setDeviceMetricsOverride", mobile=False, **screen)
             for domain in ("Page", "Runtime", "Log"):
                 self.request(f"{domain}.enable")
             self.request("Page.navigate", url=address)
@@ -176,7 +173,11 @@ class Browser:
             self.rest += part
         text, self.rest = self.rest.split(b"\0", 1)
         answer: dict[str, Any] = json.loads(text)
-        self.errors += complaints(answer)
+        params = answer.get("params", {})
+        if answer.get("method") == "Runtime.exceptionThrown":
+            self.errors.append(str(params["exceptionDetails"]))
+        if answer.get("method") == "Log.entryAdded" and params["entry"]["level"] == "error":
+            self.errors.append(params["entry"]["text"])
         return answer
 
     def run(self, script: str) -> Any:
@@ -208,16 +209,6 @@ class Browser:
         """The page as a PNG, after two more of its frames."""
         self.run(FRAMES)
         return base64.b64decode(self.request("Page.captureScreenshot", format="png")["data"])
-
-
-def complaints(answer: dict[str, Any]) -> list[str]:
-    """Errors of scripts and of the console in one event."""
-    params = answer.get("params", {})
-    if answer.get("method") == "Runtime.exceptionThrown":
-        return [str(params["exceptionDetails"])]
-    if answer.get("method") == "Log.entryAdded" and params["entry"]["level"] == "error":
-        return [params["entry"]["text"]]
-    return []
 
 
 def _address(page: str | Path, time: float, words: str) -> str:
@@ -351,9 +342,8 @@ def write_mp4(
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"  # what every player shows
         for picture in photographs(page, times, size, camera):
-            video.mux(
-                stream.encode(av.VideoFrame.from_ndarray(np.asarray(picture), format="rgb24"))
-            )
+            frame = av.VideoFrame.from_ndarray(np.asarray(picture), format="rgb24")
+            video.mux(stream.encode(frame))
         video.mux(stream.encode())
     return Path(path)
 

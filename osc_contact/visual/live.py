@@ -28,22 +28,22 @@ import numpy as np
 from osc_contact.errors import InvalidInputError, ViewerError
 
 LOG = logging.getLogger("osc_contact.viewer")
-CHANNELS = (
-    "t",
-    "q",
-    "pose",
-    "face_pose",
-    "N",
-    "closed",
-    "contact_point",
-    "contact_direction",
-    "alpha_cmd",
-    "alpha_true",
-    "alpha_meas",
-    "power_total",
-    "power_projected",
-)
-"""What a scene draws from; everything else stays in the loop's process."""
+CHANNELS: dict[str, tuple[int | str, ...]] = {
+    "t": (),
+    "q": ("joints",),
+    "pose": (7,),
+    "face_pose": ("contacts", 7),
+    "N": (6, "forces"),
+    "contact_point": ("contacts", 3),
+    "contact_direction": ("contacts", 3),
+    "closed": ("contacts",),
+    "alpha_cmd": ("forces",),
+    "alpha_meas": ("forces",),
+    "alpha_true": ("forces",),
+    "power_total": (),
+    "power_projected": (),
+}
+"""What a scene draws from, and its shape at one tick; all else stays in the loop's process."""
 START_S = 30.0
 STALLED_S = 1.0
 ROOM = 1 << 15
@@ -155,8 +155,7 @@ class Viewer:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        if self.error is None:
-            self.error = ViewerError("the live view was closed")
+        self.error = self.error or ViewerError("the live view was closed")
 
     def __enter__(self) -> Viewer:
         return self

@@ -81,13 +81,11 @@ def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
     Raises:
         InvalidInputError: a colour is not of the form ``#RRGGBB``.
     """
-    for place in ("legend", "labels"):
-        for entry in config[place]:
-            if not _COLOUR.match(entry["colour"]):
-                raise InvalidInputError(
-                    f"{place} entry {entry['text']!r} has the colour {entry['colour']!r}: write "
-                    "it as #RRGGBB"
-                )
+    for entry in (*config["legend"], *config["labels"]):
+        if not _COLOUR.match(entry["colour"]):
+            raise InvalidInputError(
+                f"{entry['text']!r} has the colour {entry['colour']!r}: write it as #RRGGBB"
+            )
     viewer = Path(_meshcat().viewer_assets_path()) / "dist" / "main.min.js"
     scripts = ("plot.js", "flat.js", "player.js", *(("live.js",) if config["live"] else ()))
     messages = [packed(command) for command in sink.commands]

@@ -194,7 +194,7 @@ class Content:
     Attributes:
         title: heading.
         arms: moved by the channel ``q``.
-        bodies: faces, and the object, moved by ``pose``.
+        bodies: faces, and the object (placement None), moved by ``pose``.
         contacts: names of the contacts.
         columns: which contact each column of N belongs to; empty: one column per contact.
         frame_words: text of the legend about the best single frame.
@@ -202,7 +202,7 @@ class Content:
 
     title: str
     arms: Sequence[ArmVisual]
-    bodies: Sequence[BodyVisual]
+    bodies: Sequence[BodyVisual] = ()
     contacts: Sequence[str] = ()
     columns: Sequence[int] = ()
     frame_words: str = "best single frame (Raibert–Craig)"

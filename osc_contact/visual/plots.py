@@ -6,6 +6,7 @@ figures have one look: `style`, and stacked `panels` with one time axis.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -60,11 +61,12 @@ def style() -> Iterator[None]:
 
 
 def panels(count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
-    """Panels below one another with one time axis; Agg canvas, no global state."""
+    """Panels below one another with one time axis (s); Agg canvas, no global state."""
     figure = Figure(figsize=(8.0, height * count + 0.4))
     axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     for ax in axes:
         ax.margins(x=0.01)  # the first moments do not hide in the axis
+    axes[-1].set_xlabel("time (s)")
     figure.align_ylabels(axes)
     return figure, list(axes)
 
@@ -120,7 +122,7 @@ def contact_forces(recording: Recording, judged: NDArray[np.bool_] | None = None
     with style():
         figure, axes = panels(len(names) + 1, 2.0)
         below = axes[-1]
-        below.set(xlabel="time (s)", ylabel="error (N)" if names else "force (N)")
+        below.set_ylabel("error (N)" if names else "force (N)")
         if not names:
             below.text(0.5, 0.5, "no contacts", transform=below.transAxes, ha="center")
             return figure
@@ -180,7 +182,6 @@ def power(recording: Recording, judged: NDArray[np.bool_] | None = None) -> Figu
             ax.plot(t, series, color=OKABE_ITO[colour], lw=0.9)
             ax.set(title=title, ylabel="power (W)", ylim=limits)
             _shade(ax, t, counted)
-        axes[2].set_xlabel("time (s)")
         if axes[0].patches:
             words = "not in the rms: settling, landings, force steps"
             place: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
@@ -202,35 +203,21 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
     error = 1e3 * _get(recording, "motion_error")
     position = 1e3 * _get(recording, "pose")[:, :3]
     counted = _counted(t.shape, t >= judged_from - 1e-9)
-    linear, angular = (
-        f"{_rms(np.linalg.norm(part[counted], axis=1)):.3g}" for part in np.split(error, 2, axis=1)
-    )
-    contents = (
-        (
-            error[:, :3],
-            f"motion error along the free directions: rms {linear} mm",
-            "linear error (mm)",
-            "",
-        ),
-        (
-            error[:, 3:],
-            f"rotation error along the free directions: rms {angular} mrad",
-            "angular error (mrad)",
-            "about ",
-        ),
-        (position - position[0], "object position, from its start", "position (mm)", ""),
-    )
+    contents = [(position - position[0], "object position, from its start", "position (mm)", "")]
+    for part, what, kind, unit, about in (
+        (error[:, 3:], "rotation", "angular", "mrad", "about "),
+        (error[:, :3], "motion", "linear", "mm", ""),
+    ):
+        rms = _rms(np.linalg.norm(part[counted], axis=1))
+        title = f"{what} error along the free directions: rms {rms:.3g} {unit}"
+        contents.insert(0, (part, title, f"{kind} error ({unit})", about))
     with style():
         figure, axes = panels(3, 2.1)
         for ax, (series, title, unit, about) in zip(axes, contents, strict=True):
-            for column, axis, colour in zip(
-                series.T, "xyz", ("blue", "vermillion", "green"), strict=True
-            ):
-                ax.plot(t, column, color=OKABE_ITO[colour], label=about + axis)
+            ax.plot(t, series, label=[about + axis for axis in "xyz"])
             ax.set(title=title, ylabel=unit)
             _shade(ax, t, counted)
             legend(ax)
-        axes[-1].set_xlabel("time (s)")
     return figure
 
 
@@ -245,14 +232,15 @@ def torques(recording: Recording) -> Figure:
     t = _get(recording, "t")
     tau = _get(recording, "tau")
     count = tau.shape[1]
-    recorded = recording.meta.get("effort_limits") or {}
-    names = list(recorded if len(recorded) == count else recording.meta.get("joint_names", ()))
-    if len(names) != count:
-        names = [f"actuator {i + 1}" for i in range(count)]
-    arms = [str(name) for name in recording.meta.get("arm_names", [])]
+    meta = recording.meta
+    recorded = meta.get("effort_limits") or {}
+    numbered = [f"actuator {i + 1}" for i in range(count)]
+    known_names = (recorded, meta.get("joint_names", ()), numbered)
+    names = next(list(one) for one in known_names if len(one) == count)
+    arms = map(str, meta.get("arm_names", ()))
     groups = {arm: [i for i, n in enumerate(names) if n.startswith(arm)] for arm in arms}
-    if sorted(i for group in groups.values() for i in group) != list(range(len(names))):
-        groups = {"all actuators": list(range(len(names)))}
+    if sorted(chain(*groups.values())) != list(range(count)):
+        groups = {"all actuators": list(range(count))}
     limits = [recorded.get(name) for name in names]
     known = all(limits)
     shown = 100.0 * tau / np.array(limits, dtype=float) if known else tau
@@ -269,7 +257,6 @@ def torques(recording: Recording) -> Figure:
                 for limit in (-100.0, 100.0):
                     ax.axhline(limit, color="black", lw=0.9, ls="--")
             legend(ax)
-        axes[-1].set_xlabel("time (s)")
     return figure
 
 
@@ -317,7 +304,7 @@ def _rms(values: Array) -> float:
 def _limits(values: Array) -> tuple[float, float]:
     """Limits with 5 % air around the finite values; never an empty range."""
     finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    low, high = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
     air = 0.05 * (high - low) or 1e-3
     return low - air, high + air
 

@@ -15,9 +15,7 @@ from osc_contact.visual import OKABE_ITO, contact_colour, marks
 from osc_contact.visual.marks import FindFrame
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
 from osc_contact.visual.parts import (
-    ArmVisual,
     Array,
-    BodyVisual,
     Content,
     Frame,
     MovingArm,
@@ -161,12 +159,10 @@ def label(path: str, text: str, colour: str, **more: Any) -> dict[str, Any]:
 
 def write_scene(
     recording: Recording,
-    arms: Sequence[ArmVisual],
-    bodies: Sequence[BodyVisual],
+    content: Content,
     path: str | Path,
     fps: float = 30.0,
     find: FindFrame | None = None,
-    frame_words: str = "best single frame",
     still: float | None = None,
 ) -> Path:
     """Write the recording as an HTML page that plays by itself, with a time slider and plots.
@@ -174,11 +170,10 @@ def write_scene(
     Args:
         recording: needs ``t``; draws from ``q``, ``pose``, ``face_pose`` and the contact channels
             what is there.
-        arms: the arms, moved by ``q``.
-        bodies: faces and the object (placement None), moved by ``pose``.
+        content: what to show.
         path: the page to write.
         fps: key frames per second, fewer if they would be more than 360.
-        find: the best single frame for N; frame_words: text of the legend about it.
+        find: the best single frame for N.
         still: s; the page opens standing still at that time instead of playing.
 
     Returns:
@@ -196,12 +191,6 @@ def write_scene(
     times = np.arange(int(length * fps + 1e-9) + 1) / fps
     ticks = np.minimum(np.searchsorted(t - t[0], times - 1e-9), t.size - 1)
     samples = [sample_at(recording.channels, int(tick)) for tick in ticks]
-    meta = recording.meta
-    scenario = meta.get("scenario")
-    named = scenario.get("name", "recording") if isinstance(scenario, dict) else "recording"
-    title = str(named).replace("_", " ")
-    contacts = meta.get("contact_names", ())
-    content = Content(title, arms, bodies, contacts, meta.get("columns", ()), frame_words)
     picture = Scene(content, samples[0], find)
     sink = CommandSink()
     scene = sink.visualizer()
@@ -224,7 +213,7 @@ def write_scene(
         still=still,
         cameras=cameras,
     )
-    return write_page(sink, path, title, config)
+    return write_page(sink, path, content.title, config)
 
 
 def sample_at(channels: Mapping[str, Any], tick: int) -> dict[str, Any]:

@@ -85,7 +85,7 @@ class LivePage:
                     newest = message
             except BlockingIOError:
                 if os.getppid() == self.parent:
-                    return None if newest is None else pickle.loads(newest)
+                    return pickle.loads(newest) if newest else None
         IOLoop.current().stop()
         return None
 
@@ -94,14 +94,15 @@ class LivePage:
             self.scene = Scene(self.content, sample, self.find)
             self.scene.draw(self.drawn.visualizer())
             self.scene.look(self.drawn.visualizer(), [sample])
-        self.frame = self.scene.states(sample)
-        self.scene.trails.extend(sample)
+        scene = self.scene
+        self.frame = scene.states(sample)
+        scene.trails.extend(sample)
         fresh = CommandSink()
         if self.pictures % TRAIL_EVERY == 0:
-            self.scene.trails.draw(fresh.visualizer())
+            scene.trails.draw(fresh.visualizer())
             self.trails |= {command["path"]: command for command in fresh.commands}
         self.pictures += 1
-        curves = rounded(values(self.scene.lines, sample))
+        curves = rounded(values(scene.lines, sample))
         self.numbers = json.dumps({"t": float(sample["t"]), "y": curves})
         for browser in list(self.browsers):
             browser.send(fresh.commands)
