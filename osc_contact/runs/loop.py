@@ -280,13 +280,14 @@ def _process(realtime: bool, recorder: Any, report: LoopReport) -> Iterator[Side
         return
     with realtime_process() as report.notes:
         side = SideWork(report.period)
-        if hasattr(recorder, "hand_over"):
+        hands_over = hasattr(recorder, "hand_over") and hasattr(recorder, "note")
+        if hands_over:
             recorder.hand_over = side.submit
         try:
             yield side
         finally:
             side.close()
-            if hasattr(recorder, "hand_over"):
+            if hands_over:
                 recorder.hand_over = at_once
                 recorder.note({"loop": report.as_dict()})
         if side.failure is not None:  # the robot has been stopped
