@@ -45,7 +45,6 @@ def test_it_approaches_presses_slides_and_retreats(franka, case):
     task.run()
     landing = task.normal[: task.landed + 500].max() / force
     slid = np.ptp(task.probe[task.landed : task.released, 1])
-    print(f"{case}: {100 * task.error():.2f} %, landing {landing:.2f} of {force} N, {slid:.4f} m")
     assert set(task.status) == {OK}
     assert task.released, "it has slid and was released"
     assert task.error() < (0.05 if losses else 0.02)

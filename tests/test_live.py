@@ -39,16 +39,20 @@ TICK_S = 1e-3
 @module_fixture
 def lasting():
     """For tests that leave it as it was."""
-    with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as opened:
-        assert "has not begun" in get(opened)[1], "the page before the first tick"
-        opened.show(TICKS[0])
-        yield opened
+    with opened() as viewer:
+        assert "has not begun" in get(viewer)[1], "the page before the first tick"
+        viewer.show(TICKS[0])
+        yield viewer
+
+
+def opened(content=CONTENT, rate=60.0):
+    return Viewer(MODULE, (content, 0.6), rate=rate)
 
 
 @fixture
 def viewer():
-    with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as opened:
-        yield opened
+    with opened() as viewer:
+        yield viewer
 
 
 def port(viewer):
@@ -193,7 +197,7 @@ def python(*lines):
 
 def test_the_runs_own_process_opens_no_network_socket():
     done = python(
-        "with t.Viewer(t.MODULE, (t.CONTENT, 0.6)) as viewer:",
+        "with t.opened() as viewer:",
         "    t.feed(viewer, 0.3)",
         "    print(t.sockets(os.getpid()), len(t.sockets(viewer._process.pid)[1]))",
     )
@@ -265,7 +269,7 @@ def test_nothing_that_is_shown_can_raise(viewer, caplog):
 
 
 def test_at_most_so_many_ticks_per_second_are_sent():
-    with Viewer(MODULE, (CONTENT, 0.6), rate=20.0) as viewer:
+    with opened(rate=20.0) as viewer:
         sent = 0
         end = time.monotonic() + 1.0
         while time.monotonic() < end:
@@ -281,7 +285,7 @@ def test_at_most_so_many_ticks_per_second_are_sent():
 
 def test_the_server_ends_with_the_program_however_that_ends():
     done = python(
-        "viewer = t.Viewer(t.MODULE, (t.CONTENT, 0.6))",
+        "viewer = t.opened()",
         "print(viewer._process.pid, flush=True); os._exit(7)",
     )
     assert done.returncode == 7, done.stderr
@@ -307,7 +311,7 @@ def test_no_part_of_meshcat_that_opens_sockets_is_imported():
 def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog):
     missing = BODIES[0]._replace(urdf="/no/such/file.urdf")
     broken = replace(CONTENT, bodies=(missing, *BODIES[1:]))
-    with Viewer(MODULE, (broken, 0.6), rate=60.0) as viewer:
+    with opened(broken) as viewer:
         feed(viewer, 1.5)
         said = str(viewer.error)
         assert "has ended (exit code" in said and len(caplog.records) == 1

@@ -361,9 +361,9 @@ COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
 
 
 def test_a_second_run_in_a_folder_is_refused_and_the_first_keeps_its_rows(tmp_path):
-    words = ["run", "two_contact_rod", "--duration", "1000", "--out", tmp_path]
+    line = f"run two_contact_rod --duration 1000 --out {tmp_path}"
     how = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    with subprocess.Popen([*COMMAND, *words], **how) as process:
+    with subprocess.Popen([*COMMAND, *line.split()], **how) as process:
         try:
             rows = tmp_path / "unfinished.mcap"
             wait_until(rows.exists, process=process)

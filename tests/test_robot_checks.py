@@ -81,9 +81,9 @@ def chain(joints, masses, length=1.0, mass=1.0):
     return text + "</robot>"
 
 
-def summary(folder, text):
+def summary(folder, text, *tip):
     loaded = robots.load(write(folder, text))
-    return robots.summarise(loaded.model, loaded.document)
+    return robots.summarise(loaded.model, loaded.document, *tip)
 
 
 SIX_AXES = [
@@ -135,16 +135,13 @@ def test_mobility_does_not_depend_on_units(tmp_path, length, mass):
 
 
 def test_the_tip_can_be_chosen(tmp_path):
-    file = write(tmp_path, GOOD)
-    loaded = robots.load(file)
-    every = robots.summarise(loaded.model, loaded.document)
+    every = summary(tmp_path, GOOD)
     assert [tip.tip for tip in every.tips] == ["finger", "tool"] and every.more_tips == 0
-    (slide,) = robots.summarise(loaded.model, loaded.document, "slide").tips
+    (slide,) = summary(tmp_path, GOOD, "slide").tips
     assert (slide.tip, slide.joints, len(slide.mobility)) == ("slide", 2, 2)
-    with model_error("no frame 'tol'"):
-        robots.summarise(loaded.model, loaded.document, "tol")
-    with model_error("no joint moves the frame 'base'"):
-        robots.summarise(loaded.model, loaded.document, "base")
+    for tip, words in (("tol", "no frame 'tol'"), ("base", "no joint moves the frame 'base'")):
+        with model_error(words):
+            summary(tmp_path, GOOD, tip)
     assert robots.load(robots.urdf_path("rod")).model.nv == 0
     rod = robots.check_robot(robots.urdf_path("rod"))
     assert rod.sound and rod.summary is not None and rod.summary.tips == ()

@@ -23,14 +23,14 @@ from time import perf_counter
 
 ROOT = Path(__file__).resolve().parent.parent
 PICTURE = (  # with the first compilation in it
-    ("osc-contact", "run", "two_contact_rod", "--duration", "2", "--out", "rod"),
-    ("osc-contact", "view", "rod/recording.npz", "--gif", "rod.gif"),
+    "osc-contact run two_contact_rod --duration 2 --out rod",
+    "osc-contact view rod/recording.npz --gif rod.gif",
 )
 COMMANDS = (
-    ("osc-contact",),
-    ("osc-contact", "list"),
-    ("osc-contact", "examples", "mine"),
-    ("python", "mine/01_osc_contact.py"),
+    "osc-contact",
+    "osc-contact list",
+    "osc-contact examples mine",
+    "python mine/01_osc_contact.py",
 )
 TESTS = ("test_contact.py", "test_projections.py", "test_importing.py", "test_movie.py")
 BESIDE = ("franky-sim", "robosuite", "mjlab", "newton")
@@ -61,6 +61,10 @@ def main():
                 core(file.resolve(), python)
                 beside(file.resolve(), python)
             attempt(file.resolve(), python, asked.versions)
+
+
+def say(words):
+    print(words, flush=True)
 
 
 def lowest():
@@ -129,7 +133,7 @@ def core(file, python):
         run(folder, around, "python", "-c", page.split("```python\n")[1].split("```")[0])
     for what, found in (("pin", before), (f"{file.name}, no extras", after)):
         packages, size_of = (x - y for x, y in zip(found, empty, strict=True))
-        print(f"  {what}: {packages} packages, {size_of / 1e6:.0f} MB", flush=True)
+        say(f"  {what}: {packages} packages, {size_of / 1e6:.0f} MB")
 
 
 def size(folder):
@@ -156,28 +160,27 @@ def beside(file, python):
                 for item in json.loads(report.read_text())["install"]
             }
             shown = ", ".join(f"{n} {found[n]}" for n in (other, "numpy", "pin", "mujoco"))
-            print(f"  beside {other}: {shown}", flush=True)
+            say(f"  beside {other}: {shown}")
 
 
 def attempt(file, python, versions):
     """Install one file into an empty environment and use it; exits where a command fails."""
     with tempfile.TemporaryDirectory(prefix="osc_contact_dist_") as name:
         folder = Path(name)
-        print(f"{file.name} with {python}, {versions} versions, in {folder}", flush=True)
+        say(f"{file.name} with {python}, {versions} versions, in {folder}")
         begin = perf_counter()
         around, pip = environment(folder, python)
         run(folder, around, *pip, *limits(folder, versions), f"{file}[all]")
         installed = perf_counter()
         for command in PICTURE:
-            run(folder, around, *command)
+            run(folder, around, *command.split())
         seen = perf_counter()
-        print(
+        say(
             f"  a moving picture {seen - installed:.0f} s after the package was installed, "
-            f"{seen - begin:.0f} s after there was nothing",
-            flush=True,
+            f"{seen - begin:.0f} s after there was nothing"
         )
         for command in COMMANDS:
-            run(folder, around, *command)
+            run(folder, around, *command.split())
         missing = [path for path in WRITTEN if not (folder / path).is_file()]
         if missing:
             sys.exit(f"not written: {', '.join(missing)}")
@@ -187,13 +190,7 @@ def attempt(file, python, versions):
             run(
                 source,
                 around,
-                "python",
-                "-m",
-                "osc_contact",
-                "reproduce",
-                "fig1",
-                "--out",
-                "figures",
+                *["python", "-m", "osc_contact", "reproduce", "fig1", "--out", "figures"],
             )
             if not (source / "figures/fig1.png").is_file():
                 sys.exit("the source archive makes no figure")
@@ -213,7 +210,7 @@ def run(folder, around, *command):
         [program, *command[1:]], cwd=folder, env=environment, capture_output=True, text=True
     )
     shown = " ".join(Path(command[0]).name if k == 0 else word for k, word in enumerate(command))
-    print(f"  {perf_counter() - begin:6.1f} s  {' '.join(shown.split())[:90]}", flush=True)
+    say(f"  {perf_counter() - begin:6.1f} s  {' '.join(shown.split())[:90]}")
     if done.returncode:
         sys.exit(f"{done.stdout}\n{done.stderr}\nexit code {done.returncode}: {shown}")
 

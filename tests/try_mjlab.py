@@ -13,12 +13,14 @@ import torch
 from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab.scene import SceneCfg
 from mjlab.sim import MujocoCfg, SimulationCfg
+from numpy.testing import assert_allclose
 from pytest import fixture, raises
 
 import osc_contact as osc
 from osc_contact.learn import ContactActionCfg, begin
 
-MOST, MOVE = 30.0, (2e-3, 1e-2)
+MOST = 30.0
+MOVE = (2e-3, 1e-2)
 
 
 @fixture(scope="module")
@@ -28,11 +30,11 @@ def parts():
 
 def environment(parts, count, **changes):
     entity, controller = parts
-    action = {"controller": controller, "most_force": MOST, "move": MOVE, "threads": 2}
+    action = {"controller": controller, "most_force": MOST, "move": MOVE, "threads": 2, **changes}
     cfg = ManagerBasedRlEnvCfg(
         decimation=20,
         scene=SceneCfg(num_envs=count, entities={"panda": entity}),
-        actions={"contact": ContactActionCfg(entity_name="panda", **{**action, **changes})},
+        actions={"contact": ContactActionCfg(entity_name="panda", **action)},
         sim=SimulationCfg(
             mujoco=MujocoCfg(timestep=1e-3, cone="elliptic", tolerance=1e-10), nconmax=8, njmax=40
         ),
@@ -54,24 +56,18 @@ def test_actions_move_set_points_and_press(parts):
     start = poses(env, parts)
     action = torch.zeros(3, 7)
     action[:, 6] = torch.tensor([-0.2, 0.0, 0.4])
-    for _ in range(15):
-        env.step(action)
-    action[:, 1] = torch.tensor([0.0, 1.0, -0.5])  # along the table's edge
-    for _ in range(10):
-        env.step(action)
-    action[:, 1] = 0.0
-    for _ in range(15):
-        env.step(action)
+    along_the_edge = torch.zeros(3), torch.tensor([0.0, 1.0, -0.5]), torch.zeros(3)
+    for steps, move in zip((15, 10, 15), along_the_edge, strict=True):
+        action[:, 1] = move
+        for _ in range(steps):
+            env.step(action)
     assert not term.stopped.any()
     wanted = 0.5 * MOST * (1.0 + action[:, 6].numpy())
-    np.testing.assert_allclose(term.force[:, 0].numpy(), wanted, rtol=0.02)
-    moved = [x.translation - X.translation for x, X in zip(poses(env, parts), start, strict=True)]
-    along = np.array([0.0, 10.0, -5.0]) * MOVE[0]
-    np.testing.assert_allclose(np.array(moved)[:, 1], along, atol=3e-4)
-    turned = [
-        pin.log3(x.rotation @ X.rotation.T) for x, X in zip(poses(env, parts), start, strict=True)
-    ]
-    assert np.abs(turned).max() < 2e-3
+    assert_allclose(term.force[:, 0].numpy(), wanted, rtol=0.02)
+    ways = np.array([0.0, 10.0, -5.0]) * MOVE[0]
+    for way, x, X in zip(ways, poses(env, parts), start, strict=True):
+        assert abs(x.translation[1] - X.translation[1] - way) < 3e-4
+        assert np.abs(pin.log3(x.rotation @ X.rotation.T)).max() < 2e-3
 
 
 def test_a_tick_is_that_of_one_controller(parts):
@@ -90,7 +86,7 @@ def test_a_tick_is_that_of_one_controller(parts):
         row = {name: value[1:] for name, value in more.items()}
         np.testing.assert_array_equal(first.tick(*(x[1:] for x in args), **row)[0], tau[1])
     sent = env.scene["panda"].data.joint_effort_target.numpy()
-    np.testing.assert_allclose(sent, seen[-1][2], rtol=1e-6)
+    assert_allclose(sent, seen[-1][2], rtol=1e-6)
 
 
 def test_an_environment_that_is_reset_begins_where_its_object_is(parts):
@@ -108,7 +104,7 @@ def test_an_environment_that_is_reset_begins_where_its_object_is(parts):
     for _ in range(12):
         env.step(torch.zeros(2, 7))
     assert not term.stopped.any()
-    np.testing.assert_allclose(term.force.numpy(), MOST / 2, rtol=0.1)
+    assert_allclose(term.force.numpy(), MOST / 2, rtol=0.1)
 
 
 def test_periods_that_do_not_fit_are_refused(parts):
