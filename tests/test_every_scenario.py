@@ -165,9 +165,9 @@ def test_columns_of_the_recording_belong_together(runs):
         recording = runs[name]
         assert recording.magnitude_names == names and recording.meta["columns"] == owners
         count = len(set(owners))
-        assert recording["N"].shape[1:] == (6, 3) and recording["alpha_true"].shape[1:] == (3,)
-        assert recording["closed"].shape[1:] == (count,)
-        assert recording["contact_point"].shape[1:] == (count, 3)
+        channels = ("N", "alpha_true", "closed", "contact_point")
+        shapes = [recording[channel].shape[1:] for channel in channels]
+        assert shapes == [(6, 3), (3,), (count,), (count, 3)]
 
 
 def test_only_pairs_that_push_must_push(rigs):

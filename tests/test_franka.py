@@ -257,11 +257,16 @@ class Nudged(FrankaRobot):
         return super().measure()
 
 
+def nudged(server, **scene):
+    server.begin(height=0.0, **scene)
+    robot = Nudged(server.host, osc.ClosedChain([server.arm()]))
+    robot.server = server
+    return robot
+
+
 def test_it_keeps_the_contract_of_drivers(franka):
     """`check_robot` on the wire, with a push that shows which way the wrench is."""
-    franka.begin(height=0.0)
-    robot = Nudged(franka.host, osc.ClosedChain([franka.arm()]))
-    robot.server = franka
+    robot = nudged(franka)
     (left_out,) = check_robot(robot, nudge=[0.0, 1.0, 0.0])
     assert left_out.startswith("the sign of the wrench is not checked by 0 N")
     assert robot._control is None
@@ -273,9 +278,7 @@ def test_it_keeps_the_contract_of_drivers(franka):
 @mark.slow
 def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path):
     """The arm's joints rub half as much as an FR3's; somebody leads it in shadow mode."""
-    franka.begin(height=0.0, joint_friction=0.5)
-    robot = Nudged(franka.host, osc.ClosedChain([franka.arm()]))
-    robot.server = franka
+    robot = nudged(franka, joint_friction=0.5)
     steps = []
 
     def confirm(what):
@@ -287,7 +290,6 @@ def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path
 
     course = Commissioning(robot, tmp_path, PROBE + RADIUS + 0.003, confirm, 3.0, False)
     done = course.run()
-    print("\n".join(course.lines))
     assert done, course.lines
     assert steps == ["model", "wrench", "shadow", "contact"]
     report = (tmp_path / "report.md").read_text()

@@ -102,14 +102,12 @@ def test_wrong_numbers_of_joints_are_refused_with_their_name(key, value):
 
 def test_the_switch_leaves_friction_out():
     chain = panda(damping=VISCOUS, friction=DRY)
-    rng = np.random.default_rng(3)
-    q, v = random_state(one_panda(), rng)
-    read = Measurement(q, v, np.zeros((1, 6)))
+    q, v = random_state(one_panda(), np.random.default_rng(3))
     state = chain.state(q, v)
-    wanted = Reference(state.X_WO, state.V_O)
-    off = osc.Controller(chain, [], GAINS, joint_friction=False).tick(read, wanted)
-    bare = osc.Controller(panda(damping=0.0), [], GAINS).tick(read, wanted)
-    on = osc.Controller(chain, [], GAINS).tick(read, wanted)
+    given = Measurement(q, v, np.zeros((1, 6))), Reference(state.X_WO, state.V_O)
+    off = osc.Controller(chain, [], GAINS, joint_friction=False).tick(*given)
+    bare = osc.Controller(panda(damping=0.0), [], GAINS).tick(*given)
+    on = osc.Controller(chain, [], GAINS).tick(*given)
     assert_allclose(off, bare, atol=1e-9)
     assert np.abs(on - off).max() > 0.3
 

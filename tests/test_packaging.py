@@ -60,8 +60,7 @@ def constraints():
     lines = text_of("constraints.txt").splitlines()
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.+!]+", line) for line in lines)
     assert lines == sorted(lines, key=str.lower)
-    pairs = [line.split("==") for line in lines]
-    return {canonicalize_name(name): version for name, version in pairs}
+    return {canonicalize_name(name): version for name, version in (x.split("==") for x in lines)}
 
 
 @parametrize(

@@ -23,11 +23,7 @@ def rig():
 
 
 def energy(plant):
-    model = plant.model
-    data = plant.model.createData()
-    pin.computeKineticEnergy(model, data, plant.q, plant.v)
-    pin.computePotentialEnergy(model, data, plant.q)
-    return data.kinetic_energy + data.potential_energy
+    return pin.computeMechanicalEnergy(plant.model, plant.model.createData(), plant.q, plant.v)
 
 
 def test_rigid_plant_keeps_energy_and_constraints_while_it_slides_freely(rig):

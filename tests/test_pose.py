@@ -44,7 +44,7 @@ def standing(q):
 def test_forward_kinematics_of_a_robot_by_name():
     result, found = answered(f"{TIP} --posture", POSTURE)
     assert "panda panda_hand_tcp: {xyz: [" in result.stdout
-    q = np.array([np.deg2rad(10), -np.pi / 4, 0, -0.75 * np.pi, 0.1, np.pi / 2, np.pi / 4])
+    q = np.deg2rad([10, -45, 0, -135, np.rad2deg(0.1), 90, 45])
     assert_allclose(list(found["posture"].values()), q, atol=1e-12)
     assert_allclose(found["tips"]["panda"], standing(q).homogeneous, atol=1e-9)
 

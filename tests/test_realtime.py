@@ -159,7 +159,6 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
         robot.plant.model.dof_armature[:] = 0.25  # of which the model knows 0.05
 
     found = shadow(change=rub)
-    print("\n".join(found.lines()))
     assert all(joint.moved for joint in found.joints)
     for key, wanted, atol in (
         ("coulomb", [1.0, 0.5, 1.5], 0.25),
@@ -182,7 +181,6 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
 )
 def test_shadow_mode_says_why_no_force_may_be_commanded(fault, sentence):
     found = shadow(fault)
-    print("\n".join(found.lines()))
     assert not found.forces
     assert re.search(sentence, " ".join(found.findings)), found.findings
 
