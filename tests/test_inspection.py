@@ -10,7 +10,7 @@ from complaints import scenario_error
 from numpy.linalg import lstsq, matrix_rank, norm
 from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import largest
+from rigs import largest, shift
 from samples import module_fixture, parametrize
 from scenario_runs import rig_of
 
@@ -162,21 +162,17 @@ CENTRES = [0.3, -0.2, 0.1], [-0.1, 0.4, 0.5]  # of two turns
 
 def two_turns(centres=(None, None)):
     """Two angular moves about different directions, and a standoff that turns the rod."""
-    from osc_contact.scenarios.schema import Scenario
 
-    data = osc.load_scenario("two_contact_rod_mismatch").as_dict()
-    sine = {"type": "sine", "amplitude": 0.3, "frequency": 0.7, "phase": 0.4}
-    data["motion"] = [
-        {"kind": "angular", "direction": [0, 0, 1], "signals": [sine], "through": centres[0]},
-        {
-            "kind": "angular",
-            "direction": [0, 1, 0],
-            "signals": [{**sine, "frequency": 1.1}],
-            "through": centres[1],
-        },
-        {"kind": "linear", "direction": [1, 0, 0], "signals": [{**sine, "amplitude": 0.1}]},
+    def move(kind, direction, changes, **through):
+        sine = {"type": "sine", "amplitude": 0.3, "frequency": 0.7, "phase": 0.4}
+        return {"kind": kind, "direction": direction, "signals": [sine | changes]} | through
+
+    motion = [
+        move("angular", [0, 0, 1], {}, through=centres[0]),
+        move("angular", [0, 1, 0], {"frequency": 1.1}, through=centres[1]),
+        move("linear", [1, 0, 0], {"amplitude": 0.1}),
     ]
-    scenario = Scenario.model_validate(data)
+    scenario = osc.load_scenario("two_contact_rod_mismatch").replaced(motion=motion)
     X = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.1, 0.2, 0.3]))
     pairs = rig_of().pairs
     return References.of(scenario, X, pairs, np.array([0.01, 0.0, 0.02, 0.1, -0.2, 0.05]))
@@ -188,13 +184,11 @@ def test_twist_and_classical_acceleration_are_derivatives_of_the_pose(t, centres
     wanted = two_turns(centres)
     h = 1e-5
     here = wanted.at(t)
-    left = wanted.at(t - h).X_WD
-    right = wanted.at(t + h).X_WD
-    v = (right.translation - left.translation) / (2 * h)
-    w = pin.log3(right.rotation @ left.rotation.T) / (2 * h)
-    assert_allclose(here.V_D, np.concatenate((v, w)), atol=1e-7)
-    rate = (wanted.at(t + h).V_D - wanted.at(t - h).V_D) / (2 * h)
-    assert_allclose(here.A_D, rate, atol=1e-6)
+    left, right = (wanted.at(t + step) for step in (-h, h))
+    turn = pin.log3(right.X_WD.rotation @ left.X_WD.rotation.T)
+    moved = np.append(right.X_WD.translation - left.X_WD.translation, turn)
+    assert_allclose(here.V_D, moved / (2 * h), atol=1e-7)
+    assert_allclose(here.A_D, (right.V_D - left.V_D) / (2 * h), atol=1e-6)
 
 
 def test_turns_about_points_are_products_of_poses():
@@ -203,7 +197,7 @@ def test_turns_about_points_are_products_of_poses():
     angles = [move.signals[0].at(t)[0] for move in wanted.scenario.motion[:2]]
     X = wanted.X_start
     for centre, axis, angle in zip(CENTRES, np.eye(3)[[2, 1]], angles, strict=True):
-        to = pin.SE3(np.eye(3), np.array(centre))
+        to = shift(centre)
         X = to * pin.SE3(pin.exp3(angle * axis), np.zeros(3)) * to.inverse() * X
     X.translation += [wanted.scenario.motion[2].signals[0].at(t)[0], 0, 0]
     assert_allclose(wanted.at(t).X_WD.homogeneous, X.homogeneous, atol=1e-12)

@@ -64,17 +64,17 @@ def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain()
     plant = rig.plant()
     state = rig.state()
     K = plant.drives.flexible.stiffness
-    assert modes(state, rig.chain.actuated, K)[0] == approx(4.0, rel=1e-9)
-    W = state.W[rig.chain.actuated]
+    driven = rig.chain.actuated
+    assert modes(state, driven, K)[0] == approx(4.0, rel=1e-9)
+    W = state.W[driven]
     L = cholesky(state.Lambda_S)
     _, shapes = eigh(solve(L, solve(L, W.T @ (K[:, None] * W)).T))
     velocity = state.W @ solve(L.T, shapes[:, 0])
     velocity *= 0.02 / largest(velocity)
     plant.hold(holding(rig))
-    driven = rig.chain.actuated
-    plant.data.qvel[plant._spring_v] = velocity[driven]
     passive = np.setdiff1d(np.arange(rig.chain.nq), driven)
-    plant.data.qvel[plant._v[passive]] = velocity[passive]
+    for joints, which in ((plant._spring_v, driven), (plant._v[passive], passive)):
+        plant.data.qvel[joints] = velocity[which]
     wound = []
     for _ in range(2000):
         plant.command(plant.data.ctrl.copy(), 1e-3)

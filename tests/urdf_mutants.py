@@ -131,34 +131,26 @@ def mass_matrix(text, names, q):
     links = {link.get("name"): link for link in root.findall("link")}
     above = {joint.find("child").get("link"): joint for joint in root.findall("joint")}
     pending = [name for name in links if name not in above]
-    poses = {pending[0]: (pin.SE3.Identity(), [])}
+    jacobians = {pending[0]: np.zeros((6, len(names)))}  # each in the frame of its link
     M = np.zeros((len(names), len(names)))
     while pending:
         parent = pending.pop()
-        X, screws = poses[parent]
+        J = jacobians[parent]
         if links[parent].find("inertial") is not None:
-            J = np.zeros((6, len(names)))
-            for i, X_joint, S in screws:
-                J[:, i] = X.actInv(X_joint).act(S).vector
             M += J.T @ written_inertia(links[parent]).matrix() @ J
         for child, joint in above.items():
             if joint.find("parent").get("link") != parent:
                 continue
-            X_child = X * placement(joint)
-            way = list(screws)
+            X = placement(joint)
+            S = np.zeros((6, len(names)))
             kind = joint.get("type")
             if kind != "fixed":
                 given = joint.find("axis")
                 axis = numbers("1 0 0" if given is None else given.get("xyz"))
-                S = pin.Motion.Zero()
-                if kind == "prismatic":
-                    S.linear = axis / np.linalg.norm(axis)
-                else:
-                    S.angular = axis / np.linalg.norm(axis)
                 i = names.index(joint.get("name"))
-                way.append((i, X_child, S))
-                X_child = X_child * pin.exp6(S * q[i])
-            poses[child] = (X_child, way)
+                S[slice(3) if kind == "prismatic" else slice(3, 6), i] = axis / np.linalg.norm(axis)
+                X = X * pin.exp6(S[:, i] * q[i])
+            jacobians[child] = X.toActionMatrixInverse() @ J + S
             pending.append(child)
     return M
 
