@@ -1,7 +1,5 @@
 """The simulated FR3 of `franka_server.py` for tests: a process, a model, a task."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -9,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import sleep
-from typing import Any
 
 import franky_sim
 import numpy as np
@@ -72,10 +69,10 @@ class FrankaServer:
         self.send(scene=scene, faults=faults or {})
 
     def truth(self):
-        """Of each step: normal force on the plate, place of the probe, joint speeds."""
-        self.send(truth=str(self.folder / "truth.npy"))
-        rows = np.load(self.folder / "truth.npy")
-        return {"normal": rows[:, 0], "probe": rows[:, 1:4], "v": rows[:, 4:]}
+        """(steps, 11) normal force on the plate, place of the probe, joint speeds."""
+        file = self.folder / "truth.npy"
+        self.send(truth=str(file))
+        return np.load(file)
 
     def end(self):
         with suppress(BrokenPipeError):
@@ -107,8 +104,8 @@ class Press:
     slide: float = 0.04
     ticks: int = 11000
     hold: float = 2.75  #: s from landing to the end
-    scene: dict[str, Any] = field(default_factory=dict)
-    faults: dict[str, Any] = field(default_factory=dict)
+    scene: dict = field(default_factory=dict)
+    faults: dict = field(default_factory=dict)
 
     def prepare(self, **driver):
         self.server.begin(height=TIP - self.gap, faults=self.faults, **self.scene)
@@ -119,23 +116,22 @@ class Press:
         table = osc.VertexOnFace(
             [0, 0, PROBE], point=[0.5, 0, TIP - self.modelled], normal=[0, 0, 1], radius=RADIUS
         )
-        life = osc.PhaseSettings()
-        life = osc.PhaseSettings(travel=max(life.travel, self.gap + 0.03))
+        life = osc.PhaseSettings(travel=max(osc.PhaseSettings().travel, self.gap + 0.03))
         self.controller = osc.Controller(self.chain, [table], dt=1e-3, posture=q, life=life)
-        self.status: list[osc.Status] = []
-        self.state: list[osc.SafetyState] = []
+        self.status = []
+        self.state = []
         self.landed = self.released = 0
         self.normal = np.zeros(1)
 
-    def run(self, **loop):
+    def run(self):
         """Run it, and keep what was true from its first tick on."""
         try:
-            osc.run_loop(self.robot, self.controller, self.references(), **loop)
+            osc.run_loop(self.robot, self.controller, self.references())
         finally:
             if not self.faults.get("kill"):
-                rows = self.server.truth()
-                self.normal = rows["normal"][-len(self.status) :]
-                self.probe = rows["probe"][-len(self.status) :]
+                rows = self.server.truth()[-len(self.status) :]
+                self.normal = rows[:, 0]
+                self.probe = rows[:, 1:4]
 
     def references(self):
         x = self.start.translation
@@ -161,4 +157,4 @@ class Press:
     def error(self):
         """Of the force from half a second after landing until the release, rms, of the command."""
         part = self.normal[self.landed + 500 : self.released]
-        return float(np.sqrt(np.mean((part / self.force - 1.0) ** 2)))
+        return np.sqrt(np.mean((part / self.force - 1.0) ** 2))

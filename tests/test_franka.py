@@ -81,7 +81,7 @@ def run_faulty(task, **driver):
         assert stops[0][1] and stops[-1][1] == ""
     if not task.faults.get("kill"):
         task.server.wait(300)
-        assert largest(task.server.truth()["v"][-1]) < 0.1, "at rest, held by the robot"
+        assert largest(task.server.truth()[-1, 4:]) < 0.1, "at rest, held by the robot"
     task.reason = stops[0][1]
     return ended
 
