@@ -96,35 +96,33 @@ held = changed("status", 1500, 1600, 2) | changed("motion_error", 1500, 1600, np
 
 
 @parametrize(
-    "word, sentence, channels, meta",
+    "row",
     [
-        ("LOST!", "open for up to 0.06 s", changed("closed", 2000, 2060, 0), {}),
-        ("OK", "", changed("closed", 2000, 2015, 0), {}),
-        ("POOR!", "open in 2.0% of its judged time", changed("closed", 2000, 2040, 0), {}),
-        ("OK", "", changed("closed", 500, 900, 0), {}),  # before it is judged
-        ("LOST!", "never made", changed("closed", 0, TICKS, 0), {}),
-        ("POOR!", "open in 25.0%", open_late | changed("contact_phase", 2000, 2500, 1), {}),
-        ("OK", "", open_late | resting, {}),
-        ("LOST!", "never made again", changed("closed", 2000, TICKS, 0) | resting, {}),
-        ("RUN AWAY!", "150 mm", changed("motion_error", 2000, 2001, 0.15 / 3**0.5), {}),
-        ("RUN AWAY!", "turned by 0.4 rad", changed("motion_error", 2000, 2001, turned), {}),
-        ("POOR!", "12 N rms", changed("alpha_true", 1000, TICKS, 22.0), {}),
+        ("LOST!", "open for up to 0.06 s", changed("closed", 2000, 2060, 0)),
+        ("OK", "", changed("closed", 2000, 2015, 0)),
+        ("POOR!", "open in 2.0% of its judged time", changed("closed", 2000, 2040, 0)),
+        ("OK", "", changed("closed", 500, 900, 0)),  # before it is judged
+        ("LOST!", "never made", changed("closed", 0, TICKS, 0)),
+        ("POOR!", "open in 25.0%", open_late | changed("contact_phase", 2000, 2500, 1)),
+        ("OK", "", open_late | resting),
+        ("LOST!", "never made again", changed("closed", 2000, TICKS, 0) | resting),
+        ("RUN AWAY!", "150 mm", changed("motion_error", 2000, 2001, 0.15 / 3**0.5)),
+        ("RUN AWAY!", "turned by 0.4 rad", changed("motion_error", 2000, 2001, turned)),
+        ("POOR!", "12 N rms", changed("alpha_true", 1000, TICKS, 22.0)),
         (
             "POOR!",
             "9.5 N rms, 95.0% of its mean command 10 N",
             changed("alpha_true", 1000, TICKS, 0.5),
-            {},
         ),
-        ("POOR!", "limit 10.0%", changed("alpha_true", 1000, TICKS, 8.9), {}),
-        ("OK", "", changed("alpha_true", 1000, TICKS, 9.1), {}),
+        ("POOR!", "limit 10.0%", changed("alpha_true", 1000, TICKS, 8.9)),
+        ("OK", "", changed("alpha_true", 1000, TICKS, 9.1)),
         ("DOUBTFUL", "before it ran: no tare", {}, {"doubts": ["no tare"]}),
         ("HELD!", "100 of 3000 ticks", held, {"end_reason": "a cable broke"}),
-        ("HELD", "1 of 3000 ticks", changed("status", 1500, 1501, 2), {}),
+        ("HELD", "1 of 3000 ticks", changed("status", 1500, 1501, 2)),
         (
             "SATURATED",
             "at a motor limit (j)",
             changed("status", 1500, 1600, 1) | changed("tau", 1500, 1600, 5.0),
-            {},
         ),
         (
             "STOPPED!",
@@ -134,9 +132,10 @@ held = changed("status", 1500, 1600, 2) | changed("motion_error", 1500, 1600, np
         ),
     ],
 )
-def test_each_word_has_its_threshold(word, sentence, channels, meta):
+def test_each_word_has_its_threshold(row):
     """A word with an exclamation mark is a task that failed."""
-    verdict = osc.metrics(made(meta, **channels))
+    word, sentence, channels, *meta = row
+    verdict = osc.metrics(made(*meta, **channels))
     task = verdict["task"]
     assert task["word"] + "!" * task["failed"] == word, task
     assert json.loads(json.dumps(verdict, allow_nan=False)) == verdict
