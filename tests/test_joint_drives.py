@@ -164,19 +164,20 @@ def test_springs_by_number():
 
 
 @parametrize(
-    "overrides, said",
+    "row",
     [
-        (["plant.flexible_joints={}"], "got neither"),
-        (["plant.flexible_joints={frequency: 5 Hz, stiffness: {left: [1]}}"], "got both"),
-        (["plant.flexible_joints={frequency: 5 kg}"], "a frequency"),
-        ([LOOP], "joints are stiff"),
-        ([FLEXIBLE, "control.joint_torque={rate: 3 kHz}"], "whole numbers"),
-        ([FLEXIBLE, "control.joint_torque={rate: 8 kHz}"], "whole numbers"),
-        ([FLEXIBLE, "plant.type=rigid"], "ideal joints"),
-        (["plant.motors={bias: -1}"], ">= 0"),
+        ("got neither", "plant.flexible_joints={}"),
+        ("got both", "plant.flexible_joints={frequency: 5 Hz, stiffness: {left: [1]}}"),
+        ("a frequency", "plant.flexible_joints={frequency: 5 kg}"),
+        ("joints are stiff", LOOP),
+        ("whole numbers", FLEXIBLE, "control.joint_torque={rate: 3 kHz}"),
+        ("whole numbers", FLEXIBLE, "control.joint_torque={rate: 8 kHz}"),
+        ("ideal joints", FLEXIBLE, "plant.type=rigid"),
+        (">= 0", "plant.motors={bias: -1}"),
     ],
 )
-def test_wrong_drives_are_refused_by_the_scenario(overrides, said):
+def test_wrong_drives_are_refused_by_the_scenario(row):
+    said, *overrides = row
     with scenario_error(said):
         osc.load_scenario("two_contact_rod", overrides)
 
