@@ -6,16 +6,14 @@ simulation | many_runs | vector_env | soak | franka
 
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import typer
-from rich.table import Table
 
-from benchmarks.measuring import machine, machine_lines
+from benchmarks.measuring import Report, machine, machine_lines
 from osc_contact.console import JsonOption, exit_codes, out, say
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs.report import write_json
-from paper.study import Data
 
 #: Name of each benchmark, which is that of its module, → ticks where none are given.
 BENCHMARKS: dict[str, int] = {
@@ -35,14 +33,6 @@ BENCHMARKS: dict[str, int] = {
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
 
-class Report(NamedTuple):
-    """What a benchmark found: JSON-able data, lines about the machine, tables."""
-
-    data: Data
-    lines: tuple[str, ...]
-    tables: list[Table]
-
-
 def run_benchmark(
     name: str,
     ticks: int | None = None,
@@ -53,7 +43,7 @@ def run_benchmark(
 
     Args:
         name: one of `BENCHMARKS`.
-        ticks: timed ticks of each of its cases (default: its own).
+        ticks: timed ticks of each of its cases, or rounds, runs, steps (default: its own).
         json_file: where to write data, if anywhere.
         tsid_python: interpreter of TSID's environment, for the peers.
 
@@ -64,12 +54,15 @@ def run_benchmark(
         raise InvalidInputError(f"no benchmark '{name}'; there are {', '.join(BENCHMARKS)}")
     if tsid_python is not None and name != "peers":
         raise InvalidInputError("only the benchmark 'peers' runs TSID; leave --tsid-python out")
-    bench = import_module(f"benchmarks.{name}")
+    count = BENCHMARKS[name] if ticks is None else ticks
+    if count < 1:
+        raise InvalidInputError(f"{count} ticks give no time; take 1 or more")
     more = () if tsid_python is None else (tsid_python,)
-    data = bench.measure(BENCHMARKS[name] if ticks is None else ticks, *more)
+    found = import_module(f"benchmarks.{name}").measure(count, *more)
+    report = Report({"machine": machine(), **found.data}, found.tables)
     if json_file is not None:
-        write_json(data, json_file)
-    return Report(data, machine_lines(data.get("machine") or machine()), bench.tables(data))
+        write_json(report.data, json_file)
+    return report
 
 
 @app.command()
@@ -82,7 +75,7 @@ def main(
     """Time the control tick beside its floor and its peers, by size, on the clock, in a run."""
     with exit_codes():
         report = run_benchmark(what, ticks, json_file, tsid_python)
-        say("\n".join(report.lines))
+        say("\n".join(machine_lines(report.data["machine"])))
         for table in report.tables:
             out.print(table)
 

@@ -25,55 +25,26 @@ from osc_contact.scenarios.control_schema import Gains, PhaseSettings
 from osc_contact.spatial import Array
 
 #: A Panda that slides a ball-nosed peg in a circle on a tilted face with 10 N, as a scenario.
-POINT: dict[str, Any] = {
+POINT = osc.load_scenario("panda_dome").as_dict()
+_CIRCLE: Any = {"type": "sine", "amplitude": "40 mm", "frequency": "0.5 Hz", "ramp": "1 s"}
+_FACE = {"urdf": "face.urdf", "point": [0.49, 0, 0.24], "normal": [-0.34202, 0, 0.93969]}
+POINT |= {
     "name": "point",
-    "arms": [
-        {
-            "name": "panda",
-            "urdf": "example-robot-data:panda",
-            "tip": "panda_hand_tcp",
-            "wrist_sensor": "panda_hand",
-            "locked_joints": {"panda_finger_joint1": "11 mm", "panda_finger_joint2": "11 mm"},
-            "posture": [0.0, 0.35, 0.0, -2.0, 0.0, 2.4, 0.8],
-        }
-    ],
-    "object": {"urdf": "peg.urdf", "pose": {"xyz": [0.5, 0, 0.4], "rpy": [0, 0, 0]}},
-    "grasps": {"panda": {"xyz": [0, 0, 0], "rpy": ["180 deg", 0, 0]}},
+    "description": "",
+    "environment": [],
     "contacts": [
         {
             "name": "nose",
             "type": "vertex_on_face",
             "vertex": [0, 0, -0.15],
             "radius": "12 mm",
-            "face": {
-                "urdf": "face.urdf",
-                "point": [0.49, 0, 0.24],
-                "normal": [-0.34202, 0, 0.93969],
-            },
+            "face": _FACE,
         }
     ],
     "force": {"nose": [{"type": "constant", "value": "10 N"}]},
     "motion": [
-        {
-            "kind": "linear",
-            "direction": [0, 1, 0],
-            "signals": [
-                {"type": "sine", "amplitude": "40 mm", "frequency": "0.5 Hz", "ramp": "1 s"}
-            ],
-        },
-        {
-            "kind": "linear",
-            "direction": [0.93969, 0, 0.34202],
-            "signals": [
-                {
-                    "type": "sine",
-                    "amplitude": "40 mm",
-                    "frequency": "0.5 Hz",
-                    "phase": "90 deg",
-                    "ramp": "1 s",
-                }
-            ],
-        },
+        {"kind": "linear", "direction": direction, "signals": [_CIRCLE | {"phase": phase}]}
+        for direction, phase in (([0, 1, 0], 0), ([0.93969, 0, 0.34202], "90 deg"))
     ],
     "gains": {"motion": {"stiffness": 900, "damping": 60}, "force": {"integral": 30}},
     "control": {"rate": "1 kHz"},
@@ -93,20 +64,8 @@ GAINS = Gains(
 )
 
 
-def require_status(controller: Controller, name: str, expected: Status = Status.OK) -> None:
-    """Refuse to time a tick that did not end as expected.
-
-    Args:
-        controller: after the tick. name: of the case. expected: how its ticks end.
-
-    Raises:
-        InvalidInputError: with the status and its reason.
-    """
-    if controller.status is not expected:
-        reason = f" ({controller.reason})" if controller.status is not Status.OK else ""
-        raise InvalidInputError(
-            f"{name}: a timed tick ended {controller.status.name}{reason}, expected {expected.name}"
-        )
+Timed = tuple[Callable[[], Array], Callable[[], None]]
+"""A call to be timed, and what is to be called after each."""
 
 
 def repeatable(controller: Controller) -> Controller:
@@ -149,30 +108,32 @@ class TickCase:
             reading="filter",  # the paper's
         )
 
-    def tick(self) -> tuple[Callable[[], Array], Callable[[], None]]:
+    def tick(self, controller: Controller | None = None) -> Timed:
         """A tick at this instant, and what is to be called after each.
 
         That is: how the tick ended is checked, and its integrators are set back to zero.
+
+        Args:
+            controller: to be ticked; default: a new one.
         """
-        return self.ticking(repeatable(self.controller()))
-
-    def ticking(self, controller: Controller) -> tuple[Callable[[], Array], Callable[[], None]]:
-        """The same with a given controller."""
-
-        def tick() -> Array:
-            return controller.tick(self.measurement, self.reference)
+        ticked = controller or repeatable(self.controller())
 
         def unwind() -> None:
-            require_status(controller, self.name, self.status)
-            controller.motion_integral = np.zeros(6)
-            controller.force_integral = np.zeros(0)
+            if ticked.status is not self.status:
+                reason = f" ({ticked.reason})" if ticked.status.value else ""
+                raise InvalidInputError(
+                    f"{self.name}: a timed tick ended {ticked.status.name}{reason}, expected "
+                    f"{self.status.name}"
+                )
+            ticked.motion_integral = np.zeros(6)
+            ticked.force_integral = np.zeros(0)
 
-        return tick, unwind
+        return partial(ticked.tick, self.measurement, self.reference), unwind
 
     def floor(self) -> Callable[[], object]:
         """`pin.computeAllTerms` of the same arms at the same q and v."""
         model = self.chain.model
-        q, v = (np.array(x, dtype=float) for x in (self.measurement.q, self.measurement.v))
+        q, v = np.array([self.measurement.q, self.measurement.v], float)
         return partial(pin.computeAllTerms, model, model.createData(), q, v)
 
 
@@ -199,20 +160,20 @@ def in_motion(
     return TickCase(name, chain, pairs, gains, q, plant.measure(), end, status)
 
 
-def rod_rig() -> tuple[osc.Rig, Gains, tuple[VertexOnFace, ...]]:
-    """The packaged scenario's rig, its gains and its two contacts; steps of force are not shaped.
+def rod_rig() -> tuple[osc.Rig, tuple[VertexOnFace, ...]]:
+    """The packaged scenario's rig and its two contacts; steps of force are not shaped.
 
     A step that fades within the rise time would make each tick at the same instant another one.
     """
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["gains.force.rise=0 s"]))
-    return rig, rig.gains, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
+    return rig, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
 
 
 def two_contact_rod() -> TickCase:
     """Two SCARA arms with gripper hinges, a rod, two skew contacts: d = 5, r = 2."""
-    rig, gains, pairs = rod_rig()
+    rig, pairs = rod_rig()
     at = rig.references.at
-    return in_motion("two_contact_rod", rig.chain, pairs, rig.q_contact, gains, at)
+    return in_motion("two_contact_rod", rig.chain, pairs, rig.q_contact, rig.gains, at)
 
 
 def one_panda() -> TickCase:
@@ -263,9 +224,8 @@ def _sliding(name: str, chain: ClosedChain, q: Array, vertices: list[Array]) -> 
     speed = 0.1 * _unit(np.cross(up, X.rotation[:, 0]))
 
     def reference(t: float) -> Reference:
-        V = np.concatenate((speed, np.zeros(3)))
-        X_WD = pin.SE3(X.rotation, X.translation + speed * t)
-        return Reference(X_WD, V, np.zeros(6), np.full(len(pairs), 10.0))
+        X_WD = _shifted(X, speed * t)
+        return Reference(X_WD, np.r_[speed, 0, 0, 0], np.zeros(6), np.full(len(pairs), 10.0))
 
     return in_motion(name, chain, tuple(pairs), q, GAINS, reference)
 
@@ -282,94 +242,84 @@ KINDS = {"planar": 3, "scara": 4, "ur5": 6}
 BODY = pin.Inertia(4.0, np.array([0.01, -0.02, 0.015]), np.diag([0.09, 0.11, 0.14]))
 
 
-@dataclass(frozen=True)
 class RandomRig:
-    """Arms that hold an object, at rest, at positions q."""
-
-    chain: ClosedChain
-    q: Array
-    X_WO: pin.SE3
-
-    def case(self, name: str, pairs: Sequence[ContactPair]) -> TickCase:
-        """At rest, wrists that read zero, 1 N on each contact."""
-        count = sum(pair.contact(self.X_WO, np.zeros(6)).r for pair in pairs)
-        measurement = Measurement(
-            self.q, np.zeros_like(self.q), np.zeros((len(self.chain.arms), 6))
-        )
-        reference = Reference(self.X_WO, np.zeros(6), np.zeros(6), np.full(count, 1.0))
-        return TickCase(name, self.chain, tuple(pairs), GAINS, self.q, measurement, reference)
-
-
-def random_rig(kinds: list[str], rng: np.random.Generator) -> RandomRig:
-    """Arms of the given kinds around an object; hands and bases are where they have to be.
+    """Arms of some kinds that hold an object, at rest; hands and bases are where they have to be.
 
     Planar arms turn in the horizontal plane and SCARAs stand upright, so that several of a kind
     permit the same motions.
 
-    Raises:
-        InvalidInputError: an unknown kind.
+    Attributes:
+        chain: arms and object. q: (n,) positions. X_WO: pose of the object.
     """
+
     X_WO = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.6]))
-    arms = []
-    grasps = []
-    positions = []
-    for i, kind in enumerate(kinds):
-        if kind not in KINDS:
-            raise InvalidInputError(f"no arm '{kind}'; there are {', '.join(KINDS)}")
-        model, q = _MAKE[kind](rng)
-        angle = 2.0 * np.pi * i / len(kinds)
-        grip = 0.2 * np.array([np.cos(angle), np.sin(angle), 0.0])
-        X_OT = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, rng.uniform(-3.0, 3.0)), grip)
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, q)
-        base = X_WO * X_OT * data.oMf[model.getFrameId("tip")].inverse()
-        name = f"arm{i}"
-        arms.append(osc.Arm.from_urdf(model, name=name, tip="tip", base=base, wrist_sensor="wrist"))
-        grasps.append(X_OT.inverse())
-        positions.append(q)
-    chain = ClosedChain(arms, grasps, osc.RigidObject(BODY))
-    return RandomRig(chain, np.concatenate(positions), X_WO)
+
+    def __init__(self, kinds: Sequence[str], rng: np.random.Generator) -> None:
+        """Put arms around the object.
+
+        Args:
+            kinds: of `KINDS`. rng: random numbers.
+        """
+        arms = []
+        grasps = []
+        positions = []
+        for i, kind in enumerate(kinds):
+            model, q = _MAKE[kind](rng)
+            angle = 2.0 * np.pi * i / len(kinds)
+            grip = 0.2 * np.array([np.cos(angle), np.sin(angle), 0.0])
+            X_OT = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, rng.uniform(-3.0, 3.0)), grip)
+            data = model.createData()
+            pin.framesForwardKinematics(model, data, q)
+            base = self.X_WO * X_OT * data.oMf[model.getFrameId("tip")].inverse()
+            name = f"arm{i}"
+            arm = osc.Arm.from_urdf(model, name=name, tip="tip", base=base, wrist_sensor="wrist")
+            arms.append(arm)
+            grasps.append(X_OT.inverse())
+            positions.append(q)
+        self.chain = ClosedChain(arms, grasps, osc.RigidObject(BODY))
+        self.q = np.concatenate(positions)
+
+    def case(self, name: str, pairs: Sequence[ContactPair]) -> TickCase:
+        """At rest, wrists that read zero, 1 N on each contact."""
+        still = np.zeros(6)
+        count = sum(pair.contact(self.X_WO, still).r for pair in pairs)
+        wrenches = np.zeros((len(self.chain.arms), 6))
+        measurement = Measurement(self.q, np.zeros_like(self.q), wrenches)
+        reference = Reference(self.X_WO, still, still, np.full(count, 1.0))
+        return TickCase(name, self.chain, tuple(pairs), GAINS, self.q, measurement, reference)
 
 
 def faces_of(
     rig: RandomRig, contacts: int, rank: int, rng: np.random.Generator
-) -> list[ContactPair]:
+) -> list[VertexOnFace]:
     """Vertices on faces whose lines of force span `rank` dimensions of the object's forces.
 
     Faces beyond the first `rank` are copies of these, moved along their lines of force.
 
     Args:
-        rig: holds the object. contacts: how many. rank: of their forces. rng: random numbers.
-
-    Raises:
-        InvalidInputError: more dimensions than contacts, or than the object has motions.
+        rig: holds the object. contacts: how many. rank: of their forces, at most as many as
+            contacts and motions of the object. rng: random numbers.
     """
-    state = rig.chain.state(rig.q, np.zeros(rig.chain.nq))
-    if not 0 <= rank <= min(contacts, state.d):
-        raise InvalidInputError(
-            f"{contacts} contacts on an object with d = {state.d} cannot have r = {rank}"
-        )
-    pairs: list[ContactPair] = []
+    S = rig.chain.state(rig.q, np.zeros(rig.chain.nq)).S
+    pairs: list[VertexOnFace] = []
     for i in range(contacts):
         if i < rank:
-            pairs.append(_another(rig, pairs, rng, state.S))
+            pairs.append(_another(rig, pairs, rng, S))
         else:
             first = pairs[i % rank]
-            assert isinstance(first, VertexOnFace)
-            inward = -0.02 * (i // rank) * (rig.X_WO.rotation.T @ first.normal)
-            vertex = first.vertex + inward
+            vertex = first.vertex - 0.02 * (i // rank) * (rig.X_WO.rotation.T @ first.normal)
             at = rig.X_WO.act(vertex)
             pairs.append(VertexOnFace(vertex, at, first.normal, name=f"face{i}"))
     return pairs
 
 
 def _another(
-    rig: RandomRig, pairs: list[ContactPair], rng: np.random.Generator, S: Array
+    rig: RandomRig, pairs: list[VertexOnFace], rng: np.random.Generator, S: Array
 ) -> VertexOnFace:
     """The one of some random faces that depends least on the others."""
     half = np.linalg.cholesky(S.T @ BODY.matrix() @ S)
 
-    def apart(pair: ContactPair) -> float:
+    def apart(pair: VertexOnFace) -> float:
         N = np.hstack([p.contact(rig.X_WO, np.zeros(6)).N for p in (*pairs, pair)])
         felt = np.linalg.solve(half, S.T @ N)
         return float(np.linalg.svd(felt / np.linalg.norm(felt, axis=0))[1][-1])
@@ -449,7 +399,7 @@ class OwnFace(VertexOnFace):
 
 def near_singular() -> TickCase:
     """The rod rig with both elbows 0.13 rad from straight: motion commands are reduced."""
-    rig, gains, pairs = rod_rig()
+    rig, pairs = rod_rig()
     shift = np.array([0.0, NEAR_STRAIGHT, 0.0])
     X = object_pose(rig.chain, rig.q_contact)
     q = close(rig.chain, reach(rig.chain, rig.q_contact, _shifted(X, shift)))
@@ -459,7 +409,7 @@ def near_singular() -> TickCase:
         at = rig.references.at(t)
         return replace(at, X_WD=_shifted(at.X_WD, shift))
 
-    return in_motion("near_singular", rig.chain, moved, q, gains, reference, Status.DEGRADED)
+    return in_motion("near_singular", rig.chain, moved, q, rig.gains, reference, Status.DEGRADED)
 
 
 def _shifted(X: pin.SE3, shift: Array) -> pin.SE3:
@@ -471,15 +421,14 @@ def saturated() -> TickCase:
     case = two_contact_rod()
     tau = case.controller().tick(case.measurement, case.reference)
     chain = ClosedChain(case.chain.arms, case.chain.grasps, case.chain.payload)
-    used = float(np.max(np.abs(tau) / case.chain.tau_max))
-    chain.tau_max = case.chain.tau_max * (used / TOO_MUCH)
+    chain.tau_max = chain.tau_max * (np.abs(tau) / chain.tau_max).max() / TOO_MUCH
     return replace(case, name="saturated", chain=chain, status=Status.SATURATED)
 
 
 def three_arms() -> TickCase:
     """Three arms like a UR5, a force commanded between each two grasps, two contacts."""
     rng = np.random.default_rng(0)
-    rig = random_rig(["ur5"] * 3, rng)
+    rig = RandomRig(["ur5"] * 3, rng)
     case = rig.case("three_arms", faces_of(rig, 2, 2, rng))
     squeezed = replace(case.reference, squeeze_d=np.array([10.0, 5.0, 8.0]))
     return replace(case, reference=squeezed)
@@ -555,38 +504,33 @@ SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
 SPREADS = {"q": 1e-3, "v": 1e-3, "wrenches": 0.1, "V_D": 1e-3, "A_D": 0.0, "alpha_d": 0.1}
 
 
-@dataclass(frozen=True)
 class BatchCase:
-    """Rows of one rig, each at a state of its own.
+    """Rows of one rig, each at a random state close to a case's.
 
     Attributes:
         case: the rig. rows, threads: of the batch.
         inputs: of `BatchController.tick`, by name.
     """
 
-    case: TickCase
-    rows: int
-    threads: int
-    inputs: dict[str, Array]
-
-    @classmethod
-    def around(cls, case: TickCase, rows: int, threads: int) -> BatchCase:
-        """Rows at random states close to the case's.
+    def __init__(self, case: TickCase, rows: int, threads: int) -> None:
+        """Draw the states.
 
         Args:
             case: of the single tick. rows: how many. threads: of the batch.
         """
+        self.case = case
+        self.rows = rows
+        self.threads = threads
         rng = np.random.default_rng(0)
         r = case.reference
-        inputs = {}
+        self.inputs = {}
         for name, spread in SPREADS.items():
             x = np.asarray(getattr(r if hasattr(r, name) else case.measurement, name), float)
-            inputs[name] = x + spread * rng.normal(size=(rows, *x.shape))
-        X_WD = np.tile(r.X_WD.homogeneous, (rows, 1, 1))
-        squeeze = np.full(rows, float(r.squeeze_d))
-        return cls(case, rows, threads, inputs | {"X_WD": X_WD, "squeeze_d": squeeze})
+            self.inputs[name] = x + spread * rng.normal(size=(rows, *x.shape))
+        self.inputs["X_WD"] = np.tile(r.X_WD.homogeneous, (rows, 1, 1))
+        self.inputs["squeeze_d"] = np.full(rows, float(r.squeeze_d))
 
-    def tick(self) -> tuple[Callable[[], Array], Callable[[], None]]:
+    def tick(self) -> Timed:
         """A tick of all rows, and what is to be called after each, as in `TickCase.tick`."""
         batch = osc.BatchController([self.case.controller()] * self.rows, self.threads)
         expected = self.case.status
@@ -617,7 +561,7 @@ class BatchCase:
 
 def batch(case: Callable[[], TickCase], threads: int) -> BatchCase:
     """Many rows of a case."""
-    return BatchCase.around(case(), ROWS, threads)
+    return BatchCase(case(), ROWS, threads)
 
 
 BATCHES: dict[str, Callable[[], BatchCase]] = {

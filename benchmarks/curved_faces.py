@@ -24,7 +24,7 @@ from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.robots import resolve_urdf
 from osc_contact.spatial import Array
 from osc_contact.sweeps.rows import without_logged_doubts
-from paper.study import PANDA, Data
+from paper.study import Data
 
 RADII = [0.1, 0.3, 1.0]
 BALL = 0.012  #: m
@@ -65,44 +65,39 @@ def saddle_mesh(path: Path, R: float, half: float = 0.06, n: int = 61) -> None:
 def scenario(folder: Path, face: str, R: float, changes: Data) -> osc.Scenario:
     """The task on one face, its files in a folder."""
     (folder / "part.urdf").write_text(BODY.format(shape=SHAPES[face].format(R=R)))
-    pose: Data = {"xyz": (TOP - [0, 0, R]).tolist(), "rpy": [0, 0, 0]}
-    surface: Data = {"type": face, "radius": R}
+    surface: Data = {"type": "cylinder" if face == TWO else face, "radius": R}
     contact: Data = {"name": "nose", "type": "sphere_on_surface", "body": "part"}
     contact |= {"centre": NOSE, "radius": BALL, "surface": surface}
     wave = {"type": "sine", "amplitude": "30 mm", "frequency": "0.5 Hz", "ramp": "1 s"}
     move = {"kind": "surface", "contact": "nose", "direction": [1, 0, 0], "signals": [wave]}
-    fingers = {"panda_finger_joint1": "11 mm", "panda_finger_joint2": "11 mm"}
-    posture = [0.0, 0.35, 0.0, -2.0, 0.0, 2.4, 0.8]
-    data: Data = {
+    middle = TOP - [0, 0, R]
+    plant = {"type": "mujoco", "step": "0.25 ms"}
+    held = osc.load_scenario("dual_panda_rod" if face == TWO else "panda_dome").as_dict()
+    if face == "saddle":
+        saddle_mesh(folder / "saddle.stl", R)
+        plant["type"] = PLANT
+        middle = TOP
+        contact["surface"] = {"type": "mesh", "file": "saddle.stl"}
+    elif face == TWO:
+        plant = held["plant"]
+        contact |= {"centre": [-0.29, 0, 0], "radius": 0.01}
+        outward = np.array([np.sin(LEAN), 0.0, np.cos(LEAN)])  # else the shaft would touch, too
+        middle = [-0.29, 0.0, 0.4] - (R + 0.01) * outward
+    turn = ["90 deg" if "cylinder" in face else 0, 0, 0]
+    part = {"name": "part", "urdf": "part.urdf", "pose": {"xyz": middle.tolist(), "rpy": turn}}
+    data = {key: held[key] for key in ("arms", "object", "grasps")} | {
         "name": face,
         "description": str(R),
-        "arms": [PANDA | {"locked_joints": fingers, "posture": posture}],
-        "object": {"urdf": "peg.urdf", "pose": {"xyz": [0.5, 0, 0.4]}},
-        "grasps": {"panda": {"rpy": ["180 deg", 0, 0]}},
-        "environment": [{"name": "part", "urdf": "part.urdf", "pose": pose}],
+        "environment": [part],
         "contacts": [contact],
         "force": {"nose": [{"type": "constant", "value": FORCE}]},
         "motion": [move],
         "control": {"rate": "1 kHz"},
-        "plant": {"type": "mujoco", "step": "0.25 ms"},
+        "plant": plant,
         "duration": 5,
     }
-    if face == "saddle":
-        saddle_mesh(folder / "saddle.stl", R)
-        data["plant"]["type"] = PLANT
-        pose["xyz"] = TOP.tolist()
-        contact["surface"] = {"type": "mesh", "file": "saddle.stl"}
-    elif face != "sphere":
-        pose["rpy"] = ["90 deg", 0, 0]
-    if face == TWO:
-        held = osc.load_scenario("dual_panda_rod").as_dict()
-        data |= {key: held[key] for key in ("arms", "object", "grasps", "plant")}
-        surface["type"] = "cylinder"
-        contact |= {"centre": [-0.29, 0, 0], "radius": 0.01}
-        outward = np.array([np.sin(LEAN), 0.0, np.cos(LEAN)])  # else the shaft would touch, too
-        pose["xyz"] = ([-0.29, 0.0, 0.4] - (R + 0.01) * outward).tolist()
-    for part, values in changes.items():
-        data[part] = {**data.get(part, {}), **values}
+    for key, values in changes.items():
+        data[key] = {**data.get(key, {}), **values}
     return osc.Scenario.from_dict(data, folder / "task.yaml")
 
 

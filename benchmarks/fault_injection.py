@@ -24,17 +24,21 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from rich.console import Console
+from rich.table import Table
 
 import osc_contact as osc
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Reference, Stamps
 from osc_contact.runs.run import Taring, start
+from paper.study import table_of, words_of
 
 RUN, DEGRADED, HOLD, SAFE_STOP = SafetyState
 STOP_WITHIN = 0.3  #: s
@@ -51,8 +55,7 @@ NAN = float("nan")
 Change = Callable[["Trial", Measurement, Reference], tuple[Measurement, Reference]]
 
 
-@dataclass(frozen=True)
-class Fault:
+class Fault(NamedTuple):
     """One kind of fault.
 
     Attributes:
@@ -90,68 +93,57 @@ class Trial:
         """One of n, the same all the time."""
         return int(self.kept.setdefault(f"pick{n}", int(self.rng.integers(n))))
 
-    @property
-    def motor(self) -> int:
-        """One motor's joint, the same all the time."""
-        return int(self.chain.actuated[self.pick(len(self.chain.actuated))])
-
 
 # --- what goes wrong ------------------------------------------------------------------------------
 
 
-def _reading(name: str, make: Callable[[Trial, np.ndarray], Any]) -> Change:
-    """An array of the measurement becomes another one."""
+def _all(t: Trial, x: np.ndarray) -> Any:
+    return ...
+
+
+def _one(t: Trial, x: np.ndarray) -> Any:
+    """One number, the same all the time."""
+    return np.unravel_index(t.pick(x.size), x.shape)
+
+
+def _row(t: Trial, x: np.ndarray) -> Any:
+    """The wrist of one arm."""
+    return t.pick(len(x))
+
+
+def _motor(t: Trial, x: np.ndarray) -> Any:
+    """The joint of one motor, the same all the time."""
+    joints = t.chain.actuated
+    return joints[t.pick(len(joints))]
+
+
+def _reading(
+    name: str,
+    where: Callable[[Trial, np.ndarray], Any] = _all,
+    gain: float = 1.0,
+    offset: float = 0.0,
+    drift: float = 0.0,
+    noise: float = 0.0,
+    stuck: bool = False,
+) -> Change:
+    """Numbers of an array of the measurement become others.
+
+    Args:
+        name: of the array. where: index of the numbers. gain, offset, drift (in each tick), noise,
+            stuck: what becomes of them.
+    """
 
     def change(t: Trial, m: Measurement, r: Reference) -> tuple[Measurement, Reference]:
-        changes: dict[str, Any] = {name: make(t, np.array(getattr(m, name)))}
+        x = np.array(getattr(m, name))
+        i = where(t, x)
+        if stuck:
+            x[i] = t.first(name, x[i].copy())
+        else:
+            x[i] = gain * x[i] + offset + drift * t.k + noise * t.rng.normal(size=x[i].shape)
+        changes: dict[str, Any] = {name: x}
         return replace(m, **changes), r
 
     return change
-
-
-def _whole(name: str, gain: float = 1.0, offset: float = 0.0) -> Change:
-    """All numbers of an array times and plus a number."""
-    return _reading(name, lambda t, x: gain * x + offset)
-
-
-def _one(name: str, gain: float = 1.0, offset: float = 0.0) -> Change:
-    """The same of one number, the same all the time."""
-
-    def make(t: Trial, x: np.ndarray) -> np.ndarray:
-        i = t.pick(x.size)
-        x.flat[i] = gain * x.flat[i] + offset
-        return x
-
-    return _reading(name, make)
-
-
-def _motor(name: str, gain: float = 1.0, offset: float = 0.0, drift: float = 0.0) -> Change:
-    """The same of one motor joint; drift: of its offset, in each tick."""
-
-    def make(t: Trial, x: np.ndarray) -> np.ndarray:
-        i = t.motor
-        x[i] = gain * x[i] + offset + drift * t.k
-        return x
-
-    return _reading(name, make)
-
-
-def _wrist(gain: float) -> Change:
-    """The wrist of one arm times a number."""
-
-    def make(t: Trial, w: np.ndarray) -> np.ndarray:
-        w[t.pick(len(w))] *= gain
-        return w
-
-    return _reading("wrenches", make)
-
-
-def _stuck(name: str) -> Change:
-    return _reading(name, lambda t, x: t.first(name, x))
-
-
-def _noisy(name: str, size: float) -> Change:
-    return _reading(name, lambda t, x: x + size * t.rng.normal(size=x.shape))
 
 
 def _packet(make: Callable[[Trial, Measurement], Measurement]) -> Change:
@@ -171,20 +163,15 @@ def _both(*changes: Change) -> Change:
     return change
 
 
-def _turned(make: Callable[[np.ndarray], np.ndarray]) -> Change:
-    """A goal whose rotation, turned or not, is another matrix."""
+def _turned(scale: Any) -> Change:
+    """A goal whose rotation, with its columns scaled, is another matrix."""
 
     def bad(X: pin.SE3) -> pin.SE3:
         bad = X.copy()
-        bad.rotation = make(X.rotation)
+        bad.rotation = X.rotation * scale
         return bad
 
     return _goal("X_WD", bad)
-
-
-def _held(t: Trial, x: np.ndarray, i: int) -> np.ndarray:
-    x[i] = t.first("row", x[i].copy())
-    return x
 
 
 def _weaken(share: float) -> Callable[[Trial, np.ndarray], np.ndarray]:
@@ -203,6 +190,7 @@ def _delay(t: Trial, tau: np.ndarray) -> np.ndarray:
     return before
 
 
+_angles, _speeds, _wrists = (partial(_reading, name) for name in ("q", "v", "wrenches"))
 _STOPS = (SAFE_STOP,)
 _ON = (RUN, DEGRADED)
 _TICK = 1e-9  #: of a fault that lasts one tick
@@ -212,40 +200,42 @@ _JUMP = np.array([0.05, 0.0, 0.0])
 FAULTS: dict[str, Fault] = {
     "no fault": Fault(None, 0.0, _ON),
     # encoders
-    "encoder NaN once": Fault(_one("q", NAN), _TICK, _ON),
-    "encoder NaN for ever": Fault(_one("q", NAN), ends=_STOPS),
-    "encoders NaN, 15 ticks": Fault(_whole("q", NAN), 0.014, _ON),
-    "encoder spike of 1 rad, one tick": Fault(_motor("q", offset=1.0), _TICK, _ON),
-    "encoder jumps by 1 rad": Fault(_motor("q", offset=1.0), ends=_STOPS),
-    "encoder 1e200": Fault(_motor("q", 0.0, 1e200), ends=_STOPS),
-    "encoder stuck": Fault(_reading("q", lambda t, q: _held(t, q, t.motor))),
-    "encoders stuck, speeds too": Fault(_both(_stuck("q"), _stuck("v")), ends=_STOPS),
-    "encoders stuck, speeds zero": Fault(_both(_stuck("q"), _whole("v", 0.0))),
-    "encoder mirrored": Fault(_motor("q", -1.0)),
-    "encoder drifts by 0.2 rad/s": Fault(_motor("q", drift=2e-4)),
-    "encoder noise of 5 mrad": Fault(_noisy("q", 5e-3)),
+    "encoder NaN once": Fault(_angles(_one, NAN), _TICK, _ON),
+    "encoder NaN for ever": Fault(_angles(_one, NAN), ends=_STOPS),
+    "encoders NaN, 15 ticks": Fault(_angles(gain=NAN), 0.014, _ON),
+    "encoder spike of 1 rad, one tick": Fault(_angles(_motor, offset=1.0), _TICK, _ON),
+    "encoder jumps by 1 rad": Fault(_angles(_motor, offset=1.0), ends=_STOPS),
+    "encoder 1e200": Fault(_angles(_motor, 0.0, 1e200), ends=_STOPS),
+    "encoder stuck": Fault(_angles(_motor, stuck=True)),
+    "encoders stuck, speeds too": Fault(
+        _both(_angles(stuck=True), _speeds(stuck=True)), ends=_STOPS
+    ),
+    "encoders stuck, speeds zero": Fault(_both(_angles(stuck=True), _speeds(gain=0.0))),
+    "encoder mirrored": Fault(_angles(_motor, -1.0)),
+    "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=2e-4)),
+    "encoder noise of 5 mrad": Fault(_angles(noise=5e-3)),
     # speeds
-    "speed NaN once": Fault(_one("v", NAN), _TICK, _ON),
-    "speed inf for ever": Fault(_one("v", offset=np.inf), ends=_STOPS),
-    "speed spike, one tick": Fault(_motor("v", 0.0, 100.0), _TICK, _ON),
-    "speeds zero": Fault(_whole("v", 0.0)),
-    "speeds mirrored": Fault(_whole("v", -1.0)),
-    "speed noise of 0.05 rad/s": Fault(_noisy("v", 0.05)),
+    "speed NaN once": Fault(_speeds(_one, NAN), _TICK, _ON),
+    "speed inf for ever": Fault(_speeds(_one, offset=np.inf), ends=_STOPS),
+    "speed spike, one tick": Fault(_speeds(_motor, 0.0, 100.0), _TICK, _ON),
+    "speeds zero": Fault(_speeds(gain=0.0)),
+    "speeds mirrored": Fault(_speeds(gain=-1.0)),
+    "speed noise of 0.05 rad/s": Fault(_speeds(noise=0.05)),
     # wrists
-    "wrench NaN once": Fault(_one("wrenches", NAN), _TICK, _ON),
-    "wrench NaN, 19 ticks": Fault(_one("wrenches", NAN), 0.018, _ON),
-    "wrench NaN for ever": Fault(_one("wrenches", NAN), ends=_STOPS),
-    "wrench 100 kN once": Fault(_one("wrenches", 0.0, 1e5), _TICK, _ON),
-    "wrench 900 N once": Fault(_one("wrenches", 0.0, 900.0), _TICK, _ON),
-    "wrench 100 kN for ever": Fault(_one("wrenches", 0.0, 1e5), ends=_STOPS),
-    "wrists read zero": Fault(_whole("wrenches", 0.0)),
-    "one wrist reads zero": Fault(_wrist(0.0)),
-    "one wrist stuck": Fault(_reading("wrenches", lambda t, w: _held(t, w, t.pick(len(w))))),
-    "wrists mirrored": Fault(_whole("wrenches", -1.0)),
-    "one wrist mirrored": Fault(_wrist(-1.0)),
-    "wrist offset of 20 N": Fault(_one("wrenches", offset=20.0)),
-    "wrists times 0.3": Fault(_whole("wrenches", 0.3)),
-    "wrist noise of 5 N": Fault(_noisy("wrenches", 5.0)),
+    "wrench NaN once": Fault(_wrists(_one, NAN), _TICK, _ON),
+    "wrench NaN, 19 ticks": Fault(_wrists(_one, NAN), 0.018, _ON),
+    "wrench NaN for ever": Fault(_wrists(_one, NAN), ends=_STOPS),
+    "wrench 100 kN once": Fault(_wrists(_one, 0.0, 1e5), _TICK, _ON),
+    "wrench 900 N once": Fault(_wrists(_one, 0.0, 900.0), _TICK, _ON),
+    "wrench 100 kN for ever": Fault(_wrists(_one, 0.0, 1e5), ends=_STOPS),
+    "wrists read zero": Fault(_wrists(gain=0.0)),
+    "one wrist reads zero": Fault(_wrists(_row, 0.0)),
+    "one wrist stuck": Fault(_wrists(_row, stuck=True)),
+    "wrists mirrored": Fault(_wrists(gain=-1.0)),
+    "one wrist mirrored": Fault(_wrists(_row, -1.0)),
+    "wrist offset of 20 N": Fault(_wrists(_one, offset=20.0)),
+    "wrists times 0.3": Fault(_wrists(gain=0.3)),
+    "wrist noise of 5 N": Fault(_wrists(noise=5.0)),
     "no wrench for 15 ticks": Fault(_NO_WRENCH, 0.014, _ON),
     "no wrench for ever": Fault(_NO_WRENCH, ends=_STOPS),
     # packets
@@ -258,8 +248,8 @@ FAULTS: dict[str, Fault] = {
         _packet(lambda t, m: replace(m, stamps=Stamps(1.0, 1.0, 1.0, 1.0))), ends=_STOPS
     ),
     # references
-    "X_WD no rotation": Fault(_turned(lambda R: 1.5 * R), ends=_STOPS),
-    "X_WD mirrored": Fault(_turned(lambda R: R * [1.0, 1.0, -1.0]), ends=_STOPS),
+    "X_WD no rotation": Fault(_turned(1.5), ends=_STOPS),
+    "X_WD mirrored": Fault(_turned([1.0, 1.0, -1.0]), ends=_STOPS),
     "reference NaN once": Fault(_goal("V_D", lambda V: V * NAN), _TICK, _ON),
     "reference jumps by 5 cm": Fault(
         _goal("X_WD", lambda X: pin.SE3(X.rotation, X.translation + _JUMP)), lies=False
@@ -325,25 +315,43 @@ class Verdict:
     reason: str = ""
 
 
-class Run:
+class ClosedLoop:
+    """A rig under control, tick by tick.
+
+    Attributes:
+        true: the plant behind its sensors. k: ticks done. act: joints with motors; fastest: their
+            speed limits.
+    """
+
+    def __init__(self, rig: osc.Rig, seed: int = 0) -> None:
+        """At the start of the task."""
+        self.rig = rig
+        self.plant, self.controller = start(rig, seed)
+        self.robot = rig.robot(self.plant, self.controller)
+        untared = rig.scenario.tare is None
+        self.tick = (self.controller if untared else Taring(rig, self.controller)).tick
+        self.dt = self.controller.dt
+        self.true: Any = self.plant
+        while hasattr(self.true, "plant"):
+            self.true = self.true.plant
+        self.act = np.array(rig.model.actuated)
+        self.fastest = rig.model.model.velocityLimit[self.act]
+        self.k = 0
+
+
+class Run(ClosedLoop):
     """One run: up to the fault, then with it. A copy of the process is a copy of the run."""
 
     def __init__(self, case: Case) -> None:
         """Build the rig of a case."""
         how = PHASES[case.phase][1]
         self.case = case
-        self.k = 0
-        self.before = None
         self.hold = bool(how.get("hold"))
-        self.rig = osc.build_rig(_scenario(how.get("scenario", case.scenario), how.get("outward")))
-        self.plant, self.controller = start(self.rig, case.seed)
-        self.robot = self.rig.robot(self.plant, self.controller)
-        taring = self.rig.scenario.tare is not None
-        self.tick = Taring(self.rig, self.controller).tick if taring else self.controller.tick
-        self.dt = self.controller.dt
+        scenario = _scenario(how.get("scenario", case.scenario), how.get("outward"))
+        super().__init__(osc.build_rig(scenario), case.seed)
         self.limit = self.rig.model.tau_max
-        if self.controller._records.memory.ticked:
-            self.before = self.controller.last_torques()
+        ticked = self.controller._records.memory.ticked
+        self.before = self.controller.last_torques() if ticked else None
         self.first = round(case.begin / self.dt)
         self.ahead: list[Reference] = []  # those of the ticks from the last multiple of BLOCK on
 
@@ -400,47 +408,46 @@ class Run:
         """The run with the fault, from where it begins."""
         fault = FAULTS[name]
         case = self.case
-        dt = self.dt
-        control = self.controller
+        act = self.act
         verdict = Verdict(name, case)
         trial = Trial(np.random.default_rng([case.seed, len(name)]), self.rig.model)
-        last = round(min(case.begin + fault.lasts, 1e6) / dt)
-        act = np.array(self.rig.model.actuated)
+        last = round(min(case.begin + fault.lasts, 1e6) / self.dt)
         model = self.rig.model.model
         beyond = outside = 0
         highest = 10.0
-        end = self.first + round(FAULT_FOR / dt)
+        end = self.first + round(FAULT_FOR / self.dt)
         stop_q = braking = np.zeros(0)
         while self.k < end and not verdict.wrong:
             k = self.k
             reference = self.step(verdict, trial if k <= last else None, fault)
-            true = _inside(self.plant).measure()
+            control = self.controller
+            true = self.true.measure()
             q = true.q[act]
             speeds = np.abs(true.v[act])
-            if verdict.stopped is None and control.state is SAFE_STOP:
-                verdict.stopped = (k - self.first) * dt
+            stopped = control.state is SAFE_STOP
+            if stopped and verdict.stopped is None:
+                verdict.stopped = (k - self.first) * self.dt
                 stop_q = q
                 verdict.reason = control.reason
                 braking = speeds * control._records.model.reaction
-                end = max(end, k + round(REST_AFTER / dt))
-            verdict.unbraked = verdict.unbraked or control.unbraked is not None
+                end = max(end, k + round(REST_AFTER / self.dt))
+            verdict.unbraked |= control.unbraked is not None
             verdict.rest_speed = float(speeds.max())
             if verdict.stopped is not None:
                 verdict.travel = float((np.abs(q - stop_q) - braking).max())
-            share = float((speeds / model.velocityLimit[act]).max())
+            share = float((speeds / self.fastest).max())
             verdict.speed = max(verdict.speed, share)
             beyond = beyond + 1 if share > 1.0 else 0
             inside = (q >= model.lowerPositionLimit[act]) & (q <= model.upperPositionLimit[act])
             outside = 0 if inside.all() else outside + 1
-            highest = max([highest, *map(abs, reference.alpha_d)])
+            highest = max(highest, *map(abs, reference.alpha_d), 0.0)
             if k % TRUTH_EVERY == 0 and not verdict.unbraked:  # else the driver's brakes hold it
-                alpha = self.plant.truth().alpha.tolist()
-                verdict.force = max([verdict.force, *map(abs, alpha)])
-            if control.state is not SAFE_STOP and max(beyond, outside) * dt > STOP_WITHIN:
+                verdict.force = max(verdict.force, *np.abs(self.plant.truth().alpha).tolist(), 0.0)
+            if not stopped and max(beyond, outside) * self.dt > STOP_WITHIN:
                 verdict.wrong.append(f"tick {k}: joints beyond their limits and no stop")
         verdict.ticks = self.k
-        verdict.state = control.state
-        verdict.reason = verdict.reason or control.reason
+        verdict.state = self.controller.state
+        verdict.reason = verdict.reason or self.controller.reason
         pushes = self.rig.scenario.plant.pushes
         most = 3.0 * highest + sum(float(np.linalg.norm(push.force)) for push in pushes)
         self._judge_end(verdict, fault, most)
@@ -536,13 +543,6 @@ def _scenario(name: str, outward: float | None) -> osc.Scenario:
     )
 
 
-def _inside(plant: Any) -> Any:
-    """The plant behind its sensors."""
-    while hasattr(plant, "plant"):
-        plant = plant.plant
-    return plant
-
-
 # --- all of them ----------------------------------------------------------------------------------
 
 
@@ -564,7 +564,7 @@ def _read(kept: Path | None) -> list[Verdict]:
     lines = [line for line in kept.read_text().splitlines(True) if line.endswith("\n")]
     kept.write_text("".join(lines))
     return [
-        Verdict(**row | {"state": SafetyState[row["state"]], "case": Case(**row["case"])})
+        Verdict(**row | {"state": SafetyState(row["state"]), "case": Case(**row["case"])})
         for row in map(json.loads, lines)
     ]
 
@@ -572,11 +572,11 @@ def _read(kept: Path | None) -> list[Verdict]:
 def _keep(verdict: Verdict, kept: Path | None) -> Verdict:
     if kept is not None:
         with kept.open("a") as file:
-            file.write(json.dumps(asdict(verdict) | {"state": verdict.state.name}) + "\n")
+            file.write(json.dumps(asdict(verdict)) + "\n")
     return verdict
 
 
-def table(verdicts: list[Verdict]) -> str:
+def table(verdicts: Sequence[Verdict]) -> Table:
     """One line for each kind."""
     rows = []
     for name in FAULTS:
@@ -584,34 +584,25 @@ def table(verdicts: list[Verdict]) -> str:
         if not mine:
             continue
         stopped = [v for v in mine if v.stopped is not None]
-        latest = f"{max(v.stopped or 0.0 for v in stopped):.3f}" if stopped else "-"
         rests = [v.rest_speed for v in stopped if not v.unbraked]
-        row: dict[str, object] = {"fault": name, "runs": len(mine)}
-        row["ticks"] = sum(v.ticks for v in mine)
-        for word, state in zip(("RUN", "DEGR", "HOLD", "STOP"), SafetyState, strict=True):
-            row[word] = sum(v.state is state for v in mine)
+        force, speed, rate = (max(getattr(v, x) for v in mine) for x in ("force", "speed", "rate"))
         rows.append(
-            row
-            | {
-                "latest stop s": latest,
-                "force N": f"{max(v.force for v in mine):.1f}",
-                "speed": f"{max(v.speed for v in mine):.2f}",
-                "rate 1/s": f"{max(v.rate for v in mine):.0f}",
-                "rad/s at rest": f"{max(rests, default=0.0):.3f}",
-                "unbraked": sum(v.unbraked for v in mine),
-                "wrong": sum(bool(v.wrong) for v in mine),
-            }
+            (
+                name,
+                len(mine),
+                sum(v.ticks for v in mine),
+                *(sum(v.state is state for v in mine) for state in SafetyState),
+                words_of(max((v.stopped or 0.0 for v in stopped), default=None), "{:.3f}", "-"),
+                f"{force:.1f}; {speed:.2f}; {rate:.0f}; {max(rests, default=0.0):.3f}",
+                sum(v.unbraked for v in mine),
+                sum(bool(v.wrong) for v in mine),
+            )
         )
-    lines = [list(map(str, line)) for line in (*map(list, rows[:1]), *(r.values() for r in rows))]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join(
-        "  ".join(f"{x:{'>' if i else '<'}{widths[i]}}" for i, x in enumerate(line))
-        for line in lines
+    heads = (
+        "fault; runs; ticks; RUN; DEGR; HOLD; STOP; latest stop s; force N; speed; rate 1/s; "
+        "rad/s at rest; unbraked; wrong"
     )
-
-
-def _work(job: tuple[Case, list[str]]) -> list[Verdict]:
-    return try_faults(*job)
+    return table_of("", heads, ("; ".join(map(str, row)) for row in rows))
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -619,33 +610,34 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--fault", action="append", choices=list(FAULTS))
-    parser.add_argument("--phase", action="append", choices=list(PHASES))
-    parser.add_argument("--scenario", action="append", choices=sorted(osc.list_scenarios()))
+    scenarios = sorted(osc.list_scenarios())
+    for name, some in (("fault", FAULTS), ("phase", PHASES), ("scenario", scenarios)):
+        parser.add_argument(f"--{name}", action="append", choices=list(some))
     parser.add_argument("--every", action="append", type=int, choices=LOSSES)
     parser.add_argument("--kept", type=Path, help="a file of runs, to be continued")
     parser.add_argument("--quiet", type=float, metavar="S", help="s without a fault instead")
     given = parser.parse_args(argv)
     if given.quiet:
-        return _try_quiet(
-            given.scenario or sorted(osc.list_scenarios()), given.quiet, given.workers
-        )
+        return _try_quiet(given.scenario or scenarios, given.quiet, given.workers)
     names = given.fault or list(FAULTS)
     chosen = [
         case
         for case in cases(given.seeds)
-        if (not given.phase or case.phase in given.phase)
-        and (not given.scenario or case.scenario in given.scenario)
-        and (given.every is None or case.every in given.every)
+        if all(
+            not wanted or getattr(case, key) in wanted
+            for key, wanted in vars(given).items()
+            if key in ("phase", "scenario", "every")
+        )
     ]
     verdicts = [v for v in _read(given.kept) if v.case in chosen and v.fault in names]
     done = {(v.fault, v.case) for v in verdicts}
     jobs = [(case, [name for name in names if (name, case) not in done]) for case in chosen]
     with ProcessPoolExecutor(given.workers) as pool:
-        for found in pool.map(_work, [job for job in jobs if job[1]]):
+        left = [job for job in jobs if job[1]]
+        for found in pool.map(try_faults, *zip(*left, strict=True)) if left else ():
             verdicts += [_keep(v, given.kept) for v in found]
             print(f"{found[0].case}: {sum(bool(v.wrong) for v in found)} wrong", flush=True)
-    print(table(verdicts))
+    Console(width=200).print(table(verdicts))
     wrong = [v for v in verdicts if v.wrong]
     for v in wrong[:80]:
         print(f"{v.fault} / {v.case}: {'; '.join(v.wrong)}")

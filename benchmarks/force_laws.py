@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -36,15 +36,14 @@ FORCE_STEP = 5.0  #: N
 MOTION_STEP = 5e-3  #: m
 
 _CASE = CASES[0]
-_FAR = replace(_CASE.goals[0], point=(0.6, 0.67, 0.5))
-STRETCHED = replace(_CASE, name="stretched", goals=(_CASE.goals[0], _FAR, _CASE.goals[0]))
+_FAR = _CASE.goals[0]._replace(point=(0.6, 0.67, 0.5))
+STRETCHED = _CASE._replace(name="stretched", goals=(_CASE.goals[0], _FAR, _CASE.goals[0]))
 """9 mm before the arm is stretched, where J loses a rank."""
 
 
 # --- What a law is given, and the laws -----------------------------------------------------------
 
 
-@dataclass(frozen=True)
 class Sight:
     """The arm as the simulator knows it at one instant; tool: the finger's middle, world axes.
 
@@ -52,76 +51,45 @@ class Sight:
         q, v: (7,) rad, rad/s. X: of the tool. V: (6,) its twist. J: (6, 7). M: (7, 7).
         gravity, coriolis: (7,) N m. force: of the contact (N). axis: (3,) into the wall.
         goal: pose of the tool; V_goal: (6,); force_goal: N.
+        error: (6,) from the tool to its goal (m, rad), world axes.
     """
 
-    q: Array
-    v: Array
-    X: pin.SE3
-    V: Array
-    J: Array
-    M: Array
-    gravity: Array
-    coriolis: Array
-    force: float
-    axis: Array
-    goal: pin.SE3
-    V_goal: Array
-    force_goal: float
+    def __init__(self, plant: Any, data: Any, axis: Array, reference: osc.Reference) -> None:
+        """Now, with what is desired.
 
-    @property
-    def error(self) -> Array:
-        """(6,) from the tool to its goal (m, rad), world axes."""
-        return pose_error(self.goal, self.X)
+        Args:
+            plant: in MuJoCo. data: scratch of its model. axis: into the wall.
+            reference: what is desired.
+        """
+        import mujoco as mj
 
-
-class Eyes:
-    """Reads a plant."""
-
-    def __init__(self, plant: Any, axis: Array) -> None:
-        import mujoco
-
-        self._mj = mujoco
-        self._plant = plant
-        self._axis = axis
-        self._data = mujoco.MjData(plant.model)
-        self._body = plant.object_body
-
-    def look(self, reference: osc.Reference) -> Sight:
-        """Now, with what is desired."""
-        mj = self._mj
-        model = self._plant.model
-        data = self._data
+        model = plant.model
+        body = plant.object_body
         n = model.nv
-        coriolis, gravity = np.zeros((2, n))
-        M = np.zeros((n, n))
-        Jp, Jr = np.zeros((2, 3, n))
-        data.qpos[:] = self._plant.data.qpos
+        self.gravity, bias = np.zeros((2, n))
+        self.M = np.zeros((n, n))
+        self.J = np.zeros((6, n))
+        data.qpos[:] = plant.data.qpos
         data.qvel[:] = 0.0
         mj.mj_fwdPosition(model, data)
-        mj.mj_rne(model, data, 0, gravity)
-        data.qvel[:] = self._plant.data.qvel
+        mj.mj_rne(model, data, 0, self.gravity)
+        data.qvel[:] = plant.data.qvel
         mj.mj_fwdVelocity(model, data)
-        mj.mj_rne(model, data, 0, coriolis)
-        for row, axis in zip(M, np.eye(n), strict=True):
-            mj.mj_mulM(model, data, row, axis)
-        mj.mj_jacBody(model, data, Jp, Jr, self._body)
-        J = np.vstack((Jp, Jr))
-        v = data.qvel.copy()
-        return Sight(
-            data.qpos.copy(),
-            v,
-            pin.SE3(data.xmat[self._body].reshape(3, 3).copy(), data.xpos[self._body].copy()),
-            J @ v,
-            J,
-            M,
-            gravity,
-            coriolis - gravity,
-            float(self._plant.truth().alpha[0]),
-            self._axis,
-            reference.X_WD,
-            reference.V_D,
-            float(reference.alpha_d[0]),
-        )
+        mj.mj_rne(model, data, 0, bias)
+        for row, unit in zip(self.M, np.eye(n), strict=True):
+            mj.mj_mulM(model, data, row, unit)
+        mj.mj_jacBody(model, data, self.J[:3], self.J[3:], body)
+        self.q = data.qpos.copy()
+        self.v = data.qvel.copy()
+        self.X = pin.SE3(data.xmat[body].reshape(3, 3).copy(), data.xpos[body].copy())
+        self.V = self.J @ self.v
+        self.coriolis = bias - self.gravity
+        self.force = float(plant.truth().alpha[0])
+        self.axis = axis
+        self.goal = reference.X_WD
+        self.V_goal = reference.V_D
+        self.force_goal = float(reference.alpha_d[0])
+        self.error = pose_error(self.goal, self.X)
 
 
 Law = Callable[[Sight], Array]  #: torques
@@ -141,10 +109,6 @@ def _selection(axis: Array) -> tuple[Array, Array]:
     return np.eye(6) - force, force
 
 
-def _gains(case: Case) -> tuple[float, float]:
-    return case.stiffness, 2.0 * case.damping_ratio * case.stiffness**0.5
-
-
 def newton(start: Sight, case: Case, projection: bool) -> Law:
     """Newton 1.8's `ControllerOperationalSpaceModelFree`, the real one, on the CPU."""
     import warp as wp
@@ -153,11 +117,10 @@ def newton(start: Sight, case: Case, projection: bool) -> Law:
     wp.config.quiet = True
     R = _frame(start.axis)
     frame = pin.SE3(R, np.zeros(3))
-    stiffness, damping = _gains(case)
     controller = ControllerOperationalSpaceModelFree(
         controlled_dofs_per_robot=wp.array([len(start.q)], dtype=wp.int32, device="cpu"),
-        motion_stiffness=stiffness,
-        motion_damping=damping,
+        motion_stiffness=case.stiffness,
+        motion_damping=case.damping,
         operational_frame_pose_world=wp.transform(*_transform(frame)),
         use_wrench_feedforward=True,
         use_wrench_feedback=True,
@@ -208,7 +171,6 @@ def isaac_lab(start: Sight, case: Case, thresholds: tuple[float, float] | None) 
         thresholds: of Isaac Lab 3: eigenvalues of J M⁻¹Jᵀ relative to the largest, below which
             directions are damped (pull request 7903); None: the plain inverse of before.
     """
-    stiffness, damping = _gains(case)
     motion, force = _selection(start.axis)
     goal_q = start.q
 
@@ -223,7 +185,7 @@ def isaac_lab(start: Sight, case: Case, thresholds: tuple[float, float] | None) 
 
     def law(s: Sight) -> Array:
         Lambda = inverse(s.J @ np.linalg.solve(s.M, s.J.T))
-        a = motion @ (stiffness * s.error) - motion @ (damping * s.V)
+        a = motion @ (case.stiffness * s.error) - motion @ (case.damping * s.V)
         pressed = s.force_goal + FEEDBACK * (s.force_goal - s.force)
         F = motion @ Lambda @ a + force @ np.r_[s.axis * pressed, np.zeros(3)]
         posture = POSTURE * (goal_q - s.q) - 2.0 * POSTURE**0.5 * s.v
@@ -246,7 +208,8 @@ def robosuite(start: Sight, case: Case) -> Law:
         """Takes its states from us, not from a simulation of robosuite's."""
 
         def __init__(self) -> None:
-            self.kp, self.kd = (np.full(6, gain) for gain in _gains(case))
+            self.kp = np.full(6, case.stiffness)
+            self.kd = np.full(6, case.damping)
             self.interpolator_pos = self.interpolator_ori = None
             self.input_ref_frame = "world"
             self.uncoupling = True
@@ -325,23 +288,23 @@ UNDAMPED = "Isaac Lab 2, rebuilt"  #: without damping near singular postures
 # --- One run --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Done:
+class Done(NamedTuple):
     """What a law did, tick by tick.
 
     Attributes:
-        force, force_goal: (k,) N. off: (k, 6) from the object to its goal in the axes of the wall,
-            the third one into it (m, rad). tau: (k, 7) N m. speed: (k, 7) rad/s.
-        tick: (k,) µs of the law itself. wanted: ticks of the whole run.
+        wanted: ticks of the whole run. force, force_goal: (k,) N.
+        off: (k, 6) from the object to its goal in the axes of the wall, the third one into it (m,
+            rad).
+        tau: (k, 7) N m. speed: (k, 7) rad/s. tick: (k,) µs of the law itself.
     """
 
+    wanted: int
     force: Array
     force_goal: Array
     off: Array
     tau: Array
     speed: Array
     tick: Array
-    wanted: int
 
     def rms(self, part: slice = slice(None)) -> tuple[float, float, float]:
         """Of forces (N), along the wall (mm) and of turns (mrad); NaN where the run ended early."""
@@ -355,38 +318,37 @@ class Done:
 
 def follow(scenario: osc.Scenario, case: Case, makes: Makes | None, steps: bool = False) -> Done:
     """Run a law: through the task, or at rest with a step of the force and one of the motion."""
+    import mujoco
+
     rig = osc.build_rig(scenario)
-    plant = rig.plant()
+    plant: Any = rig.plant()
     controller = rig.controller()
-    axis = -np.array(case.normal)
+    axis = -case.normal
     turn = _frame(axis)
-    eyes = Eyes(plant, axis)
+    data = mujoco.MjData(plant.model)
     period = controller.dt
     count = round((3 * STEP_S if steps else scenario.duration) * scenario.control.rate)
     references = _steps(rig, turn, count, period) if steps else rig.references.each(count, period)
     first = rig.references.at(0.0)
     plant.hold(controller.tick(plant.measure(), first))
-    law = None if makes is None else makes(eyes.look(first), case)
+    law = None if makes is None else makes(Sight(plant, data, axis, first), case)
     limits = rig.chain.model.upperEffortLimit
     rows = []
     for reference in references:
         measured = plant.measure()
-        sight = eyes.look(reference)
+        sight = Sight(plant, data, axis, reference)
         begin = perf_counter()
         tau = controller.tick(measured, reference) if law is None else law(sight)
         took = 1e6 * (perf_counter() - begin)
-        error = sight.error.reshape(2, 3) @ turn
-        rows.append((sight.force, sight.force_goal, took, *error.ravel(), *tau, *sight.v))
+        off = (sight.error.reshape(2, 3) @ turn).ravel()
+        rows.append((sight.force, sight.force_goal, off, tau, sight.v, took))
         if not np.isfinite(tau).all():
             break
         try:
             plant.command(np.clip(tau, -limits, limits), period)
         except osc.PlantError:
             break
-    table = np.array(rows)
-    return Done(
-        table[:, 0], table[:, 1], table[:, 3:9], table[:, 9:16], table[:, 16:], table[:, 2], count
-    )
+    return Done(count, *map(np.array, zip(*rows, strict=True)))
 
 
 def _steps(rig: osc.Rig, turn: Array, count: int, period: float) -> Iterator[osc.Reference]:
@@ -437,7 +399,7 @@ def of_the_stretched_arm(names: list[str]) -> list[str]:
     rows = []
     laws = {name: LAWS[name] for name in names} | {UNDAMPED: lambda s, c: isaac_lab(s, c, None)}
     for move_s in (2.0, 8.0):
-        case = replace(STRETCHED, move_s=move_s)
+        case = STRETCHED._replace(move_s=move_s)
         limits = osc.build_rig(scenario_of(case)).chain.model
         for name, makes in laws.items():
             done = follow(scenario_of(case), case, makes)

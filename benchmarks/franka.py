@@ -9,16 +9,15 @@ from itertools import repeat
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
 import osc_contact as osc
-from benchmarks.measuring import SHARES, cells, machine, require_count
+from benchmarks.measuring import SHARES, Report, cells
 from osc_contact.drivers.franka import FrankaRobot
 from paper.study import Data, table_of
 
 
-def measure(ticks: int = 60_000) -> Data:
-    """{"machine": …, "loops": {"plain" | "realtime": report}}, with how each loop ended.
+def measure(ticks: int) -> Report:
+    """{"loops": {"plain" | "realtime": report}}, with how each loop ended.
 
     The robot is the server of the tests, in a separate process, at 1 kHz, on the last processor
     alone, as a robot's controller is a computer by itself; the loop has the others. The arm holds
@@ -26,15 +25,11 @@ def measure(ticks: int = 60_000) -> Data:
 
     Args:
         ticks: of each loop.
-
-    Raises:
-        InvalidInputError: no ticks.
     """
-    require_count(ticks, "ticks")
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     FrankaServer = import_module("franka_rig").FrankaServer
 
-    loops = {}
+    loops: dict[str, Data] = {}
     with tempfile.TemporaryDirectory() as folder:
         *ours, last = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {last})
@@ -61,19 +56,12 @@ def measure(ticks: int = 60_000) -> Data:
         finally:
             server.end()
             os.sched_setaffinity(0, {*ours, last})
-    return {"machine": machine(), "loops": loops}
-
-
-def tables(result: Data) -> list[Table]:
-    """Read-to-write times of both loops, and what the system did not permit."""
-    none = {"read_to_write_us": dict.fromkeys(SHARES, np.nan), "ticks": "–", "missed": "–"}
-    loops = {name: none | loop for name, loop in result["loops"].items()}
-    rows = [
+    none: Data = {"read_to_write_us": dict.fromkeys(SHARES, np.nan), "ticks": "–", "missed": "–"}
+    lines = [
         f"{name}; {loop['ticks']}; {cells(loop['read_to_write_us'], '.0f')}; {loop['missed']}; "
         f"{loop['least_success_rate']:.2f}; {loop['ended'].replace(';', ',')}"
-        for name, loop in loops.items()
+        for name, loop in ((name, none | loop) for name, loop in loops.items())
     ]
-    notes = result["loops"]["realtime"].get("notes", [])
-    title = "; ".join(["from a state to its torques, µs", *notes])
+    title = "; ".join(["from a state to its torques, µs", *loops["realtime"].get("notes", [])])
     columns = f"loop; ticks; {'; '.join(SHARES)}; missed; success rate; end"
-    return [table_of(title, columns, rows)]
+    return Report({"loops": loops}, [table_of(title, columns, lines)])

@@ -6,10 +6,9 @@ operational-space controller (isaac-sim/IsaacLab, source/isaaclab/test/controlle
 Panda presses on a wall and goes from goal to goal along it.
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -30,8 +29,7 @@ RADIUS = 0.01  #: m, of the finger tip
 STAY_S = 0.5  #: at each goal; theirs: 2.5 s or 7.5 s with the way
 
 
-@dataclass(frozen=True)
-class Goal:
+class Goal(NamedTuple):
     """Where the finger is to be, and the force there.
 
     Attributes:
@@ -45,8 +43,7 @@ class Goal:
     turn: float = 0.0
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """One test.
 
     Attributes:
@@ -57,19 +54,24 @@ class Case:
     """
 
     name: str
-    wall: tuple[float, float, float]
-    normal: tuple[float, float, float]
+    wall: Array
+    normal: Array
     goals: tuple[Goal, ...]
     stiffness: float
     damping_ratio: float
     posture: tuple[float, ...]
     move_s: float = 2.0
 
+    @property
+    def damping(self) -> float:
+        """1/s."""
+        return 2.0 * self.damping_ratio * self.stiffness**0.5
+
 
 _S = float(np.sqrt(0.5))
-_WALL = (0.645, 0.0, 0.7)
-_TILTED_WALL = (0.685 - 0.005 * _S, 0.0, 0.3 + 0.005 * _S)
-_BACK = (-1.0, 0.0, 0.0)
+_WALL = np.array([0.645, 0.0, 0.7])
+_TILTED_WALL = np.array([0.685 - 0.005 * _S, 0.0, 0.3 + 0.005 * _S])
+_BACK = np.array([-1.0, 0.0, 0.0])
 _UPRIGHT = (
     Goal((0.6, 0.2, 0.5), 10.0),
     Goal((0.6, -0.29, 0.6), 10.0),
@@ -81,7 +83,7 @@ _DOWN = (1.663, 0.918, -1.432, -2.164, 1.646, 2.707, 0.0)
 CASES = (
     Case("decoupled_motion", _WALL, _BACK, _UPRIGHT, 300.0, 1.0, _FORWARD),
     Case("variable_kp", _WALL, _BACK, _UPRIGHT, 160.0, 0.8, _FORWARD),
-    Case("task_frame", _TILTED_WALL, (-_S, 0.0, _S), _TILTED, 400.0, 1.0, _DOWN),
+    Case("task_frame", _TILTED_WALL, np.array([-_S, 0.0, _S]), _TILTED, 400.0, 1.0, _DOWN),
 )
 
 
@@ -91,39 +93,36 @@ def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
     Args:
         case: one of `CASES`. changes: other keys.
     """
-    n = case.normal
-    pitch = float(np.arctan2(-n[0], -n[2]))  # of the hand's z axis, about the world's y axis
+    times = goal_times(case)
+    pitch = float(np.arctan2(-case.normal[0], -case.normal[2]))  # of the hand's z axis, about y
     motion = []
     force = [{"type": "constant", "value": case.goals[0].force}]
-    for i, (one, two) in enumerate(pairwise(case.goals)):
-        start = goal_times(case)[i]
+    for start, (one, two) in zip(times, pairwise(case.goals), strict=False):
         rise = {"type": "minimum_jerk", "start": start, "duration": case.move_s}
         way = _on_wall(case, two) - _on_wall(case, one)
-        length = float(np.linalg.norm(way))
         moves = (
-            ("linear", (way / length).tolist(), length),
+            ("linear", way, float(np.linalg.norm(way))),
             ("angular", [0, 1, 0], two.turn - one.turn),
         )
         for kind, direction, value in moves:
-            signals = [{**rise, "value": value}]
+            signals = [rise | {"value": value}]
             motion.append({"kind": kind, "direction": direction, "signals": signals})
-        force.append({**rise, "value": two.force - one.force})
+        force.append(rise | {"value": two.force - one.force})
     locked = {"panda_finger_joint1": 0.01, "panda_finger_joint2": 0.01}
-    first = {"xyz": _on_wall(case, case.goals[0]).tolist(), "rpy": [0.0, -pitch, np.pi]}
-    wall = {"xyz": list(case.wall), "rpy": [0.0, pitch + np.pi, 0.0]}
+    first = {"xyz": _on_wall(case, case.goals[0]), "rpy": [0.0, -pitch, np.pi]}
+    wall = {"xyz": case.wall, "rpy": [0.0, pitch + np.pi, 0.0]}
     contact = {
         "name": "finger",
         "type": "sphere_on_plane",
         "body": "wall",
-        "centre": [0.0, 0.0, 0.0],
+        "centre": [0, 0, 0],
         "radius": RADIUS,
-        "face_point": [0.0, 0.0, 0.0],
-        "face_normal": [0.0, 0.0, 1.0],
+        "face_point": [0, 0, 0],
+        "face_normal": [0, 0, 1],
     }
-    damping = 2.0 * case.damping_ratio * case.stiffness**0.5
     data = {
         "name": f"hybrid_{case.name}",
-        "arms": [PANDA | {"locked_joints": locked, "posture": list(case.posture)}],
+        "arms": [PANDA | {"locked_joints": locked, "posture": case.posture}],
         "object": {"urdf": str(FOLDER / "finger.urdf"), "pose": first},
         "grasps": {"panda": {"xyz": [0.0, 0.0, 0.02]}},
         "environment": [{"name": "wall", "urdf": str(FOLDER / "wall.urdf"), "pose": wall}],
@@ -131,14 +130,14 @@ def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
         "force": {"finger": force},
         "motion": motion,
         "gains": {
-            "motion": {"stiffness": case.stiffness, "damping": damping},
+            "motion": {"stiffness": case.stiffness, "damping": case.damping},
             "force": {"integral": 30.0, "damping": 400.0},
         },
         "control": {"rate": 1000.0},
         "plant": {"type": "mujoco", "step": 2.5e-4},
-        "duration": goal_times(case)[-1],
+        "duration": times[-1],
     }
-    return osc.Scenario.from_dict({**data, **changes})
+    return osc.Scenario.from_dict(data | changes)
 
 
 def goal_times(case: Case) -> list[float]:
@@ -149,7 +148,7 @@ def goal_times(case: Case) -> list[float]:
 def judge(case: Case, recording: osc.Recording) -> Array:
     """(goals, 3) errors at the end of each: force (N), place along the wall (m), turn (rad)."""
     rate = float(recording.meta["control_rate_hz"])
-    n = np.array(case.normal)
+    n = case.normal
     out = []
     for t, goal in zip(goal_times(case), case.goals, strict=True):
         k = min(round(t * rate), len(recording)) - 1
@@ -169,9 +168,8 @@ def judge_samples(case: Case, count: int) -> Array:
 
 def _on_wall(case: Case, goal: Goal) -> Array:
     """(3,) where the middle of the finger tip is when it touches."""
-    n = np.array(case.normal)
-    p = np.array(goal.point)
-    return p + n * (RADIUS - n @ (p - np.array(case.wall)))
+    n = case.normal
+    return goal.point + n * (RADIUS - n @ (goal.point - case.wall))
 
 
 # --- Errors at the goals of all cases: `python -m benchmarks.hybrid_cases` ---
@@ -183,19 +181,20 @@ SAMPLES = 16
 def main() -> None:
     """Run every case, alone and with what is not known; print the errors."""
     titles = {1: "exact model, no friction", SAMPLES: f"largest of {SAMPLES}: masses, friction"}
-    rows: dict[int, list[str]] = {count: [] for count in titles}
-    for case in CASES:
-        alone = judge(case, osc.run(scenario_of(case)))
-        errors = {1: alone, SAMPLES: judge_samples(case, SAMPLES).max(axis=0)}
-        for count, found in errors.items():
+    for count, title in titles.items():
+        rows = []
+        for case in CASES:
+            if count == 1:
+                found = judge(case, osc.run(scenario_of(case)))
+            else:
+                found = judge_samples(case, count).max(axis=0)
             for i, (force, place, turn) in enumerate(found):
-                rows[count].append(
+                rows.append(
                     f"{case.name}; {i + 1}; {case.goals[i].force:g} N; {force:.2f} N; "
                     f"{1e3 * place:.1f} mm; {1e3 * turn:.1f} mrad"
                 )
-    for count, title in titles.items():
         heads = "case; goal; force; error; along the wall; turn"
-        Console().print(table_of(title, heads, rows[count]))
+        Console().print(table_of(title, heads, rows))
 
 
 if __name__ == "__main__":

@@ -4,9 +4,8 @@ python -m benchmarks.impedance [--picture FILE]
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -28,8 +27,7 @@ LAWS: dict[str, Callable[[], osc.Laws]] = {
 }
 
 
-@dataclass(frozen=True)
-class Wall:
+class Wall(NamedTuple):
     """What is pressed on.
 
     Attributes:
@@ -42,7 +40,7 @@ class Wall:
     motion: Mapping[str, Any] | None = None
     environment: str = "known"
     offsets: tuple[float, ...] = (0.0, 3e-3, -3e-3)
-    gains: Mapping[str, Any] = field(default_factory=dict)
+    gains: Mapping[str, Any] = {}
 
 
 SOFT = {"solimp": (0.9, 0.9, 5e-4)}

@@ -7,10 +7,9 @@ from pathlib import Path
 from time import perf_counter_ns, sleep
 
 import numpy as np
-from rich.table import Table
 
 from benchmarks.cases import CASES
-from benchmarks.measuring import SHARES, Call, cells, machine, require_count, spread
+from benchmarks.measuring import SHARES, Call, Report, cells, spread
 from osc_contact.spatial import Array
 from paper.study import Data, table_of
 
@@ -46,19 +45,15 @@ def clocked(body: Call, rate_hz: int, periods: int) -> tuple[Array, Array, int]:
     return late / 1e3, spent / 1e3, missed
 
 
-def measure(periods: int = 4000) -> Data:
-    """{"machine": …, "rates": {rate: {"tick" | "empty": {wake_up_us, compute_us, missed}}}}.
+def measure(periods: int) -> Report:
+    """{"rates": {rate: {"tick" | "empty": {wake_up_us, compute_us, missed}}}}.
 
     The loop with the tick of `two_contact_rod` and the same loop with an empty body take turns in
     blocks, so that both see the same machine; their wake-ups differ by what the tick does to them.
 
     Args:
         periods: of each loop at each rate.
-
-    Raises:
-        InvalidInputError: no periods.
     """
-    require_count(periods, "periods")
     tick, unwind = CASES["two_contact_rod"]().tick()
 
     def whole_tick() -> None:
@@ -75,14 +70,20 @@ def measure(periods: int = 4000) -> Data:
         ]
         joined = map(_joined, zip(*found, strict=True))
         rates[str(rate)] = dict(zip(bodies, joined, strict=True))
-    slack = Path("/proc/self/timerslack_ns")  # how much later the kernel may wake this process
-    return {
-        "machine": machine(),
-        "scheduler": SCHEDULERS.get(os.sched_getscheduler(0), "another"),
-        "timer_slack_us": int(slack.read_text()) / 1e3 if slack.is_file() else None,
-        "kernel": platform.version(),
-        "rates": rates,
-    }
+    file = Path("/proc/self/timerslack_ns")  # how much later the kernel may wake this process
+    slack = int(file.read_text()) / 1e3 if file.is_file() else None
+    scheduler = SCHEDULERS.get(os.sched_getscheduler(0), "another")
+    lines = [
+        f"{rate / 1000:g} kHz; {name}; {loop['periods']}; {what}; {cells(loop[key])}; "
+        f"{loop['missed']}"
+        for rate in RATES_HZ
+        for name, loop in rates[str(rate)].items()
+        for what, key in (("wake-up", "wake_up_us"), ("compute", "compute_us"))
+    ]
+    data = {"scheduler": scheduler, "timer_slack_us": slack, "kernel": platform.version()}
+    title = f"absolute deadlines, {scheduler}, timer slack {slack} µs"
+    heads = f"rate; body; periods; what (µs); {'; '.join(SHARES)}; missed"
+    return Report(data | {"rates": rates}, [table_of(title, heads, lines)])
 
 
 def _joined(blocks: Sequence[tuple[Array, Array, int]]) -> Data:
@@ -94,16 +95,3 @@ def _joined(blocks: Sequence[tuple[Array, Array, int]]) -> Data:
         "compute_us": spread(np.concatenate(spent)),
         "missed": sum(missed),
     }
-
-
-def tables(result: Data) -> list[Table]:
-    """Wake-up and compute time of both loops at each rate."""
-    title = f"absolute deadlines, {result['scheduler']}, timer slack {result['timer_slack_us']} µs"
-    rows = [
-        f"{int(rate) / 1000:g} kHz; {name}; {loop['periods']}; {what}; {cells(loop[key])}; "
-        f"{loop['missed']}"
-        for rate, bodies in result["rates"].items()
-        for name, loop in bodies.items()
-        for what, key in (("wake-up", "wake_up_us"), ("compute", "compute_us"))
-    ]
-    return [table_of(title, f"rate; body; periods; what (µs); {'; '.join(SHARES)}; missed", rows)]

@@ -10,13 +10,12 @@ import sys
 from time import thread_time
 
 import numpy as np
-from rich.table import Table
 
 import osc_contact as osc
-from benchmarks.measuring import machine, require_count
+from benchmarks.measuring import Report
 from osc_contact.sweeps.rows import make_rows, scenario_of, without_logged_doubts
 from osc_contact.sweeps.study import SweepStudy
-from paper.study import Data, table_of
+from paper.study import table_of
 
 VARY = (
     "model_error.object_mass=uniform(0.8, 1.2)",
@@ -37,25 +36,26 @@ def study(runs: int, duration: float = DURATION) -> SweepStudy:
     return SweepStudy.of("two_contact_rod", VARY, runs, overrides=(f"duration={duration!r}",))
 
 
-def measure(runs: int = 20) -> Data:
+def measure(runs: int) -> Report:
     """{"row_s", "single_s", "start_s", …}, per unit.
 
     Processor time, into which other programs do not count.
 
     Args:
         runs: of the sweep, each also by itself.
-
-    Raises:
-        InvalidInputError: no runs.
     """
-    row_s, single_s = time_rows(require_count(runs, "runs") + 1, DURATION)
-    return {
-        "machine": machine(),
-        "duration_s": DURATION,
-        "row_s": row_s,
-        "single_s": single_s,
-        "start_s": max(0.0, _time_a_start() - row_s),
+    row_s, single_s = time_rows(runs + 1, DURATION)
+    start_s = max(0.0, _time_a_start() - row_s)
+    run = f"two_contact_rod, {DURATION:g} s"
+    cores = len(os.sched_getaffinity(0))
+    slopes = {
+        f"a row of a sweep, {run}": f"{1e3 * row_s:.3g} ms",
+        "the same run by itself": f"{1e3 * single_s:.3g} ms",
+        "a worker until its first row": f"{start_s:.3g} s",
+        f"1000 rows on {cores} cores, extrapolated": f"{1e3 * row_s / cores:.0f} s",
     }
+    data = {"duration_s": DURATION, "row_s": row_s, "single_s": single_s, "start_s": start_s}
+    return Report(data, [table_of("slopes", "processor time; value", slopes.items())])
 
 
 def time_rows(runs: int, duration: float) -> tuple[float, float]:
@@ -83,16 +83,3 @@ def _time_a_start() -> float:
     subprocess.run([sys.executable, "-c", _ONE_ROW], check=True)
     after = os.times()
     return sum(after[2:4]) - sum(before[2:4])  # of children, user and system
-
-
-def tables(result: Data) -> list[Table]:
-    """What each part of a sweep costs."""
-    run = f"two_contact_rod, {result['duration_s']:g} s"
-    cores = result["machine"]["cores"]
-    slopes = {
-        f"a row of a sweep, {run}": f"{1e3 * result['row_s']:.3g} ms",
-        "the same run by itself": f"{1e3 * result['single_s']:.3g} ms",
-        "a worker until its first row": f"{result['start_s']:.3g} s",
-        f"1000 rows on {cores} cores, extrapolated": f"{1e3 * result['row_s'] / cores:.0f} s",
-    }
-    return [table_of("slopes", "processor time; value", slopes.items())]

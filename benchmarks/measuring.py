@@ -8,17 +8,24 @@ from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter_ns
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from rich.table import Table
 
-from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
 SHARES = {"p50": 50, "p99": 99, "p99_9": 99.9, "max": 100}
 PACKAGES = ("osc-contact", "pin", "numpy", "numba", "mujoco")
 WARM_UP = 5
 Call = Callable[[], object]
+
+
+class Report(NamedTuple):
+    """What a benchmark found: JSON-able data, tables."""
+
+    data: dict[str, Any]
+    tables: list[Table]
 
 
 def machine() -> dict[str, Any]:
@@ -46,21 +53,10 @@ def machine_lines(about: Mapping[str, Any]) -> tuple[str, str]:
     )
 
 
-def require_count(count: int, what: str) -> int:
-    """The count, if it is positive.
-
-    Raises:
-        InvalidInputError: it is not.
-    """
-    if count < 1:
-        raise InvalidInputError(f"{count} {what} give no time; take 1 or more")
-    return count
-
-
 def take_turns(
     calls: Mapping[str, Call],
     rounds: int,
-    between: Callable[[], None] | None = None,
+    between: Call | None = None,
 ) -> dict[str, Array]:
     """Times (rounds,) in µs of each call; in every round all are called, one after the other.
 
@@ -69,10 +65,7 @@ def take_turns(
         rounds: how often, after a few that do not count.
         between: called after each round, untimed.
 
-    Raises:
-        InvalidInputError: no rounds.
     """
-    require_count(rounds, "rounds")
     times = np.zeros((rounds + WARM_UP, len(calls)))
     for row in times:
         for i, function in enumerate(calls.values()):

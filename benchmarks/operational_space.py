@@ -1,36 +1,40 @@
 """Λ, μ, p, J, J̄, Φ, h of one arm beside `computeAllTerms`, and beside the same with Pinocchio."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from rich.table import Table
 
 import osc_contact as osc
 from benchmarks.cases import PANDA_Q, panda
-from benchmarks.measuring import Call, machine, spread, take_turns
+from benchmarks.measuring import Call, Report, spread, take_turns
 from osc_contact import robots
-from paper.study import Data, table_of
+from paper.study import table_of
 
 ROWS = 1000
 
 
-def measure(rounds: int) -> Data:
-    """{"machine", "cases": {arm: {call: spread}}} (µs), in turns.
+def measure(rounds: int) -> Report:
+    """{"cases": {arm: {call: spread}}} (µs), in turns.
 
     Args:
         rounds: timed calls of each.
-
-    Raises:
-        InvalidInputError: no rounds.
     """
     ur5 = osc.Arm.from_urdf(robots.find_robot("ur5")[0], name="ur5", tip="tool0")
     cases = {
         "Panda": (panda("panda", pin.SE3.Identity()), PANDA_Q),
         "UR5": (ur5, np.array([0.0, -1.2, 1.4, -1.0, -1.5, 0.3])),
     }
-    times = {name: _time(arm, q, rounds) for name, (arm, q) in cases.items()}
-    return {"machine": machine(), "cases": times}
+    found = {name: _time(arm, q, rounds) for name, (arm, q) in cases.items()}
+    lines = [
+        f"{name}; {call}; {times['p50']:.2f}; {times['p99']:.2f}; "
+        f"{times['p50'] / calls['pin.computeAllTerms']['p50']:.2f}"
+        for name, calls in found.items()
+        for call, times in calls.items()
+    ]
+    table = table_of("Λ, μ, p, J, J̄, Φ, h", "arm; call; p50 (µs); p99 (µs); ratio", lines)
+    return Report({"cases": found}, [table])
 
 
 def _time(arm: osc.Arm, q: Any, rounds: int) -> dict[str, dict[str, float]]:
@@ -41,14 +45,14 @@ def _time(arm: osc.Arm, q: Any, rounds: int) -> dict[str, dict[str, float]]:
     many = np.tile(q, (ROWS, 1)), np.tile(v, (ROWS, 1))
     batch = osc.operational_space(arm, *many)
     calls: dict[str, Call] = {
-        "pin.computeAllTerms": lambda: pin.computeAllTerms(model, data, q, v),
+        "pin.computeAllTerms": partial(pin.computeAllTerms, model, data, q, v),
         "operational_space(…, out=…)": lambda: osc.operational_space(arm, q, v, out=kept),
-        "operational_space(…)": lambda: osc.operational_space(arm, q, v),
+        "operational_space(…)": partial(osc.operational_space, arm, q, v),
     }
     times = take_turns(calls, rounds)
-    by_hand = {"with Pinocchio and NumPy": lambda: _by_hand(model, data, arm.tip, q, v)}
-    times |= take_turns(by_hand, rounds)  # alone: it leaves the caches to nobody else
-    rows = take_turns({"": lambda: osc.operational_space(arm, *many, batch)}, rounds // 20 + 1)
+    by_hand = partial(_by_hand, model, data, arm.tip, q, v)
+    times |= take_turns({"with Pinocchio and NumPy": by_hand}, rounds)  # alone in the caches
+    rows = take_turns({"": partial(osc.operational_space, arm, *many, batch)}, rounds // 20 + 1)
     times[f"a row of {ROWS}"] = rows[""] / ROWS
     return {name: spread(found) for name, found in times.items()}
 
@@ -58,22 +62,11 @@ def _by_hand(model: pin.Model, data: pin.Data, tip: str, q: Any, v: Any) -> obje
     pin.computeJointJacobiansTimeVariation(model, data, q, v)
     pin.computeGeneralizedGravity(model, data, q)
     pin.updateFramePlacements(model, data)
-    frame = model.getFrameId(tip)
-    J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-    rate = pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+    at = (model, data, model.getFrameId(tip), pin.LOCAL_WORLD_ALIGNED)
+    J = pin.getFrameJacobian(*at)
+    rate = pin.getFrameJacobianTimeVariation(*at)
     bar = np.linalg.solve(data.M, J.T)
     Phi = J @ bar
     Lambda = np.linalg.inv(Phi)
     J_bar = bar @ Lambda
     return J_bar, J_bar.T @ data.g, J_bar.T @ (data.nle - data.g) - Lambda @ (rate @ v)
-
-
-def tables(result: Data) -> list[Table]:
-    """A row for each call on each arm."""
-    rows = []
-    for name, calls in result["cases"].items():
-        floor = calls["pin.computeAllTerms"]["p50"]
-        for call, times in calls.items():
-            shown = f"{times['p50']:.2f}; {times['p99']:.2f}; {times['p50'] / floor:.2f}"
-            rows.append(f"{name}; {call}; {shown}")
-    return [table_of("Λ, μ, p, J, J̄, Φ, h", "arm; call; p50 (µs); p99 (µs); ratio", rows)]

@@ -3,21 +3,19 @@
 import json
 import os
 import subprocess
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
-from rich.table import Table
 
 import osc_contact as osc
 from benchmarks.cases import CASES, TickCase, repeatable
-from benchmarks.measuring import Call, cells, joined, machine, require_count, spread, take_turns
+from benchmarks.measuring import Call, Report, cells, joined, spread, take_turns
 from benchmarks.textbook import TextbookLaw
 from osc_contact import robots
 from osc_contact.plants.mujoco import MujocoPlant
@@ -37,24 +35,26 @@ HOW_TO_TSID = (
 )
 
 
-class Peers(NamedTuple):
-    """Calls by name: those of compiled code, and those that live in Python; `unwind` after each."""
-
-    compiled: dict[str, Call]
-    python: dict[str, Call]
-    unwind: Callable[[], None]
+Calls = dict[str, Call]
+Peers = tuple[Calls, Calls, Call]
 
 
 def peers_of(case: TickCase) -> Peers:
-    """The tick and what could be run in its place, at the case's instant."""
+    """The tick and what could be run in its place, at the case's instant.
+
+    Returns:
+        Calls of compiled code, those that live in Python, and what is called after each tick.
+    """
+    import mujoco
+
     tick, unwind = case.tick()
-    compiled = {
+    compiled: Calls = {
         TICK: tick,
         FLOOR: case.floor(),
         "pin.constraintDynamics": constraint_dynamics(case),
-        "MuJoCo mj_inverse": mujoco_inverse(case),
+        "MuJoCo mj_inverse": partial(mujoco.mj_inverse, *mujoco_state(case)),
     }
-    python: dict[str, Call] = {"textbook law in NumPy": TextbookLaw(case).tick}
+    python: Calls = {"textbook law in NumPy": TextbookLaw(case).tick}
     state = case.chain.state(case.measurement.q, case.measurement.v)
     parts = [pair.contact(state.X_WO, state.V_O) for pair in case.pairs]
     instant = Instant(state, osc.Contact.stack(parts))
@@ -63,11 +63,11 @@ def peers_of(case: TickCase) -> Peers:
         controller = law.install(repeatable(case.controller()))
         ticking = partial(controller.tick, case.measurement, case.reference)
         python[f"{baseline.label} (in Python)"] = ticking
-    return Peers(compiled, python, unwind)
+    return compiled, python, unwind
 
 
-def measure(rounds: int = 500, tsid_python: Path | None = None) -> Data:
-    """{"machine": …, "cases": {case: {"peers_us": {name: spread}, "ratio": {name: …}}}, "tsid": …}.
+def measure(rounds: int, tsid_python: Path | None = None) -> Report:
+    """{"cases": {case: {"peers_us": {name: spread}, "ratio": {name: …}}}, "tsid": …}.
 
     Compiled peers take turns among themselves, those in Python among themselves, in alternating
     blocks: microseconds measured right after a millisecond of Python are those of cold caches.
@@ -79,9 +79,8 @@ def measure(rounds: int = 500, tsid_python: Path | None = None) -> Data:
         tsid_python: interpreter of TSID's environment (default: environment variable).
 
     Raises:
-        InvalidInputError: no rounds, or TSID's interpreter fails.
+        InvalidInputError: TSID's interpreter fails.
     """
-    require_count(rounds, "rounds")
     given = tsid_python or os.environ.get(TSID_PYTHON)
     cases: Data = {}
     tsid: Data = {"missing": HOW_TO_TSID}
@@ -97,25 +96,41 @@ def measure(rounds: int = 500, tsid_python: Path | None = None) -> Data:
             "peers_us": times,
             "ratio": {peer: t["p50"] / tick for peer, t in times.items()},
         }
-    return {"machine": machine(), "rounds": rounds, "cases": cases, "tsid": tsid}
+    tables = []
+    for name, case in cases.items():
+        title = f"{name}: {rounds} rounds, compiled code {10 * rounds}"
+        lines = (
+            f"{peer}; {cells(found)}; {case['ratio'][peer]:.2f}"
+            for peer, found in case["peers_us"].items()
+        )
+        tables.append(table_of(title, "µs; p50; p99; p99.9; max; p50 / tick", lines))
+    tables[-1].caption = (
+        "TSID: {missing}"
+        if "missing" in tsid
+        else "TSID, in its own process: computeProblemData {problem_us[p50]:.1f}, solve "
+        "{solve_us[p50]:.1f}, its floor (pin {pin}) {floor_us[p50]:.1f}; the tick, next to its "
+        "floor alone as TSID is: {tick_us[p50]:.1f}; TSID / tick {ratio:.2f}"
+    ).format(**tsid)
+    return Report({"rounds": rounds, "cases": cases, "tsid": tsid}, tables)
 
 
 def _in_blocks(peers: Peers, rounds: int) -> dict[str, Array]:
+    compiled, python, unwind = peers
     blocks = min(BLOCKS, rounds)
     found: list[dict[str, Array]] = []
     for _ in range(blocks):
-        fast = take_turns(peers.compiled, 10 * rounds // blocks, between=peers.unwind)
-        found.append(fast | take_turns(peers.python, max(1, rounds // blocks)))
+        fast = take_turns(compiled, 10 * rounds // blocks, unwind)
+        found.append(fast | take_turns(python, max(1, rounds // blocks)))
     return joined(found)
 
 
 def _beside_tsid(peers: Peers, python: Path, rounds: int) -> Data:
     """TSID's run that was less disturbed, and the tick in the same pattern: next to its floor."""
-    runs = [_tsid(python, rounds)]
-    alone = {name: peers.compiled[name] for name in (TICK, FLOOR)}
-    tick = spread(take_turns(alone, rounds, between=peers.unwind)[TICK])
-    runs.append(_tsid(python, rounds))
-    best = min(runs, key=lambda run: float(run["total_us"]["p50"]))
+    compiled, _, unwind = peers
+    first = _tsid(python, rounds)
+    alone = {name: compiled[name] for name in (TICK, FLOOR)}
+    tick = spread(take_turns(alone, rounds, unwind)[TICK])
+    best = min(first, _tsid(python, rounds), key=lambda run: float(run["total_us"]["p50"]))
     return best | {"tick_us": tick, "ratio": best["total_us"]["p50"] / tick["p50"]}
 
 
@@ -131,28 +146,6 @@ def _tsid(python: Path, rounds: int) -> Data:
         said = (done.stderr.strip() or "nothing").splitlines()[-1]
         raise osc.InvalidInputError(f"{python} cannot run TSID: {said}. {HOW_TO_TSID}")
     return dict(json.loads(done.stdout))
-
-
-def tables(result: Data) -> list[Table]:
-    """One table a case."""
-    found = []
-    for name, case in result["cases"].items():
-        title = f"{name}: {result['rounds']} rounds, compiled code {10 * result['rounds']}"
-        rows = (
-            f"{peer}; {cells(times)}; {case['ratio'][peer]:.2f}"
-            for peer, times in case["peers_us"].items()
-        )
-        table = table_of(title, "µs; p50; p99; p99.9; max; p50 / tick", rows)
-        if name == TSID_CASE and "missing" in result["tsid"]:
-            table.caption = f"TSID: {result['tsid']['missing']}"
-        found.append(table)
-    if "floor_us" in result["tsid"]:
-        found[-1].caption = (
-            "TSID, in its own process: computeProblemData {problem_us[p50]:.1f}, solve "
-            "{solve_us[p50]:.1f}, its floor (pin {pin}) {floor_us[p50]:.1f}; the tick, next to its "
-            "floor alone as TSID is: {tick_us[p50]:.1f}; TSID / tick {ratio:.2f}"
-        ).format(**result["tsid"])
-    return found
 
 
 # --- What other engines need for one evaluation of the same rig's equations of motion ---
@@ -198,17 +191,6 @@ def constraint_dynamics(case: TickCase) -> Call:
     tau -= model.damping * v  # which `pin.constraintDynamics` does not know
     all_of_it = (model, data, q, v, tau, constraints, states, settings)
     return partial(pin.constraintDynamics, *all_of_it)
-
-
-def mujoco_inverse(case: TickCase) -> Call:
-    """`mj_inverse`: torques that explain q, v and q̈, with welds and soft contacts.
-
-    Raises:
-        PlantError: MuJoCo is missing or refuses the scene.
-    """
-    import mujoco
-
-    return partial(mujoco.mj_inverse, *mujoco_state(case))
 
 
 def mujoco_state(case: TickCase) -> tuple[Any, Any]:

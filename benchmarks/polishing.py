@@ -6,7 +6,6 @@ the pass, and a learner receives one number: how uneven it is.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -145,8 +144,7 @@ def touch(env: ContactVectorEnv) -> tuple[Array, Array]:
 # --- The same task with a law of the Jacobian's transpose and a selection matrix ---
 
 
-@dataclass(frozen=True)
-class SpringGains:
+class SpringGains(NamedTuple):
     """Gains of the law.
 
     Attributes:
@@ -332,20 +330,18 @@ def main(
     policies = {("ours", "15 N everywhere"): np.full(len(KNOTS), MEAN)}
     policies |= {(law, f"learned, seed {seed}"): found[0] for (law, seed), found in learned.items()}
     policies |= {(law, "best, known hardness"): best_forces(KNOTS) for law in LAWS}
-    seen = {
-        (*key, seconds): judge(key[0], policy, seconds)
-        for key, policy in policies.items()
-        for seconds in (SLOW, FAST)
-    }
-    cells = {
-        key: f"{one.uneven.mean():.1%}; {1e3 * one.off.mean():.2f} mm" for key, one in seen.items()
-    }
     heads = "law; policy; slow: uneven; off the path; fast: uneven; off the path"
     title = f"{JUDGED} passes with masses not met while learning"
-    shown = [(law, name, cells[law, name, SLOW], cells[law, name, FAST]) for law, name in policies]
-    console.print(table_of(title, heads, map("; ".join, shown)))
+    lines = []
+    depths = {}
+    for (law, name), policy in policies.items():
+        slow, fast = (judge(law, policy, seconds) for seconds in (SLOW, FAST))
+        cells = (f"{x.uneven.mean():.1%}; {1e3 * x.off.mean():.2f} mm" for x in (slow, fast))
+        lines.append("; ".join((law, name, *cells)))
+        depths[law, name] = slow.depth
+    console.print(table_of(title, heads, lines))
     if figure is not None:
-        draw(learned, {name: seen["ours", name, SLOW].depth for name in SHOWN}, figure)
+        draw(learned, {name: depths["ours", name] for name in SHOWN}, figure)
 
 
 SHOWN = {"15 N everywhere": ("#999999", "before"), "learned, seed 0": ("#0072B2", "after")}

@@ -15,7 +15,7 @@ weight of 48.07 N) sink back onto these when they are stopped, and a free cart m
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import product
 from multiprocessing import get_context
@@ -24,10 +24,8 @@ import numpy as np
 import typer
 
 import osc_contact as osc
-from osc_contact.plants.mujoco import MujocoPlant
+from benchmarks.fault_injection import ClosedLoop
 from osc_contact.runs.preflight import least_peak
-from osc_contact.runs.rig import Rig
-from osc_contact.runs.run import Taring, start
 from osc_contact.scenarios.bodies import CartSpec
 from osc_contact.scenarios.hardware import Push
 
@@ -61,12 +59,12 @@ class Pushed:
     direction: str
     force: float
     duration: float
-    back: float | None
-    stopped: float | None
-    late: float
-    speed: float
-    largest: float
-    wrong: list[str]
+    back: float | None = None
+    stopped: float | None = None
+    late: float = 0.0
+    speed: float = 0.0
+    largest: float = 0.0
+    wrong: list[str] = field(default_factory=list)
     told: str = ""
 
 
@@ -83,30 +81,22 @@ def push_arm(
     Args:
         changes: of the scenario, as `load_scenario` takes them.
     """
-    rig = _rig(name, tuple(changes))
-    plant, controller = start(rig, 0)
-    robot = rig.robot(plant, controller)
-    truth = _inside(plant)
-    tick = controller.tick if rig.scenario.tare is None else Taring(rig, controller).tick
-    dt = controller.dt
-    act = np.array(rig.model.actuated)
-    fastest = rig.model.model.velocityLimit[act]
+    loop = ClosedLoop(_rig(name, tuple(changes)))
+    rig = loop.rig
+    dt = loop.dt
+    truth = loop.true
     truth.pushes = tuple(push for push in truth.pushes if push.every == 0.0)
-    after = round((BACK_WITHIN + _STEADY) / dt)
+    seen = Pushed(name, direction, force, duration)
     begin = None
-    first = 0
-    good = 0
-    k = 0
-    seen = Pushed(name, direction, force, duration, None, None, 0.0, 0.0, 0.0, [])
-    last = 0
-    while begin is None or k < last:
-        reference = rig.references.at(k * dt)
+    first = last = good = 0
+    while begin is None or loop.k < last:
+        reference = rig.references.at(loop.k * dt)
         try:
-            robot.command(tick(robot.measure(), reference), dt)
+            loop.robot.command(loop.tick(loop.robot.measure(), reference), dt)
         except osc.PlantError as error:
             seen.wrong.append(f"{error}"[:80])
             return seen
-        k += 1
+        loop.k += 1
         now = truth.truth().alpha
         wanted = np.asarray(reference.alpha_d)
         back = bool((np.abs(now - wanted) <= np.maximum(_NEAR * np.abs(wanted), _LEAST)).all())
@@ -115,73 +105,55 @@ def push_arm(
         good = good + 1 if back and asked else 0
         if begin is None:
             if good * dt >= _SETTLING:
-                begin = k * dt
+                begin = loop.k * dt
                 arm = next(a.name for a in rig.model.arms if a.wrist_sensor is not None)
                 push = {"arm": arm, "force": (force * _direction(rig, direction)).tolist()}
                 truth.pushes = (*truth.pushes, Push(**push, start=begin, duration=duration))
-                first = k + round(duration / dt)
-                last = first + after
-            elif k * dt > rig.scenario.duration:
+                first = loop.k + round(duration / dt)
+                last = first + round((BACK_WITHIN + _STEADY) / dt)
+            elif loop.k * dt > rig.scenario.duration:
                 seen.wrong.append("there was no contact to be pushed in")
                 return seen
             continue
-        since = (k - first) * dt
-        speed = float((np.abs(truth.measure().v[act]) / fastest).max())
+        since = (loop.k - first) * dt
+        speed = float((np.abs(truth.measure().v[loop.act]) / loop.fastest).max())
         seen.speed = max(seen.speed, speed)
         seen.largest = max(seen.largest, *map(abs, now), 0.0)
         if speed > 1.0 and since > 0.0:
             seen.late = since
-        if seen.stopped is None and controller.state is osc.SafetyState.SAFE_STOP:
+        if seen.stopped is None and loop.controller.state is osc.SafetyState.SAFE_STOP:
             seen.stopped = since + duration
-            last = max(last, k + round(_BRAKED / dt))
+            last = max(last, loop.k + round(_BRAKED / dt))
         if asked and not back:  # once they were back the task may take them away
             seen.back = None
         elif seen.back is None and (good * dt >= _STEADY or ended > 0):
-            seen.back = max((k - first - max(good, ended)) * dt, 0.0)
+            seen.back = max((loop.k - first - max(good, ended)) * dt, 0.0)
     if seen.late > SLOW_WITHIN:
         seen.wrong.append(f"a joint above its speed limit {seen.late:.3f} s after the push")
     if seen.stopped is None and seen.back is None:
         seen.wrong.append(f"not back: {now.round(1)} N of {wanted.round(1)}")
     if seen.stopped is not None and speed > _REST:
         moving = f"a joint moves at {speed:.2f} of its speed limit"
-        need = _needed(rig)
+        state = rig.state()  # needed of the motors' limits, held still off the faces
+        need = least_peak(state.G * np.minimum(rig.chain.tau_max, 1e12), state.b_S)
         if need > 1.0 and speed < _SINKING:
             seen.told = f"{moving}: motors would need {need:.3f} times their limits to carry it"
-        elif speed < _SINKING and _leans(rig):
+        elif speed < _SINKING and any(isinstance(body.motion, CartSpec) for body in rig.bodies):
             seen.told = f"{moving}: a cart leans on it"
         else:
             seen.wrong.append(f"stopped, but {moving}")
     return seen
 
 
-def _leans(rig: Rig) -> bool:
-    """Whether a touched body is a cart, which nothing but the object holds."""
-    return any(isinstance(body.motion, CartSpec) for body in rig.bodies)
-
-
-def _needed(rig: Rig) -> float:
-    """What arms and object need of their motors' limits at least, held still off their faces."""
-    state = rig.state()
-    return least_peak(state.G * np.minimum(rig.chain.tau_max, 1e12), state.b_S)
-
-
 @cache
-def _rig(name: str, changes: tuple[str, ...]) -> Rig:
+def _rig(name: str, changes: tuple[str, ...]) -> osc.Rig:
     scenario = osc.load_scenario(name, list(changes))
     if scenario.plant.exact:  # nothing there is pushed: on MuJoCo it is
         scenario = osc.load_scenario(name, [*changes, "plant.type=mujoco", "plant.step=0.25 ms"])
     return osc.build_rig(scenario)
 
 
-def _inside(plant: object) -> MujocoPlant:
-    """The plant behind its sensors."""
-    while hasattr(plant, "plant"):
-        plant = plant.plant
-    assert isinstance(plant, MujocoPlant)
-    return plant
-
-
-def _direction(rig: Rig, word: str) -> np.ndarray:
+def _direction(rig: osc.Rig, word: str) -> np.ndarray:
     """(3,) unit vector in the world."""
     into = rig.contact().N[:3].sum(axis=1) if rig.pairs else np.zeros(3)
     if not np.linalg.norm(into) > 0.1:

@@ -11,7 +11,6 @@ and along the steepest one. Printed is the rms force error of each line on four 
     exact         rigid contact and regularised Coulomb friction, no part of MuJoCo
 """
 
-from collections.abc import Callable
 from itertools import product
 from typing import Any
 
@@ -71,7 +70,7 @@ def _sliding(rig: Rig, seed: int) -> RigidPlant:
     return plant
 
 
-def _plain(change: Callable[[Any], None]) -> MakesPlant:
+def _plain(**options: float) -> MakesPlant:
     """A plant in MuJoCo with contacts as declared, for forces and friction alike."""
 
     def make(rig: Rig, seed: int) -> Any:
@@ -82,28 +81,19 @@ def _plain(change: Callable[[Any], None]) -> MakesPlant:
         model.pair_solreffriction[:] = 0.0
         model.pair_solimp[:] = [*spec.solimp, 0.5, 2.0]
         model.opt.impratio = 1.0
-        change(model.opt)
+        for name, value in options.items():
+            setattr(model.opt, name, value)
         return plant
 
     return make
 
 
-def _with_impratio(option: Any) -> None:
-    option.impratio = 100.0
-
-
-def _without_slip(option: Any) -> None:
-    option.noslip_iterations = 10
-
-    option.cone = 0
-
-
 def register_plants() -> None:
     """Enter the plants that are compared here."""
     register_plant("sliding", exact=True)(_sliding)
-    register_plant("elliptic")(_plain(lambda option: None))
-    register_plant("+ impratio")(_plain(_with_impratio))
-    register_plant("+ noslip")(_plain(_without_slip))
+    register_plant("elliptic")(_plain())
+    register_plant("+ impratio")(_plain(impratio=100.0))
+    register_plant("+ noslip")(_plain(noslip_iterations=10, cone=0))
 
 
 KINDS = ("mujoco", "exact", "elliptic", "+ impratio", "+ noslip")
@@ -121,11 +111,11 @@ def reversing(
     amplitude, frequency = stroke
     sine = {"type": "sine", "amplitude": f"{amplitude} mm", "ramp": "1 s"}
     sine["frequency"] = f"{frequency} Hz"
-    plant = {**POINT["plant"], "type": "sliding" if kind == "exact" else kind, "friction": mu}
-    control = {**POINT["control"], **({"friction": {"mu": mu}} if known else {})}
+    plant = POINT["plant"] | {"type": "sliding" if kind == "exact" else kind, "friction": mu}
+    control = POINT["control"] | ({"friction": {"mu": mu}} if known else {})
     motion = [{"kind": "linear", "direction": LINES[line], "signals": [sine]}]
     changes = {"plant": plant, "control": control, "motion": motion, "gains": {}}
-    return osc.Scenario.from_dict({**POINT, **changes})
+    return osc.Scenario.from_dict(POINT | changes)
 
 
 def main(duration: float = 3.0) -> None:
@@ -135,10 +125,9 @@ def main(duration: float = 3.0) -> None:
     for stroke, line, mu, known in product(STROKES, LINES, (0.2, 0.3), (False, True)):
         cells = []
         for kind in KINDS if mu == 0.2 and known else KINDS[:1]:
-            verdict = osc.metrics(
-                osc.run(reversing(kind, stroke, line, mu, known), duration=duration)
-            )
-            cells.append(f"{verdict['force']['nose']['rms_error_rel']:12.2%}")
+            recording = osc.run(reversing(kind, stroke, line, mu, known), duration=duration)
+            force = osc.metrics(recording)["force"]["nose"]
+            cells.append(f"{force['rms_error_rel']:12.2%}")
         move = f"{stroke[0]} mm {stroke[1]} Hz"
         print(
             f"{move:14}{line:10}{mu} {'known' if known else 'unknown':10}" + "".join(cells),

@@ -8,12 +8,11 @@ largest magnitude that the channel has (or 1e-9, whichever is more). The exit co
 where a difference is above 1e-12, or where a channel, a state or the verdict of a run is another.
 """
 
-import argparse
-import sys
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+import typer
 
 import osc_contact as osc
 
@@ -56,20 +55,22 @@ def compare(kept: Path, name: str) -> bool:
     return same
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("what", choices=["keep", "compare"])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("names", nargs="*", default=osc.list_scenarios())
-    options = parser.parse_args()
-    options.folder.mkdir(parents=True, exist_ok=True)
-    if options.what == "keep":
-        for name in options.names:
-            np.savez(options.folder / f"{name}.npz", **record(name))
+def main(
+    what: Literal["keep", "compare"],
+    folder: Path,
+    names: Annotated[list[str] | None, typer.Argument()] = None,
+) -> None:
+    """Keep recordings, or compare others with them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    same = True
+    for name in names or osc.list_scenarios():
+        if what == "keep":
+            np.savez(folder / f"{name}.npz", **record(name))
             print(f"kept    {name}", flush=True)
-        return 0
-    return 0 if all([compare(options.folder, name) for name in options.names]) else 1
+        else:
+            same &= compare(folder, name)
+    raise typer.Exit(not same)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    typer.run(main)

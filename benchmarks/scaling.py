@@ -3,10 +3,9 @@
 from itertools import chain
 
 import numpy as np
-from rich.table import Table
 
-from benchmarks.cases import KINDS, RandomRig, faces_of, random_rig
-from benchmarks.measuring import joined, machine, require_count, take_turns
+from benchmarks.cases import KINDS, RandomRig, faces_of
+from benchmarks.measuring import Report, joined, take_turns
 from osc_contact.spatial import Array
 from paper.study import Data, table_of
 
@@ -16,38 +15,46 @@ BLOCKS = 5
 CONTACTS = (1, 2, 4, 8, 16)
 
 
-def measure(rounds: int = 300, seed: int = 0) -> Data:
-    """{"machine": …, "arms": rows, "ranks": rows, "contacts": rows}.
+def measure(rounds: int) -> Report:
+    """{"arms": rows, "ranks": rows, "contacts": rows}.
 
     `arms`: 1 to 8 of each kind and mixed, two contacts. `ranks`: r from 0 to 6, each with as many
     contacts, two arms. `contacts`: 1 to 16 on two arms, those beyond the sixth dependent; and all
     of them with r = 1. The tick takes turns with `pin.computeAllTerms` of the same arms.
 
     Args:
-        rounds: of each rig. seed: of the random arms and faces.
-
-    Raises:
-        InvalidInputError: no rounds.
+        rounds: of each rig.
     """
-    require_count(rounds, "rounds")
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     timed = {
         "arms": [
-            _Timed(kind, random_rig(_kinds(kind, count), rng), 2, 2, rng)
+            _Timed(kind, RandomRig(_kinds(kind, count), rng), 2, 2, rng)
             for kind in (*KINDS, "mixed")
             for count in ARMS
         ]
     }
-    pair = random_rig(["ur5", "ur5"], rng)
+    pair = RandomRig(["ur5", "ur5"], rng)
     sizes = [(c, min(c, 6)) for c in CONTACTS] + [(c, 1) for c in CONTACTS[1:]]
     for what, counts in {"ranks": [(r, r) for r in RANKS], "contacts": sizes}.items():
         timed[what] = [_Timed("ur5", pair, *count, rng) for count in counts]
     blocks = min(BLOCKS, rounds)
     for _ in range(blocks):  # what disturbs the machine for a while does not hit one size only
         for one in chain.from_iterable(timed.values()):
-            one.blocks.append(take_turns(one.calls, rounds // blocks, between=one.unwind))
+            one.blocks.append(take_turns(one.calls, rounds // blocks, one.unwind))
     rows = {what: [one.row() for one in some] for what, some in timed.items()}
-    return {"machine": machine(), "rounds": rounds // blocks * blocks, **rows}
+    titles = {"arms": "arms, two contacts", "ranks": "constraints", "contacts": "contacts"}
+    heads = (
+        "kind; arms; joints; d; contacts; r; tick p50 (µs); floor p50 (µs); tick / floor; "
+        "tick / arm (µs)"
+    )
+    count = rounds // blocks * blocks
+    tables = []
+    for what, title in titles.items():
+        lines = (
+            [f"{x:.2f}" if isinstance(x, float) else x for x in row.values()] for row in rows[what]
+        )
+        tables.append(table_of(f"{title}: {count} rounds", heads, lines))
+    return Report({"rounds": count, **rows}, tables)
 
 
 def _kinds(kind: str, count: int) -> list[str]:
@@ -82,20 +89,3 @@ class _Timed:
             "ratio": tick / floor,
             "tick_per_arm_us": tick / self.size["arms"],
         }
-
-
-def tables(result: Data) -> list[Table]:
-    """One table for each thing that grows."""
-    titles = {"arms": "arms, two contacts", "ranks": "constraints", "contacts": "contacts"}
-    heads = "kind; arms; joints; d; contacts; r; tick p50 (µs); floor p50 (µs); tick / floor; "
-    return [
-        table_of(
-            f"{title}: {result['rounds']} rounds",
-            f"{heads}tick / arm (µs)",
-            (
-                [x if isinstance(x, str | int) else f"{x:.2f}" for x in row.values()]
-                for row in result[what]
-            ),
-        )
-        for what, title in titles.items()
-    ]

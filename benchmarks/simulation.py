@@ -6,17 +6,15 @@ from functools import wraps
 from time import perf_counter
 from typing import Any
 
-from rich.table import Table
-
 import osc_contact as osc
-from benchmarks.measuring import machine, require_count
+from benchmarks.measuring import Report
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.recorder import Recording
 from osc_contact.runs import recorder
 from osc_contact.runs import run as runs
 from osc_contact.runs.recorder import Recorder
 from osc_contact.runs.references import References
-from paper.study import Data, table_of
+from paper.study import table_of
 
 SCENARIO = "two_contact_rod"
 STEPS = "plant: MuJoCo's steps"
@@ -68,7 +66,7 @@ class Ledger:
                 setattr(owner, name, function)
 
 
-def measure(ticks: int = 10000) -> Data:
+def measure(ticks: int) -> Report:
     """{"real_time_factor", "simulated_s", "wall_s", "cpu_s", "us_per_tick": {part: …}, …}.
 
     `two_contact_rod` on MuJoCo as packaged: 0.25 ms steps, 1 kHz control, recording on. Run for the
@@ -79,9 +77,8 @@ def measure(ticks: int = 10000) -> Data:
         ticks: control ticks to simulate.
 
     Raises:
-        InvalidInputError: no ticks. PlantError: MuJoCo is missing.
+        PlantError: MuJoCo is missing.
     """
-    require_count(ticks, "ticks")
     scenario = osc.load_scenario(SCENARIO)
     duration = ticks / scenario.control.rate
     runs.run(scenario, duration=10 / scenario.control.rate)  # everything loaded
@@ -106,9 +103,20 @@ def measure(ticks: int = 10000) -> Data:
     steps = min(_stepped(scenario, recording) for _ in range(RUNS))
     parts = {name: time / ticks * 1e6 for name, time in spent.items()}
     parts[REST] = timed / ticks * 1e6 - sum(parts.values())
-    return {
-        "machine": machine(),
-        "scenario": scenario.name,
+    shares = {name: time * ticks / 1e6 / timed for name, time in parts.items()}
+    lines = (f"{name}; {time:.1f}; {100 * shares[name]:.1f} %" for name, time in parts.items())
+    title = f"{SCENARIO}, {duration:g} s in {wall:.2f} s: {duration / wall:.1f} × real time"
+    table = table_of(title, "part; µs per tick; share", lines)
+    table.caption = (
+        f"shares from other runs, {timed / wall:.2f} × as long, with its calls timed"
+        f"; MuJoCo's steps by themselves {steps / ticks * 1e6:.1f} µs"
+    )
+    if cpu < 0.9 * wall:
+        table.caption += (
+            f"; busy machine: a processor worked {cpu:.2f} s, {duration / cpu:.1f} × real time"
+        )
+    data = {
+        "scenario": SCENARIO,
         "step_s": scenario.plant.step,
         "rate_hz": scenario.control.rate,
         "ticks": ticks,
@@ -119,8 +127,9 @@ def measure(ticks: int = 10000) -> Data:
         "watched_wall_s": timed,
         "us_per_tick": parts,
         "steps_us_per_tick": steps / ticks * 1e6,
-        "shares": {name: time * ticks / 1e6 / timed for name, time in parts.items()},
+        "shares": shares,
     }
+    return Report(data, [table])
 
 
 def _stepped(scenario: osc.Scenario, recording: Recording) -> float:
@@ -132,28 +141,3 @@ def _stepped(scenario: osc.Scenario, recording: Recording) -> float:
         for tau in recording["tau"]:
             plant.command(tau, controller.dt)
     return ledger.spent["steps"]
-
-
-def tables(result: Data) -> list[Table]:
-    """Real-time factor, and the parts of a tick of the run."""
-    title = (
-        f"{result['scenario']}, {result['simulated_s']:g} s in {result['wall_s']:.2f} s: "
-        f"{result['real_time_factor']:.1f} × real time"
-    )
-    rows = (
-        f"{name}; {spent:.1f}; {100 * result['shares'][name]:.1f} %"
-        for name, spent in result["us_per_tick"].items()
-    )
-    table = table_of(title, "part; µs per tick; share", rows)
-    slower = result["watched_wall_s"] / result["wall_s"]
-    caption = (
-        f"shares from other runs, {slower:.2f} × as long, with its calls timed"
-        f"; MuJoCo's steps by themselves {result['steps_us_per_tick']:.1f} µs"
-    )
-    if result["cpu_s"] < 0.9 * result["wall_s"]:
-        caption += (
-            f"; busy machine: a processor worked {result['cpu_s']:.2f} s, "
-            f"{result['simulated_s'] / result['cpu_s']:.1f} × real time"
-        )
-    table.caption = caption
-    return [table]

@@ -14,10 +14,8 @@ import sys
 from hashlib import sha256
 from pathlib import Path
 
-from rich.table import Table
-
 import osc_contact as osc
-from benchmarks.measuring import machine, require_count
+from benchmarks.measuring import Report
 from paper.study import Data, table_of
 
 SCENARIO = "two_contact_rod"
@@ -41,12 +39,11 @@ def soak(ticks: int) -> Data:
     for piece in recording.pieces(*names):
         for name in names:
             found.update(piece[name].tobytes())
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     return {
         "ticks": len(recording),
         "begin_MB": held[0],
         "grown_MB": max(held) - held[0],
-        "peak_MB": peak,
+        "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
         "hash": found.hexdigest()[:16],
         "end": recording.meta["end_state"],
     }
@@ -58,26 +55,20 @@ def resident() -> float:
     return pages * resource.getpagesize() / 2**20
 
 
-def measure(ticks: int) -> Data:
-    """Both runs, one after the other."""
-    require_count(ticks, "ticks")
+def measure(ticks: int) -> Report:
+    """Both runs, one after the other: memory and hash of each."""
     _run(1000)  # compiles, where that is still to be done
     runs = [_run(ticks) for _ in range(RUNS)]
-    return {"machine": machine(), "scenario": SCENARIO, "runs": runs}
+    form = "{begin_MB:.1f} MB; {grown_MB:.2f} MB; {peak_MB:.0f} MB; {hash}; {end}"
+    lines = (f"{number}; {form.format(**run)}" for number, run in enumerate(runs, 1))
+    heads = "run; memory; grown by; at most; hash; ended"
+    table = table_of(f"{SCENARIO}, {runs[0]['ticks']} ticks", heads, lines)
+    return Report({"scenario": SCENARIO, "runs": runs}, [table])
 
 
 def _run(ticks: int) -> Data:
     words = [sys.executable, "-m", "benchmarks.soak", str(ticks)]
-    done = subprocess.run(words, check=True, stdout=subprocess.PIPE, text=True)
-    return dict(json.loads(done.stdout))
-
-
-def tables(data: Data) -> list[Table]:
-    """Memory and hash of each run."""
-    form = "{begin_MB:.1f} MB; {grown_MB:.2f} MB; {peak_MB:.0f} MB; {hash}; {end}"
-    rows = (f"{number}; {form.format(**run)}" for number, run in enumerate(data["runs"], 1))
-    title = f"{data['scenario']}, {data['runs'][0]['ticks']} ticks"
-    return [table_of(title, "run; memory; grown by; at most; hash; ended", rows)]
+    return dict(json.loads(subprocess.check_output(words)))
 
 
 if __name__ == "__main__":

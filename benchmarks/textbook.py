@@ -5,6 +5,8 @@ and eqs. 21 to 25 are then plain NumPy. Nothing of the toolkit's own mathematics
 is left out: the gripper parts beyond the wrist sensors, whose wrench the readings are not rid of.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import pinocchio as pin
 from numpy.linalg import inv, lstsq, norm, pinv, svd
@@ -14,6 +16,18 @@ from osc_contact.spatial import Array
 
 STIFFNESS = 25.0
 DAMPING = 10.0  # of the posture of redundant arms
+
+
+class ArmTerms(NamedTuple):
+    """An arm's joints, J, M, h, γ, Λ and J̄ at O."""
+
+    s: slice
+    J: Array
+    M: Array
+    h: Array
+    gamma: Array
+    Lambda: Array
+    J_bar: Array
 
 
 class TextbookLaw:
@@ -61,17 +75,15 @@ class TextbookLaw:
             gamma = shift @ drift.vector
             Minv = inv(M)
             Lambda = pinv(J @ Minv @ J.T, rcond=1e-9)
-            arms.append((s, J, M, h, gamma, Lambda, Minv @ J.T @ Lambda))
+            arms.append(ArmTerms(s, J, M, h, gamma, Lambda, Minv @ J.T @ Lambda))
             if i == 0:
                 V = J @ v[s]
         w = V[3:]
 
         # motions that all arms permit, a = S η̇ + σ
-        left = [svd(J)[0] for _, J, *_ in arms]
-        C = np.hstack([U[:, J.shape[1] :] for U, (_, J, *_) in zip(left, arms, strict=True)])
-        locked = np.concatenate(
-            [U[:, J.shape[1] :].T @ g for U, (_, J, _, _, g, _, _) in zip(left, arms, strict=True)]
-        )
+        left = [svd(arm.J)[0][:, arm.J.shape[1] :] for arm in arms]
+        C = np.hstack(left)
+        locked = np.hstack([U.T @ arm.gamma for U, arm in zip(left, arms, strict=True)])
         if C.shape[1]:
             U, values, _ = svd(C)
             S = U[:, int(np.sum(values > 1e-4)) :]
@@ -84,21 +96,16 @@ class TextbookLaw:
         turn = np.kron(np.eye(2), R)
         Lambda_o = turn @ self.inertia @ turn.T
         momentum = Lambda_o @ V
-        bias_o = (
-            np.concatenate(
-                (
-                    np.cross(w, momentum[:3]),
-                    np.cross(w, momentum[3:]) + np.cross(V[:3], momentum[:3]),
-                )
-            )
-            - Lambda_o[:, :3] @ model.gravity.linear
-        )
-        Lambda_S = S.T @ (sum(L for *_, L, _ in arms) + Lambda_o) @ S
+        bias_o = np.r_[
+            np.cross(w, momentum[:3]), np.cross(w, momentum[3:]) + np.cross(V[:3], momentum[:3])
+        ]
+        bias_o = bias_o - Lambda_o[:, :3] @ model.gravity.linear
+        Lambda_S = S.T @ (sum(arm.Lambda for arm in arms) + Lambda_o) @ S
         bias = bias_o + Lambda_o @ sigma
         G = np.zeros((S.shape[1], model.nv))
-        for s, _, _, h, gamma, Lambda, J_bar in arms:
-            bias = bias + J_bar.T @ h - Lambda @ (gamma - sigma)
-            G[:, s] = S.T @ J_bar.T
+        for arm in arms:
+            bias = bias + arm.J_bar.T @ arm.h - arm.Lambda @ (arm.gamma - sigma)
+            G[:, arm.s] = S.T @ arm.J_bar.T
         G = G @ self.selected
 
         # contact: columns of N push into the faces; n_γ = −ṄᵀV
@@ -107,7 +114,7 @@ class TextbookLaw:
         for i, pair in enumerate(case.pairs):
             n = -pair.normal
             p = R @ pair.vertex
-            N[:, i] = np.concatenate((n, np.cross(p, n)))
+            N[:, i] = np.r_[n, np.cross(p, n)]
             n_gamma[i] = -np.cross(V[:3] + np.cross(w, p), n) @ w
 
         # force loop, fig. 5, with Ω_f(Λ_o)
@@ -116,7 +123,7 @@ class TextbookLaw:
             X_S = data.oMf[wrist]
             force = X_S.rotation @ reading[:3]
             couple = X_S.rotation @ reading[3:] + np.cross(X_S.translation - O, force)
-            f_meas += np.concatenate((force, couple))
+            f_meas += np.r_[force, couple]
         Phi_o = inv(Lambda_o)
         alpha = inv(N.T @ Phi_o @ N) @ (N.T @ Phi_o @ (f_meas - bias_o) - n_gamma)
         k = case.gains.force
@@ -126,13 +133,12 @@ class TextbookLaw:
 
         # motion loop
         g = case.gains.motion
-        e = np.concatenate(
-            (case.reference.X_WD.translation - O, pin.log3(case.reference.X_WD.rotation @ R.T))
-        )
+        turn_error = pin.log3(case.reference.X_WD.rotation @ R.T)
+        e = np.r_[case.reference.X_WD.translation - O, turn_error]
         Omega_m = np.eye(6) - Phi_o @ N @ inv(N.T @ Phi_o @ N) @ N.T
         self.motion_sum = self.motion_sum + Omega_m @ e * DT
         a = case.reference.A_D + g.damping * (case.reference.V_D - V) + g.stiffness * e
-        a = a + g.integral * self.motion_sum - np.concatenate((np.cross(w, V[:3]), np.zeros(3)))
+        a = a + g.integral * self.motion_sum - np.r_[np.cross(w, V[:3]), np.zeros(3)]
 
         # filters and control structure, eqs. 21, 24, 25: η̇_u = P_T(a − σ), η̇_c = Ω_m η̇_u + …
         H = S.T @ Lambda_o @ S
@@ -147,37 +153,42 @@ class TextbookLaw:
         speeds = inv(H) @ S.T @ Lambda_o @ case.reference.V_D
         permitted = S @ (speeds - B_N @ inv(N_S.T @ B_N) @ N_S.T @ speeds)
         friction = np.zeros(model.nv)
-        for s, *_, J_bar in arms:
-            friction[s] = model.damping[s] * (J_bar @ permitted)
-        tau = self.allocated(arms, G, f_S, S @ eta + sigma, v, O)
+        for arm in arms:
+            friction[arm.s] = model.damping[arm.s] * (arm.J_bar @ permitted)
+        tau = self.allocated(arms, G, f_S, S @ eta + sigma, v)
         return tau + self.selected.T @ friction
 
-    def allocated(self, arms, G, f_S, acceleration, v, O) -> Array:  # type: ignore[no-untyped-def]  # noqa: E741
+    def allocated(
+        self, arms: list[ArmTerms], G: Array, f_S: Array, acceleration: Array, v: Array
+    ) -> Array:
         """Least torques, weighted by 1/τ_max², for f_S and the squeeze of two arms."""
         case = self.case
         B = self.selected
         weight = np.zeros((len(v), len(v)))
         rest = np.zeros(len(v))
         q = case.measurement.q
-        for s, J, M, h, _, _, J_bar in arms:
+        for arm in arms:
+            s = arm.s
+            J = arm.J
             weight[s, s] = np.diag(self.limits[s] ** 2)
             if J.shape[1] > 6:
                 R = np.diag(self.limits[s] ** -2.0)
                 weight[s, s] = J.T @ inv(J @ R @ J.T) @ J
-                posture = h + M @ (STIFFNESS * (case.posture[s] - q[s]) - DAMPING * v[s])
-                rest[s] = (np.eye(J.shape[1]) - J.T @ J_bar.T) @ posture
+                wanted = STIFFNESS * (case.posture[s] - q[s]) - DAMPING * v[s]
+                rest[s] = (np.eye(J.shape[1]) - J.T @ arm.J_bar.T) @ (arm.h + arm.M @ wanted)
         A = G
         b = f_S
         if len(arms) == 2:
-            ends = [self.data.oMf[tip].translation for tip in self.tips]
-            e = np.concatenate(((ends[1] - ends[0]) / norm(ends[1] - ends[0]), np.zeros(3)))
+            left, right = (self.data.oMf[tip].translation for tip in self.tips)
+            e = np.r_[(right - left) / norm(right - left), np.zeros(3)]
             row = np.zeros(len(v))
             offset = 0.0
-            for sign, (s, _, _, h, gamma, Lambda, J_bar) in zip((0.5, -0.5), arms, strict=True):
-                row[s] = sign * J_bar @ e
-                offset += sign * e @ (J_bar.T @ h + Lambda @ (acceleration - gamma))
+            for sign, arm in zip((0.5, -0.5), arms, strict=True):
+                row[arm.s] = sign * arm.J_bar @ e
+                force = arm.J_bar.T @ arm.h + arm.Lambda @ (acceleration - arm.gamma)
+                offset += sign * e @ force
             A = np.vstack((G, row @ B))
-            b = np.concatenate((f_S, [float(case.reference.squeeze_d) + offset]))
+            b = np.r_[f_S, float(case.reference.squeeze_d) + offset]
         W = B.T @ weight @ B
         tau_0 = B.T @ rest
         scale = np.diag(1.0 / np.sqrt(np.diag(A @ W @ A.T)))

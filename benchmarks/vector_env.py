@@ -3,10 +3,9 @@
 from time import perf_counter, process_time
 
 import numpy as np
-from rich.table import Table
 
 import osc_contact as osc
-from benchmarks.measuring import machine, require_count
+from benchmarks.measuring import Report
 from benchmarks.simulation import Ledger
 from osc_contact.sweeps.sweep import available_cores
 from paper.study import Data, table_of
@@ -16,7 +15,7 @@ ROWS = 64
 REST = "set points, observations, rewards"
 
 
-def measure(steps: int = 60) -> Data:
+def measure(steps: int) -> Report:
     """{"cases": [{"threads", "ticks_per_s", "cpu_us_per_tick": {part: …}, "shares",
     "control_of_the_clock"}], …}.
 
@@ -27,13 +26,24 @@ def measure(steps: int = 60) -> Data:
 
     Args:
         steps: of the environment.
-
-    Raises:
-        InvalidInputError: no steps.
     """
-    require_count(steps, "steps")
     cases = [_case(threads, steps) for threads in sorted({1, available_cores()})]
-    return {"machine": machine(), "scenario": SCENARIO, "rows": ROWS, "cases": cases}
+    shown = {
+        "control ticks a second": "{ticks_per_s:.0f}",
+        "control, of the clock": "{control_of_the_clock:.0%}",
+        "ticks a second of processor time": "{ticks_per_cpu_s:.0f}",
+        **{
+            name: f"{{cpu_us_per_tick[{name}]:.1f}} µs, {{shares[{name}]:.0%}}"
+            for name in cases[0]["shares"]
+        },
+    }
+    table = table_of(
+        f"{ROWS} rows of {SCENARIO}, four plant steps a tick",
+        "; ".join(("", *(f"{case['threads']} threads" for case in cases))),
+        ((name, *(form.format(**case) for case in cases)) for name, form in shown.items()),
+    )
+    table.caption = "parts: processor time of a tick, of all threads"
+    return Report({"scenario": SCENARIO, "rows": ROWS, "cases": cases}, [table])
 
 
 def _case(threads: int, steps: int) -> Data:
@@ -65,24 +75,3 @@ def _case(threads: int, steps: int) -> Data:
         "ticks_per_cpu_s": ticks / whole,
         "shares": {name: spent / whole for name, spent in parts.items()},
     }
-
-
-def tables(result: Data) -> list[Table]:
-    """Rates, and the parts of a tick."""
-    cases = result["cases"]
-    shown = {
-        "control ticks a second": "{ticks_per_s:.0f}",
-        "control, of the clock": "{control_of_the_clock:.0%}",
-        "ticks a second of processor time": "{ticks_per_cpu_s:.0f}",
-        **{
-            name: f"{{cpu_us_per_tick[{name}]:.1f}} µs, {{shares[{name}]:.0%}}"
-            for name in cases[0]["shares"]
-        },
-    }
-    table = table_of(
-        f"{result['rows']} rows of {result['scenario']}, four plant steps a tick",
-        "; ".join(("", *(f"{case['threads']} threads" for case in cases))),
-        ((name, *(form.format(**case) for case in cases)) for name, form in shown.items()),
-    )
-    table.caption = "parts: processor time of a tick, of all threads"
-    return [table]

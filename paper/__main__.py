@@ -21,8 +21,15 @@ from osc_contact.console import (
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs.report import write_json
 from paper import figures
-from paper.report import REPRODUCIBLE, make, names_of, typed, write_paper_report
-from paper.studies import STUDIES, WITH_SAMPLES
+from paper.report import (
+    REPRODUCIBLE,
+    STUDIES,
+    WITH_SAMPLES,
+    make,
+    names_of,
+    typed,
+    write_paper_report,
+)
 from paper.study import Ask, table_of
 
 NAMES = sorted(REPRODUCIBLE, key=lambda name: (name[:3] != "fig", name))

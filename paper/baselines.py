@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,11 @@ from matplotlib.patches import Patch
 from rich.table import Table
 
 import osc_contact as osc
-from osc_contact.interface import Reference
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.projections import Omega_m_bar
 from osc_contact.runs.contacts import feet
-from osc_contact.runs.loop import run_loop
 from osc_contact.runs.report import require_judgeable
-from osc_contact.runs.run import run, start
-from osc_contact.scenarios import Scenario
+from osc_contact.runs.run import start
 from osc_contact.spatial import Array, pose_error
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.plots import style
@@ -35,89 +31,15 @@ from paper.selection_laws import (
     SelectionLaw,
     best_selection,
 )
-from paper.study import Ask, Data, Study, Witness, table_of, words_of
+from paper.study import Ask, Data, Study, table_of, ticks, words_of
 
-OURS = "ours"
 PLANTS = ("rigid", "mujoco")
 KINDS = ("force_to_motion", "motion_to_force")  #: of cross-talk
-Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """What every law did; dictionaries go by the law's key, `steps` and `task` by plant and key.
-
-    Attributes:
-        laws: "ours" first. instant: the start, for which the frames are best.
-        measured: cross-talk by whole ticks on the rigid plant.
-        steps: responses at rest. task: metrics of the whole task, or why it ended early.
-    """
-
-    scenario: Scenario
-    laws: dict[str, Law]
-    instant: Instant
-    measured: dict[str, Coupling]
-    steps: dict[str, dict[str, StepRun]]
-    task: dict[str, dict[str, Data]]
-
-    def label(self, key: str) -> str:
-        """What figures and tables call a law."""
-        law = self.laws[key]
-        return law.baseline.label if isinstance(law, SelectionLaw) else "ours"
-
-    def peaks(self, plant: str, key: str) -> tuple[float, float]:
-        """Largest cross-talk after any step: displacement (m) and force error (N)."""
-        run = self.steps[plant][key]
-        return float(run.force_to_motion.max()), float(run.motion_to_force.max())
-
-    def margin(self, plant: str) -> tuple[float, float]:
-        """How many times smaller ours is than the best baseline, in both kinds of cross-talk."""
-        ours = np.array(self.peaks(plant, OURS))
-        others = np.array([self.peaks(plant, key) for key in self.laws if key != OURS])
-        of_motion, of_force = others.min(axis=0) / np.maximum(ours, np.finfo(float).tiny)
-        return float(of_motion), float(of_force)
-
-    def as_dict(self) -> Data:
-        """JSON-able: the frames, every number of the table and more."""
-        return {
-            "scenario": self.scenario.name,
-            "force_step_N": FORCE_STEP_N,
-            "motion_step_m": MOTION_STEP_M,
-            "task_duration_s": float(self.scenario.duration),
-            "inertia_kg": self.instant.inertia,
-            "size_m": self.instant.size,
-            "free_motions": self.instant.free.T.tolist(),
-            "laws": {key: self._law(key) for key in self.laws},
-            "smaller_than_best_baseline": {
-                plant: dict(zip(KINDS, self.margin(plant), strict=True)) for plant in PLANTS
-            },
-        }
-
-    def _law(self, key: str) -> Data:
-        law = self.laws[key]
-        row: Data = {"label": self.label(key)}
-        if isinstance(law, SelectionLaw):
-            row["equation"] = law.baseline.equation
-            row["source"] = law.baseline.source
-            row["selection"] = law.selection.as_dict()
-        couplings = {"predicted": self.instant.coupling(law), "measured": self.measured[key]}
-        for name, coupling in couplings.items():
-            row[name] = dict(zip(KINDS, coupling.norms, strict=True)) | {"cost": coupling.cost}
-        for plant in PLANTS:
-            steps = self.steps[plant][key]
-            row[plant] = {
-                "force_to_motion_m": steps.force_to_motion.tolist(),
-                "motion_to_force_N": steps.motion_to_force.tolist(),
-                "closed": steps.closed,
-                "saturated_ticks": steps.saturated,
-                "task": self.task[plant][key],
-            }
-        return row
 
 
 def compare(
-    scenario: Scenario, seed: int = 0, progress: Progress = lambda what, t: None
-) -> Comparison:
+    scenario: osc.Scenario, seed: int = 0, tell: Callable[[str], None] = lambda _: None
+) -> tuple[Data, list[StepRun]]:
     """Find the best frames, step at rest and run the whole task, on both plants.
 
     The rigid plant integrates once per control tick.
@@ -125,7 +47,11 @@ def compare(
     Args:
         scenario: with two or more contacts that no tare precedes; its plant's type is not used.
         seed: of the search for frames and of the runs.
-        progress: called with what is going on and the simulated time.
+        tell: called with what is going on.
+
+    Returns:
+        JSON-able: the frames, every number of the table and more, ours first; and the steps of
+        each law on MuJoCo.
 
     Raises:
         InvalidInputError: no contacts, a tare, or too short to be judged.
@@ -138,30 +64,56 @@ def compare(
             "tare: null"
         )
     rigs = {plant: osc.build_rig(_on(plant, scenario)) for plant in PLANTS}
-    instant = Instant(rigs["rigid"].state(), rigs["rigid"].contact())
-    laws: dict[str, Law] = {OURS: Ours()}
+    rigid = rigs["rigid"]
+    instant = Instant(rigid.state(), rigid.contact())
+    laws: dict[str, Law] = {"ours": Ours()}
     for key, baseline in BASELINES.items():
         laws[key] = best_selection(instant, baseline, seed=seed)
-    steps: dict[str, dict[str, StepRun]] = {plant: {} for plant in PLANTS}
-    task: dict[str, dict[str, Data]] = {plant: {} for plant in PLANTS}
+    rows: dict[str, Data] = {}
+    for key, law in laws.items():
+        row = rows[key] = {"label": law.label}
+        if isinstance(law, SelectionLaw):
+            row |= {"equation": law.baseline.equation, "source": law.baseline.source}
+            row["selection"] = law.selection.as_dict()
+        for name, coupling in (
+            ("predicted", instant.coupling(law)),
+            ("measured", measured_coupling(rigid, law, instant)),
+        ):
+            row[name] = dict(zip(KINDS, coupling.norms, strict=True)) | {"cost": coupling.cost}
+    smaller = {}
     for plant, rig in rigs.items():
+        runs = []
         for key, law in laws.items():
-            where = f"{key} on {plant}"
-            steps[plant][key] = run_steps(rig, law, instant, partial(progress, f"{where}: steps"))
-            task[plant][key] = _whole_task(rig, law, seed, partial(progress, f"{where}: task"))
-    measured = {k: measured_coupling(rigs["rigid"], law, instant) for k, law in laws.items()}
-    return Comparison(scenario, laws, instant, measured, steps, task)
+            tell(f"{key} on {plant}: steps")
+            runs.append(StepRun(rig, law, instant))
+            tell(f"{key} on {plant}: task")
+            rows[key][plant] = runs[-1].as_dict() | {"task": _whole_task(rig, law, seed)}
+        ours, *others = (np.array(run.peaks) for run in runs)
+        ratios = np.min(others, axis=0) / np.maximum(ours, np.finfo(float).tiny)
+        smaller[plant] = dict(zip(KINDS, ratios.tolist(), strict=True))
+    result = {
+        "scenario": scenario.name,
+        "force_step_N": FORCE_STEP_N,
+        "motion_step_m": MOTION_STEP_M,
+        "task_duration_s": float(scenario.duration),
+        "inertia_kg": instant.inertia,
+        "size_m": instant.size,
+        "free_motions": instant.free.T.tolist(),
+        "laws": rows,
+        "smaller_than_best_baseline": smaller,
+    }
+    return result, runs
 
 
-def _whole_task(rig: osc.Rig, law: Law, seed: int, tell: Callable[[float], None]) -> Data:
+def _whole_task(rig: osc.Rig, law: Law, seed: int) -> Data:
     try:
-        verdict = osc.metrics(run(rig.scenario, seed=seed, progress=tell, install=law.install))
+        verdict = osc.metrics(osc.run(rig.scenario, seed=seed, install=law.install))
     except osc.PlantError as error:
         return {"failed": str(error)}
     return {key: verdict[key] for key in ("force", "motion", "contact_fraction", "status")}
 
 
-def _on(plant: str, scenario: Scenario) -> Scenario:
+def _on(plant: str, scenario: osc.Scenario) -> osc.Scenario:
     changes: Data = {"type": plant}
     if plant == "rigid":
         changes["step"] = 1.0 / scenario.control.rate
@@ -177,9 +129,12 @@ _SETTLE_S = 0.5
 _WINDOW_S = 0.4
 
 
-@dataclass(frozen=True)
 class StepRun:
     """One law on one plant: desired forces step one after the other, then each free motion.
+
+    At rest on the contacts, at t = 0.5 s and every 0.4 s one more desired value steps. The motion
+    that counts is what a contact force by itself cannot cause, Ω_m(Φ₀) of the displacement (on a
+    soft contact the object also gives way along N, whatever the law).
 
     Attributes:
         t: (ticks,) s. starts: when the steps happen (s), the first r of them of forces.
@@ -187,22 +142,47 @@ class StepRun:
         motion: (ticks, 6) true displacement from the start, m and rad; `free` part of it.
         ends: (points, 3) points of the object whose displacement counts, from O (m).
         closed: fraction of the time that all contacts were closed. saturated: ticks.
+        force_to_motion: (r,) m, largest displacement along the free motions after each force step.
+        motion_to_force: (n,) N, largest force error on any contact after each motion step.
     """
 
-    t: Array
-    starts: tuple[float, ...]
-    alpha: Array
-    alpha_d: Array
-    motion: Array
-    ends: Array
-    closed: float
-    saturated: int
+    def __init__(self, rig: osc.Rig, law: Law, instant: Instant) -> None:
+        """Run it.
+
+        Args:
+            rig: with the plant.
+            law: to be installed.
+            instant: the start, whose free motions are stepped along.
+        """
+        r = instant.contact.r
+        count = r + instant.free.shape[1]
+        self.starts = tuple(_SETTLE_S + _WINDOW_S * k for k in range(count))
+        period = 1.0 / rig.scenario.control.rate
+        at_rest = replace(rig.references.at(0.0), V_D=np.zeros(6), A_D=np.zeros(6))
+        self.t = period * np.arange(round((self.starts[-1] + _WINDOW_S) / period))
+        done = [sum(now >= begin - 1e-9 for begin in self.starts) for now in self.t]
+        stepped = [_stepped(at_rest, instant, k) for k in range(count + 1)]
+        plant, controller = start(rig, install=law.install)
+        truths = []
+        self.saturated = 0
+        for *_, truth in ticks(plant, controller, (stepped[k] for k in done)):
+            truths.append(truth)
+            self.saturated += bool(controller.status)
+        X = instant.state.X_WO
+        free_part = np.eye(6) - Omega_m_bar(instant.contact.N, instant.state.Phi)
+        self.motion = np.array([free_part @ pose_error(truth.X_WO, X) for truth in truths])
+        self.alpha = np.array([truth.alpha for truth in truths])
+        self.alpha_d = np.array([stepped[k].alpha_d for k in done])
+        self.closed = float(np.mean([truth.closed.all() for truth in truths]))
+        feet_of = (feet(pair, X)[0] - X.translation for pair in rig.pairs)
+        self.ends = np.vstack([np.zeros(3), *feet_of])
+        largest = np.array([self.effect(k).max() for k in range(count)])
+        self.force_to_motion, self.motion_to_force = np.split(largest, [r])
 
     def window(self, k: int) -> slice:
         """Ticks of step k."""
-        edges = np.array([self.starts[k], self.starts[k] + _WINDOW_S]) - 1e-9
-        first, last = np.searchsorted(self.t, edges)
-        return slice(int(first), int(last))
+        edges = np.array([0.0, _WINDOW_S]) + self.starts[k] - 1e-9
+        return slice(*np.searchsorted(self.t, edges).tolist())
 
     def effect(self, k: int) -> Array:
         """(ticks,) what step k does to the other quantity.
@@ -217,52 +197,19 @@ class StepRun:
         moved = d[:, None, :3] + np.cross(d[:, None, 3:], self.ends)
         return np.linalg.norm(moved, axis=2).max(axis=1)
 
-    @cached_property
-    def force_to_motion(self) -> Array:
-        """(r,) m: largest displacement along the free motions after each force step."""
-        return np.array([self.effect(k).max() for k in range(self.alpha.shape[1])])
+    def as_dict(self) -> Data:
+        """JSON-able."""
+        return {
+            "force_to_motion_m": self.force_to_motion.tolist(),
+            "motion_to_force_N": self.motion_to_force.tolist(),
+            "closed": self.closed,
+            "saturated_ticks": self.saturated,
+        }
 
-    @cached_property
-    def motion_to_force(self) -> Array:
-        """(n,) N: largest force error on any contact after each motion step."""
-        steps = range(self.alpha.shape[1], len(self.starts))
-        return np.array([self.effect(k).max() for k in steps])
-
-
-def run_steps(
-    rig: osc.Rig, law: Law, instant: Instant, progress: Callable[[float], None] | None = None
-) -> StepRun:
-    """At rest on the contacts, at t = 0.5 s and every 0.4 s one more desired value steps.
-
-    The motion that counts is what a contact force by itself cannot cause, Ω_m(Φ₀) of the
-    displacement (on a soft contact the object also gives way along N, whatever the law).
-
-    Args:
-        rig: with the plant.
-        law: to be installed.
-        instant: the start, whose free motions are stepped along.
-        progress: called with the simulated time now and then.
-    """
-    r = instant.contact.r
-    n = instant.free.shape[1]
-    starts = tuple(_SETTLE_S + _WINDOW_S * k for k in range(r + n))
-    period = 1.0 / rig.scenario.control.rate
-    at_rest = replace(rig.references.at(0.0), V_D=np.zeros(6), A_D=np.zeros(6))
-    t = period * np.arange(round((starts[-1] + _WINDOW_S) / period))
-    done = [sum(now >= begin - 1e-9 for begin in starts) for now in t]
-    stepped = [_stepped(at_rest, instant, count) for count in range(len(starts) + 1)]
-    plant, controller = start(rig, install=law.install)
-    witness = Witness(plant, controller)
-    run_loop(plant, controller, (stepped[k] for k in done), recorder=witness, progress=progress)
-    X = instant.state.X_WO
-    free_part = np.eye(6) - Omega_m_bar(instant.contact.N, instant.state.Phi)
-    motion = np.array([free_part @ pose_error(truth.X_WO, X) for truth in witness.truths])
-    alpha = np.array([truth.alpha for truth in witness.truths])
-    alpha_d = np.array([stepped[k].alpha_d for k in done])
-    closed = float(np.mean([truth.closed.all() for truth in witness.truths]))
-    ends = np.vstack([np.zeros(3), *(feet(pair, X)[0] - X.translation for pair in rig.pairs)])
-    saturated = int(np.count_nonzero(witness.status))
-    return StepRun(t, starts, alpha, alpha_d, motion, ends, closed, saturated)
+    @property
+    def peaks(self) -> tuple[float, float]:
+        """Largest cross-talk after any step: displacement (m) and force error (N)."""
+        return float(self.force_to_motion.max()), float(self.motion_to_force.max())
 
 
 def measured_coupling(rig: osc.Rig, law: Law, instant: Instant) -> Coupling:
@@ -278,10 +225,9 @@ def measured_coupling(rig: osc.Rig, law: Law, instant: Instant) -> Coupling:
     measurement = plant.measure()
     at_rest = rig.references.at(0.0)
     r = instant.contact.r
-    n = instant.free.shape[1]
     gains = rig.gains.replaced(force=rig.gains.force.replaced(rise=0.0))
 
-    def answer(reference: Reference) -> Array:
+    def answer(reference: osc.Reference) -> Array:
         controller = law.install(rig.controller().with_gains(gains))
         _, a, alpha = plant.accelerations(controller.tick(measurement, reference))
         return np.concatenate((alpha, instant.along @ a))
@@ -289,11 +235,12 @@ def measured_coupling(rig: osc.Rig, law: Law, instant: Instant) -> Coupling:
     base = answer(at_rest)
     forces = [replace(at_rest, alpha_d=at_rest.alpha_d + e) for e in np.eye(r)]
     motions = [replace(at_rest, A_D=at_rest.A_D + u) for u in instant.free.T]
-    change = np.array([answer(x) - base for x in (*forces, *motions)]).T.reshape(r + n, r + n)
-    return Coupling(change[:r, :r], change[r:, r:], change[r:, :r], change[:r, r:], instant.inertia)
+    change = np.array([answer(x) - base for x in (*forces, *motions)]).T
+    (M, G_m), (G_f, K) = (np.split(rows, [r], axis=1) for rows in np.split(change, [r]))
+    return Coupling(M, K, G_f, G_m, instant.inertia)
 
 
-def _stepped(at_rest: Reference, instant: Instant, done: int) -> Reference:
+def _stepped(at_rest: osc.Reference, instant: Instant, done: int) -> osc.Reference:
     """With the first `done` steps made: forces, then free motions."""
     r = instant.contact.r
     alpha_d = at_rest.alpha_d + FORCE_STEP_N * (np.arange(r) < done)
@@ -342,35 +289,38 @@ def comparison_table(result: Mapping[str, Any]) -> Table:
     return table_of(title, heads, rows)
 
 
-def draw(comparison: Comparison) -> Figure:
+def draw(result: Data, runs: Sequence[StepRun]) -> Figure:
     """Top: what a force step does to the motion. Bottom: what a motion step does to the force.
 
     Left: at one instant on the rigid plant, dimensionless. Middle: peak on MuJoCo. Right: over
     time on MuJoCo, every step after the other.
+
+    Args:
+        result, runs: of `compare`.
     """
-    laws = comparison.laws
+    laws = result["laws"].values()
     colours = [OKABE_ITO[name] for name in ("blue", "vermillion", "orange")]
-    units = ("displacement (µm)", "force error (N)")
-    symbols = (r"$\|m\,G_f M^{-1}\|$  (1)", r"$\|G_m K^{-1}\|/m$  (1)")
-    titles = ("force step → motion", "motion step → force")
-    runs = comparison.steps["mujoco"].values()
-    r = comparison.instant.contact.r
+    rows = (
+        ("force step → motion", r"$\|m\,G_f M^{-1}\|$  (1)", "displacement (µm)", 1e6),
+        ("motion step → force", r"$\|G_m K^{-1}\|/m$  (1)", "force error (N)", 1.0),
+    )
     with style():
         figure = Figure(figsize=(10.0, 5.4))
         grid = figure.subplots(2, 3, width_ratios=[1.0, 1.0, 2.7])
-        for i, (instant, peak, course) in enumerate(grid):
-            scale = (1e6, 1.0)[i]
-            _bars(instant, [comparison.measured[key].norms[i] for key in laws], colours)
-            _bars(peak, [scale * comparison.peaks("mujoco", key)[i] for key in laws], colours)
-            instant.set(title=f"{titles[i]}: rigid plant, one instant", ylabel=symbols[i])
-            peak.set(title="MuJoCo: largest of all steps", ylabel=units[i])
+        for i, ((instant, peak, course), row) in enumerate(zip(grid, rows, strict=True)):
+            title, symbol, unit, scale = row
+            _bars(instant, [law["measured"][KINDS[i]] for law in laws], colours)
+            _bars(peak, [scale * run.peaks[i] for run in runs], colours)
+            instant.set(title=f"{title}: rigid plant, one instant", ylabel=symbol)
+            peak.set(title="MuJoCo: largest of all steps", ylabel=unit)
             for run, colour in zip(runs, colours, strict=True):
+                r = run.alpha.shape[1]
                 for k in (range(r), range(r, len(run.starts)))[i]:
                     course.plot(run.t[run.window(k)], scale * run.effect(k), color=colour)
                     course.axvline(run.starts[k], color="black", lw=0.7)
-            course.set(title="MuJoCo, step after step", ylabel=units[i], xlabel="time (s)")
+            course.set(title="MuJoCo, step after step", ylabel=unit, xlabel="time (s)")
         handles = [Patch(color=colour) for colour in colours]
-        labels = [comparison.label(key) for key in laws]
+        labels = [law["label"] for law in laws]
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
@@ -387,6 +337,5 @@ def study(ask: Ask) -> Study:
     """The whole comparison on `two_contact_rod`."""
     ask.tell("best frames")
     scenario = osc.load_scenario("two_contact_rod", ask.all_changes())
-    comparison = compare(scenario, ask.seed, lambda what, t: ask.tell(f"{what} {t:.1f} s"))
-    result = comparison.as_dict()
-    return Study({"baselines": draw(comparison)}, comparison_table(result), result)
+    result, runs = compare(scenario, ask.seed, ask.tell)
+    return Study({"baselines": draw(result, runs)}, comparison_table(result), result)

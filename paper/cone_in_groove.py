@@ -5,22 +5,18 @@ neither parallel nor perpendicular. Four pushes on the walls and two motions are
 rigid plant.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from textwrap import fill as fill_text
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from matplotlib.figure import Figure
 
 import osc_contact as osc
-from osc_contact.interface import Measurement, Reference
-from osc_contact.plants.rigid import RigidPlant
-from osc_contact.runs.loop import run_loop
+from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.runs.run import start
 from osc_contact.spatial import Array, cross
 from osc_contact.visual import OKABE_ITO, contact_colour
@@ -39,7 +35,7 @@ from paper.contact_pictures import (
     write,
 )
 from paper.statements import Answer
-from paper.study import PANDA, Ask, Data, Study, Witness, table_of
+from paper.study import PANDA, Ask, Data, Study, table_of, ticks
 
 # --- A cone in a V groove: shapes, contact, and the forces with which it presses on the walls ---
 
@@ -47,98 +43,56 @@ from paper.study import PANDA, Ask, Data, Study, Witness, table_of
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True)
-class Groove:
-    """Two walls that meet in a horizontal line, opening upwards.
-
-    Attributes:
-        point: (3,) of the line, world (m). yaw: of the line, about the vertical (rad).
-        half_angle: between each wall and the vertical plane through the line (rad).
-    """
-
-    point: Array
-    yaw: float
-    half_angle: float
-
-    @property
-    def direction(self) -> Array:
-        """(3,) unit, along the line."""
-        return np.array([np.cos(self.yaw), np.sin(self.yaw), 0.0])
-
-    def normals(self) -> tuple[Array, Array]:
-        """Unit normals (3,) of the walls, out of the material."""
-        side = cross(_UP, self.direction)
-        s = np.sin(self.half_angle)
-        c = np.cos(self.half_angle)
-        return s * _UP + c * side, s * _UP - c * side
-
-
-@dataclass(frozen=True)
-class Cone:
-    """A cone in the object's frame; its inertia stands in `cone.urdf`.
-
-    Attributes:
-        apex, axis: (3,) m, and unit from apex to base.
-        height: m.
-    """
-
-    apex: Array
-    axis: Array
-    height: float
-
-
-@dataclass(frozen=True, eq=False)
 class Seat:
-    """A cone in a groove, its apex on the groove's line.
+    """A cone with its apex on the line of a horizontal groove, which opens upwards.
 
     A cone whose axis is inclined by φ to the line touches both walls, of half angle β, along a
-    generator each if its own half angle θ has sin θ = sin φ sin β.
+    generator each if its own half angle θ has sin θ = sin φ sin β. It is gripped off its axis and
+    obliquely, so that turning it moves the whole arm. Its inertia stands in `cone.urdf`.
 
     Attributes:
-        groove, cone: the shapes. inclination: φ (rad).
-        R_start: (3, 3) orientation of the object at the start.
+        point, direction: (3,) of the groove's line, world (m, unit). yaw: of it, about the vertical
+            (rad).
+        normals: (2, 3) unit, of the walls, out of the material.
+        apex, cone_axis: (3,) in the object's frame (m), and unit from apex to base. height: m.
+        inclination, half_angle: φ, θ (rad). axis: (3,) of the cone, in the world.
+        X_start: pose of the object with the apex in the middle of the groove.
+        generators: (2, 3) unit directions from the apex along which the cone touches the walls.
+        pair, contact: r = 4, at the start. raibert_craig: the nearest constraint frame there,
+            moments over the cone's height about O.
+        from_wall_forces: R (4, 4), the pair's magnitudes from those at the ends of the lines of
+            contact. N R is the same space of forces seen through another basis. The groove carries
+            both, so R is constant.
     """
 
-    groove: Groove
-    cone: Cone
-    inclination: float
-    R_start: Array
-
-    @property
-    def half_angle(self) -> float:
-        """θ of the cone (rad)."""
-        return float(np.arcsin(np.sin(self.inclination) * np.sin(self.groove.half_angle)))
-
-    @property
-    def axis(self) -> Array:
-        """(3,) direction of the cone's axis in the world."""
-        return np.cos(self.inclination) * self.groove.direction + np.sin(self.inclination) * _UP
-
-    @property
-    def X_start(self) -> pin.SE3:
-        """Pose of the object with the apex in the middle of the groove."""
-        return pin.SE3(self.R_start, self.groove.point - self.R_start @ self.cone.apex)
-
-    @cached_property
-    def pair(self) -> osc.ConeInGroove:
-        """The contact, r = 4."""
-        cone = self.cone
-        line = (self.groove.point, self.groove.direction)
-        return osc.ConeInGroove(cone.apex, cone.axis, *line, self.axis, name="cone")
-
-    def contact(self) -> osc.Contact:
-        """N, T and n_γ at the start."""
-        return self.pair.contact(self.X_start, np.zeros(6))
-
-    @cached_property
-    def raibert_craig(self) -> osc.RaibertCraig:
-        """The nearest constraint frame at the start, moments over the cone's height about O."""
-        return self.contact().as_raibert_craig(self.cone.height)
-
-    def generators(self) -> Array:
-        """(2, 3) unit directions from the apex along which the cone touches the two walls."""
-        slope = np.sin(self.half_angle) * np.array(self.groove.normals())
-        return (self.axis - slope) / np.cos(self.half_angle)
+    def __init__(self) -> None:
+        """Seat the cone."""
+        yaw, inclination, grip, beta = np.deg2rad([155.0, 32.0, 38.0, 60.0]).tolist()
+        self.point = np.array([0.50, 0.05, 0.15])
+        self.yaw = yaw
+        self.inclination = inclination
+        self.direction = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        self.axis = np.cos(inclination) * self.direction + np.sin(inclination) * _UP
+        side = np.cos(beta) * cross(_UP, self.direction)
+        self.normals = np.sin(beta) * _UP + np.array([side, -side])
+        self.apex = np.array([0.02, 0.015, 0.12])
+        self.cone_axis = np.array([np.sin(grip), 0.0, -np.cos(grip)])
+        self.height = 0.10
+        self.half_angle = float(np.arcsin(np.sin(inclination) * np.sin(beta)))
+        slope = np.sin(self.half_angle) * self.normals
+        self.generators = (self.axis - slope) / np.cos(self.half_angle)
+        back = inclination + grip  # of the hand above the groove's line
+        x = np.sin(back) * self.direction - np.cos(back) * _UP
+        z = -np.cos(back) * self.direction - np.sin(back) * _UP
+        R = np.column_stack((x, cross(z, x), z))
+        self.X_start = pin.SE3(R, self.point - R @ self.apex)
+        shapes = (self.apex, self.cone_axis, self.point, self.direction, self.axis)
+        self.pair = osc.ConeInGroove(*shapes, name="cone")
+        self.contact = self.pair.contact(self.X_start, np.zeros(6))
+        self.raibert_craig = self.contact.as_raibert_craig(self.height)
+        points, directions = self.wall_forces(self.X_start)
+        lines = lines_of_force(points - self.X_start.translation[:, None], directions)
+        self.from_wall_forces = np.linalg.lstsq(self.contact.N, lines, rcond=None)[0]
 
     def wall_forces(self, X_WO: pin.SE3) -> tuple[Array, Array]:
         """Where (3, 4) and along which directions (3, 4) the cone presses on the walls.
@@ -146,42 +100,16 @@ class Seat:
         The lines of contact end where the cone has 35 % and 100 % of its height. Pushes on the two
         ends of both lines are another basis of N, in which a real groove can only push (≥ 0).
         """
-        length = self.cone.height / np.cos(self.half_angle)
-        normals, along = (
-            np.repeat(two, 2, axis=0).T for two in (self.groove.normals(), self.generators())
-        )
-        points = X_WO.act(self.cone.apex)[:, None] + length * along * [0.35, 1.0, 0.35, 1.0]
+        length = self.height / np.cos(self.half_angle)
+        normals, along = (np.repeat(two, 2, axis=0).T for two in (self.normals, self.generators))
+        points = X_WO.act(self.apex)[:, None] + length * along * [0.35, 1.0, 0.35, 1.0]
         return points, -normals
-
-    @cached_property
-    def from_wall_forces(self) -> Array:
-        """R (4, 4): the pair's magnitudes from those at the ends of the lines of contact.
-
-        N R is the same space of forces seen through another basis. The groove carries both, so R
-        is constant.
-        """
-        points, directions = self.wall_forces(self.X_start)
-        arms = points - self.X_start.translation[:, None]
-        lines = np.vstack((directions, cross(arms, directions)))
-        return np.linalg.lstsq(self.contact().N, lines, rcond=None)[0]
 
     def motion(self, X_WO: pin.SE3) -> Array:
         """(2,) how far the cone has turned about its axis (rad) and slid along the groove (m)."""
-        turned = pin.log3(X_WO.rotation @ self.R_start.T) @ self.axis
-        slid = (X_WO.act(self.cone.apex) - self.groove.point) @ self.groove.direction
+        turned = pin.log3(X_WO.rotation @ self.X_start.rotation.T) @ self.axis
+        slid = (X_WO.act(self.apex) - self.point) @ self.direction
         return np.array([turned, slid])
-
-
-def seated_cone() -> Seat:
-    """The cone gripped off its axis and obliquely, so that turning it moves the whole arm."""
-    yaw, inclination, grip = np.deg2rad([155.0, 32.0, 38.0])
-    groove = Groove(np.array([0.50, 0.05, 0.15]), float(yaw), float(np.deg2rad(60.0)))
-    axis = np.array([np.sin(grip), 0.0, -np.cos(grip)])
-    back = inclination + grip  # of the hand above the groove's line
-    x = np.sin(back) * groove.direction - np.cos(back) * _UP
-    z = -np.cos(back) * groove.direction - np.sin(back) * _UP
-    R = np.column_stack((x, cross(z, x), z))
-    return Seat(groove, Cone(np.array([0.02, 0.015, 0.12]), axis, 0.10), float(inclination), R)
 
 
 # --- Fig. 2 as a scenario made in Python: the pair is an object, no file could name it ---
@@ -209,33 +137,25 @@ def cone_scenario(
         step_times: of the wall forces, one after the other (s); at most four.
         moving: whether the cone turns and slides.
     """
-    groove = seat.groove
     start = seat.X_start
-    walls = seat.from_wall_forces  # α = R λ: every wall force is part of every magnitude
-    at_rest = {"type": "minimum_jerk", "duration": 0.3}
-    force = {
-        f"cone.{i + 1}": [
-            {**at_rest, "value": float(row @ _REST)},
-            *(
-                {"type": "step", "value": float(share * value), "start": at}
-                for share, value, at in zip(row, _STEPS, step_times, strict=False)
-            ),
-        ]
-        for i, row in enumerate(walls)
-    }
-    apex = start.act(seat.cone.apex)
+    force = {}
+    for i, row in enumerate(seat.from_wall_forces, 1):  # α = R λ: each wall force is in each α
+        signals = [{"type": "minimum_jerk", "duration": 0.3, "value": float(row @ _REST)}]
+        for value, at in zip(row * _STEPS, step_times, strict=False):
+            signals.append({"type": "step", "value": float(value), "start": at})
+        force[f"cone.{i}"] = signals
     motion = [
-        {"kind": "linear", "direction": groove.direction, "signals": [_SLIDE]},
-        {"kind": "angular", "direction": seat.axis, "through": apex, "signals": [_TURN]},
+        {"kind": "linear", "direction": seat.direction, "signals": [_SLIDE]},
+        {"kind": "angular", "direction": seat.axis, "through": seat.point, "signals": [_TURN]},
     ]
-    at = {"xyz": groove.point, "rpy": [0, 0, groove.yaw]}
+    place = {"xyz": seat.point, "rpy": [0, 0, seat.yaw]}
     pose = {"xyz": start.translation, "rpy": pin.rpy.matrixToRpy(start.rotation)}
     data = {
         "name": "cone_in_groove",
         "arms": [PANDA | {"posture": [0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78]}],
         "object": {"urdf": "cone.urdf", "pose": pose},
         "grasps": {"panda": {}},
-        "environment": [{"name": "groove", "urdf": "groove.urdf", "pose": at}],
+        "environment": [{"name": "groove", "urdf": "groove.urdf", "pose": place}],
         "contacts": [{"pair": seat.pair, "body": "groove"}],
         "force": force,
         "motion": motion if moving else [],
@@ -253,8 +173,7 @@ def cone_scenario(
 SETTLE_S = 0.5  #: judged from here on
 
 
-@dataclass(frozen=True, eq=False)
-class ConeResult:
+class ConeRun(NamedTuple):
     """What one run gave.
 
     Attributes:
@@ -264,10 +183,7 @@ class ConeResult:
             after the torques have changed: the difference is what the arm's motion makes of them
             within a period (it halves with the period), and the integral action on it.
         motion_d, motion: (k, 2) desired and true turn (rad) and slide (m).
-        power: (k,) of the contact force on the object's motion (W).
-        N: (k, 6, 4) as the controller had it.
-        force_to_motion, motion_to_force: (probes, 4) and (probes, 8), see `couplings`.
-        status: (k,) of the controller.
+        data: the verdict, for JSON.
     """
 
     seat: Seat
@@ -277,66 +193,11 @@ class ConeResult:
     wall: Array
     motion_d: Array
     motion: Array
-    power: Array
-    N: Array
-    force_to_motion: Array
-    motion_to_force: Array
-    status: Array
-
-    def as_dict(self) -> Data:
-        """The verdict, for JSON."""
-        judged = self.t >= SETTLE_S
-        force = (self.wall - self.wall_d)[judged]
-        turn_rms, slide_rms = _rms((self.motion - self.motion_d)[judged])
-        turned, slid = np.ptp(self.motion, axis=0).tolist()
-        frame = self.seat.raibert_craig
-        bend = self.N[2:] - 2 * self.N[1:-1] + self.N[:-2]
-        return {
-            "r": self.seat.contact().r,
-            "axes_deg": float(np.rad2deg(self.seat.inclination)),
-            "raibert_craig": {
-                "describes_it": bool(frame),
-                "reason": frame.reason,
-                "residual": frame.residual,
-            },
-            "duration_s": len(self.t) * PERIOD,
-            "wall_force_rms_N": _rms(force),
-            "wall_force_peak_error_N": float(np.abs(force).max()),
-            "wall_force_least_N": float(self.wall[judged].min()),
-            "turn_rms_rad": turn_rms,
-            "slide_rms_m": slide_rms,
-            "turned_rad": turned,
-            "slid_m": slid,
-            "force_step_to_motion": float(self.force_to_motion.max()),
-            "motion_step_to_force": float(self.motion_to_force.max()),
-            "contact_power_W": float(np.abs(self.power[judged]).max()),
-            "N_change_per_tick": float(np.abs(np.diff(self.N, axis=0)).max()),
-            "N_second_difference": float(np.abs(bend).max()),
-            "ticks_not_ok": int(np.count_nonzero(self.status)),
-        }
+    data: Data
 
 
 def _rms(errors: Array) -> list[float]:
     return np.sqrt((errors**2).mean(axis=0)).tolist()
-
-
-class _ConeWitness(Witness):
-    """Keeps N as the controller had it, too, and probes the coupling now and then."""
-
-    def __init__(
-        self, plant: RigidPlant, controller: osc.Controller, probe: Callable[..., Any], every: int
-    ) -> None:
-        super().__init__(plant, controller)
-        self.probe = probe
-        self.every = every
-        self.N: list[Array] = []
-        self.probes: list[tuple[list[float], list[float]]] = []
-
-    def append(self, measurement: Measurement, reference: Reference, *more: Any) -> None:
-        self.N.append(self.controller.signals.contact.N)
-        if len(self.N) % self.every == 0:
-            self.probes.append(self.probe(measurement, reference))
-        super().append(measurement, reference, *more)
 
 
 def run(
@@ -344,7 +205,7 @@ def run(
     step_times: tuple[float, ...] = STEP_TIMES,
     moving: bool = True,
     probe_s: float = 0.05,
-) -> ConeResult:
+) -> ConeRun:
     """Run the task on the rigid plant at 1 kHz, probing the coupling every `probe_s` seconds.
 
     Args:
@@ -359,42 +220,63 @@ def run(
             f"duration {duration} s, probe_s {probe_s} s: a run is judged from t = {SETTLE_S:g} s; "
             f"run it longer, and probe not more often than every {PERIOD:g} s"
         )
-    seat = seated_cone()
+    seat = Seat()
     rig = osc.build_rig(cone_scenario(seat, duration, step_times, moving))
     plant, controller = start(rig)
-    assert isinstance(plant, RigidPlant)
     t = np.arange(round(duration / PERIOD)) * PERIOD
     plan = rig.references.over(t)
     R = seat.from_wall_forces
-    probe = partial(couplings, controller, plant, to_pair=R)
-    witness = _ConeWitness(plant, controller, probe, round(probe_s / PERIOD))
-    run_loop(plant, controller, plan, recorder=witness)
+    every = round(probe_s / PERIOD)
+    rows = []
+    probes = []
+    for measurement, reference, truth in ticks(plant, controller, plan):
+        N = controller.signals.contact.N
+        rows.append((N, truth.alpha, truth.V_O, seat.motion(truth.X_WO), int(controller.status)))
+        if len(rows) % every == 0:
+            probes.append(couplings(controller, plant, measurement, reference, R))
+    N, alpha, V_O, motion, status = (np.array(column) for column in zip(*rows, strict=True))
+    to_motion, to_force = (np.max(part) for part in zip(*probes, strict=True))
     to_walls = np.linalg.inv(R).T
-    alpha = np.array([truth.alpha for truth in witness.truths])
-    N = np.array(witness.N)
-    V_O = np.array([truth.V_O for truth in witness.truths])
-    to_motion, to_force = (np.array(part) for part in zip(*witness.probes, strict=True))
-    return ConeResult(
-        seat,
-        step_times,
-        t,
-        wall_d=plan.alpha_d @ to_walls,
-        wall=alpha @ to_walls,
-        motion_d=np.array([seat.motion(reference.X_WD) for reference in plan]),
-        motion=np.array([seat.motion(truth.X_WO) for truth in witness.truths]),
-        power=np.einsum("kir,kr,ki->k", N, alpha, V_O),
-        N=N,
-        force_to_motion=to_motion,
-        motion_to_force=to_force,
-        status=np.array(witness.status),
-    )
+    wall = alpha @ to_walls
+    wall_d = plan.alpha_d @ to_walls
+    motion_d = np.array([seat.motion(reference.X_WD) for reference in plan])
+    judged = t >= SETTLE_S
+    force_error = (wall - wall_d)[judged]
+    turn_rms, slide_rms = _rms((motion - motion_d)[judged])
+    turned, slid = np.ptp(motion, axis=0).tolist()
+    power = np.einsum("kir,kr,ki->k", N, alpha, V_O)[judged]
+    frame = seat.raibert_craig
+    data = {
+        "r": seat.contact.r,
+        "axes_deg": float(np.rad2deg(seat.inclination)),
+        "raibert_craig": {
+            "describes_it": bool(frame),
+            "reason": frame.reason,
+            "residual": frame.residual,
+        },
+        "duration_s": len(t) * PERIOD,
+        "wall_force_rms_N": _rms(force_error),
+        "wall_force_peak_error_N": float(np.abs(force_error).max()),
+        "wall_force_least_N": float(wall[judged].min()),
+        "turn_rms_rad": turn_rms,
+        "slide_rms_m": slide_rms,
+        "turned_rad": turned,
+        "slid_m": slid,
+        "force_step_to_motion": float(to_motion),
+        "motion_step_to_force": float(to_force),
+        "contact_power_W": float(np.abs(power).max()),
+        "N_change_per_tick": float(np.abs(np.diff(N, axis=0)).max()),
+        "N_second_difference": float(np.abs(np.diff(N, 2, axis=0)).max()),
+        "ticks_not_ok": int(np.count_nonzero(status)),
+    }
+    return ConeRun(seat, step_times, t, wall_d, wall, motion_d, motion, data)
 
 
 def couplings(
     controller: osc.Controller,
-    plant: RigidPlant,
-    measurement: Measurement,
-    reference: Reference,
+    plant: Any,
+    measurement: osc.Measurement,
+    reference: osc.Reference,
     to_pair: Array,
 ) -> tuple[list[float], list[float]]:
     """How far a step of each wall force moves the cone, and steps of motion press on the walls.
@@ -407,7 +289,7 @@ def couplings(
     are the two permitted ones and the six unit vectors, permitted or not.
 
     Args:
-        controller, plant: in the state of the measurement.
+        controller, plant: in the state of the measurement; the plant is a `RigidPlant`.
         measurement, reference: of the tick whose commands are changed.
         to_pair: (4, 4) from the wall forces λ (N) to the pair's magnitudes α.
 
@@ -417,7 +299,7 @@ def couplings(
     controller = controller.with_safety(osc.SafetySettings.motors_only())  # the same readings again
     before = (controller.motion_integral, controller.force_integral)
 
-    def answer(changed: Reference) -> tuple[Array, Array]:
+    def answer(changed: osc.Reference) -> tuple[Array, Array]:
         tau = controller.tick(measurement, changed)
         controller.motion_integral, controller.force_integral = before
         _, a, alpha = plant.accelerations(tau)
@@ -451,9 +333,9 @@ _SLIDING = "#5B3A8E"
 
 def draw_state(seat: Seat) -> Figure:
     """Cone, groove, t₁, t₂ and the four lines of force that span N."""
-    h = seat.cone.height
-    groove = seat.groove.direction
-    apex = seat.groove.point
+    h = seat.height
+    groove = seat.direction
+    apex = seat.point
     frame = seat.raibert_craig
     words = (
         "$t_1$: rotation about the cone's axis",
@@ -471,7 +353,7 @@ def draw_state(seat: Seat) -> Figure:
         figure, ax = orthographic((10.5, 6.2), room, middle, 1.25 * h, zoom=1.5)
         ax.set_axis_off()
         ax.view_init(33.0, np.rad2deg(np.arctan2(groove[1], groove[0])) + 180.0 + 29.0)
-        for normal in seat.groove.normals():
+        for normal in seat.normals:
             down = np.cross(normal, groove)
             corners = np.array([(-0.5, 0.0), (1.5, 0.0), (1.5, 0.95), (-0.5, 0.95)])
             wall = apex + h * corners @ [groove, np.sign(down @ _UP) * down]
@@ -483,7 +365,7 @@ def draw_state(seat: Seat) -> Figure:
                 name = "_" if i else "lines of contact"
                 draw_line(ax, (apex, points[i + 1]), color="#22262B", lw=3.0, zorder=4, label=name)
             line = (p - 0.48 * h * d, p + 0.26 * h * d)
-            draw_force(ax, i, line, 1.2, p - 0.36 * h * d, p, 0.018 * h, p + 0.34 * h * d)
+            draw_force(ax, i, line, 1.2, (p - 0.36 * h * d, p), 0.018 * h, p + 0.34 * h * d)
         _draw_axes(ax, seat)
         title = "Fig. 2: a cone in a groove; its axes of motion are neither parallel nor "
         look: Data = {"x": 0.03, "y": 0.97, "ha": "left", "size": 12, "weight": "bold"}
@@ -495,9 +377,9 @@ def draw_state(seat: Seat) -> Figure:
 
 def _draw_cone(ax: Any, seat: Seat) -> None:
     """Side, base and the two generators that the eye sees as outline."""
-    apex = seat.groove.point
+    apex = seat.point
     axis = seat.axis
-    h = seat.cone.height
+    h = seat.height
     tangent = np.tan(seat.half_angle)
     base = apex + h * axis + h * tangent * circle(*across(axis), np.linspace(0, 2 * np.pi, 121))
     side = np.array([[apex, a, b] for a, b in pairwise(base)])
@@ -517,10 +399,10 @@ def _draw_cone(ax: Any, seat: Seat) -> None:
 
 def _draw_axes(ax: Any, seat: Seat) -> None:
     """t₁ with a round arrow, t₂ with a straight one, and the angle between them."""
-    apex = seat.groove.point
-    h = seat.cone.height
+    apex = seat.point
+    h = seat.height
     axis = seat.axis
-    groove = seat.groove.direction
+    groove = seat.direction
     for direction, colour, ends in ((axis, _INK, (-0.25, 2.0)), (groove, _SLIDING, (-0.7, 2.05))):
         dashed = {"lw": 1.8, "ls": (0, (7, 2, 1.5, 2)), "zorder": 6}
         draw_line(ax, apex + h * np.outer(ends, direction), color=colour, **dashed)
@@ -536,15 +418,14 @@ def _draw_axes(ax: Any, seat: Seat) -> None:
     write(ax, apex + 2.2 * h * groove, "$t_2$", _SLIDING, 15)
     square = axis - (axis @ groove) * groove
     square /= np.linalg.norm(square)
-    angle = float(np.arccos(axis @ groove))
-    bow = circle(groove, square, np.linspace(0.0, angle, 30))
-    draw_line(ax, apex + 1.28 * h * bow, color="#555555", lw=1.3, zorder=6)
+    angle = seat.inclination
+    bow = apex + 1.28 * h * circle(groove, square, np.linspace(0.0, angle, 30))
+    draw_line(ax, bow, color="#555555", lw=1.3, zorder=6)
     (middle,) = circle(groove, square, np.array([angle / 2]))
-    text = f"{np.rad2deg(angle):.0f}°"
-    write(ax, apex + 1.43 * h * middle, text, "#333333", 11, bbox=HALO)
+    write(ax, apex + 1.43 * h * middle, f"{np.rad2deg(angle):.0f}°", "#333333", 11, bbox=HALO)
 
 
-def draw_run(result: ConeResult) -> Figure:
+def draw_run(result: ConeRun) -> Figure:
     """Four forces and two motions controlled at once: desired, true and errors."""
     t = result.t
     black: Data = {"color": "black", "lw": 1.0, "ls": (0, (4, 3)), "zorder": 3}
@@ -583,7 +464,7 @@ def draw_run(result: ConeResult) -> Figure:
 def study(ask: Ask) -> Study:
     """Fig. 2: the run, its numbers, and what they say to the paper's statements."""
     result = run(ask.lasting(5.0))
-    data = result.as_dict()
+    data = result.data
     frame = data["raibert_craig"]
     rms = ", ".join(f"{1e3 * value:.2g}" for value in data["wall_force_rms_N"])
     turned = f"{np.rad2deg(data['turned_rad']):.1f}°"

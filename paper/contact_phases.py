@@ -5,9 +5,8 @@ from free motion to both contacts, slides, and takes it away again.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -27,8 +26,7 @@ SPEED = 0.010  #: m/s; slower than that it is a touch
 WITHIN_S = 0.020  #: in which a collision is to be flagged
 
 
-@dataclass(frozen=True)
-class Collision:
+class Collision(NamedTuple):
     """A contact re-made, as the plant knows it.
 
     Attributes:
@@ -84,22 +82,6 @@ def false_alarms(recording: osc.Recording) -> int:
     return count
 
 
-def fig7(ask: Ask) -> tuple[osc.Recording, dict[str, osc.Recording]]:
-    """A run in which contacts are lost again and again, and long ones in which none is.
-
-    Args:
-        ask: duration of every run (s), else 10 s and 60 s of the quiet ones; changes of
-            `collisions`.
-    """
-
-    def run(name: str, duration: float | None, changes: Sequence[str] = ()) -> osc.Recording:
-        ask.tell(name)
-        return osc.run(osc.load_scenario(name, changes), duration=duration, seed=ask.seed)
-
-    knocked = run(KNOCKED, ask.duration, ask.changes)
-    return knocked, {name: run(name, ask.lasting(60.0)) for name in QUIET}
-
-
 def answers(recording: osc.Recording) -> dict[str, Answer]:
     """What a run of `collisions` says to the paper's statements on fig. 7."""
     t = recording["t"]
@@ -129,60 +111,23 @@ def answers(recording: osc.Recording) -> dict[str, Answer]:
     }
 
 
-@dataclass(frozen=True)
-class Landing:
-    """One run of `approach_and_slide`.
-
-    Attributes:
-        seed: of the run. standoff: m off the faces at the start. tilt: rad about the y axis.
-        recording: of it.
-    """
-
-    seed: int
-    standoff: float
-    tilt: float
-    recording: osc.Recording
-
-    def as_dict(self) -> Data:
-        """JSON-able: what was found, and `success`.
-
-        A run succeeds if both contacts are made, stay closed from 50 ms after the later one was
-        made until the force is taken back, and are open at the end.
-        """
-        r = self.recording
-        rate = float(r.meta["control_rate_hz"])
-        closed = r["closed"]
-        force = r["alpha_true"]
-        command = r["alpha_cmd"]
-        leave = int(np.flatnonzero((command > 0.0).any(axis=1))[-1])
-        first = [int(np.argmax(c)) if c.any() else len(closed) for c in closed.T]
-        settled = max(first) + round(0.05 * rate)
-        kept = settled < leave and bool(closed[settled:leave].all())
-        steps = np.abs(np.diff(r["tau"], axis=0)) / effort_limits(r)
-        error = (force - command)[settled + 150 : leave]
-        return {
-            "seed": self.seed,
-            "standoff_m": self.standoff,
-            "tilt_rad": self.tilt,
-            "success": kept and not bool(closed[-1].any()),
-            "made_s": [float(r["t"][k]) if k < len(closed) else None for k in first],
-            "peak_over_command": float(force.max() / command.max()),
-            "force_rms_rel": float(np.sqrt(np.mean(error**2)) / command.max()) if kept else None,
-            "torque_rate": float(steps.max()) * rate,
-            "torque_rate_limit": float(r.meta["scenario"]["control"]["life"]["torque_rate"]),
-        }
-
-
 def effort_limits(recording: osc.Recording) -> Array:
     """(n_a,) effort limits."""
     return np.array(list(recording.meta["effort_limits"].values()))
 
 
-def land(seed: int, changes: Sequence[str] = ()) -> Landing:
+def land(seed: int, changes: Sequence[str] = ()) -> tuple[Data, osc.Recording]:
     """Run `approach_and_slide` from a start of its own: another standoff, another tilt.
+
+    A run succeeds if both contacts are made, stay closed from 50 ms after the later one was made
+    until the force is taken back, and are open at the end.
 
     Args:
         seed: of start, sensors and everything random. changes: "key=value" of the scenario.
+
+    Returns:
+        JSON-able what was found, with `success`, standoff off the faces (m) and tilt about the y
+        axis (rad) at the start; the recording.
     """
     ranges = ([0.003, -0.01, -0.02], [0.008, 0.01, 0.02])
     standoff, tilt, shift = np.random.default_rng([seed, 7]).uniform(*ranges).tolist()
@@ -191,8 +136,29 @@ def land(seed: int, changes: Sequence[str] = ()) -> Landing:
     begin, lean = ({"type": "constant", "value": value} for value in (shift, tilt))
     slide["signals"] = [*slide["signals"], begin]
     tilted = {"kind": "angular", "direction": [0.0, 1.0, 0.0], "signals": [lean]}
-    scenario = scenario.replaced(motion=[slide, *rest, tilted])
-    return Landing(seed, standoff, tilt, osc.run(scenario, seed=seed))
+    r = osc.run(scenario.replaced(motion=[slide, *rest, tilted]), seed=seed)
+    rate = float(r.meta["control_rate_hz"])
+    closed = r["closed"]
+    force = r["alpha_true"]
+    command = r["alpha_cmd"]
+    leave = int(np.flatnonzero((command > 0.0).any(axis=1))[-1])
+    first = [int(np.argmax(c)) if c.any() else len(closed) for c in closed.T]
+    settled = max(first) + round(0.05 * rate)
+    kept = settled < leave and bool(closed[settled:leave].all())
+    steps = np.abs(np.diff(r["tau"], axis=0)) / effort_limits(r)
+    error = (force - command)[settled + 150 : leave]
+    data = {
+        "seed": seed,
+        "standoff_m": standoff,
+        "tilt_rad": tilt,
+        "success": kept and not bool(closed[-1].any()),
+        "made_s": [float(r["t"][k]) if k < len(closed) else None for k in first],
+        "peak_over_command": float(force.max() / command.max()),
+        "force_rms_rel": float(np.sqrt(np.mean(error**2)) / command.max()) if kept else None,
+        "torque_rate": float(steps.max()) * rate,
+        "torque_rate_limit": float(r.meta["scenario"]["control"]["life"]["torque_rate"]),
+    }
+    return data, r
 
 
 def draw_collisions(recording: osc.Recording) -> Figure:
@@ -230,9 +196,9 @@ def draw_collisions(recording: osc.Recording) -> Figure:
     return figure
 
 
-def draw_landing(runs: Sequence[Landing]) -> Figure:
+def draw_landing(runs: Sequence[osc.Recording]) -> Figure:
     """Forces of all runs above; normal speed and torques of the first one below."""
-    first = runs[0].recording
+    first = runs[0]
     t = first["t"]
     with style():
         figure, (forces, gap, phase, torques) = panels(4, 1.9)
@@ -240,13 +206,13 @@ def draw_landing(runs: Sequence[Landing]) -> Figure:
         for i, name in enumerate(first.magnitude_names):
             look: Any = {"color": contact_colour(i), "label": name.replace("_", " ")}
             for one in runs:
-                forces.plot(t, one.recording["alpha_true"][:, i], color=look["color"], lw=0.8)
+                forces.plot(t, one["alpha_true"][:, i], color=look["color"], lw=0.8)
             gaps = -np.cumsum(normal_speeds(first)[:, i]) * (t[1] - t[0])
             made = int(np.argmax(first["closed"][:, i]))
             gap.plot(t, 1e3 * (gaps - gaps[made]), **look)
             phase.step(t, first["contact_phase"][:, i] + 0.04 * i, where="post", **look)
         forces.set(title=f"true contact forces, {len(runs)} starts", ylabel="force (N)")
-        gap.set(title=f"gap, seed {runs[0].seed}", ylabel="gap (mm)")
+        gap.set(title=f"gap, seed {first.meta['seed']}", ylabel="gap (mm)")
         phase.set(title="phase", yticks=(0, 1, 2), yticklabels=("open", "approaching", "closed"))
         torques.plot(t, first["tau"] / effort_limits(first), lw=0.8)
         torques.set(title="motor torques", ylabel="share of limit", xlabel="time (s)")
@@ -255,9 +221,21 @@ def draw_landing(runs: Sequence[Landing]) -> Figure:
     return figure
 
 
-def fig7_study(ask: Ask) -> Study:
-    """Fig. 7: collisions and what the monitor makes of them; false alarms of long quiet runs."""
-    knocked, quiet = fig7(ask)
+def fig7(ask: Ask) -> Study:
+    """Fig. 7: collisions and what the monitor makes of them; false alarms of long quiet runs.
+
+    Args:
+        ask: duration of every run (s), else 10 s and 60 s of the quiet ones; changes of
+            `collisions`.
+    """
+    ask.tell(KNOCKED)
+    scenario = osc.load_scenario(KNOCKED, ask.changes)
+    knocked = osc.run(scenario, duration=ask.duration, seed=ask.seed)
+    quiet = {}
+    for name in QUIET:
+        ask.tell(name)
+        scenario = osc.load_scenario(name)
+        quiet[name] = osc.run(scenario, duration=ask.lasting(60.0), seed=ask.seed)
     hits = collisions(knocked)
     flagged = [hit.flagged for hit in hits if hit.flagged is not None]
     alarms = {
@@ -265,7 +243,7 @@ def fig7_study(ask: Ask) -> Study:
         for name, r in {KNOCKED: knocked, **quiet}.items()
     }
     data: Data = {
-        "collisions": [vars(hit) for hit in hits],
+        "collisions": [hit._asdict() for hit in hits],
         "flagged": len(flagged),
         "slowest_flag_s": max(flagged, default=None),
         "false_alarms": alarms,
@@ -290,11 +268,13 @@ def fig7_study(ask: Ask) -> Study:
 
 def landing_study(ask: Ask) -> Study:
     """Landings from many starts, one for each seed."""
+    data = []
     runs = []
     for seed in range(ask.seed, ask.seed + SEEDS):
         ask.tell(f"seed {seed} of {SEEDS}")
-        runs.append(land(seed, ask.all_changes()))
-    data = [run.as_dict() for run in runs]
+        found, recording = land(seed, ask.all_changes())
+        data.append(found)
+        runs.append(recording)
     rows = [
         f"{row['seed']}; {1e3 * row['standoff_m']:.1f} mm; {1e3 * row['tilt_rad']:.1f} mrad; "
         f"{', '.join(words_of(t, '{:.2f}') for t in row['made_s'])} s; "

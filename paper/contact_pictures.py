@@ -39,10 +39,10 @@ def draw_contact_state(
         faces: (4, 3) arrays, the faces' corners in order, m.
         title: heading.
     """
-    lines = list(zip(points, directions, strict=True))
+    lines = list(enumerate(zip(points, directions, strict=True)))
     pairs = {
-        (i, j): common_perpendicular(*lines[i], *lines[j])
-        for i, j in combinations(range(len(lines)), 2)
+        (i, j): common_perpendicular(*one, *other)
+        for (i, one), (j, other) in combinations(lines, 2)
     }
     cloud = np.vstack((rod, points, *faces, *(pair[:2] for pair in pairs.values())))
     middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
@@ -54,18 +54,18 @@ def draw_contact_state(
         for face in faces:
             fill(ax, face[None], **FACE)
         draw_line(ax, rod, color="#4A4F57", lw=5.0, solid_capstyle="round", zorder=4, label="body")
-        for i, (point, direction) in enumerate(lines):
+        for i, (point, direction) in lines:
             line = _inside(point, direction, middle, reach)
             tail = point - 0.3 * reach * direction
-            name_at = tail - 0.07 * reach * direction
-            draw_force(ax, i, line, 1.4, tail, point, 0.02 * reach, name_at)
+            draw_force(
+                ax, i, line, 1.4, (tail, point), 0.02 * reach, tail - 0.07 * reach * direction
+            )
         for (i, j), pair in pairs.items():
             look = {"ls": (0, (2, 1)), "marker": "o", "ms": 4.0, "label": _relation(i, j, pair)}
             draw_line(ax, pair[:2], color="black", lw=1.6, zorder=6, **look)
         figure.suptitle(title, x=0.03, y=0.97, ha="left", size=12, weight="bold")
-        ax.legend(
-            loc="upper right", bbox_to_anchor=(0.995, 0.94), bbox_transform=figure.transFigure
-        )
+        place = {"bbox_to_anchor": (0.995, 0.94), "bbox_transform": figure.transFigure}
+        ax.legend(loc="upper right", **place)
     return figure
 
 
@@ -144,31 +144,33 @@ def draw_arrow(ax: Any, tail: Array, tip: Array, colour: str, radius: float) -> 
 
 
 def draw_force(
-    ax: Any, i: int, line: Any, lw: float, tail: Array, tip: Array, radius: float, place: Array
+    ax: Any, i: int, line: Any, lw: float, arrow: tuple[Array, Array], radius: float, place: Array
 ) -> None:
     """The i-th contact force: its line, an arrow on it, its name.
 
     Args:
         ax: axes of `orthographic`. i: from 0.
         line: (2, 3) ends of the line of force; lw: its width.
-        tail, tip: (3,) of the arrow; radius: of its shaft.
+        arrow: (2, 3) its tail and tip; radius: of its shaft.
         place: (3,) of the name.
     """
     colour = contact_colour(i)
     name = rf"$f_{{c{i + 1}}}$"
     draw_line(ax, line, color=colour, lw=lw, zorder=5, label=f"line of force of {name}")
-    draw_arrow(ax, tail, tip, colour, radius)
+    draw_arrow(ax, *arrow, colour, radius)
     write(ax, place, name, colour, 13, bbox=HALO)
 
 
 def _relation(i: int, j: int, pair: CommonPerpendicular) -> str:
-    angle = f"{np.rad2deg(pair.angle):.1f}°"
-    names = rf"$f_{{c{i + 1}}}$, $f_{{c{j + 1}}}$"
+    angle = np.rad2deg(pair.angle)
+    apart = f"{1e3 * pair.distance:.1f} mm apart"
     if pair.angle < 1e-6:
-        return f"{names}: parallel, {1e3 * pair.distance:.1f} mm apart"
-    if pair.distance < 1e-6:
-        return f"{names}: intersect, angle {angle}"
-    return f"{names}: skew, {1e3 * pair.distance:.1f} mm apart, angle {angle}"
+        how = f"parallel, {apart}"
+    elif pair.distance < 1e-6:
+        how = f"intersect, angle {angle:.1f}°"
+    else:
+        how = f"skew, {apart}, angle {angle:.1f}°"
+    return rf"$f_{{c{i + 1}}}$, $f_{{c{j + 1}}}$: {how}"
 
 
 def _scales(ax: Any, middle: Array, reach: float) -> None:

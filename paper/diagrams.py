@@ -6,9 +6,9 @@ and no connection takes is named beside it. Commands come from above.
 
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Patch
@@ -16,13 +16,18 @@ from matplotlib.patches import FancyBboxPatch, Patch
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.plots import style
 
+Point = tuple[float, float]
 
-@dataclass(frozen=True)
-class Block:
-    """One box of fig. 4 or 5: what it is called, what it computes, what goes in and out."""
+
+class Block(NamedTuple):
+    """One box of fig. 4 or 5.
+
+    Its name, the place of its middle (in), what it computes, what goes in and out.
+    """
 
     name: str
     group: str
+    place: Point
     equation: str
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
@@ -33,6 +38,7 @@ BLOCKS = (
     Block(
         "closed chain",
         "model",
+        (0.0, 6.4),
         "$\\Lambda_S,\\ \\mu,\\ p,\\ S,\\ \\sigma,\\ G$\n(13)",
         ("q", "v"),
         ("state",),
@@ -40,6 +46,7 @@ BLOCKS = (
     Block(
         "contact geometry",
         "model",
+        (2.7, 6.1),
         r"$N,\ T,\ n_\gamma$",
         ("touched", "state"),
         ("parts", "contact", "friction_wrenches"),
@@ -47,22 +54,39 @@ BLOCKS = (
     Block(
         "environment",
         "model",
+        (5.4, 6.4),
         r"$\Phi_e,\ b_e,\ V_e$  (14)",
         ("touched", "parts", "state", "friction_wrenches"),
         ("environment",),
     ),
-    Block("sum of wrist sensors", "force", r"$\Sigma$ at $O$", ("wrenches", "state"), ("f_meas",)),
+    Block(
+        "sum of wrist sensors",
+        "force",
+        (0.0, 0.0),
+        r"$\Sigma$ at $O$",
+        ("wrenches", "state"),
+        ("f_meas",),
+    ),
     Block(
         "force filter",
         "force",
+        (2.7, 0.0),
         r"$\Omega_f(\Lambda_{out})$",
         ("f_meas", "state", "contact", "environment", "friction_wrenches"),
         ("f_c_meas",),
     ),
-    Block("generalised inverse", "force", r"$N^{\#}$", ("f_c_meas", "contact"), ("alpha_meas",)),
+    Block(
+        "generalised inverse",
+        "force",
+        (5.4, 0.0),
+        r"$N^{\#}$",
+        ("f_c_meas", "contact"),
+        ("alpha_meas",),
+    ),
     Block(
         "force law",
         "force",
+        (8.1, 0.0),
         r"$\alpha_d + K_i\int(\alpha_d-\alpha_{meas})$",
         ("alpha_d", "contact", "state", "environment", "alpha_meas"),
         ("alpha_u",),
@@ -70,6 +94,7 @@ BLOCKS = (
     Block(
         "to operational space",
         "force",
+        (10.8, 0.0),
         r"$N\alpha_u$  (16)",
         ("contact", "friction_wrenches", "alpha_u"),
         ("f_ccomm",),
@@ -77,6 +102,7 @@ BLOCKS = (
     Block(
         "motion law",
         "motion",
+        (2.7, 3.55),
         r"$\ddot x_d + K_d\dot e + K_p e + K_i\int e$",
         ("contact", "state", "reference"),
         ("a_u",),
@@ -84,6 +110,7 @@ BLOCKS = (
     Block(
         "motion filter",
         "filter",
+        (5.4, 3.4),
         r"$\Omega_m(B)$  (24)",
         ("state", "contact", "a_u", "alpha_u", "environment", "friction_wrenches", "q", "v"),
         ("eta_c",),
@@ -91,6 +118,7 @@ BLOCKS = (
     Block(
         "dynamic control structure",
         "filter",
+        (8.1, 3.25),
         "$\\Lambda_S\\dot\\eta_c+b_S+S^Tf_{ccomm}$\n(21)",
         ("state", "eta_c", "f_ccomm"),
         ("f_S",),
@@ -98,35 +126,22 @@ BLOCKS = (
     Block(
         "torque allocation",
         "filter",
+        (10.8, 3.4),
         "$G\\tau = f_S$,\nsqueeze in null$(G)$",
         ("state", "q", "v", "f_S", "eta_c", "squeeze_d"),
         ("tau",),
     ),
 )
 
-PLANT = Block("arms, object, environment", "plant", "", ("tau",), ("q", "v", "wrenches"))
+PLANT = Block(
+    "arms, object, environment", "plant", (8.9, 6.4), "", ("tau",), ("q", "v", "wrenches")
+)
 #: The control loop of fig. 4.
 LOOP = (*BLOCKS, PLANT)
 
 WIDTH = 1.9
 HEIGHT = 1.15
 PORT = 0.3  #: of a box; between two connections at one edge (in)
-#: Middle of each box (in): model and plant, motion, force.
-PLACES = {
-    "closed chain": (0.0, 6.4),
-    "contact geometry": (2.7, 6.1),
-    "environment": (5.4, 6.4),
-    PLANT.name: (8.9, 6.4),
-    "motion law": (2.7, 3.55),
-    "motion filter": (5.4, 3.4),
-    "dynamic control structure": (8.1, 3.25),
-    "torque allocation": (10.8, 3.4),
-    "sum of wrist sensors": (0.0, 0.0),
-    "force filter": (2.7, 0.0),
-    "generalised inverse": (5.4, 0.0),
-    "force law": (8.1, 0.0),
-    "to operational space": (10.8, 0.0),
-}
 #: Signal and reader of each connection, the upper ones of a box first, and where it turns (in):
 #: nowhere, at one x, or at x, y, x of the way around.
 CONNECTIONS: dict[tuple[str, str], tuple[float, ...]] = {
@@ -181,7 +196,6 @@ LABEL = 11.0  #: of connections and the names on them
 #: Look of signals without a connection.
 NAMED: Any = {"boxstyle": "round,pad=0.18", "fc": "#E9ECF0", "ec": "none"}
 BY_NAME = "taken up by name"
-Point = tuple[float, float]
 
 
 def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
@@ -192,34 +206,34 @@ def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
     """
     names = [block.name for block in blocks]
     connections = {key: turns for key, turns in CONNECTIONS.items() if key[1] in names}
+    taken = {signal for signal, _ in connections}
     starts: dict[str, Point] = {}
     ends: dict[tuple[str, str], Point] = {}
     for block in blocks:
-        x, y = PLACES[block.name]
         connected = [signal for signal, reader in connections if reader == block.name]
-        ends |= {(s, block.name): (x - 0.5 * WIDTH, y + dy) for s, dy in _ports(connected)}
-        starts |= {s: (x + 0.5 * WIDTH, y + dy) for s, dy in _ports(_shown(block.outputs))}
+        ends |= {(s, block.name): port for s, port in _ports(block, connected, -1)}
+        starts |= dict(_ports(block, _shown(block.outputs), 1))
     with style():
-        figure, ax = _canvas([PLACES[name] for name in names], title)
+        figure, ax = _canvas([block.place for block in blocks], title)
         for block in blocks:
             _box(ax, block)
             bare = [s for s in _shown(block.inputs) if (s, block.name) not in connections]
-            _name_inputs(ax, PLACES[block.name], bare)
+            _name_inputs(ax, block.place, bare)
         for signal, (x, y) in starts.items():
-            if signal in [taken for taken, _ in connections]:
-                _write(ax, x + 0.05, y, LABELS[signal], "left")
+            if signal in taken:
+                _write(ax, x + 0.05, y, signal, "left")
             else:
                 ax.text(x + 0.09, y, LABELS[signal], size=LABEL, va="center", bbox=NAMED)
         for (signal, reader), turns in connections.items():
-            end = ends[signal, reader]
+            x, y = end = ends[signal, reader]
             if signal in starts:
                 others = [
                     t[0] if t else ends[k][0] for k, t in connections.items() if k[0] == signal
                 ]
                 _wire(ax, signal, starts[signal], turns, end, max(others))
             else:
-                _arrow(ax, [(end[0] - 0.4, end[1]), end])
-                _write(ax, end[0] - 0.45, end[1] - 0.08, LABELS[signal], "right")
+                _arrow(ax, [(x - 0.4, y), end])
+                _write(ax, x - 0.45, y - 0.08, signal, "right")
         _legend(ax, [block.group for block in blocks])
     return figure
 
@@ -229,35 +243,33 @@ def _shown(signals: Sequence[str]) -> list[str]:
     return [signal for signal in signals if signal != "v"]
 
 
-def _ports(signals: Sequence[str]) -> Iterator[tuple[str, float]]:
-    """Each signal with its height above the middle of the edge."""
+def _ports(block: Block, signals: Sequence[str], side: int) -> Iterator[tuple[str, Point]]:
+    """Each signal with its place at the left (-1) or the right (1) edge of a box."""
+    x, y = block.place
     for k, signal in enumerate(signals):
-        yield signal, PORT * (0.5 * (len(signals) - 1) - k)
+        yield signal, (x + 0.5 * side * WIDTH, y + PORT * (0.5 * (len(signals) - 1) - k))
 
 
 def _canvas(places: Sequence[Point], title: str) -> tuple[Figure, Axes]:
     """A page measured in inches around the boxes."""
-    xs, ys = zip(*places, strict=True)
-    left = min(xs) - 0.5 * WIDTH - 1.5
-    right = max(xs) + 0.5 * WIDTH + 1.4
-    low = min(ys) - 0.5 * HEIGHT - 1.6
-    high = max(ys) + 0.5 * HEIGHT + 1.2
-    figure = Figure(figsize=(right - left, high - low))
+    low = np.min(places, axis=0) - [0.5 * WIDTH + 1.5, 0.5 * HEIGHT + 1.6]
+    high = np.max(places, axis=0) + [0.5 * WIDTH + 1.4, 0.5 * HEIGHT + 1.2]
+    figure = Figure(figsize=high - low)
     figure.set_layout_engine("none")
-    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(left, right), ylim=(low, high))
+    xlim, ylim = zip(low, high, strict=True)
+    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=xlim, ylim=ylim)
     ax.set_axis_off()
-    ax.text(left + 0.2, high - 0.2, title, size=15, weight="bold", va="top")
+    ax.text(low[0] + 0.2, high[1] - 0.2, title, size=15, weight="bold", va="top")
     return figure, ax
 
 
 def _box(ax: Axes, block: Block) -> None:
-
-    (x, y) = PLACES[block.name]
-    (colour, _) = GROUPS[block.group]
-    corner = (x - 0.5 * WIDTH, y - 0.5 * HEIGHT)
+    x, y = block.place
+    colour = GROUPS[block.group][0]
     look: Any = {"boxstyle": "round,pad=0,rounding_size=0.07", "lw": 1.4, "zorder": 3}
-    ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc="white", ec=colour, **look))
-    ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc=colour, ec="none", alpha=0.14, **look))
+    for face in ({"fc": "white", "ec": colour}, {"fc": colour, "ec": "none", "alpha": 0.14}):
+        corner = (x - 0.5 * WIDTH, y - 0.5 * HEIGHT)
+        ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, **face, **look))
     name = textwrap.fill(block.name, 16)
     middle = 0.26 if block.equation else 0.0
     centred: Any = {"ha": "center", "va": "center", "zorder": 5}
@@ -275,15 +287,8 @@ def _name_inputs(ax: Axes, place: Point, signals: Sequence[str]) -> None:
             edge = y + side * 0.5 * HEIGHT
             _arrow(ax, [(x, edge + 0.22 * side), (x, edge)])
             rows = [" · ".join(names[k : k + 3]) for k in range(0, len(names), 3)]
-            ax.text(
-                x,
-                edge + 0.3 * side,
-                "\n".join(rows),
-                size=LABEL,
-                ha="center",
-                va=va,
-                bbox=NAMED if side < 0 else None,
-            )
+            look: Any = {"size": LABEL, "ha": "center", "bbox": NAMED if side < 0 else None}
+            ax.text(x, edge + 0.3 * side, "\n".join(rows), va=va, **look)
 
 
 def _wire(
@@ -298,7 +303,7 @@ def _wire(
     if turns and turns[0] < furthest:
         ax.plot(*points[1], "o", ms=3.5, color=INK, zorder=4)
     if len(turns) > 1:
-        _write(ax, 0.5 * (turns[0] + turns[2]), turns[1], LABELS[signal], "center")
+        _write(ax, 0.5 * (turns[0] + turns[2]), turns[1], signal, "center")
 
 
 def _arrow(ax: Axes, points: Sequence[Point]) -> None:
@@ -307,8 +312,8 @@ def _arrow(ax: Axes, points: Sequence[Point]) -> None:
     ax.annotate("", points[-1], points[-2], zorder=3, arrowprops=look)
 
 
-def _write(ax: Axes, x: float, y: float, text: str, side: Any) -> None:
-    ax.text(x, y + 0.03, text, size=LABEL, ha=side, va="bottom")
+def _write(ax: Axes, x: float, y: float, signal: str, side: Any) -> None:
+    ax.text(x, y + 0.03, LABELS[signal], size=LABEL, ha=side, va="bottom")
 
 
 def _legend(ax: Axes, groups: Sequence[str]) -> None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -42,8 +41,7 @@ _DARK = "#2E3338"
 _METAL = "#AEB6BF"
 
 
-@dataclass(frozen=True)
-class Callout:
+class Callout(NamedTuple):
     """A label beside what it names, joined to it by a thin line.
 
     Attributes:
@@ -75,26 +73,27 @@ class Callout:
         return label(f"{path}/label", self.text, self.colour)
 
 
-@dataclass(frozen=True)
+#: An overhead camera above the middle of the rod; scenarios do not say where it hangs.
+EYE = np.array([0.0, -0.08, 1.12])
+POST = np.array([0.0, -0.66, 0.0])
+
+
 class OverheadCamera:
-    """A camera on a boom, and the pyramid that it sees.
+    """A camera on a boom, whose post stands at `POST`, and the pyramid that it sees.
 
     Attributes:
-        eye: (3,) of the lens. post: (2,) where the boom's post stands on the floor.
-        middle: (3,) of the rectangle that is seen, in a horizontal plane.
-        half: (2,) half its sides (m).
+        eye: (3,) of the lens. corners: (4, 3) of the rectangle that is seen, in order.
     """
 
-    eye: Array
-    post: Array
-    middle: Array
-    half: Array
+    def __init__(self, height: float) -> None:
+        """Look at a horizontal rectangle.
 
-    @property
-    def corners(self) -> Array:
-        """(4, 3) of the rectangle that is seen, in order."""
-        signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-        return self.middle + np.column_stack((signs * self.half, np.zeros(4)))
+        Args:
+            height: of it (m).
+        """
+        self.eye = EYE
+        sides = [[0.5, 0.4, 0.0], [-0.5, 0.4, 0.0], [-0.5, -0.4, 0.0], [0.5, -0.4, 0.0]]
+        self.corners = np.array([EYE[0], EYE[1], height]) + sides
 
     def draw(self, scene: Visualizer, path: str) -> None:
         """Make the nodes."""
@@ -103,15 +102,14 @@ class OverheadCamera:
         node = scene[path]
         metal = material(_METAL)
         eye = self.eye
-        foot = np.append(self.post, 0.0)
         body = eye + [0.0, 0.0, 0.065]
-        top = np.append(self.post, eye[2] + 0.14)
+        top = POST + [0.0, 0.0, eye[2] + 0.14]
         arm = body + [0.0, 0.0, 0.075]
         bars = {
-            "post": (foot, top, 0.022, metal),
+            "post": (POST, top, 0.022, metal),
             "boom": (top, arm, 0.018, metal),
             "hanger": (arm, body, 0.012, metal),
-            "foot": (foot, foot + [0, 0, 0.02], 0.1, metal),
+            "foot": (POST, POST + [0, 0, 0.02], 0.1, metal),
             "lens": (body - [0, 0, 0.03], eye, 0.027, material("#15181C")),
             "glass": (eye, eye - [0, 0, 0.004], 0.021, material(VISION)),
         }
@@ -173,10 +171,6 @@ def _put(node: Visualizer, shape: Any, paint: Any, X: pin.SE3) -> None:
 # --- The workcell --------------------------------------------------------------------------------
 
 SCENARIO = "workcell"
-#: An overhead camera above the middle of the rod; scenarios do not say where it hangs.
-EYE = np.array([0.0, -0.08, 1.12])
-POST = np.array([0.0, -0.66])
-SEEN = np.array([0.5, 0.4])
 #: Where sensors sit: frame, place in it (m), radius of the ring that marks them.
 JOINT_SENSORS = (
     ("joint1", (0.0, 0.0, -0.012), 0.094),
@@ -189,8 +183,7 @@ FACE_THICKNESS = 0.02
 FACE_SIDE = 0.26
 
 
-@dataclass(frozen=True)
-class Shot:
+class Shot(NamedTuple):
     """One view of it.
 
     Attributes:
@@ -208,42 +201,37 @@ class Shot:
     whole: bool = False
 
 
-@dataclass(frozen=True)
 class Workcell:
-    """The rig and what it stood like at one tick of a run (channels of the recording)."""
+    """The rig and what it stood like at one tick of a run (channels of the recording).
 
-    rig: osc.Rig
-    sample: Data
+    Attributes:
+        rig, sample: those. frames: X of every frame of the arms, by "arm/frame".
+        camera: above the rod. faces: where they are.
+        rings: by path, where a sensor's ring is, its radius and colour.
+    """
 
-    @cached_property
-    def frames(self) -> dict[str, pin.SE3]:
-        """X of every frame of the arms, by "arm/frame"."""
-        model = self.rig.chain.model
+    def __init__(self, rig: osc.Rig, sample: Data) -> None:
+        """Place everything.
+
+        Args:
+            rig: of the scenario. sample: channels at the tick.
+        """
+        self.rig = rig
+        self.sample = sample
+        model = rig.chain.model
         data = model.createData()
-        pin.framesForwardKinematics(model, data, np.asarray(self.sample["q"]))
-        return {f.name: X.copy() for f, X in zip(model.frames, data.oMf, strict=True)}
-
-    @cached_property
-    def camera(self) -> OverheadCamera:
-        """Above the rod."""
-        height = float(self.sample["pose"][2])
-        return OverheadCamera(EYE, POST, np.array([EYE[0], EYE[1], height]), SEEN)
-
-    def rings(self) -> dict[str, tuple[pin.SE3, float, str]]:
-        """By path: where a sensor's ring is, its radius and colour."""
-        rings = {}
-        for spec in self.rig.scenario.arms:
+        pin.framesForwardKinematics(model, data, np.asarray(sample["q"]))
+        self.frames = {f.name: X.copy() for f, X in zip(model.frames, data.oMf, strict=True)}
+        self.camera = OverheadCamera(float(sample["pose"][2]))
+        self.faces = [pin.XYZQUATToSE3(np.asarray(x, dtype=float)) for x in sample["face_pose"]]
+        self.rings: dict[str, tuple[pin.SE3, float, str]] = {}
+        for spec in rig.scenario.arms:
             for k, (joint, place, radius) in enumerate(JOINT_SENSORS):
                 X = self.frames[f"{spec.name}/{joint}"] * at(place)
-                rings[f"joint_torque/{spec.name}{k + 1}"] = (X, radius, JOINT_TORQUE)
+                self.rings[f"joint_torque/{spec.name}{k + 1}"] = (X, radius, JOINT_TORQUE)
             place, radius = WRIST_SENSOR
             X = self.frames[f"{spec.name}/{spec.wrist_sensor}"] * at(place)
-            rings[f"wrist/{spec.name}"] = (X, radius, WRIST)
-        return rings
-
-    def faces(self) -> list[pin.SE3]:
-        """Where the faces are."""
-        return [pin.XYZQUATToSE3(np.asarray(x, dtype=float)) for x in self.sample["face_pose"]]
+            self.rings[f"wrist/{spec.name}"] = (X, radius, WRIST)
 
     def page(self, shot: Shot, path: Path) -> Path:
         """Write a still page of one view."""
@@ -259,9 +247,9 @@ class Workcell:
         changes(scene, {}, frame)
         if shot.whole:
             self.camera.draw(scene, "vision")
-        for k, X in enumerate(self.faces()):
+        for k, X in enumerate(self.faces):
             stand(scene[f"stands/{k}"], X, FACE_THICKNESS)
-        for node, (X, radius, colour) in self.rings().items():
+        for node, (X, radius, colour) in self.rings.items():
             ring(scene[f"sensors/{node}"], X, radius, colour, 0.0042)
         heading, elevation = np.deg2rad([shot.heading, shot.elevation])
         aspect = shot.size[0] / shot.size[1]
@@ -377,12 +365,13 @@ def draw(cell: Workcell) -> Figure:
 
 def _whole(cell: Workcell) -> Shot:
     camera = cell.camera
-    rings = cell.rings()
+    rings = cell.rings
     left, right = (cell.frames[f"{name}/joint1"].translation for name in ("left", "right"))
     feet = [p * [1, 1, 0] + [0.13 * np.sign(p[0]), 0, 0] for p in (left, right)]
-    post = np.column_stack((np.tile(POST, (2, 1)), [0.0, camera.eye[2] + 0.17]))
-    points = np.vstack((feet, post, camera.eye + [0, 0, 0.17], camera.corners))
-    corner = min(_corners(cell.faces()[0]), key=lambda p: float(p[2]))
+    lift = [0, 0, 0.17]
+    top = POST + lift + [0, 0, camera.eye[2]]
+    points = np.vstack((feet, POST, top, camera.eye + lift, camera.corners))
+    corner = min(_corners(cell.faces[0]), key=lambda p: float(p[2]))
     vision = "overhead vision: " + _vision_words(cell)
     sensor = _edge(rings["joint_torque/left2"], 1.0)
     callouts = [
@@ -398,7 +387,7 @@ def _whole(cell: Workcell) -> Shot:
 
 
 def _task(cell: Workcell) -> Shot:
-    corners = [corner for X_WF in cell.faces() for corner in _corners(X_WF)]
+    corners = [corner for X_WF in cell.faces for corner in _corners(X_WF)]
     callouts = []
     for k, contact in enumerate(cell.rig.scenario.contacts):
         point, push = (cell.sample[f"contact_{what}"][k] for what in ("point", "direction"))
@@ -413,9 +402,7 @@ def _task(cell: Workcell) -> Shot:
 def _gripper(cell: Workcell) -> Shot:
     hinge = cell.frames["left/hinge"].translation
     side = cell.frames["left/wrist_sensor"].rotation @ [0, 0.03, 0]
-    joint, wrist = (
-        _edge(cell.rings()[name], -1.0) for name in ("joint_torque/left4", "wrist/left")
-    )
+    joint, wrist = (_edge(cell.rings[name], -1.0) for name in ("joint_torque/left4", "wrist/left"))
     points = hinge + np.array([[-0.13, 0.0, -0.05], [0.13, 0.0, 0.125]])
     callouts = [
         Callout("joint torque sensor", joint, (-0.1, 0.01), JOINT_TORQUE),

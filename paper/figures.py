@@ -9,18 +9,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import osc_contact as osc
+from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.contacts.raibert_craig import as_raibert_craig
 from osc_contact.recorder.judged import SETTLE_S, STEP_BLANK_S, judged_ticks
 from osc_contact.runs.viewing import object_size
-from osc_contact.spatial import Array, cross
+from osc_contact.spatial import Array
 from osc_contact.visual import plots
 from osc_contact.visual.screws import common_perpendicular
 from paper.contact_pictures import draw_contact_state
-from paper.diagrams import BLOCKS, LOOP, Block, draw_blocks
+from paper.diagrams import BLOCKS, LOOP, draw_blocks
 from paper.statements import Answer
 
 SCENARIO = "two_contact_rod"
-FIGURES = ("fig1", "fig4", "fig5", "fig6", "fig8")
 NEED_RUN = {"fig6", "fig8"}
 
 
@@ -54,21 +54,24 @@ def reproduce(
     return plots.contact_forces(recording, forces)
 
 
-def _draw_fig1(rig: osc.Rig) -> Figure:
+def _faces(rig: osc.Rig) -> tuple[list[osc.VertexOnFace], Array, Array]:
+    """Vertices on faces, where they touch and along which directions they push, (k, 3)."""
     X = rig.state().X_WO
     pairs = [pair for pair in rig.pairs if isinstance(pair, osc.VertexOnFace)]
+    points = np.array([pair.point_on_face(X) for pair in pairs])
+    return pairs, points, np.array([pair.direction() for pair in pairs])
+
+
+def _draw_fig1(rig: osc.Rig) -> Figure:
+    pairs, points, directions = _faces(rig)
     if not pairs:
         raise osc.InvalidInputError("fig1 shows vertices on faces; the scenario has none")
+    X = rig.state().X_WO
     square = 0.09 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    return draw_contact_state(
-        points=np.array([pair.point_on_face(X) for pair in pairs]),
-        directions=np.array([pair.direction() for pair in pairs]),
-        rod=np.array([X.act(pair.vertex) for pair in pairs]),
-        faces=[
-            np.array([pair.face_placement().act(corner) for corner in square]) for pair in pairs
-        ],
-        title="Fig. 1: two contacts whose normals are skew",
-    )
+    faces = [np.array([pair.face_placement().act(x) for x in square]) for pair in pairs]
+    rod = np.array([X.act(pair.vertex) for pair in pairs])
+    title = "Fig. 1: two contacts whose normals are skew"
+    return draw_contact_state(points, directions, rod, faces, title)
 
 
 LOOKS = 21  #: moments of a run at which its constraint frame is looked for
@@ -92,18 +95,15 @@ class Evidence:
 
 
 def _fig1(seen: Evidence) -> dict[str, Answer]:
-    state = seen.rig.state()
     contact = seen.rig.contact()
-    X = state.X_WO
-    faces = [pair for pair in seen.rig.pairs if isinstance(pair, osc.VertexOnFace)]
-    if len(faces) != 2:
+    X = seen.rig.state().X_WO
+    pairs, points, directions = _faces(seen.rig)
+    if len(pairs) != 2:
         return {}
-    points = np.array([pair.point_on_face(X) for pair in faces])
-    directions = np.array([pair.direction() for pair in faces])
     apart = common_perpendicular(points[0], directions[0], points[1], directions[1])
     angle = np.rad2deg(apart.angle)
-    frame = contact.as_raibert_craig(object_size(seen.rig.pairs, seen.rig.state().X_WO))
-    by_hand = np.vstack([directions.T, cross((points - X.translation).T, directions.T)])
+    frame = contact.as_raibert_craig(object_size(seen.rig.pairs, X))
+    by_hand = lines_of_force((points - X.translation).T, directions.T)
     off = np.abs(contact.N - by_hand).max()
     return {
         "skew": Answer(
@@ -124,9 +124,10 @@ def _fig1(seen: Evidence) -> dict[str, Answer]:
 
 
 def _fig4(seen: Evidence) -> dict[str, Answer]:
-    structure = _one(BLOCKS, lambda b: "f_S" in b.outputs)
+    made_by = {signal: block for block in BLOCKS for signal in block.outputs}
+    structure = made_by["f_S"]
+    model = made_by["contact"]
     raw = [b.name for b in BLOCKS if "a_u" in b.inputs]
-    model = _one(BLOCKS, lambda b: "contact" in b.outputs)
     path = np.ptp(seen["contact_point"], axis=0)
     change = 1e3 * np.abs(np.ptp(seen["N"], axis=0)[3:]).max()
     return {
@@ -234,10 +235,6 @@ def _after_step(recording: osc.Recording) -> Array:
     return np.any(just, axis=0) if just else np.zeros(t.shape, dtype=bool)
 
 
-def _one(blocks: Sequence[Block], which: Callable[[Block], bool]) -> Block:
-    return next(block for block in blocks if which(block))
-
-
 def _each(values: Sequence[float], form: str, scale: float = 1.0) -> str:
     return " and ".join(form.format(scale * value) for value in values)
 
@@ -249,3 +246,4 @@ ANSWERS: dict[str, Callable[[Evidence], dict[str, Answer]]] = {
     "fig6": _fig6,
     "fig8": _fig8,
 }
+FIGURES = tuple(ANSWERS)

@@ -16,9 +16,7 @@ not zero are those above.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -89,54 +87,41 @@ _WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 _HELD = pin.Inertia(1.2, np.array([0.03, 0.0, 0.02]), np.diag([4e-3, 6e-3, 5e-3]))
 
 
-@dataclass(frozen=True, eq=False)
 class HybridArm:
     """An arm of n joints that controls the force along one world axis and n − 1 motions.
 
     Attributes:
         name: in titles.
         chain: one arm and the held object, whose frame is the tip.
-        rows: (n,) which rows of the tip's twist (world axes at the tip) are the task coordinates.
-        force: which of them is force-controlled.
+        plant: model of the arm with the object's inertia on its last joint; data: its scratch, from
+            which nothing read outlives the next call; tip: index of the tip's frame.
+        rows: the first n of the tip's twist (world axes at the tip), the task coordinates.
+        force: which of them is force-controlled; selection: (n,) 0 there, else 1.
+        pair: the contact, a face square to the force axis, touched at the tip.
         K_q: (n, n) joint stiffness of the classic scheme (N m/rad).
         K_prime: (6, 6) stiffness of ours, world axes (N/m, N m/rad).
     """
 
-    name: str
-    chain: osc.ClosedChain
-    rows: tuple[int, ...]
-    force: int
-    K_q: Array
-    K_prime: Array = field(default_factory=lambda: np.diag([300.0, 300.0, 300.0, 3.0, 3.0, 3.0]))
+    def __init__(self, name: str, arm: osc.Arm, force: int, K_q: Array) -> None:
+        """Let the arm hold the object.
 
-    @cached_property
-    def plant(self) -> pin.Model:
-        """The arm with the object's inertia on its last joint."""
-        model = self.chain.model.copy()
-        frame = model.frames[self.tip]
-        model.appendBodyToJoint(frame.parentJoint, _HELD, frame.placement)
-        return model
-
-    @cached_property
-    def data(self) -> pin.Data:
-        """Scratch of `plant`; nothing read from it outlives the next call."""
-        return self.plant.createData()
-
-    @cached_property
-    def tip(self) -> int:
-        """Index of the tip frame in `plant`."""
-        arm = self.chain.arms[0]
-        return robots.frame_id(self.chain.model, f"{arm.name}/{arm.tip}")
-
-    @cached_property
-    def pair(self) -> osc.VertexOnFace:
-        """The contact: a face square to the force axis, touched at the tip."""
-        return osc.VertexOnFace(np.zeros(3), np.zeros(3), -np.eye(6)[self.force, :3])
-
-    @property
-    def selection(self) -> Array:
-        """(n,) 1 where the task coordinate is position-controlled, 0 where the force is."""
-        return np.array([float(row != self.force) for row in self.rows])
+        Args:
+            name, force, K_q: as the attributes. arm: without its object.
+        """
+        self.name = name
+        self.chain = osc.ClosedChain([arm], payload=osc.RigidObject(_HELD))
+        self.plant = self.chain.model.copy()
+        self.tip = robots.frame_id(self.plant, f"{arm.name}/{arm.tip}")
+        frame = self.plant.frames[self.tip]
+        self.plant.appendBodyToJoint(frame.parentJoint, _HELD, frame.placement)
+        self.data = self.plant.createData()
+        n = self.chain.nq
+        self.rows = slice(n)
+        self.force = force
+        self.selection = (np.arange(n) != force).astype(float)
+        self.pair = osc.VertexOnFace(np.zeros(3), np.zeros(3), -np.eye(6)[force, :3])
+        self.K_q = K_q
+        self.K_prime = np.diag([300.0, 300.0, 300.0, 3.0, 3.0, 3.0])
 
     def terms(self, q: Array) -> tuple[Array, Array, pin.SE3]:
         """M (n, n) with the object, the tip's Jacobian (6, n), world axes, and its pose."""
@@ -144,11 +129,11 @@ class HybridArm:
         M = np.array(pin.crba(self.plant, data, q))
         J = pin.computeFrameJacobian(self.plant, data, q, self.tip, _WORLD_AXES)
         pin.updateFramePlacement(self.plant, data, self.tip)
-        return np.triu(M) + np.triu(M, 1).T, np.array(J), pin.SE3(data.oMf[self.tip])
+        return M, np.array(J), pin.SE3(data.oMf[self.tip])
 
     def tangents(self, J: Array) -> Array:
         """(6, n−1) what the contact permits and the arm can do, J (6, n) the tip's Jacobian."""
-        if len(self.rows) == 6:  # the arm can do everything
+        if self.chain.nq == 6:  # the arm can do everything
             return np.delete(np.eye(6), self.force, axis=1)
         return J @ np.linalg.svd(J[[self.force]])[2][1:].T
 
@@ -171,19 +156,14 @@ def planar_arm() -> HybridArm:
     model.upperEffortLimit = np.full(2, 100.0)
     model.lowerEffortLimit = -model.upperEffortLimit
     model.addFrame(pin.Frame("tip", parent, placement, pin.FrameType.OP_FRAME))
-    chain = _holding(osc.Arm.from_urdf(model, name="planar", tip="tip"))
-    return HybridArm("planar 2R arm", chain, (0, 1), 1, 120.0 * np.eye(2))
-
-
-def _holding(arm: osc.Arm) -> osc.ClosedChain:
-    return osc.ClosedChain([arm], payload=osc.RigidObject(_HELD))
+    arm = osc.Arm.from_urdf(model, name="planar", tip="tip")
+    return HybridArm("planar 2R arm", arm, 1, 120.0 * np.eye(2))
 
 
 def ur5_arm() -> HybridArm:
     """A UR5 that controls the force along z and all other motions of its tool."""
-    chain = _holding(osc.Arm.from_urdf(robots.find_robot("ur5")[0], name="ur5", tip="tool0"))
-    K_q = np.diag([400.0, 400.0, 200.0, 20.0, 20.0, 20.0])
-    return HybridArm("UR5", chain, tuple(range(6)), 2, K_q)
+    arm = osc.Arm.from_urdf(robots.find_robot("ur5")[0], name="ur5", tip="tool0")
+    return HybridArm("UR5", arm, 2, np.diag([400.0, 400.0, 200.0, 20.0, 20.0, 20.0]))
 
 
 #: s: damping = this times stiffness, in both laws.
@@ -251,8 +231,8 @@ def classic_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
         (n,) joint torques (N m).
     """
     _, J_tip, tip = arm.terms(q)
-    J = J_tip[list(arm.rows)]
-    x = -pose_error(goal, tip)[list(arm.rows)]
+    J = J_tip[arm.rows]
+    x = -pose_error(goal, tip)[arm.rows]
     q_e = np.linalg.solve(J, arm.selection * (x + DAMPING_S * (J @ v)))
     bias = pin.nonLinearEffects(arm.plant, arm.data, q, v)
     return bias - arm.K_q @ q_e
@@ -276,8 +256,7 @@ def our_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
     return np.linalg.solve(state.G, f_S)  # as many motors as motions
 
 
-@dataclass(frozen=True)
-class WorstPosture:
+class WorstPosture(NamedTuple):
     """The posture in which the classic scheme is least stable, and both schemes there.
 
     Attributes:
@@ -336,7 +315,7 @@ def search(
 def eigenvalues(arm: HybridArm, q: Array) -> tuple[Array, Array]:
     """`classic_eigenvalues` and `our_eigenvalues` in a posture (n,)."""
     M, J, tip = arm.terms(q)
-    classic = classic_eigenvalues(M, J[list(arm.rows)], arm.selection, arm.K_q)
+    classic = classic_eigenvalues(M, J[arm.rows], arm.selection, arm.K_q)
     return classic, our_eigenvalues(arm.tangents(J), arm.metric(tip), arm.K_prime)
 
 
@@ -346,9 +325,8 @@ def regularity(arm: HybridArm, q: Array) -> float:
     The least eigenvalue of LᵀJM⁻¹JᵀL with LLᵀ the object's inertia: no units, no frame.
     """
     M, J_tip, tip = arm.terms(q)
-    rows = list(arm.rows)
-    J = J_tip[rows]
-    L = np.linalg.cholesky(np.linalg.inv(arm.metric(tip)[np.ix_(rows, rows)]))
+    J = J_tip[arm.rows]
+    L = np.linalg.cholesky(np.linalg.inv(arm.metric(tip)[arm.rows, arm.rows]))
     return float(np.linalg.eigvalsh(L.T @ J @ np.linalg.solve(M, J.T) @ L)[0])
 
 
@@ -384,8 +362,7 @@ LEFT = 0.5
 Law = Callable[[HybridArm, Array, Array, pin.SE3], Array]
 
 
-@dataclass(frozen=True)
-class Histories:
+class Histories(NamedTuple):
     """Joint errors (k, n) over time t (k,), rad from the posture; NaN once a joint has `LEFT`."""
 
     t: Array
@@ -443,11 +420,11 @@ def _integrate(worst: WorstPosture, law: Law, goal: pin.SE3, start: Array, t: Ar
 
 def _reached(worst: WorstPosture, offset: Array, goal: pin.SE3) -> Array:
     """(n,) joint positions whose task coordinates are exactly `offset` from the posture's."""
-    rows = list(worst.arm.rows)
+    arm = worst.arm
     q = worst.q
     for _ in range(10):
-        _, J, tip = worst.arm.terms(q)
-        q = q + np.linalg.solve(J[rows], offset + pose_error(goal, tip)[rows])
+        _, J, tip = arm.terms(q)
+        q = q + np.linalg.solve(J[arm.rows], offset + pose_error(goal, tip)[arm.rows])
     return q
 
 

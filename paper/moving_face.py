@@ -6,7 +6,6 @@ with one that sees the face's pose and velocity but takes it as unyielding and u
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -43,29 +42,15 @@ FACES: dict[str, tuple[str, ...]] = {
 LAWS = {"full law": "known", "without Φ_e, b_e": "ignored"}
 
 
-@dataclass(frozen=True)
-class Case:
-    """One run.
-
-    Attributes:
-        face, law: keys of `FACES` and `LAWS`.
-        recording: of the run.
-        row: what is compared: errors of both contact forces, contact kept, travel of the face.
-    """
-
-    face: str
-    law: str
-    recording: osc.Recording
-    row: Data
-
-
 def run(
     plant: str = "mujoco",
     duration: float = 10.0,
     faces: Iterable[str] = FACES,
     tell: Callable[[str], None] = lambda _: None,
-) -> list[Case]:
-    """Every face under both laws.
+) -> list[tuple[Data, osc.Recording]]:
+    """Every face under both laws: what is compared, and the recording.
+
+    Compared are errors of both contact forces, contact kept, travel of the face.
 
     Args:
         plant: "mujoco" or "rigid". duration: of each run (s), more than the 1 s it settles.
@@ -87,7 +72,7 @@ def run(
             "contact_fraction": min(verdict["contact_fraction"].values()),
             "travel_m": float(np.ptp(_travel(recording))),
         }
-        cases.append(Case(face, law, recording, row))
+        cases.append((row, recording))
     return cases
 
 
@@ -97,24 +82,24 @@ def _travel(recording: osc.Recording) -> Array:
     return -np.sign(path[:, 0]) * np.linalg.norm(path, axis=1)
 
 
-def draw(cases: Sequence[Case]) -> Figure:
+def draw(cases: Sequence[tuple[Data, osc.Recording]]) -> Figure:
     """Travel of the face on the left, error of the force on it on the right; a row each."""
-    faces = list(dict.fromkeys(case.face for case in cases))
+    faces = list(dict.fromkeys(row["face"] for row, _ in cases))
     colours = dict(zip(LAWS, ("blue", "vermillion"), strict=True))
     with style():
         figure = Figure(figsize=(9.6, 1.9 * len(faces) + 0.9))
         axes = figure.subplots(len(faces), 2, sharex=True, sharey="col", squeeze=False)
         largest = 0.0
-        for case in reversed(cases):
-            travel, force = axes[faces.index(case.face)]
-            t = case.recording["t"]
-            colour = OKABE_ITO[colours[case.law]]
-            error = case.recording["alpha_true"][:, 0] - case.recording["alpha_cmd"][:, 0]
-            rms = 100 * case.row["left_end_rms_error_rel"]
-            travel.plot(t, 1e3 * _travel(case.recording), color=colour, lw=1.4)
-            force.plot(t, error, color=colour, lw=1.1, label=f"{case.law}: {rms:.2g} % rms")
+        for row, recording in reversed(cases):
+            travel, force = axes[faces.index(row["face"])]
+            t = recording["t"]
+            colour = OKABE_ITO[colours[row["law"]]]
+            error = recording["alpha_true"][:, 0] - recording["alpha_cmd"][:, 0]
+            label = f"{row['law']}: {100 * row['left_end_rms_error_rel']:.2g} % rms"
+            travel.plot(t, 1e3 * _travel(recording), color=colour, lw=1.4)
+            force.plot(t, error, color=colour, lw=1.1, label=label)
             largest = max(largest, np.abs(error[t >= SETTLE_S]).max())
-            travel.set(title=case.face, ylabel="travel (mm)")
+            travel.set(title=row["face"], ylabel="travel (mm)")
             force.set(title="force on it, true − desired", ylabel="(N)")
             force.legend(loc="upper right", ncols=2)
         for ax in axes.flat:
@@ -129,7 +114,7 @@ def draw(cases: Sequence[Case]) -> Figure:
 def study(ask: Ask) -> Study:
     """All faces under both laws."""
     cases = run(duration=ask.lasting(10.0), tell=ask.tell)
-    data = [case.row for case in cases]
+    data = [row for row, _ in cases]
     table = table_of(
         "moving_face on mujoco",
         "left face; law; left force, rms; peak; right force, rms; closed; face travels",

@@ -10,14 +10,14 @@ import base64
 import re
 import shlex
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from html import escape
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.table import Table
 
@@ -25,34 +25,39 @@ import osc_contact as osc
 from osc_contact import __version__
 from osc_contact.console import err, out, record
 from osc_contact.law import compiled
-from osc_contact.runs.report import verdict_table, write_report
+from osc_contact.runs.report import verdict_table, write_json, write_report
 from osc_contact.visual.page import POLICY, asset, filled, write_whole
 from osc_contact.visual.plots import PRINT, save
-from paper import figures
+from paper import (
+    baselines,
+    cone_in_groove,
+    contact_phases,
+    fig3,
+    figures,
+    kinematic_stability,
+    moving_face,
+    robustness,
+    workcell,
+)
 from paper.figures import ANSWERS, Evidence
 from paper.statements import PAPER, Answer, PaperFigure, Verdict, judge
-from paper.studies import SLOW, STUDIES, write_study
-from paper.study import Ask, Data
+from paper.study import Ask, Data, Study
 
 _TYPES = {".svg": "image/svg+xml", ".png": "image/png"}  #: shown: the first there is
 _SIZE = re.compile(r'viewBox="0 0 ([0-9.]+) ([0-9.]+)"')
 MOST_BYTES = 500_000  #: of a picture; a larger one is shown as PNG
 BROAD = 1.8  #: a figure wider than this, by its height, stands above its text
+#: Class, mark and meaning of each verdict.
 _MARKS = {
-    Verdict.reproduced: ("yes", "✓"),
-    Verdict.partly: ("part", "…"),
-    Verdict.contradicted: ("no", "✗"),
-    Verdict.missing: ("none", "–"),
-}
-_RULES = (
-    (Verdict.reproduced, "every statement was put to the test and holds"),
-    (
-        Verdict.partly,
+    Verdict.reproduced: ("yes", "✓", "every statement was put to the test and holds"),
+    Verdict.partly: (
+        "part",
+        "…",
         "statements that nothing answers yet are marked open, or no picture was drawn",
     ),
-    (Verdict.contradicted, "a statement does not hold in ours"),
-    (Verdict.missing, "nothing here makes this figure yet"),
-)
+    Verdict.contradicted: ("no", "✗", "a statement does not hold in ours"),
+    Verdict.missing: ("none", "–", "nothing here makes this figure yet"),
+}
 
 
 def write_paper_report(reproduction: Reproduction, path: Path) -> Path:
@@ -70,7 +75,9 @@ def write_paper_report(reproduction: Reproduction, path: Path) -> Path:
         "script": asset("report.js"),
         "about": _about(reproduction),
         "overview": "".join(_row(figure, verdicts[figure.name]) for figure in PAPER),
-        "rules": "".join(f"<li>{_badge(v)} {escape(words)}</li>" for v, words in _RULES),
+        "rules": "".join(
+            f"<li>{_badge(v)} {escape(words)}</li>" for v, (*_, words) in _MARKS.items()
+        ),
         "figures": "".join(
             _section(figure, reproduction, verdicts[figure.name]) for figure in PAPER
         ),
@@ -140,7 +147,7 @@ def _statement(words: str, answer: Answer | None, made: bool) -> str:
         verdict = Verdict.reproduced if answer.holds else Verdict.contradicted
         said = answer.found
         limit = f' <span class="limit">Asked: {escape(answer.limit)}.</span>' * bool(answer.limit)
-    kind, mark = _MARKS[verdict]
+    kind, mark, _ = _MARKS[verdict]
     return (
         f'<li><p>{escape(words)}</p><p class="said"><span class="mark {kind}" title="{verdict}">'
         f"{mark}</span> {escape(said)}{limit}</p></li>"
@@ -183,12 +190,9 @@ def _table(table: Table | None) -> str:
     if table is None:
         return ""
     heads = "".join(f"<th>{escape(str(column.header))}</th>" for column in table.columns)
-    rows: Sequence[tuple[object, ...]] = list(
-        zip(*(column.cells for column in table.columns), strict=True)
-    )
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
-    )
+    body = ""
+    for row in zip(*(column.cells for column in table.columns), strict=True):
+        body += f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>"
     title = f"<caption>{escape(str(table.title))}</caption>" if table.title else ""
     return f'<div class="wide"><table>{title}<tr>{heads}</tr>{body}</table></div>'
 
@@ -210,7 +214,7 @@ def _command(name: str, reproduction: Reproduction) -> str:
 
 
 def _badge(verdict: Verdict) -> str:
-    kind, mark = _MARKS[verdict]
+    kind, mark, _ = _MARKS[verdict]
     return f'<span class="badge {kind}">{mark} {verdict}</span>'
 
 
@@ -225,6 +229,23 @@ def _base64(data: bytes) -> str:
 # --- `osc-contact reproduce`: makes figures and studies, by their names ---
 
 
+STUDIES: dict[str, Callable[[Ask], Study]] = {
+    "fig2": cone_in_groove.study,
+    "fig3": fig3.study,
+    "kinematic_stability": kinematic_stability.study,
+    "moving_face": moving_face.study,
+    "baselines": baselines.study,
+    "robustness": robustness.study,
+    "workcell": workcell.study,
+    "fig7": contact_phases.fig7,
+    "approach_and_slide": contact_phases.landing_study,
+}
+SLOW = {"baselines", "robustness", "workcell", "fig7", "approach_and_slide"}
+"""several minutes: not in `reproduce all`"""
+WITH_SCENARIO = SLOW | {"fig3"}
+"""whose scenario can be changed"""
+WITH_SAMPLES = {"robustness"}
+"""whose runs are samples"""
 REPRODUCIBLE = (*figures.FIGURES, *STUDIES)
 BRIEF_S = 10.0  #: of each run of a slow study that is one of several
 
@@ -251,8 +272,7 @@ class Made:
         return any(path.suffix in (".png", ".svg") for path in self.files)
 
 
-@dataclass(frozen=True)
-class Reproduction:
+class Reproduction(NamedTuple):
     """Everything that one command made.
 
     Attributes:
@@ -322,9 +342,8 @@ def typed(plant: str | None, duration: float | None, seed: int, changes: Sequenc
         seed: of `--seed`; 0 is left out.
         changes: of `--set`.
     """
-    words = [] if plant is None else ["--plant", plant]
-    words += [] if duration is None else ["--duration", f"{duration:g}"]
-    words += ["--seed", str(seed)] if seed else []
+    given = {"--plant": plant, "--duration": duration and f"{duration:g}", "--seed": seed or None}
+    words = [word for pair in given.items() if pair[1] is not None for word in map(str, pair)]
     return shlex.join([*words, *(word for change in changes for word in ("--set", change))])
 
 
@@ -349,13 +368,16 @@ def make(
         out.print(verdict_table(write_report(recording, scenario, of_run)))
         scene = of_run / "scene.html"
     made = {}
-    studies = {name: _ask_one(name, names, ask) for name in names if name in STUDIES}
+    brief = ask
+    if len(names) > 1 and ask.duration is None:  # slow ones among others
+        brief = replace(ask, duration=BRIEF_S)
+    studies = {name: brief if name in SLOW else ask for name in names if name in STUDIES}
     with ExitStack() as stack:
         coming = {}
         if len(studies) > 1:
             compiled.rows()  # made once if need be, not in every process
             pool = stack.enter_context(ProcessPoolExecutor(mp_context=get_context("spawn")))
-            coming = {k: pool.submit(_make_study, k, folder, one) for k, one in studies.items()}
+            coming = {k: pool.submit(write_study, k, folder, one) for k, one in studies.items()}
         for name in drawn:
             files = save(figures.reproduce(name, scenario, recording), folder / name, PRINT)
             answers = {}
@@ -365,19 +387,34 @@ def make(
         for name, one in studies.items():
             with err.status(name) as status:
                 here = replace(one, tell=status.update)
-                study = coming[name].result() if coming else _make_study(name, folder, here)
+                study = coming[name].result() if coming else write_study(name, folder, here)
             out.print(study.table)
             more = "" if one is ask else typed(None, one.duration, 0, ())
             made[name] = replace(study, options=more)
     return Reproduction(made, scenario, recording, scene, options)
 
 
-def _ask_one(name: str, names: Sequence[str], ask: Ask) -> Ask:
-    """What is asked of a study: slow ones are brief among others."""
-    brief = name in SLOW and len(names) > 1 and ask.duration is None
-    return replace(ask, duration=BRIEF_S) if brief else ask
+def write_study(name: str, folder: Path, ask: Ask) -> Made:
+    """Run a study; write its figures (PNG, SVG, PDF) and NAME.json into a folder.
 
+    Args:
+        name: one of `STUDIES`.
+        folder: made if need be.
+        ask: seed, duration and more.
 
-def _make_study(name: str, folder: Path, ask: Ask) -> Made:
-    study, written = write_study(name, folder, ask)
-    return Made(written, study.answers, study.table, study.data)
+    Raises:
+        InvalidInputError: changes of a scenario for a study that has none.
+    """
+    if ask.changes and name not in WITH_SCENARIO:
+        raise osc.InvalidInputError(f"{name} is not made from a scenario; leave --set out")
+    folder.mkdir(parents=True, exist_ok=True)
+    study = STUDIES[name](replace(ask, folder=folder))
+    files = [
+        path
+        for title, figure in study.figures.items()
+        for path in save(figure, folder / title, PRINT)
+    ]
+    files += [write(folder / f"{title}.html") for title, write in study.pages.items()]
+    files.append(folder / f"{name}.json")
+    write_json(study.data, files[-1])
+    return Made(files, study.answers, study.table, study.data)

@@ -1,8 +1,7 @@
 """Ours and the best selection laws where plant and controller's model differ: the runs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,9 +11,9 @@ from rich.table import Table
 
 import osc_contact as osc
 from osc_contact.spatial import Array
-from osc_contact.sweeps.rows import RowFile, make_rows, scenario_of
+from osc_contact.sweeps.rows import make_rows, scenario_of
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.sweep import make_all, workers_of
+from osc_contact.sweeps.sweep import run_rows
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.plots import style
 from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, SelectionLaw, best_frames
@@ -53,69 +52,27 @@ Candidate = tuple[SelectionLaw, float, float]
 _FIRST = 2  #: samples of each case by which the best selection laws are chosen
 
 
-@dataclass(frozen=True)
-class Robustness:
-    """What the laws made of the same runs.
+def errors(rows: Sequence[Data], law: str, quantity: str) -> Array:
+    """(samples,) sorted, in the units of `QUANTITIES`; infinite where the task failed.
 
-    Attributes:
-        laws: the best of each family of selection laws, by the names of `BASELINES`.
-        candidates: of each family (law, force error, motion error) of all that do the task:
-            geometric means over the runs by which the best was chosen.
-        rows: by what varies: one a sample, with `LAW.word`, `LAW.failed`, `LAW.force` (relative
-            rms error of the worse contact) and `LAW.motion` (rms error of the position, m).
-        nominal: the row without anything varied. changes: key=value of all runs.
+    Args:
+        rows: of a case. law: of `LAWS`. quantity: of `QUANTITIES`.
     """
+    found = [np.inf if r[f"{law}.failed"] else r[f"{law}.{quantity}"] for r in rows]
+    return np.sort(_SCALE[quantity] * np.array(found, dtype=float))
 
-    laws: dict[str, SelectionLaw]
-    candidates: dict[str, list[Candidate]]
-    rows: dict[str, list[Data]]
-    nominal: Data
-    changes: tuple[str, ...] = ()
 
-    def errors(self, varied: str, law: str, quantity: str) -> Array:
-        """(samples,) sorted, in the units of `QUANTITIES`; infinite where the task failed.
+def quantiles(rows: Sequence[Data], law: str) -> Data:
+    """Share of tasks done, and the errors below which `SHARES` of the runs are.
 
-        Args:
-            varied: of `VARIED`. law: of `LAWS`. quantity: of `QUANTITIES`.
-        """
-        rows = self.rows[varied]
-        found = [np.inf if r[f"{law}.failed"] else r[f"{law}.{quantity}"] for r in rows]
-        return np.sort(_SCALE[quantity] * np.array(found, dtype=float))
-
-    def as_dict(self) -> Data:
-        """JSON-able: how the laws were chosen, quantiles of every case and all rows."""
-        return {
-            "scenario": SCENARIO,
-            "set_in_all_runs": list(self.changes),
-            "selection": {
-                name: {
-                    "law": law.baseline.label,
-                    "equation": law.baseline.equation,
-                    "candidates": len(self.candidates[name]),
-                    **law.selection.as_dict(),
-                }
-                for name, law in self.laws.items()
-            },
-            "nominal": self.nominal,
-            "cases": {
-                varied: {
-                    "varied": list(VARIED[varied]),
-                    "samples": len(rows),
-                    **{law: self._told(varied, law) for law in LAWS},
-                }
-                for varied, rows in self.rows.items()
-            },
-            "rows": self.rows,
-        }
-
-    def _told(self, varied: str, law: str) -> Data:
-        rows = self.rows[varied]
-        found: Data = {"success_rate": sum(not row[f"{law}.failed"] for row in rows) / len(rows)}
-        for quantity in QUANTITIES:
-            errors = self.errors(varied, law, quantity)
-            values = np.quantile(errors, SHARES, method="inverted_cdf")
-            found[quantity] = [float(x) if np.isfinite(x) else None for x in values]
-        return found
+    Args:
+        rows: of a case. law: of `LAWS`.
+    """
+    told: Data = {"success_rate": sum(not row[f"{law}.failed"] for row in rows) / len(rows)}
+    for quantity in QUANTITIES:
+        values = np.quantile(errors(rows, law, quantity), SHARES, method="inverted_cdf")
+        told[quantity] = [float(x) if np.isfinite(x) else None for x in values]
+    return told
 
 
 def run(
@@ -125,7 +82,7 @@ def run(
     changes: Sequence[str] = (),
     workers: int | None = None,
     tell: Callable[[str], None] = lambda _: None,
-) -> Robustness:
+) -> Data:
     """Run every case: each sample once under each law, on the same plant with the same seed.
 
     The best law of a family is the one with the least product of force error and motion error.
@@ -135,6 +92,11 @@ def run(
         changes: key=value of the scenario, in all runs.
         folder: for the rows; those that are done there are not run again.
         workers: see `sweep`. tell: called with what is done.
+
+    Returns:
+        JSON-able: how the laws were chosen, the row without anything varied, quantiles of every
+        case and all rows: one a sample, with `LAW.word`, `LAW.failed`, `LAW.force` (relative rms
+        error of the worse contact) and `LAW.motion` (rms error of the position, m).
 
     Raises:
         ScenarioError, ContactError: the changes do not fit the comparison.
@@ -149,27 +111,40 @@ def run(
     best = {name: min(some, key=lambda x: x[1] * x[2])[0] for name, some in candidates.items()}
     laws: dict[str, Law] = {"ours": Ours()} | best
     frames = {name: law.selection.as_dict() for name, law in best.items()}
-    with ExitStack() as stack:
-        files = []
-        for name, study in zip(VARIED, studies, strict=True):
-            files.append(RowFile(folder / f"robustness_{name}.jsonl", study, frames))
-            stack.callback(files[-1].close)
-        done = [{k: row for k, row in file.done.items() if k < samples} for file in files]
-        jobs = [
-            (study, [number])
-            for number in range(samples)
-            for study, rows in zip(studies, done, strict=True)
-            if number not in rows
-        ]
-        crew = stack.enter_context(workers_of(workers, None, len(jobs)))
-        for study, row in make_all(crew, jobs, partial(_make, laws)):
-            case = studies.index(study)
-            done[case][row["row"]] = row
-            files[case].append([row])
-            tell(f"{sum(map(len, done))} of {samples * len(studies)} samples")
-    rows = {name: [one[k] for k in sorted(one)] for name, one in zip(VARIED, done, strict=True)}
-    nominal = _make(laws, _nominal(studies[0]), [0])[0]
-    return Robustness(best, candidates, rows, nominal, changes)
+    rows = {}
+    for name, study in zip(VARIED, studies, strict=True):
+        done = run_rows(
+            study,
+            folder / f"robustness_{name}.jsonl",
+            partial(_make, laws),
+            laws=frames,
+            workers=workers,
+            progress=lambda done, all_: tell(f"{done} of {all_} samples of a case"),
+        )
+        rows[name] = [done[k] for k in sorted(done)]
+    return {
+        "scenario": SCENARIO,
+        "set_in_all_runs": list(changes),
+        "selection": {
+            name: {
+                "law": law.label,
+                "equation": law.baseline.equation,
+                "candidates": len(candidates[name]),
+                **frames[name],
+            }
+            for name, law in best.items()
+        },
+        "nominal": _make(laws, _nominal(studies[0]), [0])[0],
+        "cases": {
+            varied: {
+                "varied": list(VARIED[varied]),
+                "samples": len(some),
+                **{law: quantiles(some, law) for law in LAWS},
+            }
+            for varied, some in rows.items()
+        },
+        "rows": rows,
+    }
 
 
 def _candidates(studies: Sequence[SweepStudy], family: Baseline, seed: int) -> list[Candidate]:
@@ -221,9 +196,9 @@ def _judge(law: Law, study: SweepStudy, number: int) -> Data:
     }
 
 
-def tabulate(found: Robustness) -> Table:
+def tabulate(found: Data) -> Table:
     """Tasks done and quantiles of both errors: a row for each case and law."""
-    cases = found.as_dict()["cases"]
+    cases = found["cases"]
     samples = next(iter(cases.values()))["samples"]
     shares = " / ".join(f"{100 * share:g} %" for share in SHARES)
     rows = []
@@ -240,17 +215,17 @@ def tabulate(found: Robustness) -> Table:
     )
 
 
-def draw(found: Robustness) -> Figure:
+def draw(found: Data) -> Figure:
     """The share of runs below an error: a column for each case, forces above, motions below."""
     colours = {"ours": "blue", "khatib": "vermillion", "isaac_lab": "orange"}
     with style():
         figure = Figure(figsize=(10.0, 5.2))
-        axes = figure.subplots(2, len(found.rows), sharex="row", sharey=True)
+        axes = figure.subplots(2, len(found["rows"]), sharex="row", sharey=True)
         for row, (quantity, label) in zip(axes, QUANTITIES.items(), strict=True):
-            for ax, name in zip(row, found.rows, strict=True):
+            for ax, (name, rows) in zip(row, found["rows"].items(), strict=True):
                 for law, label_of in LABELS.items():
-                    errors = found.errors(name, law, quantity)
-                    ax.ecdf(errors, color=OKABE_ITO[colours[law]], label=label_of)
+                    values = errors(rows, law, quantity)
+                    ax.ecdf(values, color=OKABE_ITO[colours[law]], label=label_of)
                 ax.set(xscale="log", xlabel=label, title=TITLES[name])
             row[0].set_ylabel("share of runs")
         axes[0, 0].legend(loc="upper left")
@@ -261,4 +236,4 @@ def study(ask: Ask) -> Study:
     """All cases under all laws."""
     samples = SAMPLES if ask.samples is None else ask.samples
     found = run(samples, ask.folder, ask.seed, ask.all_changes(), tell=ask.tell)
-    return Study({"robustness": draw(found)}, tabulate(found), found.as_dict())
+    return Study({"robustness": draw(found)}, tabulate(found), found)

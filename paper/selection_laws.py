@@ -25,7 +25,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -75,8 +75,7 @@ def structure(state: ChainState, eta_dot: Array, f: Array) -> Array:
     return state.Lambda_S @ eta_dot + state.b_S + state.S.T @ f
 
 
-@dataclass(frozen=True)
-class Baseline:
+class Baseline(NamedTuple):
     """A family of selection laws.
 
     Attributes:
@@ -124,6 +123,11 @@ class SelectionLaw:
     baseline: Baseline
     selection: Selection
 
+    @property
+    def label(self) -> str:
+        """What figures and tables call it."""
+        return self.baseline.label
+
     def eta(self, state: ChainState, a: Array) -> Array:
         """Commanded η̇ (d,) of an unfiltered object acceleration a (6,)."""
         X, Y = self.baseline.rule(state, self.selection)
@@ -155,6 +159,8 @@ class SelectionLaw:
 @dataclass(frozen=True)
 class Ours:
     """Motion filter and dynamic control structure, eqs. 21 to 25, from the contact's N alone."""
+
+    label = "ours"
 
     def f_S(self, state: ChainState, contact: osc.Contact, a: Array, alpha: Array) -> Array:
         """Object force (d,) for a motion command a (6,) and a force command α (r,).
@@ -208,32 +214,34 @@ class Selection:
         """
         return cls(frame, np.array(frame.rotation), forces, couples)
 
+    @property
+    def axes(self) -> tuple[Array, Array]:
+        """(3, ·) those of the selected forces, and of the selected couples."""
+        F = np.array(self.linear.rotation)[:, np.array(self.forces)]
+        return F, self.angular[:, np.array(self.couples)]
+
     @cached_property
     def wrenches(self) -> Array:
         """W (6, r): unit forces and couples that are force controlled, at O."""
         turned = pin.SE3(self.angular, self.linear.translation)
         none = (False, False, False)
-        return np.hstack(
-            (
-                selection_columns(self.linear, self.forces, none),
-                selection_columns(turned, none, self.couples),
-            )
-        )
+        forces = selection_columns(self.linear, self.forces, none)
+        return np.hstack((forces, selection_columns(turned, none, self.couples)))
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able: point (m) and axes."""
+        F, C = self.axes
         return {
             "point_m": self.linear.translation.tolist(),
-            "force_axes": self.linear.rotation[:, np.array(self.forces)].T.tolist(),
-            "couple_axes": self.angular[:, np.array(self.couples)].T.tolist(),
+            "force_axes": F.T.tolist(),
+            "couple_axes": C.T.tolist(),
         }
 
     @cached_property
     def force(self) -> Array:
         """Ω̄ (6, 6) at O: the selected part of a wrench."""
-        F = np.array(self.linear.rotation)[:, np.array(self.forces)]
-        C = self.angular[:, np.array(self.couples)]
-        lever = skew(np.array(self.linear.translation))
+        F, C = self.axes
+        lever = skew(self.linear.translation)
         upper = F @ F.T
         lower = C @ C.T
         return np.block([[upper, np.zeros((3, 3))], [lever @ upper - lower @ lever, lower]])
@@ -250,8 +258,7 @@ class Selection:
 _LEAST_GAIN = 0.1
 
 
-@dataclass(frozen=True)
-class Coupling:
+class Coupling(NamedTuple):
     """The answer of a law to unit commands.
 
     Attributes:
@@ -315,7 +322,7 @@ class Instant:
         self.state = state
         self.contact = contact
         self.size = _radius_of_gyration(state.metric)
-        scale = np.array([1.0, 1.0, 1.0, self.size, self.size, self.size])
+        scale = np.repeat([1.0, self.size], 3)
         N_S = state.S.T @ contact.N
         null = np.linalg.svd(N_S.T, full_matrices=True)[2][contact.r :].T
         Q = np.linalg.qr(scale[:, None] * (state.S @ null))[0]
@@ -427,7 +434,8 @@ def random_selection(
         rng: source of the random numbers.
         forces, couples: which of the frame's axes are force controlled.
     """
-    triads = [pin.Quaternion(*_unit(rng.normal(size=4))).matrix() for _ in range(baseline.triads)]
+    drawn = (rng.normal(size=4) for _ in range(baseline.triads))
+    triads = [pin.Quaternion(*(x / np.linalg.norm(x))).matrix() for x in drawn]
     frame = pin.SE3(triads[0], rng.uniform(-2.0, 2.0, 3) * instant.size)
     return Selection(frame, triads[-1], forces, couples)
 
@@ -484,7 +492,3 @@ def _moved(law: SelectionLaw, step: Array, size: float) -> SelectionLaw:
 def _flags(chosen: Sequence[int]) -> tuple[Triple, Triple]:
     x, y, z, a, b, c = (i in chosen for i in range(6))
     return (x, y, z), (a, b, c)
-
-
-def _unit(x: Array) -> Array:
-    return x / np.linalg.norm(x)

@@ -7,12 +7,11 @@ not made as missing.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 
-@dataclass(frozen=True)
-class PaperFigure:
+class PaperFigure(NamedTuple):
     """A figure of the paper.
 
     Attributes:
@@ -31,8 +30,7 @@ class PaperFigure:
         return int(self.name.removeprefix("fig"))
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """What ours says to a statement.
 
     Attributes:

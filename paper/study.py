@@ -1,6 +1,6 @@
 """What a study is given and what it hands back: figures, a table and its numbers by one name."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,11 +8,8 @@ from typing import Any
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from osc_contact.control.controller import Controller
-from osc_contact.interface import Measurement, Reference
+import osc_contact as osc
 from osc_contact.plants.judge import Plant, Truth
-from osc_contact.runs.loop import Records
-from osc_contact.spatial import Array
 from paper.statements import Answer
 
 Data = dict[str, Any]  #: numbers for JSON
@@ -45,10 +42,6 @@ class Study:
     pages: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
 
 
-def _ignore(step: str) -> None:
-    """Where nobody watches."""
-
-
 @dataclass(frozen=True)
 class Ask:
     """Options of a study.
@@ -67,7 +60,7 @@ class Ask:
     changes: Sequence[str] = ()
     samples: int | None = None
     folder: Path = Path()
-    tell: Callable[[str], None] = _ignore
+    tell: Callable[[str], None] = lambda _: None
 
     def lasting(self, usual: float) -> float:
         """The duration of its runs (s).
@@ -105,30 +98,21 @@ def words_of(value: float | None, form: str, without: str = "–") -> str:
     return without if value is None else form.format(value)
 
 
-class Witness(Records):
-    """Keeps of every tick the truth just after its torques have changed.
+def ticks(
+    plant: Plant, controller: osc.Controller, references: Iterable[osc.Reference]
+) -> Iterator[tuple[osc.Measurement, osc.Reference, Truth]]:
+    """A run: of every tick what is measured and desired, and the truth at its torques.
 
     Rigid contacts answer torques at once; a `Recorder` notes what was true just before.
 
-    Attributes:
-        truths, status: of each tick.
+    Args:
+        plant: to be moved.
+        controller: of it, which is at the tick.
+        references: one for each tick.
     """
-
-    def __init__(self, plant: Plant, controller: Controller) -> None:
-        """Watch a plant and its controller."""
-        self.plant = plant
-        self.controller = controller
-        self.truths: list[Truth] = []
-        self.status: list[int] = []
-
-    def append(
-        self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
-    ) -> None:
-        """See `Records.append`.
-
-        Args:
-            measurement, reference, tau, seconds: as of `Records.append`.
-        """
-        self.plant.hold(tau)
-        self.truths.append(self.plant.truth())
-        self.status.append(int(self.controller.status))
+    for reference in references:
+        measurement = plant.measure()
+        tau = controller.tick(measurement, reference)
+        plant.hold(tau)
+        yield measurement, reference, plant.truth()
+        plant.command(tau, controller.dt)

@@ -1,7 +1,6 @@
 """The real workcell of section 6, one trouble at a time: what each costs the contact forces."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
 
 from matplotlib.figure import Figure
 
@@ -40,30 +39,17 @@ STAGES: dict[str, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True)
-class Rung:
-    """One run: what was real, and its verdict; None: the simulation diverged."""
-
-    real: str
-    verdict: Data | None
-
-    def worst(self, key: str) -> float | None:
-        """The largest of a number of `metrics`' force entries over the contacts."""
-        forces = () if self.verdict is None else self.verdict["force"].values()
-        return max((force[key] for force in forces), default=None)
-
-    def as_dict(self) -> Data:
-        """JSON-able."""
-        return {
-            "force_rms_rel": self.worst("rms_error_rel"),
-            "force_peak_rel": self.worst("peak_error_rel"),
-            "sensing_rms_rel": self.worst("sensing_rms_rel"),
-            "contact_fraction": self.verdict and min(self.verdict["contact_fraction"].values()),
-        }
+_WORST = {
+    "force_rms_rel": "rms_error_rel",
+    "force_peak_rel": "peak_error_rel",
+    "sensing_rms_rel": "sensing_rms_rel",
+}
 
 
-def ladder(stages: Iterable[str], ask: Ask) -> Iterator[Rung]:
-    """Run the workcell with only part of it real, stage by stage.
+def ladder(stages: Iterable[str], ask: Ask) -> Iterator[tuple[str, Data]]:
+    """Run the workcell with only part of it real: each stage and its errors, the worst contact's.
+
+    Where the simulation diverged they are None.
 
     Args:
         stages: names from `STAGES`.
@@ -78,22 +64,24 @@ def ladder(stages: Iterable[str], ask: Ask) -> Iterator[Rung]:
         ask.tell(name)
         scenario = osc.load_scenario(SCENARIO, [*STAGES[name], *ask.changes])
         try:
-            recording = osc.run(scenario, duration=ask.lasting(8.0), seed=ask.seed)
-            yield Rung(name, osc.metrics(recording))
+            verdict = osc.metrics(osc.run(scenario, duration=ask.lasting(8.0), seed=ask.seed))
         except osc.PlantError:
-            yield Rung(name, None)
+            yield name, dict.fromkeys((*_WORST, "contact_fraction"))
+            continue
+        forces = verdict["force"].values()
+        row = {key: max(force[of] for force in forces) for key, of in _WORST.items()}
+        yield name, row | {"contact_fraction": min(verdict["contact_fraction"].values())}
 
 
-def draw(rungs: Sequence[Rung]) -> Figure:
+def draw(rungs: Mapping[str, Data]) -> Figure:
     """Force error of each run, logarithmic; runs that diverged have no bar."""
-    errors = [100 * (rung.worst("rms_error_rel") or 0.0) for rung in rungs]
+    errors = [100 * (errors["force_rms_rel"] or 0.0) for errors in rungs.values()]
     with style():
         figure = Figure(figsize=(6.4, 0.6 + 0.42 * len(rungs)), layout="constrained")
         ax = figure.subplots()
-        bars = ax.barh([rung.real for rung in rungs], errors, color=OKABE_ITO["blue"])
-        ax.bar_label(
-            bars, [f"{error:.2g} %" if error else "diverged" for error in errors], padding=3
-        )
+        bars = ax.barh(list(rungs), errors, color=OKABE_ITO["blue"])
+        words = [f"{error:.2g} %" if error else "diverged" for error in errors]
+        ax.bar_label(bars, words, padding=3)
         label = "force error, rms (% of the mean command), worse contact"
         ax.set(xscale="log", xlim=(1e-2, 1e4), xlabel=label)
         ax.invert_yaxis()
@@ -102,11 +90,10 @@ def draw(rungs: Sequence[Rung]) -> Figure:
 
 def study(ask: Ask) -> Study:
     """All stages."""
-    rungs = list(ladder(STAGES, ask))
-    data = {rung.real: rung.as_dict() for rung in rungs}
+    data = dict(ladder(STAGES, ask))
     rows = (
         (real, *(words_of(value, "{:.3%}", "diverged") for value in errors.values()))
         for real, errors in data.items()
     )
     heads = "what is real; force, rms; peak; sensed within; closed"
-    return Study({"workcell": draw(rungs)}, table_of("workcell", heads, rows), data)
+    return Study({"workcell": draw(data)}, table_of("workcell", heads, rows), data)

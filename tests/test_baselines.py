@@ -12,7 +12,7 @@ from scenario_runs import rig_of
 from scipy.linalg import block_diag
 
 import osc_contact as osc
-from paper.baselines import PLANTS, compare, measured_coupling, run_steps
+from paper.baselines import PLANTS, StepRun, compare, measured_coupling
 from paper.selection_laws import (
     BASELINES,
     Instant,
@@ -202,10 +202,10 @@ def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
 def test_cross_talk_on_mujoco_is_ten_times_smaller_than_that_of_the_best_baseline():
     rig = rig_of("two_contact_rod", "control.rate=250 Hz")
     _, instant = fig1()
-    ours = run_steps(rig, Ours(), instant)
+    ours = StepRun(rig, Ours(), instant)
     assert ours.closed > 0.99 and ours.saturated == 0
     for baseline in BASELINES.values():
-        other = run_steps(rig, best_selection(instant, baseline), instant)
+        other = StepRun(rig, best_selection(instant, baseline), instant)
         assert other.saturated == 0
         assert_array_equal(other.alpha_d, ours.alpha_d)
         assert other.force_to_motion.max() > 10 * ours.force_to_motion.max()

@@ -25,7 +25,7 @@ STEPS = (0.51, 0.53, 0.55, 0.57)
 
 @cache
 def seat():
-    return cg.seated_cone()
+    return cg.Seat()
 
 
 @cache
@@ -40,10 +40,10 @@ def short_run(steps=STEPS, moving=True):
 
 def cone_points(count=200, rows=9):
     """Points of the cone's side in the world, (count·rows, 3), from its apex, axis and angle."""
-    cone = seat().cone
+    cone = seat()
     X = rig().state().X_WO
     apex = X.act(cone.apex)
-    axis = X.rotation @ cone.axis
+    axis = X.rotation @ cone.cone_axis
     x = np.cross(axis, [0.3, 0.5, -0.8])
     x = unit(x)
     phi = np.linspace(0, 2 * np.pi, count, endpoint=False)[:, None]
@@ -53,11 +53,11 @@ def cone_points(count=200, rows=9):
 
 def pose_at(turn, slide):
     """The cone turned about its axis and moved along the groove, by products of poses."""
-    cone = seat().cone
+    cone = seat()
     X = rig().state().X_WO
-    about = pin.SE3(pin.exp3(turn * cone.axis), np.zeros(3))
+    about = pin.SE3(pin.exp3(turn * cone.cone_axis), np.zeros(3))
     shift = pin.SE3(np.eye(3), cone.apex)
-    along = pin.SE3(np.eye(3), slide * seat().groove.direction)
+    along = pin.SE3(np.eye(3), slide * seat().direction)
     return along * X * shift * about * shift.inverse()
 
 
@@ -66,32 +66,32 @@ def pose_at(turn, slide):
 
 def test_the_cone_lies_on_both_walls_and_in_neither():
     heights = []
-    for wall, generator in zip(seat().groove.normals(), seat().generators(), strict=True):
-        above = (cone_points(2000) - seat().groove.point) @ wall
+    for wall, generator in zip(seat().normals, seat().generators, strict=True):
+        above = (cone_points(2000) - seat().point) @ wall
         assert above.min() > -1e-12
         assert above.min() < 1e-6, "it touches"
         assert abs(generator @ wall) < 1e-12, "along a line of the wall"
         assert abs(norm(generator) - 1) < 1e-12
         cosine = generator @ seat().axis
         assert np.arccos(cosine) == approx(seat().half_angle)
-        assert wall[2] > 0.0 and abs(wall @ seat().groove.direction) < 1e-12
+        assert wall[2] > 0.0 and abs(wall @ seat().direction) < 1e-12
         heights.append(wall)
     assert heights[0] @ heights[1] == approx(np.cos(np.deg2rad(60.0)))
 
 
 def test_inertia_is_that_of_a_stack_of_discs():
-    cone = seat().cone
+    cone = seat()
     inertia = rig().chain.payload.inertia
     n = 4000
     h = cone.height
     z = (np.arange(n) + 0.5) / n * h
     radius = z * np.tan(seat().half_angle)
     m = radius**2 / (radius**2).sum() * inertia.mass
-    centres = cone.apex + z[:, None] * cone.axis
+    centres = cone.apex + z[:, None] * cone.cone_axis
     com = m @ centres / inertia.mass
     total = np.zeros((3, 3))
     for mass, r, c in zip(m, radius, centres - com, strict=True):
-        disc = 0.25 * mass * r**2 * (np.eye(3) + np.outer(cone.axis, cone.axis))
+        disc = 0.25 * mass * r**2 * (np.eye(3) + np.outer(cone.cone_axis, cone.cone_axis))
         total += disc + mass * (c @ c * np.eye(3) - np.outer(c, c))
     assert_allclose(inertia.lever, com, atol=1e-8)
     assert_allclose(inertia.inertia, total, rtol=1e-5, atol=1e-9)
@@ -100,8 +100,8 @@ def test_inertia_is_that_of_a_stack_of_discs():
 def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
     """t₁ = [axis × (O − apex)…], t₂ = [e; 0]; pushes normal to the walls do no work on either."""
     rng = default_rng(0)
-    cone = seat().cone
-    e = seat().groove.direction
+    cone = seat()
+    e = seat().direction
     for _ in range(20):
         X = pose_at(rng.uniform(-3, 3), rng.uniform(-0.1, 0.1))
         contact = seat().pair.contact(X, np.zeros(6))
@@ -109,7 +109,7 @@ def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
         points, directions = seat().wall_forces(X)
         levers = points - X.translation[:, None]
         lines = np.vstack((directions, np.cross(levers, directions, axis=0)))
-        axis = X.rotation @ cone.axis
+        axis = X.rotation @ cone.cone_axis
         apex = X.act(cone.apex)
         T = np.array([[*np.cross(axis, X.translation - apex), *axis], [*e, 0, 0, 0]]).T
         assert largest(lines.T @ T) < 1e-14
@@ -162,7 +162,7 @@ def test_the_rigid_plant_answers_as_the_full_kkt_system():
 
 
 def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():
-    found = short_run().as_dict()
+    found = short_run().data
     assert found["force_step_to_motion"] <= 1e-9 and found["motion_step_to_force"] <= 1e-9
     assert found["wall_force_peak_error_N"] < 0.15 and max(found["wall_force_rms_N"]) < 0.05
     assert found["turn_rms_rad"] < 1e-4 and found["slide_rms_m"] < 1e-5

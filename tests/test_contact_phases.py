@@ -237,11 +237,9 @@ def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
 
 
 def test_a_landing_is_soft_and_torques_do_not_jump():
-    found = land(3)
-    row = found.as_dict()
-    recording = found.recording
+    row, recording = land(3)
     assert row["success"], row
-    assert len(draw_landing([found]).axes) == 4
+    assert len(draw_landing([recording]).axes) == 4
     assert row["peak_over_command"] <= 2.0
     assert row["torque_rate"] <= row["torque_rate_limit"] * (1 + 1e-9)
     open_at_first = recording["contact_phase"][recording["t"] < 0.39]

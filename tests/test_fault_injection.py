@@ -8,7 +8,6 @@ from benchmarks.fault_injection import (
     PHASES,
     cases,
     stay_quiet,
-    table,
     try_fault,
     try_faults,
 )
@@ -33,7 +32,7 @@ ELSEWHERE = (
 @parametrize("name", FAULTS)
 def test_every_kind_of_fault_in_contact(name):
     verdict = try_fault(name, "contact")
-    assert not verdict.wrong, table([verdict])
+    assert not verdict.wrong, verdict
 
 
 @parametrize("where", first(ELSEWHERE, 5))
@@ -41,7 +40,7 @@ def test_faults_in_other_phases(where):
     name, phase = where
     assert phase in PHASES
     verdict = try_fault(name, phase)
-    assert not verdict.wrong, table([verdict])
+    assert not verdict.wrong, verdict
 
 
 def _drawn(count, seed):
@@ -56,7 +55,7 @@ def _drawn(count, seed):
 def test_faults_while_ticks_are_lost_in_packaged_scenarios(drawn):
     case, names = drawn
     verdicts = try_faults(case, names)
-    assert not [v.wrong for v in verdicts if v.wrong], table(verdicts)
+    assert not [v.wrong for v in verdicts if v.wrong], verdicts
 
 
 @parametrize("scenario", ["two_contact_rod", "panda_edge"])

@@ -1,5 +1,7 @@
 """The hybrid cases of another framework's tests: forces and places at every goal."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pinocchio as pin
 from numpy.linalg import norm
@@ -10,6 +12,7 @@ from rigs import largest, shift
 import osc_contact as osc
 from benchmarks import force_laws
 from benchmarks.hybrid_cases import CASES, RADIUS, judge, judge_samples, scenario_of
+from osc_contact.spatial import pose_error
 
 
 @mark.parametrize("case", CASES, ids=lambda case: case.name)
@@ -20,9 +23,9 @@ def test_finger_is_where_it_is_asked_to_be_with_the_force_it_is_asked_for(case):
     closed = np.asarray(recording["closed"])
     assert closed.mean() > 0.999
     pose = np.asarray(recording["pose"])  # by hand: a finger's radius before the wall, at the goal
-    n = np.array(case.normal)
-    last = np.array(case.goals[-1].point)
-    assert n @ (pose[-1, :3] - np.array(case.wall)) == approx(RADIUS, abs=1e-3)
+    n = case.normal
+    last = case.goals[-1].point
+    assert n @ (pose[-1, :3] - case.wall) == approx(RADIUS, abs=1e-3)
     along = np.array([-n[2], 0.0, n[0]])
     assert along @ pose[-1, :3] == approx(along @ last, abs=1e-3)
     assert pose[-1, 1] == approx(last[1], abs=1e-3)
@@ -53,8 +56,10 @@ def test_damping_acts_only_near_a_singular_posture():
     goal = shift([0.01, 0.0, 0.0])
 
     def torques(thresholds, J):
-        rest = (a, a, still, np.zeros(6), J, root @ root.T + np.eye(7), a, a, 0.0)
-        s = force_laws.Sight(*rest, np.array([0.0, 0.0, 1.0]), goal, np.zeros(6), 0.0)
+        s = SimpleNamespace(q=a, v=a, V=np.zeros(6), J=J, M=root @ root.T + np.eye(7), gravity=a)
+        s.error = pose_error(goal, still)
+        s.axis = np.array([0.0, 0.0, 1.0])
+        s.force = s.force_goal = 0.0
         return force_laws.isaac_lab(s, CASES[0], thresholds)(s)
 
     far = torques(force_laws.DAMPED, J)

@@ -39,7 +39,7 @@ from test_decoupling import strong
 from test_linkage import bars_of
 
 import osc_contact as osc
-from benchmarks.cases import random_rig
+from benchmarks.cases import RandomRig
 from osc_contact.scenarios.control_schema import Friction, PostureTask
 
 K_P = 400.0
@@ -71,7 +71,7 @@ def alike(kind):
     """One to four arms of a kind that permit the object the same motions."""
 
     def make(rng):
-        rig = random_rig([kind] * rng.integers(1, 5), rng)
+        rig = RandomRig([kind] * rng.integers(1, 5), rng)
         return rigid_case(rig.chain, rig.q, rig.X_WO)
 
     return make

@@ -108,16 +108,15 @@ def test_a_conveyor_is_where_its_signals_say():
 @fixture(scope="module")
 def on_mujoco():
     return {
-        law: case
-        for case in moving_face.run("mujoco", 3.0, faces=["free cart"])
-        for law in [case.law]
+        row["law"]: (row, recording)
+        for row, recording in moving_face.run("mujoco", 3.0, faces=["free cart"])
     }
 
 
 def test_the_full_law_keeps_the_force_on_a_free_cart(on_mujoco):
     """≤ 1 % rms with Φ_e and b_e; without them it costs more than ten times as much."""
-    full = on_mujoco["full law"].row
-    without = on_mujoco["without Φ_e, b_e"].row
+    full = on_mujoco["full law"][0]
+    without = on_mujoco["without Φ_e, b_e"][0]
     assert full["left_end_rms_error_rel"] < 0.01 and full["right_end_rms_error_rel"] < 0.01
     assert full["contact_fraction"] == without["contact_fraction"] == 1.0
     assert without["left_end_rms_error_rel"] > 10 * full["left_end_rms_error_rel"]

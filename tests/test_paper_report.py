@@ -26,9 +26,16 @@ from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import VARIABLE
 from paper import fig3
 from paper.figures import ANSWERS, FIGURES, Evidence
-from paper.report import Made, Reproduction, names_of, typed, write_paper_report
+from paper.report import (
+    STUDIES,
+    Made,
+    Reproduction,
+    names_of,
+    typed,
+    write_paper_report,
+    write_study,
+)
 from paper.statements import PAPER, Answer, Verdict, judge
-from paper.studies import STUDIES, write_study
 from paper.study import Ask
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} 100"><path d="M0 0h9v9z"/></svg>'
@@ -252,7 +259,7 @@ def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
     corners = cell.camera.corners
     low = corners.min(axis=0)[:2]
     high = corners.max(axis=0)[:2]
-    seen = [X.translation for X in cell.faces()]
+    seen = [X.translation for X in cell.faces]
     seen += [by_urdf(cell, arm, "wrist_sensor").translation for arm in ("left", "right")]
     rod = pin.XYZQUATToSE3(np.asarray(cell.sample["pose"], dtype=float))
     seen += [rod.act(np.array([x, 0.0, 0.0])) for x in (-0.3, 0.3)]
@@ -261,7 +268,7 @@ def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
         assert point[2] < cell.camera.eye[2]
     turned = [
         X.rotation.T @ b.placement.rotation
-        for X, b in zip(cell.faces(), cell.rig.bodies, strict=True)
+        for X, b in zip(cell.faces, cell.rig.bodies, strict=True)
     ]
     angles = [np.linalg.norm(pin.log3(R)) for R in turned]
     assert_allclose(angles, np.deg2rad(5.0), atol=1e-3)
@@ -297,8 +304,8 @@ def test_every_label_hangs_on_a_node_and_says_what_the_scenario_says(cell, tmp_p
 
 def test_reproduce_fig3_renders_it(cell, tmp_path, monkeypatch):
     monkeypatch.setattr(fig3, "run", lambda *_: cell)
-    _, written = write_study("fig3", tmp_path, Ask())
-    assert {path.name for path in written} >= {"fig3.png", "fig3.html", "fig3.json"}
+    made = write_study("fig3", tmp_path, Ask())
+    assert {path.name for path in made.files} >= {"fig3.png", "fig3.html", "fig3.json"}
     picture = imread(tmp_path / "fig3.png")[..., :3]
     assert picture.shape[1] > 1500 and picture.std(axis=(0, 1)).min() > 0.05
     view = np.array([0x2B, 0x7C, 0xAE]) / 255  # edges of what the camera sees, on the left half
@@ -311,6 +318,6 @@ def test_reproduce_fig3_renders_it(cell, tmp_path, monkeypatch):
 def test_without_a_browser_there_is_the_page_and_a_word(cell, tmp_path, monkeypatch):
     monkeypatch.setattr(fig3, "run", lambda *_: cell)
     monkeypatch.setenv(VARIABLE, str(tmp_path / "none"))
-    study, written = write_study("fig3", tmp_path, Ask())
-    assert {path.name for path in written} == {"fig3.html", "fig3.json"}
-    assert "not rendered: no browser" in str(list(study.table.columns[1].cells))
+    made = write_study("fig3", tmp_path, Ask())
+    assert {path.name for path in made.files} == {"fig3.html", "fig3.json"}
+    assert "not rendered: no browser" in str(list(made.table.columns[1].cells))

@@ -157,7 +157,7 @@ def test_limits_are_checked_and_can_be_changed(case):
 def test_other_limits_and_gains_hold_beside_pairs_written_in_python():
     """Such a pair has the records packed anew at the first tick: by the new settings."""
     case = SPECIAL_CASES["own_pair"]()
-    tick, unwind = case.ticking(repeatable(case.controller()))
+    tick, unwind = case.tick()
     for _ in range(400):  # the same readings for longer than `frozen_time`
         tick()
         unwind()

@@ -17,8 +17,8 @@ import osc_contact as osc
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual.browser import write_gif
+from paper.report import STUDIES
 from paper.statements import PAPER, judge
-from paper.studies import STUDIES
 from paper.study import Ask, Study
 
 DOCS = Path(__file__).resolve().parents[1]

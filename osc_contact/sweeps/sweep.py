@@ -40,6 +40,8 @@ TABLE = "table.parquet"  #: file of a sweep's folder
 _CHUNK = 4  #: runs that a worker is handed at once
 
 Progress = Callable[[int, int], None]
+Job = tuple[SweepStudy, Sequence[int]]  #: a study, and the numbers of the rows to make
+MakesRows = Callable[[SweepStudy, Sequence[int]], list[Row]]
 
 
 def sweep(
@@ -103,37 +105,58 @@ def run_study(
     """
     from pyarrow import parquet  # refused before the runs, not after them
 
-    require_long_enough(scenario_of(study, study.sample(0)))
-    with ExitStack() as stack:
-        rows = None
-        if out is not None:
-            rows = stack.enter_context(closing(RowFile(Path(out) / ROWS, study)))
-        done = {} if rows is None else rows.done
-        left = [number for number in range(study.rows) if number not in done]
-        ended = study.rows - len(left)
-        jobs = [(study, left[i : i + _CHUNK]) for i in range(0, len(left), _CHUNK)]
-        crew = stack.enter_context(workers_of(workers, scheduler, len(jobs)))
-        for _, row in make_all(crew, jobs, make_rows):
-            done[row["row"]] = row
-            ended += 1
-            if rows is not None:
-                rows.append([row])
-            if progress is not None:
-                progress(ended, study.rows)
-    table = make_table([done[number] for number in range(study.rows)], study)
+    file = None if out is None else Path(out) / ROWS
+    done = run_rows(study, file, workers=workers, scheduler=scheduler, progress=progress)
+    table = make_table(list(done.values()), study)
     if out is not None:
         with whole_file(Path(out) / TABLE) as unfinished:
             parquet.write_table(table, unfinished)
     return table
 
 
+def run_rows(
+    study: SweepStudy,
+    file: Path | None,
+    make: MakesRows = make_rows,
+    *,
+    laws: Any = None,
+    workers: int | None = None,
+    scheduler: Any = None,
+    progress: Progress | None = None,
+) -> dict[int, Row]:
+    """Rows of a study by number: those of a file, and what is not done yet.
+
+    Args:
+        study: what to run.
+        file: for the rows; None: they are not kept.
+        make: makes rows; other processes import it.
+        laws: see `RowFile`.
+        workers, scheduler, progress: as of `sweep`.
+    """
+    require_long_enough(scenario_of(study, study.sample(0)))
+    with ExitStack() as stack:
+        rows = None
+        if file is not None:
+            rows = stack.enter_context(closing(RowFile(file, study, laws)))
+        done = {} if rows is None else rows.done
+        left = [number for number in range(study.rows) if number not in done]
+        ended = study.rows - len(left)
+        jobs = [(study, left[i : i + _CHUNK]) for i in range(0, len(left), _CHUNK)]
+        crew = stack.enter_context(workers_of(workers, scheduler, len(jobs)))
+        for _, row in make_all(crew, jobs, make):
+            done[row["row"]] = row
+            ended += 1
+            if rows is not None:
+                rows.append([row])
+            if progress is not None:
+                progress(ended, study.rows)
+    return {number: done[number] for number in range(study.rows)}
+
+
 # Who makes rows: this process, processes of this machine, or the workers of a dask cluster.
 
 
 _AHEAD = 2  #: jobs that wait for each worker
-
-Job = tuple[SweepStudy, Sequence[int]]  #: a study, and the numbers of the rows to make
-MakesRows = Callable[[SweepStudy, Sequence[int]], list[Row]]
 
 
 class Workers:

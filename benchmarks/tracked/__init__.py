@@ -1,1 +1,0 @@
-"""Benchmarks that `asv run` follows from commit to commit."""
