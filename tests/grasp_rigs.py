@@ -96,12 +96,6 @@ class Case:
         body = pin.Inertia.Zero() if chain.payload is None else chain.payload.inertia
         return System(chain.model, tips, self.grasps, body, q=self.q, v=v, X_WO=self.X_WO, V_O=V)
 
-    def moving(self, rng, N=None):
-        """(v, V_O) that keep loops and contacts."""
-        still = self.system(np.zeros(self.chain.nq), np.zeros(6))
-        x = still.velocities(np.zeros((6, 0)) if N is None else N, rng)
-        return x[: self.chain.nq], x[self.chain.nq :]
-
 
 def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BODY):
     """Arms of `arms` with grasps of `kinds`, bases wherever that puts them."""

@@ -8,24 +8,22 @@ S, no Φ_e of the package takes part. Accelerations of the object are classical.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-from environment_scenes import KINDS as SCENES
-from environment_scenes import Body, axis, on_joints
 from grasp_oracle import solve
 from grasp_rigs import Case
-from numpy.linalg import norm, svd
+from numpy.linalg import svd
 from numpy.random import default_rng
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
-from rigs import largest, shift
+from rigs import LWA, data_at, direction, largest, product, shift, unit
 
-from osc_contact.dynamics.environment import Cart, Conveyor
+from osc_contact.dynamics.environment import Cart, Conveyor, Environment, Hinge
 
-LWA = pin.LOCAL_WORLD_ALIGNED
+G = np.array([0.0, 0.0, -9.81])
 SIZE = 0.15  # of the pairs' geometry, as drawn with 1 m
 STEP = 0.02  # of the differences (m or rad)
 
@@ -33,75 +31,183 @@ STEP = 0.02  # of the differences (m or rad)
 # Bodies -------------------------------------------------------------------------------------------
 
 
-def cart(rng, at):
-    """A mass on a rail from the world's origin, with spring and damper."""
-    u = axis(rng)
-    (mass, k, c, preload) = rng.uniform(1.0, 5.0, 4)
-    joint = pin.JointModelPrismaticUnaligned(u)
-    model, _, q, v = on_joints(rng, at, joint, inertia=pin.Inertia.FromSphere(mass, 0.1))
-    body = Body(model, q, v, preload - k * q - c * v, "E")
-    return body, Cart(2.0 * u, mass, k, c, preload)
+@dataclass(eq=False)
+class Body:
+    """A mechanism whose last frame is touched, in a state, with what a controller knows of it.
 
+    known: a body of the package, or the `Environment` at O (3,); prescribed: q̈ of its drives.
+    """
 
-BODIES = {name: made[0] for name, (made, _) in SCENES.items() if len(made) == 1}
-BODIES["cart"] = cart
-
-
-class Answering:
-    """A body that answers as the maker of the scene says."""
-
-    def __init__(self, answer):
-        self.answer = answer
-
-    def environment(self, X_WE, V_E, A_E, O):
-        return self.answer(O)
-
-
-@dataclass
-class Touched:
-    """A body of the environment, as the oracle and as the controller know it."""
-
-    body: Body
+    model: pin.Model
+    q: np.ndarray
+    v: np.ndarray
+    tau: np.ndarray
     known: object
-    name: str
+    prescribed: np.ndarray | None = None
+    name: str = ""
+
+    def __post_init__(self):
+        self.frame = self.model.nframes - 1
+        data = data_at(self.model, self.q, self.v)
+        self.X = data.oMf[self.frame]
+        self.V = pin.getFrameVelocity(self.model, data, self.frame, LWA).vector
 
     @classmethod
     def random(cls, name, rng, at):
-        body, known = BODIES[name](rng, at)
-        if body.prescribed is not None:
-            known = Conveyor()
-        return cls(body, Answering(known) if callable(known) else known, name)
+        return replace(BODIES[name](rng, at), name=name)
 
-    def __post_init__(self):
-        self.X = self.pose(np.zeros(self.body.model.nv))
+    @property
+    def given(self):
+        """The body that a controller is given."""
+        return self if callable(self.known) else self.known
+
+    def environment(self, X_WE, V_E, A_E, O):
+        return self.known(O)
 
     def pose(self, step):
         """Pose of the touched link, the joints displaced by step (nv,)."""
-        model = self.body.model
-        data = self.body.model.createData()
-        pin.framesForwardKinematics(model, data, pin.integrate(model, self.body.q, step))
-        return data.oMf[self.body.id].copy()
+        return data_at(self.model, pin.integrate(self.model, self.q, step)).oMf[self.frame].copy()
 
-    def acceleration(self, qdd, O):
+    def acceleration(self, qdd, O, of_frame=pin.getFrameAcceleration):
         """(6,) spatial, at O, of the touched link."""
-        b = self.body
-        data = self.body.model.createData()
-        pin.forwardKinematics(b.model, data, b.q, b.v, qdd)
-        pin.updateFramePlacements(b.model, data)
-        a = pin.getFrameAcceleration(b.model, data, b.id, LWA).vector
+        data = data_at(self.model, self.q, self.v, qdd)
+        a = of_frame(self.model, data, self.frame, LWA).vector
         a[:3] += np.cross(a[3:], O - self.X.translation)
         return a
 
     def seen(self):
-        """(28,) X_WE, V_E, A_E: the acceleration is told where a drive makes it."""
-        b = self.body
-        data = self.body.model.createData()
-        told = np.zeros(b.model.nv) if b.prescribed is None else b.prescribed
-        pin.forwardKinematics(b.model, data, b.q, b.v, told)
-        pin.updateFramePlacements(b.model, data)
-        A = pin.getFrameClassicalAcceleration(b.model, data, b.id, LWA).vector
-        A = A if b.prescribed is not None else np.zeros(6)
-        return np.concatenate((self.X.homogeneous.ravel(), b.V, A))
+        """(28,) X_WE, V_E, A_E: the acceleration is reported where a drive makes it."""
+        A = np.zeros(6)
+        if self.prescribed is not None:
+            how = self.X.translation, pin.getFrameClassicalAcceleration
+            A = self.acceleration(self.prescribed, *how)
+        return np.concatenate((self.X.homogeneous.ravel(), self.V, A))
+
+
+WORLD = Body(pin.Model(), *[np.zeros(0)] * 3, None, name="world")
+
+
+def random_inertia(rng):
+    a, b, c = rng.uniform(0.01, 0.04, 3)  # any positive a, b, c make b + c, a + c, a + b possible
+    turn = pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3))
+    spread = turn @ np.diag([b + c, a + c, a + b]) @ turn.T
+    return pin.Inertia(rng.uniform(0.5, 4.0), rng.uniform(-0.1, 0.1, 3), spread)
+
+
+def random_placement(rng, at):
+    return pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3)), at + rng.uniform(-0.3, 0.3, 3))
+
+
+def on_joint(joint, rng, at, known, prescribed=False):
+    """A body on one joint, of any kind, placed at random."""
+    model = pin.Model()
+    model.addJointFrame(model.addJoint(0, joint, random_placement(rng, at), "body"))
+    model.appendBodyToJoint(1, random_inertia(rng), pin.SE3.Identity())
+    q = pin.integrate(model, pin.neutral(model), rng.uniform(-0.5, 0.5, model.nv))
+    v = rng.uniform(-1, 1, model.nv)
+    tau = rng.standard_normal(model.nv) * 5
+    acceleration = rng.standard_normal(model.nv) * 3 if prescribed else None
+    return Body(model, q, v, tau, known, acceleration)
+
+
+def free(rng, at):
+    def known(O):
+        wrench = (body.X.rotation @ body.tau.reshape(2, 3).T).T.ravel()
+        here = {"X_WE": body.X, "V_E": body.V, "O": O}
+        return Environment.rigid_body(body.model.inertias[1], **here, gravity=G, wrench=wrench)
+
+    body = on_joint(pin.JointModelFreeFlyer(), rng, at, known)
+    return body
+
+
+def guided(joint):
+    """A body on one joint: rail, door, ball, plate on a plane."""
+
+    def make(rng, at):
+        def known(O):
+            axes = np.column_stack([replace(body, v=e).V for e in np.eye(body.model.nv)])
+            axes = axes[:, 0] if body.model.nv == 1 else axes
+            how = {"rates": body.v, "O": O, "gravity": G, "force": body.tau}
+            return Environment.rail(body.model.inertias[1], X_WE=body.X, axes=axes, **how)
+
+        body = on_joint(joint(rng), rng, at, known)
+        return body
+
+    return make
+
+
+def linkage(rng, at):
+    """Two hinges about skew axes; the second link is touched."""
+    model = pin.Model()
+    for k in range(2):
+        X = random_placement(rng, at if k == 0 else np.zeros(3))
+        model.addJoint(k, pin.JointModelRevoluteUnaligned(direction(rng)), X, f"hinge{k}")
+        model.appendBodyToJoint(k + 1, random_inertia(rng), pin.SE3.Identity())
+    for k, name in ((1, "upper"), (2, "touched")):
+        X = random_placement(rng, np.zeros(3))
+        model.addFrame(pin.Frame(name, k, 0, X, pin.FrameType.OP_FRAME))
+    q, v, tau = rng.standard_normal((3, 2))
+    state = model, q, v, 2 * tau
+    return Body(*state, lambda O: Environment.articulated(*state, "touched", O))
+
+
+def moving(rng, at):
+    return on_joint(pin.JointModelFreeFlyer(), rng, at, Conveyor(), prescribed=True)
+
+
+def on_joints(rng, at, *joints, inertia):
+    """E on joints at a random point c, E's axes the world's and its origin there at q = 0."""
+    model = pin.Model()
+    c = at + rng.uniform(-0.3, 0.3, 3)
+    for k, joint in enumerate(joints):
+        model.addJoint(k, joint, shift(np.zeros(3) if k else c), f"joint{k}")
+        model.appendBodyToJoint(k + 1, inertia, pin.SE3.Identity())
+    model.addFrame(pin.Frame("E", len(joints), 0, shift(-c), pin.FrameType.OP_FRAME))
+    return model, c, rng.uniform(-1.5, 1.5, model.nv), rng.uniform(-1, 1, model.nv)
+
+
+def hinged(rng, at):
+    """`Hinge`: a body whose centre of mass lies on the axis, with a spring and a damper."""
+    a = direction(rng)
+    body = random_inertia(rng)
+    balanced = pin.Inertia(body.mass, rng.normal() * a, body.inertia)
+    model, c, q, v = on_joints(rng, at, pin.JointModelRevoluteUnaligned(a), inertia=balanced)
+    k, d, preload = rng.uniform(0, 5, 3)
+    hinge = Hinge(2.0 * a, c + rng.normal() * a, a @ body.inertia @ a, k, d, preload)
+    return Body(model, q, v, preload - k * q - d * v, hinge)
+
+
+def turning(rng, at):
+    """A driven slide that carries a driven hinge."""
+    u = direction(rng)
+    a = direction(rng)
+    rates = rng.standard_normal(2) * 3
+    joints = pin.JointModelPrismaticUnaligned(u), pin.JointModelRevoluteUnaligned(a)
+    model, _, q, v = on_joints(rng, at, *joints, inertia=random_inertia(rng))
+    return Body(model, q, v, np.zeros(2), Conveyor(), rates)
+
+
+def cart(rng, at):
+    """A mass on a rail from the world's origin, with spring and damper."""
+    u = direction(rng)
+    mass, k, c, preload = rng.uniform(1.0, 5.0, 4)
+    joint = pin.JointModelPrismaticUnaligned(u)
+    model, _, q, v = on_joints(rng, at, joint, inertia=pin.Inertia.FromSphere(mass, 0.1))
+    return Body(model, q, v, preload - k * q - c * v, Cart(2.0 * u, mass, k, c, preload))
+
+
+BODIES = {
+    "free body": free,
+    "rail": guided(lambda rng: pin.JointModelPrismaticUnaligned(direction(rng))),
+    "hinge": guided(lambda rng: pin.JointModelRevoluteUnaligned(direction(rng))),
+    "ball": guided(lambda rng: pin.JointModelSpherical()),
+    "plane": guided(lambda rng: pin.JointModelPlanar()),
+    "linkage": linkage,
+    "prescribed": moving,
+    "hinged face": hinged,
+    "turning conveyor": turning,
+    "cart": cart,
+}
 
 
 # Contacts -----------------------------------------------------------------------------------------
@@ -133,62 +239,50 @@ def shifted(X, step):
 
 @dataclass
 class Contact:
-    """A pair between object and body (None: the world), and how its gaps change."""
+    """A pair between object and body, and how its gaps change."""
 
     name: str
     pair: object
-    on: Touched | None
+    on: Body
     X_WO: pin.SE3
 
     def __post_init__(self):
-        nv, X_WE = (0, None) if self.on is None else (self.on.body.model.nv, self.on.X)
-        self.along_object = slopes(lambda s: self.pair.gaps(shifted(self.X_WO, s), X_WE), 6)
-        self.along_body = slopes(lambda s: self.gaps(np.zeros(6), s), nv)
+        self.along_object = slopes(lambda s: self.gaps(s, 0.0 * self.on.v), 6)
+        self.along_body = slopes(lambda s: self.gaps(np.zeros(6), s), len(self.on.v))
 
     def gaps(self, of_object, of_body):
-        X_WE = None if self.on is None else self.on.pose(of_body)
-        return self.pair.gaps(shifted(self.X_WO, of_object), X_WE)
+        return self.pair.gaps(shifted(self.X_WO, of_object), self.on.pose(of_body))
 
     def speed(self):
         """(r,) rate of the gaps where the object rests."""
-        return self.along_body @ (np.zeros(0) if self.on is None else self.on.body.v)
+        return self.along_body @ self.on.v
 
     def bend(self, V):
         """(r,) second derivative of the gaps while nothing accelerates."""
-        v = np.zeros(0) if self.on is None else self.on.body.v
-        speed = max(1.0, largest(V), largest(v))
-        return speed**2 * rate(lambda t: self.gaps(t / speed * V, t / speed * v), 2, STEP)
+        speed = max(1.0, largest(V), largest(self.on.v))
+        there = V / speed, self.on.v / speed
+        return speed**2 * rate(lambda t: self.gaps(*(t * x for x in there)), 2, STEP)
 
     def slip(self, V):
-        """Velocity of a vertex against its face, the arms from O and from E to it, and J of E."""
-        X_WE = pin.SE3.Identity()
-        J = np.zeros((6, 0))
-        V_E = np.zeros(6)
-        if self.on is not None:
-            b = self.on.body
-            data = self.on.body.model.createData()
-            X_WE = self.on.X
-            V_E = b.V
-            J = pin.computeFrameJacobian(b.model, data, b.q, b.id, LWA)
-        n = X_WE.rotation @ self.pair.normal / norm(self.pair.normal)
+        """Velocity of a vertex against its face, the arms from O and from E to it."""
+        X_WE, V_E = self.on.X, self.on.V
+        n = X_WE.rotation @ unit(self.pair.normal)
         arm = self.X_WO.rotation @ self.pair.vertex - self.pair.radius * n
         far = self.X_WO.translation + arm - X_WE.translation
-        return V[:3] + np.cross(V[3:], arm) - V_E[:3] - np.cross(V_E[3:], far), arm, far, J
+        return V[:3] + np.cross(V[3:], arm) - V_E[:3] - np.cross(V_E[3:], far), arm, far
 
     def n_gamma(self, V):
         """(r,) Nᵀ of the spatial acceleration of the object less that of the body."""
-        object_only = np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
-        out = self.bend(V) + self.along_object @ object_only
-        if self.on is None:
-            return out
-        drift = self.on.acceleration(np.zeros(len(self.on.body.v)), self.X_WO.translation)
-        return out + self.along_object @ drift
+        drift = self.on.acceleration(0.0 * self.on.v, self.X_WO.translation)
+        return self.bend(V) + self.along_object @ (product(V) + drift)
 
     def friction(self, V, mu):
         """Coulomb's force on the object (6,) and on the joints of the body, for one newton."""
-        slip, arm, far, J = self.slip(V)
-        f = -mu * slip / norm(slip)
-        return np.concatenate((f, np.cross(arm, f))), -J.T @ np.concatenate((f, np.cross(far, f)))
+        slip, arm, far = self.slip(V)
+        f = -mu * unit(slip)
+        b = self.on
+        J = pin.computeFrameJacobian(b.model, b.model.createData(), b.q, b.frame, LWA)
+        return np.append(f, np.cross(arm, f)), -J.T @ np.append(f, np.cross(far, f))
 
 
 # Everything at once -------------------------------------------------------------------------------
@@ -207,6 +301,7 @@ class Answer:
     loops: list
     a_object: np.ndarray
     a_e: list
+    residual: float  # relative; what is left where no acceleration keeps all loops closed
 
 
 @dataclass
@@ -220,14 +315,14 @@ class State:
 
     def __post_init__(self):
         self.n = self.case.chain.nq
-        self.bodies = list({id(c.on): c.on for c in self.contacts if c.on is not None}.values())
+        self.bodies = list({id(c.on): c.on for c in self.contacts}.values())
         self.N = np.vstack([np.zeros((0, 6)), *(c.along_object for c in self.contacts)])
         if self.rest is None:
-            self._at(np.zeros(self.n), np.zeros(6))
+            self.at(np.zeros(self.n), np.zeros(6))
         else:
             self.grasps = self.rest.grasps
 
-    def _at(self, v, V):
+    def at(self, v, V):
         """Grasps, and the accelerations they permit: x₀ + Z y of all joints and the object."""
         self.v = v
         self.V = V
@@ -242,43 +337,39 @@ class State:
         S, sizes, _ = svd(self.Z[:, n:].T)
         self.S = S[:, : np.count_nonzero(sizes > 1e-9)]
         self.sigma = (Vh[:rank].T @ (right / values[:rank]))[n:]
+        return self
 
     def move(self, rng):
         """A random velocity that keeps grasps and contacts."""
         A = np.vstack((self.grasps, np.hstack((np.zeros((len(self.N), self.n)), self.N))))
-        b = np.concatenate((np.zeros(len(self.grasps)), *(-c.speed() for c in self.contacts)))
+        b = np.concatenate(
+            (np.zeros(len(self.grasps)), *(-c.along_body @ c.on.v for c in self.contacts))
+        )
         x = rng.standard_normal(self.n + 6)
         for _ in range(2):
             x += np.linalg.lstsq(A, b - A @ x, rcond=1e-10)[0]
         assert largest(A @ x - b) < 1e-11
-        self._at(x[: self.n], x[self.n :])
+        self.at(x[: self.n], x[self.n :])
 
-    def answer(self, tau):
-        """What motor torques (n_a,) make of all that is connected."""
+    def answer(self, tau, exact=True):
+        """What motor torques (n_a,) make of all that is connected; `exact`: there is an answer."""
         s = self.system
         n = self.n + 6
-        end = self.n + 6
-        parts = {}
-        for one in self.bodies:
-            parts[id(one)] = slice(end, end + one.body.model.nv)
-            end += one.body.model.nv
+        ends = np.cumsum([n, *(len(b.v) for b in self.bodies)])
+        parts = {id(b): slice(*at) for b, at in zip(self.bodies, pairwise(ends), strict=True)}
+        end = ends[-1]
         M = np.zeros((end, end))
         force = np.zeros(end)
-        rows = []
-        right = []
         M[: self.n, : self.n] = s.M
         M[self.n : n, self.n : n] = s.I
-        friction = self.case.chain.model.damping * self.v
-        force[: self.n] = -s.h - friction
+        force[: self.n] = -s.h - self.case.chain.model.damping * self.v
         force[self.n : n] = s.pull
         force[self.case.chain.actuated] += tau
-        for row in s.rows:
-            rows.append(np.concatenate((row.coefficients, np.zeros(end - n))))
-            right.append(row.right)
-        for one in self.bodies:
-            b = one.body
-            part = parts[id(one)]
-            data = one.body.model.createData()
+        rows = [np.pad(row.coefficients, (0, end - n)) for row in s.rows]
+        right = [row.right for row in s.rows]
+        for b in self.bodies:
+            part = parts[id(b)]
+            data = b.model.createData()
             pin.computeAllTerms(b.model, data, b.q, b.v)
             M[part, part] = data.M
             force[part] = b.tau - data.nle
@@ -291,41 +382,34 @@ class State:
             row = np.zeros((len(c.along_object), end))
             lean = np.zeros_like(row)
             row[:, self.n : n] = c.along_object
-            if c.on is not None:
-                row[:, parts[id(c.on)]] = c.along_body
+            row[:, parts[id(c.on)]] = c.along_body
             if self.mu:
-                lean[:, self.n : n], dragged = c.friction(self.V, self.mu)
-                if c.on is not None:
-                    lean[:, parts[id(c.on)]] = dragged
+                lean[:, self.n : n], lean[:, parts[id(c.on)]] = c.friction(self.V, self.mu)
             rows.extend(row)
             pushes.extend(row + lean)
             right.extend(-c.bend(self.V))
         A = np.reshape(rows, (-1, end))
         P = np.reshape(pushes, (-1, end))
         K = np.block([[M, -P.T], [A, np.zeros((len(A), len(A)))]])
-        y = np.concatenate((force, right))
+        y = np.append(force, right)
         x, _ = solve(K, y)
-        assert largest(K @ x - y) < 1e-9 * max(1.0, largest(y))
-        pulls = P[: self.system.ends[-1], self.n : n] * x[end : end + self.system.ends[-1], None]
-        loops = [pulls[a:b].sum(axis=0) for a, b in pairwise(self.system.ends)]
+        residual = largest(K @ x - y) / max(1.0, largest(y))
+        assert residual < 1e-9 or not exact
+        pulls = P[: s.ends[-1], self.n : n] * x[end : end + s.ends[-1], None]
+        loops = [pulls[a:b].sum(axis=0) for a, b in pairwise(s.ends)]
         a = x[self.n : n]
-        w = self.V[3:]
         O = self.case.X_WO.translation
-        spatial = a - np.concatenate((np.cross(w, self.V[:3]), np.zeros(3)))
-        a_e = [one.acceleration(x[parts[id(one)]], O) for one in self.bodies]
-        return Answer(x[: self.n], a, x[end + first :], loops, spatial, a_e)
+        a_e = [b.acceleration(x[parts[id(b)]], O) for b in self.bodies]
+        return Answer(x[: self.n], a, x[end + first :], loops, a - product(self.V), a_e, residual)
 
     def readings(self, answer):
         """(arms, 6) of the wrist sensors: what moves the object and the links beyond them."""
         chain = self.case.chain
-        out = []
         model = chain.model
-        data = chain.model.createData()
-        pin.forwardKinematics(model, data, self.case.q, self.v, answer.qdd)
-        pin.updateFramePlacements(model, data)
-        at_O = shift(self.case.X_WO.translation)
+        data = data_at(model, self.case.q, self.v, answer.qdd)
+        out = []
         for arm, links, pull in zip(chain.arms, chain.outboard, answer.loops, strict=True):
-            total = at_O.act(pin.Force(pull))
+            total = shift(self.case.X_WO.translation).act(pin.Force(pull))
             for link in links:
                 X = data.oMi[link.joint]
                 V = data.v[link.joint]
@@ -364,3 +448,19 @@ class State:
         size = np.sqrt(np.einsum("ri,ir->r", N, np.linalg.solve(inertia, N.T)))
         felt = np.linalg.solve(np.linalg.cholesky(S.T @ inertia @ S), S.T @ N.T) / size
         return svd(felt, compute_uv=False).min(initial=1.0)
+
+
+def pressed(case, pairs):
+    """Arms whose object is pressed on faces of the world, at rest."""
+    return State(case, [Contact(pair.name, pair, WORLD, case.X_WO) for pair in pairs])
+
+
+def held(chain, q, v, pairs=()):
+    """Arms that hold their object rigidly and move it; pressed on faces of the world."""
+    data = data_at(chain.model, q, v)
+    X_WT = chain.tip_poses(data)[0]
+    X_WO = X_WT * chain.grasps[0].X_TO
+    V = pin.getFrameVelocity(chain.model, data, chain.tips[0], LWA).vector
+    V[:3] += np.cross(V[3:], X_WO.translation - X_WT.translation)
+    case = Case(chain, q, X_WO, [("rigid", grasp.X_TO, None) for grasp in chain.grasps])
+    return pressed(case, pairs).at(v, V)

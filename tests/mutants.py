@@ -62,16 +62,16 @@ JUDGES = (
     "grasps",
     "projections",
     "spans",
-    "monitor",
+    "outcome",
     "law_limits",
     "law_phases",
-    "law_linkage",
+    "linkage",
     "law_steps",
     "safety",
     "friction",
     "force_filter",
     "reading",
-    "environment",
+    "moving_environment",
     "singular",
     "tilted_faces",
     "controller",
@@ -99,9 +99,9 @@ OWN = {
     "safety": ("safety.py",),
     "law_phases": ("phases.py",),
     "law_steps": ("commands.py",),
-    "law_linkage": ("bars.py",),
+    "linkage": ("bars.py",),
     "law_limits": ("limits.py",),
-    "monitor": ("monitor.py",),
+    "outcome": ("monitor.py",),
 }
 SLOW = 6  #: s; a test that takes longer without compilation is no judge
 CHECK = 2.0  #: s of tests that have to pass without any mutant, three times
@@ -258,8 +258,7 @@ class Judges:
 
     def of(self, spec, budget):
         """The tests for a mutant, the shortest first."""
-        path = str(spec.module_path)
-        lines = self.by_line[path]
+        lines = self.by_line[str(spec.module_path)]
         source = spec.module_path.read_text().splitlines()
         first = spec.start_pos[0]
         last = spec.end_pos[0]

@@ -268,8 +268,7 @@ def prismatic(rng, c):
     point = rng.standard_normal(3)
     e = unit(rng)
     X = pose_of(rng)
-    pair = osc.Prismatic(c.A(point), c.along_A(e), c.pose(X))
-    return pair, lambda q: X * shift(q[0] * e), 5
+    return osc.Prismatic(c.A(point), c.along_A(e), c.pose(X)), lambda q: X * shift(q[0] * e), 5
 
 
 @kind
@@ -396,12 +395,6 @@ class Motion:
 
     def gaps(self, t):
         return self.pair.gaps(self.body(t), self.env(t))
-
-    def N_at(self, t):
-        """(6, r) N at time t, written at the operational point of t = 0."""
-        N = self.pair.contact(self.body(t), STILL, self.env(t)).N
-        away = shift(self.body(t).translation - self.body(0.0).translation)
-        return away.toActionMatrixInverse().T @ N
 
 
 def free_motions(name, turn):

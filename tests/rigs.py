@@ -10,8 +10,11 @@ import scenario_runs
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, velocity
+from osc_contact.control.custom_laws import Laws
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
+from osc_contact.response import require_reachable
 
+LWA = pin.LOCAL_WORLD_ALIGNED
 refused = complaints.invalid_input
 rig_of = scenario_runs.rig_of
 UNLIMITED = osc.SafetySettings.motors_only()
@@ -27,9 +30,33 @@ def unit(x):
     return x / np.linalg.norm(x)
 
 
+def direction(rng):
+    return unit(rng.standard_normal(3))
+
+
 def shift(p):
     """A pose that turns nothing."""
     return pin.SE3(np.eye(3), np.array(p, dtype=float))
+
+
+def data_at(model, q, *rates):
+    """Pinocchio's data with the poses of all frames, at q and, if given, v and a."""
+    data = model.createData()
+    pin.forwardKinematics(model, data, q, *rates)
+    pin.updateFramePlacements(model, data)
+    return data
+
+
+def product(V):
+    """(6,) of a twist: classical less spatial acceleration."""
+    return np.append(np.cross(V[3:], V[:3]), np.zeros(3))
+
+
+def ticked(controller, *given):
+    """Torques of a tick that is computed within all limits."""
+    tau = controller.tick(*given)
+    assert controller.status is osc.Status.OK, controller.reason
+    return tau
 
 
 ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
@@ -149,3 +176,46 @@ def friction_wrenches(friction, pairs, X_WO, V_O, touched):
         slides = v / np.sqrt((v * v).sum(axis=0) + friction.slip**2)
         columns.append(friction.mu * lines_of_force(points, slides))
     return np.hstack(columns)
+
+
+def in_contact(chain, rng, r=2):
+    """A random state in contact: (state, contact, pairs, q, v)."""
+    while True:
+        q, v = random_state(chain, rng)
+        free = chain.state(q, v)
+        pairs = random_faces(free.X_WO, r, rng)
+        try:
+            require_reachable(free, contact_of(pairs, free))
+        except osc.ContactError:
+            continue
+        v = consistent(chain, q, v, contact_of(pairs, free).N)
+        state = chain.state(q, v)
+        return state, contact_of(pairs, state), pairs, q, v
+
+
+def with_motors(chain, tau_max):
+    """The same chain with other motors."""
+    parts = chain.arms, chain.grasps, chain.payload
+    how = {"rank_tolerance": chain.rank_tolerance, "angle_tolerance": chain.angle_tolerance}
+    out = osc.ClosedChain(*parts, **how)
+    out.tau_max = np.asarray(tau_max, dtype=float)
+    return out
+
+
+def strong(chain):
+    """The same chain with motors in the same proportions that reach no limit."""
+    return with_motors(chain, 1e4 * chain.tau_max)
+
+
+def commanded(chain, pairs, q, v, a_u, alpha_u, squeeze=5.0, **how):
+    """The controller after a tick of the law that commands a_u (6,), spatial, and α_u; torques."""
+    laws = Laws(force=lambda *_: alpha_u, motion=lambda reference, X, V: a_u + product(V))
+    # states out of any motion; what the oracles answer is without friction
+    how = {"safety": UNLIMITED, "joint_friction": False, "laws": laws} | how
+    controller = osc.Controller(strong(chain), pairs, **how)
+    wrenches = np.zeros((len(chain.arms), 6))
+    wanted = osc.Reference(pin.SE3.Identity(), alpha_d=alpha_u, squeeze_d=squeeze)
+    tau = controller.tick(osc.Measurement(q, v, wrenches), wanted)
+    fine = osc.Status.OK, osc.Status.DEGRADED
+    assert controller.status in fine, controller.reason
+    return controller, tau

@@ -5,19 +5,20 @@ The terms of arms are judged in `test_chain_state.py`.
 
 import numpy as np
 import pinocchio as pin
+from complaints import model_error
 from numpy.linalg import inv
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark, raises
+from pytest import approx
 from rigs import largest, refused, shift
 from robot_numbers import element, written_inertia
+from samples import parametrize
 
 from osc_contact import robots
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.chain_model import outboard_links
 from osc_contact.dynamics.chain_state import RigidObject
 from osc_contact.dynamics.environment import Environment
-from osc_contact.errors import ModelError
 
 SEEDS = range(4)
 GRAVITY = np.array([0.3, -0.2, -9.81])
@@ -38,8 +39,7 @@ def close(got, want, tolerance=1e-8):
     got = np.asarray(got)
     want = np.asarray(want)
     assert got.shape == want.shape
-    scale = max(1.0, largest(want))
-    assert_allclose(got, want, rtol=0, atol=tolerance * scale)
+    assert_allclose(got, want, rtol=0, atol=tolerance * max(1.0, largest(want)))
 
 
 def motion(model, seed):
@@ -100,7 +100,7 @@ def test_mass_factor_scales_the_joint_space_dynamics():
         assert a.inertia.mass == approx(1.25 * b.inertia.mass)
 
 
-@mark.parametrize(
+@parametrize(
     ("options", "message"),
     [
         ({"tip": "tol"}, "tol"),
@@ -112,7 +112,7 @@ def test_mass_factor_scales_the_joint_space_dynamics():
     ],
 )
 def test_impossible_arms_are_refused(options, message):
-    with raises(ModelError, match=message):
+    with model_error(message):
         Arm.from_urdf(
             robots.urdf_path("scara_left.urdf"), name="left", **{"tip": "tool", **options}
         )
@@ -121,7 +121,7 @@ def test_impossible_arms_are_refused(options, message):
 # What hangs beyond the wrist sensor ---------------------------------------------------------------
 
 
-@mark.parametrize("sensor", ["wrist_sensor", "wrist_sensor_joint"])
+@parametrize("sensor", ["wrist_sensor", "wrist_sensor_joint"])
 def test_outboard_links_of_the_scara(sensor):
     """Gripper base with joint 4, finger with the hinge; the flange is inboard of the sensor."""
     arm = scara()
@@ -136,7 +136,7 @@ def test_outboard_links_of_the_scara(sensor):
     close(finger.inertia.matrix(), own.matrix(), 1e-12)
 
 
-@mark.parametrize("sensor", ["panda_link8", "panda_hand"])
+@parametrize("sensor", ["panda_link8", "panda_hand"])
 def test_outboard_links_of_the_panda(sensor):
     """Hand and locked fingers: everything on joint 7 but its own link."""
     arm = panda()
@@ -152,7 +152,7 @@ def test_outboard_links_of_the_panda(sensor):
 # The object ---------------------------------------------------------------------------------------
 
 
-@mark.parametrize("seed", SEEDS)
+@parametrize("seed", SEEDS)
 def test_object_terms_are_newton_euler_of_a_free_body(seed):
     pin.seed(seed)
     inertia = body(seed)
@@ -167,8 +167,7 @@ def test_object_terms_are_newton_euler_of_a_free_body(seed):
     def wrench(V, a, gravity):
         model.gravity.linear = gravity
         local = [axes.actInv(pin.Motion(m)).vector for m in (V, a)]
-        q = pin.SE3ToXYZQUAT(X_WO)
-        tau = pin.rnea(model, model.createData(), q, *local)
+        tau = pin.rnea(model, model.createData(), pin.SE3ToXYZQUAT(X_WO), *local)
         return axes.act(pin.Force(tau)).vector
 
     zero = np.zeros(6)
@@ -179,7 +178,7 @@ def test_object_terms_are_newton_euler_of_a_free_body(seed):
     close(terms.Lambda @ a + terms.mu + terms.p, wrench(V, a, GRAVITY), 1e-12)
 
 
-@mark.parametrize("factor", [0.5, 1.0, 3.0])
+@parametrize("factor", [0.5, 1.0, 3.0])
 def test_scaled_object_keeps_its_shape(factor):
     held = RigidObject(body(0))
     scaled = held.scaled(factor)
@@ -187,7 +186,7 @@ def test_scaled_object_keeps_its_shape(factor):
     assert_array_equal(scaled.inertia.lever, held.inertia.lever)
 
 
-@mark.parametrize(
+@parametrize(
     ("mass", "principal", "message"),
     [
         (0.0, [1.0, 1.0, 1.0], "object of mass 0 kg"),
@@ -208,26 +207,26 @@ def test_impossible_objects_are_refused(mass, principal, message):
     inertia = pin.Inertia.Zero()
     inertia.mass = mass
     inertia.inertia = 0.5 * (tensor + tensor.T)
-    with raises(ModelError, match=message):
+    with model_error(message):
         RigidObject(inertia)
 
 
 def test_lever_with_nan_is_refused_and_thin_rods_are_not():
     inertia = body(0)
     inertia.lever = np.array([0.0, np.nan, 0.0])
-    with raises(ModelError, match="NaN or inf"):
+    with model_error("NaN or inf"):
         RigidObject(inertia)
     RigidObject(pin.Inertia(1.0, np.zeros(3), np.diag([1e-9, 1.0, 1.0])))
     RigidObject(pin.Inertia(1.0, np.ones(3), np.diag([1.0, 1.0, 2.0])))  # a flat disc
     for factor in (0.0, -1.0, np.nan, np.inf):
-        with raises(ModelError, match=f"factor {factor}"):
+        with model_error(f"factor {factor}"):
             RigidObject(body(0)).scaled(factor)
 
 
 # The environment ----------------------------------------------------------------------------------
 
 
-@mark.parametrize("seed", range(24))
+@parametrize("seed", range(24))
 def test_any_mobility_a_mechanism_can_have_is_accepted(seed):
     """Φ = X J M⁻¹Jᵀ Xᵀ of rank 1 to 6, given at another point, with its rounding errors."""
     rng = default_rng([seed, 11])

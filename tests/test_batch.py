@@ -6,8 +6,8 @@ import pickle
 import numpy as np
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from pytest import mark
 from rigs import one_panda, random_faces, random_state, refused, scara_pair
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.scenarios.control_schema import PhaseSettings
@@ -60,10 +60,8 @@ def single(controller, x, i):
     return controller.tick(measurement, reference)
 
 
-@mark.parametrize("threads", [1, 2])
-@mark.parametrize(
-    "rig, life", [(one_panda, None), (scara_pair, None), (scara_pair, PhaseSettings())]
-)
+@parametrize("threads", [1, 2])
+@parametrize("rig, life", [(one_panda, None), (scara_pair, None), (scara_pair, PhaseSettings())])
 def test_rows_are_single_ticks_bit_for_bit(rig, life, threads):
     chain = rig()
     rng = default_rng(3)
@@ -112,8 +110,7 @@ def test_reset_by_mask_and_pickles():
     began = batch.tick(**first)
     for x in rest:
         batch.tick(**x)
-    other = pickle.loads(pickle.dumps(batch))
-    assert_array_equal(other.tick(**first), batch.tick(**first))
+    assert_array_equal(pickle.loads(pickle.dumps(batch)).tick(**first), batch.tick(**first))
     batch.reset(np.array([True, False, True, False]))
     again = batch.tick(**first)
     assert_array_equal(again[[0, 2]], began[[0, 2]])

@@ -12,8 +12,19 @@ from kkt_oracle import State
 from numpy.linalg import cholesky, inv, matrix_rank, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark
-from rigs import SCARA_Q, largest, one_panda, placed, random_state, scara_pair, shift
+from pytest import approx
+from rigs import (
+    SCARA_Q,
+    largest,
+    one_panda,
+    panda_pair,
+    placed,
+    product,
+    random_state,
+    scara_pair,
+    shift,
+)
+from samples import parametrize
 from test_singular import straight_panda, stretched_scaras
 
 import osc_contact as osc
@@ -23,8 +34,7 @@ LWA = pin.LOCAL_WORLD_ALIGNED
 
 
 def assert_close(name, got, want, tolerance=1e-8):
-    size = max(1.0, largest(want))
-    assert_allclose(got, want, rtol=0, atol=tolerance * size, err_msg=name)
+    assert_allclose(got, want, rtol=0, atol=tolerance * max(1.0, largest(want)), err_msg=name)
 
 
 def onto(columns):
@@ -51,15 +61,13 @@ def assert_arms(chain, s, q, v, tolerance=1e-8):
         gamma = to_O @ pin.getFrameAcceleration(model, data, chain.tips[i], LWA).vector
         N = np.eye(6)
         if not grasp.is_rigid:  # the object slips while the tip carries N along
-            V = J @ v[part]
-            gamma = gamma + pin.Motion(V).cross(pin.Motion(s.V_O)).vector
+            gamma = gamma + pin.Motion(J @ v[part]).cross(pin.Motion(s.V_O)).vector
             N = grasp.wrenches_at(X[i], O)
         M = data.M[part, part]
         h = data.nle[part]
         g = data.g[part]
         passed = np.linalg.qr(solve(root, N))[0]
-        seen = passed.T @ root.T @ J @ inv(cholesky(M)).T
-        U, sizes, Vh = svd(seen)
+        U, sizes, Vh = svd(passed.T @ root.T @ J @ inv(cholesky(M)).T)
         ratio = (1.0 + 1.0 / np.maximum(sizes, 1e-30) ** 2) / (1.0 + 1.0 / sizes.max() ** 2)
         rank = np.count_nonzero(ratio < chain.rank_tolerance**-2)
         inverse = (Vh[:rank].T / sizes[:rank]) @ U[:, :rank].T
@@ -77,51 +85,74 @@ def assert_arms(chain, s, q, v, tolerance=1e-8):
             "p": J_bar.T @ g,
         }.items():
             assert_close(name, getattr(arm, name), want, tolerance)
-        blocked = root @ passed @ U[:, rank:]
-        assert_close("C of an arm", onto(arm.C), onto(blocked), tolerance)
+        assert_close("C of an arm", onto(arm.C), onto(root @ passed @ U[:, rank:]), tolerance)
         if not grasp.is_rigid:
             assert_close("N of an arm", onto(arm.N), onto(root @ passed @ U[:, :rank]), tolerance)
 
 
 def assert_chain(case, v, V, s, rng):
     """S, σ, W, w, Λ_S, b_S, G by the rows of the grasps; Λ_out and its bias by wrist readings."""
-    oracle = State(case, [])
-    chain = case.chain
-    oracle._at(v, V)
-    product = np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))  # classical less spatial
-    assert_close("S", onto(s.S), onto(oracle.S), 1e-7)
-    assert_close("C", s.C.T @ s.S, 0.0)
-    assert s.C.shape[1] == 6 - s.d == 6 - oracle.S.shape[1]
-    assert_close("least σ", s.S.T @ s.metric @ s.sigma, 0.0)
+    oracle = State(case, []).at(v, V)
+    system = oracle.system
     rows = oracle.grasps
-    right = np.array([row.right for row in oracle.system.rows])
-    assert_close("W", rows @ np.vstack((s.W, s.S)), 0.0)
-    still = np.concatenate((s.w, s.sigma + product))
-    assert_close("w", rows @ still, right, 1e-7)
-    inertia = s.W.T @ s.M @ s.W + s.S.T @ s.payload.Lambda @ s.S
-    assert_close("Λ_S", s.Lambda_S, inertia)
-    assert_close("payload", s.payload.Lambda, oracle.system.I)
-    bias = s.W.T @ (s.h + s.M @ s.w) + s.S.T @ (
-        s.payload.mu + s.payload.p + s.payload.Lambda @ s.sigma
-    )
-    assert_close("b_S", s.b_S, bias)
-    assert_close(
-        "bias of the object",
-        s.payload.mu + s.payload.p,
-        oracle.system.I @ product - oracle.system.pull,
-    )
-    assert_close("G", s.G, s.W.T[:, chain.actuated])
-    assert_close("Φ", s.Phi, s.S @ solve(s.Lambda_S, s.S.T))
-    undriven = matrix_rank(s.S, 1e-9) - matrix_rank(s.G, 1e-6)
+    S = s.S
+    carried = S.T @ s.payload.Lambda
+    weight = s.payload.mu + s.payload.p
+    bias = s.W.T @ (s.h + s.M @ s.w) + S.T @ weight + carried @ s.sigma
+    for name, got, want, tolerance in (
+        ("S", onto(S), onto(oracle.S), 1e-7),
+        ("C", s.C.T @ S, 0.0, 1e-8),
+        ("least σ", S.T @ s.metric @ s.sigma, 0.0, 1e-8),
+        ("W", rows @ np.vstack((s.W, S)), 0.0, 1e-8),
+        (
+            "w",
+            rows @ np.append(s.w, s.sigma + product(V)),
+            np.array([row.right for row in system.rows]),
+            1e-7,
+        ),
+        ("Λ_S", s.Lambda_S, s.W.T @ s.M @ s.W + carried @ S, 1e-8),
+        ("payload", s.payload.Lambda, system.I, 1e-8),
+        ("b_S", s.b_S, bias, 1e-8),
+        ("bias of the object", weight, system.I @ product(V) - system.pull, 1e-8),
+        ("G", s.G, s.W.T[:, case.chain.actuated], 1e-8),
+        ("Φ", s.Phi, S @ solve(s.Lambda_S, S.T), 1e-8),
+        ("SᵀΛS", S.T @ s.Lambda @ S, s.Lambda_S, 1e-9),
+        ("ΦΛΦ", s.Phi @ s.Lambda @ s.Phi, s.Phi, 1e-8),
+        ("μ_S", S.T @ (s.mu + s.Lambda @ s.sigma), s.mu_S, 1e-8),
+        ("p_S", S.T @ s.p, s.p_S, 1e-9),
+        ("μ_S + p_S", s.mu_S + s.p_S, s.b_S, 1e-9),
+    ):
+        assert_close(name, got, want, tolerance)
+    assert s.C.shape[1] == 6 - s.d == 6 - oracle.S.shape[1]
+    undriven = matrix_rank(S, 1e-9) - matrix_rank(s.G, 1e-6)
     assert s.unactuated.shape[1] == undriven
-    answer = oracle.answer(20.0 * rng.standard_normal(chain.n_a))
+    answer = oracle.answer(20.0 * rng.standard_normal(case.chain.n_a))
     at_O = shift(s.X_WO.translation).inverse()
     total = np.zeros(6)
     for reading, X, F in zip(oracle.readings(answer), s.sensors, s.filters, strict=True):
         wrench = (at_O * X).act(pin.Force(reading)).vector
         total += wrench if F is None else F @ wrench
-    want = s.Lambda_out @ (answer.a - product) + s.bias_out
-    assert_close("Λ_out", total, want, 1e-7)
+    assert_close("Λ_out", total, s.Lambda_out @ answer.a_object + s.bias_out, 1e-7)
+
+
+@parametrize("rig", [one_panda, panda_pair, scara_pair])
+def test_the_wrench_has_the_power_of_all_that_moves(rig):
+    """Vᵀ(Λa + μ + p): what Newton and Euler (Pinocchio) give joints and object together."""
+    chain = rig()
+    rng = default_rng(17)
+    for _ in range(10):
+        q, v = random_state(chain, rng)
+        state = chain.state(q, v)
+        v = state.W @ np.linalg.lstsq(state.S, state.V_O, rcond=None)[0]  # no idle motions
+        state = chain.state(q, v)
+        eta_dot = rng.standard_normal(state.d)
+        a = state.S @ eta_dot + state.sigma
+        model = chain.model
+        power = v @ pin.rnea(model, model.createData(), q, v, state.W @ eta_dot + state.w)
+        weight = chain.payload.terms(state.X_WO, state.V_O, model.gravity.linear)
+        power += state.V_O @ (weight.Lambda @ a + weight.mu + weight.p)
+        wrench = state.Lambda @ a + state.mu + state.p
+        assert wrench @ state.V_O == approx(power, rel=1e-8, abs=1e-8)
 
 
 def test_random_chains_with_every_grasp():
@@ -131,7 +162,10 @@ def test_random_chains_with_every_grasp():
     for _ in range(30):
         n = rng.integers(1, 5)
         case = random_case(list(rng.choice(ARMS, n)), list(rng.choice(KINDS, n)), rng)
-        v, V = case.moving(rng)
+        oracle = State(case, [])
+        oracle.move(rng)
+        v = oracle.v
+        V = oracle.V
         s = case.chain.state(case.q, v, case.X_WO, V)
         assert_arms(case.chain, s, case.q, v)
         assert_chain(case, v, V, s, rng)
@@ -162,7 +196,7 @@ def test_nothing_held_and_gravity_that_changes():
         assert_chain(case, v, s.V_O, s, rng)
 
 
-@mark.parametrize("rig", [scara_pair, one_panda])
+@parametrize("rig", [scara_pair, one_panda])
 def test_a_pose_that_is_given_counts_more_than_what_the_joints_say(rig):
     """O somewhere else: everything is expressed there, and the twist is the tip's."""
     chain = rig()
@@ -188,8 +222,7 @@ def test_what_singular_postures_lose():
         L = cholesky(s.reference)
         lost = list(s.singular_directions)
         for i, arm in enumerate(s.arms):
-            K = cholesky(arm.M)
-            sizes = svd(L.T @ solve(K, arm.J.T).T, compute_uv=False)
+            sizes = svd(L.T @ solve(cholesky(arm.M), arm.J.T).T, compute_uv=False)
             chis = sizes[: chain.full_ranks[i]]
             mine = [one for one in lost if one.arm == i]
             assert_allclose(
@@ -225,5 +258,4 @@ def test_calibration_errors_do_not_cost_a_motion():
     q, _ = random_state(pair, default_rng(8))
     for tolerance, d in ((pair.angle_tolerance, 5), (1e-6, 4)):
         parts = [left, turned], pair.grasps, pair.payload
-        chain = osc.ClosedChain(*parts, angle_tolerance=tolerance)
-        assert chain.state(q, np.zeros(10)).d == d
+        assert osc.ClosedChain(*parts, angle_tolerance=tolerance).state(q, np.zeros(10)).d == d

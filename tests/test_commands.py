@@ -3,9 +3,8 @@
 import numpy as np
 from complaints import contact_error
 from numpy.testing import assert_allclose
-from rigs import largest, one_panda, panda_pair, scara_pair
+from rigs import in_contact, largest, one_panda, panda_pair, scara_pair
 from samples import parametrize
-from test_decoupling import in_contact
 
 import osc_contact as osc
 from paper.command_filter import command

@@ -1,8 +1,6 @@
 """How parts of the law are compiled: what they read, in which ways, and that all ways agree."""
 
 import ast
-import ctypes
-import importlib.util
 import io
 import os
 import subprocess
@@ -10,80 +8,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from pytest import fixture, mark, param
+from pytest import mark, param
 from rich.console import Console
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact import console
-from osc_contact.law import jit, library, nested, records
-
-READERS = """
-import numpy as np
-from osc_contact.law.jit import bytes_at, entry, inner, leaf, row_at
-from osc_contact.law.nested import Nested
-
-HEAD = np.dtype(
-    [("count", np.int64), ("mass", np.float64), ("axes", np.float64, (2, 3))], align=True
-)
-ROW = np.dtype([("motor", np.int64), ("force", np.float64, (3,))], align=True)
-RECORD = Nested(
-    HEAD, rows=(ROW, "n"), chosen=(np.int64, 2), flat=(np.float64, 6), A=(np.float64, "n", "m"),
-)
-record_at = RECORD.at
-
-
-@leaf
-def total(x):
-    s = 0.0
-    for i in range(x.size):
-        s += x[i]
-    return s
-
-
-@inner
-def scale(x, factor):
-    for i in range(x.shape[0]):
-        for j in range(x.shape[1]):
-            x[i, j] *= factor
-
-
-@inner
-def step(at, by):
-    return at + by
-
-
-@inner
-def walk(count):
-    at = 0
-    for i in range(count):
-        at = step(at, 2) if i else step(at, 1)
-    return at
-
-
-@inner
-def read_all(raw, at, out):
-    head = record_at(raw, at)
-    rows, flat, A = head.rows, head.flat, head.A
-    for i in range(head.count):
-        rows[i].force[1] += total(rows[i].force) * head.mass
-        rows[i].motor += 10
-    scale(head.axes, 2.0)
-    head.axes[1, 2] = rows.shape[0]
-    A[A.shape[0] - 1, A.shape[1] - 1] = -flat[5]
-    head.chosen[1] = walk(4) + head.chosen[0]
-    out[0] = 1.0 / (head.mass - head.mass)  # as C does it, not as Python
-    return A[0, 1]
-
-
-@entry
-def work(raw, at, out):
-    return read_all(raw, at, out)
-
-
-def work_at(raw, at, out, result):
-    row_at(result, 1)[0] = read_all(bytes_at(raw), at, row_at(out, 1))
-    return 0
-"""
+from osc_contact.law import jit, nested, records
 
 #: torques of ticks that end in every way: OK, near a singular posture, beyond the motors' limits,
 #: held for a bad reading or none; three arms, contact phases. Then runs of all packaged scenarios
@@ -124,102 +55,6 @@ if __name__ == "__main__":
 """
 
 
-def load(path, name="compiled_somewhere"):
-    """The module anew, as another process would see it."""
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-class Linked:
-    """`work` out of an object that units make, linked by a C compiler."""
-
-    def __init__(self, module, units, folder):
-        from numba import types
-
-        kinds = types.uintp, types.int64, types.uintp, types.uintp
-        code = units.emit({"work": units.Unit(module.work_at, False).translated(kinds)})
-        (folder / "work.o").write_bytes(code)
-        names = [str(folder / name) for name in ("work.o", "work.so")]
-        subprocess.run(["cc", "-shared", names[0], "-lm", "-o", names[1]], check=True)
-        self.call = ctypes.CDLL(names[1]).work
-        self.call.argtypes = [ctypes.c_void_p] * 3 + [ctypes.c_int64] + [ctypes.c_void_p] * 2
-
-    def __call__(self, raw, at, out):
-        found = np.zeros((2, 1))
-        result = found[0].view(np.int64).ctypes.data
-        error = self.call(result, None, raw.ctypes.data, at, out.ctypes.data, found[1].ctypes.data)
-        assert error == 0
-        return found[1, 0]
-
-
-WAYS_TO_COMPILE = {
-    "plain": {"NUMBA_DISABLE_JIT": "1"},
-    "jit": {"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "jit"},
-    "units": {"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": ""},
-}
-
-
-@fixture(params=WAYS_TO_COMPILE)
-def parts(request, tmp_path, monkeypatch):
-    """The module of `READERS` in each way."""
-    path = tmp_path / "parts.py"
-    path.write_text(READERS)
-    for name, value in WAYS_TO_COMPILE[request.param].items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setenv("OSC_CONTACT_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(library, "found", lambda: None)
-    package = "osc_contact.law."
-    monkeypatch.delitem(sys.modules, package + "nested_type", raising=False)
-    for module in (jit, nested):
-        made = load(Path(module.__file__), module.__name__)
-        monkeypatch.setitem(sys.modules, module.__name__, made)
-    own = sys.modules[jit.__name__]
-    module = load(path)
-    assert (own.PLAIN_PYTHON, own.UNITS is not None) == (
-        request.param == "plain",
-        request.param == "units",
-    )
-    assert hasattr(module.work, "signatures") == (request.param == "jit")
-    if own.UNITS is not None:
-        module.work = Linked(module, own.UNITS, tmp_path)
-    return module
-
-
-def test_parts_of_the_law_read_bytes_as_records_without_a_copy(parts):
-    record = parts.RECORD.new({"n": 3, "m": 2})
-    gap = np.full(64, 255, np.uint8)
-    raw = np.concatenate([gap, record, gap])
-    out = np.zeros(1)
-    at = len(gap)
-    view = parts.RECORD.view(raw[at : at + len(record)])
-    view.count = 3
-    view.mass = 0.5
-    view.axes = np.arange(6.0).reshape(2, 3)
-    view.rows["motor"] = [0, 1, 2]
-    view.rows["force"] = np.arange(9.0).reshape(3, 3)
-    view.chosen[:] = [5, 0]
-    view.flat[:] = np.arange(6.0)
-    view.A[:] = np.arange(6.0).reshape(3, 2)
-    first = raw.copy()
-    assert parts.work(raw, at, out) == 1.0
-    assert out[0] == np.inf
-    assert (raw[:at] == 255).all() and (raw[at + len(record) :] == 255).all()
-    assert view.axes.tolist() == [[0, 2, 4], [6, 8, 3]]
-    assert view.rows.motor.tolist() == [10, 11, 12]
-    assert view.rows.force.tolist() == [[0, 1 + 1.5, 2], [3, 4 + 6.0, 5], [6, 7 + 10.5, 8]]
-    assert view.flat.tolist() == [0, 1, 2, 3, 4, 5] and view.chosen.tolist() == [5, 12]
-    assert view.A.tolist() == [[0, 1], [2, 3], [4, -5]]
-    parts.work(first, np.int64(at), out)
-    assert (first == raw).all()
-    if hasattr(parts.work, "signatures"):
-        assert len(parts.work.signatures) == 1, "one compilation serves all integers"
-    if hasattr(parts.step, "unit"):
-        assert len(parts.step.unit.known) == 1, "and all constants"
-
-
 RECORDS = {
     name: x if isinstance(x, np.dtype) else x.dtype
     for name, x in vars(records).items()
@@ -227,7 +62,7 @@ RECORDS = {
 }
 
 
-@mark.parametrize("name", RECORDS)
+@parametrize("name", RECORDS)
 def test_no_field_of_a_record_is_named_like_an_attribute(name):
     """In plain Python `record.field` finds attributes of `np.recarray` and `np.record` first."""
     taken = set(dir(np.recarray)) | set(dir(np.record))
@@ -240,7 +75,7 @@ def test_no_field_of_a_record_is_named_like_an_attribute(name):
         assert kind.base in (np.int64, np.float64) and offset % 8 == 0
 
 
-@mark.parametrize(
+@parametrize(
     "other, duration",
     [
         ({"NUMBA_DISABLE_JIT": "1"}, 0.02),
@@ -281,7 +116,7 @@ print(jit.UNITS, square(3) if sys.argv[1] != "other numba" else 9)
 """
 
 
-@mark.parametrize(
+@parametrize(
     "changes",
     [{}, {"CC": "no-such-compiler"}, {"OSC_CONTACT_LAW": "jit"}],
     ids=["other numba", "no compiler", "asked for"],
@@ -299,10 +134,9 @@ def test_what_lacks_for_a_library_is_said_and_numba_compiles_as_it_always_does(
     assert ("longer to compile" in out.stderr) == (which != "asked for")
 
 
-def test_progress_rises_with_the_parts_translated(parts):
-    units = sys.modules[jit.__name__].UNITS
-    if units is None:
-        return
+@mark.skipif(jit.UNITS is None, reason="numba compiles in its usual way here")
+def test_progress_rises_with_the_parts_translated():
+    units = jit.UNITS
     shares = []
     units.watchers[:] = [shares.append]
     from numba import types
@@ -312,8 +146,7 @@ def test_progress_rises_with_the_parts_translated(parts):
     def first(x):
         return 2.0 * x
 
-    second = units.Unit(lambda x: first(x) + 1.0, False)
-    second.translated((types.float64,))
+    units.Unit(lambda x: first(x) + 1.0, False).translated((types.float64,))
     units.watchers.clear()
     assert len(shares) == 2 and 0.0 < shares[0] < shares[1] <= 1.0
 

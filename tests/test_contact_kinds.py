@@ -6,10 +6,12 @@ from typing import get_args
 import numpy as np
 import pinocchio as pin
 import pytest
+from complaints import scenario_error
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from rigs import shift
+from samples import parametrize
 
 from osc_contact.contacts.pairs.pair import make_pair
 from osc_contact.errors import ScenarioError
@@ -70,7 +72,7 @@ def complaints(source):
     return str(caught.value)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@parametrize("kind", KINDS)
 def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
     """N at a random pose: the pair of the Python class, given in the body's frame at its pose."""
     scenario = parse_scenario(text(kind))
@@ -98,7 +100,7 @@ def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
         assert_allclose(pair.gaps(X), own.gaps(X, X_WB), atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@parametrize("kind", KINDS)
 def test_feet_lie_on_the_lines_of_force_and_on_the_touched_surface(kind):
     scenario = parse_scenario(text(kind))
     (pair,) = build_pairs(scenario)
@@ -110,15 +112,13 @@ def test_feet_lie_on_the_lines_of_force_and_on_the_touched_surface(kind):
     assert_allclose(norm(directions, axis=1), 1.0, atol=1e-12)
     moments = np.cross(points - X.translation, directions)
     assert_allclose(np.vstack((directions.T, moments.T)), N, atol=1e-12)
-    bodies = environment_bodies(scenario)
-    on_body = E * bodies[0].placement
+    on_body = E * environment_bodies(scenario)[0].placement
     local = np.array([on_body.actInv(p) for p in points])
     spec = scenario.contacts[0]
     if isinstance(spec, OnPlaneSpec):
         assert_allclose((local - spec.face_point) @ spec.face_normal, 0.0, atol=1e-12)
     if kind == "face_on_vertex":
-        away = norm(local[0] - spec.body_vertex)
-        assert away == pytest.approx(spec.radius, abs=1e-12)
+        assert norm(local[0] - spec.body_vertex) == pytest.approx(spec.radius, abs=1e-12)
     if kind == "edge_on_edge":
         n = on_body.rotation.T @ directions[0]
         across = np.cross(spec.edge_direction, n)  # the line of force crosses the body's edge
@@ -182,7 +182,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("case", REFUSED)
+@parametrize("case", REFUSED)
 def test_what_does_not_fit_is_refused_with_line_key_and_cure(case):
     source, message = REFUSED[case]
     found = complaints(source)
@@ -194,8 +194,7 @@ def test_force_of_one_magnitude_can_be_overridden():
     scenario = parse_scenario(text("face_on_face"), None, ["force.pad.2.0.value=7 N"])
     assert scenario.force["pad.2"][0].value == 7.0
     assert scenario.force["pad.1"][0].value == 3.0
-    again = type(scenario).model_validate(scenario.as_dict())
-    assert again == scenario
+    assert type(scenario).model_validate(scenario.as_dict()) == scenario
 
 
 def test_only_contacts_that_push_are_kept_from_pulling():
@@ -207,5 +206,5 @@ def test_only_contacts_that_push_are_kept_from_pulling():
         if pulls:
             References.of(scenario, pin.SE3.Identity(), pairs, np.zeros(6))
             continue
-        with pytest.raises(ScenarioError, match=r"force\.pad\.2 is -1 N.*cannot pull"):
+        with scenario_error(r"force\.pad\.2 is -1 N.*cannot pull"):
             References.of(scenario, pin.SE3.Identity(), pairs, np.zeros(6))

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, fixture, mark
+from pytest import approx
 from rigs import largest, panda_pair, random_faces, random_state, refused, rig_of, scara_pair
+from samples import module_fixture, parametrize
+from scenario_runs import run_of
 from test_law import UNLIMITED, inputs
 
 import osc_contact as osc
@@ -47,9 +49,9 @@ def given_phases(controller, phase):
     rows.memory.fresh = 0
 
 
-@mark.parametrize("times", [1.0, 200.0])
-@mark.parametrize("friction", [None, Friction(0.4)])
-@mark.parametrize("chain", [scara_pair, panda_pair])
+@parametrize("times", [1.0, 200.0])
+@parametrize("friction", [None, Friction(0.4)])
+@parametrize("chain", [scara_pair, panda_pair])
 def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, times):
     """Torques of a controller that never knew of the open ones, also with too weak motors.
 
@@ -109,12 +111,10 @@ def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
     controller = osc.Controller(chain, pairs, gains, life=k)
     measurement, reference = inputs(chain, q, v, rng, 2)
     s = chain.state(q, v)
-    quiet = replace(measurement, wrenches=np.zeros((2, 6)))
-    controller.tick(quiet, reference)
+    controller.tick(replace(measurement, wrenches=np.zeros((2, 6))), reference)
     load = controller.signals.contact.N @ np.array([60.0, 60.0])
     R = s.sensors[0].rotation
-    p = s.sensors[0].translation
-    moment = load[3:] - np.cross(p - s.X_WO.translation, load[:3])
+    moment = load[3:] - np.cross(s.sensors[0].translation - s.X_WO.translation, load[:3])
     wrenches = np.array([np.concatenate((R.T @ load[:3], R.T @ moment)), np.zeros(6)])
     pressed = replace(measurement, wrenches=wrenches)
     for _ in range(300):
@@ -127,7 +127,7 @@ def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
 # --- on MuJoCo ------------------------------------------------------------------------------------
 
 
-@mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "ur5_wipe", "limited_rod"])
+@parametrize("name", ["two_contact_rod", "dual_panda_rod", "ur5_wipe", "limited_rod"])
 def test_phases_change_nothing_while_contacts_stay_closed(name):
     """Filter and least squares, several columns, motors at their limits: bit for bit."""
     at_once = "gains.force.rise=0 s"  # or the first millinewtons would open a contact
@@ -144,7 +144,7 @@ def test_phases_change_nothing_while_contacts_stay_closed(name):
     assert (controller.phases() == CLOSED).all()
 
 
-@mark.parametrize("reading", ["filter", "least_squares"])
+@parametrize("reading", ["filter", "least_squares"])
 def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(reading):
     """Beside Λ_out: the object accelerates by x along its lines of force."""
     chain = panda_pair()
@@ -171,9 +171,9 @@ def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(read
     assert_allclose(D @ found, x, rtol=1e-7, atol=1e-9)
 
 
-@fixture(scope="module")
+@module_fixture
 def knocked():
-    return osc.run(osc.load_scenario("collisions"), duration=2.5)
+    return run_of("collisions", duration=2.5)
 
 
 def test_every_collision_of_a_knocked_rod_is_flagged_in_time(knocked):
@@ -242,8 +242,7 @@ def test_a_landing_is_soft_and_torques_do_not_jump():
     assert len(draw_landing([recording]).axes) == 4
     assert row["peak_over_command"] <= 2.0
     assert row["torque_rate"] <= row["torque_rate_limit"] * (1 + 1e-9)
-    open_at_first = recording["contact_phase"][recording["t"] < 0.39]
-    assert (open_at_first == OPEN).all()
+    assert (recording["contact_phase"][recording["t"] < 0.39] == OPEN).all()
     changes = np.flatnonzero(np.abs(np.diff(recording["contact_phase"], axis=0)).any(axis=1))
     jumps = np.abs(np.diff(recording["tau"], axis=0)).max(axis=1)
     assert len(changes) >= 3

@@ -1,4 +1,4 @@
-"""The assembled controller: its wiring, its manners when data are bad, its limits."""
+"""The assembled controller: wiring, settings, limits, and whatever programs may call it with."""
 
 import copy
 import pickle
@@ -7,20 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from grasp_oracle import kkt
+from complaints import model_error, scenario_error
+from kkt_oracle import held
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, fixture, mark
-from rigs import UNLIMITED, largest, refused, rig_of
+from pytest import approx, fixture, raises
+from rigs import UNLIMITED, largest, one_panda, refused, rig_of, shift, ticked
+from samples import module_fixture, parametrize
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
 from osc_contact.control.status import SafetyState
+from osc_contact.scenarios import parse_scenario
 from osc_contact.scenarios.control_schema import MotionGains
+from osc_contact.spatial import as_array
 from paper.diagrams import BLOCKS
 
 
-@fixture(scope="module")
+@module_fixture
 def rig():
     return rig_of("two_contact_rod")
 
@@ -32,52 +36,8 @@ def ready(rig):
     plant = rig.plant()
     measurement = plant.measure()
     reference = rig.references.at(0.0)
-    controller.tick(measurement, reference)
-    assert controller.status is osc.Status.OK
+    ticked(controller, measurement, reference)
     return controller, plant, measurement, reference
-
-
-@mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@mark.parametrize("key", ["q", "v", "wrenches"])
-def test_a_bad_measurement_repeats_the_last_torques_and_freezes_the_integrators(ready, key, value):
-    controller, _, measurement, reference = ready
-    last = controller.tick(measurement, reference)
-    before = controller.force_integral.copy(), controller.motion_integral.copy()
-    for index in range(getattr(measurement, key).size):
-        data = getattr(measurement, key).copy()
-        data.flat[index] = value
-        tau = controller.tick(replace(measurement, **{key: data}), reference)
-        assert controller.status is osc.Status.HELD and controller.reason
-        if index < 2:
-            assert_array_equal(tau, last)
-        assert np.isfinite(tau).all() and (np.abs(tau) <= controller.chain.tau_max).all()
-    assert_array_equal(controller.force_integral, before[0])
-    assert_array_equal(controller.motion_integral, before[1])
-    controller.tick(measurement, reference)
-    assert controller.status is osc.Status.OK
-
-
-@mark.parametrize(
-    "change",
-    [
-        {"q": np.zeros(9)},
-        {"v": np.zeros((10, 1))},
-        {"wrenches": np.zeros((1, 6))},
-        {"wrenches": np.zeros(12)},
-        {"alpha_d": np.array([10.0, np.nan])},
-        {"alpha_d": np.array([10.0])},
-        {"V_D": np.full(6, np.inf)},
-        {"V_D": np.zeros(3)},
-        {"A_D": np.zeros((6, 1))},
-        {"squeeze_d": float("nan")},
-    ],
-)
-def test_what_does_not_fit_repeats_the_last_torques(ready, change):
-    controller, _, *given = ready
-    last = controller.tick(*given)
-    changed = [replace(one, **change) if hasattr(one, next(iter(change))) else one for one in given]
-    assert_array_equal(controller.tick(*changed), last)
-    assert controller.status is osc.Status.HELD and controller.reason
 
 
 def test_torques_never_exceed_a_motor_limit(ready):
@@ -128,8 +88,7 @@ def test_wiring_is_complete_and_runs_forward(rig):
         assert block.inputs and block.outputs, block.name
         assert set(block.inputs) <= known, block.name
         known |= set(block.outputs)
-    read = {name for block in BLOCKS for name in block.inputs}
-    assert known - read == {"tau"}
+    assert known - {name for block in BLOCKS for name in block.inputs} == {"tau"}
     controller = rig.controller()
     controller.tick(rig.plant().measure(), rig.references.at(0.0))
     assert all(hasattr(controller.signals, name) for name in known)
@@ -151,8 +110,7 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig):
     """The motion integral becomes a constant wrench: without forces the torques do not jump."""
     gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
     controller = Controller(rig.model, rig.pairs, gains, engaged=False)
-    plant = rig.plant()
-    measurement = plant.measure()
+    measurement = rig.plant().measure()
     reference = rig.references.at(0.0)
     controller.tick(measurement, reference)
     controller.motion_integral = np.array([1e-3, -2e-3, 3e-3, 0.0, 1e-3, 2e-3])
@@ -173,14 +131,15 @@ def test_without_contacts_the_whole_motion_is_controlled(rig):
     controller = Controller(rig.model, (), joint_friction=False)
     reference = replace(rig.references.at(0.0), alpha_d=np.zeros(0), A_D=np.arange(1.0, 7.0))
     measurement = rig.plant().measure()
-    tau = controller.tick(measurement, reference)
-    assert controller.status is osc.Status.OK, controller.reason
-    miss = kkt(rig.chain, measurement.q, measurement.v, tau).a_object - controller.signals.a_u
+    tau = ticked(controller, measurement, reference)
+    miss = (
+        held(rig.chain, measurement.q, measurement.v).answer(tau).a_object - controller.signals.a_u
+    )
     state = controller.signals.state
     assert_allclose(state.S.T @ state.metric @ miss, 0.0, atol=1e-8)
 
 
-@mark.parametrize(
+@parametrize(
     "make, words",
     [
         (lambda rig: Controller(rig.model, rig.pairs, dt=0.0), "dt"),
@@ -197,16 +156,21 @@ def test_bad_settings_are_refused(rig, make, words):
 
 def test_arms_without_wrist_sensors_cannot_control_contact_forces():
     """Half the sensors would weigh half the object and still look plausible."""
-    scenario = osc.load_scenario("two_contact_rod", ["arms.left.wrist_sensor=null"])
-    rig = osc.build_rig(scenario)
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["arms.left.wrist_sensor=null"]))
     with refused("left"):
         rig.controller()
+
+
+def test_a_redundant_arm_with_passive_joints_is_refused():
+    limp = replace(one_panda().arms[0], passive_joints=("panda_joint7",))
+    with model_error("posture"):
+        Controller(osc.ClosedChain([limp], None, one_panda().payload), [])
 
 
 # --- settings are taken once, controllers share nothing ------------------------------------------
 
 
-@mark.parametrize(
+@parametrize(
     "name",
     ["gains", "dt", "B", "contacts", "friction", "bodies", "posture", "life", "signals", "x"],
 )
@@ -219,8 +183,7 @@ def test_other_gains_go_on_without_a_jump(rig):
     gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
     bare = UNLIMITED  # the very same readings again and again
     controller = Controller(rig.model, rig.pairs, gains, safety=bare)
-    plant = rig.plant()
-    measurement = plant.measure()
+    measurement = rig.plant().measure()
     reference = rig.references.at(0.0)
     shift = np.array([1e-3, -2e-3, 1e-3, 2e-3, 1e-3, -1e-3])
     away = replace(reference, X_WD=reference.X_WD * pin.exp6(pin.Motion(shift)))
@@ -235,8 +198,7 @@ def test_other_gains_go_on_without_a_jump(rig):
         changed = osc.Gains(osc.MotionGains(400, 40, integral), gains.force)
         other = controller.with_gains(changed)
         assert other.gains is changed and controller.gains is gains
-        got = other.tick(measurement, still)
-        assert other.status is osc.Status.OK, other.reason
+        got = ticked(other, measurement, still)
         # handed to f_bias the force on the object stays, though no acceleration is expected of it
         assert_allclose(other.signals.f_S, alike.signals.f_S, rtol=1e-6, atol=1e-6)
         if integral:
@@ -283,3 +245,213 @@ def test_two_threads_on_one_chain_do_not_disturb_one_another(rig):
 
     with ThreadPoolExecutor(2) as pool:
         assert_array_equal(list(pool.map(run, stories)), [run(story) for story in stories])
+
+
+# --- calls no program should make: a tick answers all of them, others are answered in a sentence --
+
+BAD = {
+    "list": lambda x: np.asarray(x).tolist(),
+    "none": lambda x: None,
+    "texts": lambda x: np.full(np.shape(x), "a"),
+    "text": lambda x: "hello",
+    "bytes": lambda x: b"ab",
+    "objects": lambda x: np.full(np.shape(x), None, dtype=object),
+    "large": lambda x: np.full(np.shape(x), 1e200),
+    "larger": lambda x: np.full(np.shape(x), 1e308),
+    "integer": lambda x: 10**400,
+    "nan": lambda x: np.full(np.shape(x), np.nan),
+    "infinite": lambda x: np.full(np.shape(x), -np.inf),
+    "complex": lambda x: np.asarray(x) + 1j,
+    "row": lambda x: np.asarray(x)[None],
+    "column": lambda x: np.asarray(x)[..., None],
+    "short": lambda x: np.ravel(x)[1:],
+    "ragged": lambda x: [[1, 2], [3]],
+    "group": lambda x: {},
+    "generator": lambda x: (k for k in range(3)),
+}
+
+
+@parametrize("kind", BAD)
+def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig, ready, kind):
+    _, _, *good = ready
+    measurement, reference = good
+    calls = [(None, reference), (measurement, None), ("a", 3)]
+    for name in ("q", "v", "wrenches", "touched"):
+        given = getattr(measurement, name)
+        bad = BAD[kind](np.zeros(3) if given is None else given)
+        calls.append((replace(measurement, **{name: bad}), reference))
+    for name in ("V_D", "A_D", "alpha_d", "squeeze_d", "X_WD"):
+        given = getattr(reference, name)
+        bad = BAD[kind](given.homogeneous if name == "X_WD" else given)
+        calls.append((measurement, replace(reference, **{name: bad})))
+    limits = rig.chain.tau_max * (1.0 + 1e-12)
+    for call in calls:
+        controller = rig.controller()
+        last = ticked(controller, *good)
+        before = controller.force_integral, controller.motion_integral
+        tau = controller.tick(*call)
+        assert np.isfinite(tau).all() and (np.abs(tau) <= limits).all()
+        if controller.status is osc.Status.HELD:
+            assert controller.reason
+            if controller.state < SafetyState.HOLD:  # huge speeds stop the arms at once
+                assert_array_equal(tau, last)
+            assert_array_equal(controller.force_integral, before[0])
+            assert_array_equal(controller.motion_integral, before[1])
+        else:
+            assert controller.status is osc.Status.OK or controller.reason
+        ticked(controller, *good)
+
+
+def test_the_first_tick_refuses_wrong_shapes_later_ones_hold(rig, ready):
+    *_, measurement, reference = ready
+    good = measurement, reference
+    for name, shape in (
+        ("q", r"\(10,\), got \(9,\)"),
+        ("v", r"\(10,\), got \(9,\)"),
+        ("wrenches", r"\(2, 6\), got \(1, 6\)"),
+    ):
+        bad = replace(measurement, **{name: getattr(measurement, name)[:-1]})
+        controller = rig.controller()
+        with refused(f"{name}: expected shape {shape}"):
+            controller.tick(bad, reference)
+        controller.tick(*good)
+        controller.tick(bad, reference)
+        assert controller.status is osc.Status.HELD
+    with refused(r"V_D: expected shape \(6,\), got \(1, 6\)"):
+        rig.controller().tick(measurement, replace(reference, V_D=reference.V_D[None]))
+
+
+@parametrize("plant", ["rigid", "mujoco"])
+@parametrize("duration", [-1.0, 0.0, np.nan, np.inf])
+def test_a_step_that_takes_no_time_is_refused(plant, duration):
+    rig = rig_of("two_contact_rod", f"plant.type={plant}")
+    with refused("positive, finite time"):
+        rig.plant().command(np.zeros(rig.chain.n_a), duration)
+
+
+def test_a_run_without_end_is_refused():
+    with scenario_error("duration"):
+        osc.load_scenario("two_contact_rod", ["duration=1e12"])
+
+
+def test_a_scenario_of_a_hundred_megabytes_is_refused_at_once(tmp_path):
+    path = tmp_path / "large.yaml"
+    with open(path, "wb") as file:
+        file.truncate(100_000_000)
+    with scenario_error(r"has 100\.0 MB; scenarios are read up to 1 MB"):
+        osc.load_scenario(path)
+    with scenario_error("characters"):
+        parse_scenario("a: 1\n" * 1_000_000)
+
+
+# --- lists, single precision and strided arrays ---------------------------------------------------
+
+KINDS = {
+    "float32": lambda x: np.asarray(x, dtype=np.float32),
+    "strided": lambda x: np.repeat(x, 2, axis=-1)[..., ::2],
+    "fortran": np.asfortranarray,
+    "lists": lambda x: np.asarray(x).tolist(),
+    "read-only": lambda x: np.frombuffer(np.asarray(x).tobytes()).reshape(np.shape(x)),
+}
+
+
+def of_kind(kind, measurement, reference):
+    """The same tick in arrays of another kind."""
+    make = KINDS[kind]
+    m = {name: make(getattr(measurement, name)) for name in ("q", "v", "wrenches")}
+    r = {name: make(getattr(reference, name)) for name in ("V_D", "A_D", "alpha_d")}
+    return replace(measurement, **m), replace(reference, **r)
+
+
+def rounded(measurement, reference):
+    """In numbers that single precision holds."""
+    return [
+        replace(whole, **{name: np.float64(np.float32(getattr(whole, name))) for name in names})
+        for whole, names in (
+            (measurement, ("q", "v", "wrenches")),
+            (reference, ("V_D", "A_D", "alpha_d")),
+        )
+    ]
+
+
+@parametrize("kind", KINDS)
+@parametrize("sequence", [False, True])
+def test_other_arrays_are_found_out_once_and_give_the_same_torques(
+    rig, monkeypatch, kind, sequence
+):
+    """The refusal of arrays by the compiled law costs as much as dozens of ticks: it comes once."""
+    plant = rig.plant()
+    refused = []
+    convert = Controller._convert
+    monkeypatch.setattr(
+        Controller, "_convert", lambda self, *args: (refused.append(args), convert(self, *args))[1]
+    )
+    usual = rig.controller()
+    other = rig.controller()
+    for k in range(20):
+        measurement, reference = rounded(plant.measure(), rig.references.at(k * 1e-3))
+        if sequence:
+            measurement = replace(measurement, sequence=k)
+        want = usual.tick(measurement, reference)
+        tau = other.tick(*of_kind(kind, measurement, reference))
+        assert other.status is usual.status, other.reason
+        assert_array_equal(tau, want)
+        assert np.array_equal(usual.motion_integral, other.motion_integral)
+        plant.command(want, 1e-3)
+    assert usual.status is osc.Status.OK
+    assert len(refused) <= 1, f"{len(refused)} of 20 ticks were refused first"
+
+
+def test_arrays_of_the_usual_kind_meet_no_conversion(rig):
+    controller = rig.controller()
+    plant = rig.plant()
+    controller.tick(plant.measure(), rig.references.at(0.0))
+    assert not controller._converting
+    copy = controller.with_gains(rig.gains)
+    other = of_kind("lists", plant.measure(), rig.references.at(0.0))
+    controller.tick(*other)
+    assert controller._converting and not copy._converting
+
+
+def test_a_list_of_wrong_length_is_still_refused(rig):
+    controller = rig.controller()
+    measurement, reference = of_kind("lists", rig.plant().measure(), rig.references.at(0.0))
+    ticked(controller, measurement, reference)
+    for bad in (
+        replace(measurement, q=measurement.q[1:]),
+        replace(measurement, q=["a"] * len(measurement.q)),
+        replace(measurement, wrenches=[[1.0], [2.0, 3.0]]),
+        replace(measurement, v=[np.nan] * len(measurement.v)),
+    ):
+        tau = controller.tick(bad, reference)
+        assert controller.status is osc.Status.HELD and controller.reason
+        assert np.isfinite(tau).all()
+    ticked(controller, measurement, reference)
+
+
+def test_a_plain_number_is_the_force_of_the_only_contact():
+    rig = rig_of("panda_edge")
+    measurement = rig.plant().measure()
+    at = rig.references.at(0.0)
+    assert at.alpha_d.shape == (1,)
+    want = rig.controller().tick(measurement, at)
+    number = float(at.alpha_d[0])
+    tau = ticked(rig.controller(), measurement, replace(at, alpha_d=number))
+    assert_array_equal(tau, want)
+    X = at.X_WD
+    made = osc.pose_reference(X.translation, X.rotation, alpha_d=number)
+    assert_array_equal(made.alpha_d, at.alpha_d)
+
+
+def test_the_gap_of_gap_functions_may_be_a_plain_number():
+    X = shift([0.0, 0.0, 0.02])
+    V = np.zeros(6)
+    many = osc.GapFunctions(lambda X: X.translation[2:]).contact(X, V)
+    one = osc.GapFunctions(lambda X: X.translation[2]).contact(X, V)
+    assert_array_equal(one.N, many.N)
+    assert one.N.shape == (6, 1)
+
+
+def test_a_plain_number_is_no_vector_of_a_given_size():
+    with raises(osc.InvalidInputError, match=r"V_D: expected shape \(6\), got \(\)"):
+        as_array("V_D", 1.0, (6,))

@@ -1,10 +1,10 @@
 """A cylinder in a V-groove: its kind for the tests of all pairs, its walls, and a task."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 from pair_kinds import about, carrying, in_plane, kind, placed, unit
 from rigs import refused, shift
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
@@ -47,7 +47,7 @@ def test_each_wall_is_pushed_at_right_angles_from_inside():
     assert_allclose(pair.gaps(lifted), 0.01 / np.sqrt(2), atol=1e-15)
 
 
-@pytest.mark.parametrize("wrong", [{"groove_angle": 3.2}, {"groove_outward": [0, 2, 0]}])
+@parametrize("wrong", [{"groove_angle": 3.2}, {"groove_outward": [0, 2, 0]}])
 def test_a_groove_without_walls_is_refused(wrong):
     good = {"groove_direction": [0, 1, 0], "groove_outward": [0, 0, 1]}
     with refused("rod: the walls enclose"):

@@ -6,6 +6,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
 from rigs import largest, rig_of, unit
+from scenario_runs import verdict_of
 
 import osc_contact as osc
 from benchmarks.combined_errors import ERRORS
@@ -104,7 +105,7 @@ def test_under_all_errors_it_brings_two_points_to_three_per_cent():
     error = []
     for dither in ("null", "{}"):
         changes = [*ERRORS, *masses, f"control.dither={dither}", "duration=4 s"]
-        verdict = osc.metrics(osc.run(osc.load_scenario("two_contact_rod", changes)))
+        verdict = verdict_of("two_contact_rod", *changes)
         assert set(verdict["contact_fraction"].values()) == {1.0}
         error.append(max(one["rms_error_rel"] for one in verdict["force"].values()))
     assert error[1] < 0.031 and error[1] < 0.8 * error[0], error

@@ -5,13 +5,25 @@ from dataclasses import replace
 
 import daqp
 import numpy as np
-from grasp_oracle import kkt
+from complaints import model_error
+from kkt_oracle import held
 from numpy.linalg import cholesky, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, fixture, mark, raises
-from rigs import UNLIMITED, largest, one_panda, panda_pair, scara_pair, unit
-from test_decoupling import in_contact
+from pytest import approx
+from rigs import (
+    UNLIMITED,
+    in_contact,
+    largest,
+    one_panda,
+    panda_pair,
+    scara_pair,
+    ticked,
+    unit,
+    with_motors,
+)
+from samples import module_fixture, parametrize
+from scenario_runs import run_of
 
 import osc_contact as osc
 from benchmarks.cases import CASES
@@ -46,13 +58,6 @@ def idle_motions(state, chain):
     return np.vstack(rows)[:, chain.actuated]
 
 
-def weakened(chain, tau_max):
-    """The same chain with other motors."""
-    weak = osc.ClosedChain(chain.arms, chain.grasps, chain.payload)
-    weak.tau_max = np.asarray(tau_max, dtype=float)
-    return weak
-
-
 def demanding(chain, rng, r):
     """Controller, measurement and reference of a tick that motors with `share` could not make."""
     state, _, pairs, q, v = in_contact(chain, rng, r)
@@ -65,9 +70,8 @@ def demanding(chain, rng, r):
 
 def wanted_torques(chain, pairs, measurement, reference):
     """What the tick asks of the motors: the torques of stronger ones in the same proportions."""
-    free = motors_only(weakened(chain, 1e4 * chain.tau_max), pairs, GAINS)
-    wanted = free.tick(measurement, reference)
-    assert free.status is osc.Status.OK, free.reason
+    free = motors_only(with_motors(chain, 1e4 * chain.tau_max), pairs, GAINS)
+    wanted = ticked(free, measurement, reference)
     return wanted
 
 
@@ -76,7 +80,7 @@ def limited_tick(chain, rng, r, share):
     while True:
         pairs, measurement, reference = demanding(chain, rng, r)
         wanted = wanted_torques(chain, pairs, measurement, reference)
-        weak = weakened(chain, chain.tau_max * share * largest(wanted / chain.tau_max))
+        weak = with_motors(chain, chain.tau_max * share * largest(wanted / chain.tau_max))
         controller = motors_only(weak, pairs, GAINS)
         tau = controller.tick(measurement, reference)
         assert controller.status is osc.Status.SATURATED, controller.reason
@@ -99,8 +103,10 @@ class Answers:
             grasps = s.state.grasp_points
             line[:3] = unit(grasps[1] - grasps[0])
 
+        whole = held(chain, measurement.q, measurement.v, controller.contacts)
+
         def at(tau):
-            got = kkt(chain, measurement.q, measurement.v, tau, s.contact.N, s.contact.n_gamma)
+            got = whole.answer(tau)
             half = 0.5 * line @ (got.loops[0] - got.loops[-1])
             return np.concatenate((got.a_object, got.alpha, [half]))
 
@@ -127,8 +133,8 @@ class Answers:
         return np.vstack((rows, np.sqrt(TORQUE) * size * np.eye(rows.shape[1])))
 
 
-@mark.parametrize("share", [0.95, 0.6])
-@mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
+@parametrize("share", [0.95, 0.6])
+@parametrize("rig", [scara_pair, panda_pair, one_panda])
 def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
     """KKT conditions of the program, its matrices sampled from the full multibody system."""
     chain = rig()
@@ -148,8 +154,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
         size = largest(answers.slope)
         assert_allclose(answers.base[6 : 6 + r], s.alpha_u, atol=1e-6)
         assert_allclose(answers.base[6 : 6 + r] - got[6 : 6 + r], cost.force, atol=1e-6)
-        lost = answers.base[:6] - got[:6]
-        assert_allclose(lost, cost.acceleration, atol=1e-8 * size)
+        assert_allclose(answers.base[:6] - got[:6], cost.acceleration, atol=1e-8 * size)
         if len(chain.arms) == 2:
             assert answers.base[-1] - got[-1] == approx(cost.squeeze[0], abs=1e-5)
         # forces stay between their floor and what was commanded
@@ -172,7 +177,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
         assert (multipliers >= -1e-5 * largest(multipliers)).all()
 
 
-@mark.parametrize("rig", [scara_pair, one_panda])
+@parametrize("rig", [scara_pair, one_panda])
 def test_within_the_limits_nothing_changes_and_beyond_them_nothing_jumps(rig):
     chain = rig()
     rng = default_rng(41)
@@ -182,13 +187,12 @@ def test_within_the_limits_nothing_changes_and_beyond_them_nothing_jumps(rig):
         wanted = wanted_torques(chain, pairs, measurement, reference)
         worst = largest(wanted / chain.tau_max)
         for share in (1.0002, 1.00001, 0.9998, 0.9996, 0.9994):
-            weak = weakened(chain, chain.tau_max * worst * share)
+            weak = with_motors(chain, chain.tau_max * worst * share)
             limited = motors_only(weak, pairs, GAINS)
             tau = limited.tick(measurement, reference)
             if share >= 1.0:
                 assert limited.status is osc.Status.OK and limited.given_up is None
-                size = largest(wanted)
-                assert_allclose(tau, wanted, rtol=0, atol=1e-12 * size)
+                assert_allclose(tau, wanted, rtol=0, atol=1e-12 * largest(wanted))
             if before is not None:
                 assert largest((tau - before) / weak.tau_max) < 0.02
             before = tau
@@ -200,7 +204,7 @@ def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch):
     pairs, measurement, reference = demanding(chain, rng, 1)
     strong = chain.tau_max
     weak = 0.02 * chain.tau_max
-    controller = motors_only(weakened(chain, weak), pairs, GAINS)
+    controller = motors_only(with_motors(chain, weak), pairs, GAINS)
     controller.tick(measurement, reference)
     assert controller.status is osc.Status.SATURATED and (strong > weak).all()
     sums = controller.force_integral
@@ -221,27 +225,27 @@ def test_motors_without_limit():
     endless = osc.ClosedChain([replace(chain.arms[0], model=model)], chain.grasps, chain.payload)
     assert np.isinf(endless.tau_max).all()
     found = []
-    for one in (endless, weakened(chain, np.full(7, 1e6))):
+    for one in (endless, with_motors(chain, np.full(7, 1e6))):
         controller = motors_only(one, pairs, GAINS)
         found.append(controller.tick(measurement, reference))
         assert controller.status is osc.Status.OK, controller.reason
     assert_allclose(found[0], found[1], atol=1e-9 * largest(found[1]))
     for limit, status in ((60.0, osc.Status.OK), (0.5, osc.Status.SATURATED)):
-        some = weakened(chain, np.where(np.arange(7) % 2, np.inf, limit))
+        some = with_motors(chain, np.where(np.arange(7) % 2, np.inf, limit))
         controller = motors_only(some, pairs, GAINS)
         tau = controller.tick(measurement, reference)
         assert np.isfinite(tau).all() and (np.abs(tau) <= some.tau_max).all()
         assert status is osc.Status.OK or controller.status is status
 
 
-@mark.parametrize("limit", [0.0, -3.0])
+@parametrize("limit", [0.0, -3.0])
 def test_a_motor_that_can_do_nothing_is_refused(limit):
     arm = one_panda().arms[0]
     model = arm.model.copy()
     limits = np.array(model.upperEffortLimit)
     limits[2] = limit
     model.upperEffortLimit = limits
-    with raises(osc.ModelError, match=r"arm/panda_joint3.*effort"):
+    with model_error(r"arm/panda_joint3.*effort"):
         osc.ClosedChain([replace(arm, model=model)])
 
 
@@ -251,7 +255,7 @@ def test_integrals_rest_while_motors_are_at_their_limits():
     rng = default_rng(46)
     for _ in range(5):
         pairs, measurement, reference = demanding(chain, rng, 2)
-        controller = motors_only(weakened(chain, 0.03 * chain.tau_max), pairs, GAINS)
+        controller = motors_only(with_motors(chain, 0.03 * chain.tau_max), pairs, GAINS)
         before = np.zeros(2)
         for _ in range(5):
             controller.tick(measurement, reference)
@@ -263,15 +267,14 @@ def test_integrals_rest_while_motors_are_at_their_limits():
         assert_array_equal(controller.motion_integral, np.zeros(6))
 
 
-@fixture(scope="module")
+@module_fixture
 def run():
     """With integral action in both loops: what winds up is seen."""
-    return osc.run(osc.load_scenario("limited_rod", ["gains.motion.integral=8000"]))
+    return run_of("limited_rod", "gains.motion.integral=8000")
 
 
 def test_limits_are_kept_and_no_contact_opens(run):
-    limits = np.array(list(run.meta["effort_limits"].values()))
-    assert (np.abs(run["tau"]) <= limits).all()
+    assert (np.abs(run["tau"]) <= np.array(list(run.meta["effort_limits"].values()))).all()
     assert (run["status"] == 1).sum() > 500 and not (run["status"] == 2).any()
     settled = run["t"] > 0.05
     assert run["closed"][settled].all() and (run["alpha_true"] >= 0.0).all()

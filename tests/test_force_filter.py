@@ -3,10 +3,9 @@
 import numpy as np
 import pinocchio as pin
 from grasp_rigs import random_case
-from kkt_oracle import Contact, State
+from kkt_oracle import pressed
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from pytest import mark
 from rigs import (
     PANDA_Q,
     ROD,
@@ -20,6 +19,7 @@ from rigs import (
     refused,
     scara_pair,
 )
+from samples import parametrize
 from test_grasps import touching
 
 import osc_contact as osc
@@ -63,14 +63,13 @@ def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_told():
         for chain in (flange, tool):
             X = chain.state(q, v).sensors[0].inverse() * X_WS
             carried = X.act(pin.Force(wrenches[0])).vector[None]
-            got = found_by_law(chain, pairs, q, v, carried).alpha_meas
-            miss.append(largest(got - alpha))
+            miss.append(largest(found_by_law(chain, pairs, q, v, carried).alpha_meas - alpha))
         assert miss[0] < 1e-9 * max(largest(alpha), 1.0)  # link 8 has no mass of its own
         errors.append(miss[1])
     assert min(errors) > 0.1
 
 
-@mark.parametrize("bad", [{"integral": -1.0}, {"damping": float("nan")}])
+@parametrize("bad", [{"integral": -1.0}, {"damping": float("nan")}])
 def test_bad_force_gains_are_refused(bad):
     with refused("ForceGains"):
         osc.ForceGains(**bad)
@@ -90,16 +89,15 @@ def pressing(chain, rng):
     return q, consistent(chain, q, v, contact_of(pairs, free).N), pairs
 
 
-@mark.parametrize("arm", ["panda", "ur5", "2R", "3R", "4R"])
+@parametrize("arm", ["panda", "ur5", "2R", "3R", "4R"])
 def test_forces_at_a_tip_that_holds_nothing(arm):
     """What moves beyond the sensor is taken out, whatever the motions that the tip has."""
     rng = default_rng(27)
     seen = 0
     for _ in range(12):
         case = random_case([arm], ["rigid"], rng, body=None)
-        pairs, _ = touching(case, rng)
-        contacts = [Contact(pair.name, pair, None, case.X_WO) for pair in pairs]
-        state = State(case, contacts, rest=State(case, []))
+        pairs = touching(case, rng)
+        state = pressed(case, pairs)
         state.move(rng)
         truth = state.answer(20.0 * rng.standard_normal(case.chain.n_a))
         found = found_by_law(case.chain, pairs, case.q, state.v, state.readings(truth))

@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from grasp_oracle import kkt
+from complaints import scenario_error
+from kkt_oracle import held
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx
 from rigs import contact_of, largest, one_panda, random_faces, random_state, refused, rig_of
-from samples import chosen, first
+from samples import chosen, first, parametrize
+from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact import robots
@@ -39,7 +41,7 @@ def test_gains_in_words_and_the_numbers_they_stand_for():
     assert motion.replaced(integral_time=None).stiffness == motion.stiffness
 
 
-@mark.parametrize(
+@parametrize(
     ("made", "words"),
     [
         (lambda: osc.ForceGains(integral=30, bandwidth=5), "bandwidth beside integral"),
@@ -63,15 +65,14 @@ def test_scenarios_take_both_kinds_and_name_the_others():
     gains = rig_of("ur5_wipe", own).gains
     assert gains.motion == osc.MotionGains(frequency=4, damping_ratio=0.8)
     assert gains.force == osc.ForceGains(bandwidth=3)
-    loaded = osc.Scenario.from_dict(scenario.as_dict())
-    assert loaded == scenario
+    assert osc.Scenario.from_dict(scenario.as_dict()) == scenario
     for sets, words in (
         ("gains.force.bandwidth=3 Hz", "--set 'gains.force={bandwidth: 5 Hz}'"),
         ("gains.motion.frequency=3 Hz", "--set 'gains.motion={frequency: 5 Hz}'"),
         ("gains.motion={stiffness: 400}", "stiffness .* and damping .* together"),
         ("gains.force={damping: 4}", "damping .* goes with integral"),
     ):
-        with raises(osc.ScenarioError, match=words.replace("{", r"\{")):
+        with scenario_error(words.replace("{", r"\{")):
             osc.load_scenario("two_contact_rod", [sets])
 
 
@@ -93,18 +94,18 @@ def test_the_brake_decelerates_the_contact_whatever_the_mass():
     kappa = 44.0
     for mass in (0.1, 1.0, 6.0):
         body = pin.Inertia(mass, np.array([0.01, 0.02, 0.0]), 0.02 * mass * np.eye(3))
-        held = osc.ClosedChain(chain.arms, chain.grasps, osc.RigidObject(body))
+        holding = osc.ClosedChain(chain.arms, chain.grasps, osc.RigidObject(body))
         q, v = random_state(chain, rng)
         v *= 0.01
-        state = held.state(q, v)
+        state = holding.state(q, v)
         pairs = random_faces(state.X_WO, 2, rng)
         measurement = osc.Measurement(q, v, np.zeros((1, 6)))
         reference = osc.Reference(state.X_WO, alpha_d=np.zeros(2))
         found = []
         for brake in (kappa, 0.0):
             gains = osc.Gains(osc.MotionGains(), osc.ForceGains(0.0, brake=brake))
-            one = osc.Controller(held, pairs, gains, posture=q, reading="filter")
-            found.append(kkt(held, q, v, one.tick(measurement, reference)).a_object)
+            one = osc.Controller(holding, pairs, gains, posture=q, reading="filter")
+            found.append(held(holding, q, v).answer(one.tick(measurement, reference)).a_object)
             assert one.status is osc.Status.OK, one.reason
         N = contact_of(pairs, state).N
         assert_allclose(N.T @ np.subtract(*found), -kappa * N.T @ state.V_O, rtol=1e-8, atol=1e-9)
@@ -145,7 +146,7 @@ def test_the_basis_of_N_does_not_matter():
                 0.01 * rng.standard_normal(7),
                 rng.standard_normal((1, 6)),
             )
-            plain = osc.Reference(X, np.zeros(6), np.zeros(6), alpha, 0.0)
+            plain = osc.Reference(X, alpha_d=alpha, squeeze_d=0.0)
             mixed = replace(plain, alpha_d=np.linalg.solve(R, alpha))
             want = one.tick(measurement, plain)
             got = other.tick(measurement, mixed)
@@ -253,7 +254,7 @@ ARMS = {
 }
 
 
-@mark.parametrize("mass", chosen(ARMS, "0.5 kg", "40 kg"))
+@parametrize("mass", chosen(ARMS, "0.5 kg", "40 kg"))
 def test_first_contact_and_steps_overshoot_little_whatever_the_mass(mass):
     first, later, _ = overshoots(pressed(one_arm(*ARMS[mass]), "end"))
     assert first < 0.2 and later < 0.2
@@ -267,7 +268,7 @@ STRETCHED = {
 }
 
 
-@mark.parametrize("chi", STRETCHED)
+@parametrize("chi", STRETCHED)
 def test_near_singular_contact_is_made_softly_and_kept_or_the_run_is_refused(chi):
     """Talos' arm without joint friction; the last posture's weight is above a motor's limit."""
     robot, tip, *_ = ARMS["1.5 kg"]
@@ -275,7 +276,7 @@ def test_near_singular_contact_is_made_softly_and_kept_or_the_run_is_refused(chi
     data["arms"][0] |= {"friction": 0.0, "damping": 0.0}
     scenario = osc.Scenario.from_dict(data)
     if chi == "overloaded":
-        with raises(osc.ScenarioError, match=r"arm_left_2_joint needs 24\.3\d N m .*limit of 22"):
+        with scenario_error(r"arm_left_2_joint needs 24\.3\d N m .*limit of 22"):
             osc.run(scenario)
         return
     state = osc.build_rig(scenario).state()
@@ -291,19 +292,18 @@ STEPS = [("two_contact_rod", HEAVY, "left_end"), ("three_arm_plate", [], "post_1
 STEPS += [("two_contact_rod", [], "left_end"), ("scara_peg", [], "wall_x")]
 
 
-@mark.parametrize("case", first(STEPS))
+@parametrize("case", first(STEPS))
 def test_a_step_of_one_force_hardly_moves_the_others(case):
     name, changes, step_of = case
-    run = pressed(osc.load_scenario(name, changes), step_of)
-    first, later, other = overshoots(run)
+    first, later, other = overshoots(pressed(osc.load_scenario(name, changes), step_of))
     assert first < 0.2 and later < 0.2 and other < 0.2
 
 
-@mark.parametrize("armature", first([0.5, 0.0], 1))
+@parametrize("armature", first([0.5, 0.0], 1))
 def test_a_wiping_arm_does_not_ring_with_heavy_rotors(armature):
     """Rocking of the cloth meets 470 kg at its corners then."""
     changes = [ARMATURE.format("ur5", armature), "gains={}", "duration=1.6 s"]
-    run = osc.run(osc.load_scenario("ur5_wipe", changes))
+    run = run_of("ur5_wipe", *changes)
     t = run["t"]
     error = run["alpha_true"] - run["alpha_cmd"]
     assert (error[t < 0.5] / run["alpha_cmd"][0]).max() < 0.2

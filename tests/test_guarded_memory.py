@@ -14,6 +14,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import mark
 from rigs import rig_of
+from samples import parametrize
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
@@ -163,8 +164,8 @@ def run(*arguments):
     )
 
 
-@mark.parametrize("at_end", [True, False], ids=["behind", "before"])
-@mark.parametrize("name", [*CASES, MOVING])
+@parametrize("at_end", [True, False], ids=["behind", "before"])
+@parametrize("name", [*CASES, MOVING])
 def test_no_tick_reads_or_writes_outside_of_its_records(name, at_end):
     done = run(name, at_end)
     assert done.returncode == 0, done.stderr[-2000:]

@@ -6,8 +6,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import norm
 from numpy.random import default_rng
-from pytest import approx, mark
+from pytest import approx
 from rigs import largest, shift
+from samples import parametrize
 
 import osc_contact as osc
 from benchmarks import force_laws
@@ -15,13 +16,12 @@ from benchmarks.hybrid_cases import CASES, RADIUS, judge, judge_samples, scenari
 from osc_contact.spatial import pose_error
 
 
-@mark.parametrize("case", CASES, ids=lambda case: case.name)
+@parametrize("case", CASES, ids=lambda case: case.name)
 def test_finger_is_where_it_is_asked_to_be_with_the_force_it_is_asked_for(case):
     recording = osc.run(scenario_of(case))
     force, place, turn = judge(case, recording).max(axis=0)
     assert force < 0.05 and place < 5e-4 and turn < 5e-4
-    closed = np.asarray(recording["closed"])
-    assert closed.mean() > 0.999
+    assert np.asarray(recording["closed"]).mean() > 0.999
     pose = np.asarray(recording["pose"])  # by hand: a finger's radius before the wall, at the goal
     n = case.normal
     last = case.goals[-1].point
@@ -32,14 +32,14 @@ def test_finger_is_where_it_is_asked_to_be_with_the_force_it_is_asked_for(case):
     assert np.ptp(pose[:, 1]) > 0.4  # it did go along the wall
 
 
-@mark.parametrize("case", CASES, ids=lambda case: case.name)
+@parametrize("case", CASES, ids=lambda case: case.name)
 def test_wrong_masses_and_friction_cost_little(case):
     """The tests these cases come from accept 5 N in the median."""
     force, place, turn = judge_samples(case, 3).max(axis=(0, 1))
     assert force < 1.0 and place < 0.01 and turn < 0.02
 
 
-@mark.parametrize("name", [force_laws.OURS, "Isaac Lab 3, rebuilt", "CRISP, rebuilt"])
+@parametrize("name", [force_laws.OURS, "Isaac Lab 3, rebuilt", "CRISP, rebuilt"])
 def test_laws_of_other_software_do_what_is_commanded(name):
     done = force_laws.follow(scenario_of(CASES[2]), CASES[2], force_laws.LAWS[name], steps=True)
     assert len(done.force) == done.wanted

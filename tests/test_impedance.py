@@ -7,8 +7,9 @@ import pinocchio as pin
 from numpy.linalg import solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from pytest import fixture, mark
-from rigs import largest, refused, rig_of
+from pytest import fixture
+from rigs import largest, refused, rig_of, ticked
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.spatial import classical_to_spatial, pose_error
@@ -43,8 +44,7 @@ def moving(rig, seed):
 def answered(rig, plant, controller, reference):
     """Signals, reading, and Λ a + b + N α of what the plant does, along S."""
     measurement = plant.measure()
-    tau = controller.tick(measurement, reference)
-    assert controller.status is osc.Status.OK, controller.reason
+    tau = ticked(controller, measurement, reference)
     s = controller.signals
     _, a, alpha = plant.accelerations(tau)
     state = s.state
@@ -61,7 +61,7 @@ def inertial(s, A):
     return state.Lambda_S @ eta + state.b_S, P
 
 
-@mark.parametrize("ratio", [0.0, 0.7])
+@parametrize("ratio", [0.0, 0.7])
 def test_impedance_is_a_spring_and_a_damper_on_the_arms_own_inertia(rig, ratio):
     """With D the solution of D Λ⁻¹ D = 4ζ²K, here 2ζΛ(Λ⁻¹K)^½, along the motions."""
     for seed in range(4):
@@ -102,7 +102,7 @@ def test_admittance_moves_the_set_point_by_the_force(rig):
     assert largest(c) > 1e-7
 
 
-@mark.parametrize(
+@parametrize(
     ("make", "words"),
     [
         (lambda: osc.impedance((1.0, -1.0)), "stiffness = .*give numbers ≥ 0"),

@@ -4,9 +4,8 @@ import numpy as np
 from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import mark
-from rigs import UNLIMITED, one_panda, random_state, refused, rig_of
-from test_decoupling import strong
+from rigs import UNLIMITED, one_panda, random_state, refused, rig_of, strong
+from samples import parametrize
 from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 
 import osc_contact as osc
@@ -25,8 +24,7 @@ PRIOR = np.array([9.0, 4.0, 2.0, 0.01])
 
 def learned(Phi, r, noise=0.1, dt=0.0):
     """θ and FRICTION after these residuals; dt = 0: nothing is forgotten, and R stays."""
-    raw = new_model(1, 1, 1)
-    prior = MODEL.view(raw).priors[0]
+    prior = MODEL.view(new_model(1, 1, 1)).priors[0]
     prior.noise = np.sqrt(noise)
     prior.spread[:] = MOST * np.array([0.5, 0.5, 0.5, 0.3])
     prior.high[:] = MOST * np.array([1.0, 20.0, 20.0, 1.0])
@@ -53,13 +51,12 @@ def test_the_estimate_is_that_of_least_squares():
     assert_allclose(row.P, P, rtol=1e-7, atol=1e-12)
 
 
-@mark.parametrize("dt", [0.0, 1e-3])
+@parametrize("dt", [0.0, 1e-3])
 def test_joints_without_friction_learn_none(dt):
     """θ at its bound does not drift, though some directions of it are hardly excited."""
     t = np.linspace(0.0, 3.0, 3000)
     Phi = np.column_stack([np.ones(3000), 0.6 + 0.1 * np.sin(t), 0.1 * np.cos(t), np.ones(3000)])
-    r = 2e-3 * np.sin(7.0 * t) - 1e-3
-    theta, _ = learned(Phi, r, noise=4e-6, dt=dt)
+    theta, _ = learned(Phi, 2e-3 * np.sin(7.0 * t) - 1e-3, noise=4e-6, dt=dt)
     assert (np.abs(theta) < 1e-3 * MOST).all() and (theta[:2] >= 0.0).all()
 
 
@@ -77,8 +74,8 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
         assert memory.joints.unlearned.any() == learns
 
 
-@mark.parametrize("pressed", [False, True])
-@mark.parametrize("joints", [{}, {"armature": ROTORS}])
+@parametrize("pressed", [False, True])
+@parametrize("joints", [{}, {"armature": ROTORS}])
 def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
     """D s + F s/√(s² + s₀²), s = J̄ P V_D, on top of what a smooth arm takes; without A_D."""
     rng = default_rng(1)
@@ -135,7 +132,7 @@ def test_friction_known_at_the_start_leaves_the_wanted_acceleration():
         assert_allclose(a_O, A_D - turning, atol=2e-3)
 
 
-@mark.parametrize(
+@parametrize(
     "name",
     [
         "rotors ur10 x0.5",
@@ -156,7 +153,7 @@ def test_forces_are_held_although_friction_is_believed_wrongly(name):
     assert rms <= CASES[name].most and closed == 100.0 and word == "OK"
 
 
-@mark.parametrize(
+@parametrize(
     ("friction", "damping", "asked", "learns"),
     [
         (0.2, 0.0, None, False),  # noise: less than 0.3 % of 87 N m
@@ -170,15 +167,13 @@ def test_forces_are_held_although_friction_is_believed_wrongly(name):
 def test_friction_is_learned_where_the_model_has_some(friction, damping, asked, learns):
     joints = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     chain = panda(damping=damping * joints, friction=friction * joints)
-    how = osc.JointFriction(learning=asked)
-    controller = osc.Controller(chain, [], joint_friction=how)
+    controller = osc.Controller(chain, [], joint_friction=osc.JointFriction(learning=asked))
     assert controller.settings.joint_friction.learning is learns
     assert controller._records.model.friction_learning == learns
 
 
 def test_what_was_learned_is_the_start_of_the_next_controller():
-    chain = panda(damping=VISCOUS, friction=DRY)
-    controller = osc.Controller(chain, [])
+    controller = osc.Controller(panda(damping=VISCOUS, friction=DRY), [])
     assert_array_equal(controller.joint_friction, np.column_stack([DRY, VISCOUS]))
     memory = controller._records.memory
     memory.friction_known[2] = joint_friction.LEARNED

@@ -9,8 +9,9 @@ from command_line import done, refused
 from numpy.linalg import inv
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark, raises
+from pytest import approx, raises
 from rigs import largest
+from samples import parametrize
 
 from osc_contact.errors import InvalidInputError
 from paper import kinematic_stability as ks
@@ -27,7 +28,7 @@ def found_by(name):
     return ks.search(arm_of(name), 0, 400)
 
 
-both = mark.parametrize("name", ["planar", "ur5"])
+both = parametrize("name", ["planar", "ur5"])
 
 
 # An arm and two control laws of its own, written with Pinocchio alone -----------------------------
@@ -54,8 +55,7 @@ def oracle_classic(arm, q, v, goal):
     rows = arm.rows
     J = numeric_jacobian(arm, q)[rows]
     S = np.diag([row != arm.force for row in range(len(q))]).astype(float)
-    x = displacement(goal, tip_pose(arm, q))[rows]
-    q_e = inv(J) @ S @ (x + ks.DAMPING_S * J @ v)
+    q_e = inv(J) @ S @ (displacement(goal, tip_pose(arm, q))[rows] + ks.DAMPING_S * J @ v)
     return pin.rnea(arm.plant, arm.plant.createData(), q, v, np.zeros(len(q))) - arm.K_q @ q_e
 
 
@@ -137,8 +137,7 @@ def test_ours_is_real_and_positive_for_any_contact_metric_and_stiffness():
         s = rng.integers(1, 7)
         A, C = rng.standard_normal((2, 6, 6))
         B = A @ A.T + 0.01 * np.eye(6)
-        K = C @ C.T + 0.01 * np.eye(6)
-        values = ks.our_eigenvalues(rng.standard_normal((6, s)), B, K)
+        values = ks.our_eigenvalues(rng.standard_normal((6, s)), B, C @ C.T + 0.01 * np.eye(6))
         assert len(values) == s
         assert values.real.min() > 0.0
         assert largest(values.imag) < 1e-6 * largest(values)
@@ -188,7 +187,7 @@ def test_a_search_without_an_unstable_posture_is_refused():
         ks.search(arm_of("planar"), 0, 8, 0.25)
 
 
-@mark.parametrize("duration", ["-1", "0", "nan", "inf"])
+@parametrize("duration", ["-1", "0", "nan", "inf"])
 def test_no_study_runs_for_a_time_that_is_none(duration):
     said = refused(f"reproduce kinematic_stability --duration {duration}")
     assert f"duration={float(duration)}" in said

@@ -15,6 +15,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark, param, raises
 from rigs import largest
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.law.limits import TorqueLimits
@@ -244,7 +245,7 @@ def agree(case, tolerance):
     return short
 
 
-@mark.parametrize(
+@parametrize(
     ("how", "tolerance"),
     [
         ({}, 1e-11),
@@ -271,7 +272,7 @@ def test_the_optimum_in_exact_fractions(how, tolerance):
     assert seen < 6 and (seen > 1 or "weak" not in how)
 
 
-@mark.parametrize("endless", [0, 3])
+@parametrize("endless", [0, 3])
 def test_units_of_torque_and_axes_do_not_matter(endless):
     rng = default_rng(66)
     for weak in (1.0, 0.05) * 20:
@@ -355,7 +356,7 @@ def agree_within(case):
     return tau, *rest
 
 
-@mark.parametrize("verdict", [-1, 1])
+@parametrize("verdict", [-1, 1])
 def test_what_is_not_solved_is_told(monkeypatch, verdict):
     case = random_case(default_rng(69), d=6, r=2, k=2, s=1, weak=0.05)
     solve(random_case(default_rng(69), d=6, r=2, k=2, s=1))

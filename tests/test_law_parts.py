@@ -12,15 +12,16 @@ import numpy as np
 import pinocchio as pin
 from law_calls import algebra, commands, contact, grasps, records, tick_of, vectors, write
 from law_calls import columns as columns_of_N
-from numpy.linalg import cholesky, norm, qr
+from numpy.linalg import norm, qr
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark
+from pytest import approx
 from rigs import largest, unit
+from samples import parametrize
 
 from osc_contact.law import records as at
 
-SEEDS = mark.parametrize("seed", range(6))
+SEEDS = parametrize("seed", range(6))
 close = assert_allclose
 
 
@@ -45,173 +46,159 @@ def around(rng, A, before=0, behind=2):
     return whole
 
 
-# --- rows of six ----------------------------------------------------------------------------------
+def inertia(rng, n):
+    root = rng.standard_normal((n, n))
+    return root @ root.T + 0.1 * np.eye(n)
 
 
-@mark.parametrize("rows", range(1, 7))
+# --- rows of six, dense algebra -------------------------------------------------------------------
+
+
+def noise(rng, *shapes):
+    """Arrays of numbers that count for nothing."""
+    return [rng.standard_normal(shape) for shape in shapes]
+
+
+def assert_qr(before, R, diagonal, Q):
+    rows = before.shape[1]
+    upper = np.triu(R[:rows, :rows], 1) + np.diag(diagonal[:rows])
+    close(Q.T @ Q, np.eye(Q.shape[1]), atol=1e-12)
+    close(Q[:, :rows] @ upper, before, atol=1e-12)
+    return upper
+
+
+@parametrize("rows", range(1, 7))
 def test_qr_of_columns_of_six(rows):
     rng = rng_of(rows)
-    X = rng.standard_normal((8, 6))
+    X, R, Q, diagonal, beta = noise(rng, (8, 6), (8, 8), (7, 7), 8, 8)
     before = X[:rows].T.copy()
-    R = rng.standard_normal((8, 8))
-    Q = rng.standard_normal((7, 7))
-    diagonal = rng.standard_normal(8)
-    beta = rng.standard_normal(8)
     assert vectors.qr6(X, rows, R, diagonal, beta)
     assert not np.tril(X[:rows, :rows], -1).any(), "reflectors begin with zeros"
     vectors.form_q6(X, rows, beta, Q)
-    Q = Q[:6, :6].T
-    close(Q.T @ Q, np.eye(6), atol=1e-12)
-    upper = np.triu(R[:rows, :rows], 1) + np.diag(diagonal[:rows])
-    close(Q[:, :rows] @ upper, before, atol=1e-12)
+    assert_qr(before, R, diagonal, Q[:6, :6].T)
     for k in range(rows):
         X = rng.standard_normal((8, 6))
         X[k] = 0.0
         assert not vectors.qr6(X, rows, R, diagonal, beta)
 
 
-# --- dense algebra --------------------------------------------------------------------------------
+@parametrize(("rows", "length"), [(1, 1), (1, 6), (2, 3), (3, 7), (4, 4), (5, 7)])
+def test_qr_of_rows_of_any_length(rows, length):
+    rng = rng_of(rows + length)
+    X, diagonal, beta = noise(rng, (length + 2, length + 2), length + 2, length + 2)
+    before = X[:rows, :length].T.copy()
+    assert algebra.qr_rows(X, rows, length, diagonal, beta)
+    for count in (rows, length):
+        (Q,) = noise(rng, (length + 1, length + 1))
+        algebra.form_q(X, rows, length, beta, count, Q)
+        R = assert_qr(before, X[:rows, :rows].T, diagonal, Q[:count, :length].T)
+    (Z,) = noise(rng, (rows + 1, 5))
+    rest = Z.copy()
+    algebra.back_substitute(X, rows, 4, diagonal, Z)
+    close(R @ Z[:rows, :4], rest[:rows, :4], atol=1e-9)
+    Z[:rows, :4] = rest[:rows, :4]
+    assert_array_equal(Z, rest)
+    (X,) = noise(rng, (rows, length))
+    X[rows - 1] = 0.0
+    assert not algebra.qr_rows(X, rows, length, diagonal, beta)
 
 
-@mark.parametrize("n", range(1, 8))
-@mark.parametrize("first", [0, 2])
+@parametrize("n", range(1, 8))
+@parametrize("first", [0, 2])
 def test_cholesky_and_what_it_solves(n, first):
     rng = rng_of(n)
-    root = rng.standard_normal((n, n))
-    A = root @ root.T + 0.1 * np.eye(n)
+    A = inertia(rng, n)
     whole = around(rng, A, first)
-    L = rng.standard_normal((n + 1, n + 1))
     whole[np.triu_indices(len(whole), 1)] = np.nan
+    L, x, b = noise(rng, (n + 1, n + 1), n + first + 2, n)
     least = algebra.cholesky(whole, first, n, L)
-    want = cholesky(A)
+    want = np.linalg.cholesky(A)
     close(np.tril(L[:n, :n], -1), np.tril(want, -1), atol=1e-10)
     close(1.0 / np.diag(L)[:n], np.diag(want), rtol=1e-10)
     close(least, min(np.diag(want) ** 2 / np.diag(A)), rtol=1e-9)
-    x = rng.standard_normal(n + first + 2)
-    b = rng.standard_normal(n)
-    x[first : first + n] = b
+    own = slice(first, first + n)
+    x[own] = b
     y = x.copy()
     algebra.cholesky_solve(L, n, y, first)
-    close(A @ y[first : first + n], b, atol=1e-9)
-    y[first : first + n] = b
+    close(A @ y[own], b, atol=1e-9)
+    y[own] = b
     assert_array_equal(y, x)
-    for k in range(n):
-        for bad in (0.0, -1.0, np.nan):
-            broken = A.copy()
-            broken[k, k] = bad
-            assert algebra.cholesky(broken, 0, n, L) == 0.0
-    if n > 1:  # positive elements, not definite
-        broken = np.ones((n, n)) + np.diag([0.0] + [0.5] * (n - 2) + [-0.1])
+    definite = [np.diag([0.0] + [0.5] * (n - 2) + [-0.1]) + 1.0] if n > 1 else []
+    for k, bad in product(range(n), (0.0, -1.0, np.nan)):
+        definite.append(A.copy())
+        definite[-1][k, k] = bad
+    for broken in definite:  # the first one has positive elements
         assert algebra.cholesky(broken, 0, n, L) == 0.0
 
 
 @SEEDS
 def test_inverse_of_an_inertia(seed):
     rng = rng_of(seed)
-    root = rng.standard_normal((6, 6))
-    A = root @ root.T + 0.1 * np.eye(6)
-    L = rng.standard_normal((6, 6))
-    out = rng.standard_normal((6, 6))
-    pivots = np.diag(cholesky(A)) ** 2
-    least = algebra.invert_spd6(np.tril(A), L, out)
+    A = inertia(rng, 6)
+    L, out = noise(rng, (6, 6), (6, 6))
+    pivots = np.diag(np.linalg.cholesky(A)) ** 2
+    close(algebra.invert_spd6(np.tril(A), L, out), min(pivots / np.diag(A)), rtol=1e-9)
     close(out, np.linalg.inv(A), atol=1e-8)
-    close(least, min(pivots / np.diag(A)), rtol=1e-9)
     A[seed, seed] = -1.0
     assert algebra.invert_spd6(A, L, out) == 0.0
 
 
-@mark.parametrize("n", range(1, 8))
+@parametrize("n", range(1, 8))
 def test_elimination_with_pivots(n):
     rng = rng_of(n)
     for columns in (0, 1, 3):
-        A = rng.standard_normal((n, n))
+        A, B = noise(rng, (n, n), (n + columns, n + 1))
         A[0, 0] = 0.0 if n > 1 else -2.0
-        B = rng.standard_normal((n + columns, n + 1))[: columns + 2]
-        rows = B[:columns, :n].copy()
-        behind = B[columns:].copy()
+        B = B[: columns + 2]
+        before = B.copy()
         assert algebra.lu_solve(around(rng, A) if n != 6 else A.copy(), n, B, columns)
-        close(B[:columns, :n] @ A.T, rows, atol=1e-9)
-        assert_array_equal(B[columns:], behind)
-
-
-@mark.parametrize("n", [1, 2, 5, 6, 7])
-def test_a_matrix_is_singular_where_a_pivot_is_next_to_nothing(n):
-    rng = rng_of(n)
-    solve = algebra.lu_solve
+        close(B[:columns, :n] @ A.T, before[:columns, :n], atol=1e-9)
+        assert_array_equal(B[columns:], before[columns:])
     for k in range(n):
-        order = rng.permutation(n)
-        for share in (0.0, 0.5e-10, np.nan, 2e-10):
+        for share in (0.0, 0.5e-10, np.nan, 2e-10):  # a pivot that is next to nothing
             A = np.diag(-3.0 * np.ones(n))
-            B = rng.standard_normal((1, n))
             A[k, k] = 3.0 * share
+            (B,) = noise(rng, (1, n))
             b = B.copy()
-            alone = n == 1 and share == 0.5e-10  # nothing beside which it is small
-            first = k == 0 and share == 0.5e-10  # what comes first has nothing before it
-            done = solve(A.copy(), n, B, 1)
-            assert done == (share == 2e-10 or alone or first)
+            done = algebra.lu_solve(A.copy(), n, B, 1)
+            assert done == (share == 2e-10 or (share == 0.5e-10 and k == 0))  # nothing is beside it
             if done:
                 close(A @ B[0], b[0], rtol=1e-9)
         if n > 1:
-            A = rng.standard_normal((n, n))
+            A, B = noise(rng, (n, n), (1, n))
             A[:, k] = A[:, k - 1]
-            assert not solve(A[order].copy(), n, rng.standard_normal((1, n)), 1)
+            assert not algebra.lu_solve(A[rng.permutation(n)], n, B, 1)
 
 
-@mark.parametrize(("rows", "length"), [(1, 1), (1, 6), (2, 3), (3, 7), (4, 4), (5, 7)])
-def test_qr_of_rows_of_any_length(rows, length):
-    rng = rng_of(rows + length)
-    X = rng.standard_normal((length + 2, length + 2))
-    before, diagonal, beta = X[:rows, :length].T.copy(), *rng.standard_normal((2, length + 2))
-    assert algebra.qr_rows(X, rows, length, diagonal, beta)
-    R = np.triu(X[:rows, :rows].T, 1) + np.diag(diagonal[:rows])
-    for count in (rows, length):
-        Q = rng.standard_normal((length + 1, length + 1))
-        algebra.form_q(X, rows, length, beta, count, Q)
-        Q = Q[:count, :length].T
-        close(Q.T @ Q, np.eye(count), atol=1e-12)
-        close(Q[:, :rows] @ R, before, atol=1e-12)
-    Z = rng.standard_normal((rows + 1, 5))
-    wanted = Z[:rows, :4].copy()
-    rest = Z.copy()
-    algebra.back_substitute(X, rows, 4, diagonal, Z)
-    close(R @ Z[:rows, :4], wanted, atol=1e-9)
-    Z[:rows, :4] = wanted
-    assert_array_equal(Z, rest)
-    X = rng.standard_normal((rows, length))
-    X[rows - 1] = 0.0
-    assert not algebra.qr_rows(X, rows, length, diagonal, beta)
+@parametrize("kind", ["any", "alike", "zero", "sizes"])
+@parametrize(("count", "length"), [(1, 3), (2, 2), (3, 7), (5, 6), (6, 6), (6, 3)])
+def test_rows_rotated_until_they_are_orthogonal(count, length, kind):
+    (X,) = noise(rng_of(count + length), (count + 1, length + count + 1))
+    if kind == "alike":  # of one length, neither parallel nor orthogonal
+        X[:count, :length] = 1.0
+        X[range(min(count, length)), range(min(count, length))] = -1.0
+    elif kind == "zero":
+        X[0, :length] = 0.0
+    elif kind == "sizes":
+        X[:count] *= 10.0 ** -np.arange(count)[:, None]
+    X[:count, length : length + count] = np.eye(count)
+    before = X.copy()
+    algebra.one_sided_jacobi(X, count, length, count)
+    U = X[:count, length : length + count]
+    rows = X[:count, :length]
+    close(U @ U.T, np.eye(count), atol=1e-12)
+    close(U @ before[:count, :length], rows, atol=1e-12)
+    gram = rows @ rows.T
+    size = np.sqrt(np.diag(gram))
+    assert (abs(gram - np.diag(np.diag(gram))) <= 1e-12 * max(size) ** 2).all()
+    want = np.linalg.svd(before[:count, :length], compute_uv=False)
+    want = np.pad(want, (0, count - len(want)))
+    close(np.sort(size)[::-1], want, atol=1e-12 * want[0])
+    X[:count, : length + count] = before[:count, : length + count]
+    assert_array_equal(X, before)
 
 
-@mark.parametrize(("count", "length"), [(1, 3), (2, 2), (3, 7), (5, 6), (6, 6), (6, 3)])
-def test_rows_rotated_until_they_are_orthogonal(count, length):
-    rng = rng_of(count + length)
-    for kind in ("any", "alike", "zero", "sizes"):
-        X = rng.standard_normal((count + 1, length + count + 1))
-        if kind == "alike":  # of one length, neither parallel nor orthogonal
-            X[:count, :length] = 1.0
-            X[range(min(count, length)), range(min(count, length))] = -1.0
-        elif kind == "zero":
-            X[0, :length] = 0.0
-        elif kind == "sizes":
-            X[:count] *= 10.0 ** -np.arange(count)[:, None]
-        X[:count, length : length + count] = np.eye(count)
-        before = X.copy()
-        algebra.one_sided_jacobi(X, count, length, count)
-        U = X[:count, length : length + count]
-        rows = X[:count, :length]
-        close(U @ U.T, np.eye(count), atol=1e-12)
-        close(U @ before[:count, :length], rows, atol=1e-12)
-        gram = rows @ rows.T
-        size = np.sqrt(np.diag(gram))
-        assert (abs(gram - np.diag(np.diag(gram))) <= 1e-12 * max(size) ** 2).all()
-        want = np.linalg.svd(before[:count, :length], compute_uv=False)
-        want = np.pad(want, (0, count - len(want)))
-        close(np.sort(size)[::-1], want, atol=1e-12 * want[0])
-        X[:count, : length + count] = before[:count, : length + count]
-        assert_array_equal(X, before)
-
-
-@mark.parametrize("size", [1e-70, 1e-77, 1e-78, 1e-79, 1e-80, 1e-81, 1e-150, 1e-300])
+@parametrize("size", [1e-70, 1e-77, 1e-78, 1e-79, 1e-80, 1e-81, 1e-150, 1e-300])
 def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size):
     """Squares of their products have few digits, or none. More rows than directions get there."""
     X = rng_of(7).standard_normal((5, 8)) * size
@@ -220,13 +207,11 @@ def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size
     close(X[:, 3:] @ X[:, 3:].T, np.eye(5), atol=1e-14)
 
 
-@mark.parametrize(("m", "r"), [(0, 1), (0, 3), (0, 6), (2, 3), (2, 4), (5, 1)])
+@parametrize(("m", "r"), [(0, 1), (0, 3), (0, 6), (2, 3), (2, 4), (5, 1)])
 def test_lower_factor_and_orthonormal_rows(m, r):
     rng = rng_of(10 * m + r)
     for near in (1.0, 1e-7):
-        X = rng.standard_normal((7, 6))
-        Q = rng.standard_normal((7, 6))
-        L = rng.standard_normal((7, 7))
+        X, Q, L = noise(rng, (7, 6), (7, 6), (7, 7))
         X[r - 1] = X[0] + near * X[r - 1]
         before = X.copy()
         least = algebra.orthonormalise(X, r, m, Q, L)
@@ -239,18 +224,13 @@ def test_lower_factor_and_orthonormal_rows(m, r):
         close(least, min(np.diag(L) / norm(X[:r, m:], axis=1)), rtol=1e-9)
     X[r - 1, m:] = 0.0
     assert algebra.orthonormalise(X, r, m, np.zeros((7, 6)), np.zeros((7, 7))) == 0.0
-    L = rng.standard_normal((r + 1, r + 1))
-    b = rng.standard_normal(r + 1)
-    for solve, A in (
-        ("solve_lower", np.tril(L[:r, :r])),
-        ("solve_lower_transposed", np.tril(L[:r, :r]).T),
-    ):
-        x = b.copy()
-        getattr(algebra, solve)(L, r, x)
-        close(A @ x[:r], b[:r], atol=1e-9)
-        assert x[r] == b[r]
-    x = rng.standard_normal(6)
-    wanted = rng.standard_normal(r)
+    L, b, x, wanted = noise(rng, (r + 1, r + 1), r + 1, 6, r)
+    A = np.tril(L[:r, :r])
+    for solve, of in ((algebra.solve_lower, A), (algebra.solve_lower_transposed, A.T)):
+        y = b.copy()
+        solve(L, r, y)
+        close(of @ y[:r], b[:r], atol=1e-9)
+        assert y[r] == b[r]
     algebra.project_onto_constraint(Q, r, y := x.copy(), wanted)
     close(y, x + Q.T @ (wanted - Q @ x), atol=1e-12)
 
@@ -263,25 +243,8 @@ SIGNS = [s for s in product((-1.0, 0.0, 1.0), repeat=3) if any(s)]
 def test_rotation_vectors_of_all_angles_and_axes():
     rng = rng_of(0)
     out = np.zeros(4)
-    angles = [
-        0.0,
-        1e-12,
-        1e-7,
-        0.9e-6,
-        1.1e-6,
-        1e-3,
-        0.3,
-        1.0,
-        1.6,
-        2.5,
-        2.9,
-        2.999,
-        3.0,
-        3.001,
-        3.1,
-        np.pi - 1e-3,
-        np.pi - 1e-6,
-    ]
+    angles = [0.0, 1e-12, 1e-7, 0.9e-6, 1.1e-6, 1e-3, 0.3, 1.0, 1.6, 2.5, 2.9, 2.999, 3.0, 3.001]
+    angles += [3.1, np.pi - 1e-3, np.pi - 1e-6]
     for signs in SIGNS:
         w = np.array(signs) * rng.uniform(0.2, 1.0, 3)
         w = unit(w)
@@ -360,7 +323,7 @@ GROUPS = {  # motions of a joint, their rows of T
 }
 
 
-@mark.parametrize("name", GROUPS)
+@parametrize("name", GROUPS)
 def test_the_permitted_part_of_a_miss_is_taken_off(name):
     """X = tip exp(n) exp(t) X_TO misses its grasp by n, however large the permitted t is."""
     rng = rng_of(0)
@@ -381,8 +344,7 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
         )
         frame = np.vstack((tip.rotation, tip.translation))
         out = np.full(6, 7.0)
-        scratch = np.zeros((2, 6, 6))
-        grasps._miss_of_group(arm, frame, X.homogeneous, *scratch, out * 0.0, out)
+        grasps._miss_of_group(arm, frame, X.homogeneous, *np.zeros((2, 6, 6)), out * 0.0, out)
         close(out[: len(N)], n, atol=1e-9)
 
 
@@ -412,8 +374,8 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
 # --- faces ----------------------------------------------------------------------------------------
 
 
-@mark.parametrize("moving", [False, True])
-@mark.parametrize("mu", [0.0, 0.3])
+@parametrize("moving", [False, True])
+@parametrize("mu", [0.0, 0.3])
 def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     """A vertex on a face, on a body that moves or is the world."""
     rng = rng_of(3)
@@ -457,7 +419,7 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
 # --- columns that depend on one another -----------------------------------------------------------
 
 
-@mark.parametrize("size", [1e-6, 1.0, 1e6])
+@parametrize("size", [1e-6, 1.0, 1e6])
 def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
     """Three columns, of which two are kept; extents differ, as units do."""
     rng = rng_of(0)

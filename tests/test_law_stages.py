@@ -25,8 +25,8 @@ from law_calls import (
 from law_calls import command_filter as command
 from numpy.linalg import cholesky, qr
 from numpy.testing import assert_array_equal
-from pytest import mark
 from rigs import random_faces, random_state, scara_pair, shift
+from samples import parametrize
 from test_law import UNLIMITED, inputs, motion_of
 from test_law_parts import SEEDS, close, pose, rng_of, turn
 
@@ -75,7 +75,7 @@ def test_the_force_law():
     close(ask_force(8.0, 9.0, 0.06, -1.0, 0.5), (0.98, -1.02), rtol=1e-12)
 
 
-@mark.parametrize("dependent", [False, True])
+@parametrize("dependent", [False, True])
 def test_laws_of_contacts_are_those_of_their_columns(dependent):
     """Rows: gain, damping, least force and brake."""
     laws = np.array([[3, 2, 1, 0], [5, 9, 4, 99], [0.1, 0.2, 0.3, 0.9], [0.7, 0.6, 0.8, 9]])
@@ -130,7 +130,7 @@ class Stop:
 
 
 @SEEDS
-@mark.parametrize("motors", [(0, 1, 2, 3), (0, 1, -1, 2), (0, 1, 2, -1), (0, 1, -1, -1)])
+@parametrize("motors", [(0, 1, 2, 3), (0, 1, -1, 2), (0, 1, 2, -1), (0, 1, -1, -1)])
 def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
     stop = Stop(seed, motors)
     joints = stop.joints[2:]
@@ -156,7 +156,7 @@ def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
     assert safety._split_torques(stop.t, arm, 0.0) == 1.0
 
 
-@mark.parametrize("how", ["leader", "located", "lost", "nothing"])
+@parametrize("how", ["leader", "located", "lost", "nothing"])
 def test_each_arm_carries_its_share_of_the_weight(how):
     stop = Stop(0)
     X = stop.tip * stop.own
@@ -195,8 +195,8 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
         assert operational.may_be_singular(t, arm, own) == want
 
 
-@mark.parametrize("chi", [0.0, 1e-10])
-@mark.parametrize("n", [2, 4, 7])
+@parametrize("chi", [0.0, 1e-10])
+@parametrize("n", [2, 4, 7])
 def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
     """The axes before it are spanned already: only the last ones are new."""
     rng = rng_of(n)
@@ -218,7 +218,7 @@ def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
 
 
 @SEEDS
-@mark.parametrize("gone", [0.0, 1.0])
+@parametrize("gone", [0.0, 1.0])
 def test_lost_motions_are_left_to_the_posture(seed, gone):
     """νᵀτ = (1 − φ) νᵀ(h + M q̈) for ν with νᵀMν = 1; where it is gone, all of it."""
     rng = rng_of(seed)
@@ -268,24 +268,6 @@ def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
         assert t.work.tau.tolist() == ([torques[2], torques[0], 7.0] if given else [7.0] * 3)
 
 
-def test_joints_are_pushed_away_from_their_limits():
-    joint = Record(low=-1.0, high=2.0, width=0.4, most=6.0)
-    push = allocation.push_from_limits
-    for q, want in (
-        (0.0, 0.0),
-        (2.0, 0.0),
-        (2.1, -6.0 * 0.15625),
-        (2.2, -3.0),
-        (2.4, -6.0),
-        (3.0, -6.0),
-        (-1.0, 0.0),
-        (-1.1, 6.0 * 0.15625),
-        (-1.4, 6.0),
-        (-9.0, 6.0),
-    ):
-        close(push(joint, q), want, atol=1e-12)
-
-
 # --- columns of N in the turned coordinates -------------------------------------------------------
 
 
@@ -297,7 +279,7 @@ def judged(N, Lambda, held, m=0):
     return command.require_reachable(t), t.work, t
 
 
-@mark.parametrize("held", [0, 1])
+@parametrize("held", [0, 1])
 def test_columns_on_which_the_arms_can_push(held):
     rng = rng_of(held)
     root = rng.standard_normal((6, 6))
@@ -339,7 +321,7 @@ def test_columns_on_which_the_arms_can_push(held):
 # --- stages ---------------------------------------------------------------------------------------
 
 
-@mark.parametrize("arms", [1, 3])
+@parametrize("arms", [1, 3])
 def test_every_number_that_comes_in_is_looked_at(arms):
     """With one number for the squeeze of up to two arms, and one of each bar of more."""
     t = records(arms=arms, joints=2, contacts=2, columns=3)
@@ -385,8 +367,8 @@ def test_inputs_of_other_sizes_are_none():
             assert (memory.status, memory.reason) == (at.HELD, BAD_INPUT), place
 
 
-@mark.parametrize("place", [2, 3])
-@mark.parametrize("count", [-1, 1])
+@parametrize("place", [2, 3])
+@parametrize("count", [-1, 1])
 def test_joints_of_another_number_are_not_read(place, count):
     """What stands beyond their end, or one of them more, moves nothing that is held."""
     found = []
@@ -448,7 +430,7 @@ def test_laws_and_integrals_of_a_tick():
 # --- phases ---------------------------------------------------------------------------------------
 
 
-@mark.parametrize(
+@parametrize(
     ("phase", "pushes", "since", "gap", "pace", "want"),
     [
         (CLOSED, 1, 9.0, 0.0, 0.0, 8.0),

@@ -3,7 +3,8 @@
 import numpy as np
 from law_calls import commands, records, write
 from numpy.testing import assert_allclose
-from pytest import approx, mark
+from pytest import approx
+from samples import parametrize
 
 from osc_contact.law import records as at
 from osc_contact.law.phases import APPROACHING, CLOSED
@@ -62,7 +63,7 @@ def test_a_step_is_let_in_along_the_quintic_of_least_jerk():
     assert forces.work.step_left == 0.0 and (found[-1] == [16.0, 3.0]).all()
 
 
-@mark.parametrize("rises", [(RISE, RISE), (RISE, 0.08)])
+@parametrize("rises", [(RISE, RISE), (RISE, 0.08)])
 def test_a_second_step_goes_on_from_value_slope_and_curvature(rises):
     """Of either rise time: the path is a polynomial of degree 5 from there, at rest in its end."""
     forces = Forces()
@@ -92,8 +93,8 @@ def test_a_second_step_goes_on_from_value_slope_and_curvature(rises):
     assert found.max() > value, "it goes on upwards at first"
 
 
-@mark.parametrize("rate", [0.99, 1.01])
-@mark.parametrize("sign", [1.0, -1.0])
+@parametrize("rate", [0.99, 1.01])
+@parametrize("sign", [1.0, -1.0])
 def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
     """20 times its size a second: 0.2 N in a tick for 10 N."""
     forces = Forces()
@@ -126,8 +127,7 @@ def test_the_integral_rests_while_much_of_a_step_is_to_come():
     idle = Forces()
     idle.run([0.0], 3)
     assert idle.work.integral_scale == 1.0, "nothing was ever commanded"
-    share = eased(np.arange(60) * DT / RISE)
-    for left in share:
+    for left in eased(np.arange(60) * DT / RISE):
         forces.tick([14.0])
         wanted = max(1.0 - 4.0 * left / 14.0 / 0.1, 0.0)
         assert forces.work.integral_scale == approx(wanted, abs=1e-9)
@@ -142,7 +142,7 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
         assert forces.run([10.0], 60)[-1, 0] == approx(10.0)
 
 
-@mark.parametrize("share", [0.29, 0.31, -0.5])
+@parametrize("share", [0.29, 0.31, -0.5])
 def test_a_face_tells_its_tilt_where_it_carries_three_tenths_of_its_force(share):
     forces = Forces()
     forces.run([10.0], 200)

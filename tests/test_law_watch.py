@@ -12,7 +12,8 @@ import pinocchio as pin
 from law_calls import reasons, records, safety, sensors, tick_of, write
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, mark
+from pytest import approx
+from samples import parametrize
 
 from osc_contact.law import records as at
 from osc_contact.law.phases import APPROACHING, CLOSED
@@ -28,7 +29,7 @@ from osc_contact.law.sensors import (
 )
 
 DT = 1e-3
-BOTH = mark.parametrize("sign", [1.0, -1.0])
+BOTH = parametrize("sign", [1.0, -1.0])
 
 
 def joints(count=1, **settings):
@@ -94,7 +95,7 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
 
 
 @BOTH
-@mark.parametrize("reaction", [0.0, 0.1])
+@parametrize("reaction", [0.0, 0.1])
 def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, reaction):
     """s = |q̇| t_r + q̇²/2a with a = 5 rad/s², found by steps of 10 µs."""
     speed = 1.5
@@ -118,7 +119,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     assert found[-1] == safety.NEAR_END, "it still is within its range"
 
 
-@mark.parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
+@parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
 def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     t = joints(period=period)
@@ -167,7 +168,7 @@ def test_power_that_moves_into_faces_adds_up():
     assert contacts.memory.powered == approx(DT)
 
 
-@mark.parametrize("column", [0, 1])
+@parametrize("column", [0, 1])
 def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
     for astray, reason in ((0.0304, reasons.NO_REASON), (0.0306, safety.CONTACT_LOST)):
         contacts = Contacts(phased=1)
@@ -177,7 +178,7 @@ def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
 
 
 @BOTH
-@mark.parametrize("column", [0, 1])
+@parametrize("column", [0, 1])
 def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
     def both(x, other):
         return (sign * x, sign * other) if column == 0 else (sign * other, sign * x)
@@ -264,7 +265,7 @@ def test_wrenches_within_the_range_of_their_sensors(sign):
             assert sensors.check_readings(t) == reasons.NO_REASON
 
 
-@mark.parametrize(("age", "has"), [(19, 1), (20, 1), (0, 0)])
+@parametrize(("age", "has"), [(19, 1), (20, 1), (0, 0)])
 def test_a_tick_without_a_wrench_uses_one_that_is_young_enough(age, has):
     t = readings()
     t.input.wrenches[:] = np.nan
@@ -273,7 +274,7 @@ def test_a_tick_without_a_wrench_uses_one_that_is_young_enough(age, has):
 
 
 @BOTH
-@mark.parametrize("unread", [0, 4])
+@parametrize("unread", [0, 4])
 def test_joints_move_no_further_than_they_can(sign, unread):
     """20 mrad, and three times the speed limit since the last reading that was believed."""
     for j, limit in enumerate((2.0, 4.0)):
@@ -318,8 +319,7 @@ class Approach:
 
     def tick(self, V, speed):
         """The object has moved by V; these speeds were read. What is believed."""
-        step = pin.SE3(pin.exp3(V[3:] * DT), np.zeros(3))
-        X = step * pin.SE3(self.memory.X_WO.copy())
+        X = pin.SE3(pin.exp3(V[3:] * DT), np.zeros(3)) * pin.SE3(self.memory.X_WO.copy())
         X.translation = self.memory.X_WO[:3, 3] + V[:3] * DT
         write(self.work, X_WO=X.homogeneous, speed=np.broadcast_to(speed, 2))
         sensors.compare_speeds(self.t)
@@ -353,8 +353,7 @@ def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
     for k in range(1, 60):
         approach.tick(V, 0.0)
         share = 1.0 - (20.0 / 21.0) ** k  # 20 ms
-        found = approach.kept.velocity_from_positions[[3, 1]]
-        assert_allclose(found, true * share, rtol=1e-4)
+        assert_allclose(approach.kept.velocity_from_positions[[3, 1]], true * share, rtol=1e-4)
         assert not approach.kept.velocity_from_encoders.any()
     approach.memory.compared = 0
     assert_array_equal(approach.tick(V, 0.007), 0.007)
@@ -508,7 +507,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
 
 
 @BOTH
-@mark.parametrize("every", [0, 2, 3])
+@parametrize("every", [0, 2, 3])
 def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_limit(sign, every):
     """Also with every 2nd or 3rd tick lost: the evidence counts time."""
     for j in range(2):
@@ -550,7 +549,7 @@ def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
                 assert ticks == approx(20.0 * np.log(1.25), abs=1.0)
 
 
-@mark.parametrize("every", [2, 3, 10])
+@parametrize("every", [2, 3, 10])
 def test_lost_ticks_take_no_evidence_away(every):
     """Speeds mirrored, and every so many-th tick lost."""
     sensors = Sensors(position_drift=inf)

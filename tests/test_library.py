@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 from pytest import fixture, mark, param, raises
+from samples import module_fixture, parametrize
+from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.law import c_object, jit, library
@@ -55,7 +57,7 @@ assert (jit.READY is None) == (sys.argv[1] == "jit")
 """
 
 
-@fixture(scope="module")
+@module_fixture
 def made():
     """The library as a file, also where the tests themselves run in numba's usual way."""
     if jit.READY is None and jit.UNITS is None:
@@ -76,7 +78,7 @@ def printed(program, library, *arguments):
 
 def numbers_of(name):
     """A digest of all that a short run records, but times of the clock."""
-    recording = osc.run(osc.load_scenario(name), duration=0.25)
+    recording = run_of(name, duration=0.25)
     found = hashlib.sha256()
     for channel in sorted(recording.channels):
         if channel != "tick_s":
@@ -90,7 +92,7 @@ def test_runs_without_numba_are_equal_to_the_bit(made):
     assert len(set(of_library.values())) == len(TASKS)
 
 
-@mark.parametrize("where", ["library", param("jit", marks=mark.slow)])
+@parametrize("where", ["library", param("jit", marks=mark.slow)])
 def test_arrays_of_other_kinds_end_as_they_should(made, where):
     lines = printed(ONE_TICK, made if where == "library" else where, where)
     ends = {line.split(",")[0]: line.split(",")[1:] for line in lines}
@@ -182,8 +184,8 @@ DAMAGE = {
 }
 
 
-@mark.parametrize("name", [library.LIBRARY, library.OBJECT, library.CHECKSUM])
-@mark.parametrize("kind", DAMAGE)
+@parametrize("name", [library.LIBRARY, library.OBJECT, library.CHECKSUM])
+@parametrize("kind", DAMAGE)
 def test_a_damaged_library_is_made_anew(workshop, kind, name):
     path = Path(c_object.make().__file__).with_name(name)
     content = path.read_bytes()

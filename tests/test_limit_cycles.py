@@ -2,7 +2,9 @@
 
 import numpy as np
 from numpy.random import default_rng
-from pytest import approx, mark
+from pytest import approx
+from samples import parametrize
+from scenario_runs import verdict_of
 
 import osc_contact as osc
 from osc_contact.runs.limit_cycles import find_cycle, worst_cycles
@@ -54,7 +56,7 @@ OTHERS = {
 }
 
 
-@mark.parametrize("name", CYCLES)
+@parametrize("name", CYCLES)
 def test_oscillations_that_last_are_found(name):
     found = find_cycle(CYCLES[name], DT, [10.0 + sine(0.5)])
     assert found is not None
@@ -65,7 +67,7 @@ def test_oscillations_that_last_are_found(name):
         assert frequency == approx(9.3, abs=0.2)
 
 
-@mark.parametrize("name", OTHERS)
+@parametrize("name", OTHERS)
 def test_what_does_not_last_is_none(name):
     assert find_cycle(OTHERS[name], DT, [10.0 + sine(0.5)]) is None
 
@@ -112,12 +114,12 @@ JIG = (
 
 def test_a_part_in_a_soft_jig_swings_and_a_stiff_one_does_not():
     changes = [JIG, "model_error.environment=ignored", "duration=4 s"]
-    soft = osc.metrics(osc.run(osc.load_scenario("two_contact_rod", changes)))
+    soft = verdict_of("two_contact_rod", *changes)
     force = soft["force"]["left_end"]
     assert soft["task"]["failed"] and force["rms_error_rel"] > 0.4
     assert 6.0 < force["limit_cycle_Hz"] < 14.0 and force["limit_cycle_rel"] > 0.4
     omega = 2.0 * np.pi * force["limit_cycle_Hz"]
     assert force["limit_cycle_m_per_N"] == approx(1.0 / (1e4 - 1.0 * omega**2), rel=0.1)
     assert any("a limit cycle" in why and "compliance" in why for why in soft["task"]["why"])
-    stiff = osc.metrics(osc.run(osc.load_scenario("two_contact_rod"), duration=4.0))
+    stiff = verdict_of("two_contact_rod", duration=4.0)
     assert stiff["task"]["word"] == "OK" and stiff["force"]["left_end"]["limit_cycle_rel"] is None

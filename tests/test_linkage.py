@@ -1,20 +1,26 @@
-"""Internal forces of three or more arms, cut out at the grasps of a full system of equations."""
+"""Internal forces of three or more arms: what can be set, commands, limits, a run.
+
+That each bar carries its command is judged in `test_law_kkt`.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from grasp_rigs import random_case
-from numpy.linalg import lstsq, norm, pinv, svd
+from grasp_rigs import KINDS, random_case
+from law_calls import bars
+from numpy.linalg import norm, pinv, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import fixture, mark
-from rigs import contact_of, largest, random_faces, rig_of, unit
-from test_decoupling import structured
-from test_grasps import forces, moving
+from pair_kinds import pose_of
+from rigs import largest, rig_of, ticked, unit
+from samples import module_fixture, parametrize
+from scenario_runs import run_of
+from test_grasps import in_millimetres
 
 import osc_contact as osc
-from osc_contact.response import require_reachable
+from osc_contact.dynamics.arm import effort_scale
+from osc_contact.law.records import Rows, new_model, views
 
 LWA = pin.LOCAL_WORLD_ALIGNED
 
@@ -30,26 +36,6 @@ def bars_of(points):
             f[j] = -f[i]
             columns.append(f.ravel())
     return np.array(columns).T
-
-
-def cut(case, v, tau, qdd):
-    """(k, 3) forces the arms exert at their tips, and these points, from each arm's own motion."""
-    model = case.chain.model
-    data = case.chain.model.createData()
-    pin.computeAllTerms(model, data, case.q, v)
-    pin.updateFramePlacements(model, data)
-    out = []
-    points = []
-    balance = forces(case, tau) - data.nle - data.M @ qdd
-    for arm, (kind, *_), s in zip(case.chain.arms, case.grasps, case.chain.slices, strict=True):
-        f = model.getFrameId(f"{arm.name}/{arm.tip}")
-        J = pin.getFrameJacobian(model, data, f, LWA)[:, s]
-        J = J[:3] if kind == "ball" else J
-        wrench, *_ = lstsq(J.T, balance[s], rcond=1e-10)
-        assert_allclose(J.T @ wrench, balance[s], atol=1e-6)
-        out.append(wrench[:3])
-        points.append(data.oMf[f].translation.copy())
-    return np.array(out), np.array(points)
 
 
 def spans(A, tolerance, size=None):
@@ -87,81 +73,7 @@ def settable_bars(state, chain):
     return levers, basis @ np.linalg.qr((U[:, some] * size[some]) @ apart)[0]
 
 
-def cases(rng, count, arms, kinds):
-    """Random states in contact: (case, state, contact, v, V)."""
-    while count:
-        case = random_case(
-            [str(rng.choice(["ur5", "panda"])) for _ in range(arms)],
-            [str(rng.choice(kinds)) for _ in range(arms)],
-            rng,
-        )
-        pairs = random_faces(case.X_WO, 2, rng)
-        try:
-            state = case.chain.state(case.q, np.zeros(case.chain.nq), case.X_WO, np.zeros(6))
-            require_reachable(state, contact_of(pairs, state))
-        except osc.OscContactError:
-            continue
-        if state.unactuated.shape[1] or state.d < 6:  # an arm in a singular posture
-            continue
-        v, V, state, contact = moving(case, pairs, contact_of(pairs, state).N, rng)
-        count -= 1
-        yield case, state, contact, v, V
-
-
-def answers(case, state, contact, v, V, commands, rng):
-    """For each squeeze command: forces at the tips, points, acceleration, contact forces."""
-    posture = case.q + 0.1 * rng.standard_normal(case.chain.nq)
-    eta = rng.standard_normal(state.d)
-    lever = state.S.T @ contact.N
-    eta -= pinv(lever.T) @ (lever.T @ eta)
-    want = contact.n_gamma - contact.N.T @ state.sigma
-    eta += pinv(lever.T) @ want
-    alpha = rng.uniform(5, 20, contact.r)
-    f_S = state.Lambda_S @ eta + state.b_S + lever @ alpha
-    for command in commands:
-        tau = structured(case.chain, case.q, v, f_S, eta, command, posture, state)
-        got = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
-        f, points = cut(case, v, tau, got.qdd)
-        yield f, points, got.a_object, got.alpha
-
-
-@mark.parametrize("arms", [3, 4])
-def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms):
-    """The forces cut at the grasps, projected on the bars; then the motion-inducing rest."""
-    rng = default_rng(70)
-    count = arms * (arms - 1) // 2
-    for case, *state in cases(rng, 4, arms, ["rigid", "rigid", "ball"]):
-        one, two = rng.standard_normal((2, count)) * 20.0
-        commands = (one, two, 7.5, 0.0)
-        seen = list(answers(case, *state, commands, rng))
-        points = seen[0][1]
-        E = bars_of(points)
-        for command, (f, *_) in zip(commands[:3], seen, strict=False):
-            t = lstsq(E, f.ravel(), rcond=1e-12)[0]
-            assert_allclose(t, command * np.ones(count), atol=1e-7 * 20.0)
-        for f, _, a, alpha in seen[1:]:
-            size = largest(seen[0][2])
-            assert_allclose(a, seen[0][2], atol=1e-9 * max(size, 1.0))
-            assert_allclose(alpha, seen[0][3], atol=1e-9 * largest(alpha))
-            change = f - seen[0][0]
-            assert_allclose(change.sum(axis=0), 0.0, atol=1e-7)
-
-
-def test_dependent_bars_share_and_the_object_does_not_notice():
-    """Five arms: ten bars, nine independent; what comes is the nearest to what was wanted."""
-    rng = default_rng(72)
-    for case, *state in cases(rng, 2, 5, ["rigid", "ball"]):
-        wanted = rng.standard_normal(10) * 20.0
-        one, other = answers(case, *state, (wanted, 0.0), rng)
-        (f, points, a, alpha) = one
-        (_, _, b, beta) = other
-        E = bars_of(points)
-        assert_allclose(pinv(E) @ f.ravel(), pinv(E) @ (E @ wanted), atol=1e-6)
-        assert_allclose(a, b, atol=1e-9 * max(largest(a), 1.0))
-        assert_allclose(alpha, beta, atol=1e-9 * largest(beta))
-
-
-@fixture(scope="module")
+@module_fixture
 def plate():
     """With gains for one mass."""
     gains = "gains={force: {integral: 10, damping: 3000}}"
@@ -175,8 +87,7 @@ def test_commands_by_number_and_by_bar(plate):
     fast = plate.controller()
     for squeeze in (0.0, 12.0, np.array([5.0, -3.0, 8.0]), np.zeros(3)):
         wanted = replace(reference, squeeze_d=squeeze)
-        got = fast.tick(measurement, wanted)
-        assert fast.status is osc.Status.OK, fast.reason
+        got = ticked(fast, measurement, wanted)
         if np.ndim(squeeze) == 0 and squeeze == 0.0:
             least = norm(got / plate.chain.tau_max)
         assert norm(got / plate.chain.tau_max) >= least
@@ -213,12 +124,162 @@ def test_motor_limits_take_it_first(plate):
 
 def test_a_squeezed_plate_stays_within_its_limits():
     """On MuJoCo: 10 N in every side of the triangle while three contact forces are controlled."""
-    scenario = osc.load_scenario("three_arm_plate", ["squeeze=10 N"])
-    recording = osc.run(scenario, duration=1.5)
-    verdict = osc.metrics(recording)
-    for name, force in verdict["force"].items():
+    recording = run_of("three_arm_plate", "squeeze=10 N", duration=1.5)
+    for name, force in osc.metrics(recording)["force"].items():
         assert force["rms_error_rel"] <= 0.01, name
     assert recording["squeeze"].shape == (len(recording), 3)
     assert_allclose(recording["squeeze"], 10.0, atol=1e-6)
     # at first the gaps are zero up to rounding, and the forces rise from zero
     assert recording["closed"][10:].all()
+
+
+# The law's own computation ------------------------------------------------------------------------
+
+
+def answer(state, chain, G=None, per_torque=1.0):
+    """(levers, basis (bars, s)) of the law; NaN where answers and scratch stand before.
+
+    G (n_a, d): in another basis of the object's motions; per_torque (n,): units of efforts.
+    """
+    G = state.G.T if G is None else G
+    t = views(Rows(new_model(len(chain.arms), chain.nq, 0)))
+    t.model.angle_tolerance = chain.angle_tolerance
+    t.model.arms.first = [s.start for s in chain.slices]
+    t.model.arms.end = [s.stop for s in chain.slices]
+    work = t.work
+    work.points[:] = state.grasp_points
+    work.force_levers[:] = np.vstack([arm.J_bar[:, :3] for arm in state.arms])
+    work.efforts[:] = 0.0
+    work.efforts[chain.actuated] = effort_scale(chain.tau_max)
+    work.efforts[:] *= per_torque
+    work.driven[:] = 0.0
+    work.driven[chain.actuated, : G.shape[1]] = G
+    locked = np.hstack([arm.C[:3] for arm in state.arms]).T
+    work.carried[: len(locked)] = locked / np.sqrt(chain.reference.inertia.mass)
+    work.owners[: len(locked)] = np.repeat(
+        np.arange(len(chain.arms)), [arm.C.shape[1] for arm in state.arms]
+    )
+    for out in (work.levers, work.basis, work.scratch):
+        out[:] = np.nan
+    s = bars.settable_bars(t, len(locked))
+    basis = work.basis[:, :s]
+    assert_allclose(basis.T @ basis, np.eye(s), atol=1e-12)
+    assert s < len(work.levers) or (work.basis == np.eye(s)).all()
+    return work.levers, basis
+
+
+def assert_same(got, want, levers_to=1e-10, basis_to=1e-9):
+    """The same levers, and bases that span the same."""
+    assert_allclose(got[0], want[0], rtol=0, atol=levers_to * largest(want[0]))
+    assert got[1].shape == want[1].shape
+    assert_allclose(got[1] @ got[1].T, want[1] @ want[1].T, rtol=0, atol=basis_to)
+
+
+def at_rest(case):
+    return case.chain.state(case.q, np.zeros(case.chain.nq), case.X_WO, np.zeros(6))
+
+
+def without_motors(case, rng, share):
+    """A share of the joints of one arm lose theirs."""
+    arms = list(case.chain.arms)
+    i = int(rng.integers(len(arms)))
+    names = list(arms[i].model.names)[1:]
+    limp = tuple(name for name in names if name in arms[i].passive_joints or rng.random() < share)
+    arms[i] = replace(arms[i], passive_joints=limp)
+    parts = (arms, case.chain.grasps, case.chain.payload)
+    return replace(case, chain=osc.ClosedChain(*parts, allow_unactuated=True))
+
+
+def moved_points(points, how, rng):
+    """Grasp points in a plane or nearly so, in a line, two in one place."""
+    points = points.copy()
+    if how == "plane":
+        size = rng.choice([0.0, 10 ** rng.uniform(-5, -1)])
+        points[:, 2] = points[0, 2] + size * rng.uniform(-1, 1, len(points))
+    elif how == "line":
+        points = points[0] + np.outer(rng.uniform(-1, 1, len(points)), rng.standard_normal(3))
+    elif how == "same":
+        points[1] = points[0]
+    return points
+
+
+def draw(how, rng):
+    """A random chain of three to five arms, and its state."""
+    k = int(rng.integers(3, 6))
+    bends = None
+    if how == "near singular":
+        bends = rng.uniform(0.5, 1.5, k)
+        bends[rng.integers(k)] = 10 ** rng.uniform(-6, -1)
+    pool = ["scara", "2R", "3R"] if how == "structure" else ["ur5", "panda", "scara"]
+    kinds = {"grasps": KINDS, "motors": KINDS[:3], "slides": KINDS[3:], "strong": KINDS[3:]}
+    arms = rng.choice(pool, k)
+    kinds = rng.choice(kinds.get(how, ["rigid"]), k)
+    case = random_case(list(arms), list(kinds), rng, bends, upright=how == "structure")
+    case = without_motors(case, rng, rng.choice([0.5, 1.0])) if how == "motors" else case
+    if how == "strong":
+        case.chain.tau_max[: case.chain.arms[0].model.nv - 1] *= 1e4
+    state = at_rest(case)
+    return case, replace(state, grasp_points=moved_points(state.grasp_points, how, rng))
+
+
+@parametrize(
+    "how, least, most",
+    [
+        ("rigid", 0, 0),
+        ("grasps", 1, 24),
+        ("slides", 10, 24),
+        ("structure", 20, 25),
+        ("near singular", 2, 24),
+        ("motors", 5, 24),
+        ("plane", 10, 24),
+        ("line", 25, 25),
+        ("same", 10, 25),
+        ("strong", 10, 25),
+    ],
+)
+def test_it_decides_as_singular_values_do(how, least, most):
+    rng = default_rng(80)
+    fewer = 0
+    for _ in range(25):
+        case, state = draw(how, rng)
+        got = answer(state, case.chain)
+        assert_same(got, settable_bars(state, case.chain))
+        k = len(case.chain.arms)
+        fewer += got[1].shape[1] < min(k * (k - 1) // 2, 3 * k - 6)
+    assert least <= fewer <= most
+
+
+def test_eight_arms_of_seven_joints():
+    rng = default_rng(81)
+    for kinds in (["rigid"] * 8, ["rigid", *["cylinder"] * 7]):
+        case = random_case(["panda"] * 8, kinds, rng)
+        state = at_rest(case)
+        levers, basis = answer(state, case.chain)
+        assert_same((levers, basis), settable_bars(state, case.chain))
+        assert len(levers) == 28 and (basis.shape[1] == 18) == (kinds[1] == "rigid")
+
+
+def elsewhere(case, X):
+    """The same chain at another place in the world."""
+    arms = [replace(arm, base=X * arm.base) for arm in case.chain.arms]
+    chain = osc.ClosedChain(arms, case.chain.grasps, case.chain.payload, allow_unactuated=True)
+    return replace(case, chain=chain, X_WO=X * case.X_WO)
+
+
+@parametrize("how", ["rigid", "grasps", "slides", "structure", "near singular"])
+def test_world_units_and_names_of_motions_do_not_matter(how):
+    """Also the basis of the object's motions that G is written in."""
+    rng = default_rng(83)
+    for _ in range(8):
+        case, state = draw(how, rng)
+        want = answer(state, case.chain)
+        other = elsewhere(case, pose_of(rng))
+        assert_same(answer(at_rest(other), other.chain), want, basis_to=1e-8)
+        mixed = state.G.T @ (np.eye(state.d) + 0.3 * rng.standard_normal((state.d, state.d)))
+        assert_same(answer(state, case.chain, mixed), want)
+        chain, q, X_WO = in_millimetres(case)
+        sliding = np.abs(q - case.q) > 0.0
+        mm = chain.state(q, np.zeros(chain.nq), X_WO, np.zeros(6))
+        # kg mm/s², kg mm²/s²
+        levers, basis = answer(mm, chain, per_torque=np.where(sliding, 1e3, 1e6))
+        assert_same((levers * np.where(sliding, 1.0, 1e3), basis), want, basis_to=1e-8)

@@ -1,15 +1,9 @@
 """Faces pulled away under every packaged scenario: nothing runs away; pushes: back in contact."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 from pytest import mark
 from rigs import rig_of
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from samples import chosen, first
+from samples import chosen, first, parametrize
 
 import osc_contact as osc
 from benchmarks.pushes import packaged, push_arm, table
@@ -73,14 +67,14 @@ def pull_away(name, by):
     return controller, seen, lost / len(seen)
 
 
-@mark.parametrize("name", chosen(WITH_CONTACTS, "two_contact_rod", "ur5_wipe", "hinge_ball_rod"))
+@parametrize("name", chosen(WITH_CONTACTS, "two_contact_rod", "ur5_wipe", "hinge_ball_rod"))
 def test_a_face_that_is_pulled_away_is_looked_for_or_the_arms_stop(name):
     controller, speeds, lost = pull_away(name, 0.2)
     assert max(speeds) < 1.0
     assert controller.state is osc.SafetyState.SAFE_STOP or lost > 0.7, (lost, controller.reason)
 
 
-@mark.parametrize("name", ["two_contact_rod", "dual_panda_rod"])
+@parametrize("name", ["two_contact_rod", "dual_panda_rod"])
 def test_a_face_that_is_near_is_found_again(name):
     controller, speeds, lost = pull_away(name, 0.005)
     assert max(speeds) < 0.5 and 0.05 < lost < 0.9
@@ -108,7 +102,7 @@ def test_a_contact_that_is_not_found_again_stops_the_arms_until_a_reset():
     assert controller.state is osc.SafetyState.RUN
 
 
-@mark.parametrize("push", first(WORST))
+@parametrize("push", first(WORST))
 def test_pushes_end_in_contact_or_in_a_stop(push):
     found = push_arm(*push)
     assert not found.wrong, table([found])

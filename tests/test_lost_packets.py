@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.testing import assert_allclose
-from pytest import mark
 from rigs import largest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
+from samples import parametrize
 
 import osc_contact as osc
 from benchmarks.fault_injection import FAULTS, NAN, Case, Run, Verdict
@@ -52,8 +48,7 @@ def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
     assert run.controller.state is RUN and run.controller.state_age == 1500
     assert run.controller.repeated == 1, "the last packet came twice"
     alpha = run.plant.truth().alpha
-    wanted = run.rig.references.at(1.5).alpha_d
-    assert_allclose(alpha, wanted, rtol=0.05)
+    assert_allclose(alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
 
 
 def test_a_packet_that_repeats_for_longer_than_a_wrench_may_is_a_fault():
@@ -71,7 +66,7 @@ def test_a_packet_that_repeats_for_longer_than_a_wrench_may_is_a_fault():
     assert "engage the mechanical brakes" in run.controller.reason
 
 
-@mark.parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
+@parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
 def test_more_than_half_of_the_ticks_must_not_be_lost_for_long(lost_of, stops):
     n, m = lost_of
 
@@ -136,7 +131,7 @@ def test_contact_is_made_although_every_second_tick_is_lost():
     assert_allclose(run.plant.truth().alpha, 10.0, rtol=0.2)
 
 
-@mark.parametrize(
+@parametrize(
     ("fault", "scenario", "every"),
     [
         ("speeds mirrored", "limited_rod", 0),  # hardly carries its weight, and brakes all the same

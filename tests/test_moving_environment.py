@@ -1,246 +1,274 @@
-"""Environments that move and yield, eqs. 14–25: judged by the whole system solved at once."""
+"""Environments that move and yield: eqs. 14–25 as written, d = 6, and the class itself.
+
+What the law makes of them on random states is judged in `test_law_kkt`, whose ticks are used here.
+"""
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
-from environment_scenes import RTOL, cases, close_to, contacts_at, pairs_at, scene, twist_at
+import pinocchio as pin
+from complaints import contact_error, model_error
+from kkt_oracle import linkage, random_inertia
 from numpy.linalg import inv, lstsq, solve
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
-from pytest import raises
-from rigs import largest, one_panda, panda_pair, random_state, scara_pair, unit
-from test_decoupling import commanded as law_commanded
-from test_decoupling import structured
+from rigs import largest, product, random_state, refused, scara_pair, ticked
+from samples import module_fixture, parametrize
+from test_law_kkt import metric_of, miss, ticks
 
 import osc_contact as osc
 from osc_contact import projections
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import Lambda_rel, contact_response
+from paper.command_filter import command
 
-# Equations 14 to 20 -------------------------------------------------------------------------------
+RTOL = 1e-9
 
 
-def velocity_product(s, rng):
-    """T and Ṫβ of a smooth basis T(t): NᵀT = 0 at all times, and otherwise any spin."""
-    T = s.contact.T
-    N = s.contact.N
-    N_dot = s.N_dot
-    T_dot = -N @ solve(N.T @ N, N_dot.T @ T) + T @ rng.standard_normal((T.shape[1],) * 2)
-    beta = lstsq(T, s.state.V_O - s.environment.V_e, rcond=None)[0]
-    Tdot_beta = T_dot @ beta
-    if len(s.bodies) > 1:  # there is no one V_rel = Tβ: only NᵀṪβ = n_γ remains of Ṫ
+class Relative:
+    """What the equations speak of at a tick, with any Ṫβ that the contacts permit: NᵀṪβ = n_γ."""
+
+    def __init__(self, t, rng):
+        self.t = t
+        self.s = s = t.controller.signals
+        self.N = N = s.contact.N
+        Tdot_beta = rng.standard_normal(6)
         miss = s.contact.n_gamma - N.T @ Tdot_beta
-        Tdot_beta = Tdot_beta + N @ solve(N.T @ N, miss)
-    return T, Tdot_beta
+        self.Tdot_beta = Tdot_beta + lstsq(N.T, miss, rcond=None)[0]
+        self.Lambda_0 = inv(s.state.Phi)
+        self.Lambda_rel = Lambda_rel(s.state, s.environment)
+        up = inv(s.state.S).T
+        bias = s.state.b_S - s.state.Lambda_S @ solve(s.state.S, s.state.sigma)
+        self.from_f = up @ bias + self.Lambda_0 @ (self.Tdot_beta + s.environment.b_e)
+
+    def answer(self, tau):
+        """f_c and ϑ̇′ that these torques bring, and the size of what ϑ̇′ is the difference of."""
+        env = self.s.environment
+        truth = self.t.state.answer(tau)
+        f_c = self.N @ truth.alpha
+        a_e = env.Phi_e @ f_c + env.b_e  # 14
+        bodies = {id(c.on) for c in self.t.contacts}
+        if len(bodies) == 1:
+            assert miss(a_e, truth.a_e[0]) < RTOL
+        sizes = [largest(x) for x in (truth.a_object, a_e, self.Tdot_beta)]
+        return f_c, truth.a_object - a_e - self.Tdot_beta, max(sizes)
+
+    def tick(self, **laws):
+        controller = self.t.before.with_laws(**laws)
+        tau = ticked(controller, self.t.measured, self.t.reference)
+        return controller, tau
 
 
-def test_several_bodies_have_one_relative_acceleration_but_no_common_velocity_product():
-    """n_γ is −ṅᵀ(V − V_i) with each contact's own body; −ṄᵀV_rel with the combined V_e is not."""
-    s = scene(panda_pair, "rail and free body", default_rng(38))
-    V_rel = s.state.V_O - s.environment.V_e
-    assert_allclose(s.contact.N.T @ V_rel, 0, atol=1e-10)
-    assert largest(-s.N_dot.T @ V_rel - s.contact.n_gamma) > 1e-2
-    own = [
-        -s.N_dot[:, i] @ (s.state.V_O - twist_at(s.bodies[t.body], s.state))
-        for i, t in enumerate(s.touches)
-    ]
-    assert_allclose(own, s.contact.n_gamma, rtol=1e-9)
-
-
-def six_dimensional(state, f_S):
-    """f, μ₀ + p₀ and Λ₀ of eq. 13 for d = 6."""
-    up = inv(state.S).T
-    return up @ f_S, up @ (state.b_S - state.Lambda_S @ solve(state.S, state.sigma))
-
-
-@cases(panda_pair, one_panda)
-def test_equations_17_to_20_as_written_with_the_relative_inertia(rig, kind):
-    """β̇, α, ϑ̇′ and f_c with Λ_rel, T, Ṫβ and f′, against the whole system (d = 6)."""
+@module_fixture
+def some():
+    """With one to five columns, on several bodies or one."""
     rng = default_rng(31)
-    for _ in range(4):
-        s = scene(rig, kind, rng)
-        state = s.state
+    made = [t for t in islice(ticks("ur5", "bodies"), 40) if 0 < len(t.state.N) < 6]
+    return [(Relative(t, rng), rng) for t in made if t.state.apart() > 0.1]
+
+
+def test_equations_17_to_20_as_written_with_the_relative_inertia(some):
+    """β̇, α, ϑ̇′ and f_c with Λ_rel, T, Ṫβ and f′, against the whole system."""
+    for r, _ in some:
+        s = r.s
+        N = r.N
+        T = s.contact.T
+        f_c, theta, size = r.answer(r.t.tau)  # 16
+        got = contact_response(s.state, s.contact, s.environment, tau=r.t.tau)
+        assert miss(got.a_e, s.environment.Phi_e @ f_c + s.environment.b_e) < RTOL
+        f_prime = inv(s.state.S).T @ s.state.G @ r.t.tau - r.from_f
+        drive = r.Lambda_rel @ inv(r.Lambda_0) @ f_prime
+        beta_dot = solve(T.T @ r.Lambda_rel @ T, T.T @ drive)  # 17
+        inverse = inv(r.Lambda_rel)
+        alpha = solve(N.T @ inverse @ N, N.T @ inverse @ drive)  # 18
+        assert miss(N @ alpha, f_c) < RTOL
+        split = projections.Omega_f(N, inverse)
+        assert miss(split @ drive, f_c) < RTOL  # 20
+        assert largest(inverse @ (drive - split @ drive) - theta) < RTOL * size  # 19
+        assert largest(T @ beta_dot - theta) < RTOL * size  # 15
+    assert len(some) > 20 and {len({id(c.on) for c in r.t.contacts}) for r, _ in some} >= {1, 2}
+
+
+def test_equations_21_24_and_25_with_relative_commands(some):
+    """ϑ̇′ = Ω_m(B)ϑ̇′_u and f_c = Ω_f(A)f_cu for any Ṫ, A, B; f′ is that of eq. 21."""
+    for r, rng in some:
+        s = r.s
+        N = r.N
         env = s.environment
-        N = s.contact.N
-        tau = rng.standard_normal(s.chain.n_a) * 20
-        truth = s.solve(tau)
-        a_e = environment_acceleration(s, truth)  # 14
-        T, Tdot_beta = velocity_product(s, rng)
-        assert_allclose(N.T @ Tdot_beta, s.contact.n_gamma, atol=1e-9)
-        Lambda_0 = inv(state.Phi)
-        Phi_0 = state.Phi
-        relative = Lambda_rel(state, env)
-        f, bias = six_dimensional(state, state.G @ tau)
-        f_prime = f - bias - Lambda_0 @ (Tdot_beta + env.b_e)
-        assert close_to(contact_response(state, s.contact, env, tau=tau).a_e, a_e) < RTOL
-        beta_dot = solve(T.T @ relative @ T, T.T @ relative @ Phi_0 @ f_prime)  # 17
-        D = N.T @ inv(relative) @ N
-        alpha = solve(D, N.T @ Phi_0 @ f_prime)  # 18
-        drive = relative @ Phi_0 @ f_prime
-        split = projections.Omega_f(N, inv(relative))
-        theta = solve(relative, drive - split @ drive)  # 19
-        f_c = split @ drive  # 20
-        want = truth.a_object - a_e - Tdot_beta
-        assert close_to(alpha, truth.alpha) < RTOL
-        assert close_to(N @ truth.alpha, f_c) < RTOL  # 16
-        scale = max(largest(truth.a_object), largest(a_e), largest(Tdot_beta))
-        assert largest(T @ beta_dot - want) < RTOL * scale  # 15
-        assert largest(theta - want) < RTOL * scale
+        A = rng.standard_normal((6, 6))
+        theta_u = 3 * rng.standard_normal(6)
+        f_comm = projections.Omega_f(N, A @ A.T + 0.1 * np.eye(6)) @ (20 * rng.standard_normal(6))
+        alpha_u = lstsq(N, f_comm, rcond=None)[0]
+        a_u = theta_u + r.Tdot_beta + env.Phi_e @ f_comm + env.b_e + product(s.state.V_O)
+        controller, tau = r.tick(force=lambda *_, x=alpha_u: x, motion=lambda *_, x=a_u: x)
+        f_c, theta, size = r.answer(tau)
+        theta_comm = theta_u - projections.Omega_m_bar(N, inv(metric_of(r.t))) @ theta_u
+        assert largest(theta - theta_comm) < RTOL * max(size, largest(a_u))  # 24
+        assert miss(f_c, f_comm) < RTOL  # 25
+        f_S = s.state.Lambda_S @ controller.signals.eta_c + s.state.b_S + s.state.S.T @ f_comm
+        want = r.Lambda_0 @ (theta_comm + env.Phi_e @ f_comm) + f_comm
+        assert miss(inv(s.state.S).T @ f_S - r.from_f, want) < 1e-8  # 21, Λ_rel⁻¹ = Λ₀⁻¹ + Φ_e
+
+
+def test_unfiltered_commands_couple_through_the_relative_inertia(some):
+    """Eqs. 22 and 23 as written, after eq. 21 with any commands."""
+    for r, rng in some:
+        N = r.N
+        inverse = inv(r.Lambda_rel)
+        theta, force = rng.standard_normal((2, 6)) * [[2], [10]]
+        f = r.Lambda_0 @ (theta + inverse @ force) + r.from_f  # 21
+        tau = r.tick(structure=lambda s, f=f: (np.zeros(6), s.state.S.T @ f))[1]
+        f_c, got, size = r.answer(tau)
+        split = projections.Omega_f(N, inverse)
+        bar = projections.Omega_m_bar(N, inverse)
+        want = theta - bar @ theta + inverse @ (force - split @ force)  # 22
+        assert largest(got - want) < RTOL * max(size, largest(inverse @ force))
+        assert miss(f_c, split @ force + r.Lambda_rel @ bar @ theta) < RTOL  # 23
+        assert largest(f_c - split @ force) > 1e-3
 
 
 def test_no_relative_inertia_where_nobody_yields():
     state = scara_pair().state(*random_state(scara_pair(), default_rng(33)))
-    with raises(osc.ModelError, match="neither chain nor environment yields"):
+    with model_error("neither chain nor environment yields"):
         Lambda_rel(state, Environment.fixed())
 
 
-def test_a_redundant_leg_changes_nothing_where_one_body_carries_all():
-    """Two vertices and, between them, a third: n_γ of a moving body stays consistent."""
-    rng = default_rng(48)
-    for kind in ("free body", "prescribed"):
-        for _ in range(4):
-            s = scene(panda_pair, kind, rng)
-            a, b = s.touches
-            body = s.bodies[0]
-            normal = unit(a.normal)
-            legs = [
-                replace(a, vertex=p, normal=normal)
-                for p in (a.vertex, b.vertex, 0.3 * a.vertex + 0.7 * b.vertex)
-            ]
-            parts = contacts_at(s.state, [body], legs)
-            three = osc.Contact.stack(parts)
-            two = osc.Contact.stack(parts[:2])
-            assert three.r == two.r == 2 and three.R.shape == (2, 3)
-            assert Environment.combine(parts, [s.each[0]] * 3, s.state.metric) is s.each[0]
-            tau = rng.standard_normal(s.chain.n_a) * 20
-            one, other = (contact_response(s.state, c, s.each[0], tau=tau) for c in (three, two))
-            assert close_to(one.f_c, other.f_c) < RTOL
-            assert close_to(three.N @ three.R @ three.magnitudes(one.alpha), one.f_c) < 1e-12
-            copies = [replace(s.each[0]) for _ in parts]
-            if kind == "prescribed":  # one motion, nobody yields: one environment
-                assert Environment.combine(parts, copies, s.state.metric) is copies[0]
-            else:
-                with raises(osc.ContactError, match="dependent"):
-                    Environment.combine(parts, copies, s.state.metric)
+# The class ----------------------------------------------------------------------------------------
 
 
-# Equations 21 to 25 -------------------------------------------------------------------------------
+def test_one_body_behind_every_contact_stays_what_it_is():
+    """Shared bodies couple their contacts; as one environment or by their normals is the same."""
+    for t in ticks("ur5", "bodies"):
+        body = t.state.bodies[0]
+        if len(t.state.bodies) == 1 < len(t.contacts) and body.prescribed is None is not body.given:
+            break
+    s = t.controller.signals
+    parts = [c.pair.contact(t.state.case.X_WO, t.state.V, body.X, body.V) for c in t.contacts]
+    env = body.given.environment(body.X, body.V, np.zeros(6), t.state.case.X_WO.translation)
+    metric = s.state.metric
+    assert Environment.combine(parts, [env] * len(parts), metric) is env
+    N = s.contact.N
+    of_normals = N.T @ env.Phi_e @ N, N.T @ env.b_e, N.T @ env.V_e
+    alike = Environment.of_contacts(N, *of_normals, metric)
+    apart = Environment.combine(parts, [replace(env) for _ in parts], metric)
+    a, b, other = (contact_response(s.state, s.contact, e, tau=t.tau) for e in (env, alike, apart))
+    assert miss(b.alpha, a.alpha) < RTOL and miss(b.acceleration, a.acceleration) < RTOL
+    assert largest(b.a_e - a.a_e) > 1e-3  # only Nᵀa_e has a meaning
+    assert miss(N.T @ b.a_e, N.T @ a.a_e) < RTOL
+    assert miss(other.alpha, a.alpha) > 1e-3
+    twice = [parts[0], parts[0]]
+    with contact_error("dependent"):
+        Environment.combine(twice, [env, replace(env)], metric)
+    driven = Environment.moving(X_WE=body.X, V_E=body.V, A_E=body.V, O=np.zeros(3))
+    copies = [replace(driven), driven]  # one motion, nobody yields: one environment
+    assert Environment.combine(twice, copies, metric) is copies[0]
 
 
-def metrics_B(state, rng):
-    A = rng.standard_normal((6, 6))
-    total = state.metric + sum(arm.Lambda for arm in state.arms)
-    return inv(state.metric), inv(total), A @ A.T + 0.1 * np.eye(6)
+@parametrize("seed", range(8))
+def test_the_environment_of_several_contacts_does_not_depend_on_frame_or_units(seed):
+    rng = default_rng([seed, 45])
+    N = rng.standard_normal((6, 3))
+    half, b_N, V_N = rng.standard_normal((3, 3))
+    Phi_N = np.outer(half, half) + np.outer(V_N, V_N)
+    inertia = random_inertia(rng).matrix()
+    env = Environment.of_contacts(N, Phi_N, b_N, V_N, inertia)
+    assert miss(N.T @ env.Phi_e @ N, Phi_N) < 1e-10 and miss(N.T @ env.b_e, b_N) < 1e-10
+    X = pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3)).action
+    X = np.diag([1e3, 1e3, 1e3, 1, 1, 1]) @ X  # mm
+    F = inv(X).T
+    Q = rng.standard_normal((3, 3))  # forces; and another basis of N
+    given = Q.T @ Phi_N @ Q, Q.T @ b_N, Q.T @ V_N, F @ inertia @ F.T
+    moved = Environment.of_contacts(F @ N @ Q, *given)
+    assert miss(moved.Phi_e, X @ env.Phi_e @ X.T) < 1e-9
+    assert miss(moved.b_e, X @ env.b_e) < 1e-9 and miss(moved.V_e, X @ env.V_e) < 1e-9
 
 
-class Answering:
-    """A body that answers as the scene says."""
-
-    def __init__(self, answer):
-        self.answer = answer
-
-    def environment(self, X_WE, V_E, A_E, O):
-        return self.answer
+BODY = pin.Inertia(2.0, np.array([0.1, 0, 0]), np.diag([0.02, 0.03, 0.04]))
+AT = {"X_WE": pin.SE3.Identity(), "O": np.zeros(3)}
 
 
-def seen(s):
-    """The scene for a controller: pairs, one body for each contact, and how these move."""
-    bodies = [s.bodies[touch.body] for touch in s.touches]
-    pairs = pairs_at(s.state, s.bodies, s.touches)
-    X = [body.X.homogeneous for body in bodies]
-    V = [body.V for body in bodies]
-    answering = {id(answer): Answering(answer) for answer in s.each}
-    touched = osc.interface.Touched(np.array(X), np.array(V), np.zeros((len(X), 6)))
-    return pairs, {"bodies": [answering[id(a)] for a in s.each], "touched": touched}
+def rail(axes=(1,) * 6, rates=(0,), body=BODY, **how):
+    return Environment.rail(body, **AT, axes=axes, rates=rates, **how)
 
 
-def squeeze_of(s):
-    return 5.0 if len(s.chain.arms) == 2 else 0.0
+def free_body(body=BODY, **how):
+    return Environment.rigid_body(body, **AT, V_E=np.zeros(6), **how)
 
 
-def object_acceleration(state, contact, environment, relative, alpha_u, Tdot_beta=None):
-    """ϑ̇ = ϑ̇′ + Ṫβ + Φ_eNα_u + b_e (6,): the object's behind the paper's relative ϑ̇′."""
-    N = contact.N
-    if Tdot_beta is None:  # the least with NᵀṪβ = n_γ in the object's energy metric
-        mobile = solve(state.metric, N)
-        Tdot_beta = mobile @ solve(N.T @ mobile, contact.n_gamma)
-    return relative + Tdot_beta + environment.Phi_e @ (N @ alpha_u) + environment.b_e
+def of_contacts(Phi_N, columns=(0, 1), metric=(1,) * 6):
+    zero = np.zeros(len(columns))
+    return Environment.of_contacts(np.eye(6)[:, columns], Phi_N, zero, zero, np.diag(metric))
 
 
-def commanded(s, relative, alpha, B, Tdot_beta=None):
-    """Whole-system answer to a relative motion command and a force command; η̇_c."""
-    a_u = object_acceleration(s.state, s.contact, s.environment, relative, alpha, Tdot_beta)
-    pairs, how = seen(s)
-    controller, tau = law_commanded(s.chain, pairs, s.q, s.v, a_u, alpha, B, squeeze_of(s), **how)
-    return s.solve(tau), controller.signals.eta_c
+@parametrize(
+    "make, message",
+    [
+        (lambda: Environment.moving(**AT, V_E=np.zeros(3), A_E=np.zeros(6)), "V_E: expected shape"),
+        (lambda: free_body(gravity=[9.81]), "gravity"),
+        (lambda: free_body(wrench=[1.0]), "wrench"),
+        (lambda: rail(np.zeros(3)), "axes: expected"),
+        (lambda: rail(rates=[0.0, 1.0]), "rates"),
+        (lambda: rail(force=[1, 2]), "force"),
+        (lambda: Environment.combine([osc.Contact(np.eye(6)[:, :1])], [], np.eye(6)), "1 contacts"),
+        (lambda: of_contacts(np.eye(3)), r"Phi_N: expected shape \(2, 2\)"),
+        (lambda: of_contacts([[1.0, 0.1], [0.0, 1.0]]), "Phi_N is not symmetric"),
+        (lambda: of_contacts([[1.0, 2.0], [2.0, 1.0]]), "Phi_N is not positive semidefinite"),
+    ],
+)
+def test_bad_arguments_are_refused(make, message):
+    with refused(message):
+        make()
 
 
-def environment_acceleration(s, truth):
-    """a_e (6,) of the touched body, or of the one that stands for several."""
-    if len(s.bodies) == 1:
-        return truth.a_e[0]
-    return s.environment.Phi_e @ s.contact.N @ truth.alpha + s.environment.b_e
+@parametrize(
+    "make, message",
+    [
+        (lambda: rail(np.ones((6, 2)), [0, 0]), "its axes"),
+        (lambda: rail([0, 0, 0, 0, 0, 1], body=pin.Inertia.FromSphere(1.0, 0.0)), "along its axes"),
+        (lambda: free_body(pin.Inertia(0.0, np.zeros(3), np.eye(3))), "all must be positive"),
+        (lambda: of_contacts([[1.0]], [0], (1, 1, 1, 1, 1, -1.0)), "metric"),
+    ],
+)
+def test_impossible_bodies_are_refused(make, message):
+    with model_error(message):
+        make()
 
 
-@cases(panda_pair, one_panda)
-def test_equations_21_24_and_25_with_relative_commands(rig, kind):
-    """ϑ̇′ = Ω_m(B)ϑ̇′_u and f_c = Ω_f(A)f_cu for any T, Ṫ, A, B; f′ is that of eq. 21 (d = 6)."""
-    rng = default_rng(35)
-    for _ in range(4):
-        s = scene(rig, kind, rng)
-        state = s.state
-        env = s.environment
-        N = s.contact.N
-        Tdot_beta = velocity_product(s, rng)[1]
-        A = rng.standard_normal((6, 6))
-        A_inv = A @ A.T + 0.1 * np.eye(6)
-        theta_u = rng.standard_normal(6) * 3
-        f_cu = rng.standard_normal(6) * 20
-        f_comm = projections.Omega_f(N, A_inv) @ f_cu
-        alpha_u = lstsq(N, f_comm, rcond=None)[0]
-        for B in metrics_B(state, rng):
-            truth, eta_c = commanded(s, theta_u, alpha_u, B, Tdot_beta)
-            theta_comm = theta_u - projections.Omega_m_bar(N, B) @ theta_u
-            a_e = environment_acceleration(s, truth)
-            relative = truth.a_object - a_e - Tdot_beta
-            size = max(largest(x) for x in (truth.a_object, a_e, Tdot_beta))
-            assert largest(relative - theta_comm) < RTOL * size  # 24
-            assert close_to(N @ truth.alpha, f_comm) < RTOL  # 25
-            f, bias = six_dimensional(
-                state, state.Lambda_S @ eta_c + state.b_S + state.S.T @ f_comm
-            )
-            Lambda_0 = inv(state.Phi)
-            f_prime = f - bias - Lambda_0 @ (Tdot_beta + env.b_e)
-            want = Lambda_0 @ theta_comm + f_comm + Lambda_0 @ env.Phi_e @ f_comm
-            assert close_to(f_prime, want) < 1e-8  # 21, with Λ_rel⁻¹ = Λ₀⁻¹ + Φ_e
+def test_impossible_mechanisms_and_dependent_contacts_are_refused():
+    body = linkage(default_rng(46), np.zeros(3))
+    args = body.q, body.v, body.tau
+    with model_error("touchd"):
+        Environment.articulated(body.model, *args, "touchd", np.zeros(3))
+    with refused("tau: expected shape"):
+        Environment.articulated(body.model, *args[:2], np.zeros(3), "touched", np.zeros(3))
+    body.model.inertias[1] = body.model.inertias[2] = pin.Inertia.Zero()
+    with model_error("joint-space inertia"):
+        Environment.articulated(body.model, *args, "touched", np.zeros(3))
+    with contact_error("dependent"):
+        of_contacts(np.eye(2), [0, 0])
 
 
-@cases(panda_pair)
-def test_unfiltered_commands_couple_through_the_relative_inertia(rig, kind):
-    """Eqs. 22 and 23 as written, after eq. 21 with any commands (d = 6)."""
-    rng = default_rng(36)
-    for _ in range(4):
-        s = scene(rig, kind, rng)
-        state = s.state
-        env = s.environment
-        N = s.contact.N
-        Tdot_beta = velocity_product(s, rng)[1]
-        theta = rng.standard_normal(6) * 2
-        force = rng.standard_normal(6) * 10
-        relative = Lambda_rel(state, env)
-        Lambda_0 = inv(state.Phi)
-        inverse = inv(relative)
-        f_prime = Lambda_0 @ theta + Lambda_0 @ inverse @ force  # 21
-        _, bias = six_dimensional(state, np.zeros(6))
-        f = f_prime + bias + Lambda_0 @ (Tdot_beta + env.b_e)
-        tau = structured(s.chain, s.q, s.v, state.S.T @ f, np.zeros(6), squeeze_of(s))
-        truth = s.solve(tau)
-        Omega_f = projections.Omega_f(N, inverse)
-        Omega_m_bar = projections.Omega_m_bar(N, inverse)
-        got = truth.a_object - environment_acceleration(s, truth) - Tdot_beta
-        want = theta - Omega_m_bar @ theta + inverse @ (force - Omega_f @ force)  # 22
-        f_c = Omega_f @ force + relative @ Omega_m_bar @ theta  # 23
-        size = max(largest(x) for x in (truth.a_object, Tdot_beta, inverse @ force, theta))
-        assert largest(got - want) < RTOL * size
-        assert close_to(N @ truth.alpha, f_c) < RTOL
-        assert largest(f_c - Omega_f @ force) > 1e-3
+def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_does_is_not():
+    """The SCARA pair cannot turn about its locked couple; a free body behind it can."""
+    state = scara_pair().state(*random_state(scara_pair(), default_rng(47)))
+    locked = osc.Contact(state.C)
+    rolled = Environment(state.C @ state.C.T * 0.1)
+    got = contact_response(state, locked, rolled, tau=np.zeros(8))
+    want = (state.C.T @ state.sigma) / (0.1 * (state.C.T @ state.C)[0, 0] ** 2)
+    assert miss(got.alpha, want) < RTOL
+    across = Environment(np.outer(state.S[:, 0], state.S[:, 0]))
+    with contact_error("the arms and the environment cannot push"):
+        contact_response(state, locked, across, tau=np.zeros(8))
+    with contact_error("the arms cannot push"):
+        command(state, locked, np.zeros(6), np.zeros(1))
+
+
+def test_contact_response_needs_exactly_one_command_and_contacts_that_arms_can_push():
+    state = scara_pair().state(*random_state(scara_pair(), default_rng(15)))
+    locked = osc.Contact(np.column_stack((np.eye(6)[:, 2], state.C[:, 0])))
+    with contact_error("column 1"):
+        contact_response(state, locked, tau=np.zeros(8))
+    nothing = osc.Contact(np.zeros((6, 0)))
+    for commands in ({}, {"tau": np.zeros(8), "f_S": np.zeros(5)}):
+        with refused("exactly one"):
+            contact_response(state, nothing, **commands)

@@ -1,9 +1,11 @@
 """Faces that move: the plants among themselves, the law against plants that know nothing of Φ_e."""
 
 import numpy as np
+from complaints import contact_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import fixture, mark, raises
+from pytest import mark
 from rigs import largest
+from samples import module_fixture
 
 import osc_contact as osc
 from osc_contact.runs.verdict import metrics
@@ -105,7 +107,7 @@ def test_a_conveyor_is_where_its_signals_say():
         assert_array_equal(touched.X_WE[1], np.eye(4))
 
 
-@fixture(scope="module")
+@module_fixture
 def on_mujoco():
     return {
         row["law"]: (row, recording)
@@ -132,7 +134,7 @@ def test_the_figure_shows_each_face_once(on_mujoco):
 
 def test_a_conveyor_must_start_at_the_contact():
     jump = "[{type: sine, amplitude: 30 mm, frequency: 1 Hz}]"
-    with raises(osc.ScenarioError, match=r"left_end.*0.188\d* m/s.*ramp"):
+    with scenario_error(r"left_end.*0.188\d* m/s.*ramp"):
         rig_of(
             "contacts.left_end.face.motion="
             f"{{type: conveyor, direction: [1, 0, 0], signals: {jump}}}"
@@ -174,5 +176,5 @@ def test_tracked_contacts_are_looked_up_again_after_a_while_and_agree_with_the_d
     away.translation = X.translation + 0.1 * pair.normal
     assert tracked.contact(away, V).r == 1  # the last one found stays in force
     fresh = rig.controlled_pairs()[0]
-    with raises(osc.ContactError, match="nothing touches"):
+    with contact_error("nothing touches"):
         fresh.contact(away, V)

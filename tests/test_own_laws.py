@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import fixture, mark
-from rigs import friction_wrenches, largest, refused, rig_of
+from rigs import friction_wrenches, largest, refused, rig_of, ticked
+from samples import module_fixture, parametrize
 from test_commands import by_definition
 
 import osc_contact as osc
@@ -21,7 +21,7 @@ from osc_contact.scenarios.control_schema import Friction
 from osc_contact.spatial import classical_to_spatial, pose_error
 
 
-@fixture(scope="module")
+@module_fixture
 def rig():
     changes = ["plant.type=rigid", "plant.step=2 ms", "control.rate=500 Hz"]
     return rig_of("two_contact_rod", *changes)
@@ -54,7 +54,7 @@ def test_the_plant_answers_what_the_law_commands(rig):
     assert_allclose(first.calls[0][0], reference.alpha_d)
 
 
-@mark.parametrize(
+@parametrize(
     ("laws", "words"),
     [
         ({"force": lambda *_: [1.0]}, "return 2 finite numbers"),
@@ -124,8 +124,7 @@ def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig):
         measurement = plant.measure()
         tau = plain.tick(measurement, reference)
         for other in others:
-            got = other.tick(measurement, reference)
-            assert other.status is osc.Status.OK, other.reason
+            got = ticked(other, measurement, reference)
             assert_allclose(got, tau, rtol=0, atol=1e-8)
         plant.hold(tau)
         plant.command(tau, 2e-3)
@@ -191,8 +190,8 @@ class Lifted(osc.VertexOnFace):
         return super().point_on_face(X_WO, X_WE) + 0.1 * self._face(X_WE)[0]
 
 
-@mark.parametrize("kind", [Written, Lifted])
-@mark.parametrize("moving", [False, True])
+@parametrize("kind", [Written, Lifted])
+@parametrize("moving", [False, True])
 def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(rig, kind, moving):
     rng = default_rng(60)
     made = [kind(p.vertex, p.point, p.normal, p.radius, name=p.name) for p in rig.pairs]

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from complaints import contact_error
 from numpy.linalg import inv, matrix_rank, qr, solve
 from numpy.random import default_rng
-from pytest import mark, raises
 from rigs import largest
+from samples import parametrize
 
 from osc_contact import projections as P
-from osc_contact.errors import ContactError
 
 RANKS = range(7)
 TRIALS = range(2)
@@ -75,17 +75,8 @@ def close(got, want, tolerance=1e-10):
         assert largest(got[rows] - want[rows]) <= tolerance * scale
 
 
-def same_span(X, Y):
-    def rank(Z):
-        return int(matrix_rank(Z, rtol=1e-7)) if Z.size else 0  # NumPy 2.4.0: no 6×0
-
-    X = X / max(largest(X), 1e-9)
-    Y = Y / max(largest(Y), 1e-9)
-    return rank(X) == rank(Y) == rank(np.hstack((X, Y)))
-
-
 def on_every_contact(test):
-    return mark.parametrize("r", RANKS)(mark.parametrize("seed", TRIALS)(test))
+    return parametrize("r", RANKS)(parametrize("seed", TRIALS)(test))
 
 
 @on_every_contact
@@ -100,19 +91,6 @@ def test_every_projection_is_the_decomposition_it_stands_for(seed, r):
     close(P.Omega_f_bar(c.T, A) @ forces, part(A @ c.T, c.N, forces))
     close(P.Omega_m(c.T, inverse(B)) @ motions, part(c.T, B @ c.N, motions))
     close(P.Omega_m_bar(c.N, B) @ motions, part(B @ c.N, c.T, motions))
-
-
-@on_every_contact
-def test_any_complement_decomposes(seed, r):
-    """Eqs. 3 and 4 with complements that no definite matrix need have made."""
-    c = case(seed, r)
-    rng = default_rng([seed, r, 1])
-    N_prime = SIZE[:, None] * rng.standard_normal((6, 6 - r))
-    T_prime = rng.standard_normal((6, r)) / SIZE[:, None]
-    f = SIZE * rng.standard_normal(6)
-    v = rng.standard_normal(6) / SIZE
-    close(P.Omega_f_bar_from_complement(N_prime, c.T) @ f, part(N_prime, c.N, f), 1e-9)
-    close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
 
 
 @on_every_contact
@@ -132,8 +110,8 @@ def test_identities_9_to_12(seed, r):
         assert not 0 < r < 6 or largest(one @ other) > 1e-3
 
 
-@mark.parametrize("r", [1, 2, 3, 4, 5])
-@mark.parametrize("seed", TRIALS)
+@parametrize("r", [1, 2, 3, 4, 5])
+@parametrize("seed", TRIALS)
 def test_rank_five_inverse_inertia_is_enough(seed, r):
     """Dual SCARA: Φ has rank 5, Λ does not exist; the laws are the limit of definite metrics."""
     c = case(seed, r)
@@ -154,65 +132,73 @@ def test_rank_five_inverse_inertia_is_enough(seed, r):
     close(2 * one - two, projection, 1e-5)
 
 
-@mark.parametrize("i", range(6))
+@parametrize("i", range(6))
 def test_metrics_that_hardly_move_along_one_axis_are_refused_there(i):
     """Beside the others of its kind: a metric of angles alone may be as small as it likes."""
     metric = np.eye(6)
     metric[i, i] = 1e-14
-    with raises(ContactError, match="column 0"):
+    with contact_error("column 0"):
         P.Omega_f(np.eye(6)[:, [i]], metric)
     kind = np.where(np.arange(6) // 3 == i // 3, 1e-14, 1.0)
     close(P.Omega_f(np.eye(6)[:, [i]], np.diag(kind)), np.diag(np.eye(6)[i]))
 
 
-@mark.parametrize("size", [1e-6, 0.5, 2.0])
+@parametrize("size", [1e-6, 0.5, 2.0])
 def test_metrics_that_are_not_symmetric_or_not_definite_are_refused(size):
     """A millionth is no rounding error. Along N or not."""
     N = np.eye(6)[:, :2]
     skew = np.eye(6)
     skew[1, 0] = size
-    with raises(ContactError, match=f"not symmetric \\(relative difference {size:.3g}"):
+    with contact_error(f"not symmetric \\(relative difference {size:.3g}"):
         P.Omega_f(N, skew)
     mixed = np.eye(6)
     mixed[0, 1] = mixed[1, 0] = 1.0 + size  # positive diagonal, negative eigenvalue
     for sunken in (*(np.diag(np.where(np.arange(6) == i, -size, 1.0)) for i in (1, 5)), mixed):
-        with raises(ContactError, match=f"smallest eigenvalue -{size:.3g}"):
+        with contact_error(f"smallest eigenvalue -{size:.3g}"):
             P.Omega_f(N, sunken)
     for within in (1e-12, -1e-12):  # is one
         skew[1, 0] = within
         close(P.Omega_f(N, skew), P.Omega_f(N, np.eye(6)))
 
 
-@mark.parametrize("k", [2, 3, 4, 5, 6])
-@mark.parametrize("zero", [True, False])
+@parametrize("k", [2, 3, 4, 5, 6])
+@parametrize("zero", [True, False])
 def test_dependent_and_zero_columns_are_refused(zero, k):
     rng = default_rng(k)
     columns = SIZE[:, None] * rng.standard_normal((6, k))
     columns[:, -1] = 0.0 if zero else columns[:, :-1] @ rng.standard_normal(k - 1)
     words = f"column {k - 1}" if zero else "dependent"
     for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
-        with raises(ContactError, match=words):
+        with contact_error(words):
             law(columns, definite(rng, 1 / SIZE))
 
 
-@mark.parametrize("r", [1, 2, 3, 4, 5])
-@mark.parametrize("unit", [1e-7, 1.0, 1e7])
-def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit, r):
-    """One vector in common with the other space is enough."""
-    c = case(0, r)
-    rng = default_rng([r, 6])
+@on_every_contact
+def test_any_complement_decomposes(seed, r):
+    """Eqs. 3 and 4 with complements that no definite matrix need have made, of any size.
+
+    One vector in common with the other space is enough to be none.
+    """
+    c = case(seed, r)
+    rng = default_rng([seed, r, 1])
     N_prime = SIZE[:, None] * rng.standard_normal((6, 6 - r))
     T_prime = rng.standard_normal((6, r)) / SIZE[:, None]
     f = SIZE * rng.standard_normal(6)
-    got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
-    close(got @ f, part(N_prime, c.N, f), 1e-9)
+    v = rng.standard_normal(6) / SIZE
+    for unit in (1e-7, 1.0, 1e7):
+        got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T) @ f
+        close(got, part(N_prime, c.N, f), 1e-9)
+    close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
+    if r in (0, 6):
+        return
     N_prime[:, 0] = c.N @ rng.standard_normal(r)
     T_prime[:, 0] = c.T @ rng.standard_normal(6 - r)
-    with raises(ContactError, match="N′ is not a complement of N"):
-        P.Omega_f_bar_from_complement(unit * N_prime @ mixing(rng, 6 - r), unit * c.T)
-    with raises(ContactError, match="T′ is not a complement of T"):
+    for unit in (1e-7, 1.0, 1e7):
+        with contact_error("N′ is not a complement of N"):
+            P.Omega_f_bar_from_complement(unit * N_prime @ mixing(rng, 6 - r), unit * c.T)
+    with contact_error("T′ is not a complement of T"):
         P.Omega_m_bar_from_complement(T_prime @ mixing(rng, r), c.N)
-    with raises(ContactError, match="complement"):
+    with contact_error("complement"):
         P.Omega_m_bar_from_complement(np.zeros((6, r)), c.N)
 
 
@@ -226,8 +212,7 @@ def well_mixing(rng, n):
 
 def frame_change(rng):
     """Turned axes and another operational point, up to 2 m away: motions by X, forces by X*."""
-    rotation = pin.Quaternion(*(q := rng.standard_normal(4)) / np.linalg.norm(q)).matrix()
-    X = pin.SE3(rotation, rng.uniform(-2.0, 2.0, size=3))
+    X = pin.SE3(pin.exp3(2.0 * rng.standard_normal(3)), rng.uniform(-2.0, 2.0, size=3))
     return X.toActionMatrix(), X.toDualActionMatrix()
 
 
@@ -246,45 +231,30 @@ def check_change(c, X, X_f, R, Q):
 
     Forces map with X_f, motions with X; A: M⁶ → F⁶ maps as X_f A X⁻¹, B: F⁶ → M⁶ as X B X_f⁻¹.
     """
-    X_inv = inv(X)
-    X_f_inv = inv(X_f)
     N = X_f @ c.N @ R
     T = X @ c.T @ Q
-
-    def of_inertia(A):
-        return X_f @ A @ X_inv
-
-    def of_mobility(B):
-        return X @ B @ X_f_inv
-
     A = c.A[0]
     B = c.B[0]
-    rng = default_rng(0)
-    f = SIZE * rng.standard_normal(6)
-    v = rng.standard_normal(6) / SIZE
+    A_new = X_f @ A @ inv(X)
+    B_new = X @ B @ inv(X_f)
+    A_inv = X @ inverse(A) @ inv(X_f)
+    B_inv = X_f @ inverse(B) @ inv(X)
+    f, v = default_rng(0).standard_normal((2, 6)) * (SIZE, 1 / SIZE)
+    of_f = P.Omega_f_bar_from_complement
+    of_m = P.Omega_m_bar_from_complement
     for new, old, law, x in (
-        (P.Omega_f(N, of_mobility(inverse(A))), P.Omega_f(c.N, inverse(A)), X_f, f),
-        (P.Omega_f_bar(T, of_inertia(A)), P.Omega_f_bar(c.T, A), X_f, f),
-        (P.Omega_m(T, of_inertia(inverse(B))), P.Omega_m(c.T, inverse(B)), X, v),
-        (P.Omega_m_bar(N, of_mobility(B)), P.Omega_m_bar(c.N, B), X, v),
+        (P.Omega_f(N, A_inv), P.Omega_f(c.N, inverse(A)), X_f, f),
+        (P.Omega_f_bar(T, A_new), P.Omega_f_bar(c.T, A), X_f, f),
+        (P.Omega_m(T, B_inv), P.Omega_m(c.T, inverse(B)), X, v),
+        (P.Omega_m_bar(N, B_new), P.Omega_m_bar(c.N, B), X, v),
+        (of_f(X_f @ A @ c.T, T), of_f(A @ c.T, c.T), X_f, f),
+        (of_m(X @ B @ c.N, N), of_m(B @ c.N, c.N), X, v),
     ):
         close(solve(law, new @ law @ x), old @ x, 1e-9)
-    N_prime = A @ c.T
-    T_prime = B @ c.N
-    close(
-        X_f_inv @ P.Omega_f_bar_from_complement(X_f @ N_prime, T) @ X_f @ f,
-        P.Omega_f_bar_from_complement(N_prime, c.T) @ f,
-        1e-9,
-    )
-    close(
-        X_inv @ P.Omega_m_bar_from_complement(X @ T_prime, N) @ X @ v,
-        P.Omega_m_bar_from_complement(T_prime, c.N) @ v,
-        1e-9,
-    )
 
 
-@mark.parametrize("change", [frame_change, millimetres, millimetres_and_grams])
-@mark.parametrize("trial", range(21))
+@parametrize("change", [frame_change, millimetres, millimetres_and_grams])
+@parametrize("trial", range(21))
 def test_laws_do_not_depend_on_frame_units_or_basis(trial, change):
     rng = default_rng([trial, 7])
     r = trial % 7
@@ -295,18 +265,6 @@ def test_laws_do_not_depend_on_frame_units_or_basis(trial, change):
 
 
 # Null space ---------------------------------------------------------------------------------------
-
-
-@mark.parametrize("k", RANKS)
-@mark.parametrize("seed", TRIALS)
-def test_null_space_is_the_whole_of_it(seed, k):
-    c = case(seed, k)
-    T = P.null_space(c.N)
-    assert T.shape == (6, 6 - k)
-    scale = np.abs(c.N).T @ np.abs(T)
-    assert (np.abs(c.N.T @ T) <= 1e-12 * scale).all()
-    assert (matrix_rank(T * SIZE[:, None]) if T.size else 0) == 6 - k
-    assert k == 6 or same_span(T * SIZE[:, None], c.T * SIZE[:, None])
 
 
 def test_null_space_of_pure_forces_and_pure_couples():

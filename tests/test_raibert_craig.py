@@ -7,8 +7,9 @@ import pinocchio as pin
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, raises
 from rigs import refused, rig_of
+from samples import parametrize
 
 from osc_contact.contacts import raibert_craig
 from osc_contact.contacts.contact import Contact
@@ -123,8 +124,7 @@ def test_the_frame_lies_where_one_would_put_it():
         assert kind(found.forces, found.couples) == (len(directions), 0, 0)
     # on a single line: the point nearest to the centre
     found = as_raibert_craig(line(LEAN, Q)[:, None], SIZE, centre=[1.0, 0, 0])
-    foot = Q + LEAN * (LEAN @ ([1.0, 0, 0] - Q))
-    assert_allclose(found.frame.translation, foot, atol=1e-12)
+    assert_allclose(found.frame.translation, Q + LEAN * (LEAN @ ([1.0, 0, 0] - Q)), atol=1e-12)
 
 
 # Refused ------------------------------------------------------------------------------------------
@@ -185,7 +185,7 @@ def test_the_figures_of_the_paper_by_their_own_geometry():
         assert_describes(same.as_raibert_craig(centre=centre), same.N)
 
 
-@mark.parametrize("r", [1, 5])
+@parametrize("r", [1, 5])
 def test_screws_are_refused_with_their_pitch(r):
     pitch = 0.007
     screw = line(LEAN, Q) + pitch * couple(LEAN)
@@ -233,8 +233,8 @@ def test_a_nearly_parallel_pair_says_what_it_nearly_is():
 # The residual -------------------------------------------------------------------------------------
 
 
-@mark.parametrize("refinements", [0, 12])
-@mark.parametrize("noise", [1e-3, 1e-6])
+@parametrize("refinements", [0, 12])
+@parametrize("noise", [1e-3, 1e-6])
 def test_the_residual_grows_no_faster_than_the_noise(noise, refinements, monkeypatch):
     """Neither does that of the frames as constructed."""
     monkeypatch.setattr(raibert_craig, "_REFINEMENTS", refinements)
@@ -250,7 +250,7 @@ def test_the_residual_grows_no_faster_than_the_noise(noise, refinements, monkeyp
         assert bool(found) == (found.residual <= 1e-9)
 
 
-@mark.parametrize("r", range(1, 6))
+@parametrize("r", range(1, 6))
 def test_neighbouring_frames_come_hardly_closer(r):
     """Gauss–Newton takes the sum of squares: with a single sine (r = 1, 5) that is the sine."""
     rng = default_rng([5, r])
@@ -303,7 +303,7 @@ def test_nothing_depends_on_operational_point_axes_units_or_basis():
 # Refusals -----------------------------------------------------------------------------------------
 
 
-@mark.parametrize("flags", [(True, False), (True, False, 2), (True, None, False), True])
+@parametrize("flags", [(True, False), (True, False, 2), (True, None, False), True])
 def test_malformed_selections_are_refused(flags):
     with refused(r"forces = .* three times True or False"):
         selection_columns(pin.SE3.Identity(), flags, ALL)
@@ -311,7 +311,7 @@ def test_malformed_selections_are_refused(flags):
         selection_columns(pin.SE3.Identity(), ALL, flags)
 
 
-@mark.parametrize(
+@parametrize(
     ("given", "words"),
     [
         *((dict(size=size), "size = ") for size in (0.0, -1.0, np.nan, np.inf)),

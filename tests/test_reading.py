@@ -7,9 +7,8 @@ import pinocchio as pin
 from numpy.linalg import cholesky, inv, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from pytest import mark
 from rigs import UNLIMITED, one_panda, random_faces, random_state, refused
-from samples import chosen, first
+from samples import chosen, first, parametrize
 from test_law import inputs, motion_of, off_their_faces
 
 import osc_contact as osc
@@ -48,7 +47,7 @@ def test_unknown_friction_fools_the_filter_and_not_least_squares():
     assert judged(unlearnt) < 0.03
 
 
-@mark.parametrize("mu", first([0.14, 0.26], 1))
+@parametrize("mu", first([0.14, 0.26], 1))
 def test_friction_known_within_thirty_per_cent(mu):
     assert judged(point({"friction": 0.2}, friction={"mu": mu})) < 0.005
 
@@ -66,7 +65,7 @@ def tilted(axis, reading):
     return install
 
 
-@mark.parametrize("axis", first([[0.0, 1.0, 0.0], [0.93969, 0.0, 0.34202]], 1))
+@parametrize("axis", first([[0.0, 1.0, 0.0], [0.93969, 0.0, 0.34202]], 1))
 def test_a_normal_wrong_by_five_degrees(axis):
     wrong = {r: tilted(np.array(axis), r) for r in ("filter", "least_squares")}
     assert judged(point(), install=wrong["least_squares"]) < 0.01
@@ -76,11 +75,10 @@ def test_a_normal_wrong_by_five_degrees(axis):
 LIMITS = {"three_arm_plate": 0.03, "ur5_wipe": 0.05, "scara_peg": 0.03}
 
 
-@mark.parametrize("mu", first([0.14, 0.26], 1))
-@mark.parametrize("name", chosen(LIMITS, "three_arm_plate"))
+@parametrize("mu", first([0.14, 0.26], 1))
+@parametrize("name", chosen(LIMITS, "three_arm_plate"))
 def test_faces_posts_and_corners_with_friction(name, mu):
-    changes = ["plant.friction=0.2", f"control.friction={{mu: {mu}}}"]
-    scenario = osc.load_scenario(name, changes)
+    scenario = osc.load_scenario(name, ["plant.friction=0.2", f"control.friction={{mu: {mu}}}"])
     assert judged(scenario) < LIMITS[name]
     assert judged(scenario, "peak_error_rel") < 2.0
 
@@ -148,8 +146,8 @@ def explained(f_meas, state, contact, environment, friction_wrenches, A_D, wante
     return np.linalg.lstsq(rows, known, rcond=None)[0][:r]
 
 
-@mark.parametrize("body", [None, "conveyor", "cart"])
-@mark.parametrize("mu", [0.0, 0.4])
+@parametrize("body", [None, "conveyor", "cart"])
+@parametrize("mu", [0.0, 0.4])
 def test_the_law_finds_what_explains_the_reading_best(body, mu):
     """Vertices near their faces, on bodies at rest or moving; any reading."""
     on = {"conveyor": Conveyor(), "cart": Cart([1, 2, 3], 5.0, 100, 3, 2)}.get(body)
@@ -242,6 +240,6 @@ def test_impossible_readings_are_refused():
         osc.Controller(chain, faces, reading="gyro")
 
 
-@mark.parametrize("name", [n for n in list_scenarios() if n.startswith("two_contact")])
+@parametrize("name", [n for n in list_scenarios() if n.startswith("two_contact")])
 def test_the_papers_scenarios_keep_the_papers_filter(name):
     assert osc.load_scenario(name).control.force.reading == "filter"

@@ -10,10 +10,12 @@ import sys
 from pathlib import Path
 from time import sleep
 
+from complaints import recording_error
 from mcap.reader import make_reader
 from numpy.testing import assert_array_equal
 from pytest import approx, fixture, mark, raises
-from samples import first
+from samples import first, module_fixture, parametrize
+from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.runs import recorder as rows_of_runs
@@ -42,12 +44,12 @@ def same(found, whole):
         assert_array_equal(found[name], whole[name][: len(found)], err_msg=name)
 
 
-@fixture(scope="module")
+@module_fixture
 def whole():
-    return osc.run(osc.load_scenario("two_contact_rod"), duration=1.2, seed=3)
+    return run_of("two_contact_rod", duration=1.2, seed=3)
 
 
-@mark.parametrize("seconds", first([0.17, 0.13, 0.22], 1))
+@parametrize("seconds", first([0.17, 0.13, 0.22], 1))
 def test_a_killed_run_is_recovered_but_for_its_last_moments(seconds, tmp_path, whole):
     with started([*RUN, tmp_path, "1000"]) as process:
         process.stdout.readline()
@@ -63,7 +65,7 @@ def test_a_killed_run_is_recovered_but_for_its_last_moments(seconds, tmp_path, w
     assert len(found) > 1000 * told - 3000
     short, count = found.meta["missing"]
     assert short.startswith("the run was cut short") and "of 1000000 ticks are here" in count
-    with raises(osc.RecordingError, match=r"osc_contact\.recover"):
+    with recording_error(r"osc_contact\.recover"):
         osc.Recording.load(tmp_path / "unfinished.mcap")
 
 
@@ -87,8 +89,8 @@ def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
     assert (tmp_path / "metrics.json").exists() == (tmp_path / "scene.html").exists() == judged
 
 
-@mark.parametrize("plant", ["rigid", "mujoco"])  # in Python, compiled
-@mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@parametrize("plant", ["rigid", "mujoco"])  # in Python, compiled
+@parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_asked_to_end_gives_what_it_has(number, plant):
     before = signal.getsignal(number)
 
@@ -136,7 +138,7 @@ def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
     assert files[0] == files[1]
 
 
-@mark.parametrize(
+@parametrize(
     ("name", "plant"),
     [
         ("two_contact_rod", "rigid"),
@@ -187,5 +189,5 @@ def test_exports_say_the_same(tmp_path, whole):
     assert [at for at, _ in messages] == [round(t * 1e9) for t in whole["t"]]
     for name in ("tau", "closed", "status", "N"):
         assert messages[700][1][name] == whole[name][700].tolist()
-    with raises(osc.RecordingError, match=r"run\.hdf5: give a name that ends in"):
+    with recording_error(r"run\.hdf5: give a name that ends in"):
         whole.export(tmp_path / "run.hdf5")

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pinocchio as pin
-from grasp_oracle import kkt
+from kkt_oracle import held
 from numpy.linalg import norm, solve
 from numpy.testing import assert_allclose
-from pytest import approx, mark
+from pytest import approx
 from rigs import SCARA_Q, largest, one_panda, scara_pair
-from samples import first
+from samples import first, parametrize
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -28,7 +28,7 @@ def tick(chain, q, v, posture=None):
     """A controller after one tick that asks for the same motion, whatever the posture."""
     X = chain.state(q, v).X_WO
     goal = pin.SE3(X.rotation, X.translation + [0.01, -0.005, 0.004])
-    reference = Reference(goal, np.zeros(6), np.zeros(6), np.zeros(0), 4.0)
+    reference = Reference(goal, alpha_d=np.zeros(0), squeeze_d=4.0)
     controller = Controller(chain, [], GAINS, posture=posture)
     measurement = Measurement(q, v, np.zeros((len(chain.arms), 6)))
     return controller, controller.tick(measurement, reference)
@@ -117,7 +117,7 @@ def chain_poses(chain, q):
     return [X.translation for X in chain.object_poses()]
 
 
-@mark.parametrize("rest", first([0.4, 0.0], 1))
+@parametrize("rest", first([0.4, 0.0], 1))
 def test_torques_are_continuous_through_the_straight_elbow(rest):
     """Through fading, rank loss and out again on the other side, with the arm still or moving."""
     panda = one_panda()
@@ -171,7 +171,7 @@ def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
     s = controller.signals
     (lost,) = s.state.singular_directions
     assert lost.share == 0.0 and lost.chi > 1e-3
-    got = kkt(chain, q, v, tau)
+    got = held(chain, q, v).answer(tau)
     task = PostureTask()
     want = task.stiffness * (posture - q) - task.retreat_damping * v
     M = s.state.arms[0].M
@@ -226,7 +226,7 @@ RUNS = [
 ]
 
 
-@mark.parametrize("run", first(RUNS), ids=str)
+@parametrize("run", first(RUNS), ids=str)
 def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(run):
     arms, duration, plant = run
     recording = outward(*arms, duration, plant)

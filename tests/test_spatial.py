@@ -5,8 +5,8 @@ import pinocchio as pin
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import mark
 from rigs import refused, shift, unit
+from samples import parametrize
 
 from osc_contact.errors import OscContactError
 from osc_contact.spatial import (
@@ -28,7 +28,7 @@ def by_columns(function, *given):
     return np.column_stack([function(*x) for x in zip(*(one.T for one in given), strict=True)])
 
 
-@mark.parametrize("columns", [0, 1, 5])
+@parametrize("columns", [0, 1, 5])
 def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
     """The input is left alone."""
     rng = default_rng(columns)
@@ -53,7 +53,7 @@ def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
     assert_array_equal(given, kept)
 
 
-@mark.parametrize("seed", SEEDS)
+@parametrize("seed", SEEDS)
 def test_classical_to_spatial_agrees_with_pinocchio(seed):
     pin.seed(seed)
     rng = default_rng(seed)
@@ -65,12 +65,11 @@ def test_classical_to_spatial_agrees_with_pinocchio(seed):
     pin.updateFramePlacements(model, data)
     at = (model, data, model.nframes - 1, pin.LOCAL_WORLD_ALIGNED)
     V = pin.getFrameVelocity(*at).vector
-    classical = pin.getFrameClassicalAcceleration(*at).vector
-    spatial = classical_to_spatial(classical, V)
+    spatial = classical_to_spatial(pin.getFrameClassicalAcceleration(*at).vector, V)
     assert_allclose(spatial, pin.getFrameAcceleration(*at).vector, atol=1e-12)
 
 
-@mark.parametrize("seed", SEEDS)
+@parametrize("seed", SEEDS)
 def test_pose_error_carries_the_object_to_its_goal(seed):
     pin.seed(seed)
     X_WD = pin.SE3.Random()
@@ -95,7 +94,7 @@ def test_as_array_returns_a_fresh_float_copy():
     assert as_array("x", 2, ()) == 2.0
 
 
-@mark.parametrize(
+@parametrize(
     ("value", "shape", "message"),
     [
         (np.zeros((2, 3)), (3, 3), r"tool: expected shape \(3, 3\), got \(2, 3\)"),

@@ -4,13 +4,14 @@ import coal
 import mujoco
 import numpy as np
 import pinocchio as pin
+from complaints import contact_error, model_error, scenario_error
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pair_kinds import kind, placed, pose_of
-from pytest import approx, fixture, mark, raises
+from pytest import approx, fixture
 from rigs import largest, one_panda, random_state, refused, shift
-from samples import first
+from samples import first, parametrize
 
 import osc_contact as osc
 from benchmarks import curved_faces
@@ -92,8 +93,8 @@ for _name, _how in KINDS.items():
 # --- against MuJoCo and by hand -------------------------------------------------------------------
 
 
-@mark.parametrize("R", [0.03, 0.1, 1.0])
-@mark.parametrize("face", ["sphere", "cylinder"])
+@parametrize("R", [0.03, 0.1, 1.0])
+@parametrize("face", ["sphere", "cylinder"])
 def test_normals_gaps_and_points_are_those_of_mujoco(face, R):
     size = f"{R}" if face == "sphere" else f"{R} 5"
     xml = f"""<mujoco><worldbody><body name="a"><freejoint/><geom type="sphere" size="0.012"
@@ -118,8 +119,7 @@ def test_normals_gaps_and_points_are_those_of_mujoco(face, R):
         assert_allclose(touch.frame[:3], N[:3], atol=1e-10)
         assert touch.dist == approx(pair.gaps(X_WO, X_WE)[0], abs=1e-12)
         solid = coal.Sphere(R) if face == "sphere" else coal.Cylinder(R, 10.0)
-        centre = shift(pair.centre)
-        ball = [CollisionShape("a", coal.Sphere(0.012), centre)]
+        ball = [CollisionShape("a", coal.Sphere(0.012), shift(pair.centre))]
         (found,) = osc.detect(ball, X_WO, [CollisionShape("e", solid)], X_WE)
         assert isinstance(found.pair(), osc.SphereOnSurface)
         other = found.pair().contact(X_WO, np.ones(6), X_WE)
@@ -131,7 +131,7 @@ def test_normals_gaps_and_points_are_those_of_mujoco(face, R):
 
 def test_what_no_ball_can_touch_is_refused():
     pair = osc.SphereOnSurface(np.zeros(3), 0.012, osc.Surface.sphere(0.1))
-    with raises(osc.ContactError, match="no one place of the surface is nearest"):
+    with contact_error("no one place of the surface is nearest"):
         pair.contact(pin.SE3.Identity(), np.zeros(6))
     with refused("x axis of the surface"):
         osc.SphereOnSurface(np.zeros(3), 0.0, osc.Surface.sphere(1.0), axis=[1, 0, 0])
@@ -151,7 +151,7 @@ def test_a_fit_tells_its_error_and_refuses_too_few_points(tmp_path):
     assert largest(away) < 2e-3
     with refused("do not determine a spline of 8 × 8 cells"):
         osc.Surface.fitted(rng.standard_normal((40, 3)))
-    with raises(osc.ModelError, match="no mesh is read"):
+    with model_error("no mesh is read"):
         osc.Surface.of_mesh(tmp_path / "none.stl")
 
 
@@ -162,7 +162,7 @@ class Own(osc.SphereOnSurface):
         return super().contact(*args)
 
 
-@mark.parametrize("kind", [osc.SphereOnSurface, Own])
+@parametrize("kind", [osc.SphereOnSurface, Own])
 def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
     """n + δ/d, normalised, is the normal of the ball moved by δ, d away; N is W(n, p) then."""
     chain = one_panda()
@@ -236,7 +236,7 @@ def test_a_raster_rests_at_its_corners_and_a_loop_takes_it(task):
     with refused("along the normal"):
         next(surface_references(pair, rig.state().X_WO, 1e-3, direction=[0, 0, 1], force=1.0))
     move = {"kind": "surface", "contact": "tip", "direction": [1, 0, 0]}
-    with raises(osc.ScenarioError, match="'tip' is no contact of type sphere_on_surface"):
+    with scenario_error("'tip' is no contact of type sphere_on_surface"):
         osc.build_rig(task().replaced(motion=[move]))
 
 
@@ -249,11 +249,11 @@ def test_a_force_may_be_a_file(task, tmp_path):
     assert_allclose(osc.build_rig(scenario).references.forces(t)[0], force, atol=1e-12)
     assert type(scenario).from_dict(scenario.as_dict()) == scenario  # the points, not the name
     (tmp_path / "force.csv").write_text("0, 1\n1, a\n")
-    with raises(osc.ScenarioError, match="a CSV file with lines 'time, value'"):
+    with scenario_error("a CSV file with lines 'time, value'"):
         task().replaced(force={"nose": [signal]})
 
 
-@mark.parametrize("case", first(["custom pair", *list(curved_faces.CASES)[:3]]))
+@parametrize("case", first(["custom pair", *list(curved_faces.CASES)[:3]]))
 def test_a_tool_follows_a_curved_face(task, case):
     """The table of docs/polish_curved_part.md, its hardest rows."""
     own = case == "custom pair"

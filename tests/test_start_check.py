@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+from complaints import model_error
 from numpy.random import default_rng
-from pytest import mark, raises
-from rigs import largest, refused
+from rigs import largest, refused, ticked
+from samples import parametrize
 from test_own_mujoco import MOTORS, START, WALL, robot_of, scene
 
 import osc_contact as osc
@@ -25,7 +26,7 @@ def limited(**how):
     return robot_of(spec)
 
 
-@mark.parametrize("door", ["reset", "touching", "posture"])
+@parametrize("door", ["reset", "touching", "posture"])
 def test_postures_outside_the_limits_are_refused_with_numbers_and_cure(door):
     robot = limited()
     doors = {
@@ -41,7 +42,7 @@ def test_postures_outside_the_limits_are_refused_with_numbers_and_cure(door):
     doors[door](np.array(START))
 
 
-@mark.parametrize("sign", [-1.0, 1.0])
+@parametrize("sign", [-1.0, 1.0])
 def test_a_posture_may_be_a_goal_beyond_the_limits_by_less_than_one_and_a_half_ranges(sign):
     chain = limited().chain
     near = np.array([0.3, sign * 7.9, -1.2])
@@ -54,7 +55,7 @@ def test_a_posture_may_be_a_goal_beyond_the_limits_by_less_than_one_and_a_half_r
 def test_a_touching_posture_outside_the_limits_is_refused():
     far = limited(wall=0.5)
     far.contacts = [osc.VertexOnFace([0, 0, 0], [0.1, 0, 0.5], [-1, 0, 0], name="behind")]
-    with raises(osc.ModelError, match=r"touching: joint .* is outside"):
+    with model_error(r"touching: joint .* is outside"):
         far.touching([1.9, 1.9, 0.0])
 
 
@@ -70,8 +71,7 @@ def test_a_controller_that_starts_outside_the_limits_holds_and_stops():
         assert controller.status is osc.Status.HELD and "look like degrees" in controller.reason
     assert controller.state is osc.SafetyState.SAFE_STOP
     controller.reset()
-    controller.tick(replace(read, q=q), goal)
-    assert controller.status is osc.Status.OK
+    ticked(controller, replace(read, q=q), goal)
 
 
 def free_run(change, tick=lambda k, controller: None, ticks=300, engaged=True, **how):
@@ -104,8 +104,7 @@ def free_run(change, tick=lambda k, controller: None, ticks=300, engaged=True, *
 
 
 def without_gravity(wrench, robot):
-    R = robot.data.site("wrist").xmat.reshape(3, 3)
-    load = 0.32 * 9.81 * R.T @ [0, 0, 1.0]
+    load = 0.32 * 9.81 * robot.data.site("wrist").xmat.reshape(3, 3).T @ [0, 0, 1.0]
     return wrench - np.concatenate((load, np.zeros(3)))
 
 
@@ -119,8 +118,8 @@ CHANGES = {
 }
 
 
-@mark.parametrize("name", CHANGES)
-@mark.parametrize("engaged", [True, False])
+@parametrize("name", CHANGES)
+@parametrize("engaged", [True, False])
 def test_a_wrist_that_reads_another_weight_is_refused_before_contact(name, engaged):
     change, cause = CHANGES[name]
 
@@ -147,7 +146,6 @@ def test_a_tare_answers_an_offset_and_a_limit_can_be_set():
     offset = CHANGES["offset"][0]
     controller, ticks = free_run(offset, tare, engaged=False)
     assert ticks == 299 and controller.status is not osc.Status.HELD
-    loose = osc.SafetySettings(load_error=5.0)
-    assert free_run(offset, ticks=80, safety=loose)[1] == 79
+    assert free_run(offset, ticks=80, safety=osc.SafetySettings(load_error=5.0))[1] == 79
     with refused("load_error: must be > 0"):
         osc.SafetySettings(load_error=0.0)

@@ -8,8 +8,10 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pair_kinds import pose_of
-from pytest import approx, mark
+from pytest import approx
 from rigs import one_panda, random_state, unit
+from samples import parametrize
+from scenario_runs import verdict_of
 from test_moving_face import FACES
 from test_reading import judged, point
 
@@ -48,14 +50,14 @@ def slid(scenario, duration):
 # --- against MuJoCo -------------------------------------------------------------------------------
 
 
-@mark.parametrize("about", [0.0, 90.0])
+@parametrize("about", [0.0, 90.0])
 def test_fast_circles_on_a_face_that_is_believed_to_be_tilted(about):
     assert judged(circle(1.5, about)) < 0.01
     assert judged(circle(1.0, about, friction=0.2)) < 0.01
     assert judged(circle(1.0, about, {"force": {"tilt": 0}})) > 0.03
 
 
-@mark.parametrize("hertz", [0.5, 0.75, 1.0])
+@parametrize("hertz", [0.5, 0.75, 1.0])
 def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     """docs/tuning.md: of acceleration and brake that leak into the force."""
     cost = [judged(circle(hertz, about, {"force": {"tilt": 0}})) for about in (0.0, 90.0)]
@@ -102,7 +104,7 @@ def edge(about, **gains):
     return osc.metrics(osc.run(scenario.replaced(gains=gains)))["force"]["edge"]["rms_error_rel"]
 
 
-@mark.parametrize("about", [45.0, 90.0])
+@parametrize("about", [45.0, 90.0])
 def test_an_edge_that_is_believed_to_run_elsewhere(about):
     assert edge(about) < 0.002
     assert edge(about, force={"tilt": 0}) > 0.01
@@ -112,18 +114,18 @@ SOFT = ["plant.friction=0.2", "plant.solref=[0.03, 1]", "plant.solimp=[0.1, 0.5,
 SOFT += ["control.force.reading=least_squares", "duration=3 s"]
 
 
-@mark.parametrize("face", ["hinge with spring", "conveyor", "cart with spring"])
+@parametrize("face", ["hinge with spring", "conveyor", "cart with spring"])
 def test_the_estimate_is_not_worse_than_none_on_soft_faces_that_move(face):
     error = []
     for tilt in ("10 deg", "0"):
         changes = [*FACES[face], *SOFT, f"gains={{force: {{tilt: {tilt}}}}}"]
-        verdict = osc.metrics(osc.run(osc.load_scenario("moving_face", changes)))
+        verdict = verdict_of("moving_face", *changes)
         assert set(verdict["contact_fraction"].values()) == {1.0}
         error.append(max(one["rms_error_rel"] for one in verdict["force"].values()))
     assert error[0] < error[1] + 0.001, error
 
 
-@mark.parametrize("about", [0.0, 45.0, 90.0, 135.0])
+@parametrize("about", [0.0, 45.0, 90.0, 135.0])
 def test_the_covariance_is_that_of_the_error_and_settles(about):
     """With noise of encoders; half of an error of 5° is gone 0.4 s after the motion has begun."""
     data = circle(0.5, about).as_dict()
@@ -132,20 +134,18 @@ def test_the_covariance_is_that_of_the_error_and_settles(about):
     scenario = osc.Scenario.from_dict(data)
     run = osc.run(scenario, duration=3.0, install=lambda c: kept.append(c) or c)
     std = run["normal_std"][:, 0]
-    first = np.flatnonzero(np.isfinite(std))[0]
-    assert std[first] == approx(np.deg2rad(5.0), rel=0.01)
+    assert std[np.flatnonzero(np.isfinite(std))[0]] == approx(np.deg2rad(5.0), rel=0.01)
     assert std[-1] < np.deg2rad(1.5)
     rig = osc.build_rig(scenario)
     controller = max(kept, key=lambda c: c._records.memory.ticked)
     n = rig.controlled_pairs()[0].normal - controller._records.memory.columns[0].turn
-    miss = norm(np.cross(n, rig.pairs[0].normal))
-    assert miss < 3.0 * std[-1]
+    assert norm(np.cross(n, rig.pairs[0].normal)) < 3.0 * std[-1]
     P = controller.normal_covariance[0]
     assert np.sqrt(np.linalg.eigvalsh(P)[-1]) == approx(controller.normal_std[0], rel=1e-3)
     assert_allclose(P, P.T, atol=1e-15)
 
 
-@mark.parametrize("about", [0.0, 90.0])
+@parametrize("about", [0.0, 90.0])
 def test_it_settles_within_a_second_and_a_half(about):
     """docs/tuning.md: of 5°, in circles that begin within 1 s, forces within 0.25 s."""
     assert slid(circle(0.5, about), 0.9)[0] < 1.0
@@ -173,8 +173,8 @@ def touching(kind, X, X_WE, rng):
     return osc.VertexOnFace(p, at, n, 0.01), X_WE
 
 
-@mark.parametrize("moving", [False, True])
-@mark.parametrize("kind", ["vertex_on_face", "sphere_on_plane", "face_on_vertex"])
+@parametrize("moving", [False, True])
+@parametrize("kind", ["vertex_on_face", "sphere_on_plane", "face_on_vertex"])
 def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, moving):
     """N and n_γ against the pair made anew; the turn against its formula in world axes."""
     chain = one_panda()
@@ -225,8 +225,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         rate = 1 - np.exp(-gains.force.drift * DT)
         n = n - rate * share * (across - 0.02) * along / square
         turned = controller._records.work.columns[0].turned
-        got = carrier.rotation @ (sign * pair.normal + turned)
-        assert_allclose(got, unit(n), atol=1e-10)
+        assert_allclose(carrier.rotation @ (sign * pair.normal + turned), unit(n), atol=1e-10)
 
 
 def crossing(pair, X):
@@ -255,8 +254,7 @@ def test_a_turned_edge_is_the_pair_with_that_edge_and_turns_by_the_law():
         reference = osc.Reference(X, V_D, np.zeros(6), np.array([10.0]))
         controller.tick(measurement, reference)
         memory = controller._records.memory.columns[0]
-        new = pair.direction_E + 0.03 * rng.standard_normal(3)
-        turn = unit(new) - pair.direction_E
+        turn = unit(pair.direction_E + 0.03 * rng.standard_normal(3)) - pair.direction_E
         memory.turn[:] = turn
         memory.drift = 0.02
         controller.tick(measurement, reference)

@@ -2,18 +2,19 @@
 
 import numpy as np
 import pinocchio as pin
+from complaints import scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from pair_kinds import KINDS, PLAIN, Motion, Path, rate
-from pytest import mark, raises
+from pytest import mark
 from rigs import largest, refused
+from samples import parametrize
+from scenario_runs import run_of, verdict_of
 from test_moving_face import HINGE, TURNING, on_the_move, rig_of
-from test_pairs import BY_T
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Hinge
 from osc_contact.plants.faces import Rail
-from osc_contact.spatial import carry_twist, classical_to_spatial
+from osc_contact.spatial import carry_twist
 
 H = 1e-4
 
@@ -56,33 +57,7 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose():
         assert_allclose(rail.pose(np.zeros(2)).homogeneous, np.eye(4), atol=1e-15)
 
 
-@mark.parametrize("name", sorted(set(KINDS) - BY_T))
-def test_N_follows_a_face_on_its_rail(name):
-    """Gaps and N along the path, by finite differences, with the twist that the rail tells."""
-    rng = default_rng(1)
-    pair, pose, r = KINDS[name](rng, PLAIN)
-    rail = swinging(rng)
-    path = Path.random(rng)
-    start = rail.pose(rail.motion(0.0)[0])
-    q = 0.7 * rng.standard_normal(6 - r)
-    body = Path(
-        (start * pose(q)).rotation, np.vstack(((start * pose(q)).translation, path.p[1:])), path.w
-    )
-    motion = Motion(pair, body, lambda t: rail.pose(rail.motion(t)[0]))
-    X_WE, V_E, A_E = placed(rail, 0.0)
-    contact = pair.contact(body(0.0), body.twist, X_WE, V_E)
-    spatial = classical_to_spatial(A_E, V_E)
-    at = X_WE.translation, body(0.0).translation
-    V_rel = body.twist - carry_twist(V_E, *at)
-    a_rel = body.acceleration - carry_twist(spatial, *at)
-    N_dot = rate(motion.N_at)
-    assert_allclose(contact.n_gamma, -N_dot.T @ V_rel, atol=1e-6)
-    assert_allclose(rate(motion.gaps), -contact.N.T @ V_rel, atol=1e-7)
-    assert_allclose(rate(motion.gaps, 2), contact.n_gamma - contact.N.T @ a_rel, atol=1e-5)
-    assert largest(N_dot) > 0.1
-
-
-@mark.parametrize("plant", ["rigid", "mujoco"])
+@parametrize("plant", ["rigid", "mujoco"])
 def test_a_turning_face_is_where_its_signals_say(plant):
     rig = rig_of(f"plant.type={plant}", *TURNING)
     motion = rig.scenario.contacts[0].face.motion
@@ -119,8 +94,7 @@ def test_a_hinged_face_takes_the_power_of_its_contact():
         truth = plant.truth()
         angle = pin.log3(touched.X_WE[0, :3, :3]) @ rail.axis
         turn = touched.V_E[0, 3:] @ rail.axis
-        O = truth.X_WO.translation
-        V_e = carry_twist(touched.V_E[0], touched.X_WE[0, :3, 3], O)
+        V_e = carry_twist(touched.V_E[0], touched.X_WE[0, :3, 3], truth.X_WO.translation)
         contact = rig.pairs[0].contact(truth.X_WO, truth.V_O, truth.X_WE[0], touched.V_E[0])
         assert_allclose(contact.N.T @ (truth.V_O - V_e), 0.0, atol=1e-12)
         power.append(truth.alpha[0] * (contact.N.T @ V_e)[0] - rail.damping * turn**2)
@@ -137,18 +111,16 @@ def test_a_hinged_face_takes_the_power_of_its_contact():
 
 @mark.slow
 def test_projected_power_vanishes_and_total_power_does_not_while_a_face_turns():
-    recording = osc.run(
-        osc.load_scenario("moving_face", [*TURNING, "plant.step=1 ms"]), plant="rigid", duration=1.3
-    )
+    recording = run_of("moving_face", *TURNING, "plant.step=1 ms", plant="rigid", duration=1.3)
     verdict = osc.metrics(recording)
     assert verdict["power"]["ratio"] <= 1e-10 and verdict["power"]["total_rms_W"] > 0.02
     turned = [pin.log3(pin.Quaternion(q).matrix()) for q in recording["face_pose"][::100, 0, 3:]]
     assert np.ptp(turned, axis=0).max() > np.deg2rad(3.0)
 
 
-@mark.parametrize("face", [TURNING, HINGE], ids=["turning", "hinge"])
+@parametrize("face", [TURNING, HINGE], ids=["turning", "hinge"])
 def test_mujoco_keeps_force_and_contact_on_a_face_that_turns(face):
-    verdict = osc.metrics(osc.run(osc.load_scenario("moving_face", face), duration=2.0))
+    verdict = verdict_of("moving_face", *face, duration=2.0)
     for force in verdict["force"].values():
         assert force["rms_error_rel"] < 0.005
     assert set(verdict["contact_fraction"].values()) == {1.0}
@@ -175,14 +147,14 @@ def test_a_turned_face_is_found_by_its_geometry_where_it_is():
 def test_a_turn_must_start_at_the_contact():
     turn = "{axis: [0, 1, 0], through: [0, 0, 0], signals: [{type: constant, value: 1 deg}]}"
     still = "[{type: constant, value: 0 mm}]"
-    with raises(osc.ScenarioError, match=r"left_end.*0\.0174\d* rad"):
+    with scenario_error(r"left_end.*0\.0174\d* rad"):
         rig_of(
             "contacts.left_end.face.motion="
             f"{{type: conveyor, direction: [1, 0, 0], signals: {still}, turn: {turn}}}"
         ).plant()
 
 
-@mark.parametrize(
+@parametrize(
     ("change", "said"),
     [
         ({"axis": [0, 0, 0]}, "hinge.axis is zero"),

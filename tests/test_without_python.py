@@ -12,8 +12,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import fixture, mark, raises
+from pytest import mark, raises
 from rigs import largest
+from samples import module_fixture, parametrize
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
@@ -41,15 +42,29 @@ TASKS = (
 )
 
 
-def run(*command, cwd=None):
-    done = subprocess.run(
-        [str(word) for word in command], capture_output=True, text=True, timeout=300, cwd=cwd
-    )
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
-    return done.stdout
+def run(*command, code=0):
+    """What a command says that ends with this code."""
+    words = [str(word) for word in command]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
+    assert done.returncode == code, done.stdout[-2000:] + done.stderr[-3000:]
+    return done.stderr if code else done.stdout
 
 
-@fixture(scope="module")
+def files(folder):
+    return folder / "controller.osc", folder / "recording.osc"
+
+
+def sanitized(library, folder, name, *more):
+    """A program of the tests, linked to the controller with all accesses checked."""
+    flags = ["-std=gnu11", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-w"]
+    sources = [library / part for part in ("osc_controller.c", "osc_daqp.c", "law.o")]
+    include = ["-I", library, "-I", library / "daqp" / "include"]
+    own = Path(__file__).parent / f"{name}.c"
+    run("cc", *flags, *include, own, *sources, "-lm", *more, "-o", folder / name)
+    return folder / name
+
+
+@module_fixture
 def library(tmp_path_factory):
     folder = tmp_path_factory.mktemp("library")
     write_library(folder)
@@ -61,24 +76,23 @@ def rig_of(name, *changes):
     return osc.build_rig(osc.load_scenario(name, list(changes)))
 
 
-@mark.parametrize("name", TASKS)
+@parametrize("name", TASKS)
 def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path, name):
     tape = build(rig_of(name), tmp_path, ticks=1500)
-    files = tmp_path / "controller.osc", tmp_path / "recording.osc"
-    said = run(library / "replay", *files)
+    said = run(library / "replay", *files(tmp_path))
     assert said.startswith(f"{tape.count} of {tape.count} ticks bit-equal") and tape.count == 1500
     assert (" 0 SATURATED" not in said) == (name == "limited_rod")
-    recording = bytearray(files[1].read_bytes())
+    path = files(tmp_path)[1]
+    recording = bytearray(path.read_bytes())
     recording[-1] ^= 1  # of the last torque: the replay can fail
-    files[1].write_bytes(recording)
-    done = subprocess.run([str(library / "replay"), *map(str, files)], capture_output=True)
-    assert done.returncode == 1
+    path.write_bytes(recording)
+    run(library / "replay", *files(tmp_path), code=1)
 
 
 STRICT = "-O2", "-Wall", "-Wextra", "-Werror"
 
 
-@fixture(scope="module")
+@module_fixture
 def rod(tmp_path_factory):
     """A controller and a recording, as words of a call."""
     folder = tmp_path_factory.mktemp("rod")
@@ -86,7 +100,7 @@ def rod(tmp_path_factory):
     return folder / "controller.osc", folder / "recording.osc"
 
 
-@mark.parametrize("rate", [1000, 4000])
+@parametrize("rate", [1000, 4000])
 def test_the_loop_in_real_time_counts_every_tick(library, rod, rate):
     run("make", "-B", "-C", library, f"CFLAGS={' '.join(STRICT)}", "loop.o", "recording.o")
     run("make", "-C", library, "loop")
@@ -98,8 +112,7 @@ def test_the_loop_in_real_time_counts_every_tick(library, rod, rate):
         assert len(figures) == 4 and figures == sorted(figures) and figures[0] > 0, line
     shown = [re.fullmatch(r"  below +(\d+) µs: (\d+)", x) for x in lines]
     assert sum(int(x[2]) for x in shown if x) == rate // 5
-    done = subprocess.run([str(library / "loop"), "often"], capture_output=True)
-    assert done.returncode == 2
+    run(library / "loop", "often", code=2)
 
 
 def test_faulty_ticks_are_replayed_too(library, tmp_path):
@@ -124,11 +137,10 @@ def test_faulty_ticks_are_replayed_too(library, tmp_path):
     assert osc.Status.HELD in seen and osc.Status.OK in seen
     (tmp_path / "controller.osc").write_bytes(content)
     (tmp_path / "recording.osc").write_bytes(tape.content())
-    files = tmp_path / "controller.osc", tmp_path / "recording.osc"
-    assert run(library / "replay", *files).startswith("400 of 400 ticks bit-equal")
+    assert run(library / "replay", *files(tmp_path)).startswith("400 of 400 ticks bit-equal")
 
 
-@mark.parametrize("name", ["near_singular", "saturated", "three_arms", "contact_phases"])
+@parametrize("name", ["near_singular", "saturated", "three_arms", "contact_phases"])
 def test_every_way_a_tick_ends_is_replayed(library, tmp_path, name):
     case = ALL_CASES[name]()
     controller = case.controller()
@@ -140,7 +152,7 @@ def test_every_way_a_tick_ends_is_replayed(library, tmp_path, name):
         q = m.q + 1e-4 * rng.standard_normal(len(m.q)) * (np.nan if k % 50 == 31 else 1.0)
         controller.tick(replace(m, q=q), case.reference)
     (tmp_path / "recording.osc").write_bytes(tape.content())
-    said = run(library / "replay", tmp_path / "controller.osc", tmp_path / "recording.osc")
+    said = run(library / "replay", *files(tmp_path))
     assert said.startswith("200 of 200 ticks bit-equal") and " 0 HELD" not in said
     assert (" 0 " + case.status.name) not in said
 
@@ -164,24 +176,17 @@ def test_no_tick_allocates(library, tmp_path):
     parts = [library / f"{name}.o" for name in ("replay", "recording", "osc_controller")]
     parts += [library / "osc_daqp.o", library / "law.o", "-lm"]
     trap = ["cc", "-O1", "-I", library, *wrap, Path(__file__).parent / "trap.c", *parts]
-    files = tmp_path / "controller.osc", tmp_path / "recording.osc"
     run("make", "-C", library, "replay.o", "recording.o")
     run(*trap, "-o", tmp_path / "trapped")
-    said = run(tmp_path / "trapped", *files)
+    said = run(tmp_path / "trapped", *files(tmp_path))
     assert said.startswith(f"{tape.count} of {tape.count}") and " 0 SATURATED" not in said
     run(*trap, "-DRED", "-o", tmp_path / "red")
-    done = subprocess.run([str(tmp_path / "red"), *map(str, files)], capture_output=True)
-    assert done.returncode == -signal.SIGABRT
+    run(tmp_path / "red", *files(tmp_path), code=-signal.SIGABRT)
 
 
 def test_careless_programs_end_in_error_codes(library, tmp_path):
     (tmp_path / "controller.osc").write_bytes(controller_bytes(start(rig_of("limited_rod"))[1]))
-    here = Path(__file__).parent
-    flags = ["-std=gnu11", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-w"]
-    sources = [library / name for name in ("osc_controller.c", "osc_daqp.c", "law.o")]
-    include = ["-I", library, "-I", library / "daqp" / "include"]
-    program = tmp_path / "hostile"
-    run("cc", *flags, *include, here / "hostile.c", *sources, "-lm", "-lpthread", "-o", program)
+    program = sanitized(library, tmp_path, "hostile", "-lpthread")
     assert run(program, tmp_path / "controller.osc") == "every call ended as it should\n"
 
 
@@ -225,7 +230,7 @@ def tick_in_c(c, handle, m, r, motors):
     return tau, out
 
 
-@mark.parametrize("integral", [30.0, 0.0])
+@parametrize("integral", [30.0, 0.0])
 def test_gains_tare_and_reset_do_in_c_what_they_do_in_python(library, tmp_path, integral):
     rig = rig_of("two_contact_rod", "plant.type=rigid")
     plant, controller = start(rig)
@@ -233,8 +238,7 @@ def test_gains_tare_and_reset_do_in_c_what_they_do_in_python(library, tmp_path, 
     c = ctypes.CDLL(str(library / "libosc_controller.so"))
     c.bars = int(controller._records.model.n_bars)
     handle = ctypes.c_void_p()
-    name = str(tmp_path / "controller.osc").encode()
-    assert c.osc_create(name, ctypes.byref(handle)) == 0
+    assert c.osc_create(str(tmp_path / "controller.osc").encode(), ctypes.byref(handle)) == 0
     m = plant.measure()
     rng = default_rng(8)
     for k in range(90):
@@ -266,7 +270,7 @@ def test_gains_tare_and_reset_do_in_c_what_they_do_in_python(library, tmp_path, 
     c.osc_destroy(handle)
 
 
-@mark.parametrize("name", ["two_contact_rod", "limited_rod", "three_arm_plate"])
+@parametrize("name", ["two_contact_rod", "limited_rod", "three_arm_plate"])
 def test_a_saved_controller_goes_on_where_it_was(tmp_path, name):
     rig = rig_of(name)
     plant, controller = start(rig)
@@ -319,7 +323,7 @@ def test_files_of_others_are_refused_with_both_versions():
             SavedController(bytes(refused))
 
 
-@mark.parametrize("name", ["two_contact_rod", "three_arm_plate"])
+@parametrize("name", ["two_contact_rod", "three_arm_plate"])
 def test_crafted_files_with_a_right_checksum_do_not_reach_beyond_their_bytes(
     library, tmp_path, name
 ):
@@ -347,12 +351,9 @@ def test_crafted_files_with_a_right_checksum_do_not_reach_beyond_their_bytes(
         with raises(osc.InvalidInputError, match="do not lie"):
             SavedController(one)
     (tmp_path / "crafted").write_bytes(b"".join(len(x).to_bytes(8, "little") + x for x in crafted))
-    here = Path(__file__).parent
-    flags = ["-std=gnu11", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-w"]
-    sources = [library / name for name in ("osc_controller.c", "osc_daqp.c", "law.o")]
-    include = ["-I", library, "-I", library / "daqp" / "include"]
-    run("cc", *flags, *include, here / "crafted.c", *sources, "-lm", "-o", tmp_path / "read")
-    assert run(tmp_path / "read", tmp_path / "crafted") == f"{len(crafted)} refused\n"
+    (tmp_path / "made").mkdir()
+    program = sanitized(library, tmp_path / "made", "crafted")
+    assert run(program, tmp_path / "crafted") == f"{len(crafted)} refused\n"
 
 
 def test_what_only_python_can_evaluate_is_refused():
@@ -427,15 +428,13 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
     assert_array_equal(np.flatnonzero(sent[:, 7]), [100])
     assert_allclose(sent[:, :7], wanted, atol=1e-9)
     assert largest(sent[:, :7]) > TORQUE_STEP
-    call = [str(program), str(tmp_path / "robot"), str(tmp_path / "heavy.osc"), "0.1"]
-    done = subprocess.run(call, capture_output=True, text=True)
-    assert done.returncode == 1 and "compensates weight" in done.stderr
+    refused_with = run(program, tmp_path / "robot", tmp_path / "heavy.osc", 0.1, code=1)
+    assert "compensates weight" in refused_with
 
 
-@mark.parametrize("name", ["panda_edge", "dual_panda_rod"])
+@parametrize("name", ["panda_edge", "dual_panda_rod"])
 def test_the_ros2_plugin_sends_what_the_controller_computes(library, tmp_path, name):
-    here = Path(__file__).parent
-    sources = library / "ros2_controller.cpp", here / "ros2_manager.cpp"
+    sources = library / "ros2_controller.cpp", Path(__file__).parent / "ros2_manager.cpp"
     program = link_cpp(library, tmp_path / "manager", *sources)
     rig = rig_of(name)
     plant, controller = start(rig)
