@@ -112,7 +112,7 @@ class Guarded:
         given = m.q, m.v, m.wrenches, X, reference.V_D, reference.A_D, alpha, touched
         job = records.JOB.view(self.job)
         job.switches = flags
-        rows()(self.job, 0, *(guarded(x, self.at_end, writable=False) for x in given))
+        rows()(self.job, 0, tuple(guarded(x, self.at_end, writable=False) for x in given))
         job.switches = 0
         if self.memory.status == osc.Status.SATURATED:
             fill_program(self.job, 0, 0, self.limits.raw)

@@ -34,7 +34,7 @@ OF_ARRAYS: dict[str, Any] = {
     "min": np.minimum,
     "max": np.maximum,
     "int": _whole,
-    "is_near": lambda x, y, z: np.all(_near(x, y, z)),
+    "is_near": lambda step: np.all(_near(step)),
 }
 _nearest: Any = as_python(nearest, **OF_ARRAYS)
 
@@ -180,8 +180,7 @@ def distance_and_normal(shapes: Shapes, p: Array) -> tuple[Array, Array]:
     Args:
         shapes: of `Surface.rows`. p: in the axes of the surface.
     """
-    x, y, z = p
-    along, g, _, _ = _nearest(shapes, 0, x, y, z)
+    along, g, _, _ = _nearest(shapes, 0, tuple(p))
     size = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
     return along * size, np.array([one + 0.0 * along for one in g]) / size
 

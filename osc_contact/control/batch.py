@@ -170,7 +170,7 @@ class BatchController:
         job.last = hi
         while lo < hi:
             job.first = lo
-            lo = law_rows()(self._bytes.raw, start, *args) >> 1
+            lo = law_rows()(self._bytes.raw, start, args) >> 1
             if self._codes[lo - 1] == Status.SATURATED:
                 self._relieve(lo - 1, thread, args)
 
@@ -188,7 +188,7 @@ class BatchController:
             job.switches = flags | law.MISFIT
             job.first = i
             job.last = i + 1
-            law_rows()(self._bytes.raw, rows.at, *args)
+            law_rows()(self._bytes.raw, rows.at, args)
             job.switches = flags
             job.last = last
 

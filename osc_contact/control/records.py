@@ -460,7 +460,7 @@ class TickRecords:
         """
         self._job[:3] = flags, begin, stop
         try:
-            return int(law_rows()(self.rows.raw, 0, *given))
+            return int(law_rows()(self.rows.raw, 0, given))
         finally:
             self._job[:3] = _WHOLE_TICK
 

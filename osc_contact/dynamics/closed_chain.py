@@ -60,9 +60,8 @@ class Look:
             memory.V_O = 0.0 if V_O is None else V_O
         rows.job.stop = at.MEASURE
         six = np.zeros(6)
-        law_rows()(
-            rows.raw, 0, q, v, np.zeros((k, 6)), np.eye(4), six, six, _NONE, np.zeros((0, 28))
-        )
+        given = q, v, np.zeros((k, 6)), np.eye(4), six, six, _NONE, np.zeros((0, 28))
+        law_rows()(rows.raw, 0, given)
         self.arms = self.work.arms
         self.joints = self.work.joints
         self.jacobian = self.work.J_world

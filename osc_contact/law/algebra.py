@@ -4,11 +4,35 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.jit import inner
-from osc_contact.law.vectors import ZERO, add, dot6, fill, reflector, scaled, six
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.vectors import ZERO, accumulate, add, dot6, fill, reflector, scaled, six
 
 _SINGULAR = 1e-10
 _NOTHING = 1e-280  #: below, numbers have fewer digits soon
+
+
+@inner
+def dot(a, b, n):
+    """Σ aᵢbᵢ.
+
+    Args:
+        a, b: rows. n: how many elements of them count.
+    """
+    s = 0.0
+    for i in range(n):
+        s += a[i] * b[i]
+    return s
+
+
+@inner
+def add_scaled(s, a, n, out):
+    """out ← out + s a.
+
+    Args:
+        s: factor. a: row. n: how many elements of it count. out: row, overwritten.
+    """
+    for i in range(n):
+        out[i] += s * a[i]
 
 
 @inner
@@ -40,8 +64,8 @@ def cholesky(A, first, n, L):
 
 
 @inner
-def cholesky_solve(L, n, x, first):
-    """Overwrite x[first : first + n] with (LLᵀ)⁻¹x, L from `cholesky`.
+def forward(L, n, x, first):
+    """Overwrite x[first : first + n] with L⁻¹x, L from `cholesky`.
 
     Args:
         L: (n, n) factor. n: its size. x: right side, then solution. first: element where it begins.
@@ -51,11 +75,31 @@ def cholesky_solve(L, n, x, first):
         for k in range(i):
             s -= L[i, k] * x[first + k]
         x[first + i] = s * L[i, i]
+
+
+@inner
+def backward(L, n, x, first):
+    """Overwrite x[first : first + n] with L⁻ᵀx.
+
+    Args:
+        L, n, x, first: as of `forward`.
+    """
     for i in range(n - 1, -1, -1):
         s = x[first + i]
         for k in range(i + 1, n):
             s -= L[k, i] * x[first + k]
         x[first + i] = s * L[i, i]
+
+
+@inner
+def cholesky_solve(L, n, x, first):
+    """Overwrite x[first : first + n] with (LLᵀ)⁻¹x.
+
+    Args:
+        L, n, x, first: as of `forward`.
+    """
+    forward(L, n, x, first)
+    backward(L, n, x, first)
 
 
 @inner
@@ -71,18 +115,23 @@ def invert_spd6(A, L, out):
     for i in range(6):  # rows of L⁻¹
         fill(out[i], ZERO)
         out[i, i] = 1.0
-        x = six(out[i])
         for k in range(i):
-            x = add(x, -L[i, k], out[k])
-        fill(out[i], scaled(L[i, i], x))
+            accumulate(out[i], -L[i, k], out[k])
+        fill(out[i], scaled(L[i, i], out[i]))
+    square_lower(out, L)
     for i in range(6):
-        x = scaled(out[i, i], out[i])
-        for k in range(i + 1, 6):
-            x = add(x, out[k, i], out[k])
-        fill(L[i], x)
-    for i in range(6):
-        fill(out[i], six(L[i]))
+        fill(out[i], L[i])
     return least
+
+
+@leaf
+def square_lower(B, out):
+    """out = BᵀB of a lower triangular B (6, 6)."""
+    for i in range(6):
+        x = ZERO
+        for k in range(i, 6):
+            x = add(x, B[k, i], B[k])
+        fill(out[i], x)
 
 
 @inner
@@ -112,7 +161,7 @@ def lu_solve(A, n, B, columns):
         for i in range(k + 1, n):
             f = A[i, k] * inverse
             if n == 6:
-                fill(A[i], add(six(A[i]), -f, A[k]))
+                accumulate(A[i], -f, A[k])
             else:
                 for j in range(k + 1, n):
                     A[i, j] -= f * A[k, j]
@@ -139,22 +188,26 @@ def qr_rows(X, rows, length, diagonal, beta):
         diagonal, beta: (rows,) of R, and of the reflectors.
     """
     for k in range(rows):
-        s = 0.0
-        for i in range(k, length):
-            s += X[k, i] * X[k, i]
-        if not s > 0.0:
+        v = X[k, k:]
+        rest = length - k
+        square = dot(v, v, rest)
+        if not square > 0.0:
             return False
-        diagonal[k], beta[k] = reflector(s, X[k, k])
-        X[k, k] -= diagonal[k]
-        b = beta[k]
+        diagonal[k], beta[k] = reflector(square, v[0])
+        v[0] -= diagonal[k]
         for j in range(k + 1, rows):
-            t = 0.0
-            for i in range(k, length):
-                t += X[k, i] * X[j, i]
-            t *= b
-            for i in range(k, length):
-                X[j, i] -= t * X[k, i]
+            reflect(v, beta[k], rest, X[j, k:])
     return True
+
+
+@inner
+def reflect(v, beta, n, x):
+    """x ← (1 − β v vᵀ) x.
+
+    Args:
+        v: reflector. beta: its factor. n: how many elements count. x: row, overwritten.
+    """
+    add_scaled(-beta * dot(v, x, n), v, n, x)
 
 
 @inner
@@ -169,12 +222,7 @@ def form_q(X, rows, length, beta, count, Q):
             Q[c, i] = 0.0
         Q[c, c] = 1.0
         for k in range(min(c, rows - 1), -1, -1):
-            t = 0.0
-            for i in range(k, length):
-                t += X[k, i] * Q[c, i]
-            t *= beta[k]
-            for i in range(k, length):
-                Q[c, i] -= t * X[k, i]
+            reflect(X[k, k:], beta[k], length - k, Q[c, k:])
 
 
 @inner
@@ -205,9 +253,7 @@ def one_sided_jacobi(X, count, length, carried):
     for _ in range(30):
         turned = False
         for p in range(count - 1):
-            a = 0.0
-            for i in range(length):
-                a += X[p, i] * X[p, i]
+            a = dot(X[p], X[p], length)
             for q in range(p + 1, count):
                 b = c = 0.0
                 for i in range(length):
@@ -246,7 +292,7 @@ def orthonormalise(X, r, m, Q, L):
     """
     least = 1.0
     for a in range(r):
-        fill(Q[a], six(X[a]))
+        fill(Q[a], X[a])
         for i in range(m):
             Q[a, i] = 0.0
         x = six(Q[a])
@@ -261,10 +307,9 @@ def orthonormalise(X, r, m, Q, L):
         square = dot6(x, x)
         if not square > 0.0:
             return 0.0
-        norm = sqrt(square)
-        L[a, a] = norm
-        fill(Q[a], scaled(1.0 / norm, x))
-        least = min(least, norm / sqrt(whole))
+        L[a, a] = sqrt(square)
+        fill(Q[a], scaled(1.0 / L[a, a], x))
+        least = min(least, L[a, a] / sqrt(whole))
     return least
 
 
@@ -309,3 +354,14 @@ def project_onto_constraint(Q, r, x, target):
         for a in range(r):
             y = add(y, target[a] - dot6(Q[a], y), Q[a])
     fill(x, y)
+
+
+@inner
+def project_onto_columns(L, Q, r, x, target):
+    """x ← the nearest x (6,) with L Q x = target.
+
+    Args:
+        L, Q: from `orthonormalise`. r: how many rows. x: (6,), target: (r,), both overwritten.
+    """
+    solve_lower(L, r, target)
+    project_onto_constraint(Q, r, x, target)

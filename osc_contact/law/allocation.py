@@ -4,14 +4,32 @@ from __future__ import annotations
 
 from math import isfinite, sqrt
 
-from osc_contact.law.algebra import cholesky, cholesky_solve, form_q, qr_rows
+from osc_contact.law.algebra import (
+    add_scaled,
+    backward,
+    cholesky,
+    cholesky_solve,
+    dot,
+    form_q,
+    forward,
+    qr_rows,
+)
 from osc_contact.law.bars import internal_rows
 from osc_contact.law.chain import UNACTUATED
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.limits import dot
 from osc_contact.law.operational import retreat
 from osc_contact.law.reasons import NO_REASON
-from osc_contact.law.vectors import add, dot6, fill, reflect, reflect_back, scaled, six, times6
+from osc_contact.law.vectors import (
+    ZERO,
+    add,
+    dot6,
+    fill,
+    plus,
+    times6,
+    turned,
+    turned_back,
+    wrench_to_energy,
+)
 
 # --- Rows of the allocation: Z = A R⁻¹Aᵀ of A = [G; E], its factor, row by row of E ---------------
 #
@@ -44,16 +62,15 @@ def add_row(t, e):
     Args:
         e: the row of E.
     """
-    E = t.work.extra
-    weighed = t.work.weighed
-    Z = t.work.factor
-    size = 6 - t.work.locked + e
-    row = Z[size]
-    for k in range(t.model.n_arms):
-        _weigh(t, t.model.arms[k], t.work.arms[k], E[e], weighed[e])
-    _multiply(t, weighed[e], e, row)
-    whole = row[size] = dot(weighed[e], E[e], t.model.n_joints)
-    left = whole - _eliminate(Z, size, row)
+    work = t.work
+    a = work.extra[e]
+    size = 6 - work.locked + e
+    row = work.factor[size]
+    _weigh(t, a, work.weighed[e])
+    _multiply(t, work.weighed[e], e, row)
+    whole = row[size] = dot(work.weighed[e], a, t.model.n_joints)
+    forward(work.factor, size, row, 0)
+    left = whole - dot(row, row, size)
     if left < _DOUBTFUL * whole:
         left = _project_again(t, e)
     if not left > _DRIVEN * whole:
@@ -66,82 +83,68 @@ def add_row(t, e):
 def _multiply(t, weighed, e, out):
     """out = A R⁻¹a, the products of a weighed row with G and with E[:e]."""
     work = t.work
-    joints = t.work.joints
     m = work.locked
-    x = scaled(weighed[0], joints[0].J_bar)
-    for j in range(1, t.model.n_joints):
-        x = add(x, weighed[j], joints[j].J_bar)
-    fill(work.u, x)
-    reflect(work.reflectors, work.beta, m, work.u)
+    x = ZERO
+    for j in range(t.model.n_joints):
+        x = add(x, weighed[j], work.joints[j].J_bar)
+    fill(work.u, turned(work, x))
     for i in range(6 - m):
         out[i] = work.u[m + i]
     for c in range(e):
-        out[6 - m + c] = dot(weighed, t.work.extra[c], t.model.n_joints)
-
-
-@inner
-def _eliminate(Z, size, x):
-    """x[:size] = L⁻¹x, L the factor in Z; returns its square."""
-    square = 0.0
-    for i in range(size):
-        s = x[i]
-        for k in range(i):
-            s -= Z[i, k] * x[k]
-        x[i] = s * Z[i, i]
-        square += x[i] * x[i]
-    return square
+        out[6 - m + c] = dot(weighed, work.extra[c], t.model.n_joints)
 
 
 @inner
 def _project_again(t, e):
     """The pivot of row e, from what is left of it in the joints; mends its row of the factor."""
     work = t.work
-    E = t.work.extra
-    Z = t.work.factor
+    Z = work.factor
     n = t.model.n_joints
     m = work.locked
     size = 6 - m + e
     left = work.left
-    weighed = work.left_weighed
     x = work.products
-    for i in range(size - 1, -1, -1):  # multipliers of the rows before: L⁻ᵀ
-        s = Z[size, i]
-        for k in range(i + 1, size):
-            s -= Z[k, i] * x[k]
-        x[i] = s * Z[i, i]
-    for i in range(6):
-        work.u[i] = x[i - m] if i >= m else 0.0
-    reflect_back(work.reflectors, work.beta, m, work.u)
-    for j in range(n):
-        s = E[e, j] - dot6(t.work.joints[j].J_bar, work.u)
-        for c in range(e):
-            s -= x[6 - m + c] * E[c, j]
-        left[j] = s
-    for k in range(t.model.n_arms):
-        _weigh(t, t.model.arms[k], t.work.arms[k], left, weighed)
-    _multiply(t, weighed, e, x)
-    pivot = dot(weighed, left, n) - _eliminate(Z, size, x)
     for i in range(size):
-        Z[size, i] += x[i]
-    return pivot
+        x[i] = Z[size, i]
+    backward(Z, size, x, 0)  # multipliers of the rows before
+    y = _from_free(work, x)
+    for j in range(n):
+        left[j] = work.extra[e, j] - dot6(work.joints[j].J_bar, y)
+    for c in range(e):
+        add_scaled(-x[6 - m + c], work.extra[c], n, left)
+    _weigh(t, left, work.left_weighed)
+    _multiply(t, work.left_weighed, e, x)
+    forward(Z, size, x, 0)
+    add_scaled(1.0, x, size, Z[size])
+    return dot(work.left_weighed, left, n) - dot(x, x, size)
+
+
+@leaf
+def _from_free(work, x):
+    """A vector (6,) in energy coordinates, from its part (d,) along the free axes."""
+    for i in range(6):
+        work.u[i] = x[i - work.locked] if i >= work.locked else 0.0
+    return turned_back(work, work.u)
 
 
 @inner
-def _weigh(t, arm, own, row, out):
-    """out = R⁻¹ row, over one arm's joints."""
+def _weigh(t, row, out):
+    """out = R⁻¹ row."""
     joints = t.work.joints
-    lo = arm.first
-    hi = arm.end
-    if own.wide == 0:
+    for k in range(t.model.n_arms):
+        own = t.work.arms[k]
+        lo = t.model.arms[k].first
+        hi = t.model.arms[k].end
+        if own.wide == 0:
+            for j in range(lo, hi):
+                out[j] = t.model.joints[j].effort * row[j]
+            continue
+        x = ZERO
         for j in range(lo, hi):
-            out[j] = t.model.joints[j].effort * row[j]
-        return
-    x = scaled(row[lo], joints[lo].J)
-    for j in range(lo + 1, hi):
-        x = add(x, row[j], joints[j].J)
-    x = times6(own.effort, x)
-    for j in range(lo, hi):
-        out[j] = dot6(joints[j].J, x)
+            x = add(x, row[j], joints[j].J)
+        x = times6(own.effort, x)
+        for j in range(lo, hi):
+            out[j] = dot6(joints[j].J, x)
 
 
 # --- Motor torques for a commanded object force and internal forces -------------------------------
@@ -161,55 +164,29 @@ def _weigh(t, arm, own, row, out):
 def command_object(t):
     """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ α_u + f_bias): eq. 21, turned."""
     work = t.work
-    r = work.rank
-    m = work.locked
-    x = work.x
-    bias = work.u
+    bias = turned(work, wrench_to_energy(work, t.memory.f_bias))
     held = 1.0 if t.model.held != 0 else 0.0
-    _energy_of(t, t.memory.f_bias, bias)
-    reflect(work.reflectors, work.beta, m, bias)
-    for i in range(6):
-        s = work.chain_bias[i] + bias[i] + held * x[i] + dot6(work.Lambda[i], x)
-        for a in range(r):
-            s += work.pushed_t[a, i] * work.alpha_u[a]
-        work.f_S[i] = s
-
-
-@inner
-def _energy_of(t, f, out):
-    """A wrench at O in energy coordinates."""
-    work = t.work
-    x = work.C[0] - work.O[0]
-    y = work.C[1] - work.O[1]
-    z = work.C[2] - work.O[2]
-    a = f[3] - (y * f[2] - z * f[1])
-    b = f[4] - (z * f[0] - x * f[2])
-    c = f[5] - (x * f[1] - y * f[0])
-    axes = work.axes
-    for i in range(3):
-        out[i] = axes[2, i, 0] * f[0] + axes[2, i, 1] * f[1] + axes[2, i, 2] * f[2]
-        out[3 + i] = axes[3, i, 0] * a + axes[3, i, 1] * b + axes[3, i, 2] * c
+    f_S = add(plus(work.chain_bias, bias), held, work.x)
+    f_S = plus(f_S, times6(work.Lambda, work.x))
+    for a in range(work.rank):
+        f_S = add(f_S, work.alpha_u[a], work.pushed_t[a])
+    fill(work.f_S, f_S)
 
 
 @leaf
 def predict_joints(t):
     """q̈ = J̄a + offset, and the torque h + Mq̈ that it takes; a is the object's acceleration `x`."""
-    arms = t.model.arms
-    work = t.work
     joints = t.work.joints
-    fill(work.w, six(work.x))
-    reflect_back(work.reflectors, work.beta, work.locked, work.w)
-    a = six(work.w)
+    a = turned_back(t.work, t.work.x)
     for k in range(t.model.n_arms):
-        lo = arms[k].first
-        hi = arms[k].end
+        lo = t.model.arms[k].first
+        hi = t.model.arms[k].end
         for j in range(lo, hi):
             joints[j].acceleration = dot6(joints[j].J_bar, a) + joints[j].offset
         for j in range(lo, hi):
             s = joints[j].h
-            M = joints[j].M
             for i in range(lo, hi):
-                s += M[i - lo] * joints[i].acceleration
+                s += joints[j].M[i - lo] * joints[i].acceleration
             joints[j].inertial = s
 
 
@@ -219,27 +196,24 @@ def allocate_torques(t):
     model = t.model
     arms = model.arms
     work = t.work
-    arm_work = t.work.arms
-    joints = t.work.joints
+    joints = work.joints
     n = model.n_joints
-    m = work.locked
-    d = 6 - m
-    E = work.extra
+    d = 6 - work.locked
     b = work.sides
     for k in range(model.n_arms):
-        arm = arms[k]
-        own = arm_work[k]
-        if own.wide != 0:
-            _hold_posture(t, arm, own)
+        if work.arms[k].wide != 0:
+            _hold_posture(t, arms[k], work.arms[k])
         else:
-            for j in range(arm.first, arm.end):
+            for j in range(arms[k].first, arms[k].end):
                 joints[j].rest = 0.0
-    if model.n_arms == 1 and arm_work[0].wide != 0 and work.n_lost == 0:
-        _exert(t, arms[0])
+    if model.n_arms == 1 and work.arms[0].wide != 0 and work.n_lost == 0:
+        f = _from_free(work, work.f_S[work.locked :])  # τ = τ_0 + Jᵀf: no other arm has a share
+        for j in range(n):
+            joints[j].tau = joints[j].rest + dot6(joints[j].J, f)
         work.n_internal = 0
         return NO_REASON
     for i in range(d):
-        b[i] = work.f_S[m + i]
+        b[i] = work.f_S[work.locked + i]
     count = 0
     if model.n_bars > 0:
         count = internal_rows(t, d)
@@ -259,35 +233,17 @@ def allocate_torques(t):
         if e > size - d:  # one before it was left out
             b[size] = b[d + e]
             for j in range(n):
-                E[size - d, j] = E[e, j]
+                work.extra[size - d, j] = work.extra[e, j]
         if add_row(t, size - d):
             size += 1
-    count = size - d
     cholesky_solve(work.factor, size, b, 0)
-    y = work.y
-    for i in range(6):
-        y[i] = b[i - m] if i >= m else 0.0
-    reflect_back(work.reflectors, work.beta, m, y)
+    y = _from_free(work, b)
     for k in range(model.n_arms):
-        _add_torques(t, arms[k], arm_work[k], y)
-    for e in range(count):
+        _add_torques(t, arms[k], work.arms[k], y)
+    for e in range(size - d):
         for j in range(n):
             joints[j].tau += b[d + e] * work.weighed[e, j]
     return NO_REASON
-
-
-@leaf
-def _exert(t, arm):
-    """τ = τ_0 + Jᵀf of one arm with joints to spare: no other arm shares the object force."""
-    joints = t.work.joints
-    work = t.work
-    f = work.y
-    m = work.locked
-    for i in range(6):
-        f[i] = work.f_S[i] if i >= m else 0.0
-    reflect_back(work.reflectors, work.beta, m, f)
-    for j in range(arm.first, arm.end):
-        joints[j].tau = joints[j].rest + dot6(joints[j].J, f)
 
 
 @leaf
@@ -303,23 +259,21 @@ def push_from_limits(joint, q):
 @leaf
 def _hold_posture(t, arm, own):
     """rest = (1 − JᵀJ̄ᵀ)τ₀, τ₀ = h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q), of a wide arm."""
-    table = t.model.joints
+    model = t.model
     joints = t.work.joints
     q = t.input.q
     lo = arm.first
-    hi = arm.end
-    stiffness = t.model.posture_stiffness
-    damping = t.model.posture_damping
-    moved = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for j in range(lo, hi):
+    moved = ZERO
+    for j in range(lo, arm.end):
         M = joints[j].M
-        s = joints[j].h + M[j - lo] * push_from_limits(table[j], q[j])
-        for k in range(lo, hi):
-            s += M[k - lo] * (stiffness * (table[k].posture - q[k]) - damping * t.input.v[k])
+        s = joints[j].h + M[j - lo] * push_from_limits(model.joints[j], q[j])
+        for k in range(lo, arm.end):
+            back = model.posture_stiffness * (model.joints[k].posture - q[k])
+            s += M[k - lo] * (back - model.posture_damping * t.input.v[k])
         joints[j].rest = s
         joints[j].tau = s  # τ₀ itself
         moved = add(moved, s, joints[j].J_bar)
-    for j in range(lo, hi):
+    for j in range(lo, arm.end):
         joints[j].rest -= dot6(joints[j].J, moved)
     if own.n_lost > 0:
         _retreat_from_lost(t, arm, own)
@@ -335,11 +289,7 @@ def _retreat_from_lost(t, arm, own):
         mode = own.mode[e]
         along = 0.0
         for j in range(lo, hi):
-            back = joints[j].h
-            for k in range(lo, hi):
-                back += joints[j].M[k - lo] * retreat(
-                    t, t.model.joints[k], t.input.q[k], t.input.v[k]
-                )
+            back = retreat(t, lo, hi, j, joints[j].h)
             if own.gone[e] != 0.0:
                 along += mode[j - lo] * (back - joints[j].tau)
             else:
@@ -359,17 +309,14 @@ def _own_motions(t, d, first):
     """
     model = t.model
     work = t.work
-    joints = t.work.joints
-    E = t.work.extra
-    b = t.work.sides
+    joints = work.joints
     X = work.X
     Q = work.Z
     count = first
     for k in range(model.n_arms):
-        arm = model.arms[k]
-        own = t.work.arms[k]
-        lo = arm.first
-        n = arm.end - arm.first
+        own = work.arms[k]
+        lo = model.arms[k].first
+        n = model.arms[k].end - lo
         if own.wide != 0 or own.n_kept >= n:
             continue
         for a in range(own.n_kept):
@@ -380,25 +327,19 @@ def _own_motions(t, d, first):
         for a in range(own.n_kept, n):
             side = 0.0
             for j in range(model.n_joints):
-                E[count, j] = 0.0
+                work.extra[count, j] = 0.0
             for i in range(n):
-                s = joints[lo + i].h
-                for j in range(n):
-                    s += joints[lo + i].M[j] * retreat(
-                        t, model.joints[lo + j], t.input.q[lo + j], t.input.v[lo + j]
-                    )
-                side += Q[a, i] * s
-                E[count, lo + i] = Q[a, i]
-            b[d + count] = side
+                side += Q[a, i] * retreat(t, lo, lo + n, lo + i, joints[lo + i].h)
+                work.extra[count, lo + i] = Q[a, i]
+            work.sides[d + count] = side
             count += 1
     if count > first or work.n_lost > 0:
-        x = scaled(joints[0].rest, joints[0].J_bar)
-        for j in range(1, model.n_joints):
+        x = ZERO
+        for j in range(model.n_joints):
             x = add(x, joints[j].rest, joints[j].J_bar)
-        fill(work.u, x)
-        reflect(work.reflectors, work.beta, work.locked, work.u)
+        fill(work.u, turned(work, x))
         for i in range(d):
-            b[i] -= work.u[work.locked + i]
+            work.sides[i] -= work.u[work.locked + i]
     return count - first
 
 
@@ -423,14 +364,12 @@ def limit_torques(t):
     excess = False
     total = 0.0
     for j in range(t.model.n_joints):
-        i = table[j].motor
-        if i >= 0:
+        if table[j].motor >= 0:
             total += joints[j].tau * 0.0
             excess = excess or abs(joints[j].tau) > table[j].tau_max
     if not isfinite(total):
         return False, False
-    if not excess:
-        for j in range(t.model.n_joints):
-            if table[j].motor >= 0:
-                t.work.tau[table[j].motor] = joints[j].tau
+    for j in range(0 if excess else t.model.n_joints):
+        if table[j].motor >= 0:
+            t.work.tau[table[j].motor] = joints[j].tau
     return excess, True

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from math import inf, sqrt
 
-from osc_contact.law.algebra import one_sided_jacobi
+from osc_contact.law.algebra import add_scaled, dot, one_sided_jacobi
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.jit import inner, matrix
-from osc_contact.law.vectors import dot6, energy_motion, fill, reflect
+from osc_contact.law.vectors import (
+    divided3,
+    dot3,
+    dot6,
+    energy_motion,
+    fill,
+    fill3,
+    minus3,
+    rotated_back,
+    scaled3,
+    turned,
+)
 
 # --- Three grasps and more: forces in the bars of a virtual linkage -------------------------------
 #
@@ -80,22 +91,21 @@ def settable_bars(t, n_locked):
         one_sided_jacobi(Y, rank, n_locked, n + bars)
         count = _keep(Y, rank, n_locked, behind + bars, -1.0, tolerance * tolerance)
     # torques by their effort: Q spans those that move the object, Z those that the bars feel
-    for row in range(6):
-        for j in range(n):
+    for j in range(n):
+        for row in range(6):
             Q[row, j] = work.driven[j, row] * work.efforts[j]
-    moving = _orthonormalise(Q, 6, n, _DEPENDENT)
-    for row in range(count):
-        for j in range(n):
+        for row in range(count):
             Y[row, n_locked + j] *= work.efforts[j]
             Z[row, j] = Y[row, n_locked + j]
+    moving = _orthonormalise(Q, 6, n, _DEPENDENT)
     felt = _orthonormalise(Z, count, n, _DEPENDENT)
     for row in range(felt):
-        _take_out(Q, 0, moving, n, Z, row)
+        _take_out(Q, moving, n, Z[row])
     # by the angle to null(G): an arm near a singular posture makes some forces all too easily
     one_sided_jacobi(Z, felt, n, 0)
     s = _keep(Z, felt, n, n, tolerance * tolerance, inf)
     if s < count:
-        _make_forces(s, count, bars, n, Z, Y, n_locked, X)
+        _make_forces(s, count, bars, n, Z, Y[:, n_locked:], X)
         _orthonormalise(X, s, bars, 0.0)
     for bar in range(bars):
         for c in range(s):
@@ -118,24 +128,17 @@ def _table(scratch, at, rows, columns):
 @inner
 def _place_bars(k, bars, points, X):
     """X (bars, 3k + bars): rows of Eᵀ, then the identity."""
-    for bar in range(bars):
-        for c in range(3 * k + bars):
-            X[bar, c] = 0.0
-        X[bar, 3 * k + bar] = 1.0
+    X[:] = 0.0
     bar = 0
     for i in range(k):
         for j in range(i + 1, k):
-            x = points[j, 0] - points[i, 0]
-            y = points[j, 1] - points[i, 1]
-            z = points[j, 2] - points[i, 2]
-            length = sqrt(x * x + y * y + z * z)
+            X[bar, 3 * k + bar] = 1.0
+            e = minus3(points[j], points[i])
+            length = sqrt(dot3(e, e))
             if length >= _NO_BAR:
-                X[bar, 3 * i] = x / length
-                X[bar, 3 * j] = -x / length
-                X[bar, 3 * i + 1] = y / length
-                X[bar, 3 * j + 1] = -y / length
-                X[bar, 3 * i + 2] = z / length
-                X[bar, 3 * j + 2] = -z / length
+                e = divided3(e, length)
+                fill3(X[bar, 3 * i :], e)
+                fill3(X[bar, 3 * j :], scaled3(-1.0, e))
             bar += 1
 
 
@@ -144,10 +147,10 @@ def _invert(X, count, length, carried, tolerance):
     """From rows (σy, u) with UΣYᵀ = Eᵀ, those of E⁺ = UΣ⁻¹Yᵀ: (y/σ, u); how many."""
     largest = 0.0
     for row in range(count):
-        largest = max(largest, _square(X, row, length))
+        largest = max(largest, dot(X[row], X[row], length))
     kept = _keep(X, count, length, length + carried, tolerance * tolerance * largest, inf)
     for row in range(kept):
-        inverse = 1.0 / _square(X, row, length)
+        inverse = 1.0 / dot(X[row], X[row], length)
         for i in range(length):
             X[row, i] *= inverse
     return kept
@@ -157,45 +160,22 @@ def _invert(X, count, length, carried, tolerance):
 def _see_forces(t, rank, X, n_locked, Y):
     """Rows of Y: what each row of X[:rank, :3k] sees of locked forces, then of joint torques."""
     work = t.work
-    locked = work.carried
-    levers = work.force_levers
     for row in range(rank):
         for c in range(n_locked):
-            i = 3 * work.owners[c]
-            x = X[row, i]
-            y = X[row, i + 1]
-            z = X[row, i + 2]
-            Y[row, c] = x * locked[c, 0] + y * locked[c, 1] + z * locked[c, 2]
+            Y[row, c] = dot3(X[row, 3 * work.owners[c] :], work.carried[c])
         for i in range(t.model.n_arms):
-            x = X[row, 3 * i]
-            y = X[row, 3 * i + 1]
-            z = X[row, 3 * i + 2]
             for j in range(t.model.arms[i].first, t.model.arms[i].end):
-                f = x * levers[j, 0] + y * levers[j, 1] + z * levers[j, 2]
-                Y[row, n_locked + j] = f
+                Y[row, n_locked + j] = dot3(X[row, 3 * i :], work.force_levers[j])
 
 
 @inner
-def _make_forces(s, count, bars, n, Z, Y, n_locked, X):
+def _make_forces(s, count, bars, n, Z, Y, X):
     """Rows X[:s, :bars]: what the torques Z[:s] make in the combinations Y[:count]."""
     for c in range(s):
         for bar in range(bars):
             X[c, bar] = 0.0
         for row in range(count):
-            t = 0.0
-            for j in range(n):
-                t += Y[row, n_locked + j] * Z[c, j]
-            for bar in range(bars):
-                X[c, bar] += t * Y[row, n_locked + n + bar]
-
-
-@inner
-def _square(X, row, length):
-    """|X[row, :length]|²."""
-    s = 0.0
-    for i in range(length):
-        s += X[row, i] * X[row, i]
-    return s
+            add_scaled(dot(Y[row], Z[c], n), Y[row, n:], bars, X[c])
 
 
 @inner
@@ -203,7 +183,7 @@ def _keep(X, count, length, width, above, most):
     """Move rows X[:count, :width] with above < |X[row, :length]|² ≤ most to the front; how many."""
     kept = 0
     for row in range(count):
-        if above < _square(X, row, length) <= most:
+        if above < dot(X[row], X[row], length) <= most:
             for i in range(width):
                 X[kept, i] = X[row, i]
             kept += 1
@@ -211,14 +191,10 @@ def _keep(X, count, length, width, above, most):
 
 
 @inner
-def _take_out(Q, begin, end, length, X, row):
-    """Take the directions of the orthonormal rows Q[begin:end] out of one row of X."""
-    for c in range(begin, end):
-        t = 0.0
-        for i in range(length):
-            t += Q[c, i] * X[row, i]
-        for i in range(length):
-            X[row, i] -= t * Q[c, i]
+def _take_out(Q, count, length, x):
+    """Take the directions of the orthonormal rows Q[:count] out of a row x."""
+    for c in range(count):
+        add_scaled(-dot(Q[c], x, length), Q[c], length, x)
 
 
 @inner
@@ -233,7 +209,7 @@ def _orthonormalise(X, count, length, tolerance):
         most = 0.0
         at = done
         for row in range(done, count):
-            square = _square(X, row, length)
+            square = dot(X[row], X[row], length)
             if square > most:
                 most = square
                 at = row
@@ -242,12 +218,12 @@ def _orthonormalise(X, count, length, tolerance):
             return done
         for i in range(length):
             X[done, i], X[at, i] = X[at, i], X[done, i]
-        _take_out(X, 0, done, length, X, done)
-        norm = sqrt(_square(X, done, length))
+        _take_out(X, done, length, X[done])
+        norm = sqrt(dot(X[done], X[done], length))
         for i in range(length):
             X[done, i] /= norm
         for row in range(done + 1, count):
-            _take_out(X, done, done + 1, length, X, row)
+            _take_out(X[done:], 1, length, X[row])
     return count
 
 
@@ -265,86 +241,64 @@ def internal_rows(t, d):
     """
     arms = t.model.arms
     work = t.work
-    joints = t.work.joints
-    E = t.work.extra
-    squeeze = t.memory.squeeze
-    if t.model.n_arms == 2:
-        line = work.line
-        place_point(joints[arms[0].tip_joint], arms[0].tip, 9, work.u)
-        place_point(joints[arms[1].tip_joint], arms[1].tip, 9, work.w)
-        square = 0.0
-        for i in range(3):
-            line[i] = work.w[i] - work.u[i]
-            square += line[i] * line[i]
-            line[3 + i] = 0.0
-        work.internal[0] = 0.0
-        if square < _COINCIDE * _COINCIDE:
-            return 0
-        for i in range(3):
-            line[i] *= 0.5 / sqrt(square)
-        energy_motion(work.axes, line, line)
-        offset = 0.0
-        for k in range(2):
-            for j in range(arms[k].first, arms[k].end):
-                E[0, j] = (1.0 - 2.0 * k) * dot6(joints[j].J_bar, line)
-                offset += E[0, j] * (joints[j].inertial - joints[j].rest)
-        t.work.sides[d] = squeeze[0] + offset
-        work.internal[0] = squeeze[0]
-        return 1
-    if work.commanded == 0:
+    joints = work.joints
+    squeeze = t.memory.squeeze[0]
+    if t.model.n_arms > 2:
+        return 0 if work.commanded == 0 else _bar_rows(t, d)
+    start = place_point(joints[arms[0].tip_joint], arms[0].tip[9:])
+    line = minus3(place_point(joints[arms[1].tip_joint], arms[1].tip[9:]), start)
+    square = dot3(line, line)
+    work.internal[0] = 0.0
+    if square < _COINCIDE * _COINCIDE:
         return 0
-    return _bar_rows(t, d)
+    line = scaled3(0.5 / sqrt(square), line) + (0.0, 0.0, 0.0)
+    fill(work.line, energy_motion(work.axes, line))
+    offset = 0.0
+    for k in range(2):
+        for j in range(arms[k].first, arms[k].end):
+            lever = (1.0 - 2.0 * k) * dot6(joints[j].J_bar, work.line)
+            work.extra[0, j] = lever
+            offset += lever * (joints[j].inertial - joints[j].rest)
+    work.sides[d] = squeeze + offset
+    work.internal[0] = squeeze
+    return 1
 
 
 @inner
 def _bar_rows(t, d):
     """Rows of the settable bar forces of three arms and more."""
     model = t.model
-    arms = model.arms
     work = t.work
-    arm_work = t.work.arms
-    joints = t.work.joints
+    joints = work.joints
     n = model.n_joints
-    k = model.n_arms
     bars = model.n_bars
-    m = work.locked
-    force_levers = work.force_levers
-    carried = work.carried
-    basis = work.basis
-    root = work.axes
     locked = 0
-    for i in range(k):
-        place_point(joints[arms[i].tip_joint], arms[i].tip, 9, work.points[i])
-        for c in range(arm_work[i].n_locked):  # of orthonormal wrenches that its structure carries
-            u = arm_work[i].resisted[c]
-            for a in range(3):
-                carried[locked, a] = 0.0
-                for j in range(3):
-                    carried[locked, a] += root[0, j, a] * u[j] / model.roots[0]
+    for i in range(model.n_arms):
+        arm = model.arms[i]
+        fill3(work.points[i], place_point(joints[arm.tip_joint], arm.tip[9:]))
+        for c in range(work.arms[i].n_locked):  # of orthonormal wrenches that its structure carries
+            force = rotated_back(work.axes[0], work.arms[i].resisted[c])
+            fill3(work.carried[locked], divided3(force, model.roots[0]))
             work.owners[locked] = i
             locked += 1
     for j in range(n):
-        bar = joints[j].J_bar
         work.efforts[j] = sqrt(model.joints[j].effort)
-        for a in range(3):  # forces in world axes: L f̃
-            force_levers[j, a] = 0.0
-            for i in range(3):
-                force_levers[j, a] += root[0, i, a] * bar[i]
-        fill(work.u, bar)
-        reflect(work.reflectors, work.beta, m, work.u)
-        for i in range(6):
-            work.driven[j, i] = work.u[i] if i >= m else 0.0
+        # forces in world axes: L f̃
+        fill3(work.force_levers[j], rotated_back(work.axes[0], joints[j].J_bar))
+        fill(work.driven[j], turned(work, joints[j].J_bar))
+        for i in range(work.locked):
+            work.driven[j, i] = 0.0
     count = settable_bars(t, locked)
     for e in range(count):
         side = 0.0
         for j in range(n):
             s = 0.0
             for c in range(bars):
-                s += basis[c, e] * work.levers[c, j]
+                s += work.basis[c, e] * work.levers[c, j]
             work.extra[e, j] = s
             side += s * (joints[j].inertial - joints[j].rest)
         for c in range(bars):
-            side += basis[c, e] * t.memory.squeeze[c]
+            side += work.basis[c, e] * t.memory.squeeze[c]
         work.sides[d + e] = side
     return count
 

@@ -48,51 +48,26 @@ _rows, _terms, _prepare, _finish, _fill, _settle = (
 )
 
 
-def osc_law_rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched):
-    """`tick.rows` of one controller.
+def osc_law_rows(raw, at, arrays, sizes):
+    """`tick.rows`.
 
     Args:
-        raw, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched: addresses; `touched` counts where the
-            JOB says MOVING. at: where the JOB is.
+        raw: address. at: where the JOB is. arrays: address of the eight addresses of what is given.
+        sizes: address of the number of elements or rows of each.
     """
-    data = bytes_at(raw)
-    job = _job(data, at)
-    head = _model(data, job.model)
-    moving = job.switches & tick.MOVING != 0
-    return _rows(
-        data,
-        at,
-        row_at(q, head.n_joints),
-        row_at(v, head.n_joints),
-        table_at(wrenches, head.n_arms, 6),
-        table_at(X_WD, 4, 4),
-        row_at(V_D, 6),
-        row_at(A_D, 6),
-        row_at(alpha_d, head.n_columns),
-        table_at(touched, head.n_contacts if moving else 0, 28),
+    x = words_at(arrays, 8)
+    n = words_at(sizes, 8)
+    given = (
+        row_at(x[0], n[0]),
+        row_at(x[1], n[1]),
+        table_at(x[2], n[2], 6),
+        table_at(x[3], n[3], 4),
+        row_at(x[4], n[4]),
+        row_at(x[5], n[5]),
+        row_at(x[6], n[6]),
+        table_at(x[7], n[7], 28),
     )
-
-
-def osc_law_many(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, sizes):
-    """`tick.rows` of any arrays.
-
-    Args:
-        raw, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched: addresses. at: where the JOB is.
-        sizes: address of the number of bytes, elements or rows of each array.
-    """
-    n = words_at(sizes, 9)
-    return _rows(
-        bytes_at(raw),
-        at,
-        row_at(q, n[1]),
-        row_at(v, n[2]),
-        table_at(wrenches, n[3], 6),
-        table_at(X_WD, n[4], 4),
-        row_at(V_D, n[5]),
-        row_at(A_D, n[6]),
-        row_at(alpha_d, n[7]),
-        table_at(touched, n[8], 28),
-    )
+    return _rows(bytes_at(raw), at, given)
 
 
 def osc_law_terms(raw, q, v, out, sizes):
@@ -147,8 +122,7 @@ def osc_law_settle(raw, at, i, program):
 
 #: Arguments of each: p address, i whole number.
 ENTRIES = {
-    osc_law_rows: "pipppppppp",
-    osc_law_many: "pippppppppp",
+    osc_law_rows: "pipp",
     osc_law_terms: "ppppp",
     osc_law_fill: "piip",
     osc_law_prepare: "pi",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import one_sided_jacobi
+from osc_contact.law.algebra import dot, one_sided_jacobi
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame
 from osc_contact.law.grasps import add_slip, centre_object, filter_outboard, find_object, find_twist
 from osc_contact.law.jit import inner, leaf
@@ -17,20 +17,24 @@ from osc_contact.law.records import (
 )
 from osc_contact.law.vectors import (
     ZERO,
+    accumulate,
     add,
     carry_motion,
-    carry_wrench,
+    copy_pose,
+    cross,
     dot6,
     energy_motion,
     energy_wrench,
     fill,
+    minus3,
     plus,
     qr6,
-    reflect,
     reflect_sides,
+    rotated,
     set_axes,
     six,
-    world_wrench,
+    turned,
+    wrench_to_world,
 )
 
 OBJECT_UNKNOWN = declare_reason(
@@ -57,14 +61,12 @@ UNACTUATED = declare_reason(
 def solve_chain(t):
     """The closed chain at (q, v), as `dynamics.closed_chain.ClosedChain.state`; a reason."""
     model = t.model
-    arms = model.arms
     memory = t.memory
     work = t.work
-    arm_work = t.work.arms
     for k in range(model.n_arms):
-        place_arm(t, arms[k].first, arms[k].end, t.input.q)
+        place_arm(t, model.arms[k].first, model.arms[k].end, t.input.q)
     if model.leader >= 0:
-        tip = t.work.joints[arms[model.leader].tip_joint]
+        tip = work.joints[model.arms[model.leader].tip_joint]
         place_frame(tip, model.X_LO, work.X_WO, work.O)
         for i in range(3):
             work.X_WO[i, 3] = work.O[i]
@@ -73,57 +75,44 @@ def solve_chain(t):
         place_frame(tip, model.X_LP, work.R, work.C)
         set_axes(work.R, model.roots, work.axes)
     else:
-        for i in range(4):
-            for j in range(4):
-                work.X_WO[i, j] = memory.X_WO[i, j]
+        copy_pose(memory.X_WO, work.X_WO)
         if memory.given >= GIVEN_POSE:
             centre_object(t, work.X_WO)
         elif not find_object(t, work.X_WO):
             return OBJECT_UNKNOWN
     for k in range(model.n_arms):
-        arm = arms[k]
-        own = arm_work[k]
+        own = work.arms[k]
         fill(own.bias, ZERO)
-        move_arm(
-            t,
-            arm,
-            t.input.v,
-            work.C,
-            own.V,
-            own.drift,
-            own.bias,
-        )
+        move_arm(t, model.arms[k], t.input.v, work.C, own.V, own.drift, own.bias)
     given = memory.given >= GIVEN_TWIST
     if model.slipping != 0:
         if not find_twist(t, given):
             return OBJECT_UNKNOWN
     else:
-        fill(work.V_C, arm_work[0].V)
+        fill(work.V_C, work.arms[0].V)
     if given:
-        carry_motion(memory.V_O, work.O, work.C, work.V_C)
-    carry_motion(work.V_C, work.C, work.O, work.V_O)
-    for i in range(6):
-        work.bias_links[i] = work.bias_e[i] = work.chain_bias[i] = 0.0
-        fill(work.Lambda[i], ZERO)
-        fill(work.effort[i], ZERO)
-        fill(work.out_T[i], ZERO)
+        fill(work.V_C, carry_motion(memory.V_O, work.O, work.C))
+    fill(work.V_O, carry_motion(work.V_C, work.C, work.O))
+    fill(work.bias_links, ZERO)
+    fill(work.bias_e, ZERO)
+    fill(work.chain_bias, ZERO)
+    work.Lambda[:] = 0.0
+    work.effort[:] = 0.0
+    work.out_T[:] = 0.0
     count = 0
     work.n_lost = 0
     for k in range(model.n_arms):
-        reason, found = _add_arm(t, arms[k], arm_work[k], count)
+        reason, found = _add_arm(t, model.arms[k], work.arms[k], count)
         if reason != NO_REASON:
             return reason
         count += found
     _add_object(t)
-    work.locked = _intersect(t, count)
+    _intersect(t, count)
     if work.locked > 0:
-        Z = work.reflectors
-        beta = work.beta
-        m = work.locked
-        reflect_sides(Z, beta, m, work.Lambda)
-        reflect_sides(Z, beta, m, work.effort)
-        reflect(Z, beta, m, work.chain_bias)
-        reflect(Z, beta, m, work.sigma)
+        reflect_sides(work, work.Lambda)
+        reflect_sides(work, work.effort)
+        fill(work.chain_bias, turned(work, work.chain_bias))
+        fill(work.sigma, turned(work, work.sigma))
     return NO_REASON
 
 
@@ -132,20 +121,18 @@ def _add_arm(t, arm, own, row):
     """One arm's share in everything that is summed over the arms; a reason and what it locks."""
     model = t.model
     work = t.work
-    joints = t.work.joints
-    locked = t.work.locked_rows
+    joints = work.joints
     lo = arm.first
-    n = arm.end - arm.first
+    n = arm.end - lo
     m = arm.m
-    rigid = arm.m == 6
-    if not rigid:  # N is carried by the tip while the object slips
+    if m < 6:  # N is carried by the tip while the object slips
         add_slip(own.V, work.V_C, own.drift)
     for j in range(lo, arm.end):
-        energy_motion(work.axes, joints[j].column, joints[j].J)
-    energy_motion(work.axes, own.drift, own.gamma)
+        fill(joints[j].J, energy_motion(work.axes, joints[j].column))
+    fill(own.gamma, energy_motion(work.axes, own.drift))
     own.wide = 1 if n > m else 0
     own.n_lost = 0
-    count = arm_terms(t, lo, n, m, rigid, own, row)
+    count = arm_terms(t, lo, n, m, own, row)
     if count < 0:
         return BAD_INERTIA, 0
     if may_be_singular(t, arm, own):
@@ -153,20 +140,20 @@ def _add_arm(t, arm, own, row):
     shared = model.n_arms > 1 or own.wide == 0 or own.n_lost > 0  # else there is nothing to share
     if model.n_motors > 0 and shared and not effort_metric(t, lo, n, m, own, own.effort):
         return UNACTUATED, 0
-    for k in range(row, row + count):
-        locked[k, 6] = dot6(locked[k], own.gamma)
-        fill(own.resisted[k - row], locked[k])
+    for k in range(count):
+        locked = work.locked_rows[row + k]
+        locked[6] = dot6(locked, own.gamma)
+        fill(own.resisted[k], locked)
+    bias = six(work.chain_bias)
     for j in range(lo, arm.end):
         if model.rubs != 0 and model.joints[j].motor < 0:  # other motors compensate its friction
             joints[j].h += believed_friction(t, j)
         joints[j].offset = -dot6(joints[j].J_bar, own.gamma)
-    bias = six(work.chain_bias)
-    for j in range(lo, arm.end):
         bias = add(bias, joints[j].h, joints[j].J_bar)
     for i in range(6):
         bias = add(bias, -own.gamma[i], own.Lambda[i])
-        fill(work.Lambda[i], add(six(work.Lambda[i]), 1.0, own.Lambda[i]))
-        fill(work.effort[i], add(six(work.effort[i]), 1.0, own.effort[i]))
+        fill(work.Lambda[i], plus(work.Lambda[i], own.Lambda[i]))
+        fill(work.effort[i], plus(work.effort[i], own.effort[i]))
     fill(work.chain_bias, bias)
     if arm.sensor_joint >= 0 and arm.outer_joint >= 0:
         if arm.filtered != 0:
@@ -179,16 +166,15 @@ def _add_arm(t, arm, own, row):
 @leaf
 def _add_outboard(t, arm, own):
     """Λ_out += I J J̄ (transposed), bias −= I J J̄ γ of the bodies beyond the wrist sensor."""
-    joints = t.work.joints
     work = t.work
     fill(work.bias_links, plus(work.bias_links, own.bias))
     for j in range(arm.first, arm.end):
-        P = joints[j].outboard
-        bar = joints[j].J_bar
-        energy_wrench(work.axes, P, P)
-        fill(work.bias_e, add(six(work.bias_e), -dot6(bar, own.gamma), P))
+        P = work.joints[j].outboard
+        bar = work.joints[j].J_bar
+        fill(P, energy_wrench(work.axes, P))
+        accumulate(work.bias_e, -dot6(bar, own.gamma), P)
         for b in range(6):
-            fill(work.out_T[b], add(six(work.out_T[b]), bar[b], P))
+            accumulate(work.out_T[b], bar[b], P)
 
 
 @inner
@@ -197,65 +183,40 @@ def _add_object(t):
     model = t.model
     work = t.work
     roots = model.roots
-    squares = model.principal
-    f = work.u
-    energy_motion(work.axes, work.V_C, f)
-    vx = f[0]
-    vy = f[1]
-    vz = f[2]  # √m v
-    wx = f[3] / roots[1]
-    wy = f[4] / roots[2]
-    wz = f[5] / roots[3]
-    x = f[0]
-    y = f[1]
-    z = f[2]
-    f[0] = wy * vz - wz * vy
-    f[1] = wz * vx - wx * vz
-    f[2] = wx * vy - wy * vx
-    x = squares[1] * wx
-    y = squares[2] * wy
-    z = squares[3] * wz
-    f[3] = (wy * z - wz * y) / roots[1]
-    f[4] = (wz * x - wx * z) / roots[2]
-    f[5] = (wx * y - wy * x) / roots[3]
-    for i in range(3):
-        for j in range(3):
-            f[i] -= work.axes[0, i, j] * model.gravity[j]
+    V = energy_motion(work.axes, work.V_C)  # √m v, √I ω
+    w = (V[3] / roots[1], V[4] / roots[2], V[5] / roots[3])
+    Iw = (model.principal[1] * w[0], model.principal[2] * w[1], model.principal[3] * w[2])
+    x, y, z = cross(w, Iw)
+    weight = rotated(work.axes[0], model.gravity)
+    force = minus3(cross(w, V), weight) + (x / roots[1], y / roots[2], z / roots[3])
     held = 1.0 if model.held != 0 else 0.0
-    links = work.w
-    energy_wrench(work.axes, work.bias_links, links)
+    links = energy_wrench(work.axes, work.bias_links)
+    accumulate(work.chain_bias, held, force)
     for i in range(6):
         work.out_T[i, i] += held
-        work.chain_bias[i] += held * f[i]
-        work.bias_e[i] += held * f[i] + links[i]
-    world_wrench(work.axes, work.bias_e, work.bias_out)
-    carry_wrench(work.bias_out, work.C, work.O, work.bias_out)
+    fill(work.bias_e, plus(work.bias_e, add(links, held, force)))
+    fill(work.bias_out, wrench_to_world(work, work.bias_e))
 
 
 @inner
 def _intersect(t, count):
-    """`reflectors` whose first m axes span what the arms lock together, σ along them; m.
+    """`reflectors` whose first m axes (`locked`) span what the arms lock together, σ along them.
 
     Args:
         count: number of rows.
     """
     locked = t.work.locked_rows
     work = t.work
-    sigma = work.sigma
-    V = work.reflectors
-    fill(sigma, ZERO)
+    fill(work.sigma, ZERO)
+    work.locked = 0
     if count == 0:
-        return 0
+        return
     one_sided_jacobi(locked, count, 6, 1)
-    m = 0
     for k in range(count):
-        square = 0.0
-        for i in range(6):
-            square += locked[k, i] * locked[k, i]
-        if sqrt(square) > t.model.angle_tolerance and m < 6:
+        square = dot(locked[k], locked[k], 6)
+        if sqrt(square) > t.model.angle_tolerance and work.locked < 6:
             for i in range(6):
-                sigma[i] += locked[k, i] * locked[k, 6] / square
-                V[m, i] = locked[k, i]
-            m += 1
-    qr6(V, m, work.K, work.pivots, work.beta)
-    return m
+                work.sigma[i] += locked[k, i] * locked[k, 6] / square
+            fill(work.reflectors[work.locked], locked[k])
+            work.locked += 1
+    qr6(work.reflectors, work.locked, work.K, work.pivots, work.beta)

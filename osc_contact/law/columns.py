@@ -4,23 +4,26 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import lu_solve, orthonormalise, solve_lower_transposed
+from osc_contact.law.algebra import dot, lu_solve, orthonormalise, solve_lower_transposed
 from osc_contact.law.jit import inner
 from osc_contact.law.reasons import NO_REASON, declare_reason
-from osc_contact.law.records import (
-    CART,
-    CONVEYOR,
-    ELSEWHERE,
-)
+from osc_contact.law.records import CART, CONVEYOR, ELSEWHERE, body_of, column_of, contact_of
 from osc_contact.law.vectors import (
     ZERO,
+    accumulate,
     add,
     carry_motion,
-    carry_wrench,
+    cross,
+    dot3,
     dot6,
-    energy_wrench,
     fill,
-    six,
+    fill3,
+    linear,
+    minus3,
+    plus,
+    scaled,
+    scaled3,
+    wrench_to_energy,
 )
 
 CONTRADICTION = declare_reason(
@@ -50,12 +53,11 @@ _STILL = 1e-9  # rounding error of n_γ when the bodies hardly move (m/s², rad/
 @inner
 def choose_columns(t):
     """List the columns of N whose contacts are in force; their number goes to `count`."""
-    count = 0
+    t.work.count = 0
     for j in range(t.model.n_columns):
-        if t.memory.contacts[t.model.columns[j].contact].active != 0:
-            t.work.columns[count].chosen = j
-            count += 1
-    t.work.count = count
+        if contact_of(t, j).active != 0:
+            t.work.columns[t.work.count].chosen = j
+            t.work.count += 1
 
 
 @inner
@@ -65,20 +67,18 @@ def keep_columns(t):
     Fills rank, keep, N, pushed, friction_wrenches, n_gamma; `share` of each column in force where
     r < count.
     """
-    columns = t.work.columns
     work = t.work
+    columns = work.columns
     count = work.count
     for j in range(count):
         column = columns[j]
         whole = columns[column.chosen]
-        carry_wrench(whole.N, work.O, work.C, column.energy)
-        energy_wrench(work.axes, column.energy, column.energy)
+        fill(column.energy, wrench_to_energy(work, whole.N))
         column.n_gamma = whole.n_gamma_all
         column.extent = sqrt(dot6(column.energy, column.energy))
-        fill(column.rest, six(column.energy))
-    for a in range(min(count, 6)):
-        fill(work.N[a], six(columns[a].energy))
-        work.keep[a] = float(a)
+        if j < 6:
+            fill(work.N[j], column.energy)
+            work.keep[j] = float(j)
     work.rank = count
     if count > 6 or (
         count > 1 and not orthonormalise(work.N, count, 0, work.Q, work.L) > 10.0 * DEPENDENT
@@ -86,108 +86,100 @@ def keep_columns(t):
         reason = _reduce(t)
         if reason != NO_REASON:
             return reason
-    r = work.rank
-    for a in range(r):
+    for a in range(work.rank):
         column = columns[int(work.keep[a])]
         work.n_gamma[a] = column.n_gamma
-        fill(work.N[a], six(column.energy))
-    if r < count or count == 1:
-        orthonormalise(work.N, r, 0, work.Q, work.L)
+        fill(work.N[a], column.energy)
+    if work.rank < count or count == 1:
+        orthonormalise(work.N, work.rank, 0, work.Q, work.L)
     return NO_REASON
 
 
 @inner
 def _reduce(t):
     """Keep a well-conditioned subset: the first column whose rest is not much below the largest."""
-    columns = t.work.columns
     work = t.work
-    count = work.count
+    columns = work.columns
     rank = 0
-    for j in range(count):
-        for i in range(6):
-            columns[j].rest[i] /= columns[j].extent
-    while rank < count:
+    for j in range(work.count):
+        fill(columns[j].rest, scaled(1.0 / columns[j].extent, columns[j].energy))
+    while rank < work.count:
         longest = 0.0
-        for j in range(count):
+        for j in range(work.count):
             longest = max(longest, dot6(columns[j].rest, columns[j].rest))
         if sqrt(longest) <= DEPENDENT or rank == 6:
             break
-        first = -1
-        for j in range(count):
-            square = dot6(columns[j].rest, columns[j].rest)
-            if first < 0 and square >= _PIVOT * _PIVOT * longest:
-                first = j
-        work.keep[rank] = float(first)
+        first = 0
+        while not dot6(columns[first].rest, columns[first].rest) >= _PIVOT * _PIVOT * longest:
+            first += 1
+        at = rank
+        while at > 0 and work.keep[at - 1] > first:
+            work.keep[at] = work.keep[at - 1]
+            at -= 1
+        work.keep[at] = float(first)
         rank += 1
-        _remove(t, count, first)
+        _remove(t, first)
     work.rank = rank
-    for a in range(1, rank):
-        for b in range(a, 0, -1):
-            if work.keep[b] < work.keep[b - 1]:
-                work.keep[b], work.keep[b - 1] = work.keep[b - 1], work.keep[b]
-    if rank == count:
+    if rank == work.count:
         return NO_REASON
-    _express(t, count, rank)
-    if not _consistent(t, count, rank):
+    _express(t)
+    if not _consistent(t):
         return CONTRADICTION
-    return _same_body(t, count)
+    return _same_body(t)
 
 
 @inner
-def _remove(t, count, first):
+def _remove(t, first):
     """Take the direction of column `first` out of every rest, twice."""
     columns = t.work.columns
-    length = sqrt(dot6(columns[first].rest, columns[first].rest))
     q = columns[first].rest
-    for j in range(count):
-        if j == first:
-            continue
+    length = sqrt(dot6(q, q))
+    for j in range(t.work.count):
         x = columns[j].rest
-        for _ in range(2):
-            along = dot6(q, x) / (length * length)
-            fill(x, add(x, -along, q))
+        for _ in range(2 if j != first else 0):
+            accumulate(x, -(dot6(q, x) / (length * length)), q)
     fill(q, ZERO)
 
 
 @inner
-def _express(t, count, rank):
+def _express(t):
     """share (rank,) of every column in force: N_all = N share."""
-    columns = t.work.columns
     work = t.work
+    columns = work.columns
+    rank = work.rank
     for a in range(rank):
         column = columns[int(work.keep[a])]
-        for i in range(6):
-            work.A[a, i] = column.energy[i] / column.extent
+        fill(work.A[a], scaled(1.0 / column.extent, column.energy))
     orthonormalise(work.A, rank, 0, work.Q, work.L)
-    for j in range(count):
+    for j in range(work.count):
         column = columns[j]
         for a in range(rank):
-            work.u[a] = dot6(work.Q[a], column.energy)
-        solve_lower_transposed(work.L, rank, work.u)
+            column.share[a] = dot6(work.Q[a], column.energy)
+        solve_lower_transposed(work.L, rank, column.share)
         for a in range(rank):
-            column.share[a] = work.u[a] / columns[int(work.keep[a])].extent
+            column.share[a] /= columns[int(work.keep[a])].extent
     for a in range(rank):
-        column = columns[int(work.keep[a])]
-        for b in range(rank):
-            column.share[b] = 1.0 if a == b else 0.0
+        share = columns[int(work.keep[a])].share
+        fill(share, ZERO)
+        share[a] = 1.0
 
 
 @inner
-def _consistent(t, count, rank):
+def _consistent(t):
     """n_γ of every column follows from the kept ones as the column does, but for rounding."""
-    columns = t.work.columns
     work = t.work
+    columns = work.columns
     largest = 0.0
-    for j in range(count):
+    for j in range(work.count):
         column = columns[j]
         summands = abs(column.n_gamma)
-        for a in range(rank):
+        for a in range(work.rank):
             summands += abs(columns[int(work.keep[a])].n_gamma * column.share[a])
         largest = max(largest, summands / column.extent)
-    for j in range(count):
+    for j in range(work.count):
         column = columns[j]
         implied = 0.0
-        for a in range(rank):
+        for a in range(work.rank):
             implied += columns[int(work.keep[a])].n_gamma * column.share[a]
         if abs(column.n_gamma - implied) > max(_STILL, _CONSISTENT * column.extent * largest):
             work.where = column.chosen
@@ -197,21 +189,17 @@ def _consistent(t, count, rank):
 
 
 @inner
-def _same_body(t, count):
+def _same_body(t):
     """Dependent columns must be on one body, or on bodies that move as one and do not yield."""
-    table = t.model.columns
-    bodies = t.model.bodies
-    columns = t.work.columns
-    body_work = t.work.bodies
-    first = bodies[table[columns[0].chosen].contact].same
-    for j in range(1, count):
-        other = bodies[table[columns[j].chosen].contact].same
-        if other != first:
-            for i in range(48):
-                a = body_work[first].answer[i]
-                b = body_work[other].answer[i]
-                if a != b or (i < 36 and a != 0.0):
-                    return DIFFERENT_BODIES
+    work = t.work
+    first = body_of(t, work.columns[0].chosen).same
+    for j in range(1, work.count):
+        other = body_of(t, work.columns[j].chosen).same
+        for i in range(48 if other != first else 0):
+            a = work.bodies[first].answer[i]
+            b = work.bodies[other].answer[i]
+            if a != b or (i < 36 and a != 0.0):
+                return DIFFERENT_BODIES
     return NO_REASON
 
 
@@ -225,47 +213,30 @@ def spread_magnitudes(t, alpha, speed):
         alpha, speed: (r_all,) for all columns (N, m/s).
     """
     work = t.work
-    columns = t.work.columns
+    columns = work.columns
     r = work.rank
-    count = work.count
-    if r == count:
-        for j in range(count):
-            alpha[columns[j].chosen] = work.alpha_meas[j]
-            speed[columns[j].chosen] = work.speed[j]
-        return
-    _spread_dependent(t, alpha, speed)
-
-
-@inner
-def _spread_dependent(t, alpha, speed):
-    """α_all = Rᵀ(RRᵀ)⁻¹α and Rᵀ speed, R the shares."""
-    work = t.work
-    columns = t.work.columns
-    r = work.rank
-    count = work.count
     G = work.D
     x = work.E
-    for a in range(r):
+    dependent = r < work.count
+    for a in range(r if dependent else 0):  # α_all = Rᵀ(RRᵀ)⁻¹α and Rᵀ speed, R the shares
         x[0, a] = work.alpha_meas[a]
         for b in range(r):
             G[a, b] = 0.0
-            for j in range(count):
+            for j in range(work.count):
                 G[a, b] += columns[j].share[a] * columns[j].share[b]
-    lu_solve(G, r, x, 1)
-    for j in range(count):
-        force = rate = 0.0
-        for a in range(r):
-            force += columns[j].share[a] * x[0, a]
-            rate += columns[j].share[a] * work.speed[a]
-        alpha[columns[j].chosen] = force
-        speed[columns[j].chosen] = rate
+    if dependent:
+        lu_solve(G, r, x, 1)
+    for j in range(work.count):
+        own = columns[j]
+        alpha[own.chosen] = dot(own.share, x[0], r) if dependent else work.alpha_meas[j]
+        speed[own.chosen] = dot(own.share, work.speed, r) if dependent else work.speed[j]
 
 
 # --- What the touched bodies do along N: Φ_μ = NᵀΦ_eN_μ, b_N = Nᵀb_e, V_N = NᵀV_e -----------------
 
 
 @inner
-def _answer(kind, parameters, E, O, answer, start):
+def _answer(kind, parameters, E, O, answer):
     """answer (48,) = Φ_e (36), b_e and V_e (6) of one body at O.
 
     `parameters` of a cart: direction (0:3), mass, stiffness, damping, preload, u·g (7).
@@ -273,90 +244,59 @@ def _answer(kind, parameters, E, O, answer, start):
     Phi = answer[:36]
     b = answer[36:42]
     V = answer[42:48]
-    for i in range(36):
-        Phi[i] = 0.0
+    start = (E[3], E[7], E[11])
+    Phi[:] = 0.0
     if kind == CART:
-        ux = parameters[0]
-        uy = parameters[1]
-        uz = parameters[2]
+        u = linear(parameters)
         mass = parameters[3]
-        travel = ux * E[3] + uy * E[7] + uz * E[11]
-        speed = ux * E[16] + uy * E[17] + uz * E[18]
-        force = parameters[6] - parameters[4] * travel - parameters[5] * speed
+        speed = dot3(u, E[16:])
+        force = parameters[6] - parameters[4] * dot3(u, start) - parameters[5] * speed
         rate = parameters[7] + force / mass
         for i in range(3):
             for j in range(3):
                 Phi[6 * i + j] = parameters[i] * parameters[j] / mass
-            b[i] = parameters[i] * rate
-            b[3 + i] = 0.0
-            V[i] = parameters[i] * speed
-            V[3 + i] = 0.0
+        fill(b, scaled3(rate, u) + (0.0, 0.0, 0.0))
+        fill(V, scaled3(speed, u) + (0.0, 0.0, 0.0))
         return
-    start[0] = E[3]
-    start[1] = E[7]
-    start[2] = E[11]
-    for i in range(6):
-        V[i] = E[16 + i]
-        b[i] = E[22 + i] if kind == CONVEYOR else 0.0
-    # the classical acceleration of E's origin made spatial
-    b[0] -= V[4] * V[2] - V[5] * V[1]
-    b[1] -= V[5] * V[0] - V[3] * V[2]
-    b[2] -= V[3] * V[1] - V[4] * V[0]
-    carry_motion(V, start, O, V)
-    carry_motion(b, start, O, b)
+    fill(V, E[16:])
+    fill(b, ZERO)
+    if kind == CONVEYOR:
+        fill(b, E[22:])
+    fill3(b, minus3(b, cross(V[3:], V)))  # the classical acceleration of E's origin made spatial
+    fill(V, carry_motion(V, start, O))
+    fill(b, carry_motion(b, start, O))
 
 
 @inner
 def answer_bodies(t):
     """Φ_e, b_e and V_e at O (3,) of every touched body."""
-    table = t.model.bodies
     for c in range(t.model.n_contacts):
-        if table[c].same == c and table[c].kind != ELSEWHERE:
-            _answer(
-                table[c].kind,
-                table[c].parameters,
-                t.input.touched[c],
-                t.work.O,
-                t.work.bodies[c].answer,
-                t.work.u,
-            )
-
-
-@inner
-def still_bodies(t):
-    """The same for bodies that rest in the world."""
-    work = t.work
-    for a in range(work.rank):
-        work.b_N[a] = work.V_N[a] = 0.0
-        for b in range(work.rank):
-            work.Phi_mu[a, b] = 0.0
+        body = t.model.bodies[c]
+        if body.same == c and body.kind != ELSEWHERE:
+            answer = t.work.bodies[c].answer
+            _answer(body.kind, body.parameters, t.input.touched[c], t.work.O, answer)
 
 
 @inner
 def project_bodies(t):
-    """Fill Φ_μ (r, r), b_N and V_N (r,) for the kept columns."""
-    columns = t.work.columns
-    table = t.model.columns
-    bodies = t.model.bodies
+    """Fill Φ_μ (r, r), b_N and V_N (r,) for the kept columns: zero where bodies rest."""
     work = t.work
-    given = work.y
-    for a in range(work.rank):
-        mine = columns[int(work.keep[a])].chosen
-        N = columns[mine].N
-        body = bodies[table[mine].contact].same
-        answer = t.work.bodies[body].answer
-        work.b_N[a] = dot6(N, answer[36:42])
-        work.V_N[a] = dot6(N, answer[42:48])
-        for j in range(6):
-            s = 0.0
-            for i in range(6):
-                s += N[i] * answer[6 * i + j]
-            given[j] = work.yields[a, j] = s
+    work.b_N[:] = 0.0
+    work.V_N[:] = 0.0
+    work.Phi_mu[:] = 0.0
+    for a in range(work.rank if work.moving != 0 else 0):
+        N = work.columns[column_of(work, a)].N
+        body = body_of(t, column_of(work, a)).same
+        answer = work.bodies[body].answer
+        work.b_N[a] = dot6(N, answer[36:])
+        work.V_N[a] = dot6(N, answer[42:])
+        given = ZERO
+        for i in range(6):
+            given = add(given, N[i], answer[6 * i :])
+        fill(work.yields[a], given)
         for b in range(work.rank):
-            work.Phi_mu[a, b] = 0.0
-            other = columns[int(work.keep[b])].chosen
-            if bodies[table[other].contact].same == body:
+            other = column_of(work, b)
+            if body_of(t, other).same == body:
+                pushed = plus(work.columns[other].N, work.friction_wrenches[b])
                 for i in range(6):
-                    work.Phi_mu[a, b] += given[i] * (
-                        columns[other].N[i] + work.friction_wrenches[b, i]
-                    )
+                    work.Phi_mu[a, b] += given[i] * pushed[i]

@@ -9,26 +9,28 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import cholesky, orthonormalise, project_onto_constraint, solve_lower
+from osc_contact.law.algebra import (
+    backward,
+    cholesky,
+    dot,
+    forward,
+    orthonormalise,
+    project_onto_columns,
+    project_onto_constraint,
+)
 from osc_contact.law.jit import inner
 from osc_contact.law.reasons import NO_REASON, declare_reason
-from osc_contact.law.records import (
-    BY_CHAIN,
-    BY_OBJECT,
-)
+from osc_contact.law.records import BY_CHAIN, BY_OBJECT
 from osc_contact.law.vectors import (
-    carry_motion,
-    carry_wrench,
     dot6,
-    energy_motion,
-    energy_wrench,
     fill,
     minus,
-    reflect,
-    reflect_back,
+    motion_to_energy,
+    motion_to_world,
     reflect_sides,
-    six,
-    world_motion,
+    turned,
+    turned_back,
+    wrench_to_energy,
 )
 
 UNREACHABLE = declare_reason(
@@ -57,10 +59,8 @@ def reflect_columns(t):
     """Columns of N and N_μ in the turned coordinates."""
     work = t.work
     for a in range(work.rank):
-        fill(work.N_t[a], six(work.N[a]))
-        fill(work.pushed_t[a], six(work.pushed[a]))
-        reflect(work.reflectors, work.beta, work.locked, work.N_t[a])
-        reflect(work.reflectors, work.beta, work.locked, work.pushed_t[a])
+        fill(work.N_t[a], turned(work, work.N[a]))
+        fill(work.pushed_t[a], turned(work, work.pushed[a]))
 
 
 @inner
@@ -81,10 +81,8 @@ def require_reachable(t):
         trace += work.Lambda[i, i] + 1.0
     reach = 1.0
     for a in range(r):
-        square = 0.0
-        for i in range(m, 6):
-            square += work.N_t[a, i] * work.N_t[a, i]
-        reach = min(reach, square / dot6(work.N_t[a], work.N_t[a]))
+        N = work.N_t[a]
+        reach = min(reach, dot(N[m:], N[m:], 6 - m) / dot6(N, N))
     if t.model.held != 0 and reach > 2.0 * _REACH * trace and least > 2.0 * _APART * sqrt(trace):
         return NO_REASON
     return _judge_reach(t)
@@ -96,27 +94,21 @@ def _judge_reach(t):
     work = t.work
     r = work.rank
     m = work.locked
-    held = 1.0 if t.model.held != 0 else 0.0
     d = 6 - m
     if d == 0:
         work.where = 0
         work.amount = 0.0
         return UNREACHABLE
     for i in range(6):
-        for j in range(6):
-            work.A[i, j] = work.Lambda[i, j] + (held if i == j else 0.0)
+        fill(work.A[i], work.Lambda[i])
+        work.A[i, i] += 1.0 if t.model.held != 0 else 0.0
     if not cholesky(work.A, m, d, work.B) > 0.0:
         return BAD_METRIC
     for a in range(r):
-        for i in range(d):
-            s = work.N_t[a, m + i]
-            for k in range(i):
-                s -= work.B[i, k] * work.D[a, m + k]
-            work.D[a, m + i] = s * work.B[i, i]
-        square = 0.0
-        for i in range(m, 6):
-            square += work.D[a, i] * work.D[a, i]
-        work.amount = square / dot6(work.N_t[a], work.N_t[a])
+        N = work.N_t[a]
+        fill(work.D[a], N)
+        forward(work.B, d, work.D[a], m)
+        work.amount = dot(work.D[a, m:], work.D[a, m:], d) / dot6(N, N)
         if not work.amount > _REACH:
             work.where = a
             return UNREACHABLE
@@ -139,17 +131,15 @@ def permit_error(t, error, out, by_object):
     r = work.rank
     for a in range(r):
         work.s[a] = 0.0
-    carry_motion(error, work.O, work.C, e)
-    energy_motion(work.axes, e, e)
+    fill(e, motion_to_energy(work, error))
     if by_object:
         project_onto_constraint(work.Q, r, e, work.s)
     else:
-        reflect(work.reflectors, work.beta, work.locked, e)
+        fill(e, turned(work, e))
         if not _meet_weighed(t, 0, e):
             return False
-        reflect_back(work.reflectors, work.beta, work.locked, e)
-    world_motion(work.axes, e, out)
-    carry_motion(out, work.C, work.O, out)
+        fill(e, turned_back(work, e))
+    fill(out, motion_to_world(work, e))
     return True
 
 
@@ -168,21 +158,13 @@ def _meet_weighed(t, m, x):
             s += K[k, i] * x[m + k]
         x[m + i] = s
     for a in range(r):
-        for i in range(d):
-            s = work.N_t[a, m + i]
-            for k in range(i):
-                s -= K[i, k] * work.D[a, m + k]
-            work.D[a, m + i] = s * K[i, i]
+        fill(work.D[a], work.N_t[a])
+        forward(K, d, work.D[a], m)
     orthonormalise(work.D, r, m, work.E, work.A)
     for a in range(r):
         work.u[a] = work.s[a]
-    solve_lower(work.A, r, work.u)
-    project_onto_constraint(work.E, r, x, work.u)
-    for i in range(d - 1, -1, -1):
-        s = x[m + i]
-        for k in range(i + 1, d):
-            s -= K[k, i] * x[m + k]
-        x[m + i] = s * K[i, i]
+    project_onto_columns(work.A, work.E, r, x, work.u)
+    backward(K, d, x, m)
     return True
 
 
@@ -191,31 +173,23 @@ def set_metric(t):
     """B⁻¹ of the motion filter in turned coordinates (`B_inv_t`); nothing for the object's own."""
     if t.model.metric == BY_OBJECT:
         return
-    if t.model.metric == BY_CHAIN:
-        for i in range(6):
-            for j in range(6):
-                t.work.B_inv_t[i, j] = t.work.Lambda[i, j] + (1.0 if i == j else 0.0)
-        return
-    _set_given_metric(t)
-
-
-@inner
-def _set_given_metric(t):
     work = t.work
     out = work.B_inv_t
-    half_done = work.A
-    f = work.u
-    for half in range(2):  # the map from wrenches to energy coordinates, from both sides
+    if t.model.metric == BY_CHAIN:
         for i in range(6):
-            for j in range(6):
-                f[j] = t.model.B_inv[i, j] if half == 0 else half_done[i, j]
-            carry_wrench(f, work.O, work.C, f)
-            energy_wrench(work.axes, f, f)
-            fill(out[i], f)
+            fill(out[i], work.Lambda[i])
+            out[i, i] += 1.0
+        return
+    for i in range(6):
+        fill(out[i], t.model.B_inv[i])
+    for _ in range(2):  # the map from wrenches to energy coordinates, from both sides
         for i in range(6):
+            f = wrench_to_energy(work, out[i])
             for j in range(6):
-                half_done[i, j] = out[j, i]
-    reflect_sides(work.reflectors, work.beta, work.locked, out)
+                work.A[j, i] = f[j]
+        for i in range(6):
+            fill(out[i], work.A[i])
+    reflect_sides(work, out)
 
 
 @inner
@@ -232,10 +206,7 @@ def filter_motion(t):
     m = work.locked
     x = work.x
     sigma = work.sigma
-    carry_motion(work.a_u, work.O, work.C, x)
-    energy_motion(work.axes, x, x)
-    reflect(work.reflectors, work.beta, m, x)
-    fill(x, minus(x, sigma))
+    fill(x, minus(turned(work, motion_to_energy(work, work.a_u)), sigma))
     for a in range(r):
         s = work.n_gamma[a] + work.b_N[a] - work.brake[a]
         for b in range(r):
@@ -243,24 +214,17 @@ def filter_motion(t):
         for i in range(m):  # σ has no part along the other axes
             s -= work.N_t[a, i] * sigma[i]
         work.rho[a] = s
-    if r > 0:
-        if t.model.metric == BY_OBJECT:
-            for a in range(r):
-                work.s[a] = work.rho[a]
-            solve_lower(work.L_t, r, work.s)
-            project_onto_constraint(work.Q_t, r, x, work.s)
-        else:
-            if m > 0:  # what the contact sees of a motion outside the chain's is not rounded away
-                for a in range(r):
-                    work.s[a] = 0.0
-                    for i in range(6):
-                        work.s[a] += work.N_t[a, i] * x[i]
-                solve_lower(work.L_t, r, work.s)
-                project_onto_constraint(work.Q_t, r, x, work.s)
-            for a in range(r):
-                work.s[a] = work.rho[a]
-            if not _meet_weighed(t, m, x):
-                return BAD_METRIC
+    weighed = t.model.metric != BY_OBJECT
+    if weighed and m > 0:  # what contacts see of a motion outside the chain's is not rounded away
+        for a in range(r):
+            work.s[a] = dot6(work.N_t[a], x)
+        project_onto_columns(work.L_t, work.Q_t, r, x, work.s)
+    for a in range(r):
+        work.s[a] = work.rho[a]
+    if not weighed:
+        project_onto_columns(work.L_t, work.Q_t, r, x, work.s)
+    elif r > 0 and not _meet_weighed(t, m, x):
+        return BAD_METRIC
     for i in range(m):
         x[i] = sigma[i]
     return NO_REASON

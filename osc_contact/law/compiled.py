@@ -39,7 +39,7 @@ def rows() -> Any:
     none_6 = np.zeros((0, 6))
     none_4 = np.zeros((0, 4))
     given = none, none, none_6, none_4, none, none, none, np.zeros((0, 28))
-    return _made(law.rows, empty.raw, 0, *given)
+    return _made(law.rows, empty.raw, 0, given)
 
 
 @cache

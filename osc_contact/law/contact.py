@@ -23,12 +23,26 @@ from osc_contact.law.surface import normal_at
 from osc_contact.law.vectors import (
     ZERO,
     add,
+    add3,
+    carry_motion,
     cross,
+    cross_motion,
+    divided3,
+    dot3,
     dot6,
     fill,
+    fill3,
+    finiteness,
+    linear,
     minus,
+    minus3,
+    origin,
+    placed,
+    plus3,
     rotated,
+    rotated9,
     rotated_back,
+    scaled3,
     velocity_at,
 )
 
@@ -62,10 +76,9 @@ def take_turns(t):
         row.drift = last.drift
         row.slides = 0.0
         row.lever = 0.0
-        for i in range(3):
-            row.turn[i] = row.turned[i] = last.turn[i]
-        for i in range(9):
-            row.prior[i] = 0.0
+        fill3(row.turn, last.turn)
+        fill3(row.turned, last.turn)
+        row.prior[:] = 0.0
 
 
 @inner
@@ -84,80 +97,57 @@ def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
         V_rel, V_goal: (6,) at O, measured and desired, against the body.
     """
     model = t.model
+    shapes = model.shapes
     column = t.work.columns[pair.first]
+    last = t.memory.columns[pair.first]
     N = column.N
-    turn = column.turn
-    turned = column.turned
-    believed = column.believed
-    kind = pair.kind
-    x, y, z = _tracked(pair, model.shapes, X_WO, R_E, column)
-    size = N[0] * N[0] + N[1] * N[1] + N[2] * N[2]
-    a, b, c = velocity_at(V_goal, x, y, z)
-    s = (N[0] * a + N[1] * b + N[2] * c) / size
-    a = a - s * N[0]
-    b = b - s * N[1]
-    c = c - s * N[2]
-    if kind == EDGES:
-        a, b, c = _shown_by_edges(pair, model.shapes, X_WO, R_E, column, (a, b, c))
-    square = a * a + b * b + c * c
-    column.lever = square
-    column.unexplained = (dot6(N, V_rel) - column.drift) / sqrt(size)
-    s = 1.0 / sqrt(size)
-    n = (s * N[0], s * N[1], s * N[2])
-    if kind == FACE_ON_VERTEX:
-        turned[0], turned[1], turned[2] = rotated_back(X_WO, a, b, c)
-        n = rotated_back(X_WO, n[0], n[1], n[2])
-    else:
-        turned[0], turned[1], turned[2] = rotated_back(R_E, a, b, c)
-        n = rotated_back(R_E, n[0], n[1], n[2])
-    s = 1.0 / sqrt(max(square, _LEAST_SQUARE))
+    size = sqrt(dot3(N, N))
+    v = _tangential(velocity_at(V_goal, _tracked(pair, shapes, X_WO, R_E, column)), N)
+    if pair.kind == EDGES:
+        v = _shown_by_edges(shapes[pair.shape_at].row, X_WO, R_E, column, v)
+    column.lever = square = dot3(v, v)
+    column.unexplained = (dot6(N, V_rel) - column.drift) / size
+    axes = X_WO if pair.kind == FACE_ON_VERTEX else R_E
+    v = rotated_back(axes, v)
+    n = rotated_back(axes, scaled3(1.0 / size, N))
+    fill3(column.shown, scaled3(1.0 / sqrt(max(square, _LEAST_SQUARE)), v))
     for i in range(3):
-        column.shown[i] = s * turned[i]
         for j in range(3):  # of the turn of a face across n, of an edge along n
             across = (1.0 if i == j else 0.0) - n[i] * n[j]
-            share = n[i] * n[j] if kind == EDGES else across
+            share = n[i] * n[j] if pair.kind == EDGES else across
             column.prior[3 * i + j] = 0.25 * model.tilt * model.tilt * share
-    last = t.memory.columns[pair.first]
     expected = square * _quadratic(last.covariance, column.shown)
     column.slides = square * square / (square * square + _SLIDES**4)
     if expected > 0.0:
         column.slides *= expected / (expected + last.residual)
     gain = model.drift_share * column.slides * column.unexplained / max(square, _LEAST_SQUARE)
-    size = off = 0.0
-    for i in range(3):
-        turned[i] = believed[i] + turn[i] - gain * turned[i]
-        size += turned[i] * turned[i]
-    size = sqrt(size)
-    for i in range(3):
-        turned[i] = turned[i] / size - believed[i]
-        off += turned[i] * turned[i]
-    off = sqrt(off)
-    if off > model.tilt:
+    n = add3(plus3(column.believed, column.turn), -gain, v)
+    turn = minus3(divided3(n, sqrt(dot3(n, n))), column.believed)
+    angle = sqrt(dot3(turn, turn))
+    if angle > model.tilt:
         column.slides = 0.0
-        for i in range(3):
-            turned[i] *= model.tilt / off
+        turn = scaled3(model.tilt / angle, turn)
+    fill3(column.turned, turn)
+
+
+@leaf
+def _tangential(v, N):
+    """v less its part along the force of N."""
+    return add3(v, -dot3(N, v) / dot3(N, N), N)
 
 
 @inner
-def _shown_by_edges(pair, shapes, X_WO, R_E, column, v):
+def _shown_by_edges(row, X_WO, R_E, column, v):
     """g = ±(v_t × e)/|e × f|: turning E's edge f by δ turns n so that NᵀV_rel changes by gᵀδ."""
-    row = shapes[pair.shape_at].row
-    N = column.N
-    e = rotated(X_WO, row[3], row[4], row[5])
-    f = _turned_edge(row, R_E, column.turn)
-    m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
-    s = 1.0 / (N[0] * m[0] + N[1] * m[1] + N[2] * m[2])
-    a, b, c = cross(v[0], v[1], v[2], e[0], e[1], e[2])
-    return s * a, s * b, s * c
+    e = rotated(X_WO, row[3:])
+    m = cross(e, _turned_edge(row, R_E, column.turn))
+    return scaled3(1.0 / dot3(column.N, m), cross(v, e))
 
 
 @inner
 def _quadratic(P, u):
     """uᵀPu."""
-    s = 0.0
-    for i in range(3):
-        s += u[i] * (P[3 * i] * u[0] + P[3 * i + 1] * u[1] + P[3 * i + 2] * u[2])
-    return s
+    return dot3(u, rotated9(P, u))
 
 
 @leaf
@@ -179,12 +169,9 @@ def learn_normal(share, last, column):
     found = last.unexplained * last.unexplained - column.lever * _quadratic(P, u)
     last.residual += share * square / (square + _SLIDES**4) * (max(found, 0.0) - last.residual)
     k = share * column.slides
-    x = P[0] * u[0] + P[1] * u[1] + P[2] * u[2]
-    y = P[3] * u[0] + P[4] * u[1] + P[5] * u[2]
-    z = P[6] * u[0] + P[7] * u[1] + P[8] * u[2]
-    w = (x, y, z)
+    w = rotated9(P, u)
     noise = last.residual / (max(column.lever, _LEAST_SQUARE) * max(share, 1e-12))
-    s = k * k * (u[0] * x + u[1] * y + u[2] * z + noise)
+    s = k * k * (dot3(u, w) + noise)
     for i in range(3):
         for j in range(3):
             P[3 * i + j] += s * u[i] * u[j] - k * (w[i] * u[j] + u[i] * w[j])
@@ -197,17 +184,17 @@ def learn_normal(share, last, column):
 def _tracked(pair, shapes, X_WO, R_E, column):
     """The point whose motion shows how its face is turned, from O; `believed` ← that normal."""
     if pair.kind == GIVEN or pair.kind == FUNCTION:
-        return column.point[0], column.point[1], column.point[2]
+        return linear(column.point)
     row = shapes[pair.shape_at].row
-    if pair.kind != SURFACE:
-        first = 0 if pair.kind == FACE_ON_VERTEX else 9 if pair.kind == EDGES else 3
-        for i in range(3):
-            column.believed[i] = row[first + i]
     if pair.kind == FACE_ON_VERTEX:
+        fill3(column.believed, row)
         return _vertex(row, X_WO, R_E)
     if pair.kind == EDGES:
+        fill3(column.believed, row[9:])
         return _crossing(row, X_WO, R_E, _turned_edge(row, R_E, column.turn))[0]
-    return rotated(X_WO, row[0], row[1], row[2])
+    if pair.kind != SURFACE:
+        fill3(column.believed, row[3:])
+    return rotated(X_WO, row)
 
 
 @inner
@@ -215,19 +202,13 @@ def _turn_given(column, R_E):
     """N of one column that Python gave, turned with its normal about where it acts."""
     N = column.N
     turn = column.turn
-    size = sqrt(N[0] * N[0] + N[1] * N[1] + N[2] * N[2])
-    a, b, c = rotated_back(R_E, N[0] / size, N[1] / size, N[2] / size)
-    column.believed[0] = a
-    column.believed[1] = b
-    column.believed[2] = c
+    size = sqrt(dot3(N, N))
+    n = rotated_back(R_E, divided3(N, size))
+    fill3(column.believed, n)
     if turn[0] == 0.0 and turn[1] == 0.0 and turn[2] == 0.0:
         return
-    a = a + turn[0]
-    b = b + turn[1]
-    c = c + turn[2]
-    size = size / sqrt(a * a + b * b + c * c)
-    a, b, c = rotated(R_E, size * a, size * b, size * c)
-    _line(N, column.point[0], column.point[1], column.point[2], a, b, c)
+    n = plus3(n, turn)
+    _line(N, column.point, rotated(R_E, scaled3(size / sqrt(dot3(n, n)), n)))
 
 
 # --- N and n_γ at the operational point, in world axes, of every packaged pair --------------------
@@ -247,12 +228,9 @@ Motion = namedtuple("Motion", "X_WO V_O R_E V_E V_rel moving")
 
 
 @leaf
-def _line(N, x, y, z, a, b, c):
-    """N = W(n, p) = [n; p × n], the line of force along n = (a, b, c) through p = (x, y, z)."""
-    N[0] = a
-    N[1] = b
-    N[2] = c
-    N[3], N[4], N[5] = cross(x, y, z, a, b, c)
+def _line(N, p, n):
+    """N = W(n, p) = [n; p × n], the line of force along n through p."""
+    fill(N, n + cross(p, n))
 
 
 @inner
@@ -285,15 +263,7 @@ def place_contacts(t):
             for i in range(3):
                 for j in range(4):
                     R_E[i, j] = E[4 * i + j]
-            x, y, z = cross(
-                E[19], E[20], E[21], X_WO[0, 3] - E[3], X_WO[1, 3] - E[7], X_WO[2, 3] - E[11]
-            )
-            V_E[0] = E[16] + x
-            V_E[1] = E[17] + y
-            V_E[2] = E[18] + z
-            V_E[3] = E[19]
-            V_E[4] = E[20]
-            V_E[5] = E[21]
+            fill(V_E, carry_motion(E[16:], origin(R_E), origin(X_WO)))
             fill(V_rel, minus(V_O, V_E))
         alone = pair.count == 1 and pair.has_friction != 0
         given = pair.kind == GIVEN or pair.kind == FUNCTION
@@ -303,9 +273,8 @@ def place_contacts(t):
             if not _take_evaluated(columns, pair.first, pair.count, work.evaluated):
                 return False
         if not given:
-            motion = Motion(work.X_WO, work.V_O, R_E, V_E, V_rel, moving)
-            sine = place_pair(pair, shapes, columns, motion, work.y)
-            if not sine >= PARALLEL:
+            motion = Motion(X_WO, V_O, R_E, V_E, V_rel, moving)
+            if not place_pair(pair, shapes, columns, motion) >= PARALLEL:
                 return False
         elif alone:
             _turn_given(columns[pair.first], R_E)
@@ -316,11 +285,10 @@ def place_contacts(t):
             fill(work.z, add(V_rel, AHEAD * model.period, work.A_D))
             for j in range(pair.count):
                 column = columns[pair.first + j]
-                x, y, z = column.point[0], column.point[1], column.point[2]
                 if not given:
                     row = shapes[pair.shape_at + j].row
-                    x, y, z = point_of_contact(pair.kind, row, X_WO, R_E, column.N)
-                _slide((x, y, z), work.z, work.mu, model.slip, column)
+                    fill3(column.point, point_of_contact(pair.kind, row, X_WO, R_E, column.N))
+                _slide(work.z, work.mu, model.slip, column)
     return True
 
 
@@ -331,24 +299,19 @@ def _take_evaluated(columns, first, count, evaluated):
     for j in range(count):
         column = columns[first + j]
         given = evaluated[j]
-        for i in range(6):
-            column.N[i] = given[i]
-            zero += 0.0 * given[i]
+        fill(column.N, given)
         column.n_gamma_all = given[6]
-        zero += 0.0 * given[6]
-        for i in range(3):
-            column.point[i] = given[8 + i]
-            zero += 0.0 * given[8 + i]
+        fill3(column.point, given[8:])
+        zero += finiteness(given, 7) + finiteness(given[8:], 3)
     return zero == 0.0
 
 
 @inner
-def place_pair(pair, shapes, columns, motion, scratch):
+def place_pair(pair, shapes, columns, motion):
     """Fill N and n_γ of one pair's columns.
 
     Args:
         pair: PAIR row. shapes: SHAPE rows. columns: COLUMN_WORK rows. motion: of object and body.
-        scratch: (6,).
 
     Returns:
         What decides whether N exists: the sine of the angle between two edges, the gradient of a
@@ -360,42 +323,34 @@ def place_pair(pair, shapes, columns, motion, scratch):
         for j in range(pair.count):
             _point_on_plane(shapes[shape + j].row, motion, columns[first + j])
     elif pair.kind == FACE_ON_VERTEX:
-        _face_on_vertex(shapes[shape].row, motion, columns[first], scratch)
+        _face_on_vertex(shapes[shape].row, motion, columns[first])
     elif pair.kind == SURFACE:
         return _on_surface(shapes, shape, motion, columns[first])
     elif pair.kind == EDGES:
-        return _edges(shapes[shape].row, motion, columns[first], scratch)
+        return _edges(shapes[shape].row, motion, columns[first])
     else:
-        _tangents(pair, shapes, motion, columns, scratch)
+        _tangents(pair, shapes, motion, columns)
     return 1.0
 
 
 @inner
 def _point_on_plane(row, motion, column):
     """A point of A (0:3) on a plane of E with direction into it (3:6), distance (6) along."""
-    X_WO, _, R_E, _, _, moving = motion
-    x, y, z = rotated(X_WO, row[0], row[1], row[2])
-    turn = column.turn
-    a = row[3] + turn[0]
-    b = row[4] + turn[1]
-    c = row[5] + turn[2]
-    if moving:
-        a, b, c = rotated(R_E, a, b, c)
-    _line(column.N, x, y, z, a, b, c)
-    column.n_gamma_all = _carried((x, y, z), (a, b, c), motion)
+    p = rotated(motion.X_WO, row)
+    n = plus3(row[3:], column.turn)
+    if motion.moving:
+        n = rotated(motion.R_E, n)
+    _line(column.N, p, n)
+    column.n_gamma_all = _carried(p, n, motion)
 
 
 @inner
 def _carried(p, n, motion):
     """−ṄᵀV_rel where A carries p and E carries n, both in world axes, p from O."""
     _, V_O, _, V_E, V_rel, moving = motion
-    u, v, w = velocity_at(V_O, p[0], p[1], p[2])
-    u, v, w = cross(V_rel[3], V_rel[4], V_rel[5], u, v, w)
-    s = -(n[0] * u + n[1] * v + n[2] * w)
+    s = -dot3(n, cross(V_rel[3:], velocity_at(V_O, p)))
     if moving:
-        a, b, c = cross(V_E[3], V_E[4], V_E[5], n[0], n[1], n[2])
-        u, v, w = velocity_at(V_rel, p[0], p[1], p[2])
-        s -= a * u + b * v + c * w
+        s -= dot3(cross(V_E[3:], n), velocity_at(V_rel, p))
     return s
 
 
@@ -407,58 +362,31 @@ def point_of_contact(kind, row, X_WO, R_E, N):
         kind: of the pair. row: (16,) of the column. X_WO: of the object. R_E: axes of the body.
         N: (6,) line of force at O.
     """
-    if kind == POINTS:
-        x, y, z = rotated(X_WO, row[0], row[1], row[2])
-        a, b, c = rotated(R_E, row[3], row[4], row[5])  # of the assumed plane
-        ahead = row[6] + a * (R_E[0, 3] - X_WO[0, 3] - x)
-        ahead += b * (R_E[1, 3] - X_WO[1, 3] - y) + c * (R_E[2, 3] - X_WO[2, 3] - z)
-        return x + ahead * N[0], y + ahead * N[1], z + ahead * N[2]
-    if kind == SURFACE:
-        x, y, z = rotated(X_WO, row[0], row[1], row[2])
-        return x + row[3] * N[0], y + row[3] * N[1], z + row[3] * N[2]
     if kind == FACE_ON_VERTEX:
-        x, y, z = _vertex(row, X_WO, R_E)
-        return x - row[6] * N[0], y - row[6] * N[1], z - row[6] * N[2]
-    return _crossing(row, X_WO, R_E, rotated(R_E, row[9], row[10], row[11]))[0]
+        return add3(_vertex(row, X_WO, R_E), -row[6], N)
+    if kind == EDGES:
+        return _crossing(row, X_WO, R_E, rotated(R_E, row[9:]))[0]
+    p = rotated(X_WO, row)
+    ahead = row[3]
+    if kind == POINTS:
+        apart = minus3(minus3(origin(R_E), origin(X_WO)), p)
+        ahead = row[6] + dot3(rotated(R_E, row[3:]), apart)  # to the assumed plane
+    return add3(p, ahead, N)
 
 
 @inner
-def _slide(point, V_rel, mu, slip, column):
+def _slide(V_rel, mu, slip, column):
     """s = v_t / √(v_t² + v_0²) at the point of contact p, and friction μ [s; p × s] there."""
-    N = column.N
-    a = N[0]
-    b = N[1]
-    c = N[2]
-    x, y, z = point
-    u, v, w = velocity_at(V_rel, x, y, z)
-    s = (a * u + b * v + c * w) / (a * a + b * b + c * c)
-    u = u - s * a
-    v = v - s * b
-    w = w - s * c
-    s = 1.0 / sqrt(u * u + v * v + w * w + slip * slip)
-    u = s * u
-    v = s * v
-    w = s * w
-    column.point[0] = x
-    column.point[1] = y
-    column.point[2] = z
-    column.slip[0] = u
-    column.slip[1] = v
-    column.slip[2] = w
-    _line(column.friction_wrench, x, y, z, mu * u, mu * v, mu * w)
+    v = _tangential(velocity_at(V_rel, column.point), column.N)
+    s = scaled3(1.0 / sqrt(dot3(v, v) + slip * slip), v)
+    fill3(column.slip, s)
+    _line(column.friction_wrench, column.point, scaled3(mu, s))
 
 
 @inner
-def _rate(p, n, p_dot, n_dot, out):
+def _rate(p, n, p_dot, n_dot):
     """Ẇ(n, p) = [ṅ; ṗ × n + p × ṅ]."""
-    x, y, z = cross(p_dot[0], p_dot[1], p_dot[2], n[0], n[1], n[2])
-    a, b, c = cross(p[0], p[1], p[2], n_dot[0], n_dot[1], n_dot[2])
-    out[0] = n_dot[0]
-    out[1] = n_dot[1]
-    out[2] = n_dot[2]
-    out[3] = x + a
-    out[4] = y + b
-    out[5] = z + c
+    return n_dot + plus3(cross(p_dot, n), cross(p, n_dot))
 
 
 @inner
@@ -468,128 +396,86 @@ def _on_surface(shapes, at, motion, column):
     ṅ = ω_E × n, as on a plane, and what n changes by along the surface.
     """
     X_WO, _, R_E, _, V_rel, _ = motion
-    ball = shapes[at].row
-    turn = column.turn
-    believed = column.believed
-    x, y, z = rotated(X_WO, ball[0], ball[1], ball[2])
-    p = rotated_back(
-        R_E,
-        x + X_WO[0, 3] - R_E[0, 3],
-        y + X_WO[1, 3] - R_E[1, 3],
-        z + X_WO[2, 3] - R_E[2, 3],
-    )
-    u, v, w = velocity_at(V_rel, x, y, z)
-    size, n, n_dot = normal_at(shapes, at, p, rotated_back(R_E, u, v, w))
-    for i in range(3):
-        believed[i] = -n[i]
-    a, b, c = rotated(R_E, turn[0] - n[0], turn[1] - n[1], turn[2] - n[2])
-    s = 1.0 / sqrt(a * a + b * b + c * c)
-    a, b, c = s * a, s * b, s * c
-    d, e, f = rotated(R_E, s * n_dot[0], s * n_dot[1], s * n_dot[2])
-    _line(column.N, x, y, z, a, b, c)
-    s = a * u + b * v + c * w
-    bend = d * (u - s * a) + e * (v - s * b) + f * (w - s * c)
-    column.n_gamma_all = _carried((x, y, z), (a, b, c), motion) + bend
+    p = rotated(X_WO, shapes[at].row)
+    p_E = rotated_back(R_E, minus3(plus3(p, origin(X_WO)), origin(R_E)))
+    v = velocity_at(V_rel, p)
+    size, n, n_dot = normal_at(shapes, at, p_E, rotated_back(R_E, v))
+    fill3(column.believed, scaled3(-1.0, n))
+    n = rotated(R_E, minus3(column.turn, n))
+    s = 1.0 / sqrt(dot3(n, n))
+    n = scaled3(s, n)
+    _line(column.N, p, n)
+    bend = dot3(rotated(R_E, scaled3(s, n_dot)), add3(v, -dot3(n, v), n))
+    column.n_gamma_all = _carried(p, n, motion) + bend
     return size
 
 
 @leaf
 def _vertex(row, X_WO, R_E):
     """A vertex of E (3:6 of a shape), from O."""
-    x, y, z = rotated(R_E, row[3], row[4], row[5])
-    return x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3]
+    return minus3(placed(R_E, row[3:]), origin(X_WO))
 
 
 @inner
-def _face_on_vertex(row, motion, column, rate):
+def _face_on_vertex(row, motion, column):
     """Row: normal of A's face (0:3), vertex of E (3:6), its radius (6)."""
     X_WO, V_O, R_E, V_E, V_rel, _ = motion
-    turn = column.turn
-    n = rotated(X_WO, row[0] + turn[0], row[1] + turn[1], row[2] + turn[2])
+    n = rotated(X_WO, plus3(row, column.turn))
     p = _vertex(row, X_WO, R_E)
-    _line(column.N, p[0], p[1], p[2], n[0], n[1], n[2])
-    n_dot = cross(V_O[3], V_O[4], V_O[5], n[0], n[1], n[2])
-    _rate(p, n, velocity_at(V_E, p[0], p[1], p[2]), n_dot, rate)
+    _line(column.N, p, n)
+    rate = _rate(p, n, velocity_at(V_E, p), cross(V_O[3:], n))
     column.n_gamma_all = -dot6(rate, V_rel)
 
 
 @inner
 def _along_first(a, e, m, mm):
     """s with s e_A − t e_E = a in the plane ⟂ m = e_A × e_E."""
-    x, y, z = cross(a[0], a[1], a[2], e[0], e[1], e[2])
-    return (x * m[0] + y * m[1] + z * m[2]) / mm
+    return dot3(cross(a, e), m) / mm
 
 
 @inner
 def _turned_edge(row, R_E, turn):
     """The direction of E's edge, a unit vector, as it is taken to be."""
-    a = row[9] + turn[0]
-    b = row[10] + turn[1]
-    c = row[11] + turn[2]
-    size = sqrt(a * a + b * b + c * c)
-    return rotated(R_E, a / size, b / size, c / size)
+    f = plus3(row[9:], turn)
+    return rotated(R_E, divided3(f, sqrt(dot3(f, f))))
 
 
 @inner
 def _crossing(row, X_WO, R_E, f):
     """Where A's edge comes nearest to E's, f, from O, and a point of E's edge from one of A's."""
-    e = rotated(X_WO, row[3], row[4], row[5])
-    m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
-    q = rotated(X_WO, row[0], row[1], row[2])
-    x, y, z = rotated(R_E, row[6], row[7], row[8])
-    apart = (
-        x + R_E[0, 3] - X_WO[0, 3] - q[0],
-        y + R_E[1, 3] - X_WO[1, 3] - q[1],
-        z + R_E[2, 3] - X_WO[2, 3] - q[2],
-    )
-    s = _along_first(apart, f, m, m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
-    return (q[0] + s * e[0], q[1] + s * e[1], q[2] + s * e[2]), apart
+    e = rotated(X_WO, row[3:])
+    m = cross(e, f)
+    q = rotated(X_WO, row)
+    apart = minus3(minus3(placed(R_E, row[6:]), origin(X_WO)), q)
+    return add3(q, _along_first(apart, f, m, dot3(m, m)), e), apart
 
 
 @inner
-def _edges(row, motion, column, rate):
+def _edges(row, motion, column):
     """Row: point, direction of A's edge (0:3, 3:6), of E's (6:9, 9:12), side (12), normal (13:16).
 
     The side is ±1, or 0 where the environment's outward normal determines it. Returns the sine of
     the edges' angle; near zero the column is not a number.
     """
     X_WO, V_O, R_E, V_E, V_rel, _ = motion
-    e = rotated(X_WO, row[3], row[4], row[5])
+    e = rotated(X_WO, row[3:])
     f = _turned_edge(row, R_E, column.turn)
-    m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
-    mm = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
+    m = cross(e, f)
+    mm = dot3(m, m)
     sine = sqrt(mm)
     side = row[12]
     if side == 0.0:
-        o = rotated(R_E, row[13], row[14], row[15])
-        side = -(o[0] * m[0] + o[1] * m[1] + o[2] * m[2])
-    scale = copysign(1.0 / sine, side)
-    n = (scale * m[0], scale * m[1], scale * m[2])
+        side = -dot3(rotated(R_E, row[13:]), m)
+    n = scaled3(copysign(1.0 / sine, side), m)
     p, apart = _crossing(row, X_WO, R_E, f)
-    gap = n[0] * apart[0] + n[1] * apart[1] + n[2] * apart[2]
-    a = cross(V_O[3], V_O[4], V_O[5], e[0], e[1], e[2])
-    a = cross(a[0], a[1], a[2], f[0], f[1], f[2])
-    b = cross(V_E[3], V_E[4], V_E[5], f[0], f[1], f[2])
-    b = cross(e[0], e[1], e[2], b[0], b[1], b[2])
-    w = (a[0] + b[0], a[1] + b[1], a[2] + b[2])
-    along = n[0] * w[0] + n[1] * w[1] + n[2] * w[2]
-    size = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
-    n_dot = (
-        (w[0] - along * n[0]) / size,
-        (w[1] - along * n[1]) / size,
-        (w[2] - along * n[2]) / size,
-    )
-    u = velocity_at(V_O, p[0], p[1], p[2])
-    v = velocity_at(V_E, p[0] + gap * n[0], p[1] + gap * n[1], p[2] + gap * n[2])
-    slip = (
-        u[0] - v[0] + gap * n_dot[0],
-        u[1] - v[1] + gap * n_dot[1],
-        u[2] - v[2] + gap * n_dot[2],
-    )
-    s = _along_first(slip, f, m, mm)
-    _line(column.N, p[0], p[1], p[2], n[0], n[1], n[2])
-    _rate(p, n, (u[0] - s * e[0], u[1] - s * e[1], u[2] - s * e[2]), n_dot, rate)
-    column.n_gamma_all = -dot6(rate, V_rel)
+    gap = dot3(n, apart)
+    m_dot = plus3(cross(cross(V_O[3:], e), f), cross(e, cross(V_E[3:], f)))
+    n_dot = divided3(add3(m_dot, -dot3(n, m_dot), n), dot3(n, m))
+    v_A = velocity_at(V_O, p)
+    apart_dot = minus3(v_A, velocity_at(V_E, add3(p, gap, n)))
+    s_dot = _along_first(add3(apart_dot, gap, n_dot), f, m, mm)
+    _line(column.N, p, n)
+    column.n_gamma_all = -dot6(_rate(p, n, add3(v_A, -s_dot, e), n_dot), V_rel)
     return sine
 
 
@@ -602,31 +488,17 @@ def permitted_motion(row, X_WO, R_E):
             E's axis, carried by E; SCREW, the turn and a slide of pitch (10) along 7:10 of E.
         X_WO: pose of the object. R_E: axes of the body.
     """
-    p = rotated(X_WO, row[0], row[1], row[2])
     if row[6] == SLIDE:
-        d = rotated(R_E, row[3], row[4], row[5])
-        return d[0], d[1], d[2], 0.0, 0.0, 0.0
-    w = rotated(X_WO, row[3], row[4], row[5])
-    t = cross(p[0], p[1], p[2], w[0], w[1], w[2])
+        return rotated(R_E, row[3:]) + (0.0, 0.0, 0.0)
+    w = rotated(X_WO, row[3:])
+    v = cross(rotated(X_WO, row), w)
     if row[6] == SCREW:
-        d = rotated(R_E, row[7], row[8], row[9])
-        t = (t[0] + row[10] * d[0], t[1] + row[10] * d[1], t[2] + row[10] * d[2])
-    return t[0], t[1], t[2], w[0], w[1], w[2]
+        v = add3(v, row[10], rotated(R_E, row[7:]))
+    return v + w
 
 
 @inner
-def _add_carried(V, t, rate, out):
-    """out (6,) ← out + V × t · rate: what a motion gains that a body of twist V carries."""
-    a = cross(V[3], V[4], V[5], t[0], t[1], t[2])
-    b = cross(V[0], V[1], V[2], t[3], t[4], t[5])
-    c = cross(V[3], V[4], V[5], t[3], t[4], t[5])
-    for i in range(3):
-        out[i] += rate * (a[i] + b[i])
-        out[3 + i] += rate * c[i]
-
-
-@inner
-def _tangents(pair, shapes, motion, columns, Tdot_beta):
+def _tangents(pair, shapes, motion, columns):
     """The pairs given by T: n_γ = NᵀṪβ.
 
     Shapes of the columns of N first, then those of its freedoms (`permitted_motion`). Row of a
@@ -635,34 +507,26 @@ def _tangents(pair, shapes, motion, columns, Tdot_beta):
     couple −pitch / cos about it; axis of A (7:10), pitch (10).
     """
     X_WO, V_O, R_E, V_E, V_rel, _ = motion
-    r = pair.count
-    freedoms = pair.freedoms
-    fill(Tdot_beta, ZERO)
-    for k in range(r, r + freedoms):
+    Tdot_beta = ZERO
+    for k in range(pair.count, pair.count + pair.freedoms):
         row = shapes[pair.shape_at + k].row
         t = permitted_motion(row, X_WO, R_E)
         if row[6] == SLIDE:
-            p = rotated(X_WO, row[0], row[1], row[2])
-            v = velocity_at(V_rel, p[0], p[1], p[2])
-            _add_carried(V_E, t, t[0] * v[0] + t[1] * v[1] + t[2] * v[2], Tdot_beta)
+            rate = dot3(t, velocity_at(V_rel, rotated(X_WO, row)))
+            Tdot_beta = add(Tdot_beta, rate, cross_motion(V_E, t))
         else:
-            rate = t[3] * V_rel[3] + t[4] * V_rel[4] + t[5] * V_rel[5]
-            _add_carried(V_O, t, rate, Tdot_beta)
-    for j in range(r):
+            Tdot_beta = add(Tdot_beta, dot3(t[3:], V_rel[3:]), cross_motion(V_O, t))
+    for j in range(pair.count):
         row = shapes[pair.shape_at + j].row
-        N = columns[pair.first + j].N
-        p = rotated(X_WO, row[0], row[1], row[2])
-        d = rotated(R_E, row[3], row[4], row[5])
+        column = columns[pair.first + j]
+        N = column.N
+        p = rotated(X_WO, row)
+        d = rotated(R_E, row[3:])
         if row[6] == COUPLE:
-            m = cross(p[0], p[1], p[2], d[0], d[1], d[2])
-            for i in range(3):
-                N[i] = 0.0
-                N[3 + i] = m[i]
+            fill(N, (0.0, 0.0, 0.0) + cross(p, d))
         else:
-            _line(N, p[0], p[1], p[2], d[0], d[1], d[2])
-            if row[6] == THREAD:
-                w = rotated(X_WO, row[7], row[8], row[9])
-                f = row[10] / (d[0] * w[0] + d[1] * w[1] + d[2] * w[2])
-                for i in range(3):
-                    N[3 + i] -= f * d[i]
-        columns[pair.first + j].n_gamma_all = dot6(N, Tdot_beta)
+            _line(N, p, d)
+        if row[6] == THREAD:
+            f = row[10] / dot3(d, rotated(X_WO, row[7:]))
+            fill(N, linear(N) + add3(N[3:], -f, d))
+        column.n_gamma_all = dot6(N, Tdot_beta)

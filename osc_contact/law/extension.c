@@ -14,10 +14,10 @@
 #include <numpy/arrayobject.h>
 #include <stdint.h>
 
-#define MOST 9 /* arrays of one call */
+#define GIVEN 8 /* arrays of a tick */
 
 typedef uintptr_t A;
-int32_t osc_law_many(int64_t *, void **, A, int64_t, A, A, A, A, A, A, A, A, A);
+int32_t osc_law_rows(int64_t *, void **, A, int64_t, A, A);
 int32_t osc_law_terms(int64_t *, void **, A, A, A, A, A);
 int32_t osc_law_prepare(int64_t *, void **, A, int64_t);
 int32_t osc_law_finish(int64_t *, void **, A, int64_t);
@@ -42,32 +42,34 @@ static int given(Py_ssize_t count, Py_ssize_t expected)
 {
     if (count == expected)
         return 1;
-    PyErr_Format(PyExc_TypeError, "expected %zd arguments, got %zd", expected, count);
+    if (!PyErr_Occurred())
+        PyErr_Format(PyExc_TypeError, "expected %zd arguments, got %zd", expected, count);
     return 0;
 }
 
 static PyObject *rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    static const int dimensions[] = {1, 1, 1, 2, 2, 1, 1, 1, 2};
-    static const int columns[] = {0, 0, 0, 6, 4, 0, 0, 0, 28};
-    A at[MOST];
-    int64_t sizes[MOST], result = 0;
-    if (!given(count, MOST + 1))
+    static const int dimensions[] = {1, 1, 2, 2, 1, 1, 1, 2};
+    static const int columns[] = {0, 0, 6, 4, 0, 0, 0, 28};
+    const npy_intp *shape;
+    A raw, at[GIVEN];
+    int64_t sizes[GIVEN], result = 0;
+    if (!given(count, 3))
         return NULL;
     long long job = PyLong_AsLongLong(args[1]);
     if (job == -1 && PyErr_Occurred())
         return NULL;
-    for (int i = 0; i < MOST; i++) {
-        const npy_intp *shape;
-        at[i] = take(args[i == 0 ? 0 : i + 1], i == 0 ? NPY_UBYTE : NPY_DOUBLE, dimensions[i],
-                     i == 0, &shape);
+    raw = take(args[0], NPY_UBYTE, 1, 1, &shape);
+    if (!raw || !given(PyTuple_Size(args[2]), GIVEN))
+        return NULL;
+    for (int i = 0; i < GIVEN; i++) {
+        at[i] = take(PyTuple_GetItem(args[2], i), NPY_DOUBLE, dimensions[i], 0, &shape);
         if (!at[i])
             return NULL;
         sizes[i] = columns[i] && shape[1] != columns[i] ? -1 : shape[0];
     }
     Py_BEGIN_ALLOW_THREADS
-    osc_law_many(&result, NULL, at[0], job, at[1], at[2], at[3], at[4], at[5], at[6], at[7], at[8],
-                 (A)sizes);
+    osc_law_rows(&result, NULL, raw, job, (A)at, (A)sizes);
     Py_END_ALLOW_THREADS
     return PyLong_FromLongLong(result);
 }

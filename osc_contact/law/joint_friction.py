@@ -31,20 +31,21 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import project_onto_constraint, solve_lower
+from osc_contact.law.algebra import dot, project_onto_columns
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import APPROACHING
-from osc_contact.law.reading import add_reading
-from osc_contact.law.records import HISTORY
+from osc_contact.law.reading import read_wrist
+from osc_contact.law.records import HISTORY, column_of, contact_of
 from osc_contact.law.vectors import (
+    ZERO,
     add,
-    carry_motion,
     dot6,
-    energy_motion,
     fill,
-    reflect,
-    reflect_back,
+    motion_to_energy,
+    plus,
     scaled,
+    turned,
+    turned_back,
     world_wrench,
 )
 
@@ -85,24 +86,20 @@ def observe_arm(t, arm, own, dt):
     known = t.memory.joints
     begins = t.memory.balanced <= 1  # there is no last tick yet
     k = 0.0 if begins else max(dt / (LAG + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
-    weight = scaled(-1.0, own.bias)
-    moving = scaled(0.0, own.bias)
+    load = scaled(-1.0, own.bias)
+    moved = ZERO
     for j in range(arm.first, arm.end):
         v = joints[j].v
         known[j].rate += k * ((v - known[j].past_v) / dt - known[j].rate)
         known[j].past_v = v
         if arm.outer_joint >= 0:  # of what is beyond the wrist, in energy coordinates
-            moving = add(moving, known[j].rate, joints[j].outboard)
+            moved = add(moved, known[j].rate, joints[j].outboard)
             if arm.filtered != 0:
-                weight = add(weight, joints[j].offset, joints[j].outboard)
-    load = work.y
-    moved = work.z
-    fill(load, weight)
-    fill(moved, moving)
-    world_wrench(work.axes, moved, moved)
+                load = add(load, joints[j].offset, joints[j].outboard)
+    moved = world_wrench(work.axes, moved)
     if arm.outer_joint >= 0 and arm.filtered != 0:
-        world_wrench(work.axes, load, load)
-    add_reading(own.reading, joints[arm.sensor_joint], arm.sensor, work.C, work.s, load)
+        load = world_wrench(work.axes, load)
+    load = plus(load, read_wrist(own.reading, joints[arm.sensor_joint], arm.sensor, work.C))
     for j in range(arm.first, arm.sensor_joint + 1):
         row = known[j]
         joint = t.model.joints[j]
@@ -232,9 +229,7 @@ def _regress(prior, learned, phi, gain, r, k, dt):
     learned.noise += dt / (_SCATTER + dt) * (square - learned.noise)
     whole = max(learned.noise, (_QUIET * noise) * (_QUIET * noise)) / k
     for i in range(4):
-        gain[i] = 0.0
-        for j in range(4):
-            gain[i] += P[i, j] * phi[j]
+        gain[i] = dot(P[i], phi, 4)
         whole += phi[i] * gain[i]
     for i in range(4):
         estimate[i] += gain[i] * miss / whole
@@ -290,22 +285,17 @@ def permit_speeds(t):
     """
     work = t.work
     x = work.y
-    m = work.locked
-    carry_motion(work.V_D, work.O, work.C, x)
-    energy_motion(work.axes, x, x)
-    reflect(work.reflectors, work.beta, m, x)
-    for i in range(m):
+    fill(x, turned(work, motion_to_energy(work, work.V_D)))
+    for i in range(work.locked):
         x[i] = 0.0
     for a in range(work.rank):
         work.s[a] = work.V_N[a]
-        column = t.work.columns[int(work.keep[a])].chosen
-        contact = t.memory.contacts[t.model.columns[column].contact]
-        if contact.phase == APPROACHING and work.damping[a] > 0.0:
+        approached = contact_of(t, column_of(work, a)).phase == APPROACHING
+        if approached and work.damping[a] > 0.0:
             work.s[a] += work.alpha_d[a] / work.damping[a]
     if work.rank > 0:
-        solve_lower(work.L_t, work.rank, work.s)
-        project_onto_constraint(work.Q_t, work.rank, x, work.s)
-    reflect_back(work.reflectors, work.beta, m, x)
+        project_onto_columns(work.L_t, work.Q_t, work.rank, x, work.s)
+    fill(x, turned_back(work, x))
     for j in range(t.model.n_joints):
         most = t.model.joints[j].rated
         row = t.memory.joints[j]

@@ -9,20 +9,23 @@ import numpy as np
 
 from osc_contact.errors import SolverError
 from osc_contact.law.algebra import (
+    add_scaled,
     back_substitute,
     cholesky,
     cholesky_solve,
+    dot,
     lu_solve,
     one_sided_jacobi,
     qr_rows,
+    reflect,
 )
 from osc_contact.law.jit import entry, inner, matrix
 from osc_contact.law.nested import Bytes, Nested
 from osc_contact.law.operational import factor_inertia
 from osc_contact.law.phases import limit_changes
-from osc_contact.law.records import row_of
+from osc_contact.law.records import body_of, row_of
 from osc_contact.law.safety import count_computed
-from osc_contact.law.vectors import ZERO, add, dot6, fill, reflect
+from osc_contact.law.vectors import ZERO, add, dot6, fill, turned
 
 _FLOAT = np.float64
 #: The quadratic program: what it is given, what it answers, its scratch. Sizes: a motors,
@@ -99,35 +102,6 @@ _ROOM = 1e-7  # around the bounds, for a point worked out from its active limits
 
 
 @inner
-def dot(a, b, n):
-    """Σ aᵢbᵢ.
-
-    Args:
-        a, b: rows. n: how many elements of them count.
-    """
-    s = 0.0
-    for i in range(n):
-        s += a[i] * b[i]
-    return s
-
-
-@inner
-def add_scaled(s, a, n, out):
-    """out ← out + s a.
-
-    Args:
-        s: factor. a: row. n: how many elements of it count. out: row, overwritten.
-    """
-    for i in range(n):
-        out[i] += s * a[i]
-
-
-@inner
-def _reflect(u, beta, n, x):
-    add_scaled(-beta * dot(u, x, n), u, n, x)
-
-
-@inner
 def refine(p, slack):
     """Work out z once more from `rows`, the limits that have multipliers as equations: `point`.
 
@@ -140,56 +114,53 @@ def refine(p, slack):
     v = len(p.tau) + slack
     w = 6 + p.d + p.s + len(p.idle) + v
     A = matrix(p.A, 0, k, v)
-    T = matrix(p.t, 0, len(p.t), 1)
-    lam, lower, upper, rows = p.lam, p.lower, p.upper, p.rows
-    point, y, diagonal, beta, bend, mix, t = p.point, p.y, p.diagonal, p.beta, p.bend, p.mix, p.t
-    normals, reduced, free = p.normals, p.reduced, p.free
+    lam, lower, upper, point, y, t = p.lam, p.lower, p.upper, p.point, p.y, p.t
     f = 0
     kept = 0
     for i in range(w + k):
         t[i] = 0.0
     for j in range(v):
         for i in range(w + k):
-            reduced[f, i] = rows[j, i] if i < w else A[i - w, j]
+            p.reduced[f, i] = p.rows[j, i] if i < w else A[i - w, j]
         if lam[j] == 0.0:
             point[j] = 0.0
-            free[f] = j
+            p.free[f] = j
             f += 1
         else:
             point[j] = upper[j] if lam[j] > 0.0 else lower[j]
-            add_scaled(point[j], reduced[f], w + k, t)
+            add_scaled(point[j], p.reduced[f], w + k, t)
     for c in range(k):
-        u = normals[kept]
-        rest = reduced[kept:]
+        u = p.normals[kept]
+        rest = p.reduced[kept:]
         for j in range(f - kept):
             u[j] = rest[j, w + c]
         if lam[v + c] == 0.0 or kept == f:
             continue
-        mirrored = qr_rows(normals[kept:], 1, f - kept, diagonal, bend[kept:])
-        if not mirrored or abs(diagonal[0]) <= _DEPENDENT:
+        mirrored = qr_rows(p.normals[kept:], 1, f - kept, p.diagonal, p.bend[kept:])
+        if not mirrored or abs(p.diagonal[0]) <= _DEPENDENT:
             continue
         for i in range(w + k):
-            mix[i] = 0.0
+            p.mix[i] = 0.0
         for j in range(f - kept):
-            add_scaled(bend[kept] * u[j], rest[j], w + k, mix)
+            add_scaled(p.bend[kept] * u[j], rest[j], w + k, p.mix)
         for j in range(f - kept):
-            add_scaled(-u[j], mix, w + k, rest[j])
+            add_scaled(-u[j], p.mix, w + k, rest[j])
         bound = upper[v + c] if lam[v + c] > 0.0 else lower[v + c]
-        y[kept] = (bound - t[w + c]) / diagonal[0]
+        y[kept] = (bound - t[w + c]) / p.diagonal[0]
         add_scaled(y[kept], rest[0], w + k, t)
         kept += 1
-    rest = reduced[kept:]
-    if not qr_rows(rest, f - kept, w, diagonal, beta):
+    rest = p.reduced[kept:]
+    if not qr_rows(rest, f - kept, w, p.diagonal, p.beta):
         return False
     for c in range(f - kept):
-        _reflect(rest[c, c:], beta[c], w - c, t[c:])
-    back_substitute(rest, f - kept, 1, diagonal, T)
+        reflect(rest[c, c:], p.beta[c], w - c, t[c:])
+    back_substitute(rest, f - kept, 1, p.diagonal, matrix(t, 0, len(t), 1))
     for c in range(f - kept):
         y[kept + c] = -t[c]
     for b in range(kept - 1, -1, -1):
-        _reflect(normals[b], bend[b], f - b, y[b:])
+        reflect(p.normals[b], p.bend[b], f - b, y[b:])
     for j in range(f):
-        point[free[j]] = y[j]
+        point[p.free[j]] = y[j]
     for j in range(v + k):
         x = point[j] if j < v else dot(A[j - v], point, v)
         room = _ROOM * (1.0 + abs(x))
@@ -231,63 +202,67 @@ def _mobility(p):
     """Rows of X: UNᵀ (6, free motions first), U(N_μ − N)ᵀ (d), U (r). P = UN_μᵀΛ⁻¹. D: UDUᵀ, each
     row divided by its `size`. K: Cholesky factor of Λ. Returns False where Λ is not positive.
     """
-    d, r, Lambda, N, pushed, Phi_e = p.d, p.r, p.Lambda, p.N, p.pushed, p.Phi_e
-    K, D, P, X, size = p.K, p.D, p.P, p.X, p.extent
-    m = 6 - d
+    d = p.d
+    r = p.r
+    X = p.X
+    D = p.D
     u = 6 + d
     for a in range(r):
         for i in range(6):
-            X[a, (i + d) % 6] = N[a, i]
+            X[a, (i + d) % 6] = p.N[a, i]
         for i in range(d):
-            X[a, 6 + i] = pushed[a, m + i] - N[a, m + i]
+            X[a, 6 + i] = p.pushed[a, 6 - d + i] - p.N[a, 6 - d + i]
         for b in range(r):
             X[a, u + b] = 1.0 if a == b else 0.0
     one_sided_jacobi(X, r, d, 6 + r)
-    if not cholesky(Lambda, m, d, K) > 0.0:
+    if not cholesky(p.Lambda, 6 - d, d, p.K) > 0.0:
         return False
     for b in range(r):
         for i in range(d):
-            P[b, i] = X[b, i] + X[b, 6 + i]
-        cholesky_solve(K, d, P[b], 0)
+            p.P[b, i] = X[b, i] + X[b, 6 + i]
+        cholesky_solve(p.K, d, p.P[b], 0)
     for a in range(r):
-        size[a] = 0.0
+        p.extent[a] = 0.0
         for b in range(r):
-            D[a, b] = dot(X[a], P[b], d)
+            D[a, b] = dot(X[a], p.P[b], d)
             for c in range(r):
-                D[a, b] += X[a, u + c] * dot(Phi_e[c], X[b, u:], r)
-            size[a] = max(size[a], abs(D[a, b]))
+                D[a, b] += X[a, u + c] * dot(p.Phi_e[c], X[b, u:], r)
+            p.extent[a] = max(p.extent[a], abs(D[a, b]))
         for b in range(r):
-            D[a, b] /= size[a]
+            D[a, b] /= p.extent[a]
     return True
 
 
 @inner
 def _respond(p):
     """What each motor does: `motion`, `force`, and their energies in its row of `rows`."""
-    d, r, G, rows = p.d, p.r, p.G, p.rows
-    scale, motion, force = p.scale, p.motion, p.force
-    K, D, P, X, size, psi = p.K, p.D, p.P, p.X, p.extent, p.psi
+    d = p.d
+    r = p.r
+    n = len(p.scale)
     if not _mobility(p):
         return False
-    for j in range(len(scale)):
+    for j in range(n):
         for i in range(d):
-            motion[j, i] = G[j, 6 - d + i] * scale[j]
-        cholesky_solve(K, d, motion[j], 0)
+            p.motion[j, i] = p.G[j, 6 - d + i] * p.scale[j]
+        cholesky_solve(p.K, d, p.motion[j], 0)
         for a in range(r):
-            force[j, a] = dot(X[a], motion[j], d) / size[a]
-    if not lu_solve(D, r, force, len(scale)):
+            p.force[j, a] = dot(p.X[a], p.motion[j], d) / p.extent[a]
+    if not lu_solve(p.D, r, p.force, n):
         return False
-    for j in range(len(scale)):
+    for j in range(n):
+        motion = p.motion[j]
+        force = p.force[j]
+        row = p.rows[j]
         for i in range(d + 6):
-            rows[j, i] = 0.0
+            row[i] = 0.0
         for a in range(r):
-            psi[a] = force[j, a]
-            force[j, a] = 0.0
+            p.psi[a] = force[a]
+            force[a] = 0.0
         for a in range(r):
-            add_scaled(-psi[a], P[a], d, motion[j])
-            add_scaled(psi[a], X[a, 6 + d :], r, force[j])
-            add_scaled(sqrt(_FORCE) * psi[a], X[a], 6, rows[j, d:])
-        add_scaled(1.0, motion[j], d, rows[j])
+            add_scaled(-p.psi[a], p.P[a], d, motion)
+            add_scaled(p.psi[a], p.X[a, 6 + d :], r, force)
+            add_scaled(sqrt(_FORCE) * p.psi[a], p.X[a], 6, row[d:])
+        add_scaled(1.0, motion, d, row)
     return True
 
 
@@ -304,33 +279,31 @@ def prepare(raw, slack):
         Whether the response of the chain could be worked out.
     """
     p = _program(raw, 0)
-    desired, tau_max, alpha, share, floor = p.desired, p.tau_max, p.alpha, p.share, p.floor
-    E, carried, idle, mass = p.E, p.carried, p.idle, p.mass
-    scale, motion, force, squeeze = p.scale, p.motion, p.force, p.squeeze
-    d, r, k, s = p.d, p.r, p.k, p.s
-    lower, upper, rows = p.lower, p.upper, p.rows
+    tau_max, scale, lower, upper, rows = p.tau_max, p.scale, p.lower, p.upper, p.rows
     n = len(scale)
     v = n + slack
     H = matrix(p.H, 0, v, v)
-    A = matrix(p.A, 0, k, v)
+    A = matrix(p.A, 0, p.k, v)
     largest = 0.0
     energy = 0.0
-    w = 6 + d + s + len(idle)
+    e = 6 + p.d
+    w = e + p.s + len(p.idle)
     for j in range(n):
         if not isinf(tau_max[j]):
             largest = max(largest, tau_max[j])
     for j in range(n):
         scale[j] = tau_max[j] if not isinf(tau_max[j]) else largest if largest > 0.0 else 1.0
-        lower[j] = max((-tau_max[j] - desired[j]) / scale[j], -_INFINITE)
-        upper[j] = min((tau_max[j] - desired[j]) / scale[j], _INFINITE)
+        lower[j] = max((-tau_max[j] - p.desired[j]) / scale[j], -_INFINITE)
+        upper[j] = min((tau_max[j] - p.desired[j]) / scale[j], _INFINITE)
     if not _respond(p):
         return False
     for j in range(n):
-        for c in range(s):
-            squeeze[c, j] = E[c, j] * scale[j] - dot(carried[c, 6 - d :], motion[j], d)
-            rows[j, 6 + d + c] = sqrt(_SQUEEZE / mass) * squeeze[c, j]
-        for c in range(len(idle)):
-            rows[j, 6 + d + s + c] = sqrt(_POSTURE) * idle[c, j] * scale[j]
+        for c in range(p.s):
+            carried = dot(p.carried[c, 6 - p.d :], p.motion[j], p.d)
+            p.squeeze[c, j] = p.E[c, j] * scale[j] - carried
+            rows[j, e + c] = sqrt(_SQUEEZE / p.mass) * p.squeeze[c, j]
+        for c in range(len(p.idle)):
+            rows[j, e + p.s + c] = sqrt(_POSTURE) * p.idle[c, j] * scale[j]
         energy += dot(rows[j], rows[j], w)
     size = sqrt(energy / n) if energy > 0.0 else 1.0
     for j in range(v):
@@ -341,9 +314,9 @@ def prepare(raw, slack):
             rows[j, w + i] = sqrt(weight) if i == j else 0.0
         for i in range(j + 1):
             H[i, j] = H[j, i] = dot(rows[i], rows[j], w) + (weight if i == j else 0.0)
-    for c in range(k):
+    for c in range(p.k):
         for j in range(v):
-            A[c, j] = dot(share[c], force[j], r) if j < n else 0.0
+            A[c, j] = dot(p.share[c], p.force[j], p.r) if j < n else 0.0
         norm = sqrt(dot(A[c], A[c], n))
         norm = norm if norm > 0.0 else 1.0
         for j in range(n):
@@ -352,7 +325,7 @@ def prepare(raw, slack):
             A[c, n + c] = 1.0
             lower[n + c] = -_INFINITE
             upper[n + c] = _INFINITE
-        lower[v + c] = min((floor[c] - dot(share[c], alpha, r)) / norm, 0.0)
+        lower[v + c] = min((p.floor[c] - dot(p.share[c], p.alpha, p.r)) / norm, 0.0)
         upper[v + c] = 0.0  # nobody presses harder than commanded
     return True
 
@@ -365,26 +338,24 @@ def finish(raw, slack):
         raw: bytes of PROGRAM. slack: of `prepare`.
     """
     p = _program(raw, 0)
-    desired, tau_max, z = p.desired, p.tau_max, p.z
-    scale, motion, force, squeeze = p.scale, p.motion, p.force, p.squeeze
-    tau, at_limit, lost_squeeze = p.tau, p.at_limit, p.lost_squeeze
-    lost_force, lost_motion = p.lost_force, p.lost_motion
-    d, r, s = p.d, p.r, p.s
+    z = p.z
+    n = len(p.scale)
     p.short = 1 if slack > 0 else 0
     if refine(p, slack):
-        for j in range(len(scale) + slack):
+        for j in range(n + slack):
             z[j] = p.point[j]
-    fill(lost_force, ZERO)
-    fill(lost_motion, ZERO)
-    for j in range(len(scale)):
+    fill(p.lost_force, ZERO)
+    fill(p.lost_motion, ZERO)
+    for j in range(n):
         if not abs(z[j]) < _INFINITE:
             return False
-        tau[j] = max(-tau_max[j], min(tau_max[j], desired[j] + scale[j] * z[j]))
-        at_limit[j] = 1 if abs(tau[j]) >= tau_max[j] * (1.0 - _SLACK) else 0
-        add_scaled(-z[j], force[j], r, lost_force)
-        add_scaled(-z[j], motion[j], d, lost_motion[6 - d :])
-    for c in range(s):
-        lost_squeeze[c] = -dot(squeeze[c], z, len(scale))
+        most = p.tau_max[j]
+        p.tau[j] = max(-most, min(most, p.desired[j] + p.scale[j] * z[j]))
+        p.at_limit[j] = 1 if abs(p.tau[j]) >= most * (1.0 - _SLACK) else 0
+        add_scaled(-z[j], p.force[j], p.r, p.lost_force)
+        add_scaled(-z[j], p.motion[j], p.d, p.lost_motion[6 - p.d :])
+    for c in range(p.s):
+        p.lost_squeeze[c] = -dot(p.squeeze[c], z, n)
     return True
 
 
@@ -476,34 +447,30 @@ _FLOOR = 1.0  #: N, least force of contacts that cannot pull; a command below it
 
 
 @inner
-def _shares(t, alpha, share, floor, k_max):
+def _shares(t, alpha, share, floor):
     """Forces that must not pull, out of α: the split of least squares, and their least values."""
     work = t.work
-    columns = t.work.columns
+    columns = work.columns
     r = work.rank
-    count = work.count
     G = work.A
-    x = work.u
+    dependent = r < work.count
     k = 0
-    if r < count:
+    if dependent:
         for a in range(r):
             for b in range(r):
                 G[a, b] = 0.0
-                for j in range(count):
+                for j in range(work.count):
                     G[a, b] += columns[j].share[a] * columns[j].share[b]
         cholesky(G, 0, r, work.B)
-    for j in range(count):
-        if t.model.bodies[t.model.columns[columns[j].chosen].contact].pushes == 0 or k == k_max:
+    for j in range(work.count):
+        if body_of(t, columns[j].chosen).pushes == 0 or k == len(floor):
             continue
+        x = share[k]
         for a in range(r):
-            x[a] = columns[j].share[a] if r < count else (1.0 if a == j else 0.0)
-        if r < count:
+            x[a] = columns[j].share[a] if dependent else (1.0 if a == j else 0.0)
+        if dependent:
             cholesky_solve(work.B, r, x, 0)
-        s = 0.0
-        for a in range(r):
-            share[k, a] = x[a]
-            s += x[a] * alpha[a]
-        floor[k] = min(_FLOOR, s)
+        floor[k] = min(_FLOOR, dot(x, alpha, r))
         k += 1
     return k
 
@@ -511,28 +478,24 @@ def _shares(t, alpha, share, floor, k_max):
 @inner
 def _idle_motions(t, arm, own, idle, count):
     """Rows ν of a redundant arm, νᵀMν = 1, out of M⁻¹(1 − JᵀJ̄ᵀ); the number of rows so far."""
-    table = t.model.joints
-    joints = t.work.joints
     work = t.work
+    joints = work.joints
     lo = arm.first
     n = arm.end - arm.first
-    K = work.K
     X = work.X
     Z = work.Z
-    if n <= arm.m or not factor_inertia(lo, n, joints, K):
+    if n <= arm.m or not factor_inertia(lo, n, joints, work.K):
         return count
     for c in range(n):  # rows of X: torques that do nothing to the object; of Z: what they move
         for i in range(n):
             X[c, i] = (1.0 if i == c else 0.0) - dot6(joints[lo + i].J, joints[lo + c].J_bar)
             Z[c, i] = X[c, i]
-        cholesky_solve(K, n, Z[c], 0)
+        cholesky_solve(work.K, n, Z[c], 0)
     for _ in range(n - own.n_kept):
         best = 0
         most = 0.0
         for c in range(n):
-            size = 0.0
-            for i in range(n):
-                size += X[c, i] * Z[c, i]
+            size = dot(X[c], Z[c], n)
             if size > most:
                 best = c
                 most = size
@@ -541,16 +504,14 @@ def _idle_motions(t, arm, own, idle, count):
         for i in range(n):
             work.s[i] = X[best, i] / sqrt(most)
             work.t[i] = Z[best, i] / sqrt(most)
-            if table[lo + i].motor >= 0:
-                idle[count, table[lo + i].motor] = work.t[i]
+            motor = t.model.joints[lo + i].motor
+            if motor >= 0:
+                idle[count, motor] = work.t[i]
         count += 1
         for c in range(n):
-            along = 0.0
-            for i in range(n):
-                along += X[c, i] * work.t[i]
-            for i in range(n):
-                X[c, i] -= along * work.s[i]
-                Z[c, i] -= along * work.t[i]
+            along = dot(X[c], work.t, n)
+            add_scaled(-along, work.s, n, X[c])
+            add_scaled(-along, work.t, n, Z[c])
     return count
 
 
@@ -566,60 +527,45 @@ def fill_program(raw, at, i, program):
     p = _program(program, 0)
     model = t.model
     work = t.work
-    arms = model.arms
-    joints = t.work.joints
-    table = model.joints
-    rows = t.work.extra
-    n = model.n_joints
-    m = work.locked
-    r = work.rank
-    desired, tau_max, G, Lambda, N, pushed = p.desired, p.tau_max, p.G, p.Lambda, p.N, p.pushed
-    Phi_e, alpha, share, floor, E, carried = p.Phi_e, p.alpha, p.share, p.floor, p.E, p.carried
-    idle = p.idle
-    for j in range(n):
-        motor = table[j].motor
+    joints = work.joints
+    rows = work.extra
+    for j in range(model.n_joints):
+        motor = model.joints[j].motor
         if motor < 0:
             continue
-        desired[motor] = joints[j].tau
-        tau_max[motor] = table[j].tau_max
-        fill(G[motor], joints[j].J_bar)
-        reflect(work.reflectors, work.beta, m, G[motor])
-    held = 1.0 if model.held != 0 else 0.0
+        p.desired[motor] = joints[j].tau
+        p.tau_max[motor] = model.joints[j].tau_max
+        fill(p.G[motor], turned(work, joints[j].J_bar))
+        for e in range(work.n_internal):
+            p.E[e, motor] = rows[e, j]
+        for c in range(len(p.idle)):
+            p.idle[c, motor] = 0.0
     for a in range(6):
-        for b in range(6):
-            Lambda[a, b] = work.Lambda[a, b] + (held if a == b else 0.0)
-    for a in range(r):
-        alpha[a] = work.alpha_u[a]
-        for i in range(6):
-            N[a, i] = work.N_t[a, i]
-            pushed[a, i] = work.pushed_t[a, i]
-        for b in range(r):
-            Phi_e[a, b] = work.Phi_mu[a, b]
+        fill(p.Lambda[a], work.Lambda[a])
+        p.Lambda[a, a] += 1.0 if model.held != 0 else 0.0
+    for a in range(work.rank):
+        p.alpha[a] = work.alpha_u[a]
+        fill(p.N[a], work.N_t[a])
+        fill(p.pushed[a], work.pushed_t[a])
+        fill(p.Phi_e[a], work.Phi_mu[a])
     for e in range(work.n_internal):
-        fill(carried[e], ZERO)
+        carried = ZERO
         for k in range(model.n_arms):
-            lo = arms[k].first
-            hi = arms[k].end
+            lo = model.arms[k].first
+            hi = model.arms[k].end
             for j in range(lo, hi):
                 s = 0.0
                 for i in range(lo, hi):
                     s += rows[e, i] * joints[i].M[j - lo]
-                fill(carried[e], add(carried[e], s, joints[j].J_bar))
-        reflect(work.reflectors, work.beta, m, carried[e])
-        for j in range(n):
-            if table[j].motor >= 0:
-                E[e, table[j].motor] = rows[e, j]
+                carried = add(carried, s, joints[j].J_bar)
+        fill(p.carried[e], turned(work, carried))
     count = 0
-    for c in range(len(idle)):
-        for i in range(model.n_motors):
-            idle[c, i] = 0.0
-    for k in range(model.n_arms):
-        if len(idle) > 0:
-            count = _idle_motions(t, arms[k], work.arms[k], idle, count)
-    p.d = 6 - m
-    p.r = r
+    for k in range(model.n_arms if len(p.idle) > 0 else 0):
+        count = _idle_motions(t, model.arms[k], work.arms[k], p.idle, count)
+    p.d = 6 - work.locked
+    p.r = work.rank
     p.s = work.n_internal
-    p.k = _shares(t, alpha, share, floor, len(floor))
+    p.k = _shares(t, p.alpha, p.share, p.floor)
 
 
 @entry

@@ -5,27 +5,34 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.algebra import (
+    add_scaled,
+    backward,
     cholesky,
     cholesky_solve,
+    dot,
+    forward,
     invert_spd6,
     one_sided_jacobi,
     orthonormalise,
     project_onto_constraint,
+    square_lower,
 )
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.vectors import (
     ZERO,
+    accumulate,
     add,
     dot6,
     fill,
     form_q6,
     mirror,
+    plus,
     qr6,
-    reflect,
-    reflect_back,
     reflector,
     scaled,
     six,
+    turned,
+    turned_back,
 )
 
 # --- J̄ and Λ of one arm in energy coordinates, what it locks, its effort -------------------------
@@ -34,7 +41,7 @@ _DEFINITE = 1e-12  #: least share of a pivot of an effort metric
 
 
 @inner
-def arm_terms(t, lo, n, m, rigid, arm, row):
+def arm_terms(t, lo, n, m, arm, row):
     """J̄, Λ and the locked wrenches of one arm; returns their number, or −1 if M is not definite.
 
     With M = KKᵀ and J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ²: directions
@@ -43,20 +50,18 @@ def arm_terms(t, lo, n, m, rigid, arm, row):
 
     Args:
         lo, n: its first joint, its number of joints. m: wrenches that its grasp passes on.
-        rigid: whether these are all six. arm: ARM_WORK row; Lambda, kept, n_kept, n_locked filled.
-        row: of `locked_rows`, from which on the wrenches that it locks are put.
+        arm: ARM_WORK row; Lambda, kept, n_kept, n_locked filled. row: of `locked_rows`, from which
+            on the wrenches that it locks are put.
     """
-    tolerance = t.model.rank_tolerance
-    joints = t.work.joints
     work = t.work
+    joints = work.joints
     X = work.X
     Z = work.Z
-    Lambda = arm.Lambda
     count = -1
-    if rigid and n > 6:
-        if _invert_wide(t, lo, n, Lambda):
+    if m == 6 and n > 6:
+        if _invert_wide(t, lo, n, arm.Lambda):
             count = 0
-    elif rigid:
+    elif m == 6:
         for j in range(n):
             fill(X[j], joints[lo + j].J)
         if qr6(X, n, work.K, work.s, work.t):
@@ -67,19 +72,16 @@ def arm_terms(t, lo, n, m, rigid, arm, row):
                     x = add(x, -work.K[j, k], joints[lo + k].J_bar)
                 fill(joints[lo + j].J_bar, scaled(1.0 / work.s[j], x))
             for k in range(6 - n):
-                fill(t.work.locked_rows[row + k], Z[n + k])
+                fill(work.locked_rows[row + k], Z[n + k])
             count = 6 - n
-            _apply_inertia(lo, n, joints, X, Lambda)
-    if count >= 0:
-        trace = 0.0
-        for i in range(6):
-            trace += Lambda[i, i]
-        if trace * tolerance * tolerance < 1.0:
-            arm.n_locked = count
-            arm.n_kept = 6 - count
-            return count
-    count = _separate(t, lo, n, m, rigid, arm, row)
+            _apply_inertia(lo, n, joints, X, arm.Lambda)
+    trace = 0.0
+    for i in range(6):
+        trace += arm.Lambda[i, i]
+    if count < 0 or not trace * t.model.rank_tolerance * t.model.rank_tolerance < 1.0:
+        return _separate(t, lo, n, m, arm, row)
     arm.n_locked = count
+    arm.n_kept = 6 - count
     return count
 
 
@@ -87,14 +89,13 @@ def arm_terms(t, lo, n, m, rigid, arm, row):
 def _apply_inertia(lo, n, joints, X, Lambda):
     """Λ = J̄ᵀ M J̄."""
     for j in range(n):
-        M = joints[lo + j].M
-        x = scaled(M[0], joints[lo].J_bar)
-        for k in range(1, n):
-            x = add(x, M[k], joints[lo + k].J_bar)
+        x = ZERO
+        for k in range(n):
+            x = add(x, joints[lo + j].M[k], joints[lo + k].J_bar)
         fill(X[j], x)
     for a in range(6):
-        x = scaled(joints[lo].J_bar[a], X[0])
-        for j in range(1, n):
+        x = ZERO
+        for j in range(n):
             x = add(x, joints[lo + j].J_bar[a], X[j])
         fill(Lambda[a], x)
     mirror(Lambda)
@@ -159,22 +160,19 @@ def _invert_wide(t, lo, n, Lambda):
     if not _qr_tall(Z, n, X, work.A, work.t, work.u):  # Aᵀ = QR
         return False
     T = work.A  # R, then R⁻ᵀ: A⁺ = Q R⁻ᵀ
+    B = work.B
     for d in range(6):
-        x = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        x = ZERO
         for c in range(d):
-            x = add(x, -T[c, d], work.B[c])
-        fill(work.B[d], x)
-        work.B[d, d] += 1.0
-        fill(work.B[d], scaled(1.0 / T[d, d], work.B[d]))
-    for a in range(6):
-        x = scaled(work.B[a, a], work.B[a])
-        for d in range(a + 1, 6):
-            x = add(x, work.B[d, a], work.B[d])
-        fill(Lambda[a], x)
+            x = add(x, -T[c, d], B[c])
+        fill(B[d], x)
+        B[d, d] += 1.0
+        fill(B[d], scaled(1.0 / T[d, d], B[d]))
+    square_lower(B, Lambda)
     for j in range(n):
-        x = scaled(X[j, 0], work.B[0])
-        for d in range(1, 6):
-            x = add(x, X[j, d], work.B[d])
+        x = ZERO
+        for d in range(6):
+            x = add(x, X[j, d], B[d])
         fill(joints[lo + j].J_bar, x)
     solve_inertia_transposed(lo, n, K, joints)
     return True
@@ -201,78 +199,65 @@ def _qr_tall(A, n, Q, R, beta, scratch):
         beta[k] = b
         t = six(scratch)
         for i in range(k, n):
-            fill(A[i], add(six(A[i]), -A[i, k], t))
-        fill(R[k], six(A[k]))
+            accumulate(A[i], -A[i, k], t)
+        fill(R[k], A[k])
         R[k, k] = alpha
     for i in range(n):
-        fill(Q[i], (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        fill(Q[i], ZERO)
         if i < 6:
             Q[i, i] = 1.0
     for k in range(5, -1, -1):
-        t = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        t = ZERO
         for i in range(k, n):
             t = add(t, A[i, k], Q[i])
         t = scaled(beta[k], t)
         for i in range(k, n):
-            fill(Q[i], add(six(Q[i]), -A[i, k], t))
+            accumulate(Q[i], -A[i, k], t)
     return True
 
 
 @inner
-def _separate(t, lo, n, m, rigid, arm, row):
+def _separate(t, lo, n, m, arm, row):
     """The same for any rank and any grasp, by singular values: A = N J K⁻ᵀ = UΣVᵀ."""
-    joints = t.work.joints
     work = t.work
-    K = work.K
+    joints = work.joints
     X = work.X
     Z = work.Z
-    Lambda = arm.Lambda
-    kept = arm.kept
-    if not weigh_joints(lo, n, joints, K, Z):
+    if not weigh_joints(lo, n, joints, work.K, Z):
         return -1
     for i in range(m):
         for j in range(n):
-            X[i, j] = Z[j, i] if rigid else dot6(arm.passed[i], Z[j])
+            X[i, j] = Z[j, i] if m == 6 else dot6(arm.passed[i], Z[j])
         for k in range(6):
-            X[i, n + k] = arm.passed[i, k] if not rigid else (1.0 if i == k else 0.0)
+            X[i, n + k] = arm.passed[i, k] if m < 6 else (1.0 if i == k else 0.0)
     one_sided_jacobi(X, m, n, 6)
-    for a in range(6):
-        fill(Lambda[a], ZERO)
-        for j in range(n):
-            joints[lo + j].J_bar[a] = 0.0
-    count = 0
-    left = 0
+    arm.Lambda[:] = 0.0
+    for j in range(n):
+        fill(joints[lo + j].J_bar, ZERO)
+    arm.n_locked = 0
+    arm.n_kept = 0
     largest = 0.0
     for k in range(m):
-        largest = max(largest, _square(X[k], n))
+        largest = max(largest, dot(X[k], X[k], n))
     least = t.model.rank_tolerance * t.model.rank_tolerance * largest / (1.0 + largest)
     for k in range(m):
-        square = _square(X[k], n)
+        square = dot(X[k], X[k], n)
+        u = X[k, n:]
         if square > least:
             for j in range(n):
                 bar = joints[lo + j].J_bar
                 for i in range(6):
-                    bar[i] += X[k, j] * X[k, n + i] / square
+                    bar[i] += X[k, j] * u[i] / square
             for a in range(6):
-                kept[left, a] = X[k, n + a]
                 for b in range(6):
-                    Lambda[a, b] += X[k, n + a] * X[k, n + b] / square
-            left += 1
+                    arm.Lambda[a, b] += u[a] * u[b] / square
+            fill(arm.kept[arm.n_kept], u)
+            arm.n_kept += 1
         else:
-            for i in range(6):
-                t.work.locked_rows[row + count, i] = X[k, n + i]
-            count += 1
-    arm.n_kept = left
-    solve_inertia_transposed(lo, n, K, joints)
-    return count
-
-
-@inner
-def _square(row, n):
-    s = 0.0
-    for j in range(n):
-        s += row[j] * row[j]
-    return s
+            fill(work.locked_rows[row + arm.n_locked], u)
+            arm.n_locked += 1
+    solve_inertia_transposed(lo, n, work.K, joints)
+    return arm.n_locked
 
 
 @leaf
@@ -283,15 +268,14 @@ def effort_metric(t, lo, n, m, arm, out):
     Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, the rows of U the wrenches that they can make.
 
     Args:
-        arm: ARM row. lo: first joint of the arm. n: how many. m: wrenches that the arm
+        arm: ARM_WORK row. lo: first joint of the arm. n: how many. m: wrenches that the arm
         can make. out: (6, 6) for the metric.
     """
     joints = t.work.joints
     table = t.model.joints
-    work = t.work
     if n <= m:
         for a in range(6):
-            x = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            x = ZERO
             for j in range(lo, lo + n):
                 x = add(x, table[j].effort * joints[j].J_bar[a], joints[j].J_bar)
             fill(out[a], x)
@@ -299,42 +283,37 @@ def effort_metric(t, lo, n, m, arm, out):
         return True
     if arm.n_kept == 6:
         for a in range(6):
-            x = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            x = ZERO
             for j in range(lo, lo + n):
                 x = add(x, table[j].ease * joints[j].J[a], joints[j].J)
-            fill(work.A[a], x)
-        return invert_spd6(work.A, work.B, out) > _DEFINITE
+            fill(t.work.A[a], x)
+        return invert_spd6(t.work.A, t.work.B, out) > _DEFINITE
     return _effort_of_kept(t, lo, n, arm, out)
 
 
 @inner
 def _effort_of_kept(t, lo, n, arm, out):
-    work = t.work
     count = arm.n_kept
     U = arm.kept
-    A = work.A
-    x = work.u
-    for a in range(6):
-        fill(A[a], ZERO)
-        fill(out[a], ZERO)
+    A = t.work.A
+    B = t.work.B
+    x = t.work.u
+    A[:] = 0.0
+    out[:] = 0.0
     for j in range(lo, lo + n):
         for a in range(count):
             x[a] = dot6(U[a], t.work.joints[j].J)
             for b in range(a + 1):
                 A[a, b] += x[a] * x[b] * t.model.joints[j].ease
-    if count == 0:
-        return True
-    if not cholesky(A, 0, count, work.B) > _DEFINITE:
+    if count > 0 and not cholesky(A, 0, count, B) > _DEFINITE:
         return False
     for i in range(6):
         for a in range(count):
             x[a] = U[a, i]
-        cholesky_solve(work.B, count, x, 0)
-        for j in range(6):
-            s = 0.0
-            for a in range(count):
-                s += U[a, j] * x[a]
-            out[j, i] = s
+        cholesky_solve(B, count, x, 0)
+        for a in range(count):
+            for j in range(6):
+                out[j, i] += U[a, j] * x[a]
     return True
 
 
@@ -385,25 +364,16 @@ def find_lost(t, arm, own):
     Args:
         arm: ARM row. own: its ARM_WORK.
     """
-    joints = t.work.joints
     work = t.work
-    lo = arm.first
     n = arm.end - arm.first
     m = arm.m
     X = work.X
     Z = work.Z
-    K = work.K
     root = work.u
-    if not factor_inertia(lo, n, joints, K):
+    if not weigh_joints(arm.first, n, work.joints, work.K, Z):
         return
     for i in range(6):
         root[i] = sqrt(t.model.reference[i])
-    for j in range(n):  # Z = K⁻¹Jᵀ
-        for i in range(6):
-            s = joints[lo + j].J[i]
-            for k in range(j):
-                s -= K[j, k] * Z[k, i]
-            Z[j, i] = s * K[j, j]
     if m == 6:  # all wrenches: the axes themselves are orthonormal
         for a in range(6):
             for j in range(n):
@@ -415,7 +385,7 @@ def find_lost(t, arm, own):
     one_sided_jacobi(X, m, n, 6)
     _sort_rows(X, m, n)
     for k in range(arm.full_rank):
-        chi = sqrt(_square(X[k], n))
+        chi = sqrt(dot(X[k], X[k], n))
         _unit_row(X, k, n, chi)
         if chi >= FULL:
             continue
@@ -425,12 +395,9 @@ def find_lost(t, arm, own):
         own.gone[at] = 1.0 if k >= own.n_kept else 0.0
         for i in range(6):
             own.lost[at, i] = root[i] * X[k, n + i]
-        mode = own.mode[at]
-        for j in range(n - 1, -1, -1):
-            s = X[k, j]
-            for l in range(j + 1, n):
-                s -= K[l, j] * mode[l]
-            mode[j] = s * K[j, j]
+        for j in range(n):
+            own.mode[at, j] = X[k, j]
+        backward(work.K, n, own.mode[at], 0)
         own.n_lost += 1
         work.n_lost += 1
 
@@ -461,7 +428,7 @@ def _sort_rows(X, m, n):
         best = a
         longest = -1.0
         for b in range(a, m):
-            square = _square(X[b], n)
+            square = dot(X[b], X[b], n)
             if square > longest:
                 best = b
                 longest = square
@@ -490,16 +457,10 @@ def _unit_row(X, k, n, chi):
         X[k, j] = 1.0 if j == best else 0.0
     for _ in range(2):
         for b in range(k):
-            s = 0.0
-            for j in range(n):
-                s += X[b, j] * X[k, j]
-            for j in range(n):
-                X[k, j] -= s * X[b, j]
-    s = 0.0
+            add_scaled(-dot(X[b], X[k], n), X[b], n, X[k])
+    norm = sqrt(dot(X[k], X[k], n))
     for j in range(n):
-        s += X[k, j] * X[k, j]
-    for j in range(n):
-        X[k, j] /= sqrt(s)
+        X[k, j] /= norm
 
 
 @inner
@@ -510,13 +471,18 @@ def _share_left(chi):
 
 
 @inner
-def retreat(t, joint, q, v):
-    """q̈ = −k_r q̇ + k_p (q₀ − q) of a joint whose motion a singular posture takes from the task.
+def retreat(t, lo, hi, i, start):
+    """start + row i of M q̈, q̈ = −k_r q̇ + k_p (q₀ − q): joints leave a singular posture.
 
     Args:
-        joint: JOINT row. q, v: its position (m, rad) and speed.
+        lo, hi: first joint of the arm, and the one behind its last. i: joint. start: N m (N).
     """
-    return t.model.posture_stiffness * (joint.posture - q) - t.model.retreat_damping * v
+    model = t.model
+    for j in range(lo, hi):
+        back = model.posture_stiffness * (model.joints[j].posture - t.input.q[j])
+        back = back - model.retreat_damping * t.input.v[j]
+        start += t.work.joints[i].M[j - lo] * back
+    return start
 
 
 @inner
@@ -532,74 +498,47 @@ def reduce_motion(t, r):
     Args:
         r: columns of N.
     """
-    arms = t.model.arms
     work = t.work
     m = work.locked
-    x = work.x
     H = work.A
     L = work.B
     step = work.y
-    a = work.u
     row = work.w
+    fill(step, ZERO)
+    H[:] = 0.0
     for i in range(6):
-        a[i] = x[i]
-        step[i] = 0.0
-        for j in range(6):
-            H[i, j] = 1.0 if i == j else 0.0
-    reflect_back(work.reflectors, work.beta, m, a)
+        H[i, i] = 1.0
+    a = turned_back(work, work.x)
     for k in range(t.model.n_arms):
-        own = t.work.arms[k]
-        lo = arms[k].first
-        hi = arms[k].end
+        own = work.arms[k]
+        lo = t.model.arms[k].first
+        hi = t.model.arms[k].end
         for e in range(own.n_lost):
-            mode = own.mode[e]
             target = 0.0
             for i in range(lo, hi):
-                s = 0.0
-                for j in range(lo, hi):
-                    s += t.work.joints[i].M[j - lo] * retreat(
-                        t, t.model.joints[j], t.input.q[j], t.input.v[j]
-                    )
-                target += mode[i - lo] * s
+                target += own.mode[e, i - lo] * retreat(t, lo, hi, i, 0.0)
             target *= own.chi[e]
             for i in range(6):
                 target -= own.lost[e, i] * (a[i] - own.gamma[i])
-                row[i] = own.lost[e, i]
-            reflect(work.reflectors, work.beta, m, row)
-            size = 0.0
-            for i in range(m, 6):
-                size += row[i] * row[i]
+            fill(row, turned(work, own.lost[e]))
+            for i in range(m):
+                row[i] = 0.0
+            size = dot(row, row, 6)
             if own.gone[e] != 0.0 or size < _GONE:  # no motion of the chain's any more
                 continue
             weight = (1.0 - own.share[e]) / (max(own.share[e], _HARD) * size)
-            for i in range(m, 6):
-                step[i] += weight * target * row[i]
-                for j in range(m, 6):
-                    H[i, j] += weight * row[i] * row[j]
+            accumulate(step, weight * target, row)
+            for i in range(6):
+                accumulate(H[i], weight * row[i], row)
     # in coordinates K⁻ᵀ… where H is the identity: y = K⁻¹ step, N K⁻ᵀ
     d = 6 - m
     cholesky(H, m, d, L)
-    _forward(L, d, step, m)
+    forward(L, d, step, m)
     for b in range(r):
         fill(work.D[b], work.N_t[b])
-        _forward(L, d, work.D[b], m)
+        forward(L, d, work.D[b], m)
         work.s[b] = 0.0
     orthonormalise(work.D, r, m, work.E, work.A)
     project_onto_constraint(work.E, r, step, work.s)
-    for i in range(d - 1, -1, -1):
-        s = step[m + i]
-        for k in range(i + 1, d):
-            s -= L[k, i] * step[m + k]
-        step[m + i] = s * L[i, i]
-    for i in range(m, 6):
-        x[i] += step[i]
-
-
-@inner
-def _forward(L, d, x, m):
-    """x[m:] ← L⁻¹x[m:], L from `cholesky`."""
-    for i in range(d):
-        s = x[m + i]
-        for k in range(i):
-            s -= L[i, k] * x[m + k]
-        x[m + i] = s * L[i, i]
+    backward(L, d, step, m)
+    fill(work.x, plus(work.x, step))

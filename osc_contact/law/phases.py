@@ -23,6 +23,8 @@ from math import inf
 
 from osc_contact.law.algebra import lu_solve
 from osc_contact.law.jit import inner
+from osc_contact.law.records import body_of, contact_of
+from osc_contact.law.vectors import fill
 
 #: Out of N; in N and dragged towards the face; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
@@ -53,41 +55,35 @@ def low_pass(t, independent):
     Args:
         independent: whether these are all in N; if not, inertia counts as 0.
     """
-    column_memory = t.memory.columns
-    n = t.model.n_columns
-    here = t.work.here
-    alpha = t.work.alpha
-    speed = t.work.speeds
-    chosen = t.work.chosen
-    r = t.work.rank
-    dt = t.work.dt
-    A = t.work.D
-    b = t.work.E
+    work = t.work
+    columns = t.memory.columns
+    r = work.rank if independent else 0
+    dt = work.dt
+    b = work.E
     k = dt / (t.model.lag + dt)
-    solved = False
-    if independent and r > 0:
-        for a in range(r):
-            row = column_memory[chosen[a]]
-            b[0, a] = k * (speed[chosen[a]] - row.filtered_speed) / dt if row.known != 0 else 0.0
-            for c in range(r):
-                A[a, c] = t.work.mobility[a, c]
-        solved = lu_solve(A, r, b, 1)
-    for j in range(n):
-        row = column_memory[j]
-        row.force = row.force + k * (alpha[j] - row.force) if row.known != 0 else alpha[j]
-        row.filtered_speed = (
-            row.filtered_speed + k * (speed[j] - row.filtered_speed) if row.known != 0 else speed[j]
-        )
-        row.known = 1 if here[j] else 0
-        row.alpha = alpha[j]
-        row.speed = speed[j]
-        row.net = row.force if here[j] else 0.0
+    for a in range(r):
+        j = work.chosen[a]
+        row = columns[j]
+        known = row.known != 0
+        b[0, a] = k * (work.speeds[j] - row.filtered_speed) / dt if known else 0.0
+        fill(work.D[a], work.mobility[a])
+    solved = lu_solve(work.D, r, b, 1)
+    for j in range(t.model.n_columns):
+        row = columns[j]
+        row.alpha = work.alpha[j]
+        row.speed = work.speeds[j]
+        if row.known == 0:
+            row.force = row.alpha
+            row.filtered_speed = row.speed
+        row.force += k * (row.alpha - row.force)
+        row.filtered_speed += k * (row.speed - row.filtered_speed)
+        row.known = 1 if work.here[j] else 0
+        row.net = row.force if work.here[j] else 0.0
     for a in range(r if solved else 0):
-        row = column_memory[chosen[a]]
-        row.net = row.net - b[0, a]
-    for j in range(n):
-        row = column_memory[j]
-        pulls = max(row.force - row.net - alpha[j], 0.0) if here[j] else 0.0
+        columns[work.chosen[a]].net -= b[0, a]
+    for j in range(t.model.n_columns):
+        row = columns[j]
+        pulls = max(row.force - row.net - row.alpha, 0.0) if work.here[j] else 0.0
         row.noise += dt / (_NOISE + dt) * (2.0 * pulls - row.noise)
 
 
@@ -150,24 +146,21 @@ def advance_phases(t):
         Whether other contacts than in the last tick are in N.
     """
     model = t.model
-    columns = model.columns
-    column_memory = t.memory.columns
-    goal = t.work.goal
     dt = t.work.dt
     changed = False
     push = model.approach_damping * model.approach_speed
     for c in range(model.n_contacts):
         contact = t.memory.contacts[c]
-        pushes = model.bodies[c].pushes
+        pushes = model.bodies[c].pushes != 0
         before = contact.phase
-        phase = CLOSED
         desired = False
         some_closed = False
         all_closed = True
         for j in range(model.n_columns):
-            if columns[j].contact != c:
+            if model.columns[j].contact != c:
                 continue
-            row = column_memory[j]
+            row = t.memory.columns[j]
+            goal = t.work.goal[j]
             dwell = model.dwell
             more = -inf  # too little to be distinguished from nothing
             if row.predicted > model.force_on:
@@ -184,29 +177,28 @@ def advance_phases(t):
                 contact.held = 0
             elif row.high_for > model.rise:
                 contact.held = 1
-            desired = desired or goal[j] > 0.0
+            desired = desired or goal > 0.0
             some_closed = some_closed or row.closed != 0
-            light = goal[j] <= model.force_on  # too little to be distinguished from nothing
+            light = goal <= model.force_on  # too little to be distinguished from nothing
             all_closed = all_closed and (light or row.closed != 0)
-        if pushes != 0 and not desired:
+        phase = CLOSED
+        if pushes and not desired:
             phase = OPEN
-        elif pushes != 0 and not (some_closed and all_closed):
+        elif pushes and not (some_closed and all_closed):
             phase = APPROACHING
         contact.since = contact.since + dt if phase == before else 0.0
         contact.phase = phase
         changed = changed or (phase != OPEN) != (contact.active != 0)
+        known = before != OPEN and phase != OPEN
+        known = known and not (phase == CLOSED and contact.since > model.rise)
+        left = before == CLOSED and phase == APPROACHING and contact.held != 0
         for j in range(model.n_columns):
-            if columns[j].contact == c:
+            if model.columns[j].contact == c:
                 t.work.here[j] = 1 if before != OPEN and phase >= before else 0
-                row = column_memory[j]
-                known = before != OPEN and phase != OPEN
-                held = phase == CLOSED and contact.since > model.rise
-                row.gap = max(row.gap - dt * row.speed, 0.0) if known and not held else 0.0
-                left = before == CLOSED and phase == APPROACHING and contact.held != 0
-                lost = row.time_since_loss > 0.0 or left
-                row.time_since_loss = (
-                    row.time_since_loss + dt if lost and known and not held else 0.0
-                )
+                row = t.memory.columns[j]
+                row.gap = max(row.gap - dt * row.speed, 0.0) if known else 0.0
+                lost = known and (row.time_since_loss > 0.0 or left)
+                row.time_since_loss = row.time_since_loss + dt if lost else 0.0
     return changed
 
 
@@ -217,32 +209,28 @@ def remap_force_sums(t):
     Those of columns not kept start at 0. None is left (rank 0) where they were not one for each
     column in N, or more columns come than there is room for.
     """
-    model = t.model
     memory = t.memory
-    columns = model.columns
-    contacts = t.memory.contacts
+    n = t.model.n_columns
     kept = t.work.here
     scratch = t.work.alpha
     sums = memory.force_sum
     before = 0
     after = 0
     same = True
-    for j in range(model.n_columns):
-        contact = contacts[columns[j].contact]
+    for j in range(n):
+        contact = contact_of(t, j)
         here = contact.active != 0
         same = same and here == (contact.phase != OPEN) and (kept[j] != 0 or not here)
+        carried = here and kept[j] != 0 and before < len(sums)
+        scratch[j] = sums[before] if carried else 0.0
+        before += 1 if here else 0
+        after += 1 if contact.phase != OPEN else 0
     if same:  # dependent columns, too: they have fewer integrals
         return
-    for j in range(model.n_columns):
-        contact = contacts[columns[j].contact]
-        carried = contact.active != 0 and kept[j] != 0 and before < len(sums)
-        scratch[j] = sums[before] if carried else 0.0
-        before += 1 if contact.active != 0 else 0
-        after += 1 if contact.phase != OPEN else 0
     memory.force_rank = after if before == memory.force_rank and after <= len(sums) else 0
     after = 0
-    for j in range(model.n_columns):
-        if contacts[columns[j].contact].phase != OPEN and after < memory.force_rank:
+    for j in range(n):
+        if contact_of(t, j).phase != OPEN and after < memory.force_rank:
             sums[after] = scratch[j]
             after += 1
 
@@ -251,41 +239,34 @@ def remap_force_sums(t):
 def set_goals(t):
     """How each contact takes part in a tick, and the goals of its forces."""
     model = t.model
-    bodies = model.bodies
-    columns = model.columns
-    contacts = t.memory.contacts
-    column_memory = t.memory.columns
     goal = t.work.goal
     for c in range(model.n_contacts):
-        contact = contacts[c]
+        contact = t.memory.contacts[c]
         approaching = contact.phase == APPROACHING
         contact.active = 1 if contact.phase != OPEN else 0
         contact.gain = 0.0 if approaching else model.force_gain
         contact.damping = model.approach_damping if approaching else model.force_damping
         contact.brake = 0.0 if approaching else model.force_brake
-        contact.least = model.least_force if bodies[c].pushes != 0 and not approaching else -inf
+        pushes = model.bodies[c].pushes != 0
+        contact.least = model.least_force if pushes and not approaching else -inf
     for j in range(model.n_columns):
-        contact = contacts[columns[j].contact]
-        pushes = bodies[columns[j].contact].pushes
-        speed = model.approach_speed
+        contact = contact_of(t, j)
+        row = t.memory.columns[j]
+        pushes = body_of(t, j).pushes != 0
+        start = model.approach_damping * model.approach_speed if pushes else goal[j]
         if contact.phase == APPROACHING:
-            speed = max(speed, min(speed + _RETURN * column_memory[j].gap, _FASTEST))
-        start = model.approach_damping * speed if pushes != 0 else goal[j]
-        if contact.phase == APPROACHING:
+            speed = min(model.approach_speed + _RETURN * row.gap, _FASTEST)
+            speed = max(model.approach_speed, speed)
             gentle = _GENTLE * model.force_on * speed / model.approach_speed
-            moving = min(abs(column_memory[j].filtered_speed), abs(column_memory[j].speed))
+            moving = min(abs(row.filtered_speed), abs(row.speed))
+            start = model.approach_damping * speed if pushes else goal[j]
             start = min(start, gentle + model.approach_damping * moving)
-        if contact.phase == APPROACHING and contact.since * model.approach_speed >= model.travel:
-            start = 0.0  # it has found nothing and stands still
-        t.work.goal[j] = start + _risen(t, contact, pushes) * (goal[j] - start)
-
-
-@inner
-def _risen(t, contact, pushes):
-    """How much of the way from K_a v_a to their goals the forces of a contact have risen."""
-    if pushes == 0 or contact.phase != CLOSED:
-        return 0.0
-    return min(contact.since / t.model.rise, 1.0)
+            if contact.since * model.approach_speed >= model.travel:
+                start = 0.0  # it has found nothing and stands still
+        risen = 0.0
+        if pushes and contact.phase == CLOSED:
+            risen = min(contact.since / model.rise, 1.0)
+        goal[j] = start + risen * (goal[j] - start)
 
 
 @inner

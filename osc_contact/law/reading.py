@@ -8,29 +8,38 @@ from osc_contact.law.algebra import (
     cholesky,
     cholesky_solve,
     lu_solve,
-    project_onto_constraint,
+    project_onto_columns,
     solve_lower,
     solve_lower_transposed,
 )
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.grasps import filter_reading
 from osc_contact.law.jit import inner, leaf
+from osc_contact.law.records import body_of, column_of, contact_of
 from osc_contact.law.vectors import (
     ZERO,
+    accumulate,
     add,
-    carry_motion,
     carry_wrench,
     cross,
+    divided3,
+    dot3,
     dot6,
-    energy_motion,
-    energy_wrench,
     fill,
+    fill3,
+    linear,
     minus,
+    minus3,
+    motion_to_energy,
     plus,
-    reflect,
-    reflect_back,
+    rotated,
+    rotated9,
     scaled,
+    scaled3,
     six,
+    turned,
+    turned_back,
+    wrench_to_energy,
 )
 
 # --- The force path of fig. 5: wrist readings to contact magnitudes, and the force law ------------
@@ -43,80 +52,46 @@ _NOTHING = 1e-9  #: Λ_out beside the object's inertia, below which sensors read
 @inner
 def add_friction(t):
     """N_μ = N + D share of the kept columns, _e (`pushed`), D share at O (`friction_wrenches`)."""
-    columns = t.work.columns
     work = t.work
-    r = work.rank
-    count = work.count
-    for a in range(r):
-        friction_wrenches = work.friction_wrenches[a]
-        pushed = work.pushed[a]
-        fill(friction_wrenches, ZERO)
-        fill(pushed, work.N[a])
-        if work.mu == 0.0:
-            continue
-        for j in range(count):
-            s = columns[j].share[a] if r < count else (1.0 if j == a else 0.0)
-            fill(
-                friction_wrenches,
-                add(friction_wrenches, s, columns[columns[j].chosen].friction_wrench),
-            )
-        carry_wrench(friction_wrenches, work.O, work.C, work.u)
-        energy_wrench(work.axes, work.u, work.u)
-        fill(pushed, plus(pushed, work.u))
+    columns = work.columns
+    for a in range(work.rank):
+        friction = ZERO
+        for j in range(work.count if work.mu != 0.0 else 0):
+            s = columns[j].share[a] if work.rank < work.count else (1.0 if j == a else 0.0)
+            friction = add(friction, s, columns[columns[j].chosen].friction_wrench)
+        fill(work.friction_wrenches[a], friction)
+        fill(work.pushed[a], plus(work.N[a], wrench_to_energy(work, friction)))
 
 
 @inner
-def add_reading(reading, joint, sensor, C, scratch, total):
-    """Add one wrist's reading (6,), rotated to world axes and carried to C.
+def read_wrist(reading, joint, sensor, C):
+    """One wrist's reading (6,), rotated to world axes and carried to C, as a tuple.
 
     Args:
         reading: (6,) of the wrist. joint: JOINT_WORK record of the sensor's. sensor: (12,) rotation
-            (row by row) and position of the sensor in it. C: (3,) point (m). scratch: (≥ 9,).
-        total: (6,) wrench at C, added to.
+            (row by row) and position of the sensor in it. C: (3,) point (m).
     """
-    point = scratch[6:9]
-    world = scratch[:6]
-    R = joint.R
-    place_point(joint, sensor, 9, point)
-    for half in range(2):
-        x = reading[3 * half]
-        y = reading[3 * half + 1]
-        z = reading[3 * half + 2]
-        a = sensor[0] * x + sensor[1] * y + sensor[2] * z
-        b = sensor[3] * x + sensor[4] * y + sensor[5] * z
-        c = sensor[6] * x + sensor[7] * y + sensor[8] * z
-        for i in range(3):
-            world[3 * half + i] = R[i, 0] * a + R[i, 1] * b + R[i, 2] * c
-    carry_wrench(world, point, C, world)
-    fill(total, plus(total, world))
+    force = rotated(joint.R, rotated9(sensor, reading))
+    couple = rotated(joint.R, rotated9(sensor, reading[3:]))
+    return carry_wrench(force + couple, place_point(joint, sensor[9:]), C)
 
 
 @inner
 def sum_readings(t):
     """f_meas (6,) = Σ wrist readings less tare, at O; `reading_e`: the same less bias, energy."""
     work = t.work
-    wrenches = t.input.wrenches
-    total = work.reading_e
-    own = work.y
-    fill(total, ZERO)
+    total = ZERO
     for k in range(t.model.n_arms):
         arm = t.model.arms[k]
         if arm.sensor_joint < 0:
             continue
-        joint = t.work.joints[arm.sensor_joint]
+        joint = work.joints[arm.sensor_joint]
+        wrench = read_wrist(t.input.wrenches[k], joint, arm.sensor, work.C)
         if arm.filtered != 0:
-            fill(own, ZERO)
-            add_reading(wrenches[k], joint, arm.sensor, work.C, work.s, own)
-            filter_reading(work.axes, t.work.arms[k].filter, own, work.u)
-            fill(total, plus(total, own))
-        else:
-            add_reading(wrenches[k], joint, arm.sensor, work.C, work.s, total)
-    f_meas = work.f_meas
-    carry_wrench(total, work.C, work.O, f_meas)
-    fill(f_meas, minus(f_meas, t.memory.f_tare))
-    carry_wrench(f_meas, work.O, work.C, total)
-    energy_wrench(work.axes, total, total)
-    fill(total, minus(total, work.bias_e))
+            wrench = filter_reading(work.axes, work.arms[k].filter, wrench)
+        total = plus(total, wrench)
+    fill(work.f_meas, minus(carry_wrench(total, work.C, work.O), t.memory.f_tare))
+    fill(work.reading_e, minus(wrench_to_energy(work, work.f_meas), work.bias_e))
 
 
 @inner
@@ -132,11 +107,11 @@ def measure_magnitudes(t):
     work.weightless = 0
     for a in range(r):
         work.z[a] = 0.0
-        fill(work.solved[a], six(work.Q[a]))
+        fill(work.solved[a], work.Q[a])
     if t.model.held == 0:
         return _measure_at_tip(t)
     for i in range(6):
-        fill(work.B[i], six(work.out_T[i]))
+        fill(work.B[i], work.out_T[i])
     if not lu_solve(work.B, 6, work.solved, r):  # rows: Λ_out⁻ᵀ q
         return False
     return _solve_magnitudes(t, 1.0)
@@ -200,23 +175,20 @@ def _measure_at_tip(t):
     if trace < _NOTHING:
         work.weightless = 1
         return _solve_magnitudes(t, 0.0)
-    reflectors = work.reflectors
-    beta = work.beta
     for j in range(6):  # A = Λ_outᵀ, turned from both sides
         for i in range(6):
             work.u[i] = A[i, j]
-        reflect(reflectors, beta, m, work.u)
+        column = turned(work, work.u)
         for i in range(6):
-            A[i, j] = work.u[i]
+            A[i, j] = column[i]
+    fill(f, turned(work, f))
     for i in range(6):
-        reflect(reflectors, beta, m, A[i])
-    reflect(reflectors, beta, m, f)
-    for i in range(6):  # f less Λ_out σ
-        for j in range(6):
-            f[i] -= A[j, i] * work.sigma[j]
+        fill(A[i], turned(work, A[i]))
+        for j in range(6):  # f less Λ_out σ
+            f[j] -= A[i, j] * work.sigma[i]
     for a in range(r):
-        reflect(reflectors, beta, m, work.pushed[a])
-        reflect(reflectors, beta, m, work.solved[a])
+        fill(work.pushed[a], turned(work, work.pushed[a]))
+        fill(work.solved[a], turned(work, work.solved[a]))
         work.z[a] = dot6(work.solved[a], work.sigma)
         for i in range(6 - m):
             work.E[a, i] = work.solved[a, m + i]
@@ -230,7 +202,7 @@ def _measure_at_tip(t):
             work.solved[a, i] = work.E[a, i - m] if i >= m else 0.0
     done = _solve_magnitudes(t, 1.0)
     for a in range(r):
-        reflect_back(reflectors, beta, m, work.pushed[a])
+        fill(work.pushed[a], turned_back(work, work.pushed[a]))
     return done
 
 
@@ -269,33 +241,27 @@ def contact_laws(t):
 
     Where columns depend on one another the most careful of all hold for each of them.
     """
-    table = t.model.columns
-    contacts = t.memory.contacts
-    columns = t.work.columns
     work = t.work
-    r = work.rank
-    count = work.count
-    for a in range(r):
-        law = contacts[table[columns[int(work.keep[a])].chosen].contact]
-        work.gain[a] = law.gain
-        work.damping[a] = law.damping
-        work.least[a] = law.least
-        work.brake[a] = law.brake
-    if r == count:
-        return
     gain = inf
     damping = -inf
     brake = -inf
-    for j in range(count):
-        law = contacts[table[columns[j].chosen].contact]
+    for j in range(work.count):
+        law = contact_of(t, work.columns[j].chosen)
         gain = min(gain, law.gain)
         damping = max(damping, law.damping)
         brake = max(brake, law.brake)
-    for a in range(r):
-        work.gain[a] = gain
-        work.damping[a] = damping
-        work.least[a] = -inf
-        work.brake[a] = brake
+    for a in range(work.rank):
+        if work.rank < work.count:
+            work.gain[a] = gain
+            work.damping[a] = damping
+            work.least[a] = -inf
+            work.brake[a] = brake
+        else:
+            law = contact_of(t, column_of(work, a))
+            work.gain[a] = law.gain
+            work.damping[a] = law.damping
+            work.least[a] = law.least
+            work.brake[a] = law.brake
 
 
 # --- Contact forces by least squares, independent of friction and misplaced normals ---------------
@@ -332,19 +298,18 @@ def weigh_magnitudes(t):
     r = work.rank
     R = work.B
     H = work.D
-    x = work.u
     f = work.reading_e
     _subtract_motion(t, f)
     _weigh_departure(t, t.model.principal[0], R)
     largest = _weigh_tangents(t, R)
     for a in range(r):
-        fill(H[a], work.pushed[a])
+        h = six(work.pushed[a])
         if work.moving != 0:
             for b in range(r):
                 work.s[b] = work.Phi_mu[b, a]
-            _add_yield(t, H[a])
-        fill(x, scaled(largest, H[a]))
-        _add_square(1.0, x, R)
+            h = _add_yield(work, h)
+        fill(H[a], h)
+        _add_square(1.0, scaled(largest, h), R)
     if not cholesky(R, 0, 6, work.A) > 0.0:
         return False
     gram = work.E
@@ -363,7 +328,7 @@ def weigh_magnitudes(t):
         return False
     for a in range(r):
         work.alpha_meas[a] = right[0, a]
-        fill(f, add(f, -right[0, a], H[a]))
+        accumulate(f, -right[0, a], H[a])
     return True
 
 
@@ -378,12 +343,10 @@ def _find_mobility(t):
     work = t.work
     r = work.rank
     A = work.B
-    seen = work.z
     for b in range(r):
-        fill(seen, ZERO)
         for a in range(r):
             work.s[a] = 1.0 if a == b else 0.0
-        _add_yield(t, seen)
+        seen = _add_yield(work, ZERO)
         for a in range(r):
             A[a, b] = dot6(work.solved[a], seen)
     for a in range(r):  # columns of the Gram matrix, as rows
@@ -405,38 +368,31 @@ def learn_friction(t):
     residual are those that `weigh_magnitudes` left.
     """
     model = t.model
-    columns = t.work.columns
     work = t.work
+    columns = work.columns
     if model.learning == 0.0:
         return
     y = work.reading_e
-    f = work.z
     cholesky_solve(work.A, 6, y, 0)
     found = whole = 0.0
     for j in range(work.count):
         chosen = columns[j].chosen
-        p = columns[chosen].point
         s = columns[chosen].slip
-        w = max(abs(t.work.goal[chosen]), _LEAST_FORCE)
-        for i in range(3):
-            f[i] = s[i]
-        f[3], f[4], f[5] = cross(p[0], p[1], p[2], s[0], s[1], s[2])
-        _push_on(t, f, chosen)
-        square = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
-        share = (_ALONG**2 - _ACROSS**2) * square + _ACROSS**2
-        found += w * w * w * share * dot6(f, y)
+        w = max(abs(work.goal[chosen]), _LEAST_FORCE)
+        share = (_ALONG**2 - _ACROSS**2) * dot3(s, s) + _ACROSS**2
+        found += w * w * w * share * dot6(_push_on(t, linear(s), chosen), y)
         whole += w * w
     more = work.more_friction + model.learning * work.dt * found / whole
     work.more_friction = min(max(more, -model.mu), _MOST_FRICTION - model.mu)
 
 
 @inner
-def _outboard(t, x, out):
-    """out = Λ_out x, energy coordinates."""
-    y = scaled(x[0], t.work.out_T[0])
-    for j in range(1, 6):
-        y = add(y, x[j], t.work.out_T[j])
-    fill(out, y)
+def _outboard(work, x):
+    """Λ_out x, energy coordinates."""
+    y = ZERO
+    for j in range(6):
+        y = add(y, x[j], work.out_T[j])
+    return y
 
 
 @inner
@@ -445,18 +401,13 @@ def _subtract_motion(t, f):
     work = t.work
     a = work.y
     V = work.V_O
-    r = work.rank
     fill(a, work.A_D)
-    x, y, z = cross(V[3], V[4], V[5], V[0], V[1], V[2])
-    a[0], a[1], a[2] = a[0] - x, a[1] - y, a[2] - z
-    carry_motion(a, work.O, work.C, a)
-    energy_motion(work.axes, a, a)
-    for b in range(r):
+    fill3(a, minus3(a, cross(V[3:], V)))
+    fill(a, motion_to_energy(work, a))
+    for b in range(work.rank):
         work.s[b] = work.n_gamma[b] + work.b_N[b]
-    solve_lower(work.L, r, work.s)
-    project_onto_constraint(work.Q, r, a, work.s)
-    _outboard(t, a, work.z)
-    fill(f, minus(f, work.z))
+    project_onto_columns(work.L, work.Q, work.rank, a, work.s)
+    fill(f, minus(f, _outboard(work, a)))
 
 
 @inner
@@ -465,16 +416,14 @@ def _weigh_departure(t, mass, R):
     work = t.work
     share = _DEPARTURE * _DEPARTURE * mass
     L = work.out_T
-    x = work.z
     for i in range(6):
-        y = scaled(L[0, i], L[0])
-        for k in range(1, 6):
+        y = ZERO
+        for k in range(6):
             y = add(y, L[k, i], L[k])
         fill(R[i], scaled(share, y))
         R[i, i] += _NOISE * _NOISE / mass
     for a in range(work.rank):
-        _outboard(t, work.Q[a], x)
-        _add_square(-share, x, R)
+        _add_square(-share, _outboard(work, work.Q[a]), R)
 
 
 @inner
@@ -484,77 +433,51 @@ def _weigh_tangents(t, R):
     C_j = w_j²(σ_t²(1 − nnᵀ) + (σ_s² − σ_t²) ssᵀ), s the direction of slip, shorter than 1 where
     the contact hardly slides.
     """
-    columns = t.work.columns
     work = t.work
     f = work.z
-    n = work.w
     largest = 0.0
     more = sqrt(_ALONG * _ALONG - _ACROSS * _ACROSS)
     for j in range(work.count):
-        chosen = columns[j].chosen
-        column = columns[chosen]
-        w = max(abs(t.work.goal[chosen]), _LEAST_FORCE)
+        chosen = work.columns[j].chosen
+        column = work.columns[chosen]
+        w = max(abs(work.goal[chosen]), _LEAST_FORCE)
         largest = max(largest, w)
-        N = column.N
-        size = sqrt(N[0] * N[0] + N[1] * N[1] + N[2] * N[2])
-        for i in range(3):
-            n[i] = N[i] / size
-        for k in range(4):
-            scale = w * (_ACROSS if k < 3 else more)
-            for i in range(3):
-                f[i] = scale * ((1.0 if i == k else 0.0) - n[k] * n[i] if k < 3 else column.slip[i])
-            p = column.point
-            f[3], f[4], f[5] = cross(p[0], p[1], p[2], f[0], f[1], f[2])
-            _push_on(t, f, chosen)
-            _add_square(1.0, f, R)
+        n = divided3(column.N, sqrt(dot3(column.N, column.N)))
+        for k in range(3):
+            fill3(f, scaled3(-n[k], n))
+            f[k] += 1.0
+            _add_square(1.0, _push_on(t, scaled3(w * _ACROSS, f), chosen), R)
+        _add_square(1.0, _push_on(t, scaled3(w * more, column.slip), chosen), R)
     return largest
 
 
 @inner
-def _push_on(t, f, chosen):
-    """A wrench f at O of one contact into energy coordinates, with what its body yields to it."""
+def _push_on(t, force, chosen):
+    """A force at one contact in energy coordinates, with what its body yields to it."""
     work = t.work
-    if work.moving != 0:
-        _yield_to(t, f, t.model.bodies[t.model.columns[chosen].contact].same)
-    carry_wrench(f, work.O, work.C, f)
-    energy_wrench(work.axes, f, f)
-    if work.moving != 0:
-        _add_yield(t, f)
+    f = force + cross(work.columns[chosen].point, force)
+    g = wrench_to_energy(work, f)
+    if work.moving == 0:
+        return g
+    body = body_of(t, chosen).same
+    for a in range(work.rank):  # s = NᵀΦ_e f
+        here = body_of(t, column_of(work, a)).same == body
+        work.s[a] = dot6(work.yields[a], f) if here else 0.0
+    return _add_yield(work, g)
 
 
 @inner
-def _yield_to(t, f, body):
-    """s (r,) = NᵀΦ_e f of a wrench at O on one body."""
-    work = t.work
-    for a in range(work.rank):
-        other = t.work.columns[int(work.keep[a])].chosen
-        work.s[a] = 0.0
-        if t.model.bodies[t.model.columns[other].contact].same == body:
-            work.s[a] = dot6(work.yields[a], f)
-
-
-@inner
-def _add_yield(t, f):
+def _add_yield(work, f):
     """f more Λ_out times the least motion with the normal acceleration s (r,): a body yields."""
-    work = t.work
-    a = work.y
-    out = work.x
     solve_lower(work.L, work.rank, work.s)
-    for i in range(6):
-        a[i] = 0.0
-        for b in range(work.rank):
-            a[i] += work.Q[b, i] * work.s[b]
-    _outboard(t, a, out)
-    fill(f, plus(f, out))
+    a = ZERO
+    for b in range(work.rank):
+        a = add(a, work.s[b], work.Q[b])
+    return plus(f, _outboard(work, a))
 
 
 @leaf
 def _add_square(scale, x, R):
     """R + scale x xᵀ."""
-    y = six(x)
-    fill(R[0], add(six(R[0]), scale * y[0], y))
-    fill(R[1], add(six(R[1]), scale * y[1], y))
-    fill(R[2], add(six(R[2]), scale * y[2], y))
-    fill(R[3], add(six(R[3]), scale * y[3], y))
-    fill(R[4], add(six(R[4]), scale * y[4], y))
-    fill(R[5], add(six(R[5]), scale * y[5], y))
+    for i in range(6):
+        accumulate(R[i], scale * x[i], x)

@@ -665,6 +665,24 @@ def row_of(raw, at, i):
     return Tick(model, memory, _work(raw, job.work), _input(raw, job.input))
 
 
+@leaf
+def column_of(work, a):
+    """Number of the column of N that is kept as a."""
+    return work.columns[int(work.keep[a])].chosen
+
+
+@leaf
+def contact_of(t, column):
+    """CONTACT_MEMORY of the contact that a column of N belongs to."""
+    return t.memory.contacts[t.model.columns[column].contact]
+
+
+@leaf
+def body_of(t, column):
+    """BODY that a column of N presses on."""
+    return t.model.bodies[t.model.columns[column].contact]
+
+
 def _counts(k: int, n: int, a: int, c: int, s: int, r: int) -> dict[str, int]:
     """Sizes of all tables: arms, joints, motors, contacts, shapes, columns; and what follows."""
     bars = 1 if k == 2 else k * (k - 1) // 2

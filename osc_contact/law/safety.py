@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import isfinite
 
-from osc_contact.law.arm_motion import move_arm, place_arm, place_point
+from osc_contact.law.arm_motion import move_arm, place_arm, place_point, turn_axes
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import slew
 from osc_contact.law.reading import integral_room
@@ -16,9 +16,24 @@ from osc_contact.law.records import (
     RUN,
     SAFE_STOP,
     SATURATED,
+    column_of,
 )
 from osc_contact.law.sensors import check_sensors, estimate_joints
-from osc_contact.law.vectors import ZERO, carry_wrench, cross, fill
+from osc_contact.law.vectors import (
+    ZERO,
+    add,
+    angular,
+    cross,
+    dot6,
+    fill,
+    fill3,
+    placed,
+    plus3,
+    rotated,
+    rotated_back,
+    scaled3,
+    velocity_at,
+)
 
 OVERSPEED = declare_reason(
     "OVERSPEED",
@@ -115,7 +130,6 @@ def watch_contacts(t):
     model = t.model
     work = t.work
     memory = t.memory
-    columns = t.work.columns
     power = 0.0
     reason = NO_REASON
     dt = model.period * (1 + memory.gap)
@@ -125,7 +139,7 @@ def watch_contacts(t):
         speed = work.speed[a]
         if alpha > 0.0 and speed > 0.0:
             power += alpha * speed
-        row = t.memory.columns[columns[int(work.keep[a])].chosen]
+        row = memory.columns[column_of(work, a)]
         size = abs(desired)
         missing = size > _LIGHT and (alpha if desired > 0.0 else -alpha) < _SHARE * size
         missing = missing and model.phased == 0
@@ -141,7 +155,7 @@ def watch_contacts(t):
         elif row.overforce > model.overforce_time:
             reason = OVERFORCE
         if reason != NO_REASON:
-            memory.culprit = columns[int(work.keep[a])].chosen
+            memory.culprit = column_of(work, a)
             return reason
     memory.powered = collect(memory.powered, dt, power > model.contact_power)
     if memory.powered > max(SURE, 1.5 * model.period):
@@ -176,10 +190,7 @@ _HASTE = 4.0  #: times that, where a joint is above its speed limit
 
 
 @inner
-def guard(
-    t,
-    reason,
-):
+def guard(t, reason):
     """The state after this tick, and the torques of one that was not computed; its reason.
 
     Args:
@@ -206,18 +217,14 @@ def guard(
             _enter(t, SAFE_STOP)
         return NO_REASON
     memory.gap += 1
-    if memory.state == SAFE_STOP:
-        _enter(t, SAFE_STOP)
-    else:
+    state = SAFE_STOP
+    if memory.state != SAFE_STOP:
         memory.faults += 1
         memory.lost += 1
         memory.cause = reason if cause == NO_REASON else cause
-        if memory.lost >= model.fault_ticks or memory.cause >= LASTING:
-            _enter(t, SAFE_STOP)
-        elif memory.faults > memory.repeats:
-            _enter(t, HOLD)
-        else:
-            _enter(t, DEGRADED_STATE)
+        if memory.lost < model.fault_ticks and memory.cause < LASTING:
+            state = HOLD if memory.faults > memory.repeats else DEGRADED_STATE
+    _enter(t, state)
     if memory.state == DEGRADED_STATE or memory.compared == 0:
         for i in range(model.n_motors):
             t.work.tau[i] = t.memory.torques[i]
@@ -257,59 +264,47 @@ def _hold_posture(t):
     speed limit, or needs all of its motor, makes necessary.
     """
     model = t.model
-    arms = model.arms
-    table = model.joints
     work = t.work
     memory = t.memory
-    joints = t.work.joints
-    joint_memory = t.memory.joints
-    step = t.work.step
-    last = t.memory.torques
-    tau = t.work.tau
-    n = model.n_joints
+    joints = work.joints
     q = memory.q
     speed = memory.v
     if memory.settled == 0:
         fast = False
-        for j in range(n):
+        for j in range(model.n_joints):
             fast = fast or abs(speed[j]) > _AT_REST
-            joint_memory[j].hold = q[j]
+            memory.joints[j].hold = q[j]
         memory.settled = 0 if fast and memory.age * model.period < _BRAKING else 1
-    origin = work.u
-    V = work.w
-    gamma = work.y
-    bias = work.z
     for k in range(model.n_arms):
-        arm = arms[k]
-        fill(origin, ZERO)
-        fill(bias, ZERO)
+        arm = model.arms[k]
         place_arm(t, arm.first, arm.end, q)
-        move_arm(t, arm, speed, origin, V, gamma, bias)
+        fill(work.u, ZERO)  # the world's origin
+        move_arm(t, arm, speed, work.u, work.w, work.y, work.z)
     mass = _carry_weight(t)
     omega = model.hold_rate
     fastest = min(BRAKE_RATE, model.torque_rate)
-    for j in range(n):
-        if abs(speed[j]) > table[j].speed_max:
+    for j in range(model.n_joints):
+        if abs(speed[j]) > model.joints[j].speed_max:
             fastest = min(_HASTE * BRAKE_RATE, model.torque_rate)
-        back = omega * (q[j] - joint_memory[j].hold)
+        back = omega * (q[j] - memory.joints[j].hold)
         joints[j].acceleration = -omega * (2.0 * speed[j] + back)
     for k in range(model.n_arms):
-        share = _split_torques(t, arms[k], mass)
+        share = _split_torques(t, model.arms[k], mass)
         rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
-        for j in range(arms[k].first, arms[k].end):
-            joint_memory[j].acceleration = share * joints[j].acceleration
+        for j in range(model.arms[k].first, model.arms[k].end):
+            memory.joints[j].acceleration = share * joints[j].acceleration
             if share < 1.0:
-                joint_memory[j].hold = q[j]
-            motor = table[j].motor
-            most = table[j].tau_max
+                memory.joints[j].hold = q[j]
+            motor = model.joints[j].motor
+            most = model.joints[j].tau_max
             if motor >= 0:
                 s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
-                tau[motor] = s if isfinite(s) else last[motor]
-                step[motor] = rate * model.period * most
+                work.tau[motor] = s if isfinite(s) else memory.torques[motor]
+                work.step[motor] = rate * model.period * most
     if memory.ticked != 0:
-        slew(tau, last, step, model.n_motors)
+        slew(work.tau, memory.torques, work.step, model.n_motors)
     for i in range(model.n_motors):
-        last[i] = tau[i]
+        memory.torques[i] = work.tau[i]
 
 
 @inner
@@ -328,16 +323,12 @@ def _split_torques(t, arm, mass):
     joints = t.work.joints
     lo = arm.first
     share = 1.0
-    pull = t.work.z
-    _accelerate_object(t, arm, mass, pull)
+    pull = _accelerate_object(t, arm, mass)
     for j in range(lo, arm.end):
-        s = joints[j].h
-        brake = 0.0
+        s = joints[j].h + dot6(joints[j].column, t.work.y)
+        brake = dot6(joints[j].column, pull)
         for i in range(lo, arm.end):
             brake += joints[j].M[i - lo] * joints[i].acceleration
-        for i in range(6):
-            s += joints[j].column[i] * t.work.y[i]
-            brake += joints[j].column[i] * pull[i]
         joints[j].tau = s
         joints[j].rest = brake
         if table[j].motor >= 0 and abs(brake) > 0.0:
@@ -364,29 +355,22 @@ def _clip_brake(joint, most):
 
 
 @inner
-def _accelerate_object(t, arm, mass, out):
-    """out (6,): wrench at the world's origin that lets an arm's share of the object follow q̈."""
-    joints = t.work.joints
+def _accelerate_object(t, arm, mass):
+    """Wrench at the world's origin that lets an arm's share of the object follow q̈, as a tuple."""
     work = t.work
-    a = work.w
     c = work.u
     R = work.A
-    for i in range(6):
-        a[i] = out[i] = 0.0
-        for j in range(arm.first, arm.end):
-            a[i] += joints[j].column[i] * joints[j].acceleration
+    a = ZERO
+    for j in range(arm.first, arm.end):
+        a = add(a, work.joints[j].acceleration, work.joints[j].column)
     if mass == 0.0:
-        return
-    x, y, z = cross(a[3], a[4], a[5], c[0], c[1], c[2])
-    out[0] = mass * (a[0] + x)
-    out[1] = mass * (a[1] + y)
-    out[2] = mass * (a[2] + z)
-    for b in range(3):
-        along = R[0, b] * a[3] + R[1, b] * a[4] + R[2, b] * a[5]
-        for i in range(3):
-            out[3 + i] += R[i, b] * t.model.principal[1 + b] * along / t.model.n_arms
-    x, y, z = cross(c[0], c[1], c[2], out[0], out[1], out[2])
-    out[3], out[4], out[5] = out[3] + x, out[4] + y, out[5] + z
+        return ZERO
+    x, y, z = rotated_back(R, angular(a))
+    I = t.model.principal
+    n = t.model.n_arms
+    couple = rotated(R, (I[1] * x / n, I[2] * y / n, I[3] * z / n))
+    force = scaled3(mass, velocity_at(a, c))
+    return force + plus3(couple, cross(c, force))
 
 
 @inner
@@ -399,35 +383,20 @@ def _carry_weight(t):
     model = t.model
     memory = t.memory
     work = t.work
-    out = work.y
-    centre = work.u
-    R = work.A
     own = model.X_LP
-    fill(out, ZERO)
-    fill(centre, ZERO)
+    fill(work.y, ZERO)
+    fill(work.u, ZERO)
     known = model.leader >= 0 or memory.located != 0
     if model.held == 0 or not known:
         return 0.0
     if model.leader >= 0:
-        joint = t.work.joints[model.arms[model.leader].tip_joint]
-        place_point(joint, own, 9, centre)
-        for i in range(3):
-            for b in range(3):
-                R[i, b] = 0.0
-                for j in range(3):
-                    R[i, b] += joint.R[i, j] * own[3 * j + b]
+        joint = work.joints[model.arms[model.leader].tip_joint]
+        fill3(work.u, place_point(joint, own[9:]))
+        turn_axes(joint.R, own, work.A)
     else:
-        for i in range(3):
-            centre[i] = memory.X_WO[i, 3]
-            for j in range(3):
-                centre[i] += memory.X_WO[i, j] * own[9 + j]
-            for b in range(3):
-                R[i, b] = 0.0
-                for j in range(3):
-                    R[i, b] += memory.X_WO[i, j] * own[3 * j + b]
+        fill3(work.u, placed(memory.X_WO, own[9:]))
+        turn_axes(memory.X_WO, own, work.A)
     mass = model.principal[0] / model.n_arms
-    for i in range(3):
-        out[i] = -mass * model.gravity[i]
-        work.w[i] = 0.0
-    carry_wrench(out, centre, work.w, out)
+    force = scaled3(-mass, model.gravity)
+    fill(work.y, force + cross(work.u, force))
     return mass

@@ -28,8 +28,16 @@ from osc_contact.law.records import (
     OTHER,
     SAFE_STOP,
     WRISTS,
+    column_of,
+    contact_of,
 )
-from osc_contact.law.vectors import dot6
+from osc_contact.law.vectors import (
+    cross,
+    dot3,
+    dot6,
+    minus3,
+    placed,
+)
 
 NO_ROTATION = declare_reason(
     "NO_ROTATION",
@@ -170,12 +178,8 @@ def _is_rotation(X):
     worst = 0.0
     for i in range(3):
         for j in range(i + 1):
-            s = X[i, 0] * X[j, 0] + X[i, 1] * X[j, 1] + X[i, 2] * X[j, 2]
-            worst = max(worst, abs(s - (1.0 if i == j else 0.0)))
-    x = X[0, 1] * X[1, 2] - X[0, 2] * X[1, 1]
-    y = X[0, 2] * X[1, 0] - X[0, 0] * X[1, 2]
-    z = X[0, 0] * X[1, 1] - X[0, 1] * X[1, 0]
-    return worst < _ROUND and x * X[2, 0] + y * X[2, 1] + z * X[2, 2] > 0.0
+            worst = max(worst, abs(dot3(X[i], X[j]) - (1.0 if i == j else 0.0)))
+    return worst < _ROUND and dot3(cross(X[0], X[1]), X[2]) > 0.0
 
 
 @inner
@@ -186,7 +190,6 @@ def compare_speeds(t):
     positions show is that from the last tick's X_WO to this one's.
     """
     memory = t.memory
-    columns = t.work.columns
     work = t.work
     V = work.y
     X = work.X_WO
@@ -201,21 +204,18 @@ def compare_speeds(t):
         for j in range(3):  # half of R Rᵀ of the last tick less its transpose
             V[3 + i] += 0.5 * (X[b, j] * last[a, j] - X[a, j] * last[b, j]) / dt
     for a in range(work.rank):
-        j = columns[int(work.keep[a])].chosen
-        row = t.memory.columns[j]
+        j = column_of(work, a)
+        row = memory.columns[j]
         speed = work.speed[a]
         if row.known == 0 or memory.compared == 0:
             row.velocity_from_positions = row.velocity_from_encoders = speed
             continue
-        row.velocity_from_positions += k * (
-            dot6(columns[j].N, V) - work.V_N[a] - row.velocity_from_positions
-        )
+        shown = dot6(work.columns[j].N, V) - work.V_N[a]
+        row.velocity_from_positions += k * (shown - row.velocity_from_positions)
         row.velocity_from_encoders += k * (speed - row.velocity_from_encoders)
-        short = (
-            row.velocity_from_positions - row.velocity_from_encoders
-            > _AGREE * t.model.approach_speed
-        )
-        if short and t.memory.contacts[t.model.columns[j].contact].phase == APPROACHING:
+        short = row.velocity_from_positions - row.velocity_from_encoders
+        approached = contact_of(t, j).phase == APPROACHING
+        if approached and short > _AGREE * t.model.approach_speed:
             work.speed[a] = max(speed, row.velocity_from_positions)
 
 
@@ -289,22 +289,12 @@ def _balance_arm(t, arm, own, dt):
 def _find_apart(t):
     """An arm whose tip is further from where the object has it than `closure_error`, or −1."""
     model = t.model
-    tip = t.work.s
-    most = model.closure_error
     apart = -1
     for k in range(model.n_arms if model.n_arms > 1 else 0):
         arm = model.arms[k]
-        X = t.work.X_WO
-        gap = 0.0
-        if arm.kind == OTHER:
-            continue
-        place_point(t.work.joints[arm.tip_joint], arm.tip, 9, tip)
-        for i in range(3):
-            x = X[i, 3] - tip[i]
-            for j in range(3):
-                x += X[i, j] * arm.point[j]
-            gap += x * x
-        if sqrt(gap) > most:
+        tip = place_point(t.work.joints[arm.tip_joint], arm.tip[9:])
+        gap = minus3(placed(t.work.X_WO, arm.point), tip)
+        if arm.kind != OTHER and sqrt(dot3(gap, gap)) > model.closure_error:
             apart = k
     return apart
 
@@ -325,13 +315,10 @@ def check_sensors(t):
     Δt is the time since the position was read last; readings that are not there, repeated or not
     credible leave the evidence as it is.
     """
-    chain = t.model
-    table = t.model.joints
+    model = t.model
     memory = t.memory
-    joint_memory = t.memory.joints
     q = t.input.q
     v = t.input.v
-    n = chain.n_joints
     reason = NO_REASON
     compared = memory.compared != 0
     culprit = memory.culprit
@@ -343,20 +330,20 @@ def check_sensors(t):
     complete = fresh
     same_joints = compared
     elapsed = 0.0
-    for j in range(n):
-        known = joint_memory[j]
-        limit = table[j].speed_max
-        known.pending += known.acceleration * chain.period
+    for j in range(model.n_joints):
+        known = memory.joints[j]
+        joint = model.joints[j]
+        known.pending += known.acceleration * model.period
         read = fresh and isfinite(q[j])
-        read = read and not (compared and jumped(t, table[j], known, q[j]))
-        credible = fresh and abs(v[j]) <= chain.plausible_speed * table[j].rated
+        read = read and not (compared and jumped(t, joint, known, q[j]))
+        credible = fresh and abs(v[j]) <= model.plausible_speed * joint.rated
         complete = complete and read
         if read:
             step = q[j] - known.q
-            elapsed = chain.period * (1 + known.unread_q)
+            elapsed = model.period * (1 + known.unread_q)
             same_joints = same_joints and step == 0.0 and credible and v[j] == known.v
             if compared and credible:
-                found = _check_joint(t, known, limit, step, v[j], elapsed)
+                found = _check_joint(t, known, joint.speed_max, step, v[j], elapsed)
                 if found != NO_REASON:
                     reason = found
                     culprit = j
@@ -373,15 +360,15 @@ def check_sensors(t):
         memory.compared = 1
         memory.still = memory.still + elapsed if same_joints else 0.0
         memory.frozen = memory.frozen + elapsed if same_joints and same_wrenches else 0.0
-        for j in range(n if memory.still > chain.frozen_time else 0):
-            if abs(joint_memory[j].v) * memory.still > _RESOLUTION:
+        for j in range(model.n_joints if memory.still > model.frozen_time else 0):
+            if abs(memory.joints[j].v) * memory.still > _RESOLUTION:
                 reason = DISAGREE
                 culprit = j
-        if memory.frozen > chain.frozen_time and memory.state != SAFE_STOP:  # then they may rest
+        if memory.frozen > model.frozen_time and memory.state != SAFE_STOP:  # then they may rest
             reason = FROZEN
-        joints = reason in (STUCK, DISAGREE, FROZEN)
-        for j in range(n if joints and memory.still > _DEAD else 0):  # a dead packet
-            joint_memory[j].faulty = FAULTY_POSITION | FAULTY_SPEED
+        if reason in (STUCK, DISAGREE, FROZEN) and memory.still > _DEAD:  # a dead packet
+            for j in range(model.n_joints):
+                memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED
     if memory.state != SAFE_STOP:  # the cause of a stop keeps what it is about
         memory.culprit = culprit
     return reason

@@ -5,6 +5,15 @@ from __future__ import annotations
 from math import floor, sqrt
 
 from osc_contact.law.jit import inner, leaf
+from osc_contact.law.vectors import (
+    add3,
+    divided3,
+    dot3,
+    minus3,
+    plus3,
+    rotated9,
+    rotated9_back,
+)
 
 # F(x) = ½(q₁x² + q₂y² + q₃z²) + b z + c − h(x, y) is zero on the surface, in its own axes S; h is
 # bicubic in each cell of a grid, or zero. The foot f of a point p solves p = f + λ∇F(f), F(f) = 0:
@@ -20,13 +29,9 @@ _EXACT = 1e-28  #: m²; of Newton's last step
 
 
 @leaf
-def is_near(x, y, z):
-    """Whether a step is Newton's last.
-
-    Args:
-        x, y, z: of the step (m).
-    """
-    return x * x + y * y + z * z < _EXACT
+def is_near(step):
+    """Whether a step (m) is Newton's last."""
+    return dot3(step, step) < _EXACT
 
 
 @leaf
@@ -62,66 +67,44 @@ def _height(shapes, at, x, y):
 
 
 @inner
-def nearest(shapes, at, x, y, z):
+def nearest(shapes, at, p):
     """The surface nearest to a point of S.
 
     Args:
-        shapes: SHAPE rows. at: the first of the surface's. x, y, z: of the point (m).
+        shapes: SHAPE rows. at: the first of the surface's. p: three numbers (m).
 
     Returns:
         λ; ∇F at the foot; H there: xx, xy, yy, zz; M = (1 + λH)⁻¹: xx, xy, yy, zz.
     """
     row = shapes[at].row
-    a, b, c = x, y, z
+    foot = p
     s = 0.0
     for _ in range(_ITERATIONS):
-        h, h_x, h_y, h_xx, h_xy, h_yy = _height(shapes, at, a, b)
-        g = (row[4] * a - h_x, row[5] * b - h_y, row[6] * c + row[7])
-        F = 0.5 * (row[4] * a * a + row[5] * b * b + row[6] * c * c) + row[7] * c + row[8] - h
+        x, y, z = foot
+        h, h_x, h_y, h_xx, h_xy, h_yy = _height(shapes, at, x, y)
+        g = (row[4] * x - h_x, row[5] * y - h_y, row[6] * z + row[7])
+        F = 0.5 * (row[4] * x * x + row[5] * y * y + row[6] * z * z) + row[7] * z + row[8] - h
         H = (row[4] - h_xx, -h_xy, row[5] - h_yy, row[6])
         xx = 1.0 + s * H[0]
         xy = s * H[1]
         yy = 1.0 + s * H[2]
         det = xx * yy - xy * xy
         M = (yy / det, -xy / det, xx / det, 1.0 / (1.0 + s * H[3]))
-        m = _times(M, g[0], g[1], g[2])
-        u, v, w = x - a - s * g[0], y - b - s * g[1], z - c - s * g[2]
-        ds = m[0] * u + m[1] * v + m[2] * w + F
-        ds = ds / (m[0] * g[0] + m[1] * g[1] + m[2] * g[2])
-        u, v, w = _times(M, u - ds * g[0], v - ds * g[1], w - ds * g[2])
-        a = a + u
-        b = b + v
-        c = c + w
+        m = _times(M, g)
+        off = add3(minus3(p, foot), -s, g)
+        ds = (dot3(m, off) + F) / dot3(m, g)
+        step = _times(M, add3(off, -ds, g))
+        foot = plus3(foot, step)
         s = s + ds
-        if is_near(u, v, w):
+        if is_near(step):
             break
     return s, g, H, M
 
 
 @leaf
-def _times(M, x, y, z):
+def _times(M, v):
     """A symmetric matrix xx, xy, yy, zz times a vector."""
-    return M[0] * x + M[1] * y, M[1] * x + M[2] * y, M[3] * z
-
-
-@leaf
-def _into_surface(row, x, y, z):
-    """A vector of E along the axes of S; row: R_ES by rows."""
-    return (
-        row[0] * x + row[3] * y + row[6] * z,
-        row[1] * x + row[4] * y + row[7] * z,
-        row[2] * x + row[5] * y + row[8] * z,
-    )
-
-
-@leaf
-def _out_of_surface(row, x, y, z):
-    """A vector of S along the axes of E."""
-    return (
-        row[0] * x + row[1] * y + row[2] * z,
-        row[3] * x + row[4] * y + row[5] * z,
-        row[6] * x + row[7] * y + row[8] * z,
-    )
+    return M[0] * v[0] + M[1] * v[1], M[1] * v[0] + M[2] * v[1], M[3] * v[2]
 
 
 @inner
@@ -132,16 +115,10 @@ def normal_at(shapes, at, p, v):
         shapes: SHAPE rows. at: the first of the surface's. p, v: three numbers each (m, m/s).
     """
     seat = shapes[at + 1].row
-    a, b, c = _into_surface(seat, p[0] - seat[9], p[1] - seat[10], p[2] - seat[11])
-    _, g, H, M = nearest(shapes, at, a, b, c)
-    size = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-    a, b, c = _into_surface(seat, v[0], v[1], v[2])
-    a, b, c = _times(M, a, b, c)
-    m = _times(M, g[0], g[1], g[2])
-    s = g[0] * a + g[1] * b + g[2] * c
-    s = s / (m[0] * g[0] + m[1] * g[1] + m[2] * g[2])
-    a, b, c = _times(H, a - s * m[0], b - s * m[1], c - s * m[2])
-    s = (g[0] * a + g[1] * b + g[2] * c) / (size * size)
-    a, b, c = (a - s * g[0]) / size, (b - s * g[1]) / size, (c - s * g[2]) / size
-    n = _out_of_surface(seat, g[0] / size, g[1] / size, g[2] / size)
-    return size, n, _out_of_surface(seat, a, b, c)
+    _, g, H, M = nearest(shapes, at, rotated9_back(seat, minus3(p, seat[9:])))
+    size = sqrt(dot3(g, g))
+    v_foot = _times(M, rotated9_back(seat, v))
+    m = _times(M, g)
+    bend = _times(H, add3(v_foot, -dot3(g, v_foot) / dot3(m, g), m))
+    n_dot = divided3(add3(bend, -dot3(g, bend) / (size * size), g), size)
+    return size, rotated9(seat, divided3(g, size)), rotated9(seat, n_dot)

@@ -8,7 +8,16 @@ from osc_contact.law.arm_motion import move_arm, place_arm, place_point, weight_
 from osc_contact.law.jit import entry, inner
 from osc_contact.law.operational import arm_terms, weigh_joints
 from osc_contact.law.records import row_of
-from osc_contact.law.vectors import ZERO, add, cross, dot6, fill, six
+from osc_contact.law.vectors import (
+    ZERO,
+    accumulate,
+    add,
+    cross,
+    dot6,
+    fill3,
+    finiteness,
+    plus3,
+)
 
 
 @entry
@@ -26,9 +35,7 @@ def operational_space(raw, q, v, out):
         return 0
     for row in range(len(out)):
         first = row * n
-        s = 0.0
-        for j in range(first, first + n):
-            s += (q[j] + v[j]) * 0.0
+        s = finiteness(q[first:], n) + finiteness(v[first:], n)
         if not isfinite(s) or not _arm_at_tip(t, n, q[first:], v[first:], out[row]):
             return row
     return len(out)
@@ -46,41 +53,33 @@ def _arm_at_tip(t, n, q, v, out):
     joints = work.joints
     arm = model.arms[0]
     own = work.arms[0]
-    tip = work.C
-    V = own.V
     drift = own.drift
     root = work.z
-    mu = work.w
-    p = work.y
+    mu = ZERO
+    p = ZERO
     place_arm(t, 0, n, q)
-    place_point(joints[arm.tip_joint], arm.tip, 9, tip)
-    move_arm(t, arm, v, tip, V, drift, own.bias)
-    x, y, z = cross(V[3], V[4], V[5], V[0], V[1], V[2])
-    drift[0] += x  # the rate of J q̇, no spatial acceleration
-    drift[1] += y
-    drift[2] += z
+    fill3(work.C, place_point(joints[arm.tip_joint], arm.tip[9:]))
+    move_arm(t, arm, v, work.C, own.V, drift, own.bias)
+    fill3(drift, plus3(drift, cross(own.V[3:], own.V)))  # the rate of J q̇, no spatial acceleration
     for i in range(3):
         root[i] = model.roots[0]
         root[3 + i] = model.roots[1 + i]
     for j in range(n):
         for i in range(6):
             joints[j].J[i] = root[i] * joints[j].column[i]
-    if arm_terms(t, 0, n, 6, True, own, 0) < 0:
+    if arm_terms(t, 0, n, 6, own, 0) < 0:
         return False
     weigh_joints(0, n, joints, work.K, work.Z)
-    fill(p, ZERO)
-    fill(mu, ZERO)
-    for a in range(6):
-        fill(work.A[a], ZERO)
+    work.A[:] = 0.0
     for j in range(n):
         bar = joints[j].J_bar
         Z = work.Z[j]
         for a in range(6):
             bar[a] *= root[a]
-            fill(work.A[a], add(six(work.A[a]), Z[a], Z))
+            accumulate(work.A[a], Z[a], Z)
         g = weight_on_joint(joints[j], model.gravity)
-        fill(p, add(six(p), g, bar))
-        fill(mu, add(six(mu), joints[j].h - g, bar))
+        p = add(p, g, bar)
+        mu = add(mu, joints[j].h - g, bar)
     at = 12 * n + 72  # behind all matrices
     for a in range(6):
         row = own.Lambda[a]

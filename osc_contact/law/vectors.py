@@ -19,13 +19,65 @@ ZERO = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @leaf
-def cross(ax, ay, az, bx, by, bz):
-    """a × b.
+def cross(a, b):
+    """a × b of 3-vectors."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
-    Args:
-        ax, ay, az: of a. bx, by, bz: of b.
-    """
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+@leaf
+def dot3(a, b):
+    """aᵀb of 3-vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@leaf
+def add3(t, s, x):
+    """t + s x of 3-vectors, as a tuple."""
+    return t[0] + s * x[0], t[1] + s * x[1], t[2] + s * x[2]
+
+
+@leaf
+def plus3(x, y):
+    """x + y of 3-vectors, as a tuple."""
+    return x[0] + y[0], x[1] + y[1], x[2] + y[2]
+
+
+@leaf
+def minus3(x, y):
+    """x − y of 3-vectors, as a tuple."""
+    return x[0] - y[0], x[1] - y[1], x[2] - y[2]
+
+
+@leaf
+def scaled3(s, x):
+    """s x of a 3-vector, as a tuple."""
+    return s * x[0], s * x[1], s * x[2]
+
+
+@leaf
+def divided3(x, s):
+    """x / s of a 3-vector, as a tuple."""
+    return x[0] / s, x[1] / s, x[2] / s
+
+
+@leaf
+def linear(x):
+    """The first three of six, as a tuple."""
+    return x[0], x[1], x[2]
+
+
+@leaf
+def angular(x):
+    """The last three of six, as a tuple."""
+    return x[3], x[4], x[5]
+
+
+@leaf
+def fill3(x, t):
+    """x ← t of 3-vectors."""
+    x[0] = t[0]
+    x[1] = t[1]
+    x[2] = t[2]
 
 
 @leaf
@@ -69,6 +121,12 @@ def add(t, s, x):
 
 
 @leaf
+def accumulate(x, s, y):
+    """x ← x + s y."""
+    fill(x, add(x, s, y))
+
+
+@leaf
 def plus(x, y):
     """x + y, as a tuple."""
     return x[0] + y[0], x[1] + y[1], x[2] + y[2], x[3] + y[3], x[4] + y[4], x[5] + y[5]
@@ -103,6 +161,23 @@ def reflector(square, head):
     return -norm if head >= 0.0 else norm, 1.0 / (norm * (norm + abs(head)))
 
 
+@leaf
+def finiteness(x, n):
+    """0, or NaN where one of x[:n] is not finite."""
+    s = 0.0
+    for i in range(n):
+        s += 0.0 * x[i]
+    return s
+
+
+@leaf
+def copy_pose(X, out):
+    """out ← X of poses (4, 4)."""
+    for i in range(4):
+        for j in range(4):
+            out[i, j] = X[i, j]
+
+
 @inner
 def qr6(X, rows, R, diagonal, beta):
     """Householder QR of the (6, rows) matrix whose *columns* are X[:rows, :6].
@@ -126,8 +201,7 @@ def qr6(X, rows, R, diagonal, beta):
         b = beta[k]
         v = six(X[k])
         for j in range(k + 1, rows):
-            x = six(X[j])
-            fill(X[j], add(x, -b * dot6(v, x), v))
+            accumulate(X[j], -b * dot6(v, X[j]), v)
     return True
 
 
@@ -139,60 +213,54 @@ def form_q6(V, rows, beta, Q):
         V, beta: reflectors and their factors, of `qr6`. rows: how many. Q: for the columns.
     """
     for c in range(6):
-        for i in range(6):
-            Q[c, i] = 0.0
+        fill(Q[c], ZERO)
         Q[c, c] = 1.0
-        reflect_back(V, beta, min(c + 1, rows), Q[c])
+        fill(Q[c], reflected_back(V, beta, min(c + 1, rows), Q[c]))
 
 
 @leaf
-def reflect(V, beta, m, x):
-    """x ← H_m … H_1 x (6,) with the reflectors in the rows of V.
+def reflected(V, beta, m, x):
+    """H_m … H_1 x (6,) with the reflectors in the rows of V, as a tuple.
 
     Args:
         V: reflectors. beta: (m,) their factors. m: how many. x: six numbers.
     """
-    if m > 0:
-        y = six(x)
-        for k in range(m):
-            y = add(y, -beta[k] * dot6(V[k], y), V[k])
-        fill(x, y)
+    y = six(x)
+    for k in range(m):
+        y = add(y, -beta[k] * dot6(V[k], y), V[k])
+    return y
 
 
 @leaf
-def reflect_back(V, beta, m, x):
-    """x ← H_1 … H_m x, the inverse of `reflect`.
+def reflected_back(V, beta, m, x):
+    """H_1 … H_m x, the inverse of `reflected`.
 
     Args:
-        V, beta, m, x: as of `reflect`.
+        V, beta, m, x: as of `reflected`.
     """
-    if m > 0:
-        y = six(x)
-        for k in range(m - 1, -1, -1):
-            y = add(y, -beta[k] * dot6(V[k], y), V[k])
-        fill(x, y)
+    y = six(x)
+    for k in range(m - 1, -1, -1):
+        y = add(y, -beta[k] * dot6(V[k], y), V[k])
+    return y
 
 
 @inner
-def reflect_sides(V, beta, m, A):
-    """Symmetric A (6, 6) ← H A Hᵀ with H = H_m … H_1; both triangles are kept.
+def reflect_sides(work, A):
+    """Symmetric A (6, 6) ← H A Hᵀ, H as in `turned`; both triangles are kept.
 
     (1 − β v vᵀ) A (1 − β v vᵀ) = A − v wᵀ − w vᵀ,  w = p − ½β(vᵀp) v,  p = β A v.
-
-    Args:
-        V, beta, m: as of `reflect`. A: (6, 6), overwritten.
     """
-    for k in range(m):
-        v = six(V[k])
-        b = beta[k]
+    for k in range(work.locked):
+        v = six(work.reflectors[k])
+        b = work.beta[k]
         p = scaled(b, times6(A, v))
         w = add(p, -0.5 * b * dot6(v, p), v)
-        fill(A[0], add(add(six(A[0]), -v[0], w), -w[0], v))
-        fill(A[1], add(add(six(A[1]), -v[1], w), -w[1], v))
-        fill(A[2], add(add(six(A[2]), -v[2], w), -w[2], v))
-        fill(A[3], add(add(six(A[3]), -v[3], w), -w[3], v))
-        fill(A[4], add(add(six(A[4]), -v[4], w), -w[4], v))
-        fill(A[5], add(add(six(A[5]), -v[5], w), -w[5], v))
+        fill(A[0], add(add(A[0], -v[0], w), -w[0], v))
+        fill(A[1], add(add(A[1], -v[1], w), -w[1], v))
+        fill(A[2], add(add(A[2], -v[2], w), -w[2], v))
+        fill(A[3], add(add(A[3], -v[3], w), -w[3], v))
+        fill(A[4], add(add(A[4], -v[4], w), -w[4], v))
+        fill(A[5], add(add(A[5], -v[5], w), -w[5], v))
 
 
 @leaf
@@ -204,45 +272,63 @@ def mirror(A):
 
 
 @leaf
-def rotated(R, x, y, z):
-    """R (x, y, z).
-
-    Args:
-        R: matrix, the rotation in its first rows and columns. x, y, z: of a vector.
-    """
+def rotated(R, x):
+    """R x, as a tuple; the rotation stands in the first rows and columns of R."""
     return (
-        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
-        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
-        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+        R[0, 0] * x[0] + R[0, 1] * x[1] + R[0, 2] * x[2],
+        R[1, 0] * x[0] + R[1, 1] * x[1] + R[1, 2] * x[2],
+        R[2, 0] * x[0] + R[2, 1] * x[1] + R[2, 2] * x[2],
     )
 
 
 @leaf
-def rotated_back(R, x, y, z):
-    """Rᵀ (x, y, z).
-
-    Args:
-        R, x, y, z: as of `rotated`.
-    """
+def rotated_back(R, x):
+    """Rᵀ x, as a tuple."""
     return (
-        R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
-        R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
-        R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
+        R[0, 0] * x[0] + R[1, 0] * x[1] + R[2, 0] * x[2],
+        R[0, 1] * x[0] + R[1, 1] * x[1] + R[2, 1] * x[2],
+        R[0, 2] * x[0] + R[1, 2] * x[1] + R[2, 2] * x[2],
     )
 
 
 @leaf
-def velocity_at(V, x, y, z):
-    """Of a point of a body.
+def rotated9(R, x):
+    """R x of a rotation (≥ 9,) by rows, as a tuple."""
+    return dot3(R, x), dot3(R[3:], x), dot3(R[6:], x)
 
-    Args:
-        V: (6,) twist of the body. x, y, z: of the point, from where V is at.
-    """
+
+@leaf
+def rotated9_back(R, x):
+    """Rᵀ x of a rotation (≥ 9,) by rows, as a tuple."""
     return (
-        V[0] + (V[4] * z - V[5] * y),
-        V[1] + (V[5] * x - V[3] * z),
-        V[2] + (V[3] * y - V[4] * x),
+        R[0] * x[0] + R[3] * x[1] + R[6] * x[2],
+        R[1] * x[0] + R[4] * x[1] + R[7] * x[2],
+        R[2] * x[0] + R[5] * x[1] + R[8] * x[2],
     )
+
+
+@leaf
+def origin(X):
+    """The point of a pose X (≥ 3, 4), as a tuple."""
+    return X[0, 3], X[1, 3], X[2, 3]
+
+
+@leaf
+def placed(X, x):
+    """R x + p of a pose X (≥ 3, 4), as a tuple."""
+    return plus3(origin(X), rotated(X, x))
+
+
+@leaf
+def velocity_at(V, p):
+    """Of a point p of a body with the twist V, from where V is at."""
+    return plus3(V, cross(V[3:], p))
+
+
+@leaf
+def cross_motion(V, x):
+    """V × x: the rate of a motion x that a body of twist V carries."""
+    return plus3(cross(V[3:], x), cross(V, x[3:])) + cross(V[3:], x[3:])
 
 
 # --- Energy coordinates of the held object: its inertia is the identity there ---------------------
@@ -269,98 +355,75 @@ def set_axes(R, roots, axes):
 
 
 @leaf
-def _apply(axes, k, x, first, out):
-    """out[first : first + 3] = axes[k] x[first : first + 3]."""
-    a = x[first]
-    b = x[first + 1]
-    c = x[first + 2]
-    for i in range(3):  # x may be out
-        out[first + i] = axes[k, i, 0] * a + axes[k, i, 1] * b + axes[k, i, 2] * c
+def energy_motion(axes, x):
+    """x̃ = Lᵀx of a motion x (6,) at C, as a tuple; `axes` from `set_axes`."""
+    return rotated(axes[0], x) + rotated(axes[1], x[3:])
 
 
 @leaf
-def energy_motion(axes, x, out):
-    """x̃ = Lᵀx of a motion x (6,) at C.
-
-    Args:
-        axes: from `set_axes`. x: (6,) motion. out: (6,).
-    """
-    _apply(axes, 0, x, 0, out)
-    _apply(axes, 1, x, 3, out)
+def energy_wrench(axes, f):
+    """f̃ = L⁻¹f of a wrench f (6,) at C."""
+    return rotated(axes[2], f) + rotated(axes[3], f[3:])
 
 
 @leaf
-def energy_wrench(axes, f, out):
-    """f̃ = L⁻¹f of a wrench f (6,) at C.
-
-    Args:
-        axes: from `set_axes`. f: (6,) wrench. out: (6,).
-    """
-    _apply(axes, 2, f, 0, out)
-    _apply(axes, 3, f, 3, out)
+def world_motion(axes, x):
+    """x = L⁻ᵀx̃ at C."""
+    return rotated_back(axes[2], x) + rotated_back(axes[3], x[3:])
 
 
 @leaf
-def _apply_transposed(axes, k, x, first, out):
-    a = x[first]
-    b = x[first + 1]
-    c = x[first + 2]
-    for i in range(3):
-        out[first + i] = axes[k, 0, i] * a + axes[k, 1, i] * b + axes[k, 2, i] * c
+def world_wrench(axes, f):
+    """f = L f̃ at C."""
+    return rotated_back(axes[0], f) + rotated_back(axes[1], f[3:])
 
 
 @leaf
-def world_motion(axes, x, out):
-    """x = L⁻ᵀx̃ at C; out may be x.
-
-    Args:
-        axes: from `set_axes`. x: (6,) in energy coordinates. out: (6,).
-    """
-    _apply_transposed(axes, 2, x, 0, out)
-    _apply_transposed(axes, 3, x, 3, out)
+def carry_motion(V, start, end):
+    """A motion V (6,) carried from point to point (m), as a tuple."""
+    return velocity_at(V, minus3(end, start)) + angular(V)
 
 
 @leaf
-def world_wrench(axes, f, out):
-    """f = L f̃ at C; out may be f.
-
-    Args:
-        axes: from `set_axes`. f: (6,) in energy coordinates. out: (6,).
-    """
-    _apply_transposed(axes, 0, f, 0, out)
-    _apply_transposed(axes, 1, f, 3, out)
+def carry_wrench(f, start, end):
+    """A wrench f (6,) carried from point to point (m), as a tuple."""
+    return linear(f) + plus3(f[3:], cross(minus3(start, end), f))
 
 
 @leaf
-def carry_motion(V, start, end, out):
-    """A motion carried from point to point, in place or not.
-
-    Args:
-        V: (6,) motion. start, end: (3,) points (m). out: (6,).
-    """
-    x, y, z = cross(V[3], V[4], V[5], end[0] - start[0], end[1] - start[1], end[2] - start[2])
-    out[0] = V[0] + x
-    out[1] = V[1] + y
-    out[2] = V[2] + z
-    out[3] = V[3]
-    out[4] = V[4]
-    out[5] = V[5]
+def motion_to_energy(work, x):
+    """A motion at O in world axes, in energy coordinates."""
+    return energy_motion(work.axes, carry_motion(x, work.O, work.C))
 
 
 @leaf
-def carry_wrench(f, start, end, out):
-    """A wrench carried from point to point, in place or not.
+def wrench_to_energy(work, f):
+    """A wrench at O in world axes, in energy coordinates."""
+    return energy_wrench(work.axes, carry_wrench(f, work.O, work.C))
 
-    Args:
-        f: (6,) wrench. start, end: (3,) points (m). out: (6,).
-    """
-    x, y, z = cross(start[0] - end[0], start[1] - end[1], start[2] - end[2], f[0], f[1], f[2])
-    out[3] = f[3] + x
-    out[4] = f[4] + y
-    out[5] = f[5] + z
-    out[0] = f[0]
-    out[1] = f[1]
-    out[2] = f[2]
+
+@leaf
+def motion_to_world(work, x):
+    """A motion in energy coordinates, at O in world axes."""
+    return carry_motion(world_motion(work.axes, x), work.C, work.O)
+
+
+@leaf
+def wrench_to_world(work, f):
+    """A wrench in energy coordinates, at O in world axes."""
+    return carry_wrench(world_wrench(work.axes, f), work.C, work.O)
+
+
+@leaf
+def turned(work, x):
+    """x (6,) turned so that the first m energy axes are those that the arms lock."""
+    return reflected(work.reflectors, work.beta, work.locked, x)
+
+
+@leaf
+def turned_back(work, x):
+    """The inverse of `turned`."""
+    return reflected_back(work.reflectors, work.beta, work.locked, x)
 
 
 # --- From energy coordinates to world axes at O, as matrices --------------------------------------

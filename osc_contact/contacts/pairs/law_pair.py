@@ -148,7 +148,7 @@ class LawPair(PackagedPair):
             with np.errstate(all="ignore"):
                 V_rel = (V_O - V_E).tolist()
                 motion = law.Motion(A, V_O.tolist(), E, V_E.tolist(), V_rel, True)
-                sine = _place(head, shapes, columns, motion, [0.0] * 6)
+                sine = _place(head, shapes, columns, motion)
         except ZeroDivisionError:
             sine = 0.0
         least = np.min(sine)

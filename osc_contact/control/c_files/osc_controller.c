@@ -12,8 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-extern int32_t osc_law_rows(int64_t *, void **, uintptr_t, int64_t, uintptr_t, uintptr_t, uintptr_t,
-                            uintptr_t, uintptr_t, uintptr_t, uintptr_t, uintptr_t);
+extern int32_t osc_law_rows(int64_t *, void **, uintptr_t, int64_t, uintptr_t, uintptr_t);
 extern int32_t osc_law_fill(int64_t *, void **, uintptr_t, int64_t, int64_t, uintptr_t);
 extern int32_t osc_law_prepare(int64_t *, void **, uintptr_t, int64_t);
 extern int32_t osc_law_finish(int64_t *, void **, uintptr_t, int64_t);
@@ -229,12 +228,15 @@ static void run(osc_controller *c, const osc_measurement *m, const osc_reference
                 int64_t switches, int64_t begin) {
     int64_t done;
     void *unused;
+    const osc_dimensions *n = &c->dimensions;
     const double *alpha = r->alpha_d.count ? r->alpha_d.data : c->missing;
+    const double *given[] = {m->q.data, m->v.data, w, r->X_WD.data, r->V_D.data, r->A_D.data, alpha,
+                             m->touched.data};
+    const int64_t sizes[] = {(int64_t)n->joints, (int64_t)n->joints, (int64_t)n->arms, 4, 6, 6,
+                             (int64_t)n->forces, switches & MOVING ? (int64_t)n->contacts : 0};
     set_whole(c->raw, JOB_switches, switches);
     set_whole(c->raw, JOB_begin, begin);
-    osc_law_rows(&done, &unused, (uintptr_t)c->raw, 0, (uintptr_t)m->q.data, (uintptr_t)m->v.data,
-                 (uintptr_t)w, (uintptr_t)r->X_WD.data, (uintptr_t)r->V_D.data,
-                 (uintptr_t)r->A_D.data, (uintptr_t)alpha, (uintptr_t)m->touched.data);
+    osc_law_rows(&done, &unused, (uintptr_t)c->raw, 0, (uintptr_t)given, (uintptr_t)sizes);
     set_whole(c->raw, JOB_switches, 0);
     set_whole(c->raw, JOB_begin, LOOK);
 }
