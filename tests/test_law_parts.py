@@ -242,7 +242,6 @@ SIGNS = [s for s in product((-1.0, 0.0, 1.0), repeat=3) if any(s)]
 
 def test_rotation_vectors_of_all_angles_and_axes():
     rng = rng_of(0)
-    out = np.zeros(4)
     angles = [0.0, 1e-12, 1e-7, 0.9e-6, 1.1e-6, 1e-3, 0.3, 1.0, 1.6, 2.5, 2.9, 2.999, 3.0, 3.001]
     angles += [3.1, np.pi - 1e-3, np.pi - 1e-6]
     for signs in SIGNS:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from grasp_rigs import KINDS, random_case
-from law_calls import bars
+from law_calls import allocation
 from numpy.linalg import norm, pinv, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -161,7 +161,7 @@ def answer(state, chain, G=None, per_torque=1.0):
     )
     for out in (work.levers, work.basis, work.scratch):
         out[:] = np.nan
-    s = bars.settable_bars(t, len(locked))
+    s = allocation.settable_bars(t, len(locked))
     basis = work.basis[:, :s]
     assert_allclose(basis.T @ basis, np.eye(s), atol=1e-12)
     assert s < len(work.levers) or (work.basis == np.eye(s)).all()

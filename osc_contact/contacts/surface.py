@@ -14,8 +14,8 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.law.contact import is_near, nearest
 from osc_contact.law.jit import as_python
-from osc_contact.law.surface import is_near, nearest
 from osc_contact.spatial import Array, as_array
 
 _UPWARD = 0.5  #: least z of a triangle's unit normal that belongs to a fitted surface
@@ -160,7 +160,7 @@ class Surface:
         return cls.fitted(np.unique(corners[np.unique(triangles[up])], axis=0), cells)
 
     def rows(self, ball: Array, radius: float, X_ES: pin.SE3) -> tuple[Array, ...]:
-        """SHAPE rows of a ball on it, see `law.surface`.
+        """SHAPE rows of a ball on it, see `law.contact`.
 
         Args:
             ball: (3,) its centre in A. radius: its own (m). X_ES: pose of the surface in E.

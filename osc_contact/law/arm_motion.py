@@ -17,6 +17,7 @@ from osc_contact.law.vectors import (
     dot6,
     fill,
     fill3,
+    linear,
     minus3,
     plus,
     plus3,
@@ -25,6 +26,7 @@ from osc_contact.law.vectors import (
     scaled,
     scaled3,
     six,
+    transformed,
 )
 
 
@@ -47,17 +49,8 @@ def place_arm(t, lo, hi, q):
                 fill3(R[i], X[3 * i :])
             fill3(p, X[9:])
         else:
-            before = work[j - 1].R
-            x0, x1, x2, x3, x4, x5 = six(X)
-            x6, x7, x8, x, y, z = six(X[6:])
-            for i in range(3):
-                a = before[i, 0]
-                b = before[i, 1]
-                d = before[i, 2]
-                R[i, 0] = a * x0 + b * x3 + d * x6
-                R[i, 1] = a * x1 + b * x4 + d * x7
-                R[i, 2] = a * x2 + b * x5 + d * x8
-                p[i] = work[j - 1].p[i] + a * x + b * y + d * z
+            turn_axes(work[j - 1].R, X, R)
+            fill3(p, transformed(work[j - 1].p, work[j - 1].R, X[9:]))
         c = 1.0
         s = 0.0
         slide = q[j]
@@ -76,13 +69,7 @@ def place_arm(t, lo, hi, q):
 @leaf
 def place_point(joint, x):
     """A point x (m) given in a joint (JOINT_WORK), in the world, as a tuple (m)."""
-    p = joint.p
-    R = joint.R
-    return (
-        p[0] + R[0, 0] * x[0] + R[0, 1] * x[1] + R[0, 2] * x[2],
-        p[1] + R[1, 0] * x[0] + R[1, 1] * x[1] + R[1, 2] * x[2],
-        p[2] + R[2, 0] * x[0] + R[2, 1] * x[1] + R[2, 2] * x[2],
-    )
+    return transformed(joint.p, joint.R, x)
 
 
 @inner
@@ -96,16 +83,16 @@ def place_frame(joint, X, R, p):
     fill3(p, place_point(joint, X[9:]))
 
 
-@inner
+@leaf
 def turn_axes(R, own, out):
     """out (3, 3) = R times a rotation given by rows.
 
     Args:
         R: rotation or pose. own: (≥ 9,). out: (≥ 3, ≥ 3).
     """
+    turn = six(own) + linear(own[6:])
     for i in range(3):
-        row = (R[i, 0], R[i, 1], R[i, 2])
-        fill3(out[i], rotated9_back(own, row))
+        fill3(out[i], rotated9_back(turn, (R[i, 0], R[i, 1], R[i, 2])))
 
 
 @leaf

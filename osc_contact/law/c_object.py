@@ -22,7 +22,7 @@ import numpy as np
 
 from osc_contact.errors import OscContactError
 from osc_contact.files import one_by_one
-from osc_contact.law import jit, library, limits, terms, tick
+from osc_contact.law import jit, library, limits, operational, tick
 from osc_contact.law.compiled import announced, report_to
 from osc_contact.law.jit import bytes_at, inner, row_at, table_at, words_at
 from osc_contact.law.limits import PROGRAM
@@ -39,7 +39,7 @@ _rows, _terms, _prepare, _finish, _fill, _settle = (
     inner(part.__wrapped__)
     for part in (
         tick.rows,
-        terms.operational_space,
+        operational.operational_space,
         limits.prepare,
         limits.finish,
         limits.fill_program,
@@ -71,7 +71,7 @@ def osc_law_rows(raw, at, arrays, sizes):
 
 
 def osc_law_terms(raw, q, v, out, sizes):
-    """`terms.operational_space`.
+    """`operational.operational_space`.
 
     Args:
         raw, q, v, out: addresses. sizes: address of the columns of `out`, then the number of

@@ -21,7 +21,6 @@ from osc_contact.law.vectors import (
     linear,
     minus3,
     plus,
-    scaled,
     scaled3,
     wrench_to_energy,
 )
@@ -102,7 +101,8 @@ def _reduce(t):
     columns = work.columns
     rank = 0
     for j in range(work.count):
-        fill(columns[j].rest, scaled(1.0 / columns[j].extent, columns[j].energy))
+        for i in range(6):
+            columns[j].rest[i] = columns[j].energy[i] / columns[j].extent
     while rank < work.count:
         longest = 0.0
         for j in range(work.count):
@@ -149,7 +149,8 @@ def _express(t):
     rank = work.rank
     for a in range(rank):
         column = columns[int(work.keep[a])]
-        fill(work.A[a], scaled(1.0 / column.extent, column.energy))
+        for i in range(6):
+            work.A[a, i] = column.energy[i] / column.extent
     orthonormalise(work.A, rank, 0, work.Q, work.L)
     for j in range(work.count):
         column = columns[j]
@@ -218,18 +219,30 @@ def spread_magnitudes(t, alpha, speed):
     G = work.D
     x = work.E
     dependent = r < work.count
-    for a in range(r if dependent else 0):  # α_all = Rᵀ(RRᵀ)⁻¹α and Rᵀ speed, R the shares
-        x[0, a] = work.alpha_meas[a]
-        for b in range(r):
-            G[a, b] = 0.0
-            for j in range(work.count):
-                G[a, b] += columns[j].share[a] * columns[j].share[b]
-    if dependent:
+    if dependent:  # α_all = Rᵀ(RRᵀ)⁻¹α and Rᵀ speed, R the shares
+        square_shares(work, G)
+        for a in range(r):
+            x[0, a] = work.alpha_meas[a]
         lu_solve(G, r, x, 1)
     for j in range(work.count):
         own = columns[j]
         alpha[own.chosen] = dot(own.share, x[0], r) if dependent else work.alpha_meas[j]
         speed[own.chosen] = dot(own.share, work.speed, r) if dependent else work.speed[j]
+
+
+@inner
+def square_shares(work, out):
+    """RRᵀ (r, r) of the shares R that columns in force have in the kept ones.
+
+    Args:
+        out: (6, 6) to be filled.
+    """
+    out[:] = 0.0
+    for j in range(work.count):
+        share = work.columns[j].share
+        for a in range(work.rank):
+            for b in range(work.rank):
+                out[a, b] += share[a] * share[b]
 
 
 # --- What the touched bodies do along N: Φ_μ = NᵀΦ_eN_μ, b_N = Nᵀb_e, V_N = NᵀV_e -----------------

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.law import jit, terms
+from osc_contact.law import jit, operational
 from osc_contact.law import tick as law
 from osc_contact.law.records import Rows, new_model
 
@@ -44,9 +44,11 @@ def rows() -> Any:
 
 @cache
 def operational_space() -> Any:
-    """The terms of one arm, see `law.terms.operational_space`, likewise."""
+    """The terms of one arm, see `law.operational.operational_space`, likewise."""
     none = np.zeros(0)
-    return _made(terms.operational_space, Rows(new_model(1, 1, 1)).raw, none, none, none[:, None])
+    return _made(
+        operational.operational_space, Rows(new_model(1, 1, 1)).raw, none, none, none[:, None]
+    )
 
 
 def _made(call: Any, *nothing: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from math import copysign, sqrt
+from math import copysign, floor, sqrt
 
 from osc_contact.law.jit import call_at, inner, leaf
 from osc_contact.law.records import (
@@ -19,7 +19,6 @@ from osc_contact.law.records import (
     SURFACE,
     THREAD,
 )
-from osc_contact.law.surface import normal_at
 from osc_contact.law.vectors import (
     ZERO,
     add,
@@ -37,10 +36,10 @@ from osc_contact.law.vectors import (
     minus,
     minus3,
     origin,
-    placed,
     plus3,
     rotated,
     rotated9,
+    rotated9_back,
     rotated_back,
     scaled3,
     velocity_at,
@@ -368,9 +367,10 @@ def point_of_contact(kind, row, X_WO, R_E, N):
         return _crossing(row, X_WO, R_E, rotated(R_E, row[9:]))[0]
     p = rotated(X_WO, row)
     ahead = row[3]
-    if kind == POINTS:
-        apart = minus3(minus3(origin(R_E), origin(X_WO)), p)
-        ahead = row[6] + dot3(rotated(R_E, row[3:]), apart)  # to the assumed plane
+    if kind == POINTS:  # to the assumed plane
+        x, y, z = minus3(minus3(origin(R_E), origin(X_WO)), p)
+        a, b, c = rotated(R_E, row[3:])
+        ahead = row[6] + a * x + (b * y + c * z)
     return add3(p, ahead, N)
 
 
@@ -413,7 +413,7 @@ def _on_surface(shapes, at, motion, column):
 @leaf
 def _vertex(row, X_WO, R_E):
     """A vertex of E (3:6 of a shape), from O."""
-    return minus3(placed(R_E, row[3:]), origin(X_WO))
+    return minus3(plus3(origin(R_E), rotated(R_E, row[3:])), origin(X_WO))
 
 
 @inner
@@ -446,7 +446,8 @@ def _crossing(row, X_WO, R_E, f):
     e = rotated(X_WO, row[3:])
     m = cross(e, f)
     q = rotated(X_WO, row)
-    apart = minus3(minus3(placed(R_E, row[6:]), origin(X_WO)), q)
+    p = plus3(origin(R_E), rotated(R_E, row[6:]))
+    apart = minus3(minus3(p, origin(X_WO)), q)
     return add3(q, _along_first(apart, f, m, dot3(m, m)), e), apart
 
 
@@ -530,3 +531,114 @@ def _tangents(pair, shapes, motion, columns):
             f = row[10] / dot3(d, rotated(X_WO, row[7:]))
             fill(N, linear(N) + add3(N[3:], -f, d))
         column.n_gamma_all = dot6(N, Tdot_beta)
+
+
+# --- Smooth surfaces: signed distance, normal and curvature at the foot of any point ------------
+#
+# F(x) = ½(q₁x² + q₂y² + q₃z²) + b z + c − h(x, y) is zero on the surface, in its own axes S; h is
+# bicubic in each cell of a grid, or zero. The foot f of a point p solves p = f + λ∇F(f), F(f) = 0:
+# then n = ∇F/|∇F| is the normal there, λ|∇F| the signed distance of p, n its gradient. Where p
+# moves by v, f moves by df = (1 + λH)⁻¹(v − dλ ∇F) with ∇Fᵀdf = 0, and n by (1 − nnᵀ)H df/|∇F|.
+#
+# Shapes: a ball's centre in A (0:3) and radius (3), q (4:7), b, c (7, 8), corner of the grid
+# (9, 10), cells per metre (11, 12) and their numbers (13, 14), 0: no h; then R_ES by rows and the
+# origin of S in E; then h of each cell, 4 p + q the factor of uᵖvᵠ, u, v = 0 … 1 along x, y.
+
+_ITERATIONS = 25
+_EXACT = 1e-28  #: m²; of Newton's last step
+
+
+@leaf
+def is_near(step):
+    """Whether a step (m) is Newton's last."""
+    return dot3(step, step) < _EXACT
+
+
+@leaf
+def _cell(x, count):
+    """Number of the cell where x is, and where in it; the outermost cells have no end."""
+    i = int(min(max(floor(x), 0.0), count - 1.0))
+    return i, x - i
+
+
+@inner
+def _height(shapes, at, x, y):
+    """h and its derivatives by x, y, xx, xy, yy."""
+    row = shapes[at].row
+    if row[13] == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    i, u = _cell((x - row[9]) * row[11], row[13])
+    j, v = _cell((y - row[10]) * row[12], row[14])
+    a = shapes[at + 2 + i * int(row[14]) + j].row
+    h = h_u = h_uu = h_v = h_uv = h_vv = 0.0
+    for k in range(3, -1, -1):  # Horner's scheme, differentiated
+        f = ((a[4 * k + 3] * v + a[4 * k + 2]) * v + a[4 * k + 1]) * v + a[4 * k]
+        f_v = (3.0 * a[4 * k + 3] * v + 2.0 * a[4 * k + 2]) * v + a[4 * k + 1]
+        f_vv = 6.0 * a[4 * k + 3] * v + 2.0 * a[4 * k + 2]
+        h_uu = h_uu * u + 2.0 * h_u
+        h_u = h_u * u + h
+        h = h * u + f
+        h_uv = h_uv * u + h_v
+        h_v = h_v * u + f_v
+        h_vv = h_vv * u + f_vv
+    s = row[11]
+    r = row[12]
+    return h, s * h_u, r * h_v, s * s * h_uu, s * r * h_uv, r * r * h_vv
+
+
+@inner
+def nearest(shapes, at, p):
+    """The surface nearest to a point of S.
+
+    Args:
+        shapes: SHAPE rows. at: the first of the surface's. p: three numbers (m).
+
+    Returns:
+        λ; ∇F at the foot; H there: xx, xy, yy, zz; M = (1 + λH)⁻¹: xx, xy, yy, zz.
+    """
+    row = shapes[at].row
+    foot = p
+    s = 0.0
+    for _ in range(_ITERATIONS):
+        x, y, z = foot
+        h, h_x, h_y, h_xx, h_xy, h_yy = _height(shapes, at, x, y)
+        g = (row[4] * x - h_x, row[5] * y - h_y, row[6] * z + row[7])
+        F = 0.5 * (row[4] * x * x + row[5] * y * y + row[6] * z * z) + row[7] * z + row[8] - h
+        H = (row[4] - h_xx, -h_xy, row[5] - h_yy, row[6])
+        xx = 1.0 + s * H[0]
+        xy = s * H[1]
+        yy = 1.0 + s * H[2]
+        det = xx * yy - xy * xy
+        M = (yy / det, -xy / det, xx / det, 1.0 / (1.0 + s * H[3]))
+        m = _times(M, g)
+        off = add3(minus3(p, foot), -s, g)
+        ds = (dot3(m, off) + F) / dot3(m, g)
+        step = _times(M, add3(off, -ds, g))
+        foot = plus3(foot, step)
+        s = s + ds
+        if is_near(step):
+            break
+    return s, g, H, M
+
+
+@leaf
+def _times(M, v):
+    """A symmetric matrix xx, xy, yy, zz times a vector."""
+    return M[0] * v[0] + M[1] * v[1], M[1] * v[0] + M[2] * v[1], M[3] * v[2]
+
+
+@inner
+def normal_at(shapes, at, p, v):
+    """|∇F|, n and dn/dt at the foot of a point p of E that moves by v, all along the axes of E.
+
+    Args:
+        shapes: SHAPE rows. at: the first of the surface's. p, v: three numbers each (m, m/s).
+    """
+    seat = shapes[at + 1].row
+    _, g, H, M = nearest(shapes, at, rotated9_back(seat, minus3(p, seat[9:])))
+    size = sqrt(dot3(g, g))
+    v_foot = _times(M, rotated9_back(seat, v))
+    m = _times(M, g)
+    bend = _times(H, add3(v_foot, -dot3(g, v_foot) / dot3(m, g), m))
+    n_dot = divided3(add3(bend, -dot3(g, bend) / (size * size), g), size)
+    return size, rotated9(seat, divided3(g, size)), rotated9(seat, n_dot)

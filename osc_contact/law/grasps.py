@@ -18,7 +18,6 @@ from osc_contact.law.vectors import (
     carry_motion,
     carry_wrench,
     cross,
-    cross_motion,
     divided3,
     dot3,
     dot6,
@@ -29,7 +28,6 @@ from osc_contact.law.vectors import (
     minus,
     minus3,
     origin,
-    placed,
     plus,
     plus3,
     rotated,
@@ -37,6 +35,7 @@ from osc_contact.law.vectors import (
     scaled,
     set_axes,
     times6,
+    transformed,
     world_motion,
     world_wrench,
 )
@@ -144,7 +143,8 @@ def add_slip(V, V_C, gamma):
     Args:
         V: (6,) twist of the tip. V_C: (6,) of the object. gamma: (6,) drift, overwritten.
     """
-    fill(gamma, plus(gamma, cross_motion(V, V_C)))
+    linear = plus3(plus3(gamma, cross(V[3:], V_C)), cross(V, V_C[3:]))
+    fill(gamma, linear + plus3(gamma[3:], cross(V[3:], V_C[3:])))
 
 
 @inner
@@ -258,7 +258,7 @@ def _square_up(X):
 @inner
 def _miss(arm, tip, X, out):
     """How far the object at X (4, 4) is from where a hinge or a ball holds it, along N's rows."""
-    fill3(out, rotated_back(tip, minus3(placed(X, arm.point), tip[3])))
+    fill3(out, rotated_back(tip, transformed(minus3(origin(X), tip[3]), X, arm.point)))
     if arm.kind == BALL:
         return
     u = rotated_back(tip, rotated(X, arm.axis))  # the object's axis as the tip sees it
@@ -341,7 +341,7 @@ def centre_object(t, X):
     model = t.model
     work = t.work
     fill3(work.O, origin(X))
-    fill3(work.C, placed(X, model.X_LP[9:]))
+    fill3(work.C, transformed(work.O, X, model.X_LP[9:]))
     turn_axes(X, model.X_LP, work.R)
     set_axes(work.R, model.roots, work.axes)
 

@@ -183,6 +183,11 @@ else:
         return types.voidptr(types.uintp), generate
 
     @view
+    def _place(x):
+        """The address of an array."""
+        return np.uintp(x.ctypes.data)
+
+    @view
     def bytes_at(address):
         """All bytes from an address."""
         return carray(_pointer(address), (1 << 40,), np.uint8)
@@ -205,7 +210,7 @@ else:
     @view
     def matrix(x, start, rows, columns):
         """Numbers of a row from `start` as (rows, columns)."""
-        return table_at(x.ctypes.data + np.uintp(8 * start), rows, columns)
+        return table_at(_place(x) + np.uintp(8 * start), rows, columns)
 
     @intrinsic
     def _call(typing: Any, at: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Any:
@@ -221,15 +226,8 @@ else:
     @view
     def call_at(address, a, b, c, d, e, f):
         """Call the C function at an address with the addresses of six arrays."""
-        _call(
-            np.uintp(address),
-            np.uintp(a.ctypes.data),
-            np.uintp(b.ctypes.data),
-            np.uintp(c.ctypes.data),
-            np.uintp(d.ctypes.data),
-            np.uintp(e.ctypes.data),
-            np.uintp(f.ctypes.data),
-        )
+        at = _place(a), _place(b), _place(c), _place(d), _place(e), _place(f)
+        _call(np.uintp(address), *at)
 
     @intrinsic
     def _prefetch(typing: Any, address: Any) -> Any:
@@ -250,4 +248,4 @@ else:
     def prefetch(raw, start, count):
         """Bring bytes near that are read soon."""
         for at in range(start, start + count, 64):
-            _prefetch(raw.ctypes.data + np.uintp(at))
+            _prefetch(_place(raw) + np.uintp(at))

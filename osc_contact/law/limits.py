@@ -19,6 +19,7 @@ from osc_contact.law.algebra import (
     qr_rows,
     reflect,
 )
+from osc_contact.law.columns import square_shares
 from osc_contact.law.jit import entry, inner, matrix
 from osc_contact.law.nested import Bytes, Nested
 from osc_contact.law.operational import factor_inertia
@@ -114,7 +115,11 @@ def refine(p, slack):
     v = len(p.tau) + slack
     w = 6 + p.d + p.s + len(p.idle) + v
     A = matrix(p.A, 0, k, v)
-    lam, lower, upper, point, y, t = p.lam, p.lower, p.upper, p.point, p.y, p.t
+    lam = p.lam
+    lower = p.lower
+    upper = p.upper
+    y = p.y
+    t = p.t
     f = 0
     kept = 0
     for i in range(w + k):
@@ -123,12 +128,12 @@ def refine(p, slack):
         for i in range(w + k):
             p.reduced[f, i] = p.rows[j, i] if i < w else A[i - w, j]
         if lam[j] == 0.0:
-            point[j] = 0.0
+            p.point[j] = 0.0
             p.free[f] = j
             f += 1
         else:
-            point[j] = upper[j] if lam[j] > 0.0 else lower[j]
-            add_scaled(point[j], p.reduced[f], w + k, t)
+            p.point[j] = upper[j] if lam[j] > 0.0 else lower[j]
+            add_scaled(p.point[j], p.reduced[f], w + k, t)
     for c in range(k):
         u = p.normals[kept]
         rest = p.reduced[kept:]
@@ -160,9 +165,9 @@ def refine(p, slack):
     for b in range(kept - 1, -1, -1):
         reflect(p.normals[b], p.bend[b], f - b, y[b:])
     for j in range(f):
-        point[p.free[j]] = y[j]
+        p.point[p.free[j]] = y[j]
     for j in range(v + k):
-        x = point[j] if j < v else dot(A[j - v], point, v)
+        x = p.point[j] if j < v else dot(A[j - v], p.point, v)
         room = _ROOM * (1.0 + abs(x))
         if not lower[j] - room <= x <= upper[j] + room:
             return False
@@ -279,7 +284,11 @@ def prepare(raw, slack):
         Whether the response of the chain could be worked out.
     """
     p = _program(raw, 0)
-    tau_max, scale, lower, upper, rows = p.tau_max, p.scale, p.lower, p.upper, p.rows
+    tau_max = p.tau_max
+    scale = p.scale
+    lower = p.lower
+    upper = p.upper
+    rows = p.rows
     n = len(scale)
     v = n + slack
     H = matrix(p.H, 0, v, v)
@@ -452,16 +461,11 @@ def _shares(t, alpha, share, floor):
     work = t.work
     columns = work.columns
     r = work.rank
-    G = work.A
     dependent = r < work.count
     k = 0
     if dependent:
-        for a in range(r):
-            for b in range(r):
-                G[a, b] = 0.0
-                for j in range(work.count):
-                    G[a, b] += columns[j].share[a] * columns[j].share[b]
-        cholesky(G, 0, r, work.B)
+        square_shares(work, work.A)
+        cholesky(work.A, 0, r, work.B)
     for j in range(work.count):
         if body_of(t, columns[j].chosen).pushes == 0 or k == len(floor):
             continue

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.law.bars import scratch_size
 from osc_contact.law.jit import leaf
 from osc_contact.law.nested import Bytes, Nested
 
@@ -460,7 +459,6 @@ _WORK = _record(
     x=6,  # the object's acceleration, _t
     rho=6,
     f_S=6,
-    multipliers=6,
     A=(6, 6),
     B=(6, 6),
     D=(6, 6),
@@ -474,8 +472,6 @@ _WORK = _record(
     Z=(MAX_JOINTS, MAX_JOINTS),
     s=MAX_JOINTS,
     t=MAX_JOINTS,
-    stack_X=(6, 6),
-    stack_Z=(6, 6),
 )
 ARM_WORK = _record(
     whole=("n_locked", "n_kept", "wide", "n_lost"),
@@ -683,6 +679,9 @@ def body_of(t, column):
     return t.model.bodies[t.model.columns[column].contact]
 
 
+_SIZES = "n_arms", "n_joints", "n_motors", "n_contacts", "n_shapes", "n_columns"
+
+
 def _counts(k: int, n: int, a: int, c: int, s: int, r: int) -> dict[str, int]:
     """Sizes of all tables: arms, joints, motors, contacts, shapes, columns; and what follows."""
     bars = 1 if k == 2 else k * (k - 1) // 2
@@ -704,7 +703,7 @@ def _counts(k: int, n: int, a: int, c: int, s: int, r: int) -> dict[str, int]:
         "6k3": 6 * k * three,
         "n3": n * three,
         "bars3": bars * three,
-        "scratch": scratch_size(k, n) * three,
+        "scratch": (bars * (9 * k + 2 * n + 2 * bars) + 6 * n) * three,  # of `settable_bars`
     }
 
 
@@ -719,12 +718,9 @@ def new_model(
     counts = _counts(arms, joints, motors, contacts, shapes, columns)
     raw = MODEL.new(counts)
     head = MODEL.view(raw)
-    head.n_arms = arms
-    head.n_joints = joints
-    head.n_motors = motors
-    head.n_pairs = head.n_contacts = contacts
-    head.n_shapes = shapes
-    head.n_columns = columns
+    for name, count in zip(_SIZES, counts.values(), strict=False):
+        setattr(head, name, count)
+    head.n_pairs = contacts
     head.n_bars = counts["bars"]
     head.n_extra = counts["e"]
     head.row_bytes = len(raw)
@@ -752,14 +748,7 @@ class Rows:
         """
         model = np.atleast_2d(model)
         head = MODEL.view(model[0])
-        counts = _counts(
-            int(head.n_arms),
-            int(head.n_joints),
-            int(head.n_motors),
-            int(head.n_contacts),
-            int(head.n_shapes),
-            int(head.n_columns),
-        )
+        counts = _counts(*(int(head[name]) for name in _SIZES))
         if memory is None:
             memory = np.tile(MEMORY.new(counts), (len(model), 1))
         shared = len(model) > 1 and (model == model[0]).all()

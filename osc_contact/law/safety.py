@@ -27,11 +27,12 @@ from osc_contact.law.vectors import (
     dot6,
     fill,
     fill3,
-    placed,
+    origin,
     plus3,
     rotated,
     rotated_back,
     scaled3,
+    transformed,
     velocity_at,
 )
 
@@ -394,7 +395,7 @@ def _carry_weight(t):
         fill3(work.u, place_point(joint, own[9:]))
         turn_axes(joint.R, own, work.A)
     else:
-        fill3(work.u, placed(memory.X_WO, own[9:]))
+        fill3(work.u, transformed(origin(memory.X_WO), memory.X_WO, own[9:]))
         turn_axes(memory.X_WO, own, work.A)
     mass = model.principal[0] / model.n_arms
     force = scaled3(-mass, model.gravity)

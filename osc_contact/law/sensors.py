@@ -36,7 +36,8 @@ from osc_contact.law.vectors import (
     dot3,
     dot6,
     minus3,
-    placed,
+    origin,
+    transformed,
 )
 
 NO_ROTATION = declare_reason(
@@ -289,11 +290,12 @@ def _balance_arm(t, arm, own, dt):
 def _find_apart(t):
     """An arm whose tip is further from where the object has it than `closure_error`, or −1."""
     model = t.model
+    X = t.work.X_WO
     apart = -1
     for k in range(model.n_arms if model.n_arms > 1 else 0):
         arm = model.arms[k]
         tip = place_point(t.work.joints[arm.tip_joint], arm.tip[9:])
-        gap = minus3(placed(t.work.X_WO, arm.point), tip)
+        gap = transformed(minus3(origin(X), tip), X, arm.point)
         if arm.kind != OTHER and sqrt(dot3(gap, gap)) > model.closure_error:
             apart = k
     return apart

@@ -21,10 +21,10 @@ from osc_contact.law.algebra import project_onto_columns
 from osc_contact.law.allocation import (
     allocate_torques,
     command_object,
+    internal_forces,
     limit_torques,
     predict_joints,
 )
-from osc_contact.law.bars import internal_forces
 from osc_contact.law.chain import OBJECT_UNKNOWN, solve_chain
 from osc_contact.law.columns import (
     answer_bodies,
@@ -89,7 +89,6 @@ from osc_contact.law.sensors import check_arms, check_readings, compare_speeds
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,
-    add,
     carry_motion,
     copy_pose,
     dot6,
@@ -98,7 +97,6 @@ from osc_contact.law.vectors import (
     motion_to_energy,
     plus,
     scaled,
-    times6,
     turned,
     turned_back,
     wrench_to_world,
@@ -348,12 +346,11 @@ def hand_over(t):
     for a in range(work.rank):  # what the contacts see of a locked motion is not rounded away
         work.s[a] = dot6(work.N_t[a], x)
     project_onto_columns(work.L_t, work.Q_t, work.rank, x, work.s)
-    for i in range(work.locked):
-        x[i] = 0.0
-    f = add(times6(work.Lambda, x), 1.0 if t.model.held != 0 else 0.0, x)
-    fill(work.z, f)
-    for i in range(work.locked):
-        work.z[i] = 0.0
+    fill(work.z, ZERO)
+    for i in range(work.locked, 6):
+        work.z[i] = x[i] if t.model.held != 0 else 0.0
+        for j in range(work.locked, 6):
+            work.z[i] += work.Lambda[i, j] * x[j]
     f = wrench_to_world(work, turned_back(work, work.z))
     fill(memory.f_bias, plus(memory.f_bias, f))
 

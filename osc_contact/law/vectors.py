@@ -255,12 +255,8 @@ def reflect_sides(work, A):
         b = work.beta[k]
         p = scaled(b, times6(A, v))
         w = add(p, -0.5 * b * dot6(v, p), v)
-        fill(A[0], add(add(A[0], -v[0], w), -w[0], v))
-        fill(A[1], add(add(A[1], -v[1], w), -w[1], v))
-        fill(A[2], add(add(A[2], -v[2], w), -w[2], v))
-        fill(A[3], add(add(A[3], -v[3], w), -w[3], v))
-        fill(A[4], add(add(A[4], -v[4], w), -w[4], v))
-        fill(A[5], add(add(A[5], -v[5], w), -w[5], v))
+        for i in range(6):
+            fill(A[i], add(add(A[i], -v[i], w), -w[i], v))
 
 
 @leaf
@@ -314,9 +310,13 @@ def origin(X):
 
 
 @leaf
-def placed(X, x):
-    """R x + p of a pose X (≥ 3, 4), as a tuple."""
-    return plus3(origin(X), rotated(X, x))
+def transformed(p, R, x):
+    """p + R x, as a tuple."""
+    return (
+        p[0] + R[0, 0] * x[0] + R[0, 1] * x[1] + R[0, 2] * x[2],
+        p[1] + R[1, 0] * x[0] + R[1, 1] * x[1] + R[1, 2] * x[2],
+        p[2] + R[2, 0] * x[0] + R[2, 1] * x[1] + R[2, 2] * x[2],
+    )
 
 
 @leaf
@@ -434,21 +434,22 @@ def turned_back(work, x):
 
 def motions(work: Any) -> NDArray[np.float64]:
     """(6, 6) L⁻ᵀ, from energy coordinates to motions at O in world axes."""
-    out = np.zeros((6, 6))
-    axes = work["axes"]
-    out[:3, :3] = axes[2].T
-    out[3:, 3:] = axes[3].T
-    out[:3, 3:] = _lever(work) @ axes[3].T
+    out = _blocks(work, 2)
+    out[:3, 3:] = _lever(work) @ out[3:, 3:]
     return out
 
 
 def wrenches(work: Any) -> NDArray[np.float64]:
     """(6, 6) L, from energy coordinates to wrenches at O in world axes."""
+    out = _blocks(work, 0)
+    out[3:, :3] = _lever(work) @ out[:3, :3]
+    return out
+
+
+def _blocks(work: Any, k: int) -> NDArray[np.float64]:
     out = np.zeros((6, 6))
-    axes = work["axes"]
-    out[:3, :3] = axes[0].T
-    out[3:, 3:] = axes[1].T
-    out[3:, :3] = _lever(work) @ axes[0].T
+    out[:3, :3] = work["axes"][k].T
+    out[3:, 3:] = work["axes"][k + 1].T
     return out
 
 
