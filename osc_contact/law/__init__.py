@@ -1,8 +1,8 @@
 """The control law as array functions, fig. 4 from measurement to torques.
 
-    tick(model, settings, memory, inputs) → torques, memory, signals
+    rows(MODEL, MEMORY, WORK, INPUT) → MEMORY, WORK
 
-Nothing else is read or written. `tables` says what the records hold; `tick` runs the stages in the
+Nothing else is read or written. `records` says what the records hold; `tick` runs the stages in the
 order of the figure. The same source runs compiled, as plain Python, and over the rows of a batch.
 
 Everything 6-dimensional is written in *energy coordinates* of the held object: motions x̃ = Lᵀx and

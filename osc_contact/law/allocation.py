@@ -453,7 +453,7 @@ def _weigh(t, row, out):
 #
 #     τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0),   A = [G; E],   Z = A R⁻¹Aᵀ
 #
-# E holds the squeeze of two arms, the settable bar forces of three and more (`linkage`), and the
+# E holds the squeeze of two arms, the settable bar forces of three and more, and the
 # motions that only single arms have, because their grasp or their posture leaves them
 # idle, as far as the motors drive them. Arms with more joints than they need hold their posture
 # in the dynamically consistent null space, τ_0 = (1 − JᵀJ̄ᵀ)(h + M(−k_d q̇ + k_p(q₀ − q)) +

@@ -391,7 +391,7 @@ def _rate(p, n, p_dot, n_dot):
 
 @inner
 def _on_surface(shapes, at, motion, column):
-    """A ball of A on a surface of E (see `surface`); returns |∇F|.
+    """A ball of A on a surface of E; returns |∇F|.
 
     ṅ = ω_E × n, as on a plane, and what n changes by along the surface.
     """

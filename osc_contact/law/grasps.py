@@ -51,7 +51,7 @@ def grasp_rows(arm, work, C, axes, out):
     """N and T of a grasp in energy coordinates, the rows of out (6, 6); the tip stands in `tip`.
 
     Args:
-        arm: ARM row. work: its ARM_WORK. C: (3,) centre of mass (m). axes: from `energy.set_axes`.
+        arm: ARM row. work: its ARM_WORK. C: (3,) centre of mass (m). axes: from `set_axes`.
         out: (6, 6), the rows of N first.
     """
     tip = work.tip

@@ -30,13 +30,20 @@ class Nested:
             compiled.
     """
 
-    def __init__(self, head: np.dtype[Any], **tables: tuple[Any, ...]) -> None:
+    def __init__(self, head: np.dtype[Any], **tables: Any) -> None:
         """Declare it.
 
         Args:
-            head: fields. tables: name = (dtype, size, …), sizes as numbers or names of counts.
+            head: fields. tables: name = size or (size, …), numbers or names of counts, of a table
+                of numbers; name = (dtype, size, …) of another one.
         """
-        self.tables = {name: (np.dtype(kind), sizes) for name, (kind, *sizes) in tables.items()}
+        self.tables: dict[str, tuple[np.dtype[Any], list[Any]]] = {}
+        for name, given in tables.items():
+            kind, *sizes = (given,) if isinstance(given, str) else given
+            if isinstance(kind, str):
+                sizes.insert(0, kind)
+                kind = np.float64
+            self.tables[name] = (np.dtype(kind), sizes)
         sizes = [one for _, all_sizes in self.tables.values() for one in all_sizes]
         self.counts = list(dict.fromkeys(one for one in sizes if isinstance(one, str)))
         words = len(self.tables) + len(self.counts)

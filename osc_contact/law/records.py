@@ -33,11 +33,17 @@ _FLOAT = np.float64
 
 
 def _record(
-    whole: tuple[str, ...] = (), number: tuple[str, ...] = (), **shapes: int | tuple[int, ...]
+    whole: tuple[str, ...] = (),
+    number: tuple[str, ...] = (),
+    vector: tuple[str, ...] = (),
+    matrix: tuple[str, ...] = (),
+    **shapes: int | tuple[int, ...],
 ) -> np.dtype[Any]:
-    """Fields that are integers, numbers, and arrays of numbers."""
+    """Fields: integers, numbers, other arrays of numbers, 6-vectors, 6 × 6 matrices."""
     fields: list[Any] = [(name, _INT) for name in whole] + [(name, _FLOAT) for name in number]
     fields += [(name, _FLOAT, shape) for name, shape in shapes.items()]
+    fields += [(name, _FLOAT, 6) for name in vector]
+    fields += [(name, _FLOAT, (6, 6)) for name in matrix]
     return np.dtype(fields, align=True)
 
 
@@ -240,7 +246,7 @@ _MEMORY = _record(
         "state",
         "age",
         "faults",
-        "lost",
+        "lost",  # wrenches _e of lost directions
         "overspeed",
         "repeats",
         "cause",
@@ -272,12 +278,14 @@ _MEMORY = _record(
         "step_left",
         "step_time",  # share of a step's time that is left, and that time, see `steps`
     ),
-    motion_sum=6,
-    f_tare=6,
-    f_bias=6,
-    force_sum=6,  # of the columns kept in the last tick
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
-    V_O=6,  # where it is given
+    vector=(
+        "motion_sum",
+        "f_tare",
+        "f_bias",
+        "force_sum",  # of the columns kept in the last tick
+        "V_O",  # where it is given
+    ),
 )
 CONTACT_MEMORY = _record(
     whole=("active", "phase", "held"),  # whether it was measured closed since it was open last
@@ -409,101 +417,111 @@ _WORK = _record(
     R=(3, 3),
     axes=(4, 3, 3),
     X_WD=(4, 4),
-    V_D=6,
-    A_D=6,  # the reference of the last computed tick
-    V_C=6,  # twist of the object at C
-    line=6,
-    bias_links=6,
-    bias_e=6,
-    chain_bias=6,
-    sigma=6,  # _e, then _t
-    Lambda=(6, 6),
-    effort=(6, 6),  # ΣΛ_i and least effort, _e, then _t
-    out_T=(6, 6),  # Λ_out transposed, _e
-    reflectors=(6, 6),
     beta=8,
     pivots=8,
-    N=(6, 6),
-    N_t=(6, 6),
-    pushed=(6, 6),
-    pushed_t=(6, 6),
-    friction_wrenches=(6, 6),
-    Q=(6, 6),
-    L=(6, 6),
-    Q_t=(6, 6),
-    L_t=(6, 6),
-    solved=(6, 6),
-    Phi_mu=(6, 6),
-    mobility=(6, 6),
-    B_inv_t=(6, 6),
     X_WE=(4, 4),  # of the body whose pair is being evaluated
     evaluated=(6, 11),  # by a FUNCTION pair: N, n_γ, gap, point of each column
-    yields=(6, 6),  # NᵀΦ_e, at O
-    b_N=6,
-    V_N=6,
-    n_gamma=6,
-    keep=6,
-    alpha_d=6,
-    alpha_meas=6,
-    alpha_u=6,
-    speed=6,
-    gain=6,
-    damping=6,
-    brake=6,
-    least=6,
-    felt=6,  # what the force integral compares with alpha_d
-    reading_e=6,
-    motion_next=6,
-    force_next=6,
-    a_u=6,
-    x=6,  # the object's acceleration, _t
-    rho=6,
-    f_S=6,
-    A=(6, 6),
-    B=(6, 6),
-    D=(6, 6),
-    E=(6, 6),
-    u=6,
-    w=6,
-    y=6,
-    z=6,
     K=(MAX_JOINTS, MAX_JOINTS),
     X=(MAX_JOINTS, 2 * MAX_JOINTS),
     Z=(MAX_JOINTS, MAX_JOINTS),
     s=MAX_JOINTS,
     t=MAX_JOINTS,
+    vector=(
+        "V_D",  # with X_WD and A_D the reference of the last computed tick
+        "A_D",
+        "V_C",  # twist of the object at C
+        "line",
+        "bias_links",
+        "bias_e",
+        "chain_bias",
+        "sigma",  # _e, then _t
+        "b_N",
+        "V_N",
+        "n_gamma",
+        "keep",
+        "alpha_d",
+        "alpha_meas",
+        "alpha_u",
+        "speed",
+        "gain",
+        "damping",
+        "brake",
+        "least",
+        "felt",  # what the force integral compares with alpha_d
+        "reading_e",
+        "motion_next",
+        "force_next",
+        "a_u",
+        "x",  # the object's acceleration, _t
+        "rho",
+        "f_S",
+        "u",
+        "w",
+        "y",
+        "z",
+    ),
+    matrix=(
+        "Lambda",
+        "effort",  # ΣΛ_i and least effort, _e, then _t
+        "out_T",  # Λ_out transposed, _e
+        "reflectors",
+        "N",
+        "N_t",
+        "pushed",
+        "pushed_t",
+        "friction_wrenches",
+        "Q",
+        "L",
+        "Q_t",
+        "L_t",
+        "solved",
+        "Phi_mu",
+        "mobility",
+        "B_inv_t",
+        "yields",  # NᵀΦ_e, at O
+        "A",
+        "B",
+        "D",
+        "E",
+    ),
 )
 ARM_WORK = _record(
     whole=("n_locked", "n_kept", "wide", "n_lost"),
     tip=(4, 3),
-    reading=6,  # of its wrist
-    V=6,
-    drift=6,
-    bias=6,  # of the tip at C; wrench of the outboard bodies at q̈ = 0, at C
-    gamma=6,  # drift, _e, as far as the grasp passes it on
-    passed=(6, 6),  # m of N, then 6 − m of T, orthonormal _e
-    filter=(6, 6),
-    Lambda=(6, 6),
-    effort=(6, 6),
-    resisted=(6, 6),  # orthonormal wrenches _e that its structure carries, n_locked of them
-    kept=(6, 6),  # orthonormal wrenches _e that the joints resist with their motors or inertia
-    chi=6,
-    share=6,
-    gone=6,  # of lost directions; gone: the chain counts them as locked
-    lost=(6, 6),
-    mode=(6, MAX_JOINTS),  # their wrenches _e, and the joints' motions
+    mode=(6, MAX_JOINTS),  # joints' motions of lost directions
+    vector=(
+        "reading",  # of its wrist
+        "V",
+        "drift",  # of the tip at C
+        "bias",  # wrench of the outboard bodies at q̈ = 0, at C
+        "gamma",  # drift, _e, as far as the grasp passes it on
+        "chi",
+        "share",
+        "gone",  # of lost directions; gone: the chain counts them as locked
+    ),
+    matrix=(
+        "passed",  # m of N, then 6 − m of T, orthonormal _e
+        "filter",
+        "Lambda",
+        "effort",
+        "resisted",  # orthonormal wrenches _e that its structure carries, n_locked of them
+        "kept",  # orthonormal wrenches _e that the joints resist with their motors or inertia
+        "lost",  # wrenches _e of lost directions
+    ),
 )
 JOINT_WORK = _record(
     number=("q", "v", "h", "tau", "rest", "offset", "acceleration", "inertial", "friction"),
     R=(3, 3),
     p=3,
-    column=6,
-    J=6,
-    J_bar=6,
-    force=6,
     body=10,
-    outboard=6,
     M=MAX_JOINTS,
+    vector=(
+        "column",
+        "J",
+        "J_bar",
+        "force",
+        "outboard",
+    ),
 )
 COLUMN_WORK = _record(
     whole=("chosen", "shaped"),
@@ -519,11 +537,6 @@ COLUMN_WORK = _record(
         "unexplained",
         "lever",
     ),
-    N=6,
-    friction_wrench=6,
-    energy=6,
-    rest=6,
-    share=6,
     to_come=3,
     point=3,
     slip=3,  # of contact, from O; v_t / √(v_t² + v_0²) there
@@ -532,6 +545,13 @@ COLUMN_WORK = _record(
     shown=3,  # direction in which sliding shows its error, in the same axes
     prior=9,  # covariance before anything has slid
     believed=3,  # that normal, into the body and in its axes, where no shape has it
+    vector=(
+        "N",
+        "friction_wrench",
+        "energy",
+        "rest",
+        "share",
+    ),
 )
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E
 
@@ -567,7 +587,7 @@ _JOB = _record(
 
 # The records as one run of bytes each -----------------------------------------------------------
 
-#: Sizes: k arms, n joints, a motors, c contacts, s shapes, r columns of N, see `layout.counts`.
+#: Sizes: k arms, n joints, a motors, c contacts, s shapes, r columns of N, see `_counts`.
 MODEL = Nested(
     _MODEL,
     arms=(ARM, "k"),
@@ -581,14 +601,14 @@ MODEL = Nested(
 MEMORY = Nested(
     _MEMORY,
     contacts=(CONTACT_MEMORY, "c"),
-    torques=(_FLOAT, "a"),  # given out last
+    torques="a",  # given out last
     joints=(JOINT_MEMORY, "n"),
     arms=(ARM_MEMORY, "k"),
-    q=(_FLOAT, "n"),
-    v=(_FLOAT, "n"),  # as estimated, see `sensors.estimate_joints`
+    q="n",
+    v="n",  # as estimated, see `sensors.estimate_joints`
     friction_known=(_INT, "n"),  # see `joint_friction`
-    wrenches=(_FLOAT, "k", 6),  # last read
-    squeeze=(_FLOAT, "squeezes"),  # internal forces that are commanded (N)
+    wrenches=("k", 6),  # last read
+    squeeze="squeezes",  # internal forces that are commanded (N)
     friction=(FRICTION, "n"),  # used where friction is learned only
     past=(PAST, "n"),  # used where wrenches have stamps only
     columns=(COLUMN_MEMORY, "r"),  # last: pairs in Python may change r
@@ -599,43 +619,43 @@ WORK = Nested(
     joints=(JOINT_WORK, "n"),
     columns=(COLUMN_WORK, "r"),
     bodies=(BODY_WORK, "c"),
-    locked_rows=(_FLOAT, "6k", 7),  # of all arms: unit wrenches _e and their rates
-    J_world=(_FLOAT, "n", 6),  # columns at the world's origin
-    tau=(_FLOAT, "a"),
-    step=(_FLOAT, "a"),  # of the motors, and the most that they may change by
+    locked_rows=("6k", 7),  # of all arms: unit wrenches _e and their rates
+    J_world=("n", 6),  # columns at the world's origin
+    tau="a",
+    step="a",  # of the motors, and the most that they may change by
     # of all columns of N: goals (N), whether they are kept, or in N; magnitudes, NᵀV_rel; numbers
-    goal=(_FLOAT, "r"),
-    here=(_FLOAT, "r"),
-    alpha=(_FLOAT, "r"),
-    speeds=(_FLOAT, "r"),
+    goal="r",
+    here="r",
+    alpha="r",
+    speeds="r",
     chosen=(_INT, "r"),
     # of the torque allocation, see there
-    extra=(_FLOAT, "e", "n"),
-    weighed=(_FLOAT, "e", "n"),
-    factor=(_FLOAT, "6e", "6e"),
-    sides=(_FLOAT, "6e"),
-    left=(_FLOAT, "n"),
-    left_weighed=(_FLOAT, "n"),
-    products=(_FLOAT, "6e"),
-    # of internal forces of three arms and more, see `linkage`
-    bars=(_FLOAT, "bars"),
-    points=(_FLOAT, "k3", 3),
+    extra=("e", "n"),
+    weighed=("e", "n"),
+    factor=("6e", "6e"),
+    sides="6e",
+    left="n",
+    left_weighed="n",
+    products="6e",
+    # of internal forces of three arms and more, see `allocation`
+    bars="bars",
+    points=("k3", 3),
     owners=(_INT, "6k3"),
-    force_levers=(_FLOAT, "n3", 3),
-    driven=(_FLOAT, "n3", 6),
-    efforts=(_FLOAT, "n3"),
-    carried=(_FLOAT, "6k3", 3),
-    levers=(_FLOAT, "bars3", "n3"),
-    basis=(_FLOAT, "bars3", "bars3"),
-    scratch=(_FLOAT, "scratch"),
+    force_levers=("n3", 3),
+    driven=("n3", 6),
+    efforts="n3",
+    carried=("6k3", 3),
+    levers=("bars3", "n3"),
+    basis=("bars3", "bars3"),
+    scratch="scratch",
 )
 INPUT = Nested(
     _INPUT,
-    q=(_FLOAT, "n"),
-    v=(_FLOAT, "n"),
-    wrenches=(_FLOAT, "k", 6),
-    alpha_d=(_FLOAT, "r"),
-    touched=(_FLOAT, "c", 28),  # X_WE by rows, V_E, A_E of the bodies
+    q="n",
+    v="n",
+    wrenches=("k", 6),
+    alpha_d="r",
+    touched=("c", 28),  # X_WE by rows, V_E, A_E of the bodies
 )
 JOB = Nested(_JOB)
 

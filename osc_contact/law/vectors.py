@@ -428,7 +428,7 @@ def turned_back(work, x):
 
 # --- From energy coordinates to world axes at O, as matrices --------------------------------------
 #
-# `work` is a WORK record after a tick, or after its first part. See `energy` for the coordinates;
+# `work` is a WORK record after a tick, or after its first part. See above for the coordinates;
 # `chain` turns them so that the first axes are those that the arms lock.
 
 
