@@ -99,7 +99,7 @@ OWN = {
     "safety": ("safety.py",),
     "law_phases": ("phases.py",),
     "law_steps": ("commands.py",),
-    "linkage": ("bars.py",),
+    "linkage": ("allocation.py",),
     "law_limits": ("limits.py",),
     "outcome": ("monitor.py",),
 }
