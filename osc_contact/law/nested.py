@@ -39,10 +39,8 @@ class Nested:
         """
         self.tables: dict[str, tuple[np.dtype[Any], list[Any]]] = {}
         for name, given in tables.items():
-            kind, *sizes = (given,) if isinstance(given, str) else given
-            if isinstance(kind, str):
-                sizes.insert(0, kind)
-                kind = np.float64
+            sizes: list[Any] = [given] if isinstance(given, str) else list(given)
+            kind = np.float64 if isinstance(sizes[0], str) else sizes.pop(0)
             self.tables[name] = (np.dtype(kind), sizes)
         sizes = [one for _, all_sizes in self.tables.values() for one in all_sizes]
         self.counts = list(dict.fromkeys(one for one in sizes if isinstance(one, str)))
