@@ -186,7 +186,8 @@ def _learn(t, j, rate, dt):
     y = smooth[SPEED]
     moves = min(abs(row.speed), abs(y)) > least and smooth[V] * y > _FOLLOWS * y * y
     excess = smooth[TORQUE] * smooth[SIGN] - largest_friction(t, j)
-    sticks = excess > _SEEN * sqrt(learned.noise)
+    rests = abs(smooth[V]) < _FOLLOWS * abs(y)
+    sticks = rests and excess > _SEEN * sqrt(learned.noise)
     if (
         known[j] == LEARNED
         and sound
@@ -194,15 +195,15 @@ def _learn(t, j, rate, dt):
         and (moves or sticks)
         and abs(smooth[SIGN]) > _FULL
     ):
-        phi = t.work.s
-        phi[0] = smooth[SIGN]
-        for i in range(1, 4):
-            phi[i] = 0.0
-        if moves:
+        if sticks:  # F is at least this, and as uncertain as before
+            learned.estimate[0] += excess
+        else:
+            phi = t.work.s
+            phi[0] = smooth[SIGN]
             phi[1] = smooth[V]
             phi[2] = smooth[_ACCELERATION]
             phi[3] = 1.0
-        _regress(prior, learned, phi, t.work.t, smooth[TORQUE], k, dt)
+            _regress(prior, learned, phi, t.work.t, smooth[TORQUE], k, dt)
         _keep_bounds(prior, learned, t.work.Z)
 
 
