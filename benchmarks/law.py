@@ -28,8 +28,8 @@ def measure(rounds: int) -> Report:
         controller = repeatable(case.controller())
         tick, unwind = case.tick(controller)
         tick()
-        wanted = (r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, STILL)
-        law = partial(rows(), controller._records.rows.raw, 0, m.q, m.v, m.wrenches, *wanted)
+        given = (m.q, m.v, m.wrenches, r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, STILL)
+        law = partial(rows(), controller._records.rows.raw, 0, given)
         times = take_turns({"tick": tick, "law": law, "floor": case.floor()}, rounds, unwind)
         found[name] = {part: spread(some) for part, some in times.items()}
     lines = [

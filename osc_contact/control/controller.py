@@ -244,9 +244,7 @@ class Controller:
                 and not measurement.estimated
             ):
                 squeeze[0] = reference.squeeze_d
-                done = call(
-                    raw,
-                    0,
+                given = (
                     measurement.q,
                     measurement.v,
                     measurement.wrenches,
@@ -256,6 +254,7 @@ class Controller:
                     reference.alpha_d,
                     STILL,
                 )
+                done = call(raw, 0, given)
                 return torques.copy() if done == 2 else self._end(measurement, reference)
             return self._tick(measurement, reference)
         except Exception as error:  # nothing that comes in may end the control loop

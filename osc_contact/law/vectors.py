@@ -31,9 +31,13 @@ def dot3(a, b):
 
 
 @leaf
-def add3(t, s, x):
-    """t + s x of 3-vectors, as a tuple."""
-    return t[0] + s * x[0], t[1] + s * x[1], t[2] + s * x[2]
+def add3(y, s, x):
+    """y + s x, as a tuple.
+
+    Args:
+        y, x: (3,). s: factor.
+    """
+    return y[0] + s * x[0], y[1] + s * x[1], y[2] + s * x[2]
 
 
 @leaf
@@ -122,7 +126,11 @@ def add(t, s, x):
 
 @leaf
 def accumulate(x, s, y):
-    """x ← x + s y."""
+    """x ← x + s y.
+
+    Args:
+        x, y: (6,). s: factor.
+    """
     fill(x, add(x, s, y))
 
 
@@ -311,7 +319,11 @@ def origin(X):
 
 @leaf
 def transformed(p, R, x):
-    """p + R x, as a tuple."""
+    """p + R x, as a tuple.
+
+    Args:
+        p, x: (3,). R: (3, 3).
+    """
     return (
         p[0] + R[0, 0] * x[0] + R[0, 1] * x[1] + R[0, 2] * x[2],
         p[1] + R[1, 0] * x[0] + R[1, 1] * x[1] + R[1, 2] * x[2],
@@ -380,13 +392,21 @@ def world_wrench(axes, f):
 
 @leaf
 def carry_motion(V, start, end):
-    """A motion V (6,) carried from point to point (m), as a tuple."""
+    """A motion V (6,) carried from point to point (m), as a tuple.
+
+    Args:
+        V: (6,) at start. start, end: points (m).
+    """
     return velocity_at(V, minus3(end, start)) + angular(V)
 
 
 @leaf
 def carry_wrench(f, start, end):
-    """A wrench f (6,) carried from point to point (m), as a tuple."""
+    """A wrench f (6,) carried from point to point (m), as a tuple.
+
+    Args:
+        f: (6,) at start. start, end: points (m).
+    """
     return linear(f) + plus3(f[3:], cross(minus3(start, end), f))
 
 
