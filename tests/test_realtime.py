@@ -197,14 +197,19 @@ def test_shadow_mode_asks_for_motion_and_for_one_arm():
 
 
 def test_an_error_of_the_thread_beside_the_loop_ends_the_run_after_the_stop(monkeypatch):
-    """The process is given back first, and the calls after the failed one are still made."""
+    """The process is given back first, and the calls after the failed one are still made.
+
+    The thread is there before the first tick: none has to wait for it.
+    """
     monkeypatch.setattr(loop, "MOST_MISSED", 10**9)
     done = []
+    threads = []
 
     class Recorder:
         hand_over = None
 
         def append(self, measurement, reference, tau, seconds):
+            threads.append({thread.name for thread in threading.enumerate()})
             self.hand_over(lambda: done.append(1))
             self.hand_over(fail)
 
@@ -217,4 +222,4 @@ def test_an_error_of_the_thread_beside_the_loop_ends_the_run_after_the_stop(monk
     robot = Paced()
     with raises(ValueError, match="the disk is full"):
         loop_of(robot, 5, recorder=Recorder(), realtime=True)
-    assert len(done) == 5 and robot.stops == [""]
+    assert len(done) == 5 and robot.stops == [""] and "side work_0" in threads[0]

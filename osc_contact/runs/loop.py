@@ -473,13 +473,14 @@ class SideWork:
         """Begin; the loop leaves a tenth of its period (s) to it where there is work."""
         self._slack = SLACK_SHARE * period
         self._thread = ThreadPoolExecutor(1, "side work", _lower_priority)
-        self._last: Future[None] | None = None
         self.failure: Exception | None = None
+        self._last: Future[None] = self._thread.submit(self._make, int)  # begins the thread now
+        self._last.result()
 
     @property
     def idle(self) -> bool:
         """Whether nothing is left to do."""
-        return self._last is None or self._last.done()
+        return self._last.done()
 
     def submit(self, call: Callable[[], object]) -> None:
         """Have something done soon; an error of it is logged, and kept as `failure`."""
