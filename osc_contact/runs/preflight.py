@@ -402,6 +402,8 @@ def motors(task: Task) -> Values:
 def least_peak(A: Array, b: Array) -> float:
     """The smallest max |x| of all x with A x = b, to 0.2 %: min t² + ε|x|² with |x| ≤ t.
 
+    Where rows of A contradict one another, that of the least-squares solution.
+
     Args:
         A: (m, n). b: (m,).
     """
@@ -414,8 +416,8 @@ def least_peak(A: Array, b: Array) -> float:
     upper = np.append(np.full(2 * n, 1e30), lower[2 * n :])
     sense = np.repeat([0, 5], (2 * n, m)).astype(np.int32)
     H = np.diag(np.append(np.full(n, 1e-4), 1.0))
-    found = daqp.solve(H, np.zeros(n + 1), rows, upper, lower, sense)[0]
-    return size * float(np.abs(found[:n]).max())
+    found, _, flag, _ = daqp.solve(H, np.zeros(n + 1), rows, upper, lower, sense)
+    return size * float(np.abs(found[:n]).max()) if flag > 0 else size
 
 
 # --- a robot ------------------------------------------------------------------------------------
