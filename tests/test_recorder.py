@@ -472,9 +472,13 @@ def test_two_programs_do_not_write_rows_to_one_file(tmp_path):
     file.append([row_of(0)])
     file.close()
     other = SweepStudy.of("two_contact_rod", ["seed=integers(0, 99)"], 4)
-    for _ in range(2):  # a refusal holds nothing
+    with path.open("ab") as unfinished:
+        unfinished.write(b'{"row": 1')
+    before = path.read_bytes()
+    for _ in range(2):  # a refusal holds nothing, and changes nothing
         with invalid_input("another study") as refused:
             RowFile(path, other)
+        assert path.read_bytes() == before
     assert refused and write(path, study).done == {0: row_of(0)}
 
 

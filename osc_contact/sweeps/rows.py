@@ -53,7 +53,7 @@ _KEPT = 8  #: chains; where each run has its own masses they are not needed agai
 class RigBuilder(threading.local):
     """Builds rigs; chains of the same arms, object and factors are the same chain.
 
-    Each thread has chains of its own: they hold scratch memory.
+    Each thread has its own chains: they hold scratch memory.
 
     Attributes:
         study: whose rows this thread made last.
@@ -218,12 +218,12 @@ class RowFile:
     def _continue(self, text: bytes, study: SweepStudy, laws: Any) -> None:
         """Read the rows that the file holds, and make it end with a whole line."""
         whole = text[: text.rfind(b"\n") + 1]
-        self._file.truncate(len(whole))
-        head, *lines = whole.splitlines() or [b""]
-        if not head:
+        if not whole:
+            self._file.truncate(0)
             named = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
             self._write(named if laws is None else named | {"laws": laws})
             return
+        head, *lines = whole.splitlines()
         of = self._read(1, head, "study", str)
         if (of["study"], of.get("laws")) != (study.fingerprint, laws):
             raise InvalidInputError(
@@ -233,6 +233,7 @@ class RowFile:
         for number, line in enumerate(lines, 2):
             row = self._read(number, line, "row", int)
             self.done[row["row"]] = row
+        self._file.truncate(len(whole))  # once all of it is sound
 
     def _read(self, number: int, line: bytes, key: str, kind: type) -> Row:
         """A line as an object with a key of a kind.
