@@ -322,6 +322,7 @@ class Recorder:
         self._unknown = np.full(sum(unknown.values()), np.nan)
         self._numbers = np.zeros(sum(numbers.values()))
         self._squeezes, self._given_up = np.split(self._numbers[2:], [squeezes])
+        self._squeeze: float | None = None  #: of the last tick, if its numbers are as noted
         self._flags: list[Array] = [np.zeros(sum(flags.values()))]
 
     @property
@@ -343,14 +344,18 @@ class Recorder:
         row = self._rows[self._k]
         status = self.of.controller.status
         numbers = self._numbers
-        numbers[:2] = seconds, status
-        self._squeezes[:] = np.nan  # after a single squeeze; that distinguishes it from several
-        with suppress(TypeError, ValueError):  # the tick was held
-            self._squeezes[: np.size(reference.squeeze_d)] = reference.squeeze_d
-        cost = self.of.controller.given_up if status is Status.SATURATED else None
-        self._given_up[:] = 0.0
-        if cost is not None and len(cost.force) == len(self._given_up):
-            self._given_up[:] = cost.force
+        numbers[0] = seconds
+        numbers[1] = status
+        squeeze = reference.squeeze_d
+        if status is not Status.OK or squeeze is not self._squeeze:
+            self._squeeze = squeeze if status is Status.OK and type(squeeze) is float else None
+            self._squeezes[:] = np.nan  # after a single one; that distinguishes it from several
+            with suppress(TypeError, ValueError):  # the tick was held
+                self._squeezes[: np.size(squeeze)] = squeeze
+            cost = self.of.controller.given_up if status is Status.SATURATED else None
+            self._given_up[:] = 0.0
+            if cost is not None and len(cost.force) == len(self._given_up):
+                self._given_up[:] = cost.force
         try:
             found = self._found(measurement)
             parts = (measurement.q, measurement.v, reference.alpha_d, *found)
