@@ -162,6 +162,8 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
 
     def _begin(self, forces: Array) -> None:
         """Set points of environments that were reset: where their objects are."""
+        if not self._fresh.any():  # reading joints waits for the simulation
+            return
         chain = self.cfg.controller.chain
         q = self._read(self._entity.data.joint_pos[:, self._joints])
         for i in np.flatnonzero(self._fresh):

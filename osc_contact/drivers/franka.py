@@ -141,7 +141,7 @@ class FrankaRobot:
             float(load.mass), load.lever.tolist(), load.inertia.ravel(order="F").tolist()
         )
         self._look()
-        self._K = np.array(self.state.EE_T_K[12:])  #: (4,) homogeneous, in the end effector
+        self._K = np.append(self.state.EE_T_K[12:15], 1.0)  #: (4,) homogeneous, in the end effector
 
     def _look(self) -> None:
         """The state as of now: one may have been on its way before."""

@@ -63,7 +63,7 @@ class Press:
                 f"press {text!r}: expected an axis of the tip and newtons, such as Z=15 or -X=5"
             )
         sign = -1.0 if name.startswith("-") else 1.0
-        x, y, z = (sign * (one == letter) for one in "XYZ")
+        x, y, z = (sign if one == letter else 0.0 for one in "XYZ")
         return cls((x, y, z), force)
 
 
