@@ -29,7 +29,7 @@ demo: .venv/.demo
 	$(BIN)/osc-contact reproduce all --out out/figures
 	@echo "look at out/two_contact_rod/scene.html and out/figures/report.html"
 
-# The tests look at pages with Chromium. Root gets it by apt-get; anybody else is told how.
+# The tests look at pages with Chromium. Root gets it by apt-get; for others the way is printed.
 browser: venv
 	@$(BIN)/python -m osc_contact.visual.browser || { \
 		test "$$(id -u)" = 0 && command -v apt-get > /dev/null && echo "installing chromium" && \
@@ -100,7 +100,7 @@ coverage: venv browser
 	$(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-append --cov-report=term
 
 # Small faults put into the law, one at a time: how many do the tests notice? For a machine that
-# has nothing else to do; options: make mutants MUTANTS="--count 500 --seed 2 --only law/force"
+# has nothing else to do; options: make mutants MUTANTS="--count 500 --seed 2 --only law/reading"
 mutants: venv
 	@$(BIN)/python -c "import cosmic_ray" 2> /dev/null || \
 		$(BIN)/pip install -q -c constraints.txt -e '.[mutation]'

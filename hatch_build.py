@@ -20,7 +20,7 @@ OLDEST = (2, 17)  # glibc of manylinux2014
 
 
 class CustomBuildHook(BuildHookInterface):
-    """Adds `osc_contact.law.ready`'s two files to a wheel."""
+    """Adds the two files of `osc_contact.law.library` to a wheel."""
 
     def dependencies(self):
         """What pip brings into the environment that a wheel is built in."""

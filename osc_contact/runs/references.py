@@ -467,9 +467,8 @@ def showing_twist(pairs: Sequence[ContactPair], state: ChainState, N: Array) -> 
     along = np.concatenate((u, np.cross(points.mean(axis=0) - state.X_WO.translation, u)))
     rows = np.column_stack((N, along)).T @ state.S
     mobile = np.linalg.solve(state.S.T @ state.metric @ state.S, rows.T)
-    wanted = np.zeros(len(rows))
-    wanted[-1] = 1.0
-    multipliers = np.linalg.lstsq(rows @ mobile, wanted, rcond=1e-9)[0]
+    along_only = np.eye(len(rows))[-1]
+    multipliers = np.linalg.lstsq(rows @ mobile, along_only, rcond=1e-9)[0]
     V: Array = state.S @ (mobile @ multipliers)
     return V if abs(along @ V - 1.0) < 1e-6 else np.zeros(6)
 

@@ -475,7 +475,7 @@ def landings(rig: Rig) -> list[Landing]:
     commands = rig.references.overview[1].alpha_d
     columns = zip(rig.force_names, rig.owners, directions, (contact.N @ contact.R).T, strict=True)
     out = []
-    for (name, owner, direction, N), wanted in zip(columns, commands.T, strict=True):
+    for (name, owner, direction, N), desired in zip(columns, commands.T, strict=True):
         mass = 1.0 / (N @ state.Phi @ N)
         stiffness = mass * rate**2
         met = mass * rate
@@ -485,8 +485,8 @@ def landings(rig: Rig) -> list[Landing]:
             if motion.stiffness > 0.0:
                 stiffness = 1.0 / (1.0 / stiffness + along / motion.stiffness)
                 met = max(met, sqrt(stiffness * mass))
-        command = float(wanted.max())
-        free = rig.scenario.tare is not None or not wanted[0] > 0.0
+        command = float(desired.max())
+        free = rig.scenario.tare is not None or not desired[0] > 0.0
         peak = max(life.speed * met, command)
         if pushes_only(rig.pairs[owner]):
             out.append(Landing(name, life.speed, mass, stiffness, command, peak, free))

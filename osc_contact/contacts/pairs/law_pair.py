@@ -41,7 +41,7 @@ _Elements = dict[tuple[int, int], Any]
 _IDENTITY: _Elements = {(i, j): float(i == j) for i in range(3) for j in range(4)}
 _AT_REST = np.zeros(6)
 #: Methods that determine a row; a class that replaces one of them differs from its row.
-_TOLD_BY_ROW = ("contact", "direction", "point_on_face", "points_of_contact")
+_GIVEN_BY_ROW = ("contact", "direction", "point_on_face", "points_of_contact")
 
 
 class PairRow(NamedTuple):
@@ -77,7 +77,7 @@ def law_row(pair: ContactPair) -> PairRow | None:
     kinds = type(pair).__mro__
     said_by = next(kind for kind in kinds if "row" in vars(kind))
     newer = kinds[: kinds.index(said_by)]
-    changed = any(name in vars(kind) for kind in newer for name in _TOLD_BY_ROW)
+    changed = any(name in vars(kind) for kind in newer for name in _GIVEN_BY_ROW)
     return None if changed else row()
 
 

@@ -126,8 +126,8 @@ function showCameras(cameras) {
   if (!cameras.length) list.remove();
   for (const camera of cameras) list.appendChild(new Option(camera.name));
   list.addEventListener("change", () => lookThrough(cameras[list.selectedIndex]));
-  const asked = /[#&]camera=([a-z%0-9+ ]+)/.exec(location.hash);
-  const name = asked && decodeURIComponent(asked[1]);
+  const found = /[#&]camera=([a-z%0-9+ ]+)/.exec(location.hash);
+  const name = found && decodeURIComponent(found[1]);
   const place = cameras.findIndex((camera) => camera.name === name);
   if (place >= 0) { list.selectedIndex = place; lookThrough(cameras[place]); }
 }
@@ -194,8 +194,8 @@ function start() {
   });
   viewer.set_3d_pane_size();
   plots.redraw();
-  const asked = /t=([0-9.]+)/.exec(location.hash); // page.html#t=2.5 shows the still at 2.5 s
-  const still = asked ? Number(asked[1]) : CONFIG.still;
+  const given = /t=([0-9.]+)/.exec(location.hash); // page.html#t=2.5 shows the still at 2.5 s
+  const still = given ? Number(given[1]) : CONFIG.still;
   if (still !== null) seek(still - origin);
   if (CONFIG.live) live();
   refresh();
