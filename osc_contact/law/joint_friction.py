@@ -55,6 +55,7 @@ _SETTLED = 0.15  #: s from the first tick on in which nothing is learned
 _OUTLIER = 2.0  #: times the motor's torque; no more of a residual counts in one tick
 _MOVES = 0.01  #: rad/s; slower joints learn nothing
 _SLIDES = 0.2  #: m/rad: speeds of sliding joints, where those of turning ones are constants
+_RESTS = 0.2  #: of that speed; slower joints show stiction
 _FOLLOWS = 0.09  #: of the permitted speed; a joint that moves with less of it learns nothing
 _FULL = 0.7  #: of dry friction; near a reversal nothing is learned
 _FORGET = 2.0  #: s
@@ -185,9 +186,11 @@ def _learn(t, j, rate, dt):
     least = _MOVES * (_SLIDES if joint.slides != 0 else 1.0)
     y = smooth[SPEED]
     moves = min(abs(row.speed), abs(y)) > least and smooth[V] * y > _FOLLOWS * y * y
-    excess = smooth[TORQUE] * smooth[SIGN] - largest_friction(t, j)
-    rests = abs(smooth[V]) < _FOLLOWS * abs(y)
-    sticks = rests and excess > _SEEN * sqrt(learned.noise)
+    rests = abs(smooth[V]) < min(_FOLLOWS * abs(y), _RESTS * least)
+    a = smooth[_ACCELERATION]
+    dry = (smooth[TORQUE] - learned.theta[2] * a) * smooth[SIGN]
+    excess = dry - largest_friction(t, j)
+    sticks = rests and excess > _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
     if (
         known[j] == LEARNED
         and sound
