@@ -187,17 +187,18 @@ def free_part(chain, q, X_WO, N, x):
     locked = np.hstack(
         [outside(np.hstack((J[:, arm], T))) for arm, T in zip(chain.slices, slips, strict=True)]
     )
-    S = outside(locked) if locked.shape[1] else np.eye(6)
+    # arms whose loops are open lock one direction, as for the law
+    S = outside(locked, chain.angle_tolerance) if locked.shape[1] else np.eye(6)
     e = S.T @ (L.T @ x)
     N_S = S.T @ solve(L, N)
     e = e - N_S @ lstsq(N_S, e, rcond=None)[0]
     return np.asarray(solve(L.T, S @ e))
 
 
-def outside(columns):
+def outside(columns, least=1e-6):
     """Orthonormal complement of the range of (6, k)."""
     U, s, _ = svd(columns)
-    return U[:, int(np.count_nonzero(s > 1e-6 * s[0])) :]
+    return U[:, int(np.count_nonzero(s > least * s[0])) :]
 
 
 def error(rig, controller, read, truth):

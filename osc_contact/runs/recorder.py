@@ -522,7 +522,7 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
         return np.tensordot(scale, own, 1)
 
     J = np.concatenate((J[:3] + cross(J[3:], X_WO.p[:, None]), J[3:]))
-    locked = [_onto(in_object(N, np.linalg.inv(L)))]  # projections onto what cannot be
+    locked = []  # projections onto what each arm cannot make
     for i, (arm, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
         motions = J[:, arm]
         if not grasp.is_rigid:
@@ -533,13 +533,17 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
             motions = np.concatenate((motions, np.stack(slips, axis=2)), axis=1)
         locked.append(np.eye(6) - _onto(in_object(motions, L.T)))
     _, sizes, axes = np.linalg.svd(np.concatenate(locked, axis=1), full_matrices=False)
-    free = axes * (sizes < _SAME)[:, :, None]  # arms may lock the same, but for their openings
-    left = np.einsum("kmi,kmj,jk->ik", free, free, in_object(x, L.T))
+    # arms whose loops are open lock one direction, as for the law
+    made = axes * (sizes < chain.angle_tolerance * np.maximum(sizes[:, :1], 1.0))[:, :, None]
+    S = made.mT @ made
+    lines = np.einsum("kij,jrk->irk", S, in_object(N, np.linalg.inv(L)))
+    left = np.einsum("kij,jk->ik", S - _onto(lines), in_object(x, L.T))
     own = np.tensordot(np.linalg.inv(L.T), left, 1)
     return np.concatenate((X_WO.rotate(own[:3]), X_WO.rotate(own[3:])))
 
 
 def _onto(columns: Array) -> Array:
     """(k, 6, 6) projections onto the spans of columns (6, n, k)."""
-    A = (columns / np.maximum(np.linalg.norm(columns, axis=0), _SAME)).transpose(2, 0, 1)
+    size = np.linalg.norm(columns, axis=0)
+    A = np.where(size > _SAME, columns / np.maximum(size, _SAME), 0.0).transpose(2, 0, 1)
     return A @ np.linalg.pinv(A, _SAME)
