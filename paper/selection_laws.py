@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from scipy.optimize import least_squares
 
 import osc_contact as osc
 from osc_contact.contacts.raibert_craig import Triple, as_raibert_craig, selection_columns
@@ -373,9 +374,6 @@ def _radius_of_gyration(inertia: Array) -> float:
 # --- The best constraint frame each selection law can be given, by the cross-talk it predicts ---
 
 
-_STEPS = 40
-
-
 def best_selection(
     instant: Instant, baseline: Baseline, *, restarts: int = 4, seed: int = 0
 ) -> SelectionLaw:
@@ -441,39 +439,28 @@ def random_selection(
 
 
 def _descend(instant: Instant, law: SelectionLaw) -> tuple[SelectionLaw, float]:
-    """Levenberg–Marquardt on the residuals, finite differences of point and axes."""
-    at = instant.coupling(law)
-    cost = at.cost
-    damping = 1e-2
-    if not np.isfinite(cost):
-        return law, cost
-    small = 1e-6
-    count = 3 + 3 * law.baseline.triads
-    for _ in range(_STEPS):
-        r = at.residuals
-        beside = [_moved(law, small * e, instant.size) for e in np.eye(count)]
-        moved = [instant.coupling(x).residuals for x in beside]
-        J = (np.array(moved) - r) / small  # (count, residuals)
-        gradient = J @ r
-        normal = J @ J.T
-        if np.linalg.norm(gradient) <= 1e-9 * max(cost, 1e-12):
-            break
-        step = -np.linalg.solve(normal + damping * np.eye(count), gradient)
-        trial = _moved(law, step * min(1.0, 1.0 / float(np.linalg.norm(step))), instant.size)
-        coupling = instant.coupling(trial)
-        if coupling.cost < cost:
-            done = cost - coupling.cost < 1e-7 * cost
-            law = trial
-            at = coupling
-            cost = coupling.cost
-            damping = 0.2 * damping
-            if done:
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e8:
-                break
-    return law, cost
+    """The law where |x|² (1 + w²|y|²) is least, and half that; infinite where control is lost.
+
+    x is the cross-talk, y = (M − 1, K − 1, p/size). Many minima of |x| are whole lines and planes
+    of points and axes, some infinitely far away. w = 1e-3 leaves isolated ones, which rounding
+    does not move, and moves those that are isolated anyway by less than three digits show.
+    """
+    if not instant.coupling(law).usable:
+        return law, np.inf
+
+    def residuals(step: Array) -> Array:
+        moved = _moved(law, step, instant.size)
+        at = instant.coupling(moved)
+        gains = [(X - np.eye(len(X))).ravel() for X in (at.M, at.K)]
+        y = np.concatenate((*gains, moved.selection.linear.translation / instant.size))
+        return np.concatenate((at.residuals, 1e-3 * np.linalg.norm(at.residuals) * y))
+
+    still = np.zeros(3 + 3 * law.baseline.triads)
+    found = least_squares(
+        residuals, still, "3-point", ftol=1e-15, xtol=1e-9, gtol=1e-12, max_nfev=100
+    )
+    best = _moved(law, found.x, instant.size)
+    return best, float(found.cost) if instant.coupling(best).usable else np.inf
 
 
 def _moved(law: SelectionLaw, step: Array, size: float) -> SelectionLaw:
