@@ -447,8 +447,9 @@ def own_pair() -> TickCase:
     return replace(case, name="own_pair", pairs=(own, second))
 
 
-def vertex_on_plane(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):  # type: ignore[no-untyped-def]
+def vertex_on_plane(X_WO, V_O, X_WE, V_E, given, *out):  # type: ignore[no-untyped-def]
     """A vertex (3) of the object on a plane at rest: direction into it (3), distance from O_W."""
+    N, n_gamma, gaps, points = out
     p = np.empty(3)
     for i in range(3):
         p[i] = X_WO[i, 0] * given[0] + X_WO[i, 1] * given[1] + X_WO[i, 2] * given[2]
