@@ -102,7 +102,7 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
     X_WO = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-0.5, 0.5, 3)), rng.uniform(-0.5, 0.5, 3))
     parts = []
     held = []
-    told = []
+    known = []
     positions = []
     for i, (arm, kind) in enumerate(zip(arms, kinds, strict=True)):
         model, tip, passive = planar(int(arm[0]), rng) if arm[0] in "234" else _urdf(arm)
@@ -143,8 +143,8 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
             osc.Arm(made.name, made.model, tip, base, passive, made.wrist_sensor, made.locked)
         )
         held.append(grasp_of(kind, X_TO, axis))
-        told.append((kind, X_TO, axis / np.linalg.norm(axis)))
+        known.append((kind, X_TO, axis / np.linalg.norm(axis)))
         positions.append(q)
     payload = None if body is None else osc.RigidObject(body)
     chain = osc.ClosedChain(parts, held, payload, angle_tolerance=angle, allow_unactuated=True)
-    return Case(chain, np.concatenate(positions), X_WO, told)
+    return Case(chain, np.concatenate(positions), X_WO, known)

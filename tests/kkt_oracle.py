@@ -253,10 +253,6 @@ class Contact:
     def gaps(self, of_object, of_body):
         return self.pair.gaps(shifted(self.X_WO, of_object), self.on.pose(of_body))
 
-    def speed(self):
-        """(r,) rate of the gaps where the object rests."""
-        return self.along_body @ self.on.v
-
     def bend(self, V):
         """(r,) second derivative of the gaps while nothing accelerates."""
         speed = max(1.0, largest(V), largest(self.on.v))

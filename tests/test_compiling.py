@@ -136,6 +136,7 @@ def test_what_lacks_for_a_library_is_said_and_numba_compiles_as_it_always_does(
 
 @mark.skipif(jit.UNITS is None, reason="numba compiles in its usual way here")
 def test_progress_rises_with_the_parts_translated():
+    """One translation of a part serves whole numbers and constants."""
     units = jit.UNITS
     shares = []
     units.watchers[:] = [shares.append]
@@ -146,7 +147,7 @@ def test_progress_rises_with_the_parts_translated():
     def first(x):
         return 2.0 * x
 
-    units.Unit(lambda x: first(x) + 1.0, False).translated((types.float64,))
+    units.Unit(lambda x: first(x) + first(3), False).translated((types.int64,))
     units.watchers.clear()
     assert len(shares) == 2 and 0.0 < shares[0] < shares[1] <= 1.0
 

@@ -53,6 +53,31 @@ def test_torques_never_exceed_a_motor_limit(ready):
     assert "joint" in controller.reason
 
 
+def test_signals_of_a_tick_stay(ready):
+    """What is set afterwards does not change them; recordings keep the permitted error (7)."""
+    controller, _, measurement, reference = ready
+    tau = ticked(controller, measurement, reference)
+    signals = controller.signals
+    f_meas = controller.result().f_meas.copy()
+    controller.f_tare = np.ones(6)
+    controller.engaged = False
+    assert not controller.engaged and (controller.f_tare == 1.0).all()
+    found = controller.result()
+    assert_array_equal(signals.tau, tau)
+    assert_array_equal(signals.q, measurement.q)
+    state = signals.state
+    Omega_m = signals.contact.motion_projection(np.linalg.inv(state.metric))
+    for got, want in (
+        (found.f_meas, f_meas),
+        (found.bias_out, state.bias_out),
+        (found.V_O, state.V_O),
+        (found.X_WO, state.X_WO.homogeneous),
+        (found.free_error, Omega_m @ found.error),
+        (found.squeeze, signals.squeeze_d),
+    ):
+        assert_allclose(got, want, atol=1e-9)
+
+
 def test_stretched_elbows_degrade_and_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
     controller, _, measurement, reference = ready
     controller = controller.with_safety(UNLIMITED)  # another posture at once
@@ -260,6 +285,7 @@ BAD = {
     "larger": lambda x: np.full(np.shape(x), 1e308),
     "integer": lambda x: 10**400,
     "nan": lambda x: np.full(np.shape(x), np.nan),
+    "one nan": lambda x: np.append(np.ravel(x)[:-1], np.nan).reshape(np.shape(x)),
     "infinite": lambda x: np.full(np.shape(x), -np.inf),
     "complex": lambda x: np.asarray(x) + 1j,
     "row": lambda x: np.asarray(x)[None],
@@ -269,6 +295,10 @@ BAD = {
     "group": lambda x: {},
     "generator": lambda x: (k for k in range(3)),
 }
+
+
+#: of twelve calls: lists are converted, one number may come as a row of one
+HELD = {"list": 5, "none": 11, "row": 11, "column": 11}
 
 
 @parametrize("kind", BAD)
@@ -285,6 +315,7 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
         bad = BAD[kind](given.homogeneous if name == "X_WD" else given)
         calls.append((measurement, replace(reference, **{name: bad})))
     limits = rig.chain.tau_max * (1.0 + 1e-12)
+    not_computed = 0
     for call in calls:
         controller = rig.controller()
         last = ticked(controller, *good)
@@ -292,6 +323,7 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
         tau = controller.tick(*call)
         assert np.isfinite(tau).all() and (np.abs(tau) <= limits).all()
         if controller.status is osc.Status.HELD:
+            not_computed += 1
             assert controller.reason
             if controller.state < SafetyState.HOLD:  # huge speeds stop the arms at once
                 assert_array_equal(tau, last)
@@ -300,6 +332,7 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
         else:
             assert controller.status is osc.Status.OK or controller.reason
         ticked(controller, *good)
+    assert not_computed == HELD.get(kind, len(calls))
 
 
 def test_the_first_tick_refuses_wrong_shapes_later_ones_hold(rig, ready):

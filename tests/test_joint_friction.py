@@ -4,6 +4,7 @@ import numpy as np
 from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx
 from rigs import UNLIMITED, one_panda, random_state, refused, rig_of, strong
 from samples import parametrize
 from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
@@ -14,7 +15,7 @@ from osc_contact.control.records import SLIP
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import joint_friction
 from osc_contact.law.jit import as_python
-from osc_contact.law.records import FRICTION, MODEL, new_model
+from osc_contact.law.records import FRICTION, MODEL, Rows, new_model, views
 from osc_contact.plants.rigid import RigidPlant
 
 CASES = {case.name: case for case in cases()}
@@ -58,6 +59,22 @@ def test_joints_without_friction_learn_none(dt):
     Phi = np.column_stack([np.ones(3000), 0.6 + 0.1 * np.sin(t), 0.1 * np.cos(t), np.ones(3000)])
     theta, _ = learned(Phi, 2e-3 * np.sin(7.0 * t) - 1e-3, noise=4e-6, dt=dt)
     assert (np.abs(theta) < 1e-3 * MOST).all() and (theta[:2] >= 0.0).all()
+
+
+@parametrize(("most", "found"), [(20.0, 8.0), (5.0, 5.0)])
+def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, found):
+    """The estimate, too: beyond its bound it would have to come back before F could."""
+    t = views(Rows(new_model(1, 1, 1)))
+    t.model.priors.high = most
+    t.memory.balanced = 1000
+    t.memory.friction_known[0] = joint_friction.LEARNED
+    joint = t.memory.joints[0]
+    joint.residual = 8.0
+    joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = 1.0, 0.1
+    for _ in range(500):
+        as_python(joint_friction._learn)(t, 0, 0.0, 1e-3)
+    learned = t.memory.friction[0]
+    assert learned.estimate[0] == approx(found) == learned.theta[0]
 
 
 def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():

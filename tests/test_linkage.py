@@ -107,7 +107,7 @@ def test_commands_by_number_and_by_bar(plate):
 
 
 def test_motor_limits_take_it_first(plate):
-    """4 kN cannot be had: torques within limits, forces and motion hardly touched, told by bar."""
+    """4 kN cannot be had: forces and motion are hardly touched, the loss is reported by bar."""
     measurement = plate.plant().measure()
     reference = plate.references.at(0.0)
     controller = plate.controller()

@@ -346,8 +346,7 @@ def project_onto_constraint(Q, r, x, target):
     """x ← the nearest x (6,) with Q x = target, the rows of Q (r, 6) orthonormal.
 
     Args:
-        Q: (r, 6). r: how many rows. m: first element that counts. x: (6,), overwritten.
-        target: (r,) what Q x shall be.
+        Q: (r, 6). r: how many rows. x: (6,), overwritten. target: (r,) what Q x shall be.
     """
     y = six(x)
     for _ in range(2):

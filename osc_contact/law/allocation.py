@@ -66,8 +66,8 @@ def settable_bars(t, n_locked):
     accelerate nothing; and `basis`: orthonormal columns, never more than 3k − 6, the identity if
     these are all bars.
 
-    `tolerance` is what counts as zero: singular values of E relative to the largest, those of the
-    locked forces in the bars, and cosines between torques and null(G).
+    `angle_tolerance` is what counts as zero: singular values of E relative to the largest, those of
+    the locked forces in the bars, and cosines between torques and null(G).
 
     Args:
         n_locked: rows of `carried`, ≤ 6k.
@@ -548,7 +548,7 @@ def allocate_torques(t):
 
 @leaf
 def push_from_limits(joint, q):
-    """Acceleration away from joint limits, see `control.joint_limits`."""
+    """Acceleration away from joint limits, see `control.records.joint_limit_margins`."""
     depth, sign = (joint.low - q, 1.0) if q < joint.low else (q - joint.high, -1.0)
     if not depth > 0.0:
         return 0.0
@@ -581,7 +581,7 @@ def _hold_posture(t, arm, own):
 
 @inner
 def _retreat_from_lost(t, arm, own):
-    """In joint motions that a singular posture takes from the task the posture law has its way."""
+    """Joint motions that a singular posture takes from the task follow the posture law."""
     joints = t.work.joints
     lo = arm.first
     hi = arm.end
@@ -658,7 +658,7 @@ def _add_torques(t, arm, own, y):
 
 @leaf
 def limit_torques(t):
-    """Motor torques to tau[first:]; whether one exceeds its limit, and whether all are finite."""
+    """Motor torques to `tau`; whether one exceeds its limit, and whether all are finite."""
     table = t.model.joints
     joints = t.work.joints
     excess = False

@@ -35,8 +35,7 @@ def place_arm(t, lo, hi, q):
     """Rotation R and point p of every joint of an arm at q (n,), in the world.
 
     Args:
-        lo, hi: first joint of the arm, and the one behind its last. q: (n,) positions
-        (m, rad).
+        lo, hi: first joint of the arm, and the one behind its last. q: (n,) positions (m, rad).
     """
     joints = t.model.joints
     work = t.work.joints
@@ -150,9 +149,9 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
     """Columns of J at C, drift γ, h = C v + g, M, and what is beyond the wrist sensor.
 
     Args:
-        arm: ARM record. v: (n,) velocities. C: (3,) common point. V, gamma: (6,)
-        filled: twist and drift of the tip at C. bias_out: (6,) added to: wrench that
-        the outboard bodies need at q̈ = 0, at C.
+        arm: ARM row. v: (n,) velocities. C: (3,) common point. V, gamma: (6,) filled: twist and
+            drift of the tip at C. bias_out: (6,) added to: wrench that the outboard bodies need at
+            q̈ = 0, at C.
     """
     joints = t.model.joints
     gravity = t.model.gravity

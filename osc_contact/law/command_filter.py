@@ -123,8 +123,7 @@ def permit_error(t, error, out, by_object):
     """out (6,) = Ω_m(B) error, eq. 4, at O: with all six axes, locked or not.
 
     Args:
-        error, out: (6,) at O. by_object: B is the object's inverse inertia, else
-        `B_inv_t`.
+        error, out: (6,) at O. by_object: B is the object's inverse inertia, else that of `B_inv_t`.
     """
     work = t.work
     e = work.y

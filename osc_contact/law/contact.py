@@ -49,7 +49,7 @@ from osc_contact.law.vectors import (
 #
 # A point that slides at v_t along a face whose normal n is wrong by ε leaves the face that is
 # believed in at v = εᵀv_t. Where one point touches one face, n is turned until it does not; what is
-# left, where nothing slides, is v̄ of `steps`. Where edges cross, that of the body is turned: its
+# left, where nothing slides, is v̄ of `commands`. Where edges cross, that of the body is turned: its
 # part g along n shows. docs/tuning.md: what it brings, and why it is stable.
 #
 # The covariance P of the error goes with the estimate. What n does not explain, such as a face that

@@ -42,8 +42,7 @@ static int given(Py_ssize_t count, Py_ssize_t expected)
 {
     if (count == expected)
         return 1;
-    if (!PyErr_Occurred())
-        PyErr_Format(PyExc_TypeError, "expected %zd arguments, got %zd", expected, count);
+    PyErr_Format(PyExc_TypeError, "expected %zd arguments, got %zd", expected, count);
     return 0;
 }
 
@@ -60,7 +59,7 @@ static PyObject *rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
     if (job == -1 && PyErr_Occurred())
         return NULL;
     raw = take(args[0], NPY_UBYTE, 1, 1, &shape);
-    if (!raw || !given(PyTuple_Size(args[2]), GIVEN))
+    if (!raw || !given(PyTuple_Check(args[2]) ? PyTuple_Size(args[2]) : 1, GIVEN))
         return NULL;
     for (int i = 0; i < GIVEN; i++) {
         at[i] = take(PyTuple_GetItem(args[2], i), NPY_DOUBLE, dimensions[i], 0, &shape);

@@ -152,11 +152,11 @@ def filter_outboard(t, arm, own, bias):
     """Λ_out (transposed) and bias of a gripper that can move without the object.
 
     F = 1 − E(T E)⁺T, E = P(1 − J̄J) what the joints' motion without the object puts into the
-    reading, takes that out of it (`dynamics.outboard.grasp_filter`).
+    reading, takes that out of it.
 
     Args:
-        arm, own: its records; filter (6, 6) of `own` is filled. bias: (6,) wrench of
-        the outboard bodies at q̈ = 0, at C.
+        arm, own: its records; filter (6, 6) of `own` is filled. bias: (6,) wrench of the outboard
+            bodies at q̈ = 0, at C.
     """
     work = t.work
     H = work.A

@@ -132,8 +132,7 @@ def _align(t, row, now, ticks):
     """What belongs to the wrench's instant; that of this tick is kept, for lost ones, too.
 
     Args:
-        row: PAST of the joint. now: what belongs to this tick. ticks: since the last one that was
-        kept.
+        row: PAST of the joint. now: what belongs to this tick. ticks: since the last one kept.
     """
     memory = t.memory
     for i in range(min(ticks, HISTORY)):
@@ -199,7 +198,7 @@ def _learn(t, j, rate, dt):
         and abs(smooth[SIGN]) > _FULL
     ):
         if sticks:  # F is at least this, and as uncertain as before
-            learned.estimate[0] += excess
+            learned.estimate[0] += min(excess, max(prior.high[0] - learned.estimate[0], 0.0))
         else:
             phi = t.work.s
             phi[0] = smooth[SIGN]

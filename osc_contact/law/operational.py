@@ -274,8 +274,8 @@ def effort_metric(t, lo, n, m, arm, out):
     Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, the rows of U the wrenches that they can make.
 
     Args:
-        arm: ARM_WORK row. lo: first joint of the arm. n: how many. m: wrenches that the arm
-        can make. out: (6, 6) for the metric.
+        lo: first joint of the arm. n: how many. m: wrenches that the arm can make.
+        arm: ARM_WORK row. out: (6, 6) for the metric.
     """
     joints = t.work.joints
     table = t.model.joints
@@ -299,6 +299,7 @@ def effort_metric(t, lo, n, m, arm, out):
 
 @inner
 def _effort_of_kept(t, lo, n, arm, out):
+    """The same where the arm makes fewer than six wrenches, the rows of `kept`."""
     count = arm.n_kept
     U = arm.kept
     A = t.work.A

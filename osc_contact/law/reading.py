@@ -68,7 +68,7 @@ def read_wrist(reading, joint, sensor, C):
     """One wrist's reading (6,), rotated to world axes and carried to C, as a tuple.
 
     Args:
-        reading: (6,) of the wrist. joint: JOINT_WORK record of the sensor's. sensor: (12,) rotation
+        reading: (6,) of the wrist. joint: JOINT_WORK row of the sensor's. sensor: (12,) rotation
             (row by row) and position of the sensor in it. C: (3,) point (m).
     """
     force = rotated(joint.R, rotated9(sensor, reading))

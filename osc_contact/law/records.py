@@ -103,7 +103,7 @@ _MODEL = _record(
         "learning",
         "hold_rate",
         "torque_rate",  # 1/s, of `safety`
-        # see `watch`: s to begin braking, W, N of the least limit, s of low and of high forces
+        # see `safety`: s to begin braking, W, N of the least limit, s of low and of high forces
         "reaction",
         "contact_power",
         "contact_force",
@@ -115,7 +115,7 @@ _MODEL = _record(
         "force_brake",
         "drift_share",
         "step_time",
-        "tilt",  # see `steps`
+        "tilt",  # see `contact`
         "friction_share",
         "friction_smoothing",  # 1/s, see `joint_friction`
         # see `sensors`: N, N m, times a speed limit, s without a wrench
@@ -195,7 +195,7 @@ JOINT = _record(
         "low",
         "high",
         "width",
-        "most",  # see `control.joint_limits`
+        "most",  # see `control.records.joint_limit_margins`
         "slip",  # speed from which on dry friction is whole
     ),
     theta=4,  # of `joint_friction`, at the start
@@ -271,12 +271,12 @@ _MEMORY = _record(
     number=(
         "more_friction",  # learned, beyond what is assumed
         "powered",
-        "ending",  # see `watch`: s of too much power, s near the end of a joint
+        "ending",  # see `safety`: s of too much power, s near the end of a joint
         "still",
         "frozen",  # s for which joints, and all sensors, have read the very same
         "apart",  # s for which arms have held the object at different places
         "step_left",
-        "step_time",  # share of a step's time that is left, and that time, see `steps`
+        "step_time",  # share of a step's time that is left, and that time, see `commands`
     ),
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
     vector=(
@@ -309,10 +309,10 @@ COLUMN_MEMORY = _record(
         "speed",
         "net",  # of the last tick; net: without the inertia of what flies
         "underforce",
-        "overforce",  # see `watch`: s of too little force, and of too much
+        "overforce",  # see `safety`: s of too little force, and of too much
         "desired",
         "scale",
-        "drift",  # desired force, its size, lasting speed, see `steps`
+        "drift",  # desired force, its size, lasting speed, see `commands`
         "driven",
         "deflection",
         "eased",  # m/s, m, α_s (N): of a yielding face, see `commands`
@@ -326,8 +326,8 @@ COLUMN_MEMORY = _record(
         "velocity_from_positions",
         "velocity_from_encoders",  # low-passed NᵀV_rel, of positions and of speeds
     ),
-    to_come=3,  # of a step, see `steps`
-    turn=3,  # of the assumed normal, in the axes of its body, see `steps`
+    to_come=3,  # of a step, see `commands`
+    turn=3,  # of the assumed normal, in the axes of its body, see `contact`
     covariance=9,  # of that turn (rad²); 0: not estimated
 )
 #: what is known of a joint from its sensors, see `sensors`; `acceleration`: as commanded last
