@@ -176,6 +176,9 @@ class CustomParts:
             misfit = np.size(reference.alpha_d) != len(records.work.columns)
             if misfit and records.memory.engaged and not run(at.LOOK, at.MEASURE):
                 return None
+            if not (laws.force or laws.motion or laws.structure):
+                run(at.MEASURE, at.END)
+                return None
             force = law.OWN_FORCE if laws.force else 0
             motion = law.OWN_MOTION if laws.motion else 0
             if not run(at.MEASURE, at.COMMAND, force):
