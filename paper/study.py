@@ -42,6 +42,10 @@ class Study:
     pages: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
 
 
+def _ignore(step: str) -> None:
+    """No progress is shown; a function, since options are sent to other processes."""
+
+
 @dataclass(frozen=True)
 class Ask:
     """Options of a study.
@@ -60,7 +64,7 @@ class Ask:
     changes: Sequence[str] = ()
     samples: int | None = None
     folder: Path = Path()
-    tell: Callable[[str], None] = lambda _: None
+    tell: Callable[[str], None] = _ignore
 
     def lasting(self, usual: float) -> float:
         """The duration of its runs (s).
