@@ -10,7 +10,8 @@ import numpy as np
 import pinocchio as pin
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.lines import Line2D
+from matplotlib.typing import LineStyleType
 from rich.table import Table
 
 import osc_contact as osc
@@ -289,6 +290,9 @@ def comparison_table(result: Mapping[str, Any]) -> Table:
     return table_of(title, heads, rows)
 
 
+LINES: tuple[LineStyleType, ...] = ("-", "--", ":")  #: of the laws, for prints without colours
+
+
 def draw(result: Data, runs: Sequence[StepRun]) -> Figure:
     """Top: what a force step does to the motion. Bottom: what a motion step does to the force.
 
@@ -311,15 +315,18 @@ def draw(result: Data, runs: Sequence[StepRun]) -> Figure:
             title, symbol, unit, scale = row
             _bars(instant, [law["measured"][KINDS[i]] for law in laws], colours)
             _bars(peak, [scale * run.peaks[i] for run in runs], colours)
-            instant.set(title=f"{title}: rigid plant, one instant", ylabel=symbol)
-            peak.set(title="MuJoCo: largest of all steps", ylabel=unit)
-            for run, colour in zip(runs, colours, strict=True):
+            instant.set(title=f"{title}\nrigid plant, one instant", ylabel=symbol)
+            peak.set(title="MuJoCo\nlargest of all steps", ylabel=unit)
+            for run, colour, line in zip(runs, colours, LINES, strict=True):
                 r = run.alpha.shape[1]
                 for k in (range(r), range(r, len(run.starts)))[i]:
-                    course.plot(run.t[run.window(k)], scale * run.effect(k), color=colour)
+                    course.plot(run.t[run.window(k)], scale * run.effect(k), color=colour, ls=line)
                     course.axvline(run.starts[k], color="black", lw=0.7)
-            course.set(title="MuJoCo, step after step", ylabel=unit, xlabel="time (s)")
-        handles = [Patch(color=colour) for colour in colours]
+            course.set(title="MuJoCo\nstep after step", ylabel=unit, xlabel="time (s)")
+        handles = [
+            Line2D([], [], color=colour, linestyle=line, lw=4)
+            for colour, line in zip(colours, LINES, strict=True)
+        ]
         labels = [law["label"] for law in laws]
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
@@ -328,7 +335,7 @@ def draw(result: Data, runs: Sequence[StepRun]) -> Figure:
 def _bars(ax: Axes, values: Sequence[float], colours: Sequence[str]) -> None:
     """One bar for each law, with its number."""
     bars = ax.bar(range(len(values)), values, color=colours)
-    ax.bar_label(bars, fmt="{:.2g}")
+    ax.bar_label(bars, fmt="{:.3g}")
     ax.set(yscale="log", xticks=[])
     ax.margins(y=0.2)
 
