@@ -51,7 +51,7 @@ test-all: check browser
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 # The law's own tests as plain Python.
-LAW := $(addprefix tests/test_,$(addsuffix .py,law_kkt law_watch law_phases law_limits law_linkage law_stages))
+LAW := $(addprefix tests/test_,$(addsuffix .py,law_kkt law_watch law_phases law_limits law_stages))
 test-plain: venv
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n auto -k "not checked_bounds" $(LAW)
 
