@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 from collections.abc import Sequence
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import product
 from math import isfinite
 from pathlib import Path
@@ -452,25 +453,11 @@ class MujocoTruth:
 _log = logging.getLogger(__name__)
 
 
-def _stopped() -> float:
-    return 0.0
-
-
-@cache
-def _no_clock() -> Any:
-    """A clock that stands still, in compiled code."""
-    try:
-        from numba import cfunc
-    except ImportError:  # then MuJoCo reads its own
-        return None
-    return cfunc("float64()", cache=True)(_stopped).ctypes
-
-
 def quieten(mujoco: Any) -> None:
     """Let MuJoCo write no MUJOCO_LOG.TXT and read no clock: the plant counts warnings itself."""
     mujoco.set_mju_user_warning(_log.debug)
     if mujoco.get_mjcb_time() is None:  # its profiler reads the clock thirty times a step
-        mujoco.set_mjcb_time(_no_clock())
+        mujoco.set_mjcb_time(ctypes.pythonapi.PyFloat_GetMin)  # always the same number, from C
 
 
 class MujocoPlant:

@@ -308,7 +308,8 @@ class SweepStudy:
         return study
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), astuple(self)
+        """With its points: workers need no scipy.stats, which takes them a second to import."""
+        return type(self), astuple(self), {"_points": self._points}
 
     def require_sound(self) -> None:
         """Whether all of it can be understood, as far as the first row shows.
