@@ -3,6 +3,8 @@ SHELL := /bin/bash
 PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Even where it is set: hundreds of processes of the tests would compile all they import, 3 s each.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: venv browser demo check test test-all test-plain oldest-numba aarch64 versions peers \
 	coverage mutants docs gallery dist bench clean
