@@ -11,6 +11,8 @@ import zipfile
 import zlib
 from collections import UserDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import count
 from math import prod
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -95,7 +97,6 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
 
 
 TEXT = "meta"  #: the entry that holds the text
-_DATE = (1980, 1, 1, 0, 0, 0)  #: of every entry: archives of the same content are the same
 _MOST_UNPACKED = 256 << 20  #: bytes that packed entries may grow to
 _MOST_ENTRIES = 1000
 #: What reading a file that is none of ours, or damaged, ends in. zipfile answers encryption, and
@@ -115,27 +116,33 @@ _UNREADABLE = (
 )
 
 
-def write_archive(target: Path, text: str, arrays: Mapping[str, Array]) -> None:
-    """Write one .npz file: complete under its final name, or not there at all.
+@contextmanager
+def _written(target: Path) -> Iterator[IO[bytes]]:
+    """A file that is complete under its final name, or not there at all: an older one is kept.
+
+    Raises:
+        RecordingError: it cannot be written.
+    """
+    try:
+        with whole_file(target) as unfinished, open(unfinished, "xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise RecordingError(f"cannot write the recording {target}: {error}") from error
+
+
+def write_archive(target: Path, text: str, arrays: Mapping[str, Any]) -> None:
+    """Write one .npz file.
 
     Args:
         target: file. text: JSON of the meta data. arrays: by name.
 
     Raises:
-        RecordingError: the file cannot be written; an older file of the name is kept.
+        RecordingError: the file cannot be written.
     """
-    try:
-        with whole_file(target) as unfinished, open(unfinished, "xb") as file:
-            with zipfile.ZipFile(file, "w") as archive:
-                for name, values in {**arrays, TEXT: np.array(text)}.items():
-                    info = zipfile.ZipInfo(f"{name}.npy", _DATE)
-                    with archive.open(info, "w", force_zip64=True) as entry:
-                        numbers = np.asarray(values, order="C")
-                        npy.write_array(entry, numbers, allow_pickle=False)
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        raise RecordingError(f"cannot write the recording {target}: {error}") from error
+    with _written(target) as file:
+        np.savez(file, **arrays, meta=np.array(text))
 
 
 def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
@@ -370,16 +377,17 @@ class Recording:
         Raises:
             RecordingError: another ending, or the file cannot be written.
         """
-        kind = Path(path).suffix
-        if kind == ".npz":
-            return self.save(path)
-        if kind == ".csv":
-            return write_csv(self.pieces(), path)
-        if kind == ".mcap":
-            return write_mcap(self.pieces(), path, self.meta, list(self.channels))
-        raise RecordingError(
-            f"cannot export to {path}: give a name that ends in .npz, .csv or .mcap"
-        )
+        target = Path(path)
+        if target.suffix == ".npz":
+            return self.save(target)
+        write = {".csv": write_csv, ".mcap": write_mcap}.get(target.suffix)
+        if write is None:
+            raise RecordingError(
+                f"cannot export to {path}: give a name that ends in .npz, .csv or .mcap"
+            )
+        with _written(target) as file:
+            write(self, file)
+        return target
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Recording:
@@ -449,29 +457,18 @@ def column_names(contacts: Sequence[str], owners: Sequence[int]) -> list[str]:
 # Recordings for other programs: CSV for tables, MCAP for viewers of robot logs.
 
 
-Piece = dict[str, Array]
-
-
-def write_csv(pieces: Iterable[Piece], path: str | os.PathLike[str]) -> Path:
+def write_csv(recording: Recording, file: IO[bytes]) -> None:
     """One line per tick, one column per number: t, q.0, q.1, …, N.0.0, N.0.1, …
 
     Args:
-        pieces: of a recording, in order: channels with equally long first axes. path: of the file.
-
-    Raises:
-        RecordingError: the file cannot be written.
+        recording: with channels. file: open for writing.
     """
-    target = Path(path)
-    try:
-        with whole_file(target) as unfinished, open(unfinished, "x", encoding="ascii") as file:
-            for number, piece in enumerate(pieces):
-                if number == 0:
-                    file.write(",".join(c for n, x in piece.items() for c in _columns(n, x)) + "\n")
-                flat = [x.reshape(len(x), -1).astype(float) for x in piece.values()]
-                np.savetxt(file, np.hstack(flat), fmt="%.17g", delimiter=",")
-    except OSError as error:
-        raise RecordingError(f"cannot write {target}: {error}") from error
-    return target
+    for number, piece in enumerate(recording.pieces()):
+        if number == 0:
+            names = ",".join(c for name, x in piece.items() for c in _columns(name, x))
+            file.write(names.encode() + b"\n")
+        flat = [x.reshape(len(x), -1).astype(float) for x in piece.values()]
+        np.savetxt(file, np.hstack(flat), fmt="%.17g", delimiter=",")
 
 
 def _columns(name: str, values: Array) -> Iterator[str]:
@@ -479,43 +476,27 @@ def _columns(name: str, values: Array) -> Iterator[str]:
         yield ".".join((name, *map(str, place)))
 
 
-def write_mcap(
-    pieces: Iterable[Piece], path: str | os.PathLike[str], meta: Mapping[str, Any], names: list[str]
-) -> Path:
+def write_mcap(recording: Recording, file: IO[bytes]) -> None:
     """One JSON message per tick on the topic "tick", at its time in the run; the meta beside it.
 
     Args:
-        pieces, path: as in `write_csv`. meta: of the recording. names: of its channels.
-
-    Raises:
-        RecordingError: the file cannot be written.
+        recording: with channels. file: open for writing.
     """
-    target = Path(path)
-    shapes = {name: {"type": ["number", "boolean", "array", "null"]} for name in names}
-    schema = {"type": "object", "properties": shapes}
-    try:
-        with whole_file(target) as unfinished, open(unfinished, "xb") as file:
-            writer = Writer(file)
-            writer.start("", "osc_contact")
-            writer.add_metadata("recording", {"meta": json.dumps(meta)})
-            kind = writer.register_schema("tick", "jsonschema", json.dumps(schema).encode())
-            channel = writer.register_channel("tick", "json", kind)
-            number = 0
-            for piece in pieces:
-                times = piece["t"] if "t" in piece else np.arange(number, number + _length(piece))
-                for k, t in enumerate(times):
-                    values = {name: _finite(series[k]) for name, series in piece.items()}
-                    at = round(float(t) * 1e9)
-                    writer.add_message(channel, at, json.dumps(values).encode(), at, number)
-                    number += 1
-            writer.finish()  # type: ignore[no-untyped-call]
-    except OSError as error:
-        raise RecordingError(f"cannot write {target}: {error}") from error
-    return target
-
-
-def _length(piece: Piece) -> int:
-    return len(next(iter(piece.values()), ()))
+    kinds = {"type": ["number", "boolean", "array", "null"]}
+    schema = {"type": "object", "properties": dict.fromkeys(recording.channels, kinds)}
+    writer = Writer(file)
+    writer.start("", "osc_contact")
+    writer.add_metadata("recording", {"meta": json.dumps(recording.meta)})
+    kind = writer.register_schema("tick", "jsonschema", json.dumps(schema).encode())
+    channel = writer.register_channel("tick", "json", kind)
+    number = 0
+    for piece in recording.pieces():
+        for t, *values in zip(piece.get("t", count(number)), *piece.values(), strict=False):
+            message = dict(zip(piece, map(_finite, values), strict=True))
+            at = round(float(t) * 1e9)
+            writer.add_message(channel, at, json.dumps(message).encode(), at, number)
+            number += 1
+    writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _finite(value: Any) -> Any:
