@@ -99,7 +99,7 @@ def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | N
 def scalar(node: yaml.Node) -> Any:
     """Return a scalar as null, true/false, number (1e-3 and 010 too) or text."""
     text = str(node.value)
-    if node.style:  # it is quoted
+    if getattr(node, "style", None):  # it is quoted
         return text
     if text.lower() in _WORDS:
         return _WORDS[text.lower()]
