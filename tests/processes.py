@@ -1,7 +1,25 @@
-"""Processes that tests start: waiting for what they do, and whether they have ended."""
+"""Processes that tests start: what they print, waiting for what they do, whether they ended."""
 
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
+
+
+def completed(*words, code=0, **how):
+    """A command that has to end with this code (None: with any one), and what it printed."""
+    how = {"capture_output": True, "text": True, "timeout": 500} | how
+    done = subprocess.run(list(map(str, words)), **how)
+    assert code in (None, done.returncode), (done.returncode, done.stdout, done.stderr)
+    return done
+
+
+def python(*words, code=0, cwd=None, **environment):
+    """A new Python with these variables, which imports what the tests can import."""
+    path = os.pathsep.join((os.path.dirname(__file__), *sys.path))
+    env = {**os.environ, "PYTHONPATH": path, **environment}
+    return completed(sys.executable, *words, code=code, cwd=cwd, env=env)
 
 
 def wait_until(there, seconds=300.0, process=None):

@@ -1,7 +1,6 @@
 """The benchmarks run as programs, write what they print, and time what they say they time."""
 
 import json
-import subprocess
 import sys
 from dataclasses import replace
 from time import perf_counter, sleep
@@ -11,6 +10,7 @@ import pinocchio as pin
 from command_line import read_json
 from complaints import invalid_input
 from numpy.testing import assert_allclose, assert_array_equal
+from processes import python
 from pytest import approx, mark, raises
 from rigs import largest
 from samples import ROOT, first, parametrize
@@ -33,16 +33,15 @@ print(resident() - before)"""  # in a process of its own: others free memory mea
 SPREAD = {"p50", "p99", "p99_9", "max"}
 
 
-def start(line):
-    command = [sys.executable, "-W", "error", "-m", "benchmarks", *line.split()]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT)
+def start(line, code=0):
+    return python("-W", "error", "-m", "benchmarks", *line.split(), code=code, cwd=ROOT)
 
 
 def test_benchmark_refuses_bad_input(tmp_path):
     file = tmp_path / "b.json"
     for line, message in (("nope", "no benchmark 'nope'"), ("law --ticks many", "valid integer")):
-        done = start(f"{line} --json {file}")
-        assert done.returncode == 2 and message in done.stderr and not done.stdout
+        done = start(f"{line} --json {file}", 2)
+        assert message in done.stderr and not done.stdout
     assert not file.exists()
 
 
@@ -50,7 +49,6 @@ def run_program(name, ticks, folder):
     """(JSON, printed) of a program."""
     json_file = folder / "b.json"
     ended = start(f"{name} --ticks {ticks} --json {json_file}")
-    assert ended.returncode == 0, ended.stderr
     result = read_json(json_file)
     about = result["machine"]
     packages = about["packages"]
@@ -297,8 +295,7 @@ def test_a_soak_tells_memory_that_grows_and_runs_that_differ():
     first, second = report.data["runs"]
     assert first["hash"] == second["hash"] and first["ticks"] == 300
     assert 0.0 <= first["grown_MB"] < 5.0 < first["begin_MB"] <= first["peak_MB"]
-    grown = subprocess.run([sys.executable, "-c", GROWS], cwd=ROOT, capture_output=True, check=True)
-    assert 30.0 < float(grown.stdout) < 40.0
+    assert 30.0 < float(python("-c", GROWS, cwd=ROOT).stdout) < 40.0
 
 
 def test_calls_take_turns():

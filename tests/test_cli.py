@@ -2,13 +2,13 @@
 
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import typer
 from command_line import answered, call, done, read_json, refused
+from processes import python
 from pytest import approx, mark
 from samples import ROOT, module_fixture, parametrize
 from scene_samples import read_commands
@@ -96,9 +96,8 @@ def test_run_leaves_everything_behind(ran):
 
 def elsewhere(path, *words):
     """A command of the package as Python finds it on a path."""
-    how = {"cwd": path, "env": {**os.environ, "PYTHONPATH": f"{path}{os.pathsep}{ROOT}"}}
-    command = [sys.executable, "-m", "osc_contact", *words]
-    return subprocess.run(command, **how, capture_output=True, text=True, timeout=120)
+    around = f"{path}{os.pathsep}{ROOT}"
+    return python("-m", "osc_contact", *words, code=None, cwd=path, PYTHONPATH=around)
 
 
 @parametrize("command, folder", [("reproduce", "paper"), ("bench", "benchmarks")])

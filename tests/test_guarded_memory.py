@@ -2,16 +2,13 @@
 
 import ctypes
 import mmap
-import os
 import signal
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
+from processes import python
 from pytest import mark
 from rigs import rig_of
 from samples import parametrize
@@ -151,27 +148,19 @@ def tick_between_guards(name, at_end, beyond=0):
     print(*sorted(seen))
 
 
-def run(*arguments):
-    """In a separate process, which an access outside ends."""
+def run(*arguments, code=0):
+    """Words printed in a separate process, which an access outside ends."""
     words = f"import test_guarded_memory as t; t.tick_between_guards(*{arguments!r})"
-    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    return subprocess.run(
-        [sys.executable, "-c", words],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        env={**os.environ, "PYTHONPATH": path},
-    )
+    return python("-c", words, code=code).stdout.split()
 
 
 @parametrize("at_end", [True, False], ids=["behind", "before"])
 @parametrize("name", [*CASES, MOVING])
 def test_no_tick_reads_or_writes_outside_of_its_records(name, at_end):
-    done = run(name, at_end)
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert "HELD" in done.stdout and len(done.stdout.split()) >= 2
+    words = run(name, at_end)
+    assert "HELD" in words and len(words) >= 2
 
 
 @mark.skipif(jit.PLAIN_PYTHON, reason="arrays of NumPy end where they end")
 def test_records_too_near_to_the_guard_are_noticed():
-    assert run("two_contact_rod", True, 4096).returncode == -signal.SIGSEGV
+    run("two_contact_rod", True, 4096, code=-signal.SIGSEGV)

@@ -1,8 +1,6 @@
 """What `import osc_contact` costs: no more than Python itself; a name costs what it needs."""
 
-import subprocess
-import sys
-
+from processes import python
 from pytest import mark, raises
 from samples import module_fixture
 
@@ -30,11 +28,8 @@ LATER = (
 
 
 def printed(program):
-    """The words that a fresh Python prints."""
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    return done.stdout.split()
+    """The words that a new Python prints."""
+    return python("-c", program).stdout.split()
 
 
 @module_fixture

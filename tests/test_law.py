@@ -3,9 +3,6 @@
 Torques, forces and motions are judged in tests/test_law_kkt.py.
 """
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +10,7 @@ import pinocchio as pin
 from complaints import model_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from processes import python
 from rigs import largest, placed, random_faces, unit
 
 import osc_contact as osc
@@ -76,20 +74,9 @@ print("still")
 """
 
 
-def run_python(*words, **environment):
-    return subprocess.run(
-        [sys.executable, *words],
-        capture_output=True,
-        text=True,
-        timeout=500,
-        env={**os.environ, **environment},
-    )
-
-
 def test_a_hundred_thousand_ticks_allocate_nothing():
     """In Python; that the compiled law cannot allocate is seen in test_without_python."""
-    done = run_python("-c", COUNT_ALLOCATIONS)
-    assert done.returncode == 0 and done.stdout == "still\n", done.stderr[-2000:]
+    assert python("-c", COUNT_ALLOCATIONS).stdout == "still\n"
 
 
 def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
@@ -98,8 +85,7 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     model = pin.Model()
     joint = 0
     X = placed(0.1, 0.2, 0.3, (0.3, -0.2, 0.5))
-    axis = np.array([0.3, -0.5, 0.8])
-    axis = unit(axis)
+    axis = unit(np.array([0.3, -0.5, 0.8]))
     kinds = [
         pin.JointModelRX(),
         pin.JointModelPY(),

@@ -21,9 +21,6 @@ All of these are counted by themselves: the 2,000 states are without them.
 from __future__ import annotations
 
 import copy
-import os
-import subprocess
-import sys
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -36,6 +33,7 @@ from kkt_oracle import BODIES, PAIRS, PLAIN, WORLD, Answer, Body, Contact, State
 from numpy.linalg import lstsq, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from processes import python
 from pytest import mark, param
 from rigs import UNLIMITED, data_at, largest, product, random_state, scara_pair, strong, with_motors
 from samples import parametrize
@@ -591,17 +589,9 @@ def some_torques():
 def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     words = "import sys, numpy as np; from test_law_kkt import some_torques; "
     words += "np.savez(sys.argv[1], *some_torques())"
-    path = os.pathsep.join((os.path.dirname(__file__), *sys.path))
-    where = {how: "1", "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": path}
-    where["OSC_CONTACT_LAW"] = "jit"
-    done = subprocess.run(
-        [sys.executable, "-c", words, str(tmp_path / "tau.npz")],
-        capture_output=True,
-        text=True,
-        timeout=900,
-        env=os.environ | where,
-    )
-    assert done.returncode == 0, done.stderr[-3000:]
-    found = np.load(tmp_path / "tau.npz")
+    file = tmp_path / "tau.npz"
+    where = {how: "1", "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "OSC_CONTACT_LAW": "jit"}
+    python("-c", words, file, **where)
+    found = np.load(file)
     for name, want in zip(found.files, some_torques(), strict=True):
         assert_allclose(found[name], want, rtol=0, atol=1e-12 * largest(want))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -13,6 +11,7 @@ import daqp
 import numpy as np
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
+from processes import python
 from pytest import mark, param, raises
 from rigs import largest
 from samples import parametrize
@@ -399,14 +398,7 @@ def answers():
 
 
 def test_compiled_as_plain_python():
-    done = subprocess.run(
-        [sys.executable, __file__],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = python(__file__, NUMBA_DISABLE_JIT="1")
     for got, want in zip(answers(), json.loads(done.stdout), strict=True):
         assert_allclose(got, want, rtol=0, atol=1e-12)
 

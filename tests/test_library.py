@@ -4,12 +4,11 @@ import hashlib
 import logging
 import os
 import shutil
-import subprocess
-import sys
 import threading
 from pathlib import Path
 
 import numpy as np
+from processes import python
 from pytest import fixture, mark, param, raises
 from samples import module_fixture, parametrize
 from scenario_runs import run_of
@@ -68,11 +67,7 @@ def made():
 
 def printed(program, library, *arguments):
     """Lines that a Python with this library prints."""
-    around = {**os.environ, "OSC_CONTACT_LAW": str(library)}
-    around["PYTHONPATH"] = os.pathsep.join([os.path.dirname(__file__), *sys.path])
-    command = [sys.executable, "-c", program, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, env=around)
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = python("-c", program, *arguments, OSC_CONTACT_LAW=str(library))
     return done.stdout.splitlines()
 
 

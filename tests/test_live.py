@@ -7,8 +7,6 @@ import logging
 import os
 import signal
 import socket
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from http.client import HTTPConnection
@@ -16,13 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+import processes
 import umsgpack
 from complaints import invalid_input, viewer_error
 from processes import alive, wait_until
 from pytest import approx, fixture, mark, raises
 from samples import module_fixture
 from scenario_runs import assert_same_run
-from scene_samples import ARMS, BODIES, ENDS, RECORDING, URDF, links
+from scene_samples import ARMS, BODIES, ENDS, RECORDING, links
 from tornado.websocket import websocket_connect
 
 import osc_contact as osc
@@ -188,11 +187,11 @@ def sockets(pid):
     return opened, listening
 
 
-def python(*lines):
+def python(*lines, **how):
     """Run lines of Python in a separate process, beside this file."""
-    head = "import os, sys; sys.path.insert(0, 'tests'); import test_live as t"
-    command = [sys.executable, "-c", "\n".join((head, *lines))]
-    return subprocess.run(command, capture_output=True, text=True, cwd=URDF.parent)
+    return processes.python(
+        "-c", "\n".join(("import os, sys; import test_live as t", *lines)), **how
+    )
 
 
 def test_the_runs_own_process_opens_no_network_socket():
@@ -201,7 +200,7 @@ def test_the_runs_own_process_opens_no_network_socket():
         "    t.feed(viewer, 0.3)",
         "    print(t.sockets(os.getpid()), len(t.sockets(viewer._process.pid)[1]))",
     )
-    assert done.stdout.strip() == "([], []) 1", done.stdout + done.stderr
+    assert done.stdout.strip() == "([], []) 1"
 
 
 def test_only_a_loopback_socket_is_open(lasting):
@@ -287,8 +286,8 @@ def test_the_server_ends_with_the_program_however_that_ends():
     done = python(
         "viewer = t.opened()",
         "print(viewer._process.pid, flush=True); os._exit(7)",
+        code=7,
     )
-    assert done.returncode == 7, done.stderr
     wait_until(lambda: not alive(int(done.stdout)), 10.0)
 
 
@@ -305,7 +304,7 @@ def test_no_part_of_meshcat_that_opens_sockets_is_imported():
         "CommandSink().visualizer()",
         "print([m for m in sys.modules if 'ngrok' in m])",
     )
-    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+    assert done.stdout.strip() == "[]"
 
 
 def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog):

@@ -1,8 +1,6 @@
 """What a stranger installs: the wheel's content, the pinned versions, the files of the root."""
 
 import re
-import subprocess
-import sys
 import tarfile
 import tomllib
 import zipfile
@@ -11,6 +9,7 @@ from pathlib import Path
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from processes import python
 from samples import ROOT, module_fixture, parametrize
 
 from hatch_build import absolute
@@ -30,15 +29,9 @@ PROJECT = SETTINGS["project"]
 EXTRAS = [name for name in PROJECT["optional-dependencies"] if name != "mutation"]
 
 
-def run(*command, cwd):
-    command = [sys.executable, "-m", *command]
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
 def wheel_of(source, folder):
     options = ("--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check")
-    run("pip", "wheel", *options, "-w", str(folder), str(source), cwd=folder)
+    python("-m", "pip", "wheel", *options, "-w", folder, source, cwd=folder)
     (wheel,) = folder.glob("*.whl")
     return zipfile.ZipFile(wheel)
 
@@ -101,7 +94,7 @@ def test_wheel_declares_the_command_and_the_licence(wheel):
 
 def test_source_archive_builds_the_same_wheel(wheel, tmp_path, monkeypatch):
     monkeypatch.setenv("OSC_CONTACT_LAW", "jit")  # a wheel for every platform
-    run("hatchling", "build", "-t", "sdist", "-d", str(tmp_path / "sdist"), cwd=ROOT)
+    python("-m", "hatchling", "build", "-t", "sdist", "-d", tmp_path / "sdist", cwd=ROOT)
     (sdist,) = (tmp_path / "sdist").glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         inside = {name.split("/", 1)[1] for name in archive.getnames()}

@@ -2,16 +2,14 @@
 
 import json
 import math
-import os
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pinocchio as pin
 from command_line import answered, call, read_json, refused
 from complaints import model_error
 from numpy.testing import assert_allclose
+from processes import python
 from pytest import approx, raises
 from samples import ROOT, first, parametrize
 from urdf_corpus import CORPUS, GOOD, SOUND
@@ -217,10 +215,7 @@ TESTS = ROOT / "tests"
 
 def run(*command):
     """Standard output of a Python process that must end well; a crash has a return code < 0."""
-    how = {"env": os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{TESTS}"}, "timeout": 300}
-    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, **how)
-    assert done.returncode == 0, f"return code {done.returncode}: {done.stderr[-2000:]}"
-    return done.stdout
+    return python(*command).stdout
 
 
 @parametrize("count", first([2_500, 20_000], 1))

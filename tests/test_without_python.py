@@ -3,7 +3,6 @@
 import ctypes
 import re
 import signal
-import subprocess
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +11,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
+from processes import completed
 from pytest import mark, raises
-from rigs import largest
+from rigs import largest, panda_arm, rig_of
 from samples import module_fixture, parametrize
 
 import osc_contact as osc
@@ -24,7 +24,6 @@ from osc_contact.drivers.franka import TORQUE_STEP
 from osc_contact.law import records
 from osc_contact.law.jit import HAS_LIBRARY
 from osc_contact.law.limits import PROGRAM
-from osc_contact.robots.loading import find_robot
 from osc_contact.runs.run import start
 from osc_contact.runs.tape import Tape, build
 from osc_contact.scenarios.control_schema import MotionGains
@@ -44,9 +43,7 @@ TASKS = (
 
 def run(*command, code=0):
     """What a command says that ends with this code."""
-    words = [str(word) for word in command]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
-    assert done.returncode == code, done.stdout[-2000:] + done.stderr[-3000:]
+    done = completed(*command, code=code)
     return done.stderr if code else done.stdout
 
 
@@ -70,10 +67,6 @@ def library(tmp_path_factory):
     write_library(folder)
     run("make", "-C", folder)
     return folder
-
-
-def rig_of(name, *changes):
-    return osc.build_rig(osc.load_scenario(name, list(changes)))
 
 
 @parametrize("name", TASKS)
@@ -369,10 +362,7 @@ READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 
 def panda(weight):
     """A chain of one Panda, whose sensor is its tip, and a controller without contacts."""
-    arm = osc.Arm.from_urdf(
-        find_robot("panda")[0],
-        name="panda",
-        tip="panda_hand_tcp",
+    arm = panda_arm(
         wrist_sensor="panda_hand_tcp",
         locked={"panda_finger_joint1": 0.0, "panda_finger_joint2": 0.0},
         friction_factor=0.0,
@@ -467,8 +457,7 @@ def test_the_ros2_plugin_sends_what_the_controller_computes(library, tmp_path, n
         len(alpha),
         bars,
     ]
-    done = subprocess.run([str(word) for word in call], input=content, capture_output=True)
-    assert done.returncode == 0, done.stderr
+    done = completed(*call, input=content, text=False)
     torques = np.frombuffer(done.stdout).reshape(-1, len(wanted[0]))
     assert_array_equal(torques[:-1], wanted)
     assert not torques[-1].any()  # deactivated
@@ -476,5 +465,4 @@ def test_the_ros2_plugin_sends_what_the_controller_computes(library, tmp_path, n
     assert names[0] == "arm0_0/effort" and names[joints : joints + 1] == ["arm0_0/position"]
     assert names[-1] == f"wrist{arms - 1}/torque.z" and len(names) == 3 * joints + 6 * arms
     call[2] = 10
-    done = subprocess.run([str(word) for word in call], input=content, capture_output=True)
-    assert done.returncode == 1 and b"update rate" in done.stderr
+    assert b"update rate" in completed(*call, code=1, input=content, text=False).stderr
