@@ -1,15 +1,22 @@
-"""Faces that move: the plants among themselves, the law against plants that know nothing of Φ_e."""
+"""Faces that move and turn: kinematics, plants, geometry, and the law, which alone knows Φ_e."""
 
 import numpy as np
+import pinocchio as pin
+import scenario_runs
 from complaints import contact_error, scenario_error
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark
-from rigs import largest
-from samples import module_fixture
+from rigs import direction, largest, refused
+from samples import module_fixture, parametrize
+from scenario_runs import always_closed, assert_accurate, run_of, verdict_of, worst_force
 
 import osc_contact as osc
-from osc_contact.runs.verdict import metrics
+from osc_contact.dynamics.environment import Hinge
+from osc_contact.plants.faces import Rail
+from osc_contact.spatial import carry_twist
 from paper import moving_face
+from paper.study import ticks
 
 FACES = {
     face: [change.replace("ramp: 2 s", "ramp: 0.1 s") for change in changes]
@@ -19,37 +26,37 @@ CONVEYOR = FACES["conveyor"]
 TURNING = FACES["turning conveyor"]
 SPRING = FACES["cart with spring"]
 HINGE = FACES["hinge with spring"]
+RIGID = "plant.type=rigid", "plant.step=1 ms"
 
 
 def rig_of(*changes):
-    return osc.build_rig(osc.load_scenario("moving_face", list(changes)))
+    return scenario_runs.rig_of("moving_face", *changes)
 
 
-def on_the_move(rig, ticks=60):
-    """A rigid plant and a controller that have run for a while (faces swing, object moves)."""
+def times(count, start=1.0):
+    """(count,) of ticks, s."""
+    return start + 1e-3 * np.arange(count)
+
+
+def on_the_move(rig, count=60, start=1.0):
+    """A plant and a controller after so many ticks: faces swing, the object moves."""
     plant = rig.plant()
     controller = rig.controller()
-    for k in range(ticks):
-        tau = controller.tick(plant.measure(), rig.references.at(1.0 + 1e-3 * k))
-        plant.command(tau, 1e-3)
+    osc.run_loop(plant, controller, rig.references.over(times(count, start)))
     return plant, controller
 
 
 @mark.parametrize("changes", FACES.values(), ids=FACES)
 def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
     """The rigid plant has no Φ_e, only a cart in its equations; α = α_u and sensing are exact."""
-    rig = rig_of("plant.type=rigid", "plant.step=1 ms", *changes)
+    rig = rig_of(*RIGID, *changes)
     plant, controller = on_the_move(rig)
     moved = 0.0
-    for k in range(20):
-        tau = controller.tick(plant.measure(), rig.references.at(1.06 + 1e-3 * k))
-        plant.hold(tau)
-        alpha = plant.truth().alpha
-        assert_allclose(alpha, controller.signals.alpha_u, rtol=1e-9)
+    for _, reference, truth in ticks(plant, controller, rig.references.over(times(20, 1.06))):
+        assert_allclose(truth.alpha, controller.signals.alpha_u, rtol=1e-9)
         controller.force_integral = np.zeros(2)
-        controller.tick(plant.measure(), rig.references.at(1.06 + 1e-3 * k))
-        assert_allclose(controller.signals.alpha_meas, alpha, rtol=1e-9)
-        plant.command(tau, 1e-3)
+        controller.tick(plant.measure(), reference)
+        assert_allclose(controller.signals.alpha_meas, truth.alpha, rtol=1e-9)
         moved = max(moved, largest(plant.measure().touched.V_E))
     assert moved > 1e-3
     turns = largest(plant.measure().touched.V_E[:, 3:])
@@ -57,7 +64,7 @@ def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
 
 
 def test_a_law_that_ignores_the_face_is_wrong():
-    rig = rig_of("plant.type=rigid", "plant.step=1 ms", "model_error.environment=ignored")
+    rig = rig_of(*RIGID, "model_error.environment=ignored")
     plant, controller = on_the_move(rig)
     tau = controller.tick(plant.measure(), rig.references.at(1.3))
     plant.hold(tau)
@@ -65,46 +72,94 @@ def test_a_law_that_ignores_the_face_is_wrong():
     assert error > 0.05
 
 
-def test_a_cart_obeys_newton():
-    """m s̈ = u·(f + m g) − k s − c ṡ along the recorded path, by finite differences."""
-    rig = rig_of("plant.type=rigid", "plant.step=1 ms", "gains.force.rise=0 s", *SPRING)
+@parametrize("changes", [SPRING, HINGE], ids=["cart", "hinge"])
+def test_a_free_face_takes_the_power_of_its_contact(changes):
+    """½Iṡ² + ½ks² − (preload + weight) s grows by α NᵀV_e − cṡ²."""
+    rig = rig_of(*RIGID, "gains.force.rise=0 s", *changes)
     rail = rig.plant().faces.rails[0]
+    (joint,) = rail.joints
     plant, controller = on_the_move(rig, 0)
-    path = []
-    force = []
-    for k in range(80):
-        tau = controller.tick(plant.measure(), rig.references.at(1.5 + 1e-3 * k))
-        plant.hold(tau)
-        truth = plant.truth()
-        path.append(rail.direction @ truth.X_WE[0].translation)
-        force.append(truth.alpha[0] * (rail.direction @ rig.pairs[0].direction()))
-        plant.command(tau, 1e-3)
-    path = np.array(path)
-    force = np.array(force)
-    acceleration = (path[2:] - 2 * path[1:-1] + path[:-2]) / 1e-6
-    speed = (path[2:] - path[:-2]) / 2e-3
-    mean = 0.5 * (force[:-2] + force[1:-1])  # held from tick to tick
-    weight = -9.81 * rail.inertia * rail.direction[2]
-    expected = mean + weight - rail.stiffness * path[1:-1] - rail.damping * speed
-    assert_allclose(rail.inertia * acceleration, expected, atol=2e-3)
-    assert largest(expected) > 0.1
-
-
-def test_a_conveyor_is_where_its_signals_say():
-    for plant_type in ("rigid", "mujoco"):
-        rig = rig_of(f"plant.type={plant_type}", *CONVEYOR)
-        plant = rig.plant()
-        controller = rig.controller()
-        signals = rig.scenario.contacts[0].face.motion.signals
-        direction = np.array(rig.scenario.contacts[0].face.motion.direction)
-        for k in range(150):
-            plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
-        s, ds, dds = signals[0].at(0.15)
+    energy = []
+    power = []
+    load = rail.preload - 9.81 * rail.inertia * rail.direction[2]
+    for *_, truth in ticks(plant, controller, rig.references.over(times(120))):
         touched = plant.measure().touched
-        assert_allclose(touched.X_WE[0, :3, 3], direction * s, atol=1e-7)
-        assert_allclose(touched.V_E[0, :3], direction * ds, atol=1e-5)
-        assert_allclose(touched.A_E[0, :3], direction * dds, atol=1e-12)
-        assert_array_equal(touched.X_WE[1], np.eye(4))
+        V_E = touched.V_E[0]
+        X_WE = pin.SE3(touched.X_WE[0])
+        s = (X_WE.translation @ rail.direction, pin.log3(X_WE.rotation) @ rail.axis)[joint]
+        rate = (V_E[:3] @ rail.direction, V_E[3:] @ rail.axis)[joint]
+        V_e = carry_twist(V_E, X_WE.translation, truth.X_WO.translation)
+        contact = rig.pairs[0].contact(truth.X_WO, truth.V_O, truth.X_WE[0], V_E)
+        assert_allclose(contact.N.T @ (truth.V_O - V_e), 0.0, atol=1e-12)
+        power.append(truth.alpha[0] * (contact.N.T @ V_e)[0] - rail.damping * rate**2)
+        energy.append((rail.inertia * rate**2 + rail.stiffness * s**2) / 2 - load * s)
+    power = np.array(power)
+    taken = 1e-3 * (power[1:] + power[:-1]) / 2
+    assert_allclose(np.diff(energy), taken, atol=2e-6 * largest(power))
+    assert largest(power) > 1e-3
+
+
+H = 1e-4
+
+
+def swinging(rng):
+    """A rail with both joints, and s(t), its first and second derivative."""
+    A = rng.standard_normal(2)
+    w = rng.uniform(1, 3, 2)
+    phase = rng.uniform(0, 6, 2)
+
+    def motion(t):
+        x = w * t + phase
+        return A * np.sin(x), A * w * np.cos(x), -A * w**2 * np.sin(x)
+
+    return Rail(direction(rng), direction(rng), rng.standard_normal(3), motion)
+
+
+def placed(rail, t):
+    s, rates, second = rail.motion(t)
+    X = rail.pose(s)
+    p = X.translation
+    return X, rail.twist(s, rates, p), rail.acceleration(s, rates, second, p)
+
+
+def test_twist_and_acceleration_are_the_derivatives_of_the_pose():
+    rng = default_rng(0)
+    for _ in range(20):
+        rail = swinging(rng)
+        t = rng.uniform(0, 5)
+        (X0, V0, _), (X, V, A), (X1, V1, _) = (placed(rail, t + dt) for dt in (-H, 0.0, H))
+        spin = (pin.log3(X1.rotation @ X.rotation.T) - pin.log3(X0.rotation @ X.rotation.T)) / 2
+        assert_allclose(V[:3], (X1.translation - X0.translation) / (2 * H), atol=1e-5)
+        assert_allclose(V[3:], spin / H, atol=1e-5)
+        assert_allclose(A, (V1 - V0) / (2 * H), atol=1e-5)
+        assert_allclose(rail.pose(np.zeros(2)).homogeneous, np.eye(4), atol=1e-15)
+
+
+@parametrize("face", [CONVEYOR, TURNING], ids=["conveyor", "turning"])
+@parametrize("plant", ["rigid", "mujoco"])
+def test_a_driven_face_is_where_its_signals_say(plant, face):
+    rig = rig_of(f"plant.type={plant}", *face)
+    motion = rig.scenario.contacts[0].face.motion
+    plant, _ = on_the_move(rig, 150, 0.0)
+    s, ds, dds = motion.signals[0].at(0.15)
+    turn = motion.turn
+    angle, rate, second = turn.signals[0].at(0.15) if turn else np.zeros(3)
+    axis, through = np.array([turn.axis, turn.through] if turn else np.zeros((2, 3)))
+    touched = plant.measure().touched
+    X = pin.SE3(touched.X_WE[0])
+    u = np.array(motion.direction)
+    assert_allclose(X.rotation, pin.exp3(angle * axis), atol=1e-7)
+    carried = through + s * u
+    assert_allclose(X.act(through), carried, atol=1e-7)
+    assert_allclose(touched.V_E[0, 3:], axis * rate, atol=1e-5)
+    assert_allclose(touched.A_E[0, 3:], axis * second, atol=1e-12)
+    if not turn:
+        assert_allclose(touched.A_E[0, :3], u * dds, atol=1e-12)
+    of_hinge = carry_twist(touched.V_E[0], X.translation, carried)
+    assert_allclose(of_hinge[:3], u * ds, atol=1e-5)
+    assert_allclose(plant.truth().X_WE[0].homogeneous, X.homogeneous, atol=1e-5)
+    assert_array_equal(touched.X_WE[1], np.eye(4))
+    assert abs(s) > 1e-4 and (abs(rate) > 1e-2) == (turn is not None)
 
 
 @module_fixture
@@ -132,31 +187,84 @@ def test_the_figure_shows_each_face_once(on_mujoco):
     assert len(travel.lines) == len(error.lines) == 2
 
 
-def test_a_conveyor_must_start_at_the_contact():
-    jump = "[{type: sine, amplitude: 30 mm, frequency: 1 Hz}]"
-    with scenario_error(r"left_end.*0.188\d* m/s.*ramp"):
-        rig_of(
-            "contacts.left_end.face.motion="
-            f"{{type: conveyor, direction: [1, 0, 0], signals: {jump}}}"
-        ).plant()
+@parametrize(
+    ("signals", "words"),
+    [
+        ("[{type: sine, amplitude: 30 mm, frequency: 1 Hz}]", r"left_end.*0.188\d* m/s.*ramp"),
+        (
+            "[{type: constant, value: 0 mm}], turn: {axis: [0, 1, 0], through: [0, 0, 0], "
+            "signals: [{type: constant, value: 1 deg}]}",
+            r"left_end.*0\.0174\d* rad",
+        ),
+    ],
+)
+def test_a_driven_face_must_start_at_the_contact(signals, words):
+    motion = f"{{type: conveyor, direction: [1, 0, 0], signals: {signals}}}"
+    with scenario_error(words):
+        rig_of(f"contacts.left_end.face.motion={motion}").plant()
+
+
+@mark.slow
+def test_projected_power_vanishes_and_total_power_does_not_while_a_face_turns():
+    recording = run_of("moving_face", *TURNING, "plant.step=1 ms", plant="rigid", duration=1.3)
+    verdict = osc.metrics(recording)
+    assert verdict["power"]["ratio"] <= 1e-10 and verdict["power"]["total_rms_W"] > 0.02
+    turned = [pin.log3(pin.Quaternion(q).matrix()) for q in recording["face_pose"][::100, 0, 3:]]
+    assert np.ptp(turned, axis=0).max() > np.deg2rad(3.0)
+
+
+@parametrize("face", [TURNING, HINGE], ids=["turning", "hinge"])
+def test_mujoco_keeps_force_and_contact_on_a_face_that_turns(face):
+    verdict = verdict_of("moving_face", *face, duration=2.0)
+    assert worst_force(verdict) < 0.005
+    assert always_closed(verdict)
+
+
+def test_a_turned_face_is_found_by_its_geometry_where_it_is():
+    rig = rig_of(*TURNING)
+    rng = default_rng(3)
+    pair = rig.pairs[0]
+    rail = rig.plant().faces.rails[0]
+    tracked = rig_of("control.contacts=detected", *TURNING).controlled_pairs()[0]
+    X_WO = rig.state().X_WO
+    for angle in np.deg2rad([0.0, 2.0, 5.0, -5.0]):
+        X_WE = rail.pose(np.array([0.01, angle]))
+        V_O, V_E = rng.standard_normal((2, 6))
+        moved = X_WO.copy()  # back onto the face, along its normal
+        moved.translation = X_WO.translation + pair.gaps(X_WO, X_WE)[0] * pair.direction(X_WE)
+        ours, declared = (p.contact(moved, V_O, X_WE, V_E) for p in (tracked, pair))
+        assert_allclose(ours.N, declared.N, atol=1e-9)
+        assert_allclose(ours.n_gamma, declared.n_gamma, atol=1e-9)
+    assert tracked.lookups > 2
+
+
+@parametrize(
+    ("change", "said"),
+    [
+        ({"axis": [0, 0, 0]}, "hinge.axis is zero"),
+        ({"inertia": 0.0}, "hinge.inertia = 0"),
+        ({"damping": -1.0}, "hinge.damping"),
+        ({"through": [0, np.nan, 0]}, "hinge.through"),
+    ],
+)
+def test_impossible_hinges_are_refused(change, said):
+    given = {"axis": [0, 0, 1], "through": [0, 0, 0], "inertia": 1.0} | change
+    with refused(said):
+        Hinge(**given)
 
 
 def test_detected_contacts_keep_the_task():
     """The controller reads N off the geometry while the object slides by a third of its stroke."""
-    scenario = osc.load_scenario("two_contact_rod", ["control.contacts=detected", "duration=1.6"])
-    rig = osc.build_rig(scenario)
+    rig = scenario_runs.rig_of("two_contact_rod", "control.contacts=detected", "duration=1.6")
     tracked = rig.controller().contacts
     assert all(pair.name == own.name for pair, own in zip(tracked, rig.pairs, strict=True))
-    verdict = metrics(osc.run(scenario))
-    for force in verdict["force"].values():
-        assert force["rms_error_rel"] < 0.01
+    verdict = osc.metrics(osc.run(rig.scenario))
+    assert_accurate(verdict)
     assert verdict["motion"]["rms_error_m"] < 1e-4
-    assert verdict["status"]["held"] == 0
-    assert set(verdict["contact_fraction"].values()) == {1.0}
 
 
 def test_tracked_contacts_are_looked_up_again_after_a_while_and_agree_with_the_declared_ones():
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["control.contacts=detected"]))
+    rig = scenario_runs.rig_of("two_contact_rod", "control.contacts=detected")
     pair = rig.pairs[0]
     tracked = rig.controlled_pairs()[0]
     X = rig.state().X_WO
