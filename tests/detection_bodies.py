@@ -31,10 +31,6 @@ def standing(rotation, points, rng, lift=0.0):
     return pin.SE3(R, np.array([x, y, lift - (points @ R.T)[:, 2].min()]))
 
 
-def random_pose(rng):
-    return pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3))
-
-
 def pushes(points, directions, X_WO):
     """(6, k) wrenches at O of unit forces along `directions` at world `points`."""
     arms = np.asarray(points) - X_WO.translation

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import norm
 from numpy.random import default_rng
-from rigs import shift
+from rigs import direction, pose_of, shift
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
@@ -100,11 +100,6 @@ def kind(make):
     return make
 
 
-def unit(rng):
-    vector = rng.standard_normal(3)
-    return vector / norm(vector)
-
-
 def about(axis, angle):
     return pin.exp3(angle * axis)
 
@@ -125,15 +120,10 @@ def in_plane(normal):
     return np.linalg.svd(normal[None, :])[2][1:]
 
 
-def pose_of(rng):
-    return pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3))
-
-
 @kind
 def vertex_on_face(rng, c):
-    vertex = rng.standard_normal(3)
-    point = rng.standard_normal(3)
-    n = unit(rng)
+    vertex, point = rng.standard_normal((2, 3))
+    n = direction(rng)
     rho = 0.2
     plane = in_plane(n)
     pair = osc.VertexOnFace(c.A(vertex), c.E(point), c.along_E(n), rho * c.per_metre)
@@ -142,9 +132,8 @@ def vertex_on_face(rng, c):
 
 @kind
 def sphere_on_plane(rng, c):
-    centre = rng.standard_normal(3)
-    point = rng.standard_normal(3)
-    n = unit(rng)
+    centre, point = rng.standard_normal((2, 3))
+    n = direction(rng)
     rho = 0.3
     plane = in_plane(n)
     pair = osc.SphereOnPlane(c.A(centre), rho * c.per_metre, c.E(point), c.along_E(n))
@@ -154,7 +143,7 @@ def sphere_on_plane(rng, c):
 @kind
 def face_on_vertex(rng, c):
     point = rng.standard_normal(3)
-    n = unit(rng)
+    n = direction(rng)
     vertex = rng.standard_normal(3)
     rho = 0.2
     plane = in_plane(n)
@@ -164,8 +153,8 @@ def face_on_vertex(rng, c):
 
 def crossed_edges(rng, c, hint):
     a, b = rng.standard_normal((2, 3))
-    e = unit(rng)
-    f = unit(rng)
+    e = direction(rng)
+    f = direction(rng)
     # turned by at most about 1 rad from perpendicular, so that the edges never become parallel
     R0 = carrying(e, np.cross(f, in_plane(f)[0]))
     side = c.along_E(-np.cross(R0 @ e, f)) if hint else -1.0
@@ -185,9 +174,9 @@ def edge_on_edge_with_hint(rng, c):
 
 def line_on_plane(rng, make, rho):
     point = rng.standard_normal(3)
-    e = unit(rng)
+    e = direction(rng)
     face = rng.standard_normal(3)
-    n = unit(rng)
+    n = direction(rng)
     plane = in_plane(n)
     R0 = carrying(e, plane[0])
 
@@ -219,9 +208,9 @@ def cylinder_on_plane(rng, c):
 @kind
 def face_on_face(rng, c):
     point = rng.standard_normal(3)
-    n = unit(rng)
+    n = direction(rng)
     face = rng.standard_normal(3)
-    m = unit(rng)
+    m = direction(rng)
     R0 = carrying(n, -m)
     plane = in_plane(m)
     pair = osc.FaceOnFace(c.A(point), c.along_A(n), c.E(face), c.along_E(m), 0.2 * c.per_metre)
@@ -231,9 +220,9 @@ def face_on_face(rng, c):
 @kind
 def cylinder_in_hole(rng, c):
     point = rng.standard_normal(3)
-    e = unit(rng)
+    e = direction(rng)
     hole = rng.standard_normal(3)
-    h = unit(rng)
+    h = direction(rng)
     R0 = carrying(e, h)
     pair = osc.CylinderInHole(c.A(point), c.along_A(e), c.E(hole), c.along_E(h), 0.2 * c.per_metre)
     return pair, lambda q: placed(about(h, q[0]) @ R0, point, hole + q[1] * h), 4
@@ -241,12 +230,10 @@ def cylinder_in_hole(rng, c):
 
 @kind
 def cone_in_groove(rng, c):
-    apex, axis, point, groove, seat = (
-        rng.standard_normal(3),
-        unit(rng),
-        rng.standard_normal(3),
-        *(unit(rng) for _ in range(2)),
-    )
+    apex = rng.standard_normal(3)
+    axis = direction(rng)
+    point = rng.standard_normal(3)
+    groove, seat = (direction(rng) for _ in range(2))
     R0 = carrying(axis, seat)
     pair = osc.ConeInGroove(
         c.A(apex), c.along_A(axis), c.E(point), c.along_E(groove), c.along_E(seat)
@@ -257,7 +244,7 @@ def cone_in_groove(rng, c):
 @kind
 def revolute(rng, c):
     point = rng.standard_normal(3)
-    e = unit(rng)
+    e = direction(rng)
     X = pose_of(rng)
     pair = osc.Revolute(c.A(point), c.along_A(e), c.pose(X))
     return pair, lambda q: X * placed(about(e, q[0]), point, point), 5
@@ -266,7 +253,7 @@ def revolute(rng, c):
 @kind
 def prismatic(rng, c):
     point = rng.standard_normal(3)
-    e = unit(rng)
+    e = direction(rng)
     X = pose_of(rng)
     return osc.Prismatic(c.A(point), c.along_A(e), c.pose(X)), lambda q: X * shift(q[0] * e), 5
 
@@ -274,7 +261,7 @@ def prismatic(rng, c):
 @kind
 def screw(rng, c):
     point = rng.standard_normal(3)
-    e = unit(rng)
+    e = direction(rng)
     X = pose_of(rng)
     pitch = rng.normal()
     pair = osc.Screw(c.A(point), c.along_A(e), pitch * c.per_metre, c.pose(X))

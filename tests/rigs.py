@@ -34,6 +34,10 @@ def direction(rng):
     return unit(rng.standard_normal(3))
 
 
+def pose_of(rng):
+    return pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3))
+
+
 def shift(p):
     """A pose that turns nothing."""
     return pin.SE3(np.eye(3), np.array(p, dtype=float))
@@ -85,33 +89,33 @@ def scara_pair(payload=True):
     return osc.ClosedChain(arms, grasps, osc.RigidObject(ROD) if payload else None)
 
 
-def panda_arm(name, base, sensor="panda_hand"):
+def panda_arm(name="arm", base=None, **how):
     urdf, _ = robots.find_robot("panda")
-    how = {"name": name, "tip": "panda_hand_tcp", "base": base, "wrist_sensor": sensor}
-    return osc.Arm.from_urdf(urdf, damping=0.0, **how)  # oracles know none
+    how = {"tip": "panda_hand_tcp", "wrist_sensor": "panda_hand"} | how
+    return osc.Arm.from_urdf(urdf, name=name, base=base, **how)
 
 
 @cache
 def panda_pair():
-    """d = 6, redundant arms, one rod."""
+    """d = 6, redundant arms."""
     arms = [
-        panda_arm("left", placed(-0.55, 0.0)),
-        panda_arm("right", placed(0.55, 0.0, rpy=(0, 0, np.pi))),
+        panda_arm("left", placed(-0.55), damping=0.0),  # oracles know none
+        panda_arm("right", placed(0.55, rpy=(0, 0, np.pi)), damping=0.0),
     ]
-    down = (np.pi, 0.0, 0.0)
     grasps = [
-        (placed(-0.15, 0, 0, rpy=down).inverse()),
-        (placed(0.15, 0, 0, rpy=(np.pi, 0.0, np.pi)).inverse()),
+        placed(x, rpy=(np.pi, 0.0, yaw)).inverse() for x, yaw in ((-0.15, 0.0), (0.15, np.pi))
     ]
     return osc.ClosedChain(arms, grasps, osc.RigidObject(ROD))
 
 
+def holding_panda(arm):
+    """d = 6, one redundant arm."""
+    return osc.ClosedChain([arm], [placed(0.02, 0.01, 0.08)], osc.RigidObject(ROD))
+
+
 @cache
 def one_panda():
-    """d = 6, one redundant arm."""
-    return osc.ClosedChain(
-        [panda_arm("arm", placed())], [placed(0.02, 0.01, 0.08)], osc.RigidObject(ROD)
-    )
+    return holding_panda(panda_arm(damping=0.0))
 
 
 SCARA_Q = np.array([1.84, -1.63, 0.12, -0.21, 0.0, 1.30, 1.63, 0.12, 0.21, 0.0])

@@ -10,7 +10,7 @@ from numpy.linalg import inv
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import largest, refused, shift
+from rigs import largest, panda_arm, refused, shift
 from robot_numbers import element, written_inertia
 from samples import parametrize
 
@@ -54,14 +54,9 @@ def scara(**options):
     return Arm.from_urdf(robots.urdf_path("scara_left.urdf"), name="left", tip="tool", **options)
 
 
-def panda(**options):
-    file, _ = robots.find_robot("panda")
-    return Arm.from_urdf(file, name="panda", tip="panda_hand_tcp", **options)
-
-
 def test_fingers_are_locked_and_the_arm_stays():
     whole = robots.load_model(robots.find_robot("panda")[0])
-    arm = panda()
+    arm = panda_arm()
     assert list(arm.model.names)[1:] == [f"panda_joint{i}" for i in range(1, 8)]
     assert pin.computeTotalMass(arm.model) == approx(pin.computeTotalMass(whole))
     q, v = motion(arm.model, 0)
@@ -139,7 +134,7 @@ def test_outboard_links_of_the_scara(sensor):
 @parametrize("sensor", ["panda_link8", "panda_hand"])
 def test_outboard_links_of_the_panda(sensor):
     """Hand and locked fingers: everything on joint 7 but its own link."""
-    arm = panda()
+    arm = panda_arm()
     (file, _) = robots.find_robot("panda")
     model = arm.model
     (hand,) = outboard_links(model, model.getFrameId(sensor), model.getFrameId("panda_hand_tcp"))

@@ -6,10 +6,11 @@ The rules of the phases themselves are in test_law_phases.py.
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import largest, panda_pair, random_faces, random_state, refused, rig_of, scara_pair
+from rigs import largest, panda_pair, random_faces, random_state, refused, rig_of, scara_pair, shift
 from samples import module_fixture, parametrize
 from scenario_runs import run_of
 from test_law import UNLIMITED, inputs
@@ -36,6 +37,12 @@ def test_settings_that_cannot_work_are_refused():
         PhaseSettings(speed=0.001)
     with refused("rise"):
         PhaseSettings(rise=0.0)
+
+
+def read_of(state, wrench):
+    """What two wrists read of a wrench at O that the first one carries."""
+    first = (state.sensors[0].inverse() * shift(state.X_WO.translation)).act(pin.Force(wrench))
+    return np.array([first.vector, np.zeros(6)])
 
 
 # --- the law on random masks ----------------------------------------------------------------------
@@ -113,10 +120,7 @@ def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
     s = chain.state(q, v)
     controller.tick(replace(measurement, wrenches=np.zeros((2, 6))), reference)
     load = controller.signals.contact.N @ np.array([60.0, 60.0])
-    R = s.sensors[0].rotation
-    moment = load[3:] - np.cross(s.sensors[0].translation - s.X_WO.translation, load[:3])
-    wrenches = np.array([np.concatenate((R.T @ load[:3], R.T @ moment)), np.zeros(6)])
-    pressed = replace(measurement, wrenches=wrenches)
+    pressed = replace(measurement, wrenches=read_of(s, load))
     for _ in range(300):
         controller.tick(pressed, reference)
     assert_allclose(controller.signals.alpha_u, k.least)
@@ -162,10 +166,7 @@ def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(read
     D = controller._records.work.mobility[:2, :2].copy()
     Phi = np.linalg.inv(state.payload.Lambda)
     seen = state.Lambda_out @ Phi @ N @ np.linalg.solve(N.T @ Phi @ N, x)
-    sensor = state.sensors[0]
-    moment = seen[3:] - np.cross(sensor.translation - state.X_WO.translation, seen[:3])
-    added = np.concatenate((sensor.rotation.T @ seen[:3], sensor.rotation.T @ moment))
-    wrenches = measurement.wrenches + np.array([added, np.zeros(6)])
+    wrenches = measurement.wrenches + read_of(state, seen)
     controller.tick(replace(measurement, wrenches=wrenches), reference)
     found = controller.result().alpha_meas - before
     assert_allclose(D @ found, x, rtol=1e-7, atol=1e-9)

@@ -181,7 +181,7 @@ def test_bad_settings_are_refused(rig, make, words):
 
 def test_arms_without_wrist_sensors_cannot_control_contact_forces():
     """Half the sensors would weigh half the object and still look plausible."""
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["arms.left.wrist_sensor=null"]))
+    rig = rig_of("two_contact_rod", "arms.left.wrist_sensor=null")
     with refused("left"):
         rig.controller()
 

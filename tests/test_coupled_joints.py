@@ -5,10 +5,9 @@ import pinocchio as pin
 from complaints import model_error
 from numpy.testing import assert_allclose
 from pytest import fixture, mark
-from rigs import ticked
+from rigs import panda_arm, ticked
 
 import osc_contact as osc
-from osc_contact import robots
 from osc_contact.interface import Measurement
 
 LINK = (
@@ -63,9 +62,7 @@ def test_a_model_with_an_endless_joint_of_its_own_is_refused_with_the_cure(urdf)
 @mark.parametrize("reading", ["filter", "least_squares", None])
 def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading):
     """7 N on the tip of a Panda, whose sensor sits in the massless frame of the tip."""
-    file, _ = robots.find_robot("panda")
-    arm = osc.Arm.from_urdf(file, name="arm", tip="panda_hand_tcp", wrist_sensor="panda_hand_tcp")
-    chain = osc.ClosedChain([arm])
+    chain = osc.ClosedChain([panda_arm(wrist_sensor="panda_hand_tcp")])
     q = np.array([0.0, -0.7, 0.2, -2.2, 0.1, 1.6, 0.7])
     state = chain.state(q, np.zeros(7))
     p = state.X_WO.translation

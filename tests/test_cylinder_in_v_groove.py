@@ -2,8 +2,8 @@
 
 import numpy as np
 from numpy.testing import assert_allclose
-from pair_kinds import about, carrying, in_plane, kind, placed, unit
-from rigs import refused, shift
+from pair_kinds import about, carrying, in_plane, kind, placed
+from rigs import direction, refused, shift
 from samples import parametrize
 
 import osc_contact as osc
@@ -13,9 +13,9 @@ from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
 @kind
 def cylinder_in_v_groove(rng, c):
     point = rng.standard_normal(3)
-    e = unit(rng)
+    e = direction(rng)
     foot = rng.standard_normal(3)
-    g = unit(rng)
+    g = direction(rng)
     rho = 0.15
     angle = rng.uniform(0.6, 2.2)
     out = in_plane(g)[0]

@@ -26,14 +26,13 @@ from detection_bodies import (
     assert_same_range,
     moved,
     only,
-    random_pose,
     standing,
 )
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import rig_of, shift, unit
+from rigs import pose_of, rig_of, shift, unit
 from samples import module_fixture, parametrize
 
 import osc_contact as osc
@@ -107,7 +106,7 @@ def test_a_body_that_rests_on_a_plane_touches_in_its_lowest_points(seed, row, be
     above, under, r, shapes, points, radius, tilt = row
     rng = default_rng(seed)
     depth = DEPTHS[seed % 3]
-    X_WT = random_pose(rng)
+    X_WT = pose_of(rng)
     X = standing(tilt(rng), points, rng, lift=radius - depth)
     body = X_WT * X
     up = X_WT.rotation @ UP
@@ -163,8 +162,7 @@ def test_corners_that_point_at_one_another_touch_on_their_bodies(seed):
     """Where edges near both corners cross beyond their ends, the contact stays on them."""
     rng = default_rng(seed)
     R = pin.exp3(rng.standard_normal(3))
-    down = -np.abs(rng.standard_normal(3))
-    down = unit(down)
+    down = unit(-np.abs(rng.standard_normal(3)))
     corner = CORNERS[((CORNERS @ R.T) @ down).argmax()]
     found = only(detect(BOX, pin.SE3(R, -5e-4 * down - R @ corner), BOX, shift(-SIZE / 2)))
     assert 0.0 < found.distance <= 5e-4
@@ -229,7 +227,7 @@ def test_crossed_edges_touch_in_their_crossing_point(seed):
     meet = X_WE.act(np.array([s, 0.05, 0.05]))
     own = np.array([t, *-SIZE[1:] / 2])
     X_WO.translation = meet - X_WO.act(own) - depth * UP
-    X = random_pose(rng)
+    X = pose_of(rng)
     found = detect(BOX, X * X_WO, lower, X * X_WE)
     at = [X.act(meet)]
     found = assert_only(found, "edge on edge", at, X.rotation @ UP, X * X_WO, X * X_WE, -depth)
@@ -297,7 +295,7 @@ def test_a_standing_cylinder_is_one_face_contact(seed):
     rng = default_rng(seed)
     depth = DEPTHS[seed % 3]
     X = standing(np.diag([1, -1, -1.0]) if seed % 2 else np.eye(3), AXIS, rng, lift=-depth)
-    X_WE = random_pose(rng)
+    X_WE = pose_of(rng)
     X_WO = X_WE * X
     middle = X.translation * [1, 1, 0]
     three = moved(X_WE, middle + 0.03 * np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0]]))
@@ -324,7 +322,7 @@ def test_a_cylinder_tipped_on_the_rim_of_its_end(below, seed):
     """Also as what lies under a face of the object; it rolls about its own axis, in contact."""
     rng = default_rng(seed)
     X = standing(pin.rpy.rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0), RIM, rng)
-    table = random_pose(rng)
+    table = pose_of(rng)
     can = table * X
     roll = pin.exp6(pin.Motion(AROUND))
     up = table.rotation @ UP
@@ -367,10 +365,8 @@ def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
     """Nearest point of the axis, overlapping by up to 3 mm: no solver knows this normal well."""
     rng = default_rng(seed)
     depth = (*DEPTHS, 3e-3)[seed % 4]
-    n = np.append(rng.uniform(0.2, 1.0, 2), rng.uniform(0.2, 1.0))
-    n = unit(n)
-    z = np.cross(n, rng.standard_normal(3))
-    z = unit(z)
+    n = unit(rng.uniform(0.2, 1.0, 3))
+    z = unit(np.cross(n, rng.standard_normal(3)))
     corner = np.array([0.5, 0.4, 0.0])
     X = pin.SE3(np.column_stack((n, np.cross(z, n), z)), corner)
     X.translation = corner + (0.03 - depth) * n + 0.03 * rng.uniform(-1, 1) * z
@@ -412,7 +408,7 @@ def test_crossed_pills_touch_between_their_axes(seed):
     below = pin.SE3(lie, np.zeros(3))
     above = pin.SE3(turn @ lie, np.zeros(3))
     above.translation = 0.06 * UP + below.act(np.array([0, 0, s])) - above.act(np.array([0, 0, t]))
-    turned = random_pose(rng)
+    turned = pose_of(rng)
     meet = turned.act(below.act(np.array([0, 0, s])) + 0.03 * UP)
     X = turned * above, turned * below
     found = detect(PILL, X[0], PILL, X[1])

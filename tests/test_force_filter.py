@@ -49,7 +49,7 @@ def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_told():
     """Readings of the hand's sensor, carried to a frame before the hand and to one beyond it."""
     flange, hand, tool = (
         osc.ClosedChain(
-            [panda_arm("arm", placed(), sensor)], [placed(0, 0, 0.05)], osc.RigidObject(ROD)
+            [panda_arm(wrist_sensor=sensor, damping=0.0)], [placed(z=0.05)], osc.RigidObject(ROD)
         )
         for sensor in ("panda_link8", "panda_hand", "panda_hand_tcp")
     )

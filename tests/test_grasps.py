@@ -356,8 +356,7 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
     controller = rig.controller()
     started = plant.truth().X_WO
     assert_allclose(started.homogeneous, rig.state().X_WO.homogeneous, atol=1e-12)
-    for k in range(200):
-        plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+    osc.run_loop(plant, controller, rig.references.each(200, 1e-3))
     q = plant.measure().q
     truth = plant.truth()
     X = object_pose(rig.chain, q)

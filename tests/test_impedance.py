@@ -31,10 +31,8 @@ def moving(rig, seed):
     rng = default_rng(seed)
     plant = rig.plant()
     controller = rig.controller()
-    for k in range(60):
-        tau = controller.tick(plant.measure(), rig.references.at(1e-3 * k + 0.3))
-        plant.command(tau, 1e-3)
-    plant.hold(tau)
+    osc.run_loop(plant, controller, rig.references.over(0.3 + 1e-3 * np.arange(60)))
+    plant.hold(controller.last_torques())
     at = rig.references.at(0.36)
     small = 2e-3 * rng.standard_normal((3, 6))
     X = pin.SE3(at.X_WD.rotation @ pin.exp3(small[0, 3:]), at.X_WD.translation + small[0, :3])

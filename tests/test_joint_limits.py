@@ -11,16 +11,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from rigs import (
     PANDA_Q,
-    ROD,
     UNLIMITED,
     commanded,
+    holding_panda,
     in_contact,
     largest,
     one_panda,
     panda_pair,
     refused,
     scara_pair,
-    shift,
     ticked,
 )
 from samples import parametrize
@@ -61,7 +60,7 @@ def panda(**limits):
     model.lowerPositionLimit = lower
     model.upperPositionLimit = upper
     arm = osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp", wrist_sensor="panda_hand")
-    return osc.ClosedChain([arm], [shift([0.02, 0.01, 0.08])], osc.RigidObject(ROD))
+    return holding_panda(arm)
 
 
 def test_the_push_is_a_bounded_slope_of_a_potential():

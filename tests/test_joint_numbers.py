@@ -4,7 +4,7 @@ import numpy as np
 from complaints import model_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import ROD, one_panda, placed, random_state
+from rigs import holding_panda, one_panda, panda_arm, random_state
 from robot_numbers import mass_matrix
 from samples import parametrize
 from scenario_runs import rig_of, verdict_of, worst_force
@@ -24,10 +24,7 @@ GAINS = osc.Gains(osc.MotionGains(400.0, 40.0, 0.0), osc.ForceGains(30.0))
 
 
 def panda(**joints):
-    urdf, _ = robots.find_robot("panda")
-    how = {"name": "arm", "tip": "panda_hand_tcp", "wrist_sensor": "panda_hand"}
-    arm = osc.Arm.from_urdf(urdf, **how, **joints)
-    return osc.ClosedChain([arm], [placed(0.02, 0.01, 0.08)], osc.RigidObject(ROD))
+    return holding_panda(panda_arm(**joints))
 
 
 def test_friction_damping_and_armature_are_shown_wherever_a_robot_is():

@@ -16,7 +16,7 @@ from numpy.linalg import norm, qr
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import largest, unit
+from rigs import direction, largest, pose_of, unit
 from samples import parametrize
 
 from osc_contact.law import records as at
@@ -33,10 +33,6 @@ def turn(rng, angle=None):
     """A rotation, random or by an angle."""
     w = rng.standard_normal(3)
     return pin.exp3(w if angle is None else angle * w / norm(w))
-
-
-def pose(rng):
-    return pin.SE3(turn(rng), rng.standard_normal(3))
 
 
 def around(rng, A, before=0, behind=2):
@@ -245,8 +241,7 @@ def test_rotation_vectors_of_all_angles_and_axes():
     angles = [0.0, 1e-12, 1e-7, 0.9e-6, 1.1e-6, 1e-3, 0.3, 1.0, 1.6, 2.5, 2.9, 2.999, 3.0, 3.001]
     angles += [3.1, np.pi - 1e-3, np.pi - 1e-6]
     for signs in SIGNS:
-        w = np.array(signs) * rng.uniform(0.2, 1.0, 3)
-        w = unit(w)
+        w = unit(np.array(signs) * rng.uniform(0.2, 1.0, 3))
         for angle in angles:
             R = np.full((6, 6), 7.0)
             R[:3, :3] = pin.exp3(angle * w)
@@ -297,7 +292,7 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         M = pin.SE3(pin.exp3(w), p)
         close(grasps._remaining(p, M.rotation), pin.log6(M).vector, atol=1e-9)
         twist = np.concatenate((rng.standard_normal(3), w))
-        M = pose(rng)
+        M = pose_of(rng)
         R = np.full((6, 6), 7.0)
         point = np.append(M.translation, 7.0)
         R[:3, :3] = M.rotation
@@ -328,8 +323,8 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
     for size in (0.0, 1e-3, 0.3, 1.5):
         n = 0.2 * rng.standard_normal(len(N))
         t = size * rng.uniform(-1.0, 1.0, len(T))
-        tip = pose(rng)
-        X_TO = pose(rng)
+        tip = pose_of(rng)
+        X_TO = pose_of(rng)
         X = tip * pin.exp6(N.T @ n) * pin.exp6(T.T @ t) * X_TO
         arm = Record(
             m=len(N),
@@ -345,8 +340,8 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
 @SEEDS
 def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     rng = rng_of(seed)
-    tip = pose(rng)
-    X = pose(rng)
+    tip = pose_of(rng)
+    X = pose_of(rng)
     point = rng.standard_normal(3)
     axis = turn(rng)[0]
     tip_axis = turn(rng)[0]
@@ -373,11 +368,11 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
 def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     """A vertex on a face, on a body that moves or is the world."""
     rng = rng_of(3)
-    X = pose(rng)
-    E = pose(rng)
+    X = pose_of(rng)
+    E = pose_of(rng)
     V_O, V_W = rng.standard_normal((2, 6))
-    vertex, normal = rng.standard_normal((2, 3))
-    normal = unit(normal)
+    vertex = rng.standard_normal(3)
+    normal = direction(rng)
     offset = rng.normal()
     A_D = 30.0 * rng.standard_normal(6)
     dt = 1e-3

@@ -25,10 +25,10 @@ from law_calls import (
 from law_calls import command_filter as command
 from numpy.linalg import cholesky, qr
 from numpy.testing import assert_array_equal
-from rigs import random_faces, random_state, scara_pair, shift
+from rigs import pose_of, random_faces, random_state, scara_pair, shift
 from samples import parametrize
 from test_law import UNLIMITED, inputs, motion_of
-from test_law_parts import SEEDS, close, pose, rng_of, turn
+from test_law_parts import SEEDS, close, rng_of, turn
 
 import osc_contact as osc
 from osc_contact.law import records as at
@@ -101,8 +101,8 @@ class Stop:
     def __init__(self, seed, motors=(0, 1, 2, 3)):
         self.rng = rng = rng_of(seed)
         self.principal = np.array([4.0, 0.1, 0.2, 0.3])
-        self.tip = pose(rng)
-        self.own = pose(rng)
+        self.tip = pose_of(rng)
+        self.own = pose_of(rng)
         self.t = t = records(arms=2, joints=4, principal=self.principal, leader=1, held=1)
         write(t.model, gravity=[1.0, -2.0, -9.0], X_LP=frame(self.own))
         for name, of_arms in (("first", [0, 2]), ("end", [2, 4]), ("tip_joint", [1, 3])):
@@ -117,7 +117,7 @@ class Stop:
         self.table = t.model.joints
         self.table.motor[:] = motors
         self.table.tau_max[:] = inf
-        write(t.memory, X_WO=pose(rng).homogeneous)
+        write(t.memory, X_WO=pose_of(rng).homogeneous)
         write(t.work, y=rng.standard_normal(6), u=rng.standard_normal(6))
         t.work.A[:3, :3] = turn(rng)
 

@@ -65,10 +65,7 @@ def test_rigid_plant_at_rest_reads_weights_and_contact_forces(rig):
 def test_mujoco_wrist_sensors_agree_with_newton_euler(rig):
     """Reading = Λ_out a + bias + f_c, all from MuJoCo's own accelerations and contact forces."""
     plant = rig.plant()
-    controller = rig.controller()
-    for k in range(60):
-        tau = controller.tick(plant.measure(), rig.references.at(k * 1e-3))
-        plant.command(tau, 1e-3)
+    osc.run_loop(plant, rig.controller(), rig.references.each(60, 1e-3))
     # what measure() reports was computed at the beginning of the last step: go there
     q = plant.data.qpos[plant._q].copy()
     v = plant.data.qvel[plant._v].copy()
