@@ -338,6 +338,17 @@ class ClosedLoop:
         self.fastest = rig.model.model.velocityLimit[self.act]
         self.k = 0
 
+    def advance(self) -> Reference:
+        """One tick; what was desired in it."""
+        reference = self.rig.references.at(self.k * self.dt)
+        self.robot.command(self.tick(self.robot.measure(), reference), self.dt)
+        self.k += 1
+        return reference
+
+    def speed(self) -> float:
+        """The fastest joint's true speed, as a share of its limit."""
+        return float((np.abs(self.true.measure().v[self.act]) / self.fastest).max())
+
 
 class Run(ClosedLoop):
     """One run: up to the fault, then with it. A copy of the process is a copy of the run."""

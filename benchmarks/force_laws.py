@@ -13,7 +13,6 @@ are its defaults in N/m.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from time import perf_counter
@@ -21,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+import typer
 from rich.console import Console
 
 import osc_contact as osc
@@ -413,12 +413,13 @@ def of_the_stretched_arm(names: list[str]) -> list[str]:
     return rows
 
 
-def main() -> None:
-    """Print the three tables."""
-    ask = argparse.ArgumentParser(description=__doc__)
-    ask.add_argument("--only", help="laws whose names contain this")
-    asked = ask.parse_args()
-    names = [name for name in LAWS if asked.only is None or asked.only in name]
+def main(only: str = "") -> None:
+    """Print the three tables.
+
+    Args:
+        only: laws whose names contain this.
+    """
+    names = [name for name in LAWS if only in name]
     show = Console(width=120).print
     head = "case; law; at the goals (N); force rms (N); along the wall (mm); turn (mrad)"
     for friction in (0.0, FRICTION):
@@ -432,4 +433,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -52,7 +52,7 @@ class Pushed:
         stopped: s after its start until the controller stopped; None: it did not.
         late: s after the push at which a joint was last above its speed limit; 0: never.
         speed: largest speed (share of its limit), force: largest contact force (N), since the push.
-        wrong, told: sentences.
+        wrong, remark: sentences.
     """
 
     scenario: str
@@ -65,7 +65,7 @@ class Pushed:
     speed: float = 0.0
     largest: float = 0.0
     wrong: list[str] = field(default_factory=list)
-    told: str = ""
+    remark: str = ""
 
 
 def packaged() -> list[str]:
@@ -90,19 +90,17 @@ def push_arm(
     begin = None
     first = last = good = 0
     while begin is None or loop.k < last:
-        reference = rig.references.at(loop.k * dt)
         try:
-            loop.robot.command(loop.tick(loop.robot.measure(), reference), dt)
+            reference = loop.advance()
         except osc.PlantError as error:
             seen.wrong.append(f"{error}"[:80])
             return seen
-        loop.k += 1
         now = truth.truth().alpha
         wanted = np.asarray(reference.alpha_d)
         back = bool((np.abs(now - wanted) <= np.maximum(_NEAR * np.abs(wanted), _LEAST)).all())
-        asked = not len(wanted) or bool((wanted > _LEAST).any())
-        ended = good if begin is not None and not asked else 0  # the task has taken them away
-        good = good + 1 if back and asked else 0
+        pressed = not len(wanted) or bool((wanted > _LEAST).any())
+        ended = good if begin is not None and not pressed else 0  # the task has taken them away
+        good = good + 1 if back and pressed else 0
         if begin is None:
             if good * dt >= _SETTLING:
                 begin = loop.k * dt
@@ -116,7 +114,7 @@ def push_arm(
                 return seen
             continue
         since = (loop.k - first) * dt
-        speed = float((np.abs(truth.measure().v[loop.act]) / loop.fastest).max())
+        speed = loop.speed()
         seen.speed = max(seen.speed, speed)
         seen.largest = max(seen.largest, *map(abs, now), 0.0)
         if speed > 1.0 and since > 0.0:
@@ -124,7 +122,7 @@ def push_arm(
         if seen.stopped is None and loop.controller.state is osc.SafetyState.SAFE_STOP:
             seen.stopped = since + duration
             last = max(last, loop.k + round(_BRAKED / dt))
-        if asked and not back:  # once they were back the task may take them away
+        if pressed and not back:  # once they were back the task may take them away
             seen.back = None
         elif seen.back is None and (good * dt >= _STEADY or ended > 0):
             seen.back = max((loop.k - first - max(good, ended)) * dt, 0.0)
@@ -137,9 +135,9 @@ def push_arm(
         state = rig.state()  # needed of the motors' limits, held still off the faces
         need = least_peak(state.G * np.minimum(rig.chain.tau_max, 1e12), state.b_S)
         if need > 1.0 and speed < _SINKING:
-            seen.told = f"{moving}: motors would need {need:.3f} times their limits to carry it"
+            seen.remark = f"{moving}: motors would need {need:.3f} times their limits to carry it"
         elif speed < _SINKING and any(isinstance(body.motion, CartSpec) for body in rig.bodies):
-            seen.told = f"{moving}: a cart leans on it"
+            seen.remark = f"{moving}: a cart leans on it"
         else:
             seen.wrong.append(f"stopped, but {moving}")
     return seen
@@ -165,11 +163,10 @@ def _direction(rig: osc.Rig, word: str) -> np.ndarray:
 def table(rows: Sequence[Pushed]) -> str:
     """One line for each push."""
     lines = [
-        f"{'scenario':26}{'direction':10}{'N':>5}{'ms':>5}{'back s':>8}{'stop s':>8}"
-        f"{'late s':>8}{'speed':>7}{'force N':>9}"
+        "scenario                  direction     N   ms  back s  stop s  late s  speed  force N"
     ]
     for x in rows:
-        words = "; ".join(x.wrong) or x.told
+        words = "; ".join(x.wrong) or x.remark
         back, stopped = ("-" if t is None else f"{t:.3f}" for t in (x.back, x.stopped))
         lines.append(
             f"{x.scenario:26}{x.direction:10}{x.force:5.0f}{1e3 * x.duration:5.0f}{back:>8}"

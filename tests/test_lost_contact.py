@@ -2,14 +2,14 @@
 
 import numpy as np
 from pytest import mark
-from rigs import rig_of
+from rigs import rig_of, unit
 from samples import chosen, first, parametrize
 
 import osc_contact as osc
+from benchmarks.fault_injection import ClosedLoop
 from benchmarks.pushes import packaged, push_arm, table
 from osc_contact.control.status import Phase
-from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.runs.run import Taring, start
+from osc_contact.runs.run import start
 
 WITH_CONTACTS = [name for name in packaged() if osc.load_scenario(name).contacts]
 
@@ -31,39 +31,29 @@ def pull_away(name, by):
         The controller, joint speeds as shares of their limits, share of ticks that some contact was
         known to be lost.
     """
-    rig = rig_of(name)
-    plant, controller = start(rig, 0)
-    robot = rig.robot(plant, controller)
-    judge = plant
-    tick = controller.tick if rig.scenario.tare is None else Taring(rig, controller).tick
-    while hasattr(judge, "plant"):
-        judge = judge.plant
-    assert isinstance(judge, MujocoPlant)
-    dt = controller.dt
-    act = rig.model.actuated
-    fastest = rig.model.model.velocityLimit
+    loop = ClosedLoop(rig_of(name))
+    rig = loop.rig
+    controller = loop.controller
+    dt = loop.dt
     held = 0
-    k = 0
     last = None
     lost = 0
     seen = []
-    while last is None or k < last:
-        reference = rig.references.at(k * dt)
-        robot.command(tick(robot.measure(), reference), dt)
-        k += 1
+    while last is None or loop.k < last:
+        reference = loop.advance()
         closed = (controller.phases() == Phase.CLOSED).all() and controller.engaged
         held = held + 1 if closed and (np.asarray(reference.alpha_d) > 1.0).any() else 0
         if last is None and held * dt > 0.5:
-            last = k + round(1.0 / dt)
+            last = loop.k + round(1.0 / dt)
             lines = rig.contact().N[:3]
             for i in range(len(rig.bodies)):
                 into = lines[:, [rig.on[o] == i for o in rig.owners]].sum(axis=1)
-                root = judge.model.body(f"face{i}/root").id
-                judge.model.body_pos[root] += by * into / np.linalg.norm(into)
+                model = loop.true.model
+                model.body_pos[model.body(f"face{i}/root").id] += by * unit(into)
         elif last is not None:
             lost += not closed
-            seen.append(float((np.abs(judge.measure().v) / fastest)[list(act)].max()))
-        assert k * dt < rig.scenario.duration, "it never was in contact"
+            seen.append(loop.speed())
+        assert loop.k * dt < rig.scenario.duration, "it never was in contact"
     return controller, seen, lost / len(seen)
 
 
