@@ -171,14 +171,15 @@ def _put(node: Visualizer, shape: Any, paint: Any, X: pin.SE3) -> None:
 # --- The workcell --------------------------------------------------------------------------------
 
 SCENARIO = "workcell"
-#: Where sensors sit: frame, place in it (m), radius of the ring that marks them.
-JOINT_SENSORS = (
-    ("joint1", (0.0, 0.0, -0.012), 0.094),
-    ("joint2", (0.0, 0.0, -0.006), 0.064),
-    ("joint2", (0.3, 0.0, -0.036), 0.037),  # of the quill, which slides through the forearm
-    ("joint4", (0.0, 0.0, 0.014), 0.026),
-)
-WRIST_SENSOR = ((0.0, 0.0, -0.004), 0.037)
+#: Where sensors of an arm sit: frame, place in it (m), radius of the ring that marks them, colour.
+SENSORS = {
+    "joint_torque/{}1": ("joint1", (0.0, 0.0, -0.012), 0.094, JOINT_TORQUE),
+    "joint_torque/{}2": ("joint2", (0.0, 0.0, -0.006), 0.064, JOINT_TORQUE),
+    # of the quill, which slides through the forearm
+    "joint_torque/{}3": ("joint2", (0.3, 0.0, -0.036), 0.037, JOINT_TORQUE),
+    "joint_torque/{}4": ("joint4", (0.0, 0.0, 0.014), 0.026, JOINT_TORQUE),
+    "wrist/{}": ("wrist_sensor", (0.0, 0.0, -0.004), 0.037, WRIST),
+}
 FACE_THICKNESS = 0.02
 FACE_SIDE = 0.26
 
@@ -224,14 +225,11 @@ class Workcell:
         self.frames = {f.name: X.copy() for f, X in zip(model.frames, data.oMf, strict=True)}
         self.camera = OverheadCamera(float(sample["pose"][2]))
         self.faces = [pin.XYZQUATToSE3(np.asarray(x, dtype=float)) for x in sample["face_pose"]]
-        self.rings: dict[str, tuple[pin.SE3, float, str]] = {}
-        for spec in rig.scenario.arms:
-            for k, (joint, place, radius) in enumerate(JOINT_SENSORS):
-                X = self.frames[f"{spec.name}/{joint}"] * at(place)
-                self.rings[f"joint_torque/{spec.name}{k + 1}"] = (X, radius, JOINT_TORQUE)
-            place, radius = WRIST_SENSOR
-            X = self.frames[f"{spec.name}/{spec.wrist_sensor}"] * at(place)
-            self.rings[f"wrist/{spec.name}"] = (X, radius, WRIST)
+        self.rings = {
+            path.format(arm.name): (self.frames[f"{arm.name}/{frame}"] * at(place), radius, colour)
+            for arm in rig.chain.arms
+            for path, (frame, place, radius, colour) in SENSORS.items()
+        }
 
     def page(self, shot: Shot, path: Path) -> Path:
         """Write a still page of one view."""
