@@ -1,20 +1,18 @@
 """Fig. 2 held by a Panda: geometry, references, decoupling and the continuity of N."""
 
-import json
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pinocchio as pin
+from command_line import done, read_json
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
-from rigs import largest, refused, unit
-from typer.testing import CliRunner
+from rigs import largest, refused, shift, unit
 
 import osc_contact as osc
-from osc_contact.cli import app
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.spatial import pose_error
 from paper import cone_in_groove as cg
@@ -22,14 +20,12 @@ from paper import cone_in_groove as cg
 STEPS = (0.51, 0.53, 0.55, 0.57)
 
 
-@cache
-def seat():
-    return cg.Seat()
+SEAT = cg.Seat()
 
 
 @cache
 def rig():
-    return osc.build_rig(cg.cone_scenario(seat()))
+    return osc.build_rig(cg.cone_scenario(SEAT))
 
 
 @cache
@@ -39,25 +35,21 @@ def short_run(steps=STEPS, moving=True):
 
 def cone_points(count=200, rows=9):
     """Points of the cone's side in the world, (count·rows, 3), from its apex, axis and angle."""
-    cone = seat()
     X = rig().state().X_WO
-    apex = X.act(cone.apex)
-    axis = X.rotation @ cone.cone_axis
-    x = np.cross(axis, [0.3, 0.5, -0.8])
-    x = unit(x)
+    apex = X.act(SEAT.apex)
+    axis = X.rotation @ SEAT.cone_axis
+    x = unit(np.cross(axis, [0.3, 0.5, -0.8]))
     phi = np.linspace(0, 2 * np.pi, count, endpoint=False)[:, None]
-    rim = np.tan(seat().half_angle) * (np.cos(phi) * x + np.sin(phi) * np.cross(axis, x))
-    return np.vstack([apex + s * cone.height * (axis + rim) for s in np.linspace(0.1, 1, rows)])
+    rim = np.tan(SEAT.half_angle) * (np.cos(phi) * x + np.sin(phi) * np.cross(axis, x))
+    return np.vstack([apex + s * SEAT.height * (axis + rim) for s in np.linspace(0.1, 1, rows)])
 
 
 def pose_at(turn, slide):
     """The cone turned about its axis and moved along the groove, by products of poses."""
-    cone = seat()
     X = rig().state().X_WO
-    about = pin.SE3(pin.exp3(turn * cone.cone_axis), np.zeros(3))
-    shift = pin.SE3(np.eye(3), cone.apex)
-    along = pin.SE3(np.eye(3), slide * seat().direction)
-    return along * X * shift * about * shift.inverse()
+    about = pin.SE3(pin.exp3(turn * SEAT.cone_axis), np.zeros(3))
+    to_apex = shift(SEAT.apex)
+    return shift(slide * SEAT.direction) * X * to_apex * about * to_apex.inverse()
 
 
 # Geometry -----------------------------------------------------------------------------------------
@@ -65,30 +57,29 @@ def pose_at(turn, slide):
 
 def test_the_cone_lies_on_both_walls_and_in_neither():
     heights = []
-    for wall, generator in zip(seat().normals, seat().generators, strict=True):
-        above = (cone_points(2000) - seat().point) @ wall
+    for wall, generator in zip(SEAT.normals, SEAT.generators, strict=True):
+        above = (cone_points(2000) - SEAT.point) @ wall
         assert above.min() > -1e-12
         assert above.min() < 1e-6, "it touches"
         assert abs(generator @ wall) < 1e-12, "along a line of the wall"
         assert abs(norm(generator) - 1) < 1e-12
-        assert np.arccos(generator @ seat().axis) == approx(seat().half_angle)
-        assert wall[2] > 0.0 and abs(wall @ seat().direction) < 1e-12
+        assert np.arccos(generator @ SEAT.axis) == approx(SEAT.half_angle)
+        assert wall[2] > 0.0 and abs(wall @ SEAT.direction) < 1e-12
         heights.append(wall)
     assert heights[0] @ heights[1] == approx(np.cos(np.deg2rad(60.0)))
 
 
 def test_inertia_is_that_of_a_stack_of_discs():
-    cone = seat()
     inertia = rig().chain.payload.inertia
     n = 4000
-    z = (np.arange(n) + 0.5) / n * cone.height
-    radius = z * np.tan(seat().half_angle)
+    z = (np.arange(n) + 0.5) / n * SEAT.height
+    radius = z * np.tan(SEAT.half_angle)
     m = radius**2 / (radius**2).sum() * inertia.mass
-    centres = cone.apex + z[:, None] * cone.cone_axis
+    centres = SEAT.apex + z[:, None] * SEAT.cone_axis
     com = m @ centres / inertia.mass
     total = np.zeros((3, 3))
     for mass, r, c in zip(m, radius, centres - com, strict=True):
-        disc = 0.25 * mass * r**2 * (np.eye(3) + np.outer(cone.cone_axis, cone.cone_axis))
+        disc = 0.25 * mass * r**2 * (np.eye(3) + np.outer(SEAT.cone_axis, SEAT.cone_axis))
         total += disc + mass * (c @ c * np.eye(3) - np.outer(c, c))
     assert_allclose(inertia.lever, com, atol=1e-8)
     assert_allclose(inertia.inertia, total, rtol=1e-5, atol=1e-9)
@@ -97,39 +88,38 @@ def test_inertia_is_that_of_a_stack_of_discs():
 def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
     """t₁ = [axis × (O − apex)…], t₂ = [e; 0]; pushes normal to the walls do no work on either."""
     rng = default_rng(0)
-    cone = seat()
-    e = seat().direction
+    e = SEAT.direction
     for _ in range(20):
         X = pose_at(rng.uniform(-3, 3), rng.uniform(-0.1, 0.1))
-        contact = seat().pair.contact(X, np.zeros(6))
-        assert_allclose(seat().pair.gaps(X), 0.0, atol=1e-14)
-        points, directions = seat().wall_forces(X)
+        contact = SEAT.pair.contact(X, np.zeros(6))
+        assert_allclose(SEAT.pair.gaps(X), 0.0, atol=1e-14)
+        points, directions = SEAT.wall_forces(X)
         levers = points - X.translation[:, None]
         lines = np.vstack((directions, np.cross(levers, directions, axis=0)))
-        axis = X.rotation @ cone.cone_axis
-        apex = X.act(cone.apex)
+        axis = X.rotation @ SEAT.cone_axis
+        apex = X.act(SEAT.apex)
         T = np.array([[*np.cross(axis, X.translation - apex), *axis], [*e, 0, 0, 0]]).T
         assert largest(lines.T @ T) < 1e-14
         assert largest(contact.N.T @ T) < 1e-14
         assert np.linalg.matrix_rank(lines) == 4
-        assert_allclose(contact.N @ seat().from_wall_forces, lines, atol=1e-13)
+        assert_allclose(contact.N @ SEAT.from_wall_forces, lines, atol=1e-13)
 
 
 def test_references_move_as_their_derivatives_say_and_stay_in_contact():
     task = rig().references
     h = 1e-4
-    to_walls = np.linalg.inv(seat().from_wall_forces)
+    to_walls = np.linalg.inv(SEAT.from_wall_forces)
     for t in np.linspace(0.2, 4.5, 12):
         before = task.at(t - h)
         now = task.at(t)
         after = task.at(t + h)
         assert_allclose(now.V_D, pose_error(after.X_WD, before.X_WD) / (2 * h), atol=1e-5)
         assert_allclose(now.A_D, (after.V_D - before.V_D) / (2 * h), atol=1e-4)
-        assert_allclose(seat().pair.gaps(now.X_WD), 0.0, atol=1e-9)
-        turn, slide = seat().motion(now.X_WD)
+        assert_allclose(SEAT.pair.gaps(now.X_WD), 0.0, atol=1e-9)
+        turn, slide = SEAT.motion(now.X_WD)
         assert_allclose(now.X_WD.homogeneous, pose_at(turn, slide).homogeneous, atol=1e-9)
     whole = task.over(np.linspace(0, 5, 500))
-    assert np.ptp([seat().motion(one.X_WD)[0] for one in whole]) > 1.0
+    assert np.ptp([SEAT.motion(one.X_WD)[0] for one in whole]) > 1.0
     assert (whole.alpha_d @ to_walls.T)[30:].min() > 0.0
 
 
@@ -137,7 +127,7 @@ def test_references_move_as_their_derivatives_say_and_stay_in_contact():
 
 
 def test_the_rigid_plant_keeps_its_cone_in_the_groove():
-    pair = seat().pair
+    pair = SEAT.pair
     rng = default_rng(2)
     plant = RigidPlant(rig().chain, [pair], 1e-3)
     plant.reset(rig().q_start)
@@ -163,12 +153,12 @@ def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():
 def test_a_controller_with_a_wrong_seat_couples():
     """The coupling measured is not zero by construction."""
     c = rig().chain
-    wrong = replace(seat().pair, axis=pin.exp3(np.array([0.0, 0.1, 0.0])) @ seat().pair.axis)
-    plant = RigidPlant(c, [seat().pair], 1e-3)
+    wrong = replace(SEAT.pair, axis=pin.exp3(np.array([0.0, 0.1, 0.0])) @ SEAT.pair.axis)
+    plant = RigidPlant(c, [SEAT.pair], 1e-3)
     plant.reset(rig().q_start)
     controller = osc.Controller(c, [wrong], posture=rig().q_start)
     reference = rig().references.at(1.5)
-    R = seat().from_wall_forces
+    R = SEAT.from_wall_forces
     to_motion, to_force = cg.couplings(controller, plant, plant.measure(), reference, R)
     assert max(to_motion) > 1e-4 and max(to_force) > 1e-4
 
@@ -180,14 +170,12 @@ def test_a_run_that_cannot_be_judged_is_refused(words):
 
 
 def test_reproduce_fig2_writes_pictures_and_numbers(tmp_path):
-    words = ["reproduce", "fig2", "--duration", "0.52", "--out", str(tmp_path)]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
+    result = done("reproduce fig2 --duration 0.52 --out", tmp_path)
     names = {f"{n}.{s}" for n in ("fig2", "fig2_run") for s in ("png", "svg", "pdf")} | {
         "fig2.json"
     }
     assert {path.name for path in tmp_path.iterdir()} == names
-    found = json.loads((tmp_path / "fig2.json").read_text())
+    found = read_json(tmp_path / "fig2.json")
     assert found["r"] == 4 and found["raibert_craig"]["describes_it"] is False
     assert found["duration_s"] == 0.52 and found["force_step_to_motion"] < 1e-9
     assert "32° apart" in " ".join(result.stdout.split())

@@ -1,11 +1,10 @@
 """Kinematic stability: eigenvalues against a closed loop differentiated numerically."""
 
-import json
 from functools import cache, partial
 
 import numpy as np
 import pinocchio as pin
-from command_line import done, refused
+from command_line import done, read_json, refused
 from numpy.linalg import inv
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -199,7 +198,7 @@ def test_reproduce_writes_picture_and_numbers(tmp_path, monkeypatch):
     names = {f"kinematic_stability.{suffix}" for suffix in ("png", "svg", "pdf", "json")}
     assert {path.name for path in tmp_path.iterdir()} == names
     assert (tmp_path / "kinematic_stability.pdf").read_bytes().startswith(b"%PDF")
-    rows = json.loads((tmp_path / "kinematic_stability.json").read_text())["arms"]
+    rows = read_json(tmp_path / "kinematic_stability.json")["arms"]
     assert [row["arm"] for row in rows] == ["planar 2R arm", "UR5"]
     for row in rows:
         assert row["postures"] == 1000 and row["seed"] == 1 and row["duration_s"] == 0.9

@@ -117,47 +117,37 @@ def chain_poses(chain, q):
     return [X.translation for X in chain.object_poses()]
 
 
+def ranks_on_the_way(chain, postures, v, posture):
+    """Of the first arm; torques have to be continuous, and what fades that of the definition."""
+    before = None
+    ranks = set()
+    for k, q in enumerate(postures):
+        controller, tau = tick(chain, q, v, posture)
+        assert controller.status is not osc.Status.HELD, controller.reason
+        ranks.add(controller.signals.state.arms[0].rank)
+        if before is not None:
+            assert largest((tau - before) / chain.tau_max) < 0.02, q
+        before = tau
+        if k % 5 == 0:
+            assert_faded(chain, q, v, posture, controller)
+    return ranks
+
+
 @parametrize("rest", first([0.4, 0.0], 1))
 def test_torques_are_continuous_through_the_straight_elbow(rest):
     """Through fading, rank loss and out again on the other side, with the arm still or moving."""
     panda = one_panda()
     chain = osc.ClosedChain(panda.arms, panda.grasps, panda.payload, rank_tolerance=3e-3)
     v = rest * np.array([0.3, -0.5, 0.2, 0.8, 0.1, -0.4, 0.6])
-    posture = straight_panda(-0.8)
-    before = None
-    ranks = set()
-    offsets = np.concatenate(
-        (np.linspace(-0.4, -2e-3, 400), np.linspace(-2e-3, 2e-3, 200), np.linspace(2e-3, 0.4, 400))
-    )
-    for k, offset in enumerate(offsets):
-        q = straight_panda(offset)
-        controller, tau = tick(chain, q, v, posture)
-        assert controller.status is not osc.Status.HELD, controller.reason
-        ranks.add(controller.signals.state.arms[0].rank)
-        if before is not None:
-            assert largest((tau - before) / chain.tau_max) < 0.02, offset
-        before = tau
-        if k % 5 == 0:
-            assert_faded(chain, q, v, posture, controller)
-    assert ranks == {5, 6}
+    ends = ((-0.4, -2e-3, 400), (-2e-3, 2e-3, 200), (2e-3, 0.4, 400))
+    offsets = np.concatenate([np.linspace(*end) for end in ends])
+    postures = map(straight_panda, offsets)
+    assert ranks_on_the_way(chain, postures, v, straight_panda(-0.8)) == {5, 6}
 
 
 def test_torques_of_the_pair_are_continuous_until_both_elbows_are_straight():
-    chain = scara_pair()
-    before = None
-    ranks = set()
     postures = stretched_scaras()
-    for k, q in enumerate(postures):
-        controller, tau = tick(chain, q, np.zeros(10), postures[0])
-        assert controller.status is not osc.Status.HELD, controller.reason
-        state = controller.signals.state
-        ranks.add(state.arms[0].rank)
-        if before is not None:
-            assert largest((tau - before) / chain.tau_max) < 0.02, q[1]
-        before = tau
-        if k % 5 == 0:
-            assert_faded(chain, q, np.zeros(10), postures[0], controller)
-    assert ranks == {4, 5}
+    assert ranks_on_the_way(scara_pair(), postures, np.zeros(10), postures[0]) == {4, 5}
 
 
 def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
