@@ -129,8 +129,7 @@ class _Check:
         return np.asarray(pin.computeGeneralizedGravity(self.model, self.data, q)).copy()
 
     def mass(self, q: Array) -> Array:
-        M = np.array(pin.crba(self.model, self.data, q))
-        return np.triu(M) + np.triu(M, 1).T
+        return np.array(pin.crba(self.model, self.data, q))
 
     def settle(self, ticks: int) -> None:
         """Brake, and return slowly to where the check began."""

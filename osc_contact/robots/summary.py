@@ -105,7 +105,6 @@ def friction_warnings(
         passive: joints without a motor, which has no observer.
     """
     M = pin.crba(model, model.createData(), q)
-    M = np.triu(M) + np.triu(M, 1).T
     A = rotors(model)
     m = 1.0 / np.diag(np.linalg.inv(M - np.diag(model.armature) + np.diag(A)))
     names = joint_names(model)

@@ -85,7 +85,6 @@ class Commissioning:
         q = read[-1].q
         data = model.createData()
         M = np.array(pin.crba(model, data, q))
-        M = np.triu(M) + np.triu(M, 1).T
         theirs = robot.mass_matrix()
         worst = np.abs(M - theirs).max() / np.abs(theirs).max()
         if worst > MASS_ERROR:
