@@ -1,5 +1,7 @@
 """Every error of the toolkit: one base class, children that name the refused input."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any
 
 #: Extra that brings a package, by the name under which it is imported.
@@ -34,6 +36,25 @@ def missing(error: ImportError) -> str:
     if package not in EXTRAS:
         return ""
     return f"{package} is not installed: pip install 'osc-contact[{EXTRAS[package]}]'"
+
+
+MANY = 8  #: names beside a guess
+SHOWN = 12  #: names without one
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return "did you mean 'x'? known: ..." for a word that is not among `known`.
+
+    Long lists are left out where there is a guess, and cut where there is none.
+    """
+    names = list(known)
+    near = get_close_matches(word, names, n=2, cutoff=0.6)
+    hint = f"did you mean {' or '.join(map(repr, near))}?" if near else ""
+    if near and len(names) > MANY:
+        return hint
+    more = f", … ({len(names)} in all)" if len(names) > SHOWN else ""
+    listed = ", ".join(names[:SHOWN]) or "none"
+    return f"{hint} known: {listed}{more}".lstrip()
 
 
 class OscContactError(Exception):

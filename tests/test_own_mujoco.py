@@ -185,9 +185,9 @@ def test_the_model_given_stays_as_it_is():
 @parametrize(
     "how, told",
     [
-        ({"tip": "tipp"}, "no body or site 'tipp'. Did you mean tip"),
-        ({"wrist_sensor": "wirst"}, "no site 'wirst'. Did you mean wrist"),
-        ({"keyframe": "ball_asid"}, "no keyframe 'ball_asid'. Did you mean ball_aside"),
+        ({"tip": "tipp"}, "no body or site 'tipp'; did you mean 'tip'"),
+        ({"wrist_sensor": "wirst"}, "no site 'wirst'; did you mean 'wrist'"),
+        ({"keyframe": "ball_asid"}, "no keyframe 'ball_asid'; did you mean 'ball_aside'"),
         ({"locked": {"elbo": 0.0}}, "no moving joint called 'elbo'"),
     ],
 )

@@ -194,8 +194,8 @@ def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path):
     [
         ("./absent.urdf", "neither the file"),
         ("absent.urdf", "neither the file"),
-        ("pnda", "Did you mean panda"),
-        ("example-robot-data:pnda", "Did you mean panda"),
+        ("pnda", "did you mean 'panda'"),
+        ("example-robot-data:pnda", "did you mean 'panda'"),
         ("panda --tip hnd", "no frame 'hnd'"),
         ("panda --limit elbow:effort=3", "no moving joint matches 'elbow'"),
         ("panda --limit panda_joint1:torque=3", "expected JOINT:key=number"),

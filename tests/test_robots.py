@@ -153,7 +153,7 @@ def test_mujoco_compiles_the_file_and_agrees_on_masses(name):
 def test_urdf_path_knows_the_packaged_files():
     assert robots.urdf_path("rod.urdf") == robots.urdf_path("rod")
     assert robots.urdf_path("rod").is_file()
-    with model_error(r"Did you mean scara_left\.urdf"):
+    with model_error(r"did you mean 'scara_left\.urdf'"):
         robots.urdf_path("scara_lft.urdf")
     with model_error(r"no packaged URDF is called '../urdf/rod.urdf'"):
         robots.urdf_path("../urdf/rod.urdf")
@@ -168,7 +168,7 @@ def test_urdf_path_finds_the_folder_of_an_installed_package(monkeypatch, tmp_pat
 
 
 def test_robot_names_that_are_unknown_or_ambiguous_are_refused():
-    with model_error("Did you mean panda"):
+    with model_error("did you mean 'panda'"):
         robots.find_robot("pandda")
     with model_error(r"ambiguous.*anymal_c_simple_description/anymal"):
         robots.find_robot("anymal")
@@ -192,14 +192,14 @@ def test_resolve_urdf_knows_three_places(tmp_path):
     assert robots.resolve_urdf(str(own)) == (own.resolve(), (tmp_path.resolve(),))
     panda, package_dir = robots.find_robot("panda")
     assert robots.resolve_urdf("example-robot-data:panda", tmp_path) == (panda, (package_dir,))
-    with model_error(r"Did you mean face\.urdf"):
+    with model_error(r"did you mean 'face\.urdf'"):
         robots.resolve_urdf("fce.urdf", tmp_path)
 
 
 def test_frame_id_is_checked():
     model = robots.load_model(robots.urdf_path("scara_left"))
     assert model.frames[robots.frame_id(model, "tool")].name == "tool"
-    with model_error(r"no frame 'tol'. Did you mean tool"):
+    with model_error(r"no frame 'tol'; did you mean 'tool'"):
         robots.frame_id(model, "tol")
 
 
@@ -291,7 +291,7 @@ def test_limits_given_by_hand_stand_in_for_missing_ones(tmp_path):
     free = robots.JointLimits(-math.inf, math.inf, 4, 5)
     model = robots.load_model(file, limits={"next*": free, "turn": given})
     assert limits(model) == [[7, 4], [3, 5], [-1.5, -math.inf], [2.5, math.inf]]
-    with invalid_input(r"no moving joint matches 'trun'. Did you mean turn"):
+    with invalid_input(r"no moving joint matches 'trun'; did you mean 'turn'"):
         robots.load_model(file, limits={"trun": given})
 
 

@@ -183,7 +183,7 @@ ROWS = {
         'parent link="slide"',
         'parent link="slid"',
         "tree",
-        "link 'slid' does not exist. Did you mean slide",
+        "link 'slid' does not exist. Did you mean 'slide'",
         "joint 'roll'",
     ),
     "no parent": ('<parent link="hand"/>', "", "tree", "without <parent>", "joint 'grip'", 1),
@@ -223,7 +223,7 @@ ROWS = {
     "mimic offset nan": ('offset="0.1"', 'offset="nan"', "number", "offset = 'nan'"),
     # joints
     "no joint type": (' type="prismatic"', "", "joint", "no joint type", "joint 'lift'"),
-    "unknown joint type": ('"prismatic"', '"prismatc"', "joint", "Did you mean prismatic"),
+    "unknown joint type": ('"prismatic"', '"prismatc"', "joint", "Did you mean 'prismatic'"),
     "floating joint": ('"prismatic"', '"floating"', "joint", "nq ≠ nv"),
     "axis zero": ('axis xyz="0 0 1"', 'axis xyz="0 0 0"', "joint", "axis has length 0"),
     "axis too long": ('axis xyz="0 0 1"', 'axis xyz="0 0 2"', "joint", "axis has length 2"),
@@ -232,7 +232,7 @@ ROWS = {
         'mimic joint="lift"',
         'mimic joint="left"',
         "joint",
-        "follows the joint 'left', which does not exist. Did you mean lift",
+        "follows the joint 'left', which does not exist. Did you mean 'lift'",
     ),
     "mimic of itself": ('mimic joint="lift"', 'mimic joint="grip"', "joint", "follows itself"),
     # limits

@@ -24,6 +24,7 @@ from osc_contact.law.library import law_hash
 from osc_contact.law.limits import PROGRAM
 from osc_contact.law.reasons import CODES
 from osc_contact.scenarios.control_schema import Gains
+from osc_contact.scenarios.quantities import meaning
 
 #: enum osc_error, by its codes 0, −1, …
 ERRORS = {
@@ -147,12 +148,12 @@ def _gains() -> list[tuple[str, int, int, str]]:
     found = []
     for name, (field, of_contact) in GAIN_FIELDS.items():
         loop, key = name.split(".")
-        info = type(getattr(Gains(), loop)).model_fields[key]
-        unit = " ".join(x for x in info.metadata if isinstance(x, str))
+        kind = type(getattr(Gains(), loop))
+        unit = " ".join(x for x in kind.model_fields[key].metadata if isinstance(x, str))
         offset = records.MODEL.dtype.fields[field][1]
         contact: Any = records.CONTACT_MEMORY.fields
         at = contact[of_contact][1] if of_contact else -1
-        found.append((name, int(offset), int(at), f"{unit}; {info.description or ''}".strip()))
+        found.append((name, int(offset), int(at), f"{unit}; {meaning(kind, key)}"))
     return found
 
 

@@ -15,10 +15,9 @@ from osc_contact.contacts.pairs import ContactPair
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.errors import InvalidInputError, ModelError, PlantError
+from osc_contact.errors import InvalidInputError, ModelError, PlantError, did_you_mean
 from osc_contact.plants.faces import Faces, Rail
 from osc_contact.plants.mujoco import OBJECT, OTHER, MujocoPlant, quieten
-from osc_contact.robots import suggest
 from osc_contact.robots.mjcf import compile_mjcf, joint_name, motors_of, pose
 from osc_contact.robots.pictures import scene_picture
 from osc_contact.spatial import Array, as_array
@@ -320,5 +319,5 @@ class MujocoRobot(MujocoPlant):
 
 def _require(called: str, name: str, known: Sequence[str]) -> None:
     if name not in known:
-        there = suggest(name, [one for one in known if one])
-        raise PlantError(f"the MuJoCo model has no {called} {name!r}. {there}")
+        there = did_you_mean(name, filter(None, known))
+        raise PlantError(f"the MuJoCo model has no {called} {name!r}; {there}")

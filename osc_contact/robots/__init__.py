@@ -24,7 +24,7 @@ from osc_contact.robots.loading import (
 from osc_contact.robots.mjcf import compile_mjcf, couplings, is_mjcf, load_mjcf
 from osc_contact.robots.model import check_mass_matrix, ends_of, frame_id, random_configurations
 from osc_contact.robots.summary import RobotReport, RobotSummary, check_robot, summarise
-from osc_contact.robots.xml_tree import ModelFinding, suggest
+from osc_contact.robots.xml_tree import ModelFinding
 
 __all__ = [
     "ROBOT_DATA",
@@ -55,5 +55,4 @@ __all__ = [
     "RobotReport",
     "summarise",
     "RobotSummary",
-    "suggest",
 ]

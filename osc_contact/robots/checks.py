@@ -15,10 +15,10 @@ from urllib.parse import unquote
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.errors import InvalidInputError
+from osc_contact.errors import InvalidInputError, did_you_mean
 from osc_contact.robots.model import joint_names
 from osc_contact.robots.urdf import LIMITS, Document
-from osc_contact.robots.xml_tree import Element, ModelFinding, suggest
+from osc_contact.robots.xml_tree import Element, ModelFinding
 from osc_contact.spatial import Array
 
 # Limits -------------------------------------------------------------------------------------------
@@ -85,7 +85,7 @@ def matching_limits(
         matched = [name for name in known if name == key or fnmatchcase(name, key)]
         if not matched:
             raise InvalidInputError(
-                f"limits: no moving joint matches {key!r}. {suggest(key, known)}"
+                f"limits: no moving joint matches {key!r}; {did_you_mean(key, known)}"
             )
         values = {which: x for which, x in asdict(given).items() if x is not None}
         found |= dict.fromkeys(matched, values)

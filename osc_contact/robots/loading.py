@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.errors import ModelError
+from osc_contact.errors import ModelError, did_you_mean
 from osc_contact.robots.checks import (
     Inertias,
     JointLimits,
@@ -32,7 +32,7 @@ from osc_contact.robots.model import (
     random_configurations,
 )
 from osc_contact.robots.urdf import Document, check_mimics, check_tree, read_document
-from osc_contact.robots.xml_tree import read_bytes, refuse_file, suggest
+from osc_contact.robots.xml_tree import read_bytes, refuse_file
 
 CROSS_CHECK_TOLERANCE = 1e-9
 
@@ -292,7 +292,7 @@ def urdf_path(name: str) -> Path:
     """
     file = _find_packaged(name)
     if file is None:
-        raise ModelError(f"no packaged URDF is called {name!r}. {suggest(name, _packaged())}")
+        raise ModelError(f"no packaged URDF is called {name!r}; {did_you_mean(name, _packaged())}")
     return file
 
 
@@ -323,7 +323,7 @@ def find_robot(name: str) -> tuple[Path, Path]:
                 f"{name!r} is ambiguous in {ROBOT_DATA}: name one of {', '.join(hits)}"
             )
     stems = {path.stem.removesuffix("_robot") for path in files.values()}
-    raise ModelError(f"{ROBOT_DATA} has no robot {name!r}. {suggest(name, stems)}")
+    raise ModelError(f"{ROBOT_DATA} has no robot {name!r}; {did_you_mean(name, sorted(stems))}")
 
 
 def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path, tuple[Path, ...]]:
@@ -348,7 +348,7 @@ def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path,
         return path, (path.parent,)
     raise ModelError(
         f"URDF {reference!r} is neither the file {path} nor packaged; a robot of the data package "
-        f"is written '{ROBOT_DATA}:panda'. {suggest(reference, packaged)}"
+        f"is written '{ROBOT_DATA}:panda'; {did_you_mean(reference, packaged)}"
     )
 
 

@@ -8,10 +8,9 @@ from xml.etree.ElementTree import ParseError, iterparse
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.errors import ModelError, missing
+from osc_contact.errors import ModelError, did_you_mean, missing
 from osc_contact.robots.checks import JointLimits, matching_limits
 from osc_contact.robots.model import check_mass_matrix, joint_names, random_configurations
-from osc_contact.robots.xml_tree import suggest
 from osc_contact.spatial import Array
 
 _NONE = 1e30  #: a limit that is none (N m, N, rad/s, m/s)
@@ -103,7 +102,9 @@ def bodies_of(mj: Any, tip: str | None) -> list[int]:
     places = sites | {mj.body(b).name: b for b in range(mj.nbody)}
     if tip not in places:
         known = filter(None, places)
-        raise ModelError(f"the MuJoCo model has no body or site {tip!r}. {suggest(tip, known)}")
+        raise ModelError(
+            f"the MuJoCo model has no body or site {tip!r}; {did_you_mean(tip, known)}"
+        )
     if places[tip] == 0:
         raise ModelError(f"no joint moves {tip!r}: it is fixed to the world")
     return list(np.flatnonzero(root == root[places[tip]]))

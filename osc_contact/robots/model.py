@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.errors import ModelError
+from osc_contact.errors import ModelError, did_you_mean
 from osc_contact.robots.urdf import LIMITS, Document
-from osc_contact.robots.xml_tree import refuse, refuse_file, suggest
+from osc_contact.robots.xml_tree import refuse, refuse_file
 from osc_contact.spatial import Array, norm
 
 SAMPLES = 20
@@ -179,7 +179,7 @@ def frame_id(model: pin.Model, name: str) -> int:
     hits = [i for i, frame in enumerate(model.frames) if frame.name == name]
     if not hits:
         known = [frame.name for frame in model.frames]
-        raise ModelError(f"model {model.name!r} has no frame {name!r}. {suggest(name, known)}")
+        raise ModelError(f"model {model.name!r} has no frame {name!r}; {did_you_mean(name, known)}")
     return next((i for i in hits if model.frames[i].type == pin.FrameType.BODY), hits[0])
 
 

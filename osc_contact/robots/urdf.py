@@ -12,7 +12,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any, TypeVar
 
-from osc_contact.robots.xml_tree import Element, Vector, parse, refuse, suggest
+from osc_contact.errors import did_you_mean
+from osc_contact.robots.xml_tree import Element, Vector, parse, refuse
 
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 LIMITS = ("lower", "upper", "effort", "velocity")
@@ -211,7 +212,7 @@ def _joint(element: Element) -> Joint:
         element.note("joint", f"a {kind} joint (nq ≠ nv) is not supported", cure, "type")
     elif kind not in _KINDS:
         reason = "unknown joint type" if kind else "no joint type"
-        element.note("joint", reason, suggest(kind, _KINDS), "type")
+        element.note("joint", reason, did_you_mean(kind, _KINDS), "type")
     for word in ("parent", "child"):
         if element.find(word) is None:
             element.note("tree", f"a joint without <{word}>", f'add <{word} link="…"/>')
@@ -272,7 +273,7 @@ def check_tree(document: Document) -> None:
             name = end.get("link")
             if name not in links:
                 reason = f"the {end.tag} link {name!r} does not exist"
-                end.note("tree", reason, suggest(name, list(links)[:40]), "link")
+                end.note("tree", reason, did_you_mean(name, list(links)[:40]), "link")
         if joint.parent == joint.child:
             reason = f"joins the link {joint.child!r} to itself"
             element.note("tree", reason, "a joint needs two links")
@@ -306,7 +307,7 @@ def check_mimics(document: Document) -> None:
         master = joints.get(joint.mimic)
         if master is None:
             reason = f"follows the joint {joint.mimic!r}, which does not exist"
-            mimic.note("joint", reason, suggest(joint.mimic, list(joints)[:40]), "joint")
+            mimic.note("joint", reason, did_you_mean(joint.mimic, list(joints)[:40]), "joint")
         elif master.kind == "fixed":
             reason = f"follows the fixed joint {joint.mimic!r}"
             mimic.note("joint", reason, "follow a joint that moves", "joint")

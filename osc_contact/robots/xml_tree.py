@@ -6,11 +6,10 @@ huge or deep trees) ends the reading at once, before any other parser has seen t
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -84,16 +83,6 @@ def refuse_file(
         check, file, reason, cure, line, column: of the `ModelFinding`.
     """
     refuse([ModelFinding(check, file, line, column, "", reason, cure)])
-
-
-def suggest(name: str, known: Iterable[str]) -> str:
-    """ "Did you mean x?" for a name that is not among `known`, or the list of those there are."""
-    names = sorted(set(known))
-    near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
-    more = f", … ({len(names)} in all)" if len(names) > SHOWN else ""
-    listed = f"There is: {', '.join(names[:SHOWN]) or 'nothing'}{more}"
-    guess = f"Did you mean {' or '.join(near)}?"
-    return (guess if more else f"{guess} {listed}") if near else listed
 
 
 # The text ----------------------------------------------------------------------------------------

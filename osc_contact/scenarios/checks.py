@@ -5,10 +5,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from osc_contact.errors import did_you_mean
 from osc_contact.scenarios.bodies import CONTACT_TYPES, ContactSpec, magnitude_names
 from osc_contact.scenarios.control_schema import ControlSpec
 from osc_contact.scenarios.hardware import PlantSpec
-from osc_contact.scenarios.quantities import did_you_mean
 
 Problem = tuple[tuple[str | int, ...], str]
 """Where (keys and list indices) and what is wrong."""

@@ -10,10 +10,10 @@ from typing import Annotated, Any, Union, get_args, get_origin
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from osc_contact.errors import ScenarioError
+from osc_contact.errors import ScenarioError, did_you_mean
 from osc_contact.scenarios.bodies import CONTACT_TYPES, ContactSpec
 from osc_contact.scenarios.checks import Problem, problems_across
-from osc_contact.scenarios.quantities import did_you_mean, sentence
+from osc_contact.scenarios.quantities import sentence
 
 # --- YAML text to nodes ---------------------------------------------------------------------------
 

@@ -12,9 +12,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from osc_contact.errors import ScenarioError
+from osc_contact.errors import ScenarioError, did_you_mean
 from osc_contact.scenarios.document import Problems, ScenarioDocument, complaints
-from osc_contact.scenarios.quantities import did_you_mean
 from osc_contact.scenarios.schema import Scenario
 
 LARGEST = 1_000_000  #: bytes of a scenario file; the packaged ones have a few thousand

@@ -6,10 +6,9 @@ import math
 import re
 import reprlib
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from difflib import get_close_matches
 from itertools import pairwise
 from numbers import Real
 from typing import Annotated, Any, Generic, Self, TypeVar
@@ -25,7 +24,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
-from osc_contact.errors import InvalidInputError
+from osc_contact.errors import InvalidInputError, did_you_mean
 
 # What every group of settings is: keys of a file with units and bounds, and a value in Python.
 
@@ -44,8 +43,6 @@ _SIGNS = {
     "less_than": ("<", "lt"),
     "less_than_equal": ("<=", "le"),
 }
-MANY = 8  #: names beside a guess
-SHOWN = 12  #: names without one
 
 
 class Spec(BaseModel):
@@ -102,21 +99,6 @@ def one_of(known: Mapping[str, Any]) -> AfterValidator:
 def refuse(text: str) -> PydanticCustomError:
     """Build the error of a refused value; `text`: the mistake and its cure."""
     return PydanticCustomError("refused", "{text}", {"text": text})
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return "did you mean 'x'? known: ..." for a word that is not among `known`.
-
-    Long lists are left out where there is a guess, and cut where there is none.
-    """
-    names = list(known)
-    near = get_close_matches(word, names, n=2, cutoff=0.6)
-    hint = f"did you mean {' or '.join(map(repr, near))}?" if near else ""
-    if near and len(names) > MANY:
-        return hint
-    more = f", … ({len(names)} in all)" if len(names) > SHOWN else ""
-    listed = ", ".join(names[:SHOWN]) or "none"
-    return f"{hint} known: {listed}{more}".lstrip()
 
 
 def meaning(owner: type, key: str) -> str | None:
