@@ -28,7 +28,7 @@ import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.detection import collision_shapes
 from osc_contact.runs.preflight import require_ready
-from osc_contact.runs.run import run_rig, start
+from osc_contact.runs.run import start
 from osc_contact.sweeps.report import variances, write_report
 from osc_contact.sweeps.rows import RigBuilder, make_rows, scenario_of
 from osc_contact.sweeps.study import SweepStudy, parse_distribution
@@ -376,7 +376,7 @@ def test_rigs_that_share_chains_are_those_built_alone():
         for normal in ("0.50", "0.53")
     ]
     for scenario in scenarios:
-        compare(osc.run(scenario), run_rig(builder.rig(scenario)))
+        compare(osc.run(scenario), osc.run(scenario, build=builder.rig))
     rigs = [builder.rig(scenario) for scenario in scenarios]
     assert len({id(rig.chain) for rig in rigs}) == 1 and len({id(rig.model) for rig in rigs}) == 2
     assert len({rig.q_contact.tobytes() for rig in rigs}) == 2  # the normals do vary
@@ -406,9 +406,9 @@ def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_pa
 def test_doubts_and_refusals_are_those_of_a_run():
     scenario = osc.load_scenario("two_contact_rod", ["duration=0.05 s", "control.rate=80 Hz"])
     rig = osc.build_rig(scenario)
-    assert require_ready(rig) == run_rig(rig).meta["doubts"] != []
+    assert require_ready(rig) == osc.run(scenario).meta["doubts"] != []
     with raises(osc.ScenarioError):
-        run_rig(osc.build_rig(scenario.replaced(control={"rate": 20.0})))
+        osc.run(scenario.replaced(control={"rate": 20.0}))
 
 
 def test_start_leaves_the_controller_that_only_gave_first_torques_behind():

@@ -223,6 +223,11 @@ def tick_in_c(c, handle, m, r, motors):
     return tau, out
 
 
+def test_the_header_says_of_each_gain_its_unit_and_what_it_is(library):
+    text = (library / "osc_controller.h").read_text()
+    assert " *   force.damping: N s/m; K_v of the normal velocity" in text
+
+
 @parametrize("integral", [30.0, 0.0])
 def test_gains_tare_and_reset_do_in_c_what_they_do_in_python(library, tmp_path, integral):
     rig = rig_of("two_contact_rod", "plant.type=rigid")

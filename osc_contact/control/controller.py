@@ -79,6 +79,18 @@ FORGOTTEN_TABLES: dict[str, tuple[str, ...]] = {
 }
 
 
+def _six_numbers(field: str, doc: str) -> property:
+    """A property of a controller: six numbers of MEMORY, which can be set."""
+
+    def read(controller: Any) -> Array:
+        return np.array(controller._memory[field])
+
+    def write(controller: Any, value: Array) -> None:
+        controller._memory[field][:] = as_array(field, value, (6,))
+
+    return property(read, write, doc=doc)
+
+
 class Controller:
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
@@ -164,7 +176,7 @@ class Controller:
             reading,
         )
         chain.law_row(led=False)  # judges the arms
-        self._begin(settings, laws or Laws(), StartCheck())
+        self._begin(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))
         memory = self._memory
         force = settings.gains.force
         memory.X_WO[:] = np.eye(4)
@@ -182,15 +194,14 @@ class Controller:
             contact.phase[self._records.model.bodies.pushes != 0] = Phase.OPEN
             memory.columns.closed[:] = 0
 
-    def _begin(
-        self, settings: Settings, laws: Laws, start: StartCheck, model: Bytes | None = None
-    ) -> None:
-        """Take what a controller is made of; `model`: bytes of MODEL, where they are known."""
+    def _begin(self, settings: Settings, laws: Laws, start: StartCheck, model: Bytes) -> None:
+        """Take what a controller is made of; `model`: bytes of MODEL."""
         self.__dict__.update(settings=settings, laws=laws)
-        self._custom = CustomParts(settings, laws)
+        records = TickRecords(model)
+        self._custom = CustomParts(settings, laws, records.model)
         self._freshness = Freshness(settings.dt, settings.safety.wrench_timeout)
         self._start = start
-        self._take_records(TickRecords(self._custom.model if model is None else model))
+        self._take_records(records)
 
     def _take_records(self, records: TickRecords) -> None:
         self._records = records
@@ -494,14 +505,9 @@ class Controller:
         phase = contacts.phase if self.life is not None else Phase.CLOSED
         return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
 
-    @property
-    def f_tare(self) -> Array:
-        """(6,) constant error of the wrist readings at O (N, N m), removed from each."""
-        return np.array(self._memory.f_tare)
-
-    @f_tare.setter
-    def f_tare(self, wrench: Array) -> None:
-        self._memory.f_tare[:] = as_array("f_tare", wrench, (6,))
+    f_tare = _six_numbers(
+        "f_tare", "(6,) constant error of the wrist readings at O (N, N m), removed from each."
+    )
 
     @property
     def joint_friction(self) -> Array:
@@ -538,14 +544,7 @@ class Controller:
         """(r,) the same where each is least certain (rad); 0: not estimated."""
         return np.array(self._memory.columns.normal_std)
 
-    @property
-    def f_bias(self) -> Array:
-        """(6,) constant wrench added to the command at O (N, N m)."""
-        return np.array(self._memory.f_bias)
-
-    @f_bias.setter
-    def f_bias(self, wrench: Array) -> None:
-        self._memory.f_bias[:] = as_array("f_bias", wrench, (6,))
+    f_bias = _six_numbers("f_bias", "(6,) constant wrench added to the command at O (N, N m).")
 
     @property
     def engaged(self) -> bool:
@@ -558,14 +557,7 @@ class Controller:
         if self.life is None or not engaged:
             self._memory.contacts.active[:] = engaged
 
-    @property
-    def motion_integral(self) -> Array:
-        """(6,) ∫e dt of the motion law (m s, rad s)."""
-        return np.array(self._memory.motion_sum)
-
-    @motion_integral.setter
-    def motion_integral(self, value: Array) -> None:
-        self._memory.motion_sum[:] = as_array("motion integral", value, (6,))
+    motion_integral = _six_numbers("motion_sum", "(6,) ∫e dt of the motion law (m s, rad s).")
 
     @property
     def force_integral(self) -> Array:

@@ -107,14 +107,11 @@ class CustomParts:
 
     Attributes:
         needed: whether there is anything to call.
-        model: bytes of MODEL as packed at first, for the controller that is made with it.
     """
 
-    def __init__(self, settings: Settings, laws: Laws) -> None:
+    def __init__(self, settings: Settings, laws: Laws, head: Any) -> None:
         self.settings = settings
         self.laws = laws
-        self.model = pack_model(settings, {})
-        head = at.MODEL.view(self.model)
         self._pairs: list[tuple[int, Any]] = [
             (number, settings.contacts[number])
             for number in np.flatnonzero(head.pairs.kind == at.GIVEN).tolist()

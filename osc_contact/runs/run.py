@@ -48,6 +48,7 @@ def run(
     viewer: Shows | None = None,
     install: Install | None = None,
     journal: Path | None = None,
+    build: Callable[[Scenario], Rig] = build_rig,
 ) -> Recording:
     """Run a scenario and record it.
 
@@ -64,6 +65,7 @@ def run(
         install: puts another control law into each controller of the run.
         journal: the file that the run's rows go to while it lasts, such as unfinished.mcap, for
             `recover` if the process is killed; None: a temporary one.
+        build: makes the rig of the scenario.
 
     Returns:
         The recording; `metrics(recording)` judges it.
@@ -78,30 +80,9 @@ def run(
         scenario = scenario.replaced(duration=duration)
     if plant is not None:
         scenario = scenario.replaced(plant={**dict(scenario.plant), "type": plant})
-    rig = build_rig(scenario)
-    return run_rig(rig, seed, progress=progress, viewer=viewer, install=install, journal=journal)
-
-
-def run_rig(
-    rig: Rig,
-    seed: int = 0,
-    *,
-    progress: Progress | None = None,
-    viewer: Shows | None = None,
-    install: Install | None = None,
-    journal: Path | None = None,
-) -> Recording:
-    """Run a rig and record it.
-
-    Args:
-        rig: see `build_rig`. seed, progress, viewer, install, journal: see `run`.
-
-    Raises:
-        ScenarioError, PlantError, Interrupted: see `run`.
-    """
-    scenario = rig.scenario
+    rig = build(scenario)
     doubts = require_ready(rig)
-    plant, controller = start(rig, seed, install)
+    simulated, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
     meta = {
         "scenario": scenario.as_dict(),
@@ -113,11 +94,11 @@ def run_rig(
         "force_per_normal": known_to(rig.pairs, rig.state(), 1.0),
     }
     recorder = Recorder(
-        controller, plant, subject=rig.subject(controller), journal=journal, meta=meta
+        controller, simulated, subject=rig.subject(controller), journal=journal, meta=meta
     )
     with noted_signals() as signals:
         try:
-            robot = rig.robot(plant, controller)
+            robot = rig.robot(simulated, controller)
             taring = controller if scenario.tare is None else Taring(rig, controller)
             plan = takewhile(lambda _: not signals, rig.references.each(ticks, controller.dt))
             run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)

@@ -16,7 +16,7 @@ from osc_contact.files import hold
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.runs.rig import Rig, build_chain, build_rig
-from osc_contact.runs.run import Install, run_rig
+from osc_contact.runs.run import Install, run
 from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.control_schema import ModelErrorSpec
 from osc_contact.scenarios.schema import Scenario
@@ -124,8 +124,8 @@ def record_sample(study: SweepStudy, sample: Sample, install: Install | None = N
     Raises:
         OscContactError: it cannot be built, is not possible, or diverges.
     """
-    rig = _rigs.rig(scenario_of(study, sample))
-    return run_rig(rig, sample.seed, install=install)
+    scenario = scenario_of(study, sample)
+    return run(scenario, seed=sample.seed, install=install, build=_rigs.rig)
 
 
 def scenario_of(study: SweepStudy, sample: Sample) -> Scenario:
