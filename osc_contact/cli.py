@@ -47,7 +47,7 @@ from osc_contact.runs.report import write_json
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.run import shown_of
 from osc_contact.runs.tape import build as build_library
-from osc_contact.runs.viewing import Shown, require_drawable, write_scene_of
+from osc_contact.runs.viewing import content_of, require_drawable, write_scene_of
 from osc_contact.scenarios import list_scenarios
 from osc_contact.visual.browser import find_browser, write_gif, write_mp4
 
@@ -223,7 +223,7 @@ def view(
         require_drawable(recording, shown, what)
     else:
         scenario = load_task(what, set_, plant, duration)
-        shown = Shown.of(build_rig(scenario))
+        shown = content_of(build_rig(scenario))
     if live:
         show_live(shown, scenario, recording, seed, hold)
         return

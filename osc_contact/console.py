@@ -28,9 +28,10 @@ from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.runs import report, viewing
 from osc_contact.runs.report import require_judgeable, write_json, write_report
 from osc_contact.runs.run import recover, run
-from osc_contact.runs.viewing import Shown, open_viewer
+from osc_contact.runs.viewing import open_viewer
 from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
+from osc_contact.visual.parts import Content
 
 ScenarioArgument = Annotated[str, Argument(help="packaged name (see `list`) or a YAML file")]
 
@@ -218,7 +219,7 @@ def report_run(
 
 
 def show_live(
-    shown: Shown,
+    shown: Content,
     scenario: Scenario | None,
     recording: Recording | None,
     seed: int,

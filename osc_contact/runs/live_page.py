@@ -11,8 +11,8 @@ from osc_contact.visual.server import serve
 def main() -> None:
     """Serve the scene that stands on the standard input, until the inherited socket closes."""
     link = socket.socket(fileno=int(sys.argv[1]))
-    content, size = pickle.load(sys.stdin.buffer)
-    serve(link, content, lambda N: best_frame(N, size))
+    content = pickle.load(sys.stdin.buffer)
+    serve(link, content, lambda N: best_frame(N, content.size))
 
 
 if __name__ == "__main__":

@@ -29,10 +29,11 @@ from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.recorder import Recorder, recording_of
 from osc_contact.runs.references import force_steps, known_to
 from osc_contact.runs.rig import Rig, build_rig
-from osc_contact.runs.viewing import Shown
+from osc_contact.runs.viewing import content_of, content_of_recording
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
+from osc_contact.visual.parts import Content
 
 Progress = Callable[[float], None]
 Install = Callable[[Controller], Controller]
@@ -211,7 +212,7 @@ def recover(
 
 def shown_of(
     recording: Recording, path: Path, folder: str | os.PathLike[str] | None = None
-) -> Shown:
+) -> Content:
     """What a recording is of: the picture that it carries, or its scenario.
 
     Args:
@@ -221,8 +222,8 @@ def shown_of(
         RecordingError: it holds neither, see `scenario_of`.
     """
     if "picture" in recording.meta:
-        return Shown.of_recording(recording)
-    return Shown.of(build_rig(scenario_of(recording.meta, path, folder)))
+        return content_of_recording(recording)
+    return content_of(build_rig(scenario_of(recording.meta, path, folder)))
 
 
 def scenario_of(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -34,70 +33,51 @@ DRAWN = 50_000  #: ticks; of longer recordings every second, third, … one is d
 _LARGEST = 1e9  #: m, rad, N, W; no run comes near it
 
 
-@dataclass(frozen=True)
-class Shown:
-    """What pictures show.
+def content_of(what: Rig | MujocoRobot | Content) -> Content:
+    """What pictures of a scenario's rig show, or of a robot in a MuJoCo scene."""
+    if isinstance(what, Rig):
+        return _content_of_rig(what)
+    if isinstance(what, Content):
+        return what
+    q = np.asarray(what.measure().q)
+    pairs = what.contacts
+    X = what.chain.state(q, np.zeros(len(q))).X_WO if pairs else None
+    contacts = [pair.name for pair in pairs], force_owners(pairs).tolist()
+    size = object_size(pairs, X)
+    return _of_picture(what.picture(), what.chain.arms[0].name, contacts, size, len(q))
 
-    Attributes:
-        name: in messages. content: of the scene.
-        size: m, of the object as far as its contacts reach.
-        joints: how many q has.
+
+def content_of_recording(recording: Recording) -> Content:
+    """What pictures of a recording show that carries a picture.
+
+    Raises:
+        RecordingError: that is damaged, or there is no first tick.
     """
-
-    name: str
-    content: Content
-    size: float
-    joints: int
-
-    @classmethod
-    def of(cls, what: Rig | Shown | MujocoRobot) -> Shown:
-        """Of a scenario's rig, or of a robot in a MuJoCo scene."""
-        if isinstance(what, Rig):
-            size = object_size(what.pairs, what.state().X_WO if what.pairs else None)
-            return cls(what.scenario.name, content_of(what), size, what.chain.nq)
-        if isinstance(what, Shown):
-            return what
-        q = np.asarray(what.measure().q)
-        pairs = what.contacts
-        X = what.chain.state(q, np.zeros(len(q))).X_WO if pairs else None
-        contacts = [pair.name for pair in pairs], force_owners(pairs).tolist()
-        name = what.chain.arms[0].name
-        size = object_size(pairs, X)
-        return _of_picture(what.picture(), name, contacts, size, len(q))
-
-    @classmethod
-    def of_recording(cls, recording: Recording) -> Shown:
-        """Of a recording that carries a picture.
-
-        Raises:
-            RecordingError: that is damaged, or there is no first tick.
-        """
-        meta = recording.meta
-        size = 0.1
-        try:
-            name = meta["arm_names"][0]
-            joints = len(meta["joint_names"])
-            contacts = meta["contact_names"], meta["columns"]
-            if len(recording) and "contact_point" in recording and contacts[0]:
-                points = recording["contact_point"][0] - recording["pose"][0, :3]
-                size = max(size, np.nanmax(np.linalg.norm(points, axis=1), initial=0.0))
-            shown = _of_picture(meta["picture"], name, contacts, size, joints)
-            Scene(shown.content, {})
-        except (KeyError, TypeError, IndexError, ValueError, InvalidInputError) as error:
-            raise RecordingError(f"its picture cannot be drawn: {error}") from error
-        return shown
+    meta = recording.meta
+    size = 0.1
+    try:
+        name = meta["arm_names"][0]
+        joints = len(meta["joint_names"])
+        contacts = meta["contact_names"], meta["columns"]
+        if len(recording) and "contact_point" in recording and contacts[0]:
+            points = recording["contact_point"][0] - recording["pose"][0, :3]
+            size = max(size, np.nanmax(np.linalg.norm(points, axis=1), initial=0.0))
+        content = _of_picture(meta["picture"], name, contacts, size, joints)
+        Scene(content, {})  # refused where it is damaged
+    except (KeyError, TypeError, IndexError, ValueError, InvalidInputError) as error:
+        raise RecordingError(f"its picture cannot be drawn: {error}") from error
+    return content
 
 
 def _of_picture(
     picture: Any, name: str, contacts: tuple[Sequence[str], Sequence[int]], size: float, joints: int
-) -> Shown:
+) -> Content:
     arm = ArmVisual(name, picture, (), pin.SE3.Identity(), slice(0, joints))
-    content = Content(name.replace("_", " "), [arm], [], tuple(contacts[0]), tuple(contacts[1]))
-    return Shown(name, content, size, joints)
+    return Content(name.replace("_", " "), [arm], [], *contacts, size=size, joints=joints)
 
 
 def write_scene_of(
-    recording: Recording, rig: Rig | Shown, path: Path, still: float | None = None
+    recording: Recording, rig: Rig | Content, path: Path, still: float | None = None
 ) -> Path:
     """The moving scene of a run as one HTML file that needs no server.
 
@@ -107,17 +87,17 @@ def write_scene_of(
         path: the page to write.
         still: s; the page opens standing still at that time instead of playing.
     """
-    shown = Shown.of(rig)
+    content = content_of(rig)
     return write_scene(
         recording.thinned(DRAWN),
-        shown.content,
+        content,
         path,
-        find=lambda N: best_frame(N, shown.size),
+        find=lambda N: best_frame(N, content.size),
         still=still,
     )
 
 
-def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
+def require_drawable(recording: Recording, shown: Content, source: str) -> None:
     """Refuse a recording that runs of this rig cannot have left; channels may be missing.
 
     Args:
@@ -127,12 +107,12 @@ def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
         RecordingError: other contacts, channels of other shapes, times that do not grow, numbers
             too large to be drawn. NaN is a number that is not known, as of a tick that was held.
     """
-    names = list(shown.content.contacts)
-    owners = list(shown.content.columns)
+    names = list(shown.contacts)
+    owners = list(shown.columns)
     for key, of_rig in (("contact_names", names), ("columns", owners)):
         if recording.meta.get(key, of_rig) != of_rig:
             raise RecordingError(
-                f"{source}: its {key} are {recording.meta[key]!r}; runs of {shown.name} "
+                f"{source}: its {key} are {recording.meta[key]!r}; runs of {shown.title} "
                 f"have {of_rig!r}"
             )
     sizes = {"joints": shown.joints, "contacts": len(names), "forces": len(owners)}
@@ -145,7 +125,7 @@ def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
         if values.shape[1:] != shape:
             raise RecordingError(
                 f"{source}: channel {name!r} has shape {values.shape[1:]} at a tick; runs of "
-                f"{shown.name} have {shape}"
+                f"{shown.title} have {shape}"
             )
         if np.abs(values).max(initial=0.0, where=~np.isnan(values)) > _LARGEST:
             raise RecordingError(f"{source}: channel {name!r} holds numbers above {_LARGEST:g}")
@@ -154,8 +134,7 @@ def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
         raise RecordingError(f"{source}: channel 't' does not grow from tick to tick")
 
 
-def content_of(rig: Rig) -> Content:
-    """What a picture of this rig shows."""
+def _content_of_rig(rig: Rig) -> Content:
     scenario = rig.scenario
     source = scenario.folder
     arms = [
@@ -167,13 +146,19 @@ def content_of(rig: Rig) -> Content:
     bodies = [BodyVisual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]
     for body in rig.bodies:
         bodies.append(BodyVisual(body.name, *body.urdf, body.placement, face=body.contacts[0]))
-    names = tuple(pair.name for pair in rig.pairs)
     return Content(
-        title(scenario), arms, bodies, names, tuple(rig.owners.tolist()), frame_words(rig)
+        scenario.name.replace("_", " "),
+        arms,
+        bodies,
+        tuple(pair.name for pair in rig.pairs),
+        tuple(rig.owners.tolist()),
+        frame_words(rig),
+        object_size(rig.pairs, rig.state().X_WO if rig.pairs else None),
+        rig.chain.nq,
     )
 
 
-def open_viewer(what: Scenario | MujocoRobot | Shown, rate: float = 30.0) -> Viewer:
+def open_viewer(what: Scenario | MujocoRobot | Content, rate: float = 30.0) -> Viewer:
     """Open a live view of runs, for ``run(scenario, viewer=...)`` or ``run_loop(...)``.
 
     Args:
@@ -186,13 +171,8 @@ def open_viewer(what: Scenario | MujocoRobot | Shown, rate: float = 30.0) -> Vie
     Raises:
         ViewerError: the page's server does not start.
     """
-    shown = Shown.of(build_rig(what) if isinstance(what, Scenario) else what)
-    return Viewer("osc_contact.runs.live_page", (shown.content, shown.size), rate)
-
-
-def title(scenario: Scenario) -> str:
-    """Heading of a scenario's pictures."""
-    return scenario.name.replace("_", " ")
+    content = content_of(build_rig(what) if isinstance(what, Scenario) else what)
+    return Viewer("osc_contact.runs.live_page", content, rate)
 
 
 def best_frame(N: Array, size: float) -> BestFrame:
@@ -258,7 +238,7 @@ def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
     return True
 
 
-def picture(recording: Recording, rig: Rig | Shown, path: Path, time: float | None) -> Path:
+def picture(recording: Recording, rig: Rig | Content, path: Path, time: float | None) -> Path:
     """A PNG of the recording's page at a time (s), default the middle.
 
     Args:
@@ -280,7 +260,7 @@ def picture(recording: Recording, rig: Rig | Shown, path: Path, time: float | No
 
 
 def moving_picture(
-    recording: Recording, rig: Rig | Shown, path: Path, write: Callable[..., Path] = write_gif
+    recording: Recording, rig: Rig | Content, path: Path, write: Callable[..., Path] = write_gif
 ) -> Path:
     """The whole recording, moving.
 
@@ -300,6 +280,6 @@ def moving_picture(
 
 
 @contextmanager
-def _page(recording: Recording, rig: Rig | Shown) -> Iterator[Path]:
+def _page(recording: Recording, rig: Rig | Content) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
         yield write_scene_of(recording, rig, Path(folder) / "scene.html")

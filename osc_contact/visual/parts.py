@@ -198,6 +198,8 @@ class Content:
         contacts: names of the contacts.
         columns: which contact each column of N belongs to; empty: one column per contact.
         frame_words: text of the legend about the best single frame.
+        size: m, of the object as far as its contacts reach.
+        joints: how many q has.
     """
 
     title: str
@@ -206,6 +208,8 @@ class Content:
     contacts: Sequence[str] = ()
     columns: Sequence[int] = ()
     frame_words: str = "best single frame (Raibert–Craig)"
+    size: float = 0.1
+    joints: int = 0
 
 
 class _Drawn(Part):
