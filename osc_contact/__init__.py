@@ -75,7 +75,6 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.runs.run import recover, run
     from osc_contact.runs.verdict import metrics
     from osc_contact.runs.viewing import open_viewer
-    from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
     from osc_contact.scenarios.control_schema import (
         ForceGains,
         Friction,
@@ -85,6 +84,8 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
         PhaseSettings,
         SafetySettings,
     )
+    from osc_contact.scenarios.loader import list_scenarios, load_scenario
+    from osc_contact.scenarios.schema import Scenario
     from osc_contact.sweeps.sweep import sweep
     from osc_contact.sweeps.vector_env import make_vector_env
     from osc_contact.visual.live import Viewer

@@ -48,7 +48,7 @@ from osc_contact.runs.rig import build_rig
 from osc_contact.runs.run import shown_of
 from osc_contact.runs.tape import build as build_library
 from osc_contact.runs.viewing import content_of, require_drawable, write_scene_of
-from osc_contact.scenarios import list_scenarios
+from osc_contact.scenarios.loader import list_scenarios
 from osc_contact.visual.browser import find_browser, write_gif, write_mp4
 
 

@@ -18,7 +18,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.runs import poses
 from osc_contact.runs.drafts import Press, draft
 from osc_contact.runs.report import robot_tables, write_json
-from osc_contact.scenarios import list_scenarios
+from osc_contact.scenarios.loader import list_scenarios
 
 
 class InertiaLevel(StrEnum):

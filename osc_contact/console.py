@@ -29,7 +29,8 @@ from osc_contact.runs import report, viewing
 from osc_contact.runs.report import require_judgeable, write_json, write_report
 from osc_contact.runs.run import recover, run
 from osc_contact.runs.viewing import open_viewer
-from osc_contact.scenarios import Scenario, load_scenario
+from osc_contact.scenarios.loader import load_scenario
+from osc_contact.scenarios.schema import Scenario
 from osc_contact.visual.live import Shows
 from osc_contact.visual.parts import Content
 

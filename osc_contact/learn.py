@@ -27,8 +27,6 @@ from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import start
 from osc_contact.spatial import Array, moved
 
-__all__ = ["ContactAction", "ContactActionCfg", "begin"]
-
 
 def begin(rig: Rig) -> tuple[EntityCfg, Controller]:
     """Arms, object and surroundings of a rig as one entity, and its controller at the start.

@@ -19,7 +19,7 @@ from osc_contact.console import PARTIAL
 from osc_contact.errors import PlantError
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.recorder import Recording
-from osc_contact.scenarios import load_scenario
+from osc_contact.scenarios.loader import load_scenario
 from osc_contact.visual.plots import PRINT
 
 ROD = "two_contact_rod --plant rigid --set 'plant.step=1 ms'"

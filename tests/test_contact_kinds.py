@@ -17,8 +17,8 @@ from osc_contact.contacts.pairs.pair import make_pair
 from osc_contact.errors import ScenarioError
 from osc_contact.runs.contacts import build_pairs, environment_bodies, feet
 from osc_contact.runs.references import force_names
-from osc_contact.scenarios import parse_scenario
 from osc_contact.scenarios.bodies import CONTACT_TYPES, OnBodySpec, OnPlaneSpec, magnitude_names
+from osc_contact.scenarios.loader import parse_scenario
 from osc_contact.scenarios.quantities import Dimension
 
 HEAD = """\

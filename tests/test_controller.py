@@ -18,8 +18,8 @@ from samples import module_fixture, parametrize
 import osc_contact as osc
 from osc_contact.control.controller import Controller
 from osc_contact.control.status import SafetyState
-from osc_contact.scenarios import parse_scenario
 from osc_contact.scenarios.control_schema import MotionGains
+from osc_contact.scenarios.loader import parse_scenario
 from osc_contact.spatial import as_array
 from paper.diagrams import BLOCKS
 

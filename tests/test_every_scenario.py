@@ -20,7 +20,7 @@ from osc_contact.runs.contacts import feet
 from osc_contact.runs.hardware import flexible_joints
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.viewing import write_scene_of
-from osc_contact.scenarios import Scenario
+from osc_contact.scenarios.schema import Scenario
 from paper import workcell
 from paper.report import write_study
 from paper.study import Ask
@@ -134,7 +134,7 @@ def test_verdicts_of_the_other_scenarios(name):
 
 def test_every_packaged_scenario_has_a_verdict_in_a_test():
     elsewhere = {"workcell", "two_contact_rod"}
-    assert {*WORDS, *NAMES, *elsewhere} == set(osc.scenarios.list_scenarios())
+    assert {*WORDS, *NAMES, *elsewhere} == set(osc.list_scenarios())
 
 
 def test_a_corner_that_lifts_opens_the_contact(rigs):

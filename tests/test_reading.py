@@ -16,8 +16,8 @@ import osc_contact as osc
 from benchmarks.cases import POINT
 from osc_contact.contacts.pairs.pair import Bodies, velocity
 from osc_contact.dynamics.environment import Cart, Conveyor
-from osc_contact.scenarios import list_scenarios
 from osc_contact.scenarios.control_schema import Friction, PhaseSettings
+from osc_contact.scenarios.loader import list_scenarios
 from osc_contact.scenarios.schema import Scenario
 
 

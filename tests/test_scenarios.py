@@ -15,7 +15,8 @@ from samples import ROOT, parametrize
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
 from osc_contact.errors import ScenarioError
-from osc_contact.scenarios import Scenario, load_scenario, parse_scenario
+from osc_contact.scenarios.loader import load_scenario, parse_scenario
+from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import MinimumJerk
 
 GOOD = """\

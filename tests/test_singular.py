@@ -12,8 +12,8 @@ from samples import first, parametrize
 import osc_contact as osc
 from osc_contact.control.controller import Controller
 from osc_contact.interface import Measurement, Reference
-from osc_contact.scenarios import Scenario
 from osc_contact.scenarios.control_schema import MotionGains, PostureTask
+from osc_contact.scenarios.schema import Scenario
 from paper.command_filter import command
 
 GAINS = osc.Gains(MotionGains(400, 40))

@@ -16,9 +16,9 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 import osc_contact.contacts.pairs  # noqa: F401 - the kinds of contact
-from osc_contact.scenarios import Scenario
 from osc_contact.scenarios.bodies import CONTACT_TYPES, ContactSpec
 from osc_contact.scenarios.quantities import Dimension, Spec, meaning
+from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import ForceSignal
 
 PAGE = Path(__file__).parents[1] / "scenario.md"

@@ -1,7 +1,5 @@
 """Controllers as files: all numbers of one, with a checksum and the law that it was made for."""
 
-from __future__ import annotations
-
 import os
 import zlib
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """What one tick found: the signals of fig. 4 as values, and the arrays that recordings keep."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any
 

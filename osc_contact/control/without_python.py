@@ -4,8 +4,6 @@ The header and the offsets of the C sources are written from the records and set
 declared; `osc_controller.c` contains no offset.
 """
 
-from __future__ import annotations
-
 import json
 import tarfile
 from importlib.metadata import version

@@ -1,7 +1,5 @@
 """How the bodies of a plant's environment move: at rest, driven, or free on a slide or a hinge."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

@@ -16,8 +16,6 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Robot
 from osc_contact.spatial import Array, Poses
 
-__all__ = ["Judge", "Plant", "Truth", "TruthLog", "Truths", "Watched", "require_duration"]
-
 
 @dataclass(frozen=True)
 class Truth:

@@ -1,7 +1,5 @@
 """The user's MuJoCo scene as robot and judge: arm, tool and sensor are found by name."""
 
-from __future__ import annotations
-
 import copy
 import logging
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The exact plant: joint-space dynamics, bilateral rigid contacts, loops by multipliers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

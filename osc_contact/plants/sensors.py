@@ -4,8 +4,6 @@
 changes neither plant nor controller. Every random number comes from one seed.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

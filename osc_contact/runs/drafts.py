@@ -19,7 +19,8 @@ from osc_contact.runs.preflight import preflight
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.run import run
 from osc_contact.runs.verdict import metrics
-from osc_contact.scenarios import Scenario, parse_scenario
+from osc_contact.scenarios.loader import parse_scenario
+from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, norm
 
 #: radius of the stylus' ball, and how far it is from the tip

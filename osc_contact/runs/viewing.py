@@ -1,7 +1,5 @@
 """Scenes of scenarios and recordings, live, replayed, as pictures."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

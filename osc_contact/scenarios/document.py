@@ -1,7 +1,5 @@
 """A scenario text as data that remember their lines, and complaints about them."""
 
-from __future__ import annotations
-
 import re
 import types
 from collections.abc import Iterable, Iterator, Sequence

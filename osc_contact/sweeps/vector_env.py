@@ -27,8 +27,6 @@ from osc_contact.sweeps.rows import RigBuilder, scenario_of, without_logged_doub
 from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import available_cores
 
-__all__ = ["ContactVectorEnv", "SensedRows", "make_vector_env", "tracking_reward"]
-
 # --- Episodes -----------------------------------------------------------------------------------
 
 

@@ -6,8 +6,6 @@ keeps its colour from the scene to the plots. It is the colour-blind-safe palett
 (2008).
 """
 
-__all__ = ["OKABE_ITO", "CONTACT_COLOURS", "contact_colour"]
-
 OKABE_ITO: dict[str, str] = {
     "black": "#000000",
     "orange": "#E69F00",

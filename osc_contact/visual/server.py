@@ -5,8 +5,6 @@ client that waits; nothing of it is used. Here the newest tick comes over a sock
 process, is drawn into meshcat commands, and goes to every browser that has taken the one before.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
