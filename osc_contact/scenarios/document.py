@@ -58,7 +58,11 @@ class Problems:
 
 
 def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | None:
-    """Return the node tree; anchors, aliases, tags and deep nesting are refused."""
+    """Return the node tree; anchors, aliases, tags and deep nesting are refused.
+
+    Args:
+        text: of a file. problems: what is wrong with it. loader: of YAML's events.
+    """
     try:
         depth = 0
         for event in yaml.parse(text, Loader=loader):
