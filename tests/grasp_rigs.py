@@ -90,6 +90,9 @@ class Case:
     X_WO: pin.SE3
     grasps: list  # (kind, X_TO, axis)
 
+    def at_rest(self):
+        return self.chain.state(self.q, np.zeros(self.chain.nq), self.X_WO, np.zeros(6))
+
     def system(self, v, V):
         chain = self.chain
         tips = [f"{arm.name}/{arm.tip}" for arm in chain.arms]

@@ -17,7 +17,6 @@ from rigs import (
     SCARA_Q,
     largest,
     one_panda,
-    panda_pair,
     placed,
     product,
     random_state,
@@ -133,26 +132,6 @@ def assert_chain(case, v, V, s, rng):
         wrench = (at_O * X).act(pin.Force(reading)).vector
         total += wrench if F is None else F @ wrench
     assert_close("Λ_out", total, s.Lambda_out @ answer.a_object + s.bias_out, 1e-7)
-
-
-@parametrize("rig", [one_panda, panda_pair, scara_pair])
-def test_the_wrench_has_the_power_of_all_that_moves(rig):
-    """Vᵀ(Λa + μ + p): what Newton and Euler (Pinocchio) give joints and object together."""
-    chain = rig()
-    rng = default_rng(17)
-    for _ in range(10):
-        q, v = random_state(chain, rng)
-        state = chain.state(q, v)
-        v = state.W @ np.linalg.lstsq(state.S, state.V_O, rcond=None)[0]  # no idle motions
-        state = chain.state(q, v)
-        eta_dot = rng.standard_normal(state.d)
-        a = state.S @ eta_dot + state.sigma
-        model = chain.model
-        power = v @ pin.rnea(model, model.createData(), q, v, state.W @ eta_dot + state.w)
-        weight = chain.payload.terms(state.X_WO, state.V_O, model.gravity.linear)
-        power += state.V_O @ (weight.Lambda @ a + weight.mu + weight.p)
-        wrench = state.Lambda @ a + state.mu + state.p
-        assert wrench @ state.V_O == approx(power, rel=1e-8, abs=1e-8)
 
 
 def test_random_chains_with_every_grasp():

@@ -37,7 +37,7 @@ def draw(rng, arms=ARMS, kinds=KINDS, least=1, most=4, **options):
 
 def touching(case, rng, most=2):
     """Faces on which this chain can push in earnest, none if it cannot."""
-    still = case.chain.state(case.q, np.zeros(case.chain.nq), case.X_WO, np.zeros(6))
+    still = case.at_rest()
     pairs = random_faces(case.X_WO, min(most, still.d), rng)
     root = cholesky(still.metric)
     felt = svd(root.T @ still.S)[0][:, : still.d].T @ np.linalg.solve(
@@ -71,7 +71,7 @@ def many_cases(rng):
 def test_motion_and_contact_forces_agree_with_the_full_system(bend):
     """Eqs. 13–20 and the exact plant, for grasps that turn, slide and hold.
 
-    `bend`: elbows all but straight, and straight: where such velocities can go on, they agree.
+    `bend`: elbows all but straight, and straight: where such velocities can last, they agree.
     """
     rng = default_rng(1 if bend is None else 2)
     seen = {"unactuated": 0, "unknown": 0, "contacts": 0, "compared": 0, "d": set()}
@@ -150,7 +150,7 @@ def driven(rng, count, **options):
     found = 0
     while found < count:
         case = draw(rng, **options)
-        state = case.chain.state(case.q, np.zeros(case.chain.nq), case.X_WO, np.zeros(6))
+        state = case.at_rest()
         redundant = any(
             arm.passive_joints and arm.model.nv > grasp.N.shape[1]
             for arm, grasp in zip(case.chain.arms, case.chain.grasps, strict=True)
@@ -181,13 +181,13 @@ def test_two_grasps_that_pass_on_no_squeeze(kinds):
         rng = default_rng(seed)
         case = random_case(["ur5", "ur5"], kinds, rng)
         whole = moving(case, (), rng)[0]
-        asked = case.chain, (), case.q, whole.v, rng.standard_normal(6), np.zeros(0)
-        controller, tau = commanded(*asked, 5.0)
+        given = case.chain, (), case.q, whole.v, rng.standard_normal(6), np.zeros(0)
+        controller, tau = commanded(*given, 5.0)
         assert controller.status is not osc.Status.HELD, controller.reason
         s = controller.signals
         want = s.state.S @ s.eta_c + s.state.sigma
         assert miss(whole.answer(tau).a_object, want) < 1e-8
-        assert_array_equal(tau, commanded(*asked, 0.0)[1])
+        assert_array_equal(tau, commanded(*given, 0.0)[1])
 
 
 def in_millimetres(case):
@@ -254,7 +254,7 @@ def test_a_rod_between_two_balls_spins_about_their_line():
     still = np.zeros(12)
     with model_error("do not determine where the object is"):
         chain.state(case.q, still)
-    state = chain.state(case.q, still, case.X_WO, np.zeros(6))
+    state = case.at_rest()
     assert (state.d, state.unactuated.shape) == (6, (6, 1))
     spin = pin.Motion(state.unactuated[:, 0])
     for point in state.grasp_points:  # at rest
@@ -262,10 +262,16 @@ def test_a_rod_between_two_balls_spins_about_their_line():
         assert largest(there.actInv(spin).linear) < 1e-9 * largest(spin.angular)
     strict = osc.ClosedChain(chain.arms, chain.grasps, chain.payload)
     with model_error("no motor drives"):
-        strict.state(case.q, still, case.X_WO, np.zeros(6))
+        replace(case, chain=strict).at_rest()
     controller = osc.Controller(strict, [])
     controller.tick(osc.Measurement(case.q, still, np.zeros((2, 6))), osc.Reference(case.X_WO))
     assert controller.status is osc.Status.HELD and "do not determine" in controller.reason
+
+
+def assert_held(chain, X, tolerance):
+    """The object at X misses no tip by more, where `chain.data` has them."""
+    for grasp, tip in zip(chain.grasps, chain.tip_poses(), strict=True):
+        assert largest(grasp.miss(tip, X)) < tolerance
 
 
 def test_loops_close_and_tips_are_reached():
@@ -278,13 +284,10 @@ def test_loops_close_and_tips_are_reached():
             q = close(chain, case.q + rng.uniform(-0.05, 0.05, chain.nq))
         except osc.ModelError:  # arms at the border of their reach
             continue
-        X = object_pose(chain, q)
-        for grasp, tip in zip(chain.grasps, chain.tip_poses(), strict=True):
-            assert largest(grasp.miss(tip, X)) < 1e-12
+        assert_held(chain, object_pose(chain, q), 1e-12)
         q = reach(chain, case.q + rng.uniform(-0.1, 0.1, chain.nq), case.X_WO, tolerance=1e-12)
         pin.forwardKinematics(chain.model, chain.data, q)
-        for grasp, tip in zip(chain.grasps, chain.tip_poses(), strict=True):
-            assert largest(grasp.miss(tip, case.X_WO)) < 1e-9
+        assert_held(chain, case.X_WO, 1e-9)
         done += 1
     assert done >= 12
 
@@ -361,8 +364,7 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
     truth = plant.truth()
     X = object_pose(rig.chain, q)
     assert norm(X.translation - started.translation) > 1e-4  # it moves
-    for grasp, tip in zip(rig.chain.grasps, rig.chain.tip_poses(), strict=True):
-        assert largest(grasp.miss(tip, X)) < 2e-5
+    assert_held(rig.chain, X, 2e-5)
     assert_allclose(truth.X_WO.homogeneous, X.homogeneous, atol=1e-4)
     assert truth.closed.all() and controller.status is osc.Status.OK
     assert_allclose(truth.alpha, rig.references.at(0.199).alpha_d, rtol=0.01)

@@ -5,7 +5,7 @@ from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import UNLIMITED, one_panda, random_state, refused, rig_of, strong
+from rigs import UNLIMITED, one_panda, random_state, refused, rig_of, strong, ticked
 from samples import parametrize
 from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 
@@ -111,8 +111,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
             wanted = Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
             controller = osc.Controller(chain, contacts, GAINS, reading="filter", safety=UNLIMITED)
             for _ in range(2):  # the first one has no tick before it
-                tau.append(controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted))
-                assert controller.status is osc.Status.OK, controller.reason
+                tau.append(ticked(controller, Measurement(q, v, np.zeros((1, 6))), wanted))
         V = wanted.V_D
         if pressed:  # the nearest permitted twist, in the metric of the object's inertia
             N = corner.contact(X, state.V_O).N
@@ -165,13 +164,13 @@ def test_friction_known_at_the_start_leaves_the_wanted_acceleration():
         "two arms dual_panda_rod x0",
     ],
 )
-def test_forces_are_held_although_friction_is_believed_wrongly(name):
+def test_forces_are_held_although_friction_is_modelled_wrongly(name):
     rms, _, closed, word = CASES[name].run()
     assert rms <= CASES[name].most and closed == 100.0 and word == "OK"
 
 
 @parametrize(
-    ("friction", "damping", "asked", "learns"),
+    ("friction", "damping", "given", "learns"),
     [
         (0.2, 0.0, None, False),  # noise: less than 0.3 % of 87 N m
         (0.3, 0.0, None, True),
@@ -181,10 +180,10 @@ def test_forces_are_held_although_friction_is_believed_wrongly(name):
         (0.3, 0.0, False, False),
     ],
 )
-def test_friction_is_learned_where_the_model_has_some(friction, damping, asked, learns):
+def test_friction_is_learned_where_the_model_has_some(friction, damping, given, learns):
     joints = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     chain = panda(damping=damping * joints, friction=friction * joints)
-    controller = osc.Controller(chain, [], joint_friction=osc.JointFriction(learning=asked))
+    controller = osc.Controller(chain, [], joint_friction=osc.JointFriction(learning=given))
     assert controller.settings.joint_friction.learning is learns
     assert controller._records.model.friction_learning == learns
 

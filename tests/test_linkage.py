@@ -175,10 +175,6 @@ def assert_same(got, want, levers_to=1e-10, basis_to=1e-9):
     assert_allclose(got[1] @ got[1].T, want[1] @ want[1].T, rtol=0, atol=basis_to)
 
 
-def at_rest(case):
-    return case.chain.state(case.q, np.zeros(case.chain.nq), case.X_WO, np.zeros(6))
-
-
 def without_motors(case, rng, share):
     """A share of the joints of one arm lose theirs."""
     arms = list(case.chain.arms)
@@ -218,7 +214,7 @@ def draw(how, rng):
     case = without_motors(case, rng, rng.choice([0.5, 1.0])) if how == "motors" else case
     if how == "strong":
         case.chain.tau_max[: case.chain.arms[0].model.nv - 1] *= 1e4
-    state = at_rest(case)
+    state = case.at_rest()
     return case, replace(state, grasp_points=moved_points(state.grasp_points, how, rng))
 
 
@@ -253,7 +249,7 @@ def test_eight_arms_of_seven_joints():
     rng = default_rng(81)
     for kinds in (["rigid"] * 8, ["rigid", *["cylinder"] * 7]):
         case = random_case(["panda"] * 8, kinds, rng)
-        state = at_rest(case)
+        state = case.at_rest()
         levers, basis = answer(state, case.chain)
         assert_same((levers, basis), settable_bars(state, case.chain))
         assert len(levers) == 28 and (basis.shape[1] == 18) == (kinds[1] == "rigid")
@@ -274,7 +270,7 @@ def test_world_units_and_names_of_motions_do_not_matter(how):
         case, state = draw(how, rng)
         want = answer(state, case.chain)
         other = elsewhere(case, pose_of(rng))
-        assert_same(answer(at_rest(other), other.chain), want, basis_to=1e-8)
+        assert_same(answer(other.at_rest(), other.chain), want, basis_to=1e-8)
         mixed = state.G.T @ (np.eye(state.d) + 0.3 * rng.standard_normal((state.d, state.d)))
         assert_same(answer(state, case.chain, mixed), want)
         chain, q, X_WO = in_millimetres(case)

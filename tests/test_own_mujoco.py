@@ -84,6 +84,14 @@ def robot_of(model, **how):
     return osc.MujocoRobot.from_model(model, **asked)
 
 
+def ready(robot, pair=WALL, guess=START, **how):
+    """A controller of the robot, which touches now, and its pose."""
+    start = robot.touching(guess)
+    robot.reset(start)
+    controller = osc.Controller(robot.chain, [pair], posture=start, **how)
+    return controller, robot.chain.state(start, np.zeros(3)).X_WO
+
+
 def wiping(X, amplitude=0.04, alpha=10.0):
     """References along a wall from X on, to and fro along z, as a function of time."""
     w = 3.0
@@ -109,15 +117,15 @@ def pushes(robot, geoms):
 
 
 class Spy(osc.Recorder):
-    """Also asks MuJoCo itself."""
+    """Also by MuJoCo itself."""
 
     def __init__(self, controller, robot):
         super().__init__(controller, robot)
         self.robot = robot
-        self.told = []
+        self.pushes = []
 
     def append(self, *tick):
-        self.told.append(pushes(self.robot, ["tool"]))
+        self.pushes.append(pushes(self.robot, ["tool"]))
         super().append(*tick)
 
 
@@ -125,16 +133,12 @@ class Spy(osc.Recorder):
 def test_scene_is_robot_and_judge(actuators):
     robot = robot_of(scene(actuators), locked={"grip": 0.03}, keyframe="ball_aside")
     assert robot.chain.joint_names == ["arm/shoulder", "arm/elbow", "arm/wrist_pitch"]
-    start = robot.touching(START)
-    robot.reset(start)
-    assert_allclose(robot.measure().q, start)
-    controller = osc.Controller(robot.chain, [WALL], posture=start)
-    X = robot.chain.state(start, np.zeros(3)).X_WO
-
+    controller, X = ready(robot)
+    assert_allclose(robot.measure().q, controller.posture)
     spy = Spy(controller, robot)
     osc.run_loop(robot, controller, map(wiping(X), np.arange(0, 2.5, 1e-3)), recorder=spy)
     recording = spy.recording()
-    assert_allclose(recording["alpha_true"][:, 0], spy.told, atol=1e-9)
+    assert_allclose(recording["alpha_true"][:, 0], spy.pushes, atol=1e-9)
     verdict = osc.metrics(recording)
     assert worst_force(verdict) < 5e-3 and verdict["motion"]["rms_error_m"] < 1e-4
     assert verdict["contact_fraction"]["wall"] == 1.0
@@ -165,12 +169,12 @@ def test_only_the_tool_touches():
     assert pushes(robot, ["tool"]) == 0.0 and truth.alpha[0] == 0.0 and not truth.closed[0]
 
 
-@parametrize("friction, told", [(0.1, False), (0.6, True)])
-def test_much_friction_is_told(caplog, friction, told):
+@parametrize("friction, reported", [(0.1, False), (0.6, True)])
+def test_much_friction_is_reported(caplog, friction, reported):
     model = scene()
     model.geom("wall").friction[0] = friction
     robot_of(model)
-    assert ("friction of tool and scene has a coefficient of 0.6" in caplog.text) == told
+    assert ("friction of tool and scene has a coefficient of 0.6" in caplog.text) == reported
 
 
 def test_the_model_given_stays_as_it_is():
@@ -183,7 +187,7 @@ def test_the_model_given_stays_as_it_is():
 
 
 @parametrize(
-    "how, told",
+    "how, words",
     [
         ({"tip": "tipp"}, "no body or site 'tipp'; did you mean 'tip'"),
         ({"wrist_sensor": "wirst"}, "no site 'wirst'; did you mean 'wrist'"),
@@ -191,12 +195,12 @@ def test_the_model_given_stays_as_it_is():
         ({"locked": {"elbo": 0.0}}, "no moving joint called 'elbo'"),
     ],
 )
-def test_names_that_are_not_there(how, told):
-    with raises(osc.OscContactError, match=told):
+def test_names_that_are_not_there(how, words):
+    with raises(osc.OscContactError, match=words):
         robot_of(scene(), **how)
 
 
-def test_a_site_without_sensors_is_told_with_the_line_to_add():
+def test_a_site_without_sensors_is_refused_with_the_line_to_add():
     with plant_error(r'no torque sensor; .*<torque site="wrist"/>'):
         robot_of(scene(sensors='<force site="wrist"/>'))
 
@@ -214,10 +218,8 @@ def test_a_step_that_does_not_fit_the_control_period_is_refused():
 def task(model=None, pair=WALL, alpha=10.0, amplitude=0.02, ticks=1500, guess=START, **how):
     """Robot, controller and references of an arm that wipes a wall."""
     robot = robot_of(scene() if model is None else model, contacts=[pair])
-    start = robot.touching(guess)
-    robot.reset(start)
-    controller = osc.Controller(robot.chain, [pair], posture=start, **how)
-    along = wiping(robot.chain.state(start, np.zeros(3)).X_WO, amplitude, alpha)
+    controller, X = ready(robot, pair, guess, **how)
+    along = wiping(X, amplitude, alpha)
     return robot, controller, [along(1e-3 * k) for k in range(ticks)]
 
 
@@ -309,7 +311,6 @@ class WithoutGravity:
     def __init__(self):
         self.inner = robot_of(scene())
         self.inner.contacts = [replace(WALL, point=[0.48, 0, 0.5])]
-        self.inner.reset(self.inner.touching(START))
         self.chain = self.inner.chain
 
     def measure(self):
@@ -319,9 +320,7 @@ class WithoutGravity:
 
 def test_a_wrist_without_gravity_is_refused_at_the_door():
     robot = WithoutGravity()
-    q = robot.measure().q
-    controller = osc.Controller(robot.chain, [WALL], posture=q, life=osc.PhaseSettings())
-    X = robot.chain.state(q, np.zeros(3)).X_WO
+    controller, X = ready(robot.inner, life=osc.PhaseSettings())
     for judged, shift, words in (
         (robot, 0.0, "without gravity"),
         (robot.inner, 0.2, "0.2 m away from where it is"),
@@ -374,12 +373,9 @@ def test_distances_in_a_scene_are_those_of_its_shapes():
 def recorded(tmp_path_factory):
     """A robot, its recording and the file of it."""
     robot = robot_of(scene(), locked={"grip": 0.02})
-    start = robot.touching(START)
-    robot.reset(start)
-    controller = osc.Controller(robot.chain, [WALL], posture=start)
+    controller, X = ready(robot)
     recorder = osc.Recorder(controller, robot)
-    along = wiping(robot.chain.state(start, np.zeros(3)).X_WO)
-    osc.run_loop(robot, controller, map(along, np.arange(0, 0.4, 1e-3)), recorder=recorder)
+    osc.run_loop(robot, controller, map(wiping(X), np.arange(0, 0.4, 1e-3)), recorder=recorder)
     file = tmp_path_factory.mktemp("own") / "own.npz"
     recorder.recording().save(file)
     return robot, osc.Recording.load(file), file

@@ -458,11 +458,11 @@ def test_every_robot_of_the_data_package_has_a_verdict():
 
 def test_the_page_on_robots_has_these_verdicts():
     page = (ROOT / "docs/robots.md").read_text()
-    told = re.search(
+    stated = re.search(
         r"Of its (\d+) files (\d+) load unchanged.*?(\d+) need.*?(\d+) are", page, re.S
     )
     counts = [len(group) for group in (SOUND, HELPED, REFUSED)]
-    assert [int(n) for n in told.groups()] == [sum(counts), *counts]
+    assert [int(n) for n in stated.groups()] == [sum(counts), *counts]
     table = page.split("| robots | what is wrong")[1]
     for name in (*HELPED, *REFUSED):
         assert f"`{name.rpartition('/')[2]}`" in table, name

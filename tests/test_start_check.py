@@ -7,10 +7,9 @@ from complaints import model_error
 from numpy.random import default_rng
 from rigs import largest, refused, ticked
 from samples import parametrize
-from test_own_mujoco import MOTORS, START, WALL, robot_of, scene
+from test_own_mujoco import MOTORS, START, WALL, ready, robot_of, scene
 
 import osc_contact as osc
-from osc_contact.scenarios.control_schema import PhaseSettings
 
 DEGREES = np.degrees(START)
 # the elbow is limited to ±2; the posture is a goal, which only wrong units bring this far out
@@ -78,23 +77,12 @@ def free_run(change, tick=lambda k, controller: None, ticks=300, engaged=True, *
     """Ticks of the arm at rest 20 mm before the wall, its wrist readings changed."""
     robot = robot_of(scene())
     robot.contacts = (replace(WALL, point=[0.48, 0, 0.5]),)
-    start = robot.touching(START)
-    robot.reset(start)
-    controller = osc.Controller(
-        robot.chain, [WALL], posture=start, life=PhaseSettings(), engaged=engaged, **how
-    )
-    X = robot.chain.state(start, np.zeros(3)).X_WO
+    controller, X = ready(robot, life=osc.PhaseSettings(), engaged=engaged, **how)
     rng = default_rng(1)
     for k in range(ticks):
         read = robot.measure()
-        wrench = change(read.wrenches.copy(), robot) + 0.3 * rng.standard_normal((1, 6)) * [
-            1,
-            1,
-            1,
-            0.02,
-            0.02,
-            0.02,
-        ]
+        noise = rng.standard_normal((1, 6)) * np.repeat([0.3, 0.006], 3)
+        wrench = change(read.wrenches.copy(), robot) + noise
         tau = controller.tick(replace(read, wrenches=wrench), osc.Reference(X, alpha_d=[5.0]))
         tick(k, controller)
         if controller.state is osc.SafetyState.SAFE_STOP:
