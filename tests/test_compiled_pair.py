@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import kind, placed
 from pytest import mark
-from rigs import one_panda, random_state, refused
+from rigs import direction, one_panda, random_state, refused
 
 import osc_contact as osc
 
@@ -70,8 +70,7 @@ def two(X):
     """A compiled pair and a packaged one of the same geometry."""
     rng = default_rng(3)
     ball = 0.1 * rng.standard_normal(3)
-    n = rng.standard_normal(3)
-    at = X.act(ball) + 0.112 * n / np.linalg.norm(n)
+    at = X.act(ball) + 0.112 * direction(rng)
     surface = osc.SphereOnSurface(ball, 0.012, osc.Surface.sphere(0.1), at, name="one")
     given = [*ball, 0.012, *at, 0.1]
     return osc.CompiledPair(ball_on_ball, given, pushes=True, name="one"), surface
@@ -83,7 +82,7 @@ def test_a_controller_ticks_as_with_the_packaged_pair(friction):
     q, v = random_state(chain, default_rng(4))
     X = chain.state(q, v).X_WO
     measurement = osc.Measurement(q, 0.1 * v, np.ones((1, 6)))
-    reference = osc.Reference(X, np.full(6, 0.02), np.zeros(6), np.array([10.0]))
+    reference = osc.Reference(X, np.full(6, 0.02), alpha_d=np.array([10.0]))
     controllers = [osc.Controller(chain, [pair], friction=friction) for pair in two(X)]
     for _ in range(3):
         ours, theirs = (one.tick(measurement, reference) for one in controllers)

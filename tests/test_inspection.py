@@ -10,7 +10,7 @@ from complaints import scenario_error
 from numpy.linalg import lstsq, matrix_rank, norm
 from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import largest, shift
+from rigs import assert_derivatives, largest, shift
 from samples import module_fixture, parametrize
 from scenario_runs import rig_of
 
@@ -152,11 +152,6 @@ def test_lines_that_are_parallel_or_meet(rig, left, right, words):
 # References: twists and accelerations are the derivatives of the pose, steps and standoffs too.
 
 
-def references(*overrides):
-    rig = rig_of("two_contact_rod_mismatch", *overrides)
-    return rig.references
-
-
 CENTRES = [0.3, -0.2, 0.1], [-0.1, 0.4, 0.5]  # of two turns
 
 
@@ -181,14 +176,7 @@ def two_turns(centres=(None, None)):
 @parametrize("centres", [(None, None), CENTRES])
 @parametrize("t", [0.2, 0.45, 0.55, 1.3, 2.7])
 def test_twist_and_classical_acceleration_are_derivatives_of_the_pose(t, centres):
-    wanted = two_turns(centres)
-    h = 1e-5
-    here = wanted.at(t)
-    left, right = (wanted.at(t + step) for step in (-h, h))
-    turn = pin.log3(right.X_WD.rotation @ left.X_WD.rotation.T)
-    moved = np.append(right.X_WD.translation - left.X_WD.translation, turn)
-    assert_allclose(here.V_D, moved / (2 * h), atol=1e-7)
-    assert_allclose(here.A_D, (right.V_D - left.V_D) / (2 * h), atol=1e-6)
+    assert_derivatives(two_turns(centres).at, t, 1e-5, 1e-7, 1e-6)
 
 
 def test_turns_about_points_are_products_of_poses():
@@ -207,7 +195,7 @@ def test_turns_about_points_are_products_of_poses():
 @parametrize("life, after", [("off", 0.0), ("{}", 0.2)])
 def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after):
     """Or 0.2 s later, while contacts are approached."""
-    wanted = references(f"control.life={life}")
+    wanted = rig_of("two_contact_rod_mismatch", f"control.life={life}").references
     start = wanted.at(0.0).X_WD
     engaged = wanted.at(wanted.engage_at + after).X_WD
     assert wanted.engage_at == approx(0.6 - after)

@@ -10,7 +10,7 @@ from command_line import answered, refused
 from complaints import invalid_input, model_error, scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, raises
+from pytest import approx
 from rigs import largest
 from samples import first, parametrize
 from scenario_runs import always_closed, rig_of, verdict_of, worst_force
@@ -25,7 +25,7 @@ from osc_contact.sensing.calibration import calibrate_wrist
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.sensing.vision_fusion import History, Registration
 
-STEP = 1e-3
+DT = 1e-3
 
 
 class Toy:
@@ -64,12 +64,12 @@ class Toy:
         )
 
 
-def readings(sensors, steps, seed=0, step=STEP):
+def readings(sensors, steps, seed=0):
     plant = SensedPlant(Toy(), sensors, seed)
     plant.reset(np.zeros(3))
     out = [plant.measure()]
     for _ in range(steps):
-        plant.command(np.zeros(2), step)
+        plant.command(np.zeros(2), DT)
         out.append(plant.measure())
     return out
 
@@ -100,7 +100,7 @@ def test_resolution_rounds_to_whole_steps():
     out = readings(Sensors(encoders=(Clock(1e3), SensorErrors(resolution=0.01))), 100)
     q = np.array([m.q for m in out])
     assert_allclose(q / 0.01, np.round(q / 0.01), atol=1e-9)
-    true = np.arange(101)[:, None] * STEP * np.arange(1, 4)
+    true = np.arange(101)[:, None] * DT * np.arange(1, 4)
     assert largest(q - true) <= 0.005 + 1e-12
 
 
@@ -109,8 +109,8 @@ def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
     """Reading at t: the value at the last multiple of the period that is `delay` or more old."""
     out = readings(Sensors(encoders=(Clock(rate, delay), SensorErrors())), 500)
     for k, m in enumerate(out):
-        t = k * STEP
-        samples = np.ceil(np.arange(0, int(t * rate) + 2) / rate / STEP - 1e-6) * STEP
+        t = k * DT
+        samples = np.ceil(np.arange(0, int(t * rate) + 2) / rate / DT - 1e-6) * DT
         arrived = samples[samples + delay <= t + 1e-9]
         want = arrived[-1] if len(arrived) else 0.0
         assert m.stamps.encoders == approx(want, abs=1e-9)
@@ -135,7 +135,7 @@ def test_vision_errs_in_millimetres_and_milliradians():
     vision = VisionSpec(1e3, position={"noise": 1e-3}, orientation={"noise": 5e-3})
     out = readings(Sensors(vision=vision), 3000)
     X = np.array([m.touched.X_WE[0] for m in out])
-    t = np.arange(len(X)) * STEP
+    t = np.arange(len(X)) * DT
     away = X[:, :3, 3] - np.outer(0.02 * t, [1, 0, 0])
     back = np.outer(-0.1 * t, [0, 0, 1])
     turn = [pin.log3(R @ pin.exp3(w)) for R, w in zip(X[:, :3, :3], back, strict=True)]
@@ -150,7 +150,7 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
         assert_array_equal(a.q, b.q)
     assert largest(first[-1].q - other[-1].q) > 1e-3
     plant = SensedPlant(Toy(), sensors, 1)
-    plant.command(np.zeros(2), STEP)
+    plant.command(np.zeros(2), DT)
     plant.reset(np.zeros(3))
     assert_array_equal(plant.measure().q, first[0].q)
 
@@ -248,7 +248,7 @@ def test_the_standard_errors_are_the_spread_of_many_calibrations():
 
 
 def test_a_wrist_that_only_turns_about_the_vertical_is_refused():
-    """Every SCARA: weight and bias cannot be told apart."""
+    """Every SCARA: weight and bias cannot be separated."""
     R = [pin.exp3(np.array([0.0, 0.0, a])) for a in np.linspace(0, 3, 8)]
     readings = np.array([at_rest(X, 1.0, np.array([0.01, 0.0, 0.05]), np.zeros(6)) for X in R])
     with model_error(r"m, .*b_f_z.*tared"):
@@ -258,16 +258,16 @@ def test_a_wrist_that_only_turns_about_the_vertical_is_refused():
 @parametrize("k, noise", [(2, 1.0), (4, 0.0), (4, float("nan"))])
 def test_bad_input_is_refused(k, noise):
     R = tilted(default_rng(2), k)
-    with raises(osc.InvalidInputError):
+    with invalid_input("2 postures" if k == 2 else f"noise = {noise}"):
         calibrate_wrist(R, np.zeros((k, 6)), noise)
 
 
 def test_a_panda_finds_mass_to_one_per_cent_and_centre_to_two_millimetres():
     for seed in range(2):
         (found,) = calibrate(osc.load_scenario("panda_wrist"), postures=6, average=0.1, seed=seed)
-        told = found.as_dict()
-        assert told["mass_error_rel"] < 0.01
-        assert told["com_error_m"] < 2e-3
+        data = found.as_dict()
+        assert data["mass_error_rel"] < 0.01
+        assert data["com_error_m"] < 2e-3
         assert np.abs(found.found.bias[:3]).max() > 0.2  # there was something to find
 
 
@@ -284,9 +284,6 @@ def test_the_command_prints_and_writes_what_was_found():
 
 
 # The velocity estimate against the Riccati equation and against what it has to see.
-
-
-DT = 1e-3
 
 
 def white(acceleration, dt):
@@ -396,7 +393,7 @@ def test_it_does_not_lag_along_a_known_acceleration():
     assert np.mean((got - v[1:])[2000:] ** 2) < 1e-6
 
 
-# Vision fused with encoders: the camera's frame found, its delay undone, its noise believed.
+# Vision fused with encoders: the camera's frame found, its delay undone, its noise weighed.
 
 
 NOISE = (1e-3, 5e-3)
@@ -452,7 +449,7 @@ def test_the_covariance_is_that_of_the_error():
     assert_allclose(np.std(spread, axis=0), 1.0, atol=0.15)
 
 
-def test_history_tells_what_was():
+def test_history_interpolates_the_past():
     history = History(0.1)
     with invalid_input("empty"):
         history.at(0.0)

@@ -10,7 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pair_kinds import kind, placed, pose_of
 from pytest import approx, fixture
-from rigs import largest, one_panda, random_state, refused, shift
+from rigs import assert_derivatives, direction, largest, one_panda, random_state, refused, shift
 from samples import first, parametrize
 
 import osc_contact as osc
@@ -137,7 +137,7 @@ def test_what_no_ball_can_touch_is_refused():
         osc.SphereOnSurface(np.zeros(3), 0.0, osc.Surface.sphere(1.0), axis=[1, 0, 0])
 
 
-def test_a_fit_tells_its_error_and_refuses_too_few_points(tmp_path):
+def test_a_fit_states_its_error_and_refuses_too_few_points(tmp_path):
     curved_faces.saddle_mesh(tmp_path / "saddle.stl", 0.1)
     fit = osc.Surface.of_mesh(tmp_path / "saddle.stl")
     assert fit.rms <= fit.worst < 5e-9  # of 32-bit numbers
@@ -170,13 +170,12 @@ def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
     q, v = random_state(chain, rng)
     X = chain.state(q, v).X_WO
     centre = 0.1 * rng.standard_normal(3)
-    n = rng.standard_normal(3)
-    at = X.act(centre) + 0.112 * n / norm(n)
+    at = X.act(centre) + 0.112 * direction(rng)
     pair = kind(centre, 0.012, osc.Surface.sphere(0.1), at)
     controller = osc.Controller(chain, [pair])
     assert controller.reading == "least_squares"
     measurement = osc.Measurement(q, v, np.zeros((1, 6)))
-    reference = osc.Reference(X, 0.3 * rng.standard_normal(6), np.zeros(6), np.array([10.0]))
+    reference = osc.Reference(X, 0.3 * rng.standard_normal(6), alpha_d=np.array([10.0]))
     controller.tick(measurement, reference)
     delta = 0.004 * rng.standard_normal(3)
     controller._records.memory.columns[0].turn[:] = delta / 0.112
@@ -184,8 +183,8 @@ def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
     there = osc.SphereOnSurface(centre, 0.012, osc.Surface.sphere(0.1), at + delta)
     n = there.contact(X, np.zeros(6)).N[:3, 0]
     column = controller._records.work.columns[0]
-    believed = pair.contact(X, np.zeros(6)).N[:3, 0]
-    p = X.rotation @ centre + 0.012 * (believed if kind is Own else n)
+    nominal = pair.contact(X, np.zeros(6)).N[:3, 0]
+    p = X.rotation @ centre + 0.012 * (nominal if kind is Own else n)
     assert_allclose(column.point, p, atol=1e-12)
     want = np.append(n, np.cross(p, n))
     assert_allclose(controller.signals.contact.N[:, 0], want, atol=1e-12)
@@ -211,14 +210,8 @@ def test_references_touch_all_the_way_and_are_derivatives_of_one_another(task):
         rig = osc.build_rig(scenario)
         (pair,) = rig.pairs
         for t in (0.3, 1.3, 2.1):
-            poses = [rig.references.at(t + s).X_WD for s in (-1e-4, 0.0, 1e-4)]
-            at = rig.references.at(t)
+            at = assert_derivatives(rig.references.at, t, 1e-4, 2e-6, 1e-4)
             assert abs(pair.gaps(at.X_WD)[0]) < 1e-15
-            v = (poses[2].translation - poses[0].translation) / 2e-4
-            w = pin.log3(poses[2].rotation @ poses[0].rotation.T) / 2e-4
-            assert_allclose(at.V_D, np.append(v, w), atol=2e-6)
-            before, after = (rig.references.at(t + s).V_D for s in (-1e-4, 1e-4))
-            assert_allclose(at.A_D, (after - before) / 2e-4, atol=1e-4)
             n = pair.contact(at.X_WD, np.zeros(6)).N[:3, 0]
             start = pair.contact(rig.references.at(0.0).X_WD, np.zeros(6)).N[:3, 0]
             R = at.X_WD.rotation @ rig.references.at(0.0).X_WD.rotation.T
