@@ -12,13 +12,11 @@ import pinocchio as pin
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.control.controller import Controller
 from osc_contact.control.status import Status
 from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios.control_schema import Gains, PhaseSettings
@@ -121,7 +119,7 @@ class TickCase:
         def unwind() -> None:
             if ticked.status is not self.status:
                 reason = f" ({ticked.reason})" if ticked.status.value else ""
-                raise InvalidInputError(
+                raise osc.InvalidInputError(
                     f"{self.name}: a timed tick ended {ticked.status.name}{reason}, expected "
                     f"{self.status.name}"
                 )
@@ -279,7 +277,7 @@ class RandomRig:
         self.chain = ClosedChain(arms, grasps, osc.RigidObject(BODY))
         self.q = np.concatenate(positions)
 
-    def case(self, name: str, pairs: Sequence[ContactPair]) -> TickCase:
+    def case(self, name: str, pairs: Sequence[osc.ContactPair]) -> TickCase:
         """At rest, wrists that read zero, 1 N on each contact."""
         still = np.zeros(6)
         count = sum(pair.contact(self.X_WO, still).r for pair in pairs)
@@ -540,7 +538,7 @@ class BatchCase:
             wrong = np.flatnonzero(batch.status != expected)
             if len(wrong):
                 ended = Status(int(batch.status[wrong[0]])).name
-                raise InvalidInputError(
+                raise osc.InvalidInputError(
                     f"{self.case.name}: a timed tick ended {ended} in {len(wrong)} rows, the first "
                     f"of them {wrong[0]}, expected {expected.name}"
                 )

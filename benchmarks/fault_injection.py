@@ -35,7 +35,6 @@ from rich.table import Table
 
 import osc_contact as osc
 from osc_contact.control.status import SafetyState
-from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Reference, Stamps
 from osc_contact.runs.run import Taring, start
 from paper.study import table_of, words_of
@@ -404,7 +403,7 @@ class Run(ClosedLoop):
             sent = fault.torque(trial, tau.copy())
         try:
             self.robot.command(sent, self.dt)
-        except PlantError as error:
+        except osc.PlantError as error:
             verdict.wrong.append(f"tick {k}: {error}"[:90])
         self.k += 1
         return reference

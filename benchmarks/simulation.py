@@ -9,10 +9,8 @@ from typing import Any
 import osc_contact as osc
 from benchmarks.measuring import Report
 from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.recorder import Recording
 from osc_contact.runs import recorder
 from osc_contact.runs import run as runs
-from osc_contact.runs.recorder import Recorder
 from osc_contact.runs.references import References
 from paper.study import table_of
 
@@ -88,8 +86,8 @@ def measure(ticks: int) -> Report:
         (STEPS, MujocoPlant, "command"),
         ("plant: measurement", MujocoPlant, "measure"),
         ("references", References, "over"),
-        ("recorder: a row of numbers", Recorder, "append"),
-        ("recorder: rows to the file", Recorder, "flush"),
+        ("recorder: a row of numbers", osc.Recorder, "append"),
+        ("recorder: rows to the file", osc.Recorder, "flush"),
         ("recorder: channels, at the end", recorder, "recording_of"),
     ]
     watched = []
@@ -132,7 +130,7 @@ def measure(ticks: int) -> Report:
     return Report(data, [table])
 
 
-def _stepped(scenario: osc.Scenario, recording: Recording) -> float:
+def _stepped(scenario: osc.Scenario, recording: osc.Recording) -> float:
     """What MuJoCo alone takes for the steps of a run (s): the same torques once more."""
     ledger = Ledger()
     plant, controller = runs.start(osc.build_rig(scenario))

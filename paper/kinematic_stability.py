@@ -25,7 +25,6 @@ from matplotlib.figure import Figure
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.errors import InvalidInputError
 from osc_contact.projections import left_inverse
 from osc_contact.spatial import Array, classical_to_spatial, pose_error
 from osc_contact.visual import contact_colour
@@ -302,7 +301,7 @@ def search(
     classic, ours = np.array([[one[0].real for one in both] for both in values]).T
     worst = int(classic.argmin())
     if classic[worst] >= 0.0:
-        raise InvalidInputError(
+        raise osc.InvalidInputError(
             f"{arm.name}: none of {len(examined)} postures examined is unstable; draw more "
             "(postures=), or control the force along another axis"
         )
