@@ -100,7 +100,7 @@ class Press:
     server: FrankaServer
     force: float = 10.0
     gap: float = 0.004  #: of the plate
-    modelled: float = 0.004  #: of the plate that the controller believes in
+    modelled: float = 0.004  #: of the plate that the controller assumes
     slide: float = 0.04
     ticks: int = 11000
     hold: float = 2.75  #: s from landing to the end

@@ -7,7 +7,7 @@ that way) is run once, with the lines that each of its tests runs. Then places a
 a mutant at each; the tests that run its line judge it, the shortest first, until one fails or
 those that take `--budget` seconds have passed. Mutants are cosmic-ray's; left out are those that
 every run notices (operators that floats do not have) and none can (decorators, annotations).
-Results are kept: the same command goes on where it was, `--again` judges survivors once more. A
+Results are kept: the same command continues where it was, `--again` judges survivors once more. A
 few `--judges` are a quick start; all of them judge what these leave with `--again`.
 Times are the processor's, not the clock's: a busy machine changes no verdict.
 """
@@ -263,7 +263,7 @@ class Judges:
         first = spec.start_pos[0]
         last = spec.end_pos[0]
         tests = set().union(*(lines[i] for i in range(first, last + 1)))
-        if not tests:  # runs when it is imported, or goes on in another line
+        if not tests:  # runs when it is imported, or continues in another line
             named = re.match(r"\s*(\w+)(:[^=]*)? = ", source[first - 1])
             tests = set(self._users(named[1])) if named and not named[0].startswith(" ") else set()
         if not tests:

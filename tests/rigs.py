@@ -6,12 +6,13 @@ import complaints
 import numpy as np
 import pinocchio as pin
 import scenario_runs
+from numpy.testing import assert_allclose
 
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, velocity
-from osc_contact.control.custom_laws import Laws
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
+from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
 
 LWA = pin.LOCAL_WORLD_ALIGNED
@@ -61,6 +62,16 @@ def ticked(controller, *given):
     tau = controller.tick(*given)
     assert controller.status is osc.Status.OK, controller.reason
     return tau
+
+
+def assert_derivatives(at, t, h, *atol):
+    """V_D of a reference is the rate of its pose, A_D that of V_D; the reference at t."""
+    before, now, after = (at(t + step) for step in (-h, 0.0, h))
+    turn = pin.log3(after.X_WD.rotation @ before.X_WD.rotation.T)
+    moved = np.append(after.X_WD.translation - before.X_WD.translation, turn)
+    assert_allclose(now.V_D, moved / (2 * h), atol=atol[0])
+    assert_allclose(now.A_D, (after.V_D - before.V_D) / (2 * h), atol=atol[1])
+    return now
 
 
 ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
@@ -206,6 +217,19 @@ def with_motors(chain, tau_max):
     return out
 
 
+def rigid_plant(q, chain, pairs=(), dt=1e-3):
+    """The exact plant, at rest."""
+    plant = RigidPlant(chain, pairs, dt)
+    plant.reset(q)
+    return plant
+
+
+def without_contacts(case, **how):
+    """The exact plant of a case whose object touches nothing, and a controller."""
+    controller = osc.Controller(case.chain, (), case.gains, posture=case.posture, **how)
+    return rigid_plant(case.measurement.q, case.chain), controller
+
+
 def strong(chain):
     """The same chain with motors in the same proportions that reach no limit."""
     return with_motors(chain, 1e4 * chain.tau_max)
@@ -213,7 +237,7 @@ def strong(chain):
 
 def commanded(chain, pairs, q, v, a_u, alpha_u, squeeze=5.0, **how):
     """The controller after a tick of the law that commands a_u (6,), spatial, and α_u; torques."""
-    laws = Laws(force=lambda *_: alpha_u, motion=lambda reference, X, V: a_u + product(V))
+    laws = osc.Laws(force=lambda *_: alpha_u, motion=lambda reference, X, V: a_u + product(V))
     # states out of any motion; what the oracles answer is without friction
     how = {"safety": UNLIMITED, "joint_friction": False, "laws": laws} | how
     controller = osc.Controller(strong(chain), pairs, **how)

@@ -69,7 +69,7 @@ def test_fingers_are_locked_and_the_arm_stays():
     )
 
 
-def test_a_joint_can_be_held_where_it_is_told():
+def test_a_joint_can_be_held_at_a_given_position():
     arm = scara(locked={"joint3": 0.12})
     whole = scara()
     assert list(arm.model.names)[1:] == ["joint1", "joint2", "joint4", "hinge"]
@@ -170,7 +170,6 @@ def test_object_terms_are_newton_euler_of_a_free_body(seed):
     close(terms.Lambda @ a, wrench(zero, a, still), 1e-12)
     close(terms.mu, wrench(V, zero, still), 1e-12)
     close(terms.p, wrench(zero, zero, GRAVITY), 1e-12)
-    close(terms.Lambda @ a + terms.mu + terms.p, wrench(V, a, GRAVITY), 1e-12)
 
 
 @parametrize("factor", [0.5, 1.0, 3.0])

@@ -10,7 +10,6 @@ from rigs import one_panda, random_faces, random_state, refused, scara_pair
 from samples import parametrize
 
 import osc_contact as osc
-from osc_contact.scenarios.control_schema import PhaseSettings
 
 GAINS = osc.Gains(osc.MotionGains(400, 40, 2000), osc.ForceGains(30, 5))
 
@@ -61,7 +60,9 @@ def single(controller, x, i):
 
 
 @parametrize("threads", [1, 2])
-@parametrize("rig, life", [(one_panda, None), (scara_pair, None), (scara_pair, PhaseSettings())])
+@parametrize(
+    "rig, life", [(one_panda, None), (scara_pair, None), (scara_pair, osc.PhaseSettings())]
+)
 def test_rows_are_single_ticks_bit_for_bit(rig, life, threads):
     chain = rig()
     rng = default_rng(3)

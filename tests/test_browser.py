@@ -103,15 +103,15 @@ def test_on_a_phone_the_legend_is_folded_and_the_whole_scene_is_seen(page):
         assert phone.errors == []
 
 
-def test_a_browser_without_decompression_is_told(page, tmp_path):
+def test_a_browser_without_decompression_shows_why(page, tmp_path):
     text = page.read_text()
     old = tmp_path / "old.html"
     old.write_text(
         text.replace("<body>", "<body><script>delete window.DecompressionStream</script>")
     )
     with Browser(old.as_uri(), ready="document.querySelector('#labels').textContent") as browser:
-        told = browser.run("element('labels').textContent")
-        assert "does not run in this browser" in told and "DecompressionStream" in told
+        shown = browser.run("element('labels').textContent")
+        assert "does not run in this browser" in shown and "DecompressionStream" in shown
 
 
 def test_check_boxes_show_and_hide(browser):
@@ -139,7 +139,7 @@ def test_labels_and_legend_do_not_cover_each_other(browser):
             assert apart, f"{a!r} covers {b!r} at {time} s"
 
 
-def test_play_goes_on_and_a_click_in_a_plot_stops_there(browser):
+def test_play_continues_and_a_click_in_a_plot_stops_there(browser):
     slide(browser, 0.0)
     browser.run("element('play').click()")
     browser.until("player.time > 0.15")

@@ -157,7 +157,7 @@ def test_reproduce_all_from_a_short_run(tmp_path):
         assert command in report
 
 
-def test_bad_scenario_is_told_with_its_line(tmp_path):
+def test_bad_scenario_is_reported_with_its_line(tmp_path):
     text = load_scenario("two_contact_rod").source.read_text()
     before = text.partition("squeeze:")[0]
     file = tmp_path / "bad.yaml"

@@ -10,11 +10,9 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
-from rigs import largest, refused, shift, unit
+from rigs import assert_derivatives, largest, refused, rigid_plant, shift, unit
 
 import osc_contact as osc
-from osc_contact.plants.rigid import RigidPlant
-from osc_contact.spatial import pose_error
 from paper import cone_in_groove as cg
 
 STEPS = (0.51, 0.53, 0.55, 0.57)
@@ -107,14 +105,9 @@ def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
 
 def test_references_move_as_their_derivatives_say_and_stay_in_contact():
     task = rig().references
-    h = 1e-4
     to_walls = np.linalg.inv(SEAT.from_wall_forces)
     for t in np.linspace(0.2, 4.5, 12):
-        before = task.at(t - h)
-        now = task.at(t)
-        after = task.at(t + h)
-        assert_allclose(now.V_D, pose_error(after.X_WD, before.X_WD) / (2 * h), atol=1e-5)
-        assert_allclose(now.A_D, (after.V_D - before.V_D) / (2 * h), atol=1e-4)
+        now = assert_derivatives(task.at, t, 1e-4, 1e-5, 1e-4)
         assert_allclose(SEAT.pair.gaps(now.X_WD), 0.0, atol=1e-9)
         turn, slide = SEAT.motion(now.X_WD)
         assert_allclose(now.X_WD.homogeneous, pose_at(turn, slide).homogeneous, atol=1e-9)
@@ -129,8 +122,7 @@ def test_references_move_as_their_derivatives_say_and_stay_in_contact():
 def test_the_rigid_plant_keeps_its_cone_in_the_groove():
     pair = SEAT.pair
     rng = default_rng(2)
-    plant = RigidPlant(rig().chain, [pair], 1e-3)
-    plant.reset(rig().q_start)
+    plant = rigid_plant(rig().q_start, rig().chain, [pair])
     for _ in range(40):
         plant.command(rng.uniform(-8, 8, 7), 5e-3)
         state = rig().chain.state(plant.q, plant.v)
@@ -154,8 +146,7 @@ def test_a_controller_with_a_wrong_seat_couples():
     """The coupling measured is not zero by construction."""
     c = rig().chain
     wrong = replace(SEAT.pair, axis=pin.exp3(np.array([0.0, 0.1, 0.0])) @ SEAT.pair.axis)
-    plant = RigidPlant(c, [SEAT.pair], 1e-3)
-    plant.reset(rig().q_start)
+    plant = rigid_plant(rig().q_start, c, [SEAT.pair])
     controller = osc.Controller(c, [wrong], posture=rig().q_start)
     reference = rig().references.at(1.5)
     R = SEAT.from_wall_forces

@@ -44,17 +44,17 @@ VALUES = {"a length": "[{0} cm, -{1} mm, {0} mm]", "a plain number": "[{0}, -{1}
 
 def keys_of(kind):
     """Every key of a kind with a value of its own."""
-    told = []
+    keys = []
     for i, (key, field) in enumerate(CONTACT_TYPES[kind].model_fields.items(), start=1):
         if field.annotation is float:
             (dimension,) = (mark for mark in field.metadata if isinstance(mark, Dimension))
-            told.append(f"{key}: {40 + i} {'deg' if dimension.kind == 'an angle' else 'mm'}")
+            keys.append(f"{key}: {40 + i} {'deg' if dimension.kind == 'an angle' else 'mm'}")
         elif key == "surface":
-            told.append("surface: {type: cylinder, radius: 300 mm}")
+            keys.append("surface: {type: cylinder, radius: 300 mm}")
         elif key not in ("name", "type", "body"):
             dimension = get_args(get_args(field.annotation)[0])[1]
-            told.append(f"{key}: {VALUES[dimension.kind].format(i, 10 - i)}")
-    return ", ".join(told)
+            keys.append(f"{key}: {VALUES[dimension.kind].format(i, 10 - i)}")
+    return ", ".join(keys)
 
 
 def text(kind, keys=None, forces=None):

@@ -107,12 +107,17 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
     assert {whole for whole, _ in seen} == {False, True}
 
 
-def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
-    chain = scara_pair()
-    rng = default_rng(54)
+def at_rest(chain, seed):
+    """Two contacts."""
+    rng = default_rng(seed)
     q, _ = random_state(chain, rng)
     v = np.zeros(chain.nq)
-    pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
+    return q, v, random_faces(chain.state(q, v).X_WO, 2, rng), rng
+
+
+def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
+    chain = scara_pair()
+    q, v, pairs, rng = at_rest(chain, 54)
     gains = osc.Gains(force=ForceGains(30, 0))
     k = PhaseSettings()
     controller = osc.Controller(chain, pairs, gains, life=k)
@@ -152,10 +157,7 @@ def test_phases_change_nothing_while_contacts_stay_closed(name):
 def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(reading):
     """Beside Λ_out: the object accelerates by x along its lines of force."""
     chain = panda_pair()
-    rng = default_rng(57)
-    q, _ = random_state(chain, rng)
-    v = np.zeros(chain.nq)
-    pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
+    q, v, pairs, rng = at_rest(chain, 57)
     controller = osc.Controller(chain, pairs, reading=reading, life=PhaseSettings())
     measurement, reference = inputs(chain, q, v, rng, 2)
     state = chain.state(q, v)

@@ -17,8 +17,6 @@ from samples import module_fixture, parametrize
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
-from osc_contact.control.status import SafetyState
-from osc_contact.scenarios.control_schema import MotionGains
 from osc_contact.scenarios.loader import parse_scenario
 from osc_contact.spatial import as_array
 from paper.diagrams import BLOCKS
@@ -103,7 +101,7 @@ def test_stretched_elbows_degrade_and_a_wall_that_the_arms_cannot_push_is_held(r
     blocked = Controller(rig.model, [Twist()])
     first = blocked.tick(measurement, replace(reference, alpha_d=np.ones(1)))
     assert blocked.status is osc.Status.HELD and "cannot push on contact column 0" in blocked.reason
-    assert blocked.state is SafetyState.HOLD and first.any()  # there is nothing to repeat yet
+    assert blocked.state is osc.SafetyState.HOLD and first.any()  # there is nothing to repeat yet
 
 
 def test_wiring_is_complete_and_runs_forward(rig):
@@ -171,7 +169,7 @@ def test_without_contacts_the_whole_motion_is_controlled(rig):
         (lambda rig: Controller(rig.model, rig.pairs, dt=np.nan), "dt"),
         (lambda rig: Controller(rig.model, rig.pairs, B="euclid"), "object"),
         (lambda rig: rig.controller().residual_wrench(), "no tick"),
-        (lambda rig: MotionGains(100, 10, 2000), "Routh"),
+        (lambda rig: osc.MotionGains(100, 10, 2000), "Routh"),
     ],
 )
 def test_bad_settings_are_refused(rig, make, words):
@@ -204,7 +202,7 @@ def test_what_would_be_ignored_is_refused(ready, name):
         setattr(ready[0], name, None)
 
 
-def test_other_gains_go_on_without_a_jump(rig):
+def test_other_gains_continue_without_a_jump(rig):
     gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
     bare = UNLIMITED  # the very same readings again and again
     controller = Controller(rig.model, rig.pairs, gains, safety=bare)
@@ -231,7 +229,7 @@ def test_other_gains_go_on_without_a_jump(rig):
     assert_array_equal(controller.gains.force.integral, 30)
 
 
-def test_copies_and_pickles_go_on_alike_and_alone(ready):
+def test_copies_and_pickles_continue_alike_and_alone(ready):
     controller, _, measurement, reference = ready
     controller.f_tare = np.arange(6.0)
     controller.tick(measurement, reference)
@@ -325,7 +323,7 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
         if controller.status is osc.Status.HELD:
             not_computed += 1
             assert controller.reason
-            if controller.state < SafetyState.HOLD:  # huge speeds stop the arms at once
+            if controller.state < osc.SafetyState.HOLD:  # huge speeds stop the arms at once
                 assert_array_equal(tau, last)
             assert_array_equal(controller.force_integral, before[0])
             assert_array_equal(controller.motion_integral, before[1])

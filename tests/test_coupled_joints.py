@@ -8,7 +8,6 @@ from pytest import fixture, mark
 from rigs import panda_arm, ticked
 
 import osc_contact as osc
-from osc_contact.interface import Measurement
 
 LINK = (
     '<link name="{0}"><inertial><mass value="1"/><origin xyz="0 0 0.1"/>'
@@ -43,7 +42,7 @@ def test_a_joint_that_follows_another_one_on_the_way_to_the_tip_is_refused_with_
 
 
 def test_before_it_or_with_both_locked_the_arm_is_there(urdf, caplog):
-    """Followers that the tip does not need are held, and what moves with their master is told."""
+    """Followers that the tip does not need are held; masters that move the tip are reported."""
     assert list(osc.Arm.from_urdf(urdf, name="arm", tip="a").model.names)[1:] == ["ja"]
     assert "joint 'jg' follows 'ja', which moves the tip; it is locked at 0" in caplog.text
     caplog.clear()
@@ -72,5 +71,5 @@ def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading)
     wrench = np.concatenate((R.T @ [0.0, 0.0, -7.0], np.zeros(3)))  # of the arm on the surface
     reference = osc.pose_reference(p, R, alpha_d=[10.0])
     for _ in range(3):
-        ticked(controller, Measurement(q, np.zeros(7), wrench[None]), reference)
+        ticked(controller, osc.Measurement(q, np.zeros(7), wrench[None]), reference)
         assert_allclose(controller.result().alpha_meas, 7.0, atol=1e-9)

@@ -7,7 +7,6 @@ from rigs import direction, refused, shift
 from samples import parametrize
 
 import osc_contact as osc
-from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
 
 
 @kind
@@ -21,7 +20,7 @@ def cylinder_in_v_groove(rng, c):
     out = in_plane(g)[0]
     R0 = carrying(e, g)
     seat = foot + rho / np.sin(angle / 2) * out
-    pair = CylinderInVGroove(
+    pair = osc.CylinderInVGroove(
         c.A(point),
         c.along_A(e),
         rho * c.per_metre,
@@ -36,7 +35,7 @@ def cylinder_in_v_groove(rng, c):
 
 def test_each_wall_is_pushed_at_right_angles_from_inside():
     """A square groove along y that opens upwards, its walls 45° to each side."""
-    pair = CylinderInVGroove([0, 0, 0], [0, 1, 0], 0.1, [0, 0, 0], [0, 1, 0], [0, 0, 1])
+    pair = osc.CylinderInVGroove([0, 0, 0], [0, 1, 0], 0.1, [0, 0, 0], [0, 1, 0], [0, 0, 1])
     X = shift([0.0, 0.3, 0.1 * np.sqrt(2)])
     assert_allclose(pair.gaps(X), 0.0, atol=1e-15)
     forces = pair.contact(X, np.zeros(6)).N[:3]
@@ -51,7 +50,7 @@ def test_each_wall_is_pushed_at_right_angles_from_inside():
 def test_a_groove_without_walls_is_refused(wrong):
     good = {"groove_direction": [0, 1, 0], "groove_outward": [0, 0, 1]}
     with refused("rod: the walls enclose"):
-        CylinderInVGroove([0, 0, 0], [0, 1, 0], 0.1, [0, 0, 0], **{**good, **wrong}, name="rod")
+        osc.CylinderInVGroove([0, 0, 0], [0, 1, 0], 0.1, [0, 0, 0], **{**good, **wrong}, name="rod")
 
 
 def test_four_forces_are_held_while_the_cylinder_slides_and_rolls():

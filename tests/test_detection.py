@@ -132,7 +132,7 @@ def box_on_table(size, *tilt):
 
 
 def test_both_the_angle_and_the_margin_must_allow_a_face_or_an_edge():
-    """1 mrad and 1 mm: small bodies are told apart by their angle, large ones by the height."""
+    """1 mrad and 1 mm: small bodies differ by their angle, large ones by the height."""
     small = (0.01, 0.01, 0.01)
     plate = (1.6, 0.4, 0.02)
     assert box_on_table(small, 5e-3, 5e-3).kind == "vertex on face"  # no corner above 0.1 mm

@@ -73,7 +73,7 @@ def test_what_a_wrong_normal_costs_two_points():
         for one in n:
             along = u - (one @ u) * one
             push = 10.0 * 0.05 * rng.normal() * along / norm(along)
-            left.append(push)  # what the true force has beside the believed normal
+            left.append(push)  # what the true force has beside the assumed normal
             shown.append(along)
         left = np.concatenate((left[0], -left[1]))
         shown = np.concatenate(shown)

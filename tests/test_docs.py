@@ -108,7 +108,7 @@ def test_yaml_is_a_piece_of_a_scenario(page, code, shown):
             assert shown_names <= names
             value = [*value, *(c for c in scenario[key] if c["name"] not in shown_names)]
         scenario[key] = value
-    Scenario.model_validate(scenario)
+    osc.Scenario.model_validate(scenario)
 
 
 @parametrize("page", PAGES, ids=lambda page: page.name)
@@ -170,12 +170,12 @@ def test_tables_of_keys_are_those_of_the_declarations():
 def test_every_pair_has_a_row_with_its_r_and_its_keys():
     rows = {TICKED.findall(row[0])[0]: row for row in table_rows("contacts.md", "Pairs")}
     assert set(rows) == set(PAIRS)
-    told = {}
+    documented = {}
     for name, row in rows.items():
         if TICKED.search(row[-1]):
             kind = re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
-            told[kind] = (int(row[1]), set(TICKED.findall(row[-1])))
-    assert told == {
+            documented[kind] = (int(row[1]), set(TICKED.findall(row[-1])))
+    assert documented == {
         kind: (spec.forces, set(spec.model_fields) - {"name", "type", "body"})
         for kind, spec in CONTACT_TYPES.items()
     }
@@ -205,16 +205,16 @@ def test_every_metric_is_documented(recording):
 
 def test_every_channel_is_documented_with_its_shape(recording):
     sizes = {"T": len(recording), "n": 10, "n_a": 8, "r": 2, "c": 2}
-    told = {}
+    documented = {}
     for row in table_rows("metrics.md", "The recording"):
         shape = tuple(int(sizes.get(part, part)) for part in re.findall(r"\w+", row[1]))
-        told |= {name: shape for name in TICKED.findall(row[0])}
-    assert told == {name: array.shape for name, array in recording.channels.items()}
+        documented |= {name: shape for name in TICKED.findall(row[0])}
+    assert documented == {name: array.shape for name, array in recording.channels.items()}
 
 
 def test_every_entry_of_the_meta_is_named(recording):
-    told = text_of("metrics.md").split("`Recording.meta` holds")[1].split("```")[0]
-    assert set(TICKED.findall(told)) == set(recording.meta)
+    documented = text_of("metrics.md").split("`Recording.meta` holds")[1].split("```")[0]
+    assert set(TICKED.findall(documented)) == set(recording.meta)
 
 
 # Gallery and glossary --------------------------------------------------------------------------

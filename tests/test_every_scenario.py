@@ -20,7 +20,6 @@ from osc_contact.runs.contacts import feet
 from osc_contact.runs.hardware import flexible_joints
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.viewing import write_scene_of
-from osc_contact.scenarios.schema import Scenario
 from paper import workcell
 from paper.report import write_study
 from paper.study import Ask
@@ -52,12 +51,12 @@ def runs(rigs):
         for signal in (s for signals in data["force"].values() for s in signals):
             if signal.get("start", 0.0) > 1.0:
                 signal["start"] = 1.2
-        found[name] = osc.run(Scenario.model_validate(data))
+        found[name] = osc.run(osc.Scenario.model_validate(data))
     return found
 
 
 @parametrize("name", NAMES)
-def test_it_starts_touching_within_limits_and_is_told_in_words(rigs, name):
+def test_it_starts_touching_within_limits_and_is_described_in_words(rigs, name):
     rig = rigs[name]
     d, r, motors, words = ROBOTS[name]
     found = inspect_rig(rig)
@@ -381,12 +380,12 @@ def test_ideal_parts_cost_nothing_and_the_rest_is_named():
     assert set(STAGES) >= {"joints", "sensors", "contact friction", "everything"}
 
 
-def test_the_study_tells_and_draws_what_a_part_costs(tmp_path, monkeypatch):
+def test_the_study_prints_and_draws_what_a_part_costs(tmp_path, monkeypatch):
     stage = "joints, no torque loop"
     monkeypatch.setattr(workcell, "STAGES", {stage: STAGES[stage]})
     made = write_study("workcell", tmp_path, Ask(duration=1.2))
-    told = read_json(tmp_path / "workcell.json")[stage]
-    assert told["force_rms_rel"] is None or told["force_rms_rel"] > 0.25
+    found = read_json(tmp_path / "workcell.json")[stage]
+    assert found["force_rms_rel"] is None or found["force_rms_rel"] > 0.25
     assert all(path.is_file() for path in made.files) and made.table.row_count == 1
 
 
@@ -402,17 +401,17 @@ def test_all_errors_at_once(name, mass, side):
 
 
 def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
-    """It weighs m g where the left arm grasps the rod; MuJoCo's own masses tell the same."""
+    """It weighs m g where the left arm grasps the rod; MuJoCo's own masses agree."""
     rig = rig_of("two_contact_rod", "model_error.hidden_mass=0.3 kg")
     rigs = rig, rig_of()
     X = rig.state().X_WO
     gravity = np.array([0.0, 0.0, -9.81])
-    true, believed = (
+    true, assumed = (
         chain.payload.terms(X, np.zeros(6), gravity).p for chain in (rig.chain, rig.model)
     )
     tip = np.array([-0.15, 0.0, 0.0])  # of the left arm, in the frame of the rod
     want = np.cross(X.rotation @ tip, -0.3 * gravity)
-    assert_allclose(true - believed, [*(-0.3 * gravity), *want], atol=1e-9)
+    assert_allclose(true - assumed, [*(-0.3 * gravity), *want], atol=1e-9)
     with_mass, without = (rig.plant().model for rig in rigs)
     assert with_mass.body_subtreemass[0] - without.body_subtreemass[0] == approx(0.3, abs=1e-9)
     rod, bare = (model.body("object/root") for model in (with_mass, without))
@@ -420,22 +419,22 @@ def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
 
 
 @parametrize("name", ["two_contact_rod", "panda_edge", "ur5_wipe", "three_arm_plate"])
-def test_bodies_are_believed_to_be_nearer(name):
+def test_bodies_are_assumed_to_be_nearer(name):
     rig = rig_of(name, "model_error.face_offset=3 mm")
     for body in rig.bodies:
         gaps = rig.controlled_pairs()[body.contacts[0]].gaps(rig.state().X_WO)
         assert_allclose(gaps, -0.003, atol=1e-8)
 
 
-def test_faces_are_believed_to_be_turned_about_where_they_touch():
+def test_faces_are_assumed_to_be_turned_about_where_they_touch():
     turned = []
     for about in (0, 90):
         wrong = ["model_error.face_tilt=3 deg", f"model_error.face_tilt_about={about} deg"]
         rig = rig_of("two_contact_rod", *wrong)
         X = rig.state().X_WO
-        for pair, believed in zip(rig.pairs, rig.controlled_pairs(), strict=True):
-            assert believed.gap(X) == approx(0.010 * (np.cos(np.deg2rad(3)) - 1), abs=1e-8)
-            turned.append(np.cross(pair.normal, believed.normal))
+        for pair, assumed in zip(rig.pairs, rig.controlled_pairs(), strict=True):
+            assert assumed.gap(X) == approx(0.010 * (np.cos(np.deg2rad(3)) - 1), abs=1e-8)
+            turned.append(np.cross(pair.normal, assumed.normal))
     assert_allclose([t @ t for t in turned], np.sin(np.deg2rad(3)) ** 2, atol=1e-9)
     assert abs(turned[0][2]) < 1e-9 > abs(turned[0] @ turned[2])
 

@@ -45,7 +45,7 @@ def found_by_law(chain, pairs, q, v, wrenches, f_tare=0.0):
     return controller.result()
 
 
-def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_told():
+def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_given():
     """Readings of the hand's sensor, carried to a frame before the hand and to one beyond it."""
     flange, hand, tool = (
         osc.ClosedChain(

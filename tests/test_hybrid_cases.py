@@ -17,7 +17,7 @@ from osc_contact.spatial import pose_error
 
 
 @parametrize("case", CASES, ids=lambda case: case.name)
-def test_finger_is_where_it_is_asked_to_be_with_the_force_it_is_asked_for(case):
+def test_the_finger_is_at_its_goal_with_the_desired_force(case):
     recording = osc.run(scenario_of(case))
     force, place, turn = judge(case, recording).max(axis=0)
     assert force < 0.05 and place < 5e-4 and turn < 5e-4

@@ -44,7 +44,7 @@ def test_what_few_programs_need_is_imported_where_it_is_used(loaded, module):
     assert module not in loaded
 
 
-def test_nothing_is_loaded_before_a_name_is_asked_for():
+def test_nothing_is_loaded_before_a_name_is_used():
     program = "import sys; before = {*sys.modules}; import osc_contact; print(*sys.modules)"
     assert not {"numpy", "pinocchio", "numba", "pydantic"} & set(printed(program))
 
@@ -73,7 +73,7 @@ for name in osc.__all__:
     assert set(printed(program)) == of_files
 
 
-def test_every_public_name_is_found_and_told():
+def test_every_public_name_is_found_and_listed():
     assert all(hasattr(osc, name) for name in osc.__all__)
     assert set(osc.__all__) <= set(dir(osc))
     assert set(PAIRS) <= set(osc.__all__), "name the pair in osc_contact"
@@ -87,7 +87,7 @@ def test_a_pair_that_is_only_a_file_beside_the_others_is_a_name(monkeypatch):
     del osc.Dovetail
 
 
-def test_scenarios_know_the_kinds_of_the_layers_above_without_being_told():
+def test_scenarios_know_the_kinds_of_the_layers_above_by_themselves():
     program = (
         "from osc_contact.scenarios.loader import load_scenario;"
         "print(*(type(c).__name__ for c in load_scenario('scara_peg').contacts))"

@@ -58,7 +58,7 @@ def test_a_held_rig_starts_with_wound_up_springs_at_the_same_pose():
 
 
 def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain():
-    """The first mode asked for is the one that comes out of another engine."""
+    """The desired first mode is the one that comes out of another engine."""
     held = "plant.flexible_joints={frequency: 4 Hz, damping_ratio: 0, motor_inertia: 1e6}"
     rig = free_rig(held, "squeeze=0 N")  # a squeezed linkage is softer
     plant = rig.plant()

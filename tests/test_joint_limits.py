@@ -19,6 +19,7 @@ from rigs import (
     one_panda,
     panda_pair,
     refused,
+    rigid_plant,
     scara_pair,
     ticked,
 )
@@ -29,7 +30,6 @@ from osc_contact import robots
 from osc_contact.control.records import joint_limit_margins
 from osc_contact.law.allocation import push_from_limits
 from osc_contact.law.jit import as_python
-from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios.control_schema import PostureTask
 
 PUSH = as_python(push_from_limits)
@@ -151,8 +151,7 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     """Its rest posture lies 0.25 rad beyond a limit of joint 1; without the push it gets there."""
     chain = panda(joint1=(-2.8, 0.2))
     posture = PANDA_Q + [3.2, 0, 0, 0, 0, 0, 0]
-    plant = RigidPlant(chain, [], 2e-3)
-    plant.reset(PANDA_Q)
+    plant = rigid_plant(PANDA_Q, chain, dt=2e-3)
     X = chain.state(PANDA_Q, np.zeros(7)).X_WO
     task = PostureTask(limit_stiffness=stiffness)
     unwatched = osc.SafetySettings(brake_time=0.0)

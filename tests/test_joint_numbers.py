@@ -12,7 +12,6 @@ from scenario_runs import rig_of, verdict_of, worst_force
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
-from osc_contact.interface import Measurement, Reference
 from osc_contact.law.records import MODEL
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.report import verdict_table
@@ -69,7 +68,7 @@ def test_rotors_behind_gears_count_with_the_square_of_the_ratio():
     assert_array_equal(armature(), 0.3)
 
 
-def test_a_transmission_tells_rotor_and_gear(tmp_path):
+def test_a_transmission_states_rotor_and_gear(tmp_path):
     text = robots.urdf_path("scara_left").read_text()
     gear = (
         '<transmission name="t"><type>x</type><joint name="joint1"/><actuator name="m">'
@@ -101,7 +100,7 @@ def test_the_switch_leaves_friction_out():
     chain = panda(damping=VISCOUS, friction=DRY)
     q, v = random_state(one_panda(), np.random.default_rng(3))
     state = chain.state(q, v)
-    given = Measurement(q, v, np.zeros((1, 6))), Reference(state.X_WO, state.V_O)
+    given = osc.Measurement(q, v, np.zeros((1, 6))), osc.Reference(state.X_WO, state.V_O)
     off = osc.Controller(chain, [], GAINS, joint_friction=False).tick(*given)
     bare = osc.Controller(panda(damping=0.0), [], GAINS).tick(*given)
     on = osc.Controller(chain, [], GAINS).tick(*given)
@@ -193,7 +192,7 @@ def test_inspect_names_what_limits_compensation_of_friction():
     assert "118 1/s (wrist_3_joint)" in fast and not any("unstable" in line for line in lines)
 
 
-def test_rotors_believed_wrongly_are_in_the_model_alone():
+def test_errors_of_rotors_are_in_the_model_alone():
     rig = rig_of("ur5_wipe", "arms.ur5.armature=0.5", "model_error.armature=0.6")
     assert_allclose(rig.chain.model.armature, 0.5)
     assert_allclose(rig.model.model.armature, 0.3)

@@ -11,7 +11,6 @@ from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.runs.rig import landings
-from osc_contact.scenarios.control_schema import PhaseSettings
 
 PUSH = 10.0  # N, of either end of the rod
 
@@ -77,7 +76,7 @@ def guarded_approach(height, seconds):
     for _ in range(50):  # the shoulder alone lifts the tip
         gap = table.gap(chain.state(home, np.zeros(3)).X_WO)
         home[0] -= (height - gap) / 0.75
-    controller = osc.Controller(chain, [table], posture=home, life=PhaseSettings())
+    controller = osc.Controller(chain, [table], posture=home, life=osc.PhaseSettings())
     data.qpos[:] = home
     mujoco.mj_forward(model, data)
     start = chain.state(home, np.zeros(3)).X_WO

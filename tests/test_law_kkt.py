@@ -303,7 +303,7 @@ def miss_of_reading(t):
     )
 
 
-def forces_asked_for(t):
+def commanded_forces(t):
     """α_d and its first integral, of all columns."""
     found = t.controller.result()
     alpha_d = t.reference.alpha_d
@@ -332,7 +332,7 @@ def metric_of(t):
     return known.get(str(t.B), lambda: np.linalg.inv(t.B))()
 
 
-def motion_asked_for(t, a):
+def commanded_motion(t, a):
     """The acceleration nearest to the motion law, a (6,) along the contacts."""
     state = t.state
     reference = t.reference
@@ -453,7 +453,7 @@ def judge(t):
     misses = {
         "geometry": 0.01 * miss_of_geometry(t),  # differences, where edges are all but parallel
         "reading": 0.01 * miss_of_reading(t),
-        "force": miss_of_forces(t, answer.alpha, forces_asked_for(t)),
+        "force": miss_of_forces(t, answer.alpha, commanded_forces(t)),
         "response": 0.0 if state.mu else miss_of_response(t, answer),
     }
     kind = "rough" if names & ROUGH else "near" if apart < APART else "well apart"
@@ -462,7 +462,7 @@ def judge(t):
         kind = "faded"
     else:
         assert status is osc.Status.OK
-        misses["motion"] = miss(answer.a, motion_asked_for(t, answer.a))
+        misses["motion"] = miss(answer.a, commanded_motion(t, answer.a))
         chain = state.case.chain
         alike = len({arm.model.nv for arm in chain.arms}) == 1
         if alike and all(grasp.is_rigid for grasp in chain.grasps):  # else structure may carry some
@@ -487,7 +487,7 @@ def test_a_state(rig, surroundings):
 @mark.slow
 @parametrize("surroundings", SURROUNDINGS)
 @parametrize("rig", RIGS)
-def test_torques_bring_the_forces_and_the_motion_asked_for(rig, surroundings):
+def test_torques_bring_the_commanded_forces_and_motion(rig, surroundings):
     count = Counter()
     seen = defaultdict(set)
     where = SURROUNDINGS[surroundings]
@@ -568,7 +568,7 @@ def test_near_singular_postures_motion_is_given_up_and_force_is_not(n, weight):
         t = tick(state, state.contacts, i, rng)
         assert t.controller.status is osc.Status.DEGRADED, t.controller.reason
         least = min(lost.chi for lost in t.controller.signals.state.singular_directions)
-        off = miss_of_forces(t, state.answer(t.tau).alpha, forces_asked_for(t))
+        off = miss_of_forces(t, state.answer(t.tau).alpha, commanded_forces(t))
         assert off < 1e-12 / (state.apart() * least) ** 2 + 1e-9, (off, least, state.apart())
         found[len(state.N)].append(least)
     assert set(found) == set(range(7))

@@ -356,7 +356,7 @@ def agree_within(case):
 
 
 @parametrize("verdict", [-1, 1])
-def test_what_is_not_solved_is_told(monkeypatch, verdict):
+def test_what_is_not_solved_is_an_error(monkeypatch, verdict):
     case = random_case(default_rng(69), d=6, r=2, k=2, s=1, weak=0.05)
     solve(random_case(default_rng(69), d=6, r=2, k=2, s=1))
     with raises(osc.SolverError, match="motor limits"):

@@ -260,7 +260,7 @@ def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
 
 
 @SEEDS
-def test_a_rotation_goes_on_and_is_squared_up(seed):
+def test_a_rotation_is_continued_and_squared_up(seed):
     rng = rng_of(seed)
     for angle in (0.0, 1e-9, 0.9e-6, 1.1e-6, 1e-3, 0.5, 2.0, 3.1):
         X = rng.standard_normal((4, 4))

@@ -68,7 +68,7 @@ def test_the_force_law():
     close(ask_force(1.0, 900.0, 0.0, 0.0), (-4.0, -5.0), rtol=1e-12)
     assert reading.integral_room(5.0, -8.0) == 12.0
     assert reading.integral_room(5.0, 3.0) == 5.0
-    # no less than α_min, or a tenth of the command; the integral does not go on then
+    # no less than α_min, or a tenth of the command; the integral rests then
     close(ask_force(8.0, 9.0, 0.1, -1.0, 0.5), (0.5, -1.0), rtol=1e-12)
     close(ask_force(8.0, 7.0, 0.1, -1.0, 0.5), (0.5, -0.98), rtol=1e-12)
     close(ask_force(2.0, 7.0, 0.1, -1.0, 0.5), (0.2, -1.0), rtol=1e-12)
@@ -333,9 +333,9 @@ def test_every_number_that_comes_in_is_looked_at(arms):
             for bad in (np.nan, inf, -inf):
                 x.flat[i] = bad
                 for on in (False, True):
-                    asked = {"alpha_d": on, "touched": on}.get(name, True)
+                    counts = {"alpha_d": on, "touched": on}.get(name, True)
                     with np.errstate(invalid="ignore"):
-                        assert tick.is_finite(t, on, on) != asked, (name, i)
+                        assert tick.is_finite(t, on, on) != counts, (name, i)
                 x.flat[i] = 0.0
     assert tick.is_finite(t, True, True)
 

@@ -64,7 +64,7 @@ def test_a_step_is_let_in_along_the_quintic_of_least_jerk():
 
 
 @parametrize("rises", [(RISE, RISE), (RISE, 0.08)])
-def test_a_second_step_goes_on_from_value_slope_and_curvature(rises):
+def test_a_second_step_continues_value_slope_and_curvature(rises):
     """Of either rise time: the path is a polynomial of degree 5 from there, at rest in its end."""
     forces = Forces()
     forces.run([10.0], 200)
@@ -90,7 +90,7 @@ def test_a_second_step_goes_on_from_value_slope_and_curvature(rises):
     path = np.polynomial.Polynomial(np.linalg.solve(rows, right))
     t = np.arange(100) * DT
     assert_allclose(found, 8.0 + np.where(t < T, path(t), 0.0), atol=1e-7)
-    assert found.max() > value, "it goes on upwards at first"
+    assert found.max() > value, "it continues upwards at first"
 
 
 @parametrize("rate", [0.99, 1.01])
@@ -143,7 +143,7 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
 
 
 @parametrize("share", [0.29, 0.31, -0.5])
-def test_a_face_tells_its_tilt_where_it_carries_three_tenths_of_its_force(share):
+def test_a_face_shows_its_tilt_where_it_carries_three_tenths_of_its_force(share):
     forces = Forces()
     forces.run([10.0], 200)
     turned = [0.02, -0.01, 0.03]

@@ -1,4 +1,4 @@
-"""Limits of the robot and belief in its sensors, tick by tick, on the law's own functions.
+"""Limits of the robot and trust in its sensors, tick by tick, on the law's own functions.
 
 Each limit is met from just below and from just above, in either sign, and timed to the tick. What
 becomes of them in closed loop: tests/test_robot_limits.py, tests/test_lying_sensors.py.
@@ -189,7 +189,7 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
         contacts = Contacts()
         assert contacts.until(safety.CONTACT_LOST, both(alpha, fine), wanted) == ticks
         assert contacts.memory.culprit == (-1 if not ticks else (2, 0)[column])
-    for command, ticks in ((1.0, 0), (1.01, 11)):  # too little to be told from nothing
+    for command, ticks in ((1.0, 0), (1.01, 11)):  # too little to differ from nothing
         assert Contacts().until(safety.CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
     contacts = Contacts(phased=1)  # contact phases see to it
     assert contacts.until(safety.CONTACT_LOST, both(0.0, fine), wanted) == 0
@@ -199,7 +199,7 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
 
 
 @BOTH
-def test_a_force_integral_at_its_bound_tells_that_nothing_is_felt(sign):
+def test_a_force_integral_at_its_bound_shows_that_nothing_is_measured(sign):
     """15 N, or one and a half times the command."""
     for command, room in ((4.0, 15.0), (40.0, 60.0)):
         for share, ticks in ((0.98, 0), (0.995, 11)):
@@ -237,20 +237,20 @@ def readings():
 def test_a_rotation_is_one_but_for_a_ten_thousandth():
     rng = default_rng(2)
 
-    def believed(R):
+    def verdict(R):
         t = readings()
         write(t.input, X_WD=np.column_stack([R, rng.uniform(-9.0, 9.0, 3)]))
         return sensors.check_readings(t)
 
     for _ in range(20):
         R = pin.exp3(rng.standard_normal(3))
-        assert believed(R) == reasons.NO_REASON
-        assert believed(R @ np.diag([1, 1, -1])) == believed(-R) == NO_ROTATION
-        assert believed(R[:, [1, 0, 2]]) == NO_ROTATION
+        assert verdict(R) == reasons.NO_REASON
+        assert verdict(R @ np.diag([1, 1, -1])) == verdict(-R) == NO_ROTATION
+        assert verdict(R[:, [1, 0, 2]]) == NO_ROTATION
         i, j = rng.choice(3, 2, replace=False)
         for way in (np.outer(np.eye(3)[i], R[j]), np.outer(np.eye(3)[i], 0.5 * R[i])):
             for size, reason in ((0.97e-4, reasons.NO_REASON), (1.03e-4, NO_ROTATION)):
-                assert believed(R + size * way) == reason
+                assert verdict(R + size * way) == reason
 
 
 @BOTH
@@ -276,7 +276,7 @@ def test_a_tick_without_a_wrench_uses_one_that_is_young_enough(age, has):
 @BOTH
 @parametrize("unread", [0, 4])
 def test_joints_move_no_further_than_they_can(sign, unread):
-    """20 mrad, and three times the speed limit since the last reading that was believed."""
+    """20 mrad, and three times the speed limit since the last reading that was accepted."""
     for j, limit in enumerate((2.0, 4.0)):
         most = 0.02 + 3.0 * limit * DT * (1 + unread)
         for way, reason in ((most - 1e-6, reasons.NO_REASON), (most + 1e-6, JUMPED)):
@@ -318,7 +318,7 @@ class Approach:
         return self.work.columns.N[[3, 1]] @ V - self.work.V_N[:2]
 
     def tick(self, V, speed):
-        """The object has moved by V; these speeds were read. What is believed."""
+        """The object has moved by V; these speeds were read. What is used."""
         X = pin.SE3(pin.exp3(V[3:] * DT), np.zeros(3)) * pin.SE3(self.memory.X_WO.copy())
         X.translation = self.memory.X_WO[:3, 3] + V[:3] * DT
         write(self.work, X_WO=X.homogeneous, speed=np.broadcast_to(speed, 2))
@@ -327,16 +327,16 @@ class Approach:
         return self.work.speed[:2].copy()
 
 
-def test_an_approach_believes_positions_where_speeds_read_too_little():
+def test_an_approach_uses_positions_where_speeds_read_too_little():
     for seed in range(4):
         approach = Approach(seed)
         rng = default_rng(seed)
         V = 0.05 * rng.standard_normal(6)
         true = np.array(approach.true(V))
         for _ in range(300):
-            believed = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s
-        assert_allclose(believed, true, atol=1e-6)
-        assert_array_equal(believed, approach.kept.velocity_from_positions[[3, 1]])
+            used = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s
+        assert_allclose(used, true, atol=1e-6)
+        assert_array_equal(used, approach.kept.velocity_from_positions[[3, 1]])
         for _ in range(300):
             approach.tick(V, true - 0.02)
         assert_array_equal(approach.tick(V, true + 0.05), true + 0.05)  # the low-pass lags behind
@@ -361,9 +361,9 @@ def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
         assert_array_equal(seen, [0.0, 0.007, 0.0, 0.007])
     approach.memory.compared = 1
     approach.kept.known[3] = 0
-    believed = approach.tick(100.0 * V * np.sign(true[0]), -9.0)
+    used = approach.tick(100.0 * V * np.sign(true[0]), -9.0)
     encoders = approach.kept.velocity_from_encoders
-    assert believed[0] == -9.0 == encoders[3] and encoders[1] != -9.0
+    assert used[0] == -9.0 == encoders[3] and encoders[1] != -9.0
 
 
 def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
@@ -372,9 +372,9 @@ def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
     for _ in range(100):
         assert_array_equal(approach.tick(V, -1.0), -1.0)
     approach.t.memory.contacts.phase[1] = APPROACHING  # of column 3, the first that is kept
-    believed = approach.tick(V, -1.0)
+    used = approach.tick(V, -1.0)
     positions = approach.kept.velocity_from_positions
-    assert believed[0] == positions[3] and believed[1] == -1.0
+    assert used[0] == positions[3] and used[1] == -1.0
     assert positions[0] == 0.0 == positions[2], "not in N"
 
 

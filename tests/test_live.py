@@ -25,7 +25,6 @@ from scene_samples import ARMS, BODIES, ENDS, RECORDING, links
 from tornado.websocket import websocket_connect
 
 import osc_contact as osc
-from osc_contact.errors import ViewerError
 from osc_contact.visual.live import Viewer
 from osc_contact.visual.parts import Content
 
@@ -240,7 +239,7 @@ def test_a_dead_or_frozen_viewer_is_reported_once_and_never_waited_for(viewer, b
         feed(viewer, 0.5)
         viewer._process.send_signal(blow)
         feed(viewer, 2.5)
-        assert isinstance(viewer.error, ViewerError)
+        assert isinstance(viewer.error, osc.ViewerError)
         (record,) = caplog.records
     words = "has ended" if blow == signal.SIGKILL else "has taken nothing for 1 s"
     assert words in record.getMessage() and "the run continues" in record.getMessage()

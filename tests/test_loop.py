@@ -126,20 +126,20 @@ def test_ticks_that_are_held_are_recorded_and_do_not_end_the_loop():
 
 def test_references_may_have_no_end_and_the_controller_may_be_ones_own():
     rig, plant, _ = started(*RIGID)
-    asked = []
+    references = []
     shown = []
 
     class Hold:
         dt = 2e-3
 
         def tick(self, measurement, reference):
-            asked.append(reference)
+            references.append(reference)
             return np.zeros(rig.chain.n_a)
 
     robot = Hardware(plant)
     endless = repeat(rig.references.at(0.0))
     osc.run_loop(robot, Hold(), islice(endless, 200), progress=shown.append)
-    assert len(asked) == 200 and {duration for _, duration in robot.sent} == {2e-3}
+    assert len(references) == 200 and {duration for _, duration in robot.sent} == {2e-3}
     assert shown == approx([0.2, 0.4])
 
 
@@ -240,7 +240,7 @@ def handlers():
     return list(map(signal.getsignal, SIGNALS))
 
 
-def test_a_stop_is_reported_in_its_tick_and_braking_goes_on():
+def test_a_stop_is_reported_in_its_tick_and_braking_continues():
     robot = Robot()
     loop_of(robot, 8, [3, 6])
     assert robot.stops == ["tick 3: an encoder", "tick 6: an encoder", ""]

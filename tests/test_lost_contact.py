@@ -25,7 +25,7 @@ WORST = (
 
 
 def pull_away(name, by):
-    """Take every face `by` (m) away from the object in contact, and go on for a second.
+    """Take every face `by` (m) away from the object in contact, and continue for a second.
 
     Returns:
         The controller, joint speeds as shares of their limits, share of ticks that some contact was

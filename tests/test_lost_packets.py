@@ -11,7 +11,6 @@ from samples import parametrize
 
 import osc_contact as osc
 from benchmarks.fault_injection import FAULTS, NAN, Case, Run, Verdict
-from osc_contact.interface import Measurement
 from osc_contact.law.phases import CLOSED
 
 RUN, DEGRADED, HOLD, SAFE_STOP = osc.SafetyState
@@ -36,7 +35,7 @@ def lost(m):
 
 
 def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
-    kept: dict[str, Measurement] = {}
+    kept: dict[str, osc.Measurement] = {}
 
     def half_rate(m, k):
         if k % 2 == 0:
@@ -52,7 +51,7 @@ def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
 
 
 def test_a_packet_that_repeats_for_longer_than_a_wrench_may_is_a_fault():
-    kept: dict[str, Measurement] = {}
+    kept: dict[str, osc.Measurement] = {}
 
     def stands(m, k):
         if k <= 300:

@@ -145,7 +145,7 @@ def test_what_the_law_does_not_know_is_refused(tmp_path, old, new, says):
         osc.Arm.from_mjcf(tmp_path / "arm.xml", name="a", tip="tip")
 
 
-def test_names_that_are_not_there_are_told(mj):
+def test_names_that_are_not_there_are_reported(mj):
     with invalid_input("no moving joint matches"):
         robots.load_mjcf(mj, "tip", limits={"nobody": robots.JointLimits(effort=1.0)})
 
@@ -252,7 +252,7 @@ def test_a_scenario_takes_an_mjcf_file(tmp_path, tip):
 
 
 def test_both_plants_accelerate_an_arm_from_mjcf_alike(tmp_path):
-    """Free fall from a posture, damping included, two joints and a finger held where told."""
+    """Free fall from a posture, damping included, two joints and a finger locked."""
     scenario = task(
         tmp_path,
         "tip",

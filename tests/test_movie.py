@@ -1,4 +1,4 @@
-"""Moving pictures: frames of a page at the times that are asked for, and the page's cameras."""
+"""Moving pictures: frames of a page at given times, and the page's cameras."""
 
 import av
 import numpy as np

@@ -13,7 +13,6 @@ from scenario_runs import always_closed, assert_accurate, run_of, verdict_of, wo
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Hinge
-from osc_contact.plants.faces import Rail
 from osc_contact.spatial import carry_twist
 from paper import moving_face
 from paper.study import ticks
@@ -112,7 +111,7 @@ def swinging(rng):
         x = w * t + phase
         return A * np.sin(x), A * w * np.cos(x), -A * w**2 * np.sin(x)
 
-    return Rail(direction(rng), direction(rng), rng.standard_normal(3), motion)
+    return osc.Rail(direction(rng), direction(rng), rng.standard_normal(3), motion)
 
 
 def placed(rail, t):

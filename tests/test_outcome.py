@@ -12,7 +12,6 @@ from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.control.monitor import ContactMonitor, watch_series
-from osc_contact.recorder import Recording
 from osc_contact.runs.report import task_lines, verdict_table
 from osc_contact.runs.verdict import RULES, Rule, judge_task
 from osc_contact.scenarios.control_schema import MonitorLimits, VerdictSpec
@@ -51,7 +50,7 @@ def made(meta=(), **channels):
         "end_state": "RUN",
         "end_reason": "",
     }
-    return Recording(about | dict(meta), plain | channels)
+    return osc.Recording(about | dict(meta), plain | channels)
 
 
 def rows_of(verdict):
@@ -65,7 +64,7 @@ def changed(name, start, stop, value):
     return {name: values}
 
 
-def test_a_step_is_told_with_its_overshoot_and_the_first_contact_too():
+def test_a_step_is_reported_with_its_overshoot_and_the_first_contact_too():
     command, truth = np.full((2, TICKS, 1), 10.0)
     command[2000:] = truth[2000:] = 4.0
     truth[:40] = 0.0
@@ -232,12 +231,12 @@ def test_a_run_that_loses_its_contact_ends_with_exit_code_1(tmp_path):
     assert read_json(tmp_path / "metrics.json")["task"]["failed"] is True
 
 
-def test_an_ordinary_run_tells_its_first_contact_and_ends_well(tmp_path):
+def test_an_ordinary_run_reports_its_first_contact_and_ends_well(tmp_path):
     """Two forces commanded at once at t = 0 are let in: neither overshoots."""
     result = done("run two_contact_rod --duration 1.2 --out", tmp_path)
     assert "verdict: OK" in result.stdout
     steps = read_json(tmp_path / "metrics.json")["steps"]
-    truth = Recording.load(tmp_path / "recording.npz")["alpha_true"][:500, 0]
+    truth = osc.Recording.load(tmp_path / "recording.npz")["alpha_true"][:500, 0]
     left = next(s for s in steps if s["force"] == "left_end")
     assert left["peak_N"] == truth.max() == approx(10 * (1 + left["overshoot_rel"]))
     assert 0.0 < left["overshoot_rel"] < 0.05
@@ -265,7 +264,7 @@ def test_a_run_too_short_to_be_judged_is_refused_with_its_length():
 DT = 1e-3
 
 
-def told(alpha, speed):
+def watched(alpha, speed):
     monitor = ContactMonitor(1, DT)
     states = [monitor.update(*given) for given in np.stack((alpha, speed), axis=1)[..., None]]
     closed = np.array([s.closed[0] for s in states])
@@ -282,7 +281,7 @@ def test_approach_contact_loss_and_contact_again():
     for hit in (300, 900):
         alpha[hit : hit + 4] = [15.0, 20.0, 12.0, 9.0]
         speed[hit : hit + 4] = [0.03, 0.02, 0.01, 0.002]
-    closed, collisions = told(alpha, speed)
+    closed, collisions = watched(alpha, speed)
     assert np.flatnonzero(np.diff(closed.astype(int))).tolist() == [299, 704, 899]
     first, second = collisions
     assert first in range(300, 305) and second in range(900, 905)
@@ -303,16 +302,16 @@ def test_a_short_gap_is_not_a_lost_contact_and_a_long_one_is():
     for gap, still in ((4, True), (8, False)):
         alpha = np.full(60, 5.0)
         alpha[20 : 20 + gap] = 0.0
-        closed, _ = told(alpha, np.zeros(60))
+        closed, _ = watched(alpha, np.zeros(60))
         assert closed[10:].all() == still
 
 
 def test_one_long_burst_of_power_is_one_collision():
     """And power long after contact was made is none."""
     t = np.arange(100)
-    _, collisions = told(10.0 * (t >= 20), 0.02 * ((t >= 20) & (t < 60)))
+    _, collisions = watched(10.0 * (t >= 20), 0.02 * ((t >= 20) & (t < 60)))
     assert collisions.tolist() == [20]
-    _, collisions = told(np.full(100, 10.0), 0.05 * ((t >= 50) & (t < 60)))
+    _, collisions = watched(np.full(100, 10.0), 0.05 * ((t >= 50) & (t < 60)))
     assert len(collisions) == 0
 
 
@@ -331,7 +330,7 @@ def test_what_is_no_threshold_is_refused(limits, words):
 
 @parametrize("seed", range(4))
 def test_a_series_is_watched_as_tick_by_tick(seed):
-    """Ticks that are passed over tell nothing new: contacts lost and made again, with bursts."""
+    """Ticks that are passed over bring nothing new: contacts lost and made again, with bursts."""
     rng = np.random.default_rng(seed)
     alpha = np.repeat(rng.choice([8.0, 0.0, 0.45, 3.0], (60, 2)), rng.integers(1, 40, 60), axis=0)
     alpha = alpha + 0.02 * rng.standard_normal(alpha.shape)

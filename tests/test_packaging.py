@@ -124,7 +124,7 @@ CONDA_NAMES = {
 }
 
 
-def test_conda_recipe_asks_for_what_the_wheel_asks_for():
+def test_conda_recipe_requires_what_the_wheel_requires():
     recipe = yaml_of("conda/recipe.yaml")
     assert recipe["context"]["version"] == PROJECT["version"]
     assert f">={recipe['context']['python_min']}" == PROJECT["requires-python"]
@@ -161,7 +161,7 @@ def test_citation_names_the_software_and_the_paper():
     assert {"year": 1999, "start": 3281, "end": 3286}.items() <= paper.items()
 
 
-def test_changelog_tells_of_this_version():
+def test_changelog_names_this_version():
     assert f"## [{PROJECT['version']}]" in text_of("CHANGELOG.md")
 
 
@@ -194,8 +194,8 @@ def test_the_paper_has_the_sections_of_the_journal_and_cites_what_it_lists():
 def test_issue_templates_ask_for_something():
     forms = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
     assert len(forms) == 3
-    for told in map(yaml_of, forms):
-        assert told.get("blank_issues_enabled") or (told["name"] and told["body"])
+    for form in map(yaml_of, forms):
+        assert form.get("blank_issues_enabled") or (form["name"] and form["body"])
 
 
 def test_the_readme_leads_somewhere_once_there_is_an_address():

@@ -7,12 +7,11 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, model_error, plant_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
-from rigs import largest, shift
+from rigs import largest, rigid_plant, shift
 from samples import module_fixture
 from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
-from osc_contact.contacts.contact import Contact
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs import rig as plants
 
@@ -30,8 +29,7 @@ def test_rigid_plant_keeps_energy_and_constraints_while_it_slides_freely(rig):
     """Frictionless bilateral contacts do no work: energy is kept (second order in the step)."""
     drift = []
     for step in (2e-3, 1e-3):
-        plant = RigidPlant(rig.chain, rig.pairs, step)
-        plant.reset(rig.q_contact)
+        plant = rigid_plant(rig.q_contact, rig.chain, rig.pairs, step)
         start = energy(plant)
         for _ in range(round(0.2 / step)):
             plant.command(np.zeros(8), step)
@@ -47,8 +45,7 @@ def test_rigid_plant_keeps_energy_and_constraints_while_it_slides_freely(rig):
 
 def test_rigid_plant_at_rest_reads_weights_and_contact_forces(rig):
     """Statics by hand: the wrists carry rod and grippers, the faces push back."""
-    plant = RigidPlant(rig.chain, rig.pairs, 1e-3)
-    plant.reset(rig.q_contact)
+    plant = rigid_plant(rig.q_contact, rig.chain, rig.pairs)
     tau = rig.controller().tick(plant.measure(), rig.references.at(0.0))
     _, a_O, alpha = plant.accelerations(tau)
     assert_allclose(a_O[3:], 0, atol=1e-6)
@@ -73,7 +70,7 @@ def test_mujoco_wrist_sensors_agree_with_newton_euler(rig):
     state = rig.chain.state(q, v)
     truth = plant.truth()
     readings = plant.measure().wrenches
-    contact = Contact.stack([p.contact(truth.X_WO, truth.V_O) for p in rig.pairs])
+    contact = osc.Contact.stack([p.contact(truth.X_WO, truth.V_O) for p in rig.pairs])
     s = rig.chain.slices[0]
     a = state.arms[0].J @ plant.data.qacc[plant._v][s] + state.arms[0].gamma
     want = state.Lambda_out @ a + state.bias_out + contact.N @ truth.alpha
@@ -107,8 +104,7 @@ def test_divergence_is_an_error_and_leaves_no_log_file(rig, tmp_path, monkeypatc
 
 
 def test_rigid_plant_refuses_to_run_away(rig):
-    plant = RigidPlant(rig.chain, rig.pairs, 1e-3)
-    plant.reset(rig.q_contact)
+    plant = rigid_plant(rig.q_contact, rig.chain, rig.pairs)
     plant.v, _ = plant._on_constraints(np.full(10, 2e3), np.zeros(6))
     with plant_error("diverged"):
         plant.command(np.zeros(8), 1e-3)

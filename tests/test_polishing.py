@@ -20,7 +20,7 @@ from benchmarks.polishing import (
 )
 
 
-def test_the_strategy_finds_what_it_is_not_told():
+def test_the_strategy_finds_what_is_hidden():
     """The lowest point of a parabola, of which it gets noisy heights."""
     hidden = np.array([3.0, -1.0, 0.5])
     noise = np.random.default_rng(0)

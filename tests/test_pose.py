@@ -61,8 +61,8 @@ def test_inverse_kinematics_keep_the_limits_and_print_what_a_file_takes():
         assert not outside_limits(panda_chain(), q)
 
 
-def test_what_is_out_of_reach_or_outside_the_limits_is_told_with_exit_code_1():
-    for words, told in (
+def test_what_is_out_of_reach_or_outside_the_limits_ends_with_exit_code_1():
+    for words, said in (
         ("--xyz '3, 0, 0.5'", "not reached within the joints' limits"),
         (
             "--posture '0, 0, 0, 0, 0, 90 deg, 0'",
@@ -70,10 +70,10 @@ def test_what_is_out_of_reach_or_outside_the_limits_is_told_with_exit_code_1():
         ),
     ):
         result = call(f"{TIP} {words}")
-        assert result.exit_code == 1 and told in result.stdout
+        assert result.exit_code == 1 and said in result.stdout
 
 
-def test_a_scenario_tells_where_its_postures_put_the_object_and_how_to_put_it_elsewhere():
+def test_a_scenario_shows_where_its_postures_put_the_object_and_how_to_put_it_elsewhere():
     assert "object pose: {xyz: [" in done("pose two_contact_rod").stdout
     _, found = answered("pose two_contact_rod --xyz '0, 5 cm, 0.2'")
     assert_allclose(np.array(found["object"])[:3, 3], [0, 0.05, 0.2], atol=1e-6)
@@ -94,7 +94,7 @@ def test_a_scenario_tells_where_its_postures_put_the_object_and_how_to_put_it_el
         ("pose arm.xml", "'arm.xml' is neither the file"),
     ],
 )
-def test_what_is_wrong_is_told_with_exit_code_2(words, said):
+def test_what_is_wrong_ends_with_exit_code_2(words, said):
     assert said in refused(words)
 
 
@@ -180,7 +180,7 @@ def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():
     assert np.linalg.norm(given.state().X_WO.translation - rig.state().X_WO.translation) < 1e-3
 
 
-def test_where_no_arm_tells_the_pose_it_must_be_given():
+def test_where_no_arm_determines_the_pose_it_must_be_given():
     changes = ["object.pose=null", "grasps.left.type=ball", "grasps.left.axis=null"]
     with model_error("pose"):
         rig_of("hinge_ball_rod", *changes)
@@ -240,7 +240,7 @@ def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path)
         ("panda", "has 3 ends"),
     ],
 )
-def test_what_cannot_be_is_told_and_nothing_is_written(words, said, tmp_path):
+def test_what_cannot_be_is_refused_and_nothing_is_written(words, said, tmp_path):
     assert said in refused(f"new --robot {words} --out", tmp_path / "x.yaml")
     assert not list(tmp_path.iterdir())
 

@@ -1,4 +1,4 @@
-"""Mistakes in a scenario, in Python and at the command line: told before it runs, with a cure."""
+"""Mistakes in a scenario, in Python and at the command line: found before it runs, with a cure."""
 
 import logging
 from typing import ClassVar
@@ -71,7 +71,7 @@ def test_what_cannot_run_is_refused_at_every_door(name, tmp_path):
 
 
 @parametrize("name", DOUBTFUL)
-def test_what_is_doubtful_is_told_at_every_door(name, caplog):
+def test_what_is_doubtful_is_reported_at_every_door(name, caplog):
     change, words = DOUBTFUL[name]
     with caplog.at_level(logging.WARNING, "osc_contact.preflight"):
         result = call("inspect two_contact_rod --set", change)
@@ -133,7 +133,7 @@ def test_other_kinds_of_contact_are_looked_at_too(name):
 
 
 @parametrize(
-    "name, force, told",
+    "name, force, reported",
     [
         ("scara_peg", 90, False),
         ("scara_peg", 160, True),
@@ -141,16 +141,16 @@ def test_other_kinds_of_contact_are_looked_at_too(name):
         ("panda_edge", 210, True),
     ],
 )
-def test_forces_are_told_where_the_motors_end(name, force, told):
-    """Judged by a run: it loses more than 5 % of the force where that is told, and only there."""
+def test_forces_are_reported_where_the_motors_end(name, force, reported):
+    """Judged by a run: it loses more than 5 % of the force where this is reported only."""
     contact = {"scara_peg": "wall_x", "panda_edge": "edge"}[name]
     change = f"force.{contact}=[{{type: constant, value: {force} N}}]"
     scenario = osc.load_scenario(name, [change, "motion=[]", "duration=1 s"])
     found = osc.preflight(osc.build_rig(scenario))
-    assert [one.text.startswith(f"force.{contact} is") for one in found] == [True] * told
+    assert [one.text.startswith(f"force.{contact} is") for one in found] == [True] * reported
     recording = osc.run(scenario)
     lost = (recording["alpha_cmd"] - recording["alpha_true"])[-200:, 0].mean() / force
-    assert (lost > 0.05) == told
+    assert (lost > 0.05) == reported
 
 
 def test_the_least_peak_is_that_of_the_dual_problem():
@@ -177,7 +177,7 @@ def test_a_contact_without_forces_is_no_trouble():
 def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
     motion = f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]"
     for change in (motion, "motion.1.signals.0.start=1.5 s"):
-        found = told("approach_and_slide", change)
+        found = findings("approach_and_slide", change)
         assert any("does not permit it" in text for _, text in found)
 
 
@@ -195,17 +195,17 @@ def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
         ["sensors.wrist={rate: 1 kHz, force: {noise: 1 N}}"],
     ],
 )
-def test_what_is_cured_is_not_told(changes):
+def test_what_is_cured_is_not_reported(changes):
     assert osc.preflight(rig_of("two_contact_rod", *changes)) == ()
 
 
 def test_a_torque_loop_that_diverges_is_refused_before_it_runs():
     changes = ["plant.flexible_joints.frequency=60 Hz", "control.joint_torque={rate: 4 kHz}"]
-    ((kind, text),) = told("two_contact_rod", *changes)
+    ((kind, text),) = findings("two_contact_rod", *changes)
     assert kind == "refused" and "lower control.joint_torque.gain" in text
 
 
-def told(name, *changes):
+def findings(name, *changes):
     """Findings as "doubtful" or "refused", with their texts."""
     found = osc.preflight(rig_of(name, *np.ravel(changes).tolist()))
     return [(("doubtful", "refused")[one.refused], one.text) for one in found]
@@ -285,15 +285,15 @@ LIMITS = {
 
 
 @parametrize("name", LIMITS)
-def test_what_is_told_begins_at_its_limit(name):
+def test_what_is_reported_begins_at_its_limit(name):
     below, above, kind, words = LIMITS[name]
-    assert kind not in [one for one, _ in told("two_contact_rod", below)]
-    assert any(one == kind and words in text for one, text in told("two_contact_rod", above))
+    assert kind not in [one for one, _ in findings("two_contact_rod", below)]
+    assert any(one == kind and words in text for one, text in findings("two_contact_rod", above))
 
 
 def test_a_contact_may_lie_five_millimetres_beside_its_body():
     def aside(metres):
-        return told("ur5_wipe", f"environment.board.pose.xyz=[0.47, {metres}, 0.24]")
+        return findings("ur5_wipe", f"environment.board.pose.xyz=[0.47, {metres}, 0.24]")
 
     ((_, text),) = aside(0.3)
     beyond = 1e-3 * float(text.split(" mm beside")[0].split()[-1])
@@ -304,7 +304,7 @@ def test_a_contact_may_lie_five_millimetres_beside_its_body():
 
 def test_forces_beyond_the_motors_are_doubtful_then_refused():
     fine, *beyond = (
-        told("dual_panda_rod", f"force.left_end=[{{type: constant, value: {newtons} N}}]")
+        findings("dual_panda_rod", f"force.left_end=[{{type: constant, value: {newtons} N}}]")
         for newtons in (430, 460, 1180, 1250)
     )
     assert fine == []
@@ -312,7 +312,7 @@ def test_forces_beyond_the_motors_are_doubtful_then_refused():
     assert "2.9 times their limits" in beyond[1][0][1]
 
 
-# Mistakes in Python and at the command line that are told in a sentence with its cure.
+# Mistakes in Python and at the command line that are reported in a sentence with its cure.
 
 
 class Floor:

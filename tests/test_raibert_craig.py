@@ -250,12 +250,16 @@ def test_the_residual_grows_no_faster_than_the_noise(noise, refinements, monkeyp
         assert bool(found) == (found.residual <= 1e-9)
 
 
+def columns(rng, r):
+    return np.concatenate((rng.standard_normal((3, r)), SIZE * rng.standard_normal((3, r))))
+
+
 @parametrize("r", range(1, 6))
 def test_neighbouring_frames_come_hardly_closer(r):
     """Gauss–Newton takes the sum of squares: with a single sine (r = 1, 5) that is the sine."""
     rng = default_rng([5, r])
     for _ in range(4):
-        N = np.concatenate((rng.standard_normal((3, r)), SIZE * rng.standard_normal((3, r))))
+        N = columns(rng, r)
         found = as_raibert_craig(N, SIZE)
         nearest = 1.0
         for _ in range(300):
@@ -272,7 +276,7 @@ def test_nothing_depends_on_operational_point_axes_units_or_basis():
     rng = default_rng(6)
     for i in range(60):
         r = 1 + i % 5
-        N = np.concatenate((rng.standard_normal((3, r)), SIZE * rng.standard_normal((3, r))))
+        N = columns(rng, r)
         if i % 2:
             N = selection_columns(frame_at(rng), *selection(rng, range(r, r + 1)))
         centre, shift = SIZE * rng.standard_normal((2, 3))

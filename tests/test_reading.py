@@ -16,16 +16,13 @@ import osc_contact as osc
 from benchmarks.cases import POINT
 from osc_contact.contacts.pairs.pair import Bodies, velocity
 from osc_contact.dynamics.environment import Cart, Conveyor
-from osc_contact.scenarios.control_schema import Friction, PhaseSettings
-from osc_contact.scenarios.loader import list_scenarios
-from osc_contact.scenarios.schema import Scenario
 
 
 def point(changes=None, **control):
     """A Panda that slides a ball-nosed peg in a circle on a tilted face."""
     data = POINT | {"control": POINT["control"] | control}
     data["plant"] = POINT["plant"] | (changes or {})
-    return Scenario.model_validate(data)
+    return osc.Scenario.model_validate(data)
 
 
 def judged(scenario, key="rms_error_rel", duration=3.0, install=None):
@@ -54,7 +51,7 @@ def test_friction_known_within_thirty_per_cent(mu):
 
 
 def tilted(axis, reading):
-    """The controller believes in a face that is turned by 5° about an axis."""
+    """The controller assumes a face turned by 5° about an axis."""
 
     def install(c):
         face = c.contacts[0]
@@ -93,7 +90,7 @@ def test_the_coefficient_is_learnt_while_the_contact_slides():
             controller.contacts,
             controller.gains,
             posture=controller.posture,
-            friction=Friction(0.1, learning=learning),
+            friction=osc.Friction(0.1, learning=learning),
         )
         plant = rig.plant(0)
         plant.hold(rig.controller().tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
@@ -158,7 +155,7 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
         q, v = random_state(chain, rng)
         pairs = off_their_faces(chain.state(q, v).X_WO, 1 + k % 3, rng)
         n = len(pairs)
-        how = {"bodies": [on] * n, "friction": Friction(mu, slip) if mu else None}
+        how = {"bodies": [on] * n, "friction": osc.Friction(mu, slip) if mu else None}
         controller = osc.Controller(chain, pairs, reading="least_squares", safety=UNLIMITED, **how)
         touched = motion_of(rng, n) if body else None
         measurement, reference = inputs(chain, q, v, rng, n, touched)
@@ -177,7 +174,11 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
             slide = velocity(Bodies.at_O(*bodies).V_rel, p)
             slide = slide - (slide @ m) * m
             where.append(
-                (p, m, slide / np.sqrt(slide @ slide + (slip if mu else Friction(0.0).slip) ** 2))
+                (
+                    p,
+                    m,
+                    slide / np.sqrt(slide @ slide + (slip if mu else osc.Friction(0.0).slip) ** 2),
+                )
             )
         friction = s.friction_wrenches
         want = explained(
@@ -225,7 +226,7 @@ def test_least_squares_is_chosen_where_its_answer_is_unique():
     assert chosen([one, other]) == "filter"
     assert chosen([one], reading="filter") == "filter"
     assert chosen([one, other], reading="least_squares") == "least_squares"
-    assert chosen([one], life=PhaseSettings()) == "least_squares"
+    assert chosen([one], life=osc.PhaseSettings()) == "least_squares"
 
 
 def test_impossible_readings_are_refused():
@@ -240,6 +241,6 @@ def test_impossible_readings_are_refused():
         osc.Controller(chain, faces, reading="gyro")
 
 
-@parametrize("name", [n for n in list_scenarios() if n.startswith("two_contact")])
+@parametrize("name", [n for n in osc.list_scenarios() if n.startswith("two_contact")])
 def test_the_papers_scenarios_keep_the_papers_filter(name):
     assert osc.load_scenario(name).control.force.reading == "filter"

@@ -185,7 +185,7 @@ def test_shadow_mode_says_why_no_force_may_be_commanded(fault, sentence):
     assert re.search(sentence, " ".join(found.findings)), found.findings
 
 
-def test_shadow_mode_asks_for_motion_and_for_one_arm():
+def test_shadow_mode_needs_motion_and_one_arm():
     found = shadow(change=lambda robot: setattr(robot, "ticks", -9999), ticks=1100)
     assert not found.forces and sum("was not moved" in one for one in found.findings) == 3
     assert any("hardly pushed" in one for one in found.findings)

@@ -165,7 +165,7 @@ def test_check_prints_verdict_joints_and_tips():
     assert found["robot"]["mass"] == approx(17.45, abs=0.01)
 
 
-def test_check_tells_everything_that_is_wrong(tmp_path):
+def test_check_reports_everything_that_is_wrong(tmp_path):
     text = GOOD.replace('effort="40"', 'effort="0"').replace('value="4"', 'value="-4"')
     result = call("check", write(tmp_path, text), "--json", tmp_path / "bad.json")
     assert result.exit_code == 1 and not result.stderr
@@ -258,7 +258,7 @@ for n in (513, 4000, 20000):
     assert out.split() == ["1024", "True", "True", "True", "True"]
 
 
-def test_unknown_frames_and_joints_are_refused_before_pinocchio_is_asked():
+def test_unknown_frames_and_joints_are_refused_before_pinocchio_is_called():
     out = run(
         "-c",
         """

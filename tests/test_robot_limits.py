@@ -7,11 +7,10 @@ import pinocchio as pin
 from complaints import invalid_input
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, fixture, mark
-from rigs import shift
+from rigs import shift, without_contacts
 
 import osc_contact as osc
 from benchmarks.cases import CASES, SPECIAL_CASES, repeatable
-from osc_contact.plants.rigid import RigidPlant
 
 RUN = osc.SafetyState.RUN
 SAFE_STOP = osc.SafetyState.SAFE_STOP
@@ -45,9 +44,7 @@ def test_torques_go_straight_to_what_is_wanted_at_their_rate(case, force):
 
 def test_a_joint_is_stopped_before_its_end():
     case = CASES["one_panda"]()
-    plant = RigidPlant(case.chain, (), DT)
-    plant.reset(case.measurement.q)
-    controller = osc.Controller(case.chain, (), case.gains, posture=case.posture)
+    plant, controller = without_contacts(case)
     X = pin.SE3(plant.poses()[0])
     model = case.chain.model
     ends = []

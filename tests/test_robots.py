@@ -14,7 +14,6 @@ from samples import ROOT, parametrize
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.errors import ModelError
 from osc_contact.robots import JointLimits, loading
 from osc_contact.robots.model import build_model
 
@@ -481,7 +480,7 @@ def test_sound_robot_loads_and_both_readers_agree(name):
 def test_robot_with_defects_is_refused_and_usable_with_a_decision(name):
     file = robots.find_robot(name)[0]
     options = HELPED[name]
-    with raises(ModelError) as caught:
+    with raises(osc.ModelError) as caught:
         robots.load_model(file)
     assert caught.value.findings[0].check == ("limit" if "limits" in options else "inertia")
     assert {finding.file for finding in caught.value.findings} == {file}

@@ -102,7 +102,7 @@ def judged(plant):
     if not isinstance(plant, MujocoPlant):
         truth = plant.truth()
         E = truth.X_WE or [WORLD] * len(plant.contacts)
-        return told(truth.X_WO, truth.V_O, E, truth.alpha, truth.closed)
+        return truths(truth.X_WO, truth.V_O, E, truth.alpha, truth.closed)
     model = plant.model
     data = plant.data
     body = model.body("object/root").id
@@ -136,10 +136,10 @@ def judged(plant):
         presses = touched[at] & (share > 0.0) & (size > 1e-6)
         closed += [part.all() for part in np.split(presses, ends[:-1])]
         alpha.append(share * touched[at])
-    return told(X, np.roll(V, 3), [E[on] for on in plant.faces.on], np.concatenate(alpha), closed)
+    return truths(X, np.roll(V, 3), [E[on] for on in plant.faces.on], np.concatenate(alpha), closed)
 
 
-def told(X, V, E, alpha, closed):
+def truths(X, V, E, alpha, closed):
     return {"pose": pin.SE3ToXYZQUAT(X), "twist": V, "E": E, "alpha_true": alpha, "closed": closed}
 
 

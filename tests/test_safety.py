@@ -7,16 +7,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture
-from rigs import largest, refused, ticked
+from rigs import largest, refused, ticked, without_contacts
 from samples import parametrize
 
 import osc_contact as osc
 from benchmarks.cases import CASES, repeatable
-from osc_contact.control.status import SafetyState
-from osc_contact.plants.rigid import RigidPlant
-from osc_contact.scenarios.control_schema import SafetySettings
 
-RUN, DEGRADED, HOLD, SAFE_STOP = SafetyState
+RUN, DEGRADED, HOLD, SAFE_STOP = osc.SafetyState
 NAN = float("nan")
 
 
@@ -102,9 +99,7 @@ def test_unreadable_joints_leave_the_last_posture():
 @parametrize(("name", "pace"), [("one_panda", 0.15), ("two_contact_rod", 1.0)])
 def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
     case = CASES[name]()
-    plant = RigidPlant(case.chain, (), 1e-3)
-    plant.reset(case.measurement.q)
-    controller = osc.Controller(case.chain, (), case.gains, posture=case.posture, engaged=False)
+    plant, controller = without_contacts(case, engaged=False)
     reference = replace(
         case.reference, alpha_d=np.zeros(0), V_D=pace * np.array([0.3, 0.2, 0.0, 0.0, 0.0, 0.5])
     )
@@ -177,6 +172,6 @@ def test_what_raises_in_python_counts_too():
 
 def test_settings_are_checked():
     with refused("repeats = 20, stop_after = 20"):
-        SafetySettings(repeats=20)
+        osc.SafetySettings(repeats=20)
     with refused("hold_rate: expected a plain number; got nan"):
-        SafetySettings(hold_rate=NAN)
+        osc.SafetySettings(hold_rate=NAN)

@@ -14,7 +14,6 @@ from samples import ROOT, parametrize
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
-from osc_contact.errors import ScenarioError
 from osc_contact.scenarios.loader import load_scenario, parse_scenario
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import MinimumJerk
@@ -55,7 +54,7 @@ duration: 2 s
 
 
 def complaints(text, overrides=()):
-    with raises(ScenarioError) as caught:
+    with raises(osc.ScenarioError) as caught:
         parse_scenario(text, "f.yaml", overrides)
     return str(caught.value).splitlines()
 
@@ -205,13 +204,13 @@ BAD = {
 }
 
 
-def test_a_bad_item_is_not_told_as_a_list_too_short():
+def test_a_bad_item_is_not_reported_as_a_list_too_short():
     path = ROOT / "tests/scenarios/set_points.yaml"
     for wrong in (
         "force.left_end.0.points=[[0 s, 1 N], [1 s, 2 mm]]",
         "motion.0.signals.0.velocity=3 N/s",
     ):
-        with raises(ScenarioError) as caught:
+        with raises(osc.ScenarioError) as caught:
             load_scenario(path, [wrong])
         assert len(str(caught.value).splitlines()) == 1, caught.value
 
@@ -326,7 +325,7 @@ BAD_OVERRIDES = [
 @parametrize("override, message", BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
 def test_bad_overrides_are_named_instead_of_a_line(override, message):
     found = complaints(GOOD, [override])
-    message = message.removeprefix(override.partition("=")[0] + ": ")  # the key is told once
+    message = message.removeprefix(override.partition("=")[0] + ": ")  # the key is named once
     assert len(found) == 1 and found[0].startswith(f"override {override}: {message}"), found
 
 
@@ -495,6 +494,6 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
         ({"contacts": [{"pair": osc.Free(), "body": "table"}], "force": {}}, "environment"),
     ],
 )
-def test_what_does_not_fit_is_told_as_for_a_file(parts, words):
+def test_what_does_not_fit_is_reported_as_for_a_file(parts, words):
     with scenario_error(words):
         osc.load_scenario("two_contact_rod").replaced(**parts)

@@ -420,13 +420,13 @@ def test_triangles_have_the_colours_of_their_materials(tmp_path):
         ("two.dae", '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema"/>', 0),
     ],
 )
-def test_what_is_not_told_is_not_guessed(name, text, count, tmp_path):
+def test_what_is_not_given_is_not_guessed(name, text, count, tmp_path):
     (tmp_path / name).write_text(text)
     assert triangle_colours(tmp_path / name, count) is None
 
 
 def test_the_pandas_hand_is_white_with_dark_parts():
-    """Its DAE tells 1 1 1 and 0.25 0.25 0.25 among others; read with Pinocchio's triangles."""
+    """Its DAE has 1 1 1 and 0.25 0.25 0.25 among others; read with Pinocchio's triangles."""
     path, folders = robots.locate("panda")
     _, geometry, _ = robots.load_geometry(path, pin.GeometryType.VISUAL, folders)
     (hand,) = [shape for shape in geometry.geometryObjects if shape.name == "panda_hand_0"]

@@ -10,10 +10,7 @@ from rigs import SCARA_Q, largest, one_panda, scara_pair
 from samples import first, parametrize
 
 import osc_contact as osc
-from osc_contact.control.controller import Controller
-from osc_contact.interface import Measurement, Reference
 from osc_contact.scenarios.control_schema import MotionGains, PostureTask
-from osc_contact.scenarios.schema import Scenario
 from paper.command_filter import command
 
 GAINS = osc.Gains(MotionGains(400, 40))
@@ -28,9 +25,9 @@ def tick(chain, q, v, posture=None):
     """A controller after one tick that asks for the same motion, whatever the posture."""
     X = chain.state(q, v).X_WO
     goal = pin.SE3(X.rotation, X.translation + [0.01, -0.005, 0.004])
-    reference = Reference(goal, alpha_d=np.zeros(0), squeeze_d=4.0)
-    controller = Controller(chain, [], GAINS, posture=posture)
-    measurement = Measurement(q, v, np.zeros((len(chain.arms), 6)))
+    reference = osc.Reference(goal, alpha_d=np.zeros(0), squeeze_d=4.0)
+    controller = osc.Controller(chain, [], GAINS, posture=posture)
+    measurement = osc.Measurement(q, v, np.zeros((len(chain.arms), 6)))
     return controller, controller.tick(measurement, reference)
 
 
@@ -48,9 +45,9 @@ def assert_faded(chain, q, v, posture, controller):
     s = controller.signals
     task = PostureTask()
     state = s.state
-    told = controller.lost_directions
-    assert len(told) == len(state.singular_directions)
-    assert (controller.status is osc.Status.DEGRADED) == bool(told)
+    reported = controller.lost_directions
+    assert len(reported) == len(state.singular_directions)
+    assert (controller.status is osc.Status.DEGRADED) == bool(reported)
     S = state.S
     retreat = task.stiffness * (posture - q) - task.retreat_damping * v
     eta = command(state, osc.Contact(np.zeros((6, 0))), s.a_u, np.zeros(0))[0]
@@ -58,7 +55,7 @@ def assert_faded(chain, q, v, posture, controller):
     L = np.linalg.cholesky(S.T @ state.metric @ S)
     rows = [*L.T]
     right = [0.0] * state.d
-    for lost, one in zip(state.singular_directions, told, strict=True):
+    for lost, one in zip(state.singular_directions, reported, strict=True):
         arm = state.arms[lost.arm]
         part = chain.slices[lost.arm]
         assert one.arm == chain.arms[lost.arm].name
@@ -197,7 +194,7 @@ def outward(name, direction, distance, duration, plant):
     ]
     data["motion"] = [{"kind": "linear", "direction": direction, "signals": moves}]
     data["control"]["safety"] = {"overspeed_time": 10.0}  # joints pass their speed limits here
-    return osc.run(Scenario.model_validate(data))
+    return osc.run(osc.Scenario.model_validate(data))
 
 
 SCARAS = ("two_contact_rod", [0, 1, 0], 0.2205)  # 0.2185 m is all they reach

@@ -22,7 +22,7 @@ SLIDES = 0.01
 
 
 def circle(hertz, about=0.0, gains=None, **plant):
-    """40 mm on a face that is believed to be turned by 5°; 10 N."""
+    """40 mm on a face that is assumed to be turned by 5°; 10 N."""
     data = point(plant).as_dict()
     for move in data["motion"]:
         move["signals"][0]["frequency"] = f"{hertz} Hz"
@@ -49,7 +49,7 @@ DEGREE = np.deg2rad(1.0)
 
 
 @parametrize("about", [0.0, 90.0])
-def test_fast_circles_on_a_face_that_is_believed_to_be_tilted(about):
+def test_fast_circles_on_a_face_that_is_assumed_to_be_tilted(about):
     assert judged(circle(1.5, about)) < 0.01
     assert judged(circle(1.0, about, friction=0.2)) < 0.01
     assert judged(circle(1.0, about, {"force": {"tilt": 0}})) > 0.03
@@ -95,14 +95,14 @@ def test_what_stands_still_does_not_turn_its_face():
 
 
 def edge(about, **gains):
-    """The packaged Panda on the edge of a table that is believed to be turned by 5°."""
+    """The packaged Panda on the edge of a table that is assumed to be turned by 5°."""
     tilt = ["model_error.face_tilt=5 deg", f"model_error.face_tilt_about={about} deg"]
     scenario = osc.load_scenario("panda_edge", tilt).replaced(gains=gains)
     return worst_force(osc.metrics(osc.run(scenario, duration=3.0)))
 
 
 @parametrize("about", [45.0, 90.0])
-def test_an_edge_that_is_believed_to_run_elsewhere(about):
+def test_an_edge_that_is_assumed_to_run_elsewhere(about):
     assert edge(about) < 0.002
     assert edge(about, force={"tilt": 0}) > 0.01
 
@@ -177,6 +177,12 @@ def turned_in_the_law(pair, turn, q, v, reference, touched=None):
     return controller.signals.contact, controller._records.work.columns[0].turned
 
 
+def states(rng):
+    for _ in range(5):
+        q, v = random_state(one_panda(), rng)
+        yield q, v, one_panda().state(q, v)
+
+
 def assert_same(contact, want):
     assert_allclose(contact.N, want.N, atol=1e-12)
     assert_allclose(contact.n_gamma, want.n_gamma, atol=1e-11)
@@ -194,11 +200,8 @@ def correction(shown, across):
 @parametrize("kind", ["vertex_on_face", "sphere_on_plane", "face_on_vertex"])
 def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, moving):
     """N and n_γ against the pair made anew; the turn against its formula in world axes."""
-    chain = one_panda()
     rng = default_rng(11)
-    for _ in range(5):
-        q, v = random_state(chain, rng)
-        state = chain.state(q, v)
+    for q, v, state in states(rng):
         X = state.X_WO
         X_WE = pose_of(rng) if moving else pin.SE3.Identity()
         V_E = 0.1 * rng.standard_normal(6) * moving
@@ -235,11 +238,8 @@ def crossing(pair, X):
 
 def test_a_turned_edge_is_the_pair_with_that_edge_and_turns_by_the_law():
     """N and n_γ against the pair made anew; what shows, from a difference of NᵀV."""
-    chain = one_panda()
     rng = default_rng(12)
-    for _ in range(5):
-        q, v = random_state(chain, rng)
-        state = chain.state(q, v)
+    for q, v, state in states(rng):
         X = state.X_WO
         d = rng.standard_normal(3)
         e = X.rotation.T @ rng.standard_normal(3)
@@ -261,7 +261,7 @@ def test_a_turned_edge_is_the_pair_with_that_edge_and_turns_by_the_law():
         assert_allclose(pair.direction_E + turned, unit(f), atol=1e-8)
 
 
-def test_gains_for_one_mass_leave_faces_as_they_are_told():
+def test_gains_for_one_mass_leave_faces_as_they_are_given():
     assert osc.ForceGains().tilt == approx(np.deg2rad(10))
     assert osc.ForceGains(30, 100).tilt == osc.ForceGains(bandwidth=5, tilt=0).tilt == 0.0
     assert osc.ForceGains(30, 100, tilt=0.1).tilt == 0.1

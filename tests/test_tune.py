@@ -1,4 +1,4 @@
-"""Tuning: found values are better where they are run by themselves, limits hold, trials go on."""
+"""Tuning: found values are better in runs of their own, limits hold, trials continue."""
 
 import numpy as np
 from command_line import answered

@@ -13,7 +13,6 @@ from samples import first, parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
-from osc_contact.control.batch import BatchController
 from osc_contact.sweeps.fleet import Fleet, Start
 from osc_contact.sweeps.vector_env import make_vector_env
 
@@ -46,11 +45,11 @@ def part(env, observation, name):
 
 @parametrize("vary", [{}, MASS])
 def test_gymnasium_finds_nothing_wrong(vary):
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         check_env(One(vary=vary, overrides=SHORT, episodes=3), skip_render_check=True)
-    told = [str(one.message) for one in told]
-    assert [one for one in told if "infinity" not in one and "spec" not in one] == []
+    said = [str(one.message) for one in said]
+    assert [one for one in said if "infinity" not in one and "spec" not in one] == []
 
 
 @parametrize("mode", list(AutoresetMode))
@@ -176,7 +175,7 @@ def test_what_cannot_be_batched_is_refused_with_the_reason():
 
 def test_a_row_refuses_a_controller_of_another_structure():
     light = Start.of(rig_of("panda_edge")).controller
-    batch = BatchController([light] * 2)
+    batch = osc.BatchController([light] * 2)
     rod = rig_of().controller()
     for row, controller, words in ((0, rod, "one structure"), (2, light, "rows 0")):
         with invalid_input(words):

@@ -143,7 +143,7 @@ def test_diagrams_are_legible(diagram):
     assert {text.get_text() for text in ax.get_legend().get_texts()} == groups | {BY_NAME}
 
 
-def test_contact_picture_tells_how_the_lines_lie():
+def test_contact_picture_shows_how_the_lines_lie():
     rod = np.array([[-0.3, 0, 0], [0.3, 0, 0]])
     face = rod[0] + 0.1 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     directions = np.array([[0, 0, -1.0], [0, 1, 0]])

@@ -26,7 +26,6 @@ from osc_contact.law.jit import HAS_LIBRARY
 from osc_contact.law.limits import PROGRAM
 from osc_contact.runs.run import start
 from osc_contact.runs.tape import Tape, build
-from osc_contact.scenarios.control_schema import MotionGains
 
 pytestmark = mark.skipif(not HAS_LIBRARY, reason="no library of the law is used here")
 #: packaged tasks: plain, redundant, two Pandas, bars, motor limits, bodies that move, phases
@@ -242,7 +241,7 @@ def test_gains_tare_and_reset_do_in_c_what_they_do_in_python(library, tmp_path, 
     for k in range(90):
         if k == 30:
             gains = controller.gains
-            motion = MotionGains(stiffness=300.0, damping=40.0, integral=integral)
+            motion = osc.MotionGains(stiffness=300.0, damping=40.0, integral=integral)
             forces = gains.force.replaced(integral=gains.force.integral / 2)
             controller = controller.with_gains(gains.replaced(motion=motion, force=forces))
             values = {
