@@ -21,7 +21,6 @@ from osc_contact.cli import app
 from osc_contact.contacts.pairs import PAIRS
 from osc_contact.runs import rig as plants
 from osc_contact.scenarios.bodies import CONTACT_TYPES
-from osc_contact.scenarios.schema import Scenario
 
 PAGES = [
     *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY", "CODE_OF_CONDUCT")),
