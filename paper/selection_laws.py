@@ -451,9 +451,10 @@ def _descend(instant: Instant, law: SelectionLaw) -> tuple[SelectionLaw, float]:
     def residuals(step: Array) -> Array:
         moved = _moved(law, step, instant.size)
         at = instant.coupling(moved)
+        x = at.residuals
         gains = [(X - np.eye(len(X))).ravel() for X in (at.M, at.K)]
         y = np.concatenate((*gains, moved.selection.linear.translation / instant.size))
-        return np.concatenate((at.residuals, 1e-3 * np.linalg.norm(at.residuals) * y))
+        return np.concatenate((x, 1e-3 * np.linalg.norm(x) * y))
 
     still = np.zeros(3 + 3 * law.baseline.triads)
     found = least_squares(
