@@ -14,7 +14,7 @@ from samples import parametrize
 
 import osc_contact as osc
 from osc_contact import console
-from osc_contact.law import jit, nested, records
+from osc_contact.law import nested, records
 
 #: torques of ticks that end in every way: OK, near a singular posture, beyond the motors' limits,
 #: held for a bad reading or none; three arms, contact phases. Then runs of all packaged scenarios
@@ -78,7 +78,7 @@ def test_no_field_of_a_record_is_named_like_an_attribute(name):
 @parametrize(
     "other, duration",
     [
-        ({"NUMBA_DISABLE_JIT": "1"}, 0.02),
+        ({"NUMBA_DISABLE_JIT": "1"}, 0.01),
         param({"NUMBA_DISABLE_JIT": "1"}, 0.25, marks=mark.slow),
         param({"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "jit"}, 0.25, marks=mark.slow),
     ],
@@ -105,51 +105,56 @@ def test_torques_are_equal_to_the_bit_however_the_law_is_compiled(tmp_path, othe
     assert {status.name for status in osc.Status} <= {line.split()[1] for line in want}
 
 
-ANOTHER_NUMBA = """
-import sys
-from numba.core import codegen
-if sys.argv[1] == "other numba":
-    del codegen.CPUCodeLibrary._get_module_for_linking
+def compiling(program, folder, **changes):
+    """A program in which no library of the law is ready."""
+    env = {**os.environ, "NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "", **changes}
+    env["OSC_CONTACT_CACHE"] = str(folder)
+    return subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True)
+
+
+OTHER_NUMBA = """
+from numba.core.codegen import CPUCodeLibrary as Library
+kept = Library._get_module_for_linking
+del Library._get_module_for_linking
+import osc_contact.law.jit
+Library._get_module_for_linking = kept
+"""
+SQUARE = """
 from osc_contact.law import jit
-square = jit.inner(lambda x: x * x)
-print(jit.UNITS, square(3) if sys.argv[1] != "other numba" else 9)
+print(jit.UNITS, jit.inner(lambda x: x * x)(3))
 """
 
 
 @parametrize(
-    "changes",
-    [{}, {"CC": "no-such-compiler"}, {"OSC_CONTACT_LAW": "jit"}],
+    "before, changes",
+    [(OTHER_NUMBA, {}), ("", {"CC": "no-such-compiler"}), ("", {"OSC_CONTACT_LAW": "jit"})],
     ids=["other numba", "no compiler", "asked for"],
 )
 def test_what_lacks_for_a_library_is_said_and_numba_compiles_as_it_always_does(
-    changes, request, tmp_path
+    before, changes, tmp_path
 ):
     """At once, not at the first compilation, where nothing would catch it."""
-    which = request.node.callspec.id
-    env = {**os.environ, "NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "", **changes}
-    env["OSC_CONTACT_CACHE"] = str(tmp_path)
-    command = [sys.executable, "-c", ANOTHER_NUMBA, which]
-    out = subprocess.run(command, env=env, capture_output=True, text=True)
+    out = compiling(before + SQUARE, tmp_path, **changes)
     assert out.stdout.split() == ["None", "9"], out.stderr
-    assert ("longer to compile" in out.stderr) == (which != "asked for")
+    assert ("longer to compile" in out.stderr) == ("OSC_CONTACT_LAW" not in changes)
 
 
-@mark.skipif(jit.UNITS is None, reason="numba compiles in its usual way here")
-def test_progress_rises_with_the_parts_translated():
+PARTS = """
+from numba import types
+from osc_contact.law.jit import UNITS
+shares = []
+UNITS.watchers[:] = [shares.append]
+first = UNITS.called(UNITS.Unit(lambda x: 2.0 * x, False))
+UNITS.Unit(lambda x: first(x) + first(3), False).translated((types.int64,))
+print(*shares)
+"""
+
+
+def test_progress_rises_with_the_parts_translated(tmp_path):
     """One translation of a part serves whole numbers and constants."""
-    units = jit.UNITS
-    shares = []
-    units.watchers[:] = [shares.append]
-    from numba import types
-
-    @units.called
-    @lambda function: units.Unit(function, False)
-    def first(x):
-        return 2.0 * x
-
-    units.Unit(lambda x: first(x) + first(3), False).translated((types.int64,))
-    units.watchers.clear()
-    assert len(shares) == 2 and 0.0 < shares[0] < shares[1] <= 1.0
+    out = compiling(PARTS, tmp_path)
+    shares = list(map(float, out.stdout.split()))
+    assert len(shares) == 2 and 0.0 < shares[0] < shares[1] <= 1.0, out.stderr
 
 
 def test_the_bar_of_the_commands_ends_with_the_compilation(monkeypatch):
