@@ -132,7 +132,7 @@ def push_arm(
         seen.wrong.append(f"not back: {now.round(1)} N of {wanted.round(1)}")
     if seen.stopped is not None and speed > _REST:
         moving = f"a joint moves at {speed:.2f} of its speed limit"
-        state = rig.state()  # needed of the motors' limits, held still off the faces
+        state = rig.state  # needed of the motors' limits, held still off the faces
         need = least_peak(state.G * np.minimum(rig.chain.tau_max, 1e12), state.b_S)
         if need > 1.0 and speed < _SINKING:
             seen.remark = f"{moving}: motors would need {need:.3f} times their limits to carry it"
@@ -153,7 +153,7 @@ def _rig(name: str, changes: tuple[str, ...]) -> osc.Rig:
 
 def _direction(rig: osc.Rig, word: str) -> np.ndarray:
     """(3,) unit vector in the world."""
-    into = rig.contact().N[:3].sum(axis=1) if rig.pairs else np.zeros(3)
+    into = rig.contact.N[:3].sum(axis=1) if rig.pairs else np.zeros(3)
     if not np.linalg.norm(into) > 0.1:
         into = np.array([0.0, 0.0, -1.0])
     lines = {"into": into, "off": -into, "along": np.cross(into, [0.3, 0.9, 0.4])}

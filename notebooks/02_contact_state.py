@@ -25,7 +25,7 @@ from paper.figures import reproduce
 np.set_printoptions(precision=4, suppress=True, linewidth=100)
 scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
 rig = osc.build_rig(scenario)
-contact, state = rig.contact(), rig.state()
+contact, state = rig.contact, rig.state
 print("N =\n", contact.N, "\nT =\n", contact.T)
 print("largest |NᵀT| =", np.abs(contact.N.T @ contact.T).max())
 reproduce("fig1", scenario)

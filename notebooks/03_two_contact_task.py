@@ -37,7 +37,7 @@ rig = osc.build_rig(scenario)  # loads the URDFs, closes the loop, puts the rod 
 # its force pushing *into* the face.
 
 # %%
-contact = rig.contact()
+contact = rig.contact
 print("N =\n", contact.N, "\nT =\n", contact.T)
 print("largest |NᵀT| =", np.abs(contact.N.T @ contact.T).max())
 
@@ -65,7 +65,7 @@ reproduce("fig1", scenario)
 # is damped or inverted by force.
 
 # %%
-state = rig.state()
+state = rig.state
 print("d =", state.d, "  Λ_S", state.Lambda_S.shape, "  rank Φ₀ =",
       np.linalg.matrix_rank(state.Phi, tol=1e-9 * np.linalg.norm(state.Phi)))  # fmt: skip
 print("carried by the structure:", state.C.ravel())

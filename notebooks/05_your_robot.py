@@ -124,7 +124,7 @@ duration: 2 s
 """)
 scenario = osc.load_scenario("wall.yaml")
 rig = osc.build_rig(scenario)
-state = rig.state()
+state = rig.state
 print("motions of the object:", state.d, " carried by the structure:", state.C.shape[1])
 print("Λ_S =\n", state.Lambda_S.round(3))
 

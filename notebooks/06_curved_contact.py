@@ -88,7 +88,7 @@ def slide(flat):
         one = osc.CompiledPair(tangent_plane, given, pushes=True, name=pair.name)
         controller = osc.Controller(rig.chain, [one], gains=controller.gains, dt=controller.dt)
     references = osc.surface_references(
-        pair, rig.state().X_WO, controller.dt, direction=[1, 0, 0], force=10.0, duration=2.0,
+        pair, rig.state.X_WO, controller.dt, direction=[1, 0, 0], force=10.0, duration=2.0,
         points=[[0.06, 0.0], [-0.06, 0.0], [0.06, 0.0]], feed=0.2, acceleration=2.0, jerk=40.0,
     )  # fmt: skip
     recorder = osc.Recorder(controller)

@@ -66,7 +66,7 @@ def compare(
         )
     rigs = {plant: osc.build_rig(_on(plant, scenario)) for plant in PLANTS}
     rigid = rigs["rigid"]
-    instant = Instant(rigid.state(), rigid.contact())
+    instant = Instant(rigid.state, rigid.contact)
     laws: dict[str, Law] = {"ours": Ours()}
     for key, baseline in BASELINES.items():
         laws[key] = best_selection(instant, baseline, seed=seed)

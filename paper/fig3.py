@@ -275,9 +275,10 @@ class Workcell:
         names = [contact.name for contact in self.rig.scenario.contacts]
         forces = (f"{n} {a:.1f} N" for n, a in zip(names, self.sample["alpha_true"], strict=True))
         passive = sum(len(arm.passive_joints) for arm in chain.arms)
+        d = self.rig.state.d
         parts = {
             "arms": f"{len(chain.arms)}, with {chain.n_a} motors and {passive} free gripper hinges",
-            "object": f"moved in {self.rig.d} ways, {self.rig.d - len(names)} while in contact",
+            "object": f"moved in {d} ways, {d - len(names)} while in contact",
             "contacts": ", ".join(forces),
             "overhead vision": _vision_words(self),
         }
@@ -294,7 +295,7 @@ class Workcell:
         """To what the paper states about fig. 3."""
         scenario = self.rig.scenario
         chain = self.rig.chain
-        d = self.rig.d
+        d = self.rig.state.d
         motors = [arm.model.nv - len(arm.passive_joints) for arm in chain.arms]
         hinges = [len(arm.passive_joints) for arm in chain.arms]
         length = float(np.linalg.norm(np.diff(self.sample["contact_point"], axis=0)))

@@ -56,7 +56,7 @@ def reproduce(
 
 def _faces(rig: osc.Rig) -> tuple[list[osc.VertexOnFace], Array, Array]:
     """Vertices on faces, where they touch and along which directions they push, (k, 3)."""
-    X = rig.state().X_WO
+    X = rig.state.X_WO
     pairs = [pair for pair in rig.pairs if isinstance(pair, osc.VertexOnFace)]
     points = np.array([pair.point_on_face(X) for pair in pairs])
     return pairs, points, np.array([pair.direction() for pair in pairs])
@@ -66,7 +66,7 @@ def _draw_fig1(rig: osc.Rig) -> Figure:
     pairs, points, directions = _faces(rig)
     if not pairs:
         raise osc.InvalidInputError("fig1 shows vertices on faces; the scenario has none")
-    X = rig.state().X_WO
+    X = rig.state.X_WO
     square = 0.09 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     faces = [np.array([pair.face_placement().act(x) for x in square]) for pair in pairs]
     rod = np.array([X.act(pair.vertex) for pair in pairs])
@@ -95,8 +95,8 @@ class Evidence:
 
 
 def _fig1(seen: Evidence) -> dict[str, Answer]:
-    contact = seen.rig.contact()
-    X = seen.rig.state().X_WO
+    contact = seen.rig.contact
+    X = seen.rig.state.X_WO
     pairs, points, directions = _faces(seen.rig)
     if len(pairs) != 2:
         return {}
@@ -206,7 +206,7 @@ def _fig8(seen: Evidence) -> dict[str, Answer]:
     rms, peak, sensed = ([f[key] for f in forces] for key in keys)
     mean = [f["mean_command_N"] for f in forces]
     N = seen["N"]
-    size = object_size(seen.rig.pairs, seen.rig.state().X_WO)
+    size = object_size(seen.rig.pairs, seen.rig.state.X_WO)
     looks = np.linspace(0, len(N) - 1, LOOKS).astype(int)
     framed = sum(bool(as_raibert_craig(N[k], size)) for k in looks)
     rank = N.shape[2]

@@ -155,7 +155,7 @@ def _candidates(studies: Sequence[SweepStudy], family: Baseline, seed: int) -> l
     nominal = _nominal(studies[0])
     jobs = [(nominal, 0), *((one, k) for one in studies for k in range(min(_FIRST, one.rows)))]
     rig = osc.build_rig(scenario_of(nominal, nominal.sample(0)))
-    instant = Instant(rig.state(), rig.contact())
+    instant = Instant(rig.state, rig.contact)
     found = []
     for law in best_frames(instant, family, seed=seed):
         rows = [_judge(law, *job) for job in jobs]

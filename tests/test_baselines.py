@@ -149,7 +149,7 @@ def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_
 
 def fig1():
     rig = rig_of("two_contact_rod", "plant.type=rigid")
-    return rig, Instant(rig.state(), rig.contact())
+    return rig, Instant(rig.state, rig.contact)
 
 
 @cache

@@ -33,7 +33,7 @@ def short_run(steps=STEPS, moving=True):
 
 def cone_points(count=200, rows=9):
     """Points of the cone's side in the world, (count·rows, 3), from its apex, axis and angle."""
-    X = rig().state().X_WO
+    X = rig().state.X_WO
     apex = X.act(SEAT.apex)
     axis = X.rotation @ SEAT.cone_axis
     x = unit(np.cross(axis, [0.3, 0.5, -0.8]))
@@ -44,7 +44,7 @@ def cone_points(count=200, rows=9):
 
 def pose_at(turn, slide):
     """The cone turned about its axis and moved along the groove, by products of poses."""
-    X = rig().state().X_WO
+    X = rig().state.X_WO
     about = pin.SE3(pin.exp3(turn * SEAT.cone_axis), np.zeros(3))
     to_apex = shift(SEAT.apex)
     return shift(slide * SEAT.direction) * X * to_apex * about * to_apex.inverse()

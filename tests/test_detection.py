@@ -245,7 +245,7 @@ def rod():
     rig = rig_of("two_contact_rod")
     plate = collision_shapes(robots.urdf_path("face.urdf"))
     plates = [(plate, pair.face_placement()) for pair in rig.pairs]
-    return collision_shapes(robots.urdf_path("rod.urdf")), rig.pairs, plates, rig.state().X_WO
+    return collision_shapes(robots.urdf_path("rod.urdf")), rig.pairs, plates, rig.state.X_WO
 
 
 def test_the_rod_finds_the_contacts_the_scenario_declares(rod):

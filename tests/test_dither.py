@@ -35,8 +35,8 @@ def test_it_is_bounded_smooth_and_ends():
 @mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "hinge_ball_rod"])
 def test_arms_and_contacts_permit_it_and_both_points_slide_along_their_line(name):
     rig = rig_of(name, "control.dither={}")
-    state = rig.state()
-    N = rig.contact().N
+    state = rig.state
+    N = rig.contact.N
     V = showing_twist(rig.pairs, state, N)
     assert largest(N.T @ V) < 1e-9 and largest(state.C.T @ V) < 1e-9
     points = [feet(pair, state.X_WO)[0][0] for pair in rig.pairs]
@@ -53,14 +53,14 @@ def test_arms_and_contacts_permit_it_and_both_points_slide_along_their_line(name
 def test_nothing_is_shown_where_there_are_no_two_points():
     for name in ("panda_edge", "ur5_wipe"):
         rig = rig_of(name, "control.dither={}")
-        assert not showing_twist(rig.pairs, rig.state(), rig.contact().N).any()
-        assert known_to(rig.pairs, rig.state(), 1.0) == 0.0
+        assert not showing_twist(rig.pairs, rig.state, rig.contact.N).any()
+        assert known_to(rig.pairs, rig.state, 1.0) == 0.0
 
 
 def test_what_a_wrong_normal_costs_two_points():
     """Least squares over forces ±s u and the pushes along both faces that then are left."""
     rig = rig_of("two_contact_rod")
-    state = rig.state()
+    state = rig.state
     X = state.X_WO
     n = [-pair.normal for pair in rig.pairs]  # into the faces
     points = [X.act(pair.vertex) for pair in rig.pairs]

@@ -236,8 +236,8 @@ def test_every_packaged_scenario_has_a_card_and_studies_follow():
 
 def test_names_in_the_glossary_exist():
     rig = rig_of("two_contact_rod", *SHORT)
-    state = rig.state()
-    owners = {"state": state, "arm": state.arms[0], "contact": rig.contact(), "chain": rig.chain}
+    state = rig.state
+    owners = {"state": state, "arm": state.arms[0], "contact": rig.contact, "chain": rig.chain}
     owners["osc"] = osc
     named = 0
     for line in text_of("glossary.md").splitlines():

@@ -65,7 +65,7 @@ def test_it_starts_touching_within_limits_and_is_described_in_words(rigs, name):
     report = "\n".join(found.lines)
     assert all(text in report for text in words), report
     json.dumps(found.as_dict())
-    X = rig.state().X_WO
+    X = rig.state.X_WO
     assert max(np.abs(pair.gaps(X)).max() for pair in rig.pairs) < 1e-12
     wanted = rig.scenario.object.pose.xyz
     assert norm(X.translation - wanted) < 0.02  # near what the file says
@@ -78,8 +78,8 @@ def test_geometry_touches_where_the_pairs_say(rigs, name):
     """Pressed 0.1 mm into every contact, MuJoCo finds points on every body and none elsewhere."""
     rig = rigs[name]
     plant = rig.plant()
-    state = rig.state()
-    contact = rig.contact()
+    state = rig.state
+    contact = rig.contact
     held = inv(state.Phi + 1e-9 * np.eye(6))
     H_inv_N = solve(state.S.T @ held @ state.S, state.S.T @ contact.N)
     eta = H_inv_N @ solve(contact.N.T @ state.S @ H_inv_N, 1e-4 * np.ones(contact.r))
@@ -140,7 +140,7 @@ def test_a_corner_that_lifts_opens_the_contact(rigs):
     """Tipped by 20 mrad the block touches along an edge: no longer a face on a face."""
     rig = rigs["ur5_wipe"]
     plant = rig.plant()
-    tipped = rig.state()
+    tipped = rig.state
     eta = lstsq(tipped.S, np.array([0, 0, 0, 0, 0.02, 0.0]), rcond=None)[0]
     plant.reset(rig.q_contact + tipped.W @ eta)
     truth = plant.truth()
@@ -189,7 +189,7 @@ def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_p
         "amplitude: 10 mm, frequency: 1 Hz, ramp: 0.1 s}]}]",
     }
     rig = osc.build_rig(osc.load_scenario("panda_edge", changes))
-    assert rig.contact().r == 4 and "of either sign" in "\n".join(inspect_rig(rig).lines)
+    assert rig.contact.r == 4 and "of either sign" in "\n".join(inspect_rig(rig).lines)
     recording = osc.run(rig.scenario, duration=0.3)
     assert_allclose(recording["alpha_true"][-1], list(wanted.values()), atol=5e-3)
     assert recording["contact_seen"][-1, :3].all()  # hole.2 pulls and counts by its size
@@ -330,8 +330,8 @@ def test_what_cannot_be_built_is_refused(change, error, words):
 def test_the_workcell_is_real_in_every_respect():
     scenario = osc.load_scenario("workcell")
     rig = osc.build_rig(scenario)
-    joints = flexible_joints(scenario, rig.chain, rig.state())
-    assert 3.0 <= modes(rig.state(), rig.chain.actuated, joints.stiffness)[0] <= 10.0
+    joints = flexible_joints(scenario, rig.chain, rig.state)
+    assert 3.0 <= modes(rig.state, rig.chain.actuated, joints.stiffness)[0] <= 10.0
     plant = scenario.plant
     assert None not in scenario.sensors.model_dump().values()
     assert plant.friction == 0.1 and plant.motors is not None and plant.joint_friction > 0.0
@@ -404,7 +404,7 @@ def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
     """It weighs m g where the left arm grasps the rod; MuJoCo's own masses agree."""
     rig = rig_of("two_contact_rod", "model_error.hidden_mass=0.3 kg")
     rigs = rig, rig_of()
-    X = rig.state().X_WO
+    X = rig.state.X_WO
     gravity = np.array([0.0, 0.0, -9.81])
     true, assumed = (
         chain.payload.terms(X, np.zeros(6), gravity).p for chain in (rig.chain, rig.model)
@@ -422,7 +422,7 @@ def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
 def test_bodies_are_assumed_to_be_nearer(name):
     rig = rig_of(name, "model_error.face_offset=3 mm")
     for body in rig.bodies:
-        gaps = rig.controlled_pairs()[body.contacts[0]].gaps(rig.state().X_WO)
+        gaps = rig.controlled_pairs()[body.contacts[0]].gaps(rig.state.X_WO)
         assert_allclose(gaps, -0.003, atol=1e-8)
 
 
@@ -431,7 +431,7 @@ def test_faces_are_assumed_to_be_turned_about_where_they_touch():
     for about in (0, 90):
         wrong = ["model_error.face_tilt=3 deg", f"model_error.face_tilt_about={about} deg"]
         rig = rig_of("two_contact_rod", *wrong)
-        X = rig.state().X_WO
+        X = rig.state.X_WO
         for pair, assumed in zip(rig.pairs, rig.controlled_pairs(), strict=True):
             assert assumed.gap(X) == approx(0.010 * (np.cos(np.deg2rad(3)) - 1), abs=1e-8)
             turned.append(np.cross(pair.normal, assumed.normal))

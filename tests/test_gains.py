@@ -261,7 +261,7 @@ def test_near_singular_contact_is_made_softly_and_kept_or_the_run_is_refused(chi
         with scenario_error(r"arm_left_2_joint needs 24\.3\d N m .*limit of 22"):
             osc.run(scenario)
         return
-    state = osc.build_rig(scenario).state()
+    state = osc.build_rig(scenario).state
     assert min(lost.chi for lost in state.singular_directions) < 1.3 * float(chi)
     run = pressed(scenario, "nose")
     first, later, _ = overshoots(run)

@@ -358,7 +358,7 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
     plant = rig.plant()
     controller = rig.controller()
     started = plant.truth().X_WO
-    assert_allclose(started.homogeneous, rig.state().X_WO.homogeneous, atol=1e-12)
+    assert_allclose(started.homogeneous, rig.state.X_WO.homogeneous, atol=1e-12)
     osc.run_loop(plant, controller, rig.references.each(200, 1e-3))
     q = plant.measure().q
     truth = plant.truth()

@@ -49,7 +49,7 @@ def numbers(text):
 
 
 def test_dimensions(found, rig):
-    state = rig.state()
+    state = rig.state
     assert (found.d, found.r) == (5, 2) and found.free.shape == (6, 3)
     assert matrix_rank(state.Phi, tol=1e-9 * norm(state.Phi)) == found.d
     assert "2 arm(s), 10 joints, 8 motors" in found.lines[0] and "d = 5" in found.lines[0]
@@ -63,7 +63,7 @@ def test_free_motions_keep_loops_and_contacts_closed(found, rig):
     """A small step along each: every arm can follow it, and no gap opens to first order."""
     chain = rig.chain
     q = rig.q_contact
-    state = rig.state()
+    state = rig.state
     for twist in found.free.T:
         eta, *_ = lstsq(state.S, twist, rcond=None)
         step = 1e-6
@@ -117,12 +117,12 @@ def test_contact_lines_state_direction_and_point(found, rig):
         direction = numbers(line)
         point = numbers(line.split("through", 1)[1])
         assert np.allclose(direction, found.N[:3, i], atol=6e-4)
-        moment = np.cross(point - rig.state().X_WO.translation, direction)
+        moment = np.cross(point - rig.state.X_WO.translation, direction)
         assert np.allclose(moment, found.N[3:, i], atol=2e-3)
 
 
 def test_conditioning_does_not_depend_on_units_of_force(found, rig):
-    mobility = found.N.T @ rig.state().Phi @ found.N
+    mobility = found.N.T @ rig.state.Phi @ found.N
     rho = abs(mobility[0, 1]) / np.sqrt(mobility[0, 0] * mobility[1, 1])
     assert found.conditioning == approx((1 + rho) / (1 - rho), rel=1e-9)
     assert f"{found.conditioning:.3g}" in sentence(found, "conditioning")
@@ -207,7 +207,7 @@ def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after)
 def test_common_tangent_lies_in_every_face_and_must_be_unique():
     rig = rig_of()
     pairs = rig.pairs
-    X = rig.state().X_WO
+    X = rig.state.X_WO
     u = common_tangent(pairs, X)
     assert norm(u) == approx(1.0)
     for pair in pairs:

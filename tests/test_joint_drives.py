@@ -62,7 +62,7 @@ def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain()
     held = "plant.flexible_joints={frequency: 4 Hz, damping_ratio: 0, motor_inertia: 1e6}"
     rig = free_rig(held, "squeeze=0 N")  # a squeezed linkage is softer
     plant = rig.plant()
-    state = rig.state()
+    state = rig.state
     K = plant.drives.flexible.stiffness
     driven = rig.chain.actuated
     assert modes(state, driven, K)[0] == approx(4.0, rel=1e-9)
@@ -91,7 +91,7 @@ def holding(rig):
 
 def test_springs_share_the_inertias_of_the_joints():
     rig = rig_of()
-    state = rig.state()
+    state = rig.state
     driven = rig.chain.actuated
     own = joint_inertias(state, driven)
     assert own.min() > 0.01  # the wrist's turn too moves half a rod
@@ -158,7 +158,7 @@ def test_springs_by_number():
         "two_contact_rod",
         text + "motor_inertia: {left: [1, 1, 1, 1], right: [0.1, 0.1, 0.1, 0.1]}}",
     )
-    made = drives(rig.scenario, rig.chain, rig.state(), 0).flexible
+    made = drives(rig.scenario, rig.chain, rig.state, 0).flexible
     assert_array_equal(made.stiffness, [1e3, 500, 2e3, 30, 1, 2, 3, 4])
     assert_array_equal(made.motor_inertia, [1, 1, 1, 1, 0.1, 0.1, 0.1, 0.1])
 

@@ -114,7 +114,7 @@ def test_the_switch_leaves_friction_out():
 def test_mujocos_mass_matrix_is_that_of_chain_and_object():
     rig = rig_of("ur5_wipe", "arms.ur5.armature=[1, 2, 3, 4, 5, 6]")
     plant = rig.plant()
-    state = rig.state()
+    state = rig.state
     M = mass_matrix(plant.model, plant.data)
     J = state.arms[0].J
     ours = state.M + J.T @ state.payload.Lambda @ J
@@ -140,7 +140,7 @@ def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
             world.data.qvel[world._v] = v
         world.command(np.zeros(6), 5e-3)
         lost.append(world.measure().v[5])
-    state = rig.state()
+    state = rig.state
     J = state.arms[0].J
     rate = np.linalg.inv(state.M + J.T @ state.payload.Lambda @ J)[5, 5]
     assert lost[0] - lost[1] == approx(rate * (0.3 + 0.2 * 0.5) * 5e-3, rel=0.05)

@@ -45,7 +45,7 @@ def pull_away(name, by):
         held = held + 1 if closed and (np.asarray(reference.alpha_d) > 1.0).any() else 0
         if last is None and held * dt > 0.5:
             last = loop.k + round(1.0 / dt)
-            lines = rig.contact().N[:3]
+            lines = rig.contact.N[:3]
             for i in range(len(rig.bodies)):
                 into = lines[:, [rig.on[o] == i for o in rig.owners]].sum(axis=1)
                 model = loop.true.model

@@ -243,7 +243,7 @@ def test_a_scenario_takes_an_mjcf_file(tmp_path, tip):
     scenario = task(tmp_path, tip)
     rig = osc.build_rig(scenario)
     assert osc.preflight(rig) == ()
-    assert np.linalg.norm(rig.state().X_WO.translation - rig.X_given.translation) < 1e-9
+    assert np.linalg.norm(rig.state.X_WO.translation - rig.X_given.translation) < 1e-9
     verdict = osc.metrics(osc.run(scenario))
     assert verdict["task"]["word"] == "OK" and verdict["contact_fraction"] == {"ball": 1.0}
     assert verdict["force"]["ball"]["rms_error_rel"] < 0.01

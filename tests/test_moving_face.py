@@ -225,7 +225,7 @@ def test_a_turned_face_is_found_by_its_geometry_where_it_is():
     pair = rig.pairs[0]
     rail = rig.plant().faces.rails[0]
     tracked = rig_of("control.contacts=detected", *TURNING).controlled_pairs()[0]
-    X_WO = rig.state().X_WO
+    X_WO = rig.state.X_WO
     for angle in np.deg2rad([0.0, 2.0, 5.0, -5.0]):
         X_WE = rail.pose(np.array([0.01, angle]))
         V_O, V_E = rng.standard_normal((2, 6))
@@ -266,7 +266,7 @@ def test_tracked_contacts_are_looked_up_again_after_a_while_and_agree_with_the_d
     rig = scenario_runs.rig_of("two_contact_rod", "control.contacts=detected")
     pair = rig.pairs[0]
     tracked = rig.controlled_pairs()[0]
-    X = rig.state().X_WO
+    X = rig.state.X_WO
     V = np.arange(1.0, 7.0)
     seen = []
     for k in range(50):

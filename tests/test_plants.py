@@ -51,8 +51,7 @@ def test_rigid_plant_at_rest_reads_weights_and_contact_forces(rig):
     assert_allclose(a_O[3:], 0, atol=1e-6)
     plant._tau = tau
     force = sum(
-        X.rotation @ w[:3]
-        for X, w in zip(rig.state().sensors, plant.measure().wrenches, strict=True)
+        X.rotation @ w[:3] for X, w in zip(rig.state.sensors, plant.measure().wrenches, strict=True)
     )
     push = sum(a * p.direction() for a, p in zip(alpha, rig.pairs, strict=True))
     mass = 1.5 + 2 * (0.35 + 0.15)

@@ -177,7 +177,7 @@ def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():
     rig = rig_of("two_contact_rod", "object.pose=null")
     assert osc.preflight(rig) == ()
     given = rig_of()
-    assert np.linalg.norm(given.state().X_WO.translation - rig.state().X_WO.translation) < 1e-3
+    assert np.linalg.norm(given.state.X_WO.translation - rig.state.X_WO.translation) < 1e-3
 
 
 def test_where_no_arm_determines_the_pose_it_must_be_given():

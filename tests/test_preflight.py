@@ -404,4 +404,4 @@ def test_inspect_prints_motions_of_a_light_object_in_small_numbers():
         float(x) for row in rows if "(m/s)" in row or "(rad/s)" in row for x in row.split("│")[2:-1]
     ]
     assert len(numbers) == 30 and max(map(abs, numbers)) == 1.0
-    assert np.abs(rig.contact().T).max() > 1.5  # as they are
+    assert np.abs(rig.contact.T).max() > 1.5  # as they are

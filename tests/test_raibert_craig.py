@@ -173,7 +173,7 @@ def test_cone_in_groove_is_refused_for_its_axes():
 
 def test_the_figures_of_the_paper_by_their_own_geometry():
     """Fig. 1 is the packaged rod on its two faces, fig. 2: see tests/test_cone_in_groove.py."""
-    rod = rig_of("two_contact_rod").contact()
+    rod = rig_of("two_contact_rod").contact
     p, q = rod.N.T
     apart = abs(p[:3] @ q[3:] + q[:3] @ p[3:]) / norm(np.cross(p[:3], q[:3]))
     fig1 = rod.as_raibert_craig()

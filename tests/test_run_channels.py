@@ -203,7 +203,7 @@ def outside(columns, least=1e-6):
 
 def error(rig, controller, read, truth):
     found = controller.result()
-    if rig.d == 6:
+    if rig.state.d == 6:
         return found.free_error.copy()
     N = lines(rig, truth)["N"][:, : None if controller.engaged else 0]
     return free_part(rig.model, read.q, pin.SE3(found.X_WO.copy()), N, found.error)

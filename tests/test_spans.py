@@ -163,7 +163,7 @@ def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
     rig = rig_of()
     rng = default_rng(8)
     state = rig.model.state(rig.q_contact, 0.3 * rng.standard_normal(len(rig.q_contact)))
-    good = rig.contact().N
+    good = rig.contact.N
     gap = 1e-4
     C = np.array([[1.0, 1.0], [0.0, gap]])  # N = good C
     Phi_e = np.diag([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])

@@ -221,12 +221,12 @@ def test_a_raster_rests_at_its_corners_and_a_loop_takes_it(task):
     rig = osc.build_rig(task())
     (pair,) = rig.pairs
     how = {"direction": [1, 0, 0], "force": 8.0, "raster": [0.04, 0.02, 2], "feed": 0.1}
-    all_of_it = list(osc.surface_references(pair, rig.state().X_WO, 2e-3, dwell=0.2, **how))
+    all_of_it = list(osc.surface_references(pair, rig.state.X_WO, 2e-3, dwell=0.2, **how))
     speed = np.array([norm(one.V_D[:3]) for one in all_of_it])
     resting = np.flatnonzero(np.diff((speed < 1e-9).astype(int)) == 1)
     assert len(resting) >= 3 and speed.max() < 0.35 and all_of_it[-1].alpha_d == [8.0]
     with refused("along the normal"):
-        next(osc.surface_references(pair, rig.state().X_WO, 1e-3, direction=[0, 0, 1], force=1.0))
+        next(osc.surface_references(pair, rig.state.X_WO, 1e-3, direction=[0, 0, 1], force=1.0))
     move = {"kind": "surface", "contact": "tip", "direction": [1, 0, 0]}
     with scenario_error("'tip' is no contact of type sphere_on_surface"):
         osc.build_rig(task().replaced(motion=[move]))

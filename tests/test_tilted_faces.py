@@ -60,7 +60,7 @@ def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     """docs/tuning.md: of acceleration and brake that leak into the force."""
     cost = [judged(circle(hertz, about, {"force": {"tilt": 0}})) for about in (0.0, 90.0)]
     rig = osc.build_rig(circle(hertz))
-    state = rig.state()
+    state = rig.state
     N = rig.pairs[0].contact(state.X_WO, np.zeros(6)).N
     M = 1.0 / (N.T @ state.S @ np.linalg.solve(state.Lambda_S, state.S.T) @ N).item()
     w = 2 * np.pi * hertz

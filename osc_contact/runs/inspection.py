@@ -60,8 +60,8 @@ class Inspection:
 
 def inspect_rig(rig: Rig) -> Inspection:
     """Describe the contact state of a rig at its start."""
-    state = rig.state()
-    contact = rig.contact()
+    state = rig.state
+    contact = rig.contact
     free = _free_motions(state, contact)
     mobility = contact.N.T @ state.Phi @ contact.N
     scale = np.sqrt(np.diag(mobility))
@@ -127,7 +127,7 @@ def _normals(rig: Rig) -> Iterator[str]:
                 f"the normal of '{pair.name}' cannot be observed: no motion is commanded; it is "
                 "taken as given."
             )
-    share = known_to(rig.pairs, rig.state(), 1.0)
+    share = known_to(rig.pairs, rig.state, 1.0)
     if rig.scenario.control.dither is None and (words := gain_in_words(share, std)):
         yield f"with normals known to {np.rad2deg(std):.3g} deg (gains.force.tilt / 2), {words}."
 
@@ -149,7 +149,7 @@ def _redundancy(arms: int, internal: int, own: int) -> Iterator[str]:
 
 
 def _contact_lines(rig: Rig) -> Iterator[str]:
-    X = rig.state().X_WO
+    X = rig.state.X_WO
     for i, pair in enumerate(rig.pairs):
         points, directions = feet(pair, X)
         if len(points) == 1:
@@ -183,7 +183,7 @@ def _body(rig: Rig, contact: int) -> str:
 
 def _skew(rig: Rig) -> Iterator[str]:
     """The distance and angle of lines of force, two contacts with one line each at a time."""
-    lines = [(pair, *feet(pair, rig.state().X_WO)) for pair in rig.pairs]
+    lines = [(pair, *feet(pair, rig.state.X_WO)) for pair in rig.pairs]
     for (a, p, d), (b, q, e) in combinations([one for one in lines if len(one[1]) == 1], 2):
         between = common_perpendicular(p[0], d[0], q[0], e[0])
         names = f"'{a.name}' and '{b.name}'"

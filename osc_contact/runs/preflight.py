@@ -368,7 +368,7 @@ def friction(rig: Rig) -> Values:
 def springs(rig: Rig) -> Values:
     """Springs, or a joint torque loop, that cannot be."""
     try:
-        joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state())
+        joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state)
         hardware.torque_loop(rig.scenario, rig.chain, joints)
     except OscContactError as error:
         yield 1.0, {"why": error}
@@ -385,9 +385,9 @@ def swinging(rig: Rig) -> Values:
     """Frequency of joints without a torque loop (−Hz)."""
     if any(springs.findings(rig)) or rig.scenario.control.joint_torque is not None:
         return
-    joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state())
+    joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state)
     if joints is not None:
-        found = modes(rig.state(), rig.chain.actuated, joints.stiffness)
+        found = modes(rig.state, rig.chain.actuated, joints.stiffness)
         first = float(found[found > 0.0].min(initial=np.inf))
         yield -first, {"first": first, "rate": 1e-3 / rig.scenario.plant.step}
 
@@ -413,7 +413,7 @@ def carts(rig: Rig) -> Values:
         u = np.array(cart.direction)
         push = np.full(len(t), cart.preload - 9.81 * m * u[2])
         for i in body.contacts:
-            along = feet(rig.pairs[i], rig.state().X_WO)[1] @ u
+            along = feet(rig.pairs[i], rig.state.X_WO)[1] @ u
             push += plan.alpha_d[:, rig.owners == i] @ along
         s = speed = most = 0.0
         for force in push:  # implicit in spring and damper: stable for any of them
@@ -737,7 +737,7 @@ def has_place(pair: ContactPair) -> bool:
 def normals(rig: Rig) -> Values:
     """Faces that bring their own plate and face away from the robot."""
     pin.forwardKinematics(rig.chain.model, rig.chain.data, rig.q_contact)
-    points = np.array([X.translation for X in (rig.state().X_WO, *rig.chain.tip_poses())])
+    points = np.array([X.translation for X in (rig.state.X_WO, *rig.chain.tip_poses())])
     for spec in rig.scenario.contacts:
         face = getattr(spec, "face", None)
         if face is not None:
@@ -755,7 +755,7 @@ def normals(rig: Rig) -> Values:
 def start(rig: Rig) -> Values:
     """A start pose that moved, at the object's origin or at a contact (m)."""
     given = rig.X_given
-    now = rig.state().X_WO
+    now = rig.state.X_WO
     points = [now.translation]
     for pair in filter(has_place, rig.pairs):
         points.extend(feet(pair, now)[0])
@@ -802,7 +802,7 @@ def _distance(
 def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
     """Number and pair of each contact that has a place, with the body and the object it is on."""
     urdf = robots.resolve_urdf(rig.scenario.object.urdf, rig.scenario.folder)[0]
-    held = _Solid("the object", urdf, rig.state().X_WO)
+    held = _Solid("the object", urdf, rig.state.X_WO)
     bodies = [_Solid(f"'{body.name}'", body.urdf[0], body.placement) for body in rig.bodies]
     for i, pair in enumerate(rig.pairs):
         if has_place(pair):
@@ -819,7 +819,7 @@ def beside(rig: Rig) -> Values:
     """Contacts beside their bodies or the object; those of the exact plant have no ends."""
     for _, pair, solids in () if rig.scenario.plant.exact else _solids(rig):
         for solid in solids.values():
-            for point in feet(pair, rig.state().X_WO)[0] if solid.shapes else ():
+            for point in feet(pair, rig.state.X_WO)[0] if solid.shapes else ():
                 away = solid.distance(point)
                 where = rounded(point, 3)
                 yield away, {"name": pair.name, "point": where, "mm": 1e3 * away, "solid": solid}
@@ -836,7 +836,7 @@ def beside(rig: Rig) -> Values:
 def inverted(rig: Rig) -> Values:
     """Normals that are reversed: the force would push out of the body, or out of the object."""
     for i, pair, solids in _solids(rig):
-        points, directions = feet(pair, rig.state().X_WO)
+        points, directions = feet(pair, rig.state.X_WO)
         spec = rig.scenario.contacts[i]
         for kind, solid in solids.items() if pushes_only(pair) else ():
             key = next((key for key in OUTWARD[kind] if hasattr(spec, key)), None)

@@ -200,7 +200,7 @@ class Rig:
         """The plant as the control loop meets it: behind the joint torque loop, if any, and what
         estimates the velocities that its sensors do not give."""
         robot: Robot = plant
-        joints = hardware.flexible_joints(self.scenario, self.chain, self.state())
+        joints = hardware.flexible_joints(self.scenario, self.chain, self.state)
         if (loop := hardware.torque_loop(self.scenario, self.chain, joints)) is not None:
             robot = hardware.TorqueLoopRobot(plant, loop)
         if not self.scenario.sensors.ideal:
@@ -214,7 +214,7 @@ class Rig:
     def subject(self, controller: Controller) -> Subject:
         """What a recording of this rig is of."""
         on = tuple(self.bodies[body].placement for body in self.on)
-        return Subject(controller, self.pairs, on, self.owners, self.d == 6)
+        return Subject(controller, self.pairs, on, self.owners, self.state.d == 6)
 
     @property
     def gains(self) -> Gains:
@@ -258,7 +258,7 @@ class Rig:
     def controlled_pairs(self) -> tuple[ContactPair, ...]:
         """The controller's contacts: as declared, or read off the geometry while it moves."""
         if self.scenario.control.contacts == "declared":
-            return misplaced(self.scenario, self.pairs, self.bodies, self.state().X_WO)
+            return misplaced(self.scenario, self.pairs, self.bodies, self.state.X_WO)
         urdf = robots.resolve_urdf(self.scenario.object.urdf, self.scenario.folder)[0]
         return tracked(self.pairs, urdf, self.bodies)
 
@@ -279,21 +279,14 @@ class Rig:
         return column_names([pair.name for pair in self.pairs], self.owners.tolist())
 
     @cached_property
-    def d(self) -> int:
-        """Motions the object can make at the start."""
-        return self.state().d
-
     def state(self) -> ChainState:
         """The true chain at rest in contact."""
-        return self._state
-
-    @cached_property
-    def _state(self) -> ChainState:
         return self.chain.state(self.q_contact, np.zeros(self.chain.nq))
 
+    @cached_property
     def contact(self) -> Contact:
         """The contact state there."""
-        return contact_at(self.pairs, self.state().X_WO)
+        return contact_at(self.pairs, self.state.X_WO)
 
 
 MakesPlant = Callable[[Rig, int], Plant]
@@ -337,7 +330,7 @@ def _mujoco(rig: Rig, seed: int) -> Plant:
         options=scenario.plant,
         rails=rails(rig.bodies),
         on=rig.on,
-        drives=hardware.drives(scenario, rig.chain, rig.state(), seed),
+        drives=hardware.drives(scenario, rig.chain, rig.state, seed),
     )
 
 
@@ -469,8 +462,8 @@ def landings(rig: Rig) -> list[Landing]:
         return []
     plant = rig.scenario.plant
     rate = 1.0 / (plant.solref[0] * plant.solref[1] * sqrt(plant.solimp[1]))
-    state = rig.state()
-    contact = rig.contact()
+    state = rig.state
+    contact = rig.contact
     directions = np.vstack([feet(pair, state.X_WO)[1] for pair in rig.pairs])
     commands = rig.references.overview[1].alpha_d
     columns = zip(rig.force_names, rig.owners, directions, (contact.N @ contact.R).T, strict=True)

@@ -92,7 +92,7 @@ def run(
         "seed": seed,
         "force_steps_s": force_steps(scenario),
         "doubts": doubts,
-        "force_per_normal": known_to(rig.pairs, rig.state(), 1.0),
+        "force_per_normal": known_to(rig.pairs, rig.state, 1.0),
     }
     recorder = Recorder(
         controller, simulated, subject=rig.subject(controller), journal=journal, meta=meta

@@ -151,7 +151,7 @@ def _content_of_rig(rig: Rig) -> Content:
         tuple(pair.name for pair in rig.pairs),
         tuple(rig.owners.tolist()),
         frame_words(rig),
-        object_size(rig.pairs, rig.state().X_WO if rig.pairs else None),
+        object_size(rig.pairs, rig.state.X_WO if rig.pairs else None),
         rig.chain.nq,
     )
 
@@ -183,10 +183,10 @@ def best_frame(N: Array, size: float) -> BestFrame:
 
 def frame_words(rig: Rig) -> str:
     """Words of the legend about the best single frame, judged at the start."""
-    contact: Contact = rig.contact()
+    contact: Contact = rig.contact
     if not contact.r:
         return "best single frame (Raibert–Craig)"
-    found = contact.as_raibert_craig(object_size(rig.pairs, rig.state().X_WO))
+    found = contact.as_raibert_craig(object_size(rig.pairs, rig.state.X_WO))
     if found:
         return "single frame that describes N (Raibert–Craig)"
     return f"best single frame (Raibert–Craig), {np.rad2deg(np.arcsin(found.residual)):.1f}° off N"
