@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.contacts.pairs.compiled_pair import CompiledPair
     from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
     from osc_contact.contacts.pairs.gap_functions import GapFunctions
-    from osc_contact.contacts.pairs.law_pair import EdgeOnEdge, FaceOnVertex
+    from osc_contact.contacts.pairs.pair import EdgeOnEdge, FaceOnVertex
     from osc_contact.contacts.pairs.points_on_planes import (
         CylinderInHole,
         CylinderOnPlane,

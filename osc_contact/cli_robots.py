@@ -16,7 +16,6 @@ from osc_contact.dynamics.assembly import object_pose, outside_limits
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs import poses
-from osc_contact.runs.drafts import Press, draft
 from osc_contact.runs.report import robot_tables, write_json
 from osc_contact.scenarios.loader import list_scenarios
 
@@ -149,7 +148,7 @@ def new(
     target = file or Path(f"{Path(robot).stem}_press.yaml")
     if target.exists():
         raise InvalidInputError(f"{target} exists; give another file with --out")
-    text = draft(robot, poses.arm_of(robot, tip), Press.parse(press), q, target)
+    text = poses.draft(robot, poses.arm_of(robot, tip), poses.Press.parse(press), q, target)
     target.write_text(text, encoding="utf-8")
     say(f"written: {target}")
     say(f"next: osc-contact inspect {target}; osc-contact run {target}")

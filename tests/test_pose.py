@@ -16,7 +16,7 @@ import osc_contact as osc
 from osc_contact import robots
 from osc_contact.dynamics.assembly import outside_limits, reach
 from osc_contact.runs import poses
-from osc_contact.runs.drafts import Press, _text
+from osc_contact.runs.poses import Press, _text
 
 POSTURE = "10 deg, -45 deg, 0, -135 deg, 0.1, 90 deg, 45 deg"
 TIP = "pose panda --tip panda_hand_tcp"

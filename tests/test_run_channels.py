@@ -13,8 +13,7 @@ from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.contacts import pairs
-from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.contacts.pairs.pair import pushes_only
+from osc_contact.contacts.pairs.pair import normals_over, pushes_only
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.dynamics.chain_model import columns_at
 from osc_contact.plants.mujoco import MujocoPlant

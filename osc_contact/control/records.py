@@ -10,10 +10,12 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.pairs.law_pair import FaceOnVertex, PairRow, law_row
 from osc_contact.contacts.pairs.pair import (
+    FaceOnVertex,
+    PairRow,
     count_forces,
     knows_where_it_slides,
+    law_row,
     pushes_only,
     store,
 )

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import normals_over
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Robot
 from osc_contact.spatial import Array, Poses

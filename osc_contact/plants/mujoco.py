@@ -16,8 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.contacts.pairs.pair import pushes_only
+from osc_contact.contacts.pairs.pair import normals_over, pushes_only
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain

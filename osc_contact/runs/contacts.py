@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.detection import CollisionShape, TrackedContact, collision_shapes
-from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.contacts.pairs.pair import ContactPair, count_forces, make_pair, triad
+from osc_contact.contacts.pairs.pair import (
+    ContactPair,
+    count_forces,
+    make_pair,
+    normals_over,
+    triad,
+)
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.dynamics.environment import Body, Cart, Conveyor, Hinge, Yielding
 from osc_contact.errors import ScenarioError

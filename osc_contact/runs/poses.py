@@ -1,7 +1,13 @@
-"""Forward and inverse kinematics of arms and scenarios, within joint limits, for people."""
+"""Forward and inverse kinematics of arms and scenarios, within joint limits, for people.
 
-from collections.abc import Sequence
+And a first scenario for any arm: it presses a stylus on a plate and slides along it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,12 +15,17 @@ import pinocchio as pin
 from pydantic import TypeAdapter, ValidationError
 
 from osc_contact import robots
+from osc_contact.contacts.pairs.pair import triad
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
 from osc_contact.robots.model import joint_names, position_limits, sliding
-from osc_contact.runs.rig import build_chain, given_pose, posture_of
+from osc_contact.runs.preflight import preflight
+from osc_contact.runs.rig import build_chain, build_rig, given_pose, posture_of
+from osc_contact.runs.run import run
+from osc_contact.runs.verdict import metrics
+from osc_contact.scenarios.loader import parse_scenario
 from osc_contact.scenarios.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, norm
@@ -186,3 +197,222 @@ def _listed(values: Sequence[float] | Array, digits: int, unit: str = "") -> str
         f"{round(float(x), digits) + 0.0:g}{unit}" if abs(x) < 1e-9 else f"{x:.{digits}f}{unit}"
         for x in values
     )
+
+
+#: radius of the stylus' ball, and how far it is from the tip
+BALL_M = 0.008
+LENGTH_M = 0.08
+#: random postures that are compared, and built until one is sound
+POSTURES = 600
+TRIED = 12
+
+
+@dataclass(frozen=True)
+class Press:
+    """Along which axis of the tip's frame a robot presses, and how hard.
+
+    Attributes:
+        axis: (3,) unit. force: N.
+    """
+
+    axis: tuple[float, float, float]
+    force: float
+
+    def __str__(self) -> str:
+        k = np.abs(self.axis).argmax()
+        return f"{'-' * (self.axis[k] < 0.0)}{'xyz'[k]}"
+
+    @classmethod
+    def parse(cls, text: str) -> Press:
+        """From "Z=15" or "-X=5".
+
+        Raises:
+            InvalidInputError: with the expected form.
+        """
+        name, _, number = text.replace(" ", "").partition("=")
+        letter = name.lstrip("+-").upper()
+        try:
+            force = float(number.removesuffix("N"))
+        except ValueError:
+            force = -1.0
+        if letter not in ("X", "Y", "Z") or not 0.0 < force < np.inf:
+            raise InvalidInputError(
+                f"press {text!r}: expected an axis of the tip and newtons, such as Z=15 or -X=5"
+            )
+        sign = -1.0 if name.startswith("-") else 1.0
+        x, y, z = (sign if one == letter else 0.0 for one in "XYZ")
+        return cls((x, y, z), force)
+
+
+def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Path) -> str:
+    """The text of a scenario without findings of `preflight` and whose run is OK.
+
+    Args:
+        robot: as the user called it. arm: the same. press: how.
+        posture: (n,) where it starts; None: a posture away from limits and singular ones, with
+            the stylus pointing down as far as the arm lets it.
+        target: file of the text, which relative paths begin from.
+
+    Raises:
+        ScenarioError: no posture is found, or the one given is refused; with the reason.
+    """
+    reasons: list[str] = []
+    for q in [posture] if posture is not None else _postures(arm, press):
+        try:
+            text = _text(robot, arm, press, q)
+            scenario = parse_scenario(text, target)
+            found = [one.text for one in preflight(build_rig(scenario))]
+            complaints = found or _rehearsed(scenario)
+            if not complaints:
+                return text
+        except OscContactError as error:
+            complaints = [str(error)]
+        reasons.append(complaints[0])
+    if posture is not None:
+        raise ScenarioError(
+            f"in the posture given '{arm.tip}' of {robot} cannot press {press.force:g} N along its "
+            f"{press}: {reasons[0]}; give another posture, or none to have one sought"
+        )
+    raise ScenarioError(
+        f"no posture of {robot} was found in which '{arm.tip}' can press {press.force:g} N along "
+        f"its {press}; the last one: {reasons[-1] if reasons else 'no candidate'}; "
+        "give --posture, or press less"
+    )
+
+
+def _rehearsed(scenario: Scenario) -> list[str]:
+    """What a run of the scenario is not content with."""
+    verdict = metrics(run(scenario))
+    counts = [f"{count} ticks {word}" for word, count in verdict["status"].items() if word != "ok"]
+    bad = [text for text in counts if not text.startswith("0 ")]
+    return bad if verdict["task"]["word"] == "OK" else [f"a run ends {verdict['task']['word']}"]
+
+
+def _postures(arm: Arm, press: Press) -> Iterator[Array]:
+    """Random postures between the limits, the best first."""
+    model = arm.model
+    data = arm.model.createData()
+    tip = robots.frame_id(model, arm.tip)
+    axis = np.array(press.axis)
+    low, high = position_limits(model)
+    limits = np.minimum(np.array(model.upperEffortLimit), 1e6)
+    candidates = []
+    scores = []
+    for q in robots.random_configurations(model, POSTURES):
+        turned = (q + np.pi) % (2 * np.pi) - np.pi  # angles between ∓π, where limits allow it
+        q = np.where((turned >= low) & (turned <= high), turned, q)
+        candidates.append(q)
+        pin.forwardKinematics(model, data, q)
+        X = pin.updateFramePlacement(model, data, tip)
+        J, M = _jacobian(model, data, q, tip)
+        down = X.rotation @ axis
+        sizes = np.linalg.svd(np.linalg.solve(np.linalg.cholesky(M), J.T), compute_uv=False)
+        load = pin.computeGeneralizedGravity(model, data, q) - J.T @ (press.force * down)
+        strain = np.abs(load / limits).max()
+        with np.errstate(invalid="ignore"):
+            room = np.minimum(q - low, high - q) / np.minimum(high - low, 2 * np.pi)
+        margin = np.nanmin(np.where(np.isfinite(room), room, 0.5))
+        rank = min(3, model.nv)
+        score = sizes[rank - 1] / sizes[0] + min(margin, 0.15) / 0.15 - 0.5 * down[2]
+        score += 0.5 * min(X.translation[2], 0.1) / 0.1 - max(0.0, strain - 0.4) * 5.0
+        scores.append(score)
+    for k in np.argsort(scores)[::-1][:TRIED]:
+        yield candidates[k]
+
+
+def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
+    model = arm.model
+    data = arm.model.createData()
+    if len(q) != model.nv:
+        names = ", ".join(joint_names(model))
+        raise InvalidInputError(f"posture: {len(q)} numbers for {model.nv} joints: {names}")
+    pin.forwardKinematics(model, data, q)
+    X_WT = pin.updateFramePlacement(model, data, robots.frame_id(model, arm.tip))
+    axis = np.array(press.axis)
+    grasp = pin.SE3(triad(axis), np.zeros(3))  # the stylus points along the axis
+    down = X_WT.rotation @ axis
+    point = X_WT.translation + (LENGTH_M + BALL_M) * down
+    along = _tangent(model, data, q, robots.frame_id(model, arm.tip), down)
+    joints = ", ".join(joint_names(model))
+    travel = min(20.0, 1e3 * 0.05 * norm(X_WT.translation))
+    return f"""\
+# {robot} presses a stylus on a plate with {press.force:g} N and slides along it.
+# A quantity is a number in SI or a string with a unit; docs/scenario.md has every key.
+name: {arm.name}_press
+description: {robot} presses {press.force:g} N with a stylus along {press} of {arm.tip}, and slides
+
+arms:
+  - name: {arm.name}
+    urdf: {_reference(robot)}
+    tip: {arm.tip}                    # the frame that carries the stylus
+    wrist_sensor: {arm.tip}           # where force and torque are measured
+    # {joints}
+    posture: [{", ".join(f"{x:.6f}" for x in q)}]   # rad, m
+
+object:
+  urdf: stylus.urdf                   # 60 g, 80 mm long, a ball of 8 mm radius at its end
+                                      # no pose: it is where the posture puts it
+
+grasps:                               # pose of the stylus in the frame of the tip
+  {arm.name}: {pose_text(grasp)}
+
+contacts:
+  - name: ball
+    type: vertex_on_face
+    vertex: [0, 0, 80 mm]             # centre of the ball, in the frame of the stylus
+    radius: 8 mm
+    face:                             # the plate: a point of it, and the normal that points out
+      urdf: face.urdf
+      point: [{", ".join(f"{x:.6f}" for x in point)}]
+      normal: [{", ".join(f"{x:.6f}" for x in _unnoisy(-down))}]
+
+force:                                # what the ball presses with
+  ball:
+    - {{type: constant, value: {0.2 * press.force:g} N}}
+    - {{type: minimum_jerk, value: {0.8 * press.force:g} N, start: 0.1 s, duration: 0.6 s}}
+
+motion:                               # to and fro along the plate
+  - kind: linear
+    direction: [{", ".join(f"{x:.6f}" for x in _unnoisy(along))}]
+    signals: [{{type: sine, amplitude: {travel:.3g} mm, frequency: 0.25 Hz, ramp: 1 s}}]
+
+gains:                                # they serve every mass
+  motion: {{frequency: 3.2 Hz, damping_ratio: 1}}
+  force: {{bandwidth: 5 Hz, damping_ratio: 0.7}}
+
+control: {{rate: 1 kHz}}
+plant: {{type: mujoco, step: 0.25 ms}}
+duration: 4 s
+"""
+
+
+def _unnoisy(direction: Array) -> Array:
+    """The unit vector (3,) without components that the rounding of the posture makes."""
+    kept = np.where(np.abs(direction) < 1e-5, 0.0, direction)
+    return kept / norm(kept)
+
+
+def _reference(robot: str) -> str:
+    """How a scenario file names the robot."""
+    path, _ = robots.locate(robot)
+    if Path(robot).is_file():
+        return str(path.resolve())
+    try:
+        return path.name if robots.urdf_path(path.name) == path else f"{robots.ROBOT_DATA}:{robot}"
+    except ModelError:
+        return f"{robots.ROBOT_DATA}:{robot}"
+
+
+def _tangent(model: pin.Model, data: pin.Data, q: Array, tip: int, down: Array) -> Array:
+    """The direction (3,) along the plate in which the tip moves most easily."""
+    J, M = _jacobian(model, data, q, tip)
+    P = np.eye(3) - np.outer(down, down)
+    along: Array = np.linalg.eigh(P @ J @ np.linalg.solve(M, J.T) @ P)[1][:, -1]
+    return along * np.sign(along[np.abs(along).argmax()])
+
+
+def _jacobian(model: pin.Model, data: pin.Data, q: Array, tip: int) -> tuple[Array, Array]:
+    """J (3, n) of the tip in the world, M (n, n); Pinocchio drops an axis where n is 1."""
+    J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)
+    M = np.array(pin.crba(model, data, q))
+    return np.reshape(J, (6, model.nv))[:3], M.reshape(model.nv, model.nv)

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, normals_over, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.control.signals import TickResult, internal_forces

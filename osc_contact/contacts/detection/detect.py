@@ -23,8 +23,7 @@ from osc_contact.contacts.detection.features import (
 )
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.gap_functions import GapFunctions
-from osc_contact.contacts.pairs.law_pair import EdgeOnEdge, FaceOnVertex
-from osc_contact.contacts.pairs.pair import triad
+from osc_contact.contacts.pairs.pair import EdgeOnEdge, FaceOnVertex, triad
 from osc_contact.contacts.pairs.points_on_planes import (
     CylinderOnPlane,
     EdgeOnFace,

@@ -11,8 +11,7 @@ import numpy.typing as npt
 from pinocchio import SE3
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.law_pair import PairRow
-from osc_contact.contacts.pairs.pair import Bodies, PackagedPair, register_pair, store
+from osc_contact.contacts.pairs.pair import Bodies, PackagedPair, PairRow, register_pair, store
 from osc_contact.errors import ContactError, InvalidInputError, missing
 from osc_contact.law.jit import PLAIN_PYTHON, call_address
 from osc_contact.law.records import FUNCTION

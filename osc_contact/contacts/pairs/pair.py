@@ -1,4 +1,9 @@
-"""What every contact pair offers, and the bookkeeping they share: two bodies seen from O."""
+"""What every contact pair offers, and the bookkeeping they share: two bodies seen from O.
+
+The geometry of most pairs is a few rows of numbers: N and n_γ come from `law.contact`. The tick
+runs these functions compiled, `LawPair` runs the same source as Python: on floats at one instant,
+on arrays at many.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +11,38 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Protocol, TypeVar, get_type_hints, runtime_checkable
+from types import SimpleNamespace
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    Protocol,
+    TypeVar,
+    get_type_hints,
+    runtime_checkable,
+)
 
 import numpy as np
 from pinocchio import SE3
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.errors import InvalidInputError
-from osc_contact.scenarios.bodies import ContactSpec, OfBody, register_contact
-from osc_contact.scenarios.quantities import Length, NotNegative, Positive
-from osc_contact.spatial import Array, as_array, carry_twist, cross, norm, skew, unit_vector
+from osc_contact.contacts.surface import OF_ARRAYS, Shapes
+from osc_contact.errors import ContactError, InvalidInputError
+from osc_contact.law import contact as law
+from osc_contact.law.jit import as_python
+from osc_contact.law.records import EDGES, FACE_ON_VERTEX, SURFACE, TANGENTS
+from osc_contact.scenarios.bodies import (
+    BodyDirection,
+    BodyPoint,
+    ContactSpec,
+    OfBody,
+    OnBodySpec,
+    register_contact,
+)
+from osc_contact.scenarios.quantities import Length, NotNegative, Positive, UnitVec3, Vec3
+from osc_contact.spatial import Array, Poses, as_array, carry_twist, cross, norm, skew, unit_vector
 
 _WORLD = SE3.Identity()
 _AT_REST = np.zeros(6)
@@ -36,7 +63,7 @@ class ContactPair(Protocol):
     * surface_point: (3,) a point of the environment's feature, in its frame (m), and
       surface_radius: of that feature if it is round (m). Contact points are drawn where the lines
       of force come nearest to it (to O; 0);
-    * row(): what it is to the compiled law, see `law_pair.PairRow` (None: Python evaluates the pair
+    * row(): what it is to the compiled law, see `PairRow` (None: Python evaluates the pair
       between the parts of each tick).
     """
 
@@ -299,3 +326,288 @@ def make_pair(spec: ContactSpec, X_WB: SE3, folder: Path | None = None) -> Conta
         elif key not in ("type", "body"):
             given[renamed.get(key, key)] = value
     return pair(**given)
+
+
+_place = as_python(law.place_pair, **OF_ARRAYS)
+_motion = as_python(law.permitted_motion)
+_point = as_python(law.point_of_contact)
+
+#: Elements of a matrix as the law reads them, M[i, j]: a dictionary is faster than an array.
+_Elements = dict[tuple[int, int], Any]
+_IDENTITY: _Elements = {(i, j): float(i == j) for i in range(3) for j in range(4)}
+#: Methods that determine a row; a class that replaces one of them differs from its row.
+_GIVEN_BY_ROW = ("contact", "direction", "point_on_face", "points_of_contact")
+
+
+class PairRow(NamedTuple):
+    """A pair as the compiled law reads it.
+
+    Attributes:
+        kind: POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, SURFACE or FUNCTION of `law.records`.
+        shapes: (16,) each, see the functions of `law.contact`: the columns of N, then the permitted
+            motions.
+        freedoms: number of the latter.
+        address: of the C function of a pair that is a function.
+    """
+
+    kind: int
+    shapes: tuple[Array, ...]
+    freedoms: int = 0
+    address: int = 0
+
+
+def shape(*parts: Array | float) -> Array:
+    """(16,) numbers of one column or one permitted motion, zeros behind them."""
+    row = np.zeros(16)
+    flat = np.concatenate([np.atleast_1d(part) for part in parts])
+    row[: len(flat)] = flat
+    return row
+
+
+def law_row(pair: ContactPair) -> PairRow | None:
+    """What a pair is to the compiled law; None: nothing, or a subclass changes what it does."""
+    row = getattr(pair, "row", None)
+    if row is None:
+        return None
+    kinds = type(pair).__mro__
+    declared_by = next(kind for kind in kinds if "row" in vars(kind))
+    newer = kinds[: kinds.index(declared_by)]
+    changed = any(name in vars(kind) for kind in newer for name in _GIVEN_BY_ROW)
+    return None if changed else row()
+
+
+class LawPair(PackagedPair):
+    """A pair that the law evaluates.
+
+    Attributes:
+        pushes, surface_point, surface_radius: see `ContactPair`.
+    """
+
+    pushes: ClassVar[bool] = False
+    surface_point: Array
+    surface_radius: float = 0.0
+    _row: PairRow
+    _numbers: tuple[Any, Shapes]
+
+    def _hold(self, row: PairRow, surface_point: Array) -> None:
+        """Take the geometry of a pair that is being made."""
+        head = SimpleNamespace(**row._asdict(), first=0, shape_at=0)
+        head.count = len(row.shapes) - row.freedoms
+        store(self, _row=row, _numbers=(head, Shapes(row.shapes)), surface_point=surface_point)
+
+    def row(self) -> PairRow:
+        """The pair as the compiled law reads it."""
+        return self._row
+
+    def _contact(self, b: Bodies) -> Contact:
+        """And T (6, 6−r), if the pair is given by it."""
+        A = _elements(b.X_A)
+        E = _elements(b.X_E)
+        columns = self._columns(A, E, b.V_A, b.V_E)
+        N = np.array([column.N for column in columns]).reshape(-1, 6).T
+        n_gamma = np.array([column.n_gamma_all for column in columns])
+        T = None
+        if self._row.kind == TANGENTS and len(self._row.shapes) == 6:
+            freedoms = self._numbers[1][N.shape[1] :]
+            T = np.array([_motion(one.row, A, E) for one in freedoms]).reshape(-1, 6).T
+        return Contact(N, n_gamma, T=T, name=self.name)
+
+    def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
+        """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
+        A = _elements(X_WO)
+        E = _IDENTITY if X_WE is None else _elements(X_WE)
+        each = zip(self._numbers[1], self._columns(A, E), strict=False)
+        points = [_point(self._row.kind, one.row, A, E, column.N) for one, column in each]
+        return X_WO.translation[:, None] + np.array(points).T
+
+    def normals(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
+        """(6, r, k) N at k instants; see `normals_over`."""
+        A = _elements_over(X_WO)
+        E = _IDENTITY if X_WE is None else _elements_over(X_WE)
+        columns = self._columns(A, E)
+        N = np.empty((6, len(columns), X_WO.p.shape[-1]))
+        for j, column in enumerate(columns):
+            for i in range(6):
+                N[i, j] = column.N[i]
+        return N
+
+    def _columns(
+        self, A: _Elements, E: _Elements, V_O: Array = _AT_REST, V_E: Array = _AT_REST
+    ) -> list[Any]:
+        head, shapes = self._numbers
+        columns = [
+            SimpleNamespace(N=[0.0] * 6, n_gamma_all=0.0, turn=(0.0, 0.0, 0.0), believed=[0.0] * 3)
+            for _ in range(head.count)
+        ]
+        try:
+            with np.errstate(all="ignore"):
+                V_rel = (V_O - V_E).tolist()
+                motion = law.Motion(A, V_O.tolist(), E, V_E.tolist(), V_rel, True)
+                sine = _place(head, shapes, columns, motion)
+        except ZeroDivisionError:
+            sine = 0.0
+        least = np.min(sine)
+        if not least >= law.PARALLEL and self._row.kind == SURFACE:
+            raise ContactError(
+                f"{self.name}: the ball's centre is where no one place of the surface is nearest; "
+                "start with it on the outer side, nearer than the least radius of curvature"
+            )
+        if not least >= law.PARALLEL:
+            raise ContactError(
+                f"{self.name}: the edges are parallel (sine of their angle {least:.2g}), so their "
+                "common normal is undefined; model this contact as an edge on a face"
+            )
+        return columns
+
+
+def normals_over(pair: ContactPair, X_WO: Poses, X_WE: Poses | None = None) -> Array:
+    """(6, r, k) what `pair.contact` gives as N at each of k instants, at O in world axes.
+
+    Args:
+        pair: of any kind; one unknown to the law is evaluated instant by instant.
+        X_WO: k poses of the object. X_WE: k poses (or 1) of the environment body; None: the world.
+    """
+    if isinstance(pair, LawPair) and law_row(pair) is not None:
+        return pair.normals(X_WO, X_WE)
+    parts = [
+        pair.contact(X_WO[i], _AT_REST, None if X_WE is None else X_WE[i]).N
+        for i in range(X_WO.p.shape[-1])
+    ]
+    return np.stack(parts, axis=-1)
+
+
+def _elements(X: SE3) -> _Elements:
+    rows = X.homogeneous.tolist()
+    return {(i, j): rows[i][j] for i in range(3) for j in range(4)}
+
+
+def _elements_over(X: Poses) -> _Elements:
+    return {(i, j): X.p[i] if j == 3 else X.R[i, j] for i in range(3) for j in range(4)}
+
+
+# A face of the object on a vertex of the environment.
+
+
+class FaceOnVertexSpec(OnBodySpec):
+    """A face of the object on a (rounded) vertex of a body, r = 1."""
+
+    forces = 1
+    type: Literal["face_on_vertex"] = "face_on_vertex"
+    point: Vec3
+    """a point of the object's face [x, y, z] in the object frame"""
+    normal: UnitVec3
+    """the outward normal of the object's face [x, y, z] in the object frame"""
+    body_vertex: BodyPoint
+    """the centre of the rounded vertex [x, y, z] in the body frame"""
+    radius: RadiusKey = 0.0
+    """of the rounding"""
+
+
+@register_pair(FaceOnVertexSpec, body_vertex="vertex")
+@dataclass(frozen=True, eq=False)
+class FaceOnVertex(LawPair):
+    """A face of the held object on a vertex of the environment (r = 1).
+
+    N = [n; (p − O) × n] with n the *outward* normal of the object's face, which points into the
+    environment, and p the vertex. Now the object carries n and the environment p: ṅ = ω_O × n,
+    ṗ = v_E(p).
+
+    Attributes:
+        point: (3,) a point of the face in the object frame (m).
+        normal: (3,) outward normal of the face in the object frame; normalised on entry.
+        vertex: (3,) vertex, or centre of the rounded vertex, in the environment frame (m).
+        radius: of the rounded vertex (m).
+        name: used in messages and recordings.
+    """
+
+    point: Point
+    normal: Direction
+    vertex: Point
+    radius: Radius = 0.0
+    name: str = "face_on_vertex"
+    pushes = True
+
+    def _make(self) -> None:
+        row = shape(self.normal, self.vertex, self.radius)
+        self._hold(PairRow(FACE_ON_VERTEX, (row,)), self.vertex)
+        store(self, surface_radius=self.radius)
+
+    def _gaps(self, b: Bodies) -> Array:
+        """(1,) distance between face and vertex surface (m), negative when they overlap."""
+        apart = b.point_E(self.vertex) - b.point_A(self.point)
+        return (b.point_A(self.normal) @ apart - self.radius)[None]
+
+
+# An edge of the object across an edge of the environment.
+
+
+class EdgeOnEdgeSpec(OnBodySpec):
+    """An edge of the object across an edge of a body, r = 1."""
+
+    forces = 1
+    type: Literal["edge_on_edge"] = "edge_on_edge"
+    point: Vec3
+    """a point of the object's edge [x, y, z] in the object frame"""
+    direction: UnitVec3
+    """along the object's edge [x, y, z] in the object frame"""
+    edge_point: BodyPoint
+    """a point of the body's edge [x, y, z] in the body frame"""
+    edge_direction: BodyDirection
+    """along the body's edge [x, y, z] in the body frame"""
+    edge_outward: BodyDirection
+    """roughly out of the body at its edge [x, y, z] in the body frame"""
+
+
+@register_pair(
+    EdgeOnEdgeSpec,
+    point="point_A",
+    direction="direction_A",
+    edge_point="point_E",
+    edge_direction="direction_E",
+    edge_outward="side",
+)
+@dataclass(frozen=True, eq=False)
+class EdgeOnEdge(LawPair):
+    """An edge of the held object across an edge of the environment (r = 1).
+
+    N = [n; (p − O) × n], n = ± e_A × e_E / |e_A × e_E| into the environment, p the crossing point,
+    which neither body carries: it slides along both edges, ṗ = v_A(p) + ṡ e_A. With e_A, e_E unit,
+    ṅ = ± (1 − nnᵀ)(ė_A × e_E + e_A × ė_E) / |e_A × e_E|. With the gap g open, p is the
+    point of the object's edge nearest to the other one and
+    ṫ e_E − ṡ e_A = v_A(p) − v_E(p + g n) + g ṅ in the plane ⟂ n, so N and n_γ stay exact.
+
+    Attributes:
+        point_A: (3,) a point of the object's edge, in the object frame (m).
+        direction_A: (3,) along that edge; normalised on entry.
+        point_E: (3,) a point of the environment's edge, in the environment frame (m).
+        direction_E: (3,) along that edge; normalised on entry.
+        side: which way n points: +1 along e_A × e_E, −1 against it, or an outward normal (3,) of
+            the environment at its edge, in the environment frame; roughly is enough, its component
+            along e_A × e_E decides.
+        name: used in messages and recordings.
+    """
+
+    point_A: Point
+    direction_A: Direction
+    point_E: Point
+    direction_E: Direction
+    side: float | Array = 1.0
+    name: str = "edge_on_edge"
+    pushes = True
+
+    def _make(self) -> None:
+        if np.ndim(self.side) > 0:
+            store(self, side=unit_vector(f"{self.name}.side", self.side))
+        elif self.side not in (1, -1):
+            raise InvalidInputError(
+                f"{self.name}.side = {self.side}; give +1 or −1 (times e_A × e_E), or a vector "
+                "that points out of the environment, towards the object"
+            )
+        side = (0.0, self.side) if np.ndim(self.side) else (self.side, np.zeros(3))
+        lines = self.point_A, self.direction_A, self.point_E, self.direction_E
+        self._hold(PairRow(EDGES, (shape(*lines, *side),)), self.point_E)
+
+    def _gaps(self, b: Bodies) -> Array:
+        """(1,) distance between the two lines (m), negative when they have passed each other."""
+        n = self._contact(b).N[:3, 0]
+        return (n @ (b.point_E(self.point_E) - b.point_A(self.point_A)))[None]

@@ -6,16 +6,18 @@ from typing import Literal
 import numpy as np
 from pinocchio import SE3
 
-from osc_contact.contacts.pairs.law_pair import LawPair, PairRow, shape
 from osc_contact.contacts.pairs.pair import (
     Bodies,
     Direction,
     Extent,
     ExtentKey,
+    LawPair,
+    PairRow,
     Point,
     Radius,
     RadiusKey,
     register_pair,
+    shape,
     store,
     triad,
 )

@@ -8,10 +8,11 @@ import numpy as np
 from pinocchio import SE3
 from pydantic import Field
 
-from osc_contact.contacts.pairs.law_pair import LawPair, PairRow
 from osc_contact.contacts.pairs.pair import (
     Bodies,
     Direction,
+    LawPair,
+    PairRow,
     Point,
     Radius,
     RadiusKey,

@@ -5,12 +5,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from pinocchio import SE3
 
-from osc_contact.contacts.pairs.law_pair import PairRow, shape
 from osc_contact.contacts.pairs.pair import (
     Bodies,
     Direction,
+    PairRow,
     Point,
     register_pair,
+    shape,
     store,
     triad,
 )
