@@ -16,8 +16,8 @@ from samples import parametrize
 
 from osc_contact import robots
 from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.chain_model import outboard_links
 from osc_contact.dynamics.chain_state import RigidObject
+from osc_contact.dynamics.closed_chain import outboard_links
 from osc_contact.dynamics.environment import Environment
 
 SEEDS = range(4)

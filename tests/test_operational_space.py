@@ -12,7 +12,7 @@ from rigs import PANDA_Q, largest, panda_arm, placed, refused, scara_pair
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.dynamics.chain_model import RANK_TOLERANCE
+from osc_contact.dynamics.closed_chain import RANK_TOLERANCE
 
 BASE = placed(0.3, -0.2, 0.5, (0.4, -1.1, 2.0))
 BALL = np.diag([1.0] * 3 + [0.1] * 3)  #: L of the inertia LLᵀ by which ranks are judged

@@ -15,7 +15,7 @@ import osc_contact as osc
 from osc_contact.contacts import pairs
 from osc_contact.contacts.pairs.pair import normals_over, pushes_only
 from osc_contact.control.monitor import ContactMonitor
-from osc_contact.dynamics.chain_model import columns_at
+from osc_contact.dynamics.closed_chain import columns_at
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.recorder import free_parts
 from osc_contact.runs.run import start

@@ -23,8 +23,7 @@ from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
 from osc_contact.control.status import LostDirection
 from osc_contact.dynamics.arm import effort_scale
 from osc_contact.dynamics.assembly import require_in_range
-from osc_contact.dynamics.chain_model import pack_chain
-from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.closed_chain import ClosedChain, pack_chain
 from osc_contact.dynamics.environment import Body, Cart, Conveyor, Yielding
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.law import records as at

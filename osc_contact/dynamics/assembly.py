@@ -6,8 +6,7 @@ import numpy as np
 import pinocchio as pin
 from pinocchio import SE3
 
-from osc_contact.dynamics.chain_model import columns_at
-from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.closed_chain import ClosedChain, columns_at
 from osc_contact.dynamics.grasp import moved
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots.model import position_limits

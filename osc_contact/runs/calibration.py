@@ -7,8 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.dynamics.chain_model import outboard_links
-from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.closed_chain import ClosedChain, outboard_links
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
