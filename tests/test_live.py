@@ -44,7 +44,7 @@ def lasting():
 
 
 def opened(content=CONTENT, rate=60.0):
-    return Viewer(MODULE, (content, 0.6), rate=rate)
+    return Viewer(MODULE, replace(content, size=0.6), rate=rate)
 
 
 @fixture
@@ -293,7 +293,7 @@ def test_the_server_ends_with_the_program_however_that_ends():
 def test_a_viewer_that_cannot_start_says_why():
     with viewer_error(r"does not start: .*no_such_module"):
         Viewer("osc_contact.no_such_module", ())
-    with viewer_error("does not start: ValueError: not enough values"):
+    with viewer_error("does not start: AttributeError"):
         Viewer(MODULE, (CONTENT,))
 
 

@@ -3,6 +3,7 @@
 import pickle
 import socket
 import sys
+from functools import partial
 
 from osc_contact.runs.viewing import best_frame
 from osc_contact.visual.server import serve
@@ -12,7 +13,7 @@ def main() -> None:
     """Serve the scene that stands on the standard input, until the inherited socket closes."""
     link = socket.socket(fileno=int(sys.argv[1]))
     content = pickle.load(sys.stdin.buffer)
-    serve(link, content, lambda N: best_frame(N, content.size))
+    serve(link, content, partial(best_frame, size=content.size))
 
 
 if __name__ == "__main__":
