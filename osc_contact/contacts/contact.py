@@ -105,11 +105,7 @@ class Contact:
 
     @classmethod
     def from_selection(
-        cls,
-        frame: pin.SE3,
-        forces: Sequence[bool],
-        couples: Sequence[bool],
-        n_gamma: npt.ArrayLike | None = None,
+        cls, frame: pin.SE3, forces: Sequence[bool], couples: Sequence[bool]
     ) -> Contact:
         """A Raibert–Craig task: which forces along and couples about the axes of `frame` (given at
         O, world axes) are transmitted. Columns: the forces selected, then the couples.
@@ -117,11 +113,10 @@ class Contact:
         Args:
             frame: X_WF of the selection's axes, its origin included (m).
             forces, couples: (3,) True where the contact transmits along or about an axis.
-            n_gamma: (r,) acceleration terms; None: zero.
         """
         from osc_contact.contacts.raibert_craig import selection_columns
 
-        return cls(selection_columns(frame, forces, couples), n_gamma)
+        return cls(selection_columns(frame, forces, couples))
 
     @classmethod
     def stack(cls, contacts: Sequence[Contact], Phi_ref: Array | None = None) -> Contact:

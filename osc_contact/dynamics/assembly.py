@@ -67,39 +67,30 @@ def reach(chain: ClosedChain, q: Array, X_WO: SE3, tolerance: float = 1e-6) -> A
     )
 
 
-def close(
-    chain: ClosedChain,
-    q: Array,
-    gaps: Gaps | None = None,
-    tolerance: float = 1e-13,
-    max_steps: int = 30,
-) -> Array:
+CLOSED = 1e-13  #: largest error left of loops and contacts (m, rad)
+MOST_STEPS = 30  #: of Newton's method
+
+
+def close(chain: ClosedChain, q: Array, gaps: Gaps | None = None) -> Array:
     """The nearest joint positions (in the arms' inertia metric) with closed loops and zero gaps.
 
     Args:
         chain: the arms. q: (n,) near solution.
         gaps: of the contacts at an object pose, and their N.
-        tolerance: largest remaining error (m, rad).
-        max_steps: Newton steps allowed.
 
     Raises:
         ModelError: the loops and contacts cannot be met together from here.
     """
-    return closed(chain, q, None, gaps, tolerance, max_steps)[0]
+    return closed(chain, q, None, gaps)[0]
 
 
 def closed(
-    chain: ClosedChain,
-    q: Array,
-    X_WO: SE3 | None = None,
-    gaps: Gaps | None = None,
-    tolerance: float = 1e-13,
-    max_steps: int = 30,
+    chain: ClosedChain, q: Array, X_WO: SE3 | None = None, gaps: Gaps | None = None
 ) -> tuple[Array, SE3]:
     """`close` with the object's pose: where no arm holds it rigidly, it finds its own place.
 
     Args:
-        chain, q, gaps, tolerance, max_steps: as for `close`.
+        chain, q, gaps: as for `close`.
         X_WO: initial pose of the object, if no arm determines it; None: that of the joints.
 
     Raises:
@@ -107,13 +98,13 @@ def closed(
     """
     q = np.array(q, dtype=float)
     X = X_WO
-    for _ in range(max_steps):
+    for _ in range(MOST_STEPS):
         pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
         if X is None or chain.leader is not None:
             X = chain.object_pose()
         gap, N = gaps(X) if gaps is not None else (np.zeros(0), np.zeros((6, 0)))
         error = np.concatenate([*_loop_errors(chain, X), gap])
-        if np.abs(error).max(initial=0.0) <= tolerance:
+        if np.abs(error).max(initial=0.0) <= CLOSED:
             return q, X
         A = constraint_rows(chain, X.translation, N)
         step = inverse_rows(A, inertia_of(chain, X), row_groups(chain))[0] @ error
@@ -121,7 +112,7 @@ def closed(
         if chain.leader is None:
             X = moved(X, -step[chain.nq :])
     left = np.abs(error).max()
-    if left <= 100 * tolerance:
+    if left <= 100 * CLOSED:
         assert X is not None
         return q, X
     raise ModelError(

@@ -41,7 +41,6 @@ def calibrate_wrist(
     rotations: Sequence[Array],
     readings: Array,
     noise: Array | float = 1.0,
-    gravity: Sequence[float] = (0.0, 0.0, -9.81),
 ) -> WristLoad:
     """Weighted least squares on the regressor of a resting load.
 
@@ -51,7 +50,6 @@ def calibrate_wrist(
             exerts on the gripper (N, N m).
         noise: (6,) or one number: standard deviation of those means, which weighs N against N m
             and gives the errors their size.
-        gravity: (3,) m/s² in the world.
 
     Raises:
         InvalidInputError: fewer than three postures, or shapes that do not fit.
@@ -65,7 +63,7 @@ def calibrate_wrist(
     if not (np.isfinite(spread).all() and spread.min() > 0.0):
         raise InvalidInputError(f"noise = {noise}; give finite numbers > 0")
     weight = 1.0 / spread
-    g = as_array("gravity", gravity, (3,))
+    g = np.array([0.0, 0.0, -9.81])
     rows = np.vstack([weight[:, None] * _regressor(-np.asarray(R).T @ g) for R in rotations])
     scale = np.linalg.norm(rows, axis=0)
     scale[scale == 0.0] = 1.0

@@ -316,7 +316,6 @@ def write_mp4(
     begin: float,
     end: float,
     size: tuple[int, int] = SIZE,
-    camera: str = "whole",
 ) -> Path:
     """Write a video (H.264) of a page that plays a recording; returns its path.
 
@@ -327,7 +326,6 @@ def write_mp4(
         path: the video; it appears complete or not at all.
         begin, end: of what it shows (s).
         size: of the picture, pixels, even numbers.
-        camera: whole, contacts, from above or other side.
 
     Raises:
         ViewerError: no browser, or it gave no picture.
@@ -341,7 +339,7 @@ def write_mp4(
         stream = video.add_stream("libx264", rate=VIDEO_RATE, options={"crf": "20"})
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"  # what every player shows
-        for picture in photographs(page, times, size, camera):
+        for picture in photographs(page, times, size):
             frame = av.VideoFrame.from_ndarray(np.asarray(picture), format="rgb24")
             video.mux(stream.encode(frame))
         video.mux(stream.encode())
@@ -349,7 +347,7 @@ def write_mp4(
 
 
 def photographs(
-    page: str | Path, times: Sequence[float], size: tuple[int, int], camera: str
+    page: str | Path, times: Sequence[float], size: tuple[int, int], camera: str = "whole"
 ) -> Iterator[Image]:
     """The page at moments of its recording, without its controls.
 

@@ -379,22 +379,22 @@ def rounded(numbers: Array) -> list[float | None]:
     return [float(f"{x:.4g}") if np.isfinite(x) else None for x in numbers.tolist()]
 
 
-def thinned(
-    lines: Sequence[dict[str, Any]], channels: Mapping[str, Any], bins: int = 450
-) -> dict[str, Any]:
-    """Times and values of all lines: the smallest and largest value of each of `bins` stretches.
+BINS = 450  #: stretches of equally many ticks
+
+
+def thinned(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> dict[str, Any]:
+    """Times and values of all lines: the smallest and largest value of each of `BINS` stretches.
 
     Short peaks stay visible this way, however long the recording is.
 
     Args:
         lines: of the panels.
         channels: (T, …) of each channel, and the times `t` (T,).
-        bins: stretches of equally many ticks.
     """
     t = np.asarray(channels["t"], dtype=float)
     rows = list(values(lines, channels))
-    if len(t) > 2 * bins:
-        stretches = np.array_split(np.arange(len(t)), bins)
+    if len(t) > 2 * BINS:
+        stretches = np.array_split(np.arange(len(t)), BINS)
         t = t[[part[k] for part in stretches for k in (0, -1)]]
         for number, row in enumerate(np.nan_to_num(rows)):
             places = [(row[part].argmin(), row[part].argmax()) for part in stretches]

@@ -411,11 +411,17 @@ def _lifted(feature: Feature, patch: Array, n: Array) -> Array:
 # --- Contacts followed over time ------------------------------------------------------------------
 
 
+MARGIN_M = 2e-3  #: of a `TrackedContact`, see `detect`
+#: ways after which it detects anew
+TRAVEL_M = 2e-3
+TURN_RAD = 5e-3
+
+
 class TrackedContact:
     """Whatever touches between the held object and one body, as a `ContactPair`.
 
-    What touches what is looked up by `detect` when the bodies have moved by more than `travel` or
-    `turn` relative to one another since the last time. In between, N and n_γ come from the pairs
+    What touches what is looked up by `detect` when the bodies have moved by more than 2 mm or
+    5 mrad relative to one another since the last time. In between, N and n_γ come from the pairs
     found, at the poses and twists of each call. Where nothing is within the margin any more, the
     contacts found last stay in force: geometry does not detect a lost contact.
 
@@ -430,31 +436,17 @@ class TrackedContact:
         object_geometry: Sequence[CollisionShape],
         environment_geometry: Sequence[CollisionShape],
         name: str = "detected",
-        *,
-        margin: float = 2e-3,
-        travel: float = 2e-3,
-        turn: float = 5e-3,
     ) -> None:
         """Take the collision shapes of both bodies, in the frames O and E.
 
         Args:
             object_geometry, environment_geometry: see `collision_shapes`.
             name: of the contact.
-            margin: see `detect` (m).
-            travel: distance (m), turn: angle (rad) after which to look again.
-
-        Raises:
-            InvalidInputError: travel or turn is negative.
         """
-        if not (travel >= 0.0 and turn >= 0.0):
-            raise InvalidInputError(f"travel = {travel} m, turn = {turn} rad; give numbers ≥ 0")
         self.name = name
         self.pairs: tuple[ContactPair, ...] = ()
         self.lookups = 0
         self._shapes = object_geometry, environment_geometry
-        self._margin = margin
-        self._travel = travel
-        self._turn = turn
         self._X_EO = SE3.Identity()
 
     def contact(
@@ -483,18 +475,18 @@ class TrackedContact:
     def _touching(self, X_WO: SE3, X_WE: SE3 | None) -> tuple[ContactPair, ...]:
         X_EO = X_WO if X_WE is None else X_WE.actInv(X_WO)
         moved = self._X_EO.actInv(X_EO)
-        far = norm(moved.translation) > self._travel or norm(pin.log3(moved.rotation)) > self._turn
+        far = norm(moved.translation) > TRAVEL_M or norm(pin.log3(moved.rotation)) > TURN_RAD
         if self.pairs and not far:
             return self.pairs
         shapes, bodies = self._shapes
-        detected = detect(shapes, X_WO, bodies, X_WE, margin=self._margin)
+        detected = detect(shapes, X_WO, bodies, X_WE, margin=MARGIN_M)
         self.lookups += 1
         if detected:
             self.pairs = tuple(contact.pair() for contact in detected)
         self._X_EO = X_EO.copy()
         if not self.pairs:
             raise ContactError(
-                f"{self.name}: nothing touches within {self._margin * 1e3:g} mm at the pose of the "
+                f"{self.name}: nothing touches within {MARGIN_M * 1e3:g} mm at the pose of the "
                 f"object {np.round(X_WO.translation, 4)} m; bring it nearer before engaging"
             )
         return self.pairs
