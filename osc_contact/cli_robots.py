@@ -1,8 +1,7 @@
 """Commands about robots: checks, kinematics, a first task."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -20,13 +19,6 @@ from osc_contact.runs.report import robot_tables, write_json
 from osc_contact.scenarios.loader import list_scenarios
 
 
-class InertiaLevel(StrEnum):
-    """Requirements on the inertias of a URDF."""
-
-    possible = "possible"
-    positive = "positive"
-
-
 def check(
     robot: Annotated[
         str, Argument(help="a URDF, an MJCF file, or the name of a robot such as panda")
@@ -37,8 +29,8 @@ def check(
         Option("--limit", help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
     ] = None,
     inertias: Annotated[
-        InertiaLevel, Option(help="positive: for parameters that no body has exactly")
-    ] = InertiaLevel.possible,
+        robots.Inertias, Option(help="positive: for parameters that no body has exactly")
+    ] = "possible",
     package_dir: Annotated[
         list[Path] | None, Option("--package-dir", help="folder that may hold meshes")
     ] = None,
@@ -49,7 +41,7 @@ def check(
     report = robots.check_robot(
         path,
         limits=dict(robots.JointLimits.parse(text) for text in limit or []),
-        inertias=inertias.value,
+        inertias=inertias,
         package_dirs=[*folders, *(package_dir or [])],
         tip=tip,
     )
@@ -154,14 +146,8 @@ def new(
     say(f"next: osc-contact inspect {target}; osc-contact run {target}")
 
 
-class Maker(StrEnum):
-    """Robots with a driver."""
-
-    franka = "franka"
-
-
 def commission(
-    robot: Annotated[Maker, Argument(help="the driver")],
+    robot: Annotated[Literal["franka"], Argument(help="the driver")],
     *,
     host: Annotated[str, Option(help="address of the robot")],
     urdf: Annotated[Path, Option(help="model of the arm with its hand")],
@@ -181,7 +167,7 @@ def commission(
         return yes or typer.confirm("continue?")
 
     # the robot compensates the friction of its joints by itself
-    arm = Arm.from_urdf(urdf, name=robot.value, tip=tip, wrist_sensor=tip, friction_factor=0.0)
+    arm = Arm.from_urdf(urdf, name=robot, tip=tip, wrist_sensor=tip, friction_factor=0.0)
     driver = FrankaRobot(host, ClosedChain([arm]))
     course = Commissioning(driver, folder, gap, confirm, shadow_time, realtime)
     done = course.run()

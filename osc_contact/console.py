@@ -3,12 +3,11 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated
+from typing import Annotated, Literal
 
 from rich.console import Console
 from rich.progress import (
@@ -37,14 +36,9 @@ from osc_contact.visual.parts import Content
 ScenarioArgument = Annotated[str, Argument(help="packaged name (see `list`) or a YAML file")]
 
 
-class PlantName(StrEnum):
-    """Which plant judges the controller."""
-
-    mujoco = "mujoco"
-    rigid = "rigid"
-
-
-PlantOption = Annotated[PlantName | None, Option(help="instead of the scenario's own")]
+PlantOption = Annotated[
+    Literal["mujoco", "rigid"] | None, Option(help="instead of the scenario's own")
+]
 DurationOption = Annotated[
     float | None, Option(help="seconds, instead of the scenario's own", show_default=False)
 ]

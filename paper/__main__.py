@@ -76,7 +76,7 @@ def reproduce(
             out_dir,
             scenario,
             Ask(seed, duration, () if drawn else tuple(set_ or ()), samples),
-            typed(plant and plant.value, duration, seed, set_ or ()),
+            typed(plant, duration, seed, set_ or ()),
         )
         for one in result.made.values():
             for path in one.files:

@@ -1,6 +1,6 @@
 """Robots: where their files are, and how a file becomes a checked model.
 
-A URDF passes, in this order: strict XML with line numbers (`xml_tree`), words, numbers and tree
+A URDF passes, in this order: strict XML with line numbers, words, numbers and tree
 (`urdf`), shapes and mesh addresses, limits, inertias (`checks`), Pinocchio and its mass matrix
 (`model`); on demand a second reader (`loading`). docs/robots.md: refusals and reasons.
 """
@@ -24,7 +24,7 @@ from osc_contact.robots.loading import (
 from osc_contact.robots.mjcf import compile_mjcf, couplings, is_mjcf, load_mjcf
 from osc_contact.robots.model import check_mass_matrix, ends_of, frame_id, random_configurations
 from osc_contact.robots.summary import RobotReport, RobotSummary, check_robot, summarise
-from osc_contact.robots.xml_tree import ModelFinding
+from osc_contact.robots.urdf import ModelFinding
 
 __all__ = [
     "ROBOT_DATA",

@@ -17,8 +17,7 @@ import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, did_you_mean
 from osc_contact.robots.model import joint_names
-from osc_contact.robots.urdf import LIMITS, Document
-from osc_contact.robots.xml_tree import Element, ModelFinding
+from osc_contact.robots.urdf import LIMITS, Document, Element, ModelFinding
 from osc_contact.spatial import Array
 
 # Limits -------------------------------------------------------------------------------------------

@@ -31,8 +31,14 @@ from osc_contact.robots.model import (
     joint_names,
     random_configurations,
 )
-from osc_contact.robots.urdf import Document, check_mimics, check_tree, read_document
-from osc_contact.robots.xml_tree import read_bytes, refuse_file
+from osc_contact.robots.urdf import (
+    Document,
+    check_mimics,
+    check_tree,
+    read_bytes,
+    read_document,
+    refuse_file,
+)
 
 CROSS_CHECK_TOLERANCE = 1e-9
 

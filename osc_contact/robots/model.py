@@ -9,8 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import ModelError, did_you_mean
-from osc_contact.robots.urdf import LIMITS, Document
-from osc_contact.robots.xml_tree import refuse, refuse_file
+from osc_contact.robots.urdf import LIMITS, Document, refuse, refuse_file
 from osc_contact.spatial import Array, norm
 
 SAMPLES = 20

@@ -24,8 +24,7 @@ from osc_contact.robots.model import (
     rotors,
     sliding,
 )
-from osc_contact.robots.urdf import Document
-from osc_contact.robots.xml_tree import ModelFinding
+from osc_contact.robots.urdf import Document, ModelFinding
 from osc_contact.spatial import Array
 
 jsonable = partial(to_jsonable_python, inf_nan_mode="null")
@@ -98,7 +97,7 @@ def friction_warnings(
 
     With m = 1/(M⁻¹)_jj, the inertia of a joint while the others are free: damping D that is not
     known moves the joint like an inertia D/K, which counts where D/m > K; and the observer with
-    share g is stable for every delay while m is believed to be at most 1 + 1/g times the true one.
+    share g is stable for every delay while the assumed m is at most 1 + 1/g times the true one.
 
     Args:
         model: of one arm. q: its posture. share: g of `control.joint_friction`. rate: K (1/s).

@@ -3,17 +3,339 @@
 Words that look like a misspelt word of URDF are refused, because every reader would skip them in
 silence. Extensions of simulators (gazebo, …) are passed over; of transmissions only rotor inertia
 and gear ratio are read.
+
+Expat reads the text: XML as it must be, every element with its place, nothing repaired. What a URDF
+never needs (document types, entities, includes, other encodings, huge or deep trees) ends the
+reading at once, before any other parser has seen the file.
 """
+
+from __future__ import annotations
 
 import difflib
 import math
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
+from xml.parsers import expat
 
-from osc_contact.errors import did_you_mean
-from osc_contact.robots.xml_tree import Element, Vector, parse, refuse
+from osc_contact.errors import ModelError, did_you_mean
+
+MAX_BYTES = 8 * 2**20
+MAX_DEPTH = 64
+MAX_ELEMENTS = 100_000
+MAX_LINKS = 512
+"""Most links (joints) of a robot; Pinocchio's reader dies of a few thousand."""
+_HUGE = 1e9
+"""No length, mass, moment or angle of a robot is larger, in any unit anybody uses."""
+_DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_ENCODING = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""")
+_KNOWN_ENCODINGS = {b"utf-8", b"utf8", b"us-ascii", b"ascii"}
+_WIDE_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16", b"\x00\x00": "UTF-32"}
+
+
+# What is wrong with a robot: one finding, one sentence; all findings become one error.
+
+
+SHOWN = 12
+"""So many findings, or names, go into the text of an error; the rest is counted."""
+
+
+@dataclass(frozen=True)
+class ModelFinding:
+    """One thing wrong with a file.
+
+    Attributes:
+        check: which check speaks: "file", "xml", "name", "number", "tree", "joint", "geometry",
+            "mesh", "limit", "inertia", "mass matrix" or "second reader".
+        file: the URDF. line, column: where, from 1; 0 where no place in the file is to blame.
+        element: "link 'tip' <mass value='-1'>"; empty for the file as a whole.
+        reason: what is wrong, with the numbers. cure: what to do about it.
+    """
+
+    check: str
+    file: Path
+    line: int
+    column: int
+    element: str
+    reason: str
+    cure: str
+
+    def __str__(self) -> str:
+        place = f"{self.file}:{self.line}:{self.column}" if self.line else f"{self.file}"
+        return ": ".join(part for part in (place, self.element, self.reason) if part) + (
+            f". {self.cure[0].upper()}{self.cure[1:]}" if self.cure else ""
+        )
+
+
+def refuse(findings: Sequence[ModelFinding]) -> NoReturn:
+    """Raise a `ModelError` with the text of all findings, which carries them as `findings`."""
+    lines = [str(finding) for finding in findings[:SHOWN]]
+    if len(findings) > SHOWN:
+        lines.append(f"… and {len(findings) - SHOWN} more")
+    error = ModelError("\n".join(lines))
+    error.findings = tuple(findings)
+    raise error
+
+
+def refuse_file(
+    check: str, file: Path, reason: str, cure: str = "", line: int = 0, column: int = 0
+) -> NoReturn:
+    """Raise a `ModelError` with one finding about a file, or about a place in it.
+
+    Args:
+        check, file, reason, cure, line, column: of the `ModelFinding`.
+    """
+    refuse([ModelFinding(check, file, line, column, "", reason, cure)])
+
+
+# The text ----------------------------------------------------------------------------------------
+
+
+Vector = tuple[float, ...]
+_ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(slots=True, eq=False)
+class Element:
+    """An XML element and where it begins (line and column from 1).
+
+    `findings`: what is wrong with the file, shared by all elements.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    file: Path
+    line: int
+    column: int
+    findings: list[ModelFinding]
+    parent: Element | None = None
+    children: list[Element] = field(default_factory=list)
+    text: str = ""
+
+    def get(self, key: str) -> str:
+        """An attribute, "" where there is none."""
+        return self.attributes.get(key, "")
+
+    def findall(self, *tags: str) -> list[Element]:
+        """The children of those tags."""
+        return [child for child in self.children if child.tag in tags]
+
+    def find(self, tag: str) -> Element | None:
+        """The first child of that tag."""
+        return next(iter(self.findall(tag)), None)
+
+    def part(self, tag: str) -> Element:
+        """The first child of that tag; without one, the element itself."""
+        return self.find(tag) or self
+
+    def iter(self, tag: str) -> Iterator[Element]:
+        """Descendants of that tag, in the order of the file."""
+        for child in self.children:
+            if child.tag == tag:
+                yield child
+            yield from child.iter(tag)
+
+    def label(self, key: str = "") -> str:
+        """Name for messages: "joint 'turn' <limit effort='0'>"."""
+        owner = self
+        while owner.tag not in ("link", "joint") and owner.parent is not None:
+            owner = owner.parent
+        named = f"{owner.tag} {_short(owner.get('name'))}" if owner.get("name") else ""
+        if owner is self and not key:
+            return named or f"<{self.tag}>"
+        value = f" {key}={_short(self.get(key))}" if key in self.attributes else ""
+        own = f"<{self.tag}{value}>"
+        return f"{named} {own}" if named and owner is not self else named + value or own
+
+    def finding(self, check: str, reason: str, cure: str = "", key: str = "") -> ModelFinding:
+        """What is wrong with the element (or with its attribute `key`).
+
+        Args:
+            check: that failed. reason, cure: sentences. key: attribute.
+        """
+        place = (self.file, self.line, self.column, self.label(key))
+        return ModelFinding(check, *place, reason, cure)
+
+    def note(self, check: str, reason: str, cure: str = "", key: str = "") -> None:
+        """Note a `finding`.
+
+        Args:
+            check, reason, cure, key: of the finding.
+        """
+        self.findings.append(self.finding(check, reason, cure, key))
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """A finite number; without default it must be there.
+
+        Args:
+            key: attribute. default: if absent.
+        """
+        if key in self.attributes:
+            return self.value(key, self.get(key).strip())
+        if default is None:
+            self.note("number", f"{key} is missing", f'write {key}="…"')
+        return default or 0.0
+
+    def vector(self, key: str, default: Vector | None = None) -> Vector:
+        """Three finite numbers.
+
+        Args:
+            key: attribute. default: if absent.
+        """
+        if key not in self.attributes and default is not None:
+            return default
+        text = self.get(key)
+        parts = text.split()
+        if len(parts) != 3:
+            reason = f"{key} has {len(parts)} numbers, 3 are expected"
+            self.note("number", reason, _comma(text) or f'write {key}="x y z"', key)
+            return _ZERO
+        return tuple(self.value(key, part) for part in parts)
+
+    def value(self, key: str, text: str) -> float:
+        """The finite number that a text stands for.
+
+        Args:
+            key: attribute, or the element's tag. text: to read.
+        """
+        value = float(text) if _DECIMAL.fullmatch(text) else math.nan
+        if not math.isfinite(value):
+            reason = f"{key} = {text[:40]!r} is not a finite number"
+            cure = _comma(text) or "write a decimal number such as 0.25"
+        elif abs(value) > _HUGE and self.tag != "limit":
+            reason = f"{key} = {value:g} is beyond ±{_HUGE:g}"
+            cure = "lengths are in m, masses in kg, angles in rad"
+        else:
+            return value
+        self.note("number", reason, cure, key)
+        return 0.0
+
+    def origin(self) -> dict[str, Vector]:
+        """xyz (m) and rpy (rad) of the <origin> of the element."""
+        origin = self.find("origin")
+        return {
+            key: _ZERO if origin is None else origin.vector(key, _ZERO) for key in ("xyz", "rpy")
+        }
+
+
+def _comma(text: str) -> str:
+    if "${" in text:
+        return "expand the macros first (xacro in.xacro > out.urdf)"
+    return "decimals are written with a point, numbers parted by blanks" if "," in text else ""
+
+
+def read_bytes(file: Path) -> bytes:
+    """The content of a regular file that is not too large; anything else is refused."""
+    if not file.is_file():
+        refuse_file("file", file, "is not a file" if file.exists() else "does not exist")
+    try:
+        with file.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except OSError as error:
+        refuse_file("file", file, f"cannot be read: {error.strerror}")
+    if len(data) > MAX_BYTES:
+        reason = f"is larger than {MAX_BYTES // 2**20} MiB"
+        refuse_file("file", file, reason, "keep meshes in separate files")
+    return data
+
+
+def parse(file: Path, data: bytes) -> Element:
+    """The root <robot> of a URDF text.
+
+    Raises:
+        ModelError: empty, not UTF-8, not well-formed or truncated, a DOCTYPE or an entity, an
+            include or macro left over, too deep, too many elements, or another root.
+    """
+    _check_text(file, data)
+    stack: list[Element] = []
+    roots: list[Element] = []
+    findings: list[ModelFinding] = []
+    counts = Counter[str]()
+    parser = expat.ParserCreate()
+
+    def stop(reason: str, cure: str) -> NoReturn:
+        place = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+        refuse_file("xml", file, reason, cure, *place)
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        counts[""] += 1
+        if len(stack) >= MAX_DEPTH:
+            stop(f"<{tag}> is nested more than {MAX_DEPTH} deep", "a URDF needs about 6 levels")
+        if counts[""] > MAX_ELEMENTS:
+            stop(f"more than {MAX_ELEMENTS} elements", "split the file")
+        if len(stack) == 1 and tag in ("link", "joint"):
+            counts[tag] += 1
+            if counts[tag] > MAX_LINKS:
+                stop(f"more than {MAX_LINKS} {tag}s", "split the robot or drop what does not move")
+        prefix, colon, name = tag.partition(":")
+        if colon and (prefix == "xacro" or name == "include"):
+            cure = "expand macros and includes first (xacro in.xacro > out.urdf)"
+            stop(f"<{tag}> is not URDF", cure)
+        place = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+        above = stack[-1] if stack else None
+        element = Element(tag, attributes, file, *place, findings, above)
+        (roots if above is None else above.children).append(element)
+        stack.append(element)
+
+    def text(data: str) -> None:
+        if stack:
+            stack[-1].text += data
+
+    def doctype(*declared: Any) -> None:
+        reason = "<!DOCTYPE> is refused: a robot needs no document type and no entities"
+        stop(reason, "delete it and write entities out")
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: stack.pop()
+    parser.StartDoctypeDeclHandler = doctype
+    parser.CharacterDataHandler = text
+    parser.buffer_text = True
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        reason = f"not well-formed XML: {expat.ErrorString(error.code)}"
+        if stack:
+            reason += f" inside <{stack[-1].tag}> of line {stack[-1].line}"
+        cut = data.count(b"\n") + 1 <= error.lineno and (stack or not roots)
+        cure = "the file seems to be cut off" if cut else "repair it; nothing is guessed"
+        refuse_file("xml", file, reason, cure, error.lineno, error.offset + 1)
+    root = roots[0]
+    if root.tag != "robot":
+        reason = f"the root element is <{root.tag}>, a URDF begins with <robot>"
+        cure = "convert SDF or MJCF files to URDF"
+        refuse_file("xml", file, reason, cure, root.line, root.column)
+    return root
+
+
+def _check_text(file: Path, data: bytes) -> None:
+    """Refuse what is not UTF-8 text."""
+
+    def stop(reason: str, at: int, cure: str = "save it as UTF-8") -> NoReturn:
+        line = data.count(b"\n", 0, at) + 1
+        refuse_file("xml", file, reason, cure, line, at - data.rfind(b"\n", 0, at))
+
+    if not data.strip():
+        refuse_file("xml", file, "is empty")
+    if wide := _WIDE_MARKS.get(data[:2]):
+        stop(f"is encoded in {wide}", 0)
+    if (at := data.find(b"\0")) >= 0:
+        stop("NUL byte: this is not text", at, "is it the right file?")
+    declared = _ENCODING.match(data.removeprefix(b"\xef\xbb\xbf"))
+    if declared and declared[1].lower() not in _KNOWN_ENCODINGS:
+        stop(f"declares the encoding {_short(declared[1].decode('ascii', 'replace'))}", 0)
+    try:
+        data.decode()
+    except UnicodeDecodeError as error:
+        stop(f"byte 0x{data[error.start]:02x} is not UTF-8", error.start)
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 60 else f"{text[:60]}…")
+
 
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 LIMITS = ("lower", "upper", "effort", "velocity")

@@ -187,19 +187,19 @@ class Observer:
         self._seen = Stamps(-1.0, -1.0, -1.0, -1.0)
         self._ticks = 0
         spec = scenario.sensors
-        believed = scenario.control.estimate
+        estimate = scenario.control.estimate
         self._joints: VelocityEstimate | None = None
         self._spec = spec
         if spec.encoder is not None:
             noise, step = (
                 _joint_errors(chain, spec.encoder, attrgetter(e)) for e in ("noise", "resolution")
             )
-            unknown = np.where(sliding(chain.model), believed.joint_linear, believed.joint_angular)
+            unknown = np.where(sliding(chain.model), estimate.joint_linear, estimate.joint_angular)
             limit = chain.model.velocityLimit
             limit = np.where(limit > 0.0, limit, np.inf)
             period = max(self.dt, 1.0 / spec.encoder.rate)
             self._reach = scenario.control.safety.plausible_speed * limit * period
-            self._believed = np.full(chain.nq, np.nan)
+            self._accepted = np.full(chain.nq, np.nan)
             self._missed = np.zeros(chain.nq)
             self._joints = VelocityEstimate.optimal(
                 np.maximum(np.hypot(noise, step / np.sqrt(12.0)), 1e-9),
@@ -214,7 +214,7 @@ class Observer:
             self.vision = VisionFusion(
                 lambda q: [object_pose(chain, q), *chain.tip_poses()],
                 Registration(position, orientation),
-                (believed.body_linear, believed.body_angular),
+                (estimate.body_linear, estimate.body_angular),
                 dt=self.dt,
                 period=1.0 / camera.rate,
                 delay=camera.delay,
@@ -226,12 +226,12 @@ class Observer:
         """Whether joint velocities are estimated here, and accelerations of use."""
         return self._joints is not None
 
-    def _not_believed(self, q: Array) -> NDArray[np.bool_]:
+    def _implausible(self, q: Array) -> NDArray[np.bool_]:
         """(n,) which joints are not finite, or moved faster than they can since they were read."""
-        far = np.abs(q - self._believed) > _NOISE + self._reach * (1.0 + self._missed)
+        far = np.abs(q - self._accepted) > _NOISE + self._reach * (1.0 + self._missed)
         bad = ~np.isfinite(q) | far
         self._missed = np.where(bad, self._missed + 1.0, 0.0)
-        self._believed = np.where(bad, self._believed, q)
+        self._accepted = np.where(bad, self._accepted, q)
         return bad
 
     def complete(self, measurement: Measurement, acceleration: Array | None) -> Measurement:
@@ -246,7 +246,7 @@ class Observer:
             return measurement
         if self._joints is not None and self._spec.encoder is not None:
             known = np.zeros(len(measurement.q)) if acceleration is None else acceleration
-            bad = self._not_believed(measurement.q)
+            bad = self._implausible(measurement.q)
             if bad.any() and self._joints.x is None:
                 return measurement
             fresh = stamps.encoders > self._seen.encoders

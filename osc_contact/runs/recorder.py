@@ -65,7 +65,7 @@ def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict
     alpha = rows["alpha"]
     squeeze = rows["squeeze_d"]
     phase = _phases(of, rows)
-    truth = _believed(of, rows, phase) if log is None else log.truths(rows["truth"])
+    truth = _measured_truths(of, rows, phase) if log is None else log.truths(rows["truth"])
     N, points, directions = _lines(of, truth, k)
     wrench = rows["f_meas"] - rows["bias_out"]
     projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, whatever the faces do
@@ -173,7 +173,7 @@ def _phases(of: Subject, rows: Array) -> Array:
     return phase.astype(np.int64)
 
 
-def _believed(of: Subject, rows: Array, phase: Array) -> Truths:
+def _measured_truths(of: Subject, rows: Array, phase: Array) -> Truths:
     """The controller's estimate of the truth, where there is no judge."""
     pairs = of.pairs
     k = len(rows)

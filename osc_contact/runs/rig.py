@@ -348,9 +348,9 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     make = chains or build_chain
     hidden = ModelErrorSpec(hidden_mass=error.hidden_mass)
     keys = ("arm_mass", "object_mass", "joint_friction", "armature")
-    believed = ModelErrorSpec(**{key: getattr(error, key) for key in keys})
+    modelled = ModelErrorSpec(**{key: getattr(error, key) for key in keys})
     chain = make(scenario, hidden)
-    model = chain if believed == hidden else make(scenario, believed)
+    model = chain if modelled == hidden else make(scenario, modelled)
     pairs = build_pairs(scenario)
     posture = posture_of(scenario, chain)
     X_given = given_pose(scenario, chain, posture)

@@ -191,19 +191,19 @@ class HingeSpec(Spec):
     """constant moment about the axis"""
 
 
-def _take_own(value: Any, read: Callable[[Any], Any]) -> Any:
+def _read_custom(value: Any, read: Callable[[Any], Any]) -> Any:
     return value if hasattr(value, "rail") else read(value)
 
 
-def _tell_own(value: Any, write: Callable[[Any], Any]) -> Any:
+def _write_custom(value: Any, write: Callable[[Any], Any]) -> Any:
     return type(value).__name__ if hasattr(value, "rail") else write(value)
 
 
 FaceMotion = Annotated[
     ConveyorSpec | CartSpec | HingeSpec,
     Field(discriminator="type"),
-    WrapValidator(_take_own),
-    WrapSerializer(_tell_own),
+    WrapValidator(_read_custom),
+    WrapSerializer(_write_custom),
 ]
 """Or, in a scenario made in Python, an object with a `rail`."""
 

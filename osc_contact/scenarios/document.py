@@ -83,7 +83,7 @@ def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | N
         node: yaml.Node | None = yaml.compose(text, Loader=loader)
         return node
     except (yaml.MarkedYAMLError, yaml.reader.ReaderError) as error:
-        if loader is not yaml.SafeLoader:  # which tells better what is wrong, and where
+        if loader is not yaml.SafeLoader:  # which names better what is wrong, and where
             return compose(text, problems, yaml.SafeLoader)
         if isinstance(error, yaml.reader.ReaderError):
             line = text.count("\n", 0, error.position) + 1

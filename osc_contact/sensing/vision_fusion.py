@@ -94,12 +94,12 @@ class Registration:
             seen: the same bodies in the camera's frame.
             elapsed: time since the last picture (s).
         """
-        believed = np.linalg.inv(self.P + elapsed * np.diag(np.repeat(self.drift, 3)) ** 2)
+        prior = np.linalg.inv(self.P + elapsed * np.diag(np.repeat(self.drift, 3)) ** 2)
         weights = np.repeat((self.position, self.orientation), 3) ** -2.0
         start = self.X
         for _ in range(_ITERATIONS):  # in information form: exact noise-free poses do no harm
-            information = believed.copy()
-            push = -believed @ _displacement(start, self.X)
+            information = prior.copy()
+            push = -prior @ _displacement(start, self.X)
             for X_W, X_C in zip(known, seen, strict=True):
                 found = self.X * X_C
                 turn = pin.log3(X_W.rotation @ found.rotation.T)
