@@ -17,6 +17,7 @@ from rigs import (
     SCARA_Q,
     largest,
     one_panda,
+    panda_pair,
     placed,
     product,
     random_state,
@@ -173,6 +174,29 @@ def test_nothing_held_and_gravity_that_changes():
         case = Case(chain, q, s.X_WO, [("rigid", grasp.X_TO, None) for grasp in chain.grasps])
         assert_arms(chain, s, q, v)
         assert_chain(case, v, s.V_O, s, rng)
+
+
+@parametrize("rig", [scara_pair, panda_pair])
+def test_arms_that_contradict_one_another_move_the_object_as_all_joints_say(rig):
+    """V_O of the least errors δ of joint speeds with J_i (q̇_i + δ_i) = V_O, as a KKT system."""
+    chain = rig()
+    n = chain.nq
+    q, v = random_state(chain, default_rng(72))
+    exact = chain.state(q, v)
+    v = v + 0.01 * default_rng(73).standard_normal(n)
+    s = chain.state(q, v)
+    A = np.zeros((12, n + 6))
+    for i, (arm, part) in enumerate(zip(s.arms, chain.slices, strict=True)):
+        A[6 * i : 6 * i + 6, part] = arm.J
+        A[6 * i : 6 * i + 6, n:] = -np.eye(6)
+    sliding = ["Prismatic" in joint.shortname() for joint in chain.model.joints[1:]]
+    weights = np.r_[np.where(sliding, 0.2**-2, 1.0), np.zeros(6)]
+    system = np.block([[np.diag(weights), A.T], [A, np.zeros((12, 12))]])
+    right = np.r_[np.zeros(n + 6), -A[:, :n] @ v]
+    found = np.linalg.lstsq(system, right)[0]
+    assert largest(found[:n]) > 1e-3
+    assert largest(s.V_O - exact.V_O) > 1e-3
+    assert_close("V_O", s.V_O, found[n : n + 6])
 
 
 @parametrize("rig", [scara_pair, one_panda])

@@ -32,19 +32,17 @@ def soft_rig(stiffness, mass=1.0, damping=5.0, more=()):
     changes = [
         f"contacts.left_end.face.motion={cart}",
         "gains={}",
-        "model_error.environment=compliance",
+        "model_error.environment=yielding",
         "duration=3 s",
         *more,
     ]
     return rig_of("moving_face", *changes)
 
 
-def run(rig, measured, ticks=3000, compliance=None):
+def run(rig, measured, ticks=3000):
     """Relative force errors (ticks, 2) from 1 s on, and what the brake of the left end sees."""
     plant = rig.plant()
     controller = rig.controller()
-    if compliance is not None:
-        controller._records.model.bodies.parameters[0, 0] = compliance
     errors = []
     seen = []
     for k in range(ticks):
@@ -58,7 +56,7 @@ def run(rig, measured, ticks=3000, compliance=None):
         work = controller._records.work
         face = work.V_N[0]
         seen.append((work.speed[0] + face, face, work.alpha_meas[0], work.columns.goal[0]))
-        seen[-1] += (work.brake[0],)
+        seen[-1] += (controller._records.memory.columns[0]["scale"], work.brake[0])
         if k >= 1000:
             errors.append(alpha / reference.alpha_d - 1.0)
     assert controller.state is osc.SafetyState.RUN
@@ -66,53 +64,63 @@ def run(rig, measured, ticks=3000, compliance=None):
 
 
 @parametrize("measured", [True, False], ids=["measured", "not measured"])
-@parametrize("stiffness", [2e3, 1e4, 1e5])
+@parametrize("stiffness", [1e3, 1e4, 1e5])
 def test_forces_on_a_soft_jig_are_kept(stiffness, measured):
     errors, _, _ = run(soft_rig(stiffness), measured)
     assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.02).all()
 
 
-@parametrize("stiffness", [2e3, 5e4])
+@parametrize("stiffness", [1e3, 5e4])
 def test_sensors_of_real_arms_do(stiffness):
     found = osc.metrics(osc.run(soft_rig(stiffness, more=[NOISY]).scenario))
     assert found["task"]["word"] == "OK"
-    assert found["force"]["left_end"]["rms_error_rel"] < 0.02
+    assert found["force"]["left_end"]["rms_error_rel"] < 0.03
 
 
 @parametrize("seed", range(6))
-def test_any_support_from_2_to_100_kN_per_m(seed):
-    """Masses, dampings and stiffnesses at random, the compliance known to 30 %."""
+def test_any_support_from_1_to_100_kN_per_m(seed):
+    """Masses, dampings and stiffnesses at random, none of them known."""
     rng = default_rng(seed)
-    stiffness = 10 ** rng.uniform(3.3, 5.0)
+    stiffness = 10 ** rng.uniform(3.0, 5.0)
     rig = soft_rig(stiffness, rng.uniform(0.3, 3.0), rng.uniform(0.0, 20.0))
-    errors, _, _ = run(rig, bool(seed % 2), compliance=rng.uniform(0.7, 1.3) / stiffness)
-    assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.03).all()
+    errors, _, _ = run(rig, bool(seed % 2))
+    assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.02).all()
+
+
+def low_pass(x, share):
+    return np.convolve(x, share * (1.0 - share) ** np.arange(len(x)))[: len(x)]
+
+
+def before(x):
+    return np.r_[0.0, x[:-1]]
 
 
 @parametrize("measured", [True, False], ids=["measured", "not measured"])
 def test_the_brake_is_the_filter_of_the_tuning_page(measured):
-    """b = κ (σ + K_i)/(σ + w) (NᵀV − v̂ − s σα_s), v̂ = w/(σ + w) (V_N − s σα), as convolutions."""
-    stiffness = 2e3
-    _, seen, controller = run(soft_rig(stiffness), measured)
-    V, V_face, alpha, alpha_s, brake = seen.T
+    """b and s of the page, as convolutions over all ticks."""
+    _, seen, controller = run(soft_rig(2e3), measured)
+    V, V_face, alpha, alpha_s, scale, brake = seen.T
     gains = controller.gains.force
     w = gains.drift
-    begin = 2700  # the start is forgotten
-    low = w * DT * (1.0 - w * DT) ** np.arange(len(V) - 1.0)
-
-    def rate(x):
-        return np.diff(x, prepend=x[0]) / DT
-
-    def low_pass(x):
-        return np.convolve(x, [0.0, *low])[: len(x)]  # of what ended with the tick before
-
-    passed = w * (alpha - low_pass(alpha))  # by the low pass, of the rate of α
-    driven = low_pass(V_face) - passed / stiffness if measured else 0.0 * V
-    u = V - driven - rate(alpha_s) / stiffness
-    expected = gains.brake * (u + (gains.integral - w) / w * low_pass(u))
-    scale = largest(expected[begin:])
-    assert scale > 0.1
-    assert_allclose(brake[begin:], expected[begin:], atol=0.005 * scale)
+    yielded = low_pass(V, w * DT) / w
+    change = alpha_s - low_pass(alpha_s, w * DT)
+    force_change = alpha - low_pass(alpha, w * DT)
+    recalled = DT / 2.0
+    correlation = before(2.0 * low_pass(change * yielded, recalled))
+    excitation = before(2.0 * low_pass(change * force_change, recalled))
+    weight = 0.002 * np.r_[scale[:1], scale[:-1]] ** 2
+    s = (correlation + 4e-4 * weight) / (excitation + weight)
+    rate = np.diff(alpha_s, prepend=alpha_s[0]) / DT
+    face = before(low_pass(V_face, w * DT))
+    driven = face - w * s * (alpha - before(low_pass(alpha, w * DT))) if measured else 0.0 * V
+    u = V - driven - s * rate
+    acceleration = (rate - before(low_pass(rate, DT / (0.01 + DT)))) / 0.01
+    deflection = before(low_pass(u, w * DT)) / w
+    expected = gains.brake * (u + (gains.integral - w) * deflection) - s * acceleration
+    late = slice(2000, None)  # the start is forgotten
+    assert_allclose(s[late], 5e-4, rtol=0.15)
+    assert largest(expected[late]) > 0.1
+    assert_allclose(brake[late], expected[late], atol=2e-3 * largest(expected[late]))
 
 
 def poles(k, m, K_i, kappa, w, passive):

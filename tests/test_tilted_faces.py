@@ -133,7 +133,10 @@ def test_the_covariance_is_that_of_the_error_and_settles(about):
     assert std[-1] < 1.5 * DEGREE
     assert np.sin(off) < 3.0 * std[-1]
     P = controller.normal_covariance[0]
-    assert np.sqrt(np.linalg.eigvalsh(P)[-1]) == approx(controller.normal_std[0], rel=1e-3)
+    assert np.sqrt(np.linalg.eigvalsh(P)[-1]) == approx(
+        controller.normal_std[0],
+        rel=0.01,  # exact for rank 2; n has turned since
+    )
     assert_allclose(P, P.T, atol=1e-15)
 
 

@@ -429,13 +429,13 @@ class Yielding:
     commanded are expected to move it.
 
     Attributes:
-        compliance: along the contact normal (m/N), to about ± 30 %.
+        compliance: along the contact normal (m/N), where its estimate begins; rather too small.
 
     Raises:
         InvalidInputError: a compliance that is not positive.
     """
 
-    compliance: float
+    compliance: float = 4e-4
 
     def __post_init__(self) -> None:
         if not 0.0 < self.compliance < np.inf:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import dot, one_sided_jacobi
+from osc_contact.law.algebra import cholesky, cholesky_solve, dot, one_sided_jacobi
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame
 from osc_contact.law.grasps import add_slip, centre_object, filter_outboard, find_object, find_twist
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.joint_friction import believed_friction
+from osc_contact.law.joint_friction import SLIDES, believed_friction
 from osc_contact.law.operational import arm_terms, effort_metric, find_lost, may_be_singular
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
@@ -26,6 +26,7 @@ from osc_contact.law.vectors import (
     energy_motion,
     energy_wrench,
     fill,
+    minus,
     minus3,
     plus,
     qr6,
@@ -33,7 +34,9 @@ from osc_contact.law.vectors import (
     rotated,
     set_axes,
     six,
+    times6,
     turned,
+    world_motion,
     wrench_to_world,
 )
 
@@ -55,6 +58,9 @@ UNACTUATED = declare_reason(
     "the motors cannot drive every motion of the object. Add a motor, or grasp so that the "
     "motion is blocked",
 )
+
+
+_EXACT = 1e-12  #: of the variances; a direction in which two arms have less is exact in both
 
 
 @inner
@@ -106,6 +112,8 @@ def solve_chain(t):
         if reason != NO_REASON:
             return reason
         count += found
+    if model.n_arms > 1 and model.slipping == 0 and not given:
+        _combine_twists(t)
     _add_object(t)
     _intersect(t, count)
     if work.locked > 0:
@@ -114,6 +122,55 @@ def solve_chain(t):
         fill(work.chain_bias, turned(work, work.chain_bias))
         fill(work.sigma, turned(work, work.sigma))
     return NO_REASON
+
+
+@inner
+def _combine_twists(t):
+    """V_O of firm grasps from the joint speeds of all arms, whose errors are alike.
+
+    Let these have the variance 1, so that V_i = J_i q̇_i has the covariance G_i = J_i J_iᵀ. With P
+    the covariance of what is known from the arms before,
+
+        K = P (P + G_i)⁻¹,   V ← V + K (V_i − V),   P ← P − K P
+    """
+    work = t.work
+    P = work.A
+    S = work.B
+    K = work.K
+    P[:] = 0.0
+    _add_covariance(t, 0, P)
+    V = energy_motion(work.axes, work.V_C)
+    for k in range(1, t.model.n_arms):
+        trace = 0.0
+        for i in range(6):
+            fill(S[i], P[i])
+        _add_covariance(t, k, S)
+        for i in range(6):
+            trace += S[i, i]
+        for i in range(6):
+            S[i, i] += _EXACT * trace
+        if not cholesky(S, 0, 6, S) > 0.0:
+            return
+        for i in range(6):
+            fill(K[i], P[i])
+            cholesky_solve(S, 6, K[i], 0)
+            fill(work.Z[i], P[i])
+        V = plus(V, times6(K, minus(energy_motion(work.axes, work.arms[k].V), V)))
+        for i in range(6):
+            for j in range(6):
+                accumulate(P[i], -K[i, j], work.Z[j])
+    fill(work.V_C, world_motion(work.axes, V))
+    fill(work.V_O, carry_motion(work.V_C, work.C, work.O))
+
+
+@leaf
+def _add_covariance(t, k, G):
+    """G += J_k J_kᵀ; speeds of sliding joints err by `SLIDES` where others err by 1 rad/s."""
+    for j in range(t.model.arms[k].first, t.model.arms[k].end):
+        J = t.work.joints[j].J
+        variance = SLIDES * SLIDES if t.model.joints[j].slides != 0 else 1.0
+        for i in range(6):
+            accumulate(G[i], variance * J[i], J)
 
 
 @inner

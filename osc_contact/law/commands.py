@@ -97,15 +97,24 @@ def command_motion(t):
 # On a face that yields, by s per unit of force, that is too little where the contact moves slowly,
 # and nothing where its motion is measured. There
 #
-#     b = κ(u + (K_i − w) p),   u = NᵀV − v̂ − s α̇_s,   ṗ = u − w p
+#     b = κ(u + (K_i − w) p) − s α̈_s,   u = NᵀV − v̂ − s α̇_s,   ṗ = u − w p
 #
 # with v̂ how the face is driven, a low pass of V_N − s α̇ where its motion is measured, else 0; w is
-# the rate of v̄ and of this low pass.
+# the rate of v̄ and of this low pass. s is learned, from s_0 as declared: with x̃, α̃ and α̃_s the
+# position of the contact, its force and the commanded one, each without what is slower than w,
+#
+#     s = (∫x̃ α̃_s + w_0 s_0) / (∫α̃ α̃_s + w_0)
+#
+# where old products are forgotten. Noise and sliding on a tilted face are not correlated with α̃_s.
 
 _SUDDEN = 20.0  #: 1/s; a force that changes faster than its size times this makes a step
 _FADES = 0.5  #: 1/s; how fast the size of a force that has gone is forgotten
 _PRESSES = 0.3  #: of its desired force; with less a contact does not show the tilt of its face
 _RESTS = 0.1  #: of the size; where more of a step is to come the integral rests
+_YIELDS = 0.01  #: s, of the low-pass of α̈_s
+_RECALLS = 2.0  #: s, in which products of s are forgotten
+_PRIOR = 0.002  #: s; w_0 is so long a time of a force of its size
+_SOFTEST = 20.0  #: times s_0
 
 
 @inner
@@ -185,8 +194,10 @@ def brake_contacts(t):
         if body_of(t, j).kind != YIELDING:
             work.brake[a] *= work.speed[a] - t.memory.columns[j].drift
             continue
-        u, p, _ = _deflection(t, a, j)
+        u, p, _, rate = _deflection(t, a, j)
         work.brake[a] *= u + (t.model.force_gain - _washout(t)) * p
+        acceleration = (rate - t.memory.columns[j].eased_rate) / _YIELDS
+        work.brake[a] -= _compliance(t, j) * acceleration
         column = work.columns[j]
         if work.V_N[a] == 0.0:  # its yield would seem to be a tilt
             column.slides = 0.0
@@ -200,35 +211,59 @@ def _washout(t):
 
 
 @leaf
+def _compliance(t, j):
+    """s (m/N) of the face of column j, as learned so far."""
+    row = t.memory.columns[j]
+    s = body_of(t, j).parameters[0]
+    weight = _PRIOR * row.scale * row.scale
+    if weight == 0.0:
+        return s
+    learned = (row.correlation + weight * s) / (max(row.excitation, 0.0) + weight)
+    return min(max(learned, 0.0), _SOFTEST * s)
+
+
+@leaf
 def _deflection(t, a, j):
-    """u (m/s), p (m) and v̂ (m/s) of column j, kept as a; NᵀV_e = 0 is a motion not measured."""
+    """u (m/s), p (m), v̂ (m/s) and α̇_s of column j, kept as a; NᵀV_e = 0 is not measured."""
     work = t.work
     column = work.columns[j]
     last = t.memory.columns[j]
-    s = body_of(t, j).parameters[0]
+    s = _compliance(t, j)
     face = work.V_N[a]
     if column.shaped == 0:  # not in contact yet
-        return work.speed[a], 0.0, face
-    driven = last.driven - _washout(t) * s * work.alpha_meas[a] if face != 0.0 else 0.0
-    commanded = s * (column.goal - last.eased) / work.dt if last.has_desired != 0 else 0.0
-    return work.speed[a] + face - driven - commanded, last.deflection, driven
+        return work.speed[a], 0.0, face, last.eased_rate
+    yielding = _washout(t) * s * (work.alpha_meas[a] - last.alpha_mean)
+    driven = last.driven - yielding if face != 0.0 else 0.0
+    rate = (column.goal - last.eased) / work.dt if last.has_desired != 0 else 0.0
+    return work.speed[a] + face - driven - s * rate, last.deflection, driven, rate
 
 
 @leaf
 def _keep_deflections(t):
-    """v̂ + w s α, p and α_s of yielding faces for the next tick."""
+    """What v̂, p, α̇_s and s of yielding faces are made of, for the next tick."""
     work = t.work
+    dt = work.dt
     w = _washout(t)
     for a in range(work.rank):
         j = column_of(work, a)
         if body_of(t, j).kind != YIELDING:
             continue
-        u, p, driven = _deflection(t, a, j)
-        s = body_of(t, j).parameters[0]
+        u, p, _, rate = _deflection(t, a, j)
+        column = work.columns[j]
         row = t.memory.columns[j]
-        row.driven = driven + w * (s * work.alpha_meas[a] + work.dt * (work.V_N[a] - driven))
-        row.deflection = p + work.dt * (u - w * p)
-        row.eased = work.columns[j].goal
+        row.driven += w * dt * (work.V_N[a] - row.driven)
+        row.deflection = p + dt * (u - w * p)
+        row.eased = column.goal
+        row.eased_rate += dt / (_YIELDS + dt) * (rate - row.eased_rate)
+        if column.shaped == 0:
+            continue
+        row.yielded += dt * (work.speed[a] + work.V_N[a] - w * row.yielded)
+        row.alpha_mean += w * dt * (work.alpha_meas[a] - row.alpha_mean)
+        row.eased_mean += w * dt * (row.eased - row.eased_mean)
+        change = dt * (row.eased - row.eased_mean)
+        kept = 1.0 - dt / _RECALLS
+        row.correlation = kept * row.correlation + change * row.yielded
+        row.excitation = kept * row.excitation + change * (work.alpha_meas[a] - row.alpha_mean)
 
 
 @inner
@@ -244,7 +279,8 @@ def keep_steps(t):
         if work.here[j] == 0.0:
             row.has_desired = 0
             row.desired = row.scale = row.predicted = 0.0
-            row.drift = row.driven = row.deflection = row.eased = 0.0
+            row.drift = row.driven = row.deflection = row.eased = row.eased_rate = 0.0
+            row.yielded = row.alpha_mean = row.eased_mean = row.correlation = row.excitation = 0.0
             row.unexplained = row.residual = row.normal_std = 0.0
             row.to_come[:] = 0.0
             row.turn[:] = 0.0

@@ -54,7 +54,7 @@ _SMOOTH = 0.015  #: s, of the second low-pass, of what is learned from
 _SETTLED = 0.15  #: s from the first tick on in which nothing is learned
 _OUTLIER = 2.0  #: times the motor's torque; no more of a residual counts in one tick
 _MOVES = 0.01  #: rad/s; slower joints learn nothing
-_SLIDES = 0.2  #: m/rad: speeds of sliding joints, where those of turning ones are constants
+SLIDES = 0.2  #: m/rad: speeds of sliding joints, where those of turning ones are constants
 _RESTS = 0.2  #: of that speed; slower joints show stiction
 _FOLLOWS = 0.09  #: of the permitted speed; a joint that moves with less of it learns nothing
 _FULL = 0.7  #: of dry friction; near a reversal nothing is learned
@@ -182,7 +182,7 @@ def _learn(t, j, rate, dt):
     for i in range(SIGN, FRICTION):
         smooth[i] += k * (means[i] - smooth[i])
     smooth[_ACCELERATION] += k * (rate - smooth[_ACCELERATION])
-    least = _MOVES * (_SLIDES if joint.slides != 0 else 1.0)
+    least = _MOVES * (SLIDES if joint.slides != 0 else 1.0)
     y = smooth[SPEED]
     moves = min(abs(row.speed), abs(y)) > least and smooth[V] * y > _FOLLOWS * y * y
     rests = abs(smooth[V]) < min(_FOLLOWS * abs(y), _RESTS * least)

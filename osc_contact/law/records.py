@@ -315,7 +315,13 @@ COLUMN_MEMORY = _record(
         "drift",  # desired force, its size, lasting speed, see `commands`
         "driven",
         "deflection",
-        "eased",  # m/s, m, α_s (N): of a yielding face, see `commands`
+        "eased",
+        "eased_rate",  # m/s, m, α_s (N, N/s): of a yielding face, see `commands`
+        "yielded",
+        "alpha_mean",
+        "eased_mean",
+        "correlation",
+        "excitation",  # m, N, N, m N s, N² s: of what its compliance is learned
         "predicted",
         "gap",
         "time_since_loss",  # see `phases`: N to be read, m and s since it was lost

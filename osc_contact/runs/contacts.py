@@ -306,11 +306,9 @@ def known_bodies(bodies: Sequence[EnvironmentBody], contacts: int, how: str) -> 
         answer = None
         if body.motion is not None and how != "ignored":
             answer = _own_motion(body.motion).body
-        if how == "compliance":
-            if isinstance(answer, Cart) and answer.stiffness > 0.0:
-                answer = Yielding(1.0 / answer.stiffness)
-            else:
-                answer = None
+        if how == "yielding":
+            sprung = isinstance(answer, Cart) and answer.stiffness > 0.0
+            answer = Yielding() if sprung else None
         for i in body.contacts:
             known[i] = answer
     return known

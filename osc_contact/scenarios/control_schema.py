@@ -365,7 +365,7 @@ class Friction(Spec):
     slip: Positive[Velocity] = 0.002
     """v_0, the slip speed from which on friction counts as fully developed; below it the direction
     is not known well enough to push against"""
-    learning: Annotated[NotNegativeNumber, "1/s"] = 5.0
+    learning: Annotated[NotNegativeNumber, "1/s"] = 10.0
     """how fast μ follows what `least_squares` reads while contacts slide; 0: not at all; `filter`
     learns nothing"""
 
@@ -422,9 +422,9 @@ class ForceReadingSpec(Spec):
 class EstimateSpec(Spec):
     """Accelerations that the estimates of velocities do not know of: joints, tracked bodies."""
 
-    joint_angular: Annotated[PositiveNumber, "rad/s²"] = 2.0
+    joint_angular: Annotated[PositiveNumber, "rad/s²"] = 0.8
     """of turning joints"""
-    joint_linear: Annotated[PositiveNumber, "m/s²"] = 0.5
+    joint_linear: Annotated[PositiveNumber, "m/s²"] = 0.2
     """of sliding joints"""
     body_angular: Annotated[PositiveNumber, "rad/s²"] = 0.1
     """of tracked bodies"""
@@ -493,9 +493,9 @@ class ModelErrorSpec(Spec):
     """factor on the joint friction and damping of the controller's model"""
     armature: NotNegativeNumber = 1.0
     """factor on the rotor inertias of the controller's model"""
-    environment: Literal["known", "compliance", "ignored"] = "known"
+    environment: Literal["known", "yielding", "ignored"] = "known"
     """`ignored`: the law takes every face as unyielding and unaccelerated (Φ_e = 0, b_e = 0);
-    `compliance`: but for how much carts on springs yield ([soft faces](tuning.md#soft-faces))"""
+    `yielding`: but that carts on springs yield ([soft faces](tuning.md#soft-faces))"""
     face_offset: Length = 0.0
     """the controller takes each body touched to stand so much nearer, along its first line of
     force"""
