@@ -4,6 +4,7 @@ import copy
 import pickle
 
 import numpy as np
+import pinocchio as pin
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from rigs import one_panda, random_faces, random_state, refused, scara_pair
@@ -49,8 +50,6 @@ def story(chain, q, count, ticks, rng):
 
 
 def single(controller, x, i):
-    import pinocchio as pin
-
     measurement = osc.Measurement(x["q"][i], x["v"][i], x["wrenches"][i])
     squeeze = float(x["squeeze_d"][i])
     reference = osc.Reference(

@@ -1,16 +1,32 @@
-"""Faults in closed loop on the MuJoCo plant; see benchmarks/fault_injection.py."""
+"""Faults, lost packets, lost contacts in closed loop on MuJoCo: benchmarks/fault_injection.py."""
+
+from dataclasses import replace
 
 import numpy as np
-from samples import first, parametrize
+from numpy.testing import assert_allclose
+from pytest import mark
+from rigs import largest, rig_of, unit
+from samples import chosen, first, parametrize
 
+import osc_contact as osc
+from benchmarks import fault_injection
 from benchmarks.fault_injection import (
     FAULTS,
+    NAN,
     PHASES,
+    Case,
+    ClosedLoop,
+    Run,
+    Verdict,
     cases,
     stay_quiet,
     try_fault,
     try_faults,
 )
+from benchmarks.pushes import packaged, push_arm, table
+from osc_contact.control.status import Phase
+from osc_contact.law.phases import CLOSED
+from osc_contact.runs.run import start
 
 #: those of other phases than contact that once went wrong
 ELSEWHERE = (
@@ -65,9 +81,6 @@ def test_noise_and_delay_stop_nothing(scenario):
 
 def test_a_fault_is_found_wrong_where_the_limits_are_off(monkeypatch):
     """The judge sees what it is there to see."""
-    import osc_contact as osc
-    from benchmarks import fault_injection
-
     real = fault_injection.start
 
     def bare(rig, seed):
@@ -76,3 +89,237 @@ def test_a_fault_is_found_wrong_where_the_limits_are_off(monkeypatch):
 
     monkeypatch.setattr(fault_injection, "start", bare)
     assert try_fault("speeds mirrored", "contact").wrong
+
+
+# Packets that are lost, repeated or late
+
+
+RUN, DEGRADED, HOLD, SAFE_STOP = osc.SafetyState
+
+
+def driven(change, ticks):
+    """Main job's rod with changed measurements, and the status of each tick."""
+    run = Run(Case())
+    status = []
+    seen = Verdict("no fault", run.case)
+    measure = run.robot.measure
+    run.robot.measure = lambda: change(measure(), run.k)
+    for _ in range(ticks):
+        run.step(seen, None, FAULTS["no fault"])
+        status.append(int(run.controller.status))
+    assert not seen.wrong, seen.wrong
+    return run, status
+
+
+def lost(m):
+    return replace(m, q=m.q * NAN, v=m.v * NAN, wrenches=m.wrenches * NAN)
+
+
+def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
+    kept: dict[str, osc.Measurement] = {}
+
+    def half_rate(m, k):
+        if k % 2 == 0:
+            kept["packet"] = replace(m, sequence=k // 2)
+        return kept["packet"]
+
+    run, status = driven(half_rate, 1500)
+    assert set(status) == {int(osc.Status.OK)}
+    assert run.controller.state is RUN and run.controller.state_age == 1500
+    assert run.controller.repeated == 1, "the last packet came twice"
+    alpha = run.plant.truth().alpha
+    assert_allclose(alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
+
+
+def test_a_packet_that_repeats_for_longer_than_a_wrench_may_is_a_fault():
+    kept: dict[str, osc.Measurement] = {}
+
+    def stands(m, k):
+        if k <= 300:
+            kept["packet"] = replace(m, sequence=k)
+        return kept["packet"]
+
+    run, status = driven(stands, 345)
+    assert status.index(int(osc.Status.HELD)) == 321  # wrench_timeout = 20 ms
+    assert run.controller.state is SAFE_STOP
+    assert run.controller.unbraked is not None
+    assert "engage the mechanical brakes" in run.controller.reason
+
+
+@parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
+def test_more_than_half_of_the_ticks_must_not_be_lost_for_long(lost_of, stops):
+    n, m = lost_of
+
+    def change(measurement, k):
+        return lost(measurement) if k >= 100 and k % m < n else measurement
+
+    run, _ = driven(change, 500)
+    assert (run.controller.state is SAFE_STOP) == stops, run.controller.reason
+
+
+def test_arms_whose_wrist_is_frozen_are_held_where_they_are():
+    """Gravity is 5° off what the controller knows, so that without their encoders arms creep."""
+    run = Run(Case())
+    seen = Verdict("no fault", Case())
+    down = run.plant.model.opt.gravity
+    down[:] = 9.81 * np.array([np.sin(np.deg2rad(5.0)), 0.0, -np.cos(np.deg2rad(5.0))])
+    measure = run.robot.measure
+    kept = {}
+
+    def frozen():
+        m = measure()
+        if run.k >= 300:
+            return replace(m, wrenches=kept["wrenches"])
+        kept["wrenches"] = m.wrenches
+        return m
+
+    run.robot.measure = frozen
+    where = {}
+    for _ in range(2100):
+        run.step(seen, None, FAULTS["no fault"])
+        where[run.k] = run.plant.measure().q
+    assert run.controller.state is SAFE_STOP
+    assert "reads the very same" in run.controller.reason
+    assert largest(where[2100] - where[1100]) < 5e-3, "held, while the load settles"
+    assert largest(where[2100] - where[1900]) < 2e-4, "and not creeping"
+
+
+def test_speeds_estimated_from_encoders_are_no_second_reading_of_them():
+    """Masses × 0.8 bias an estimate that trusts the model; no sensor is faulty."""
+    scenario = osc.load_scenario(
+        "panda_edge",
+        [
+            "control.estimate.joint_angular=0.5",
+            "model_error.arm_mass=0.8",
+            "model_error.object_mass=0.8",
+            "sensors.encoder={rate: 500 Hz, angle: {noise: 0.02 mrad}, length: {noise: 10 um}}",
+            "tare={}",
+        ],
+    )
+    recording = osc.run(scenario, duration=1.0)
+    assert recording.meta["end_state"] != "SAFE_STOP", recording.meta["end_reason"]
+
+
+def test_contact_is_made_although_every_second_tick_is_lost():
+    """Phases advance with what the last computed tick measured."""
+    run = Run(Case("approach", "approach_and_slide", every=2))
+    seen = Verdict("no fault", Case())
+    while run.k < 1500:
+        run.step(seen, None, FAULTS["no fault"])
+    assert not seen.wrong, seen.wrong
+    assert set(run.controller.phases()) == {CLOSED}
+    assert_allclose(run.plant.truth().alpha, 10.0, rtol=0.2)
+
+
+@parametrize(
+    ("fault", "scenario", "every"),
+    [
+        ("speeds mirrored", "limited_rod", 0),  # hardly carries its weight, and brakes all the same
+        ("encoder stuck", "hinge_ball_rod", 0),  # held 0.3 s after the stop, not creeping
+        ("encoders stuck, speeds too", "panda_wrist", 0),  # at 2 mrad/s
+        ("encoders stuck, speeds zero", "limited_rod", 2),  # commanded between two readings
+    ],
+)
+def test_arms_rest_after_a_fault_that_is_hard_to_find(fault, scenario, every):
+    run = Run(Case("contact", scenario, every))
+    run.lead_in()
+    verdict = run.judge(fault)
+    assert verdict.state is SAFE_STOP and not verdict.wrong, verdict
+
+
+# Faces pulled away: nothing runs away; pushes: back in contact
+
+
+WITH_CONTACTS = [name for name in packaged() if osc.load_scenario(name).contacts]
+
+#: what came out worst in `benchmarks/pushes.py`
+WORST = (
+    ("dual_panda_rod", "off", 200.0, 0.1),
+    ("ur5_wipe", "off", 60.0, 0.1),
+    ("two_contact_rod", "along", 200.0, 0.1),
+    ("panda_edge", "along", 200.0, 0.05),
+    ("three_arm_plate", "into", 200.0, 0.05),
+    ("moving_face", "into", 60.0, 0.05),
+)
+
+
+def pull_away(name, by):
+    """Take every face `by` (m) away from the object in contact, and continue for a second.
+
+    Returns:
+        The controller, joint speeds as shares of their limits, share of ticks that some contact was
+        known to be lost.
+    """
+    loop = ClosedLoop(rig_of(name))
+    rig = loop.rig
+    controller = loop.controller
+    dt = loop.dt
+    held = 0
+    last = None
+    lost = 0
+    seen = []
+    while last is None or loop.k < last:
+        reference = loop.advance()
+        closed = (controller.phases() == Phase.CLOSED).all() and controller.engaged
+        held = held + 1 if closed and (np.asarray(reference.alpha_d) > 1.0).any() else 0
+        if last is None and held * dt > 0.5:
+            last = loop.k + round(1.0 / dt)
+            lines = rig.contact.N[:3]
+            for i in range(len(rig.bodies)):
+                into = lines[:, [rig.on[o] == i for o in rig.owners]].sum(axis=1)
+                model = loop.true.model
+                model.body_pos[model.body(f"face{i}/root").id] += by * unit(into)
+        elif last is not None:
+            lost += not closed
+            seen.append(loop.speed())
+        assert loop.k * dt < rig.scenario.duration, "it never was in contact"
+    return controller, seen, lost / len(seen)
+
+
+@parametrize("name", chosen(WITH_CONTACTS, "two_contact_rod", "ur5_wipe", "hinge_ball_rod"))
+def test_a_face_that_is_pulled_away_is_looked_for_or_the_arms_stop(name):
+    controller, speeds, lost = pull_away(name, 0.2)
+    assert max(speeds) < 1.0
+    assert controller.state is osc.SafetyState.SAFE_STOP or lost > 0.7, (lost, controller.reason)
+
+
+@parametrize("name", ["two_contact_rod", "dual_panda_rod"])
+def test_a_face_that_is_near_is_found_again(name):
+    controller, speeds, lost = pull_away(name, 0.005)
+    assert max(speeds) < 0.5 and 0.05 < lost < 0.9
+    assert (controller.phases() == Phase.CLOSED).all()
+
+
+def test_a_contact_that_is_not_found_again_stops_the_arms_until_a_reset():
+    rig = rig_of("two_contact_rod")
+    plant, controller = start(rig, 0)
+    rows = controller._records
+    for k in range(30):
+        if k == 20:
+            rows.memory.contacts.since[:] = 0.0
+            rows.memory.columns.time_since_loss[0] = 0.99
+        plant.command(controller.tick(plant.measure(), rig.references.at(0.001 * k)), 0.001)
+        assert controller.state is not osc.SafetyState.SAFE_STOP
+    rows.memory.columns.time_since_loss[0] = 1.01
+    for _ in range(2):
+        controller.tick(plant.measure(), rig.references.at(0.03))
+    assert controller.state is osc.SafetyState.SAFE_STOP
+    assert "not held again 1 s after it was lost" in controller.reason
+    controller.reset()
+    assert (rows.memory.columns.time_since_loss == 0.0).all()
+    controller.tick(plant.measure(), rig.references.at(0.03))
+    assert controller.state is osc.SafetyState.RUN
+
+
+@parametrize("push", first(WORST))
+def test_pushes_end_in_contact_or_in_a_stop(push):
+    found = push_arm(*push)
+    assert not found.wrong, table([found])
+
+
+@mark.slow
+def test_a_push_without_limits_and_phases_is_found_wrong():
+    """The judge sees what it is there to see."""
+    off = [f"control.safety.{key}=100 s" for key in ("contact_loss_time", "overspeed_time")]
+    off += ["control.life=off", "control.safety.contact_power=1e9", "control.safety.brake_time=0"]
+    assert push_arm("dual_panda_rod", "off", 1000.0, 0.1, off).wrong

@@ -11,6 +11,7 @@ from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.runs.rig import landings
+from paper.study import ticks
 
 PUSH = 10.0  # N, of either end of the rod
 
@@ -68,32 +69,22 @@ def guarded_approach(height, seconds):
     """The arm begins `height` (m) above its table; the force at the end (N), and its highest."""
     assert MJCF is not None
     model = mujoco.MjModel.from_xml_string(MJCF[1])
-    data = mujoco.MjData(model)
-    arm = osc.Arm.from_mjcf(model, name="arm", tip="tip", wrist_sensor="sensor")
-    chain = osc.ClosedChain([arm])
     table = osc.VertexOnFace([0, 0, 0], point=[0.5, 0, 0.2], normal=[0, 0, 1], radius=0.01)
+    how = {"tip": "tip", "wrist_sensor": "sensor", "contacts": [table]}
+    robot = osc.MujocoRobot.from_model(model, **how)
+    chain = robot.chain
     home = LOW.copy()
     for _ in range(50):  # the shoulder alone lifts the tip
         gap = table.gap(chain.state(home, np.zeros(3)).X_WO)
         home[0] -= (height - gap) / 0.75
     controller = osc.Controller(chain, [table], posture=home, life=osc.PhaseSettings())
-    data.qpos[:] = home
-    mujoco.mj_forward(model, data)
+    robot.reset(home)
     start = chain.state(home, np.zeros(3)).X_WO
     aim = osc.pose_reference(start.translation, start.rotation, alpha_d=[8.0])
-    force = np.zeros(6)
-    highest = 0.0
-    for _ in range(round(1e3 * seconds)):
-        wrench = data.sensordata.reshape(1, 6).copy()
-        measured = osc.Measurement(data.qpos.copy(), data.qvel.copy(), wrench)
-        data.ctrl[:] = controller.tick(measured, aim)
-        for _ in range(2):
-            mujoco.mj_step(model, data)
-        force[0] = 0.0
-        if data.ncon:
-            mujoco.mj_contactForce(model, data, 0, force)
-        highest = max(highest, force[0])
-    return controller, float(force[0]), highest
+    forces = [
+        truth.alpha[0] for *_, truth in ticks(robot, controller, [aim] * round(1e3 * seconds))
+    ]
+    return controller, forces[-1], max(forces)
 
 
 @parametrize("height", [0.006, 0.020, 0.033])

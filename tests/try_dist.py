@@ -32,7 +32,7 @@ COMMANDS = (
     "osc-contact examples mine",
     "python mine/01_osc_contact.py",
 )
-TESTS = ("test_contact.py", "test_projections.py", "test_importing.py", "test_movie.py")
+TESTS = ("test_contact.py", "test_projections.py", "test_importing.py", "test_browser.py")
 BESIDE = ("franky-sim", "robosuite", "mjlab", "newton")
 #: Tests of pages whose tools need newer versions of what the package needs, too.
 OF_PAGES = ("test_site.py",)
