@@ -11,7 +11,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from rigs import largest
-from samples import parametrize
+from samples import first, parametrize
 
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
 from osc_contact.law.records import Rows, new_model, views
@@ -447,14 +447,15 @@ def run_story(seed, ticks=400):
     return happened
 
 
-def test_whatever_happens_the_phases_keep_their_rules():
+@parametrize("seeds", first([range(10), range(10, 24)], 1))
+def test_whatever_happens_the_phases_keep_their_rules(seeds):
     """Random stories, with held ticks, dependent columns and integrals of other ranks.
 
     They make every transition but from open to closed.
     """
     every = {(a, b) for a in range(3) for b in range(3)} - {(OPEN, CLOSED)} | {"collision"}
     happened = set()
-    for seed in range(24):
+    for seed in seeds:
         happened |= run_story(seed)
     assert happened == every
 

@@ -320,9 +320,15 @@ def test_files_of_others_are_refused_with_both_versions():
             SavedController(bytes(wrong))
 
 
+@module_fixture
+def reader(library, tmp_path_factory):
+    """The program that reads crafted files."""
+    return sanitized(library, tmp_path_factory.mktemp("crafted"), "crafted")
+
+
 @parametrize("name", ["two_contact_rod", "three_arm_plate"])
 def test_crafted_files_with_a_right_checksum_do_not_reach_beyond_their_bytes(
-    library, tmp_path, name
+    reader, tmp_path, name
 ):
     """Each word that says where something is, or how much of it, replaced by others."""
     content = controller_bytes(start(rig_of(name))[1])
@@ -348,9 +354,7 @@ def test_crafted_files_with_a_right_checksum_do_not_reach_beyond_their_bytes(
         with refused("do not lie"):
             SavedController(one)
     (tmp_path / "crafted").write_bytes(b"".join(len(x).to_bytes(8, "little") + x for x in crafted))
-    (tmp_path / "made").mkdir()
-    program = sanitized(library, tmp_path / "made", "crafted")
-    assert run(program, tmp_path / "crafted") == f"{len(crafted)} refused\n"
+    assert run(reader, tmp_path / "crafted") == f"{len(crafted)} refused\n"
 
 
 def test_what_only_python_can_evaluate_is_refused():
