@@ -94,6 +94,11 @@ class TickCase:
     status: Status = Status.OK
     life: PhaseSettings | None = None
 
+    @property
+    def given(self) -> tuple[Measurement, Reference]:
+        """What a tick at this instant is given."""
+        return self.measurement, self.reference
+
     def controller(self) -> Controller:
         """A controller of this rig."""
         return Controller(
@@ -126,7 +131,7 @@ class TickCase:
             ticked.motion_integral = np.zeros(6)
             ticked.force_integral = np.zeros(0)
 
-        return partial(ticked.tick, self.measurement, self.reference), unwind
+        return partial(ticked.tick, *self.given), unwind
 
     def floor(self) -> Callable[[], object]:
         """`pin.computeAllTerms` of the same arms at the same q and v."""

@@ -74,6 +74,18 @@ def assert_derivatives(at, t, h, *atol):
     return now
 
 
+def held_tick(controller, words, *given):
+    """Torques of a tick that is not computed, for a reason with these words."""
+    tau = controller.tick(*given)
+    assert controller.status is osc.Status.HELD and words in controller.reason, controller.reason
+    return tau
+
+
+def unloaded(q, v, arms=1):
+    """Readings of wrists that feel nothing."""
+    return osc.Measurement(q, v, np.zeros((arms, 6)))
+
+
 ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
 """A rod whose centre of mass is off its axis, so that no term of the maths vanishes."""
 

@@ -168,7 +168,7 @@ def test_special_cases_are_what_they_are_called():
     last = {}
     for name, case in found.items():
         last[name] = case.controller()
-        last[name].tick(case.measurement, case.reference)
+        last[name].tick(*case.given)
     lost = last["near_singular"].lost_directions
     assert [0.0 < one.left < 1.0 for one in lost] == [True, True]
     assert last["saturated"].given_up is not None
@@ -253,7 +253,7 @@ def test_constraint_dynamics_moves_the_joints_as_commanded(name):
     # friction is compensated along the speed that is commanded, not along the one read here
     case.chain.model.damping = np.zeros(case.chain.nq)
     controller = case.controller()
-    controller.tick(case.measurement, case.reference)
+    controller.tick(*case.given)
     commanded = controller.joint_acceleration()
     found = np.array(constraint_dynamics(case)())
     arms = case.chain.state(case.measurement.q, case.measurement.v).arms

@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import kind, placed
 from pytest import mark
-from rigs import direction, one_panda, random_state, refused
+from rigs import direction, one_panda, random_state, refused, unloaded
 
 import osc_contact as osc
 
@@ -106,9 +106,7 @@ def test_what_is_wrong_is_said(tmp_path):
     q, v = random_state(chain, default_rng(4))
     controller = osc.Controller(chain, [empty])
     X = chain.state(q, v).X_WO
-    tau = controller.tick(
-        osc.Measurement(q, v, np.zeros((1, 6))), osc.Reference(X, alpha_d=np.array([1.0]))
-    )
+    tau = controller.tick(unloaded(q, v), osc.Reference(X, alpha_d=np.array([1.0])))
     assert controller.status is osc.Status.HELD and np.isfinite(tau).all()
     assert "returned what is not finite" in controller.reason
     with refused("CompiledPair"):

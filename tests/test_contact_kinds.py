@@ -10,7 +10,7 @@ from complaints import scenario_error
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from rigs import shift
+from rigs import pose_of, shift
 from samples import parametrize
 
 from osc_contact.contacts.pairs.pair import make_pair
@@ -85,7 +85,7 @@ def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
     )
     rng = default_rng(3)
     for _ in range(5):
-        X = pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3))
+        X = pose_of(rng)
         V = rng.standard_normal(6)
         ours = pair.contact(X, V)
         theirs = own.contact(X, V, X_WB)

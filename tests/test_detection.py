@@ -32,7 +32,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import pose_of, rig_of, shift, unit
+from rigs import placed, pose_of, rig_of, shift, unit
 from samples import module_fixture, parametrize
 
 import osc_contact as osc
@@ -220,8 +220,8 @@ def test_crossed_edges_touch_in_their_crossing_point(seed):
     lower = [CollisionShape("ridge", coal.Box(0.4, 0.1, 0.1))]
     roll, other = np.pi / 4 + rng.uniform(-0.2, 0.2, 2)
     turn = rng.uniform(0.2, np.pi - 0.2)
-    X_WE = pin.SE3(pin.rpy.rpyToMatrix(roll, 0, 0), np.zeros(3))
-    X_WO = pin.SE3(pin.rpy.rpyToMatrix(other, 0, 0), np.zeros(3))
+    X_WE = placed(rpy=(roll, 0, 0))
+    X_WO = placed(rpy=(other, 0, 0))
     X_WO.rotation = pin.rpy.rpyToMatrix(0, 0, turn) @ X_WO.rotation
     s, t = rng.uniform(-0.03, 0.03, 2)  # crossing point along either ridge
     meet = X_WE.act(np.array([s, 0.05, 0.05]))
@@ -346,16 +346,17 @@ def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
     rng = default_rng(0)
     X = standing(pin.rpy.rpyToMatrix(5e-3, 0, 0), RIM, rng)
     assert_only(detect(CAN, X, TABLE), "rim on face", [X.act(RIM[0])], UP, X)
-    for shape, turn, low, kind in (
-        (coal.Cylinder(1.0, 0.1), 0.0, [0, -1.0, -0.05], "rim on face"),
-        (coal.Cylinder(0.1, 2.0), np.pi / 2, [0, -0.1, -1.0], "rim on face"),
-        (coal.Cylinder(0.3, 0.1), 0.0, [0, -0.3, -0.05], "face on face"),
-        (coal.Cylinder(0.1, 0.6), np.pi / 2, [0, -0.1, -0.3], "cylinder on plane"),
+    for radius, length, lies, kind in (
+        (1.0, 0.1, False, "rim on face"),
+        (0.1, 2.0, True, "rim on face"),
+        (0.3, 0.1, False, "face on face"),
+        (0.1, 0.6, True, "cylinder on plane"),
     ):
-        tilt = 0.8e-3 if turn == 0.0 else np.pi / 2 - 0.8e-3
-        X = standing(pin.rpy.rpyToMatrix(tilt, 0, 0), np.array([low]), rng)
+        tilt = np.pi / 2 - 0.8e-3 if lies else 0.8e-3
+        low = np.array([[0, -radius, -length / 2]])
+        X = standing(pin.rpy.rpyToMatrix(tilt, 0, 0), low, rng)
         X.translation = X.translation * [0, 0, 1]
-        big = [CollisionShape("big", shape)]
+        big = [CollisionShape("big", coal.Cylinder(radius, length))]
         floor = [CollisionShape("floor", coal.Box(9, 9, 1), shift(-0.5 * UP))]
         assert only(detect(big, X, floor)).kind == kind
 
@@ -425,8 +426,8 @@ def test_pills_side_by_side_have_no_pair():
 
 
 def test_a_rim_on_an_edge_has_no_pair():
-    ledge = pin.SE3(pin.rpy.rpyToMatrix(np.pi / 4, 0, 0), np.zeros(3))  # an edge along x on top
-    X = pin.SE3(pin.rpy.rpyToMatrix(0.6, 0, np.pi / 2), np.zeros(3))  # its rim runs along y there
+    ledge = placed(rpy=(np.pi / 4, 0, 0))  # an edge along x on top
+    X = placed(rpy=(0.6, 0, np.pi / 2))  # its rim runs along y there
     X.translation = ledge.act(np.array([0.0, 0.4, 0.0])) + 2e-4 * UP - X.act(RIM[0])
     found = only(detect(CAN, X, TABLE, ledge))
     assert (found.kind, found.r) == ("rim on edge", 1)

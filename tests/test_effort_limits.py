@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from rigs import (
     UNLIMITED,
+    held_tick,
     in_contact,
     largest,
     one_panda,
@@ -204,8 +205,8 @@ def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch):
     assert controller.status is osc.Status.SATURATED
     sums = controller.force_integral
     monkeypatch.setattr(daqp, "solve", lambda *a, **k: (np.full(8, np.nan), 0.0, -3, {}))
-    tau = controller.tick(measurement, replace(reference, alpha_d=reference.alpha_d + 1))
-    assert controller.status is osc.Status.HELD and "limits" in controller.reason
+    more = replace(reference, alpha_d=reference.alpha_d + 1)
+    tau = held_tick(controller, "limits", measurement, more)
     assert (np.abs(tau) <= weak).all() and controller.given_up is None
     assert pickle.loads(pickle.dumps(controller)).reason == controller.reason
     assert_array_equal(controller.force_integral, sums)

@@ -9,7 +9,18 @@ from kkt_oracle import held
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import contact_of, largest, one_panda, random_faces, random_state, refused, rig_of, ticked
+from rigs import (
+    contact_of,
+    largest,
+    one_panda,
+    placed,
+    random_faces,
+    random_state,
+    refused,
+    rig_of,
+    ticked,
+    unloaded,
+)
 from samples import chosen, first, parametrize
 from scenario_runs import run_of
 
@@ -80,14 +91,6 @@ def test_scenarios_take_both_kinds_and_name_the_others():
 # What the law makes of them -----------------------------------------------------------------------
 
 
-def constant(value):
-    return {"type": "constant", "value": value}
-
-
-def step(value, start):
-    return {"type": "step", "value": value, "start": start}
-
-
 def test_the_brake_decelerates_the_contact_whatever_the_mass():
     """The acceleration of a full system of equations changes by −κ NᵀV along N."""
     chain = one_panda()
@@ -100,7 +103,7 @@ def test_the_brake_decelerates_the_contact_whatever_the_mass():
         v *= 0.01
         state = holding.state(q, v)
         pairs = random_faces(state.X_WO, 2, rng)
-        measurement = osc.Measurement(q, v, np.zeros((1, 6)))
+        measurement = unloaded(q, v)
         reference = osc.Reference(state.X_WO, alpha_d=np.zeros(2))
         found = []
         for brake in (kappa, 0.0):
@@ -177,8 +180,8 @@ def test_other_gains_continue_while_a_step_is_made():
 
 def pressed(scenario, step_of, value=10.0):
     """Each contact pressed with 10 N at rest; one with 5 N more at 0.5 s."""
-    forces = {name: [constant(value)] for name in scenario.force}
-    forces[step_of].append(step(5.0, 0.5))
+    forces = {name: [{"type": "constant", "value": value}] for name in scenario.force}
+    forces[step_of].append({"type": "step", "value": 5.0, "start": 0.5})
     return osc.run(scenario.replaced(force=forces, motion=[], gains={}, duration=1.0))
 
 
@@ -199,7 +202,7 @@ def one_arm(robot, tip, posture, push, armature):
     arm = osc.Arm.from_urdf(robots.find_robot(robot)[0], name="arm", tip=tip)
     data = arm.model.createData()
     pin.framesForwardKinematics(arm.model, data, np.array(posture))
-    grasp = pin.SE3(pin.rpy.rpyToMatrix(0, -np.pi / 2, 0), np.array([0, 0, 0.29]))
+    grasp = placed(z=0.29, rpy=(0, -np.pi / 2, 0))
     X = data.oMf[arm.model.getFrameId(tip)] * grasp
     push = np.array(push) / np.linalg.norm(push)
     at = X.act(np.array([0.29, 0.0, 0.0])) + 0.01 * push

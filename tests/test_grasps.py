@@ -10,7 +10,18 @@ from kkt_oracle import pressed
 from numpy.linalg import cholesky, norm, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from rigs import commanded, contact_of, largest, random_faces, refused, rig_of, shift, ticked
+from rigs import (
+    commanded,
+    contact_of,
+    held_tick,
+    largest,
+    random_faces,
+    refused,
+    rig_of,
+    shift,
+    ticked,
+    unloaded,
+)
 from samples import first, parametrize
 
 import osc_contact as osc
@@ -264,8 +275,7 @@ def test_a_rod_between_two_balls_spins_about_their_line():
     with model_error("no motor drives"):
         replace(case, chain=strict).at_rest()
     controller = osc.Controller(strict, [])
-    controller.tick(osc.Measurement(case.q, still, np.zeros((2, 6))), osc.Reference(case.X_WO))
-    assert controller.status is osc.Status.HELD and "do not determine" in controller.reason
+    held_tick(controller, "do not determine", unloaded(case.q, still, 2), osc.Reference(case.X_WO))
 
 
 def assert_held(chain, X, tolerance):
@@ -438,7 +448,7 @@ def test_idle_motions_obey_the_posture_task(name):
         whole = moving(case, [], rng, 0.1)[0]
         rest = case.q + 0.05 * rng.standard_normal(chain.nq)
         controller = osc.Controller(chain, [], posture=rest)
-        measured = osc.Measurement(case.q, whole.v, np.zeros((len(arms), 6)))
+        measured = unloaded(case.q, whole.v, len(arms))
         tau = controller.tick(measured, osc.Reference(case.X_WO, whole.V))
         assert controller.status in (osc.Status.OK, osc.Status.DEGRADED), controller.reason
         assert controller.lost_directions == () or "SCARA" not in name, "no singular posture"
@@ -459,7 +469,7 @@ def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
     A_D = np.array([0.1, -0.2, 0.3, 0.1, 0.2, -0.1])
     controller = osc.Controller(chain, [], posture=case.q)
     still = np.zeros(4)
-    measured = osc.Measurement(case.q, still, np.zeros((1, 6)))
+    measured = unloaded(case.q, still)
     tau = ticked(controller, measured, osc.Reference(case.X_WO, A_D=A_D))
     found = pressed(case, ()).answer(np.insert(tau, 1, 0.0))
     s = controller.signals

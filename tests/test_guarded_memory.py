@@ -125,7 +125,7 @@ def prepared(name):
         plant, controller = start(rig)
         return controller, plant.measure(), rig.references.at(0.0)
     case = ALL_CASES[name]()
-    return case.controller(), case.measurement, case.reference
+    return case.controller(), *case.given
 
 
 def tick_between_guards(name, at_end, beyond=0):

@@ -10,7 +10,7 @@ from complaints import scenario_error
 from numpy.linalg import lstsq, matrix_rank, norm
 from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import assert_derivatives, largest, shift
+from rigs import assert_derivatives, largest, placed, shift
 from samples import module_fixture, parametrize
 from scenario_runs import rig_of
 
@@ -168,7 +168,7 @@ def two_turns(centres=(None, None)):
         move("linear", [1, 0, 0], {"amplitude": 0.1}),
     ]
     scenario = osc.load_scenario("two_contact_rod_mismatch").replaced(motion=motion)
-    X = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.1, 0.2, 0.3]))
+    X = placed(0.1, 0.2, 0.3, (0.1, 0.2, 0.3))
     pairs = rig_of().pairs
     return References.of(scenario, X, pairs, np.array([0.01, 0.0, 0.02, 0.1, -0.2, 0.05]))
 

@@ -1,21 +1,19 @@
 """Joint friction: what is learned, against least squares in NumPy; what it brings, in MuJoCo."""
 
 import numpy as np
+from law_calls import joint_friction, records
 from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import UNLIMITED, one_panda, random_state, refused, rig_of, strong, ticked
+from rigs import UNLIMITED, one_panda, random_state, refused, rig_of, strong, ticked, unloaded
 from samples import parametrize
 from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 
 import osc_contact as osc
 from benchmarks.joint_friction import cases
 from osc_contact.control.records import SLIP
-from osc_contact.interface import Measurement, Reference
-from osc_contact.law import joint_friction
-from osc_contact.law.jit import as_python
-from osc_contact.law.records import FRICTION, MODEL, Rows, new_model, views
+from osc_contact.interface import Reference
 from osc_contact.plants.rigid import RigidPlant
 
 CASES = {case.name: case for case in cases()}
@@ -25,18 +23,18 @@ PRIOR = np.array([9.0, 4.0, 2.0, 0.01])
 
 def learned(Phi, r, noise=0.1, dt=0.0):
     """θ and FRICTION after these residuals; dt = 0: nothing is forgotten, and R stays."""
-    prior = MODEL.view(new_model(1, 1, 1)).priors[0]
+    t = records(1, 1)
+    prior = t.model.priors[0]
     prior.noise = np.sqrt(noise)
     prior.spread[:] = MOST * np.array([0.5, 0.5, 0.5, 0.3])
     prior.high[:] = MOST * np.array([1.0, 20.0, 20.0, 1.0])
     prior.low[:] = [0.0, 0.0, -MOST, -MOST]
-    row = np.zeros(1, FRICTION).view(np.recarray)[0]
+    row = t.memory.friction[0]
     row.P[:] = np.diag(PRIOR)
     row.noise = noise
-    regress = as_python(joint_friction._regress)
     for phi, one in zip(Phi, r, strict=True):
-        regress(prior, row, phi, np.zeros(8), one, 1.0, dt)
-    as_python(joint_friction._keep_bounds)(prior, row, np.zeros((4, 4)))
+        joint_friction._regress(prior, row, phi, np.zeros(8), one, 1.0, dt)
+    joint_friction._keep_bounds(prior, row, np.zeros((4, 4)))
     return row.theta, row
 
 
@@ -64,7 +62,7 @@ def test_joints_without_friction_learn_none(dt):
 @parametrize(("most", "found"), [(20.0, 8.0), (5.0, 5.0)])
 def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, found):
     """The estimate, too: beyond its bound it would have to come back before F could."""
-    t = views(Rows(new_model(1, 1, 1)))
+    t = records(1, 1)
     t.model.priors.high = most
     t.memory.balanced = 1000
     t.memory.friction_known[0] = joint_friction.LEARNED
@@ -72,7 +70,7 @@ def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, fou
     joint.residual = 8.0
     joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = 1.0, 0.1
     for _ in range(500):
-        as_python(joint_friction._learn)(t, 0, 0.0, 1e-3)
+        joint_friction._learn(t, 0, 0.0, 1e-3)
     learned = t.memory.friction[0]
     assert learned.estimate[0] == approx(found) == learned.theta[0]
 
@@ -111,7 +109,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
             wanted = Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
             controller = osc.Controller(chain, contacts, GAINS, reading="filter", safety=UNLIMITED)
             for _ in range(2):  # the first one has no tick before it
-                tau.append(ticked(controller, Measurement(q, v, np.zeros((1, 6))), wanted))
+                tau.append(ticked(controller, unloaded(q, v), wanted))
         V = wanted.V_D
         if pressed:  # the nearest permitted twist, in the metric of the object's inertia
             N = corner.contact(X, state.V_O).N
@@ -142,7 +140,7 @@ def test_friction_known_at_the_start_leaves_the_wanted_acceleration():
         controller = osc.Controller(chain, [], GAINS)
         for k in (1.0, 0.0):  # the speed in the second tick is V_O
             wanted = Reference(state.X_WO, state.V_O - k * 1e-3 * A_D, A_D)
-            tau = controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted)
+            tau = controller.tick(unloaded(q, v), wanted)
         _, a_O, _ = plant.accelerations(tau)
         turning = np.concatenate((np.cross(state.V_O[3:], state.V_O[:3]), np.zeros(3)))
         assert_allclose(a_O, A_D - turning, atol=2e-3)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from kkt_oracle import held
+from law_calls import allocation
 from numpy.linalg import inv
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -22,17 +23,14 @@ from rigs import (
     rigid_plant,
     scara_pair,
     ticked,
+    unloaded,
 )
 from samples import parametrize
 
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.control.records import joint_limit_margins
-from osc_contact.law.allocation import push_from_limits
-from osc_contact.law.jit import as_python
 from osc_contact.scenarios.control_schema import PostureTask
-
-PUSH = as_python(push_from_limits)
 
 
 def push_of(q, margins):
@@ -41,7 +39,7 @@ def push_of(q, margins):
     rows = [
         SimpleNamespace(**dict(zip(names, row, strict=True))) for row in zip(*margins, strict=True)
     ]
-    return np.array([PUSH(row, x) for row, x in zip(rows, q, strict=True)])
+    return np.array([allocation.push_from_limits(row, x) for row, x in zip(rows, q, strict=True)])
 
 
 CALM = PostureTask(limit_stiffness=0.0)
@@ -192,7 +190,7 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
         safety = UNLIMITED
         controller = osc.Controller(chain, [], posture=posture, safety=safety, joint_friction=False)
         wanted = osc.Reference(state.X_WO, V_D=state.V_O)
-        tau = ticked(controller, osc.Measurement(q, v, np.zeros((1, 6))), wanted)
+        tau = ticked(controller, unloaded(q, v), wanted)
         own = state.h + state.M @ (task.stiffness * (posture - q) - task.damping * v)
         own += np.diag(state.M) * push
         idle = np.linalg.svd(state.arms[0].J)[2][6]

@@ -46,7 +46,7 @@ def frame(M):
     return np.append(M.rotation.ravel(), M.translation)
 
 
-def ask_force(alpha_d, felt, speed, w, least=-inf):
+def command_force(alpha_d, felt, speed, w, least=-inf):
     """α_u and the integral of the second of two columns; the first and what is beyond differ."""
     t = records(integral_force=5.0)
     columns = {"alpha_d": alpha_d, "felt": felt, "speed": speed, "w": w, "least": least}
@@ -58,21 +58,30 @@ def ask_force(alpha_d, felt, speed, w, least=-inf):
     return t.work.alpha_u[1], t.work.force_next[1]
 
 
-def test_the_force_law():
-    close(ask_force(8.0, 6.0, 0.01, 0.5), (8.0 + 0.5 + 0.04 - 1.0, 0.54), rtol=1e-12)
-    close(ask_force(8.0, 6.0, -0.01, 0.5), (8.0 + 0.5 + 0.04 + 1.0, 0.54), rtol=1e-12)
-    # the integral stays within 5 N or one and a half times the command
-    close(ask_force(1.0, 0.0, 0.0, 5.0), (6.0, 5.0), rtol=1e-12)
-    close(ask_force(8.0, -990.0, 0.0, 0.0), (20.0, 12.0), rtol=1e-12)
-    close(ask_force(-8.0, 990.0, 0.0, 0.0), (-20.0, -12.0), rtol=1e-12)
-    close(ask_force(1.0, 900.0, 0.0, 0.0), (-4.0, -5.0), rtol=1e-12)
+@parametrize(
+    ("given", "want"),
+    [
+        ((8.0, 6.0, 0.01, 0.5), (8.0 + 0.5 + 0.04 - 1.0, 0.54)),
+        ((8.0, 6.0, -0.01, 0.5), (8.0 + 0.5 + 0.04 + 1.0, 0.54)),
+        # the integral stays within 5 N or one and a half times the command
+        ((1.0, 0.0, 0.0, 5.0), (6.0, 5.0)),
+        ((8.0, -990.0, 0.0, 0.0), (20.0, 12.0)),
+        ((-8.0, 990.0, 0.0, 0.0), (-20.0, -12.0)),
+        ((1.0, 900.0, 0.0, 0.0), (-4.0, -5.0)),
+        # no less than α_min, or a tenth of the command; the integral rests then
+        ((8.0, 9.0, 0.1, -1.0, 0.5), (0.5, -1.0)),
+        ((8.0, 7.0, 0.1, -1.0, 0.5), (0.5, -0.98)),
+        ((2.0, 7.0, 0.1, -1.0, 0.5), (0.2, -1.0)),
+        ((8.0, 9.0, 0.06, -1.0, 0.5), (0.98, -1.02)),
+    ],
+)
+def test_the_force_law(given, want):
+    close(command_force(*given), want, rtol=1e-12)
+
+
+def test_the_integral_has_room_for_the_command():
     assert reading.integral_room(5.0, -8.0) == 12.0
     assert reading.integral_room(5.0, 3.0) == 5.0
-    # no less than α_min, or a tenth of the command; the integral rests then
-    close(ask_force(8.0, 9.0, 0.1, -1.0, 0.5), (0.5, -1.0), rtol=1e-12)
-    close(ask_force(8.0, 7.0, 0.1, -1.0, 0.5), (0.5, -0.98), rtol=1e-12)
-    close(ask_force(2.0, 7.0, 0.1, -1.0, 0.5), (0.2, -1.0), rtol=1e-12)
-    close(ask_force(8.0, 9.0, 0.06, -1.0, 0.5), (0.98, -1.02), rtol=1e-12)
 
 
 @parametrize("dependent", [False, True])
@@ -389,7 +398,7 @@ def test_joints_of_another_number_are_not_read(place, count):
     assert found[0][1] == found[1][1] == at.SAFE_STOP
 
 
-def ask_command(flags=0, of_memory=None, integral=2.0, **of_work):
+def command_of(flags=0, of_memory=None, integral=2.0, **of_work):
     """The records after a tick whose columns and motions are alone, and what was called."""
     called = {}
     decide = tick.altered(
@@ -413,20 +422,20 @@ def ask_command(flags=0, of_memory=None, integral=2.0, **of_work):
 
 def test_laws_and_integrals_of_a_tick():
     """Whole ticks are those of test_law_kkt; here: bounds, new columns, laws of the user."""
-    work, _, _ = ask_command()
+    work, _, _ = command_of()
     close(work.motion_next, [0.2, -0.4, 0.4, 0.1, 0.1, 0.1])  # no further than 0.8 / 2
-    close(ask_command(of_memory={"force_rank": 1})[0].force_next[:2], [0.04, -0.03])  # begins anew
-    close(ask_command(of_memory={"wrench_missing": 1})[0].force_next[:2], [0.5, -0.5])
-    close(ask_command(integral=0.0)[0].motion_next, [0.2, -0.8, 1.0, 0.1, 0.1, 0.1])
-    _, memory, called = ask_command(of_memory={"hand_over": 1})
+    close(command_of(of_memory={"force_rank": 1})[0].force_next[:2], [0.04, -0.03])  # begins anew
+    close(command_of(of_memory={"wrench_missing": 1})[0].force_next[:2], [0.5, -0.5])
+    close(command_of(integral=0.0)[0].motion_next, [0.2, -0.8, 1.0, 0.1, 0.1, 0.1])
+    _, memory, called = command_of(of_memory={"hand_over": 1})
     assert called["handed"] and memory.hand_over == 0
     for lost, locked, reduced in ((1, 5, True), (1, 6, False), (0, 5, False)):
-        assert ("reduced" in ask_command(n_lost=lost, locked=locked)[2]) == reduced
-    work, _, _ = ask_command(tick.OWN_FORCE)
+        assert ("reduced" in command_of(n_lost=lost, locked=locked)[2]) == reduced
+    work, _, _ = command_of(tick.OWN_FORCE)
     close(work.alpha_u[:2], [8.0 - 1.0, 7.0])  # approached; the user's own
     close(work.force_next[:2], [0.5, -0.5])
-    close(ask_command(tick.OWN_FORCE, {"force_rank": 1})[0].force_next, 0.0)
-    close(ask_command(tick.OWN_MOTION)[0].a_u, 7.0)
+    close(command_of(tick.OWN_FORCE, {"force_rank": 1})[0].force_next, 0.0)
+    close(command_of(tick.OWN_MOTION)[0].a_u, 7.0)
 
 
 # --- phases ---------------------------------------------------------------------------------------

@@ -53,6 +53,13 @@ class Forces:
         return np.array([self.tick(goal) for _ in range(ticks)])
 
 
+def pressed():
+    """A column that has had 10 N for long."""
+    forces = Forces()
+    forces.run([10.0], 200)
+    return forces
+
+
 def test_a_step_is_let_in_along_the_quintic_of_least_jerk():
     forces = Forces(2)
     forces.run([10.0, 4.0], 200)
@@ -66,8 +73,7 @@ def test_a_step_is_let_in_along_the_quintic_of_least_jerk():
 @parametrize("rises", [(RISE, RISE), (RISE, 0.08)])
 def test_a_second_step_continues_value_slope_and_curvature(rises):
     """Of either rise time: the path is a polynomial of degree 5 from there, at rest in its end."""
-    forces = Forces()
-    forces.run([10.0], 200)
+    forces = pressed()
     forces.run([16.0], 21)
     forces.t.model.step_time = rises[1]
     found = forces.run([8.0], 100)[:, 0]
@@ -97,8 +103,7 @@ def test_a_second_step_continues_value_slope_and_curvature(rises):
 @parametrize("sign", [1.0, -1.0])
 def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
     """20 times its size a second: 0.2 N in a tick for 10 N."""
-    forces = Forces()
-    forces.run([10.0], 200)
+    forces = pressed()
     change = sign * rate * 20.0 * DT * 10.0
     size = max(10.0 + change, 10.0 * (1.0 - 0.5 * DT))  # of the new command, or what is remembered
     wanted = 10.0 + change
@@ -110,8 +115,7 @@ def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
 
 def test_the_size_of_a_force_that_has_gone_fades():
     """Half of it a second: after 1 s of no force, 0.6 of it are left, and are what a step is."""
-    forces = Forces()
-    forces.run([10.0], 200)
+    forces = pressed()
     forces.run([0.0], 1000)
     left = 10.0 * (1.0 - 0.5 * DT) ** 1000
     assert forces.kept[0].scale == approx(left, rel=1e-9)
@@ -121,8 +125,7 @@ def test_the_size_of_a_force_that_has_gone_fades():
 
 def test_the_integral_rests_while_much_of_a_step_is_to_come():
     """A tenth of the size, or more: not at all; nothing: fully."""
-    forces = Forces()
-    forces.run([10.0], 200)
+    forces = pressed()
     assert forces.work.integral_scale == 1.0
     idle = Forces()
     idle.run([0.0], 3)
@@ -144,14 +147,13 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
 
 @parametrize("share", [0.29, 0.31, -0.5])
 def test_a_face_shows_its_tilt_where_it_carries_three_tenths_of_its_force(share):
-    forces = Forces()
-    forces.run([10.0], 200)
+    forces = pressed()
     turned = [0.02, -0.01, 0.03]
     write(forces.work.columns[0], turned=turned, slides=1.0)
     forces.tick([10.0], measured=[10.0 * share], speed=[0.04])
-    pressed = share > 0.3
-    assert_allclose(forces.kept[0].turn, turned if pressed else 0.0)
-    assert forces.kept[0].drift == approx(0.0 if pressed else 0.01), "sliding or leaving"
+    presses = share > 0.3
+    assert_allclose(forces.kept[0].turn, turned if presses else 0.0)
+    assert forces.kept[0].drift == approx(0.0 if presses else 0.01), "sliding or leaving"
 
 
 def test_an_impact_is_not_held_where_phases_close_a_contact():
@@ -191,8 +193,7 @@ def test_without_a_rise_time_forces_are_as_they_are_wanted():
     for goal in (10.0, -4.0, 60.0):
         assert forces.tick([goal])[0] == goal
         assert forces.work.integral_scale == 1.0 and forces.work.step_left == 0.0
-    forces = Forces()
-    forces.run([10.0], 200)
+    forces = pressed()
     forces.run([16.0], 60)
     assert forces.kept[0].to_come.all(), "a step was made"
     forces.t.model.step_time = 0.0
@@ -201,8 +202,7 @@ def test_without_a_rise_time_forces_are_as_they_are_wanted():
 
 
 def test_a_column_out_of_n_is_forgotten():
-    forces = Forces()
-    forces.run([10.0], 200)
+    forces = pressed()
     forces.tick([10.0], speed=[0.1])
     forces.run([16.0], 10)
     row = forces.kept[0]
@@ -221,8 +221,7 @@ def test_a_column_out_of_n_is_forgotten():
 
 def test_the_brake_leaves_out_the_speed_that_lasts():
     """v̄ follows NᵀV_rel by a share of a quarter each tick, and not while a step is made."""
-    forces = Forces()
-    forces.run([10.0], 200)
+    forces = pressed()
     drift = 0.0
     for speed in (0.02, 0.02, -0.01):
         forces.tick([10.0], speed=[speed])

@@ -1,7 +1,7 @@
 """Limits of the robot and trust in its sensors, tick by tick, on the law's own functions.
 
 Each limit is met from just below and from just above, in either sign, and timed to the tick. What
-becomes of them in closed loop: tests/test_robot_limits.py, tests/test_lying_sensors.py.
+becomes of them in closed loop: tests/test_safety.py, tests/test_lying_sensors.py.
 """
 
 from math import inf

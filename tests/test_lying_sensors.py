@@ -8,7 +8,7 @@ import pinocchio as pin
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture
-from rigs import rig_of, rigid_plant, ticked
+from rigs import held_tick, rig_of, rigid_plant, ticked
 from samples import parametrize
 
 import osc_contact as osc
@@ -50,8 +50,8 @@ def test_a_rotation_that_is_none_is_refused(case):
     X = case.reference.X_WD.copy()
     X.rotation = 1.01 * X.rotation
     controller = case.controller()
-    controller.tick(case.measurement, replace(case.reference, X_WD=X))
-    assert controller.status is osc.Status.HELD and "its rotation is none" in controller.reason
+    wrong = replace(case.reference, X_WD=X)
+    held_tick(controller, "its rotation is none", case.measurement, wrong)
     X.rotation = np.array(case.reference.X_WD.rotation, dtype=np.float32).astype(float)
     controller.reset()
     ticked(controller, case.measurement, replace(case.reference, X_WD=X))
@@ -59,7 +59,7 @@ def test_a_rotation_that_is_none_is_refused(case):
 
 def test_a_wrench_that_no_sensor_measures_is_rejected(case):
     controller = case.controller()
-    last = controller.tick(case.measurement, case.reference)
+    last = controller.tick(*case.given)
     sums = controller.force_integral.copy()
     wrenches = case.measurement.wrenches.copy()
     wrenches[1, 2] = -1001.0
@@ -68,7 +68,7 @@ def test_a_wrench_that_no_sensor_measures_is_rejected(case):
     assert f"arm '{case.chain.arms[1].name}' reads more than it measures" in controller.reason
     assert_array_equal(tau, last)
     assert_array_equal(controller.force_integral, sums)
-    ticked(controller, case.measurement, case.reference)
+    ticked(controller, *case.given)
     assert controller.state is RUN
 
 
@@ -114,7 +114,7 @@ def test_readings_that_contradict_one_another_stop_the_arms(case, what):
     assert (controller.state is SAFE_STOP) == (words is not None), controller.reason
     assert words is None or re.search(words, controller.reason), controller.reason
     controller.reset()
-    controller.tick(case.measurement, case.reference)
+    controller.tick(*case.given)
     assert controller.state is RUN, controller.reason
 
 
@@ -133,12 +133,12 @@ def test_ticks_without_a_wrench_use_the_last_one_for_a_while(case):
     controller = case.controller()
     other = case.controller()
     for each in (controller, other):
-        each.tick(case.measurement, case.reference)
+        each.tick(*case.given)
     sums = controller.force_integral.copy()
     states = []
     for _ in range(25):
         tau = controller.tick(gone, case.reference)
-        want = other.tick(case.measurement, case.reference)
+        want = other.tick(*case.given)
         other.force_integral = sums  # what is old is not integrated
         states.append(controller.state)
         if len(states) == 1:

@@ -12,7 +12,7 @@ from complaints import contact_error, model_error
 from kkt_oracle import linkage, random_inertia
 from numpy.linalg import inv, lstsq, solve
 from numpy.random import default_rng
-from rigs import largest, product, random_state, refused, scara_pair, ticked
+from rigs import largest, pose_of, product, random_state, refused, scara_pair, ticked
 from samples import module_fixture, parametrize
 from test_law_kkt import metric_of, miss, ticks
 
@@ -173,7 +173,7 @@ def test_the_environment_of_several_contacts_does_not_depend_on_frame_or_units(s
     inertia = random_inertia(rng).matrix()
     env = Environment.of_contacts(N, Phi_N, b_N, V_N, inertia)
     assert miss(N.T @ env.Phi_e @ N, Phi_N) < 1e-10 and miss(N.T @ env.b_e, b_N) < 1e-10
-    X = pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3)).action
+    X = pose_of(rng).action
     X = np.diag([1e3, 1e3, 1e3, 1, 1, 1]) @ X  # mm
     F = inv(X).T
     Q = rng.standard_normal((3, 3))  # forces; and another basis of N

@@ -11,7 +11,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, raises
-from rigs import largest, refused, shift
+from rigs import largest, placed, refused, shift
 from samples import parametrize
 
 import osc_contact as osc
@@ -117,7 +117,7 @@ def test_the_short_way_round_again_and_again():
     point = osc.PoseSetPoint(pin.SE3.Identity(), LINEAR, ANGULAR, DT)
     turned = 0.0
     for k in range(1, 13):
-        goal = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, k * 2 * np.pi / 3), np.zeros(3))
+        goal = placed(rpy=(0.0, 0.0, k * 2 * np.pi / 3))
         for _ in range(2250):
             reference = point.step(goal)
             turned += reference.V_D[5] * DT

@@ -6,7 +6,7 @@ from kkt_oracle import held
 from numpy.linalg import norm, solve
 from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import SCARA_Q, largest, one_panda, scara_pair
+from rigs import SCARA_Q, largest, one_panda, scara_pair, unloaded
 from samples import first, parametrize
 
 import osc_contact as osc
@@ -27,7 +27,7 @@ def tick(chain, q, v, posture=None):
     goal = pin.SE3(X.rotation, X.translation + [0.01, -0.005, 0.004])
     reference = osc.Reference(goal, alpha_d=np.zeros(0), squeeze_d=4.0)
     controller = osc.Controller(chain, [], GAINS, posture=posture)
-    measurement = osc.Measurement(q, v, np.zeros((len(chain.arms), 6)))
+    measurement = unloaded(q, v, len(chain.arms))
     return controller, controller.tick(measurement, reference)
 
 

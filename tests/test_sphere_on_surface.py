@@ -10,7 +10,16 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pair_kinds import kind, placed, pose_of
 from pytest import approx, fixture
-from rigs import assert_derivatives, direction, largest, one_panda, random_state, refused, shift
+from rigs import (
+    assert_derivatives,
+    direction,
+    largest,
+    one_panda,
+    random_state,
+    refused,
+    shift,
+    unloaded,
+)
 from samples import first, parametrize
 
 import osc_contact as osc
@@ -173,7 +182,7 @@ def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
     pair = kind(centre, 0.012, osc.Surface.sphere(0.1), at)
     controller = osc.Controller(chain, [pair])
     assert controller.reading == "least_squares"
-    measurement = osc.Measurement(q, v, np.zeros((1, 6)))
+    measurement = unloaded(q, v)
     reference = osc.Reference(X, 0.3 * rng.standard_normal(6), alpha_d=np.array([10.0]))
     controller.tick(measurement, reference)
     delta = 0.004 * rng.standard_normal(3)
