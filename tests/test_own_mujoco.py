@@ -80,8 +80,8 @@ WALL = osc.VertexOnFace([0, 0, 0], [0.5, 0, 0.5], [-1, 0, 0], radius=0.015, name
 
 
 def robot_of(model, **how):
-    asked = {"tip": "tip", "wrist_sensor": "wrist", "contacts": [WALL], **how}
-    return osc.MujocoRobot.from_model(model, **asked)
+    how = {"tip": "tip", "wrist_sensor": "wrist", "contacts": [WALL]} | how
+    return osc.MujocoRobot.from_model(model, **how)
 
 
 def ready(robot, pair=WALL, guess=START, **how):

@@ -49,18 +49,18 @@ def main():
     ask.add_argument("--suite", action="store_true")
     ask.add_argument("--versions", choices=("pinned", "lowest", "highest"), default="pinned")
     ask.add_argument("given", nargs="*")
-    asked = ask.parse_intermixed_args()  # Pythons may come after options
-    if asked.suite:
-        for python in asked.given or [sys.executable]:
-            suite(python, asked.versions)
+    options = ask.parse_intermixed_args()  # Pythons may come after options
+    if options.suite:
+        for python in options.given or [sys.executable]:
+            suite(python, options.versions)
         return
-    dist, *pythons = asked.given
+    dist, *pythons = options.given
     for python in pythons or [sys.executable]:
         for file in sorted([*Path(dist).glob("*.whl"), *Path(dist).glob("*.tar.gz")]):
             if file.suffix == ".whl":
                 core(file.resolve(), python)
                 beside(file.resolve(), python)
-            attempt(file.resolve(), python, asked.versions)
+            attempt(file.resolve(), python, options.versions)
 
 
 def say(words):
