@@ -97,8 +97,8 @@ peers: .venv-peers/.installed
 # Branches that the tests run. The law is compiled, which coverage cannot look into: its own tests run
 # without compilation first.
 coverage: venv browser
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -k "not checked_bounds" --cov --cov-report= \
-		--cov-fail-under=0 $(LAW)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m "not slow" -k "not checked_bounds" --cov \
+		--cov-report= --cov-fail-under=0 $(LAW)
 	$(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-append --cov-report=term
 
 # Small faults put into the law, one at a time: how many do the tests notice? For a machine that
