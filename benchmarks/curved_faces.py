@@ -23,7 +23,7 @@ import osc_contact as osc
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.robots import resolve_urdf
 from osc_contact.spatial import Array
-from osc_contact.sweeps.rows import without_logged_doubts
+from osc_contact.sweeps.sweep import without_logged_doubts
 from paper.study import Data
 
 RADII = [0.1, 0.3, 1.0]

@@ -22,7 +22,7 @@ import osc_contact as osc
 from benchmarks.mjcf_arms import draft_press, move_on_wall
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.runs import poses
-from osc_contact.sweeps.rows import without_logged_doubts
+from osc_contact.sweeps.sweep import without_logged_doubts
 
 TIPS = {"ur10": "tool0", "xarm7": "link7", "panda": "panda_hand_tcp"}
 LEARNS = "control.joint_friction.learning=true"  #: the default where the model has friction

@@ -13,8 +13,8 @@ import numpy as np
 
 import osc_contact as osc
 from benchmarks.measuring import Report
-from osc_contact.sweeps.rows import make_rows, scenario_of, without_logged_doubts
 from osc_contact.sweeps.study import SweepStudy
+from osc_contact.sweeps.sweep import make_rows, scenario_of, without_logged_doubts
 from paper.study import table_of
 
 VARY = (
@@ -26,7 +26,7 @@ VARY = (
 DURATION = 2.0  #: s, of each run
 _ONE_ROW = """
 from benchmarks.many_runs import study
-from osc_contact.sweeps.rows import make_rows
+from osc_contact.sweeps.sweep import make_rows
 make_rows(study(2), [0])
 """
 

@@ -17,7 +17,7 @@ import typer
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.runs.poses import Press, draft
-from osc_contact.sweeps.rows import without_logged_doubts
+from osc_contact.sweeps.sweep import without_logged_doubts
 
 ARMS = ["iiwa", "jaco", "kinova3", "panda", "sawyer", "spot_arm", "ur5e", "xarm7"]  #: folders
 

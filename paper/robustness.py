@@ -11,9 +11,8 @@ from rich.table import Table
 
 import osc_contact as osc
 from osc_contact.spatial import Array
-from osc_contact.sweeps.rows import make_rows, scenario_of
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.sweep import run_rows
+from osc_contact.sweeps.sweep import make_rows, run_rows, scenario_of
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.plots import style
 from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, SelectionLaw, best_frames

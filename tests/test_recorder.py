@@ -27,8 +27,8 @@ from osc_contact.errors import RecordingError
 from osc_contact.files import sole_user
 from osc_contact.recorder import Recording
 from osc_contact.recorder.journal import Journal, JournalFile
-from osc_contact.sweeps.rows import RowFile
 from osc_contact.sweeps.study import SweepStudy
+from osc_contact.sweeps.sweep import RowFile
 
 META = {"scenario": {"name": "rod"}, "plant": "rigid", "seed": 3, "arm_names": ("left", "right")}
 

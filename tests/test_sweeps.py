@@ -30,9 +30,8 @@ from osc_contact.contacts.detection import collision_shapes
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.run import start
 from osc_contact.sweeps.report import variances, write_report
-from osc_contact.sweeps.rows import RigBuilder, make_rows, scenario_of
 from osc_contact.sweeps.study import SweepStudy, parse_distribution
-from osc_contact.sweeps.sweep import ROWS, TABLE, run_study
+from osc_contact.sweeps.sweep import ROWS, TABLE, RigBuilder, make_rows, run_study, scenario_of
 
 U = np.linspace(0.01, 0.99, 7)
 SHORT = ("duration=1.02 s",)

@@ -9,9 +9,15 @@ from typing import Any
 import numpy as np
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.sweeps.rows import Row, make_rows, require_long_enough, scenario_of
 from osc_contact.sweeps.study import SweepStudy, texts
-from osc_contact.sweeps.sweep import make_all, workers_of
+from osc_contact.sweeps.sweep import (
+    Row,
+    make_all,
+    make_rows,
+    require_long_enough,
+    scenario_of,
+    workers_of,
+)
 
 #: Keys that are tuned if none are named, where the scenario states them.
 GAINS = (

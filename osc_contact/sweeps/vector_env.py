@@ -23,9 +23,8 @@ from osc_contact.scenarios.loader import Template, read_text
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, moved
 from osc_contact.sweeps.fleet import Fleet, Start
-from osc_contact.sweeps.rows import RigBuilder, scenario_of, without_logged_doubts
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.sweep import available_cores
+from osc_contact.sweeps.sweep import RigBuilder, available_cores, scenario_of, without_logged_doubts
 
 # --- Episodes -----------------------------------------------------------------------------------
 
