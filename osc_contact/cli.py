@@ -37,7 +37,7 @@ from osc_contact.console import (
     show_live,
 )
 from osc_contact.errors import Interrupted, InvalidInputError
-from osc_contact.files import sole_user, whole_file
+from osc_contact.files import sole_user, write_whole
 from osc_contact.law import compiled
 from osc_contact.runs import report, viewing
 from osc_contact.runs.calibration import calibrate as calibrate_wrists
@@ -327,8 +327,7 @@ def examples(
     folder.mkdir(parents=True, exist_ok=True)
     for number, (name, page, code) in enumerate(programs(), start=1):
         path = folder / f"{number:02d}_{name}.py"
-        with whole_file(path) as unfinished:
-            unfinished.write_text(f"# From {page}\n\n{code}", encoding="utf-8")
+        write_whole(f"# From {page}\n\n{code}", path)
         say(f"written: {path}")
     say(f"run one: python {path}")
 

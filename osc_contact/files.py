@@ -98,3 +98,10 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.replace(unfinished, target)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def write_whole(content: str | bytes, path: str | os.PathLike[str]) -> Path:
+    """Write a file (text as UTF-8), which appears complete or not at all; returns its path."""
+    with whole_file(path) as unfinished:
+        unfinished.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return Path(path)

@@ -24,9 +24,10 @@ from rich.table import Table
 import osc_contact as osc
 from osc_contact import __version__
 from osc_contact.console import err, out, record
+from osc_contact.files import write_whole
 from osc_contact.law import compiled
 from osc_contact.runs.report import verdict_table, write_json, write_report
-from osc_contact.visual.page import POLICY, asset, filled, write_whole
+from osc_contact.visual.page import POLICY, asset, filled
 from osc_contact.visual.plots import PRINT, save
 from paper import (
     baselines,

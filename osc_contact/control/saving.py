@@ -14,7 +14,7 @@ from osc_contact.control.records import TickRecords
 from osc_contact.control.status import SafetyState, Status
 from osc_contact.control.torque_limits import MotorLimits, relieve
 from osc_contact.errors import InvalidInputError, SolverError
-from osc_contact.files import whole_file
+from osc_contact.files import write_whole
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import limits, records
 from osc_contact.law.library import law_hash
@@ -59,8 +59,7 @@ def save_controller(controller: Any, path: str | os.PathLike[str]) -> None:
     Raises:
         InvalidInputError: see `controller_bytes`.
     """
-    with whole_file(path) as unfinished:
-        unfinished.write_bytes(controller_bytes(controller))
+    write_whole(controller_bytes(controller), path)
 
 
 class SavedController:

@@ -15,7 +15,7 @@ from osc_contact.control.controller import FORGOTTEN, FORGOTTEN_TABLES
 from osc_contact.control.records import GAIN_FIELDS
 from osc_contact.control.saving import FORMAT, HEAD, MAGIC
 from osc_contact.control.status import SafetyState, Status
-from osc_contact.files import whole_file
+from osc_contact.files import write_whole
 from osc_contact.law import records, tick
 from osc_contact.law.c_object import object_file
 from osc_contact.law.library import law_hash
@@ -102,18 +102,17 @@ def write_library(folder: Path) -> None:
         folder: is made.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    contents = {"osc_layout.h": _layout().encode(), "law.o": object_file()}
+    contents: dict[str, str | bytes] = {"osc_layout.h": _layout(), "law.o": object_file()}
     for item in (files("osc_contact.control") / "c_files").iterdir():
         if item.name.endswith(".tar.xz"):
             with item.open("rb") as stream, tarfile.open(fileobj=stream) as archive:
                 archive.extractall(folder, filter="data")
         elif item.name.endswith(".in"):
-            contents[item.name.removesuffix(".in")] = _header(item.read_text("utf-8")).encode()
+            contents[item.name.removesuffix(".in")] = _header(item.read_text("utf-8"))
         else:
             contents[item.name] = item.read_bytes()
     for name, content in contents.items():
-        with whole_file(folder / name) as unfinished:
-            unfinished.write_bytes(content)
+        write_whole(content, folder / name)
 
 
 def _enum(prefix: str, names: Any) -> str:

@@ -12,7 +12,7 @@ from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.control.controller import Controller
 from osc_contact.drivers.franka import FrankaRobot
 from osc_contact.errors import OscContactError, PlantError
-from osc_contact.files import whole_file
+from osc_contact.files import write_whole
 from osc_contact.interface import Reference, pose_reference
 from osc_contact.recorder import Recording
 from osc_contact.runs.loop import latency, run_loop
@@ -72,9 +72,8 @@ class Commissioning:
                 break
             done += 1
         self.robot.stop()
-        with whole_file(self.folder / "report.md") as file:
-            text = "\n".join(["# Commissioning", "", *self.lines, ""])
-            file.write_text(text, encoding="utf-8")
+        text = "\n".join(["# Commissioning", "", *self.lines, ""])
+        write_whole(text, self.folder / "report.md")
         return done == len(steps)
 
     def _model(self) -> Iterator[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.files import whole_file
+from osc_contact.files import write_whole
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S, judged_ticks
 from osc_contact.robots import RobotSummary
@@ -278,5 +278,4 @@ def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict
 
 def write_json(data: Any, path: Path) -> None:
     """Write JSON, a file that appears complete or not at all."""
-    with whole_file(path) as unfinished:
-        unfinished.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    write_whole(json.dumps(data, indent=2) + "\n", path)

@@ -23,7 +23,6 @@ from osc_contact.plants.judge import Plant
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
-from osc_contact.recorder import column_names
 from osc_contact.response import require_reachable
 from osc_contact.runs import hardware
 from osc_contact.runs.contacts import (
@@ -41,7 +40,7 @@ from osc_contact.runs.contacts import (
     tracked,
 )
 from osc_contact.runs.recorder import Subject
-from osc_contact.runs.references import References, showing_twist
+from osc_contact.runs.references import References, force_names, showing_twist
 from osc_contact.scenarios.bodies import CartSpec, GraspSpec
 from osc_contact.scenarios.control_schema import Gains, ModelErrorSpec, PhaseSettings
 from osc_contact.scenarios.hardware import PLANT_TYPES
@@ -276,7 +275,7 @@ class Rig:
     @property
     def force_names(self) -> list[str]:
         """Names of the force magnitudes: ``tip``, ``pad.1``, ``pad.2``, …"""
-        return column_names([pair.name for pair in self.pairs], self.owners.tolist())
+        return force_names(self.scenario)
 
     @cached_property
     def state(self) -> ChainState:

@@ -10,7 +10,7 @@ from osc_contact.control.controller import Controller
 from osc_contact.control.inputs import touched_rows
 from osc_contact.control.saving import controller_bytes
 from osc_contact.control.without_python import write_library
-from osc_contact.files import whole_file
+from osc_contact.files import write_whole
 from osc_contact.interface import Measurement, Reference
 from osc_contact.runs.loop import run_loop
 from osc_contact.runs.preflight import require_ready
@@ -109,7 +109,6 @@ def build(rig: Rig, folder: Path, ticks: int = 10_000, seed: int = 0) -> Tape:
     tape = Tape(controller)
     taring = controller if rig.scenario.tare is None else Taring(rig, controller)
     run_loop(rig.robot(plant, controller), taring, rig.references.each(ticks, controller.dt))
-    for name, part in {"controller.osc": content, "recording.osc": tape.content()}.items():
-        with whole_file(folder / name) as unfinished:
-            unfinished.write_bytes(part)
+    write_whole(content, folder / "controller.osc")
+    write_whole(tape.content(), folder / "recording.osc")
     return tape

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from osc_contact import __version__
+from osc_contact.files import write_whole
 from osc_contact.spatial import Array
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.visual.page import POLICY, asset, filled, write_whole
+from osc_contact.visual.page import POLICY, asset, filled
 
 REPORT = "report.html"
 SUMMARY = "summary.json"

@@ -21,7 +21,7 @@ from urllib.parse import quote
 import numpy as np
 
 from osc_contact.errors import InvalidInputError, ViewerError
-from osc_contact.files import whole_file
+from osc_contact.files import whole_file, write_whole
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -245,9 +245,8 @@ def write_png(
         InvalidInputError: the page holds no drawing commands.
     """
     address = _address(page, time, "&bare" * bare)
-    with Browser(address, size, density=density) as browser, whole_file(path) as unfinished:
-        unfinished.write_bytes(browser.png())
-    return Path(path)
+    with Browser(address, size, density=density) as browser:
+        return write_whole(browser.png(), path)
 
 
 # --- Moving pictures ----------------------------------------------------------------------------

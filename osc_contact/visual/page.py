@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.files import whole_file
+from osc_contact.files import write_whole
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -117,13 +117,6 @@ def write_page(
         InvalidInputError: as `page_text`.
     """
     return write_whole(page_text(sink, title, config), path)
-
-
-def write_whole(page: str, path: str | Path) -> Path:
-    """Write a text file, which appears complete or not at all; returns its path."""
-    with whole_file(path) as unfinished:
-        unfinished.write_text(page, encoding="utf-8")
-    return Path(path)
 
 
 def packed(command: dict[str, Any]) -> bytes:
