@@ -2,7 +2,7 @@
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from typing import Any
 
@@ -19,7 +19,6 @@ from osc_contact.spatial import Array, as_array
 
 
 @register_pair()
-@dataclass(frozen=True, eq=False)
 class CompiledPair(PackagedPair):
     """A contact pair as one function that numba compiles; the compiled tick calls it by address.
 

@@ -1,6 +1,5 @@
 """A cylinder of the object in a V-groove of the environment."""
 
-from dataclasses import dataclass
 from math import pi
 from typing import Annotated, Literal
 
@@ -47,7 +46,6 @@ class CylinderInVGrooveSpec(OnBodySpec):
 
 
 @register_pair(CylinderInVGrooveSpec)
-@dataclass(frozen=True, eq=False)
 class CylinderInVGroove(PointsOnPlanes):
     """A cylinder of the held object on both walls of a V-groove of the environment (r = 4).
 

@@ -1,7 +1,6 @@
 """Any contact whose gaps can be computed: N and n_γ from derivatives of the gap functions."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +24,6 @@ _SECOND = np.array([8064.0, -1008.0, 128.0, -9.0]) / 5040.0
 
 
 @register_pair()
-@dataclass(frozen=True, eq=False)
 class GapFunctions(PackagedPair):
     """r smooth functions of the relative pose that the contact keeps at zero, 0 ≤ r ≤ 6.
 

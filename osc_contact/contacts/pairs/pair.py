@@ -8,7 +8,7 @@ on arrays at many.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +20,7 @@ from typing import (
     NamedTuple,
     Protocol,
     TypeVar,
+    dataclass_transform,
     get_type_hints,
     runtime_checkable,
 )
@@ -286,8 +287,9 @@ PAIRS: dict[str, type[ContactPair]] = {}
 _MADE_FROM: dict[type[ContactSpec], tuple[Callable[..., ContactPair], dict[str, str]]] = {}
 
 
+@dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(field,))
 def register_pair(keys: type[ContactSpec] | None = None, **renamed: str) -> Callable[[Pair], Pair]:
-    """Class decorator: enter a pair in the register.
+    """Class decorator: enter a pair in the register; a packaged one becomes a frozen dataclass.
 
     Args:
         keys: keys of such a contact in a scenario. None: it is made in Python only.
@@ -295,6 +297,8 @@ def register_pair(keys: type[ContactSpec] | None = None, **renamed: str) -> Call
     """
 
     def enter(pair: Pair) -> Pair:
+        if issubclass(pair, PackagedPair) and "__dataclass_fields__" not in vars(pair):
+            dataclass(frozen=True, eq=False)(pair)
         PAIRS[pair.__name__] = pair
         if keys is not None:
             register_contact(keys)
@@ -313,11 +317,11 @@ def make_pair(spec: ContactSpec, X_WB: SE3, folder: Path | None = None) -> Conta
     """
     pair, renamed = _MADE_FROM[type(spec)]
     given: dict[str, Any] = {}
-    for key, field in type(spec).model_fields.items():
+    for key, info in type(spec).model_fields.items():
         value = getattr(spec, key)
-        if OfBody.POINT in field.metadata:
+        if OfBody.POINT in info.metadata:
             value = X_WB.act(np.array(value))
-        elif OfBody.DIRECTION in field.metadata:
+        elif OfBody.DIRECTION in info.metadata:
             value = X_WB.rotation @ np.array(value)
         elif hasattr(value, "made"):
             value = value.made(folder)
@@ -504,7 +508,6 @@ class FaceOnVertexSpec(OnBodySpec):
 
 
 @register_pair(FaceOnVertexSpec, body_vertex="vertex")
-@dataclass(frozen=True, eq=False)
 class FaceOnVertex(LawPair):
     """A face of the held object on a vertex of the environment (r = 1).
 

@@ -1,6 +1,5 @@
 """Pairs made of points of the object, each held on a plane of the environment."""
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -92,7 +91,6 @@ class VertexOnFaceSpec(OnFaceSpec):
 
 
 @register_pair(VertexOnFaceSpec)
-@dataclass(frozen=True, eq=False)
 class VertexOnFace(PointsOnPlanes):
     """A vertex of the held object on a face of the environment (each contact of fig. 1, r = 1).
 
@@ -165,7 +163,6 @@ class SphereOnPlaneSpec(OnPlaneSpec):
 
 
 @register_pair(SphereOnPlaneSpec, face_point="point", face_normal="normal")
-@dataclass(frozen=True, eq=False)
 class SphereOnPlane(PointsOnPlanes):
     """A sphere of the held object on a plane of the environment (r = 1).
 
@@ -207,7 +204,6 @@ class EdgeOnFaceSpec(OnPlaneSpec):
 
 
 @register_pair(EdgeOnFaceSpec)
-@dataclass(frozen=True, eq=False)
 class EdgeOnFace(PointsOnPlanes):
     """A straight edge of the held object on a face of the environment (r = 2).
 
@@ -256,7 +252,6 @@ class CylinderOnPlaneSpec(OnPlaneSpec):
 
 
 @register_pair(CylinderOnPlaneSpec)
-@dataclass(frozen=True, eq=False)
 class CylinderOnPlane(PointsOnPlanes):
     """A cylinder of the held object on a plane of the environment (r = 2).
 
@@ -307,7 +302,6 @@ class FaceOnFaceSpec(OnPlaneSpec):
 
 
 @register_pair(FaceOnFaceSpec)
-@dataclass(frozen=True, eq=False)
 class FaceOnFace(PointsOnPlanes):
     """A flat face of the held object on a flat face of the environment (r = 3).
 
@@ -360,7 +354,6 @@ class CylinderInHoleSpec(OnBodySpec):
 
 
 @register_pair(CylinderInHoleSpec)
-@dataclass(frozen=True, eq=False)
 class CylinderInHole(PointsOnPlanes):
     """A cylinder of the held object in a hole of the environment without play (r = 4).
 

@@ -1,6 +1,6 @@
 """A ball or vertex of the object on a curved surface of the environment."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -97,7 +97,6 @@ class SphereOnSurfaceSpec(OnBodySpec):
 
 
 @register_pair(SphereOnSurfaceSpec, surface_point="origin", surface_axis="axis", surface_x="along")
-@dataclass(frozen=True, eq=False)
 class SphereOnSurface(LawPair):
     """A ball of the held object on a smooth surface of the environment (r = 1).
 

@@ -88,7 +88,6 @@ _ORIGIN = np.zeros(3)
 
 
 @register_pair()
-@dataclass(frozen=True, eq=False)
 class Fixed(TangentPair):
     """The object clamped to the environment (r = 6): three distances of its origin, three angles.
 
@@ -106,7 +105,6 @@ class Fixed(TangentPair):
 
 
 @register_pair()
-@dataclass(frozen=True, eq=False)
 class Free(TangentPair):
     """No contact (r = 0)."""
 
@@ -127,7 +125,6 @@ class _Joint(TangentPair):
 
 
 @register_pair()
-@dataclass(frozen=True, eq=False)
 class Prismatic(_Joint):
     """A slide: the object moves along an axis of the environment and does not turn (r = 5).
 
@@ -155,7 +152,6 @@ class Prismatic(_Joint):
 
 
 @register_pair()
-@dataclass(frozen=True, eq=False)
 class Revolute(_Joint):
     """A hinge: the object turns about an axis of the environment (r = 5).
 
@@ -183,7 +179,6 @@ class Revolute(_Joint):
 
 
 @register_pair()
-@dataclass(frozen=True, eq=False)
 class Screw(TangentPair):
     """A screw: the object turns about an axis of the environment and advances with it (r = 5).
 
@@ -236,7 +231,6 @@ class Screw(TangentPair):
 
 
 @register_pair()
-@dataclass(frozen=True, eq=False)
 class ConeInGroove(TangentPair):
     """Fig. 2 of the paper: a cone turns about its axis and slides along a groove (r = 4).
 
