@@ -19,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 from xml.parsers import expat
 
 from osc_contact.errors import ModelError, did_you_mean
@@ -379,8 +379,7 @@ _ATTRIBUTES = {
 Numbers = dict[str, Any]  #: attributes of an element as numbers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Inertial:
+class Inertial(NamedTuple):
     """Mass (kg), origin xyz (m) rpy (rad) of the centre of mass, moments ixx … izz (kg m²)."""
 
     mass: float
@@ -389,8 +388,7 @@ class Inertial:
     element: Element
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Link:
+class Link(NamedTuple):
     """A link as written."""
 
     name: str
@@ -398,8 +396,7 @@ class Link:
     element: Element
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Joint:
+class Joint(NamedTuple):
     """A joint as written; `limits` holds what numbers its <limit> has."""
 
     name: str

@@ -569,7 +569,6 @@ class EdgeOnEdgeSpec(OnBodySpec):
     edge_direction="direction_E",
     edge_outward="side",
 )
-@dataclass(frozen=True, eq=False)
 class EdgeOnEdge(LawPair):
     """An edge of the held object across an edge of the environment (r = 1).
 
