@@ -109,14 +109,16 @@ class Rule:
 
 
 def rule(
-    doubtful: float, refused: float, sentence: str
+    sentence: str, doubtful: float = 0.0, refused: float | None = None
 ) -> Callable[[Callable[[Any], Values]], Rule]:
     """Function decorator: makes a quantity a rule.
 
     Args:
-        doubtful, refused, sentence: see `Rule`; a refused of inf is never reached.
+        sentence, doubtful, refused: see `Rule`; a refused of inf is never reached, None is
+            doubtful's limit.
     """
-    return lambda quantity: Rule(quantity, doubtful, refused, sentence)
+    limit = doubtful if refused is None else refused
+    return lambda quantity: Rule(quantity, doubtful, limit, sentence)
 
 
 def findings(rules: Iterable[Rule], task: Any) -> list[Finding]:
@@ -310,10 +312,8 @@ def require_ready(rig: Rig) -> list[str]:
 
 
 @rule(
-    0.0,
-    0.0,
     "arm '{name}' has no wrist sensor, and contact forces are controlled by what wrist sensors "
-    "read; name a frame of its URDF as wrist_sensor",
+    "read; name a frame of its URDF as wrist_sensor"
 )
 def sensors(rig: Rig) -> Values:
     """Arms that measure no force."""
@@ -322,10 +322,10 @@ def sensors(rig: Rig) -> Values:
 
 
 @rule(
-    0.0,
-    np.inf,
     "{wrong}, and nothing zeroes the wrist sensors: their errors are taken for contact "
     "force; set tare={{}} to zero them in free space before contact",
+    0.0,
+    np.inf,
 )
 def tare(rig: Rig) -> Values:
     """Weights that the wrists read and the model does not know; the exact plant has no tare."""
@@ -347,10 +347,10 @@ def tare(rig: Rig) -> Values:
 
 
 @rule(
-    0.0,
-    np.inf,
     "plant.friction is {value:g}, the controller's model has none, and the filter that reads "
     "forces takes it for normal force; {other}give control.friction={{mu: …}}",
+    0.0,
+    np.inf,
 )
 def friction(rig: Rig) -> Values:
     """Friction that the filter of fig. 5 takes for normal force."""
@@ -364,7 +364,7 @@ def friction(rig: Rig) -> Values:
         yield rig.scenario.plant.friction, {"other": other}
 
 
-@rule(0.0, 0.0, "{why}")
+@rule("{why}")
 def springs(rig: Rig) -> Values:
     """Springs, or a joint torque loop, that cannot be."""
     try:
@@ -375,11 +375,11 @@ def springs(rig: Rig) -> Values:
 
 
 @rule(
-    -100.0,
-    np.inf,
     "the joint springs oscillate at {first:.3g} Hz (first mode, motors held), and no joint "
     "torque loop produces the commanded torques: below 100 Hz contact is lost; set "
     "control.joint_torque={{rate: {rate:g} kHz}}",
+    -100.0,
+    np.inf,
 )
 def swinging(rig: Rig) -> Values:
     """Frequency of joints without a torque loop (−Hz)."""
@@ -393,11 +393,11 @@ def swinging(rig: Rig) -> Values:
 
 
 @rule(
-    0.2,
-    np.inf,
     "nothing balances the cart of '{name}': weight, preload and contact forces leave {left:.3g} N "
     "along its rail at the end, which moves it by {value:.3g} m in {duration:g} s; give it a "
     "preload of {preload:.3g} N, or a stiffness",
+    0.2,
+    np.inf,
 )
 def carts(rig: Rig) -> Values:
     """How far free carts run (m)."""
@@ -426,9 +426,9 @@ def carts(rig: Rig) -> Values:
 
 
 @rule(
+    "{sentence}, {value:.2g} times its command; lower control.life.speed",
     2.0,
     np.inf,
-    "{sentence}, {value:.2g} times its command; lower control.life.speed",
 )
 def landing(rig: Rig) -> Values:
     """Expected peaks of contacts that are still to be made, over their commands."""
@@ -441,11 +441,11 @@ def landing(rig: Rig) -> Values:
 
 
 @rule(
-    0.7,
-    2.0,
     "control.rate {rate:g} Hz is too slow for gains.{name} {gain:g} 1/s: their ratio is "
     "{value:.2g}, and a sampled loop diverges from 2 on; raise the rate to {enough:.0f} Hz, or "
     "lower the gain",
+    0.7,
+    2.0,
 )
 def rate(task: Task) -> Values:
     """Gain × control period."""
@@ -466,11 +466,10 @@ def rate(task: Task) -> Values:
 
 
 @rule(
-    1.0,
-    1.0,
     "the motion leads the object to {far:.3g} m from the base of arm '{name}' at t = {t:.3g} s, "
     "and the stretched arm reaches {most:.3g} m; command a smaller motion (are its signals in the "
     "right unit?)",
+    1.0,
 )
 def stretched(task: Task) -> Values:
     """Distance from the base, over what the stretched arm reaches."""
@@ -493,10 +492,10 @@ def _length(arm: Arm) -> float:
 
 
 @rule(
-    0.02,
-    np.inf,
     "at t = {t:.3g} s the motion leads the object to where no posture near the start puts it "
     "({where} m){left}; command a smaller motion, or begin in another posture",
+    0.02,
+    np.inf,
 )
 def postures(task: Task) -> Values:
     """By how much no posture within the joints' limits, from the start on, gets there (m)."""
@@ -528,10 +527,8 @@ def postures(task: Task) -> Values:
 
 
 @rule(
-    0.0,
-    0.0,
     "at t = {at:.3g} s the motion would end in a stop: {why}; command a smaller or slower motion, "
-    "or begin in another posture",
+    "or begin in another posture"
 )
 def joints(task: Task) -> Values:
     """Whether the controller would stop for its joints' limits: the motion is gone through.
@@ -582,11 +579,11 @@ def _acceleration(controller: Controller) -> Array:
 
 
 @rule(
-    0.0,
-    3.0,
     "{name} is {force:.4g} N at t = {t:.3g} s, for which motors would need {value:.2g} times "
     "their limits at least (most of all {joint}, {most:.3g} N m or N); command less force, or "
     "choose another posture",
+    0.0,
+    3.0,
 )
 def motors(task: Task) -> Values:
     """Forces that no torques within the limits make, whatever the internal forces are."""
@@ -634,7 +631,11 @@ def least_peak(A: Array, b: Array) -> float:
 # --- a robot ------------------------------------------------------------------------------------
 
 
-@rule(0.0, 0.9, "{why}")
+@rule(
+    "{why}",
+    0.0,
+    0.9,
+)
 def first_tick(task: Task) -> Values:
     """A copy of the controller is given what is measured and the first reference."""
     assert task.controller is not None and task.measured is not None
@@ -650,10 +651,10 @@ def first_tick(task: Task) -> Values:
 
 
 @rule(
-    0.005,
-    0.1,
     "the first reference puts the object {value:.3g} m away from where it is, at {first} m instead "
     "of {now} m; begin the motion at chain.state(q, v).X_WO",
+    0.005,
+    0.1,
 )
 def jump(task: Task) -> Values:
     """From the pose to the first reference (m)."""
@@ -663,10 +664,10 @@ def jump(task: Task) -> Values:
 
 
 @rule(
-    0.9,
-    1.0,
     "to hold the arm, {joint} needs {torque:.4g} N m (or N), {value:.2g} times its limit of "
     "{most:.4g}; all that moves weighs {mass:.4g} kg: are masses in kg and lengths in m?",
+    0.9,
+    1.0,
 )
 def weights(task: Task) -> Values:
     """Torques that hold the arms before contacts bear, shares of the motors' limits.
@@ -687,9 +688,7 @@ def weights(task: Task) -> Values:
     yield share[worst], {"joint": joint, **words, "mass": moved_mass(chain)}
 
 
-@rule(
-    0.0, 0.0, "{name} is −{value:.3g} N at t = {t:.3g} s; this contact cannot pull: give forces ≥ 0"
-)
+@rule("{name} is −{value:.3g} N at t = {t:.3g} s; this contact cannot pull: give forces ≥ 0")
 def pulls(task: Task) -> Values:
     """Forces below zero (−N)."""
     for name, owner, force in zip(task.force_names, task.owners, task.forces.T, strict=True):
@@ -699,11 +698,10 @@ def pulls(task: Task) -> Values:
 
 
 @rule(
-    1.0,
-    1.0,
     "{name} is {force:.4g} N at t = {t:.3g} s, and readings beyond safety.force_range = "
     "{range:.4g} N are rejected; command less force, or raise force_range to what the wrist "
     "sensor measures",
+    1.0,
 )
 def measured_range(task: Task) -> Values:
     """Forces, over what a wrist sensor may read."""
@@ -728,11 +726,9 @@ def has_place(pair: ContactPair) -> bool:
 
 
 @rule(
-    0.0,
-    0.0,
     "the normal of the face of contact '{name}' looks away from the robot: the object and all arm "
     "tips are {mm:.0f} mm or more behind it; the normal points out of the face, towards the "
-    "object: reverse contacts.{name}.face.normal",
+    "object: reverse contacts.{name}.face.normal"
 )
 def normals(rig: Rig) -> Values:
     """Faces that bring their own plate and face away from the robot."""
@@ -746,11 +742,11 @@ def normals(rig: Rig) -> Values:
 
 
 @rule(
-    0.02,
-    0.1,
     "to touch its contacts the object starts {mm:.0f} mm away from object.pose, at {where} m, "
     "turned by {turned:.1f} deg, instead of {given} m; move the faces to the object, or "
     "object.pose and posture to the faces",
+    0.02,
+    0.1,
 )
 def start(rig: Rig) -> Values:
     """A start pose that moved, at the object's origin or at a contact (m)."""
@@ -810,10 +806,9 @@ def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
 
 
 @rule(
-    BESIDE_M,
-    BESIDE_M,
     "contact '{name}' would touch at {point} m, {mm:.0f} mm beside {solid.name}, whose collision "
     "geometry ends before; move the face, or the contact's place on the object",
+    BESIDE_M,
 )
 def beside(rig: Rig) -> Values:
     """Contacts beside their bodies or the object; those of the exact plant have no ends."""
@@ -828,10 +823,9 @@ def beside(rig: Rig) -> Values:
 
 
 @rule(
-    PROBE_M,
-    PROBE_M,
     "the force of contact '{name}' would push out of {solid.name}, whose collision geometry is "
     "on the side that {key} points to; it must point out of it: reverse contacts.{name}.{key}",
+    PROBE_M,
 )
 def inverted(rig: Rig) -> Values:
     """Normals that are reversed: the force would push out of the body, or out of the object."""
@@ -853,11 +847,10 @@ def inverted(rig: Rig) -> Values:
 
 
 @rule(
-    0.005,
-    0.005,
     "the object starts {mm:.0f} mm inside {name}, with its contacts just touching: a normal is "
     "reversed, or the collision geometry is larger than the contacts state; reverse the normals of "
     "its contacts, or mend the geometry",
+    0.005,
 )
 def inside(rig: Rig) -> Values:
     """Depth of the object in a body, for another cause than those above (m)."""
@@ -874,11 +867,11 @@ def inside(rig: Rig) -> Values:
 
 
 @rule(
-    0.005,
-    np.inf,
     "the motion leads the object {mm:.0f} mm {way} the surface of contact '{name}', which "
     "does not permit it: that part is not followed; give a direction along the surface, such as "
     "common_tangent, and press with force",
+    0.005,
+    np.inf,
 )
 def lifted(task: Task) -> Values:
     """How far a motion opens or closes a gap while the contact is to be kept (m)."""
@@ -918,7 +911,7 @@ def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]
                 yield pair, point, -inward, *probe.distance(point)
 
 
-@rule(0.0, 0.0, "{why}")
+@rule("{why}")
 def period(task: Task) -> Values:
     """A control period that is no whole number of the scene's steps."""
     if isinstance(task.robot, MujocoRobot):
@@ -929,10 +922,8 @@ def period(task: Task) -> Values:
 
 
 @rule(
-    0.0,
-    0.0,
     "there are contacts, and no geom of the tool can touch the scene: give both contype and "
-    "conaffinity, and take the body of the sensor, or of the tip, for the tool",
+    "conaffinity, and take the body of the sensor, or of the tip, for the tool"
 )
 def touchable(task: Task) -> Values:
     """Whether the tool is a ghost."""
@@ -942,10 +933,10 @@ def touchable(task: Task) -> Values:
 
 
 @rule(
-    0.1,
-    0.7,
     "{what} weighs {modelled:.4g} kg in the controller's model, {true:.4g} kg in the scene; give "
     "the controller robot.chain, or correct masses (kg) and payload",
+    0.1,
+    0.7,
 )
 def masses(task: Task) -> Values:
     """Logarithm of the ratio of masses."""
@@ -962,10 +953,10 @@ def masses(task: Task) -> Values:
 
 
 @rule(
-    PLACE_DOUBTFUL,
-    PLACE_REFUSED,
     "contact '{name}' is modelled to touch at {point} m, and that is {mm:.3g} mm {side} the "
     "nearest geom, '{geom}'; move the contact's face to the scene's, or the scene's geom",
+    PLACE_DOUBTFUL,
+    PLACE_REFUSED,
 )
 def place(task: Task) -> Values:
     """Distance of a face from the geometry of the scene (m)."""
@@ -977,10 +968,10 @@ def place(task: Task) -> Values:
 
 
 @rule(
-    3.0,
-    30.0,
     "the normal of contact '{name}', {normal} out of the face, is {value:.3g} deg away from that "
     "of '{geom}', {own}; it points out of the body, towards the tool: turn it",
+    3.0,
+    30.0,
 )
 def turn(task: Task) -> Values:
     """Angle (deg) between the modelled normal and the direction in which the scene recedes."""
@@ -1002,10 +993,10 @@ def turn(task: Task) -> Values:
 
 
 @rule(
-    PLACE_DOUBTFUL,
-    PLACE_REFUSED,
     "the tool starts {value:.3g} m inside '{geom}'; begin further away, or correct the tool's "
     "geometry and the contact's radius",
+    PLACE_DOUBTFUL,
+    PLACE_REFUSED,
 )
 def penetration(task: Task) -> Values:
     """Depth of the tool in the scene (m)."""
@@ -1016,10 +1007,10 @@ def penetration(task: Task) -> Values:
 
 
 @rule(
-    PLACE_DOUBTFUL,
-    PLACE_REFUSED,
     "the tool is {away:.3g} mm away from '{geom}', and by the contacts {gap:.3g} mm; correct the "
     "contact's vertex and radius, or the tip",
+    PLACE_DOUBTFUL,
+    PLACE_REFUSED,
 )
 def tool(task: Task) -> Values:
     """Distance of the tool, less the least gap that the contacts name (m)."""
