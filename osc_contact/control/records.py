@@ -233,7 +233,7 @@ _ROUNDING = 2e-4  #: likewise, of a model without errors: of discrete time
 #: of F, D, A and bias, where F, and D and A at 1 rad/s and 1 rad/s², are at most 1: standard
 #: deviation at the start, beside half of what the model says; at most; bound
 _DOUBT = np.array([0.07, 0.07, 0.07, 0.017])
-_SPREAD = np.array([0.5, 0.5, 0.5, 0.3])
+_SPREAD = np.array([0.5, 0.5, 0.5, 0.5])
 _BOUND = np.array([1.0, 20.0, 20.0, 1.0])
 
 

@@ -65,6 +65,8 @@ _QUIET = 0.1  #: of the noise assumed at first; R is not less
 _SEEN = 3.0  #: times the noise; what is in φ with less of θ at its spread is not forgotten
 _SUDDEN = 0.05  #: s; speeds that change by their limit within less are steps
 
+_MASSES = .3  #: of gravity's torque at the start: what wrong masses add to the bias
+
 #: What θ is: nothing yet; as of the model; learned.
 UNKNOWN, MODEL_ONLY, LEARNED = range(3)
 #: What `PAST` keeps of each tick, and `means` the low-passes of.
@@ -167,6 +169,8 @@ def _learn(t, j, rate, dt):
         for i in range(4):
             learned.theta[i] = learned.estimate[i] = joint.theta[i]
             learned.P[i, i] = prior.doubt[i] * prior.doubt[i]
+        weight = _MASSES * t.work.joints[j].h
+        learned.P[3, 3] += weight * weight
     if known[j] == MODEL_ONLY:
         seen = dt if abs(missing) > prior.rounding else -dt
         learned.evidence = max(learned.evidence + seen, 0.0)
@@ -187,7 +191,7 @@ def _learn(t, j, rate, dt):
     moves = min(abs(row.speed), abs(y)) > least and smooth[V] * y > _FOLLOWS * y * y
     rests = abs(smooth[V]) < min(_FOLLOWS * abs(y), _RESTS * least)
     a = smooth[_ACCELERATION]
-    dry = (smooth[TORQUE] - learned.theta[2] * a) * smooth[SIGN]
+    dry = (smooth[TORQUE] - learned.theta[2] * a - learned.theta[3]) * smooth[SIGN]
     excess = dry - largest_friction(t, j)
     sticks = rests and excess > _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
     if (
