@@ -65,7 +65,7 @@ _QUIET = 0.1  #: of the noise assumed at first; R is not less
 _SEEN = 3.0  #: times the noise; what is in φ with less of θ at its spread is not forgotten
 _SUDDEN = 0.05  #: s; speeds that change by their limit within less are steps
 
-_MASSES = .3  #: of gravity's torque at the start: what wrong masses add to the bias
+_MASSES = 0.15  #: of gravity's torque at the start: what wrong masses add to the bias
 
 #: What θ is: nothing yet; as of the model; learned.
 UNKNOWN, MODEL_ONLY, LEARNED = range(3)
