@@ -365,7 +365,7 @@ class Friction(Spec):
     slip: Positive[Velocity] = 0.002
     """v_0, the slip speed from which on friction counts as fully developed; below it the direction
     is not known well enough to push against"""
-    learning: Annotated[NotNegativeNumber, "1/s"] = 10.0
+    learning: Annotated[NotNegativeNumber, "1/s"] = 8.0
     """how fast μ follows what `least_squares` reads while contacts slide; 0: not at all; `filter`
     learns nothing"""
 
