@@ -219,12 +219,16 @@ def survey(out, names):
     return there
 
 
+class TooSlow(BaseException):
+    """A test that is no judge; not an error that a run may handle."""
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
     """In a survey: give up what is slow, note how long the others take."""
 
     def give_up(*_):
-        raise TimeoutError(f"no judge: longer than {SLOW} s")
+        raise TooSlow(f"no judge: longer than {SLOW} s")
 
     signal.signal(signal.SIGPROF, give_up)
     signal.setitimer(signal.ITIMER_PROF, SLOW)
