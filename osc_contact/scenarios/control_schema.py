@@ -424,7 +424,7 @@ class EstimateSpec(Spec):
 
     joint_angular: Annotated[PositiveNumber, "rad/s²"] = 0.8
     """of turning joints"""
-    joint_linear: Annotated[PositiveNumber, "m/s²"] = 0.2
+    joint_linear: Annotated[PositiveNumber, "m/s²"] = 0.5
     """of sliding joints"""
     body_angular: Annotated[PositiveNumber, "rad/s²"] = 0.1
     """of tracked bodies"""
