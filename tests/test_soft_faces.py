@@ -71,11 +71,11 @@ def test_forces_on_a_soft_jig_are_kept(stiffness, measured):
     assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.02).all()
 
 
-@parametrize("stiffness", [1e3, 5e4])
-def test_sensors_of_real_arms_do(stiffness):
+@parametrize("stiffness, most", [(1e3, 0.03), (5e4, 0.02)])
+def test_sensors_of_real_arms_do(stiffness, most):
     found = osc.metrics(osc.run(soft_rig(stiffness, more=[NOISY]).scenario))
     assert found["task"]["word"] == "OK"
-    assert found["force"]["left_end"]["rms_error_rel"] < 0.03
+    assert found["force"]["left_end"]["rms_error_rel"] < most
 
 
 @parametrize("seed", range(6))

@@ -1,4 +1,4 @@
-"""Tuning: found values are better in runs of their own, limits hold, trials continue."""
+"""Tuning: found values are better in separate runs, limits hold, trials continue."""
 
 import numpy as np
 from command_line import answered
