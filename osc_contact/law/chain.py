@@ -60,7 +60,9 @@ UNACTUATED = declare_reason(
 )
 
 
-_EXACT = 1e-12  #: of the variances; a direction in which two arms have less is exact in both
+_GEOMETRY = (
+    0.1  #: of the joint speeds' share in a twist: what errors of the arms' geometry add to it
+)
 
 
 @inner
@@ -128,8 +130,9 @@ def solve_chain(t):
 def _combine_twists(t):
     """V_O of firm grasps from the joint speeds of all arms, whose errors are alike.
 
-    Let these have the variance 1, so that V_i = J_i q̇_i has the covariance G_i = J_i J_iᵀ. With P
-    the covariance of what is known from the arms before,
+    Let these have the variance 1, so that V_i = J_i q̇_i + ε has the covariance
+    G_i = J_i J_iᵀ + ρ_i 1: with exact Jacobians, no twist would satisfy two arms whose locked
+    directions differ. With P the covariance of what is known from the arms before,
 
         K = P (P + G_i)⁻¹,   V ← V + K (V_i − V),   P ← P − K P
     """
@@ -141,14 +144,9 @@ def _combine_twists(t):
     _add_covariance(t, 0, P)
     V = energy_motion(work.axes, work.V_C)
     for k in range(1, t.model.n_arms):
-        trace = 0.0
         for i in range(6):
             fill(S[i], P[i])
         _add_covariance(t, k, S)
-        for i in range(6):
-            trace += S[i, i]
-        for i in range(6):
-            S[i, i] += _EXACT * trace
         if not cholesky(S, 0, 6, S) > 0.0:
             return
         for i in range(6):
@@ -165,12 +163,19 @@ def _combine_twists(t):
 
 @leaf
 def _add_covariance(t, k, G):
-    """G += J_k J_kᵀ; speeds of sliding joints err by `SLIDES` where others err by 1 rad/s."""
+    """G += J_k J_kᵀ + ρ 1, ρ = `_GEOMETRY`² trace(J_k J_kᵀ).
+
+    Speeds of sliding joints err by `SLIDES` where others err by 1 rad/s.
+    """
+    rho = 0.0
     for j in range(t.model.arms[k].first, t.model.arms[k].end):
         J = t.work.joints[j].J
         variance = SLIDES * SLIDES if t.model.joints[j].slides != 0 else 1.0
+        rho += _GEOMETRY * _GEOMETRY * variance * dot6(J, J)
         for i in range(6):
             accumulate(G[i], variance * J[i], J)
+    for i in range(6):
+        G[i, i] += rho
 
 
 @inner
