@@ -356,7 +356,7 @@ def draw(cell: Workcell) -> Figure:
         grid: Data = {"wspace": 0.02, "hspace": 0.1, "width_ratios": [1.22, 1.0], **margins}
         axes = figure.subplot_mosaic("ab;ac", gridspec_kw=grid)
         for (letter, ax), shot, picture in zip(axes.items(), cell.shots(), pictures, strict=True):
-            ax.imshow(picture, interpolation="lanczos")
+            ax.imshow(picture)
             ax.set_title(f"({letter}) {shot.title}", loc="left", size=10.5)
             ax.set_axis_off()
     return figure

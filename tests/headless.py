@@ -18,6 +18,14 @@ class Browser(browser.Browser):
             file.write_bytes(png)
         return pixels_of(Image.open(io.BytesIO(png)))
 
+    def visit(self, address, width=1280, height=860, ready=browser.READY):
+        """Open another page, or the same anew, in a window of this size (CSS pixels)."""
+        screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.request("Emulation.setDeviceMetricsOverride", **screen)
+        for url in ("about:blank", address):
+            self.request("Page.navigate", url=url)
+        self.until(f"document.readyState === 'complete' && {ready}")
+
     def __enter__(self):
         return self
 

@@ -13,7 +13,6 @@ from headless import Browser, near
 from html_pages import Page
 from matplotlib.image import imread
 from numpy.testing import assert_allclose
-from pytest import mark
 from rich.table import Table
 from samples import ROOT, module_fixture
 from scene_samples import read_commands
@@ -181,18 +180,16 @@ def test_the_report_fetches_nothing(report):
     assert sorted(p.name for p in report.parent.iterdir()) == ["report.html"]
 
 
-@module_fixture
-def browser(report):
-    with Browser(report.as_uri(), ready=READY) as opened:
-        yield opened
-        assert opened.errors == []
+def test_it_fits_phones_and_desks_and_unfolds_scenes_that_are_opened(report):
+    with Browser(report.as_uri(), ready=READY) as browser:
+        for width in (390, 1280):
+            assert_fits(browser, report, width)
+        unfold(browser)
+        assert browser.errors == []
 
 
-@mark.parametrize("width", [390, 1280])
-def test_it_fits_phones_and_desks(browser, width):
-    size = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
-    browser.request("Emulation.setDeviceMetricsOverride", **size)
-    browser.until(f"innerWidth === {width}")
+def assert_fits(browser, report, width):
+    browser.visit(report.as_uri(), width, ready=READY)
     assert browser.run("document.documentElement.scrollWidth") == width
     columns = browser.run(
         "getComputedStyle(document.querySelector('#fig1 .pair')).gridTemplateColumns"
@@ -202,7 +199,8 @@ def test_it_fits_phones_and_desks(browser, width):
     browser.until("document.querySelector('#fig1 img').naturalWidth > 0")
 
 
-def test_the_scene_is_unfolded_when_it_is_opened(browser):
+def unfold(browser):
+    """What it opens plays from then on: the browser must not outlive the test."""
     assert browser.run("document.querySelectorAll('iframe').length") == 0, "costs nothing before"
     browser.run("document.querySelector('#run').scrollIntoView()")
     before = near(browser.picture(), contact_colour(0))
