@@ -1,6 +1,6 @@
 """Time the control tick beside its floor and its peers, by size, on the clock, in a whole run.
 
-python -m benchmarks tick | peers | scaling | jitter | law | operational_space |
+python -m benchmarks tick | peers | scaling | jitter | operational_space |
 simulation | many_runs | vector_env | soak | franka
 """
 
@@ -10,10 +10,11 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.measuring import Report, machine, machine_lines
+from benchmarks.measuring import machine, table_from
 from osc_contact.console import JsonOption, exit_codes, out, say
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs.report import write_json
+from paper.study import Data
 
 #: Name of each benchmark, which is that of its module, → ticks where none are given.
 BENCHMARKS: dict[str, int] = {
@@ -21,7 +22,6 @@ BENCHMARKS: dict[str, int] = {
     "peers": 500,
     "scaling": 300,
     "jitter": 4000,
-    "law": 2000,
     "operational_space": 5000,
     "simulation": 10000,
     "soak": 1_800_000,
@@ -33,18 +33,12 @@ BENCHMARKS: dict[str, int] = {
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
 
-def run_benchmark(
-    name: str,
-    ticks: int | None = None,
-    json_file: Path | None = None,
-    tsid_python: Path | None = None,
-) -> Report:
-    """Measure, and write what was found.
+def run_benchmark(name: str, ticks: int | None = None, tsid_python: Path | None = None) -> Data:
+    """Measure: tables, as lists of rows, and numbers by name.
 
     Args:
         name: one of `BENCHMARKS`.
         ticks: timed ticks of each of its cases, or rounds, runs, steps (default: its own).
-        json_file: where to write data, if anywhere.
         tsid_python: interpreter of TSID's environment, for the peers.
 
     Raises:
@@ -58,11 +52,8 @@ def run_benchmark(
     if count < 1:
         raise InvalidInputError(f"{count} ticks give no time; take 1 or more")
     more = () if tsid_python is None else (tsid_python,)
-    found = import_module(f"benchmarks.{name}").measure(count, *more)
-    report = Report({"machine": machine(), **found.data}, found.tables)
-    if json_file is not None:
-        write_json(report.data, json_file)
-    return report
+    found: Data = import_module(f"benchmarks.{name}").measure(count, *more)
+    return {"machine": machine(), **found}
 
 
 @app.command()
@@ -74,10 +65,15 @@ def main(
 ) -> None:
     """Time the control tick beside its floor and its peers, by size, on the clock, in a run."""
     with exit_codes():
-        report = run_benchmark(what, ticks, json_file, tsid_python)
-        say("\n".join(machine_lines(report.data["machine"])))
-        for table in report.tables:
-            out.print(table)
+        data = run_benchmark(what, ticks, tsid_python)
+        if json_file is not None:
+            write_json(data, json_file)
+        say(", ".join(f"{name} {value}" for name, value in data.pop("machine").items()))
+        for name, found in data.items():
+            if isinstance(found, list):
+                out.print(table_from(name, found))
+            else:
+                say(f"{name}: {found}")
 
 
 if __name__ == "__main__":

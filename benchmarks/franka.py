@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 import osc_contact as osc
-from benchmarks.measuring import SHARES, Report, cells
+from benchmarks.measuring import SHARES
 from osc_contact.drivers.franka import FrankaRobot
-from paper.study import Data, table_of
+from paper.study import Data
 
 
-def measure(ticks: int) -> Report:
-    """{"loops": {"plain" | "realtime": report}}, with how each loop ended.
+def measure(ticks: int) -> Data:
+    """{"loops": rows}: times (µs) from a state to its torques, and how each loop ended.
 
     The robot is the server of the tests, in a separate process, at 1 kHz, on the last processor
     alone, as a robot's controller is a computer by itself; the loop has the others. The arm holds
@@ -29,7 +29,7 @@ def measure(ticks: int) -> Report:
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     FrankaServer = import_module("franka_rig").FrankaServer
 
-    loops: dict[str, Data] = {}
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
         *ours, last = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {last})
@@ -51,17 +51,13 @@ def measure(ticks: int) -> Report:
                     found |= loop(robot, controller, hold).as_dict()
                 except osc.PlantError as error:  # as on a machine that does other things, too
                     found |= recorder.recording().meta.get("loop", {}) | {"ended": str(error)}
-                loops[name] = found | {"least_success_rate": robot.least_success_rate}
+                times = found.get("read_to_write_us", dict.fromkeys(SHARES))
+                row = {"loop": name, "ticks": found.get("ticks")} | times
+                row |= {"missed": found.get("missed"), "success rate": robot.least_success_rate}
+                row |= {"notes": ", ".join(found.get("notes", [])), "end": found["ended"]}
+                rows.append(row)
                 robot.close()
         finally:
             server.end()
             os.sched_setaffinity(0, {*ours, last})
-    none: Data = {"read_to_write_us": dict.fromkeys(SHARES, np.nan), "ticks": "–", "missed": "–"}
-    lines = [
-        f"{name}; {loop['ticks']}; {cells(loop['read_to_write_us'], '.0f')}; {loop['missed']}; "
-        f"{loop['least_success_rate']:.2f}; {loop['ended'].replace(';', ',')}"
-        for name, loop in ((name, none | loop) for name, loop in loops.items())
-    ]
-    title = "; ".join(["from a state to its torques, µs", *loops["realtime"].get("notes", [])])
-    columns = f"loop; ticks; {'; '.join(SHARES)}; missed; success rate; end"
-    return Report({"loops": loops}, [table_of(title, columns, lines)])
+    return {"loops": rows}

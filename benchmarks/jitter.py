@@ -2,16 +2,15 @@
 
 import os
 import platform
-from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter_ns, sleep
 
 import numpy as np
 
 from benchmarks.cases import CASES
-from benchmarks.measuring import SHARES, Call, Report, cells, spread
+from benchmarks.measuring import Call, spread
 from osc_contact.spatial import Array
-from paper.study import Data, table_of
+from paper.study import Data
 
 RATES_HZ = (1000, 2000, 5000)
 BLOCKS = 8
@@ -45,8 +44,8 @@ def clocked(body: Call, rate_hz: int, periods: int) -> tuple[Array, Array, int]:
     return late / 1e3, spent / 1e3, missed
 
 
-def measure(periods: int) -> Report:
-    """{"rates": {rate: {"tick" | "empty": {wake_up_us, compute_us, missed}}}}.
+def measure(periods: int) -> Data:
+    """{"rates": rows, "scheduler", "timer slack (µs)", "kernel"}: wake-ups, computing, misses.
 
     The loop with the tick of `two_contact_rod` and the same loop with an empty body take turns in
     blocks, so that both see the same machine; their wake-ups differ by what the tick does to them.
@@ -62,36 +61,21 @@ def measure(periods: int) -> Report:
 
     bodies: dict[str, Call] = {"tick": whole_tick, "empty": lambda: None}
     blocks = min(BLOCKS, periods)
-    rates = {}
+    rows = []
     for rate in RATES_HZ:
         found = [
             [clocked(body, rate, periods // blocks) for body in bodies.values()]
             for _ in range(blocks)
         ]
-        joined = map(_joined, zip(*found, strict=True))
-        rates[str(rate)] = dict(zip(bodies, joined, strict=True))
+        for body, runs in zip(bodies, zip(*found, strict=True), strict=True):
+            late, spent, missed = zip(*runs, strict=True)
+            for what, times in (("wake-up", late), ("compute", spent)):
+                row = {"rate (Hz)": rate, "body": body, "what (µs)": what}
+                rows.append(row | spread(np.concatenate(times)) | {"missed": sum(missed)})
     file = Path("/proc/self/timerslack_ns")  # how much later the kernel may wake this process
-    slack = int(file.read_text()) / 1e3 if file.is_file() else None
-    scheduler = SCHEDULERS.get(os.sched_getscheduler(0), "another")
-    lines = [
-        f"{rate / 1000:g} kHz; {name}; {loop['periods']}; {what}; {cells(loop[key])}; "
-        f"{loop['missed']}"
-        for rate in RATES_HZ
-        for name, loop in rates[str(rate)].items()
-        for what, key in (("wake-up", "wake_up_us"), ("compute", "compute_us"))
-    ]
-    data = {"scheduler": scheduler, "timer_slack_us": slack, "kernel": platform.version()}
-    title = f"absolute deadlines, {scheduler}, timer slack {slack} µs"
-    heads = f"rate; body; periods; what (µs); {'; '.join(SHARES)}; missed"
-    return Report(data | {"rates": rates}, [table_of(title, heads, lines)])
-
-
-def _joined(blocks: Sequence[tuple[Array, Array, int]]) -> Data:
-    late, spent, missed = zip(*blocks, strict=True)
-    wake_up = np.concatenate(late)
     return {
-        "periods": len(wake_up),
-        "wake_up_us": spread(wake_up),
-        "compute_us": spread(np.concatenate(spent)),
-        "missed": sum(missed),
+        "rates": rows,
+        "scheduler": SCHEDULERS.get(os.sched_getscheduler(0), "another"),
+        "timer slack (µs)": int(file.read_text()) / 1e3 if file.is_file() else None,
+        "kernel": platform.version(),
     }

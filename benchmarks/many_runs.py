@@ -12,10 +12,9 @@ from time import thread_time
 import numpy as np
 
 import osc_contact as osc
-from benchmarks.measuring import Report
 from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import make_rows, scenario_of, without_logged_doubts
-from paper.study import table_of
+from paper.study import Data
 
 VARY = (
     "model_error.object_mass=uniform(0.8, 1.2)",
@@ -36,8 +35,8 @@ def study(runs: int, duration: float = DURATION) -> SweepStudy:
     return SweepStudy.of("two_contact_rod", VARY, runs, overrides=(f"duration={duration!r}",))
 
 
-def measure(runs: int) -> Report:
-    """{"row_s", "single_s", "start_s", …}, per unit.
+def measure(runs: int) -> Data:
+    """What a row of a sweep costs, the same run by itself, and a worker until its first row.
 
     Processor time, into which other programs do not count.
 
@@ -46,16 +45,9 @@ def measure(runs: int) -> Report:
     """
     row_s, single_s = time_rows(runs + 1, DURATION)
     start_s = max(0.0, _time_a_start() - row_s)
-    run = f"two_contact_rod, {DURATION:g} s"
     cores = len(os.sched_getaffinity(0))
-    slopes = {
-        f"a row of a sweep, {run}": f"{1e3 * row_s:.3g} ms",
-        "the same run by itself": f"{1e3 * single_s:.3g} ms",
-        "a worker until its first row": f"{start_s:.3g} s",
-        f"1000 rows on {cores} cores, extrapolated": f"{1e3 * row_s / cores:.0f} s",
-    }
     data = {"duration_s": DURATION, "row_s": row_s, "single_s": single_s, "start_s": start_s}
-    return Report(data, [table_of("slopes", "processor time; value", slopes.items())])
+    return data | {f"1000 rows on {cores} cores, extrapolated (s)": 1e3 * row_s / cores}
 
 
 def time_rows(runs: int, duration: float) -> tuple[float, float]:

@@ -3,32 +3,27 @@
 import os
 import platform
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter_ns
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rich.table import Table
 
 from osc_contact.spatial import Array
+from paper.study import Data, table_of
 
 SHARES = {"p50": 50, "p99": 99, "p99_9": 99.9, "max": 100}
 PACKAGES = ("osc-contact", "pin", "numpy", "numba", "mujoco")
 WARM_UP = 5
 Call = Callable[[], object]
+Rows = list[Data]  #: of a table: numbers and words by the heads of its columns
 
 
-class Report(NamedTuple):
-    """What a benchmark found: JSON-able data, tables."""
-
-    data: dict[str, Any]
-    tables: list[Table]
-
-
-def machine() -> dict[str, Any]:
+def machine() -> Data:
     """Processor, cores, system, Python, packages: what numbers were measured on."""
     packages = {}
     for name in PACKAGES:
@@ -40,17 +35,17 @@ def machine() -> dict[str, Any]:
         "cores": len(os.sched_getaffinity(0)),
         "system": platform.platform(terse=True),
         "python": platform.python_version(),
-        "packages": packages,
+        **packages,
     }
 
 
-def machine_lines(about: Mapping[str, Any]) -> tuple[str, str]:
-    """The same in two lines."""
-    packages = ", ".join(f"{name} {version}" for name, version in about["packages"].items())
-    return (
-        f"{about['cpu']}, {about['cores']} cores, {about['system']}",
-        f"Python {about['python']}, {packages}",
-    )
+def table_from(title: str, rows: Rows) -> Table:
+    """The rows of a benchmark as a table; "–" where there is no number."""
+
+    def cell(x: Any) -> str:
+        return "–" if x is None else f"{x:.2f}" if isinstance(x, float) else str(x)
+
+    return table_of(title, "; ".join(rows[0]), (map(cell, row.values()) for row in rows))
 
 
 def take_turns(
@@ -77,16 +72,6 @@ def take_turns(
     return dict(zip(calls, times[WARM_UP:].T / 1e3, strict=True))
 
 
-def joined(blocks: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
-    """Times of several `take_turns` of the same calls, end to end."""
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-
-
 def spread(times: Array) -> dict[str, float]:
     """p50, p99, p99.9 and largest of some times, in their unit."""
     return {name: float(np.percentile(times, share)) for name, share in SHARES.items()}
-
-
-def cells(numbers: Mapping[str, float], form: str = ".1f") -> str:
-    """Numbers as cells of `table_of`."""
-    return "; ".join(format(x, form) for x in numbers.values())

@@ -8,36 +8,28 @@ import pinocchio as pin
 
 import osc_contact as osc
 from benchmarks.cases import PANDA_Q, panda
-from benchmarks.measuring import Call, Report, spread, take_turns
+from benchmarks.measuring import Call, Rows, spread, take_turns
 from osc_contact import robots
-from paper.study import table_of
 
 ROWS = 1000
+FLOOR = "pin.computeAllTerms"
 
 
-def measure(rounds: int) -> Report:
-    """{"cases": {arm: {call: spread}}} (µs), in turns.
+def measure(rounds: int) -> dict[str, Rows]:
+    """{"operational_space": rows} of each arm and call, in turns.
 
     Args:
         rounds: timed calls of each.
     """
-    ur5 = osc.Arm.from_urdf(robots.find_robot("ur5")[0], name="ur5", tip="tool0")
-    cases = {
-        "Panda": (panda("panda", pin.SE3.Identity()), PANDA_Q),
-        "UR5": (ur5, np.array([0.0, -1.2, 1.4, -1.0, -1.5, 0.3])),
-    }
-    found = {name: _time(arm, q, rounds) for name, (arm, q) in cases.items()}
-    lines = [
-        f"{name}; {call}; {times['p50']:.2f}; {times['p99']:.2f}; "
-        f"{times['p50'] / calls['pin.computeAllTerms']['p50']:.2f}"
-        for name, calls in found.items()
-        for call, times in calls.items()
-    ]
-    table = table_of("Λ, μ, p, J, J̄, Φ, h", "arm; call; p50 (µs); p99 (µs); ratio", lines)
-    return Report({"cases": found}, [table])
+    ur5 = osc.Arm.from_urdf(robots.find_robot("ur5")[0], name="UR5", tip="tool0")
+    arms = (
+        (panda("Panda", pin.SE3.Identity()), PANDA_Q),
+        (ur5, np.array([0.0, -1.2, 1.4, -1.0, -1.5, 0.3])),
+    )
+    return {"operational_space": [row for arm, q in arms for row in _time(arm, q, rounds)]}
 
 
-def _time(arm: osc.Arm, q: Any, rounds: int) -> dict[str, dict[str, float]]:
+def _time(arm: osc.Arm, q: Any, rounds: int) -> Rows:
     model = arm.model
     data = model.createData()
     v = np.full(model.nv, 0.3)
@@ -45,7 +37,7 @@ def _time(arm: osc.Arm, q: Any, rounds: int) -> dict[str, dict[str, float]]:
     many = np.tile(q, (ROWS, 1)), np.tile(v, (ROWS, 1))
     batch = osc.operational_space(arm, *many)
     calls: dict[str, Call] = {
-        "pin.computeAllTerms": partial(pin.computeAllTerms, model, data, q, v),
+        FLOOR: partial(pin.computeAllTerms, model, data, q, v),
         "operational_space(…, out=…)": lambda: osc.operational_space(arm, q, v, out=kept),
         "operational_space(…)": partial(osc.operational_space, arm, q, v),
     }
@@ -54,7 +46,11 @@ def _time(arm: osc.Arm, q: Any, rounds: int) -> dict[str, dict[str, float]]:
     times |= take_turns({"with Pinocchio and NumPy": by_hand}, rounds)  # alone in the caches
     rows = take_turns({"": partial(osc.operational_space, arm, *many, batch)}, rounds // 20 + 1)
     times[f"a row of {ROWS}"] = rows[""] / ROWS
-    return {name: spread(found) for name, found in times.items()}
+    floor = np.median(times[FLOOR])
+    return [
+        {"arm": arm.name, "call (µs)": call, **spread(some), "ratio": np.median(some) / floor}
+        for call, some in times.items()
+    ]
 
 
 def _by_hand(model: pin.Model, data: pin.Data, tip: str, q: Any, v: Any) -> object:

@@ -1,7 +1,6 @@
 """The tick beside what else could be run in its place, on the same rigs."""
 
 import json
-import os
 import subprocess
 from dataclasses import replace
 from functools import partial
@@ -15,23 +14,22 @@ import pinocchio as pin
 
 import osc_contact as osc
 from benchmarks.cases import CASES, TickCase, repeatable
-from benchmarks.measuring import Call, Report, cells, joined, spread, take_turns
+from benchmarks.measuring import Call, Rows, spread, take_turns
 from benchmarks.textbook import TextbookLaw
 from osc_contact import robots
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.spatial import Array
 from paper.selection_laws import BASELINES, Instant, best_selection
-from paper.study import Data, table_of
+from paper.study import Data
 
-TSID_PYTHON = "OSC_CONTACT_TSID_PYTHON"
 BLOCKS = 10
 TSID_CASE = "one_panda"
 TICK = "tick"
 FLOOR = "floor: computeAllTerms"
-TSID = "TSID: pose, posture, one contact"
+TOTAL = "TSID: pose, posture, one contact"
 HOW_TO_TSID = (
     'python3 -m venv ENV && ENV/bin/pip install "tsid==1.7.1" "pin==3.4.0" "cmeel-urdfdom<5" '
-    f'"cmeel-tinyxml2<11", then --tsid-python ENV/bin/python (or {TSID_PYTHON})'
+    '"cmeel-tinyxml2<11", then --tsid-python ENV/bin/python'
 )
 
 
@@ -66,75 +64,60 @@ def peers_of(case: TickCase) -> Peers:
     return compiled, python, unwind
 
 
-def measure(rounds: int, tsid_python: Path | None = None) -> Report:
-    """{"cases": {case: {"peers_us": {name: spread}, "ratio": {name: …}}}, "tsid": …}.
+def measure(rounds: int, tsid_python: Path | None = None) -> Data:
+    """{case: rows of its peers, "tsid": rows}, times in µs.
 
     Compiled peers take turns among themselves, those in Python among themselves, in alternating
     blocks: microseconds measured right after a millisecond of Python are those of cold caches.
     `ratio` is a median over the tick's. TSID alternates with its own Pinocchio's floor in another
-    process, twice; between, the tick alternates with its floor alone (`tsid.tick_us`, `.ratio`).
+    process, twice; between, the tick alternates with its floor alone: their ratio is the last row.
 
     Args:
         rounds: of the peers in Python; compiled ones have ten times as many.
-        tsid_python: interpreter of TSID's environment (default: environment variable).
+        tsid_python: interpreter of TSID's environment.
 
     Raises:
         InvalidInputError: TSID's interpreter fails.
     """
-    given = tsid_python or os.environ.get(TSID_PYTHON)
-    cases: Data = {}
-    tsid: Data = {"missing": HOW_TO_TSID}
-    for name in ("two_contact_rod", "one_panda"):
-        with_tsid = name == TSID_CASE and given is not None
+    found: Data = {}
+    for name in (TSID_CASE, "two_contact_rod"):
         peers = peers_of(CASES[name]())
-        times = {peer: spread(found) for peer, found in _in_blocks(peers, rounds).items()}
-        if with_tsid:
-            tsid = _beside_tsid(peers, Path(str(given)), 10 * rounds)
-            times[TSID] = tsid["total_us"]
-        tick = times[TICK]["p50"]
-        cases[name] = {
-            "peers_us": times,
-            "ratio": {peer: t["p50"] / tick for peer, t in times.items()},
-        }
-    tables = []
-    for name, case in cases.items():
-        title = f"{name}: {rounds} rounds, compiled code {10 * rounds}"
-        lines = (
-            f"{peer}; {cells(found)}; {case['ratio'][peer]:.2f}"
-            for peer, found in case["peers_us"].items()
-        )
-        tables.append(table_of(title, "µs; p50; p99; p99.9; max; p50 / tick", lines))
-    tables[-1].caption = (
-        "TSID: {missing}"
-        if "missing" in tsid
-        else "TSID, in its own process: computeProblemData {problem_us[p50]:.1f}, solve "
-        "{solve_us[p50]:.1f}, its floor (pin {pin}) {floor_us[p50]:.1f}; the tick, next to its "
-        "floor alone as TSID is: {tick_us[p50]:.1f}; TSID / tick {ratio:.2f}"
-    ).format(**tsid)
-    return Report({"rounds": rounds, "cases": cases, "tsid": tsid}, tables)
+        times = _in_blocks(peers, rounds)
+        tick = np.median(times[TICK])
+        found[name] = [
+            {"peer": peer, **spread(some), "ratio": np.median(some) / tick}
+            for peer, some in times.items()
+        ]
+        if name == TSID_CASE:
+            found["tsid"] = HOW_TO_TSID
+            if tsid_python is not None:
+                found["tsid"] = _beside_tsid(peers, tsid_python, 10 * rounds)
+    return found
 
 
 def _in_blocks(peers: Peers, rounds: int) -> dict[str, Array]:
     compiled, python, unwind = peers
     blocks = min(BLOCKS, rounds)
-    found: list[dict[str, Array]] = []
+    found = []
     for _ in range(blocks):
         fast = take_turns(compiled, 10 * rounds // blocks, unwind)
         found.append(fast | take_turns(python, max(1, rounds // blocks)))
-    return joined(found)
+    return {name: np.concatenate([block[name] for block in found]) for name in found[0]}
 
 
-def _beside_tsid(peers: Peers, python: Path, rounds: int) -> Data:
+def _beside_tsid(peers: Peers, python: Path, rounds: int) -> Rows:
     """TSID's run that was less disturbed, and the tick in the same pattern: next to its floor."""
     compiled, _, unwind = peers
     first = _tsid(python, rounds)
     alone = {name: compiled[name] for name in (TICK, FLOOR)}
     tick = spread(take_turns(alone, rounds, unwind)[TICK])
-    best = min(first, _tsid(python, rounds), key=lambda run: float(run["total_us"]["p50"]))
-    return best | {"tick_us": tick, "ratio": best["total_us"]["p50"] / tick["p50"]}
+    best = min(first, _tsid(python, rounds), key=lambda run: float(run[TOTAL]["p50"]))
+    rows = [{"part": part, **some} for part, some in (best | {"the tick": tick}).items()]
+    ratio = {share: best[TOTAL][share] / tick[share] for share in tick}
+    return [*rows, {"part": "TSID / tick", **ratio}]
 
 
-def _tsid(python: Path, rounds: int) -> Data:
+def _tsid(python: Path, rounds: int) -> dict[str, dict[str, float]]:
     program = Path(__file__).with_name("tsid_peer.py")
     urdf, _ = robots.find_robot("panda")
     command = [str(python), "-I", str(program), str(urdf), str(rounds)]

@@ -1,22 +1,20 @@
 """How much faster than real time a whole run is, and where its time goes."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
 from time import perf_counter
 from typing import Any
 
 import osc_contact as osc
-from benchmarks.measuring import Report
+from benchmarks.measuring import Rows
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs import recorder
 from osc_contact.runs import run as runs
 from osc_contact.runs.references import References
-from paper.study import table_of
+from paper.study import Data
 
 SCENARIO = "two_contact_rod"
-STEPS = "plant: MuJoCo's steps"
-REST = "the rest"
 RUNS = 3  #: the least disturbed of so many counts
 
 
@@ -64,12 +62,24 @@ class Ledger:
                 setattr(owner, name, function)
 
 
-def measure(ticks: int) -> Report:
-    """{"real_time_factor", "simulated_s", "wall_s", "cpu_s", "us_per_tick": {part: …}, …}.
+def parts_of_ticks(spent: Mapping[str, float], ticks: int, more: Data) -> Rows:
+    """Rows of the parts of a run: µs per tick, and their shares.
+
+    Args:
+        spent: s, by part. ticks: of the run. more: columns before them.
+    """
+    whole = sum(spent.values())
+    return [
+        more | {"part": name, "µs per tick": 1e6 * time / ticks, "share": time / whole}
+        for name, time in spent.items()
+    ]
+
+
+def measure(ticks: int) -> Data:
+    """{"parts": rows, "simulated_s", "wall_s", "cpu_s", "real_time_factor", "watched_wall_s"}.
 
     `two_contact_rod` on MuJoCo as packaged: 0.25 ms steps, 1 kHz control, recording on. Run for the
-    real-time factor, then with its calls timed for the shares; of three runs each the fastest. What
-    MuJoCo's steps take is measured once more by themselves.
+    real-time factor, then with its calls timed for the shares; of three runs each the fastest.
 
     Args:
         ticks: control ticks to simulate.
@@ -83,7 +93,7 @@ def measure(ticks: int) -> Report:
     metas = [runs.run(scenario, duration=duration).meta for _ in range(RUNS)]
     wall, cpu = min((meta["wall_s"], meta["cpu_s"]) for meta in metas)
     calls = [
-        (STEPS, MujocoPlant, "command"),
+        ("plant: MuJoCo's steps", MujocoPlant, "command"),
         ("plant: measurement", MujocoPlant, "measure"),
         ("references", References, "over"),
         ("recorder: a row of numbers", osc.Recorder, "append"),
@@ -95,47 +105,15 @@ def measure(ticks: int) -> Report:
         ledger = Ledger()
         with ledger.watching(calls):
             recording = runs.run(scenario, duration=duration, install=ledger.begin)
-            watched.append((recording.meta["wall_s"], ledger.spent, recording))
-    timed, spent, recording = min(watched, key=lambda run: run[0])
-    spent["tick"] = float(recording["tick_s"].sum())
-    steps = min(_stepped(scenario, recording) for _ in range(RUNS))
-    parts = {name: time / ticks * 1e6 for name, time in spent.items()}
-    parts[REST] = timed / ticks * 1e6 - sum(parts.values())
-    shares = {name: time * ticks / 1e6 / timed for name, time in parts.items()}
-    lines = (f"{name}; {time:.1f}; {100 * shares[name]:.1f} %" for name, time in parts.items())
-    title = f"{SCENARIO}, {duration:g} s in {wall:.2f} s: {duration / wall:.1f} × real time"
-    table = table_of(title, "part; µs per tick; share", lines)
-    table.caption = (
-        f"shares from other runs, {timed / wall:.2f} × as long, with its calls timed"
-        f"; MuJoCo's steps by themselves {steps / ticks * 1e6:.1f} µs"
-    )
-    if cpu < 0.9 * wall:
-        table.caption += (
-            f"; busy machine: a processor worked {cpu:.2f} s, {duration / cpu:.1f} × real time"
-        )
-    data = {
-        "scenario": SCENARIO,
-        "step_s": scenario.plant.step,
-        "rate_hz": scenario.control.rate,
-        "ticks": ticks,
+            tick_s = float(recording["tick_s"].sum())
+            watched.append((recording.meta["wall_s"], ledger.spent | {"tick": tick_s}))
+    timed, spent = min(watched, key=lambda run: run[0])
+    spent["the rest"] = timed - sum(spent.values())
+    return {
+        "parts": parts_of_ticks(spent, ticks, {}),
         "simulated_s": duration,
         "wall_s": wall,
-        "real_time_factor": duration / wall,
         "cpu_s": cpu,
+        "real_time_factor": duration / wall,
         "watched_wall_s": timed,
-        "us_per_tick": parts,
-        "steps_us_per_tick": steps / ticks * 1e6,
-        "shares": shares,
     }
-    return Report(data, [table])
-
-
-def _stepped(scenario: osc.Scenario, recording: osc.Recording) -> float:
-    """What MuJoCo alone takes for the steps of a run (s): the same torques once more."""
-    ledger = Ledger()
-    plant, controller = runs.start(osc.build_rig(scenario))
-    assert isinstance(plant, MujocoPlant)
-    with ledger.watching([("steps", plant._mj, "mj_step")]):
-        for tau in recording["tau"]:
-            plant.command(tau, controller.dt)
-    return ledger.spent["steps"]

@@ -1,20 +1,23 @@
 """The tick of some rigs beside the floor, `pin.computeAllTerms` of the same arms."""
 
 from collections.abc import Callable
+from functools import partial
 
-from benchmarks.cases import BATCHES, CASES, SPECIAL_CASES, BatchCase, TickCase
-from benchmarks.measuring import Report, cells, spread, take_turns
-from paper.study import table_of
+from benchmarks.cases import BATCHES, CASES, SPECIAL_CASES, BatchCase, TickCase, repeatable
+from benchmarks.measuring import Call, Rows, spread, take_turns
+from osc_contact.control.records import STILL
+from osc_contact.law.compiled import rows as law_on_rows
 
 ALL_CASES: dict[str, Callable[[], TickCase | BatchCase]] = {**CASES, **SPECIAL_CASES, **BATCHES}
 FEWER = 20  #: a batch has so many times fewer rounds: each ticks thousands of rows
 
 
-def measure(rounds: int) -> Report:
-    """{"cases": {case: {tick_p50_us, floor_p50_us, ratio, p99_9_us}}}; tick and floor take turns.
+def measure(rounds: int) -> dict[str, Rows]:
+    """{"tick": rows} in µs; tick, the law's one call in it and floor take turns.
 
     Every tick is checked to have ended as the case says. Times of a batch are those of one row:
-    the whole tick, and the floor of all rows, over their number.
+    the whole tick, and the floor of all rows, over their number. The law is timed by itself where
+    nothing else is a case's own.
 
     Args:
         rounds: timed calls of each case.
@@ -22,20 +25,32 @@ def measure(rounds: int) -> Report:
     Raises:
         InvalidInputError: a timed tick ended otherwise.
     """
-    found = {}
+    found = []
     for name, make in ALL_CASES.items():
         case = make()
-        tick, unwind = case.tick()
         rows = getattr(case, "rows", 1)
+        tick, unwind = case.tick()
+        calls = {"tick": tick, "floor": case.floor()}
+        if name in CASES:
+            calls["law"] = law_of(CASES[name]())
         count = rounds if rows == 1 else max(1, rounds // FEWER)
-        times = take_turns({"tick": tick, "floor": case.floor()}, count, unwind)
-        ticks, floors = (spread(some / rows) for some in times.values())
-        found[name] = {
-            "tick_p50_us": ticks["p50"],
-            "floor_p50_us": floors["p50"],
-            "ratio": ticks["p50"] / floors["p50"],
-            "p99_9_us": ticks["p99_9"],
-        }
-    lines = (f"{name}; {cells(row)}" for name, row in found.items())
-    heads = "case; tick p50 (µs); floor p50 (µs); ratio; tick p99.9 (µs)"
-    return Report({"cases": found}, [table_of("tick", heads, lines)])
+        times = take_turns(calls, count, unwind)
+        p50 = {part: spread(some / rows)["p50"] for part, some in times.items()}
+        found.append(
+            {
+                "case": name,
+                **{f"{part} p50 (µs)": p50.get(part) for part in ("tick", "law", "floor")},
+                "tick / floor": p50["tick"] / p50["floor"],
+                "tick p99.9 (µs)": spread(times["tick"] / rows)["p99_9"],
+            }
+        )
+    return {"tick": found}
+
+
+def law_of(case: TickCase) -> Call:
+    """The law's one call in a tick; the state of its loops moves on."""
+    controller = repeatable(case.controller())
+    m, r = case.given
+    controller.tick(m, r)
+    given = (m.q, m.v, m.wrenches, r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, STILL)
+    return partial(law_on_rows(), controller._records.rows.raw, 0, given)

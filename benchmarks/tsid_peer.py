@@ -70,12 +70,10 @@ def main(urdf: str, rounds: int) -> None:
             raise SystemExit(f"TSID found no solution: status {solution.status}")
     setup, solve, floor = times[WARM_UP:].T / 1e3
     found = {
-        "pin": pin.__version__,
-        "variables": law.nVar,
-        "total_us": _spread(setup + solve),
-        "problem_us": _spread(setup),
-        "solve_us": _spread(solve),
-        "floor_us": _spread(floor),
+        "TSID: pose, posture, one contact": _spread(setup + solve),
+        "computeProblemData": _spread(setup),
+        "solve": _spread(solve),
+        f"computeAllTerms of pin {pin.__version__}": _spread(floor),
     }
     print(json.dumps(found))
 

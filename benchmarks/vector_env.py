@@ -5,19 +5,18 @@ from time import perf_counter, process_time
 import numpy as np
 
 import osc_contact as osc
-from benchmarks.measuring import Report
-from benchmarks.simulation import Ledger
+from benchmarks.measuring import Rows
+from benchmarks.simulation import Ledger, parts_of_ticks
 from osc_contact.sweeps.sweep import available_cores
-from paper.study import Data, table_of
+from paper.study import Data
 
 SCENARIO = "panda_edge"
 ROWS = 64
 REST = "set points, observations, rewards"
 
 
-def measure(steps: int) -> Report:
-    """{"cases": [{"threads", "ticks_per_s", "cpu_us_per_tick": {part: …}, "shares",
-    "control_of_the_clock"}], …}.
+def measure(steps: int) -> dict[str, Rows]:
+    """{"rates": rows, "parts": rows}.
 
     64 rows of `panda_edge`: 1 kHz control, four plant steps each, an action every 20 ticks. Of all
     steps the fastest on the clock gives the rate, and the share of it in which torques are
@@ -27,26 +26,14 @@ def measure(steps: int) -> Report:
     Args:
         steps: of the environment.
     """
-    cases = [_case(threads, steps) for threads in sorted({1, available_cores()})]
-    shown = {
-        "control ticks a second": "{ticks_per_s:.0f}",
-        "control, of the clock": "{control_of_the_clock:.0%}",
-        "ticks a second of processor time": "{ticks_per_cpu_s:.0f}",
-        **{
-            name: f"{{cpu_us_per_tick[{name}]:.1f}} µs, {{shares[{name}]:.0%}}"
-            for name in cases[0]["shares"]
-        },
+    found = [_case(threads, steps) for threads in sorted({1, available_cores()})]
+    return {
+        "rates": [rates for rates, _ in found],
+        "parts": [part for _, parts in found for part in parts],
     }
-    table = table_of(
-        f"{ROWS} rows of {SCENARIO}, four plant steps a tick",
-        "; ".join(("", *(f"{case['threads']} threads" for case in cases))),
-        ((name, *(form.format(**case) for case in cases)) for name, form in shown.items()),
-    )
-    table.caption = "parts: processor time of a tick, of all threads"
-    return Report({"scenario": SCENARIO, "rows": ROWS, "cases": cases}, [table])
 
 
-def _case(threads: int, steps: int) -> Data:
+def _case(threads: int, steps: int) -> tuple[Data, Rows]:
     env = osc.make_vector_env(SCENARIO, ROWS, threads=threads)
     env.reset(seed=0)
     hold = np.zeros((ROWS, 7))
@@ -64,14 +51,11 @@ def _case(threads: int, steps: int) -> Data:
             clocks.append((perf_counter() - start, watch.spent["control"]))
             spent.append(ledger.spent)
     clock, control = min(clocks)
-    parts = min(spent, key=lambda spent: sum(spent.values()))
     ticks = ROWS * round(1.0 / (50.0 * env.fleet.dt))
-    whole = sum(parts.values())
-    return {
+    rates = {
         "threads": threads,
-        "ticks_per_s": ticks / clock,
-        "control_of_the_clock": control / clock,
-        "cpu_us_per_tick": {name: spent / ticks * 1e6 for name, spent in parts.items()},
-        "ticks_per_cpu_s": ticks / whole,
-        "shares": {name: spent / whole for name, spent in parts.items()},
+        "control ticks / s": ticks / clock,
+        "control, of the clock": control / clock,
     }
+    least = min(spent, key=lambda spent: sum(spent.values()))
+    return rates, parts_of_ticks(least, ticks, {"threads": threads})
