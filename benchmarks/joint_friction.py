@@ -1,11 +1,15 @@
 """Joint friction that the controller believes wrongly: rms error of the contact force, in MuJoCo.
 
     python -m benchmarks.joint_friction [--only PART] [--workers 2]
+    python -m benchmarks.joint_friction --folder robosuite/models/assets/robots --only MJCF
 
 Each arm presses 10 N on a plate and draws a circle on it at 0.5 Hz, with default gains. Coulomb and
 viscous friction of its joints and their rotors are those of the plant; the controller's model has
 the friction times a factor (0: unknown, where `learning` is asked for). Judged from one second of
 motion on.
+With a folder of MJCF arms that nobody here wrote (a checkout or wheel of robosuite, no dependency):
+the same with the joints of their files, without and with rotors of 0.5 kg m², judged as by the
+verdict. Where the plate stands follows from the posture that `osc-contact new` takes.
 """
 
 from collections.abc import Iterable
@@ -19,11 +23,11 @@ import numpy as np
 import typer
 
 import osc_contact as osc
-from benchmarks.mjcf_arms import draft_press, move_on_wall
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.runs import poses
 from osc_contact.sweeps.sweep import without_logged_doubts
 
+MJCF = ("iiwa", "jaco", "kinova3", "panda", "sawyer", "spot_arm", "ur5e", "xarm7")  #: folders
 TIPS = {"ur10": "tool0", "xarm7": "link7", "panda": "panda_hand_tcp"}
 LEARNS = "control.joint_friction.learning=true"  #: the default where the model has friction
 BELIEVED = {factor: [f"model_error.joint_friction={factor}"] for factor in (1.0, 0.5, 1.5, 0.0)}
@@ -52,15 +56,15 @@ class Case(NamedTuple):
     most: float
 
     @without_logged_doubts()
-    def run(self) -> tuple[float, float, float, str]:
-        """Rms and peak of the force error (%), share of contact (%), verdict.
+    def run(self) -> tuple[float, float, float, float, str]:
+        """Rms and peak of the force error, share of contact, largest overshoot (%), verdict.
 
         Packaged scenarios are judged as by the verdict, without steps.
         """
         try:
             recording = osc.run(osc.load_scenario(_file(self.scenario), list(self.changes)))
         except osc.OscContactError as refusal:
-            return np.nan, np.nan, np.nan, str(refusal)[:60]
+            return np.nan, np.nan, np.nan, np.nan, str(refusal)[:60]
         verdict = osc.metrics(recording)
         if self.scenario in TIPS:
             judged = recording["t"] >= JUDGED_FROM
@@ -74,17 +78,36 @@ class Case(NamedTuple):
                 for key in ("rms_error_rel", "peak_error_rel")
             ]
             found = (*worst, min(verdict["contact_fraction"].values()))
-        rms, peak, closed = (100.0 * float(x) for x in found)
-        return rms, peak, closed, verdict["task"]["word"]
+        overshoot = max((step["overshoot_rel"] for step in verdict["steps"]), default=np.nan)
+        rms, peak, closed, most = (100.0 * float(x) for x in (*found, overshoot))
+        return rms, peak, closed, most, verdict["task"]["word"]
 
 
 @cache
 def _file(scenario: str) -> str:
-    """A packaged scenario, or the draft for a robot."""
-    if scenario not in TIPS:
+    """A packaged scenario, or the draft for a robot that presses 10 N."""
+    if scenario not in TIPS and not scenario.endswith(".xml"):
         return scenario
-    arm = poses.arm_of(scenario, TIPS[scenario])
-    return draft_press(scenario, arm, Path(mkdtemp()) / f"{scenario}.yaml")
+    target = Path(mkdtemp()) / "task.yaml"
+    arm = poses.arm_of(scenario, TIPS.get(scenario, "right_hand"))
+    target.write_text(poses.draft(scenario, arm, poses.Press.parse("Z=10"), None, target))
+    return str(target)
+
+
+def move_on_wall(scenario: str, frequency: float = 0.5, moves: int = 2) -> tuple[str, ...]:
+    """Changes of a drafted scenario: 10 N at once, and a circle (or a line) in the wall's plane.
+
+    Args:
+        scenario: the robot. frequency: Hz. moves: 1: to and fro; 2: a circle.
+    """
+    contact: Any = osc.load_scenario(_file(scenario)).contacts[0]
+    axes = zip(triad(np.array(contact.face.normal)).T[:moves], (0, 90), strict=False)
+    signals = ", ".join(
+        f"{{kind: linear, direction: [{x}, {y}, {z}], signals: [{{type: sine, ramp: 1 s, "
+        f"amplitude: 20 mm, frequency: {frequency} Hz, phase: {phase} deg}}]}}"
+        for (x, y, z), phase in axes
+    )
+    return f"motion=[{signals}]", "force.ball=[{type: constant, value: 10 N}]", "gains={}"
 
 
 def _joints(scenario: str, numbers: Iterable[str]) -> tuple[str, ...]:
@@ -139,7 +162,7 @@ def _drawn(count: int) -> list[Case]:
     out = []
     for i in range(count):
         arm = str(rng.choice(list(TIPS)))
-        motion = move_on_wall(_file(arm), rng.uniform(0.1, 0.8), int(rng.integers(1, 3)))
+        motion = move_on_wall(arm, rng.uniform(0.1, 0.8), int(rng.integers(1, 3)))
         numbers = zip(
             ("friction", "damping", "armature"),
             rng.uniform([0.3, 0.3, 0.05], [1.5, 3.0, 0.2]),
@@ -157,7 +180,7 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
     """Name, most error and changes of each case of an arm."""
 
     def slide(frequency: float = 0.5, moves: int = 2) -> tuple[str, ...]:
-        return (*move_on_wall(_file(arm), frequency, moves), "duration=5 s")
+        return (*move_on_wall(arm, frequency, moves), "duration=5 s")
 
     rotors = _joints(arm, ROTORS)
     smooth = _joints(arm, ("friction=0.0", "damping=0.0", "armature=0.1"))
@@ -188,18 +211,31 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
     yield f"force step {arm} x0.5", 3.0, (*still, step, "duration=4 s")
 
 
-def main(only: str = "", workers: int = 2) -> None:
+def _of_mjcf(folder: Path) -> Iterable[Case]:
+    for name in MJCF:
+        robot = str(folder / name / "robot.xml")
+        moves = (*move_on_wall(robot), "duration=3 s")
+        yield Case(f"MJCF {name}", robot, moves, 0.5)
+        for inertia in (0.0, 0.5):
+            rotors = _joints(robot, [f"armature={inertia}"])
+            yield Case(f"MJCF {name}, rotors {inertia}", robot, (*moves, *rotors), 0.5)
+
+
+def main(only: str = "", workers: int = 2, folder: Path | None = None) -> None:
     """Print the table.
 
     Args:
         only: rows whose name contains this.
     """
-    rows = [case for case in cases() if only in case.name]
-    print(f"{'case':40} rms %  wanted   peak %  contact %  verdict")
+    others = [] if folder is None else _of_mjcf(folder)
+    rows = [case for case in (*cases(), *others) if only in case.name]
+    print(f"{'case':40}   rms %  wanted   peak %  contact %  overshoot %  verdict")
     with ProcessPoolExecutor(workers) as pool:
-        for case, (rms, peak, closed, word) in zip(rows, pool.map(Case.run, rows), strict=True):
+        for case, found in zip(rows, pool.map(Case.run, rows), strict=True):
+            rms, peak, closed, overshoot, word = found
             print(
-                f"{case.name:40} {rms:5.2f}  {case.most:6.2f}  {peak:7.1f}  {closed:9.1f}  {word}",
+                f"{case.name:40} {rms:7.4f}  {case.most:6.2f}  {peak:7.1f}  {closed:9.1f}"
+                f"  {overshoot:11.1f}  {word}",
                 flush=True,
             )
 
