@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -240,8 +240,62 @@ def _unit(x: Array) -> Array:
 # --- Any number of arms around one object, with contacts, made up at random in code ---
 
 
-#: Degree of freedom of an object held by arms of a kind.
-KINDS = {"planar": 3, "scara": 4, "ur5": 6}
+class Kind(NamedTuple):
+    """Serial arms whose joints turn (one may slide) about their z, with links of 1 to 3 kg.
+
+    Attributes:
+        joints: quarter turns about x, and x, y, z in the joint before (m). tip: in the last (m).
+        q, spread: positions, and how far from them they are drawn. sliding: the joint along z.
+    """
+
+    joints: Sequence[tuple[float, ...]]
+    tip: tuple[float, float, float]
+    q: tuple[float, ...]
+    spread: tuple[float, ...]
+    sliding: int | None = None
+
+    def draw(self, rng: np.random.Generator) -> tuple[pin.Model, Array]:
+        """An arm, its lengths varied by a tenth, and its positions (n,)."""
+        model = pin.Model()
+        last = 0
+        for i, (quarters, *p) in enumerate(self.joints):
+            joint = pin.JointModelPZ() if i == self.sliding else pin.JointModelRZ()
+            R = pin.rpy.rpyToMatrix(quarters * np.pi / 2, 0.0, 0.0)
+            place = pin.SE3(R, rng.uniform(0.9, 1.1) * np.array(p))
+            last = model.addJoint(last, joint, place, f"joint{i}")
+            body = pin.Inertia(rng.uniform(1.0, 3.0), rng.uniform(-0.1, 0.1, 3), 0.02 * np.eye(3))
+            model.appendBodyToJoint(last, body, pin.SE3.Identity())
+        model.upperEffortLimit[:] = 1e4
+        for name, point in {"wrist": (0.0, 0.0, 0.0), "tip": self.tip}.items():
+            X = pin.SE3(np.eye(3), np.array(point))
+            model.addFrame(pin.Frame(name, last, 0, X, pin.FrameType.OP_FRAME))
+        return model, np.array(self.q) + self.spread * rng.uniform(-1.0, 1.0, len(self.q))
+
+
+_REACH = (0, 0.325, 0, 0)
+KINDS = {
+    "planar": Kind([(0, 0, 0, 0), _REACH, _REACH], (0.325, 0, 0), (0, 1.4, 1.4), (3, 0.4, 0.4)),
+    "scara": Kind(
+        [(0, 0, 0, 0.4), _REACH, _REACH, (0, 0, 0, -0.2)],
+        (0.05, 0, -0.1),
+        (0, 1.3, -0.1, 0),
+        (3, 0.7, 0, 3),
+        sliding=2,
+    ),
+    "ur5": Kind(
+        [
+            (0, 0, 0, 0.089),
+            (1, 0, 0, 0),
+            (0, 0.425, 0, 0),
+            (0, 0.392, 0, 0.109),
+            (1, 0, -0.095, 0),
+            (-1, 0, 0.082, 0),
+        ],
+        (0, 0, 0.12),
+        (0, -1.2, 1.4, -1, -1.5, 0.3),
+        (0.3,) * 6,
+    ),
+}
 BODY = pin.Inertia(4.0, np.array([0.01, -0.02, 0.015]), np.diag([0.09, 0.11, 0.14]))
 
 
@@ -267,7 +321,7 @@ class RandomRig:
         grasps = []
         positions = []
         for i, kind in enumerate(kinds):
-            model, q = _MAKE[kind](rng)
+            model, q = KINDS[kind].draw(rng)
             angle = 2.0 * np.pi * i / len(kinds)
             grip = 0.2 * np.array([np.cos(angle), np.sin(angle), 0.0])
             X_OT = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, rng.uniform(-3.0, 3.0)), grip)
@@ -330,58 +384,6 @@ def _another(
     drawn = [(rng.uniform(-0.3, 0.3, 3), rng.normal(size=3)) for _ in range(30)]
     name = f"face{len(pairs)}"
     return max((VertexOnFace(p, rig.X_WO.act(p), n, name=name) for p, n in drawn), key=apart)
-
-
-def _planar(rng: np.random.Generator) -> tuple[pin.Model, Array]:
-    a, b, c = rng.uniform(0.25, 0.4, 3)
-    q = np.array([rng.uniform(-3, 3), *rng.uniform(1.0, 1.8, 2)])  # well bent
-    return _chain([(0, 0, 0, 0), (0, a, 0, 0), (0, b, 0, 0)], (c, 0.0, 0.0), rng), q
-
-
-def _scara(rng: np.random.Generator) -> tuple[pin.Model, Array]:
-    a, b = rng.uniform(0.25, 0.4, 2)
-    joints = [(0, 0, 0, 0.4), (0, a, 0, 0), (0, b, 0, 0), (0, 0, 0, -0.2)]
-    q = np.array([rng.uniform(-3, 3), rng.uniform(0.6, 2.0), -0.1, rng.uniform(-3, 3)])
-    return _chain(joints, (0.05, 0.0, -0.1), rng, sliding=2), q
-
-
-def _ur5(rng: np.random.Generator) -> tuple[pin.Model, Array]:
-    """Six revolute joints with the proportions of a UR5, lengths varied by a tenth."""
-    lengths = np.array([0.089, 0.425, 0.392, 0.109, 0.095, 0.082])
-    a, b, c, d, e, f = lengths * rng.uniform(0.9, 1.1, 6)
-    joints = [(0, 0, 0, a), (1, 0, 0, 0), (0, b, 0, 0), (0, c, 0, d), (1, 0, -e, 0), (-1, 0, f, 0)]
-    q = np.array([0.0, -1.2, 1.4, -1.0, -1.5, 0.3]) + rng.uniform(-0.3, 0.3, 6)
-    return _chain(joints, (0.0, 0.0, 0.12), rng), q
-
-
-_MAKE = {"planar": _planar, "scara": _scara, "ur5": _ur5}
-
-
-def _chain(
-    joints: Sequence[tuple[float, ...]],
-    tip: tuple[float, float, float],
-    rng: np.random.Generator,
-    sliding: int | None = None,
-) -> pin.Model:
-    """A serial arm of joints about (one of them along) their z; links of 1 to 3 kg.
-
-    Args:
-        joints: quarter turns about x, and x, y, z in the joint before (m). tip: in the last (m).
-        rng: random numbers. sliding: the joint along z.
-    """
-    model = pin.Model()
-    last = 0
-    for i, (quarters, *p) in enumerate(joints):
-        joint = pin.JointModelPZ() if i == sliding else pin.JointModelRZ()
-        R = pin.rpy.rpyToMatrix(quarters * np.pi / 2, 0.0, 0.0)
-        last = model.addJoint(last, joint, pin.SE3(R, np.array(p)), f"joint{i}")
-        body = pin.Inertia(rng.uniform(1.0, 3.0), rng.uniform(-0.1, 0.1, 3), 0.02 * np.eye(3))
-        model.appendBodyToJoint(last, body, pin.SE3.Identity())
-    model.upperEffortLimit[:] = 1e4
-    for name, point in {"wrist": (0.0, 0.0, 0.0), "tip": tip}.items():
-        X = pin.SE3(np.eye(3), np.array(point))
-        model.addFrame(pin.Frame(name, last, 0, X, pin.FrameType.OP_FRAME))
-    return model
 
 
 # --- Rigs in trouble or with more switched on than usual, and many rigs at once ---

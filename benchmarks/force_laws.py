@@ -5,8 +5,8 @@
 A Panda presses its finger on a wall and moves along it, in MuJoCo at 1 kHz: the cases of
 `hybrid_cases` with friction, steps at rest, and a wall that is touched with the arm nearly
 stretched. Newton's and robosuite's laws are those of their packages; Isaac Lab's and CRISP's are
-rebuilt from their sources. Every law but ours reads its model (pose, J, M, gravity) from the
-simulator itself, as Isaac Lab's does, and the true contact force. Laws that feed forces back do it
+rebuilt from their sources. Every law but ours has the simulator's model (pose, J, M, gravity) of
+arm and finger, as Isaac Lab's does, and the true contact force. Laws that feed forces back do it
 with Isaac Lab's gain of 0.1; the gains of the motion are those of the case, except CRISP's, which
 are its defaults in N/m.
 """
@@ -26,7 +26,7 @@ from rich.console import Console
 import osc_contact as osc
 from benchmarks.hybrid_cases import CASES, Case, goal_times, scenario_of
 from osc_contact.spatial import Array, pose_error
-from paper.study import table_of
+from paper.study import table_of, with_object
 
 FEEDBACK = 0.1  #: of forces, Isaac Lab's tests
 POSTURE = 10.0  #: 1/s², critically damped, in the null space; robosuite's and Newton's alike
@@ -54,36 +54,27 @@ class Sight:
         error: (6,) from the tool to its goal (m, rad), world axes.
     """
 
-    def __init__(self, plant: Any, data: Any, axis: Array, reference: osc.Reference) -> None:
+    def __init__(
+        self, plant: Any, held: tuple[pin.Model, int], axis: Array, reference: osc.Reference
+    ) -> None:
         """Now, with what is desired.
 
         Args:
-            plant: in MuJoCo. data: scratch of its model. axis: into the wall.
-            reference: what is desired.
+            plant: in MuJoCo. held: model of the arm with its finger, and the tool's frame.
+            axis: into the wall. reference: what is desired.
         """
-        import mujoco as mj
-
-        model = plant.model
-        body = plant.object_body
-        n = model.nv
-        self.gravity, bias = np.zeros((2, n))
-        self.M = np.zeros((n, n))
-        self.J = np.zeros((6, n))
-        data.qpos[:] = plant.data.qpos
-        data.qvel[:] = 0.0
-        mj.mj_fwdPosition(model, data)
-        mj.mj_rne(model, data, 0, self.gravity)
-        data.qvel[:] = plant.data.qvel
-        mj.mj_fwdVelocity(model, data)
-        mj.mj_rne(model, data, 0, bias)
-        for row, unit in zip(self.M, np.eye(n), strict=True):
-            mj.mj_mulM(model, data, row, unit)
-        mj.mj_jacBody(model, data, self.J[:3], self.J[3:], body)
-        self.q = data.qpos.copy()
-        self.v = data.qvel.copy()
-        self.X = pin.SE3(data.xmat[body].reshape(3, 3).copy(), data.xpos[body].copy())
+        model, tool = held
+        data = model.createData()
+        now = plant.measure()
+        self.q = now.q
+        self.v = now.v
+        pin.computeAllTerms(model, data, now.q, now.v)
+        self.J = pin.getFrameJacobian(model, data, tool, pin.LOCAL_WORLD_ALIGNED)
+        self.X = pin.updateFramePlacement(model, data, tool)
+        self.M = np.array(data.M)
+        self.gravity = np.array(data.g)
+        self.coriolis = data.nle - self.gravity
         self.V = self.J @ self.v
-        self.coriolis = bias - self.gravity
         self.force = float(plant.truth().alpha[0])
         self.axis = axis
         self.goal = reference.X_WD
@@ -318,25 +309,23 @@ class Done(NamedTuple):
 
 def follow(scenario: osc.Scenario, case: Case, makes: Makes | None, steps: bool = False) -> Done:
     """Run a law: through the task, or at rest with a step of the force and one of the motion."""
-    import mujoco
-
     rig = osc.build_rig(scenario)
     plant: Any = rig.plant()
     controller = rig.controller()
+    held = with_object(rig.chain)
     axis = -case.normal
     turn = _frame(axis)
-    data = mujoco.MjData(plant.model)
     period = controller.dt
     count = round((3 * STEP_S if steps else scenario.duration) * scenario.control.rate)
     references = _steps(rig, turn, count, period) if steps else rig.references.each(count, period)
     first = rig.references.at(0.0)
     plant.hold(controller.tick(plant.measure(), first))
-    law = None if makes is None else makes(Sight(plant, data, axis, first), case)
+    law = None if makes is None else makes(Sight(plant, held, axis, first), case)
     limits = rig.chain.model.upperEffortLimit
     rows = []
     for reference in references:
         measured = plant.measure()
-        sight = Sight(plant, data, axis, reference)
+        sight = Sight(plant, held, axis, reference)
         begin = perf_counter()
         tau = controller.tick(measured, reference) if law is None else law(sight)
         took = 1e6 * (perf_counter() - begin)

@@ -20,7 +20,7 @@ from osc_contact import robots
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.spatial import Array
 from paper.selection_laws import BASELINES, Instant, best_selection
-from paper.study import Data
+from paper.study import Data, with_object
 
 BLOCKS = 10
 TSID_CASE = "one_panda"
@@ -145,14 +145,12 @@ def constraint_dynamics(case: TickCase) -> Call:
     the redundant rows of the loop.
     """
     chain = case.chain
-    assert chain.payload is not None
-    model = chain.model.copy()
+    model, _ = with_object(chain)
     ends = []
-    for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
-        tip = model.frames[model.getFrameId(f"{arm.name}/{arm.tip}")]
+    for number, grasp in zip(chain.tips, chain.grasps, strict=True):
+        tip = model.frames[number]
         ends.append((tip.parentJoint, tip.placement * grasp.X_TO))
     (first, at), *others = ends
-    model.appendBodyToJoint(first, chain.payload.inertia, at)
     data = model.createData()
     q = case.measurement.q
     v = case.measurement.v

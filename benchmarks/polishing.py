@@ -19,7 +19,7 @@ import osc_contact as osc
 from osc_contact.spatial import Array
 from osc_contact.sweeps.vector_env import ContactVectorEnv
 from osc_contact.visual.plots import save, style
-from paper.study import table_of
+from paper.study import table_of, with_object
 
 LENGTH = 0.1
 BEFORE = 0.2
@@ -172,6 +172,7 @@ class SelectionRows:
         self._fleet = env.fleet
         self._gains = gains
         self._chains = [one.chain for one in env.fleet.control._settings]
+        self._models = [with_object(chain) for chain in self._chains]
         self._rest = env.fleet.measure()[0]
         self._sum, self.alpha_meas, self.normal_speed = np.zeros((3, env.num_envs, 1))
         self.state = np.full(env.num_envs, int(osc.SafetyState.RUN))
@@ -180,6 +181,7 @@ class SelectionRows:
     def replace(self, row: int, controller: Any) -> None:
         """A row begins anew, with the model of this controller."""
         self._chains[row] = controller.settings.chain
+        self._models[row] = with_object(controller.settings.chain)
         self._sum[row] = 0.0
 
     def tick(
@@ -196,7 +198,7 @@ class SelectionRows:
         """Torques (B, n_a); arguments as of `BatchController.tick`."""
         k = self._gains
         p, R = self._fleet.objects()
-        looks = [self._look(i, q[i], p[i], R[i], wrenches[i, 0]) for i in range(len(q))]
+        looks = [self._look(i, q[i], wrenches[i, 0]) for i in range(len(q))]
         J, tau, alpha = (np.array(part) for part in zip(*looks, strict=True))
         self.alpha_meas[:, 0] = alpha
         turns = [pin.log3(X[:3, :3] @ now.T) for X, now in zip(X_WD, R, strict=True)]
@@ -212,25 +214,17 @@ class SelectionRows:
         force -= seen[..., 0]  # τ_0 = (1 − JᵀJᵀ⁺) idle
         return tau + np.einsum("bij,bi->bj", J, force) + idle
 
-    def _look(
-        self, row: int, q: Array, p: Array, R: Array, wrench: Array
-    ) -> tuple[Array, Array, float]:
+    def _look(self, row: int, q: Array, wrench: Array) -> tuple[Array, Array, float]:
         """J at the operational point, torques that carry arm and bar, the force that is read."""
         chain = self._chains[row]
-        model = chain.model
-        data = chain.data
-        tip = chain.tips[0]
+        model, at = self._models[row]
+        data = model.createData()
         weight = np.array(pin.computeGeneralizedGravity(model, data, q))
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        J = pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)
-        J[:3] -= pin.skew(p - data.oMf[tip].translation) @ J[3:]
-        bar = chain.payload.inertia
-        g = model.gravity.linear
-        lift = np.concatenate((-bar.mass * g, np.cross(R @ bar.lever, -bar.mass * g)))
-        beyond = bar.mass + sum(link.inertia.mass for link in chain.outboard[0])
-        read = data.oMf[chain.sensors[0]].rotation @ wrench[:3] + beyond * g
-        return J, weight + J.T @ lift, float(INTO @ read)
+        J = pin.computeFrameJacobian(model, data, q, at, pin.LOCAL_WORLD_ALIGNED)
+        sensor = pin.updateFramePlacement(model, data, chain.sensors[0])
+        beyond = sum(link.inertia.mass for link in (*chain.outboard[0], chain.payload))
+        read = sensor.rotation @ wrench[:3] + beyond * model.gravity.linear
+        return J, weight, float(INTO @ read)
 
 
 # --- An evolution strategy in plain NumPy: it sees what each policy is worth, and nothing else ---

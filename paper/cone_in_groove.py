@@ -17,10 +17,8 @@ from matplotlib.figure import Figure
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import lines_of_force
-from osc_contact.runs.run import start
 from osc_contact.spatial import Array, cross
-from osc_contact.visual import OKABE_ITO, contact_colour
-from osc_contact.visual.plots import legend, panels, style
+from osc_contact.visual import OKABE_ITO, plots
 from osc_contact.visual.scene import eye
 from paper.contact_pictures import (
     FACE,
@@ -35,7 +33,7 @@ from paper.contact_pictures import (
     write,
 )
 from paper.statements import Answer
-from paper.study import PANDA, Ask, Data, Study, table_of, ticks
+from paper.study import PANDA, Ask, Data, Study, table_of
 
 # --- A cone in a V groove: shapes, contact, and the forces with which it presses on the walls ---
 
@@ -177,22 +175,16 @@ class ConeRun(NamedTuple):
     """What one run gave.
 
     Attributes:
-        seat: where the cone lies. step_times: of the wall forces (s).
-        t: (k,) s.
-        wall_d, wall: (k, 4) desired and true pushes at the ends of the lines of contact (N), just
-            after the torques have changed: the difference is what the arm's motion makes of them
-            within a period (it halves with the period), and the integral action on it.
-        motion_d, motion: (k, 2) desired and true turn (rad) and slide (m).
+        recording: of the run.
+        walls: of it, but with desired, read and true pushes at the ends of the lines of contact
+            (N) as its forces, each just before the torques change: true minus desired is what the
+            arm's motion makes of them within a period (it halves with the period), and the integral
+            action on it.
         data: the verdict, for JSON.
     """
 
-    seat: Seat
-    step_times: tuple[float, ...]
-    t: Array
-    wall_d: Array
-    wall: Array
-    motion_d: Array
-    motion: Array
+    recording: osc.Recording
+    walls: osc.Recording
     data: Data
 
 
@@ -221,30 +213,36 @@ def run(
             f"run it longer, and probe not more often than every {PERIOD:g} s"
         )
     seat = Seat()
-    rig = osc.build_rig(cone_scenario(seat, duration, step_times, moving))
-    plant, controller = start(rig)
-    t = np.arange(round(duration / PERIOD)) * PERIOD
-    plan = rig.references.over(t)
+    scenario = cone_scenario(seat, duration, step_times, moving)
+    rig = osc.build_rig(scenario)
+    recording = osc.run(scenario)
+    t = recording["t"]
+    plan = list(rig.references.over(t))
     R = seat.from_wall_forces
-    every = round(probe_s / PERIOD)
-    rows = []
+    plant: Any = rig.plant()
+    controller = rig.controller()
     probes = []
-    for measurement, reference, truth in ticks(plant, controller, plan):
-        N = controller.signals.contact.N
-        rows.append((N, truth.alpha, truth.V_O, seat.motion(truth.X_WO), int(controller.status)))
-        if len(rows) % every == 0:
-            probes.append(couplings(controller, plant, measurement, reference, R))
-    N, alpha, V_O, motion, status = (np.array(column) for column in zip(*rows, strict=True))
+    for k in range(round(probe_s / PERIOD) - 1, len(t), round(probe_s / PERIOD)):
+        plant.q = recording["q"][k]
+        plant.v = recording["v"][k]
+        plant.hold(recording["tau"][k])
+        probes.append(couplings(controller, plant, plant.measure(), plan[k], R))
     to_motion, to_force = (np.max(part) for part in zip(*probes, strict=True))
     to_walls = np.linalg.inv(R).T
-    wall = alpha @ to_walls
-    wall_d = plan.alpha_d @ to_walls
-    motion_d = np.array([seat.motion(reference.X_WD) for reference in plan])
+    desired, read = (recording[name][:-1] @ to_walls for name in ("alpha_cmd", "alpha_meas"))
+    true = recording["alpha_true"][1:] @ to_walls
+    channels = {"t": t[:-1], "alpha_cmd": desired, "alpha_meas": read, "alpha_true": true}
+    walls = osc.Recording(recording.meta | {"contact_names": ["push on the walls"]}, channels)
+    poses = [pin.XYZQUATToSE3(pose) for pose in recording["pose"]]
+    motion, wanted = (
+        np.array([seat.motion(X) for X in some]) for some in (poses, [one.X_WD for one in plan])
+    )
     judged = t >= SETTLE_S
-    force_error = (wall - wall_d)[judged]
-    turn_rms, slide_rms = _rms((motion - motion_d)[judged])
+    late = judged[:-1]
+    force_error = (true - desired)[late]
+    turn_rms, slide_rms = _rms((motion - wanted)[judged])
     turned, slid = np.ptp(motion, axis=0).tolist()
-    power = np.einsum("kir,kr,ki->k", N, alpha, V_O)[judged]
+    N = recording["N"]
     frame = seat.raibert_craig
     data = {
         "r": seat.contact.r,
@@ -257,19 +255,19 @@ def run(
         "duration_s": len(t) * PERIOD,
         "wall_force_rms_N": _rms(force_error),
         "wall_force_peak_error_N": float(np.abs(force_error).max()),
-        "wall_force_least_N": float(wall[judged].min()),
+        "wall_force_least_N": float(true[late].min()),
         "turn_rms_rad": turn_rms,
         "slide_rms_m": slide_rms,
         "turned_rad": turned,
         "slid_m": slid,
         "force_step_to_motion": float(to_motion),
         "motion_step_to_force": float(to_force),
-        "contact_power_W": float(np.abs(power).max()),
+        "contact_power_W": float(np.abs(recording["power_projected"][judged]).max()),
         "N_change_per_tick": float(np.abs(np.diff(N, axis=0)).max()),
         "N_second_difference": float(np.abs(np.diff(N, 2, axis=0)).max()),
-        "ticks_not_ok": int(np.count_nonzero(status)),
+        "ticks_not_ok": int(np.count_nonzero(recording["status"])),
     }
-    return ConeRun(seat, step_times, t, wall_d, wall, motion_d, motion, data)
+    return ConeRun(recording, walls, data)
 
 
 def couplings(
@@ -347,7 +345,7 @@ def draw_state(seat: Seat) -> Figure:
         fill_text(frame.reason, 52),
         f"(nearest frame: {np.rad2deg(np.arcsin(frame.residual)):.0f}° off, moments per height)",
     )
-    with style():
+    with plots.style():
         room = (-0.02, -0.06, 0.68, 1.0)
         middle = apex + 0.85 * h * seat.axis
         figure, ax = orthographic((10.5, 6.2), room, middle, 1.25 * h, zoom=1.5)
@@ -425,42 +423,6 @@ def _draw_axes(ax: Any, seat: Seat) -> None:
     write(ax, apex + 1.43 * h * middle, f"{np.rad2deg(angle):.0f}°", "#333333", 11, bbox=HALO)
 
 
-def draw_run(result: ConeRun) -> Figure:
-    """Four forces and two motions controlled at once: desired, true and errors."""
-    t = result.t
-    black: Data = {"color": "black", "lw": 1.0, "ls": (0, (4, 3)), "zorder": 3}
-    with style():
-        figure, axes = panels(5, 1.55)
-        forces, force_errors, turn, slide, motion_errors = axes
-        for i, (true, desired) in enumerate(zip(result.wall.T, result.wall_d.T, strict=True)):
-            colour = contact_colour(i)
-            forces.plot(t, true, color=colour, lw=2.0, label=rf"$f_{{c{i + 1}}}$")
-            forces.plot(t, desired, **black)
-            force_errors.plot(t, 1e3 * (true - desired), color=colour, lw=0.9)
-        forces.plot([], [], **black, label="desired")
-        forces.set(ylabel="force (N)", title="A Panda presses the cone on both walls …")
-        force_errors.set(ylabel="true − desired\n(mN)")
-        rows = (
-            (turn, 180 / np.pi, "turn $t_1$ (°)", "turn (µrad)"),
-            (slide, 1e3, "slide $t_2$ (mm)", "slide (µm)"),
-        )
-        for k, (ax, scale, name, micro) in enumerate(rows):
-            colour = contact_colour(4 + k)
-            true, desired = result.motion[:, k], result.motion_d[:, k]
-            ax.plot(t, scale * true, color=colour, lw=2.0, label="true")
-            ax.plot(t, scale * desired, **black, label="desired")
-            ax.set(ylabel=name)
-            motion_errors.plot(t, 1e6 * (true - desired), color=colour, lw=1.1, label=micro)
-        turn.set_title("… while it turns and slides", fontsize=10)
-        motion_errors.set(ylabel="true − desired\n(µrad, µm)", xlabel="time (s)")
-        for ax in axes:
-            for step in result.step_times:
-                ax.axvline(step, color="#999999", lw=0.8, ls=":", zorder=1)
-            if ax is not force_errors:
-                legend(ax)
-    return figure
-
-
 def study(ask: Ask) -> Study:
     """Fig. 2: the run, its numbers, and what they say to the paper's statements."""
     result = run(ask.lasting(5.0))
@@ -490,5 +452,9 @@ def study(ask: Ask) -> Study:
         "frame": Answer(f"No frame: {frame['reason']}.", not frame["describes_it"]),
     }
     title = "fig. 2: a Panda turns a cone in its groove"
-    figures = {"fig2": draw_state(result.seat), "fig2_run": draw_run(result)}
+    figures = {
+        "fig2": draw_state(Seat()),
+        "fig2_forces": plots.contact_forces(result.walls),
+        "fig2_motion": plots.tracking(result.recording, SETTLE_S),
+    }
     return Study(figures, table_of(title, "quantity; value", rows.items()), data, answers)

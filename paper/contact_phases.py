@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 import osc_contact as osc
 from osc_contact.spatial import Array
-from osc_contact.visual import OKABE_ITO, contact_colour
-from osc_contact.visual.plots import legend, panels, style
+from osc_contact.visual import OKABE_ITO, contact_colour, plots
 from paper.statements import Answer
 from paper.study import Ask, Data, Study, table_of, words_of
 
@@ -111,11 +110,6 @@ def answers(recording: osc.Recording) -> dict[str, Answer]:
     }
 
 
-def effort_limits(recording: osc.Recording) -> Array:
-    """(n_a,) effort limits."""
-    return np.array(list(recording.meta["effort_limits"].values()))
-
-
 def land(seed: int, changes: Sequence[str] = ()) -> tuple[Data, osc.Recording]:
     """Run `approach_and_slide` from a start of its own: another standoff, another tilt.
 
@@ -145,7 +139,7 @@ def land(seed: int, changes: Sequence[str] = ()) -> tuple[Data, osc.Recording]:
     first = [int(np.argmax(c)) if c.any() else len(closed) for c in closed.T]
     settled = max(first) + round(0.05 * rate)
     kept = settled < leave and bool(closed[settled:leave].all())
-    steps = np.abs(np.diff(r["tau"], axis=0)) / effort_limits(r)
+    steps = np.abs(np.diff(r["tau"], axis=0)) / list(r.meta["effort_limits"].values())
     error = (force - command)[settled + 150 : leave]
     data = {
         "seed": seed,
@@ -162,46 +156,35 @@ def land(seed: int, changes: Sequence[str] = ()) -> tuple[Data, osc.Recording]:
 
 
 def draw_collisions(recording: osc.Recording) -> Figure:
-    """Fig. 7: total and projected power on one scale; below, the true contact forces.
+    """Fig. 7: total and projected power as in fig. 6.
 
     Triangles: collisions as the plant knows them; the monitor flagged the filled ones in 20 ms.
     Shaded: a contact is open, and N assumes what is not there.
     """
-    t = recording["t"]
     hits = collisions(recording)
-    total = recording["power_total"]
-    projected = recording["power_projected"]
-    with style():
-        figure, axes = panels(3, 2.1)
-        low, high = np.min((total, projected)), np.max((total, projected))
-        axes[0].plot(t, total, lw=0.9)
-        axes[1].plot(t, projected, color=OKABE_ITO["vermillion"], lw=0.9)
-        power = {"ylabel": "power (W)", "ylim": (1.1 * low, 1.15 * high)}
-        axes[0].set(title=r"total $\vartheta^T f'_{meas}$", **power)
-        axes[1].set(title=r"projected $\vartheta^T \Omega_f f'_{meas}$", **power)
-        for ax in axes:  # the forces build up in the first tick
-            look: Any = {"color": "#E3E5E8", "lw": 0, "zorder": 0.5, "label": "a contact is open"}
-            look |= {"transform": ax.get_xaxis_transform()}
-            ax.fill_between(t[1:], 0, 1, where=~recording["closed"][1:].all(axis=1), **look)
+    kept: Any = recording["closed"].all(axis=1)
+    kept[0] = True  # the forces build up in the first tick
+    figure = plots.power(recording, kept)
+    ax = figure.axes[1]
+    high = 0.95 * ax.get_ylim()[1]
+    shaded: Any = figure.axes[0].get_legend()
+    if hits:
+        shaded.texts[0].set_text("a contact is open")
+    with plots.style():
         for flagged, face in ((True, OKABE_ITO["black"]), (False, "white")):
             at = [hit.t for hit in hits if (hit.flagged is not None) == flagged]
-            label = f"collision, {'' if flagged else 'not '}flagged ({len(at)})"
-            axes[1].plot(at, [1.08 * high] * len(at), "v", ms=5, mfc=face, mec="black", label=label)
-        legend(axes[1])
-        for i, name in enumerate(recording.magnitude_names):
-            label = name.replace("_", " ")
-            axes[2].plot(t, recording["alpha_true"][:, i], color=contact_colour(i), label=label)
-        axes[2].set(title="true contact forces", ylabel="force (N)", xlabel="time (s)")
-        legend(axes[2])
+            label = f"flagged ({len(at)})" if flagged else f"not flagged ({len(at)})"
+            ax.plot(at, [high] * len(at), "v", ms=5, mfc=face, mec="black", label=label)
+        ax.legend(title="collisions", loc="center right")
     return figure
 
 
 def draw_landing(runs: Sequence[osc.Recording]) -> Figure:
-    """Forces of all runs above; normal speed and torques of the first one below."""
+    """Forces of all runs above; gaps and phases of the first one below."""
     first = runs[0]
     t = first["t"]
-    with style():
-        figure, (forces, gap, phase, torques) = panels(4, 1.9)
+    with plots.style():
+        figure, (forces, gap, phase) = plots.panels(3, 1.9)
         forces.plot(t, first["alpha_cmd"][:, 0], color="#B4BAC2", lw=4, label="desired")
         for i, name in enumerate(first.magnitude_names):
             look: Any = {"color": contact_colour(i), "label": name.replace("_", " ")}
@@ -214,10 +197,8 @@ def draw_landing(runs: Sequence[osc.Recording]) -> Figure:
         forces.set(title=f"true contact forces, {len(runs)} starts", ylabel="force (N)")
         gap.set(title=f"gap, seed {first.meta['seed']}", ylabel="gap (mm)")
         phase.set(title="phase", yticks=(0, 1, 2), yticklabels=("open", "approaching", "closed"))
-        torques.plot(t, first["tau"] / effort_limits(first), lw=0.8)
-        torques.set(title="motor torques", ylabel="share of limit", xlabel="time (s)")
         for ax in (forces, gap, phase):
-            legend(ax)
+            plots.legend(ax)
     return figure
 
 
@@ -292,4 +273,6 @@ def landing_study(ask: Ask) -> Study:
         "largest torque rate; success",
         rows,
     )
-    return Study({"approach_and_slide": draw_landing(runs)}, table, {"runs": data})
+    figures = {"approach_and_slide": draw_landing(runs)}
+    figures["approach_and_slide_torques"] = plots.torques(runs[0])
+    return Study(figures, table, {"runs": data})

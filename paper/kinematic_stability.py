@@ -30,7 +30,7 @@ from osc_contact.spatial import Array, classical_to_spatial, pose_error
 from osc_contact.visual import contact_colour
 from osc_contact.visual.plots import style
 from paper.command_filter import command
-from paper.study import Ask, Data, Study, table_of, words_of
+from paper.study import Ask, Data, Study, table_of, with_object, words_of
 
 
 def study(ask: Ask) -> Study:
@@ -109,10 +109,7 @@ class HybridArm:
         """
         self.name = name
         self.chain = osc.ClosedChain([arm], payload=osc.RigidObject(_HELD))
-        self.plant = self.chain.model.copy()
-        self.tip = robots.frame_id(self.plant, f"{arm.name}/{arm.tip}")
-        frame = self.plant.frames[self.tip]
-        self.plant.appendBodyToJoint(frame.parentJoint, _HELD, frame.placement)
+        self.plant, self.tip = with_object(self.chain)
         self.data = self.plant.createData()
         n = self.chain.nq
         self.rows = slice(n)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pinocchio as pin
 from matplotlib.figure import Figure
 from rich.table import Table
 
@@ -91,6 +92,16 @@ def table_of(title: str, heads: str, rows: Iterable[str | Iterable[object]]) -> 
     for row in rows:
         table.add_row(*(row.split("; ") if isinstance(row, str) else map(str, row)))
     return table
+
+
+def with_object(chain: osc.ClosedChain) -> tuple[pin.Model, int]:
+    """Pinocchio's model of the arms, the object on the first one's last link, and O's frame."""
+    assert chain.payload is not None
+    model = chain.model.copy()
+    tip = model.frames[chain.tips[0]]
+    X = tip.placement * chain.grasps[0].X_TO
+    model.appendBodyToJoint(tip.parentJoint, chain.payload.inertia, X)
+    return model, model.addFrame(pin.Frame("O", tip.parentJoint, X, pin.FrameType.OP_FRAME))
 
 
 def words_of(value: float | None, form: str, without: str = "–") -> str:

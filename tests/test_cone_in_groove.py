@@ -139,7 +139,7 @@ def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():
     assert found["wall_force_least_N"] > 3.0, "the walls are pushed, never pulled"
     assert found["contact_power_W"] < 1e-12 and found["ticks_not_ok"] == 0
     assert found["N_second_difference"] < 0.02 * found["N_change_per_tick"]
-    assert (np.abs(np.diff(short_run().wall_d[500:], axis=0)).max(axis=0) > 2.0).all()
+    assert (np.abs(np.diff(short_run().walls["alpha_cmd"][500:], axis=0)).max(axis=0) > 2.0).all()
 
 
 def test_a_controller_with_a_wrong_seat_couples():
@@ -162,9 +162,8 @@ def test_a_run_that_cannot_be_judged_is_refused(words):
 
 def test_reproduce_fig2_writes_pictures_and_numbers(tmp_path):
     result = done("reproduce fig2 --duration 0.52 --out", tmp_path)
-    names = {f"{n}.{s}" for n in ("fig2", "fig2_run") for s in ("png", "svg", "pdf")} | {
-        "fig2.json"
-    }
+    pictures = ("fig2", "fig2_forces", "fig2_motion")
+    names = {f"{n}.{s}" for n in pictures for s in ("png", "svg", "pdf")} | {"fig2.json"}
     assert {path.name for path in tmp_path.iterdir()} == names
     found = read_json(tmp_path / "fig2.json")
     assert found["r"] == 4 and found["raibert_craig"]["describes_it"] is False

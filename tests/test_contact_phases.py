@@ -203,8 +203,12 @@ def test_figure_7_shows_power_peaks_at_the_collisions(knocked):
         assert power[np.abs(t - hit.t) <= 0.02].max() == approx(hit.power)
     assert all(answer.holds for answer in answers(knocked).values())
     figure = draw_collisions(knocked)
-    total, projected, force = (ax.get_title(loc="left") for ax in figure.axes)
-    assert total.startswith("total") and projected.startswith("projected") and "force" in force
+    total, projected, enlarged = (ax.get_title(loc="left") for ax in figure.axes)
+    assert (
+        total.startswith("total") and projected.startswith("projected") and "enlarged" in enlarged
+    )
+    shown = [line.get_xdata() for line in figure.axes[1].lines if line.get_marker() == "v"]
+    assert_array_equal(np.concatenate(shown), [hit.t for hit in hits])
 
 
 def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
@@ -242,7 +246,7 @@ def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
 def test_a_landing_is_soft_and_torques_do_not_jump():
     row, recording = land(3)
     assert row["success"], row
-    assert len(draw_landing([recording]).axes) == 4
+    assert len(draw_landing([recording]).axes) == 3
     assert row["peak_over_command"] <= 2.0
     assert row["torque_rate"] <= row["torque_rate_limit"] * (1 + 1e-9)
     assert (recording["contact_phase"][recording["t"] < 0.39] == OPEN).all()
