@@ -5,18 +5,16 @@ are what it shares with fig. 2, which `paper.cone_in_groove` draws.
 """
 
 from collections.abc import Sequence
-from itertools import combinations, pairwise, product
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from osc_contact.spatial import Array
 from osc_contact.visual import contact_colour
 from osc_contact.visual.plots import style
-from osc_contact.visual.scene import eye
 from osc_contact.visual.screws import CommonPerpendicular, common_perpendicular
 
 HALO = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8}
@@ -49,13 +47,13 @@ def draw_contact_state(
     reach = 0.62 * float(np.ptp(cloud, axis=0).max())
     with style():
         figure, ax = orthographic((7.2, 5.8), (0.0, 0.02, 0.94, 0.86), middle, reach, zoom=1.0)
-        ax.view_init(*_widest_view(directions))
-        _scales(ax, middle, reach)
+        ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
+        ax.locator_params(nbins=5)
         for face in faces:
             fill(ax, face[None], **FACE)
         draw_line(ax, rod, color="#4A4F57", lw=5.0, solid_capstyle="round", zorder=4, label="body")
         for i, (point, direction) in lines:
-            line = _inside(point, direction, middle, reach)
+            line = point + reach * np.outer((-1.6, 0.7), direction)
             tail = point - 0.3 * reach * direction
             draw_force(
                 ax, i, line, 1.4, (tail, point), 0.02 * reach, tail - 0.07 * reach * direction
@@ -171,33 +169,3 @@ def _relation(i: int, j: int, pair: CommonPerpendicular) -> str:
     else:
         how = f"skew, {apart}, angle {angle:.1f}°"
     return rf"$f_{{c{i + 1}}}$, $f_{{c{j + 1}}}$: {how}"
-
-
-def _scales(ax: Any, middle: Array, reach: float) -> None:
-    for name, centre in zip("xyz", middle, strict=True):
-        axis = getattr(ax, f"{name}axis")
-        axis.set_label_text(f"{name} (m)")
-        axis.pane.set_visible(False)
-        ticks = MaxNLocator(4).tick_values(centre - reach, centre + reach)
-        axis.set_ticks(ticks[np.abs(ticks - centre) < 0.88 * reach])
-
-
-def _widest_view(directions: Array) -> tuple[int, int]:
-    """Elevation and azimuth (deg) from where the lines are spread widest."""
-    square = [np.cross(d, e) for d, e in combinations(directions, 2)] or [np.zeros(3)]
-
-    def spread(view: tuple[int, int]) -> float:
-        elevation, azimuth = np.deg2rad(view)
-        look = eye(azimuth, elevation)
-        plain = np.linalg.norm(np.cross(directions, look), axis=1).min(initial=1.0)
-        return float(plain + 0.5 * np.linalg.norm(np.cross(square, look), axis=1).min())
-
-    return max(product((18, 24, 30), range(-150, -29, 10)), key=spread)
-
-
-def _inside(point: Array, direction: Array, middle: Array, reach: float) -> Array:
-    """The part of a line inside the cube drawn, as (2, 3)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        hits = np.array([(middle + side * reach - point) / direction for side in (-1.0, 1.0)])
-    ends = np.nanmax(hits.min(axis=0)), np.nanmin(hits.max(axis=0))
-    return point + np.outer(ends, direction)
