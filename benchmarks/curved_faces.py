@@ -1,6 +1,6 @@
 """A tool that follows curved faces: what friction and misplacement cost the contact force.
 
-    python -m benchmarks.curved_faces [--faces sphere --faces saddle] [--radii 0.1]
+    python -m benchmarks.curved_faces
 
 A Panda presses the ball of a peg (12 mm) with 10 N on a sphere, a cylinder and a saddle (a spline
 fitted to a mesh) and slides to and fro on a path of 60 mm at 0.5 Hz, across the cylinder, the peg
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import typer
+from scipy.optimize import root
 
 import osc_contact as osc
 from osc_contact.plants.mujoco import MujocoPlant
@@ -43,7 +43,6 @@ SHAPES = {
     "saddle": '<box size="1 1 0.001"/>',
     TWO: _CYLINDER,
 }
-FACES = list(SHAPES)
 PLANT = "tangent_plane"
 NOSE = [0, 0, -0.15]  #: the ball's middle, in the peg
 BODY = """<robot name="part"><link name="part">
@@ -52,14 +51,13 @@ BODY = """<robot name="part"><link name="part">
 
 
 def saddle_mesh(path: Path, R: float, half: float = 0.06, n: int = 61) -> None:
-    """An STL of z = (x² − y²) / 2R, x, y = −half … half (m)."""
+    """An OBJ of z = (x² − y²) / 2R, x, y = −half … half (m)."""
     x, y = np.meshgrid(*[np.linspace(-half, half, n)] * 2, indexing="ij")
-    p = np.stack((x, y, (x * x - y * y) / (2 * R)), axis=-1)
-    a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
-    corners = np.vstack([np.stack(three, 2).reshape(-1, 9) for three in ((a, b, c), (a, c, d))])
-    rows = np.zeros(len(corners), np.dtype([("f", "<f4", 12), ("pad", "<u2")]))
-    rows["f"][:, 3:] = corners
-    path.write_bytes(b" " * 80 + np.uint32(len(rows)).tobytes() + rows.tobytes())
+    places = zip(x.flat, y.flat, ((x * x - y * y) / (2 * R)).flat, strict=True)
+    first = [n * i + k for i in range(n - 1) for k in range(1, n)]
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in places]
+    lines += [f"f {k} {k + n} {k + n + 1} {k + 1}" for k in first]
+    path.write_text("\n".join(lines))
 
 
 def scenario(folder: Path, face: str, R: float, changes: Data) -> osc.Scenario:
@@ -74,10 +72,10 @@ def scenario(folder: Path, face: str, R: float, changes: Data) -> osc.Scenario:
     plant = {"type": "mujoco", "step": "0.25 ms"}
     held = osc.load_scenario("dual_panda_rod" if face == TWO else "panda_dome").as_dict()
     if face == "saddle":
-        saddle_mesh(folder / "saddle.stl", R)
+        saddle_mesh(folder / "saddle.obj", R)
         plant["type"] = PLANT
         middle = TOP
-        contact["surface"] = {"type": "mesh", "file": "saddle.stl"}
+        contact["surface"] = {"type": "mesh", "file": "saddle.obj"}
     elif face == TWO:
         plant = held["plant"]
         contact |= {"centre": [-0.29, 0, 0], "radius": 0.01}
@@ -137,15 +135,14 @@ class TangentPlane(MujocoPlant):
 
 def foot_on_saddle(p: Array, R: float) -> tuple[Array, Array]:
     """The point (3,) of z = (x² − y²) / 2R nearest to p (3,), and the upward normal there."""
-    x, y = p[:2]
-    for _ in range(20):  # Newton's method on the gradient of half the squared distance
+
+    def gradient(at: Array) -> Array:
+        """Of half the squared distance."""
+        x, y = at
         e = (x * x - y * y) / (2 * R) - p[2]
-        slope = np.array([x, -y]) / R
-        H = np.eye(2) + np.outer(slope, slope) + np.diag([e, -e]) / R
-        step = np.linalg.solve(H, [x, y] - p[:2] + e * slope)
-        x, y = [x, y] - step
-        if abs(step).max() < 1e-13:
-            break
+        return at - p[:2] + e * np.array([x, -y]) / R
+
+    x, y = root(gradient, p[:2], tol=1e-14).x
     n = np.array([-x / R, y / R, 1.0])
     return np.array([x, y, (x * x - y * y) / (2 * R)]), n / np.linalg.norm(n)
 
@@ -177,11 +174,11 @@ def judge(face: str, R: float, changes: Data, duration: float = 5.0) -> Data:
         return osc.metrics(osc.run(scenario(Path(folder), face, R, changes), duration=duration))
 
 
-def main(faces: list[str] = FACES, radii: list[float] = RADII) -> None:
+def main() -> None:
     """Print the table."""
     osc.register_plant(PLANT)(tangent_plane)
     print(f"{'face':16}{'radius':>8}  {'case':24}force error, rms  closed  path, rms")
-    for face, R, case in product(faces, radii, CASES):
+    for face, R, case in product(SHAPES, RADII, CASES):
         verdict = judge(face, R, CASES[case])
         print(
             f"{face:16}{R:6.1f} m  {case:24}{verdict['force']['nose']['rms_error_rel']:14.4%}"
@@ -192,4 +189,4 @@ def main(faces: list[str] = FACES, radii: list[float] = RADII) -> None:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    main()

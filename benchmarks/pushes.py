@@ -1,7 +1,6 @@
 """Pushes on the arms of every packaged scenario: do they come back into contact, or stop?
 
-    python benchmarks/pushes.py [--scenario NAME] [--force N] [--duration S] [--direction WORD]
-                                [--workers 2]
+    python benchmarks/pushes.py [--scenario NAME] [--workers 2]
 
 A push is a half sine of force on the wrist of the first arm, off the faces, into or along them,
 while the contacts are closed. One row for each is printed; the exit code is 1 where the forces did
@@ -175,19 +174,11 @@ def table(rows: Sequence[Pushed]) -> str:
     return "\n".join(lines)
 
 
-def main(
-    scenario: list[str] | None = None,
-    force: list[float] | None = None,
-    duration: list[float] | None = None,
-    direction: list[str] | None = None,
-    workers: int = 2,
-) -> None:
+def main(scenario: list[str] | None = None, workers: int = 2) -> None:
     """Push them all; exit with 1 if anything was wrong."""
     print(table([]))
     wrong = count = 0
-    pushes = product(
-        scenario or packaged(), direction or DIRECTIONS, force or FORCES, duration or DURATIONS
-    )
+    pushes = product(scenario or packaged(), DIRECTIONS, FORCES, DURATIONS)
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         for found in pool.map(push_arm, *zip(*pushes, strict=True)):
             print(table([found]).split("\n")[1], flush=True)

@@ -1,6 +1,6 @@
 """Straight reversals with friction: what of the force error is the simulator's.
 
-    python -m benchmarks.reversals [--duration 3]
+    python -m benchmarks.reversals
 
 A Panda slides a ball-nosed peg to and fro on a tilted face with 10 N, along a line across the arm
 and along the steepest one. Printed is the rms force error of each line on four plants:
@@ -15,7 +15,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import typer
 
 import osc_contact as osc
 from benchmarks.cases import POINT
@@ -26,6 +25,7 @@ from osc_contact.spatial import Array, carry_wrench
 
 STROKES = ((20, 2), (5, 4))  #: mm, Hz
 LINES = {"across": [0, 1, 0], "steepest": [0.93969, 0, 0.34202]}
+DURATION = 3.0  #: s
 SLIP = 1e-3  #: m/s, at which the exact plant's friction has 1/√2 of its size
 
 
@@ -118,14 +118,14 @@ def reversing(
     return osc.Scenario.from_dict(POINT | changes)
 
 
-def main(duration: float = 3.0) -> None:
+def main() -> None:
     """Print the table."""
     register_plants()
     print(f"{'stroke':14}{'line':10}{'mu':14}" + "".join(f"{kind:>12}" for kind in KINDS))
     for stroke, line, mu, known in product(STROKES, LINES, (0.2, 0.3), (False, True)):
         cells = []
         for kind in KINDS if mu == 0.2 and known else KINDS[:1]:
-            recording = osc.run(reversing(kind, stroke, line, mu, known), duration=duration)
+            recording = osc.run(reversing(kind, stroke, line, mu, known), duration=DURATION)
             force = osc.metrics(recording)["force"]["nose"]
             cells.append(f"{force['rms_error_rel']:12.2%}")
         move = f"{stroke[0]} mm {stroke[1]} Hz"
@@ -136,4 +136,4 @@ def main(duration: float = 3.0) -> None:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    main()

@@ -19,7 +19,6 @@ import osc_contact as osc
 from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.spatial import Array, cross
 from osc_contact.visual import OKABE_ITO, plots
-from osc_contact.visual.scene import eye
 from paper.contact_pictures import (
     FACE,
     HALO,
@@ -374,7 +373,7 @@ def draw_state(seat: Seat) -> Figure:
 
 
 def _draw_cone(ax: Any, seat: Seat) -> None:
-    """Side, base and the two generators that the eye sees as outline."""
+    """Side and base."""
     apex = seat.point
     axis = seat.axis
     h = seat.height
@@ -382,17 +381,9 @@ def _draw_cone(ax: Any, seat: Seat) -> None:
     base = apex + h * axis + h * tangent * circle(*across(axis), np.linspace(0, 2 * np.pi, 121))
     side = np.array([[apex, a, b] for a, b in pairwise(base)])
     seamless: Data = {"edgecolor": "none", "antialiaseds": False, "zorder": 3}
-    fill(ax, side, facecolor="#B9BEC6", alpha=0.22, **seamless)
+    fill(ax, side, facecolor="#A9AFB8", alpha=0.3, **seamless)
     fill(ax, base[None], facecolor="#9AA1AB", alpha=0.25, **seamless)
-    look: Data = {"color": "#4A4F57", "lw": 1.3, "zorder": 4}
-    draw_line(ax, base, **look)
-    view = eye(*np.deg2rad([ax.azim, ax.elev]))
-    x = view - (view @ axis) * axis
-    flat = np.linalg.norm(x)
-    x /= flat
-    angle = np.arccos(tangent * (view @ axis) / flat)
-    for end in circle(x, np.cross(axis, x), np.array([-angle, angle])):
-        draw_line(ax, (apex, apex + h * axis + h * tangent * end), **look)
+    draw_line(ax, base, color="#4A4F57", lw=1.3, zorder=4)
 
 
 def _draw_axes(ax: Any, seat: Seat) -> None:

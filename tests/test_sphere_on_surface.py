@@ -146,8 +146,8 @@ def test_what_no_ball_can_touch_is_refused():
 
 
 def test_a_fit_states_its_error_and_refuses_too_few_points(tmp_path):
-    curved_faces.saddle_mesh(tmp_path / "saddle.stl", 0.1)
-    fit = osc.Surface.of_mesh(tmp_path / "saddle.stl")
+    curved_faces.saddle_mesh(tmp_path / "saddle.obj", 0.1)
+    fit = osc.Surface.of_mesh(tmp_path / "saddle.obj")
     assert fit.rms <= fit.worst < 5e-9  # of 32-bit numbers
     rng = default_rng(2)
     x, y = rng.uniform(-1, 1, (2, 3000))
