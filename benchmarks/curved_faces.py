@@ -14,14 +14,14 @@ two Pandas hold a rod whose ball-shaped end (10 mm) does the same on a cylinder.
 import tempfile
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import root
 
 import osc_contact as osc
 from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.robots import resolve_urdf
+from osc_contact.runs.rig import PLANTS
 from osc_contact.spatial import Array
 from osc_contact.sweeps.sweep import without_logged_doubts
 from paper.study import Data
@@ -149,18 +149,10 @@ def foot_on_saddle(p: Array, R: float) -> tuple[Array, Array]:
 
 def tangent_plane(rig: Any, seed: int) -> TangentPlane:
     """The plant of the saddle; register it as `PLANT["saddle"]`."""
-    folder = rig.scenario.folder
-    plant = TangentPlane(
-        rig.chain,
-        [resolve_urdf(arm.urdf, folder)[0] for arm in rig.scenario.arms],
-        resolve_urdf(rig.scenario.object.urdf, folder)[0],
-        rig.pairs,
-        [(body.urdf[0], body.placement) for body in rig.bodies],
-        options=rig.scenario.plant,
-        on=rig.on,
-    )
+    plant: Any = PLANTS["mujoco"](rig, seed)
+    plant.__class__ = TangentPlane  # which keeps nothing of its own but
     plant.radius = float(rig.scenario.description)
-    return plant
+    return cast(TangentPlane, plant)
 
 
 @without_logged_doubts()

@@ -5,9 +5,7 @@ import subprocess
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -180,25 +178,12 @@ def mujoco_state(case: TickCase) -> tuple[Any, Any]:
     The faces stand a little into the object, so that MuJoCo finds every contact.
     """
     pairs = [replace(pair, point=pair.point + DEPTH * pair.normal) for pair in case.pairs]
-    with TemporaryDirectory() as folder:
-        urdfs = [_without_shapes(arm.model.name, Path(folder)) for arm in case.chain.arms]
-        faces = [(robots.urdf_path("face"), pair.face_placement()) for pair in pairs]
-        plant = MujocoPlant(case.chain, urdfs, robots.urdf_path("rod"), pairs, faces)
+    urdfs = [robots.locate(arm.model.name)[0] for arm in case.chain.arms]
+    faces = [(robots.urdf_path("face"), pair.face_placement()) for pair in pairs]
+    plant = MujocoPlant(case.chain, urdfs, robots.urdf_path("rod"), pairs, faces)
     for i, name in enumerate(case.chain.joint_names):
         joint = plant.model.joint(name)
         plant.data.qpos[joint.qposadr] = case.measurement.q[i]
         plant.data.qvel[joint.dofadr] = case.measurement.v[i]
     plant.hold(case.controller().tick(case.measurement, case.reference))
     return plant.model, plant.data
-
-
-def _without_shapes(name: str, folder: Path) -> Path:
-    """The arm's URDF without shapes, which MuJoCo would have to read."""
-    packaged = name.startswith("scara")
-    tree = ElementTree.parse(robots.urdf_path(name) if packaged else robots.find_robot(name)[0])
-    for link in tree.getroot().findall("link"):
-        for shape in (*link.findall("visual"), *link.findall("collision")):
-            link.remove(shape)
-    path = folder / f"{name}.urdf"
-    tree.write(path)
-    return path

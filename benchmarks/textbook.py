@@ -1,8 +1,9 @@
 """The control law as textbooks write it: a matrix for every symbol, `numpy.linalg` for the rest.
 
-Pinocchio gives M, h and the Jacobians; J, Λ, μ + p of each arm, the augmented object, the contact
-and eqs. 21 to 25 are then plain NumPy. Nothing of the toolkit's own mathematics is used. One thing
-is left out: the gripper parts beyond the wrist sensors, whose wrench the readings are not rid of.
+Pinocchio gives M, h, the Jacobians and spatial vectors; J, Λ, μ + p of each arm, the augmented
+object, the contact and eqs. 21 to 25 are then NumPy. Nothing of the toolkit's own mathematics is
+used. One thing is left out: the gripper parts beyond the wrist sensors, whose wrench the readings
+are not rid of.
 """
 
 from typing import NamedTuple
@@ -42,7 +43,7 @@ class TextbookLaw:
         self.data = chain.model.createData()
         self.tips = [self.model.getFrameId(f"{a.name}/{a.tip}") for a in chain.arms]
         self.wrists = [self.model.getFrameId(f"{a.name}/{a.wrist_sensor}") for a in chain.arms]
-        self.inertia = chain.payload.inertia.matrix()
+        self.inertia = chain.payload.inertia
         self.selected = np.eye(chain.nq)[:, chain.actuated]  # B: motor torques to joint torques
         self.limits = np.ones(chain.nq)
         self.limits[chain.actuated] = chain.tau_max
@@ -67,7 +68,8 @@ class TextbookLaw:
         arms = []
         V = np.zeros(6)
         for i, (s, tip) in enumerate(zip(case.chain.slices, self.tips, strict=True)):
-            shift = carried(O - data.oMf[tip].translation)
+            shift = np.eye(6)  # of twists from the tip to O
+            shift[:3, 3:] = -pin.skew(O - data.oMf[tip].translation)
             J = shift @ pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
             drift = pin.getFrameAcceleration(model, data, tip, pin.LOCAL_WORLD_ALIGNED)
             M = data.M[s, s]
@@ -84,22 +86,14 @@ class TextbookLaw:
         left = [svd(arm.J)[0][:, arm.J.shape[1] :] for arm in arms]
         C = np.hstack(left)
         locked = np.hstack([U.T @ arm.gamma for U, arm in zip(left, arms, strict=True)])
-        if C.shape[1]:
-            U, values, _ = svd(C)
-            S = U[:, int(np.sum(values > 1e-4)) :]
-            sigma = lstsq(C.T, locked, rcond=1e-4)[0]
-        else:
-            S = np.eye(6)
-            sigma = np.zeros(6)
+        U, values, _ = svd(C)
+        S = U[:, int(np.sum(values > 1e-4)) :]
+        sigma = lstsq(C.T, locked, rcond=1e-4)[0]
 
         # the augmented object, eq. 13
-        turn = np.kron(np.eye(2), R)
-        Lambda_o = turn @ self.inertia @ turn.T
-        momentum = Lambda_o @ V
-        bias_o = np.r_[
-            np.cross(w, momentum[:3]), np.cross(w, momentum[3:]) + np.cross(V[:3], momentum[:3])
-        ]
-        bias_o = bias_o - Lambda_o[:, :3] @ model.gravity.linear
+        Lambda_o = pin.SE3(R, np.zeros(3)).act(self.inertia).matrix()
+        momentum = pin.Force(Lambda_o @ V)
+        bias_o = pin.Motion(V).cross(momentum).vector - Lambda_o[:, :3] @ model.gravity.linear
         Lambda_S = S.T @ (sum(arm.Lambda for arm in arms) + Lambda_o) @ S
         bias = bias_o + Lambda_o @ sigma
         G = np.zeros((S.shape[1], model.nv))
@@ -120,10 +114,8 @@ class TextbookLaw:
         # force loop, fig. 5, with Ω_f(Λ_o)
         f_meas = np.zeros(6)
         for wrist, reading in zip(self.wrists, case.measurement.wrenches, strict=True):
-            X_S = data.oMf[wrist]
-            force = X_S.rotation @ reading[:3]
-            couple = X_S.rotation @ reading[3:] + np.cross(X_S.translation - O, force)
-            f_meas += np.r_[force, couple]
+            X_OS = pin.SE3(data.oMf[wrist].rotation, data.oMf[wrist].translation - O)
+            f_meas += X_OS.act(pin.Force(reading)).vector
         Phi_o = inv(Lambda_o)
         alpha = inv(N.T @ Phi_o @ N) @ (N.T @ Phi_o @ (f_meas - bias_o) - n_gamma)
         k = case.gains.force
@@ -141,17 +133,17 @@ class TextbookLaw:
         a = a + g.integral * self.motion_sum - np.r_[np.cross(w, V[:3]), np.zeros(3)]
 
         # filters and control structure, eqs. 21, 24, 25: η̇_u = P_T(a − σ), η̇_c = Ω_m η̇_u + …
-        H = S.T @ Lambda_o @ S
+        B = inv(S.T @ Lambda_o @ S)
+        P_T = B @ S.T @ Lambda_o
         N_S = S.T @ N
-        B_N = inv(H) @ N_S
-        eta = inv(H) @ S.T @ Lambda_o @ (a - sigma)
-        eta = eta + B_N @ inv(N_S.T @ B_N) @ (N.T @ (a - sigma) - N_S.T @ eta)
-        eta = eta - B_N @ inv(N_S.T @ B_N) @ (N_S.T @ eta - n_gamma + N.T @ sigma)
+        lift = B @ N_S @ inv(N_S.T @ B @ N_S)
+        eta = P_T @ (a - sigma)
+        eta = eta - lift @ (N_S.T @ eta - n_gamma + N.T @ sigma)
         f_S = Lambda_S @ eta + S.T @ bias + N_S @ alpha_u
 
         # viscous friction along permitted speeds; dry friction is left out
-        speeds = inv(H) @ S.T @ Lambda_o @ case.reference.V_D
-        permitted = S @ (speeds - B_N @ inv(N_S.T @ B_N) @ N_S.T @ speeds)
+        speeds = P_T @ case.reference.V_D
+        permitted = S @ (speeds - lift @ N_S.T @ speeds)
         friction = np.zeros(model.nv)
         for arm in arms:
             friction[arm.s] = model.damping[arm.s] * (arm.J_bar @ permitted)
@@ -191,13 +183,4 @@ class TextbookLaw:
             b = np.r_[f_S, float(case.reference.squeeze_d) + offset]
         W = B.T @ weight @ B
         tau_0 = B.T @ rest
-        scale = np.diag(1.0 / np.sqrt(np.diag(A @ W @ A.T)))
-        return tau_0 + W @ A.T @ scale @ inv(scale @ A @ W @ A.T @ scale) @ scale @ (b - A @ tau_0)
-
-
-def carried(r: Array) -> Array:
-    """(6, 6) twists at a point to twists at the point r further on, world axes."""
-    x, y, z = r
-    matrix = np.eye(6)
-    matrix[:3, 3:] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return matrix
+        return tau_0 + W @ A.T @ inv(A @ W @ A.T) @ (b - A @ tau_0)
