@@ -131,25 +131,22 @@ def land(seed: int, changes: Sequence[str] = ()) -> tuple[Data, osc.Recording]:
     slide["signals"] = [*slide["signals"], begin]
     tilted = {"kind": "angular", "direction": [0.0, 1.0, 0.0], "signals": [lean]}
     r = osc.run(scenario.replaced(motion=[slide, *rest, tilted]), seed=seed)
-    rate = float(r.meta["control_rate_hz"])
-    closed = r["closed"]
-    force = r["alpha_true"]
+    verdict = osc.metrics(r)
+    made = list(verdict["first_contact_s"].values())
     command = r["alpha_cmd"]
-    leave = int(np.flatnonzero((command > 0.0).any(axis=1))[-1])
-    first = [int(np.argmax(c)) if c.any() else len(closed) for c in closed.T]
-    settled = max(first) + round(0.05 * rate)
-    kept = settled < leave and bool(closed[settled:leave].all())
-    steps = np.abs(np.diff(r["tau"], axis=0)) / list(r.meta["effort_limits"].values())
-    error = (force - command)[settled + 150 : leave]
+    held = (r["t"] > max(t or 0.0 for t in made) + 0.05) & (command > 0.0).any(axis=1)
+    rates = np.abs(np.diff(r["tau"], axis=0)) / list(r.meta["effort_limits"].values())
     data = {
         "seed": seed,
         "standoff_m": standoff,
         "tilt_rad": tilt,
-        "success": kept and not bool(closed[-1].any()),
-        "made_s": [float(r["t"][k]) if k < len(closed) else None for k in first],
-        "peak_over_command": float(force.max() / command.max()),
-        "force_rms_rel": float(np.sqrt(np.mean(error**2)) / command.max()) if kept else None,
-        "torque_rate": float(steps.max()) * rate,
+        "success": bool(r["closed"][held].all() and held.any() and not r["closed"][-1].any()),
+        "made_s": made,
+        "peak_over_command": float(r["alpha_true"].max() / command.max()),
+        "force_rms_rel": max(
+            force["rms_error_rel"] or np.inf for force in verdict["force"].values()
+        ),
+        "torque_rate": float(rates.max() * r.meta["control_rate_hz"]),
         "torque_rate_limit": float(r.meta["scenario"]["control"]["life"]["torque_rate"]),
     }
     return data, r
@@ -259,7 +256,7 @@ def landing_study(ask: Ask) -> Study:
     rows = [
         f"{row['seed']}; {1e3 * row['standoff_m']:.1f} mm; {1e3 * row['tilt_rad']:.1f} mrad; "
         f"{', '.join(words_of(t, '{:.2f}') for t in row['made_s'])} s; "
-        f"{row['peak_over_command']:.3f}; {words_of(row['force_rms_rel'], '{:.2%}')}; "
+        f"{row['peak_over_command']:.3f}; {row['force_rms_rel']:.2%}; "
         f"{row['torque_rate']:.1f} of {row['torque_rate_limit']:g} 1/s; "
         f"{'yes' if row['success'] else 'no'}"
         for row in data
