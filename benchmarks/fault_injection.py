@@ -46,7 +46,6 @@ REST_AFTER = 0.5  #: s after a stop, when the arms are at rest
 #: rad/s or m/s; rad or m since the stop, beside what braking from the speed at the stop takes
 REST_SPEED = 0.1
 REST_TRAVEL = 0.1
-BLOCK = 1024  #: ticks whose references are computed together
 TRUTH_EVERY = 3  #: ticks from one look at true forces to the next: contacts take 10 ms to form
 LOSSES = (0, 2, 3, 10)  #: every so many-th tick is lost; 0: none
 NAN = float("nan")
@@ -318,8 +317,8 @@ class ClosedLoop:
     """A rig under control, tick by tick.
 
     Attributes:
-        true: the plant behind its sensors. k: ticks done. act: joints with motors; fastest: their
-            speed limits.
+        references: of the ticks to come. true: the plant behind its sensors. k: ticks done.
+        act: joints with motors; fastest: their speed limits.
     """
 
     def __init__(self, rig: osc.Rig, seed: int = 0) -> None:
@@ -330,6 +329,7 @@ class ClosedLoop:
         untared = rig.scenario.tare is None
         self.tick = (self.controller if untared else Taring(rig, self.controller)).tick
         self.dt = self.controller.dt
+        self.references = rig.references.each(sys.maxsize, self.dt)
         self.true: Any = self.plant
         while hasattr(self.true, "plant"):
             self.true = self.true.plant
@@ -339,7 +339,7 @@ class ClosedLoop:
 
     def advance(self) -> Reference:
         """One tick; what was desired in it."""
-        reference = self.rig.references.at(self.k * self.dt)
+        reference = next(self.references)
         self.robot.command(self.tick(self.robot.measure(), reference), self.dt)
         self.k += 1
         return reference
@@ -363,15 +363,6 @@ class Run(ClosedLoop):
         ticked = self.controller._records.memory.ticked
         self.before = self.controller.last_torques() if ticked else None
         self.first = round(case.begin / self.dt)
-        self.ahead: list[Reference] = []  # those of the ticks from the last multiple of BLOCK on
-
-    def reference(self) -> Reference:
-        """That of this tick."""
-        at = self.k % BLOCK
-        if at == 0:
-            times = np.arange(self.k, self.k + BLOCK) * self.dt
-            self.ahead = list(self.rig.references.over(times))
-        return self.ahead[at]
 
     def step(self, verdict: Verdict, trial: Trial | None, fault: Fault) -> Reference:
         """One tick.
@@ -381,7 +372,7 @@ class Run(ClosedLoop):
         """
         k = self.k
         case = self.case
-        reference = self.reference()
+        reference = next(self.references)
         measurement = self.robot.measure()
         if self.hold and 8 < self.first - k <= 16:
             measurement = replace(measurement, wrenches=np.full_like(measurement.wrenches, NAN))

@@ -213,18 +213,22 @@ class StepRun:
         return float(self.force_to_motion.max()), float(self.motion_to_force.max())
 
 
-def measured_coupling(rig: osc.Rig, law: Law, instant: Instant) -> Coupling:
+def measured_coupling(
+    rig: osc.Rig, law: Law, instant: Instant, plant: RigidPlant | None = None, t: float = 0.0
+) -> Coupling:
     """The same matrices as `Instant.coupling`, from whole ticks and the rigid plant's answer.
 
     Steps of force come at once, whatever the scenario's rise time: one tick would not see them.
 
     Args:
-        rig: with the rigid plant's chain. law: to be installed. instant: the start.
+        rig: with the rigid plant's chain. law: to be installed. instant: of the state.
+        plant: in this state; default: at the start. t: of the reference (s).
     """
-    plant = RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step)
-    plant.reset(rig.q_start)
+    if plant is None:
+        plant = RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step)
+        plant.reset(rig.q_start)
     measurement = plant.measure()
-    at_rest = rig.references.at(0.0)
+    at_rest = rig.references.at(t)
     r = instant.contact.r
     gains = rig.gains.replaced(force=rig.gains.force.replaced(rise=0.0))
 

@@ -5,7 +5,6 @@ neither parallel nor perpendicular. Four pushes on the walls and two motions are
 rigid plant.
 """
 
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from textwrap import fill as fill_text
@@ -19,6 +18,7 @@ import osc_contact as osc
 from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.spatial import Array, cross
 from osc_contact.visual import OKABE_ITO, plots
+from paper.baselines import measured_coupling
 from paper.contact_pictures import (
     FACE,
     HALO,
@@ -31,6 +31,7 @@ from paper.contact_pictures import (
     orthographic,
     write,
 )
+from paper.selection_laws import Instant, Ours
 from paper.statements import Answer
 from paper.study import PANDA, Ask, Data, Study, table_of
 
@@ -217,17 +218,17 @@ def run(
     recording = osc.run(scenario)
     t = recording["t"]
     plan = list(rig.references.over(t))
-    R = seat.from_wall_forces
     plant: Any = rig.plant()
-    controller = rig.controller()
     probes = []
     for k in range(round(probe_s / PERIOD) - 1, len(t), round(probe_s / PERIOD)):
         plant.q = recording["q"][k]
         plant.v = recording["v"][k]
         plant.hold(recording["tau"][k])
-        probes.append(couplings(controller, plant, plant.measure(), plan[k], R))
-    to_motion, to_force = (np.max(part) for part in zip(*probes, strict=True))
-    to_walls = np.linalg.inv(R).T
+        state = rig.chain.state(plant.q, plant.v)
+        instant = Instant(state, seat.pair.contact(state.X_WO, state.V_O))
+        probes.append(measured_coupling(rig, Ours(), instant, plant, t[k]).norms)
+    to_motion, to_force = np.max(probes, axis=0)
+    to_walls = np.linalg.inv(seat.from_wall_forces).T
     desired, read = (recording[name][:-1] @ to_walls for name in ("alpha_cmd", "alpha_meas"))
     true = recording["alpha_true"][1:] @ to_walls
     channels = {"t": t[:-1], "alpha_cmd": desired, "alpha_meas": read, "alpha_true": true}
@@ -267,58 +268,6 @@ def run(
         "ticks_not_ok": int(np.count_nonzero(recording["status"])),
     }
     return ConeRun(recording, walls, data)
-
-
-def couplings(
-    controller: osc.Controller,
-    plant: Any,
-    measurement: osc.Measurement,
-    reference: osc.Reference,
-    to_pair: Array,
-) -> tuple[list[float], list[float]]:
-    """How far a step of each wall force moves the cone, and steps of motion press on the walls.
-
-    Both are ratios of like quantities in the held object's energy metric Λ_o, so that metres and
-    radians never meet: the acceleration caused by a force step over the one that force would give
-    the free object, √(ΔaᵀΛ_oΔa / Δf_cᵀΛ_o⁻¹Δf_c); and the contact force caused by a step of the
-    acceleration command over the force that the command means, √(Δf_cᵀΛ_o⁻¹Δf_c / Δa_uᵀΛ_oΔa_u).
-    The steps of force are 5 N on each of the walls' magnitudes, α = `to_pair` λ; those of motion
-    are the two permitted ones and the six unit vectors, permitted or not.
-
-    Args:
-        controller, plant: in the state of the measurement; the plant is a `RigidPlant`.
-        measurement, reference: of the tick whose commands are changed.
-        to_pair: (4, 4) from the wall forces λ (N) to the pair's magnitudes α.
-
-    Returns:
-        The ratios of the four steps of force, and of the eight steps of motion.
-    """
-    controller = controller.with_safety(osc.SafetySettings.motors_only())  # the same readings again
-    before = (controller.motion_integral, controller.force_integral)
-
-    def answer(changed: osc.Reference) -> tuple[Array, Array]:
-        tau = controller.tick(measurement, changed)
-        controller.motion_integral, controller.force_integral = before
-        _, a, alpha = plant.accelerations(tau)
-        return a, controller.signals.contact.N @ alpha
-
-    a_0, f_0 = answer(reference)
-    s = controller.signals
-    Lambda = s.state.metric
-    Phi = np.linalg.inv(Lambda)
-
-    def size(x: Array, metric: Array) -> float:
-        return float(np.sqrt(x @ metric @ x))
-
-    to_motion = []
-    for step in 5.0 * to_pair.T:
-        a, f = answer(replace(reference, alpha_d=reference.alpha_d + step))
-        to_motion.append(size(a - a_0, Lambda) / size(f - f_0, Phi))
-    to_force = []
-    for step in (*s.contact.T.T, *np.eye(6)):
-        f = answer(replace(reference, A_D=reference.A_D + step))[1]
-        to_force.append(size(f - f_0, Phi) / size(step, Lambda))
-    return to_motion, to_force
 
 
 # --- The contact state of fig. 2, and a run in it ---
@@ -424,8 +373,8 @@ def study(ask: Ask) -> Study:
     slid = f"{1e3 * data['slid_m']:.1f} mm"
     rows = {
         "constraint frame": "describes it" if frame["describes_it"] else frame["reason"],
-        "force step → motion": f"{data['force_step_to_motion']:.2g} of the free object's answer",
-        "motion step → force": f"{data['motion_step_to_force']:.2g} of the force it means",
+        "force step → motion": f"{data['force_step_to_motion']:.2g} (1), as `baselines` has it",
+        "motion step → force": f"{data['motion_step_to_force']:.2g} (1)",
         "forces": f"rms error {rms} mN; least push {data['wall_force_least_N']:.2f} N",
         "turn": f"{turned}, rms error {1e6 * data['turn_rms_rad']:.2g} µrad",
         "slide": f"{slid}, rms error {1e6 * data['slide_rms_m']:.2g} µm",

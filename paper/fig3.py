@@ -267,30 +267,6 @@ class Workcell:
         config = EMPTY | {"legend": entries, "labels": labels, "aspect": aspect}
         return write_page(sink, path, shot.title, config)
 
-    def as_dict(self) -> dict[str, str]:
-        """Its parts in words, from the scenario and the rig."""
-        chain = self.rig.chain
-        sensors = self.rig.scenario.sensors
-        wrist = sensors.wrist
-        names = [contact.name for contact in self.rig.scenario.contacts]
-        forces = (f"{n} {a:.1f} N" for n, a in zip(names, self.sample["alpha_true"], strict=True))
-        passive = sum(len(arm.passive_joints) for arm in chain.arms)
-        d = self.rig.state.d
-        parts = {
-            "arms": f"{len(chain.arms)}, with {chain.n_a} motors and {passive} free gripper hinges",
-            "object": f"moved in {d} ways, {d - len(names)} while in contact",
-            "contacts": ", ".join(forces),
-            "overhead vision": _vision_words(self),
-        }
-        if sensors.joint_torque is not None:
-            parts["joint torque sensors"] = f"{chain.n_a}, {sensors.joint_torque.rate:g} Hz"
-        if wrist is not None:
-            parts["wrist sensors"] = (
-                f"{len(chain.arms)}, {wrist.rate:g} Hz, {wrist.force.noise:g} N and "
-                f"{wrist.torque.noise:g} N m noise"
-            )
-        return parts
-
     def answers(self) -> dict[str, Answer]:
         """To what the paper states about fig. 3."""
         scenario = self.rig.scenario
@@ -452,7 +428,8 @@ def study(ask: Ask) -> Study:
     """Fig. 3: the workcell in three views, and its parts in words."""
     ask.tell("making contact")
     cell = run(ask.lasting(1.4), ask.seed, ask.changes)
-    data = cell.as_dict()
+    answers = cell.answers()
+    data = {key: answer.found for key, answer in answers.items()}
     table = table_of("fig. 3: the workcell", "part; what it is", data.items())
     figures = {}
     ask.tell("rendering")
@@ -461,4 +438,4 @@ def study(ask: Ask) -> Study:
     except osc.ViewerError as error:  # the page is there all the same
         table.add_row("picture", f"not rendered: {error}")
     pages = {"fig3": partial(cell.page, cell.shots()[0])}
-    return Study(figures, table, data, cell.answers(), pages)
+    return Study(figures, table, data, answers, pages)

@@ -311,7 +311,7 @@ def test_reproduce_fig3_renders_it(cell, tmp_path, monkeypatch):
     near = np.abs(picture[:, : picture.shape[1] // 2] - view).max(axis=2) < 0.1
     assert near.sum() > 500
     told = read_json(tmp_path / "fig3.json")
-    assert told["overhead vision"].startswith("60 Hz") and "8 motors" in told["arms"]
+    assert "60 Hz" in told["vision"] and "[4, 4] driven joints" in told["arms"]
 
 
 def test_without_a_browser_there_is_the_page_and_a_word(cell, tmp_path, monkeypatch):
