@@ -357,33 +357,16 @@ def faces_of(
         rig: holds the object. contacts: how many. rank: of their forces, at most as many as
             contacts and motions of the object. rng: random numbers.
     """
-    S = rig.chain.state(rig.q, np.zeros(rig.chain.nq)).S
     pairs: list[VertexOnFace] = []
     for i in range(contacts):
-        if i < rank:
-            pairs.append(_another(rig, pairs, rng, S))
-        else:
-            first = pairs[i % rank]
-            vertex = first.vertex - 0.02 * (i // rank) * (rig.X_WO.rotation.T @ first.normal)
-            at = rig.X_WO.act(vertex)
-            pairs.append(VertexOnFace(vertex, at, first.normal, name=f"face{i}"))
+        vertex = rng.uniform(-0.3, 0.3, 3)
+        normal = rng.normal(size=3)
+        if i >= rank:
+            normal = pairs[i % rank].normal
+            back = rig.X_WO.rotation.T @ normal
+            vertex = pairs[i % rank].vertex - 0.02 * (i // rank) * back
+        pairs.append(VertexOnFace(vertex, rig.X_WO.act(vertex), normal, name=f"face{i}"))
     return pairs
-
-
-def _another(
-    rig: RandomRig, pairs: list[VertexOnFace], rng: np.random.Generator, S: Array
-) -> VertexOnFace:
-    """The one of some random faces that depends least on the others."""
-    half = np.linalg.cholesky(S.T @ BODY.matrix() @ S)
-
-    def apart(pair: VertexOnFace) -> float:
-        N = np.hstack([p.contact(rig.X_WO, np.zeros(6)).N for p in (*pairs, pair)])
-        felt = np.linalg.solve(half, S.T @ N)
-        return float(np.linalg.svd(felt / np.linalg.norm(felt, axis=0))[1][-1])
-
-    drawn = [(rng.uniform(-0.3, 0.3, 3), rng.normal(size=3)) for _ in range(30)]
-    name = f"face{len(pairs)}"
-    return max((VertexOnFace(p, rig.X_WO.act(p), n, name=name) for p, n in drawn), key=apart)
 
 
 # --- Rigs in trouble or with more switched on than usual, and many rigs at once ---

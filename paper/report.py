@@ -13,11 +13,11 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from html import escape
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rich.table import Table
 
@@ -155,7 +155,7 @@ def _statement(words: str, answer: Answer | None, made: bool) -> str:
     )
 
 
-def _study(name: str, made: Made, reproduction: Reproduction) -> str:
+def _study(name: str, made: Study, reproduction: Reproduction) -> str:
     title = escape(name.replace("_", " "))
     return (
         f'<section id="{name}"><h2>{title[:1].upper() + title[1:]}</h2>{_table(made.table)}'
@@ -163,7 +163,7 @@ def _study(name: str, made: Made, reproduction: Reproduction) -> str:
     )
 
 
-def _pictures(made: Made, name: str) -> Iterator[str]:
+def _pictures(made: Study, name: str) -> Iterator[str]:
     """Each figure once, as vectors where there are, with its files to take away."""
     for stem in dict.fromkeys(path.stem for path in made.files if path.suffix == ".png"):
         files = {path.suffix: path for path in made.files if path.stem == stem}
@@ -251,28 +251,6 @@ REPRODUCIBLE = (*figures.FIGURES, *STUDIES)
 BRIEF_S = 10.0  #: of each run of a slow study that is one of several
 
 
-@dataclass(frozen=True)
-class Made:
-    """What came of one name.
-
-    Attributes:
-        files: figures in every format, and JSON.
-        answers: to what the paper states, by key; empty for studies beside the paper.
-        table: of a study. data: its numbers. options: that its command needs besides those typed.
-    """
-
-    files: Sequence[Path]
-    answers: Mapping[str, Answer] = field(default_factory=dict)
-    table: Table | None = None
-    data: Mapping[str, Any] | None = None
-    options: str = ""
-
-    @property
-    def drawn(self) -> bool:
-        """Whether there is a picture among the files; fig. 3 needs a browser for its own."""
-        return any(path.suffix in (".png", ".svg") for path in self.files)
-
-
 class Reproduction(NamedTuple):
     """Everything that one command made.
 
@@ -281,7 +259,7 @@ class Reproduction(NamedTuple):
         scenario: behind the figures that are not studies, recording: of its run, if there was one.
     """
 
-    made: Mapping[str, Made]
+    made: Mapping[str, Study]
     scenario: osc.Scenario
     recording: osc.Recording | None
     scene: Path | None
@@ -291,7 +269,7 @@ class Reproduction(NamedTuple):
         """By the names of the paper's eight figures."""
         found = {}
         for figure in PAPER:
-            one = self.made.get(figure.name, Made(()))
+            one = self.made.get(figure.name, Study({}))
             made = figure.name in self.made
             found[figure.name] = judge(figure, made, one.answers, one.drawn)
         return found
@@ -380,11 +358,11 @@ def make(
             pool = stack.enter_context(ProcessPoolExecutor(mp_context=get_context("spawn")))
             coming = {k: pool.submit(write_study, k, folder, one) for k, one in studies.items()}
         for name in drawn:
-            files = save(figures.reproduce(name, scenario, recording), folder / name, PRINT)
             answers = {}
             if recording is not None:
                 answers = ANSWERS[name](Evidence(osc.build_rig(scenario), recording))
-            made[name] = Made(files, answers)
+            picture = {name: figures.reproduce(name, scenario, recording)}
+            made[name] = write(name, folder, Study(picture, answers=answers))
         for name, one in studies.items():
             with err.status(name) as status:
                 here = replace(one, tell=status.update)
@@ -395,7 +373,7 @@ def make(
     return Reproduction(made, scenario, recording, scene, options)
 
 
-def write_study(name: str, folder: Path, ask: Ask) -> Made:
+def write_study(name: str, folder: Path, ask: Ask) -> Study:
     """Run a study; write its figures (PNG, SVG, PDF) and NAME.json into a folder.
 
     Args:
@@ -409,13 +387,15 @@ def write_study(name: str, folder: Path, ask: Ask) -> Made:
     if ask.changes and name not in WITH_SCENARIO:
         raise osc.InvalidInputError(f"{name} is not made from a scenario; leave --set out")
     folder.mkdir(parents=True, exist_ok=True)
-    study = STUDIES[name](replace(ask, folder=folder))
-    files = [
-        path
-        for title, figure in study.figures.items()
-        for path in save(figure, folder / title, PRINT)
-    ]
-    files += [write(folder / f"{title}.html") for title, write in study.pages.items()]
-    files.append(folder / f"{name}.json")
-    write_json(study.data, files[-1])
-    return Made(files, study.answers, study.table, study.data)
+    return write(name, folder, STUDIES[name](replace(ask, folder=folder)))
+
+
+def write(name: str, folder: Path, study: Study) -> Study:
+    """Write figures, pages and numbers; returns the study with the files in their place."""
+    drawn = (save(figure, folder / title, PRINT) for title, figure in study.figures.items())
+    files = [path for paths in drawn for path in paths]
+    files += [page(folder / f"{title}.html") for title, page in study.pages.items()]
+    if study.data is not None:
+        files.append(folder / f"{name}.json")
+        write_json(study.data, files[-1])
+    return replace(study, figures={}, pages={}, files=files)

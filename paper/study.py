@@ -29,18 +29,25 @@ class Study:
 
     Attributes:
         figures: by file name, without suffix.
-        table: to print.
-        data: the numbers, for JSON.
+        table: to print; of a figure there is none. data: the numbers, for JSON.
         answers: of a study named as a figure of the paper, to what the paper states about it, by
             the keys of `PAPER`.
         pages: what writes a page to a path, by file name without suffix.
+        files: what has been written. options: that its command needs besides those typed.
     """
 
     figures: Mapping[str, Figure]
-    table: Table
-    data: Data
+    table: Table | None = None
+    data: Data | None = None
     answers: Mapping[str, Answer] = field(default_factory=dict)
     pages: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
+    files: Sequence[Path] = ()
+    options: str = ""
+
+    @property
+    def drawn(self) -> bool:
+        """Whether there is a picture among the files; fig. 3 needs a browser for its own."""
+        return any(path.suffix in (".png", ".svg") for path in self.files)
 
 
 def _ignore(step: str) -> None:

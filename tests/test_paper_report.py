@@ -28,7 +28,6 @@ from paper import fig3
 from paper.figures import ANSWERS, FIGURES, Evidence
 from paper.report import (
     STUDIES,
-    Made,
     Reproduction,
     names_of,
     typed,
@@ -36,7 +35,7 @@ from paper.report import (
     write_study,
 )
 from paper.statements import PAPER, Answer, Verdict, judge
-from paper.study import Ask
+from paper.study import Ask, Study
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} 100"><path d="M0 0h9v9z"/></svg>'
 READY = "document.querySelector('main') !== null"
@@ -63,12 +62,12 @@ def report(evidence, tmp_path_factory):
     made = {}
     for name, width in (("fig1", 100), ("fig2", 100), ("fig4", 300), ("fig5", 100), ("fig8", 100)):
         answers = ANSWERS[name](evidence) if name != "fig2" else {}
-        made[name] = Made(drawn(name, width), answers)
+        made[name] = Study({}, answers=answers, files=drawn(name, width))
     made["fig8"].answers["follow"] = Answer("<b>no</b>", False, "less & less")
     table = Table("arm & leg", "value", title="a table")
     table.add_row("left <arm>", "3 µm")
     files = (*drawn("steps", more=" " * 1_000_000)[::-1], folder / "steps.json")
-    made["steps"] = Made(files, {}, table, {"a": 1}, "--duration 10")
+    made["steps"] = Study({}, table, {"a": 1}, files=files, options="--duration 10")
     made["fig1"] = replace(made["fig1"], files=(*made["fig1"].files, scene))
     found = Reproduction(
         made, evidence.rig.scenario, evidence.recording, scene, "--plant rigid --set 'a=[1, 2]'"
