@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import osc_contact as osc
+from osc_contact.recorder.judged import judged_ticks
 from osc_contact.spatial import Array
 from osc_contact.visual import OKABE_ITO, contact_colour, plots
 from paper.statements import Answer
@@ -177,25 +178,11 @@ def draw_collisions(recording: osc.Recording) -> Figure:
 
 
 def draw_landing(runs: Sequence[osc.Recording]) -> Figure:
-    """Forces of all runs above; gaps and phases of the first one below."""
-    first = runs[0]
-    t = first["t"]
-    with plots.style():
-        figure, (forces, gap, phase) = plots.panels(3, 1.9)
-        forces.plot(t, first["alpha_cmd"][:, 0], color="#B4BAC2", lw=4, label="desired")
-        for i, name in enumerate(first.magnitude_names):
-            look: Any = {"color": contact_colour(i), "label": name.replace("_", " ")}
-            for one in runs:
-                forces.plot(t, one["alpha_true"][:, i], color=look["color"], lw=0.8)
-            gaps = -np.cumsum(normal_speeds(first)[:, i]) * (t[1] - t[0])
-            made = int(np.argmax(first["closed"][:, i]))
-            gap.plot(t, 1e3 * (gaps - gaps[made]), **look)
-            phase.step(t, first["contact_phase"][:, i] + 0.04 * i, where="post", **look)
-        forces.set(title=f"true contact forces, {len(runs)} starts", ylabel="force (N)")
-        gap.set(title=f"gap, seed {first.meta['seed']}", ylabel="gap (mm)")
-        phase.set(title="phase", yticks=(0, 1, 2), yticklabels=("open", "approaching", "closed"))
-        for ax in (forces, gap, phase):
-            plots.legend(ax)
+    """Forces of the first run, and the true ones of all others."""
+    figure = plots.contact_forces(runs[0], judged_ticks(runs[0])[0])
+    for one in runs[1:]:
+        for i, force in enumerate(one["alpha_true"].T):
+            figure.axes[i].plot(one["t"], force, color=contact_colour(i), lw=0.6)
     return figure
 
 

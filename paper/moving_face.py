@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 import osc_contact as osc
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.spatial import Array
-from osc_contact.visual import OKABE_ITO
-from osc_contact.visual.plots import style
+from osc_contact.visual import OKABE_ITO, plots
 from paper.study import Ask, Data, Study, table_of
 
 _SWING = "[{type: sine, amplitude: 30 mm, frequency: 1 Hz, start: 0 s, ramp: 2 s}]"
@@ -83,31 +82,21 @@ def _travel(recording: osc.Recording) -> Array:
 
 
 def draw(cases: Sequence[tuple[Data, osc.Recording]]) -> Figure:
-    """Travel of the face on the left, error of the force on it on the right; a row each."""
+    """Error of the force on the moving face, under both laws; a row for each face."""
     faces = list(dict.fromkeys(row["face"] for row, _ in cases))
     colours = dict(zip(LAWS, ("blue", "vermillion"), strict=True))
-    with style():
-        figure = Figure(figsize=(9.6, 1.9 * len(faces) + 0.9))
-        axes = figure.subplots(len(faces), 2, sharex=True, sharey="col", squeeze=False)
-        largest = 0.0
+    with plots.style():
+        figure, axes = plots.panels(len(faces), 1.9)
         for row, recording in reversed(cases):
-            travel, force = axes[faces.index(row["face"])]
-            t = recording["t"]
-            colour = OKABE_ITO[colours[row["law"]]]
-            error = recording["alpha_true"][:, 0] - recording["alpha_cmd"][:, 0]
+            ax = axes[faces.index(row["face"])]
+            judged = recording["t"] >= SETTLE_S
+            error = (recording["alpha_true"] - recording["alpha_cmd"])[judged, 0]
             label = f"{row['law']}: {100 * row['left_end_rms_error_rel']:.2g} % rms"
-            travel.plot(t, 1e3 * _travel(recording), color=colour, lw=1.4)
-            force.plot(t, error, color=colour, lw=1.1, label=label)
-            largest = max(largest, np.abs(error[t >= SETTLE_S]).max())
-            travel.set(title=row["face"], ylabel="travel (mm)")
-            force.set(title="force on it, true − desired", ylabel="(N)")
-            force.legend(loc="upper right", ncols=2)
-        for ax in axes.flat:
-            ax.margins(x=0.01)
-        axes[0, 1].set_ylim(-1.2 * largest, 2.2 * largest)
-        for ax in axes[-1]:
-            ax.set_xlabel("time (s)")
-        figure.suptitle("Pressing on a moving face", x=0.01, ha="left", size=12, weight="bold")
+            colour = OKABE_ITO[colours[row["law"]]]
+            ax.plot(recording["t"][judged], error, color=colour, label=label)
+            title = f"{row['face']}, which travels {1e3 * row['travel_m']:.0f} mm"
+            ax.set(title=title, ylabel="force error (N)")
+            plots.legend(ax)
     return figure
 
 

@@ -181,9 +181,9 @@ def test_the_full_law_keeps_the_force_on_a_free_cart(on_mujoco):
 
 def test_the_figure_shows_each_face_once(on_mujoco):
     figure = moving_face.draw(list(on_mujoco.values()))
-    travel, error = figure.axes
-    assert travel.get_title(loc="left") == "free cart"
-    assert len(travel.lines) == len(error.lines) == 2
+    (error,) = figure.axes
+    assert error.get_title(loc="left").startswith("free cart, which travels")
+    assert len(error.lines) == 2
 
 
 @parametrize(
