@@ -75,6 +75,7 @@ JUDGES = (
     "singular",
     "tilted_faces",
     "controller",
+    "operational_space",
 )
 #: Whose tests come first: those of the part itself. `law_kkt` judges whole ticks after them.
 OWN = {
@@ -102,6 +103,7 @@ OWN = {
     "linkage": ("allocation.py",),
     "law_limits": ("limits.py",),
     "outcome": ("monitor.py",),
+    "operational_space": ("operational.py",),
 }
 SLOW = 6  #: s; a test that takes longer without compilation is no judge
 CHECK = 2.0  #: s of tests that have to pass without any mutant, three times
@@ -269,11 +271,12 @@ class Judges:
         source = spec.module_path.read_text().splitlines()
         first = spec.start_pos[0]
         last = spec.end_pos[0]
-        tests = set().union(*(lines[i] for i in range(first, last + 1)))
-        if not tests:  # runs when it is imported, or continues in another line
-            named = re.match(r"\s*(\w+)(:[^=]*)? = ", source[first - 1])
-            tests = set(self._users(named[1])) if named and not named[0].startswith(" ") else set()
-        if not tests:
+        named = re.match(r"(\w+)(:[^=]*)? = ", source[first - 1])
+        if named:  # a constant: runs when it is imported, by whatever test imports it first
+            tests = set(self._users(named[1]))
+        else:
+            tests = set().union(*(lines[i] for i in range(first, last + 1)))
+        if not tests:  # continues in another line
             near = max((i for i in lines if i <= first and lines[i]), default=0)
             tests = lines[near] or set().union(*lines.values()) or set(self.seconds)
         chosen = []

@@ -257,6 +257,25 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
 # --- torques --------------------------------------------------------------------------------------
 
 
+@SEEDS
+def test_rows_that_those_before_nearly_span_are_factored_too(seed):
+    """Z = A R⁻¹Aᵀ; the last pivot is less than 1e-7 of its row."""
+    rng = rng_of(seed)
+    n = 9
+    A = rng.standard_normal((8, n))
+    A[7] = rng.standard_normal(7) @ A[:7] + 1e-3 * A[7]
+    t = records(arms=1, joints=n)
+    t.model.arms.end[:] = n
+    t.model.joints.effort[:] = rng.uniform(0.5, 2.0, n)
+    t.work.joints.J_bar[:] = A[:6].T
+    write(t.work, effort=A[:6] * t.model.joints.effort @ A[:6].T, extra=A[6:])
+    assert allocation.factor_effort(t) and allocation.add_row(t, 0) and allocation.add_row(t, 1)
+    R = qr((A * np.sqrt(t.model.joints.effort)).T)[1]
+    want = (R * np.sign(np.diag(R))[:, None]).T
+    close(np.tril(t.work.factor[:8, :8], -1), np.tril(want, -1), atol=1e-9)
+    close(1.0 / np.diag(t.work.factor)[:8], np.diag(want), rtol=1e-8)
+
+
 def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
     t = records(joints=3)
     t.model.joints.motor[:] = [1, -1, 0]
@@ -497,6 +516,14 @@ def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
     assert remapped([1, 1, 0, 0])[0] == 0, "contact was lost"
     contacts.phase[2] = APPROACHING
     assert remapped([1, 1, 1, 0])[0] == 0, "it comes"
+
+
+@parametrize("phased", [0, 1])
+def test_phases_keep_what_was_measured(phased):
+    t = records(contacts=1, columns=2, phased=phased, lag=0.02, period=1e-3)
+    t.memory.columns.known[:] = 1
+    tick.remember(t)
+    assert (t.memory.columns.known == 1 - phased).all(), "nothing is in contact"
 
 
 # --- torques beyond the motors --------------------------------------------------------------------

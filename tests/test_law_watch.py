@@ -305,7 +305,7 @@ class Approach:
         self.memory = t.memory
         self.work = t.work
         self.kept = t.memory.columns
-        write(t.memory, compared=1, X_WO=np.eye(4))
+        write(t.memory, compared=1, X_WO=np.eye(4) + np.eye(4, k=3))
         write(t.work, rank=2, keep=[0.0, 2.0], V_N=0.01 * rng.standard_normal(2))
         t.model.columns.contact[:] = [0, 0, 1, 1]
         t.memory.contacts.phase[:] = phase
@@ -573,6 +573,20 @@ def test_a_joint_without_a_sound_reading_cannot_be_braked():
     assert sensors.memory.unbraked == 1
     sensors.tick()
     assert sensors.memory.unbraked == -1
+
+
+def test_what_is_not_read_follows_from_speeds_or_positions():
+    """Positions as integrals, speeds by a low-pass of 5 ms."""
+    sensors = Sensors()
+    v = np.array([0.3, -0.4])
+    nothing = np.full(2, np.nan)
+    sensors.tick(v)
+    for k in range(1, 30):
+        sensors.tick(nothing, true=2.0 * v)
+        assert_allclose(sensors.memory.v, v * (2.0 - (5.0 / 6.0) ** k), rtol=1e-7)
+    for k in range(1, 30):
+        sensors.tick(v, q=nothing)
+        assert_allclose(sensors.memory.q, v * (0.059 + k * DT), rtol=1e-7)
 
 
 @BOTH
