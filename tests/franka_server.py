@@ -183,7 +183,8 @@ class Server(FrankaRobotServer):
         """What goes over the wire in place of packet k since the faults began."""
         faults = self.faults
         hit = {name: k % (faults[name] or k + 1) == 0 for name in ("drop", "repeat", "swap")}
-        time.sleep(faults["freeze"].get(str(k), 0.0))
+        if str(k) in faults["freeze"]:  # a sleep of 0 s gives the processor away, too
+            time.sleep(faults["freeze"][str(k)])
         if faults["kill"]:
             os._exit(1)
         if k <= faults["away"]:  # a client that neither reads nor writes

@@ -78,7 +78,7 @@ def test_no_field_of_a_record_is_named_like_an_attribute(name):
 @parametrize(
     "other, duration",
     [
-        ({"NUMBA_DISABLE_JIT": "1"}, 0.01),
+        ({"NUMBA_DISABLE_JIT": "1"}, 0.003),
         param({"NUMBA_DISABLE_JIT": "1"}, 0.25, marks=mark.slow),
         param({"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "jit"}, 0.25, marks=mark.slow),
     ],

@@ -21,29 +21,6 @@ DT = 1e-3
 GAINS = ForceGains(30.0, 100.0)
 
 
-# --- the law's functions, called from Python ------------------------------------------------------
-
-
-def begin_tick(rows, judge):
-    t = views(rows)
-    changed = False
-    if judge:
-        changed = law.advance_phases(t)
-        law.remap_force_sums(t)
-    law.set_goals(t)
-    return changed
-
-
-def end_tick(rows, independent, hot):
-    t = views(rows)
-    for j in range(t.model.n_columns):
-        if t.work.here[j]:
-            law.predict_force(t, t.memory.columns[j], t.work.goal[j], hot, t.model.period)
-        else:
-            t.memory.columns[j].predicted = 0.0
-    law.low_pass(t, independent)
-
-
 class Phases:
     """Tables for these contacts, and the stages of a tick that concern them."""
 
@@ -53,8 +30,8 @@ class Phases:
         pushing = np.asarray(pushing, dtype=bool)
         self.owners = owners
         self.n = len(owners)
-        self.rows = Rows(new_model(1, 1, 1, len(pushing), 0, self.n))
-        self.chain, self.memory, self.work, _ = views(self.rows)
+        self.tick = views(Rows(new_model(1, 1, 1, len(pushing), 0, self.n)))
+        self.chain, self.memory, self.work, _ = self.tick
         self.contacts = self.memory.contacts
         self.columns = self.memory.columns
         self.kept = self.work.here
@@ -90,7 +67,10 @@ class Phases:
     def begin(self, wanted, judge=True):
         """Start a tick; returns whether N has changed, and the goals."""
         self.work.goal[:] = wanted
-        changed = begin_tick(self.rows, judge)
+        changed = judge and law.advance_phases(self.tick)
+        if judge:
+            law.remap_force_sums(self.tick)
+        law.set_goals(self.tick)
         return changed, self.work.goal.copy()
 
     def end(self, alpha, speed, D=None, independent=False, chosen=None, limited=False):
@@ -103,7 +83,12 @@ class Phases:
         self.work.here[:] = self.here
         self.work.alpha[:] = alpha
         self.work.speeds[:] = speed
-        end_tick(self.rows, independent, limited)
+        for column, here, goal in zip(self.columns, self.here, self.work.goal, strict=True):
+            if here:
+                law.predict_force(self.tick, column, goal, limited, self.chain.period)
+            else:
+                column.predicted = 0.0
+        law.low_pass(self.tick, independent)
 
     @property
     def sums(self):
@@ -477,10 +462,8 @@ def test_one_magnitude_is_judged_by_its_rules(seed):
         more = np.where(rng.random(4) < 0.3, rng.uniform(0, 5, 4), 0.0)
         given = zip(states, alpha, speed, more, strict=True)
         states = [watched(one, a, v, DT, limits, extra) for one, a, v, extra in given]
-        t = views(phases.rows)
         for j in range(4):
-            column = t.memory.columns[j]
-            law.monitor(t.model, column, alpha[j], speed[j], DT, limits.dwell, more[j])
+            law.monitor(phases.chain, rows[j], alpha[j], speed[j], DT, limits.dwell, more[j])
         for row, state in zip(rows, states, strict=True):
             assert tuple(row[name] for name in names) == state
 

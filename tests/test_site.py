@@ -19,9 +19,13 @@ from osc_contact.visual.page import embed
 
 
 def build(source, into, *options):
-    """As `make docs`, without running the notebooks: tests/test_site.py runs them."""
-    line = f"-m sphinx -W --keep-going -q -b html -D run_notebooks=0 -d {into}/doctrees"
-    command = [sys.executable, *line.split(), *options, source, into / "site"]
+    """As `make docs`, without running the notebooks: tests/test_site.py runs them.
+
+    Without collecting garbage, which costs a third of the time.
+    """
+    sphinx = "import gc, sys; gc.disable(); from sphinx.cmd.build import main; sys.exit(main())"
+    line = f"-W --keep-going -q -b html -D run_notebooks=0 -d {into}/doctrees"
+    command = [sys.executable, "-c", sphinx, *line.split(), *options, source, into / "site"]
     return subprocess.run(command, capture_output=True, text=True, timeout=300)
 
 
