@@ -8,10 +8,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.typing import LineStyleType
 from rich.table import Table
 
 import osc_contact as osc
@@ -294,54 +291,29 @@ def comparison_table(result: Mapping[str, Any]) -> Table:
     return table_of(title, heads, rows)
 
 
-LINES: tuple[LineStyleType, ...] = ("-", "--", ":")  #: of the laws, for prints without colours
-
-
 def draw(result: Data, runs: Sequence[StepRun]) -> Figure:
-    """Top: what a force step does to the motion. Bottom: what a motion step does to the force.
-
-    Left: at one instant on the rigid plant, dimensionless. Middle: peak on MuJoCo. Right: over
-    time on MuJoCo, every step after the other.
+    """On MuJoCo, step after step: what one of a force does to the motion, and the other way round.
 
     Args:
         result, runs: of `compare`.
     """
-    laws = result["laws"].values()
-    colours = [OKABE_ITO[name] for name in ("blue", "vermillion", "orange")]
-    rows = (
-        ("force step → motion", r"$\|m\,G_f M^{-1}\|$  (1)", "displacement (µm)", 1e6),
-        ("motion step → force", r"$\|G_m K^{-1}\|/m$  (1)", "force error (N)", 1.0),
-    )
+    look = zip(("blue", "vermillion", "orange"), ("-", "--", ":"), strict=True)
     with style():
-        figure = Figure(figsize=(10.0, 5.4))
-        grid = figure.subplots(2, 3, width_ratios=[1.0, 1.0, 2.7])
-        for i, ((instant, peak, course), row) in enumerate(zip(grid, rows, strict=True)):
-            title, symbol, unit, scale = row
-            _bars(instant, [law["measured"][KINDS[i]] for law in laws], colours)
-            _bars(peak, [scale * run.peaks[i] for run in runs], colours)
-            instant.set(title=f"{title}\nrigid plant, one instant", ylabel=symbol)
-            peak.set(title="MuJoCo\nlargest of all steps", ylabel=unit)
-            for run, colour, line in zip(runs, colours, LINES, strict=True):
-                r = run.alpha.shape[1]
-                for k in (range(r), range(r, len(run.starts)))[i]:
-                    course.plot(run.t[run.window(k)], scale * run.effect(k), color=colour, ls=line)
-                    course.axvline(run.starts[k], color="black", lw=0.7)
-            course.set(title="MuJoCo\nstep after step", ylabel=unit, xlabel="time (s)")
-        handles = [
-            Line2D([], [], color=colour, linestyle=line, lw=4)
-            for colour, line in zip(colours, LINES, strict=True)
-        ]
-        labels = [law["label"] for law in laws]
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        figure = Figure(figsize=(10.0, 3.2))
+        moved, pressed = figure.subplots(1, 2)
+        for law, run, (colour, line) in zip(result["laws"].values(), runs, look, strict=True):
+            label = law["label"]
+            for k, start in enumerate(run.starts):
+                ax, scale = (moved, 1e6) if k < run.alpha.shape[1] else (pressed, 1.0)
+                t = run.t[run.window(k)]
+                how: Any = {"color": OKABE_ITO[colour], "ls": line, "label": label}
+                ax.plot(t, scale * run.effect(k), **how)
+                ax.axvline(start, color="black", lw=0.7)
+                label = "_"  # once in the legend
+        moved.set(title="force steps", ylabel="displacement (µm)", xlabel="time (s)")
+        pressed.set(title="motion steps", ylabel="force error (N)", xlabel="time (s)")
+        pressed.legend(loc="upper right")
     return figure
-
-
-def _bars(ax: Axes, values: Sequence[float], colours: Sequence[str]) -> None:
-    """One bar for each law, with its number."""
-    bars = ax.bar(range(len(values)), values, color=colours)
-    ax.bar_label(bars, fmt="{:.3g}")
-    ax.set(yscale="log", xticks=[])
-    ax.margins(y=0.2)
 
 
 def study(ask: Ask) -> Study:

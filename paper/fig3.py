@@ -21,7 +21,7 @@ from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.marks import TwistAxes
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
-from osc_contact.visual.parts import LegendEntry, State, changes
+from osc_contact.visual.parts import State, changes
 from osc_contact.visual.plots import style
 from osc_contact.visual.scene import Scene, eye, label, picture_axes, sample_at, set_stage
 from osc_contact.visual.shapes import along, at, material, plain, tube
@@ -255,16 +255,7 @@ class Workcell:
         set_stage(scene, shot.points, view, aspect)
         axes = picture_axes(view)
         labels = [c.draw(scene, f"callouts/{k}", axes) for k, c in enumerate(shot.callouts)]
-        entries = [
-            LegendEntry(colour, name, "line", (node,))._asdict()
-            for colour, name, node in (
-                (VISION, "view of the overhead camera", "vision/view"),
-                (JOINT_TORQUE, "joint torque sensors", "sensors/joint_torque"),
-                (WRIST, "wrist force/torque sensors", "sensors/wrist"),
-                ("#15181C", "labels", "callouts"),
-            )
-        ]
-        config = EMPTY | {"legend": entries, "labels": labels, "aspect": aspect}
+        config = EMPTY | {"labels": labels, "aspect": aspect}
         return write_page(sink, path, shot.title, config)
 
     def answers(self) -> dict[str, Answer]:

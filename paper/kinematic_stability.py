@@ -335,15 +335,14 @@ def posture_map(worst: WorstPosture, joints: tuple[int, int], count: int = 48) -
         count: positions of each, over the whole turn.
 
     Returns:
-        Of the classic scheme, of ours; NaN where the arm is singular.
+        Of the classic scheme, of ours.
     """
-    least = np.full((2, count, count), np.nan)
+    least = np.empty((2, count, count))
     q = worst.q.copy()
     grid = _grid(count)
     for j, i in np.ndindex(count, count):
         q[list(joints)] = grid[[i, j]]
-        if regularity(worst.arm, q) > 1e-9:
-            least[:, j, i] = [values[0].real for values in eigenvalues(worst.arm, q)]
+        least[:, j, i] = [values[0].real for values in eigenvalues(worst.arm, q)]
     return least
 
 
@@ -463,8 +462,7 @@ def _map(ax: Axes, values: Array) -> Any:
     degrees = np.rad2deg(_grid(len(values)))
     look: Data = {"cmap": "RdBu", "vmin": -_LIMIT, "vmax": _LIMIT, "rasterized": True}
     shade = ax.pcolormesh(degrees, degrees, rates, **look)
-    ax.set_facecolor("#BBBBBB")  # singular: neither
-    if np.nanmin(values) < 0.0:
+    if values.min() < 0.0:
         ax.contourf(degrees, degrees, values, [-1e30, 0.0], colors="none", hatches=["////"])
     ax.grid(False)
     return shade

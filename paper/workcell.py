@@ -1,12 +1,8 @@
 """The real workcell of section 6, one trouble at a time: what each costs the contact forces."""
 
-from collections.abc import Iterable, Iterator, Mapping
-
-from matplotlib.figure import Figure
+from collections.abc import Iterable, Iterator
 
 import osc_contact as osc
-from osc_contact.visual import OKABE_ITO
-from osc_contact.visual.plots import style
 from paper.study import Ask, Data, Study, table_of, words_of
 
 SCENARIO = "workcell"
@@ -73,21 +69,6 @@ def ladder(stages: Iterable[str], ask: Ask) -> Iterator[tuple[str, Data]]:
         yield name, row | {"contact_fraction": min(verdict["contact_fraction"].values())}
 
 
-def draw(rungs: Mapping[str, Data]) -> Figure:
-    """Force error of each run, logarithmic; runs that diverged have no bar."""
-    errors = [100 * (errors["force_rms_rel"] or 0.0) for errors in rungs.values()]
-    with style():
-        figure = Figure(figsize=(6.4, 0.6 + 0.42 * len(rungs)), layout="constrained")
-        ax = figure.subplots()
-        bars = ax.barh(list(rungs), errors, color=OKABE_ITO["blue"])
-        words = [f"{error:.2g} %" if error else "diverged" for error in errors]
-        ax.bar_label(bars, words, padding=3)
-        label = "force error, rms (% of the mean command), worse contact"
-        ax.set(xscale="log", xlim=(1e-2, 1e4), xlabel=label)
-        ax.invert_yaxis()
-    return figure
-
-
 def study(ask: Ask) -> Study:
     """All stages."""
     data = dict(ladder(STAGES, ask))
@@ -96,4 +77,4 @@ def study(ask: Ask) -> Study:
         for real, errors in data.items()
     )
     heads = "what is real; force, rms; peak; sensed within; closed"
-    return Study({"workcell": draw(data)}, table_of("workcell", heads, rows), data)
+    return Study({}, table_of("workcell", heads, rows), data)
