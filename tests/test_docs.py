@@ -12,7 +12,7 @@ from textwrap import indent
 import typer
 import yaml
 from command_line import call
-from pytest import param
+from pytest import mark, param
 from samples import ROOT, module_fixture, parametrize
 from scenario_runs import rig_of, run_of
 
@@ -546,6 +546,7 @@ def edit(patch, file):
     file.write_text(text)
 
 
+@mark.usefixtures("no_figures")
 def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     said = ""

@@ -210,7 +210,7 @@ def test_a_power_ratio_that_is_large_says_why():
         assert any(all(word in row for word in words) for row in rows_of(verdict))
 
 
-def test_a_doubtful_run_says_so_and_ends_with_exit_code_1(tmp_path):
+def test_a_doubtful_run_says_so_and_ends_with_exit_code_1(tmp_path, no_figures):
     """The word is never OK where the exit code is not 0."""
     heavy = "--set model_error.arm_mass=1.01 --set model_error.object_mass=1.01"
     result = call(f"run two_contact_rod --duration 1.2 {heavy} --out", tmp_path)
@@ -219,7 +219,7 @@ def test_a_doubtful_run_says_so_and_ends_with_exit_code_1(tmp_path):
     assert "verdict: DOUBTFUL" in result.stdout and "before it ran: " in result.stdout
 
 
-def test_a_run_that_loses_its_contact_ends_with_exit_code_1(tmp_path):
+def test_a_run_that_loses_its_contact_ends_with_exit_code_1(tmp_path, no_figures):
     """The left face is driven away faster than the arms follow: nobody closes the contact again."""
     away = (
         "contacts.left_end.face.motion={type: conveyor, direction: [-0.5, -0.2, -0.84], "
@@ -231,7 +231,7 @@ def test_a_run_that_loses_its_contact_ends_with_exit_code_1(tmp_path):
     assert read_json(tmp_path / "metrics.json")["task"]["failed"] is True
 
 
-def test_an_ordinary_run_reports_its_first_contact_and_ends_well(tmp_path):
+def test_an_ordinary_run_reports_its_first_contact_and_ends_well(tmp_path, no_figures):
     """Two forces commanded at once at t = 0 are let in: neither overshoots."""
     result = done("run two_contact_rod --duration 1.2 --out", tmp_path)
     assert "verdict: OK" in result.stdout

@@ -221,7 +221,7 @@ def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     assert_allclose(pressed, -np.array(scenario.contacts[0].face.normal), atol=1e-4)
 
 
-def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path):
+def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path, no_figures):
     file = tmp_path / "arm.yaml"
     line = "new --robot ur10 --tip tool0 --posture '0, -90 deg, 90 deg, -90 deg, -90 deg, 0' --out"
     done(line, file)

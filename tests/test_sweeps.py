@@ -34,7 +34,7 @@ from osc_contact.sweeps.study import SweepStudy, parse_distribution
 from osc_contact.sweeps.sweep import ROWS, TABLE, RigBuilder, make_rows, run_study, scenario_of
 
 U = np.linspace(0.01, 0.99, 7)
-SHORT = ("duration=1.02 s",)
+SHORT = ("duration=1.02 s", "control.rate=250 Hz")
 MASSES = "model_error.object_mass=uniform(0.8, 1.2)"
 NORMALS = "contacts.left_end.face.normal=tilt(5 deg)"
 
@@ -273,9 +273,10 @@ def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tm
 
 def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path):
     program = "from osc_contact.cli import app; app()"
-    line = f"sweep two_contact_rod --samples 8 --duration 1.02 --workers 1 --out {tmp_path} --vary"
+    line = f"sweep two_contact_rod --samples 8 --workers 1 --out {tmp_path} --vary"
     rows = tmp_path / ROWS
-    command = [sys.executable, "-c", program, *line.split(), MASSES]
+    changes = [word for one in SHORT for word in ("--set", one)]
+    command = [sys.executable, "-c", program, *line.split(), MASSES, *changes]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         wait_until(lambda: rows.exists() and rows.read_bytes().count(b"\n") > 3, process=process)
         process.kill()
@@ -283,7 +284,7 @@ def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path
     count = kept.count(b"\n") - 1
     assert 3 <= count < 8 and not (tmp_path / TABLE).exists()
     rows.write_bytes(kept + b'{"row": 7, "seed"')  # killed while it wrote
-    study = SweepStudy.of("two_contact_rod", [MASSES], 8, overrides=["duration=1.02"])
+    study = rod(8, MASSES)
     begun = []
     resumed = run_study(study, out=tmp_path, workers=1, progress=lambda n, _: begun.append(n))
     assert len(begun) == 8 - count
