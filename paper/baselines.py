@@ -302,14 +302,13 @@ def draw(result: Data, runs: Sequence[StepRun]) -> Figure:
         figure = Figure(figsize=(10.0, 3.2))
         moved, pressed = figure.subplots(1, 2)
         for law, run, (colour, line) in zip(result["laws"].values(), runs, look, strict=True):
-            label = law["label"]
+            r = run.alpha.shape[1]
             for k, start in enumerate(run.starts):
-                ax, scale = (moved, 1e6) if k < run.alpha.shape[1] else (pressed, 1.0)
-                t = run.t[run.window(k)]
+                ax, scale = (moved, 1e6) if k < r else (pressed, 1.0)
+                label = law["label"] if k == r else "_"  # once in the legend
                 how: Any = {"color": OKABE_ITO[colour], "ls": line, "label": label}
-                ax.plot(t, scale * run.effect(k), **how)
+                ax.plot(run.t[run.window(k)], scale * run.effect(k), **how)
                 ax.axvline(start, color="black", lw=0.7)
-                label = "_"  # once in the legend
         moved.set(title="force steps", ylabel="displacement (µm)", xlabel="time (s)")
         pressed.set(title="motion steps", ylabel="force error (N)", xlabel="time (s)")
         pressed.legend(loc="upper right")
