@@ -315,28 +315,20 @@ def main(figure: Annotated[Path | None, typer.Option(help="also draw it (PNG)")]
     heads = "law; policy; slow: uneven; off the path; fast: uneven; off the path"
     title = f"{JUDGED} passes with masses not met while learning"
     lines = []
-    depths = {}
     for (law, name), policy in policies.items():
-        slow, fast = (judge(law, policy, seconds) for seconds in (SLOW, FAST))
-        cells = (f"{x.uneven.mean():.1%}; {1e3 * x.off.mean():.2f} mm" for x in (slow, fast))
+        passes = (judge(law, policy, seconds) for seconds in (SLOW, FAST))
+        cells = (f"{x.uneven.mean():.1%}; {1e3 * x.off.mean():.2f} mm" for x in passes)
         lines.append("; ".join((law, name, *cells)))
-        depths[law, name] = slow.depth
     Console().print(table_of(title, heads, lines))
     if figure is not None:
-        draw(learned, {name: depths["ours", name] for name in SHOWN}, figure)
+        draw(learned, figure)
 
 
-SHOWN = {"15 N everywhere": ("#999999", "before"), "learned, seed 0": ("#0072B2", "after")}
-"""Policies whose depths are drawn: colour and label."""
-
-
-def draw(
-    learned: dict[tuple[str, int], tuple[Array, Array]], depths: dict[str, Array], path: Path
-) -> None:
-    """Learning curves; forces found beside the best ones; depths before and after."""
+def draw(learned: dict[tuple[str, int], tuple[Array, Array]], path: Path) -> None:
+    """Learning curves; forces found beside the best ones."""
     with style():
-        figure = Figure(figsize=(10.0, 3.2))
-        curves, forces, depth = figure.subplots(1, 3)
+        figure = Figure(figsize=(6.7, 3.2))
+        curves, forces = figure.subplots(1, 2)
         colours = dict(zip(LAWS, ("#0072B2", "#E69F00", "#D55E00"), strict=True))
         for (law, seed), (policy, curve) in learned.items():
             named = "_" * bool(seed)  # not in a legend
@@ -347,13 +339,7 @@ def draw(
         curves.set(title="unevenness of the mean policy", **generations)
         forces.plot(1e3 * KNOTS, best_forces(KNOTS), "k--", lw=1.2, label="best, known hardness")
         forces.set(title="force by place", xlabel="place (mm)", ylabel="N", ylim=(0, None))
-        middle = 500 * (EDGES[1:] + EDGES[:-1])
-        for name, (colour, label) in SHOWN.items():
-            for i, one in enumerate(depths[name]):
-                depth.plot(middle, one, color=colour, lw=0.7, label="_" * bool(i) + label)
-        title = f"depth of {JUDGED} passes, 1: as desired"
-        depth.set(title=title, xlabel="place (mm)", ylim=(0, None))
-        for ax in (curves, forces, depth):
+        for ax in (curves, forces):
             ax.legend()
         save(figure, path.with_suffix(""), (".png",))
 

@@ -336,7 +336,7 @@ def _draw_cone(ax: Any, seat: Seat) -> None:
 
 
 def _draw_axes(ax: Any, seat: Seat) -> None:
-    """t₁ with a round arrow, t₂ with a straight one, and the angle between them."""
+    """t₁ with a round arrow, t₂ with a straight one, and between them their angle."""
     apex = seat.point
     h = seat.height
     axis = seat.axis
@@ -354,13 +354,8 @@ def _draw_axes(ax: Any, seat: Seat) -> None:
     start = apex + 1.6 * h * groove
     draw_arrow(ax, start, start + 0.42 * h * groove, _SLIDING, 0.02 * h)
     write(ax, apex + 2.2 * h * groove, "$t_2$", _SLIDING, 15)
-    square = axis - (axis @ groove) * groove
-    square /= np.linalg.norm(square)
-    angle = seat.inclination
-    bow = apex + 1.28 * h * circle(groove, square, np.linspace(0.0, angle, 30))
-    draw_line(ax, bow, color="#555555", lw=1.3, zorder=6)
-    (middle,) = circle(groove, square, np.array([angle / 2]))
-    write(ax, apex + 1.43 * h * middle, f"{np.rad2deg(angle):.0f}°", "#333333", 11, bbox=HALO)
+    middle = apex + 0.78 * h * (axis + groove)
+    write(ax, middle, f"{np.rad2deg(seat.inclination):.0f}°", "#333333", 11, bbox=HALO)
 
 
 def study(ask: Ask) -> Study:
