@@ -2,6 +2,7 @@
 
 import numpy as np
 from law_calls import commands, records, write
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
 from samples import parametrize
@@ -17,6 +18,33 @@ def eased(x):
     """The share of a step that is still to come: least jerk, from 1 to 0, at rest at both ends."""
     x = np.clip(x, 0.0, 1.0)
     return 1.0 - 10.0 * x**3 + 15.0 * x**4 - 6.0 * x**5
+
+
+def low_pass(x, share):
+    return np.convolve(x, share * (1.0 - share) ** np.arange(len(x)))[: len(x)]
+
+
+def before(x):
+    return np.r_[0.0, x[:-1]]
+
+
+def soft_brake(V, V_face, alpha, alpha_s, scale, kappa, K_i, w):
+    """b and s of docs/tuning.md#soft-faces, as convolutions over all ticks; s₀ = 0.4 mm/N."""
+    yielded = low_pass(V, w * DT) / w
+    change = alpha_s - low_pass(alpha_s, w * DT)
+    force_change = alpha - low_pass(alpha, w * DT)
+    recalled = DT / 2.0
+    correlation = before(2.0 * low_pass(change * yielded, recalled))
+    excitation = before(2.0 * low_pass(change * force_change, recalled))
+    weight = 0.002 * np.r_[scale[:1], scale[:-1]] ** 2
+    s = np.clip((correlation + 4e-4 * weight) / (np.maximum(excitation, 0.0) + weight), 0.0, 8e-3)
+    rate = np.diff(alpha_s, prepend=alpha_s[0]) / DT
+    face = before(low_pass(V_face, w * DT))
+    driven = face - w * s * (alpha - before(low_pass(alpha, w * DT))) if V_face.any() else 0.0 * V
+    u = V - driven - s * rate
+    acceleration = (rate - before(low_pass(rate, DT / (0.01 + DT)))) / 0.01
+    deflection = before(low_pass(u, w * DT)) / w
+    return kappa * (u + (K_i - w) * deflection) - s * acceleration, s
 
 
 class Forces:
@@ -46,6 +74,7 @@ class Forces:
         commands.shape_steps(t)
         t.work.here[:] = np.isin(range(len(t.work.here)), self.chosen)
         t.work.speeds[:] = speed
+        commands.brake_contacts(t)
         commands.keep_steps(t)
         return t.work.columns.goal[self.chosen]
 
@@ -235,3 +264,22 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     write(t.work, rank=2, keep=[1.0, 0.0], speed=[0.3, 0.7], brake=[20.0, 10.0])
     commands.brake_contacts(t)
     assert_allclose(t.work.brake[:2], [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])
+
+
+@parametrize("measured", [True, False], ids=["measured", "not measured"])
+def test_the_brake_of_a_soft_face_is_that_of_the_tuning_page(measured):
+    forces = Forces(drift_share=0.02, force_gain=30.0)
+    forces.t.model.bodies.kind[:] = at.YIELDING
+    forces.t.model.bodies.parameters[:, 0] = 4e-4
+    rng = default_rng(7)
+    seen = []
+    for k in range(300):
+        V, face, noise = rng.standard_normal(3)
+        V = 1e-3 * V + 0.06 * np.cos(0.1 * k)
+        face *= 1e-2 * measured
+        alpha = forces.work.columns[0].goal + noise
+        write(forces.work, rank=1, speed=[V - face], V_N=[face], alpha_meas=[alpha], brake=[200.0])
+        goal = forces.tick([10.0 + np.sin(0.1 * k)])[0]
+        seen.append((V, face, alpha, goal, forces.kept[0].scale, forces.work.brake[0]))
+    *series, brake = np.transpose(seen)
+    assert_allclose(brake, soft_brake(*series, 200.0, 30.0, 20.0)[0], rtol=1e-6)

@@ -7,6 +7,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from rigs import largest, refused, rig_of
 from samples import parametrize
+from test_law_steps import soft_brake
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Yielding
@@ -88,36 +89,13 @@ def test_any_support_from_1_to_100_kN_per_m(seed):
     assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.02).all()
 
 
-def low_pass(x, share):
-    return np.convolve(x, share * (1.0 - share) ** np.arange(len(x)))[: len(x)]
-
-
-def before(x):
-    return np.r_[0.0, x[:-1]]
-
-
 @parametrize("measured", [True, False], ids=["measured", "not measured"])
 def test_the_brake_is_the_filter_of_the_tuning_page(measured):
     """b and s of the page, as convolutions over all ticks."""
     _, seen, controller = run(soft_rig(2e3), measured)
-    V, V_face, alpha, alpha_s, scale, brake = seen.T
+    *series, brake = seen.T
     gains = controller.gains.force
-    w = gains.drift
-    yielded = low_pass(V, w * DT) / w
-    change = alpha_s - low_pass(alpha_s, w * DT)
-    force_change = alpha - low_pass(alpha, w * DT)
-    recalled = DT / 2.0
-    correlation = before(2.0 * low_pass(change * yielded, recalled))
-    excitation = before(2.0 * low_pass(change * force_change, recalled))
-    weight = 0.002 * np.r_[scale[:1], scale[:-1]] ** 2
-    s = (correlation + 4e-4 * weight) / (excitation + weight)
-    rate = np.diff(alpha_s, prepend=alpha_s[0]) / DT
-    face = before(low_pass(V_face, w * DT))
-    driven = face - w * s * (alpha - before(low_pass(alpha, w * DT))) if measured else 0.0 * V
-    u = V - driven - s * rate
-    acceleration = (rate - before(low_pass(rate, DT / (0.01 + DT)))) / 0.01
-    deflection = before(low_pass(u, w * DT)) / w
-    expected = gains.brake * (u + (gains.integral - w) * deflection) - s * acceleration
+    expected, s = soft_brake(*series, gains.brake, gains.integral, gains.drift)
     late = slice(2000, None)  # the start is forgotten
     assert_allclose(s[late], 5e-4, rtol=0.15)
     assert largest(expected[late]) > 0.1
