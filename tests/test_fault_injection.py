@@ -189,7 +189,7 @@ def test_speeds_estimated_from_encoders_are_no_second_reading_of_them():
     scenario = osc.load_scenario(
         "panda_edge",
         [
-            "control.estimate.joint_angular=0.5",
+            "control.estimate.joint_angular=0.5 rad/s²",
             "model_error.arm_mass=0.8",
             "model_error.object_mass=0.8",
             "sensors.encoder={rate: 500 Hz, angle: {noise: 0.02 mrad}, length: {noise: 10 um}}",

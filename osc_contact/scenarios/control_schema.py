@@ -18,7 +18,9 @@ from pydantic import (
 )
 
 from osc_contact.scenarios.quantities import (
+    Acceleration,
     Angle,
+    AngularAcceleration,
     Force,
     ForceLimit,
     Frequency,
@@ -422,13 +424,13 @@ class ForceReadingSpec(Spec):
 class EstimateSpec(Spec):
     """Accelerations that the estimates of velocities do not know of: joints, tracked bodies."""
 
-    joint_angular: Annotated[PositiveNumber, "rad/s²"] = 0.8
+    joint_angular: Positive[AngularAcceleration] = 0.8
     """of turning joints"""
-    joint_linear: Annotated[PositiveNumber, "m/s²"] = 0.5
+    joint_linear: Positive[Acceleration] = 0.5
     """of sliding joints"""
-    body_angular: Annotated[PositiveNumber, "rad/s²"] = 0.1
+    body_angular: Positive[AngularAcceleration] = 0.1
     """of tracked bodies"""
-    body_linear: Annotated[PositiveNumber, "m/s²"] = 0.05
+    body_linear: Positive[Acceleration] = 0.05
     """of tracked bodies"""
 
 
