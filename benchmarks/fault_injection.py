@@ -16,7 +16,6 @@ With `--kept` each run is a line of that file, and the same command continues wh
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 import sys
@@ -30,6 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+import typer
 from rich.console import Console
 from rich.table import Table
 
@@ -606,37 +606,42 @@ def table(verdicts: Sequence[Verdict]) -> Table:
     return table_of("", heads, ("; ".join(map(str, row)) for row in rows))
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run them all; 1 if anything was wrong."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=2)
+def main(
+    fault: list[str] | None = None,
+    phase: list[str] | None = None,
+    scenario: list[str] | None = None,
+    every: list[int] | None = None,
+    seeds: int = 1,
+    workers: int = 2,
+    kept: Path | None = None,
+    quiet: float | None = None,
+) -> None:
+    """Run them all; exit with 1 if anything was wrong.
+
+    Args:
+        fault, phase, scenario, every: only these.
+        kept: a file of runs, to be continued. quiet: s without a fault instead.
+    """
     scenarios = sorted(osc.list_scenarios())
-    for name, some in (("fault", FAULTS), ("phase", PHASES), ("scenario", scenarios)):
-        parser.add_argument(f"--{name}", action="append", choices=list(some))
-    parser.add_argument("--every", action="append", type=int, choices=LOSSES)
-    parser.add_argument("--kept", type=Path, help="a file of runs, to be continued")
-    parser.add_argument("--quiet", type=float, metavar="S", help="s without a fault instead")
-    given = parser.parse_args(argv)
-    if given.quiet:
-        return _try_quiet(given.scenario or scenarios, given.quiet, given.workers)
-    names = given.fault or list(FAULTS)
+    for some, known in ((fault, FAULTS), (phase, PHASES), (scenario, scenarios), (every, LOSSES)):
+        if not set(known).issuperset(some or ()):
+            raise typer.BadParameter(f"{some}: choose of {', '.join(map(str, known))}")
+    if quiet:
+        sys.exit(_try_quiet(scenario or scenarios, quiet, workers))
+    names = fault or list(FAULTS)
+    wanted = {"phase": phase, "scenario": scenario, "every": every}
     chosen = [
         case
-        for case in cases(given.seeds)
-        if all(
-            not wanted or getattr(case, key) in wanted
-            for key, wanted in vars(given).items()
-            if key in ("phase", "scenario", "every")
-        )
+        for case in cases(seeds)
+        if all(not some or getattr(case, key) in some for key, some in wanted.items())
     ]
-    verdicts = [v for v in _read(given.kept) if v.case in chosen and v.fault in names]
+    verdicts = [v for v in _read(kept) if v.case in chosen and v.fault in names]
     done = {(v.fault, v.case) for v in verdicts}
     jobs = [(case, [name for name in names if (name, case) not in done]) for case in chosen]
-    with ProcessPoolExecutor(given.workers) as pool:
+    with ProcessPoolExecutor(workers) as pool:
         left = [job for job in jobs if job[1]]
         for found in pool.map(try_faults, *zip(*left, strict=True)) if left else ():
-            verdicts += [_keep(v, given.kept) for v in found]
+            verdicts += [_keep(v, kept) for v in found]
             print(f"{found[0].case}: {sum(bool(v.wrong) for v in found)} wrong", flush=True)
     Console(width=200).print(table(verdicts))
     wrong = [v for v in verdicts if v.wrong]
@@ -644,7 +649,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{v.fault} / {v.case}: {'; '.join(v.wrong)}")
     total = sum(v.ticks for v in verdicts)
     print(f"{len(names)} kinds, {len(verdicts)} runs, {total} ticks, {len(wrong)} runs are wrong")
-    return 1 if wrong else 0
+    sys.exit(bool(wrong))
 
 
 def _try_quiet(scenarios: Sequence[str], seconds: float, workers: int) -> int:
@@ -652,8 +657,8 @@ def _try_quiet(scenarios: Sequence[str], seconds: float, workers: int) -> int:
         reasons = list(pool.map(stay_quiet, scenarios, [seconds] * len(scenarios)))
     for name, reason in zip(scenarios, reasons, strict=True):
         print(f"{name}: {reason or f'{seconds:g} s, no stop'}")
-    return 1 if any(reasons) else 0
+    return int(any(reasons))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    typer.run(main)
