@@ -108,14 +108,13 @@ def _beside_tsid(peers: Peers, python: Path, rounds: int) -> Rows:
     compiled, _, unwind = peers
     first = _tsid(python, rounds)
     alone = {name: compiled[name] for name in (TICK, FLOOR)}
-    tick = spread(take_turns(alone, rounds, unwind)[TICK])
-    best = min(first, _tsid(python, rounds), key=lambda run: float(run[TOTAL]["p50"]))
-    rows = [{"part": part, **some} for part, some in (best | {"the tick": tick}).items()]
-    ratio = {share: best[TOTAL][share] / tick[share] for share in tick}
-    return [*rows, {"part": "TSID / tick", **ratio}]
+    tick = take_turns(alone, rounds, unwind)[TICK]
+    best = min(first, _tsid(python, rounds), key=lambda run: float(np.median(run[TOTAL])))
+    parts = best | {"the tick": tick, "TSID / tick": best[TOTAL] / np.median(tick)}
+    return [{"part": part, **spread(some)} for part, some in parts.items()]
 
 
-def _tsid(python: Path, rounds: int) -> dict[str, dict[str, float]]:
+def _tsid(python: Path, rounds: int) -> dict[str, Array]:
     program = Path(__file__).with_name("tsid_peer.py")
     urdf, _ = robots.find_robot("panda")
     command = [str(python), "-I", str(program), str(urdf), str(rounds)]
@@ -126,7 +125,7 @@ def _tsid(python: Path, rounds: int) -> dict[str, dict[str, float]]:
     if done.returncode != 0:
         said = (done.stderr.strip() or "nothing").splitlines()[-1]
         raise osc.InvalidInputError(f"{python} cannot run TSID: {said}. {HOW_TO_TSID}")
-    return dict(json.loads(done.stdout))
+    return {part: np.array(times) for part, times in json.loads(done.stdout).items()}
 
 
 # --- What other engines need for one evaluation of the same rig's equations of motion ---
