@@ -36,8 +36,8 @@ from osc_contact.contacts.raibert_craig import Triple, as_raibert_craig, selecti
 from osc_contact.control.controller import Controller
 from osc_contact.control.signals import Signals
 from osc_contact.dynamics.chain_state import ChainState
+from osc_contact.projections import Omega_m_bar
 from osc_contact.spatial import Array, skew
-from paper.command_filter import command
 
 
 def coordinates(state: ChainState, W: Array) -> Array:
@@ -134,18 +134,6 @@ class SelectionLaw:
         X, Y = self.baseline.rule(state, self.selection)
         return X @ a - Y @ state.sigma
 
-    def f_S(self, state: ChainState, contact: osc.Contact, a: Array, alpha: Array) -> Array:
-        """Object force (d,) for a motion command a (6,) and a force command α (r,).
-
-        Args:
-            state: of the closed chain.
-            contact: the contacts in force.
-            a: (6,) commanded spatial acceleration at O.
-            alpha: (r,) commanded contact forces (N).
-        """
-        f = self.selection.force @ (contact.N @ alpha)
-        return structure(state, self.eta(state, a), f)
-
     def install(self, controller: Controller) -> Controller:
         """Put this law in the place of our filter and control structure; the rest stays."""
 
@@ -162,14 +150,6 @@ class Ours:
     """Motion filter and dynamic control structure, eqs. 21 to 25, from the contact's N alone."""
 
     label = "ours"
-
-    def f_S(self, state: ChainState, contact: osc.Contact, a: Array, alpha: Array) -> Array:
-        """Object force (d,) for a motion command a (6,) and a force command α (r,).
-
-        Args:
-            state, contact, a, alpha: as of `SelectionLaw.f_S`.
-        """
-        return command(state, contact, a, alpha)[1]
 
     def install(self, controller: Controller) -> Controller:
         """Nothing to do: a controller is born with this law."""
@@ -340,20 +320,20 @@ class Instant:
         self._motion: Array = self.along @ a
 
     def coupling(self, law: Law) -> Coupling:
-        """Unit commands through the law and through `contact_response`."""
+        """Unit commands through the law and through `contact_response`; ours: by eq. 24."""
         state = self.state
         contact = self.contact
-        if isinstance(law, SelectionLaw):  # without what cancels: the search calls this often
+        N = contact.N
+        if isinstance(law, SelectionLaw):
             X, _ = law.baseline.rule(state, law.selection)
-            of_a = state.Lambda_S @ X @ self.free
-            of_alpha = state.S.T @ (law.selection.force @ contact.N)
+            force = law.selection.force
         else:
-            none = np.zeros(contact.r)
-            rest = law.f_S(state, contact, np.zeros(6), none)
-            a = [law.f_S(state, contact, u, none) - rest for u in self.free.T]
-            alpha = [law.f_S(state, contact, np.zeros(6), e) - rest for e in np.eye(contact.r)]
-            of_a = np.column_stack(a)
-            of_alpha = np.column_stack(alpha)
+            P = coordinates(state, np.zeros((6, 0)))
+            B = np.linalg.inv(state.S.T @ state.metric @ state.S)
+            X = P - Omega_m_bar(state.S.T @ N, B) @ P
+            force = np.eye(6)
+        of_a = state.Lambda_S @ X @ self.free
+        of_alpha = state.S.T @ force @ N
         return Coupling(
             M=self._alpha @ of_alpha,
             K=self._motion @ of_a,
