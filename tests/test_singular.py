@@ -21,12 +21,13 @@ def straight_panda(offset):
     return np.array([0.1, 0.6, -0.2, STRAIGHT + offset, 0.2, 1.9, 0.4])
 
 
-def tick(chain, q, v, posture=None):
+def tick(chain, q, v, posture=None, controller=None):
     """A controller after one tick that asks for the same motion, whatever the posture."""
     X = chain.state(q, v).X_WO
     goal = pin.SE3(X.rotation, X.translation + [0.01, -0.005, 0.004])
     reference = osc.Reference(goal, alpha_d=np.zeros(0), squeeze_d=4.0)
-    controller = osc.Controller(chain, [], GAINS, posture=posture)
+    controller = controller or osc.Controller(chain, [], GAINS, posture=posture)
+    controller.reset()
     measurement = unloaded(q, v, len(chain.arms))
     return controller, controller.tick(measurement, reference)
 
@@ -116,10 +117,10 @@ def chain_poses(chain, q):
 
 def ranks_on_the_way(chain, postures, v, posture):
     """Of the first arm; torques have to be continuous, and what fades that of the definition."""
-    before = None
+    before = controller = None
     ranks = set()
     for k, q in enumerate(postures):
-        controller, tau = tick(chain, q, v, posture)
+        controller, tau = tick(chain, q, v, posture, controller)
         assert controller.status is not osc.Status.HELD, controller.reason
         ranks.add(controller.signals.state.arms[0].rank)
         if before is not None:
