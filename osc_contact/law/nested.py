@@ -80,6 +80,14 @@ class Nested:
         raw[: 8 * len(layout)].view(np.int64)[:] = layout
         return raw
 
+    def table(self, raw: Bytes, layout: NDArray[np.int64], name: str) -> NDArray[Any]:
+        """A table of the record in these bytes, which begin with this layout."""
+        kind, sizes = self.tables[name]
+        start = layout[self.start(name)]
+        shape = [int(layout[self.slot(one)]) if isinstance(one, str) else one for one in sizes]
+        rows = raw[start : start + kind.itemsize * prod(shape)].view(kind).reshape(shape)
+        return rows.view((np.record, kind), Rows) if kind.names else rows
+
     def view(self, raw: Bytes) -> View:
         """The record at the beginning of these bytes."""
         return View(self, raw)
@@ -102,24 +110,27 @@ class Rows(np.ndarray[Any, Any]):
 
 
 class View:
-    """A record in plain Python: fields of the head and tables as attributes."""
+    """A record in plain Python: fields of the head and tables as attributes.
+
+    Tables, and fields that are arrays, are kept when they are first asked for.
+    """
 
     def __init__(self, kind: Nested, raw: Bytes) -> None:
-        own = self.__dict__
-        own["head"] = head = raw[: kind.dtype.itemsize].view(kind.dtype)[0]
-        own.update({name: head[name] for name in kind.dtype.names or () if kind.dtype[name].shape})
-        layout = head["layout"].tolist() if kind.tables else []
-        counts = dict(zip(kind.counts, layout[len(kind.tables) :], strict=True))
-        for start, (name, (dtype, sizes)) in zip(layout, kind.tables.items(), strict=False):
-            shape = [counts.get(one, one) for one in sizes]
-            rows = raw[start : start + dtype.itemsize * prod(shape)].view(dtype).reshape(shape)
-            own[name] = rows.view((np.record, dtype), Rows) if dtype.names else rows
+        head = raw[: kind.dtype.itemsize].view(kind.dtype)[0]
+        self.__dict__.update(kind=kind, raw=raw, head=head)
 
     def __getattr__(self, name: str) -> Any:
+        own = self.__dict__
         try:
-            return self.__dict__["head"][name]
+            if name in own["kind"].tables:
+                found = own["kind"].table(own["raw"], own["head"]["layout"], name)
+            else:
+                found = own["head"][name]
         except (KeyError, ValueError) as error:
             raise AttributeError(name) from error
+        if isinstance(found, np.ndarray):
+            own[name] = found
+        return found
 
     def __setattr__(self, name: str, value: Any) -> None:
         self.__dict__["head"][name] = value
