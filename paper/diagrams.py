@@ -206,7 +206,7 @@ def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
     """
     names = [block.name for block in blocks]
     connections = {key: turns for key, turns in CONNECTIONS.items() if key[1] in names}
-    taken = {signal for signal, _ in connections}
+    taken = [signal for signal, _ in connections]
     starts: dict[str, Point] = {}
     ends: dict[tuple[str, str], Point] = {}
     for block in blocks:
@@ -227,10 +227,7 @@ def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
         for (signal, reader), turns in connections.items():
             x, y = end = ends[signal, reader]
             if signal in starts:
-                others = [
-                    t[0] if t else ends[k][0] for k, t in connections.items() if k[0] == signal
-                ]
-                _wire(ax, signal, starts[signal], turns, end, max(others))
+                _wire(ax, signal, starts[signal], turns, end, taken.count(signal) > 1)
             else:
                 _arrow(ax, [(x - 0.4, y), end])
                 _write(ax, x - 0.45, y - 0.08, signal, "right")
@@ -292,15 +289,15 @@ def _name_inputs(ax: Axes, place: Point, signals: Sequence[str]) -> None:
 
 
 def _wire(
-    ax: Axes, signal: str, start: Point, turns: tuple[float, ...], end: Point, furthest: float
+    ax: Axes, signal: str, start: Point, turns: tuple[float, ...], end: Point, branches: bool
 ) -> None:
-    """Wire by right angles; a dot where it leaves one that goes further (to x = furthest)."""
+    """Wire by right angles; a dot where it leaves another one."""
     points = [start]
     for k, at in enumerate(turns):
         points.append((at, points[-1][1]) if k % 2 == 0 else (points[-1][0], at))
     points += [(points[-1][0], end[1]), end]
     _arrow(ax, points)
-    if turns and turns[0] < furthest:
+    if turns and branches:
         ax.plot(*points[1], "o", ms=3.5, color=INK, zorder=4)
     if len(turns) > 1:
         _write(ax, 0.5 * (turns[0] + turns[2]), turns[1], signal, "center")

@@ -57,22 +57,10 @@ def study(ask: Ask) -> Study:
 
 
 def as_dict(worst: WorstPosture, histories: Histories) -> Data:
-    """For JSON; eigenvalues (1/s²) and poles (1/s) as [real, imaginary]."""
+    """For JSON; eigenvalues (1/s²) as [real, imaginary]."""
     first, last = (1e3 * float(np.abs(histories.ours[k]).max()) for k in (0, -1))
-    spectra = {
-        "classic_eigenvalues": worst.classic,
-        "ours_eigenvalues": worst.ours,
-        "classic_poles": poles(worst.classic),
-        "ours_poles": poles(worst.ours),
-    }
-    return {
-        "arm": worst.arm.name,
-        "seed": worst.seed,
-        "postures_drawn": worst.drawn,
-        "postures": worst.tried,
-        "classic_unstable": worst.unstable,
-        "ours_unstable": worst.ours_unstable,
-        "ours_least_eigenvalue": worst.ours_least,
+    spectra = {"classic_eigenvalues": worst.classic, "ours_eigenvalues": worst.ours}
+    return worst.counts | {
         "posture_rad": worst.q.tolist(),
         **{name: np.column_stack((z.real, z.imag)).tolist() for name, z in spectra.items()},
         "first_error_mrad": first,
@@ -257,23 +245,16 @@ class WorstPosture(NamedTuple):
 
     Attributes:
         arm: and its posture q (n,).
-        seed: of the search. drawn, tried: postures drawn, and examined.
         classic, ours: (s,) complex eigenvalues of both (1/s²).
-        unstable, ours_unstable: how many had an eigenvalue with negative real part, in the classic
-            scheme and in ours.
-        ours_least: the smallest real part ours had in any posture examined (1/s²).
+        counts: arm and seed; how many postures were drawn and examined, in how many an eigenvalue
+            had a negative real part, and the least real part of ours (1/s²), for JSON.
     """
 
     arm: HybridArm
     q: Array
-    seed: int
-    drawn: int
-    tried: int
     classic: Array
     ours: Array
-    unstable: int
-    ours_unstable: int
-    ours_least: float
+    counts: Data
 
 
 def search(
@@ -302,10 +283,16 @@ def search(
             f"{arm.name}: none of {len(examined)} postures examined is unstable; draw more "
             "(postures=), or control the force along another axis"
         )
-    unstable, ours_unstable = (int((some < 0.0).sum()) for some in (classic, ours))
-    least = float(ours.min())
-    found = (len(examined), *values[worst], unstable, ours_unstable, least)
-    return WorstPosture(arm, examined[worst], seed, postures, *found)
+    counts = {
+        "arm": arm.name,
+        "seed": seed,
+        "postures_drawn": postures,
+        "postures": len(examined),
+        "classic_unstable": int((classic < 0.0).sum()),
+        "ours_unstable": int((ours < 0.0).sum()),
+        "ours_least_eigenvalue": float(ours.min()),
+    }
+    return WorstPosture(arm, examined[worst], *values[worst], counts)
 
 
 def eigenvalues(arm: HybridArm, q: Array) -> tuple[Array, Array]:
@@ -437,9 +424,10 @@ def draw(found: Sequence[tuple[WorstPosture, tuple[int, int], Array, Histories]]
         rows = figure.subfigures(len(found), 1, squeeze=False)[:, 0]
         for row, (worst, joints, least, h) in zip(rows, found, strict=True):
             row.suptitle(
-                f"{worst.arm.name}: of {worst.tried} random postures (the more regular of "
-                f"{worst.drawn}) the classic scheme is unstable in {worst.unstable}, "
-                f"ours in {worst.ours_unstable}"
+                "{arm}: of {postures} random postures (the more regular of {postures_drawn}) the "
+                "classic scheme is unstable in {classic_unstable}, ours in {ours_unstable}".format(
+                    **worst.counts
+                )
             )
             *maps, above, below = row.subplot_mosaic("mna;mnb").values()
             for ax, values, title in zip(maps, least, titles, strict=True):

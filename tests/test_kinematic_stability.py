@@ -159,10 +159,11 @@ def test_search_counts_what_it_says(name):
     drawn = default_rng(4).uniform(-np.pi, np.pi, (400, arm.chain.nq))
     judged = sorted(drawn, key=lambda q: -regularity(arm, q))[:240]
     least = np.array([eigenvalues(arm, q)[0].real.min() for q in judged])
-    assert (found.drawn, found.tried, found.ours_unstable) == (400, 240, 0)
-    assert found.unstable == (least < -1e-6).sum() > 0
+    counts = found.counts
+    assert (counts["postures_drawn"], counts["postures"], counts["ours_unstable"]) == (400, 240, 0)
+    assert counts["classic_unstable"] == (least < -1e-6).sum() > 0
     assert_array_equal(found.q, judged[least.argmin()])
-    assert found.classic[0].real == approx(least.min()) and found.ours_least > 0.0
+    assert found.classic[0].real == approx(least.min()) and counts["ours_least_eigenvalue"] > 0.0
     assert ks.search(arm, 5, 400, 0.6).q[0] != found.q[0]
 
 
