@@ -50,9 +50,10 @@ BODY = """<robot name="part"><link name="part">
 <collision><geometry>{shape}</geometry></collision></link></robot>"""
 
 
-def saddle_mesh(path: Path, R: float, half: float = 0.06, n: int = 61) -> None:
-    """An OBJ of z = (x² − y²) / 2R, x, y = −half … half (m)."""
-    x, y = np.meshgrid(*[np.linspace(-half, half, n)] * 2, indexing="ij")
+def saddle_mesh(path: Path, R: float) -> None:
+    """An OBJ of z = (x² − y²) / 2R, x, y = −60 … 60 mm."""
+    n = 61
+    x, y = np.meshgrid(*[np.linspace(-0.06, 0.06, n)] * 2, indexing="ij")
     places = zip(x.flat, y.flat, ((x * x - y * y) / (2 * R)).flat, strict=True)
     first = [n * i + k for i in range(n - 1) for k in range(1, n)]
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in places]

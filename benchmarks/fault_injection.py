@@ -474,11 +474,9 @@ class Run(ClosedLoop):
             wrong.append(f"moved by {verdict.travel:.2f} rad (m) since the stop")
 
 
-def try_fault(
-    name: str, phase: str, seed: int = 0, scenario: str = "two_contact_rod", every: int = 0
-) -> Verdict:
-    """Run a scenario up to a phase, then with the fault; judge it."""
-    run = Run(Case(phase, scenario, every, seed))
+def try_fault(name: str, phase: str) -> Verdict:
+    """Run `two_contact_rod` up to a phase, then with the fault; judge it."""
+    run = Run(Case(phase))
     run.lead_in()
     return run.judge(name)
 

@@ -57,7 +57,7 @@ def best_forces(y: Array) -> Array:
     return MEAN / softness(y)
 
 
-def make_env(rows: int, seconds: float = 1.4, threads: int | None = None) -> ContactVectorEnv:
+def make_env(rows: int, seconds: float) -> ContactVectorEnv:
     """Rows of `panda_edge`; the bar passes along the table's edge in so many seconds.
 
     On its way it turns and slides along its own edge. Masses are not what the controller believes,
@@ -81,7 +81,6 @@ def make_env(rows: int, seconds: float = 1.4, threads: int | None = None) -> Con
         rate=100.0,
         most_force=MOST,
         episodes=64,
-        threads=threads,
         overrides=(
             f"motion=[{motion}]",
             f"object.pose={{{place}, rpy: [-20.556 deg, -31.306 deg, 35.818 deg]}}",

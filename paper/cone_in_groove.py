@@ -125,7 +125,6 @@ def cone_scenario(
     seat: Seat,
     duration: float = 5.0,
     step_times: tuple[float, ...] = STEP_TIMES,
-    moving: bool = True,
 ) -> osc.Scenario:
     """A Panda turns and slides the cone at once while its pushes on the walls step.
 
@@ -133,7 +132,6 @@ def cone_scenario(
         seat: where the cone lies.
         duration: s.
         step_times: of the wall forces, one after the other (s); at most four.
-        moving: whether the cone turns and slides.
     """
     start = seat.X_start
     force = {}
@@ -156,7 +154,7 @@ def cone_scenario(
         "environment": [{"name": "groove", "urdf": "groove.urdf", "pose": place}],
         "contacts": [{"pair": seat.pair, "body": "groove"}],
         "force": force,
-        "motion": motion if moving else [],
+        "motion": motion,
         "gains": {"motion": {"stiffness": 400, "damping": 40}, "force": {"integral": 20}},
         "control": {"rate": 1.0 / PERIOD},
         "plant": {"type": "rigid", "step": PERIOD},
@@ -195,13 +193,12 @@ def _rms(errors: Array) -> list[float]:
 def run(
     duration: float = 5.0,
     step_times: tuple[float, ...] = STEP_TIMES,
-    moving: bool = True,
     probe_s: float = 0.05,
 ) -> ConeRun:
     """Run the task on the rigid plant at 1 kHz, probing the coupling every `probe_s` seconds.
 
     Args:
-        duration, step_times, moving: as in `cone_scenario`.
+        duration, step_times: as in `cone_scenario`.
         probe_s: s.
 
     Raises:
@@ -213,7 +210,7 @@ def run(
             f"run it longer, and probe not more often than every {PERIOD:g} s"
         )
     seat = Seat()
-    scenario = cone_scenario(seat, duration, step_times, moving)
+    scenario = cone_scenario(seat, duration, step_times)
     rig = osc.build_rig(scenario)
     recording = osc.run(scenario)
     t = recording["t"]

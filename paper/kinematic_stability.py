@@ -29,7 +29,7 @@ from osc_contact.projections import left_inverse
 from osc_contact.spatial import Array, classical_to_spatial, pose_error
 from osc_contact.visual import contact_colour
 from osc_contact.visual.plots import style
-from paper.command_filter import command
+from paper.selection_laws import coordinates, structure
 from paper.study import Ask, Data, Study, table_of, with_object, words_of
 
 
@@ -150,8 +150,10 @@ def ur5_arm() -> HybridArm:
     return HybridArm("UR5", arm, 2, np.diag([400.0, 400.0, 200.0, 20.0, 20.0, 20.0]))
 
 
-#: s: damping = this times stiffness, in both laws.
+#: s: damping = this times stiffness, in both laws. The two poles of an eigenvalue λ, roots of
+#: z² + DAMPING_S λ z + λ, add up to −DAMPING_S λ: Re λ < 0 is unstable for every such damping.
 DAMPING_S = 0.08
+STEP_S = 2e-3  #: of the integration
 
 
 def classic_eigenvalues(M: Array, J: Array, selection: Array, K_q: Array) -> Array:
@@ -193,16 +195,6 @@ def our_eigenvalues(T: Array, B: Array, K_prime: Array) -> Array:
     return np.sort_complex(np.linalg.eigvals(along @ (B @ K_prime) @ T)).astype(complex)
 
 
-def poles(eigenvalues: Array) -> Array:
-    """Roots (2s,) of z² + DAMPING_S λ z + λ: the poles (1/s) that the eigenvalues λ (s,) give.
-
-    The two roots of one λ add up to −DAMPING_S λ: Re λ < 0 is unstable for every such damping.
-    """
-    half = -0.5 * DAMPING_S * eigenvalues
-    root = np.sqrt(half**2 - eigenvalues.astype(complex))
-    return np.sort_complex(np.concatenate((half - root, half + root)))
-
-
 def classic_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
     """τ = h − K_q J⁻¹S(x + DAMPING_S ẋ), x the tip's task coordinates from the goal, h exact.
 
@@ -236,8 +228,11 @@ def our_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
     B = np.linalg.inv(state.metric)
     x = -pose_error(goal, state.X_WO)
     a_u = classical_to_spatial(-B @ arm.K_prime @ (x + DAMPING_S * state.V_O), state.V_O)
-    _, f_S = command(state, contact, a_u, np.zeros(1))
-    return np.linalg.solve(state.G, f_S)  # as many motors as motions
+    N = contact.N
+    n_gamma = contact.n_gamma - N.T @ state.sigma
+    kept = B @ N @ np.linalg.solve(N.T @ B @ N, n_gamma)  # what stays on the face
+    eta = coordinates(state, N) @ (contact.motion_projection(B) @ (a_u - state.sigma) + kept)
+    return np.linalg.solve(state.G, structure(state, eta, np.zeros(6)))  # a motor for each motion
 
 
 class WorstPosture(NamedTuple):
@@ -357,9 +352,7 @@ class Histories(NamedTuple):
         return float(self.t[gone.argmax()]) if gone.any() else None
 
 
-def simulate(
-    worst: WorstPosture, duration: float = 1.0, error: float = 1e-3, step: float = 2e-3
-) -> Histories:
+def simulate(worst: WorstPosture, duration: float = 1.0, error: float = 1e-3) -> Histories:
     """Both closed loops from rest, `error` (m, rad) off in every position-controlled coordinate.
 
     Continuous-time control, forward dynamics by `pin.aba`, fourth-order Runge–Kutta.
@@ -368,9 +361,8 @@ def simulate(
         worst: arm and posture.
         duration: of both runs (s).
         error: at the start (m, rad).
-        step: of the integration (s).
     """
-    t = np.arange(round(duration / step) + 1) * step
+    t = np.arange(round(duration / STEP_S) + 1) * STEP_S
     goal = worst.arm.terms(worst.q)[2]
     start = _reached(worst, error * worst.arm.selection, goal)
     laws = (classic_torque, our_torque)

@@ -1,13 +1,13 @@
 """Eqs. 21 and 24 for any chain state: what the law commands, against its optimality conditions."""
 
 import numpy as np
+from command_filter import command
 from complaints import contact_error
 from numpy.testing import assert_allclose
 from rigs import in_contact, largest, one_panda, panda_pair, scara_pair
 from samples import parametrize
 
 import osc_contact as osc
-from paper.command_filter import command
 
 
 def nearest(W, S, x, N_S, value):

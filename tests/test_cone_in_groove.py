@@ -30,8 +30,8 @@ def rig():
 
 
 @cache
-def short_run(steps=STEPS, moving=True):
-    return cg.run(0.62, steps, moving, 0.1)
+def short_run():
+    return cg.run(0.62, STEPS, 0.1)
 
 
 def cone_points(count=200, rows=9):

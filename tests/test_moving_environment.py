@@ -8,6 +8,7 @@ from itertools import islice
 
 import numpy as np
 import pinocchio as pin
+from command_filter import command
 from complaints import contact_error, model_error
 from kkt_oracle import linkage, random_inertia
 from numpy.linalg import inv, lstsq, solve
@@ -20,7 +21,6 @@ import osc_contact as osc
 from osc_contact import projections
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import Lambda_rel, contact_response
-from paper.command_filter import command
 
 RTOL = 1e-9
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pinocchio as pin
+from command_filter import command
 from kkt_oracle import held
 from numpy.linalg import norm, solve
 from numpy.testing import assert_allclose
@@ -11,7 +12,6 @@ from samples import first, parametrize
 
 import osc_contact as osc
 from osc_contact.scenarios.control_schema import MotionGains, PostureTask
-from paper.command_filter import command
 
 GAINS = osc.Gains(MotionGains(400, 40))
 STRAIGHT = -np.arctan(0.0825 / 0.316) - np.arctan(0.0825 / 0.384)  # the Panda's elbow has offsets

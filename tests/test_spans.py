@@ -2,6 +2,7 @@
 refused, and nothing in between. On every BLAS kernel alike."""
 
 import numpy as np
+from command_filter import command
 from complaints import contact_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -14,7 +15,6 @@ from osc_contact import projections as P
 from osc_contact.contacts.contact import Contact
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import contact_response
-from paper.command_filter import command
 
 GAPS = [1e-4, 1e-5, 1e-6]
 FORCE_LAWS = (P.Omega_f, P.Omega_m_bar)
