@@ -1,13 +1,16 @@
 """The command line: what it says, what it writes, how it exits."""
 
+import io
 import os
 import shutil
 import sys
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import typer
 from command_line import answered, call, done, read_json, refused
+from PIL import Image
 from processes import python
 from pytest import approx, mark
 from samples import ROOT, module_fixture, parametrize
@@ -20,6 +23,7 @@ from osc_contact.errors import PlantError
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.recorder import Recording
 from osc_contact.scenarios.loader import load_scenario
+from osc_contact.visual import browser
 from osc_contact.visual.plots import PRINT
 
 ROD = "two_contact_rod --plant rigid --set 'plant.step=1 ms'"
@@ -334,14 +338,16 @@ def test_view_runs_a_scenario_and_writes_to_out(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done(f"view {ROD} --duration 0.05")
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["two_contact_rod.html"]
-    for file, start in (
-        ("new.png", b"\x89PNG"),
-        ("new.gif", b"GIF89a"),
-        ("new.mp4", b"\0\0\0 ftyp"),
-    ):
-        at = "--time 0.02" if file == "new.png" else ""
-        done(f"view {ROD} --duration 0.05 --{file[-3:]} {file} {at}")
-        assert Path(file).read_bytes().startswith(start)
+    done(f"view {ROD} --duration 0.05 --png new.png --time 0.02")
+    assert Path("new.png").read_bytes().startswith(STARTS[".png"])
+    grey = io.BytesIO()
+    Image.new("RGB", browser.SIZE).save(grey, "PNG")
+    chromium = MagicMock()  # tests/test_browser.py makes moving pictures with Chromium
+    chromium.return_value.__enter__.return_value.png.return_value = grey.getvalue()
+    monkeypatch.setattr(browser, "Browser", chromium)
+    for kind, start in (("gif", b"GIF89a"), ("mp4", b"\0\0\0 ftyp")):
+        done(f"view {ROD} --duration 0.05 --{kind} new.{kind}")
+        assert Path(f"new.{kind}").read_bytes().startswith(start)
 
 
 @parametrize("what", ["scenario", "recording"])

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from processes import completed
 from pytest import mark
 from rigs import largest, panda_arm, refused, rig_of, ticked
-from samples import module_fixture, parametrize
+from samples import first, module_fixture, parametrize
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
@@ -326,7 +326,7 @@ def reader(library, tmp_path_factory):
     return sanitized(library, tmp_path_factory.mktemp("crafted"), "crafted")
 
 
-@parametrize("name", ["two_contact_rod", "three_arm_plate"])
+@parametrize("name", first(["three_arm_plate", "two_contact_rod"], 1))
 def test_crafted_files_with_a_right_checksum_do_not_reach_beyond_their_bytes(
     reader, tmp_path, name
 ):
