@@ -1,10 +1,11 @@
 """How the tick grows: with arms, with the degree of constraint r, with contacts."""
 
+from typing import Any
+
 import numpy as np
 
 from benchmarks.cases import KINDS, RandomRig, faces_of
 from benchmarks.measuring import Rows, take_turns
-from osc_contact.spatial import Array
 
 ARMS = (1, 2, 3, 4, 5, 6, 7, 8)
 RANKS = (0, 1, 2, 3, 4, 5, 6)
@@ -24,52 +25,39 @@ def measure(rounds: int) -> dict[str, Rows]:
     """
     rng = np.random.default_rng(0)
     kinds = {kind: [kind] for kind in KINDS} | {"mixed": ["ur5", "scara"]}
-    sized = [
-        _Timed("arms", kind, RandomRig((arms * max(ARMS))[:count], rng), 2, 2, rng)
+    sizes = [
+        ("arms", kind, RandomRig((arms * max(ARMS))[:count], rng), 2, 2)
         for kind, arms in kinds.items()
         for count in ARMS
     ]
     pair = RandomRig(["ur5", "ur5"], rng)
-    sizes = [(c, min(c, 6)) for c in CONTACTS] + [(c, 1) for c in CONTACTS[1:]]
-    for what, counts in {"ranks": [(r, r) for r in RANKS], "contacts": sizes}.items():
-        sized += [_Timed(what, "ur5", pair, *count, rng) for count in counts]
-    blocks = min(BLOCKS, rounds)
-    for _ in range(blocks):  # what disturbs the machine for a while does not hit one size only
-        for one in sized:
-            one.blocks.append(take_turns(one.calls, rounds // blocks, one.unwind))
-    return {
-        what: [one.row() for one in sized if one.what == what]
-        for what in ("arms", "ranks", "contacts")
-    }
-
-
-class _Timed:
-    """One size: in which table, what it is, what is called, the times of each block."""
-
-    def __init__(
-        self, what: str, kind: str, rig: RandomRig, contacts: int, r: int, rng: np.random.Generator
-    ) -> None:
-        self.what = what
-        self.case = rig.case(kind, faces_of(rig, contacts, r, rng))
-        tick, self.unwind = self.case.tick()
-        self.calls = {"tick": tick, "floor": self.case.floor()}
-        self.blocks: list[dict[str, Array]] = []
-        self.r = r
-
-    def row(self) -> dict[str, object]:
-        chain = self.case.chain
-        tick, floor = (
-            float(np.median([block[name] for block in self.blocks])) for name in self.calls
-        )
-        return {
-            "kind": self.case.name,
-            "arms": len(chain.arms),
-            "joints": chain.nq,
-            "d": chain.state(self.case.posture, np.zeros(chain.nq)).d,
-            "contacts": len(self.case.pairs),
-            "r": self.r,
+    sizes += [("ranks", "ur5", pair, r, r) for r in RANKS]
+    sizes += [("contacts", "ur5", pair, c, min(c, 6)) for c in CONTACTS]
+    sizes += [("contacts", "ur5", pair, c, 1) for c in CONTACTS[1:]]
+    timed: list[Any] = []
+    for _, kind, rig, contacts, r in sizes:
+        case = rig.case(kind, faces_of(rig, contacts, r, rng))
+        ticked, unwind = case.tick()
+        timed.append((case, {"tick": ticked, "floor": case.floor()}, unwind, []))
+    count = min(BLOCKS, rounds)
+    for _ in range(count):  # what disturbs the machine for a while does not hit one size only
+        for _, calls, unwind, blocks in timed:
+            blocks.append(take_turns(calls, rounds // count, unwind))
+    tables: dict[str, Rows] = {"arms": [], "ranks": [], "contacts": []}
+    for (what, kind, _, contacts, r), (case, calls, _, blocks) in zip(sizes, timed, strict=True):
+        tick, floor = (float(np.median([block[name] for block in blocks])) for name in calls)
+        arms = len(case.chain.arms)
+        row = {
+            "kind": kind,
+            "arms": arms,
+            "joints": case.chain.nq,
+            "d": case.chain.state(case.posture, np.zeros(case.chain.nq)).d,
+            "contacts": contacts,
+            "r": r,
             "tick p50 (µs)": tick,
             "floor p50 (µs)": floor,
             "tick / floor": tick / floor,
-            "tick / arm (µs)": tick / len(chain.arms),
+            "tick / arm (µs)": tick / arms,
         }
+        tables[what].append(row)
+    return tables
