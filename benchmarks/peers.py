@@ -11,13 +11,12 @@ import numpy as np
 import pinocchio as pin
 
 import osc_contact as osc
-from benchmarks.cases import CASES, TickCase, repeatable
+from benchmarks.cases import CASES, TickCase
 from benchmarks.measuring import Call, Rows, spread, take_turns
 from benchmarks.textbook import TextbookLaw
 from osc_contact import robots
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.spatial import Array
-from paper.selection_laws import BASELINES, Instant, best_selection
 from paper.study import Data, with_object
 
 BLOCKS = 10
@@ -39,7 +38,7 @@ def peers_of(case: TickCase) -> Peers:
     """The tick and what could be run in its place, at the case's instant.
 
     Returns:
-        Calls of compiled code, those that live in Python, and what is called after each tick.
+        Calls of compiled code, one in Python, and what is called after each tick.
     """
     import mujoco
 
@@ -50,28 +49,19 @@ def peers_of(case: TickCase) -> Peers:
         "pin.constraintDynamics": constraint_dynamics(case),
         "MuJoCo mj_inverse": partial(mujoco.mj_inverse, *mujoco_state(case)),
     }
-    python: Calls = {"textbook law in NumPy": TextbookLaw(case).tick}
-    state = case.chain.state(case.measurement.q, case.measurement.v)
-    parts = [pair.contact(state.X_WO, state.V_O) for pair in case.pairs]
-    instant = Instant(state, osc.Contact.stack(parts))
-    for baseline in BASELINES.values():
-        law = best_selection(instant, baseline, restarts=0)
-        controller = law.install(repeatable(case.controller()))
-        ticking = partial(controller.tick, case.measurement, case.reference)
-        python[f"{baseline.label} (in Python)"] = ticking
-    return compiled, python, unwind
+    return compiled, {"textbook law in NumPy": TextbookLaw(case).tick}, unwind
 
 
 def measure(rounds: int, tsid_python: Path | None = None) -> Data:
     """{case: rows of its peers, "tsid": rows}, times in µs.
 
-    Compiled peers take turns among themselves, those in Python among themselves, in alternating
-    blocks: microseconds measured right after a millisecond of Python are those of cold caches.
+    Compiled peers take turns among themselves, in blocks that alternate with the one in Python:
+    microseconds measured right after a millisecond of Python are those of cold caches.
     `ratio` is a median over the tick's. TSID alternates with its own Pinocchio's floor in another
     process, twice; between, the tick alternates with its floor alone: their ratio is the last row.
 
     Args:
-        rounds: of the peers in Python; compiled ones have ten times as many.
+        rounds: of the peer in Python; compiled ones have ten times as many.
         tsid_python: interpreter of TSID's environment.
 
     Raises:
