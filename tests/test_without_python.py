@@ -424,10 +424,15 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
     assert "compensates weight" in refused_with
 
 
-@parametrize("name", ["panda_edge", "dual_panda_rod"])
-def test_the_ros2_plugin_sends_what_the_controller_computes(library, tmp_path, name):
+@module_fixture
+def manager(library, tmp_path_factory):
+    """The program that runs the plugin."""
     sources = library / "ros2_controller.cpp", Path(__file__).parent / "ros2_manager.cpp"
-    program = link_cpp(library, tmp_path / "manager", *sources)
+    return link_cpp(library, tmp_path_factory.mktemp("ros2") / "manager", *sources)
+
+
+@parametrize("name", ["panda_edge", "dual_panda_rod"])
+def test_the_ros2_plugin_sends_what_the_controller_computes(manager, tmp_path, name):
     rig = rig_of(name)
     plant, controller = start(rig)
     controller.reset()  # as on_activate does
@@ -451,7 +456,7 @@ def test_the_ros2_plugin_sends_what_the_controller_computes(library, tmp_path, n
     assert seen == {osc.Status.OK, osc.Status.HELD}
     content = np.concatenate([reference.X_WD.homogeneous.ravel(), alpha, squeeze, *rows]).tobytes()
     call = [
-        program,
+        manager,
         tmp_path / "controller.osc",
         round(1 / saved.dt),
         arms,
