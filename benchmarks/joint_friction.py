@@ -183,8 +183,6 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
         return (*move_on_wall(arm, frequency, moves), "duration=5 s")
 
     rotors = _joints(arm, ROTORS)
-    smooth = _joints(arm, ("friction=0.0", "damping=0.0", "armature=0.1"))
-    yield f"clean {arm}", 0.3, (*slide(), *smooth)
     for factor, believed in BELIEVED.items():
         yield f"rotors {arm} x{factor:g}", 1.0, (*slide(), *rotors, *believed)
         if factor in (1.0, 1.5):

@@ -1,13 +1,12 @@
 """How much faster than real time a whole run is, and where its time goes."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
 from time import perf_counter
 from typing import Any
 
 import osc_contact as osc
-from benchmarks.measuring import Rows
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs import recorder
 from osc_contact.runs import run as runs
@@ -62,19 +61,6 @@ class Ledger:
                 setattr(owner, name, function)
 
 
-def parts_of_ticks(spent: Mapping[str, float], ticks: int, more: Data) -> Rows:
-    """Rows of the parts of a run: µs per tick, and their shares.
-
-    Args:
-        spent: s, by part. ticks: of the run. more: columns before them.
-    """
-    whole = sum(spent.values())
-    return [
-        more | {"part": name, "µs per tick": 1e6 * time / ticks, "share": time / whole}
-        for name, time in spent.items()
-    ]
-
-
 def measure(ticks: int) -> Data:
     """{"parts": rows, "simulated_s", "wall_s", "cpu_s", "real_time_factor", "watched_wall_s"}.
 
@@ -109,8 +95,12 @@ def measure(ticks: int) -> Data:
             watched.append((recording.meta["wall_s"], ledger.spent | {"tick": tick_s}))
     timed, spent = min(watched, key=lambda run: run[0])
     spent["the rest"] = timed - sum(spent.values())
+    parts = [
+        {"part": name, "µs per tick": 1e6 * time / ticks, "share": time / timed}
+        for name, time in spent.items()
+    ]
     return {
-        "parts": parts_of_ticks(spent, ticks, {}),
+        "parts": parts,
         "simulated_s": duration,
         "wall_s": wall,
         "cpu_s": cpu,

@@ -1,61 +1,47 @@
 """How fast the rows of a vector environment advance, and what of it is control."""
 
-from time import perf_counter, process_time
+from time import perf_counter
 
 import numpy as np
 
 import osc_contact as osc
 from benchmarks.measuring import Rows
-from benchmarks.simulation import Ledger, parts_of_ticks
+from benchmarks.simulation import Ledger
 from osc_contact.sweeps.sweep import available_cores
 from paper.study import Data
 
 SCENARIO = "panda_edge"
 ROWS = 64
-REST = "set points, observations, rewards"
 
 
 def measure(steps: int) -> dict[str, Rows]:
-    """{"rates": rows, "parts": rows}.
+    """{"rates": rows}, by threads.
 
     64 rows of `panda_edge`: 1 kHz control, four plant steps each, an action every 20 ticks. Of all
     steps the fastest on the clock gives the rate, and the share of it in which torques are
-    computed; the one that took least processor time the parts. That is of all threads: other work
-    on the machine does not count, but MuJoCo's threads do, which wait awake for the torques.
+    computed.
 
     Args:
         steps: of the environment.
     """
-    found = [_case(threads, steps) for threads in sorted({1, available_cores()})]
-    return {
-        "rates": [rates for rates, _ in found],
-        "parts": [part for _, parts in found for part in parts],
-    }
+    return {"rates": [_case(threads, steps) for threads in sorted({1, available_cores()})]}
 
 
-def _case(threads: int, steps: int) -> tuple[Data, Rows]:
+def _case(threads: int, steps: int) -> Data:
     env = osc.make_vector_env(SCENARIO, ROWS, threads=threads)
     env.reset(seed=0)
-    hold = np.zeros((ROWS, 7))
-    ledger = Ledger(process_time)
-    watch = Ledger()
-    parts_of = [("control", env.fleet.control, "tick"), ("MuJoCo", env.fleet._plants, "step")]
+    ledger = Ledger()
     clocks = []
-    spent = []
-    with watch.watching(parts_of[:1]), ledger.watching([*parts_of, (REST, env, "step")]):
+    with ledger.watching([("control", env.fleet.control, "tick")]):
         for _ in range(steps):
             ledger.begin()
-            watch.begin()
             start = perf_counter()
-            env.step(hold)
-            clocks.append((perf_counter() - start, watch.spent["control"]))
-            spent.append(ledger.spent)
+            env.step(np.zeros((ROWS, 7)))
+            clocks.append((perf_counter() - start, ledger.spent["control"]))
     clock, control = min(clocks)
     ticks = ROWS * round(1.0 / (50.0 * env.fleet.dt))
-    rates = {
+    return {
         "threads": threads,
         "control ticks / s": ticks / clock,
         "control, of the clock": control / clock,
     }
-    least = min(spent, key=lambda spent: sum(spent.values()))
-    return rates, parts_of_ticks(least, ticks, {"threads": threads})

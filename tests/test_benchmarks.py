@@ -94,9 +94,7 @@ def judge_simulation(result):
 
 def judge_vector_env(result):
     for rates in result["rates"]:
-        parts = [row for row in result["parts"] if row["threads"] == rates["threads"]]
-        assert len(parts) == 3 and sum(row["share"] for row in parts) == approx(1.0)
-        assert 0.0 < rates["control, of the clock"] < 1.0
+        assert 0.0 < rates["control, of the clock"] < 1.0 < rates["control ticks / s"]
 
 
 def judge_tick(result):

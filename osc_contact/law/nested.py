@@ -81,7 +81,11 @@ class Nested:
         return raw
 
     def table(self, raw: Bytes, layout: NDArray[np.int64], name: str) -> NDArray[Any]:
-        """A table of the record in these bytes, which begin with this layout."""
+        """A table of a record.
+
+        Args:
+            raw: its bytes. layout: they begin with it. name: of the table.
+        """
         kind, sizes = self.tables[name]
         start = layout[self.start(name)]
         shape = [int(layout[self.slot(one)]) if isinstance(one, str) else one for one in sizes]
