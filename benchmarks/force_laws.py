@@ -297,14 +297,13 @@ class Done(NamedTuple):
     speed: Array
     tick: Array
 
-    def rms(self, part: slice = slice(None)) -> tuple[float, float, float]:
-        """Of forces (N), along the wall (mm) and of turns (mrad); NaN where the run ended early."""
+    def rms(self) -> tuple[float, ...]:
+        """Of forces (N), along the wall (mm), of turns (mrad); NaN where the run ended early."""
         if len(self.force) < self.wanted:
-            return np.nan, np.nan, np.nan
-        force = (self.force - self.force_goal)[part]
-        off = self.off[part]
-        along, turn = (np.sqrt((x**2).sum(axis=1).mean()) for x in (off[:, :2], off[:, 3:]))
-        return float(np.sqrt((force**2).mean())), 1e3 * float(along), 1e3 * float(turn)
+            return (np.nan,) * 3
+        off = 1e3 * self.off
+        parts = ((self.force - self.force_goal)[:, None], off[:, :2], off[:, 3:])
+        return tuple(float(np.sqrt((x[100:] ** 2).sum(axis=1).mean())) for x in parts)
 
 
 def follow(scenario: osc.Scenario, case: Case, makes: Makes | None, steps: bool = False) -> Done:
@@ -361,7 +360,7 @@ def of_the_tests(names: list[str], friction: float) -> list[str]:
         for name in names:
             done = follow(scenario_of(case, plant=plant), case, LAWS[name])
             rest = [round(1e3 * t) - 1 for t in goal_times(case)]
-            force, along, turn = done.rms(slice(100, None))
+            force, along, turn = done.rms()
             at_rest = np.abs(done.force - done.force_goal).take(rest, mode="clip").max()
             rows.append(f"{case.name}; {name}; {at_rest:.2f}; {force:.2f}; {along:.2f}; {turn:.1f}")
     return rows
@@ -392,7 +391,7 @@ def of_the_stretched_arm(names: list[str]) -> list[str]:
         limits = osc.build_rig(scenario_of(case)).chain.model
         for name, makes in laws.items():
             done = follow(scenario_of(case), case, makes)
-            force, along, turn = done.rms(slice(100, None))
+            force, along, turn = done.rms()
             torque = (np.abs(done.tau[100:]) / limits.upperEffortLimit).max()
             speed = (np.abs(done.speed) / limits.upperVelocityLimit).max()
             rows.append(
