@@ -30,9 +30,9 @@ make_rows(study(2), [0])
 """
 
 
-def study(runs: int, duration: float = DURATION) -> SweepStudy:
+def study(runs: int) -> SweepStudy:
     """The sweep that is timed."""
-    return SweepStudy.of("two_contact_rod", VARY, runs, overrides=(f"duration={duration!r}",))
+    return SweepStudy.of("two_contact_rod", VARY, runs, overrides=(f"duration={DURATION!r}",))
 
 
 def measure(runs: int) -> Data:
@@ -43,16 +43,16 @@ def measure(runs: int) -> Data:
     Args:
         runs: of the sweep, each also by itself.
     """
-    row_s, single_s = time_rows(runs + 1, DURATION)
+    row_s, single_s = time_rows(runs + 1)
     start_s = max(0.0, _time_a_start() - row_s)
     cores = len(os.sched_getaffinity(0))
     data = {"duration_s": DURATION, "row_s": row_s, "single_s": single_s, "start_s": start_s}
     return data | {f"1000 rows on {cores} cores, extrapolated (s)": 1e3 * row_s / cores}
 
 
-def time_rows(runs: int, duration: float) -> tuple[float, float]:
+def time_rows(runs: int) -> tuple[float, float]:
     """Least processor time (s) of a row, and of the same run by itself, taken in turns."""
-    those = study(runs, duration)
+    those = study(runs)
     times = []
     for number in range(runs):
         sample = those.sample(number)

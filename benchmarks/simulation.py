@@ -1,10 +1,11 @@
 """How much faster than real time a whole run is, and where its time goes."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import wraps
 from time import perf_counter
 from typing import Any
+from unittest.mock import patch
 
 import osc_contact as osc
 from osc_contact.plants.mujoco import MujocoPlant
@@ -51,14 +52,11 @@ class Ledger:
     @contextmanager
     def watching(self, calls: list[tuple[str, Any, str]]) -> Iterator[None]:
         """Time attributes (label, owner, name) as long as the block lasts."""
-        before = [(owner, name, getattr(owner, name)) for _, owner, name in calls]
-        try:
+        with ExitStack() as stack:
             for label, owner, name in calls:
-                setattr(owner, name, self.timed(label, getattr(owner, name)))
+                timed = self.timed(label, getattr(owner, name))
+                stack.enter_context(patch.object(owner, name, timed))
             yield
-        finally:
-            for owner, name, function in before:
-                setattr(owner, name, function)
 
 
 def measure(ticks: int) -> Data:
