@@ -289,10 +289,10 @@ class Simulation(simulator.MujocoSimulator):
         true = np.zeros(6)
         force = np.zeros(6)
         data = self.data
-        for i, contact in enumerate(data.contact):
+        for i in range(data.ncon):
             mujoco.mj_contactForce(self.model, data, i, force)
-            in_world = force[:3] @ contact.frame.reshape(3, 3)
-            true += moved([*in_world, 0.0, 0.0, 0.0], contact.pos - self.tool())
+            in_world = force[:3] @ data.contact.frame[i].reshape(3, 3)
+            true += moved([*in_world, 0.0, 0.0, 0.0], data.contact.pos[i] - self.tool())
         normal = data.xmat[self.plate][2::3]
         self.log.append([-true[:3] @ normal, *data.geom_xpos[self.tip], *data.qvel[:7]])
         true -= self.pushed
