@@ -76,6 +76,7 @@ JUDGES = (
     "tilted_faces",
     "controller",
     "operational_space",
+    "joint_friction",
 )
 #: Whose tests come first: those of the part itself. `law_kkt` judges whole ticks after them.
 OWN = {
@@ -104,6 +105,7 @@ OWN = {
     "law_limits": ("limits.py",),
     "outcome": ("monitor.py",),
     "operational_space": ("operational.py",),
+    "joint_friction": ("joint_friction.py",),
 }
 SLOW = 6  #: s; a test that takes longer without compilation is no judge
 CHECK = 2.0  #: s of tests that have to pass without any mutant, three times
@@ -209,6 +211,7 @@ def survey(out, names):
         )
         words = [
             *(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "mutants"),
+            "--tb=no",
             "--cov",
             f"--cov-config={config}",
             "--cov-context=test",

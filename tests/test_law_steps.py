@@ -174,13 +174,14 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
         assert forces.run([10.0], 60)[-1, 0] == approx(10.0)
 
 
-@parametrize("share", [0.29, 0.31, -0.5])
-def test_a_face_shows_its_tilt_where_it_carries_three_tenths_of_its_force(share):
+@parametrize("share, phase", [(0.29, CLOSED), (0.31, CLOSED), (-0.5, CLOSED), (0.31, APPROACHING)])
+def test_a_face_shows_its_tilt_where_it_carries_three_tenths_of_its_force(share, phase):
     forces = pressed()
+    forces.t.memory.contacts.phase[:] = phase
     turned = [0.02, -0.01, 0.03]
     write(forces.work.columns[0], turned=turned, slides=1.0)
     forces.tick([10.0], measured=[10.0 * share], speed=[0.04])
-    presses = share > 0.3
+    presses = share > 0.3 and phase == CLOSED
     assert_allclose(forces.kept[0].turn, turned if presses else 0.0)
     assert forces.kept[0].drift == approx(0.0 if presses else 0.01), "sliding or leaving"
 
