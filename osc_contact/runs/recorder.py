@@ -66,7 +66,8 @@ def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict
     squeeze = rows["squeeze_d"]
     phase = _phases(of, rows)
     truth = _measured_truths(of, rows, phase) if log is None else log.truths(rows["truth"])
-    N, points, directions = _lines(of, truth, k)
+    N = np.concatenate((np.zeros((6, 0, k)), *truth.N), axis=1)
+    points, directions = _feet(of, truth, k)
     wrench = rows["f_meas"] - rows["bias_out"]
     projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, whatever the faces do
     total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
@@ -189,17 +190,15 @@ def _poses(X: Array) -> Poses:
     return Poses(X[:, :3, :3].transpose(1, 2, 0), X[:, :3, 3].T)
 
 
-def _lines(of: Subject, truth: Truths, k: int) -> tuple[Array, Array, Array]:
-    """Unit lines of force (6, r, k), and of each contact where they meet the surface, their mean,
-    and the direction of the first: (k, contacts, 3) both."""
-    N = [np.zeros((6, 0, k))]
+def _feet(of: Subject, truth: Truths, k: int) -> tuple[Array, Array]:
+    """Where each contact's lines of force meet the surface, their mean, and the direction of the
+    first: (k, contacts, 3) both."""
     feet = []
     for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
         p, n = feet_over(pair, own, truth.X_WO, X_WE)
-        N.append(np.concatenate((n, cross(p - truth.X_WO.p[:, None], n))))
         feet.append((p.mean(axis=1).T, n[:, 0].T))
     points, directions = np.reshape(feet, (-1, 2, k, 3)).transpose(1, 2, 0, 3)
-    return np.concatenate(N, axis=1), points, directions
+    return points, directions
 
 
 def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
