@@ -6,6 +6,8 @@ import sys
 import time
 from pathlib import Path
 
+COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
+
 
 def completed(*words, code=0, **how):
     """A command that has to end with this code (None: with any one), and what it printed."""

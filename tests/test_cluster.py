@@ -13,15 +13,13 @@ from distributed import Client, LocalCluster
 from pyarrow import parquet
 from pytest import mark, raises
 from samples import module_fixture
+from test_sweeps import MASSES, SHORT
 
 import osc_contact as osc
 from osc_contact.sweeps import cluster
 from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import TABLE, run_study
 from osc_contact.sweeps.tune import tune
-
-SHORT = ("duration=1.02 s", "control.rate=250 Hz")
-MASSES = "model_error.object_mass=uniform(0.8, 1.2)"
 
 
 class Deadly(SweepStudy):

@@ -18,8 +18,6 @@ from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law.records import MODEL
 
-UNLIMITED = osc.SafetySettings.motors_only()  # states that follow one another are no motion
-
 
 def inputs(chain, q, v, rng, columns, touched=None):
     """Any readings, and a reference somewhat off."""

@@ -24,7 +24,7 @@ import copy
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pinocchio as pin
@@ -58,7 +58,12 @@ LEAST_APART = 0.03
 FASTEST = 5.0
 SLOWEST = 0.02  # m/s, rad/s; of what slides
 ROUGH = {"bead_on_a_wire", "point_on_a_saddle"}  # gap functions
-COLUMNS = {name: make(default_rng(0), PLAIN)[2] for name, make in PAIRS.items()}
+
+
+@cache
+def columns(name):
+    """r of a kind of pair."""
+    return PAIRS[name](default_rng(0), PLAIN)[2]
 
 
 # Arms ---------------------------------------------------------------------------------------------
@@ -148,7 +153,7 @@ class Surroundings:
     """What is touched: where, with which friction, and whether every contact counts twice."""
 
     on: Callable
-    pairs: tuple = tuple(sorted(COLUMNS))
+    pairs: tuple = tuple(sorted(PAIRS))
     mu: float = 0.0
     copied: bool = False
 
@@ -170,13 +175,13 @@ def some_contacts(rest, i, rng, where):
     first = where.pairs[i % len(where.pairs)]
     turn = i // len(where.pairs)
     most = d - (where.mu > 0.0)  # what is held fast does not slide
-    least = min(most, COLUMNS[first])
+    least = min(most, columns(first))
     r = least + turn % (most - least + 1)
     for attempt in range(100):
         if contacts and len(N) == r:
             break
         fit = [
-            name for name in where.pairs if 0 < COLUMNS[name] <= r - len(N) and name not in ROUGH
+            name for name in where.pairs if 0 < columns(name) <= r - len(N) and name not in ROUGH
         ]
         name = rng.choice(fit) if contacts or attempt > 4 else first
         body = where.on(rng, contacts)
@@ -512,7 +517,7 @@ def test_torques_bring_the_commanded_forces_and_motion(rig, surroundings):
     assert seen["arms"] >= ({2} if rig == "paper" else {2, 3, 4} if mixed else {1, 2, 3, 4})
     assert seen["grasps"] == set(RIGS[rig].grasps)
     assert seen["bodies"] == ({"world"} if where.on is in_the_world else {"world", *BODIES})
-    assert seen["pairs"] >= {name for name in where.pairs if rig == "ur5" or COLUMNS[name] < 2}
+    assert seen["pairs"] >= {name for name in where.pairs if rig == "ur5" or columns(name) < 2}
     assert max(count["near"], count["rough"]) < 2 * STATES
     assert count["held"] < 4 * STATES * mixed + 1
     assert (

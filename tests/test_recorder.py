@@ -16,7 +16,7 @@ import numpy as np
 from command_line import done, refused
 from complaints import invalid_input, recording_error
 from numpy.testing import assert_array_equal
-from processes import alive, wait_until
+from processes import COMMAND, alive, wait_until
 from pytest import mark, raises
 from samples import parametrize
 from scenario_runs import run_of
@@ -355,9 +355,6 @@ def test_flipped_bits_cost_their_chunk_and_are_told(tmp_path):
 
 
 # What runs and sweeps leave in files: one writer at a time, damage named, nobody left behind.
-
-
-COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
 
 
 def test_a_second_run_in_a_folder_is_refused_and_the_first_keeps_its_rows(tmp_path):

@@ -13,6 +13,7 @@ from time import sleep
 from complaints import recording_error
 from mcap.reader import make_reader
 from numpy.testing import assert_array_equal
+from processes import COMMAND
 from pytest import approx, fixture, mark, raises
 from samples import first, module_fixture, parametrize
 from scenario_runs import run_of
@@ -21,7 +22,6 @@ import osc_contact as osc
 from osc_contact.runs import recorder as rows_of_runs
 
 RUN = [sys.executable, str(Path(__file__).with_name("recorded_run.py"))]
-COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
 TIMES = {"tick_s"}
 
 

@@ -8,7 +8,6 @@ import re
 import shlex
 import signal
 import subprocess
-import sys
 
 import numpy as np
 import pyarrow
@@ -16,7 +15,7 @@ from command_line import answered, read_json
 from complaints import invalid_input
 from numpy.linalg import norm
 from numpy.testing import assert_allclose
-from processes import wait_until
+from processes import COMMAND, wait_until
 from pyarrow import parquet
 from pytest import approx, mark, param, raises
 from samples import parametrize
@@ -272,11 +271,10 @@ def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tm
 
 
 def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path):
-    program = "from osc_contact.cli import app; app()"
     line = f"sweep two_contact_rod --samples 8 --workers 1 --out {tmp_path} --vary"
     rows = tmp_path / ROWS
     changes = [word for one in SHORT for word in ("--set", one)]
-    command = [sys.executable, "-c", program, *line.split(), MASSES, *changes]
+    command = [*COMMAND, *line.split(), MASSES, *changes]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         wait_until(lambda: rows.exists() and rows.read_bytes().count(b"\n") > 3, process=process)
         process.kill()
