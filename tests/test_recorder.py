@@ -358,12 +358,13 @@ def test_flipped_bits_cost_their_chunk_and_are_told(tmp_path):
 
 
 def test_a_second_run_in_a_folder_is_refused_and_the_first_keeps_its_rows(tmp_path):
-    line = f"run two_contact_rod --duration 1000 --out {tmp_path}"
+    line = f"run two_contact_rod --duration 60 --out {tmp_path}"
     how = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     with subprocess.Popen([*COMMAND, *line.split()], **how) as process:
         try:
             rows = tmp_path / "unfinished.mcap"
             wait_until(rows.exists, process=process)
+            process.send_signal(signal.SIGSTOP)  # it need not run on to hold its folder
             number = rows.stat().st_ino
             said = refused("run two_contact_rod --duration 1.2 --out", tmp_path)
             assert process.poll() is None and rows.stat().st_ino == number

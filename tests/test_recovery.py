@@ -51,7 +51,7 @@ def whole():
 
 @parametrize("seconds", first([0.17, 0.13, 0.22], 1))
 def test_a_killed_run_is_recovered_but_for_its_last_moments(seconds, tmp_path, whole):
-    with started([*RUN, tmp_path, "1000"]) as process:
+    with started([*RUN, tmp_path, "200"]) as process:
         process.stdout.readline()
         sleep(seconds)
         process.kill()
@@ -64,13 +64,13 @@ def test_a_killed_run_is_recovered_but_for_its_last_moments(seconds, tmp_path, w
     # 80 ms on the clock, and what this machine simulates in that time
     assert len(found) > 1000 * told - 3000
     short, count = found.meta["missing"]
-    assert short.startswith("the run was cut short") and "of 1000000 ticks are here" in count
+    assert short.startswith("the run was cut short") and "of 200000 ticks are here" in count
     with recording_error(r"osc_contact\.recover"):
         osc.Recording.load(tmp_path / "unfinished.mcap")
 
 
 def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
-    words = ["run", "two_contact_rod", "--duration", "1000", "--seed", "3", "--out", tmp_path]
+    words = ["run", "two_contact_rod", "--duration", "200", "--seed", "3", "--out", tmp_path]
     with started([*COMMAND, *words]) as process:
         journal = tmp_path / "unfinished.mcap"
         while not journal.exists() or journal.stat().st_size < 20_000:  # until there are ticks
