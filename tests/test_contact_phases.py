@@ -10,10 +10,20 @@ import pinocchio as pin
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import largest, panda_pair, random_faces, random_state, refused, rig_of, scara_pair, shift
+from rigs import (
+    UNLIMITED,
+    largest,
+    panda_pair,
+    random_faces,
+    random_state,
+    refused,
+    rig_of,
+    scara_pair,
+    shift,
+)
 from samples import module_fixture, parametrize
 from scenario_runs import run_of
-from test_law import UNLIMITED, inputs
+from test_law import inputs
 
 import osc_contact as osc
 from osc_contact.control.status import Phase

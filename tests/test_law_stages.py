@@ -25,9 +25,9 @@ from law_calls import (
 from law_calls import command_filter as command
 from numpy.linalg import cholesky, qr
 from numpy.testing import assert_array_equal
-from rigs import pose_of, random_faces, random_state, scara_pair, shift
+from rigs import UNLIMITED, pose_of, random_faces, random_state, scara_pair, shift
 from samples import parametrize
-from test_law import UNLIMITED, inputs, motion_of
+from test_law import inputs, motion_of
 from test_law_parts import SEEDS, close, rng_of, turn
 
 import osc_contact as osc
