@@ -434,3 +434,14 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
                 assert check(rows, work) == fine
         if size == 1.0:
             assert (work.where, work.amount) == (7, approx(implied))
+
+
+@parametrize("i", [0, 4, 8])
+def test_what_is_learned_of_a_normal_that_turns_about_one_axis_is_kept(i):
+    """As at edges along an axis of their body; only a covariance of zeros begins with the prior."""
+    t = records(contacts=1, columns=1)
+    last = t.memory.columns[0]
+    t.work.columns[0].prior[:] = 1e-4
+    last.covariance[i] = 1e-6
+    contact.learn_normal(0.0, last, t.work.columns[0])
+    assert last.normal_std == approx(1e-3)
