@@ -101,6 +101,17 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
         assert_array_equal(getattr(t.work, name)[:3], [*row, 7.0])
 
 
+def test_bodies_do_not_yield_while_their_motion_is_unknown():
+    """What an older tick found of it is left out."""
+    t = records(contacts=1, columns=1)
+    write(t.work, rank=1, L=np.eye(1), Q=np.ones((1, 6)), out_T=np.eye(6))
+    pushes = []
+    for found in (0.0, 1.0):
+        t.work.yields[:] = found
+        pushes.append(reading._push_on(t, (1.0, 2.0, 3.0), 0))
+    assert_array_equal(*pushes)
+
+
 # --- stops ----------------------------------------------------------------------------------------
 
 
