@@ -8,8 +8,19 @@ from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import UNLIMITED, one_panda, random_state, refused, rig_of, strong, ticked, unloaded
+from rigs import (
+    UNLIMITED,
+    largest,
+    one_panda,
+    random_state,
+    refused,
+    rig_of,
+    strong,
+    ticked,
+    unloaded,
+)
 from samples import parametrize
+from scenario_runs import verdict_of
 from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 
 import osc_contact as osc
@@ -64,7 +75,7 @@ def test_joints_without_friction_learn_none(dt):
 @parametrize(("most", "found"), [(20.0, 8.0), (5.0, 5.0)])
 def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, found):
     """The estimate, too: beyond its bound it would have to come back before F could."""
-    t = records(1, 1)
+    t = records(1, 1, friction_learning=1)
     t.model.priors.high = most
     t.memory.balanced = 1000
     t.memory.friction_known[0] = joint_friction.LEARNED
@@ -187,6 +198,24 @@ def test_friction_is_learned_where_the_model_has_some(friction, damping, given, 
     controller = osc.Controller(chain, [], joint_friction=osc.JointFriction(learning=given))
     assert controller.settings.joint_friction.learning is learns
     assert controller._records.model.friction_learning == learns
+
+
+@parametrize("mass", [0.8, 1.2])
+def test_errors_of_links_are_compensated_beside_a_tare(mass):
+    """By 0.7 of them, while e is within its bound: at rest that is the weight."""
+    rms = []
+    for changes in ([], ["control.joint_friction.errors=false"]):
+        words = [f"model_error.arm_mass={mass}", "tare={}", *changes]
+        rig = rig_of("panda_edge", *words)
+        controller = rig.controller()
+        osc.run_loop(rig.plant(), controller, rig.references.each(200, controller.dt))
+        verdict = verdict_of("panda_edge", *words, duration=3.0)
+        rms.append(verdict["force"]["edge"]["rms_error_rel"])
+        memory = controller._records.memory
+        missing = memory.joints.residual - memory.joints.means[:, joint_friction.FRICTION]
+        e = 0.7 * memory.joints.unlearned
+        assert_allclose(e, 0.7 * missing * (not changes), atol=0.02 * largest(missing))
+    assert rms[0] < 0.5 * rms[1]
 
 
 def test_what_was_learned_is_the_start_of_the_next_controller():

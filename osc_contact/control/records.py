@@ -380,8 +380,9 @@ def _pack_friction(settings: Settings, head: Any) -> None:
     known = np.zeros((len(rows), 4))
     known[:, 0] = model.upperDryFrictionLimit
     known[:, 1] = model.damping
-    head.rubs = how.learning or known.any()
+    head.rubs = how.learning or how.errors or known.any()
     head.friction_learning = how.learning
+    head.friction_errors = bool(how.errors)
     head.friction_share = how.share
     head.friction_smoothing = how.smoothing
     limit = np.minimum(rows.tau_max, _UNLIMITED)

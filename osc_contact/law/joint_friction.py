@@ -22,9 +22,10 @@ within the tick in which the joint does. Torques get
 
 before they are limited: f is not a feedback, and e, with g < 1 and |e| ≤ F + D |s|, is what of the
 friction is not learned. A wrist that is wrong feeds e, too: where no friction is known or learned,
-e is zero. What is compared with a wrench that comes late is of the instant at which it was read.
-Without learning θ is what the model says, and e = 0. Passive joints have no motors: what is known
-of their friction goes into h instead.
+e is zero. With `errors` e is bounded by `wrist_error` of the torque limit instead, so that it also
+is what masses and inertias of the links are wrong by. What is compared with a wrench that comes
+late is of the instant at which it was read. Without learning θ is what the model says, and without
+`errors` e = 0. Passive joints have no motors: what is known of their friction goes into h instead.
 """
 
 from __future__ import annotations
@@ -125,7 +126,7 @@ def observe_arm(t, arm, own, dt):
         for i in range(SIGN, RATE):
             row.means[i] += k * (then[i] - row.means[i])
         row.residual = row.means[TORQUE] - then[INERTIAL]
-        if t.model.friction_learning != 0 and not begins:
+        if (t.model.friction_learning != 0 or t.model.friction_errors != 0) and not begins:
             _learn(t, j, then[RATE], dt)
 
 
@@ -150,8 +151,8 @@ def _align(t, row, now, ticks):
 def _learn(t, j, rate, dt):
     """One step of the recursive least squares, and e.
 
-    Both begin when residuals have exceeded rounding for some time: a model without errors stays as
-    it is.
+    Both begin when residuals have exceeded rounding for some time, with `errors` at once: a model
+    without errors stays as it is.
 
     Args:
         j: joint. rate: of its speed, as old as the wrench. dt: s.
@@ -174,7 +175,7 @@ def _learn(t, j, rate, dt):
     if known[j] == MODEL_ONLY:
         seen = dt if abs(missing) > prior.rounding else -dt
         learned.evidence = max(learned.evidence + seen, 0.0)
-        if learned.evidence > _EVIDENCE:
+        if learned.evidence > (_EVIDENCE if t.model.friction_errors == 0 else 0.0):
             known[j] = LEARNED
     sound = row.unbalanced == 0.0  # else the wrist may be wrong, and e would add to the error
     if known[j] == LEARNED:
@@ -196,6 +197,7 @@ def _learn(t, j, rate, dt):
     sticks = rests and excess > _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
     if (
         known[j] == LEARNED
+        and t.model.friction_learning != 0
         and sound
         and t.memory.balanced * dt > _SETTLED
         and (moves or sticks)
@@ -332,7 +334,9 @@ def compensate_friction(t):
             continue
         row = t.memory.joints[j]
         row.friction = believed_friction(t, j)
-        most = min(largest_friction(t, j), t.model.wrist_error * joint.tau_max)
+        most = t.model.wrist_error * joint.tau_max
+        if t.model.friction_errors == 0:
+            most = min(most, largest_friction(t, j))
         rest = min(max(row.unlearned, -most), most)
         own.friction = row.friction + t.model.friction_share * rest
         own.tau += own.friction

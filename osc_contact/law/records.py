@@ -80,6 +80,7 @@ _MODEL = _record(
         "leader",  # arm that holds rigidly, or −1
         "rubs",  # whether friction of joints is compensated
         "friction_learning",  # and learned
+        "friction_errors",  # and other errors of the arms
         "phased",  # whether contacts are opened and closed one by one
         "guarded",  # whether readings are judged: those of a controller, not of a lone chain
         "repeats",

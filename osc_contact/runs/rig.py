@@ -232,6 +232,9 @@ class Rig:
         """The controller with the scenario's gains, knowing only `model`."""
         scenario = self.scenario
         control = scenario.control
+        friction = control.joint_friction
+        if friction is not None and friction.errors is None:
+            friction = friction.replaced(errors=scenario.tare is not None)
         return Controller(
             self.model,
             self.controlled_pairs(),
@@ -246,7 +249,7 @@ class Rig:
             life=self.life,
             safety=control.safety,
             laws=scenario.laws() if callable(scenario.laws) else scenario.laws,
-            joint_friction=control.joint_friction or False,
+            joint_friction=friction or False,
         )
 
     @property

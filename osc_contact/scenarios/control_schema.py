@@ -382,7 +382,10 @@ class JointFriction(Spec):
     share: Annotated[Number, Field(ge=0, lt=1)] = 0.7
     """g: of the friction that is not learned (stiction, Stribeck), which an observer compensates;
     with 1 joints would seem frictionless at rest, and contacts hunt"""
-    smoothing: Annotated[PositiveNumber, "1/s"] = 100.0
+    errors: bool | None = None
+    """whether it compensates other errors of the arms, too, such as wrong masses, up to
+    `safety.wrist_error` of the torque limits; null: if there is a `tare`"""
+    smoothing: Annotated[PositiveNumber, "1/s"] = 70.0
     """K_d, of that observer"""
     most: Annotated[Number, Field(gt=0, le=1)] = 0.3
     """times a motor's torque limit: more friction is neither assumed nor compensated"""
