@@ -192,7 +192,7 @@ class Numbers(ctypes.Structure):
 
 class Measurement(ctypes.Structure):
     _fields_ = [(name, Numbers) for name in ("q", "v", "wrenches", "touched")] + [
-        (name, ctypes.c_int32) for name in ("wrench_missing", "repeated", "estimated")
+        (name, ctypes.c_int32) for name in ("wrench_missing", "repeated", "estimated", "wrench_age")
     ]
 
 

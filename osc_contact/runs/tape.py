@@ -18,7 +18,7 @@ from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import Taring, start
 from osc_contact.spatial import Array
 
-MAGIC = b"OSCTAPE1"
+MAGIC = b"OSCTAPE2"
 #: flags of a tick, as in replay.c; from REPEATED on: which readings are those of the last tick
 MEMORY, TOUCHED, WRENCH_MISSING, ESTIMATED, SQUEEZE = 1, 2, 4, 8, 16
 REPEATED = 5
@@ -57,7 +57,8 @@ class Tape:
     def _note(
         self, measurement: Measurement, reference: Reference, memory: Any, tau: Array
     ) -> None:
-        model = self._controller._records.model
+        controller = self._controller
+        model = controller._records.model
         squeeze = np.ravel(reference.squeeze_d)
         given = squeeze.any() and model.n_bars > 0
         missing = measurement.wrench_valid is not None and not measurement.wrench_valid
@@ -67,7 +68,8 @@ class Tape:
         forces = np.zeros(model.n_columns)
         alpha = np.ravel(reference.alpha_d)
         forces[: len(alpha)] = alpha
-        parts: list[Any] = [np.array([flags, self._controller.status], np.int64)]
+        age = -1 if measurement.stamps is None else controller._records.memory.late
+        parts: list[Any] = [np.array([flags, controller.status, age], np.int64)]
         parts += [] if memory is None else [memory]
         numbers = [
             measurement.q,

@@ -68,7 +68,7 @@ struct Motion {
 
 osc_command tick(osc_controller* c, const franka::RobotState& state, const osc_reference& r, Joints& tau) {
   const osc_measurement m = {
-      {state.q.data(), 7}, {state.dq.data(), 7}, {state.K_F_ext_hat_K.data(), 6}, {nullptr, 0}, 0, 0, 0};
+      {state.q.data(), 7}, {state.dq.data(), 7}, {state.K_F_ext_hat_K.data(), 6}, {nullptr, 0}, 0, 0, 0, 0};
   osc_command out = {tau.data(), tau.size(), 0, 0, 0, 0};
   require(osc_tick(c, &m, &r, &out));
   return out;

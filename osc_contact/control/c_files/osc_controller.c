@@ -284,6 +284,11 @@ int osc_tick(osc_controller *c, const osc_measurement *m, const osc_reference *r
     if (m->repeated) set_whole(c->memory, MEMORY_repeated, m->repeated);
     if (m->estimated) set_whole(c->memory, MEMORY_derived, 1);
     if (m->wrench_missing) set_whole(c->memory, MEMORY_wrench_missing, 1);
+    if (m->wrench_age >= 0) {
+        if (!whole(c->memory, MEMORY_stamped))
+            set_whole(c->memory, MEMORY_stamped, whole(c->memory, MEMORY_instant) + 1);
+        set_whole(c->memory, MEMORY_late, m->wrench_age);
+    }
     run(c, m, r, m->wrenches.data, switches, LOOK);
     if (whole(c->memory, MEMORY_status) == OSC_STATUS_SATURATED && !relieve(c)) {
         osc_reference none = *r;

@@ -40,7 +40,7 @@ static const char *path_of(int number, const char *name, int count, char **words
 
 void rewind_recording(recording *tape) {
     tape->at = 0;
-    if (memcmp(take(tape, 8), "OSCTAPE1", 8) != 0) fail("recording", "the file is none");
+    if (memcmp(take(tape, 8), "OSCTAPE2", 8) != 0) fail("recording", "the file is none");
     tape->count = take_whole(tape);
     tape->memory_bytes = (size_t)take_whole(tape);
     if (tape->count < 1) fail("recording", "it has no ticks");
@@ -66,6 +66,7 @@ recorded_tick next_tick(recording *tape, osc_controller *c) {
     recorded_tick t;
     int64_t flags = take_whole(tape);
     t.status = take_whole(tape);
+    t.m.wrench_age = (int32_t)take_whole(tape);
     t.memory = flags & MEMORY ? take(tape, tape->memory_bytes) : NULL;
     t.m.q = take_numbers(tape, n->joints);
     t.m.v = take_numbers(tape, n->joints);

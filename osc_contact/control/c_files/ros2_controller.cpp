@@ -94,7 +94,7 @@ class HybridController : public controller_interface::ControllerInterface {
           std::numeric_limits<double>::quiet_NaN());
     const double* at = readings_.data();
     const osc_measurement m = {{at, n_.joints}, {at + n_.joints, n_.joints},
-                               {at + 2 * n_.joints, 6 * n_.arms}, {nullptr, 0}, 0, 0, 0};
+                               {at + 2 * n_.joints, 6 * n_.arms}, {nullptr, 0}, 0, 0, 0, -1};
     const osc_reference r = {{X_WD_.data(), 16}, {kRest, 6}, {kRest, 6},
                              {alpha_d_.data(), alpha_d_.size()},
                              {squeeze_d_.data(), squeeze_d_.size()}};
