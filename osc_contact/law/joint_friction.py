@@ -22,10 +22,10 @@ within the tick in which the joint does. Torques get
 
 before they are limited: f is not a feedback, and e, with g < 1 and |e| ≤ F + D |s|, is what of the
 friction is not learned. A wrist that is wrong feeds e, too: where no friction is known or learned,
-e is zero. With `errors` e is bounded by `wrist_error` of the torque limit instead, so that it also
-is what masses and inertias of the links are wrong by. What is compared with a wrench that comes
-late is of the instant at which it was read. Without learning θ is what the model says, and without
-`errors` e = 0. Passive joints have no motors: what is known of their friction goes into h instead.
+e is zero. With `errors` the bound is wider by 0.3 |h|, so that e also is what masses of the links
+are wrong by. What is compared with a wrench that comes late is of the instant at which it was read.
+Without learning θ is what the model says, and without `errors` e = 0. Passive joints have no
+motors: what is known of their friction goes into h instead.
 """
 
 from __future__ import annotations
@@ -67,6 +67,7 @@ _SEEN = 3.0  #: times the noise; what is in φ with less of θ at its spread is 
 _SUDDEN = 0.05  #: s; speeds that change by their limit within less are steps
 
 _MASSES = 0.15  #: of gravity's torque at the start: what wrong masses add to the bias
+_LINKS = 0.3  #: of the torque of gravity and speeds: what wrong masses are taken to cost at most
 
 #: What θ is: nothing yet; as of the model; learned.
 UNKNOWN, MODEL_ONLY, LEARNED = range(3)
@@ -334,9 +335,10 @@ def compensate_friction(t):
             continue
         row = t.memory.joints[j]
         row.friction = believed_friction(t, j)
-        most = t.model.wrist_error * joint.tau_max
-        if t.model.friction_errors == 0:
-            most = min(most, largest_friction(t, j))
+        most = largest_friction(t, j)
+        if t.model.friction_errors != 0:
+            most += _LINKS * abs(own.h)
+        most = min(most, t.model.wrist_error * joint.tau_max)
         rest = min(max(row.unlearned, -most), most)
         own.friction = row.friction + t.model.friction_share * rest
         own.tau += own.friction
