@@ -176,10 +176,10 @@ def test_the_constructor_judges_rotors_too():
         require_pinocchio_agrees(chain, row)
 
 
-def test_inspect_names_what_limits_compensation_of_friction():
+@parametrize("given", ["arms.ur5.damping=2", "tare={}"])
+def test_inspect_names_what_limits_compensation_of_friction(given):
     """D/m > K = 100/s where the rotor is missing; the least rotor leaves m g/(1 + g) in all."""
-    learning = "control.joint_friction.learning=true"
-    rig = rig_of("ur5_wipe", learning, "arms.ur5.armature=0.3", "arms.ur5.damping=2")
+    rig = rig_of("ur5_wipe", given, "arms.ur5.armature=0.3")
     lines = inspect_rig(rig).lines
     (least,) = (line for line in lines if "observer unstable" in line)
     M = rig.model.state(rig.q_contact, np.zeros(6)).M

@@ -309,8 +309,8 @@ def test_reproduce_fig3_renders_it(cell, tmp_path, monkeypatch):
     view = np.array([0x2B, 0x7C, 0xAE]) / 255  # edges of what the camera sees, on the left half
     near = np.abs(picture[:, : picture.shape[1] // 2] - view).max(axis=2) < 0.1
     assert near.sum() > 500
-    told = read_json(tmp_path / "fig3.json")
-    assert "60 Hz" in told["vision"] and "[4, 4] driven joints" in told["arms"]
+    parts = read_json(tmp_path / "fig3.json")
+    assert "60 Hz" in parts["vision"] and "[4, 4] driven joints" in parts["arms"]
 
 
 def test_without_a_browser_there_is_the_page_and_a_word(cell, tmp_path, monkeypatch):

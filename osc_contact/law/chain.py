@@ -60,9 +60,7 @@ UNACTUATED = declare_reason(
 )
 
 
-_GEOMETRY = (
-    0.1  #: of the joint speeds' share in a twist: what errors of the arms' geometry add to it
-)
+_GEOMETRY = 0.1  #: errors of a twist by the arms' geometry, per joint speeds' share in it
 
 
 @inner

@@ -116,7 +116,7 @@ class Rows(np.ndarray[Any, Any]):
 class View:
     """A record in plain Python: fields of the head and tables as attributes.
 
-    Tables, and fields that are arrays, are kept when they are first asked for.
+    Tables, and fields that are arrays, are kept once they were read.
     """
 
     def __init__(self, kind: Nested, raw: Bytes) -> None:

@@ -106,9 +106,9 @@ def inspect_rig(rig: Rig) -> Inspection:
 
 def _friction(rig: Rig) -> Iterator[str]:
     """What of friction and rotors in the controller's model limits its accuracy or stability."""
-    how = choose_learning(rig.scenario.control.joint_friction, rig.model)
+    how = choose_learning(rig.joint_friction, rig.model)
     for arm, own in zip(rig.model.arms, rig.model.slices, strict=True):
-        share = how.share if how and how.learning else 0.0
+        share = how.share if how and (how.learning or how.errors) else 0.0
         q = rig.q_contact[own]
         passive = arm.passive_joints
         for words in friction_warnings(arm.model, q, share, 1.0 / LAG, passive):

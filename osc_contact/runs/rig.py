@@ -42,7 +42,7 @@ from osc_contact.runs.contacts import (
 from osc_contact.runs.recorder import Subject
 from osc_contact.runs.references import References, force_names, showing_twist
 from osc_contact.scenarios.bodies import CartSpec, GraspSpec
-from osc_contact.scenarios.control_schema import Gains, ModelErrorSpec, PhaseSettings
+from osc_contact.scenarios.control_schema import Gains, JointFriction, ModelErrorSpec, PhaseSettings
 from osc_contact.scenarios.hardware import PLANT_TYPES
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
@@ -228,13 +228,18 @@ class Rig:
             return gains
         return gains.replaced(motion=gains.motion.replaced(integral_time=TARE_INTEGRAL_S))
 
+    @property
+    def joint_friction(self) -> JointFriction | None:
+        """As the controller takes it: beside a tare wrong masses are compensated, too."""
+        friction = self.scenario.control.joint_friction
+        if friction is None or friction.errors is not None:
+            return friction
+        return friction.replaced(errors=self.scenario.tare is not None)
+
     def controller(self) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
         scenario = self.scenario
         control = scenario.control
-        friction = control.joint_friction
-        if friction is not None and friction.errors is None:
-            friction = friction.replaced(errors=scenario.tare is not None)
         return Controller(
             self.model,
             self.controlled_pairs(),
@@ -249,7 +254,7 @@ class Rig:
             life=self.life,
             safety=control.safety,
             laws=scenario.laws() if callable(scenario.laws) else scenario.laws,
-            joint_friction=friction or False,
+            joint_friction=self.joint_friction or False,
         )
 
     @property

@@ -383,7 +383,7 @@ class JointFriction(Spec):
     """g: of the friction that is not learned (stiction, Stribeck), which an observer compensates;
     with 1 joints would seem frictionless at rest, and contacts hunt"""
     errors: bool | None = None
-    """whether it compensates wrong masses of the links, too, up to 0.3 of the torque that they are
+    """whether the observer compensates wrong masses of the links, too, up to 0.3 of the torque that they are
     modelled to take; null: if there is a `tare`"""
     smoothing: Annotated[PositiveNumber, "1/s"] = 70.0
     """K_d, of that observer"""
