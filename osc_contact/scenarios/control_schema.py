@@ -383,8 +383,8 @@ class JointFriction(Spec):
     """g: of the friction that is not learned (stiction, Stribeck), which an observer compensates;
     with 1 joints would seem frictionless at rest, and contacts hunt"""
     errors: bool | None = None
-    """whether the observer compensates wrong masses of the links, too, up to 0.3 of the torque that they are
-    modelled to take; null: if there is a `tare`"""
+    """whether the observer compensates wrong masses of the links, too, up to 0.3 of the torque that
+    they are modelled to take; null: if there is a `tare`"""
     smoothing: Annotated[PositiveNumber, "1/s"] = 70.0
     """K_d, of that observer"""
     most: Annotated[Number, Field(gt=0, le=1)] = 0.3
