@@ -10,12 +10,11 @@ the error is seen through (TᵀB⁻¹T)⁻¹TᵀB⁻¹K T instead; with K = B K�
 
 As in those references the position part is judged alone: nothing holds the arm in the
 force-controlled direction. For ours this is no restriction: the eigenvalues of Ω_m(B)K that are
-not zero are those above.
+not zero are those above. With damping of d times stiffness an eigenvalue λ gives the poles of
+z² + dλz + λ, whose sum is −dλ: Re λ < 0 is unstable for every such damping.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,48 +25,28 @@ from matplotlib.figure import Figure
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.projections import left_inverse
-from osc_contact.spatial import Array, classical_to_spatial, pose_error
-from osc_contact.visual import contact_colour
+from osc_contact.spatial import Array
 from osc_contact.visual.plots import style
-from paper.selection_laws import coordinates, structure
-from paper.study import Ask, Data, Study, table_of, with_object, words_of
+from paper.study import Ask, Data, Study, table_of, with_object
 
 
 def study(ask: Ask) -> Study:
-    """Both schemes on a planar arm and on a UR5: searched, mapped, simulated."""
+    """Both schemes on a planar arm and on a UR5: searched and mapped."""
     found = []
     for arm, joints in ((planar_arm(), (0, 1)), (ur5_arm(), (1, 2))):
         worst = search(arm, ask.seed)
-        histories = simulate(worst, ask.lasting(1.0))
-        found.append((worst, joints, posture_map(worst, joints), histories))
-    data = [as_dict(worst, histories) for worst, _, _, histories in found]
+        found.append((worst, joints, posture_map(worst, joints)))
+    data = [worst.as_dict() for worst, *_ in found]
     table = table_of(
         "kinematic stability",
-        "arm; postures; classic unstable; classic least λ (1/s²); ours least λ (1/s²); "
-        "classic leaves the posture; ours: error first → last",
+        "arm; postures; classic unstable; classic least λ (1/s²); ours least λ (1/s²)",
         (
             f"{row['arm']}; {row['postures']}; {row['classic_unstable']}; "
-            f"{row['classic_eigenvalues'][0][0]:.4g}; {row['ours_least_eigenvalue']:.4g}; "
-            f"{words_of(row['classic_left_after_s'], 'after {:.3f} s', 'not')}; "
-            f"{row['first_error_mrad']:.3g} → {row['last_error_mrad']:.3g} mrad"
+            f"{row['classic_eigenvalues'][0][0]:.4g}; {row['ours_least_eigenvalue']:.4g}"
             for row in data
         ),
     )
     return Study({"kinematic_stability": draw(found)}, table, {"arms": data})
-
-
-def as_dict(worst: WorstPosture, histories: Histories) -> Data:
-    """For JSON; eigenvalues (1/s²) as [real, imaginary]."""
-    first, last = (1e3 * float(np.abs(histories.ours[k]).max()) for k in (0, -1))
-    spectra = {"classic_eigenvalues": worst.classic, "ours_eigenvalues": worst.ours}
-    return worst.counts | {
-        "posture_rad": worst.q.tolist(),
-        **{name: np.column_stack((z.real, z.imag)).tolist() for name, z in spectra.items()},
-        "first_error_mrad": first,
-        "classic_left_after_s": histories.left_after(),
-        "last_error_mrad": last,
-        "duration_s": float(histories.t[-1]),
-    }
 
 
 _WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -84,7 +63,6 @@ class HybridArm:
             which nothing read outlives the next call; tip: index of the tip's frame.
         rows: the first n of the tip's twist (world axes at the tip), the task coordinates.
         force: which of them is force-controlled; selection: (n,) 0 there, else 1.
-        pair: the contact, a face square to the force axis, touched at the tip.
         K_q: (n, n) joint stiffness of the classic scheme (N m/rad).
         K_prime: (6, 6) stiffness of ours, world axes (N/m, N m/rad).
     """
@@ -103,7 +81,6 @@ class HybridArm:
         self.rows = slice(n)
         self.force = force
         self.selection = (np.arange(n) != force).astype(float)
-        self.pair = osc.VertexOnFace(np.zeros(3), np.zeros(3), -np.eye(6)[force, :3])
         self.K_q = K_q
         self.K_prime = np.diag([300.0, 300.0, 300.0, 3.0, 3.0, 3.0])
 
@@ -150,12 +127,6 @@ def ur5_arm() -> HybridArm:
     return HybridArm("UR5", arm, 2, np.diag([400.0, 400.0, 200.0, 20.0, 20.0, 20.0]))
 
 
-#: s: damping = this times stiffness, in both laws. The two poles of an eigenvalue λ, roots of
-#: z² + DAMPING_S λ z + λ, add up to −DAMPING_S λ: Re λ < 0 is unstable for every such damping.
-DAMPING_S = 0.08
-STEP_S = 2e-3  #: of the integration
-
-
 def classic_eigenvalues(M: Array, J: Array, selection: Array, K_q: Array) -> Array:
     """The s eigenvalues of M⁻¹K_q J⁻¹S J that position control owns, s = number selected.
 
@@ -195,46 +166,6 @@ def our_eigenvalues(T: Array, B: Array, K_prime: Array) -> Array:
     return np.sort_complex(np.linalg.eigvals(along @ (B @ K_prime) @ T)).astype(complex)
 
 
-def classic_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
-    """τ = h − K_q J⁻¹S(x + DAMPING_S ẋ), x the tip's task coordinates from the goal, h exact.
-
-    Args:
-        arm: of the experiment.
-        q, v: (n,) joint positions (rad) and velocities (rad/s).
-        goal: pose that the tip is held at.
-
-    Returns:
-        (n,) joint torques (N m).
-    """
-    _, J_tip, tip = arm.terms(q)
-    J = J_tip[arm.rows]
-    x = -pose_error(goal, tip)[arm.rows]
-    q_e = np.linalg.solve(J, arm.selection * (x + DAMPING_S * (J @ v)))
-    bias = pin.nonLinearEffects(arm.plant, arm.data, q, v)
-    return bias - arm.K_q @ q_e
-
-
-def our_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
-    """The control law of this package (eqs. 21, 24), a_u = −B K′(x + DAMPING_S ẋ), force 0.
-
-    Args:
-        arm, q, v, goal: as of `classic_torque`.
-
-    Returns:
-        (n,) joint torques (N m).
-    """
-    state = arm.chain.state(q, v)
-    contact = arm.pair.contact(state.X_WO, state.V_O)
-    B = np.linalg.inv(state.metric)
-    x = -pose_error(goal, state.X_WO)
-    a_u = classical_to_spatial(-B @ arm.K_prime @ (x + DAMPING_S * state.V_O), state.V_O)
-    N = contact.N
-    n_gamma = contact.n_gamma - N.T @ state.sigma
-    kept = B @ N @ np.linalg.solve(N.T @ B @ N, n_gamma)  # what stays on the face
-    eta = coordinates(state, N) @ (contact.motion_projection(B) @ (a_u - state.sigma) + kept)
-    return np.linalg.solve(state.G, structure(state, eta, np.zeros(6)))  # a motor for each motion
-
-
 class WorstPosture(NamedTuple):
     """The posture in which the classic scheme is least stable, and both schemes there.
 
@@ -250,6 +181,14 @@ class WorstPosture(NamedTuple):
     classic: Array
     ours: Array
     counts: Data
+
+    def as_dict(self) -> Data:
+        """For JSON; eigenvalues (1/s²) as [real, imaginary]."""
+        spectra = {"classic_eigenvalues": self.classic, "ours_eigenvalues": self.ours}
+        return self.counts | {
+            "posture_rad": self.q.tolist(),
+            **{name: np.column_stack((z.real, z.imag)).tolist() for name, z in spectra.items()},
+        }
 
 
 def search(
@@ -333,107 +272,31 @@ def _grid(count: int) -> Array:
     return (np.arange(count) + 0.5) / count * 2 * np.pi - np.pi
 
 
-#: rad: a joint this far off has left the posture; what the arm does from there on is not judged.
-LEFT = 0.5
-
-Law = Callable[[HybridArm, Array, Array, pin.SE3], Array]
-
-
-class Histories(NamedTuple):
-    """Joint errors (k, n) over time t (k,), rad from the posture; NaN once a joint has `LEFT`."""
-
-    t: Array
-    classic: Array
-    ours: Array
-
-    def left_after(self) -> float | None:
-        """When the classic scheme had left the posture (s); None: it did not."""
-        gone = np.isnan(self.classic[:, 0])
-        return float(self.t[gone.argmax()]) if gone.any() else None
-
-
-def simulate(worst: WorstPosture, duration: float = 1.0, error: float = 1e-3) -> Histories:
-    """Both closed loops from rest, `error` (m, rad) off in every position-controlled coordinate.
-
-    Continuous-time control, forward dynamics by `pin.aba`, fourth-order Runge–Kutta.
-
-    Args:
-        worst: arm and posture.
-        duration: of both runs (s).
-        error: at the start (m, rad).
-    """
-    t = np.arange(round(duration / STEP_S) + 1) * STEP_S
-    goal = worst.arm.terms(worst.q)[2]
-    start = _reached(worst, error * worst.arm.selection, goal)
-    laws = (classic_torque, our_torque)
-    return Histories(t, *(_integrate(worst, law, goal, start, t) for law in laws))
-
-
-def _integrate(worst: WorstPosture, law: Law, goal: pin.SE3, start: Array, t: Array) -> Array:
-    arm = worst.arm
-    h = t[1] - t[0]
-    data = arm.plant.createData()
-
-    def rate(state: Array) -> Array:
-        q, v = state
-        return np.array((v, pin.aba(arm.plant, data, q, v, law(arm, q, v, goal))))
-
-    state = np.array((start, np.zeros(len(start))))
-    out = np.full((len(t), len(start)), np.nan)
-    for k in range(len(t)):
-        off = state[0] - worst.q
-        if np.abs(off).max() > LEFT:
-            break
-        out[k] = off
-        a = rate(state)
-        b = rate(state + 0.5 * h * a)
-        c = rate(state + 0.5 * h * b)
-        state = state + h / 6 * (a + 2 * b + 2 * c + rate(state + h * c))
-    return out
-
-
-def _reached(worst: WorstPosture, offset: Array, goal: pin.SE3) -> Array:
-    """(n,) joint positions whose task coordinates are exactly `offset` from the posture's."""
-    arm = worst.arm
-    q = worst.q
-    for _ in range(10):
-        _, J, tip = arm.terms(q)
-        q = q + np.linalg.solve(J[arm.rows], offset + pose_error(goal, tip)[arm.rows])
-    return q
-
-
 _LIMIT = 25.0  #: 1/s, where the colours of the maps end
 
 
-def draw(found: Sequence[tuple[WorstPosture, tuple[int, int], Array, Histories]]) -> Figure:
-    """A row per arm: both maps of least real parts (unstable hatched), and the joint errors."""
+def draw(found: Sequence[tuple[WorstPosture, tuple[int, int], Array]]) -> Figure:
+    """A row per arm: maps of the least real parts of both schemes (unstable hatched)."""
     titles = (
         r"classic: $M^{-1}K_q J^{-1}SJ$",
         r"ours: $(T^TB^{-1}T)^{-1}T^TB^{-1}K\,T,\ K=BK'$",
     )
     with style():
-        figure = Figure(figsize=(12.0, 4.2 * len(found) + 0.3))
+        figure = Figure(figsize=(9.0, 4.2 * len(found)))
         rows = figure.subfigures(len(found), 1, squeeze=False)[:, 0]
-        for row, (worst, joints, least, h) in zip(rows, found, strict=True):
+        for row, (worst, joints, least) in zip(rows, found, strict=True):
             row.suptitle(
-                "{arm}: of {postures} random postures (the more regular of {postures_drawn}) the "
-                "classic scheme is unstable in {classic_unstable}, ours in {ours_unstable}".format(
-                    **worst.counts
-                )
+                "{arm}: the classic scheme is unstable in {classic_unstable}, ours in "
+                "{ours_unstable} of {postures} postures".format(**worst.counts)
             )
-            *maps, above, below = row.subplot_mosaic("mna;mnb").values()
-            for ax, values, title in zip(maps, least, titles, strict=True):
+            axes = row.subplots(1, 2)
+            for ax, values, title in zip(axes, least, titles, strict=True):
                 shade = _map(ax, values)
                 ax.plot(*np.rad2deg(worst.q[list(joints)]), "X", color="black", mec="white", ms=11)
                 x, y = (rf"$q_{joint + 1}$ (°)" for joint in joints)
                 ax.set(title=title, xlabel=x, ylabel=y, aspect="equal")
-            bar = row.colorbar(shade, ax=maps, shrink=0.9, extend="both")
+            bar = row.colorbar(shade, ax=axes, shrink=0.9, extend="both")
             bar.set_label(r"least real part $\lambda$, as sign$(\lambda)\sqrt{|\lambda|}$ (1/s)")
-            left = words_of(h.left_after(), ": a joint is 0.5 rad off after {:.2f} s", "")
-            _errors(above, h.t, h.classic, f"classic, started off ×{left}")
-            _errors(below, h.t, h.ours, "ours, from the same start")
-            above.legend(loc="upper right", ncols=2)
-            below.set_xlabel("time (s)")
     return figure
 
 
@@ -446,10 +309,3 @@ def _map(ax: Axes, values: Array) -> Any:
         ax.contourf(degrees, degrees, values, [-1e30, 0.0], colors="none", hatches=["////"])
     ax.grid(False)
     return shade
-
-
-def _errors(ax: Axes, t: Array, errors: Array, title: str) -> None:
-    """All joint errors, on the scale of what they reach."""
-    for i, error in enumerate(1e3 * errors.T):
-        ax.plot(t, error, color=contact_colour(i), lw=1.6, label=f"$q_{i + 1}$")
-    ax.set(title=title, ylabel="joint errors (mrad)", xlim=(0.0, t[-1]))

@@ -4,10 +4,10 @@ from functools import cache, partial
 
 import numpy as np
 import pinocchio as pin
-from command_line import done, read_json, refused
+from command_line import done, read_json
 from numpy.linalg import inv
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx, raises
 from rigs import largest
 from samples import parametrize
@@ -15,6 +15,10 @@ from samples import parametrize
 from osc_contact.errors import InvalidInputError
 from paper import kinematic_stability as ks
 from paper.kinematic_stability import eigenvalues, regularity
+
+#: s: damping = this times stiffness, in both laws. The two poles of an eigenvalue λ, roots of
+#: z² + DAMPING_S λ z + λ, add up to −DAMPING_S λ: Re λ < 0 is unstable for every such damping.
+DAMPING_S = 0.08
 
 
 @cache
@@ -30,7 +34,7 @@ def found_by(name):
 both = parametrize("name", ["planar", "ur5"])
 
 
-# An arm and two control laws of its own, written with Pinocchio alone -----------------------------
+# Both control laws, written with Pinocchio alone -----------------------------
 
 
 def tip_pose(arm, q):
@@ -54,7 +58,7 @@ def oracle_classic(arm, q, v, goal):
     rows = arm.rows
     J = numeric_jacobian(arm, q)[rows]
     S = np.diag([row != arm.force for row in range(len(q))]).astype(float)
-    q_e = inv(J) @ S @ (displacement(goal, tip_pose(arm, q))[rows] + ks.DAMPING_S * J @ v)
+    q_e = inv(J) @ S @ (displacement(goal, tip_pose(arm, q))[rows] + DAMPING_S * J @ v)
     return pin.rnea(arm.plant, arm.plant.createData(), q, v, np.zeros(len(q))) - arm.K_q @ q_e
 
 
@@ -68,7 +72,7 @@ def oracle_ours(arm, q, v, goal):
     m = body.mass
     cx = pin.skew(c)
     Lambda = np.block([[m * np.eye(3), -m * cx], [m * cx, R @ body.inertia @ R.T - m * cx @ cx]])
-    a_u = -inv(Lambda) @ arm.K_prime @ (displacement(goal, X) + ks.DAMPING_S * J @ v)
+    a_u = -inv(Lambda) @ arm.K_prime @ (displacement(goal, X) + DAMPING_S * J @ v)
     across = J[arm.force]
     KKT = np.block([[J.T @ Lambda @ J, across[:, None]], [across[None], np.zeros((1, 1))]])
     qdd = np.linalg.solve(KKT, np.append(J.T @ Lambda @ a_u, 0.0))[:-1]
@@ -99,7 +103,7 @@ def numeric_poles(arm, law, q0, h=1e-5):
 
 def poles(eigenvalues):
     """Roots of z² + DAMPING_S λ z + λ: the poles (1/s) that the eigenvalues λ give."""
-    half = -0.5 * ks.DAMPING_S * eigenvalues
+    half = -0.5 * DAMPING_S * eigenvalues
     root = np.sqrt(half**2 - eigenvalues.astype(complex))
     return np.sort_complex(np.concatenate((half - root, half + root)))
 
@@ -109,14 +113,6 @@ def assert_same_poles(got, expected):
     distance = np.abs(got[:, None] - expected[None, :])
     scale = largest(expected)
     assert distance.min(axis=0).max() < 2e-4 * scale and distance.min(axis=1).max() < 2e-4 * scale
-
-
-@both
-def test_the_laws_simulated_are_the_laws_judged(name):
-    arm = arm_of(name)
-    q = found_by(name).q
-    for law, oracle in ((ks.classic_torque, oracle_classic), (ks.our_torque, oracle_ours)):
-        assert_same_poles(numeric_poles(arm, law, q), numeric_poles(arm, oracle, q))
 
 
 @both
@@ -174,45 +170,22 @@ def test_search_counts_what_it_says(name):
     assert ks.search(arm, 5, 400, 0.6).q[0] != found.q[0]
 
 
-def test_the_classic_scheme_leaves_as_fast_as_its_pole_says_and_ours_returns():
-    found = found_by("planar")
-    h = ks.simulate(found, 1.2, error=1e-9)
-    size = np.abs(h.classic[:, 1])
-    later = h.t > 0.7
-    assert 1e-7 < size[-1] < 1e-3, "grown, and small still"
-    rate = np.polyfit(h.t[later], np.log(size[later]), 1)[0]
-    assert rate == approx(poles(found.classic)[-1].real, rel=0.01)
-    assert largest(h.ours[-1]) < 2e-3 * largest(h.ours[0])
-    goal = tip_pose(found.arm, found.q)
-    start = tip_pose(found.arm, found.q + h.ours[0])
-    assert_allclose(displacement(goal, start)[:2], [1e-9, 0.0], atol=1e-14)
-    assert_array_equal(h.classic[0], h.ours[0])
-
-
 def test_a_search_without_an_unstable_posture_is_refused():
     with raises(InvalidInputError, match="none of 2 postures"):
         ks.search(arm_of("planar"), 0, 8, 0.25)
 
 
-@parametrize("duration", ["-1", "0", "nan", "inf"])
-def test_no_study_runs_for_a_time_that_is_none(duration):
-    said = refused(f"reproduce kinematic_stability --duration {duration}")
-    assert f"duration={float(duration)}" in said
-
-
 def test_reproduce_writes_picture_and_numbers(tmp_path, monkeypatch):
     monkeypatch.setattr(ks, "posture_map", partial(ks.posture_map, count=6))  # a coarse picture
-    printed = done("reproduce kinematic_stability --seed 1 --duration 0.9 --out", tmp_path).stdout
+    printed = done("reproduce kinematic_stability --seed 1 --out", tmp_path).stdout
     names = {f"kinematic_stability.{suffix}" for suffix in ("png", "svg", "pdf", "json")}
     assert {path.name for path in tmp_path.iterdir()} == names
     assert (tmp_path / "kinematic_stability.pdf").read_bytes().startswith(b"%PDF")
     rows = read_json(tmp_path / "kinematic_stability.json")["arms"]
     assert [row["arm"] for row in rows] == ["planar 2R arm", "UR5"]
     for row in rows:
-        assert row["postures"] == 1000 and row["seed"] == 1 and row["duration_s"] == 0.9
+        assert row["postures"] == 1000 and row["seed"] == 1
         assert row["classic_unstable"] > 0 == row["ours_unstable"]
-        assert row["classic_left_after_s"] < 0.9
-        assert row["last_error_mrad"] < row["first_error_mrad"]
         assert str(row["classic_unstable"]) in printed
 
 
