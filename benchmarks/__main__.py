@@ -1,7 +1,7 @@
-"""Time the control tick beside its floor and its peers, by size, on the clock, in a whole run.
+"""Time the control tick beside its floor and its peers, by size, on the clock.
 
-python -m benchmarks tick | peers | scaling | jitter | operational_space |
-simulation | many_runs | vector_env | soak | franka
+python -m benchmarks tick | peers | scaling | operational_space | soak | many_runs | vector_env |
+franka
 """
 
 from importlib import import_module
@@ -21,9 +21,7 @@ BENCHMARKS: dict[str, int] = {
     "tick": 1000,
     "peers": 500,
     "scaling": 300,
-    "jitter": 4000,
     "operational_space": 5000,
-    "simulation": 10000,
     "soak": 1_800_000,
     "many_runs": 20,
     "vector_env": 60,
@@ -63,7 +61,7 @@ def main(
     tsid_python: Annotated[Path | None, typer.Option(help="peers: TSID's interpreter")] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Time the control tick beside its floor and its peers, by size, on the clock, in a run."""
+    """Time the control tick beside its floor and its peers, by size, on the clock."""
     with exit_codes():
         data = run_benchmark(what, ticks, tsid_python)
         if json_file is not None:
