@@ -192,6 +192,15 @@ def test_turns_about_points_are_products_of_poses():
     assert norm(X.translation - wanted.X_start.translation) > 0.02
 
 
+def test_the_object_rests_off_the_contacts_while_wrists_are_tared():
+    """What accelerates it would be taken for an error of the wrists."""
+    wanted = two_turns()
+    assert any(signal.at(0.1)[2] for move in wanted.scenario.motion for signal in move.signals)
+    plan = wanted.over(np.linspace(0.0, wanted.scenario.tare.duration, 9))
+    assert not plan.V_D.any() and not plan.A_D.any()
+    assert_allclose(plan.X_WD, np.tile(plan.X_WD[0], (9, 1)), atol=1e-12)
+
+
 @parametrize("life, after", [("off", 0.0), ("{}", 0.2)])
 def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after):
     """Or 0.2 s later, while contacts are approached."""

@@ -19,7 +19,7 @@ from osc_contact.errors import InvalidInputError, ScenarioError
 from osc_contact.interface import Reference
 from osc_contact.runs.contacts import feet, force_owners
 from osc_contact.scenarios.bodies import magnitude_names
-from osc_contact.scenarios.control_schema import Dither, TareSpec
+from osc_contact.scenarios.control_schema import Dither
 from osc_contact.scenarios.quantities import Length
 from osc_contact.scenarios.schema import MotionSpec, Scenario, SurfaceMove
 from osc_contact.scenarios.signals import Sine, Step, Values, rise, total_over
@@ -62,6 +62,7 @@ def force_steps(scenario: Scenario) -> list[float]:
 
 
 _AT_ONCE = 1000  #: references that are worked out together
+_BEGINNING = 3.0  #: times the approach after a tare, until the motion is that of the signals
 
 
 @dataclass(frozen=True)
@@ -159,19 +160,26 @@ class References:
         place = np.zeros((3, 3, len(t)))  # of the origin without them
         place[0] = self.X_start.translation[:, None]
         turn = _Turn.start(len(t))
+        whole = np.outer([1.0, 0.0, 0.0], np.ones(len(t)))
+        tare = self.scenario.tare
+        begun = whole  # share of the motion
+        twists = []
+        if tare is not None:
+            begun = np.array(rise(t, tare.duration, _BEGINNING * tare.approach))
+            near = np.array(rise(t, tare.duration, tare.approach))
+            twists.append((self.standoff, whole - near))
         ways = [
-            (one, np.einsum("ij,djk->dik", one.axes, move.over(t)))
+            (one, np.einsum("ij,djk->dik", one.axes, _product(begun, move.over(t))))
             for one, move in zip(self.surfaces, self.scenario.motion, strict=True)
             if one is not None and isinstance(move, SurfaceMove)
         ]
         if ways:
             on = ways[0][0]
             place, turn = on.over(np.einsum("ij,dik->djk", on.axes, sum(way for _, way in ways)))
-        twists = []
         for move, direction in zip(self.scenario.motion, self.directions, strict=True):
             if isinstance(move, SurfaceMove):
                 continue
-            s = total_over(move.signals, t)
+            s = _product(begun, total_over(move.signals, t))
             if move.kind == "linear":
                 x += direction[:, None] * s[:, None]
             else:
@@ -181,8 +189,6 @@ class References:
         if self.scenario.control.dither is not None:
             slid = slides(self.scenario.control.dither, self.engage_at, t)
             twists.append((self.showing, np.array(slid)))
-        if self.scenario.tare is not None:
-            twists.append((self.standoff, _away(self.scenario.tare, t)))
         for twist, s in twists:
             x += twist[:3, None] * s[:, None]
             turn = turn.then(twist[3:], s)
@@ -285,9 +291,11 @@ def _swung(place: Array, axis: Array, through: Array, s: Array) -> Array:
     return np.array([c + arm, velocity + carried, second])
 
 
-def _away(tare: TareSpec, t: Array) -> Array:
-    """How far off the contacts, 1 → 0, with derivatives: (3, k)."""
-    return np.array([[1.0], [0.0], [0.0]]) - np.array(rise(t, tare.duration, tare.approach))
+def _product(f: Array, g: Array) -> Array:
+    """Product of two functions of time, with derivatives: (3, …) each."""
+    return np.array(
+        (f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2.0 * f[1] * g[1] + f[0] * g[2])
+    )
 
 
 # The tool follows a surface: references for a ball that moves on it, turned with its normal.

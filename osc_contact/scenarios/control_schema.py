@@ -515,11 +515,12 @@ class TareSpec(Spec):
     """Zeroing of the wrist sensors in free space before contact is made."""
 
     duration: Positive[Time] = 0.4
-    """at rest off the faces; the last third is averaged"""
+    """at rest off the faces, without the motion; the last third is averaged"""
     standoff: Positive[Length] = 0.01
     """gap during that time"""
     approach: Positive[Time] = 0.3
-    """time from there to contact; where contacts have phases these meet it at their own speed"""
+    """time from there to contact; where contacts have phases these meet it at their own speed. The
+    motion begins with it and is that of its signals after three times as long"""
 
 
 class VerdictSpec(Spec):
