@@ -56,34 +56,32 @@ class Path:
         return np.concatenate((2 * self.p[2] - np.cross(self.w[0], self.p[1]), 2 * self.w[1]))
 
 
+def scaled(X, size):
+    return pin.SE3(X.rotation, size * X.translation)
+
+
 @dataclass(frozen=True)
 class Coordinates:
-    """How the geometry is written: object frame A′ in A, environment frame E′ in E, 1/metre."""
+    """How the geometry is written: environment frame E′ in E, 1/metre."""
 
-    X_A: pin.SE3 = field(default_factory=pin.SE3.Identity)
     X_E: pin.SE3 = field(default_factory=pin.SE3.Identity)
     per_metre: float = 1.0
 
     def A(self, point):
-        return self.per_metre * self.X_A.actInv(point)
+        return self.per_metre * point
 
     def E(self, point):
         return self.per_metre * self.X_E.actInv(point)
-
-    def along_A(self, direction):
-        return self.X_A.rotation.T @ direction
 
     def along_E(self, direction):
         return self.X_E.rotation.T @ direction
 
     def pose(self, X_EA):
-        X = self.X_E.actInv(X_EA * self.X_A)
-        return pin.SE3(X.rotation, self.per_metre * X.translation)
+        return scaled(self.X_E.actInv(X_EA), self.per_metre)
 
     def gap(self, gap):
         def rewritten(X):
-            X_EA = self.X_E * pin.SE3(X.rotation, X.translation / self.per_metre)
-            return self.per_metre * gap(X_EA * self.X_A.inverse())
+            return self.per_metre * gap(self.X_E * scaled(X, 1 / self.per_metre))
 
         return rewritten
 
@@ -147,7 +145,7 @@ def face_on_vertex(rng, c):
     vertex = rng.standard_normal(3)
     rho = 0.2
     plane = in_plane(n)
-    pair = osc.FaceOnVertex(c.A(point), c.along_A(n), c.E(vertex), rho * c.per_metre)
+    pair = osc.FaceOnVertex(c.A(point), n, c.E(vertex), rho * c.per_metre)
     return pair, lambda q: placed(pin.exp3(q[:3]), point + q[3:] @ plane + rho * n, vertex), 1
 
 
@@ -158,7 +156,7 @@ def crossed_edges(rng, c, hint):
     # turned by at most about 1 rad from perpendicular, so that the edges never become parallel
     R0 = carrying(e, np.cross(f, in_plane(f)[0]))
     side = c.along_E(-np.cross(R0 @ e, f)) if hint else -1.0
-    pair = osc.EdgeOnEdge(c.A(a), 2 * c.along_A(e), c.E(b), 3 * c.along_E(f), side)
+    pair = osc.EdgeOnEdge(c.A(a), 2 * e, c.E(b), 3 * c.along_E(f), side)
     return pair, lambda q: placed(pin.exp3(0.3 * q[:3]) @ R0, a + q[3] * e, b + q[4] * f), 1
 
 
@@ -190,7 +188,7 @@ def line_on_plane(rng, make, rho):
 def edge_on_face(rng, c):
     def make(point, e, face, n):
         length = 0.3 * c.per_metre
-        return osc.EdgeOnFace(c.A(point), c.along_A(e), c.E(face), c.along_E(n), length)
+        return osc.EdgeOnFace(c.A(point), e, c.E(face), c.along_E(n), length)
 
     return line_on_plane(rng, make, 0.0)
 
@@ -200,7 +198,7 @@ def cylinder_on_plane(rng, c):
     def make(point, e, face, n):
         rho = 0.15 * c.per_metre
         length = 0.4 * c.per_metre
-        return osc.CylinderOnPlane(c.A(point), c.along_A(e), rho, c.E(face), c.along_E(n), length)
+        return osc.CylinderOnPlane(c.A(point), e, rho, c.E(face), c.along_E(n), length)
 
     return line_on_plane(rng, make, 0.15)
 
@@ -213,7 +211,7 @@ def face_on_face(rng, c):
     m = direction(rng)
     R0 = carrying(n, -m)
     plane = in_plane(m)
-    pair = osc.FaceOnFace(c.A(point), c.along_A(n), c.E(face), c.along_E(m), 0.2 * c.per_metre)
+    pair = osc.FaceOnFace(c.A(point), n, c.E(face), c.along_E(m), 0.2 * c.per_metre)
     return pair, lambda q: placed(about(m, q[0]) @ R0, point, face + q[1:] @ plane), 3
 
 
@@ -224,7 +222,7 @@ def cylinder_in_hole(rng, c):
     hole = rng.standard_normal(3)
     h = direction(rng)
     R0 = carrying(e, h)
-    pair = osc.CylinderInHole(c.A(point), c.along_A(e), c.E(hole), c.along_E(h), 0.2 * c.per_metre)
+    pair = osc.CylinderInHole(c.A(point), e, c.E(hole), c.along_E(h), 0.2 * c.per_metre)
     return pair, lambda q: placed(about(h, q[0]) @ R0, point, hole + q[1] * h), 4
 
 
@@ -235,9 +233,7 @@ def cone_in_groove(rng, c):
     point = rng.standard_normal(3)
     groove, seat = (direction(rng) for _ in range(2))
     R0 = carrying(axis, seat)
-    pair = osc.ConeInGroove(
-        c.A(apex), c.along_A(axis), c.E(point), c.along_E(groove), c.along_E(seat)
-    )
+    pair = osc.ConeInGroove(c.A(apex), axis, c.E(point), c.along_E(groove), c.along_E(seat))
     return pair, lambda q: placed(about(seat, q[0]) @ R0, apex, point + q[1] * groove), 4
 
 
@@ -246,7 +242,7 @@ def revolute(rng, c):
     point = rng.standard_normal(3)
     e = direction(rng)
     X = pose_of(rng)
-    pair = osc.Revolute(c.A(point), c.along_A(e), c.pose(X))
+    pair = osc.Revolute(c.A(point), e, c.pose(X))
     return pair, lambda q: X * placed(about(e, q[0]), point, point), 5
 
 
@@ -255,7 +251,7 @@ def prismatic(rng, c):
     point = rng.standard_normal(3)
     e = direction(rng)
     X = pose_of(rng)
-    return osc.Prismatic(c.A(point), c.along_A(e), c.pose(X)), lambda q: X * shift(q[0] * e), 5
+    return osc.Prismatic(c.A(point), e, c.pose(X)), lambda q: X * shift(q[0] * e), 5
 
 
 @kind
@@ -264,7 +260,7 @@ def screw(rng, c):
     e = direction(rng)
     X = pose_of(rng)
     pitch = rng.normal()
-    pair = osc.Screw(c.A(point), c.along_A(e), pitch * c.per_metre, c.pose(X))
+    pair = osc.Screw(c.A(point), e, pitch * c.per_metre, c.pose(X))
     return pair, lambda q: X * placed(about(e, q[0]), point, point + pitch * q[0] * e), 5
 
 
@@ -346,13 +342,17 @@ class Motion:
     env: Callable[[float], pin.SE3]
 
     @classmethod
-    def keeping(cls, name, turn):
+    def keeping(cls, name, turn, per_metre=1.0):
         """Both bodies move, the object on the free coordinates of the pair."""
         rng = default_rng([turn, 7])
-        pair, pose, r = KINDS[name](rng, PLAIN)
+        pair, pose, r = KINDS[name](rng, Coordinates(per_metre=per_metre))
         env = Path.random(rng)
         q = 0.7 * rng.standard_normal((3, 6 - r))
-        return cls(pair, lambda t: env(t) * pose(q[0] + q[1] * t + q[2] * t * t), env)
+
+        def body(t):
+            return scaled(env(t) * pose(q[0] + q[1] * t + q[2] * t * t), per_metre)
+
+        return cls(pair, body, lambda t: scaled(env(t), per_metre))
 
     @classmethod
     def breaking(cls, name, turn, open_by=0.0):
@@ -384,22 +384,11 @@ class Motion:
         return self.pair.gaps(self.body(t), self.env(t))
 
 
-def free_motions(name, turn):
-    """A contact, and the twists (6, 6−r) of the object along each free coordinate, from poses."""
-    rng = default_rng([turn, 10])
-    pair, pose, r = KINDS[name](rng, PLAIN)
-    X_WE = pose_of(rng)
-    q = 0.7 * rng.standard_normal(6 - r)
-    X_WO = X_WE * pose(q)
-    twists = [kinematics(lambda t, e=e: X_WE * pose(q + t * e))[0] for e in np.eye(6 - r)]
-    return pair.contact(X_WO, STILL, X_WE), np.reshape(twists, (6 - r, 6)).T
-
-
 def touching(name, X_WO, seed, per_metre=1.0):
     """A pair of a kind that touches the world at a pose of the object."""
     _, pose, r = KINDS[name](default_rng(seed), PLAIN)
-    X = pin.SE3(X_WO.rotation, X_WO.translation / per_metre)
-    X_E = pose(0.3 * default_rng(seed).standard_normal(6 - r)) * X.inverse()
+    start = pose(0.3 * default_rng(seed).standard_normal(6 - r))
+    X_E = start * scaled(X_WO, 1 / per_metre).inverse()
     return KINDS[name](default_rng(seed), Coordinates(X_E=X_E, per_metre=per_metre))[0]
 
 

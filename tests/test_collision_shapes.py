@@ -10,7 +10,6 @@ from pytest import approx, mark
 from rigs import shift
 
 from osc_contact import robots
-from osc_contact.contacts import detection
 from osc_contact.contacts.detection import CollisionShape, collision_shapes, detect
 from osc_contact.contacts.detection.features import nearest
 
@@ -63,20 +62,17 @@ def test_a_convex_mesh_touches_like_the_box_it_is(tmp_path):
             assert np.linalg.norm(as_mesh.points - point, axis=1).min() < 1e-7  # STL: float32
 
 
-def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path):
+@mark.parametrize("faces", [["021", "013", "032", "123"], ["012", "013", "023", "132"]])
+def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path, faces):
     """A tetrahedron on its face: outward normals are outward whatever the order of corners."""
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
-    for faces in (
-        ("021", "013", "032", "123"),
-        ("012", "013", "023", "132"),
-    ):
-        stl(tmp_path / "wedge.stl", corners / 2, faces)
-        mesh = collision_shapes(urdf(tmp_path, MESH.format("wedge.stl")))
-        found = only(detect(mesh, pin.SE3.Identity(), TABLE))
-        assert (found.kind, found.r) == ("face on face", 3)
-        assert found.distance == approx(0.0, abs=1e-9)
-        assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
-        assert detect(mesh, shift([0, 0, 0.01]), TABLE) == []
+    stl(tmp_path / "wedge.stl", corners / 2, faces)
+    mesh = collision_shapes(urdf(tmp_path, MESH.format("wedge.stl")))
+    found = only(detect(mesh, pin.SE3.Identity(), TABLE))
+    assert (found.kind, found.r) == ("face on face", 3)
+    assert found.distance == approx(0.0, abs=1e-9)
+    assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
+    assert detect(mesh, shift([0, 0, 0.01]), TABLE) == []
 
 
 def test_a_distance_that_is_no_number_counts_as_touching(monkeypatch):
@@ -87,32 +83,23 @@ def test_a_distance_that_is_no_number_counts_as_touching(monkeypatch):
     assert only(detect(BOX, X, TABLE)).kind == "face on face"
 
 
-def test_a_dented_mesh_is_refused(tmp_path):
-    corners = np.vstack((CORNERS, [[0.01, 0.0, 0.0]]))
-    dented = [f for f in CUBE_FACES if f not in ("467", "475")] + ["468", "678", "758", "548"]
-    stl(tmp_path / "dent.stl", corners, dented)
-    with model_error("not convex"):
-        collision_shapes(urdf(tmp_path, MESH.format("dent.stl")))
+SWING = '<joint name="swing" type="continuous"><parent link="a"/><child link="b"/></joint>'
+DENTED = [*(f for f in CUBE_FACES if f not in ("467", "475")), "468", "678", "758", "548"]
 
 
 @mark.parametrize(
     "collision, joint, message",
     [
         ("", "", "no link has a <collision>"),
-        (
-            BLOCK,
-            '<joint name="swing" type="continuous"><parent link="a"/><child link="b"/></joint>',
-            "swing",
-        ),
+        (BLOCK, SWING, "swing"),
         (MESH.format("absent.stl"), "", "absent.stl"),
+        (MESH.format("dent.stl"), "", "not convex"),
     ],
 )
 def test_files_that_are_no_body_are_refused(tmp_path, collision, joint, message):
+    stl(tmp_path / "dent.stl", np.vstack((CORNERS, [[0.01, 0.0, 0.0]])), DENTED)
     with model_error(message):
         collision_shapes(urdf(tmp_path, collision, joint))
-
-
-def test_a_missing_file_is_named():
     with model_error(r"nowhere\.urdf"):
         collision_shapes("nowhere.urdf")
 
@@ -128,4 +115,3 @@ def test_bad_input_is_refused_at_the_door():
     puffed.setSweptSphereRadius(0.01)
     with invalid_input("swept"):
         CollisionShape("puffed", puffed)
-    assert set(detection.__all__) >= {"detect", "Detected", "CollisionShape", "collision_shapes"}

@@ -6,15 +6,14 @@ from complaints import contact_error
 from numpy.linalg import inv, lstsq, matrix_rank, norm, pinv, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pair_kinds import Motion, pose_of
-from pytest import approx, raises
-from rigs import largest, refused, shift
+from pair_kinds import pose_of
+from pytest import approx
+from rigs import largest, refused
 from samples import parametrize
 
 from osc_contact import projections
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import GapFunctions, VertexOnFace
-from osc_contact.errors import ContactError
 
 LEGS = 0.4 * np.array([[1.0, 1, -1], [1, -1, -1], [-1, -1, -1], [-1, 1, -1]])
 UP = np.array([0.0, 0, 1])
@@ -48,12 +47,14 @@ def test_tangents_are_all_motions_without_power(seed, r):
     assert_array_equal(contact.N, N)
     assert_array_equal(contact.n_gamma, np.zeros(r))
     T = random_normals(seed, 6 - r)
-    other = Contact.from_tangents(T, np.arange(r))
-    assert other.r == r
-    assert_array_equal(other.T, T)
-    assert_array_equal(other.n_gamma, np.arange(r))
-    assert_complete(other.N, T)
     X = default_rng([seed, 99]).standard_normal((6, 6))
+    given = Contact.from_tangents(T, np.arange(r))
+    moving = Contact.from_tangents(T, T_dot_beta=X[0])
+    for other, n_gamma in ((given, np.arange(r)), (moving, moving.N.T @ X[0])):
+        assert other.r == r
+        assert_array_equal(other.T, T)
+        assert_array_equal(other.n_gamma, n_gamma)
+        assert_complete(other.N, T)
     metric = X @ X.T + 0.1 * np.eye(6)
     for got, law, of, A in (
         (contact.force_projection, projections.Omega_f, N, metric),
@@ -72,14 +73,6 @@ def test_a_contact_keeps_its_own_copy():
     n_gamma[:] = 0.0
     assert contact.N[0, 0] == 1.0 and contact.n_gamma[0] == 1.0
     assert repr(contact) == "Contact(r=1)"
-    assert Contact([[0], [0], [1], [0], [0], [0]]).N.dtype == np.float64
-
-
-def test_no_contact_at_all():
-    for free in (Contact.stack([]), Contact(np.zeros((6, 0))), Contact.from_tangents(np.eye(6))):
-        assert free.r == 0
-        assert free.N.shape == (6, 0) and free.n_gamma.shape == (0,)
-        assert_array_equal(free.T, np.eye(6))
 
 
 # Several at once ----------------------------------------------------------------------------------
@@ -117,17 +110,11 @@ def assert_leads_back(stacked, N_all, n_all):
 
 @parametrize("seed", range(4))
 def test_a_table_on_four_legs_has_three_forces_and_a_split_that_is_not_unique(seed):
-    """R leads back to N, n_γ and the least split; the force is that of all legs in any order.
-
-    A free table pressed on them: against one multiplier for each leg, by least squares.
-    """
+    """R leads back to N, n_γ and the least split."""
     rng = default_rng([seed, 1])
     parts = moving_table(seed)
     Phi = mobility(rng)
     N_all, n_all = all_columns(parts)
-    f = rng.standard_normal(6) * 30
-    K = np.block([[inv(Phi), N_all], [N_all.T, np.zeros((4, 4))]])
-    f_all = N_all @ lstsq(K, np.append(f, n_all), rcond=1e-12)[0][6:]
     for order, *how in ((range(4),), *((rng.permutation(4), Phi) for _ in range(5))):
         stacked = Contact.stack([parts[i] for i in order], *how)
         N = stacked.N
@@ -138,13 +125,14 @@ def test_a_table_on_four_legs_has_three_forces_and_a_split_that_is_not_unique(se
         split = stacked.magnitudes(alpha)
         assert_allclose(split, lstsq(N_all[:, order], N @ alpha, rcond=1e-9)[0], atol=1e-10)
         assert_allclose(stacked.R @ split, alpha, atol=1e-11)  # and forth
-        alpha = np.linalg.solve(N.T @ Phi @ N, N.T @ Phi @ f - stacked.n_gamma)
-        assert_allclose(N @ alpha, f_all, atol=1e-9 * largest(f_all))
 
 
-@parametrize("seed", range(12))
+@parametrize("seed", range(24))
 def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
-    """Contacts of sizes 0 to 3, independent each, of rank 1 to 6 together; columns 1e-3 … 1e3."""
+    """Contacts of sizes 0 to 3, independent each, of rank 1 to 6 together; columns 1e-3 … 1e3.
+
+    Where all are independent they keep their order.
+    """
     rng = default_rng([seed, 2])
     rank = int(rng.integers(1, 7))
     basis = rng.standard_normal((6, rank))
@@ -156,23 +144,16 @@ def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
         parts.append(Contact(basis @ mix, n_gamma @ mix))
     N_all, n_all = all_columns(parts)
     half = len(parts) // 2
-    nested = [Contact.stack(parts[:half]), Contact.stack(parts[half:])]
+    nested = [Contact.stack(some) for some in ([], parts[:half], parts[half:])]
     for given in ((parts,), (nested,), (parts, mobility(rng))):
         stacked = Contact.stack(*given)
         assert_leads_back(stacked, N_all, n_all)
+        if stacked.split_is_unique:
+            assert_array_equal(stacked.N, N_all)
+            assert_array_equal(stacked.n_gamma, n_all)
         if stacked.r:  # the columns kept are not much worse conditioned than all together
             least = svd(stacked.N / norm(stacked.N, axis=0))[1][-1]
             assert least > 0.02 * svd(N_all / norm(N_all, axis=0))[1][stacked.r - 1]
-
-
-def test_stacks_of_independent_contacts_keep_the_order():
-    N = random_normals(0, 4)
-    n_gamma = np.array([1.0, -2.0, 3.0, -4.0])
-    ends = ((0, 1), (1, 1), (1, 3), (3, 4))
-    stacked = Contact.stack([Contact(N[:, a:b], n_gamma[a:b]) for a, b in ends])
-    assert_array_equal(stacked.N, N)
-    assert_array_equal(stacked.n_gamma, n_gamma)
-    assert_complete(N, stacked.T)
 
 
 def parallel(y):
@@ -226,76 +207,47 @@ def test_contacts_that_no_acceleration_keeps_are_refused_by_name():
         return Contact.stack([pair.contact(here, V) for pair in (aside, flat, curved)])
 
     assert stacked(0.0).r == 2
-    with raises(ContactError) as caught:
+    with contact_error("^flat, curved: singular at this instant.*needs n_γ = -0.01.*imply 0"):
         stacked(0.1)
-    text = str(caught.value)
-    assert text.startswith("flat, curved: singular at this instant") and "aside" not in text
-    assert "needs n_γ = -0.01" in text and "imply 0" in text
     # rounding in n_γ is no contradiction
-    N = stacked(0.0).N[:, 1:]
+    N = np.eye(6)[:, :1]
     assert Contact.stack([Contact(N, [5.0]), Contact(2 * N, [10.0 + 1e-8])]).r == 1
     with contact_error("contact 0, contact 1: singular"):
         Contact.stack([Contact(N, [5.0]), Contact(2 * N, [10.001])])
 
 
-@parametrize("turn", range(2))
-@parametrize("name", ["cone_in_groove", "revolute", "screw", "cylinder_in_hole"])
-def test_contacts_given_by_tangents_in_motion(name, turn):
-    """n_γ = NᵀṪβ for whatever N was chosen: the differentiated poses keep the contact."""
-    motion = Motion.keeping(name, turn)
-    contact = motion.contact()
-    V_rel, a_rel = motion.relative
-    h = 1e-3
-
-    def carried(t):
-        """T at time t in one smooth basis, written at the operational point of t = 0."""
-        X_WO = motion.body(t)
-        T = motion.pair.contact(X_WO, np.zeros(6), motion.env(t)).T
-        T = shift(X_WO.translation - motion.body(0.0).translation).toActionMatrix() @ T
-        return T @ inv(contact.T.T @ T)  # any basis of T(t) becomes the same smooth one
-
-    now = carried(0.0)
-    rates = [(carried(k * h) - carried(-k * h)) / (2 * k * h) for k in (1, 2)]
-    T_dot = (4 * rates[0] - rates[1]) / 3
-    given = Contact.from_tangents(now, T_dot_beta=T_dot @ lstsq(now, V_rel, rcond=None)[0])
-    assert given.r == contact.r and largest(given.N.T @ now) < 1e-12
-    assert_allclose(given.n_gamma, given.N.T @ a_rel, atol=1e-8 * (1.0 + largest(a_rel)))
-    assert largest(given.n_gamma) > 1e-4
-
-
 # Refusals -----------------------------------------------------------------------------------------
 
 
+TWO = np.eye(6)[:, :2]
+
+
 @parametrize(
-    ("make", "message"),
+    ("make", "given", "message"),
     [
-        (lambda: Contact(np.zeros(6)), r"N: expected shape \(6, any\), got \(6,\)"),
-        (lambda: Contact(np.zeros((5, 1))), r"N: expected shape \(6, any\), got \(5, 1\)"),
-        (lambda: Contact(np.full((6, 1), np.nan)), r"N: element \(0, 0\) is nan"),
-        (lambda: Contact("normals"), "N: expected numbers"),
-        (lambda: Contact(np.eye(6)[:, :2], [1.0]), r"n_gamma: expected shape \(2\), got \(1,\)"),
-        (lambda: Contact(np.eye(6)[:, :2], 1.0), r"n_gamma: expected shape \(2\), got \(\)"),
-        (lambda: Contact(np.eye(6)[:, :2], [0.0, np.nan]), r"n_gamma: element \(1,\) is nan"),
-        (lambda: tangents(np.zeros(4), T_dot_beta=np.zeros(6)), "n_gamma or T_dot_beta"),
-        (lambda: tangents(T_dot_beta=np.zeros(3)), r"T_dot_beta: expected shape \(6\)"),
-        (lambda: stacked(np.eye(3)), "Phi_ref: expected shape"),
-        (lambda: stacked(np.diag([1.0, 1, 1, 1, 1, 0])), "a diagonal element is not positive"),
-        (lambda: stacked(np.eye(6) + 1e-3 * np.eye(6, k=1)), "it is not symmetric"),
-        (lambda: stacked(np.ones((6, 6)) + np.diag([0.0] * 5 + [1])), "positive definite"),
-        (lambda: stacked().magnitudes(np.ones(4)), r"alpha: expected shape \(3\)"),
+        (Contact, [np.zeros((5, 1))], r"N: expected shape \(6, any\), got \(5, 1\)"),
+        (Contact, [np.full((6, 1), np.nan)], r"N: element \(0, 0\) is nan"),
+        (Contact, [TWO, [1.0]], r"n_gamma: expected shape \(2\), got \(1,\)"),
+        (Contact, [TWO, [0.0, np.nan]], r"n_gamma: element \(1,\) is nan"),
+        (Contact.stack, [[Contact(TWO)], np.eye(3)], "Phi_ref: expected shape"),
+        *(
+            (Contact.stack, [[Contact(TWO)], Phi], words)
+            for Phi, words in (
+                (np.diag([1.0, 1, 1, 1, 1, 0]), "a diagonal element is not positive"),
+                (np.eye(6) + 1e-3 * np.eye(6, k=1), "it is not symmetric"),
+                (np.ones((6, 6)) + np.diag([0.0] * 5 + [1]), "positive definite"),
+            )
+        ),
+        (Contact(TWO).magnitudes, [np.ones(4)], r"alpha: expected shape \(2\)"),
     ],
 )
-def test_malformed_input_is_refused(make, message):
+def test_malformed_input_is_refused(make, given, message):
     with refused(message):
-        make()
-
-
-def tangents(*given, **how):
-    return Contact.from_tangents(np.eye(6)[:, :2], *given, **how)
-
-
-def stacked(*Phi):
-    return Contact.stack(moving_table(0), *Phi)
+        make(*given)
+    with refused("n_gamma or T_dot_beta"):
+        Contact.from_tangents(TWO, np.zeros(4), T_dot_beta=np.zeros(6))
+    with refused(r"T_dot_beta: expected shape \(6\)"):
+        Contact.from_tangents(TWO, T_dot_beta=np.zeros(3))
 
 
 def columns(change):
@@ -324,11 +276,6 @@ def test_zero_dependent_and_too_many_columns_are_refused_by_number(N, message):
         Contact(N)
     with contact_error(f"T: .*{message}"):
         Contact.from_tangents(N)
-
-
-def test_nearly_dependent_is_not_dependent():
-    """Two parallel lines of force a micrometre apart still carry two separate magnitudes."""
-    assert Contact(np.hstack((parallel(0.0).N, parallel(1e-6).N))).r == 2
 
 
 def test_normals_and_tangents_that_do_power_on_one_another_are_refused():

@@ -22,7 +22,7 @@ def cylinder_in_v_groove(rng, c):
     seat = foot + rho / np.sin(angle / 2) * out
     pair = osc.CylinderInVGroove(
         c.A(point),
-        c.along_A(e),
+        e,
         rho * c.per_metre,
         c.E(foot),
         c.along_E(2.0 * g),

@@ -95,6 +95,7 @@ RESTING = [
     ),
     ("cylinder on plane", "plane on cylinder", 2, CAN, AXIS, 0.03, lying),
     ("cylinder on plane", "plane on cylinder", 2, PILL, AXIS, 0.03, lying),
+    ("sphere on plane", "plane on sphere", 1, PILL, AXIS, 0.03, lambda rng: rolled(rng, 0.0)),
 ]
 
 
@@ -212,28 +213,43 @@ def test_what_is_apart_does_not_touch(seed, gap):
 # Edges and vertices of the environment --------------------------------------------------------
 
 
+def ridge(rng):
+    """A roof: a box rolled by about 45°."""
+    return pin.rpy.rpyToMatrix(np.pi / 4 + rng.uniform(-0.2, 0.2), 0, 0)
+
+
+LIE = pin.rpy.rpyToMatrix(np.pi / 2, 0, 0)
+LOWER = [CollisionShape("ridge", coal.Box(0.4, 0.1, 0.1))]
+#: Contact, object, environment, their tilts; point of the line of either and direction of both
+#: lines, in body axes; how far the lines are above the bodies.
+CROSSED = [
+    ("edge on edge", BOX, LOWER, ridge, -SIZE / 2, [0, 0.05, 0.05], 0, 0.0),
+    ("cylinder on cylinder", PILL, PILL, lambda rng: LIE, np.zeros(3), np.zeros(3), 2, 0.03),
+]
+
+
 @SEEDS
-def test_crossed_edges_touch_in_their_crossing_point(seed):
-    """Both boxes stand on an edge, roof against roof, ridges crossed at a random angle."""
+@parametrize("row", CROSSED, ids=lambda row: row[0])
+def test_crossed_lines_touch_in_their_crossing_point(row, seed):
+    """Roof against roof and pill on pill, crossed at a random angle."""
+    kind, of_O, of_E, tilt, on_O, on_E, along, radius = row
     rng = default_rng(seed)
     depth = DEPTHS[seed % 3]
-    lower = [CollisionShape("ridge", coal.Box(0.4, 0.1, 0.1))]
-    roll, other = np.pi / 4 + rng.uniform(-0.2, 0.2, 2)
-    turn = rng.uniform(0.2, np.pi - 0.2)
-    X_WE = placed(rpy=(roll, 0, 0))
-    X_WO = placed(rpy=(other, 0, 0))
-    X_WO.rotation = pin.rpy.rpyToMatrix(0, 0, turn) @ X_WO.rotation
-    s, t = rng.uniform(-0.03, 0.03, 2)  # crossing point along either ridge
-    meet = X_WE.act(np.array([s, 0.05, 0.05]))
-    own = np.array([t, *-SIZE[1:] / 2])
-    X_WO.translation = meet - X_WO.act(own) - depth * UP
+    X_WE = pin.SE3(tilt(rng), np.zeros(3))
+    turn = pin.rpy.rpyToMatrix(0, 0, rng.uniform(0.2, np.pi - 0.2))
+    X_WO = pin.SE3(turn @ tilt(rng), np.zeros(3))
+    own, other = np.array([on_O, on_E], dtype=float)
+    own[along], other[along] = rng.uniform(-0.03, 0.03, 2)  # crossing point along either line
+    meet = X_WE.act(other) + radius * UP
+    X_WO.translation = meet - X_WO.act(own) + (radius - depth) * UP
     X = pose_of(rng)
-    found = detect(BOX, X * X_WO, lower, X * X_WE)
+    X_WO = X * X_WO
     at = [X.act(meet)]
-    found = assert_only(found, "edge on edge", at, X.rotation @ UP, X * X_WO, X * X_WE, -depth)
-    assert_allclose(found.points, at, atol=1e-9)
+    found = detect(of_O, X_WO, of_E, X * X_WE)
+    found = assert_only(found, kind, at, X.rotation @ UP, X_WO, X * X_WE, -depth)
+    assert_allclose(found.points, at, atol=1e-9 + abs(depth) * (radius > 0))
     assert found.distance == approx(-depth, abs=1e-9)
-    assert_allclose(found.object_point, own, atol=1e-9)
+    assert radius or norm(found.object_point - own) < 1e-9
 
 
 # The rod of the scenario ----------------------------------------------------------------------
@@ -304,15 +320,6 @@ def test_a_standing_cylinder_is_one_face_contact(seed):
     assert_allclose(norm(found.points - X_WE.act(middle), axis=1), 0.03, atol=1e-9)
 
 
-@SEEDS
-def test_a_standing_capsule_touches_with_its_cap(seed):
-    rng = default_rng(seed)
-    X = standing(pin.rpy.rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0), AXIS, rng, lift=0.03)
-    low = X.translation + X.rotation @ AXIS[0] - 0.03 * UP
-    found = assert_only(detect(PILL, X, TABLE), "sphere on plane", [low], UP, X)
-    assert_allclose(found.object_point, AXIS[0], atol=1e-12)
-
-
 RIM = np.array([[0, -0.03, -0.06]])  #: lowest point of a can: turning about x lifts +y
 
 
@@ -376,6 +383,7 @@ def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
 
 @SEEDS
 def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
+    """It may turn in place."""
     rng = default_rng(seed)
     outward = np.append(rng.uniform(0.2, 1.0, 2), 0.0)
     for kind, corner, away in (
@@ -383,38 +391,13 @@ def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
         ("sphere on vertex", np.array([0.5, 0.4, 0.0]), outward + rng.uniform(0.2, 1.0) * UP),
     ):
         n = unit(away)
-        X = shift(corner + 0.03 * n - BALL[0].placement.translation)
+        centre = BALL[0].placement
+        X = shift(corner + 0.03 * n - centre.translation)
         found = assert_only(detect(BALL, X, TABLE), kind, [corner], n, X)
         assert_allclose(found.points, [corner], atol=1e-9)
-        spin = np.concatenate((np.zeros(3), rng.standard_normal(3)))  # in place: nothing moves
-        spin[:3] = -np.cross(spin[3:], BALL[0].placement.translation)
-        spun = found.pair().contact(X, spin)
-        assert_allclose(spun.N.T @ spin, 0.0, atol=1e-9)
-        assert_allclose(spun.n_gamma, [-n @ _centripetal(X, spin)], atol=1e-8)
-
-
-def _centripetal(X, V):
-    """What the ball's resting centre adds to N^T a_rel: a_O = -w x (w x centre), less w x v_O."""
-    centre = X.rotation @ BALL[0].placement.translation
-    w = V[3:]
-    return -np.cross(w, np.cross(w, centre)) - np.cross(w, V[:3])
-
-
-@SEEDS
-def test_crossed_pills_touch_between_their_axes(seed):
-    rng = default_rng(seed)
-    lie = pin.rpy.rpyToMatrix(np.pi / 2, 0, 0)
-    turn = pin.rpy.rpyToMatrix(0, 0, rng.uniform(0.2, np.pi - 0.2))
-    s, t = rng.uniform(-0.05, 0.05, 2)
-    below = pin.SE3(lie, np.zeros(3))
-    above = pin.SE3(turn @ lie, np.zeros(3))
-    above.translation = 0.06 * UP + below.act(np.array([0, 0, s])) - above.act(np.array([0, 0, t]))
-    turned = pose_of(rng)
-    meet = turned.act(below.act(np.array([0, 0, s])) + 0.03 * UP)
-    X = turned * above, turned * below
-    found = detect(PILL, X[0], PILL, X[1])
-    found = assert_only(found, "cylinder on cylinder", [meet], turned.rotation @ UP, *X)
-    assert_allclose(found.points, [meet], atol=1e-9)
+        spun = pin.SE3(pin.exp3(rng.standard_normal(3)), np.zeros(3))
+        turned = X * centre * spun * centre.inverse()
+        assert_allclose(found.pair().gaps(turned), 0.0, atol=1e-9)
 
 
 def test_pills_side_by_side_have_no_pair():

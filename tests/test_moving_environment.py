@@ -19,7 +19,7 @@ from test_law_kkt import metric_of, miss, ticks
 
 import osc_contact as osc
 from osc_contact import projections
-from osc_contact.dynamics.environment import Environment
+from osc_contact.dynamics.environment import Environment, Hinge
 from osc_contact.response import Lambda_rel, contact_response
 
 RTOL = 1e-9
@@ -202,6 +202,10 @@ def of_contacts(Phi_N, columns=(0, 1), metric=(1,) * 6):
     return Environment.of_contacts(np.eye(6)[:, columns], Phi_N, zero, zero, np.diag(metric))
 
 
+HINGE = {"axis": [0, 0, 1], "through": [0, 0, 0], "inertia": 1.0}
+ONE = osc.Contact(np.eye(6)[:, :1])
+
+
 @parametrize(
     "make, message",
     [
@@ -211,10 +215,14 @@ def of_contacts(Phi_N, columns=(0, 1), metric=(1,) * 6):
         (lambda: rail(np.zeros(3)), "axes: expected"),
         (lambda: rail(rates=[0.0, 1.0]), "rates"),
         (lambda: rail(force=[1, 2]), "force"),
-        (lambda: Environment.combine([osc.Contact(np.eye(6)[:, :1])], [], np.eye(6)), "1 contacts"),
+        (lambda: Environment.combine([ONE], [], np.eye(6)), "1 contacts"),
         (lambda: of_contacts(np.eye(3)), r"Phi_N: expected shape \(2, 2\)"),
         (lambda: of_contacts([[1.0, 0.1], [0.0, 1.0]]), "Phi_N is not symmetric"),
         (lambda: of_contacts([[1.0, 2.0], [2.0, 1.0]]), "Phi_N is not positive semidefinite"),
+        (lambda: Hinge(**HINGE | {"axis": [0, 0, 0]}), "hinge.axis is zero"),
+        (lambda: Hinge(**HINGE | {"inertia": 0.0}), "hinge.inertia = 0"),
+        (lambda: Hinge(**HINGE, damping=-1.0), "hinge.damping"),
+        (lambda: Hinge(**HINGE | {"through": [0, np.nan, 0]}), "hinge.through"),
     ],
 )
 def test_bad_arguments_are_refused(make, message):

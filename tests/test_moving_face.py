@@ -7,13 +7,11 @@ from complaints import contact_error, scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark
-from rigs import direction, largest, refused
+from rigs import direction, largest
 from samples import module_fixture, parametrize
 from scenario_runs import always_closed, assert_accurate, run_of, verdict_of, worst_force
 
 import osc_contact as osc
-from osc_contact.dynamics.environment import Hinge
-from osc_contact.spatial import carry_twist
 from paper import moving_face
 from paper.study import ticks
 
@@ -62,35 +60,24 @@ def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
     assert (turns > 1e-2) == (changes in (TURNING, HINGE))
 
 
-def test_a_law_that_ignores_the_face_is_wrong():
-    rig = rig_of(*RIGID, "model_error.environment=ignored")
-    plant, controller = on_the_move(rig)
-    tau = controller.tick(plant.measure(), rig.references.at(1.3))
-    plant.hold(tau)
-    error = np.abs(plant.truth().alpha - controller.signals.alpha_u)[0]
-    assert error > 0.05
-
-
 @parametrize("changes", [SPRING, HINGE], ids=["cart", "hinge"])
 def test_a_free_face_takes_the_power_of_its_contact(changes):
     """½Iṡ² + ½ks² − (preload + weight) s grows by α NᵀV_e − cṡ²."""
     rig = rig_of(*RIGID, "gains.force.rise=0 s", *changes)
-    rail = rig.plant().faces.rails[0]
-    (joint,) = rail.joints
     plant, controller = on_the_move(rig, 0)
+    faces = plant.faces
+    rail = faces.rails[0]
+    (joint,) = rail.joints
     energy = []
     power = []
     load = rail.preload - 9.81 * rail.inertia * rail.direction[2]
     for *_, truth in ticks(plant, controller, rig.references.over(times(120))):
-        touched = plant.measure().touched
-        V_E = touched.V_E[0]
-        X_WE = pin.SE3(touched.X_WE[0])
-        s = (X_WE.translation @ rail.direction, pin.log3(X_WE.rotation) @ rail.axis)[joint]
-        rate = (V_E[:3] @ rail.direction, V_E[3:] @ rail.axis)[joint]
-        V_e = carry_twist(V_E, X_WE.translation, truth.X_WO.translation)
-        contact = rig.pairs[0].contact(truth.X_WO, truth.V_O, truth.X_WE[0], V_E)
-        assert_allclose(contact.N.T @ (truth.V_O - V_e), 0.0, atol=1e-12)
-        power.append(truth.alpha[0] * (contact.N.T @ V_e)[0] - rail.damping * rate**2)
+        s = faces.s[0][joint]
+        rate = faces.rates[0][joint]
+        V_e = rail.twist(faces.s[0], faces.rates[0], truth.X_WO.translation)
+        N = rig.pairs[0].contact(truth.X_WO, truth.V_O, truth.X_WE[0]).N
+        assert_allclose(N.T @ (truth.V_O - V_e), 0.0, atol=1e-12)
+        power.append(truth.alpha[0] * (N.T @ V_e)[0] - rail.damping * rate**2)
         energy.append((rail.inertia * rate**2 + rail.stiffness * s**2) / 2 - load * s)
     power = np.array(power)
     taken = 1e-3 * (power[1:] + power[:-1]) / 2
@@ -131,7 +118,10 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose():
         assert_allclose(V[:3], (X1.translation - X0.translation) / (2 * H), atol=1e-5)
         assert_allclose(V[3:], spin / H, atol=1e-5)
         assert_allclose(A, (V1 - V0) / (2 * H), atol=1e-5)
-        assert_allclose(rail.pose(np.zeros(2)).homogeneous, np.eye(4), atol=1e-15)
+        (travel, angle), *_ = rail.motion(t)
+        assert_allclose(X.rotation, pin.exp3(angle * rail.axis), atol=1e-12)
+        hinge = rail.through + travel * rail.direction
+        assert_allclose(X.act(rail.through), hinge, atol=1e-12)
 
 
 @parametrize("face", [CONVEYOR, TURNING], ids=["conveyor", "turning"])
@@ -139,26 +129,20 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose():
 def test_a_driven_face_is_where_its_signals_say(plant, face):
     rig = rig_of(f"plant.type={plant}", *face)
     motion = rig.scenario.contacts[0].face.motion
-    plant, _ = on_the_move(rig, 150, 0.0)
-    s, ds, dds = motion.signals[0].at(0.15)
     turn = motion.turn
-    angle, rate, second = turn.signals[0].at(0.15) if turn else np.zeros(3)
-    axis, through = np.array([turn.axis, turn.through] if turn else np.zeros((2, 3)))
+    plant, _ = on_the_move(rig, 150, 0.0)
+    angle = turn.signals[0].at(0.15) if turn else np.zeros(3)
+    s = np.array([motion.signals[0].at(0.15), angle]).T
+    hinge = [turn.axis, turn.through] if turn else np.zeros((2, 3))
+    rail = osc.Rail(*np.array([motion.direction, *hinge]), lambda _: s)
+    X, V, A = placed(rail, 0.15)
     touched = plant.measure().touched
-    X = pin.SE3(touched.X_WE[0])
-    u = np.array(motion.direction)
-    assert_allclose(X.rotation, pin.exp3(angle * axis), atol=1e-7)
-    carried = through + s * u
-    assert_allclose(X.act(through), carried, atol=1e-7)
-    assert_allclose(touched.V_E[0, 3:], axis * rate, atol=1e-5)
-    assert_allclose(touched.A_E[0, 3:], axis * second, atol=1e-12)
-    if not turn:
-        assert_allclose(touched.A_E[0, :3], u * dds, atol=1e-12)
-    of_hinge = carry_twist(touched.V_E[0], X.translation, carried)
-    assert_allclose(of_hinge[:3], u * ds, atol=1e-5)
-    assert_allclose(plant.truth().X_WE[0].homogeneous, X.homogeneous, atol=1e-5)
+    assert_allclose(touched.X_WE[0], X.homogeneous, atol=1e-7)
+    assert_allclose(touched.V_E[0], V, atol=1e-5)
+    assert_allclose(touched.A_E[0], A, atol=1e-7)
+    assert_allclose(plant.truth().X_WE[0].homogeneous, touched.X_WE[0], atol=1e-5)
     assert_array_equal(touched.X_WE[1], np.eye(4))
-    assert abs(s) > 1e-4 and (abs(rate) > 1e-2) == (turn is not None)
+    assert s[0, 0] > 1e-4 and (abs(s[1, 1]) > 1e-2) == (turn is not None)
 
 
 @module_fixture
@@ -235,21 +219,6 @@ def test_a_turned_face_is_found_by_its_geometry_where_it_is():
         assert_allclose(ours.N, declared.N, atol=1e-9)
         assert_allclose(ours.n_gamma, declared.n_gamma, atol=1e-9)
     assert tracked.lookups > 2
-
-
-@parametrize(
-    ("change", "said"),
-    [
-        ({"axis": [0, 0, 0]}, "hinge.axis is zero"),
-        ({"inertia": 0.0}, "hinge.inertia = 0"),
-        ({"damping": -1.0}, "hinge.damping"),
-        ({"through": [0, np.nan, 0]}, "hinge.through"),
-    ],
-)
-def test_impossible_hinges_are_refused(change, said):
-    given = {"axis": [0, 0, 1], "through": [0, 0, 0], "inertia": 1.0} | change
-    with refused(said):
-        Hinge(**given)
 
 
 def test_detected_contacts_keep_the_task():

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from complaints import contact_error
 from numpy.linalg import inv, matrix_rank, qr, solve
 from numpy.random import default_rng
@@ -19,15 +18,17 @@ from samples import parametrize
 from osc_contact import projections as P
 
 RANKS = range(7)
-TRIALS = range(2)
 #: rad/s, kg m², N m and m/s, kg, N: what a hand-held object in SI units looks like
 SIZE = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
+#: of force: N, N m; N, N mm; g mm/s², g mm²/s²
+UNITS = np.repeat([[1.0, 1.0], [1.0, 1e3], [1e6, 1e9]], 3, axis=1)
 
 
 @dataclass(frozen=True)
 class Case:
     """A contact with two metrics of each kind; N and T from one orthogonal matrix, then mixed."""
 
+    size: np.ndarray
     N: np.ndarray
     T: np.ndarray
     A: tuple[np.ndarray, np.ndarray]
@@ -41,18 +42,20 @@ def definite(rng, size):
 
 
 def mixing(rng, n):
-    """A well-conditioned change of basis."""
-    return rng.standard_normal((n, n)) + 3.0 * np.eye(n)
+    """A change of basis that costs hardly any digits: columns turned, then scaled."""
+    return qr(rng.standard_normal((n, n)))[0] * 10 ** rng.uniform(-2, 2, n)
 
 
 def case(seed, r):
     rng = default_rng([seed, r])
+    size = SIZE * UNITS[seed]
     Q = qr(rng.standard_normal((6, 6)))[0]
     return Case(
-        N=SIZE[:, None] * (Q[:, :r] @ mixing(rng, r)),
-        T=(Q[:, r:] @ mixing(rng, 6 - r)) / SIZE[:, None],
-        A=(definite(rng, SIZE), definite(rng, SIZE)),
-        B=(definite(rng, 1 / SIZE), definite(rng, 1 / SIZE)),
+        size,
+        N=size[:, None] * (Q[:, :r] @ mixing(rng, r)),
+        T=(Q[:, r:] @ mixing(rng, 6 - r)) / size[:, None],
+        A=(definite(rng, size), definite(rng, size)),
+        B=(definite(rng, 1 / size), definite(rng, 1 / size)),
     )
 
 
@@ -71,12 +74,12 @@ def close(got, want, tolerance=1e-10):
     """Equal relative to the larger of the two, linear and angular rows each on their own scale."""
     assert got.shape == want.shape
     for rows in (slice(0, 3), slice(3, 6)):
-        scale = max(largest(want[rows]), largest(got[rows]), 1e-3)
+        scale = max(largest(want[rows]), largest(got[rows]))
         assert largest(got[rows] - want[rows]) <= tolerance * scale
 
 
 def on_every_contact(test):
-    return parametrize("r", RANKS)(parametrize("seed", TRIALS)(test))
+    return parametrize("r", RANKS)(parametrize("seed", range(len(UNITS)))(test))
 
 
 @on_every_contact
@@ -85,8 +88,8 @@ def test_every_projection_is_the_decomposition_it_stands_for(seed, r):
     c = case(seed, r)
     A = c.A[0]
     B = c.B[0]
-    forces = np.diag(SIZE)
-    motions = np.diag(1 / SIZE)
+    forces = np.diag(c.size)
+    motions = np.diag(1 / c.size)
     close(P.Omega_f(c.N, inverse(A)) @ forces, part(c.N, A @ c.T, forces))
     close(P.Omega_f_bar(c.T, A) @ forces, part(A @ c.T, c.N, forces))
     close(P.Omega_m(c.T, inverse(B)) @ motions, part(c.T, B @ c.N, motions))
@@ -111,23 +114,21 @@ def test_identities_9_to_12(seed, r):
 
 
 @parametrize("r", [1, 2, 3, 4, 5])
-@parametrize("seed", TRIALS)
+@parametrize("seed", range(len(UNITS)))
 def test_rank_five_inverse_inertia_is_enough(seed, r):
     """Dual SCARA: Φ has rank 5, Λ does not exist; the laws are the limit of definite metrics."""
     c = case(seed, r)
     rng = default_rng([seed, r, 4])
-    root = rng.standard_normal((6, 5)) / SIZE[:, None]
+    root = rng.standard_normal((6, 5)) / c.size[:, None]
     Phi = root @ root.T
     assert matrix_rank(Phi) == 5
-    f = SIZE * rng.standard_normal(6)
+    f = c.size * rng.standard_normal(6)
     alpha = np.linalg.lstsq(root.T @ c.N, root.T @ f, rcond=None)[0]
     projection = P.Omega_f(c.N, Phi)
     close(projection @ f, c.N @ alpha, 1e-8)
-    close(projection @ projection, projection, 1e-8)
-    close(projection @ c.N, c.N, 1e-8)
     close(P.Omega_m_bar(c.N, Phi), projection.T, 1e-8)
     # the limit: full-rank metrics closer and closer to Φ, extrapolated
-    extra = definite(rng, 1 / SIZE)
+    extra = definite(rng, 1 / c.size)
     one, two = (P.Omega_f(c.N, Phi + e * extra) for e in (1e-7, 2e-7))
     close(2 * one - two, projection, 1e-5)
 
@@ -179,10 +180,10 @@ def test_any_complement_decomposes(seed, r):
     """
     c = case(seed, r)
     rng = default_rng([seed, r, 1])
-    N_prime = SIZE[:, None] * rng.standard_normal((6, 6 - r))
-    T_prime = rng.standard_normal((6, r)) / SIZE[:, None]
-    f = SIZE * rng.standard_normal(6)
-    v = rng.standard_normal(6) / SIZE
+    N_prime = c.size[:, None] * rng.standard_normal((6, 6 - r))
+    T_prime = rng.standard_normal((6, r)) / c.size[:, None]
+    f = c.size * rng.standard_normal(6)
+    v = rng.standard_normal(6) / c.size
     for unit in (1e-7, 1.0, 1e7):
         got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T) @ f
         close(got, part(N_prime, c.N, f), 1e-9)
@@ -198,68 +199,6 @@ def test_any_complement_decomposes(seed, r):
         P.Omega_m_bar_from_complement(T_prime @ mixing(rng, r), c.N)
     with contact_error("complement"):
         P.Omega_m_bar_from_complement(np.zeros((6, r)), c.N)
-
-
-# Invariance ---------------------------------------------------------------------------------------
-
-
-def well_mixing(rng, n):
-    """A change of basis that costs hardly any digits: columns turned, then scaled."""
-    return qr(rng.standard_normal((n, n)))[0] * 10 ** rng.uniform(-2, 2, n)
-
-
-def frame_change(rng):
-    """Turned axes and another operational point, up to 2 m away: motions by X, forces by X*."""
-    X = pin.SE3(pin.exp3(2.0 * rng.standard_normal(3)), rng.uniform(-2.0, 2.0, size=3))
-    return X.toActionMatrix(), X.toDualActionMatrix()
-
-
-def millimetres(_):
-    """m → mm with N kept: velocities × 1000, couples × 1000 (N mm); power then counts in N mm/s."""
-    return np.diag([1e3] * 3 + [1.0] * 3), np.diag([1.0] * 3 + [1e3] * 3)
-
-
-def millimetres_and_grams(_):
-    """m → mm and kg → g: forces × 10⁶ (g mm/s²), couples × 10⁹."""
-    return np.diag([1e3] * 3 + [1.0] * 3), np.diag([1e6] * 3 + [1e9] * 3)
-
-
-def check_change(c, X, X_f, R, Q):
-    """Every law in new coordinates is the old law, mapped. R, Q: new bases of N and T.
-
-    Forces map with X_f, motions with X; A: M⁶ → F⁶ maps as X_f A X⁻¹, B: F⁶ → M⁶ as X B X_f⁻¹.
-    """
-    N = X_f @ c.N @ R
-    T = X @ c.T @ Q
-    A = c.A[0]
-    B = c.B[0]
-    A_new = X_f @ A @ inv(X)
-    B_new = X @ B @ inv(X_f)
-    A_inv = X @ inverse(A) @ inv(X_f)
-    B_inv = X_f @ inverse(B) @ inv(X)
-    f, v = default_rng(0).standard_normal((2, 6)) * (SIZE, 1 / SIZE)
-    of_f = P.Omega_f_bar_from_complement
-    of_m = P.Omega_m_bar_from_complement
-    for new, old, law, x in (
-        (P.Omega_f(N, A_inv), P.Omega_f(c.N, inverse(A)), X_f, f),
-        (P.Omega_f_bar(T, A_new), P.Omega_f_bar(c.T, A), X_f, f),
-        (P.Omega_m(T, B_inv), P.Omega_m(c.T, inverse(B)), X, v),
-        (P.Omega_m_bar(N, B_new), P.Omega_m_bar(c.N, B), X, v),
-        (of_f(X_f @ A @ c.T, T), of_f(A @ c.T, c.T), X_f, f),
-        (of_m(X @ B @ c.N, N), of_m(B @ c.N, c.N), X, v),
-    ):
-        close(solve(law, new @ law @ x), old @ x, 1e-9)
-
-
-@parametrize("change", [frame_change, millimetres, millimetres_and_grams])
-@parametrize("trial", range(21))
-def test_laws_do_not_depend_on_frame_units_or_basis(trial, change):
-    rng = default_rng([trial, 7])
-    r = trial % 7
-    assert callable(change)
-    X, X_f = change(rng)
-    check_change(case(trial, r), X, X_f, np.eye(r), np.eye(6 - r))
-    check_change(case(trial, r), X, X_f, well_mixing(rng, r), well_mixing(rng, 6 - r))
 
 
 # Null space ---------------------------------------------------------------------------------------
