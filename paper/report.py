@@ -239,9 +239,8 @@ STUDIES: dict[str, Callable[[Ask], Study]] = {
     "robustness": robustness.study,
     "workcell": workcell.study,
     "fig7": contact_phases.fig7,
-    "approach_and_slide": contact_phases.landing_study,
 }
-SLOW = {"baselines", "robustness", "workcell", "fig7", "approach_and_slide"}
+SLOW = {"baselines", "robustness", "workcell", "fig7"}
 """several minutes: not in `reproduce all`"""
 WITH_SCENARIO = SLOW | {"fig3"}
 """whose scenario can be changed"""
