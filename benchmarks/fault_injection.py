@@ -1,7 +1,6 @@
 """Faults of sensors, actuators and references in closed loop: what the controller makes of them.
 
-    python benchmarks/fault_injection.py [--seeds 1] [--workers 2] [--kept FILE]
-    python benchmarks/fault_injection.py --quiet 60      # no fault for 60 s: nothing may stop
+    python benchmarks/fault_injection.py [--seeds 1] [--workers 2]
 
 Every kind of fault is tried in every phase of a run and in every packaged scenario, with no tick
 lost beside it and with every 2nd, 3rd and 10th one.
@@ -11,20 +10,16 @@ outside its range for 0.3 s without a stop, if the true contact force went beyon
 command (or 30 N, whichever is more), and the pushes of the scenario, where a sensor was faulty, if
 arms that were stopped are not at rest 0.5 s later, or if a state is not one that the kind is to end
 in. Arms with `Controller.unbraked` are left to the brakes of the driver, which are not simulated.
-With `--kept` each run is a line of that file, and the same command continues where it was.
 """
 
 from __future__ import annotations
 
-import json
-import multiprocessing
 import sys
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -350,7 +345,7 @@ class ClosedLoop:
 
 
 class Run(ClosedLoop):
-    """One run: up to the fault, then with it. A copy of the process is a copy of the run."""
+    """One run: up to the fault, then with it."""
 
     def __init__(self, case: Case) -> None:
         """Build the rig of a case."""
@@ -474,58 +469,9 @@ class Run(ClosedLoop):
             wrong.append(f"moved by {verdict.travel:.2f} rad (m) since the stop")
 
 
-def try_fault(name: str, phase: str) -> Verdict:
-    """Run `two_contact_rod` up to a phase, then with the fault; judge it."""
-    run = Run(Case(phase))
-    run.lead_in()
-    return run.judge(name)
-
-
-def try_faults(case: Case, names: Sequence[str]) -> list[Verdict]:
-    """The same of several faults: each is put into a copy of the process at the same instant."""
-    run = Run(case)
-    run.lead_in()
-    fork = multiprocessing.get_context("fork")
-    verdicts = []
-    for name in names:
-        receiver, sender = fork.Pipe(duplex=False)
-        child = fork.Process(
-            target=lambda name, out: out.send(run.judge(name)), args=(name, sender)
-        )
-        child.start()
-        sender.close()
-        try:
-            verdicts.append(receiver.recv())
-        except EOFError:
-            verdicts.append(Verdict(name, case, wrong=["the process died"]))
-        child.join()
-    return verdicts
-
-
 def _lost(m: Measurement) -> Measurement:
     """A tick in which no packet came."""
     return replace(m, q=m.q * NAN, v=m.v * NAN, wrenches=m.wrenches * NAN)
-
-
-def stay_quiet(scenario: str, seconds: float, noise: float = 0.5, late: float = 3e-3) -> str:
-    """Run a scenario without any fault, wrists noisy (N) and late (s); why it stopped, or ''."""
-    run = Run(Case(scenario=scenario))
-    rng = np.random.default_rng(5)
-    measure = run.robot.measure
-    queue = deque[np.ndarray](maxlen=round(late / run.dt) + 1)
-
-    def noisy() -> Measurement:
-        m = measure()
-        size = noise * np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
-        queue.append(m.wrenches + size * rng.normal(size=m.wrenches.shape))
-        return replace(m, wrenches=queue[0])
-
-    run.robot.measure = noisy  # type: ignore[method-assign]
-    seen = Verdict("no fault", run.case)
-    while run.k * run.dt < seconds and not seen.wrong and run.controller.state is not SAFE_STOP:
-        run.step(seen, None, FAULTS["no fault"])
-    stopped = run.controller.reason if run.controller.state is SAFE_STOP else ""
-    return "; ".join([*seen.wrong, stopped] if stopped else seen.wrong)
 
 
 def _scenario(name: str, outward: float | None) -> osc.Scenario:
@@ -542,6 +488,13 @@ def _scenario(name: str, outward: float | None) -> osc.Scenario:
     )
 
 
+def try_fault(name: str, case: Case) -> Verdict:
+    """Run the scenario of a case up to its phase, then with the fault; judge it."""
+    run = Run(case)
+    run.lead_in()
+    return run.judge(name)
+
+
 # --- all of them ----------------------------------------------------------------------------------
 
 
@@ -554,25 +507,6 @@ def cases(seeds: int) -> Iterator[Case]:
             for scenario in sorted(osc.list_scenarios()):
                 if scenario != "two_contact_rod":
                     yield Case("contact", scenario, every, seed)
-
-
-def _read(kept: Path | None) -> list[Verdict]:
-    """The runs of a file; a last line that is not whole is taken out of it."""
-    if kept is None or not kept.exists():
-        return []
-    lines = [line for line in kept.read_text().splitlines(True) if line.endswith("\n")]
-    kept.write_text("".join(lines))
-    return [
-        Verdict(**row | {"state": SafetyState(row["state"]), "case": Case(**row["case"])})
-        for row in map(json.loads, lines)
-    ]
-
-
-def _keep(verdict: Verdict, kept: Path | None) -> Verdict:
-    if kept is not None:
-        with kept.open("a") as file:
-            file.write(json.dumps(asdict(verdict)) + "\n")
-    return verdict
 
 
 def table(verdicts: Sequence[Verdict]) -> Table:
@@ -611,21 +545,16 @@ def main(
     every: list[int] | None = None,
     seeds: int = 1,
     workers: int = 2,
-    kept: Path | None = None,
-    quiet: float | None = None,
 ) -> None:
     """Run them all; exit with 1 if anything was wrong.
 
     Args:
         fault, phase, scenario, every: only these.
-        kept: a file of runs, to be continued. quiet: s without a fault instead.
     """
     scenarios = sorted(osc.list_scenarios())
     for some, known in ((fault, FAULTS), (phase, PHASES), (scenario, scenarios), (every, LOSSES)):
         if not set(known).issuperset(some or ()):
             raise typer.BadParameter(f"{some}: choose of {', '.join(map(str, known))}")
-    if quiet:
-        sys.exit(_try_quiet(scenario or scenarios, quiet, workers))
     names = fault or list(FAULTS)
     wanted = {"phase": phase, "scenario": scenario, "every": every}
     chosen = [
@@ -633,29 +562,18 @@ def main(
         for case in cases(seeds)
         if all(not some or getattr(case, key) in some for key, some in wanted.items())
     ]
-    verdicts = [v for v in _read(kept) if v.case in chosen and v.fault in names]
-    done = {(v.fault, v.case) for v in verdicts}
-    jobs = [(case, [name for name in names if (name, case) not in done]) for case in chosen]
+    runs = product(names, chosen)
+    verdicts = []
     with ProcessPoolExecutor(workers) as pool:
-        left = [job for job in jobs if job[1]]
-        for found in pool.map(try_faults, *zip(*left, strict=True)) if left else ():
-            verdicts += [_keep(v, kept) for v in found]
-            print(f"{found[0].case}: {sum(bool(v.wrong) for v in found)} wrong", flush=True)
+        for verdict in pool.map(try_fault, *zip(*runs, strict=True)):
+            verdicts.append(verdict)
+            if verdict.wrong:
+                print(f"{verdict.fault} / {verdict.case}: {'; '.join(verdict.wrong)}", flush=True)
     Console(width=200).print(table(verdicts))
-    wrong = [v for v in verdicts if v.wrong]
-    for v in wrong[:80]:
-        print(f"{v.fault} / {v.case}: {'; '.join(v.wrong)}")
+    wrong = sum(bool(v.wrong) for v in verdicts)
     total = sum(v.ticks for v in verdicts)
-    print(f"{len(names)} kinds, {len(verdicts)} runs, {total} ticks, {len(wrong)} runs are wrong")
+    print(f"{len(names)} kinds, {len(verdicts)} runs, {total} ticks, {wrong} runs are wrong")
     sys.exit(bool(wrong))
-
-
-def _try_quiet(scenarios: Sequence[str], seconds: float, workers: int) -> int:
-    with ProcessPoolExecutor(workers) as pool:
-        reasons = list(pool.map(stay_quiet, scenarios, [seconds] * len(scenarios)))
-    for name, reason in zip(scenarios, reasons, strict=True):
-        print(f"{name}: {reason or f'{seconds:g} s, no stop'}")
-    return int(any(reasons))
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 from pytest import mark
 from rigs import largest, rig_of, unit
 from samples import chosen, first, parametrize
+from scenario_runs import run_of
 
 import osc_contact as osc
 from benchmarks import fault_injection
@@ -19,9 +20,7 @@ from benchmarks.fault_injection import (
     Run,
     Verdict,
     cases,
-    stay_quiet,
     try_fault,
-    try_faults,
 )
 from benchmarks.pushes import packaged, push_arm, table
 from osc_contact.control.status import Phase
@@ -47,7 +46,7 @@ ELSEWHERE = (
 
 @parametrize("name", FAULTS)
 def test_every_kind_of_fault_in_contact(name):
-    verdict = try_fault(name, "contact")
+    verdict = try_fault(name, Case())
     assert not verdict.wrong, verdict
 
 
@@ -55,7 +54,7 @@ def test_every_kind_of_fault_in_contact(name):
 def test_faults_in_other_phases(where):
     name, phase = where
     assert phase in PHASES
-    verdict = try_fault(name, phase)
+    verdict = try_fault(name, Case(phase))
     assert not verdict.wrong, verdict
 
 
@@ -70,13 +69,15 @@ def _drawn(count, seed):
 @parametrize("drawn", first(_drawn(8, 25), 1), ids=lambda x: str(x)[:60])
 def test_faults_while_ticks_are_lost_in_packaged_scenarios(drawn):
     case, names = drawn
-    verdicts = try_faults(case, names)
+    verdicts = [try_fault(name, case) for name in names]
     assert not [v.wrong for v in verdicts if v.wrong], verdicts
 
 
 @parametrize("scenario", ["two_contact_rod", "panda_edge"])
 def test_noise_and_delay_stop_nothing(scenario):
-    assert stay_quiet(scenario, 3.0) == ""
+    errors = "{rate: 1 kHz, delay: 3 ms, force: {noise: 0.5 N}, torque: {noise: 0.05 Nm}}"
+    meta = run_of(scenario, f"sensors.wrist={errors}", duration=3.0).meta
+    assert meta["end_state"] != "SAFE_STOP", meta["end_reason"]
 
 
 def test_a_fault_is_found_wrong_where_the_limits_are_off(monkeypatch):
@@ -88,7 +89,7 @@ def test_a_fault_is_found_wrong_where_the_limits_are_off(monkeypatch):
         return plant, controller.with_safety(osc.SafetySettings.motors_only())
 
     monkeypatch.setattr(fault_injection, "start", bare)
-    assert try_fault("speeds mirrored", "contact").wrong
+    assert try_fault("speeds mirrored", Case()).wrong
 
 
 # Packets that are lost, repeated or late
@@ -221,9 +222,7 @@ def test_contact_is_made_although_every_second_tick_is_lost():
     ],
 )
 def test_arms_rest_after_a_fault_that_is_hard_to_find(fault, scenario, every):
-    run = Run(Case("contact", scenario, every))
-    run.lead_in()
-    verdict = run.judge(fault)
+    verdict = try_fault(fault, Case("contact", scenario, every))
     assert verdict.state is SAFE_STOP and not verdict.wrong, verdict
 
 
