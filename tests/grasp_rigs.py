@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -40,13 +40,23 @@ def planar(joints, rng):
     return model, "tip", ()
 
 
+#: Joints, which of them is the elbow, frame of the wrist sensor.
+ARMS = {
+    "2R": (2, 1, "wrist"),
+    "3R": (3, 1, "wrist"),
+    "4R": (4, 1, "wrist"),
+    "scara": (5, 1, "wrist_sensor"),
+    "ur5": (6, 2, "wrist_3_link"),
+    "panda": (7, 3, "panda_hand"),
+}
+
+
 def posture(kind, rng, bend):
     """Joint positions; `bend`: of the elbow, 0 is singular."""
-    n = {"2R": 2, "3R": 3, "4R": 4, "scara": 5, "ur5": 6, "panda": 7}[kind]
+    n, elbow, _ = ARMS[kind]
     q = rng.uniform(-1.5, 1.5, n)
     if kind == "scara":
         q[2:] *= [0.05, 1.0, 0.3]
-    elbow = {"2R": 1, "3R": 1, "4R": 1, "scara": 1, "ur5": 2, "panda": 3}[kind]
     q[elbow] = -abs(bend) if kind == "panda" else bend
     return q
 
@@ -119,20 +129,12 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
             X_WO = pin.SE3(np.eye(3), X_WO.translation)
         X_TO = pin.SE3(turned, rng.uniform(-0.2, 0.2, 3))
         slip = slip_of(kind, axis, rng)
-        sensor = {
-            "2R": "wrist",
-            "3R": "wrist",
-            "4R": "wrist",
-            "scara": "wrist_sensor",
-            "panda": "panda_hand",
-            "ur5": "wrist_3_link",
-        }
         made = osc.Arm.from_urdf(
             model,
             name=f"arm{i}",
             tip=tip,
             passive_joints=passive,
-            wrist_sensor=sensor[arm],
+            wrist_sensor=ARMS[arm][2],
             damping=0.0,  # the oracles know none
         )
         limits = made.model.lowerPositionLimit, made.model.upperPositionLimit
@@ -142,9 +144,7 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         data = made.model.createData()
         pin.framesForwardKinematics(made.model, data, q)
         base = X_WT * data.oMf[made.model.getFrameId(tip)].inverse()
-        parts.append(
-            osc.Arm(made.name, made.model, tip, base, passive, made.wrist_sensor, made.locked)
-        )
+        parts.append(replace(made, base=base))
         held.append(grasp_of(kind, X_TO, axis))
         known.append((kind, X_TO, axis / np.linalg.norm(axis)))
         positions.append(q)

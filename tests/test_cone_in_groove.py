@@ -11,7 +11,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
-from rigs import assert_derivatives, largest, refused, rigid_plant, shift, unit
+from rigs import assert_derivatives, largest, refused, shift, unit
 
 import osc_contact as osc
 from paper import cone_in_groove as cg
@@ -120,17 +120,6 @@ def test_references_move_as_their_derivatives_say_and_stay_in_contact():
 
 
 # Plant and controller -----------------------------------------------------------------------------
-
-
-def test_the_rigid_plant_keeps_its_cone_in_the_groove():
-    pair = SEAT.pair
-    rng = default_rng(2)
-    plant = rigid_plant(rig().q_start, rig().chain, [pair])
-    for _ in range(40):
-        plant.command(rng.uniform(-8, 8, 7), 5e-3)
-        state = rig().chain.state(plant.q, plant.v)
-        assert_allclose(pair.gaps(state.X_WO), 0.0, atol=1e-12)
-        assert largest(pair.contact(state.X_WO, state.V_O).N.T @ state.V_O) < 1e-10
 
 
 def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():

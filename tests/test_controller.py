@@ -4,11 +4,11 @@ import copy
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
-from complaints import model_error, scenario_error
-from kkt_oracle import held
+from complaints import scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, fixture, raises
@@ -18,7 +18,6 @@ from samples import module_fixture, parametrize
 import osc_contact as osc
 from osc_contact.control.controller import Controller
 from osc_contact.scenarios.loader import parse_scenario
-from osc_contact.spatial import as_array
 from paper.diagrams import BLOCKS
 
 
@@ -148,17 +147,13 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig, ready):
     assert_allclose(controller.signals.f_S, force, rtol=1e-3, atol=1e-3)
 
 
-def test_without_contacts_the_whole_motion_is_controlled(rig, ready):
-    """Of all accelerations that the arms permit the object gets the one nearest to the command."""
-    controller = Controller(rig.model, (), joint_friction=False)
-    *_, measurement, reference = ready
-    reference = replace(reference, alpha_d=np.zeros(0), A_D=np.arange(1.0, 7.0))
-    tau = ticked(controller, measurement, reference)
-    miss = (
-        held(rig.chain, measurement.q, measurement.v).answer(tau).a_object - controller.signals.a_u
-    )
-    state = controller.signals.state
-    assert_allclose(state.S.T @ state.metric @ miss, 0.0, atol=1e-8)
+def unmeasured():
+    return rig_of("two_contact_rod", "arms.left.wrist_sensor=null")
+
+
+def limp():
+    arm = replace(one_panda().arms[0], passive_joints=("panda_joint7",))
+    return osc.ClosedChain([arm], None, one_panda().payload)
 
 
 @parametrize(
@@ -169,24 +164,14 @@ def test_without_contacts_the_whole_motion_is_controlled(rig, ready):
         (lambda rig: Controller(rig.model, rig.pairs, B="euclid"), "object"),
         (lambda rig: rig.controller().residual_wrench(), "no tick"),
         (lambda rig: osc.MotionGains(100, 10, 2000), "Routh"),
+        # half the sensors would weigh half the object and still look plausible
+        (lambda rig: unmeasured().controller(), "left"),
+        (lambda rig: Controller(limp(), []), "posture"),
     ],
 )
 def test_bad_settings_are_refused(rig, make, words):
-    with refused(words):
+    with raises((osc.InvalidInputError, osc.ModelError), match=words):
         make(rig)
-
-
-def test_arms_without_wrist_sensors_cannot_control_contact_forces():
-    """Half the sensors would weigh half the object and still look plausible."""
-    rig = rig_of("two_contact_rod", "arms.left.wrist_sensor=null")
-    with refused("left"):
-        rig.controller()
-
-
-def test_a_redundant_arm_with_passive_joints_is_refused():
-    limp = replace(one_panda().arms[0], passive_joints=("panda_joint7",))
-    with model_error("posture"):
-        Controller(osc.ClosedChain([limp], None, one_panda().payload), [])
 
 
 # --- settings are taken once, controllers share nothing ------------------------------------------
@@ -316,9 +301,10 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
         calls.append((measurement, replace(reference, **{name: bad})))
     limits = rig.chain.tau_max * (1.0 + 1e-12)
     not_computed = 0
-    for call in calls:
+    starts = good, of_kind("lists", *good)
+    for call, start in product(calls, starts):
         controller = rig.controller()
-        last = ticked(controller, *good)
+        last = ticked(controller, *start)
         before = controller.force_integral, controller.motion_integral
         tau = controller.tick(*call)
         assert np.isfinite(tau).all() and (np.abs(tau) <= limits).all()
@@ -332,7 +318,7 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
         else:
             assert controller.status is osc.Status.OK or controller.reason
         ticked(controller, *good)
-    assert not_computed == HELD.get(kind, len(calls))
+    assert not_computed == 2 * HELD.get(kind, len(calls))
 
 
 def test_the_first_tick_refuses_wrong_shapes_later_ones_hold(rig, ready):
@@ -447,22 +433,6 @@ def test_arrays_of_the_usual_kind_meet_no_conversion(rig):
     assert controller._converting and not copy._converting
 
 
-def test_a_list_of_wrong_length_is_still_refused(rig):
-    controller = rig.controller()
-    measurement, reference = of_kind("lists", rig.plant().measure(), rig.references.at(0.0))
-    ticked(controller, measurement, reference)
-    for bad in (
-        replace(measurement, q=measurement.q[1:]),
-        replace(measurement, q=["a"] * len(measurement.q)),
-        replace(measurement, wrenches=[[1.0], [2.0, 3.0]]),
-        replace(measurement, v=[np.nan] * len(measurement.v)),
-    ):
-        tau = controller.tick(bad, reference)
-        assert controller.status is osc.Status.HELD and controller.reason
-        assert np.isfinite(tau).all()
-    ticked(controller, measurement, reference)
-
-
 def test_a_plain_number_is_the_force_of_the_only_contact():
     rig = rig_of("panda_edge")
     measurement = rig.plant().measure()
@@ -484,8 +454,3 @@ def test_the_gap_of_gap_functions_may_be_a_plain_number():
     one = osc.GapFunctions(lambda X: X.translation[2]).contact(X, V)
     assert_array_equal(one.N, many.N)
     assert one.N.shape == (6, 1)
-
-
-def test_a_plain_number_is_no_vector_of_a_given_size():
-    with raises(osc.InvalidInputError, match=r"V_D: expected shape \(6\), got \(\)"):
-        as_array("V_D", 1.0, (6,))

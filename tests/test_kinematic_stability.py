@@ -48,15 +48,15 @@ def displacement(start, end):
     return np.concatenate((end.translation - start.translation, turned))
 
 
-def numeric_jacobian(arm, q, h=1e-6):
-    ends = [[tip_pose(arm, q + s * h * e) for s in (-1, 1)] for e in np.eye(len(q))]
-    return np.column_stack([displacement(a, b) / (2 * h) for a, b in ends])
+def jacobian(arm, q):
+    data = arm.plant.createData()
+    return pin.computeFrameJacobian(arm.plant, data, q, arm.tip, pin.LOCAL_WORLD_ALIGNED)
 
 
 def oracle_classic(arm, q, v, goal):
     """Joint stiffness on the filtered error."""
     rows = arm.rows
-    J = numeric_jacobian(arm, q)[rows]
+    J = jacobian(arm, q)[rows]
     S = np.diag([row != arm.force for row in range(len(q))]).astype(float)
     q_e = inv(J) @ S @ (displacement(goal, tip_pose(arm, q))[rows] + DAMPING_S * J @ v)
     return pin.rnea(arm.plant, arm.plant.createData(), q, v, np.zeros(len(q))) - arm.K_q @ q_e
@@ -65,7 +65,7 @@ def oracle_classic(arm, q, v, goal):
 def oracle_ours(arm, q, v, goal):
     """The joint acceleration nearest to the wish in the object's energy that keeps off the face."""
     X = tip_pose(arm, q)
-    J = numeric_jacobian(arm, q)
+    J = jacobian(arm, q)
     body = arm.chain.payload.inertia
     R = X.rotation
     c = X.rotation @ body.lever
