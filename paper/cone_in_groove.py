@@ -5,7 +5,6 @@ neither parallel nor perpendicular. Four pushes on the walls and two motions are
 rigid plant.
 """
 
-from itertools import pairwise
 from pathlib import Path
 from textwrap import fill as fill_text
 from typing import Any, NamedTuple
@@ -13,24 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.spatial import Array, cross
 from osc_contact.visual import OKABE_ITO, plots
 from paper.baselines import measured_coupling
-from paper.contact_pictures import (
-    FACE,
-    HALO,
-    across,
-    circle,
-    draw_arrow,
-    draw_force,
-    draw_line,
-    fill,
-    orthographic,
-    write,
-)
+from paper.contact_pictures import FACE, HALO, draw_arrow, draw_force, draw_line, scale_equally
 from paper.selection_laws import Instant, Ours
 from paper.statements import Answer
 from paper.study import PANDA, Ask, Data, Study, table_of
@@ -239,16 +228,11 @@ def run(
     force_error = (true - desired)[late]
     turn_rms, slide_rms = _rms((motion - wanted)[judged])
     turned, slid = np.ptp(motion, axis=0).tolist()
-    N = recording["N"]
     frame = seat.raibert_craig
     data = {
         "r": seat.contact.r,
         "axes_deg": float(np.rad2deg(seat.inclination)),
-        "raibert_craig": {
-            "describes_it": bool(frame),
-            "reason": frame.reason,
-            "residual": frame.residual,
-        },
+        "raibert_craig": {"describes_it": bool(frame), "reason": frame.reason},
         "duration_s": len(t) * PERIOD,
         "wall_force_rms_N": _rms(force_error),
         "wall_force_peak_error_N": float(np.abs(force_error).max()),
@@ -260,9 +244,6 @@ def run(
         "force_step_to_motion": float(to_motion),
         "motion_step_to_force": float(to_force),
         "contact_power_W": float(np.abs(recording["power_projected"][judged]).max()),
-        "N_change_per_tick": float(np.abs(np.diff(N, axis=0)).max()),
-        "N_second_difference": float(np.abs(np.diff(N, 2, axis=0)).max()),
-        "ticks_not_ok": int(np.count_nonzero(recording["status"])),
     }
     return ConeRun(recording, walls, data)
 
@@ -270,16 +251,11 @@ def run(
 # --- The contact state of fig. 2, and a run in it ---
 
 
-_INK = OKABE_ITO["black"]
-_SLIDING = "#5B3A8E"
-
-
 def draw_state(seat: Seat) -> Figure:
     """Cone, groove, t₁, t₂ and the four lines of force that span N."""
     h = seat.height
     groove = seat.direction
     apex = seat.point
-    frame = seat.raibert_craig
     words = (
         "$t_1$: rotation about the cone's axis",
         "$t_2$: translation along the groove's axis",
@@ -287,72 +263,62 @@ def draw_state(seat: Seat) -> Figure:
         r"\mathbf{N} = [\,f_{c1}\ f_{c2}\ f_{c3}\ f_{c4}\,],\quad \mathbf{N}^T\mathbf{T} = 0$",
         "",
         "No constraint frame with selected axes describes it:",
-        fill_text(frame.reason, 52),
-        f"(nearest frame: {np.rad2deg(np.arcsin(frame.residual)):.0f}° off, moments per height)",
+        fill_text(seat.raibert_craig.reason, 52),
     )
     with plots.style():
-        room = (-0.02, -0.06, 0.68, 1.0)
-        middle = apex + 0.85 * h * seat.axis
-        figure, ax = orthographic((10.5, 6.2), room, middle, 1.25 * h, zoom=1.5)
+        figure = Figure(figsize=(10.5, 6.2))
+        figure.set_layout_engine("none")
+        ax: Any = figure.add_axes((-0.02, -0.06, 0.68, 1.0), projection="3d", proj_type="ortho")
+        ax.computed_zorder = False
         ax.set_axis_off()
-        ax.view_init(33.0, np.rad2deg(np.arctan2(groove[1], groove[0])) + 180.0 + 29.0)
+        ax.view_init(33.0, np.rad2deg(seat.yaw) + 209.0)
         for normal in seat.normals:
             down = np.cross(normal, groove)
             corners = np.array([(-0.5, 0.0), (1.5, 0.0), (1.5, 0.95), (-0.5, 0.95)])
-            wall = apex + h * corners @ [groove, np.sign(down @ _UP) * down]
-            fill(ax, wall[None], **FACE)
-        _draw_cone(ax, seat)
+            wall = apex + h * corners @ [groove, np.sign(down[2]) * down]
+            ax.add_collection3d(Poly3DCollection([wall], **FACE))
+        rim = _circle(seat, h, h * np.tan(seat.half_angle), np.linspace(0.0, 2.0 * np.pi, 61))
+        side = np.moveaxis(np.array([np.broadcast_to(apex, rim.shape), rim]), 2, 0)
+        ax.plot_surface(*side, color="#A9AFB8", alpha=0.3, lw=0.0)
+        draw_line(ax, rim, color="#4A4F57", lw=1.3)
         points, directions = (columns.T for columns in seat.wall_forces(seat.X_start))
         for i, (p, d) in enumerate(zip(points, directions, strict=True)):
-            if i % 2 == 0:
-                name = "_" if i else "lines of contact"
-                draw_line(ax, (apex, points[i + 1]), color="#22262B", lw=3.0, zorder=4, label=name)
-            line = (p - 0.48 * h * d, p + 0.26 * h * d)
-            draw_force(ax, i, line, 1.2, (p - 0.36 * h * d, p), 0.018 * h, p + 0.34 * h * d)
+            draw_line(ax, (apex, p), color="#22262B", lw=3.0)
+            draw_force(ax, i, p, 0.36 * h * d, (-1.3, 0.8), 1.0)
         _draw_axes(ax, seat)
+        scale_equally(ax, 1.45)
         title = "Fig. 2: a cone in a groove; its axes of motion are neither parallel nor "
-        look: Data = {"x": 0.03, "y": 0.97, "ha": "left", "size": 12, "weight": "bold"}
-        figure.suptitle(title + "perpendicular", **look)
+        figure.suptitle(title + "perpendicular")
         figure.legend(loc="upper left", bbox_to_anchor=(0.65, 0.88))
         figure.text(0.66, 0.55, "\n".join(words), size=9, va="top", linespacing=1.5)
     return figure
 
 
-def _draw_cone(ax: Any, seat: Seat) -> None:
-    """Side and base."""
-    apex = seat.point
-    axis = seat.axis
-    h = seat.height
-    tangent = np.tan(seat.half_angle)
-    base = apex + h * axis + h * tangent * circle(*across(axis), np.linspace(0, 2 * np.pi, 121))
-    side = np.array([[apex, a, b] for a, b in pairwise(base)])
-    seamless: Data = {"edgecolor": "none", "antialiaseds": False, "zorder": 3}
-    fill(ax, side, facecolor="#A9AFB8", alpha=0.3, **seamless)
-    fill(ax, base[None], facecolor="#9AA1AB", alpha=0.25, **seamless)
-    draw_line(ax, base, color="#4A4F57", lw=1.3, zorder=4)
-
-
 def _draw_axes(ax: Any, seat: Seat) -> None:
     """t₁ with a round arrow, t₂ with a straight one, and between them their angle."""
-    apex = seat.point
     h = seat.height
-    axis = seat.axis
-    groove = seat.direction
-    for direction, colour, ends in ((axis, _INK, (-0.25, 2.0)), (groove, _SLIDING, (-0.7, 2.05))):
-        dashed = {"lw": 1.8, "ls": (0, (7, 2, 1.5, 2)), "zorder": 6}
-        draw_line(ax, apex + h * np.outer(ends, direction), color=colour, **dashed)
-    x = np.cross(axis, groove)
+    for name, axis, colour, start in (
+        ("$t_1$", seat.axis, OKABE_ITO["black"], -0.25),
+        ("$t_2$", seat.direction, "#5B3A8E", -0.7),
+    ):
+        ends = seat.point + h * np.outer((start, 2.0), axis)
+        draw_line(ax, ends, color=colour, lw=1.8, ls="-.")
+        ax.text(*(seat.point + 2.2 * h * axis), name, color=colour, size=15, ha="center")
+    draw_arrow(ax, seat.point + 1.7 * h * seat.direction, 0.3 * h * seat.direction, "#5B3A8E")
+    ring = _circle(seat, 1.62 * h, 0.2 * h, np.linspace(0.35, 5.7, 60))
+    draw_line(ax, ring, color=OKABE_ITO["black"], lw=2.2)
+    draw_arrow(ax, ring[-2], 6.0 * (ring[-1] - ring[-2]), OKABE_ITO["black"])
+    middle = seat.point + 0.78 * h * (seat.axis + seat.direction)
+    angle = f"{np.rad2deg(seat.inclination):.0f}°"
+    ax.text(*middle, angle, size=11, ha="center", bbox=HALO)
+
+
+def _circle(seat: Seat, height: float, radius: float, angles: Array) -> Array:
+    """(k, 3) points around the cone's axis, in a height above the apex (m)."""
+    x = np.cross(seat.axis, seat.direction)
     x /= np.linalg.norm(x)
-    turn = np.linspace(0.35, 2.0 * np.pi - 0.55, 60)
-    ring = apex + 1.62 * h * axis + 0.2 * h * circle(x, np.cross(axis, x), turn)
-    draw_line(ax, ring, color=_INK, lw=2.2, zorder=6)
-    draw_arrow(ax, ring[-1], ring[-1] + 1.1 * (ring[-1] - ring[-4]), _INK, 0.016 * h)
-    write(ax, apex + 2.1 * h * axis, "$t_1$", _INK, 15, va="baseline")
-    start = apex + 1.6 * h * groove
-    draw_arrow(ax, start, start + 0.42 * h * groove, _SLIDING, 0.02 * h)
-    write(ax, apex + 2.2 * h * groove, "$t_2$", _SLIDING, 15)
-    middle = apex + 0.78 * h * (axis + groove)
-    write(ax, middle, f"{np.rad2deg(seat.inclination):.0f}°", "#333333", 11, bbox=HALO)
+    turned = np.outer(np.cos(angles), x) + np.outer(np.sin(angles), np.cross(seat.axis, x))
+    return seat.point + height * seat.axis + radius * turned
 
 
 def study(ask: Ask) -> Study:
@@ -371,8 +337,6 @@ def study(ask: Ask) -> Study:
         "turn": f"{turned}, rms error {1e6 * data['turn_rms_rad']:.2g} µrad",
         "slide": f"{slid}, rms error {1e6 * data['slide_rms_m']:.2g} µm",
         "contact power": f"at most {data['contact_power_W']:.2g} W",
-        "N per tick": f"changes by at most {data['N_change_per_tick']:.2g}, its change by "
-        f"{data['N_second_difference']:.2g} (1, m)",
     }
     answers = {
         "freedoms": Answer(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import lines_of_force
@@ -16,7 +17,7 @@ from osc_contact.runs.viewing import object_size
 from osc_contact.spatial import Array
 from osc_contact.visual import plots
 from osc_contact.visual.screws import common_perpendicular
-from paper.contact_pictures import draw_contact_state
+from paper.contact_pictures import FACE, draw_force, draw_line, scale_equally
 from paper.diagrams import BLOCKS, LOOP, draw_blocks
 from paper.statements import Answer
 
@@ -63,15 +64,31 @@ def _faces(rig: osc.Rig) -> tuple[list[osc.VertexOnFace], Array, Array]:
 
 
 def _draw_fig1(rig: osc.Rig) -> Figure:
+    """Rod, faces and lines of force, and the shortest connection of these lines."""
     pairs, points, directions = _faces(rig)
-    if not pairs:
-        raise osc.InvalidInputError("fig1 shows vertices on faces; the scenario has none")
-    X = rig.state.X_WO
-    square = 0.09 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    faces = [np.array([pair.face_placement().act(x) for x in square]) for pair in pairs]
-    rod = np.array([X.act(pair.vertex) for pair in pairs])
-    title = "Fig. 1: two contacts whose normals are skew"
-    return draw_contact_state(points, directions, rod, faces, title)
+    if len(pairs) != 2:
+        raise osc.InvalidInputError(f"fig1 shows two vertices on faces; there are {len(pairs)}")
+    apart = common_perpendicular(points[0], directions[0], points[1], directions[1])
+    with plots.style():
+        figure = Figure(figsize=(7.2, 5.8))
+        ax: Any = figure.add_subplot(projection="3d", proj_type="ortho")
+        ax.computed_zorder = False
+        ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
+        ax.locator_params(nbins=5)
+        square = 0.09 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+        for pair in pairs:
+            face = [pair.face_placement().act(corner) for corner in square]
+            ax.add_collection3d(Poly3DCollection([face], **FACE))
+        rod = [rig.state.X_WO.act(pair.vertex) for pair in pairs]
+        draw_line(ax, rod, color="#4A4F57", lw=5.0, label="body")
+        for i, (point, direction) in enumerate(zip(points, directions, strict=True)):
+            draw_force(ax, i, point, 0.11 * direction, (-6.4, 2.8), -1.5)
+        words = f"{1e3 * apart.distance:.1f} mm apart, angle {np.rad2deg(apart.angle):.1f}°"
+        draw_line(ax, apart[:2], color="black", ls=":", marker="o", ms=4.0, label=words)
+        scale_equally(ax, 0.98)
+        figure.suptitle("Fig. 1: two contacts whose normals are skew")
+        figure.legend(loc="upper right", bbox_to_anchor=(0.99, 0.95))
+    return figure
 
 
 LOOKS = 21  #: moments of a run at which its constraint frame is looked for

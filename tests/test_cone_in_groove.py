@@ -129,10 +129,11 @@ def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():
     assert found["turn_rms_rad"] < 1e-4 and found["slide_rms_m"] < 1e-5
     assert found["turned_rad"] > 0.4 and found["slid_m"] > 0.02
     assert found["wall_force_least_N"] > 3.0, "the walls are pushed, never pulled"
-    assert found["contact_power_W"] < 1e-12 and found["ticks_not_ok"] == 0
+    assert found["contact_power_W"] < 1e-12
     made = short_run().recording
+    assert not made["status"].any()
     assert largest(np.einsum("tir,ti->tr", made["N"], made["twist"])) < 1e-9, "N has couples"
-    assert found["N_second_difference"] < 0.02 * found["N_change_per_tick"]
+    assert largest(np.diff(made["N"], 2, axis=0)) < 0.02 * largest(np.diff(made["N"], axis=0))
     assert (np.abs(np.diff(short_run().walls["alpha_cmd"][500:], axis=0)).max(axis=0) > 2.0).all()
 
 

@@ -6,13 +6,13 @@ import numpy as np
 from complaints import invalid_input
 from matplotlib.patches import FancyBboxPatch
 from matplotlib.transforms import Bbox
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from pytest import fixture
 from scene_samples import RECORDING, changed, make_recording
 
+from osc_contact import load_scenario
 from osc_contact.visual import plots
-from paper.contact_pictures import draw_contact_state
 from paper.diagrams import BLOCKS, BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
+from paper.figures import reproduce
 
 
 def test_contact_force_figure():
@@ -144,21 +144,17 @@ def test_diagrams_are_legible(diagram):
 
 
 def test_contact_picture_shows_how_the_lines_lie():
-    rod = np.array([[-0.3, 0, 0], [0.3, 0, 0]])
-    face = rod[0] + 0.1 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    directions = np.array([[0, 0, -1.0], [0, 1, 0]])
-    (ax,) = draw_contact_state(rod, directions, rod, [face], "skew").axes
-    labels = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert any("skew, 600.0 mm apart, angle 90.0°" in label for label in labels)
-    (line,) = [line for line in ax.lines if line.get_label() == "line of force of $f_{c1}$"]
-    x, y, z = line.get_data_3d()
-    assert np.allclose(x, -0.3) and np.allclose(y, 0.0)
-    assert z.min() < -0.25 and z.max() > 0.25, "extended both ways"
+    scenario = load_scenario("two_contact_rod")
+    figure = reproduce("fig1", scenario)
+    (ax,) = figure.axes
+    (legend,) = figure.legends
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert "279.6 mm apart, angle 62.0°" in labels
+    for i, contact in enumerate(scenario.contacts, 1):
+        (line,) = [x for x in ax.lines if x.get_label() == f"line of force of $f_{{c{i}}}$"]
+        past = np.transpose(line.get_data_3d()) - contact.face.point
+        assert np.allclose(np.cross(past, contact.face.normal), 0.0, atol=1e-5), "along the normal"
+        heights = past @ contact.face.normal
+        assert heights.min() < -0.25 and heights.max() > 0.25, "extended both ways"
     spans = [np.ptp(limits) for limits in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())]
-    assert np.allclose(spans, spans[0])
-    cones = [c for c in ax.collections if isinstance(c, Poly3DCollection)]
-    assert len(cones) >= 2
-    for cone in cones:  # from Matplotlib 3.11 on polygons of unequal size are padded with junk
-        assert not np.any(getattr(cone, "_invalid_vertices", False))
-        corners = cone._faces if hasattr(cone, "_faces") else cone._vec[:3]
-        assert np.abs(corners).max() < 1.0
+    assert np.ptp(ax._box_aspect / spans) < 1e-9, "one scale"
