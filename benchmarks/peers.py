@@ -167,7 +167,7 @@ def mujoco_state(case: TickCase) -> tuple[Any, Any]:
     The faces stand a little into the object, so that MuJoCo finds every contact.
     """
     pairs = [replace(pair, point=pair.point + DEPTH * pair.normal) for pair in case.pairs]
-    urdfs = [robots.locate(arm.model.name)[0] for arm in case.chain.arms]
+    urdfs = [robots.resolve_urdf(arm.model.name)[0] for arm in case.chain.arms]
     faces = [(robots.urdf_path("face"), pair.face_placement()) for pair in pairs]
     plant = MujocoPlant(case.chain, urdfs, robots.urdf_path("rod"), pairs, faces)
     for i, name in enumerate(case.chain.joint_names):

@@ -37,7 +37,7 @@ def check(
     json_file: JsonOption = None,
 ) -> None:
     """Check a robot's URDF or MJCF and describe the robot; exit code 1 if something is wrong."""
-    path, folders = robots.locate(robot)
+    path, folders = robots.resolve_urdf(robot)
     report = robots.check_robot(
         path,
         limits=dict(robots.JointLimits.parse(text) for text in limit or []),

@@ -11,7 +11,6 @@ EXTRAS = {
     "yaml": "scenarios",
     "typer": "scenarios",
     "rich": "scenarios",
-    "yourdfpy": "scenarios",
     "meshcat": "view",
     "tornado": "view",
     "umsgpack": "view",

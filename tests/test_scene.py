@@ -427,7 +427,7 @@ def test_what_is_not_given_is_not_guessed(name, text, count, tmp_path):
 
 def test_the_pandas_hand_is_white_with_dark_parts():
     """Its DAE has 1 1 1 and 0.25 0.25 0.25 among others; read with Pinocchio's triangles."""
-    path, folders = robots.locate("panda")
+    path, folders = robots.resolve_urdf("panda")
     _, geometry, _ = robots.load_geometry(path, pin.GeometryType.VISUAL, folders)
     (hand,) = [shape for shape in geometry.geometryObjects if shape.name == "panda_hand_0"]
     colours = triangle_colours(hand.meshPath, hand.geometry.num_tris)

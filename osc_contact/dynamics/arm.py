@@ -177,7 +177,7 @@ class Arm:
             model = urdf
             follows = {urdf.names[a]: urdf.names[b] for a, b in pairs}
         else:
-            model, follows = robots.load_coupled(Path(urdf), tip)
+            model, follows = robots.load_robot(urdf, tip)
         held = locked or {}
         _require_joints(model, (*passive_joints, *held))
         every_joint = joint_names(model)

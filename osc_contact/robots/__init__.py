@@ -2,22 +2,19 @@
 
 A URDF passes, in this order: strict XML with line numbers, words, numbers and tree
 (`urdf`), shapes and mesh addresses, limits, inertias (`checks`), Pinocchio and its mass matrix
-(`model`); on demand a second reader (`loading`). docs/robots.md: refusals and reasons.
+(`model`). docs/robots.md: refusals and reasons.
 """
 
 from osc_contact.robots.checks import Inertias, JointLimits
 from osc_contact.robots.loading import (
     ROBOT_DATA,
     Loaded,
-    cross_check,
     find_robot,
     load,
     load_body,
-    load_coupled,
     load_geometry,
     load_model,
     load_robot,
-    locate,
     resolve_urdf,
     urdf_path,
 )
@@ -31,7 +28,6 @@ __all__ = [
     "urdf_path",
     "find_robot",
     "resolve_urdf",
-    "locate",
     "load_model",
     "load_robot",
     "load_mjcf",
@@ -39,7 +35,6 @@ __all__ = [
     "couplings",
     "is_mjcf",
     "load_body",
-    "load_coupled",
     "load_geometry",
     "load",
     "Loaded",
@@ -50,7 +45,6 @@ __all__ = [
     "ends_of",
     "random_configurations",
     "check_mass_matrix",
-    "cross_check",
     "check_robot",
     "RobotReport",
     "summarise",

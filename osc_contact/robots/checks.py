@@ -236,13 +236,16 @@ def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
                 _check_shape(shapes[0], package_dirs)
 
 
-def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> list[ModelFinding]:
-    """Note mesh files that lead outside through a link, are huge, or are Collada files whose
-    textures lie elsewhere. Returns, without noting them, those that are not there."""
+def check_mesh_files(
+    document: Document, package_dirs: Sequence[Path]
+) -> tuple[list[ModelFinding], list[ModelFinding]]:
+    """Mesh files that lead outside through a link, are huge, or are Collada files whose textures
+    lie elsewhere; and those that are not there."""
     addresses: dict[str, Element] = {}
     for mesh in document.root.iter("mesh"):
         addresses.setdefault(mesh.get("filename"), mesh)
     roots = [root.resolve() for root in _roots(document.file, package_dirs)]
+    wrong = []
     missing = []
     for address, mesh in addresses.items():
         places = [_plain(document.file, address)]
@@ -253,8 +256,8 @@ def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> list[M
             looked = f"the mesh is not there; looked for {', '.join(map(str, places)) or 'nothing'}"
             missing.append(mesh.finding("mesh", looked, "pass package_dirs", "filename"))
         elif problem := _file_problem(file, roots):
-            mesh.note("mesh", *problem, "filename")
-    return missing
+            wrong.append(mesh.finding("mesh", *problem, "filename"))
+    return wrong, missing
 
 
 def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:

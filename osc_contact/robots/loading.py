@@ -1,14 +1,14 @@
 """URDF in, checked Pinocchio model out; every file is judged before Pinocchio sees it."""
 
 import importlib.metadata
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from hashlib import sha256
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
-import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import ModelError, did_you_mean
@@ -24,37 +24,23 @@ from osc_contact.robots.checks import (
     require_level,
 )
 from osc_contact.robots.mjcf import compile_mjcf, couplings, is_mjcf, load_mjcf
-from osc_contact.robots.model import (
-    build_model,
-    check_mass_matrix,
-    frame_id,
-    joint_names,
-    random_configurations,
-)
+from osc_contact.robots.model import build_model, check_mass_matrix, joint_names
 from osc_contact.robots.urdf import (
     Document,
     check_mimics,
     check_tree,
     read_bytes,
     read_document,
+    refuse,
     refuse_file,
 )
 
-CROSS_CHECK_TOLERANCE = 1e-9
 
-
-@dataclass(frozen=True)
-class Loaded:
-    """A robot that passed: its model and the contents of the file.
-
-    Attributes:
-        model: Pinocchio model. document: links and joints as written.
-        package_dirs: folders of its meshes.
-    """
+class Loaded(NamedTuple):
+    """A robot that passed: its model, and links and joints as written. Not to be changed."""
 
     model: pin.Model
     document: Document
-    package_dirs: tuple[Path, ...] = ()
 
 
 def load(
@@ -66,14 +52,32 @@ def load(
 ) -> Loaded:
     """As `load_model`, with the document beside the model.
 
+    A file with the bytes of one that passed is not judged again: studies build thousands of rigs
+    from the same files.
+
     Args:
         path: of the URDF. limits, inertias, package_dirs: see `load_model`.
     """
-    require_level(inertias)
+    file = Path(path)
+    digest = sha256(read_bytes(file)).digest()
+    given = tuple((limits or {}).items())
     folders = tuple(Path(folder) for folder in package_dirs)
-    document = _sound(Path(path), folders)
+    return _loaded(file, file.absolute(), digest, given, inertias, folders)
+
+
+@lru_cache(maxsize=32)
+def _loaded(
+    file: Path,
+    place: Path,
+    digest: bytes,
+    limits: Sequence[tuple[str, JointLimits]],
+    inertias: Inertias,
+    folders: Sequence[Path],
+) -> Loaded:
+    require_level(inertias)
+    document = _sound(file, folders)
     moving = [joint.name for joint in document.joints.values() if joint.kind != "fixed"]
-    for name, given in matching_limits(moving, limits or {}).items():
+    for name, given in matching_limits(moving, dict(limits)).items():
         document.joints[name].limits.update(given)
     check_limits(document)
     check_inertias(document, inertias)
@@ -82,7 +86,7 @@ def load(
     check_moving_bodies(document, model)
     document.require()
     check_mass_matrix(model, document)
-    return Loaded(model, document, folders)
+    return Loaded(model, document)
 
 
 def load_model(
@@ -109,27 +113,20 @@ def load_model(
             `ModelError.findings`.
         InvalidInputError: limits for joints that do not exist.
     """
-    if not limits and not package_dirs:
-        return _judged(Path(path), inertias).model.copy()
-    return load(path, limits=limits, inertias=inertias, package_dirs=package_dirs).model
+    found = load(path, limits=limits, inertias=inertias, package_dirs=package_dirs)
+    return found.model.copy()
 
 
 def load_robot(
     path: Path | str, tip: str | None = None, package_dirs: Sequence[Path | str] = ()
-) -> pin.Model:
-    """The model of a URDF or of an MJCF file, whichever it is.
+) -> tuple[pin.Model, dict[str, str]]:
+    """The model of a URDF or of an MJCF file, whichever it is, and its dependent joints.
 
     Args:
         path: the file. tip: of MJCF, see `load_mjcf`. package_dirs: of a URDF, see `load_model`.
 
-    Raises:
-        ModelError: see there.
-    """
-    return load_mjcf(path, tip) if is_mjcf(path) else load_model(path, package_dirs=package_dirs)
-
-
-def load_coupled(path: Path | str, tip: str) -> tuple[pin.Model, dict[str, str]]:
-    """As `load_robot`, and which joints follow others by <mimic> or <equality>, with their masters.
+    Returns:
+        The model; joints that follow others by <mimic> or <equality>, with their masters.
 
     Raises:
         ModelError: see there.
@@ -137,10 +134,9 @@ def load_coupled(path: Path | str, tip: str) -> tuple[pin.Model, dict[str, str]]
     if is_mjcf(path):
         mj = compile_mjcf(path)
         return load_mjcf(mj, tip), couplings(mj)
-    loaded = _judged(Path(path), "possible")
-    joints = loaded.document.joints.values()
-    followed = {joint.name: joint.mimic for joint in joints if joint.mimic is not None}
-    return loaded.model.copy(), followed
+    model, document = load(path, package_dirs=package_dirs)
+    joints = document.joints.values()
+    return model.copy(), {joint.name: joint.mimic for joint in joints if joint.mimic is not None}
 
 
 def load_body(path: Path | str) -> pin.Inertia:
@@ -149,19 +145,18 @@ def load_body(path: Path | str) -> pin.Inertia:
     Raises:
         ModelError: as :func:`load_model`; or a joint moves; or not exactly one link has mass.
     """
-    file = Path(path)
-    loaded = _judged(file, "possible")
-    links = loaded.document.links.values()
+    model, document = load(path)
+    links = document.links.values()
     heavy = [link.name for link in links if link.inertial and link.inertial.mass > 0]
-    if loaded.model.nv > 0:
-        moving = ", ".join(joint_names(loaded.model))
-        raise ModelError(f"{file}: one rigid body is expected, but these joints move: {moving}")
+    if model.nv > 0:
+        moving = ", ".join(joint_names(model))
+        raise ModelError(f"{path}: one rigid body is expected, but these joints move: {moving}")
     if len(heavy) != 1:
         raise ModelError(
-            f"{file}: exactly one link with mass is expected, found {len(heavy)} "
+            f"{path}: exactly one link with mass is expected, found {len(heavy)} "
             f"({', '.join(heavy) or 'none'}); merge them into one <inertial>"
         )
-    return pin.Inertia(loaded.model.inertias[0])
+    return pin.Inertia(model.inertias[0])
 
 
 def load_geometry(
@@ -180,8 +175,8 @@ def load_geometry(
     file = Path(path)
     folders = [Path(folder) for folder in package_dirs]
     document = _sound(file, folders)
-    document.root.findings.extend(check_mesh_files(document, folders))
-    document.require()
+    if wrong := list(chain(*check_mesh_files(document, folders))):
+        refuse(wrong)
     model = build_model(document)
     try:
         geometry = pin.buildGeomFromUrdf(
@@ -190,85 +185,6 @@ def load_geometry(
     except (ValueError, RuntimeError) as error:
         refuse_file("mesh", file, f"Pinocchio cannot read the shapes: {error}")
     return model, geometry, document
-
-
-def cross_check(path: Path | str) -> float:
-    """Largest difference of all link placements between Pinocchio and a second URDF reader.
-
-    Neutral and five seeded random configurations; the entries of the 4×4 placements are compared
-    (rotations without unit, translations in m). Mimic joints follow their master in both.
-
-    Raises:
-        ModelError: the file is not sound; or the difference exceeds 1e-9, with link and size.
-    """
-    file = Path(path)
-    return compare(build_model(_sound(file, ())), file)
-
-
-def compare(model: pin.Model, file: Path) -> float:
-    """Largest difference of a link placement between the model and yourdfpy, see `cross_check`.
-
-    Raises:
-        ModelError: yourdfpy fails, or the difference exceeds 1e-9, with link and size.
-    """
-    import yourdfpy
-
-    try:
-        other = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
-        worst, link = _difference(model, other)
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
-        refuse_file(
-            "second reader",
-            file,
-            f"the second reader (yourdfpy) fails: {type(error).__name__}: {error}",
-        )
-    if not worst <= CROSS_CHECK_TOLERANCE:
-        reason = f"link {link!r}: two URDF readers place link {link!r} {worst:.3g} apart "
-        refuse_file(
-            "second reader",
-            file,
-            f"{reason}(allowed {CROSS_CHECK_TOLERANCE:g})",
-            "look at the origins and axes of the joints above it",
-        )
-    return worst
-
-
-def _difference(model: pin.Model, other: Any) -> tuple[float, str]:
-    """The largest difference between both readers, and the link that has it."""
-    data = model.createData()
-    root = other.base_link
-    names = joint_names(model)
-    worst = 0.0
-    where = root
-    for q in (pin.neutral(model), *random_configurations(model, 5)):
-        joints = dict(zip(names, q, strict=True))
-        for name in names:
-            if mimic := other.joint_map[name].mimic:
-                joints[name] = mimic.multiplier * joints[mimic.joint] + mimic.offset
-        if joints:
-            other.update_cfg({name: joints[name] for name in other.actuated_joint_names})
-        pin.framesForwardKinematics(model, data, np.array(list(joints.values())))
-        X_WR = data.oMf[frame_id(model, root)]
-        for link in other.link_map:
-            ours = X_WR.actInv(data.oMf[frame_id(model, link)]).homogeneous
-            difference = float(np.abs(ours - other.get_transform(link, root)).max())
-            if not difference <= worst:
-                worst = difference
-                where = link
-    return worst, where
-
-
-def _judged(file: Path, inertias: Inertias) -> Loaded:
-    """As `load`; a file with the bytes of one that passed is not judged again.
-
-    Studies build thousands of rigs from the same files. Nobody may change what is returned.
-    """
-    return _loaded(file, file.absolute(), sha256(read_bytes(file)).digest(), inertias)
-
-
-@lru_cache(maxsize=32)
-def _loaded(file: Path, place: Path, digest: bytes, inertias: Inertias) -> Loaded:
-    return load(file, inertias=inertias)
 
 
 def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:
@@ -287,6 +203,7 @@ def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:
 
 
 ROBOT_DATA = "example-robot-data"
+_ROBOT = re.compile(r"[\w-]+")  #: no path, no suffix: the name of a robot
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -333,44 +250,30 @@ def find_robot(name: str) -> tuple[Path, Path]:
 
 
 def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path, tuple[Path, ...]]:
-    """(URDF file, package folders) of a reference as a scenario file writes it.
+    """(robot's file, package folders) of a reference as a scenario or a person writes it.
 
-    ``"example-robot-data:panda"``, the name of a packaged file, or a path relative to the folder
-    ``relative_to`` (default: the working folder). A packaged name wins over a file of the same
-    name; write ``"./rod.urdf"`` for the latter.
+    The name of a packaged file (suffix optional), a path relative to the folder ``relative_to``
+    (default: the working folder), or a robot of the data package: ``"panda"``, or
+    ``"example-robot-data:panda"`` where a file has that name, too. A packaged name wins over a
+    file of the same name; write ``"./rod.urdf"`` for the latter.
 
     Raises:
         ModelError: nothing is found; the message names the places searched.
     """
-    package, colon, name = reference.partition(":")
-    if colon and package == ROBOT_DATA:
-        path, package_dir = find_robot(name)
-        return path, (package_dir,)
-    packaged = _packaged()
-    if reference in packaged:
-        return packaged[reference], ()
+    packaged = _find_packaged(reference)
+    if packaged is not None:
+        return packaged, ()
     path = ((relative_to or Path.cwd()) / reference).resolve()
     if path.is_file():
         return path, (path.parent,)
+    name = reference.removeprefix(f"{ROBOT_DATA}:")
+    if name != reference or _ROBOT.fullmatch(name):
+        file, package_dir = find_robot(name)
+        return file, (package_dir,)
     raise ModelError(
         f"URDF {reference!r} is neither the file {path} nor packaged; a robot of the data package "
-        f"is written '{ROBOT_DATA}:panda'; {did_you_mean(reference, packaged)}"
+        f"is written '{ROBOT_DATA}:panda'; {did_you_mean(reference, _packaged())}"
     )
-
-
-def locate(reference: str) -> tuple[Path, tuple[Path, ...]]:
-    """As `resolve_urdf`, for people: a file, a packaged name, or a robot's name as it is ("panda").
-
-    Raises:
-        ModelError: nothing is found; the message names the places searched.
-    """
-    plain = "/" not in reference and "\\" not in reference and not Path(reference).is_file()
-    if plain and (file := _find_packaged(reference)):
-        return file, ()
-    if plain and ":" not in reference and not reference.endswith((".urdf", ".xml")):
-        path, package_dir = find_robot(reference)
-        return path, (package_dir,)
-    return resolve_urdf(reference)
 
 
 def _find_packaged(name: str) -> Path | None:

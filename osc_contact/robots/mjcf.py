@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from osc_contact.errors import ModelError, did_you_mean, missing
 from osc_contact.robots.checks import JointLimits, matching_limits
-from osc_contact.robots.model import check_mass_matrix, joint_names, random_configurations
+from osc_contact.robots.model import check_mass_matrix, joint_names
 from osc_contact.spatial import Array
 
 _NONE = 1e30  #: a limit that is none (N m, N, rad/s, m/s)
@@ -18,7 +18,6 @@ _NONE = 1e30  #: a limit that is none (N m, N, rad/s, m/s)
 _FREE = 0
 _BALL = 1
 _SLIDE = 2
-_POSTURES = 6  #: at which placements are compared
 
 
 def is_mjcf(path: Path | str) -> bool:
@@ -273,30 +272,6 @@ def _effort(mj: Any, joint: int) -> float:
             force = min(force, abs(mj.actuator_gainprm[a, 0]) * least(mj.actuator_ctrlrange[a]))
         strong += abs(mj.actuator_gear[a, 0]) * force if force < _NONE else _NONE
     return min(most, strong) if strong > 0.0 else most
-
-
-def placement_difference(mj: Any, model: pin.Model) -> float:
-    """Largest difference of all body placements between Pinocchio and MuJoCo (m or without unit).
-
-    At seeded random postures between the limits.
-    """
-    import mujoco
-
-    data = model.createData()
-    sim = mujoco.MjData(mj)
-    worst = 0.0
-    joints = {joint_name(mj, j): mj.jnt_qposadr[j] for j in range(mj.njnt)}
-    at = [joints[name] for name in joint_names(model)]
-    bodies = [b for b in range(1, mj.nbody) if model.existBodyName(body_name(mj, b))]
-    for q in random_configurations(model, _POSTURES):
-        sim.qpos[at] = q
-        mujoco.mj_kinematics(mj, sim)
-        pin.framesForwardKinematics(model, data, q)
-        for b in bodies:
-            X = data.oMf[model.getFrameId(body_name(mj, b), pin.FrameType.BODY)]
-            theirs = pin.SE3(np.array(sim.xmat[b]).reshape(3, 3), np.array(sim.xpos[b]))
-            worst = max(worst, float(np.abs(X.homogeneous - theirs.homogeneous).max()))
-    return worst
 
 
 # The arm without shapes, for MuJoCo ---------------------------------------------------------------

@@ -1,9 +1,7 @@
 """What a robot is, in numbers and in words: joints, masses, limits, losses, tips, and a verdict."""
 
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +11,21 @@ from pydantic_core import to_jsonable_python
 
 from osc_contact.errors import ModelError
 from osc_contact.robots.checks import Inertias, JointLimits, check_mesh_files
-from osc_contact.robots.loading import compare, load
-from osc_contact.robots.mjcf import compile_mjcf, is_mjcf, load_mjcf, placement_difference
+from osc_contact.robots.loading import load
+from osc_contact.robots.mjcf import is_mjcf, load_mjcf
 from osc_contact.robots.model import (
     SAMPLES,
     ends_of,
     frame_id,
     joint_names,
+    position_limits,
     random_configurations,
     rotors,
     sliding,
 )
-from osc_contact.robots.urdf import Document, ModelFinding
+from osc_contact.robots.urdf import ModelFinding
 from osc_contact.spatial import Array
 
-jsonable = partial(to_jsonable_python, inf_nan_mode="null")
 POSTURES = 200
 NO_LIMIT = 1e30  #: N m, N, rad/s, m/s: as large as none
 _SHOWN_TIPS = 12
@@ -170,7 +168,8 @@ class TipSummary:
 
 @dataclass(frozen=True)
 class RobotSummary:
-    """Name, size and masses (kg) of a robot; `more_tips` counts end bodies left out of `tips`."""
+    """Name, size and masses (kg) of a robot; `losses` of its joints in words; `more_tips` counts
+    end bodies left out of `tips`."""
 
     name: str
     dof: int
@@ -178,71 +177,55 @@ class RobotSummary:
     mass: float
     moving_mass: float
     joints: tuple[JointSummary, ...]
+    losses: str
     tips: tuple[TipSummary, ...]
     more_tips: int
 
-    @property
-    def loss_words(self) -> str:
-        """Friction, damping and armature of the joints in one line."""
-        return loss_words(
-            [
-                asdict(one) | {"joint": one.name, "slides": one.kind == "prismatic"}
-                for one in self.joints
-            ]
-        )
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON-able form; infinite numbers become null."""
-        return jsonable(self)
-
-
-def summarise(model: pin.Model, document: Document, tip: str | None = None) -> RobotSummary:
+def summarise(model: pin.Model, tip: str | None = None) -> RobotSummary:
     """Numbers of a loaded robot; tips are `tip`, or one link at each end of the tree.
 
     Args:
-        model, document: of the robot. tip: name of a frame.
+        model: of the robot. tip: name of a frame.
 
     Raises:
         ModelError: no such frame, or no joint moves it.
     """
-    kinds = {name: joint.kind for name, joint in document.joints.items()}
-    mass = sum(link.inertial.mass for link in document.links.values() if link.inertial)
-    return _summary(model, document.name, kinds, mass, tip)
-
-
-def _summary(
-    model: pin.Model, robot: str, kinds: Mapping[str, str], mass: float, tip: str | None
-) -> RobotSummary:
     data = model.createData()
     pin.crba(model, data, pin.neutral(model))
-    joints = []
-    for j, losses in enumerate(joint_losses(model)):
-        name = losses.pop("joint")
-        kind = "prismatic" if losses.pop("slides") else "revolute"
-        joints.append(
-            JointSummary(
-                name,
-                kinds.get(name, kind),
-                model.lowerPositionLimit[j],
-                model.upperPositionLimit[j],
-                _limit(model.upperEffortLimit[j]),
-                _limit(model.upperVelocityLimit[j]),
-                data.Ycrb[j + 1].mass,
-                **losses,
-            )
-        )
+    losses = joint_losses(model)
+    joints = tuple(_joint(model, data, j, **one) for j, one in enumerate(losses))
     frames = [frame_id(model, name) for name in (ends_of(model) if tip is None else [tip])]
     if tip is not None and model.frames[frames[0]].parentJoint == 0:
-        raise ModelError(f"{robot}: no joint moves the frame {tip!r}")
+        raise ModelError(f"{model.name}: no joint moves the frame {tip!r}")
+    masses = [inertia.mass for inertia in model.inertias]
     return RobotSummary(
-        robot,
+        model.name,
         model.nv,
         sum(frame.type == pin.FrameType.BODY for frame in model.frames),
-        mass,
-        sum(inertia.mass for inertia in list(model.inertias)[1:]),
-        tuple(joints),
+        sum(masses),
+        sum(masses[1:]),
+        joints,
+        loss_words(losses) if losses else "",
         tuple(_tip(model, frame) for frame in frames[:_SHOWN_TIPS]),
         len(frames[_SHOWN_TIPS:]),
+    )
+
+
+def _joint(
+    model: pin.Model, data: pin.Data, j: int, joint: str, slides: bool, **losses: float
+) -> JointSummary:
+    lower, upper = (float(limits[j]) for limits in position_limits(model))
+    turning = "continuous" if lower == -upper == -np.inf else "revolute"
+    return JointSummary(
+        joint,
+        "prismatic" if slides else turning,
+        lower,
+        upper,
+        _limit(model.upperEffortLimit[j]),
+        _limit(model.upperVelocityLimit[j]),
+        data.Ycrb[j + 1].mass,
+        **losses,
     )
 
 
@@ -289,16 +272,12 @@ class RobotReport:
 
     Attributes:
         file: the URDF. findings: what is wrong with it, empty for a sound robot.
-        load_ms: time of the checked load. reader_difference: largest difference of a link
-            placement from the second reader (m or without unit).
         meshes_missing: mesh files that were not found (they are not needed for the dynamics).
         summary: the robot, None if it was refused.
     """
 
     file: Path
     findings: tuple[ModelFinding, ...]
-    load_ms: float = 0.0
-    reader_difference: float = 0.0
     meshes_missing: int = 0
     summary: RobotSummary | None = None
 
@@ -314,13 +293,13 @@ class RobotReport:
             return [*map(str, self.findings), f"{self.file}: refused, {count}"]
         robot = self.summary
         lines = [
-            f"{self.file}: sound, loaded in {self.load_ms:.1f} ms",
+            f"{self.file}: sound",
             f"{robot.dof} joints move, {robot.links} links, {robot.mass:.4g} kg of which "
             f"{robot.moving_mass:.4g} kg move; mass matrix positive definite at {SAMPLES + 1} "
-            f"configurations; a second reader differs by {self.reader_difference:.1g} at most",
+            "configurations",
         ]
         if robot.joints:
-            lines.append(f"joints: {robot.loss_words}")
+            lines.append(f"joints: {robot.losses}")
         if self.meshes_missing:
             lines.append(f"{self.meshes_missing} mesh files were not found (not needed here)")
         if robot.more_tips:
@@ -329,7 +308,8 @@ class RobotReport:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form."""
-        whole = jsonable(self, exclude={"findings": {"__all__": {"file"}}})
+        left_out = {"findings": {"__all__": {"file"}}}
+        whole = to_jsonable_python(self, exclude=left_out, inf_nan_mode="null")
         return whole | {"sound": self.sound, "robot": whole.pop("summary")}
 
 
@@ -341,9 +321,7 @@ def check_robot(
     package_dirs: Sequence[Path | str] = (),
     tip: str | None = None,
 ) -> RobotReport:
-    """Load a URDF with all checks, mesh files and the second reader included, and describe it.
-
-    An MJCF file is compiled by MuJoCo, whose kinematics are the second reader.
+    """Load a URDF or an MJCF file with all checks, mesh files included, and describe the robot.
 
     Args:
         path, limits: as for `load_model`, or `load_mjcf`. inertias, package_dirs: of a URDF.
@@ -354,35 +332,21 @@ def check_robot(
         InvalidInputError: limits for joints that do not exist.
     """
     file = Path(path)
-    if is_mjcf(file):
-        return _check_mjcf(file, limits, tip)
-    start = time.perf_counter()
+    missing: Sequence[ModelFinding] = ()
     try:
-        loaded = load(file, limits=limits, inertias=inertias, package_dirs=package_dirs)
-        load_ms = 1e3 * (time.perf_counter() - start)
-        missing = check_mesh_files(loaded.document, loaded.package_dirs)
-        loaded.document.require()
-        difference = compare(loaded.model, file)
+        if is_mjcf(file):
+            model = load_mjcf(file, tip, limits=limits)
+            model.name = file.stem
+        else:
+            model, document = load(
+                file, limits=limits, inertias=inertias, package_dirs=package_dirs
+            )
+            wrong, missing = check_mesh_files(document, [Path(one) for one in package_dirs])
+            if wrong:
+                return RobotReport(file, tuple(wrong))
     except ModelError as error:
-        if not error.findings or not file.is_file():
+        if isinstance(error.__cause__, ImportError) or not file.is_file():
             raise
-        return RobotReport(file, error.findings)
-    summary = summarise(loaded.model, loaded.document, tip)
-    return RobotReport(file, (), load_ms, difference, len(missing), summary)
-
-
-def _check_mjcf(
-    file: Path, limits: Mapping[str, JointLimits] | None, tip: str | None
-) -> RobotReport:
-    start = time.perf_counter()
-    try:
-        mj = compile_mjcf(file)
-        model = load_mjcf(mj, tip, limits=limits)
-        load_ms = 1e3 * (time.perf_counter() - start)
-        difference = placement_difference(mj, model)
-    except ModelError as error:
-        if isinstance(error.__cause__, ImportError):
-            raise
-        return RobotReport(file, (ModelFinding("mjcf", file, 0, 0, "", str(error), ""),))
-    summary = _summary(model, file.stem, {}, mj.body_subtreemass[0], tip)
-    return RobotReport(file, (), load_ms, difference, 0, summary)
+        whole = ModelFinding("mjcf", file, 0, 0, "", str(error), "")
+        return RobotReport(file, error.findings or (whole,))
+    return RobotReport(file, (), len(missing), summarise(model, tip))

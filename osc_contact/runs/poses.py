@@ -62,15 +62,15 @@ def arm_of(reference: str, tip: str | None = None) -> Arm:
     """An arm by the name of a robot, or from a URDF or an MJCF file.
 
     Args:
-        reference: as `robots.locate` takes it.
+        reference: as `robots.resolve_urdf` takes it.
         tip: a frame; None: the only end of the robot.
 
     Raises:
         ModelError: no such robot or frame; or the robot has several ends and no tip is given.
     """
-    path, folders = robots.locate(reference)
+    path, folders = robots.resolve_urdf(reference)
     name = "".join(c if c.isalnum() else "_" for c in path.stem)
-    model = robots.load_robot(path, tip, package_dirs=folders)
+    model, _ = robots.load_robot(path, tip, package_dirs=folders)
     if tip is None:
         ends = robots.ends_of(model)
         if len(ends) != 1:
@@ -394,13 +394,7 @@ def _unnoisy(direction: Array) -> Array:
 
 def _reference(robot: str) -> str:
     """How a scenario file names the robot."""
-    path, _ = robots.locate(robot)
-    if Path(robot).is_file():
-        return str(path.resolve())
-    try:
-        return path.name if robots.urdf_path(path.name) == path else f"{robots.ROBOT_DATA}:{robot}"
-    except ModelError:
-        return f"{robots.ROBOT_DATA}:{robot}"
+    return str(Path(robot).resolve()) if Path(robot).is_file() else robot
 
 
 def _tangent(model: pin.Model, data: pin.Data, q: Array, tip: int, down: Array) -> Array:

@@ -97,7 +97,7 @@ class ArmSpec(Spec):
     name: Name
     """a name of letters, digits, _ and -, such as left"""
     urdf: Text
-    """a packaged URDF, a path beside the file (URDF or MJCF), or example-robot-data:NAME"""
+    """a packaged URDF, a path beside the file (URDF or MJCF), or a robot of example-robot-data"""
     base: PoseSpec = PoseSpec()
     """of the base in the world"""
     tip: Text
