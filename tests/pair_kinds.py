@@ -118,24 +118,29 @@ def in_plane(normal):
     return np.linalg.svd(normal[None, :])[2][1:]
 
 
+def ball_on_plane(rng, make, rho):
+    """make: centre, point and normal of the plane → pair."""
+    centre, point = rng.standard_normal((2, 3))
+    n = direction(rng)
+    plane = in_plane(n)
+    pair = make(centre, point, n)
+    return pair, lambda q: placed(pin.exp3(q[:3]), centre, point + q[3:] @ plane + rho * n), 1
+
+
 @kind
 def vertex_on_face(rng, c):
-    vertex, point = rng.standard_normal((2, 3))
-    n = direction(rng)
-    rho = 0.2
-    plane = in_plane(n)
-    pair = osc.VertexOnFace(c.A(vertex), c.E(point), c.along_E(n), rho * c.per_metre)
-    return pair, lambda q: placed(pin.exp3(q[:3]), vertex, point + q[3:] @ plane + rho * n), 1
+    def make(vertex, point, n):
+        return osc.VertexOnFace(c.A(vertex), c.E(point), c.along_E(n), 0.2 * c.per_metre)
+
+    return ball_on_plane(rng, make, 0.2)
 
 
 @kind
 def sphere_on_plane(rng, c):
-    centre, point = rng.standard_normal((2, 3))
-    n = direction(rng)
-    rho = 0.3
-    plane = in_plane(n)
-    pair = osc.SphereOnPlane(c.A(centre), rho * c.per_metre, c.E(point), c.along_E(n))
-    return pair, lambda q: placed(pin.exp3(q[:3]), centre, point + q[3:] @ plane + rho * n), 1
+    def make(centre, point, n):
+        return osc.SphereOnPlane(c.A(centre), 0.3 * c.per_metre, c.E(point), c.along_E(n))
+
+    return ball_on_plane(rng, make, 0.3)
 
 
 @kind
@@ -237,31 +242,33 @@ def cone_in_groove(rng, c):
     return pair, lambda q: placed(about(seat, q[0]) @ R0, apex, point + q[1] * groove), 4
 
 
-@kind
-def revolute(rng, c):
+def joint(rng, c, make, turns=0.0, slides=0.0):
+    """On an axis of the object; how far it turns and slides for q = 1."""
     point = rng.standard_normal(3)
     e = direction(rng)
     X = pose_of(rng)
-    pair = osc.Revolute(c.A(point), e, c.pose(X))
-    return pair, lambda q: X * placed(about(e, q[0]), point, point), 5
+    along = slides if np.isscalar(slides) else rng.normal()
+
+    def pose(q):
+        return X * placed(about(e, turns * q[0]), point, point + along * q[0] * e)
+
+    given = (along * c.per_metre,) if turns and along else ()
+    return make(c.A(point), e, *given, c.pose(X)), pose, 5
+
+
+@kind
+def revolute(rng, c):
+    return joint(rng, c, osc.Revolute, turns=1.0)
 
 
 @kind
 def prismatic(rng, c):
-    point = rng.standard_normal(3)
-    e = direction(rng)
-    X = pose_of(rng)
-    return osc.Prismatic(c.A(point), e, c.pose(X)), lambda q: X * shift(q[0] * e), 5
+    return joint(rng, c, osc.Prismatic, slides=1.0)
 
 
 @kind
 def screw(rng, c):
-    point = rng.standard_normal(3)
-    e = direction(rng)
-    X = pose_of(rng)
-    pitch = rng.normal()
-    pair = osc.Screw(c.A(point), e, pitch * c.per_metre, c.pose(X))
-    return pair, lambda q: X * placed(about(e, q[0]), point, point + pitch * q[0] * e), 5
+    return joint(rng, c, osc.Screw, turns=1.0, slides=None)
 
 
 @kind

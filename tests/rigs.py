@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, velocity
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
@@ -189,20 +188,6 @@ def random_faces(X_WO, r, rng, reach_m=0.3):
 
 def contact_of(pairs, state):
     return osc.Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in pairs])
-
-
-def friction_wrenches(friction, pairs, X_WO, V_O, touched):
-    """N_μ − N (6, r): μ [s; p × s], s = v_t / √(v_t² + v_0²) at each point of contact p."""
-    columns = [np.zeros((6, 0))]
-    for i, pair in enumerate(pairs):
-        face = () if touched is None else (pin.SE3(np.array(touched.X_WE[i])), touched.V_E[i])
-        points = pair.points_of_contact(X_WO, *face[:1]) - X_WO.translation[:, None]
-        normals = pair.contact(X_WO, V_O, *face).N[:3]
-        v = velocity(Bodies.at_O(X_WO, V_O, *face).V_rel, points)
-        v = v - normals * (normals * v).sum(axis=0)
-        slides = v / np.sqrt((v * v).sum(axis=0) + friction.slip**2)
-        columns.append(friction.mu * lines_of_force(points, slides))
-    return np.hstack(columns)
 
 
 def in_contact(chain, rng, r=2):

@@ -200,29 +200,6 @@ def in_millimetres(case):
     return chain, np.concatenate(q), stretched(case.X_WO)
 
 
-def test_units_do_not_matter():
-    """Metres or millimetres: the same Φ₀, motion, contact force and unactuated motions."""
-    rng = default_rng(6)
-    k = np.array([1e3] * 3 + [1.0] * 3)
-    for _ in range(20):
-        case = draw(rng)
-        whole, state, contact, _ = moving(case, touching(case, rng), rng)
-        chain, q, X_WO = in_millimetres(case)
-        scale = q / np.where(case.q == 0.0, 1.0, case.q)
-        mm = chain.state(q, scale * whole.v, X_WO, k * whole.V)
-        assert (mm.d, mm.unactuated.shape) == (state.d, state.unactuated.shape)
-        per_wrench = np.array([1e-3] * 3 + [1e-6] * 3)
-        assert miss(mm.Phi / np.outer(k, per_wrench), state.Phi, least=1e-9) < RTOL
-        N_mm = np.vstack((contact.N[:3], 1e3 * contact.N[3:]))
-        n_mm = 1e3 * contact.n_gamma
-        tau = rng.standard_normal(chain.n_a) * 20.0
-        tau_mm = np.where(scale[chain.actuated] == 1.0, 1e6, 1e3) * tau
-        got = osc.contact_response(mm, osc.Contact(N_mm, n_mm), tau=tau_mm)
-        want = osc.contact_response(state, contact, tau=tau)
-        assert miss(got.acceleration / k, want.acceleration) < RTOL
-        assert miss(got.alpha / 1e3, want.alpha) < RTOL
-
-
 def test_a_rod_between_two_balls_spins_about_their_line():
     """No motor drives it, no joint measures it: both are said."""
     case = random_case(["ur5", "ur5"], ["ball", "ball"], default_rng(7))
