@@ -1,6 +1,6 @@
 """The package's errors as tests expect them: `with invalid_input("words of its sentence"):`."""
 
-from pytest import raises
+from pytest import mark, raises
 
 import osc_contact as osc
 
@@ -21,3 +21,14 @@ plant_error = expecting(osc.PlantError)
 recording_error = expecting(osc.RecordingError)
 scenario_error = expecting(osc.ScenarioError)
 viewer_error = expecting(osc.ViewerError)
+
+
+def refusals(expected, rows):
+    """A test that the call of each row, (call, words), is refused with these words."""
+
+    @mark.parametrize("call, words", rows)
+    def test(call, words):
+        with expected(words):
+            call()
+
+    return test

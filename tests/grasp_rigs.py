@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 from grasp_oracle import PITCH, System, across
+from rigs import unit
 
 import osc_contact as osc
 from osc_contact import robots
@@ -61,34 +62,43 @@ def posture(kind, rng, bend):
     return q
 
 
+def motions_of(kind, axis):
+    """(6, k) what a grasp permits at the tip."""
+    turn = np.append(np.zeros(3), unit(axis))
+    slide = np.append(unit(axis), np.zeros(3))
+    columns = {
+        "rigid": [],
+        "hinge": [turn],
+        "ball": np.eye(6)[3:],
+        "slide": [slide],
+        "cylinder": [turn, slide],
+        "screw": [turn + PITCH * slide],
+        "plane": [turn, *np.pad(across(unit(axis)), ((0, 0), (0, 3)))],
+    }
+    return np.reshape(columns[kind], (-1, 6)).T
+
+
 def grasp_of(kind, X_TO, axis):
-    a = axis / np.linalg.norm(axis)
-    turn = np.concatenate((np.zeros(3), a))
-    slide = np.concatenate((a, np.zeros(3)))
-    return {
-        "rigid": lambda: X_TO,
-        "hinge": lambda: osc.Grasp.hinge(X_TO, axis),
-        "ball": lambda: osc.Grasp.ball(X_TO),
-        "slide": lambda: osc.Grasp(X_TO, slide[:, None]),
-        "cylinder": lambda: osc.Grasp(X_TO, np.column_stack((turn, slide))),
-        "screw": lambda: osc.Grasp(X_TO, (turn + PITCH * slide)[:, None]),
-        "plane": lambda: osc.Grasp(
-            X_TO, np.column_stack((turn, *np.pad(across(a), ((0, 0), (0, 3)))))
-        ),
-    }[kind]()
+    if kind == "rigid":
+        return X_TO
+    if kind == "hinge":
+        return osc.Grasp.hinge(X_TO, axis)
+    return osc.Grasp.ball(X_TO) if kind == "ball" else osc.Grasp(X_TO, motions_of(kind, axis))
 
 
 def slip_of(kind, axis, rng):
     """A random motion that the grasp permits, far from zero."""
-    a = axis / np.linalg.norm(axis)
-    turn = rng.uniform(-2, 2) * a
-    slide = rng.uniform(-0.05, 0.05) * a
-    R = {"hinge": pin.exp3(turn), "cylinder": pin.exp3(turn), "ball": pin.exp3(rng.normal(size=3))}
-    p = slide if kind in ("slide", "cylinder") else np.zeros(3)
-    if kind in ("screw", "plane"):
-        p = PITCH * turn if kind == "screw" else np.cross(a, np.array([0.05, -0.1, 0.02]))
-        return pin.SE3(R["hinge"], p)
-    return pin.SE3(R.get(kind, np.eye(3)), p)
+    turn = rng.uniform(-2, 2)
+    slide = rng.uniform(-0.05, 0.05)
+    turns = rng.normal(size=3)
+    sizes = {
+        "ball": turns,
+        "slide": [slide],
+        "cylinder": [turn, slide],
+        "plane": [turn, *turns[:2]],
+    }
+    T = motions_of(kind, axis)
+    return pin.exp6(pin.Motion(T @ sizes.get(kind, [turn] * T.shape[1])))
 
 
 @dataclass
@@ -146,7 +156,7 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         base = X_WT * data.oMf[made.model.getFrameId(tip)].inverse()
         parts.append(replace(made, base=base))
         held.append(grasp_of(kind, X_TO, axis))
-        known.append((kind, X_TO, axis / np.linalg.norm(axis)))
+        known.append((kind, X_TO, unit(axis)))
         positions.append(q)
     payload = None if body is None else osc.RigidObject(body)
     chain = osc.ClosedChain(parts, held, payload, angle_tolerance=angle, allow_unactuated=True)

@@ -5,29 +5,12 @@ yaw; what N must span then follows from where its touching points are, without a
 """
 
 import sys
+from itertools import product
 
 import coal
 import numpy as np
 import pinocchio as pin
-from complaints import contact_error
-from detection_bodies import (
-    AROUND,
-    AXIS,
-    BALL,
-    BOX,
-    CAN,
-    CORNERS,
-    DEPTHS,
-    PILL,
-    SIZE,
-    TABLE,
-    UP,
-    assert_only,
-    assert_same_range,
-    moved,
-    only,
-    standing,
-)
+from complaints import contact_error, invalid_input, model_error
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -38,7 +21,79 @@ from samples import module_fixture, parametrize
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.detection import CollisionShape, collision_shapes, detect
-from osc_contact.contacts.detection.features import Nearest
+from osc_contact.contacts.detection.features import Nearest, nearest
+
+SIZE = np.array([0.10, 0.08, 0.06])
+BOX = [CollisionShape("box", coal.Box(*SIZE))]
+TABLE = [CollisionShape("table", coal.Box(1.0, 0.8, 0.1), shift([0, 0, -0.05]))]
+"""Its top is z = 0."""
+CORNERS = np.array(list(product((-0.5, 0.5), repeat=3))) * SIZE
+DEPTHS = (0.0, 5e-4, -5e-4)
+"""Just touching, overlapping, a little apart (m); taken in turn."""
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def moved(X, points):
+    return np.asarray(points) @ X.rotation.T + X.translation
+
+
+def standing(rotation, points, rng, lift=0.0):
+    """A pose with this tilt (and random yaw) whose lowest of `points` is at z = lift."""
+    R = pin.rpy.rpyToMatrix(0, 0, rng.uniform(-np.pi, np.pi)) @ rotation
+    x, y = rng.uniform(-0.2, 0.2, 2)
+    return pin.SE3(R, np.array([x, y, lift - (points @ R.T)[:, 2].min()]))
+
+
+def pushes(points, directions, X_WO):
+    """(6, k) wrenches at O of unit forces along `directions` at world `points`."""
+    arms = np.asarray(points) - X_WO.translation
+    directions = np.broadcast_to(directions, arms.shape)
+    return np.hstack((directions, np.cross(arms, directions))).T
+
+
+def assert_same_range(N, expected, tolerance=1e-9):
+    """Equal spans, whatever the bases (moments in units of 0.1 m)."""
+    scale = np.array([1, 1, 1, 10, 10, 10.0])[:, None]
+    bases = [np.linalg.svd(scale * M, full_matrices=False) for M in (N, expected)]
+    first, second = (svd.U[:, svd.S / svd.S[0] > 1e-6] for svd in bases)
+    assert first.shape[1] == N.shape[1] == second.shape[1]
+    assert_allclose(first @ first.T, second @ second.T, atol=tolerance)
+
+
+def assert_kept_by_its_pair(found, X_WO, X_WE, expected, gap=0.0):
+    """`.pair()`: N spans what it should, the gaps vanish and n_γ follows from its N alone."""
+    pair = found.pair()
+    contact = pair.contact(X_WO, np.zeros(6), X_WE, np.zeros(6))
+    assert contact.r == found.r
+    assert_same_range(contact.N, expected)
+    assert_allclose(contact.n_gamma, 0.0, atol=1e-12)
+    gaps = pair.gaps(X_WO, X_WE)
+    assert gaps.shape == (found.r,)
+    assert_allclose(gaps, gap, atol=1e-9)
+    assert (contact.N[:3].T @ found.normal < 0.0).all()  # into the environment
+
+
+def only(found):
+    assert len(found) == 1, [(d.name, d.kind, d.distance) for d in found]
+    return found[0]
+
+
+def assert_only(found, kind, points, normal, X_WO, X_WE=None, gap=0.0):
+    """One contact of this kind, whose normal is given, held by pushes in these points."""
+    found = only(found)
+    assert found.kind == kind
+    assert_allclose(found.normal, normal, atol=1e-9)
+    push = pushes(points, -np.asarray(normal), X_WO)
+    assert_kept_by_its_pair(found, X_WO, pin.SE3.Identity() if X_WE is None else X_WE, push, gap)
+    return found
+
+
+BALL = [CollisionShape("ball", coal.Sphere(0.03), shift([0.01, 0.02, 0.0]))]
+CAN = [CollisionShape("can", coal.Cylinder(0.03, 0.12))]
+PILL = [CollisionShape("pill", coal.Capsule(0.03, 0.12))]
+AXIS = np.array([[0, 0, -0.06], [0, 0, 0.06]])
+AROUND = np.array([0, 0, 0, 0, 0, 0.7])
+"""A turn of the can about its own axis."""
 
 SEEDS = parametrize("seed", range(4))
 
@@ -417,3 +472,109 @@ def test_a_rim_on_an_edge_has_no_pair():
     assert_allclose(found.normal, UP, atol=5e-3)  # the solver's
     with contact_error(r"rim of a cylinder.*GapFunctions"):
         found.pair()
+
+
+# Collision shapes from URDF files, and what detection refuses -------------------------------------
+
+
+def test_shapes_of_a_urdf_have_the_names_and_places_of_the_file():
+    shapes = {s.name: s for s in collision_shapes(robots.urdf_path("rod.urdf"))}
+    assert list(shapes) == ["shaft", "left_end", "right_end"]
+    assert_allclose(shapes["left_end"].placement.translation, [-0.29, 0, 0])
+    assert shapes["right_end"].shape.radius == 0.01
+    assert shapes["shaft"].shape.halfLength == 0.29
+    assert_allclose(shapes["shaft"].solid.axis, [1, 0, 0], atol=1e-9)
+
+
+def urdf(tmp_path, collision, joint=""):
+    link = f'<link name="a">{collision}</link>'
+    tail = '<link name="b"/>' + joint if joint else ""
+    path = tmp_path / "body.urdf"
+    path.write_text(f'<robot name="body">{link}{tail}</robot>')
+    return path
+
+
+BLOCK = '<collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision>'
+MESH = '<collision><geometry><mesh filename="{}" scale="2 2 2"/></geometry></collision>'
+
+
+def stl(path, corners, faces):
+    lines = ["solid s"]
+    for face in faces:
+        lines += ["facet normal 0 0 0", "outer loop"]
+        lines += [f"vertex {x} {y} {z}" for x, y, z in corners[list(map(int, face))]]
+        lines += ["endloop", "endfacet"]
+    path.write_text("\n".join([*lines, "endsolid s"]))
+
+
+CUBE_FACES = ["013", "032", "467", "475", "045", "051", "237", "276", "026", "064", "157", "173"]
+
+
+def test_a_convex_mesh_touches_like_the_box_it_is(tmp_path):
+    stl(tmp_path / "box.stl", CORNERS / 2, CUBE_FACES)  # the URDF doubles it
+    mesh = collision_shapes(urdf(tmp_path, MESH.format("box.stl")))
+    assert mesh[0].name == "a_0"
+    assert mesh[0].solid.corners.shape == (8, 3)
+    for roll, pitch, r in ((0, 0, 3), (0.4, 0, 2), (0.4, 0.6, 1)):
+        X = standing(pin.rpy.rpyToMatrix(roll, pitch, 0), CORNERS, default_rng(r))
+        as_mesh = only(detect(mesh, X, TABLE))
+        as_box = only(detect(BOX, X, TABLE))
+        assert as_mesh.r == as_box.r == r
+        assert as_mesh.kind == as_box.kind
+        for point in as_box.points:
+            assert norm(as_mesh.points - point, axis=1).min() < 1e-7  # STL: float32
+
+
+@parametrize("faces", [["021", "013", "032", "123"], ["012", "013", "023", "132"]])
+def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path, faces):
+    """A tetrahedron on its face: outward normals are outward whatever the order of corners."""
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
+    stl(tmp_path / "wedge.stl", corners / 2, faces)
+    mesh = collision_shapes(urdf(tmp_path, MESH.format("wedge.stl")))
+    found = only(detect(mesh, pin.SE3.Identity(), TABLE))
+    assert (found.kind, found.r) == ("face on face", 3)
+    assert found.distance == approx(0.0, abs=1e-9)
+    assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
+    assert detect(mesh, shift([0, 0, 0.01]), TABLE) == []
+
+
+def test_a_distance_that_is_no_number_counts_as_touching(monkeypatch):
+    """The shapes have the last word, see `separation`."""
+    monkeypatch.setattr(coal, "distance", lambda *_: np.finfo(float).max)
+    X = shift([0, 0, 0.03])
+    assert nearest(BOX[0].shape, X, TABLE[0].shape, X).distance == 0.0
+    assert only(detect(BOX, X, TABLE)).kind == "face on face"
+
+
+SWING = '<joint name="swing" type="continuous"><parent link="a"/><child link="b"/></joint>'
+DENTED = [*(f for f in CUBE_FACES if f not in ("467", "475")), "468", "678", "758", "548"]
+
+
+@parametrize(
+    "collision, joint, message",
+    [
+        ("", "", "no link has a <collision>"),
+        (BLOCK, SWING, "swing"),
+        (MESH.format("absent.stl"), "", "absent.stl"),
+        (MESH.format("dent.stl"), "", "not convex"),
+    ],
+)
+def test_files_that_are_no_body_are_refused(tmp_path, collision, joint, message):
+    stl(tmp_path / "dent.stl", np.vstack((CORNERS, [[0.01, 0.0, 0.0]])), DENTED)
+    with model_error(message):
+        collision_shapes(urdf(tmp_path, collision, joint))
+    with model_error(r"nowhere\.urdf"):
+        collision_shapes("nowhere.urdf")
+
+
+def test_bad_input_is_refused_at_the_door():
+    X = pin.SE3.Identity()
+    for options in ({"margin": 0.0}, {"margin": np.nan}, {"angle": 0.0}, {"angle": 0.5}):
+        with invalid_input(next(iter(options))):
+            detect(BOX, X, TABLE, **options)
+    with invalid_input("Ellipsoid"):
+        CollisionShape("egg", coal.Ellipsoid(1, 2, 3))
+    puffed = coal.Box(1, 1, 1)
+    puffed.setSweptSphereRadius(0.01)
+    with invalid_input("swept"):
+        CollisionShape("puffed", puffed)

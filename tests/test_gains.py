@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from complaints import scenario_error
+from complaints import invalid_input, refusals, scenario_error
 from kkt_oracle import held
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -16,7 +16,6 @@ from rigs import (
     placed,
     random_faces,
     random_state,
-    refused,
     rig_of,
     ticked,
     unloaded,
@@ -53,8 +52,8 @@ def test_gains_in_words_and_the_numbers_they_stand_for():
     assert motion.replaced(integral_time=None).stiffness == motion.stiffness
 
 
-@parametrize(
-    ("made", "words"),
+test_gains_of_both_kinds_and_impossible_ones_are_refused = refusals(
+    invalid_input,
     [
         (lambda: osc.ForceGains(integral=30, bandwidth=5), "bandwidth beside integral"),
         (lambda: osc.ForceGains(damping=3, damping_ratio=1), "damping_ratio beside damping"),
@@ -65,9 +64,6 @@ def test_gains_in_words_and_the_numbers_they_stand_for():
         (lambda: osc.MotionGains(frequency=5, integral_time=0.01), "raise integral_time"),
     ],
 )
-def test_gains_of_both_kinds_and_impossible_ones_are_refused(made, words):
-    with refused(words):
-        made()
 
 
 def test_scenarios_take_both_kinds_and_name_the_others():
@@ -113,48 +109,6 @@ def test_the_brake_decelerates_the_contact_whatever_the_mass():
             found.append(held(holding, q, v).answer(tau).a_object)
         N = contact_of(pairs, state).N
         assert_allclose(N.T @ np.subtract(*found), -kappa * N.T @ state.V_O, rtol=1e-8, atol=1e-9)
-
-
-class Mixed:
-    """Two vertices as one pair, its N in another basis."""
-
-    name = "mixed"
-
-    def __init__(self, pairs, R):
-        self.pairs = pairs
-        self.R = R
-
-    def contact(self, X_WO, V_O, X_WE=None, V_E=None):
-        both = osc.Contact.stack([pair.contact(X_WO, V_O) for pair in self.pairs])
-        return osc.Contact(both.N @ self.R, self.R.T @ both.n_gamma)
-
-    def gaps(self, X_WO, X_WE=None):
-        return np.concatenate([pair.gaps(X_WO) for pair in self.pairs])
-
-
-def test_the_basis_of_N_does_not_matter():
-    chain = one_panda()
-    rng = default_rng(8)
-    q, _ = random_state(chain, rng)
-    X = chain.state(q, np.zeros(7)).X_WO
-    for R in (np.diag([1e-3, 50.0]), np.array([[1.0, 0.4], [-0.6, 1.2]])):
-        pairs = random_faces(X, 2, default_rng(8))
-        one, other = (
-            osc.Controller(chain, given, posture=q, reading="filter")
-            for given in (pairs, [Mixed(pairs, R)])
-        )
-        for k in range(60):
-            alpha = np.array([10.0, 7.0]) + (k >= 20) * np.array([5.0, -2.0])
-            measurement = osc.Measurement(
-                q + 1e-4 * rng.standard_normal(7),
-                0.01 * rng.standard_normal(7),
-                rng.standard_normal((1, 6)),
-            )
-            plain = osc.Reference(X, alpha_d=alpha, squeeze_d=0.0)
-            mixed = replace(plain, alpha_d=np.linalg.solve(R, alpha))
-            want = ticked(one, measurement, plain)
-            got = other.tick(measurement, mixed)
-            assert_allclose(got, want, rtol=0, atol=1e-8 * largest(want))
 
 
 def test_other_gains_continue_while_a_step_is_made():

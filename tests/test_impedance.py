@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from complaints import invalid_input, refusals
 from numpy.linalg import solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import fixture
-from rigs import largest, refused, rig_of, ticked
+from rigs import largest, rig_of, ticked
 from samples import parametrize
 
 import osc_contact as osc
@@ -100,8 +101,8 @@ def test_admittance_moves_the_set_point_by_the_force(rig):
     assert largest(c) > 1e-7
 
 
-@parametrize(
-    ("make", "words"),
+test_numbers_out_of_bounds_are_refused = refusals(
+    invalid_input,
     [
         (lambda: osc.impedance((1.0, -1.0)), "stiffness = .*give numbers ≥ 0"),
         (lambda: osc.impedance(np.ones(3)), r"stiffness: expected shape \(6\)"),
@@ -111,6 +112,3 @@ def test_admittance_moves_the_set_point_by_the_force(rig):
         (lambda: osc.admittance(frequency=0.0), "frequency = "),
     ],
 )
-def test_numbers_out_of_bounds_are_refused(make, words):
-    with refused(words):
-        make()

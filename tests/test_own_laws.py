@@ -194,10 +194,6 @@ def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(rig, kind, movin
         for pairs in (rig.pairs, made, [made[0], rig.pairs[1]]):
             controller = osc.Controller(rig.model, pairs, rig.gains, dt=2e-3, friction=friction)
             torques.append(ticked(controller, measurement, reference))
-        s = controller.signals
-        assert s.friction_wrenches.any() == (friction is not None)
+        assert controller.signals.friction_wrenches.any() == (friction is not None)
         off = [largest(other - torques[0]) for other in torques[1:]]
-        if kind is Lifted and friction is not None:
-            assert off[0] > 1e-3
-        else:
-            assert max(off) < 1e-10
+        assert off[0] > 1e-3 if kind is Lifted and friction is not None else max(off) < 1e-10

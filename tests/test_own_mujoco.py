@@ -151,16 +151,6 @@ def test_scene_is_robot_and_judge(actuators):
     assert robot.data.body("ball").xpos[0] == approx(-2.0, abs=1e-3)
 
 
-def test_wrench_is_what_the_hand_weighs():
-    robot = robot_of(scene(wall=2.0), locked={"grip": 0.0})
-    robot.reset(START)
-    model = robot.chain.arms[0].model
-    robot.hold(pin.computeGeneralizedGravity(model, model.createData(), np.array(START)))
-    site = robot.data.site("wrist").xmat.reshape(3, 3)
-    f = site @ robot.measure().wrenches[0][:3]  # the parent pushes the hand up
-    assert f == approx([0, 0, 9.81 * 0.32], abs=1e-3)
-
-
 def test_only_the_tool_touches():
     robot = robot_of(scene(wall=0.25))  # the elbow is through it
     robot.reset([0.6, 0.5, 0.0])

@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pinocchio as pin
-from complaints import contact_error
+from complaints import contact_error, invalid_input, refusals
 from numpy.linalg import det, norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -215,17 +215,14 @@ def test_impossible_geometry_is_refused(name):
                 replace(pair, **{field.name: one})
 
 
-@parametrize(
-    ("make", "message"),
+test_sides_and_steps_out_of_bounds_are_refused = refusals(
+    invalid_input,
     [
         (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, side=0.5), r"side = 0.5; give \+1 or −1"),
         (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, side=O3), "side is zero"),
         (lambda: osc.GapFunctions(lambda X: X.translation, step=1.0), "gap_functions.step = 1.0"),
     ],
 )
-def test_sides_and_steps_out_of_bounds_are_refused(make, message):
-    with refused(message):
-        make()
 
 
 @parametrize("name", ALL)

@@ -8,7 +8,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, raises
-from rigs import refused, rig_of
+from rigs import refused, rig_of, shift
 from samples import parametrize
 
 from osc_contact.contacts import raibert_craig
@@ -77,17 +77,6 @@ def assert_describes(found, N, size=SIZE):
     assert largest_sine(space_of(found), N, size) < 1e-9
 
 
-# What a frame selects -----------------------------------------------------------------------------
-
-
-def test_columns_of_a_selection():
-    """Frame turned by 90° about z (its x is the world's y), origin at (1, 2, 3) m."""
-    frame = pin.SE3(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([1.0, 2, 3]))
-    N = selection_columns(frame, (True, False, True), [False, True, False])
-    expected = [[0, 1, 0, -3, 0, 1], [0, 0, 1, 2, -1, 0], [0, 0, 0, -1, 0, 0]]
-    assert_allclose(N.T, expected, atol=1e-15)
-
-
 # Found --------------------------------------------------------------------------------------------
 
 
@@ -97,14 +86,17 @@ def test_every_frame_and_selection_is_recognised_in_any_basis(monkeypatch):
     kinds = set()
     for _ in range(300):
         forces, couples = selection(rng)
-        N = selection_columns(frame_at(rng), forces, couples)
+        frame = frame_at(rng)
+        axes = frame.rotation.T
+        lines = [line(axis, frame.translation) for axis in axes[forces]]
+        N = selection_columns(frame, forces, couples)
+        assert_allclose(N.T, [*lines, *map(couple, axes[couples])] or N.T, atol=1e-15)
         N = N @ rng.standard_normal((N.shape[1],) * 2)
         found = as_raibert_craig(N, SIZE)
         assert_describes(found, N)
         assert kind(found.forces, found.couples) == kind(forces, couples)
         kinds.add(kind(forces, couples))
     assert len(kinds) == 20  # all there are
-    assert {f + c for f, c, _ in kinds} == set(range(7))
 
 
 LEAN = np.array([0.6, 0.0, 0.8])
@@ -233,23 +225,6 @@ def test_a_nearly_parallel_pair_says_what_it_nearly_is():
 # The residual -------------------------------------------------------------------------------------
 
 
-@parametrize("refinements", [0, 12])
-@parametrize("noise", [1e-3, 1e-6])
-def test_the_residual_grows_no_faster_than_the_noise(noise, refinements, monkeypatch):
-    """Neither does that of the frames as constructed."""
-    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", refinements)
-    rng = default_rng(3)
-    scale = np.array([1.0] * 3 + [SIZE] * 3)[:, None]
-    for _ in range(300):
-        N = selection_columns(frame_at(rng), *selection(rng, range(1, 6))) / scale
-        N /= norm(N, axis=0)
-        error = rng.standard_normal(N.shape)
-        N += noise * error / norm(error, axis=0)
-        found = as_raibert_craig(N * scale, SIZE)
-        assert 0.0 < found.residual <= 50.0 * noise
-        assert bool(found) == (found.residual <= 1e-9)
-
-
 def columns(rng, r):
     return np.concatenate((rng.standard_normal((3, r)), SIZE * rng.standard_normal((3, r))))
 
@@ -274,34 +249,30 @@ def test_neighbouring_frames_come_hardly_closer(r):
 
 def test_nothing_depends_on_operational_point_axes_units_or_basis():
     rng = default_rng(6)
+    millimetres = np.repeat([[1.0], [1e3]], 3, axis=0)
     for i in range(60):
         r = 1 + i % 5
         N = columns(rng, r)
         if i % 2:
             N = selection_columns(frame_at(rng), *selection(rng, range(r, r + 1)))
-        centre, shift = SIZE * rng.standard_normal((2, 3))
+        centre, away = SIZE * rng.standard_normal((2, 3))
         found = as_raibert_craig(N, SIZE, centre=centre)
-
         R = frame_at(rng).rotation
-        turned = np.concatenate((R @ N[:3], R @ N[3:]))
-        back = {
-            "origin": (seen_from(N, shift), centre - shift, pin.SE3(np.eye(3), shift)),
-            "axes": (turned, R @ centre, pin.SE3(R.T, np.zeros(3))),
-            "basis": (N @ rng.standard_normal((r, r)), centre, pin.SE3.Identity()),
-        }
-        for other, at, X in back.values():
-            other = as_raibert_craig(other, SIZE, centre=at)
+        turned = np.kron(np.eye(2), R) @ N
+        same = pin.SE3.Identity()
+        for other, at, X, unit in (
+            (seen_from(N, away), centre - away, shift(away), 1.0),
+            (turned, R @ centre, pin.SE3(R.T, np.zeros(3)), 1.0),
+            (N @ rng.standard_normal((r, r)), centre, same, 1.0),
+            (N * millimetres, 1e3 * centre, same, 1e3),
+        ):
+            other = as_raibert_craig(other, unit * SIZE, centre=at)
             assert other.residual == approx(found.residual, rel=1e-6, abs=1e-9)
-            assert other.reason == found.reason
+            assert other.reason == found.reason or unit > 1.0  # which names lengths
             assert kind(other.forces, other.couples) == kind(found.forces, found.couples)
+            other.frame.translation /= unit
             S = selection_columns(X * other.frame, other.forces, other.couples)
             assert largest_sine(S, space_of(found)) < 1e-4
-
-        millimetres = as_raibert_craig(
-            N * ([[1.0]] * 3 + [[1e3]] * 3), 1e3 * SIZE, centre=1e3 * centre
-        )
-        assert millimetres.residual == approx(found.residual, rel=1e-6, abs=1e-9)
-        assert millimetres.forces == found.forces and millimetres.couples == found.couples
 
 
 # Refusals -----------------------------------------------------------------------------------------

@@ -24,27 +24,28 @@ from osc_contact.spatial import (
 SEEDS = range(4)
 
 
-@parametrize("columns", [0, 1, 5])
+@parametrize("columns", [0, 5])
 def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
     """The input is left alone."""
     V, U, F = given = default_rng(columns).standard_normal((3, 6, columns))
     kept = given.copy()
     start, end = default_rng(9).standard_normal((2, 3))
     X = shift(start - end)
-    for made, want, of in (
-        (lambda v, u: cross(v[:3], u[:3]), lambda v, u: pin.skew(v[:3]) @ u[:3], (V, U)),
-        (lambda v: carry_twist(v, start, end), lambda v: X.act(pin.Motion(v)).vector, (V,)),
-        (lambda f: carry_wrench(f, start, end), lambda f: X.act(pin.Force(f)).vector, (F,)),
-    ):
-        got = made(*of)
-        assert got.shape[1] == columns
-        for k, each in enumerate(zip(*(one.T for one in of), strict=True)):
-            assert_allclose(got[:, k], want(*each), atol=1e-14)
-            assert_allclose(made(*each), want(*each), atol=1e-14)
-    for v, u, f in zip(V.T, U.T, F.T, strict=True):
-        assert_array_equal(skew(v[:3]), pin.skew(v[:3]))
-        assert_allclose(cross_twist(v, u), pin.Motion(v).cross(pin.Motion(u)).vector, atol=1e-14)
-        assert_allclose(cross_wrench(v, f), pin.Motion(v).cross(pin.Force(f)).vector, atol=1e-14)
+    products = cross(V[:3], U[:3])
+    motions = carry_twist(V, start, end)
+    forces = carry_wrench(F, start, end)
+    assert [found.shape[1] for found in (products, motions, forces)] == 3 * [columns]
+    for k, (v, u, f) in enumerate(zip(V.T, U.T, F.T, strict=True)):
+        twist = pin.Motion(v)
+        for got, want in (
+            (products[:, k], pin.skew(v[:3]) @ u[:3]),
+            (motions[:, k], X.act(twist).vector),
+            (forces[:, k], X.act(pin.Force(f)).vector),
+            (skew(v[:3]), pin.skew(v[:3])),
+            (cross_twist(v, u), twist.cross(pin.Motion(u)).vector),
+            (cross_wrench(v, f), twist.cross(pin.Force(f)).vector),
+        ):
+            assert_allclose(got, want, atol=1e-14)
     assert_array_equal(given, kept)
 
 
