@@ -5,7 +5,6 @@ import re
 import runpy
 import shlex
 import shutil
-from functools import cache
 from itertools import pairwise
 from textwrap import indent
 
@@ -108,14 +107,6 @@ def test_yaml_is_a_piece_of_a_scenario(page, code, shown):
             value = [*value, *(c for c in scenario[key] if c["name"] not in shown_names)]
         scenario[key] = value
     osc.Scenario.model_validate(scenario)
-
-
-@parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_and_pictures_exist(page):
-    for target in re.findall(r"\]\(([^)\s]+)\)", text_of(page)):
-        if not target.startswith("https://"):
-            file = page.parent / target.partition("#")[0]
-            assert file.is_file(), f"{page.name} points at {target}, which is not there"
 
 
 def program(name):
@@ -306,44 +297,15 @@ def rows_of(text):
     return rows
 
 
-def names_in(tree):
-    """Functions, classes and module variables, and "Class.name" of methods and attributes."""
-    found = set()
-    for node in tree.body:
-        found.update(_defined(node))
-        if isinstance(node, ast.ClassDef):
-            own = {name for item in node.body for name in _defined(item)}
-            own.update(re.findall(r"\bself\.(\w+)(?:: [^=\n]+)? = ", ast.unparse(node)))
-            found.update(f"{node.name}.{name}" for name in own)
-    return found
-
-
-def _defined(node):
-    if isinstance(node, ast.FunctionDef | ast.ClassDef):
-        return [node.name]
-    targets = getattr(node, "targets", [getattr(node, "target", None)])
-    return [target.id for target in targets if isinstance(target, ast.Name)]
-
-
-def yaml_names(data, prefix=""):
-    """Dotted keys; list items go by their `name`."""
-    pairs = data.items() if isinstance(data, dict) else []
-    if isinstance(data, list):
-        pairs = [(item["name"], item) for item in data if isinstance(item, dict) and "name" in item]
-    found = set()
-    for key, value in pairs:
-        found |= {f"{prefix}{key}"} | yaml_names(value, f"{prefix}{key}.")
-    return found
-
-
-@cache
-def names_of(path):
+def defines(path, name):
+    """Whether a file defines a name: of Python at its top or in a class, of a robot or a list."""
     text = path.read_text()
-    if path.suffix == ".py":
-        return names_in(ast.parse(text))
-    if path.suffix == ".urdf":
-        return set(re.findall(r'<(?:link|joint) name="(.*?)"', text))
-    return yaml_names(yaml.safe_load(text))
+    owner, _, last = name.rpartition(".")
+    if path.suffix != ".py":
+        return re.search(rf'(<(link|joint) name="|name: ){last}\b', text)
+    own = text.partition(f"\nclass {owner}")[2].partition("\n\n\n")[0] if owner else text
+    before = r"    +(def |self\.)?" if owner else r"(def |class )?"
+    return re.search(rf"^{before}{last}(\(|:| =)", own, re.MULTILINE)
 
 
 def complaint(reference, *, test):
@@ -356,7 +318,7 @@ def complaint(reference, *, test):
         return f"{reference} is no test"
     if not test and file.startswith("tests/"):
         return f"{reference} lives in the tests"
-    if not name or name not in names_of(path):
+    if not name or not defines(path, name):
         return f"{file} defines no {name!r}"
     return None
 
@@ -498,22 +460,9 @@ def test_what_is_left_out_is_found():
 
 
 def test_options_of_commands_have_their_help():
-    names = ("console.py", "cli.py", "cli_robots.py", "cli_sweeps.py")
-    trees = [ast.parse((PACKAGE / name).read_text()) for name in names]
-    aliases = {
-        target.id: ast.unparse(one.value)
-        for tree in trees
-        for one in tree.body
-        if isinstance(one, ast.Assign)
-        for target in one.targets
-        if isinstance(target, ast.Name)
-    }
-    for name, tree in zip(names, trees, strict=True):
-        for function in filter(is_command, public_functions(tree)):
-            for one in arguments(function):
-                kind = ast.unparse(one.annotation)
-                described = "help=" in aliases.get(kind, kind) or kind == "typer.Context"
-                assert described, f"{name} {function.name}: {one.arg}"
+    group = typer.main.get_command(app)
+    for command in (group, *group.commands.values()):
+        assert all(option.help for option in command.params), command.name
 
 
 # The newcomer's page: its commands run one after the other in a folder, and say what it says.

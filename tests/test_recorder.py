@@ -7,17 +7,14 @@ import random
 import shutil
 import signal
 import subprocess
-import sys
 import zipfile
-from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 from command_line import done, refused
 from complaints import invalid_input, recording_error
 from numpy.testing import assert_array_equal
-from processes import COMMAND, alive, wait_until
-from pytest import mark, raises
+from processes import COMMAND, wait_until
+from pytest import raises
 from samples import parametrize
 from scenario_runs import run_of
 
@@ -72,18 +69,14 @@ def assert_same(one, other):
         assert_array_equal(one[name], values)
 
 
-def test_round_trip(tmp_path):
-    recording = record()
+@parametrize("ticks", [5, 0])
+def test_round_trip(ticks, tmp_path):
+    recording = record(ticks) if ticks else Recording(META, {})
     path = recording.save(tmp_path / "new" / "run.npz")
     loaded = Recording.load(path)
-    assert recording.meta == json.loads(json.dumps(META)) and "q" in loaded
+    assert recording.meta == json.loads(json.dumps(META)) and len(loaded) == ticks
     assert_same(loaded, recording)
     assert os.listdir(path.parent) == ["run.npz"]
-
-
-def test_an_empty_recording_survives(tmp_path):
-    empty = Recording(META, {})
-    assert len(Recording.load(empty.save(tmp_path / "empty.npz"))) == 0
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path):
@@ -134,27 +127,27 @@ def test_missing_files_are_refused(tmp_path):
             Recording.load(path)
 
 
-def test_damaged_files_never_give_other_data(tmp_path):
+@parametrize("in_memory", [0, 1000])
+def test_damaged_files_never_give_other_data(in_memory, tmp_path, monkeypatch):
+    monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", in_memory)
     recording = record()
     path = tmp_path / "run.npz"
     whole = recording.save(path).read_bytes()
-    rng = np.random.default_rng(1)
-    for size in range(0, len(whole), 37):
-        path.write_bytes(whole[:size])
-        with raises(RecordingError):
-            Recording.load(path)
+    rng = random.Random(1)
+    damaged = [whole[:size] for size in range(0, len(whole), 37)]
+    for at in rng.choices(range(len(whole)), k=400):
+        flipped = whole[at] ^ 1 << rng.randrange(8)
+        damaged.append(whole[:at] + bytes([flipped]) + whole[at + 1 :])
     refused = 0
-    for _ in range(400):
-        damaged = bytearray(whole)
-        damaged[rng.integers(len(whole))] ^= 1 << int(rng.integers(8))
-        path.write_bytes(damaged)
+    for content in damaged:
+        path.write_bytes(content)
         try:
             loaded = Recording.load(path)
         except RecordingError:
             refused += 1
-            continue
-        assert_same(loaded, recording)
-    assert refused > 250
+        else:
+            assert_same(loaded, recording)
+    assert refused > 250 + len(whole) // 37
 
 
 def test_the_same_content_makes_the_same_bytes_with_times_apart(tmp_path):
@@ -216,16 +209,6 @@ def test_large_recordings_stay_in_their_file(tmp_path, monkeypatch):
     assert_array_equal(thin["q"], loaded["q"][::3])
     again = loaded.save(tmp_path / "again.npz").read_bytes()
     assert again == whole.save(tmp_path / "third.npz").read_bytes()
-
-
-def test_a_large_file_with_a_flipped_bit_is_refused(tmp_path, monkeypatch):
-    path = record(10000).save(tmp_path / "run.npz")
-    monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", 1000)
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 4
-    path.write_bytes(content)
-    with recording_error("checksum of"):
-        Recording.load(path)
 
 
 def test_an_archive_that_unpacks_to_gigabytes_is_refused_at_once(tmp_path):
@@ -375,32 +358,18 @@ def test_a_second_run_in_a_folder_is_refused_and_the_first_keeps_its_rows(tmp_pa
         assert rows.exists()
 
 
-def rows_of(first, count):
-    rows = np.zeros(count, [("x", "<f8", (2,))])
-    rows["x"] = np.arange(first, first + count)[:, None]
-    return rows
-
-
 def test_rows_of_chunks_that_come_again_are_read_once(tmp_path):
     path = tmp_path / "unfinished.mcap"
-    file = JournalFile(path, {"name": "x"})
+    journal = JournalFile(path, {"name": "x"})
     for first, count in ((0, 5), (0, 5), (5, 3), (3, 7), (10, 1), (10, 1)):
-        file.append(first, rows_of(first, count))
-    file.close()
-    journal = Journal(path)
-    firsts, pieces = zip(*journal.rows(), strict=True)
-    assert_array_equal(np.concatenate(pieces)["x"][:, 0], np.arange(11))
-    assert firsts == (0, 5, 8, 10)
-    assert journal.missing == [
+        journal.append(first, rows(first, count))
+    journal.close()
+    firsts, count, missing = read(path)
+    assert (firsts, count) == ([0, 5, 8, 10], 11)
+    assert missing == [
         f"ticks {part} come again, and are left out there"
         for part in ("0 to 4", "3 to 7", "10 to 10")
     ]
-    whole = JournalFile(tmp_path / "whole.mcap", {})
-    for first in (0, 5):
-        whole.append(first, rows_of(first, 5))
-    whole.close()
-    reader = Journal(tmp_path / "whole.mcap")
-    assert [first for first, _ in reader.rows()] == [0, 5] and not reader.missing
 
 
 def study_of(samples=4):
@@ -488,48 +457,6 @@ def test_metrics_of_a_recording_without_meta_name_what_is_missing():
     ):
         with recording_error(words):
             osc.metrics(Recording(meta, channels))
-
-
-SWEEP = """
-import sys
-import osc_contact as osc
-
-if __name__ == "__main__":
-    osc.sweep("two_contact_rod", ["seed=integers(0, 9)"], 5000, workers=2, out=sys.argv[1],
-              overrides=["duration=1.2"])
-"""
-
-
-def children_of(number):
-    """Processes below another one."""
-    found = []
-    with suppress(FileNotFoundError):
-        for task in Path(f"/proc/{number}/task").iterdir():
-            own = [int(word) for word in (task / "children").read_text().split()]
-            found += own + [below for one in own for below in children_of(one)]
-    return found
-
-
-@mark.skipif(not Path("/proc/self/task").exists(), reason="children are found in /proc")
-def test_workers_end_with_a_sweep_that_is_killed(tmp_path):
-    (tmp_path / "sweep.py").write_text(SWEEP)
-    command = [sys.executable, tmp_path / "sweep.py", tmp_path / "out"]
-    package = {"PYTHONPATH": str(Path(osc.__file__).parents[1])}
-    process = subprocess.Popen(command, env=os.environ | package)
-    rows = tmp_path / "out" / "rows.jsonl"
-    workers = []
-    try:
-        wait_until(lambda: rows.exists() and rows.read_bytes().count(b"\n") > 2, process=process)
-        workers = children_of(process.pid)
-        assert len(workers) >= 2
-        process.kill()
-        process.wait()
-        wait_until(lambda: not any(map(alive, workers)), 2.0)  # none outlives its sweep
-    finally:
-        process.kill()
-        process.wait()
-        for worker in filter(alive, workers):
-            os.kill(worker, signal.SIGKILL)
 
 
 def test_recordings_hold_no_folder_and_are_shown_with_the_scenarios(tmp_path, monkeypatch):
