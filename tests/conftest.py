@@ -1,7 +1,9 @@
 """For all tests: less for the garbage collector to look at, and runs that draw no figures."""
 
 import gc
+import signal
 
+from processes import SIGNALS
 from pytest import fixture
 
 
@@ -14,3 +16,14 @@ def pytest_collection_finish():
 def no_figures(monkeypatch):
     """`osc-contact run` without its figures, half of the time: tests/test_cli.py has them drawn."""
     monkeypatch.setattr("osc_contact.visual.plots.save", lambda *_: ())
+
+
+@fixture
+def usual_handlers():
+    """Signals count, though a shell that runs the tests in the background ignores some."""
+    before = list(map(signal.getsignal, SIGNALS))
+    for number in SIGNALS:
+        usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+        signal.signal(number, usual)
+    yield
+    list(map(signal.signal, SIGNALS, before))

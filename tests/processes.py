@@ -1,11 +1,13 @@
 """Processes that tests start: what they print, waiting for what they do, whether they ended."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]  #: that end programs
 COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
 
 

@@ -10,6 +10,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import typer
 from command_line import answered, call, done, read_json, refused
+from numpy.testing import assert_allclose
 from PIL import Image
 from processes import python
 from pytest import approx, mark
@@ -144,8 +145,8 @@ def test_reproduce_all_from_a_short_run(tmp_path):
     assert names <= stems
     for stem in stems:
         for suffix in PRINT:
-            assert (tmp_path / f"{stem}{suffix}").read_bytes().startswith(STARTS[suffix])
-        assert (tmp_path / f"{stem}.png").stat().st_size > 20000
+            content = (tmp_path / f"{stem}{suffix}").read_bytes()
+            assert content.startswith(STARTS[suffix]) and len(content) > 5000
     for name in found["studies"]:
         assert (tmp_path / f"{name}.json").exists()
     assert read_json(tmp_path / "two_contact_rod" / "metrics.json")["ticks"] == 1050
@@ -153,12 +154,8 @@ def test_reproduce_all_from_a_short_run(tmp_path):
     assert "contradicted" not in verdicts.values()
     assert all(verdicts[name] == "reproduced" for name in ("fig1", "fig2", "fig4", "fig6", "fig8"))
     assert verdicts["fig5"] == "partly reproduced", "no force steps in this run"
-    report = (tmp_path / "report.html").read_text()
-    missing = 8 - len(verdicts)
-    assert report.count("nothing here makes this figure yet.</div>") == missing
-    for name in names:
-        command = f"osc-contact reproduce {name} --plant rigid --duration 1.05 --set"
-        assert command in report
+    command = "osc-contact reproduce fig8 --plant rigid --duration 1.05 --set"
+    assert command in (tmp_path / "report.html").read_text()
 
 
 def test_bad_scenario_is_reported_with_its_line(tmp_path):
@@ -203,7 +200,7 @@ def test_folder_that_cannot_be_written_is_refused_before_the_run(tmp_path):
     assert "exists" in message and "file" in message
 
 
-def test_failed_run_exits_with_1_and_keeps_what_was_recorded(tmp_path, monkeypatch):
+def test_failed_run_exits_with_1_and_keeps_what_was_recorded(ran, tmp_path, monkeypatch):
     command = RigidPlant.command
 
     def fragile(plant, tau, duration):
@@ -212,11 +209,15 @@ def test_failed_run_exits_with_1_and_keeps_what_was_recorded(tmp_path, monkeypat
         command(plant, tau, duration)
 
     monkeypatch.setattr(RigidPlant, "command", fragile)
-    result = call(f"run {SHORT} --out", tmp_path)
+    result = call(f"run {SHORT} --seed 7 --out", tmp_path)
     assert result.exit_code == 1 and "diverged at t = 0.02 s" in result.stderr
     assert str(tmp_path / PARTIAL) in result.stderr and "Traceback" not in result.output
     assert len(list(tmp_path.iterdir())) == 2, "and its times"
-    assert 20 <= len(Recording.load(tmp_path / PARTIAL)) <= 21
+    part = Recording.load(tmp_path / PARTIAL)
+    whole = Recording.load(ran[0] / "recording.npz")
+    assert len(part) == 21 and part.channels.keys() == whole.channels.keys()
+    for name in set(whole.channels) - {"tick_s"}:
+        assert_allclose(part[name], whole[name][:21], atol=1e-13, err_msg=name)
 
 
 @parametrize(

@@ -484,12 +484,9 @@ def run_line(line):
 
 
 def edit(patch, file):
-    """Do what a patch of the page says: each line with a minus becomes the next one with a plus."""
-    lines = patch.splitlines()
-    old = [line[1:] for line in lines if line.startswith("-")]
-    new = [line[1:] for line in lines if line.startswith("+")]
+    """Do what a patch of the page says: a line with a minus becomes that with a plus below it."""
     text = file.read_text()
-    for before, after in zip(old, new, strict=True):
+    for before, after in re.findall(r"^-(.*)\n\+(.*)$", patch, re.MULTILINE):
         assert text.count(before) == 1, f"{before!r} is not in the file"
         text = text.replace(before, after)
     file.write_text(text)

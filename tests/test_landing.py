@@ -1,9 +1,5 @@
 """First contacts: the peak that is expected beside the one that MuJoCo shows."""
 
-import re
-from pathlib import Path
-
-import mujoco
 import numpy as np
 from pytest import approx
 from rigs import rig_of
@@ -11,7 +7,6 @@ from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.runs.rig import landings
-from paper.study import ticks
 
 PUSH = 10.0  # N, of either end of the rod
 
@@ -56,46 +51,3 @@ def test_contacts_that_exist_already_are_not_announced():
     (edge,) = landings(rig)
     assert not edge.free and edge.peak > 3.0 * edge.command
     assert not [finding for finding in osc.preflight(rig) if "lands at" in finding.text]
-
-
-# From further away than a contact is usually begun: docs/own_loop.md's arm ------------------------
-
-PAGE = (Path(__file__).parents[1] / "docs" / "own_loop.md").read_text(encoding="utf-8")
-MJCF = re.search(r'MJCF = """\n(.*?)"""', PAGE, re.DOTALL)
-LOW = np.array([-0.39, 0.9, 0.6])
-
-
-def guarded_approach(height, seconds):
-    """The arm begins `height` (m) above its table; the force at the end (N), and its highest."""
-    assert MJCF is not None
-    model = mujoco.MjModel.from_xml_string(MJCF[1])
-    table = osc.VertexOnFace([0, 0, 0], point=[0.5, 0, 0.2], normal=[0, 0, 1], radius=0.01)
-    how = {"tip": "tip", "wrist_sensor": "sensor", "contacts": [table]}
-    robot = osc.MujocoRobot.from_model(model, **how)
-    chain = robot.chain
-    home = LOW.copy()
-    for _ in range(50):  # the shoulder alone lifts the tip
-        gap = table.gap(chain.state(home, np.zeros(3)).X_WO)
-        home[0] -= (height - gap) / 0.75
-    controller = osc.Controller(chain, [table], posture=home, life=osc.PhaseSettings())
-    robot.reset(home)
-    start = chain.state(home, np.zeros(3)).X_WO
-    aim = osc.pose_reference(start.translation, start.rotation, alpha_d=[8.0])
-    forces = [
-        truth.alpha[0] for *_, truth in ticks(robot, controller, [aim] * round(1e3 * seconds))
-    ]
-    return controller, forces[-1], max(forces)
-
-
-@parametrize("height", [0.006, 0.020, 0.033])
-def test_an_approach_lands_from_any_height_within_its_travel(height):
-    controller, force, highest = guarded_approach(height, 1.5 + height / 0.01)
-    assert controller.state is osc.SafetyState.RUN, controller.reason
-    assert force == approx(8.0, rel=0.02)
-    assert highest < 16.0
-
-
-def test_an_approach_that_has_used_up_its_travel_stands_still():
-    controller, force, _ = guarded_approach(0.070, 8.0)
-    assert controller.state is osc.SafetyState.RUN, controller.reason
-    assert force == 0.0 and controller.phases().tolist() == [1]

@@ -18,7 +18,6 @@ from samples import ROOT, module_fixture
 from scene_samples import read_commands
 
 import osc_contact as osc
-from osc_contact import robots
 from osc_contact.recorder import Recording
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import write_scene_of
@@ -243,22 +242,14 @@ def cell():
     return fig3.run(1.45, changes=SOON)
 
 
-def by_urdf(cell, arm, frame):
-    """Placement of a frame by its own reading of the arm's URDF."""
-    spec = next(spec for spec in cell.rig.scenario.arms if spec.name == arm)
-    model = pin.buildModelFromUrdf(str(robots.resolve_urdf(spec.urdf, None)[0]))
-    data = model.createData()
-    q = np.split(np.asarray(cell.sample["q"]), 2)[arm == "right"]
-    pin.framesForwardKinematics(model, data, q)
-    return pin.SE3(np.eye(3), np.array(spec.base.xyz)) * data.oMf[model.getFrameId(frame)]
-
-
 def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
     corners = cell.camera.corners
     low = corners.min(axis=0)[:2]
     high = corners.max(axis=0)[:2]
     seen = [X.translation for X in cell.faces]
-    seen += [by_urdf(cell, arm, "wrist_sensor").translation for arm in ("left", "right")]
+    q = np.asarray(cell.sample["q"], dtype=float)
+    pin.framesForwardKinematics(cell.rig.chain.model, cell.rig.chain.data, q)
+    seen += [X.translation for X in cell.rig.chain.tip_poses()]
     rod = pin.XYZQUATToSE3(np.asarray(cell.sample["pose"], dtype=float))
     seen += [rod.act(np.array([x, 0.0, 0.0])) for x in (-0.3, 0.3)]
     for point in seen:

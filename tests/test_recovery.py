@@ -13,8 +13,8 @@ from time import sleep
 from complaints import recording_error
 from mcap.reader import make_reader
 from numpy.testing import assert_array_equal
-from processes import COMMAND
-from pytest import approx, fixture, mark, raises
+from processes import COMMAND, python
+from pytest import approx, mark, raises
 from samples import first, module_fixture, parametrize
 from scenario_runs import run_of
 
@@ -23,6 +23,7 @@ from osc_contact.runs import recorder as rows_of_runs
 
 RUN = [sys.executable, str(Path(__file__).with_name("recorded_run.py"))]
 TIMES = {"tick_s"}
+pytestmark = mark.usefixtures("usual_handlers")
 
 
 def started(command, **more):
@@ -31,17 +32,11 @@ def started(command, **more):
     )
 
 
-@fixture(autouse=True)
-def interruptible():
-    """Ctrl-C counts, though a shell that runs the tests in the background ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def same(found, whole):
+    """All channels of the ticks of both."""
+    cut = min(len(found), len(whole))
     for name in set(whole.channels) - TIMES:
-        assert_array_equal(found[name], whole[name][: len(found)], err_msg=name)
+        assert_array_equal(found[name][:cut], whole[name][:cut], err_msg=name)
 
 
 @module_fixture
@@ -57,10 +52,8 @@ def test_a_killed_run_is_recovered_but_for_its_last_moments(seconds, tmp_path, w
         process.kill()
         told = [0.1, *map(float, process.stdout.read().split())][-1]
     found = osc.recover(tmp_path / "unfinished.mcap")
-    cut = min(len(found), len(whole))
-    assert cut > 100
-    for name in set(whole.channels) - TIMES:
-        assert_array_equal(found[name][:cut], whole[name][:cut], err_msg=name)
+    assert len(found) > 100
+    same(found, whole)
     # 80 ms on the clock, and what this machine simulates in that time
     assert len(found) > 1000 * told - 3000
     short, count = found.meta["missing"]
@@ -83,8 +76,7 @@ def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
     assert not (tmp_path / "unfinished.mcap").exists()
     found = osc.Recording.load(tmp_path / "recording.npz")
     assert found.meta["ended_s"] == approx(len(found) * 1e-3)
-    cut = min(len(found), len(whole))
-    assert_array_equal(found["tau"][:cut], whole["tau"][:cut])
+    same(found, whole)
     judged = len(found) > 1000
     assert (tmp_path / "metrics.json").exists() == (tmp_path / "scene.html").exists() == judged
 
@@ -127,13 +119,8 @@ def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
         (tmp_path / kind).mkdir()
         setting = {"PYTHONHASHSEED": seed, "OPENBLAS_NUM_THREADS": threads}
         setting |= {"NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
-        done = subprocess.run(
-            [*RUN, tmp_path / kind, "0.7"],
-            env={**os.environ, **setting},
-            check=True,
-            stdout=subprocess.PIPE,
-        )
-        assert done.stdout.split()[-1] == b"700"
+        done = python(*RUN[1:], tmp_path / kind, "0.7", **setting)
+        assert done.stdout.split()[-1] == "700"
         files.append((tmp_path / kind / "recording.npz").read_bytes())
     assert files[0] == files[1]
 
@@ -170,8 +157,7 @@ def test_memory_does_not_grow_with_the_run():
         "osc.metrics(osc.run(scenario, duration=80.0))\n"
         "print(before, peak() - before)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.PIPE)
-    whole, more = map(float, done.stdout.split())
+    whole, more = map(float, python("-c", code).stdout.split())
     assert more < 40.0, f"{more:.0f} MB beside {whole:.0f} MB"  # 75 MB of rows and channels
 
 

@@ -149,13 +149,6 @@ def test_a_value_given_twice_is_held_and_parts_the_curve():
     assert_allclose(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
 
 
-def test_two_points_are_minimum_jerk():
-    t = np.linspace(0.0, 1.0, 101)
-    ours = Points(points=((0.3, 0.0), (0.7, 2.0))).at(t)
-    theirs = MinimumJerk(value=2.0, start=0.3, duration=0.4).at(t)
-    assert_allclose(ours, theirs, atol=1e-10)
-
-
 @parametrize(
     "kind, text, si, bad",
     [
