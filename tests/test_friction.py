@@ -103,3 +103,15 @@ def test_friction_on_contacts_without_known_points_is_refused():
 def test_impossible_friction_is_refused(bad):
     with refused("mu"):
         Friction(*bad)
+
+
+@parametrize("mu", [0.0, 0.2, 0.3])
+def test_a_first_contact_shows_its_friction(mu):
+    """Friction of the wiper moves its forces from corner to corner while they rise."""
+    wrist = "{rate: 1 kHz, delay: 3 ms, force: {noise: 0.5 N}, torque: {noise: 0.02 Nm}}"
+    changes = [f"plant.friction={mu}", "control.friction={mu: 0}"]
+    changes += ["control.force.reading=least_squares", f"sensors.wrist={wrist}"]
+    recording = osc.run(osc.load_scenario("ur5_wipe", changes), duration=1.2)
+    steps = osc.metrics(recording)["steps"]
+    assert max(step["overshoot_rel"] for step in steps) < 0.12
+    assert recording["closed"][recording["t"] > 0.02].all()

@@ -287,6 +287,7 @@ _ALONG = 0.3  #: coefficient of friction along the slip, beyond what is assumed
 _ACROSS = 0.1  #: and across it; the tangent of an error of the normal
 _DEPARTURE = 0.1  #: σ_a (m/s²)
 _LEAST_FORCE = 1.0  #: least w_j (N)
+_FIRST = 0.005  #: T_1 (s), of sliding that the coefficient assumed at first is worth
 _MOST_FRICTION = 2.0  #: coefficient that is learned at most
 _NOISE = 0.01  #: of a wrist's force (N), in the metric of the object's inertia
 
@@ -364,7 +365,10 @@ def learn_friction(t):
     """Take the coefficient of friction after the tangential forces found along the slip.
 
     dμ/dt = k Σw_j s_jᵀβ_j / Σw_j², β_j = C_jT_jᵀR⁻¹(f − N_μα): where contacts slide, to one that
-    explains them best; where they rest, s_j = 0, nothing is learned. The factor of R and the
+    explains them best; where they rest, s_j = 0, nothing is learned. At first μ is the mean of all
+    readings, k = 1/(T_1 + T) > `learning`, T = ∫Σw_jα_j|s_j|²/Σw_j² dt the time of sliding under
+    the desired forces: the first contact is made with friction that it shows itself. Not where
+    normals are estimated, too: a tilted face shows the same at first. The factor of R and the
     residual are those that `weigh_magnitudes` left.
     """
     model = t.model
@@ -374,15 +378,25 @@ def learn_friction(t):
         return
     y = work.reading_e
     cholesky_solve(work.A, 6, y, 0)
-    found = whole = 0.0
+    dependent = work.rank < work.count
+    found = slid = whole = uncertain = 0.0
     for j in range(work.count):
         chosen = columns[j].chosen
-        s = columns[chosen].slip
+        column = columns[chosen]
+        s = column.slip
         w = max(abs(work.goal[chosen]), _LEAST_FORCE)
-        share = (_ALONG**2 - _ACROSS**2) * dot3(s, s) + _ACROSS**2
+        along = dot3(s, s)
+        share = (_ALONG**2 - _ACROSS**2) * along + _ACROSS**2
         found += w * w * w * share * dot6(_push_on(t, linear(s), chosen), y)
+        pressed = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
+        slid += w * pressed * along
         whole += w * w
-    more = work.more_friction + model.learning * work.dt * found / whole
+        uncertain += column.prior[0] + column.prior[4] + column.prior[8]
+    k = model.learning
+    if not uncertain > 0.0 and not dependent:
+        k = max(k, 1.0 / (_FIRST + work.slid))
+        work.slid += work.dt * slid / whole
+    more = work.more_friction + min(k * work.dt, 1.0) * found / whole
     work.more_friction = min(max(more, -model.mu), _MOST_FRICTION - model.mu)
 
 

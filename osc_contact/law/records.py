@@ -271,6 +271,7 @@ _MEMORY = _record(
     ),
     number=(
         "more_friction",  # learned, beyond what is assumed
+        "slid",  # s for which it was learned from contacts that slid with their desired forces
         "powered",
         "ending",  # see `safety`: s of too much power, s near the end of a joint
         "still",
@@ -409,7 +410,16 @@ _WORK = _record(
         "moving",
         "weightless",
     ),
-    number=("amount", "dt", "mu", "more_friction", "step_left", "step_time", "integral_scale"),
+    number=(
+        "amount",
+        "dt",
+        "mu",
+        "more_friction",
+        "slid",
+        "step_left",
+        "step_time",
+        "integral_scale",
+    ),
     # what recordings keep, side by side
     f_meas=6,
     bias_out=6,

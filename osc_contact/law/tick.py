@@ -239,6 +239,7 @@ def measure(t):
     work = t.work
     work.mu = max(model.mu + t.memory.more_friction, 0.0)
     work.more_friction = t.memory.more_friction
+    work.slid = t.memory.slid
     if work.count > 0:
         take_turns(t)
         if not place_contacts(t):
@@ -450,6 +451,7 @@ def remember(t):
     memory.fresh = 1
     memory.located = 1
     memory.more_friction = work.more_friction
+    memory.slid = work.slid
     copy_pose(work.X_WO, memory.X_WO)
     if work.status != SATURATED:
         for a in range(work.rank):
