@@ -90,7 +90,7 @@ peers: .venv-peers/.installed
 	@test -x .venv-peers/bin/pip || $(PYTHON) -m venv .venv-peers
 	@echo "installing into .venv-peers"
 	@set -o pipefail; .venv-peers/bin/pip install -q -c constraints-peers.txt \
-		-e '.[law,scenarios,sim]' torch newton mjlab pytest pytest-timeout 2>&1 \
+		-e '.[law,scenarios,sim]' torch newton mjlab robosuite pytest pytest-timeout 2>&1 \
 		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
 	@touch $@
 

@@ -4,8 +4,8 @@
 
 A Panda presses its finger on a wall and moves along it, in MuJoCo at 1 kHz: the cases of
 `hybrid_cases` with friction, steps at rest, and a wall that is touched with the arm nearly
-stretched. Newton's law is that of its package; Isaac Lab's and CRISP's are rebuilt from their
-sources. Every law but ours has the simulator's model (pose, J, M, gravity) of arm and finger, as
+stretched. Newton's and robosuite's laws are those of their packages; Isaac Lab's and CRISP's are
+rebuilt from their sources. Every law but ours has the simulator's model (pose, J, M, gravity) of arm and finger, as
 Isaac Lab's does, and the true contact force. Laws that feed forces back do it with Isaac Lab's gain
 of 0.1; the gains of the motion are those of the case, except CRISP's: its defaults in N/m.
 """
@@ -13,6 +13,7 @@ of 0.1; the gains of the motion are those of the case, except CRISP's: its defau
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -182,6 +183,58 @@ def isaac_lab(start: Sight, case: Case, thresholds: tuple[float, float] | None) 
     return law
 
 
+def robosuite(start: Sight, case: Case) -> Law:
+    """robosuite's `OperationalSpaceController`, the real `run_controller`.
+
+    It has no force command: the goal lies as deep in the wall as presses with the force at the
+    start.
+    """
+    from types import SimpleNamespace
+
+    from robosuite.controllers.parts.arm.osc import OperationalSpaceController
+
+    class Fed(OperationalSpaceController):  # type: ignore[misc]
+        """Takes its states from us, not from a simulation of robosuite's."""
+
+        def __init__(self) -> None:
+            self.kp = np.full(6, case.stiffness)
+            self.kd = np.full(6, case.damping)
+            self.interpolator_pos = self.interpolator_ori = None
+            self.input_ref_frame = "world"
+            self.uncoupling = True
+            self.initial_joint = start.q
+            self.naming_prefix = self.part_name = ""
+            still = SimpleNamespace(
+                get_site_xvelp=lambda _: np.zeros(3), get_site_xvelr=lambda _: np.zeros(3)
+            )
+            self.sim = SimpleNamespace(data=still)
+
+        def update(self, force: bool = False) -> None:
+            """Done by the law below."""
+
+        @property
+        def torque_compensation(self) -> Array:
+            """Gravity and velocity terms."""
+            return self.bias
+
+    controller = Fed()
+    Phi = start.J[:3] @ np.linalg.solve(start.M, start.J[:3].T)
+    depth = 1.0 / (case.stiffness * start.axis @ np.linalg.solve(Phi, start.axis))  # m/N
+
+    def law(s: Sight) -> Array:
+        controller.goal_pos = s.goal.translation + depth * s.force_goal * s.axis
+        controller.goal_ori = s.goal.rotation
+        controller.ref_pos, controller.ref_ori_mat = s.X.translation, s.X.rotation
+        controller.ref_pos_vel, controller.ref_ori_vel = s.V[:3], s.V[3:]
+        controller.joint_pos, controller.joint_vel = s.q, s.v
+        controller.J_full, controller.J_pos, controller.J_ori = s.J, s.J[:3], s.J[3:]
+        controller.mass_matrix = s.M
+        controller.bias = s.gravity + s.coriolis
+        return np.array(controller.run_controller())
+
+    return law
+
+
 def crisp(start: Sight, case: Case) -> Law:
     """crisp_controllers' Cartesian impedance with a `target_wrench`, in open loop; rebuilt.
 
@@ -215,6 +268,7 @@ LAWS: dict[str, Makes | None] = {
     "Newton 1.8": lambda s, c: newton(s, c, projection=False),
     "Newton 1.8, projected": lambda s, c: newton(s, c, projection=True),
     "Isaac Lab 3, rebuilt": lambda s, c: isaac_lab(s, c, DAMPED),
+    "robosuite 1.5": robosuite,
     "CRISP, rebuilt": crisp,
 }
 UNDAMPED = "Isaac Lab 2, rebuilt"  #: without damping near singular postures
@@ -230,7 +284,7 @@ class Done(NamedTuple):
         wanted: ticks of the whole run. force, force_goal: (k,) N.
         off: (k, 6) from the object to its goal in the axes of the wall, the third one into it (m,
             rad).
-        tau: (k, 7) N m. speed: (k, 7) rad/s.
+        tau: (k, 7) N m. speed: (k, 7) rad/s. tick: (k,) µs of the law itself.
     """
 
     wanted: int
@@ -239,6 +293,7 @@ class Done(NamedTuple):
     off: Array
     tau: Array
     speed: Array
+    tick: Array
 
     def rms(self) -> tuple[float, ...]:
         """Of forces (N), along the wall (mm), of turns (mrad); NaN where the run ended early."""
@@ -267,9 +322,11 @@ def follow(scenario: osc.Scenario, case: Case, makes: Makes | None) -> Done:
     for reference in rig.references.each(count, period):
         measured = plant.measure()
         sight = Sight(plant, held, axis, reference)
+        begin = perf_counter()
         tau = controller.tick(measured, reference) if law is None else law(sight)
+        took = 1e6 * (perf_counter() - begin)
         off = (sight.error.reshape(2, 3) @ turn).ravel()
-        rows.append((sight.force, sight.force_goal, off, tau, sight.v))
+        rows.append((sight.force, sight.force_goal, off, tau, sight.v, took))
         if not np.isfinite(tau).all():
             break
         try:
@@ -311,7 +368,7 @@ def steps() -> osc.Scenario:
 
 
 def of_steps(names: list[str]) -> list[str]:
-    """A row for each law: what a step of one does to the other."""
+    """A row for each law: what a step of one does to the other, and its tick."""
     rows = []
     at = round(1e3 * STEP_S)
     for name in names:
@@ -319,7 +376,8 @@ def of_steps(names: list[str]) -> list[str]:
         moved = done.off[at : 2 * at, :2] - done.off[at - 1, :2]
         pressed = np.abs(done.force - done.force_goal)[2 * at :]
         moved_um = 1e6 * np.linalg.norm(moved, axis=1).max()
-        rows.append(f"{name}; {moved_um:.0f}; {pressed.max():.2f}")
+        tick = "; ".join(f"{time:.0f}" for time in np.percentile(done.tick[10:], (50, 99)))
+        rows.append(f"{name}; {moved_um:.0f}; {pressed.max():.2f}; {tick}")
     return rows
 
 
@@ -354,8 +412,8 @@ def main(only: str = "") -> None:
     for friction in (0.0, FRICTION):
         title = f"Isaac Lab's hybrid tests rebuilt, friction {friction:g}: force and motion errors"
         show(table_of(title, head, of_the_tests(names, friction)))
-    head = "law; 5 N step moves it by (µm); 5 mm step: force error (N)"
-    show(table_of("cross-coupling at rest", head, of_steps(names)))
+    head = "law; 5 N step moves it by (µm); 5 mm step: force error (N); tick p50 (µs); p99 (µs)"
+    show(table_of("cross-coupling at rest, and the law's own time", head, of_steps(names)))
     head = "way (s); law; force rms (N); along (mm); turn (mrad); torque (%); speed (%)"
     title = f"to {_FAR.point[1]:g} m aside, where the arm is nearly stretched, and back"
     show(table_of(title, head, of_the_stretched_arm(names)))
