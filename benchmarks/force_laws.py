@@ -5,9 +5,10 @@
 A Panda presses its finger on a wall and moves along it, in MuJoCo at 1 kHz: the cases of
 `hybrid_cases` with friction, steps at rest, and a wall that is touched with the arm nearly
 stretched. Newton's and robosuite's laws are those of their packages; Isaac Lab's and CRISP's are
-rebuilt from their sources. Every law but ours has the simulator's model (pose, J, M, gravity) of arm and finger, as
-Isaac Lab's does, and the true contact force. Laws that feed forces back do it with Isaac Lab's gain
-of 0.1; the gains of the motion are those of the case, except CRISP's: its defaults in N/m.
+rebuilt from their sources. Every law but ours has the simulator's model (pose, J, M, gravity) of
+arm and finger, as Isaac Lab's does, and the true contact force. Laws that feed forces back do it
+with Isaac Lab's gain of 0.1; the gains of the motion are those of the case, except CRISP's: its
+defaults in N/m.
 """
 
 from __future__ import annotations
