@@ -30,9 +30,7 @@ from osc_contact.sweeps.sweep import TABLE, run_study
 from osc_contact.sweeps.tune import Tuned
 
 WorkersOption = Annotated[int | None, Option(min=1, help="processes (default: one for each core)")]
-SchedulerOption = Annotated[
-    str | None, Option(help="of a dask cluster that does it: its address, or `local`")
-]
+SchedulerOption = Annotated[str | None, Option(help="address of a dask cluster that does it")]
 
 
 def sweep(

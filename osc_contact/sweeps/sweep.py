@@ -352,8 +352,8 @@ def sweep(
         seed: of the points, and of each run where it does not vary.
         out: a folder for rows and table; rows that are done there are not run again.
         workers: processes; None: one for each core; 1: none but this one.
-        scheduler: of a dask cluster whose workers do it instead: its address, a
-            `distributed.Client`, or "local" for a cluster of `workers` processes.
+        scheduler: of a dask cluster whose workers do it instead: its address, or a
+            `distributed.Client`.
         overrides: path=value, of all runs.
         progress: called with the rows done and all rows, now and then.
 
@@ -475,8 +475,10 @@ def workers_of(workers: int | None, scheduler: Any, most: int) -> Iterator[Worke
         most: how many can have work.
 
     Raises:
-        InvalidInputError: the cluster cannot be used, see `cluster.connect`.
+        InvalidInputError: both are given; the cluster cannot be used, see `cluster.connect`.
     """
+    if workers is not None and scheduler is not None:
+        raise InvalidInputError(f"{workers} workers: a cluster has its own; leave workers out")
     count = min(available_cores() if workers is None else workers, most)
     if scheduler is None and count <= 1:
         yield None
@@ -492,7 +494,7 @@ def workers_of(workers: int | None, scheduler: Any, most: int) -> Iterator[Worke
 
             from osc_contact.sweeps.cluster import connect
 
-            client = stack.enter_context(connect(scheduler, workers))
+            client = stack.enter_context(connect(scheduler))
             made = Workers(
                 client.get_executor, lambda: max(1, sum(client.nthreads().values())), KilledWorker
             )
