@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from distributed import Client
 
@@ -21,7 +22,7 @@ def connect(scheduler: str | Client) -> Iterator[Client]:
     Raises:
         InvalidInputError: it does not answer, has no workers, or theirs is another osc_contact.
     """
-    client = scheduler
+    client: Any = scheduler
     try:
         if isinstance(scheduler, str):
             client = Client(scheduler, timeout=_PATIENCE_S)

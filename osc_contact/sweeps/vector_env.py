@@ -19,11 +19,10 @@ from gymnasium.vector.utils import batch_space
 
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
-from osc_contact.scenarios.loader import Template, read_text
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, moved
 from osc_contact.sweeps.fleet import Fleet, Start
-from osc_contact.sweeps.study import SweepStudy
+from osc_contact.sweeps.study import SEED, SweepStudy
 from osc_contact.sweeps.sweep import RigBuilder, available_cores, scenario_of, without_logged_doubts
 
 # --- Episodes -----------------------------------------------------------------------------------
@@ -46,52 +45,25 @@ class Episode:
     squeeze: float
 
 
-class Episodes:
-    """Makes episodes of a scenario, with other numbers each, and keeps them.
+def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
+    """Number of a sample → episode; those made before are kept.
 
-    Attributes:
-        scenario: of the episodes. count: how many different ones there are.
-        get: number → episode.
+    Args:
+        study: of the samples. period: of the steps (s).
     """
+    rigs = RigBuilder()
 
-    def __init__(
-        self,
-        scenario: str | Path | Scenario,
-        vary: Mapping[str, str] | Sequence[str],
-        overrides: Sequence[str],
-        period: float,
-        count: int,
-    ) -> None:
-        """Look at the first.
-
-        Args:
-            scenario, vary, overrides: see `sweep`; without `vary` all episodes are the same.
-            period: of the steps (s). count: how many different episodes there are.
-        """
-        self._study = SweepStudy.of(scenario, vary, count, overrides=overrides) if vary else None
-        if not isinstance(scenario, Scenario):
-            scenario = Template(*read_text(scenario)).make(overrides)
-        elif overrides:
-            raise TypeError(
-                "overrides change a scenario's file; change a scenario made in Python itself"
-            )
-        self.scenario = scenario
-        self.count = count if vary else 1
-        self._rigs = RigBuilder()
-        self._period = period
-        self.get = cache(self._make)
-
-    def _make(self, number: int) -> Episode:
-        scenario = self.scenario
-        if self._study is not None:
-            scenario = scenario_of(self._study, self._study.sample(number))
-        rig = self._rigs.rig(scenario)
-        steps = int(np.floor(scenario.duration / self._period + 1e-9))
-        plan = rig.references.over(np.arange(steps + 1) * self._period)
+    @cache
+    def make(number: int) -> Episode:
+        rig = rigs.rig(scenario_of(study, study.sample(number)))
+        steps = int(np.floor(rig.scenario.duration / period + 1e-9))
+        plan = rig.references.over(np.arange(steps + 1) * period)
         places = np.array([pin.XYZQUATToSE3(x).homogeneous for x in plan.X_WD])
         with without_logged_doubts():
             start = Start.of(rig)
         return Episode(number, start, places, plan.alpha_d, plan.squeeze_d)
+
+    return make
 
 
 # --- The environment ----------------------------------------------------------------------------
@@ -129,24 +101,23 @@ def tracking_reward(seen: SensedRows) -> Array:
     return np.nan_to_num(np.maximum(1.0 - force - away - turned, -1.0), nan=-1.0)
 
 
-def make_vector_env(
-    scenario: str | Path | Scenario,
-    num_envs: int,
-    *,
-    vary: Mapping[str, str] | Sequence[str] = (),
-    overrides: Sequence[str] = (),
-    rate: float = 50.0,
-    move: tuple[float, float] | None = None,
-    most_force: float | None = None,
-    reward: Callable[[SensedRows], Array] = tracking_reward,
-    episodes: int = 256,
-    threads: int | None = None,
-    autoreset: str = "next_step",
-) -> ContactVectorEnv:
+class ContactVectorEnv(VectorEnv[Any, Any, Any]):
     """Many contact tasks at once, for learning (needs the extras `learn` and `sim`).
 
     The controller runs at its own rate. An action lasts 1/rate: it moves the object's set point, at
     constant velocity, and sets the contact forces, which change evenly over the step.
+
+    Actions (6 + r,) from −1 to 1: increments of the set point's position and orientation in units
+    of `move`, world axes at the object; then each contact force, from 0 (−1) to the most (1).
+
+    Observations, numbers in the order of `names`: q, v of the joints; wrench of each wrist; sensed
+    contact forces and normal speeds; displacements from the start (m, rad): the set point's, and
+    that of the scenario after the next action; forces likewise.
+
+    An episode ends (terminated) where the controller has stopped, the simulation diverged or the
+    object is further from its reference than the scenario's `verdict` permits; it is
+    truncated after the scenario's duration. The next step of its row begins another one
+    (gymnasium's `AutoresetMode.NEXT_STEP`). `infos["sample"]` has its numbers.
 
     Args:
         scenario: packaged name, file, or a scenario made in Python; plain ones, see `Fleet`.
@@ -160,33 +131,6 @@ def make_vector_env(
         reward: of all rows after a step.
         episodes: how many different ones `vary` makes.
         threads: default: one for each core.
-        autoreset: "next_step", "same_step" or "disabled", see gymnasium.
-    """
-    return ContactVectorEnv(
-        Episodes(scenario, vary, overrides, 1.0 / rate, episodes),
-        num_envs,
-        rate,
-        move=move,
-        most_force=most_force,
-        reward=reward,
-        threads=available_cores() if threads is None else threads,
-        autoreset=AutoresetMode[autoreset.upper()],
-    )
-
-
-class ContactVectorEnv(VectorEnv[Any, Any, Any]):
-    """See `make_vector_env`.
-
-    Actions (6 + r,) from −1 to 1: increments of the set point's position and orientation in units
-    of `move`, world axes at the object; then each contact force, from 0 (−1) to the most (1).
-
-    Observations, numbers in the order of `names`: q, v of the joints; wrench of each wrist; sensed
-    contact forces and normal speeds; displacements from the start (m, rad): the set point's, and
-    that of the scenario after the next action; forces likewise.
-
-    An episode ends (terminated) where the controller has stopped, the simulation diverged or the
-    object is further from its reference than the scenario's `verdict` permits; it is
-    truncated after the scenario's duration. `infos["sample"]` has its numbers.
 
     Attributes:
         names: of the numbers of an observation. fleet: plants and controllers.
@@ -195,17 +139,25 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def __init__(
         self,
-        episodes: Episodes,
+        scenario: str | Path | Scenario,
         num_envs: int,
-        rate: float,
         *,
-        move: tuple[float, float] | None,
-        most_force: float | None,
-        reward: Callable[[SensedRows], Array],
-        threads: int,
-        autoreset: AutoresetMode,
+        vary: Mapping[str, str] | Sequence[str] = (),
+        overrides: Sequence[str] = (),
+        rate: float = 50.0,
+        move: tuple[float, float] | None = None,
+        most_force: float | None = None,
+        reward: Callable[[SensedRows], Array] = tracking_reward,
+        episodes: int = 256,
+        threads: int | None = None,
     ) -> None:
-        first = episodes.get(0)
+        alike = [f"{SEED}=integers(0, 0)"]
+        study = SweepStudy.of(
+            scenario, vary or alike, episodes, "halton" if vary else "random", overrides=overrides
+        )
+        self._episode = episode_maker(study, 1.0 / rate)
+        self._count = episodes if vary else 1
+        first = self._episode(0)
         control_rate = 1.0 / first.start.controller.dt
         self._ticks = round(control_rate / rate)
         if num_envs < 1 or self._ticks < 1 or abs(self._ticks * rate - control_rate) > 1e-6 * rate:
@@ -214,18 +166,17 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
                 "give one environment at least, and a rate that divides that of control"
             )
         self.num_envs = num_envs
-        self._mode = autoreset
-        self.metadata = {"autoreset_mode": autoreset, "render_modes": []}
-        self._episodes = episodes
+        self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
         self._reward = reward
-        verdict = episodes.scenario.verdict
+        verdict = first.start.rig.scenario.verdict
         self._away = (verdict.distance, verdict.angle)
         self._r = first.forces.shape[1]
         self.move = np.repeat(_needed(first.places) if move is None else move, 3)
         largest = 2.0 * float(np.abs(first.forces).max(initial=0.0))
         self.most_force = largest if most_force is None else most_force
         self._now = [first] * num_envs
-        self.fleet = Fleet([first.start] * num_envs, min(threads, num_envs))
+        count = available_cores() if threads is None else threads
+        self.fleet = Fleet([first.start] * num_envs, min(count, num_envs))
         self._step = np.zeros(num_envs, dtype=int)
         self._target = np.tile(first.places[0], (num_envs, 1, 1))
         self._forces = np.zeros((num_envs, self._r))
@@ -259,25 +210,18 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """All rows begin anew, or those of `options["reset_mask"]`; see gymnasium."""
+        """All rows begin anew; see gymnasium."""
         super().reset(seed=seed)
-        mask = np.ones(self.num_envs, dtype=bool)
-        if options is not None and "reset_mask" in options:
-            mask = np.asarray(options["reset_mask"])
-            if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
-                raise InvalidInputError(
-                    f"reset_mask: expected ({self.num_envs},) bool, one of them True; got {mask}"
-                )
-        self._begin(mask)
+        self._begin(np.ones(self.num_envs, dtype=bool))
         return self._observe(), self._infos()
 
     def _begin(self, mask: Array) -> None:
         rows = np.flatnonzero(mask).tolist()
         if not rows:
             return
-        numbers = self.np_random.integers(self._episodes.count, size=len(rows))
+        numbers = self.np_random.integers(self._count, size=len(rows))
         for row, number in zip(rows, numbers.tolist(), strict=True):
-            self._now[row] = episode = self._episodes.get(number)
+            self._now[row] = episode = self._episode(number)
             self._target[row] = episode.places[0]
             self._forces[row] = episode.forces[0]
         self.fleet.begin({row: self._now[row].start for row in rows})
@@ -292,11 +236,6 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
                 f"actions: expected {(self.num_envs, 6 + self._r)}, got {actions.shape}"
             )
         again = self._over.copy()
-        if self._mode is AutoresetMode.DISABLED and again.any():
-            raise InvalidInputError(
-                f"rows {np.flatnonzero(again).tolist()} are over: reset them first, with "
-                'options={"reset_mask": …}'
-            )
         going = ~again
         tau = self._advance(actions, going)
         self._begin(again)
@@ -307,19 +246,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         terminated = going & (seen.diverged | away.any(axis=1))
         truncated = going & ~terminated & (self._step >= self._last)
         self._over = terminated | truncated
-        observation = self._observe()
-        infos = self._infos()
-        if self._mode is AutoresetMode.SAME_STEP and self._over.any():
-            ended = self._over.copy()
-            infos["final_obs"] = np.array([None] * self.num_envs, dtype=object)
-            for row in np.flatnonzero(ended):
-                infos["final_obs"][row] = observation[row]
-            infos["final_info"] = {"sample": infos["sample"].copy(), "_sample": ended}
-            infos["_final_obs"] = infos["_final_info"] = ended
-            self._begin(ended)
-            observation = self._observe()
-            infos |= self._infos()
-        return observation, rewards, terminated, truncated, infos
+        return self._observe(), rewards, terminated, truncated, self._infos()
 
     def _advance(self, actions: Array, going: Array) -> Array:
         """The ticks of one action; rows that are over stand still. Returns the last torques."""
@@ -400,3 +327,6 @@ def _displacement(start: Array, end: Array) -> Array:
 def _turns(R: Array) -> Array:
     """(B, 3) rotation vectors of rotations (B, 3, 3); NaN where they are none."""
     return np.array([pin.log3(one) if np.isfinite(one).all() else [np.nan] * 3 for one in R])
+
+
+make_vector_env = ContactVectorEnv
