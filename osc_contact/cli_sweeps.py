@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from rich.progress import MofNCompleteColumn, TimeRemainingColumn
 from rich.table import Table
@@ -24,7 +24,7 @@ from osc_contact.console import (
 )
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs.report import write_json
-from osc_contact.sweeps.report import REPORT, write_report
+from osc_contact.sweeps.report import REPORT, in_words, write_report
 from osc_contact.sweeps.study import Design, SweepStudy
 from osc_contact.sweeps.sweep import TABLE, run_study
 from osc_contact.sweeps.tune import Tuned
@@ -67,7 +67,8 @@ def sweep(
             say(f"interrupted; the same command continues with what is in {folder}")
             raise Exit(130) from None
     summary = write_report(table, study, folder)
-    show_summary(study, summary)
+    for one in in_words(summary):
+        out.print(one, highlight=False, markup=False, soft_wrap=isinstance(one, str))
     columns = f"{table.num_rows} rows of {table.num_columns} columns"
     say(f"written to {folder}: {TABLE}, {columns}; {REPORT}")
     if json_file:
@@ -84,31 +85,6 @@ def counting(what: str, total: int) -> Iterator[Callable[[int, int], None]]:
     with progress_bar(MofNCompleteColumn(), TimeRemainingColumn()) as bar:
         task = bar.add_task(what, total=total)
         yield lambda done, _: bar.update(task, completed=done)
-
-
-def show_summary(study: SweepStudy, summary: dict[str, Any]) -> None:
-    """What became of the runs, errors and what they depend on, the worst."""
-    words = ", ".join(f"{count} {word}" for word, count in summary["words"].items())
-    say(f"{summary['rows']} runs, {summary['success_rate']:.1%} without a failed task: {words}")
-    table = Table(
-        "error", "median", "90 %", "99 %", "largest", "depends most on (rank correlation)"
-    )
-    for name, values in summary["quantiles"].items():
-        known = {k: v for k, v in summary["sensitivities"][name].items() if v is not None}
-        most = sorted(known, key=lambda key: -abs(known[key]))[:2]
-        causes = ", ".join(f"{key} {known[key]:+.2f}" for key in most)
-        shares = sorted(summary["variances"][name].items(), key=lambda one: -one[1]["total"])[:2]
-        causes += "".join(
-            f"\n{key}: {share['total']:.0%} of its variance, {share['first']:.0%} alone"
-            for key, share in shares
-        )
-        table.add_row(name, *(f"{value:.3g}" for value in values.values()), causes)
-    if summary["quantiles"]:
-        out.print(table)
-    for one in summary["worst"][:3]:
-        value = "" if one["value"] is None else f", {one['column']} {one['value']:.3g}"
-        command = f"\n  {one['command']}" * bool(one["command"])
-        say(f"row {one['row']}: {one['word']}{value}{command}")
 
 
 def tune(

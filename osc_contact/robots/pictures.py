@@ -6,7 +6,7 @@ executed.
 
 import base64
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.robots.mjcf import bodies_of, body_name, compile_mjcf, load_mjcf, pose
-from osc_contact.robots.model import joint_axis, slides
+from osc_contact.robots.mjcf import bodies_of, compile_mjcf, joint_name, load_mjcf
+from osc_contact.robots.model import joint_axis, joint_names, slides
 from osc_contact.spatial import Array, norm
 
 MOST_CORNERS = 200_000  #: of one mesh; of a larger one its box is drawn
@@ -25,24 +25,17 @@ _BOX = 6
 
 
 def mjcf_geometry(path: Path | str, tip: str | None) -> tuple[pin.Model, pin.GeometryModel]:
-    """(kinematics, shapes to draw) of the tip's tree: what touches nothing, or else everything.
-
-    Planes, height fields, ellipsoids and signed distance fields are left out.
-    """
+    """Kinematics and shapes of the tip's tree in an MJCF file, as of its picture."""
     mj = compile_mjcf(path)
+    import mujoco  # it is there: the file has been compiled
+
     model = load_mjcf(mj, tip)
-    geometry = pin.GeometryModel()
-    bodies = bodies_of(mj, tip)
-    seen = [g for g in range(mj.ngeom) if mj.geom_bodyid[g] in bodies]
-    for g in [g for g in seen if _touches_nothing(mj, g)] or seen:
-        kind = int(mj.geom_type[g])
-        shape = mesh_of(*_mesh_rows(mj, g)) if kind == _MESH else _solid(kind, mj.geom_size[g])
-        if shape is not None:
-            name = body_name(mj, mj.geom_bodyid[g])
-            frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-            X = frame.placement * pose(mj.geom_pos[g], mj.geom_quat[g])
-            _add(geometry, f"geom{g}", frame.parentJoint, X, shape, _colour(mj, g))
-    return model, geometry
+    data = mujoco.MjData(mj)
+    mujoco.mj_kinematics(mj, data)
+    numbers = {joint_name(mj, j): j for j in range(mj.njnt)}
+    joints = {numbers[name]: j for j, name in enumerate(joint_names(model), 1)}
+    q = data.qpos[mj.jnt_qposadr[list(joints)]]
+    return read_picture(scene_picture(mj, data, model, q, joints, bodies_of(mj, tip)))
 
 
 def _touches_nothing(mj: Any, g: int) -> bool:
@@ -53,15 +46,6 @@ def _colour(mj: Any, g: int) -> Array:
     """(4,) of a geom's material, or its own."""
     material = mj.geom_matid[g]
     return np.array(mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[g], dtype=float)
-
-
-def _add(
-    geometry: pin.GeometryModel, name: str, joint: int, X: pin.SE3, shape: Any, rgba: Array
-) -> None:
-    one = pin.GeometryObject(name, joint, X, shape)
-    one.meshColor = rgba
-    one.overrideMaterial = True
-    geometry.addGeometryObject(one)
 
 
 def _mesh_rows(mj: Any, g: int) -> tuple[Any, Any]:
@@ -89,24 +73,13 @@ def _solid(kind: int, size: Any) -> Any:
     return makers[kind]() if kind in makers else None
 
 
-def mesh_of(corners: Any, faces: Any) -> coal.BVHModelOBBRSS:
-    """A mesh.
-
-    Args:
-        corners: (k, 3) m. faces: (m, 3) numbers of corners.
-    """
-    if len(faces) and not 0 <= faces.min() <= faces.max() < len(corners):
-        raise ValueError(f"faces name corners beyond {len(corners)}")
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(faces), len(corners))
-    mesh.addVertices(np.array(corners, dtype=float))
-    mesh.addTriangles(np.array(faces, dtype=np.int32))
-    mesh.endModel()
-    return mesh
-
-
 def scene_picture(
-    mj: Any, data: Any, model: pin.Model, q: Array, joints: Mapping[int, int]
+    mj: Any,
+    data: Any,
+    model: pin.Model,
+    q: Array,
+    joints: Mapping[int, int],
+    only: Collection[int] = (),
 ) -> dict[str, Any]:
     """What is seen of a MuJoCo scene, as JSON data.
 
@@ -118,6 +91,7 @@ def scene_picture(
         mj, data: MuJoCo's; the placements of `data` are those at q.
         model: of the arm, base included. q: (n,) its joint positions.
         joints: MuJoCo's joint → number of the joint in `model`.
+        only: numbers of the bodies of the arm, and nothing of the rest.
     """
     at = model.createData()
     pin.forwardKinematics(model, at, q)
@@ -131,8 +105,10 @@ def scene_picture(
         body = mj.geom_bodyid[g]
         joint = owner[body]
         rgba = _colour(mj, g)
-        hidden = joint and body in dressed and not _touches_nothing(mj, g)
-        shape = None if hidden or not rgba[3] else _describe(mj, g)
+        of_arm = body in only if only else joint > 0
+        hidden = of_arm and body in dressed and not _touches_nothing(mj, g)
+        left_out = hidden or not rgba[3] or (only and not of_arm)
+        shape = None if left_out else _describe(mj, g)
         if shape is not None:
             X = pin.SE3(np.array(data.geom_xmat[g]).reshape(3, 3), np.array(data.geom_xpos[g]))
             place = _place(at.oMi[joint].actInv(X))
@@ -207,12 +183,30 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
             raise IndexError(f"shape {i} is on joint {joint} of {model.njoints - 1}")
         kind = int(shape["kind"])
         if kind == _MESH:
-            made = mesh_of(_unpacked(shape["corners"], "<f4"), _unpacked(shape["faces"], "<i4"))
+            made = _mesh_of(_unpacked(shape["corners"], "<f4"), _unpacked(shape["faces"], "<i4"))
         else:
             made = _solid(kind, shape["size"])
-        rgba = np.array(shape["rgba"], dtype=float)
-        _add(geometry, f"shape{i}", joint, _pose(shape["place"]), made, rgba)
+        one = pin.GeometryObject(f"shape{i}", joint, _pose(shape["place"]), made)
+        one.meshColor = np.array(shape["rgba"], dtype=float)
+        one.overrideMaterial = True
+        geometry.addGeometryObject(one)
     return model, geometry
+
+
+def _mesh_of(corners: Any, faces: Any) -> coal.BVHModelOBBRSS:
+    """A mesh.
+
+    Args:
+        corners: (k, 3) m. faces: (m, 3) numbers of corners.
+    """
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(corners):
+        raise ValueError(f"faces name corners beyond {len(corners)}")
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(faces), len(corners))
+    mesh.addVertices(np.array(corners, dtype=float))
+    mesh.addTriangles(np.array(faces, dtype=np.int32))
+    mesh.endModel()
+    return mesh
 
 
 def _pose(place: Any) -> pin.SE3:

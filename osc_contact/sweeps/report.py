@@ -6,13 +6,16 @@ It answers how many runs succeed, how large errors get, and what they depend on.
 import base64
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 from html import escape
 from importlib.util import find_spec
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from osc_contact import __version__
 from osc_contact.files import write_whole
@@ -36,73 +39,50 @@ def write_report(table: Any, study: SweepStudy, folder: Path) -> dict[str, Any]:
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(json.dumps(summary, indent=2, allow_nan=False), folder / SUMMARY)
     pictures = _draw(table, study, summary, folder) if find_spec("matplotlib") else ()
-    title = f"{Path(study.name or study.template.make().name).stem}: {summary['rows']} runs"
-    errors = {
-        error: [f"{value:.3g}" for value in found.values()]
-        for error, found in summary["quantiles"].items()
-    }
-    causes = {
-        error: ["" if rho is None else f"{rho:+.2f}" for rho in found.values()]
-        for error, found in summary["sensitivities"].items()
-    }
     parts = {
         "policy": POLICY,
         "style": asset("report.css"),
-        "title": escape(title),
-        "about": _about(study, summary),
-        "errors": _table(("median", "90 %", "99 %", "largest"), errors),
+        "title": escape(Path(study.name or study.template.make().name).stem),
+        "about": escape(f"{study.design}, seed {study.seed}; osc_contact {__version__}"),
+        "changes": escape("\n".join((*study.vary, *study.overrides))),
+        "text": escape(_printed(summary)),
         "pictures": "".join(map(_picture, pictures)),
-        "causes": _table(study.sample(0).shown, causes),
-        "shares": _shares(study, summary),
-        "worst": "".join(map(_worst, summary["worst"])),
     }
     write_whole(filled("sweep.html", parts), folder / REPORT)
     return summary
 
 
-def _about(study: SweepStudy, summary: Mapping[str, Any]) -> str:
+def in_words(summary: Mapping[str, Any]) -> Iterator[str | Table]:
+    """What became of the runs, errors and what they depend on, the worst; to be printed."""
     words = ", ".join(f"{count} {word}" for word, count in summary["words"].items())
-    lists = ""
-    for heading, keys in (("Varied", study.vary), ("Set in all runs", study.overrides)):
-        items = "".join(f"<li><code>{escape(one)}</code></li>" for one in keys)
-        lists += f"<p>{heading}:</p><ul>{items}</ul>" * bool(keys)
-    return (
-        f"<p><b>{summary['success_rate']:.1%}</b> of {summary['rows']} runs without a failed task: "
-        f"{escape(words)}. Points: {study.design}, seed {study.seed}. osc_contact "
-        f"{escape(__version__)}.</p>{lists}"
+    yield f"{summary['rows']} runs, {summary['success_rate']:.1%} without a failed task: {words}"
+    table = Table(
+        "error", "median", "90 %", "99 %", "largest", "depends most on (rank correlation)"
     )
+    for name, values in summary["quantiles"].items():
+        known = {k: v for k, v in summary["sensitivities"][name].items() if v is not None}
+        most = sorted(known, key=lambda key: -abs(known[key]))[:2]
+        causes = ", ".join(f"{key} {known[key]:+.2f}" for key in most)
+        shares = sorted(summary["variances"][name].items(), key=lambda one: -one[1]["total"])[:2]
+        causes += "".join(
+            f"\n{key}: {share['total']:.0%} of its variance, {share['first']:.0%} alone"
+            for key, share in shares
+        )
+        table.add_row(name, *(f"{value:.3g}" for value in values.values()), causes)
+    if summary["quantiles"]:
+        yield table
+    for one in summary["worst"][:3]:
+        value = "" if one["value"] is None else f", {one['column']} {one['value']:.3g}"
+        command = f"\n  {one['command']}" * bool(one["command"])
+        yield f"row {one['row']}: {one['word']}{value}{command}"
 
 
-def _shares(study: SweepStudy, summary: Mapping[str, Any]) -> str:
-    """Sobol's indices of the design "saltelli"; nothing with others."""
-    rows = {
-        error: [f"{s['first']:.0%} alone, {s['total']:.0%} in all" for s in found.values()]
-        for error, found in summary["variances"].items()
-        if found
-    }
-    text = (
-        "<h3>Shares of the variance</h3><p>What each key makes of an error's variance alone, and "
-        "in all with what it does together with others (Sobol's indices). With few samples they "
-        'are rough, and a small one may come out negative.</p><div class="wide">'
-        f"{_table([path for path, _ in study.variations], rows)}</div>"
-    )
-    return text * bool(rows)
-
-
-def _worst(one: Mapping[str, Any]) -> str:
-    value = "" if one["value"] is None else f", {escape(one['column'])} {one['value']:.3g}"
-    why = f"<br>{escape(one['why'])}" if one["why"] else ""
-    command = escape(one["command"] or "")
-    command = f'<p class="command"><code>{command}</code></p>' * bool(command)
-    return f"<p>Row {one['row']}: <b>{escape(one['word'])}</b>{value}{why}</p>{command}"
-
-
-def _table(heads: Iterable[str], rows: Mapping[str, Iterable[str]]) -> str:
-    lines = [("th", "error", heads), *(("td", error, cells) for error, cells in rows.items())]
-    text = ""
-    for kind, *cells in ((kind, error, *cells) for kind, error, cells in lines):
-        text += "<tr>" + "".join(f"<{kind}>{escape(cell)}</{kind}>" for cell in cells) + "</tr>"
-    return f"<table>{text}</table>"
+def _printed(summary: Mapping[str, Any]) -> str:
+    """The same as text."""
+    console = Console(file=StringIO(), width=160)
+    for one in in_words(summary):
+        console.print(one, highlight=False, markup=False, soft_wrap=isinstance(one, str))
+    return console.file.getvalue()  # type: ignore[attr-defined]
 
 
 def _picture(path: Path) -> str:
