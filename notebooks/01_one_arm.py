@@ -113,10 +113,10 @@ print(f"largest miss after 1 s: {1e3 * miss:.2f} mm")
 
 # %%
 from osc_contact.visual.page import embed
-from osc_contact.visual.parts import ArmVisual, Content
+from osc_contact.visual.parts import Content, Visual
 from osc_contact.visual.scene import write_scene
 
 fingers = np.full((len(rows), 2), 0.02)  # the drawing has two joints more than the chain
 recording = osc.Recording({}, {"t": dt * np.arange(len(rows)), "q": np.hstack((rows, fingers))})
-drawn = ArmVisual("panda", urdf, [package_dir], panda.base, slice(0, 9))
+drawn = Visual("panda", urdf, [package_dir], panda.base, slice(0, 9))
 embed(write_scene(recording, Content("the tip on a circle", [drawn]), "circle.html"))

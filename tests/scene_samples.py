@@ -13,17 +13,17 @@ from samples import ROOT
 
 from osc_contact.recorder import Recording
 from osc_contact.visual.marks import BestFrame
-from osc_contact.visual.parts import ArmVisual, BodyVisual, Content
+from osc_contact.visual.parts import Content, Visual
 from osc_contact.visual.scene import write_scene
 
 URDF = ROOT / "urdf"
 BASE = pin.SE3(np.eye(3), np.array([-0.35, -0.4, 0.0]))
 FACE = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.4, 0.0), np.array([-0.3, 0.0, 0.19]))
 FRAME = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.01, 0.02, 0.25]))
-ARMS = [ArmVisual("left", URDF / "scara_left.urdf", [URDF], BASE, slice(0, 5))]
+ARMS = [Visual("left", URDF / "scara_left.urdf", [URDF], BASE, slice(0, 5))]
 BODIES = [
-    BodyVisual("rod", URDF / "rod.urdf", [URDF], None),
-    BodyVisual("face", URDF / "face.urdf", [URDF], FACE, face=0),
+    Visual("rod", URDF / "rod.urdf", [URDF], None),
+    Visual("face", URDF / "face.urdf", [URDF], FACE, face=0),
 ]
 ENDS = ["left_end", "right_end"]
 

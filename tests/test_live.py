@@ -119,7 +119,7 @@ async def connect(viewer):
 def expected(tick):
     """Placements that the picture of a tick must have, by Pinocchio alone."""
     arm = {f"/meshcat/arms/left/{name}": X.homogeneous for name, X in links(tick["q"]).items()}
-    return arm | {"/meshcat/bodies/rod": pin.XYZQUATToSE3(tick["pose"]).homogeneous}
+    return arm | {"/meshcat/bodies/rod/base": pin.XYZQUATToSE3(tick["pose"]).homogeneous}
 
 
 def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(lasting):

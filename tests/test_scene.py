@@ -70,7 +70,7 @@ def test_arm_and_object_stand_where_the_recording_has_them(shown):
         for joint in ("joint1", "joint3", "hinge"):
             found = shown.pose(f"/meshcat/arms/left/{joint}", frame)
             assert found.isApprox(placed[joint], 1e-5)
-        rod = shown.at("/meshcat/bodies/rod", "position", frame)
+        rod = shown.at("/meshcat/bodies/rod/base", "position", frame)
         assert_allclose(rod, RECORDING["pose"][10 * frame, :3], atol=1e-6)
 
 
@@ -80,7 +80,7 @@ def test_a_face_follows_its_recorded_pose(tmp_path):
     shown = Shown(write(tmp_path, changed(face_pose=poses)))
     for frame in (0, 7):
         expected = pin.XYZQUATToSE3(poses[10 * frame, 0])
-        assert shown.pose("/meshcat/bodies/face", frame).isApprox(expected, 1e-5)
+        assert shown.pose("/meshcat/bodies/face/base", frame).isApprox(expected, 1e-5)
 
 
 @parametrize("frame", [3, 8])
@@ -248,7 +248,7 @@ def test_the_camera_sees_everything_and_stands_no_further_than_needed(seed):
 )
 def test_scene_without_contacts(how, tmp_path):
     paths = {c["path"] for c in read_commands(write(tmp_path, make_recording(**how), find=find))}
-    assert "/meshcat/bodies/rod" in paths
+    assert "/meshcat/bodies/rod/base" in paths
     assert not any("contacts" in p or "twists" in p for p in paths)
 
 

@@ -39,37 +39,6 @@ ERRORS = {
     "OUT_OF_RANGE": "a number is not finite, or negative",
     "UNKNOWN_NAME": "no gain has this name",
 }
-_NAMED = {
-    "JOB": ("switches", "begin", "model", "memory", "work", "input"),
-    "MODEL": (
-        "n_joints",
-        "n_arms",
-        "n_motors",
-        "n_contacts",
-        "n_columns",
-        "n_bars",
-        "period",
-        "row_bytes",
-        "memory_bytes",
-        "integral",
-        "phased",
-    ),
-    "MEMORY": (
-        "repeated",
-        "derived",
-        "wrench_missing",
-        "stamped",
-        "instant",
-        "late",
-        "status",
-        "reason",
-        "state",
-        "unbraked",
-        "f_tare",
-        "motion_sum",
-        "ticked",
-    ),
-}
 #: counts of tables, and the field of MODEL that says the same
 _SAME = {
     "k": "n_arms",
@@ -88,10 +57,6 @@ _RECORDS = {
     "WORK": records.WORK,
     "INPUT": records.INPUT,
     "PROGRAM": PROGRAM,
-}
-_TABLES = {
-    "MEMORY": ("contacts", "torques", "squeeze"),
-    "PROGRAM": ("H", "f", "A", "lower", "upper", "sense", "z", "lam"),
 }
 
 
@@ -160,11 +125,10 @@ def _gains() -> list[tuple[str, int, int, str]]:
 def _layout() -> str:
     """osc_layout.h: offsets of fields, slots of tables."""
     lines = ["/* Written with osc_controller.h: where fields and tables of the records are. */"]
-    for name, fields in _NAMED.items():
-        offsets: Any = _RECORDS[name].dtype.fields
-        lines += [f"#define {name}_{field} {offsets[field][1]}" for field in fields]
-    for name, tables in _TABLES.items():
-        lines += [f"#define {name}_{one} {_RECORDS[name].start(one)}" for one in tables]
+    for name, kind in _RECORDS.items():
+        fields: Any = kind.dtype.fields
+        lines += [f"#define {name}_{field} {at}" for field, (_, at, *_) in fields.items()]
+        lines += [f"#define {name}_{table} {kind.start(table)}" for table in kind.tables]
     words = len(records.MEMORY.tables) + len(records.MEMORY.counts)
     numbers = {
         "LOOK": tick.LOOK,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -223,8 +223,8 @@ _PACKAGE = "package://"
 def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
     """Note shapes without size, poses that are no numbers, and mesh addresses that lead outside.
 
-    No mesh is opened. ``package://name/...`` and paths relative to the URDF must stay below the
-    package and the URDF's folder; absolute paths must lie in that folder or in `package_dirs`.
+    No mesh is opened. All, ``package://name/...`` included, must stay in the URDF's folder or in
+    one of `package_dirs`.
     """
     for link in document.links.values():
         for part in link.element.findall("visual", "collision"):
@@ -241,19 +241,15 @@ def check_mesh_files(
 ) -> tuple[list[ModelFinding], list[ModelFinding]]:
     """Mesh files that lead outside through a link, are huge, or are Collada files whose textures
     lie elsewhere; and those that are not there."""
-    addresses: dict[str, Element] = {}
-    for mesh in document.root.iter("mesh"):
-        addresses.setdefault(mesh.get("filename"), mesh)
-    roots = [root.resolve() for root in _roots(document.file, package_dirs)]
+    meshes = {mesh.get("filename"): mesh for mesh in document.root.iter("mesh")}
+    roots = _roots(document.file, package_dirs)
     wrong = []
     missing = []
-    for address, mesh in addresses.items():
-        places = [_plain(document.file, address)]
-        if address.startswith(_PACKAGE):
-            places = [folder / address.removeprefix(_PACKAGE) for folder in package_dirs]
+    for mesh in meshes.values():
+        places = _places(mesh, roots)
         file = next((path for path in places if path.is_file()), None)
         if file is None:
-            looked = f"the mesh is not there; looked for {', '.join(map(str, places)) or 'nothing'}"
+            looked = f"the mesh is not there; looked for {', '.join(map(str, places))}"
             missing.append(mesh.finding("mesh", looked, "pass package_dirs", "filename"))
         elif problem := _file_problem(file, roots):
             wrong.append(mesh.finding("mesh", *problem, "filename"))
@@ -262,16 +258,15 @@ def check_mesh_files(
 
 def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
     """(what is wrong with a mesh file, cure)."""
-    real = file.resolve()
-    if not _inside(real, roots):
-        return f"leads to {real}, outside of the robot's folders", "copy the file"
-    size = real.stat().st_size
+    if not _inside(file, roots, os.path.realpath):
+        return f"leads to {file.resolve()}, outside of the robot's folders", "copy the file"
+    size = file.stat().st_size
     if size > MAX_MESH_BYTES:
         limit = f"simplify it to at most {MAX_MESH_BYTES / 2**20:.0f} MiB"
         return f"has {size / 2**20:.0f} MiB", limit
-    for found in _TEXTURE.findall(real.read_bytes()) if file.suffix.lower() == ".dae" else ():
+    for found in _TEXTURE.findall(file.read_bytes()) if file.suffix.lower() == ".dae" else ():
         texture = unquote(found.decode("utf-8", "replace"))
-        if _leads_out(texture):
+        if _SCHEME.match(texture) or not _inside(file.parent / texture, roots, os.path.realpath):
             cure = "keep textures beside the mesh, or convert it to STL or OBJ"
             return f"{file.name} takes a texture from {texture!r}", cure
     return None
@@ -280,7 +275,7 @@ def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
 def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
     if shape.tag == "mesh":
         shape.vector("scale", (1.0, 1.0, 1.0))
-        if problem := _address_problem(shape.file, shape.get("filename"), package_dirs):
+        if problem := _address_problem(shape, _roots(shape.file, package_dirs)):
             shape.note("mesh", *problem, "filename")
         return
     if shape.tag == "box":
@@ -296,10 +291,9 @@ def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
         shape.note("geometry", f"negative size: {listed}", "sizes are lengths")
 
 
-def _address_problem(
-    urdf: Path, address: str, package_dirs: Sequence[Path]
-) -> tuple[str, str] | None:
+def _address_problem(mesh: Element, roots: Sequence[Path]) -> tuple[str, str] | None:
     """(what is wrong with a mesh address, cure)."""
+    address = mesh.get("filename")
     cure = "keep meshes below the URDF's folder, or pass the folder in package_dirs"
     suffix = os.path.splitext(address)[1].lower()
     scheme = _SCHEME.match(address)
@@ -310,31 +304,28 @@ def _address_problem(
         return reason, f"convert it to {', '.join(MESH_TYPES)}"
     if scheme and scheme[0] not in ("package:", "file:"):
         return f"the address has the scheme {scheme[0]!r}: only local files are read", cure
-    if address.startswith(_PACKAGE):
-        package, slash, rest = address.removeprefix(_PACKAGE).lstrip("/").partition("/")
-        if package in ("", ".", "..") or not slash or _leads_out(rest):
-            return "the address leads out of its package", cure
-        return None
-    roots = [Path(os.path.normpath(root)) for root in _roots(urdf, package_dirs)]
-    if not _inside(Path(os.path.normpath(_plain(urdf, address))), roots):
+    if not all(_inside(place, roots, os.path.normpath) for place in _places(mesh, roots)):
         return "the mesh lies outside of the robot's folders", cure
     return None
 
 
-def _plain(urdf: Path, address: str) -> Path:
-    return urdf.absolute().parent / address.removeprefix("file://")
+def _places(mesh: Element, roots: Sequence[Path]) -> list[Path]:
+    """Where the file of a mesh may be: of a package below each root, else beside the URDF."""
+    address = mesh.get("filename")
+    rest = address.removeprefix(_PACKAGE)
+    if rest != address:
+        return [root / rest for root in roots]
+    return [mesh.file.absolute().parent / address.removeprefix("file://")]
 
 
 def _roots(urdf: Path, package_dirs: Sequence[Path]) -> list[Path]:
-    return [folder.absolute() for folder in (urdf.parent, *package_dirs)]
+    return [folder.absolute() for folder in (*package_dirs, urdf.parent)]
 
 
-def _inside(place: Path, roots: Sequence[Path]) -> bool:
-    return any(place.is_relative_to(root) for root in roots)
+def _inside(place: Path, roots: Sequence[Path], real: Callable[[Path], str]) -> bool:
+    """Whether a path stays in a folder of the robot.
 
-
-def _leads_out(path: str) -> bool:
-    """Whether a relative path climbs out of where it starts (or is absolute or an address)."""
-    plain = path.replace("\\", "/")
-    up = os.path.normpath(plain).split("/")[0] == ".."
-    return plain.startswith("/") or up or bool(_SCHEME.match(plain))
+    Args:
+        place: of a file. roots: folders. real: `os.path.realpath`, or `normpath`: as it is written.
+    """
+    return any(Path(real(place)).is_relative_to(real(root)) for root in roots)

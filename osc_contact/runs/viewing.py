@@ -24,7 +24,7 @@ from osc_contact.spatial import Array
 from osc_contact.visual.browser import find_browser, write_gif, write_png
 from osc_contact.visual.live import CHANNELS, Viewer
 from osc_contact.visual.marks import BestFrame
-from osc_contact.visual.parts import ArmVisual, BodyVisual, Content
+from osc_contact.visual.parts import Content, Visual
 from osc_contact.visual.scene import Scene, write_scene
 
 DRAWN = 50_000  #: ticks; of longer recordings every second, third, … one is drawn
@@ -70,7 +70,7 @@ def content_of_recording(recording: Recording) -> Content:
 def _of_picture(
     picture: Any, name: str, contacts: tuple[Sequence[str], Sequence[int]], size: float, joints: int
 ) -> Content:
-    arm = ArmVisual(name, picture, (), pin.SE3.Identity(), slice(0, joints))
+    arm = Visual(name, picture, (), pin.SE3.Identity(), slice(0, joints))
     return Content(name.replace("_", " "), [arm], [], *contacts, size=size, joints=joints)
 
 
@@ -136,14 +136,14 @@ def _content_of_rig(rig: Rig) -> Content:
     scenario = rig.scenario
     source = scenario.folder
     arms = [
-        ArmVisual(
+        Visual(
             arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part, arm.locked, arm.tip
         )
         for spec, arm, part in zip(scenario.arms, rig.chain.arms, rig.chain.slices, strict=True)
     ]
-    bodies = [BodyVisual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]
+    bodies = [Visual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]
     for body in rig.bodies:
-        bodies.append(BodyVisual(body.name, *body.urdf, body.placement, face=body.contacts[0]))
+        bodies.append(Visual(body.name, *body.urdf, body.placement, face=body.contacts[0]))
     return Content(
         scenario.name.replace("_", " "),
         arms,

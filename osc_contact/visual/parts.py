@@ -156,34 +156,27 @@ def changes(scene: Visualizer, before: Frame, after: Frame) -> None:
 # --- Arms, object and faces ---------------------------------------------------------------------
 
 
-class ArmVisual(NamedTuple):
-    """An arm to draw: its URDF, MJCF or picture (`robots.pictures`), where its base stands (X_WB),
-    where its joints are in q.
+class Visual(NamedTuple):
+    """An arm or a body to draw.
 
-    Joints that q does not have are in `locked`, with their positions (m, rad). Of an MJCF file the
-    tree is drawn that `tip` belongs to.
+    Attributes:
+        name: of its nodes.
+        urdf, package_dirs: URDF, MJCF or picture (`robots.pictures`) and the folders of its meshes.
+        base: where it stands (X_WB); None: it moves with the object.
+        q_slice: where its joints are in q.
+        locked: positions (m, rad) of joints that q does not have.
+        tip: whose tree of an MJCF file is drawn.
+        face: the contact that it is the face of; it moves by the channel ``face_pose`` (pose of its
+            URDF's frame in the world) if the recording has one, and stays at the base otherwise.
     """
 
     name: str
     urdf: str | Path | Mapping[str, Any]
     package_dirs: Sequence[str | Path]
-    base: pin.SE3
-    q_slice: slice
+    base: pin.SE3 | None
+    q_slice: slice = slice(0)
     locked: Mapping[str, float] = {}
     tip: str | None = None
-
-
-class BodyVisual(NamedTuple):
-    """A body to draw: fixed at the placement (X_WB), or moving with the object when None.
-
-    A body that is the face of contact number `face` moves by the channel ``face_pose`` (pose of
-    its URDF's frame in the world) if the recording has one, and stays at the placement otherwise.
-    """
-
-    name: str
-    urdf: str | Path
-    package_dirs: Sequence[str | Path]
-    placement: pin.SE3 | None
     face: int | None = None
 
 
@@ -194,7 +187,7 @@ class Content:
     Attributes:
         title: heading.
         arms: moved by the channel ``q``.
-        bodies: faces, and the object (placement None), moved by ``pose``.
+        bodies: faces, and the object (base None), moved by ``pose``.
         contacts: names of the contacts.
         columns: which contact each column of N belongs to; empty: one column per contact.
         frame_words: text of the legend about the best single frame.
@@ -203,8 +196,8 @@ class Content:
     """
 
     title: str
-    arms: Sequence[ArmVisual]
-    bodies: Sequence[BodyVisual] = ()
+    arms: Sequence[Visual]
+    bodies: Sequence[Visual] = ()
     contacts: Sequence[str] = ()
     columns: Sequence[int] = ()
     frame_words: str = "best single frame (Raibert–Craig)"
@@ -212,16 +205,24 @@ class Content:
     joints: int = 0
 
 
-class _Drawn(Part):
-    """Shapes of a file, on nodes that move.
+class Moving(Part):
+    """An arm that moves by its joint positions; the held object; a face at rest or in motion.
 
     Args:
-        geometry: the shapes. nodes: name of the node of each joint; only joints with shapes get it.
+        what: to draw. folder: node above that of its name. Joints with shapes have a node each.
     """
 
-    def __init__(self, geometry: pin.GeometryModel, nodes: Sequence[str]) -> None:
+    def __init__(self, what: Visual, folder: str) -> None:
+        self.what = what
+        self.model, geometry = _shapes(what)
+        self.data = self.model.createData()
+        names = joint_names(self.model)
+        nodes = [f"{folder}/{what.name}/{name}" for name in ("base", *names)]
         self.shapes = list(geometry.geometryObjects)
         self.paths = {shape.parentJoint: nodes[shape.parentJoint] for shape in self.shapes}
+        self.base = what.base or pin.SE3.Identity()
+        self.q = np.array([what.locked.get(name, 0.0) for name in names])
+        self.moving = [j for j, name in enumerate(names) if name not in what.locked]
 
     def draw(self, scene: Visualizer) -> None:
         """Make the nodes."""
@@ -234,89 +235,55 @@ class _Drawn(Part):
         return {path: State(pose) for path, pose in self.placements(sample).items()}
 
     def placements(self, sample: Sample) -> dict[str, pin.SE3]:
-        """Pose of every node at one tick."""
-        raise NotImplementedError
+        """Pose of every node; where q or pose is not known (NaN) it stays where it was.
+
+        Raises:
+            InvalidInputError: a channel is not recorded, or the slice of q does not fit the URDF.
+        """
+        what = self.what
+        q = self._channel(sample, "q")[what.q_slice] if self.moving else np.zeros(0)
+        if self.model.nq != self.model.nv or q.shape != (len(self.moving),):
+            raise InvalidInputError(
+                f"{what.name!r}: {what.q_slice} takes {q.size} numbers of q, "
+                f"but its model has nq = {self.model.nq}, {len(what.locked)} locked"
+            )
+        if np.isfinite(q).all():
+            self.q[self.moving] = q
+        pose = np.full(7, np.nan)
+        if what.face is not None and "face_pose" in sample:
+            pose = sample["face_pose"][what.face]
+        elif what.base is None:
+            pose = self._channel(sample, "pose")
+        if np.isfinite(pose).all():
+            self.base = pin.XYZQUATToSE3(pose)
+        pin.forwardKinematics(self.model, self.data, self.q)
+        return {path: self.base * self.data.oMi[joint] for joint, path in self.paths.items()}
+
+    def _channel(self, sample: Sample, key: str) -> Array:
+        if key not in sample:
+            raise InvalidInputError(
+                f"{self.what.name!r} moves with the channel {key!r}: it is not recorded"
+            )
+        return np.asarray(sample[key], dtype=float)
 
     def corners(self, sample: Sample) -> Array:
-        """(k, 3) corners of the bounding boxes, or points of meshes, at one tick."""
+        """(k, 3) origin, corners of the bounding boxes, or points of meshes, at one tick."""
         poses = self.placements(sample)
         points = [
             poses[self.paths[shape.parentJoint]] * corner
             for shape in self.shapes
             for corner in _corners(shape)
         ]
-        return np.reshape(points, (-1, 3))
+        return np.array([self.base.translation, *points])
 
 
-class MovingArm(_Drawn):
-    """An arm that moves by its joint positions."""
-
-    def __init__(self, arm: ArmVisual) -> None:
-        self.arm = arm
-        self.model, geometry = _shapes(arm)
-        self.data = self.model.createData()
-        names = joint_names(self.model)
-        super().__init__(geometry, [f"arms/{arm.name}/{name}" for name in ("base", *names)])
-        self.q = np.array([arm.locked.get(name, 0.0) for name in names])
-        self.moving = [j for j, name in enumerate(names) if name not in arm.locked]
-
-    def placements(self, sample: Sample) -> dict[str, pin.SE3]:
-        """Placement of every link; where q is not known (NaN) it stays where it was.
-
-        Raises:
-            InvalidInputError: q is not recorded, or its slice does not fit the URDF.
-        """
-        q = _channel(sample, "q", f"arm {self.arm.name!r}")[self.arm.q_slice]
-        if self.model.nq != self.model.nv or q.shape != (len(self.moving),):
-            raise InvalidInputError(
-                f"arm {self.arm.name!r}: {self.arm.q_slice} takes {q.size} numbers of q, "
-                f"but its model has nq = {self.model.nq}, {len(self.arm.locked)} locked"
-            )
-        if np.isfinite(q).all():
-            self.q[self.moving] = q
-        pin.forwardKinematics(self.model, self.data, self.q)
-        return {path: self.arm.base * self.data.oMi[joint] for joint, path in self.paths.items()}
-
-    def corners(self, sample: Sample) -> Array:
-        """The same, and the base."""
-        return np.vstack((self.arm.base.translation, super().corners(sample)))
-
-
-class MovingBody(_Drawn):
-    """The held object, or a face at rest or in motion."""
-
-    def __init__(self, body: BodyVisual) -> None:
-        self.body = body
-        self.path = f"bodies/{body.name}"
-        model, geometry, _ = load_geometry(body.urdf, pin.GeometryType.VISUAL, body.package_dirs)
-        super().__init__(geometry, [self.path] * model.njoints)
-        self.last = pin.SE3.Identity() if body.placement is None else body.placement
-
-    def placements(self, sample: Sample) -> dict[str, pin.SE3]:
-        """Its placement; where its pose is not known (NaN) it stays where it was."""
-        pose = np.full(7, np.nan)
-        if self.body.face is not None and "face_pose" in sample:
-            pose = sample["face_pose"][self.body.face]
-        elif self.body.placement is None:
-            pose = _channel(sample, "pose", f"body {self.body.name!r}")
-        if np.isfinite(pose).all():
-            self.last = pin.XYZQUATToSE3(pose)
-        return {self.path: self.last}
-
-
-def _shapes(arm: ArmVisual) -> tuple[pin.Model, pin.GeometryModel]:
-    """Kinematics and shapes of an arm's file."""
-    if isinstance(arm.urdf, Mapping):
-        return read_picture(arm.urdf)
-    if is_mjcf(arm.urdf):
-        return mjcf_geometry(arm.urdf, arm.tip)
-    return load_geometry(arm.urdf, pin.GeometryType.VISUAL, arm.package_dirs)[:2]
-
-
-def _channel(sample: Sample, key: str, needed_by: str) -> Array:
-    if key not in sample:
-        raise InvalidInputError(f"{needed_by} moves with the channel {key!r}: it is not recorded")
-    return np.asarray(sample[key], dtype=float)
+def _shapes(what: Visual) -> tuple[pin.Model, pin.GeometryModel]:
+    """Kinematics and shapes of a file."""
+    if isinstance(what.urdf, Mapping):
+        return read_picture(what.urdf)
+    if is_mjcf(what.urdf):
+        return mjcf_geometry(what.urdf, what.tip)
+    return load_geometry(what.urdf, pin.GeometryType.VISUAL, what.package_dirs)[:2]
 
 
 def _corners(shape: Any) -> list[Array]:

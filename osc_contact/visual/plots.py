@@ -6,7 +6,6 @@ figures have one look: `style`, and stacked `panels` with one time axis.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -231,25 +230,19 @@ def torques(recording: Recording) -> Figure:
     """
     t = _get(recording, "t")
     tau = _get(recording, "tau")
-    count = tau.shape[1]
-    meta = recording.meta
-    recorded = meta.get("effort_limits") or {}
-    numbered = [f"actuator {i + 1}" for i in range(count)]
-    known_names = (recorded, meta.get("joint_names", ()), numbered)
-    names = next(list(one) for one in known_names if len(one) == count)
-    arms = map(str, meta.get("arm_names", ()))
-    groups = {arm: [i for i, n in enumerate(names) if n.startswith(arm)] for arm in arms}
-    if sorted(chain(*groups.values())) != list(range(count)):
-        groups = {"all actuators": list(range(count))}
-    limits = [recorded.get(name) for name in names]
-    known = all(limits)
-    shown = 100.0 * tau / np.array(limits, dtype=float) if known else tau
+    limits = recording.meta["effort_limits"]
+    names = list(limits)
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        groups.setdefault(name.rpartition("/")[0], []).append(i)
+    known = all(limits.values())
+    shown = 100.0 * tau / np.array(list(limits.values())) if known else tau
     with style():
         figure, axes = panels(len(groups), 2.6)
         for ax, (title, columns) in zip(axes, groups.items(), strict=True):
             peaks = [_peak(shown[:, i]) for i in columns]
             for i, peak in zip(columns, peaks, strict=True):
-                name = names[i].removeprefix(title).lstrip("/_. ")
+                name = names[i].removeprefix(f"{title}/")
                 ax.plot(t, shown[:, i], lw=0.9, label=name + f", peak {peak:.0f} %" * known)
             unit = "% of its limit" if known else "N m; sliding joints: N"
             ax.set(title=title.replace("_", " "), ylabel=f"effort ({unit})")

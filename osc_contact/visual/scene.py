@@ -18,8 +18,7 @@ from osc_contact.visual.parts import (
     Array,
     Content,
     Frame,
-    MovingArm,
-    MovingBody,
+    Moving,
     Part,
     Sample,
     animate,
@@ -51,8 +50,8 @@ class Scene:
         first = self._with_normals(first)
         names = column_names(contacts, self.owners)
         columns = enumerate(zip(names, self.owners, strict=True))
-        self.arms = [MovingArm(arm) for arm in content.arms]
-        self.bodies = [MovingBody(body) for body in content.bodies]
+        self.arms = [Moving(arm, "arms") for arm in content.arms]
+        self.bodies = [Moving(body, "bodies") for body in content.bodies]
         self.forces = [marks.ContactForce(name, i, owner, first) for i, (name, owner) in columns]
         self.parts: list[Part] = [*self.arms, *self.bodies, *self.forces]
         self.trails = marks.Trails(contacts)
@@ -97,10 +96,10 @@ class Scene:
         """
         nothing = np.zeros((0, 3))
         samples = [self._with_normals(sample) for sample in samples]
-        small: Sequence[MovingBody | marks.ContactForce] = (*self.bodies, *self.forces)
+        small: Sequence[Moving | marks.ContactForce] = (*self.bodies, *self.forces)
         near = np.vstack([nothing, *(part.corners(one) for part in small for one in samples)])
         points = np.vstack([near, *(arm.corners(samples[0]) for arm in self.arms)])
-        bases = np.vstack([nothing, *(arm.arm.base.translation for arm in self.arms)])
+        bases = np.vstack([nothing, *(arm.base.translation for arm in self.arms)])
         directions = samples[0].get("contact_direction", nothing)
         floor = float(np.min(bases[:, 2], initial=0.0))
         lowest = float(points[:, 2].min())
