@@ -119,7 +119,7 @@ ROWS = {
     "empty": Bad("", "xml", "is empty", 0),
     "binary": Bad(b"\x7fELF\x02\x01\x01\x00\x00\x00", "xml", "NUL byte", 1),
     "NUL in the middle": Bad(GOOD.replace("0.05", "0.0\0005", 1), "xml", "NUL byte", 8),
-    "UTF-16": Bad(GOOD.encode("utf-16"), "xml", "encoded in UTF-16", 1),
+    "UTF-16": Bad(GOOD.encode("utf-16"), "xml", "or UTF-16", 1),
     "UTF-16 without mark": Bad(GOOD.encode("utf-16-le"), "xml", "NUL byte", 1),
     "latin-1 declared": ("utf-8", "iso-8859-1", "xml", "declares the encoding 'iso-8859-1'"),
     "latin-1 undeclared": Bad(

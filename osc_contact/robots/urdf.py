@@ -34,7 +34,6 @@ _HUGE = 1e9
 _DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _ENCODING = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""")
 _KNOWN_ENCODINGS = {b"utf-8", b"utf8", b"us-ascii", b"ascii"}
-_WIDE_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16", b"\x00\x00": "UTF-32"}
 
 
 # What is wrong with a robot: one finding, one sentence; all findings become one error.
@@ -314,16 +313,14 @@ def parse(file: Path, data: bytes) -> Element:
 def _check_text(file: Path, data: bytes) -> None:
     """Refuse what is not UTF-8 text."""
 
-    def stop(reason: str, at: int, cure: str = "save it as UTF-8") -> NoReturn:
+    def stop(reason: str, at: int) -> NoReturn:
         line = data.count(b"\n", 0, at) + 1
-        refuse_file("xml", file, reason, cure, line, at - data.rfind(b"\n", 0, at))
+        refuse_file("xml", file, reason, "save it as UTF-8", line, at - data.rfind(b"\n", 0, at))
 
     if not data.strip():
         refuse_file("xml", file, "is empty")
-    if wide := _WIDE_MARKS.get(data[:2]):
-        stop(f"is encoded in {wide}", 0)
     if (at := data.find(b"\0")) >= 0:
-        stop("NUL byte: this is not text", at, "is it the right file?")
+        stop("NUL byte: this is not text, or UTF-16", at)
     declared = _ENCODING.match(data.removeprefix(b"\xef\xbb\xbf"))
     if declared and declared[1].lower() not in _KNOWN_ENCODINGS:
         stop(f"declares the encoding {_short(declared[1].decode('ascii', 'replace'))}", 0)

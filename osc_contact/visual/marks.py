@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.spatial import norm
+from osc_contact.spatial import Array, norm
 from osc_contact.visual import contact_colour
-from osc_contact.visual.parts import Array, Frame, LegendEntry, Part, Sample, State
+from osc_contact.visual.parts import Frame, LegendEntry, Part, Sample, State
 from osc_contact.visual.screws import helix, tangents, twist_screw, wrench_screw
 from osc_contact.visual.shapes import along, at, cylinder, material, on_y, plain, tube
 

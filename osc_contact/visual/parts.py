@@ -21,14 +21,13 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.robots import is_mjcf, load_geometry
 from osc_contact.robots.model import joint_names
 from osc_contact.robots.pictures import mjcf_geometry, read_picture
+from osc_contact.spatial import Array
 from osc_contact.visual.shapes import urdf_geometry
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
     from meshcat.animation import Animation
 
-
-Array = NDArray[np.float64]
 
 Sample = Mapping[str, Any]
 """The channels of a recording at one tick; for marks at contacts also its `normals`."""

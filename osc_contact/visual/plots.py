@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from osc_contact.errors import InvalidInputError
 from osc_contact.files import whole_file
 from osc_contact.recorder import Recording
+from osc_contact.spatial import Array
 from osc_contact.visual import CONTACT_COLOURS, OKABE_ITO, contact_colour
 
-Array = NDArray[np.float64]
 Judged = NDArray[np.bool_]
 PRINT = (".png", ".svg", ".pdf")  #: of a figure of the paper or of a study
 NEAR_LIMIT = 60.0  # %: from there on the limits are drawn

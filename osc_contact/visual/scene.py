@@ -10,12 +10,11 @@ import numpy as np
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording, column_names
-from osc_contact.spatial import norm
+from osc_contact.spatial import Array, norm
 from osc_contact.visual import OKABE_ITO, contact_colour, marks
 from osc_contact.visual.marks import FindFrame
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
 from osc_contact.visual.parts import (
-    Array,
     Content,
     Frame,
     Moving,

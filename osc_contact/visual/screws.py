@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import norm
+from osc_contact.spatial import Array, norm
 
-Array = NDArray[np.float64]
 FAR = 100.0
 """m: an axis or a pitch beyond this is drawn as infinitely far, or infinite."""
 

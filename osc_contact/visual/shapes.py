@@ -16,12 +16,11 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import norm
+from osc_contact.spatial import Array, norm
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-Array = NDArray[np.float64]
 _Y_TO_Z = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.zeros(3))
 
 
