@@ -467,25 +467,6 @@ def compiled_pair() -> TickCase:
     return replace(case, name="compiled_pair", pairs=(own, second))
 
 
-def in_other_arrays(name: str) -> TickCase:
-    """The rod rig, its measurement and reference in arrays of another kind (of `ARRAYS`)."""
-    case = two_contact_rod()
-
-    def other(x: Any, *names: str) -> Any:
-        return replace(x, **{name_of: ARRAYS[name](getattr(x, name_of)) for name_of in names})
-
-    measurement = other(case.measurement, "q", "v", "wrenches")
-    reference = other(case.reference, "V_D", "A_D", "alpha_d")
-    return replace(case, name=name, measurement=measurement, reference=reference)
-
-
-ARRAYS: dict[str, Callable[[Array], Any]] = {
-    "single_precision": lambda x: x.astype(np.float32),
-    "strided": lambda x: np.repeat(x, 2, axis=-1)[..., ::2],
-    "lists": lambda x: x.tolist(),
-}
-
-
 SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
     "near_singular": near_singular,
     "saturated": saturated,
@@ -493,7 +474,6 @@ SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
     "contact_phases": contact_phases,
     "own_pair": own_pair,
     "compiled_pair": compiled_pair,
-    **{name: partial(in_other_arrays, name) for name in ARRAYS},
 }
 
 
@@ -556,14 +536,7 @@ class BatchCase:
         return floor
 
 
-def batch(case: Callable[[], TickCase], threads: int) -> BatchCase:
-    """Many rows of a case."""
-    return BatchCase(case(), ROWS, threads)
-
-
 BATCHES: dict[str, Callable[[], BatchCase]] = {
-    "batch_4096": partial(batch, one_panda, 1),
-    "batch_4096_two_threads": partial(batch, one_panda, 2),
-    "batch_4096_rods": partial(batch, two_contact_rod, 1),
-    "batch_4096_rods_two_threads": partial(batch, two_contact_rod, 2),
+    "batch_4096": lambda: BatchCase(one_panda(), ROWS, 1),
+    "batch_4096_two_threads": lambda: BatchCase(one_panda(), ROWS, 2),
 }

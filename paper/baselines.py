@@ -71,14 +71,12 @@ def compare(
     for key, law in laws.items():
         row = rows[key] = {"label": law.label}
         if isinstance(law, SelectionLaw):
-            row |= {"equation": law.baseline.equation, "source": law.baseline.source}
             row["selection"] = law.selection.as_dict()
         for name, coupling in (
             ("predicted", instant.coupling(law)),
             ("measured", measured_coupling(rigid, law, instant)),
         ):
             row[name] = dict(zip(KINDS, coupling.norms, strict=True)) | {"cost": coupling.cost}
-    smaller = {}
     for plant, rig in rigs.items():
         runs = []
         for key, law in laws.items():
@@ -86,9 +84,6 @@ def compare(
             runs.append(StepRun(rig, law, instant))
             tell(f"{key} on {plant}: task")
             rows[key][plant] = runs[-1].as_dict() | {"task": _whole_task(rig, law, seed)}
-        ours, *others = (np.array(run.peaks) for run in runs)
-        ratios = np.min(others, axis=0) / np.maximum(ours, np.finfo(float).tiny)
-        smaller[plant] = dict(zip(KINDS, ratios.tolist(), strict=True))
     result = {
         "scenario": scenario.name,
         "force_step_N": FORCE_STEP_N,
@@ -98,7 +93,6 @@ def compare(
         "size_m": instant.size,
         "free_motions": instant.free.T.tolist(),
         "laws": rows,
-        "smaller_than_best_baseline": smaller,
     }
     return result, runs
 
@@ -203,11 +197,6 @@ class StepRun:
             "closed": self.closed,
             "saturated_ticks": self.saturated,
         }
-
-    @property
-    def peaks(self) -> tuple[float, float]:
-        """Largest cross-talk after any step: displacement (m) and force error (N)."""
-        return float(self.force_to_motion.max()), float(self.motion_to_force.max())
 
 
 def measured_coupling(

@@ -24,14 +24,14 @@ from osc_contact.visual.page import EMPTY, CommandSink, write_page
 from osc_contact.visual.parts import State, changes
 from osc_contact.visual.plots import style
 from osc_contact.visual.scene import Scene, eye, label, picture_axes, sample_at, set_stage
-from osc_contact.visual.shapes import along, at, material, plain, tube
+from osc_contact.visual.shapes import along, at, material, plain
 from paper.statements import Answer
 from paper.study import Ask, Data, Study, table_of
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-# --- Marks: an overhead camera, sensor rings, labels ---------------------------------------------
+# --- Marks: an overhead camera, sensors, labels --------------------------------------------------
 
 INK = "#2A3038"
 VISION = "#2B7CAE"
@@ -62,14 +62,10 @@ class Callout(NamedTuple):
             path: under which the nodes stand.
             axes: (2, 3) directions of the picture: right and up.
         """
-        from meshcat.geometry import Sphere
-
         spot = self.feature + np.asarray(self.beside) @ axes
         scene[f"{path}/label"].set_transform(at(spot).homogeneous)
-        size = 0.004 * float(np.hypot(*self.beside)) ** 0.5
-        paint = plain(self.colour)
-        _bar(scene[f"{path}/line"], self.feature, spot, 0.4 * size, paint)
-        _put(scene[f"{path}/dot"], Sphere(1.4 * size), paint, at(self.feature))
+        thick = 0.0016 * float(np.hypot(*self.beside)) ** 0.5
+        _bar(scene[f"{path}/line"], self.feature, spot, thick, plain(self.colour))
         return label(f"{path}/label", self.text, self.colour)
 
 
@@ -97,21 +93,18 @@ class OverheadCamera:
 
     def draw(self, scene: Visualizer, path: str) -> None:
         """Make the nodes."""
-        from meshcat.geometry import Box, TriangularMeshGeometry
+        from meshcat.geometry import Box
 
         node = scene[path]
         metal = material(_METAL)
         eye = self.eye
         body = eye + [0.0, 0.0, 0.065]
-        top = POST + [0.0, 0.0, eye[2] + 0.14]
-        arm = body + [0.0, 0.0, 0.075]
+        top = POST + [0.0, 0.0, body[2]]
         bars = {
             "post": (POST, top, 0.022, metal),
-            "boom": (top, arm, 0.018, metal),
-            "hanger": (arm, body, 0.012, metal),
+            "boom": (top, body, 0.018, metal),
             "foot": (POST, POST + [0, 0, 0.02], 0.1, metal),
-            "lens": (body - [0, 0, 0.03], eye, 0.027, material("#15181C")),
-            "glass": (eye, eye - [0, 0, 0.004], 0.021, material(VISION)),
+            "lens": (body, eye, 0.027, material(_DARK)),
         }
         ends = self.corners
         for k, (end, after) in enumerate(zip(ends, np.roll(ends, -1, axis=0), strict=True)):
@@ -120,9 +113,6 @@ class OverheadCamera:
         for name, bar in bars.items():
             _bar(node[name], *bar)
         _put(node["body"], Box([0.11, 0.075, 0.075]), material(_DARK), at(body))
-        sides = np.array([[0, k + 1, (k + 1) % 4 + 1] for k in range(4)], dtype=np.uint32)
-        seen = TriangularMeshGeometry(np.vstack((eye, ends)).astype(np.float32), sides)
-        node["view/sides"].set_object(seen, plain(VISION, 0.075))
 
 
 def stand(node: Visualizer, X: pin.SE3, thickness: float) -> None:
@@ -138,22 +128,6 @@ def stand(node: Visualizer, X: pin.SE3, thickness: float) -> None:
     foot = np.array([back[0], back[1], 0.0])
     _bar(node["post"], foot, back - [0.0, 0.0, 0.02], 0.014, paint)
     _bar(node["foot"], foot, foot + [0.0, 0.0, 0.012], 0.06, paint)
-    _bar(node["clamp"], back, back - 0.035 * X.rotation[:, 2], 0.022, material(_DARK))
-
-
-def ring(node: Visualizer, X: pin.SE3, radius: float, colour: str, thickness: float) -> None:
-    """A ring about the z-axis of X.
-
-    Args:
-        node: that gets the ring.
-        X: its pose; the ring turns about z.
-        radius: of the ring (m).
-        colour: ``#RRGGBB``.
-        thickness: of its tube (m).
-    """
-    turn = np.linspace(0.0, 2.0 * np.pi, 65)
-    circle = radius * np.column_stack((np.cos(turn), np.sin(turn), np.zeros_like(turn)))
-    _put(node, tube(circle, thickness, sides=10), material(colour, glow=0.35), X)
 
 
 def _bar(node: Visualizer, start: Array, end: Array, r: float, paint: Any) -> None:
@@ -171,7 +145,7 @@ def _put(node: Visualizer, shape: Any, paint: Any, X: pin.SE3) -> None:
 # --- The workcell --------------------------------------------------------------------------------
 
 SCENARIO = "workcell"
-#: Where sensors of an arm sit: frame, place in it (m), radius of the ring that marks them, colour.
+#: Sensors of an arm: frame, place in it (m), radius of the collar that marks them, colour.
 SENSORS = {
     "joint_torque/{}1": ("joint1", (0.0, 0.0, -0.012), 0.094, JOINT_TORQUE),
     "joint_torque/{}2": ("joint2", (0.0, 0.0, -0.006), 0.064, JOINT_TORQUE),
@@ -208,7 +182,7 @@ class Workcell:
     Attributes:
         rig, sample: those. frames: X of every frame of the arms, by "arm/frame".
         camera: above the rod. faces: where they are.
-        rings: by path, where a sensor's ring is, its radius and colour.
+        rings: by path, where a sensor's collar is, its radius and colour.
     """
 
     def __init__(self, rig: osc.Rig, sample: Data) -> None:
@@ -248,7 +222,11 @@ class Workcell:
         for k, X in enumerate(self.faces):
             stand(scene[f"stands/{k}"], X, FACE_THICKNESS)
         for node, (X, radius, colour) in self.rings.items():
-            ring(scene[f"sensors/{node}"], X, radius, colour, 0.0042)
+            half = 0.004 * X.rotation[:, 2]
+            collar = material(colour, glow=0.35)
+            _bar(
+                scene[f"sensors/{node}"], X.translation - half, X.translation + half, radius, collar
+            )
         heading, elevation = np.deg2rad([shot.heading, shot.elevation])
         aspect = shot.size[0] / shot.size[1]
         view = eye(heading, elevation)

@@ -7,7 +7,6 @@ unpacked when it is opened.
 from __future__ import annotations
 
 import base64
-import re
 import shlex
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -45,9 +44,8 @@ from paper.statements import PAPER, Answer, PaperFigure, Verdict, judge
 from paper.study import Ask, Data, Study
 
 _TYPES = {".svg": "image/svg+xml", ".png": "image/png"}  #: shown: the first there is
-_SIZE = re.compile(r'viewBox="0 0 ([0-9.]+) ([0-9.]+)"')
 MOST_BYTES = 500_000  #: of a picture; a larger one is shown as PNG
-BROAD = 1.8  #: a figure wider than this, by its height, stands above its text
+BROAD = {"fig3", "fig4", "fig5"}  #: these stand above their text
 #: Class, mark and meaning of each verdict.
 _MARKS = {
     Verdict.reproduced: ("yes", "✓", "every statement was put to the test and holds"),
@@ -129,7 +127,7 @@ def _section(figure: PaperFigure, reproduction: Reproduction, verdict: Verdict) 
         pages = [path for path in made.files if path.suffix == ".html"]
         scenes = "".join(_scene(page, "Open the scene, to turn and look at") for page in pages)
         ours = "".join(_pictures(made, figure.name)) + scenes + _table(made.table)
-        broad = " broad" if 'class="broad"' in ours else ""
+        broad = " broad" * (figure.name in BROAD)
         command = _command(figure.name, reproduction)
     return (
         f'<section id="{figure.name}"><h2>Fig. {figure.number} {_badge(verdict)}</h2>'
@@ -169,22 +167,13 @@ def _pictures(made: Study, name: str) -> Iterator[str]:
         files = {path.suffix: path for path in made.files if path.stem == stem}
         small = [s for s in _TYPES if s in files and files[s].stat().st_size < MOST_BYTES]
         suffix = small[0] if small else ".png"
-        broad = ' class="broad"' if _aspect(files) > BROAD else ""
         source = f"data:{_TYPES[suffix]};base64,{_base64(files[suffix].read_bytes())}"
         also = ", ".join(path.name for path in files.values() if path.suffix != ".json")
         words = f"{escape(stem)}: our {escape(name)}"
         yield (
-            f'<figure{broad}><div class="wide"><img src="{source}" alt="{words}" loading="lazy">'
+            f'<figure><div class="wide"><img src="{source}" alt="{words}" loading="lazy">'
             f"</div><figcaption>Files beside this page: {escape(also)}</figcaption></figure>"
         )
-
-
-def _aspect(files: Mapping[str, Path]) -> float:
-    """Width over height, as an SVG says it in its first lines; 1 without one."""
-    if ".svg" not in files:
-        return 1.0
-    size = _SIZE.search(files[".svg"].read_text(encoding="utf-8")[:2000])
-    return 1.0 if size is None else float(size[1]) / float(size[2])
 
 
 def _table(table: Table | None) -> str:

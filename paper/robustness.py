@@ -6,15 +6,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 from rich.table import Table
 
 import osc_contact as osc
 from osc_contact.spatial import Array
 from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import make_rows, run_rows, scenario_of
-from osc_contact.visual import OKABE_ITO
-from osc_contact.visual.plots import style
 from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, SelectionLaw, best_frames
 from paper.study import Ask, Data, Study, table_of
 
@@ -127,7 +124,6 @@ def run(
         "selection": {
             name: {
                 "law": law.label,
-                "equation": law.baseline.equation,
                 "candidates": len(candidates[name]),
                 **frames[name],
             }
@@ -214,25 +210,8 @@ def tabulate(found: Data) -> Table:
     )
 
 
-def draw(found: Data) -> Figure:
-    """The share of runs below an error: a column for each case, forces above, motions below."""
-    colours = {"ours": "blue", "khatib": "vermillion", "isaac_lab": "orange"}
-    with style():
-        figure = Figure(figsize=(10.0, 5.2))
-        axes = figure.subplots(2, len(found["rows"]), sharex="row", sharey=True)
-        for row, (quantity, label) in zip(axes, QUANTITIES.items(), strict=True):
-            for ax, (name, rows) in zip(row, found["rows"].items(), strict=True):
-                for law, label_of in LABELS.items():
-                    values = errors(rows, law, quantity)
-                    ax.ecdf(values, color=OKABE_ITO[colours[law]], label=label_of)
-                ax.set(xscale="log", xlabel=label, title=TITLES[name])
-            row[0].set_ylabel("share of runs")
-        axes[0, 0].legend(loc="upper left")
-    return figure
-
-
 def study(ask: Ask) -> Study:
     """All cases under all laws."""
     samples = SAMPLES if ask.samples is None else ask.samples
     found = run(samples, ask.folder, ask.seed, ask.all_changes(), tell=ask.tell)
-    return Study({"robustness": draw(found)}, tabulate(found), found)
+    return Study({}, tabulate(found), found)

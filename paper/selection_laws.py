@@ -77,43 +77,22 @@ def structure(state: ChainState, eta_dot: Array, f: Array) -> Array:
 
 
 class Baseline(NamedTuple):
-    """A family of selection laws.
+    """A family of selection laws; publications and software: docs/baselines.md.
 
     Attributes:
         label: what figures and tables call it.
         rule: (state, selection) → X, Y with η̇ = X a − Y σ.
         triads: 1: forces and couples are selected on the axes of one frame; 2: each on its own.
-        equation: the law in words of `laws`.
-        source: where it was published or is in use, and what differs there.
     """
 
     label: str
     rule: Callable[[ChainState, Selection], tuple[Array, Array]]
     triads: int
-    equation: str
-    source: str
 
 
 BASELINES: dict[str, Baseline] = {
-    "khatib": Baseline(
-        "Khatib, Newton, SAI",
-        selected_before,
-        2,
-        "F = ΛΩa + Ω̄f + μ + p",
-        "Khatib 1987, IEEE J. Robotics and Automation 3(1): Ω from a force triad S_F and a couple "
-        "triad S_M. NVIDIA Newton, ControllerOperationalSpaceModelFree: the same Ω before Λ, "
-        "proportional force feedback, no velocity terms. Stanford sai-primitives, "
-        "MotionForceTask: the same from two projectors σ_force and σ_moment of any axis",
-    ),
-    "isaac_lab": Baseline(
-        "Isaac Lab",
-        selected_before_and_after,
-        1,
-        "F = ΩᵀΛΩa + Ω̄f + μ + p",
-        "Isaac Lab 2, isaaclab/controllers/operational_space.py: the gains are selected "
-        "and so is the force Λa they give, all on the axes of one task frame; there at the tool "
-        "point and without velocity terms",
-    ),
+    "khatib": Baseline("Khatib, Newton, SAI", selected_before, 2),
+    "isaac_lab": Baseline("Isaac Lab", selected_before_and_after, 1),
 }
 
 

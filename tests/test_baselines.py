@@ -243,10 +243,11 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
     assert max(laws["ours"]["measured"].values()) <= 1e-9
     for plant in PLANTS:
         assert {law[plant]["task"]["status"]["held"] for law in laws.values()} == {0}
-        assert min(found["smaller_than_best_baseline"][plant].values()) > 10
+        for key in ("force_to_motion_m", "motion_to_force_N"):
+            ours, *others = (max(law[plant][key]) for law in laws.values())
+            assert min(others) > 10 * ours
     most = {name: max(law["mujoco"]["force_to_motion_m"]) for name, law in laws.items()}
     ratio = min(most["khatib"], most["isaac_lab"]) / most["ours"]
-    assert found["smaller_than_best_baseline"]["mujoco"]["force_to_motion"] == approx(ratio)
     for words in ("Khatib, Newton, SAI", "Isaac Lab", f"{ratio:.3g}"):
         assert words in result.stdout
 

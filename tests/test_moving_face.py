@@ -8,7 +8,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark
 from rigs import direction, largest
-from samples import module_fixture, parametrize
+from samples import parametrize
 from scenario_runs import always_closed, assert_accurate, run_of, verdict_of, worst_force
 
 import osc_contact as osc
@@ -145,29 +145,14 @@ def test_a_driven_face_is_where_its_signals_say(plant, face):
     assert s[0, 0] > 1e-4 and (abs(s[1, 1]) > 1e-2) == (turn is not None)
 
 
-@module_fixture
-def on_mujoco():
-    return {
-        row["law"]: (row, recording)
-        for row, recording in moving_face.run("mujoco", 3.0, faces=["free cart"])
-    }
-
-
-def test_the_full_law_keeps_the_force_on_a_free_cart(on_mujoco):
+def test_the_full_law_keeps_the_force_on_a_free_cart():
     """≤ 1 % rms with Φ_e and b_e; without them it costs more than ten times as much."""
-    full = on_mujoco["full law"][0]
-    without = on_mujoco["without Φ_e, b_e"][0]
+    full, without = moving_face.run("mujoco", 3.0, faces=["free cart"])
+    assert (full["law"], without["law"]) == ("full law", "without Φ_e, b_e")
     assert full["left_end_rms_error_rel"] < 0.01 and full["right_end_rms_error_rel"] < 0.01
     assert full["contact_fraction"] == without["contact_fraction"] == 1.0
     assert without["left_end_rms_error_rel"] > 10 * full["left_end_rms_error_rel"]
     assert full["travel_m"] > 0.02
-
-
-def test_the_figure_shows_each_face_once(on_mujoco):
-    figure = moving_face.draw(list(on_mujoco.values()))
-    (error,) = figure.axes
-    assert error.get_title(loc="left").startswith("free cart, which travels")
-    assert len(error.lines) == 2
 
 
 @parametrize(
