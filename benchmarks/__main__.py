@@ -5,6 +5,7 @@ franka
 """
 
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -30,22 +31,26 @@ BENCHMARKS: dict[str, int] = {
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
 
-def run_benchmark(name: str, ticks: int | None = None) -> Data:
+def run_benchmark(name: str, ticks: int | None = None, tsid_python: Path | None = None) -> Data:
     """Measure: tables, as lists of rows, and numbers by name.
 
     Args:
         name: one of `BENCHMARKS`.
         ticks: timed ticks of each of its cases, or rounds, runs, steps (default: its own).
+        tsid_python: interpreter of TSID's environment, for the peers.
 
     Raises:
-        InvalidInputError: an unknown name, or no ticks.
+        InvalidInputError: an unknown name, no ticks, or an interpreter without TSID.
     """
     if name not in BENCHMARKS:
         raise InvalidInputError(f"no benchmark '{name}'; there are {', '.join(BENCHMARKS)}")
+    if tsid_python is not None and name != "peers":
+        raise InvalidInputError("only the benchmark 'peers' runs TSID; leave --tsid-python out")
     count = BENCHMARKS[name] if ticks is None else ticks
     if count < 1:
         raise InvalidInputError(f"{count} ticks give no time; take 1 or more")
-    found: Data = import_module(f"benchmarks.{name}").measure(count)
+    more = () if tsid_python is None else (tsid_python,)
+    found: Data = import_module(f"benchmarks.{name}").measure(count, *more)
     return {"machine": machine(), **found}
 
 
@@ -53,11 +58,12 @@ def run_benchmark(name: str, ticks: int | None = None) -> Data:
 def main(
     what: Annotated[str, typer.Argument(help=" | ".join(BENCHMARKS), metavar="WHAT")],
     ticks: Annotated[int | None, typer.Option(min=1, help="timed ticks of each case")] = None,
+    tsid_python: Annotated[Path | None, typer.Option(help="peers: TSID's interpreter")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Time the control tick beside its floor and its peers, by size, on the clock."""
     with exit_codes():
-        data = run_benchmark(what, ticks)
+        data = run_benchmark(what, ticks, tsid_python)
         if json_file is not None:
             write_json(data, json_file)
         say(", ".join(f"{name} {value}" for name, value in data.pop("machine").items()))

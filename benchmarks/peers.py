@@ -1,14 +1,18 @@
 """The tick beside what else could be run in its place, on the same rigs."""
 
+import json
+import subprocess
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+import osc_contact as osc
 from benchmarks.cases import CASES, TickCase
-from benchmarks.measuring import Call, spread, take_turns
+from benchmarks.measuring import Call, Rows, spread, take_turns
 from benchmarks.textbook import TextbookLaw
 from osc_contact import robots
 from osc_contact.plants.mujoco import MujocoPlant
@@ -16,7 +20,15 @@ from osc_contact.spatial import Array
 from paper.study import Data, with_object
 
 BLOCKS = 10
+TSID_CASE = "one_panda"
 TICK = "tick"
+FLOOR = "floor: computeAllTerms"
+TOTAL = "TSID: pose, posture, one contact"
+HOW_TO_TSID = (
+    'python3 -m venv ENV && ENV/bin/pip install "tsid==1.7.1" "pin==3.4.0" "cmeel-urdfdom<5" '
+    '"cmeel-tinyxml2<11", then --tsid-python ENV/bin/python'
+)
+
 
 Calls = dict[str, Call]
 Peers = tuple[Calls, Calls, Call]
@@ -33,31 +45,41 @@ def peers_of(case: TickCase) -> Peers:
     tick, unwind = case.tick()
     compiled: Calls = {
         TICK: tick,
-        "floor: computeAllTerms": case.floor(),
+        FLOOR: case.floor(),
         "pin.constraintDynamics": constraint_dynamics(case),
         "MuJoCo mj_inverse": partial(mujoco.mj_inverse, *mujoco_state(case)),
     }
     return compiled, {"textbook law in NumPy": TextbookLaw(case).tick}, unwind
 
 
-def measure(rounds: int) -> Data:
-    """{case: rows of its peers}, times in µs.
+def measure(rounds: int, tsid_python: Path | None = None) -> Data:
+    """{case: rows of its peers, "tsid": rows}, times in µs.
 
     Compiled peers take turns among themselves, in blocks that alternate with the one in Python:
     microseconds measured right after a millisecond of Python are those of cold caches.
-    `ratio` is a median over the tick's.
+    `ratio` is a median over the tick's. TSID alternates with its own Pinocchio's floor in another
+    process, twice; between, the tick alternates with its floor alone: their ratio is the last row.
 
     Args:
         rounds: of the peer in Python; compiled ones have ten times as many.
+        tsid_python: interpreter of TSID's environment.
+
+    Raises:
+        InvalidInputError: TSID's interpreter fails.
     """
     found: Data = {}
-    for name in ("one_panda", "two_contact_rod"):
-        times = _in_blocks(peers_of(CASES[name]()), rounds)
+    for name in (TSID_CASE, "two_contact_rod"):
+        peers = peers_of(CASES[name]())
+        times = _in_blocks(peers, rounds)
         tick = np.median(times[TICK])
         found[name] = [
             {"peer": peer, **spread(some), "ratio": np.median(some) / tick}
             for peer, some in times.items()
         ]
+        if name == TSID_CASE:
+            found["tsid"] = HOW_TO_TSID
+            if tsid_python is not None:
+                found["tsid"] = _beside_tsid(peers, tsid_python, 10 * rounds)
     return found
 
 
@@ -69,6 +91,31 @@ def _in_blocks(peers: Peers, rounds: int) -> dict[str, Array]:
         fast = take_turns(compiled, 10 * rounds // blocks, unwind)
         found.append(fast | take_turns(python, max(1, rounds // blocks)))
     return {name: np.concatenate([block[name] for block in found]) for name in found[0]}
+
+
+def _beside_tsid(peers: Peers, python: Path, rounds: int) -> Rows:
+    """TSID's run that was less disturbed, and the tick in the same pattern: next to its floor."""
+    compiled, _, unwind = peers
+    first = _tsid(python, rounds)
+    alone = {name: compiled[name] for name in (TICK, FLOOR)}
+    tick = take_turns(alone, rounds, unwind)[TICK]
+    best = min(first, _tsid(python, rounds), key=lambda run: float(np.median(run[TOTAL])))
+    parts = best | {"the tick": tick, "TSID / tick": best[TOTAL] / np.median(tick)}
+    return [{"part": part, **spread(some)} for part, some in parts.items()]
+
+
+def _tsid(python: Path, rounds: int) -> dict[str, Array]:
+    program = Path(__file__).with_name("tsid_peer.py")
+    urdf, _ = robots.find_robot("panda")
+    command = [str(python), "-I", str(program), str(urdf), str(rounds)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    except OSError as error:
+        raise osc.InvalidInputError(f"{python} cannot be run: {error}. {HOW_TO_TSID}") from error
+    if done.returncode != 0:
+        said = (done.stderr.strip() or "nothing").splitlines()[-1]
+        raise osc.InvalidInputError(f"{python} cannot run TSID: {said}. {HOW_TO_TSID}")
+    return {part: np.array(times) for part, times in json.loads(done.stdout).items()}
 
 
 # --- What other engines need for one evaluation of the same rig's equations of motion ---

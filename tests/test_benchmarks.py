@@ -1,5 +1,6 @@
 """The benchmarks run as programs, write what they print, and time what they say they time."""
 
+import json
 import sys
 from dataclasses import replace
 from time import sleep
@@ -15,7 +16,7 @@ from rigs import largest, ticked
 from samples import ROOT, first, parametrize
 
 import osc_contact as osc
-from benchmarks import many_runs
+from benchmarks import many_runs, peers
 from benchmarks.__main__ import BENCHMARKS, run_benchmark
 from benchmarks.cases import CASES, KINDS, SPECIAL_CASES, BatchCase, OwnFace
 from benchmarks.measuring import take_turns
@@ -62,6 +63,7 @@ def judge_peers(result):
         assert len(rows) == 5
         for row in rows.values():
             assert row["ratio"] == approx(row["p50"] / rows["tick"]["p50"])
+    assert "pip install" in result["tsid"]
 
 
 def judge_scaling(result):
@@ -237,6 +239,28 @@ def test_constraint_dynamics_moves_the_joints_as_commanded(name):
     arms = case.chain.state(case.measurement.q, case.measurement.v).arms
     for s, arm in zip(case.chain.slices, arms, strict=True):  # what posture moves is ours alone
         assert_allclose(arm.J @ found[s], arm.J @ commanded[s], atol=1e-6)
+
+
+def interpreter(path, script):
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
+    return path
+
+
+def test_tsid_runs_in_its_own_interpreter(tmp_path):
+    found = {peers.TOTAL: [8.0, 9.3, 12.0], "solve": [3.0]}
+    python = interpreter(tmp_path / "python", f"echo '{json.dumps(found)}'")
+    tsid = {row["part"]: row for row in run_benchmark("peers", 1, tsid_python=python)["tsid"]}
+    assert tsid[peers.TOTAL]["p50"] == 9.3 and tsid[peers.TOTAL]["max"] == 12.0
+    assert tsid["TSID / tick"]["p50"] == approx(9.3 / tsid["the tick"]["p50"])
+    broken = interpreter(tmp_path / "broken", "echo 'no module tsid' >&2; exit 1")
+    for name, other, words in (
+        ("peers", broken, r"no module tsid.*pip install"),
+        ("peers", tmp_path / "nowhere", r"cannot be run.*pip install"),
+        ("tick", python, "only the benchmark 'peers'"),
+    ):
+        with invalid_input(words):
+            run_benchmark(name, 1, tsid_python=other)
 
 
 @mark.slow

@@ -1,14 +1,16 @@
-"""The learning example: what it gauges, what it learns in a few generations."""
+"""The learning example: what it gauges, what it learns in a few generations, and the other law."""
 
 import numpy as np
 from numpy.testing import assert_allclose
 from pytest import approx, fixture, mark
+from samples import first
 
 from benchmarks import polishing
 from benchmarks.polishing import (
     EDGES,
     FAST,
     KNOTS,
+    LAWS,
     MEAN,
     SLOW,
     best_forces,
@@ -39,7 +41,7 @@ def test_the_strategy_finds_what_is_hidden():
 
 
 def test_an_even_force_wears_as_soft_as_the_edge_is():
-    seen = judge(np.full(len(KNOTS), MEAN), SLOW)
+    seen = judge("ours", np.full(len(KNOTS), MEAN), SLOW)
     fine = np.linspace(EDGES[:-1], EDGES[1:], 50)
     soft = softness(fine).mean(axis=0)
     assert soft.max() > 2.2 * soft.min()
@@ -49,14 +51,15 @@ def test_an_even_force_wears_as_soft_as_the_edge_is():
 
 @mark.slow
 def test_a_few_generations_learn_the_hidden_hardness():
-    policy, curve = teach(0, rows=32)
+    policy, curve = teach("ours", 0, rows=32)
     assert curve[0] > 0.3
-    seen = judge(policy, SLOW)
+    seen = judge("ours", policy, SLOW)
     assert seen.uneven.mean() < 0.5 * curve[0]
     assert np.corrcoef(policy, best_forces(KNOTS))[0, 1] > 0.8
 
 
-def test_the_best_forces_wear_evenly():
-    slow, fast = (judge(best_forces(KNOTS), seconds) for seconds in (SLOW, FAST))
+@mark.parametrize("law", first(list(LAWS)))
+def test_the_best_forces_wear_evenly_above_every_law(law):
+    slow, fast = (judge(law, best_forces(KNOTS), seconds) for seconds in (SLOW, FAST))
     assert slow.uneven.mean() < 0.05 and fast.uneven.mean() < 0.08
     assert fast.off.mean() > slow.off.mean() and fast.off.max() < 5e-3
