@@ -2,10 +2,13 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
+
+import psutil
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]  #: that end programs
 COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
@@ -41,3 +44,11 @@ def alive(number):
         return "\nState:\tZ" not in Path(f"/proc/{number}/status").read_text()
     except FileNotFoundError:
         return False
+
+
+def sockets(pid):
+    """(ip, port) of a process's network sockets: all that are open, those that listen."""
+    opened = psutil.Process(pid).net_connections("all")
+    opened = [one for one in opened if one.family != socket.AF_UNIX]
+    listening = [tuple(one.laddr) for one in opened if one.status == psutil.CONN_LISTEN]
+    return [one.laddr[0] for one in opened], listening

@@ -4,6 +4,7 @@ import numpy as np
 from pytest import approx
 from rigs import rig_of
 from samples import parametrize
+from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.runs.rig import landings
@@ -51,3 +52,10 @@ def test_contacts_that_exist_already_are_not_announced():
     (edge,) = landings(rig)
     assert not edge.free and edge.peak > 3.0 * edge.command
     assert not [finding for finding in osc.preflight(rig) if "lands at" in finding.text]
+
+
+def test_an_approach_that_has_used_up_its_travel_stands_still():
+    recording = run_of("approach_and_slide", "control.life.travel=1 mm", duration=1.7)
+    assert recording.meta["end_state"] == "RUN" and not recording["closed"].any()
+    assert (recording["contact_phase"][-1] == 1).all()
+    assert np.ptp(recording["pose"][-500:, :3], axis=0).max() < 1e-4

@@ -12,10 +12,9 @@ from http.client import HTTPConnection
 import numpy as np
 import pinocchio as pin
 import processes
-import psutil
 import umsgpack
 from complaints import invalid_input, viewer_error
-from processes import alive, wait_until
+from processes import alive, sockets, wait_until
 from pytest import approx, fixture, mark, raises
 from samples import module_fixture
 from scenario_runs import assert_same_run
@@ -165,14 +164,6 @@ def test_the_page_holds_the_scene_after_the_first_tick(lasting):
     assert status == 200
     assert '"live": true' in text and "new WebSocket" in text
     assert "connect-src data: blob: 'self'" in text
-
-
-def sockets(pid):
-    """(ip, port) of a process's network sockets: all that are open, those that listen."""
-    opened = psutil.Process(pid).net_connections("all")
-    opened = [one for one in opened if one.family != socket.AF_UNIX]
-    listening = [tuple(one.laddr) for one in opened if one.status == psutil.CONN_LISTEN]
-    return [one.laddr[0] for one in opened], listening
 
 
 def python(*lines, **how):

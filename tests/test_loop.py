@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from itertools import islice, repeat
+from itertools import repeat
 
 import numpy as np
 import pinocchio as pin
@@ -107,23 +107,10 @@ def test_ticks_that_are_held_are_recorded_and_do_not_end_the_loop():
     assert np.isfinite(found["pose"][10:]).all()
 
 
-def test_references_may_have_no_end_and_the_controller_may_be_ones_own():
-    rig, plant, _ = started(*RIGID)
-    references = []
+def test_progress_is_reported_now_and_then():
     shown = []
-
-    class Hold:
-        dt = 2e-3
-
-        def tick(self, measurement, reference):
-            references.append(reference)
-            return np.zeros(rig.chain.n_a)
-
-    robot = Hardware(plant)
-    endless = repeat(rig.references.at(0.0))
-    osc.run_loop(robot, Hold(), islice(endless, 200), progress=shown.append)
-    assert len(references) == 200 and {duration for _, duration in robot.sent} == {2e-3}
-    assert shown == approx([0.2, 0.4])
+    loop_of(Robot(), 250, progress=shown.append)
+    assert shown == approx([0.1, 0.2])
 
 
 def test_a_viewer_needs_what_is_recorded():

@@ -363,12 +363,6 @@ def test_scenarios_made_in_python_are_swept_and_their_laws_refused():
 # What the runs of a sweep share: every number of a recording is that of the run by itself.
 
 
-def compare(one, other):
-    assert_same_run(one, other)
-    clocks = {"wall_s": 0.0, "cpu_s": 0.0}
-    assert one.meta | clocks == other.meta | clocks
-
-
 def test_rigs_that_share_chains_are_those_built_alone():
     """In an order in which every chain that is kept has been used by another run."""
     builder = RigBuilder()
@@ -385,7 +379,11 @@ def test_rigs_that_share_chains_are_those_built_alone():
         for normal in ("0.50", "0.53")
     ]
     for scenario in scenarios:
-        compare(osc.run(scenario), osc.run(scenario, build=builder.rig))
+        alone = osc.run(scenario)
+        sharing = osc.run(scenario, build=builder.rig)
+        assert_same_run(alone, sharing)
+        clocks = {"wall_s": 0.0, "cpu_s": 0.0}
+        assert alone.meta | clocks == sharing.meta | clocks
     rigs = [builder.rig(scenario) for scenario in scenarios]
     assert len({id(rig.chain) for rig in rigs}) == 1 and len({id(rig.model) for rig in rigs}) == 2
     assert len({rig.q_contact.tobytes() for rig in rigs}) == 2  # the normals do vary
