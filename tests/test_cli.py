@@ -300,13 +300,9 @@ def test_view_makes_the_page_of_a_contact_with_several_forces(tmp_path):
 
 
 @parametrize("name", ["run.npz", "run.mcap"])
-def test_view_refuses_files_that_are_no_recordings(name, brief, tmp_path):
-    whole = brief.save(tmp_path / "whole.npz").read_bytes()
-    noise = np.random.default_rng(8).integers(0, 256, 3000, dtype=np.uint8).tobytes()
-    bad = [b"", b"name: two_contact_rod\n", whole[: len(whole) // 2], whole[100:], noise]
-    bad += [b"PK\x03\x04" + noise, b"\x89MCAP0\r\n" + noise]
+def test_view_refuses_files_that_are_no_recordings(name, tmp_path):
     page = tmp_path / "page.html"
-    for content in bad:
+    for content in (b"", b"name: two_contact_rod\n", b"\x89MCAP0\r\n" + bytes(range(256))):
         (tmp_path / name).write_bytes(content)
         words = refused("view", tmp_path / name, "--html", page)
         assert words.startswith("error: ") and name in words

@@ -24,10 +24,6 @@ def rings(every, frequency=10.0, fading=8.0):
     return np.exp(-fading * since) * np.sin(2 * np.pi * frequency * since)
 
 
-def square(frequency):
-    return np.sign(np.sin(2 * np.pi * frequency * T + 0.1))
-
-
 def band_noise(low, high):
     spectrum = np.fft.rfft(RNG.standard_normal(len(T)))
     f = np.fft.rfftfreq(len(T), DT)
@@ -49,7 +45,7 @@ OTHERS = {
     "noise through a narrow filter": band_noise(8.0, 12.0),
     "one that rings down": np.exp(-2.0 * T) * sine(8.0),
     "struck at every reversal of 0.5 Hz": rings(1.0),
-    "friction that turns with the motion": square(0.5),
+    "friction that turns with the motion": np.sign(np.sin(np.pi * T + 0.1)),
     "at rest": np.zeros(len(T)),
     "a drift": 0.3 * T,
     "a step": np.where(T > 2.0, 1.0, 0.0),

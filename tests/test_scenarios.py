@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import yaml
 from complaints import scenario_error
 from numpy.testing import assert_allclose
@@ -80,7 +79,6 @@ BAD = {
         "force.end.0.stat",
         "unknown key; known: type, value",
     ),
-    "unknown nested key": ("damping: 40", "dampin: 40", "gains.motion.dampin", "'damping'"),
     "missing key": (
         "    urdf: arm.urdf\n",
         "",
@@ -101,18 +99,13 @@ BAD = {
         "contacts.end.radius",
         "expected a length in m, mm, cm, µm; got '8 N', which is a force",
     ),
-    "angle for force": ("value: 3 N", "value: 3 deg", "force.end.0.value", "which is an angle"),
     "length in angular move": (
         "5 deg",
         "5 mm",
         "motion.0.signals.0.amplitude",
         "expected an angle in rad, mrad, deg",
     ),
-    "unknown unit": ("2 s", "2 sec", "duration", "'sec' is not a known unit"),
     "nan": ("2 s", ".nan", "duration", "got nan, which is not finite"),
-    "nan in vector": ("vertex: [0, 0, 0]", "vertex: [0, .NaN, 0]", "contacts.end.vertex.1", ""),
-    "true for number": ("40}", "true}", "gains.motion.damping", "a plain number; got True"),
-    "short vector": ("vertex: [0, 0, 0]", "vertex: [0, 0]", "contacts.end.vertex", "[0, 0]"),
     "zero normal": ("[0, 0, 2]", "[0, 0, 0]", "contacts.end.face.normal", "whose length is 0"),
     "tangent of angular move": (
         "direction: [0, 0, 1]",
@@ -363,7 +356,7 @@ PLANTS = ("rigid", "mujoco")
 SAME = ("q", "tau", "pose", "alpha_true", "alpha_meas", "N", "closed", "contact_point", "face_pose")
 
 
-class Tip(osc.VertexOnFace):
+class Ball(osc.SphereOnPlane):
     """Evaluated by Python."""
 
     def contact(self, *args):
@@ -376,18 +369,6 @@ def task(plant, name="two_contact_rod"):
     return osc.load_scenario(name, changes)
 
 
-def on_bodies(scenario, pairs):
-    """The same contacts on bodies of the environment instead of faces of their own."""
-    bodies = []
-    contacts = []
-    for pair, body in zip(pairs, osc.build_rig(scenario).bodies, strict=True):
-        X = body.placement
-        pose = {"xyz": X.translation, "rpy": pin.rpy.matrixToRpy(X.rotation)}
-        bodies.append({"name": body.name, "urdf": "face.urdf", "pose": pose})
-        contacts.append({"pair": pair, "body": body.name})
-    return scenario.replaced(environment=bodies, contacts=contacts)
-
-
 def assert_same(ours, theirs, atol):
     assert ours.channels.keys() == theirs.channels.keys()
     for name in SAME:
@@ -396,16 +377,16 @@ def assert_same(ours, theirs, atol):
 
 @parametrize("plant", PLANTS)
 def test_pairs_of_ones_own(plant):
-    plain = task(plant)
-    pairs = [
-        Tip(p.vertex, p.point, p.normal, p.radius, name=p.name) for p in osc.build_rig(plain).pairs
+    plain = task(plant, "scara_peg")
+    own = [
+        {"pair": Ball(p.centre, p.radius, p.point, p.normal, name=p.name), "body": "socket"}
+        for p in osc.build_rig(plain).pairs
     ]
-    own = on_bodies(plain, pairs)
-    ours = osc.run(own)
+    ours = osc.run(plain.replaced(contacts=own))
     assert_same(ours, osc.run(plain), 1e-6)
-    assert ours.magnitude_names == ["left_end", "right_end"] and not ours["status"].any()
+    assert ours.magnitude_names == ["wall_x", "wall_y"] and not ours["status"].any()
     contact = json.loads(json.dumps(ours.meta["scenario"]))["contacts"][0]
-    assert contact == {"name": "left_end", "body": "face_left_end", "pair": "Tip"}
+    assert contact == {"name": "wall_x", "body": "socket", "pair": "Ball"}
 
 
 @parametrize("plant", PLANTS)
