@@ -46,10 +46,9 @@ class System:
         R = X_WO.rotation
         w = V_O[3:]
         c = R @ body.lever
-        cx = pin.skew(c)
         m = body.mass
-        I_O = R @ body.inertia @ R.T - m * cx @ cx
-        self.I = np.block([[m * np.eye(3), -m * cx], [m * cx, I_O]])
+        self.I = pin.SE3(R, np.zeros(3)).act(body).matrix()
+        I_O = self.I[3:, 3:]
         g = np.array(model.gravity.linear)
         self.pull = np.concatenate(
             (m * g - m * np.cross(w, np.cross(w, c)), m * np.cross(c, g) - np.cross(w, I_O @ w))

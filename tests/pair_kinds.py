@@ -45,16 +45,6 @@ class Path:
             pin.exp3(self.w[0] * t + self.w[1] * t * t) @ self.R0, p0 + t * (p1 + t * p2)
         )
 
-    @property
-    def twist(self):
-        """(6,) at the body's own origin, world axes."""
-        return np.concatenate((self.p[1], self.w[0]))
-
-    @property
-    def acceleration(self):
-        """(6,) spatial, at the body's origin at t = 0: p̈ − ω × v, ω̇."""
-        return np.concatenate((2 * self.p[2] - np.cross(self.w[0], self.p[1]), 2 * self.w[1]))
-
 
 def scaled(X, size):
     return pin.SE3(X.rotation, size * X.translation)
@@ -175,7 +165,7 @@ def edge_on_edge_with_hint(rng, c):
     return crossed_edges(rng, c, hint=True)
 
 
-def line_on_plane(rng, make, rho):
+def line_on_plane(rng, c, make, rho):
     point = rng.standard_normal(3)
     e = direction(rng)
     face = rng.standard_normal(3)
@@ -186,26 +176,23 @@ def line_on_plane(rng, make, rho):
     def pose(q):
         return placed(about(n, q[0]) @ R0 @ about(e, q[1]), point, face + q[2:] @ plane + rho * n)
 
-    return make(point, e, face, n), pose, 2
+    return make(c.A(point), e, c.E(face), c.along_E(n)), pose, 2
 
 
 @kind
 def edge_on_face(rng, c):
-    def make(point, e, face, n):
-        length = 0.3 * c.per_metre
-        return osc.EdgeOnFace(c.A(point), e, c.E(face), c.along_E(n), length)
+    def make(*given):
+        return osc.EdgeOnFace(*given, 0.3 * c.per_metre)
 
-    return line_on_plane(rng, make, 0.0)
+    return line_on_plane(rng, c, make, 0.0)
 
 
 @kind
 def cylinder_on_plane(rng, c):
-    def make(point, e, face, n):
-        rho = 0.15 * c.per_metre
-        length = 0.4 * c.per_metre
-        return osc.CylinderOnPlane(c.A(point), e, rho, c.E(face), c.along_E(n), length)
+    def make(point, e, *plane):
+        return osc.CylinderOnPlane(point, e, 0.15 * c.per_metre, *plane, 0.4 * c.per_metre)
 
-    return line_on_plane(rng, make, 0.15)
+    return line_on_plane(rng, c, make, 0.15)
 
 
 @kind

@@ -19,20 +19,6 @@ from osc_contact.dynamics.chain_state import RigidObject
 from osc_contact.dynamics.closed_chain import outboard_links
 from osc_contact.dynamics.environment import Environment
 
-SEEDS = range(4)
-GRAVITY = np.array([0.3, -0.2, -9.81])
-
-
-def body(seed):
-    """A body of 0.5 to 5 kg about 0.3 m across, its centre of mass off the origin."""
-    rng = default_rng([seed, 1])
-    points = rng.standard_normal((8, 3)) * 0.15
-    mass = rng.uniform(0.5, 5.0)
-    spread = points - points.mean(axis=0)
-    second_moments = mass / 8 * spread.T @ spread
-    tensor = np.trace(second_moments) * np.eye(3) - second_moments
-    return pin.Inertia(mass, points.mean(axis=0) + rng.standard_normal(3) * 0.1, tensor)
-
 
 def close(got, want, tolerance=1e-8):
     got = np.asarray(got)
@@ -115,8 +101,10 @@ def test_outboard_links_of_the_scara(sensor):
     model = scara().model
     links = outboard_links(model, model.getFrameId(sensor), model.getFrameId("tool"))
     assert [model.names[link.joint] for link in links] == ["joint4", "hinge"]
-    mounted = shift([0.0, 0.0, -0.02]).act(written_inertia(element("scara_left", "wrist_sensor")))
-    own = written_inertia(element("scara_left", "finger"))
+    sensor, own = (
+        written_inertia(element("scara_left", link)) for link in ("wrist_sensor", "finger")
+    )
+    mounted = shift([0.0, 0.0, -0.02]).act(sensor)
     close([link.inertia.matrix() for link in links], [mounted.matrix(), own.matrix()], 1e-12)
 
 
@@ -186,7 +174,7 @@ def test_any_mobility_a_mechanism_can_have_is_accepted(seed):
 
 
 def test_impossible_environments_are_refused():
-    held = inv(body(0).matrix())
+    held = inv(pin.Inertia(2.0, np.full(3, 0.1), 0.1 * np.eye(3)).matrix())
     Environment(held, np.ones(6), np.ones(6))
     skewed = held.copy()
     skewed[0, 4] += 1e-6 * held[4, 4]

@@ -188,10 +188,7 @@ def in_millimetres(case):
             frame.placement = stretched(frame.placement)
             frame.inertia = body(frame.inertia)
         model.armature = np.where(sliding, 1.0, 1e6) * model.armature
-        base = stretched(arm.base)
-        arms.append(
-            osc.Arm(arm.name, model, arm.tip, base, arm.passive_joints, arm.wrist_sensor, {})
-        )
+        arms.append(replace(arm, model=model, base=stretched(arm.base)))
         grasps.append(osc.Grasp(stretched(grasp.X_TO), np.vstack((grasp.T[:3], grasp.T[3:]))))
         q.append(np.where(sliding, 1e3, 1.0) * case.q[s])
     payload = osc.RigidObject(body(case.chain.payload.inertia))

@@ -67,11 +67,7 @@ def oracle_ours(arm, q, v, goal):
     X = tip_pose(arm, q)
     J = jacobian(arm, q)
     body = arm.chain.payload.inertia
-    R = X.rotation
-    c = X.rotation @ body.lever
-    m = body.mass
-    cx = pin.skew(c)
-    Lambda = np.block([[m * np.eye(3), -m * cx], [m * cx, R @ body.inertia @ R.T - m * cx @ cx]])
+    Lambda = pin.SE3(X.rotation, np.zeros(3)).act(body).matrix()
     a_u = -inv(Lambda) @ arm.K_prime @ (displacement(goal, X) + DAMPING_S * J @ v)
     across = J[arm.force]
     KKT = np.block([[J.T @ Lambda @ J, across[:, None]], [across[None], np.zeros((1, 1))]])

@@ -18,9 +18,7 @@ from pair_kinds import (
     PLAIN,
     STILL,
     Motion,
-    Path,
     about,
-    kinematics,
     pose_of,
     rate,
 )
@@ -38,13 +36,6 @@ MADE = {name: type(KINDS[name](default_rng(0), PLAIN)[0]) for name in ALL}
 #: n_γ from T and β: it presumes that V_rel is a permitted motion.
 BY_T = {name for name, pair in MADE.items() if issubclass(pair, TangentPair)}
 TURNS = range(3)
-
-
-def test_twist_and_acceleration_from_poses_are_those_of_a_known_path():
-    path = Path.random(default_rng(0))
-    twist, acceleration = kinematics(path)
-    assert_allclose(twist, path.twist, atol=1e-11)
-    assert_allclose(acceleration, path.acceleration, atol=1e-9)
 
 
 def test_no_pair_is_left_out():
@@ -240,7 +231,7 @@ def test_contacts_that_do_not_exist_are_refused():
     for ask in (lambda: parallel.contact(here, STILL), lambda: parallel.gaps(here)):
         with contact_error("rails: the edges are parallel"):
             ask()
-    flat = osc.GapFunctions(lambda X: [1.0])  # a gap that no motion changes
+    flat = osc.GapFunctions(lambda X: 1.0)  # a gap that no motion changes, as a plain number
     with contact_error("column 0 is zero"):
         flat.contact(here, STILL)
     with refused(r"broken.gap\(X_EA\): element \(0,\) is nan"):

@@ -50,7 +50,7 @@ def test_goals_that_change_at_any_time_are_followed_within_the_limits(monkeypatc
         v, a, j = size * 10.0 ** rng.uniform(-1, 1.5, (3, n))
         point = osc.SetPoint(np.zeros(n), osc.JerkLimits(v, a, j), DT)
         states = [point.step()]
-        for steps in rng.integers(0, 120, 80):
+        for steps in rng.integers(0, 60, 60):
             goal = some_goal(rng, states[-1].value, v, a, j)
             states += [point.step(goal) for _ in range(steps + 1)]
         x, x_dot, x_ddot = np.swapaxes(states, 0, 1)

@@ -85,7 +85,7 @@ def test_as_array_returns_a_fresh_float_copy():
         taken += 7.0
         assert_array_equal(given, kept)
     assert as_array("x", np.zeros((6, 0)), (6, None)).shape == (6, 0)
-    assert as_array("x", 2, ()) == 2.0
+    assert as_array("x", 2, ()) == as_array("x", 2, (None,))[0] == 2.0
 
 
 @parametrize(

@@ -1,7 +1,6 @@
-"""A ball on curved surfaces: kinds for the tests of all pairs, MuJoCo's frames, fits, the task."""
+"""A ball on curved surfaces: kinds for the tests of all pairs, detection, fits, the task."""
 
 import coal
-import mujoco
 import numpy as np
 import pinocchio as pin
 from complaints import contact_error, model_error, scenario_error
@@ -18,6 +17,7 @@ from rigs import (
     random_state,
     refused,
     shift,
+    unit,
     unloaded,
 )
 from samples import first, parametrize
@@ -98,43 +98,35 @@ for _name, _how in KINDS.items():
     kind(_make)
 
 
-# --- against MuJoCo and by hand -------------------------------------------------------------------
+# --- by hand and by detection ---------------------------------------------------------------------
 
 
 @parametrize("R", [0.03, 0.1, 1.0])
 @parametrize("face", ["sphere", "cylinder"])
-def test_normals_gaps_and_points_are_those_of_mujoco(face, R):
-    size = f"{R}" if face == "sphere" else f"{R} 5"
-    xml = f"""<mujoco><worldbody><body name="a"><freejoint/><geom type="sphere" size="0.012"
-        pos="0.1 0.2 -0.3" mass="1"/></body><body name="e"><freejoint/>
-        <geom type="{face}" size="{size}" mass="1"/></body></worldbody></mujoco>"""
-    model = mujoco.MjModel.from_xml_string(xml)
-    data = mujoco.MjData(model)
+def test_normals_gaps_and_points_are_those_of_the_shapes_that_touch(face, R):
+    """By hand, and as detection finds them."""
     rng = default_rng(5)
     pair = osc.SphereOnSurface([0.1, 0.2, -0.3], 0.012, getattr(osc.Surface, face)(R))
+    solid = coal.Sphere(R) if face == "sphere" else coal.Cylinder(R, 10.0)
+    ball = [CollisionShape("a", coal.Sphere(0.012), shift(pair.centre))]
     for _ in range(20):
         X_WE = pose_of(rng)
         n = rng.standard_normal(3)
         n[2] *= face == "sphere"
-        place = (R + 0.012 - 0.004 * rng.random()) * n / norm(n)
+        n = unit(n)
+        deep = 0.004 * rng.random()
+        place = (R + 0.012 - deep) * n
         X_WO = X_WE * placed(pin.exp3(rng.standard_normal(3)), pair.centre, place)
-        poses = [pin.SE3ToXYZQUAT(X)[[0, 1, 2, 6, 3, 4, 5]] for X in (X_WO, X_WE)]
-        data.qpos[:] = np.concatenate(poses)
-        mujoco.mj_forward(model, data)
-        assert data.ncon == 1
-        touch = data.contact[0]
-        N = pair.contact(X_WO, np.zeros(6), X_WE).N[:, 0]
-        assert_allclose(touch.frame[:3], N[:3], atol=1e-10)
-        assert touch.dist == approx(pair.gaps(X_WO, X_WE)[0], abs=1e-12)
-        solid = coal.Sphere(R) if face == "sphere" else coal.Cylinder(R, 10.0)
-        ball = [CollisionShape("a", coal.Sphere(0.012), shift(pair.centre))]
+        ours = pair.contact(X_WO, np.ones(6), X_WE)
+        assert_allclose(ours.N[:3, 0], -X_WE.rotation @ n, atol=1e-10)
+        assert pair.gaps(X_WO, X_WE)[0] == approx(-deep, abs=1e-12)
+        on_ball = X_WE.act(place - 0.012 * n)
+        assert_allclose(pair.points_of_contact(X_WO, X_WE)[:, 0], on_ball, atol=1e-10)
         (found,) = osc.detect(ball, X_WO, [CollisionShape("e", solid)], X_WE)
         assert isinstance(found.pair(), osc.SphereOnSurface)
         other = found.pair().contact(X_WO, np.ones(6), X_WE)
-        assert_allclose(other.N[:, 0], N, atol=1e-9)
-        assert_allclose(other.n_gamma, pair.contact(X_WO, np.ones(6), X_WE).n_gamma, atol=1e-8)
-        on_ball = touch.pos - 0.5 * touch.dist * N[:3]
-        assert_allclose(pair.points_of_contact(X_WO, X_WE)[:, 0], on_ball, atol=1e-10)
+        assert_allclose(other.N, ours.N, atol=1e-9)
+        assert_allclose(other.n_gamma, ours.n_gamma, atol=1e-8)
 
 
 def test_what_no_ball_can_touch_is_refused():

@@ -1,4 +1,4 @@
-"""Seeded mutants of sound URDFs, judged by the loader and by Pinocchio's own reader.
+"""Seeded mutants of sound URDFs, judged by the loader and by a mass matrix of its own.
 
 Run as ``python urdf_mutants.py SEED COUNT``: prints one line of JSON. A crash of the process is
 what the caller looks for, so this runs by itself.
@@ -10,11 +10,13 @@ import re
 import sys
 import tempfile
 import time
+import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from robot_numbers import numbers, placement, written_inertia
 from urdf_corpus import GOOD
 
 from osc_contact import robots
@@ -123,21 +125,44 @@ def _exchange(rng, text, pattern, by):
 # The second opinion -----------------------------------------------------------------------------
 
 
-def mass_matrix(model, q):
-    M = pin.crba(model, model.createData(), q)
-    return np.triu(M) + np.triu(M, 1).T
+def mass_matrix(text, names, q):
+    """M(q) = Σ JᵀIJ over the links, from the file itself."""
+    root = ElementTree.fromstring(text)
+    links = {link.get("name"): link for link in root.findall("link")}
+    above = {joint.find("child").get("link"): joint for joint in root.findall("joint")}
+    pending = [name for name in links if name not in above]
+    jacobians = {pending[0]: np.zeros((6, len(names)))}  # each in the frame of its link
+    M = np.zeros((len(names), len(names)))
+    while pending:
+        parent = pending.pop()
+        J = jacobians[parent]
+        if links[parent].find("inertial") is not None:
+            M += J.T @ written_inertia(links[parent]).matrix() @ J
+        for child, joint in above.items():
+            if joint.find("parent").get("link") != parent:
+                continue
+            X = placement(joint)
+            S = np.zeros((6, len(names)))
+            kind = joint.get("type")
+            if kind != "fixed":
+                given = joint.find("axis")
+                axis = numbers("1 0 0" if given is None else given.get("xyz"))
+                i = names.index(joint.get("name"))
+                S[slice(3) if kind == "prismatic" else slice(3, 6), i] = axis / np.linalg.norm(axis)
+                X = X * pin.exp6(S[:, i] * q[i])
+            jacobians[child] = X.toActionMatrixInverse() @ J + S
+            pending.append(child)
+    return M
 
 
 def judge(text, model, rng):
     """(relative difference of M from the second opinion, smallest eigenvalue at unit diagonal)."""
-    theirs = pin.buildModelFromXML(text.decode())
     q = rng.uniform(-2, 2, model.nq)
-    x = []
-    for angle, joint in zip(q, list(theirs.joints)[1:], strict=True):
-        x += [np.cos(angle), np.sin(angle)] if joint.nq == 2 else [angle]
-    M = mass_matrix(theirs, np.array(x))
+    M = mass_matrix(text, list(model.names)[1:], q)
     scale = 1 / np.sqrt(np.abs(M.diagonal()) + 1e-300)
-    off = float(np.abs(scale[:, None] * (mass_matrix(model, q) - M) * scale).max())
+    ours = np.array(pin.crba(model, model.createData(), q))
+    ours = np.triu(ours) + np.triu(ours, 1).T
+    off = float(np.abs(scale[:, None] * (ours - M) * scale).max())
     return off, float(np.linalg.eigvalsh(scale[:, None] * M * scale).min())
 
 
