@@ -2,6 +2,7 @@
 refused, and nothing in between. On every BLAS kernel alike."""
 
 import numpy as np
+import pinocchio as pin
 from command_filter import command
 from complaints import contact_error
 from numpy.random import default_rng
@@ -9,7 +10,7 @@ from numpy.testing import assert_allclose
 from pytest import fixture, mark
 from samples import parametrize
 from scenario_runs import rig_of
-from test_projections import SIZE, close, frame_change, millimetres, well_mixing
+from test_projections import SIZE, close
 
 from osc_contact import projections as P
 from osc_contact.contacts.contact import Contact
@@ -19,6 +20,17 @@ from osc_contact.response import contact_response
 GAPS = [1e-4, 1e-5, 1e-6]
 FORCE_LAWS = (P.Omega_f, P.Omega_m_bar)
 MOTION_LAWS = (P.Omega_m, P.Omega_f_bar)
+
+
+def well_mixing(rng, n):
+    """A change of basis that costs hardly any digits: columns turned, then scaled."""
+    return np.linalg.qr(rng.standard_normal((n, n)))[0] * 10 ** rng.uniform(-2, 2, n)
+
+
+def frame_change(rng):
+    """Turned axes and another operational point, up to 2 m away: motions by X, forces by X*."""
+    X = pin.SE3(pin.exp3(2.0 * rng.standard_normal(3)), rng.uniform(-2.0, 2.0, size=3))
+    return X.toActionMatrix(), X.toDualActionMatrix()
 
 
 @fixture(params=[0.01, 1.0, 100.0], ids=["stricter", "as is", "laxer"])
@@ -49,7 +61,7 @@ def nearly_dependent(rng, r, gap):
 def changes(rng):
     """As it is, from another point and in other axes, in millimetres, and both."""
     one = frame_change(rng)
-    other = millimetres(rng)
+    other = np.diag([1e3] * 3 + [1.0] * 3), np.diag([1.0] * 3 + [1e3] * 3)  # power in N mm/s
     yield np.eye(6), np.eye(6)
     yield one
     yield other
