@@ -5,12 +5,10 @@ What whole ticks show (the motion filter, commanded forces, yielding bodies) `te
 Continues `test_law_parts.py`, in the same way.
 """
 
-from itertools import product
 from math import inf
 from types import SimpleNamespace as Record
 
 import numpy as np
-import pinocchio as pin
 from law_calls import (
     allocation,
     operational,
@@ -18,32 +16,26 @@ from law_calls import (
     reading,
     reasons,
     records,
-    safety,
     tick,
     write,
 )
 from law_calls import command_filter as command
 from numpy.linalg import cholesky, qr
 from numpy.testing import assert_array_equal
-from rigs import UNLIMITED, pose_of, random_faces, random_state, scara_pair, shift
+from rigs import UNLIMITED, random_faces, random_state, scara_pair
 from samples import parametrize
 from test_law import inputs, motion_of
-from test_law_parts import SEEDS, close, rng_of, turn
+from test_law_parts import SEEDS, close, rng_of
 
 import osc_contact as osc
 from osc_contact.law import records as at
 from osc_contact.law.compiled import rows
 from osc_contact.law.limits import TorqueLimits, settle
-from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
+from osc_contact.law.phases import APPROACHING, CLOSED
 from osc_contact.law.records import Rows, new_model, views
 from osc_contact.law.tick import BAD_INPUT, MOVING
 
 # --- forces ---------------------------------------------------------------------------------------
-
-
-def frame(M):
-    """(12,): rotation by rows, then point."""
-    return np.append(M.rotation.ravel(), M.translation)
 
 
 def command_force(alpha_d, felt, speed, w, least=-inf):
@@ -110,91 +102,6 @@ def test_bodies_do_not_yield_while_their_motion_is_unknown():
         t.work.yields[:] = found
         pushes.append(reading._push_on(t, (1.0, 2.0, 3.0), 0))
     assert_array_equal(*pushes)
-
-
-# --- stops ----------------------------------------------------------------------------------------
-
-
-class Stop:
-    """Two arms of two joints that hold an object of 4 kg."""
-
-    def __init__(self, seed, motors=(0, 1, 2, 3)):
-        self.rng = rng = rng_of(seed)
-        self.principal = np.array([4.0, 0.1, 0.2, 0.3])
-        self.tip = pose_of(rng)
-        self.own = pose_of(rng)
-        self.t = t = records(arms=2, joints=4, principal=self.principal, leader=1, held=1)
-        write(t.model, gravity=[1.0, -2.0, -9.0], X_LP=frame(self.own))
-        for name, of_arms in (("first", [0, 2]), ("end", [2, 4]), ("tip_joint", [1, 3])):
-            getattr(t.model.arms, name)[:] = of_arms
-        self.joints = t.work.joints
-        for name in ("h", "acceleration", "column"):
-            field = getattr(self.joints, name)
-            field[:] = rng.standard_normal(field.shape)
-        self.joints.M[:, :2] = rng.standard_normal((4, 2))
-        self.joints.R[3] = self.tip.rotation
-        self.joints.p[3] = self.tip.translation
-        self.table = t.model.joints
-        self.table.motor[:] = motors
-        self.table.tau_max[:] = inf
-        write(t.memory, X_WO=pose_of(rng).homogeneous)
-        write(t.work, y=rng.standard_normal(6), u=rng.standard_normal(6))
-        t.work.A[:3, :3] = turn(rng)
-
-    def pull(self, mass):
-        """The wrench at the world's origin, by Pinocchio."""
-        a = self.joints.column[2:].T @ self.joints.acceleration[2:]
-        R = self.t.work.A[:3, :3]
-        share = pin.Inertia(mass, self.t.work.u[:3], R @ np.diag(self.principal[1:] / 2.0) @ R.T)
-        return (share * pin.Motion(a)).vector
-
-
-@SEEDS
-@parametrize("motors", [(0, 1, 2, 3), (0, 1, -1, 2), (0, 1, 2, -1), (0, 1, -1, -1)])
-def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
-    stop = Stop(seed, motors)
-    joints = stop.joints[2:]
-    own = stop.table[2:]
-    arm = stop.t.model.arms[1]
-    driven = np.array(motors[2:]) >= 0
-    q_dd = joints.acceleration.copy()
-    carry = joints.h + joints.column @ stop.t.work.y
-    brake = joints.M[:, :2] @ q_dd + joints.column @ stop.pull(2.0)
-    # room of both signs, none, less than 1 N m, and less than the arm needs to be carried
-    for room, j in product((2.0, 0.9, 0.5, 0.3, 0.05, 0.0, -0.4), range(2)):
-        own.tau_max[:] = abs(carry) + 5.0 * abs(brake)
-        own.tau_max[j] = carry[j] * np.sign(brake[j]) + room * abs(brake[j])
-        share = safety._split_torques(stop.t, arm, 2.0)
-        want = min(max(room, 0.1), 1.0) if driven[j] else 1.0
-        close(share, want, rtol=1e-9)
-        close(joints.tau, carry, atol=1e-12)
-        least = brake * np.where(np.arange(2) == j, min(max(room, 0.0), 1.0), 1.0)
-        more = least @ (driven * q_dd) > share * brake @ (driven * q_dd)
-        want = least if more else share * brake
-        close((share * joints.rest)[driven], want[driven], atol=1e-9)
-    joints.acceleration[:] = 0.0
-    assert safety._split_torques(stop.t, arm, 0.0) == 1.0
-
-
-@parametrize("how", ["leader", "located", "lost", "nothing"])
-def test_each_arm_carries_its_share_of_the_weight(how):
-    stop = Stop(0)
-    X = stop.tip * stop.own
-    if how != "leader":
-        stop.t.model.leader = -1
-        X = pin.SE3(stop.t.memory.X_WO) * stop.own
-    stop.t.memory.located = int(how == "located")
-    stop.t.model.held = int(how != "nothing")
-    work = stop.t.work
-    mass = safety._carry_weight(stop.t)
-    if how in ("lost", "nothing"):
-        assert mass == 0.0 and not work.y.any() and not work.u[:3].any()
-        return
-    assert mass == 2.0
-    close(work.u[:3], X.translation, atol=1e-12)
-    close(work.A[:3, :3], X.rotation, atol=1e-12)
-    weight = pin.Force(-2.0 * stop.t.model.gravity, np.zeros(3))
-    close(work.y, shift(X.translation).act(weight).vector, atol=1e-11)
 
 
 # --- singular postures ----------------------------------------------------------------------------
@@ -507,26 +414,6 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
         found = contact.active, contact.gain, contact.damping, contact.brake
         assert found == ((1, 0.0, 200.0, 0.0) if near else (1, 3.0, 5.0, 0.5))
         assert contact.least == (0.4 if pushes and not near else -inf)
-
-
-def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
-    """Three columns of two closed contacts share two integrals; a third contact is open."""
-    t = records(contacts=3, columns=4)
-    t.model.columns.contact[:] = [0, 0, 1, 2]
-    contacts = t.memory.contacts
-    contacts.active[:] = [1, 1, 0]
-    contacts.phase[:] = [CLOSED, APPROACHING, OPEN]
-
-    def remapped(kept):
-        write(t.memory, force_rank=2, force_sum=[1.5, -2.5])
-        t.work.here[:] = kept
-        phases.remap_force_sums(t)
-        return t.memory.force_rank, t.memory.force_sum[:2].tolist()
-
-    assert remapped([1, 1, 1, 0]) == (2, [1.5, -2.5])
-    assert remapped([1, 1, 0, 0])[0] == 0, "contact was lost"
-    contacts.phase[2] = APPROACHING
-    assert remapped([1, 1, 1, 0])[0] == 0, "it comes"
 
 
 @parametrize("phased", [0, 1])
