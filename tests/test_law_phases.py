@@ -10,7 +10,6 @@ from law_calls import tick_of
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import largest
 from samples import first, parametrize
 
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
@@ -119,22 +118,6 @@ def test_a_story_approach_contact_loss_and_contact_again():
     assert steady(phases, [9.0, 5.0, 0.0, 0.0], 1, wanted=0.0) == [OPEN, OPEN, CLOSED]
 
 
-def test_the_inertia_of_a_flying_object_is_not_taken_for_contact():
-    """Free flight at 3 m/s² shows m a on the sensor of fig. 5; what counts is the contact force."""
-    t = np.arange(400) * DT
-    mass = 2.5
-    push = np.where(t > 0.3, 8.0, 0.0)
-    rate = np.where(t < 0.2, 3.0, 0.0)
-    phases = Phases([0], [True], phase=[CLOSED])
-    found = []
-    for a, v in zip(push + mass * rate, np.cumsum(rate) * DT, strict=True):
-        phases.end([a], [v], np.eye(1) / mass, independent=True)
-        found.append(phases.columns[0].net)
-    found = np.array(found)
-    assert largest(found[60:300]) < 1e-3 * mass * 3.0 + 0.01
-    assert found[-1] == approx(8.0, rel=1e-4)
-
-
 def test_torques_go_gently_around_a_change_but_for_fast_joints():
     def rate(since, share=0.0, phased=1):
         chain = SimpleNamespace(torque_rate=200.0, phase_rate=20.0, phased=phased, n_contacts=2)
@@ -230,37 +213,33 @@ def test_torques_go_straight_and_not_too_far(seed):
     law.slew(out, last, step, len(out))
     share = min(1.0, (step / np.abs(tau - last)).min())
     assert_allclose(out, last + share * (tau - last), rtol=0, atol=1e-12)
-    assert (np.abs(out - last) <= step * (1 + 1e-12)).all()
-    share = (out - last) / (tau - last)
-    assert np.ptp(share) < 1e-9 and 0.0 < share[0] <= 1.0
-    for _ in range(1_000):
-        out = tau.copy()
-        law.slew(out, last, step, len(out))
-        last = out
-    assert_array_equal(last, tau)
 
 
-def test_force_integrals_follow_their_columns():
-    """Contacts 0 (columns 0, 4), 1 (1), 2 (2, 3): 1 leaves, 0 comes in front and behind."""
-    phases = Phases([0, 1, 2, 2, 0], [True] * 3, phase=[OPEN, CLOSED, CLOSED])
-    phases.columns.known = 1
-    phases.columns.net = 9.0
-    phases.memory.force_rank = 3
-    phases.memory.force_sum[:3] = (1.0, 2.0, 3.0)
-    assert phases.begin([5.0, 0.0, 5.0, 5.0, 5.0])[0]
-    assert phases.sums.tolist() == [0.0, 2.0, 3.0, 0.0]
-    assert phases.kept.tolist() == [0, 0, 1, 1, 0]
+#: three columns of two closed contacts that share two integrals; a third contact is open
+SHARED = ([0, 0, 1, 2], [CLOSED, APPROACHING, OPEN], [1.5, -2.5])
 
 
-@parametrize("rank", [0, 1, 3])
-def test_force_integrals_that_are_not_one_for_each_column_go_on_until_a_phase_changes(rank):
-    phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
-    phases.memory.force_rank = rank
-    phases.memory.force_sum[:] = 7.0
-    phases.begin([5.0, 5.0])
-    assert phases.sums.tolist() == [7.0] * rank
-    phases.begin([5.0, 0.0])
-    assert len(phases.sums) == 0
+@parametrize(
+    "owners, phase, sums, wanted, after",
+    [
+        # contact 1 leaves, 0 comes in front and behind
+        ([0, 1, 2, 2, 0], [OPEN, CLOSED, CLOSED], [1, 2, 3], [5, 0, 5, 5, 5], [0, 2, 3, 0]),
+        # those that are not one for each column are left until a contact comes or goes
+        *[([0, 1], [CLOSED] * 2, [7] * rank, [5, 5], [7] * rank) for rank in (0, 1, 3)],
+        *[([0, 1], [CLOSED] * 2, [7] * rank, [5, 0], []) for rank in (0, 1, 3)],
+        (*SHARED, [5, 5, 5, 0], [1.5, -2.5]),
+        (*SHARED, [5, 5, 0, 0], []),
+        (*SHARED, [5, 5, 5, 5], []),
+        # more columns than there is room for
+        *[(range(n), [OPEN] * n, [], [5] * n, []) for n in (7, 9)],
+    ],
+)
+def test_force_integrals_follow_their_columns(owners, phase, sums, wanted, after):
+    phases = Phases(owners, [True] * len(phase), phase=phase)
+    phases.memory.force_rank = len(sums)
+    phases.memory.force_sum[: len(sums)] = sums
+    phases.begin(np.array(wanted, dtype=float))
+    assert phases.sums.tolist() == after
 
 
 def test_contacts_that_come_back_as_closed_start_without_integrals():
@@ -270,31 +249,6 @@ def test_contacts_that_come_back_as_closed_start_without_integrals():
     phases.memory.force_sum[:] = 7.0
     assert phases.begin([5.0, 5.0])[0]
     assert phases.sums.tolist() == [0.0, 0.0] and phases.kept.all()
-
-
-@parametrize("count", [7, 9])
-def test_more_columns_than_there_is_room_for_start_without_integrals(count):
-    phases = Phases(np.arange(count), [True] * count)
-    assert phases.begin(np.full(count, 5.0))[0]
-    assert len(phases.sums) == 0 and (phases.contacts.phase == APPROACHING).all()
-
-
-def test_mobility_rows_may_come_in_any_order_and_a_singular_one_counts_for_nothing():
-    rng = default_rng(3)
-    D = rng.standard_normal((3, 3))
-    alpha = rng.standard_normal(3)
-    turned = np.array([2, 0, 1])
-    speeds = rng.standard_normal((5, 3))
-    straight, mixed, singular = (
-        Phases(np.arange(3), [True] * 3, phase=[CLOSED] * 3) for _ in "abc"
-    )
-    for speed in speeds:
-        straight.end(alpha, speed, D, True)
-        mixed.end(alpha, speed, D[np.ix_(turned, turned)], True, turned)
-        singular.end(alpha, speed, np.ones((3, 3)), True)
-    assert largest(straight.columns.net - alpha) > 0.1
-    assert_allclose(mixed.columns.net, straight.columns.net, rtol=0, atol=1e-9)
-    assert_allclose(singular.columns.net, alpha, rtol=0, atol=1e-12)
 
 
 # --- the monitor and the low-pass ----------------------------------------------------------------
@@ -359,14 +313,13 @@ def assert_rules(phases, before, goal, wanted, pushing, k):
     """What holds after any tick: phases `before` it, and goals."""
     rows = phases.contacts
     columns = phases.columns
-    push = k.damping * k.speed
     assert_array_equal(rows.active, rows.phase != OPEN)
     for c, (was, now) in enumerate(zip(before, rows.phase, strict=True)):
         mine = c == phases.owners
         row = rows[c]
         assert was == now or row.since == 0.0
         if not pushing[c]:
-            assert now == CLOSED and row.least == -np.inf
+            assert now == CLOSED
             assert_array_equal(goal[mine], wanted[mine])  # what cannot open gets what is commanded
         elif not (wanted[mine] > 0.0).any():
             assert now == OPEN
@@ -375,15 +328,6 @@ def assert_rules(phases, before, goal, wanted, pushing, k):
         if was == APPROACHING and now == CLOSED and pushing[c]:
             heavy = mine & (wanted > k.force_on)
             assert (columns.closed[heavy] != 0).all()  # several are one contact
-        if pushing[c] and now == APPROACHING:
-            assert row.gain == 0.0 and row.damping == k.damping and row.least == -np.inf
-            most = np.minimum(push + 5.0 * k.damping * columns.gap, 0.1 * k.damping)
-            assert (goal[mine] <= most[mine] + 1e-12).all()
-        if pushing[c] and now == CLOSED:
-            assert row.gain == 30.0 and row.damping == 100.0 and row.least == k.least
-            low = np.minimum(wanted, push)[mine] - 1e-12
-            high = np.maximum(wanted, push)[mine] + 1e-12
-            assert ((low <= goal[mine]) & (goal[mine] <= high)).all()
 
 
 def run_story(seed, ticks=400):
@@ -483,11 +427,15 @@ def test_measurements_are_low_passed_and_freed_of_inertia(seed):
         phases.contacts.active = rng.random(n) < 0.8
         here = phases.here
         alpha, speed = here * rng.standard_normal((2, n)) * np.array([[9.0], [0.02]])
-        count = np.count_nonzero(here)
+        chosen = rng.permutation(np.flatnonzero(here))
+        count = len(chosen)
         inertia = np.zeros((n, n))
         D = rng.standard_normal((count, count)) * 0.2 + np.eye(count)
-        if independent := rng.random() < 0.8:
-            inertia[np.ix_(here, here)] = np.linalg.inv(D)
+        independent = rng.random() < 0.8
+        if singular := count > 1 and rng.random() < 0.2:
+            D[:] = 1.0  # counts for nothing
+        elif independent:
+            inertia[np.ix_(chosen, chosen)] = np.linalg.inv(D)
         force = np.where(known, force + share * (alpha - force), alpha)
         change = np.where(known, share * (speed - pace), 0.0)
         pace = np.where(known, pace + change, speed)
@@ -495,8 +443,8 @@ def test_measurements_are_low_passed_and_freed_of_inertia(seed):
         pulls = here * np.maximum(flying - alpha, 0.0)
         noise = noise + (2.0 * pulls - noise) / (1.0 + 0.05 / DT)
         known = here
-        phases.end(alpha, speed, D, independent)
-        size = 1e-12 * max(1.0, np.linalg.cond(D) if count else 1.0)
+        phases.end(alpha, speed, D, independent, chosen)
+        size = 1e-12 * (np.linalg.cond(D) if count and not singular else 1.0)
         for name, want in {
             "force": force,
             "filtered_speed": pace,
