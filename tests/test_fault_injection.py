@@ -132,21 +132,6 @@ def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
     assert_allclose(alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
 
 
-def test_a_packet_that_repeats_for_longer_than_a_wrench_may_is_a_fault():
-    kept: dict[str, osc.Measurement] = {}
-
-    def stands(m, k):
-        if k <= 300:
-            kept["packet"] = replace(m, sequence=k)
-        return kept["packet"]
-
-    run, status = driven(stands, 345)
-    assert status.index(int(osc.Status.HELD)) == 321  # wrench_timeout = 20 ms
-    assert run.controller.state is SAFE_STOP
-    assert run.controller.unbraked is not None
-    assert "engage the mechanical brakes" in run.controller.reason
-
-
 @parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
 def test_more_than_half_of_the_ticks_must_not_be_lost_for_long(lost_of, stops):
     n, m = lost_of
