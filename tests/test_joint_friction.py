@@ -27,7 +27,6 @@ import osc_contact as osc
 from benchmarks.joint_friction import cases
 from osc_contact.control.records import SLIP
 from osc_contact.interface import Reference
-from osc_contact.plants.rigid import RigidPlant
 
 MOST = 30.0
 PRIOR = np.array([9.0, 4.0, 2.0, 0.01])
@@ -134,29 +133,6 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         s = np.clip(weighed @ solve(J @ weighed, V), -fastest, fastest)
         want = VISCOUS * s + DRY * s / np.hypot(s, SLIP)
         assert_allclose(tau[3] - tau[1], want, rtol=1e-9, atol=1e-9)
-
-
-def test_friction_known_at_the_start_leaves_the_wanted_acceleration():
-    """KKT of the exact plant: with friction the torques give what they give without."""
-    for chain in (panda(armature=ROTORS, damping=VISCOUS, friction=DRY), panda()):
-        rng = default_rng(2)
-        q, v = random_state(one_panda(), rng)
-        state = chain.state(q, v)
-        J = state.arms[0].J
-        weighed = solve(state.M, J.T)
-        v = weighed @ solve(J @ weighed, state.V_O)  # none that the object does not see
-        state = chain.state(q, v)
-        plant = RigidPlant(chain, [], 1e-4)
-        plant.q = q
-        plant.v = v
-        A_D = rng.standard_normal(6)
-        controller = osc.Controller(chain, [], GAINS)
-        for k in (1.0, 0.0):  # the speed in the second tick is V_O
-            wanted = Reference(state.X_WO, state.V_O - k * 1e-3 * A_D, A_D)
-            tau = controller.tick(unloaded(q, v), wanted)
-        _, a_O, _ = plant.accelerations(tau)
-        turning = np.concatenate((np.cross(state.V_O[3:], state.V_O[:3]), np.zeros(3)))
-        assert_allclose(a_O, A_D - turning, atol=2e-3)
 
 
 @parametrize(

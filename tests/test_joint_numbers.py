@@ -5,7 +5,7 @@ import pinocchio as pin
 from complaints import model_error, scenario_error
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, fixture, mark
-from rigs import holding_panda, one_panda, panda_arm, random_state, ticked, unloaded
+from rigs import holding_panda, panda_arm, ticked
 from robot_numbers import mass_matrix
 from samples import parametrize
 from scenario_runs import rig_of, verdict_of, worst_force
@@ -95,18 +95,6 @@ def test_what_a_urdf_says_of_friction_arrives():
 def test_wrong_numbers_of_joints_are_refused_with_their_name(key, value):
     with model_error(key):
         panda(**{key: value})
-
-
-def test_the_switch_leaves_friction_out():
-    chain = panda(damping=VISCOUS, friction=DRY)
-    q, v = random_state(one_panda(), np.random.default_rng(3))
-    state = chain.state(q, v)
-    given = unloaded(q, v), osc.Reference(state.X_WO, state.V_O)
-    off = osc.Controller(chain, [], GAINS, joint_friction=False).tick(*given)
-    bare = osc.Controller(panda(damping=0.0), [], GAINS).tick(*given)
-    on = osc.Controller(chain, [], GAINS).tick(*given)
-    assert_allclose(off, bare, atol=1e-9)
-    assert np.abs(on - off).max() > 0.3
 
 
 # --- plants ---------------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -11,7 +10,6 @@ import daqp
 import numpy as np
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from processes import python
 from pytest import mark, param, raises
 from rigs import largest
 from samples import parametrize
@@ -271,37 +269,6 @@ def test_the_optimum_in_exact_fractions(how, tolerance):
     assert seen < 6 and (seen > 1 or "weak" not in how)
 
 
-@parametrize("endless", [0, 3])
-def test_units_of_torque_and_axes_do_not_matter(endless):
-    rng = default_rng(66)
-    for weak in (1.0, 0.05) * 20:
-        case = random_case(rng, weak=weak, endless=endless)
-        tau, at_limit, *_, short = solve(case)
-        unit = rng.uniform(0.1, 10.0, 8) if not endless else np.full(8, rng.uniform(0.1, 10.0))
-        other = replace(
-            case,
-            desired=case.desired * unit,
-            tau_max=case.tau_max * unit,
-            G=case.G / unit[:, None],
-            E=case.E / unit,
-        )
-        turn = np.eye(6)
-        m = 6 - case.d
-        turn[m:, m:] = np.linalg.qr(rng.standard_normal((case.d, case.d)))[0]
-        turned = replace(
-            case,
-            G=case.G @ turn.T,
-            Lambda=turn @ case.Lambda @ turn.T,
-            N=case.N @ turn.T,
-            pushed=case.pushed @ turn.T,
-            carried=case.carried @ turn.T,
-        )
-        for same, factor in ((other, unit), (turned, 1.0)):
-            got, there, *_, also = solve(same)
-            assert also == short and (there == at_limit).all()
-            assert largest((got / factor - tau) / case.scale) < 1e-9
-
-
 def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
     rng = default_rng(67)
     case = random_case(rng, d=6, r=2, k=2, s=1)
@@ -381,27 +348,3 @@ def test_nothing_accumulates():
             limits.solve(*counts)
         after = sys.getallocatedblocks()
     assert abs(after - before) < 20
-
-
-def answers():
-    """What both ways of running the same source are compared by, as shares of its size."""
-    rng = default_rng(71)
-    out = []
-    for i in range(60):
-        case = random_case(
-            rng, 8 + 6 * (i % 2), weak=(1.0, 0.05)[i // 2 % 2], passive=i % 3, endless=i % 5 // 4
-        )
-        tau, at_limit, *lost, short = solve(case)
-        lost = [x / (1.0 + largest(x)) for x in lost]
-        out.append([*np.concatenate((tau / case.scale, at_limit, *lost)), float(short)])
-    return out
-
-
-def test_compiled_as_plain_python():
-    done = python(__file__, NUMBA_DISABLE_JIT="1")
-    for got, want in zip(answers(), json.loads(done.stdout), strict=True):
-        assert_allclose(got, want, rtol=0, atol=1e-12)
-
-
-if __name__ == "__main__":
-    print(json.dumps(answers()))
