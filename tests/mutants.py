@@ -51,61 +51,36 @@ LEFT_OUT = (
     "units.py",
 )
 MODULES = ("projections.py", "response.py", "control/monitor.py")
-JUDGES = (
-    "law_parts",
-    "law_stages",
-    "law_kkt",
-    "law_watch",
-    "contact_kinds",
-    "pairs",
-    "chain_state",
-    "grasps",
-    "projections",
-    "spans",
-    "outcome",
-    "law_limits",
-    "law_phases",
-    "linkage",
-    "law_steps",
-    "safety",
-    "friction",
-    "force_filter",
-    "reading",
-    "moving_environment",
-    "singular",
-    "tilted_faces",
-    "controller",
-    "operational_space",
-    "joint_friction",
-)
-#: Whose tests come first: those of the part itself. `law_kkt` judges whole ticks after them.
-OWN = {
-    "law_parts": ("vectors.py", "algebra.py", "commands.py", "grasps.py", "contact.py"),
+#: The tests of a part itself come first: of the modules named. `law_kkt` judges whole ticks after
+#: them.
+JUDGES = {
+    "law_parts": ("vectors", "algebra", "commands", "grasps", "contact"),
     "law_stages": (
-        "reading.py",
-        "safety.py",
-        "operational.py",
-        "command_filter.py",
-        "allocation.py",
-        "vectors.py",
-        "tick.py",
-        "limits.py",
+        *("reading", "operational", "command_filter", "allocation", "vectors", "tick", "limits"),
     ),
-    "contact_kinds": ("contact.py",),
-    "pairs": ("contact.py",),
-    "chain_state": ("arm_motion.py", "chain.py", "operational.py", "vectors.py", "grasps.py"),
-    "grasps": ("grasps.py",),
-    "tilted_faces": ("contact.py",),
-    "law_watch": ("safety.py", "sensors.py"),
-    "force_filter": ("reading.py",),
-    "safety": ("safety.py",),
-    "law_phases": ("phases.py",),
-    "law_steps": ("commands.py",),
-    "linkage": ("allocation.py",),
-    "law_limits": ("limits.py",),
-    "outcome": ("monitor.py",),
-    "operational_space": ("operational.py",),
-    "joint_friction": ("joint_friction.py",),
+    "law_kkt": (),
+    "law_watch": ("safety", "sensors"),
+    "contact_kinds": ("contact",),
+    "pairs": ("contact",),
+    "chain_state": ("arm_motion", "chain", "operational", "vectors", "grasps"),
+    "grasps": ("grasps",),
+    "projections": (),
+    "spans": (),
+    "outcome": ("monitor",),
+    "law_limits": ("limits",),
+    "law_phases": ("phases",),
+    "linkage": ("allocation",),
+    "law_steps": ("commands",),
+    "safety": ("safety",),
+    "friction": (),
+    "force_filter": ("reading",),
+    "reading": (),
+    "moving_environment": (),
+    "singular": (),
+    "tilted_faces": ("contact",),
+    "controller": (),
+    "operational_space": ("operational",),
+    "joint_friction": ("joint_friction",),
 }
 SLOW = 6  #: s; a test that takes longer without compilation is no judge
 CHECK = 2.0  #: s of tests that have to pass without any mutant, three times
@@ -129,7 +104,7 @@ def main():
     ask.add_argument("--only", default="", help="modules whose path holds this text")
     ask.add_argument("--again", action="store_true", help="judge survivors once more")
     ask.add_argument("--budget", type=float, default=40.0, help="s of tests for each mutant")
-    ask.add_argument("--judges", nargs="+", choices=JUDGES, default=JUDGES, metavar="NAME")
+    ask.add_argument("--judges", nargs="+", choices=JUDGES, default=[*JUDGES], metavar="NAME")
     ask.add_argument("--out", type=Path, default=ROOT / "out/mutants")
     given = ask.parse_args()
     out = given.out.resolve()
@@ -286,7 +261,7 @@ class Judges:
             tests = lines[near] or set().union(*lines.values()) or set(self.seconds)
         chosen = []
         spent = 0.0
-        own = [f"test_{judge}.py" for judge, files in OWN.items() if spec.module_path.name in files]
+        own = [f"test_{judge}.py" for judge, of in JUDGES.items() if spec.module_path.stem in of]
         for test in sorted(tests, key=lambda t: (not any(o in t for o in own), self.seconds[t])):
             spent += self.seconds[test]
             if spent > budget and chosen:

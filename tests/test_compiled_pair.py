@@ -14,41 +14,21 @@ from rigs import direction, one_panda, random_state, refused, unloaded
 import osc_contact as osc
 
 
-def ball_on_ball(X_WO, V_O, X_WE, V_E, given, *out):
-    """A ball of the object, centre and radius, on one of the environment.
-
-    Element by element: numba takes 3 s to compile the same with slices and cross products.
-    """
-    N, n_gamma, gaps, points = out
-    p = np.zeros(3)
-    c = np.zeros(3)
-    p_dot = np.empty(3)
-    slip = np.empty(3)
-    n = np.empty(3)
-    n_dot = np.empty(3)
-    turns = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-    apart = 0.0
-    along = 0.0
-    for i in range(3):
-        for j in range(3):
-            p[i] += X_WO[i, j] * given[j]
-            c[i] += X_WE[i, j] * given[4 + j]
-        c[i] += X_WE[i, 3] - X_WO[i, 3]
-        apart += (c[i] - p[i]) ** 2
-    apart = np.sqrt(apart)
-    for i, j, k in turns:
-        n[i] = (c[i] - p[i]) / apart
-        p_dot[i] = V_O[i] + V_O[3 + j] * p[k] - V_O[3 + k] * p[j]
-        slip[i] = V_E[i] + V_E[3 + j] * c[k] - V_E[3 + k] * c[j] - p_dot[i]
-        along += n[i] * slip[i]
-    for i in range(3):
-        n_dot[i] = (slip[i] - n[i] * along) / apart
-    for i, j, k in turns:
-        turned = p_dot[j] * n[k] - p_dot[k] * n[j] + p[j] * n_dot[k] - p[k] * n_dot[j]
-        n_gamma[0] -= n_dot[i] * (V_O[i] - V_E[i]) + turned * (V_O[3 + i] - V_E[3 + i])
-        N[i, 0] = n[i]
-        N[3 + i, 0] = p[j] * n[k] - p[k] * n[j]
-        points[i, 0] = X_WO[i, 3] + p[i] + given[3] * n[i]
+def ball_on_ball(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):
+    """A ball of the object, centre and radius, on one of the environment; all from O."""
+    p = X_WO[:3, :3].copy() @ given[:3]
+    c = X_WE[:3, 3] - X_WO[:3, 3] + X_WE[:3, :3].copy() @ given[4:7]
+    p_dot = V_O[:3] + np.cross(V_O[3:], p)
+    slip = V_E[:3] + np.cross(V_E[3:], c) - p_dot
+    apart = np.sqrt(((c - p) ** 2).sum())
+    n = (c - p) / apart
+    n_dot = (slip - n * (n * slip).sum()) / apart
+    V = V_O - V_E
+    n_gamma[0] = -(n_dot * V[:3]).sum()
+    n_gamma[0] -= ((np.cross(p_dot, n) + np.cross(p, n_dot)) * V[3:]).sum()
+    N[:3, 0] = n
+    N[3:, 0] = np.cross(p, n)
+    points[:, 0] = X_WO[:3, 3] + p + given[3] * n
     gaps[0] = apart - given[3] - given[7]
 
 

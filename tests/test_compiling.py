@@ -2,12 +2,10 @@
 
 import ast
 import io
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
+from processes import python
 from pytest import mark, param
 from rich.console import Console
 from samples import parametrize
@@ -89,15 +87,8 @@ def test_torques_are_equal_to_the_bit_however_the_law_is_compiled(tmp_path, othe
 
     LLVM does not reorder sums at any level; the lower one compiles in two thirds of the time.
     """
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1", **other}
-    done = subprocess.run(
-        [sys.executable, "-c", WAYS, str(duration)],
-        capture_output=True,
-        text=True,
-        timeout=900,
-        env=environment,
-    )
-    assert done.returncode == 0, done.stderr[-3000:]
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1", **other}
+    done = python("-c", WAYS, duration, **environment)
     space = {"__name__": "ways"}
     exec(WAYS, space)
     want = list(space["lines"](duration))
@@ -107,9 +98,8 @@ def test_torques_are_equal_to_the_bit_however_the_law_is_compiled(tmp_path, othe
 
 def compiling(program, folder, **changes):
     """A program in which no library of the law is ready."""
-    env = {**os.environ, "NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "", **changes}
-    env["OSC_CONTACT_CACHE"] = str(folder)
-    return subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True)
+    env = {"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "", **changes}
+    return python("-c", program, OSC_CONTACT_CACHE=str(folder), **env)
 
 
 OTHER_NUMBA = """

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from pytest import approx
 from rigs import SCARA_Q, largest, one_panda, scara_pair, unloaded
 from samples import first, parametrize
+from scipy.optimize import brentq
 
 import osc_contact as osc
 from osc_contact.scenarios.control_schema import MotionGains, PostureTask
@@ -89,30 +90,19 @@ def _closed(q):
     """Both arms symmetric about x = 0 with the rod along x: solved for the shoulder angle."""
     chain = scara_pair()
 
-    def miss(shoulder):
+    def posture(shoulder):
         trial = q.copy()
-        trial[0] = shoulder
-        trial[5] = np.pi - shoulder
+        trial[[0, 5]] = shoulder, np.pi - shoulder
         trial[3] = -(trial[0] + trial[1])
         trial[8] = -trial[3]
-        left, right = chain_poses(chain, trial)
-        return left[0] - right[0], trial
+        return trial
 
-    low = 0.9
-    high = 2.0
-    for _ in range(60):
-        mid = 0.5 * (low + high)
-        if miss(low)[0] * miss(mid)[0] <= 0:
-            high = mid
-        else:
-            low = mid
-    return miss(0.5 * (low + high))[1]
+    def miss(shoulder):
+        pin.framesForwardKinematics(chain.model, chain.data, posture(shoulder))
+        left, right = chain.object_poses()
+        return left.translation[0] - right.translation[0]
 
-
-def chain_poses(chain, q):
-    pin.forwardKinematics(chain.model, chain.data, q)
-    pin.updateFramePlacements(chain.model, chain.data)
-    return [X.translation for X in chain.object_poses()]
+    return posture(brentq(miss, 0.9, 2.0, xtol=1e-15))
 
 
 def ranks_on_the_way(chain, postures, v, posture):
