@@ -84,14 +84,6 @@ def test_friction_leaves_a_face_as_stiff_as_it_is(solref):
     assert depth[1] == approx(depth[0], rel=0.1)
 
 
-@parametrize("mu", [0.1, 0.3])
-def test_a_face_slides_on_a_face_with_friction(mu):
-    scenario = osc.load_scenario("ur5_wipe", [f"plant.friction={mu}", "duration=3 s"])
-    verdict = osc.metrics(osc.run(scenario))
-    assert verdict["contact_fraction"] == {"cloth": 1.0}
-    assert max(force["rms_error_rel"] for force in verdict["force"].values()) < 0.01
-
-
 def test_friction_on_contacts_without_known_points_is_refused():
     chain = scara_pair()
     pair = osc.Revolute(np.zeros(3), np.array([0.0, 0.0, 1.0]), name="hinge")

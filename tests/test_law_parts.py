@@ -16,9 +16,11 @@ from numpy.linalg import norm, qr
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import direction, largest, pose_of, unit
+from rigs import direction, friction_wrenches, largest, pose_of, unit
 from samples import parametrize
 
+from osc_contact import Friction, VertexOnFace
+from osc_contact.interface import Touched
 from osc_contact.law import records as at
 
 SEEDS = parametrize("seed", range(6))
@@ -371,34 +373,24 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     X = pose_of(rng)
     E = pose_of(rng)
     V_O, V_W = rng.standard_normal((2, 6))
-    vertex = rng.standard_normal(3)
-    normal = direction(rng)
-    offset = rng.normal()
+    pair = VertexOnFace(*rng.standard_normal((2, 3)), direction(rng))
     A_D = 30.0 * rng.standard_normal(6)
     dt = 1e-3
-    slip = 0.01
-    t = records(contacts=1, columns=1, reading=at.LEAST_SQUARES, period=dt, slip=slip)
+    friction = Friction(1.0, slip=0.01)
+    t = records(contacts=1, columns=1, reading=at.LEAST_SQUARES, period=dt, slip=friction.slip)
     write(t.model.pairs[0], kind=at.POINTS, first=0, count=1, shape_at=0, has_friction=1)
-    write(t.model.shapes[0], row=[*vertex, *normal, offset])
+    write(t.model.shapes[0], row=[*pair.vertex, *pair.normal, pair.normal @ pair.point])
     write(t.input, touched=[[*E.homogeneous.ravel(), *V_W]])
     write(t.work, A_D=A_D, mu=mu, X_WO=X.homogeneous, V_O=V_O, moving=moving)
     column = t.work.columns[0]
     assert contact.place_contacts(t)
-    if not moving:
-        E = pin.SE3.Identity()
-        V_W = np.zeros(6)
-    n = E.rotation @ normal
-    p = X.act(vertex)
-    p = p + n * (n @ (E.translation - p) + offset) - X.translation  # of the face, below the vertex
-    body = V_W.copy()
-    body[:3] += np.cross(V_W[3:], X.translation - E.translation)
-    ahead = V_O - body + 2.0 * dt * A_D
-    v = ahead[:3] + np.cross(ahead[3:], p)
-    v -= n * (n @ v)
-    s = v / np.sqrt(v @ v + slip**2)
-    close(column.point, p, atol=1e-10)
-    close(column.slip, s, atol=1e-10)
-    close(column.friction_wrench, mu * np.append(s, np.cross(p, s)), atol=1e-10)
+    seen = [E.homogeneous], [V_W], [A_D]
+    touched = Touched(*map(np.array, seen)) if moving else None
+    want = friction_wrenches(friction, [pair], X, V_O + 2.0 * dt * A_D, touched)[:, 0]
+    where = pair.points_of_contact(X, *[E] * moving)[:, 0]
+    close(column.point, where - X.translation, atol=1e-10)
+    close(column.slip, want[:3], atol=1e-10)
+    close(column.friction_wrench, mu * want, atol=1e-10)
     t.model.reading = at.FILTER
     column.slip[:] = 9.0
     contact.place_contacts(t)

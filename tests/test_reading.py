@@ -7,14 +7,20 @@ import pinocchio as pin
 from numpy.linalg import cholesky, inv, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from rigs import UNLIMITED, one_panda, random_faces, random_state, refused
+from rigs import (
+    UNLIMITED,
+    friction_wrenches,
+    one_panda,
+    random_faces,
+    random_state,
+    refused,
+)
 from samples import chosen, first, parametrize
 from scenario_runs import always_closed
 from test_law import inputs, motion_of, off_their_faces
 
 import osc_contact as osc
 from benchmarks.cases import POINT
-from osc_contact.contacts.pairs.pair import Bodies, velocity
 from osc_contact.dynamics.environment import Cart, Conveyor
 
 
@@ -163,23 +169,12 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
         controller.tick(measurement, reference)
         assert controller.status is not osc.Status.HELD, controller.reason
         s = controller.signals
-        where = []
         X = s.state.X_WO
-        for i, pair in enumerate(pairs):
-            bodies = X, s.state.V_O
-            if touched is not None:
-                bodies += pin.SE3(touched.X_WE[i]), touched.V_E[i]
-            m = pair.contact(*bodies).N[:3, 0]
-            p = pair.points_of_contact(X, *bodies[2:3])[:, 0] - X.translation
-            slide = velocity(Bodies.at_O(*bodies).V_rel, p)
-            slide = slide - (slide @ m) * m
-            where.append(
-                (
-                    p,
-                    m,
-                    slide / np.sqrt(slide @ slide + (slip if mu else osc.Friction(0.0).slip) ** 2),
-                )
-            )
+        faces = [()] * n if touched is None else [(pin.SE3(E),) for E in touched.X_WE]
+        points = [p.points_of_contact(X, *E)[:, 0] for p, E in zip(pairs, faces, strict=True)]
+        known = osc.Friction(1.0, slip if mu else osc.Friction(0.0).slip)
+        slides = friction_wrenches(known, pairs, X, s.state.V_O, touched)[:3].T
+        where = [*zip(points - X.translation, s.contact.N[:3].T, slides, strict=True)]
         friction = s.friction_wrenches
         want = explained(
             s.f_meas, s.state, s.contact, s.environment, friction, np.zeros(6), s.alpha_d, where
