@@ -12,8 +12,6 @@ from scenario_runs import rig_of, verdict_of, worst_force
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
-from osc_contact.law.records import MODEL
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.report import verdict_table
 
@@ -152,16 +150,6 @@ def test_joints_with_springs_have_their_rotors_in_the_springs():
             *(f"arms.{side}.armature=0.1" for side in ("left", "right")),
             "plant.flexible_joints={frequency: 5 Hz}",
         ).plant()
-
-
-def test_the_constructor_judges_rotors_too():
-    """A law that forgot them would be refused."""
-    chain = panda(armature=ROTORS)
-    row = chain.law_row(led=False).copy()
-    require_pinocchio_agrees(chain, row)
-    MODEL.view(row).joints.armature[3] = 0.0
-    with model_error("law's M differs"):
-        require_pinocchio_agrees(chain, row)
 
 
 @parametrize("given", ["arms.ur5.damping=2", "tare={}"])

@@ -8,10 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from complaints import model_error
-from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from processes import python
-from rigs import largest, placed, random_faces, unit
+from rigs import placed, random_faces, unit
 
 import osc_contact as osc
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
@@ -78,7 +76,7 @@ def test_a_hundred_thousand_ticks_allocate_nothing():
 
 
 def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
-    """J, M and h on random states; joints about and along any axis; armature; a wrong model."""
+    """J, M and h, wherever a chain is made; joints about and along any axis; a wrong model."""
     pin.seed(41)
     model = pin.Model()
     joint = 0
@@ -93,7 +91,6 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
         pin.JointModelRZ(),
         pin.JointModelPZ(),
     ]
-    rng = default_rng(41)
     for i, kind in enumerate(kinds):
         joint = model.addJoint(joint, kind, X, f"joint{i}")
         model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Random())
@@ -102,16 +99,10 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     model.addFrame(pin.Frame("tip", joint, 0, placed(0.2), pin.FrameType.OP_FRAME))
     body = osc.RigidObject(pin.Inertia(1.0, np.array([0.02, 0.01, 0.0]), 0.01 * np.eye(3)))
     chain = osc.ClosedChain([osc.Arm.from_urdf(model, name="arm", tip="tip")], payload=body)
-    for _ in range(5):
-        q = rng.uniform(-1, 1, 7)
-        v = rng.standard_normal(7)
-        data = chain.model.createData()
-        state = chain.state(q, v)
-        pin.computeAllTerms(chain.model, data, q, v)
-        assert_allclose(state.M, data.M, rtol=0, atol=1e-10 * largest(data.M))
-        assert_allclose(state.h, data.nle, rtol=0, atol=1e-10 * largest(data.nle))
-    row = chain.law_row(led=False).copy()
-    require_pinocchio_agrees(chain, row)
-    MODEL.view(row).joints.link[3][0] *= 1.0 + 1e-6
-    with model_error("differs from Pinocchio"):
-        require_pinocchio_agrees(chain, row)
+    wrong_link = chain.law_row(led=False).copy()
+    MODEL.view(wrong_link).joints.link[3][0] *= 1.0 + 1e-6
+    wrong_rotor = chain.law_row(led=False).copy()
+    MODEL.view(wrong_rotor).joints.armature[3] += 0.1
+    for row in (wrong_link, wrong_rotor):
+        with model_error("law's .* differs from Pinocchio"):
+            require_pinocchio_agrees(chain, row)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 
 import daqp
 import numpy as np
+from law_calls import write
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark, param, raises
@@ -121,19 +122,7 @@ def solve(case, limits=None):
     (d, r, k, s) = case.counts
     if limits is None:
         limits = MADE.setdefault(n, TorqueLimits(n, K_MAX, S_MAX))
-    limits.desired[:] = case.desired
-    limits.tau_max[:] = case.tau_max
-    limits.G[:] = case.G
-    limits.Lambda[:] = case.Lambda
-    limits.N[:r] = case.N
-    limits.pushed[:r] = case.pushed
-    limits.Phi_e[:r, :r] = case.Phi_e
-    limits.alpha[:r] = case.alpha
-    limits.share[:k, :r] = case.share
-    limits.floor[:k] = case.floor
-    limits.E[:s] = case.E
-    limits.carried[:s] = case.carried
-    limits.program.mass = case.mass
+    write(limits.program, **{x.name: getattr(case, x.name) for x in fields(case) if x.name != "d"})
     short = limits.solve(d, r, k, s)
     assert not limits.lost_force[r:].any() and not limits.lost_motion[: 6 - d].any()
     lost = limits.lost_force[:r], limits.lost_motion[6 - d :], limits.lost_squeeze[:s]

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from law_calls import phases as law
-from law_calls import tick_of
+from law_calls import tick_of, write
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
@@ -49,8 +49,7 @@ class Phases:
             "lag": k.lag,
         }
         values |= {key: getattr(k, key) for key in MonitorLimits.model_fields}
-        for name, value in values.items():
-            setattr(self.chain, name, value)
+        write(self.chain, **values)
         self.chain.bodies.pushes = pushing
         self.chain.columns.contact = owners
         self.contacts.phase = np.where(pushing, OPEN, CLOSED) if phase is None else phase

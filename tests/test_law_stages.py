@@ -431,22 +431,14 @@ def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     """What `settle` makes of 6 and −1 N m found where 0 and 0 were given: torques, squeeze."""
     rows = Rows(new_model(n_arms, 2, 2, columns=1))
     model, memory, work, _ = views(rows)
-    model.torque_rate = rate
-    model.phase_rate = 1.0
-    model.period = 1e-3
-    model.joints["motor"] = [1, 0]
-    model.joints["tau_max"] = [10.0, 30.0]
+    write(model, torque_rate=rate, phase_rate=1.0, period=1e-3)
+    write(model.joints, motor=[1, 0], tau_max=[10.0, 30.0])
+    write(
+        work, n_internal=n_internal, rank=1, dt=1e-3, internal=[8.0], force_next=[3.0], gain=[20.0]
+    )
     memory.ticked = ticked
-    work.n_internal = n_internal
-    work.rank = 1
-    work.internal[0] = 8.0
-    work.force_next[0] = 3.0
-    work.gain[0] = 20.0
-    work.dt = 1e-3
     program = TorqueLimits(2, 1, 1)
-    program.tau[:] = 6.0, -1.0
-    program.lost_force[0] = 50.0
-    program.lost_squeeze[0] = 5.0
+    write(program.program, tau=[6.0, -1.0], lost_force=[50.0], lost_squeeze=[5.0])
     settle(rows.raw, 0, 0, program.raw)
     close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1

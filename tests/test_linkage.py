@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from grasp_rigs import KINDS, random_case
-from law_calls import allocation, records
+from law_calls import allocation, records, write
 from numpy.linalg import pinv, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -123,20 +123,19 @@ def test_a_squeezed_plate_stays_within_its_limits():
 def answer(state, chain):
     """(levers, basis (bars, s)) of the law; NaN where answers and scratch stand before."""
     t = records(len(chain.arms), chain.nq, angle_tolerance=chain.angle_tolerance)
-    t.model.arms.first = [s.start for s in chain.slices]
-    t.model.arms.end = [s.stop for s in chain.slices]
-    work = t.work
-    work.points[:] = state.grasp_points
-    work.force_levers[:] = np.vstack([arm.J_bar[:, :3] for arm in state.arms])
-    work.efforts[:] = 0.0
-    work.efforts[chain.actuated] = effort_scale(chain.tau_max)
-    work.driven[:] = 0.0
-    work.driven[chain.actuated, : state.d] = state.G.T
+    ends = [(s.start, s.stop) for s in chain.slices]
+    write(t.model.arms, **dict(zip(("first", "end"), zip(*ends, strict=True), strict=True)))
+    efforts = np.zeros(chain.nq)
+    efforts[chain.actuated] = effort_scale(chain.tau_max)
+    driven = np.zeros((chain.nq, 6))
+    driven[chain.actuated, : state.d] = state.G.T
     locked = np.hstack([arm.C[:3] for arm in state.arms]).T
-    work.carried[: len(locked)] = locked / np.sqrt(chain.reference.inertia.mass)
-    work.owners[: len(locked)] = np.repeat(
-        np.arange(len(chain.arms)), [arm.C.shape[1] for arm in state.arms]
-    )
+    owners = np.repeat(np.arange(len(chain.arms)), [arm.C.shape[1] for arm in state.arms])
+    levers = np.vstack([arm.J_bar[:, :3] for arm in state.arms])
+    carried = locked / np.sqrt(chain.reference.inertia.mass)
+    work = t.work
+    write(work, points=state.grasp_points, force_levers=levers, efforts=efforts, driven=driven)
+    write(work, carried=carried, owners=owners)
     for out in (work.levers, work.basis, work.scratch):
         out[:] = np.nan
     s = allocation.settable_bars(t, len(locked))

@@ -58,13 +58,6 @@ def run(rig, measured, ticks=3000):
     return alpha[1000:] / commanded[1000:] - 1.0
 
 
-@parametrize("measured", [True, False], ids=["measured", "not measured"])
-@parametrize("stiffness", [1e3, 1e4, 1e5])
-def test_forces_on_a_soft_jig_are_kept(stiffness, measured):
-    errors = run(soft_rig(stiffness), measured)
-    assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.02).all()
-
-
 @parametrize("stiffness, most", [(1e3, 0.03), (5e4, 0.02)])
 def test_sensors_of_real_arms_do(stiffness, most):
     found = osc.metrics(osc.run(soft_rig(stiffness, more=[NOISY]).scenario))
@@ -74,10 +67,9 @@ def test_sensors_of_real_arms_do(stiffness, most):
 
 @parametrize("seed", range(6))
 def test_any_support_from_1_to_100_kN_per_m(seed):
-    """Masses, dampings and stiffnesses at random, none of them known."""
+    """Masses and dampings at random; nothing of it is known, its motion is measured or not."""
     rng = default_rng(seed)
-    stiffness = 10 ** rng.uniform(3.0, 5.0)
-    rig = soft_rig(stiffness, rng.uniform(0.3, 3.0), rng.uniform(0.0, 20.0))
+    rig = soft_rig(10 ** (3.0 + 0.4 * seed), rng.uniform(0.3, 3.0), rng.uniform(0.0, 20.0))
     errors = run(rig, bool(seed % 2))
     assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.02).all()
 
