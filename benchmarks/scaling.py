@@ -1,7 +1,5 @@
 """How the tick grows: with arms, with the degree of constraint r, with contacts."""
 
-from typing import Any
-
 import numpy as np
 
 from benchmarks.cases import KINDS, RandomRig, faces_of
@@ -9,7 +7,6 @@ from benchmarks.measuring import Rows, take_turns
 
 ARMS = (1, 2, 3, 4, 5, 6, 7, 8)
 RANKS = (0, 1, 2, 3, 4, 5, 6)
-BLOCKS = 5
 CONTACTS = (1, 2, 4, 8, 16)
 
 
@@ -34,18 +31,12 @@ def measure(rounds: int) -> dict[str, Rows]:
     sizes += [("ranks", "ur5", pair, r, r) for r in RANKS]
     sizes += [("contacts", "ur5", pair, c, min(c, 6)) for c in CONTACTS]
     sizes += [("contacts", "ur5", pair, c, 1) for c in CONTACTS[1:]]
-    timed: list[Any] = []
-    for _, kind, rig, contacts, r in sizes:
+    tables: dict[str, Rows] = {"arms": [], "ranks": [], "contacts": []}
+    for what, kind, rig, contacts, r in sizes:
         case = rig.case(kind, faces_of(rig, contacts, r, rng))
         ticked, unwind = case.tick()
-        timed.append((case, {"tick": ticked, "floor": case.floor()}, unwind, []))
-    count = min(BLOCKS, rounds)
-    for _ in range(count):  # what disturbs the machine for a while does not hit one size only
-        for _, calls, unwind, blocks in timed:
-            blocks.append(take_turns(calls, rounds // count, unwind))
-    tables: dict[str, Rows] = {"arms": [], "ranks": [], "contacts": []}
-    for (what, kind, _, contacts, r), (case, calls, _, blocks) in zip(sizes, timed, strict=True):
-        tick, floor = (float(np.median([block[name] for block in blocks])) for name in calls)
+        times = take_turns({"tick": ticked, "floor": case.floor()}, rounds, unwind)
+        tick, floor = (float(np.median(some)) for some in times.values())
         arms = len(case.chain.arms)
         row = {
             "kind": kind,

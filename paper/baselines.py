@@ -88,9 +88,6 @@ def compare(
         "scenario": scenario.name,
         "force_step_N": FORCE_STEP_N,
         "motion_step_m": MOTION_STEP_M,
-        "task_duration_s": float(scenario.duration),
-        "inertia_kg": instant.inertia,
-        "size_m": instant.size,
         "free_motions": instant.free.T.tolist(),
         "laws": rows,
     }

@@ -264,9 +264,8 @@ def _box(ax: Axes, block: Block) -> None:
     x, y = block.place
     colour = GROUPS[block.group][0]
     look: Any = {"boxstyle": "round,pad=0,rounding_size=0.07", "lw": 1.4, "zorder": 3}
-    for face in ({"fc": "white", "ec": colour}, {"fc": colour, "ec": "none", "alpha": 0.14}):
-        corner = (x - 0.5 * WIDTH, y - 0.5 * HEIGHT)
-        ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, **face, **look))
+    corner = (x - 0.5 * WIDTH, y - 0.5 * HEIGHT)
+    ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc=(colour, 0.14), ec=colour, **look))
     name = textwrap.fill(block.name, 16)
     middle = 0.26 if block.equation else 0.0
     centred: Any = {"ha": "center", "va": "center", "zorder": 5}

@@ -10,11 +10,8 @@ import base64
 import shlex
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
 from dataclasses import replace
 from html import escape
-from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,7 +21,6 @@ import osc_contact as osc
 from osc_contact import __version__
 from osc_contact.console import err, out, record
 from osc_contact.files import write_whole
-from osc_contact.law import compiled
 from osc_contact.runs.report import verdict_table, write_json, write_report
 from osc_contact.visual.page import POLICY, asset, filled
 from osc_contact.visual.plots import PRINT, save
@@ -317,7 +313,7 @@ def typed(plant: str | None, duration: float | None, seed: int, changes: Sequenc
 def make(
     names: Sequence[str], folder: Path, scenario: osc.Scenario, ask: Ask, options: str = ""
 ) -> Reproduction:
-    """Make figures and studies, several studies in several processes; their tables are printed.
+    """Make figures and studies; their tables are printed.
 
     Args:
         names: of `FIGURES` and `STUDIES`.
@@ -338,23 +334,17 @@ def make(
     brief = ask
     if len(names) > 1 and ask.duration is None:  # slow ones among others
         brief = replace(ask, duration=BRIEF_S)
-    studies = {name: brief if name in SLOW else ask for name in names if name in STUDIES}
-    with ExitStack() as stack:
-        coming = {}
-        if len(studies) > 1:
-            compiled.rows()  # made once if need be, not in every process
-            pool = stack.enter_context(ProcessPoolExecutor(mp_context=get_context("spawn")))
-            coming = {k: pool.submit(write_study, k, folder, one) for k, one in studies.items()}
-        for name in drawn:
-            answers = {}
-            if recording is not None:
-                answers = ANSWERS[name](Evidence(osc.build_rig(scenario), recording))
-            picture = {name: figures.reproduce(name, scenario, recording)}
-            made[name] = write(name, folder, Study(picture, answers=answers))
-        for name, one in studies.items():
+    for name in drawn:
+        answers = {}
+        if recording is not None:
+            answers = ANSWERS[name](Evidence(osc.build_rig(scenario), recording))
+        picture = {name: figures.reproduce(name, scenario, recording)}
+        made[name] = write(name, folder, Study(picture, answers=answers))
+    for name in names:
+        if name in STUDIES:
+            one = brief if name in SLOW else ask
             with err.status(name) as status:
-                here = replace(one, tell=status.update)
-                study = coming[name].result() if coming else write_study(name, folder, here)
+                study = write_study(name, folder, replace(one, tell=status.update))
             out.print(study.table)
             more = "" if one is ask else typed(None, one.duration, 0, ())
             made[name] = replace(study, options=more)

@@ -50,10 +50,6 @@ class Study:
         return any(path.suffix in (".png", ".svg") for path in self.files)
 
 
-def _ignore(step: str) -> None:
-    """No progress is shown; a function, since options are sent to other processes."""
-
-
 @dataclass(frozen=True)
 class Ask:
     """Options of a study.
@@ -72,7 +68,7 @@ class Ask:
     changes: Sequence[str] = ()
     samples: int | None = None
     folder: Path = Path()
-    tell: Callable[[str], None] = _ignore
+    tell: Callable[[str], None] = lambda step: None
 
     def lasting(self, usual: float) -> float:
         """The duration of its runs (s).

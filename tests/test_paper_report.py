@@ -1,7 +1,6 @@
 """The report on the paper's figures: what it says, how it judges; fig. 3 and its picture."""
 
 import json
-import pickle
 import re
 from dataclasses import replace
 
@@ -310,8 +309,3 @@ def test_without_a_browser_there_is_the_page_and_a_word(cell, tmp_path, monkeypa
     made = write_study("fig3", tmp_path, Ask())
     assert {path.name for path in made.files} == {"fig3.html", "fig3.json"}
     assert "not rendered: no browser" in str(list(made.table.columns[1].cells))
-
-
-def test_options_of_studies_reach_other_processes():
-    ask = Ask(seed=2, duration=1.5, changes=("gains={}",))
-    assert pickle.loads(pickle.dumps(ask)) == ask
