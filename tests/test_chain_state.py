@@ -117,7 +117,6 @@ def assert_chain(case, v, V, s, rng):
         ("G", s.G, s.W.T[:, case.chain.actuated], 1e-8),
         ("Φ", s.Phi, S @ solve(s.Lambda_S, S.T), 1e-8),
         ("SᵀΛS", S.T @ s.Lambda @ S, s.Lambda_S, 1e-9),
-        ("ΦΛΦ", s.Phi @ s.Lambda @ s.Phi, s.Phi, 1e-8),
         ("μ_S", S.T @ (s.mu + s.Lambda @ s.sigma), s.mu_S, 1e-8),
         ("p_S", S.T @ s.p, s.p_S, 1e-9),
         ("μ_S + p_S", s.mu_S + s.p_S, s.b_S, 1e-9),

@@ -232,15 +232,9 @@ def test_the_loop_decays_as_fast_as_its_spectral_radius(gain):
     assert tau[-1] == approx(1.0, rel=1e-3)
 
 
-def test_a_gain_the_sampled_loop_cannot_bear_is_refused_and_would_diverge():
+def test_a_gain_the_sampled_loop_cannot_bear_is_refused():
     with invalid_input("unstable"):
         loop_of(6000.0)
-    loop = loop_of(60.0)
-    loop.gain = 6000.0
-    loop.bandwidth = np.sqrt(1700.0 * 6001.0 / 0.45) * np.ones(1)
-    loop.rate_gain = 2 * 0.7 * 6001.0 / loop.bandwidth
-    assert loop.spectral_radius()[0] > 1.0
-    assert largest(simulated(loop, 300)) > 1e3
 
 
 def test_errors_of_the_motor_shrink_by_one_plus_gain():

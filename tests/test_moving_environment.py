@@ -257,15 +257,15 @@ def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_
     across = Environment(np.outer(state.S[:, 0], state.S[:, 0]))
     with contact_error("the arms and the environment cannot push"):
         contact_response(state, locked, across, tau=np.zeros(8))
+    both = osc.Contact(np.column_stack((np.eye(6)[:, 2], state.C[:, 0])))
+    with contact_error("the arms cannot push on contact column 1"):
+        contact_response(state, both, tau=np.zeros(8))
     with contact_error("the arms cannot push"):
         command(state, locked, np.zeros(6), np.zeros(1))
 
 
-def test_contact_response_needs_exactly_one_command_and_contacts_that_arms_can_push():
+def test_contact_response_needs_exactly_one_command():
     state = scara_pair().state(*random_state(scara_pair(), default_rng(15)))
-    locked = osc.Contact(np.column_stack((np.eye(6)[:, 2], state.C[:, 0])))
-    with contact_error("column 1"):
-        contact_response(state, locked, tau=np.zeros(8))
     nothing = osc.Contact(np.zeros((6, 0)))
     for commands in ({}, {"tau": np.zeros(8), "f_S": np.zeros(5)}):
         with refused("exactly one"):
