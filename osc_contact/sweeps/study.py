@@ -222,7 +222,7 @@ WORDS: dict[str, tuple[Make, str]] = {
 
 # --- Which numbers each run has -----------------------------------------------------------------
 
-Design = Literal["halton", "sobol", "latin", "random", "grid", "saltelli"]
+Design = Literal["halton", "sobol", "random", "grid", "saltelli"]
 SEED = "seed"  #: a path that is no key of the scenario: the seed of a run
 _BLOCK = 1024  #: points that are made at once
 
@@ -354,7 +354,7 @@ class SweepStudy:
     @cached_property
     def fingerprint(self) -> str:
         """Identifies this study; how many samples it has does not matter."""
-        content = asdict(self) | {"samples": self.samples if self.design in _WHOLE else None}
+        content = asdict(self) | {"samples": self.samples if self.design == "grid" else None}
         del content["name"]
         return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -426,10 +426,10 @@ class SweepStudy:
         return self._in_block(number)
 
     def _in_block(self, number: int) -> Array:
-        block = 0 if self.design in _WHOLE else number // _BLOCK
+        block, place = divmod(number, _BLOCK)
         if block not in self._points:
             self._points[block] = self._block(block)
-        return self._points[block][number - block * _BLOCK]
+        return self._points[block][place]
 
     def _block(self, block: int) -> Array:
         dims = len(self._levels)
@@ -437,8 +437,6 @@ class SweepStudy:
             return np.random.default_rng([self.seed, block]).random((_BLOCK, dims))
         from scipy.stats import qmc
 
-        if self.design == "latin":
-            return qmc.LatinHypercube(dims, rng=self.seed).random(self.samples)
         if self.design == "saltelli":
             dims *= 2
         kind = qmc.Halton if self.design == "halton" else qmc.Sobol
@@ -446,9 +444,6 @@ class SweepStudy:
         if block:
             points.fast_forward(block * _BLOCK)
         return points.random(_BLOCK)
-
-
-_WHOLE = ("latin", "grid")  #: designs whose points depend on how many there are
 
 
 def texts(overrides: Mapping[str, str]) -> list[str]:

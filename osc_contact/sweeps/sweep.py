@@ -218,8 +218,7 @@ class RowFile:
             laws: JSON-able, of the controllers that make the rows where they are not the study's.
 
         Raises:
-            InvalidInputError: another program writes to it, it is damaged, or it holds another
-                study.
+            InvalidInputError: another program writes to it, or it holds another study.
         """
         self.path = path
         self.done: dict[int, Row] = {}
@@ -233,42 +232,25 @@ class RowFile:
             raise
 
     def _continue(self, text: bytes, study: SweepStudy, laws: Any) -> None:
-        """Read the rows that the file holds, and make it end with a whole line."""
+        """Read the rows that the file holds, and make it end with a whole line.
+
+        Those of damaged lines are not done: they are made again.
+        """
         whole = text[: text.rfind(b"\n") + 1]
         if not whole:
             self._file.truncate(0)
             named = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
             self._write(named if laws is None else named | {"laws": laws})
             return
-        head, *lines = whole.splitlines()
-        of = self._read(1, head, "study", str)
-        if (of["study"], of.get("laws")) != (study.fingerprint, laws):
+        head, *rows = map(_parsed, whole.splitlines())
+        if (head.get("study"), head.get("laws")) != (study.fingerprint, laws):
             raise InvalidInputError(
-                f"{self.path} holds the rows of another study: another scenario, other "
-                "distributions, another design, seed or law; give another folder, or remove it"
+                f"{self.path} holds the rows of another study (another scenario, other "
+                "distributions, another design, seed or law), or its first line is damaged; give "
+                "another folder, or remove it"
             )
-        for number, line in enumerate(lines, 2):
-            row = self._read(number, line, "row", int)
-            self.done[row["row"]] = row
+        self.done |= {row["row"]: row for row in rows if type(row.get("row")) is int}
         self._file.truncate(len(whole))  # once all of it is sound
-
-    def _read(self, number: int, line: bytes, key: str, kind: type) -> Row:
-        """A line as an object with a key of a kind.
-
-        Raises:
-            InvalidInputError: it is damaged.
-        """
-        try:
-            row = json.loads(line)
-            if type(row[key]) is kind:
-                return row
-            cause = f"its {key!r} is {row[key]!r}"
-        except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
-            cause = f"{type(error).__name__}: {error}"
-        cure = (
-            "remove it: its run is done again" if number > 1 else "remove the file, and begin anew"
-        )
-        raise InvalidInputError(f"{self.path}: line {number} is damaged ({cause}); {cure}")
 
     def append(self, rows: Iterable[Row]) -> None:
         """Keep rows, now."""
@@ -284,6 +266,14 @@ class RowFile:
         """Nothing more comes."""
         os.fsync(self._file.fileno())
         self._file.close()
+
+
+def _parsed(line: bytes) -> Row:
+    """The object of a line, an empty one where it is damaged."""
+    try:
+        return dict(json.loads(line))
+    except (ValueError, TypeError, RecursionError):
+        return {}
 
 
 def make_table(rows: Sequence[Row], study: SweepStudy) -> Any:
@@ -347,7 +337,7 @@ def sweep(
         vary: {"path.to.key": "uniform(0.8, 1.2)"}, see `sweeps.study.WORDS`; the path
             "seed" is the seed of each run.
         samples: how many points; on a grid, how many values of each key that can have any.
-        design: "halton" or "sobol" (quasi-random), "latin", "random" or "grid"; "saltelli" for
+        design: "halton" or "sobol" (quasi-random), "random" or "grid"; "saltelli" for
             Sobol's indices, with keys + 2 runs of each of 2^m samples.
         seed: of the points, and of each run where it does not vary.
         out: a folder for rows and table; rows that are done there are not run again.
