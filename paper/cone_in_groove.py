@@ -163,10 +163,15 @@ class ConeRun(NamedTuple):
 
     Attributes:
         recording: of the run.
+        walls: of it, but with desired, read and true pushes at the ends of the lines of contact
+            (N) as its forces, each just before the torques change: true minus desired is what the
+            arm's motion makes of them within a period (it halves with the period), and the integral
+            action on it.
         data: the verdict, for JSON.
     """
 
     recording: osc.Recording
+    walls: osc.Recording
     data: Data
 
 
@@ -210,10 +215,10 @@ def run(
         probes.append(measured_coupling(rig, Ours(), instant, plant, t[k]).norms)
     to_motion, to_force = np.max(probes, axis=0)
     to_walls = np.linalg.inv(seat.from_wall_forces).T
-    # desired and true pushes just before the torques change: their difference is what the arm's
-    # motion makes of them within a period (it halves with the period), and the integral action
-    desired = recording["alpha_cmd"][:-1] @ to_walls
+    desired, read = (recording[name][:-1] @ to_walls for name in ("alpha_cmd", "alpha_meas"))
     true = recording["alpha_true"][1:] @ to_walls
+    channels = {"t": t[:-1], "alpha_cmd": desired, "alpha_meas": read, "alpha_true": true}
+    walls = osc.Recording(recording.meta | {"contact_names": ["push on the walls"]}, channels)
     poses = [pin.XYZQUATToSE3(pose) for pose in recording["pose"]]
     motion, wanted = (
         np.array([seat.motion(X) for X in some]) for some in (poses, [one.X_WD for one in plan])
@@ -240,7 +245,7 @@ def run(
         "motion_step_to_force": float(to_force),
         "contact_power_W": float(np.abs(recording["power_projected"][judged]).max()),
     }
-    return ConeRun(recording, data)
+    return ConeRun(recording, walls, data)
 
 
 # --- The contact state of fig. 2, and a run in it ---
@@ -345,7 +350,7 @@ def study(ask: Ask) -> Study:
     title = "fig. 2: a Panda turns a cone in its groove"
     figures = {
         "fig2": draw_state(Seat()),
-        "fig2_forces": plots.contact_forces(result.recording),
+        "fig2_forces": plots.contact_forces(result.walls),
         "fig2_motion": plots.tracking(result.recording, SETTLE_S),
     }
     return Study(figures, table_of(title, "quantity; value", rows.items()), data, answers)
