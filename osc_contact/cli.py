@@ -40,7 +40,6 @@ from osc_contact.errors import Interrupted, InvalidInputError
 from osc_contact.files import sole_user, write_whole
 from osc_contact.law import compiled
 from osc_contact.runs import report, viewing
-from osc_contact.runs.calibration import calibrate as calibrate_wrists
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.report import write_json
@@ -257,21 +256,6 @@ def inspect(
         write_json(inspection.as_dict(), json_file)
     if doubts:
         raise Exit(1)
-
-
-@app.command()
-def calibrate(
-    scenario: ScenarioArgument,
-    postures: Annotated[int, Option(min=3, help="static postures")] = 8,
-    seed: SeedOption = 0,
-    set_: SetOption = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Find mass, centre of mass and bias at each wrist sensor from static postures."""
-    loads = calibrate_wrists(load_task(scenario, set_), postures, seed=seed)
-    out.print(report.calibration_table(loads))
-    if json_file:
-        write_json({one.arm: one.as_dict() for one in loads}, json_file)
 
 
 @app.command("list")

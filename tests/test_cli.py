@@ -71,7 +71,7 @@ def test_list_names_scenarios():
 def test_inspect_prints_the_contact_state():
     result, found = answered("inspect two_contact_rod")
     assert (found["d"], found["r"], found["free_motions"]) == (5, 2, 3)
-    assert all(sentence in result.stdout for sentence in found["report"])
+    assert all(sentence in result.stdout for sentence in found["lines"])
     assert f"{found['N'][0][0]:.4f}" in result.stdout, "the table shows N"
 
 

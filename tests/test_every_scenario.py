@@ -18,6 +18,7 @@ from osc_contact.dynamics.chain_state import modes
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.hardware import flexible_joints
 from osc_contact.runs.inspection import inspect_rig
+from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.viewing import write_scene_of
 from paper import workcell
 from paper.report import write_study
@@ -298,7 +299,7 @@ def test_another_state_of_contact_needs_only_another_file(path):
 def test_what_cannot_be_built_is_refused(change, error, words):
     """A face that would have to pull, one out of reach, a posture of too few joints."""
     with raises(error) as refused:
-        rig_of("two_contact_rod", change)
+        require_ready(rig_of("two_contact_rod", change))
     assert words in str(refused.value)
 
 

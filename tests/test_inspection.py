@@ -130,7 +130,7 @@ def test_conditioning_does_not_depend_on_units_of_force(found, rig):
 
 def test_json_form_is_plain(found):
     data = found.as_dict()
-    assert data["free_motions"] == 3 and data["report"] == list(found.lines)
+    assert data["free_motions"] == 3 and data["lines"] == list(found.lines)
     assert json.loads(json.dumps(data)) == data
     assert np.allclose(data["free"], found.free) and np.allclose(data["N"], found.N)
 

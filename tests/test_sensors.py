@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-from command_line import answered, refused
 from complaints import invalid_input, model_error, scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -18,7 +17,6 @@ from test_moving_face import TURNING
 import osc_contact as osc
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.sensors import SensedPlant, SensorErrors, Sensors
-from osc_contact.runs.calibration import calibrate
 from osc_contact.scenarios.hardware import Clock, VisionSpec
 from osc_contact.sensing.calibration import calibrate_wrist
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
@@ -268,27 +266,6 @@ def test_bad_input_is_refused(make, given, words):
         make(*given)
 
 
-def test_a_panda_finds_mass_to_one_per_cent_and_centre_to_two_millimetres():
-    for seed in range(2):
-        (found,) = calibrate(osc.load_scenario("panda_wrist"), postures=6, average=0.1, seed=seed)
-        data = found.as_dict()
-        assert data["mass_error_rel"] < 0.01
-        assert data["com_error_m"] < 2e-3
-        assert np.abs(found.found.bias[:3]).max() > 0.2  # there was something to find
-
-
-def test_the_truth_it_is_compared_with_is_what_the_urdfs_weigh():
-    (found,) = calibrate(osc.load_scenario("panda_wrist", ["sensors={}"]), average=0.01)
-    assert found.mass == approx(0.73 + 0.015 * 2 + 1.5, abs=0.01)  # hand, fingers, rod
-    assert found.found.mass == approx(found.mass, rel=1e-9)
-    assert_allclose(found.found.com, found.com, atol=1e-9)
-
-
-def test_the_command_prints_and_writes_what_was_found():
-    assert answered("calibrate panda_wrist --postures 4")[1]["arm"]["mass_error_rel"] < 0.01
-    refused("calibrate workcell")
-
-
 # The velocity estimate against the Riccati equation and against what it has to see.
 
 
@@ -437,12 +414,13 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
     rig = rig_of("moving_face", *slow, VISION, *changes)
     sensed = rig.plant(2)
     controller = rig.controller()
-    observer = rig.observer()
+    observed = rig.robot(sensed, controller)
+    observed.robot = SimpleNamespace(measure=lambda: read)
     pair = rig.pairs[0]
     squares = []
     for k in range(2500):
         read = sensed.measure()
-        done = observer.complete(read, None)
+        done = observed.measure()
         if k >= 1200 and k % 20 == 0:
             truth = sensed.truth()
             n = pair.direction(truth.X_WE[0])

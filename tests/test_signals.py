@@ -36,7 +36,6 @@ from osc_contact.scenarios.signals import (
     Sine,
     Step,
     total,
-    total_over,
 )
 
 SMOOTH = [
@@ -64,7 +63,7 @@ def test_many_times_at_once_are_those_times_one_by_one():
     t = np.sort(np.append(default_rng(0).uniform(-0.5, 2.0, 200), [0.1, 0.3, 0.4, 0.7]))
     for chosen in ([], *([one] for one in signals), signals):
         summed = np.array([np.sum([one.at(x) for one in chosen], axis=0) * np.ones(3) for x in t])
-        assert_allclose(total_over(chosen, t).T, summed, atol=1e-12)
+        assert_allclose(total(chosen, t).T, summed, atol=1e-12)
         assert_allclose([total(chosen, x) for x in t], summed, atol=1e-12)
 
 

@@ -93,9 +93,7 @@ def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]
     return np.concatenate(numbers)
 
 
-def sensors(
-    spec: SensorsSpec, chain: ClosedChain, bodies: Sequence[EnvironmentBody] = ()
-) -> Sensors:
+def sensors(spec: SensorsSpec, chain: ClosedChain, bodies: Sequence[EnvironmentBody]) -> Sensors:
     """The plant's sensors with the errors of a scenario.
 
     Args:
@@ -170,19 +168,34 @@ class TorqueLoopRobot:
             self.plant.command(u, self.loop.dt)
 
 
-class Observer:
-    """Completes measurements: joint velocities from encoders, motion of bodies from vision.
+class ObservedRobot:
+    """A robot whose measurements are completed for its controller.
 
-    Readings are brought up to date by the sensors' known delay. Ideal readings pass unchanged.
+    Joint velocities are estimated from encoders, the motion of bodies from vision. Readings are
+    brought up to date by the sensors' known delay. Ideal readings pass unchanged.
 
     Attributes:
         vision: what fuses the camera's pictures with the encoders; None: no vision.
     """
 
     def __init__(
-        self, scenario: Scenario, chain: ClosedChain, bodies: Sequence[EnvironmentBody] = ()
+        self,
+        robot: Robot,
+        controller: Controller,
+        scenario: Scenario,
+        bodies: Sequence[EnvironmentBody],
     ) -> None:
-        """Set up the estimates from the errors the scenario gives the sensors."""
+        """Set up the estimates from the errors the scenario gives the sensors.
+
+        Args:
+            robot: that measures. controller: of it. scenario: with the sensors.
+            bodies: that cameras track.
+        """
+        self.robot = robot
+        self.controller = controller
+        self.stop = robot.stop
+        chain = controller.chain
+        self._acceleration = np.zeros(chain.nq)  #: of the joints, as commanded last
         self.dt = 1.0 / scenario.control.rate
         self._seen = Stamps(-1.0, -1.0, -1.0, -1.0)
         self._ticks = 0
@@ -221,11 +234,6 @@ class Observer:
                 markers=_markers(bodies),
             )
 
-    @property
-    def estimates(self) -> bool:
-        """Whether joint velocities are estimated here, and accelerations of use."""
-        return self._joints is not None
-
     def _implausible(self, q: Array) -> NDArray[np.bool_]:
         """(n,) which joints are not finite, or moved faster than they can since they were read."""
         far = np.abs(q - self._accepted) > _NOISE + self._reach * (1.0 + self._missed)
@@ -234,23 +242,19 @@ class Observer:
         self._accepted = np.where(bad, self._accepted, q)
         return bad
 
-    def complete(self, measurement: Measurement, acceleration: Array | None) -> Measurement:
-        """The measurement with everything a controller needs.
-
-        Args:
-            measurement: as read. acceleration: (n,) of the joints, as commanded since the last
-                call; None: unknown.
-        """
+    def measure(self) -> Measurement:
+        """With everything a controller needs."""
+        measurement = self.robot.measure()
         stamps = measurement.stamps
         if stamps is None:
             return measurement
         if self._joints is not None and self._spec.encoder is not None:
-            known = np.zeros(len(measurement.q)) if acceleration is None else acceleration
             bad = self._implausible(measurement.q)
             if bad.any() and self._joints.x is None:
                 return measurement
             fresh = stamps.encoders > self._seen.encoders
-            q, v = self._joints.update(np.where(bad, np.nan, measurement.q), known, fresh)
+            q = np.where(bad, np.nan, measurement.q)
+            q, v = self._joints.update(q, self._acceleration, fresh)
             q = np.where(bad, np.nan, q + self._spec.encoder.delay * v)
             measurement = replace(measurement, q=q, v=v, estimated=True)
         if self.vision is not None and measurement.touched is not None:
@@ -262,23 +266,8 @@ class Observer:
         self._seen = stamps
         return measurement
 
-
-class ObservedRobot:
-    """A robot whose measurements an observer completes for its controller."""
-
-    def __init__(self, robot: Robot, observer: Observer, controller: Controller) -> None:
-        self.robot = robot
-        self.observer = observer
-        self.controller = controller
-        self.stop = robot.stop
-        self._acceleration: Array | None = None
-
-    def measure(self) -> Measurement:
-        """With everything a controller needs."""
-        return self.observer.complete(self.robot.measure(), self._acceleration)
-
     def command(self, tau: Array, duration: float) -> None:
         """See `Robot.command`."""
-        if self.observer.estimates:
+        if self._joints is not None:  # accelerations are of use
             self._acceleration = self.controller.joint_acceleration()
         self.robot.command(tau, duration)

@@ -45,17 +45,8 @@ class Inspection:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form."""
-        return {
-            "d": self.d,
-            "r": self.r,
-            "free_motions": self.d - self.r,
-            "contacts": list(self.contacts),
-            "N": self.N.tolist(),
-            "T": self.T.tolist(),
-            "free": self.free.tolist(),
-            "conditioning": self.conditioning,
-            "report": list(self.lines),
-        }
+        values = {name: np.asarray(value).tolist() for name, value in vars(self).items()}
+        return values | {"free_motions": self.d - self.r}
 
 
 def inspect_rig(rig: Rig) -> Inspection:

@@ -34,7 +34,6 @@ _USUAL: dict[int, Any] = {
     for name in ("SIGINT", "SIGTERM", "SIGHUP")
     if hasattr(signal, name)
 }
-Handler = Callable[[int, Any], None]
 
 
 class RaisedSignals:
@@ -88,45 +87,18 @@ class RaisedSignals:
 def raised_signals() -> Iterator[RaisedSignals]:
     """Let signals end a block by an exception; those kept until its end are raised then."""
     signals = RaisedSignals()
-    with _handled(signals.note):
-        yield signals
-    if signals.seen:
-        signals.end()
-
-
-@contextmanager
-def noted_signals() -> Iterator[list[int]]:
-    """The signals that end programs and came since the block began.
-
-    The first is only noted; the second ends the program as always.
-    """
-    seen: list[int] = []
-
-    def note(number: int, frame: Any) -> None:
-        seen.append(number)
-        _restore(note)
-
-    with _handled(note):
-        yield seen
-
-
-@contextmanager
-def _handled(note: Handler) -> Iterator[None]:
-    """Have signals handled that would end the program."""
     if threading.current_thread() is threading.main_thread():
         for number, usual in _USUAL.items():
             if signal.getsignal(number) == usual:
-                signal.signal(number, note)
+                signal.signal(number, signals.note)
     try:
-        yield
+        yield signals
     finally:
-        _restore(note)
-
-
-def _restore(note: Handler) -> None:
-    for number, usual in _USUAL.items():
-        if signal.getsignal(number) == note:
-            signal.signal(number, usual)
+        for number, usual in _USUAL.items():
+            if signal.getsignal(number) == signals.note:
+                signal.signal(number, usual)
+    if signals.seen:
+        signals.end()
 
 
 _log = logging.getLogger(__name__)

@@ -134,6 +134,7 @@ class Task:
         chain: the true one, as far as it is known. pairs: the true contacts.
         gains, dt, posture, safety: of the controller.
         q: (n,) where the run starts. q_contact: (n,) the same in contact.
+        state, contact: the chain at rest there, and all contacts.
         times: (k,) s. poses, forces: (k, 7) and (k, r) the references there.
         every: references of all ticks, by the period.
         force_names: (r,) in messages. owners: (r,) the contact of each.
@@ -150,6 +151,8 @@ class Task:
     safety: SafetySettings
     q: Array
     q_contact: Array
+    state: ChainState
+    contact: Contact
     times: Array
     poses: Array
     forces: Array
@@ -178,6 +181,8 @@ class Task:
             safety=scenario.control.safety,
             q=rig.q_start,
             q_contact=rig.q_contact,
+            state=rig.state,
+            contact=rig.contact,
             times=times,
             poses=plan.X_WD,
             forces=plan.alpha_d,
@@ -217,6 +222,7 @@ class Task:
         q = np.asarray(measured.q, dtype=float)
         if chain.nq != len(q):
             raise InvalidInputError(f"the robot measures {len(q)} joints of {chain.nq}")
+        state = chain.state(q, np.zeros(chain.nq))
         looks = np.unique(np.linspace(0, len(given) - 1, _LOOKS).astype(int))
         names = column_names([pair.name for pair in pairs], owners.tolist())
         return cls(
@@ -228,6 +234,8 @@ class Task:
             safety=settings.safety,
             q=q,
             q_contact=q,
+            state=state,
+            contact=contact_at(pairs, state.X_WO),
             times=looks * settings.dt,
             poses=np.array([pin.SE3ToXYZQUAT(given[k].X_WD) for k in looks]),
             forces=np.array([given[k].alpha_d for k in looks]),
@@ -240,16 +248,6 @@ class Task:
             robot=robot,
             measured=measured,
         )
-
-    @cached_property
-    def state(self) -> ChainState:
-        """The chain at rest in contact."""
-        return self.chain.state(self.q_contact, np.zeros(self.chain.nq))
-
-    @cached_property
-    def contact(self) -> Contact:
-        """All contacts there."""
-        return contact_at(self.pairs, self.state.X_WO)
 
 
 def preflight(
@@ -279,7 +277,7 @@ def preflight(
     """
     if isinstance(task, Rig):
         of = Task.of_rig(task)
-        found = findings(RIG_RULES, task) + findings((weights,), of)
+        found = findings(RIG_RULES, task) + findings((weights, pulls), of)
     elif controller is None:
         raise InvalidInputError(
             "preflight takes the rig of a scenario, or a robot with its controller and references"

@@ -12,17 +12,17 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.errors import InvalidInputError, ScenarioError
 from osc_contact.interface import Reference
-from osc_contact.runs.contacts import feet, force_owners
+from osc_contact.runs.contacts import feet
 from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.scenarios.control_schema import Dither
 from osc_contact.scenarios.quantities import Length
 from osc_contact.scenarios.schema import MotionSpec, Scenario, SurfaceMove
-from osc_contact.scenarios.signals import Sine, Step, Values, rise, total_over
+from osc_contact.scenarios.signals import Sine, Step, Values, rise, total
 from osc_contact.spatial import Array, Poses, as_array, cross, norm, rotated, rotations
 
 
@@ -94,7 +94,7 @@ class References:
         standoff: Array,
         showing: Array | None = None,
     ) -> References:
-        """Resolve `common_tangent` and check that no face is to pull.
+        """Resolve `common_tangent`, and what moves follow.
 
         Args:
             scenario: with the signals. X_start: pose of the object at the start.
@@ -102,7 +102,7 @@ class References:
             showing: as an attribute; None: zero.
 
         Raises:
-            ScenarioError: see `common_tangent`; or a desired force is negative at some time.
+            ScenarioError: see `common_tangent`; or a move names no contact on a surface.
         """
         directions = tuple(
             common_tangent(pairs, X_start)
@@ -112,17 +112,7 @@ class References:
         )
         surfaces = tuple(_followed(move, pairs, X_start) for move in scenario.motion)
         showing = np.zeros(6) if showing is None else showing
-        references = cls(scenario, X_start, directions, standoff, surfaces, showing)
-        t = np.linspace(0.0, scenario.duration, 2000)
-        owners = force_owners(pairs)
-        for name, i, force in zip(force_names(scenario), owners, references.forces(t), strict=True):
-            if pushes_only(pairs[i]) and (force < 0.0).any():
-                first = np.argmax(force < 0.0)
-                raise ScenarioError(
-                    f"force.{name} is {force[first]:.3g} N at t = {t[first]:.3g} s; this "
-                    "contact cannot pull. Raise the constant part or lower the amplitude."
-                )
-        return references
+        return cls(scenario, X_start, directions, standoff, surfaces, showing)
 
     @property
     def engage_at(self) -> float:
@@ -146,12 +136,12 @@ class References:
         """(r, k) desired magnitudes at times t (k,)."""
         names = force_names(self.scenario)
         signals = self.scenario.force
-        return np.reshape([total_over(signals[name], t)[0] for name in names], (len(names), len(t)))
+        return np.reshape([total(signals[name], t)[0] for name in names], (len(names), len(t)))
 
     @cached_property
     def overview(self) -> tuple[Array, Plan]:
-        """Times (400,) through the whole run, and the references there."""
-        t = np.linspace(0.0, self.scenario.duration, 400)
+        """Times (2000,) through the whole run, and the references there."""
+        t = np.linspace(0.0, self.scenario.duration, 2000)
         return t, self.over(t)
 
     def over(self, t: Array) -> Plan:
@@ -179,7 +169,7 @@ class References:
         for move, direction in zip(self.scenario.motion, self.directions, strict=True):
             if isinstance(move, SurfaceMove):
                 continue
-            s = _product(begun, total_over(move.signals, t))
+            s = _product(begun, total(move.signals, t))
             if move.kind == "linear":
                 x += direction[:, None] * s[:, None]
             else:

@@ -14,7 +14,6 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S, judged_ticks
 from osc_contact.robots import RobotSummary
 from osc_contact.robots.summary import losses_by_arm
-from osc_contact.runs.calibration import WristCalibration
 from osc_contact.runs.inspection import Inspection
 from osc_contact.runs.loop import latency
 from osc_contact.runs.references import gain_in_words
@@ -153,17 +152,6 @@ def basis_tables(inspection: Inspection) -> Iterator[Table]:
         ("linear", "angular"),
         ("m/s", "rad/s"),
     )
-
-
-def calibration_table(found: Sequence[WristCalibration]) -> Table:
-    """What hangs on each wrist sensor, found and true."""
-    table = Table("wrist", "mass", "centre of mass (mm)", "bias (N, N m)", title="wrist sensors")
-    for one in found:
-        bias = np.array2string(one.found.bias, precision=3)
-        for kind, load, words in (("found", one.found, bias), ("true", one, "")):
-            centre = np.array2string(1e3 * load.com, precision=2, suppress_small=True)
-            table.add_row(f"{one.arm}, {kind}", f"{load.mass:.4f} kg", centre, words)
-    return table
 
 
 def scenario_table(scenarios: Mapping[str, str]) -> Table:

@@ -203,12 +203,8 @@ class Rig:
         if (loop := hardware.torque_loop(self.scenario, self.chain, joints)) is not None:
             robot = hardware.TorqueLoopRobot(plant, loop)
         if not self.scenario.sensors.ideal:
-            robot = hardware.ObservedRobot(robot, self.observer(), controller)
+            robot = hardware.ObservedRobot(robot, controller, self.scenario, self.bodies)
         return robot
-
-    def observer(self) -> hardware.Observer:
-        """What estimates the velocities that the sensors do not give."""
-        return hardware.Observer(self.scenario, self.model, self.bodies)
 
     def subject(self, controller: Controller) -> Subject:
         """What a recording of this rig is of."""

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable
 from copy import copy
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.journal import Journal
 from osc_contact.robots import resolve_urdf
 from osc_contact.runs.contacts import environment_bodies
-from osc_contact.runs.loop import noted_signals, run_loop
+from osc_contact.runs.loop import run_loop
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.recorder import Recorder, recording_of
 from osc_contact.runs.references import force_steps, known_to
@@ -97,20 +96,20 @@ def run(
     recorder = Recorder(
         controller, simulated, subject=rig.subject(controller), journal=journal, meta=meta
     )
-    with noted_signals() as signals:
-        try:
-            robot = rig.robot(simulated, controller)
-            taring = controller if scenario.tare is None else Taring(rig, controller)
-            plan = takewhile(lambda _: not signals, rig.references.each(ticks, controller.dt))
-            run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
-        except PlantError as error:
-            error.recording = recorder.recording()
-            raise
-    if signals and recorder.count < ticks:
-        ended = recorder.count * controller.dt
-        interrupted = Interrupted(f"ended on request at t = {ended:g} s")
-        interrupted.recording = recorder.recording({"ended_s": ended})
-        raise interrupted
+    robot = rig.robot(simulated, controller)
+    taring = controller if scenario.tare is None else Taring(rig, controller)
+    plan = rig.references.each(ticks, controller.dt)
+    try:
+        run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
+    except PlantError as error:
+        error.recording = recorder.recording()
+        raise
+    except (KeyboardInterrupt, SystemExit) as error:  # a signal, see `run_loop`
+        if recorder.count < ticks:
+            ended = recorder.count * controller.dt
+            interrupted = Interrupted(f"ended on request at t = {ended:g} s")
+            interrupted.recording = recorder.recording({"ended_s": ended})
+            raise interrupted from error
     return recorder.recording()
 
 

@@ -57,7 +57,7 @@ from osc_contact.scenarios.signals import (
     ForceSignal,
     JerkLimited,
     LengthSignal,
-    total_over,
+    total,
 )
 
 _UNIT_VECTOR: TypeAdapter[tuple[float, float, float]] = TypeAdapter(UnitVec3)
@@ -156,7 +156,7 @@ class SurfaceMove(Spec):
     def over(self, t: Any) -> Any:
         """(3, 2, k) displacement along the two axes, velocity and acceleration at times t (k,)."""
         u = np.zeros((3, 2, len(t)))
-        u[:, 0] = total_over(self.signals, t)
+        u[:, 0] = total(self.signals, t)
         for way, signal in self._legs()[0]:
             u += np.array(signal.at(t))[:, None] * way[:, None]
         return u

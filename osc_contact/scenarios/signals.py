@@ -343,21 +343,10 @@ ForceSignal = Annotated[
 ]
 
 
-def total(signals: Iterable[Signal], t: float) -> Values:
-    """Return the sum of the signals' values and derivatives at time `t` (s); none: zeros."""
-    value = rate = acceleration = 0.0
+def total(signals: Iterable[Signal], t: Any) -> Array:
+    """Return the sums (3,) of the signals' values and derivatives at `t` (s), or (3, k) at (k,)."""
+    sums = np.zeros((3, *np.shape(t)))
     for signal in signals:
-        x, x_dot, x_ddot = signal.at(t)
-        value = value + x
-        rate = rate + x_dot
-        acceleration = acceleration + x_ddot
-    return value, rate, acceleration
-
-
-def total_over(signals: Iterable[Signal], t: Array) -> Array:
-    """Return (3, k) the same sums at many times `t` (k,)."""
-    total = np.zeros((3, len(t)))
-    for signal in signals:
-        for row, x in zip(total, signal.at(t), strict=True):
-            row += x
-    return total
+        for i, x in enumerate(signal.at(t)):
+            sums[i] += x
+    return sums
