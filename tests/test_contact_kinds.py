@@ -204,9 +204,13 @@ def test_only_contacts_that_push_are_kept_from_pulling():
         scenario = parse_scenario(text(kind), None, ["force.pad.2.0.value=-1 N"])
         pairs = build_pairs(scenario)
         plan = References.of(scenario, pin.SE3.Identity(), pairs, np.zeros(6)).over(t)
-        names = [f"force.{name}" for name in force_names(scenario)]
-        task = SimpleNamespace(pairs=pairs, owners=force_owners(pairs), force_names=names)
-        task.__dict__ |= {"times": t, "forces": plan.alpha_d}
+        task = SimpleNamespace(
+            pairs=pairs,
+            owners=force_owners(pairs),
+            force_names=[f"force.{name}" for name in force_names(scenario)],
+            times=t,
+            forces=plan.alpha_d,
+        )
         found = [one.text for one in findings((pulls,), task) if one.refused]
         if can_pull:
             assert not found
