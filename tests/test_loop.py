@@ -30,7 +30,7 @@ RIGID = ("two_contact_rod", "plant.type=rigid", "plant.step=1 ms")
 
 
 def plan(rig, ticks=TICKS):
-    return rig.references.over(np.arange(ticks) * 1e-3)
+    return rig.references.over(np.arange(ticks) * (1.0 / rig.scenario.control.rate))
 
 
 def started(*scenario):
@@ -66,7 +66,7 @@ def test_a_plant_in_the_loop_leaves_what_run_leaves(scenario):
     assert_same_run(recorder.recording(), osc.run(rig.scenario, duration=TICKS * 1e-3))
 
 
-@parametrize("scenario", [RIGID, ("moving_face", "plant.type=rigid")])
+@parametrize("scenario", [RIGID, ("moving_face", "plant.type=rigid", "control.rate=500 Hz")])
 def test_hardware_without_a_truth_leaves_a_recording(scenario):
     """Faces are measured, and what encoders and wrists give is what a judge sees."""
     rig, plant, controller = started(*scenario)
@@ -77,8 +77,8 @@ def test_hardware_without_a_truth_leaves_a_recording(scenario):
     assert robot.stopped == 1 and len(robot.sent) == TICKS
     assert "alpha_true" not in found and found.meta["where"] == "cell 3"
     assert_array_equal(found["tau"], [tau for tau, _ in robot.sent])
-    assert {duration for _, duration in robot.sent} == {1e-3}
-    run = osc.run(rig.scenario, duration=TICKS * 1e-3)
+    assert {duration for _, duration in robot.sent} == {1.0 / rig.scenario.control.rate}
+    run = osc.run(rig.scenario, duration=TICKS * controller.dt)
     for channel in ("pose", "twist", "N", "face_pose", "contact_point"):
         assert_allclose(found[channel], run[channel], atol=1e-9, err_msg=channel)
     assert_allclose(found["alpha_meas"], run["alpha_true"], rtol=1e-6, atol=1e-9)

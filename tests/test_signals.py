@@ -122,6 +122,7 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         values = rng.standard_normal(len(times))
         signal = Points(points=np.column_stack((times, values)).tolist())
         assert_allclose(signal.at(times)[0], values, atol=1e-10)
+        assert_allclose(signal.at(times[[0, -1]] + [1e-9, -1e-9])[1:], 0.0, atol=1e-4)
         assert signal.at(-1.0) == (values[0], 0.0, 0.0)
         assert signal.at(math.inf) == (values[-1], 0.0, 0.0)
         t = np.linspace(times[0], times[-1], 40_001)
