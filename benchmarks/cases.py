@@ -435,26 +435,16 @@ def own_pair() -> TickCase:
     return replace(case, name="own_pair", pairs=(own, second))
 
 
-def vertex_on_plane(X_WO, V_O, X_WE, V_E, given, *out):  # type: ignore[no-untyped-def]
-    """A vertex (3) of the object on a plane at rest: direction into it (3), distance from O_W.
-
-    Element by element: numba takes 3 s to compile the same with slices and cross products.
-    """
-    N, n_gamma, gaps, points = out
-    p = np.empty(3)
-    p_dot = np.empty(3)
-    turns = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-    for i in range(3):
-        p[i] = X_WO[i, 0] * given[0] + X_WO[i, 1] * given[1] + X_WO[i, 2] * given[2]
-    for i, j, k in turns:
-        p_dot[i] = V_O[i] + V_O[3 + j] * p[k] - V_O[3 + k] * p[j]
-    gaps[0] = given[6]
-    for i, j, k in turns:
-        N[i, 0] = given[3 + i]
-        N[3 + i, 0] = p[j] * given[3 + k] - p[k] * given[3 + j]
-        n_gamma[0] -= given[3 + i] * (V_O[3 + j] * p_dot[k] - V_O[3 + k] * p_dot[j])
-        points[i, 0] = X_WO[i, 3] + p[i]
-        gaps[0] -= given[3 + i] * points[i, 0]
+def vertex_on_plane(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):  # type: ignore[no-untyped-def]
+    """A vertex (3) of the object on a plane at rest: direction into it (3), distance from O_W."""
+    p = X_WO[:3, :3].copy() @ given[:3]
+    n = given[3:6]
+    p_dot = V_O[:3] + np.cross(V_O[3:], p)
+    N[:3, 0] = n
+    N[3:, 0] = np.cross(p, n)
+    n_gamma[0] = -(n * np.cross(V_O[3:], p_dot)).sum()
+    points[:, 0] = X_WO[:3, 3] + p
+    gaps[0] = given[6] - (n * points[:, 0]).sum()
 
 
 def compiled_pair() -> TickCase:
