@@ -14,8 +14,9 @@ from rigs import direction, one_panda, random_state, refused, unloaded
 import osc_contact as osc
 
 
-def ball_on_ball(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):
+def ball_on_ball(X_WO, V_O, X_WE, V_E, given, *out):
     """A ball of the object, centre and radius, on one of the environment; all from O."""
+    N, n_gamma, gaps, points = out
     p = X_WO[:3, :3].copy() @ given[:3]
     c = X_WE[:3, 3] - X_WO[:3, 3] + X_WE[:3, :3].copy() @ given[4:7]
     p_dot = V_O[:3] + np.cross(V_O[3:], p)

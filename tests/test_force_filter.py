@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 from grasp_rigs import random_case
-from kkt_oracle import pressed
+from kkt_oracle import held, pressed
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from rigs import (
@@ -23,16 +23,6 @@ from samples import parametrize
 from test_grasps import touching
 
 import osc_contact as osc
-from osc_contact.plants.rigid import RigidPlant
-
-
-def readings(chain, pairs, q, v, tau):
-    """(f_meas at O, true α) of the rigid plant: Newton–Euler through the sensors."""
-    plant = RigidPlant(chain, pairs, 1e-3)
-    plant.q = q
-    plant.v = v
-    plant._tau = tau
-    return plant.measure().wrenches, plant.truth().alpha
 
 
 def found_by_law(chain, pairs, q, v, wrenches, f_tare=0.0):
@@ -57,7 +47,10 @@ def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_given():
     errors = []
     for _ in range(20):
         q, v, pairs = pressing(hand, rng)
-        wrenches, alpha = readings(hand, pairs, q, v, rng.standard_normal(7) * 20)
+        whole = held(hand, q, v, pairs)
+        truth = whole.answer(rng.standard_normal(7) * 20)
+        wrenches = whole.readings(truth)
+        alpha = truth.alpha
         X_WS = hand.state(q, v).sensors[0]
         miss = []
         for chain in (flange, tool):

@@ -71,6 +71,19 @@ def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case, lost):
         ticked(controller, *case.given)
 
 
+def test_unreadable_joints_leave_the_last_posture():
+    """Speeds are predicted from what was commanded: braked, they are gone in 1/(2 ω) = 25 ms."""
+    case = panda()
+    controller = case.controller()
+    controller.tick(*case.given)
+    m = case.measurement
+    for _ in range(300):
+        tau = controller.tick(osc.Measurement(NAN * m.q, NAN * m.q, BLIND[:1]), case.reference)
+    at = Case(case.chain, m.q, case.chain.state(m.q, m.v).X_WO, [])
+    assert_allclose(tau, stop_of(at, 0.0 * m.v)[0], atol=0.02 * case.chain.tau_max.max())
+    assert controller.unbraked is not None
+
+
 @parametrize(("name", "pace"), [("one_panda", 0.15), ("two_contact_rod", 1.0)])
 def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
     case = CASES[name]()
