@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import osc_contact as osc
 from osc_contact import robots
+from osc_contact.contacts.pairs.pair import Bodies, velocity
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
@@ -188,6 +189,19 @@ def random_faces(X_WO, r, rng, reach_m=0.3):
 
 def contact_of(pairs, state):
     return osc.Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in pairs])
+
+
+def sliding(pairs, X_WO, V_O, touched, slip):
+    """Of each point of contact: p from O, its normal, and s = v_t / √(v_t² + v_0²) there."""
+    out = []
+    for i, pair in enumerate(pairs):
+        face = () if touched is None else (pin.SE3(np.array(touched.X_WE[i])), touched.V_E[i])
+        p = pair.points_of_contact(X_WO, *face[:1])[:, 0] - X_WO.translation
+        n = pair.contact(X_WO, V_O, *face).N[:3, 0]
+        v = velocity(Bodies.at_O(X_WO, V_O, *face).V_rel, p)
+        v = v - n * (n @ v)
+        out.append((p, n, v / np.sqrt(v @ v + slip**2)))
+    return out
 
 
 def in_contact(chain, rng, r=2):

@@ -16,10 +16,10 @@ from numpy.linalg import norm, qr
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import direction, friction_wrenches, largest, pose_of, unit
+from rigs import direction, largest, pose_of, sliding, unit
 from samples import parametrize
 
-from osc_contact import Friction, VertexOnFace
+from osc_contact import VertexOnFace
 from osc_contact.interface import Touched
 from osc_contact.law import records as at
 
@@ -376,8 +376,8 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     pair = VertexOnFace(*rng.standard_normal((2, 3)), direction(rng))
     A_D = 30.0 * rng.standard_normal(6)
     dt = 1e-3
-    friction = Friction(1.0, slip=0.01)
-    t = records(contacts=1, columns=1, reading=at.LEAST_SQUARES, period=dt, slip=friction.slip)
+    slip = 0.01
+    t = records(contacts=1, columns=1, reading=at.LEAST_SQUARES, period=dt, slip=slip)
     write(t.model.pairs[0], kind=at.POINTS, first=0, count=1, shape_at=0, has_friction=1)
     write(t.model.shapes[0], row=[*pair.vertex, *pair.normal, pair.normal @ pair.point])
     write(t.input, touched=[[*E.homogeneous.ravel(), *V_W]])
@@ -386,11 +386,10 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     assert contact.place_contacts(t)
     seen = [E.homogeneous], [V_W], [A_D]
     touched = Touched(*map(np.array, seen)) if moving else None
-    want = friction_wrenches(friction, [pair], X, V_O + 2.0 * dt * A_D, touched)[:, 0]
-    where = pair.points_of_contact(X, *[E] * moving)[:, 0]
-    close(column.point, where - X.translation, atol=1e-10)
-    close(column.slip, want[:3], atol=1e-10)
-    close(column.friction_wrench, mu * want, atol=1e-10)
+    ((p, _, s),) = sliding([pair], X, V_O + 2.0 * dt * A_D, touched, slip)
+    close(column.point, p, atol=1e-10)
+    close(column.slip, s, atol=1e-10)
+    close(column.friction_wrench, mu * np.append(s, np.cross(p, s)), atol=1e-10)
     t.model.reading = at.FILTER
     column.slip[:] = 9.0
     contact.place_contacts(t)

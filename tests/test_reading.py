@@ -9,11 +9,11 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from rigs import (
     UNLIMITED,
-    friction_wrenches,
     one_panda,
     random_faces,
     random_state,
     refused,
+    sliding,
 )
 from samples import chosen, first, parametrize
 from scenario_runs import always_closed
@@ -169,12 +169,8 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
         controller.tick(measurement, reference)
         assert controller.status is not osc.Status.HELD, controller.reason
         s = controller.signals
-        X = s.state.X_WO
-        faces = [()] * n if touched is None else [(pin.SE3(E),) for E in touched.X_WE]
-        points = [p.points_of_contact(X, *E)[:, 0] for p, E in zip(pairs, faces, strict=True)]
-        known = osc.Friction(1.0, slip if mu else osc.Friction(0.0).slip)
-        slides = friction_wrenches(known, pairs, X, s.state.V_O, touched)[:3].T
-        where = [*zip(points - X.translation, s.contact.N[:3].T, slides, strict=True)]
+        known = slip if mu else osc.Friction(0.0).slip
+        where = sliding(pairs, s.state.X_WO, s.state.V_O, touched, known)
         friction = s.friction_wrenches
         want = explained(
             s.f_meas, s.state, s.contact, s.environment, friction, np.zeros(6), s.alpha_d, where
