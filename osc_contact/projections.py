@@ -14,7 +14,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from osc_contact.errors import ContactError
+from osc_contact.errors import ContactError, OscContactError
 from osc_contact.spatial import Array, norm
 
 
@@ -175,6 +175,30 @@ def span(columns: Array) -> tuple[Array, Array, Array]:
     unit, length = _unit(columns / rows)
     U, S, Vt = np.linalg.svd(unit)
     return rows, U, S[:, None] * Vt * length
+
+
+def unit_diagonal(
+    matrix: Array, what: str, cure: str, refusal: type[OscContactError]
+) -> tuple[Array, Array]:
+    """A positive definite matrix (n, n) scaled to unit diagonal, and (n,) roots of the latter.
+
+    Args:
+        matrix: to be judged. what: it is, and cure: what to give, for the message.
+        refusal: kind of the error.
+
+    Raises:
+        OscContactError: it is singular up to rounding, asymmetric, or not finite.
+    """
+    diagonal = np.diag(matrix)
+    if np.isfinite(matrix).all() and diagonal.min(initial=1.0) > 0.0:
+        size = np.sqrt(diagonal)
+        scaled = matrix / np.outer(size, size)
+        skewed = np.abs(scaled - scaled.T).max(initial=0.0)
+        if skewed <= _ASYMMETRIC and np.linalg.eigvalsh(scaled).min(initial=1.0) > _NO_MOBILITY:
+            return scaled, size
+    raise refusal(
+        f"{what} is not symmetric positive definite (diagonal {np.round(diagonal, 9)}); give {cure}"
+    )
 
 
 def least(columns: Array) -> tuple[float, list[int]]:

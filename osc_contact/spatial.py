@@ -17,6 +17,7 @@
 * Poses are `pin.SE3`, named `X_WO`: "pose of O in W", maps O-coordinates to W-coordinates.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -151,6 +152,15 @@ def pose_error(X_WD: SE3, X_WO: SE3) -> Array:
     """Displacement (6,) from O to D, world axes at O: [p_D − p_O; log₃(R_D R_Oᵀ)] (m, rad)."""
     rotation: Array = pin.log3(X_WD.rotation @ X_WO.rotation.T)
     return np.concatenate((X_WD.translation - X_WO.translation, rotation))
+
+
+def block_diagonal(blocks: Sequence[Array]) -> Array:
+    """The blocks along the diagonal of a matrix of zeros."""
+    rows, columns = (np.cumsum([0, *(b.shape[i] for b in blocks)]) for i in (0, 1))
+    out = np.zeros((rows[-1], columns[-1]))
+    for block, i, j in zip(blocks, rows, columns, strict=False):
+        out[i : i + block.shape[0], j : j + block.shape[1]] = block
+    return out
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from osc_contact.control.inputs import Freshness
-from osc_contact.control.start_check import judge_load, outboard_mass
+from osc_contact.control.start_check import judge_load, outboard_mass, require_start
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.interface import Measurement, Robot
-from osc_contact.robots.model import position_limits
 from osc_contact.scenarios.control_schema import SafetySettings
 from osc_contact.spatial import Array, as_array, norm
 
@@ -30,7 +29,6 @@ MOVED = 0.01  #: rad/s (m/s) that count as motion
 ALONE = 0.3  #: of what the fastest joint gains; less is no motion of the joint with the torque
 FALLING = 0.3  #: share of the weight's acceleration that counts as none or twice the weight
 FAR = 0.3  #: rad (m) from the start, and 2 rad/s: the check ends at once
-RANGE = 0.05  #: of a joint's range, as of a controller that starts
 MEAN = 20  #: ticks of a mean wrench
 
 
@@ -151,14 +149,10 @@ class _Check:
 
     def require_range(self) -> None:
         """Positions are within the joints' limits."""
-        low, high = position_limits(self.model)
-        margin = np.where(np.isfinite(high - low), RANGE * (high - low), 0.0)
-        q = self.now.q
-        for j in np.flatnonzero((q < low - margin) | (q > high + margin)):
-            raise PlantError(
-                f"joint '{self.names[j]}' reads {q[j]:.4g}, and its limits are {low[j]:.4g} and "
-                f"{high[j]:.4g} rad; are positions in degrees, or joints in another order?"
-            )
+        try:
+            require_start(self.chain, self.now.q)
+        except InvalidInputError as error:
+            raise PlantError(f"{error}; or are joints in another order?") from error
 
     def hold(self) -> None:
         """The model's own weight must hold the arm."""

@@ -113,8 +113,8 @@ def on_joint(joint, rng, at, known, prescribed=False):
 def free(rng, at):
     def known(O):
         wrench = (body.X.rotation @ body.tau.reshape(2, 3).T).T.ravel()
-        here = {"X_WE": body.X, "V_E": body.V, "O": O}
-        return Environment.rigid_body(body.model.inertias[1], **here, gravity=G, wrench=wrench)
+        here = {"X_WE": body.X, "axes": np.eye(6), "rates": body.V, "O": O}
+        return Environment.rail(body.model.inertias[1], **here, gravity=G, force=wrench)
 
     body = on_joint(pin.JointModelFreeFlyer(), rng, at, known)
     return body

@@ -111,7 +111,7 @@ def test_drivers_that_keep_the_contract_pass():
         ("twice the weight", "their weight seems to come twice: the robot adds it"),
         ("swapped 2 3", "joints 'arm/shoulder' and 'arm/elbow' seem to be swapped"),
         ("swapped 1 2", "'arm/base' and 'arm/shoulder' seem to be swapped"),
-        ("degrees", "its limits are -2.967 and 2.967 rad; are positions in degrees"),
+        ("degrees", r"outside its limits \[-2.967, 2.967\].*look like degrees"),
         ("speeds in degrees", "in degrees|the unit of one"),
         ("mirrored joint", "reversed"),
         ("stale stamps", "stamps or sequence do not advance: nothing newer than encoders"),

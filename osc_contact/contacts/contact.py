@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from osc_contact import projections
 from osc_contact.errors import ContactError, InvalidInputError
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array, as_array, block_diagonal
 
 if TYPE_CHECKING:
     from osc_contact.contacts.raibert_craig import RaibertCraig
@@ -223,17 +223,9 @@ class Contact:
         """Ω_f(A), eq. 5, given A⁻¹ (6, 6)."""
         return projections.Omega_f(self.N, A_inv)
 
-    def force_complement(self, A_inv: Array) -> Array:
-        """Ω̄_f(A) = 1 − Ω_f(A), eqs. 3 and 6, given A⁻¹ (6, 6)."""
-        return np.eye(6) - self.force_projection(A_inv)
-
     def motion_projection(self, B: Array) -> Array:
         """Ω_m(B) = 1 − Ω̄_m(B), eqs. 4 and 7, given B (6, 6)."""
-        return np.eye(6) - self.motion_complement(B)
-
-    def motion_complement(self, B: Array) -> Array:
-        """Ω̄_m(B), eq. 8, given B (6, 6)."""
-        return projections.Omega_m_bar(self.N, B)
+        return np.eye(6) - projections.Omega_m_bar(self.N, B)
 
     def __repr__(self) -> str:
         return f"Contact(r={self.r})"
@@ -324,29 +316,9 @@ def require_consistent(
     )
 
 
-def block_diagonal(blocks: Sequence[Array]) -> Array:
-    """The blocks along the diagonal of a matrix of zeros."""
-    rows, columns = (np.cumsum([0, *(b.shape[i] for b in blocks)]) for i in (0, 1))
-    out = np.zeros((rows[-1], columns[-1]))
-    for block, i, j in zip(blocks, rows, columns, strict=False):
-        out[i : i + block.shape[0], j : j + block.shape[1]] = block
-    return out
-
-
 def _factor(Phi: Array) -> Array:
     """L with Φ = LLᵀ, found in units that make the diagonal 1."""
-    Phi = as_array("Phi_ref", Phi, (6, 6))
-    root = np.sqrt(np.abs(np.diag(Phi)))
-    cross_size = np.outer(root, root)
-    trouble = "a diagonal element is not positive"
-    if np.diag(Phi).min() > 0.0:
-        trouble = "it is not symmetric"
-        if (np.abs(Phi - Phi.T) <= 1e-9 * cross_size).all():
-            try:
-                return root[:, None] * np.linalg.cholesky(Phi / cross_size)
-            except np.linalg.LinAlgError as error:
-                trouble = str(error)
-    raise InvalidInputError(
-        f"Phi_ref must be symmetric positive definite: {trouble}; give the inverse inertia (6, 6) "
-        "of the held object at O"
-    )
+    given = as_array("Phi_ref", Phi, (6, 6))
+    cure = "the inverse inertia (6, 6) of the held object at O"
+    scaled, size = projections.unit_diagonal(given, "Phi_ref", cure, InvalidInputError)
+    return size[:, None] * np.linalg.cholesky(scaled)

@@ -31,6 +31,7 @@ from osc_contact.law import vectors
 from osc_contact.law.compiled import rows as law_rows
 from osc_contact.law.records import Bytes, Rows, new_model, views
 from osc_contact.law.safety import BRAKE_RATE, SURE
+from osc_contact.projections import unit_diagonal
 from osc_contact.robots.model import position_limits
 from osc_contact.scenarios.control_schema import (
     Friction,
@@ -99,7 +100,8 @@ class Settings:
                     f"B = '{self.B}'; give 'object', 'chain' or a (6, 6) matrix"
                 )
         else:
-            store(self, B=_definite(as_array("B", self.B, (6, 6))))
+            store(self, B=as_array("B", self.B, (6, 6)))
+            unit_diagonal(self.B, "the metric B of eq. 24", "an inverse inertia", InvalidInputError)
         contacts = tuple(self.contacts)
         blind = [arm.name for arm in chain.arms if arm.wrist_sensor is None]
         if contacts and blind:
@@ -146,15 +148,6 @@ class Settings:
                     f"them passive, to move the object in {grasp.N.shape[1]} ways: posture torques "
                     "for redundant arms need a motor in every joint"
                 )
-
-
-def _definite(B: Array) -> Array:
-    """B itself, if it is symmetric positive definite."""
-    scale = np.sqrt(np.diag(B)) if np.diag(B).min() > 0.0 else np.ones(6)
-    scaled = B / np.outer(scale, scale)
-    if np.abs(scaled - scaled.T).max() > 1e-9 or np.linalg.eigvalsh(scaled)[0] <= 1e-12:
-        raise InvalidInputError("the metric B of eq. 24 must be symmetric positive definite")
-    return B
 
 
 def choose_reading(

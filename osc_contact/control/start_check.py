@@ -60,9 +60,7 @@ class StartCheck:
         settings = controller.settings
         rows = controller._records
         if not self.inside:
-            lower, upper = position_limits(settings.chain.model)
-            beyond = RANGE * upper - RANGE * lower
-            require_in_range("measured q", settings.chain, measurement.q, beyond)
+            require_start(settings.chain, measurement.q)
             self.inside = True
         if settings.contacts and settings.safety.load_error < np.inf:
             if not rows.memory.ticked or rows.work.reason:
@@ -92,6 +90,16 @@ class StartCheck:
             error = np.median(self.readings, axis=0)
             self.refused = judge_load(controller.settings, error, self.expected)
             self.done = self.done and not self.refused
+
+
+def require_start(chain: ClosedChain, q: Array) -> None:
+    """Refuse measured joint positions (n,) that are far outside the joints' limits.
+
+    Raises:
+        InvalidInputError: see `require_in_range`.
+    """
+    lower, upper = position_limits(chain.model)
+    require_in_range("measured q", chain, q, RANGE * upper - RANGE * lower)
 
 
 def is_clear(settings: Settings, rows: Any) -> bool:

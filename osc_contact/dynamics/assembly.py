@@ -10,7 +10,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain, columns_at
 from osc_contact.dynamics.grasp import moved
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots.model import position_limits
-from osc_contact.spatial import Array, pose_error
+from osc_contact.spatial import Array, block_diagonal, pose_error
 
 #: Gaps (r,) and N (6, r) at a pose of the object: a gap closes as the object moves along N.
 Gaps = Callable[[SE3], tuple[Array, Array]]
@@ -147,13 +147,8 @@ def object_columns(chain: ClosedChain, J: Array) -> Array:
 
 def inertia_of(chain: ClosedChain, X_WO: SE3) -> Array:
     """Inertia of the coordinates of `object_columns`: M, or M beside the object's own."""
-    n = chain.nq
-    if chain.leader is not None:
-        return np.asarray(chain.data.M)
-    M = np.zeros((n + 6, n + 6))
-    M[:n, :n] = chain.data.M
-    M[n:, n:] = chain.reference_inertia(X_WO)
-    return M
+    M = np.asarray(chain.data.M)
+    return M if chain.leader is not None else block_diagonal([M, chain.reference_inertia(X_WO)])
 
 
 def constraint_rows(chain: ClosedChain, O: Array, N: Array) -> Array:  # noqa: E741

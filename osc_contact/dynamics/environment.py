@@ -17,9 +17,8 @@ import pinocchio as pin
 from pinocchio import SE3
 
 from osc_contact import robots
-from osc_contact.dynamics.chain_state import RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.projections import left_inverse
+from osc_contact.projections import left_inverse, unit_diagonal
 from osc_contact.spatial import (
     Array,
     as_array,
@@ -42,17 +41,9 @@ def inverse(matrix: Array, what: str) -> Array:
     Raises:
         ModelError: it is none (singular up to rounding, asymmetric, not finite).
     """
-    diagonal = np.diag(matrix)
-    if np.isfinite(matrix).all() and diagonal.min(initial=1.0) > 0.0:
-        scale = np.sqrt(np.outer(diagonal, diagonal))
-        scaled = matrix / scale
-        skewed = np.abs(scaled - scaled.T).max(initial=0.0)
-        if skewed < 1e-9 and np.linalg.eigvalsh(scaled).min(initial=1.0) > 1e-13:
-            return np.linalg.inv(symmetric(scaled)) / scale
-    raise ModelError(
-        f"{what} is not symmetric positive definite (diagonal {np.round(diagonal, 9)}); give every "
-        "body a mass and inertia, and independent axes"
-    )
+    cure = "every body a mass and inertia, and independent axes"
+    scaled, size = unit_diagonal(matrix, what, cure, ModelError)
+    return np.linalg.inv(symmetric(scaled)) / np.outer(size, size)
 
 
 def require_inverse_inertia(name: str, scaled: Array) -> None:
@@ -157,40 +148,6 @@ class Environment:
         return cls(b_e=carry_twist(A, p, point), V_e=carry_twist(V, p, point))
 
     @classmethod
-    def rigid_body(
-        cls,
-        inertia: pin.Inertia,
-        *,
-        X_WE: SE3,
-        V_E: npt.ArrayLike,
-        O: npt.ArrayLike,  # noqa: E741 - the operational point
-        gravity: npt.ArrayLike = _ZERO,
-        wrench: npt.ArrayLike | None = None,
-    ) -> Environment:
-        """A free rigid body: Φ_e is its inverse spatial inertia, of full rank.
-
-        Args:
-            inertia: in the body's own frame (kg, m).
-            X_WE: pose of the body in the world.
-            V_E: (6,) its twist at its own origin, world axes (m/s, rad/s).
-            O: (3,) operational point in the world (m).
-            gravity: (3,) m/s²; default none.
-            wrench: (6,) what else acts on it (springs, supports), at its own origin in world axes
-                (N, N m); default none.
-
-        Raises:
-            InvalidInputError: wrong shapes or non-finite numbers.
-            ModelError: an impossible inertia.
-        """
-        RigidObject(inertia)
-        force = None if wrench is None else as_array("wrench", wrench, (6,))
-        rates = as_array("V_E", V_E, (6,))
-        free = np.eye(6)
-        return cls.rail(
-            inertia, X_WE=X_WE, axes=free, rates=rates, O=O, gravity=gravity, force=force
-        )
-
-    @classmethod
     def rail(
         cls,
         inertia: pin.Inertia,
@@ -209,9 +166,9 @@ class Environment:
 
         A cart on a rail along `x`: `axes=[*x, 0, 0, 0]`, `rates=[speed]`,
         `force=[−k·s − c·speed]`. A door: axes=[ω × (p − hinge), ω] with ω a unit vector along the
-        hinge. The space that the axes span must stay fixed in the world or in the body (slides, a
-        hinge, a ball joint, motion in a plane); for a chain with moving joints in between use
-        `articulated`.
+        hinge. A free body: axes=np.eye(6), and the wrench on it as force. The space that the axes
+        span must stay fixed in the world or in the body (slides, a hinge, a ball joint, motion in a
+        plane); for a chain with moving joints in between use `articulated`.
 
         Args:
             inertia: in the body's own frame (kg, m); for sliding axes only the mass counts.

@@ -25,7 +25,15 @@ from osc_contact.plants.faces import Faces, Rail, stacked
 from osc_contact.plants.judge import Truth, Watched, require_duration
 from osc_contact.robots import frame_id
 from osc_contact.robots.model import sliding
-from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross, cross_twist
+from osc_contact.spatial import (
+    Array,
+    as_array,
+    block_diagonal,
+    carry_twist,
+    carry_wrench,
+    cross,
+    cross_twist,
+)
 
 #: speeds by which dry friction is developed (rad/s, m/s)
 _SLIP = 1e-3
@@ -82,12 +90,6 @@ class Solution:
     a_O: Array  # (6,) of the object, spatial
     alpha: Array  # (r,)
     wrenches: Array  # (arms, 6) in the wrists
-
-
-def beside(A: Array, B: Array) -> Array:
-    """The block-diagonal matrix of two."""
-    none = np.zeros((len(A), len(B)))
-    return np.block([[A, none], [none.T, B]])
 
 
 # --- The plant ------------------------------------------------------------------------------------
@@ -277,14 +279,14 @@ class RigidPlant:
         if chain.leader is None:
             body = self._payload.terms(X, V, model.gravity.linear)
             force = np.concatenate((force, -body.mu - body.p))
-            M = beside(M, body.Lambda)
+            M = block_diagonal([M, body.Lambda])
         A = np.vstack(rows)
         size = len(M)
         bodies, joints = faces.free
         if len(bodies):
             own = -along[:, bodies, joints]
             A = np.hstack((A, np.vstack((np.zeros((ends[-1], len(bodies))), own))))
-            M = beside(M, np.diag([faces.rails[i].inertia for i in bodies]))
+            M = block_diagonal([M, np.diag([faces.rails[i].inertia for i in bodies])])
             force = np.concatenate((force, faces.pulls(model.gravity.linear)))
         unheld = np.linalg.solve(M, force)
         inverse, multipliers = inverse_rows(A, M, row_groups(chain))
