@@ -435,8 +435,9 @@ def own_pair() -> TickCase:
     return replace(case, name="own_pair", pairs=(own, second))
 
 
-def vertex_on_plane(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):  # type: ignore[no-untyped-def]
+def vertex_on_plane(X_WO, V_O, X_WE, V_E, given, *out):  # type: ignore[no-untyped-def]
     """A vertex (3) of the object on a plane at rest: direction into it (3), distance from O_W."""
+    N, n_gamma, gaps, points = out
     p = X_WO[:3, :3].copy() @ given[:3]
     n = given[3:6]
     p_dot = V_O[:3] + np.cross(V_O[3:], p)
