@@ -258,7 +258,8 @@ def preflight(
     """Everything that is wrong or doubtful about a task, before it runs.
 
     Of every task are compared: motions with the contacts, the arms' reach, the joints' ranges and
-    speeds, forces and weights with the motors, the control rate with the gains. Of a scenario, too:
+    speeds, forces with the contacts, forces and weights with the motors, the control rate with the
+    gains. Of a scenario, too:
     the start pose with the scenario's, faces with object and arms, contacts with the bodies they
     are on, carts, springs in the joints with their loop, masses and sensors with the tare. Of a
     robot: the wrists with the load they carry, the first reference with the pose; of a
