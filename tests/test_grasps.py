@@ -121,6 +121,41 @@ def test_motion_and_contact_forces_agree_with_the_full_system(bend):
         assert seen["d"] == set(range(7))
 
 
+def by_constraint_dynamics(whole, tau):
+    """Spatial acceleration (6,) of the object by Pinocchio: free flyer, welds, points of balls."""
+    chain = whole.case.chain
+    X_WO = whole.case.X_WO
+    to_object = pin.SE3(X_WO.rotation.T, np.zeros(3)).action  # turns a twist into its axes
+    model = chain.model.copy()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
+    model.appendBodyToJoint(joint, chain.payload.inertia, pin.SE3.Identity())
+    ties = []
+    for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
+        tip = model.frames[model.getFrameId(f"{arm.name}/{arm.tip}")]
+        kind = pin.ContactType.CONTACT_6D if grasp.is_rigid else pin.ContactType.CONTACT_3D
+        ends = tip.parentJoint, tip.placement, joint, grasp.X_TO.inverse()
+        ties.append(pin.RigidConstraintModel(kind, model, *ends, pin.LOCAL))
+    states = [tie.createData() for tie in ties]
+    data = model.createData()
+    pin.initConstraintDynamics(model, data, ties, states)
+    q = np.append(whole.case.q, pin.SE3ToXYZQUAT(X_WO))
+    v = np.append(whole.v, to_object @ whole.V)
+    force = np.zeros(model.nv)
+    force[chain.actuated] = tau
+    settings = pin.ProximalSettings(1e-13, 1e-10, 50)
+    a = pin.constraintDynamics(model, data, q, v, force, ties, states, settings)
+    return to_object.T @ a[-6:]
+
+
+def test_rigid_and_ball_grasps_agree_with_pinocchio_constraint_dynamics():
+    """The full system itself, which judges all else here."""
+    rng = default_rng(5)
+    for _ in range(30):
+        case = draw(rng, kinds=("rigid", "ball"), arms=("ur5", "panda", "scara"))
+        whole, _, _, tau = moving(case, [], rng)
+        assert miss(whole.answer(tau).a_object, by_constraint_dynamics(whole, tau)) < 1e-8
+
+
 def driven(rng, count, **options):
     """Chains that a controller may drive."""
     found = 0

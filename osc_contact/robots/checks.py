@@ -314,7 +314,7 @@ def _places(mesh: Element, roots: Sequence[Path]) -> list[Path]:
     address = mesh.get("filename")
     rest = address.removeprefix(_PACKAGE)
     if rest != address:
-        return [root / rest for root in roots]
+        return [root / rest.lstrip("/") for root in roots]
     return [mesh.file.absolute().parent / address.removeprefix("file://")]
 
 
