@@ -241,6 +241,16 @@ def test_force_integrals_follow_their_columns(owners, phase, sums, wanted, after
     assert phases.sums.tolist() == after
 
 
+def test_the_integral_of_a_contact_that_was_lost_starts_anew():
+    """It is approached again, and stays in N."""
+    phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
+    phases.columns.closed[0] = 0
+    phases.memory.force_rank = 2
+    phases.memory.force_sum[:2] = 7.0, 8.0
+    phases.begin([5.0, 5.0])
+    assert phases.sums.tolist() == [0.0, 8.0]
+
+
 def test_contacts_that_come_back_as_closed_start_without_integrals():
     """Taken out of N from outside, `active` set to 0, they keep their phases."""
     phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])

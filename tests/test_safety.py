@@ -16,6 +16,7 @@ from rigs import (
     largest,
     random_state,
     refused,
+    shift,
     strong,
     ticked,
     with_motors,
@@ -186,6 +187,30 @@ def test_a_joint_is_stopped_before_its_end():
     joint = case.chain.joint_names[int(np.argmin(nearest))]
     assert f"joint {joint} " in controller.reason
     assert 0.0 < nearest.min() < 0.25
+
+
+@parametrize(
+    ("times", "word", "ticks"), [(8.0, "three times its command", 51), (-1.0, "fifth of its", 101)]
+)
+def test_a_force_that_is_far_too_large_stops_it_and_so_does_one_that_is_not_felt(
+    times, word, ticks
+):
+    """Readings in which the contact force is so many times 10 N."""
+    case = panda()
+    m = case.measurement
+    state = case.chain.state(m.q, m.v)
+    n = case.pairs[0].contact(state.X_WO, state.V_O).N[:, 0]
+    more = shift(state.X_WO.translation).act(pin.Force(n * 10.0 * (times - 1.0)))
+    pressed = replace(m, wrenches=m.wrenches + state.sensors[0].actInv(more).vector)
+    limits = osc.SafetySettings(overforce_time=0.0505, contact_loss_time=0.1005)
+    controller = repeatable(case.controller().with_safety(limits))
+    passed = 0
+    while controller.state is not SAFE_STOP and passed < 120:
+        controller.tick(pressed, case.reference)
+        controller.motion_integral = np.zeros(6)
+        passed += 1
+    assert passed in (ticks, ticks + 1)
+    assert word in controller.reason and case.pairs[0].name in controller.reason
 
 
 def stop_of(case, v, known=True):
