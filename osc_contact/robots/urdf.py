@@ -49,7 +49,7 @@ class ModelFinding:
 
     Attributes:
         check: which check speaks: "file", "xml", "name", "number", "tree", "joint", "geometry",
-            "mesh", "limit", "inertia", "mass matrix" or "second reader".
+            "mesh", "limit", "inertia", "mass matrix" or "mjcf".
         file: the URDF. line, column: where, from 1; 0 where no place in the file is to blame.
         element: "link 'tip' <mass value='-1'>"; empty for the file as a whole.
         reason: what is wrong, with the numbers. cure: what to do about it.
