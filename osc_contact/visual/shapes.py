@@ -21,6 +21,8 @@ from osc_contact.spatial import Array, norm
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
+_Y_TO_Z = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.zeros(3))
+
 
 def at(point: ArrayLike) -> pin.SE3:
     """Pose at a point (m), not turned."""
@@ -142,25 +144,43 @@ def urdf_geometry(node: Visualizer, shape: pin.GeometryObject) -> None:
     """Draw one geometry of a URDF (box, cylinder, sphere, capsule or mesh) at the node.
 
     The node's transform becomes the shape's placement in its parent joint.
+
+    Raises:
+        InvalidInputError: a kind of geometry that cannot be drawn.
     """
     import coal
-    from meshcat.geometry import MeshLambertMaterial, TriangularMeshGeometry
-    from pinocchio.visualize.meshcat_visualizer import loadPrimitive
+    from meshcat import geometry as mc
 
-    paint = material(shape.meshColor, float(shape.meshColor[3]))
+    colour = np.asarray(shape.meshColor, dtype=float)
+    paint = material(colour, float(colour[3]))
     form = shape.geometry
-    if isinstance(form, coal.BVHModelBase):
+    body = node["shape"]
+    if isinstance(form, coal.Box):
+        body.set_object(mc.Box((2.0 * np.asarray(form.halfSide)).tolist()), paint)
+    elif isinstance(form, coal.Sphere):
+        body.set_object(mc.Sphere(form.radius), paint)
+    elif isinstance(form, coal.Cylinder | coal.Capsule):
+        side = body if isinstance(form, coal.Cylinder) else body["side"]
+        side.set_object(mc.Cylinder(2.0 * form.halfLength, form.radius), paint)
+        side.set_transform(_Y_TO_Z.homogeneous)
+        if isinstance(form, coal.Capsule):
+            for name, z in (("top", form.halfLength), ("bottom", -form.halfLength)):
+                body[name].set_object(mc.Sphere(form.radius), paint)
+                body[name].set_transform(at([0.0, 0.0, z]).homogeneous)
+    elif isinstance(form, coal.BVHModelBase):
         corners = np.asarray(form.vertices(), dtype=np.float32).reshape(-1, 3)
         faces = map(form.tri_indices, range(form.num_tris))
         triangles = np.array([[face[0], face[1], face[2]] for face in faces])
         own = None if shape.overrideMaterial else shape.meshPath
         colours = own and vertex_colours(own, triangles, len(corners))
         if colours is not None:
-            paint = MeshLambertMaterial(color=0xFFFFFF, vertexColors=True)
-        drawn = TriangularMeshGeometry(corners, triangles, colours)
+            paint = mc.MeshLambertMaterial(color=0xFFFFFF, vertexColors=True)
+        body.set_object(mc.TriangularMeshGeometry(corners, triangles, colours), paint)
     else:
-        drawn = loadPrimitive(shape)
-    node["shape"].set_object(drawn, paint)
+        raise InvalidInputError(
+            f"geometry {shape.name!r} is a {type(form).__name__}, which cannot be drawn: "
+            "use a box, cylinder, sphere, capsule or mesh"
+        )
     node.set_transform(shape.placement.homogeneous)
 
 
