@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact import projections
+from osc_contact.contacts.raibert_craig import RaibertCraig, as_raibert_craig, selection_columns
 from osc_contact.errors import ContactError, InvalidInputError
 from osc_contact.spatial import Array, as_array, block_diagonal
-
-if TYPE_CHECKING:
-    from osc_contact.contacts.raibert_craig import RaibertCraig
 
 
 class Contact:
@@ -114,8 +111,6 @@ class Contact:
             frame: X_WF of the selection's axes, its origin included (m).
             forces, couples: (3,) True where the contact transmits along or about an axis.
         """
-        from osc_contact.contacts.raibert_craig import selection_columns
-
         return cls(selection_columns(frame, forces, couples))
 
     @classmethod
@@ -215,8 +210,6 @@ class Contact:
             size: of the held object (m). tolerance: largest residual that counts as none.
             centre: (3,) point of the object about which moments are taken, from O (m); None: O.
         """
-        from osc_contact.contacts.raibert_craig import as_raibert_craig
-
         return as_raibert_craig(self.N, size, tolerance, centre)
 
     def force_projection(self, A_inv: Array) -> Array:

@@ -17,7 +17,7 @@ from osc_contact.dynamics.assembly import (
     object_pose,
     row_groups,
 )
-from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.closed_chain import ClosedChain, columns_at
 from osc_contact.dynamics.grasp import moved
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
@@ -337,7 +337,7 @@ class RigidPlant:
         return self.data.oMi[self._tips[i].parentJoint] * self._tips[i].placement
 
     def _jacobian(self, X: pin.SE3) -> Array:
-        return carry_twist(self.data.J, np.zeros(3), X.translation)
+        return columns_at(self.data.J, X.translation)
 
     def _drift(self, i: int, X: pin.SE3) -> Array:
         """Spatial drift at O, from Pinocchio's own acceleration pass at q̈ = 0."""
