@@ -179,7 +179,7 @@ class Lifted(osc.VertexOnFace):
     """Rubs 0.1 m above its face."""
 
     def point_on_face(self, X_WO, X_WE=None):
-        return super().point_on_face(X_WO, X_WE) + 0.1 * self._face(X_WE)[0]
+        return super().point_on_face(X_WO, X_WE) - 0.1 * self.direction(X_WE)
 
 
 @parametrize("kind", [Written, Lifted])

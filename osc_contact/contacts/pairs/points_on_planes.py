@@ -126,9 +126,7 @@ class VertexOnFace(PointsOnPlanes):
 
     def point_on_face(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """(3,) where the line of force meets the face, world (m)."""
-        normal, point = self._face(X_WE)
-        p: Array = X_WO.act(self.vertex)
-        return p - (normal @ (p - point)) * normal
+        return super().points_of_contact(X_WO, X_WE)[:, 0]
 
     def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """(3, 1) the same as a column."""
@@ -136,16 +134,11 @@ class VertexOnFace(PointsOnPlanes):
 
     def direction(self, X_WE: SE3 | None = None) -> Array:
         """(3,) unit vector into the face, world: the direction of a positive contact force."""
-        return -self._face(X_WE)[0]
+        return -self.normal if X_WE is None else -X_WE.rotation @ self.normal
 
     def face_placement(self) -> SE3:
         """Pose of the face's surface in the environment frame: z along the outward normal."""
         return SE3(triad(self.normal), self.point)
-
-    def _face(self, X_WE: SE3 | None) -> tuple[Array, Array]:
-        if X_WE is None:
-            return self.normal, self.point
-        return X_WE.rotation @ self.normal, X_WE.act(self.point)
 
 
 # A sphere of the object on a plane of the environment.
