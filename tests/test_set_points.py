@@ -28,11 +28,11 @@ def random_pose(rng, angle=3.0):
     return pin.SE3(pin.exp3(w * rng.uniform(0, angle) / norm(w)), rng.standard_normal(3))
 
 
-def some_goal(rng, x, v, a, j):
-    """Beside x by any distance, or by one at which the shape of the way changes."""
+def some_goal(rng, x, v, a, j, most):
+    """Beside x by any distance up to `most`, or by one at which the shape of the way changes."""
     ways = [v, 2 * a**3 / j**2, v * v / a + v * a / j, 2 * v * (v / j) ** 0.5, v * v / (2 * a)]
     share = rng.choice([0.0, 1.0, -1.0, rng.uniform(-1.0, 1.0)], len(x))
-    return x + share * ways[rng.integers(len(ways))]
+    return x + share * np.minimum(ways[rng.integers(len(ways))], most)
 
 
 @parametrize("ruckig", ["answers", "finds none"])
@@ -51,7 +51,7 @@ def test_goals_that_change_at_any_time_are_followed_within_the_limits(monkeypatc
         point = osc.SetPoint(np.zeros(n), osc.JerkLimits(v, a, j), DT)
         states = [point.step()]
         for steps in rng.integers(0, 60, 60):
-            goal = some_goal(rng, states[-1].value, v, a, j)
+            goal = some_goal(rng, states[-1].value, v, a, j, size)
             states += [point.step(goal) for _ in range(steps + 1)]
         x, x_dot, x_ddot = np.swapaxes(states, 0, 1)
         tiny = 1e-9 * size
