@@ -29,7 +29,7 @@ from osc_contact.control.records import SLIP
 from osc_contact.interface import Reference
 
 MOST = 30.0
-PRIOR = np.array([9.0, 4.0, 2.0, 0.01])
+PRIOR = np.array([9.0, 4.0, 2.0, 0.01, 0.04])
 drafted = cache(cases)
 
 
@@ -38,15 +38,15 @@ def learned(Phi, r, noise=0.1, dt=0.0):
     t = records(1, 1)
     prior = t.model.priors[0]
     prior.noise = np.sqrt(noise)
-    prior.spread[:] = MOST * np.array([0.5, 0.5, 0.5, 0.3])
-    prior.high[:] = MOST * np.array([1.0, 20.0, 20.0, 1.0])
-    prior.low[:] = [0.0, 0.0, -MOST, -MOST]
+    prior.spread[:] = MOST * np.array([0.5, 0.5, 0.5, 0.3, 0.1])
+    prior.high[:] = MOST * np.array([1.0, 20.0, 20.0, 1.0, 1.0])
+    prior.low[:] = [0.0, 0.0, -MOST, -MOST, -MOST]
     row = t.memory.friction[0]
     row.P[:] = np.diag(PRIOR)
     row.noise = noise
     for phi, one in zip(Phi, r, strict=True):
-        joint_friction._regress(prior, row, phi, np.zeros(8), one, 1.0, dt)
-    joint_friction._keep_bounds(prior, row, np.zeros((4, 4)))
+        joint_friction._regress(prior, row, phi, np.zeros(10), one, 1.0, dt)
+    joint_friction._keep_bounds(prior, row, np.zeros((5, 5)))
     return row.theta, row
 
 
@@ -54,8 +54,10 @@ def test_the_estimate_is_that_of_least_squares():
     """θ = (ΦᵀΦ/R + P₀⁻¹)⁻¹Φᵀr/R, as long as no bound is met."""
     rng = default_rng(4)
     v = rng.uniform(-2.0, 2.0, 300)
-    Phi = np.column_stack([np.sign(v), v, rng.uniform(-3.0, 3.0, 300), np.ones(300)])
-    r = Phi @ [3.0, 1.5, -0.4, 0.1] + rng.normal(scale=0.3, size=300)
+    Phi = np.column_stack(
+        [np.sign(v), v, rng.uniform(-3.0, 3.0, 300), np.ones(300), rng.normal(5.0, 2.0, 300)]
+    )
+    r = Phi @ [3.0, 1.5, -0.4, 0.1, 0.2] + rng.normal(scale=0.3, size=300)
     theta, row = learned(Phi, r)
     P = inv(Phi.T @ Phi / 0.1 + np.diag(1.0 / PRIOR))
     assert_allclose(theta, P @ Phi.T @ r / 0.1, rtol=1e-9)
@@ -66,7 +68,15 @@ def test_the_estimate_is_that_of_least_squares():
 def test_joints_without_friction_learn_none(dt):
     """θ at its bound does not drift, though some directions of it are hardly excited."""
     t = np.linspace(0.0, 3.0, 3000)
-    Phi = np.column_stack([np.ones(3000), 0.6 + 0.1 * np.sin(t), 0.1 * np.cos(t), np.ones(3000)])
+    Phi = np.column_stack(
+        [
+            np.ones(3000),
+            0.6 + 0.1 * np.sin(t),
+            0.1 * np.cos(t),
+            np.ones(3000),
+            5.0 + np.sin(2.0 * t),
+        ]
+    )
     theta, _ = learned(Phi, 2e-3 * np.sin(7.0 * t) - 1e-3, noise=4e-6, dt=dt)
     assert (np.abs(theta) < 1e-3 * MOST).all() and (theta[:2] >= 0.0).all()
 
@@ -82,7 +92,7 @@ def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, fou
     joint.residual = 8.0
     joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = 1.0, 0.1
     for _ in range(500):
-        joint_friction._learn(t, 0, 0.0, 1e-3)
+        joint_friction._learn(t, 0, 0.0, 0.0, 1e-3)
     learned = t.memory.friction[0]
     assert learned.estimate[0] == approx(found) == learned.theta[0]
 
@@ -92,7 +102,7 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
     for changes, learns in ([], False), (["model_error.joint_friction=0.9"], True):
         friction = ["arms.left.friction=1", "arms.right.friction=1"] if learns else []
         rise = "gains.force.rise=0 s"
-        given = [rise, "control.joint_friction.learning=true", *friction, *changes]
+        given = [rise, *friction, *changes]
         rig = rig_of("two_contact_rod", *given)
         controller = rig.controller()
         osc.run_loop(rig.plant(), controller, rig.references.each(6000, controller.dt))
@@ -158,22 +168,22 @@ def test_forces_are_held_although_friction_is_modelled_wrongly(name):
 
 
 @parametrize(
-    ("friction", "damping", "given", "learns"),
+    ("friction", "damping", "sure"),
     [
-        (0.2, 0.0, None, False),  # noise: less than 0.3 % of 87 N m
-        (0.3, 0.0, None, True),
-        (0.0, 0.3, None, True),
-        (0.0, 0.0, None, False),
-        (0.0, 0.0, True, True),
-        (0.3, 0.0, False, False),
+        (0.2, 0.0, True),  # noise: less than 0.3 % of 87 N m
+        (0.3, 0.0, False),
+        (0.0, 0.3, False),
+        (0.0, 0.0, True),
     ],
 )
-def test_friction_is_learned_where_the_model_has_some(friction, damping, given, learns):
+def test_friction_is_learned_and_must_be_sure_where_the_model_has_none(friction, damping, sure):
     joints = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     chain = panda(damping=damping * joints, friction=friction * joints)
-    controller = osc.Controller(chain, [], joint_friction=osc.JointFriction(learning=given))
-    assert controller.settings.joint_friction.learning is learns
-    assert controller._records.model.friction_learning == learns
+    model = osc.Controller(chain, [])._records.model
+    assert model.friction_learning == 1 and (model.priors.sure[0] > 0.0) == sure
+    assert (model.priors.sure[1:] > 0.0).all()
+    how = osc.JointFriction(learning=False)
+    assert osc.Controller(chain, [], joint_friction=how)._records.model.friction_learning == 0
 
 
 @parametrize("mass", [0.8, 1.2])
@@ -191,7 +201,7 @@ def test_errors_of_links_are_compensated_beside_a_tare(mass):
         missing = memory.joints.residual - memory.joints.means[:, joint_friction.FRICTION]
         e = memory.joints.unlearned
         assert_allclose(e, missing * (not changes), atol=0.02 * largest(missing))
-        most = np.minimum(0.3 * np.abs(memory.joints.past_h), 0.05 * rig.model.tau_max)
+        most = np.minimum(0.3 * np.abs(controller._records.work.joints.h), 0.05 * rig.model.tau_max)
         assert_allclose(controller.result().friction, 0.7 * np.clip(e, -most, most), atol=1e-3)
     assert rms[0] < 0.5 * rms[1]
 

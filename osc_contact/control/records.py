@@ -128,12 +128,13 @@ class Settings:
                     "contact, so its friction is not known. Leave control.friction out, or give "
                     "the pair a method points_of_contact(X_WO, X_WE)"
                 )
+        how = self.joint_friction
         store(
             self,
             contacts=contacts,
             bodies=bodies,
             posture=posture,
-            joint_friction=choose_learning(self.joint_friction, chain),
+            joint_friction=JointFriction() if how is True else how or None,
             reading=choose_reading(self.reading, contacts, bodies),
         )
         if self.gains.force.integral * self.dt >= 1.0:
@@ -179,18 +180,6 @@ def choose_reading(
     return "least_squares" if unique else "filter"
 
 
-def choose_learning(how: JointFriction | bool | None, chain: ClosedChain) -> JointFriction | None:
-    """What is requested; `learning` None becomes whether a motor's friction exceeds the noise."""
-    if isinstance(how, bool):
-        how = JointFriction() if how else None
-    if how is None or how.learning is not None:
-        return how
-    model = chain.model
-    friction = (np.array(model.upperDryFrictionLimit) + model.damping)[chain.actuated]
-    rubs = friction > _NOISE * np.minimum(chain.tau_max, _UNLIMITED)
-    return how.model_copy(update={"learning": bool(rubs.any())})
-
-
 def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:
     """Whether all points of contact stay in one plane, of the environment or of the object."""
     if any(body is not bodies[0] for body in bodies):
@@ -223,11 +212,13 @@ SLIDING = 0.3  #: m/rad: of sliding joints
 _UNLIMITED = 100.0  #: N m, N: stands for the torque limit of motors that have none
 _NOISE = 0.003  #: of the torque limit: residuals that are no friction
 _ROUNDING = 2e-4  #: likewise, of a model without errors: of discrete time
-#: of F, D, A and bias, where F, and D and A at 1 rad/s and 1 rad/s², are at most 1: standard
-#: deviation at the start, beside half of what the model says; at most; bound
-_DOUBT = np.array([0.07, 0.07, 0.07, 0.017])
-_SPREAD = np.array([0.5, 0.5, 0.5, 0.5])
-_BOUND = np.array([1.0, 20.0, 20.0, 1.0])
+#: where the model has less friction than noise: standard deviations by which residuals must show it
+_SURELY = 2.0
+#: of F, D, A, bias and wrong masses, where F, and D and A at 1 rad/s and 1 rad/s², are at most 1:
+#: standard deviation at the start, beside half of what the model says; at most; bound
+_DOUBT = np.array([0.07, 0.07, 0.07, 0.017, 0.15])
+_SPREAD = np.array([0.5, 0.5, 0.5, 0.5, 0.2])
+_BOUND = np.array([1.0, 20.0, 20.0, 1.0, 0.5])
 
 
 def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
@@ -370,7 +361,7 @@ def _pack_friction(settings: Settings, head: Any) -> None:
         return
     model = settings.chain.model
     rows = head.joints
-    known = np.zeros((len(rows), 4))
+    known = np.zeros((len(rows), 5))
     known[:, 0] = model.upperDryFrictionLimit
     known[:, 1] = model.damping
     head.rubs = how.learning or how.errors or known.any()
@@ -385,11 +376,14 @@ def _pack_friction(settings: Settings, head: Any) -> None:
     priors.rounding[:] = _ROUNDING * limit
     rows.slip[:] = np.where(rows.slides != 0, SLIDING * SLIP, SLIP)
     rows.theta[:] = known
-    priors.doubt[:] = 0.5 * known + np.outer(most, _DOUBT)
-    priors.spread[:] = np.outer(most, _SPREAD)
-    priors.high[:] = np.maximum(np.outer(most, _BOUND), known)
-    priors.low[:, 2] = -np.array(model.armature)  # nothing else can be below zero
-    priors.low[:, 3] = -priors.high[:, 3]
+    scale = np.ones_like(known)
+    scale[:, :4] = most[:, None]
+    priors.sure[:] = np.where(known.sum(axis=1) > priors.noise, 0.0, _SURELY)
+    priors.doubt[:] = 0.5 * known + scale * _DOUBT
+    priors.spread[:] = scale * _SPREAD
+    priors.high[:] = np.maximum(scale * _BOUND, known)
+    priors.low[:, 2] = -np.array(model.armature)  # F and D cannot be below zero
+    priors.low[:, 3:] = -priors.high[:, 3:]
 
 
 def joint_limit_margins(

@@ -9,9 +9,11 @@ joints. The residual r = LP_K(τ − h − M q̈ − Jᵀ(w − w_out)) therefor
 contact force (`docs/theory.md`, *Joint friction*). From it each joint learns Coulomb and viscous
 friction F and D, and the inertia A of its rotor that the model lacks, by recursive least squares,
 
-    r ≈ φᵀθ,   φ = LP_K[sign s, q̇, q̈, 1],   θ = (F, D, A, bias),
+    r ≈ φᵀθ,   φ = LP_K[sign s, q̇, q̈, 1, m],   θ = (F, D, A, bias, μ),
 
-both low-passed once more against noise. A joint that rests although s commands it has at least the
+both low-passed once more against noise, with m = h + M q̈ − Jᵀ w_out, so that links that weigh
+1 + μ times as much as in the model are not taken for friction. Where the model has no friction, F,
+D and A stay as it says until the estimate surely differs. A joint that rests although s commands it has at least the
 friction that it shows: what of r exceeds F + D |s| is learned as F. Friction is learned of the
 speed that the joint has, and compensated along the speed s that the contacts permit: J̄ P V_D,
 P = Ω_m(Λ_o⁻¹) of eq. 4. This has neither the noise of measured speeds nor the speeds of the posture
@@ -66,13 +68,16 @@ _QUIET = 0.1  #: of the noise assumed at first; R is not less
 _SEEN = 3.0  #: times the noise; what is in φ with less of θ at its spread is not forgotten
 _SUDDEN = 0.05  #: s; speeds that change by their limit within less are steps
 
-_MASSES = 0.15  #: of gravity's torque at the start: what wrong masses add to the bias
+_SIZE = 5  #: of θ
+_MASSES = 0.05  #: of gravity's torque at the start: what masses add to the bias that are wrong
+#: otherwise than by one factor
+_LEAST = 0.3  #: of the noise: less friction than this is none, where the model has none
 _LINKS = 0.3  #: of the torque of gravity and speeds: what wrong masses are taken to cost at most
 
-#: What θ is: nothing yet; as of the model; learned.
-UNKNOWN, MODEL_ONLY, LEARNED = range(3)
+#: What θ is: nothing yet; as of the model; likewise, but estimated; learned.
+UNKNOWN, MODEL_ONLY, SUSPECTED, LEARNED = range(4)
 #: What `PAST` keeps of each tick, and `means` the low-passes of.
-TORQUE, SIGN, SPEED, V, FRICTION, RATE, INERTIAL = range(7)
+TORQUE, SIGN, SPEED, V, FRICTION, WEIGHT, RATE, INERTIAL = range(8)
 _ACCELERATION = FRICTION  #: of `smooth`, in place of it
 
 
@@ -91,7 +96,7 @@ def observe_arm(t, arm, own, dt):
     known = t.memory.joints
     begins = t.memory.balanced <= 1  # there is no last tick yet
     k = 0.0 if begins else max(dt / (LAG + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
-    load = scaled(-1.0, own.bias)
+    beyond = scaled(-1.0, own.bias)
     moved = ZERO
     for j in range(arm.first, arm.end):
         v = joints[j].v
@@ -100,11 +105,11 @@ def observe_arm(t, arm, own, dt):
         if arm.outer_joint >= 0:  # of what is beyond the wrist, in energy coordinates
             moved = add(moved, known[j].rate, joints[j].outboard)
             if arm.filtered != 0:
-                load = add(load, joints[j].offset, joints[j].outboard)
+                beyond = add(beyond, joints[j].offset, joints[j].outboard)
     moved = world_wrench(work.axes, moved)
     if arm.outer_joint >= 0 and arm.filtered != 0:
-        load = world_wrench(work.axes, load)
-    load = plus(load, read_wrist(own.reading, joints[arm.sensor_joint], arm.sensor, work.C))
+        beyond = world_wrench(work.axes, beyond)
+    wrench = read_wrist(own.reading, joints[arm.sensor_joint], arm.sensor, work.C)
     for j in range(arm.first, arm.sensor_joint + 1):
         row = known[j]
         joint = t.model.joints[j]
@@ -113,22 +118,23 @@ def observe_arm(t, arm, own, dt):
         inertial = -dot6(joints[j].column, moved)
         for i in range(arm.first, arm.end):
             inertial += joints[j].M[i - arm.first] * known[i].rate
-        h = joints[j].h
-        torque = t.memory.torques[joint.motor] - 0.5 * (h + row.past_h)
-        row.past_h = h
-        then = (torque, row.sign, row.speed, row.past_v, row.friction, row.rate, inertial)
+        weight = joints[j].h + dot6(joints[j].column, beyond)
+        held = 0.5 * (weight + row.past_weight)
+        row.past_weight = weight
+        torque = t.memory.torques[joint.motor] - held
+        then = (torque, row.sign, row.speed, row.past_v, row.friction, held, row.rate, inertial)
         if t.memory.stamped != 0:
             then = _align(t, t.memory.past[j], then, int(dt / t.model.period + 0.5))
         torque = then[TORQUE]
         bound = _OUTLIER * joint.tau_max
-        needed = min(max(dot6(joints[j].column, load), torque - bound), torque + bound)
+        needed = min(max(dot6(joints[j].column, wrench), torque - bound), torque + bound)
         row.means[TORQUE] += k * (torque - 0.5 * (needed + row.load) - row.means[TORQUE])
         row.load = needed
         for i in range(SIGN, RATE):
             row.means[i] += k * (then[i] - row.means[i])
         row.residual = row.means[TORQUE] - then[INERTIAL]
         if (t.model.friction_learning != 0 or t.model.friction_errors != 0) and not begins:
-            _learn(t, j, then[RATE], dt)
+            _learn(t, j, then[RATE], then[INERTIAL], dt)
 
 
 @leaf
@@ -145,18 +151,18 @@ def _align(t, row, now, ticks):
             row.history[at, kind] = now[kind]
     kept = min(memory.balanced - 1, memory.instant - memory.stamped, HISTORY - 1)
     x = row.history[(memory.instant - min(memory.late, kept)) % HISTORY]
-    return (x[TORQUE], x[SIGN], x[SPEED], x[V], x[FRICTION], x[RATE], x[INERTIAL])
+    return (x[TORQUE], x[SIGN], x[SPEED], x[V], x[FRICTION], x[WEIGHT], x[RATE], x[INERTIAL])
 
 
 @leaf
-def _learn(t, j, rate, dt):
+def _learn(t, j, rate, inertial, dt):
     """One step of the recursive least squares, and e.
 
     Both begin when residuals have exceeded rounding for some time, with `errors` at once: a model
-    without errors stays as it is.
+    without errors stays as it is. So does one without friction until some is shown.
 
     Args:
-        j: joint. rate: of its speed, as old as the wrench. dt: s.
+        j: joint. rate, inertial: of its speed, M q̈ − Jᵀ w_out, as old as the wrench. dt: s.
     """
     joint = t.model.joints[j]
     prior = t.model.priors[j]
@@ -168,7 +174,7 @@ def _learn(t, j, rate, dt):
     if known[j] == UNKNOWN:
         known[j] = MODEL_ONLY
         learned.noise = prior.noise * prior.noise
-        for i in range(4):
+        for i in range(_SIZE):
             learned.theta[i] = learned.estimate[i] = joint.theta[i]
             learned.P[i, i] = prior.doubt[i] * prior.doubt[i]
         weight = _MASSES * t.work.joints[j].h
@@ -177,9 +183,9 @@ def _learn(t, j, rate, dt):
         seen = dt if abs(missing) > prior.rounding else -dt
         learned.evidence = max(learned.evidence + seen, 0.0)
         if learned.evidence > (_EVIDENCE if t.model.friction_errors == 0 else 0.0):
-            known[j] = LEARNED
+            known[j] = SUSPECTED if prior.sure > 0.0 else LEARNED
     sound = row.unbalanced == 0.0  # else the wrist may be wrong, and e would add to the error
-    if known[j] == LEARNED:
+    if known[j] == LEARNED or (known[j] == SUSPECTED and t.model.friction_errors != 0):
         aim = missing if sound else 0.0
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
     k = dt / (_SMOOTH + dt)
@@ -187,33 +193,42 @@ def _learn(t, j, rate, dt):
     smooth[TORQUE] += k * (row.residual - smooth[TORQUE])
     for i in range(SIGN, FRICTION):
         smooth[i] += k * (means[i] - smooth[i])
+    smooth[WEIGHT] += k * (means[WEIGHT] + inertial - smooth[WEIGHT])
     smooth[_ACCELERATION] += k * (rate - smooth[_ACCELERATION])
     least = _MOVES * (SLIDES if joint.slides != 0 else 1.0)
     y = smooth[SPEED]
     moves = min(abs(row.speed), abs(y)) > least and smooth[V] * y > _FOLLOWS * y * y
     rests = abs(smooth[V]) < min(_FOLLOWS * abs(y), _RESTS * least)
+    rests = rests and (abs(y) > least or known[j] == LEARNED)
     a = smooth[_ACCELERATION]
-    dry = (smooth[TORQUE] - learned.theta[2] * a - learned.theta[3]) * smooth[SIGN]
-    excess = dry - largest_friction(t, j)
+    theta = learned.theta
+    dry = smooth[TORQUE] - theta[2] * a - theta[3] - theta[4] * smooth[WEIGHT]
+    excess = dry * smooth[SIGN] - largest_friction(t, j)
     sticks = rests and excess > _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
     if (
-        known[j] == LEARNED
+        known[j] >= SUSPECTED
         and t.model.friction_learning != 0
         and sound
         and t.memory.balanced * dt > _SETTLED
         and (moves or sticks)
         and abs(smooth[SIGN]) > _FULL
     ):
+        phi = t.work.s
+        phi[0] = smooth[SIGN]
+        phi[1] = smooth[V]
+        phi[2] = smooth[_ACCELERATION]
+        phi[3] = 1.0
+        phi[4] = smooth[WEIGHT]
         if sticks:  # F is at least this, and as uncertain as before
             learned.estimate[0] += min(excess, max(prior.high[0] - learned.estimate[0], 0.0))
         else:
-            phi = t.work.s
-            phi[0] = smooth[SIGN]
-            phi[1] = smooth[V]
-            phi[2] = smooth[_ACCELERATION]
-            phi[3] = 1.0
             _regress(prior, learned, phi, t.work.t, smooth[TORQUE], k, dt)
         _keep_bounds(prior, learned, t.work.Z)
+        if known[j] == SUSPECTED and (
+            sticks or _shows_friction(prior, joint.theta, learned, phi, t.work.Z)
+        ):
+            known[j] = LEARNED
+            _keep_bounds(prior, learned, t.work.Z)
 
 
 @leaf
@@ -224,13 +239,13 @@ def _regress(prior, learned, phi, gain, r, k, dt):
     below its bound.
 
     Args:
-        prior: PRIOR of a joint. learned: its FRICTION. phi: (≥ 4,). gain: (≥ 8,) scratch.
+        prior: PRIOR of a joint. learned: its FRICTION. phi: (≥ 5,). gain: (≥ 10,) scratch.
         r: residual (N m, N). k: share of one tick in r. dt: s.
     """
     estimate = learned.estimate
     P = learned.P
     miss = r
-    for i in range(4):
+    for i in range(_SIZE):
         miss -= phi[i] * estimate[i]
     noise = prior.noise
     bound = 10.0 * noise
@@ -238,18 +253,18 @@ def _regress(prior, learned, phi, gain, r, k, dt):
     square = bounded * bounded
     learned.noise += dt / (_SCATTER + dt) * (square - learned.noise)
     whole = max(learned.noise, (_QUIET * noise) * (_QUIET * noise)) / k
-    for i in range(4):
-        gain[i] = dot(P[i], phi, 4)
+    for i in range(_SIZE):
+        gain[i] = dot(P[i], phi, _SIZE)
         whole += phi[i] * gain[i]
-    for i in range(4):
+    for i in range(_SIZE):
         estimate[i] += gain[i] * miss / whole
         grown = 1.0 + 0.5 * dt / _FORGET
         deviation = grown * sqrt(max(P[i, i] - gain[i] * gain[i] / whole, 0.0))
         shows = abs(phi[i]) * prior.spread[i] > _SEEN * noise
-        gain[4 + i] = grown if shows and deviation < prior.spread[i] else 1.0
-    for i in range(4):
+        gain[_SIZE + i] = grown if shows and deviation < prior.spread[i] else 1.0
+    for i in range(_SIZE):
         for j in range(i + 1):
-            P[i, j] = gain[4 + i] * gain[4 + j] * (P[i, j] - gain[i] * gain[j] / whole)
+            P[i, j] = gain[_SIZE + i] * gain[_SIZE + j] * (P[i, j] - gain[i] * gain[j] / whole)
             P[j, i] = P[i, j]
 
 
@@ -257,33 +272,66 @@ def _regress(prior, learned, phi, gain, r, k, dt):
 def _keep_bounds(prior, learned, C):
     """θ: the estimate within its bounds; the others are what is likeliest with those at a bound.
 
-    Each of these is a condition on a Gaussian, θ ← θ − C_i (θ_i − bound)/C_ii and
-    C ← C − C_i C_iᵀ/C_ii. The estimate stays as it is, or it would drift.
+    The estimate stays as it is, or it would drift.
 
     Args:
-        prior: PRIOR of a joint. learned: its FRICTION. C: (≥ 4, ≥ 4) scratch.
+        prior: PRIOR of a joint. learned: its FRICTION. C: (≥ 5, ≥ 5) scratch.
     """
     theta = learned.theta
-    for i in range(4):
+    for i in range(_SIZE):
         theta[i] = learned.estimate[i]
-        for j in range(4):
+        for j in range(_SIZE):
             C[i, j] = learned.P[i, j]
-    for turn in range(8):  # twice: a condition may bring one before it to its bound
-        i = turn % 4
+    for turn in range(2 * _SIZE):  # twice: a condition may bring one before it to its bound
+        i = turn % _SIZE
         bound = min(max(theta[i], prior.low[i]), prior.high[i])
-        if theta[i] == bound or C[i, i] <= 0.0:
-            continue
-        beyond = (theta[i] - bound) / C[i, i]
-        for j in range(4):
-            theta[j] -= beyond * C[i, j]
-        for j in range(4):
-            for k in range(4):
-                if j != i and k != i:
-                    C[j, k] -= C[j, i] * C[i, k] / C[i, i]
-        for j in range(4):
-            C[i, j] = C[j, i] = 0.0
-    for i in range(4):
+        if theta[i] != bound and C[i, i] > 0.0:
+            _condition(theta, C, i, bound)
+    for i in range(_SIZE):
         theta[i] = min(max(theta[i], prior.low[i]), prior.high[i])
+
+
+@leaf
+def _shows_friction(prior, known, learned, phi, C):
+    """Whether F, D and A surely are not as of the model, and matter; else θ is what they are then.
+
+    Their distance from the model is χ² = Σ (θ_i − known_i)²/C_ii, each given those before it.
+
+    Args:
+        prior: PRIOR of a joint. known: (5,) θ of its model. learned: its FRICTION, θ of it with
+            the covariance C (≥ 5, ≥ 5). phi: (≥ 5,).
+    """
+    theta = learned.theta
+    torque = 0.0
+    for i in range(3):
+        torque += phi[i] * (theta[i] - known[i])
+    distance = 0.0
+    for i in range(3):
+        if C[i, i] > 0.0:
+            apart = theta[i] - known[i]
+            distance += apart * apart / C[i, i]
+            _condition(theta, C, i, known[i])
+        theta[i] = known[i]
+    return distance > prior.sure * prior.sure and abs(torque) > _LEAST * prior.noise
+
+
+@leaf
+def _condition(theta, C, i, value):
+    """Mean and covariance of a Gaussian given θ_i: θ − C_i (θ_i − value)/C_ii, C − C_i C_iᵀ/C_ii.
+
+    Args:
+        theta: (5,). C: (≥ 5, ≥ 5). i: which. value: θ_i.
+    """
+    beyond = (theta[i] - value) / C[i, i]
+    for j in range(_SIZE):
+        theta[j] -= beyond * C[i, j]
+    theta[i] = value
+    for j in range(_SIZE):
+        for k in range(_SIZE):
+            if j != i and k != i:
+                C[j, k] -= C[j, i] * C[i, k] / C[i, i]
+    for j in range(_SIZE):
+        C[i, j] = C[j, i] = 0.0
 
 
 @inner

@@ -199,13 +199,13 @@ JOINT = _record(
         "most",  # see `control.records.joint_limit_margins`
         "slip",  # speed from which on dry friction is whole
     ),
-    theta=4,  # of `joint_friction`, at the start
+    theta=5,  # of `joint_friction`, at the start
     placement=12,  # in the joint before it, or in the world: rotation by rows, then point
     link=10,  # mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)
 )
-#: Of θ: residuals that are no friction, and rounding (N m, N); standard deviation at the start and
-#: at most; bounds.
-PRIOR = _record(number=("noise", "rounding"), doubt=4, spread=4, low=4, high=4)
+#: Of θ: residuals that are no friction, and rounding (N m, N); standard deviations by which it must
+#: differ from the model; standard deviation at the start and at most; bounds.
+PRIOR = _record(number=("noise", "rounding", "sure"), doubt=5, spread=5, low=5, high=5)
 PAIR = _record(
     whole=(
         "kind",
@@ -364,8 +364,8 @@ JOINT_MEMORY = _record(
         "model_q",  # speeds predicted from those read, and from those of positions
         "surprise_v",
         "surprise_q",  # what of either was not predicted, low-passed
-        # see `joint_friction`: torques that h and the wrist take, speed of the last tick, its rate
-        "past_h",
+        # see `joint_friction`: torques that h inboard and the wrench take, last speed, its rate
+        "past_weight",
         "load",
         "past_v",
         "rate",
@@ -383,12 +383,12 @@ JOINT_MEMORY = _record(
         "unbalanced",
     ),
     trusted=3,  # F, D and |A| as learned for long, see `sensors`
-    means=5,  # of `joint_friction`: what it observes of a tick, low-passed
+    means=6,  # of `joint_friction`: what it observes of a tick, low-passed
 )
-PAST = _record(history=(HISTORY, 7))  #: of a joint, where wrenches have stamps
+PAST = _record(history=(HISTORY, 8))  #: of a joint, where wrenches have stamps
 #: θ of a joint, the same without bounds, its covariance, variance of residuals; means low-passed
 #: once more; see `joint_friction`
-FRICTION = _record(number=("noise", "evidence"), theta=4, estimate=4, P=(4, 4), smooth=5)
+FRICTION = _record(number=("noise", "evidence"), theta=5, estimate=5, P=(5, 5), smooth=6)
 #: ticks since a wrist was read, s for which it has read the very same
 ARM_MEMORY = _record(whole=("unread",), number=("same",))
 

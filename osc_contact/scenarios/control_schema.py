@@ -375,10 +375,9 @@ class Friction(Spec):
 class JointFriction(Spec):
     """Friction of the joints: as the controller's model has it, or learned from there on."""
 
-    learning: bool | None = None
+    learning: bool = True
     """whether Coulomb and viscous friction of each joint are learned from motors and wrists,
-    beginning with the values of the model; else these are compensated as they are; null: where the
-    model has friction, above 0.3 % of a torque limit at 1 rad/s (1 m/s)"""
+    beginning with the values of the model; else these are compensated as they are"""
     share: Annotated[Number, Field(ge=0, lt=1)] = 0.7
     """g: of the friction that is not learned (stiction, Stribeck), which an observer compensates;
     with 1 joints would seem frictionless at rest, and contacts hunt"""
