@@ -13,12 +13,12 @@ friction F and D, and the inertia A of its rotor that the model lacks, by recurs
 
 both low-passed once more against noise, with m = h + M q̈ − Jᵀ w_out, so that links that weigh
 1 + μ times as much as in the model are not taken for friction. Where the model has no friction, F,
-D and A stay as it says until the estimate surely differs. A joint that rests although s commands it has at least the
-friction that it shows: what of r exceeds F + D |s| is learned as F. Friction is learned of the
-speed that the joint has, and compensated along the speed s that the contacts permit: J̄ P V_D,
-P = Ω_m(Λ_o⁻¹) of eq. 4. This has neither the noise of measured speeds nor the speeds of the posture
-task in it. The sign of s is s/√(s² + s_0²), its mean over the tick, so that friction reverses
-within the tick in which the joint does. Torques get
+D and A stay as it says until the estimate surely differs. A joint that rests although s commands it
+has at least the friction that it shows: what of r exceeds F + D |s| is learned as F. Friction is
+learned of the speed that the joint has, and compensated along the speed s that the contacts permit:
+J̄ P V_D, P = Ω_m(Λ_o⁻¹) of eq. 4. This has neither the noise of measured speeds nor the speeds of
+the posture task in it. The sign of s is s/√(s² + s_0²), its mean over the tick, so that friction
+reverses within the tick in which the joint does. Torques get
 
     f + g clip(e),   f = F sign s + D s + A ṡ,   ė = K_d(r − LP_K f − e),
 
@@ -45,7 +45,6 @@ from osc_contact.law.vectors import (
     dot6,
     fill,
     motion_to_energy,
-    plus,
     scaled,
     turned,
     turned_back,
@@ -66,6 +65,7 @@ _EVIDENCE = 0.15  #: s for which residuals must exceed rounding until anything i
 _SCATTER = 0.5  #: s, in which R follows the residuals that θ does not explain
 _QUIET = 0.1  #: of the noise assumed at first; R is not less
 _SEEN = 3.0  #: times the noise; what is in φ with less of θ at its spread is not forgotten
+_FASTEST = 1e6  #: rad/s, m/s; of joints without limit, so that squares are finite
 _SUDDEN = 0.05  #: s; speeds that change by their limit within less are steps
 
 _SIZE = 5  #: of θ
@@ -355,9 +355,10 @@ def permit_speeds(t):
         project_onto_columns(work.L_t, work.Q_t, work.rank, x, work.s)
     fill(x, turned_back(work, x))
     for j in range(t.model.n_joints):
-        most = t.model.joints[j].rated
+        most = min(t.model.joints[j].rated, _FASTEST)
         row = t.memory.joints[j]
-        s = min(max(dot6(t.work.joints[j].J_bar, x), -most), most)
+        s = dot6(t.work.joints[j].J_bar, x)
+        s = min(max(s, -most), most) if s == s else 0.0  # NaN where what is commanded overflows
         before = row.speed if t.memory.ticked != 0 else s
         most /= _SUDDEN
         row.speed = s
