@@ -465,8 +465,7 @@ class ControlSpec(Spec):
     friction: Friction | None = None
     """friction at the contacts that the controller takes into account"""
     joint_friction: JointFriction | None = JointFriction()
-    """[friction of the joints](joint_friction.md), compensated, and learned where the model has
-    some; `off`: neither"""
+    """[friction of the joints](joint_friction.md), compensated and learned; `off`: neither"""
     life: PhaseSettings | None = PhaseSettings()
     """[contacts opened, approached and closed](contact_phases.md) one by one, as their forces are
     > 0 or not; `off`: all at once, by `tare` (and the default beside one)"""
