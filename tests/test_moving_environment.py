@@ -139,7 +139,7 @@ def test_no_relative_inertia_where_nobody_yields():
 
 
 def test_one_body_behind_every_contact_stays_what_it_is():
-    """Shared bodies couple their contacts; on bodies of their own these have other forces."""
+    """Shared bodies couple their contacts; those on separate bodies have other forces."""
     for t in ticks("ur5", "bodies"):
         body = t.state.bodies[0]
         if len(t.state.bodies) == 1 < len(t.contacts) and body.prescribed is None is not body.given:

@@ -21,7 +21,7 @@ MASS = {"model_error.object_mass": "uniform(0.8, 1.2)"}
 
 
 class One(gymnasium.Env):
-    """A row as an environment of its own, which its caller resets."""
+    """A row as a single environment, which its caller resets."""
 
     def __init__(self, **how):
         self.rows = make_vector_env("panda_edge", 1, threads=1, **how)
