@@ -201,37 +201,6 @@ def test_two_grasps_that_pass_on_no_squeeze(kinds):
         assert_array_equal(tau, commanded(*given, 0.0)[1])
 
 
-def in_millimetres(case):
-    """The same chain, every length in mm."""
-
-    def stretched(X):
-        return pin.SE3(X.rotation, 1e3 * X.translation)
-
-    def body(I):
-        return pin.Inertia(I.mass, 1e3 * I.lever, 1e6 * I.inertia)
-
-    arms = []
-    grasps = []
-    q = []
-    for arm, grasp, s in zip(case.chain.arms, case.chain.grasps, case.chain.slices, strict=True):
-        model = arm.model.copy()
-        sliding = ["P" in joint.shortname() for joint in list(model.joints)[1:]]
-        for j in range(1, model.njoints):
-            model.jointPlacements[j] = stretched(model.jointPlacements[j])
-            model.inertias[j] = body(model.inertias[j])
-        for frame in model.frames:
-            frame.placement = stretched(frame.placement)
-            frame.inertia = body(frame.inertia)
-        model.armature = np.where(sliding, 1.0, 1e6) * model.armature
-        arms.append(replace(arm, model=model, base=stretched(arm.base)))
-        grasps.append(osc.Grasp(stretched(grasp.X_TO), np.vstack((grasp.T[:3], grasp.T[3:]))))
-        q.append(np.where(sliding, 1e3, 1.0) * case.q[s])
-    payload = osc.RigidObject(body(case.chain.payload.inertia))
-    chain = osc.ClosedChain(arms, grasps, payload, allow_unactuated=True)
-    chain.model.gravity = pin.Motion(1e3 * chain.model.gravity.linear, np.zeros(3))
-    return chain, np.concatenate(q), stretched(case.X_WO)
-
-
 def test_a_rod_between_two_balls_spins_about_their_line():
     """No motor drives it, no joint measures it: both are said."""
     case = random_case(["ur5", "ur5"], ["ball", "ball"], default_rng(7))

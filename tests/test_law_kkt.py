@@ -20,7 +20,6 @@ All of these are counted by themselves: the 2,000 states are without them.
 
 from __future__ import annotations
 
-import copy
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -204,7 +203,6 @@ class Tick:
     truth: Answer
     contacts: list
     controller: osc.Controller
-    before: osc.Controller
     measured: osc.Measurement
     reference: osc.Reference
     B: object
@@ -248,11 +246,8 @@ def tick(state, contacts, i, rng):
         rng.uniform(5.0, 20.0, sum(len(c.along_object) for c in contacts)),
         squeeze if rigid and k > 2 else squeeze.sum() if k == 2 else 0.0,
     )
-    before = copy.copy(controller)
     tau = controller.tick(measured, reference)
-    return Tick(
-        state, truth, contacts, controller, before, measured, reference, B, tau, controller_of
-    )
+    return Tick(state, truth, contacts, controller, measured, reference, B, tau, controller_of)
 
 
 def ticks(rig, surroundings):

@@ -14,7 +14,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture
 from rigs import held_tick, largest, refused, rig_of, ticked
 from samples import module_fixture, parametrize
-from test_commands import by_definition
 
 import osc_contact as osc
 from osc_contact.control.custom_laws import Laws, force_law, motion_law
@@ -104,8 +103,14 @@ def test_a_law_that_returns_nonsense_holds_the_torques(rig, law, returned, words
 
 def paper(s):
     """Motion filter and control structure, eqs. 24 and 21, in NumPy."""
-    commands = s.state, s.contact, s.a_u, s.alpha_u, "object"
-    return by_definition(*commands, s.environment, s.friction_wrenches)
+    N = s.contact.N
+    S = s.state.S
+    r = N.shape[1]
+    weight = S.T @ s.state.metric
+    K = np.block([[weight @ S, S.T @ N], [N.T @ S, np.zeros((r, r))]])
+    known = weight @ (s.a_u - s.state.sigma), s.contact.n_gamma - N.T @ s.state.sigma
+    eta = solve(K, np.concatenate(known))[: len(weight)]
+    return eta, s.state.Lambda_S @ eta + s.state.b_S + S.T @ N @ s.alpha_u
 
 
 class BuiltIn:
