@@ -3,9 +3,10 @@
     python benchmarks/same_recordings.py keep FOLDER [NAME ...]       # before the change
     python benchmarks/same_recordings.py compare FOLDER [NAME ...]    # after it
 
-Compared are all channels but the tick's time. A difference is the largest of a channel, over the
-largest magnitude that the channel has (or 1e-9, whichever is more). The exit code of `compare` is 1
-where a difference is above 1e-12, or where a channel, a state or the verdict of a run is another.
+Compared are the word of the verdict and all channels but the tick's time. A difference is the
+largest of a channel, over the largest magnitude that the channel had (or 1e-9, whichever is more).
+The exit code of `compare` is 1 where one is above 1e-12, or where channels, their shapes, what is
+not finite in them, or the word are others.
 """
 
 from pathlib import Path
@@ -23,36 +24,18 @@ TOLERANCE = 1e-12
 def record(name: str) -> dict[str, Any]:
     """Channels of a run, and the verdict of it."""
     recording = osc.run(osc.load_scenario(name), duration=DURATION, seed=1)
-    channels = {key: np.asarray(recording[key]) for key in recording.channels if key != "tick_s"}
+    channels = {key: np.asarray(recording[key], float) for key in recording.channels}
+    del channels["tick_s"]
     return {**channels, "task": np.array(osc.metrics(recording)["task"]["word"])}
 
 
-def difference(one: np.ndarray, other: np.ndarray) -> float:
+def difference(before: np.ndarray, now: np.ndarray) -> float:
     """The largest difference over the largest magnitude; inf where they cannot be compared."""
-    if one.shape != other.shape or one.dtype.kind != other.dtype.kind:
-        return np.inf
-    if one.dtype.kind not in "fc":
-        return 0.0 if np.array_equal(one, other) else np.inf
-    if not np.array_equal(np.isfinite(one), np.isfinite(other)):
-        return np.inf
-    known = np.isfinite(one)
-    size = np.abs(one[known]).max(initial=1e-9)
-    return float(np.abs(one[known] - other[known]).max(initial=0.0) / size)
-
-
-def compare(kept: Path, name: str) -> bool:
-    """Print how far a run is from the one that was kept; whether it is the same."""
-    now = record(name)
-    with np.load(kept / f"{name}.npz") as before:
-        one_sided = sorted(set(now) ^ set(before))
-        found = {key: difference(before[key], now[key]) for key in set(now) & set(before)}
-    worst = max(found, key=lambda key: found[key])
-    same = not one_sided and found[worst] <= TOLERANCE
-    others = f"; only on one side: {', '.join(one_sided)}" if one_sided else ""
-    print(
-        f"{'same' if same else 'DIFFERS':8}{name}: {found[worst]:.1e} ({worst}){others}", flush=True
-    )
-    return same
+    if before.shape != now.shape or before.dtype.kind == "U":
+        return 0.0 if np.array_equal(before, now) else np.inf
+    apart = np.where((before == now) | (np.isnan(before) & np.isnan(now)), 0.0, before - now)
+    size = np.abs(before).max(initial=1e-9, where=np.isfinite(before))
+    return float(np.nan_to_num(np.abs(apart), nan=np.inf).max(initial=0.0) / size)
 
 
 def main(
@@ -64,11 +47,17 @@ def main(
     folder.mkdir(parents=True, exist_ok=True)
     same = True
     for name in names or osc.list_scenarios():
+        file = folder / f"{name}.npz"
+        now = record(name)
         if what == "keep":
-            np.savez(folder / f"{name}.npz", **record(name))
-            print(f"kept    {name}", flush=True)
-        else:
-            same &= compare(folder, name)
+            np.savez(file, **now)
+            continue
+        with np.load(file) as kept:
+            found = {key: difference(kept[key], now[key]) for key in set(kept) & set(now)}
+            found |= dict.fromkeys(set(kept) ^ set(now), np.inf)
+        worst = max(found, key=lambda key: found[key])
+        same &= found[worst] <= TOLERANCE
+        print(f"{name}: {found[worst]:.1e} ({worst})", flush=True)
     raise typer.Exit(not same)
 
 

@@ -33,7 +33,6 @@ from paper import (
     kinematic_stability,
     moving_face,
     robustness,
-    workcell,
 )
 from paper.figures import ANSWERS, Evidence
 from paper.statements import PAPER, Answer, PaperFigure, Verdict, judge
@@ -222,10 +221,9 @@ STUDIES: dict[str, Callable[[Ask], Study]] = {
     "moving_face": moving_face.study,
     "baselines": baselines.study,
     "robustness": robustness.study,
-    "workcell": workcell.study,
     "fig7": contact_phases.fig7,
 }
-SLOW = {"baselines", "robustness", "workcell", "fig7"}
+SLOW = {"baselines", "robustness", "fig7"}
 """several minutes: not in `reproduce all`"""
 WITH_SCENARIO = SLOW | {"fig3"}
 """whose scenario can be changed"""

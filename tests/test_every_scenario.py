@@ -3,8 +3,7 @@
 import json
 
 import numpy as np
-from command_line import read_json
-from complaints import invalid_input, scenario_error
+from complaints import scenario_error
 from numpy.linalg import lstsq, norm
 from numpy.testing import assert_allclose
 from pytest import approx, raises
@@ -20,10 +19,6 @@ from osc_contact.runs.hardware import flexible_joints
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.viewing import write_scene_of
-from paper import workcell
-from paper.report import write_study
-from paper.study import Ask
-from paper.workcell import STAGES, ladder
 
 ROBOTS = {  # d, r, motors, words of `inspect`
     "panda_edge": (6, 1, 7, ("into the edge of 'table'", "1 motion(s) of arms")),
@@ -351,21 +346,16 @@ def test_the_monitor_raises_no_false_alarm(everything):
     assert not everything["collision_seen"][settled].any()
 
 
-def test_ideal_parts_cost_nothing_and_the_rest_is_named():
-    ((_, nothing),) = ladder(["nothing"], Ask(duration=1.5))
-    assert nothing["force_rms_rel"] < 2e-3
-    with invalid_input("everything"):
-        list(ladder(["anything"], Ask()))
-    assert set(STAGES) >= {"joints", "sensors", "contact friction", "everything"}
+IDEAL_SENSORS = ("sensors={}", "plant.friction=0", "control.friction=null", "model_error={}")
+IDEAL_JOINTS = ("plant.flexible_joints=null", "plant.motors=null", "plant.joint_friction=0")
+NO_LOOP = "control.joint_torque=null"
 
 
-def test_the_study_prints_and_draws_what_a_part_costs(tmp_path, monkeypatch):
-    stage = "joints, no torque loop"
-    monkeypatch.setattr(workcell, "STAGES", {stage: STAGES[stage]})
-    made = write_study("workcell", tmp_path, Ask(duration=1.2))
-    found = read_json(tmp_path / "workcell.json")[stage]
-    assert found["force_rms_rel"] is None or found["force_rms_rel"] > 0.25
-    assert all(path.is_file() for path in made.files) and made.table.row_count == 1
+def test_ideal_parts_cost_nothing_and_springs_without_their_loop_much():
+    ideal = verdict_of("workcell", *IDEAL_SENSORS, *IDEAL_JOINTS, NO_LOOP, duration=1.5)
+    assert worst_force(ideal) < 2e-3
+    swings = verdict_of("workcell", *IDEAL_SENSORS, NO_LOOP, duration=1.2)
+    assert worst_force(swings) > 0.25
 
 
 # All errors of a real workcell at once, the keys of `model_error` that make them.

@@ -10,7 +10,6 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx, raises
 from rigs import largest
-from samples import parametrize
 
 from osc_contact.errors import InvalidInputError
 from paper import kinematic_stability as ks
@@ -22,25 +21,18 @@ DAMPING_S = 0.08
 
 
 @cache
-def arm_of(name):
-    return {"planar": ks.planar_arm, "ur5": ks.ur5_arm}[name]()
-
-
-@cache
-def found_by(name):
-    return ks.search(arm_of(name), 0, 400)
-
-
-both = parametrize("name", ["planar", "ur5"])
+def found():
+    return ks.search(0, 400)
 
 
 # Both control laws, written with Pinocchio alone -----------------------------
 
 
-def tip_pose(arm, q):
-    data = arm.plant.createData()
-    pin.framesForwardKinematics(arm.plant, data, q)
-    return pin.SE3(data.oMf[arm.tip])
+def tip_pose(q):
+    model, tip = ks.ur5()
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return pin.SE3(data.oMf[tip])
 
 
 def displacement(start, end):
@@ -48,44 +40,49 @@ def displacement(start, end):
     return np.concatenate((end.translation - start.translation, turned))
 
 
-def jacobian(arm, q):
-    data = arm.plant.createData()
-    return pin.computeFrameJacobian(arm.plant, data, q, arm.tip, pin.LOCAL_WORLD_ALIGNED)
+def jacobian(q):
+    model, tip = ks.ur5()
+    return pin.computeFrameJacobian(model, model.createData(), q, tip, pin.LOCAL_WORLD_ALIGNED)
 
 
-def oracle_classic(arm, q, v, goal):
+def torques(q, v, acceleration):
+    model, _ = ks.ur5()
+    return pin.rnea(model, model.createData(), q, v, acceleration)
+
+
+def oracle_classic(q, v, goal):
     """Joint stiffness on the filtered error."""
-    rows = arm.rows
-    J = jacobian(arm, q)[rows]
-    S = np.diag([row != arm.force for row in range(len(q))]).astype(float)
-    q_e = inv(J) @ S @ (displacement(goal, tip_pose(arm, q))[rows] + DAMPING_S * J @ v)
-    return pin.rnea(arm.plant, arm.plant.createData(), q, v, np.zeros(len(q))) - arm.K_q @ q_e
+    J = jacobian(q)
+    S = np.diag([row != ks.FORCE for row in range(6)]).astype(float)
+    q_e = inv(J) @ S @ (displacement(goal, tip_pose(q)) + DAMPING_S * J @ v)
+    return torques(q, v, np.zeros(6)) - ks.K_Q @ q_e
 
 
-def oracle_ours(arm, q, v, goal):
-    """The joint acceleration nearest to the wish in the object's energy that keeps off the face."""
-    X = tip_pose(arm, q)
-    J = jacobian(arm, q)
-    body = arm.chain.payload.inertia
-    Lambda = pin.SE3(X.rotation, np.zeros(3)).act(body).matrix()
-    a_u = -inv(Lambda) @ arm.K_prime @ (displacement(goal, X) + DAMPING_S * J @ v)
-    across = J[arm.force]
+def oracle_ours(q, v, goal):
+    """The joint acceleration nearest to the desired one in the object's energy that keeps off the
+    face."""
+    X = tip_pose(q)
+    J = jacobian(q)
+    Lambda = pin.SE3(X.rotation, np.zeros(3)).act(ks.HELD).matrix()
+    a_u = -inv(Lambda) @ ks.K_PRIME @ (displacement(goal, X) + DAMPING_S * J @ v)
+    across = J[ks.FORCE]
     KKT = np.block([[J.T @ Lambda @ J, across[:, None]], [across[None], np.zeros((1, 1))]])
     qdd = np.linalg.solve(KKT, np.append(J.T @ Lambda @ a_u, 0.0))[:-1]
-    return pin.rnea(arm.plant, arm.plant.createData(), q, v, qdd)
+    return torques(q, v, qdd)
 
 
-def numeric_poles(arm, law, q0, h=1e-5):
+def numeric_poles(law, q0, h=1e-5):
     """Eigenvalues of the closed loop (q, v) → (v, aba), by central differences; the two of the
     direction nobody holds (0, 0) left out."""
     n = len(q0)
-    data = arm.plant.createData()
-    goal = tip_pose(arm, q0)
+    model, _ = ks.ur5()
+    data = model.createData()
+    goal = tip_pose(q0)
 
     def rate(x):
         q = x[:n]
         v = x[n:]
-        return np.concatenate((v, pin.aba(arm.plant, data, q, v, law(arm, q, v, goal))))
+        return np.concatenate((v, pin.aba(model, data, q, v, law(q, v, goal))))
 
     start = np.concatenate((q0, np.zeros(n)))
     A = np.column_stack(
@@ -111,19 +108,16 @@ def assert_same_poles(got, expected):
     assert distance.min(axis=0).max() < 2e-4 * scale and distance.min(axis=1).max() < 2e-4 * scale
 
 
-@both
-def test_ours_is_real_and_positive_next_to_singularities(name):
-    """The elbow (and the UR5's wrist) all but straight: J is as good as singular there."""
-    arm = arm_of(name)
+def test_ours_is_real_and_positive_next_to_singularities():
+    """Elbow and wrist all but straight: J is as good as singular there."""
     rng = default_rng(5)
-    bends = {"planar": [1], "ur5": [2, 4]}[name]
     unstable = 0
     for _ in range(60):
-        q = rng.uniform(-np.pi, np.pi, arm.chain.nq)
-        for joint in bends:
+        q = rng.uniform(-np.pi, np.pi, 6)
+        for joint in (2, 4):
             q[joint] = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-4.0, -2.0)
-        assert regularity(arm, q) < 1e-4
-        classic, ours = eigenvalues(arm, q)
+        assert regularity(q) < 1e-4
+        classic, ours = eigenvalues(q)
         assert largest(ours.imag) < 1e-6 * ours.real.min() and ours.real.min() > 1.0
         unstable += classic.real.min() < 0.0
     assert unstable > 5, "here the classic scheme has a hard time"
@@ -141,34 +135,29 @@ def test_ours_is_real_and_positive_for_any_contact_metric_and_stiffness():
         assert largest(values.imag) < 1e-6 * largest(values)
 
 
-@both
-def test_it_is_the_selection_that_makes_the_classic_scheme_unstable(name):
-    arm = arm_of(name)
-    found = found_by(name)
-    M, J, _ = arm.terms(found.q)
-    everything = ks.classic_eigenvalues(M, J[arm.rows], np.ones(len(found.q)), arm.K_q)
-    assert everything.real.min() > 10.0 and found.classic.real.min() < -10.0
+def test_it_is_the_selection_that_makes_the_classic_scheme_unstable():
+    M, J, _ = ks.terms(found().q)
+    everything = ks.classic_eigenvalues(M, J, np.ones(6), ks.K_Q)
+    assert everything.real.min() > 10.0 and found().classic.real.min() < -10.0
 
 
-@both
-def test_search_counts_what_it_says(name):
+def test_search_counts_what_it_says():
     """The same draw again: the regular postures, and the least real part of each."""
-    arm = arm_of(name)
-    found = ks.search(arm, 4, 400, 0.6)
-    drawn = default_rng(4).uniform(-np.pi, np.pi, (400, arm.chain.nq))
-    judged = sorted(drawn, key=lambda q: -regularity(arm, q))[:240]
-    least = np.array([eigenvalues(arm, q)[0].real.min() for q in judged])
-    counts = found.counts
+    again = ks.search(4, 400, 0.6)
+    drawn = default_rng(4).uniform(-np.pi, np.pi, (400, 6))
+    judged = sorted(drawn, key=lambda q: -regularity(q))[:240]
+    least = np.array([eigenvalues(q)[0].real.min() for q in judged])
+    counts = again.counts
     assert (counts["postures_drawn"], counts["postures"], counts["ours_unstable"]) == (400, 240, 0)
     assert counts["classic_unstable"] == (least < -1e-6).sum() > 0
-    assert_array_equal(found.q, judged[least.argmin()])
-    assert found.classic[0].real == approx(least.min()) and counts["ours_least_eigenvalue"] > 0.0
-    assert ks.search(arm, 5, 400, 0.6).q[0] != found.q[0]
+    assert_array_equal(again.q, judged[least.argmin()])
+    assert again.classic[0].real == approx(least.min()) and counts["ours_least_eigenvalue"] > 0.0
+    assert ks.search(5, 400, 0.6).q[0] != again.q[0]
 
 
 def test_a_search_without_an_unstable_posture_is_refused():
     with raises(InvalidInputError, match="none of 2 postures"):
-        ks.search(arm_of("planar"), 0, 8, 0.25)
+        ks.search(0, 8, 0.25)
 
 
 def test_reproduce_writes_picture_and_numbers(tmp_path, monkeypatch):
@@ -177,26 +166,21 @@ def test_reproduce_writes_picture_and_numbers(tmp_path, monkeypatch):
     names = {f"kinematic_stability.{suffix}" for suffix in ("png", "svg", "pdf", "json")}
     assert {path.name for path in tmp_path.iterdir()} == names
     assert (tmp_path / "kinematic_stability.pdf").read_bytes().startswith(b"%PDF")
-    rows = read_json(tmp_path / "kinematic_stability.json")["arms"]
-    assert [row["arm"] for row in rows] == ["planar 2R arm", "UR5"]
-    for row in rows:
-        assert row["postures"] == 1000 and row["seed"] == 1
-        assert row["classic_unstable"] > 0 == row["ours_unstable"]
-        assert str(row["classic_unstable"]) in printed
+    data = read_json(tmp_path / "kinematic_stability.json")
+    assert data["postures"] == 1000 and data["seed"] == 1
+    assert data["classic_unstable"] > 0 == data["ours_unstable"]
+    assert str(data["classic_unstable"]) in printed
 
 
-@both
-def test_eigenvalues_give_the_poles_of_the_closed_loop(name):
+def test_eigenvalues_give_the_poles_of_the_closed_loop():
     """In the posture found, where the classic scheme is unstable, and in random ones."""
-    arm = arm_of(name)
-    found = found_by(name)
-    assert found.classic.real.min() < 0.0 < poles(found.classic).real.max()
-    assert poles(found.ours).real.max() < -1.0
+    assert found().classic.real.min() < 0.0 < poles(found().classic).real.max()
+    assert poles(found().ours).real.max() < -1.0
     rng = default_rng(3)
-    postures = [found.q]
+    postures = [found().q]
     while len(postures) < 5:
-        q = rng.uniform(-np.pi, np.pi, arm.chain.nq)
-        postures += [q] if regularity(arm, q) >= 1e-3 else []
+        q = rng.uniform(-np.pi, np.pi, 6)
+        postures += [q] if regularity(q) >= 1e-3 else []
     for q in postures:
-        for values, oracle in zip(eigenvalues(arm, q), (oracle_classic, oracle_ours), strict=True):
-            assert_same_poles(numeric_poles(arm, oracle, q), poles(values))
+        for values, oracle in zip(eigenvalues(q), (oracle_classic, oracle_ours), strict=True):
+            assert_same_poles(numeric_poles(oracle, q), poles(values))

@@ -120,13 +120,10 @@ def study_words(name: str, study: Study) -> str:
         return f"**{judge(figure, True, study.answers).upper()}**; " + " ".join(
             answer.found for answer in study.answers.values()
         )
-    arms = "; ".join(
-        f"{arm['arm']}: classic leaves {arm['classic_unstable']} of {arm['postures']} postures, "
-        f"ours {arm['ours_unstable']}"
-        for arm in study.data["arms"]
-    )
-    stable = not any(arm["ours_unstable"] for arm in study.data["arms"])
-    return f"**{'OK' if stable else 'UNSTABLE'}**; {arms}"
+    found = study.data
+    stable = "UNSTABLE" if found["ours_unstable"] else "OK"
+    counts = "classic leaves {classic_unstable} of {postures} postures, ours {ours_unstable}"
+    return f"**{stable}**; {counts.format(**found)}"
 
 
 def require_small(picture: Path, most: int) -> None:
