@@ -264,6 +264,12 @@ def test_columns_on_which_the_arms_can_push(held):
     )
 
 
+def test_a_metric_that_is_not_definite_is_reported():
+    t = records(contacts=1, columns=1, metric=at.BY_MATRIX)
+    write(t.work, rank=1, B_inv_t=-np.eye(6))
+    assert command.filter_motion(t) == command.BAD_METRIC
+
+
 # --- stages ---------------------------------------------------------------------------------------
 
 

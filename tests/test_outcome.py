@@ -263,22 +263,6 @@ def watched(alpha, speed):
     return closed, np.flatnonzero([s.collision[0] for s in states])
 
 
-def test_approach_contact_loss_and_contact_again():
-    """300 ms free, 400 ms pressed, 200 ms lost, pressed again; 0.1 N and 1 mm/s of noise."""
-    rng = np.random.default_rng(0)
-    t = np.arange(1200)
-    pressed = ((t >= 300) & (t < 700)) | (t >= 900)
-    alpha = np.where(pressed, 8.0, 0.0) + 0.1 * rng.standard_normal(len(t))
-    speed = 1e-3 * rng.standard_normal(len(t))
-    for hit in (300, 900):
-        alpha[hit : hit + 4] = [15.0, 20.0, 12.0, 9.0]
-        speed[hit : hit + 4] = [0.03, 0.02, 0.01, 0.002]
-    closed, collisions = watched(alpha, speed)
-    assert np.flatnonzero(np.diff(closed.astype(int))).tolist() == [299, 704, 899]
-    first, second = collisions
-    assert first in range(300, 305) and second in range(900, 905)
-
-
 LIMIT = MonitorLimits()
 BETWEEN = 0.5 * (LIMIT.force_on + LIMIT.force_off)  #: N
 
