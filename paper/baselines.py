@@ -72,11 +72,8 @@ def compare(
         row = rows[key] = {"label": law.label}
         if isinstance(law, SelectionLaw):
             row["selection"] = law.selection.as_dict()
-        for name, coupling in (
-            ("predicted", instant.coupling(law)),
-            ("measured", measured_coupling(rigid, law, instant)),
-        ):
-            row[name] = dict(zip(KINDS, coupling.norms, strict=True)) | {"cost": coupling.cost}
+        coupling = measured_coupling(rigid, law, instant)
+        row["measured"] = dict(zip(KINDS, coupling.norms, strict=True)) | {"cost": coupling.cost}
     for plant, rig in rigs.items():
         runs = []
         for key, law in laws.items():

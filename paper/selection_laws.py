@@ -22,7 +22,7 @@ the chain is selected as the wrench P_∅ᵀΛ_S η̇ that gives it. For d = 6 b
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -32,11 +32,10 @@ import pinocchio as pin
 from scipy.optimize import least_squares
 
 import osc_contact as osc
-from osc_contact.contacts.raibert_craig import Triple, as_raibert_craig, selection_columns
+from osc_contact.contacts.raibert_craig import as_raibert_craig
 from osc_contact.control.controller import Controller
 from osc_contact.control.signals import Signals
 from osc_contact.dynamics.chain_state import ChainState
-from osc_contact.projections import Omega_m_bar
 from osc_contact.spatial import Array, skew
 
 
@@ -153,57 +152,46 @@ class Selection:
     this is what the laws say; `force` and `motion` are the same carried to O.
 
     Attributes:
-        linear: axes (columns of the rotation) along which forces are selected, and the point where
-            they act, as a translation from O; world axes (m).
-        angular: (3, 3) axes about which couples are selected.
-        forces, couples: which of these axes are force controlled.
+        point: (3,) where the forces act, from O in world axes (m).
+        forces, couples: (3, ·) unit axes along which forces, about which couples are selected.
     """
 
-    linear: pin.SE3
-    angular: Array
-    forces: Triple
-    couples: Triple
+    point: Array
+    forces: Array
+    couples: Array
 
     @classmethod
-    def of_frame(cls, frame: pin.SE3, forces: Triple, couples: Triple) -> Selection:
-        """One constraint frame for forces and couples: the Raibert–Craig model.
+    def of_axes(cls, point: Array, triads: Sequence[Array], chosen: Sequence[int]) -> Selection:
+        """Some of six axes: 0, 1, 2 of forces, 3, 4, 5 of couples.
 
         Args:
-            frame: pose of the constraint frame.
-            forces, couples: which of its axes are force controlled.
+            point: as the attribute. triads: (3, 3) axes, of forces first and of couples last; one
+                constraint frame for both is the Raibert–Craig model.
+            chosen: the axes that are force controlled.
         """
-        return cls(frame, np.array(frame.rotation), forces, couples)
-
-    @property
-    def axes(self) -> tuple[Array, Array]:
-        """(3, ·) those of the selected forces, and of the selected couples."""
-        F = np.array(self.linear.rotation)[:, np.array(self.forces)]
-        return F, self.angular[:, np.array(self.couples)]
+        forces, couples = ([i % 3 for i in chosen if i // 3 == kind] for kind in (0, 1))
+        return cls(point, triads[0][:, forces], triads[-1][:, couples])
 
     @cached_property
     def wrenches(self) -> Array:
         """W (6, r): unit forces and couples that are force controlled, at O."""
-        turned = pin.SE3(self.angular, self.linear.translation)
-        none = (False, False, False)
-        forces = selection_columns(self.linear, self.forces, none)
-        return np.hstack((forces, selection_columns(turned, none, self.couples)))
+        arms = skew(self.point) @ self.forces
+        return np.block([[self.forces, 0.0 * self.couples], [arms, self.couples]])
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able: point (m) and axes."""
-        F, C = self.axes
         return {
-            "point_m": self.linear.translation.tolist(),
-            "force_axes": F.T.tolist(),
-            "couple_axes": C.T.tolist(),
+            "point_m": self.point.tolist(),
+            "force_axes": self.forces.T.tolist(),
+            "couple_axes": self.couples.T.tolist(),
         }
 
     @cached_property
     def force(self) -> Array:
         """Ω̄ (6, 6) at O: the selected part of a wrench."""
-        F, C = self.axes
-        lever = skew(self.linear.translation)
-        upper = F @ F.T
-        lower = C @ C.T
+        lever = skew(self.point)
+        upper = self.forces @ self.forces.T
+        lower = self.couples @ self.couples.T
         return np.block([[upper, np.zeros((3, 3))], [lever @ upper - lower @ lever, lower]])
 
     @cached_property
@@ -298,21 +286,12 @@ class Instant:
         a = np.column_stack([x.acceleration - base.acceleration for x in unit])
         self._motion: Array = self.along @ a
 
-    def coupling(self, law: Law) -> Coupling:
-        """Unit commands through the law and through `contact_response`; ours: by eq. 24."""
+    def coupling(self, law: SelectionLaw) -> Coupling:
+        """Unit commands through the law and through `contact_response`."""
         state = self.state
-        contact = self.contact
-        N = contact.N
-        if isinstance(law, SelectionLaw):
-            X, _ = law.baseline.rule(state, law.selection)
-            force = law.selection.force
-        else:
-            P = coordinates(state, np.zeros((6, 0)))
-            B = np.linalg.inv(state.S.T @ state.metric @ state.S)
-            X = P - Omega_m_bar(state.S.T @ N, B) @ P
-            force = np.eye(6)
+        X, _ = law.baseline.rule(state, law.selection)
         of_a = state.Lambda_S @ X @ self.free
-        of_alpha = state.S.T @ force @ N
+        of_alpha = state.S.T @ law.selection.force @ self.contact.N
         return Coupling(
             M=self._alpha @ of_alpha,
             K=self._motion @ of_a,
@@ -366,11 +345,8 @@ def best_frames(
     start = as_raibert_craig(instant.contact.N, instant.size).frame
     best = []
     for chosen in combinations(range(6), instant.contact.r):
-        forces, couples = _flags(chosen)
-        first = Selection.of_frame(start, forces, couples)
-        others = [
-            random_selection(instant, baseline, rng, forces, couples) for _ in range(restarts)
-        ]
+        first = Selection.of_axes(start.translation, [start.rotation], chosen)
+        others = [random_selection(instant, baseline, rng, chosen) for _ in range(restarts)]
         found = [_descend(instant, SelectionLaw(baseline, one)) for one in (first, *others)]
         law, cost = min(found, key=lambda one: one[1])
         if np.isfinite(cost):
@@ -381,7 +357,7 @@ def best_frames(
 
 
 def random_selection(
-    instant: Instant, baseline: Baseline, rng: np.random.Generator, forces: Triple, couples: Triple
+    instant: Instant, baseline: Baseline, rng: np.random.Generator, chosen: Sequence[int]
 ) -> Selection:
     """A frame anywhere on the object: uniform axes, a point within twice its size of O.
 
@@ -389,12 +365,11 @@ def random_selection(
         instant: the state, for the object's size.
         baseline: how many triads the frame has.
         rng: source of the random numbers.
-        forces, couples: which of the frame's axes are force controlled.
+        chosen: the axes that are force controlled, see `Selection.of_axes`.
     """
     drawn = (rng.normal(size=4) for _ in range(baseline.triads))
     triads = [pin.Quaternion(*(x / np.linalg.norm(x))).matrix() for x in drawn]
-    frame = pin.SE3(triads[0], rng.uniform(-2.0, 2.0, 3) * instant.size)
-    return Selection(frame, triads[-1], forces, couples)
+    return Selection.of_axes(rng.uniform(-2.0, 2.0, 3) * instant.size, triads, chosen)
 
 
 def _descend(instant: Instant, law: SelectionLaw) -> tuple[SelectionLaw, float]:
@@ -412,7 +387,7 @@ def _descend(instant: Instant, law: SelectionLaw) -> tuple[SelectionLaw, float]:
         at = instant.coupling(moved)
         x = at.residuals
         gains = [(X - np.eye(len(X))).ravel() for X in (at.M, at.K)]
-        y = np.concatenate((*gains, moved.selection.linear.translation / instant.size))
+        y = np.concatenate((*gains, moved.selection.point / instant.size))
         return np.concatenate((x, 1e-3 * np.linalg.norm(x) * y))
 
     still = np.zeros(3 + 3 * law.baseline.triads)
@@ -424,18 +399,8 @@ def _descend(instant: Instant, law: SelectionLaw) -> tuple[SelectionLaw, float]:
 
 
 def _moved(law: SelectionLaw, step: Array, size: float) -> SelectionLaw:
-    """The point moved by step[:3] sizes, the triads turned by step[3:6] (and step[6:])."""
+    """The point moved by step[:3] sizes, the triads turned by step[3:6] and by its last three."""
     old = law.selection
-    linear = pin.SE3(
-        pin.exp3(step[3:6]) @ old.linear.rotation, old.linear.translation + size * step[:3]
-    )
-    if law.baseline.triads == 1:
-        angular = np.array(linear.rotation)
-    else:
-        angular = pin.exp3(step[6:]) @ old.angular
-    return SelectionLaw(law.baseline, Selection(linear, angular, old.forces, old.couples))
-
-
-def _flags(chosen: Sequence[int]) -> tuple[Triple, Triple]:
-    x, y, z, a, b, c = (i in chosen for i in range(6))
-    return (x, y, z), (a, b, c)
+    forces = pin.exp3(step[3:6]) @ old.forces
+    couples = pin.exp3(step[-3:]) @ old.couples
+    return replace(law, selection=Selection(old.point + size * step[:3], forces, couples))
