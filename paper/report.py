@@ -31,7 +31,6 @@ from paper import (
     fig3,
     figures,
     kinematic_stability,
-    moving_face,
     robustness,
 )
 from paper.figures import ANSWERS, Evidence
@@ -194,8 +193,8 @@ def _scene(scene: Path | None, words: str) -> str:
 
 
 def _command(name: str, reproduction: Reproduction) -> str:
-    options = " ".join(filter(None, (reproduction.made[name].options, reproduction.options)))
-    return f'<p class="command">{_code(f"osc-contact reproduce {name} {options}".strip())}</p>'
+    command = f"osc-contact reproduce {name} {reproduction.options}".strip()
+    return f'<p class="command">{_code(command)}</p>'
 
 
 def _badge(verdict: Verdict) -> str:
@@ -218,7 +217,6 @@ STUDIES: dict[str, Callable[[Ask], Study]] = {
     "fig2": cone_in_groove.study,
     "fig3": fig3.study,
     "kinematic_stability": kinematic_stability.study,
-    "moving_face": moving_face.study,
     "baselines": baselines.study,
     "robustness": robustness.study,
     "fig7": contact_phases.fig7,
@@ -230,7 +228,6 @@ WITH_SCENARIO = SLOW | {"fig3"}
 WITH_SAMPLES = {"robustness"}
 """whose runs are samples"""
 REPRODUCIBLE = (*figures.FIGURES, *STUDIES)
-BRIEF_S = 10.0  #: of each run of a slow study that is one of several
 
 
 class Reproduction(NamedTuple):
@@ -329,9 +326,6 @@ def make(
         out.print(verdict_table(write_report(recording, scenario, of_run)))
         scene = of_run / "scene.html"
     made = {}
-    brief = ask
-    if len(names) > 1 and ask.duration is None:  # slow ones among others
-        brief = replace(ask, duration=BRIEF_S)
     for name in drawn:
         answers = {}
         if recording is not None:
@@ -340,12 +334,9 @@ def make(
         made[name] = write(name, folder, Study(picture, answers=answers))
     for name in names:
         if name in STUDIES:
-            one = brief if name in SLOW else ask
             with err.status(name) as status:
-                study = write_study(name, folder, replace(one, tell=status.update))
-            out.print(study.table)
-            more = "" if one is ask else typed(None, one.duration, 0, ())
-            made[name] = replace(study, options=more)
+                made[name] = write_study(name, folder, replace(ask, tell=status.update))
+            out.print(made[name].table)
     return Reproduction(made, scenario, recording, scene, options)
 
 

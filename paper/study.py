@@ -33,7 +33,7 @@ class Study:
         answers: of a study named as a figure of the paper, to what the paper states about it, by
             the keys of `PAPER`.
         pages: what writes a page to a path, by file name without suffix.
-        files: what has been written. options: that its command needs besides those typed.
+        files: what has been written.
     """
 
     figures: Mapping[str, Figure]
@@ -42,7 +42,6 @@ class Study:
     answers: Mapping[str, Answer] = field(default_factory=dict)
     pages: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
     files: Sequence[Path] = ()
-    options: str = ""
 
     @property
     def drawn(self) -> bool:

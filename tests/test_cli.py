@@ -175,7 +175,7 @@ def test_bad_scenario_is_reported_with_its_line(tmp_path):
         ("reproduce fig9", "no figure 'fig9'; there are fig1"),
         ("reproduce fig2 --set 'squeeze=1 N'", "fig2 is not made from a scenario"),
         ("reproduce fig5 --samples 3", "leave --samples out"),
-        ("reproduce moving_face --duration nan", "duration"),
+        ("reproduce fig2 --duration nan", "duration"),
         ("bench tock", "no benchmark 'tock'; there are tick, peers, "),
         ("run two_contact_rod --set squeeze", "expected path.to.key=value"),
         ("run two_contact_rod --duration 0.9", "judged from t = 1 s"),

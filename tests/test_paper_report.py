@@ -65,7 +65,7 @@ def report(evidence, tmp_path_factory):
     table = Table("arm & leg", "value", title="a table")
     table.add_row("left <arm>", "3 µm")
     files = (*drawn("steps", more=" " * 1_000_000)[::-1], folder / "steps.json")
-    made["steps"] = Study({}, table, {"a": 1}, files=files, options="--duration 10")
+    made["steps"] = Study({}, table, {"a": 1}, files=files)
     made["fig1"] = replace(made["fig1"], files=(*made["fig1"].files, scene))
     found = Reproduction(
         made, evidence.rig.scenario, evidence.recording, scene, "--plant rigid --set 'a=[1, 2]'"

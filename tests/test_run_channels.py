@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import KINDS, PLAIN, pose_of
 from samples import parametrize
 from scenario_runs import rig_of
+from test_moving_face import TURNING
 
 import osc_contact as osc
 from osc_contact.contacts import pairs
@@ -19,7 +20,6 @@ from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.recorder import free_parts
 from osc_contact.runs.run import start
 from osc_contact.spatial import Poses, rotated, rotations
-from paper.moving_face import FACES
 
 ON_SURFACE = {
     pairs.VertexOnFace: "point",
@@ -216,7 +216,7 @@ RUNS = {
     "two_contact_rod_mismatch": ("mujoco", 0.06, SOON),
     "two_contact_rod_friction": ("mujoco", 0.006, []),
     "moving_face": ("mujoco", 0.04, []),
-    "moving_face, rotated": ("mujoco", 0.02, FACES["turning conveyor"]),
+    "moving_face, rotated": ("mujoco", 0.02, TURNING),
     "moving_face, rigid": ("rigid", 0.006, []),
     "panda_edge": ("mujoco", 0.02, []),
     "ur5_wipe": ("mujoco", 0.02, []),
