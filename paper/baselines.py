@@ -29,7 +29,7 @@ from paper.selection_laws import (
     SelectionLaw,
     best_selection,
 )
-from paper.study import Ask, Data, Study, table_of, ticks, words_of
+from paper.study import Ask, Data, Study, table_of, ticks
 
 PLANTS = ("rigid", "mujoco")
 KINDS = ("force_to_motion", "motion_to_force")  #: of cross-talk
@@ -54,6 +54,7 @@ def compare(
     Raises:
         InvalidInputError: no contacts, a tare, or too short to be judged.
         ContactError: a baseline cannot control the forces and motions with any frame.
+        PlantError: a task diverged.
     """
     require_judgeable(scenario)
     if not scenario.contacts or scenario.tare is not None:
@@ -92,10 +93,7 @@ def compare(
 
 
 def _whole_task(rig: osc.Rig, law: Law, seed: int) -> Data:
-    try:
-        verdict = osc.metrics(osc.run(rig.scenario, seed=seed, install=law.install))
-    except osc.PlantError as error:
-        return {"failed": str(error)}
+    verdict = osc.metrics(osc.run(rig.scenario, seed=seed, install=law.install))
     return {key: verdict[key] for key in ("force", "motion", "contact_fraction", "status")}
 
 
@@ -245,7 +243,7 @@ def comparison_table(result: Mapping[str, Any]) -> Table:
     laws = list(result["laws"].values())
     force = f"{result['force_step_N']:g} N"
     motion = f"{1e3 * result['motion_step_m']:g} mm"
-    numbers: dict[str, list[float | None]] = {
+    numbers: dict[str, list[float]] = {
         "rigid, one instant: force → motion (1)": [x["measured"][KINDS[0]] for x in laws],
         "rigid, one instant: motion → force (1)": [x["measured"][KINDS[1]] for x in laws],
     }
@@ -256,19 +254,15 @@ def comparison_table(result: Mapping[str, Any]) -> Table:
         numbers[f"{plant}, {force} step: object moves (µm)"] = moved
         numbers[f"{plant}, {motion} step: force error (N)"] = pressed
         numbers[f"{plant}, whole task: force rms (N)"] = [
-            None if "failed" in task else max(x["rms_error_N"] for x in task["force"].values())
-            for task in tasks
+            max(x["rms_error_N"] for x in task["force"].values()) for task in tasks
         ]
         for unit in ("m", "rad"):
-            numbers[f"{plant}, whole task: motion rms (m{unit})"] = [
-                None if "failed" in task else 1e3 * task["motion"][f"rms_error_{unit}"]
-                for task in tasks
-            ]
-    rows = []
-    for words, (ours, *others) in numbers.items():
-        known = [x for x in others if x is not None]
-        ratio = f"{min(known) / ours:.3g}" if known and ours else "-"
-        rows.append((words, *(words_of(x, "{:.3g}", "failed") for x in (ours, *others)), ratio))
+            errors = [1e3 * task["motion"][f"rms_error_{unit}"] for task in tasks]
+            numbers[f"{plant}, whole task: motion rms (m{unit})"] = errors
+    rows = [
+        (words, *(f"{x:.3g}" for x in (*values, min(values[1:]) / values[0])))
+        for words, values in numbers.items()
+    ]
     heads = "; ".join(("cross-talk", *(law["label"] for law in laws), "best / ours"))
     title = f"{result['scenario']}: ours and selection laws with their best frames"
     return table_of(title, heads, rows)

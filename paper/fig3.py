@@ -38,7 +38,6 @@ VISION = "#2B7CAE"
 JOINT_TORQUE = "#B04E82"
 WRIST = "#008763"
 _DARK = "#2E3338"
-_METAL = "#AEB6BF"
 
 
 class Callout(NamedTuple):
@@ -71,11 +70,10 @@ class Callout(NamedTuple):
 
 #: An overhead camera above the middle of the rod; scenarios do not say where it hangs.
 EYE = np.array([0.0, -0.08, 1.12])
-POST = np.array([0.0, -0.66, 0.0])
 
 
 class OverheadCamera:
-    """A camera on a boom, whose post stands at `POST`, and the pyramid that it sees.
+    """A camera, and the pyramid that it sees.
 
     Attributes:
         eye: (3,) of the lens. corners: (4, 3) of the rectangle that is seen, in order.
@@ -96,16 +94,9 @@ class OverheadCamera:
         from meshcat.geometry import Box
 
         node = scene[path]
-        metal = material(_METAL)
         eye = self.eye
         body = eye + [0.0, 0.0, 0.065]
-        top = POST + [0.0, 0.0, body[2]]
-        bars = {
-            "post": (POST, top, 0.022, metal),
-            "boom": (top, body, 0.018, metal),
-            "foot": (POST, POST + [0, 0, 0.02], 0.1, metal),
-            "lens": (body, eye, 0.027, material(_DARK)),
-        }
+        bars = {"lens": (body, eye, 0.027, material(_DARK))}
         ends = self.corners
         for k, (end, after) in enumerate(zip(ends, np.roll(ends, -1, axis=0), strict=True)):
             bars[f"view/edge{k}"] = (eye, end, 0.0014, plain(VISION, 0.8))
@@ -113,21 +104,6 @@ class OverheadCamera:
         for name, bar in bars.items():
             _bar(node[name], *bar)
         _put(node["body"], Box([0.11, 0.075, 0.075]), material(_DARK), at(body))
-
-
-def stand(node: Visualizer, X: pin.SE3, thickness: float) -> None:
-    """What carries a plate whose front is the xy-plane of X: a post from the floor to its back.
-
-    Args:
-        node: that gets the post.
-        X: pose of the plate's front, the xy-plane.
-        thickness: of the plate (m).
-    """
-    back = X.act(np.array([0.0, 0.0, -thickness]))
-    paint = material(_METAL)
-    foot = np.array([back[0], back[1], 0.0])
-    _bar(node["post"], foot, back - [0.0, 0.0, 0.02], 0.014, paint)
-    _bar(node["foot"], foot, foot + [0.0, 0.0, 0.012], 0.06, paint)
 
 
 def _bar(node: Visualizer, start: Array, end: Array, r: float, paint: Any) -> None:
@@ -154,7 +130,6 @@ SENSORS = {
     "joint_torque/{}4": ("joint4", (0.0, 0.0, 0.014), 0.026, JOINT_TORQUE),
     "wrist/{}": ("wrist_sensor", (0.0, 0.0, -0.004), 0.037, WRIST),
 }
-FACE_THICKNESS = 0.02
 FACE_SIDE = 0.26
 
 
@@ -219,8 +194,6 @@ class Workcell:
         changes(scene, {}, frame)
         if shot.whole:
             self.camera.draw(scene, "vision")
-        for k, X in enumerate(self.faces):
-            stand(scene[f"stands/{k}"], X, FACE_THICKNESS)
         for node, (X, radius, colour) in self.rings.items():
             half = 0.004 * X.rotation[:, 2]
             collar = material(colour, glow=0.35)
@@ -265,8 +238,8 @@ class Workcell:
         }
 
     def shots(self) -> list[Shot]:
-        """The whole cell, the task, a gripper."""
-        return [_whole(self), _task(self), _gripper(self)]
+        """The whole cell, the task."""
+        return [_whole(self), _task(self)]
 
 
 def run(duration: float = 1.4, seed: int = 0, changes: Sequence[str] = ()) -> Workcell:
@@ -284,7 +257,7 @@ def run(duration: float = 1.4, seed: int = 0, changes: Sequence[str] = ()) -> Wo
 
 
 def draw(cell: Workcell) -> Figure:
-    """The three views, rendered, side by side.
+    """Both views, rendered, side by side.
 
     Raises:
         ViewerError: no browser to render with.
@@ -296,13 +269,11 @@ def draw(cell: Workcell) -> Figure:
             png = page.with_suffix(".png")
             pictures.append(imread(write_png(page, png, size=shot.size, bare=True, density=2.0)))
     with style():
-        figure = Figure(figsize=(12.0, 6.6))
-        margins = {"left": 0.005, "right": 0.995, "top": 0.95, "bottom": 0.005}
-        grid: Data = {"wspace": 0.02, "hspace": 0.1, "width_ratios": [1.22, 1.0], **margins}
-        axes = figure.subplot_mosaic("ab;ac", gridspec_kw=grid)
-        for (letter, ax), shot, picture in zip(axes.items(), cell.shots(), pictures, strict=True):
+        figure = Figure(figsize=(12.0, 5.6))
+        axes = figure.subplots(1, 2, width_ratios=[1.0, 1.1])
+        for ax, shot, picture in zip(axes, cell.shots(), pictures, strict=True):
             ax.imshow(picture)
-            ax.set_title(f"({letter}) {shot.title}", loc="left", size=10.5)
+            ax.set_title(shot.title)
             ax.set_axis_off()
     return figure
 
@@ -312,19 +283,19 @@ def _whole(cell: Workcell) -> Shot:
     rings = cell.rings
     left, right = (cell.frames[f"{name}/joint1"].translation for name in ("left", "right"))
     feet = [p * [1, 1, 0] + [0.13 * np.sign(p[0]), 0, 0] for p in (left, right)]
-    lift = [0, 0, 0.17]
-    top = POST + lift + [0, 0, camera.eye[2]]
-    points = np.vstack((feet, POST, top, camera.eye + lift, camera.corners))
+    points = np.vstack((feet, camera.eye + [0, 0, 0.17], camera.corners))
     corner = min(_corners(cell.faces[0]), key=lambda p: float(p[2]))
     vision = "overhead vision: " + _vision_words(cell)
-    sensor = _edge(rings["joint_torque/left2"], 1.0)
+    sensor = _edge(rings["joint_torque/left2"])
+    hinge = cell.frames["left/hinge"].translation
     callouts = [
         Callout(vision, camera.eye + [0, 0, 0.09], (0.3, 0.05), VISION),
         Callout("left arm", left + [0, 0, 0.13], (0.16, 0.1)),
         Callout("right arm", right + [0, 0, 0.13], (-0.16, 0.14)),
         Callout("rod", _rod(cell), (-0.03, -0.11)),
         Callout("joint torque sensors", sensor, (0.06, -0.09), JOINT_TORQUE),
-        Callout("wrist sensor", _edge(rings["wrist/right"], 1.0), (0.11, 0.05), WRIST),
+        Callout("wrist force/torque sensor", _edge(rings["wrist/right"]), (0.09, 0.11), WRIST),
+        Callout("free hinge", hinge, (-0.12, 0.03)),
         Callout(_face_words(cell), corner, (0.05, -0.09)),
     ]
     return Shot("dual-arm workcell", points, 76.0, 27.0, (760, 800), callouts, whole=True)
@@ -340,21 +311,7 @@ def _task(cell: Workcell) -> Shot:
         callouts.append(Callout(name, point - 0.12 * push, beside, contact_colour(k)))
     points = np.vstack((corners, _rod(cell) + [0, 0, 0.12]))
     title = "two-contact task: the lines of force are skew"
-    return Shot(title, points, 84.0, 30.0, (620, 350), callouts)
-
-
-def _gripper(cell: Workcell) -> Shot:
-    hinge = cell.frames["left/hinge"].translation
-    side = cell.frames["left/wrist_sensor"].rotation @ [0, 0.03, 0]
-    joint, wrist = (_edge(cell.rings[name], -1.0) for name in ("joint_torque/left4", "wrist/left"))
-    points = hinge + np.array([[-0.13, 0.0, -0.05], [0.13, 0.0, 0.125]])
-    callouts = [
-        Callout("joint torque sensor", joint, (-0.1, 0.01), JOINT_TORQUE),
-        Callout("wrist force/torque sensor", wrist, (-0.09, -0.015), WRIST),
-        Callout("free hinge", hinge + side, (-0.11, -0.03)),
-    ]
-    title = "gripper: a free hinge below the wrist sensor"
-    return Shot(title, points, 84.0, 20.0, (620, 350), callouts)
+    return Shot(title, points, 84.0, 30.0, (840, 560), callouts)
 
 
 def _rod(cell: Workcell) -> Array:
@@ -368,9 +325,9 @@ def _corners(X_WF: pin.SE3) -> list[Array]:
     return [X_WF.act(np.array([a, b, 0.0])) for a in (-half, half) for b in (-half, half)]
 
 
-def _edge(mark: tuple[pin.SE3, float, str], side: float) -> Array:
+def _edge(mark: tuple[pin.SE3, float, str]) -> Array:
     X, radius, _ = mark
-    return X.translation + [-side * radius, 0.0, 0.0]
+    return X.translation - [radius, 0.0, 0.0]
 
 
 def _vision_words(cell: Workcell) -> str:
@@ -394,7 +351,7 @@ def _face_words(cell: Workcell) -> str:
 
 
 def study(ask: Ask) -> Study:
-    """Fig. 3: the workcell in three views, and its parts in words."""
+    """Fig. 3: the workcell in two views, and its parts in words."""
     ask.tell("making contact")
     cell = run(ask.lasting(1.4), ask.seed, ask.changes)
     answers = cell.answers()

@@ -106,15 +106,6 @@ def with_object(chain: osc.ClosedChain) -> tuple[pin.Model, int]:
     return model, model.addFrame(pin.Frame("O", tip.parentJoint, X, pin.FrameType.OP_FRAME))
 
 
-def words_of(value: float | None, form: str, without: str = "–") -> str:
-    """A number in words, or what stands for none.
-
-    Args:
-        value: the number. form: for `str.format`. without: where there is none.
-    """
-    return without if value is None else form.format(value)
-
-
 def ticks(
     plant: Plant, controller: osc.Controller, references: Iterable[osc.Reference]
 ) -> Iterator[tuple[osc.Measurement, osc.Reference, Truth]]:

@@ -16,7 +16,6 @@ from benchmarks.fault_injection import (
     NAN,
     PHASES,
     Case,
-    ClosedLoop,
     Run,
     Verdict,
     cases,
@@ -106,7 +105,7 @@ def driven(change, ticks):
     measure = run.robot.measure
     run.robot.measure = lambda: change(measure(), run.k)
     for _ in range(ticks):
-        run.step(seen, None, FAULTS["no fault"])
+        run.step(seen)
         status.append(int(run.controller.status))
     assert not seen.wrong, seen.wrong
     return run, status
@@ -162,7 +161,7 @@ def test_arms_whose_wrist_is_frozen_are_held_where_they_are():
     run.robot.measure = frozen
     where = {}
     for _ in range(2100):
-        run.step(seen, None, FAULTS["no fault"])
+        run.step(seen)
         where[run.k] = run.plant.measure().q
     assert run.controller.state is SAFE_STOP
     assert "reads the very same" in run.controller.reason
@@ -191,7 +190,7 @@ def test_contact_is_made_although_every_second_tick_is_lost():
     run = Run(Case("approach", "approach_and_slide", every=2))
     seen = Verdict("no fault", Case())
     while run.k < 1500:
-        run.step(seen, None, FAULTS["no fault"])
+        run.step(seen)
     assert not seen.wrong, seen.wrong
     assert set(run.controller.phases()) == {CLOSED}
     assert_allclose(run.plant.truth().alpha, 10.0, rtol=0.2)
@@ -234,16 +233,17 @@ def pull_away(name, by):
         The controller, joint speeds as shares of their limits, share of ticks that some contact was
         known to be lost.
     """
-    loop = ClosedLoop(rig_of(name))
+    loop = Run(Case(scenario=name))
     rig = loop.rig
     controller = loop.controller
     dt = loop.dt
+    verdict = Verdict("no fault", loop.case)
     held = 0
     last = None
     lost = 0
     seen = []
     while last is None or loop.k < last:
-        reference = loop.advance()
+        reference = loop.step(verdict)
         closed = (controller.phases() == Phase.CLOSED).all() and controller.engaged
         held = held + 1 if closed and (np.asarray(reference.alpha_d) > 1.0).any() else 0
         if last is None and held * dt > 0.5:
@@ -255,7 +255,7 @@ def pull_away(name, by):
                 model.body_pos[model.body(f"face{i}/root").id] += by * unit(into)
         elif last is not None:
             lost += not closed
-            seen.append(loop.speed())
+            seen.append(largest(loop.true.measure().v[loop.act] / loop.fastest))
         assert loop.k * dt < rig.scenario.duration, "it never was in contact"
     return controller, seen, lost / len(seen)
 
