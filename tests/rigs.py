@@ -27,6 +27,11 @@ def largest(x):
     return np.abs(x).max(initial=0.0)
 
 
+def miss(got, want):
+    """Largest difference over the largest element, or over 1 (m/s², rad/s², N) if that is more."""
+    return largest(got - want) / max(largest(want), 1.0)
+
+
 def unit(x):
     return x / np.linalg.norm(x)
 
@@ -177,11 +182,11 @@ def consistent(chain, q, v, N=None):
     return v
 
 
-def random_faces(X_WO, r, rng, reach_m=0.3):
+def random_faces(X_WO, r, rng):
     """r vertices on faces with random (skew) normals, touching at pose X_WO."""
     pairs = []
     for i in range(r):
-        vertex = rng.uniform(-reach_m, reach_m, 3)
+        vertex = rng.uniform(-0.3, 0.3, 3)
         normal = rng.normal(size=3)
         pairs.append(osc.VertexOnFace(vertex, X_WO.act(vertex), normal, name=f"contact{i}"))
     return pairs

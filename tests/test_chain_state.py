@@ -42,7 +42,7 @@ def onto(columns):
     return columns @ np.linalg.pinv(columns) if columns.size else np.zeros((6, 6))
 
 
-def assert_arms(chain, s, q, v, tolerance=1e-8):
+def assert_arms(chain, s, q, v):
     """Φ, Λ, J̄, γ, μ, p, ranks, C and N of each arm; N = 1 where the grasp is rigid."""
     model = chain.model
     data = chain.model.createData()
@@ -84,10 +84,10 @@ def assert_arms(chain, s, q, v, tolerance=1e-8):
             "mu": J_bar.T @ (h - g) - Lambda @ gamma,
             "p": J_bar.T @ g,
         }.items():
-            assert_close(name, getattr(arm, name), want, tolerance)
-        assert_close("C of an arm", onto(arm.C), onto(root @ passed @ U[:, rank:]), tolerance)
+            assert_close(name, getattr(arm, name), want)
+        assert_close("C of an arm", onto(arm.C), onto(root @ passed @ U[:, rank:]))
         if not grasp.is_rigid:
-            assert_close("N of an arm", onto(arm.N), onto(root @ passed @ U[:, :rank]), tolerance)
+            assert_close("N of an arm", onto(arm.N), onto(root @ passed @ U[:, :rank]))
 
 
 def assert_chain(case, v, V, s, rng):

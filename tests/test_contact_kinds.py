@@ -58,12 +58,11 @@ def keys_of(kind):
     return ", ".join(keys)
 
 
-def text(kind, keys=None, forces=None):
+def text(kind, forces=None):
     """A scenario with one contact `pad` of a kind."""
-    keys = keys_of(kind) if keys is None else keys
     names = magnitude_names({"pad": CONTACT_TYPES[kind].forces}) if forces is None else forces
     entries = "".join(f"  {name}: [{{type: constant, value: 3 N}}]\n" for name in names)
-    contact = f"  - {{name: pad, type: {kind}, body: table, {keys}}}\n"
+    contact = f"  - {{name: pad, type: {kind}, body: table, {keys_of(kind)}}}\n"
     return f"{HEAD}{contact}force:\n{entries}"
 
 

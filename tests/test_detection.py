@@ -50,13 +50,13 @@ def pushes(points, directions, X_WO):
     return np.hstack((directions, np.cross(arms, directions))).T
 
 
-def assert_same_range(N, expected, tolerance=1e-9):
+def assert_same_range(N, expected):
     """Equal spans, whatever the bases (moments in units of 0.1 m)."""
     scale = np.array([1, 1, 1, 10, 10, 10.0])[:, None]
     bases = [np.linalg.svd(scale * M, full_matrices=False) for M in (N, expected)]
     first, second = (svd.U[:, svd.S / svd.S[0] > 1e-6] for svd in bases)
     assert first.shape[1] == N.shape[1] == second.shape[1]
-    assert_allclose(first @ first.T, second @ second.T, atol=tolerance)
+    assert_allclose(first @ first.T, second @ second.T, atol=1e-9)
 
 
 def assert_kept_by_its_pair(found, X_WO, X_WE, expected, gap=0.0):

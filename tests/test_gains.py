@@ -57,6 +57,12 @@ test_gains_of_both_kinds_and_impossible_ones_are_refused = refusals(
     [
         (lambda: osc.ForceGains(integral=30, bandwidth=5), "bandwidth beside integral"),
         (lambda: osc.ForceGains(damping=3, damping_ratio=1), "damping_ratio beside damping"),
+        (lambda: osc.ForceGains(integral=-1.0), "ForceGains"),
+        (lambda: osc.ForceGains(30.0, np.nan), "ForceGains"),
+        (
+            lambda: osc.Controller(one_panda(), [], osc.Gains(force=osc.ForceGains(1000.0))),
+            "stability margin",
+        ),
         (lambda: osc.ForceGains(bandwidth=-1), "bandwidth: must be > 0; got -1"),
         (lambda: osc.ForceGains(rise=np.inf), "rise: expected a time.*got inf"),
         (lambda: osc.MotionGains(stiffness=30, frequency=5), "frequency beside stiffness"),

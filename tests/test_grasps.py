@@ -15,6 +15,7 @@ from rigs import (
     contact_of,
     held_tick,
     largest,
+    miss,
     random_faces,
     refused,
     rig_of,
@@ -34,11 +35,6 @@ from osc_contact.scenarios.control_schema import PostureTask
 ARMS = ("scara", "ur5", "panda", "2R", "3R")
 NOTHING = osc.Contact(np.zeros((6, 0)))
 RTOL = 1e-9
-
-
-def miss(got, want, least=1.0):
-    """Largest difference over the largest element, or over 1 (m/s², rad/s², N) if that is more."""
-    return largest(got - want) / max(largest(want), least)
 
 
 def draw(rng, arms=ARMS, kinds=KINDS, least=1, most=4, **options):

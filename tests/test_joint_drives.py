@@ -198,22 +198,22 @@ def test_impossible_springs_are_refused():
 # --- the joint torque loop ------------------------------------------------------------------------
 
 
-def loop_of(*settings, K=1700.0, J=0.45, tau_max=1e9):
-    joint = (np.array([x]) for x in (K, J, tau_max))
+def loop_of(*settings, tau_max=1e9):
+    joint = (np.array([x]) for x in (1700.0, 0.45, tau_max))
     return JointTorqueLoop(*joint, JointTorqueSpec("4 kHz", *settings))
 
 
-def simulated(loop, steps, bias=0.0, substeps=50):
+def simulated(loop, steps, bias=0.0):
     """One flexible joint with its link held, integrated finely: τ after each period."""
     K = loop.stiffness[0]
     J = loop.motor_inertia[0]
-    dt = loop.dt / substeps
+    dt = loop.dt / 50
     theta = 0.0
     rate = 0.0
     out = []
     for _ in range(steps):
         u = loop.command(np.array([1.0]), np.array([K * theta]))[0] + bias
-        for _ in range(substeps):
+        for _ in range(50):
             rate += dt * (u - K * theta) / J
             theta += dt * rate
         out.append(K * theta)

@@ -34,7 +34,17 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from processes import python
 from pytest import mark, param
-from rigs import UNLIMITED, data_at, largest, product, random_state, scara_pair, strong, with_motors
+from rigs import (
+    UNLIMITED,
+    data_at,
+    largest,
+    miss,
+    product,
+    random_state,
+    scara_pair,
+    strong,
+    with_motors,
+)
 from samples import parametrize
 from test_linkage import bars_of
 
@@ -268,11 +278,6 @@ def ticks(rig, surroundings):
         copies = rng.integers(len(state.contacts), size=3 if where.copied else 0)
         yield tick(state, state.contacts + [state.contacts[j] for j in copies], i, rng)
         i += 1
-
-
-def miss(got, expected):
-    """Largest error relative to the size of the vector, or to 1."""
-    return largest(got - expected) / np.abs(expected).max(initial=1.0)
 
 
 def miss_of_geometry(t):

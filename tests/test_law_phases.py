@@ -339,7 +339,7 @@ def assert_rules(phases, before, goal, wanted, pushing, k):
             assert (columns.closed[heavy] != 0).all()  # several are one contact
 
 
-def run_story(seed, ticks=400):
+def run_story(seed):
     """A random story; returns the transitions that happened."""
     rng = default_rng(seed)
     owners, pushing, k, dt = random_contacts(rng)
@@ -351,7 +351,7 @@ def run_story(seed, ticks=400):
     ticked = False
     loud = np.zeros(n)  # ticks in a row in which the force was above force_on, counted here
     felt = np.zeros(n, dtype=bool)  # whether these ever lasted, since the contact was opened
-    for wanted, alpha, speed in np.swapaxes(random_ticks(rng, n, ticks), 0, 1):
+    for wanted, alpha, speed in np.swapaxes(random_ticks(rng, n, 400), 0, 1):
         before = phases.contacts.phase.copy()
         was_here = phases.contacts.active.copy()
         loud = np.where(phases.here & (phases.columns.net > k.force_on), loud + 1, 0)

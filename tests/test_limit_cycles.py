@@ -18,10 +18,10 @@ def sine(frequency, amplitude=1.0):
     return amplitude * np.sin(2 * np.pi * frequency * T)
 
 
-def rings(every, frequency=10.0, fading=8.0):
+def rings(every):
     """An oscillation that is struck again and again, as by friction at reversals."""
     since = T % every
-    return np.exp(-fading * since) * np.sin(2 * np.pi * frequency * since)
+    return np.exp(-8.0 * since) * np.sin(20.0 * np.pi * since)
 
 
 def band_noise(low, high):

@@ -12,9 +12,9 @@ from complaints import contact_error, invalid_input, model_error, refusals
 from kkt_oracle import linkage, random_inertia
 from numpy.linalg import inv, lstsq, solve
 from numpy.random import default_rng
-from rigs import largest, pose_of, random_state, refused, scara_pair, ticked
+from rigs import largest, miss, pose_of, random_state, refused, scara_pair, ticked
 from samples import parametrize
-from test_law_kkt import miss, ticks
+from test_law_kkt import ticks
 
 import osc_contact as osc
 from osc_contact import projections

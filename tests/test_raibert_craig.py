@@ -21,9 +21,9 @@ NONE = (False,) * 3
 ALL = (True,) * 3
 
 
-def frame_at(rng, spread=SIZE):
+def frame_at(rng):
     rotation = pin.Quaternion(*rng.standard_normal(4)).normalized().matrix()
-    return pin.SE3(rotation, spread * rng.standard_normal(3))
+    return pin.SE3(rotation, SIZE * rng.standard_normal(3))
 
 
 def selection(rng, ranks=range(7)):
@@ -47,12 +47,12 @@ def seen_from(N, point):
     return np.concatenate((N[:3], N[3:] - np.cross(point, N[:3], axis=0)))
 
 
-def largest_sine(A, B, size=SIZE):
+def largest_sine(A, B):
     """Between range(A) and range(B), by their orthogonal projectors."""
     assert A.shape == B.shape
     projectors = []
     for columns in (A, B):
-        scaled = columns / np.array([1.0] * 3 + [size] * 3)[:, None]
+        scaled = columns / np.array([1.0] * 3 + [SIZE] * 3)[:, None]
         projectors.append(scaled @ np.linalg.pinv(scaled))
     return float(norm(projectors[0] - projectors[1], 2))
 
@@ -68,13 +68,13 @@ def kind(forces, couples):
     return int(f.sum()), int(c.sum()), int((f & c).sum())
 
 
-def assert_describes(found, N, size=SIZE):
+def assert_describes(found, N):
     assert found, found.reason
     assert found.reason == "" and 0.0 <= found.residual <= 1e-9
     E = found.frame.rotation
     assert_allclose(E.T @ E, np.eye(3), atol=1e-12)
     assert np.linalg.det(E) > 0.0
-    assert largest_sine(space_of(found), N, size) < 1e-9
+    assert largest_sine(space_of(found), N) < 1e-9
 
 
 # Found --------------------------------------------------------------------------------------------

@@ -267,10 +267,10 @@ def rows(first, k):
     return out
 
 
-def journal_of(path, chunks=6, k=CHUNK):
+def journal_of(path):
     journal = JournalFile(path, {"seed": 3})
-    for chunk in range(chunks):
-        journal.append(chunk * k, rows(chunk * k, k))
+    for first in range(0, 6 * CHUNK, CHUNK):
+        journal.append(first, rows(first, CHUNK))
     return journal
 
 

@@ -201,8 +201,8 @@ def at_rest(R, mass, com, bias):
     return np.concatenate((-weight, np.cross(com, -weight))) + bias
 
 
-def tilted(rng, k, angle=0.6):
-    return [pin.exp3(angle * rng.standard_normal(3)) for _ in range(k)]
+def tilted(rng, k):
+    return [pin.exp3(0.6 * rng.standard_normal(3)) for _ in range(k)]
 
 
 def test_exact_readings_give_exact_loads():
@@ -343,10 +343,10 @@ def scattered(rng):
     return [displaced(rng, (0.4, 1.0)) for _ in range(3)]
 
 
-def noisy(X, rng, noise=NOISE):
+def noisy(X, rng):
     """As the plant's camera errs: shifted, and turned about its own origin in world axes."""
-    R = pin.exp3(noise[1] * rng.standard_normal(3)) @ X.rotation
-    return pin.SE3(R, X.translation + noise[0] * rng.standard_normal(3))
+    R = pin.exp3(NOISE[1] * rng.standard_normal(3)) @ X.rotation
+    return pin.SE3(R, X.translation + NOISE[0] * rng.standard_normal(3))
 
 
 def lacking(estimate, true):

@@ -23,9 +23,9 @@ LINEAR = osc.JerkLimits(0.3, 2.0, 40.0)
 ANGULAR = osc.JerkLimits(1.0, 8.0, 150.0)
 
 
-def random_pose(rng, angle=3.0):
+def random_pose(rng):
     w = rng.standard_normal(3)
-    return pin.SE3(pin.exp3(w * rng.uniform(0, angle) / norm(w)), rng.standard_normal(3))
+    return pin.SE3(pin.exp3(w * rng.uniform(0, 3.0) / norm(w)), rng.standard_normal(3))
 
 
 def some_goal(rng, x, v, a, j, most):

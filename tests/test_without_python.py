@@ -362,11 +362,11 @@ def panda(weight):
     return chain, osc.Controller(chain, [], dt=1e-3, posture=READY)
 
 
-def link_cpp(library, program, *sources, std="c++17"):
+def link_cpp(library, program, *sources):
     stubs = Path(__file__).parent / "stubs"
     run("make", "-C", library)
     parts = [library / name for name in ("osc_controller.o", "osc_daqp.o", "law.o")]
-    flags = [f"-std={std}", *STRICT, "-I", library, "-I", stubs]
+    flags = ["-std=c++17", *STRICT, "-I", library, "-I", stubs]
     run("c++", *flags, *sources, *parts, "-lm", "-o", program)
     return program
 
