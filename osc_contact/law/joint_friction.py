@@ -57,7 +57,8 @@ _SETTLED = 0.15  #: s from the first tick on in which nothing is learned
 _OUTLIER = 2.0  #: times the motor's torque; no more of a residual counts in one tick
 _MOVES = 0.01  #: rad/s; slower joints learn nothing
 SLIDES = 0.2  #: m/rad: speeds of sliding joints, where those of turning ones are constants
-_RESTS = 0.2  #: of that speed; slower joints show stiction
+_RESTS = 0.2  #: of that speed; slower joints rest
+_STANDS = 0.01  #: s for which a joint must rest until it shows stiction; knocks turn it faster
 _FOLLOWS = 0.09  #: of the permitted speed; a joint that moves with less of it learns nothing
 _FULL = 0.7  #: of dry friction; near a reversal nothing is learned
 _FORGET = 2.0  #: s
@@ -200,11 +201,13 @@ def _learn(t, j, rate, inertial, dt):
     moves = min(abs(row.speed), abs(y)) > least and smooth[V] * y > _FOLLOWS * y * y
     rests = abs(smooth[V]) < min(_FOLLOWS * abs(y), _RESTS * least)
     rests = rests and (abs(y) > least or known[j] == LEARNED)
+    learned.rested = learned.rested + dt if rests else 0.0
     a = smooth[_ACCELERATION]
     theta = learned.theta
     dry = smooth[TORQUE] - theta[2] * a - theta[3] - theta[4] * smooth[WEIGHT]
     excess = dry * smooth[SIGN] - largest_friction(t, j)
-    sticks = rests and excess > _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
+    unsure = _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
+    sticks = learned.rested > _STANDS and excess > unsure
     if (
         known[j] >= SUSPECTED
         and t.model.friction_learning != 0
