@@ -88,8 +88,8 @@ def judge_tick(result):
 
 
 PROGRAMS = (
-    judge_tick,
     judge_peers,
+    judge_tick,
     judge_scaling,
     judge_vector_env,
 )
