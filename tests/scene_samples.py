@@ -12,14 +12,12 @@ import umsgpack
 from samples import ROOT
 
 from osc_contact.recorder import Recording
-from osc_contact.visual.marks import BestFrame
 from osc_contact.visual.parts import Content, Visual
 from osc_contact.visual.scene import write_scene
 
 URDF = ROOT / "urdf"
 BASE = pin.SE3(np.eye(3), np.array([-0.35, -0.4, 0.0]))
 FACE = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.4, 0.0), np.array([-0.3, 0.0, 0.19]))
-FRAME = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.01, 0.02, 0.25]))
 ARMS = [Visual("left", URDF / "scara_left.urdf", [URDF], BASE, slice(0, 5))]
 BODIES = [
     Visual("rod", URDF / "rod.urdf", [URDF], None),
@@ -74,18 +72,13 @@ def changed(**channels):
     return Recording(RECORDING.meta, {**RECORDING.channels, **channels})
 
 
-def find(N):
-    """A frame that shows how many columns it was looked for with."""
-    return BestFrame(FRAME, (True, N.shape[1] > 1, False), (False, False, True))
-
-
 CONTENT = Content("test <scene>", ARMS, BODIES, ENDS)
 
 
-def write(folder, recording=RECORDING, fps=10, frame_words="best single frame", **how):
+def write(folder, recording=RECORDING, fps=10, **how):
     """The recording's page."""
     contacts = recording.meta["contact_names"]
-    content = replace(CONTENT, contacts=contacts, frame_words=frame_words)
+    content = replace(CONTENT, contacts=contacts)
     return write_scene(recording, content, folder / "scene.html", fps, **how)
 
 

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from PIL import Image, ImageSequence
 from pytest import approx
 from samples import module_fixture
-from scene_samples import BASE, ENDS, RECORDING, find, links, write
+from scene_samples import BASE, ENDS, RECORDING, links, write
 
 from osc_contact.visual import browser as pages
 from osc_contact.visual import contact_colour
@@ -27,7 +27,7 @@ PLACE = "nodeAt('{}').object.getWorldPosition(new MeshCat.THREE.Vector3()).toArr
 @module_fixture
 def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
-    return write(folder, fps=20, find=find, frame_words="best frame")
+    return write(folder, fps=20)
 
 
 @module_fixture
@@ -77,7 +77,7 @@ def test_the_page_is_not_blank_and_has_the_named_colours(browser):
     for colour in (BLUE, VERMILLION, T_COLOUR):
         assert near(scene, colour) > 200, colour
     assert near(dock, BLUE) > 100 and near(dock, VERMILLION) > 100, "curves"
-    assert browser.run("document.querySelectorAll('#legend input').length") == 7
+    assert browser.run("document.querySelectorAll('#legend input').length") == 6
 
 
 def test_the_slider_moves_arms_arrows_marker_and_clock(browser):
@@ -136,10 +136,6 @@ def test_check_boxes_show_and_hide(browser):
     assert near(browser.picture()[:600], T_COLOUR) < 0.2 * on
     switch(browser, "T:")
     assert near(browser.picture()[:600], T_COLOUR) == approx(on, rel=0.05)
-    black = near(browser.picture()[:600], "#15181C", 6)
-    switch(browser, "best frame")
-    assert near(browser.picture()[:600], "#15181C", 6) > black + 300
-    switch(browser, "best frame")
 
 
 def test_labels_and_legend_do_not_cover_each_other(browser):

@@ -203,7 +203,7 @@ def unfold(browser):
     before = near(browser.picture(), contact_colour(0))
     browser.run("document.querySelector('#run summary').click()")
     inside = "document.querySelector('iframe')?.contentDocument?"
-    browser.until(f"{inside}.querySelectorAll('#legend input').length === 7")
+    browser.until(f"{inside}.querySelectorAll('#legend input').length === 6")
     browser.until(f"{inside}.querySelector('#clock').textContent.includes('1.2 s')")
     assert near(browser.picture(), contact_colour(0)) > before + 200
     for _ in range(2):

@@ -6,18 +6,16 @@ from complaints import invalid_input
 from html_pages import Page
 from numpy.testing import assert_allclose
 from pytest import approx, raises
-from rigs import largest, shift
+from rigs import largest
 from samples import module_fixture, parametrize
 from scene_samples import (
     ARMS,
     BODIES,
     ENDS,
     FACE,
-    FRAME,
     RECORDING,
     Shown,
     changed,
-    find,
     links,
     make_recording,
     matrix,
@@ -28,7 +26,7 @@ from scene_samples import (
 from osc_contact import robots
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
-from osc_contact.visual.page import EMPTY, CommandSink, write_page
+from osc_contact.visual.page import EMPTY, CommandSink, page_text, write_page
 from osc_contact.visual.parts import Content
 from osc_contact.visual.scene import (
     ASPECT,
@@ -50,7 +48,7 @@ LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
 @module_fixture
 def shown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
-    return Shown(write(folder, find=find, frame_words="best <frame>"))
+    return Shown(write(folder))
 
 
 def test_page_fetches_nothing_and_escapes_its_words(shown):
@@ -60,8 +58,9 @@ def test_page_fetches_nothing_and_escapes_its_words(shown):
     assert "default-src 'none'" in text and 'connect-src data: blob:"' in text
     assert "connect-src data: blob:;" not in text
     assert "new WebSocket" not in text.rsplit("<script>", 2)[1]
-    assert "<title>test &lt;scene&gt;</title>" in text and "best \\u003cframe>" in text
-    assert shown.config["legend"][-2]["text"] == "best <frame>"
+    assert "<title>test &lt;scene&gt;</title>" in text
+    entry = {"text": "a <word>", "colour": "#000000"}
+    assert "a \\u003cword>" in page_text(CommandSink(), "", EMPTY | {"legend": [entry]})
 
 
 def test_arm_and_object_stand_where_the_recording_has_them(shown):
@@ -148,20 +147,6 @@ def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, co
     assert len(drawn) == np.linalg.matrix_rank(np.array(twists), tol=1e-3) == count
 
 
-def test_best_frame_stands_at_the_object_and_shows_what_it_selects(shown):
-    for frame in (1, 5):
-        expected = shift(RECORDING["pose"][10 * frame, :3]) * FRAME
-        assert shown.pose("/meshcat/frame", frame).isApprox(expected, 1e-5)
-        forces, couples = (
-            [shown.at(f"/meshcat/frame/axis{a}/{kind}", "visible", frame) for a in range(3)]
-            for kind in ("force", "couple")
-        )
-        assert forces == [True, frame != 5, False], "looked for with the closed contacts only"
-        assert couples == [False, False, True]
-    axes = [shown.pose(f"/meshcat/frame/axis{a}", 0).rotation[:, 1] for a in range(3)]
-    assert np.allclose(axes, np.eye(3), atol=1e-6)
-
-
 def test_a_column_with_a_couple_is_a_screw(tmp_path):
     """N = [d; (p − O) × d + h d]: the line keeps its place, and a helix of pitch h is beside it."""
     pitch = 0.03
@@ -182,13 +167,12 @@ def test_a_column_with_a_couple_is_a_screw(tmp_path):
     assert_allclose(shown.pose(RIGHT, 8).rotation[:, 1], d[80, 1], atol=1e-6)
 
 
-def test_legend_switches_every_contact_and_starts_without_the_frame(shown):
+def test_legend_switches_every_contact(shown):
     switches = {entry["text"]: entry for entry in shown.config["legend"] if entry["paths"]}
     paths = [ROOT + path for entry in switches.values() for path in entry["paths"]]
     for path in paths:
         assert any(c["path"].startswith(path) for c in shown.commands) or "label" in path, path
         assert (path, "visible") not in shown.tracks, "switched and animated"
-    assert [text for text, entry in switches.items() if not entry["shown"]] == ["best <frame>"]
     assert {path.split("/")[1] for path in switches["force, true"]["paths"]} == set(ENDS)
 
 
@@ -247,7 +231,7 @@ def test_the_camera_sees_everything_and_stands_no_further_than_needed(seed):
     [{"contacts": 0}, {"without": ("contact_point", "contact_direction", "closed", "alpha_true")}],
 )
 def test_scene_without_contacts(how, tmp_path):
-    paths = {c["path"] for c in read_commands(write(tmp_path, make_recording(**how), find=find))}
+    paths = {c["path"] for c in read_commands(write(tmp_path, make_recording(**how)))}
     assert "/meshcat/bodies/rod/base" in paths
     assert not any("contacts" in p or "twists" in p for p in paths)
 

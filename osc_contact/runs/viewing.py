@@ -11,19 +11,14 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import ContactPair
-from osc_contact.contacts.raibert_craig import as_raibert_craig
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
-from osc_contact.runs.contacts import feet, force_owners
+from osc_contact.runs.contacts import force_owners
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array
 from osc_contact.visual.browser import find_browser, write_gif, write_png
 from osc_contact.visual.live import CHANNELS, Viewer
-from osc_contact.visual.marks import BestFrame
 from osc_contact.visual.parts import Content, Visual
 from osc_contact.visual.scene import Scene, write_scene
 
@@ -37,12 +32,9 @@ def content_of(what: Rig | MujocoRobot | Content) -> Content:
         return _content_of_rig(what)
     if isinstance(what, Content):
         return what
-    q = np.asarray(what.measure().q)
     pairs = what.contacts
-    X = what.chain.state(q, np.zeros(len(q))).X_WO if pairs else None
     contacts = [pair.name for pair in pairs], force_owners(pairs).tolist()
-    size = object_size(pairs, X)
-    return _of_picture(what.picture(), what.chain.arms[0].name, contacts, size, len(q))
+    return _of_picture(what.picture(), what.chain.arms[0].name, contacts, what.chain.nq)
 
 
 def content_of_recording(recording: Recording) -> Content:
@@ -52,15 +44,11 @@ def content_of_recording(recording: Recording) -> Content:
         RecordingError: that is damaged, or there is no first tick.
     """
     meta = recording.meta
-    size = 0.1
     try:
         name = meta["arm_names"][0]
         joints = len(meta["joint_names"])
         contacts = meta["contact_names"], meta["columns"]
-        if len(recording) and "contact_point" in recording and contacts[0]:
-            points = recording["contact_point"][0] - recording["pose"][0, :3]
-            size = max(size, np.nanmax(np.linalg.norm(points, axis=1), initial=0.0))
-        content = _of_picture(meta["picture"], name, contacts, size, joints)
+        content = _of_picture(meta["picture"], name, contacts, joints)
         Scene(content, {})  # refused where it is damaged
     except (KeyError, TypeError, IndexError, ValueError, InvalidInputError) as error:
         raise RecordingError(f"its picture cannot be drawn: {error}") from error
@@ -68,10 +56,10 @@ def content_of_recording(recording: Recording) -> Content:
 
 
 def _of_picture(
-    picture: Any, name: str, contacts: tuple[Sequence[str], Sequence[int]], size: float, joints: int
+    picture: Any, name: str, contacts: tuple[Sequence[str], Sequence[int]], joints: int
 ) -> Content:
     arm = Visual(name, picture, (), pin.SE3.Identity(), slice(0, joints))
-    return Content(name.replace("_", " "), [arm], [], *contacts, size=size, joints=joints)
+    return Content(name.replace("_", " "), [arm], [], *contacts, joints=joints)
 
 
 def write_scene_of(
@@ -85,14 +73,7 @@ def write_scene_of(
         path: the page to write.
         still: s; the page opens standing still at that time instead of playing.
     """
-    content = content_of(rig)
-    return write_scene(
-        recording.thinned(DRAWN),
-        content,
-        path,
-        find=lambda N: best_frame(N, content.size),
-        still=still,
-    )
+    return write_scene(recording.thinned(DRAWN), content_of(rig), path, still=still)
 
 
 def require_drawable(recording: Recording, shown: Content, source: str) -> None:
@@ -150,8 +131,6 @@ def _content_of_rig(rig: Rig) -> Content:
         bodies,
         tuple(pair.name for pair in rig.pairs),
         tuple(rig.owners.tolist()),
-        frame_words(rig),
-        object_size(rig.pairs, rig.state.X_WO if rig.pairs else None),
         rig.chain.nq,
     )
 
@@ -170,35 +149,7 @@ def open_viewer(what: Scenario | MujocoRobot | Content, rate: float = 30.0) -> V
         ViewerError: the page's server does not start.
     """
     content = content_of(build_rig(what) if isinstance(what, Scenario) else what)
-    return Viewer("osc_contact.runs.live_page", content, rate)
-
-
-def best_frame(N: Array, size: float) -> BestFrame:
-    """Raibert and Craig's frame that comes closest to N (6, r) at O."""
-    if not N.shape[1]:
-        return BestFrame(pin.SE3.Identity(), (False,) * 3, (False,) * 3)
-    found = as_raibert_craig(N, size)
-    return BestFrame(found.frame, found.forces, found.couples)
-
-
-def frame_words(rig: Rig) -> str:
-    """Words of the legend about the best single frame, judged at the start."""
-    contact: Contact = rig.contact
-    if not contact.r:
-        return "best single frame (Raibert–Craig)"
-    found = contact.as_raibert_craig(object_size(rig.pairs, rig.state.X_WO))
-    if found:
-        return "single frame that describes N (Raibert–Craig)"
-    return f"best single frame (Raibert–Craig), {np.rad2deg(np.arcsin(found.residual)):.1f}° off N"
-
-
-def object_size(pairs: Sequence[ContactPair], X: pin.SE3 | None) -> float:
-    """Length (m) of the object at X as far as its contacts reach, at least 0.1 m."""
-    if not pairs or X is None:
-        return 0.1
-    vertices = np.vstack([feet(pair, X)[0] for pair in pairs]) - X.translation
-    apart = np.linalg.norm(vertices[:, None] - vertices[None], axis=2).max()
-    return max(apart, float(np.linalg.norm(vertices, axis=1).max()), 0.1)
+    return Viewer(content, rate)
 
 
 class RealTime:

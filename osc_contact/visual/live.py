@@ -60,7 +60,6 @@ class Viewer:
     """A live page at `url`, served on 127.0.0.1 only, by a process that ends with this one.
 
     Args:
-        module: whose ``main`` the process runs; `osc_contact.open_viewer` knows which.
         about: what it is handed, as pickle understands it: the scene.
         rate: pictures per second at most, 1 … 60.
 
@@ -72,7 +71,7 @@ class Viewer:
         ViewerError: the process does not start.
     """
 
-    def __init__(self, module: str, about: object, rate: float = 30.0) -> None:
+    def __init__(self, about: object, rate: float = 30.0) -> None:
         if not 1.0 <= rate <= 60.0:
             raise InvalidInputError(f"rate = {rate}; give 1 to 60 pictures per second")
         self.error: ViewerError | None = None
@@ -84,7 +83,7 @@ class Viewer:
         self._link, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with tempfile.TemporaryFile() as complaints:
             with other:  # closed here, so that the end of the process closes the link
-                self._process = _started(module, other, complaints)
+                self._process = _started(other, complaints)
             try:
                 with self._process.stdin as scene:  # type: ignore[union-attr]
                     pickle.dump(about, scene)
@@ -164,11 +163,11 @@ class Viewer:
         self.close()
 
 
-def _started(module: str, link: socket.socket, complaints: Any) -> subprocess.Popen[bytes]:
+def _started(link: socket.socket, complaints: Any) -> subprocess.Popen[bytes]:
     """A process that inherits one descriptor and does not get the Ctrl-C of this terminal."""
     paths = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(
-        [sys.executable, "-m", module, str(link.fileno())],
+        [sys.executable, "-m", "osc_contact.visual.server", str(link.fileno())],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=complaints,

@@ -1,4 +1,4 @@
-"""What a scene marks at contacts: forces and their lines, motions permitted, a frame, trails.
+"""What a scene marks at contacts: forces and their lines, motions permitted, trails.
 
 Arrows are 10 mm per newton (100 mm per N m for a couple), their tip at the contact, pointing the
 way the object pushes into the environment. The true force lies on its line; the commanded one is a
@@ -8,7 +8,7 @@ where the two agree. A contact that is lost turns grey.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -258,73 +258,6 @@ def _screws(sample: Sample) -> list[tuple[pin.SE3, float]]:
     N, _, pressed = sample["normals"]
     screws = [twist_screw(t, sample["pose"][:3]) for t in tangents(N[:, pressed]).T]
     return [(along(screw.point, screw.direction), screw.pitch) for screw in screws]
-
-
-# --- The best single frame ----------------------------------------------------------------------
-
-DASHES = 12
-
-
-class BestFrame(NamedTuple):
-    """A single constraint frame and what it selects.
-
-    Attributes:
-        frame: its pose, from O, world axes.
-        forces: along which of its axes forces are selected. couples: the same for couples.
-    """
-
-    frame: pin.SE3
-    forces: Sequence[bool]
-    couples: Sequence[bool]
-
-
-FindFrame = Callable[[Array], BestFrame]
-"""From N (6, r) at O to the single frame that comes closest to it."""
-
-
-class ConstraintFrame(Part):
-    """Raibert and Craig's frame that comes closest to N: the lines of force it would select."""
-
-    def __init__(self, find: FindFrame, words: str) -> None:
-        self.find = find
-        self.words = words
-        self.found: tuple[Array, BestFrame] | None = None
-
-    def draw(self, scene: Visualizer) -> None:
-        """Make the nodes; axis 0, 1, 2 of the frame lie along the y-axes of three nodes."""
-        from meshcat.geometry import Sphere
-
-        paint = plain(BLACK)
-        ring = tube(helix(0.0, 0.05, 1.0, 60), 0.002)
-        scene["frame/origin"].set_object(Sphere(0.009), paint)
-        for axis, direction in enumerate(np.eye(3)):
-            node = scene[f"frame/axis{axis}"]
-            node.set_transform(along(np.zeros(3), direction).homogeneous)
-            cylinder(node["stub/rod"], plain(BLACK, 0.45), (-0.05, 0.05), 0.0035)
-            for k in range(DASHES):  # dashes: not a line of force the contact really has
-                ends = LINE_LENGTH * (np.array([k + 0.2, k + 0.8]) / DASHES - 0.5)
-                cylinder(node[f"force/line/{k}"], paint, ends.tolist(), 0.002)
-            node["couple/ring"].set_object(ring, paint)
-
-    def states(self, sample: Sample) -> Frame:
-        """Where the frame is at one tick, and what it selects."""
-        N, _, pressed = sample["normals"]
-        N = N[:, pressed]
-        if self.found is None or not np.array_equal(self.found[0], N):
-            self.found = N, self.find(N)
-        best = self.found[1]
-        X = at(sample["pose"][:3]) * best.frame
-        frame = {"frame": State(X, visible=N.shape[1] > 0)}
-        for axis, (force, couple) in enumerate(zip(best.forces, best.couples, strict=True)):
-            frame[f"frame/axis{axis}/force"] = State(visible=bool(force))
-            frame[f"frame/axis{axis}/couple"] = State(visible=bool(couple))
-        return frame
-
-    def legend(self) -> LegendEntry:
-        """Its line of the legend."""
-        kinds = ("stub", "force/line", "couple/ring")
-        paths = tuple(f"frame/axis{axis}/{kind}" for axis in range(3) for kind in kinds)
-        return LegendEntry(BLACK, self.words, "frame", ("frame/origin", *paths), shown=False)
 
 
 # --- Trails -------------------------------------------------------------------------------------

@@ -65,16 +65,14 @@ class LegendEntry(NamedTuple):
     Attributes:
         colour: ``#RRGGBB``.
         text: what is meant.
-        look: how the sample is drawn: solid, pale, thin, grey, turn or frame.
+        look: how the sample is drawn: solid, pale, thin, grey or turn.
         paths: nodes that its check box shows and hides; none: no check box.
-        shown: whether they are shown at first.
     """
 
     colour: str
     text: str
     look: str = "solid"
     paths: tuple[str, ...] = ()
-    shown: bool = True
 
 
 class Part(Protocol):
@@ -189,8 +187,6 @@ class Content:
         bodies: faces, and the object (base None), moved by ``pose``.
         contacts: names of the contacts.
         columns: which contact each column of N belongs to; empty: one column per contact.
-        frame_words: text of the legend about the best single frame.
-        size: m, of the object as far as its contacts reach.
         joints: how many q has.
     """
 
@@ -199,8 +195,6 @@ class Content:
     bodies: Sequence[Visual] = ()
     contacts: Sequence[str] = ()
     columns: Sequence[int] = ()
-    frame_words: str = "best single frame (Raibert–Craig)"
-    size: float = 0.1
     joints: int = 0
 
 

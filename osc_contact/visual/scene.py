@@ -12,7 +12,6 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording, column_names
 from osc_contact.spatial import Array, norm
 from osc_contact.visual import OKABE_ITO, contact_colour, marks
-from osc_contact.visual.marks import FindFrame
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
 from osc_contact.visual.parts import (
     Content,
@@ -39,10 +38,9 @@ class Scene:
     Args:
         content: what to show.
         first: the channels at the first tick; what is missing there is not drawn.
-        find: the best single frame for N, or None to leave it out.
     """
 
-    def __init__(self, content: Content, first: Sample, find: FindFrame | None = None) -> None:
+    def __init__(self, content: Content, first: Sample) -> None:
         located = {"contact_point", "contact_direction", "pose"} <= first.keys()
         contacts = content.contacts if located else ()
         self.owners = list(content.columns or range(len(contacts))) if contacts else []
@@ -59,10 +57,6 @@ class Scene:
             axes = marks.TwistAxes(first)
             self.parts.append(axes)
             self.legend.append(axes.legend())
-        if contacts and find is not None:
-            frame = marks.ConstraintFrame(find, content.frame_words)
-            self.parts.append(frame)
-            self.legend.append(frame.legend())
         self.legend.append(self.trails.legend())
         self.panels = panels_of(first, names, self.owners)
         self.lines = [line for panel in self.panels for line in panel["lines"]]
@@ -160,7 +154,6 @@ def write_scene(
     content: Content,
     path: str | Path,
     fps: float = 30.0,
-    find: FindFrame | None = None,
     still: float | None = None,
 ) -> Path:
     """Write the recording as an HTML page that plays by itself, with a time slider and plots.
@@ -171,7 +164,6 @@ def write_scene(
         content: what to show.
         path: the page to write.
         fps: key frames per second, fewer if they would be more than 360.
-        find: the best single frame for N.
         still: s; the page opens standing still at that time instead of playing.
 
     Returns:
@@ -189,7 +181,7 @@ def write_scene(
     times = np.arange(int(length * fps + 1e-9) + 1) / fps
     ticks = np.minimum(np.searchsorted(t - t[0], times - 1e-9), t.size - 1)
     samples = [sample_at(recording.channels, int(tick)) for tick in ticks]
-    picture = Scene(content, samples[0], find)
+    picture = Scene(content, samples[0])
     sink = CommandSink()
     scene = sink.visualizer()
     from meshcat.animation import Animation

@@ -10,6 +10,7 @@ import json
 import os
 import pickle
 import socket
+import sys
 from collections.abc import Iterable
 from typing import Any
 
@@ -19,7 +20,6 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from osc_contact.visual.marks import FindFrame
 from osc_contact.visual.page import CommandSink, packed, page_text
 from osc_contact.visual.parts import Content, Frame, Sample, changes
 from osc_contact.visual.scene import Scene, rounded, values
@@ -38,10 +38,9 @@ WAITING = (
 class LivePage:
     """The scene as it is now, and the browsers that show it."""
 
-    def __init__(self, link: socket.socket, content: Content, find: FindFrame) -> None:
+    def __init__(self, link: socket.socket, content: Content) -> None:
         self.link = link
         self.content = content
-        self.find = find
         self.scene: Scene | None = None
         self.drawn = CommandSink()
         self.trails: dict[str, dict[str, Any]] = {}
@@ -89,7 +88,7 @@ class LivePage:
 
     def _show(self, sample: Sample) -> None:
         if self.scene is None:
-            self.scene = Scene(self.content, sample, self.find)
+            self.scene = Scene(self.content, sample)
             self.scene.draw(self.drawn.visualizer())
             self.scene.look(self.drawn.visualizer(), [sample])
         scene = self.scene
@@ -177,7 +176,7 @@ class Page(RequestHandler):
         self.finish(self.page.text())
 
 
-def serve(link: socket.socket, content: Content, find: FindFrame) -> None:
+def serve(link: socket.socket, content: Content) -> None:
     """Serve until the link closes; the address is sent back over it.
 
     Requests are answered only if they name this machine's own address: a foreign page whose name
@@ -186,10 +185,9 @@ def serve(link: socket.socket, content: Content, find: FindFrame) -> None:
     Args:
         link: to the process that runs the loop.
         content: what the page shows.
-        find: the best single frame for N.
     """
     link.setblocking(False)
-    page = LivePage(link, content, find)
+    page = LivePage(link, content)
     application = Application(websocket_max_message_size=1024, log_function=lambda _: None)
     given = {"page": page}
     application.add_handlers(
@@ -203,3 +201,7 @@ def serve(link: socket.socket, content: Content, find: FindFrame) -> None:
     IOLoop.current().start()
     if page.error is not None:
         raise page.error
+
+
+if __name__ == "__main__":  # until the inherited socket closes; the scene stands on the input
+    serve(socket.socket(fileno=int(sys.argv[1])), pickle.load(sys.stdin.buffer))

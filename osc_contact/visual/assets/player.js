@@ -47,7 +47,6 @@ const KEYS = {
   line: (c) => `<rect y="4" width="24" height="2" fill="${c}"/>`,
   trail: (c) => `<path d="M1 8C8-4 15 14 23 2" fill="none" stroke="${c}" stroke-width="2" opacity=".7"/>`,
   turn: (c) => `<rect y="4.2" width="24" height="1.6" fill="${c}"/><path d="M14 1A5 4.4 0 1 0 15 8" fill="none" stroke="${c}" stroke-width="1.7"/>`,
-  frame: (c) => `<path d="M0 5h5m3 0h5m3 0h5" stroke="${c}" stroke-width="2"/>`,
 };
 
 function showLegend(entries) {
@@ -63,7 +62,7 @@ function showLegend(entries) {
     const row = legend.appendChild(document.createElement("label"));
     const box = row.appendChild(document.createElement("input"));
     box.type = "checkbox";
-    box.checked = entry.shown;
+    box.checked = true;
     box.name = entry.text;
     const key = row.appendChild(document.createElement("span"));
     key.className = "key";
