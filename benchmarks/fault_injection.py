@@ -147,15 +147,6 @@ def _goal(name: str, make: Callable[[Any], Any]) -> Change:
     return lambda t, m, r: (m, replace(r, **{name: make(getattr(r, name))}))
 
 
-def _both(*changes: Change) -> Change:
-    def change(t: Trial, m: Measurement, r: Reference) -> tuple[Measurement, Reference]:
-        for one in changes:
-            m, r = one(t, m, r)
-        return m, r
-
-    return change
-
-
 def _turned(scale: Any) -> Change:
     """A goal whose rotation, with its columns scaled, is another matrix."""
 
@@ -201,9 +192,11 @@ FAULTS: dict[str, Fault] = {
     "encoder 1e200": Fault(_angles(_motor, 0.0, 1e200), ends=_STOPS),
     "encoder stuck": Fault(_angles(_motor, stuck=True)),
     "encoders stuck, speeds too": Fault(
-        _both(_angles(stuck=True), _speeds(stuck=True)), ends=_STOPS
+        _packet(lambda t, m: replace(m, q=t.first("q", m.q), v=t.first("v", m.v))), ends=_STOPS
     ),
-    "encoders stuck, speeds zero": Fault(_both(_angles(stuck=True), _speeds(gain=0.0))),
+    "encoders stuck, speeds zero": Fault(
+        _packet(lambda t, m: replace(m, q=t.first("q", m.q), v=0.0 * m.v))
+    ),
     "encoder mirrored": Fault(_angles(_motor, -1.0)),
     "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=2e-4)),
     "encoder noise of 5 mrad": Fault(_angles(noise=5e-3)),

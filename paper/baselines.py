@@ -81,7 +81,9 @@ def compare(
             tell(f"{key} on {plant}: steps")
             runs.append(StepRun(rig, law, instant))
             tell(f"{key} on {plant}: task")
-            rows[key][plant] = runs[-1].as_dict() | {"task": _whole_task(rig, law, seed)}
+            verdict = osc.metrics(osc.run(rig.scenario, seed=seed, install=law.install))
+            task = {word: verdict[word] for word in ("force", "motion", "status")}
+            rows[key][plant] = runs[-1].as_dict() | {"task": task}
     result = {
         "scenario": scenario.name,
         "force_step_N": FORCE_STEP_N,
@@ -90,11 +92,6 @@ def compare(
         "laws": rows,
     }
     return result, runs
-
-
-def _whole_task(rig: osc.Rig, law: Law, seed: int) -> Data:
-    verdict = osc.metrics(osc.run(rig.scenario, seed=seed, install=law.install))
-    return {key: verdict[key] for key in ("force", "motion", "contact_fraction", "status")}
 
 
 def _on(plant: str, scenario: osc.Scenario) -> osc.Scenario:

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import osc_contact as osc
-from osc_contact.spatial import Array
 from osc_contact.visual import OKABE_ITO, plots
 from paper.statements import Answer
 from paper.study import Ask, Study, table_of
@@ -38,18 +37,13 @@ class Collision(NamedTuple):
     flagged: float | None
 
 
-def normal_speeds(recording: osc.Recording) -> Array:
-    """(T, r) NᵀV of the true object on faces at rest (m/s)."""
-    return np.einsum("tir,ti->tr", recording["N"], recording["twist"])
-
-
 def collisions(recording: osc.Recording) -> list[Collision]:
     """Every contact that was open for 10 ms or more and re-made at 10 mm/s or more.
 
     Contacts have one magnitude each, and their faces rest.
     """
     t = recording["t"]
-    speeds = normal_speeds(recording)
+    speeds = np.einsum("tir,ti->tr", recording["N"], recording["twist"])  # faces rest
     power = recording["power_projected"]
     period = 1.0 / float(recording.meta["control_rate_hz"])
     hits = []

@@ -1,7 +1,7 @@
 """Figs. 4 and 5: the boxes of the control loop at fixed places, and the connections between them.
 
 No signal gets lost: what a box reads and no connection brings is named below it, what it puts out
-and no connection takes is named beside it. Commands come from above.
+and no connection takes is named beside it.
 """
 
 import textwrap
@@ -160,7 +160,6 @@ CONNECTIONS: dict[tuple[str, str], tuple[float, ...]] = {
     ("tau", PLANT.name): (12.2, 5.1, 7.6),
     ("wrenches", "sum of wrist sensors"): (12.9, -1.55, -1.3),
 }
-COMMANDS = ("reference", "alpha_d", "squeeze_d")
 LABELS = {
     "q": r"$q,\ v$",  # v goes where q goes
     "wrenches": "wrist wrenches",
@@ -195,7 +194,6 @@ LINE = 1.1
 LABEL = 11.0  #: of connections and the names on them
 #: Look of signals without a connection.
 NAMED: Any = {"boxstyle": "round,pad=0.18", "fc": "#E9ECF0", "ec": "none"}
-BY_NAME = "taken up by name"
 
 
 def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
@@ -218,7 +216,8 @@ def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
         for block in blocks:
             _box(ax, block)
             bare = [s for s in _shown(block.inputs) if (s, block.name) not in connections]
-            _name_inputs(ax, block.place, bare)
+            if bare:
+                _name_inputs(ax, block.place, bare)
         for signal, (x, y) in starts.items():
             if signal in taken:
                 _write(ax, x + 0.05, y, signal, "left")
@@ -274,17 +273,13 @@ def _box(ax: Axes, block: Block) -> None:
 
 
 def _name_inputs(ax: Axes, place: Point, signals: Sequence[str]) -> None:
-    """Commands on an arrow from above, all else on an arrow from below."""
+    """On an arrow from below."""
     x, y = place
-    above = [LABELS[signal] for signal in signals if signal in COMMANDS]
-    below = [LABELS[signal] for signal in signals if signal not in COMMANDS]
-    for names, side, va in ((above, 1.0, "bottom"), (below, -1.0, "top")):
-        if names:
-            edge = y + side * 0.5 * HEIGHT
-            _arrow(ax, [(x, edge + 0.22 * side), (x, edge)])
-            rows = [" · ".join(names[k : k + 3]) for k in range(0, len(names), 3)]
-            look: Any = {"size": LABEL, "ha": "center", "bbox": NAMED if side < 0 else None}
-            ax.text(x, edge + 0.3 * side, "\n".join(rows), va=va, **look)
+    edge = y - 0.5 * HEIGHT
+    _arrow(ax, [(x, edge - 0.22), (x, edge)])
+    names = [LABELS[signal] for signal in signals]
+    rows = [" · ".join(names[k : k + 3]) for k in range(0, len(names), 3)]
+    ax.text(x, edge - 0.3, "\n".join(rows), size=LABEL, ha="center", va="top", bbox=NAMED)
 
 
 def _wire(
@@ -313,9 +308,6 @@ def _write(ax: Axes, x: float, y: float, signal: str, side: Any) -> None:
 
 
 def _legend(ax: Axes, groups: Sequence[str]) -> None:
-
     shown = [GROUPS[group] for group in dict.fromkeys(groups)]
     handles = [Patch(fc=colour, alpha=0.6, label=meaning) for colour, meaning in shown]
-    handles.append(Patch(fc=NAMED["fc"], label=BY_NAME))
-    look: Any = {"loc": "lower right", "borderaxespad": 0.8, "fontsize": 10}
-    ax.legend(handles=handles, ncols=len(handles), **look)
+    ax.legend(handles=handles, ncols=len(handles), loc="lower right", fontsize=10)

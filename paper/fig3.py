@@ -15,7 +15,6 @@ from matplotlib.image import imread
 
 import osc_contact as osc
 from osc_contact.runs.viewing import content_of
-from osc_contact.scenarios.bodies import ConveyorSpec
 from osc_contact.spatial import Array
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
@@ -68,42 +67,27 @@ class Callout(NamedTuple):
         return label(f"{path}/label", self.text, self.colour)
 
 
-#: An overhead camera above the middle of the rod; scenarios do not say where it hangs.
+#: Lens of an overhead camera above the middle of the rod; scenarios do not say where it hangs.
 EYE = np.array([0.0, -0.08, 1.12])
+#: The rectangle at the rod's height that it sees, from below the lens.
+SEEN = np.array([[0.5, 0.4, 0.0], [-0.5, 0.4, 0.0], [-0.5, -0.4, 0.0], [0.5, -0.4, 0.0]])
 
 
-class OverheadCamera:
-    """A camera, and the pyramid that it sees.
+def draw_camera(scene: Visualizer, corners: Array) -> None:
+    """Make the nodes of the camera and of the pyramid that it sees.
 
-    Attributes:
-        eye: (3,) of the lens. corners: (4, 3) of the rectangle that is seen, in order.
+    Args:
+        scene: of the page. corners: (4, 3) of the rectangle that is seen, in order.
     """
+    from meshcat.geometry import Box
 
-    def __init__(self, height: float) -> None:
-        """Look at a horizontal rectangle.
-
-        Args:
-            height: of it (m).
-        """
-        self.eye = EYE
-        sides = [[0.5, 0.4, 0.0], [-0.5, 0.4, 0.0], [-0.5, -0.4, 0.0], [0.5, -0.4, 0.0]]
-        self.corners = np.array([EYE[0], EYE[1], height]) + sides
-
-    def draw(self, scene: Visualizer, path: str) -> None:
-        """Make the nodes."""
-        from meshcat.geometry import Box
-
-        node = scene[path]
-        eye = self.eye
-        body = eye + [0.0, 0.0, 0.065]
-        bars = {"lens": (body, eye, 0.027, material(_DARK))}
-        ends = self.corners
-        for k, (end, after) in enumerate(zip(ends, np.roll(ends, -1, axis=0), strict=True)):
-            bars[f"view/edge{k}"] = (eye, end, 0.0014, plain(VISION, 0.8))
-            bars[f"view/rim{k}"] = (end, after, 0.0022, plain(VISION))
-        for name, bar in bars.items():
-            _bar(node[name], *bar)
-        _put(node["body"], Box([0.11, 0.075, 0.075]), material(_DARK), at(body))
+    node = scene["vision"]
+    body = EYE + [0.0, 0.0, 0.065]
+    _bar(node["lens"], body, EYE, 0.027, material(_DARK))
+    for k, (end, after) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
+        _bar(node[f"view/edge{k}"], EYE, end, 0.0014, plain(VISION, 0.8))
+        _bar(node[f"view/rim{k}"], end, after, 0.0022, plain(VISION))
+    _put(node["body"], Box([0.11, 0.075, 0.075]), material(_DARK), at(body))
 
 
 def _bar(node: Visualizer, start: Array, end: Array, r: float, paint: Any) -> None:
@@ -156,7 +140,7 @@ class Workcell:
 
     Attributes:
         rig, sample: those. frames: X of every frame of the arms, by "arm/frame".
-        camera: above the rod. faces: where they are.
+        seen: (4, 3) corners of what the camera sees. faces: where they are.
         rings: by path, where a sensor's collar is, its radius and colour.
     """
 
@@ -172,7 +156,7 @@ class Workcell:
         data = model.createData()
         pin.framesForwardKinematics(model, data, np.asarray(sample["q"]))
         self.frames = {f.name: X.copy() for f, X in zip(model.frames, data.oMf, strict=True)}
-        self.camera = OverheadCamera(float(sample["pose"][2]))
+        self.seen = SEEN + [*EYE[:2], float(sample["pose"][2])]
         self.faces = [pin.XYZQUATToSE3(np.asarray(x, dtype=float)) for x in sample["face_pose"]]
         self.rings = {
             path.format(arm.name): (self.frames[f"{arm.name}/{frame}"] * at(place), radius, colour)
@@ -193,7 +177,7 @@ class Workcell:
                 frame[node] = State(visible=False)
         changes(scene, {}, frame)
         if shot.whole:
-            self.camera.draw(scene, "vision")
+            draw_camera(scene, self.seen)
         for node, (X, radius, colour) in self.rings.items():
             half = 0.004 * X.rotation[:, 2]
             collar = material(colour, glow=0.35)
@@ -279,24 +263,23 @@ def draw(cell: Workcell) -> Figure:
 
 
 def _whole(cell: Workcell) -> Shot:
-    camera = cell.camera
     rings = cell.rings
     left, right = (cell.frames[f"{name}/joint1"].translation for name in ("left", "right"))
     feet = [p * [1, 1, 0] + [0.13 * np.sign(p[0]), 0, 0] for p in (left, right)]
-    points = np.vstack((feet, camera.eye + [0, 0, 0.17], camera.corners))
+    points = np.vstack((feet, EYE + [0, 0, 0.17], cell.seen))
     corner = min(_corners(cell.faces[0]), key=lambda p: float(p[2]))
     vision = "overhead vision: " + _vision_words(cell)
     sensor = _edge(rings["joint_torque/left2"])
     hinge = cell.frames["left/hinge"].translation
     callouts = [
-        Callout(vision, camera.eye + [0, 0, 0.09], (0.3, 0.05), VISION),
+        Callout(vision, EYE + [0, 0, 0.09], (0.3, 0.05), VISION),
         Callout("left arm", left + [0, 0, 0.13], (0.16, 0.1)),
         Callout("right arm", right + [0, 0, 0.13], (-0.16, 0.14)),
         Callout("rod", _rod(cell), (-0.03, -0.11)),
         Callout("joint torque sensors", sensor, (0.06, -0.09), JOINT_TORQUE),
         Callout("wrist force/torque sensor", _edge(rings["wrist/right"]), (0.09, 0.11), WRIST),
         Callout("free hinge", hinge, (-0.12, 0.03)),
-        Callout(_face_words(cell), corner, (0.05, -0.09)),
+        Callout("moving face", corner, (0.05, -0.09)),
     ]
     return Shot("dual-arm workcell", points, 76.0, 27.0, (760, 800), callouts, whole=True)
 
@@ -338,16 +321,6 @@ def _vision_words(cell: Workcell) -> str:
         f"{eyes.rate:g} Hz, {1e3 * eyes.delay:g} ms old, "
         f"±{1e3 * eyes.position.noise:g} mm, ±{1e3 * eyes.orientation.noise:g} mrad"
     )
-
-
-def _face_words(cell: Workcell) -> str:
-    """How far a driven face goes."""
-    motion = cell.rig.bodies[0].motion
-    if not isinstance(motion, ConveyorSpec):
-        return "face"
-    travel = motion.signals[0].at(np.inf)[0]
-    turn = motion.turn.signals[0].at(np.inf)[0] if motion.turn else 0.0
-    return f"face, moved by {1e3 * travel:.0f} mm and {np.rad2deg(abs(turn)):.0f}°"
 
 
 def study(ask: Ask) -> Study:

@@ -13,7 +13,6 @@ import osc_contact as osc
 from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.contacts.raibert_craig import as_raibert_craig
 from osc_contact.recorder.judged import SETTLE_S, judged_ticks
-from osc_contact.runs.contacts import feet
 from osc_contact.spatial import Array
 from osc_contact.visual import plots
 from osc_contact.visual.screws import common_perpendicular
@@ -22,6 +21,7 @@ from paper.diagrams import BLOCKS, LOOP, draw_blocks
 from paper.statements import Answer
 
 SCENARIO = "two_contact_rod"
+ROD = 0.6  #: m, its length: moments count per rod length
 NEED_RUN = {"fig6", "fig8"}
 
 
@@ -91,12 +91,6 @@ def _draw_fig1(rig: osc.Rig) -> Figure:
     return figure
 
 
-def _length(rig: osc.Rig) -> float:
-    """How far apart contacts are at the start (m)."""
-    points = np.vstack([feet(pair, rig.state.X_WO)[0] for pair in rig.pairs])
-    return float(np.linalg.norm(points[:, None] - points, axis=2).max())
-
-
 LOOKS = 21  #: moments of a run at which its constraint frame is looked for
 
 
@@ -125,7 +119,7 @@ def _fig1(seen: Evidence) -> dict[str, Answer]:
         return {}
     apart = common_perpendicular(points[0], directions[0], points[1], directions[1])
     angle = np.rad2deg(apart.angle)
-    frame = contact.as_raibert_craig(_length(seen.rig))
+    frame = contact.as_raibert_craig(ROD)
     by_hand = lines_of_force((points - X.translation).T, directions.T)
     off = np.abs(contact.N - by_hand).max()
     return {
@@ -228,9 +222,8 @@ def _fig8(seen: Evidence) -> dict[str, Answer]:
     rms, peak, sensed = ([f[key] for f in forces] for key in keys)
     mean = [f["mean_command_N"] for f in forces]
     N = seen["N"]
-    size = _length(seen.rig)
     looks = np.linspace(0, len(N) - 1, LOOKS).astype(int)
-    framed = sum(bool(as_raibert_craig(N[k], size)) for k in looks)
+    framed = sum(bool(as_raibert_craig(N[k], ROD)) for k in looks)
     rank = N.shape[2]
     return {
         "follow": Answer(
