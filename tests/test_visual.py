@@ -11,7 +11,7 @@ from scene_samples import RECORDING, changed, make_recording
 
 from osc_contact import load_scenario
 from osc_contact.visual import plots
-from paper.diagrams import BLOCKS, BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
+from paper.diagrams import BLOCKS, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
 from paper.figures import reproduce
 
 
@@ -140,7 +140,7 @@ def test_diagrams_are_legible(diagram):
             for room in rooms:
                 assert not room.padded(-2).overlaps(Bbox([(x0, y0), (x1, y1)]))
     groups = {GROUPS[block.group][1] for block, _ in boxes}
-    assert {text.get_text() for text in ax.get_legend().get_texts()} == groups | {BY_NAME}
+    assert {text.get_text() for text in ax.get_legend().get_texts()} == groups
 
 
 def test_contact_picture_shows_how_the_lines_lie():
