@@ -147,14 +147,6 @@ REFUSED = {
         changed("edge_on_face", "length: ", "size: "),
         "contacts.pad.size: unknown key; known: name, body, face_point",
     ),
-    "wrong unit": (
-        changed("face_on_face", r"size: \d+ mm", "size: 4 N"),
-        "contacts.pad.size: expected a length",
-    ),
-    "length of nothing": (
-        changed("edge_on_face", r"length: \d+ mm", "length: 0 mm"),
-        "contacts.pad.length: must be > 0",
-    ),
     "no such body": (
         text("edge_on_face").replace("body: table", "body: tabel"),
         "contacts.pad.body: no body of environment has this name; did you mean 'table'?",

@@ -68,6 +68,15 @@ def test_what_cannot_be_factored_is_reported():
         assert n > 6 or not vectors.qr6(six, n, L, np.zeros(8), np.zeros(8))
 
 
+def test_rows_that_nearly_depend_are_orthonormal_to_the_last_digit():
+    X, Q, L = rng_of(1).standard_normal((3, 6, 6))
+    X[3] = X[0] + 1e-7 * X[3]
+    least = algebra.orthonormalise(X, 4, 2, Q, L)
+    close(Q[:4] @ Q[:4].T, np.eye(4), atol=1e-13)
+    close(np.tril(L)[:4, :4] @ Q[:4, 2:], X[:4, 2:], atol=1e-13)
+    close(least, L[3, 3] / norm(X[3, 2:]), rtol=1e-9)
+
+
 @parametrize("size", [1e-70, 1e-77, 1e-78, 1e-79, 1e-80, 1e-81, 1e-150, 1e-300])
 def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size):
     """Squares of their products have few digits, or none. More rows than directions get there."""
