@@ -426,7 +426,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
 def test_phases_keep_what_was_measured(phased):
     t = records(contacts=1, columns=2, phased=phased, lag=0.02, period=1e-3)
     t.memory.columns.known[:] = 1
-    tick.remember(t)
+    tick.altered("remember", phases=phases)(t)
     assert (t.memory.columns.known == 1 - phased).all(), "nothing is in contact"
 
 
