@@ -46,6 +46,8 @@ def test_scara_has_the_announced_joints_and_limits(name):
     ]
     assert not model.upperDryFrictionLimit.any() and not model.damping.any()
     assert [inertia.mass for inertia in model.inertias] == approx(MASSES)
+    _, solids, _ = robots.load_geometry(robots.urdf_path(name), pin.GeometryType.VISUAL)
+    assert {one.parentJoint for one in solids.geometryObjects} == {*range(model.njoints)}
 
 
 def test_right_arm_is_the_mirror_image_of_the_left():

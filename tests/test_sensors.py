@@ -10,7 +10,7 @@ from complaints import invalid_input, model_error, scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import largest
+from rigs import PANDA_Q, largest, one_panda, shift
 from samples import first, parametrize
 from scenario_runs import always_closed, rig_of, verdict_of, worst_force
 from test_moving_face import TURNING
@@ -216,6 +216,26 @@ def test_exact_readings_give_exact_loads():
         assert load.mass == approx(mass, rel=1e-10)
         assert_allclose(load.com, com, atol=1e-10)
         assert_allclose(load.bias, bias, atol=1e-9)
+
+
+def test_readings_of_an_arm_give_what_its_wrist_carries():
+    """Hand and rod of a Panda at rest in several postures; the rod is held off the sensor."""
+    chain = one_panda()
+    rng = default_rng(3)
+    poses = []
+    readings = []
+    for _ in range(5):
+        state = chain.state(PANDA_Q + 0.4 * rng.standard_normal(7), np.zeros(7))
+        X = state.sensors[0].inverse() * shift(state.X_WO.translation)
+        poses.append(state.sensors[0].rotation)
+        readings.append(X.act(pin.Force(state.bias_out)).vector)
+    load = calibrate_wrist(poses, np.array(readings))
+    ((hand,),) = chain.outboard
+    sensor = chain.model.frames[chain.model.getFrameId("arm/panda_hand")].placement
+    carried = sensor.inverse().act(hand.inertia)
+    carried += (state.sensors[0].inverse() * state.X_WO).act(chain.payload.inertia)
+    assert load.mass == approx(carried.mass) and largest(load.bias) < 1e-9
+    assert_allclose(load.com, carried.lever, atol=1e-9)
 
 
 def test_the_standard_errors_are_the_spread_of_many_calibrations():
