@@ -112,7 +112,9 @@ def test_outboard_links_of_the_scara(sensor):
 def test_outboard_links_of_the_panda(sensor):
     """Hand and locked fingers: everything on joint 7 but its own link."""
     model = panda_arm().model
-    (hand,) = outboard_links(model, model.getFrameId(sensor), model.getFrameId("panda_hand_tcp"))
+    tip = model.getFrameId("panda_hand_tcp")
+    (hand,) = outboard_links(model, model.getFrameId(sensor), tip)
+    assert outboard_links(model, tip, tip) == []  # the hand is before the tip
     assert model.names[hand.joint] == "panda_joint7"
     link7 = written_inertia(element(robots.find_robot("panda")[0], "panda_link7"))
     close(hand.inertia.matrix(), model.inertias[hand.joint].matrix() - link7.matrix(), 1e-12)
