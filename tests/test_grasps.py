@@ -81,7 +81,7 @@ def test_motion_and_contact_forces_agree_with_the_full_system(bend):
     `bend`: elbows all but straight, and straight: where such velocities can last, they agree.
     """
     rng = default_rng(1 if bend is None else 2)
-    seen = {"unactuated": 0, "unknown": 0, "contacts": 0, "compared": 0, "d": set()}
+    seen = {"unactuated": 0, "contacts": 0, "compared": 0, "d": set()}
     how = {} if bend is None else {"bends": [bend] * 4, "angle": 1e-7}
     for case in many_cases(rng) if bend is None else (draw(rng, **how) for _ in range(30)):
         for _ in range(3 if bend is None else 1):
@@ -98,22 +98,12 @@ def test_motion_and_contact_forces_agree_with_the_full_system(bend):
             seen["unactuated"] += state.unactuated.shape[1] > 0
             seen["contacts"] += contact.r > 0
             seen["d"].add(state.d)
-            if bend is not None:
-                continue
-            if case.chain.payload is not None:
+            if bend is None and case.chain.payload is not None:
                 _, a, alpha = plant_at(whole, 1e-3).accelerations(tau)
                 assert miss(a, oracle.a_object) < RTOL and miss(alpha, oracle.alpha) < RTOL
-            try:
-                found = case.chain.state(case.q, whole.v)
-            except osc.ModelError as error:
-                assert "do not determine where the object is" in str(error)
-                seen["unknown"] += 1
-            else:
-                assert largest(found.X_WO.homogeneous - case.X_WO.homogeneous) < 1e-10
-                assert largest(found.V_O - whole.V) < 1e-9
     assert seen["compared"] >= 25
     if bend is None:
-        assert min(seen["unactuated"], seen["unknown"], seen["contacts"]) > 10, seen
+        assert min(seen["unactuated"], seen["contacts"]) > 10, seen
         assert seen["d"] == set(range(7))
 
 

@@ -153,22 +153,6 @@ def test_messages_name_the_columns():
             P.Omega_f(np.column_stack(columns), Phi)
 
 
-@parametrize("n", [1, 4, 6])
-@parametrize("seed", range(5))
-def test_orthonormal_is_what_it_says(n, seed):
-    rng = default_rng([n, seed, 7])
-    for k in range(n + 1):
-        N = rng.standard_normal((n, k))
-        root = rng.standard_normal((n, n)) + 3.0 * np.eye(n)
-        Phi = root @ root.T
-        E, W, G = P.orthonormal(N, Phi, "test")
-        assert_allclose(E, N @ G, atol=1e-10)
-        assert_allclose(E.T @ Phi @ E, np.eye(k), atol=1e-12)
-        assert_allclose(W, Phi @ E, atol=1e-11)
-        assert_allclose(N.T @ Phi @ N @ G @ G.T, np.eye(k), atol=1e-8)
-        assert_allclose(P.left_inverse(N, Phi, "test") @ N, np.eye(k), atol=1e-10)
-
-
 def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
     """Eqs. 17 and 18 on the rod; columns 1e-4 apart are as near as a law accepts."""
     rig = rig_of()
