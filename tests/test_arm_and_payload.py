@@ -78,6 +78,8 @@ def test_mass_factor_scales_the_joint_space_dynamics():
     ("options", "message"),
     [
         ({"tip": "tol"}, "tol"),
+        ({"tip": ""}, "no frame ''"),
+        ({"passive_joints": ["universe"]}, "no moving joint called 'universe'"),
         ({"passive_joints": ["wrist"]}, "no moving joint called 'wrist'"),
         ({"locked": {"elbow": 0.1}}, "no moving joint called 'elbow'"),
         ({"wrist_sensor": "wrist"}, "wrist"),

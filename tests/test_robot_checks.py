@@ -249,20 +249,3 @@ for n in (513, 4000, 20000):
 """,  # noqa: E501
     )
     assert out.split() == ["1024", "True", "True", "True"]
-
-
-def test_unknown_frames_and_joints_are_refused_before_pinocchio_is_called():
-    out = run(
-        "-c",
-        """
-from osc_contact import Arm, robots
-from osc_contact.errors import ModelError
-for wrong in (dict(tip='nope'), dict(wrist_sensor='nope'), dict(tip=''),
-              dict(locked={'nope': 0.0}), dict(passive_joints=['universe'])):
-    try:
-        Arm.from_urdf(robots.urdf_path('scara_left'), name='a', **{'tip': 'tool', **wrong})
-    except ModelError:
-        print('refused')
-""",
-    )
-    assert out.split() == ["refused"] * 5
