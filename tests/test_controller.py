@@ -11,7 +11,7 @@ import pinocchio as pin
 from complaints import scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pytest import approx, fixture, raises
+from pytest import fixture, raises
 from rigs import UNLIMITED, held_tick, largest, one_panda, refused, rig_of, ticked
 from samples import module_fixture, parametrize
 
@@ -35,19 +35,6 @@ def ready(rig):
     reference = rig.references.at(0.0)
     ticked(controller, measurement, reference)
     return controller, plant, measurement, reference
-
-
-def test_torques_never_exceed_a_motor_limit(ready):
-    controller, _, measurement, reference = ready
-    controller = controller.with_safety(UNLIMITED)
-    limits = controller.chain.tau_max
-    wanted = replace(reference, alpha_d=np.array([3000.0, 10.0]))
-    for _ in range(round(controller.gains.force.rise / controller.dt)):  # the step is let in
-        tau = controller.tick(measurement, wanted)
-        assert (np.abs(tau) <= limits).all()
-    assert controller.status is osc.Status.SATURATED
-    assert largest(tau / limits) == approx(1.0)
-    assert "joint" in controller.reason
 
 
 def test_signals_of_a_tick_stay(ready):
@@ -75,15 +62,8 @@ def test_signals_of_a_tick_stay(ready):
         assert_allclose(got, want, atol=1e-9)
 
 
-def test_stretched_elbows_degrade_and_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
-    controller, _, measurement, reference = ready
-    controller = controller.with_safety(UNLIMITED)  # another posture at once
-    straight = measurement.q.copy()
-    straight[[1, 6]] = 0.0  # both elbows stretched
-    tau = controller.tick(replace(measurement, q=straight), reference)
-    assert controller.status is osc.Status.DEGRADED
-    assert "near a singular posture" in controller.reason
-    assert np.isfinite(tau).all() and (np.abs(tau) <= controller.chain.tau_max).all()
+def test_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
+    *_, measurement, reference = ready
 
     # a couple about the heading of the rod: both grippers' structure carries it
     class Twist:
