@@ -31,7 +31,7 @@ def machine() -> Data:
             packages[name] = version(name)
     cpu = re.search("model name\\s*: (.+)", Path("/proc/cpuinfo").read_text())
     return {
-        "cpu": cpu[1] if cpu else platform.processor() or platform.machine(),
+        "cpu": cpu[1] if cpu else platform.machine(),
         "cores": len(os.sched_getaffinity(0)),
         "system": platform.platform(terse=True),
         "python": platform.python_version(),

@@ -35,7 +35,7 @@ DIRECTIONS = ("off", "into", "along")
 BACK_WITHIN = 2.0
 SLOW_WITHIN = 0.05  #: s after the push
 _STEADY = 0.1  #: s that forces have to be back for
-_NEAR = 0.3  #: share of its command that a force is back within; or `_LEAST` N
+_NEAR = 0.3  #: share of its command that a force is near that without a push; or `_LEAST` N
 _LEAST = 1.5
 _SETTLING = 1.0  #: s between contact and push
 _BRAKED = 1.0  #: s after which arms that were stopped rest: they are held half a second after it
@@ -62,7 +62,7 @@ def push_arm(
         last above its speed limit (s after the push); the largest speed (share of its limit) and
         force (N).
     """
-    rig, begin = _in_contact(name, tuple(changes))
+    rig, begin, calm = _in_contact(name, tuple(changes))
     arm = next(a.name for a in rig.model.arms if a.wrist_sensor is not None)
     push = Push(
         arm=arm, force=(force * _direction(rig, direction)).tolist(), start=begin, duration=duration
@@ -79,7 +79,8 @@ def push_arm(
     late = since[speeds > 1.0].max(initial=0.0)
     true = recording["alpha_true"]
     wanted = recording["alpha_cmd"]
-    off = (np.abs(true - wanted) > np.maximum(_NEAR * np.abs(wanted), _LEAST)).any(axis=1)
+    off = np.abs(true - calm[: len(true)]) > np.maximum(_NEAR * np.abs(wanted), _LEAST)
+    off = off.any(axis=1)
     off &= (wanted > _LEAST).any(axis=1)  # else the task has taken the forces away
     back = since[off & (since < BACK_WITHIN + _STEADY)].max(initial=0.0)
     stopped = recording.meta["end_state"] == "SAFE_STOP"
@@ -95,14 +96,15 @@ def push_arm(
 
 
 @cache
-def _in_contact(name: str, changes: tuple[str, ...]) -> tuple[osc.Rig, float]:
-    """A scenario's rig, and when all its contacts have been made for a second (s)."""
+def _in_contact(name: str, changes: tuple[str, ...]) -> tuple[osc.Rig, float, np.ndarray]:
+    """A scenario's rig, when all contacts are made for a second (s), forces without a push."""
     scenario = osc.load_scenario(name, list(changes))
     if scenario.plant.exact:  # nothing there is pushed: on MuJoCo it is
         scenario = osc.load_scenario(name, [*changes, "plant.type=mujoco", "plant.step=0.25 ms"])
     rig = osc.build_rig(scenario)
-    made = osc.metrics(_run(rig, scenario.duration))["first_contact_s"].values()
-    return rig, max(made, default=0.0) + _SETTLING
+    calm = _run(rig, scenario.duration + 5.0)  # s, longer than any push is looked at
+    made = osc.metrics(calm)["first_contact_s"].values()
+    return rig, max(made, default=0.0) + _SETTLING, calm["alpha_true"]
 
 
 @without_logged_doubts()

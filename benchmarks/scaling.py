@@ -41,8 +41,6 @@ def measure(rounds: int) -> dict[str, Rows]:
         row = {
             "kind": kind,
             "arms": arms,
-            "joints": case.chain.nq,
-            "d": case.chain.state(case.posture, np.zeros(case.chain.nq)).d,
             "contacts": contacts,
             "r": r,
             "tick p50 (µs)": tick,

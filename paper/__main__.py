@@ -33,7 +33,6 @@ from paper.report import (
 from paper.study import Ask, table_of
 
 NAMES = sorted(REPRODUCIBLE, key=lambda name: (name[:3] != "fig", name))
-LONG = ", ".join(name for name in NAMES if name not in names_of("all"))
 
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
@@ -43,7 +42,7 @@ def reproduce(
     figure: Annotated[
         str,
         typer.Argument(
-            help=f"{' | '.join(NAMES)} | all (with report.html; without {LONG}: minutes)",
+            help=f"{' | '.join(NAMES)} | all (of the paper, fast studies, report.html)",
             metavar="FIGURE",
         ),
     ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,17 +35,14 @@ PLANTS = ("rigid", "mujoco")
 KINDS = ("force_to_motion", "motion_to_force")  #: of cross-talk
 
 
-def compare(
-    scenario: osc.Scenario, seed: int = 0, tell: Callable[[str], None] = lambda _: None
-) -> tuple[Data, list[StepRun]]:
+def compare(scenario: osc.Scenario, ask: Ask) -> tuple[Data, list[StepRun]]:
     """Find the best frames, step at rest and run the whole task, on both plants.
 
     The rigid plant integrates once per control tick.
 
     Args:
         scenario: with two or more contacts that no tare precedes; its plant's type is not used.
-        seed: of the search for frames and of the runs.
-        tell: called with what is going on.
+        ask: seed of the search for frames and of the runs.
 
     Returns:
         JSON-able: the frames, every number of the table and more, ours first; and the steps of
@@ -67,7 +64,7 @@ def compare(
     instant = Instant(rigid.state, rigid.contact)
     laws: dict[str, Law] = {"ours": Ours()}
     for key, baseline in BASELINES.items():
-        laws[key] = best_selection(instant, baseline, seed=seed)
+        laws[key] = best_selection(instant, baseline, seed=ask.seed)
     rows: dict[str, Data] = {}
     for key, law in laws.items():
         row = rows[key] = {"label": law.label}
@@ -78,10 +75,10 @@ def compare(
     for plant, rig in rigs.items():
         runs = []
         for key, law in laws.items():
-            tell(f"{key} on {plant}: steps")
+            ask.tell(f"{key} on {plant}: steps")
             runs.append(StepRun(rig, law, instant))
-            tell(f"{key} on {plant}: task")
-            verdict = osc.metrics(osc.run(rig.scenario, seed=seed, install=law.install))
+            ask.tell(f"{key} on {plant}: task")
+            verdict = osc.metrics(osc.run(rig.scenario, seed=ask.seed, install=law.install))
             task = {word: verdict[word] for word in ("force", "motion", "status")}
             rows[key][plant] = runs[-1].as_dict() | {"task": task}
     result = {
@@ -183,8 +180,6 @@ class StepRun:
         return {
             "force_to_motion_m": self.force_to_motion.tolist(),
             "motion_to_force_N": self.motion_to_force.tolist(),
-            "closed": self.closed,
-            "saturated_ticks": self.saturated,
         }
 
 
@@ -293,5 +288,5 @@ def study(ask: Ask) -> Study:
     """The whole comparison on `two_contact_rod`."""
     ask.tell("best frames")
     scenario = osc.load_scenario("two_contact_rod", ask.all_changes())
-    result, runs = compare(scenario, ask.seed, ask.tell)
+    result, runs = compare(scenario, ask)
     return Study({"baselines": draw(result, runs)}, comparison_table(result), result)

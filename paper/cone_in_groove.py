@@ -156,6 +156,7 @@ def cone_scenario(
 
 
 SETTLE_S = 0.5  #: judged from here on
+_PROBED = 50  #: ticks from one probe of the coupling to the next
 
 
 class ConeRun(NamedTuple):
@@ -179,24 +180,18 @@ def _rms(errors: Array) -> list[float]:
     return np.sqrt((errors**2).mean(axis=0)).tolist()
 
 
-def run(
-    duration: float = 5.0,
-    step_times: tuple[float, ...] = STEP_TIMES,
-    probe_s: float = 0.05,
-) -> ConeRun:
-    """Run the task on the rigid plant at 1 kHz, probing the coupling every `probe_s` seconds.
+def run(duration: float = 5.0, step_times: tuple[float, ...] = STEP_TIMES) -> ConeRun:
+    """Run the task on the rigid plant at 1 kHz, probing the coupling 20 times per second.
 
     Args:
         duration, step_times: as in `cone_scenario`.
-        probe_s: s.
 
     Raises:
-        InvalidInputError: too short to be judged, or probe_s not positive.
+        InvalidInputError: too short to be judged.
     """
-    if not (np.isfinite(duration) and duration > SETTLE_S and probe_s >= PERIOD):
+    if not duration > SETTLE_S:
         raise osc.InvalidInputError(
-            f"duration {duration} s, probe_s {probe_s} s: a run is judged from t = {SETTLE_S:g} s; "
-            f"run it longer, and probe not more often than every {PERIOD:g} s"
+            f"duration {duration} s: a run is judged from t = {SETTLE_S:g} s; run it longer"
         )
     seat = Seat()
     scenario = cone_scenario(seat, duration, step_times)
@@ -206,7 +201,7 @@ def run(
     plan = list(rig.references.over(t))
     plant: Any = rig.plant()
     probes = []
-    for k in range(round(probe_s / PERIOD) - 1, len(t), round(probe_s / PERIOD)):
+    for k in range(_PROBED - 1, len(t), _PROBED):
         plant.q = recording["q"][k]
         plant.v = recording["v"][k]
         plant.hold(recording["tau"][k])

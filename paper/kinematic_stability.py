@@ -15,7 +15,7 @@ z² + dλz + λ, whose sum is −dλ: Re λ < 0 is unstable for every such dampi
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -34,8 +34,7 @@ JOINTS = (1, 2)  #: of the maps
 
 def study(ask: Ask) -> Study:
     """Both schemes on a UR5: searched and mapped."""
-    worst = search(ask.seed)
-    data = worst.as_dict()
+    worst, data = search(ask.seed)
     table = table_of(
         "kinematic stability of a UR5",
         "postures; classic unstable; classic least λ (1/s²); ours least λ (1/s²)",
@@ -44,7 +43,7 @@ def study(ask: Ask) -> Study:
             f"{data['classic_eigenvalues'][0][0]:.4g}; {data['ours_least_eigenvalue']:.4g}"
         ],
     )
-    return Study({"kinematic_stability": draw(worst, posture_map(worst.q))}, table, data)
+    return Study({"kinematic_stability": draw(worst, data, posture_map(worst))}, table, data)
 
 
 FORCE = 2  #: axis of the tool's twist, world axes at the tool, whose force is controlled
@@ -111,31 +110,7 @@ def our_eigenvalues(T: Array, B: Array, K_prime: Array) -> Array:
     return np.sort_complex(np.linalg.eigvals(along @ (B @ K_prime) @ T)).astype(complex)
 
 
-class WorstPosture(NamedTuple):
-    """The posture in which the classic scheme is least stable, and both schemes there.
-
-    Attributes:
-        q: (6,) the posture.
-        classic, ours: complex eigenvalues of both (1/s²).
-        counts: seed; how many postures were drawn and examined, in how many an eigenvalue had a
-            negative real part, and the least real part of ours (1/s²), for JSON.
-    """
-
-    q: Array
-    classic: Array
-    ours: Array
-    counts: Data
-
-    def as_dict(self) -> Data:
-        """For JSON; eigenvalues (1/s²) as [real, imaginary]."""
-        spectra = {"classic_eigenvalues": self.classic, "ours_eigenvalues": self.ours}
-        return self.counts | {
-            "posture_rad": self.q.tolist(),
-            **{name: np.column_stack((z.real, z.imag)).tolist() for name, z in spectra.items()},
-        }
-
-
-def search(seed: int = 0, postures: int = 2000, regular: float = 0.5) -> WorstPosture:
+def search(seed: int = 0, postures: int = 2000, regular: float = 0.5) -> tuple[Array, Data]:
     """Draw uniformly random postures and examine the most regular of them.
 
     Args:
@@ -144,8 +119,10 @@ def search(seed: int = 0, postures: int = 2000, regular: float = 0.5) -> WorstPo
         regular: share of them that is examined, the most regular first (`regularity`): an
             instability next to a singularity would prove little.
 
-    Raises:
-        InvalidInputError: none of them is unstable.
+    Returns:
+        (6,) the one in which the classic scheme is least stable. For JSON: how many were drawn and
+        examined, in how many an eigenvalue had a negative real part, the least real part of ours
+        (1/s²), and the eigenvalues of both in that posture as [real, imaginary].
     """
     drawn = np.random.default_rng(seed).uniform(-np.pi, np.pi, (postures, 6))
     order = np.argsort([-regularity(q) for q in drawn])
@@ -153,19 +130,18 @@ def search(seed: int = 0, postures: int = 2000, regular: float = 0.5) -> WorstPo
     values = [eigenvalues(q) for q in examined]
     classic, ours = np.array([[one[0].real for one in both] for both in values]).T
     worst = int(classic.argmin())
-    if classic[worst] >= 0.0:
-        raise osc.InvalidInputError(
-            f"none of {len(examined)} postures examined is unstable; draw more (postures=)"
-        )
-    counts = {
+    spectra = zip(("classic_eigenvalues", "ours_eigenvalues"), values[worst], strict=True)
+    found = {
         "seed": seed,
         "postures_drawn": postures,
         "postures": len(examined),
         "classic_unstable": int((classic < 0.0).sum()),
         "ours_unstable": int((ours < 0.0).sum()),
         "ours_least_eigenvalue": float(ours.min()),
+        "posture_rad": examined[worst].tolist(),
+        **{name: np.column_stack((z.real, z.imag)).tolist() for name, z in spectra},
     }
-    return WorstPosture(examined[worst], *values[worst], counts)
+    return examined[worst], found
 
 
 def eigenvalues(q: Array) -> tuple[Array, Array]:
@@ -212,8 +188,12 @@ def _grid(count: int) -> Array:
 _LIMIT = 25.0  #: 1/s, where the colours of the maps end
 
 
-def draw(worst: WorstPosture, least: Array) -> Figure:
-    """Maps of the least real parts of both schemes (unstable hatched)."""
+def draw(worst: Array, found: Data, least: Array) -> Figure:
+    """Maps of the least real parts of both schemes (unstable hatched).
+
+    Args:
+        worst, found: of `search`. least: of `posture_map`.
+    """
     titles = (
         r"classic: $M^{-1}K_q J^{-1}SJ$",
         r"ours: $(T^TB^{-1}T)^{-1}T^TB^{-1}K\,T,\ K=BK'$",
@@ -222,12 +202,12 @@ def draw(worst: WorstPosture, least: Array) -> Figure:
         figure = Figure(figsize=(9.0, 4.2))
         figure.suptitle(
             "UR5: the classic scheme is unstable in {classic_unstable}, ours in "
-            "{ours_unstable} of {postures} postures".format(**worst.counts)
+            "{ours_unstable} of {postures} postures".format(**found)
         )
         axes = figure.subplots(1, 2)
         for ax, values, title in zip(axes, least, titles, strict=True):
             shade = _map(ax, values)
-            ax.plot(*np.rad2deg(worst.q[list(JOINTS)]), "X", color="black", mec="white", ms=11)
+            ax.plot(*np.rad2deg(worst[list(JOINTS)]), "X", color="black", mec="white", ms=11)
             x, y = (rf"$q_{joint + 1}$ (°)" for joint in JOINTS)
             ax.set(title=title, xlabel=x, ylabel=y, aspect="equal")
         bar = figure.colorbar(shade, ax=axes, shrink=0.9, extend="both")

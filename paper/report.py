@@ -37,8 +37,6 @@ from paper.figures import ANSWERS, Evidence
 from paper.statements import PAPER, Answer, PaperFigure, Verdict, judge
 from paper.study import Ask, Data, Study
 
-_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}  #: shown: the first there is
-MOST_BYTES = 500_000  #: of a picture; a larger one is shown as PNG
 BROAD = {"fig3", "fig4", "fig5"}  #: these stand above their text
 #: Class, mark and meaning of each verdict.
 _MARKS = {
@@ -102,7 +100,7 @@ def _about(reproduction: Reproduction) -> str:
 
 def _row(figure: PaperFigure, verdict: Verdict) -> str:
     return (
-        f'<tr><td><a href="#{figure.name}">Fig. {figure.number}</a></td>'
+        f'<tr><td><a href="#{figure.name}">Fig. {figure.name[3:]}</a></td>'
         f"<td>{escape(figure.shows)}</td><td>{_badge(verdict)}</td></tr>"
     )
 
@@ -124,7 +122,7 @@ def _section(figure: PaperFigure, reproduction: Reproduction, verdict: Verdict) 
         broad = " broad" * (figure.name in BROAD)
         command = _command(figure.name, reproduction)
     return (
-        f'<section id="{figure.name}"><h2>Fig. {figure.number} {_badge(verdict)}</h2>'
+        f'<section id="{figure.name}"><h2>Fig. {figure.name[3:]} {_badge(verdict)}</h2>'
         f'<div class="pair{broad}"><div class="paper"><h3>The paper shows</h3>'
         f"<p>{escape(figure.shows)}</p><h3>… states, and ours says</h3><ol>{states}</ol>{command}"
         f'</div><div class="ours"><h3>Ours</h3>{ours}</div></div></section>'
@@ -156,18 +154,16 @@ def _study(name: str, made: Study, reproduction: Reproduction) -> str:
 
 
 def _pictures(made: Study, name: str) -> Iterator[str]:
-    """Each figure once, as vectors where there are, with its files to take away."""
-    for stem in dict.fromkeys(path.stem for path in made.files if path.suffix == ".png"):
-        files = {path.suffix: path for path in made.files if path.stem == stem}
-        small = [s for s in _TYPES if s in files and files[s].stat().st_size < MOST_BYTES]
-        suffix = small[0] if small else ".png"
-        source = f"data:{_TYPES[suffix]};base64,{_base64(files[suffix].read_bytes())}"
-        also = ", ".join(path.name for path in files.values() if path.suffix != ".json")
-        words = f"{escape(stem)}: our {escape(name)}"
-        yield (
-            f'<figure><div class="wide"><img src="{source}" alt="{words}" loading="lazy">'
-            f"</div><figcaption>Files beside this page: {escape(also)}</figcaption></figure>"
-        )
+    """Each figure once, with its files to take away."""
+    for path in made.files:
+        if path.suffix == ".png":
+            also = ", ".join(one.name for one in made.files if one.stem == path.stem)
+            yield (
+                f'<figure><div class="wide"><img src="data:image/png;base64,'
+                f'{_base64(path.read_bytes())}" alt="{escape(path.stem)}: our {escape(name)}" '
+                f'loading="lazy"></div><figcaption>Files beside this page: {escape(also)}'
+                "</figcaption></figure>"
+            )
 
 
 def _table(table: Table | None) -> str:

@@ -1,9 +1,8 @@
 """Ours and the best selection laws where plant and controller's model differ: the runs."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from rich.table import Table
@@ -71,23 +70,16 @@ def quantiles(rows: Sequence[Data], law: str) -> Data:
     return told
 
 
-def run(
-    samples: int,
-    folder: Path,
-    seed: int = 0,
-    changes: Sequence[str] = (),
-    workers: int | None = None,
-    tell: Callable[[str], None] = lambda _: None,
-) -> Data:
+def run(ask: Ask, workers: int | None = None) -> Data:
     """Run every case: each sample once under each law, on the same plant with the same seed.
 
     The best law of a family is the one with the least product of force error and motion error.
 
     Args:
-        samples: of each case. seed: of the points, of the runs and of the search for frames.
-        changes: key=value of the scenario, in all runs.
-        folder: for the rows; those that are done there are not run again.
-        workers: see `sweep`. tell: called with what is done.
+        ask: samples of each case; seed of the points, of the runs and of the search for frames;
+            changes of the scenario in all runs; folder for the rows, of which those that are done
+            are not run again.
+        workers: see `sweep`.
 
     Returns:
         JSON-able: how the laws were chosen, the row without anything varied, quantiles of every
@@ -97,12 +89,14 @@ def run(
     Raises:
         ScenarioError, ContactError: the changes do not fit the comparison.
     """
-    changes = (*_AT, *changes)
+    changes = (*_AT, *ask.all_changes())
+    samples = ask.samples or SAMPLES
+    seed = ask.seed
     studies = [
         SweepStudy.of(SCENARIO, vary, samples, seed=seed, overrides=changes)
         for vary in VARIED.values()
     ]
-    tell("best selection laws")
+    ask.tell("best selection laws")
     candidates = {name: _candidates(studies, family, seed) for name, family in BASELINES.items()}
     best = {name: min(some, key=lambda x: x[1] * x[2])[0] for name, some in candidates.items()}
     laws: dict[str, Law] = {"ours": Ours()} | best
@@ -111,11 +105,11 @@ def run(
     for name, study in zip(VARIED, studies, strict=True):
         done = run_rows(
             study,
-            folder / f"robustness_{name}.jsonl",
+            ask.folder / f"robustness_{name}.jsonl",
             partial(_make, laws),
             laws=frames,
             workers=workers,
-            progress=lambda done, all_: tell(f"{done} of {all_} samples of a case"),
+            progress=lambda done, all_: ask.tell(f"{done} of {all_} samples of a case"),
         )
         rows[name] = [done[k] for k in sorted(done)]
     return {
@@ -212,6 +206,5 @@ def tabulate(found: Data) -> Table:
 
 def study(ask: Ask) -> Study:
     """All cases under all laws."""
-    samples = SAMPLES if ask.samples is None else ask.samples
-    found = run(samples, ask.folder, ask.seed, ask.all_changes(), tell=ask.tell)
+    found = run(ask)
     return Study({}, tabulate(found), found)

@@ -24,11 +24,6 @@ class PaperFigure(NamedTuple):
     shows: str
     states: Mapping[str, str]
 
-    @property
-    def number(self) -> int:
-        """1 … 8."""
-        return int(self.name.removeprefix("fig"))
-
 
 class Answer(NamedTuple):
     """What ours says to a statement.

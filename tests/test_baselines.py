@@ -26,6 +26,7 @@ from paper.selection_laws import (
     random_selection,
     structure,
 )
+from paper.study import Ask
 
 KHATIB = BASELINES["khatib"]
 ISAAC = BASELINES["isaac_lab"]
@@ -269,7 +270,7 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
 def test_the_comparison_refuses_what_it_cannot_compare():
     assert "its own plants" in refused("reproduce baselines --plant rigid")
     with invalid_input("judged"):
-        compare(osc.load_scenario("two_contact_rod", ["duration=0.5"]))
+        compare(osc.load_scenario("two_contact_rod", ["duration=0.5"]), Ask())
     tare = "tare={duration: 0.3 s, standoff: 3 mm, approach: 0.3 s}"
     with invalid_input("tare"):
-        compare(osc.load_scenario("two_contact_rod", [tare]))
+        compare(osc.load_scenario("two_contact_rod", [tare]), Ask())

@@ -31,7 +31,7 @@ def rig():
 
 @cache
 def short_run():
-    return cg.run(0.62, STEPS, 0.1)
+    return cg.run(0.62, STEPS)
 
 
 def pose_at(turn, slide):
@@ -138,7 +138,7 @@ def test_a_controller_with_a_wrong_seat_couples():
     assert min(measured_coupling(rig(), law, instant, t=1.5).norms) > 1e-4
 
 
-@mark.parametrize("words", [{"duration": 0.5}, {"duration": np.nan}, {"probe_s": 0.0}])
+@mark.parametrize("words", [{"duration": 0.5}, {"duration": np.nan}])
 def test_a_run_that_cannot_be_judged_is_refused(words):
     with refused(r"judged from t = 0\.5 s"):
         cg.run(**words)

@@ -12,6 +12,7 @@ from headless import Browser, near
 from html_pages import Page
 from matplotlib.image import imread
 from numpy.testing import assert_allclose
+from PIL import Image
 from rich.table import Table
 from samples import ROOT, module_fixture
 from scene_samples import read_commands
@@ -54,7 +55,7 @@ def report(evidence, tmp_path_factory):
     def drawn(name, width=100, more=""):
         png, svg = (folder / f"{name}.{kind}" for kind in ("png", "svg"))
         svg.write_text(SVG.format(width) + more)
-        png.write_bytes(b"\x89PNG")
+        Image.new("RGB", (width, 20)).save(png)
         return png, svg
 
     made = {}
@@ -74,7 +75,7 @@ def report(evidence, tmp_path_factory):
 
 
 def test_the_paper_has_eight_figures_and_all_that_we_make_are_among_them():
-    assert [(f.name, f.number) for f in PAPER] == [(f"fig{n}", n) for n in range(1, 9)]
+    assert [f.name for f in PAPER] == [f"fig{n}" for n in range(1, 9)]
     ours = {name for name in (*FIGURES, *STUDIES) if name.startswith("fig")}
     assert ours <= {figure.name for figure in PAPER}
     assert set(ANSWERS) == set(FIGURES), "figures that are no studies are answered here"
@@ -170,7 +171,7 @@ def test_the_report_tells_statements_numbers_verdicts_and_commands(report):
 def test_the_report_fetches_nothing(report):
     text = report.read_text()
     found = Page(text)
-    assert [v[:14] for v in found.loads] == 5 * ["data:image/svg"] + ["data:image/png"]
+    assert {v[:14] for v in found.loads} == {"data:image/png"} and len(found.loads) == 6
     assert "osc-contact reproduce steps --plant rigid" in text
     assert all(link.startswith("#fig") for link in found.links)
     assert "default-src 'none'" in text and "connect-src data: blob:" in text

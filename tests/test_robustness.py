@@ -86,14 +86,14 @@ def test_rows_are_those_of_single_runs_and_are_not_run_again(tmp_path, monkeypat
     monkeypatch.setattr(study, "_candidates", candidates)
     axes = (np.zeros(3), [np.eye(3)])
     chosen = [Selection.of_axes(*axes, (1, 3)), Selection.of_axes(*axes, (1, 5))]
-    how = {"changes": CHANGES, "workers": 1}
-    first = study.run(1, tmp_path, **how)
-    second = study.run(1, tmp_path, **how)
+    ask = study.Ask(changes=CHANGES, samples=1, folder=tmp_path)
+    first = study.run(ask, 1)
+    second = study.run(ask, 1)
     assert asked == [1] * 4 + [0] * 4 and first["rows"] == second["rows"]
     assert_row_is_that_of_single_runs(first["rows"]["delay"][0], "delay", 0, {"ours": study.Ours()})
     del chosen[0]
     with invalid_input("seed or law"):  # rows of other laws
-        study.run(1, tmp_path, **how)
+        study.run(ask, 1)
 
 
 @mark.slow
