@@ -3,13 +3,12 @@
 from itertools import combinations, pairwise
 
 import numpy as np
-from complaints import invalid_input
 from matplotlib.patches import FancyBboxPatch
 from matplotlib.transforms import Bbox
-from pytest import fixture
+from pytest import fixture, raises
 from scene_samples import RECORDING, changed, make_recording
 
-from osc_contact import load_scenario
+from osc_contact import RecordingError, load_scenario
 from osc_contact.visual import plots
 from paper.diagrams import BLOCKS, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
 from paper.figures import reproduce
@@ -78,7 +77,7 @@ def test_tracking_and_torque_figures():
     (arm,) = plots.torques(limited).axes
     assert "% of its limit" in arm.get_ylabel() and len(arm.lines) == 6, "both limits are drawn"
     assert np.allclose(arm.lines[3].get_ydata()[-1], 80.0) and "80 %" in arm.lines[3].get_label()
-    with invalid_input("no channel 'tau'"):
+    with raises(RecordingError, match="no channel 'tau'"):
         plots.torques(make_recording(without=("tau",)))
 
 

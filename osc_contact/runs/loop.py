@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from inspect import signature
-from math import ceil, inf, log1p
+from math import inf
 from time import perf_counter, sleep
 from typing import Any, NoReturn, Protocol
 
@@ -296,8 +296,6 @@ PRIORITY = 80  #: of SCHED_FIFO; network interrupts of real-time kernels have 50
 SWITCH_S = 5e-5  #: after which Python's other threads give way to the loop
 BIN_S = 5e-6  #: width of the histogram's bins; longer times than 2 ms share the last
 BINS = 400
-BARS = " ▁▂▃▄▅▆▇█"
-BAR_BINS = 20  #: bins of the histogram that a bar shows
 LATE_SHARE = 0.5  #: of the period from reading to writing; a robot needs the rest
 LATE_CYCLES = 1.5  #: periods from one reading to the next
 MOST_MISSED = 20  #: deadlines in a row
@@ -375,20 +373,15 @@ class LoopReport:
 
 
 def latency(loop: Mapping[str, Any]) -> str:
-    """For people: times from a measurement to its torques, and their histogram.
+    """For people: times from a measurement to its torques, and missed deadlines.
 
     Args:
         loop: `LoopReport.as_dict`, as recordings carry it.
     """
     times = loop["read_to_write_us"]
-    counts = loop["histogram"]
-    bars = [sum(counts[k : k + BAR_BINS]) for k in range(0, len(counts), BAR_BINS)]
-    most = log1p(max(*bars, 1))
-    drawn = "".join(BARS[ceil((len(BARS) - 1) * log1p(n) / most)] for n in bars)
     return (
         f"p50 {times['p50']:.0f} µs, p99.9 {times['p99_9']:.0f} µs, max {times['max']:.0f} µs; "
-        f"{loop['missed']} of {loop['ticks']} deadlines missed; a bar for "
-        f"{1e6 * BAR_BINS * BIN_S:.0f} µs, logarithms of counts: |{drawn}|"
+        f"{loop['missed']} of {loop['ticks']} deadlines missed"
     )
 
 

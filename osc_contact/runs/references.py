@@ -22,7 +22,7 @@ from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.scenarios.control_schema import Dither
 from osc_contact.scenarios.quantities import Length
 from osc_contact.scenarios.schema import MotionSpec, Scenario, SurfaceMove
-from osc_contact.scenarios.signals import Sine, Step, Values, rise, total
+from osc_contact.scenarios.signals import Sine, Step, product, rise, total
 from osc_contact.spatial import Array, Poses, as_array, cross, norm, rotated, rotations
 
 
@@ -159,7 +159,7 @@ class References:
             near = np.array(rise(t, tare.duration, tare.approach))
             twists.append((self.standoff, whole - near))
         ways = [
-            (one, np.einsum("ij,djk->dik", one.axes, _product(begun, move.over(t))))
+            (one, np.einsum("ij,djk->dik", one.axes, product(begun, move.over(t))))
             for one, move in zip(self.surfaces, self.scenario.motion, strict=True)
             if one is not None and isinstance(move, SurfaceMove)
         ]
@@ -169,7 +169,7 @@ class References:
         for move, direction in zip(self.scenario.motion, self.directions, strict=True):
             if isinstance(move, SurfaceMove):
                 continue
-            s = _product(begun, total(move.signals, t))
+            s = product(begun, total(move.signals, t))
             if move.kind == "linear":
                 x += direction[:, None] * s[:, None]
             else:
@@ -178,7 +178,7 @@ class References:
                     place = _swung(place, direction, np.array(move.through), s)
         if self.scenario.control.dither is not None:
             slid = slides(self.scenario.control.dither, self.engage_at, t)
-            twists.append((self.showing, np.array(slid)))
+            twists.append((self.showing, slid))
         for twist, s in twists:
             x += twist[:3, None] * s[:, None]
             turn = turn.then(twist[3:], s)
@@ -279,13 +279,6 @@ def _swung(place: Array, axis: Array, through: Array, s: Array) -> Array:
     velocity = cross(w, arm)
     second = cross(w_dot, arm) + cross(w, velocity) + 2.0 * cross(w, carried) + rotated(E, a)
     return np.array([c + arm, velocity + carried, second])
-
-
-def _product(f: Array, g: Array) -> Array:
-    """Product of two functions of time, with derivatives: (3, …) each."""
-    return np.array(
-        (f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2.0 * f[1] * g[1] + f[0] * g[2])
-    )
 
 
 # The tool follows a surface: references for a ball that moves on it, turned with its normal.
@@ -417,8 +410,8 @@ def _shortest(start: Array, n: Array) -> Array:
 SHOWN_TO = float(np.deg2rad(0.5))  #: rad, of normals after a dither, under all errors of a workcell
 
 
-def slides(dither: Dither, start: float, t: Array) -> Values:
-    """Way along the line (m) at times t (k,), its rate and second derivative.
+def slides(dither: Dither, start: float, t: Array) -> Array:
+    """(3, k) way along the line (m) at times t (k,), its rate and second derivative.
 
     A sine that rises within a quarter of the time and fades in the last one.
 
@@ -429,9 +422,8 @@ def slides(dither: Dither, start: float, t: Array) -> Values:
     sine = Sine[Length](
         amplitude=dither.amplitude, frequency=dither.frequency, start=start, ramp=quarter
     )
-    s, s_1, s_2 = sine.at(t)
-    e, e_1, e_2 = rise(t, start + 3.0 * quarter, quarter)
-    return s * (1.0 - e), s_1 * (1.0 - e) - s * e_1, s_2 * (1.0 - e) - 2.0 * s_1 * e_1 - s * e_2
+    whole = np.array([[1.0], [0.0], [0.0]])
+    return product(sine.at(t), whole - rise(t, start + 3.0 * quarter, quarter))
 
 
 def opposed(pairs: Sequence[ContactPair], state: ChainState) -> tuple[Array, Array, Array] | None:

@@ -39,7 +39,8 @@ from osc_contact.scenarios.quantities import (
 
 
 Array = npt.NDArray[np.float64]
-Values = tuple[Any, Any, Any]  #: value, first and second derivative, each a number or (k,)
+#: Value, first and second derivative, each a number or (k,).
+Values = tuple[Any, Any, Any] | npt.NDArray[np.float64]
 V = TypeVar("V", bound=float)
 A = TypeVar("A", bound=float)
 J = TypeVar("J", bound=float)
@@ -239,6 +240,13 @@ def rise(t: Any, start: float, duration: float) -> Values:
     )
 
 
+def product(f: Values, g: Values) -> Array:
+    """Product of two functions of time, with derivatives: (3, …) each."""
+    return np.array(
+        (f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2.0 * f[1] * g[1] + f[0] * g[2])
+    )
+
+
 class Constant(OfQuantity[Q], Generic[Q]):
     """The same value at all times."""
 
@@ -282,18 +290,11 @@ class Sine(OfQuantity[Q], Generic[Q]):
 
     def at(self, t: Any) -> Values:
         """Return the enveloped sine and its exact derivatives (product rule); 0 before start."""
-        e, e_dot, e_ddot = rise(t, self.start, self.ramp)
         omega = 2.0 * math.pi * self.frequency
-        a = float(self.amplitude)
         angle = omega * (t - self.start) + self.phase
-        s = np.sin(angle)
-        s_dot = omega * np.cos(angle)
-        s_ddot = -omega * omega * s
-        return (
-            a * s * e,
-            a * (s_dot * e + s * e_dot),
-            a * (s_ddot * e + 2.0 * s_dot * e_dot + s * e_ddot),
-        )
+        s = self.amplitude * np.sin(angle)
+        wave = s, omega * self.amplitude * np.cos(angle), -omega * omega * s
+        return product(rise(t, self.start, self.ramp), wave)
 
 
 class MinimumJerk(OfQuantity[Q], Generic[Q]):

@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from osc_contact.errors import InvalidInputError
 from osc_contact.files import whole_file
 from osc_contact.recorder import Recording
 from osc_contact.spatial import Array
@@ -114,9 +113,9 @@ def contact_forces(recording: Recording, judged: NDArray[np.bool_] | None = None
             where none is. The rms and peak values leave them out. None: all.
 
     Raises:
-        InvalidInputError: a channel is missing.
+        RecordingError: a channel is missing.
     """
-    t = _get(recording, "t")
+    t = recording["t"]
     names = [name.replace("_", " ") for name in recording.magnitude_names]
     with style():
         figure, axes = panels(len(names) + 1, 2.0)
@@ -126,7 +125,7 @@ def contact_forces(recording: Recording, judged: NDArray[np.bool_] | None = None
             below.text(0.5, 0.5, "no contacts", transform=below.transAxes, ha="center")
             return figure
         desired, measured, true = (
-            _get(recording, key) for key in ("alpha_cmd", "alpha_meas", "alpha_true")
+            recording[key] for key in ("alpha_cmd", "alpha_meas", "alpha_true")
         )
         error = true - desired
         counted = _counted(true.shape, judged)
@@ -157,11 +156,11 @@ def power(recording: Recording, judged: NDArray[np.bool_] | None = None) -> Figu
             values and of the enlarged scale. None: all.
 
     Raises:
-        InvalidInputError: a channel is missing.
+        RecordingError: a channel is missing.
     """
-    t = _get(recording, "t")
-    total = _get(recording, "power_total")
-    projected = _get(recording, "power_projected")
+    t = recording["t"]
+    total = recording["power_total"]
+    projected = recording["power_projected"]
     counted = _counted(total.shape, judged)
     of_total, of_projected = (f"rms {_si(_rms(x[counted]))}W" for x in (total, projected))
     whole = _limits(np.concatenate([total, projected]))
@@ -196,11 +195,11 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
         judged_from: s; earlier times are shaded and left out of the rms values.
 
     Raises:
-        InvalidInputError: a channel is missing.
+        RecordingError: a channel is missing.
     """
-    t = _get(recording, "t")
-    error = 1e3 * _get(recording, "motion_error")
-    position = 1e3 * _get(recording, "pose")[:, :3]
+    t = recording["t"]
+    error = 1e3 * recording["motion_error"]
+    position = 1e3 * recording["pose"][:, :3]
     counted = _counted(t.shape, t >= judged_from - 1e-9)
     contents = [(position - position[0], "object position, from its start", "position (mm)", "")]
     for part, what, kind, unit, about in (
@@ -226,10 +225,10 @@ def torques(recording: Recording) -> Figure:
     Without limits in the recording: in N m, of sliding joints in N.
 
     Raises:
-        InvalidInputError: a channel is missing.
+        RecordingError: a channel is missing.
     """
-    t = _get(recording, "t")
-    tau = _get(recording, "tau")
+    t = recording["t"]
+    tau = recording["tau"]
     limits = recording.meta["effort_limits"]
     names = list(limits)
     groups: dict[str, list[int]] = {}
@@ -251,14 +250,6 @@ def torques(recording: Recording) -> Figure:
                     ax.axhline(limit, color="black", lw=0.9, ls="--")
             legend(ax)
     return figure
-
-
-def _get(recording: Recording, key: str) -> Array:
-    if key not in recording.channels:
-        raise InvalidInputError(
-            f"the recording has no channel {key!r}; it has {sorted(recording.channels)}"
-        )
-    return np.asarray(recording.channels[key], dtype=float)
 
 
 def _counted(shape: tuple[int, ...], judged: Judged | None) -> Judged:
