@@ -113,7 +113,7 @@ class Guarded:
         job.switches = 0
         if self.memory.status == osc.Status.SATURATED:
             fill_program(self.job, 0, 0, self.limits.raw)
-            self.limits.solve(*self.limits.counts.tolist())
+            self.limits.solve()
             settle(self.job, 0, 0, self.limits.raw)
         return osc.Status(int(self.memory.status)), np.array(self.memory.torques)
 

@@ -123,7 +123,8 @@ def solve(case, limits=None):
     if limits is None:
         limits = MADE.setdefault(n, TorqueLimits(n, K_MAX, S_MAX))
     write(limits.program, **{x.name: getattr(case, x.name) for x in fields(case) if x.name != "d"})
-    short = limits.solve(d, r, k, s)
+    write(limits.program, d=d, r=r, k=k, s=s)
+    short = limits.solve()
     assert not limits.lost_force[r:].any() and not limits.lost_motion[: 6 - d].any()
     lost = limits.lost_force[:r], limits.lost_motion[6 - d :], limits.lost_squeeze[:s]
     return limits.tau.copy(), limits.at_limit.copy(), *(x.copy() for x in lost), short
@@ -317,7 +318,7 @@ def test_what_is_not_solved_is_an_error(monkeypatch, verdict):
     solve(random_case(default_rng(69), d=6, r=2, k=2, s=1))
     with raises(osc.SolverError, match="motor limits"):
         MADE[8].Lambda[:] = -np.eye(6)
-        MADE[8].solve(6, 2, 2, 1)
+        MADE[8].solve()
 
     def fail(H, f, *a, **k):
         return np.full(len(f), np.nan), 0.0, verdict, {"lam": np.zeros(len(a[1]))}
@@ -329,11 +330,10 @@ def test_what_is_not_solved_is_an_error(monkeypatch, verdict):
 
 def test_nothing_accumulates():
     limits = TorqueLimits(8, 6, 3)
-    counts = (6, 2, 2, 1)
-    solve(random_case(default_rng(70), 8, *counts), limits)
+    solve(random_case(default_rng(70), 8, 6, 2, 2, 1), limits)
     for _ in range(2):
         before = sys.getallocatedblocks()
         for _ in range(2000):
-            limits.solve(*counts)
+            limits.solve()
         after = sys.getallocatedblocks()
     assert abs(after - before) < 20

@@ -79,7 +79,8 @@ class Phases:
         self.work.chosen[:r] = chosen
         self.work.mobility[:r, :r] = D
         self.work.here[:] = self.here
-        self.work.alpha[:] = alpha
+        self.columns.alpha[:] = alpha
+        self.columns.speed[:] = speed
         self.work.speeds[:] = speed
         for column, here, goal in zip(self.columns, self.here, self.work.goal, strict=True):
             if here:
@@ -208,10 +209,13 @@ def test_torques_go_straight_and_not_too_far(seed):
     rng = default_rng(seed)
     tau, last = rng.standard_normal((2, 8)) * 10
     step = rng.uniform(0.1, 5, 8)
-    out = tau.copy()
-    law.slew(out, last, step, len(out))
-    share = min(1.0, (step / np.abs(tau - last)).min())
-    assert_allclose(out, last + share * (tau - last), rtol=0, atol=1e-12)
+    for begun in (False, True):
+        out = tau.copy()
+        given = last.copy()
+        law.slew(out, given, step, begun)
+        share = min(1.0, (step / np.abs(tau - last)).min()) if begun else 1.0
+        assert_allclose(out, last + share * (tau - last), rtol=0, atol=1e-12)
+        assert_array_equal(given, out)
 
 
 #: three columns of two closed contacts that share two integrals; a third contact is open

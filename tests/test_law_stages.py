@@ -83,8 +83,8 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     names = ("gain", "damping", "least", "brake")
     t = records(contacts=4, columns=4)
     t.model.columns.contact[:] = [1, 0, 2, 3]
-    t.work.columns.chosen[:3] = [2, 0, 1]
-    write(t.work, rank=2, count=3 if dependent else 2, keep=[1.0, 0.0], **dict.fromkeys(names, 7.0))
+    t.work.chosen[:3] = [2, 0, 1]
+    write(t.work, rank=2, count=3 if dependent else 2, kept=[0, 2], **dict.fromkeys(names, 7.0))
     for name, row in zip(names, laws, strict=True):
         getattr(t.memory.contacts, name)[:] = row
     reading.contact_laws(t)
@@ -220,7 +220,8 @@ def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
 def judged(N, Lambda, held, m=0):
     """The reason of `require_reachable`, which column, and what is left."""
     t = records(held=held)
-    write(t.work, rank=len(N), locked=m, N_t=7.0, Lambda=Lambda, where=-1, amount=-1.0)
+    Lambda_S = Lambda + held * np.eye(6)
+    write(t.work, rank=len(N), locked=m, N_t=7.0, Lambda=Lambda_S, where=-1, amount=-1.0)
     t.work.N_t[: len(N)] = N
     return command.require_reachable(t), t.work, t
 
@@ -439,22 +440,22 @@ def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     model, memory, work, _ = views(rows)
     write(model, torque_rate=rate, phase_rate=1.0, period=1e-3)
     write(model.joints, motor=[1, 0], tau_max=[10.0, 30.0])
-    write(
-        work, n_internal=n_internal, rank=1, dt=1e-3, internal=[8.0], force_next=[3.0], gain=[20.0]
-    )
+    write(work, n_internal=n_internal, rank=1, dt=1e-3, force_next=[3.0], gain=[20.0])
+    work.bars[:] = 8.0
+    work.basis[:, :1] = 0.6
     memory.ticked = ticked
     program = TorqueLimits(2, 1, 1)
     write(program.program, tau=[6.0, -1.0], lost_force=[50.0], lost_squeeze=[5.0])
     settle(rows.raw, 0, 0, program.raw)
     close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1
-    return memory.torques.copy(), work.internal[0]
+    return memory.torques.copy(), work.bars.tolist()
 
 
 def test_torques_within_the_limits_change_no_faster_than_others():
     close(settled(1)[0], [6.0, -1.0])  # the first tick has none before it
     close(settled(2)[0], [3.0, -0.5])  # 100/s of 30 N m, in 1 ms
     close(settled(2, rate=1e9)[0], [6.0, -1.0])
-    assert settled(2)[1] == 3.0
-    assert settled(2, n_internal=0)[1] == 8.0, "what is lost is of an older tick"
-    assert settled(2, n_arms=3)[1] == 8.0, "these have bars"
+    assert settled(2)[1] == [5.0]
+    assert settled(2, n_internal=0)[1] == [8.0], "what is lost is of an older tick"
+    assert settled(2, n_arms=3)[1] == [5.0] * 3

@@ -69,10 +69,10 @@ class Forces:
         """α_s of the columns in N."""
         t = self.t
         t.work.count = len(self.chosen)
-        t.work.columns.chosen[: t.work.count] = self.chosen
+        t.work.chosen[: t.work.count] = self.chosen
         t.work.goal[:] = goal
         t.work.alpha[:] = measured
-        commands.shape_steps(t)
+        commands.shape_steps(t, False)
         t.work.here[:] = np.isin(range(len(t.work.here)), self.chosen)
         t.work.speeds[:] = speed
         commands.brake_contacts(t)
@@ -252,8 +252,7 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     assert forces.kept[0].drift == approx(drift), "the integral rests, and so does v̄"
     t = records(columns=3, contacts=1)
     t.memory.columns.drift[:] = [0.5, 0.0, drift]
-    t.work.columns.chosen[:2] = [2, 0]
-    write(t.work, rank=2, keep=[1.0, 0.0], speed=[0.3, 0.7], brake=[20.0, 10.0])
+    write(t.work, rank=2, kept=[0, 2], speed=[0.3, 0.7], brake=[20.0, 10.0])
     commands.brake_contacts(t)
     assert_allclose(t.work.brake[:2], [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])
 

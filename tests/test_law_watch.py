@@ -140,8 +140,7 @@ class Contacts:
         self.memory = self.t.memory
         self.kept = self.t.memory.columns
         write(self.memory, force_rank=2, state=at.RUN, culprit=-1)
-        write(self.t.work, rank=2, keep=[0.0, 2.0])
-        self.t.work.columns.chosen[:] = [2, 9, 0, 9]
+        write(self.t.work, rank=2, kept=[2, 0])
 
     def tick(self, alpha, wanted, speed=(0.0, 0.0)):
         write(self.t.work, alpha_meas=alpha, alpha_d=wanted, speed=speed)
@@ -306,10 +305,9 @@ class Approach:
         self.work = t.work
         self.kept = t.memory.columns
         write(t.memory, compared=1, X_WO=np.eye(4) + np.eye(4, k=3))
-        write(t.work, rank=2, keep=[0.0, 2.0], V_N=0.01 * rng.standard_normal(2))
+        write(t.work, rank=2, kept=[3, 1], V_N=0.01 * rng.standard_normal(2))
         t.model.columns.contact[:] = [0, 0, 1, 1]
         t.memory.contacts.phase[:] = phase
-        t.work.columns.chosen[:] = [3, 1, 1, 0]
         t.work.columns.N[:] = rng.standard_normal((4, 6))
         self.kept.known[:] = 1
 

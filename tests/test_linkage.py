@@ -125,17 +125,18 @@ def answer(state, chain):
     t = records(len(chain.arms), chain.nq, angle_tolerance=chain.angle_tolerance)
     ends = [(s.start, s.stop) for s in chain.slices]
     write(t.model.arms, **dict(zip(("first", "end"), zip(*ends, strict=True), strict=True)))
-    efforts = np.zeros(chain.nq)
-    efforts[chain.actuated] = effort_scale(chain.tau_max)
-    driven = np.zeros((chain.nq, 6))
-    driven[chain.actuated, : state.d] = state.G.T
+    t.model.joints.effort[chain.actuated] = effort_scale(chain.tau_max) ** 2
+    L = np.linalg.cholesky(state.metric)
+    V, beta = np.linalg.qr(np.linalg.solve(L, state.C), mode="raw")
+    reflectors = np.triu(V, 1) + np.eye(*V.shape)
     locked = np.hstack([arm.C[:3] for arm in state.arms]).T
     owners = np.repeat(np.arange(len(chain.arms)), [arm.C.shape[1] for arm in state.arms])
-    levers = np.vstack([arm.J_bar[:, :3] for arm in state.arms])
+    t.work.joints.J_bar = np.vstack([np.linalg.solve(L, arm.J_bar.T).T for arm in state.arms])
     carried = locked / np.sqrt(chain.reference.inertia.mass)
     work = t.work
-    write(work, points=state.grasp_points, force_levers=levers, efforts=efforts, driven=driven)
-    write(work, carried=carried, owners=owners)
+    write(work, points=state.grasp_points, carried=carried, owners=owners, locked=len(beta))
+    write(work, reflectors=reflectors, beta=beta)
+    work.axes[0] = L[:3, :3].T
     for out in (work.levers, work.basis, work.scratch):
         out[:] = np.nan
     s = allocation.settable_bars(t, len(locked))

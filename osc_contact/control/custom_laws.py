@@ -165,7 +165,7 @@ class CustomParts:
                 first = records.model.pairs.first[number]
                 rows = records.work.columns[first : first + N.shape[1]]
                 rows.N = N.T
-                rows.n_gamma_all = n_gamma
+                rows.n_gamma = n_gamma
                 if points is not None:
                     rows.point = points
             if self._bodies and measurement.touched is not None:
@@ -376,8 +376,8 @@ class _Structure:
         work = records.work
         m = int(work.locked)
         turn = records.reflection() @ records.motions().T  # of wrenches
-        Lambda = work.Lambda + float(records.model.held != 0) * np.eye(6)
-        columns = work.columns[work.columns.chosen[: int(work.count)]]
+        Lambda = work.Lambda
+        columns = work.columns[work.chosen[: int(work.count)]]
         reading = work.f_meas - work.bias_out
         A, f = self.command(work, columns.alpha_d @ columns.N, reading)
         f = turn @ (f + records.memory.f_bias)

@@ -56,7 +56,7 @@ class _Facts(dict[str, Any]):
             case "column_contact":
                 return self._contact(where)
             case "n_gamma":
-                return float(rows.work.columns.n_gamma_all[where])
+                return float(rows.work.columns.n_gamma[where])
             case "kept":
                 return int(rows.kept()[where])
             case "kept_contact":

@@ -487,13 +487,12 @@ class TickRecords:
 
     def kept(self) -> Array:
         """(r,) which columns of N were kept, of all."""
-        return self.work.columns.chosen[self.work.keep[: int(self.work.rank)].astype(int)]
+        return self.work.kept[: int(self.work.rank)]
 
     def shares(self) -> Array:
         """R (r, columns in force): every column in force from the kept ones."""
-        r = int(self.work.rank)
-        count = int(self.work.count)
-        return np.eye(r) if r == count else self.work.columns.share[:count, :r].T.copy()
+        chosen = self.work.chosen[: int(self.work.count)]
+        return self.work.columns.share[chosen, : int(self.work.rank)].T.copy()
 
     def spread(self) -> tuple[Array, Array]:
         """Measured magnitudes and speeds (r_all,), 0 where the contact was out of N.
@@ -501,15 +500,12 @@ class TickRecords:
         Where columns depend on others this is one split of many, see `Contact.magnitudes`.
         """
         r = int(self.work.rank)
-        count = int(self.work.count)
         out = np.zeros((2, len(self.work.columns)))
         if r:
             R = self.shares()
-            chosen = self.work.columns.chosen[:count]
-            alpha = self.work.alpha_meas[:r]
-            speed = self.work.speed[:r]
-            out[0, chosen] = alpha if r == count else R.T @ np.linalg.solve(R @ R.T, alpha)
-            out[1, chosen] = speed @ R
+            chosen = self.work.chosen[: int(self.work.count)]
+            out[0, chosen] = R.T @ np.linalg.solve(R @ R.T, self.work.alpha_meas[:r])
+            out[1, chosen] = self.work.speed[:r] @ R
         return out[0], out[1]
 
     def lost_directions(self, names: list[str]) -> tuple[LostDirection, ...]:

@@ -145,7 +145,7 @@ def _parts(content: bytes) -> list[Any]:
 def _is_whole(raw: Bytes, program: Bytes) -> bool:
     """Whether records and tables are where those of new ones with the same counts are."""
     sizes = ("n_arms", "n_joints", "n_motors", "n_contacts", "n_shapes", "n_columns")
-    derived = ("n_pairs", "n_bars", "n_extra", "row_bytes", "memory_bytes")
+    derived = ("n_bars", "n_extra", "row_bytes", "memory_bytes")
     try:
         at = int(records.JOB.view(raw).model)
         (head,) = raw[at:][: records.MODEL.dtype.itemsize].view(records.MODEL.dtype)

@@ -44,8 +44,7 @@ class TickResult:
         """(1,) internal force along the grasp line (N), > 0 compresses; with k ≥ 3 arms
         (k(k − 1)/2,) that between each two grasps, as in `Reference.squeeze_d`, or zeros where none
         is commanded."""
-        work = self.records.work
-        return work.bars if len(work.bars) > 1 else work.internal
+        return self.records.work.bars
 
     @property
     def friction(self) -> Array:
@@ -117,7 +116,7 @@ class Signals(TickResult):
     @cached_property
     def _active(self) -> list[int]:
         """Contacts with columns in force, in their order."""
-        chosen = self.columns.chosen[: int(self.count)]
+        chosen = self.records.work.chosen[: int(self.count)]
         return list(dict.fromkeys(self.records.model.columns.contact[chosen].tolist()))
 
     @cached_property
@@ -126,7 +125,7 @@ class Signals(TickResult):
         for c in self._active:
             mine = self.columns[self.records.model.columns.contact == c]
             name = self._settings.contacts[c].name
-            out.append(Contact(mine.N.T, mine.n_gamma_all, name=name))
+            out.append(Contact(mine.N.T, mine.n_gamma, name=name))
         return out
 
     @cached_property

@@ -18,7 +18,7 @@ def relieve(program: TorqueLimits, rows: TickRecords) -> None:
     """
     place = (rows.rows.raw, rows.at, rows.index, program.raw)
     fill_program(*place)
-    program.solve(*program.counts.tolist())
+    program.solve()
     settle(*place)
 
 
@@ -43,13 +43,10 @@ class MotorLimits:
         r = int(program.r)
         s = int(program.s)
         lost = program.lost_force[:r].copy()
-        squeeze = program.lost_squeeze[:s].copy()
-        if len(rows.work.bars) > 1:
-            squeeze = rows.work.basis[:, :s] @ squeeze
+        squeeze = rows.work.basis[:, :s] @ program.lost_squeeze[:s]
         motors = np.flatnonzero(program.at_limit)
-        if r != int(rows.work.count):
-            R = rows.shares()
-            lost = R.T @ np.linalg.solve(R @ R.T, lost)
+        R = rows.shares()
+        lost = R.T @ np.linalg.solve(R @ R.T, lost)
         return LimitLoss(
             tuple(chain.joint_names[chain.actuated[i]] for i in motors),
             program.desired[motors],

@@ -367,7 +367,6 @@ def _merge(arms: Sequence[Arm]) -> pin.Model:
 # Arms, grasps and object of a closed chain as records of the law, see `law.tables`.
 
 
-_UPPER = np.triu_indices(3)
 _KINDS = {"rigid": at.RIGID, "hinge": at.HINGE, "ball": at.BALL, "other": at.OTHER}
 
 
@@ -494,8 +493,8 @@ def _flat_pose(X: SE3) -> Array:
 
 
 def _flat_inertia(inertia: pin.Inertia) -> Array:
-    """(10,) mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)."""
-    return np.array([inertia.mass, *inertia.lever, *inertia.inertia[_UPPER]])
+    """(13,) mass, centre, inertia about it by rows."""
+    return np.array([inertia.mass, *inertia.lever, *inertia.inertia.ravel()])
 
 
 _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
@@ -565,7 +564,7 @@ def read_state(chain: ClosedChain, now: Look, rest: Look, data: pin.Data) -> Cha
     S = motion @ free
     sigma = work.sigma[:m]
     sigma_e = locked @ sigma
-    Lambda = work.Lambda[m:, m:] + (chain.payload is not None) * np.eye(6 - m)
+    Lambda = work.Lambda[m:, m:].copy()
     p = rest.work.chain_bias[m:].copy()
     mu = work.chain_bias[m:] + work.Lambda[m:, :m] @ sigma - p
     W = joints.J_bar @ free
@@ -632,7 +631,7 @@ def _arm_terms(
         mu=J_bar.T @ joints.h - p - Lambda @ gamma,
         p=p,
         C=wrench @ own.resisted[: int(own.n_locked)].T,
-        N=wrench @ own.kept[:rank].T if own.passed.any() else np.eye(6),
+        N=wrench @ own.kept[:rank].T if now.head.arms[number].m < 6 else np.eye(6),
         rank=rank,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.vectors import ZERO, accumulate, add, dot6, fill, reflector, scaled, six
+from osc_contact.law.vectors import accumulate, add, dot6, fill, reflector, scaled, six
 
 _SINGULAR = 1e-10
 _NOTHING = 1e-280  #: below, numbers have fewer digits soon
@@ -18,10 +18,14 @@ def dot(a, b, n):
     Args:
         a, b: rows. n: how many elements of them count.
     """
-    s = 0.0
-    for i in range(n):
-        s += a[i] * b[i]
-    return s
+    even = 0.0  # two sums: the next product need not wait for the last one
+    odd = 0.0
+    for i in range(0, n - 1, 2):
+        even += a[i] * b[i]
+        odd += a[i + 1] * b[i + 1]
+    if n % 2 == 1:
+        even += a[n - 1] * b[n - 1]
+    return even + odd
 
 
 @inner
@@ -63,6 +67,20 @@ def cholesky(A, first, n, L):
     return least
 
 
+@leaf
+def forward_rows(L, n, X):
+    """Overwrite the rows X[:n, :6] with L⁻¹X.
+
+    Args:
+        L: (n, n) factor. n: its size. X: rows of six, overwritten.
+    """
+    for i in range(n):
+        x = six(X[i])
+        for k in range(i):
+            x = add(x, -L[i, k], X[k])
+        fill(X[i], scaled(L[i, i], x))
+
+
 @inner
 def forward(L, n, x, first):
     """Overwrite x[first : first + n] with L⁻¹x, L from `cholesky`.
@@ -100,38 +118,6 @@ def cholesky_solve(L, n, x, first):
     """
     forward(L, n, x, first)
     backward(L, n, x, first)
-
-
-@inner
-def invert_spd6(A, L, out):
-    """out = A⁻¹ (6, 6), through its Cholesky factor; the pivots' least share as in `cholesky`.
-
-    Args:
-        A: (6, 6) positive definite. L: (6, 6) scratch. out: (6, 6).
-    """
-    least = cholesky(A, 0, 6, L)
-    if not least > 0.0:
-        return 0.0
-    for i in range(6):  # rows of L⁻¹
-        fill(out[i], ZERO)
-        out[i, i] = 1.0
-        for k in range(i):
-            accumulate(out[i], -L[i, k], out[k])
-        fill(out[i], scaled(L[i, i], out[i]))
-    square_lower(out, L)
-    for i in range(6):
-        fill(out[i], L[i])
-    return least
-
-
-@leaf
-def square_lower(B, out):
-    """out = BᵀB of a lower triangular B (6, 6)."""
-    for i in range(6):
-        x = ZERO
-        for k in range(i, 6):
-            x = add(x, B[k, i], B[k])
-        fill(out[i], x)
 
 
 @inner
@@ -233,12 +219,10 @@ def back_substitute(X, rows, length, diagonal, Z):
         X, rows, diagonal: from `qr_rows`. length: of each row of Z. Z: right sides, then solutions.
     """
     for k in range(rows - 1, -1, -1):
-        inverse = 1.0 / diagonal[k]
+        for j in range(k + 1, rows):
+            add_scaled(-X[j, k], Z[j], length, Z[k])
         for i in range(length):
-            s = Z[k, i]
-            for j in range(k + 1, rows):
-                s -= X[j, k] * Z[j, i]
-            Z[k, i] = s * inverse
+            Z[k, i] /= diagonal[k]
 
 
 @inner
@@ -284,11 +268,12 @@ def one_sided_jacobi(X, count, length, carried):
 def orthonormalise(X, r, m, Q, L):
     """X = L Q over the elements m … 5 of rows: Q (r, 6) orthonormal, L (r, r) lower triangular.
 
-    The first m elements of Q are zero. Modified Gram–Schmidt, twice. Returns the least |L_aa|
-    beside its row's length; 0: a zero row.
+    The first m elements of Q are zero. Modified Gram–Schmidt, twice. L carries the inverse of its
+    diagonal there, as in `cholesky`. Returns the least |L_aa| beside its row's length; 0: a zero
+    row.
 
     Args:
-        X: rows. r: how many. m: first element that counts. Q, L: for the factors.
+        X: rows. r: how many. m: first element that counts. Q, L: for the factors; Q may be X.
     """
     least = 1.0
     for a in range(r):
@@ -307,38 +292,10 @@ def orthonormalise(X, r, m, Q, L):
         square = dot6(x, x)
         if not square > 0.0:
             return 0.0
-        L[a, a] = sqrt(square)
-        fill(Q[a], scaled(1.0 / L[a, a], x))
-        least = min(least, L[a, a] / sqrt(whole))
+        L[a, a] = 1.0 / sqrt(square)
+        fill(Q[a], scaled(L[a, a], x))
+        least = min(least, sqrt(square / whole))
     return least
-
-
-@inner
-def solve_lower(L, r, x):
-    """x ← L⁻¹x, L (r, r) lower triangular.
-
-    Args:
-        L: factor. r: its size. x: (r,), overwritten.
-    """
-    for a in range(r):
-        s = x[a]
-        for b in range(a):
-            s -= L[a, b] * x[b]
-        x[a] = s / L[a, a]
-
-
-@inner
-def solve_lower_transposed(L, r, x):
-    """x ← L⁻ᵀx.
-
-    Args:
-        L, r, x: as of `solve_lower`.
-    """
-    for a in range(r - 1, -1, -1):
-        s = x[a]
-        for b in range(a + 1, r):
-            s -= L[b, a] * x[b]
-        x[a] = s / L[a, a]
 
 
 @inner
@@ -362,5 +319,5 @@ def project_onto_columns(L, Q, r, x, target):
     Args:
         L, Q: from `orthonormalise`. r: how many rows. x: (6,), target: (r,), both overwritten.
     """
-    solve_lower(L, r, target)
+    forward(L, r, target, 0)
     project_onto_constraint(Q, r, x, target)

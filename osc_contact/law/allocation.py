@@ -1,4 +1,4 @@
-"""Motor torques for a commanded object force and internal forces: least torques, squeeze, bars."""
+"""Motor torques for a commanded object force and internal forces: least torques, forces in bars."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from osc_contact.law.algebra import (
     cholesky,
     cholesky_solve,
     dot,
-    form_q,
     forward,
     one_sided_jacobi,
-    qr_rows,
 )
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.chain import UNACTUATED
 from osc_contact.law.jit import inner, leaf, matrix
-from osc_contact.law.operational import retreat
+from osc_contact.law.operational import null_motions, retreat
 from osc_contact.law.reasons import NO_REASON
 from osc_contact.law.vectors import (
     ZERO,
@@ -26,7 +24,6 @@ from osc_contact.law.vectors import (
     divided3,
     dot3,
     dot6,
-    energy_motion,
     fill,
     fill3,
     minus3,
@@ -39,7 +36,7 @@ from osc_contact.law.vectors import (
     wrench_to_energy,
 )
 
-# --- Three grasps and more: forces in the bars of a virtual linkage -------------------------------
+# --- Two grasps and more: forces in the bars of a virtual linkage ---------------------------------
 #
 # A bar joins each pair of grasp points, in the order (1, 2), (1, 3), …, (k − 1, k), and carries t,
 # positive where the arms compress it (Williams and Khatib, "The virtual linkage: a model for
@@ -47,7 +44,7 @@ from osc_contact.law.vectors import (
 # i to grasp j, arm i adds t e to the force it exerts on the object and arm j −t e: f = E t, a
 # field without resultant. Back from forces, t = E⁺f; all of it is newtons, so that the least
 # squares in E⁺ weigh no metre. Bars that depend on one another (four grasps in a plane, three in
-# a line) share what E⁺ gives them.
+# a line) share what E⁺ gives them. Two grasps have one bar, and its force is their squeeze.
 #
 # Everything is done on rows: rotations that make the rows of a matrix orthogonal (one-sided Jacobi)
 # are the left factor of its SVD, and whatever stands behind the rows is rotated along.
@@ -99,16 +96,21 @@ def settable_bars(t, n_locked):
             Y[row, behind + bar] = X[row, 3 * k + bar]
             for j in range(n):
                 levers[bar, j] += X[row, 3 * k + bar] * Y[row, n_locked + j]
+    if k == 2:  # its row shows whether the grasps pass it on, see `add_row`
+        basis[0, 0] = 1.0
+        return rank
     count = rank
     if n_locked > 0:
         one_sided_jacobi(Y, rank, n_locked, n + bars)
         count = _keep(Y, rank, n_locked, behind + bars, -1.0, tolerance * tolerance)
     # torques by their effort: Q spans those that move the object, Z those that the bars feel
     for j in range(n):
+        effort = sqrt(t.model.joints[j].effort)
+        driven = turned(work, work.joints[j].J_bar)
         for row in range(6):
-            Q[row, j] = work.driven[j, row] * work.efforts[j]
+            Q[row, j] = driven[row] * effort if row >= work.locked else 0.0
         for row in range(count):
-            Y[row, n_locked + j] *= work.efforts[j]
+            Y[row, n_locked + j] *= effort
             Z[row, j] = Y[row, n_locked + j]
     moving = _orthonormalise(Q, 6, n, _DEPENDENT)
     felt = _orthonormalise(Z, count, n, _DEPENDENT)
@@ -178,7 +180,8 @@ def _see_forces(t, rank, X, n_locked, Y):
             Y[row, c] = dot3(X[row, 3 * work.owners[c] :], work.carried[c])
         for i in range(t.model.n_arms):
             for j in range(t.model.arms[i].first, t.model.arms[i].end):
-                Y[row, n_locked + j] = dot3(X[row, 3 * i :], work.force_levers[j])
+                force = rotated_back(work.axes[0], work.joints[j].J_bar)  # in world axes: L f̃
+                Y[row, n_locked + j] = dot3(X[row, 3 * i :], force)
 
 
 @inner
@@ -240,51 +243,23 @@ def _orthonormalise(X, count, length, tolerance):
     return count
 
 
-# --- Rows of the allocation: squeeze of two arms, bars of more ------------------------------------
-
-_COINCIDE = 1e-9  #: m; grasps nearer than this have no line between them
+# --- Rows of the allocation: forces in the bars ---------------------------------------------------
 
 
 @inner
 def internal_rows(t, d):
-    """Rows of the commanded internal forces, and what they are to be; returns their number.
+    """Rows of the settable bar forces, and what they are to be; returns their number.
 
     Args:
         d: rows before these.
     """
-    arms = t.model.arms
-    work = t.work
-    joints = work.joints
-    squeeze = t.memory.squeeze[0]
-    if t.model.n_arms > 2:
-        return 0 if work.commanded == 0 else _bar_rows(t, d)
-    start = place_point(joints[arms[0].tip_joint], arms[0].tip[9:])
-    line = minus3(place_point(joints[arms[1].tip_joint], arms[1].tip[9:]), start)
-    square = dot3(line, line)
-    work.internal[0] = 0.0
-    if square < _COINCIDE * _COINCIDE:
-        return 0
-    line = scaled3(0.5 / sqrt(square), line) + (0.0, 0.0, 0.0)
-    fill(work.line, energy_motion(work.axes, line))
-    offset = 0.0
-    for k in range(2):
-        for j in range(arms[k].first, arms[k].end):
-            lever = (1.0 - 2.0 * k) * dot6(joints[j].J_bar, work.line)
-            work.extra[0, j] = lever
-            offset += lever * (joints[j].inertial - joints[j].rest)
-    work.sides[d] = squeeze + offset
-    work.internal[0] = squeeze
-    return 1
-
-
-@inner
-def _bar_rows(t, d):
-    """Rows of the settable bar forces of three arms and more."""
     model = t.model
     work = t.work
     joints = work.joints
     n = model.n_joints
     bars = model.n_bars
+    if work.commanded == 0:
+        return 0
     locked = 0
     for i in range(model.n_arms):
         arm = model.arms[i]
@@ -294,13 +269,6 @@ def _bar_rows(t, d):
             fill3(work.carried[locked], divided3(force, model.roots[0]))
             work.owners[locked] = i
             locked += 1
-    for j in range(n):
-        work.efforts[j] = sqrt(model.joints[j].effort)
-        # forces in world axes: L f̃
-        fill3(work.force_levers[j], rotated_back(work.axes[0], joints[j].J_bar))
-        fill(work.driven[j], turned(work, joints[j].J_bar))
-        for i in range(work.locked):
-            work.driven[j, i] = 0.0
     count = settable_bars(t, locked)
     for e in range(count):
         side = 0.0
@@ -318,14 +286,14 @@ def _bar_rows(t, d):
 
 @inner
 def internal_forces(t):
-    """Forces (bars,) between each two of three grasps and more that the joints' torques make."""
+    """Forces (bars,) between each two grasps that the joints' torques make."""
     joints = t.work.joints
     out = t.work.bars
     n = t.model.n_joints
     bars = t.model.n_bars
     for c in range(bars):
         out[c] = 0.0
-        for j in range(n if t.work.commanded != 0 else 0):
+        for j in range(n if t.work.commanded else 0):
             out[c] += t.work.levers[c, j] * (
                 joints[j].tau - joints[j].friction - joints[j].inertial
             )
@@ -453,7 +421,7 @@ def _weigh(t, row, out):
 #
 #     τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0),   A = [G; E],   Z = A R⁻¹Aᵀ
 #
-# E holds the squeeze of two arms, the settable bar forces of three and more, and the
+# E holds the settable bar forces and the
 # motions that only single arms have, because their grasp or their posture leaves them
 # idle, as far as the motors drive them. Arms with more joints than they need hold their posture
 # in the dynamically consistent null space, τ_0 = (1 − JᵀJ̄ᵀ)(h + M(−k_d q̇ + k_p(q₀ − q)) +
@@ -465,9 +433,7 @@ def command_object(t):
     """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ α_u + f_bias): eq. 21, turned."""
     work = t.work
     bias = turned(work, wrench_to_energy(work, t.memory.f_bias))
-    held = 1.0 if t.model.held != 0 else 0.0
-    f_S = add(plus(work.chain_bias, bias), held, work.x)
-    f_S = plus(f_S, times6(work.Lambda, work.x))
+    f_S = plus(plus(work.chain_bias, bias), times6(work.Lambda, work.x))
     for a in range(work.rank):
         f_S = add(f_S, work.alpha_u[a], work.pushed_t[a])
     fill(work.f_S, f_S)
@@ -501,12 +467,12 @@ def allocate_torques(t):
     d = 6 - work.locked
     b = work.sides
     for k in range(model.n_arms):
-        if work.arms[k].wide != 0:
+        if work.arms[k].wide:
             _hold_posture(t, arms[k], work.arms[k])
         else:
             for j in range(arms[k].first, arms[k].end):
                 joints[j].rest = 0.0
-    if model.n_arms == 1 and work.arms[0].wide != 0 and work.n_lost == 0:
+    if model.n_arms == 1 and work.arms[0].wide and work.n_lost == 0:
         f = _from_free(work, work.f_S[work.locked :])  # τ = τ_0 + Jᵀf: no other arm has a share
         for j in range(n):
             joints[j].tau = joints[j].rest + dot6(joints[j].J, f)
@@ -514,9 +480,7 @@ def allocate_torques(t):
         return NO_REASON
     for i in range(d):
         b[i] = work.f_S[work.locked + i]
-    count = 0
-    if model.n_bars > 0:
-        count = internal_rows(t, d)
+    count = internal_rows(t, d)
     work.n_internal = count
     if not factor_effort(t):
         return UNACTUATED
@@ -526,7 +490,7 @@ def allocate_torques(t):
                 return UNACTUATED
             count = 0  # the grasps pass on no separate squeeze: f_S decides it
             work.n_internal = 0
-            work.internal[0] = 0.0
+            work.commanded = 0
     size = d + count
     own = _own_motions(t, d, count)
     for e in range(count, count + own):
@@ -561,15 +525,11 @@ def _hold_posture(t, arm, own):
     """rest = (1 − JᵀJ̄ᵀ)τ₀, τ₀ = h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q), of a wide arm."""
     model = t.model
     joints = t.work.joints
-    q = t.input.q
     lo = arm.first
     moved = ZERO
     for j in range(lo, arm.end):
-        M = joints[j].M
-        s = joints[j].h + M[j - lo] * push_from_limits(model.joints[j], q[j])
-        for k in range(lo, arm.end):
-            back = model.posture_stiffness * (model.joints[k].posture - q[k])
-            s += M[k - lo] * (back - model.posture_damping * t.input.v[k])
+        push = push_from_limits(model.joints[j], t.input.q[j])
+        s = joints[j].h + joints[j].M[j - lo] * push + retreat(t, arm, j, model.posture_damping)
         joints[j].rest = s
         joints[j].tau = s  # τ₀ itself
         moved = add(moved, s, joints[j].J_bar)
@@ -589,7 +549,7 @@ def _retreat_from_lost(t, arm, own):
         mode = own.mode[e]
         along = 0.0
         for j in range(lo, hi):
-            back = retreat(t, lo, hi, j, joints[j].h)
+            back = joints[j].h + retreat(t, arm, j, t.model.retreat_damping)
             if own.gone[e] != 0.0:
                 along += mode[j - lo] * (back - joints[j].tau)
             else:
@@ -610,27 +570,25 @@ def _own_motions(t, d, first):
     model = t.model
     work = t.work
     joints = work.joints
-    X = work.X
-    Q = work.Z
     count = first
     for k in range(model.n_arms):
         own = work.arms[k]
-        lo = model.arms[k].first
-        n = model.arms[k].end - lo
-        if own.wide != 0 or own.n_kept >= n:
+        arm = model.arms[k]
+        lo = arm.first
+        n = arm.end - lo
+        if own.wide or own.n_kept >= n:
             continue
-        for a in range(own.n_kept):
-            for j in range(n):
-                X[a, j] = dot6(own.kept[a], joints[lo + j].J)
-        qr_rows(X, own.n_kept, n, work.s, work.t)
-        form_q(X, own.n_kept, n, work.t, n, Q)
+        for j in range(n):
+            fill(work.Z[j], joints[lo + j].J)
+        null_motions(work, own, n)
         for a in range(own.n_kept, n):
             side = 0.0
             for j in range(model.n_joints):
                 work.extra[count, j] = 0.0
             for i in range(n):
-                side += Q[a, i] * retreat(t, lo, lo + n, lo + i, joints[lo + i].h)
-                work.extra[count, lo + i] = Q[a, i]
+                back = retreat(t, arm, lo + i, model.retreat_damping)
+                side += work.Z[a, i] * (joints[lo + i].h + back)
+                work.extra[count, lo + i] = work.Z[a, i]
             work.sides[d + count] = side
             count += 1
     if count > first or work.n_lost > 0:

@@ -11,9 +11,11 @@ from math import cos, sin
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.vectors import (
     ZERO,
+    add3,
     angular,
     cross,
     cross_motion,
+    dot3,
     dot6,
     fill,
     fill3,
@@ -22,6 +24,7 @@ from osc_contact.law.vectors import (
     plus,
     plus3,
     rotated,
+    rotated9,
     rotated9_back,
     scaled,
     scaled3,
@@ -96,43 +99,26 @@ def turn_axes(R, own, out):
 
 @leaf
 def _place_body(w, C, link, body):
-    """A body given in a joint (mass, centre, inertia about it) in world axes about C.
+    """A body given in a joint (mass, centre, inertia about it by rows) in world axes about C.
 
-    Written to `body`: mass, mass × centre (3), rotational inertia about C (xx, xy, xz, yy, yz, zz).
+    Written to `body`: mass, mass × centre (3), rotational inertia about C by rows.
     """
     R = w.R
     m = link[0]
-    c = minus3(plus3(rotated(R, link[1:]), w.p), C)
-    xx, xy, xz, yy, yz, zz = six(link[4:])
-    a = rotated(R, (xx, xy, xz)), rotated(R, (xy, yy, yz)), rotated(R, (xz, yz, zz))  # R I
-    mx = m * c[0]
-    my = m * c[1]
-    mz = m * c[2]
+    c = minus3(place_point(w, link[1:]), C)
     body[0] = m
-    body[1] = mx
-    body[2] = my
-    body[3] = mz
-    x = rotated(R, (a[0][0], a[1][0], a[2][0]))  # rows of R I Rᵀ
-    y = rotated(R, (a[0][1], a[1][1], a[2][1]))
-    z = rotated(R, (a[0][2], a[1][2], a[2][2]))
-    body[4] = x[0] + my * c[1] + mz * c[2]
-    body[5] = x[1] - mx * c[1]
-    body[6] = x[2] - mx * c[2]
-    body[7] = y[1] + mx * c[0] + mz * c[2]
-    body[8] = y[2] - my * c[2]
-    body[9] = z[2] + mx * c[0] + my * c[1]
+    fill3(body[1:], scaled3(m, c))
+    for i in range(3):
+        row = rotated(R, rotated9(link[4:], R[i]))  # of R I Rᵀ
+        fill3(body[4 + 3 * i :], add3(row, -m * c[i], c))
+        body[4 + 4 * i] += m * dot3(c, c)
 
 
 @leaf
 def _times(b, x):
     """Inertia b times a motion: momentum, or force for an acceleration."""
     force = plus3(scaled3(b[0], x), cross(x[3:], b[1:]))
-    turn = (
-        b[4] * x[3] + b[5] * x[4] + b[6] * x[5],
-        b[5] * x[3] + b[7] * x[4] + b[8] * x[5],
-        b[6] * x[3] + b[8] * x[4] + b[9] * x[5],
-    )
-    return force + plus3(turn, cross(b[1:], x))
+    return force + plus3(rotated9(b[4:], x[3:]), cross(b[1:], x))
 
 
 @leaf
@@ -161,10 +147,7 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
     for j in range(arm.first, arm.end):
         w = t.work.joints[j]
         axis = (w.R[0, 2], w.R[1, 2], w.R[2, 2])
-        if joints[j].slides != 0:
-            column = axis + (0.0, 0.0, 0.0)
-        else:
-            column = cross(minus3(w.p, C), axis) + axis
+        column = axis + (0.0, 0.0, 0.0) if joints[j].slides else cross(minus3(w.p, C), axis) + axis
         fill(w.column, column)
         motion = scaled(v[j], column)
         fill(gamma, plus(gamma, cross_motion(V, motion)))
@@ -198,10 +181,10 @@ def _sum_back(t, lo, hi, sensed, bias_out):
             beyond = work[j + 1]
             if j == sensed:
                 fill(bias_out, plus(bias_out, beyond.force))
-                for i in range(10):
+                for i in range(13):
                     outer[i] += beyond.body[i]
             fill(w.force, plus(w.force, beyond.force))
-            for i in range(10):
+            for i in range(13):
                 w.body[i] += beyond.body[i]
         c = w.column
         w.h = dot6(c, w.force)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import cholesky, cholesky_solve, dot, one_sided_jacobi
+from osc_contact.law.algebra import cholesky, cholesky_solve, dot, one_sided_jacobi, qr_rows
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame
 from osc_contact.law.grasps import add_slip, centre_object, filter_outboard, find_object, find_twist
 from osc_contact.law.jit import inner, leaf
@@ -20,7 +20,7 @@ from osc_contact.law.vectors import (
     accumulate,
     add,
     carry_motion,
-    copy_pose,
+    copy_rows,
     cross,
     dot6,
     energy_motion,
@@ -29,7 +29,6 @@ from osc_contact.law.vectors import (
     minus,
     minus3,
     plus,
-    qr6,
     reflect_sides,
     rotated,
     set_axes,
@@ -81,7 +80,7 @@ def solve_chain(t):
         place_frame(tip, model.X_LP, work.R, work.C)
         set_axes(work.R, model.roots, work.axes)
     else:
-        copy_pose(memory.X_WO, work.X_WO)
+        copy_rows(memory.X_WO, 0, work.X_WO)
         if memory.given >= GIVEN_POSE:
             centre_object(t, work.X_WO)
         elif not find_object(t, work.X_WO):
@@ -91,7 +90,7 @@ def solve_chain(t):
         fill(own.bias, ZERO)
         move_arm(t, model.arms[k], t.input.v, work.C, own.V, own.drift, own.bias)
     given = memory.given >= GIVEN_TWIST
-    if model.slipping != 0:
+    if model.slipping:
         if not find_twist(t, given):
             return OBJECT_UNKNOWN
     else:
@@ -137,24 +136,24 @@ def _combine_twists(t):
     work = t.work
     P = work.A
     S = work.B
-    K = work.K
+    before = work.D
+    K = work.E
     P[:] = 0.0
     _add_covariance(t, 0, P)
     V = energy_motion(work.axes, work.V_C)
     for k in range(1, t.model.n_arms):
-        for i in range(6):
-            fill(S[i], P[i])
+        copy_rows(P, 0, S)
         _add_covariance(t, k, S)
         if not cholesky(S, 0, 6, S) > 0.0:
             return
+        copy_rows(P, 0, before)
         for i in range(6):
             fill(K[i], P[i])
             cholesky_solve(S, 6, K[i], 0)
-            fill(work.Z[i], P[i])
         V = plus(V, times6(K, minus(energy_motion(work.axes, work.arms[k].V), V)))
         for i in range(6):
             for j in range(6):
-                accumulate(P[i], -K[i, j], work.Z[j])
+                accumulate(P[i], -K[i, j], before[j])
     fill(work.V_C, world_motion(work.axes, V))
     fill(work.V_O, carry_motion(work.V_C, work.C, work.O))
 
@@ -168,7 +167,7 @@ def _add_covariance(t, k, G):
     rho = 0.0
     for j in range(t.model.arms[k].first, t.model.arms[k].end):
         J = t.work.joints[j].J
-        variance = SLIDES * SLIDES if t.model.joints[j].slides != 0 else 1.0
+        variance = SLIDES * SLIDES if t.model.joints[j].slides else 1.0
         rho += _GEOMETRY * _GEOMETRY * variance * dot6(J, J)
         for i in range(6):
             accumulate(G[i], variance * J[i], J)
@@ -190,7 +189,7 @@ def _add_arm(t, arm, own, row):
     for j in range(lo, arm.end):
         fill(joints[j].J, energy_motion(work.axes, joints[j].column))
     fill(own.gamma, energy_motion(work.axes, own.drift))
-    own.wide = 1 if n > m else 0
+    own.wide = n > m
     own.n_lost = 0
     count = arm_terms(t, lo, n, m, own, row)
     if count < 0:
@@ -216,7 +215,7 @@ def _add_arm(t, arm, own, row):
         fill(work.effort[i], plus(work.effort[i], own.effort[i]))
     fill(work.chain_bias, bias)
     if arm.sensor_joint >= 0 and arm.outer_joint >= 0:
-        if arm.filtered != 0:
+        if arm.filtered:
             filter_outboard(t, arm, own, own.bias)
         else:
             _add_outboard(t, arm, own)
@@ -239,7 +238,7 @@ def _add_outboard(t, arm, own):
 
 @inner
 def _add_object(t):
-    """μ_o + p_o of the object in its principal axes: √m (ω × v − g), (ω × Iω)/√I; and Λ_o = 1."""
+    """The object: Λ_o = 1; in its principal axes μ_o + p_o = [√m (ω × v − g); (ω × Iω)/√I]."""
     model = t.model
     work = t.work
     roots = model.roots
@@ -249,10 +248,11 @@ def _add_object(t):
     x, y, z = cross(w, Iw)
     weight = rotated(work.axes[0], model.gravity)
     force = minus3(cross(w, V), weight) + (x / roots[1], y / roots[2], z / roots[3])
-    held = 1.0 if model.held != 0 else 0.0
+    held = 1.0 if model.held else 0.0
     links = energy_wrench(work.axes, work.bias_links)
     accumulate(work.chain_bias, held, force)
     for i in range(6):
+        work.Lambda[i, i] += held
         work.out_T[i, i] += held
     fill(work.bias_e, plus(work.bias_e, add(links, held, force)))
     fill(work.bias_out, wrench_to_world(work, work.bias_e))
@@ -279,4 +279,7 @@ def _intersect(t, count):
                 work.sigma[i] += locked[k, i] * locked[k, 6] / square
             fill(work.reflectors[work.locked], locked[k])
             work.locked += 1
-    qr6(work.reflectors, work.locked, work.K, work.pivots, work.beta)
+    qr_rows(work.reflectors, work.locked, 6, work.s, work.beta)
+    for k in range(work.locked):
+        for i in range(k):
+            work.reflectors[k, i] = 0.0

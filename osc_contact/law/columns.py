@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import dot, lu_solve, orthonormalise, solve_lower_transposed
+from osc_contact.law.algebra import backward, dot, lu_solve, orthonormalise
 from osc_contact.law.jit import inner
 from osc_contact.law.reasons import NO_REASON, declare_reason
-from osc_contact.law.records import CART, CONVEYOR, ELSEWHERE, body_of, column_of, contact_of
+from osc_contact.law.records import CART, CONVEYOR, ELSEWHERE, body_of, contact_of
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,
@@ -21,6 +21,7 @@ from osc_contact.law.vectors import (
     linear,
     minus3,
     plus,
+    scaled,
     scaled3,
     wrench_to_energy,
 )
@@ -51,33 +52,35 @@ _STILL = 1e-9  # rounding error of n_γ when the bodies hardly move (m/s², rad/
 
 @inner
 def choose_columns(t):
-    """List the columns of N whose contacts are in force; their number goes to `count`."""
-    t.work.count = 0
+    """List the columns of N whose contacts are in force in `chosen`, their number in `count`."""
+    work = t.work
+    work.count = 0
     for j in range(t.model.n_columns):
-        if contact_of(t, j).active != 0:
-            t.work.columns[t.work.count].chosen = j
-            t.work.count += 1
+        work.here[j] = 0.0
+        if contact_of(t, j).active:
+            work.here[j] = 1.0
+            work.chosen[work.count] = j
+            work.count += 1
 
 
 @inner
 def keep_columns(t):
     """N (r, 6) of the independent columns in energy coordinates, N_μ, n_γ; returns a reason.
 
-    Fills rank, keep, N, pushed, friction_wrenches, n_gamma; `share` of each column in force where
-    r < count.
+    Fills rank, kept, N, n_gamma; `share` of each column in force.
     """
     work = t.work
     columns = work.columns
     count = work.count
     for j in range(count):
-        column = columns[j]
-        whole = columns[column.chosen]
-        fill(column.energy, wrench_to_energy(work, whole.N))
-        column.n_gamma = whole.n_gamma_all
+        column = columns[work.chosen[j]]
+        fill(column.energy, wrench_to_energy(work, column.N))
+        fill(column.share, ZERO)
         column.extent = sqrt(dot6(column.energy, column.energy))
         if j < 6:
+            column.share[j] = 1.0
             fill(work.N[j], column.energy)
-            work.keep[j] = float(j)
+            work.kept[j] = work.chosen[j]
     work.rank = count
     if count > 6 or (
         count > 1 and not orthonormalise(work.N, count, 0, work.Q, work.L) > 10.0 * DEPENDENT
@@ -86,7 +89,7 @@ def keep_columns(t):
         if reason != NO_REASON:
             return reason
     for a in range(work.rank):
-        column = columns[int(work.keep[a])]
+        column = columns[work.kept[a]]
         work.n_gamma[a] = column.n_gamma
         fill(work.N[a], column.energy)
     if work.rank < count or count == 1:
@@ -101,22 +104,25 @@ def _reduce(t):
     columns = work.columns
     rank = 0
     for j in range(work.count):
-        for i in range(6):
-            columns[j].rest[i] = columns[j].energy[i] / columns[j].extent
+        column = columns[work.chosen[j]]
+        fill(column.rest, scaled(1.0 / column.extent, column.energy))
     while rank < work.count:
         longest = 0.0
         for j in range(work.count):
-            longest = max(longest, dot6(columns[j].rest, columns[j].rest))
+            rest = columns[work.chosen[j]].rest
+            longest = max(longest, dot6(rest, rest))
         if sqrt(longest) <= DEPENDENT or rank == 6:
             break
-        first = 0
-        while not dot6(columns[first].rest, columns[first].rest) >= _PIVOT * _PIVOT * longest:
-            first += 1
+        first = work.chosen[0]
+        for j in range(work.count - 1, -1, -1):
+            rest = columns[work.chosen[j]].rest
+            if dot6(rest, rest) >= _PIVOT * _PIVOT * longest:
+                first = work.chosen[j]
         at = rank
-        while at > 0 and work.keep[at - 1] > first:
-            work.keep[at] = work.keep[at - 1]
+        while at > 0 and work.kept[at - 1] > first:
+            work.kept[at] = work.kept[at - 1]
             at -= 1
-        work.keep[at] = float(first)
+        work.kept[at] = first
         rank += 1
         _remove(t, first)
     work.rank = rank
@@ -134,7 +140,8 @@ def _remove(t, first):
     columns = t.work.columns
     q = columns[first].rest
     length = sqrt(dot6(q, q))
-    for j in range(t.work.count):
+    for i in range(t.work.count):
+        j = t.work.chosen[i]
         x = columns[j].rest
         for _ in range(2 if j != first else 0):
             accumulate(x, -(dot6(q, x) / (length * length)), q)
@@ -148,19 +155,18 @@ def _express(t):
     columns = work.columns
     rank = work.rank
     for a in range(rank):
-        column = columns[int(work.keep[a])]
-        for i in range(6):
-            work.A[a, i] = column.energy[i] / column.extent
+        column = columns[work.kept[a]]
+        fill(work.A[a], scaled(1.0 / column.extent, column.energy))
     orthonormalise(work.A, rank, 0, work.Q, work.L)
     for j in range(work.count):
-        column = columns[j]
+        column = columns[work.chosen[j]]
         for a in range(rank):
             column.share[a] = dot6(work.Q[a], column.energy)
-        solve_lower_transposed(work.L, rank, column.share)
+        backward(work.L, rank, column.share, 0)
         for a in range(rank):
-            column.share[a] /= columns[int(work.keep[a])].extent
+            column.share[a] /= columns[work.kept[a]].extent
     for a in range(rank):
-        share = columns[int(work.keep[a])].share
+        share = columns[work.kept[a]].share
         fill(share, ZERO)
         share[a] = 1.0
 
@@ -172,18 +178,18 @@ def _consistent(t):
     columns = work.columns
     largest = 0.0
     for j in range(work.count):
-        column = columns[j]
+        column = columns[work.chosen[j]]
         summands = abs(column.n_gamma)
         for a in range(work.rank):
-            summands += abs(columns[int(work.keep[a])].n_gamma * column.share[a])
+            summands += abs(columns[work.kept[a]].n_gamma * column.share[a])
         largest = max(largest, summands / column.extent)
     for j in range(work.count):
-        column = columns[j]
+        column = columns[work.chosen[j]]
         implied = 0.0
         for a in range(work.rank):
-            implied += columns[int(work.keep[a])].n_gamma * column.share[a]
+            implied += columns[work.kept[a]].n_gamma * column.share[a]
         if abs(column.n_gamma - implied) > max(_STILL, _CONSISTENT * column.extent * largest):
-            work.where = column.chosen
+            work.where = work.chosen[j]
             work.amount = implied
             return False
     return True
@@ -193,9 +199,9 @@ def _consistent(t):
 def _same_body(t):
     """Dependent columns must be on one body, or on bodies that move as one and do not yield."""
     work = t.work
-    first = body_of(t, work.columns[0].chosen).same
+    first = body_of(t, work.chosen[0]).same
     for j in range(1, work.count):
-        other = body_of(t, work.columns[j].chosen).same
+        other = body_of(t, work.chosen[j]).same
         for i in range(48 if other != first else 0):
             a = work.bodies[first].answer[i]
             b = work.bodies[other].answer[i]
@@ -205,29 +211,26 @@ def _same_body(t):
 
 
 @inner
-def spread_magnitudes(t, alpha, speed):
-    """Measured magnitudes and speeds of the kept columns, to all columns in force.
+def spread_magnitudes(t):
+    """`alpha` and `speeds` of all columns (N, m/s), 0 out of N, from those of the kept ones.
 
-    Where columns depend on others that is the split with the least sum of squares.
-
-    Args:
-        alpha, speed: (r_all,) for all columns (N, m/s).
+    Where columns depend on others that is the split with the least sum of squares:
+    α_all = Rᵀ(RRᵀ)⁻¹α, and Rᵀ speed, R the shares.
     """
     work = t.work
-    columns = work.columns
     r = work.rank
-    G = work.D
     x = work.E
-    dependent = r < work.count
-    if dependent:  # α_all = Rᵀ(RRᵀ)⁻¹α and Rᵀ speed, R the shares
-        square_shares(work, G)
-        for a in range(r):
-            x[0, a] = work.alpha_meas[a]
-        lu_solve(G, r, x, 1)
-    for j in range(work.count):
-        own = columns[j]
-        alpha[own.chosen] = dot(own.share, x[0], r) if dependent else work.alpha_meas[j]
-        speed[own.chosen] = dot(own.share, work.speed, r) if dependent else work.speed[j]
+    work.alpha[:] = 0.0
+    work.speeds[:] = 0.0
+    square_shares(work, work.D)
+    for a in range(r):
+        x[0, a] = work.alpha_meas[a]
+    lu_solve(work.D, r, x, 1)
+    for i in range(work.count):
+        j = work.chosen[i]
+        share = work.columns[j].share
+        work.alpha[j] = dot(share, x[0], r)
+        work.speeds[j] = dot(share, work.speed, r)
 
 
 @inner
@@ -239,7 +242,7 @@ def square_shares(work, out):
     """
     out[:] = 0.0
     for j in range(work.count):
-        share = work.columns[j].share
+        share = work.columns[work.chosen[j]].share
         for a in range(work.rank):
             for b in range(work.rank):
                 out[a, b] += share[a] * share[b]
@@ -297,9 +300,9 @@ def project_bodies(t):
     work.b_N[:] = 0.0
     work.V_N[:] = 0.0
     work.Phi_mu[:] = 0.0
-    for a in range(work.rank if work.moving != 0 else 0):
-        N = work.columns[column_of(work, a)].N
-        body = body_of(t, column_of(work, a)).same
+    for a in range(work.rank if work.moving else 0):
+        N = work.columns[work.kept[a]].N
+        body = body_of(t, work.kept[a]).same
         answer = work.bodies[body].answer
         work.b_N[a] = dot6(N, answer[36:])
         work.V_N[a] = dot6(N, answer[42:])
@@ -308,7 +311,7 @@ def project_bodies(t):
             given = add(given, N[i], answer[6 * i :])
         fill(work.yields[a], given)
         for b in range(work.rank):
-            other = column_of(work, b)
+            other = work.kept[b]
             if body_of(t, other).same == body:
                 pushed = plus(work.columns[other].N, work.friction_wrenches[b])
                 for i in range(6):

@@ -12,6 +12,7 @@ from math import sqrt
 from osc_contact.law.algebra import (
     backward,
     cholesky,
+    cholesky_solve,
     dot,
     forward,
     orthonormalise,
@@ -19,14 +20,19 @@ from osc_contact.law.algebra import (
     project_onto_constraint,
 )
 from osc_contact.law.jit import inner
+from osc_contact.law.operational import retreat
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import BY_CHAIN, BY_OBJECT
 from osc_contact.law.vectors import (
+    ZERO,
+    accumulate,
+    copy_rows,
     dot6,
     fill,
     minus,
     motion_to_energy,
     motion_to_world,
+    plus,
     reflect_sides,
     turned,
     turned_back,
@@ -52,6 +58,8 @@ BAD_METRIC = declare_reason(
 
 _REACH = 1e-9  #: least mobility along a column, beside that of the free object
 _APART = 1e-10  #: least part of a column outside the others, as seen through the arms
+_HARD = 1e-8  #: shares of motion below it are as good as 0
+_GONE = 1e-6  #: of the mobility that Λ_ref has along any direction, 1
 
 
 @inner
@@ -67,7 +75,7 @@ def reflect_columns(t):
 def require_reachable(t):
     """Whether the arms can push on every column (`response.require_reachable`); a reason.
 
-    With Λ_S = ΣΛ_i + 1 between 1 and its trace, NᵀΦ₀N lies between NᵀN / trace and NᵀN: most
+    With Λ_S between 1 and its trace, NᵀΦ₀N lies between NᵀN / trace and NᵀN: most
     contacts are judged on N alone. Fills Q_t, L_t: N_t = L_t Q_t over the elements m … 5.
     """
     work = t.work
@@ -78,12 +86,12 @@ def require_reachable(t):
     least = orthonormalise(work.N_t, r, m, work.Q_t, work.L_t)
     trace = 0.0
     for i in range(m, 6):
-        trace += work.Lambda[i, i] + 1.0
+        trace += work.Lambda[i, i]
     reach = 1.0
     for a in range(r):
         N = work.N_t[a]
         reach = min(reach, dot(N[m:], N[m:], 6 - m) / dot6(N, N))
-    if t.model.held != 0 and reach > 2.0 * _REACH * trace and least > 2.0 * _APART * sqrt(trace):
+    if t.model.held and reach > 2.0 * _REACH * trace and least > 2.0 * _APART * sqrt(trace):
         return NO_REASON
     return _judge_reach(t)
 
@@ -99,10 +107,7 @@ def _judge_reach(t):
         work.where = 0
         work.amount = 0.0
         return UNREACHABLE
-    for i in range(6):
-        fill(work.A[i], work.Lambda[i])
-        work.A[i, i] += 1.0 if t.model.held != 0 else 0.0
-    if not cholesky(work.A, m, d, work.B) > 0.0:
+    if not cholesky(work.Lambda, m, d, work.B) > 0.0:
         return BAD_METRIC
     for a in range(r):
         N = work.N_t[a]
@@ -128,14 +133,13 @@ def permit_error(t, error, out, by_object):
     work = t.work
     e = work.y
     r = work.rank
-    for a in range(r):
-        work.s[a] = 0.0
+    fill(work.s, ZERO)
     fill(e, motion_to_energy(work, error))
     if by_object:
         project_onto_constraint(work.Q, r, e, work.s)
     else:
         fill(e, turned(work, e))
-        if not _meet_weighed(t, 0, e):
+        if not _meet_weighed(t, work.B_inv_t, 0, e, work.s):
             return False
         fill(e, turned_back(work, e))
     fill(out, motion_to_world(work, e))
@@ -143,13 +147,16 @@ def permit_error(t, error, out, by_object):
 
 
 @inner
-def _meet_weighed(t, m, x):
-    """x ← the x nearest in B⁻¹ with N x = s, over the elements m … 5; False: B⁻¹ not definite."""
+def _meet_weighed(t, B_inv, m, x, target):
+    """x ← the x nearest in B⁻¹ with N x = target, over the elements m … 5; `target` is overwritten.
+
+    Returns False where B⁻¹ is not definite.
+    """
     work = t.work
     r = work.rank
     d = 6 - m
     K = work.B
-    if not cholesky(work.B_inv_t, m, d, K) > 0.0:  # B⁻¹ = KKᵀ, y = Kᵀx
+    if not cholesky(B_inv, m, d, K) > 0.0:  # B⁻¹ = KKᵀ, y = Kᵀx
         return False
     for i in range(d):
         s = x[m + i] / K[i, i]
@@ -160,11 +167,56 @@ def _meet_weighed(t, m, x):
         fill(work.D[a], work.N_t[a])
         forward(K, d, work.D[a], m)
     orthonormalise(work.D, r, m, work.E, work.A)
-    for a in range(r):
-        work.u[a] = work.s[a]
-    project_onto_columns(work.A, work.E, r, x, work.u)
+    project_onto_columns(work.A, work.E, r, x, target)
     backward(K, d, x, m)
     return True
+
+
+@inner
+def reduce_motion(t):
+    """The motion command with the arms' lost directions left to their posture task.
+
+    What an arm's joints must do along a lost direction u is (uᵀ(a − γ))/χ: it grows without bound
+    while it does ever less. Share φ of it is kept; the rest is replaced by the posture's own
+    acceleration there, with the least change Δ of the command in Λ_o that the contacts permit:
+
+        min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − t)²/|u|²,   NΔ = 0,   t = χ vᵀKᵀq̈_posture − uᵀ(a − γ)
+    """
+    work = t.work
+    m = work.locked
+    H = work.A
+    step = work.y
+    row = work.w
+    fill(step, ZERO)
+    H[:] = 0.0
+    for i in range(6):
+        H[i, i] = 1.0
+    a = turned_back(work, work.x)
+    for k in range(t.model.n_arms):
+        own = work.arms[k]
+        arm = t.model.arms[k]
+        for e in range(own.n_lost):
+            target = 0.0
+            for i in range(arm.first, arm.end):
+                target += own.mode[e, i - arm.first] * retreat(t, arm, i, t.model.retreat_damping)
+            target *= own.chi[e]
+            for i in range(6):
+                target -= own.lost[e, i] * (a[i] - own.gamma[i])
+            fill(row, turned(work, own.lost[e]))
+            for i in range(m):
+                row[i] = 0.0
+            size = dot(row, row, 6)
+            if own.gone[e] != 0.0 or size < _GONE:  # no motion of the chain's any more
+                continue
+            weight = (1.0 - own.share[e]) / (max(own.share[e], _HARD) * size)
+            accumulate(step, weight * target, row)
+            for i in range(6):
+                accumulate(H[i], weight * row[i], row)
+    fill(work.u, ZERO)
+    cholesky(H, m, 6 - m, work.B)
+    cholesky_solve(work.B, 6 - m, step, m)
+    _meet_weighed(t, H, m, step, work.u)
+    fill(work.x, plus(work.x, step))
 
 
 @inner
@@ -175,19 +227,15 @@ def set_metric(t):
     work = t.work
     out = work.B_inv_t
     if t.model.metric == BY_CHAIN:
-        for i in range(6):
-            fill(out[i], work.Lambda[i])
-            out[i, i] += 1.0
+        copy_rows(work.Lambda, 0, out)
         return
-    for i in range(6):
-        fill(out[i], t.model.B_inv[i])
+    copy_rows(t.model.B_inv, 0, out)
     for _ in range(2):  # the map from wrenches to energy coordinates, from both sides
         for i in range(6):
             f = wrench_to_energy(work, out[i])
             for j in range(6):
                 work.A[j, i] = f[j]
-        for i in range(6):
-            fill(out[i], work.A[i])
+        copy_rows(work.A, 0, out)
     reflect_sides(work, out)
 
 
@@ -218,11 +266,9 @@ def filter_motion(t):
         for a in range(r):
             work.s[a] = dot6(work.N_t[a], x)
         project_onto_columns(work.L_t, work.Q_t, r, x, work.s)
-    for a in range(r):
-        work.s[a] = work.rho[a]
     if not weighed:
-        project_onto_columns(work.L_t, work.Q_t, r, x, work.s)
-    elif r > 0 and not _meet_weighed(t, m, x):
+        project_onto_columns(work.L_t, work.Q_t, r, x, work.rho)
+    elif r > 0 and not _meet_weighed(t, work.B_inv_t, m, x, work.rho):
         return BAD_METRIC
     for i in range(m):
         x[i] = sigma[i]

@@ -7,7 +7,7 @@ from math import atan2, copysign, sqrt
 from osc_contact.law.contact import learn_normal
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import APPROACHING, predict_force
-from osc_contact.law.records import SATURATED, YIELDING, body_of, column_of, contact_of
+from osc_contact.law.records import SATURATED, YIELDING, body_of, contact_of
 from osc_contact.law.vectors import (
     add,
     add3,
@@ -118,44 +118,49 @@ _SOFTEST = 20.0  #: times s_0
 
 
 @inner
-def shape_steps(t):
-    """Fill `goal` of the columns in force with α_s (N); `integral_scale`: how far it integrates."""
+def shape_steps(t, own):
+    """Fill `goal` of the columns in force with α_s (N); `integral_scale`: how far it integrates.
+
+    Args:
+        own: whether the force law is the user's: its steps are not smoothed.
+    """
     memory = t.memory
     work = t.work
     dt = work.dt
     T = memory.step_time
-    time = t.model.step_time
-    left = memory.step_left
+    time = 0.0 if own else t.model.step_time
+    left = 0.0 if own else memory.step_left
     if left > 0.0:
         left = max(left - dt / T, 0.0)
     x = 1.0 - left
     smooth = left > 0.0 or time > 0.0
     sudden = False
     for i in range(work.count):
-        j = work.columns[i].chosen
+        j = work.chosen[i]
         row = work.columns[j]
         last = memory.columns[j]
         goal = work.goal[j]
         row.goal = goal
         row.scale = max(abs(goal), last.scale * (1.0 - _FADES * dt)) if smooth else 0.0
-        row.shaped = 0 if smooth and contact_of(t, j).phase == APPROACHING else 1
-        before = work.alpha[j] if memory.ticked != 0 else 0.0
-        if last.has_desired != 0:
+        approached = smooth and contact_of(t, j).phase == APPROACHING
+        row.shaped = 0 if own or approached else 1
+        before = work.alpha[j] if memory.ticked else 0.0
+        if last.has_desired:
             before = last.desired
-        elif t.model.phased != 0 and goal > 0.0:
+        elif t.model.phased and goal > 0.0:
             before = min(before, goal)  # an impact is not held
-            if body_of(t, j).pushes != 0:
+            if body_of(t, j).pushes:
                 before = max(before, 0.0)  # no face pulls
         row.to_come[0] = goal - before  # the step, for now
         sudden = sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
     sudden = sudden and time > 0.0
     largest = 0.0
     for i in range(work.count):
-        j = work.columns[i].chosen
+        j = work.chosen[i]
         row = work.columns[j]
-        step = row.to_come[0] if row.shaped != 0 else 0.0
+        step = row.to_come[0] if row.shaped else 0.0
         to_come = (0.0, 0.0, 0.0)
-        if smooth and row.shaped != 0 and memory.columns[j].has_desired != 0:
+        if smooth and row.shaped and memory.columns[j].has_desired:
             to_come = linear(memory.columns[j].to_come)
         if sudden:
             to_come = _continue(to_come, left, time / T if left > 0.0 else 1.0)
@@ -190,7 +195,7 @@ def brake_contacts(t):
     """`brake` (r,) ← κ(NᵀV_rel − v̄), in m/s² for columns that are forces; of yielding faces b."""
     work = t.work
     for a in range(work.rank):
-        j = column_of(work, a)
+        j = work.kept[a]
         if body_of(t, j).kind != YIELDING:
             work.brake[a] *= work.speed[a] - t.memory.columns[j].drift
             continue
@@ -234,7 +239,7 @@ def _deflection(t, a, j):
         return work.speed[a], 0.0, face, last.eased_rate
     yielding = _washout(t) * s * (work.alpha_meas[a] - last.alpha_mean)
     driven = last.driven - yielding if face != 0.0 else 0.0
-    rate = (column.goal - last.eased) / work.dt if last.has_desired != 0 else 0.0
+    rate = (column.goal - last.eased) / work.dt if last.has_desired else 0.0
     return work.speed[a] + face - driven - s * rate, last.deflection, driven, rate
 
 
@@ -245,7 +250,7 @@ def _keep_deflections(t):
     dt = work.dt
     w = _washout(t)
     for a in range(work.rank):
-        j = column_of(work, a)
+        j = work.kept[a]
         if body_of(t, j).kind != YIELDING:
             continue
         u, p, _, rate = _deflection(t, a, j)

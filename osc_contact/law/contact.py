@@ -255,7 +255,7 @@ def place_contacts(t):
             R_E[i, j] = 1.0 if i == j else 0.0
     fill(V_E, ZERO)
     fill(V_rel, V_O)
-    for c in range(model.n_pairs):
+    for c in range(model.n_contacts):
         pair = model.pairs[c]
         if moving:
             E = t.input.touched[c]
@@ -280,7 +280,7 @@ def place_contacts(t):
         if alone and model.tilt > 0.0:
             fill(work.z, minus(work.V_D, V_E))
             follow_face(t, pair, X_WO, R_E, V_rel, work.z)
-        if pair.has_friction != 0 and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
+        if pair.has_friction and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
             fill(work.z, add(V_rel, AHEAD * model.period, work.A_D))
             for j in range(pair.count):
                 column = columns[pair.first + j]
@@ -299,7 +299,7 @@ def _take_evaluated(columns, first, count, evaluated):
         column = columns[first + j]
         given = evaluated[j]
         fill(column.N, given)
-        column.n_gamma_all = given[6]
+        column.n_gamma = given[6]
         fill3(column.point, given[8:])
         zero += finiteness(given, 7) + finiteness(given[8:], 3)
     return zero == 0.0
@@ -340,7 +340,7 @@ def _point_on_plane(row, motion, column):
     if motion.moving:
         n = rotated(motion.R_E, n)
     _line(column.N, p, n)
-    column.n_gamma_all = _carried(p, n, motion)
+    column.n_gamma = _carried(p, n, motion)
 
 
 @inner
@@ -406,7 +406,7 @@ def _on_surface(shapes, at, motion, column):
     n = scaled3(s, n)
     _line(column.N, p, n)
     bend = dot3(rotated(R_E, scaled3(s, n_dot)), add3(v, -dot3(n, v), n))
-    column.n_gamma_all = _carried(p, n, motion) + bend
+    column.n_gamma = _carried(p, n, motion) + bend
     return size
 
 
@@ -424,7 +424,7 @@ def _face_on_vertex(row, motion, column):
     p = _vertex(row, X_WO, R_E)
     _line(column.N, p, n)
     rate = _rate(p, n, velocity_at(V_E, p), cross(V_O[3:], n))
-    column.n_gamma_all = -dot6(rate, V_rel)
+    column.n_gamma = -dot6(rate, V_rel)
 
 
 @inner
@@ -476,7 +476,7 @@ def _edges(row, motion, column):
     apart_dot = minus3(v_A, velocity_at(V_E, add3(p, gap, n)))
     s_dot = _along_first(add3(apart_dot, gap, n_dot), f, m, mm)
     _line(column.N, p, n)
-    column.n_gamma_all = -dot6(_rate(p, n, add3(v_A, -s_dot, e), n_dot), V_rel)
+    column.n_gamma = -dot6(_rate(p, n, add3(v_A, -s_dot, e), n_dot), V_rel)
     return sine
 
 
@@ -530,7 +530,7 @@ def _tangents(pair, shapes, motion, columns):
         if row[6] == THREAD:
             f = row[10] / dot3(d, rotated(X_WO, row[7:]))
             fill(N, linear(N) + add3(N[3:], -f, d))
-        column.n_gamma_all = dot6(N, Tdot_beta)
+        column.n_gamma = dot6(N, Tdot_beta)
 
 
 # --- Smooth surfaces: signed distance, normal and curvature at the foot of any point ------------

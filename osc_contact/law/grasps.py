@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from math import atan2, cos, sin, sqrt
 
-from osc_contact.law.algebra import cholesky, cholesky_solve, dot, one_sided_jacobi
+from osc_contact.law.algebra import (
+    cholesky,
+    cholesky_solve,
+    dot,
+    forward,
+    one_sided_jacobi,
+    orthonormalise,
+)
 from osc_contact.law.arm_motion import place_frame, turn_axes
 from osc_contact.law.commands import rotation_vector
 from osc_contact.law.jit import inner, leaf
@@ -65,28 +72,6 @@ def grasp_rows(arm, work, C, axes, out):
 
 
 @inner
-def orthonormalise_with(rows, first, last, r):
-    """Rows [first, last) made orthonormal; r (…,), one number for each row, goes along.
-
-    Args:
-        rows: overwritten. first, last: of them. r: numbers that go along, overwritten.
-    """
-    for a in range(first, last):
-        for _ in range(2):
-            for b in range(first, a):
-                s = dot6(rows[a], rows[b])
-                r[a] -= s * r[b]
-                accumulate(rows[a], -s, rows[b])
-        norm = sqrt(dot6(rows[a], rows[a]))
-        if not norm > 0.0:
-            return False
-        r[a] /= norm
-        for i in range(6):
-            rows[a, i] /= norm
-    return True
-
-
-@inner
 def find_twist(t, given):
     """N and T of every grasp, orthonormal, and the object's twist at C (V_C); False: not fixed.
 
@@ -108,9 +93,10 @@ def find_twist(t, given):
             continue
         place_frame(work.joints[arm.tip_joint], arm.tip, own.tip, own.tip[3])
         grasp_rows(arm, own, work.C, work.axes, own.passed)
-        if not orthonormalise_with(own.passed, 0, arm.m, work.y):
+        motions = own.passed[arm.m :]
+        if not orthonormalise(own.passed, arm.m, 0, own.passed, work.D) > 0.0:
             return False
-        if not orthonormalise_with(own.passed, arm.m, 6, work.y):
+        if not orthonormalise(motions, 6 - arm.m, 0, motions, work.D) > 0.0:
             return False
         if model.leader < 0 and not given:
             twist = energy_motion(work.axes, own.V)
@@ -183,7 +169,7 @@ def filter_outboard(t, arm, own, bias):
             largest = max(largest, abs(P[a]))
     for a in range(count):
         for j in range(n):
-            X[a, j] = dot(T[a], G[j], 6)
+            X[a, j] = dot6(T[a], G[j])
         for b in range(count):
             X[a, n + b] = 1.0 if a == b else 0.0
     one_sided_jacobi(X, count, n, count)
@@ -204,11 +190,11 @@ def filter_outboard(t, arm, own, bias):
             accumulate(F[a], -moved[a] / square, felt)
     fill(work.bias_e, plus(work.bias_e, times6(F, bias)))
     for a in range(6):
+        x = ZERO
+        for c in range(6):
+            x = add(x, F[a, c], H[c])
         for b in range(6):
-            s = 0.0
-            for c in range(6):
-                s += F[a, c] * H[c, b]
-            work.out_T[b, a] += s
+            work.out_T[b, a] += x[b]
 
 
 @inner
@@ -376,8 +362,9 @@ def find_object(t, X):
             else:
                 _miss_of_group(arm, own.tip, X, work.D, work.z, r)
             grasp_rows(arm, own, work.C, work.axes, own.passed)
-            if not orthonormalise_with(own.passed, 0, arm.m, r):
+            if not orthonormalise(own.passed, arm.m, 0, own.passed, work.D) > 0.0:
                 return False
+            forward(work.D, arm.m, r, 0)
             for a in range(arm.m):
                 _add_condition(own.passed[a], -r[a], work.A, x)
         if not cholesky(work.A, 0, 6, work.B) > KNOWN:

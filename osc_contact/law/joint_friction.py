@@ -38,7 +38,7 @@ from osc_contact.law.algebra import dot, project_onto_columns
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import APPROACHING
 from osc_contact.law.reading import read_wrist
-from osc_contact.law.records import HISTORY, column_of, contact_of
+from osc_contact.law.records import HISTORY, contact_of
 from osc_contact.law.vectors import (
     ZERO,
     add,
@@ -351,7 +351,7 @@ def permit_speeds(t):
         x[i] = 0.0
     for a in range(work.rank):
         work.s[a] = work.V_N[a]
-        approached = contact_of(t, column_of(work, a)).phase == APPROACHING
+        approached = contact_of(t, work.kept[a]).phase == APPROACHING
         if approached and work.damping[a] > 0.0:
             work.s[a] += work.alpha_d[a] / work.damping[a]
     if work.rank > 0:

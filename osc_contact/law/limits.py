@@ -11,6 +11,7 @@ from osc_contact.errors import SolverError
 from osc_contact.law.algebra import (
     add_scaled,
     back_substitute,
+    backward,
     cholesky,
     cholesky_solve,
     dot,
@@ -22,11 +23,11 @@ from osc_contact.law.algebra import (
 from osc_contact.law.columns import square_shares
 from osc_contact.law.jit import entry, inner, matrix
 from osc_contact.law.nested import Bytes, Nested
-from osc_contact.law.operational import factor_inertia
+from osc_contact.law.operational import null_motions, weigh_joints
 from osc_contact.law.phases import limit_changes
 from osc_contact.law.records import body_of, row_of
 from osc_contact.law.safety import count_computed
-from osc_contact.law.vectors import ZERO, add, dot6, fill, turned
+from osc_contact.law.vectors import ZERO, add, copy_rows, fill, turned
 
 _FLOAT = np.float64
 #: The quadratic program: what it is given, what it answers, its scratch. Sizes: a motors,
@@ -349,7 +350,7 @@ def finish(raw, slack):
     p = _program(raw, 0)
     z = p.z
     n = len(p.scale)
-    p.short = 1 if slack > 0 else 0
+    p.short = slack > 0
     if refine(p, slack):
         for j in range(n + slack):
             z[j] = p.point[j]
@@ -360,7 +361,7 @@ def finish(raw, slack):
             return False
         most = p.tau_max[j]
         p.tau[j] = max(-most, min(most, p.desired[j] + p.scale[j] * z[j]))
-        p.at_limit[j] = 1 if abs(p.tau[j]) >= most * (1.0 - _SLACK) else 0
+        p.at_limit[j] = abs(p.tau[j]) >= most * (1.0 - _SLACK)
         add_scaled(-z[j], p.force[j], p.r, p.lost_force)
         add_scaled(-z[j], p.motion[j], p.d, p.lost_motion[6 - p.d :])
     for c in range(p.s):
@@ -371,11 +372,11 @@ def finish(raw, slack):
 class TorqueLimits:
     """Keeps torques within the motors' limits: fill the arrays of PROGRAM in place, then `solve`.
 
-    All are in energy coordinates turned so that the last d axes are free; d, r, k, s say how much
-    of them counts. Torques in N m (N), forces in N.
+    All are in energy coordinates turned so that the last d axes are free. d free motions, r contact
+    forces, k of them that must not pull and s squeeze rows count. Torques in N m (N), forces in N.
 
     Attributes:
-        raw: bytes of PROGRAM, whose fields are attributes, too. counts: d, r, k, s in them.
+        raw: bytes of PROGRAM, whose fields are attributes, too.
         desired, tau_max: (n_a,) torques; limits (inf: none).
         G: (n_a, 6) what each motor exerts, Lambda: (6, 6) of the chain. mass: of the object (kg).
         N, pushed: (6, 6) columns of N and, with friction, N_μ as rows. Phi_e: (6, 6) NᵀΦ_eN_μ.
@@ -390,24 +391,19 @@ class TorqueLimits:
 
     def __init__(self, n_a: int, k_max: int, s_max: int, p: int = 0) -> None:
         self._use(new_program(n_a, k_max, s_max, p))
-        self.solve(0, 0, 0, 0)  # no tick has to wait until this is compiled
+        self.solve()  # no tick has to wait until this is compiled
 
     def _use(self, raw: Bytes) -> None:
         self.raw = raw
         self.program = PROGRAM.view(raw)
-        at = PROGRAM.dtype.fields["d"][1]
-        self.counts = raw[at : at + 32].view(np.int64)
 
     def __getattr__(self, name: str) -> Any:
-        if name in ("raw", "program", "counts"):  # not made yet
+        if name in ("raw", "program"):  # not made yet
             raise AttributeError(name)
         return getattr(self.program, name)
 
-    def solve(self, d: int, r: int, k: int, s: int) -> bool:
+    def solve(self) -> bool:
         """Find the torques within the limits that lose the least acceleration energy.
-
-        Args:
-            d: free motions. r: contact forces. k: those that must not pull. s: squeeze rows.
 
         Returns:
             Whether some force leaves its range: no torques within the limits keep it there.
@@ -418,7 +414,7 @@ class TorqueLimits:
         import daqp
 
         p = self.program
-        self.counts[:] = d, r, k, s
+        k = int(p.k)
         for slack in (0, k):
             v = len(p.tau) + slack
             end = v + k
@@ -459,21 +455,16 @@ _FLOOR = 1.0  #: N, least force of contacts that cannot pull; a command below it
 def _shares(t, alpha, share, floor):
     """Forces that must not pull, out of α: the split of least squares, and their least values."""
     work = t.work
-    columns = work.columns
     r = work.rank
-    dependent = r < work.count
     k = 0
-    if dependent:
-        square_shares(work, work.A)
-        cholesky(work.A, 0, r, work.B)
+    square_shares(work, work.A)
+    cholesky(work.A, 0, r, work.B)
     for j in range(work.count):
-        if body_of(t, columns[j].chosen).pushes == 0 or k == len(floor):
+        if body_of(t, work.chosen[j]).pushes == 0 or k == len(floor):
             continue
         x = share[k]
-        for a in range(r):
-            x[a] = columns[j].share[a] if dependent else (1.0 if a == j else 0.0)
-        if dependent:
-            cholesky_solve(work.B, r, x, 0)
+        fill(x, work.columns[work.chosen[j]].share)
+        cholesky_solve(work.B, r, x, 0)
         floor[k] = min(_FLOOR, dot(x, alpha, r))
         k += 1
     return k
@@ -481,41 +472,20 @@ def _shares(t, alpha, share, floor):
 
 @inner
 def _idle_motions(t, arm, own, idle, count):
-    """Rows ν of a redundant arm, νᵀMν = 1, out of M⁻¹(1 − JᵀJ̄ᵀ); the number of rows so far."""
+    """Rows ν of a redundant arm, N J ν = 0 and νᵀMν = 1: ν = K⁻ᵀv; the number of rows so far."""
     work = t.work
-    joints = work.joints
     lo = arm.first
-    n = arm.end - arm.first
-    X = work.X
-    Z = work.Z
-    if n <= arm.m or not factor_inertia(lo, n, joints, work.K):
+    n = arm.end - lo
+    if n <= arm.m or not weigh_joints(lo, n, work.joints, work.K, work.Z):
         return count
-    for c in range(n):  # rows of X: torques that do nothing to the object; of Z: what they move
+    null_motions(work, own, n)
+    for c in range(own.n_kept, min(n, own.n_kept + len(idle) - count)):
+        backward(work.K, n, work.Z[c], 0)
         for i in range(n):
-            X[c, i] = (1.0 if i == c else 0.0) - dot6(joints[lo + i].J, joints[lo + c].J_bar)
-            Z[c, i] = X[c, i]
-        cholesky_solve(work.K, n, Z[c], 0)
-    for _ in range(n - own.n_kept):
-        best = 0
-        most = 0.0
-        for c in range(n):
-            size = dot(X[c], Z[c], n)
-            if size > most:
-                best = c
-                most = size
-        if count == len(idle) or most <= 0.0:
-            return count
-        for i in range(n):
-            work.s[i] = X[best, i] / sqrt(most)
-            work.t[i] = Z[best, i] / sqrt(most)
             motor = t.model.joints[lo + i].motor
             if motor >= 0:
-                idle[count, motor] = work.t[i]
+                idle[count, motor] = work.Z[c, i]
         count += 1
-        for c in range(n):
-            along = dot(X[c], work.t, n)
-            add_scaled(-along, work.s, n, X[c])
-            add_scaled(-along, work.t, n, Z[c])
     return count
 
 
@@ -544,9 +514,7 @@ def fill_program(raw, at, i, program):
             p.E[e, motor] = rows[e, j]
         for c in range(len(p.idle)):
             p.idle[c, motor] = 0.0
-    for a in range(6):
-        fill(p.Lambda[a], work.Lambda[a])
-        p.Lambda[a, a] += 1.0 if model.held != 0 else 0.0
+    copy_rows(work.Lambda, 0, p.Lambda)
     for a in range(work.rank):
         p.alpha[a] = work.alpha_u[a]
         fill(p.N[a], work.N_t[a])
@@ -589,15 +557,10 @@ def settle(raw, at, i, program):
     count_computed(t)
     for j in range(model.n_motors):
         work.tau[j] = p.tau[j]
-    if memory.ticked > 1:
-        limit_changes(t)
-    for j in range(model.n_motors):
-        memory.torques[j] = work.tau[j]
+    limit_changes(t, memory.ticked > 1)
     for a in range(work.rank):
         memory.force_sum[a] = work.force_next[a] - work.gain[a] * work.dt * p.lost_force[a]
     memory.force_rank = work.rank
-    if work.n_internal > 0 and model.n_arms == 2:
-        work.internal[0] -= p.lost_squeeze[0]
-    for bar in range(len(work.bars) if model.n_arms > 2 else 0):
-        for c in range(p.s):
+    for bar in range(model.n_bars):
+        for c in range(work.n_internal):
             work.bars[bar] -= work.basis[bar, c] * p.lost_squeeze[c]

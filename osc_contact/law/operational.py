@@ -6,16 +6,15 @@ from math import isfinite, sqrt
 
 from osc_contact.law.algebra import (
     add_scaled,
+    back_substitute,
     backward,
     cholesky,
-    cholesky_solve,
     dot,
-    forward,
-    invert_spd6,
+    form_q,
+    forward_rows,
     one_sided_jacobi,
     orthonormalise,
-    project_onto_constraint,
-    square_lower,
+    qr_rows,
 )
 from osc_contact.law.arm_motion import move_arm, place_arm, place_point, weight_on_joint
 from osc_contact.law.jit import entry, inner, leaf
@@ -29,16 +28,10 @@ from osc_contact.law.vectors import (
     fill,
     fill3,
     finiteness,
-    form_q6,
     mirror,
-    plus,
     plus3,
-    qr6,
-    reflector,
     scaled,
     six,
-    turned,
-    turned_back,
 )
 
 # --- J̄ and Λ of one arm in energy coordinates, what it locks, its effort -------------------------
@@ -50,7 +43,7 @@ _DEFINITE = 1e-12  #: least share of a pivot of an effort metric
 def arm_terms(t, lo, n, m, arm, row):
     """J̄, Λ and the locked wrenches of one arm; returns their number, or −1 if M is not definite.
 
-    With M = KKᵀ and J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ²: directions
+    With M = KKᵀ and N J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ²: directions
     with σ²(1 + σ_max²) ≤ tolerance² σ_max² count as locked, whatever the object weighs. The QR
     below decides where 1/λ_max(Λ), the least σ² of all, is above that beyond doubt.
 
@@ -59,52 +52,33 @@ def arm_terms(t, lo, n, m, arm, row):
         arm: ARM_WORK row; Lambda, kept, n_kept, n_locked filled. row: of `locked_rows`, from which
             on the wrenches that it locks are put.
     """
-    work = t.work
-    joints = work.joints
-    X = work.X
-    Z = work.Z
-    count = -1
-    if m == 6 and n > 6:
-        if _invert_wide(t, lo, n, arm.Lambda):
-            count = 0
-    elif m == 6:
-        for j in range(n):
-            fill(X[j], joints[lo + j].J)
-        if qr6(X, n, work.K, work.s, work.t):
-            form_q6(X, n, work.t, Z)
-            for j in range(n - 1, -1, -1):
-                x = six(Z[j])
-                for k in range(j + 1, n):
-                    x = add(x, -work.K[j, k], joints[lo + k].J_bar)
-                fill(joints[lo + j].J_bar, scaled(1.0 / work.s[j], x))
-            for k in range(6 - n):
-                fill(work.locked_rows[row + k], Z[n + k])
-            count = 6 - n
-            _apply_inertia(lo, n, joints, X, arm.Lambda)
-    trace = 0.0
-    for i in range(6):
-        trace += arm.Lambda[i, i]
-    if count < 0 or not trace * t.model.rank_tolerance * t.model.rank_tolerance < 1.0:
-        return _separate(t, lo, n, m, arm, row)
-    arm.n_locked = count
-    arm.n_kept = 6 - count
-    return count
+    beyond_doubt = False
+    if m == 6:  # all wrenches: the axes themselves are orthonormal
+        arm.passed[:] = 0.0
+        for i in range(6):
+            arm.passed[i, i] = 1.0
+        if _decompose(t, lo, n, arm, row):
+            trace = 0.0
+            for i in range(6):
+                trace += arm.Lambda[i, i]
+            beyond_doubt = trace * t.model.rank_tolerance * t.model.rank_tolerance < 1.0
+    if not (beyond_doubt or _separate(t, lo, n, m, arm, row)):
+        return -1
+    return arm.n_locked
 
 
 @leaf
-def _apply_inertia(lo, n, joints, X, Lambda):
-    """Λ = J̄ᵀ M J̄."""
-    for j in range(n):
-        x = ZERO
-        for k in range(n):
-            x = add(x, joints[lo + j].M[k], joints[lo + k].J_bar)
-        fill(X[j], x)
-    for a in range(6):
-        x = ZERO
-        for j in range(n):
-            x = add(x, joints[lo + j].J_bar[a], X[j])
-        fill(Lambda[a], x)
-    mirror(Lambda)
+def _weigh_inverse(lo, n, joints, K, Lambda):
+    """From the rows of A⁺ in J̄: Λ = A⁺ᵀA⁺, J̄ = K⁻ᵀA⁺."""
+    Lambda[:] = 0.0
+    for j in range(n - 1, -1, -1):
+        bar = joints[lo + j].J_bar
+        x = six(bar)
+        for i in range(6):
+            accumulate(Lambda[i], x[i], x)
+        for k in range(j + 1, n):
+            x = add(x, -K[k, j], joints[lo + k].J_bar)
+        fill(bar, scaled(K[j, j], x))
 
 
 @leaf
@@ -129,115 +103,76 @@ def weigh_joints(lo, n, joints, K, Z):
         lo: first joint of the arm. n: how many. joints: JOINT_WORK rows. K: for the factor.
         Z: rows of six.
     """
+    for j in range(n):
+        fill(Z[j], joints[lo + j].J)
     if not factor_inertia(lo, n, joints, K):
         return False
-    for j in range(n):
-        x = six(joints[lo + j].J)
-        for k in range(j):
-            x = add(x, -K[j, k], Z[k])
-        fill(Z[j], scaled(K[j, j], x))
+    forward_rows(K, n, Z)
     return True
 
 
 @inner
-def solve_inertia_transposed(lo, n, K, joints):
-    """J̄ ← K⁻ᵀJ̄.
+def _decompose(t, lo, n, arm, row):
+    """J̄ and Λ of full rank by QR; False: a column depends on those before it to the last digit.
 
-    Args:
-        lo: first joint of the arm. n: how many. K: from `factor_inertia`. joints: JOINT_WORK rows.
+    Up to six joints J = QR, J̄ = R⁻¹Qᵀ and Λ = J̄ᵀMJ̄, whose digits do not depend on M's condition;
+    else A = J K⁻ᵀ, Aᵀ = QR and A⁺ᵀ = R⁻¹Qᵀ.
     """
-    for j in range(n - 1, -1, -1):
-        x = six(joints[lo + j].J_bar)
-        for k in range(j + 1, n):
-            x = add(x, -K[k, j], joints[lo + k].J_bar)
-        fill(joints[lo + j].J_bar, scaled(K[j, j], x))
-
-
-@leaf
-def _invert_wide(t, lo, n, Lambda):
-    """More joints than directions: A = J K⁻ᵀ, J̄ = K⁻ᵀA⁺, Λ = A⁺ᵀA⁺; False: rank below six."""
-    joints = t.work.joints
     work = t.work
-    K = work.K
+    joints = work.joints
     X = work.X
     Z = work.Z
-    if not weigh_joints(lo, n, joints, K, Z):
+    wide = n > 6
+    rows = min(n, 6)
+    length = max(n, 6)
+    if wide and not weigh_joints(lo, n, joints, work.K, Z):
         return False
-    if not _qr_tall(Z, n, X, work.A, work.t, work.u):  # Aᵀ = QR
+    for j in range(n):
+        for i in range(6):
+            if wide:
+                X[i, j] = Z[j, i]
+            else:
+                X[j, i] = joints[lo + j].J[i]
+    if not qr_rows(X, rows, length, work.s, work.t):
         return False
-    T = work.A  # R, then R⁻ᵀ: A⁺ = Q R⁻ᵀ
-    B = work.B
-    for d in range(6):
-        x = ZERO
-        for c in range(d):
-            x = add(x, -T[c, d], B[c])
-        fill(B[d], x)
-        B[d, d] += 1.0
-        fill(B[d], scaled(1.0 / T[d, d], B[d]))
-    square_lower(B, Lambda)
+    form_q(X, rows, length, work.t, 6, Z)
+    for k in range(rows):
+        fill(arm.kept[k], arm.passed[k] if wide else Z[k])
+    for k in range(rows, 6):
+        fill(work.locked_rows[row + k - rows], Z[k])
+    arm.n_kept = rows
+    arm.n_locked = 6 - rows
+    back_substitute(X, rows, length, work.s, Z)
+    for j in range(n):
+        for i in range(6):
+            joints[lo + j].J_bar[i] = Z[i, j] if wide else Z[j, i]
+    if wide:
+        _weigh_inverse(lo, n, joints, work.K, arm.Lambda)
+        return True
+    arm.Lambda[:] = 0.0
     for j in range(n):
         x = ZERO
-        for d in range(6):
-            x = add(x, X[j, d], B[d])
-        fill(joints[lo + j].J_bar, x)
-    solve_inertia_transposed(lo, n, K, joints)
-    return True
-
-
-@inner
-def _qr_tall(A, n, Q, R, beta, scratch):
-    """A = QR of n > 6 rows of six, by Householder reflections; A is destroyed.
-
-    Returns False where a column depends on those before it to the last digit.
-    """
-    for k in range(6):
-        t = scaled(A[k, k], A[k])
-        for i in range(k + 1, n):
-            t = add(t, A[i, k], A[i])
-        fill(scratch, t)  # of the column itself: its square, and its products with the others
-        if not scratch[k] > 0.0:
-            return False
-        alpha, b = reflector(scratch[k], A[k, k])
-        fill(scratch, scaled(b, add(t, -alpha, A[k])))
-        for c in range(k + 1):
-            scratch[c] = 0.0
-        A[k, k] -= alpha
-        beta[k] = b
-        t = six(scratch)
-        for i in range(k, n):
-            accumulate(A[i], -A[i, k], t)
-        fill(R[k], A[k])
-        R[k, k] = alpha
-    for i in range(n):
-        fill(Q[i], ZERO)
-        if i < 6:
-            Q[i, i] = 1.0
-    for k in range(5, -1, -1):
-        t = ZERO
-        for i in range(k, n):
-            t = add(t, A[i, k], Q[i])
-        t = scaled(beta[k], t)
-        for i in range(k, n):
-            accumulate(Q[i], -A[i, k], t)
+        for k in range(n):
+            x = add(x, joints[lo + j].M[k], Z[k])
+        for i in range(6):
+            accumulate(arm.Lambda[i], Z[j, i], x)
+    mirror(arm.Lambda)
     return True
 
 
 @inner
 def _separate(t, lo, n, m, arm, row):
-    """The same for any rank and any grasp, by singular values: A = N J K⁻ᵀ = UΣVᵀ."""
+    """The same of any rank and for any grasp, by singular values: A = N J K⁻ᵀ = UΣVᵀ."""
     work = t.work
     joints = work.joints
     X = work.X
-    Z = work.Z
-    if not weigh_joints(lo, n, joints, work.K, Z):
-        return -1
+    if not weigh_joints(lo, n, joints, work.K, work.Z):
+        return False
     for i in range(m):
         for j in range(n):
-            X[i, j] = Z[j, i] if m == 6 else dot6(arm.passed[i], Z[j])
-        for k in range(6):
-            X[i, n + k] = arm.passed[i, k] if m < 6 else (1.0 if i == k else 0.0)
+            X[i, j] = dot6(arm.passed[i], work.Z[j])
+        fill(X[i, n:], arm.passed[i])
     one_sided_jacobi(X, m, n, 6)
-    arm.Lambda[:] = 0.0
     for j in range(n):
         fill(joints[lo + j].J_bar, ZERO)
     arm.n_locked = 0
@@ -251,19 +186,28 @@ def _separate(t, lo, n, m, arm, row):
         u = X[k, n:]
         if square > least:
             for j in range(n):
-                bar = joints[lo + j].J_bar
-                for i in range(6):
-                    bar[i] += X[k, j] * u[i] / square
-            for a in range(6):
-                for b in range(6):
-                    arm.Lambda[a, b] += u[a] * u[b] / square
+                accumulate(joints[lo + j].J_bar, X[k, j] / square, u)
             fill(arm.kept[arm.n_kept], u)
             arm.n_kept += 1
         else:
             fill(work.locked_rows[row + arm.n_locked], u)
             arm.n_locked += 1
-    solve_inertia_transposed(lo, n, work.K, joints)
-    return arm.n_locked
+    _weigh_inverse(lo, n, joints, work.K, arm.Lambda)
+    return True
+
+
+@inner
+def null_motions(work, own, n):
+    """Orthonormal rows n_kept … n − 1 of Z: joint motions v with U Zᵀv = 0, U what the arm resists.
+
+    Args:
+        work: its Z holds n rows of six, J or K⁻¹Jᵀ. own: ARM_WORK row. n: joints of the arm.
+    """
+    for a in range(own.n_kept):
+        for j in range(n):
+            work.X[a, j] = dot6(own.kept[a], work.Z[j])
+    qr_rows(work.X, own.n_kept, n, work.s, work.t)
+    form_q(work.X, own.n_kept, n, work.t, n, work.Z)
 
 
 @leaf
@@ -279,48 +223,32 @@ def effort_metric(t, lo, n, m, arm, out):
     """
     joints = t.work.joints
     table = t.model.joints
-    if n <= m:
-        for a in range(6):
-            x = ZERO
-            for j in range(lo, lo + n):
-                x = add(x, table[j].effort * joints[j].J_bar[a], joints[j].J_bar)
-            fill(out[a], x)
-        mirror(out)
-        return True
-    if arm.n_kept == 6:
-        for a in range(6):
-            x = ZERO
-            for j in range(lo, lo + n):
-                x = add(x, table[j].ease * joints[j].J[a], joints[j].J)
-            fill(t.work.A[a], x)
-        return invert_spd6(t.work.A, t.work.B, out) > _DEFINITE
-    return _effort_of_kept(t, lo, n, arm, out)
-
-
-@inner
-def _effort_of_kept(t, lo, n, arm, out):
-    """The same where the arm makes fewer than six wrenches, the rows of `kept`."""
     count = arm.n_kept
-    U = arm.kept
     A = t.work.A
     B = t.work.B
     x = t.work.u
-    A[:] = 0.0
     out[:] = 0.0
+    if n <= m:
+        for j in range(lo, lo + n):
+            bar = joints[j].J_bar
+            for a in range(6):
+                accumulate(out[a], table[j].effort * bar[a], bar)
+        return True
+    A[:] = 0.0
+    fill(x, ZERO)
     for j in range(lo, lo + n):
         for a in range(count):
-            x[a] = dot6(U[a], t.work.joints[j].J)
-            for b in range(a + 1):
-                A[a, b] += x[a] * x[b] * t.model.joints[j].ease
+            x[a] = dot6(arm.kept[a], joints[j].J)
+        for a in range(count):
+            accumulate(A[a], table[j].ease * x[a], x)
     if count > 0 and not cholesky(A, 0, count, B) > _DEFINITE:
         return False
-    for i in range(6):
-        for a in range(count):
-            x[a] = U[a, i]
-        cholesky_solve(B, count, x, 0)
-        for a in range(count):
-            for j in range(6):
-                out[j, i] += U[a, j] * x[a]
+    for a in range(count):
+        fill(A[a], arm.kept[a])
+    forward_rows(B, count, A)
+    for a in range(count):
+        for i in range(6):
+            accumulate(out[i], A[a, i], A[a])
     return True
 
 
@@ -337,8 +265,6 @@ def _effort_of_kept(t, lo, n, arm, out):
 #: Commands are reduced where χ is below FULL and are zero at NONE_LEFT.
 NONE_LEFT = 0.05
 FULL = 0.3
-_HARD = 1e-8  # shares below it are as good as 0
-_GONE = 1e-6  # of the mobility that Λ_ref has along any direction, 1
 _SMALL = 1e-9  # χ below it determines no motion of the joints
 
 
@@ -381,14 +307,15 @@ def find_lost(t, arm, own):
         return
     for i in range(6):
         root[i] = sqrt(t.model.reference[i])
-    if m == 6:  # all wrenches: the axes themselves are orthonormal
-        for a in range(6):
-            for j in range(n):
-                X[a, j] = root[a] * Z[j, a]
-            for i in range(6):
-                X[a, n + i] = 1.0 if i == a else 0.0
-    else:
-        _passed_rows(t, own, Z, root, m, n)
+        for a in range(m):
+            work.A[a, i] = own.passed[a, i] / root[i]
+        for j in range(n):
+            Z[j, i] *= root[i]
+    orthonormalise(work.A, m, 0, work.A, work.B)  # wrenches that the grasp passes on, in Λ_ref
+    for a in range(m):
+        for j in range(n):
+            X[a, j] = dot6(work.A[a], Z[j])
+        fill(X[a, n:], work.A[a])
     one_sided_jacobi(X, m, n, 6)
     _sort_rows(X, m, n)
     for k in range(arm.full_rank):
@@ -399,7 +326,7 @@ def find_lost(t, arm, own):
         at = own.n_lost
         own.chi[at] = chi
         own.share[at] = _share_left(chi)
-        own.gone[at] = 1.0 if k >= own.n_kept else 0.0
+        own.gone[at] = k >= own.n_kept
         for i in range(6):
             own.lost[at, i] = root[i] * X[k, n + i]
         for j in range(n):
@@ -407,25 +334,6 @@ def find_lost(t, arm, own):
         backward(work.K, n, own.mode[at], 0)
         own.n_lost += 1
         work.n_lost += 1
-
-
-@inner
-def _passed_rows(t, own, Z, root, m, n):
-    """Rows of X for the wrenches that a grasp passes on, orthonormal in Λ_ref."""
-    work = t.work
-    X = work.X
-    for a in range(m):
-        for i in range(6):
-            work.A[a, i] = own.passed[a, i] / root[i]
-    orthonormalise(work.A, m, 0, work.B, work.D)
-    for a in range(m):
-        for j in range(n):
-            s = 0.0
-            for i in range(6):
-                s += work.B[a, i] * root[i] * Z[j, i]
-            X[a, j] = s
-        for i in range(6):
-            X[a, n + i] = work.B[a, i]
 
 
 @inner
@@ -478,77 +386,19 @@ def _share_left(chi):
 
 
 @inner
-def retreat(t, lo, hi, i, start):
-    """start + row i of M q̈, q̈ = −k_r q̇ + k_p (q₀ − q): joints leave a singular posture.
+def retreat(t, arm, i, damping):
+    """Row i of M q̈, q̈ = −k_d q̇ + k_p (q₀ − q): joints follow their posture law (N m, N).
 
     Args:
-        lo, hi: first joint of the arm, and the one behind its last. i: joint. start: N m (N).
+        arm: ARM row. i: joint. damping: k_d (1/s).
     """
     model = t.model
-    for j in range(lo, hi):
+    s = 0.0
+    for j in range(arm.first, arm.end):
         back = model.posture_stiffness * (model.joints[j].posture - t.input.q[j])
-        back = back - model.retreat_damping * t.input.v[j]
-        start += t.work.joints[i].M[j - lo] * back
-    return start
-
-
-@inner
-def reduce_motion(t, r):
-    """The motion command with the arms' lost directions left to their posture task.
-
-    What an arm's joints must do along a lost direction u is (uᵀ(a − γ))/χ: it grows without bound
-    while it does ever less. Share φ of it is kept; the rest is replaced by the posture's own
-    acceleration there, with the least change Δ of the command in Λ_o that the contacts permit:
-
-        min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − t)²/|u|²,   NΔ = 0,   t = χ vᵀKᵀq̈_posture − uᵀ(a − γ)
-
-    Args:
-        r: columns of N.
-    """
-    work = t.work
-    m = work.locked
-    H = work.A
-    L = work.B
-    step = work.y
-    row = work.w
-    fill(step, ZERO)
-    H[:] = 0.0
-    for i in range(6):
-        H[i, i] = 1.0
-    a = turned_back(work, work.x)
-    for k in range(t.model.n_arms):
-        own = work.arms[k]
-        lo = t.model.arms[k].first
-        hi = t.model.arms[k].end
-        for e in range(own.n_lost):
-            target = 0.0
-            for i in range(lo, hi):
-                target += own.mode[e, i - lo] * retreat(t, lo, hi, i, 0.0)
-            target *= own.chi[e]
-            for i in range(6):
-                target -= own.lost[e, i] * (a[i] - own.gamma[i])
-            fill(row, turned(work, own.lost[e]))
-            for i in range(m):
-                row[i] = 0.0
-            size = dot(row, row, 6)
-            if own.gone[e] != 0.0 or size < _GONE:  # no motion of the chain's any more
-                continue
-            weight = (1.0 - own.share[e]) / (max(own.share[e], _HARD) * size)
-            accumulate(step, weight * target, row)
-            for i in range(6):
-                accumulate(H[i], weight * row[i], row)
-    # in coordinates K⁻ᵀ… where H is the identity: y = K⁻¹ step, N K⁻ᵀ
-    d = 6 - m
-    cholesky(H, m, d, L)
-    forward(L, d, step, m)
-    for b in range(r):
-        fill(work.D[b], work.N_t[b])
-        forward(L, d, work.D[b], m)
-        work.s[b] = 0.0
-    orthonormalise(work.D, r, m, work.E, work.A)
-    project_onto_constraint(work.E, r, step, work.s)
-    backward(L, d, step, m)
-    fill(work.x, plus(work.x, step))
+        back = back - damping * t.input.v[j]
+        s += t.work.joints[i].M[j - arm.first] * back
+    return s
 
 
 # --- Λ, μ, p, J, J̄, Φ and h of one arm at its tip in world axes, without a tick around them -------

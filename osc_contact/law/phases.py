@@ -22,7 +22,7 @@ from __future__ import annotations
 from math import inf
 
 from osc_contact.law.algebra import lu_solve
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, leaf
 from osc_contact.law.records import body_of, contact_of
 from osc_contact.law.vectors import fill
 
@@ -70,8 +70,6 @@ def low_pass(t, independent):
     solved = lu_solve(work.D, r, b, 1)
     for j in range(t.model.n_columns):
         row = columns[j]
-        row.alpha = work.alpha[j]
-        row.speed = work.speeds[j]
         if row.known == 0:
             row.force = row.alpha
             row.filtered_speed = row.speed
@@ -134,8 +132,8 @@ def monitor(limits, row, force, speed, dt, dwell, more):
     row.burst = max(row.burst, abs(force * speed)) if closed or row.high_for > 0.0 else 0.0
     collision = closed and row.armed_for > 0.0 and row.burst > limits.power
     row.armed_for = 0.0 if collision else row.armed_for
-    row.closed = 1 if closed else 0
-    row.collision = 1 if collision else 0
+    row.closed = closed
+    row.collision = collision
 
 
 @inner
@@ -194,7 +192,7 @@ def advance_phases(t):
         left = before == CLOSED and phase == APPROACHING and contact.held != 0
         for j in range(model.n_columns):
             if model.columns[j].contact == c:
-                t.work.here[j] = 1 if before != OPEN and phase >= before else 0
+                t.work.here[j] = before != OPEN and phase >= before
                 row = t.memory.columns[j]
                 row.gap = max(row.gap - dt * row.speed, 0.0) if known else 0.0
                 lost = known and (row.time_since_loss > 0.0 or left)
@@ -243,7 +241,7 @@ def set_goals(t):
     for c in range(model.n_contacts):
         contact = t.memory.contacts[c]
         approaching = contact.phase == APPROACHING
-        contact.active = 1 if contact.phase != OPEN else 0
+        contact.active = contact.phase != OPEN
         contact.gain = 0.0 if approaching else model.force_gain
         contact.damping = model.approach_damping if approaching else model.force_damping
         contact.brake = 0.0 if approaching else model.force_brake
@@ -291,15 +289,19 @@ def torque_rate(t, share):
     model = t.model
     rate = model.torque_rate
     slow = min((1.0 - share) / (1.0 - _SLOW), 1.0)
-    for c in range(model.n_contacts if model.phased != 0 and slow > 0.0 else 0):
+    for c in range(model.n_contacts if model.phased and slow > 0.0 else 0):
         if t.memory.contacts[c].since < _CHANGES:
             rate = min(rate, model.phase_rate / (slow * slow))
     return rate
 
 
 @inner
-def limit_changes(t):
-    """`tau` of the motors no further from the last torques than they may change in a tick."""
+def limit_changes(t, begun):
+    """Give out `tau`, no further from the last torques than motors may change in a tick.
+
+    Args:
+        begun: whether there are last torques.
+    """
     work = t.work
     model = t.model
     rate = torque_rate(t, max_speed_ratio(t))
@@ -307,19 +309,31 @@ def limit_changes(t):
         motor = model.joints[j].motor
         if motor >= 0:
             work.step[motor] = rate * model.period * model.joints[j].tau_max
-    slew(work.tau, t.memory.torques, work.step, model.n_motors)
+    slew(work.tau, t.memory.torques, work.step, begun)
 
 
 @inner
-def slew(tau, last, step, n):
-    """Go straight from `last` to `tau`, no motor further than its `step`; `tau` is overwritten.
+def slew(tau, last, step, begun):
+    """Go straight from `last` to `tau`, no motor further than its `step`; both become that.
 
     Args:
-        tau, last: (n,) desired torques, those of the last tick (N m, N). step: (n,) > 0, likewise.
+        tau, last: desired torques, those of the last tick (N m, N). step: > 0, likewise.
+        begun: whether there are last torques.
     """
     share = 0.0
-    for i in range(n):
+    for i in range(len(tau) if begun else 0):
         share = max(share, abs(tau[i] - last[i]) / step[i])
-    if share > 1.0:
-        for i in range(n):
+    for i in range(len(tau)):
+        if share > 1.0:
             tau[i] = last[i] + (tau[i] - last[i]) / share
+        last[i] = tau[i]
+
+
+@leaf
+def collect(seconds, dt, violated):
+    """Seconds of evidence after one tick more.
+
+    Args:
+        seconds: so far. dt: period (s). violated: whether this tick speaks against it.
+    """
+    return seconds + dt if violated else max(seconds - dt, 0.0)

@@ -5,22 +5,23 @@ from __future__ import annotations
 from math import inf, sqrt
 
 from osc_contact.law.algebra import (
+    backward,
     cholesky,
     cholesky_solve,
+    forward,
     lu_solve,
     project_onto_columns,
-    solve_lower,
-    solve_lower_transposed,
 )
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.grasps import filter_reading
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.records import body_of, column_of, contact_of
+from osc_contact.law.records import body_of, contact_of
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,
     add,
     carry_wrench,
+    copy_rows,
     cross,
     divided3,
     dot3,
@@ -37,7 +38,6 @@ from osc_contact.law.vectors import (
     scaled,
     scaled3,
     six,
-    turned,
     turned_back,
     wrench_to_energy,
 )
@@ -53,12 +53,11 @@ _NOTHING = 1e-9  #: Λ_out beside the object's inertia, below which sensors read
 def add_friction(t):
     """N_μ = N + D share of the kept columns, _e (`pushed`), D share at O (`friction_wrenches`)."""
     work = t.work
-    columns = work.columns
     for a in range(work.rank):
         friction = ZERO
         for j in range(work.count if work.mu != 0.0 else 0):
-            s = columns[j].share[a] if work.rank < work.count else (1.0 if j == a else 0.0)
-            friction = add(friction, s, columns[columns[j].chosen].friction_wrench)
+            column = work.columns[work.chosen[j]]
+            friction = add(friction, column.share[a], column.friction_wrench)
         fill(work.friction_wrenches[a], friction)
         fill(work.pushed[a], plus(work.N[a], wrench_to_energy(work, friction)))
 
@@ -87,7 +86,7 @@ def sum_readings(t):
             continue
         joint = work.joints[arm.sensor_joint]
         wrench = read_wrist(t.input.wrenches[k], joint, arm.sensor, work.C)
-        if arm.filtered != 0:
+        if arm.filtered:
             wrench = filter_reading(work.axes, work.arms[k].filter, wrench)
         total = plus(total, wrench)
     fill(work.f_meas, minus(carry_wrench(total, work.C, work.O), t.memory.f_tare))
@@ -110,8 +109,7 @@ def measure_magnitudes(t):
         fill(work.solved[a], work.Q[a])
     if t.model.held == 0:
         return _measure_at_tip(t)
-    for i in range(6):
-        fill(work.B[i], work.out_T[i])
+    copy_rows(work.out_T, 0, work.B)
     if not lu_solve(work.B, 6, work.solved, r):  # rows: Λ_out⁻ᵀ q
         return False
     return _solve_magnitudes(t, 1.0)
@@ -134,26 +132,26 @@ def _solve_magnitudes(t, inertial):
             D[a, b] = dot6(work.solved[a], work.pushed[b])
             E[b, a] = inertial * work.Phi_mu[a, b]
         work.w[a] = inertial * (work.n_gamma[a] + work.b_N[a])
-    solve_lower(L, r, work.w)
+    forward(L, r, work.w, 0)
     for b in range(r):  # columns of L⁻¹Φ_μ
-        solve_lower(L, r, E[b])
+        forward(L, r, E[b], 0)
         for a in range(r):
             D[a, b] += E[b, a]
     for a in range(r):
         for b in range(r):
-            s = 0.0
-            for c in range(a + 1):
+            s = D[a, b] / L[a, a]
+            for c in range(a):
                 s += L[a, c] * D[c, b]
             work.mobility[a, b] = s
     alpha = work.A
     for a in range(r):
         alpha[0, a] = dot6(work.solved[a], f) + work.z[a] - work.w[a]
-        solve_lower(L, r, D[a])  # a row of D L⁻ᵀ
+        forward(L, r, D[a], 0)  # a row of D L⁻ᵀ
     if not lu_solve(D, r, alpha, 1):
         return False
     for a in range(r):
         work.alpha_meas[a] = alpha[0, a]
-    solve_lower_transposed(L, r, work.alpha_meas)
+    backward(L, r, work.alpha_meas, 0)
     return True
 
 
@@ -164,46 +162,37 @@ def _measure_at_tip(t):
     S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹, and a = Sη̇ + σ has a further part.
     """
     work = t.work
-    r = work.rank
-    m = work.locked
+    d = 6 - work.locked
     f = work.reading_e
-    A = work.B
+    S = work.A
     trace = 0.0
     for i in range(6):
-        fill(A[i], work.out_T[i])
-        trace += abs(A[i, i])
+        trace += abs(work.out_T[i, i])
     if trace < _NOTHING:
         work.weightless = 1
         return _solve_magnitudes(t, 0.0)
-    for j in range(6):  # A = Λ_outᵀ, turned from both sides
-        for i in range(6):
-            work.u[i] = A[i, j]
-        column = turned(work, work.u)
-        for i in range(6):
-            A[i, j] = column[i]
-    fill(f, turned(work, f))
-    for i in range(6):
-        fill(A[i], turned(work, A[i]))
-        for j in range(6):  # f less Λ_out σ
-            f[j] -= A[i, j] * work.sigma[i]
-    for a in range(r):
-        fill(work.pushed[a], turned(work, work.pushed[a]))
-        fill(work.solved[a], turned(work, work.solved[a]))
-        work.z[a] = dot6(work.solved[a], work.sigma)
-        for i in range(6 - m):
-            work.E[a, i] = work.solved[a, m + i]
-    for i in range(6 - m):
-        for j in range(6 - m):
-            work.D[i, j] = A[m + i, m + j]
-    if not lu_solve(work.D, 6 - m, work.E, r):
+    sigma = turned_back(work, work.sigma)
+    fill(f, minus(f, _outboard(work, sigma)))
+    for i in range(d):
+        fill(work.u, ZERO)
+        work.u[work.locked + i] = 1.0
+        fill(S[i], turned_back(work, work.u))
+    for i in range(d):
+        inertia = _outboard(work, S[i])
+        for j in range(d):
+            work.D[i, j] = dot6(inertia, S[j])
+    for a in range(work.rank):
+        work.z[a] = dot6(work.Q[a], sigma)
+        for i in range(d):
+            work.E[a, i] = dot6(work.Q[a], S[i])
+    if not lu_solve(work.D, d, work.E, work.rank):
         return False
-    for a in range(r):
-        for i in range(6):
-            work.solved[a, i] = work.E[a, i - m] if i >= m else 0.0
-    done = _solve_magnitudes(t, 1.0)
-    for a in range(r):
-        fill(work.pushed[a], turned_back(work, work.pushed[a]))
-    return done
+    for a in range(work.rank):
+        x = ZERO
+        for i in range(d):
+            x = add(x, work.E[a, i], S[i])
+        fill(work.solved[a], x)
+    return _solve_magnitudes(t, 1.0)
 
 
 @leaf
@@ -246,7 +235,7 @@ def contact_laws(t):
     damping = -inf
     brake = -inf
     for j in range(work.count):
-        law = contact_of(t, work.columns[j].chosen)
+        law = contact_of(t, work.chosen[j])
         gain = min(gain, law.gain)
         damping = max(damping, law.damping)
         brake = max(brake, law.brake)
@@ -257,7 +246,7 @@ def contact_laws(t):
             work.least[a] = -inf
             work.brake[a] = brake
         else:
-            law = contact_of(t, column_of(work, a))
+            law = contact_of(t, work.kept[a])
             work.gain[a] = law.gain
             work.damping[a] = law.damping
             work.least[a] = law.least
@@ -305,7 +294,7 @@ def weigh_magnitudes(t):
     largest = _weigh_tangents(t, R)
     for a in range(r):
         h = six(work.pushed[a])
-        if work.moving != 0:
+        if work.moving:
             for b in range(r):
                 work.s[b] = work.Phi_mu[b, a]
             h = _add_yield(work, h)
@@ -323,7 +312,7 @@ def weigh_magnitudes(t):
         for b in range(r):
             gram[a, b] = dot6(y, H[b])
     work.weightless = 0
-    if t.model.phased != 0:
+    if t.model.phased:
         _find_mobility(t)
     if not lu_solve(gram, r, right, 1):
         return False
@@ -373,7 +362,6 @@ def learn_friction(t):
     """
     model = t.model
     work = t.work
-    columns = work.columns
     if model.learning == 0.0:
         return
     y = work.reading_e
@@ -381,8 +369,8 @@ def learn_friction(t):
     dependent = work.rank < work.count
     found = slid = whole = uncertain = 0.0
     for j in range(work.count):
-        chosen = columns[j].chosen
-        column = columns[chosen]
+        chosen = work.chosen[j]
+        column = work.columns[chosen]
         s = column.slip
         w = max(abs(work.goal[chosen]), _LEAST_FORCE)
         along = dot3(s, s)
@@ -452,7 +440,7 @@ def _weigh_tangents(t, R):
     largest = 0.0
     more = sqrt(_ALONG * _ALONG - _ACROSS * _ACROSS)
     for j in range(work.count):
-        chosen = work.columns[j].chosen
+        chosen = work.chosen[j]
         column = work.columns[chosen]
         w = max(abs(work.goal[chosen]), _LEAST_FORCE)
         largest = max(largest, w)
@@ -475,7 +463,7 @@ def _push_on(t, force, chosen):
         return g
     body = body_of(t, chosen).same
     for a in range(work.rank):  # s = NᵀΦ_e f
-        here = body_of(t, column_of(work, a)).same == body
+        here = body_of(t, work.kept[a]).same == body
         work.s[a] = dot6(work.yields[a], f) if here else 0.0
     return _add_yield(work, g)
 
@@ -483,7 +471,7 @@ def _push_on(t, force, chosen):
 @inner
 def _add_yield(work, f):
     """f more Λ_out times the least motion with the normal acceleration s (r,): a body yields."""
-    solve_lower(work.L, work.rank, work.s)
+    forward(work.L, work.rank, work.s, 0)
     a = ZERO
     for b in range(work.rank):
         a = add(a, work.s[b], work.Q[b])

@@ -67,7 +67,6 @@ _MODEL = _record(
         "n_arms",
         "n_joints",
         "n_motors",
-        "n_pairs",
         "n_shapes",
         "n_columns",
         "n_contacts",
@@ -172,7 +171,7 @@ ARM = _record(
     ),
     tip=12,
     sensor=12,  # frames in their joints: rotation by rows, then point
-    outer=10,  # what of the first outboard link is beyond the sensor
+    outer=13,  # what of the first outboard link is beyond the sensor
     grasp=(6, 6),  # rows: m of N, 6 − m of T, in the tip
     point=3,
     axis=3,
@@ -201,7 +200,7 @@ JOINT = _record(
     ),
     theta=5,  # of `joint_friction`, at the start
     placement=12,  # in the joint before it, or in the world: rotation by rows, then point
-    link=10,  # mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)
+    link=13,  # mass, centre, inertia about it by rows
 )
 #: Of θ: residuals that are no friction, and rounding (N m, N); standard deviations by which it must
 #: differ from the model; standard deviation at the start and at most; bounds.
@@ -428,14 +427,12 @@ _WORK = _record(
     f_c=6,
     error=6,
     free_error=6,
-    internal=1,
     C=3,
     O=3,
     R=(3, 3),
     axes=(4, 3, 3),
     X_WD=(4, 4),
     beta=8,
-    pivots=8,
     X_WE=(4, 4),  # of the body whose pair is being evaluated
     evaluated=(6, 11),  # by a FUNCTION pair: N, n_γ, gap, point of each column
     K=(MAX_JOINTS, MAX_JOINTS),
@@ -447,7 +444,6 @@ _WORK = _record(
         "V_D",  # with X_WD and A_D the reference of the last computed tick
         "A_D",
         "V_C",  # twist of the object at C
-        "line",
         "bias_links",
         "bias_e",
         "chain_bias",
@@ -455,7 +451,6 @@ _WORK = _record(
         "b_N",
         "V_N",
         "n_gamma",
-        "keep",
         "alpha_d",
         "alpha_meas",
         "alpha_u",
@@ -479,7 +474,7 @@ _WORK = _record(
     ),
     matrix=(
         "Lambda",
-        "effort",  # ΣΛ_i and least effort, _e, then _t
+        "effort",  # Λ_S and least effort, _e, then _t
         "out_T",  # Λ_out transposed, _e
         "reflectors",
         "N",
@@ -530,7 +525,7 @@ JOINT_WORK = _record(
     number=("q", "v", "h", "tau", "rest", "offset", "acceleration", "inertial", "friction"),
     R=(3, 3),
     p=3,
-    body=10,
+    body=13,
     M=MAX_JOINTS,
     vector=(
         "column",
@@ -541,10 +536,9 @@ JOINT_WORK = _record(
     ),
 )
 COLUMN_WORK = _record(
-    whole=("chosen", "shaped"),
+    whole=("shaped",),
     number=(
         "n_gamma",
-        "n_gamma_all",
         "extent",
         "alpha_d",
         "goal",
@@ -640,12 +634,14 @@ WORK = Nested(
     J_world=("n", 6),  # columns at the world's origin
     tau="a",
     step="a",  # of the motors, and the most that they may change by
-    # of all columns of N: goals (N), whether they are kept, or in N; magnitudes, NᵀV_rel; numbers
+    # of all columns of N: goals (N), whether they are in force; magnitudes, NᵀV_rel; numbers of
+    # those in force, and of those kept
     goal="r",
     here="r",
     alpha="r",
     speeds="r",
     chosen=(_INT, "r"),
+    kept=(_INT, "r"),
     # of the torque allocation, see there
     extra=("e", "n"),
     weighed=("e", "n"),
@@ -654,16 +650,13 @@ WORK = Nested(
     left="n",
     left_weighed="n",
     products="6e",
-    # of internal forces of three arms and more, see `allocation`
-    bars="bars",
-    points=("k3", 3),
-    owners=(_INT, "6k3"),
-    force_levers=("n3", 3),
-    driven=("n3", 6),
-    efforts="n3",
-    carried=("6k3", 3),
-    levers=("bars3", "n3"),
-    basis=("bars3", "bars3"),
+    # of internal forces, see `allocation`
+    bars="squeezes",
+    points=("k", 3),
+    owners=(_INT, "6k"),
+    carried=("6k", 3),
+    levers=("bars", "n"),
+    basis=("bars", "bars"),
     scratch="scratch",
 )
 INPUT = Nested(
@@ -699,12 +692,6 @@ def row_of(raw, at, i):
 
 
 @leaf
-def column_of(work, a):
-    """Number of the column of N that is kept as a."""
-    return work.columns[int(work.keep[a])].chosen
-
-
-@leaf
 def contact_of(t, column):
     """CONTACT_MEMORY of the contact that a column of N belongs to."""
     return t.memory.contacts[t.model.columns[column].contact]
@@ -721,9 +708,8 @@ _SIZES = "n_arms", "n_joints", "n_motors", "n_contacts", "n_shapes", "n_columns"
 
 def _counts(k: int, n: int, a: int, c: int, s: int, r: int) -> dict[str, int]:
     """Sizes of all tables: arms, joints, motors, contacts, shapes, columns; and what follows."""
-    bars = 1 if k == 2 else k * (k - 1) // 2
+    bars = k * (k - 1) // 2
     extra = max(1, bars) + 6 * k
-    three = k > 2
     return {
         "k": k,
         "n": n,
@@ -736,11 +722,7 @@ def _counts(k: int, n: int, a: int, c: int, s: int, r: int) -> dict[str, int]:
         "6e": 6 + extra,
         "bars": bars,
         "squeezes": max(1, bars),
-        "k3": k * three,
-        "6k3": 6 * k * three,
-        "n3": n * three,
-        "bars3": bars * three,
-        "scratch": (bars * (9 * k + 2 * n + 2 * bars) + 6 * n) * three,  # of `settable_bars`
+        "scratch": bars * (9 * k + 2 * n + 2 * bars) + 6 * n,  # of `settable_bars`
     }
 
 
@@ -757,7 +739,6 @@ def new_model(
     head = MODEL.view(raw)
     for name, count in zip(_SIZES, counts.values(), strict=False):
         setattr(head, name, count)
-    head.n_pairs = contacts
     head.n_bars = counts["bars"]
     head.n_extra = counts["e"]
     head.row_bytes = len(raw)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import isfinite
 
-from osc_contact.law.arm_motion import move_arm, place_arm, place_point, turn_axes
+from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, turn_axes
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.phases import slew
+from osc_contact.law.phases import collect, slew
 from osc_contact.law.reading import integral_room
 from osc_contact.law.reasons import LASTING, NO_REASON, declare_reason
 from osc_contact.law.records import (
@@ -16,7 +16,6 @@ from osc_contact.law.records import (
     RUN,
     SAFE_STOP,
     SATURATED,
-    column_of,
 )
 from osc_contact.law.sensors import check_sensors, estimate_joints
 from osc_contact.law.vectors import (
@@ -140,7 +139,7 @@ def watch_contacts(t):
         speed = work.speed[a]
         if alpha > 0.0 and speed > 0.0:
             power += alpha * speed
-        row = memory.columns[column_of(work, a)]
+        row = memory.columns[work.kept[a]]
         size = abs(desired)
         missing = size > _LIGHT and (alpha if desired > 0.0 else -alpha) < _SHARE * size
         missing = missing and model.phased == 0
@@ -156,22 +155,12 @@ def watch_contacts(t):
         elif row.overforce > model.overforce_time:
             reason = OVERFORCE
         if reason != NO_REASON:
-            memory.culprit = column_of(work, a)
+            memory.culprit = work.kept[a]
             return reason
     memory.powered = collect(memory.powered, dt, power > model.contact_power)
     if memory.powered > max(SURE, 1.5 * model.period):
         return POWERED
     return NO_REASON
-
-
-@leaf
-def collect(seconds, dt, violated):
-    """Seconds of evidence after one tick more.
-
-    Args:
-        seconds: so far. dt: period (s). violated: whether this tick speaks against it.
-    """
-    return seconds + dt if violated else max(seconds - dt, 0.0)
 
 
 # --- A tick that cannot be computed: repeat, hold the posture, stop -------------------------------
@@ -200,7 +189,7 @@ def guard(t, reason):
     model = t.model
     work = t.work
     memory = t.memory
-    memory.wrench_age = memory.wrench_age + 1 if memory.wrench_missing != 0 else 0
+    memory.wrench_age = memory.wrench_age + 1 if memory.wrench_missing else 0
     cause = check_sensors(t)
     estimate_joints(t)
     if reason == NO_REASON:
@@ -302,10 +291,7 @@ def _hold_posture(t):
                 s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
                 work.tau[motor] = s if isfinite(s) else memory.torques[motor]
                 work.step[motor] = rate * model.period * most
-    if memory.ticked != 0:
-        slew(work.tau, memory.torques, work.step, model.n_motors)
-    for i in range(model.n_motors):
-        memory.torques[i] = work.tau[i]
+    slew(work.tau, memory.torques, work.step, memory.ticked != 0)
 
 
 @inner
@@ -391,9 +377,7 @@ def _carry_weight(t):
     if model.held == 0 or not known:
         return 0.0
     if model.leader >= 0:
-        joint = work.joints[model.arms[model.leader].tip_joint]
-        fill3(work.u, place_point(joint, own[9:]))
-        turn_axes(joint.R, own, work.A)
+        place_frame(work.joints[model.arms[model.leader].tip_joint], own, work.A, work.u)
     else:
         fill3(work.u, transformed(origin(memory.X_WO), memory.X_WO, own[9:]))
         turn_axes(memory.X_WO, own, work.A)

@@ -17,9 +17,10 @@ from __future__ import annotations
 from math import isfinite, sqrt
 
 from osc_contact.law.arm_motion import place_point
+from osc_contact.law.commands import pose_error
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.joint_friction import SPEED, V, observe_arm
-from osc_contact.law.phases import APPROACHING
+from osc_contact.law.phases import APPROACHING, collect
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
     FAULTY_POSITION,
@@ -28,15 +29,16 @@ from osc_contact.law.records import (
     OTHER,
     SAFE_STOP,
     WRISTS,
-    column_of,
     contact_of,
 )
 from osc_contact.law.vectors import (
     cross,
     dot3,
     dot6,
+    fill,
     minus3,
     origin,
+    scaled,
     transformed,
 )
 
@@ -134,7 +136,7 @@ def check_readings(t):
     memory = t.memory
     if not _is_rotation(t.input.X_WD):
         return NO_ROTATION
-    if memory.wrench_missing != 0:
+    if memory.wrench_missing:
         if memory.has_wrench == 0 or (memory.wrench_age + 1) * model.period > model.wrench_timeout:
             return WRENCH_TIMEOUT
     else:
@@ -144,7 +146,7 @@ def check_readings(t):
                 return OUT_OF_RANGE
     for j in range(model.n_joints):
         fast = abs(t.input.v[j]) > model.plausible_speed * table[j].rated
-        if fast or (memory.compared != 0 and jumped(t, table[j], t.memory.joints[j], t.input.q[j])):
+        if fast or (memory.compared and jumped(t, table[j], t.memory.joints[j], t.input.q[j])):
             memory.culprit = j
             return JUMPED
     return NO_REASON
@@ -193,19 +195,11 @@ def compare_speeds(t):
     memory = t.memory
     work = t.work
     V = work.y
-    X = work.X_WO
-    last = memory.X_WO
     dt = t.model.period * (1 + memory.gap)
     k = dt / (_LAG + dt)
-    for i in range(3):
-        V[i] = (X[i, 3] - last[i, 3]) / dt
-        V[3 + i] = 0.0
-        a = (i + 1) % 3
-        b = (i + 2) % 3
-        for j in range(3):  # half of R Rᵀ of the last tick less its transpose
-            V[3 + i] += 0.5 * (X[b, j] * last[a, j] - X[a, j] * last[b, j]) / dt
+    fill(V, scaled(1.0 / dt, pose_error(work.X_WO, memory.X_WO, work.A)))
     for a in range(work.rank):
-        j = column_of(work, a)
+        j = work.kept[a]
         row = memory.columns[j]
         speed = work.speed[a]
         if row.known == 0 or memory.compared == 0:
@@ -232,11 +226,11 @@ def check_arms(t):
     memory = t.memory
     dt = t.model.period * (1 + max(memory.gap, memory.wrench_age))
     apart = _find_apart(t)
-    memory.apart = max(memory.apart + (dt if apart >= 0 else -dt), 0.0)
+    memory.apart = collect(memory.apart, dt, apart >= 0)
     if apart >= 0 and memory.apart > _APART:
         memory.culprit = apart
         return APART
-    if memory.wrench_missing != 0 or memory.ticked == 0:
+    if memory.wrench_missing or memory.ticked == 0:
         return NO_REASON
     memory.balanced += 1
     memory.instant += int(dt / t.model.period + 0.5)
@@ -267,7 +261,7 @@ def _balance_arm(t, arm, own, dt):
         theta = joint.theta
         speed = abs(known.means[SPEED])
         most += _RUBS * (theta[0] + theta[1] * speed)  # this may be wrong
-        if t.memory.friction_known[j] != 0:
+        if t.memory.friction_known[j]:
             theta = t.memory.friction[j].theta
         for i in range(3):  # slowly: a wrist that is wrong at once is not taken for friction
             known.trusted[i] += slow * (abs(theta[i]) - known.trusted[i])
@@ -281,7 +275,7 @@ def _balance_arm(t, arm, own, dt):
         rest = known.unexplained
         known.usual += slow * (rest - known.usual)
         too_much = abs(rest - known.usual) > most or abs(rest) > 2.0 * most
-        known.unbalanced = max(known.unbalanced + (dt if too_much else -dt), 0.0)
+        known.unbalanced = collect(known.unbalanced, dt, too_much)
         found = found or known.unbalanced > _UNBALANCED
     return found
 
@@ -434,8 +428,8 @@ def _check_joint(t, known, limit, step, v, dt):
     known.surprise_q += lag * (slope - known.model_q - known.surprise_q)
     known.model_v += k * (v - known.model_v)
     known.model_q += k * (slope - known.model_q)
-    known.stuck = 1 if known.gained > model.stuck_speed * limit else 0
-    if known.stuck != 0:
+    known.stuck = known.gained > model.stuck_speed * limit
+    if known.stuck:
         return STUCK
     if abs(known.error) > model.speed_error * limit:
         return DISAGREE
@@ -459,7 +453,7 @@ def _isolate(t, j):
     dead = known.same_speed > _DEAD and (stuck or abs(known.moved) > most)
     if stuck:
         known.faulty |= FAULTY_POSITION
-        if dead or t.memory.derived != 0:
+        if dead or t.memory.derived:
             known.faulty |= FAULTY_SPEED
     elif known.faulty == 0:
         if dead or abs(known.surprise_v) > abs(known.surprise_q):

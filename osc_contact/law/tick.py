@@ -37,6 +37,7 @@ from osc_contact.law.command_filter import (
     BAD_METRIC,
     filter_motion,
     permit_error,
+    reduce_motion,
     reflect_columns,
     require_reachable,
     set_metric,
@@ -51,7 +52,6 @@ from osc_contact.law.commands import (
 from osc_contact.law.contact import place_contacts, take_turns
 from osc_contact.law.jit import entry, inner, leaf, prefetch
 from osc_contact.law.joint_friction import compensate_friction
-from osc_contact.law.operational import reduce_motion
 from osc_contact.law.reading import (
     add_friction,
     command_force,
@@ -80,7 +80,6 @@ from osc_contact.law.records import (
     OK,
     SAFE_STOP,
     SATURATED,
-    column_of,
     contact_of,
     row_of,
 )
@@ -90,7 +89,7 @@ from osc_contact.law.vectors import (
     ZERO,
     accumulate,
     carry_motion,
-    copy_pose,
+    copy_rows,
     dot6,
     fill,
     finiteness,
@@ -146,28 +145,28 @@ def look(t, flags):
     memory = t.memory
     work = t.work
     work.status = OK
-    work.commanded = 1 if flags & COMMANDED != 0 else 0
+    work.commanded = model.n_arms == 2 or flags & COMMANDED != 0
     work.moving = t.input.moving
     work.rank = 0
     work.count = 0
-    lost = memory.gap if memory.ticked != 0 else 0  # nothing passes before the first tick
+    lost = memory.gap if memory.ticked else 0  # nothing passes before the first tick
     work.dt = model.period * (1 + min(lost, MOST_LOST))
     engaged = memory.engaged != 0 and model.n_contacts > 0
     misfit = engaged and flags & NO_FORCES != 0
     engaged = engaged and not misfit
     misfit = flags & MISFIT != 0 or (misfit and flags & PARTIAL == 0)
-    if misfit or not is_finite(t, engaged, work.moving != 0):
+    if misfit or not is_finite(t, engaged, work.moving):
         return BAD_INPUT
     if memory.state == SAFE_STOP:
         return STOPPED
-    if model.guarded != 0:
+    if model.guarded:
         reason = check_readings(t)
         if reason != NO_REASON:
             return reason
     if model.leader < 0 and memory.located == 0:
         return OBJECT_UNKNOWN
     take_in(t, engaged, work.moving != 0)
-    if model.phased != 0 and engaged:
+    if model.phased and engaged:
         if memory.fresh != 0:  # what a tick measured is judged once, by the next one computed
             memory.fresh = 0
             if phases.advance_phases(t):
@@ -214,7 +213,7 @@ def take_in(t, engaged, moving):
     model = t.model
     work = t.work
     given = t.input
-    copy_pose(given.X_WD, work.X_WD)
+    copy_rows(given.X_WD, 0, work.X_WD)
     fill(work.V_D, given.V_D)
     fill(work.A_D, given.A_D)
     for j in range(model.n_joints):
@@ -244,7 +243,7 @@ def measure(t):
         take_turns(t)
         if not place_contacts(t):
             return DEGENERATE_PAIR
-        if work.moving != 0:
+        if work.moving:
             answer_bodies(t)
     reason = keep_columns(t)
     if reason != NO_REASON:
@@ -255,6 +254,7 @@ def measure(t):
     reflect_columns(t)
     fill(work.f_c, ZERO)
     if work.rank == 0:
+        spread_magnitudes(t)
         return NO_REASON
     if model.reading == LEAST_SQUARES:
         if not weigh_magnitudes(t):
@@ -264,11 +264,12 @@ def measure(t):
         return BLIND
     contact_laws(t)
     for a in range(work.rank):
-        N = work.columns[column_of(work, a)].N
+        N = work.columns[work.kept[a]].N
         work.speed[a] = dot6(N, work.V_O) - work.V_N[a]
         accumulate(work.f_c, work.alpha_meas[a], N)
-    if model.phased != 0:
+    if model.phased:
         compare_speeds(t)
+    spread_magnitudes(t)
     return require_reachable(t)
 
 
@@ -284,29 +285,18 @@ def set_desired_forces(t, flags):
     work = t.work
     columns = work.columns
     own = flags & OWN_FORCE != 0
-    if own:
-        work.step_left = 0.0
-        work.integral_scale = 1.0
-        for j in range(t.model.n_columns):
-            columns[j].goal = work.goal[j]
-            columns[j].scale = 0.0
-            columns[j].shaped = 0
-            columns[j].to_come[:] = 0.0
-    else:
-        if t.model.step_time > 0.0:
-            spread_magnitudes(t, work.alpha, work.speeds)
-        shape_steps(t)
+    shape_steps(t, own)
     brake_contacts(t)
     independent = work.rank == work.count
     for a in range(work.rank):
         s = 0.0
         for j in range(work.count):
-            share = (1.0 if j == a else 0.0) if independent else columns[j].share[a]
-            s += share * columns[columns[j].chosen].goal
+            column = columns[work.chosen[j]]
+            s += column.share[a] * column.goal
         work.alpha_d[a] = s
         work.gain[a] *= work.integral_scale
         work.brake[a] = 0.0 if own else work.brake[a]
-        approached = contact_of(t, column_of(work, a)).phase == phases.APPROACHING
+        approached = contact_of(t, work.kept[a]).phase == phases.APPROACHING
         work.felt[a] = work.alpha_meas[a]
         if approached and independent:
             work.gain[a] = phases.APPROACH_GAIN
@@ -349,7 +339,6 @@ def hand_over(t):
     project_onto_columns(work.L_t, work.Q_t, work.rank, x, work.s)
     fill(work.z, ZERO)
     for i in range(work.locked, 6):
-        work.z[i] = x[i] if t.model.held != 0 else 0.0
         for j in range(work.locked, 6):
             work.z[i] += work.Lambda[i, j] * x[j]
     f = wrench_to_world(work, turned_back(work, work.z))
@@ -370,17 +359,17 @@ def command(t, flags):
     work = t.work
     memory = t.memory
     for a in range(work.rank):
-        if flags & OWN_FORCE == 0 and memory.wrench_missing != 0:
+        if flags & OWN_FORCE == 0 and memory.wrench_missing:
             work.gain[a] = 0.0
         # another number of columns: start again
         work.w[a] = memory.force_sum[a] if memory.force_rank == work.rank else 0.0
-        if flags & OWN_FORCE != 0:
+        if flags & OWN_FORCE:
             work.force_next[a] = work.w[a]
             if work.damping[a] > 0.0:  # approached
                 work.alpha_u[a] = work.alpha_d[a] - work.damping[a] * work.speed[a]
     if flags & OWN_FORCE == 0:
         command_force(t)
-    if memory.hand_over != 0:
+    if memory.hand_over:
         memory.hand_over = 0
         hand_over(t)
     most = model.integral_motion / model.integral if model.integral > 0.0 else inf
@@ -393,7 +382,7 @@ def command(t, flags):
     if reason != NO_REASON:
         return reason
     if work.n_lost > 0 and work.locked < 6:
-        reduce_motion(t, work.rank)
+        reduce_motion(t)
     command_object(t)
     return NO_REASON
 
@@ -402,7 +391,7 @@ def command(t, flags):
 def watch(t):
     """Limits of the robot and what only a commanded tick shows of the sensors; a reason."""
     reason = watch_joints(t)
-    if reason == NO_REASON and t.model.guarded != 0:
+    if reason == NO_REASON and t.model.guarded:
         reason = check_arms(t)
     if reason == NO_REASON and t.work.rank > 0:
         reason = watch_contacts(t)
@@ -421,10 +410,9 @@ def finish(t):
     reason = allocate_torques(t)
     if reason != NO_REASON:
         return reason
-    if model.rubs != 0:
+    if model.rubs:
         compensate_friction(t)
-    if model.n_arms > 2:
-        internal_forces(t)
+    internal_forces(t)
     excess, finite = limit_torques(t)
     s = finiteness(work.motion_next, 6) + finiteness(work.force_next, work.rank)
     if not (finite and isfinite(s)):
@@ -434,10 +422,7 @@ def finish(t):
     elif work.n_lost > 0:
         work.status = DEGRADED
     if not excess:
-        if t.memory.ticked != 0:
-            phases.limit_changes(t)
-        for i in range(model.n_motors):
-            t.memory.torques[i] = work.tau[i]
+        phases.limit_changes(t, t.memory.ticked != 0)
     remember(t)
     return NO_REASON
 
@@ -452,25 +437,18 @@ def remember(t):
     memory.located = 1
     memory.more_friction = work.more_friction
     memory.slid = work.slid
-    copy_pose(work.X_WO, memory.X_WO)
+    copy_rows(work.X_WO, 0, memory.X_WO)
     if work.status != SATURATED:
         for a in range(work.rank):
             memory.force_sum[a] = work.force_next[a]
         memory.force_rank = work.rank
         if work.status == OK:
             fill(memory.motion_sum, work.motion_next)
-    work.here[:] = 0.0
-    work.alpha[:] = 0.0
-    work.speeds[:] = 0.0
-    spread_magnitudes(t, work.alpha, work.speeds)
     for j in range(t.model.n_columns):
         memory.columns[j].alpha = work.alpha[j]
         memory.columns[j].speed = work.speeds[j]
-    for j in range(work.count):
-        work.chosen[j] = work.columns[j].chosen
-        work.here[work.chosen[j]] = 1.0
     keep_steps(t)
-    if t.model.phased != 0:
+    if t.model.phased:
         phases.low_pass(t, work.rank == work.count and work.weightless == 0)
 
 
@@ -519,14 +497,6 @@ def _copy(x, start, fits, out):
         out[i] = x[start + i] if fits else nan
 
 
-@leaf
-def _copy_rows(x, start, out):
-    """The same with rows of a matrix that fits."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = x[start + i, j]
-
-
 @entry
 def rows(raw, at, given):
     """Controllers `first` … `last` − 1 of a job, each from part `begin` to before part `stop`.
@@ -549,7 +519,7 @@ def rows(raw, at, given):
     count = job.count
     head = _model(raw, job.model)
     size = head.memory_bytes
-    used = head.layout[_PRIORS] if job.model_step != 0 else 0  # what a row is read of, as a rule
+    used = head.layout[_PRIORS] if job.model_step else 0  # what a row is read of, as a rule
     layout = _memory(raw, job.memory).layout
     unused = layout[_FRICTION]
     columns = layout[_COLUMNS]
@@ -578,23 +548,23 @@ def rows(raw, at, given):
         t = row_of(raw, at, i)
         own = t.input
         if job.begin == LOOK:
-            own.moving = 1 if moving else 0
+            own.moving = moving
             _copy(q, i * n, fits_q, own.q)
             _copy(v, i * n, fits_v, own.v)
-            if t.memory.wrench_missing != 0:
-                _copy_rows(t.memory.wrenches, 0, own.wrenches)
+            if t.memory.wrench_missing:
+                copy_rows(t.memory.wrenches, 0, own.wrenches)
             elif fits_wrenches:
-                _copy_rows(wrenches, i * k, own.wrenches)
+                copy_rows(wrenches, i * k, own.wrenches)
             else:
                 own.wrenches[:] = nan
             if fits:
-                _copy_rows(X_WD, 4 * i, own.X_WD)
+                copy_rows(X_WD, 4 * i, own.X_WD)
                 _copy(V_D, 6 * i, True, own.V_D)
                 _copy(A_D, 6 * i, True, own.A_D)
                 if has_desired:
                     _copy(alpha_d, i * head.n_columns, True, own.alpha_d)
                 if moving:
-                    _copy_rows(touched, i * c, own.touched)
+                    copy_rows(touched, i * c, own.touched)
         status = _row(t, flags, job.begin, job.stop)
         if job.begin != HAND_OVER:
             t.memory.status = status

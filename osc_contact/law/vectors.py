@@ -179,51 +179,11 @@ def finiteness(x, n):
 
 
 @leaf
-def copy_pose(X, out):
-    """out ← X of poses (4, 4)."""
-    for i in range(4):
-        for j in range(4):
-            out[i, j] = X[i, j]
-
-
-@inner
-def qr6(X, rows, R, diagonal, beta):
-    """Householder QR of the (6, rows) matrix whose *columns* are X[:rows, :6].
-
-    The reflectors are left in the rows of X, the part of R beyond its diagonal in R[k, j], k < j.
-    Returns False where a column depends on those before it to the last digit.
-
-    Args:
-        X: columns of the matrix, as rows of six. rows: how many. R: for the factor.
-        diagonal, beta: (rows,) of R, and of the reflectors.
-    """
-    for k in range(rows):
-        for i in range(k):
-            R[i, k] = X[k, i]
-            X[k, i] = 0.0
-        square = dot6(X[k], X[k])
-        if not square > 0.0:
-            return False
-        diagonal[k], beta[k] = reflector(square, X[k, k])
-        X[k, k] -= diagonal[k]
-        b = beta[k]
-        v = six(X[k])
-        for j in range(k + 1, rows):
-            accumulate(X[j], -b * dot6(v, X[j]), v)
-    return True
-
-
-@inner
-def form_q6(V, rows, beta, Q):
-    """The columns of H_1 … H_rows, as rows Q[:6, :6].
-
-    Args:
-        V, beta: reflectors and their factors, of `qr6`. rows: how many. Q: for the columns.
-    """
-    for c in range(6):
-        fill(Q[c], ZERO)
-        Q[c, c] = 1.0
-        fill(Q[c], reflected_back(V, beta, min(c + 1, rows), Q[c]))
+def copy_rows(X, start, out):
+    """out ← the rows X[start:], as many and as long as there are in out."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = X[start + i, j]
 
 
 @leaf
@@ -477,8 +437,7 @@ def reflection(work: Any) -> NDArray[np.float64]:
     """(6, 6) that turns energy coordinates so that the first axes are the locked ones."""
     reflection = np.eye(6)
     for k in range(int(work["locked"])):
-        v = work["reflectors"][k].copy()
-        v[:k] = 0.0
+        v = work["reflectors"][k]
         reflection -= np.outer(work["beta"][k] * v, v @ reflection)
     return reflection
 

@@ -409,7 +409,7 @@ class LawPair(PackagedPair):
         E = _elements(b.X_E)
         columns = self._columns(A, E, b.V_A, b.V_E)
         N = np.array([column.N for column in columns]).reshape(-1, 6).T
-        n_gamma = np.array([column.n_gamma_all for column in columns])
+        n_gamma = np.array([column.n_gamma for column in columns])
         T = None
         if self._row.kind == TANGENTS and len(self._row.shapes) == 6:
             freedoms = self._numbers[1][N.shape[1] :]
@@ -440,7 +440,7 @@ class LawPair(PackagedPair):
     ) -> list[Any]:
         head, shapes = self._numbers
         columns = [
-            SimpleNamespace(N=[0.0] * 6, n_gamma_all=0.0, turn=(0.0, 0.0, 0.0), believed=[0.0] * 3)
+            SimpleNamespace(N=[0.0] * 6, n_gamma=0.0, turn=(0.0, 0.0, 0.0), believed=[0.0] * 3)
             for _ in range(head.count)
         ]
         try:
