@@ -75,7 +75,7 @@ def test_step_rises_at_its_start_with_zero_derivatives():
 
 def test_sine_is_silent_before_start_and_pure_after_the_ramp():
     sine = Sine(amplitude=4.0, frequency=0.5, phase=0.3, start=1.0, ramp=0.5)
-    assert sine.at(0.999) == (0.0, 0.0, 0.0)
+    assert tuple(sine.at(0.999)) == (0.0, 0.0, 0.0)
     w = math.pi
     angle = w + 0.3
     wanted = (4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle))
