@@ -11,6 +11,7 @@ from numpy.linalg import cholesky, norm, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from rigs import (
+    UNLIMITED,
     commanded,
     contact_of,
     held_tick,
@@ -400,3 +401,27 @@ def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
     found = pressed(case, ()).answer(np.insert(tau, 1, 0.0))
     s = controller.signals
     assert_allclose(found.a_object, s.state.S @ s.eta_c + s.state.sigma, atol=1e-8)
+
+
+# Contact forces out of wrist readings, fig. 5 -----------------------------------------------------
+
+
+@parametrize("arm", ["panda", "ur5", "2R", "3R", "4R"])
+def test_forces_at_a_tip_that_holds_nothing(arm):
+    """What moves beyond the sensor is taken out, whatever the motions that the tip has."""
+    rng = default_rng(27)
+    seen = 0
+    for _ in range(12):
+        case = random_case([arm], ["rigid"], rng, body=None)
+        pairs = touching(case, rng)
+        state = pressed(case, pairs)
+        state.move(rng)
+        truth = state.answer(20.0 * rng.standard_normal(case.chain.n_a))
+        controller = osc.Controller(case.chain, pairs, safety=UNLIMITED)
+        reference = osc.Reference(pin.SE3.Identity(), alpha_d=np.zeros(len(pairs)))
+        read = osc.Measurement(case.q, state.v, state.readings(truth))
+        controller.tick(read, reference)
+        assert controller.status is not osc.Status.HELD, controller.reason
+        assert miss(controller.result().alpha_meas, truth.alpha) < 1e-7
+        seen += len(pairs)
+    assert seen > 8
