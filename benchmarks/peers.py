@@ -15,6 +15,7 @@ from benchmarks.cases import CASES, TickCase
 from benchmarks.measuring import Call, Rows, spread, take_turns
 from benchmarks.textbook import TextbookLaw
 from osc_contact import robots
+from osc_contact.contacts.pairs.pair import triad
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.spatial import Array
 from paper.study import Data, with_object
@@ -167,7 +168,7 @@ def mujoco_state(case: TickCase) -> tuple[Any, Any]:
     """
     pairs = [replace(pair, point=pair.point + DEPTH * pair.normal) for pair in case.pairs]
     urdfs = [robots.resolve_urdf(arm.model.name)[0] for arm in case.chain.arms]
-    faces = [(robots.urdf_path("face"), pair.face_placement()) for pair in pairs]
+    faces = [(robots.urdf_path("face"), pin.SE3(triad(pair.normal), pair.point)) for pair in pairs]
     plant = MujocoPlant(case.chain, urdfs, robots.urdf_path("rod"), pairs, faces)
     for i, name in enumerate(case.chain.joint_names):
         joint = plant.model.joint(name)

@@ -18,10 +18,9 @@ import numpy as np
 
 import osc_contact as osc
 from benchmarks.cases import POINT
-from osc_contact.contacts.pairs.pair import lines_of_force, velocity
 from osc_contact.plants.rigid import RigidPlant, Solution
 from osc_contact.runs.rig import PLANTS, MakesPlant, Rig, register_plant
-from osc_contact.spatial import Array, carry_wrench
+from osc_contact.spatial import Array, carry_wrench, cross, skew
 
 STROKES = ((20, 2), (5, 4))  #: mm, Hz
 LINES = {"across": [0, 1, 0], "steepest": [0.93969, 0, 0.34202]}
@@ -48,9 +47,10 @@ class SlidingPlant(RigidPlant):
         for pair in pairs:
             p = pair.points_of_contact(X) - X.translation[:, None]
             n = pair.contact(X, V).N[:3]
-            v = velocity(V, p)
+            v = V[:3, None] + skew(V[3:]) @ p
             v = v - n * (n * v).sum(axis=0)
-            lines.append(lines_of_force(p, v / np.sqrt((v * v).sum(axis=0) + SLIP**2)))
+            along = v / np.sqrt((v * v).sum(axis=0) + SLIP**2)
+            lines.append(np.concatenate((along, cross(p, along))))
         friction = np.zeros(6)
         for _ in range(self.rounds):
             friction = self.mu * np.hstack(lines) @ solution.alpha

@@ -84,7 +84,7 @@ def slide(flat):
     (pair,) = rig.pairs
     controller = rig.controller()
     if flat:
-        given = [*pair.centre, pair.radius, *pair.origin, 0.3]
+        given = [*pair.centre, pair.radius, *pair.surface_point, 0.3]
         one = osc.CompiledPair(tangent_plane, given, pushes=True, name=pair.name)
         controller = osc.Controller(rig.chain, [one], gains=controller.gains, dt=controller.dt)
     references = osc.surface_references(

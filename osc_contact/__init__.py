@@ -13,12 +13,11 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.contacts.contact import Contact
     from osc_contact.contacts.detection.detect import detect
     from osc_contact.contacts.pairs import ContactPair, register_pair
-    from osc_contact.contacts.pairs.compiled_pair import CompiledPair
-    from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
-    from osc_contact.contacts.pairs.gap_functions import GapFunctions
+    from osc_contact.contacts.pairs.functions import CompiledPair, GapFunctions
     from osc_contact.contacts.pairs.pair import EdgeOnEdge, FaceOnVertex
     from osc_contact.contacts.pairs.points_on_planes import (
         CylinderInHole,
+        CylinderInVGroove,
         CylinderOnPlane,
         EdgeOnFace,
         FaceOnFace,
@@ -44,7 +43,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.dynamics.arm import Arm
     from osc_contact.dynamics.chain_state import ChainState, RigidObject
     from osc_contact.dynamics.closed_chain import ClosedChain
-    from osc_contact.dynamics.environment import Environment
+    from osc_contact.dynamics.environment import Environment, Rail
     from osc_contact.dynamics.grasp import Grasp
     from osc_contact.dynamics.operational_space import OperationalSpace, operational_space
     from osc_contact.errors import (
@@ -61,7 +60,6 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     )
     from osc_contact.interface import Measurement, Reference, Robot, pose_reference
     from osc_contact.jerk_limits import JerkLimits
-    from osc_contact.plants.faces import Rail
     from osc_contact.plants.judge import Judge
     from osc_contact.plants.own_mujoco import MujocoRobot
     from osc_contact.recorder import Recording

@@ -86,7 +86,6 @@ class _Check:
         self.data = chain.model.createData()
         self.names = chain.joint_names
         self.fresh = Freshness(dt, 5.0 * dt)
-        self.rests = np.zeros(chain.nq)
         self.now = self.rest = self.read()
 
     def run(self, nudge: ArrayLike | None, patience: float) -> Iterator[str]:

@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 import osc_contact as osc
-from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.spatial import Array, cross
 from osc_contact.visual import OKABE_ITO, plots
 from paper.baselines import measured_coupling
@@ -78,7 +77,8 @@ class Seat:
         self.contact = self.pair.contact(self.X_start, np.zeros(6))
         self.raibert_craig = self.contact.as_raibert_craig(self.height)
         points, directions = self.wall_forces(self.X_start)
-        lines = lines_of_force(points - self.X_start.translation[:, None], directions)
+        arms = points - self.X_start.translation[:, None]
+        lines = np.concatenate((directions, cross(arms, directions)))
         self.from_wall_forces = np.linalg.lstsq(self.contact.N, lines, rcond=None)[0]
 
     def wall_forces(self, X_WO: pin.SE3) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 import osc_contact as osc
-from osc_contact.contacts.pairs.pair import lines_of_force
+from osc_contact.contacts.pairs.pair import triad
 from osc_contact.contacts.raibert_craig import as_raibert_craig
 from osc_contact.recorder.judged import SETTLE_S, judged_ticks
 from osc_contact.spatial import Array
@@ -57,8 +57,8 @@ def _faces(rig: osc.Rig) -> tuple[list[osc.VertexOnFace], Array, Array]:
     """Vertices on faces, where they touch and along which directions they push, (k, 3)."""
     X = rig.state.X_WO
     pairs = [pair for pair in rig.pairs if isinstance(pair, osc.VertexOnFace)]
-    points = np.array([pair.point_on_face(X) for pair in pairs])
-    return pairs, points, np.array([pair.direction() for pair in pairs])
+    points = np.array([pair.points_of_contact(X)[:, 0] for pair in pairs])
+    return pairs, points, np.array([-pair.normal for pair in pairs])
 
 
 def _draw_fig1(rig: osc.Rig) -> Figure:
@@ -75,7 +75,7 @@ def _draw_fig1(rig: osc.Rig) -> Figure:
         ax.locator_params(nbins=5)
         square = 0.09 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
         for pair in pairs:
-            face = [pair.face_placement().act(corner) for corner in square]
+            face = pair.point + square @ triad(pair.normal).T
             ax.add_collection3d(Poly3DCollection([face], **FACE))
         rod = [rig.state.X_WO.act(pair.vertex) for pair in pairs]
         draw_line(ax, rod, color="#4A4F57", lw=5.0, label="body")
@@ -118,7 +118,8 @@ def _fig1(seen: Evidence) -> dict[str, Answer]:
     apart = common_perpendicular(points[0], directions[0], points[1], directions[1])
     angle = np.rad2deg(apart.angle)
     frame = contact.as_raibert_craig(ROD)
-    by_hand = lines_of_force((points - X.translation).T, directions.T)
+    arms = points - X.translation
+    by_hand = np.hstack((directions, np.cross(arms, directions))).T
     off = np.abs(contact.N - by_hand).max()
     return {
         "skew": Answer(

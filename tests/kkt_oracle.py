@@ -21,7 +21,8 @@ from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
 from rigs import LWA, data_at, direction, largest, product, shift, unit
 
-from osc_contact.dynamics.environment import Cart, Conveyor, Environment, Hinge
+from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
+from osc_contact.spatial import carry_twist
 
 G = np.array([0.0, 0.0, -9.81])
 SIZE = 0.15  # of the pairs' geometry, as drawn with 1 m
@@ -148,7 +149,20 @@ def linkage(rng, at):
         model.addFrame(pin.Frame(name, k, 0, X, pin.FrameType.OP_FRAME))
     q, v, tau = rng.standard_normal((3, 2))
     state = model, q, v, 2 * tau
-    return Body(*state, lambda O: Environment.articulated(*state, "touched", O))
+    return Body(*state, lambda O: linked(*state, O))
+
+
+def linked(model, q, v, tau, O):
+    """The environment that the last link of a mechanism is, by Pinocchio's own functions."""
+    data = model.createData()
+    pin.computeAllTerms(model, data, q, v)
+    free = tau - data.nle
+    J = carry_twist(data.J, np.zeros(3), O)
+    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    last = model.njoints - 1
+    drift = carry_twist(data.oMi[last].act(data.a[last]).vector, np.zeros(3), O)
+    weighed = np.linalg.solve(data.M, J.T)
+    return Environment(J @ weighed, free @ weighed + drift, J @ v)
 
 
 def moving(rng, at):
@@ -167,14 +181,16 @@ def on_joints(rng, at, *joints, inertia):
 
 
 def hinged(rng, at):
-    """`Hinge`: a body whose centre of mass lies on the axis, with a spring and a damper."""
+    """`Guided`: a body whose centre of mass lies on the axis, with a spring and a damper."""
     a = direction(rng)
     body = random_inertia(rng)
     balanced = pin.Inertia(body.mass, rng.normal() * a, body.inertia)
     model, c, q, v = on_joints(rng, at, pin.JointModelRevoluteUnaligned(a), inertia=balanced)
     k, d, preload = rng.uniform(0, 5, 3)
-    hinge = Hinge(2.0 * a, c + rng.normal() * a, a @ body.inertia @ a, k, d, preload)
-    return Body(model, q, v, preload - k * q - d * v, hinge)
+    through = c + rng.normal() * a
+    inertia = a @ body.inertia @ a
+    rail = Rail(np.zeros(3), 2.0 * a, through, None, inertia, k, d, preload)
+    return Body(model, q, v, preload - k * q - d * v, Guided(rail))
 
 
 def turning(rng, at):
@@ -193,7 +209,8 @@ def cart(rng, at):
     mass, k, c, preload = rng.uniform(1.0, 5.0, 4)
     joint = pin.JointModelPrismaticUnaligned(u)
     model, _, q, v = on_joints(rng, at, joint, inertia=pin.Inertia.FromSphere(mass, 0.1))
-    return Body(model, q, v, preload - k * q - c * v, Cart(2.0 * u, mass, k, c, preload))
+    rail = Rail(2.0 * u, inertia=mass, stiffness=k, damping=c, preload=preload)
+    return Body(model, q, v, preload - k * q - c * v, Guided(rail))
 
 
 BODIES = {

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.contacts.pairs.pair import Bodies, velocity
+from osc_contact.contacts.pairs.pair import Bodies
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
@@ -172,11 +172,22 @@ def random_state(chain, rng):
         return q, consistent(chain, q, rng.normal(size=chain.nq))
 
 
+def velocity_at(V, p):
+    """(3,) of the point p, from where the twist V (6,) is given."""
+    return V[:3] + np.cross(V[3:], p)
+
+
+def object_poses(chain):
+    """Of the object according to each arm, its grasp at zero, at the positions set last."""
+    grasps = zip(chain.tip_poses(), chain.grasps, strict=True)
+    return [tip * grasp.X_TO for tip, grasp in grasps]
+
+
 def consistent(chain, q, v, N=None):
     """The nearest velocity that keeps the loops closed (and the contacts, if N is given)."""
     pin.computeAllTerms(chain.model, chain.data, q, v)
     N = np.zeros((6, 0)) if N is None else N
-    A = constraint_rows(chain, chain.object_poses()[0].translation, N)
+    A = constraint_rows(chain, object_poses(chain)[0].translation, N)
     for _ in range(3):
         v = v - inverse_rows(A, np.array(chain.data.M), row_groups(chain))[0] @ (A @ v)
     return v
@@ -203,7 +214,7 @@ def sliding(pairs, X_WO, V_O, touched, slip):
         face = () if touched is None else (pin.SE3(np.array(touched.X_WE[i])), touched.V_E[i])
         p = pair.points_of_contact(X_WO, *face[:1])[:, 0] - X_WO.translation
         n = pair.contact(X_WO, V_O, *face).N[:3, 0]
-        v = velocity(Bodies.at_O(X_WO, V_O, *face).V_rel, p)
+        v = velocity_at(Bodies.at_O(X_WO, V_O, *face).V_rel, p)
         v = v - n * (n @ v)
         out.append((p, n, v / np.sqrt(v @ v + slip**2)))
     return out

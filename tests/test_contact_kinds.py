@@ -18,7 +18,7 @@ from osc_contact.errors import ScenarioError
 from osc_contact.runs.contacts import build_pairs, environment_bodies, feet, force_owners
 from osc_contact.runs.preflight import findings, pulls
 from osc_contact.runs.references import References, force_names
-from osc_contact.scenarios.bodies import CONTACT_TYPES, OnBodySpec, OnPlaneSpec, magnitude_names
+from osc_contact.scenarios.bodies import CONTACT_TYPES, OnBodySpec, magnitude_names
 from osc_contact.scenarios.loader import parse_scenario
 from osc_contact.scenarios.quantities import Dimension
 
@@ -115,7 +115,7 @@ def test_feet_lie_on_the_lines_of_force_and_on_the_touched_surface(kind):
     on_body = E * environment_bodies(scenario)[0].placement
     local = np.array([on_body.actInv(p) for p in points])
     spec = scenario.contacts[0]
-    if isinstance(spec, OnPlaneSpec):
+    if hasattr(spec, "face_point"):
         assert_allclose((local - spec.face_point) @ spec.face_normal, 0.0, atol=1e-12)
     if kind == "face_on_vertex":
         assert norm(local[0] - spec.body_vertex) == pytest.approx(spec.radius, abs=1e-12)
@@ -145,7 +145,7 @@ REFUSED = {
     ),
     "key of another kind": (
         changed("edge_on_face", "length: ", "size: "),
-        "contacts.pad.size: unknown key; known: name, body, face_point",
+        "contacts.pad.size: unknown key; known: name, body, type, point",
     ),
     "no such body": (
         text("edge_on_face").replace("body: table", "body: tabel"),

@@ -21,6 +21,7 @@ import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.detection import CollisionShape, collision_shapes, detect
 from osc_contact.contacts.detection.features import nearest
+from osc_contact.contacts.pairs.pair import triad
 
 SIZE = np.array([0.10, 0.08, 0.06])
 BOX = [CollisionShape("box", coal.Box(*SIZE))]
@@ -323,7 +324,7 @@ def rod():
     """(rod's shapes, declared pairs, (plate's shapes, pose) of each, start pose)."""
     rig = rig_of("two_contact_rod")
     plate = collision_shapes(robots.urdf_path("face.urdf"))
-    plates = [(plate, pair.face_placement()) for pair in rig.pairs]
+    plates = [(plate, pin.SE3(triad(pair.normal), pair.point)) for pair in rig.pairs]
     return collision_shapes(robots.urdf_path("rod.urdf")), rig.pairs, plates, rig.state.X_WO
 
 
@@ -337,8 +338,8 @@ def test_the_rod_finds_the_contacts_the_scenario_declares(rod):
         theirs = pair.contact(X_WO, V_O)
         assert_allclose(mine.N, theirs.N, atol=1e-9)
         assert_allclose(mine.n_gamma, theirs.n_gamma, atol=1e-9)
-        assert_allclose(contact.points, [pair.point_on_face(X_WO)], atol=1e-9)
-        assert_allclose(contact.normal, -pair.direction(), atol=1e-12)
+        assert_allclose(contact.points, pair.points_of_contact(X_WO).T, atol=1e-9)
+        assert_allclose(contact.normal, pair.normal, atol=1e-12)
 
 
 # Found twice ----------------------------------------------------------------------------------

@@ -402,7 +402,7 @@ def test_faces_are_assumed_to_be_turned_about_where_they_touch():
         rig = rig_of("two_contact_rod", *wrong)
         X = rig.state.X_WO
         for pair, assumed in zip(rig.pairs, rig.controlled_pairs(), strict=True):
-            assert assumed.gap(X) == approx(0.010 * (np.cos(np.deg2rad(3)) - 1), abs=1e-8)
+            assert assumed.gaps(X)[0] == approx(0.010 * (np.cos(np.deg2rad(3)) - 1), abs=1e-8)
             turned.append(np.cross(pair.normal, assumed.normal))
     assert_allclose([t @ t for t in turned], np.sin(np.deg2rad(3)) ** 2, atol=1e-9)
     assert abs(turned[0][2]) < 1e-9 > abs(turned[0] @ turned[2])

@@ -259,8 +259,8 @@ DT = 1e-3
 def watched(alpha, speed):
     monitor = ContactMonitor(1, DT)
     states = [monitor.update(*given) for given in np.stack((alpha, speed), axis=1)[..., None]]
-    closed = np.array([s.closed[0] for s in states])
-    return closed, np.flatnonzero([s.collision[0] for s in states])
+    closed, collision = np.array(states)[..., 0].T
+    return closed, np.flatnonzero(collision)
 
 
 LIMIT = MonitorLimits()

@@ -169,8 +169,9 @@ class Written(osc.VertexOnFace):
 class Lifted(osc.VertexOnFace):
     """Rubs 0.1 m above its face."""
 
-    def point_on_face(self, X_WO, X_WE=None):
-        return super().point_on_face(X_WO, X_WE) - 0.1 * self.direction(X_WE)
+    def points_of_contact(self, X_WO, X_WE=None):
+        R = np.eye(3) if X_WE is None else X_WE.rotation
+        return super().points_of_contact(X_WO, X_WE) + 0.1 * (R @ self.normal)[:, None]
 
 
 @parametrize("kind", [Written, Lifted])

@@ -28,7 +28,7 @@ from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
-from osc_contact.contacts.pairs.pair import count_forces
+from osc_contact.contacts.pairs.pair import count_forces, triad
 from osc_contact.contacts.pairs.tangent_pair import TangentPair
 
 ALL = sorted(KINDS)
@@ -104,7 +104,7 @@ def test_the_environment_defaults_to_the_world_at_rest(name):
 def test_lifted_objects_have_open_gaps(name, turn):
     """Outward normals: an object moved along the face's normal is that far away from it."""
     pair, pose, r = KINDS[name](default_rng(turn), PLAIN)
-    normal = pair.normal if r == 1 else pair.face_normal
+    normal = pair.normal if name == "vertex_on_face" else pair.face_normal
     X = pose(np.full(6 - r, 0.2))
     lifted = pin.SE3(X.rotation, X.translation + 0.05 * normal)
     assert_allclose(pair.gaps(lifted), np.full(r, 0.05), atol=1e-13)
@@ -171,7 +171,7 @@ O3 = [0.0, 0.0, 0.0]
 
 
 #: Numbers below or at zero that a field may have.
-POSSIBLE = {"radius": {0.0}, "pitch": {-1.0}, "side": {-1.0}}
+POSSIBLE = {"radius": {0.0}, "pitch": {-1.0}, "edge_outward": {-1.0}}
 
 
 @parametrize("name", ALL)
@@ -195,8 +195,8 @@ def test_impossible_geometry_is_refused(name):
 test_sides_and_steps_out_of_bounds_are_refused = refusals(
     invalid_input,
     [
-        (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, side=0.5), r"side = 0.5; give \+1 or −1"),
-        (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, side=O3), "side is zero"),
+        (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, 0.5), r"edge_outward = 0.5; give \+1 or −1"),
+        (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, O3), "edge_outward is zero"),
         (lambda: osc.GapFunctions(lambda X: X.translation, step=1.0), "gap_functions.step = 1.0"),
     ],
 )
@@ -207,13 +207,13 @@ def test_forces_are_counted_in_any_pose(name):
     pair, _, r = KINDS[name](default_rng(4), PLAIN)
     assert count_forces(pair) == r
     assert (
-        count_forces(osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z)) == 1
+        count_forces(osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z, 1)) == 1
     )  # parallel where frames coincide
 
 
 def test_contacts_that_do_not_exist_are_refused():
     here = pin.SE3.Identity()
-    parallel = osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z, name="rails")
+    parallel = osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z, 1, name="rails")
     for ask in (lambda: parallel.contact(here, STILL), lambda: parallel.gaps(here)):
         with contact_error("rails: the edges are parallel"):
             ask()
@@ -227,29 +227,29 @@ def test_contacts_that_do_not_exist_are_refused():
 # Vertex on a face ---------------------------------------------------------------------------------
 
 
-def test_point_on_face_is_where_the_line_of_force_meets_it():
+def test_a_vertex_touches_where_the_line_of_force_meets_the_face():
     rng = default_rng(0)
     here = pin.SE3.Identity()
     for _ in range(40):
         pair = osc.VertexOnFace(*rng.standard_normal((3, 3)), 0.07)
         X_WO = pose_of(rng)
         for X_WE in ([pose_of(rng)], []):
-            on_face = pair.point_on_face(X_WO, *X_WE)
-            height = (*X_WE, here)[0].actInv(on_face) @ pair.normal
+            on_face = pair.points_of_contact(X_WO, *X_WE)[:, 0]
+            body = (*X_WE, here)[0]
+            height = body.actInv(on_face) @ pair.normal
             assert height == approx(pair.point @ pair.normal, abs=1e-12)
-            reach = (pair.gap(X_WO, *X_WE) + 0.07) * pair.direction(*X_WE)
-            assert_allclose(on_face, X_WO.act(pair.vertex) + reach, atol=1e-12)
+            reach = (pair.gaps(X_WO, *X_WE) + 0.07) * (body.rotation @ pair.normal)
+            assert_allclose(on_face, X_WO.act(pair.vertex) - reach, atol=1e-12)
 
 
 @parametrize("normal", [*np.vstack((np.eye(3), -np.eye(3))), (1e-3, 2e-3, 0), (300, -1, 2)])
-def test_face_placement_is_a_right_handed_frame_on_the_face(normal):
-    """The normal becomes a unit vector, and input is copied."""
+def test_the_normal_of_a_face_becomes_a_unit_vector_and_input_is_copied(normal):
     point = np.array([0.1, 0.2, 0.3])
     pair = osc.VertexOnFace(np.zeros(3), point, normal)
     point[:] = 9.0
-    X = pair.face_placement()
-    assert_allclose(X.rotation.T @ X.rotation, np.eye(3), atol=1e-12)
-    assert det(X.rotation) == approx(1.0)
-    assert_allclose([X.rotation[:, 2], pair.normal], [unit(normal)] * 2, atol=1e-12)
-    assert_array_equal(X.translation, [0.1, 0.2, 0.3])
+    axes = triad(pair.normal)
+    assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
+    assert det(axes) == approx(1.0)
+    assert_allclose([axes[:, 2], pair.normal], [unit(normal)] * 2, atol=1e-12)
+    assert_array_equal(pair.point, [0.1, 0.2, 0.3])
     assert pair.radius == 0.0 and pair.name == "vertex_on_face"

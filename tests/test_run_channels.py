@@ -23,9 +23,9 @@ from osc_contact.spatial import Poses, rotated, rotations
 
 ON_SURFACE = {
     pairs.VertexOnFace: "point",
-    pairs.SphereOnPlane: "point",
-    pairs.FaceOnVertex: "vertex",
-    pairs.EdgeOnEdge: "point_E",
+    pairs.SphereOnPlane: "face_point",
+    pairs.FaceOnVertex: "body_vertex",
+    pairs.EdgeOnEdge: "edge_point",
     pairs.FaceOnFace: "face_point",
 }
 WORLD = pin.SE3.Identity()
@@ -62,7 +62,7 @@ def run_plainly(rig):
             contact = controller.signals.contact
             alpha = contact.magnitudes(found.alpha_meas)
             speed = found.normal_speed @ contact.R
-        seen = monitor.update(np.where(pushing, alpha, np.abs(alpha)), speed)
+        closed, collision = monitor.update(np.where(pushing, alpha, np.abs(alpha)), speed)
         wrench = found.f_meas - found.bias_out
         std = controller.normal_std
         given_up = controller.given_up
@@ -74,8 +74,8 @@ def run_plainly(rig):
                 "tau": tau,
                 "alpha_cmd": wanted.alpha_d,
                 "alpha_meas": alpha,
-                "contact_seen": seen.closed,
-                "collision_seen": seen.collision,
+                "contact_seen": closed,
+                "collision_seen": collision,
                 "wrench_meas": wrench,
                 "squeeze": np.squeeze(found.squeeze),
                 "squeeze_cmd": wanted.squeeze_d,

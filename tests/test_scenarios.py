@@ -370,7 +370,10 @@ def assert_same(ours, theirs, atol):
 def test_pairs_of_ones_own(plant):
     plain = task(plant, "scara_peg")
     own = [
-        {"pair": Ball(p.centre, p.radius, p.point, p.normal, name=p.name), "body": "socket"}
+        {
+            "pair": Ball(p.centre, p.radius, p.face_point, p.face_normal, name=p.name),
+            "body": "socket",
+        }
         for p in osc.build_rig(plain).pairs
     ]
     ours = osc.run(plain.replaced(contacts=own))

@@ -444,10 +444,10 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
         done = observed.measure()
         if k >= 1200 and k % 20 == 0:
             truth = sensed.truth()
-            n = pair.direction(truth.X_WE[0])
+            n = truth.X_WE[0].rotation @ pair.normal
             for touched in (done.touched, read.touched):
                 X_WE = pin.SE3(touched.X_WE[0])
-                off = np.cross(n, pair.direction(X_WE))
+                off = np.cross(n, X_WE.rotation @ pair.normal)
                 squares.append([off @ off, *pair.gaps(truth.X_WO, X_WE) ** 2])
         sensed.command(controller.tick(done, rig.references.at(1e-3 * k)), 1e-3)
     fused, raw = np.sqrt(np.mean(np.reshape(squares, (-1, 2, 2)), axis=0))

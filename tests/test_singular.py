@@ -6,7 +6,7 @@ from kkt_oracle import held
 from numpy.linalg import norm, solve
 from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import SCARA_Q, largest, one_panda, scara_pair, unloaded
+from rigs import SCARA_Q, largest, object_poses, one_panda, scara_pair, unloaded
 from samples import first, parametrize
 from scipy.optimize import brentq
 
@@ -98,7 +98,7 @@ def _closed(q):
 
     def miss(shoulder):
         pin.framesForwardKinematics(chain.model, chain.data, posture(shoulder))
-        left, right = chain.object_poses()
+        left, right = object_poses(chain)
         return left.translation[0] - right.translation[0]
 
     return posture(brentq(miss, 0.9, 2.0, xtol=1e-15))

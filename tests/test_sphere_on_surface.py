@@ -134,7 +134,7 @@ def test_what_no_ball_can_touch_is_refused():
     with contact_error("no one place of the surface is nearest"):
         pair.contact(pin.SE3.Identity(), np.zeros(6))
     with refused("x axis of the surface"):
-        osc.SphereOnSurface(np.zeros(3), 0.0, osc.Surface.sphere(1.0), axis=[1, 0, 0])
+        osc.SphereOnSurface(np.zeros(3), 0.0, osc.Surface.sphere(1.0), surface_axis=[1, 0, 0])
 
 
 def test_a_fit_states_its_error_and_refuses_too_few_points(tmp_path):
@@ -253,7 +253,7 @@ def test_a_tool_follows_a_curved_face(task, case):
     scenario = task("sphere" if own else "saddle", **curved_faces.CASES.get(case, {}))
     if own:
         (pair,) = osc.build_rig(scenario).pairs
-        pair = Own(pair.centre, pair.radius, pair.surface, pair.origin, name="nose")
+        pair = Own(pair.centre, pair.radius, pair.surface, pair.surface_point, name="nose")
         scenario = scenario.replaced(contacts=[{"pair": pair, "body": "part"}])
         rubbing = {"plant": {**scenario.plant.model_dump(), "friction": 0.2}}
         packaged = osc.metrics(osc.run(task("sphere").replaced(**rubbing), duration=3.0))

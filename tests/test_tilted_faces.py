@@ -9,14 +9,13 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import one_panda, pose_of, random_state, unit
+from rigs import one_panda, pose_of, random_state, unit, velocity_at
 from samples import parametrize
 from scenario_runs import always_closed, verdict_of, worst_force
 from test_moving_face import FACES
 from test_reading import judged, point
 
 import osc_contact as osc
-from osc_contact.contacts.pairs.pair import velocity
 
 DT = 1e-3
 SLIDES = 0.01
@@ -173,13 +172,13 @@ def touching(kind, X, X_WE, rng):
 def point_of(pair, X, X_WE):
     """Where it slides, in the world: a vertex, a centre; where the object's edge is nearest."""
     if isinstance(pair, osc.FaceOnVertex):
-        return X_WE.act(pair.vertex)
+        return X_WE.act(pair.body_vertex)
     if not isinstance(pair, osc.EdgeOnEdge):
         return X.act(pair.centre if isinstance(pair, osc.SphereOnPlane) else pair.vertex)
-    e = X.rotation @ pair.direction_A
-    lines = np.column_stack((e, -pair.direction_E))
-    start = X.act(pair.point_A)
-    return start + np.linalg.lstsq(lines, pair.point_E - start, rcond=None)[0][0] * e
+    e = X.rotation @ pair.direction
+    lines = np.column_stack((e, -pair.edge_direction))
+    start = X.act(pair.point)
+    return start + np.linalg.lstsq(lines, pair.edge_point - start, rcond=None)[0][0] * e
 
 
 def turned_in_the_law(pair, turn, q, v, reference, touched=None):
@@ -226,7 +225,8 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
         V_D = 0.3 * rng.standard_normal(6)
         reference = osc.Reference(X, V_D, alpha_d=np.array([10.0]))
-        key = "direction_E" if kind == "edge_on_edge" else "normal"
+        keys = {"edge_on_edge": "edge_direction", "sphere_on_plane": "face_normal"}
+        key = keys.get(kind, "normal")
         sign = -1.0 if kind in ("vertex_on_face", "sphere_on_plane") else 1.0
         given = getattr(pair, key)
         new = unit(given + 0.03 * rng.standard_normal(3))
@@ -238,9 +238,9 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         assert_allclose(found.n_gamma, want.n_gamma, atol=1e-11)
         n = want.N[:3, 0]
         point = point_of(other, X, X_WE)
-        on_body = velocity(V_E, point - X_WE.translation)
-        across = n @ (velocity(state.V_O, point - X.translation) - on_body)
-        along = velocity(V_D, point - X.translation) - on_body
+        on_body = velocity_at(V_E, point - X_WE.translation)
+        across = n @ (velocity_at(state.V_O, point - X.translation) - on_body)
+        along = velocity_at(V_D, point - X.translation) - on_body
         steps = [replace(pair, **{key: new + 1e-6 * e}) for e in (*np.eye(3), *-np.eye(3))]
         normals = np.array([one.contact(*at).N[:3, 0] for one in steps])
         shown = (normals[:3] - normals[3:]) @ (along - (n @ along) * n) / 2e-6

@@ -182,7 +182,7 @@ class Contact:
     @property
     def split_is_unique(self) -> bool:
         """Whether a force in N has only one split among the contacts stacked (r_all = r)."""
-        return "R" not in self.__dict__ or self.R.shape[1] == self.r
+        return self.R.shape[1] == self.r
 
     def magnitudes(self, alpha: npt.ArrayLike) -> Array:
         """A split (r_all,) of the force N α among all contacts stacked: N_all magnitudes = N α.
@@ -193,8 +193,6 @@ class Contact:
         them.
         """
         split = as_array("alpha", alpha, (self.r,))
-        if "R" not in self.__dict__:
-            return split
         # by the pseudo-inverse of R: R has full row rank, and magnitudes have a norm
         return self.R.T @ np.linalg.solve(self.R @ self.R.T, split)
 

@@ -28,7 +28,7 @@ from osc_contact.control.records import (
     pack_model,
     pack_safety,
 )
-from osc_contact.control.saving import save_controller
+from osc_contact.control.saving import controller_bytes
 from osc_contact.control.signals import Signals, TickResult
 from osc_contact.control.start_check import StartCheck
 from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
@@ -37,6 +37,7 @@ from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Body
 from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout, SolverError
+from osc_contact.files import write_whole
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.chain import OBJECT_UNKNOWN
 from osc_contact.law.compiled import rows as law_rows
@@ -577,12 +578,12 @@ class Controller:
     # --- copies -----------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write all numbers of this controller to a file, for C programs and `SavedController`.
+        """Write all numbers of this controller to a file, for C programs.
 
         Raises:
             InvalidInputError: it has pairs, bodies or laws that only Python can evaluate.
         """
-        save_controller(self, path)
+        write_whole(controller_bytes(self), path)
 
     def with_gains(self, gains: Gains) -> Self:
         """Another controller with these gains that continues from here (bumpless transfer).

@@ -40,46 +40,14 @@ class Laws:
     motion: MotionCommand | None = None
     structure: StructureCommand | None = None
 
-    def command_force(self, alpha_d: Array, alpha_meas: Array) -> Array:
-        """α_u (r,) of the custom force law.
 
-        Raises:
-            InvalidInputError: it returned anything but r finite numbers.
-        """
-        r = len(alpha_meas)
-        words = f"{r} finite numbers, one for each column of N"
-        return self._call("force", (r,), words, alpha_d, alpha_meas)
-
-    def command_motion(self, reference: Any, X_WO: Any, V_O: Array) -> Array:
-        """Spatial acceleration (6,) of the custom motion law.
-
-        Args:
-            reference: of the tick. X_WO, V_O: pose and twist (6,) of the object.
-
-        Raises:
-            InvalidInputError: it returned anything but six finite numbers.
-        """
-        a = self._call("motion", (6,), "six finite numbers", reference, X_WO, V_O)
-        return classical_to_spatial(a, V_O)
-
-    def command_structure(self, signals: Signals) -> tuple[Array, Array]:
-        """η̇_c and f_S (d,) of the custom structure law.
-
-        Raises:
-            InvalidInputError: it returned anything but twice d finite numbers.
-        """
-        d = signals.state.d
-        words = f"η̇_c and f_S, {d} finite numbers each"
-        eta, f_S = self._call("structure", (2, d), words, signals)
-        return eta, f_S
-
-    def _call(self, law: str, shape: tuple[int, ...], expected: str, *given: Any) -> Array:
-        returned = getattr(self, law)(*given)
-        try:
-            return as_array(law, returned, shape)
-        except InvalidInputError as error:
-            text = f"the {law} law returned {returned}: return {expected}"
-            raise InvalidInputError(text) from error
+def _require(law: str, returned: Any, shape: tuple[int, ...], expected: str) -> Array:
+    """What a custom law returned; else an error that names what is expected of it."""
+    try:
+        return as_array(law, returned, shape)
+    except InvalidInputError as error:
+        text = f"the {law} law returned {returned}: return {expected}"
+        raise InvalidInputError(text) from error
 
 
 def force_law(make: Callable[[], ForceCommand]) -> Callable[[Any], Any]:
@@ -183,12 +151,15 @@ class CustomParts:
             work = records.work
             if laws.force is not None:
                 r = int(work.rank)
-                work.alpha_u[:r] = laws.command_force(
-                    work.alpha_d[:r].copy(), work.alpha_meas[:r].copy()
-                )
+                returned = laws.force(work.alpha_d[:r].copy(), work.alpha_meas[:r].copy())
+                words = f"{r} finite numbers, one for each column of N"
+                work.alpha_u[:r] = _require("force", returned, (r,), words)
             if laws.motion is not None:
                 X_WO = SE3(work.X_WO.copy())
-                work.a_u[:] = laws.command_motion(reference, X_WO, work.V_O.copy())
+                V_O = work.V_O.copy()
+                returned = laws.motion(reference, X_WO, V_O)
+                a = _require("motion", returned, (6,), "six finite numbers")
+                work.a_u[:] = classical_to_spatial(a, V_O)
             if not run(at.COMMAND, at.ALLOCATE, force | motion):
                 return None
             if laws.structure is not None:
@@ -261,8 +232,10 @@ class CustomParts:
             fill(records)
             return
         signals = Signals(self.settings, records)
-        eta, f_S = self.laws.command_structure(signals)
         state = signals.state
+        words = f"η̇_c and f_S, {state.d} finite numbers each"
+        structure: Any = self.laws.structure
+        eta, f_S = _require("structure", structure(signals), (2, state.d), words)
         turn = records.reflection()
         back = records.motions()
         records.work.x[:] = turn @ np.linalg.solve(back, state.S @ eta + state.sigma)

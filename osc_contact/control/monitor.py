@@ -6,7 +6,6 @@ hysteresis; power only around the moment when contact is made, so that noisy vel
 followed by vision) raise no alarm while it lasts.
 """
 
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,14 +16,6 @@ from osc_contact.scenarios.control_schema import MonitorLimits
 from osc_contact.spatial import Array
 
 _monitor = as_python(phases.monitor)  # one number at a time, in Python
-
-
-@dataclass(frozen=True)
-class MonitorState:
-    """What the monitor says of each contact at one tick, (r,) each: is it made, was it a blow."""
-
-    closed: Array
-    collision: Array
 
 
 class ContactMonitor:
@@ -48,8 +39,8 @@ class ContactMonitor:
         """Whether all contacts hold, nothing is armed and no force is low."""
         return all(row.closed and not (row.armed_for or row.low_for) for row in self.rows)
 
-    def update(self, alpha: Array, speed: Array) -> MonitorState:
-        """Judge one tick.
+    def update(self, alpha: Array, speed: Array) -> Array:
+        """(2, r) whether each contact is made, and whether it was a blow, at one tick.
 
         Args:
             alpha: (r,) measured magnitudes (N), from the wrist filter. speed: (r,) NᵀV_rel (m/s).
@@ -58,7 +49,7 @@ class ContactMonitor:
         for row, force, pace in zip(self.rows, alpha.tolist(), speed.tolist(), strict=True):
             _monitor(x, row, force, pace, self.dt, x.dwell, 0.0)
         flags = np.array([[row.closed, row.collision] for row in self.rows], dtype=bool)
-        return MonitorState(*flags.reshape(-1, 2).T)
+        return flags.reshape(-1, 2).T
 
 
 def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[Array, Array]:
@@ -76,9 +67,7 @@ def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[A
     low = np.append(low, len(alpha))
     k = 0
     while k < len(alpha):
-        seen = monitor.update(alpha[k], speed[k])
-        closed[k] = seen.closed
-        collision[k] = seen.collision
+        closed[k], collision[k] = monitor.update(alpha[k], speed[k])
         k += 1
         if monitor.calm:
             k = int(low[np.searchsorted(low, k)])

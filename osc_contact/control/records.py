@@ -24,7 +24,7 @@ from osc_contact.control.status import LostDirection
 from osc_contact.dynamics.arm import effort_scale
 from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain, pack_chain
-from osc_contact.dynamics.environment import Body, Cart, Conveyor, Yielding
+from osc_contact.dynamics.environment import Body, Conveyor, Guided, Yielding
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.law import records as at
 from osc_contact.law import vectors
@@ -202,7 +202,7 @@ _BODIES: dict[type, tuple[int, tuple[str, ...]]] = {
     type(None): (at.UNYIELDING, ()),
     Conveyor: (at.CONVEYOR, ()),
     Yielding: (at.YIELDING, ("compliance",)),
-    Cart: (at.CART, ("direction", "mass", "stiffness", "damping", "preload", "descent")),
+    Guided: (at.CART, ("direction", "inertia", "stiffness", "damping", "preload", "descent")),
 }
 _NEVER = 1e12  #: ticks
 _WHOLE = np.pi  #: rad or m; a larger range of a joint, or one that is open, counts as this much
@@ -257,7 +257,12 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
         body.pushes = pushes_only(contact)
         body.kind, names = _BODIES.get(type(touched), (at.ELSEWHERE, ()))
         body.same = number if touched is None else settings.bodies.index(touched)
-        numbers = np.hstack([[], *(getattr(touched, name) for name in names)])
+        given: Any = touched
+        if isinstance(touched, Guided):
+            given = touched.rail
+            if given.joints == [1]:
+                body.kind = at.ELSEWHERE
+        numbers = np.hstack([[], *(getattr(given, name) for name in names)])
         body.parameters[: len(numbers)] = numbers
         first_column += r
         first_shape += len(row.shapes)
@@ -493,20 +498,6 @@ class TickRecords:
         """R (r, columns in force): every column in force from the kept ones."""
         chosen = self.work.chosen[: int(self.work.count)]
         return self.work.columns.share[chosen, : int(self.work.rank)].T.copy()
-
-    def spread(self) -> tuple[Array, Array]:
-        """Measured magnitudes and speeds (r_all,), 0 where the contact was out of N.
-
-        Where columns depend on others this is one split of many, see `Contact.magnitudes`.
-        """
-        r = int(self.work.rank)
-        out = np.zeros((2, len(self.work.columns)))
-        if r:
-            R = self.shares()
-            chosen = self.work.chosen[: int(self.work.count)]
-            out[0, chosen] = R.T @ np.linalg.solve(R @ R.T, self.work.alpha_meas[:r])
-            out[1, chosen] = self.work.speed[:r] @ R
-        return out[0], out[1]
 
     def lost_directions(self, names: list[str]) -> tuple[LostDirection, ...]:
         """What arms near singular postures are losing, in words and units."""

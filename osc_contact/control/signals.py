@@ -145,7 +145,7 @@ class Signals(TickResult):
             Phi_e, b_e, V_e = np.split(self.bodies.answer[body], (36, 42))
             answers[body] = Environment(Phi_e.reshape(6, 6), b_e, V_e)
         each = [answers[body] for body in touched]
-        return Environment.combine(self.parts, each, self.state.metric, self.friction_wrenches)
+        return Environment.combine(self.parts, each, self.state.metric)
 
     @cached_property
     def f_ccomm(self) -> Array:

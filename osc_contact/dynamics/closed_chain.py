@@ -214,10 +214,6 @@ class ClosedChain:
         """Pose of each arm's tip in the world, at the positions last given to `data`."""
         return [self._placement(f, data) for f in self.tips]
 
-    def object_poses(self) -> list[SE3]:
-        """Pose of the object according to each arm, its grasp at zero, at the same positions."""
-        return [tip * grasp.X_TO for tip, grasp in zip(self.tip_poses(), self.grasps, strict=True)]
-
     def object_pose(self, data: pin.Data | None = None) -> SE3:
         """Pose of the object at the same positions.
 
@@ -286,20 +282,20 @@ class ClosedChain:
         pin.forwardKinematics(self.model, data, q, v)
         led = X_WO is None and V_O is None and self.leader is not None
         row = self.law_row(led)
-        still = np.zeros(self.nq)
-        if led:
-            now = Look(row, q, v)
-            rest = Look(row, q, still)
-        else:
+        moving: tuple[Any, ...] = ()
+        resting: tuple[Array, ...] = ()
+        if not led:
             X_WO = X_WO or self.object_pose(data)
             V_O = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
-            now = Look(row, q, v, X_WO.homogeneous, V_O)
-            rest = Look(row, q, still, X_WO.homogeneous, np.zeros(6))
-        reason = int(now.work.reason)
+            moving = X_WO.homogeneous, V_O
+            resting = X_WO.homogeneous, np.zeros(6)
+        work = chain_work(row, q, v, *moving)
+        rest = chain_work(row, q, np.zeros(self.nq), *resting)
+        reason = int(work.reason)
         if reason != NO_REASON:
             measured = ", or give the measured pose and twist: state(q, v, X_WO, V_O)"
             raise ModelError(SENTENCES[reason] + measured * (reason == OBJECT_UNKNOWN))
-        return read_state(self, now, rest, data)
+        return read_state(self, work, rest, data)
 
     def _twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:
         """(6,) of the object from the leader's tip; None: the law finds it."""
@@ -502,61 +498,49 @@ _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
 _NONE = np.zeros(0)
 
 
-class Look:
-    """What the law makes of the arms at (q, v), before any contact: WORK after its first part.
+def chain_work(
+    row: Bytes, q: Array, v: Array, X_WO: Array | None = None, V_O: Array | None = None
+) -> Any:
+    """WORK in separate memory after the law's first part: the arms at (q, v), before any contact.
 
-    Attributes:
-        head, work: MODEL and WORK records. arms, joints: ARM_WORK and JOINT_WORK rows.
-        jacobian: (n, 6) columns at the world's origin.
+    Args:
+        row: from `chain_row`; led, if no pose is given.
+        q, v: (n,). X_WO: (4, 4), V_O: (6,) of the object, if they are given.
     """
-
-    def __init__(
-        self, row: Bytes, q: Array, v: Array, X_WO: Array | None = None, V_O: Array | None = None
-    ) -> None:
-        """Run it in separate memory.
-
-        Args:
-            row: from `chain_row`; led, if no pose is given.
-            q, v: (n,). X_WO: (4, 4), V_O: (6,) of the object, if they are given.
-        """
-        rows = Rows(row)
-        records = views(rows)
-        self.head, memory, self.work, _ = records
-        k = int(self.head.n_arms)
-        if X_WO is not None:
-            memory.located = 1
-            memory.X_WO = X_WO
-            memory.given = at.GIVEN_POSE if V_O is None else at.GIVEN_TWIST
-            memory.V_O = 0.0 if V_O is None else V_O
-        rows.job.stop = at.MEASURE
-        six = np.zeros(6)
-        given = q, v, np.zeros((k, 6)), np.eye(4), six, six, _NONE, np.zeros((0, 28))
-        law_rows()(rows.raw, 0, given)
-        self.arms = self.work.arms
-        self.joints = self.work.joints
-        self.jacobian = self.work.J_world
-
-    def inertia(self, arms: Sequence[slice]) -> Array:
-        """M (n, n) of all arms, given each one's part of the joints."""
-        n = len(self.joints)
-        M = np.zeros((n, n))
-        for s in arms:
-            M[s, s] = self.joints.M[s, : s.stop - s.start]
-        return M
+    rows = Rows(row)
+    head, memory, work, _ = views(rows)
+    if X_WO is not None:
+        memory.located = 1
+        memory.X_WO = X_WO
+        memory.given = at.GIVEN_POSE if V_O is None else at.GIVEN_TWIST
+        memory.V_O = 0.0 if V_O is None else V_O
+    rows.job.stop = at.MEASURE
+    six = np.zeros(6)
+    given = q, v, np.zeros((len(head.arms), 6)), np.eye(4), six, six, _NONE, np.zeros((0, 28))
+    law_rows()(rows.raw, 0, given)
+    return work
 
 
-def read_state(chain: ClosedChain, now: Look, rest: Look, data: pin.Data) -> ChainState:
+def mass_matrix(work: Any, arms: Sequence[slice]) -> Array:
+    """M (n, n) of all arms, from WORK and each one's part of the joints."""
+    n = len(work.joints)
+    M = np.zeros((n, n))
+    for s in arms:
+        M[s, s] = work.joints.M[s, : s.stop - s.start]
+    return M
+
+
+def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> ChainState:
     """The state of a chain.
 
     Args:
-        now: at (q, v). rest: at the same q and v = 0, where all forces are gravity's.
+        work: WORK at (q, v). rest: at the same q and v = 0, where all forces are gravity's.
         data: with the placements at q.
 
     Raises:
         ModelError: the motors cannot drive every motion, and the chain does not allow that.
     """
-    work = now.work
-    joints = now.joints
+    joints = work.joints
     motion = motions(work)
     wrench = wrenches(work)
     m = int(work.locked)
@@ -565,11 +549,12 @@ def read_state(chain: ClosedChain, now: Look, rest: Look, data: pin.Data) -> Cha
     sigma = work.sigma[:m]
     sigma_e = locked @ sigma
     Lambda = work.Lambda[m:, m:].copy()
-    p = rest.work.chain_bias[m:].copy()
+    p = rest.chain_bias[m:].copy()
     mu = work.chain_bias[m:] + work.Lambda[m:, :m] @ sigma - p
     W = joints.J_bar @ free
     G = W.T[:, chain.actuated]
-    M = now.inertia(chain.slices)
+    M = mass_matrix(work, chain.slices)
+    reference = at.MODEL.view(chain.law_row(led=False)).reference
     X_WO = pin.SE3(work.X_WO)
     V_O = work.V_O.copy()
     payload = _NOTHING
@@ -591,7 +576,8 @@ def read_state(chain: ClosedChain, now: Look, rest: Look, data: pin.Data) -> Cha
         h=joints.h.copy(),
         M=M,
         arms=tuple(
-            _arm_terms(now, rest, i, s, M[s, s], motion, wrench) for i, s in enumerate(chain.slices)
+            _arm_terms(own, grasp, work.joints[s], rest.joints.h[s], M[s, s], motion, wrench)
+            for own, grasp, s in zip(work.arms, chain.grasps, chain.slices, strict=True)
         ),
         payload=payload,
         metric=wrench @ wrench.T,
@@ -599,27 +585,27 @@ def read_state(chain: ClosedChain, now: Look, rest: Look, data: pin.Data) -> Cha
         sensors=chain.sensor_poses(data),
         filters=tuple(
             wrench @ own.filter @ motion.T if links and not grasp.is_rigid else None
-            for grasp, links, own in zip(chain.grasps, chain.outboard, now.arms, strict=True)
+            for grasp, links, own in zip(chain.grasps, chain.outboard, work.arms, strict=True)
         ),
         Lambda_out=wrench @ work.out_T.T @ wrench.T,
         bias_out=work.bias_out.copy(),
         unactuated=chain.unactuated_motions(G, S),
-        reference=(wrench * now.head.reference) @ wrench.T,
+        reference=(wrench * reference) @ wrench.T,
         full_ranks=chain.full_ranks,
-        singular_directions=tuple(_singular_directions(chain, now, motion, wrench)),
+        singular_directions=tuple(
+            _singular_directions(chain, work.arms, reference, motion, wrench)
+        ),
     )
 
 
 def _arm_terms(
-    now: Look, rest: Look, number: int, s: slice, M: Array, motion: Array, wrench: Array
+    own: Any, grasp: Grasp, joints: Any, weight: Array, M: Array, motion: Array, wrench: Array
 ) -> ArmTerms:
-    own = now.arms[number]
-    joints = now.joints[s]
     J = motion @ joints.J.T
     J_bar = joints.J_bar @ wrench.T
     gamma = motion @ own.gamma
     Lambda = wrench @ own.Lambda @ wrench.T
-    p = J_bar.T @ rest.joints.h[s]
+    p = J_bar.T @ weight
     rank = int(own.n_kept)
     return ArmTerms(
         J=J,
@@ -631,15 +617,16 @@ def _arm_terms(
         mu=J_bar.T @ joints.h - p - Lambda @ gamma,
         p=p,
         C=wrench @ own.resisted[: int(own.n_locked)].T,
-        N=wrench @ own.kept[:rank].T if now.head.arms[number].m < 6 else np.eye(6),
+        N=np.eye(6) if grasp.is_rigid else wrench @ own.kept[:rank].T,
         rank=rank,
     )
 
 
-def _singular_directions(chain: ClosedChain, now: Look, motion: Array, wrench: Array) -> Any:
+def _singular_directions(
+    chain: ClosedChain, arms: Any, reference: Array, motion: Array, wrench: Array
+) -> Any:
     """Every direction that the law found an arm to be losing."""
-    reference = now.head.reference
-    for i, (own, s) in enumerate(zip(now.arms, chain.slices, strict=True)):
+    for i, (own, s) in enumerate(zip(arms, chain.slices, strict=True)):
         for e in range(int(own.n_lost)):
             lost = own.lost[e]
             yield SingularDirection(
@@ -673,12 +660,12 @@ def require_pinocchio_agrees(chain: ClosedChain, row: Bytes) -> None:
     for _ in range(STATES):
         q = rng.uniform(-1.0, 1.0, n)
         v = rng.normal(size=n)
-        look = Look(row, q, v, np.eye(4), np.zeros(6))
+        work = chain_work(row, q, v, np.eye(4), np.zeros(6))
         pin.computeAllTerms(chain.model, data, q, v)
         for name, ours, theirs in (
-            ("J", look.jacobian, data.J.T),
-            ("M", look.inertia(chain.slices), data.M),
-            ("h", look.joints.h, data.nle),
+            ("J", work.J_world, data.J.T),
+            ("M", mass_matrix(work, chain.slices), data.M),
+            ("h", work.joints.h, data.nle),
         ):
             worst = float(np.abs(ours - theirs).max(initial=0.0))
             if not worst <= TOLERANCE * np.abs(theirs).max(initial=1.0):

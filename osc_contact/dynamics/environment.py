@@ -7,8 +7,9 @@ origin (readings of a tracker or an encoder), and leave as spatial vectors at O.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -16,16 +17,18 @@ import numpy.typing as npt
 import pinocchio as pin
 from pinocchio import SE3
 
-from osc_contact import robots
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.projections import left_inverse, unit_diagonal
 from osc_contact.spatial import (
     Array,
+    Poses,
     as_array,
     carry_twist,
     classical_to_spatial,
     cross,
     cross_wrench,
+    rotated,
+    rotations,
     unit_vector,
 )
 
@@ -89,8 +92,6 @@ class Environment:
         Phi_e: (6, 6) inverse inertia, positive semidefinite: acceleration per contact force.
         b_e: (6,) spatial acceleration it would have without contact.
         V_e: (6,) its twist.
-        Phi_friction: (r, r) NᵀΦ_eD of different bodies on which friction acts with D (6, r)
-            for each newton, which their common Φ_e does not hold; None: one body, or no friction.
 
     Raises:
         InvalidInputError: wrong shapes, or Φ_e not symmetric positive semidefinite.
@@ -99,22 +100,11 @@ class Environment:
     Phi_e: Array = field(default_factory=lambda: np.zeros((6, 6)))
     b_e: Array = field(default_factory=lambda: np.zeros(6))
     V_e: Array = field(default_factory=lambda: np.zeros(6))
-    Phi_friction: Array | None = None
 
     def __post_init__(self) -> None:
         for name, shape in {"Phi_e": (6, 6), "b_e": (6,), "V_e": (6,)}.items():
             object.__setattr__(self, name, as_array(name, getattr(self, name), shape))
         require_inverse_inertia("Phi_e", self.Phi_e / element_sizes(self.Phi_e))
-
-    def yielding(self, N: Array, friction_wrenches: Array | float = 0.0) -> Array:
-        """NᵀΦ_eN_μ (r, r), N_μ = N + friction_wrenches: how the bodies yield along N per newton.
-
-        Args:
-            N: (6, r) at O. friction_wrenches: (6, r) what friction adds to each column of force.
-        """
-        if self.Phi_friction is not None:
-            return N.T @ self.Phi_e @ N + self.Phi_friction
-        return N.T @ self.Phi_e @ (N + friction_wrenches)
 
     @classmethod
     def fixed(cls) -> Environment:
@@ -168,7 +158,8 @@ class Environment:
         `force=[−k·s − c·speed]`. A door: axes=[ω × (p − hinge), ω] with ω a unit vector along the
         hinge. A free body: axes=np.eye(6), and the wrench on it as force. The space that the axes
         span must stay fixed in the world or in the body (slides, a hinge, a ball joint, motion in a
-        plane); for a chain with moving joints in between use `articulated`.
+        plane); a link of a mechanism with more moving joints is given by its Φ_e = J M⁻¹Jᵀ,
+        b_e = J M⁻¹(τ − h) + drift and V_e = J v.
 
         Args:
             inertia: in the body's own frame (kg, m); for sliding axes only the mass counts.
@@ -197,50 +188,6 @@ class Environment:
         at_O = carry_twist(A, p, point)
         b_e = at_O @ (M_inv @ (Q + A.T @ acting))
         return cls(symmetric(at_O @ M_inv @ at_O.T), b_e, carry_twist(V, p, point))
-
-    @classmethod
-    def articulated(
-        cls,
-        model: pin.Model,
-        q: npt.ArrayLike,
-        v: npt.ArrayLike,
-        tau: npt.ArrayLike,
-        frame: str,
-        O: npt.ArrayLike,  # noqa: E741 - the operational point
-        data: pin.Data | None = None,
-    ) -> Environment:
-        """A link of any mechanism: Φ_e = J M⁻¹Jᵀ, b_e = J M⁻¹(τ − h) + drift.
-
-        Args:
-            model: with its base placed in the world; its own gravity acts.
-            q, v: (nq,), (nv,) its configuration and velocity.
-            tau: (nv,) generalised forces besides gravity (motors, springs, dampers; N or N m).
-            frame: name of a frame or joint that moves with the touched link.
-            O: (3,) operational point in the world (m).
-            data: to work in; default: new data each time.
-
-        Raises:
-            InvalidInputError: wrong shapes or non-finite numbers.
-            ModelError: no such frame, or links without inertia.
-        """
-        q = as_array("q", q, (model.nq,))
-        v = as_array("v", v, (model.nv,))
-        tau = as_array("tau", tau, (model.nv,))
-        point = as_array("O", O, (3,))
-        if model.existJointName(frame):
-            joint = model.getJointId(frame)
-        else:
-            joint = model.frames[robots.frame_id(model, frame)].parentJoint
-        data = data or model.createData()
-        pin.computeAllTerms(model, data, q, v)
-        free = tau - data.nle
-        M_inv = inverse(np.array(data.M), "the environment's joint-space inertia")
-        world = pin.ReferenceFrame.WORLD
-        J = carry_twist(pin.getJointJacobian(model, data, joint, world), _ZERO, point)
-        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-        drift = data.oMi[joint].act(data.a[joint]).vector
-        b_e = J @ M_inv @ free + carry_twist(drift, _ZERO, point)
-        return cls(symmetric(J @ M_inv @ J.T), b_e, J @ v)
 
     @classmethod
     def of_contacts(
@@ -293,7 +240,6 @@ class Environment:
         contacts: Sequence[_HasNormals],
         environments: Sequence[Environment],
         metric: npt.ArrayLike,
-        friction_wrenches: Array | None = None,
     ) -> Environment:
         """The environment of several contacts, given the environment of each.
 
@@ -308,7 +254,6 @@ class Environment:
             contacts: in the order in which they are stacked.
             environments: one for each contact, all at the same O.
             metric: (6, 6) the held object's inertia at O (`ChainState.metric`).
-            friction_wrenches: (6, r) friction wrench for each column's newton; None: none.
 
         Raises:
             InvalidInputError: not one environment for each contact.
@@ -323,30 +268,111 @@ class Environment:
             return cls.fixed()
         if all(_move_as_one(env, environments[0]) for env in environments):
             return environments[0]
-        N = [contact.N for contact in contacts]
-        pairs = list(zip(N, environments, strict=True))
-
-        def between(forces: Sequence[Array]) -> Array:
-            """Blocks nᵀΦ_e × force where both contacts are on one body."""
-            acting = list(zip(forces, environments, strict=True))
-            return np.block([[(e is g) * (n.T @ e.Phi_e @ f) for f, g in acting] for n, e in pairs])
-
-        together = cls.of_contacts(
-            np.hstack(N),
-            between(N),
+        pairs = [(contact.N, e) for contact, e in zip(contacts, environments, strict=True)]
+        # blocks nᵀΦ_e n where both contacts are on one body
+        blocks = [[(e is g) * (n.T @ e.Phi_e @ f) for f, g in pairs] for n, e in pairs]
+        return cls.of_contacts(
+            np.hstack([n for n, _ in pairs]),
+            np.block(blocks),
             np.concatenate([n.T @ e.b_e for n, e in pairs]),
             np.concatenate([n.T @ e.V_e for n, e in pairs]),
             metric,
         )
-        if friction_wrenches is None:
-            return together
-        ends = np.cumsum([n.shape[1] for n in N])[:-1]
-        return replace(together, Phi_friction=between(np.split(friction_wrenches, ends, axis=1)))
 
 
 def _move_as_one(a: Environment, b: Environment) -> bool:
     rigid = not (a.Phi_e.any() or b.Phi_e.any())
     return a is b or (rigid and np.array_equal([a.b_e, a.V_e], [b.b_e, b.V_e]))
+
+
+# How bodies can move: at rest, driven, or free on a slide or about a hinge.
+
+
+Motion = Callable[[float], tuple[Array, Array, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Rail:
+    """A slide along u, and on it a hinge about a; without either the body rests.
+
+    s = (travel (m), angle (rad)) from the assembled pose. A point that was at x is at
+    c + u s₁ + R(a, s₂)(x − c); the hinge's axis keeps its direction.
+
+    Attributes:
+        direction: (3,) u, world, normalised on entry; zero: no slide.
+        axis: (3,) a, world, likewise; zero: no hinge. through: (3,) c, where the hinge is at s = 0.
+        motion: t → (s, ṡ, s̈), each (2,), of a driven body. None: it is free along its one joint,
+            I s̈ = (force or moment along it) + preload − k s − c ṡ.
+        inertia: I of a free body, kg on a slide, kg m² about a hinge.
+        stiffness, damping, preload: of a free body, per m and N or per rad and N m.
+
+    Raises:
+        InvalidInputError: numbers that no body has.
+    """
+
+    direction: Array = field(default_factory=partial(np.zeros, 3))
+    axis: Array = field(default_factory=partial(np.zeros, 3))
+    through: Array = field(default_factory=partial(np.zeros, 3))
+    motion: Motion | None = None
+    inertia: float = 1.0
+    stiffness: float = 0.0
+    damping: float = 0.0
+    preload: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("direction", "axis", "through"):
+            value = as_array(f"rail.{name}", getattr(self, name), (3,))
+            if name != "through" and value.any():
+                value = unit_vector(name, value)
+            object.__setattr__(self, name, value)
+        for name in ("inertia", "stiffness", "damping", "preload"):
+            value = getattr(self, name)
+            sound = value > 0.0 if name == "inertia" else name == "preload" or value >= 0.0
+            if not (np.isfinite(value) and sound):
+                raise InvalidInputError(f"rail.{name} = {value}; give a number a body can have")
+
+    @property
+    def descent(self) -> float:
+        """u·g (m/s²)."""
+        return -9.81 * float(self.direction[2])
+
+    @property
+    def joints(self) -> list[int]:
+        """Which of travel (0) and angle (1) there are."""
+        return [k for k, u in enumerate((self.direction, self.axis)) if u.any()]
+
+    def pose(self, s: Array) -> pin.SE3:
+        """X_WE: identity at s = 0."""
+        R = pin.exp3(self.axis * s[1])
+        return pin.SE3(R, self.through + self.direction * s[0] - R @ self.through)
+
+    def over(self, travel: Array, angle: Array) -> Poses:
+        """`pose` at k times; travel and angle (k,)."""
+        R = rotations(self.axis[:, None] * angle)
+        c = np.repeat(self.through[:, None], len(travel), axis=1)
+        return Poses(R, c + self.direction[:, None] * travel - rotated(R, c))
+
+    def twist(self, s: Array, rates: Array, point: Array) -> Array:
+        """(6,) of the body at a point (3,) of the world, world axes; linear in the rates (2,).
+
+        Args:
+            s, rates: (2,) coordinates and rates. point: (3,) m.
+        """
+        arm = point - self.through - self.direction * s[0]
+        spin = self.axis * rates[1]
+        return np.concatenate((self.direction * rates[0] + cross(spin, arm), spin))
+
+    def acceleration(self, s: Array, rates: Array, second: Array, point: Array) -> Array:
+        """(6,) classical, of the body's point that is at `point` now; second: (2,) s̈.
+
+        Args:
+            s, rates, second: (2,) coordinates and derivatives. point: (3,) m.
+        """
+        out = self.twist(s, second, point)
+        spin = self.axis * rates[1]
+        arm = point - self.through - self.direction * s[0]
+        out[:3] += cross(spin, cross(spin, arm))
+        return out
 
 
 # Touched bodies: driven, or free to follow the contact force on a slide or about a hinge.
@@ -408,83 +434,25 @@ class Yielding:
 
 
 @dataclass(frozen=True, eq=False)
-class Cart:
-    """A body of mass m on a straight rail: m s̈ = u·(f + m g) + preload − k s − c ṡ.
+class Guided:
+    """A body that follows the contact force along its rail: I s̈ = f + preload − k s − c ṡ.
 
-    s is how far E has travelled along u from the world's origin; Φ_e = u uᵀ/m has rank 1.
-
-    Attributes:
-        direction: (3,) u along the rail, world; normalised on entry.
-        mass: m (kg). stiffness: k (N/m). damping: c (N s/m). preload: (N), along u at s = 0.
-        gravity: (3,) g (m/s²).
-
-    Raises:
-        InvalidInputError: no direction, or numbers that no cart has.
-    """
-
-    direction: Array
-    mass: float
-    stiffness: float = 0.0
-    damping: float = 0.0
-    preload: float = 0.0
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "direction", unit_vector("cart.direction", self.direction))
-        _require_possible(self, "cart", "mass")
-
-    @property
-    def descent(self) -> float:
-        """u·g (m/s²)."""
-        return float(self.direction @ np.array(self.gravity))
-
-    def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """See `Body.environment`; `A_E` is not used: the cart's acceleration follows from f.
-
-        Args:
-            X_WE, V_E, A_E, O: as of `Body.environment`.
-        """
-        u = self.direction
-        speed = float(u @ V_E[:3])
-        force = self.preload - self.stiffness * (u @ X_WE.translation) - self.damping * speed
-        return Environment.rail(
-            pin.Inertia(self.mass, _ZERO, np.zeros((3, 3))),
-            X_WE=X_WE,
-            axes=[*u, 0.0, 0.0, 0.0],
-            rates=[speed],
-            O=O,
-            gravity=self.gravity,
-            force=[force],
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Hinge:
-    """A balanced body on a hinge fixed in the world: I θ̈ = m_a + preload − k θ − c θ̇.
-
-    θ is the turn of E about a since the start, at most half a turn either way; m_a the moment of
-    the contact force about the axis. Φ_e has rank 1.
+    s is how far E has travelled along u from the world's origin, or turned about a since the start,
+    at most half a turn either way; f the contact force along u, with the body's weight, or its
+    moment about a. Φ_e has rank 1.
 
     Attributes:
-        axis: (3,) a, world; normalised on entry. through: (3,) a point of the axis, world (m).
-        inertia: I about the axis (kg m²). stiffness: k (N m/rad). damping: c (N m s/rad).
-        preload: (N m).
+        rail: a slide or a hinge.
 
     Raises:
-        InvalidInputError: no axis, or numbers that no hinged body has.
+        InvalidInputError: the rail is both or neither, or driven.
     """
 
-    axis: Array
-    through: Array
-    inertia: float
-    stiffness: float = 0.0
-    damping: float = 0.0
-    preload: float = 0.0
+    rail: Rail
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "axis", unit_vector("hinge.axis", self.axis))
-        object.__setattr__(self, "through", as_array("hinge.through", self.through, (3,)))
-        _require_possible(self, "hinge", "inertia")
+        if len(self.rail.joints) != 1 or self.rail.motion is not None:
+            raise InvalidInputError("a guided body has a slide or a hinge, and no motion; give one")
 
     def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
         """See `Body.environment`; `A_E` is not used: the acceleration follows from f.
@@ -492,23 +460,19 @@ class Hinge:
         Args:
             X_WE, V_E, A_E, O: as of `Body.environment`.
         """
-        a = self.axis
-        rate = float(a @ V_E[3:])
-        angle = a @ pin.log3(X_WE.rotation)
-        moment = self.preload - self.stiffness * angle - self.damping * rate
-        return Environment.rail(
-            pin.Inertia(0.0, _ZERO, self.inertia * np.eye(3)),
-            X_WE=X_WE,
-            axes=[*cross(a, X_WE.translation - self.through), *a],
-            rates=[rate],
-            O=O,
-            force=[moment],
+        rail = self.rail
+        along = rail.direction
+        s = along @ X_WE.translation
+        rate = along @ V_E[:3]
+        if rail.joints == [1]:
+            along = rail.axis
+            s = along @ pin.log3(X_WE.rotation)
+            rate = along @ V_E[3:]
+        force = (
+            rail.inertia * rail.descent + rail.preload - rail.stiffness * s - rail.damping * rate
         )
-
-
-def _require_possible(body: object, kind: str, inertia: str) -> None:
-    for name in (inertia, "stiffness", "damping", "preload"):
-        value = getattr(body, name)
-        sound = value > 0.0 if name == inertia else name == "preload" or value >= 0.0
-        if not (np.isfinite(value) and sound):
-            raise InvalidInputError(f"{kind}.{name} = {value}; give a number a {kind} can have")
+        unit = np.array([rail.direction.any(), rail.axis.any()], dtype=float)
+        axis = carry_twist(rail.twist(np.zeros(2), unit, X_WE.translation), X_WE.translation, O)
+        return Environment(
+            np.outer(axis, axis) / rail.inertia, axis * force / rail.inertia, axis * rate
+        )

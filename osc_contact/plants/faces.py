@@ -1,85 +1,15 @@
 """How the bodies of a plant's environment move: at rest, driven, or free on a slide or a hinge."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
+from osc_contact.dynamics.environment import Rail
 from osc_contact.interface import Touched
-from osc_contact.spatial import Array, Poses, classical_to_spatial, cross, rotated, rotations
-
-Motion = Callable[[float], tuple[Array, Array, Array]]
-
-
-def _none() -> Array:
-    return np.zeros(3)
-
-
-@dataclass(frozen=True)
-class Rail:
-    """A slide along u, and on it a hinge about a; without either the body rests.
-
-    s = (travel (m), angle (rad)) from the assembled pose. A point that was at x is at
-    c + u s₁ + R(a, s₂)(x − c); the hinge's axis keeps its direction.
-
-    Attributes:
-        direction: (3,) u, unit, world; zero: no slide.
-        axis: (3,) a, unit, world; zero: no hinge. through: (3,) c, where the hinge is at s = 0.
-        motion: t → (s, ṡ, s̈), each (2,), of a driven body. None: it is free along its one joint,
-            I s̈ = (force or moment along it) + preload − k s − c ṡ.
-        inertia: I of a free body, kg on a slide, kg m² about a hinge.
-        stiffness, damping, preload: of a free body, per m and N or per rad and N m.
-    """
-
-    direction: Array = field(default_factory=_none)
-    axis: Array = field(default_factory=_none)
-    through: Array = field(default_factory=_none)
-    motion: Motion | None = None
-    inertia: float = 1.0
-    stiffness: float = 0.0
-    damping: float = 0.0
-    preload: float = 0.0
-
-    @property
-    def joints(self) -> list[int]:
-        """Which of travel (0) and angle (1) there are."""
-        return [k for k, u in enumerate((self.direction, self.axis)) if u.any()]
-
-    def pose(self, s: Array) -> pin.SE3:
-        """X_WE: identity at s = 0."""
-        R = pin.exp3(self.axis * s[1])
-        return pin.SE3(R, self.through + self.direction * s[0] - R @ self.through)
-
-    def over(self, travel: Array, angle: Array) -> Poses:
-        """`pose` at k times; travel and angle (k,)."""
-        R = rotations(self.axis[:, None] * angle)
-        c = np.repeat(self.through[:, None], len(travel), axis=1)
-        return Poses(R, c + self.direction[:, None] * travel - rotated(R, c))
-
-    def twist(self, s: Array, rates: Array, point: Array) -> Array:
-        """(6,) of the body at a point (3,) of the world, world axes; linear in the rates (2,).
-
-        Args:
-            s, rates: (2,) coordinates and rates. point: (3,) m.
-        """
-        arm = point - self.through - self.direction * s[0]
-        spin = self.axis * rates[1]
-        return np.concatenate((self.direction * rates[0] + cross(spin, arm), spin))
-
-    def acceleration(self, s: Array, rates: Array, second: Array, point: Array) -> Array:
-        """(6,) classical, of the body's point that is at `point` now; second: (2,) s̈.
-
-        Args:
-            s, rates, second: (2,) coordinates and derivatives. point: (3,) m.
-        """
-        out = self.twist(s, second, point)
-        spin = self.axis * rates[1]
-        arm = point - self.through - self.direction * s[0]
-        out[:3] += cross(spin, cross(spin, arm))
-        return out
+from osc_contact.spatial import Array, classical_to_spatial
 
 
 class Faces:
@@ -137,17 +67,12 @@ class Faces:
 
     def poses(self) -> list[pin.SE3]:
         """X_WE of the body at each contact."""
-        return [
-            self.rails[body].pose(self.s[body]) if self.moving[body] else pin.SE3.Identity()
-            for body in self.on
-        ]
+        return [self.rails[body].pose(self.s[body]) for body in self.on]
 
     def twists(self, X_WE: Sequence[pin.SE3]) -> list[Array]:
         """V_E, (6,) each, of the bodies at the contacts, at the origins of their poses."""
         return [
             self.rails[body].twist(self.s[body], self.rates[body], X.translation)
-            if self.moving[body]
-            else np.zeros(6)
             for body, X in zip(self.on, X_WE, strict=True)
         ]
 
@@ -197,8 +122,6 @@ class Faces:
         for part, body in zip(parts, self.on, strict=True):
             rows = slice(end, end + part.r)
             end = rows.stop
-            if not self.moving[body]:
-                continue
             rail = self.rails[body]
             s = self.s[body]
             rates = self.rates[body]

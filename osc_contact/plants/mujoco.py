@@ -20,10 +20,11 @@ from osc_contact.contacts.pairs.pair import normals_over, pushes_only
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.environment import Rail
 from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import PlantError, missing
 from osc_contact.interface import Measurement
-from osc_contact.plants.faces import Faces, Rail
+from osc_contact.plants.faces import Faces
 from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives, set_dry_friction
 from osc_contact.plants.judge import Truth, Truths, require_duration
 from osc_contact.robots import is_mjcf

@@ -13,8 +13,9 @@ from osc_contact.contacts.pairs import ContactPair
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.environment import Rail
 from osc_contact.errors import InvalidInputError, ModelError, PlantError, did_you_mean
-from osc_contact.plants.faces import Faces, Rail
+from osc_contact.plants.faces import Faces
 from osc_contact.plants.mujoco import OBJECT, OTHER, MujocoPlant, quieten
 from osc_contact.robots.mjcf import compile_mjcf, joint_name, motors_of, pose
 from osc_contact.robots.pictures import scene_picture

@@ -18,10 +18,11 @@ from osc_contact.dynamics.assembly import (
     row_groups,
 )
 from osc_contact.dynamics.closed_chain import ClosedChain, columns_at
+from osc_contact.dynamics.environment import Rail
 from osc_contact.dynamics.grasp import moved
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
-from osc_contact.plants.faces import Faces, Rail, stacked
+from osc_contact.plants.faces import Faces, stacked
 from osc_contact.plants.judge import Truth, Watched, require_duration
 from osc_contact.robots import frame_id
 from osc_contact.robots.model import sliding

@@ -25,9 +25,8 @@ from osc_contact.contacts.pairs.pair import (
     triad,
 )
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
-from osc_contact.dynamics.environment import Body, Cart, Conveyor, Hinge, Yielding
+from osc_contact.dynamics.environment import Body, Conveyor, Guided, Rail, Yielding
 from osc_contact.errors import ScenarioError
-from osc_contact.plants.faces import Rail
 from osc_contact.scenarios.bodies import (
     CartSpec,
     ConveyorSpec,
@@ -259,14 +258,11 @@ def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
         axis, through = np.zeros((2, 3)) if turn is None else np.array((turn.axis, turn.through))
         driven = partial(_commanded, motion)
         return OwnMotion(Rail(np.array(motion.direction), axis, through, driven), Conveyor())
-    freely = {key: getattr(motion, key) for key in ("stiffness", "damping", "preload")}
+    given = motion.model_dump(exclude={"type", "mass"})
     if isinstance(motion, CartSpec):
-        direction = np.array(motion.direction)
-        m = motion.mass
-        return OwnMotion(Rail(direction, inertia=m, **freely), Cart(direction, m, **freely))
-    freely |= {"axis": np.array(motion.axis), "through": np.array(motion.through)}
-    inertia = motion.inertia
-    return OwnMotion(Rail(inertia=inertia, **freely), Hinge(inertia=inertia, **freely))
+        given["inertia"] = motion.mass
+    rail = Rail(**given)
+    return OwnMotion(rail, Guided(rail))
 
 
 def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
@@ -307,7 +303,8 @@ def known_bodies(bodies: Sequence[EnvironmentBody], contacts: int, how: str) -> 
         if body.motion is not None and how != "ignored":
             answer = _own_motion(body.motion).body
         if how == "yielding":
-            sprung = isinstance(answer, Cart) and answer.stiffness > 0.0
+            rail = answer.rail if isinstance(answer, Guided) else Rail()
+            sprung = rail.joints == [0] and rail.stiffness > 0.0
             answer = Yielding() if sprung else None
         for i in body.contacts:
             known[i] = answer

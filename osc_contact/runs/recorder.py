@@ -371,20 +371,17 @@ class Recorder:
     def _found(self, measurement: Measurement) -> list[Array]:
         """What the last tick found: views of the controller's records."""
         result = self.of.controller.result()
-        r = len(self.of.owners)
         if result is not self._last:
             self._last = result
-            self._parts = [getattr(result, name).reshape(-1) for name in self._names]
-            self._parts[:0] = [result.records.work[name][:r] for name in ("alpha_meas", "speed")]
-            head = result.records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
             columns = result.records.memory.columns
+            self._parts = [columns.alpha, columns.speed]
+            self._parts += [getattr(result, name).reshape(-1) for name in self._names]
+            head = result.records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
             self._flags = [head["engaged"], columns.normal_std]
             if self.of.controller.life is not None:
                 contacts = result.records.memory.contacts
                 self._flags += [contacts.phase, contacts.active, columns.closed, columns.collision]
         parts = self._parts
-        if result.rank != r:
-            parts = [*result.records.spread(), *parts[2:]]
         if self.truth is None:
             touched = measurement.touched
             return [*parts, self._still if touched is None else np.ravel(touched.X_WE)]

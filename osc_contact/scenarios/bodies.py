@@ -236,8 +236,8 @@ class FaceSpec(Spec):
 
 # --- Kinds of contact -----------------------------------------------------------------------------
 #
-# A kind is a model of its keys, written in the file of its contact pair and registered from there:
-# this module only keeps them, so that a scenario stays data that is read without any mechanics.
+# A kind is a model of its keys, made of the fields of its contact pair by `register_pair`: this
+# module only keeps them, so that a scenario stays data that is read without any mechanics.
 #
 # The keys that are marked `BodyPoint` or `BodyDirection` belong to the body the contact is on and
 # are given in that body's frame; all others belong to the held object and are given in its frame.
@@ -255,9 +255,14 @@ BodyDirection = Annotated[UnitVec3, OfBody.DIRECTION]
 
 
 class ContactSpec(Spec):
-    """One contact. A kind adds its keys, `type: Literal[...]` and the number of its forces."""
+    """One contact. A kind adds its keys, `type: Literal[...]` and the number of its forces.
+
+    Attributes:
+        describes: class of the pair, whose fields are the keys.
+    """
 
     forces: ClassVar[int]
+    describes: ClassVar[Any]
     name: Name
     """a name of letters, digits, _ and -, such as tip"""
 
@@ -274,15 +279,6 @@ class OnBodySpec(ContactSpec):
 
     body: Name
     """the name of a body of environment"""
-
-
-class OnPlaneSpec(OnBodySpec):
-    """A contact on a face of such a body."""
-
-    face_point: BodyPoint
-    """a point of the body's face [x, y, z] in the body frame"""
-    face_normal: BodyDirection
-    """the outward normal of that face [x, y, z] in the body frame"""
 
 
 class OwnContactSpec(OnBodySpec):

@@ -103,7 +103,7 @@ def refuse(text: str) -> PydanticCustomError:
 
 def meaning(owner: type, key: str) -> str | None:
     """The docstring of a model's key, read from its source when it is needed."""
-    for base in owner.__mro__:
+    for base in (*owner.__mro__, getattr(owner, "describes", object)):
         if key not in inspect.get_annotations(base):
             continue
         try:

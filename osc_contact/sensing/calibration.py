@@ -67,7 +67,7 @@ def calibrate_wrist(
     rows = np.vstack([weight[:, None] * _regressor(-np.asarray(R).T @ g) for R in rotations])
     scale = np.linalg.norm(rows, axis=0)
     scale[scale == 0.0] = 1.0
-    U, s, Vh = np.linalg.svd(rows / scale, full_matrices=False)
+    _, s, Vh = np.linalg.svd(rows / scale, full_matrices=False)
     if s[-1] < 1e-3 * s[0]:
         part = np.abs(Vh[s < 1e-3 * s[0]]).max(axis=0)
         blind = [name for name, share in zip(NAMES, part, strict=True) if share > 0.1]
@@ -76,8 +76,9 @@ def calibrate_wrist(
             "enough against gravity. Tilt it about two horizontal axes by 30 deg or more; a wrist "
             "that can only turn about the vertical has to be tared instead"
         )
-    theta = (Vh.T @ ((U.T @ (readings * weight).ravel()) / s)) / scale
-    error = np.sqrt(np.sum((Vh.T / s) ** 2, axis=1)) / scale
+    inverse = np.linalg.pinv(rows / scale) / scale[:, None]
+    theta = inverse @ (readings * weight).ravel()
+    error = np.linalg.norm(inverse, axis=1)
     mass = float(theta[0])
     com = theta[1:4] / theta[0]
     com_error = np.hypot(error[1:4], com * error[0]) / abs(mass)

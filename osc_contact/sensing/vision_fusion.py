@@ -7,7 +7,6 @@ object and arms were when the picture was taken; a Kalman filter for one constan
 makes both agree, and the bodies are moved along with it. Errors of camera and bases cancel.
 """
 
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -46,11 +45,8 @@ class History:
         """
         if not self._kept:
             raise InvalidInputError("the history is empty; add a value before asking for one")
-        times = [kept for kept, _ in self._kept]
-        after = min(max(bisect_right(times, t), 1), len(times) - 1)
-        t0, x0 = self._kept[max(after - 1, 0)]
-        t1, x1 = self._kept[after]
-        return x0 + np.clip((t - t0) / (t1 - t0 or 1.0), 0.0, 1.0) * (x1 - x0)
+        times, values = zip(*self._kept, strict=True)
+        return np.array([np.interp(t, times, x) for x in np.transpose(values)])
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import coal
 import numpy as np
@@ -22,15 +23,9 @@ from osc_contact.contacts.detection.features import (
     shared_patch,
 )
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.pairs.gap_functions import GapFunctions
+from osc_contact.contacts.pairs.functions import GapFunctions
 from osc_contact.contacts.pairs.pair import EdgeOnEdge, FaceOnVertex, triad
-from osc_contact.contacts.pairs.points_on_planes import (
-    CylinderOnPlane,
-    EdgeOnFace,
-    FaceOnFace,
-    SphereOnPlane,
-    VertexOnFace,
-)
+from osc_contact.contacts.pairs.points_on_planes import CylinderOnPlane, FaceOnFace, SphereOnPlane
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.contacts.surface import Surface
 from osc_contact.errors import ContactError, InvalidInputError
@@ -74,7 +69,9 @@ def rim_on_face(
         rim: of the object, in its frame. point, normal: (3,) of the plane. sine: of ∠(n, a).
         name: of the pair. turned: the plane is the object's, the rim the environment's.
     """
-    centre, axis, radius = rim.disc
+    centre: Any = rim.centre
+    axis: Any = rim.axis
+    radius = norm(rim.points[0] - centre)
 
     def gap(X: SE3) -> Array:
         X = X.inverse() if turned else X
@@ -161,6 +158,7 @@ class Detected:
         """The contact pair that keeps this contact while both bodies move.
 
         The feet of a line are the ends of its patch, those of a face lie as far out as the patch.
+        Vertices and edges on faces are spheres and cylinders without a radius.
 
         Raises:
             ContactError: no pair describes it: the rim of a cylinder on an edge, or two parallel
@@ -185,12 +183,8 @@ class Detected:
             return FaceOnFace(point, a.normal, face, normal, size, name)
         if a.dimension == 1:
             length = norm(self.points[1] - self.points[0])
-            if a.radius > 0.0:
-                return CylinderOnPlane(point, a.direction, a.radius, face, normal, length, name)
-            return EdgeOnFace(point, a.direction, face, normal, length, name)
-        if a.radius > 0.0:
-            return SphereOnPlane(point, a.radius, face, normal, name)
-        return VertexOnFace(point, face, normal, 0.0, name)
+            return CylinderOnPlane(point, a.direction, a.radius, face, normal, length, name)
+        return SphereOnPlane(point, a.radius, face, normal, name)
 
     def _under_face(self, normal: Array) -> ContactPair:
         e = self.environment_feature
@@ -369,7 +363,7 @@ def _classified(
     f_e = foremost(solid_e, n, margin, angle)
     distance = separation(solid_a, solid_e, n)
     n = exact_normal(f_a, f_e, n, angle)
-    distance = max(distance, separation(solid_a, solid_e, n))
+    distance = float(max(distance, separation(solid_a, solid_e, n)))
     if distance > margin:
         return None
     patch = shared_patch(f_a, f_e, n, near.witness, margin, angle)

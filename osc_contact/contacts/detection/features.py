@@ -55,12 +55,12 @@ class Solid:
         )
 
     def support(self, directions: Array) -> Array:
-        """(m,) how far the solid reaches along each of the unit `directions` (m, 3)."""
+        """How far the solid reaches along the unit `directions` (3,) or (m, 3)."""
         round_part: Array | float = self.radius
         if self.axis is not None:
             along = directions @ self.axis
             round_part = self.radius * np.sqrt(np.maximum(0.0, 1.0 - along**2))
-        return np.max(directions @ self.corners.T, axis=1) + round_part
+        return np.max(directions @ self.corners.T, axis=-1) + round_part
 
 
 @dataclass(frozen=True)
@@ -273,13 +273,6 @@ class Feature:
         along: Array = self.points[-1] - self.points[0]
         return along / norm(along)
 
-    @property
-    def disc(self) -> tuple[Array, Array, float]:
-        """(centre, axis, radius) of a rim."""
-        if self.centre is None or self.axis is None:
-            raise InvalidInputError(f"a {self.name} is no rim and has no disc")
-        return self.centre, self.axis, norm(self.points[0] - self.centre)
-
     def moved(self, X: SE3) -> Feature:
         """The same feature in the coordinates X maps to."""
         normal = None if self.normal is None else X.rotation @ self.normal
@@ -467,13 +460,13 @@ _TIE = 1e-9
 """Directions whose bounds differ by less are as good (m)."""
 
 
-def separation(a: Solid, e: Solid, n: Array) -> float:
+def separation(a: Solid, e: Solid, n: Array) -> Any:
     """Gap between a and e along the unit vector n out of e: never more than their distance (m).
 
     Args:
-        a, e: shapes of object and environment in world axes. n: (3,) unit vector out of e.
+        a, e: shapes of object and environment in world axes. n: (3,) or (m, 3) out of e.
     """
-    return float(_separations(a, e, n[None, :])[0])
+    return -a.support(-n) - e.support(n)
 
 
 def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
@@ -491,12 +484,8 @@ def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
         directions = np.vstack((directions, guess / norm(guess)))
     if len(directions) == 0:
         directions = np.eye(3)[2:]
-    apart = _separations(a, e, directions)
+    apart = separation(a, e, directions)
     return directions[int(np.flatnonzero(apart >= apart.max() - _TIE)[0])]
-
-
-def _separations(a: Solid, e: Solid, directions: Array) -> Array:
-    return -a.support(-directions) - e.support(directions)
 
 
 def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:

@@ -8,7 +8,7 @@ on arrays at many.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,6 +27,7 @@ from typing import (
 
 import numpy as np
 from pinocchio import SE3
+from pydantic import Field, create_model
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.surface import OF_ARRAYS, Shapes
@@ -34,16 +35,10 @@ from osc_contact.errors import ContactError, InvalidInputError
 from osc_contact.law import contact as law
 from osc_contact.law.jit import as_python
 from osc_contact.law.records import EDGES, FACE_ON_VERTEX, SURFACE, TANGENTS
-from osc_contact.scenarios.bodies import (
-    BodyDirection,
-    BodyPoint,
-    ContactSpec,
-    OfBody,
-    OnBodySpec,
-    register_contact,
-)
+from osc_contact.scenarios import bodies
+from osc_contact.scenarios.bodies import ContactSpec, OfBody, OnBodySpec, register_contact
 from osc_contact.scenarios.quantities import Length, NotNegative, Positive, UnitVec3, Vec3
-from osc_contact.spatial import Array, Poses, as_array, carry_twist, cross, norm, skew, unit_vector
+from osc_contact.spatial import Array, Poses, as_array, carry_twist, cross, norm, unit_vector
 
 _WORLD = SE3.Identity()
 _AT_REST = np.zeros(6)
@@ -119,7 +114,7 @@ def knows_where_it_slides(pair: ContactPair) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Bodies:
-    """Object A and environment E at one instant: positions from O, motions at O, world axes."""
+    """Object A and environment E at one instant: poses, and twists at O, world axes."""
 
     X_A: SE3
     X_E: SE3
@@ -149,18 +144,6 @@ class Bodies:
     def V_rel(self) -> Array:
         """(6,) twist of A relative to E, at O."""
         return self.V_A - self.V_E
-
-    def rotate_E(self, direction: Array) -> Array:
-        """A direction (3,), or columns (3, k), of E in world axes."""
-        return self.X_E.rotation @ direction
-
-    def point_A(self, point: Array) -> Array:
-        """Points (3,) or (3, k) of A, from O."""
-        return self.X_A.rotation @ point
-
-    def point_E(self, point: Array) -> Array:
-        """A point (3,) of E, from O."""
-        return self.X_E.translation - self.X_A.translation + self.rotate_E(point)
 
 
 class PackagedPair:
@@ -194,34 +177,14 @@ class PackagedPair:
 
     def gaps(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """(r,) signed errors (m or rad), 0 in contact; distances are negative in an overlap."""
-        return self._gaps(Bodies.at_O(X_WO, X_WE=X_WE))
+        return self._gaps(X_WO if X_WE is None else X_WE.actInv(X_WO))
 
     def _contact(self, b: Bodies) -> Contact:
         raise NotImplementedError
 
-    def _gaps(self, b: Bodies) -> Array:
+    def _gaps(self, X_EA: SE3) -> Array:
+        """At a pose of the object in the environment frame."""
         raise NotImplementedError
-
-
-def velocity(V: Array, points: Array) -> Array:
-    """Velocities of body-fixed points (3,) or (3, k), given from O, of a body with twist V at O."""
-    if points.ndim == 1:
-        return V[:3] + cross(V[3:], points)
-    return V[:3, None] + skew(V[3:]) @ points
-
-
-def lines_of_force(points: Array, directions: Array) -> Array:
-    """W(n, p) = [n; p × n]: unit forces along n through p, (6,) or columns (6, k)."""
-    return np.concatenate((directions, cross(points, directions)))
-
-
-def lines_of_force_rate(points: Array, directions: Array, p_dot: Array, n_dot: Array) -> Array:
-    """Ẇ(n, p) = [ṅ; ṗ × n + p × ṅ] with absolute ṗ: the reference point stays where O is now.
-
-    Args:
-        points: (3, r) from O (m). directions: (3, r) unit vectors. p_dot, n_dot: (3, r) rates.
-    """
-    return np.concatenate((n_dot, cross(p_dot, directions) + cross(points, n_dot)))
 
 
 def triad(z: Array) -> Array:
@@ -242,21 +205,24 @@ def store(pair: Any, **values: Any) -> None:
         object.__setattr__(pair, key, value)
 
 
-#: What a number of a pair's geometry is; `check_geometry` reads it from the field's annotation.
-Point = Annotated[Array, "point"]
-Direction = Annotated[Array, "direction"]
-Radius = Annotated[float, "≥"]
-Extent = Annotated[float, ">"]
-#: The latter two as keys of a scenario.
-RadiusKey = NotNegative[Length]
-ExtentKey = Positive[Length]
+#: What a number of a pair's geometry is, and as a key of a scenario; `check_geometry` and
+#: `register_pair` read both from the field's annotation.
+Point = Annotated[Array, "point", Vec3]
+Direction = Annotated[Array, "direction", UnitVec3]
+BodyPoint = Annotated[Array, "point", bodies.BodyPoint]
+BodyDirection = Annotated[Array, "direction", bodies.BodyDirection]
+Radius = Annotated[float, "≥", Annotated[NotNegative[Length], Field(default=0.0)]]
+Extent = Annotated[float, ">", Positive[Length]]
+#: Of a face that a contact brings: keys of `face`.
+FacePoint = Annotated[Array, "point"]
+FaceDirection = Annotated[Array, "direction"]
 
 
 @cache
-def _geometry(pair: Any) -> dict[str, str]:
-    """Kind of each field whose annotation states one."""
+def _geometry(pair: Any) -> dict[str, tuple[Any, ...]]:
+    """Of each field whose annotation states them, its kind and what it is as a key."""
     hints = get_type_hints(pair, include_extras=True).items()
-    return {key: hint.__metadata__[0] for key, hint in hints if hasattr(hint, "__metadata__")}
+    return {key: hint.__metadata__ for key, hint in hints if hasattr(hint, "__metadata__")}
 
 
 def check_geometry(pair: Any) -> None:
@@ -266,14 +232,14 @@ def check_geometry(pair: Any) -> None:
         InvalidInputError: wrong shape, not finite, a direction that is zero, a length < 0 (≤ 0).
     """
     made: Any = type(pair)
-    for key, kind in _geometry(made).items():
+    for key, (kind, *_) in _geometry(made).items():
         name = f"{pair.name}.{key}"
         value = getattr(pair, key)
         if kind == "point":
             store(pair, **{key: as_array(name, value, (3,))})
         elif kind == "direction":
             store(pair, **{key: unit_vector(name, value)})
-        elif not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and kind == "≥"))):
+        elif kind and not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and kind == "≥"))):
             raise InvalidInputError(f"{name} = {value}; give a length {kind} 0 m")
 
 
@@ -284,28 +250,47 @@ Pair = TypeVar("Pair", bound=type[Any])
 
 #: Every registered pair by the name of its class.
 PAIRS: dict[str, type[ContactPair]] = {}
-_MADE_FROM: dict[type[ContactSpec], tuple[Callable[..., ContactPair], dict[str, str]]] = {}
 
 
 @dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(field,))
-def register_pair(keys: type[ContactSpec] | None = None, **renamed: str) -> Callable[[Pair], Pair]:
+def register_pair(
+    forces: int | None = None, on: type[ContactSpec] = OnBodySpec
+) -> Callable[[Pair], Pair]:
     """Class decorator: enter a pair in the register; a packaged one becomes a frozen dataclass.
 
     Args:
-        keys: keys of such a contact in a scenario. None: it is made in Python only.
-        renamed: keys that the class calls otherwise, such as face_point="point".
+        forces: r, of a pair that scenarios may name, as its `name` is by default; its keys are the
+            fields that are annotated as keys, such as `Point`, with their docstrings. None: it is
+            made in Python only.
+        on: what else such a contact has.
     """
 
     def enter(pair: Pair) -> Pair:
         if issubclass(pair, PackagedPair) and "__dataclass_fields__" not in vars(pair):
             dataclass(frozen=True, eq=False)(pair)
         PAIRS[pair.__name__] = pair
-        if keys is not None:
-            register_contact(keys)
-            _MADE_FROM[keys] = pair, renamed
+        if forces is not None:
+            register_contact(_keys_of(pair, forces, on))
         return pair
 
     return enter
+
+
+def _keys_of(pair: Any, forces: int, on: type[ContactSpec]) -> type[ContactSpec]:
+    """The keys of a contact that is such a pair."""
+    kind: Any = pair.name
+    keys: dict[str, Any] = {"type": (Literal[kind], kind)}
+    geometry = _geometry(pair)
+    for one in fields(pair):
+        for key in geometry.get(one.name, ())[1:]:
+            keys[one.name] = key if one.default is MISSING else (key, one.default)
+    name = f"{pair.__name__}Spec"
+    spec = create_model(name, __base__=on, __module__=pair.__module__, __doc__=pair.__doc__, **keys)
+    spec.forces = forces
+    spec.describes = pair
+    spec.__qualname__ = f"{pair.__name__}.Keys"
+    pair.Keys = spec
+    return spec
 
 
 def make_pair(spec: ContactSpec, X_WB: SE3, folder: Path | None = None) -> ContactPair:
@@ -315,7 +300,6 @@ def make_pair(spec: ContactSpec, X_WB: SE3, folder: Path | None = None) -> Conta
         spec: of a registered kind. X_WB: pose of the body that the contact is on.
         folder: where files are that it names.
     """
-    pair, renamed = _MADE_FROM[type(spec)]
     given: dict[str, Any] = {}
     for key, info in type(spec).model_fields.items():
         value = getattr(spec, key)
@@ -328,8 +312,9 @@ def make_pair(spec: ContactSpec, X_WB: SE3, folder: Path | None = None) -> Conta
         if key == "face":
             given |= {"point": value.point, "normal": value.normal}
         elif key not in ("type", "body"):
-            given[renamed.get(key, key)] = value
-    return pair(**given)
+            given[key] = value
+    made: ContactPair = type(spec).describes(**given)
+    return made
 
 
 _place = as_python(law.place_pair, **OF_ARRAYS)
@@ -340,7 +325,7 @@ _point = as_python(law.point_of_contact)
 _Elements = dict[tuple[int, int], Any]
 _IDENTITY: _Elements = {(i, j): float(i == j) for i in range(3) for j in range(4)}
 #: Methods that determine a row; a class that replaces one of them differs from its row.
-_GIVEN_BY_ROW = ("contact", "direction", "point_on_face", "points_of_contact")
+_GIVEN_BY_ROW = ("contact", "points_of_contact")
 
 
 class PairRow(NamedTuple):
@@ -492,124 +477,79 @@ def _elements_over(X: Poses) -> _Elements:
 # A face of the object on a vertex of the environment.
 
 
-class FaceOnVertexSpec(OnBodySpec):
-    """A face of the object on a (rounded) vertex of a body, r = 1."""
-
-    forces = 1
-    type: Literal["face_on_vertex"] = "face_on_vertex"
-    point: Vec3
-    """a point of the object's face [x, y, z] in the object frame"""
-    normal: UnitVec3
-    """the outward normal of the object's face [x, y, z] in the object frame"""
-    body_vertex: BodyPoint
-    """the centre of the rounded vertex [x, y, z] in the body frame"""
-    radius: RadiusKey = 0.0
-    """of the rounding"""
-
-
-@register_pair(FaceOnVertexSpec, body_vertex="vertex")
+@register_pair(forces=1)
 class FaceOnVertex(LawPair):
-    """A face of the held object on a vertex of the environment (r = 1).
+    """A face of the object on a (rounded) vertex of the environment, r = 1.
 
     N = [n; (p − O) × n] with n the *outward* normal of the object's face, which points into the
     environment, and p the vertex. Now the object carries n and the environment p: ṅ = ω_O × n,
     ṗ = v_E(p).
-
-    Attributes:
-        point: (3,) a point of the face in the object frame (m).
-        normal: (3,) outward normal of the face in the object frame; normalised on entry.
-        vertex: (3,) vertex, or centre of the rounded vertex, in the environment frame (m).
-        radius: of the rounded vertex (m).
-        name: used in messages and recordings.
     """
 
     point: Point
+    """a point of the object's face [x, y, z] in the object frame"""
     normal: Direction
-    vertex: Point
+    """the outward normal of the object's face [x, y, z] in the object frame"""
+    body_vertex: BodyPoint
+    """the centre of the rounded vertex [x, y, z] in the body frame"""
     radius: Radius = 0.0
+    """of the rounding"""
     name: str = "face_on_vertex"
     pushes = True
 
     def _make(self) -> None:
-        row = shape(self.normal, self.vertex, self.radius)
-        self._hold(PairRow(FACE_ON_VERTEX, (row,)), self.vertex)
+        row = shape(self.normal, self.body_vertex, self.radius)
+        self._hold(PairRow(FACE_ON_VERTEX, (row,)), self.body_vertex)
         store(self, surface_radius=self.radius)
 
-    def _gaps(self, b: Bodies) -> Array:
+    def _gaps(self, X_EA: SE3) -> Array:
         """(1,) distance between face and vertex surface (m), negative when they overlap."""
-        apart = b.point_E(self.vertex) - b.point_A(self.point)
-        return (b.point_A(self.normal) @ apart - self.radius)[None]
+        apart = X_EA.actInv(self.body_vertex) - self.point
+        return np.array([self.normal @ apart - self.radius])
 
 
 # An edge of the object across an edge of the environment.
 
 
-class EdgeOnEdgeSpec(OnBodySpec):
-    """An edge of the object across an edge of a body, r = 1."""
-
-    forces = 1
-    type: Literal["edge_on_edge"] = "edge_on_edge"
-    point: Vec3
-    """a point of the object's edge [x, y, z] in the object frame"""
-    direction: UnitVec3
-    """along the object's edge [x, y, z] in the object frame"""
-    edge_point: BodyPoint
-    """a point of the body's edge [x, y, z] in the body frame"""
-    edge_direction: BodyDirection
-    """along the body's edge [x, y, z] in the body frame"""
-    edge_outward: BodyDirection
-    """roughly out of the body at its edge [x, y, z] in the body frame"""
-
-
-@register_pair(
-    EdgeOnEdgeSpec,
-    point="point_A",
-    direction="direction_A",
-    edge_point="point_E",
-    edge_direction="direction_E",
-    edge_outward="side",
-)
+@register_pair(forces=1)
 class EdgeOnEdge(LawPair):
-    """An edge of the held object across an edge of the environment (r = 1).
+    """An edge of the object across an edge of the environment, r = 1.
 
     N = [n; (p − O) × n], n = ± e_A × e_E / |e_A × e_E| into the environment, p the crossing point,
     which neither body carries: it slides along both edges, ṗ = v_A(p) + ṡ e_A. With e_A, e_E unit,
     ṅ = ± (1 − nnᵀ)(ė_A × e_E + e_A × ė_E) / |e_A × e_E|. With the gap g open, p is the
     point of the object's edge nearest to the other one and
     ṫ e_E − ṡ e_A = v_A(p) − v_E(p + g n) + g ṅ in the plane ⟂ n, so N and n_γ stay exact.
-
-    Attributes:
-        point_A: (3,) a point of the object's edge, in the object frame (m).
-        direction_A: (3,) along that edge; normalised on entry.
-        point_E: (3,) a point of the environment's edge, in the environment frame (m).
-        direction_E: (3,) along that edge; normalised on entry.
-        side: which way n points: +1 along e_A × e_E, −1 against it, or an outward normal (3,) of
-            the environment at its edge, in the environment frame; roughly is enough, its component
-            along e_A × e_E decides.
-        name: used in messages and recordings.
     """
 
-    point_A: Point
-    direction_A: Direction
-    point_E: Point
-    direction_E: Direction
-    side: float | Array = 1.0
+    point: Point
+    """a point of the object's edge [x, y, z] in the object frame"""
+    direction: Direction
+    """along the object's edge [x, y, z] in the object frame"""
+    edge_point: BodyPoint
+    """a point of the body's edge [x, y, z] in the body frame"""
+    edge_direction: BodyDirection
+    """along the body's edge [x, y, z] in the body frame"""
+    edge_outward: Annotated[float | Array, "", bodies.BodyDirection]
+    """roughly out of the body at its edge [x, y, z] in the body frame; its component along
+    direction × edge_direction decides. In Python also +1 or −1 times that"""
     name: str = "edge_on_edge"
     pushes = True
 
     def _make(self) -> None:
-        if np.ndim(self.side) > 0:
-            store(self, side=unit_vector(f"{self.name}.side", self.side))
-        elif self.side not in (1, -1):
+        out = self.edge_outward
+        if np.ndim(out) > 0:
+            out = unit_vector(f"{self.name}.edge_outward", out)
+        elif out not in (1, -1):
             raise InvalidInputError(
-                f"{self.name}.side = {self.side}; give +1 or −1 (times e_A × e_E), or a vector "
+                f"{self.name}.edge_outward = {out}; give +1 or −1 (times e_A × e_E), or a vector "
                 "that points out of the environment, towards the object"
             )
-        side = (0.0, self.side) if np.ndim(self.side) else (self.side, np.zeros(3))
-        lines = self.point_A, self.direction_A, self.point_E, self.direction_E
-        self._hold(PairRow(EDGES, (shape(*lines, *side),)), self.point_E)
+        side = (0.0, out) if np.ndim(out) else (out, np.zeros(3))
+        lines = self.point, self.direction, self.edge_point, self.edge_direction
+        self._hold(PairRow(EDGES, (shape(*lines, *side),)), self.edge_point)
 
-    def _gaps(self, b: Bodies) -> Array:
+    def _gaps(self, X_EA: SE3) -> Array:
         """(1,) distance between the two lines (m), negative when they have passed each other."""
-        n = self._contact(b).N[:3, 0]
-        return (n @ (b.point_E(self.point_E) - b.point_A(self.point_A)))[None]
+        n = self.contact(X_EA, _AT_REST).N[:3, 0]
+        return np.array([n @ (self.edge_point - X_EA.act(self.point))])

@@ -6,7 +6,6 @@ import numpy as np
 from pinocchio import SE3
 
 from osc_contact.contacts.pairs.pair import (
-    Bodies,
     Direction,
     PairRow,
     Point,
@@ -64,10 +63,10 @@ class TangentPair(PointsOnPlanes):
         shapes = (*forces, *couples, *threads, *freedoms)
         self._hold(PairRow(TANGENTS, shapes, len(freedoms)), on_plane)
 
-    def _gaps(self, b: Bodies) -> Array:
+    def _gaps(self, X_EA: SE3) -> Array:
         """(r,) signed errors: m for the points, rad (to first order) for the directions."""
-        angles = -np.einsum("ij,ij->j", b.point_A(self._arms), b.rotate_E(self._marks))
-        return np.concatenate((super()._gaps(b), angles))
+        angles = -((X_EA.rotation @ self._arms) * self._marks).sum(axis=0)
+        return np.concatenate((super()._gaps(X_EA), angles))
 
 
 def held_axis(axis: Array, seat: Array) -> tuple[Array, Array]:
@@ -216,15 +215,15 @@ class Screw(TangentPair):
         tilts = held_axis(self.axis, seat)
         self._hold_tangents(self.point, axes[:, :2], on_axis, tilts, (freedom,), (thread,))
 
-    def _gaps(self, b: Bodies) -> Array:
+    def _gaps(self, X_EA: SE3) -> Array:
         """(5,) signed errors, the last one wrapped to ±π |pitch|."""
-        x, y, d = b.rotate_E(self._seat).T
-        spoke = b.point_A(self.assembled.rotation.T @ self._seat[:, 0])  # along x when assembled
+        x, y, d = self._seat.T
+        spoke = X_EA.rotation @ self.assembled.rotation.T @ x  # along x when assembled
         angle = np.arctan2(y @ spoke, x @ spoke)
-        on_axis = b.point_E(self.assembled.act(self.point))
-        ahead = d @ (b.point_A(self.point) - on_axis) / self.pitch - angle
+        apart = X_EA.act(self.point) - self.assembled.act(self.point)
+        ahead = d @ apart / self.pitch - angle
         wrapped = -self.pitch * np.remainder(ahead + np.pi, 2 * np.pi) + self.pitch * np.pi
-        return np.append(super()._gaps(b), wrapped)
+        return np.append(super()._gaps(X_EA), wrapped)
 
 
 # The cone in its groove (fig. 2 of the paper): a pair given by T that no constraint frame fits.
