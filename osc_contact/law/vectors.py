@@ -180,7 +180,11 @@ def finiteness(x, n):
 
 @leaf
 def copy_rows(X, start, out):
-    """out ← the rows X[start:], as many and as long as there are in out."""
+    """out ← the rows X[start:], as many and as long as there are in out.
+
+    Args:
+        X: rows. start: the first that is copied. out: (rows, length), overwritten.
+    """
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = X[start + i, j]
