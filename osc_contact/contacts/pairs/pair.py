@@ -504,8 +504,9 @@ class FaceOnVertex(LawPair):
 
     def _gaps(self, X_EA: SE3) -> Array:
         """(1,) distance between face and vertex surface (m), negative when they overlap."""
-        apart = X_EA.actInv(self.body_vertex) - self.point
-        return np.array([self.normal @ apart - self.radius])
+        R = X_EA.rotation
+        apart = self.body_vertex - X_EA.translation - R @ self.point
+        return np.array([R @ self.normal @ apart - self.radius])
 
 
 # An edge of the object across an edge of the environment.
