@@ -18,14 +18,10 @@ def dot(a, b, n):
     Args:
         a, b: rows. n: how many elements of them count.
     """
-    even = 0.0  # two sums: the next product need not wait for the last one
-    odd = 0.0
-    for i in range(0, n - 1, 2):
-        even += a[i] * b[i]
-        odd += a[i + 1] * b[i + 1]
-    if n % 2 == 1:
-        even += a[n - 1] * b[n - 1]
-    return even + odd
+    s = 0.0
+    for i in range(n):
+        s += a[i] * b[i]
+    return s
 
 
 @inner

@@ -6,7 +6,6 @@ from math import isfinite, sqrt
 
 from osc_contact.law.algebra import (
     add_scaled,
-    back_substitute,
     backward,
     cholesky,
     dot,
@@ -30,6 +29,7 @@ from osc_contact.law.vectors import (
     finiteness,
     mirror,
     plus3,
+    reflector,
     scaled,
     six,
 )
@@ -115,48 +115,100 @@ def weigh_joints(lo, n, joints, K, Z):
 def _decompose(t, lo, n, arm, row):
     """J̄ and Λ of full rank by QR; False: a column depends on those before it to the last digit.
 
-    Up to six joints J = QR, J̄ = R⁻¹Qᵀ and Λ = J̄ᵀMJ̄, whose digits do not depend on M's condition;
-    else A = J K⁻ᵀ, Aᵀ = QR and A⁺ᵀ = R⁻¹Qᵀ.
+    Up to six joints J = QR, J̄ᵀ = QR⁻ᵀ and Λ = J̄ᵀMJ̄, whose digits do not depend on M's condition;
+    else A = J K⁻ᵀ, Aᵀ = QR and A⁺ = QR⁻ᵀ.
     """
     work = t.work
     joints = work.joints
-    X = work.X
-    Z = work.Z
+    A = work.Z
+    Q = work.X
+    R = work.A
+    B = work.B  # R⁻ᵀ
     wide = n > 6
-    rows = min(n, 6)
-    length = max(n, 6)
-    if wide and not weigh_joints(lo, n, joints, work.K, Z):
+    columns = min(n, 6)
+    if wide and not weigh_joints(lo, n, joints, work.K, A):
         return False
-    for j in range(n):
+    for i in range(0 if wide else 6):
+        fill(A[i], ZERO)
+        for j in range(n):
+            A[i, j] = joints[lo + j].J[i]
+    if not _qr_tall(A, max(n, 6), columns, Q, R, work.t, work.u):
+        return False
+    arm.n_kept = columns
+    arm.n_locked = 6 - columns
+    for k in range(6):
         for i in range(6):
-            if wide:
-                X[i, j] = Z[j, i]
+            if k >= n:
+                work.locked_rows[row + k - n, i] = Q[i, k]
             else:
-                X[j, i] = joints[lo + j].J[i]
-    if not qr_rows(X, rows, length, work.s, work.t):
-        return False
-    form_q(X, rows, length, work.t, 6, Z)
-    for k in range(rows):
-        fill(arm.kept[k], arm.passed[k] if wide else Z[k])
-    for k in range(rows, 6):
-        fill(work.locked_rows[row + k - rows], Z[k])
-    arm.n_kept = rows
-    arm.n_locked = 6 - rows
-    back_substitute(X, rows, length, work.s, Z)
-    for j in range(n):
-        for i in range(6):
-            joints[lo + j].J_bar[i] = Z[i, j] if wide else Z[j, i]
+                arm.kept[k, i] = arm.passed[k, i] if wide else Q[i, k]
+    for d in range(columns):
+        x = ZERO
+        for c in range(d):
+            x = add(x, -R[c, d], B[c])
+        fill(B[d], x)
+        B[d, d] += 1.0
+        fill(B[d], scaled(1.0 / R[d, d], B[d]))
+    for i in range(max(n, 6)):
+        x = ZERO
+        for c in range(columns):
+            x = add(x, Q[i, c], B[c])
+        if wide:
+            fill(joints[lo + i].J_bar, x)
+        else:
+            for j in range(n):
+                joints[lo + j].J_bar[i] = x[j]
     if wide:
         _weigh_inverse(lo, n, joints, work.K, arm.Lambda)
         return True
     arm.Lambda[:] = 0.0
     for j in range(n):
+        bar = joints[lo + j].J_bar
         x = ZERO
         for k in range(n):
-            x = add(x, joints[lo + j].M[k], Z[k])
+            x = add(x, joints[lo + j].M[k], joints[lo + k].J_bar)
         for i in range(6):
-            accumulate(arm.Lambda[i], Z[j, i], x)
+            accumulate(arm.Lambda[i], bar[i], x)
     mirror(arm.Lambda)
+    return True
+
+
+@inner
+def _qr_tall(A, rows, columns, Q, R, beta, scratch):
+    """A = QR of at least six rows of six, of which `columns` count, by Householder reflections.
+
+    A is destroyed; Q gets six columns. Returns False where a column depends on those before it to
+    the last digit.
+    """
+    for k in range(columns):
+        t = scaled(A[k, k], A[k])
+        for i in range(k + 1, rows):
+            t = add(t, A[i, k], A[i])
+        fill(scratch, t)  # of the column itself: its square, and its products with the others
+        if not scratch[k] > 0.0:
+            return False
+        alpha, b = reflector(scratch[k], A[k, k])
+        fill(scratch, scaled(b, add(t, -alpha, A[k])))
+        for c in range(k + 1):
+            scratch[c] = 0.0
+        A[k, k] -= alpha
+        beta[k] = b
+        t = six(scratch)
+        for i in range(k, rows):
+            accumulate(A[i], -A[i, k], t)
+        fill(R[k], A[k])
+        R[k, k] = alpha
+    for i in range(rows):
+        fill(Q[i], ZERO)
+        if i < 6:
+            Q[i, i] = 1.0
+    for k in range(columns - 1, -1, -1):
+        t = ZERO
+        for i in range(k, rows):
+            t = add(t, A[i, k], Q[i])
+        t = scaled(beta[k], t)
+        for i in range(k, rows):
+            accumulate(Q[i], -A[i, k], t)
     return True
 
 

@@ -231,26 +231,21 @@ def contact_laws(t):
     Where columns depend on one another the most careful of all hold for each of them.
     """
     work = t.work
-    gain = inf
-    damping = -inf
-    brake = -inf
-    for j in range(work.count):
-        law = contact_of(t, work.chosen[j])
-        gain = min(gain, law.gain)
-        damping = max(damping, law.damping)
-        brake = max(brake, law.brake)
+    dependent = work.rank < work.count
     for a in range(work.rank):
-        if work.rank < work.count:
-            work.gain[a] = gain
-            work.damping[a] = damping
-            work.least[a] = -inf
-            work.brake[a] = brake
-        else:
-            law = contact_of(t, work.kept[a])
-            work.gain[a] = law.gain
-            work.damping[a] = law.damping
-            work.least[a] = law.least
-            work.brake[a] = law.brake
+        law = contact_of(t, work.kept[a])
+        gain = law.gain
+        damping = law.damping
+        brake = law.brake
+        for j in range(work.count if dependent else 0):
+            other = contact_of(t, work.chosen[j])
+            gain = min(gain, other.gain)
+            damping = max(damping, other.damping)
+            brake = max(brake, other.brake)
+        work.gain[a] = gain
+        work.damping[a] = damping
+        work.brake[a] = brake
+        work.least[a] = -inf if dependent else law.least
 
 
 # --- Contact forces by least squares, independent of friction and misplaced normals ---------------
