@@ -312,6 +312,5 @@ def test_a_series_is_watched_as_tick_by_tick(seed):
     closed, collision = watch_series(ContactMonitor(2, DT), alpha, speed)
     other = ContactMonitor(2, DT)
     seen = [other.update(a, v) for a, v in zip(alpha, speed, strict=True)]
-    assert_array_equal(closed, [one.closed for one in seen])
-    assert_array_equal(collision, [one.collision for one in seen])
+    assert_array_equal(np.stack((closed, collision), axis=1), seen)
     assert collision.any() and not closed.all() and closed.any()
