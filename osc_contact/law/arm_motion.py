@@ -106,12 +106,19 @@ def _place_body(w, C, link, body):
     R = w.R
     m = link[0]
     c = minus3(place_point(w, link[1:]), C)
+    inertia = link[4:]
+    x = rotated(R, rotated9(inertia, R[0]))  # rows of R I Rᵀ
+    y = rotated(R, rotated9(inertia, R[1]))
+    z = rotated(R, rotated9(inertia, R[2]))
+    square = m * dot3(c, c)
     body[0] = m
     fill3(body[1:], scaled3(m, c))
-    for i in range(3):
-        row = rotated(R, rotated9(link[4:], R[i]))  # of R I Rᵀ
-        fill3(body[4 + 3 * i :], add3(row, -m * c[i], c))
-        body[4 + 4 * i] += m * dot3(c, c)
+    fill3(body[4:], add3(x, -m * c[0], c))
+    fill3(body[7:], add3(y, -m * c[1], c))
+    fill3(body[10:], add3(z, -m * c[2], c))
+    body[4] += square
+    body[8] += square
+    body[12] += square
 
 
 @leaf

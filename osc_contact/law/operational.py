@@ -75,7 +75,7 @@ def _weigh_inverse(lo, n, joints, K, Lambda):
         bar = joints[lo + j].J_bar
         x = six(bar)
         for i in range(6):
-            accumulate(Lambda[i], x[i], x)
+            accumulate(Lambda[i], bar[i], x)
         for k in range(j + 1, n):
             x = add(x, -K[k, j], joints[lo + k].J_bar)
         fill(bar, scaled(K[j, j], x))
@@ -156,8 +156,9 @@ def _decompose(t, lo, n, arm, row):
         if wide:
             fill(joints[lo + i].J_bar, x)
         else:
+            fill(work.u, x)
             for j in range(n):
-                joints[lo + j].J_bar[i] = x[j]
+                joints[lo + j].J_bar[i] = work.u[j]
     if wide:
         _weigh_inverse(lo, n, joints, work.K, arm.Lambda)
         return True
