@@ -430,12 +430,12 @@ def _weigh(t, row, out):
 
 @inner
 def command_object(t):
-    """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ α_u + f_bias): eq. 21, turned."""
+    """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ(α_u + x) + f_bias): eq. 21, turned."""
     work = t.work
     bias = turned(work, wrench_to_energy(work, t.memory.f_bias))
     f_S = plus(plus(work.chain_bias, bias), times6(work.Lambda, work.x))
     for a in range(work.rank):
-        f_S = add(f_S, work.alpha_u[a], work.pushed_t[a])
+        f_S = add(f_S, work.alpha_u[a] + work.reaction[a], work.pushed_t[a])
     fill(work.f_S, f_S)
 
 

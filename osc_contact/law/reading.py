@@ -8,6 +8,7 @@ from osc_contact.law.algebra import (
     backward,
     cholesky,
     cholesky_solve,
+    dot,
     forward,
     lu_solve,
     project_onto_columns,
@@ -271,6 +272,8 @@ _ALONG = 0.3  #: coefficient of friction along the slip, beyond what is assumed
 _ACROSS = 0.1  #: and across it; the tangent of an error of the normal
 _DEPARTURE = 0.1  #: σ_a (m/s²)
 _LEAST_FORCE = 1.0  #: least w_j (N)
+_LAG = 0.005  #: s, of the low-pass of tangential forces
+_REACTION = 0.5  #: times the desired force, of what they may add
 _FIRST = 0.005  #: T_1 (s), of sliding that the coefficient assumed at first is worth
 _MOST_FRICTION = 2.0  #: coefficient that is learned at most
 _NOISE = 0.01  #: of a wrist's force (N), in the metric of the object's inertia
@@ -278,7 +281,7 @@ _NOISE = 0.01  #: of a wrist's force (N), in the metric of the object's inertia
 
 @inner
 def weigh_magnitudes(t):
-    """Fill `alpha_meas` (r,); False where the weights are not positive definite."""
+    """Fill `alpha_meas` (r,) and `reading_e`, R⁻¹(f − N_μα); False where R is not definite."""
     work = t.work
     r = work.rank
     R = work.B
@@ -314,6 +317,7 @@ def weigh_magnitudes(t):
     for a in range(r):
         work.alpha_meas[a] = right[0, a]
         accumulate(f, -right[0, a], H[a])
+    cholesky_solve(work.A, 6, f, 0)
     return True
 
 
@@ -352,15 +356,14 @@ def learn_friction(t):
     explains them best; where they rest, s_j = 0, nothing is learned. At first μ is the mean of all
     readings, k = 1/(T_1 + T) > `learning`, T = ∫Σw_jα_j|s_j|²/Σw_j² dt the time of sliding under
     the desired forces: the first contact is made with friction that it shows itself. Not where
-    normals are estimated, too: a tilted face shows the same at first. The factor of R and the
-    residual are those that `weigh_magnitudes` left.
+    normals are estimated, too: a tilted face shows the same at first. R⁻¹(f − N_μα) is what
+    `weigh_magnitudes` left.
     """
     model = t.model
     work = t.work
     if model.learning == 0.0:
         return
     y = work.reading_e
-    cholesky_solve(work.A, 6, y, 0)
     dependent = work.rank < work.count
     found = slid = whole = uncertain = 0.0
     for j in range(work.count):
@@ -381,6 +384,66 @@ def learn_friction(t):
         work.slid += work.dt * slid / whole
     more = work.more_friction + min(k * work.dt, 1.0) * found / whole
     work.more_friction = min(max(more, -model.mu), _MOST_FRICTION - model.mu)
+
+
+@inner
+def oppose_friction(t):
+    """`reaction` (r,) = D⁻¹Nᵀ(Φ_0 + Φ_e)f_t, D = Nᵀ(Φ_0 + Φ_e)N_μ: what f_t takes off α.
+
+    f_t = Σ(1 − |s_j|²) T_jβ_j are the tangential forces of contacts that stick or hardly slide, and
+    that μ does not explain: β_j = C_jT_jᵀR⁻¹(f − N_μα) as read up to the last tick, low-passed.
+    They themselves are not opposed: that would push on what sticks. At most half of the desired
+    force.
+    """
+    work = t.work
+    m = work.locked
+    d = 6 - m
+    r = work.rank
+    x = work.K[0]
+    for a in range(r):
+        x[a] = 0.0
+    total = ZERO
+    for j in range(work.count):
+        chosen = work.chosen[j]
+        column = work.columns[chosen]
+        past = t.memory.columns[chosen].tangential
+        resting = scaled3(1.0 - dot3(column.slip, column.slip), past)
+        f = resting + cross(column.point, resting)
+        total = plus(total, turned(work, wrench_to_energy(work, f)))
+        for a in range(r if work.moving != 0 else 0):
+            if body_of(t, work.kept[a]).same == body_of(t, chosen).same:
+                x[a] += dot6(work.yields[a], f)
+        _find_tangential(t, column, chosen, past)
+    fill(work.u, total)
+    solvable = d > 0 and cholesky(work.Lambda, m, d, work.B) > 0.0
+    for a in range(r if solvable else 0):
+        fill(work.z, work.N_t[a])
+        cholesky_solve(work.B, d, work.z, m)
+        x[a] += dot(work.z[m:], work.u[m:], d)
+        for b in range(r):
+            work.D[a, b] = work.Phi_mu[a, b] + dot(work.z[m:], work.pushed_t[b, m:], d)
+    solvable = solvable and lu_solve(work.D, r, work.K, 1)
+    for a in range(r):
+        most = _REACTION * abs(work.alpha_d[a])
+        work.reaction[a] = min(max(x[a], -most), most) if solvable else 0.0
+
+
+@inner
+def _find_tangential(t, column, chosen, past):
+    """`tangential` of a column: β_j of this tick, low-passed."""
+    work = t.work
+    f = work.z
+    n = divided3(column.N, sqrt(dot3(column.N, column.N)))
+    for k in range(3):
+        fill3(f, scaled3(-n[k], n))
+        f[k] += 1.0
+        work.w[k] = dot6(_push_on(t, linear(f), chosen), work.reading_e)
+    w = max(abs(work.goal[chosen]), _LEAST_FORCE)
+    along = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, work.w)
+    k = work.dt / (_LAG + work.dt)
+    for i in range(3):
+        found = w * w * (_ACROSS**2 * work.w[i] + along * column.slip[i])
+        column.tangential[i] = past[i] + k * (found - past[i])
 
 
 @inner

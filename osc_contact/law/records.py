@@ -335,6 +335,7 @@ COLUMN_MEMORY = _record(
     ),
     to_come=3,  # of a step, see `commands`
     turn=3,  # of the assumed normal, in the axes of its body, see `contact`
+    tangential=3,  # force that friction does not explain (N), low-passed, see `reading`
     covariance=9,  # of that turn (rad²); 0: not estimated
 )
 #: what is known of a joint from its sensors, see `sensors`; `acceleration`: as commanded last
@@ -454,6 +455,7 @@ _WORK = _record(
         "alpha_d",
         "alpha_meas",
         "alpha_u",
+        "reaction",  # what tangential forces take off it
         "speed",
         "gain",
         "damping",
@@ -556,6 +558,7 @@ COLUMN_WORK = _record(
     shown=3,  # direction in which sliding shows its error, in the same axes
     prior=9,  # covariance before anything has slid
     believed=3,  # that normal, into the body and in its axes, where no shape has it
+    tangential=3,  # for the next tick
     vector=(
         "N",
         "friction_wrench",

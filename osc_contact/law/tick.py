@@ -58,6 +58,7 @@ from osc_contact.law.reading import (
     contact_laws,
     learn_friction,
     measure_magnitudes,
+    oppose_friction,
     sum_readings,
     weigh_magnitudes,
 )
@@ -92,6 +93,7 @@ from osc_contact.law.vectors import (
     copy_rows,
     dot6,
     fill,
+    fill3,
     finiteness,
     motion_to_energy,
     plus,
@@ -383,6 +385,9 @@ def command(t, flags):
         return reason
     if work.n_lost > 0 and work.locked < 6:
         reduce_motion(t)
+    work.reaction[:] = 0.0
+    if model.reading == LEAST_SQUARES:
+        oppose_friction(t)
     command_object(t)
     return NO_REASON
 
@@ -447,6 +452,8 @@ def remember(t):
     for j in range(t.model.n_columns):
         memory.columns[j].alpha = work.alpha[j]
         memory.columns[j].speed = work.speeds[j]
+        fill3(memory.columns[j].tangential, work.columns[j].tangential)
+        fill3(work.columns[j].tangential, ZERO)
     keep_steps(t)
     if t.model.phased:
         phases.low_pass(t, work.rank == work.count and work.weightless == 0)
