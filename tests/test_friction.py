@@ -107,3 +107,29 @@ def test_a_first_contact_shows_its_friction(mu):
     steps = osc.metrics(recording)["steps"]
     assert max(step["overshoot_rel"] for step in steps) < 0.12
     assert recording["closed"][recording["t"] > 0.02].all()
+
+
+def test_tangential_forces_of_a_contact_at_rest_leave_the_contact_force_as_commanded():
+    """A plant without friction, pushed along its face as one that sticks would be, is the judge."""
+    still = osc.Scenario.from_dict(
+        {**POINT, "motion": [], "plant": {"type": "rigid", "step": "1 ms"}}
+    )
+    rig = osc.build_rig(still)
+    plant = rig.plant()
+    measurement = plant.measure()
+    reference = rig.references.at(1.0)
+    (pair,) = rig.pairs
+    X = rig.state.X_WO
+    p = pair.points_of_contact(X)[:, 0] - X.translation
+    n = pair.contact(X, np.zeros(6)).N[:3, 0]
+    forces = []
+    for rubs in np.array([[0.0, 0.0, 0.0], [1.5, -0.4, 0.9]]):
+        f = rubs - n * (n @ rubs) / (n @ n)
+        controller = rig.controller()
+        controller.tick(measurement, reference)
+        controller._memory.columns.tangential[:] = f
+        tau = controller.tick(measurement, reference)
+        load = plant._jacobian(plant._object()[0]).T @ np.concatenate((f, np.cross(p, f)))
+        forces.append(plant._solve(tau - load).alpha[0])
+        held = plant._solve(tau).alpha[0] - forces[0]
+    assert forces[1] == approx(forces[0], abs=1e-6) and abs(held) > 0.1

@@ -262,7 +262,6 @@ def test_a_tool_follows_a_curved_face(task, case):
     if own:
         theirs = packaged["force"]["nose"]["rms_error_rel"]
         assert found["force"]["nose"]["rms_error_rel"] == approx(theirs, rel=0.01)
-    # own: as the packaged pair with this friction, which is whole from a slip of about 1 mm/s on
-    limit = 5e-4 if case == "no friction" else 0.03 if "3 mm" in case else 0.02 if own else 0.015
+    limit = 5e-4 if case == "no friction" else 0.03 if "3 mm" in case else 0.01
     assert found["force"]["nose"]["rms_error_rel"] < limit
     assert found["contact_fraction"] == {"nose": 1.0}

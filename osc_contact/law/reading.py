@@ -39,6 +39,7 @@ from osc_contact.law.vectors import (
     scaled,
     scaled3,
     six,
+    turned,
     turned_back,
     wrench_to_energy,
 )
