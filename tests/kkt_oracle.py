@@ -22,7 +22,6 @@ from pair_kinds import PLAIN, Coordinates, rate
 from rigs import LWA, data_at, direction, largest, product, shift, unit
 
 from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
-from osc_contact.spatial import carry_twist
 
 G = np.array([0.0, 0.0, -9.81])
 SIZE = 0.15  # of the pairs' geometry, as drawn with 1 m
@@ -149,20 +148,7 @@ def linkage(rng, at):
         model.addFrame(pin.Frame(name, k, 0, X, pin.FrameType.OP_FRAME))
     q, v, tau = rng.standard_normal((3, 2))
     state = model, q, v, 2 * tau
-    return Body(*state, lambda O: linked(*state, O))
-
-
-def linked(model, q, v, tau, O):
-    """The environment that the last link of a mechanism is, by Pinocchio's own functions."""
-    data = model.createData()
-    pin.computeAllTerms(model, data, q, v)
-    free = tau - data.nle
-    J = carry_twist(data.J, np.zeros(3), O)
-    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-    last = model.njoints - 1
-    drift = carry_twist(data.oMi[last].act(data.a[last]).vector, np.zeros(3), O)
-    weighed = np.linalg.solve(data.M, J.T)
-    return Environment(J @ weighed, free @ weighed + drift, J @ v)
+    return Body(*state, lambda O: Environment.articulated(*state, "touched", O))
 
 
 def moving(rng, at):

@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 import pinocchio as pin
 from complaints import contact_error, invalid_input, model_error, refusals
-from kkt_oracle import random_inertia
+from kkt_oracle import linkage, random_inertia
 from numpy.linalg import inv, lstsq, solve
 from numpy.random import default_rng
 from rigs import largest, miss, pose_of, random_state, refused, scara_pair, ticked
@@ -185,7 +185,16 @@ test_impossible_bodies_are_refused = refusals(
 )
 
 
-def test_dependent_contacts_are_refused():
+def test_impossible_mechanisms_and_dependent_contacts_are_refused():
+    body = linkage(default_rng(46), np.zeros(3))
+    args = body.q, body.v, body.tau
+    with model_error("touchd"):
+        Environment.articulated(body.model, *args, "touchd", np.zeros(3))
+    with refused("tau: expected shape"):
+        Environment.articulated(body.model, *args[:2], np.zeros(3), "touched", np.zeros(3))
+    body.model.inertias[1] = body.model.inertias[2] = pin.Inertia.Zero()
+    with model_error("joint-space inertia"):
+        Environment.articulated(body.model, *args, "touched", np.zeros(3))
     with contact_error("dependent"):
         of_contacts(np.eye(2), [0, 0])
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import pinocchio as pin
 from pinocchio import SE3
 
+from osc_contact import robots
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.projections import left_inverse, unit_diagonal
 from osc_contact.spatial import (
@@ -158,8 +159,7 @@ class Environment:
         `force=[−k·s − c·speed]`. A door: axes=[ω × (p − hinge), ω] with ω a unit vector along the
         hinge. A free body: axes=np.eye(6), and the wrench on it as force. The space that the axes
         span must stay fixed in the world or in the body (slides, a hinge, a ball joint, motion in a
-        plane); a link of a mechanism with more moving joints is given by its Φ_e = J M⁻¹Jᵀ,
-        b_e = J M⁻¹(τ − h) + drift and V_e = J v.
+        plane); for a chain with moving joints in between use `articulated`.
 
         Args:
             inertia: in the body's own frame (kg, m); for sliding axes only the mass counts.
@@ -188,6 +188,50 @@ class Environment:
         at_O = carry_twist(A, p, point)
         b_e = at_O @ (M_inv @ (Q + A.T @ acting))
         return cls(symmetric(at_O @ M_inv @ at_O.T), b_e, carry_twist(V, p, point))
+
+    @classmethod
+    def articulated(
+        cls,
+        model: pin.Model,
+        q: npt.ArrayLike,
+        v: npt.ArrayLike,
+        tau: npt.ArrayLike,
+        frame: str,
+        O: npt.ArrayLike,  # noqa: E741 - the operational point
+        data: pin.Data | None = None,
+    ) -> Environment:
+        """A link of any mechanism: Φ_e = J M⁻¹Jᵀ, b_e = J M⁻¹(τ − h) + drift.
+
+        Args:
+            model: with its base placed in the world; its own gravity acts.
+            q, v: (nq,), (nv,) its configuration and velocity.
+            tau: (nv,) generalised forces besides gravity (motors, springs, dampers; N or N m).
+            frame: name of a frame or joint that moves with the touched link.
+            O: (3,) operational point in the world (m).
+            data: to work in; default: new data each time.
+
+        Raises:
+            InvalidInputError: wrong shapes or non-finite numbers.
+            ModelError: no such frame, or links without inertia.
+        """
+        q = as_array("q", q, (model.nq,))
+        v = as_array("v", v, (model.nv,))
+        tau = as_array("tau", tau, (model.nv,))
+        point = as_array("O", O, (3,))
+        if model.existJointName(frame):
+            joint = model.getJointId(frame)
+        else:
+            joint = model.frames[robots.frame_id(model, frame)].parentJoint
+        data = data or model.createData()
+        pin.computeAllTerms(model, data, q, v)
+        free = tau - data.nle
+        M_inv = inverse(np.array(data.M), "the environment's joint-space inertia")
+        world = pin.ReferenceFrame.WORLD
+        J = carry_twist(pin.getJointJacobian(model, data, joint, world), _ZERO, point)
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        drift = data.oMi[joint].act(data.a[joint]).vector
+        b_e = J @ M_inv @ free + carry_twist(drift, _ZERO, point)
+        return cls(symmetric(J @ M_inv @ J.T), b_e, J @ v)
 
     @classmethod
     def of_contacts(
