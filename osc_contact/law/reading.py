@@ -404,6 +404,8 @@ def oppose_friction(t):
     for a in range(r):
         x[a] = 0.0
     total = ZERO
+    for j in range(t.model.n_columns):
+        fill3(work.columns[j].tangential, ZERO)
     for j in range(work.count):
         chosen = work.chosen[j]
         column = work.columns[chosen]

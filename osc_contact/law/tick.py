@@ -453,7 +453,6 @@ def remember(t):
         memory.columns[j].alpha = work.alpha[j]
         memory.columns[j].speed = work.speeds[j]
         fill3(memory.columns[j].tangential, work.columns[j].tangential)
-        fill3(work.columns[j].tangential, ZERO)
     keep_steps(t)
     if t.model.phased:
         phases.low_pass(t, work.rank == work.count and work.weightless == 0)
