@@ -55,12 +55,13 @@ print(f"the nearest frame misses N by {np.degrees(np.arcsin(rod.residual)):.1f}Â
 # and a motion command should not change a force. By how much do they?
 
 # %%
+from paper.baselines import measured_coupling
 from paper.selection_laws import BASELINES, Instant, Ours, best_selection
 
 instant = Instant(state, contact)
 laws = {"ours": Ours(), "selection": best_selection(instant, BASELINES["khatib"], restarts=0)}
 for name, law in laws.items():
-    coupling = instant.coupling(law)
+    coupling = measured_coupling(rig, law, instant)
     print(f"{name}: free acceleration per newton up to {np.abs(coupling.G_f).max():.1e},",
           f"newtons per free acceleration up to {np.abs(coupling.G_m).max():.1e}")  # fmt: skip
 
