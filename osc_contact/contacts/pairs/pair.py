@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
+from inspect import signature
 from pathlib import Path
 from types import SimpleNamespace
 from typing import (
@@ -268,12 +269,22 @@ def register_pair(
     def enter(pair: Pair) -> Pair:
         if issubclass(pair, PackagedPair) and "__dataclass_fields__" not in vars(pair):
             dataclass(frozen=True, eq=False)(pair)
+            _show_plain_types(pair)
         PAIRS[pair.__name__] = pair
         if forces is not None:
             register_contact(_keys_of(pair, forces, on))
         return pair
 
     return enter
+
+
+def _show_plain_types(pair: Any) -> None:
+    """Help and API pages show the types of fields without what they are as keys."""
+    shown = signature(pair)
+    hints = get_type_hints(pair)
+    plain = {name: "Array" if hint == Array else hint for name, hint in hints.items()}
+    arguments = [one.replace(annotation=plain[one.name]) for one in shown.parameters.values()]
+    pair.__signature__ = shown.replace(parameters=arguments)
 
 
 def _keys_of(pair: Any, forces: int, on: type[ContactSpec]) -> type[ContactSpec]:
