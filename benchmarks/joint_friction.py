@@ -56,7 +56,7 @@ class Case(NamedTuple):
     most: float
 
     @without_logged_doubts()
-    def run(self) -> tuple[float, float, float, float, str]:
+    def run(self) -> tuple[Any, ...]:
         """Rms and peak of the force error, share of contact, largest overshoot (%), verdict.
 
         Packaged scenarios are judged as by the verdict, without steps.
@@ -79,8 +79,8 @@ class Case(NamedTuple):
             ]
             found = (*worst, min(verdict["contact_fraction"].values()))
         overshoot = max((step["overshoot_rel"] for step in verdict["steps"]), default=np.nan)
-        rms, peak, closed, most = (100.0 * float(x) for x in (*found, overshoot))
-        return rms, peak, closed, most, verdict["task"]["word"]
+        numbers = 100.0 * np.array((*found, overshoot))
+        return *numbers, verdict["task"]["word"]
 
 
 @cache
@@ -188,14 +188,14 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
         if factor in (1.0, 1.5):
             yield f"bare {arm} x{factor:g}", 2.5, (*slide(), *rotors[:2], *believed)
     forgotten = _joints(arm, ("armature=0.5",))
-    without = ("model_error.armature=0", LEARNS)
-    yield f"forgotten rotors {arm}", 1.0, (*slide(), *forgotten, *without)
+    changes = (*slide(), *forgotten, "model_error.armature=0", LEARNS)
+    yield f"forgotten rotors {arm}", 1.0, changes
     for frequency, most in ((0.5, 1.0), (1.0, 1.5), (2.0, 2.0)):
         yield f"reversals {arm} {frequency:g} Hz x0.5", most, (*slide(frequency, 1), *rotors, *HALF)
     yield f"5 mm/s {arm} x0.5", 0.3, (*slide(0.04), *rotors, *HALF)
     for share, most in ((0.005, 1.2), (0.02, 2.5)):
-        unknown = (*slide(), f"plant.joint_friction={share}", LEARNS)
-        yield f"unknown {arm} {100 * share:g} % of the limit", most, unknown
+        changes = (*slide(), f"plant.joint_friction={share}", LEARNS)
+        yield f"unknown {arm} {100 * share:g} % of the limit", most, changes
     for what, (bits, newtons, most) in SENSORS.items():
         yield f"noise {arm} {what}", most, (*slide(), *rotors, *HALF, _noisy(bits, newtons))
     late = "sensors={wrist: {rate: 1 kHz, delay: 10 ms}}"
