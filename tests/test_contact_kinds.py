@@ -10,6 +10,7 @@ import pytest
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from pair_kinds import snake
 from rigs import pose_of, shift
 from samples import parametrize
 
@@ -77,7 +78,7 @@ def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
     """N at a random pose: the pair of the Python class, given in the body's frame at its pose."""
     scenario = parse_scenario(text(kind))
     (pair,) = build_pairs(scenario)
-    assert re.sub(r"(?<!^)(?=[A-Z])", "_", type(pair).__name__).lower() == kind
+    assert snake(type(pair).__name__) == kind
     assert pair.name == "pad"
     own = make_pair(scenario.contacts[0], pin.SE3.Identity())
     X_WB = pin.SE3(

@@ -20,6 +20,8 @@ from osc_contact.control.controller import Controller
 from osc_contact.scenarios.loader import parse_scenario
 from paper.diagrams import BLOCKS
 
+GAINS = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
+
 
 @module_fixture
 def rig():
@@ -110,8 +112,7 @@ def test_figure_5_is_the_force_path_of_the_paper():
 
 def test_engaging_keeps_what_was_learnt_in_free_space(rig, ready):
     """The motion integral becomes a constant wrench: without forces the torques do not jump."""
-    gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
-    controller = Controller(rig.model, rig.pairs, gains, engaged=False)
+    controller = Controller(rig.model, rig.pairs, GAINS, engaged=False)
     *_, measurement, reference = ready
     controller.tick(measurement, reference)
     controller.motion_integral = np.array([1e-3, -2e-3, 3e-3, 0.0, 1e-3, 2e-3])
@@ -167,9 +168,8 @@ def test_what_would_be_ignored_is_refused(ready, name):
 
 
 def test_other_gains_continue_without_a_jump(rig, ready):
-    gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
     # the very same readings again and again
-    controller = Controller(rig.model, rig.pairs, gains, safety=UNLIMITED)
+    controller = Controller(rig.model, rig.pairs, GAINS, safety=UNLIMITED)
     *_, measurement, reference = ready
     shift = np.array([1e-3, -2e-3, 1e-3, 2e-3, 1e-3, -1e-3])
     away = replace(reference, X_WD=reference.X_WD * pin.exp6(pin.Motion(shift)))
@@ -181,9 +181,9 @@ def test_other_gains_continue_without_a_jump(rig, ready):
     alike = copy.copy(controller)
     tau = alike.tick(measurement, still)
     for integral in (3000.0, 0.0):
-        changed = osc.Gains(osc.MotionGains(400, 40, integral), gains.force)
+        changed = osc.Gains(osc.MotionGains(400, 40, integral), GAINS.force)
         other = controller.with_gains(changed)
-        assert other.gains is changed and controller.gains is gains
+        assert other.gains is changed and controller.gains is GAINS
         got = ticked(other, measurement, still)
         # handed to f_bias the force on the object stays, though no acceleration is expected of it
         assert_allclose(other.signals.f_S, alike.signals.f_S, rtol=1e-6, atol=1e-6)

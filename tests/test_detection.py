@@ -31,6 +31,7 @@ CORNERS = np.array(list(product((-0.5, 0.5), repeat=3))) * SIZE
 DEPTHS = (0.0, 5e-4, -5e-4)
 """Just touching, overlapping, a little apart (m); taken in turn."""
 UP = np.array([0.0, 0.0, 1.0])
+FLOOR = [CollisionShape("floor", coal.Box(9, 9, 1), shift(-0.5 * UP))]
 
 
 def moved(X, points):
@@ -193,8 +194,7 @@ def box_on_table(size, *tilt):
     """A box of another size standing on its lowest corner, tilted by roll and pitch."""
     corners = CORNERS / (CORNERS.max(axis=0) * 2) * size
     X = standing(pin.rpy.rpyToMatrix(*tilt, 0), corners, default_rng(1))
-    floor = [CollisionShape("floor", coal.Box(9, 9, 1), shift(-0.5 * UP))]
-    return only(detect([CollisionShape("other", coal.Box(*size))], X, floor))
+    return only(detect([CollisionShape("other", coal.Box(*size))], X, FLOOR))
 
 
 def test_both_the_angle_and_the_margin_must_allow_a_face_or_an_edge():
@@ -412,8 +412,7 @@ def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
         X = standing(pin.rpy.rpyToMatrix(tilt, 0, 0), low, rng)
         X.translation = X.translation * [0, 0, 1]
         big = [CollisionShape("big", coal.Cylinder(radius, length))]
-        floor = [CollisionShape("floor", coal.Box(9, 9, 1), shift(-0.5 * UP))]
-        assert only(detect(big, X, floor)).kind == kind
+        assert only(detect(big, X, FLOOR)).kind == kind
 
 
 @SEEDS

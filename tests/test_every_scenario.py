@@ -6,7 +6,7 @@ import numpy as np
 from complaints import scenario_error
 from numpy.linalg import lstsq, norm
 from numpy.testing import assert_allclose
-from pytest import approx, raises
+from pytest import approx
 from rigs import largest, unit
 from samples import ROOT, chosen, first, module_fixture, parametrize
 from scenario_runs import always_closed, assert_accurate, rig_of, run_of, verdict_of, worst_force
@@ -17,10 +17,10 @@ from osc_contact.dynamics.chain_state import modes
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.hardware import flexible_joints
 from osc_contact.runs.inspection import inspect_rig
-from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.viewing import write_scene_of
 
 ROBOTS = {  # d, r, motors, words of `inspect`
+    "two_contact_rod": (5, 2, 8, ("279.6 mm apart (skew", "'left_end' lands at 10 mm/s")),
     "panda_edge": (6, 1, 7, ("into the edge of 'table'", "1 motion(s) of arms")),
     "dual_panda_rod": (6, 2, 14, ("no single frame", "6 internal force(s)", "2 motion(s) of arms")),
     "panda_dome": (6, 1, 7, ("into the surface of 'dome'", "1 motion(s) of arms")),
@@ -126,8 +126,7 @@ def test_verdicts_of_the_other_scenarios(name):
 
 
 def test_every_packaged_scenario_has_a_verdict_in_a_test():
-    elsewhere = {"workcell", "two_contact_rod"}
-    assert {*WORDS, *NAMES, *elsewhere} == set(osc.list_scenarios())
+    assert {*WORDS, *NAMES, "workcell"} == set(osc.list_scenarios())
 
 
 def test_a_corner_that_lifts_opens_the_contact(rigs):
@@ -196,27 +195,6 @@ def mismatch():
     return run_of("two_contact_rod_mismatch")
 
 
-def test_forces_motion_and_contact_on_mujoco(nominal):
-    """And fig. 6: ≤ 2 %."""
-    verdict = osc.metrics(nominal)
-    assert verdict["task"]["word"] == "OK"
-    assert_accurate(verdict)
-    assert verdict["power"]["total_rms_W"] > 0.02
-    assert verdict["power"]["ratio"] <= 0.02
-
-
-def test_no_force_overshoots_its_command(nominal):
-    """First contacts and the step: at most 5 % above what is commanded, from the first tick on."""
-    steps = osc.metrics(nominal)["steps"]
-    assert [(s["what"], s["force"]) for s in steps] == [
-        ("first contact", "right_end"),
-        ("first contact", "left_end"),
-        ("step", "left_end"),
-    ]
-    assert max(s["overshoot_rel"] for s in steps) <= 0.05
-    assert nominal["alpha_true"].max(axis=0) == approx([15.0, 12.0], rel=2e-3)
-
-
 def test_steps_at_once_are_followed_as_before():
     """The same gains without a rise time: what the law itself reaches, to the last digit given."""
     force = verdict_of("two_contact_rod", "gains.force.rise=0 s")["force"]
@@ -230,6 +208,9 @@ def test_the_judge_takes_its_forces_from_the_plant_and_its_motion_from_the_objec
     10 s at 1 kHz: 10 cm peak to peak at 0.5 Hz, α₁ 10 → 15 N, α₂ = 8 + 4 sin(2π 0.5 t) N.
     """
     verdict = osc.metrics(nominal)
+    assert_accurate(verdict)
+    assert verdict["task"]["word"] == "OK" and verdict["power"]["ratio"] <= 0.02  # fig. 6
+    assert verdict["power"]["total_rms_W"] > 0.02
     t = nominal["t"]
     assert_allclose(t, np.arange(10_000) * 1e-3, atol=1e-9)
     commands = np.array((np.where(t >= 5.0, 15.0, 10.0), 8.0 + 4.0 * np.sin(np.pi * t)))
@@ -281,21 +262,6 @@ def test_rigid_plant_projects_all_power_away():
 def test_another_state_of_contact_needs_only_another_file(path):
     """Moved faces, other normals, rod or commands: the limits hold without touching code."""
     assert_accurate(verdict_of(path))
-
-
-@parametrize(
-    "change, error, words",
-    [
-        ("force.right_end.1.amplitude=9 N", osc.ScenarioError, "cannot pull"),
-        ("contacts.left_end.face.point=[-1.5, 0, 0.2]", osc.OscContactError, ""),
-        ("arms.left.posture=[0, 0, 0]", osc.ScenarioError, "posture"),
-    ],
-)
-def test_what_cannot_be_built_is_refused(change, error, words):
-    """A face that would have to pull, one out of reach, a posture of too few joints."""
-    with raises(error) as refused:
-        require_ready(rig_of("two_contact_rod", change))
-    assert words in str(refused.value)
 
 
 # Everything on: what the workcell promises, in runs short enough for a test.

@@ -10,17 +10,15 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import algebra, commands, contact, grasps, records, tick_of, write
+from law_calls import algebra, commands, contact, grasps, records, tick_of
 from law_calls import columns as columns_of_N
 from numpy.linalg import norm, qr
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import direction, largest, pose_of, sliding, unit
+from rigs import largest, pose_of, unit
 from samples import parametrize
 
-from osc_contact import VertexOnFace
-from osc_contact.interface import Touched
 from osc_contact.law import records as at
 
 SEEDS = parametrize("seed", range(6))
@@ -213,40 +211,6 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     arm.kind = at.BALL
     grasps._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
     assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
-
-
-# --- faces ----------------------------------------------------------------------------------------
-
-
-@parametrize("moving", [False, True])
-@parametrize("mu", [0.0, 0.3])
-def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
-    """A vertex on a face, on a body that moves or is the world."""
-    rng = rng_of(3)
-    X = pose_of(rng)
-    E = pose_of(rng)
-    V_O, V_W = rng.standard_normal((2, 6))
-    pair = VertexOnFace(*rng.standard_normal((2, 3)), direction(rng))
-    A_D = 30.0 * rng.standard_normal(6)
-    dt = 1e-3
-    slip = 0.01
-    t = records(contacts=1, columns=1, reading=at.LEAST_SQUARES, period=dt, slip=slip)
-    write(t.model.pairs[0], kind=at.POINTS, first=0, count=1, shape_at=0, has_friction=1)
-    write(t.model.shapes[0], row=[*pair.vertex, *pair.normal, pair.normal @ pair.point])
-    write(t.input, touched=[[*E.homogeneous.ravel(), *V_W]])
-    write(t.work, A_D=A_D, mu=mu, X_WO=X.homogeneous, V_O=V_O, moving=moving)
-    column = t.work.columns[0]
-    assert contact.place_contacts(t)
-    seen = [E.homogeneous], [V_W], [A_D]
-    touched = Touched(*map(np.array, seen)) if moving else None
-    ((p, _, s),) = sliding([pair], X, V_O + 2.0 * dt * A_D, touched, slip)
-    close(column.point, p, atol=1e-10)
-    close(column.slip, s, atol=1e-10)
-    close(column.friction_wrench, mu * np.append(s, np.cross(p, s)), atol=1e-10)
-    t.model.reading = at.FILTER
-    column.slip[:] = 9.0
-    contact.place_contacts(t)
-    assert (column.slip[0] == 9.0) == (mu == 0.0), "not needed"
 
 
 # --- columns that depend on one another -----------------------------------------------------------

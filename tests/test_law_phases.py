@@ -20,6 +20,12 @@ DT = 1e-3
 GAINS = ForceGains(30.0, 100.0)
 
 
+def drawn(count):
+    """A test is judged on so many random seeds."""
+    how = settings(max_examples=count, deadline=None)
+    return lambda test: how(given(st.integers(0, 2**32 - 1))(test))
+
+
 class Phases:
     """Tables for these contacts, and the stages of a tick that concern them."""
 
@@ -203,8 +209,7 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     assert start.columns[0].time_since_loss == 0.0, "it was never there"
 
 
-@settings(max_examples=50, deadline=None)
-@given(st.integers(0, 2**32 - 1))
+@drawn(50)
 def test_torques_go_straight_and_not_too_far(seed):
     rng = default_rng(seed)
     tau, last = rng.standard_normal((2, 8)) * 10
@@ -402,8 +407,7 @@ def test_whatever_happens_the_phases_keep_their_rules(seeds):
     assert happened == every
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1))
+@drawn(40)
 def test_one_magnitude_is_judged_by_its_rules(seed):
     rng = default_rng(seed)
     limits = random_contacts(rng)[2]
@@ -425,8 +429,7 @@ def test_one_magnitude_is_judged_by_its_rules(seed):
             assert tuple(row[name] for name in names) == state
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1))
+@drawn(40)
 def test_measurements_are_low_passed_and_freed_of_inertia(seed):
     """α − D⁻¹ d(NᵀV)/dt, each by the same low-pass of first order; pulls count as noise."""
     rng = default_rng(seed)

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 from command_line import call, read_json
-from complaints import invalid_input
-from numpy.testing import assert_array_equal
+from complaints import invalid_input, refusals
 from pytest import approx
 from samples import parametrize
 from scenario_runs import run_of
+from test_law_phases import watched
 
 import osc_contact as osc
 from osc_contact.control.monitor import ContactMonitor, watch_series
@@ -256,61 +256,32 @@ def test_a_run_too_short_to_be_judged_is_refused_with_its_length():
 DT = 1e-3
 
 
-def watched(alpha, speed):
-    monitor = ContactMonitor(1, DT)
-    states = [monitor.update(*given) for given in np.stack((alpha, speed), axis=1)[..., None]]
-    closed, collision = np.array(states)[..., 0].T
-    return closed, np.flatnonzero(collision)
-
-
-LIMIT = MonitorLimits()
-BETWEEN = 0.5 * (LIMIT.force_on + LIMIT.force_off)  #: N
-
-
-@parametrize(
-    "forces, speeds, changes, collisions",
+test_what_is_no_threshold_is_refused = refusals(
+    invalid_input,
     [
-        ([(5.0, 20), (BETWEEN, 80)], [(0.0, 100)], [0], []),
-        ([(0.0, 20), (BETWEEN, 80)], [(0.0, 100)], [], []),
-        ([(5.0, 20), (0.0, 4), (5.0, 76)], [(0.0, 100)], [0], []),  # a gap
-        ([(5.0, 20), (0.0, 8), (5.0, 72)], [(0.0, 100)], [0, 25, 28], []),  # lost
-        ([(0.0, 20), (10.0, 80)], [(0.0, 20), (0.02, 40), (0.0, 40)], [20], [20]),  # one burst
-        ([(10.0, 100)], [(0.0, 50), (0.05, 10), (0.0, 40)], [0], []),  # long after it was made
+        (lambda: MonitorLimits(force_on=0.4, force_off=0.4), "above force_off"),
+        (lambda: MonitorLimits(power=0.0), "power: must be > 0"),
+        (lambda: MonitorLimits(power=-0.05), "power: must be > 0"),
     ],
 )
-def test_contacts_change_at_thresholds_and_collide_when_they_are_made(
-    forces, speeds, changes, collisions
-):
-    """Values (N, m/s) for some ticks; ticks at which the contact opens or closes, or collides."""
-    closed, collided = watched(
-        *(np.repeat(*zip(*given, strict=True)) for given in (forces, speeds))
-    )
-    assert np.flatnonzero(np.diff(closed, prepend=False)).tolist() == changes
-    assert collided.tolist() == collisions
-
-
-@parametrize(
-    "limits, words",
-    [
-        ({"force_on": 0.4, "force_off": 0.4}, "above force_off"),
-        ({"power": 0.0}, "power: must be > 0"),
-        ({"power": -0.05}, "power: must be > 0"),
-    ],
-)
-def test_what_is_no_threshold_is_refused(limits, words):
-    with invalid_input(words):
-        MonitorLimits(**limits)
 
 
 @parametrize("seed", range(4))
 def test_a_series_is_watched_as_tick_by_tick(seed):
-    """Ticks that are passed over bring nothing new: contacts lost and made again, with bursts."""
+    """By the rules of test_law_phases.py; ticks that are passed over bring nothing new.
+
+    Contacts are lost and made again, with bursts.
+    """
     rng = np.random.default_rng(seed)
     alpha = np.repeat(rng.choice([8.0, 0.0, 0.45, 3.0], (60, 2)), rng.integers(1, 40, 60), axis=0)
     alpha = alpha + 0.02 * rng.standard_normal(alpha.shape)
     speed = 0.02 * rng.standard_normal(alpha.shape)
     closed, collision = watch_series(ContactMonitor(2, DT), alpha, speed)
-    other = ContactMonitor(2, DT)
-    seen = [other.update(a, v) for a, v in zip(alpha, speed, strict=True)]
-    assert_array_equal(np.stack((closed, collision), axis=1), seen)
+    states = [(False, 0.0, 0.0, 0.0, 0.0, False)] * 2
+    for k, now in enumerate(zip(alpha, speed, strict=True)):
+        states = [
+            watched(state, *given, DT, MonitorLimits(), 0.0)
+            for state, *given in zip(states, *now, strict=True)
+        ]
+        assert [(row[0], row[-1]) for row in states] == [*zip(closed[k], collision[k], strict=True)]
     assert collision.any() and not closed.all() and closed.any()

@@ -25,6 +25,11 @@ REFUSED = {
         "force.left_end=[{type: constant, value: 5 kN}]",
         "30 times their limits",
     ),
+    "a face that pulls": (
+        "force.right_end.0.value=-9 N",
+        "this contact cannot pull",
+    ),
+    "posture of too few joints": ("arms.left.posture=[0, 0, 0]", "8 joint positions given"),
     "no wrist sensor": ("arms.left.wrist_sensor=null", "name a frame of its URDF as wrist_sensor"),
 }
 DOUBTFUL = {

@@ -205,37 +205,26 @@ def tilted(rng, k):
     return [pin.exp3(0.6 * rng.standard_normal(3)) for _ in range(k)]
 
 
-def test_exact_readings_give_exact_loads():
-    rng = default_rng(0)
-    for _ in range(20):
-        mass = rng.uniform(0.3, 5)
-        com = rng.uniform(-0.1, 0.1, 3)
-        bias = rng.standard_normal(6)
-        R = tilted(rng, 5)
-        load = calibrate_wrist(R, np.array([at_rest(X, mass, com, bias) for X in R]))
-        assert load.mass == approx(mass, rel=1e-10)
-        assert_allclose(load.com, com, atol=1e-10)
-        assert_allclose(load.bias, bias, atol=1e-9)
-
-
 def test_readings_of_an_arm_give_what_its_wrist_carries():
     """Hand and rod of a Panda at rest in several postures; the rod is held off the sensor."""
     chain = one_panda()
     rng = default_rng(3)
+    bias = rng.standard_normal(6)
     poses = []
     readings = []
     for _ in range(5):
         state = chain.state(PANDA_Q + 0.4 * rng.standard_normal(7), np.zeros(7))
         X = state.sensors[0].inverse() * shift(state.X_WO.translation)
         poses.append(state.sensors[0].rotation)
-        readings.append(X.act(pin.Force(state.bias_out)).vector)
+        readings.append(X.act(pin.Force(state.bias_out)).vector + bias)
     load = calibrate_wrist(poses, np.array(readings))
     ((hand,),) = chain.outboard
     sensor = chain.model.frames[chain.model.getFrameId("arm/panda_hand")].placement
     carried = sensor.inverse().act(hand.inertia)
     carried += (state.sensors[0].inverse() * state.X_WO).act(chain.payload.inertia)
-    assert load.mass == approx(carried.mass) and largest(load.bias) < 1e-9
+    assert load.mass == approx(carried.mass)
     assert_allclose(load.com, carried.lever, atol=1e-9)
+    assert_allclose(load.bias, bias, atol=1e-9)
 
 
 def test_the_standard_errors_are_the_spread_of_many_calibrations():

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from pytest import fixture, mark
 from samples import parametrize
 from scenario_runs import rig_of
-from test_projections import SIZE, close
+from test_projections import SIZE, close, mixing
 
 from osc_contact import projections as P
 from osc_contact.contacts.contact import Contact
@@ -19,11 +19,6 @@ from osc_contact.response import contact_response
 GAPS = [1e-4, 1e-5, 1e-6]
 FORCE_LAWS = (P.Omega_f, P.Omega_m_bar)
 MOTION_LAWS = (P.Omega_m, P.Omega_f_bar)
-
-
-def well_mixing(rng, n):
-    """A change of basis that costs hardly any digits: columns turned, then scaled."""
-    return np.linalg.qr(rng.standard_normal((n, n)))[0] * 10 ** rng.uniform(-2, 2, n)
 
 
 def frame_change(rng):
@@ -117,7 +112,7 @@ def test_singular_metrics_are_refused_in_every_frame(r):
         near = N.copy()
         near[:, 0] = N[:, -1] + 1e-6 * N[:, 0]
         for X, X_f in changes(rng):
-            for columns in (N, N @ well_mixing(rng, r), *([near] if r > 1 else [])):
+            for columns in (N, N @ mixing(rng, r), *([near] if r > 1 else [])):
                 for law in FORCE_LAWS:
                     with contact_error("cannot move along"):
                         law(X_f @ columns, X @ Phi @ X.T)

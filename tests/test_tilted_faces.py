@@ -8,8 +8,9 @@ import pinocchio as pin
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from pair_kinds import touching
 from pytest import approx
-from rigs import one_panda, pose_of, random_state, unit, velocity_at
+from rigs import one_panda, pose_of, random_state, shift, unit, velocity_at
 from samples import parametrize
 from scenario_runs import always_closed, verdict_of, worst_force
 from test_moving_face import FACES
@@ -155,20 +156,6 @@ def test_what_stands_keeps_its_face_and_its_uncertainty():
 # --- what the law makes of it ---------------------------------------------------------------------
 
 
-def touching(kind, X, X_WE, rng):
-    """A pair of one point that touches at X."""
-    p = 0.1 * rng.standard_normal(3)
-    n = rng.standard_normal(3)
-    at = X_WE.actInv(X.act(p))
-    if kind == "edge_on_edge":
-        return osc.EdgeOnEdge(p, rng.standard_normal(3), at, n, 1)
-    if kind == "face_on_vertex":
-        return osc.FaceOnVertex(p, n, at, 0.01)
-    if kind == "sphere_on_plane":
-        return osc.SphereOnPlane(p, 0.02, at, n)
-    return osc.VertexOnFace(p, at, n, 0.01)
-
-
 def point_of(pair, X, X_WE):
     """Where it slides, in the world: a vertex, a centre; where the object's edge is nearest."""
     if isinstance(pair, osc.FaceOnVertex):
@@ -221,7 +208,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         X_WE = pose_of(rng) if moving else pin.SE3.Identity()
         V_E = 0.1 * rng.standard_normal(6) * moving
         at = X, state.V_O, X_WE, V_E
-        pair = touching(kind, X, X_WE, rng)
+        pair = touching(kind, X_WE.actInv(X) * shift([0.01, 0.02, -0.01]), rng.integers(99), 0.1)
         touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
         V_D = 0.3 * rng.standard_normal(6)
         reference = osc.Reference(X, V_D, alpha_d=np.array([10.0]))
