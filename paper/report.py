@@ -11,6 +11,7 @@ import shlex
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import NamedTuple
@@ -32,6 +33,7 @@ from paper import (
     figures,
     kinematic_stability,
     robustness,
+    variants,
 )
 from paper.figures import ANSWERS, Evidence
 from paper.statements import PAPER, Answer, PaperFigure, Verdict, judge
@@ -215,11 +217,12 @@ STUDIES: dict[str, Callable[[Ask], Study]] = {
     "kinematic_stability": kinematic_stability.study,
     "baselines": baselines.study,
     "robustness": robustness.study,
+    **{name: partial(variants.compare, name) for name in variants.VARIANTS},
     "fig7": contact_phases.fig7,
 }
-SLOW = {"baselines", "robustness", "fig7"}
+SLOW = {"baselines", "robustness", "workcell", "fig7"}
 """several minutes: not in `reproduce all`"""
-WITH_SCENARIO = SLOW | {"fig3"}
+WITH_SCENARIO = SLOW | {"fig3", "moving_face"}
 """whose scenario can be changed"""
 WITH_SAMPLES = {"robustness"}
 """whose runs are samples"""

@@ -140,7 +140,7 @@ def test_reproduce_figures_without_a_run(tmp_path):
 def test_reproduce_all_from_a_short_run(tmp_path):
     options = SHORT.removeprefix("two_contact_rod")
     _, found = answered(f"reproduce all {options} --out", tmp_path)
-    names = {*(f"fig{n}" for n in "1234568"), "kinematic_stability"}
+    names = {*(f"fig{n}" for n in "1234568"), "kinematic_stability", "moving_face"}
     stems = {Path(file).stem for file in found["figures"] if file.endswith(".png")}
     assert names <= stems
     for stem in stems:

@@ -312,18 +312,6 @@ def test_the_monitor_raises_no_false_alarm(everything):
     assert not everything["collision_seen"][settled].any()
 
 
-IDEAL_SENSORS = ("sensors={}", "plant.friction=0", "control.friction=null", "model_error={}")
-IDEAL_JOINTS = ("plant.flexible_joints=null", "plant.motors=null", "plant.joint_friction=0")
-NO_LOOP = "control.joint_torque=null"
-
-
-def test_ideal_parts_cost_nothing_and_springs_without_their_loop_much():
-    ideal = verdict_of("workcell", *IDEAL_SENSORS, *IDEAL_JOINTS, NO_LOOP, duration=1.5)
-    assert worst_force(ideal) < 2e-3
-    swings = verdict_of("workcell", *IDEAL_SENSORS, NO_LOOP, duration=1.2)
-    assert worst_force(swings) > 0.25
-
-
 # All errors of a real workcell at once, the keys of `model_error` that make them.
 
 

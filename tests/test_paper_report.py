@@ -14,7 +14,7 @@ from matplotlib.image import imread
 from numpy.testing import assert_allclose
 from PIL import Image
 from rich.table import Table
-from samples import ROOT, module_fixture
+from samples import ROOT, module_fixture, parametrize
 from scene_samples import read_commands
 
 import osc_contact as osc
@@ -35,6 +35,7 @@ from paper.report import (
 )
 from paper.statements import PAPER, Answer, Verdict, judge
 from paper.study import Ask, Study
+from paper.variants import VARIANTS
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} 100"><path d="M0 0h9v9z"/></svg>'
 READY = "document.querySelector('main') !== null"
@@ -217,6 +218,29 @@ def test_names_and_options():
     assert typed("rigid", 1.05, 3, ["a=[1, 2]"]) == (
         "--plant rigid --duration 1.05 --seed 3 --set 'a=[1, 2]'"
     )
+
+
+@parametrize(
+    "name, exact, costly, limit",
+    [
+        ("moving_face", "free cart, full law", "free cart, no Φ_e, b_e", 0.01),
+        ("workcell", "ideal", "… no torque loop", 0.002),
+    ],
+)
+def test_variants_keep_the_forces_or_show_what_they_cost(
+    name, exact, costly, limit, tmp_path, monkeypatch
+):
+    variants = VARIANTS[name]
+    for variant in variants.values():
+        assert osc.load_scenario(name, variant.changes).name == name
+    monkeypatch.setitem(VARIANTS, name, {key: variants[key] for key in (exact, costly)})
+    made = write_study(name, tmp_path, Ask(duration=2.0))
+    assert made.drawn and {path.stem for path in made.files} == {name}
+    found = read_json(tmp_path / f"{name}.json")
+    assert found[exact]["force_rms_rel"] < limit <= found[exact]["limit"]
+    assert found[exact]["contact_fraction"] == 1.0 and found[costly]["limit"] is None
+    assert found[costly]["force_rms_rel"] > 10 * found[exact]["force_rms_rel"]
+    assert f"{found[costly]['force_rms_rel']:.3%}" in str(list(made.table.columns[2].cells))
 
 
 # Fig. 3: what the picture of the workcell shows, where, and that it is rendered.

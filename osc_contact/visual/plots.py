@@ -101,7 +101,7 @@ def save(
 # --- Plots ---------------------------------------------------------------------------------------
 
 
-def contact_forces(recording: Recording, judged: NDArray[np.bool_] | None = None) -> Figure:
+def contact_forces(recording: Recording, judged: Judged | None = None) -> Figure:
     """Fig. 8: per contact the desired, true and measured force; below, the errors of them all.
 
     Nothing is cut off: the error is drawn to scale as far as it is judged, beyond that its
@@ -120,34 +120,53 @@ def contact_forces(recording: Recording, judged: NDArray[np.bool_] | None = None
     with style():
         figure, axes = panels(len(names) + 1, 2.0)
         below = axes[-1]
-        below.set_ylabel("error (N)" if names else "force (N)")
         if not names:
+            below.set_ylabel("force (N)")
             below.text(0.5, 0.5, "no contacts", transform=below.transAxes, ha="center")
             return figure
         desired, measured, true = (
             recording[key] for key in ("alpha_cmd", "alpha_meas", "alpha_true")
         )
-        error = true - desired
         counted = _counted(true.shape, judged)
         for i, (name, ax) in enumerate(zip(names, axes, strict=False)):
-            here = counted[:, i]
             ax.plot(t, desired[:, i], color="#B4BAC2", lw=5.0, label="desired")
             ax.plot(t, true[:, i], color=contact_colour(i), lw=1.8, label="true")
             ax.plot(t, measured[:, i], color="black", lw=0.9, ls=(0, (4, 6)), label="measured")
             ax.set(title=name, ylabel=rf"$\alpha_{{{i + 1}}}$ (N)")
-            _shade(ax, t, here)
+            _shade(ax, t, counted[:, i])
             legend(ax)
-            label = f"{name}\nrms {_si(_rms(error[here, i]))}N, peak {_si(_peak(error[here, i]))}N"
-            below.plot(t, error[:, i], color=contact_colour(i), lw=0.9, label=label)
-        _shade(below, t, np.asarray(counted.any(axis=1)))
-        _scale_errors(below, error, counted)
+        draw_errors(below, recording, judged)
         note = "" if counted.all() else " (shaded: not in rms and peak)"
         below.set_title(f"error: true − desired{note}")
-        legend(below)
     return figure
 
 
-def power(recording: Recording, judged: NDArray[np.bool_] | None = None) -> Figure:
+def draw_errors(
+    ax: Axes, recording: Recording, judged: Judged | None = None, linear: float | None = None
+) -> None:
+    """The lowest panel of `contact_forces`: errors of all forces, with their rms and peak values.
+
+    Args:
+        ax: of the panel.
+        recording: needs ``t``, ``alpha_cmd``, ``alpha_true``.
+        judged: see `contact_forces`.
+        linear: up to which error the scale is linear (N), logarithmic beyond. None: as far as they
+            are judged.
+    """
+    t = recording["t"]
+    error = recording["alpha_true"] - recording["alpha_cmd"]
+    counted = _counted(error.shape, judged)
+    for i, name in enumerate(recording.magnitude_names):
+        here = error[counted[:, i], i]
+        label = f"{name.replace('_', ' ')}\nrms {_si(_rms(here))}N, peak {_si(_peak(here))}N"
+        ax.plot(t, error[:, i], color=contact_colour(i), lw=0.9, label=label)
+    ax.set_ylabel("error (N)")
+    _shade(ax, t, np.asarray(counted.any(axis=1)))
+    _scale_errors(ax, error, linear or _peak(error[counted]))
+    legend(ax)
+
+
+def power(recording: Recording, judged: Judged | None = None) -> Figure:
     """Figs. 6, 7: total power on top, projected power on the same scale, and that one enlarged.
 
     Args:
@@ -266,10 +285,9 @@ def _shade(ax: Axes, t: Array, counted: Judged) -> None:
         ax.axvspan(float(t[start]), float(end), color="#B8BDC4", alpha=0.6, lw=0)
 
 
-def _scale_errors(ax: Axes, error: Array, counted: Judged) -> None:
-    """Errors as far as they are judged to scale, larger ones by their logarithm."""
+def _scale_errors(ax: Axes, error: Array, linear: float) -> None:
+    """Errors up to `linear` to scale, larger ones by their logarithm."""
     largest = _peak(error)
-    linear = _peak(error[counted])
     if largest > 3.0 * linear > 0.0:
         ax.set_yscale("symlog", linthresh=linear, linscale=3.0)
         ax.set_ylim(-2.0 * largest, 2.0 * largest)
