@@ -15,11 +15,9 @@ z² + dλz + λ, whose sum is −dλ: Re λ < 0 is unstable for every such dampi
 """
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import osc_contact as osc
@@ -29,12 +27,10 @@ from osc_contact.spatial import Array
 from osc_contact.visual.plots import style
 from paper.study import Ask, Data, Study, table_of, with_object
 
-JOINTS = (1, 2)  #: of the maps
-
 
 def study(ask: Ask) -> Study:
-    """Both schemes on a UR5: searched and mapped."""
-    worst, data = search(ask.seed)
+    """Both schemes on a UR5, in many postures."""
+    _, data = search(ask.seed)
     table = table_of(
         "kinematic stability of a UR5",
         "postures; classic unstable; classic least λ (1/s²); ours least λ (1/s²)",
@@ -43,7 +39,7 @@ def study(ask: Ask) -> Study:
             f"{data['classic_eigenvalues'][0][0]:.4g}; {data['ours_least_eigenvalue']:.4g}"
         ],
     )
-    return Study({"kinematic_stability": draw(worst, data, posture_map(worst))}, table, data)
+    return Study({"kinematic_stability": draw(data)}, table, data)
 
 
 FORCE = 2  #: axis of the tool's twist, world axes at the tool, whose force is controlled
@@ -122,7 +118,8 @@ def search(seed: int = 0, postures: int = 2000, regular: float = 0.5) -> tuple[A
     Returns:
         (6,) the one in which the classic scheme is least stable. For JSON: how many were drawn and
         examined, in how many an eigenvalue had a negative real part, the least real part of ours
-        (1/s²), and the eigenvalues of both in that posture as [real, imaginary].
+        (1/s²) and of both in each posture, and the eigenvalues of both in that one as
+        [real, imaginary].
     """
     drawn = np.random.default_rng(seed).uniform(-np.pi, np.pi, (postures, 6))
     order = np.argsort([-regularity(q) for q in drawn])
@@ -138,6 +135,7 @@ def search(seed: int = 0, postures: int = 2000, regular: float = 0.5) -> tuple[A
         "classic_unstable": int((classic < 0.0).sum()),
         "ours_unstable": int((ours < 0.0).sum()),
         "ours_least_eigenvalue": float(ours.min()),
+        "least_eigenvalues": {"classic": classic.tolist(), "ours": ours.tolist()},
         "posture_rad": examined[worst].tolist(),
         **{name: np.column_stack((z.real, z.imag)).tolist() for name, z in spectra},
     }
@@ -161,66 +159,24 @@ def regularity(q: Array) -> float:
     return float(np.linalg.eigvalsh(L.T @ J @ np.linalg.solve(M, J.T) @ L)[0])
 
 
-def posture_map(q: Array, count: int = 48) -> Array:
-    """(2, k, k) least real part of both schemes' eigenvalues over `JOINTS` (1/s²), see `_grid`.
+def draw(found: Data) -> Figure:
+    """The least real part of both schemes in each posture examined, the smallest first.
 
     Args:
-        q: (6,) posture, in which the other joints stay.
-        count: positions of each of the two, the second by rows, over the whole turn.
-
-    Returns:
-        Of the classic scheme, of ours.
+        found: of `search`.
     """
-    least = np.empty((2, count, count))
-    q = q.copy()
-    grid = _grid(count)
-    for j, i in np.ndindex(count, count):
-        q[list(JOINTS)] = grid[[i, j]]
-        least[:, j, i] = [values[0].real for values in eigenvalues(q)]
-    return least
-
-
-def _grid(count: int) -> Array:
-    """Positions of a joint (rad), never exactly straight."""
-    return (np.arange(count) + 0.5) / count * 2 * np.pi - np.pi
-
-
-_LIMIT = 25.0  #: 1/s, where the colours of the maps end
-
-
-def draw(worst: Array, found: Data, least: Array) -> Figure:
-    """Maps of the least real parts of both schemes (unstable hatched).
-
-    Args:
-        worst, found: of `search`. least: of `posture_map`.
-    """
-    titles = (
-        r"classic: $M^{-1}K_q J^{-1}SJ$",
-        r"ours: $(T^TB^{-1}T)^{-1}T^TB^{-1}K\,T,\ K=BK'$",
-    )
     with style():
-        figure = Figure(figsize=(9.0, 4.2))
-        figure.suptitle(
-            "UR5: the classic scheme is unstable in {classic_unstable}, ours in "
-            "{ours_unstable} of {postures} postures".format(**found)
+        figure = Figure(figsize=(8.0, 3.6))
+        ax = figure.subplots()
+        for scheme, least in found["least_eigenvalues"].items():
+            ax.plot(range(1, len(least) + 1), sorted(least), label=scheme)
+        ax.axhline(0.0, color="black", lw=0.7)
+        ax.set(
+            title="UR5: the classic scheme is unstable in {classic_unstable}, ours in "
+            "{ours_unstable} of {postures} postures".format(**found),
+            xlabel="postures, each scheme from its least stable one",
+            ylabel=r"least real part of $\lambda$ (1/s²)",
+            yscale="symlog",
         )
-        axes = figure.subplots(1, 2)
-        for ax, values, title in zip(axes, least, titles, strict=True):
-            shade = _map(ax, values)
-            ax.plot(*np.rad2deg(worst[list(JOINTS)]), "X", color="black", mec="white", ms=11)
-            x, y = (rf"$q_{joint + 1}$ (°)" for joint in JOINTS)
-            ax.set(title=title, xlabel=x, ylabel=y, aspect="equal")
-        bar = figure.colorbar(shade, ax=axes, shrink=0.9, extend="both")
-        bar.set_label(r"least real part $\lambda$, as sign$(\lambda)\sqrt{|\lambda|}$ (1/s)")
+        ax.legend()
     return figure
-
-
-def _map(ax: Axes, values: Array) -> Any:
-    rates = np.sign(values) * np.sqrt(np.abs(values))
-    degrees = np.rad2deg(_grid(len(values)))
-    look: Data = {"cmap": "RdBu", "vmin": -_LIMIT, "vmax": _LIMIT, "rasterized": True}
-    shade = ax.pcolormesh(degrees, degrees, rates, **look)
-    if values.min() < 0.0:
-        ax.contourf(degrees, degrees, values, [-1e30, 0.0], colors="none", hatches=["////"])
-    ax.grid(False)
-    return shade

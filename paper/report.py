@@ -49,7 +49,6 @@ _MARKS = {
         "statements that nothing answers yet are marked open, or no picture was drawn",
     ),
     Verdict.contradicted: ("no", "✗", "a statement does not hold in ours"),
-    Verdict.missing: ("none", "–", "nothing here makes this figure yet"),
 }
 
 
@@ -57,23 +56,22 @@ def write_paper_report(reproduction: Reproduction, path: Path) -> Path:
     """Write the report, which appears complete or not at all; returns its path.
 
     Args:
-        reproduction: what `reproduce all` made. Studies that are no figures of the paper come last.
+        reproduction: what was made. Studies that are no figures of the paper come last.
         path: of the page.
     """
     verdicts = reproduction.verdicts()
+    shown = [(figure, verdicts[figure.name]) for figure in PAPER if figure.name in verdicts]
     beside = {k: one for k, one in reproduction.made.items() if k not in verdicts}
     parts = {
         "policy": POLICY,
         "style": asset("report.css"),
         "script": asset("report.js"),
         "about": _about(reproduction),
-        "overview": "".join(_row(figure, verdicts[figure.name]) for figure in PAPER),
+        "overview": "".join(_row(*one) for one in shown),
         "rules": "".join(
             f"<li>{_badge(v)} {escape(words)}</li>" for v, (*_, words) in _MARKS.items()
         ),
-        "figures": "".join(
-            _section(figure, reproduction, verdicts[figure.name]) for figure in PAPER
-        ),
+        "figures": "".join(_section(*one, reproduction) for one in shown),
         "scene": _scene(
             reproduction.scene, "Open the moving scene of the run, with slider and plots"
         ),
@@ -107,22 +105,16 @@ def _row(figure: PaperFigure, verdict: Verdict) -> str:
     )
 
 
-def _section(figure: PaperFigure, reproduction: Reproduction, verdict: Verdict) -> str:
-    made = reproduction.made.get(figure.name)
-    answers = {} if made is None else made.answers
+def _section(figure: PaperFigure, verdict: Verdict, reproduction: Reproduction) -> str:
+    made = reproduction.made[figure.name]
     states = "".join(
-        _statement(words, answers.get(key), made is not None)
-        for key, words in figure.states.items()
+        _statement(words, made.answers.get(key)) for key, words in figure.states.items()
     )
-    if made is None:
-        ours = '<div class="blank">Not reproduced: nothing here makes this figure yet.</div>'
-        command = broad = ""
-    else:
-        pages = [path for path in made.files if path.suffix == ".html"]
-        scenes = "".join(_scene(page, "Open the scene, to turn and look at") for page in pages)
-        ours = "".join(_pictures(made, figure.name)) + scenes + _table(made.table)
-        broad = " broad" * (figure.name in BROAD)
-        command = _command(figure.name, reproduction)
+    pages = [path for path in made.files if path.suffix == ".html"]
+    scenes = "".join(_scene(page, "Open the scene, to turn and look at") for page in pages)
+    ours = "".join(_pictures(made, figure.name)) + scenes + _table(made.table)
+    broad = " broad" * (figure.name in BROAD)
+    command = _command(figure.name, reproduction)
     return (
         f'<section id="{figure.name}"><h2>Fig. {figure.name[3:]} {_badge(verdict)}</h2>'
         f'<div class="pair{broad}"><div class="paper"><h3>The paper shows</h3>'
@@ -131,10 +123,10 @@ def _section(figure: PaperFigure, reproduction: Reproduction, verdict: Verdict) 
     )
 
 
-def _statement(words: str, answer: Answer | None, made: bool) -> str:
+def _statement(words: str, answer: Answer | None) -> str:
     if answer is None:
-        verdict = Verdict.partly if made else Verdict.missing
-        said = "Open: this run does not answer it." if made else "Not reproduced."
+        verdict = Verdict.partly
+        said = "Open: this run does not answer it."
         limit = ""
     else:
         verdict = Verdict.reproduced if answer.holds else Verdict.contradicted
@@ -244,26 +236,22 @@ class Reproduction(NamedTuple):
     options: str = ""
 
     def verdicts(self) -> dict[str, Verdict]:
-        """By the names of the paper's eight figures."""
-        found = {}
-        for figure in PAPER:
-            one = self.made.get(figure.name, Study({}))
-            made = figure.name in self.made
-            found[figure.name] = judge(figure, made, one.answers, one.drawn)
-        return found
+        """By the names of the figures of the paper that were made."""
+        figures_made = ((figure, self.made.get(figure.name)) for figure in PAPER)
+        return {
+            figure.name: judge(figure, one.answers, one.drawn)
+            for figure, one in figures_made
+            if one
+        }
 
     def as_dict(self) -> Data:
         """JSON-able: files, the run's metrics, the studies' numbers, the paper's statements."""
         paper = {
             name: {
                 "verdict": verdict.value,
-                "answers": {
-                    k: {"found": a.found, "holds": a.holds}
-                    for k, a in self.made[name].answers.items()
-                },
+                "answers": {k: a._asdict() for k, a in self.made[name].answers.items()},
             }
             for name, verdict in self.verdicts().items()
-            if name in self.made
         }
         return {
             "figures": [str(path) for one in self.made.values() for path in one.files],

@@ -189,10 +189,8 @@ class Selection:
     @cached_property
     def force(self) -> Array:
         """Ω̄ (6, 6) at O: the selected part of a wrench."""
-        lever = skew(self.point)
-        upper = self.forces @ self.forces.T
-        lower = self.couples @ self.couples.T
-        return np.block([[upper, np.zeros((3, 3))], [lever @ upper - lower @ lever, lower]])
+        arms = skew(self.point) @ self.couples
+        return self.wrenches @ np.block([[self.forces, arms], [0.0 * self.forces, self.couples]]).T
 
     @cached_property
     def motion(self) -> Array:

@@ -2,8 +2,7 @@
 
 The paper's text gives no numbers for its plots: statements are compared, not curves. A figure is
 made by `paper.figures` or by the study of the same name; what makes it answers
-the statements by their keys. Statements without an answer are reported as open, figures that are
-not made as missing.
+the statements by their keys. Statements without an answer are reported as open.
 """
 
 from collections.abc import Mapping
@@ -45,21 +44,16 @@ class Verdict(StrEnum):
     reproduced = "reproduced"
     partly = "partly reproduced"
     contradicted = "contradicted"
-    missing = "not reproduced"
 
 
-def judge(
-    figure: PaperFigure, made: bool, answers: Mapping[str, Answer], drawn: bool = True
-) -> Verdict:
+def judge(figure: PaperFigure, answers: Mapping[str, Answer], drawn: bool = True) -> Verdict:
     """The verdict on one figure.
 
     Args:
-        figure: of the paper. made: whether anything here answered it.
+        figure: of the paper.
         answers: by the keys of its statements; those that fail outweigh those that lack.
         drawn: whether there is a picture of ours; without one nothing counts as reproduced.
     """
-    if not made:
-        return Verdict.missing
     given = [answers[key] for key in figure.states if key in answers]
     if not all(answer.holds for answer in given):
         return Verdict.contradicted

@@ -117,7 +117,7 @@ def study_words(name: str, study: Study) -> str:
     """The verdict of a study: what it answers to the paper, or its own numbers."""
     if study.answers:
         (figure,) = (figure for figure in PAPER if figure.name == name)
-        return f"**{judge(figure, True, study.answers).upper()}**; " + " ".join(
+        return f"**{judge(figure, study.answers).upper()}**; " + " ".join(
             answer.found for answer in study.answers.values()
         )
     found = study.data
