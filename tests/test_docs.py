@@ -318,13 +318,10 @@ def test_row_is_complete(row):
             assert complaint(reference, test=test) is None
 
 
-def test_every_equation_and_figure_has_one_row():
+def test_every_equation_figure_and_part_of_the_rig_has_one_row():
     starts = [what.partition(":")[0] for what, _, _ in ROWS]
     wanted = [f"eq. {n}" for n in range(1, 26)] + [f"fig. {n}" for n in range(1, 9)]
     assert [start for start in starts if start != "rig"] == wanted
-
-
-def test_every_part_of_the_rig_has_one_row():
     parts = [what for what, _, _ in ROWS if what.startswith("rig: ")]
     for part, wanted in zip(parts, RIG, strict=True):
         assert part.startswith(f"rig: {wanted}")

@@ -57,7 +57,7 @@ def scene(actuators=MOTORS, step=0.0005, sensors=SENSORS, wall=0.5):
             <joint name="wrist_pitch"/>
             <geom size="0.02" mass="0.5"/>
             <body name="hand" pos="0.04 0 0" euler="0 0.2 0">
-              <site name="wrist" euler="0.3 0.1 0"/>
+              <site name="wrist" euler="0.3 0.1 0"/> <site name="bare"/>
               <geom name="tool" size="0.015" pos="0.1 0 0" mass="0.3"/>
               <site name="tip" pos="0.1 0 0" euler="0 0.4 0"/>
               <body name="finger" pos="0 0.05 0">
@@ -183,18 +183,14 @@ def test_the_model_given_stays_as_it_is():
     [
         ({"tip": "tipp"}, "no body or site 'tipp'; did you mean 'tip'"),
         ({"wrist_sensor": "wirst"}, "no site 'wirst'; did you mean 'wrist'"),
+        ({"wrist_sensor": "bare"}, r'no torque sensor; .*<torque site="bare"/>'),
         ({"keyframe": "ball_asid"}, "no keyframe 'ball_asid'; did you mean 'ball_aside'"),
         ({"locked": {"elbo": 0.0}}, "no moving joint called 'elbo'"),
     ],
 )
-def test_names_that_are_not_there(how, words):
+def test_what_is_not_there_is_named_with_a_cure(how, words):
     with raises(osc.OscContactError, match=words):
-        robot_of(scene(), **how)
-
-
-def test_a_site_without_sensors_is_refused_with_the_line_to_add():
-    with plant_error(r'no torque sensor; .*<torque site="wrist"/>'):
-        robot_of(scene(sensors='<force site="wrist"/>'))
+        robot_of(scene(sensors=f'{SENSORS} <force site="bare"/>'), **how)
 
 
 def test_a_step_that_does_not_fit_the_control_period_is_refused():

@@ -410,14 +410,6 @@ def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_pa
     assert len(collision_shapes(file)) == n and collision_shapes(file)[0] is not shape
 
 
-def test_doubts_and_refusals_are_those_of_a_run():
-    scenario = osc.load_scenario("two_contact_rod", ["duration=0.05 s", "control.rate=80 Hz"])
-    rig = osc.build_rig(scenario)
-    assert require_ready(rig) == osc.run(scenario).meta["doubts"] != []
-    with raises(osc.ScenarioError):
-        osc.run(scenario.replaced(control={"rate": 20.0}))
-
-
 def test_start_leaves_the_controller_that_only_gave_first_torques_behind():
     """Both controllers of a start know nothing of one another."""
     rig = rig_of()
