@@ -61,6 +61,23 @@ def look(t, q, v):
     return safety.watch_joints(t)
 
 
+def assert_at_last(found, reason):
+    """This reason in the last tick, none before."""
+    assert found == [reasons.NO_REASON] * (len(found) - 1) + [reason]
+
+
+class Watched:
+    """Something whose `tick` returns a reason."""
+
+    def until(self, *given, most=400, **how):
+        """Ticks until a reason is found, and the reason."""
+        for k in range(1, most):
+            reason = self.tick(*given, **how)
+            if reason != reasons.NO_REASON:
+                return k, reason
+        return 0, reasons.NO_REASON
+
+
 # --- joints ---------------------------------------------------------------------------------------
 
 
@@ -72,11 +89,11 @@ def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
         return [look(t, 0.0, [0.1, sign * v]) for v in speeds]
 
     assert set(after([2.0] * 50)) == {reasons.NO_REASON}, "at the limit is not above it"
-    assert after([2.001] * 5) == [reasons.NO_REASON] * 4 + [safety.OVERSPEED]
+    assert_at_last(after([2.001] * 5), safety.OVERSPEED)
     assert t.memory.culprit == 1
     # time below is taken off at the same pace, and no more than there is
     assert set(after([1.0] * 9)) == {reasons.NO_REASON} and t.memory.overspeed == 0
-    assert after([2.2] * 4 + [1.0] + [2.2] * 2) == [reasons.NO_REASON] * 6 + [safety.OVERSPEED]
+    assert_at_last(after([2.2] * 4 + [1.0] + [2.2] * 2), safety.OVERSPEED)
 
 
 @BOTH
@@ -86,7 +103,7 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
             t = wide(21, (2.0, 1.0))
             v = sign * speed * t.model.joints.speed_max * (np.arange(2) == j)
             found = [look(t, 0.0, v) for _ in range(ticks)]
-            assert found == [reasons.NO_REASON] * (ticks - 1) + [safety.OVERSPEED]
+            assert_at_last(found, safety.OVERSPEED)
             assert t.memory.culprit == j
     assert look(wide(21), 0.0, [1e150, 0.0]) == safety.OVERSPEED
     t = wide(4, (2.0, 1.0))
@@ -124,13 +141,13 @@ def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     t = joints(period=period)
     found = [look(t, 0.99, 1.0) for _ in range(ticks)]
-    assert found == [reasons.NO_REASON] * (ticks - 1) + [safety.NEAR_END]
+    assert_at_last(found, safety.NEAR_END)
 
 
 # --- contacts -------------------------------------------------------------------------------------
 
 
-class Contacts:
+class Contacts(Watched):
     """Two columns of N, which are numbers 2 and 0 of the contacts' four."""
 
     def __init__(self, **more):
@@ -146,22 +163,19 @@ class Contacts:
         write(self.t.work, alpha_meas=alpha, alpha_d=wanted, speed=speed)
         return safety.watch_contacts(self.t)
 
-    def until(self, reason, *given, most=40):
-        """The first tick that ends with this reason; 0: none does."""
-        for k in range(1, most):
-            found = self.tick(*given)
-            assert found in (reasons.NO_REASON, reason)
-            if found == reason:
-                return k
-        return 0
+    def ticks_until(self, reason, *given):
+        """The first tick that ends with a reason, which is this one; 0: none does."""
+        k, found = self.until(*given, most=40)
+        assert found in (reasons.NO_REASON, reason)
+        return k
 
 
 def test_power_that_moves_into_faces_adds_up():
     wanted = (10.0, 10.0)
     for speed, ticks in (((1.0, 0.99), 0), ((1.0, 1.01), 3), ((2.5, -9.0), 3), ((1.9, -9.0), 0)):
-        assert Contacts().until(safety.POWERED, (10.0, 10.0), wanted, speed) == ticks
-    assert Contacts().until(safety.POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
-    assert Contacts(period=10e-3).until(safety.POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
+        assert Contacts().ticks_until(safety.POWERED, (10.0, 10.0), wanted, speed) == ticks
+    assert Contacts().ticks_until(safety.POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
+    assert Contacts(period=10e-3).ticks_until(safety.POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
     contacts = Contacts()
     contacts.tick((10.0, 10.0), wanted, (3.0, 3.0))
     assert contacts.memory.powered == approx(DT)
@@ -186,15 +200,15 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
     fine = 5.0
     for alpha, ticks in ((2.01, 0), (1.99, 11), (-8.0, 11), (0.0, 11)):
         contacts = Contacts()
-        assert contacts.until(safety.CONTACT_LOST, both(alpha, fine), wanted) == ticks
+        assert contacts.ticks_until(safety.CONTACT_LOST, both(alpha, fine), wanted) == ticks
         assert contacts.memory.culprit == (-1 if not ticks else (2, 0)[column])
     for command, ticks in ((1.0, 0), (1.01, 11)):  # too little to differ from nothing
-        assert Contacts().until(safety.CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
+        assert Contacts().ticks_until(safety.CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
     contacts = Contacts(phased=1)  # contact phases see to it
-    assert contacts.until(safety.CONTACT_LOST, both(0.0, fine), wanted) == 0
+    assert contacts.ticks_until(safety.CONTACT_LOST, both(0.0, fine), wanted) == 0
     contacts = Contacts()
     contacts.memory.state = at.DEGRADED_STATE
-    assert contacts.until(safety.CONTACT_LOST, both(0.0, fine), wanted) == 0
+    assert contacts.ticks_until(safety.CONTACT_LOST, both(0.0, fine), wanted) == 0
 
 
 @BOTH
@@ -205,10 +219,10 @@ def test_a_force_integral_at_its_bound_shows_that_nothing_is_measured(sign):
             contacts = Contacts()
             contacts.memory.force_sum[1] = sign * share * room
             given = (command, command), (command, command)
-            assert contacts.until(safety.CONTACT_LOST, *given) == ticks
+            assert contacts.ticks_until(safety.CONTACT_LOST, *given) == ticks
             contacts.memory.force_rank = 1  # integrals of other columns
             contacts.kept[0].underforce = 0.0
-            assert contacts.until(safety.CONTACT_LOST, *given) == 0
+            assert contacts.ticks_until(safety.CONTACT_LOST, *given) == 0
 
 
 @BOTH
@@ -216,7 +230,7 @@ def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sig
     for command, alpha, ticks in ((5.0, 29.9, 0), (5.0, 30.1, 6), (20.0, 59.0, 0), (20.0, 61.0, 6)):
         contacts = Contacts()
         given = (5.0, sign * alpha), (5.0, sign * command)
-        assert contacts.until(safety.OVERFORCE, *given) == ticks
+        assert contacts.ticks_until(safety.OVERFORCE, *given) == ticks
         assert contacts.memory.culprit == (0 if ticks else -1)
 
 
@@ -231,6 +245,11 @@ def readings():
     t.memory.joints.q[:] = t.input.q[:] = [0.1, 0.2]
     write(t.input, X_WD=np.eye(4))
     return t
+
+
+def assert_read(t, reason, culprit):
+    assert sensors.check_readings(t) == reason
+    assert t.memory.culprit == (-1 if reason == reasons.NO_REASON else culprit)
 
 
 def test_a_rotation_is_one_but_for_a_ten_thousandth():
@@ -258,8 +277,7 @@ def test_wrenches_within_the_range_of_their_sensors(sign):
         for size, reason in ((most, reasons.NO_REASON), (1.001 * most, OUT_OF_RANGE)):
             t = readings()
             t.input.wrenches[0, axis] = sign * size
-            assert sensors.check_readings(t) == reason
-            assert t.memory.culprit == (-1 if reason == reasons.NO_REASON else 0)
+            assert_read(t, reason, 0)
             t.model.arms.sensor_joint[0] = -1  # no sensor, no range
             assert sensors.check_readings(t) == reasons.NO_REASON
 
@@ -282,8 +300,7 @@ def test_joints_move_no_further_than_they_can(sign, unread):
             t = readings()
             t.memory.joints.unread_q[j] = unread
             t.input.q[j] += sign * way
-            assert sensors.check_readings(t) == reason
-            assert t.memory.culprit == (-1 if reason == reasons.NO_REASON else j)
+            assert_read(t, reason, j)
             t.memory.compared = 0  # nothing to compare with
             assert sensors.check_readings(t) == reasons.NO_REASON
         for speed, reason in ((3.0 * limit, reasons.NO_REASON), (3.001 * limit, JUMPED)):
@@ -344,33 +361,34 @@ def test_an_approach_uses_positions_where_speeds_read_too_little():
                 assert_array_equal(approach.tick(V, true + more), true + more)
 
 
+TWIST = np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.6])
+
+
 def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
     approach = Approach(1)
-    V = np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.6])
-    true = np.array(approach.true(V))
+    true = np.array(approach.true(TWIST))
     for k in range(1, 60):
-        approach.tick(V, 0.0)
+        approach.tick(TWIST, 0.0)
         share = 1.0 - (20.0 / 21.0) ** k  # 20 ms
         assert_allclose(approach.kept.velocity_from_positions[[3, 1]], true * share, rtol=1e-4)
         assert not approach.kept.velocity_from_encoders.any()
     approach.memory.compared = 0
-    assert_array_equal(approach.tick(V, 0.007), 0.007)
+    assert_array_equal(approach.tick(TWIST, 0.007), 0.007)
     for seen in (approach.kept.velocity_from_positions, approach.kept.velocity_from_encoders):
         assert_array_equal(seen, [0.0, 0.007, 0.0, 0.007])
     approach.memory.compared = 1
     approach.kept.known[3] = 0
-    used = approach.tick(100.0 * V * np.sign(true[0]), -9.0)
+    used = approach.tick(100.0 * TWIST * np.sign(true[0]), -9.0)
     encoders = approach.kept.velocity_from_encoders
     assert used[0] == -9.0 == encoders[3] and encoders[1] != -9.0
 
 
 def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
     approach = Approach(2, phase=CLOSED)
-    V = np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.6])
     for _ in range(100):
-        assert_array_equal(approach.tick(V, -1.0), -1.0)
+        assert_array_equal(approach.tick(TWIST, -1.0), -1.0)
     approach.t.memory.contacts.phase[1] = APPROACHING  # of column 3, the first that is kept
-    used = approach.tick(V, -1.0)
+    used = approach.tick(TWIST, -1.0)
     positions = approach.kept.velocity_from_positions
     assert used[0] == positions[3] and used[1] == -1.0
     assert positions[0] == 0.0 == positions[2], "not in N"
@@ -379,7 +397,7 @@ def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
 # --- sensors after a tick -------------------------------------------------------------------------
 
 
-class Sensors:
+class Sensors(Watched):
     """One arm of two joints with a wrist; readings differ from tick to tick if not given."""
 
     def __init__(self, **more):
@@ -418,14 +436,6 @@ class Sensors:
         reason = sensors.check_sensors(self.t)
         sensors.estimate_joints(self.t)
         return reason
-
-    def until(self, most=400, **given):
-        """Ticks until a reason is found, and the reason."""
-        for k in range(1, most):
-            reason = self.tick(**given)
-            if reason != reasons.NO_REASON:
-                return k, reason
-        return 0, reasons.NO_REASON
 
 
 def test_readings_that_agree_are_used():
@@ -494,7 +504,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
             sensors.tick(v=v, q=still)
             sensors.joints.drift[j] = -9.0 * v[j] * DT  # drift as such is far from its bound
             found = [sensors.tick(v=v, q=still) for _ in range(ticks)]
-            assert found == [reasons.NO_REASON] * (ticks - 1) + [DISAGREE], speed
+            assert_at_last(found, DISAGREE)
             assert sensors.memory.culprit == j
             assert sensors.memory.still == approx(1e-3 * ticks)
         for other in ({"q": still + 1e-12}, {"v": v * (1.0 + 1e-12)}):
