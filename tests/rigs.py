@@ -49,6 +49,12 @@ def shift(p):
     return pin.SE3(np.eye(3), np.array(p, dtype=float))
 
 
+def displacement(start, end):
+    """(6,) from one pose to another: of the origin, and turned, in world axes."""
+    turn = pin.log3(end.rotation @ start.rotation.T)
+    return np.append(end.translation - start.translation, turn)
+
+
 def data_at(model, q, *rates):
     """Pinocchio's data with the poses of all frames, at q and, if given, v and a."""
     data = model.createData()
@@ -72,9 +78,7 @@ def ticked(controller, *given):
 def assert_derivatives(at, t, h, *atol):
     """V_D of a reference is the rate of its pose, A_D that of V_D; the reference at t."""
     before, now, after = (at(t + step) for step in (-h, 0.0, h))
-    turn = pin.log3(after.X_WD.rotation @ before.X_WD.rotation.T)
-    moved = np.append(after.X_WD.translation - before.X_WD.translation, turn)
-    assert_allclose(now.V_D, moved / (2 * h), atol=atol[0])
+    assert_allclose(now.V_D, displacement(before.X_WD, after.X_WD) / (2 * h), atol=atol[0])
     assert_allclose(now.A_D, (after.V_D - before.V_D) / (2 * h), atol=atol[1])
     return now
 

@@ -37,6 +37,7 @@ from pytest import mark, param
 from rigs import (
     UNLIMITED,
     data_at,
+    displacement,
     largest,
     miss,
     product,
@@ -341,9 +342,7 @@ def commanded_motion(t, a):
     """The acceleration nearest to the motion law, a (6,) along the contacts."""
     state = t.state
     reference = t.reference
-    X_WO = t.state.case.X_WO
-    turned = pin.log3(reference.X_WD.rotation @ X_WO.rotation.T)
-    error = np.concatenate((reference.X_WD.translation - X_WO.translation, turned))
+    error = displacement(t.state.case.X_WO, reference.X_WD)
     inertia = state.system.I
     metric = metric_of(t)
     command = reference.A_D + K_D * (reference.V_D - state.V) + K_P * error

@@ -71,11 +71,6 @@ def test_the_force_law(given, want):
     close(command_force(*given), want, rtol=1e-12)
 
 
-def test_the_integral_has_room_for_the_command():
-    assert reading.integral_room(5.0, -8.0) == 12.0
-    assert reading.integral_room(5.0, 3.0) == 5.0
-
-
 @parametrize("dependent", [False, True])
 def test_laws_of_contacts_are_those_of_their_columns(dependent):
     """Rows: gain, damping, least force and brake."""

@@ -8,7 +8,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, raises
-from rigs import refused, rig_of, shift
+from rigs import refused, shift
 from samples import parametrize
 
 from osc_contact.contacts import raibert_craig
@@ -163,14 +163,8 @@ def test_cone_in_groove_is_refused_for_its_axes():
     assert 1e-4 < as_raibert_craig(cone_in_groove(np.pi / 2 - 1e-3), SIZE).residual < 1e-2
 
 
-def test_the_figures_of_the_paper_by_their_own_geometry():
-    """Fig. 1 is the packaged rod on its two faces, fig. 2: see tests/test_cone_in_groove.py."""
-    rod = rig_of("two_contact_rod").contact
-    p, q = rod.N.T
-    apart = abs(p[:3] @ q[3:] + q[:3] @ p[3:]) / norm(np.cross(p[:3], q[:3]))
-    fig1 = rod.as_raibert_craig()
-    assert not fig1 and fig1.residual > 0.1
-    assert fig1.reason.startswith(f"(ii) the lines of force pass {1e3 * apart:.4g} mm apart")
+def test_contacts_of_a_selection_are_described_from_any_centre():
+    """Figs. 1 and 2 by their own geometry: test_every_scenario.py, test_cone_in_groove.py."""
     frame = pin.SE3(pin.exp3(0.3 * LEAN), 0.1 * Z)
     for centre in (None, [0.1, 0.2, 0.3]):
         same = Contact.from_selection(frame, (True, False, False), (False, True, True))

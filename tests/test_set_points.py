@@ -9,7 +9,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, raises
-from rigs import largest, placed, refused, shift
+from rigs import displacement, largest, placed, refused, shift
 from samples import parametrize
 
 import osc_contact as osc
@@ -115,12 +115,7 @@ def test_poses_with_goals_that_change_on_the_way():
     goals = [goal for goal in (random_pose(rng) for _ in range(12)) for _ in range(150)]
     path = [point.step(goal, [1.0]) for goal in goals]
     for before, after in pairwise(path):
-        step = np.concatenate(
-            (
-                after.X_WD.translation - before.X_WD.translation,
-                pin.log3(after.X_WD.rotation @ before.X_WD.rotation.T),
-            )
-        )
+        step = displacement(before.X_WD, after.X_WD)
         assert_allclose(step / DT, (before.V_D + after.V_D) / 2, atol=1e-4)
         assert_allclose((after.V_D - before.V_D) / DT, (before.A_D + after.A_D) / 2, atol=0.1)
         assert (np.abs(after.V_D[:3]) <= 0.3 + 1e-9).all()
