@@ -239,6 +239,12 @@ def in_contact(chain, rng, r=2):
         return state, contact_of(pairs, state), pairs, q, v
 
 
+def touched_of(rows):
+    """What is seen of bodies, from rows (contacts, 28) of X_WE, V_E and A_E."""
+    X_WE, V_E, A_E = np.split(np.array(rows), (16, 22), axis=1)
+    return osc.interface.Touched(X_WE.reshape(-1, 4, 4), V_E, A_E)
+
+
 def with_motors(chain, tau_max):
     """The same chain with other motors."""
     parts = chain.arms, chain.grasps, chain.payload

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from rigs import one_panda, random_faces, random_state, refused, scara_pair, with_motors
+from rigs import one_panda, random_faces, random_state, refused, scara_pair, touched_of, with_motors
 from samples import parametrize
 from test_law import motion_of
 
@@ -58,10 +58,7 @@ def story(chain, q, count, ticks, rng, moving=False):
 
 def single(controller, x, i):
     valid = bool(x["wrench_valid"][i])
-    touched = None
-    if "touched" in x:
-        X_WE, V_E, A_E = np.split(x["touched"][i], (16, 22), axis=1)
-        touched = osc.interface.Touched(X_WE.reshape(2, 4, 4), V_E, A_E)
+    touched = touched_of(x["touched"][i]) if "touched" in x else None
     readings = x["q"][i], x["v"][i], x["wrenches"][i], touched
     measurement = osc.Measurement(*readings, wrench_valid=valid)
     squeeze = float(x["squeeze_d"][i])

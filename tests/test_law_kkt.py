@@ -44,6 +44,7 @@ from rigs import (
     random_state,
     scara_pair,
     strong,
+    touched_of,
     with_motors,
 )
 from samples import parametrize
@@ -244,8 +245,7 @@ def tick(state, contacts, i, rng):
     controller = controller_of(case.chain)
     touched = None
     if any(body is not WORLD for body in state.bodies):
-        X_WE, V_E, A_E = np.split(np.array([c.on.seen() for c in contacts]), (16, 22), axis=1)
-        touched = osc.interface.Touched(X_WE.reshape(-1, 4, 4), V_E, A_E)
+        touched = touched_of([c.on.seen() for c in contacts])
     # six numbers an arm whatever its motors: the states that follow are the same for every rig
     truth = state.answer(np.resize(20.0 * rng.standard_normal((k, 6)), case.chain.n_a))
     measured = osc.Measurement(case.q, state.v, state.readings(truth), touched)

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture
 from rigs import held_tick, largest, product, refused, rig_of, ticked
 from samples import module_fixture, parametrize
+from test_moving_face import on_the_move
 
 import osc_contact as osc
 from osc_contact.control.custom_laws import Laws, force_law, motion_law
@@ -215,9 +216,7 @@ def exact(request):
 def moving(rig, seed):
     """A plant in motion on its contacts, and a reference beside it."""
     rng = default_rng(seed)
-    plant = rig.plant()
-    controller = rig.controller()
-    osc.run_loop(plant, controller, rig.references.over(0.3 + 1e-3 * np.arange(60)))
+    plant, controller = on_the_move(rig, start=0.3)
     plant.hold(controller.last_torques())
     at = rig.references.at(0.36)
     small = 2e-3 * rng.standard_normal((3, 6))

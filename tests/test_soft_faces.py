@@ -74,32 +74,34 @@ def test_any_support_from_1_to_100_kN_per_m(seed):
     assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.02).all()
 
 
-def poles(k, m, K_i, kappa, w, passive):
-    """Of m σ v = −(1 + K_i/σ) e − m b, e = k v/σ; b of a soft face, or κ σ/(σ + w) v."""
-    brake = [kappa, kappa * K_i if passive else 0.0]
-    own = m * np.polymul(np.polyadd([1.0, w, 0.0], brake), [1.0, 0.0, 0.0])
-    return np.roots(np.polyadd(own, k * np.polymul([1.0, K_i], [1.0, w])))
+GAINS = osc.Gains().force
+K_I = GAINS.integral
+KAPPA = GAINS.brake
+W = GAINS.drift
+
+
+def poles(ratio, passive):
+    """Of σ v = −(1 + K_i/σ) e − b, e = k/m v/σ; b of a soft face, or κ σ/(σ + w) v."""
+    brake = [KAPPA, KAPPA * K_I if passive else 0.0]
+    own = np.polymul(np.polyadd([1.0, W, 0.0], brake), [1.0, 0.0, 0.0])
+    return np.roots(np.polyadd(own, ratio * np.polymul([1.0, K_I], [1.0, W])))
 
 
 def test_the_loop_is_stable_on_every_spring_and_the_usual_one_above_a_bound():
-    gains = osc.Gains().force
-    K_i, kappa, w = gains.integral, gains.brake, gains.drift
-    bound = K_i * w * (w + kappa) ** 2 / ((kappa - K_i) * (w + K_i))  # of k/m, Routh
+    bound = K_I * W * (W + KAPPA) ** 2 / ((KAPPA - K_I) * (W + K_I))  # of k/m, Routh
     for ratio in 10.0 ** np.linspace(1, 7, 40):
-        assert poles(ratio, 1.0, K_i, kappa, w, True).real.max() < 0.0
-        usual = poles(ratio, 1.0, K_i, kappa, w, False).real.max()
+        assert poles(ratio, True).real.max() < 0.0
+        usual = poles(ratio, False).real.max()
         if abs(ratio / bound - 1.0) > 0.05:
             assert (usual < 0.0) == (ratio > bound)
 
 
 def test_the_arm_in_contact_is_passive():
     """Re Z(jω) > 0 of Z = −e/v: no passive face makes the loop unstable, whatever its mass."""
-    gains = osc.Gains().force
-    K_i, kappa, w = gains.integral, gains.brake, gains.drift
     s = 1j * 10.0 ** np.linspace(-3, 5, 400)
-    Z = (s + kappa * (s + K_i) / (s + w)) / (1.0 + K_i / s)
+    Z = (s + KAPPA * (s + K_I) / (s + W)) / (1.0 + K_I / s)
     assert (Z.real > 0.0).all()
-    Z = (s + kappa * s / (s + w)) / (1.0 + K_i / s)
+    Z = (s + KAPPA * s / (s + W)) / (1.0 + K_I / s)
     assert (Z.real < 0.0).any(), "the usual brake is not"
 
 
