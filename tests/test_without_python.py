@@ -189,19 +189,21 @@ class Command(ctypes.Structure):
     ]
 
 
-def tick_in_c(c, handle, m, r, motors):
-    """Torques and what is said beside them."""
+def tick_in_both(c, handle, controller, m, r):
+    """A tick in Python and in C: torques equal to the bit, and what is said beside them."""
+    want = controller.tick(m, r)
     alpha = np.array(r.alpha_d, dtype=float)
     X = np.array(r.X_WD.homogeneous, dtype=float)
     V, A = np.array(r.V_D, dtype=float), np.array(r.A_D, dtype=float)
     squeeze = np.full(1, float(r.squeeze_d))
-    tau = np.zeros(motors)
+    tau = np.zeros(len(want))
     none = Numbers(None, 0)
     measured = Measurement(Numbers.of(m.q), Numbers.of(m.v), Numbers.of(m.wrenches), none)
     wanted = Reference(*(Numbers.of(x) for x in (X, V, A, alpha, squeeze)))
-    out = Command(tau.ctypes.data, motors)
+    out = Command(tau.ctypes.data, len(want))
     assert c.osc_tick(handle, *map(ctypes.byref, (measured, wanted, out))) == 0
-    return tau, out
+    assert_array_equal(tau, want)
+    assert (out.status, out.state) == (controller.status, controller.state)
 
 
 def created(library, folder, controller):
@@ -218,15 +220,20 @@ def test_the_header_says_of_each_gain_its_unit_and_what_it_is(library):
     assert " *   force.damping: N s/m; K_v of the normal velocity" in text
 
 
-@parametrize("integral", [30.0, 0.0])
-def test_gains_tare_and_reset_do_in_c_what_they_do_in_python(library, tmp_path, integral):
-    rig = rig_of("two_contact_rod", "plant.type=rigid")
+@parametrize("name, integral", [("two_contact_rod", 30.0), ("limited_rod", 0.0)])
+def test_a_saved_controller_continues_and_takes_gains_tare_and_reset(
+    library, tmp_path, name, integral
+):
+    rig = rig_of(name)
     plant, controller = start(rig)
-    c, handle = created(library, tmp_path, controller)
     m = plant.measure()
+    for k in range(20):
+        controller.tick(m, rig.references.at(1e-3 * k))
+    c, handle = created(library, tmp_path, controller)
     rng = default_rng(8)
-    for k in range(90):
-        if k == 30:
+    seen = set()
+    for k in range(20, 130):
+        if k == 50:
             gains = controller.gains
             motion = osc.MotionGains(stiffness=300.0, damping=40.0, integral=integral)
             forces = gains.force.replaced(integral=gains.force.integral / 2)
@@ -239,36 +246,18 @@ def test_gains_tare_and_reset_do_in_c_what_they_do_in_python(library, tmp_path, 
             }
             for key, value in values.items():
                 assert c.osc_set_gain(handle, key.encode(), ctypes.c_double(value)) == 0
-        if k == 50:
+        if k == 70:
             tare = rng.standard_normal(6)
             controller.f_tare = tare
             assert c.osc_set_tare(handle, tare.ctypes.data_as(ctypes.c_void_p)) == 0
-        if k == 70:
+        if k == 90:
             controller.reset()
             assert c.osc_reset(handle) == 0
-        moved = replace(m, q=m.q + 1e-4 * rng.standard_normal(len(m.q)))
-        want = controller.tick(moved, rig.references.at(1e-3 * k))
-        tau, out = tick_in_c(c, handle, moved, rig.references.at(1e-3 * k), len(want))
-        assert_array_equal(tau, want, err_msg=str(k))
-        assert (out.status, out.state) == (controller.status, controller.state)
-    c.osc_destroy(handle)
-
-
-@parametrize("name", ["two_contact_rod", "limited_rod"])
-def test_a_saved_controller_continues_where_it_was(library, tmp_path, name):
-    rig = rig_of(name)
-    plant, controller = start(rig)
-    m = plant.measure()
-    for k in range(20):
-        controller.tick(m, rig.references.at(1e-3 * k))
-    c, handle = created(library, tmp_path, controller)
-    rng = default_rng(2)
-    for k in range(20, 60):
-        moved = replace(m, q=m.q + 1e-3 * rng.standard_normal(len(m.q)))
-        want = controller.tick(moved, rig.references.at(1e-3 * k))
-        tau, out = tick_in_c(c, handle, moved, rig.references.at(1e-3 * k), len(want))
-        assert_array_equal(tau, want)
-        assert (out.status, out.state) == (controller.status, controller.state)
+        spread = 1e-4 if k < 100 else 1e-3  # which is held
+        moved = replace(m, q=m.q + spread * rng.standard_normal(len(m.q)))
+        tick_in_both(c, handle, controller, moved, rig.references.at(1e-3 * k))
+        seen.add(controller.status)
+    assert osc.Status.HELD in seen and len(seen) > 1
     c.osc_destroy(handle)
 
 
