@@ -253,8 +253,8 @@ def test_a_saved_controller_continues_and_takes_gains_tare_and_reset(
         if k == 90:
             controller.reset()
             assert c.osc_reset(handle) == 0
-        spread = 1e-4 if k < 100 else 1e-3  # which is held
-        moved = replace(m, q=m.q + spread * rng.standard_normal(len(m.q)))
+        noise = 1e-4 * rng.standard_normal(len(m.q)) * (np.nan if k > 120 else 1.0)
+        moved = replace(m, q=m.q + noise)
         tick_in_both(c, handle, controller, moved, rig.references.at(1e-3 * k))
         seen.add(controller.status)
     assert osc.Status.HELD in seen and len(seen) > 1
