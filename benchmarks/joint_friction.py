@@ -29,9 +29,7 @@ from osc_contact.sweeps.sweep import without_logged_doubts
 
 MJCF = ("iiwa", "jaco", "kinova3", "panda", "sawyer", "spot_arm", "ur5e", "xarm7")  #: folders
 TIPS = {"ur10": "tool0", "xarm7": "link7", "panda": "panda_hand_tcp"}
-LEARNS = "control.joint_friction.learning=true"  #: the default where the model has friction
 BELIEVED = {factor: [f"model_error.joint_friction={factor}"] for factor in (1.0, 0.5, 1.5, 0.0)}
-BELIEVED[0.0].append(LEARNS)
 HALF = BELIEVED[0.5]
 JUDGED_FROM = 2.0  #: s, of the drafted scenarios: first contact, and one second of motion
 #: Friction, damping and rotors of both rods' joints.
@@ -131,7 +129,7 @@ def cases() -> list[Case]:
         for factor, believed in BELIEVED.items():
             changes = (*_joints(name, numbers), *believed)
             out.append(Case(f"two arms {name} x{factor:g}", name, changes, 1.5))
-        unknown = ("plant.joint_friction=0.02", LEARNS)
+        unknown = ("plant.joint_friction=0.02",)
         out.append(Case(f"two arms {name} unknown 2 % of the limit", name, unknown, 2.5))
     for arm in TIPS:
         out += [Case(name, arm, changes, most) for name, most, changes in _of_arm(arm)]
@@ -188,13 +186,13 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
         if factor in (1.0, 1.5):
             yield f"bare {arm} x{factor:g}", 2.5, (*slide(), *rotors[:2], *believed)
     forgotten = _joints(arm, ("armature=0.5",))
-    changes = (*slide(), *forgotten, "model_error.armature=0", LEARNS)
+    changes = (*slide(), *forgotten, "model_error.armature=0")
     yield f"forgotten rotors {arm}", 1.0, changes
     for frequency, most in ((0.5, 1.0), (1.0, 1.5), (2.0, 2.0)):
         yield f"reversals {arm} {frequency:g} Hz x0.5", most, (*slide(frequency, 1), *rotors, *HALF)
     yield f"5 mm/s {arm} x0.5", 0.3, (*slide(0.04), *rotors, *HALF)
     for share, most in ((0.005, 1.2), (0.02, 2.5)):
-        changes = (*slide(), f"plant.joint_friction={share}", LEARNS)
+        changes = (*slide(), f"plant.joint_friction={share}")
         yield f"unknown {arm} {100 * share:g} % of the limit", most, changes
     for what, (bits, newtons, most) in SENSORS.items():
         yield f"noise {arm} {what}", most, (*slide(), *rotors, *HALF, _noisy(bits, newtons))

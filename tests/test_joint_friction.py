@@ -102,7 +102,7 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
     for changes, learns in ([], False), (["model_error.joint_friction=0.9"], True):
         friction = ["arms.left.friction=1", "arms.right.friction=1"] if learns else []
         rise = "gains.force.rise=0 s"
-        given = [rise, "control.joint_friction.learning=true", *friction, *changes]
+        given = [rise, *friction, *changes]
         rig = rig_of("two_contact_rod", *given)
         controller = rig.controller()
         osc.run_loop(rig.plant(), controller, rig.references.each(6000, controller.dt))
@@ -168,26 +168,22 @@ def test_forces_are_held_although_friction_is_modelled_wrongly(name):
 
 
 @parametrize(
-    ("friction", "damping", "given", "learns"),
+    ("friction", "damping", "sure"),
     [
-        (0.2, 0.0, None, False),  # noise: less than 0.3 % of 87 N m
-        (0.3, 0.0, None, True),
-        (0.0, 0.3, None, True),
-        (0.0, 0.0, None, False),
-        (0.0, 0.0, True, True),
-        (0.3, 0.0, False, False),
+        (0.2, 0.0, True),  # noise: less than 0.3 % of 87 N m
+        (0.3, 0.0, False),
+        (0.0, 0.3, False),
+        (0.0, 0.0, True),
     ],
 )
-def test_friction_is_learned_where_the_model_has_some(friction, damping, given, learns):
-    """It must be shown surely first where the model has none."""
+def test_friction_is_learned_and_must_be_sure_where_the_model_has_none(friction, damping, sure):
     joints = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     chain = panda(damping=damping * joints, friction=friction * joints)
-    controller = osc.Controller(chain, [], joint_friction=osc.JointFriction(learning=given))
-    assert controller.settings.joint_friction.learning is learns
-    model = controller._records.model
-    assert model.friction_learning == learns
-    assert (model.priors.sure[0] > 0.0) == (friction + damping < 0.3)
+    model = osc.Controller(chain, [])._records.model
+    assert model.friction_learning == 1 and (model.priors.sure[0] > 0.0) == sure
     assert (model.priors.sure[1:] > 0.0).all()
+    how = osc.JointFriction(learning=False)
+    assert osc.Controller(chain, [], joint_friction=how)._records.model.friction_learning == 0
 
 
 @parametrize("mass", [0.8, 1.2])

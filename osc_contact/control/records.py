@@ -128,12 +128,13 @@ class Settings:
                     "contact, so its friction is not known. Leave control.friction out, or give "
                     "the pair a method points_of_contact(X_WO, X_WE)"
                 )
+        how = self.joint_friction
         store(
             self,
             contacts=contacts,
             bodies=bodies,
             posture=posture,
-            joint_friction=choose_learning(self.joint_friction, chain),
+            joint_friction=JointFriction() if how is True else how or None,
             reading=choose_reading(self.reading, contacts, bodies),
         )
         if self.gains.force.integral * self.dt >= 1.0:
@@ -177,18 +178,6 @@ def choose_reading(
         return requested
     unique = pairs and not unknown and _in_one_plane(pairs, bodies)
     return "least_squares" if unique else "filter"
-
-
-def choose_learning(how: JointFriction | bool | None, chain: ClosedChain) -> JointFriction | None:
-    """What is requested; `learning` None becomes whether a motor's friction exceeds the noise."""
-    if isinstance(how, bool):
-        how = JointFriction() if how else None
-    if how is None or how.learning is not None:
-        return how
-    model = chain.model
-    friction = (np.array(model.upperDryFrictionLimit) + model.damping)[chain.actuated]
-    rubs = friction > _NOISE * np.minimum(chain.tau_max, _UNLIMITED)
-    return how.model_copy(update={"learning": bool(rubs.any())})
 
 
 def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:

@@ -62,6 +62,7 @@ _STANDS = 0.01  #: s for which a joint must rest until it shows stiction; knocks
 _FOLLOWS = 0.09  #: of the permitted speed; a joint that moves with less of it learns nothing
 _FULL = 0.7  #: of dry friction; near a reversal nothing is learned
 _FORGET = 2.0  #: s
+_TURNS = 4  #: ticks in which each joint learns once, for speed: residuals change more slowly
 _EVIDENCE = 0.15  #: s for which residuals must exceed rounding until anything is learned
 _SCATTER = 0.5  #: s, in which R follows the residuals that θ does not explain
 _QUIET = 0.1  #: of the noise assumed at first; R is not less
@@ -83,14 +84,15 @@ _ACCELERATION = FRICTION  #: of `smooth`, in place of it
 
 
 @inner
-def observe_arm(t, arm, own, dt):
+def observe_arm(t, arm, own, sound, dt):
     """`residual` of the motors from the base to the wrist sensor of an arm.
 
     All terms pass the same low-pass. Loads are means of this tick's and the last one's, as the
     torques held between them are.
 
     Args:
-        arm: ARM. own: its ARM_WORK. dt: s since the last tick that was computed.
+        arm: ARM. own: its ARM_WORK. sound: whether its wrist is, as far as can be seen. dt: s since
+            the last tick that was computed.
     """
     work = t.work
     joints = t.work.joints
@@ -135,7 +137,7 @@ def observe_arm(t, arm, own, dt):
             row.means[i] += k * (then[i] - row.means[i])
         row.residual = row.means[TORQUE] - then[INERTIAL]
         if (t.model.friction_learning != 0 or t.model.friction_errors != 0) and not begins:
-            _learn(t, j, then[RATE], then[INERTIAL], dt)
+            _learn(t, j, sound, then[RATE], then[INERTIAL], dt)
 
 
 @leaf
@@ -156,14 +158,15 @@ def _align(t, row, now, ticks):
 
 
 @leaf
-def _learn(t, j, rate, inertial, dt):
-    """One step of the recursive least squares, and e.
+def _learn(t, j, sound, rate, inertial, dt):
+    """e, and every few ticks a step of the recursive least squares.
 
     Both begin when residuals have exceeded rounding for some time, with `errors` at once: a model
     without errors stays as it is. So does one without friction until some is shown.
 
     Args:
-        j: joint. rate, inertial: of its speed, M q̈ − Jᵀ w_out, as old as the wrench. dt: s.
+        j: joint. sound: whether the arm's wrist is. rate, inertial: of its speed, M q̈ − Jᵀ w_out,
+            as old as the wrench. dt: s.
     """
     joint = t.model.joints[j]
     prior = t.model.priors[j]
@@ -185,9 +188,8 @@ def _learn(t, j, rate, inertial, dt):
         learned.evidence = max(learned.evidence + seen, 0.0)
         if learned.evidence > (_EVIDENCE if t.model.friction_errors == 0 else 0.0):
             known[j] = SUSPECTED if prior.sure > 0.0 else LEARNED
-    sound = row.unbalanced == 0.0  # else the wrist may be wrong, and e would add to the error
     if known[j] == LEARNED or (known[j] == SUSPECTED and t.model.friction_errors != 0):
-        aim = missing if sound else 0.0
+        aim = missing if row.unbalanced == 0.0 else 0.0
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
     k = dt / (_SMOOTH + dt)
     smooth = learned.smooth
@@ -202,36 +204,48 @@ def _learn(t, j, rate, inertial, dt):
     rests = abs(smooth[V]) < min(_FOLLOWS * abs(y), _RESTS * least)
     rests = rests and (abs(y) > least or known[j] == LEARNED)
     learned.rested = learned.rested + dt if rests else 0.0
+    if (t.memory.balanced + j) % _TURNS != 0 or known[j] == MODEL_ONLY or not sound:
+        return
+    settled = t.memory.balanced * dt > _SETTLED
+    if t.model.friction_learning != 0 and settled and abs(smooth[SIGN]) > _FULL:
+        _estimate(t, j, moves, min(_TURNS * k, 1.0), _TURNS * dt)
+
+
+@leaf
+def _estimate(t, j, moves, k, dt):
+    """θ of a joint after one step, if it moves, or rests although it is commanded to move.
+
+    Args:
+        j: joint. moves: whether it does. k: share of this step in the residual. dt: s.
+    """
+    prior = t.model.priors[j]
+    learned = t.memory.friction[j]
+    known = t.memory.friction_known
+    smooth = learned.smooth
     a = smooth[_ACCELERATION]
     theta = learned.theta
     dry = smooth[TORQUE] - theta[2] * a - theta[3] - theta[4] * smooth[WEIGHT]
     excess = dry * smooth[SIGN] - largest_friction(t, j)
     unsure = _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
     sticks = learned.rested > _STANDS and excess > unsure
-    if (
-        known[j] >= SUSPECTED
-        and t.model.friction_learning != 0
-        and sound
-        and t.memory.balanced * dt > _SETTLED
-        and (moves or sticks)
-        and abs(smooth[SIGN]) > _FULL
+    if not (moves or sticks):
+        return
+    phi = t.work.s
+    phi[0] = smooth[SIGN]
+    phi[1] = smooth[V]
+    phi[2] = smooth[_ACCELERATION]
+    phi[3] = 1.0
+    phi[4] = smooth[WEIGHT]
+    if sticks:  # F is at least this, and as uncertain as before
+        learned.estimate[0] += min(excess, max(prior.high[0] - learned.estimate[0], 0.0))
+    else:
+        _regress(prior, learned, phi, t.work.t, smooth[TORQUE], k, dt)
+    _keep_bounds(prior, learned, t.work.Z)
+    if known[j] == SUSPECTED and (
+        sticks or _shows_friction(prior, t.model.joints[j].theta, learned, phi, t.work.Z)
     ):
-        phi = t.work.s
-        phi[0] = smooth[SIGN]
-        phi[1] = smooth[V]
-        phi[2] = smooth[_ACCELERATION]
-        phi[3] = 1.0
-        phi[4] = smooth[WEIGHT]
-        if sticks:  # F is at least this, and as uncertain as before
-            learned.estimate[0] += min(excess, max(prior.high[0] - learned.estimate[0], 0.0))
-        else:
-            _regress(prior, learned, phi, t.work.t, smooth[TORQUE], k, dt)
+        known[j] = LEARNED
         _keep_bounds(prior, learned, t.work.Z)
-        if known[j] == SUSPECTED and (
-            sticks or _shows_friction(prior, joint.theta, learned, phi, t.work.Z)
-        ):
-            known[j] = LEARNED
-            _keep_bounds(prior, learned, t.work.Z)
 
 
 @leaf

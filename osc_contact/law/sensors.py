@@ -121,6 +121,8 @@ _SLOPE = 0.005  #: s, of the filter of a speed that only positions show
 _BALANCE = 0.04  #: s, of the low-pass of torques that nothing explains
 _USUAL = 1.0  #: s in which an unexplained torque becomes the usual one
 _UNBALANCED = 0.1  #: s for which torques may be unexplained
+_DOUBTFUL = 0.5  #: of their bound; nothing is learned of more, within the next
+_DOUBTED = 0.2  #: s
 _OUTLIER = 10.0  #: times their bound; no more of unexplained torques counts in one tick
 _RUBBING = 2e-3  #: rad/s, m/s; joints that are faster than this rub
 _RUBS = 0.5  #: of the friction that the model has, which may be wrong
@@ -237,7 +239,7 @@ def check_arms(t):
     for k in range(t.model.n_arms):
         if arms[k].sensor_joint < 0:
             continue
-        found = _balance_arm(t, arms[k], t.work.arms[k], dt)
+        found = _balance_arm(t, k, dt)
         if found:
             memory.culprit = k
             return UNBALANCED
@@ -245,12 +247,19 @@ def check_arms(t):
 
 
 @inner
-def _balance_arm(t, arm, own, dt):
-    """Whether unexplained torques of an arm have been too large for too long, see `check_arms`."""
+def _balance_arm(t, k, dt):
+    """Whether unexplained torques of arm k have been too large for too long, see `check_arms`.
+
+    From half of their bound on they are doubtful: nothing is learned of them, until they have
+    lasted for longer than a fault that is found.
+    """
+    arm = t.model.arms[k]
+    own = t.memory.arms[k]
     found = False
-    observe_arm(t, arm, own, dt)
+    doubtful = False
+    observe_arm(t, arm, t.work.arms[k], own.doubtful == 0.0 or own.doubtful > _DOUBTED, dt)
     first = 1.0 / t.memory.balanced  # low-passes begin as plain means
-    k = max(dt / (_BALANCE + dt), first)
+    fast = max(dt / (_BALANCE + dt), first)
     slow = max(dt / (_USUAL + dt), first)
     for j in range(arm.first, arm.sensor_joint + 1):
         known = t.memory.joints[j]
@@ -266,17 +275,20 @@ def _balance_arm(t, arm, own, dt):
         for i in range(3):  # slowly: a wrist that is wrong at once is not taken for friction
             known.trusted[i] += slow * (abs(theta[i]) - known.trusted[i])
         friction = known.trusted[0] + known.trusted[1] * speed + known.trusted[2] * abs(known.rate)
+        least = _DOUBTFUL * most
         if known.means[V] * known.unexplained > _RUBBING * abs(known.unexplained):
             most *= 2.0  # it brakes the joint, as friction does that is not learned yet
         rest = known.residual - min(max(known.residual, -friction), friction)
         bound = _OUTLIER * most
         rest = min(max(rest, -bound), bound)
-        known.unexplained += k * (rest - known.unexplained)
+        known.unexplained += fast * (rest - known.unexplained)
         rest = known.unexplained
         known.usual += slow * (rest - known.usual)
+        doubtful = doubtful or abs(rest - known.usual) > least
         too_much = abs(rest - known.usual) > most or abs(rest) > 2.0 * most
         known.unbalanced = collect(known.unbalanced, dt, too_much)
         found = found or known.unbalanced > _UNBALANCED
+    own.doubtful = collect(own.doubtful, dt, doubtful)
     return found
 
 

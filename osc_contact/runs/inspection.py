@@ -11,7 +11,6 @@ import numpy as np
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
-from osc_contact.control.records import choose_learning
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.law.joint_friction import LAG
 from osc_contact.robots.summary import friction_warnings, joint_losses, loss_words
@@ -97,7 +96,7 @@ def inspect_rig(rig: Rig) -> Inspection:
 
 def _friction(rig: Rig) -> Iterator[str]:
     """What of friction and rotors in the controller's model limits its accuracy or stability."""
-    how = choose_learning(rig.joint_friction, rig.model)
+    how = rig.joint_friction
     for arm, own in zip(rig.model.arms, rig.model.slices, strict=True):
         share = how.share if how and (how.learning or how.errors) else 0.0
         q = rig.q_contact[own]
