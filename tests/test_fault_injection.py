@@ -50,9 +50,9 @@ def test_every_kind_of_fault_in_contact(name):
     assert not verdict.wrong, verdict
 
 
-@parametrize(("name", "case"), first(ELSEWHERE, 7))
-def test_faults_in_other_phases_and_scenarios(name, case):
-    verdict = try_fault(name, case)
+@parametrize("where", first(ELSEWHERE, 7), ids=str)
+def test_faults_in_other_phases_and_scenarios(where):
+    verdict = try_fault(*where)
     assert not verdict.wrong, verdict
 
 

@@ -92,7 +92,7 @@ def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, fou
     joint.residual = 8.0
     joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = 1.0, 0.1
     for _ in range(500):
-        joint_friction._learn(t, 0, 0.0, 0.0, 1e-3)
+        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
     learned = t.memory.friction[0]
     assert learned.estimate[0] == approx(found) == learned.theta[0]
 
