@@ -58,10 +58,14 @@ def test_the_estimate_is_that_of_least_squares():
         [np.sign(v), v, rng.uniform(-3.0, 3.0, 300), np.ones(300), rng.normal(5.0, 2.0, 300)]
     )
     r = Phi @ [3.0, 1.5, -0.4, 0.1, 0.2] + rng.normal(scale=0.3, size=300)
-    theta, row = learned(Phi, r)
-    P = inv(Phi.T @ Phi / 0.1 + np.diag(1.0 / PRIOR))
-    assert_allclose(theta, P @ Phi.T @ r / 0.1, rtol=1e-9)
+    theta, row = learned(Phi, r, noise=0.2)
+    P = inv(Phi.T @ Phi / 0.2 + np.diag(1.0 / PRIOR))
+    theta_P = P @ Phi.T @ r / 0.2
+    assert_allclose(theta, theta_P, rtol=1e-9)
     assert_allclose(row.P, P, rtol=1e-7, atol=1e-12)
+    miss = 50.0  # beyond three standard deviations the step falls with the residual
+    later, _ = learned(np.vstack([Phi, Phi[:1]]), np.append(r, Phi[0] @ theta_P + miss), noise=0.2)
+    assert_allclose(later - theta, P @ Phi[0] * 9.0 / miss, rtol=1e-6)
 
 
 @parametrize("dt", [0.0, 1e-3])

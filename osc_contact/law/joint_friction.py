@@ -252,8 +252,8 @@ def _estimate(t, j, moves, k, dt):
 def _regress(prior, learned, phi, gain, r, k, dt):
     """θ ← θ + k(r − φᵀθ), k = Pφ/(R + φᵀPφ), P ← (1 − kφᵀ)P.
 
-    R follows the square of what θ does not explain. Old residuals are forgotten, as far as P stays
-    below its bound.
+    R follows the square of what θ does not explain; it is larger where that is more than three
+    standard deviations. Old residuals are forgotten, as far as P stays below its bound.
 
     Args:
         prior: PRIOR of a joint. learned: its FRICTION. phi: (≥ 5,). gain: (≥ 10,) scratch.
@@ -269,10 +269,14 @@ def _regress(prior, learned, phi, gain, r, k, dt):
     bounded = min(max(miss, -bound), bound)
     square = bounded * bounded
     learned.noise += dt / (_SCATTER + dt) * (square - learned.noise)
-    whole = max(learned.noise, (_QUIET * noise) * (_QUIET * noise)) / k
+    R = max(learned.noise, (_QUIET * noise) * (_QUIET * noise))
+    whole = R / k
+    expected = R
     for i in range(_SIZE):
         gain[i] = dot(P[i], phi, _SIZE)
         whole += phi[i] * gain[i]
+        expected += phi[i] * gain[i]
+    whole *= max(miss * miss / (_SEEN * _SEEN * expected), 1.0)  # outliers count less
     for i in range(_SIZE):
         estimate[i] += gain[i] * miss / whole
         grown = 1.0 + 0.5 * dt / _FORGET
