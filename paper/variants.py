@@ -107,7 +107,7 @@ def compare(scenario: str, ask: Ask) -> Study:
             error = max(force["rms_error_rel"] for force in verdict["force"].values())
             closed = min(verdict["contact_fraction"].values())
             data[name] = {"force_rms_rel": error, "limit": limit, "contact_fraction": closed}
-            asked = "" if limit is None else f"{limit:.0%}"
-            rows.append((name, verdict["task"]["word"], f"{error:.3%}", asked, f"{closed:.2%}"))
+            most = "" if limit is None else f"{limit:.0%}"
+            rows.append((name, verdict["task"]["word"], f"{error:.3%}", most, f"{closed:.2%}"))
     table = table_of(f"{scenario} on mujoco", "variant; verdict; force, rms; limit; closed", rows)
     return Study({scenario: figure}, table, data)

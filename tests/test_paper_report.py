@@ -136,14 +136,14 @@ def test_answers_can_fail(evidence):
 
 def test_the_report_tells_statements_numbers_verdicts_and_commands(report):
     text = report.read_text()
-    told = Page(text).text
+    shown = Page(text).text
     sections = dict(re.findall(r'<section id="(\w+)">(.*?)</section>', text, re.S))
     wanted = {"fig1": "reproduced", "fig2": "partly reproduced", "fig4": "reproduced"}
     wanted |= {"fig5": "partly reproduced", "fig8": "contradicted"}
     assert [name for name in sections if name.startswith("fig")] == list(wanted)
     for name, verdict in wanted.items():
         (figure,) = (figure for figure in PAPER if figure.name == name)
-        assert all(words in told for words in (figure.shows, *figure.states.values()))
+        assert all(words in shown for words in (figure.shows, *figure.states.values()))
         badges = re.findall(r'class="badge \w+">. ([\w ]+)<', sections[name])
         assert badges == [verdict], name
         command = f"osc-contact reproduce {name} --plant rigid --set &#x27;a=[1, 2]&#x27;"
@@ -154,7 +154,7 @@ def test_the_report_tells_statements_numbers_verdicts_and_commands(report):
     assert 'class="pair broad"' in sections["fig4"] and 'class="pair"' in sections["fig1"]
     assert "left &lt;arm&gt;" in sections["steps"] and "arm &amp; leg" in sections["steps"]
     assert "fig1.png, fig1.svg" in sections["fig1"]
-    assert "1.2 s, 1200 ticks, seed 0" in told
+    assert "1.2 s, 1200 ticks, seed 0" in shown
 
 
 def test_the_report_fetches_nothing(report):
@@ -287,7 +287,7 @@ def test_every_label_hangs_on_a_node_and_says_what_the_scenario_says(cell, tmp_p
         words += [callout.text for callout in shot.callouts]
         assert ("/meshcat/vision/view/rim0" in drawn) == shot.whole
         assert "/meshcat/sensors/wrist/left" in drawn and "/meshcat/bodies/object" in str(drawn)
-    told = " ".join(words)
+    shown = " ".join(words)
     for part in (
         "60 Hz, 30 ms old, ±1 mm, ±5 mrad",
         "left arm",
@@ -297,9 +297,9 @@ def test_every_label_hangs_on_a_node_and_says_what_the_scenario_says(cell, tmp_p
         "wrist force/torque sensor",
         "hinge",
     ):
-        assert part in told
+        assert part in shown
     force = cell.sample["alpha_true"][0]
-    assert force > 1.0 and f"left end: {force:.1f} N" in told
+    assert force > 1.0 and f"left end: {force:.1f} N" in shown
 
 
 def test_reproduce_fig3_renders_it(cell, tmp_path, monkeypatch):

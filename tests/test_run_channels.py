@@ -17,7 +17,7 @@ from osc_contact.contacts.pairs.pair import normals_over, pushes_only
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.dynamics.closed_chain import columns_at
 from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.runs.recorder import free_parts
+from osc_contact.runs.recorder import _times, free_parts
 from osc_contact.runs.run import start
 from osc_contact.spatial import Poses, rotated, rotations
 
@@ -312,3 +312,15 @@ def test_free_parts_are_the_free_part_of_each_in_singular_states_too():
         for i in range(k):
             want = free_part(chain, q[i], X[i], N[:, :, i], x[:, i])
             assert_allclose(found[:, i], want, atol=1e-9, err_msg=f"{name} {i}")
+
+
+def test_products_are_rounded_alike_however_many_ticks_are_in_them():
+    """Else the last tick of a recovered file would differ from that of the whole run."""
+    rng = default_rng(0)
+    A = rng.normal(size=(6, 6))
+    for shape in ((6, 50), (6, 4, 50)):
+        x = rng.normal(size=shape)
+        whole = _times(A, x)
+        assert_allclose(whole, np.tensordot(A, x, 1), rtol=1e-12, atol=1e-12)
+        for i in range(50):
+            assert_array_equal(_times(A, x[..., i : i + 1]), whole[..., i : i + 1])

@@ -189,7 +189,7 @@ def _learn(t, j, sound, rate, inertial, dt):
         if learned.evidence > (_EVIDENCE if t.model.friction_errors == 0 else 0.0):
             known[j] = SUSPECTED if prior.sure > 0.0 else LEARNED
     if known[j] == LEARNED or (known[j] == SUSPECTED and t.model.friction_errors != 0):
-        aim = missing if row.unbalanced == 0.0 else 0.0
+        aim = missing if row.unbalanced == 0.0 else 0.0  # else the wrist may be wrong
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
     k = dt / (_SMOOTH + dt)
     smooth = learned.smooth

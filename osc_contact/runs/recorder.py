@@ -514,7 +514,7 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
 
     def in_object(columns: Array, scale: Array) -> Array:
         own = np.concatenate((X_WO.rotate_back(columns[:3]), X_WO.rotate_back(columns[3:])))
-        return np.tensordot(scale, own, 1)
+        return _times(scale, own)
 
     J = np.concatenate((J[:3] + cross(J[3:], X_WO.p[:, None]), J[3:]))
     locked = []  # projections onto what each arm cannot make
@@ -533,8 +533,13 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
     S = made.mT @ made
     lines = np.einsum("kij,jrk->irk", S, in_object(N, np.linalg.inv(L)))
     left = np.einsum("kij,jk->ik", S - _onto(lines), in_object(x, L.T))
-    own = np.tensordot(np.linalg.inv(L.T), left, 1)
+    own = _times(np.linalg.inv(L.T), left)
     return np.concatenate((X_WO.rotate(own[:3]), X_WO.rotate(own[3:])))
+
+
+def _times(A: Array, columns: Array) -> Array:
+    """A x for all columns x (6, …), each rounded alike however many there are, unlike in BLAS."""
+    return (A.reshape(*A.shape, *[1] * (columns.ndim - 1)) * columns).sum(axis=1)
 
 
 def _onto(columns: Array) -> Array:
