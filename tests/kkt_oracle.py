@@ -25,7 +25,8 @@ from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
 
 G = np.array([0.0, 0.0, -9.81])
 SIZE = 0.15  # of the pairs' geometry, as drawn with 1 m
-STEP = 0.02  # of the differences (m or rad)
+STEP = 0.025  # of the differences (m or rad)
+REACH = 6  # steps to either side: the twelfth order
 
 
 # Bodies -------------------------------------------------------------------------------------------
@@ -232,7 +233,7 @@ def touch(name, rng, X_EO):
 
 def slopes(f, k):
     """(r, k) derivatives of f along k coordinates."""
-    columns = [rate(lambda t, e=e: f(t * e), h=STEP) for e in np.eye(k)]
+    columns = [rate(lambda t, e=e: f(t * e), h=STEP, reach=REACH) for e in np.eye(k)]
     return np.array(columns).T.reshape(len(f(np.zeros(k))), k)
 
 
@@ -260,7 +261,7 @@ class Contact:
         """(r,) second derivative of the gaps while nothing accelerates."""
         speed = max(1.0, largest(V), largest(self.on.v))
         there = V / speed, self.on.v / speed
-        return speed**2 * rate(lambda t: self.gaps(*(t * x for x in there)), 2, STEP)
+        return speed**2 * rate(lambda t: self.gaps(*(t * x for x in there)), 2, STEP, REACH)
 
     def slip(self, V):
         """Velocity of a vertex against its face, the arms from O and from E to it."""

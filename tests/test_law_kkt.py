@@ -24,6 +24,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import islice
 
 import numpy as np
 import pinocchio as pin
@@ -475,7 +476,7 @@ def test_torques_bring_the_commanded_forces_and_motion(rig, surroundings):
     count = Counter()
     seen = defaultdict(set)
     where = SURROUNDINGS[surroundings]
-    for t in ticks(rig, surroundings):
+    for t in islice(ticks(rig, surroundings), 8 * STATES):
         state = t.state
         count[judge(t)] += 1
         if t.controller.status is not osc.Status.OK:
@@ -486,8 +487,8 @@ def test_torques_bring_the_commanded_forces_and_motion(rig, surroundings):
         seen["grasps"].update(kind for kind, *_ in state.case.grasps)
         seen["pairs"].update(c.name for c in t.contacts)
         seen["bodies"].update(body.name for body in state.bodies)
-        if count["well apart"] == STATES:
-            break
+        if count["well apart"] >= STATES and seen["grasps"] == set(RIGS[rig].grasps):
+            break  # of arms that hold by a plane one in fourteen is far from singular
     d = max(RIGS[rig].d)
     mixed = len(RIGS[rig].d) > 1
     assert seen["d"] >= RIGS[rig].d if mixed else seen["d"] == RIGS[rig].d
