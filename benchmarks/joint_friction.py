@@ -194,6 +194,8 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
     for share, most in ((0.005, 1.2), (0.02, 2.5)):
         changes = (*slide(), f"plant.joint_friction={share}")
         yield f"unknown {arm} {100 * share:g} % of the limit", most, changes
+    slowly = (*slide(0.2, 1), "plant.joint_friction=0.02")
+    yield f"unknown {arm} 2 % of the limit, to and fro at 0.2 Hz", 2.5, slowly
     for what, (bits, newtons, most) in SENSORS.items():
         yield f"noise {arm} {what}", most, (*slide(), *rotors, *HALF, _noisy(bits, newtons))
     late = "sensors={wrist: {rate: 1 kHz, delay: 10 ms}}"
@@ -225,12 +227,12 @@ def main(only: str = "", workers: int = 2, folder: Path | None = None) -> None:
     """
     others = [] if folder is None else _of_mjcf(folder)
     rows = [case for case in (*cases(), *others) if only in case.name]
-    print(f"{'case':40}   rms %  wanted   peak %  contact %  overshoot %  verdict")
+    print(f"{'case':52}   rms %  wanted   peak %  contact %  overshoot %  verdict")
     with ProcessPoolExecutor(workers) as pool:
         for case, found in zip(rows, pool.map(Case.run, rows), strict=True):
             rms, peak, closed, overshoot, word = found
             print(
-                f"{case.name:40} {rms:7.4f}  {case.most:6.2f}  {peak:7.1f}  {closed:9.1f}"
+                f"{case.name:52} {rms:7.4f}  {case.most:6.2f}  {peak:7.1f}  {closed:9.1f}"
                 f"  {overshoot:11.1f}  {word}",
                 flush=True,
             )

@@ -27,6 +27,7 @@ import osc_contact as osc
 from benchmarks.joint_friction import cases
 from osc_contact.control.records import SLIP
 from osc_contact.interface import Reference
+from osc_contact.law.phases import APPROACHING, CLOSED
 
 MOST = 30.0
 PRIOR = np.array([9.0, 4.0, 2.0, 0.01, 0.04])
@@ -101,6 +102,44 @@ def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, fou
     assert learned.estimate[0] == approx(found) == learned.theta[0]
 
 
+@parametrize(("estimate", "F", "after"), [(4.0, 5.0, 0.0), (9.0, 9.0, 0.1)])
+def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
+    """It shows 5 beside an estimated bias of 3; θ takes all for bias while friction may be none."""
+    t = records(1, 1, friction_learning=1)
+    t.model.priors.high = MOST
+    t.model.priors.low = -MOST
+    t.model.priors.sure = 1e9
+    t.memory.balanced = 1000
+    t.memory.friction_known[0] = joint_friction.SUSPECTED
+    learned = t.memory.friction[0]
+    learned.estimate[:] = estimate, 0.0, 0.0, 3.0, 0.0
+    learned.theta[3] = 7.0
+    joint = t.memory.joints[0]
+    joint.residual = -2.0
+    joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = -1.0, -0.1
+    sure = []
+    for _ in range(500):
+        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
+        sure.append(t.memory.friction_known[0] == joint_friction.LEARNED)
+    assert after <= 1e-3 * sure.index(True) < after + 0.05
+    assert learned.estimate[0] == approx(F) == learned.theta[0]
+
+
+@parametrize("phase", [APPROACHING, CLOSED])
+def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase):
+    t = records(1, 1, 1, friction_learning=1)
+    t.memory.contacts.phase = phase
+    t.memory.friction_known[0] = joint_friction.LEARNED
+    t.memory.friction[0].theta[0] = 8.0
+    t.memory.joints[0].sign = -1.0
+    applied = []
+    for _ in range(100):
+        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
+        applied.append(joint_friction.believed_friction(t, 0))
+    steps = np.arange(1, 101) if phase == CLOSED else np.full(100, 100)
+    assert_allclose(applied, -8.0 * steps / 100)
+
+
 def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
     """Without errors of the model θ and e stay zero, whatever steps; with one they do not."""
     for changes, learns in ([], False), (["model_error.joint_friction=0.9"], True):
@@ -158,6 +197,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         "forgotten rotors panda",
         "reversals ur10 2 Hz x0.5",
         "unknown xarm7 2 % of the limit",
+        "unknown ur10 2 % of the limit, to and fro at 0.2 Hz",
         "noise panda 20 bit, 0.05 N, 3 ms",
         "late wrist xarm7 10 ms",
         "force step ur10 x0.5",

@@ -13,8 +13,9 @@ friction F and D, and the inertia A of its rotor that the model lacks, by recurs
 
 both low-passed once more against noise, with m = h + M q̈ − Jᵀ w_out, so that links that weigh
 1 + μ times as much as in the model are not taken for friction. Where the model has no friction, F,
-D and A stay as it says until the estimate surely differs. A joint that rests although s commands it
-has at least the friction that it shows: what of r exceeds F + D |s| is learned as F. Friction is
+D and A stay as it says until the estimate surely differs, or a joint rests for long although s
+commands it. A joint that rests so has at least the friction that it shows: what of r exceeds
+F + D |s| is learned as F. Friction is
 learned of the speed that the joint has, and compensated along the speed s that the contacts permit:
 J̄ P V_D, P = Ω_m(Λ_o⁻¹) of eq. 4. This has neither the noise of measured speeds nor the speeds of
 the posture task in it. The sign of s is s/√(s² + s_0²), its mean over the tick, so that friction
@@ -23,7 +24,7 @@ reverses within the tick in which the joint does. Torques get
     f + g clip(e),   f = F sign s + D s + A ṡ,   ė = K_d(r − LP_K f − e),
 
 before they are limited: f is not a feedback, and e, with g < 1 and |e| ≤ F + D |s|, is what of the
-friction is not learned. A wrist that is wrong feeds e, too: where no friction is known or learned,
+friction is not learned; along f it is no more than F is uncertain by. A wrist that is wrong feeds e, too: where no friction is known or learned,
 e is zero. With `errors` the bound is wider by 0.3 |h|, so that e also is what masses of the links
 are wrong by. What is compared with a wrench that comes late is of the instant at which it was read.
 Without learning θ is what the model says, and without `errors` e = 0. Passive joints have no
@@ -59,9 +60,11 @@ _MOVES = 0.01  #: rad/s; slower joints learn nothing
 SLIDES = 0.2  #: m/rad: speeds of sliding joints, where those of turning ones are constants
 _RESTS = 0.2  #: of that speed; slower joints rest
 _STANDS = 0.01  #: s for which a joint must rest until it shows stiction; knocks turn it faster
+_HOLDS = 0.1  #: s likewise, until it surely has friction, as much as has been learned
 _FOLLOWS = 0.09  #: of the permitted speed; a joint that moves with less of it learns nothing
 _FULL = 0.7  #: of dry friction; near a reversal nothing is learned
 _FORGET = 2.0  #: s
+_RISE = 0.1  #: s in which what is learned comes to be applied: integrals have held it before
 _TURNS = 4  #: ticks in which each joint learns once, for speed: residuals change more slowly
 _EVIDENCE = 0.15  #: s for which residuals must exceed rounding until anything is learned
 _SCATTER = 0.5  #: s, in which R follows the residuals that θ does not explain
@@ -188,6 +191,8 @@ def _learn(t, j, sound, rate, inertial, dt):
         learned.evidence = max(learned.evidence + seen, 0.0)
         if learned.evidence > (_EVIDENCE if t.model.friction_errors == 0 else 0.0):
             known[j] = SUSPECTED if prior.sure > 0.0 else LEARNED
+    if known[j] == LEARNED:
+        learned.applied = min(learned.applied + (dt / _RISE if _pressed(t) else 1.0), 1.0)
     if known[j] == LEARNED or (known[j] == SUSPECTED and t.model.friction_errors != 0):
         aim = missing if row.unbalanced == 0.0 else 0.0  # else the wrist may be wrong
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
@@ -212,8 +217,20 @@ def _learn(t, j, sound, rate, inertial, dt):
 
 
 @leaf
+def _pressed(t):
+    """Whether no contact is being approached: what is applied at once then is a step of force."""
+    pressed = True
+    for c in range(t.model.n_contacts):
+        pressed = pressed and t.memory.contacts[c].phase != APPROACHING
+    return pressed
+
+
+@leaf
 def _estimate(t, j, moves, k, dt):
     """θ of a joint after one step, if it moves, or rests although it is commanded to move.
+
+    What a resting joint shows is compared with the estimate: θ says that all of it is bias as long
+    as the joint may be without friction. One that rests for long has friction.
 
     Args:
         j: joint. moves: whether it does. k: share of this step in the residual. dt: s.
@@ -223,12 +240,14 @@ def _estimate(t, j, moves, k, dt):
     known = t.memory.friction_known
     smooth = learned.smooth
     a = smooth[_ACCELERATION]
-    theta = learned.theta
-    dry = smooth[TORQUE] - theta[2] * a - theta[3] - theta[4] * smooth[WEIGHT]
-    excess = dry * smooth[SIGN] - largest_friction(t, j)
+    likely = learned.estimate
+    dry = smooth[TORQUE] - likely[2] * a - likely[3] - likely[4] * smooth[WEIGHT]
+    most = max(likely[0], 0.0) + max(likely[1], 0.0) * abs(t.memory.joints[j].speed)
+    excess = dry * smooth[SIGN] - most
     unsure = _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
     sticks = learned.rested > _STANDS and excess > unsure
-    if not (moves or sticks):
+    holds = learned.rested > _HOLDS and dry * smooth[SIGN] > unsure
+    if not (moves or sticks or holds):
         return
     phi = t.work.s
     phi[0] = smooth[SIGN]
@@ -238,11 +257,11 @@ def _estimate(t, j, moves, k, dt):
     phi[4] = smooth[WEIGHT]
     if sticks:  # F is at least this, and as uncertain as before
         learned.estimate[0] += min(excess, max(prior.high[0] - learned.estimate[0], 0.0))
-    else:
+    elif moves:
         _regress(prior, learned, phi, t.work.t, smooth[TORQUE], k, dt)
     _keep_bounds(prior, learned, t.work.Z)
     if known[j] == SUSPECTED and (
-        sticks or _shows_friction(prior, t.model.joints[j].theta, learned, phi, t.work.Z)
+        sticks or holds or _shows_friction(prior, t.model.joints[j].theta, learned, phi, t.work.Z)
     ):
         known[j] = LEARNED
         _keep_bounds(prior, learned, t.work.Z)
@@ -396,7 +415,11 @@ def _mean_sign(a, b, slip):
 
 @inner
 def compensate_friction(t):
-    """Add f + g clip(e) to the torques of the motors."""
+    """Add f + g clip(e) to the torques of the motors.
+
+    A joint that stuck keeps its e while s reverses: along f that may be no more than F is uncertain
+    by, or joints that rest with less friction than F are set in motion.
+    """
     permit_speeds(t)
     for j in range(t.model.n_joints):
         joint = t.model.joints[j]
@@ -406,6 +429,8 @@ def compensate_friction(t):
         row = t.memory.joints[j]
         row.friction = believed_friction(t, j)
         most = largest_friction(t, j)
+        if row.friction * row.unlearned > 0.0:
+            most = min(most, _SEEN * sqrt(t.memory.friction[j].P[0, 0]))
         if t.model.friction_errors != 0:
             most += _LINKS * abs(own.h)
         most = min(most, t.model.wrist_error * joint.tau_max)
@@ -417,9 +442,11 @@ def compensate_friction(t):
 @leaf
 def _theta(t, j, i):
     """θ_i of joint j: as learned so far, or as of the model."""
+    known = t.model.joints[j].theta[i]
     if t.memory.friction_known[j] != UNKNOWN:
-        return t.memory.friction[j].theta[i]
-    return t.model.joints[j].theta[i]
+        learned = t.memory.friction[j]
+        known += learned.applied * (learned.theta[i] - known)
+    return known
 
 
 @leaf

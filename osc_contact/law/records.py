@@ -386,9 +386,11 @@ JOINT_MEMORY = _record(
     means=6,  # of `joint_friction`: what it observes of a tick, low-passed
 )
 PAST = _record(history=(HISTORY, 8))  #: of a joint, where wrenches have stamps
-#: θ of a joint, the same without bounds, its covariance, variance of residuals; means low-passed
-#: once more; see `joint_friction`
-FRICTION = _record(number=("noise", "evidence", "rested"), theta=5, estimate=5, P=(5, 5), smooth=6)
+#: θ of a joint, the same without bounds, its covariance, variance of residuals; share of what is
+#: learned that is applied; means low-passed once more; see `joint_friction`
+FRICTION = _record(
+    number=("noise", "evidence", "rested", "applied"), theta=5, estimate=5, P=(5, 5), smooth=6
+)
 #: ticks since a wrist was read, s for which it has read the very same, and for which motors have
 #: been doubtful
 ARM_MEMORY = _record(whole=("unread",), number=("same", "doubtful"))
