@@ -11,24 +11,24 @@ friction F and D, and the inertia A of its rotor that the model lacks, by recurs
 
     r ≈ φᵀθ,   φ = LP_K[sign s, q̇, q̈, 1, m],   θ = (F, D, A, bias, μ),
 
-both low-passed once more against noise, with m = h + M q̈ − Jᵀ w_out, so that links that weigh
-1 + μ times as much as in the model are not taken for friction. Where the model has no friction, F,
-D and A stay as it says until the estimate surely differs, or a joint rests for long although s
-commands it. A joint that rests so has at least the friction that it shows: what of r exceeds
-F + D |s| is learned as F. Friction is
-learned of the speed that the joint has, and compensated along the speed s that the contacts permit:
-J̄ P V_D, P = Ω_m(Λ_o⁻¹) of eq. 4. This has neither the noise of measured speeds nor the speeds of
-the posture task in it. The sign of s is s/√(s² + s_0²), its mean over the tick, so that friction
-reverses within the tick in which the joint does. Torques get
+both low-passed once more against noise, with m = h + M q̈ − Jᵀ w_out, so that links that weigh 1 +
+μ times as much as in the model are not taken for friction. Where the model has no friction, F, D
+and A stay as it says until the estimate surely differs, or a joint rests for long although s
+commands it. A joint that rests so has at least the friction that it shows: what of r exceeds F + D
+|s| is learned as F. Friction is learned of the speed that the joint has, and compensated along the
+speed s that the contacts permit: J̄ P V_D, P = Ω_m(Λ_o⁻¹) of eq. 4. This has neither the noise of
+measured speeds nor the speeds of the posture task in it. The sign of s is s/√(s² + s_0²), its mean
+over the tick, so that friction reverses within the tick in which the joint does. Torques get
 
     f + g clip(e),   f = F sign s + D s + A ṡ,   ė = K_d(r − LP_K f − e),
 
 before they are limited: f is not a feedback, and e, with g < 1 and |e| ≤ F + D |s|, is what of the
-friction is not learned; along f it is no more than F is uncertain by. A wrist that is wrong feeds e, too: where no friction is known or learned,
-e is zero. With `errors` the bound is wider by 0.3 |h|, so that e also is what masses of the links
-are wrong by. What is compared with a wrench that comes late is of the instant at which it was read.
-Without learning θ is what the model says, and without `errors` e = 0. Passive joints have no
-motors: what is known of their friction goes into h instead.
+friction is not learned; along f it is no more than F is uncertain by. A wrist that is wrong feeds
+e, too: where no friction is known or learned, e is zero. With `errors` the bound is wider by 0.3
+|h|, so that e also is what masses of the links are wrong by. What is compared with a wrench that
+comes late is of the instant at which it was read. Without learning θ is what the model says, and
+without `errors` e = 0. Passive joints have no motors: what is known of their friction goes into h
+instead.
 """
 
 from __future__ import annotations
