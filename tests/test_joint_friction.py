@@ -125,6 +125,20 @@ def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
     assert learned.estimate[0] == approx(F) == learned.theta[0]
 
 
+@parametrize(("unbalanced", "aim"), [(0.0, 2.0), (0.01, 0.0)])
+def test_the_observer_follows_what_is_not_learned_while_the_wrist_is_credible(unbalanced, aim):
+    t = records(1, 1, friction_errors=1, friction_smoothing=70.0)
+    t.memory.friction_known[0] = joint_friction.LEARNED
+    joint = t.memory.joints[0]
+    joint.residual = 3.0
+    joint.means[joint_friction.FRICTION] = 1.0
+    joint.unlearned = 1.0
+    joint.unbalanced = unbalanced
+    for n in range(1, 51):
+        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
+        assert joint.unlearned == approx(aim + (1.0 - aim) * 0.93**n)
+
+
 @parametrize("phase", [APPROACHING, CLOSED])
 def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase):
     t = records(1, 1, 1, friction_learning=1)
