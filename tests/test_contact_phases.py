@@ -173,8 +173,10 @@ def test_every_collision_of_a_knocked_rod_is_flagged_in_time(knocked):
     assert all(hit.flagged is not None and hit.flagged <= 0.02 for hit in hits)
     assert all(hit.power > 0.02 for hit in hits)
     assert (recording["status"] == 0).all()
-    assert osc.load_scenario("collisions").control.joint_friction.learning
-    assert np.abs(recording["friction"]).max() < 3.0  # 88 N m if a moment of rest were stiction
+    rubs = [f"arms.{arm}.friction=0.3" for arm in ("left", "right")]  # then something is learned
+    rubbing = run_of("collisions", *rubs, duration=2.5)
+    most = [np.abs(run["friction"]).max() for run in (knocked, rubbing)]
+    assert most[0] < 3.0 and 0.0 < most[1] < 3.0  # 88 N m if a moment of rest were stiction
 
 
 def test_figure_7_shows_power_peaks_at_the_collisions(knocked):

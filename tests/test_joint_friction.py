@@ -125,6 +125,23 @@ def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
     assert learned.estimate[0] == approx(F) == learned.theta[0]
 
 
+@parametrize(("rest", "F"), [(9, 0.0), (12, 8.0)])
+def test_joints_that_rest_for_less_than_10_ms_show_no_stiction(rest, F):
+    """A knock inboard of the sensor turns a joint back: 88 N m of F if a moment were enough."""
+    t = records(1, 1, friction_learning=1)
+    t.model.priors.high = MOST
+    t.memory.balanced = 1000
+    t.memory.friction_known[0] = joint_friction.LEARNED
+    joint = t.memory.joints[0]
+    learned = t.memory.friction[0]
+    for means in (joint.means, learned.smooth):
+        means[[joint_friction.SIGN, joint_friction.SPEED]] = 1.0, 0.1
+    joint.residual = learned.smooth[joint_friction.TORQUE] = 8.0
+    for _ in range(rest):
+        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
+    assert learned.estimate[0] == approx(F)
+
+
 @parametrize(("unbalanced", "aim"), [(0.0, 2.0), (0.01, 0.0)])
 def test_the_observer_follows_what_is_not_learned_while_the_wrist_is_credible(unbalanced, aim):
     t = records(1, 1, friction_errors=1, friction_smoothing=70.0)

@@ -134,7 +134,7 @@ def test_answers_can_fail(evidence):
     assert not holds("fig5", "motion", stepped, motion_error=error)
 
 
-def test_the_report_tells_statements_numbers_verdicts_and_commands(report):
+def test_the_report_shows_statements_numbers_verdicts_and_commands(report):
     text = report.read_text()
     shown = Page(text).text
     sections = dict(re.findall(r'<section id="(\w+)">(.*?)</section>', text, re.S))

@@ -321,7 +321,7 @@ def test_flipped_bits_cost_their_chunk_and_are_told(tmp_path):
     journal_of(path).close()
     whole = path.read_bytes()
     rng = random.Random(1)
-    told = 0
+    noticed = 0
     for _ in range(100):
         damaged = bytearray(whole)
         damaged[rng.randrange(len(whole))] ^= 1 << rng.randrange(8)
@@ -333,8 +333,8 @@ def test_flipped_bits_cost_their_chunk_and_are_told(tmp_path):
             continue
         assert count >= 500
         assert count == 600 or missing
-        told += bool(missing)
-    assert told > 90
+        noticed += bool(missing)
+    assert noticed > 90
 
 
 # What runs and sweeps leave in files: one writer at a time, damage named, nobody left behind.

@@ -50,12 +50,12 @@ def test_a_killed_run_is_recovered_but_for_its_last_moments(seconds, tmp_path, w
         process.stdout.readline()
         sleep(seconds)
         process.kill()
-        told = [0.1, *map(float, process.stdout.read().split())][-1]
+        simulated = [0.1, *map(float, process.stdout.read().split())][-1]
     found = osc.recover(tmp_path / "unfinished.mcap")
     assert len(found) > 100
     same(found, whole)
     # 80 ms on the clock, and what this machine simulates in that time
-    assert len(found) > 1000 * told - 3000
+    assert len(found) > 1000 * simulated - 3000
     short, count = found.meta["missing"]
     assert short.startswith("the run was cut short") and "of 200000 ticks are here" in count
     with recording_error(r"osc_contact\.recover"):

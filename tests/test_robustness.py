@@ -112,12 +112,12 @@ def test_the_table_shows_the_rows(made, found):
         *(f"robustness_{case}.jsonl" for case in study.VARIED),
     }
     for case, title in study.TITLES.items():
-        told = found["cases"][case]
-        assert title in printed and told["samples"] == 2
+        known = found["cases"][case]
+        assert title in printed and known["samples"] == 2
         for law in study.LAWS:
-            assert told[law]["success_rate"] == 1.0
+            assert known[law]["success_rate"] == 1.0
             worst = 1e3 * max(row[f"{law}.motion"] for row in found["rows"][case])
-            assert told[law]["motion"][-1] == approx(worst) and f"{worst:.3g}" in printed
+            assert known[law]["motion"][-1] == approx(worst) and f"{worst:.3g}" in printed
     assert {one["candidates"] > 4 for one in found["selection"].values()} == {True}
     assert all(label in printed for label in study.LABELS.values())
 
@@ -130,8 +130,8 @@ def test_failed_runs_count_as_the_largest_errors():
         {"ours.failed": bool(f), "ours.force": None if f else x, "ours.motion": 0.0}
         for x, f in zip(values, failed, strict=True)
     ]
-    told = study.quantiles(rows, "ours")
-    assert told["success_rate"] == approx(0.94)
+    known = study.quantiles(rows, "ours")
+    assert known["success_rate"] == approx(0.94)
     wanted = np.quantile(np.where(failed, np.inf, values), (0.5, 0.9), method="inverted_cdf")
-    assert_allclose(told["force"][:2], 100 * wanted)
-    assert told["force"][2] is None
+    assert_allclose(known["force"][:2], 100 * wanted)
+    assert known["force"][2] is None

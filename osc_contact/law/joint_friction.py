@@ -191,8 +191,8 @@ def _learn(t, j, sound, rate, inertial, dt):
         learned.evidence = max(learned.evidence + seen, 0.0)
         if learned.evidence > (_EVIDENCE if t.model.friction_errors == 0 else 0.0):
             known[j] = SUSPECTED if prior.sure > 0.0 else LEARNED
-    if known[j] == LEARNED:
-        learned.applied = min(learned.applied + (dt / _RISE if _pressed(t) else 1.0), 1.0)
+    if known[j] == LEARNED and learned.applied < 1.0:
+        learned.applied = min(learned.applied + (dt / _RISE if _all_closed(t) else 1.0), 1.0)
     if known[j] == LEARNED or (known[j] == SUSPECTED and t.model.friction_errors != 0):
         aim = missing if row.unbalanced == 0.0 else 0.0  # else the wrist may be wrong
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
@@ -217,12 +217,12 @@ def _learn(t, j, sound, rate, inertial, dt):
 
 
 @leaf
-def _pressed(t):
-    """Whether no contact is being approached: what is applied at once then is a step of force."""
-    pressed = True
+def _all_closed(t):
+    """Whether no contact is approached: a step of friction would be one of contact forces then."""
+    closed = True
     for c in range(t.model.n_contacts):
-        pressed = pressed and t.memory.contacts[c].phase != APPROACHING
-    return pressed
+        closed = closed and t.memory.contacts[c].phase != APPROACHING
+    return closed
 
 
 @leaf
