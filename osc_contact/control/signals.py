@@ -24,10 +24,9 @@ class TickResult:
 
     Attributes:
         records: where all of it stands.
-        J_world: (n, 6) the joints' columns at the world's origin, one in each row.
         f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
         f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
-        error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
+        error: (6,) pose error. free_error: (6,) the part of it that arms and contacts permit.
     """
 
     def __init__(self, records: TickRecords) -> None:

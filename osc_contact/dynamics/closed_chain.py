@@ -663,7 +663,7 @@ def require_pinocchio_agrees(chain: ClosedChain, row: Bytes) -> None:
         work = chain_work(row, q, v, np.eye(4), np.zeros(6))
         pin.computeAllTerms(chain.model, data, q, v)
         for name, ours, theirs in (
-            ("J", work.J_world, data.J.T),
+            ("J", carry_twist(work.joints.column.T, work.C, np.zeros(3)), data.J),
             ("M", mass_matrix(work, chain.slices), data.M),
             ("h", work.joints.h, data.nle),
         ):

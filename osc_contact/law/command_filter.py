@@ -124,26 +124,32 @@ def _judge_reach(t):
 
 
 @inner
-def permit_error(t, error, out, by_object):
-    """out (6,) = Ω_m(B) error, eq. 4, at O: with all six axes, locked or not.
+def permit_error(t):
+    """What the contacts permit of the pose error at O; a reason.
 
-    Args:
-        error, out: (6,) at O. by_object: B is the object's inverse inertia, else that of `B_inv_t`.
+    `motion_next` is Ω_m(B) of it, eq. 4: with all six axes, locked or not. `free_error` is the part
+    that the arms can make, too, cut in the object's metric: Ω_m would answer the yielding of a
+    contact, a displacement along N, with motions that they cannot make.
     """
     work = t.work
     e = work.y
     r = work.rank
     fill(work.s, ZERO)
-    fill(e, motion_to_energy(work, error))
-    if by_object:
+    fill(e, turned(work, motion_to_energy(work, work.error)))
+    for i in range(work.locked):
+        e[i] = 0.0
+    project_onto_constraint(work.Q_t, r, e, work.s)
+    fill(work.free_error, motion_to_world(work, turned_back(work, e)))
+    fill(e, motion_to_energy(work, work.error))
+    if t.model.metric == BY_OBJECT:
         project_onto_constraint(work.Q, r, e, work.s)
     else:
         fill(e, turned(work, e))
         if not _meet_weighed(t, work.B_inv_t, 0, e, work.s):
-            return False
+            return BAD_METRIC
         fill(e, turned_back(work, e))
-    fill(out, motion_to_world(work, e))
-    return True
+    fill(work.motion_next, motion_to_world(work, e))
+    return NO_REASON
 
 
 @inner

@@ -637,7 +637,6 @@ WORK = Nested(
     columns=(COLUMN_WORK, "r"),
     bodies=(BODY_WORK, "c"),
     locked_rows=("6k", 7),  # of all arms: unit wrenches _e and their rates
-    J_world=("n", 6),  # columns at the world's origin
     tau="a",
     step="a",  # of the motors, and the most that they may change by
     # of all columns of N: goals (N), whether they are in force; magnitudes, NᵀV_rel; numbers of

@@ -34,7 +34,6 @@ from osc_contact.law.columns import (
     spread_magnitudes,
 )
 from osc_contact.law.command_filter import (
-    BAD_METRIC,
     filter_motion,
     permit_error,
     reduce_motion,
@@ -65,7 +64,6 @@ from osc_contact.law.reading import (
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
     ALLOCATE,
-    BY_OBJECT,
     COMMAND,
     DEGRADED,
     END,
@@ -89,7 +87,6 @@ from osc_contact.law.sensors import check_arms, check_readings, compare_speeds
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,
-    carry_motion,
     copy_rows,
     dot6,
     fill,
@@ -176,10 +173,7 @@ def look(t, flags):
             phases.remap_force_sums(t)
         phases.set_goals(t)
     choose_columns(t)
-    reason = solve_chain(t)
-    for j in range(model.n_joints):
-        fill(work.J_world[j], carry_motion(work.joints[j].column, work.C, ZERO))
-    return reason
+    return solve_chain(t)
 
 
 @leaf
@@ -316,11 +310,7 @@ def compare_poses(t):
     work = t.work
     set_metric(t)
     fill(work.error, pose_error(t.input.X_WD, work.X_WO, work.A))
-    permit_error(t, work.error, work.free_error, True)
-    fill(work.motion_next, work.free_error)
-    if t.model.metric != BY_OBJECT and not permit_error(t, work.error, work.motion_next, False):
-        return BAD_METRIC
-    return NO_REASON
+    return permit_error(t)
 
 
 @inner

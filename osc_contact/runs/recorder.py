@@ -18,7 +18,6 @@ from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.control.signals import TickResult, internal_forces
 from osc_contact.control.status import Phase, Status
-from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import records as at
@@ -30,7 +29,7 @@ from osc_contact.recorder.recording import gather
 from osc_contact.robots.summary import joint_losses
 from osc_contact.runs.contacts import feet_over, force_owners
 from osc_contact.runs.loop import at_once
-from osc_contact.spatial import Array, Poses, cross
+from osc_contact.spatial import Array, Poses
 
 _TOGETHER = 1000  #: rows whose channels are worked out together
 
@@ -43,14 +42,12 @@ class Subject:
         controller: whose ticks are noted.
         pairs: the true contacts. placements: X_WB of the body of each at the start.
         owners: (r,) the contact of each force magnitude.
-        free: whether the arms can move the object in all six directions.
     """
 
     controller: Controller
     pairs: tuple[ContactPair, ...]
     placements: tuple[pin.SE3, ...]
     owners: Array
-    free: bool
 
 
 def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict[str, Array]:
@@ -88,7 +85,7 @@ def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict
         "wrench_meas": wrench,
         "power_total": total,
         "power_projected": projected,
-        "motion_error": _motion_error(of, rows, N, phase),
+        "motion_error": rows["free_error"],
         "squeeze_cmd": squeeze[:, 0] if np.isnan(squeeze[:, 1:]).all() else squeeze,
         "squeeze": rows["squeeze"][:, 0] if len(controller.chain.arms) < 3 else rows["squeeze"],
         "alpha_given_up": rows["given_up"],
@@ -213,25 +210,6 @@ def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
     return out
 
 
-def _motion_error(of: Subject, rows: Array, N: Array, phase: Array) -> Array:
-    """What the arms can make of the pose error and the contact forces in the model permit."""
-    if of.free:
-        return rows["free_error"]
-    q = rows["q"]
-    error = rows["error"]
-    k = len(rows)
-    J = np.ascontiguousarray(rows["J_world"].T).reshape(-1, 6, k).swapaxes(0, 1)
-    X = _poses(rows["X_WO"].reshape(k, 4, 4))
-    known = np.isfinite(np.concatenate((q, error), axis=1)).all(axis=1)  # others were held
-    out = np.full((k, 6), np.nan)
-    if known.any():
-        poses = Poses(X.R[..., known], X.p[:, known])
-        lines = np.where(phase[:, of.owners].T != Phase.OPEN, N, 0.0)[..., known]
-        chain = of.controller.chain
-        out[known] = free_parts(chain, q[known], J[..., known], poses, lines, error[known].T).T
-    return out
-
-
 _logger = logging.getLogger("osc_contact.recorder")
 _BLOCK = 500  #: rows that the journal is handed at once, at most
 _EVERY = 0.08  #: s; the journal is not left behind any longer
@@ -303,8 +281,6 @@ class Recorder:
         r = len(of.owners)
         squeezes = internal_forces(len(chain.arms))
         found = {**_FOUND, "squeeze": squeezes, "friction": chain.nq}
-        if not of.free:  # what the arms can make of an error is recorded
-            found["J_world"] = 6 * chain.nq
         unknown = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **found}
         if self.truth is None:
             unknown["X_WE"] = 16 * contacts
@@ -464,12 +440,9 @@ def recording_of(
 
 def _subject(controller: Controller) -> Subject:
     """What a controller by itself has of its contacts."""
-    chain = controller.chain
     pairs = tuple(controller.contacts)
-    rigid = all(grasp.is_rigid for grasp in chain.grasps)
-    free = rigid and min(arm.model.nv for arm in chain.arms) >= 6
     world = (pin.SE3.Identity(),) * len(pairs)
-    return Subject(controller, pairs, world, force_owners(pairs), free)
+    return Subject(controller, pairs, world, force_owners(pairs))
 
 
 def describe_subject(of: Subject) -> dict[str, Any]:
@@ -490,60 +463,3 @@ def describe_subject(of: Subject) -> dict[str, Any]:
         "force_steps_s": [],
         "force_rise_s": of.controller.gains.force.rise,
     }
-
-
-# The part of a motion error that could be removed: what arms can make and contacts permit.
-
-
-_SAME = 1e-6  #: of directions of unit length, what counts as none
-
-
-def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x: Array) -> Array:
-    """The part in range(S) ∩ T of small displacements x at O, cut in the object's metric: (6, k).
-
-    For d = 6 this is Ω_m(Λ_o⁻¹) x. For fewer motions that projection would answer the yielding of
-    a contact, a displacement along N, with turns that the arms cannot make. Computed in coordinates
-    in which the object's inertia is the identity.
-
-    Args:
-        chain: of the arms. q: (k, n) joint positions. J: (6, n, k) the joints' columns there, at
-            the world's origin. X_WO: k poses. N: (6, r, k) lines of force in contact.
-        x: (6, k) displacements at O (m, rad).
-    """
-    L = np.linalg.cholesky(chain.reference_inertia(pin.SE3.Identity()))  # in the object's axes
-
-    def in_object(columns: Array, scale: Array) -> Array:
-        own = np.concatenate((X_WO.rotate_back(columns[:3]), X_WO.rotate_back(columns[3:])))
-        return _times(scale, own)
-
-    J = np.concatenate((J[:3] + cross(J[3:], X_WO.p[:, None]), J[3:]))
-    locked = []  # projections onto what each arm cannot make
-    for i, (arm, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
-        motions = J[:, arm]
-        if not grasp.is_rigid:
-            slips = []
-            for k, joints in enumerate(q):
-                pin.forwardKinematics(chain.model, chain.data, joints)
-                slips.append(grasp.motions_at(chain.tip_poses()[i], X_WO.p[:, k]))
-            motions = np.concatenate((motions, np.stack(slips, axis=2)), axis=1)
-        locked.append(np.eye(6) - _onto(in_object(motions, L.T)))
-    _, sizes, axes = np.linalg.svd(np.concatenate(locked, axis=1), full_matrices=False)
-    # arms whose loops are open lock one direction, as for the law
-    made = axes * (sizes < chain.angle_tolerance * np.maximum(sizes[:, :1], 1.0))[:, :, None]
-    S = made.mT @ made
-    lines = np.einsum("kij,jrk->irk", S, in_object(N, np.linalg.inv(L)))
-    left = np.einsum("kij,jk->ik", S - _onto(lines), in_object(x, L.T))
-    own = _times(np.linalg.inv(L.T), left)
-    return np.concatenate((X_WO.rotate(own[:3]), X_WO.rotate(own[3:])))
-
-
-def _times(A: Array, columns: Array) -> Array:
-    """A x for all columns x (6, …), each rounded alike however many there are, unlike in BLAS."""
-    return (A.reshape(*A.shape, *[1] * (columns.ndim - 1)) * columns).sum(axis=1)
-
-
-def _onto(columns: Array) -> Array:
-    """(k, 6, 6) projections onto the spans of columns (6, n, k)."""
-    size = np.linalg.norm(columns, axis=0)
-    A = np.where(size > _SAME, columns / np.maximum(size, _SAME), 0.0).transpose(2, 0, 1)
-    return A @ np.linalg.pinv(A, _SAME)

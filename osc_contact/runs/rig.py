@@ -209,7 +209,7 @@ class Rig:
     def subject(self, controller: Controller) -> Subject:
         """What a recording of this rig is of."""
         on = tuple(self.bodies[body].placement for body in self.on)
-        return Subject(controller, self.pairs, on, self.owners, self.state.d == 6)
+        return Subject(controller, self.pairs, on, self.owners)
 
     @property
     def gains(self) -> Gains:
