@@ -156,6 +156,19 @@ def test_the_observer_follows_what_is_not_learned_while_the_wrist_is_credible(un
         assert joint.unlearned == approx(aim + (1.0 - aim) * 0.93**n)
 
 
+@parametrize(("errors", "unlearned", "kept"), [(0, 2.0, 0.0), (0, -2.0, -2.0), (1, 2.0, 2.0)])
+def test_what_would_be_along_friction_after_a_reversal_is_dropped(errors, unlearned, kept):
+    """Else joints that stick are set in motion by more than F, unless e is of the links."""
+    t = records(1, 1, friction_errors=errors, friction_share=0.5, wrist_error=1.0)
+    t.model.joints.tau_max = 100.0
+    t.model.joints.theta[0, 0] = 8.0
+    joint = t.memory.joints[0]
+    joint.unlearned = unlearned
+    for sign, e in ((-1.0, unlearned), (1.0, kept), (1.0, kept)):
+        joint.sign = sign
+        assert joint_friction._compensation(t, 0) == approx(8.0 * sign + 0.5 * e)
+
+
 @parametrize("phase", [APPROACHING, CLOSED])
 def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase):
     t = records(1, 1, 1, friction_learning=1)

@@ -23,7 +23,7 @@ over the tick, so that friction reverses within the tick in which the joint does
     f + g clip(e),   f = F sign s + D s + A ṡ,   ė = K_d(r − LP_K f − e),
 
 before they are limited: f is not a feedback, and e, with g < 1 and |e| ≤ F + D |s|, is what of the
-friction is not learned; along f it is no more than F is uncertain by. A wrist that is wrong feeds
+friction is not learned; where f reverses, e along the new f is dropped. A wrist that is wrong feeds
 e, too: where no friction is known or learned, e is zero. With `errors` the bound is wider by 0.3
 |h|, so that e also is what masses of the links are wrong by. What is compared with a wrench that
 comes late is of the instant at which it was read. Without learning θ is what the model says, and
@@ -415,28 +415,34 @@ def _mean_sign(a, b, slip):
 
 @inner
 def compensate_friction(t):
-    """Add f + g clip(e) to the torques of the motors.
-
-    A joint that stuck keeps its e while s reverses: along f that may be no more than F is uncertain
-    by, or joints that rest with less friction than F are set in motion.
-    """
+    """Add f + g clip(e) to the torques of the motors."""
     permit_speeds(t)
     for j in range(t.model.n_joints):
-        joint = t.model.joints[j]
         own = t.work.joints[j]
-        if joint.motor < 0:
-            continue
-        row = t.memory.joints[j]
-        row.friction = believed_friction(t, j)
-        most = largest_friction(t, j)
-        if row.friction * row.unlearned > 0.0:
-            most = min(most, _SEEN * sqrt(t.memory.friction[j].P[0, 0]))
-        if t.model.friction_errors != 0:
-            most += _LINKS * abs(own.h)
-        most = min(most, t.model.wrist_error * joint.tau_max)
-        rest = min(max(row.unlearned, -most), most)
-        own.friction = row.friction + t.model.friction_share * rest
-        own.tau += own.friction
+        if t.model.joints[j].motor >= 0:
+            own.friction = _compensation(t, j)
+            own.tau += own.friction
+
+
+@leaf
+def _compensation(t, j):
+    """f + g clip(e) of joint j.
+
+    A joint that sticks keeps its e while s reverses: what of it would then be along f is dropped,
+    or the joint would be set in motion by more than F. With `errors` e is of the links, too.
+    """
+    row = t.memory.joints[j]
+    joint = t.model.joints[j]
+    before = row.friction
+    row.friction = believed_friction(t, j)
+    most = largest_friction(t, j)
+    if t.model.friction_errors != 0:
+        most += _LINKS * abs(t.work.joints[j].h)
+    elif before * row.friction < 0.0 and row.friction * row.unlearned > 0.0:
+        row.unlearned = 0.0
+    most = min(most, t.model.wrist_error * joint.tau_max)
+    rest = min(max(row.unlearned, -most), most)
+    return row.friction + t.model.friction_share * rest
 
 
 @leaf
