@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.detection.features import CollisionShape, collision_shapes, nearest
+from osc_contact.contacts.detection.features import collision_shapes, nearest
 from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.control.records import choose_reading
@@ -40,7 +40,7 @@ from osc_contact.errors import (
     ScenarioError,
 )
 from osc_contact.interface import Measurement, Reference, Robot
-from osc_contact.plants.own_mujoco import MujocoRobot
+from osc_contact.plants.own_mujoco import MujocoRobot, SceneProbe
 from osc_contact.recorder.recording import column_names
 from osc_contact.robots.model import position_limits, sliding
 from osc_contact.runs import hardware
@@ -86,7 +86,7 @@ class Rule:
     Attributes:
         quantity: gives values, each with the words of the sentence.
         doubtful, refused: limits, in the quantity's unit.
-        sentence: format of the finding's text; {value} is the quantity, {limit} what it is above.
+        sentence: format of the finding's text, in which {value} is the quantity.
     """
 
     quantity: Callable[[Any], Values]
@@ -103,9 +103,7 @@ class Rule:
         for value, words in self.quantity(task):
             refused = not value <= self.refused
             if refused or value > self.doubtful:
-                limit = self.refused if refused else self.doubtful
-                words = {"value": value, "limit": limit, **words}
-                yield Finding(refused, self.sentence.format(**words))
+                yield Finding(refused, self.sentence.format(value=value, **words))
 
 
 def rule(
@@ -140,7 +138,8 @@ class Task:
         force_names: (r,) in messages. owners: (r,) the contact of each.
         rests: of each contact, whether its body does. kept_from: s, when contacts are to be kept.
         bound: whether all contacts are kept, also those whose force is zero.
-        robot: that will run, with what it measures now; None: the scenario's plant.
+        controller, robot, measured: that will run, and what it measures now; None: the scenario's
+            plant, whose controller is not made yet.
     """
 
     chain: ClosedChain
@@ -162,9 +161,14 @@ class Task:
     rests: Sequence[bool]
     bound: bool
     kept_from: float = 0.0
-    controller: Controller | None = None
+    controller: Any = None
     robot: Any = None
-    measured: Measurement | None = None
+    measured: Any = None
+
+    @cached_property
+    def probe(self) -> SceneProbe:
+        """What measures distances in the scene of a `MujocoRobot`."""
+        return self.robot.probe()
 
     @classmethod
     def of_rig(cls, rig: Rig) -> Task:
@@ -286,6 +290,8 @@ def preflight(
     else:
         of = Task.of_robot(task, controller, references)
         found = findings(ROBOT_RULES, of)
+        if isinstance(task, MujocoRobot):
+            found += findings(SCENE_RULES, of)
         if any(one.refused for one in found):  # what follows from it is no news
             return tuple(found)
     motion = findings(MOTION_RULES, of) or findings((joints,), of)
@@ -637,7 +643,6 @@ def least_peak(A: Array, b: Array) -> float:
 )
 def first_tick(task: Task) -> Values:
     """A copy of the controller is given what is measured and the first reference."""
-    assert task.controller is not None and task.measured is not None
     trial = copy(task.controller)
     trial.tick(task.measured, next(task.every(task.dt)))
     if trial.status is Status.HELD:
@@ -713,7 +718,7 @@ def measured_range(task: Task) -> Values:
 
 def rounded(x: Array, digits: int = 4) -> list[float]:
     """Of a vector, for messages."""
-    return list(np.round(x, digits).tolist())
+    return np.round(x, digits).tolist()
 
 
 def has_place(pair: ContactPair) -> bool:
@@ -731,8 +736,7 @@ def has_place(pair: ContactPair) -> bool:
 )
 def normals(rig: Rig) -> Values:
     """Faces that bring their own plate and face away from the robot."""
-    pin.forwardKinematics(rig.chain.model, rig.chain.data, rig.q_contact)
-    points = np.array([X.translation for X in (rig.state.X_WO, *rig.chain.tip_poses())])
+    points = np.array([rig.state.X_WO.translation, *rig.state.grasp_points])
     for spec in rig.scenario.contacts:
         face = getattr(spec, "face", None)
         if face is not None:
@@ -773,25 +777,17 @@ class _Solid:
     placement: pin.SE3
 
     @cached_property
-    def shapes(self) -> list[CollisionShape]:
-        """Of its file; none where they are not convex, or not there."""
+    def shapes(self) -> list[tuple[Any, pin.SE3]]:
+        """Of its file, with their poses; none where they are not convex, or not there."""
         try:
-            return collision_shapes(self.urdf)
+            return [(s.shape, self.placement * s.placement) for s in collision_shapes(self.urdf)]
         except (InvalidInputError, ModelError):
             return []
 
     def distance(self, point: Array) -> float:
         """Of a point of the world, not positive inside."""
-        ball = CollisionShape("point", coal.Sphere(1e-6), pin.SE3(np.eye(3), point))
-        return min(_distance(one, self.placement, ball, pin.SE3.Identity()) for one in self.shapes)
-
-
-def _distance(
-    first: CollisionShape, X_first: pin.SE3, second: CollisionShape, X_second: pin.SE3
-) -> float:
-    """Between two convex shapes of bodies at X, negative where they overlap (m)."""
-    X = X_first * first.placement
-    return nearest(first.shape, X, second.shape, X_second * second.placement).distance
+        ball = coal.Sphere(1e-6), pin.SE3(np.eye(3), point)
+        return min(nearest(*one, *ball).distance for one in self.shapes)
 
 
 def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
@@ -858,7 +854,7 @@ def inside(rig: Rig) -> Values:
     pairs = {solids["body"].name: solids.values() for _, _, solids in _solids(rig)}
     for name, (body, held) in pairs.items():
         for a in body.shapes if held.shapes else ():
-            depth = max(-_distance(a, body.placement, b, held.placement) for b in held.shapes)
+            depth = max(-nearest(*a, *b).distance for b in held.shapes)
             yield depth, {"name": name, "mm": 1e3 * depth}
 
 
@@ -895,29 +891,22 @@ def moved_mass(chain: ClosedChain) -> float:
     return float(held + sum(inertia.mass for inertia in list(chain.model.inertias)[1:]))
 
 
-def _scene(task: Task) -> Any:
-    """What measures distances in the scene of a `MujocoRobot`; None: another robot."""
-    return task.robot.probe() if isinstance(task.robot, MujocoRobot) else None
-
-
 def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]:
     """Each point of contact near the tool: pair, place, outward normal, distance to which geom."""
-    probe = _scene(task)
     X = task.state.X_WO
-    for pair in task.pairs if probe is not None and probe.pairs else ():
+    for pair in task.pairs if task.probe.pairs else ():
         if has_place(pair) and pushes_only(pair) and np.abs(pair.gaps(X)).max() < NEAR_M:
             for point, inward in zip(*feet(pair, X), strict=True):
-                yield pair, point, -inward, *probe.distance(point)
+                yield pair, point, -inward, *task.probe.distance(point)
 
 
 @rule("{why}")
 def period(task: Task) -> Values:
     """A control period that is no whole number of the scene's steps."""
-    if isinstance(task.robot, MujocoRobot):
-        try:
-            task.robot.require_steps(task.dt)
-        except PlantError as error:
-            yield 1.0, {"why": error}
+    try:
+        task.robot.require_steps(task.dt)
+    except PlantError as error:
+        yield 1.0, {"why": error}
 
 
 @rule(
@@ -926,8 +915,7 @@ def period(task: Task) -> Values:
 )
 def touchable(task: Task) -> Values:
     """Whether the tool is a ghost."""
-    probe = _scene(task)
-    if probe is not None and task.pairs and not probe.pairs:
+    if task.pairs and not task.probe.pairs:
         yield 1.0, {}
 
 
@@ -939,16 +927,13 @@ def touchable(task: Task) -> Values:
 )
 def masses(task: Task) -> Values:
     """Logarithm of the ratio of masses."""
-    if isinstance(task.robot, MujocoRobot) and task.controller is not None:
-        for what, mass in (
-            ("all that moves", moved_mass),
-            ("what the wrist carries", outboard_mass),
-        ):
-            modelled = mass(task.controller.chain)
-            true = mass(task.robot.chain)
-            if true > 0.0 and modelled > 0.0:
-                ratio = abs(np.log(modelled / true))
-                yield ratio, {"what": what, "modelled": modelled, "true": true}
+    kinds = {"all that moves": moved_mass, "what the wrist carries": outboard_mass}
+    for what, mass in kinds.items():
+        modelled = mass(task.controller.chain)
+        true = mass(task.chain)
+        if true > 0.0 and modelled > 0.0:
+            ratio = abs(np.log(modelled / true))
+            yield ratio, {"what": what, "modelled": modelled, "true": true}
 
 
 @rule(
@@ -977,11 +962,9 @@ def turn(task: Task) -> Values:
     for pair, point, normal, away, geom in _faces(task):
         if abs(away) > PLACE_REFUSED:
             continue
-        probe = _scene(task)
+        distance = task.probe.distance
         steps = SCENE_PROBE_M * np.eye(3)
-        rise = np.array(
-            [probe.distance(point + e)[0] - probe.distance(point - e)[0] for e in steps]
-        )
+        rise = np.array([distance(point + e)[0] - distance(point - e)[0] for e in steps])
         own = rise / max(norm(rise), 1e-12)
         plane = getattr(pair, "normal", None)
         # at edges and corners geometry recedes in many directions
@@ -999,9 +982,8 @@ def turn(task: Task) -> Values:
 )
 def penetration(task: Task) -> Values:
     """Depth of the tool in the scene (m)."""
-    probe = _scene(task)
-    if probe is not None and probe.pairs:
-        away, geom = probe.clearance()
+    if task.probe.pairs:
+        away, geom = task.probe.clearance()
         yield -away, {"geom": geom}
 
 
@@ -1017,7 +999,7 @@ def tool(task: Task) -> Values:
     if faces and max(abs(away) for *_, away, _ in faces) <= PLACE_DOUBTFUL:
         X = task.state.X_WO
         gap = min(np.min(pair.gaps(X)) for pair in task.pairs if pushes_only(pair))
-        away, geom = _scene(task).clearance()
+        away, geom = task.probe.clearance()
         words = {"geom": geom, "gap": round(1e3 * gap, 3) + 0.0, "away": 1e3 * away}
         yield abs(away - gap), words
 
@@ -1027,5 +1009,5 @@ SCENE_RULES = (period, touchable, masses, place, turn, penetration, tool)
 #: What a task has to follow; a new rule is entered in one of these rows. `joints` go through a
 #: motion that none of `MOTION_RULES` finds fault with.
 RIG_RULES = (sensors, tare, springs, swinging, *PLACE_RULES, friction, carts, landing)
-ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range, *SCENE_RULES)
+ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range)
 MOTION_RULES = (stretched, postures, lifted)
