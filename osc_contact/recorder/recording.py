@@ -82,10 +82,9 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
                 start += len(values)
             file.write(bytes(size - file.seek(0, os.SEEK_END)))  # channels without numbers
             file.seek(0)
-            whole: Any = bytearray()
             if size > IN_MEMORY:
                 file.flush()
-                whole = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+                whole: Any = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
             else:
                 whole = bytearray(file.read())
     except OSError as error:

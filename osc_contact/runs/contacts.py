@@ -230,7 +230,7 @@ def feet_over(
     if isinstance(pair, SphereOnSurface):
         points = pair.feet(X_WO, X_WE)
     elif surface is not None:
-        surface = surface[:, None] if X_WE is None else X_WE.p + X_WE.rotate(surface[:, None])
+        surface = surface[:, None] if X_WE is None else X_WE.act(surface[:, None])
         height = (directions * (surface - X_WO.p)[:, None]).sum(axis=0)  # along each line, from O
         points = points + (height - getattr(pair, "surface_radius", 0.0)) * directions
     return points, np.where(force > 0.0, directions, moments)

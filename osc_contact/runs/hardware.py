@@ -202,7 +202,6 @@ class ObservedRobot:
         spec = scenario.sensors
         estimate = scenario.control.estimate
         self._joints: VelocityEstimate | None = None
-        self._spec = spec
         if spec.encoder is not None:
             noise, step = (
                 _joint_errors(chain, spec.encoder, attrgetter(e)) for e in ("noise", "resolution")
@@ -212,6 +211,7 @@ class ObservedRobot:
             limit = np.where(limit > 0.0, limit, np.inf)
             period = max(self.dt, 1.0 / spec.encoder.rate)
             self._reach = scenario.control.safety.plausible_speed * limit * period
+            self._delay = spec.encoder.delay
             self._accepted = np.full(chain.nq, np.nan)
             self._missed = np.zeros(chain.nq)
             self._joints = VelocityEstimate.optimal(
@@ -248,14 +248,14 @@ class ObservedRobot:
         stamps = measurement.stamps
         if stamps is None:
             return measurement
-        if self._joints is not None and self._spec.encoder is not None:
+        if self._joints is not None:
             bad = self._implausible(measurement.q)
             if bad.any() and self._joints.x is None:
                 return measurement
             fresh = stamps.encoders > self._seen.encoders
             q = np.where(bad, np.nan, measurement.q)
             q, v = self._joints.update(q, self._acceleration, fresh)
-            q = np.where(bad, np.nan, q + self._spec.encoder.delay * v)
+            q = np.where(bad, np.nan, q + self._delay * v)
             measurement = replace(measurement, q=q, v=v, estimated=True)
         if self.vision is not None and measurement.touched is not None:
             now = self._ticks * self.dt

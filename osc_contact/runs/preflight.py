@@ -86,7 +86,7 @@ class Rule:
     Attributes:
         quantity: gives values, each with the words of the sentence.
         doubtful, refused: limits, in the quantity's unit.
-        sentence: format of the finding's text, in which {value} is the quantity.
+        sentence: format of the finding's text; {value} is the quantity, {mm} a thousand times that.
     """
 
     quantity: Callable[[Any], Values]
@@ -103,7 +103,7 @@ class Rule:
         for value, words in self.quantity(task):
             refused = not value <= self.refused
             if refused or value > self.doubtful:
-                yield Finding(refused, self.sentence.format(value=value, **words))
+                yield Finding(refused, self.sentence.format(value=value, mm=1e3 * value, **words))
 
 
 def rule(
@@ -741,7 +741,7 @@ def normals(rig: Rig) -> Values:
         face = getattr(spec, "face", None)
         if face is not None:
             behind = np.min((np.array(face.point) - points) @ face.normal)
-            yield behind, {"name": spec.name, "mm": 1e3 * behind}
+            yield behind, {"name": spec.name}
 
 
 @rule(
@@ -760,7 +760,6 @@ def start(rig: Rig) -> Values:
         points.extend(feet(pair, now)[0])
     moved = max(norm(p - given.act(now.actInv(p))) for p in points)
     words = {
-        "mm": 1e3 * moved,
         "where": rounded(now.translation),
         "turned": np.rad2deg(norm(pin.log3(given.rotation.T @ now.rotation))),
         "given": rounded(given.translation),
@@ -811,8 +810,7 @@ def beside(rig: Rig) -> Values:
         for solid in solids.values():
             for point in feet(pair, rig.state.X_WO)[0] if solid.shapes else ():
                 away = solid.distance(point)
-                where = rounded(point, 3)
-                yield away, {"name": pair.name, "point": where, "mm": 1e3 * away, "solid": solid}
+                yield away, {"name": pair.name, "point": rounded(point, 3), "solid": solid}
                 if away > BESIDE_M:
                     break
 
@@ -855,7 +853,7 @@ def inside(rig: Rig) -> Values:
     for name, (body, held) in pairs.items():
         for a in body.shapes if held.shapes else ():
             depth = max(-nearest(*a, *b).distance for b in held.shapes)
-            yield depth, {"name": name, "mm": 1e3 * depth}
+            yield depth, {"name": name}
 
 
 # --- every task ---------------------------------------------------------------------------------
@@ -879,7 +877,7 @@ def lifted(task: Task) -> Values:
         if task.rests[i] and gaps:
             worst = np.abs(gaps).max(initial=0.0)
             way = "into" if -np.min(gaps, initial=0.0) >= np.max(gaps, initial=0.0) else "off"
-            yield worst, {"mm": 1e3 * worst, "way": way, "name": pair.name}
+            yield worst, {"way": way, "name": pair.name}
 
 
 # --- places: a robot in a MuJoCo scene ------------------------------------------------------------
@@ -946,8 +944,7 @@ def place(task: Task) -> Values:
     """Distance of a face from the geometry of the scene (m)."""
     for pair, point, _, away, geom in _faces(task):
         side = "before" if away > 0.0 else "inside"
-        at = rounded(point)
-        words = {"name": pair.name, "point": at, "mm": 1e3 * abs(away), "side": side, "geom": geom}
+        words = {"name": pair.name, "point": rounded(point), "side": side, "geom": geom}
         yield abs(away), words
 
 

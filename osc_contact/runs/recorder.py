@@ -205,7 +205,7 @@ def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
         p = of.placements[i].translation[:, None]
         if X_WE is not None:
             R = X_WE.rotate(R)
-            p = X_WE.p + X_WE.rotate(p)
+            p = X_WE.act(p)
         out[:, i] = Poses(R, p).coordinates(k)
     return out
 

@@ -40,7 +40,7 @@ def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
             f"direction: common_tangent needs contact forces that span a plane; {len(pairs)} "
             f"contacts span {rank} dimension(s). Give the direction as [x, y, z] instead."
         )
-    direction: Array = Vh[2]
+    direction = Vh[2]
     return direction * np.sign(direction[np.abs(direction).argmax()])
 
 
@@ -61,6 +61,7 @@ def force_steps(scenario: Scenario) -> list[float]:
     return sorted(steps)
 
 
+_WHOLE = np.array([[1.0], [0.0], [0.0]])  #: the constant 1, with its derivatives
 _AT_ONCE = 1000  #: references that are worked out together
 _BEGINNING = 3.0  #: times the approach after a tare, until the motion is that of the signals
 
@@ -150,14 +151,13 @@ class References:
         place = np.zeros((3, 3, len(t)))  # of the origin without them
         place[0] = self.X_start.translation[:, None]
         turn = _Turn.start(len(t))
-        whole = np.outer([1.0, 0.0, 0.0], np.ones(len(t)))
         tare = self.scenario.tare
-        begun = whole  # share of the motion
+        begun = _WHOLE  # share of the motion
         twists = []
         if tare is not None:
             begun = np.array(rise(t, tare.duration, _BEGINNING * tare.approach))
             near = np.array(rise(t, tare.duration, tare.approach))
-            twists.append((self.standoff, whole - near))
+            twists.append((self.standoff, _WHOLE - near))
         ways = [
             (one, np.einsum("ij,djk->dik", one.axes, product(begun, move.over(t))))
             for one, move in zip(self.surfaces, self.scenario.motion, strict=True)
@@ -422,8 +422,7 @@ def slides(dither: Dither, start: float, t: Array) -> Array:
     sine = Sine[Length](
         amplitude=dither.amplitude, frequency=dither.frequency, start=start, ramp=quarter
     )
-    whole = np.array([[1.0], [0.0], [0.0]])
-    return product(sine.at(t), whole - rise(t, start + 3.0 * quarter, quarter))
+    return product(sine.at(t), _WHOLE - rise(t, start + 3.0 * quarter, quarter))
 
 
 def opposed(pairs: Sequence[ContactPair], state: ChainState) -> tuple[Array, Array, Array] | None:
@@ -459,7 +458,7 @@ def showing_twist(pairs: Sequence[ContactPair], state: ChainState, N: Array) -> 
     mobile = np.linalg.solve(state.S.T @ state.metric @ state.S, rows.T)
     along_only = np.eye(len(rows))[-1]
     multipliers = np.linalg.lstsq(rows @ mobile, along_only, rcond=1e-9)[0]
-    V: Array = state.S @ (mobile @ multipliers)
+    V = state.S @ (mobile @ multipliers)
     return V if abs(along @ V - 1.0) < 1e-6 else np.zeros(6)
 
 

@@ -154,6 +154,7 @@ class Rig:
         q_start: (n,) where the run starts: the same, or off the contacts if it begins with a tare.
         references: of the run.
         X_given: the pose of the object that the scenario gives.
+        state: the true chain at rest in contact.
     """
 
     scenario: Scenario
@@ -165,6 +166,7 @@ class Rig:
     q_start: Array
     references: References
     X_given: pin.SE3
+    state: ChainState
 
     def plant(self, seed: int = 0) -> Plant:
         """The plant the scenario names, at its start, seen through its sensors.
@@ -282,13 +284,8 @@ class Rig:
         return force_names(self.scenario)
 
     @cached_property
-    def state(self) -> ChainState:
-        """The true chain at rest in contact."""
-        return self.chain.state(self.q_contact, np.zeros(self.chain.nq))
-
-    @cached_property
     def contact(self) -> Contact:
-        """The contact state there."""
+        """The contact state where the chain is at rest in contact."""
         return contact_at(self.pairs, self.state.X_WO)
 
 
@@ -370,7 +367,9 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     if tare is not None:
         q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
     bodies = environment_bodies(scenario)
-    return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_given)
+    return Rig(
+        scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_given, state
+    )
 
 
 def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> ClosedChain:

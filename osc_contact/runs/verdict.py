@@ -219,7 +219,7 @@ class _Sums:
             recording: with a judge. least_cycle: see `worst_cycles`.
         """
         meta = recording.meta
-        self.ticks = JudgedTicks(meta, len(recording.magnitude_names))
+        self.ticks = JudgedTicks(recording)
         self.duration = len(recording) / float(meta["control_rate_hz"])
         self.opened, self.judged, self.longest, run = np.zeros((4, len(meta["contact_names"])), int)
         self.command, self.error, self.sensing = (_Series() for _ in range(3))
@@ -283,7 +283,7 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
         "motion": {"rms_error_m": position, "rms_error_rad": orientation},
         "contact_fraction": dict(zip(contacts, sums.closed.mean(), strict=False)),
         "first_contact_s": dict(zip(contacts, sums.ticks.landed, strict=True)),
-        "steps": step_answers(recording, sums.ticks.landed),
+        "steps": step_answers(recording, sums.ticks),
         "judged_ticks": sums.count,
         "power": {
             "total_rms_W": total,
@@ -433,13 +433,13 @@ def _ratio(part: float | None, whole: float | None) -> float | None:
     return part / whole if whole and part is not None else None
 
 
-def step_answers(recording: Recording, landings: Sequence[float | None]) -> list[dict[str, Any]]:
+def step_answers(recording: Recording, ticks: JudgedTicks) -> list[dict[str, Any]]:
     """First contacts and steps of desired forces, each with the overshoot that it caused.
 
     overshoot = largest (true − desired force) in the direction of the step, within `STEP_WINDOW_S`.
 
     Args:
-        recording: with a judge. landings: when each contact first closed (s), None: never.
+        recording: with a judge. ticks: all of it, added.
 
     Returns:
         In order of time, of each magnitude that stepped: t_s, force, what ("first contact" or
@@ -447,11 +447,10 @@ def step_answers(recording: Recording, landings: Sequence[float | None]) -> list
         true and the desired force, peak_N and commanded_N.
     """
     rate = float(recording.meta["control_rate_hz"])
-    owners = list(recording.meta.get("columns", range(len(recording.magnitude_names))))
     steps = sorted({round(t * rate) for t in recording.meta["force_steps_s"]})
     changes = []
-    for column, owner in enumerate(owners):
-        first = landings[owner]
+    for column, owner in enumerate(ticks.columns):
+        first = ticks.landed[owner]
         if first is not None:
             changes.append((round(first * rate), column, True))
         begin = max(2, round((first or 0.0) * rate))

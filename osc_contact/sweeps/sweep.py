@@ -9,7 +9,6 @@ import logging
 import os
 import signal
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -80,7 +79,7 @@ class RigBuilder(threading.local):
 
     def __init__(self) -> None:
         """No chains."""
-        self._chains: OrderedDict[str, ClosedChain] = OrderedDict()
+        self._chains: dict[str, ClosedChain] = {}
 
     def rig(self, scenario: Scenario) -> Rig:
         """See `build_rig`."""
@@ -89,12 +88,11 @@ class RigBuilder(threading.local):
     def _chain(self, scenario: Scenario, error: ModelErrorSpec) -> ClosedChain:
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
         key = json.dumps([content, dict(error), str(scenario.source)], sort_keys=True)
-        if key not in self._chains:
-            self._chains[key] = build_chain(scenario, error)
-            if len(self._chains) > _KEPT:
-                self._chains.popitem(last=False)
-        self._chains.move_to_end(key)
-        return self._chains[key]
+        chain = self._chains.pop(key, None) or build_chain(scenario, error)
+        self._chains[key] = chain  # behind those that were used before
+        if len(self._chains) > _KEPT:
+            del self._chains[next(iter(self._chains))]
+        return chain
 
 
 _rigs = RigBuilder()
