@@ -21,7 +21,6 @@ from osc_contact.plants.joint_drives import FlexibleJoints, JointDrives, Motors
 from osc_contact.plants.judge import Plant
 from osc_contact.plants.sensors import SensorErrors, Sensors
 from osc_contact.robots.model import sliding
-from osc_contact.runs.contacts import EnvironmentBody
 from osc_contact.scenarios.hardware import Clock, EncoderSpec, SensorsSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
@@ -93,11 +92,13 @@ def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]
     return np.concatenate(numbers)
 
 
-def sensors(spec: SensorsSpec, chain: ClosedChain, bodies: Sequence[EnvironmentBody]) -> Sensors:
+def sensors(spec: SensorsSpec, chain: ClosedChain, markers: Array) -> Sensors:
     """The plant's sensors with the errors of a scenario.
 
     Args:
-        spec: `plant.sensors`. chain: of the arms. bodies: that cameras track.
+        spec: `plant.sensors`. chain: of the arms.
+        markers: (contacts, 4, 4) frames of the bodies that cameras track in E, the world at the
+            start.
     """
 
     def six(wrist: Any, error: Any) -> Array:
@@ -108,7 +109,7 @@ def sensors(spec: SensorsSpec, chain: ClosedChain, bodies: Sequence[EnvironmentB
         joint_torques=_sensor(spec.joint_torque, lambda torque, e: e(torque) * chain.tau_max),
         wrists=_sensor(spec.wrist, six),
         vision=spec.vision,
-        markers=_markers(bodies),
+        markers=markers,
     )
 
 
@@ -120,12 +121,6 @@ def _sensor(
         return None
     errors = map(attrgetter, ("noise", "bias", "resolution"))
     return clock, SensorErrors(*[size(clock, error) for error in errors])
-
-
-def _markers(bodies: Sequence[EnvironmentBody]) -> Array | None:
-    """(contacts, 4, 4) frames of the bodies' URDFs in E, the world at the start."""
-    of = {i: body.placement.homogeneous for body in bodies for i in body.contacts}
-    return np.array([of[i] for i in sorted(of)]) if of else None
 
 
 def _joint_errors(chain: ClosedChain, spec: EncoderSpec, error: Callable[[Any], float]) -> Array:
@@ -183,13 +178,13 @@ class ObservedRobot:
         robot: Robot,
         controller: Controller,
         scenario: Scenario,
-        bodies: Sequence[EnvironmentBody],
+        markers: Array,
     ) -> None:
         """Set up the estimates from the errors the scenario gives the sensors.
 
         Args:
             robot: that measures. controller: of it. scenario: with the sensors.
-            bodies: that cameras track.
+            markers: as of `sensors`.
         """
         self.robot = robot
         self.controller = controller
@@ -231,7 +226,7 @@ class ObservedRobot:
                 dt=self.dt,
                 period=1.0 / camera.rate,
                 delay=camera.delay,
-                markers=_markers(bodies),
+                markers=markers,
             )
 
     def _implausible(self, q: Array) -> NDArray[np.bool_]:

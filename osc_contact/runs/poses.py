@@ -117,7 +117,7 @@ def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = No
         start: (n,) where to look first, before random postures between the limits.
         seed: of these; None: 0. If it is given they come first, and may find other postures.
     """
-    best: Posture | None = None
+    missed = []
     random = robots.random_configurations(chain.model, TRIES, seed or 0)
     for q in (start, *random) if seed is None else (*random, start):
         try:
@@ -125,16 +125,15 @@ def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = No
         except ModelError:  # it circles about a pose out of reach
             continue
         posture = Posture(found, _miss(chain, found, X_WO))
-        if best is None or posture.reached or sum(posture.miss) < sum(best.miss):
-            best = posture
-        if best.reached:
-            return best
-    if best is None:
+        if posture.reached:
+            return posture
+        missed.append(posture)
+    if not missed:
         raise ModelError(
             f"no posture comes near {np.round(X_WO.translation, 4).tolist()} m; is it within the "
             "arms' reach?"
         )
-    return best
+    return min(missed, key=lambda posture: sum(posture.miss))
 
 
 def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
@@ -327,12 +326,13 @@ def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
         names = ", ".join(joint_names(model))
         raise InvalidInputError(f"posture: {len(q)} numbers for {model.nv} joints: {names}")
     pin.forwardKinematics(model, data, q)
-    X_WT = pin.updateFramePlacement(model, data, robots.frame_id(model, arm.tip))
+    tip = robots.frame_id(model, arm.tip)
+    X_WT = pin.updateFramePlacement(model, data, tip)
     axis = np.array(press.axis)
     grasp = pin.SE3(triad(axis), np.zeros(3))  # the stylus points along the axis
     down = X_WT.rotation @ axis
     point = X_WT.translation + (LENGTH_M + BALL_M) * down
-    along = _tangent(model, data, q, robots.frame_id(model, arm.tip), down)
+    along = _tangent(model, data, q, tip, down)
     joints = ", ".join(joint_names(model))
     travel = min(20.0, 1e3 * 0.05 * norm(X_WT.translation))
     return f"""\
@@ -401,7 +401,7 @@ def _tangent(model: pin.Model, data: pin.Data, q: Array, tip: int, down: Array) 
     """The direction (3,) along the plate in which the tip moves most easily."""
     J, M = _jacobian(model, data, q, tip)
     P = np.eye(3) - np.outer(down, down)
-    along: Array = np.linalg.eigh(P @ J @ np.linalg.solve(M, J.T) @ P)[1][:, -1]
+    along = np.linalg.eigh(P @ J @ np.linalg.solve(M, J.T) @ P)[1][:, -1]
     return along * np.sign(along[np.abs(along).argmax()])
 
 

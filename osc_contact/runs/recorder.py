@@ -11,7 +11,6 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from osc_contact.contacts.pairs.pair import ContactPair, normals_over, pushes_only
 from osc_contact.control.controller import Controller
@@ -40,13 +39,14 @@ class Subject:
 
     Attributes:
         controller: whose ticks are noted.
-        pairs: the true contacts. placements: X_WB of the body of each at the start.
+        pairs: the true contacts. placements: (contacts, 4, 4) X_WB of the body of each at the
+            start.
         owners: (r,) the contact of each force magnitude.
     """
 
     controller: Controller
     pairs: tuple[ContactPair, ...]
-    placements: tuple[pin.SE3, ...]
+    placements: Array
     owners: Array
 
 
@@ -200,9 +200,9 @@ def _feet(of: Subject, truth: Truths, k: int) -> tuple[Array, Array]:
 
 def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
     out = np.zeros((k, len(of.pairs), 7))
-    for i, X_WE in enumerate(truth.X_WE):
-        R = of.placements[i].rotation[:, :, None]
-        p = of.placements[i].translation[:, None]
+    for i, (X_WB, X_WE) in enumerate(zip(of.placements, truth.X_WE, strict=True)):
+        R = X_WB[:3, :3, None]
+        p = X_WB[:3, 3:]
         if X_WE is not None:
             R = X_WE.rotate(R)
             p = X_WE.act(p)
@@ -441,7 +441,7 @@ def recording_of(
 def _subject(controller: Controller) -> Subject:
     """What a controller by itself has of its contacts."""
     pairs = tuple(controller.contacts)
-    world = (pin.SE3.Identity(),) * len(pairs)
+    world = np.tile(np.eye(4), (len(pairs), 1, 1))
     return Subject(controller, pairs, world, force_owners(pairs))
 
 

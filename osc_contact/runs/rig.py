@@ -188,7 +188,8 @@ class Rig:
         plant.reset(self.q_start)
         if scenario.sensors.ideal:
             return plant
-        return SensedPlant(plant, hardware.sensors(scenario.sensors, self.chain, self.bodies), seed)
+        sensors = hardware.sensors(scenario.sensors, self.chain, self.placements)
+        return SensedPlant(plant, sensors, seed)
 
     def at_start(self, read: Measurement) -> Measurement:
         """What ideal encoders and trackers would have read at the start, where all is at rest."""
@@ -205,13 +206,12 @@ class Rig:
         if (loop := hardware.torque_loop(self.scenario, self.chain, joints)) is not None:
             robot = hardware.TorqueLoopRobot(plant, loop)
         if not self.scenario.sensors.ideal:
-            robot = hardware.ObservedRobot(robot, controller, self.scenario, self.bodies)
+            robot = hardware.ObservedRobot(robot, controller, self.scenario, self.placements)
         return robot
 
     def subject(self, controller: Controller) -> Subject:
         """What a recording of this rig is of."""
-        on = tuple(self.bodies[body].placement for body in self.on)
-        return Subject(controller, self.pairs, on, self.owners)
+        return Subject(controller, self.pairs, self.placements, self.owners)
 
     @property
     def gains(self) -> Gains:
@@ -272,6 +272,11 @@ class Rig:
         """The body of each contact, a number of `bodies`."""
         of = {i: k for k, body in enumerate(self.bodies) for i in body.contacts}
         return tuple(of[i] for i in range(len(self.pairs)))
+
+    @cached_property
+    def placements(self) -> Array:
+        """(contacts, 4, 4) X_WB at the start, of the body of each contact."""
+        return np.reshape([self.bodies[i].placement.homogeneous for i in self.on], (-1, 4, 4))
 
     @cached_property
     def owners(self) -> Array:

@@ -39,7 +39,8 @@ class Rule:
         subject: "run", "force", "contact" or "doubt": of what the quantity is.
         quantity: name of the number that is compared.
         limit: key of `VerdictSpec`; a number: this one, in every scenario.
-        sentence: with the numbers of its subject, {limit} among them.
+        sentence: with the numbers of its subject and {limit}; {mm} and {limit_mm} are a thousand
+            times the quantity and its limit.
     """
 
     word: str
@@ -66,7 +67,7 @@ RULES = (
         "run",
         "distance",
         "distance",
-        "the object was {distance_mm:.0f} mm away from its reference (limit {limit_mm:.0f} mm); "
+        "the object was {mm:.0f} mm away from its reference (limit {limit_mm:.0f} mm); "
         "command a slower or smaller motion, or check gains, model and friction",
     ),
     Rule(
@@ -363,7 +364,6 @@ def _facts(
         "stopped": meta.get("end_state") == "SAFE_STOP",
         "reason": meta.get("first_reason") or meta.get("end_reason") or "not recorded",
         "distance": distance,
-        "distance_mm": 1e3 * (distance or 0.0),
         "angle": angle,
         "held_share": verdict["status"]["held"] / verdict["ticks"],
         "motors": ", ".join(joint for joint, _ in verdict["at_limit"][:3]) or "some",
@@ -523,8 +523,8 @@ def judge_task(
         for i, fact in enumerate(facts[rule.subject]):
             value = fact[rule.quantity]
             if value is not None and value > limit:
-                words = {**fact, "limit": limit, "limit_mm": 1e3 * limit}
-                text = rule.sentence.format(**words)
+                mm = {"mm": 1e3 * value, "limit_mm": 1e3 * limit}
+                text = rule.sentence.format(**fact, limit=limit, **mm)
                 found.setdefault((rule.subject, i, rule.quantity), (rule, text))
     return {
         "word": next((rule.word for rule, _ in found.values()), "OK"),

@@ -302,7 +302,7 @@ class SweepStudy:
             text, path = read_text(scenario)
             source = str(path.resolve())
             name = str(scenario)
-        pairs = [f"{k}={v}" for k, v in vary.items()] if isinstance(vary, Mapping) else list(vary)
+        pairs = texts(vary) if isinstance(vary, Mapping) else vary
         study = cls(text, source, tuple(pairs), samples, design, seed, tuple(overrides), name)
         study.require_sound()
         return study
@@ -333,7 +333,7 @@ class SweepStudy:
             raise InvalidInputError(f"a key varies twice: {paths}")
         sample = self.sample(0)
         try:
-            self.template.make([*self.overrides, *texts(sample.overrides)])
+            self.scenario(sample)
         except ScenarioError as error:
             raise ScenarioError(f"the first of the runs cannot be made:\n{error}") from error
 
@@ -388,6 +388,10 @@ class SweepStudy:
             overrides[path], values = distribution.draw(own, self._stated.get(path))
             shown |= {path + suffix: value for suffix, value in values.items()}
         return overrides, shown
+
+    def scenario(self, sample: Sample) -> Scenario:
+        """The scenario of one run."""
+        return self.template.make([*self.overrides, *texts(sample.overrides)])
 
     def command(self, number: int) -> str | None:
         """The line of a shell that runs one sample by itself; None: it was made in Python."""

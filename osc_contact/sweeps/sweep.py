@@ -36,7 +36,7 @@ from osc_contact.runs.run import Install, run
 from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.control_schema import ModelErrorSpec
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.sweeps.study import Design, Sample, SweepStudy, texts
+from osc_contact.sweeps.study import Design, Sample, SweepStudy
 
 #: Words beside those of `runs.verdict`: it could not be built or is not possible; the simulation
 #: diverged; the process that ran it died.
@@ -139,24 +139,19 @@ def record_sample(study: SweepStudy, sample: Sample, install: Install | None = N
     Raises:
         OscContactError: it cannot be built, is not possible, or diverges.
     """
-    scenario = scenario_of(study, sample)
-    return run(scenario, seed=sample.seed, install=install, build=_rigs.rig)
+    return run(study.scenario(sample), seed=sample.seed, install=install, build=_rigs.rig)
 
 
-def scenario_of(study: SweepStudy, sample: Sample) -> Scenario:
-    """The scenario of one run."""
-    return study.template.make([*study.overrides, *texts(sample.overrides)])
-
-
-def require_long_enough(scenario: Scenario) -> None:
+def require_long_enough(study: SweepStudy) -> None:
     """Refuse runs that end before they are judged.
 
     Raises:
-        InvalidInputError: with the duration.
+        InvalidInputError: with the duration of the first.
     """
-    if scenario.duration <= SETTLE_S:
+    duration = study.scenario(study.sample(0)).duration
+    if duration <= SETTLE_S:
         raise InvalidInputError(
-            f"runs of {scenario.duration:g} s end before t = {SETTLE_S:g} s, from where they are "
+            f"runs of {duration:g} s end before t = {SETTLE_S:g} s, from where they are "
             "judged; give a longer --duration"
         )
 
@@ -177,7 +172,7 @@ def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
     task = verdict["task"]
     row = _head(sample, task["word"], "\n".join(task["why"]), task["failed"])
     row["doubts"] = "\n".join(recording.meta["doubts"])
-    row |= _flat("", {k: v for k, v in verdict.items() if k not in _LEFT_OUT})
+    row |= _flat({k: v for k, v in verdict.items() if k not in _LEFT_OUT})
     for name in ("overshoot_N", "overshoot_rel"):
         row[name] = max((step[name] for step in verdict["steps"]), default=None)
     return row
@@ -188,12 +183,12 @@ def _head(sample: Sample, word: str, why: str, failed: bool = True) -> Row:
     return {"row": sample.number, "seed": sample.seed, **sample.shown, **about}
 
 
-def _flat(path: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
     """{"a": {"b": 1}} → ("a.b", 1)"""
     for key, value in values.items():
-        name = f"{path}.{key}" if path else str(key)
+        name = f"{before}{key}"
         if isinstance(value, Mapping):
-            yield from _flat(name, value)
+            yield from _flat(value, f"{name}.")
         else:
             yield name, value
 
@@ -238,7 +233,7 @@ class RowFile:
         if not whole:
             self._file.truncate(0)
             named = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
-            self._write(named if laws is None else named | {"laws": laws})
+            self.write(named if laws is None else named | {"laws": laws})
             return
         head, *rows = map(_parsed, whole.splitlines())
         if (head.get("study"), head.get("laws")) != (study.fingerprint, laws):
@@ -250,13 +245,8 @@ class RowFile:
         self.done |= {row["row"]: row for row in rows if type(row.get("row")) is int}
         self._file.truncate(len(whole))  # once all of it is sound
 
-    def append(self, rows: Iterable[Row]) -> None:
-        """Keep rows, now."""
-        for row in rows:
-            self.done[row["row"]] = row
-            self._write(row)
-
-    def _write(self, row: Row) -> None:
+    def write(self, row: Row) -> None:
+        """Keep a row, now."""
         self._file.write(json.dumps(row).encode() + b"\n")
         self._file.flush()
 
@@ -394,7 +384,7 @@ def run_rows(
         laws: see `RowFile`.
         workers, scheduler, progress: as of `sweep`.
     """
-    require_long_enough(scenario_of(study, study.sample(0)))
+    require_long_enough(study)
     with ExitStack() as stack:
         rows = None
         if file is not None:
@@ -408,7 +398,7 @@ def run_rows(
             done[row["row"]] = row
             ended += 1
             if rows is not None:
-                rows.append([row])
+                rows.write(row)
             if progress is not None:
                 progress(ended, study.rows)
     return {number: done[number] for number in range(study.rows)}

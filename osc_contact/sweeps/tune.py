@@ -15,7 +15,6 @@ from osc_contact.sweeps.sweep import (
     make_all,
     make_rows,
     require_long_enough,
-    scenario_of,
     workers_of,
 )
 
@@ -100,7 +99,7 @@ def tune(
 
     tuned = tuple(vary) or _stated(scenario, overrides)
     keys = SweepStudy.of(scenario, tuned, 1, "halton", seed, overrides)
-    require_long_enough(scenario_of(keys, keys.sample(0)))
+    require_long_enough(keys)
     base = replace(keys, vary=tuple(over), samples=samples)
     shipped = make_rows(base, range(samples))
     if any(row["failed"] for row in shipped):

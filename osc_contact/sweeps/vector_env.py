@@ -23,7 +23,7 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, moved
 from osc_contact.sweeps.fleet import Fleet, Start
 from osc_contact.sweeps.study import SEED, SweepStudy
-from osc_contact.sweeps.sweep import RigBuilder, available_cores, scenario_of, without_logged_doubts
+from osc_contact.sweeps.sweep import RigBuilder, available_cores, without_logged_doubts
 
 # --- Episodes -----------------------------------------------------------------------------------
 
@@ -55,7 +55,7 @@ def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
 
     @cache
     def make(number: int) -> Episode:
-        rig = rigs.rig(scenario_of(study, study.sample(number)))
+        rig = rigs.rig(study.scenario(study.sample(number)))
         steps = int(np.floor(rig.scenario.duration / period + 1e-9))
         plan = rig.references.over(np.arange(steps + 1) * period)
         places = np.array([pin.XYZQUATToSE3(x).homogeneous for x in plan.X_WD])
