@@ -26,6 +26,7 @@ from osc_contact.contacts.pairs.pair import (
 )
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.dynamics.environment import Body, Conveyor, Guided, Rail, Yielding
+from osc_contact.dynamics.grasp import moved
 from osc_contact.errors import ScenarioError
 from osc_contact.scenarios.bodies import (
     CartSpec,
@@ -104,9 +105,7 @@ def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
             )
         for j, column in enumerate(N.T):
             V = _STEP * column / max(norm(column), 1e-12)
-            turned = pin.exp3(V[3:]) @ X_WO.rotation
-            moved = spec.pair.gaps(pin.SE3(turned, X_WO.translation + V[:3]))
-            rate = (moved[j] - before[j]) / _STEP
+            rate = (spec.pair.gaps(moved(X_WO, V))[j] - before[j]) / _STEP
             want = -column @ V / _STEP
             if abs(rate - want) > 0.5 * abs(want):
                 raise ScenarioError(

@@ -28,7 +28,7 @@ from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.loader import parse_scenario
 from osc_contact.scenarios.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array, norm
+from osc_contact.spatial import Array, norm, pose_error
 
 TRIES = 40  #: random postures from which a pose is sought, after the given one
 #: a pose that is missed by less is reached
@@ -141,8 +141,7 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
     away = []
     for tip, grasp in zip(chain.tip_poses(), chain.grasps, strict=True):
         X = tip * grasp.X_TO
-        turn = norm(pin.log3(X.rotation.T @ X_WO.rotation))
-        shift = norm(X.translation - X_WO.translation)
+        shift, turn = map(norm, np.split(pose_error(X_WO, X), 2))
         # what a loose grasp permits is no miss
         away.append((shift, turn) if grasp.is_rigid else (norm(grasp.miss(tip, X_WO)), 0.0))
     shift, turn = np.max(away, axis=0).tolist()

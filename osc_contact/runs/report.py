@@ -140,8 +140,7 @@ def basis_tables(inspection: Inspection) -> Iterator[Table]:
         f"N: forces the contacts transmit {where}",
         inspection.N,
         inspection.contacts,
-        ("force", "moment"),
-        ("", "m"),
+        ("force {}", "moment {} (m)"),
     )
     names = [f"t{i + 1}" for i in range(inspection.T.shape[1])]
     largest = np.abs(inspection.T).max(axis=0, initial=1e-300)
@@ -149,8 +148,7 @@ def basis_tables(inspection: Inspection) -> Iterator[Table]:
         f"T: motions they permit {where}",
         inspection.T / largest,
         names,
-        ("linear", "angular"),
-        ("m/s", "rad/s"),
+        ("linear {} (m/s)", "angular {} (rad/s)"),
     )
 
 
@@ -213,13 +211,11 @@ def _range(low: float, high: float, digits: int = 4) -> str:
     return " … ".join(words)
 
 
-def _basis(
-    title: str, basis: Array, names: Sequence[str], kinds: Sequence[str], units: Sequence[str]
-) -> Table:
+def _basis(title: str, basis: Array, names: Sequence[str], kinds: Sequence[str]) -> Table:
+    """Rows of both kinds, {} their axis."""
     table = Table("", *names, title=title)
     for i, row in enumerate(basis):
-        unit = f" ({units[i // 3]})" if units[i // 3] else ""
-        label = f"{kinds[i // 3]} {'xyz'[i % 3]}{unit}"
+        label = kinds[i // 3].format("xyz"[i % 3])
         table.add_row(label, *(f"{round(float(value), 4) + 0.0:.4f}" for value in row))
     return table
 
