@@ -23,7 +23,7 @@ from mcap.writer import Writer
 from numpy.lib import format as npy
 
 from osc_contact.errors import RecordingError
-from osc_contact.files import whole_file
+from osc_contact.files import StrPath, whole_file
 
 # Named arrays and a text in one .npz file: same content, same bytes; read without surprises.
 #
@@ -162,10 +162,8 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
             arrays: dict[str, Array] = {}
             for name, info in entries.items():
                 stays = large and info.compress_type == zipfile.ZIP_STORED
-                array = _array(archive, info, file if stays else None)
-                arrays[name.removesuffix(".npy")] = array
-        text = arrays.pop(TEXT)
-        return str(np.asarray(text)[()]), arrays
+                arrays[name.removesuffix(".npy")] = _array(archive, info, file if stays else None)
+        return str(arrays.pop(TEXT)[()]), arrays
     except zipfile.BadZipFile as error:
         name = str(error).partition("'")[2].rstrip("'")
         damage = f"the checksum of {name} is wrong" if "CRC" in str(error) else str(error)
@@ -274,8 +272,9 @@ class Recording:
         try:
             self.meta: dict[str, Any] = Meta(json.loads(json.dumps(dict(meta), allow_nan=False)))
         except (TypeError, ValueError) as error:
-            text = f"meta must be JSON-able (finite numbers, text): {error}"
-            raise RecordingError(text) from error
+            raise RecordingError(
+                f"meta must be JSON-able (finite numbers, text): {error}"
+            ) from error
         self.channels = Channels()
         for name, values in channels.items():
             array = np.asarray(values)
@@ -345,7 +344,7 @@ class Recording:
             start += len(values)
         return Recording(self.meta, {name: np.concatenate(some) for name, some in kept.items()})
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
+    def save(self, path: StrPath) -> Path:
         """Write one .npz file: complete under its final name, or not there at all.
 
         Two runs of the same seed make the same bytes. What a clock measured (`tick_s`; `wall_s`
@@ -367,7 +366,7 @@ class Recording:
             beside.unlink(missing_ok=True)
         return target
 
-    def export(self, path: str | os.PathLike[str]) -> Path:
+    def export(self, path: StrPath) -> Path:
         """Write a file for other programs, by the end of its name.
 
         Args:
@@ -389,7 +388,7 @@ class Recording:
         return target
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Recording:
+    def load(cls, path: StrPath) -> Recording:
         """Read a file written by `save`, and its times where they stand beside it.
 
         Checksums are verified, nothing is unpickled; what is large stays in the file.

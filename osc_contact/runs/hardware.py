@@ -60,20 +60,22 @@ def flexible_joints(
     return FlexibleJoints(K, 2.0 * spec.damping_ratio * np.sqrt(K * J * own / (J + own)), J)
 
 
-def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int) -> JointDrives:
+def drives(
+    scenario: Scenario, chain: ClosedChain, springs: FlexibleJoints | None, seed: int
+) -> JointDrives:
     """Springs, motor errors and friction of every motor joint.
 
     Args:
-        scenario, chain, state: as of `flexible_joints`. seed: of the motors' errors.
+        scenario, chain: as of `flexible_joints`. springs: of it. seed: of the motors' errors.
     """
     spec = scenario.plant
     motors = None
     if spec.motors is not None:
         slides = sliding(chain.model)[chain.actuated]
-        errors = spec.motors.bias, spec.motors.ripple
-        motors = Motors.drawn(chain.tau_max, slides, *errors, np.random.default_rng([seed, 2]))
+        rng = np.random.default_rng([seed, 2])
+        motors = Motors.drawn(chain.tau_max, slides, spec.motors.bias, spec.motors.ripple, rng)
     friction = spec.joint_friction * chain.tau_max if spec.joint_friction else None
-    return JointDrives(flexible_joints(scenario, chain, state), motors, friction)
+    return JointDrives(springs, motors, friction)
 
 
 def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]]) -> Array:
@@ -217,11 +219,9 @@ class ObservedRobot:
             )
         self.vision: VisionFusion | None = None
         if (camera := spec.vision) is not None:
-            position = max(camera.position.noise, 1e-9)
-            orientation = max(camera.orientation.noise, 1e-9)
             self.vision = VisionFusion(
                 lambda q: [object_pose(chain, q), *chain.tip_poses()],
-                Registration(position, orientation),
+                Registration(max(camera.position.noise, 1e-9), max(camera.orientation.noise, 1e-9)),
                 (estimate.body_linear, estimate.body_angular),
                 dt=self.dt,
                 period=1.0 / camera.rate,
@@ -253,9 +253,13 @@ class ObservedRobot:
             q = np.where(bad, np.nan, q + self._delay * v)
             measurement = replace(measurement, q=q, v=v, estimated=True)
         if self.vision is not None and measurement.touched is not None:
-            now = self._ticks * self.dt
-            pictures = stamps.vision, measurement.seen, measurement.touched
-            touched = self.vision.update(now, measurement.q, *pictures)
+            touched = self.vision.update(
+                self._ticks * self.dt,
+                measurement.q,
+                stamps.vision,
+                measurement.seen,
+                measurement.touched,
+            )
             measurement = replace(measurement, touched=touched)
         self._ticks += 1
         self._seen = stamps

@@ -321,9 +321,9 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
 def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
     model = arm.model
     data = arm.model.createData()
+    joints = ", ".join(joint_names(model))
     if len(q) != model.nv:
-        names = ", ".join(joint_names(model))
-        raise InvalidInputError(f"posture: {len(q)} numbers for {model.nv} joints: {names}")
+        raise InvalidInputError(f"posture: {len(q)} numbers for {model.nv} joints: {joints}")
     pin.forwardKinematics(model, data, q)
     tip = robots.frame_id(model, arm.tip)
     X_WT = pin.updateFramePlacement(model, data, tip)
@@ -332,7 +332,6 @@ def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
     down = X_WT.rotation @ axis
     point = X_WT.translation + (LENGTH_M + BALL_M) * down
     along = _tangent(model, data, q, tip, down)
-    joints = ", ".join(joint_names(model))
     travel = min(20.0, 1e3 * 0.05 * norm(X_WT.translation))
     return f"""\
 # {robot} presses a stylus on a plate with {press.force:g} N and slides along it.

@@ -373,8 +373,7 @@ def friction(rig: Rig) -> Values:
 def springs(rig: Rig) -> Values:
     """Springs, or a joint torque loop, that cannot be."""
     try:
-        joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state)
-        hardware.torque_loop(rig.scenario, rig.chain, joints)
+        hardware.torque_loop(rig.scenario, rig.chain, rig.springs)
     except OscContactError as error:
         yield 1.0, {"why": error}
 
@@ -390,9 +389,8 @@ def swinging(rig: Rig) -> Values:
     """Frequency of joints without a torque loop (−Hz)."""
     if any(springs.findings(rig)) or rig.scenario.control.joint_torque is not None:
         return
-    joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state)
-    if joints is not None:
-        found = modes(rig.state, rig.chain.actuated, joints.stiffness)
+    if rig.springs is not None:
+        found = modes(rig.state, rig.chain.actuated, rig.springs.stiffness)
         first = float(found[found > 0.0].min(initial=np.inf))
         yield -first, {"first": first, "rate": 1e-3 / rig.scenario.plant.step}
 
@@ -425,9 +423,13 @@ def carts(rig: Rig) -> Values:
             speed = (m * speed + dt * (force - k * s)) / (m + dt * c + dt**2 * k)
             s += dt * speed
             most = max(most, abs(s))
-        preload = cart.preload - push.mean()
-        words = {"left": push[-1], "duration": rig.scenario.duration, "preload": preload}
-        yield most, {"name": body.name, **words}
+        words = {
+            "name": body.name,
+            "left": push[-1],
+            "duration": rig.scenario.duration,
+            "preload": cart.preload - push.mean(),
+        }
+        yield most, words
 
 
 @rule(
@@ -541,8 +543,8 @@ def joints(task: Task) -> Values:
     The joints follow what the controller commands, without contacts, errors and motor limits.
     """
     chain = task.chain
-    moves = np.ptp(task.poses, axis=0).max() > 0.0
-    if not moves or not all(grasp.is_rigid for grasp in chain.grasps):
+    rigid = all(grasp.is_rigid for grasp in chain.grasps)
+    if not rigid or not np.ptp(task.poses, axis=0).max() > 0.0:
         return  # a loose object needs its contacts
     kept = ("overspeed_time", "brake_time", "hold_rate")
     safety = SafetySettings.motors_only(**{key: getattr(task.safety, key) for key in kept})
@@ -607,9 +609,14 @@ def motors(task: Task) -> Values:
     if most > motors.refused or least_peak(state.G * limits, needed[:, usual]) > 1.0:
         j = task.forces[k].argmax()
         motor = np.abs(shares[:, k]).argmax()
-        joint = chain.joint_names[chain.actuated[motor]]
-        words = {"name": task.force_names[j], "force": task.forces[k, j], "t": task.times[k]}
-        yield most, {**words, "joint": joint, "most": limits[motor]}
+        words = {
+            "name": task.force_names[j],
+            "force": task.forces[k, j],
+            "t": task.times[k],
+            "joint": chain.joint_names[chain.actuated[motor]],
+            "most": limits[motor],
+        }
+        yield most, words
 
 
 def least_peak(A: Array, b: Array) -> float:
@@ -687,9 +694,13 @@ def weights(task: Task) -> Values:
     bias = bias[chain.actuated]
     share = np.abs(bias) / np.minimum(chain.tau_max, 1e12)
     worst = share.argmax()
-    joint = chain.joint_names[chain.actuated[worst]]
-    words = {"torque": bias[worst], "most": chain.tau_max[worst]}
-    yield share[worst], {"joint": joint, **words, "mass": moved_mass(chain)}
+    words = {
+        "joint": chain.joint_names[chain.actuated[worst]],
+        "torque": bias[worst],
+        "most": chain.tau_max[worst],
+        "mass": moved_mass(chain),
+    }
+    yield share[worst], words
 
 
 @rule("{name} is −{value:.3g} N at t = {t:.3g} s; this contact cannot pull: give forces ≥ 0")
@@ -967,8 +978,8 @@ def turn(task: Task) -> Values:
         # at edges and corners geometry recedes in many directions
         if (plane is not None and np.allclose(plane, normal)) or normal @ own <= 0.0:
             angle = float(np.degrees(np.arccos(np.clip(normal @ own, -1.0, 1.0))))
-            normals = {"normal": rounded(normal, 3), "own": rounded(own, 3)}
-            yield angle, {"name": pair.name, "geom": geom, **normals}
+            words = {"normal": rounded(normal, 3), "own": rounded(own, 3), "geom": geom}
+            yield angle, {"name": pair.name, **words}
 
 
 @rule(

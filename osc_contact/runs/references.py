@@ -135,9 +135,9 @@ class References:
 
     def forces(self, t: Array) -> Array:
         """(r, k) desired magnitudes at times t (k,)."""
-        names = force_names(self.scenario)
         signals = self.scenario.force
-        return np.reshape([total(signals[name], t)[0] for name in names], (len(names), len(t)))
+        values = [total(signals[name], t)[0] for name in force_names(self.scenario)]
+        return np.reshape(values, (-1, len(t)))
 
     @cached_property
     def overview(self) -> tuple[Array, Plan]:
@@ -454,12 +454,21 @@ def showing_twist(pairs: Sequence[ContactPair], state: ChainState, N: Array) -> 
         return np.zeros(6)
     u, points, _ = found
     along = np.concatenate((u, np.cross(points.mean(axis=0) - state.X_WO.translation, u)))
-    rows = np.column_stack((N, along)).T @ state.S
-    mobile = np.linalg.solve(state.S.T @ state.metric @ state.S, rows.T)
-    along_only = np.eye(len(rows))[-1]
-    multipliers = np.linalg.lstsq(rows @ mobile, along_only, rcond=1e-9)[0]
-    V = state.S @ (mobile @ multipliers)
+    V = least_motion(state, np.column_stack((N, along)), np.append(np.zeros(N.shape[1]), 1.0))
     return V if abs(along @ V - 1.0) < 1e-6 else np.zeros(6)
+
+
+def least_motion(state: ChainState, F: Array, power: Array) -> Array:
+    """(6,) the motion of least kinetic energy that the arms permit with Fᵀ × it = power.
+
+    Args:
+        state: of the arms. F: (6, k) wrenches. power: (k,) of each; least squares where no motion
+            has them all.
+    """
+    rows = F.T @ state.S
+    mobile = np.linalg.solve(state.S.T @ state.metric @ state.S, rows.T)
+    multipliers = np.linalg.lstsq(rows @ mobile, power, rcond=1e-9)[0]
+    return state.S @ (mobile @ multipliers)
 
 
 def known_to(pairs: Sequence[ContactPair], state: ChainState, std: float) -> float:

@@ -50,9 +50,10 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
     power = verdict["power"]
     tick = verdict["tick_us"]
     if motion["rms_error_m"] is not None:
-        linear = 1e3 * motion["rms_error_m"]
-        angular = 1e3 * motion["rms_error_rad"]
-        table.add_row("free motion", f"rms {linear:.4f} mm, {angular:.4f} mrad")
+        table.add_row(
+            "free motion",
+            f"rms {1e3 * motion['rms_error_m']:.4f} mm, {1e3 * motion['rms_error_rad']:.4f} mrad",
+        )
     if power["total_rms_W"] is not None:
         table.add_row(
             "power",

@@ -19,6 +19,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.errors import ModelError, ScenarioError
 from osc_contact.interface import Measurement, Robot
+from osc_contact.plants.joint_drives import FlexibleJoints
 from osc_contact.plants.judge import Plant
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
@@ -40,7 +41,7 @@ from osc_contact.runs.contacts import (
     tracked,
 )
 from osc_contact.runs.recorder import Subject
-from osc_contact.runs.references import References, force_names, showing_twist
+from osc_contact.runs.references import References, force_names, least_motion, showing_twist
 from osc_contact.scenarios.bodies import CartSpec, GraspSpec
 from osc_contact.scenarios.control_schema import Gains, JointFriction, ModelErrorSpec, PhaseSettings
 from osc_contact.scenarios.hardware import PLANT_TYPES
@@ -111,20 +112,6 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
     except (ModelError, ScenarioError) as error:
         raise type(error)(f"{error}{_away(pairs, X_WO)}") from error
     return q_contact
-
-
-def standoff_of(state: ChainState, contact: Contact, distance: float) -> Array:
-    """The displacement (6,) of least kinetic energy that opens every gap by `distance`.
-
-    Args:
-        state: of the chain, in contact.
-        contact: the contacts that open.
-        distance: of every gap (m).
-    """
-    N_S = state.S.T @ contact.N
-    H_inv_N = np.linalg.solve(state.S.T @ state.metric @ state.S, N_S)
-    away = np.full(contact.r, -distance)  # a gap opens against N
-    return state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away))
 
 
 def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
@@ -202,12 +189,17 @@ class Rig:
         """The plant as the control loop meets it: behind the joint torque loop, if any, and what
         estimates the velocities that its sensors do not give."""
         robot: Robot = plant
-        joints = hardware.flexible_joints(self.scenario, self.chain, self.state)
-        if (loop := hardware.torque_loop(self.scenario, self.chain, joints)) is not None:
+        loop = hardware.torque_loop(self.scenario, self.chain, self.springs)
+        if loop is not None:
             robot = hardware.TorqueLoopRobot(plant, loop)
         if not self.scenario.sensors.ideal:
             robot = hardware.ObservedRobot(robot, controller, self.scenario, self.placements)
         return robot
+
+    @cached_property
+    def springs(self) -> FlexibleJoints | None:
+        """Of the joints; a `ScenarioError` where they cannot be."""
+        return hardware.flexible_joints(self.scenario, self.chain, self.state)
 
     def subject(self, controller: Controller) -> Subject:
         """What a recording of this rig is of."""
@@ -335,7 +327,7 @@ def _mujoco(rig: Rig, seed: int) -> Plant:
         options=scenario.plant,
         rails=rails(rig.bodies),
         on=rig.on,
-        drives=hardware.drives(scenario, rig.chain, rig.state, seed),
+        drives=hardware.drives(scenario, rig.chain, rig.springs, seed),
     )
 
 
@@ -365,7 +357,8 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     contact = contact_at(pairs, state.X_WO)
     require_reachable(state, contact)
     tare = scenario.tare
-    standoff = np.zeros(6) if tare is None else standoff_of(state, contact, tare.standoff)
+    away = np.full(contact.r, 0.0 if tare is None else -tare.standoff)  # a gap opens against N
+    standoff = least_motion(state, contact.N, away)
     showing = showing_twist(pairs, state, contact.N)
     references = References.of(scenario, state.X_WO, pairs, standoff, showing)
     q_start = q_contact

@@ -523,8 +523,9 @@ def judge_task(
         for i, fact in enumerate(facts[rule.subject]):
             value = fact[rule.quantity]
             if value is not None and value > limit:
-                mm = {"mm": 1e3 * value, "limit_mm": 1e3 * limit}
-                text = rule.sentence.format(**fact, limit=limit, **mm)
+                text = rule.sentence.format(
+                    **fact, limit=limit, mm=1e3 * value, limit_mm=1e3 * limit
+                )
                 found.setdefault((rule.subject, i, rule.quantity), (rule, text))
     return {
         "word": next((rule.word for rule, _ in found.values()), "OK"),

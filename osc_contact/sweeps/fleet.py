@@ -140,5 +140,4 @@ class Fleet:
 
     def diverged(self) -> Array:
         """(B,) whether MuJoCo has warned since the row began."""
-        counts = np.reshape(self._plants.warning, (self.rows, -1))
-        return np.asarray(counts.any(axis=1))
+        return np.any(np.reshape(self._plants.warning, (self.rows, -1)), axis=1)

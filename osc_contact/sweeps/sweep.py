@@ -20,6 +20,7 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -179,8 +180,14 @@ def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
 
 
 def _head(sample: Sample, word: str, why: str, failed: bool = True) -> Row:
-    about = {"word": word, "failed": failed, "why": why}
-    return {"row": sample.number, "seed": sample.seed, **sample.shown, **about}
+    return {
+        "row": sample.number,
+        "seed": sample.seed,
+        **sample.shown,
+        "word": word,
+        "failed": failed,
+        "why": why,
+    }
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
@@ -233,7 +240,7 @@ class RowFile:
         if not whole:
             self._file.truncate(0)
             named = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
-            self.write(named if laws is None else named | {"laws": laws})
+            self._write(named if laws is None else named | {"laws": laws})
             return
         head, *rows = map(_parsed, whole.splitlines())
         if (head.get("study"), head.get("laws")) != (study.fingerprint, laws):
@@ -245,8 +252,12 @@ class RowFile:
         self.done |= {row["row"]: row for row in rows if type(row.get("row")) is int}
         self._file.truncate(len(whole))  # once all of it is sound
 
-    def write(self, row: Row) -> None:
+    def append(self, row: Row) -> None:
         """Keep a row, now."""
+        self.done[row["row"]] = row
+        self._write(row)
+
+    def _write(self, row: Row) -> None:
         self._file.write(json.dumps(row).encode() + b"\n")
         self._file.flush()
 
@@ -398,7 +409,7 @@ def run_rows(
             done[row["row"]] = row
             ended += 1
             if rows is not None:
-                rows.write(row)
+                rows.append(row)
             if progress is not None:
                 progress(ended, study.rows)
     return {number: done[number] for number in range(study.rows)}
@@ -410,25 +421,22 @@ def run_rows(
 _AHEAD = 2  #: jobs that wait for each worker
 
 
+@dataclass
 class Workers:
     """Workers in other processes.
 
-    Args:
+    Attributes:
         executor: makes one, and another one where a worker's death broke the first.
         count: how many workers there are now.
         deaths: what a job raises that has ended its worker.
     """
 
-    def __init__(
-        self,
-        executor: Callable[[], Executor],
-        count: Callable[[], int],
-        deaths: type[Exception] = BrokenExecutor,
-    ) -> None:
-        self._make = executor
-        self._executor = executor()
-        self.count = count
-        self.deaths = deaths
+    executor: Callable[[], Executor]
+    count: Callable[[], int]
+    deaths: type[Exception] = BrokenExecutor
+
+    def __post_init__(self) -> None:
+        self._executor = self.executor()
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Have a function called, by a new executor where a worker's death broke the last one."""
@@ -436,7 +444,7 @@ class Workers:
             return self._executor.submit(function, *arguments)
         except BrokenExecutor:
             self.close()
-            self._executor = self._make()
+            self._executor = self.executor()
             return self._executor.submit(function, *arguments)
 
     def close(self) -> None:

@@ -212,11 +212,10 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> tuple[Array, dict[str, Any]]:
         """All rows begin anew; see gymnasium."""
         super().reset(seed=seed)
-        self._begin(np.ones(self.num_envs, dtype=bool))
+        self._begin(range(self.num_envs))
         return self._observe(), self._infos()
 
-    def _begin(self, mask: Array) -> None:
-        rows = np.flatnonzero(mask).tolist()
+    def _begin(self, rows: Sequence[int]) -> None:
         if not rows:
             return
         numbers = self.np_random.integers(self._count, size=len(rows))
@@ -238,7 +237,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         again = self._over.copy()
         going = ~again
         tau = self._advance(actions, going)
-        self._begin(again)
+        self._begin(np.flatnonzero(again).tolist())
         self._step[going] += 1
         seen = self._see(actions, tau)
         rewards = np.where(going, self._reward(seen), 0.0)
@@ -307,9 +306,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return np.nan_to_num(np.concatenate(parts, axis=1))
 
     def _infos(self) -> dict[str, Any]:
-        every = np.ones(self.num_envs, dtype=bool)
         samples = np.array([episode.number for episode in self._now])
-        return {"sample": samples, "_sample": every}
+        return {"sample": samples, "_sample": np.ones(self.num_envs, dtype=bool)}
 
 
 def _needed(places: Array) -> tuple[float, float]:
