@@ -23,7 +23,7 @@ from osc_contact.scenarios.control_schema import Dither
 from osc_contact.scenarios.quantities import Length
 from osc_contact.scenarios.schema import MotionSpec, Scenario, SurfaceMove
 from osc_contact.scenarios.signals import Sine, Step, product, rise, total
-from osc_contact.spatial import Array, Poses, as_array, cross, norm, rotated, rotations
+from osc_contact.spatial import Array, Poses, as_array, axial, cross, norm, rotated, rotations
 
 
 def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
@@ -385,8 +385,7 @@ def _derivatives(x: Array) -> Array:
 
 def _odd(rate: Array, R: Array) -> Array:
     """(3, k) the vector of the odd part of rate Rᵀ: ω of Ṙ, ω̇ of R̈."""
-    A = np.einsum("ijk,ljk->ilk", rate, R)
-    return 0.5 * np.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+    return 0.5 * axial(np.einsum("ijk,ljk->ilk", rate, R))
 
 
 def _shortest(start: Array, n: Array) -> Array:
