@@ -5,6 +5,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from osc_contact.errors import InvalidInputError
 
@@ -14,6 +15,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 StrPath = str | os.PathLike[str]  #: a file's name, as `open` takes it
+Json = dict[str, Any]  #: an object of a JSON file
 
 
 def hold(number: int, what: StrPath) -> None:

@@ -23,7 +23,7 @@ from mcap.writer import Writer
 from numpy.lib import format as npy
 
 from osc_contact.errors import RecordingError
-from osc_contact.files import StrPath, whole_file
+from osc_contact.files import Json, StrPath, whole_file
 
 # Named arrays and a text in one .npz file: same content, same bytes; read without surprises.
 #
@@ -270,7 +270,7 @@ class Recording:
 
     def __init__(self, meta: Mapping[str, Any], channels: Mapping[str, npt.ArrayLike]) -> None:
         try:
-            self.meta: dict[str, Any] = Meta(json.loads(json.dumps(dict(meta), allow_nan=False)))
+            self.meta: Json = Meta(json.loads(json.dumps(dict(meta), allow_nan=False)))
         except (TypeError, ValueError) as error:
             raise RecordingError(
                 f"meta must be JSON-able (finite numbers, text): {error}"
@@ -326,7 +326,7 @@ class Recording:
         for start in range(0, len(self), many):
             yield self.rows(start, start + many, *names)
 
-    def at(self, tick: int) -> dict[str, Any]:
+    def at(self, tick: int) -> Json:
         """All channels at one tick."""
         tick = range(len(self))[tick]
         return {name: values[0] for name, values in self.rows(tick, tick + 1).items()}
@@ -422,7 +422,7 @@ def _text(**content: Any) -> str:
     return json.dumps({"format": _FORMAT, **content}, allow_nan=False)
 
 
-def _read(source: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+def _read(source: Path) -> tuple[Json, dict[str, Array]]:
     text, columns = read_archive(source)
     try:
         content = json.loads(text)

@@ -73,17 +73,15 @@ class References:
     Attributes:
         scenario: source of the signals.
         X_start: pose of the object in contact at t = 0.
-        directions: (3,) of each move, resolved.
+        ways: of each move its direction (3,), or the `SurfaceMotion` that it follows.
         standoff: (6,) displacement off the contacts during the tare phase (zero: none).
-        surfaces: what each move follows; None: nothing.
         showing: (6,) motion of `control.dither`, at its origin, for each metre along the line.
     """
 
     scenario: Scenario
     X_start: pin.SE3
-    directions: tuple[Array, ...]
+    ways: tuple[Any, ...]
     standoff: Array
-    surfaces: tuple[SurfaceMotion | None, ...]
     showing: Array
 
     @classmethod
@@ -105,15 +103,9 @@ class References:
         Raises:
             ScenarioError: see `common_tangent`; or a move names no contact on a surface.
         """
-        directions = tuple(
-            common_tangent(pairs, X_start)
-            if move.direction == "common_tangent"
-            else np.array(move.direction)
-            for move in scenario.motion
-        )
-        surfaces = tuple(_followed(move, pairs, X_start) for move in scenario.motion)
+        ways = tuple(_way(move, pairs, X_start) for move in scenario.motion)
         showing = np.zeros(6) if showing is None else showing
-        return cls(scenario, X_start, directions, standoff, surfaces, showing)
+        return cls(scenario, X_start, ways, standoff, showing)
 
     @property
     def engage_at(self) -> float:
@@ -158,15 +150,15 @@ class References:
             begun = np.array(rise(t, tare.duration, _BEGINNING * tare.approach))
             near = np.array(rise(t, tare.duration, tare.approach))
             twists.append((self.standoff, _WHOLE - near))
-        ways = [
-            (one, np.einsum("ij,djk->dik", one.axes, product(begun, move.over(t))))
-            for one, move in zip(self.surfaces, self.scenario.motion, strict=True)
-            if one is not None and isinstance(move, SurfaceMove)
+        slid = [
+            (on, np.einsum("ij,djk->dik", on.axes, product(begun, move.over(t))))
+            for on, move in zip(self.ways, self.scenario.motion, strict=True)
+            if isinstance(move, SurfaceMove)
         ]
-        if ways:
-            on = ways[0][0]
-            place, turn = on.over(np.einsum("ij,dik->djk", on.axes, sum(way for _, way in ways)))
-        for move, direction in zip(self.scenario.motion, self.directions, strict=True):
+        if slid:
+            on = slid[0][0]
+            place, turn = on.over(np.einsum("ij,dik->djk", on.axes, sum(x for _, x in slid)))
+        for move, direction in zip(self.scenario.motion, self.ways, strict=True):
             if isinstance(move, SurfaceMove):
                 continue
             s = product(begun, total(move.signals, t))
@@ -177,24 +169,24 @@ class References:
                 if move.through is not None:
                     place = _swung(place, direction, np.array(move.through), s)
         if self.scenario.control.dither is not None:
-            slid = slides(self.scenario.control.dither, self.engage_at, t)
-            twists.append((self.showing, slid))
+            shown = slides(self.scenario.control.dither, self.engage_at, t)
+            twists.append((self.showing, shown))
         for twist, s in twists:
             x += twist[:3, None] * s[:, None]
             turn = turn.then(twist[3:], s)
         return Plan.of(place + x, turn, self.X_start, self.forces(t), self.scenario.squeeze)
 
 
-def _followed(
-    move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3
-) -> SurfaceMotion | None:
-    """What a move follows; None: nothing.
+def _way(move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3) -> Array | SurfaceMotion:
+    """The direction (3,) of a move, or the surface that it follows.
 
     Raises:
-        ScenarioError: it names no contact on a surface.
+        ScenarioError: see `common_tangent`; or it names no contact on a surface.
     """
+    if move.direction == "common_tangent":
+        return common_tangent(pairs, X_start)
     if not isinstance(move, SurfaceMove):
-        return None
+        return np.array(move.direction)
     for pair in pairs:
         if pair.name == move.contact and isinstance(pair, SphereOnSurface):
             return SurfaceMotion(pair, X_start, move.direction)

@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.files import write_whole
+from osc_contact.files import Json, write_whole
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S, judged_ticks
 from osc_contact.robots import RobotSummary
@@ -26,7 +26,7 @@ from osc_contact.spatial import Array
 MOST_PROJECTED = 0.1  #: of the total power; a larger share is explained
 
 
-def verdict_table(verdict: Mapping[str, Any]) -> Table:
+def verdict_table(verdict: Json) -> Table:
     """metrics.json of a run, for people."""
     title = (
         f"{verdict['scenario']} on {verdict['plant']}, {verdict['duration_s']:g} s, "
@@ -80,22 +80,22 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
     return table
 
 
-def task_lines(verdict: Mapping[str, Any]) -> Iterator[str]:
+def task_lines(verdict: Json) -> Iterator[str]:
     """How the task went, in a word, and why."""
     task = verdict["task"]
     yield f"verdict: {task['word']}" + (", the task failed" if task["failed"] else "")
     yield from (f"  {why}" for why in task["why"])
 
 
-def _first(t: float, contact: str, steps: Sequence[Mapping[str, Any]]) -> str:
+def _first(t: float, contact: str, steps: Sequence[Json]) -> str:
     """When a contact closed and how far its forces overshot."""
     own = [s for s in steps if s["what"] == "first contact" and _owner(s["force"]) == contact]
     return f"at {t:.3f} s" + "".join(f"; {_over(s)}" for s in own)
 
 
-def _steps(steps: Sequence[Mapping[str, Any]], most: int = 3) -> Iterator[tuple[str, str]]:
+def _steps(steps: Sequence[Json], most: int = 3) -> Iterator[tuple[str, str]]:
     """Rows of the steps of a force: all of them, or of many the worst."""
-    by_force: dict[str, list[Mapping[str, Any]]] = {}
+    by_force: dict[str, list[Json]] = {}
     for step in steps:
         if step["what"] == "step":
             by_force.setdefault(step["force"], []).append(step)
@@ -121,7 +121,7 @@ def _share(ratio: float | None) -> str:
     )
 
 
-def _over(step: Mapping[str, Any]) -> str:
+def _over(step: Json) -> str:
     if not step["overshoot_N"]:
         return "no overshoot"
     return (
@@ -238,7 +238,7 @@ def require_judgeable(scenario: Scenario) -> None:
         )
 
 
-def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict[str, Any]:
+def write_report(recording: Recording, scenario: Scenario, folder: Path) -> Json:
     """Write metrics.json, recording.npz, the figures and scene.html; returns the metrics.
 
     Args:

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from osc_contact.errors import InvalidInputError, RecordingError
+from osc_contact.files import Json
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import CLOSED, SETTLE_S, JudgedTicks
 from osc_contact.runs.limit_cycles import worst_cycles
@@ -162,7 +162,7 @@ RULES = (
 )
 
 
-def metrics(recording: Recording) -> dict[str, Any]:
+def metrics(recording: Recording) -> Json:
     """Judge a run against the plant's truth.
 
     Keys: scenario, plant, seed (None for a loop of the user's own), duration_s, ticks,
@@ -260,7 +260,7 @@ class _Sums:
         self.cycles = worst_cycles(recording, np.concatenate(judged_forces), least_cycle)
 
 
-def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
+def _numbers(recording: Recording, sums: _Sums) -> Json:
     """All of metrics.json but the task.
 
     Args:
@@ -302,7 +302,7 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
     }
 
 
-def _learned(losses: Sequence[Mapping[str, Any]], meta: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _learned(losses: Sequence[Json], meta: Json) -> list[Json]:
     """Friction and rotor of each joint as learned, rounded to what is significant.
 
     Args:
@@ -347,9 +347,7 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
     return found
 
 
-def _facts(
-    recording: Recording, sums: _Sums, verdict: Mapping[str, Any]
-) -> dict[str, list[dict[str, Any]]]:
+def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[Json]]:
     """Of each subject what `RULES` compare and name.
 
     Args:
@@ -433,7 +431,7 @@ def _ratio(part: float | None, whole: float | None) -> float | None:
     return part / whole if whole and part is not None else None
 
 
-def step_answers(recording: Recording, ticks: JudgedTicks) -> list[dict[str, Any]]:
+def step_answers(recording: Recording, ticks: JudgedTicks) -> list[Json]:
     """First contacts and steps of desired forces, each with the overshoot that it caused.
 
     overshoot = largest (true − desired force) in the direction of the step, within `STEP_WINDOW_S`.
@@ -461,7 +459,7 @@ def step_answers(recording: Recording, ticks: JudgedTicks) -> list[dict[str, Any
 
 def _answer(
     recording: Recording, rate: float, steps: Sequence[int], k: int, column: int, first: bool
-) -> dict[str, Any] | None:
+) -> Json | None:
     """What one magnitude does after tick k; None if it is not commanded to step there."""
     later = [step for step in steps if step > k]
     stop = min([k + max(2, round(STEP_WINDOW_S * rate)), *later, len(recording)])
@@ -501,10 +499,10 @@ def _answer(
 
 
 def judge_task(
-    facts: Mapping[str, Sequence[Mapping[str, Any]]],
+    facts: Mapping[str, Sequence[Json]],
     limits: VerdictSpec,
     rules: Sequence[Rule] = RULES,
-) -> dict[str, Any]:
+) -> Json:
     """One word for a run, whether its task failed, and why.
 
     Args:

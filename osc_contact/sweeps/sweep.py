@@ -28,7 +28,7 @@ from typing import Any
 
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
-from osc_contact.files import hold, whole_file
+from osc_contact.files import Json, hold, whole_file
 from osc_contact.law import compiled
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
@@ -60,7 +60,7 @@ _LEFT_OUT = {
     "force_per_normal",
 }
 
-Row = dict[str, Any]
+Row = Json
 
 # --- Making rows --------------------------------------------------------------------------------
 
