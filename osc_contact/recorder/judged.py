@@ -58,8 +58,8 @@ class JudgedTicks:
         contacts = np.zeros((len(t), len(self.landed)), dtype=bool)
         whole = t >= SETTLE_S - 1e-9
         for i in range(len(self.landed)):
-            commanded = (np.asarray(piece["alpha_cmd"])[:, self.columns == i] != 0.0).any(axis=1)
-            commanded |= np.asarray(piece["contact_phase"])[:, i] == CLOSED
+            commanded = (piece["alpha_cmd"][:, self.columns == i] != 0.0).any(axis=1)
+            commanded |= piece["contact_phase"][:, i] == CLOSED
             closed = np.asarray(piece["closed"], dtype=bool)[:, i]
             contacts[:, i] = self._settled(i, t, commanded, closed)
             whole &= contacts[:, i] | ~commanded

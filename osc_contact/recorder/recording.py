@@ -499,7 +499,7 @@ def write_mcap(recording: Recording, file: IO[bytes]) -> None:
 
 def _finite(value: Any) -> Any:
     """Numbers and lists of them; JSON has no NaN."""
-    array: Array = np.asarray(value)
+    array = np.asarray(value)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         known = np.isfinite(array)
         array = array.astype(object)

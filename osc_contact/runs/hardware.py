@@ -16,7 +16,7 @@ from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.chain_state import ChainState, joint_inertias, stiffness_for
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import ScenarioError
-from osc_contact.interface import Measurement, Robot, Stamps
+from osc_contact.interface import Measurement, Robot
 from osc_contact.plants.joint_drives import FlexibleJoints, JointDrives, Motors
 from osc_contact.plants.judge import Plant
 from osc_contact.plants.sensors import SensorErrors, Sensors
@@ -44,7 +44,7 @@ def flexible_joints(
     spec = scenario.plant.flexible_joints
     if spec is None:
         return None
-    if np.array(chain.model.armature)[chain.actuated].any():
+    if chain.model.armature[chain.actuated].any():
         raise ScenarioError(
             "the rotors of joints with springs are plant.flexible_joints.motor_inertia; set "
             "arms.armature to 0, or leave plant.flexible_joints out"
@@ -194,7 +194,7 @@ class ObservedRobot:
         chain = controller.chain
         self._acceleration = np.zeros(chain.nq)  #: of the joints, as commanded last
         self.dt = 1.0 / scenario.control.rate
-        self._seen = Stamps(-1.0, -1.0, -1.0, -1.0)
+        self._read = -1.0  #: when encoders were sampled last
         self._ticks = 0
         spec = scenario.sensors
         estimate = scenario.control.estimate
@@ -247,7 +247,7 @@ class ObservedRobot:
             bad = self._implausible(measurement.q)
             if bad.any() and self._joints.x is None:
                 return measurement
-            fresh = stamps.encoders > self._seen.encoders
+            fresh = stamps.encoders > self._read
             q = np.where(bad, np.nan, measurement.q)
             q, v = self._joints.update(q, self._acceleration, fresh)
             q = np.where(bad, np.nan, q + self._delay * v)
@@ -262,7 +262,7 @@ class ObservedRobot:
             )
             measurement = replace(measurement, touched=touched)
         self._ticks += 1
-        self._seen = stamps
+        self._read = stamps.encoders
         return measurement
 
     def command(self, tau: Array, duration: float) -> None:

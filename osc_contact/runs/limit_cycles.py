@@ -145,7 +145,7 @@ def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycl
         recording: with a judge. judged: (T, r) which ticks count.
         least: amplitude over mean command, below which nothing is looked for.
     """
-    dt = 1.0 / float(recording.meta["control_rate_hz"])
+    dt = 1.0 / recording.meta["control_rate_hz"]
     driven = tuple(_frequencies(recording.meta.get("scenario", {})))
     names = ("alpha_cmd", "alpha_true", *(name for name in ("twist", "N") if name in recording))
     size = round(WINDOW_S / dt)

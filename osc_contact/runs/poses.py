@@ -293,7 +293,7 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
     tip = robots.frame_id(model, arm.tip)
     axis = np.array(press.axis)
     low, high = position_limits(model)
-    limits = np.minimum(np.array(model.upperEffortLimit), 1e6)
+    limits = np.minimum(model.upperEffortLimit, 1e6)
     candidates = []
     scores = []
     for q in robots.random_configurations(model, POSTURES):

@@ -391,7 +391,7 @@ def swinging(rig: Rig) -> Values:
         return
     if rig.springs is not None:
         found = modes(rig.state, rig.chain.actuated, rig.springs.stiffness)
-        first = float(found[found > 0.0].min(initial=np.inf))
+        first = found[found > 0.0].min(initial=np.inf)
         yield -first, {"first": first, "rate": 1e-3 / rig.scenario.plant.step}
 
 
@@ -495,7 +495,7 @@ def _length(arm: Arm) -> float:
     links = [X.translation for X in (*model.jointPlacements, frame.placement)]
     low, high = position_limits(model)
     slides = np.maximum(np.abs(low), np.abs(high))[sliding(model)]
-    return float(sum(map(norm, links)) + slides.sum())
+    return sum(map(norm, links)) + slides.sum()
 
 
 @rule(
@@ -628,7 +628,7 @@ def least_peak(A: Array, b: Array) -> float:
         A: (m, n). b: (m,).
     """
     m, n = A.shape
-    size = float(np.abs(np.linalg.pinv(A) @ b).max())
+    size = np.abs(np.linalg.pinv(A) @ b).max()
     x = np.eye(n, n + 1)
     t = np.eye(1, n + 1, n)
     rows = np.vstack((t - x, t + x, np.pad(A, ((0, 0), (0, 1)))))
@@ -637,7 +637,7 @@ def least_peak(A: Array, b: Array) -> float:
     sense = np.repeat([0, 5], (2 * n, m)).astype(np.int32)
     H = np.diag(np.append(np.full(n, 1e-4), 1.0))
     found, _, flag, _ = daqp.solve(H, np.zeros(n + 1), rows, upper, lower, sense)
-    return size * float(np.abs(found[:n]).max()) if flag > 0 else size
+    return size * np.abs(found[:n]).max() if flag > 0 else size
 
 
 # --- a robot ------------------------------------------------------------------------------------
@@ -708,7 +708,7 @@ def pulls(task: Task) -> Values:
     """Forces below zero (−N)."""
     for name, owner, force in zip(task.force_names, task.owners, task.forces.T, strict=True):
         if pushes_only(task.pairs[owner]):
-            least = int(force.argmin())
+            least = force.argmin()
             yield -force[least], {"name": name, "t": task.times[least]}
 
 
@@ -897,7 +897,7 @@ def lifted(task: Task) -> Values:
 def moved_mass(chain: ClosedChain) -> float:
     """Of all that moves (kg)."""
     held = 0.0 if chain.payload is None else chain.payload.inertia.mass
-    return float(held + sum(inertia.mass for inertia in list(chain.model.inertias)[1:]))
+    return held + sum(inertia.mass for inertia in list(chain.model.inertias)[1:])
 
 
 def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]:

@@ -187,15 +187,14 @@ def _poses(X: Array) -> Poses:
     return Poses(X[:, :3, :3].transpose(1, 2, 0), X[:, :3, 3].T)
 
 
-def _feet(of: Subject, truth: Truths, k: int) -> tuple[Array, Array]:
-    """Where each contact's lines of force meet the surface, their mean, and the direction of the
-    first: (k, contacts, 3) both."""
+def _feet(of: Subject, truth: Truths, k: int) -> Array:
+    """(2, k, contacts, 3) where each contact's lines of force meet the surface, their mean, and the
+    direction of the first."""
     feet = []
     for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
         p, n = feet_over(pair, own, truth.X_WO, X_WE)
         feet.append((p.mean(axis=1).T, n[:, 0].T))
-    points, directions = np.reshape(feet, (-1, 2, k, 3)).transpose(1, 2, 0, 3)
-    return points, directions
+    return np.reshape(feet, (-1, 2, k, 3)).transpose(1, 2, 0, 3)
 
 
 def _face_poses(of: Subject, truth: Truths, k: int) -> Array:

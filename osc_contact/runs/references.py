@@ -398,7 +398,7 @@ def _shortest(start: Array, n: Array) -> Array:
 # standard deviation σ each, leave s uncertain by ασ/√(τ_1² + τ_2²), τ_j the part of u along face j,
 # and the force on j by |u·n_j| of that. A normal shows where its point slides (`law.contact`).
 
-SHOWN_TO = float(np.deg2rad(0.5))  #: rad, of normals after a dither, under all errors of a workcell
+SHOWN_TO = np.deg2rad(0.5)  #: rad, of normals after a dither, under all errors of a workcell
 
 
 def slides(dither: Dither, start: float, t: Array) -> Array:

@@ -473,12 +473,12 @@ def landings(rig: Rig) -> list[Landing]:
         stiffness = mass * rate**2
         met = mass * rate
         motion = rig.bodies[rig.on[owner]].motion
-        if isinstance(motion, CartSpec) and (along := float(direction @ motion.direction) ** 2):
+        if isinstance(motion, CartSpec) and (along := (direction @ motion.direction) ** 2):
             met = rate / (1.0 / mass + along / motion.mass)
             if motion.stiffness > 0.0:
                 stiffness = 1.0 / (1.0 / stiffness + along / motion.stiffness)
                 met = max(met, sqrt(stiffness * mass))
-        command = float(desired.max())
+        command = desired.max()
         free = rig.scenario.tare is not None or not desired[0] > 0.0
         peak = max(life.speed * met, command)
         if pushes_only(rig.pairs[owner]):

@@ -221,7 +221,7 @@ class _Sums:
         """
         meta = recording.meta
         self.ticks = JudgedTicks(recording)
-        self.duration = len(recording) / float(meta["control_rate_hz"])
+        self.duration = len(recording) / meta["control_rate_hz"]
         self.opened, self.judged, self.longest, run = np.zeros((4, len(meta["contact_names"])), int)
         self.command, self.error, self.sensing = (_Series() for _ in range(3))
         self.total, self.projected, self.away, self.closed = (_Series() for _ in range(4))
@@ -371,7 +371,7 @@ def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[J
             "name": name,
             "open_at_end": sums.ticks.open[i],
             "again": "" if landed[i] is None else " again",
-            "longest_loss": sums.longest[i] / float(meta["control_rate_hz"]),
+            "longest_loss": sums.longest[i] / meta["control_rate_hz"],
             "open_share": sums.opened[i] / max(sums.judged[i], 1),
         }
         for i, name in enumerate(verdict["first_contact_s"])
@@ -444,7 +444,7 @@ def step_answers(recording: Recording, ticks: JudgedTicks) -> list[Json]:
         "step"), from_N, to_N, overshoot_N, overshoot_rel (of the step), and where it is largest the
         true and the desired force, peak_N and commanded_N.
     """
-    rate = float(recording.meta["control_rate_hz"])
+    rate = recording.meta["control_rate_hz"]
     steps = sorted({round(t * rate) for t in recording.meta["force_steps_s"]})
     changes = []
     for column, owner in enumerate(ticks.columns):

@@ -178,8 +178,7 @@ def numbers(table: Any, name: str) -> Array:
 
 def judged_columns(table: Any) -> list[str]:
     """Names of the columns in which errors stand."""
-    names = list(table.column_names)
-    return [name for end in _ERRORS for name in names if name.endswith(end)]
+    return [name for end in _ERRORS for name in table.column_names if name.endswith(end)]
 
 
 def sensitivities(table: Any, study: SweepStudy, name: str) -> dict[str, float | None]:

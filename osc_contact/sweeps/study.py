@@ -198,9 +198,9 @@ def _tilt(parts: Sequence[str]) -> Distribution:
     def draw(u: Array, value: Any) -> Drawn:
         n = np.array(value, dtype=float)
         n /= norm(n)
-        angle = float(np.arccos(1.0 - float(u[0]) * (1.0 - np.cos(most))))
+        angle = float(np.arccos(1.0 - u[0] * (1.0 - np.cos(most))))
         heading = 2.0 * np.pi * float(u[1])
-        a = np.cross(np.eye(3)[int(np.abs(n).argmin())], n)
+        a = np.cross(np.eye(3)[np.abs(n).argmin()], n)
         a /= norm(a)
         side = np.cos(heading) * a + np.sin(heading) * np.cross(n, a)
         tilted = np.cos(angle) * n + np.sin(angle) * side

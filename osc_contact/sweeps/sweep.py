@@ -275,7 +275,7 @@ def _parsed(line: bytes) -> Row:
         return {}
 
 
-def make_table(rows: Sequence[Row], study: SweepStudy) -> Any:
+def make_table(rows: Iterable[Row], study: SweepStudy) -> Any:
     """A `pyarrow.Table`, sorted by row, columns in the order in which they first appear.
 
     Args:
@@ -369,7 +369,7 @@ def run_study(study: SweepStudy, *, out: str | Path | None = None, **how: Any) -
 
     file = None if out is None else Path(out) / ROWS
     done = run_rows(study, file, **how)
-    table = make_table(list(done.values()), study)
+    table = make_table(done.values(), study)
     if out is not None:
         with whole_file(Path(out) / TABLE) as unfinished:
             parquet.write_table(table, unfinished)

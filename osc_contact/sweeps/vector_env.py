@@ -56,7 +56,7 @@ def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
     @cache
     def make(number: int) -> Episode:
         rig = rigs.rig(study.scenario(study.sample(number)))
-        steps = int(np.floor(rig.scenario.duration / period + 1e-9))
+        steps = np.floor(rig.scenario.duration / period + 1e-9)
         plan = rig.references.over(np.arange(steps + 1) * period)
         places = np.array([pin.XYZQUATToSE3(x).homogeneous for x in plan.X_WD])
         with without_logged_doubts():
@@ -310,10 +310,10 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return {"sample": samples, "_sample": np.ones(self.num_envs, dtype=bool)}
 
 
-def _needed(places: Array) -> tuple[float, float]:
-    """Twice the largest increments between poses, one after the other (m, rad)."""
+def _needed(places: Array) -> Array:
+    """(2,) twice the largest increments between poses, one after the other (m, rad)."""
     largest = np.abs(_displacement(places[:-1], places[1:])).reshape(-1, 2, 3).max(axis=(0, 2))
-    return max(1e-3, 2.0 * float(largest[0])), max(5e-3, 2.0 * float(largest[1]))
+    return np.maximum((1e-3, 5e-3), 2.0 * largest)
 
 
 def _displacement(start: Array, end: Array) -> Array:
