@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -112,11 +112,13 @@ def rule(
     """Function decorator: makes a quantity a rule.
 
     Args:
-        sentence, doubtful, refused: see `Rule`; a refused of inf is never reached, None is
-            doubtful's limit.
+        sentence, doubtful, refused: see `Rule`; a refused of None is doubtful's limit.
     """
     limit = doubtful if refused is None else refused
     return lambda quantity: Rule(quantity, doubtful, limit, sentence)
+
+
+doubt = partial(rule, refused=np.inf)  #: a rule that refuses nothing
 
 
 def findings(rules: Iterable[Rule], task: Any) -> list[Finding]:
@@ -326,11 +328,9 @@ def sensors(rig: Rig) -> Values:
         yield arm.wrist_sensor is None, {"name": arm.name}
 
 
-@rule(
+@doubt(
     "{wrong}, and nothing zeroes the wrist sensors: their errors are taken for contact "
-    "force; set tare={{}} to zero them in free space before contact",
-    0.0,
-    np.inf,
+    "force; set tare={{}} to zero them in free space before contact"
 )
 def tare(rig: Rig) -> Values:
     """Weights that the wrists read and the model does not know; the exact plant has no tare."""
@@ -351,11 +351,9 @@ def tare(rig: Rig) -> Values:
     yield len(wrong), {"wrong": " and ".join(wrong)}
 
 
-@rule(
+@doubt(
     "plant.friction is {value:g}, the controller's model has none, and the filter that reads "
-    "forces takes it for normal force; {other}give control.friction={{mu: …}}",
-    0.0,
-    np.inf,
+    "forces takes it for normal force; {other}give control.friction={{mu: …}}"
 )
 def friction(rig: Rig) -> Values:
     """Friction that the filter of fig. 5 takes for normal force."""
@@ -378,12 +376,11 @@ def springs(rig: Rig) -> Values:
         yield 1.0, {"why": error}
 
 
-@rule(
+@doubt(
     "the joint springs oscillate at {first:.3g} Hz (first mode, motors held), and no joint "
     "torque loop produces the commanded torques: below 100 Hz contact is lost; set "
     "control.joint_torque={{rate: {rate:g} kHz}}",
     -100.0,
-    np.inf,
 )
 def swinging(rig: Rig) -> Values:
     """Frequency of joints without a torque loop (−Hz)."""
@@ -395,12 +392,11 @@ def swinging(rig: Rig) -> Values:
         yield -first, {"first": first, "rate": 1e-3 / rig.scenario.plant.step}
 
 
-@rule(
+@doubt(
     "nothing balances the cart of '{name}': weight, preload and contact forces leave {left:.3g} N "
     "along its rail at the end, which moves it by {value:.3g} m in {duration:g} s; give it a "
     "preload of {preload:.3g} N, or a stiffness",
     0.2,
-    np.inf,
 )
 def carts(rig: Rig) -> Values:
     """How far free carts run (m)."""
@@ -432,11 +428,7 @@ def carts(rig: Rig) -> Values:
         yield most, words
 
 
-@rule(
-    "{sentence}, {value:.2g} times its command; lower control.life.speed",
-    2.0,
-    np.inf,
-)
+@doubt("{sentence}, {value:.2g} times its command; lower control.life.speed", 2.0)
 def landing(rig: Rig) -> Values:
     """Expected peaks of contacts that are still to be made, over their commands."""
     for one in landings(rig):
@@ -498,11 +490,10 @@ def _length(arm: Arm) -> float:
     return sum(map(norm, links)) + slides.sum()
 
 
-@rule(
+@doubt(
     "at t = {t:.3g} s the motion leads the object to where no posture near the start puts it "
     "({where} m){left}; command a smaller motion, or begin in another posture",
     0.02,
-    np.inf,
 )
 def postures(task: Task) -> Values:
     """By how much no posture within the joints' limits, from the start on, gets there (m)."""
@@ -870,12 +861,11 @@ def inside(rig: Rig) -> Values:
 # --- every task ---------------------------------------------------------------------------------
 
 
-@rule(
+@doubt(
     "the motion leads the object {mm:.0f} mm {way} the surface of contact '{name}', which "
     "does not permit it: that part is not followed; give a direction along the surface, such as "
     "common_tangent, and press with force",
     0.005,
-    np.inf,
 )
 def lifted(task: Task) -> Values:
     """How far a motion opens or closes a gap while the contact is to be kept (m)."""

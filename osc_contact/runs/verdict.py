@@ -35,27 +35,27 @@ class Rule:
     """One row of the verdict: beyond its limit a quantity gives the run a word.
 
     Attributes:
-        word: for the run. fails: whether its task has failed.
+        word: for the run.
         subject: "run", "force", "contact" or "doubt": of what the quantity is.
         quantity: name of the number that is compared.
         limit: key of `VerdictSpec`; a number: this one, in every scenario.
         sentence: with the numbers of its subject and {limit}; {mm} and {limit_mm} are a thousand
             times the quantity and its limit.
+        fails: whether the task has failed then.
     """
 
     word: str
-    fails: bool
     subject: str
     quantity: str
     limit: str | float
     sentence: str
+    fails: bool = True
 
 
 #: The gravest word that applies is that of the first row.
 RULES = (
     Rule(
         "STOPPED",
-        True,
         "run",
         "stopped",
         0.0,
@@ -63,7 +63,6 @@ RULES = (
     ),
     Rule(
         "RUN AWAY",
-        True,
         "run",
         "distance",
         "distance",
@@ -72,7 +71,6 @@ RULES = (
     ),
     Rule(
         "RUN AWAY",
-        True,
         "run",
         "angle",
         "angle",
@@ -81,7 +79,6 @@ RULES = (
     ),
     Rule(
         "LOST",
-        True,
         "contact",
         "open_at_end",
         0.0,
@@ -89,7 +86,6 @@ RULES = (
     ),
     Rule(
         "LOST",
-        True,
         "contact",
         "longest_loss",
         "lost_time",
@@ -99,7 +95,6 @@ RULES = (
     ),
     Rule(
         "POOR",
-        True,
         "contact",
         "open_share",
         "open_share",
@@ -108,7 +103,6 @@ RULES = (
     ),
     Rule(
         "POOR",
-        True,
         "force",
         "rms_error_rel",
         "force_rms",
@@ -117,7 +111,6 @@ RULES = (
     ),
     Rule(
         "POOR",
-        True,
         "force",
         "limit_cycle_rel",
         "limit_cycle",
@@ -127,7 +120,6 @@ RULES = (
     ),
     Rule(
         "POOR",
-        True,
         "force",
         "unjudged",
         0.0,
@@ -135,29 +127,28 @@ RULES = (
     ),
     Rule(
         "HELD",
-        True,
         "run",
         "held_share",
         "held_share",
         "{held} of {ticks} ticks could not be computed ({held_share:.2%}, limit {limit:.1%}); see "
         "docs/reliability.md. First reason, {reason}",
     ),
-    Rule("DOUBTFUL", False, "doubt", "counts", 0.0, "before it ran: {sentence}"),
+    Rule("DOUBTFUL", "doubt", "counts", 0.0, "before it ran: {sentence}", fails=False),
     Rule(
         "HELD",
-        False,
         "run",
         "held_share",
         0.0,
         "{held} of {ticks} ticks could not be computed ({held_share:.2%})",
+        fails=False,
     ),
     Rule(
         "SATURATED",
-        False,
         "run",
         "saturated",
         0.0,
         "{saturated} of {ticks} ticks were at a motor limit ({motors})",
+        fails=False,
     ),
 )
 

@@ -297,12 +297,12 @@ class SweepStudy:
                     "such a scenario with osc.run, one by one"
                 )
             text = json.dumps(scenario.as_dict(), indent=1)
-            source = None if scenario.source is None else str(scenario.source.resolve())
+            path = scenario.source
             name = None
         else:
             text, path = read_text(scenario)
-            source = str(path.resolve())
             name = str(scenario)
+        source = None if path is None else str(path.resolve())
         pairs = texts(vary) if isinstance(vary, Mapping) else vary
         study = cls(text, source, tuple(pairs), samples, design, seed, tuple(overrides), name)
         study.require_sound()
