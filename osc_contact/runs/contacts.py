@@ -62,6 +62,11 @@ class EnvironmentBody:
     contacts: tuple[int, ...]
 
 
+def urdf_of(scenario: Scenario, part: Any) -> Path:
+    """The file of an arm, or of the object, of a scenario."""
+    return robots.resolve_urdf(part.urdf, scenario.folder)[0]
+
+
 def pose_of(spec: PoseSpec) -> pin.SE3:
     """The pose that a scenario gives."""
     return pin.SE3(pin.rpy.rpyToMatrix(*spec.rpy), np.array(spec.xyz))

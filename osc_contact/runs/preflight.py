@@ -44,7 +44,7 @@ from osc_contact.plants.own_mujoco import MujocoRobot, SceneProbe
 from osc_contact.recorder.recording import column_names
 from osc_contact.robots.model import position_limits, sliding
 from osc_contact.runs import hardware
-from osc_contact.runs.contacts import contact_at, feet, force_owners, known_bodies
+from osc_contact.runs.contacts import contact_at, feet, force_owners, known_bodies, urdf_of
 from osc_contact.runs.rig import Rig, landings
 from osc_contact.scenarios.bodies import CartSpec
 from osc_contact.scenarios.control_schema import Gains, SafetySettings
@@ -793,8 +793,7 @@ class _Solid:
 
 def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
     """Number and pair of each contact that has a place, with the body and the object it is on."""
-    urdf = robots.resolve_urdf(rig.scenario.object.urdf, rig.scenario.folder)[0]
-    held = _Solid("the object", urdf, rig.state.X_WO)
+    held = _Solid("the object", urdf_of(rig.scenario, rig.scenario.object), rig.state.X_WO)
     bodies = [_Solid(f"'{body.name}'", body.urdf[0], body.placement) for body in rig.bodies]
     for i, pair in enumerate(rig.pairs):
         if has_place(pair):

@@ -39,6 +39,7 @@ from osc_contact.runs.contacts import (
     rails,
     require_own_pairs,
     tracked,
+    urdf_of,
 )
 from osc_contact.runs.recorder import Subject
 from osc_contact.runs.references import References, force_names, least_motion, showing_twist
@@ -256,8 +257,7 @@ class Rig:
         """The controller's contacts: as declared, or read off the geometry while it moves."""
         if self.scenario.control.contacts == "declared":
             return misplaced(self.scenario, self.pairs, self.bodies, self.state.X_WO)
-        urdf = robots.resolve_urdf(self.scenario.object.urdf, self.scenario.folder)[0]
-        return tracked(self.pairs, urdf, self.bodies)
+        return tracked(self.pairs, urdf_of(self.scenario, self.scenario.object), self.bodies)
 
     @cached_property
     def on(self) -> tuple[int, ...]:
@@ -320,8 +320,8 @@ def _mujoco(rig: Rig, seed: int) -> Plant:
     scenario = rig.scenario
     return MujocoPlant(
         rig.chain,
-        [robots.resolve_urdf(arm.urdf, scenario.folder)[0] for arm in scenario.arms],
-        robots.resolve_urdf(scenario.object.urdf, scenario.folder)[0],
+        [urdf_of(scenario, arm) for arm in scenario.arms],
+        urdf_of(scenario, scenario.object),
         rig.pairs,
         [(body.urdf[0], body.placement) for body in rig.bodies],
         options=scenario.plant,
@@ -357,8 +357,9 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     contact = contact_at(pairs, state.X_WO)
     require_reachable(state, contact)
     tare = scenario.tare
-    away = np.full(contact.r, 0.0 if tare is None else -tare.standoff)  # a gap opens against N
-    standoff = least_motion(state, contact.N, away)
+    standoff = np.zeros(6)
+    if tare is not None:  # gaps open against N
+        standoff = least_motion(state, contact.N, np.full(contact.r, -tare.standoff))
     showing = showing_twist(pairs, state, contact.N)
     references = References.of(scenario, state.X_WO, pairs, standoff, showing)
     q_start = q_contact
@@ -376,11 +377,10 @@ def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> Clos
     Args:
         scenario: with arms, grasps and object. error: with the factors, and a hidden mass.
     """
-    source = scenario.folder
     error = error or ModelErrorSpec()
     arms = [
         Arm.from_urdf(
-            robots.resolve_urdf(spec.urdf, source)[0],
+            urdf_of(scenario, spec),
             name=spec.name,
             tip=spec.tip,
             base=pose_of(spec.base),
@@ -399,7 +399,7 @@ def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> Clos
     for arm in arms:
         arm.model.armature = error.armature * arm.model.armature
         arm.model.rotorInertia = error.armature * arm.model.rotorInertia
-    body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
+    body = RigidObject(robots.load_body(urdf_of(scenario, scenario.object)))
     grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
     held = body.scaled(error.object_mass)
     if error.hidden_mass > 0.0:  # a point
