@@ -127,9 +127,9 @@ class References:
 
     def forces(self, t: Array) -> Array:
         """(r, k) desired magnitudes at times t (k,)."""
+        names = force_names(self.scenario)
         signals = self.scenario.force
-        values = [total(signals[name], t)[0] for name in force_names(self.scenario)]
-        return np.reshape(values, (-1, len(t)))
+        return np.reshape([total(signals[name], t)[0] for name in names], (len(names), len(t)))
 
     @cached_property
     def overview(self) -> tuple[Array, Plan]:

@@ -1,7 +1,7 @@
 """Keys of a scenario tuned by Optuna: shipped values against found ones, under limits."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.sweeps.study import SweepStudy, texts
 from osc_contact.sweeps.sweep import (
+    Progress,
     Row,
     make_all,
     make_rows,
@@ -73,7 +74,7 @@ def tune(
     out: str | Path | None = None,
     workers: int | None = None,
     scheduler: Any = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Tuned:
     """Find values of keys that make a scenario's errors small, without breaking a limit.
 
