@@ -72,12 +72,12 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
     try:
         with tempfile.SpooledTemporaryFile(max_size=IN_MEMORY) as file:
             for part in parts:
-                if not offsets:
-                    for name, values in part.items():
-                        offsets[name] = -(-size // _ALIGNED) * _ALIGNED
-                        size = offsets[name] + ticks * values[0].nbytes
                 for name, values in part.items():
-                    file.seek(offsets[name] + start * values[0].nbytes)
+                    row = values[0].nbytes
+                    if name not in offsets:
+                        offsets[name] = -(-size // _ALIGNED) * _ALIGNED
+                        size = offsets[name] + ticks * row
+                    file.seek(offsets[name] + start * row)
                     file.write(values.tobytes())
                 start += len(values)
             file.write(bytes(size - file.seek(0, os.SEEK_END)))  # channels without numbers
@@ -156,13 +156,14 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
         raise RecordingError(f"no recording {source}: there is no such file")
     try:
         with open(source, "rb") as file, zipfile.ZipFile(file) as archive:
-            entries = {info.filename: info for info in archive.infolist()}
-            _require_size(source, list(entries.values()), os.fstat(file.fileno()).st_size)
-            large = sum(info.file_size for info in entries.values()) > IN_MEMORY
+            entries = archive.infolist()
+            _require_size(source, entries, os.fstat(file.fileno()).st_size)
+            large = sum(info.file_size for info in entries) > IN_MEMORY
             arrays: dict[str, Array] = {}
-            for name, info in entries.items():
+            for info in entries:
                 stays = large and info.compress_type == zipfile.ZIP_STORED
-                arrays[name.removesuffix(".npy")] = _array(archive, info, file if stays else None)
+                name = info.filename.removesuffix(".npy")
+                arrays[name] = _array(archive, info, file if stays else None)
         return str(arrays.pop(TEXT)[()]), arrays
     except zipfile.BadZipFile as error:
         name = str(error).partition("'")[2].rstrip("'")

@@ -225,8 +225,8 @@ def feet_over(
     Args:
         pair: of the contact. N: (6, r, k) at O. X_WO, X_WE: k poses of object and body.
     """
-    force = np.sqrt((N[:3] * N[:3]).sum(axis=0))
-    size = np.where(force > 0.0, force, np.sqrt((N[3:] * N[3:]).sum(axis=0)))  # else: a couple
+    force = np.linalg.norm(N[:3], axis=0)
+    size = np.where(force > 0.0, force, np.linalg.norm(N[3:], axis=0))  # else: a couple
     directions = N[:3] / size
     moments = N[3:] / size
     points = X_WO.p[:, None] + cross(directions, moments)

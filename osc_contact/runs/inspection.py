@@ -110,9 +110,9 @@ def _normals(rig: Rig) -> Iterator[str]:
     std = 0.5 * rig.gains.force.tilt
     if std == 0.0:
         return
-    velocities = np.abs(rig.references.overview[1].V_D).max(initial=0.0)
+    moves = rig.references.overview[1].V_D.any()
     for pair in rig.pairs:
-        if knows_where_it_slides(pair) and velocities == 0.0:
+        if knows_where_it_slides(pair) and not moves:
             yield (
                 f"the normal of '{pair.name}' cannot be observed: no motion is commanded; it is "
                 "taken as given."

@@ -151,9 +151,8 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
 def rest(chain: ClosedChain) -> Array:
     """(n,) the middle between the joints' limits, 0 where there are none."""
     low, high = position_limits(chain.model)
-    ends = np.isfinite(low) & np.isfinite(high)
     with np.errstate(invalid="ignore"):
-        return np.where(ends, 0.5 * (low + high), 0.0)
+        return np.nan_to_num(0.5 * (low + high), posinf=0.0, neginf=0.0)
 
 
 def as_dict(chain: ClosedChain, q: Array) -> dict[str, Any]:

@@ -67,7 +67,7 @@ def verdict_table(verdict: Json) -> Table:
     for name, std in verdict["normals"].items():
         if std is not None:
             table.add_row(f"normal of {name}", f"known to {np.rad2deg(std):.2g} deg")
-    least = max((std for std in verdict["normals"].values() if std is not None), default=0.0)
+    least = max(filter(None, verdict["normals"].values()), default=0.0)
     if words := gain_in_words(verdict["force_per_normal"], least):
         table.add_row("", words)
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
