@@ -157,12 +157,6 @@ def require_long_enough(study: SweepStudy) -> None:
         )
 
 
-def crashed_row(study: SweepStudy, number: int) -> Row:
-    """The row of a run that ended its process, twice."""
-    why = "its process died twice; run it alone to find the cause"
-    return _head(study.sample(number), CRASHED, why)
-
-
 def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
     try:
         recording = record_sample(study, sample, install)
@@ -294,14 +288,15 @@ def make_table(rows: Iterable[Row], study: SweepStudy) -> Any:
                 f"the values of {name!r} are of several kinds ({error}): rows are damaged; remove "
                 "their file, and run the study again"
             ) from error
-    about = {
-        "study": study.fingerprint,
-        "scenario": study.text,
-        "vary": json.dumps(study.vary),
-        "overrides": json.dumps(study.overrides),
-        "design": json.dumps([study.design, study.samples, study.seed]),
-    }
-    return pa.table(columns).replace_schema_metadata(about)
+    return pa.table(columns).replace_schema_metadata(
+        {
+            "study": study.fingerprint,
+            "scenario": study.text,
+            "vary": json.dumps(study.vary),
+            "overrides": json.dumps(study.overrides),
+            "design": json.dumps([study.design, study.samples, study.seed]),
+        }
+    )
 
 
 ROWS = "rows.jsonl"  #: file of a sweep's folder
@@ -514,7 +509,8 @@ def make_all(
             yield from ((study, row) for row in rows)
     for job in lost:  # it may have ended a worker: now alone
         for (study, numbers), rows in _hand_out(workers, [job], make):
-            yield study, rows[0] if rows else crashed_row(study, numbers[0])
+            why = "its process died twice; run it alone to find the cause"
+            yield study, rows[0] if rows else _head(study.sample(numbers[0]), CRASHED, why)
 
 
 def available_cores() -> int:
