@@ -17,7 +17,7 @@ from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.errors import InvalidInputError, ScenarioError
 from osc_contact.interface import Reference
-from osc_contact.runs.contacts import feet
+from osc_contact.runs.contacts import contact_at, feet
 from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.scenarios.control_schema import Dither
 from osc_contact.scenarios.quantities import Length
@@ -32,8 +32,7 @@ def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
     Raises:
         ScenarioError: the contacts leave none, or more than one.
     """
-    pushes = [pair.contact(X_WO, np.zeros(6)).N[:3].T for pair in pairs]
-    _, s, Vh = np.linalg.svd(np.vstack([np.zeros((0, 3)), *pushes]))
+    _, s, Vh = np.linalg.svd(contact_at(pairs, X_WO).N[:3].T)
     rank = np.count_nonzero(s > 1e-6)
     if rank != 2:
         raise ScenarioError(
