@@ -19,6 +19,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.errors import ModelError, ScenarioError
 from osc_contact.interface import Measurement, Robot
+from osc_contact.plants.faces import stacked
 from osc_contact.plants.joint_drives import FlexibleJoints
 from osc_contact.plants.judge import Plant
 from osc_contact.plants.mujoco import MujocoPlant
@@ -98,9 +99,8 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
     """
 
     def gaps(X: pin.SE3) -> tuple[Array, Array]:
-        N = [pair.contact(X, np.zeros(6)).N for pair in pairs]
         gap = np.concatenate([np.zeros(0), *(pair.gaps(X) for pair in pairs)])
-        return gap, np.hstack([np.zeros((6, 0)), *N])
+        return gap, stacked([pair.contact(X, np.zeros(6)) for pair in pairs])[0]
 
     q_near = reach(chain, q, X_WO)
     try:
