@@ -5,6 +5,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from osc_contact.errors import InvalidInputError
 
@@ -13,8 +14,11 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
+StrPath = str | os.PathLike[str]  #: a file's name, as `open` takes it
+Json = dict[str, Any]  #: an object of a JSON file
 
-def hold(number: int, what: str | os.PathLike[str]) -> None:
+
+def hold(number: int, what: StrPath) -> None:
     """Lock an open file or folder until it is closed, at the latest by the end of the process.
 
     Where the file system has no locks, nothing is locked.
@@ -81,7 +85,7 @@ def one_by_one(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+def whole_file(path: StrPath) -> Iterator[Path]:
     """Yield a path to write to; in the end that file gets its name, after an error it is removed.
 
     Args:
@@ -100,7 +104,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         unfinished.unlink(missing_ok=True)
 
 
-def write_whole(content: str | bytes, path: str | os.PathLike[str]) -> Path:
+def write_whole(content: str | bytes, path: StrPath) -> Path:
     """Write a file (text as UTF-8), which appears complete or not at all; returns its path."""
     with whole_file(path) as unfinished:
         unfinished.write_bytes(content if isinstance(content, bytes) else content.encode())

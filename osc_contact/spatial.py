@@ -109,6 +109,11 @@ def skew(x: Array) -> Array:
     return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
 
 
+def axial(A: Array) -> Array:
+    """The vector x with [x]× = A − Aᵀ; A (3, 3), or at k times (3, 3, k)."""
+    return np.array((A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]))
+
+
 def carry_twist(V: Array, start: Array, end: Array) -> Array:
     """Twists (6,) or (6, k) carried from point to point: v_end = v_start + ω × (end − start).
 
@@ -231,7 +236,7 @@ def _quaternions(R: Array) -> Array:
     """(k, 4) x, y, z, w of R (3, 3, k), with w ≥ 0 or, for turns of more than 120°, as Eigen."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     size = np.sqrt(np.maximum(trace, 0.0) + 1.0)
-    vector = np.array((R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])) * (0.5 / size)
+    vector = axial(R) * (0.5 / size)
     out = np.column_stack((vector.T, 0.5 * size))
     for i in np.flatnonzero(trace <= 0.0):
         out[i] = pin.Quaternion(R[:, :, i].copy()).coeffs()

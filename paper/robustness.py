@@ -10,7 +10,7 @@ from rich.table import Table
 import osc_contact as osc
 from osc_contact.spatial import Array
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.sweep import make_rows, run_rows, scenario_of
+from osc_contact.sweeps.sweep import make_rows, run_rows
 from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, SelectionLaw, best_frames
 from paper.study import Ask, Data, Study, table_of
 
@@ -143,7 +143,7 @@ def _candidates(studies: Sequence[SweepStudy], family: Baseline, seed: int) -> l
     """
     nominal = _nominal(studies[0])
     jobs = [(nominal, 0), *((one, k) for one in studies for k in range(min(_FIRST, one.rows)))]
-    rig = osc.build_rig(scenario_of(nominal, nominal.sample(0)))
+    rig = osc.build_rig(nominal.scenario(nominal.sample(0)))
     instant = Instant(rig.state, rig.contact)
     found = []
     for law in best_frames(instant, family, seed=seed):

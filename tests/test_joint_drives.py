@@ -149,7 +149,7 @@ def test_springs_by_number():
         "two_contact_rod",
         text + "motor_inertia: {left: [1, 1, 1, 1], right: [0.1, 0.1, 0.1, 0.1]}}",
     )
-    made = drives(rig.scenario, rig.chain, rig.state, 0).flexible
+    made = drives(rig.scenario, rig.chain, rig.springs, 0).flexible
     assert_array_equal(made.stiffness, [1e3, 500, 2e3, 30, 1, 2, 3, 4])
     assert_array_equal(made.motor_inertia, [1, 1, 1, 1, 0.1, 0.1, 0.1, 0.1])
 

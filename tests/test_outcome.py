@@ -176,7 +176,7 @@ def test_each_limit_is_a_key_of_the_scenario():
 
 def test_a_new_rule_is_one_row():
     """A quantity of every force, a limit and a sentence are all that a rule needs."""
-    row = Rule("HARD", True, "force", "mean_N", 9.0, "{name} presses {mean_N:g} N of {limit:g} N")
+    row = Rule("HARD", "force", "mean_N", 9.0, "{name} presses {mean_N:g} N of {limit:g} N")
     facts = {"run": [], "contact": [], "doubt": [], "force": [{"name": "tip", "mean_N": 10.0}]}
     task = judge_task(facts, VerdictSpec(), [row])
     assert task == {"word": "HARD", "failed": True, "why": ["tip presses 10 N of 9 N"]}

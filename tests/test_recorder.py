@@ -382,7 +382,8 @@ def row_of(number):
 
 def write(path, study, *rows):
     file = RowFile(path, study)
-    file.append(rows)
+    for row in rows:
+        file.append(row)
     file.close()
     return file
 
@@ -437,7 +438,7 @@ def test_two_programs_do_not_write_rows_to_one_file(tmp_path):
     file = RowFile(path, study)
     with invalid_input(r"another program writes to .*rows\.jsonl"):
         RowFile(path, study)
-    file.append([row_of(0)])
+    file.append(row_of(0))
     file.close()
     other = SweepStudy.of("two_contact_rod", ["seed=integers(0, 99)"], 4)
     with path.open("ab") as unfinished:

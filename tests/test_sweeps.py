@@ -37,7 +37,6 @@ from osc_contact.sweeps.sweep import (
     RowFile,
     make_rows,
     run_study,
-    scenario_of,
 )
 
 U = np.linspace(0.01, 0.99, 7)
@@ -240,7 +239,7 @@ def test_runs_that_fail_keep_their_reason():
 
 def test_doubts_stand_in_the_rows_and_are_not_logged(caplog):
     study = rod(1, "model_error.object_mass=uniform(1.1, 1.2)")
-    require_ready(osc.build_rig(scenario_of(study, study.sample(0))))
+    require_ready(osc.build_rig(study.scenario(study.sample(0))))
     assert "model_error" in caplog.text  # a single run tells them
     caplog.clear()
     (row,) = make_rows(study, [0])

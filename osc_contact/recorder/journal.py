@@ -103,8 +103,7 @@ class JournalFile:
         if self.error is None and not self._ended:
             self._ended = True
             self._before_end = self._whole
-            end = _bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MCAP0_MAGIC
-            self._write(end)
+            self._write(_bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MCAP0_MAGIC)
 
     def _write(self, data: bytes) -> None:
         left = memoryview(data)

@@ -5,7 +5,7 @@ closed contact has a force to judge; of the approach there is none, and the land
 overshoot. What happens after a landing counts, contact lost or not, until no force is commanded.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -32,17 +32,13 @@ class JudgedTicks:
         open: per contact, whether a force is commanded and the contact has not closed since.
     """
 
-    def __init__(self, meta: Mapping[str, object], magnitudes: int) -> None:
-        """Begin before the first tick.
-
-        Args:
-            meta: of the recording. magnitudes: r, how many contact forces it holds.
-        """
-        contacts = len(meta["contact_names"])  # type: ignore[arg-type]
-        self.columns = np.array(meta.get("columns", range(magnitudes)), dtype=int)
-        steps: Sequence[float] = meta.get("force_steps_s", ())  # type: ignore[assignment]
-        blank = STEP_BLANK_S + float(meta.get("force_rise_s", 0.0))  # type: ignore[arg-type]
-        self._blanks = [(step, step + blank) for step in steps]
+    def __init__(self, recording: Recording) -> None:
+        """Begin before the first tick of a recording."""
+        meta = recording.meta
+        contacts = len(meta["contact_names"])
+        self.columns = np.array(meta.get("columns", range(contacts)), dtype=int)
+        blank = STEP_BLANK_S + meta.get("force_rise_s", 0.0)
+        self._blanks = [(step, step + blank) for step in meta.get("force_steps_s", ())]
         self.landed: list[float | None] = [None] * contacts
         self.open = [False] * contacts
         self._since: list[float | None] = [None] * contacts
@@ -62,8 +58,8 @@ class JudgedTicks:
         contacts = np.zeros((len(t), len(self.landed)), dtype=bool)
         whole = t >= SETTLE_S - 1e-9
         for i in range(len(self.landed)):
-            commanded = (np.asarray(piece["alpha_cmd"])[:, self.columns == i] != 0.0).any(axis=1)
-            commanded |= np.asarray(piece["contact_phase"])[:, i] == CLOSED
+            commanded = (piece["alpha_cmd"][:, self.columns == i] != 0.0).any(axis=1)
+            commanded |= piece["contact_phase"][:, i] == CLOSED
             closed = np.asarray(piece["closed"], dtype=bool)[:, i]
             contacts[:, i] = self._settled(i, t, commanded, closed)
             whole &= contacts[:, i] | ~commanded
@@ -95,7 +91,7 @@ class JudgedTicks:
 
 def judged_ticks(recording: Recording) -> tuple[Flags, Flags]:
     """(T, r) whether each force magnitude is judged, (T,) whether the run is; see `JudgedTicks`."""
-    ticks = JudgedTicks(recording.meta, len(recording.magnitude_names))
+    ticks = JudgedTicks(recording)
     found = [ticks.add(piece)[1:] for piece in recording.pieces(*READ)]
     return np.concatenate([one[0] for one in found]), np.concatenate([one[1] for one in found])
 

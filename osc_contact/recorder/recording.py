@@ -23,7 +23,7 @@ from mcap.writer import Writer
 from numpy.lib import format as npy
 
 from osc_contact.errors import RecordingError
-from osc_contact.files import whole_file
+from osc_contact.files import Json, StrPath, whole_file
 
 # Named arrays and a text in one .npz file: same content, same bytes; read without surprises.
 #
@@ -72,20 +72,19 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
     try:
         with tempfile.SpooledTemporaryFile(max_size=IN_MEMORY) as file:
             for part in parts:
-                if not offsets:
-                    for name, values in part.items():
-                        offsets[name] = -(-size // _ALIGNED) * _ALIGNED
-                        size = offsets[name] + ticks * values[0].nbytes
                 for name, values in part.items():
-                    file.seek(offsets[name] + start * values[0].nbytes)
+                    row = values[0].nbytes
+                    if name not in offsets:
+                        offsets[name] = -(-size // _ALIGNED) * _ALIGNED
+                        size = offsets[name] + ticks * row
+                    file.seek(offsets[name] + start * row)
                     file.write(values.tobytes())
                 start += len(values)
             file.write(bytes(size - file.seek(0, os.SEEK_END)))  # channels without numbers
             file.seek(0)
-            whole: Any = bytearray()
             if size > IN_MEMORY:
                 file.flush()
-                whole = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+                whole: Any = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
             else:
                 whole = bytearray(file.read())
     except OSError as error:
@@ -157,16 +156,15 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
         raise RecordingError(f"no recording {source}: there is no such file")
     try:
         with open(source, "rb") as file, zipfile.ZipFile(file) as archive:
-            entries = {info.filename: info for info in archive.infolist()}
-            _require_size(source, list(entries.values()), os.fstat(file.fileno()).st_size)
-            large = sum(info.file_size for info in entries.values()) > IN_MEMORY
+            entries = archive.infolist()
+            _require_size(source, entries, os.fstat(file.fileno()).st_size)
+            large = sum(info.file_size for info in entries) > IN_MEMORY
             arrays: dict[str, Array] = {}
-            for name, info in entries.items():
+            for info in entries:
                 stays = large and info.compress_type == zipfile.ZIP_STORED
-                array = _array(archive, info, file if stays else None)
-                arrays[name.removesuffix(".npy")] = array
-        text = arrays.pop(TEXT)
-        return str(np.asarray(text)[()]), arrays
+                name = info.filename.removesuffix(".npy")
+                arrays[name] = _array(archive, info, file if stays else None)
+        return str(arrays.pop(TEXT)[()]), arrays
     except zipfile.BadZipFile as error:
         name = str(error).partition("'")[2].rstrip("'")
         damage = f"the checksum of {name} is wrong" if "CRC" in str(error) else str(error)
@@ -273,10 +271,11 @@ class Recording:
 
     def __init__(self, meta: Mapping[str, Any], channels: Mapping[str, npt.ArrayLike]) -> None:
         try:
-            self.meta: dict[str, Any] = Meta(json.loads(json.dumps(dict(meta), allow_nan=False)))
+            self.meta: Json = Meta(json.loads(json.dumps(dict(meta), allow_nan=False)))
         except (TypeError, ValueError) as error:
-            text = f"meta must be JSON-able (finite numbers, text): {error}"
-            raise RecordingError(text) from error
+            raise RecordingError(
+                f"meta must be JSON-able (finite numbers, text): {error}"
+            ) from error
         self.channels = Channels()
         for name, values in channels.items():
             array = np.asarray(values)
@@ -328,7 +327,7 @@ class Recording:
         for start in range(0, len(self), many):
             yield self.rows(start, start + many, *names)
 
-    def at(self, tick: int) -> dict[str, Any]:
+    def at(self, tick: int) -> Json:
         """All channels at one tick."""
         tick = range(len(self))[tick]
         return {name: values[0] for name, values in self.rows(tick, tick + 1).items()}
@@ -346,7 +345,7 @@ class Recording:
             start += len(values)
         return Recording(self.meta, {name: np.concatenate(some) for name, some in kept.items()})
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
+    def save(self, path: StrPath) -> Path:
         """Write one .npz file: complete under its final name, or not there at all.
 
         Two runs of the same seed make the same bytes. What a clock measured (`tick_s`; `wall_s`
@@ -368,7 +367,7 @@ class Recording:
             beside.unlink(missing_ok=True)
         return target
 
-    def export(self, path: str | os.PathLike[str]) -> Path:
+    def export(self, path: StrPath) -> Path:
         """Write a file for other programs, by the end of its name.
 
         Args:
@@ -390,7 +389,7 @@ class Recording:
         return target
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Recording:
+    def load(cls, path: StrPath) -> Recording:
         """Read a file written by `save`, and its times where they stand beside it.
 
         Checksums are verified, nothing is unpickled; what is large stays in the file.
@@ -424,7 +423,7 @@ def _text(**content: Any) -> str:
     return json.dumps({"format": _FORMAT, **content}, allow_nan=False)
 
 
-def _read(source: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+def _read(source: Path) -> tuple[Json, dict[str, Array]]:
     text, columns = read_archive(source)
     try:
         content = json.loads(text)
@@ -501,7 +500,7 @@ def write_mcap(recording: Recording, file: IO[bytes]) -> None:
 
 def _finite(value: Any) -> Any:
     """Numbers and lists of them; JSON has no NaN."""
-    array: Array = np.asarray(value)
+    array = np.asarray(value)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         known = np.isfinite(array)
         array = array.astype(object)

@@ -26,6 +26,7 @@ from osc_contact.contacts.pairs.pair import (
 )
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.dynamics.environment import Body, Conveyor, Guided, Rail, Yielding
+from osc_contact.dynamics.grasp import moved
 from osc_contact.errors import ScenarioError
 from osc_contact.scenarios.bodies import (
     CartSpec,
@@ -59,6 +60,11 @@ class EnvironmentBody:
     placement: pin.SE3
     motion: FaceMotion | None
     contacts: tuple[int, ...]
+
+
+def urdf_of(scenario: Scenario, part: Any) -> Path:
+    """The file of an arm, or of the object, of a scenario."""
+    return robots.resolve_urdf(part.urdf, scenario.folder)[0]
 
 
 def pose_of(spec: PoseSpec) -> pin.SE3:
@@ -104,9 +110,7 @@ def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
             )
         for j, column in enumerate(N.T):
             V = _STEP * column / max(norm(column), 1e-12)
-            turned = pin.exp3(V[3:]) @ X_WO.rotation
-            moved = spec.pair.gaps(pin.SE3(turned, X_WO.translation + V[:3]))
-            rate = (moved[j] - before[j]) / _STEP
+            rate = (spec.pair.gaps(moved(X_WO, V))[j] - before[j]) / _STEP
             want = -column @ V / _STEP
             if abs(rate - want) > 0.5 * abs(want):
                 raise ScenarioError(
@@ -221,8 +225,8 @@ def feet_over(
     Args:
         pair: of the contact. N: (6, r, k) at O. X_WO, X_WE: k poses of object and body.
     """
-    force = np.sqrt((N[:3] * N[:3]).sum(axis=0))
-    size = np.where(force > 0.0, force, np.sqrt((N[3:] * N[3:]).sum(axis=0)))  # else: a couple
+    force = np.linalg.norm(N[:3], axis=0)
+    size = np.where(force > 0.0, force, np.linalg.norm(N[3:], axis=0))  # else: a couple
     directions = N[:3] / size
     moments = N[3:] / size
     points = X_WO.p[:, None] + cross(directions, moments)
@@ -230,7 +234,7 @@ def feet_over(
     if isinstance(pair, SphereOnSurface):
         points = pair.feet(X_WO, X_WE)
     elif surface is not None:
-        surface = surface[:, None] if X_WE is None else X_WE.p + X_WE.rotate(surface[:, None])
+        surface = surface[:, None] if X_WE is None else X_WE.act(surface[:, None])
         height = (directions * (surface - X_WO.p)[:, None]).sum(axis=0)  # along each line, from O
         points = points + (height - getattr(pair, "surface_radius", 0.0)) * directions
     return points, np.where(force > 0.0, directions, moments)

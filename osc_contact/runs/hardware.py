@@ -16,12 +16,11 @@ from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.chain_state import ChainState, joint_inertias, stiffness_for
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import ScenarioError
-from osc_contact.interface import Measurement, Robot, Stamps
+from osc_contact.interface import Measurement, Robot
 from osc_contact.plants.joint_drives import FlexibleJoints, JointDrives, Motors
 from osc_contact.plants.judge import Plant
 from osc_contact.plants.sensors import SensorErrors, Sensors
 from osc_contact.robots.model import sliding
-from osc_contact.runs.contacts import EnvironmentBody
 from osc_contact.scenarios.hardware import Clock, EncoderSpec, SensorsSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
@@ -45,7 +44,7 @@ def flexible_joints(
     spec = scenario.plant.flexible_joints
     if spec is None:
         return None
-    if np.array(chain.model.armature)[chain.actuated].any():
+    if chain.model.armature[chain.actuated].any():
         raise ScenarioError(
             "the rotors of joints with springs are plant.flexible_joints.motor_inertia; set "
             "arms.armature to 0, or leave plant.flexible_joints out"
@@ -61,20 +60,22 @@ def flexible_joints(
     return FlexibleJoints(K, 2.0 * spec.damping_ratio * np.sqrt(K * J * own / (J + own)), J)
 
 
-def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int) -> JointDrives:
+def drives(
+    scenario: Scenario, chain: ClosedChain, springs: FlexibleJoints | None, seed: int
+) -> JointDrives:
     """Springs, motor errors and friction of every motor joint.
 
     Args:
-        scenario, chain, state: as of `flexible_joints`. seed: of the motors' errors.
+        scenario, chain: as of `flexible_joints`. springs: of it. seed: of the motors' errors.
     """
     spec = scenario.plant
     motors = None
     if spec.motors is not None:
         slides = sliding(chain.model)[chain.actuated]
-        errors = spec.motors.bias, spec.motors.ripple
-        motors = Motors.drawn(chain.tau_max, slides, *errors, np.random.default_rng([seed, 2]))
+        rng = np.random.default_rng([seed, 2])
+        motors = Motors.drawn(chain.tau_max, slides, spec.motors.bias, spec.motors.ripple, rng)
     friction = spec.joint_friction * chain.tau_max if spec.joint_friction else None
-    return JointDrives(flexible_joints(scenario, chain, state), motors, friction)
+    return JointDrives(springs, motors, friction)
 
 
 def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]]) -> Array:
@@ -93,11 +94,13 @@ def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]
     return np.concatenate(numbers)
 
 
-def sensors(spec: SensorsSpec, chain: ClosedChain, bodies: Sequence[EnvironmentBody]) -> Sensors:
+def sensors(spec: SensorsSpec, chain: ClosedChain, markers: Array) -> Sensors:
     """The plant's sensors with the errors of a scenario.
 
     Args:
-        spec: `plant.sensors`. chain: of the arms. bodies: that cameras track.
+        spec: `plant.sensors`. chain: of the arms.
+        markers: (contacts, 4, 4) frames of the bodies that cameras track in E, the world at the
+            start.
     """
 
     def six(wrist: Any, error: Any) -> Array:
@@ -108,7 +111,7 @@ def sensors(spec: SensorsSpec, chain: ClosedChain, bodies: Sequence[EnvironmentB
         joint_torques=_sensor(spec.joint_torque, lambda torque, e: e(torque) * chain.tau_max),
         wrists=_sensor(spec.wrist, six),
         vision=spec.vision,
-        markers=_markers(bodies),
+        markers=markers,
     )
 
 
@@ -120,12 +123,6 @@ def _sensor(
         return None
     errors = map(attrgetter, ("noise", "bias", "resolution"))
     return clock, SensorErrors(*[size(clock, error) for error in errors])
-
-
-def _markers(bodies: Sequence[EnvironmentBody]) -> Array | None:
-    """(contacts, 4, 4) frames of the bodies' URDFs in E, the world at the start."""
-    of = {i: body.placement.homogeneous for body in bodies for i in body.contacts}
-    return np.array([of[i] for i in sorted(of)]) if of else None
 
 
 def _joint_errors(chain: ClosedChain, spec: EncoderSpec, error: Callable[[Any], float]) -> Array:
@@ -183,13 +180,13 @@ class ObservedRobot:
         robot: Robot,
         controller: Controller,
         scenario: Scenario,
-        bodies: Sequence[EnvironmentBody],
+        markers: Array,
     ) -> None:
         """Set up the estimates from the errors the scenario gives the sensors.
 
         Args:
             robot: that measures. controller: of it. scenario: with the sensors.
-            bodies: that cameras track.
+            markers: as of `sensors`.
         """
         self.robot = robot
         self.controller = controller
@@ -197,12 +194,11 @@ class ObservedRobot:
         chain = controller.chain
         self._acceleration = np.zeros(chain.nq)  #: of the joints, as commanded last
         self.dt = 1.0 / scenario.control.rate
-        self._seen = Stamps(-1.0, -1.0, -1.0, -1.0)
+        self._read = -1.0  #: when encoders were sampled last
         self._ticks = 0
         spec = scenario.sensors
         estimate = scenario.control.estimate
         self._joints: VelocityEstimate | None = None
-        self._spec = spec
         if spec.encoder is not None:
             noise, step = (
                 _joint_errors(chain, spec.encoder, attrgetter(e)) for e in ("noise", "resolution")
@@ -212,6 +208,7 @@ class ObservedRobot:
             limit = np.where(limit > 0.0, limit, np.inf)
             period = max(self.dt, 1.0 / spec.encoder.rate)
             self._reach = scenario.control.safety.plausible_speed * limit * period
+            self._delay = spec.encoder.delay
             self._accepted = np.full(chain.nq, np.nan)
             self._missed = np.zeros(chain.nq)
             self._joints = VelocityEstimate.optimal(
@@ -222,16 +219,14 @@ class ObservedRobot:
             )
         self.vision: VisionFusion | None = None
         if (camera := spec.vision) is not None:
-            position = max(camera.position.noise, 1e-9)
-            orientation = max(camera.orientation.noise, 1e-9)
             self.vision = VisionFusion(
                 lambda q: [object_pose(chain, q), *chain.tip_poses()],
-                Registration(position, orientation),
+                Registration(max(camera.position.noise, 1e-9), max(camera.orientation.noise, 1e-9)),
                 (estimate.body_linear, estimate.body_angular),
                 dt=self.dt,
                 period=1.0 / camera.rate,
                 delay=camera.delay,
-                markers=_markers(bodies),
+                markers=markers,
             )
 
     def _implausible(self, q: Array) -> NDArray[np.bool_]:
@@ -248,22 +243,26 @@ class ObservedRobot:
         stamps = measurement.stamps
         if stamps is None:
             return measurement
-        if self._joints is not None and self._spec.encoder is not None:
+        if self._joints is not None:
             bad = self._implausible(measurement.q)
             if bad.any() and self._joints.x is None:
                 return measurement
-            fresh = stamps.encoders > self._seen.encoders
+            fresh = stamps.encoders > self._read
             q = np.where(bad, np.nan, measurement.q)
             q, v = self._joints.update(q, self._acceleration, fresh)
-            q = np.where(bad, np.nan, q + self._spec.encoder.delay * v)
+            q = np.where(bad, np.nan, q + self._delay * v)
             measurement = replace(measurement, q=q, v=v, estimated=True)
         if self.vision is not None and measurement.touched is not None:
-            now = self._ticks * self.dt
-            pictures = stamps.vision, measurement.seen, measurement.touched
-            touched = self.vision.update(now, measurement.q, *pictures)
+            touched = self.vision.update(
+                self._ticks * self.dt,
+                measurement.q,
+                stamps.vision,
+                measurement.seen,
+                measurement.touched,
+            )
             measurement = replace(measurement, touched=touched)
         self._ticks += 1
-        self._seen = stamps
+        self._read = stamps.encoders
         return measurement
 
     def command(self, tau: Array, duration: float) -> None:

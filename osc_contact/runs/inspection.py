@@ -60,7 +60,7 @@ def inspect_rig(rig: Rig) -> Inspection:
     motors = rig.chain.n_a
     own = sum(t.J.shape[1] - t.rank for t in state.arms)  # motions of an arm alone
     internal = motors - own - (int(np.linalg.matrix_rank(state.G)) if state.d else 0)
-    lines = [
+    lines = (
         f"{len(rig.chain.arms)} arm(s), {rig.chain.nq} joints, {motors} motors; "
         f"the object can make d = {state.d} independent motions.",
         *(
@@ -81,11 +81,11 @@ def inspect_rig(rig: Rig) -> Inspection:
         *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
         *_redundancy(len(rig.chain.arms), internal, own),
         f"conditioning of the contact forces: {conditioning:.3g} (1 = independent of each other)",
-    ]
+    )
     return Inspection(
         d=state.d,
         r=contact.r,
-        lines=tuple(lines),
+        lines=lines,
         contacts=tuple(rig.force_names),
         N=contact.N,
         T=contact.T,
@@ -110,9 +110,9 @@ def _normals(rig: Rig) -> Iterator[str]:
     std = 0.5 * rig.gains.force.tilt
     if std == 0.0:
         return
-    velocities = np.abs(rig.references.overview[1].V_D).max(initial=0.0)
+    moves = rig.references.overview[1].V_D.any()
     for pair in rig.pairs:
-        if knows_where_it_slides(pair) and velocities == 0.0:
+        if knows_where_it_slides(pair) and not moves:
             yield (
                 f"the normal of '{pair.name}' cannot be observed: no motion is commanded; it is "
                 "taken as given."

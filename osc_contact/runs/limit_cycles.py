@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from osc_contact.recorder import Recording
-from osc_contact.recorder.judged import stretches
+from osc_contact.recorder.judged import Flags, stretches
 from osc_contact.spatial import Array
 
 WINDOW_S = 4.0
@@ -102,7 +102,7 @@ def _commanded(
     driven_Hz: Sequence[float],
     along: Array | None,
     across: Array | None,
-) -> np.ndarray[Any, np.dtype[np.bool_]]:
+) -> Flags:
     """(n/2 + 1,) the bins that hold a line of a command, or a low harmonic of one."""
     lines = np.zeros(n // 2 + 1, dtype=bool)
     for command in commands:
@@ -119,7 +119,7 @@ def _commanded(
     return np.any(harmonics, axis=0)
 
 
-def _lines(signal: Array, least: float) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _lines(signal: Array, least: float) -> Flags:
     """Bins in which a signal has a line of at least an amplitude."""
     spectrum = _spectrum(signal)
     return spectrum > max(_LINE * spectrum.max(), least)
@@ -145,7 +145,7 @@ def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycl
         recording: with a judge. judged: (T, r) which ticks count.
         least: amplitude over mean command, below which nothing is looked for.
     """
-    dt = 1.0 / float(recording.meta["control_rate_hz"])
+    dt = 1.0 / recording.meta["control_rate_hz"]
     driven = tuple(_frequencies(recording.meta.get("scenario", {})))
     names = ("alpha_cmd", "alpha_true", *(name for name in ("twist", "N") if name in recording))
     size = round(WINDOW_S / dt)

@@ -217,10 +217,11 @@ def run_loop(
                     _stop(robot, getattr(controller, "reason", ""))
                 if recorder is not None:
                     signals.whole(recorder.append, measurement, reference, tau, seconds)
-                    if viewer is not None and side is None:
-                        draw(recorder.latest())
-                    elif viewer is not None and side is not None and k % SHOWN == 0 and side.idle:
-                        side.submit(partial(draw, recorder.latest()))
+                    if viewer is not None:
+                        if side is None:
+                            draw(recorder.latest())
+                        elif k % SHOWN == 0 and side.idle:
+                            side.submit(partial(draw, recorder.latest()))
                 if judge is not None:
                     tau = judge.torques(measurement)
                 ready = perf_counter()

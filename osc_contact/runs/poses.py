@@ -28,7 +28,7 @@ from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.loader import parse_scenario
 from osc_contact.scenarios.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array, norm
+from osc_contact.spatial import Array, norm, pose_error
 
 TRIES = 40  #: random postures from which a pose is sought, after the given one
 #: a pose that is missed by less is reached
@@ -117,7 +117,7 @@ def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = No
         start: (n,) where to look first, before random postures between the limits.
         seed: of these; None: 0. If it is given they come first, and may find other postures.
     """
-    best: Posture | None = None
+    missed = []
     random = robots.random_configurations(chain.model, TRIES, seed or 0)
     for q in (start, *random) if seed is None else (*random, start):
         try:
@@ -125,16 +125,15 @@ def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = No
         except ModelError:  # it circles about a pose out of reach
             continue
         posture = Posture(found, _miss(chain, found, X_WO))
-        if best is None or posture.reached or sum(posture.miss) < sum(best.miss):
-            best = posture
-        if best.reached:
-            return best
-    if best is None:
+        if posture.reached:
+            return posture
+        missed.append(posture)
+    if not missed:
         raise ModelError(
             f"no posture comes near {np.round(X_WO.translation, 4).tolist()} m; is it within the "
             "arms' reach?"
         )
-    return best
+    return min(missed, key=lambda posture: sum(posture.miss))
 
 
 def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
@@ -142,8 +141,7 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
     away = []
     for tip, grasp in zip(chain.tip_poses(), chain.grasps, strict=True):
         X = tip * grasp.X_TO
-        turn = norm(pin.log3(X.rotation.T @ X_WO.rotation))
-        shift = norm(X.translation - X_WO.translation)
+        shift, turn = map(norm, np.split(pose_error(X_WO, X), 2))
         # what a loose grasp permits is no miss
         away.append((shift, turn) if grasp.is_rigid else (norm(grasp.miss(tip, X_WO)), 0.0))
     shift, turn = np.max(away, axis=0).tolist()
@@ -153,9 +151,8 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
 def rest(chain: ClosedChain) -> Array:
     """(n,) the middle between the joints' limits, 0 where there are none."""
     low, high = position_limits(chain.model)
-    ends = np.isfinite(low) & np.isfinite(high)
     with np.errstate(invalid="ignore"):
-        return np.where(ends, 0.5 * (low + high), 0.0)
+        return np.nan_to_num(0.5 * (low + high), posinf=0.0, neginf=0.0)
 
 
 def as_dict(chain: ClosedChain, q: Array) -> dict[str, Any]:
@@ -295,7 +292,7 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
     tip = robots.frame_id(model, arm.tip)
     axis = np.array(press.axis)
     low, high = position_limits(model)
-    limits = np.minimum(np.array(model.upperEffortLimit), 1e6)
+    limits = np.minimum(model.upperEffortLimit, 1e6)
     candidates = []
     scores = []
     for q in robots.random_configurations(model, POSTURES):
@@ -323,17 +320,17 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
 def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
     model = arm.model
     data = arm.model.createData()
+    joints = ", ".join(joint_names(model))
     if len(q) != model.nv:
-        names = ", ".join(joint_names(model))
-        raise InvalidInputError(f"posture: {len(q)} numbers for {model.nv} joints: {names}")
+        raise InvalidInputError(f"posture: {len(q)} numbers for {model.nv} joints: {joints}")
     pin.forwardKinematics(model, data, q)
-    X_WT = pin.updateFramePlacement(model, data, robots.frame_id(model, arm.tip))
+    tip = robots.frame_id(model, arm.tip)
+    X_WT = pin.updateFramePlacement(model, data, tip)
     axis = np.array(press.axis)
     grasp = pin.SE3(triad(axis), np.zeros(3))  # the stylus points along the axis
     down = X_WT.rotation @ axis
     point = X_WT.translation + (LENGTH_M + BALL_M) * down
-    along = _tangent(model, data, q, robots.frame_id(model, arm.tip), down)
-    joints = ", ".join(joint_names(model))
+    along = _tangent(model, data, q, tip, down)
     travel = min(20.0, 1e3 * 0.05 * norm(X_WT.translation))
     return f"""\
 # {robot} presses a stylus on a plate with {press.force:g} N and slides along it.
@@ -401,7 +398,7 @@ def _tangent(model: pin.Model, data: pin.Data, q: Array, tip: int, down: Array) 
     """The direction (3,) along the plate in which the tip moves most easily."""
     J, M = _jacobian(model, data, q, tip)
     P = np.eye(3) - np.outer(down, down)
-    along: Array = np.linalg.eigh(P @ J @ np.linalg.solve(M, J.T) @ P)[1][:, -1]
+    along = np.linalg.eigh(P @ J @ np.linalg.solve(M, J.T) @ P)[1][:, -1]
     return along * np.sign(along[np.abs(along).argmax()])
 
 

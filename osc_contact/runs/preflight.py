@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.detection.features import CollisionShape, collision_shapes, nearest
+from osc_contact.contacts.detection.features import collision_shapes, nearest
 from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.control.records import choose_reading
@@ -40,11 +40,11 @@ from osc_contact.errors import (
     ScenarioError,
 )
 from osc_contact.interface import Measurement, Reference, Robot
-from osc_contact.plants.own_mujoco import MujocoRobot
+from osc_contact.plants.own_mujoco import MujocoRobot, SceneProbe
 from osc_contact.recorder.recording import column_names
 from osc_contact.robots.model import position_limits, sliding
 from osc_contact.runs import hardware
-from osc_contact.runs.contacts import contact_at, feet, force_owners, known_bodies
+from osc_contact.runs.contacts import contact_at, feet, force_owners, known_bodies, urdf_of
 from osc_contact.runs.rig import Rig, landings
 from osc_contact.scenarios.bodies import CartSpec
 from osc_contact.scenarios.control_schema import Gains, SafetySettings
@@ -86,7 +86,7 @@ class Rule:
     Attributes:
         quantity: gives values, each with the words of the sentence.
         doubtful, refused: limits, in the quantity's unit.
-        sentence: format of the finding's text; {value} is the quantity, {limit} what it is above.
+        sentence: format of the finding's text; {value} is the quantity, {mm} a thousand times that.
     """
 
     quantity: Callable[[Any], Values]
@@ -103,9 +103,7 @@ class Rule:
         for value, words in self.quantity(task):
             refused = not value <= self.refused
             if refused or value > self.doubtful:
-                limit = self.refused if refused else self.doubtful
-                words = {"value": value, "limit": limit, **words}
-                yield Finding(refused, self.sentence.format(**words))
+                yield Finding(refused, self.sentence.format(value=value, mm=1e3 * value, **words))
 
 
 def rule(
@@ -114,11 +112,13 @@ def rule(
     """Function decorator: makes a quantity a rule.
 
     Args:
-        sentence, doubtful, refused: see `Rule`; a refused of inf is never reached, None is
-            doubtful's limit.
+        sentence, doubtful, refused: see `Rule`; a refused of None is doubtful's limit.
     """
     limit = doubtful if refused is None else refused
     return lambda quantity: Rule(quantity, doubtful, limit, sentence)
+
+
+doubt = partial(rule, refused=np.inf)  #: a rule that refuses nothing
 
 
 def findings(rules: Iterable[Rule], task: Any) -> list[Finding]:
@@ -140,7 +140,8 @@ class Task:
         force_names: (r,) in messages. owners: (r,) the contact of each.
         rests: of each contact, whether its body does. kept_from: s, when contacts are to be kept.
         bound: whether all contacts are kept, also those whose force is zero.
-        robot: that will run, with what it measures now; None: the scenario's plant.
+        controller, robot, measured: that will run, and what it measures now; None: the scenario's
+            plant, whose controller is not made yet.
     """
 
     chain: ClosedChain
@@ -162,9 +163,14 @@ class Task:
     rests: Sequence[bool]
     bound: bool
     kept_from: float = 0.0
-    controller: Controller | None = None
+    controller: Any = None
     robot: Any = None
-    measured: Measurement | None = None
+    measured: Any = None
+
+    @cached_property
+    def probe(self) -> SceneProbe:
+        """What measures distances in the scene of a `MujocoRobot`."""
+        return self.robot.probe()
 
     @classmethod
     def of_rig(cls, rig: Rig) -> Task:
@@ -286,6 +292,8 @@ def preflight(
     else:
         of = Task.of_robot(task, controller, references)
         found = findings(ROBOT_RULES, of)
+        if isinstance(task, MujocoRobot):
+            found += findings(SCENE_RULES, of)
         if any(one.refused for one in found):  # what follows from it is no news
             return tuple(found)
     motion = findings(MOTION_RULES, of) or findings((joints,), of)
@@ -320,11 +328,9 @@ def sensors(rig: Rig) -> Values:
         yield arm.wrist_sensor is None, {"name": arm.name}
 
 
-@rule(
+@doubt(
     "{wrong}, and nothing zeroes the wrist sensors: their errors are taken for contact "
-    "force; set tare={{}} to zero them in free space before contact",
-    0.0,
-    np.inf,
+    "force; set tare={{}} to zero them in free space before contact"
 )
 def tare(rig: Rig) -> Values:
     """Weights that the wrists read and the model does not know; the exact plant has no tare."""
@@ -345,11 +351,9 @@ def tare(rig: Rig) -> Values:
     yield len(wrong), {"wrong": " and ".join(wrong)}
 
 
-@rule(
+@doubt(
     "plant.friction is {value:g}, the controller's model has none, and the filter that reads "
-    "forces takes it for normal force; {other}give control.friction={{mu: …}}",
-    0.0,
-    np.inf,
+    "forces takes it for normal force; {other}give control.friction={{mu: …}}"
 )
 def friction(rig: Rig) -> Values:
     """Friction that the filter of fig. 5 takes for normal force."""
@@ -367,36 +371,32 @@ def friction(rig: Rig) -> Values:
 def springs(rig: Rig) -> Values:
     """Springs, or a joint torque loop, that cannot be."""
     try:
-        joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state)
-        hardware.torque_loop(rig.scenario, rig.chain, joints)
+        hardware.torque_loop(rig.scenario, rig.chain, rig.springs)
     except OscContactError as error:
         yield 1.0, {"why": error}
 
 
-@rule(
+@doubt(
     "the joint springs oscillate at {first:.3g} Hz (first mode, motors held), and no joint "
     "torque loop produces the commanded torques: below 100 Hz contact is lost; set "
     "control.joint_torque={{rate: {rate:g} kHz}}",
     -100.0,
-    np.inf,
 )
 def swinging(rig: Rig) -> Values:
     """Frequency of joints without a torque loop (−Hz)."""
     if any(springs.findings(rig)) or rig.scenario.control.joint_torque is not None:
         return
-    joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state)
-    if joints is not None:
-        found = modes(rig.state, rig.chain.actuated, joints.stiffness)
-        first = float(found[found > 0.0].min(initial=np.inf))
+    if rig.springs is not None:
+        found = modes(rig.state, rig.chain.actuated, rig.springs.stiffness)
+        first = found[found > 0.0].min(initial=np.inf)
         yield -first, {"first": first, "rate": 1e-3 / rig.scenario.plant.step}
 
 
-@rule(
+@doubt(
     "nothing balances the cart of '{name}': weight, preload and contact forces leave {left:.3g} N "
     "along its rail at the end, which moves it by {value:.3g} m in {duration:g} s; give it a "
     "preload of {preload:.3g} N, or a stiffness",
     0.2,
-    np.inf,
 )
 def carts(rig: Rig) -> Values:
     """How far free carts run (m)."""
@@ -419,16 +419,16 @@ def carts(rig: Rig) -> Values:
             speed = (m * speed + dt * (force - k * s)) / (m + dt * c + dt**2 * k)
             s += dt * speed
             most = max(most, abs(s))
-        preload = cart.preload - push.mean()
-        words = {"left": push[-1], "duration": rig.scenario.duration, "preload": preload}
-        yield most, {"name": body.name, **words}
+        words = {
+            "name": body.name,
+            "left": push[-1],
+            "duration": rig.scenario.duration,
+            "preload": cart.preload - push.mean(),
+        }
+        yield most, words
 
 
-@rule(
-    "{sentence}, {value:.2g} times its command; lower control.life.speed",
-    2.0,
-    np.inf,
-)
+@doubt("{sentence}, {value:.2g} times its command; lower control.life.speed", 2.0)
 def landing(rig: Rig) -> Values:
     """Expected peaks of contacts that are still to be made, over their commands."""
     for one in landings(rig):
@@ -487,14 +487,13 @@ def _length(arm: Arm) -> float:
     links = [X.translation for X in (*model.jointPlacements, frame.placement)]
     low, high = position_limits(model)
     slides = np.maximum(np.abs(low), np.abs(high))[sliding(model)]
-    return float(sum(map(norm, links)) + slides.sum())
+    return sum(map(norm, links)) + slides.sum()
 
 
-@rule(
+@doubt(
     "at t = {t:.3g} s the motion leads the object to where no posture near the start puts it "
     "({where} m){left}; command a smaller motion, or begin in another posture",
     0.02,
-    np.inf,
 )
 def postures(task: Task) -> Values:
     """By how much no posture within the joints' limits, from the start on, gets there (m)."""
@@ -535,8 +534,8 @@ def joints(task: Task) -> Values:
     The joints follow what the controller commands, without contacts, errors and motor limits.
     """
     chain = task.chain
-    moves = np.ptp(task.poses, axis=0).max() > 0.0
-    if not moves or not all(grasp.is_rigid for grasp in chain.grasps):
+    rigid = all(grasp.is_rigid for grasp in chain.grasps)
+    if not rigid or not np.ptp(task.poses, axis=0).max() > 0.0:
         return  # a loose object needs its contacts
     kept = ("overspeed_time", "brake_time", "hold_rate")
     safety = SafetySettings.motors_only(**{key: getattr(task.safety, key) for key in kept})
@@ -601,9 +600,14 @@ def motors(task: Task) -> Values:
     if most > motors.refused or least_peak(state.G * limits, needed[:, usual]) > 1.0:
         j = task.forces[k].argmax()
         motor = np.abs(shares[:, k]).argmax()
-        joint = chain.joint_names[chain.actuated[motor]]
-        words = {"name": task.force_names[j], "force": task.forces[k, j], "t": task.times[k]}
-        yield most, {**words, "joint": joint, "most": limits[motor]}
+        words = {
+            "name": task.force_names[j],
+            "force": task.forces[k, j],
+            "t": task.times[k],
+            "joint": chain.joint_names[chain.actuated[motor]],
+            "most": limits[motor],
+        }
+        yield most, words
 
 
 def least_peak(A: Array, b: Array) -> float:
@@ -615,7 +619,7 @@ def least_peak(A: Array, b: Array) -> float:
         A: (m, n). b: (m,).
     """
     m, n = A.shape
-    size = float(np.abs(np.linalg.pinv(A) @ b).max())
+    size = np.abs(np.linalg.pinv(A) @ b).max()
     x = np.eye(n, n + 1)
     t = np.eye(1, n + 1, n)
     rows = np.vstack((t - x, t + x, np.pad(A, ((0, 0), (0, 1)))))
@@ -624,7 +628,7 @@ def least_peak(A: Array, b: Array) -> float:
     sense = np.repeat([0, 5], (2 * n, m)).astype(np.int32)
     H = np.diag(np.append(np.full(n, 1e-4), 1.0))
     found, _, flag, _ = daqp.solve(H, np.zeros(n + 1), rows, upper, lower, sense)
-    return size * float(np.abs(found[:n]).max()) if flag > 0 else size
+    return size * np.abs(found[:n]).max() if flag > 0 else size
 
 
 # --- a robot ------------------------------------------------------------------------------------
@@ -637,7 +641,6 @@ def least_peak(A: Array, b: Array) -> float:
 )
 def first_tick(task: Task) -> Values:
     """A copy of the controller is given what is measured and the first reference."""
-    assert task.controller is not None and task.measured is not None
     trial = copy(task.controller)
     trial.tick(task.measured, next(task.every(task.dt)))
     if trial.status is Status.HELD:
@@ -682,9 +685,13 @@ def weights(task: Task) -> Values:
     bias = bias[chain.actuated]
     share = np.abs(bias) / np.minimum(chain.tau_max, 1e12)
     worst = share.argmax()
-    joint = chain.joint_names[chain.actuated[worst]]
-    words = {"torque": bias[worst], "most": chain.tau_max[worst]}
-    yield share[worst], {"joint": joint, **words, "mass": moved_mass(chain)}
+    words = {
+        "joint": chain.joint_names[chain.actuated[worst]],
+        "torque": bias[worst],
+        "most": chain.tau_max[worst],
+        "mass": moved_mass(chain),
+    }
+    yield share[worst], words
 
 
 @rule("{name} is −{value:.3g} N at t = {t:.3g} s; this contact cannot pull: give forces ≥ 0")
@@ -692,7 +699,7 @@ def pulls(task: Task) -> Values:
     """Forces below zero (−N)."""
     for name, owner, force in zip(task.force_names, task.owners, task.forces.T, strict=True):
         if pushes_only(task.pairs[owner]):
-            least = int(force.argmin())
+            least = force.argmin()
             yield -force[least], {"name": name, "t": task.times[least]}
 
 
@@ -713,7 +720,7 @@ def measured_range(task: Task) -> Values:
 
 def rounded(x: Array, digits: int = 4) -> list[float]:
     """Of a vector, for messages."""
-    return list(np.round(x, digits).tolist())
+    return np.round(x, digits).tolist()
 
 
 def has_place(pair: ContactPair) -> bool:
@@ -731,13 +738,12 @@ def has_place(pair: ContactPair) -> bool:
 )
 def normals(rig: Rig) -> Values:
     """Faces that bring their own plate and face away from the robot."""
-    pin.forwardKinematics(rig.chain.model, rig.chain.data, rig.q_contact)
-    points = np.array([X.translation for X in (rig.state.X_WO, *rig.chain.tip_poses())])
+    points = np.array([rig.state.X_WO.translation, *rig.state.grasp_points])
     for spec in rig.scenario.contacts:
         face = getattr(spec, "face", None)
         if face is not None:
             behind = np.min((np.array(face.point) - points) @ face.normal)
-            yield behind, {"name": spec.name, "mm": 1e3 * behind}
+            yield behind, {"name": spec.name}
 
 
 @rule(
@@ -756,7 +762,6 @@ def start(rig: Rig) -> Values:
         points.extend(feet(pair, now)[0])
     moved = max(norm(p - given.act(now.actInv(p))) for p in points)
     words = {
-        "mm": 1e3 * moved,
         "where": rounded(now.translation),
         "turned": np.rad2deg(norm(pin.log3(given.rotation.T @ now.rotation))),
         "given": rounded(given.translation),
@@ -773,31 +778,22 @@ class _Solid:
     placement: pin.SE3
 
     @cached_property
-    def shapes(self) -> list[CollisionShape]:
-        """Of its file; none where they are not convex, or not there."""
+    def shapes(self) -> list[tuple[Any, pin.SE3]]:
+        """Of its file, with their poses; none where they are not convex, or not there."""
         try:
-            return collision_shapes(self.urdf)
+            return [(s.shape, self.placement * s.placement) for s in collision_shapes(self.urdf)]
         except (InvalidInputError, ModelError):
             return []
 
     def distance(self, point: Array) -> float:
         """Of a point of the world, not positive inside."""
-        ball = CollisionShape("point", coal.Sphere(1e-6), pin.SE3(np.eye(3), point))
-        return min(_distance(one, self.placement, ball, pin.SE3.Identity()) for one in self.shapes)
-
-
-def _distance(
-    first: CollisionShape, X_first: pin.SE3, second: CollisionShape, X_second: pin.SE3
-) -> float:
-    """Between two convex shapes of bodies at X, negative where they overlap (m)."""
-    X = X_first * first.placement
-    return nearest(first.shape, X, second.shape, X_second * second.placement).distance
+        ball = coal.Sphere(1e-6), pin.SE3(np.eye(3), point)
+        return min(nearest(*one, *ball).distance for one in self.shapes)
 
 
 def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
     """Number and pair of each contact that has a place, with the body and the object it is on."""
-    urdf = robots.resolve_urdf(rig.scenario.object.urdf, rig.scenario.folder)[0]
-    held = _Solid("the object", urdf, rig.state.X_WO)
+    held = _Solid("the object", urdf_of(rig.scenario, rig.scenario.object), rig.state.X_WO)
     bodies = [_Solid(f"'{body.name}'", body.urdf[0], body.placement) for body in rig.bodies]
     for i, pair in enumerate(rig.pairs):
         if has_place(pair):
@@ -815,8 +811,7 @@ def beside(rig: Rig) -> Values:
         for solid in solids.values():
             for point in feet(pair, rig.state.X_WO)[0] if solid.shapes else ():
                 away = solid.distance(point)
-                where = rounded(point, 3)
-                yield away, {"name": pair.name, "point": where, "mm": 1e3 * away, "solid": solid}
+                yield away, {"name": pair.name, "point": rounded(point, 3), "solid": solid}
                 if away > BESIDE_M:
                     break
 
@@ -858,19 +853,18 @@ def inside(rig: Rig) -> Values:
     pairs = {solids["body"].name: solids.values() for _, _, solids in _solids(rig)}
     for name, (body, held) in pairs.items():
         for a in body.shapes if held.shapes else ():
-            depth = max(-_distance(a, body.placement, b, held.placement) for b in held.shapes)
-            yield depth, {"name": name, "mm": 1e3 * depth}
+            depth = max(-nearest(*a, *b).distance for b in held.shapes)
+            yield depth, {"name": name}
 
 
 # --- every task ---------------------------------------------------------------------------------
 
 
-@rule(
+@doubt(
     "the motion leads the object {mm:.0f} mm {way} the surface of contact '{name}', which "
     "does not permit it: that part is not followed; give a direction along the surface, such as "
     "common_tangent, and press with force",
     0.005,
-    np.inf,
 )
 def lifted(task: Task) -> Values:
     """How far a motion opens or closes a gap while the contact is to be kept (m)."""
@@ -883,7 +877,7 @@ def lifted(task: Task) -> Values:
         if task.rests[i] and gaps:
             worst = np.abs(gaps).max(initial=0.0)
             way = "into" if -np.min(gaps, initial=0.0) >= np.max(gaps, initial=0.0) else "off"
-            yield worst, {"mm": 1e3 * worst, "way": way, "name": pair.name}
+            yield worst, {"way": way, "name": pair.name}
 
 
 # --- places: a robot in a MuJoCo scene ------------------------------------------------------------
@@ -892,32 +886,25 @@ def lifted(task: Task) -> Values:
 def moved_mass(chain: ClosedChain) -> float:
     """Of all that moves (kg)."""
     held = 0.0 if chain.payload is None else chain.payload.inertia.mass
-    return float(held + sum(inertia.mass for inertia in list(chain.model.inertias)[1:]))
-
-
-def _scene(task: Task) -> Any:
-    """What measures distances in the scene of a `MujocoRobot`; None: another robot."""
-    return task.robot.probe() if isinstance(task.robot, MujocoRobot) else None
+    return held + sum(inertia.mass for inertia in list(chain.model.inertias)[1:])
 
 
 def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]:
     """Each point of contact near the tool: pair, place, outward normal, distance to which geom."""
-    probe = _scene(task)
     X = task.state.X_WO
-    for pair in task.pairs if probe is not None and probe.pairs else ():
+    for pair in task.pairs if task.probe.pairs else ():
         if has_place(pair) and pushes_only(pair) and np.abs(pair.gaps(X)).max() < NEAR_M:
             for point, inward in zip(*feet(pair, X), strict=True):
-                yield pair, point, -inward, *probe.distance(point)
+                yield pair, point, -inward, *task.probe.distance(point)
 
 
 @rule("{why}")
 def period(task: Task) -> Values:
     """A control period that is no whole number of the scene's steps."""
-    if isinstance(task.robot, MujocoRobot):
-        try:
-            task.robot.require_steps(task.dt)
-        except PlantError as error:
-            yield 1.0, {"why": error}
+    try:
+        task.robot.require_steps(task.dt)
+    except PlantError as error:
+        yield 1.0, {"why": error}
 
 
 @rule(
@@ -926,8 +913,7 @@ def period(task: Task) -> Values:
 )
 def touchable(task: Task) -> Values:
     """Whether the tool is a ghost."""
-    probe = _scene(task)
-    if probe is not None and task.pairs and not probe.pairs:
+    if task.pairs and not task.probe.pairs:
         yield 1.0, {}
 
 
@@ -939,16 +925,13 @@ def touchable(task: Task) -> Values:
 )
 def masses(task: Task) -> Values:
     """Logarithm of the ratio of masses."""
-    if isinstance(task.robot, MujocoRobot) and task.controller is not None:
-        for what, mass in (
-            ("all that moves", moved_mass),
-            ("what the wrist carries", outboard_mass),
-        ):
-            modelled = mass(task.controller.chain)
-            true = mass(task.robot.chain)
-            if true > 0.0 and modelled > 0.0:
-                ratio = abs(np.log(modelled / true))
-                yield ratio, {"what": what, "modelled": modelled, "true": true}
+    kinds = {"all that moves": moved_mass, "what the wrist carries": outboard_mass}
+    for what, mass in kinds.items():
+        modelled = mass(task.controller.chain)
+        true = mass(task.chain)
+        if true > 0.0 and modelled > 0.0:
+            ratio = abs(np.log(modelled / true))
+            yield ratio, {"what": what, "modelled": modelled, "true": true}
 
 
 @rule(
@@ -961,8 +944,7 @@ def place(task: Task) -> Values:
     """Distance of a face from the geometry of the scene (m)."""
     for pair, point, _, away, geom in _faces(task):
         side = "before" if away > 0.0 else "inside"
-        at = rounded(point)
-        words = {"name": pair.name, "point": at, "mm": 1e3 * abs(away), "side": side, "geom": geom}
+        words = {"name": pair.name, "point": rounded(point), "side": side, "geom": geom}
         yield abs(away), words
 
 
@@ -977,18 +959,16 @@ def turn(task: Task) -> Values:
     for pair, point, normal, away, geom in _faces(task):
         if abs(away) > PLACE_REFUSED:
             continue
-        probe = _scene(task)
+        distance = task.probe.distance
         steps = SCENE_PROBE_M * np.eye(3)
-        rise = np.array(
-            [probe.distance(point + e)[0] - probe.distance(point - e)[0] for e in steps]
-        )
+        rise = np.array([distance(point + e)[0] - distance(point - e)[0] for e in steps])
         own = rise / max(norm(rise), 1e-12)
         plane = getattr(pair, "normal", None)
         # at edges and corners geometry recedes in many directions
         if (plane is not None and np.allclose(plane, normal)) or normal @ own <= 0.0:
             angle = float(np.degrees(np.arccos(np.clip(normal @ own, -1.0, 1.0))))
-            normals = {"normal": rounded(normal, 3), "own": rounded(own, 3)}
-            yield angle, {"name": pair.name, "geom": geom, **normals}
+            words = {"normal": rounded(normal, 3), "own": rounded(own, 3), "geom": geom}
+            yield angle, {"name": pair.name, **words}
 
 
 @rule(
@@ -999,9 +979,8 @@ def turn(task: Task) -> Values:
 )
 def penetration(task: Task) -> Values:
     """Depth of the tool in the scene (m)."""
-    probe = _scene(task)
-    if probe is not None and probe.pairs:
-        away, geom = probe.clearance()
+    if task.probe.pairs:
+        away, geom = task.probe.clearance()
         yield -away, {"geom": geom}
 
 
@@ -1017,7 +996,7 @@ def tool(task: Task) -> Values:
     if faces and max(abs(away) for *_, away, _ in faces) <= PLACE_DOUBTFUL:
         X = task.state.X_WO
         gap = min(np.min(pair.gaps(X)) for pair in task.pairs if pushes_only(pair))
-        away, geom = _scene(task).clearance()
+        away, geom = task.probe.clearance()
         words = {"geom": geom, "gap": round(1e3 * gap, 3) + 0.0, "away": 1e3 * away}
         yield abs(away - gap), words
 
@@ -1027,5 +1006,5 @@ SCENE_RULES = (period, touchable, masses, place, turn, penetration, tool)
 #: What a task has to follow; a new rule is entered in one of these rows. `joints` go through a
 #: motion that none of `MOTION_RULES` finds fault with.
 RIG_RULES = (sensors, tare, springs, swinging, *PLACE_RULES, friction, carts, landing)
-ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range, *SCENE_RULES)
+ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range)
 MOTION_RULES = (stretched, postures, lifted)

@@ -11,7 +11,6 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from osc_contact.contacts.pairs.pair import ContactPair, normals_over, pushes_only
 from osc_contact.control.controller import Controller
@@ -40,13 +39,14 @@ class Subject:
 
     Attributes:
         controller: whose ticks are noted.
-        pairs: the true contacts. placements: X_WB of the body of each at the start.
+        pairs: the true contacts. placements: (contacts, 4, 4) X_WB of the body of each at the
+            start.
         owners: (r,) the contact of each force magnitude.
     """
 
     controller: Controller
     pairs: tuple[ContactPair, ...]
-    placements: tuple[pin.SE3, ...]
+    placements: Array
     owners: Array
 
 
@@ -187,25 +187,24 @@ def _poses(X: Array) -> Poses:
     return Poses(X[:, :3, :3].transpose(1, 2, 0), X[:, :3, 3].T)
 
 
-def _feet(of: Subject, truth: Truths, k: int) -> tuple[Array, Array]:
-    """Where each contact's lines of force meet the surface, their mean, and the direction of the
-    first: (k, contacts, 3) both."""
+def _feet(of: Subject, truth: Truths, k: int) -> Array:
+    """(2, k, contacts, 3) where each contact's lines of force meet the surface, their mean, and the
+    direction of the first."""
     feet = []
     for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
         p, n = feet_over(pair, own, truth.X_WO, X_WE)
         feet.append((p.mean(axis=1).T, n[:, 0].T))
-    points, directions = np.reshape(feet, (-1, 2, k, 3)).transpose(1, 2, 0, 3)
-    return points, directions
+    return np.reshape(feet, (-1, 2, k, 3)).transpose(1, 2, 0, 3)
 
 
 def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
     out = np.zeros((k, len(of.pairs), 7))
-    for i, X_WE in enumerate(truth.X_WE):
-        R = of.placements[i].rotation[:, :, None]
-        p = of.placements[i].translation[:, None]
+    for i, (X_WB, X_WE) in enumerate(zip(of.placements, truth.X_WE, strict=True)):
+        R = X_WB[:3, :3, None]
+        p = X_WB[:3, 3:]
         if X_WE is not None:
             R = X_WE.rotate(R)
-            p = X_WE.p + X_WE.rotate(p)
+            p = X_WE.act(p)
         out[:, i] = Poses(R, p).coordinates(k)
     return out
 
@@ -441,7 +440,7 @@ def recording_of(
 def _subject(controller: Controller) -> Subject:
     """What a controller by itself has of its contacts."""
     pairs = tuple(controller.contacts)
-    world = (pin.SE3.Identity(),) * len(pairs)
+    world = np.tile(np.eye(4), (len(pairs), 1, 1))
     return Subject(controller, pairs, world, force_owners(pairs))
 
 

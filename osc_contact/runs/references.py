@@ -17,13 +17,13 @@ from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.errors import InvalidInputError, ScenarioError
 from osc_contact.interface import Reference
-from osc_contact.runs.contacts import feet
+from osc_contact.runs.contacts import contact_at, feet
 from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.scenarios.control_schema import Dither
 from osc_contact.scenarios.quantities import Length
 from osc_contact.scenarios.schema import MotionSpec, Scenario, SurfaceMove
 from osc_contact.scenarios.signals import Sine, Step, product, rise, total
-from osc_contact.spatial import Array, Poses, as_array, cross, norm, rotated, rotations
+from osc_contact.spatial import Array, Poses, as_array, axial, cross, norm, rotated, rotations
 
 
 def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
@@ -32,15 +32,14 @@ def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
     Raises:
         ScenarioError: the contacts leave none, or more than one.
     """
-    pushes = [pair.contact(X_WO, np.zeros(6)).N[:3].T for pair in pairs]
-    _, s, Vh = np.linalg.svd(np.vstack([np.zeros((0, 3)), *pushes]))
+    _, s, Vh = np.linalg.svd(contact_at(pairs, X_WO).N[:3].T)
     rank = np.count_nonzero(s > 1e-6)
     if rank != 2:
         raise ScenarioError(
             f"direction: common_tangent needs contact forces that span a plane; {len(pairs)} "
             f"contacts span {rank} dimension(s). Give the direction as [x, y, z] instead."
         )
-    direction: Array = Vh[2]
+    direction = Vh[2]
     return direction * np.sign(direction[np.abs(direction).argmax()])
 
 
@@ -61,6 +60,7 @@ def force_steps(scenario: Scenario) -> list[float]:
     return sorted(steps)
 
 
+_WHOLE = np.array([[1.0], [0.0], [0.0]])  #: the constant 1, with its derivatives
 _AT_ONCE = 1000  #: references that are worked out together
 _BEGINNING = 3.0  #: times the approach after a tare, until the motion is that of the signals
 
@@ -72,17 +72,15 @@ class References:
     Attributes:
         scenario: source of the signals.
         X_start: pose of the object in contact at t = 0.
-        directions: (3,) of each move, resolved.
+        ways: of each move its direction (3,), or the `SurfaceMotion` that it follows.
         standoff: (6,) displacement off the contacts during the tare phase (zero: none).
-        surfaces: what each move follows; None: nothing.
         showing: (6,) motion of `control.dither`, at its origin, for each metre along the line.
     """
 
     scenario: Scenario
     X_start: pin.SE3
-    directions: tuple[Array, ...]
+    ways: tuple[Any, ...]
     standoff: Array
-    surfaces: tuple[SurfaceMotion | None, ...]
     showing: Array
 
     @classmethod
@@ -104,15 +102,9 @@ class References:
         Raises:
             ScenarioError: see `common_tangent`; or a move names no contact on a surface.
         """
-        directions = tuple(
-            common_tangent(pairs, X_start)
-            if move.direction == "common_tangent"
-            else np.array(move.direction)
-            for move in scenario.motion
-        )
-        surfaces = tuple(_followed(move, pairs, X_start) for move in scenario.motion)
+        ways = tuple(_way(move, pairs, X_start) for move in scenario.motion)
         showing = np.zeros(6) if showing is None else showing
-        return cls(scenario, X_start, directions, standoff, surfaces, showing)
+        return cls(scenario, X_start, ways, standoff, showing)
 
     @property
     def engage_at(self) -> float:
@@ -150,23 +142,22 @@ class References:
         place = np.zeros((3, 3, len(t)))  # of the origin without them
         place[0] = self.X_start.translation[:, None]
         turn = _Turn.start(len(t))
-        whole = np.outer([1.0, 0.0, 0.0], np.ones(len(t)))
         tare = self.scenario.tare
-        begun = whole  # share of the motion
+        begun = _WHOLE  # share of the motion
         twists = []
         if tare is not None:
             begun = np.array(rise(t, tare.duration, _BEGINNING * tare.approach))
             near = np.array(rise(t, tare.duration, tare.approach))
-            twists.append((self.standoff, whole - near))
-        ways = [
-            (one, np.einsum("ij,djk->dik", one.axes, product(begun, move.over(t))))
-            for one, move in zip(self.surfaces, self.scenario.motion, strict=True)
-            if one is not None and isinstance(move, SurfaceMove)
+            twists.append((self.standoff, _WHOLE - near))
+        slid = [
+            (on, np.einsum("ij,djk->dik", on.axes, product(begun, move.over(t))))
+            for on, move in zip(self.ways, self.scenario.motion, strict=True)
+            if isinstance(move, SurfaceMove)
         ]
-        if ways:
-            on = ways[0][0]
-            place, turn = on.over(np.einsum("ij,dik->djk", on.axes, sum(way for _, way in ways)))
-        for move, direction in zip(self.scenario.motion, self.directions, strict=True):
+        if slid:
+            on = slid[0][0]
+            place, turn = on.over(np.einsum("ij,dik->djk", on.axes, sum(x for _, x in slid)))
+        for move, direction in zip(self.scenario.motion, self.ways, strict=True):
             if isinstance(move, SurfaceMove):
                 continue
             s = product(begun, total(move.signals, t))
@@ -177,24 +168,24 @@ class References:
                 if move.through is not None:
                     place = _swung(place, direction, np.array(move.through), s)
         if self.scenario.control.dither is not None:
-            slid = slides(self.scenario.control.dither, self.engage_at, t)
-            twists.append((self.showing, slid))
+            shown = slides(self.scenario.control.dither, self.engage_at, t)
+            twists.append((self.showing, shown))
         for twist, s in twists:
             x += twist[:3, None] * s[:, None]
             turn = turn.then(twist[3:], s)
         return Plan.of(place + x, turn, self.X_start, self.forces(t), self.scenario.squeeze)
 
 
-def _followed(
-    move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3
-) -> SurfaceMotion | None:
-    """What a move follows; None: nothing.
+def _way(move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3) -> Array | SurfaceMotion:
+    """The direction (3,) of a move, or the surface that it follows.
 
     Raises:
-        ScenarioError: it names no contact on a surface.
+        ScenarioError: see `common_tangent`; or it names no contact on a surface.
     """
+    if move.direction == "common_tangent":
+        return common_tangent(pairs, X_start)
     if not isinstance(move, SurfaceMove):
-        return None
+        return np.array(move.direction)
     for pair in pairs:
         if pair.name == move.contact and isinstance(pair, SphereOnSurface):
             return SurfaceMotion(pair, X_start, move.direction)
@@ -385,8 +376,7 @@ def _derivatives(x: Array) -> Array:
 
 def _odd(rate: Array, R: Array) -> Array:
     """(3, k) the vector of the odd part of rate Rᵀ: ω of Ṙ, ω̇ of R̈."""
-    A = np.einsum("ijk,ljk->ilk", rate, R)
-    return 0.5 * np.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+    return 0.5 * axial(np.einsum("ijk,ljk->ilk", rate, R))
 
 
 def _shortest(start: Array, n: Array) -> Array:
@@ -407,7 +397,7 @@ def _shortest(start: Array, n: Array) -> Array:
 # standard deviation σ each, leave s uncertain by ασ/√(τ_1² + τ_2²), τ_j the part of u along face j,
 # and the force on j by |u·n_j| of that. A normal shows where its point slides (`law.contact`).
 
-SHOWN_TO = float(np.deg2rad(0.5))  #: rad, of normals after a dither, under all errors of a workcell
+SHOWN_TO = np.deg2rad(0.5)  #: rad, of normals after a dither, under all errors of a workcell
 
 
 def slides(dither: Dither, start: float, t: Array) -> Array:
@@ -422,8 +412,7 @@ def slides(dither: Dither, start: float, t: Array) -> Array:
     sine = Sine[Length](
         amplitude=dither.amplitude, frequency=dither.frequency, start=start, ramp=quarter
     )
-    whole = np.array([[1.0], [0.0], [0.0]])
-    return product(sine.at(t), whole - rise(t, start + 3.0 * quarter, quarter))
+    return product(sine.at(t), _WHOLE - rise(t, start + 3.0 * quarter, quarter))
 
 
 def opposed(pairs: Sequence[ContactPair], state: ChainState) -> tuple[Array, Array, Array] | None:
@@ -455,12 +444,21 @@ def showing_twist(pairs: Sequence[ContactPair], state: ChainState, N: Array) -> 
         return np.zeros(6)
     u, points, _ = found
     along = np.concatenate((u, np.cross(points.mean(axis=0) - state.X_WO.translation, u)))
-    rows = np.column_stack((N, along)).T @ state.S
-    mobile = np.linalg.solve(state.S.T @ state.metric @ state.S, rows.T)
-    along_only = np.eye(len(rows))[-1]
-    multipliers = np.linalg.lstsq(rows @ mobile, along_only, rcond=1e-9)[0]
-    V: Array = state.S @ (mobile @ multipliers)
+    V = least_motion(state, np.column_stack((N, along)), np.append(np.zeros(N.shape[1]), 1.0))
     return V if abs(along @ V - 1.0) < 1e-6 else np.zeros(6)
+
+
+def least_motion(state: ChainState, F: Array, power: Array) -> Array:
+    """(6,) the motion of least kinetic energy that the arms permit with Fᵀ × it = power.
+
+    Args:
+        state: of the arms. F: (6, k) wrenches. power: (k,) of each; least squares where no motion
+            has them all.
+    """
+    rows = F.T @ state.S
+    mobile = np.linalg.solve(state.S.T @ state.metric @ state.S, rows.T)
+    multipliers = np.linalg.lstsq(rows @ mobile, power, rcond=1e-9)[0]
+    return state.S @ (mobile @ multipliers)
 
 
 def known_to(pairs: Sequence[ContactPair], state: ChainState, std: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.files import write_whole
+from osc_contact.files import Json, write_whole
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S, judged_ticks
 from osc_contact.robots import RobotSummary
@@ -26,7 +26,7 @@ from osc_contact.spatial import Array
 MOST_PROJECTED = 0.1  #: of the total power; a larger share is explained
 
 
-def verdict_table(verdict: Mapping[str, Any]) -> Table:
+def verdict_table(verdict: Json) -> Table:
     """metrics.json of a run, for people."""
     title = (
         f"{verdict['scenario']} on {verdict['plant']}, {verdict['duration_s']:g} s, "
@@ -50,9 +50,10 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
     power = verdict["power"]
     tick = verdict["tick_us"]
     if motion["rms_error_m"] is not None:
-        linear = 1e3 * motion["rms_error_m"]
-        angular = 1e3 * motion["rms_error_rad"]
-        table.add_row("free motion", f"rms {linear:.4f} mm, {angular:.4f} mrad")
+        table.add_row(
+            "free motion",
+            f"rms {1e3 * motion['rms_error_m']:.4f} mm, {1e3 * motion['rms_error_rad']:.4f} mrad",
+        )
     if power["total_rms_W"] is not None:
         table.add_row(
             "power",
@@ -66,7 +67,7 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
     for name, std in verdict["normals"].items():
         if std is not None:
             table.add_row(f"normal of {name}", f"known to {np.rad2deg(std):.2g} deg")
-    least = max((std for std in verdict["normals"].values() if std is not None), default=0.0)
+    least = max(filter(None, verdict["normals"].values()), default=0.0)
     if words := gain_in_words(verdict["force_per_normal"], least):
         table.add_row("", words)
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
@@ -79,22 +80,22 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
     return table
 
 
-def task_lines(verdict: Mapping[str, Any]) -> Iterator[str]:
+def task_lines(verdict: Json) -> Iterator[str]:
     """How the task went, in a word, and why."""
     task = verdict["task"]
     yield f"verdict: {task['word']}" + (", the task failed" if task["failed"] else "")
     yield from (f"  {why}" for why in task["why"])
 
 
-def _first(t: float, contact: str, steps: Sequence[Mapping[str, Any]]) -> str:
+def _first(t: float, contact: str, steps: Sequence[Json]) -> str:
     """When a contact closed and how far its forces overshot."""
     own = [s for s in steps if s["what"] == "first contact" and _owner(s["force"]) == contact]
     return f"at {t:.3f} s" + "".join(f"; {_over(s)}" for s in own)
 
 
-def _steps(steps: Sequence[Mapping[str, Any]], most: int = 3) -> Iterator[tuple[str, str]]:
+def _steps(steps: Sequence[Json], most: int = 3) -> Iterator[tuple[str, str]]:
     """Rows of the steps of a force: all of them, or of many the worst."""
-    by_force: dict[str, list[Mapping[str, Any]]] = {}
+    by_force: dict[str, list[Json]] = {}
     for step in steps:
         if step["what"] == "step":
             by_force.setdefault(step["force"], []).append(step)
@@ -120,7 +121,7 @@ def _share(ratio: float | None) -> str:
     )
 
 
-def _over(step: Mapping[str, Any]) -> str:
+def _over(step: Json) -> str:
     if not step["overshoot_N"]:
         return "no overshoot"
     return (
@@ -140,8 +141,7 @@ def basis_tables(inspection: Inspection) -> Iterator[Table]:
         f"N: forces the contacts transmit {where}",
         inspection.N,
         inspection.contacts,
-        ("force", "moment"),
-        ("", "m"),
+        ("force {}", "moment {} (m)"),
     )
     names = [f"t{i + 1}" for i in range(inspection.T.shape[1])]
     largest = np.abs(inspection.T).max(axis=0, initial=1e-300)
@@ -149,8 +149,7 @@ def basis_tables(inspection: Inspection) -> Iterator[Table]:
         f"T: motions they permit {where}",
         inspection.T / largest,
         names,
-        ("linear", "angular"),
-        ("m/s", "rad/s"),
+        ("linear {} (m/s)", "angular {} (rad/s)"),
     )
 
 
@@ -213,13 +212,11 @@ def _range(low: float, high: float, digits: int = 4) -> str:
     return " … ".join(words)
 
 
-def _basis(
-    title: str, basis: Array, names: Sequence[str], kinds: Sequence[str], units: Sequence[str]
-) -> Table:
+def _basis(title: str, basis: Array, names: Sequence[str], kinds: Sequence[str]) -> Table:
+    """Rows of both kinds, {} their axis."""
     table = Table("", *names, title=title)
     for i, row in enumerate(basis):
-        unit = f" ({units[i // 3]})" if units[i // 3] else ""
-        label = f"{kinds[i // 3]} {'xyz'[i % 3]}{unit}"
+        label = kinds[i // 3].format("xyz"[i % 3])
         table.add_row(label, *(f"{round(float(value), 4) + 0.0:.4f}" for value in row))
     return table
 
@@ -241,7 +238,7 @@ def require_judgeable(scenario: Scenario) -> None:
         )
 
 
-def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict[str, Any]:
+def write_report(recording: Recording, scenario: Scenario, folder: Path) -> Json:
     """Write metrics.json, recording.npz, the figures and scene.html; returns the metrics.
 
     Args:

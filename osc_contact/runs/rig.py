@@ -19,6 +19,8 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.errors import ModelError, ScenarioError
 from osc_contact.interface import Measurement, Robot
+from osc_contact.plants.faces import stacked
+from osc_contact.plants.joint_drives import FlexibleJoints
 from osc_contact.plants.judge import Plant
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
@@ -38,9 +40,10 @@ from osc_contact.runs.contacts import (
     rails,
     require_own_pairs,
     tracked,
+    urdf_of,
 )
 from osc_contact.runs.recorder import Subject
-from osc_contact.runs.references import References, force_names, showing_twist
+from osc_contact.runs.references import References, force_names, least_motion, showing_twist
 from osc_contact.scenarios.bodies import CartSpec, GraspSpec
 from osc_contact.scenarios.control_schema import Gains, JointFriction, ModelErrorSpec, PhaseSettings
 from osc_contact.scenarios.hardware import PLANT_TYPES
@@ -96,9 +99,8 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
     """
 
     def gaps(X: pin.SE3) -> tuple[Array, Array]:
-        N = [pair.contact(X, np.zeros(6)).N for pair in pairs]
         gap = np.concatenate([np.zeros(0), *(pair.gaps(X) for pair in pairs)])
-        return gap, np.hstack([np.zeros((6, 0)), *N])
+        return gap, stacked([pair.contact(X, np.zeros(6)) for pair in pairs])[0]
 
     q_near = reach(chain, q, X_WO)
     try:
@@ -111,20 +113,6 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
     except (ModelError, ScenarioError) as error:
         raise type(error)(f"{error}{_away(pairs, X_WO)}") from error
     return q_contact
-
-
-def standoff_of(state: ChainState, contact: Contact, distance: float) -> Array:
-    """The displacement (6,) of least kinetic energy that opens every gap by `distance`.
-
-    Args:
-        state: of the chain, in contact.
-        contact: the contacts that open.
-        distance: of every gap (m).
-    """
-    N_S = state.S.T @ contact.N
-    H_inv_N = np.linalg.solve(state.S.T @ state.metric @ state.S, N_S)
-    away = np.full(contact.r, -distance)  # a gap opens against N
-    return state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away))
 
 
 def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
@@ -154,6 +142,7 @@ class Rig:
         q_start: (n,) where the run starts: the same, or off the contacts if it begins with a tare.
         references: of the run.
         X_given: the pose of the object that the scenario gives.
+        state: the true chain at rest in contact.
     """
 
     scenario: Scenario
@@ -165,6 +154,7 @@ class Rig:
     q_start: Array
     references: References
     X_given: pin.SE3
+    state: ChainState
 
     def plant(self, seed: int = 0) -> Plant:
         """The plant the scenario names, at its start, seen through its sensors.
@@ -186,7 +176,8 @@ class Rig:
         plant.reset(self.q_start)
         if scenario.sensors.ideal:
             return plant
-        return SensedPlant(plant, hardware.sensors(scenario.sensors, self.chain, self.bodies), seed)
+        sensors = hardware.sensors(scenario.sensors, self.chain, self.placements)
+        return SensedPlant(plant, sensors, seed)
 
     def at_start(self, read: Measurement) -> Measurement:
         """What ideal encoders and trackers would have read at the start, where all is at rest."""
@@ -199,17 +190,21 @@ class Rig:
         """The plant as the control loop meets it: behind the joint torque loop, if any, and what
         estimates the velocities that its sensors do not give."""
         robot: Robot = plant
-        joints = hardware.flexible_joints(self.scenario, self.chain, self.state)
-        if (loop := hardware.torque_loop(self.scenario, self.chain, joints)) is not None:
+        loop = hardware.torque_loop(self.scenario, self.chain, self.springs)
+        if loop is not None:
             robot = hardware.TorqueLoopRobot(plant, loop)
         if not self.scenario.sensors.ideal:
-            robot = hardware.ObservedRobot(robot, controller, self.scenario, self.bodies)
+            robot = hardware.ObservedRobot(robot, controller, self.scenario, self.placements)
         return robot
+
+    @cached_property
+    def springs(self) -> FlexibleJoints | None:
+        """Of the joints; a `ScenarioError` where they cannot be."""
+        return hardware.flexible_joints(self.scenario, self.chain, self.state)
 
     def subject(self, controller: Controller) -> Subject:
         """What a recording of this rig is of."""
-        on = tuple(self.bodies[body].placement for body in self.on)
-        return Subject(controller, self.pairs, on, self.owners)
+        return Subject(controller, self.pairs, self.placements, self.owners)
 
     @property
     def gains(self) -> Gains:
@@ -262,14 +257,18 @@ class Rig:
         """The controller's contacts: as declared, or read off the geometry while it moves."""
         if self.scenario.control.contacts == "declared":
             return misplaced(self.scenario, self.pairs, self.bodies, self.state.X_WO)
-        urdf = robots.resolve_urdf(self.scenario.object.urdf, self.scenario.folder)[0]
-        return tracked(self.pairs, urdf, self.bodies)
+        return tracked(self.pairs, urdf_of(self.scenario, self.scenario.object), self.bodies)
 
     @cached_property
     def on(self) -> tuple[int, ...]:
         """The body of each contact, a number of `bodies`."""
         of = {i: k for k, body in enumerate(self.bodies) for i in body.contacts}
         return tuple(of[i] for i in range(len(self.pairs)))
+
+    @cached_property
+    def placements(self) -> Array:
+        """(contacts, 4, 4) X_WB at the start, of the body of each contact."""
+        return np.reshape([self.bodies[i].placement.homogeneous for i in self.on], (-1, 4, 4))
 
     @cached_property
     def owners(self) -> Array:
@@ -282,13 +281,8 @@ class Rig:
         return force_names(self.scenario)
 
     @cached_property
-    def state(self) -> ChainState:
-        """The true chain at rest in contact."""
-        return self.chain.state(self.q_contact, np.zeros(self.chain.nq))
-
-    @cached_property
     def contact(self) -> Contact:
-        """The contact state there."""
+        """The contact state where the chain is at rest in contact."""
         return contact_at(self.pairs, self.state.X_WO)
 
 
@@ -326,14 +320,14 @@ def _mujoco(rig: Rig, seed: int) -> Plant:
     scenario = rig.scenario
     return MujocoPlant(
         rig.chain,
-        [robots.resolve_urdf(arm.urdf, scenario.folder)[0] for arm in scenario.arms],
-        robots.resolve_urdf(scenario.object.urdf, scenario.folder)[0],
+        [urdf_of(scenario, arm) for arm in scenario.arms],
+        urdf_of(scenario, scenario.object),
         rig.pairs,
         [(body.urdf[0], body.placement) for body in rig.bodies],
         options=scenario.plant,
         rails=rails(rig.bodies),
         on=rig.on,
-        drives=hardware.drives(scenario, rig.chain, rig.state, seed),
+        drives=hardware.drives(scenario, rig.chain, rig.springs, seed),
     )
 
 
@@ -363,14 +357,18 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     contact = contact_at(pairs, state.X_WO)
     require_reachable(state, contact)
     tare = scenario.tare
-    standoff = np.zeros(6) if tare is None else standoff_of(state, contact, tare.standoff)
+    standoff = np.zeros(6)
+    if tare is not None:  # gaps open against N
+        standoff = least_motion(state, contact.N, np.full(contact.r, -tare.standoff))
     showing = showing_twist(pairs, state, contact.N)
     references = References.of(scenario, state.X_WO, pairs, standoff, showing)
     q_start = q_contact
     if tare is not None:
         q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
     bodies = environment_bodies(scenario)
-    return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_given)
+    return Rig(
+        scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_given, state
+    )
 
 
 def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> ClosedChain:
@@ -379,11 +377,10 @@ def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> Clos
     Args:
         scenario: with arms, grasps and object. error: with the factors, and a hidden mass.
     """
-    source = scenario.folder
     error = error or ModelErrorSpec()
     arms = [
         Arm.from_urdf(
-            robots.resolve_urdf(spec.urdf, source)[0],
+            urdf_of(scenario, spec),
             name=spec.name,
             tip=spec.tip,
             base=pose_of(spec.base),
@@ -402,7 +399,7 @@ def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> Clos
     for arm in arms:
         arm.model.armature = error.armature * arm.model.armature
         arm.model.rotorInertia = error.armature * arm.model.rotorInertia
-    body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
+    body = RigidObject(robots.load_body(urdf_of(scenario, scenario.object)))
     grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
     held = body.scaled(error.object_mass)
     if error.hidden_mass > 0.0:  # a point
@@ -476,12 +473,12 @@ def landings(rig: Rig) -> list[Landing]:
         stiffness = mass * rate**2
         met = mass * rate
         motion = rig.bodies[rig.on[owner]].motion
-        if isinstance(motion, CartSpec) and (along := float(direction @ motion.direction) ** 2):
+        if isinstance(motion, CartSpec) and (along := (direction @ motion.direction) ** 2):
             met = rate / (1.0 / mass + along / motion.mass)
             if motion.stiffness > 0.0:
                 stiffness = 1.0 / (1.0 / stiffness + along / motion.stiffness)
                 met = max(met, sqrt(stiffness * mass))
-        command = float(desired.max())
+        command = desired.max()
         free = rig.scenario.tare is not None or not desired[0] > 0.0
         peak = max(life.speed * met, command)
         if pushes_only(rig.pairs[owner]):

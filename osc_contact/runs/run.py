@@ -1,6 +1,5 @@
 """One run: plant and controller, tick by tick, into a recording."""
 
-import os
 from collections.abc import Callable
 from copy import copy
 from pathlib import Path
@@ -17,6 +16,7 @@ from osc_contact.errors import (
     RecordingError,
     ScenarioError,
 )
+from osc_contact.files import StrPath
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Plant
 from osc_contact.recorder import Recording
@@ -181,9 +181,7 @@ class Taring:
         return tau
 
 
-def recover(
-    path: str | os.PathLike[str], folder: str | os.PathLike[str] | None = None
-) -> Recording:
+def recover(path: StrPath, folder: StrPath | None = None) -> Recording:
     """The recording of a journal that a run left: all its chunks but those that are damaged.
 
     `meta["missing"]` has a sentence for each missing part.
@@ -209,9 +207,7 @@ def recover(
     return recording
 
 
-def shown_of(
-    recording: Recording, path: Path, folder: str | os.PathLike[str] | None = None
-) -> Content:
+def shown_of(recording: Recording, path: Path, folder: StrPath | None = None) -> Content:
     """What a recording is of: the picture that it carries, or its scenario.
 
     Args:
@@ -225,9 +221,7 @@ def shown_of(
     return content_of(build_rig(scenario_of(recording.meta, path, folder)))
 
 
-def scenario_of(
-    meta: dict[str, Any], path: Path, folder: str | os.PathLike[str] | None = None
-) -> Scenario:
+def scenario_of(meta: dict[str, Any], path: Path, folder: StrPath | None = None) -> Scenario:
     """The scenario that a recording was made of.
 
     A recording holds no folders (SECURITY.md): URDFs that its scenario gives by path are looked for

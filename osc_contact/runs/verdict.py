@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from osc_contact.errors import InvalidInputError, RecordingError
+from osc_contact.files import Json
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import CLOSED, SETTLE_S, JudgedTicks
 from osc_contact.runs.limit_cycles import worst_cycles
@@ -35,26 +35,27 @@ class Rule:
     """One row of the verdict: beyond its limit a quantity gives the run a word.
 
     Attributes:
-        word: for the run. fails: whether its task has failed.
+        word: for the run.
         subject: "run", "force", "contact" or "doubt": of what the quantity is.
         quantity: name of the number that is compared.
         limit: key of `VerdictSpec`; a number: this one, in every scenario.
-        sentence: with the numbers of its subject, {limit} among them.
+        sentence: with the numbers of its subject and {limit}; {mm} and {limit_mm} are a thousand
+            times the quantity and its limit.
+        fails: whether the task has failed then.
     """
 
     word: str
-    fails: bool
     subject: str
     quantity: str
     limit: str | float
     sentence: str
+    fails: bool = True
 
 
 #: The gravest word that applies is that of the first row.
 RULES = (
     Rule(
         "STOPPED",
-        True,
         "run",
         "stopped",
         0.0,
@@ -62,16 +63,14 @@ RULES = (
     ),
     Rule(
         "RUN AWAY",
-        True,
         "run",
         "distance",
         "distance",
-        "the object was {distance_mm:.0f} mm away from its reference (limit {limit_mm:.0f} mm); "
+        "the object was {mm:.0f} mm away from its reference (limit {limit_mm:.0f} mm); "
         "command a slower or smaller motion, or check gains, model and friction",
     ),
     Rule(
         "RUN AWAY",
-        True,
         "run",
         "angle",
         "angle",
@@ -80,7 +79,6 @@ RULES = (
     ),
     Rule(
         "LOST",
-        True,
         "contact",
         "open_at_end",
         0.0,
@@ -88,7 +86,6 @@ RULES = (
     ),
     Rule(
         "LOST",
-        True,
         "contact",
         "longest_loss",
         "lost_time",
@@ -98,7 +95,6 @@ RULES = (
     ),
     Rule(
         "POOR",
-        True,
         "contact",
         "open_share",
         "open_share",
@@ -107,7 +103,6 @@ RULES = (
     ),
     Rule(
         "POOR",
-        True,
         "force",
         "rms_error_rel",
         "force_rms",
@@ -116,7 +111,6 @@ RULES = (
     ),
     Rule(
         "POOR",
-        True,
         "force",
         "limit_cycle_rel",
         "limit_cycle",
@@ -126,7 +120,6 @@ RULES = (
     ),
     Rule(
         "POOR",
-        True,
         "force",
         "unjudged",
         0.0,
@@ -134,34 +127,33 @@ RULES = (
     ),
     Rule(
         "HELD",
-        True,
         "run",
         "held_share",
         "held_share",
         "{held} of {ticks} ticks could not be computed ({held_share:.2%}, limit {limit:.1%}); see "
         "docs/reliability.md. First reason, {reason}",
     ),
-    Rule("DOUBTFUL", False, "doubt", "counts", 0.0, "before it ran: {sentence}"),
+    Rule("DOUBTFUL", "doubt", "counts", 0.0, "before it ran: {sentence}", fails=False),
     Rule(
         "HELD",
-        False,
         "run",
         "held_share",
         0.0,
         "{held} of {ticks} ticks could not be computed ({held_share:.2%})",
+        fails=False,
     ),
     Rule(
         "SATURATED",
-        False,
         "run",
         "saturated",
         0.0,
         "{saturated} of {ticks} ticks were at a motor limit ({motors})",
+        fails=False,
     ),
 )
 
 
-def metrics(recording: Recording) -> dict[str, Any]:
+def metrics(recording: Recording) -> Json:
     """Judge a run against the plant's truth.
 
     Keys: scenario, plant, seed (None for a loop of the user's own), duration_s, ticks,
@@ -219,8 +211,8 @@ class _Sums:
             recording: with a judge. least_cycle: see `worst_cycles`.
         """
         meta = recording.meta
-        self.ticks = JudgedTicks(meta, len(recording.magnitude_names))
-        self.duration = len(recording) / float(meta["control_rate_hz"])
+        self.ticks = JudgedTicks(recording)
+        self.duration = len(recording) / meta["control_rate_hz"]
         self.opened, self.judged, self.longest, run = np.zeros((4, len(meta["contact_names"])), int)
         self.command, self.error, self.sensing = (_Series() for _ in range(3))
         self.total, self.projected, self.away, self.closed = (_Series() for _ in range(4))
@@ -259,7 +251,7 @@ class _Sums:
         self.cycles = worst_cycles(recording, np.concatenate(judged_forces), least_cycle)
 
 
-def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
+def _numbers(recording: Recording, sums: _Sums) -> Json:
     """All of metrics.json but the task.
 
     Args:
@@ -283,7 +275,7 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
         "motion": {"rms_error_m": position, "rms_error_rad": orientation},
         "contact_fraction": dict(zip(contacts, sums.closed.mean(), strict=False)),
         "first_contact_s": dict(zip(contacts, sums.ticks.landed, strict=True)),
-        "steps": step_answers(recording, sums.ticks.landed),
+        "steps": step_answers(recording, sums.ticks),
         "judged_ticks": sums.count,
         "power": {
             "total_rms_W": total,
@@ -301,7 +293,7 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
     }
 
 
-def _learned(losses: Sequence[Mapping[str, Any]], meta: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _learned(losses: Sequence[Json], meta: Json) -> list[Json]:
     """Friction and rotor of each joint as learned, rounded to what is significant.
 
     Args:
@@ -346,9 +338,7 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
     return found
 
 
-def _facts(
-    recording: Recording, sums: _Sums, verdict: Mapping[str, Any]
-) -> dict[str, list[dict[str, Any]]]:
+def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[Json]]:
     """Of each subject what `RULES` compare and name.
 
     Args:
@@ -363,7 +353,6 @@ def _facts(
         "stopped": meta.get("end_state") == "SAFE_STOP",
         "reason": meta.get("first_reason") or meta.get("end_reason") or "not recorded",
         "distance": distance,
-        "distance_mm": 1e3 * (distance or 0.0),
         "angle": angle,
         "held_share": verdict["status"]["held"] / verdict["ticks"],
         "motors": ", ".join(joint for joint, _ in verdict["at_limit"][:3]) or "some",
@@ -373,7 +362,7 @@ def _facts(
             "name": name,
             "open_at_end": sums.ticks.open[i],
             "again": "" if landed[i] is None else " again",
-            "longest_loss": sums.longest[i] / float(meta["control_rate_hz"]),
+            "longest_loss": sums.longest[i] / meta["control_rate_hz"],
             "open_share": sums.opened[i] / max(sums.judged[i], 1),
         }
         for i, name in enumerate(verdict["first_contact_s"])
@@ -433,25 +422,24 @@ def _ratio(part: float | None, whole: float | None) -> float | None:
     return part / whole if whole and part is not None else None
 
 
-def step_answers(recording: Recording, landings: Sequence[float | None]) -> list[dict[str, Any]]:
+def step_answers(recording: Recording, ticks: JudgedTicks) -> list[Json]:
     """First contacts and steps of desired forces, each with the overshoot that it caused.
 
     overshoot = largest (true − desired force) in the direction of the step, within `STEP_WINDOW_S`.
 
     Args:
-        recording: with a judge. landings: when each contact first closed (s), None: never.
+        recording: with a judge. ticks: all of it, added.
 
     Returns:
         In order of time, of each magnitude that stepped: t_s, force, what ("first contact" or
         "step"), from_N, to_N, overshoot_N, overshoot_rel (of the step), and where it is largest the
         true and the desired force, peak_N and commanded_N.
     """
-    rate = float(recording.meta["control_rate_hz"])
-    owners = list(recording.meta.get("columns", range(len(recording.magnitude_names))))
+    rate = recording.meta["control_rate_hz"]
     steps = sorted({round(t * rate) for t in recording.meta["force_steps_s"]})
     changes = []
-    for column, owner in enumerate(owners):
-        first = landings[owner]
+    for column, owner in enumerate(ticks.columns):
+        first = ticks.landed[owner]
         if first is not None:
             changes.append((round(first * rate), column, True))
         begin = max(2, round((first or 0.0) * rate))
@@ -462,7 +450,7 @@ def step_answers(recording: Recording, landings: Sequence[float | None]) -> list
 
 def _answer(
     recording: Recording, rate: float, steps: Sequence[int], k: int, column: int, first: bool
-) -> dict[str, Any] | None:
+) -> Json | None:
     """What one magnitude does after tick k; None if it is not commanded to step there."""
     later = [step for step in steps if step > k]
     stop = min([k + max(2, round(STEP_WINDOW_S * rate)), *later, len(recording)])
@@ -502,10 +490,10 @@ def _answer(
 
 
 def judge_task(
-    facts: Mapping[str, Sequence[Mapping[str, Any]]],
+    facts: Mapping[str, Sequence[Json]],
     limits: VerdictSpec,
     rules: Sequence[Rule] = RULES,
-) -> dict[str, Any]:
+) -> Json:
     """One word for a run, whether its task failed, and why.
 
     Args:
@@ -524,8 +512,9 @@ def judge_task(
         for i, fact in enumerate(facts[rule.subject]):
             value = fact[rule.quantity]
             if value is not None and value > limit:
-                words = {**fact, "limit": limit, "limit_mm": 1e3 * limit}
-                text = rule.sentence.format(**words)
+                text = rule.sentence.format(
+                    **fact, limit=limit, mm=1e3 * value, limit_mm=1e3 * limit
+                )
                 found.setdefault((rule.subject, i, rule.quantity), (rule, text))
     return {
         "word": next((rule.word for rule, _ in found.values()), "OK"),

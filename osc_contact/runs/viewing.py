@@ -17,7 +17,7 @@ from osc_contact.recorder import Recording
 from osc_contact.runs.contacts import force_owners
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.visual.browser import find_browser, write_gif, write_png
+from osc_contact.visual.browser import write_png
 from osc_contact.visual.live import CHANNELS, Viewer
 from osc_contact.visual.parts import Content, Visual
 from osc_contact.visual.scene import Scene, write_scene
@@ -197,7 +197,6 @@ def picture(recording: Recording, rig: Rig | Content, path: Path, time: float | 
         ViewerError: there is no browser to render it.
         InvalidInputError: the time is not in the recording.
     """
-    find_browser()
     t = recording["t"]
     moment = 0.5 * float(t[0] + t[-1]) if time is None else time
     if not t[0] <= moment <= t[-1] + 1e-3:
@@ -209,7 +208,7 @@ def picture(recording: Recording, rig: Rig | Content, path: Path, time: float | 
 
 
 def moving_picture(
-    recording: Recording, rig: Rig | Content, path: Path, write: Callable[..., Path] = write_gif
+    recording: Recording, rig: Rig | Content, path: Path, write: Callable[..., Path]
 ) -> Path:
     """The whole recording, moving.
 
@@ -222,7 +221,6 @@ def moving_picture(
     Raises:
         ViewerError: there is no browser to render it.
     """
-    find_browser()
     t = recording["t"]
     with _page(recording, rig) as page:
         return write(page, path, float(t[0]), float(t[-1]))

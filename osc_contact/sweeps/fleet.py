@@ -97,11 +97,9 @@ class Fleet:
         self.control = BatchController([one.controller for one in starts], threads)
         self._models = [one.plant.model for one in starts]
         self._plants: Any = Batch(first.plant.model, self.rows, nthread=threads)
-        self._plants.set_models(self._models)
         names = ("qpos", "qvel", "sensordata", "ctrl", "xpos", "xmat")
         *self._sensed, self._ctrl, self._xpos, self._xmat = map(self._plants.bind, names)
-        self._plants.state[:] = [one.state for one in starts]
-        self._plants.forward()
+        self.begin(dict(enumerate(starts)))
 
     def begin(self, starts: dict[int, Start]) -> None:
         """Rows that begin anew, each at its start."""
@@ -140,5 +138,4 @@ class Fleet:
 
     def diverged(self) -> Array:
         """(B,) whether MuJoCo has warned since the row began."""
-        counts = np.reshape(self._plants.warning, (self.rows, -1))
-        return np.asarray(counts.any(axis=1))
+        return np.any(np.reshape(self._plants.warning, (self.rows, -1)), axis=1)

@@ -6,7 +6,7 @@ It answers how many runs succeed, how large errors get, and what they depend on.
 import base64
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from html import escape
 from importlib.util import find_spec
 from io import StringIO
@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from osc_contact import __version__
-from osc_contact.files import write_whole
+from osc_contact.files import Json, write_whole
 from osc_contact.spatial import Array
 from osc_contact.sweeps.study import SweepStudy
 from osc_contact.visual.page import POLICY, asset, filled
@@ -29,7 +29,7 @@ _SHOWN = 4  #: errors that are drawn; as many causes of each
 _WORST = 5  #: runs that are named
 
 
-def write_report(table: Any, study: SweepStudy, folder: Path) -> dict[str, Any]:
+def write_report(table: Any, study: SweepStudy, folder: Path) -> Json:
     """Write summary, figures (with the extra `plot`) and page; returns the summary.
 
     Args:
@@ -52,7 +52,7 @@ def write_report(table: Any, study: SweepStudy, folder: Path) -> dict[str, Any]:
     return summary
 
 
-def in_words(summary: Mapping[str, Any]) -> Iterator[str | Table]:
+def in_words(summary: Json) -> Iterator[str | Table]:
     """What became of the runs, errors and what they depend on, the worst; to be printed."""
     words = ", ".join(f"{count} {word}" for word, count in summary["words"].items())
     yield f"{summary['rows']} runs, {summary['success_rate']:.1%} without a failed task: {words}"
@@ -77,7 +77,7 @@ def in_words(summary: Mapping[str, Any]) -> Iterator[str | Table]:
         yield f"row {one['row']}: {one['word']}{value}{command}"
 
 
-def _printed(summary: Mapping[str, Any]) -> str:
+def _printed(summary: Json) -> str:
     """The same as text."""
     console = Console(file=StringIO(), width=160)
     for one in in_words(summary):
@@ -93,7 +93,7 @@ def _picture(path: Path) -> str:
     )
 
 
-def _draw(table: Any, study: SweepStudy, summary: Mapping[str, Any], folder: Path) -> list[Path]:
+def _draw(table: Any, study: SweepStudy, summary: Json, folder: Path) -> list[Path]:
     """How errors are distributed, and over what they depend on; PNG and SVG."""
     from matplotlib.figure import Figure
 
@@ -140,7 +140,7 @@ _ERRORS = (
 )
 
 
-def summarise(table: Any, study: SweepStudy) -> dict[str, Any]:
+def summarise(table: Any, study: SweepStudy) -> Json:
     """Success rate, quantiles, sensitivities and the worst runs.
 
     Args:
@@ -178,8 +178,7 @@ def numbers(table: Any, name: str) -> Array:
 
 def judged_columns(table: Any) -> list[str]:
     """Names of the columns in which errors stand."""
-    names = list(table.column_names)
-    return [name for end in _ERRORS for name in names if name.endswith(end)]
+    return [name for end in _ERRORS for name in table.column_names if name.endswith(end)]
 
 
 def sensitivities(table: Any, study: SweepStudy, name: str) -> dict[str, float | None]:
@@ -226,7 +225,7 @@ def variances(table: Any, study: SweepStudy, name: str) -> dict[str, dict[str, f
     }
 
 
-def worst_rows(table: Any, study: SweepStudy) -> list[dict[str, Any]]:
+def worst_rows(table: Any, study: SweepStudy) -> list[Json]:
     """Runs that failed first, then those of the largest force errors, each with its command.
 
     Args:

@@ -39,20 +39,21 @@ class Distribution:
     """Values of one key.
 
     Attributes:
-        text: of the study. dims: how many numbers between 0 and 1 make a value.
-        draw: (numbers (dims,), the scenario's own value of the key) → value.
+        dims: how many numbers between 0 and 1 make a value.
+        draw: (numbers (dims,), the scenario's own value of the key where that counts) → value.
         levels: how many different values there are; 0: any number.
         ends: whether a grid takes both ends of it; else it takes the middles of equal parts.
+        relative: whether the scenario's own value counts.
     """
 
-    text: str
     dims: int
     draw: Callable[[Array, Any], Drawn]
     levels: int = 0
     ends: bool = False
+    relative: bool = False
 
 
-Make = Callable[[str, Sequence[str]], Distribution]  #: from the text and its parts
+Make = Callable[[Sequence[str]], Distribution]  #: from what stands between the commas
 
 
 def parse_distribution(text: str) -> Distribution:
@@ -69,7 +70,7 @@ def parse_distribution(text: str) -> Distribution:
         )
     make, written = WORDS[match[1]]
     try:
-        return make(text.strip(), _split(match[2]))
+        return make(_split(match[2]))
     except (ValueError, IndexError) as error:
         raise InvalidInputError(f"{text!r}: {error}; it is written {written}") from error
 
@@ -111,7 +112,7 @@ def _scalar(at: Callable[[float, float, float], float]) -> Make:
         at: (u, first, second) → value.
     """
 
-    def make(text: str, parts: Sequence[str]) -> Distribution:
+    def make(parts: Sequence[str]) -> Distribution:
         (first, second), unit = _quantities(parts, 2)
         at(0.5, first, second)  # refuses what makes no sense
 
@@ -119,7 +120,7 @@ def _scalar(at: Callable[[float, float, float], float]) -> Make:
             x = at(float(u[0]), first, second)
             return f"{x!r} {unit}".strip(), {f" [{unit}]" if unit else "": x}
 
-        return Distribution(text, 1, draw, ends=at is not _normal)
+        return Distribution(1, draw, ends=at is not _normal)
 
     return make
 
@@ -142,8 +143,8 @@ def _normal(u: float, mean: float, spread: float) -> float:
     return NormalDist(mean, spread).inv_cdf(min(max(u, 1e-9), 1 - 1e-9))
 
 
-def _factor(text: str, parts: Sequence[str]) -> Distribution:
-    uniform = _scalar(_uniform)(text, parts)
+def _factor(parts: Sequence[str]) -> Distribution:
+    uniform = _scalar(_uniform)(parts)
     if _quantities(parts, 2)[1]:
         raise ValueError("give two factors without a unit")
 
@@ -151,10 +152,10 @@ def _factor(text: str, parts: Sequence[str]) -> Distribution:
         x = float(uniform.draw(u, None)[0])
         return _times(value, x), {" [factor]": x}
 
-    return Distribution(text, 1, draw, ends=True)
+    return Distribution(1, draw, ends=True, relative=True)
 
 
-def _choice(text: str, parts: Sequence[str], values: Sequence[Any] = ()) -> Distribution:
+def _choice(parts: Sequence[str], values: Sequence[Any] = ()) -> Distribution:
     """One of the texts; the table shows the values, by default numbers if all texts are."""
     if not all(parts):
         raise ValueError("a value is missing")
@@ -167,15 +168,15 @@ def _choice(text: str, parts: Sequence[str], values: Sequence[Any] = ()) -> Dist
         i = min(int(u[0] * len(parts)), len(parts) - 1)
         return parts[i], {"": values[i]}
 
-    return Distribution(text, 1, draw, len(parts))
+    return Distribution(1, draw, len(parts))
 
 
-def _integers(text: str, parts: Sequence[str]) -> Distribution:
+def _integers(parts: Sequence[str]) -> Distribution:
     low, high = map(int, parts)
     if low > high:
         raise ValueError(f"{low} is above {high}")
     values = range(low, high + 1)
-    return _choice(text, [str(value) for value in values], values)
+    return _choice([str(value) for value in values], values)
 
 
 def _times(value: Any, factor: float) -> str:
@@ -188,7 +189,7 @@ def _times(value: Any, factor: float) -> str:
     return f"{float(match[1]) * factor!r} {match[2]}".strip()
 
 
-def _tilt(text: str, parts: Sequence[str]) -> Distribution:
+def _tilt(parts: Sequence[str]) -> Distribution:
     (most,), unit = _quantities(parts, 1)
     most = np.deg2rad(most) if unit == "deg" else most
     if unit not in ("deg", "rad", "") or not 0.0 < most <= np.pi:
@@ -197,15 +198,15 @@ def _tilt(text: str, parts: Sequence[str]) -> Distribution:
     def draw(u: Array, value: Any) -> Drawn:
         n = np.array(value, dtype=float)
         n /= norm(n)
-        angle = float(np.arccos(1.0 - float(u[0]) * (1.0 - np.cos(most))))
+        angle = float(np.arccos(1.0 - u[0] * (1.0 - np.cos(most))))
         heading = 2.0 * np.pi * float(u[1])
-        a = np.cross(np.eye(3)[int(np.abs(n).argmin())], n)
+        a = np.cross(np.eye(3)[np.abs(n).argmin()], n)
         a /= norm(a)
         side = np.cos(heading) * a + np.sin(heading) * np.cross(n, a)
         tilted = np.cos(angle) * n + np.sin(angle) * side
         return str(tilted.tolist()), {".tilt [rad]": angle, ".heading [rad]": heading}
 
-    return Distribution(text, 2, draw)
+    return Distribution(2, draw, relative=True)
 
 
 #: Words, what makes distributions of them, and how they are written.
@@ -296,13 +297,13 @@ class SweepStudy:
                     "such a scenario with osc.run, one by one"
                 )
             text = json.dumps(scenario.as_dict(), indent=1)
-            source = None if scenario.source is None else str(scenario.source.resolve())
+            path = scenario.source
             name = None
         else:
             text, path = read_text(scenario)
-            source = str(path.resolve())
             name = str(scenario)
-        pairs = [f"{k}={v}" for k, v in vary.items()] if isinstance(vary, Mapping) else list(vary)
+        source = None if path is None else str(path.resolve())
+        pairs = texts(vary) if isinstance(vary, Mapping) else vary
         study = cls(text, source, tuple(pairs), samples, design, seed, tuple(overrides), name)
         study.require_sound()
         return study
@@ -333,7 +334,7 @@ class SweepStudy:
             raise InvalidInputError(f"a key varies twice: {paths}")
         sample = self.sample(0)
         try:
-            self.template.make([*self.overrides, *texts(sample.overrides)])
+            self.scenario(sample)
         except ScenarioError as error:
             raise ScenarioError(f"the first of the runs cannot be made:\n{error}") from error
 
@@ -389,6 +390,10 @@ class SweepStudy:
             shown |= {path + suffix: value for suffix, value in values.items()}
         return overrides, shown
 
+    def scenario(self, sample: Sample) -> Scenario:
+        """The scenario of one run."""
+        return self.template.make([*self.overrides, *texts(sample.overrides)])
+
     def command(self, number: int) -> str | None:
         """The line of a shell that runs one sample by itself; None: it was made in Python."""
         if self.name is None:
@@ -404,8 +409,8 @@ class SweepStudy:
         """The scenario's own values of keys that vary relative to them."""
         return {
             path: self.template.value(path, self.overrides)
-            for path, words in self.variations
-            if path != SEED and words.text.startswith(("factor", "tilt"))
+            for path, distribution in self.variations
+            if path != SEED and distribution.relative
         }
 
     def _point(self, number: int) -> Array:

@@ -9,7 +9,6 @@ import logging
 import os
 import signal
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -21,6 +20,7 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -28,7 +28,7 @@ from typing import Any
 
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
-from osc_contact.files import hold, whole_file
+from osc_contact.files import Json, hold, whole_file
 from osc_contact.law import compiled
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
@@ -37,7 +37,7 @@ from osc_contact.runs.run import Install, run
 from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.control_schema import ModelErrorSpec
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.sweeps.study import Design, Sample, SweepStudy, texts
+from osc_contact.sweeps.study import Design, Sample, SweepStudy
 
 #: Words beside those of `runs.verdict`: it could not be built or is not possible; the simulation
 #: diverged; the process that ran it died.
@@ -60,7 +60,7 @@ _LEFT_OUT = {
     "force_per_normal",
 }
 
-Row = dict[str, Any]
+Row = Json
 
 # --- Making rows --------------------------------------------------------------------------------
 
@@ -80,7 +80,7 @@ class RigBuilder(threading.local):
 
     def __init__(self) -> None:
         """No chains."""
-        self._chains: OrderedDict[str, ClosedChain] = OrderedDict()
+        self._chains: dict[str, ClosedChain] = {}
 
     def rig(self, scenario: Scenario) -> Rig:
         """See `build_rig`."""
@@ -89,12 +89,11 @@ class RigBuilder(threading.local):
     def _chain(self, scenario: Scenario, error: ModelErrorSpec) -> ClosedChain:
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
         key = json.dumps([content, dict(error), str(scenario.source)], sort_keys=True)
-        if key not in self._chains:
-            self._chains[key] = build_chain(scenario, error)
-            if len(self._chains) > _KEPT:
-                self._chains.popitem(last=False)
-        self._chains.move_to_end(key)
-        return self._chains[key]
+        chain = self._chains.pop(key, None) or build_chain(scenario, error)
+        self._chains[key] = chain  # behind those that were used before
+        if len(self._chains) > _KEPT:
+            del self._chains[next(iter(self._chains))]
+        return chain
 
 
 _rigs = RigBuilder()
@@ -141,32 +140,21 @@ def record_sample(study: SweepStudy, sample: Sample, install: Install | None = N
     Raises:
         OscContactError: it cannot be built, is not possible, or diverges.
     """
-    scenario = scenario_of(study, sample)
-    return run(scenario, seed=sample.seed, install=install, build=_rigs.rig)
+    return run(study.scenario(sample), seed=sample.seed, install=install, build=_rigs.rig)
 
 
-def scenario_of(study: SweepStudy, sample: Sample) -> Scenario:
-    """The scenario of one run."""
-    return study.template.make([*study.overrides, *texts(sample.overrides)])
-
-
-def require_long_enough(scenario: Scenario) -> None:
+def require_long_enough(study: SweepStudy) -> None:
     """Refuse runs that end before they are judged.
 
     Raises:
-        InvalidInputError: with the duration.
+        InvalidInputError: with the duration of the first.
     """
-    if scenario.duration <= SETTLE_S:
+    duration = study.scenario(study.sample(0)).duration
+    if duration <= SETTLE_S:
         raise InvalidInputError(
-            f"runs of {scenario.duration:g} s end before t = {SETTLE_S:g} s, from where they are "
+            f"runs of {duration:g} s end before t = {SETTLE_S:g} s, from where they are "
             "judged; give a longer --duration"
         )
-
-
-def crashed_row(study: SweepStudy, number: int) -> Row:
-    """The row of a run that ended its process, twice."""
-    why = "its process died twice; run it alone to find the cause"
-    return _head(study.sample(number), CRASHED, why)
 
 
 def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
@@ -179,23 +167,29 @@ def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
     task = verdict["task"]
     row = _head(sample, task["word"], "\n".join(task["why"]), task["failed"])
     row["doubts"] = "\n".join(recording.meta["doubts"])
-    row |= _flat("", {k: v for k, v in verdict.items() if k not in _LEFT_OUT})
+    row |= _flat({k: v for k, v in verdict.items() if k not in _LEFT_OUT})
     for name in ("overshoot_N", "overshoot_rel"):
         row[name] = max((step[name] for step in verdict["steps"]), default=None)
     return row
 
 
 def _head(sample: Sample, word: str, why: str, failed: bool = True) -> Row:
-    about = {"word": word, "failed": failed, "why": why}
-    return {"row": sample.number, "seed": sample.seed, **sample.shown, **about}
+    return {
+        "row": sample.number,
+        "seed": sample.seed,
+        **sample.shown,
+        "word": word,
+        "failed": failed,
+        "why": why,
+    }
 
 
-def _flat(path: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
     """{"a": {"b": 1}} → ("a.b", 1)"""
     for key, value in values.items():
-        name = f"{path}.{key}" if path else str(key)
+        name = f"{before}{key}"
         if isinstance(value, Mapping):
-            yield from _flat(name, value)
+            yield from _flat(value, f"{name}.")
         else:
             yield name, value
 
@@ -252,11 +246,10 @@ class RowFile:
         self.done |= {row["row"]: row for row in rows if type(row.get("row")) is int}
         self._file.truncate(len(whole))  # once all of it is sound
 
-    def append(self, rows: Iterable[Row]) -> None:
-        """Keep rows, now."""
-        for row in rows:
-            self.done[row["row"]] = row
-            self._write(row)
+    def append(self, row: Row) -> None:
+        """Keep a row, now."""
+        self.done[row["row"]] = row
+        self._write(row)
 
     def _write(self, row: Row) -> None:
         self._file.write(json.dumps(row).encode() + b"\n")
@@ -276,7 +269,7 @@ def _parsed(line: bytes) -> Row:
         return {}
 
 
-def make_table(rows: Sequence[Row], study: SweepStudy) -> Any:
+def make_table(rows: Iterable[Row], study: SweepStudy) -> Any:
     """A `pyarrow.Table`, sorted by row, columns in the order in which they first appear.
 
     Args:
@@ -295,14 +288,15 @@ def make_table(rows: Sequence[Row], study: SweepStudy) -> Any:
                 f"the values of {name!r} are of several kinds ({error}): rows are damaged; remove "
                 "their file, and run the study again"
             ) from error
-    about = {
-        "study": study.fingerprint,
-        "scenario": study.text,
-        "vary": json.dumps(study.vary),
-        "overrides": json.dumps(study.overrides),
-        "design": json.dumps([study.design, study.samples, study.seed]),
-    }
-    return pa.table(columns).replace_schema_metadata(about)
+    return pa.table(columns).replace_schema_metadata(
+        {
+            "study": study.fingerprint,
+            "scenario": study.text,
+            "vary": json.dumps(study.vary),
+            "overrides": json.dumps(study.overrides),
+            "design": json.dumps([study.design, study.samples, study.seed]),
+        }
+    )
 
 
 ROWS = "rows.jsonl"  #: file of a sweep's folder
@@ -370,7 +364,7 @@ def run_study(study: SweepStudy, *, out: str | Path | None = None, **how: Any) -
 
     file = None if out is None else Path(out) / ROWS
     done = run_rows(study, file, **how)
-    table = make_table(list(done.values()), study)
+    table = make_table(done.values(), study)
     if out is not None:
         with whole_file(Path(out) / TABLE) as unfinished:
             parquet.write_table(table, unfinished)
@@ -396,7 +390,7 @@ def run_rows(
         laws: see `RowFile`.
         workers, scheduler, progress: as of `sweep`.
     """
-    require_long_enough(scenario_of(study, study.sample(0)))
+    require_long_enough(study)
     with ExitStack() as stack:
         rows = None
         if file is not None:
@@ -410,7 +404,7 @@ def run_rows(
             done[row["row"]] = row
             ended += 1
             if rows is not None:
-                rows.append([row])
+                rows.append(row)
             if progress is not None:
                 progress(ended, study.rows)
     return {number: done[number] for number in range(study.rows)}
@@ -422,25 +416,22 @@ def run_rows(
 _AHEAD = 2  #: jobs that wait for each worker
 
 
+@dataclass
 class Workers:
     """Workers in other processes.
 
-    Args:
+    Attributes:
         executor: makes one, and another one where a worker's death broke the first.
         count: how many workers there are now.
         deaths: what a job raises that has ended its worker.
     """
 
-    def __init__(
-        self,
-        executor: Callable[[], Executor],
-        count: Callable[[], int],
-        deaths: type[Exception] = BrokenExecutor,
-    ) -> None:
-        self._make = executor
-        self._executor = executor()
-        self.count = count
-        self.deaths = deaths
+    executor: Callable[[], Executor]
+    count: Callable[[], int]
+    deaths: type[Exception] = BrokenExecutor
+
+    def __post_init__(self) -> None:
+        self._executor = self.executor()
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Have a function called, by a new executor where a worker's death broke the last one."""
@@ -448,7 +439,7 @@ class Workers:
             return self._executor.submit(function, *arguments)
         except BrokenExecutor:
             self.close()
-            self._executor = self._make()
+            self._executor = self.executor()
             return self._executor.submit(function, *arguments)
 
     def close(self) -> None:
@@ -518,7 +509,8 @@ def make_all(
             yield from ((study, row) for row in rows)
     for job in lost:  # it may have ended a worker: now alone
         for (study, numbers), rows in _hand_out(workers, [job], make):
-            yield study, rows[0] if rows else crashed_row(study, numbers[0])
+            why = "its process died twice; run it alone to find the cause"
+            yield study, rows[0] if rows else _head(study.sample(numbers[0]), CRASHED, why)
 
 
 def available_cores() -> int:

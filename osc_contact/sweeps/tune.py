@@ -1,7 +1,7 @@
 """Keys of a scenario tuned by Optuna: shipped values against found ones, under limits."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,11 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.sweeps.study import SweepStudy, texts
 from osc_contact.sweeps.sweep import (
+    Progress,
     Row,
     make_all,
     make_rows,
     require_long_enough,
-    scenario_of,
     workers_of,
 )
 
@@ -74,7 +74,7 @@ def tune(
     out: str | Path | None = None,
     workers: int | None = None,
     scheduler: Any = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Tuned:
     """Find values of keys that make a scenario's errors small, without breaking a limit.
 
@@ -100,7 +100,7 @@ def tune(
 
     tuned = tuple(vary) or _stated(scenario, overrides)
     keys = SweepStudy.of(scenario, tuned, 1, "halton", seed, overrides)
-    require_long_enough(scenario_of(keys, keys.sample(0)))
+    require_long_enough(keys)
     base = replace(keys, vary=tuple(over), samples=samples)
     shipped = make_rows(base, range(samples))
     if any(row["failed"] for row in shipped):

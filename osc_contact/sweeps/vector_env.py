@@ -23,7 +23,7 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, moved
 from osc_contact.sweeps.fleet import Fleet, Start
 from osc_contact.sweeps.study import SEED, SweepStudy
-from osc_contact.sweeps.sweep import RigBuilder, available_cores, scenario_of, without_logged_doubts
+from osc_contact.sweeps.sweep import RigBuilder, available_cores, without_logged_doubts
 
 # --- Episodes -----------------------------------------------------------------------------------
 
@@ -55,8 +55,8 @@ def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
 
     @cache
     def make(number: int) -> Episode:
-        rig = rigs.rig(scenario_of(study, study.sample(number)))
-        steps = int(np.floor(rig.scenario.duration / period + 1e-9))
+        rig = rigs.rig(study.scenario(study.sample(number)))
+        steps = np.floor(rig.scenario.duration / period + 1e-9)
         plan = rig.references.over(np.arange(steps + 1) * period)
         places = np.array([pin.XYZQUATToSE3(x).homogeneous for x in plan.X_WD])
         with without_logged_doubts():
@@ -212,11 +212,10 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> tuple[Array, dict[str, Any]]:
         """All rows begin anew; see gymnasium."""
         super().reset(seed=seed)
-        self._begin(np.ones(self.num_envs, dtype=bool))
+        self._begin(range(self.num_envs))
         return self._observe(), self._infos()
 
-    def _begin(self, mask: Array) -> None:
-        rows = np.flatnonzero(mask).tolist()
+    def _begin(self, rows: Sequence[int]) -> None:
         if not rows:
             return
         numbers = self.np_random.integers(self._count, size=len(rows))
@@ -238,7 +237,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         again = self._over.copy()
         going = ~again
         tau = self._advance(actions, going)
-        self._begin(again)
+        self._begin(np.flatnonzero(again).tolist())
         self._step[going] += 1
         seen = self._see(actions, tau)
         rewards = np.where(going, self._reward(seen), 0.0)
@@ -307,15 +306,14 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return np.nan_to_num(np.concatenate(parts, axis=1))
 
     def _infos(self) -> dict[str, Any]:
-        every = np.ones(self.num_envs, dtype=bool)
         samples = np.array([episode.number for episode in self._now])
-        return {"sample": samples, "_sample": every}
+        return {"sample": samples, "_sample": np.ones(self.num_envs, dtype=bool)}
 
 
-def _needed(places: Array) -> tuple[float, float]:
-    """Twice the largest increments between poses, one after the other (m, rad)."""
+def _needed(places: Array) -> Array:
+    """(2,) twice the largest increments between poses, one after the other (m, rad)."""
     largest = np.abs(_displacement(places[:-1], places[1:])).reshape(-1, 2, 3).max(axis=(0, 2))
-    return max(1e-3, 2.0 * float(largest[0])), max(5e-3, 2.0 * float(largest[1]))
+    return np.maximum((1e-3, 5e-3), 2.0 * largest)
 
 
 def _displacement(start: Array, end: Array) -> Array:
