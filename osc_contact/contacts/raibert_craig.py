@@ -70,9 +70,8 @@ def selection_columns(frame: SE3, forces: Sequence[bool], couples: Sequence[bool
     Raises:
         InvalidInputError: not three flags.
     """
-    full = frame.toDualActionMatrix()
     chosen = np.concatenate((_flags("forces", forces), _flags("couples", couples)))
-    return full[:, chosen]
+    return frame.toDualActionMatrix()[:, chosen]
 
 
 def as_raibert_craig(
@@ -115,10 +114,10 @@ def as_raibert_craig(
         points = np.concatenate((points, better[1]))
         chosen = np.concatenate((chosen, chosen))
         sine = sines(triads, points, chosen, rest)
-    best = int(sine.argmin())
+    best = sine.argmin()
 
     # axes named so that they are nearest to the world's
-    P = _RELABEL[int(np.einsum("ij,pji->p", triads[best], _RELABEL).argmax())]
+    P = _RELABEL[np.einsum("ij,pji->p", triads[best], _RELABEL).argmax()]
     selected = (chosen[best].reshape(2, 3) @ np.abs(P)) > 0.5
     forces, couples = ((bool(x), bool(y), bool(z)) for x, y, z in selected)
     reason = "" if sine[best] <= tolerance else _why(Q, size, tolerance, sum(forces))
@@ -274,7 +273,7 @@ def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
     if b is not None:
         x = x + (b if x @ b >= 0.0 else -b)
     x = x / norm(x)
-    y = cross(x, _EYE[int(np.abs(x).argmin())])
+    y = cross(x, _EYE[np.abs(x).argmin()])
     y = y / norm(y)
     return np.column_stack((x, y, cross(x, y)))
 

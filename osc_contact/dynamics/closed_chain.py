@@ -471,7 +471,7 @@ def _z_frame(model: pin.Model, joint: int) -> SE3:
     x, y, z = np.round(axis, 15)
     if (x, y, z) == (0.0, 0.0, 1.0):
         return SE3.Identity()
-    start = np.eye(3)[int(np.abs(axis).argmin())]
+    start = np.eye(3)[np.abs(axis).argmin()]
     first = cross(start, axis)
     first /= norm(first)
     return SE3(np.column_stack((first, cross(axis, first), axis)), np.zeros(3))

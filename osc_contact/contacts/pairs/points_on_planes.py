@@ -50,8 +50,9 @@ class PointsOnPlanes(LawPair):
     def _hold_points(
         self, points: Array, into: Array, on_plane: Array, radius: float = 0.0
     ) -> None:
-        """Take points (3, r) of A, unit directions (3, 1 or r), and a point (3,) of all planes."""
-        into = np.broadcast_to(into, points.shape)
+        """Take points of A and unit directions, (3,) or (3, r), and a point (3,) of all planes."""
+        points = points.reshape(3, -1)
+        into = np.broadcast_to(into.reshape(3, -1), points.shape)
         heights = (into * on_plane[:, None]).sum(axis=0)
         store(self, _points=points, _into=into, _reach=heights - radius, _heights=heights)
         shapes = map(shape, points.T, into.T, heights)
@@ -98,7 +99,7 @@ class VertexOnFace(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        self._hold_points(self.vertex[:, None], -self.normal[:, None], self.point, self.radius)
+        self._hold_points(self.vertex, -self.normal, self.point, self.radius)
 
 
 # A sphere of the object on a plane of the environment.
@@ -123,9 +124,7 @@ class SphereOnPlane(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        self._hold_points(
-            self.centre[:, None], -self.face_normal[:, None], self.face_point, self.radius
-        )
+        self._hold_points(self.centre, -self.face_normal, self.face_point, self.radius)
 
 
 # An edge of the object on a face of the environment.
@@ -155,7 +154,7 @@ class EdgeOnFace(PointsOnPlanes):
 
     def _make(self) -> None:
         feet = ends(self.point, self.direction, self.length)
-        self._hold_points(feet, -self.face_normal[:, None], self.face_point)
+        self._hold_points(feet, -self.face_normal, self.face_point)
 
 
 # A cylinder of the object on a plane of the environment.
@@ -186,7 +185,7 @@ class CylinderOnPlane(PointsOnPlanes):
 
     def _make(self) -> None:
         feet = ends(self.point, self.direction, self.length)
-        self._hold_points(feet, -self.face_normal[:, None], self.face_point, self.radius)
+        self._hold_points(feet, -self.face_normal, self.face_point, self.radius)
 
 
 # A flat face of the object on a flat face of the environment.
@@ -221,7 +220,7 @@ class FaceOnFace(PointsOnPlanes):
     def _make(self) -> None:
         drawn = np.array((np.cos(_CORNERS), np.sin(_CORNERS)))
         corners = self.point[:, None] + self.size * triad(self.normal)[:, :2] @ drawn
-        self._hold_points(corners, -self.face_normal[:, None], self.face_point)
+        self._hold_points(corners, -self.face_normal, self.face_point)
 
 
 # A cylinder of the object in a hole of the environment.
