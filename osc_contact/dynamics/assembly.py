@@ -151,7 +151,12 @@ def inertia_of(chain: ClosedChain, X_WO: SE3) -> Array:
     return M if chain.leader is not None else block_diagonal([M, chain.reference_inertia(X_WO)])
 
 
-def constraint_rows(chain: ClosedChain, O: Array, N: Array) -> Array:  # noqa: E741
+def constraint_rows(
+    chain: ClosedChain,
+    O: Array,  # noqa: E741
+    N: Array,
+    data: pin.Data | None = None,
+) -> Array:
     """Rates of the loop errors (of each arm but the leader) and of the gaps, times q̇.
 
     The rows match the errors of `close`: loop error i is the displacement from arm i's idea of the
@@ -159,12 +164,12 @@ def constraint_rows(chain: ClosedChain, O: Array, N: Array) -> Array:  # noqa: E
     Where no arm holds the object rigidly there are six columns more, for V_O.
 
     Args:
-        chain: kinematics computed.
-        O: (3,) operational point (m). N: (6, r) contact forces at O, world axes.
+        chain: the arms. O: (3,) operational point (m). N: (6, r) contact forces at O, world axes.
+        data: with its kinematics; default: the chain's own.
     """
-    J = columns_at(chain.data.J, O)
+    J = columns_at((data or chain.data).J, O)
     first = object_columns(chain, J)
-    tips = chain.tip_poses()
+    tips = chain.tip_poses(data)
     rows = []
     for i, grasp in enumerate(chain.grasps):
         if i != chain.leader:

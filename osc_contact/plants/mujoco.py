@@ -732,7 +732,7 @@ class MujocoPlant:
     @property
     def steps_alone(self) -> bool:
         """Whether MuJoCo's steps are all there is to a period: no driven faces, errors, pushes."""
-        return not (any(self.faces.moving) or self.pushes or self.drives.motors is not None)
+        return not (self.faces.moving or self.pushes or self.drives.motors is not None)
 
     def steps_in(self, period: float) -> int:
         """How many of MuJoCo's steps a control period (s) has."""
