@@ -75,20 +75,17 @@ def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink
         own = model.inertias[joint].copy()  # the sensor sits at the joint: the whole link is beyond
     else:
         own = pin.Inertia.Zero()
+        beyond = {sensor}
         for f, frame in enumerate(model.frames):
-            if frame.parentJoint == joint and _hangs_on(model, f, sensor):
+            if frame.parentFrame in beyond:  # parents come first
+                beyond.add(f)
+            if f in beyond and frame.parentJoint == joint:
                 own = own + frame.placement.act(frame.inertia)
     if own.mass > 0.0:
         links.append(OutboardLink(joint, own))
     path = list(model.supports[model.frames[tip].parentJoint])
-    beyond = [j for j in path if j > joint and joint in model.supports[j]]
-    return links + [OutboardLink(j, model.inertias[j].copy()) for j in beyond]
-
-
-def _hangs_on(model: pin.Model, frame: int, ancestor: int) -> bool:
-    while frame not in (0, ancestor):
-        frame = model.frames[frame].parentFrame
-    return frame == ancestor
+    outer = [j for j in path if j > joint and joint in model.supports[j]]
+    return links + [OutboardLink(j, model.inertias[j].copy()) for j in outer]
 
 
 def columns_at(J_world: Array, O: Array) -> Array:  # noqa: E741 - the operational point
@@ -282,15 +279,12 @@ class ClosedChain:
         pin.forwardKinematics(self.model, data, q, v)
         led = X_WO is None and V_O is None and self.leader is not None
         row = self.law_row(led)
-        moving: tuple[Any, ...] = ()
-        resting: tuple[Array, ...] = ()
+        V = None
         if not led:
             X_WO = X_WO or self.object_pose(data)
-            V_O = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
-            moving = X_WO.homogeneous, V_O
-            resting = X_WO.homogeneous, np.zeros(6)
-        work = chain_work(row, q, v, *moving)
-        rest = chain_work(row, q, np.zeros(self.nq), *resting)
+            V = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
+        work = chain_work(row, q, v, X_WO, V)
+        rest = chain_work(row, q, np.zeros(self.nq), X_WO, np.zeros(6))
         reason = int(work.reason)
         if reason != NO_REASON:
             measured = ", or give the measured pose and twist: state(q, v, X_WO, V_O)"
@@ -499,19 +493,19 @@ _NONE = np.zeros(0)
 
 
 def chain_work(
-    row: Bytes, q: Array, v: Array, X_WO: Array | None = None, V_O: Array | None = None
+    row: Bytes, q: Array, v: Array, X_WO: SE3 | None = None, V_O: Array | None = None
 ) -> Any:
     """WORK in separate memory after the law's first part: the arms at (q, v), before any contact.
 
     Args:
         row: from `chain_row`; led, if no pose is given.
-        q, v: (n,). X_WO: (4, 4), V_O: (6,) of the object, if they are given.
+        q, v: (n,). X_WO, V_O: pose and twist (6,) of the object, if they are given.
     """
     rows = Rows(row)
     head, memory, work, _ = views(rows)
     if X_WO is not None:
         memory.located = 1
-        memory.X_WO = X_WO
+        memory.X_WO = X_WO.homogeneous
         memory.given = at.GIVEN_POSE if V_O is None else at.GIVEN_TWIST
         memory.V_O = 0.0 if V_O is None else V_O
     rows.job.stop = at.MEASURE
@@ -660,7 +654,7 @@ def require_pinocchio_agrees(chain: ClosedChain, row: Bytes) -> None:
     for _ in range(STATES):
         q = rng.uniform(-1.0, 1.0, n)
         v = rng.normal(size=n)
-        work = chain_work(row, q, v, np.eye(4), np.zeros(6))
+        work = chain_work(row, q, v, SE3.Identity(), np.zeros(6))
         pin.computeAllTerms(chain.model, data, q, v)
         for name, ours, theirs in (
             ("J", carry_twist(work.joints.column.T, work.C, np.zeros(3)), data.J),
