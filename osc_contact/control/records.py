@@ -346,7 +346,6 @@ def _pack_joints(settings: Settings, head: Any) -> None:
     rows = head.joints
     margins = joint_limit_margins(chain.model, posture.limit_stiffness, posture.limit_margin)
     effort = effort_scale(chain.tau_max)
-    rows.motor[:] = -1
     rows.motor[chain.actuated] = np.arange(chain.n_a)
     rows.effort[chain.actuated] = effort**2
     rows.tau_max[chain.actuated] = chain.tau_max
