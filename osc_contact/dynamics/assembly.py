@@ -1,6 +1,6 @@
 """Joint positions: within their limits, or at which the loops are closed and the contacts touch."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -84,9 +84,7 @@ def close(chain: ClosedChain, q: Array, gaps: Gaps | None = None) -> Array:
     return closed(chain, q, None, gaps)[0]
 
 
-def closed(
-    chain: ClosedChain, q: Array, X_WO: SE3 | None = None, gaps: Gaps | None = None
-) -> tuple[Array, SE3]:
+def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) -> tuple[Array, SE3]:
     """`close` with the object's pose: where no arm holds it rigidly, it finds its own place.
 
     Args:
@@ -107,7 +105,7 @@ def closed(
         if np.abs(error).max(initial=0.0) <= CLOSED:
             return q, X
         A = constraint_rows(chain, X.translation, N)
-        step = inverse_rows(A, inertia_of(chain, X), row_groups(chain))[0] @ error
+        step = inverse_rows(chain, A, inertia_of(chain, X))[0] @ error
         q = q - step[: chain.nq]
         if chain.leader is None:
             X = moved(X, -step[chain.nq :])
@@ -180,7 +178,7 @@ def constraint_rows(
     return np.vstack([*rows, -N.T @ first])
 
 
-def row_groups(chain: ClosedChain) -> list[int]:
+def _row_groups(chain: ClosedChain) -> list[int]:
     """Sizes of the groups of loop rows that share a unit and so a scale; see `inverse_rows`."""
     groups = []
     for i, grasp in enumerate(chain.grasps):
@@ -190,13 +188,13 @@ def row_groups(chain: ClosedChain) -> list[int]:
     return groups
 
 
-def inverse_rows(A: Array, M: Array, groups: Sequence[int]) -> tuple[Array, Array]:
+def inverse_rows(chain: ClosedChain, A: Array, M: Array) -> tuple[Array, Array]:
     """Right inverse and multipliers of redundant constraints A q̈ = b in the inertia metric.
 
     Args:
+        chain: the arms, whose loop rows come first.
         A: (m, n) rows as `constraint_rows` orders them.
         M: (n, n) joint-space inertia.
-        groups: sizes of groups of rows that share one scale; they come first.
 
     Returns:
         (n, m) right inverse that solves A x = b with least xᵀM x, and the (m, m) map from b to
@@ -207,7 +205,7 @@ def inverse_rows(A: Array, M: Array, groups: Sequence[int]) -> tuple[Array, Arra
     size = np.linalg.norm(whitened, axis=1)
     # the three rows of a vector share one scale: a locked direction has a separate zero row
     start = 0
-    for count in groups:
+    for count in _row_groups(chain):
         size[start : start + count] = size[start : start + count].max()
         start += count
     U, s, Vh = np.linalg.svd(whitened / size[:, None], full_matrices=False)

@@ -173,7 +173,7 @@ class ClosedChain:
         self.model = _merge(self.arms)
         self.data = self.model.createData()
         ends = np.cumsum([0, *(arm.model.nv for arm in arms)]).tolist()
-        self.slices: tuple[slice, ...] = tuple(map(slice, ends, ends[1:]))
+        self.slices = tuple(map(slice, ends, ends[1:]))
         passive = [f"{arm.name}/{joint}" for arm in arms for joint in arm.passive_joints]
         self.actuated = np.flatnonzero(~np.isin(self.joint_names, passive))
         self.tau_max = effort_limits(self.model, self.actuated)
@@ -187,7 +187,7 @@ class ClosedChain:
             robots.frame_id(self.model, f"{a.name}/{a.wrist_sensor}") if a.wrist_sensor else None
             for a in arms
         ]
-        self.outboard: list[list[OutboardLink]] = [
+        self.outboard = [
             [] if sensor is None else outboard_links(self.model, sensor, tip)
             for sensor, tip in zip(self.sensors, self.tips, strict=True)
         ]
@@ -230,7 +230,7 @@ class ClosedChain:
         """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
         return self.reference.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
 
-    def _placement(self, frame: int, data: pin.Data | None = None) -> SE3:
+    def _placement(self, frame: int, data: pin.Data | None) -> SE3:
         at = self.model.frames[frame]
         return (data or self.data).oMi[at.parentJoint] * at.placement
 
@@ -492,9 +492,7 @@ _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
 _NONE = np.zeros(0)
 
 
-def chain_work(
-    row: Bytes, q: Array, v: Array, X_WO: SE3 | None = None, V_O: Array | None = None
-) -> Any:
+def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | None) -> Any:
     """WORK in separate memory after the law's first part: the arms at (q, v), before any contact.
 
     Args:

@@ -324,7 +324,7 @@ class MujocoTruth:
         data = plant.data
         body = plant.object_body
         root = plant.model.body_rootid[body]
-        self._parts: tuple[Array, ...] = (
+        self._parts = (
             data.xpos[body],
             data.xmat[body],
             data.cvel[body],

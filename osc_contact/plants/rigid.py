@@ -15,7 +15,6 @@ from osc_contact.dynamics.assembly import (
     inverse_rows,
     object_columns,
     object_pose,
-    row_groups,
 )
 from osc_contact.dynamics.closed_chain import ClosedChain, columns_at
 from osc_contact.dynamics.environment import Rail
@@ -279,7 +278,7 @@ class RigidPlant:
             M = block_diagonal([M, np.diag([faces.rails[i].inertia for i in bodies])])
             force = np.concatenate((force, faces.pulls(model.gravity.linear)))
         unheld = np.linalg.solve(M, force)
-        inverse, multipliers = inverse_rows(A, M, row_groups(chain))
+        inverse, multipliers = inverse_rows(chain, A, M)
         short = np.concatenate(right) - A @ unheld
         x = unheld + inverse @ short
         lam = multipliers @ short  # M x = force + Aᵀλ
@@ -345,5 +344,5 @@ class RigidPlant:
         b[len(A) - len(along) :] = -np.tensordot(along, self.faces.rates)
         x = np.concatenate((v, V))[: A.shape[1]]
         for _ in range(2):
-            x = x - inverse_rows(A, inertia_of(chain, X), row_groups(chain))[0] @ (A @ x - b)
+            x = x - inverse_rows(chain, A, inertia_of(chain, X))[0] @ (A @ x - b)
         return x[: chain.nq], x[chain.nq :] if chain.leader is None else V

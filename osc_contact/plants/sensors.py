@@ -48,8 +48,8 @@ class Sensor:
     clock: Clock
     corrupt: Callable[[Array], Array]
     rng: np.random.Generator
-    _samples: deque[tuple[float, Array]] = field(default_factory=deque, init=False)
-    _count: int = field(default=0, init=False)
+    _samples: deque[tuple[float, Array]] = field(init=False)
+    _count: int = field(init=False)
 
     def begin(self, t: float, value: Array) -> None:
         """Forget everything; the first sample is there at once and never lost."""
@@ -102,7 +102,6 @@ class SensedPlant:
         self.plant = plant
         self.sensors = sensors
         self.seed = seed
-        self.time = plant.time
         self._begin()
 
     def reset(self, q: Array) -> None:

@@ -1,7 +1,7 @@
 """Pairs made of points of the object, each held on a plane of the environment."""
 
 from math import pi
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pinocchio import SE3
@@ -15,7 +15,6 @@ from osc_contact.contacts.pairs.pair import (
     FaceDirection,
     FacePoint,
     LawPair,
-    PairRow,
     Point,
     Radius,
     register_pair,
@@ -56,7 +55,7 @@ class PointsOnPlanes(LawPair):
         heights = (into * on_plane[:, None]).sum(axis=0)
         store(self, _points=points, _into=into, _reach=heights - radius, _heights=heights)
         shapes = map(shape, points.T, into.T, heights)
-        self._hold(PairRow(POINTS, tuple(shapes)), on_plane)
+        self._hold(on_plane, POINTS, tuple(shapes))
 
     def _gaps(self, X_EA: SE3) -> Array:
         """(r,) signed distances (m), negative where the two overlap."""
@@ -65,14 +64,10 @@ class PointsOnPlanes(LawPair):
         return self._reach - X_EA.translation @ n - np.einsum("ij,ij->j", turned, n)
 
 
-def ends(point: Array, direction: Array, length: float) -> Array:
-    """(3, 2) the two ends of a segment whose middle is `point`.
-
-    Args:
-        point, direction: (3,) middle (m) and unit vector. length: m.
-    """
-    half = 0.5 * length * direction
-    return np.column_stack((point - half, point + half))
+def ends(line: Any) -> Array:
+    """(3, 2) the two ends of a segment of a line, `length` apart around its `point`."""
+    half = 0.5 * line.length * line.direction
+    return np.column_stack((line.point - half, line.point + half))
 
 
 # A vertex of the object on a face of the environment.
@@ -153,7 +148,7 @@ class EdgeOnFace(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        feet = ends(self.point, self.direction, self.length)
+        feet = ends(self)
         self._hold_points(feet, -self.face_normal, self.face_point)
 
 
@@ -184,7 +179,7 @@ class CylinderOnPlane(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        feet = ends(self.point, self.direction, self.length)
+        feet = ends(self)
         self._hold_points(feet, -self.face_normal, self.face_point, self.radius)
 
 
@@ -249,7 +244,7 @@ class CylinderInHole(PointsOnPlanes):
     name: str = "cylinder_in_hole"
 
     def _make(self) -> None:
-        points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
+        points = np.repeat(ends(self), 2, axis=1)
         across = triad(self.hole_direction)[:, :2]
         self._hold_points(points, np.hstack((across, across)), self.hole_point)
 
@@ -299,5 +294,5 @@ class CylinderInVGroove(PointsOnPlanes):
         across = np.cos(self.groove_angle / 2) * side
         along = np.sin(self.groove_angle / 2) * cross(side, self.groove_direction)
         into = np.column_stack((across - along, -across - along))
-        points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
+        points = np.repeat(ends(self), 2, axis=1)
         self._hold_points(points, np.hstack((into, into)), self.groove_point, self.radius)

@@ -8,7 +8,6 @@ from pinocchio import SE3
 
 from osc_contact.contacts.pairs.pair import (
     Direction,
-    PairRow,
     Point,
     register_pair,
     shape,
@@ -62,7 +61,7 @@ class TangentPair(PointsOnPlanes):
         forces = (shape(point, n, FORCE) for n in into.T)
         couples = (shape(a, u, COUPLE) for a, u in zip(arms.T, marks.T, strict=True))
         shapes = (*forces, *couples, *threads, *freedoms)
-        self._hold(PairRow(TANGENTS, shapes, len(freedoms)), on_plane)
+        self._hold(on_plane, TANGENTS, shapes, len(freedoms))
 
     def _gaps(self, X_EA: SE3) -> Array:
         """(r,) signed errors: m for the points, rad (to first order) for the directions."""
