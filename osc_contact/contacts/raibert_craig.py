@@ -224,21 +224,16 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
     """
     r = Q.shape[1]
     U, _, Vh = np.linalg.svd(Q[:3])
-    triads = []
-    selections = []
-    wrenches = []
+    frames = []
     for k in range(max(0, r - 3), min(3, r) + 1):
         a = axis_of(U, k)
         b = axis_of(np.linalg.svd(Q[3:] @ Vh[k:].T)[0], r - k)
         padded = np.zeros((6, 3))
         padded[:, :k] = Q @ Vh[:k].T
         for upright in (False, True) if a is not None and b is not None else (False,):
-            triads.append(_triad(a, b, upright))
-            selections.append(_pattern(k, 0) + _pattern(r - k, int(upright)))
-            wrenches.append(padded)
-    E = np.array(triads)
-    chosen = np.array(selections)
-    W = np.array(wrenches)
+            selection = _pattern(k, 0) + _pattern(r - k, int(upright))
+            frames.append((_triad(a, b, upright), selection, padded))
+    E, chosen, W = map(np.array, zip(*frames, strict=True))
 
     E_T = E.transpose(0, 2, 1)
     force = np.where(chosen[:, :3, None], E_T @ W[:, :3], 0.0)

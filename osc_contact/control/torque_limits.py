@@ -68,7 +68,7 @@ def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
     memory = rows.memory
     desired = rows.work.joints.tau[chain.actuated]
     share = np.abs(desired) / chain.tau_max
-    motor = int(np.argmax(share))
+    motor = np.argmax(share)
     tau = desired / share[motor]
     if memory.ticked > 1:
         step = rows.model.torque_rate * rows.model.period * chain.tau_max

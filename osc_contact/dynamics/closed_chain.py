@@ -236,11 +236,9 @@ class ClosedChain:
 
     def unactuated_motions(self, G: Array, S: Array) -> Array:
         """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""
-        if G.shape[0] == 0:
-            return np.zeros((6, 0))
         limits = np.where(np.isfinite(self.tau_max), self.tau_max, 1.0)
         U, s, _ = np.linalg.svd(G * limits)
-        driven = np.count_nonzero((s > 0.0) & (s >= 1e-9 * s.max(initial=0.0)))
+        driven = np.count_nonzero(s > 1e-9 * s.max(initial=0.0))
         motions: Array = S @ U[:, driven:]
         if motions.shape[1] and not self.allow_unactuated:
             raise ModelError(

@@ -214,9 +214,7 @@ def _hold_object(spec: Any, chain: ClosedChain, urdf: Path) -> None:
                 solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
             )
             if not points:
-                data = np.zeros(len(tie.data))  # 11 or 12, by version
-                data[10] = 1.0  # torque scale of the weld
-                tie.data = data
+                tie.data = np.eye(len(tie.data))[10]  # of 11 or 12, by version: its torque scale
 
 
 def _tie_points(grasp: Grasp) -> list[Array]:
