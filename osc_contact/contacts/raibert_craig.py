@@ -261,15 +261,15 @@ def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
     if upright and a is not None and b is not None:
         left, _, right = np.linalg.svd(np.column_stack((a, b)), full_matrices=False)
         x, y = (left @ right).T
-        return np.column_stack((x, y, cross(x, y)))
-    if a is None and b is None:
-        return _EYE
-    x = np.zeros(3) if a is None else a
-    if b is not None:
-        x = x + (b if x @ b >= 0.0 else -b)
-    x = x / norm(x)
-    y = cross(x, _EYE[np.abs(x).argmin()])
-    y = y / norm(y)
+    elif a is None and b is None:
+        x, y, _ = _EYE
+    else:
+        x = np.zeros(3) if a is None else a
+        if b is not None:
+            x = x + (b if x @ b >= 0.0 else -b)
+        x = x / norm(x)
+        y = cross(x, _EYE[np.abs(x).argmin()])
+        y = y / norm(y)
     return np.column_stack((x, y, cross(x, y)))
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -153,8 +154,7 @@ class RigidPlant:
         self.faces.s[:] = self.faces.rates[:] = 0.0
         self.faces.drive(0.0)
         q = as_array("q", q, (self.chain.nq,))
-        self.q, self._X = closed(self.chain, q, object_pose(self.chain, q), self._gaps)
-        self.v, self._V = self._on_constraints(np.zeros(self.chain.nq), np.zeros(6))
+        self._project(q, object_pose(self.chain, q), np.zeros(self.chain.nq), np.zeros(6))
         self._tau = np.zeros(self.chain.n_a)
 
     def hold(self, tau: Array) -> None:
@@ -212,8 +212,7 @@ class RigidPlant:
             a[:3] += cross(self._V[3:], self._V[:3])  # classical
             V = self._V + a * self.dt
             X = moved(self._X, 0.5 * (self._V + V) * self.dt)
-            self.q, self._X = closed(self.chain, q, X, self._gaps)
-            self.v, self._V = self._on_constraints(v, V)
+            self._project(q, X, v, V)
 
     def stop(self, reason: str = "") -> None:
         """Nothing to do."""
@@ -330,11 +329,10 @@ class RigidPlant:
         a = pin.getFrameAcceleration(self.model, self.data, self.chain.tips[i], pin.WORLD).vector
         return carry_twist(a, np.zeros(3), X.translation)
 
-    def _gaps(self, X: pin.SE3) -> tuple[Array, Array]:
-        return self.faces.gaps(self.contacts, X)
-
-    def _on_constraints(self, v: Array, V: Array) -> tuple[Array, Array]:
+    def _project(self, q: Array, X: pin.SE3, v: Array, V: Array) -> None:
+        """Take positions, then velocities, of joints and object, put onto the constraints."""
         chain = self.chain
+        self.q, self._X = closed(chain, q, X, partial(self.faces.gaps, self.contacts))
         pin.computeAllTerms(chain.model, chain.data, self.q, v)
         X = self._X if chain.leader is None else chain.object_pose()
         parts = self.faces.parts(self.contacts, X, np.zeros(6))
@@ -345,4 +343,5 @@ class RigidPlant:
         x = np.concatenate((v, V))[: A.shape[1]]
         for _ in range(2):
             x = x - inverse_rows(chain, A, inertia_of(chain, X))[0] @ (A @ x - b)
-        return x[: chain.nq], x[chain.nq :] if chain.leader is None else V
+        self.v = x[: chain.nq]
+        self._V = x[chain.nq :] if chain.leader is None else V

@@ -246,7 +246,8 @@ def merged(
     """
     shapes = {shape.name: shape for shape in object_geometry}
     kept: list[Detected] = []
-    for contact in sorted(contacts, key=_rank):
+    ranked = sorted(contacts, key=lambda c: (-c.r, c.object_feature.radius == 0.0, c.distance))
+    for contact in ranked:
         if not any(
             _same_plane(contact, other, margin, angle)
             and (
@@ -257,10 +258,6 @@ def merged(
         ):
             kept.append(contact)
     return [contact for contact in contacts if contact in kept]
-
-
-def _rank(contact: Detected) -> tuple[int, bool, float]:
-    return -contact.r, contact.object_feature.radius == 0.0, contact.distance
 
 
 def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
