@@ -131,8 +131,8 @@ def judge_load(settings: Settings, error: Array, expected: Array) -> str:
     """
     chain = settings.chain
     most = settings.safety.load_error
-    tips = [link.inertia.lever for links in chain.outboard for link in links]
-    lever = max([LEVER, *map(norm, tips)])
+    levers = (norm(link.inertia.lever) for links in chain.outboard for link in links)
+    lever = max([LEVER, *levers])
     force, torque = map(norm, np.split(error, 2))
     if force <= most and torque <= most * lever:
         return ""

@@ -100,7 +100,7 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
         pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
         if X is None or chain.leader is not None:
             X = chain.object_pose()
-        gap, N = gaps(X) if gaps is not None else (np.zeros(0), np.zeros((6, 0)))
+        gap, N = gaps(X) if gaps else (np.zeros(0), np.zeros((6, 0)))
         error = np.concatenate([*_loop_errors(chain, X), gap])
         if np.abs(error).max(initial=0.0) <= CLOSED:
             return q, X

@@ -273,7 +273,7 @@ class ClosedChain:
         """
         q = as_array("q", q, (self.nq,))
         v = as_array("v", v, (self.nq,))
-        data = self.data if data is None else data
+        data = data or self.data
         pin.forwardKinematics(self.model, data, q, v)
         led = X_WO is None and V_O is None and self.leader is not None
         row = self.law_row(led)

@@ -194,8 +194,8 @@ def _noisy(
     errors: SensorErrors | Errors[float], shape: tuple[int, ...], rng: np.random.Generator
 ) -> Callable[[Array], Array]:
     """The errors of one sensor, its bias fixed, as a function of values of that shape."""
-    bias = np.broadcast_to(errors.bias, shape) * rng.uniform(-1.0, 1.0, shape)
-    steps = np.broadcast_to(errors.resolution, shape) > 0.0
+    bias = errors.bias * rng.uniform(-1.0, 1.0, shape)
+    steps = errors.resolution > 0.0
     step = np.where(steps, errors.resolution, 1.0)
 
     def corrupt(value: Array) -> Array:

@@ -323,7 +323,7 @@ def detect(
         raise InvalidInputError(f"margin = {margin}; give a length > 0 m")
     if not 0.0 < angle < 0.1:
         raise InvalidInputError(f"angle = {angle}; give an angle between 0 and 0.1 rad")
-    X_WE = SE3.Identity() if X_WE is None else X_WE
+    X_WE = X_WE or SE3.Identity()
     each = (
         _classified(a, X_WO, e, X_WE, margin, angle)
         for a, e in product(object_geometry, environment_geometry)

@@ -136,10 +136,9 @@ class Bodies:
             X_WO, X_WE: poses of object and environment; X_WE None: the world's.
             V_O: (6,) twist of the object at O. V_E: (6,) of the environment at its origin.
         """
-        X_E = _WORLD if X_WE is None else X_WE
-        if V_E is not None:
-            V_E = carry_twist(V_E, X_E.translation, X_WO.translation)
-        return cls(X_WO, X_E, V_O, _AT_REST if V_E is None else V_E)
+        X_E = X_WE or _WORLD
+        V = _AT_REST if V_E is None else carry_twist(V_E, X_E.translation, X_WO.translation)
+        return cls(X_WO, X_E, V_O, V)
 
     @property
     def V_rel(self) -> Array:

@@ -44,7 +44,6 @@ class PointsOnPlanes(LawPair):
     _points: Array
     _into: Array
     _reach: Array
-    _heights: Array
 
     def _hold_points(
         self, points: Array, into: Array, on_plane: Array, radius: float = 0.0
@@ -53,7 +52,7 @@ class PointsOnPlanes(LawPair):
         points = points.reshape(3, -1)
         into = np.broadcast_to(into.reshape(3, -1), points.shape)
         heights = (into * on_plane[:, None]).sum(axis=0)
-        store(self, _points=points, _into=into, _reach=heights - radius, _heights=heights)
+        store(self, _points=points, _into=into, _reach=heights - radius)
         shapes = map(shape, points.T, into.T, heights)
         self._hold(on_plane, POINTS, tuple(shapes))
 
