@@ -293,8 +293,7 @@ class ClosedChain:
         """(6,) of the object from the leader's tip; None: the law finds it."""
         if self.leader is None:
             return None
-        joint = self.model.frames[self.tips[self.leader]].parentJoint
-        V = data.oMi[joint].act(data.v[joint]).vector
+        V = pin.getFrameVelocity(self.model, data, self.tips[self.leader], pin.WORLD).vector
         return carry_twist(V, np.zeros(3), X_WO.translation)
 
     def law_row(self, led: bool) -> Bytes:
