@@ -1,7 +1,7 @@
 """Laws, pairs and bodies in Python: what is evaluated between the compiled parts of a tick."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -403,8 +403,9 @@ class _Admittance(_Structure):
     D: Array
     K: Array
     omega: float
-    c: Array = field(default_factory=lambda: np.zeros(6))
-    rate: Array = field(default_factory=lambda: np.zeros(6))
+
+    def __post_init__(self) -> None:
+        self.c = self.rate = np.zeros(6)
 
     def command(self, work: Any, desired: Array, reading: Array) -> tuple[Array, Array]:
         dt = float(work.dt)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -354,9 +353,9 @@ class Rail:
         InvalidInputError: numbers that no body has.
     """
 
-    direction: Array = field(default_factory=partial(np.zeros, 3))
-    axis: Array = field(default_factory=partial(np.zeros, 3))
-    through: Array = field(default_factory=partial(np.zeros, 3))
+    direction: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    axis: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    through: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     motion: Motion | None = None
     inertia: float = 1.0
     stiffness: float = 0.0
