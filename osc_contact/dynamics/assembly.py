@@ -101,7 +101,13 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
         if X is None or chain.leader is not None:
             X = chain.object_pose()
         gap, N = gaps(X) if gaps else (np.zeros(0), np.zeros((6, 0)))
-        error = np.concatenate([*_loop_errors(chain, X), gap])
+        tips = chain.tip_poses()
+        misses = [  # of each arm but the leader (m, rad), as `constraint_rows` has them
+            pose_error(X, tips[i] * grasp.X_TO) if grasp.is_rigid else grasp.miss(tips[i], X)
+            for i, grasp in enumerate(chain.grasps)
+            if i != chain.leader
+        ]
+        error = np.concatenate([*misses, gap])
         if np.abs(error).max(initial=0.0) <= CLOSED:
             return q, X
         A = constraint_rows(chain, X.translation, N)
@@ -117,16 +123,6 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
         f"the loops and contacts do not close: the largest error left is {left:.3g} "
         "(m or rad). Start the object nearer to the contacts, or check grasps and faces"
     )
-
-
-def _loop_errors(chain: ClosedChain, X_WO: SE3) -> list[Array]:
-    """What each arm but the leader misses the object by (m, rad), as `constraint_rows` has it."""
-    tips = chain.tip_poses()
-    return [
-        pose_error(X_WO, tips[i] * grasp.X_TO) if grasp.is_rigid else grasp.miss(tips[i], X_WO)
-        for i, grasp in enumerate(chain.grasps)
-        if i != chain.leader
-    ]
 
 
 def object_columns(chain: ClosedChain, J: Array) -> Array:
