@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import Bodies
-from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
+from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
 
@@ -193,7 +193,7 @@ def consistent(chain, q, v, N=None):
     N = np.zeros((6, 0)) if N is None else N
     A = constraint_rows(chain, object_poses(chain)[0].translation, N)
     for _ in range(3):
-        v = v - inverse_rows(A, np.array(chain.data.M), row_groups(chain))[0] @ (A @ v)
+        v = v - inverse_rows(chain, A, np.array(chain.data.M))[0] @ (A @ v)
     return v
 
 

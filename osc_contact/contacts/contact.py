@@ -51,8 +51,8 @@ class Contact:
             InvalidInputError: wrong shapes or non-finite numbers.
             ContactError: dependent or zero columns, or NᵀT ≠ 0.
         """
-        self.N: Array = as_array("N", N, (6, None))
-        self.n_gamma: Array = (
+        self.N = as_array("N", N, (6, None))
+        self.n_gamma = (
             np.zeros(self.r) if n_gamma is None else as_array("n_gamma", n_gamma, (self.r,))
         )
         self.name = name

@@ -70,9 +70,8 @@ def selection_columns(frame: SE3, forces: Sequence[bool], couples: Sequence[bool
     Raises:
         InvalidInputError: not three flags.
     """
-    full = frame.toDualActionMatrix()
     chosen = np.concatenate((_flags("forces", forces), _flags("couples", couples)))
-    return full[:, chosen]
+    return frame.toDualActionMatrix()[:, chosen]
 
 
 def as_raibert_craig(
@@ -115,10 +114,10 @@ def as_raibert_craig(
         points = np.concatenate((points, better[1]))
         chosen = np.concatenate((chosen, chosen))
         sine = sines(triads, points, chosen, rest)
-    best = int(sine.argmin())
+    best = sine.argmin()
 
     # axes named so that they are nearest to the world's
-    P = _RELABEL[int(np.einsum("ij,pji->p", triads[best], _RELABEL).argmax())]
+    P = _RELABEL[np.einsum("ij,pji->p", triads[best], _RELABEL).argmax()]
     selected = (chosen[best].reshape(2, 3) @ np.abs(P)) > 0.5
     forces, couples = ((bool(x), bool(y), bool(z)) for x, y, z in selected)
     reason = "" if sine[best] <= tolerance else _why(Q, size, tolerance, sum(forces))
@@ -225,21 +224,16 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
     """
     r = Q.shape[1]
     U, _, Vh = np.linalg.svd(Q[:3])
-    triads = []
-    selections = []
-    wrenches = []
+    frames = []
     for k in range(max(0, r - 3), min(3, r) + 1):
         a = axis_of(U, k)
         b = axis_of(np.linalg.svd(Q[3:] @ Vh[k:].T)[0], r - k)
         padded = np.zeros((6, 3))
         padded[:, :k] = Q @ Vh[:k].T
         for upright in (False, True) if a is not None and b is not None else (False,):
-            triads.append(_triad(a, b, upright))
-            selections.append(_pattern(k, 0) + _pattern(r - k, int(upright)))
-            wrenches.append(padded)
-    E = np.array(triads)
-    chosen = np.array(selections)
-    W = np.array(wrenches)
+            selection = _pattern(k, 0) + _pattern(r - k, int(upright))
+            frames.append((_triad(a, b, upright), selection, padded))
+    E, chosen, W = map(np.array, zip(*frames, strict=True))
 
     E_T = E.transpose(0, 2, 1)
     force = np.where(chosen[:, :3, None], E_T @ W[:, :3], 0.0)
@@ -267,15 +261,15 @@ def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
     if upright and a is not None and b is not None:
         left, _, right = np.linalg.svd(np.column_stack((a, b)), full_matrices=False)
         x, y = (left @ right).T
-        return np.column_stack((x, y, cross(x, y)))
-    if a is None and b is None:
-        return _EYE
-    x = np.zeros(3) if a is None else a
-    if b is not None:
-        x = x + (b if x @ b >= 0.0 else -b)
-    x = x / norm(x)
-    y = cross(x, _EYE[int(np.abs(x).argmin())])
-    y = y / norm(y)
+    elif a is None and b is None:
+        x, y, _ = _EYE
+    else:
+        x = np.zeros(3) if a is None else a
+        if b is not None:
+            x = x + (b if x @ b >= 0.0 else -b)
+        x = x / norm(x)
+        y = cross(x, _EYE[np.abs(x).argmin()])
+        y = y / norm(y)
     return np.column_stack((x, y, cross(x, y)))
 
 

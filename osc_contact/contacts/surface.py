@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from math import factorial
@@ -153,10 +154,8 @@ class Surface:
         except (RuntimeError, ValueError) as error:
             raise ModelError(f"{file}: no mesh is read: {error}") from error
         corners = np.array(mesh.vertices())
-        triangles = np.array(
-            [[mesh.tri_indices(i)[k] for k in range(3)] for i in range(mesh.num_tris)]
-        )
-        a, b, c = (corners[triangles[:, i]] for i in range(3))
+        triangles = triangles_of(mesh.tri_indices, mesh.num_tris)
+        a, b, c = corners[triangles].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
         up = normals[:, 2] > _UPWARD * np.linalg.norm(normals, axis=1)
         return cls.fitted(np.unique(corners[np.unique(triangles[up])], axis=0), cells)
@@ -190,6 +189,15 @@ def distance_and_normal(shapes: Shapes, p: Array) -> tuple[Array, Array]:
     g = np.array([one + 0.0 * along for one in gradient]).reshape(p.shape)
     size = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
     return np.reshape(along, p.shape[1:]) * size, g / size
+
+
+def triangles_of(read: Callable[[int], Any], count: int) -> Array:
+    """(count, 3) numbers of the corners of the triangles that coal gives one by one.
+
+    Args:
+        read: gives the three of a triangle by its number. count: how many triangles there are.
+    """
+    return np.array([[triangle[k] for k in range(3)] for triangle in map(read, range(count))])
 
 
 def _taylor(knots: Array, edges: Array, side: float) -> Array:

@@ -166,10 +166,10 @@ class BatchController:
     def _run(self, thread: int, lo: int, hi: int, flags: int, args: tuple[Any, ...]) -> None:
         job = self._jobs[thread]
         start = self._bytes.starts[thread]
-        job.switches = flags
-        job.last = hi
         while lo < hi:
+            job.switches = flags
             job.first = lo
+            job.last = hi
             lo = law_rows()(self._bytes.raw, start, args) >> 1
             if self._codes[lo - 1] == Status.SATURATED:
                 self._relieve(lo - 1, thread, args)
@@ -183,14 +183,10 @@ class BatchController:
             relieve(self._limits[i].program, rows)
         except SolverError:
             job = self._jobs[thread]
-            flags = job.switches
-            last = job.last
-            job.switches = flags | law.MISFIT
+            job.switches |= law.MISFIT
             job.first = i
             job.last = i + 1
             law_rows()(self._bytes.raw, rows.at, args)
-            job.switches = flags
-            job.last = last
 
     def _locate(self, q: Array) -> None:
         """Where no arm holds the object rigidly: find it once, from the joints alone."""

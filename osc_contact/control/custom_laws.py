@@ -1,7 +1,7 @@
 """Laws, pairs and bodies in Python: what is evaluated between the compiled parts of a tick."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -155,7 +155,7 @@ class CustomParts:
                 words = f"{r} finite numbers, one for each column of N"
                 work.alpha_u[:r] = _require("force", returned, (r,), words)
             if laws.motion is not None:
-                X_WO = SE3(work.X_WO.copy())
+                X_WO = SE3(work.X_WO)
                 V_O = work.V_O.copy()
                 returned = laws.motion(reference, X_WO, V_O)
                 a = _require("motion", returned, (6,), "six finite numbers")
@@ -172,7 +172,7 @@ class CustomParts:
 
     def _evaluate(self, records: TickRecords, measurement: Measurement) -> dict[int, Any]:
         """N (6, r), n_γ (r,) and points (r, 3) from O, if known, of custom pairs in force."""
-        X_WO = SE3(records.work.X_WO.copy())
+        X_WO = SE3(records.work.X_WO)
         V_O = records.work.V_O.copy()
         touched = measurement.touched
         evaluated = {}
@@ -403,8 +403,9 @@ class _Admittance(_Structure):
     D: Array
     K: Array
     omega: float
-    c: Array = field(default_factory=lambda: np.zeros(6))
-    rate: Array = field(default_factory=lambda: np.zeros(6))
+
+    def __post_init__(self) -> None:
+        self.c = self.rate = np.zeros(6)
 
     def command(self, work: Any, desired: Array, reading: Array) -> tuple[Array, Array]:
         dt = float(work.dt)
@@ -414,7 +415,7 @@ class _Admittance(_Structure):
         self.c = self.c + dt * self.rate
         R_c = pin.exp3(self.c[3:]) @ work.X_WD[:3, :3]
         X_WC = SE3(R_c, work.X_WD[:3, 3] + self.c[:3])
-        e = pose_error(X_WC, SE3(work.X_WO.copy()))
+        e = pose_error(X_WC, SE3(work.X_WO))
         e_dot = work.V_D + self.rate - work.V_O
         A = work.A_D + (self.rate - before) / dt
         return A + 2.0 * self.omega * e_dot + self.omega**2 * e, reading

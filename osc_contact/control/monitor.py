@@ -28,9 +28,9 @@ class ContactMonitor:
             which a collision may still be reported.
     """
 
-    def __init__(self, contacts: int, dt: float, limits: MonitorLimits | None = None) -> None:
+    def __init__(self, contacts: int, dt: float) -> None:
         self.dt = dt
-        self.limits = MonitorLimits() if limits is None else limits
+        self.limits = MonitorLimits()
         times = dict.fromkeys(("low_for", "high_for", "burst", "armed_for"), 0.0)
         self.rows = [SimpleNamespace(closed=0, collision=0, **times) for _ in range(contacts)]
 

@@ -187,7 +187,7 @@ def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -
     planes: list[tuple[float, ...]] = []
     for pair in pairs:
         if isinstance(pair, PointsOnPlanes):
-            columns = zip(pair._into.T, pair._heights, strict=True)
+            columns = zip(pair._into.T, pair.surface_point @ pair._into, strict=True)
             planes.extend((*into, height, 0.0) for into, height in columns)
         elif isinstance(pair, FaceOnVertex):
             planes.append((*pair.normal, float(pair.normal @ pair.point), 1.0))
@@ -346,7 +346,6 @@ def _pack_joints(settings: Settings, head: Any) -> None:
     rows = head.joints
     margins = joint_limit_margins(chain.model, posture.limit_stiffness, posture.limit_margin)
     effort = effort_scale(chain.tau_max)
-    rows.motor[:] = -1
     rows.motor[chain.actuated] = np.arange(chain.n_a)
     rows.effort[chain.actuated] = effort**2
     rows.tau_max[chain.actuated] = chain.tau_max

@@ -196,12 +196,11 @@ _SERIES = np.array(
 _SLOPES = _SERIES[:, 1:] * 2 * _EVEN[1:]
 
 
-def _functions_of_angle(square: float) -> tuple[float, float, float, float, float, float]:
+def _functions_of_angle(square: float) -> tuple[float, ...]:
     """a, b, c of `rotation_of` at θ² and their derivatives by θ, divided by θ."""
     if square < 0.1:
         powers = square**_EVEN
-        a, b, c, *slopes = map(float, (*(_SERIES @ powers), *(_SLOPES @ powers[:-1])))
-        return a, b, c, slopes[0], slopes[1], slopes[2]
+        return *(_SERIES @ powers).tolist(), *(_SLOPES @ powers[:-1]).tolist()
     angle = math.sqrt(square)
     a = math.sin(angle) / angle
     b = (1.0 - math.cos(angle)) / square

@@ -109,7 +109,7 @@ class Signals(TickResult):
     @cached_property
     def state(self) -> ChainState:
         chain = self._settings.chain
-        motion = () if chain.leader is not None else (SE3(self.X_WO.copy()), self.V_O)
+        motion = () if chain.leader is not None else (SE3(self.X_WO), self.V_O)
         return chain.state(self.q, self.v, *motion, data=chain.model.createData())
 
     @cached_property

@@ -108,9 +108,9 @@ def is_clear(settings: Settings, rows: Any) -> bool:
     Args:
         settings: with the contacts. rows: `TickRecords` of a tick that was computed.
     """
-    X_WO = SE3(np.array(rows.work.X_WO))
+    X_WO = SE3(rows.work.X_WO)
     for pair, motion in zip(settings.contacts, rows.work.bodies.motion, strict=True):
-        X_WE = SE3(motion[:16].reshape(4, 4).copy()) if rows.work.moving else None
+        X_WE = SE3(motion[:16].reshape(4, 4)) if rows.work.moving else None
         if not (np.abs(pair.gaps(X_WO, X_WE)) > CLEAR).all():
             return False
     return True
@@ -131,8 +131,8 @@ def judge_load(settings: Settings, error: Array, expected: Array) -> str:
     """
     chain = settings.chain
     most = settings.safety.load_error
-    tips = [link.inertia.lever for links in chain.outboard for link in links]
-    lever = max([LEVER, *map(norm, tips)])
+    levers = (norm(link.inertia.lever) for links in chain.outboard for link in links)
+    lever = max([LEVER, *levers])
     force, torque = map(norm, np.split(error, 2))
     if force <= most and torque <= most * lever:
         return ""

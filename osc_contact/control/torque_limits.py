@@ -42,11 +42,10 @@ class MotorLimits:
         chain = self.chain
         r = int(program.r)
         s = int(program.s)
-        lost = program.lost_force[:r].copy()
         squeeze = rows.work.basis[:, :s] @ program.lost_squeeze[:s]
         motors = np.flatnonzero(program.at_limit)
         R = rows.shares()
-        lost = R.T @ np.linalg.solve(R @ R.T, lost)
+        lost = R.T @ np.linalg.solve(R @ R.T, program.lost_force[:r])
         return LimitLoss(
             tuple(chain.joint_names[chain.actuated[i]] for i in motors),
             program.desired[motors],
@@ -69,7 +68,7 @@ def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
     memory = rows.memory
     desired = rows.work.joints.tau[chain.actuated]
     share = np.abs(desired) / chain.tau_max
-    motor = int(np.argmax(share))
+    motor = np.argmax(share)
     tau = desired / share[motor]
     if memory.ticked > 1:
         step = rows.model.torque_rate * rows.model.period * chain.tau_max

@@ -97,8 +97,8 @@ def _header(text: str) -> str:
             f"    OSC_{name} = {-code} /* {words} */"
             for code, (name, words) in enumerate(ERRORS.items())
         ),
-        "STATUSES": _enum("OSC_STATUS_", [(one.name, one.value) for one in Status]),
-        "STATES": _enum("OSC_STATE_", [(one.name, one.value) for one in SafetyState]),
+        "STATUSES": _enum("OSC_STATUS_", Status.__members__.items()),
+        "STATES": _enum("OSC_STATE_", SafetyState.__members__.items()),
         "REASONS": _enum("OSC_REASON_", CODES.items()),
         "GAINS": "\n".join(f" *   {name}: {words}" for name, _, _, words in _gains()),
     }

@@ -71,7 +71,7 @@ def heaviest_rotor(model: pin.Model, gyration: float) -> float:
 
 
 def with_joints(
-    model: pin.Model, given: Mapping[str, PerJoint | None], friction_factor: float = 1.0
+    model: pin.Model, given: Mapping[str, PerJoint | None], friction_factor: float
 ) -> pin.Model:
     """The model with other numbers of its joints; itself if there are none.
 

@@ -1,6 +1,6 @@
 """Joint positions: within their limits, or at which the loops are closed and the contacts touch."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -84,9 +84,7 @@ def close(chain: ClosedChain, q: Array, gaps: Gaps | None = None) -> Array:
     return closed(chain, q, None, gaps)[0]
 
 
-def closed(
-    chain: ClosedChain, q: Array, X_WO: SE3 | None = None, gaps: Gaps | None = None
-) -> tuple[Array, SE3]:
+def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) -> tuple[Array, SE3]:
     """`close` with the object's pose: where no arm holds it rigidly, it finds its own place.
 
     Args:
@@ -102,12 +100,18 @@ def closed(
         pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
         if X is None or chain.leader is not None:
             X = chain.object_pose()
-        gap, N = gaps(X) if gaps is not None else (np.zeros(0), np.zeros((6, 0)))
-        error = np.concatenate([*_loop_errors(chain, X), gap])
+        gap, N = gaps(X) if gaps else (np.zeros(0), np.zeros((6, 0)))
+        tips = chain.tip_poses()
+        misses = [  # of each arm but the leader (m, rad), as `constraint_rows` has them
+            pose_error(X, tips[i] * grasp.X_TO) if grasp.is_rigid else grasp.miss(tips[i], X)
+            for i, grasp in enumerate(chain.grasps)
+            if i != chain.leader
+        ]
+        error = np.concatenate([*misses, gap])
         if np.abs(error).max(initial=0.0) <= CLOSED:
             return q, X
         A = constraint_rows(chain, X.translation, N)
-        step = inverse_rows(A, inertia_of(chain, X), row_groups(chain))[0] @ error
+        step = inverse_rows(chain, A, inertia_of(chain, X))[0] @ error
         q = q - step[: chain.nq]
         if chain.leader is None:
             X = moved(X, -step[chain.nq :])
@@ -119,16 +123,6 @@ def closed(
         f"the loops and contacts do not close: the largest error left is {left:.3g} "
         "(m or rad). Start the object nearer to the contacts, or check grasps and faces"
     )
-
-
-def _loop_errors(chain: ClosedChain, X_WO: SE3) -> list[Array]:
-    """What each arm but the leader misses the object by (m, rad), as `constraint_rows` has it."""
-    tips = chain.tip_poses()
-    return [
-        pose_error(X_WO, tips[i] * grasp.X_TO) if grasp.is_rigid else grasp.miss(tips[i], X_WO)
-        for i, grasp in enumerate(chain.grasps)
-        if i != chain.leader
-    ]
 
 
 def object_columns(chain: ClosedChain, J: Array) -> Array:
@@ -151,7 +145,12 @@ def inertia_of(chain: ClosedChain, X_WO: SE3) -> Array:
     return M if chain.leader is not None else block_diagonal([M, chain.reference_inertia(X_WO)])
 
 
-def constraint_rows(chain: ClosedChain, O: Array, N: Array) -> Array:  # noqa: E741
+def constraint_rows(
+    chain: ClosedChain,
+    O: Array,  # noqa: E741
+    N: Array,
+    data: pin.Data | None = None,
+) -> Array:
     """Rates of the loop errors (of each arm but the leader) and of the gaps, times q̇.
 
     The rows match the errors of `close`: loop error i is the displacement from arm i's idea of the
@@ -159,12 +158,12 @@ def constraint_rows(chain: ClosedChain, O: Array, N: Array) -> Array:  # noqa: E
     Where no arm holds the object rigidly there are six columns more, for V_O.
 
     Args:
-        chain: kinematics computed.
-        O: (3,) operational point (m). N: (6, r) contact forces at O, world axes.
+        chain: the arms. O: (3,) operational point (m). N: (6, r) contact forces at O, world axes.
+        data: with its kinematics; default: the chain's own.
     """
-    J = columns_at(chain.data.J, O)
+    J = columns_at((data or chain.data).J, O)
     first = object_columns(chain, J)
-    tips = chain.tip_poses()
+    tips = chain.tip_poses(data)
     rows = []
     for i, grasp in enumerate(chain.grasps):
         if i != chain.leader:
@@ -175,7 +174,7 @@ def constraint_rows(chain: ClosedChain, O: Array, N: Array) -> Array:  # noqa: E
     return np.vstack([*rows, -N.T @ first])
 
 
-def row_groups(chain: ClosedChain) -> list[int]:
+def _row_groups(chain: ClosedChain) -> list[int]:
     """Sizes of the groups of loop rows that share a unit and so a scale; see `inverse_rows`."""
     groups = []
     for i, grasp in enumerate(chain.grasps):
@@ -185,13 +184,13 @@ def row_groups(chain: ClosedChain) -> list[int]:
     return groups
 
 
-def inverse_rows(A: Array, M: Array, groups: Sequence[int]) -> tuple[Array, Array]:
+def inverse_rows(chain: ClosedChain, A: Array, M: Array) -> tuple[Array, Array]:
     """Right inverse and multipliers of redundant constraints A q̈ = b in the inertia metric.
 
     Args:
+        chain: the arms, whose loop rows come first.
         A: (m, n) rows as `constraint_rows` orders them.
         M: (n, n) joint-space inertia.
-        groups: sizes of groups of rows that share one scale; they come first.
 
     Returns:
         (n, m) right inverse that solves A x = b with least xᵀM x, and the (m, m) map from b to
@@ -202,7 +201,7 @@ def inverse_rows(A: Array, M: Array, groups: Sequence[int]) -> tuple[Array, Arra
     size = np.linalg.norm(whitened, axis=1)
     # the three rows of a vector share one scale: a locked direction has a separate zero row
     start = 0
-    for count in groups:
+    for count in _row_groups(chain):
         size[start : start + count] = size[start : start + count].max()
         start += count
     U, s, Vh = np.linalg.svd(whitened / size[:, None], full_matrices=False)

@@ -75,20 +75,17 @@ def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink
         own = model.inertias[joint].copy()  # the sensor sits at the joint: the whole link is beyond
     else:
         own = pin.Inertia.Zero()
+        beyond = {sensor}
         for f, frame in enumerate(model.frames):
-            if frame.parentJoint == joint and _hangs_on(model, f, sensor):
+            if frame.parentFrame in beyond:  # parents come first
+                beyond.add(f)
+            if f in beyond and frame.parentJoint == joint:
                 own = own + frame.placement.act(frame.inertia)
     if own.mass > 0.0:
         links.append(OutboardLink(joint, own))
     path = list(model.supports[model.frames[tip].parentJoint])
-    beyond = [j for j in path if j > joint and joint in model.supports[j]]
-    return links + [OutboardLink(j, model.inertias[j].copy()) for j in beyond]
-
-
-def _hangs_on(model: pin.Model, frame: int, ancestor: int) -> bool:
-    while frame not in (0, ancestor):
-        frame = model.frames[frame].parentFrame
-    return frame == ancestor
+    outer = [j for j in path if j > joint and joint in model.supports[j]]
+    return links + [OutboardLink(j, model.inertias[j].copy()) for j in outer]
 
 
 def columns_at(J_world: Array, O: Array) -> Array:  # noqa: E741 - the operational point
@@ -176,7 +173,7 @@ class ClosedChain:
         self.model = _merge(self.arms)
         self.data = self.model.createData()
         ends = np.cumsum([0, *(arm.model.nv for arm in arms)]).tolist()
-        self.slices: tuple[slice, ...] = tuple(map(slice, ends, ends[1:]))
+        self.slices = tuple(map(slice, ends, ends[1:]))
         passive = [f"{arm.name}/{joint}" for arm in arms for joint in arm.passive_joints]
         self.actuated = np.flatnonzero(~np.isin(self.joint_names, passive))
         self.tau_max = effort_limits(self.model, self.actuated)
@@ -190,7 +187,7 @@ class ClosedChain:
             robots.frame_id(self.model, f"{a.name}/{a.wrist_sensor}") if a.wrist_sensor else None
             for a in arms
         ]
-        self.outboard: list[list[OutboardLink]] = [
+        self.outboard = [
             [] if sensor is None else outboard_links(self.model, sensor, tip)
             for sensor, tip in zip(self.sensors, self.tips, strict=True)
         ]
@@ -233,17 +230,15 @@ class ClosedChain:
         """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
         return self.reference.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
 
-    def _placement(self, frame: int, data: pin.Data | None = None) -> SE3:
+    def _placement(self, frame: int, data: pin.Data | None) -> SE3:
         at = self.model.frames[frame]
         return (data or self.data).oMi[at.parentJoint] * at.placement
 
     def unactuated_motions(self, G: Array, S: Array) -> Array:
         """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""
-        if G.shape[0] == 0:
-            return np.zeros((6, 0))
         limits = np.where(np.isfinite(self.tau_max), self.tau_max, 1.0)
         U, s, _ = np.linalg.svd(G * limits)
-        driven = np.count_nonzero((s > 0.0) & (s >= 1e-9 * s.max(initial=0.0)))
+        driven = np.count_nonzero(s > 1e-9 * s.max(initial=0.0))
         motions: Array = S @ U[:, driven:]
         if motions.shape[1] and not self.allow_unactuated:
             raise ModelError(
@@ -278,19 +273,16 @@ class ClosedChain:
         """
         q = as_array("q", q, (self.nq,))
         v = as_array("v", v, (self.nq,))
-        data = self.data if data is None else data
+        data = data or self.data
         pin.forwardKinematics(self.model, data, q, v)
         led = X_WO is None and V_O is None and self.leader is not None
         row = self.law_row(led)
-        moving: tuple[Any, ...] = ()
-        resting: tuple[Array, ...] = ()
+        V = None
         if not led:
             X_WO = X_WO or self.object_pose(data)
-            V_O = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
-            moving = X_WO.homogeneous, V_O
-            resting = X_WO.homogeneous, np.zeros(6)
-        work = chain_work(row, q, v, *moving)
-        rest = chain_work(row, q, np.zeros(self.nq), *resting)
+            V = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
+        work = chain_work(row, q, v, X_WO, V)
+        rest = chain_work(row, q, np.zeros(self.nq), X_WO, np.zeros(6))
         reason = int(work.reason)
         if reason != NO_REASON:
             measured = ", or give the measured pose and twist: state(q, v, X_WO, V_O)"
@@ -301,8 +293,7 @@ class ClosedChain:
         """(6,) of the object from the leader's tip; None: the law finds it."""
         if self.leader is None:
             return None
-        joint = self.model.frames[self.tips[self.leader]].parentJoint
-        V = data.oMi[joint].act(data.v[joint]).vector
+        V = pin.getFrameVelocity(self.model, data, self.tips[self.leader], pin.WORLD).vector
         return carry_twist(V, np.zeros(3), X_WO.translation)
 
     def law_row(self, led: bool) -> Bytes:
@@ -471,7 +462,7 @@ def _z_frame(model: pin.Model, joint: int) -> SE3:
     x, y, z = np.round(axis, 15)
     if (x, y, z) == (0.0, 0.0, 1.0):
         return SE3.Identity()
-    start = np.eye(3)[int(np.abs(axis).argmin())]
+    start = np.eye(3)[np.abs(axis).argmin()]
     first = cross(start, axis)
     first /= norm(first)
     return SE3(np.column_stack((first, cross(axis, first), axis)), np.zeros(3))
@@ -498,20 +489,18 @@ _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
 _NONE = np.zeros(0)
 
 
-def chain_work(
-    row: Bytes, q: Array, v: Array, X_WO: Array | None = None, V_O: Array | None = None
-) -> Any:
+def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | None) -> Any:
     """WORK in separate memory after the law's first part: the arms at (q, v), before any contact.
 
     Args:
         row: from `chain_row`; led, if no pose is given.
-        q, v: (n,). X_WO: (4, 4), V_O: (6,) of the object, if they are given.
+        q, v: (n,). X_WO, V_O: pose and twist (6,) of the object, if they are given.
     """
     rows = Rows(row)
     head, memory, work, _ = views(rows)
     if X_WO is not None:
         memory.located = 1
-        memory.X_WO = X_WO
+        memory.X_WO = X_WO.homogeneous
         memory.given = at.GIVEN_POSE if V_O is None else at.GIVEN_TWIST
         memory.V_O = 0.0 if V_O is None else V_O
     rows.job.stop = at.MEASURE
@@ -660,7 +649,7 @@ def require_pinocchio_agrees(chain: ClosedChain, row: Bytes) -> None:
     for _ in range(STATES):
         q = rng.uniform(-1.0, 1.0, n)
         v = rng.normal(size=n)
-        work = chain_work(row, q, v, np.eye(4), np.zeros(6))
+        work = chain_work(row, q, v, SE3.Identity(), np.zeros(6))
         pin.computeAllTerms(chain.model, data, q, v)
         for name, ours, theirs in (
             ("J", carry_twist(work.joints.column.T, work.C, np.zeros(3)), data.J),

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -354,9 +353,9 @@ class Rail:
         InvalidInputError: numbers that no body has.
     """
 
-    direction: Array = field(default_factory=partial(np.zeros, 3))
-    axis: Array = field(default_factory=partial(np.zeros, 3))
-    through: Array = field(default_factory=partial(np.zeros, 3))
+    direction: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    axis: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    through: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     motion: Motion | None = None
     inertia: float = 1.0
     stiffness: float = 0.0
@@ -505,18 +504,13 @@ class Guided:
             X_WE, V_E, A_E, O: as of `Body.environment`.
         """
         rail = self.rail
-        along = rail.direction
-        s = along @ X_WE.translation
-        rate = along @ V_E[:3]
-        if rail.joints == [1]:
-            along = rail.axis
-            s = along @ pin.log3(X_WE.rotation)
-            rate = along @ V_E[3:]
+        along = np.concatenate((rail.direction, rail.axis))  # one of the two is zero
+        s = along @ np.concatenate((X_WE.translation, pin.log3(X_WE.rotation)))
+        rate = along @ V_E
         force = (
             rail.inertia * rail.descent + rail.preload - rail.stiffness * s - rail.damping * rate
         )
-        unit = np.array([rail.direction.any(), rail.axis.any()], dtype=float)
-        axis = carry_twist(rail.twist(np.zeros(2), unit, X_WE.translation), X_WE.translation, O)
+        axis = rail.twist(np.zeros(2), np.ones(2), O)
         return Environment(
             np.outer(axis, axis) / rail.inertia, axis * force / rail.inertia, axis * rate
         )

@@ -145,8 +145,6 @@ def _turned(X: SE3, columns: Array) -> Array:
 def _wrenches(T: Array) -> Array:
     """N with NᵀT = 0: forces first, then couples, where T turns only."""
     k = T.shape[1]
-    if k == 0:
-        return np.eye(6)
     if T[:3].any():
         return np.linalg.svd(T / np.linalg.norm(T, axis=0))[0][:, k:]
     N = np.eye(6)[:, : 6 - k]
@@ -253,6 +251,6 @@ def _aligned(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
 
 def _fixed_axes(turning: Array) -> Array:
     """(3, k) directions that the permitted rotations (3, m) leave unchanged."""
-    U, s, _ = np.linalg.svd(np.hstack((turning, np.zeros((3, 1)))))
+    U, s, _ = np.linalg.svd(turning)
     rank = int(np.count_nonzero(s > 1e-9))
     return np.eye(3) if rank == 0 else U[:, :1] if rank == 1 else np.zeros((3, 0))

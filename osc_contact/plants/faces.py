@@ -18,7 +18,7 @@ class Faces:
     Attributes:
         rails: of each body. on: the body of each contact.
         s, rates, second: (bodies, 2) coordinates and derivatives; of `second` that of drives.
-        driven: motions by body. moving: whether a body has a joint, driven or free.
+        driven: motions by body. moving: whether any body has a joint, driven or free.
         free: numbers of the bodies that follow the contact force, and of the joint of each.
     """
 
@@ -36,7 +36,7 @@ class Faces:
         """
         self.on = tuple(range(contacts) if on is None else on)
         self.rails = tuple(rails or [Rail()] * (max(self.on, default=-1) + 1))
-        self.moving = [bool(rail.joints) for rail in self.rails]
+        self.moving = any(rail.joints for rail in self.rails)
         self.driven = {i: rail.motion for i, rail in enumerate(self.rails) if rail.motion}
         free = [
             (i, rail.joints[0])
@@ -94,7 +94,7 @@ class Faces:
 
     def touched(self) -> Touched | None:
         """Readings of encoders on the rails and drives; None where nothing can move."""
-        if not any(self.moving):
+        if not self.moving:
             return None
         X_WE = self.poses()
         A = np.zeros((len(self.on), 6))

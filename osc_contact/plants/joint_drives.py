@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -93,7 +93,7 @@ class JointDrives:
 
     flexible: FlexibleJoints | None = None
     motors: Motors | None = None
-    friction: Array | None = field(default=None)
+    friction: Array | None = None
 
 
 _IMPEDANCE = 0.9999  #: the most that MuJoCo permits

@@ -214,9 +214,7 @@ def _hold_object(spec: Any, chain: ClosedChain, urdf: Path) -> None:
                 solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
             )
             if not points:
-                data = np.zeros(len(tie.data))  # 11 or 12, by version
-                data[10] = 1.0  # torque scale of the weld
-                tie.data = data
+                tie.data = np.eye(len(tie.data))[10]  # of 11 or 12, by version: its torque scale
 
 
 def _tie_points(grasp: Grasp) -> list[Array]:
@@ -324,7 +322,7 @@ class MujocoTruth:
         data = plant.data
         body = plant.object_body
         root = plant.model.body_rootid[body]
-        self._parts: tuple[Array, ...] = (
+        self._parts = (
             data.xpos[body],
             data.xmat[body],
             data.cvel[body],
@@ -732,7 +730,7 @@ class MujocoPlant:
     @property
     def steps_alone(self) -> bool:
         """Whether MuJoCo's steps are all there is to a period: no driven faces, errors, pushes."""
-        return not (any(self.faces.moving) or self.pushes or self.drives.motors is not None)
+        return not (self.faces.moving or self.pushes or self.drives.motors is not None)
 
     def steps_in(self, period: float) -> int:
         """How many of MuJoCo's steps a control period (s) has."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ from osc_contact.dynamics.assembly import (
     inverse_rows,
     object_columns,
     object_pose,
-    row_groups,
 )
 from osc_contact.dynamics.closed_chain import ClosedChain, columns_at
 from osc_contact.dynamics.environment import Rail
@@ -24,7 +24,6 @@ from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
 from osc_contact.plants.faces import Faces, stacked
 from osc_contact.plants.judge import Truth, Watched, require_duration
-from osc_contact.robots import frame_id
 from osc_contact.robots.model import sliding
 from osc_contact.spatial import (
     Array,
@@ -60,9 +59,8 @@ class WristCut:
         return np.asarray(self.placement.actInv(data.f[self.joint] - own).vector)
 
 
-def wrist_cut(model: pin.Model, name: str) -> WristCut:
-    """The cut at the frame `name`."""
-    cut = frame_id(model, name)
+def wrist_cut(model: pin.Model, cut: int) -> WristCut:
+    """The cut at a frame, by its number."""
     frame = model.frames[cut]
     joint = frame.parentJoint
     above = frame.parentFrame
@@ -127,7 +125,6 @@ class RigidPlant:
         if chain.payload is None:
             raise ModelError("the rigid plant needs an object; give the chain a payload")
         self.chain = chain
-        self._payload = chain.payload
         self.contacts = tuple(contacts)
         self.faces = Faces(rails, on, len(contacts))
         self.dt = step
@@ -139,10 +136,7 @@ class RigidPlant:
             X = tip.placement * chain.grasps[chain.leader].X_TO
             self.model.appendBodyToJoint(tip.parentJoint, chain.payload.inertia, X)
         self._sensors = [
-            None
-            if arm.wrist_sensor is None
-            else wrist_cut(chain.model, f"{arm.name}/{arm.wrist_sensor}")
-            for arm in chain.arms
+            None if sensor is None else wrist_cut(chain.model, sensor) for sensor in chain.sensors
         ]
         self._slip = np.where(sliding(self.model), _SLIDE, _SLIP)
         self.data = self.model.createData()
@@ -160,8 +154,7 @@ class RigidPlant:
         self.faces.s[:] = self.faces.rates[:] = 0.0
         self.faces.drive(0.0)
         q = as_array("q", q, (self.chain.nq,))
-        self.q, self._X = closed(self.chain, q, object_pose(self.chain, q), self._gaps)
-        self.v, self._V = self._on_constraints(np.zeros(self.chain.nq), np.zeros(6))
+        self._project(q, object_pose(self.chain, q), np.zeros(self.chain.nq), np.zeros(6))
         self._tau = np.zeros(self.chain.n_a)
 
     def hold(self, tau: Array) -> None:
@@ -196,7 +189,7 @@ class RigidPlant:
     def poses(self) -> Array:
         """See `Judge.poses`."""
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
-        tips = [self._tip(i) for i in range(len(self._tips))]
+        tips = self.chain.tip_poses(self.data)
         return np.array([X.homogeneous for X in (self._object()[0], *tips)])
 
     def command(self, tau: Array, duration: float) -> None:
@@ -219,8 +212,7 @@ class RigidPlant:
             a[:3] += cross(self._V[3:], self._V[:3])  # classical
             V = self._V + a * self.dt
             X = moved(self._X, 0.5 * (self._V + V) * self.dt)
-            self.q, self._X = closed(self.chain, q, X, self._gaps)
-            self.v, self._V = self._on_constraints(v, V)
+            self._project(q, X, v, V)
 
     def stop(self, reason: str = "") -> None:
         """Nothing to do."""
@@ -245,32 +237,27 @@ class RigidPlant:
         pin.forwardKinematics(model, self.data, self.q, self.v, 0.0 * self.v)
         X, V = self._object()
         O = X.translation  # noqa: E741
-        parts = self.faces.parts(self.contacts, X, V)
+        parts = faces.parts(self.contacts, X, V)
         N, n_gamma = stacked(parts)
         J = self._jacobian(X)
+        tips = chain.tip_poses(self.data)
         first = object_columns(chain, J)
         gamma_O = np.zeros(6) if chain.leader is None else self._drift(chain.leader, X)
-        rows = []
         right = []
         normals = []
         for i, (s, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
             if i == chain.leader:
                 continue
-            loop = first.copy()
-            loop[:, s] -= J[:, s]
             drift = self._drift(i, X) - gamma_O
             passed = np.eye(6)
             if not grasp.is_rigid:  # N is carried by the tip while the object slips
-                passed = grasp.wrenches_at(self._tip(i), O)
-                loop = passed.T @ loop
+                passed = grasp.wrenches_at(tips[i], O)
                 drift = passed.T @ (drift + cross_twist(J[:, s] @ self.v[s], V))
-            rows.append(loop)
             right.append(drift)
             normals.append(passed)
         ends = np.cumsum([0, *map(len, right)])
         along, on_faces = faces.closing(parts, O)
-        rows.append(N.T @ first)
-        right.append(n_gamma - N.T @ gamma_O + on_faces)
+        right.append(N.T @ gamma_O - n_gamma - on_faces)
         dry = np.array(model.upperDryFrictionLimit)
         share = np.tanh(self.v / self._slip)
         slope = model.damping + dry / self._slip * (1.0 - share**2)
@@ -278,19 +265,19 @@ class RigidPlant:
         force[chain.actuated] += tau
         M = np.array(self.data.M) + ahead * np.diag(slope)
         if chain.leader is None:
-            body = self._payload.terms(X, V, model.gravity.linear)
+            body = chain.reference.terms(X, V, model.gravity.linear)
             force = np.concatenate((force, -body.mu - body.p))
             M = block_diagonal([M, body.Lambda])
-        A = np.vstack(rows)
+        A = constraint_rows(chain, O, N, self.data)
         size = len(M)
         bodies, joints = faces.free
         if len(bodies):
-            own = -along[:, bodies, joints]
+            own = along[:, bodies, joints]
             A = np.hstack((A, np.vstack((np.zeros((ends[-1], len(bodies))), own))))
             M = block_diagonal([M, np.diag([faces.rails[i].inertia for i in bodies])])
             force = np.concatenate((force, faces.pulls(model.gravity.linear)))
         unheld = np.linalg.solve(M, force)
-        inverse, multipliers = inverse_rows(A, M, row_groups(chain))
+        inverse, multipliers = inverse_rows(chain, A, M)
         short = np.concatenate(right) - A @ unheld
         x = unheld + inverse @ short
         lam = multipliers @ short  # M x = force + Aᵀλ
@@ -301,8 +288,8 @@ class RigidPlant:
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
             loops = [passed @ share for passed, share in zip(normals, shares, strict=True)]
-            wrenches = self._wrist(qdd, loops, -N @ alpha, X)
-        return Solution(qdd, sdd, first @ x[:size] + gamma_O, -alpha, wrenches)
+            wrenches = self._wrist(qdd, loops, N @ alpha, X)
+        return Solution(qdd, sdd, first @ x[:size] + gamma_O, alpha, wrenches)
 
     def _wrist(self, qdd: Array, loops: list[Array], f_c: Array, X: pin.SE3) -> Array:
         """Wrist wrenches in sensor axes: what each arm's joint transmits, minus its own side.
@@ -330,12 +317,9 @@ class RigidPlant:
         leader = self.chain.leader
         if leader is None:
             return self._X, self._V
-        X = self._tip(leader) * self.chain.grasps[leader].X_TO
+        X = self.chain.object_pose(self.data)
         s = self.chain.slices[leader]
         return X, self._jacobian(X)[:, s] @ self.v[s]
-
-    def _tip(self, i: int) -> pin.SE3:
-        return self.data.oMi[self._tips[i].parentJoint] * self._tips[i].placement
 
     def _jacobian(self, X: pin.SE3) -> Array:
         return columns_at(self.data.J, X.translation)
@@ -345,11 +329,10 @@ class RigidPlant:
         a = pin.getFrameAcceleration(self.model, self.data, self.chain.tips[i], pin.WORLD).vector
         return carry_twist(a, np.zeros(3), X.translation)
 
-    def _gaps(self, X: pin.SE3) -> tuple[Array, Array]:
-        return self.faces.gaps(self.contacts, X)
-
-    def _on_constraints(self, v: Array, V: Array) -> tuple[Array, Array]:
+    def _project(self, q: Array, X: pin.SE3, v: Array, V: Array) -> None:
+        """Take positions, then velocities, of joints and object, put onto the constraints."""
         chain = self.chain
+        self.q, self._X = closed(chain, q, X, partial(self.faces.gaps, self.contacts))
         pin.computeAllTerms(chain.model, chain.data, self.q, v)
         X = self._X if chain.leader is None else chain.object_pose()
         parts = self.faces.parts(self.contacts, X, np.zeros(6))
@@ -359,5 +342,6 @@ class RigidPlant:
         b[len(A) - len(along) :] = -np.tensordot(along, self.faces.rates)
         x = np.concatenate((v, V))[: A.shape[1]]
         for _ in range(2):
-            x = x - inverse_rows(A, inertia_of(chain, X), row_groups(chain))[0] @ (A @ x - b)
-        return x[: chain.nq], x[chain.nq :] if chain.leader is None else V
+            x = x - inverse_rows(chain, A, inertia_of(chain, X))[0] @ (A @ x - b)
+        self.v = x[: chain.nq]
+        self._V = x[chain.nq :] if chain.leader is None else V

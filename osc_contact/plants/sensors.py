@@ -48,8 +48,8 @@ class Sensor:
     clock: Clock
     corrupt: Callable[[Array], Array]
     rng: np.random.Generator
-    _samples: deque[tuple[float, Array]] = field(default_factory=deque, init=False)
-    _count: int = field(default=0, init=False)
+    _samples: deque[tuple[float, Array]] = field(init=False)
+    _count: int = field(init=False)
 
     def begin(self, t: float, value: Array) -> None:
         """Forget everything; the first sample is there at once and never lost."""
@@ -102,7 +102,6 @@ class SensedPlant:
         self.plant = plant
         self.sensors = sensors
         self.seed = seed
-        self.time = plant.time
         self._begin()
 
     def reset(self, q: Array) -> None:
@@ -195,8 +194,8 @@ def _noisy(
     errors: SensorErrors | Errors[float], shape: tuple[int, ...], rng: np.random.Generator
 ) -> Callable[[Array], Array]:
     """The errors of one sensor, its bias fixed, as a function of values of that shape."""
-    bias = np.broadcast_to(errors.bias, shape) * rng.uniform(-1.0, 1.0, shape)
-    steps = np.broadcast_to(errors.resolution, shape) > 0.0
+    bias = errors.bias * rng.uniform(-1.0, 1.0, shape)
+    steps = errors.resolution > 0.0
     step = np.where(steps, errors.resolution, 1.0)
 
     def corrupt(value: Array) -> Array:

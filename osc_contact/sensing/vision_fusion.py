@@ -95,7 +95,8 @@ class Registration:
         start = self.X
         for _ in range(_ITERATIONS):  # in information form: exact noise-free poses do no harm
             information = prior.copy()
-            push = -prior @ _displacement(start, self.X)
+            so_far = self.X * start.inverse()
+            push = -prior @ np.concatenate((so_far.translation, pin.log3(so_far.rotation)))
             for X_W, X_C in zip(known, seen, strict=True):
                 found = self.X * X_C
                 turn = pin.log3(X_W.rotation @ found.rotation.T)
@@ -108,12 +109,6 @@ class Registration:
             self.X = SE3(pin.exp3(xi[3:]), xi[:3]) * self.X
         self.P = np.linalg.inv(information)
         return self.X
-
-
-def _displacement(start: SE3, end: SE3) -> Array:
-    """ξ (6,) with end = (exp(θ), δ) ∘ start."""
-    rest = end * start.inverse()
-    return np.concatenate((rest.translation, pin.log3(rest.rotation)))
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import coal
@@ -13,8 +14,6 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.detection.features import (
     CollisionShape,
     Feature,
-    Nearest,
-    Solid,
     best_direction,
     exact_normal,
     foremost,
@@ -58,27 +57,28 @@ def face_on_edge(
 
 
 def rim_on_face(
-    rim: Feature, point: Array, normal: Array, sine: float, name: str, turned: bool = False
+    rim: Feature, point: Array, normal: Array, n: Array, name: str, turned: bool = False
 ) -> GapFunctions:
     """The rim of a disc of the object on a plane of the environment, r = 1; rolling is free.
 
     g = n·(c − p) − R |n × a|: the disc with centre c and axis a reaches R sin∠(n, a) down.
-    `sine` is that sine at the contact, for the step of the differences.
 
     Args:
-        rim: of the object, in its frame. point, normal: (3,) of the plane. sine: of ∠(n, a).
+        rim: of the object, in its frame. point, normal: (3,) of the plane.
+        n: (3,) normal at the contact, in the rim's frame: ∠(n, a) sets the step of the differences.
         name: of the pair. turned: the plane is the object's, the rim the environment's.
     """
     centre: Any = rim.centre
     axis: Any = rim.axis
     radius = norm(rim.points[0] - centre)
+    step = min(1e-2, _STEP * norm(cross(axis, n)))
 
     def gap(X: SE3) -> Array:
         X = X.inverse() if turned else X
         reach = radius * norm(cross(normal, X.rotation @ axis))
         return np.array([normal @ (X.act(centre) - point) - reach])
 
-    return GapFunctions(gap, length=radius, step=min(1e-2, _STEP * sine), name=name)
+    return GapFunctions(gap, length=radius, step=step, name=name)
 
 
 def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
@@ -103,7 +103,7 @@ def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
         if a.dimension == 1:
             lines.append(X.rotation @ a.direction)
         if len(lines) == 2:
-            across = cross(lines[0], lines[1])
+            across = cross(*lines)
             return np.array([abs(across @ apart) / norm(across) - reach])
         for along in lines:
             apart = apart - (apart @ along) * along
@@ -176,8 +176,7 @@ class Detected:
         face = self.environment_point
         name = self.name
         if a.axis is not None:
-            sine = norm(cross(a.axis, self.object_normal))
-            return rim_on_face(a, face, normal, sine, name)
+            return rim_on_face(a, face, normal, self.object_normal, name)
         if a.normal is not None:
             size = float(np.linalg.norm(self.points - self.points.mean(axis=0), axis=1).max())
             return FaceOnFace(point, a.normal, face, normal, size, name)
@@ -191,8 +190,7 @@ class Detected:
         face = self.object_point
         name = self.name
         if e.axis is not None:
-            sine = norm(cross(e.axis, self.environment_normal))
-            return rim_on_face(e, face, normal, sine, name, turned=True)
+            return rim_on_face(e, face, normal, self.environment_normal, name, turned=True)
         if e.dimension == 1:
             return face_on_edge(face, normal, e.points, e.radius, name)
         return FaceOnVertex(face, normal, self.environment_point, e.radius, name)
@@ -248,7 +246,8 @@ def merged(
     """
     shapes = {shape.name: shape for shape in object_geometry}
     kept: list[Detected] = []
-    for contact in sorted(contacts, key=_rank):
+    ranked = sorted(contacts, key=lambda c: (-c.r, c.object_feature.radius == 0.0, c.distance))
+    for contact in ranked:
         if not any(
             _same_plane(contact, other, margin, angle)
             and (
@@ -259,10 +258,6 @@ def merged(
         ):
             kept.append(contact)
     return [contact for contact in contacts if contact in kept]
-
-
-def _rank(contact: Detected) -> tuple[int, bool, float]:
-    return -contact.r, contact.object_feature.radius == 0.0, contact.distance
 
 
 def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
@@ -328,37 +323,28 @@ def detect(
         raise InvalidInputError(f"margin = {margin}; give a length > 0 m")
     if not 0.0 < angle < 0.1:
         raise InvalidInputError(f"angle = {angle}; give an angle between 0 and 0.1 rad")
-    X_WE = SE3.Identity() if X_WE is None else X_WE
-    placed = [(e, e.solid.moved(X_WE), X_WE * e.placement) for e in environment_geometry]
-    contacts = []
-    for a in object_geometry:
-        solid = a.solid.moved(X_WO)
-        X_A = X_WO * a.placement
-        for e, solid_e, X_E in placed:
-            near = nearest(a.shape, X_A, e.shape, X_E)
-            if near.distance > margin:
-                continue
-            n = best_direction(solid, solid_e)
-            round_one = solid.radius + solid_e.radius > 0.0
-            if round_one and separation(solid, solid_e, n) < near.distance - _EXACT:
-                n = best_direction(solid, solid_e, near.normal)
-            contact = _classified((a, solid, X_WO), (e, solid_e, X_WE), n, near, margin, angle)
-            if contact is not None:
-                contacts.append(contact)
+    X_WE = X_WE or SE3.Identity()
+    each = (
+        _classified(a, X_WO, e, X_WE, margin, angle)
+        for a, e in product(object_geometry, environment_geometry)
+    )
+    contacts = [contact for contact in each if contact is not None]
     return merged(contacts, object_geometry, X_WO, margin, angle)
 
 
 def _classified(
-    on_object: tuple[CollisionShape, Solid, SE3],
-    on_face: tuple[CollisionShape, Solid, SE3],
-    n: Array,
-    near: Nearest,
-    margin: float,
-    angle: float,
+    a: CollisionShape, X_WO: SE3, e: CollisionShape, X_WE: SE3, margin: float, angle: float
 ) -> Detected | None:
-    """The contact of two shapes; None where they turn out to be apart after all."""
-    a, solid_a, X_WO = on_object
-    e, solid_e, X_WE = on_face
+    """The contact of two shapes, their bodies at these poses; None where they are apart."""
+    near = nearest(a.shape, X_WO * a.placement, e.shape, X_WE * e.placement)
+    if near.distance > margin:
+        return None
+    solid_a = a.solid.moved(X_WO)
+    solid_e = e.solid.moved(X_WE)
+    n = best_direction(solid_a, solid_e)
+    round_one = solid_a.radius + solid_e.radius > 0.0
+    if round_one and separation(solid_a, solid_e, n) < near.distance - _EXACT:
+        n = best_direction(solid_a, solid_e, near.normal)
     f_a = foremost(solid_a, -n, margin, angle)
     f_e = foremost(solid_e, n, margin, angle)
     distance = separation(solid_a, solid_e, n)

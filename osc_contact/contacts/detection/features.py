@@ -14,6 +14,7 @@ import pinocchio as pin
 from pinocchio import SE3
 
 from osc_contact.contacts.pairs.pair import triad
+from osc_contact.contacts.surface import triangles_of
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots import load_geometry
 from osc_contact.robots.model import joint_names
@@ -149,9 +150,7 @@ def _solid(name: str, shape: Any) -> Solid:
         return Solid(ends * shape.halfLength, shape.radius, eye[2], normals=ends, edges=z)
     if isinstance(shape, coal.Convex):
         corners = np.array(shape.points())
-        triangles = np.array(
-            [[shape.polygons(i)[k] for k in range(3)] for i in range(shape.num_polygons)]
-        )
+        triangles = triangles_of(shape.polygons, shape.num_polygons)
         return Solid(corners, 0.0, None, *_faces_and_edges(corners, triangles))
     raise InvalidInputError(
         f"{name}: contacts of a {type(shape).__name__} are not classified; use boxes, spheres, "
@@ -161,7 +160,7 @@ def _solid(name: str, shape: Any) -> Solid:
 
 def _faces_and_edges(corners: Array, triangles: Array) -> tuple[Array, Array]:
     """Unit outward normals and unit edge directions, each direction once."""
-    a, b, c = (corners[triangles[:, i]] for i in range(3))
+    a, b, c = corners[triangles].swapaxes(0, 1)
     normals = np.cross(b - a, c - a)
     area = np.linalg.norm(normals, axis=1)
     keep = area > 1e-12 * area.max()
@@ -184,12 +183,9 @@ def _convex(name: str, mesh: Any) -> Any:
     """coal.Convex of a mesh that already is convex (coal is built without a hull algorithm)."""
     vertices = np.array(mesh.vertices())
     corners, index = np.unique(np.round(vertices, 12), axis=0, return_inverse=True)
-    index = index.reshape(-1)
-    triangles = np.array(
-        [[index[mesh.tri_indices(i)[k]] for k in range(3)] for i in range(mesh.num_tris)]
-    )
+    triangles = index.reshape(-1)[triangles_of(mesh.tri_indices, mesh.num_tris)]
     size = np.ptp(corners, axis=0).max()
-    a, b, c = (corners[triangles[:, i]] for i in range(3))
+    a, b, c = corners[triangles].swapaxes(0, 1)
     for normal, point in zip(np.cross(b - a, c - a), a, strict=True):
         height = (corners - point) @ normal / (norm(normal) or 1.0)
         if height.max() > _CONVEX_SLACK * size and height.min() < -_CONVEX_SLACK * size:
@@ -229,16 +225,14 @@ def nearest(a: Any, X_A: SE3, e: Any, X_E: SE3) -> Nearest:
         a, e: coal shapes. X_A, X_E: their poses in the world.
     """
     result = coal.DistanceResult()
-    distance = coal.distance(a, _placed(X_A), e, _placed(X_E), coal.DistanceRequest(), result)
+    at_a = coal.Transform3s(X_A.rotation, X_A.translation)
+    at_e = coal.Transform3s(X_E.rotation, X_E.translation)
+    distance = coal.distance(a, at_a, e, at_e, coal.DistanceRequest(), result)
     normal = -np.array(result.normal)
     witness = np.array(result.getNearestPoint2())
     if not (abs(distance) < 1e6 and np.isfinite(normal).all() and np.isfinite(witness).all()):
         return Nearest(0.0, np.zeros(3), X_E.translation)
     return Nearest(float(distance), normal, witness)
-
-
-def _placed(X: SE3) -> coal.Transform3s:
-    return coal.Transform3s(X.rotation, X.translation)
 
 
 # --- Faces, edges, rims and vertices --------------------------------------------------------------
@@ -314,22 +308,22 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
     if solid.axis is not None:
         return _of_cylinder(solid, solid.axis, d, margin, angle)
     heights = solid.corners @ d
-    top = int(heights.argmax())
+    top = heights.argmax()
     drop = heights[top] - heights
     distance = np.linalg.norm(solid.corners - solid.corners[top], axis=1)
     active = np.flatnonzero(drop <= np.minimum(margin, angle * distance) + 1e-12)
     points = solid.corners[active]
     if len(points) > 2 and not _collinear(points):
-        normal = solid.normals[int((solid.normals @ d).argmax())]
+        normal = solid.normals[(solid.normals @ d).argmax()]
         if norm(cross(normal, d)) <= angle:
             return Feature("face", 2, _round_trip(points, normal), 0.0, normal)
         others = active[active != top]  # steeper than `angle` across: the flattest edge is left
-        flattest = others[int((drop[others] / distance[others]).argmin())]
+        flattest = others[(drop[others] / distance[others]).argmin()]
         points = solid.corners[[top, flattest]]
     if len(points) == 1:
         return Feature("sphere" if solid.radius > 0.0 else "vertex", 0, points, solid.radius)
     along = (points - points[0]) @ (points[-1] - points[0])
-    ends = points[[int(along.argmin()), int(along.argmax())]]
+    ends = points[[along.argmin(), along.argmax()]]
     return Feature("cylinder" if solid.radius > 0.0 else "edge", 1, ends, solid.radius)
 
 
@@ -337,7 +331,7 @@ def _of_cylinder(solid: Solid, axis: Array, d: Array, margin: float, angle: floa
     along = float(axis @ d)
     radial = d - along * axis
     sine = norm(radial)
-    end = solid.corners[int((solid.corners @ d).argmax())]
+    end = solid.corners[(solid.corners @ d).argmax()]
     length = norm(solid.corners[1] - solid.corners[0])
     if sine <= min(margin / (2.0 * solid.radius), angle):
         normal = axis if along > 0.0 else -axis
@@ -389,7 +383,7 @@ def shared_patch(
     elif e.dimension == 2:
         points = _clip(flat_a, flat_e)
     else:
-        points = _clip(flat_e, flat_a)
+        points = _clip(flat_e, flat_a[::-1])  # its normal is −n
     if len(points) == 0:
         points = (axes @ witness)[None]
     return _reduced(points, width) @ axes
@@ -409,10 +403,12 @@ def _of_lines(a: Array, e: Array, angle: float) -> Array:
 
 
 def _clip(subject: Array, window: Array) -> Array:
-    """The part of a convex polygon or line piece inside a convex polygon (Sutherland-Hodgman)."""
-    if _area(window) < 0.0:
-        window = window[::-1]
-    points = [np.asarray(p) for p in subject]
+    """The part of a convex polygon or line piece inside a convex polygon (Sutherland-Hodgman).
+
+    Args:
+        subject: (k, 2) points. window: (m, 2) corners, counterclockwise.
+    """
+    points = list(subject)
     for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
         inward = np.array((start[1] - end[1], end[0] - start[0]))
         depth = [float(inward @ (p - start)) for p in points]
@@ -426,11 +422,6 @@ def _clip(subject: Array, window: Array) -> Array:
                 kept.append(p)
         points = kept
     return np.array(points).reshape(-1, 2)
-
-
-def _area(polygon: Array) -> float:
-    x, y = polygon.T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def _reduced(points: Array, width: float) -> Array:
@@ -485,7 +476,7 @@ def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
     if len(directions) == 0:
         directions = np.eye(3)[2:]
     apart = separation(a, e, directions)
-    return directions[int(np.flatnonzero(apart >= apart.max() - _TIE)[0])]
+    return directions[(apart >= apart.max() - _TIE).argmax()]
 
 
 def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:

@@ -136,10 +136,9 @@ class Bodies:
             X_WO, X_WE: poses of object and environment; X_WE None: the world's.
             V_O: (6,) twist of the object at O. V_E: (6,) of the environment at its origin.
         """
-        X_E = _WORLD if X_WE is None else X_WE
-        if V_E is not None:
-            V_E = carry_twist(V_E, X_E.translation, X_WO.translation)
-        return cls(X_WO, X_E, V_O, _AT_REST if V_E is None else V_E)
+        X_E = X_WE or _WORLD
+        V = _AT_REST if V_E is None else carry_twist(V_E, X_E.translation, X_WO.translation)
+        return cls(X_WO, X_E, V_O, V)
 
     @property
     def V_rel(self) -> Array:
@@ -334,7 +333,7 @@ _point = as_python(law.point_of_contact)
 
 #: Elements of a matrix as the law reads them, M[i, j]: a dictionary is faster than an array.
 _Elements = dict[tuple[int, int], Any]
-_IDENTITY: _Elements = {(i, j): float(i == j) for i in range(3) for j in range(4)}
+_IDENTITY = {(i, j): float(i == j) for i in range(3) for j in range(4)}
 #: Methods that determine a row; a class that replaces one of them differs from its row.
 _GIVEN_BY_ROW = ("contact", "points_of_contact")
 
@@ -389,8 +388,9 @@ class LawPair(PackagedPair):
     _row: PairRow
     _numbers: tuple[Any, Shapes]
 
-    def _hold(self, row: PairRow, surface_point: Array) -> None:
-        """Take the geometry of a pair that is being made."""
+    def _hold(self, surface_point: Array, *given: Any) -> None:
+        """Take the geometry of a pair that is being made; `given`: kind, shapes … of its row."""
+        row = PairRow(*given)
         head = SimpleNamespace(**row._asdict(), first=0, shape_at=0)
         head.count = len(row.shapes) - row.freedoms
         store(self, _row=row, _numbers=(head, Shapes(row.shapes)), surface_point=surface_point)
@@ -447,17 +447,17 @@ class LawPair(PackagedPair):
         except ZeroDivisionError:
             sine = 0.0
         least = np.min(sine)
-        if not least >= law.PARALLEL and self._row.kind == SURFACE:
+        if least >= law.PARALLEL:
+            return columns
+        if self._row.kind == SURFACE:
             raise ContactError(
                 f"{self.name}: the ball's centre is where no one place of the surface is nearest; "
                 "start with it on the outer side, nearer than the least radius of curvature"
             )
-        if not least >= law.PARALLEL:
-            raise ContactError(
-                f"{self.name}: the edges are parallel (sine of their angle {least:.2g}), so their "
-                "common normal is undefined; model this contact as an edge on a face"
-            )
-        return columns
+        raise ContactError(
+            f"{self.name}: the edges are parallel (sine of their angle {least:.2g}), so their "
+            "common normal is undefined; model this contact as an edge on a face"
+        )
 
 
 def normals_over(pair: ContactPair, X_WO: Poses, X_WE: Poses | None = None) -> Array:
@@ -510,7 +510,7 @@ class FaceOnVertex(LawPair):
 
     def _make(self) -> None:
         row = shape(self.normal, self.body_vertex, self.radius)
-        self._hold(PairRow(FACE_ON_VERTEX, (row,)), self.body_vertex)
+        self._hold(self.body_vertex, FACE_ON_VERTEX, (row,))
         store(self, surface_radius=self.radius)
 
     def _gaps(self, X_EA: SE3) -> Array:
@@ -559,7 +559,7 @@ class EdgeOnEdge(LawPair):
             )
         side = (0.0, out) if np.ndim(out) else (out, np.zeros(3))
         lines = self.point, self.direction, self.edge_point, self.edge_direction
-        self._hold(PairRow(EDGES, (shape(*lines, *side),)), self.edge_point)
+        self._hold(self.edge_point, EDGES, (shape(*lines, *side),))
 
     def _gaps(self, X_EA: SE3) -> Array:
         """(1,) distance between the two lines (m), negative when they have passed each other."""

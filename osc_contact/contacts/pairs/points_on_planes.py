@@ -1,7 +1,7 @@
 """Pairs made of points of the object, each held on a plane of the environment."""
 
 from math import pi
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pinocchio import SE3
@@ -15,7 +15,6 @@ from osc_contact.contacts.pairs.pair import (
     FaceDirection,
     FacePoint,
     LawPair,
-    PairRow,
     Point,
     Radius,
     register_pair,
@@ -45,17 +44,17 @@ class PointsOnPlanes(LawPair):
     _points: Array
     _into: Array
     _reach: Array
-    _heights: Array
 
     def _hold_points(
         self, points: Array, into: Array, on_plane: Array, radius: float = 0.0
     ) -> None:
-        """Take points (3, r) of A, unit directions (3, 1 or r), and a point (3,) of all planes."""
-        into = np.broadcast_to(into, points.shape)
+        """Take points of A and unit directions, (3,) or (3, r), and a point (3,) of all planes."""
+        points = points.reshape(3, -1)
+        into = np.broadcast_to(into.reshape(3, -1), points.shape)
         heights = (into * on_plane[:, None]).sum(axis=0)
-        store(self, _points=points, _into=into, _reach=heights - radius, _heights=heights)
+        store(self, _points=points, _into=into, _reach=heights - radius)
         shapes = map(shape, points.T, into.T, heights)
-        self._hold(PairRow(POINTS, tuple(shapes)), on_plane)
+        self._hold(on_plane, POINTS, tuple(shapes))
 
     def _gaps(self, X_EA: SE3) -> Array:
         """(r,) signed distances (m), negative where the two overlap."""
@@ -64,14 +63,10 @@ class PointsOnPlanes(LawPair):
         return self._reach - X_EA.translation @ n - np.einsum("ij,ij->j", turned, n)
 
 
-def ends(point: Array, direction: Array, length: float) -> Array:
-    """(3, 2) the two ends of a segment whose middle is `point`.
-
-    Args:
-        point, direction: (3,) middle (m) and unit vector. length: m.
-    """
-    half = 0.5 * length * direction
-    return np.column_stack((point - half, point + half))
+def ends(line: Any) -> Array:
+    """(3, 2) the two ends of a segment of a line, `length` apart around its `point`."""
+    half = 0.5 * line.length * line.direction
+    return np.column_stack((line.point - half, line.point + half))
 
 
 # A vertex of the object on a face of the environment.
@@ -98,7 +93,7 @@ class VertexOnFace(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        self._hold_points(self.vertex[:, None], -self.normal[:, None], self.point, self.radius)
+        self._hold_points(self.vertex, -self.normal, self.point, self.radius)
 
 
 # A sphere of the object on a plane of the environment.
@@ -123,9 +118,7 @@ class SphereOnPlane(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        self._hold_points(
-            self.centre[:, None], -self.face_normal[:, None], self.face_point, self.radius
-        )
+        self._hold_points(self.centre, -self.face_normal, self.face_point, self.radius)
 
 
 # An edge of the object on a face of the environment.
@@ -154,8 +147,8 @@ class EdgeOnFace(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        feet = ends(self.point, self.direction, self.length)
-        self._hold_points(feet, -self.face_normal[:, None], self.face_point)
+        feet = ends(self)
+        self._hold_points(feet, -self.face_normal, self.face_point)
 
 
 # A cylinder of the object on a plane of the environment.
@@ -185,8 +178,8 @@ class CylinderOnPlane(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        feet = ends(self.point, self.direction, self.length)
-        self._hold_points(feet, -self.face_normal[:, None], self.face_point, self.radius)
+        feet = ends(self)
+        self._hold_points(feet, -self.face_normal, self.face_point, self.radius)
 
 
 # A flat face of the object on a flat face of the environment.
@@ -221,7 +214,7 @@ class FaceOnFace(PointsOnPlanes):
     def _make(self) -> None:
         drawn = np.array((np.cos(_CORNERS), np.sin(_CORNERS)))
         corners = self.point[:, None] + self.size * triad(self.normal)[:, :2] @ drawn
-        self._hold_points(corners, -self.face_normal[:, None], self.face_point)
+        self._hold_points(corners, -self.face_normal, self.face_point)
 
 
 # A cylinder of the object in a hole of the environment.
@@ -250,7 +243,7 @@ class CylinderInHole(PointsOnPlanes):
     name: str = "cylinder_in_hole"
 
     def _make(self) -> None:
-        points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
+        points = np.repeat(ends(self), 2, axis=1)
         across = triad(self.hole_direction)[:, :2]
         self._hold_points(points, np.hstack((across, across)), self.hole_point)
 
@@ -300,5 +293,5 @@ class CylinderInVGroove(PointsOnPlanes):
         across = np.cos(self.groove_angle / 2) * side
         along = np.sin(self.groove_angle / 2) * cross(side, self.groove_direction)
         into = np.column_stack((across - along, -across - along))
-        points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
+        points = np.repeat(ends(self), 2, axis=1)
         self._hold_points(points, np.hstack((into, into)), self.groove_point, self.radius)

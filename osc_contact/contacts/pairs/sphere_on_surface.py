@@ -12,7 +12,6 @@ from osc_contact.contacts.pairs.pair import (
     BodyDirection,
     BodyPoint,
     LawPair,
-    PairRow,
     Point,
     Radius,
     register_pair,
@@ -119,7 +118,7 @@ class SphereOnSurface(LawPair):
         )
         shapes = self.surface.rows(self.centre, self.radius, seat)
         store(self, X_ES=seat)
-        self._hold(PairRow(SURFACE, shapes, len(shapes) - 1), self.surface_point)
+        self._hold(self.surface_point, SURFACE, shapes, len(shapes) - 1)
 
     def nearest(self, points: Array) -> tuple[Array, Array, Array]:
         """Signed distances (k,), feet (3, k) on the surface and outward normals (3, k) there.

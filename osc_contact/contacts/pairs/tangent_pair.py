@@ -1,13 +1,13 @@
 """Pairs given by T: N annihilates T by construction, n_γ = NᵀṪβ."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from pinocchio import SE3
 
 from osc_contact.contacts.pairs.pair import (
     Direction,
-    PairRow,
     Point,
     register_pair,
     shape,
@@ -61,7 +61,7 @@ class TangentPair(PointsOnPlanes):
         forces = (shape(point, n, FORCE) for n in into.T)
         couples = (shape(a, u, COUPLE) for a, u in zip(arms.T, marks.T, strict=True))
         shapes = (*forces, *couples, *threads, *freedoms)
-        self._hold(PairRow(TANGENTS, shapes, len(freedoms)), on_plane)
+        self._hold(on_plane, TANGENTS, shapes, len(freedoms))
 
     def _gaps(self, X_EA: SE3) -> Array:
         """(r,) signed errors: m for the points, rad (to first order) for the directions."""
@@ -78,6 +78,13 @@ def held_axis(axis: Array, seat: Array) -> tuple[Array, Array]:
 def held_axes(R_EA: Array) -> tuple[Array, Array]:
     """Arms and marks (3, 3) that keep A's orientation in E at R_EA; couples along E's axes."""
     return R_EA.T[:, [1, 2, 0]], np.eye(3)[:, [2, 0, 1]]
+
+
+def assembled_axis(joint: Any) -> tuple[Array, Array]:
+    """The axis of a joint in E, and a point on it, as assembled; of that pose it keeps a copy."""
+    X = SE3(joint.assembled)
+    store(joint, assembled=X)
+    return X.rotation @ joint.axis, X.act(joint.point)
 
 
 # The object clamped to the environment, and no contact at all.
@@ -139,10 +146,8 @@ class Prismatic(_Joint):
     name: str = "prismatic"
 
     def _make(self) -> None:
-        store(self, assembled=SE3(self.assembled))
-        seat = self.assembled.rotation @ self.axis
+        seat, on_line = assembled_axis(self)
         turns = held_axes(self.assembled.rotation)
-        on_line = self.assembled.act(self.point)
         freedom = shape(self.point, seat, SLIDE)
         self._hold_tangents(self.point, triad(seat)[:, :2], on_line, turns, (freedom,))
 
@@ -166,9 +171,7 @@ class Revolute(_Joint):
     name: str = "revolute"
 
     def _make(self) -> None:
-        store(self, assembled=SE3(self.assembled))
-        seat = self.assembled.rotation @ self.axis
-        on_axis = self.assembled.act(self.point)
+        seat, on_axis = assembled_axis(self)
         freedom = shape(self.point, self.axis, TURN)
         tilts = held_axis(self.axis, seat)
         self._hold_tangents(self.point, triad(seat), on_axis, tilts, (freedom,))
@@ -201,17 +204,15 @@ class Screw(TangentPair):
     _seat: Array = field(init=False, repr=False)
 
     def _make(self) -> None:
-        store(self, assembled=SE3(self.assembled))
         if not np.isfinite(self.pitch) or self.pitch == 0.0:
             raise InvalidInputError(
                 f"{self.name}.pitch = {self.pitch}; give m/rad other than 0 (else: Revolute)"
             )
-        axes = triad(self.assembled.rotation @ self.axis)
+        seat, on_axis = assembled_axis(self)
+        axes = triad(seat)
         store(self, _seat=axes)
-        seat = axes[:, 2]
         freedom = shape(self.point, self.axis, SCREW, seat, self.pitch)
         thread = shape(self.point, seat, THREAD, self.axis, self.pitch)
-        on_axis = self.assembled.act(self.point)
         tilts = held_axis(self.axis, seat)
         self._hold_tangents(self.point, axes[:, :2], on_axis, tilts, (freedom,), (thread,))
 
