@@ -118,7 +118,7 @@ def solve(K, y):
     x = scale * lstsq(Ks, scale * y, rcond=1e-13)[0]
     for _ in range(3):
         x += scale * lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
-    return x, float(largest(scale * (K @ x - y)))
+    return x, largest(scale * (K @ x - y))
 
 
 def across(axis):

@@ -19,7 +19,7 @@ from numpy.linalg import svd
 from numpy.random import default_rng
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
-from rigs import LWA, data_at, direction, largest, product, shift, unit
+from rigs import LWA, data_at, direction, largest, placed, product, shift, unit
 
 from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
 
@@ -96,7 +96,7 @@ def random_inertia(rng):
 
 
 def random_placement(rng, at):
-    return pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3)), at + rng.uniform(-0.3, 0.3, 3))
+    return placed(*(at + rng.uniform(-0.3, 0.3, 3)), rng.uniform(-3, 3, 3))
 
 
 def on_joint(joint, rng, at, known, prescribed=False):
@@ -111,18 +111,8 @@ def on_joint(joint, rng, at, known, prescribed=False):
     return Body(model, q, v, tau, known, acceleration)
 
 
-def free(rng, at):
-    def known(O):
-        wrench = (body.X.rotation @ body.tau.reshape(2, 3).T).T.ravel()
-        here = {"X_WE": body.X, "axes": np.eye(6), "rates": body.V, "O": O}
-        return Environment.rail(body.model.inertias[1], **here, gravity=G, force=wrench)
-
-    body = on_joint(pin.JointModelFreeFlyer(), rng, at, known)
-    return body
-
-
 def guided(joint):
-    """A body on one joint: rail, door, ball, plate on a plane."""
+    """A body on one joint: free, rail, door, ball, plate on a plane."""
 
     def make(rng, at):
         def known(O):
@@ -201,7 +191,7 @@ def cart(rng, at):
 
 
 BODIES = {
-    "free body": free,
+    "free body": guided(lambda rng: pin.JointModelFreeFlyer()),
     "rail": guided(lambda rng: pin.JointModelPrismaticUnaligned(direction(rng))),
     "hinge": guided(lambda rng: pin.JointModelRevoluteUnaligned(direction(rng))),
     "ball": guided(lambda rng: pin.JointModelSpherical()),
@@ -237,10 +227,6 @@ def slopes(f, k):
     return np.array(columns).T.reshape(len(f(np.zeros(k))), k)
 
 
-def shifted(X, step):
-    return pin.SE3(pin.exp3(step[3:]) @ X.rotation, X.translation + step[:3])
-
-
 @dataclass
 class Contact:
     """A pair between object and body, and how its gaps change."""
@@ -255,7 +241,9 @@ class Contact:
         self.along_body = slopes(lambda s: self.gaps(np.zeros(6), s), len(self.on.v))
 
     def gaps(self, of_object, of_body):
-        return self.pair.gaps(shifted(self.X_WO, of_object), self.on.pose(of_body))
+        R = pin.exp3(of_object[3:]) @ self.X_WO.rotation
+        X_WO = pin.SE3(R, self.X_WO.translation + of_object[:3])
+        return self.pair.gaps(X_WO, self.on.pose(of_body))
 
     def bend(self, V):
         """(r,) second derivative of the gaps while nothing accelerates."""

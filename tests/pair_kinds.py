@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
 
@@ -35,8 +34,7 @@ class Path:
 
     @classmethod
     def random(cls, rng):
-        q = rng.standard_normal(4)
-        R0 = pin.Quaternion(*(q / norm(q))).matrix()
+        R0 = pose_of(rng).rotation
         return cls(R0, rng.standard_normal((3, 3)), rng.standard_normal((2, 3)))
 
     def __call__(self, t):
@@ -77,9 +75,7 @@ class Coordinates:
 
 
 PLAIN = Coordinates()
-Poses = Callable[[np.ndarray], pin.SE3]
-Kind = Callable[[np.random.Generator, Coordinates], tuple[osc.ContactPair, Poses, int]]
-KINDS: dict[str, Kind] = {}
+KINDS = {}  #: by name; see `kind`
 
 
 def kind(make):
@@ -269,36 +265,36 @@ def free(rng, c):
     return osc.Free(), lambda q: pin.SE3(pin.exp3(q[:3]), q[3:]), 0
 
 
-@kind
-def point_on_a_saddle(rng, c):
-    vertex = rng.standard_normal(3)
-    (k, m) = rng.standard_normal(2)
+def bead(rng, c, gaps, place, r):
+    """A point of the object whose gaps are a function of its place x, y, z in a frame of E."""
+    point = rng.standard_normal(3)
     X = pose_of(rng)
 
     def gap(X_EA):
-        x, y, z = X.actInv(X_EA.act(vertex))
-        return np.array([z - k * x * x - m * y * y * y])
+        return np.array(gaps(*X.actInv(X_EA.act(point))))
 
     def pose(q):
-        x, y = 0.5 * q[3:]
-        return placed(pin.exp3(q[:3]), vertex, X.act(np.array([x, y, k * x * x + m * y**3])))
+        return placed(pin.exp3(q[:3]), point, X.act(np.array(place(*q[3:]))))
 
-    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 1
+    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, r
+
+
+@kind
+def point_on_a_saddle(rng, c):
+    k, m = rng.standard_normal(2)
+
+    def place(a, b):
+        return 0.5 * a, 0.5 * b, k * a * a / 4 + m * b**3 / 8
+
+    return bead(rng, c, lambda x, y, z: [z - k * x * x - m * y * y * y], place, 1)
 
 
 @kind
 def bead_on_a_wire(rng, c):
-    bead = rng.standard_normal(3)
-    X = pose_of(rng)
+    def gaps(x, y, z):
+        return y - np.sin(x), z - 0.5 * x * x
 
-    def gap(X_EA):
-        x, y, z = X.actInv(X_EA.act(bead))
-        return np.array([y - np.sin(x), z - 0.5 * x * x])
-
-    def pose(q):
-        return placed(pin.exp3(q[:3]), bead, X.act(np.array([q[3], np.sin(q[3]), 0.5 * q[3] ** 2])))
-
-    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2
+    return bead(rng, c, gaps, lambda x: [x, np.sin(x), 0.5 * x * x], 2)
 
 
 def steps(order, reach):
@@ -334,11 +330,11 @@ class Motion:
     """A pair, and both bodies moving."""
 
     pair: osc.ContactPair
-    body: Callable[[float], pin.SE3]
-    env: Callable[[float], pin.SE3]
+    body: object  #: t ↦ its pose in the world
+    env: object
 
     @classmethod
-    def keeping(cls, name, turn, per_metre=1.0):
+    def keeping(cls, name, turn, per_metre):
         """Both bodies move, the object on the free coordinates of the pair."""
         rng = default_rng([turn, 7])
         pair, pose, r = KINDS[name](rng, Coordinates(per_metre=per_metre))
@@ -351,7 +347,7 @@ class Motion:
         return cls(pair, body, lambda t: scaled(env(t), per_metre))
 
     @classmethod
-    def breaking(cls, name, turn, open_by=0.0):
+    def breaking(cls, name, turn, open_by):
         """Both bodies move at will, at t = 0 in contact or `open_by` (m, rad) away from it."""
         rng = default_rng([turn, 8])
         pair, pose, r = KINDS[name](rng, PLAIN)

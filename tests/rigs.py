@@ -224,7 +224,7 @@ def sliding(pairs, X_WO, V_O, touched, slip):
     return out
 
 
-def in_contact(chain, rng, r=2):
+def in_contact(chain, rng, r):
     """A random state in contact: (state, contact, pairs, q, v)."""
     while True:
         q, v = random_state(chain, rng)
@@ -278,9 +278,8 @@ def commanded(chain, pairs, q, v, a_u, alpha_u, squeeze=5.0, **how):
     # states out of any motion; what the oracles answer is without friction
     how = {"safety": UNLIMITED, "joint_friction": False, "laws": laws} | how
     controller = osc.Controller(strong(chain), pairs, **how)
-    wrenches = np.zeros((len(chain.arms), 6))
     wanted = osc.Reference(pin.SE3.Identity(), alpha_d=alpha_u, squeeze_d=squeeze)
-    tau = controller.tick(osc.Measurement(q, v, wrenches), wanted)
+    tau = controller.tick(unloaded(q, v, len(chain.arms)), wanted)
     fine = osc.Status.OK, osc.Status.DEGRADED
     assert controller.status in fine, controller.reason
     return controller, tau

@@ -54,21 +54,20 @@ def test_gains_in_words_and_the_numbers_they_stand_for():
 
 test_gains_of_both_kinds_and_impossible_ones_are_refused = refusals(
     invalid_input,
-    [
-        (lambda: osc.ForceGains(integral=30, bandwidth=5), "bandwidth beside integral"),
-        (lambda: osc.ForceGains(damping=3, damping_ratio=1), "damping_ratio beside damping"),
-        (lambda: osc.ForceGains(integral=-1.0), "ForceGains"),
-        (lambda: osc.ForceGains(30.0, np.nan), "ForceGains"),
-        (
-            lambda: osc.Controller(one_panda(), [], osc.Gains(force=osc.ForceGains(1000.0))),
-            "stability margin",
+    {
+        "bandwidth beside integral": lambda: osc.ForceGains(integral=30, bandwidth=5),
+        "damping_ratio beside damping": lambda: osc.ForceGains(damping=3, damping_ratio=1),
+        "integral: must be >= 0; got -1": lambda: osc.ForceGains(integral=-1.0),
+        "damping: expected a plain number; got nan": lambda: osc.ForceGains(30.0, np.nan),
+        "stability margin": lambda: osc.Controller(
+            one_panda(), [], osc.Gains(force=osc.ForceGains(1000.0))
         ),
-        (lambda: osc.ForceGains(bandwidth=-1), "bandwidth: must be > 0; got -1"),
-        (lambda: osc.ForceGains(rise=np.inf), "rise: expected a time.*got inf"),
-        (lambda: osc.MotionGains(stiffness=30, frequency=5), "frequency beside stiffness"),
-        (lambda: osc.MotionGains(frequency=0), "frequency: must be > 0; got 0"),
-        (lambda: osc.MotionGains(frequency=5, integral_time=0.01), "raise integral_time"),
-    ],
+        "bandwidth: must be > 0; got -1": lambda: osc.ForceGains(bandwidth=-1),
+        "rise: expected a time.*got inf": lambda: osc.ForceGains(rise=np.inf),
+        "frequency beside stiffness": lambda: osc.MotionGains(stiffness=30, frequency=5),
+        "frequency: must be > 0; got 0": lambda: osc.MotionGains(frequency=0),
+        "raise integral_time": lambda: osc.MotionGains(frequency=5, integral_time=0.01),
+    },
 )
 
 

@@ -54,25 +54,20 @@ def mj():
     return mujoco.MjModel.from_xml_string(ARM)
 
 
-def at(mj, q, v):
-    """MuJoCo's data with the arm's joints at q, v, and their numbers in qvel."""
-    data = mujoco.MjData(mj)
-    data.qpos[[int(mj.joint(name).qposadr[0]) for name in JOINTS]] = q
-    dofs = [int(mj.joint(name).dofadr[0]) for name in JOINTS]
-    data.qvel[dofs] = v
-    mujoco.mj_forward(mj, data)
-    return data, dofs
-
-
 def test_mass_matrix_forces_and_frames_are_mujocos(mj):
     model = robots.load_mjcf(mj, "tip")
     rng = np.random.default_rng(0)
     data = model.createData()
     assert list(model.names)[1:] == JOINTS
+    truth = mujoco.MjData(mj)
+    places = [mj.joint(name).qposadr[0] for name in JOINTS]
+    dofs = [mj.joint(name).dofadr[0] for name in JOINTS]
     for _ in range(5):
         q = rng.uniform(-1, 1, 4)
         v = rng.standard_normal(4)
-        truth, dofs = at(mj, q, v)
+        truth.qpos[places] = q
+        truth.qvel[dofs] = v
+        mujoco.mj_forward(mj, truth)
         pin.computeAllTerms(model, data, q, v)
         pin.updateFramePlacements(model, data)
         assert_allclose(data.M, mass_matrix(mj, truth)[np.ix_(dofs, dofs)], atol=1e-12)

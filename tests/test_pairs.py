@@ -193,11 +193,11 @@ def test_impossible_geometry_is_refused(name):
 
 test_sides_and_steps_out_of_bounds_are_refused = refusals(
     invalid_input,
-    [
-        (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, 0.5), r"edge_outward = 0.5; give \+1 or −1"),
-        (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, O3), "edge_outward is zero"),
-        (lambda: osc.GapFunctions(lambda X: X.translation, step=1.0), "gap_functions.step = 1.0"),
-    ],
+    {
+        r"edge_outward = 0.5; give \+1 or −1": lambda: osc.EdgeOnEdge(O3, Z, O3, Z, 0.5),
+        "edge_outward is zero": lambda: osc.EdgeOnEdge(O3, Z, O3, Z, O3),
+        "gap_functions.step = 1.0": lambda: osc.GapFunctions(lambda X: X.translation, step=1.0),
+    },
 )
 
 

@@ -58,7 +58,7 @@ def test_a_few_generations_learn_the_hidden_hardness():
     assert np.corrcoef(policy, best_forces(KNOTS))[0, 1] > 0.8
 
 
-@mark.parametrize("law", first(list(LAWS)))
+@mark.parametrize("law", first(LAWS))
 def test_the_best_forces_wear_evenly_above_every_law(law):
     slow, fast = (judge(law, best_forces(KNOTS), seconds) for seconds in (SLOW, FAST))
     assert slow.uneven.mean() < 0.05 and fast.uneven.mean() < 0.08

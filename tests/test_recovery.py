@@ -5,7 +5,6 @@ import json
 import os
 import resource
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from time import sleep
@@ -13,7 +12,7 @@ from time import sleep
 from complaints import recording_error
 from mcap.reader import make_reader
 from numpy.testing import assert_array_equal
-from processes import COMMAND, python
+from processes import COMMAND, python, started
 from pytest import approx, mark, raises
 from samples import first, module_fixture, parametrize
 from scenario_runs import run_of
@@ -22,20 +21,13 @@ import osc_contact as osc
 from osc_contact.runs import recorder as rows_of_runs
 
 RUN = [sys.executable, str(Path(__file__).with_name("recorded_run.py"))]
-TIMES = {"tick_s"}
 pytestmark = mark.usefixtures("usual_handlers")
-
-
-def started(command, **more):
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more
-    )
 
 
 def same(found, whole):
     """All channels of the ticks of both."""
     cut = min(len(found), len(whole))
-    for name in set(whole.channels) - TIMES:
+    for name in set(whole.channels) - {"tick_s"}:
         assert_array_equal(found[name][:cut], whole[name][:cut], err_msg=name)
 
 

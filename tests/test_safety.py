@@ -6,7 +6,7 @@ from itertools import repeat
 import numpy as np
 import pinocchio as pin
 import rigs
-from complaints import invalid_input
+from complaints import invalid_input, refusals
 from grasp_rigs import Case, random_case
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -15,7 +15,6 @@ from rigs import (
     UNLIMITED,
     largest,
     random_state,
-    refused,
     shift,
     strong,
     ticked,
@@ -28,7 +27,7 @@ import osc_contact as osc
 from benchmarks.cases import CASES, SPECIAL_CASES, repeatable
 
 RUN, DEGRADED, HOLD, SAFE_STOP = osc.SafetyState
-NAN = float("nan")
+NAN = np.nan
 
 
 @fixture(params=["one_panda", "two_contact_rod"])
@@ -41,7 +40,7 @@ def panda():
 
 
 def blind(case):
-    return replace(case.measurement, wrenches=np.full_like(case.measurement.wrenches, NAN))
+    return replace(case.measurement, wrenches=NAN * case.measurement.wrenches)
 
 
 @parametrize("lost", [1, 2, 3, 19, 20, 25])
@@ -54,7 +53,7 @@ def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case, lost):
         tau = controller.tick(blind(case), case.reference)
         states.append(controller.state)
         assert controller.status is osc.Status.HELD
-        assert np.isfinite(tau).all() and (np.abs(tau) <= case.chain.tau_max).all()
+        assert (np.abs(tau) <= case.chain.tau_max).all()
         if len(states) <= 2:
             assert_array_equal(tau, good)
     assert states == ([DEGRADED] * 2 + [HOLD] * 17 + [SAFE_STOP] * 6)[:lost]
@@ -99,7 +98,7 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
     for _ in range(1500):
         seen = plant.measure()
         speeds.append(largest(seen.v))
-        seen = replace(seen, wrenches=np.full_like(seen.wrenches, NAN))
+        seen = replace(seen, wrenches=NAN * seen.wrenches)
         tau = controller.tick(seen, reference)
         assert (np.abs(tau - before) <= 40.0 * 1e-3 * case.chain.tau_max * (1 + 1e-9)).all()
         before = tau
@@ -115,7 +114,7 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
 def test_joints_that_stay_too_fast_end_in_a_stop(case):
     controller = repeatable(case.controller())
     limit = case.chain.model.velocityLimit[case.chain.actuated]
-    joint = case.chain.actuated[int(np.argmin(limit))]
+    joint = case.chain.actuated[np.argmin(limit)]
     v = case.measurement.v.copy()
     v[joint] = 1.05 * limit.min()
     fast = replace(case.measurement, v=v)
@@ -154,11 +153,16 @@ def test_what_raises_in_python_counts_too():
     assert other.state is SAFE_STOP
 
 
-def test_settings_are_checked():
-    with refused("repeats = 20, stop_after = 20"):
-        osc.SafetySettings(repeats=20)
-    with refused("hold_rate: expected a plain number; got nan"):
-        osc.SafetySettings(hold_rate=NAN)
+test_settings_are_checked = refusals(
+    invalid_input,
+    {
+        "repeats = 20, stop_after = 20": lambda: osc.SafetySettings(repeats=20),
+        "hold_rate: expected a plain number; got nan": lambda: osc.SafetySettings(hold_rate=NAN),
+        "torque_rate: must be > 0": lambda: osc.SafetySettings(torque_rate=0.0),
+        "brake_time: must be >= 0; got -1": lambda: osc.SafetySettings(brake_time=-1.0),
+        "load_error: must be > 0": lambda: osc.SafetySettings(load_error=0.0),
+    },
+)
 
 
 # Limits of the robot: torque rate, joint speed and position, power and force in the contacts
@@ -184,7 +188,7 @@ def test_a_joint_is_stopped_before_its_end():
             break
     assert controller.state is SAFE_STOP and "end of its range" in controller.reason
     nearest = np.min(ends, axis=0)
-    joint = case.chain.joint_names[int(np.argmin(nearest))]
+    joint = case.chain.joint_names[np.argmin(nearest)]
     assert f"joint {joint} " in controller.reason
     assert 0.0 < nearest.min() < 0.25
 
@@ -278,13 +282,7 @@ def test_an_object_that_no_arm_holds_rigidly_is_carried_where_it_was(located):
     assert_allclose(tau, carry + brake, atol=1e-9)
 
 
-def test_limits_are_checked_and_can_be_changed(case):
-    for wrong, words in (
-        ({"torque_rate": 0.0}, "torque_rate: must be > 0"),
-        ({"brake_time": -1.0}, "brake_time: must be >= 0; got -1"),
-    ):
-        with invalid_input(words):
-            osc.SafetySettings(**wrong)
+def test_limits_can_be_changed(case):
     controller = case.controller()
     controller.tick(*case.given)
     other = controller.with_safety(osc.SafetySettings(torque_rate=5.0))

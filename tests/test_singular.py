@@ -70,7 +70,7 @@ def assert_faded(chain, q, v, posture, controller):
             weight = np.sqrt((1.0 - lost.share) / max(lost.share, 1e-8)) / size
             rows.append(weight * row)
             right.append(weight * target)
-    change = S @ np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
+    change = S @ np.linalg.lstsq(rows, right, rcond=None)[0]
     size = max(largest(a), largest(change))
     assert_allclose(S @ s.eta_c + state.sigma, a + change, rtol=0, atol=1e-6 * size)
 
@@ -173,7 +173,7 @@ def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(run):
     arms, duration, plant = run
     recording = outward(*arms, duration, plant)
     share = recording["tau"] / np.array(list(recording.meta["effort_limits"].values()))
-    assert np.isfinite(share).all() and largest(share) <= 1.0
+    assert largest(share) <= 1.0
     assert largest(np.diff(share, axis=0)) < 0.15
     assert (recording["status"] == 3).sum() > 50 and not (recording["status"] == 2).any()
     assert largest(recording["motion_error"][-1, :3]) < 1e-3

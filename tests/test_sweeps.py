@@ -158,14 +158,14 @@ def test_a_grid_has_every_combination_and_both_ends():
 
 
 @parametrize(
-    "vary, complaint",
-    [
-        (["squeeze"], "path.to.key=distribution"),
-        ([], "at least one"),
-        (["squeeze=uniform(0, 1)", "squeeze=uniform(0, 2)"], "varies twice"),
-        (["squeese=uniform(0, 1)"], "squeese"),
-        (["duration=factor(1, 2)", "control.nothing.at.all=factor(1, 2)"], "multiplies a number"),
-    ],
+    "complaint, vary",
+    {
+        "path.to.key=distribution": ["squeeze"],
+        "at least one": [],
+        "varies twice": ["squeeze=uniform(0, 1)", "squeeze=uniform(0, 2)"],
+        "squeese": ["squeese=uniform(0, 1)"],
+        "multiplies a number": ["duration=factor(1, 2)", "control.nothing.at.all=factor(1, 2)"],
+    }.items(),
 )
 def test_a_study_that_cannot_be_made_is_refused_before_its_runs(vary, complaint):
     with raises((osc.InvalidInputError, osc.ScenarioError), match=complaint):

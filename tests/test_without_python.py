@@ -107,10 +107,9 @@ def test_the_loop_in_real_time_counts_every_tick(library, rod, rate):
     run(library / "loop", "often", code=2)
 
 
-ENDS = ("two_contact_rod", "near_singular", "saturated", "three_arms", "contact_phases")
-
-
-@parametrize("name", ENDS)
+@parametrize(
+    "name", ["two_contact_rod", "near_singular", "saturated", "three_arms", "contact_phases"]
+)
 def test_every_way_a_tick_ends_is_replayed(library, tmp_path, name):
     """Also faulty ones, and after a reset."""
     case = ALL_CASES[name]()
@@ -192,14 +191,11 @@ class Command(ctypes.Structure):
 def tick_in_both(c, handle, controller, m, r):
     """A tick in Python and in C: torques equal to the bit, and what is said beside them."""
     want = controller.tick(m, r)
-    alpha = np.array(r.alpha_d, dtype=float)
-    X = np.array(r.X_WD.homogeneous, dtype=float)
-    V, A = np.array(r.V_D, dtype=float), np.array(r.A_D, dtype=float)
-    squeeze = np.full(1, float(r.squeeze_d))
+    goal = r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, [r.squeeze_d]
+    goal = [np.array(x, dtype=float) for x in goal]
     tau = np.zeros(len(want))
-    none = Numbers(None, 0)
-    measured = Measurement(Numbers.of(m.q), Numbers.of(m.v), Numbers.of(m.wrenches), none)
-    wanted = Reference(*(Numbers.of(x) for x in (X, V, A, alpha, squeeze)))
+    measured = Measurement(*map(Numbers.of, (m.q, m.v, m.wrenches)))
+    wanted = Reference(*map(Numbers.of, goal))
     out = Command(tau.ctypes.data, len(want))
     assert c.osc_tick(handle, *map(ctypes.byref, (measured, wanted, out))) == 0
     assert_array_equal(tau, want)
@@ -396,8 +392,8 @@ def test_the_ros2_plugin_sends_what_the_controller_computes(manager, tmp_path, n
     m, reference = plant.measure(), rig.references.at(0.0)
     reference = replace(reference, V_D=np.zeros(6), A_D=np.zeros(6))
     alpha = np.ravel(reference.alpha_d).astype(float)
-    bars = int(controller._records.model.n_bars)
-    squeeze = np.full(bars, float(np.ravel(reference.squeeze_d)[0]) if bars else 0.0)
+    bars = controller._records.model.n_bars
+    squeeze = np.full(bars, reference.squeeze_d, dtype=float)
     arms, joints = len(m.wrenches), len(m.q)
     rng = default_rng(5)
     rows, wanted, seen = [], [], set()
