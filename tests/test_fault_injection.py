@@ -11,15 +11,7 @@ from scenario_runs import run_of
 
 import osc_contact as osc
 from benchmarks import fault_injection
-from benchmarks.fault_injection import (
-    FAULTS,
-    NAN,
-    Case,
-    Run,
-    Verdict,
-    cases,
-    try_fault,
-)
+from benchmarks.fault_injection import FAULTS, NAN, Case, Run, Verdict, cases, try_fault
 from benchmarks.pushes import packaged, push_arm
 from osc_contact.control.status import Phase
 from osc_contact.law.phases import CLOSED

@@ -9,7 +9,7 @@ from numpy.linalg import inv
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import largest
+from rigs import LWA, data_at, displacement, largest
 
 from paper import kinematic_stability as ks
 from paper.kinematic_stability import eigenvalues, regularity
@@ -29,19 +29,12 @@ def found():
 
 def tip_pose(q):
     model, tip = ks.ur5()
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    return pin.SE3(data.oMf[tip])
-
-
-def displacement(start, end):
-    turned = pin.log3(end.rotation @ start.rotation.T)
-    return np.concatenate((end.translation - start.translation, turned))
+    return data_at(model, q).oMf[tip].copy()
 
 
 def jacobian(q):
     model, tip = ks.ur5()
-    return pin.computeFrameJacobian(model, model.createData(), q, tip, pin.LOCAL_WORLD_ALIGNED)
+    return pin.computeFrameJacobian(model, model.createData(), q, tip, LWA)
 
 
 def torques(q, v, acceleration):

@@ -9,16 +9,7 @@ from math import inf
 from types import SimpleNamespace as Record
 
 import numpy as np
-from law_calls import (
-    allocation,
-    operational,
-    phases,
-    reading,
-    reasons,
-    records,
-    tick,
-    write,
-)
+from law_calls import allocation, operational, phases, reading, reasons, records, tick, write
 from law_calls import command_filter as command
 from numpy.linalg import cholesky, qr
 from numpy.testing import assert_array_equal
