@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 from grasp_oracle import PITCH, System, across
-from rigs import unit
+from rigs import data_at, unit
 
 import osc_contact as osc
 from osc_contact import robots
@@ -151,9 +151,8 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         made.model.lowerPositionLimit = np.minimum(limits[0], q - 1.0)  # random postures know none
         made.model.upperPositionLimit = np.maximum(limits[1], q + 1.0)
         X_WT = X_WO * (slip * X_TO).inverse()
-        data = made.model.createData()
-        pin.framesForwardKinematics(made.model, data, q)
-        base = X_WT * data.oMf[made.model.getFrameId(tip)].inverse()
+        reached = data_at(made.model, q).oMf[made.model.getFrameId(tip)]
+        base = X_WT * reached.inverse()
         parts.append(replace(made, base=base))
         held.append(grasp_of(kind, X_TO, axis))
         known.append((kind, X_TO, unit(axis)))

@@ -19,7 +19,7 @@ from numpy.linalg import svd
 from numpy.random import default_rng
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
-from rigs import LWA, data_at, direction, largest, product, shift, unit
+from rigs import LWA, data_at, direction, largest, product, shift, terms_at, unit
 
 from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
 
@@ -369,8 +369,7 @@ class State:
         right = [row.right for row in s.rows]
         for b in self.bodies:
             part = parts[id(b)]
-            data = b.model.createData()
-            pin.computeAllTerms(b.model, data, b.q, b.v)
+            data = terms_at(b.model, b.q, b.v)
             M[part, part] = data.M
             force[part] = b.tau - data.nle
             if b.prescribed is not None:

@@ -36,6 +36,7 @@ from numpy.testing import assert_allclose
 from processes import python
 from pytest import mark, param
 from rigs import (
+    LWA,
     UNLIMITED,
     data_at,
     displacement,
@@ -45,6 +46,7 @@ from rigs import (
     random_state,
     scara_pair,
     strong,
+    terms_at,
     touched_of,
     with_motors,
 )
@@ -387,17 +389,15 @@ def effort_in_vain(t):
     """Share of the torques' effort that could be spared: same motion, forces and squeeze."""
     chain = t.state.case.chain
     state = t.state
-    scale = t.state.case.chain.tau_max
+    scale = chain.tau_max
     model = chain.model
-    data = chain.model.createData()
-    pin.computeAllTerms(model, data, state.case.q, state.v)
-    pin.updateFramePlacements(model, data)
+    data = terms_at(model, state.case.q, state.v)
     posture = np.zeros(chain.nq)
     idle = [np.zeros((0, chain.nq))]
     pull = PostureTask().stiffness * (t.controller.posture - state.case.q)
     pull = data.nle + data.M @ (pull - PostureTask().damping * state.v)
     for tip, s in zip(chain.tips, chain.slices, strict=True):
-        J = pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
+        J = pin.getFrameJacobian(model, data, tip, LWA)[:, s]
         if J.shape[1] > 6:
             null = svd(J)[2][6:]
             idle.append(np.zeros((len(null), chain.nq)))

@@ -6,7 +6,6 @@ That each bar carries its command is judged in `test_law_kkt`.
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 from grasp_rigs import KINDS, random_case
 from law_calls import allocation, records, write
 from numpy.linalg import pinv, svd
@@ -18,8 +17,6 @@ from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.dynamics.arm import effort_scale
-
-LWA = pin.LOCAL_WORLD_ALIGNED
 
 
 def bars_of(points):
