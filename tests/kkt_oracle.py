@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from grasp_oracle import solve
 from grasp_rigs import Case
-from numpy.linalg import svd
+from numpy.linalg import cholesky, inv, lstsq, svd
 from numpy.random import default_rng
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
@@ -347,7 +347,7 @@ class State:
         )
         x = rng.standard_normal(self.n + 6)
         for _ in range(2):
-            x += np.linalg.lstsq(A, b - A @ x, rcond=1e-10)[0]
+            x += lstsq(A, b - A @ x, rcond=1e-10)[0]
         assert largest(A @ x - b) < 1e-11
         self.at(x[: self.n], x[self.n :])
 
@@ -435,7 +435,7 @@ class State:
         M[n:, n:] = self.system.I
         own = self.Z[:, n:] @ self.S
         mobility = own.T @ np.linalg.solve(self.Z @ M @ self.Z.T, own)
-        return self.S @ np.linalg.inv(mobility) @ self.S.T
+        return self.S @ inv(mobility) @ self.S.T
 
     def apart(self, N=None):
         """How far the columns are from dependence, as object and arms feel them: 0 … 1."""
@@ -445,7 +445,7 @@ class State:
         if len(N) > S.shape[1]:
             return 0.0
         size = np.sqrt(np.einsum("ri,ir->r", N, np.linalg.solve(inertia, N.T)))
-        felt = np.linalg.solve(np.linalg.cholesky(S.T @ inertia @ S), S.T @ N.T) / size
+        felt = np.linalg.solve(cholesky(S.T @ inertia @ S), S.T @ N.T) / size
         return svd(felt, compute_uv=False).min(initial=1.0)
 
 

@@ -15,7 +15,7 @@ from importlib import import_module
 
 import numpy as np
 import pinocchio as pin
-from numpy.linalg import norm
+from numpy.linalg import norm, svd
 from numpy.random import default_rng
 from rigs import direction, pose_of, shift
 
@@ -105,7 +105,7 @@ def placed(R, of_A, at_E):
 
 
 def in_plane(normal):
-    return np.linalg.svd(normal[None, :])[2][1:]
+    return svd(normal[None, :])[2][1:]
 
 
 def ball_on_plane(rng, make, rho):

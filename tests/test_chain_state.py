@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from grasp_rigs import BODY, KINDS, random_case
 from kkt_oracle import State
-from numpy.linalg import cholesky, inv, matrix_rank, solve, svd
+from numpy.linalg import cholesky, inv, lstsq, matrix_rank, norm, pinv, qr, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
@@ -37,7 +37,7 @@ ARMS = ["scara", "ur5", "panda", "2R", "3R"]
 
 def onto(columns):
     """Projection on what the columns span: the same for every basis."""
-    return columns @ np.linalg.pinv(columns) if columns.size else np.zeros((6, 6))
+    return columns @ pinv(columns) if columns.size else np.zeros((6, 6))
 
 
 def assert_arms(chain, s, q, v):
@@ -61,7 +61,7 @@ def assert_arms(chain, s, q, v):
         M = data.M[part, part]
         h = data.nle[part]
         g = data.g[part]
-        passed = np.linalg.qr(solve(root, N))[0]
+        passed = qr(solve(root, N))[0]
         U, sizes, Vh = svd(passed.T @ root.T @ J @ inv(cholesky(M)).T)
         ratio = (1.0 + 1.0 / np.maximum(sizes, 1e-30) ** 2) / (1.0 + 1.0 / sizes.max() ** 2)
         rank = np.count_nonzero(ratio < chain.rank_tolerance**-2)
@@ -179,12 +179,12 @@ def test_arms_that_contradict_one_another_move_the_object_as_all_joints_say(rig)
     for i, (arm, part) in enumerate(zip(s.arms, chain.slices, strict=True)):
         J = energy @ arm.J * roots[part]
         rows = slice(chain.nq + 6 * i, chain.nq + 6 * i + 6)
-        scale = 10.0 / np.linalg.norm(J)
+        scale = 10.0 / norm(J)
         A[rows] = 0.0
         A[rows, part] = -scale * J
         A[rows, chain.nq :] = scale * energy
         b[rows] = scale * energy @ arm.J @ v[part]
-    found = np.linalg.lstsq(A, b)[0]
+    found = lstsq(A, b)[0]
     assert largest(found[: chain.nq]) > 1e-3
     assert largest(s.V_O - exact.V_O) > 1e-3
     assert_close(s.V_O, found[chain.nq :])

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
@@ -152,8 +153,8 @@ def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(read
     before = controller.result().alpha_meas.copy()
     N = controller.signals.contact.N
     D = controller._records.work.mobility[:2, :2].copy()
-    Phi = np.linalg.inv(state.payload.Lambda)
-    seen = state.Lambda_out @ Phi @ N @ np.linalg.solve(N.T @ Phi @ N, x)
+    Phi = inv(state.payload.Lambda)
+    seen = state.Lambda_out @ Phi @ N @ solve(N.T @ Phi @ N, x)
     wrenches = measurement.wrenches + read_of(state, seen)
     controller.tick(replace(measurement, wrenches=wrenches), reference)
     found = controller.result().alpha_meas - before

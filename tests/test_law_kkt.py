@@ -30,7 +30,7 @@ import numpy as np
 import pinocchio as pin
 from grasp_rigs import BODY, KINDS, Case, random_case
 from kkt_oracle import BODIES, PAIRS, PLAIN, WORLD, Answer, Body, Contact, State, touch
-from numpy.linalg import lstsq, solve, svd
+from numpy.linalg import inv, lstsq, norm, pinv, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from processes import python
@@ -277,7 +277,7 @@ def ticks(rig, surroundings):
         state.move(rng)
         if max(largest(state.v), largest(state.V)) > FASTEST:
             continue
-        if where.mu and min(np.linalg.norm(c.slip(state.V)[0]) for c in state.contacts) < SLOWEST:
+        if where.mu and min(norm(c.slip(state.V)[0]) for c in state.contacts) < SLOWEST:
             continue
         copies = rng.integers(len(state.contacts), size=3 if where.copied else 0)
         yield tick(state, state.contacts + [state.contacts[j] for j in copies], i, rng)
@@ -338,7 +338,7 @@ def miss_of_response(t, answer):
 def metric_of(t):
     """(6, 6) B⁻¹ of the motion filter."""
     known = {"object": lambda: t.state.system.I, "chain": t.state.inertia_of_all}
-    return known.get(str(t.B), lambda: np.linalg.inv(t.B))()
+    return known.get(str(t.B), lambda: inv(t.B))()
 
 
 def commanded_motion(t, a):
@@ -364,7 +364,7 @@ def bars(t):
         return np.zeros((0, 3)), np.zeros((3, 0))
     tips = chain.tip_poses(data_at(chain.model, t.state.case.q))
     E = bars_of([X.translation for X in tips])
-    return np.linalg.pinv(E, rcond=1e-6), E
+    return pinv(E, rcond=1e-6), E
 
 
 def miss_of_squeeze(t, answer):
