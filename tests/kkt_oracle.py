@@ -111,18 +111,8 @@ def on_joint(joint, rng, at, known, prescribed=False):
     return Body(model, q, v, tau, known, acceleration)
 
 
-def free(rng, at):
-    def known(O):
-        wrench = (body.X.rotation @ body.tau.reshape(2, 3).T).T.ravel()
-        here = {"X_WE": body.X, "axes": np.eye(6), "rates": body.V, "O": O}
-        return Environment.rail(body.model.inertias[1], **here, gravity=G, force=wrench)
-
-    body = on_joint(pin.JointModelFreeFlyer(), rng, at, known)
-    return body
-
-
 def guided(joint):
-    """A body on one joint: rail, door, ball, plate on a plane."""
+    """A body on one joint: rail, door, ball, plate on a plane, or free."""
 
     def make(rng, at):
         def known(O):
@@ -201,7 +191,7 @@ def cart(rng, at):
 
 
 BODIES = {
-    "free body": free,
+    "free body": guided(lambda rng: pin.JointModelFreeFlyer()),
     "rail": guided(lambda rng: pin.JointModelPrismaticUnaligned(direction(rng))),
     "hinge": guided(lambda rng: pin.JointModelRevoluteUnaligned(direction(rng))),
     "ball": guided(lambda rng: pin.JointModelSpherical()),

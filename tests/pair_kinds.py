@@ -108,6 +108,11 @@ def in_plane(normal):
     return svd(normal[None, :])[2][1:]
 
 
+def two_lines(rng):
+    """A random point and a direction of either body."""
+    return rng.standard_normal(3), direction(rng), rng.standard_normal(3), direction(rng)
+
+
 def ball_on_plane(rng, make, rho):
     """make: centre, point and normal of the plane → pair."""
     centre, point = rng.standard_normal((2, 3))
@@ -135,9 +140,7 @@ def sphere_on_plane(rng, c):
 
 @kind
 def face_on_vertex(rng, c):
-    point = rng.standard_normal(3)
-    n = direction(rng)
-    vertex = rng.standard_normal(3)
+    point, n, vertex, _ = two_lines(rng)
     rho = 0.2
     plane = in_plane(n)
     pair = osc.FaceOnVertex(c.A(point), n, c.E(vertex), rho * c.per_metre)
@@ -166,10 +169,7 @@ def edge_on_edge_with_hint(rng, c):
 
 
 def line_on_plane(rng, c, make, rho):
-    point = rng.standard_normal(3)
-    e = direction(rng)
-    face = rng.standard_normal(3)
-    n = direction(rng)
+    point, e, face, n = two_lines(rng)
     plane = in_plane(n)
     R0 = carrying(e, plane[0])
 
@@ -197,10 +197,7 @@ def cylinder_on_plane(rng, c):
 
 @kind
 def face_on_face(rng, c):
-    point = rng.standard_normal(3)
-    n = direction(rng)
-    face = rng.standard_normal(3)
-    m = direction(rng)
+    point, n, face, m = two_lines(rng)
     R0 = carrying(n, -m)
     plane = in_plane(m)
     pair = osc.FaceOnFace(c.A(point), n, c.E(face), c.along_E(m), 0.2 * c.per_metre)
@@ -209,10 +206,7 @@ def face_on_face(rng, c):
 
 @kind
 def cylinder_in_hole(rng, c):
-    point = rng.standard_normal(3)
-    e = direction(rng)
-    hole = rng.standard_normal(3)
-    h = direction(rng)
+    point, e, hole, h = two_lines(rng)
     R0 = carrying(e, h)
     pair = osc.CylinderInHole(c.A(point), e, c.E(hole), c.along_E(h), 0.2 * c.per_metre)
     return pair, lambda q: placed(about(h, q[0]) @ R0, point, hole + q[1] * h), 4
@@ -220,10 +214,8 @@ def cylinder_in_hole(rng, c):
 
 @kind
 def cone_in_groove(rng, c):
-    apex = rng.standard_normal(3)
-    axis = direction(rng)
-    point = rng.standard_normal(3)
-    groove, seat = (direction(rng) for _ in range(2))
+    apex, axis, point, groove = two_lines(rng)
+    seat = direction(rng)
     R0 = carrying(axis, seat)
     pair = osc.ConeInGroove(c.A(apex), axis, c.E(point), c.along_E(groove), c.along_E(seat))
     return pair, lambda q: placed(about(seat, q[0]) @ R0, apex, point + q[1] * groove), 4
@@ -269,36 +261,36 @@ def free(rng, c):
     return osc.Free(), lambda q: pin.SE3(pin.exp3(q[:3]), q[3:]), 0
 
 
-@kind
-def point_on_a_saddle(rng, c):
-    vertex = rng.standard_normal(3)
-    (k, m) = rng.standard_normal(2)
+def point_on(rng, c, spread, place):
+    """A point of the object on a surface or a wire, given by gaps.
+
+    Args:
+        spread: of the free coordinates (m). place: these ↦ the others.
+    """
+    point = rng.standard_normal(3)
     X = pose_of(rng)
+    k = len(spread)
 
     def gap(X_EA):
-        x, y, z = X.actInv(X_EA.act(vertex))
-        return np.array([z - k * x * x - m * y * y * y])
+        x = X.actInv(X_EA.act(point))
+        return x[k:] - place(*x[:k])
 
     def pose(q):
-        x, y = 0.5 * q[3:]
-        return placed(pin.exp3(q[:3]), vertex, X.act(np.array([x, y, k * x * x + m * y**3])))
+        x = spread * q[3:]
+        return placed(pin.exp3(q[:3]), point, X.act(np.append(x, place(*x))))
 
-    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 1
+    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 3 - k
+
+
+@kind
+def point_on_a_saddle(rng, c):
+    k, m = rng.standard_normal(2)
+    return point_on(rng, c, np.full(2, 0.5), lambda x, y: [k * x * x + m * y * y * y])
 
 
 @kind
 def bead_on_a_wire(rng, c):
-    bead = rng.standard_normal(3)
-    X = pose_of(rng)
-
-    def gap(X_EA):
-        x, y, z = X.actInv(X_EA.act(bead))
-        return np.array([y - np.sin(x), z - 0.5 * x * x])
-
-    def pose(q):
-        return placed(pin.exp3(q[:3]), bead, X.act(np.array([q[3], np.sin(q[3]), 0.5 * q[3] ** 2])))
-
-    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2
+    return point_on(rng, c, np.ones(1), lambda x: [np.sin(x), 0.5 * x * x])
 
 
 def steps(order, reach):

@@ -11,7 +11,7 @@ from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
-from rigs import consistent, contact_of, largest, one_panda, random_faces, random_state, shift
+from rigs import in_contact, largest, one_panda, random_state, shift
 from scenario_runs import rig_of
 from scipy.linalg import block_diag
 
@@ -123,11 +123,7 @@ def test_laws_are_what_was_published(key, published):
     pin.seed(1)
     chain = one_panda()
     for _ in range(40):
-        q, v = random_state(chain, rng)
-        free = chain.state(q, v)
-        faces = random_faces(free.X_WO, 2, rng)
-        state = chain.state(q, consistent(chain, q, v, contact_of(faces, free).N))
-        contact = contact_of(faces, state)
+        state, contact, *_ = in_contact(chain, rng)
         Lambda = inv(state.Phi)
         bias = solve(state.S.T, state.b_S) - Lambda @ state.sigma  # μ + p with −Λγ
         frame = random_frame(BASELINES[key], rng)

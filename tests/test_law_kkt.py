@@ -224,6 +224,11 @@ class Tick:
     tau: np.ndarray
     controller_of: Callable  # a chain ↦ such a controller
 
+    @property
+    def copied(self):
+        """Whether a contact counts twice."""
+        return len(self.contacts) > len(self.state.contacts)
+
 
 def tick(state, contacts, i, rng):
     """A controller's first tick at a state that any torques brought about; `contacts`: its own."""
@@ -295,7 +300,7 @@ def miss_of_geometry(t):
 
 def miss_of_forces(t, got, magnitudes):
     """Error of the contact forces; how dependent columns share them is not determined."""
-    if len(t.contacts) == len(t.state.contacts):
+    if not t.copied:
         return miss(got, magnitudes)
     N = np.vstack([c.along_object for c in t.contacts]).T
     return miss(t.state.N.T @ got, N @ magnitudes)
@@ -308,7 +313,7 @@ def miss_of_reading(t):
         return 0.0
     return max(
         miss(found.f_c, -t.state.N.T @ t.truth.alpha),
-        miss(found.alpha_meas, t.truth.alpha) if len(t.contacts) == len(t.state.contacts) else 0.0,
+        0.0 if t.copied else miss(found.alpha_meas, t.truth.alpha),
     )
 
 
@@ -316,12 +321,10 @@ def commanded_forces(t):
     """α_d and its first integral, of all columns."""
     found = t.controller.result()
     alpha_d = t.reference.alpha_d
-    if len(t.contacts) == len(t.state.contacts):
-        measured = found.alpha_meas
-    else:
-        measured = lstsq(-np.vstack([c.along_object for c in t.contacts]).T, found.f_c, rcond=1e-9)[
-            0
-        ]
+    measured = found.alpha_meas
+    if t.copied:
+        N = np.vstack([c.along_object for c in t.contacts]).T
+        measured = lstsq(-N, found.f_c, rcond=1e-9)[0]
     return alpha_d + K_F * DT * (alpha_d - measured)
 
 
@@ -453,7 +456,7 @@ def judge(t):
         alike = len({arm.model.nv for arm in chain.arms}) == 1
         if alike and all(grasp.is_rigid for grasp in chain.grasps):  # else structure may carry some
             misses["squeeze"] = miss_of_squeeze(t, answer)
-        if len(t.contacts) == len(t.state.contacts):
+        if not t.copied:
             misses["given up"] = 0.01 * miss_of_what_weaker_motors_cost(t, answer)
     assert max(misses.values()) < rtol, (misses, rtol, state.S.shape, names, apart)
     return kind

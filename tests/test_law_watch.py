@@ -402,7 +402,7 @@ def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
 class Sensors(Watched):
     """One arm of two joints with a wrist; readings differ from tick to tick if not given."""
 
-    def __init__(self, **more):
+    def __init__(self, force_rank=1, **more):
         limits = {"frozen_time": 0.0105, "stuck_speed": 0.1, "speed_error": 0.1}
         limits |= {"position_drift": 0.05, "plausible_speed": 10.0}
         limits |= {"force_range": 1e6, "torque_range": 1e6}
@@ -410,7 +410,7 @@ class Sensors(Watched):
         self.t.model.arms.sensor_joint[0] = 1
         self.memory = self.t.memory
         self.joints = self.t.memory.joints
-        write(self.memory, engaged=1, force_rank=1, state=at.RUN, culprit=0)
+        write(self.memory, engaged=1, force_rank=force_rank, state=at.RUN, culprit=0)
         self.count = 0
         self.q = np.zeros(2)
 
@@ -460,8 +460,7 @@ def test_a_wrist_in_contact_may_repeat_itself_for_so_long():
             moving = still.copy()
             moving[0, axis] += k
             assert sensors.tick(wrench=moving) == NO_REASON
-    sensors = Sensors()
-    sensors.memory.force_rank = 0  # free: gravity alone may well be constant
+    sensors = Sensors(force_rank=0)  # free: gravity alone may well be constant
     assert sensors.until(wrench=still, most=60) == (0, NO_REASON)
     sensors = Sensors()
     sensors.t.model.arms.sensor_joint[0] = -1
@@ -473,21 +472,18 @@ def test_a_wrist_in_contact_may_repeat_itself_for_so_long():
 
 def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest():
     still = {"wrench": np.ones((1, 6)), "q": np.ones(2), "v": (0.0, 0.0)}
-    sensors = Sensors()
-    sensors.memory.force_rank = 0
+    sensors = Sensors(force_rank=0)
     assert sensors.until(**still) == (12, FROZEN)
     assert (sensors.joints.faulty == 3).all(), "no reading of it is sound"
     sensors = Sensors()
     assert sensors.until(**still | {"wrench": None}, most=60) == (0, NO_REASON)
     for j in range(2):
-        sensors = Sensors()
+        sensors = Sensors(force_rank=0)
         q = np.ones(2)
-        sensors.memory.force_rank = 0
         for k in range(60):
             q[j] = 1.0 + 1e-12 * (k % 2)
             assert sensors.tick(**still | {"q": q.copy()}) == NO_REASON
-    sensors = Sensors()
-    sensors.memory.force_rank = 0
+    sensors = Sensors(force_rank=0)
     for k in range(60):
         v = (0.0, 1e-12 * (k % 2))
         assert sensors.tick(**still | {"v": v}) == NO_REASON
