@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 from numpy.linalg import lstsq
-from rigs import largest, unit
+from rigs import LWA, largest, terms_at, unit
 
-LWA = pin.LOCAL_WORLD_ALIGNED
 PITCH = 0.1  # of screws (m/rad)
 
 
@@ -33,14 +32,9 @@ class System:
     """
 
     def __init__(self, model, tips, grasps, body, *, q, v, X_WO, V_O):
-        data = model.createData()
-        n = model.nv
-        self.n = n
-        pin.computeAllTerms(model, data, q, v)
+        data = terms_at(model, q, v)
         self.M = np.array(data.M)
         self.h = np.array(data.nle)
-        pin.forwardKinematics(model, data, q, v, np.zeros(n))
-        pin.updateFramePlacements(model, data)
         self.V = V_O
         p = X_WO.translation
         R = X_WO.rotation

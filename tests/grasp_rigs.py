@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 from grasp_oracle import PITCH, System, across
+from pinocchio.rpy import rpyToMatrix
 from rigs import data_at, placed, shift, unit
 
 import osc_contact as osc
@@ -35,8 +36,8 @@ def planar(joints, rng):
         body = pin.Inertia(rng.uniform(1, 3), rng.uniform(-0.1, 0.1, 3), 0.02 * np.eye(3))
         model.appendBodyToJoint(last, body, pin.SE3.Identity())
     model.upperEffortLimit = np.full(joints, 80.0)
-    model.addFrame(pin.Frame("wrist", last, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     X = shift([0.3, 0.0, 0.0])
+    model.addFrame(pin.Frame("wrist", last, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     model.addFrame(pin.Frame("tip", last, 0, X, pin.FrameType.OP_FRAME))
     return model, "tip", ()
 
@@ -132,9 +133,9 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         bend = rng.uniform(0.5, 1.5) if bends is None else bends[i]
         q = posture(arm, rng, bend)
         axis = rng.normal(size=3)
-        turned = pin.rpy.rpyToMatrix(*rng.uniform(-1.5, 1.5, 3))
+        turned = rpyToMatrix(*rng.uniform(-1.5, 1.5, 3))
         if upright:
-            turned = pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))
+            turned = rpyToMatrix(0, 0, rng.uniform(-3, 3))
             axis = np.array([0, 0, 1.0])
             X_WO = shift(X_WO.translation)
         X_TO = pin.SE3(turned, rng.uniform(-0.2, 0.2, 3))

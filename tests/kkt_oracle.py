@@ -15,11 +15,11 @@ import numpy as np
 import pinocchio as pin
 from grasp_oracle import solve
 from grasp_rigs import Case
-from numpy.linalg import svd
+from numpy.linalg import cholesky, inv, lstsq, svd
 from numpy.random import default_rng
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
-from rigs import LWA, data_at, direction, largest, placed, product, shift, unit
+from rigs import LWA, data_at, direction, largest, placed, product, shift, terms_at, unit
 
 from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
 
@@ -112,7 +112,7 @@ def on_joint(joint, rng, at, known, prescribed=False):
 
 
 def guided(joint):
-    """A body on one joint: free, rail, door, ball, plate on a plane."""
+    """A body on one joint: rail, door, ball, plate on a plane, or free."""
 
     def make(rng, at):
         def known(O):
@@ -335,7 +335,7 @@ class State:
         )
         x = rng.standard_normal(self.n + 6)
         for _ in range(2):
-            x += np.linalg.lstsq(A, b - A @ x, rcond=1e-10)[0]
+            x += lstsq(A, b - A @ x, rcond=1e-10)[0]
         assert largest(A @ x - b) < 1e-11
         self.at(x[: self.n], x[self.n :])
 
@@ -357,8 +357,7 @@ class State:
         right = [row.right for row in s.rows]
         for b in self.bodies:
             part = parts[id(b)]
-            data = b.model.createData()
-            pin.computeAllTerms(b.model, data, b.q, b.v)
+            data = terms_at(b.model, b.q, b.v)
             M[part, part] = data.M
             force[part] = b.tau - data.nle
             if b.prescribed is not None:
@@ -424,7 +423,7 @@ class State:
         M[n:, n:] = self.system.I
         own = self.Z[:, n:] @ self.S
         mobility = own.T @ np.linalg.solve(self.Z @ M @ self.Z.T, own)
-        return self.S @ np.linalg.inv(mobility) @ self.S.T
+        return self.S @ inv(mobility) @ self.S.T
 
     def apart(self, N=None):
         """How far the columns are from dependence, as object and arms feel them: 0 … 1."""
@@ -434,7 +433,7 @@ class State:
         if len(N) > S.shape[1]:
             return 0.0
         size = np.sqrt(np.einsum("ri,ir->r", N, np.linalg.solve(inertia, N.T)))
-        felt = np.linalg.solve(np.linalg.cholesky(S.T @ inertia @ S), S.T @ N.T) / size
+        felt = np.linalg.solve(cholesky(S.T @ inertia @ S), S.T @ N.T) / size
         return svd(felt, compute_uv=False).min(initial=1.0)
 
 

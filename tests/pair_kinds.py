@@ -14,7 +14,7 @@ from importlib import import_module
 
 import numpy as np
 import pinocchio as pin
-from numpy.linalg import norm
+from numpy.linalg import norm, svd
 from numpy.random import default_rng
 from rigs import direction, pose_of, shift
 
@@ -34,8 +34,7 @@ class Path:
 
     @classmethod
     def random(cls, rng):
-        R0 = pose_of(rng).rotation
-        return cls(R0, rng.standard_normal((3, 3)), rng.standard_normal((2, 3)))
+        return cls(pose_of(rng).rotation, rng.standard_normal((3, 3)), rng.standard_normal((2, 3)))
 
     def __call__(self, t):
         p0, p1, p2 = self.p
@@ -101,7 +100,12 @@ def placed(R, of_A, at_E):
 
 
 def in_plane(normal):
-    return np.linalg.svd(normal[None, :])[2][1:]
+    return svd(normal[None, :])[2][1:]
+
+
+def two_lines(rng):
+    """A random point and a direction of either body."""
+    return rng.standard_normal(3), direction(rng), rng.standard_normal(3), direction(rng)
 
 
 def ball_on_plane(rng, make, rho):
@@ -131,9 +135,7 @@ def sphere_on_plane(rng, c):
 
 @kind
 def face_on_vertex(rng, c):
-    point = rng.standard_normal(3)
-    n = direction(rng)
-    vertex = rng.standard_normal(3)
+    point, n, vertex, _ = two_lines(rng)
     rho = 0.2
     plane = in_plane(n)
     pair = osc.FaceOnVertex(c.A(point), n, c.E(vertex), rho * c.per_metre)
@@ -162,10 +164,7 @@ def edge_on_edge_with_hint(rng, c):
 
 
 def line_on_plane(rng, c, make, rho):
-    point = rng.standard_normal(3)
-    e = direction(rng)
-    face = rng.standard_normal(3)
-    n = direction(rng)
+    point, e, face, n = two_lines(rng)
     plane = in_plane(n)
     R0 = carrying(e, plane[0])
 
@@ -193,10 +192,7 @@ def cylinder_on_plane(rng, c):
 
 @kind
 def face_on_face(rng, c):
-    point = rng.standard_normal(3)
-    n = direction(rng)
-    face = rng.standard_normal(3)
-    m = direction(rng)
+    point, n, face, m = two_lines(rng)
     R0 = carrying(n, -m)
     plane = in_plane(m)
     pair = osc.FaceOnFace(c.A(point), n, c.E(face), c.along_E(m), 0.2 * c.per_metre)
@@ -205,10 +201,7 @@ def face_on_face(rng, c):
 
 @kind
 def cylinder_in_hole(rng, c):
-    point = rng.standard_normal(3)
-    e = direction(rng)
-    hole = rng.standard_normal(3)
-    h = direction(rng)
+    point, e, hole, h = two_lines(rng)
     R0 = carrying(e, h)
     pair = osc.CylinderInHole(c.A(point), e, c.E(hole), c.along_E(h), 0.2 * c.per_metre)
     return pair, lambda q: placed(about(h, q[0]) @ R0, point, hole + q[1] * h), 4
@@ -216,10 +209,8 @@ def cylinder_in_hole(rng, c):
 
 @kind
 def cone_in_groove(rng, c):
-    apex = rng.standard_normal(3)
-    axis = direction(rng)
-    point = rng.standard_normal(3)
-    groove, seat = (direction(rng) for _ in range(2))
+    apex, axis, point, groove = two_lines(rng)
+    seat = direction(rng)
     R0 = carrying(axis, seat)
     pair = osc.ConeInGroove(c.A(apex), axis, c.E(point), c.along_E(groove), c.along_E(seat))
     return pair, lambda q: placed(about(seat, q[0]) @ R0, apex, point + q[1] * groove), 4
@@ -265,36 +256,36 @@ def free(rng, c):
     return osc.Free(), lambda q: pin.SE3(pin.exp3(q[:3]), q[3:]), 0
 
 
-def bead(rng, c, gaps, place, r):
-    """A point of the object whose gaps are a function of its place x, y, z in a frame of E."""
+def point_on(rng, c, spread, place):
+    """A point of the object on a surface or a wire, given by gaps.
+
+    Args:
+        spread: of the free coordinates (m). place: these ↦ the others.
+    """
     point = rng.standard_normal(3)
     X = pose_of(rng)
+    k = len(spread)
 
     def gap(X_EA):
-        return np.array(gaps(*X.actInv(X_EA.act(point))))
+        x = X.actInv(X_EA.act(point))
+        return x[k:] - place(*x[:k])
 
     def pose(q):
-        return placed(pin.exp3(q[:3]), point, X.act(np.array(place(*q[3:]))))
+        x = spread * q[3:]
+        return placed(pin.exp3(q[:3]), point, X.act(np.append(x, place(*x))))
 
-    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, r
+    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 3 - k
 
 
 @kind
 def point_on_a_saddle(rng, c):
     k, m = rng.standard_normal(2)
-
-    def place(a, b):
-        return 0.5 * a, 0.5 * b, k * a * a / 4 + m * b**3 / 8
-
-    return bead(rng, c, lambda x, y, z: [z - k * x * x - m * y * y * y], place, 1)
+    return point_on(rng, c, np.full(2, 0.5), lambda x, y: [k * x * x + m * y * y * y])
 
 
 @kind
 def bead_on_a_wire(rng, c):
-    def gaps(x, y, z):
-        return y - np.sin(x), z - 0.5 * x * x
-
-    return bead(rng, c, gaps, lambda x: [x, np.sin(x), 0.5 * x * x], 2)
+    return point_on(rng, c, np.ones(1), lambda x: [np.sin(x), 0.5 * x * x])
 
 
 def steps(order, reach):

@@ -32,6 +32,11 @@ def miss(got, want):
     return largest(got - want) / max(largest(want), 1.0)
 
 
+def assert_close(got, want, tolerance=1e-8, name=""):
+    """Differences within this share of the largest element, or of 1 if that is more."""
+    assert_allclose(got, want, rtol=0, atol=tolerance * max(1.0, largest(want)), err_msg=name)
+
+
 def unit(x):
     return x / np.linalg.norm(x)
 
@@ -60,6 +65,13 @@ def data_at(model, q, *rates):
     data = model.createData()
     pin.forwardKinematics(model, data, q, *rates)
     pin.updateFramePlacements(model, data)
+    return data
+
+
+def terms_at(model, q, v):
+    """Likewise while no joint accelerates, with M, h, gravity and Jacobians."""
+    data = data_at(model, q, v, np.zeros(model.nv))
+    pin.computeAllTerms(model, data, q, v)
     return data
 
 

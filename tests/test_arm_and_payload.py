@@ -8,8 +8,8 @@ import pinocchio as pin
 from complaints import model_error
 from numpy.linalg import inv
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
-from rigs import largest, panda_arm, refused, shift
+from numpy.testing import assert_array_equal
+from rigs import assert_close, panda_arm, refused, shift
 from robot_numbers import element, written_inertia
 from samples import parametrize
 
@@ -18,13 +18,6 @@ from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.chain_state import RigidObject
 from osc_contact.dynamics.closed_chain import outboard_links
 from osc_contact.dynamics.environment import Environment
-
-
-def close(got, want, tolerance=1e-8):
-    got = np.asarray(got)
-    want = np.asarray(want)
-    assert got.shape == want.shape
-    assert_allclose(got, want, rtol=0, atol=tolerance * max(1.0, largest(want)))
 
 
 def motion(model, seed):
@@ -60,18 +53,18 @@ def test_locked_joints_stay_where_they_are_held():
             X = data.oMf[model.getFrameId(tip)].homogeneous
             found.append([*tau, *X.ravel()])
         assert list(model.names) == list(arm.model.names)
-        close(*found, 1e-12)
+        assert_close(*found, 1e-12)
 
 
 def test_mass_factor_scales_the_joint_space_dynamics():
     models = [scara(mass_factor=factor).model for factor in (1.25, 1.0)]
     q, v = motion(models[1], 1)
     heavy, one = (pin.rnea(model, model.createData(), q, v, v) for model in models)
-    close(heavy, 1.25 * one, 1e-12)
+    assert_close(heavy, 1.25 * one, 1e-12)
     ends = [[model.getFrameId(name) for name in ("wrist_sensor", "tool")] for model in models]
     weighed = [outboard_links(model, *end) for model, end in zip(models, ends, strict=True)]
     heavy, one = ([link.inertia.mass for link in links] for links in weighed)
-    close(heavy, 1.25 * np.array(one))
+    assert_close(heavy, 1.25 * np.array(one))
 
 
 @parametrize(
@@ -107,7 +100,7 @@ def test_outboard_links_of_the_scara(sensor):
         written_inertia(element("scara_left", link)) for link in ("wrist_sensor", "finger")
     )
     mounted = shift([0.0, 0.0, -0.02]).act(sensor)
-    close([link.inertia.matrix() for link in links], [mounted.matrix(), own.matrix()], 1e-12)
+    assert_close([link.inertia.matrix() for link in links], [mounted.matrix(), own.matrix()], 1e-12)
 
 
 @parametrize("sensor", ["panda_link8", "panda_hand"])
@@ -119,7 +112,7 @@ def test_outboard_links_of_the_panda(sensor):
     assert outboard_links(model, tip, tip) == []  # the hand is before the tip
     assert model.names[hand.joint] == "panda_joint7"
     link7 = written_inertia(element(robots.find_robot("panda")[0], "panda_link7"))
-    close(hand.inertia.matrix(), model.inertias[hand.joint].matrix() - link7.matrix(), 1e-12)
+    assert_close(hand.inertia.matrix(), model.inertias[hand.joint].matrix() - link7.matrix(), 1e-12)
 
 
 # The object ---------------------------------------------------------------------------------------
@@ -154,7 +147,7 @@ def test_impossible_objects_are_refused(mass, principal, message):
 def test_flat_and_thin_objects_are_possible_and_keep_their_shape_when_scaled(principal):
     held = RigidObject(pin.Inertia(2.0, np.ones(3), np.diag(principal)))
     scaled = held.scaled(0.5).inertia
-    close(scaled.matrix(), 0.5 * held.inertia.matrix(), 1e-13)
+    assert_close(scaled.matrix(), 0.5 * held.inertia.matrix(), 1e-13)
     for factor in (0.0, -1.0, np.nan, np.inf):
         with model_error(f"factor {factor}"):
             held.scaled(factor)

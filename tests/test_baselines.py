@@ -7,10 +7,11 @@ import numpy as np
 import pinocchio as pin
 from command_line import answered, read_json, refused
 from complaints import invalid_input
+from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
-from rigs import consistent, contact_of, largest, one_panda, random_faces, random_state, shift
+from rigs import in_contact, largest, one_panda, random_state, shift
 from scenario_runs import rig_of
 from scipy.linalg import block_diag
 
@@ -122,20 +123,16 @@ def test_laws_are_what_was_published(key, published):
     pin.seed(1)
     chain = one_panda()
     for _ in range(40):
-        q, v = random_state(chain, rng)
-        free = chain.state(q, v)
-        faces = random_faces(free.X_WO, 2, rng)
-        state = chain.state(q, consistent(chain, q, v, contact_of(faces, free).N))
-        contact = contact_of(faces, state)
-        Lambda = np.linalg.inv(state.Phi)
-        bias = np.linalg.solve(state.S.T, state.b_S) - Lambda @ state.sigma  # μ + p with −Λγ
+        state, contact, *_ = in_contact(chain, rng)
+        Lambda = inv(state.Phi)
+        bias = solve(state.S.T, state.b_S) - Lambda @ state.sigma  # μ + p with −Λγ
         frame = random_frame(BASELINES[key], rng)
         law = SelectionLaw(BASELINES[key], frame.selection)
         a = rng.standard_normal(6) * 3
         alpha = rng.uniform(5, 20, 2)
         back = shift(law.selection.point).toActionMatrix()  # motions to O
-        there = np.linalg.solve(back, a), back.T @ contact.N @ alpha
-        F = np.linalg.solve(back.T, published(frame, back.T @ Lambda @ back, *there))
+        there = solve(back, a), back.T @ contact.N @ alpha
+        F = solve(back.T, published(frame, back.T @ Lambda @ back, *there))
         want = state.S.T @ (F + bias)
         got = f_S(law, state, a, contact.N @ alpha)
         assert_allclose(got, want, atol=1e-9 * largest(want))

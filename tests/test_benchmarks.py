@@ -88,12 +88,7 @@ def judge_tick(result):
         assert (row["law p50 (µs)"] is not None) == (name in CASES)
 
 
-PROGRAMS = (
-    judge_peers,
-    judge_tick,
-    judge_scaling,
-    judge_vector_env,
-)
+PROGRAMS = (judge_peers, judge_tick, judge_scaling, judge_vector_env)
 
 
 @parametrize("judge", first(PROGRAMS, 1))

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 from command_line import done, read_json
-from numpy.linalg import norm
+from numpy.linalg import inv, matrix_rank, norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
@@ -93,13 +93,13 @@ def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
         T = np.array([[*np.cross(axis, X.translation - apex), *axis], [*e, 0, 0, 0]]).T
         assert largest(lines.T @ T) < 1e-14
         assert largest(contact.N.T @ T) < 1e-14
-        assert np.linalg.matrix_rank(lines) == 4
+        assert matrix_rank(lines) == 4
         assert_allclose(contact.N @ SEAT.from_wall_forces, lines, atol=1e-13)
 
 
 def test_references_move_as_their_derivatives_say_and_stay_in_contact():
     task = rig().references
-    to_walls = np.linalg.inv(SEAT.from_wall_forces)
+    to_walls = inv(SEAT.from_wall_forces)
     for t in np.linspace(0.2, 4.5, 12):
         now = assert_derivatives(task.at, t, 1e-4, 1e-5, 1e-4)
         assert_allclose(SEAT.pair.gaps(now.X_WD), 0.0, atol=1e-9)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
@@ -111,14 +112,6 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
     assert {whole for whole, _ in seen} == {False, True}
 
 
-def at_rest(chain, seed):
-    """Two contacts."""
-    rng = default_rng(seed)
-    q, _ = random_state(chain, rng)
-    v = np.zeros(chain.nq)
-    return q, v, random_faces(chain.state(q, v).X_WO, 2, rng), rng
-
-
 # --- on MuJoCo ------------------------------------------------------------------------------------
 
 
@@ -143,17 +136,20 @@ def test_phases_change_nothing_while_contacts_stay_closed(name):
 def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(reading):
     """Beside Λ_out: the object accelerates by x along its lines of force."""
     chain = panda_pair()
-    q, v, pairs, rng = at_rest(chain, 57)
+    rng = default_rng(57)
+    q, _ = random_state(chain, rng)
+    v = np.zeros(chain.nq)
+    state = chain.state(q, v)
+    pairs = random_faces(state.X_WO, 2, rng)
     controller = osc.Controller(chain, pairs, reading=reading, life=PhaseSettings())
     measurement, reference = inputs(chain, q, v, rng, 2)
-    state = chain.state(q, v)
     x = rng.standard_normal(2)
     controller.tick(measurement, reference)
     before = controller.result().alpha_meas.copy()
     N = controller.signals.contact.N
     D = controller._records.work.mobility[:2, :2].copy()
-    Phi = np.linalg.inv(state.payload.Lambda)
-    seen = state.Lambda_out @ Phi @ N @ np.linalg.solve(N.T @ Phi @ N, x)
+    Phi = inv(state.payload.Lambda)
+    seen = state.Lambda_out @ Phi @ N @ solve(N.T @ Phi @ N, x)
     wrenches = measurement.wrenches + read_of(state, seen)
     controller.tick(replace(measurement, wrenches=wrenches), reference)
     found = controller.result().alpha_meas - before

@@ -30,18 +30,16 @@ def rig():
 
 @fixture
 def ready(rig):
-    """(controller, plant, measurement, reference) after one good tick."""
+    """(controller, measurement, reference) after one good tick."""
     controller = rig.controller()
-    plant = rig.plant()
-    measurement = plant.measure()
-    reference = rig.references.at(0.0)
-    ticked(controller, measurement, reference)
-    return controller, plant, measurement, reference
+    given = rig.plant().measure(), rig.references.at(0.0)
+    ticked(controller, *given)
+    return controller, *given
 
 
 def test_signals_of_a_tick_stay(ready):
     """What is set afterwards does not change them; recordings keep the permitted error (7)."""
-    controller, _, measurement, reference = ready
+    controller, measurement, reference = ready
     tau = ticked(controller, measurement, reference)
     signals = controller.signals
     f_meas = controller.result().f_meas.copy()
@@ -128,10 +126,6 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig, ready):
     assert_allclose(controller.signals.f_S, force, rtol=1e-3, atol=1e-3)
 
 
-def unmeasured():
-    return rig_of("two_contact_rod", "arms.left.wrist_sensor=null")
-
-
 def limp():
     arm = replace(one_panda().arms[0], passive_joints=("panda_joint7",))
     return osc.ClosedChain([arm], None, one_panda().payload)
@@ -146,7 +140,7 @@ def limp():
         (lambda rig: rig.controller().residual_wrench(), "no tick"),
         (lambda rig: osc.MotionGains(100, 10, 2000), "Routh"),
         # half the sensors would weigh half the object and still look plausible
-        (lambda rig: unmeasured().controller(), "left"),
+        (lambda rig: rig_of("two_contact_rod", "arms.left.wrist_sensor=null").controller(), "left"),
         (lambda rig: Controller(limp(), []), "posture"),
     ],
 )
@@ -193,7 +187,7 @@ def test_other_gains_continue_without_a_jump(rig, ready):
 
 
 def test_copies_and_pickles_continue_alike_and_alone(ready):
-    controller, _, measurement, reference = ready
+    controller, measurement, reference = ready
     controller.f_tare = np.arange(6.0)
     controller.tick(measurement, reference)
     others = [copy.copy(controller), copy.deepcopy(controller)]
@@ -268,7 +262,7 @@ HELD = {"list": 5, "none": 11, "row": 11, "column": 11}
 
 @parametrize("kind", BAD)
 def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig, ready, kind):
-    _, _, *good = ready
+    _, *good = ready
     measurement, reference = good
     calls = [(None, reference), (measurement, None), ("a", 3)]
     for name in ("q", "v", "wrenches", "touched"):

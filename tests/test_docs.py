@@ -375,11 +375,6 @@ def arguments(function):
     return [one for one in every if one.arg not in ("self", "cls")]
 
 
-def is_command(function):
-    """Of the command line: its options have their help where they stand."""
-    return "Option" in ast.unparse(function.args)
-
-
 def records():
     """Arguments of the law that are records: one table explains them all."""
     text = (PACKAGE / "law" / "records.py").read_text()
@@ -392,8 +387,8 @@ def unexplained(text, known=()):
     found = []
     for function in public_functions(ast.parse(text)):
         names = [one.arg for one in arguments(function)]
-        if len(names) < 3 or is_command(function):
-            continue
+        if len(names) < 3 or "Option" in ast.unparse(function.args):
+            continue  # options of the command line have their help where they stand
         _, _, described = (ast.get_docstring(function) or "").partition("Args:")
         left_out = [name for name in names if name not in described and name not in known]
         if left_out:

@@ -7,7 +7,7 @@ import daqp
 import numpy as np
 from complaints import model_error
 from kkt_oracle import held
-from numpy.linalg import cholesky, solve
+from numpy.linalg import cholesky, lstsq, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
@@ -50,7 +50,7 @@ def idle_motions(state, chain):
     rows = [np.zeros((0, chain.nq))]
     for arm, part, grasp in zip(state.arms, chain.slices, chain.grasps, strict=True):
         if part.stop - part.start > grasp.N.shape[1]:
-            null = np.linalg.svd(arm.N.T @ arm.J)[2][arm.rank :].T
+            null = svd(arm.N.T @ arm.J)[2][arm.rank :].T
             factor = cholesky(null.T @ arm.M @ null)
             rows.append(np.zeros((null.shape[1], chain.nq)))
             rows[-1][:, part] = solve(factor, null.T)
@@ -168,7 +168,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_reported(rig, share):
         )
         slack = np.concatenate((limit - np.abs(tau), got[6 : 6 + r] - floor, cost.force))
         C = C[slack < np.repeat([1e-9, 1e-6], [n, 2 * r])].T
-        multipliers, *_ = np.linalg.lstsq(C, gradient, rcond=1e-9)
+        multipliers, *_ = lstsq(C, gradient, rcond=1e-9)
         weight = largest(rows.T @ np.abs(rows @ z)) + largest(gradient)
         assert_allclose(C @ multipliers, gradient, atol=1e-5 * weight)
         assert (multipliers >= -1e-5 * largest(multipliers)).all()

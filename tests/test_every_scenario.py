@@ -300,7 +300,7 @@ def test_forces_survive_everything_while_the_faces_move(everything):
     assert always_closed(verdict)
     assert verdict["status"]["held"] == 0
     travel = everything["face_pose"][-1, :, :3] - everything["face_pose"][0, :, :3]
-    assert_allclose(np.linalg.norm(travel, axis=1), 0.02, rtol=1e-3)
+    assert_allclose(norm(travel, axis=1), 0.02, rtol=1e-3)
     first, last = everything["face_pose"][[0, -1], :, 3:]
     cosine = np.abs(np.sum(first * last, axis=1))  # of half the angle between quaternions
     assert_allclose(2 * np.arccos(cosine), np.deg2rad(5.0), rtol=1e-3)

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from pytest import approx
 from rigs import (
     contact_of,
+    data_at,
     largest,
     one_panda,
     placed,
@@ -159,8 +160,7 @@ def overshoots(run):
 def one_arm(robot, tip, posture, push, armature):
     """An arm alone, a rod in its hand, the end of which is pressed against a face."""
     arm = osc.Arm.from_urdf(robots.find_robot(robot)[0], name="arm", tip=tip)
-    data = arm.model.createData()
-    pin.framesForwardKinematics(arm.model, data, np.array(posture))
+    data = data_at(arm.model, np.array(posture))
     grasp = placed(z=0.29, rpy=(0, -np.pi / 2, 0))
     X = data.oMf[arm.model.getFrameId(tip)] * grasp
     push = np.array(push) / np.linalg.norm(push)

@@ -7,7 +7,7 @@ import pinocchio as pin
 from complaints import model_error, scenario_error
 from grasp_rigs import KINDS, grasp_of, random_case, slip_of
 from kkt_oracle import pressed
-from numpy.linalg import cholesky, norm, svd
+from numpy.linalg import cholesky, norm, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from rigs import (
@@ -48,9 +48,7 @@ def touching(case, rng, most=2):
     still = case.at_rest()
     pairs = random_faces(case.X_WO, min(most, still.d), rng)
     root = cholesky(still.metric)
-    felt = svd(root.T @ still.S)[0][:, : still.d].T @ np.linalg.solve(
-        root, contact_of(pairs, still).N
-    )
+    felt = svd(root.T @ still.S)[0][:, : still.d].T @ solve(root, contact_of(pairs, still).N)
     return pairs if pairs and svd(felt)[1][-1] > 0.05 * norm(felt) else []
 
 

@@ -11,6 +11,7 @@ from rigs import (
     UNLIMITED,
     holding_panda,
     largest,
+    panda_arm,
     refused,
     rigid_plant,
     ticked,
@@ -19,7 +20,6 @@ from rigs import (
 from samples import parametrize
 
 import osc_contact as osc
-from osc_contact import robots
 from osc_contact.control.records import joint_limit_margins
 from osc_contact.scenarios.control_schema import PostureTask
 
@@ -33,18 +33,12 @@ def push_of(q, margins):
     return np.array([allocation.push_from_limits(row, x) for row, x in zip(rows, q, strict=True)])
 
 
-def panda(**limits):
-    """One Panda whose model has other limits: joint number → (lower, upper)."""
-    model = robots.load_model(robots.find_robot("panda")[0])
-    lower = model.lowerPositionLimit.copy()
-    upper = model.upperPositionLimit.copy()
-    for joint, (low, high) in limits.items():
-        i = model.joints[model.getJointId(f"panda_{joint}")].idx_q
-        lower[i] = low
-        upper[i] = high
-    model.lowerPositionLimit = lower
-    model.upperPositionLimit = upper
-    arm = osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp", wrist_sensor="panda_hand")
+def panda(limits):
+    """One Panda whose model has other limits: index of a joint → (lower, upper)."""
+    arm = panda_arm()
+    for joint, (lower, upper) in limits.items():
+        arm.model.lowerPositionLimit[joint] = lower
+        arm.model.upperPositionLimit[joint] = upper
     return holding_panda(arm)
 
 
@@ -55,7 +49,7 @@ def panda(**limits):
 )
 def test_the_push_rises_smoothly_over_a_margin_and_stays_bounded(joint, range_, whole):
     """k w (3s² − 2s³) at depth s of the margin w, 5 % of a range that counts as π at most."""
-    model = panda(**{f"joint{joint + 1}": range_}).model
+    model = panda({joint: range_}).model
     limits = joint_limit_margins(model, 400.0, 0.05)
     for end, sign in zip(range_, (1.0, -1.0), strict=True):
         w = 0.05 * whole if np.isfinite(end) else 0.0
@@ -70,7 +64,7 @@ def test_the_push_rises_smoothly_over_a_margin_and_stays_bounded(joint, range_, 
 @parametrize("stiffness", [400.0, 0.0])
 def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     """Its rest posture lies 0.25 rad beyond a limit of joint 1; without the push it gets there."""
-    chain = panda(joint1=(-2.8, 0.2))
+    chain = panda({0: (-2.8, 0.2)})
     posture = PANDA_Q + [3.2, 0, 0, 0, 0, 0, 0]
     plant = rigid_plant(PANDA_Q, chain, dt=2e-3)
     X = chain.state(PANDA_Q, np.zeros(7)).X_WO
@@ -102,16 +96,16 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
     for _ in range(3):
         q = PANDA_Q + rng.uniform(-0.5, 0.5, 7)
         v = rng.standard_normal(7)
-        ends = {f"joint{j}": (-np.inf, q[j - 1] - past) for j in (1, 4)}
-        ends |= {f"joint{j}": (q[j - 1] + past, q[j - 1] + 3.0) for j in (3, 6)}
-        chain = panda(**ends)
+        ends = {j: (-np.inf, q[j] - past) for j in (0, 3)}
+        ends |= {j: (q[j] + past, q[j] + 3.0) for j in (2, 5)}
+        chain = panda(ends)
         posture = q + 0.1 * rng.standard_normal(7)
         task = PostureTask()
         push = push_of(q, joint_limit_margins(chain.model, task.limit_stiffness, task.limit_margin))
         assert push.any() == (past > -0.15)
         state = chain.state(q, v)
-        safety = UNLIMITED
-        controller = osc.Controller(chain, [], posture=posture, safety=safety, joint_friction=False)
+        how = {"posture": posture, "safety": UNLIMITED, "joint_friction": False}
+        controller = osc.Controller(chain, [], **how)
         wanted = osc.Reference(state.X_WO, V_D=state.V_O)
         tau = ticked(controller, unloaded(q, v), wanted)
         own = state.h + state.M @ (task.stiffness * (posture - q) - task.damping * v)

@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 from complaints import model_error, scenario_error
+from numpy.linalg import inv
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, fixture, mark
 from rigs import holding_panda, panda_arm, ticked
@@ -129,7 +130,7 @@ def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
         lost.append(world.measure().v[5])
     state = rig.state
     J = state.arms[0].J
-    rate = np.linalg.inv(state.M + J.T @ state.payload.Lambda @ J)[5, 5]
+    rate = inv(state.M + J.T @ state.payload.Lambda @ J)[5, 5]
     assert lost[0] - lost[1] == approx(rate * (0.3 + 0.2 * 0.5) * 5e-3, rel=0.05)
 
 
@@ -159,7 +160,7 @@ def test_inspect_names_what_limits_compensation_of_friction(given):
     lines = inspect_rig(rig).lines
     (least,) = (line for line in lines if "observer unstable" in line)
     M = rig.model.state(rig.q_contact, np.zeros(6)).M
-    felt = 1.0 / np.diag(np.linalg.inv(M))
+    felt = 1.0 / np.diag(inv(M))
     for name, m in zip(rig.model.arms[0].model.names[1:], felt, strict=True):
         needed = 0.3 - m + m * 0.7 / 1.7
         assert (f"{needed:.2g} ({name}, 0.3 in the model)" in least) == (needed > 0.0)

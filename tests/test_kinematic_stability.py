@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 from command_line import done, read_json
-from numpy.linalg import inv
+from numpy.linalg import eigvals, inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import largest
+from rigs import LWA, data_at, displacement, largest
 
 from paper import kinematic_stability as ks
 from paper.kinematic_stability import eigenvalues, regularity
@@ -29,19 +29,12 @@ def found():
 
 def tip_pose(q):
     model, tip = ks.ur5()
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    return pin.SE3(data.oMf[tip])
-
-
-def displacement(start, end):
-    turned = pin.log3(end.rotation @ start.rotation.T)
-    return np.concatenate((end.translation - start.translation, turned))
+    return data_at(model, q).oMf[tip].copy()
 
 
 def jacobian(q):
     model, tip = ks.ur5()
-    return pin.computeFrameJacobian(model, model.createData(), q, tip, pin.LOCAL_WORLD_ALIGNED)
+    return pin.computeFrameJacobian(model, model.createData(), q, tip, LWA)
 
 
 def torques(q, v, acceleration):
@@ -66,7 +59,7 @@ def oracle_ours(q, v, goal):
     a_u = -inv(Lambda) @ ks.K_PRIME @ (displacement(goal, X) + DAMPING_S * J @ v)
     across = J[ks.FORCE]
     KKT = np.block([[J.T @ Lambda @ J, across[:, None]], [across[None], np.zeros((1, 1))]])
-    qdd = np.linalg.solve(KKT, np.append(J.T @ Lambda @ a_u, 0.0))[:-1]
+    qdd = solve(KKT, np.append(J.T @ Lambda @ a_u, 0.0))[:-1]
     return torques(q, v, qdd)
 
 
@@ -87,7 +80,7 @@ def numeric_poles(law, q0, h=1e-5):
     A = np.column_stack(
         [(rate(start + h * e) - rate(start - h * e)) / (2 * h) for e in np.eye(2 * n)]
     )
-    values = np.linalg.eigvals(A)
+    values = eigvals(A)
     values = values[np.argsort(np.abs(values))]
     assert largest(values[:2]) < 0.05
     return np.sort_complex(values[2:])

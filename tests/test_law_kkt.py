@@ -30,12 +30,13 @@ import numpy as np
 import pinocchio as pin
 from grasp_rigs import BODY, KINDS, Case, random_case
 from kkt_oracle import BODIES, PAIRS, PLAIN, WORLD, Answer, Body, Contact, State, touch
-from numpy.linalg import lstsq, solve, svd
+from numpy.linalg import inv, lstsq, norm, pinv, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from processes import python
 from pytest import mark, param
 from rigs import (
+    LWA,
     UNLIMITED,
     data_at,
     displacement,
@@ -45,6 +46,7 @@ from rigs import (
     random_state,
     scara_pair,
     strong,
+    terms_at,
     touched_of,
     with_motors,
 )
@@ -222,6 +224,11 @@ class Tick:
     tau: np.ndarray
     controller_of: Callable  # a chain ↦ such a controller
 
+    @property
+    def copied(self):
+        """Whether a contact counts twice."""
+        return len(self.contacts) > len(self.state.contacts)
+
 
 def tick(state, contacts, i, rng):
     """A controller's first tick at a state that any torques brought about; `contacts`: its own."""
@@ -275,7 +282,7 @@ def ticks(rig, surroundings):
         state.move(rng)
         if max(largest(state.v), largest(state.V)) > FASTEST:
             continue
-        if where.mu and min(np.linalg.norm(c.slip(state.V)[0]) for c in state.contacts) < SLOWEST:
+        if where.mu and min(norm(c.slip(state.V)[0]) for c in state.contacts) < SLOWEST:
             continue
         copies = rng.integers(len(state.contacts), size=3 if where.copied else 0)
         yield tick(state, state.contacts + [state.contacts[j] for j in copies], i, rng)
@@ -293,7 +300,7 @@ def miss_of_geometry(t):
 
 def miss_of_forces(t, got, magnitudes):
     """Error of the contact forces; how dependent columns share them is not determined."""
-    if len(t.contacts) == len(t.state.contacts):
+    if not t.copied:
         return miss(got, magnitudes)
     N = np.vstack([c.along_object for c in t.contacts]).T
     return miss(t.state.N.T @ got, N @ magnitudes)
@@ -306,7 +313,7 @@ def miss_of_reading(t):
         return 0.0
     return max(
         miss(found.f_c, -t.state.N.T @ t.truth.alpha),
-        miss(found.alpha_meas, t.truth.alpha) if len(t.contacts) == len(t.state.contacts) else 0.0,
+        0.0 if t.copied else miss(found.alpha_meas, t.truth.alpha),
     )
 
 
@@ -314,12 +321,10 @@ def commanded_forces(t):
     """α_d and its first integral, of all columns."""
     found = t.controller.result()
     alpha_d = t.reference.alpha_d
-    if len(t.contacts) == len(t.state.contacts):
-        measured = found.alpha_meas
-    else:
-        measured = lstsq(-np.vstack([c.along_object for c in t.contacts]).T, found.f_c, rcond=1e-9)[
-            0
-        ]
+    measured = found.alpha_meas
+    if t.copied:
+        N = np.vstack([c.along_object for c in t.contacts]).T
+        measured = lstsq(-N, found.f_c, rcond=1e-9)[0]
     return alpha_d + K_F * DT * (alpha_d - measured)
 
 
@@ -336,7 +341,7 @@ def miss_of_response(t, answer):
 def metric_of(t):
     """(6, 6) B⁻¹ of the motion filter."""
     known = {"object": lambda: t.state.system.I, "chain": t.state.inertia_of_all}
-    return known.get(str(t.B), lambda: np.linalg.inv(t.B))()
+    return known.get(str(t.B), lambda: inv(t.B))()
 
 
 def commanded_motion(t, a):
@@ -362,7 +367,7 @@ def bars(t):
         return np.zeros((0, 3)), np.zeros((3, 0))
     tips = chain.tip_poses(data_at(chain.model, t.state.case.q))
     E = bars_of([X.translation for X in tips])
-    return np.linalg.pinv(E, rcond=1e-6), E
+    return pinv(E, rcond=1e-6), E
 
 
 def miss_of_squeeze(t, answer):
@@ -387,17 +392,15 @@ def effort_in_vain(t):
     """Share of the torques' effort that could be spared: same motion, forces and squeeze."""
     chain = t.state.case.chain
     state = t.state
-    scale = t.state.case.chain.tau_max
+    scale = chain.tau_max
     model = chain.model
-    data = chain.model.createData()
-    pin.computeAllTerms(model, data, state.case.q, state.v)
-    pin.updateFramePlacements(model, data)
+    data = terms_at(model, state.case.q, state.v)
     posture = np.zeros(chain.nq)
     idle = [np.zeros((0, chain.nq))]
     pull = PostureTask().stiffness * (t.controller.posture - state.case.q)
     pull = data.nle + data.M @ (pull - PostureTask().damping * state.v)
     for tip, s in zip(chain.tips, chain.slices, strict=True):
-        J = pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
+        J = pin.getFrameJacobian(model, data, tip, LWA)[:, s]
         if J.shape[1] > 6:
             null = svd(J)[2][6:]
             idle.append(np.zeros((len(null), chain.nq)))
@@ -453,7 +456,7 @@ def judge(t):
         alike = len({arm.model.nv for arm in chain.arms}) == 1
         if alike and all(grasp.is_rigid for grasp in chain.grasps):  # else structure may carry some
             misses["squeeze"] = miss_of_squeeze(t, answer)
-        if len(t.contacts) == len(t.state.contacts):
+        if not t.copied:
             misses["given up"] = 0.01 * miss_of_what_weaker_motors_cost(t, answer)
     assert max(misses.values()) < rtol, (misses, rtol, state.S.shape, names, apart)
     return kind

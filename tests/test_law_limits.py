@@ -46,10 +46,6 @@ class Case:
     mass: float = 1.5
 
     @property
-    def counts(self):
-        return self.d, len(self.alpha), len(self.floor), len(self.E)
-
-    @property
     def scale(self):
         known = np.isfinite(self.tau_max)
         return np.where(known, self.tau_max, self.tau_max[known].max(initial=0.0) or 1.0)
@@ -116,17 +112,17 @@ def random_case(
 MADE: dict[int, TorqueLimits] = {}
 
 
-def solve(case, limits=None):
+def solve(case):
     """By arrays that other cases have used before."""
     n = len(case.desired)
-    (d, r, k, s) = case.counts
-    if limits is None:
-        limits = MADE.setdefault(n, TorqueLimits(n, K_MAX, S_MAX))
+    r = len(case.alpha)
+    s = len(case.E)
+    limits = MADE.setdefault(n, TorqueLimits(n, K_MAX, S_MAX))
     write(limits.program, **{x.name: getattr(case, x.name) for x in fields(case) if x.name != "d"})
-    write(limits.program, d=d, r=r, k=k, s=s)
+    write(limits.program, d=case.d, r=r, k=len(case.floor), s=s)
     short = limits.solve()
-    assert not limits.lost_force[r:].any() and not limits.lost_motion[: 6 - d].any()
-    lost = limits.lost_force[:r], limits.lost_motion[6 - d :], limits.lost_squeeze[:s]
+    assert not limits.lost_force[r:].any() and not limits.lost_motion[: 6 - case.d].any()
+    lost = limits.lost_force[:r], limits.lost_motion[6 - case.d :], limits.lost_squeeze[:s]
     return limits.tau.copy(), limits.at_limit.copy(), *(x.copy() for x in lost), short
 
 
@@ -329,11 +325,10 @@ def test_what_is_not_solved_is_an_error(monkeypatch, verdict):
 
 
 def test_nothing_accumulates():
-    limits = TorqueLimits(8, 6, 3)
-    solve(random_case(default_rng(70), 8, 6, 2, 2, 1), limits)
+    solve(random_case(default_rng(70), 8, 6, 2, 2, 1))
     for _ in range(2):
         before = sys.getallocatedblocks()
         for _ in range(2000):
-            limits.solve()
+            MADE[8].solve()
         after = sys.getallocatedblocks()
     assert abs(after - before) < 20

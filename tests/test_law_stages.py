@@ -9,18 +9,9 @@ from math import inf
 from types import SimpleNamespace as Record
 
 import numpy as np
-from law_calls import (
-    allocation,
-    operational,
-    phases,
-    reading,
-    reasons,
-    records,
-    tick,
-    write,
-)
+from law_calls import allocation, operational, phases, reading, records, tick, write
 from law_calls import command_filter as command
-from numpy.linalg import cholesky, qr
+from numpy.linalg import cholesky, inv, norm, qr, solve
 from numpy.testing import assert_array_equal
 from rigs import UNLIMITED, random_faces, random_state, scara_pair
 from samples import parametrize
@@ -32,6 +23,7 @@ from osc_contact.law import records as at
 from osc_contact.law.compiled import rows
 from osc_contact.law.limits import TorqueLimits, settle
 from osc_contact.law.phases import APPROACHING, CLOSED
+from osc_contact.law.reasons import NO_REASON
 from osc_contact.law.records import Rows, new_model, views
 from osc_contact.law.tick import BAD_INPUT, MOVING
 
@@ -149,7 +141,7 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     root = rng.standard_normal((n, n))
     M, h, tau, rest = root @ root.T, *rng.standard_normal((3, n))
     q, v, posture = rng.standard_normal((3, lo + n))
-    modes = np.linalg.inv(cholesky(M)).T[:, :2].T
+    modes = inv(cholesky(M)).T[:, :2].T
     t = records(joints=lo + n, posture_stiffness=3.0, retreat_damping=7.0)
     t.model.joints.posture[:] = posture
     t.input.q[:] = q
@@ -226,15 +218,15 @@ def test_columns_on_which_the_arms_can_push(held):
     rng = rng_of(held)
     root = rng.standard_normal((6, 6))
     Lambda = root @ root.T + np.eye(6)
-    assert judged(np.zeros((0, 6)), Lambda, held)[0] == reasons.NO_REASON
+    assert judged(np.zeros((0, 6)), Lambda, held)[0] == NO_REASON
     for m in (0, 2, 5):
         N = rng.standard_normal((min(3, 6 - m), 6))
         reason, work, t = judged(N, Lambda, held, m)
-        assert (reason, command._judge_reach(t)) == (reasons.NO_REASON, reasons.NO_REASON)
+        assert (reason, command._judge_reach(t)) == (NO_REASON, NO_REASON)
         L = cholesky((Lambda + held * np.eye(6))[m:, m:])
-        seen = np.linalg.solve(L, N[:, m:].T)
+        seen = solve(L, N[:, m:].T)
         pivots = np.abs(np.diag(qr(seen)[1]))
-        close(work.amount, min(pivots / np.linalg.norm(seen, axis=0)), rtol=1e-7)
+        close(work.amount, min(pivots / norm(seen, axis=0)), rtol=1e-7)
         for a in range(len(N) if m else 0):
             hidden = N.copy()
             hidden[a, m:] = L @ np.full(6 - m, 0.5e-5)  # seen with 0.25e-10 (6 − m) of its square
@@ -243,21 +235,19 @@ def test_columns_on_which_the_arms_can_push(held):
             close(work.amount, (6 - m) * 0.25e-10 / (hidden[a] @ hidden[a]), rtol=1e-6)
     assert judged(N, Lambda, held, 6)[0] == command.UNREACHABLE
     # 1/Λ along the column, beside 1: on either side of 1e-9
-    for mobility, want in ((0.5e-9, command.UNREACHABLE), (2e-9, reasons.NO_REASON)):
+    for mobility, want in ((0.5e-9, command.UNREACHABLE), (2e-9, NO_REASON)):
         heavy = np.eye(6) / 7.0
         heavy[3, 3] = 1.0 / mobility
         reason, work, _ = judged(np.eye(6)[[1, 3]], heavy, held)
-        assert reason == want and (want == reasons.NO_REASON or work.where == 1)
+        assert reason == want and (want == NO_REASON or work.where == 1)
     # columns that differ by so much
-    for apart, want in ((0.3e-10, command.INSEPARABLE), (3e-10, reasons.NO_REASON)):
+    for apart, want in ((0.3e-10, command.INSEPARABLE), (3e-10, NO_REASON)):
         N = np.zeros((2, 6))
         N[:, 1] = 1.0
         N[1, 4] = apart
         assert judged(N, np.eye(6), held)[0] == want
     none = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
-    assert judged(np.eye(6)[:2], none, held)[0] == (
-        reasons.NO_REASON if held else command.BAD_METRIC
-    )
+    assert judged(np.eye(6)[:2], none, held)[0] == (NO_REASON if held else command.BAD_METRIC)
 
 
 def test_a_metric_that_is_not_definite_is_reported():
@@ -300,7 +290,7 @@ def a_tick():
     seen = []
     own.run = lambda given, *how: seen.append(given) or run(given, *how)
     controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
-    assert own.memory.reason == reasons.NO_REASON and own.memory.engaged
+    assert own.memory.reason == NO_REASON and own.memory.engaged
     own.rows.job.switches = MOVING
     return rows(), (own.rows.raw, 0, seen[-1]), own.memory
 
@@ -342,7 +332,7 @@ def command_of(flags=0, of_memory=None, integral=2.0, **of_work):
     called = {}
     decide = tick.altered(
         "command",
-        filter_motion=lambda t: reasons.NO_REASON,
+        filter_motion=lambda t: NO_REASON,
         command_object=lambda t: None,
         hand_over=lambda t: called.update(handed=True),
         reduce_motion=lambda *given: called.update(reduced=True),
@@ -355,7 +345,7 @@ def command_of(flags=0, of_memory=None, integral=2.0, **of_work):
     write(t.memory, force_sum=[0.5, -0.5], force_rank=2, motion_sum=0.1)
     write(t.memory, **(of_memory or {}))
     write(t.input, V_D=1.0, A_D=1.0)
-    assert decide(t, flags) == reasons.NO_REASON
+    assert decide(t, flags) == NO_REASON
     return t.work, t.memory, called
 
 

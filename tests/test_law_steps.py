@@ -201,10 +201,7 @@ def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
     found = forces.run([12.0, 9.0, 4.0], 60)
     assert_allclose(found[:, 0], 4.0)
     assert_allclose(found[:, 1], 12.0 - 2.0 * eased(np.arange(60) * DT / RISE), atol=1e-9)
-    assert (
-        forces.kept[1].has_desired == 0 == forces.kept[2].has_desired
-        and forces.kept[0].has_desired == 1
-    )
+    assert forces.kept.has_desired.tolist() == [1, 0, 0]
     assert forces.kept[1].scale == 0.0 and forces.kept[0].desired == 12.0
     assert forces.kept[2].desired == 4.0 == forces.kept[2].scale
 
@@ -230,13 +227,7 @@ def test_a_column_out_of_n_is_forgotten():
     assert row.predicted > 0.0 and row.to_come.any() and row.drift > 0.0
     forces.chosen = []
     forces.tick([16.0])
-    assert (row.has_desired, row.desired, row.scale, row.drift, row.predicted) == (
-        0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    )
+    assert not any((row.has_desired, row.desired, row.scale, row.drift, row.predicted))
     assert not row.to_come.any()
 
 

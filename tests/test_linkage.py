@@ -6,10 +6,9 @@ That each bar carries its command is judged in `test_law_kkt`.
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 from grasp_rigs import KINDS, random_case
 from law_calls import allocation, records, write
-from numpy.linalg import pinv, svd
+from numpy.linalg import cholesky, pinv, qr, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from rigs import held_tick, largest, rig_of, unit
@@ -18,8 +17,6 @@ from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.dynamics.arm import effort_scale
-
-LWA = pin.LOCAL_WORLD_ALIGNED
 
 
 def bars_of(points):
@@ -67,7 +64,7 @@ def settable_bars(state, chain):
     some = size > 1e-9 * size.max(initial=0.0)
     # by the angle to null(G): an arm near a singular posture makes some forces all too easily
     apart = spans(Vh[some] @ quiet, tolerance, 1.0)[0]
-    return levers, basis @ np.linalg.qr((U[:, some] * size[some]) @ apart)[0]
+    return levers, basis @ qr((U[:, some] * size[some]) @ apart)[0]
 
 
 @module_fixture
@@ -126,12 +123,12 @@ def answer(state, chain):
     ends = [(s.start, s.stop) for s in chain.slices]
     write(t.model.arms, **dict(zip(("first", "end"), zip(*ends, strict=True), strict=True)))
     t.model.joints.effort[chain.actuated] = effort_scale(chain.tau_max) ** 2
-    L = np.linalg.cholesky(state.metric)
-    V, beta = np.linalg.qr(np.linalg.solve(L, state.C), mode="raw")
+    L = cholesky(state.metric)
+    V, beta = qr(solve(L, state.C), mode="raw")
     reflectors = np.triu(V, 1) + np.eye(*V.shape)
     locked = np.hstack([arm.C[:3] for arm in state.arms]).T
     owners = np.repeat(np.arange(len(chain.arms)), [arm.C.shape[1] for arm in state.arms])
-    t.work.joints.J_bar = np.vstack([np.linalg.solve(L, arm.J_bar.T).T for arm in state.arms])
+    t.work.joints.J_bar = np.vstack([solve(L, arm.J_bar.T).T for arm in state.arms])
     carried = locked / np.sqrt(chain.reference.inertia.mass)
     work = t.work
     write(work, points=state.grasp_points, carried=carried, owners=owners, locked=len(beta))

@@ -261,9 +261,7 @@ def test_at_most_so_many_ticks_per_second_are_sent():
 
 def test_the_server_ends_with_the_program_however_that_ends():
     done = python(
-        "viewer = t.opened()",
-        "print(viewer._process.pid, flush=True); os._exit(7)",
-        code=7,
+        "viewer = t.opened()", "print(viewer._process.pid, flush=True); os._exit(7)", code=7
     )
     wait_until(lambda: not alive(int(done.stdout)), 10.0)
 

@@ -78,8 +78,13 @@ def test_equations_17_to_23_as_written_with_the_relative_inertia():
     assert len(bodies) > 10 and set(bodies) >= {1, 2}
 
 
+def scaras(seed):
+    """The pair in a random state."""
+    return scara_pair().state(*random_state(scara_pair(), default_rng(seed)))
+
+
 def test_no_relative_inertia_where_nobody_yields():
-    state = scara_pair().state(*random_state(scara_pair(), default_rng(33)))
+    state = scaras(33)
     with model_error("neither chain nor environment yields") as refusal:
         Lambda_rel(state, Environment.fixed())
     wrench = np.fromstring(str(refusal.value).split("[")[1].split("]")[0], sep=" ")
@@ -204,10 +209,9 @@ def test_impossible_mechanisms_and_dependent_contacts_are_refused():
 
 def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_does_is_not():
     """The SCARA pair cannot turn about its locked couple; a free body behind it can."""
-    state = scara_pair().state(*random_state(scara_pair(), default_rng(47)))
+    state = scaras(47)
     locked = osc.Contact(state.C)
-    rolled = Environment(state.C @ state.C.T * 0.1)
-    got = contact_response(state, locked, rolled, tau=np.zeros(8))
+    got = contact_response(state, locked, Environment(state.C @ state.C.T * 0.1), tau=np.zeros(8))
     want = (state.C.T @ state.sigma) / (0.1 * (state.C.T @ state.C)[0, 0] ** 2)
     assert miss(got.alpha, want) < RTOL
     across = Environment(np.outer(state.S[:, 0], state.S[:, 0]))
@@ -219,7 +223,7 @@ def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_
 
 
 def test_contact_response_needs_exactly_one_command():
-    state = scara_pair().state(*random_state(scara_pair(), default_rng(15)))
+    state = scaras(15)
     nothing = osc.Contact(np.zeros((6, 0)))
     for commands in ({}, {"tau": np.zeros(8), "f_S": np.zeros(5)}):
         with refused("exactly one"):

@@ -8,14 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pytest import mark
 from rigs import direction, displacement, largest
 from samples import parametrize
-from scenario_runs import (
-    always_closed,
-    assert_accurate,
-    rig_of,
-    run_of,
-    verdict_of,
-    worst_force,
-)
+from scenario_runs import always_closed, assert_accurate, rig_of, run_of, verdict_of, worst_force
 
 import osc_contact as osc
 from paper import variants
@@ -43,7 +36,7 @@ def on_the_move(rig, count=60, start=1.0):
     return plant, controller
 
 
-@mark.parametrize("changes", FACES.values(), ids=FACES)
+@parametrize("changes", FACES.values(), ids=FACES)
 def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
     """The rigid plant has no Φ_e, only a cart in its equations; α = α_u and sensing are exact."""
     rig = rig_of("moving_face", *RIGID, *changes)
@@ -56,8 +49,7 @@ def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
         assert_allclose(controller.signals.alpha_meas, truth.alpha, rtol=1e-9)
         moved = max(moved, largest(plant.measure().touched.V_E))
     assert moved > 1e-3
-    turns = largest(plant.measure().touched.V_E[:, 3:])
-    assert (turns > 1e-2) == (changes in (TURNING, HINGE))
+    assert (largest(plant.measure().touched.V_E[:, 3:]) > 1e-2) == (changes in (TURNING, HINGE))
 
 
 @parametrize("changes", [FACES["cart with spring"], HINGE], ids=["cart", "hinge"])
@@ -144,7 +136,7 @@ def test_a_driven_face_is_where_its_signals_say(plant, face):
 
 
 @parametrize(
-    ("signals", "words"),
+    "signals, words",
     [
         ("[{type: sine, amplitude: 30 mm, frequency: 1 Hz}]", r"left_end.*0.188\d* m/s.*ramp"),
         (

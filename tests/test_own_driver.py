@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from complaints import plant_error
-from pytest import mark
 from rigs import shift
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.testing import check_robot
@@ -105,7 +105,7 @@ def test_drivers_that_keep_the_contract_pass():
     assert np.abs(robot.plant.measure().q - HOME).max() < 0.03, "it is back where it was"
 
 
-@mark.parametrize(
+@parametrize(
     "fault, sentence",
     {
         "mirrored wrench": "the sign is reversed: give the wrench that the arm exerts",

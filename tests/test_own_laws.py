@@ -42,7 +42,7 @@ class Seen:
 
 
 @parametrize(
-    ("law", "returned", "words"),
+    "law, returned, words",
     [
         ("force", [1.0], "return 2 finite numbers"),
         ("force", [1.0, np.nan], "return 2 finite numbers"),
@@ -131,8 +131,7 @@ def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig):
         measurement = plant.measure()
         tau = plain.tick(measurement, reference)
         for other in others:
-            got = ticked(other, measurement, reference)
-            assert_allclose(got, tau, rtol=0, atol=1e-8)
+            assert_allclose(ticked(other, measurement, reference), tau, rtol=0, atol=1e-8)
         plant.hold(tau)
         plant.command(tau, 2e-3)
     assert largest(plain.force_integral) > 1e-6
@@ -215,8 +214,7 @@ def moving(rig, seed):
 
 def answered(rig, plant, controller, reference):
     """Signals, reading, and Λ a + b + N α of what the plant does, along S."""
-    measurement = plant.measure()
-    tau = ticked(controller, measurement, reference)
+    tau = ticked(controller, plant.measure(), reference)
     s = controller.signals
     _, a, alpha = plant.accelerations(tau)
     state = s.state

@@ -283,8 +283,7 @@ def test_a_joint_too_fast_is_named_with_its_time():
 
 def test_a_controller_with_other_masses_is_found():
     robot, _, references = task()
-    other = robot_of(heavy(1.3)).chain
-    controller = osc.Controller(other, [WALL], posture=robot.measure().q)
+    controller = osc.Controller(robot_of(heavy(1.3)).chain, [WALL], posture=robot.measure().q)
     found = [x for x in osc.preflight(robot, controller, references) if "weighs" in x.text]
     assert [(x.text.split(" weighs")[0], x.refused) for x in found] == [
         ("all that moves", False),
@@ -334,8 +333,7 @@ def test_distances_in_a_scene_are_those_of_its_shapes():
     <geom name="box" type="box" size="1 1 1" pos="0 0 3"/>
     <body name="hand" pos="0 0 6"><joint type="slide"/><geom size="0.1" mass="1"/></body>
     </worldbody></mujoco>""")
-    robot = osc.MujocoRobot.from_model(model, tip="hand")
-    probe = robot.probe()
+    probe = osc.MujocoRobot.from_model(model, tip="hand").probe()
     for point, want in (
         ([0, 0, 4.5], 0.5),
         ([0, 0, 3.7], -0.3),
@@ -390,8 +388,7 @@ def test_a_recording_carries_no_path_and_is_drawn(recorded, tmp_path):
     done("view", file, "--html", page)
     assert "arms/arm/elbow" in page.read_text() or page.stat().st_size > 5e5
     done("view", file, "--png", png)
-    pixels = pixels_of(Image.open(png))
-    assert pixels.reshape(-1, 3).std(axis=0).max() > 10.0
+    assert pixels_of(Image.open(png)).reshape(-1, 3).std(axis=0).max() > 10.0
 
 
 def test_a_viewer_takes_the_robot_and_its_recording(recorded, tmp_path):
@@ -454,17 +451,17 @@ def test_postures_outside_the_limits_are_refused_with_numbers_and_cure(door, out
     }
     words = rf"arm/elbow at {out:g} is outside its limits \[-2, 2\].* file"
     with invalid_input(words):
-        doors[door](np.array([0.3, out, -1.2]))
+        doors[door]([0.3, out, -1.2])
     with invalid_input(r"look like degrees: give np.radians"):
         doors[door](DEGREES)
-    doors[door](np.array(START))
+    doors[door](START)
 
 
 @parametrize("sign", [-1.0, 1.0])
 def test_a_posture_may_be_a_goal_beyond_the_limits_by_less_than_one_and_a_half_ranges(sign):
     chain = limited().chain
-    near = np.array([0.3, sign * 7.9, -1.2])
-    far = np.array([0.3, sign * 8.1, -1.2])
+    near = [0.3, sign * 7.9, -1.2]
+    far = [0.3, sign * 8.1, -1.2]
     assert osc.Controller(chain, [WALL], posture=near).settings.posture[1] == near[1]
     with invalid_input(r"posture: joint arm/elbow at .* is outside"):
         osc.Controller(chain, [WALL], posture=far)
@@ -484,8 +481,7 @@ def test_a_controller_that_starts_outside_the_limits_holds_and_stops():
     goal = osc.Reference(robot.chain.state(q, np.zeros(3)).X_WO)
     read = unloaded(DEGREES, np.zeros(3))
     for _ in range(25):
-        tau = held_tick(controller, "look like degrees", read, goal)
-        assert largest(tau) < 40.0
+        assert largest(held_tick(controller, "look like degrees", read, goal)) < 40.0
     assert controller.state is osc.SafetyState.SAFE_STOP
     controller.reset()
     ticked(controller, replace(read, q=q), goal)
@@ -498,7 +494,7 @@ def free_run(change, tick=lambda k, controller: None, ticks=300, **how):
     for k in range(ticks):
         read = robot.measure()
         noise = rng.standard_normal((1, 6)) * np.repeat([0.3, 0.006], 3)
-        wrench = change(read.wrenches.copy(), robot) + noise
+        wrench = change(read.wrenches, robot) + noise
         tau = controller.tick(replace(read, wrenches=wrench), osc.Reference(X, alpha_d=[5.0]))
         tick(k, controller)
         if controller.state is osc.SafetyState.SAFE_STOP:

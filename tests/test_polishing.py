@@ -53,8 +53,7 @@ def test_an_even_force_wears_as_soft_as_the_edge_is():
 def test_a_few_generations_learn_the_hidden_hardness():
     policy, curve = teach("ours", 0, rows=32)
     assert curve[0] > 0.3
-    seen = judge("ours", policy, SLOW)
-    assert seen.uneven.mean() < 0.5 * curve[0]
+    assert judge("ours", policy, SLOW).uneven.mean() < 0.5 * curve[0]
     assert np.corrcoef(policy, best_forces(KNOTS))[0, 1] > 0.8
 
 

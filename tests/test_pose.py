@@ -135,8 +135,7 @@ def test_every_arm_must_get_there():
     found = poses.solve(chain, away, q)
     assert not found.reached and found.miss[0] > 1e-2
     chain, q, X = poses.chain_of(osc.load_scenario("hinge_ball_rod"))
-    near = pin.SE3(X.rotation, X.translation + [0.0, 0.01, 0.01])
-    assert poses.solve(chain, near, q).reached
+    assert poses.solve(chain, pin.SE3(X.rotation, X.translation + [0.0, 0.01, 0.01]), q).reached
 
 
 # Where runs start: inverse kinematics within limits, and the pose that the posture gives.
@@ -175,8 +174,7 @@ def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
 def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():
     rig = rig_of("two_contact_rod", "object.pose=null")
     assert osc.preflight(rig) == ()
-    given = rig_of()
-    assert norm(given.state.X_WO.translation - rig.state.X_WO.translation) < 1e-3
+    assert norm(rig_of().state.X_WO.translation - rig.state.X_WO.translation) < 1e-3
 
 
 def test_where_no_arm_determines_the_pose_it_must_be_given():
@@ -249,9 +247,11 @@ def test_a_plane_wall_has_an_exact_normal():
     urdf, _ = robots.find_robot("ur10")
     arm = osc.Arm.from_urdf(urdf, name="ur10", tip="tool0")
     q = np.round(np.deg2rad([0.0, -30.0, -30.0, -30.0, -90.0, 0.0]), 6)
-    data = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q))
-    normal = data["contacts"][0]["face"]["normal"]
-    assert sorted(np.abs(normal)) == [0.0, 0.0, 1.0]
-    slanted = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q + 0.3))
-    normal = slanted["contacts"][0]["face"]["normal"]
-    assert norm(normal) == approx(1.0, abs=1e-6) and np.abs(normal).min() > 1e-3
+
+    def normal(q):
+        data = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q))
+        return data["contacts"][0]["face"]["normal"]
+
+    assert sorted(np.abs(normal(q))) == [0.0, 0.0, 1.0]
+    slanted = normal(q + 0.3)
+    assert norm(slanted) == approx(1.0, abs=1e-6) and np.abs(slanted).min() > 1e-3

@@ -14,33 +14,6 @@ from osc_contact.runs.preflight import least_peak
 
 SINE = "signals: [{type: sine, amplitude: 50 mm, frequency: 0.5 Hz, start: 0 s, ramp: 1 s}]"
 LEFT = "contacts.left_end.face"
-#: Changes of `two_contact_rod` that are refused, and the cure.
-REFUSED = {
-    f"{LEFT}.point=[-0.295, 0, -0.8]": "move object, faces or base",  # plate 1 m away
-    f"{LEFT}.normal=[-0.501104, -0.200441, -0.841854]": "reverse contacts.l",
-    f"{LEFT}.point=[-0.595011, -0.002004, 0.37]": "219 mm beside",  # contact outside the face
-    "motion.0.signals.0.amplitude=80 m": "are its signals in the right unit?",
-    "force.left_end=[{type: constant, value: 5 kN}]": "30 times their limits",
-    "force.right_end.0.value=-9 N": "this contact cannot pull",
-    "arms.left.posture=[0, 0, 0]": "8 joint positions given",
-    "arms.left.wrist_sensor=null": "name a frame of its URDF as wrist_sensor",
-}
-#: Likewise those that are doubtful, and what is said of them.
-DOUBTFUL = {
-    f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]": "which does not permit it",
-    f"{LEFT}.motion={{type: cart, direction: [0, 0, 1], mass: 2 kg}}": (
-        "nothing balances the cart of 'face_left_end'"
-    ),
-    "plant.flexible_joints.frequency=60 Hz": "set control.joint_torque={rate: 4 kHz}",
-    "model_error.arm_mass=1.2": "arm_mass is 1.2, and nothing zeroes",  # no tare
-    # out of reach
-    "motion.0.signals=[{type: minimum_jerk, value: 0.5 m, duration: 0.4 s}]": (
-        "where no posture near the start puts it"
-    ),
-    # friction that the filter reads
-    "plant.friction=0.2": "set control.force.reading=least_squares, or give control.friction",
-    "sensors.wrist={rate: 1 kHz, torque: {bias: 0.1 Nm}}": "set tare={} to zero them",
-}
 
 
 @parametrize("name", osc.list_scenarios())
@@ -48,7 +21,19 @@ def test_packaged_scenarios_pass_without_a_word(name):
     assert osc.preflight(rig_of(name)) == ()
 
 
-@parametrize("change, cure", REFUSED.items())
+@parametrize(
+    "change, cure",
+    {
+        f"{LEFT}.point=[-0.295, 0, -0.8]": "move object, faces or base",  # plate 1 m away
+        f"{LEFT}.normal=[-0.501104, -0.200441, -0.841854]": "reverse contacts.l",
+        f"{LEFT}.point=[-0.595011, -0.002004, 0.37]": "219 mm beside",  # contact outside the face
+        "motion.0.signals.0.amplitude=80 m": "are its signals in the right unit?",
+        "force.left_end=[{type: constant, value: 5 kN}]": "30 times their limits",
+        "force.right_end.0.value=-9 N": "this contact cannot pull",
+        "arms.left.posture=[0, 0, 0]": "8 joint positions given",
+        "arms.left.wrist_sensor=null": "name a frame of its URDF as wrist_sensor",
+    }.items(),
+)
 def test_what_cannot_run_is_refused_at_every_door(change, cure, tmp_path):
     for line in ("inspect two_contact_rod --set", f"run two_contact_rod --out {tmp_path} --set"):
         assert cure in refused(line, change)
@@ -56,7 +41,24 @@ def test_what_cannot_run_is_refused_at_every_door(change, cure, tmp_path):
         run_of("two_contact_rod", change, duration=0.5)
 
 
-@parametrize("change, words", DOUBTFUL.items())
+@parametrize(
+    "change, words",
+    {
+        f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]": "which does not permit it",
+        f"{LEFT}.motion={{type: cart, direction: [0, 0, 1], mass: 2 kg}}": (
+            "nothing balances the cart of 'face_left_end'"
+        ),
+        "plant.flexible_joints.frequency=60 Hz": "set control.joint_torque={rate: 4 kHz}",
+        "model_error.arm_mass=1.2": "arm_mass is 1.2, and nothing zeroes",  # no tare
+        # out of reach
+        "motion.0.signals=[{type: minimum_jerk, value: 0.5 m, duration: 0.4 s}]": (
+            "where no posture near the start puts it"
+        ),
+        # friction that the filter reads
+        "plant.friction=0.2": "set control.force.reading=least_squares, or give control.friction",
+        "sensors.wrist={rate: 1 kHz, torque: {bias: 0.1 Nm}}": "set tare={} to zero them",
+    }.items(),
+)
 def test_what_is_doubtful_is_reported_at_every_door(change, words, caplog):
     with caplog.at_level(logging.WARNING, "osc_contact.preflight"):
         result = call("inspect two_contact_rod --set", change)
@@ -364,8 +366,7 @@ def test_mistakes_of_an_install_are_its_own():
 def test_one_force_for_two_contacts():
     rig = rig_of()
     controller = rig.controller()
-    at = rig.references.at(0.0)
-    controller.tick(rig.plant().measure(), osc.Reference(at.X_WD, alpha_d=10.0))
+    controller.tick(rig.plant().measure(), osc.Reference(rig.references.at(0.0).X_WD, alpha_d=10.0))
     assert controller.status is osc.Status.HELD
     assert "1 forces for 2 columns of N; give one for each degree" in controller.reason
 

@@ -41,11 +41,6 @@ def couple(axis):
     return np.concatenate((np.zeros(3), axis))
 
 
-def seen_from(N, point):
-    """The same wrenches with their moments about another point."""
-    return np.concatenate((N[:3], N[3:] - np.cross(point, N[:3], axis=0)))
-
-
 def largest_sine(A, B):
     """Between range(A) and range(B), by their orthogonal projectors."""
     assert A.shape == B.shape
@@ -252,9 +247,10 @@ def test_nothing_depends_on_operational_point_axes_units_or_basis():
         found = as_raibert_craig(N, SIZE, centre=centre)
         R = pose_of(rng).rotation
         turned = np.kron(np.eye(2), R) @ N
+        about_another = np.concatenate((N[:3], N[3:] - np.cross(away, N[:3], axis=0)))
         same = pin.SE3.Identity()
         for other, at, X, unit in (
-            (seen_from(N, away), centre - away, shift(away), 1.0),
+            (about_another, centre - away, shift(away), 1.0),
             (turned, R @ centre, pin.SE3(R.T, np.zeros(3)), 1.0),
             (N @ rng.standard_normal((r, r)), centre, same, 1.0),
             (N * millimetres, 1e3 * centre, same, 1e3),
@@ -280,7 +276,7 @@ def test_malformed_selections_are_refused(flags):
 
 
 @parametrize(
-    ("given", "words"),
+    "given, words",
     [
         *((dict(size=size), "size = ") for size in (0.0, -1.0, np.nan, np.inf)),
         *((dict(tolerance=tolerance), "tolerance = ") for tolerance in (0.0, 1.0, np.nan)),

@@ -12,7 +12,8 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, plant_error
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, raises
+from samples import parametrize
 from scenario_runs import rig_of
 from test_loop import REFERENCE, Controller, Robot, loop_of
 from test_own_driver import HOME, Driver
@@ -169,7 +170,7 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
     assert found.wrench_scale == approx(1.0, abs=0.15) and found.forces
 
 
-@mark.parametrize(
+@parametrize(
     "fault, sentence",
     {
         "mirrored wrench": "the wrench is reversed",

@@ -151,7 +151,7 @@ def test_the_same_content_makes_the_same_bytes_with_times_apart(tmp_path):
     for run in ("first", "second"):
         spent = {"wall_s": 1.0 + len(run), "cpu_s": 2.0}
         channels = {**record().channels, "tick_s": np.full(5, 1.0 + len(run)), "last": np.arange(5)}
-        recording = Recording({**META, **spent}, channels)
+        recording = Recording(META | spent, channels)
         path = recording.save(tmp_path / run / "run.npz")
         loaded = Recording.load(path)
         assert loaded.meta == recording.meta and list(loaded.channels) == list(channels)

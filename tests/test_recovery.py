@@ -111,14 +111,13 @@ def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
         (tmp_path / kind).mkdir()
         setting = {"PYTHONHASHSEED": seed, "OPENBLAS_NUM_THREADS": threads}
         setting |= {"NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
-        done = python(*RUN[1:], tmp_path / kind, "0.7", **setting)
-        assert done.stdout.split()[-1] == "700"
+        assert python(*RUN[1:], tmp_path / kind, "0.7", **setting).stdout.split()[-1] == "700"
         files.append((tmp_path / kind / "recording.npz").read_bytes())
     assert files[0] == files[1]
 
 
 @parametrize(
-    ("name", "plant"),
+    "name, plant",
     [
         ("two_contact_rod", "rigid"),
         ("moving_face", "mujoco"),
@@ -131,8 +130,7 @@ def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tm
     once = osc.run(scenario, duration=0.06)
     monkeypatch.setattr(rows_of_runs, "_EVERY", 0.0)
     monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", 0)
-    found = osc.run(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap")
-    same(found, once)
+    same(osc.run(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap"), once)
     recovered = osc.recover(tmp_path / "unfinished.mcap")
     assert recovered.meta["missing"] == []
     same(recovered, once)

@@ -76,7 +76,7 @@ def chain(joints, masses, length=1.0, mass=1.0):
             f'<axis xyz="{axis}"/><limit lower="{-length if kind == "prismatic" else -1.5}" '
             f'upper="{length if kind == "prismatic" else 1.5}" effort="1" velocity="1"/></joint>'
         )
-    return text + "</robot>"
+    return f"{text}</robot>"
 
 
 def summary(folder, text, *tip):
@@ -100,8 +100,7 @@ UNITS = parametrize("length, mass", [(1.0, 1.0), (1e3, 1.0), (1.0, 1e-3), (0.025
 def test_a_gantry_has_the_masses_it_pushes(tmp_path, length, mass):
     axes = [("prismatic", axis, "0 0 0") for axis in ("1 0 0", "0 1 0", "0 0 1")]
     robot = summary(tmp_path, chain(axes, [5.0, 3.0, 2.0], length, mass))
-    moved = [joint.moved_mass / mass for joint in robot.joints]
-    assert moved == approx([10.0, 5.0, 2.0])
+    assert [joint.moved_mass / mass for joint in robot.joints] == approx([10.0, 5.0, 2.0])
     assert robot.mass == robot.moving_mass == approx(10.0 * mass)
     (tip,) = robot.tips
     assert tip.mass == approx((2.0 * mass, 10.0 * mass)) and tip.inertia == (np.inf, np.inf)

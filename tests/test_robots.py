@@ -7,6 +7,7 @@ import pinocchio as pin
 from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose
 from pytest import approx, raises
+from rigs import placed
 from samples import ROOT, parametrize
 from second_reader import urdf_difference
 
@@ -16,7 +17,6 @@ from osc_contact.robots import JointLimits, loading
 from osc_contact.robots.model import build_model
 
 ARMS = ("scara_left.urdf", "scara_right.urdf")
-BODIES = ("rod.urdf", "face.urdf")
 MIRROR = np.diag([1.0, -1.0, 1.0])
 
 
@@ -62,15 +62,14 @@ def test_right_arm_is_the_mirror_image_of_the_left():
 
 def test_rod_inertia_is_that_of_a_capsule():
     rod = robots.load_body(robots.urdf_path("rod.urdf"))
-    along_z = pin.Inertia.FromCapsule(1.5, 0.01, 0.58)
-    turned = pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.zeros(3)).act(along_z)
+    turned = placed(rpy=(0, np.pi / 2, 0)).act(pin.Inertia.FromCapsule(1.5, 0.01, 0.58))
     assert_allclose(rod.matrix(), turned.matrix(), rtol=1e-6, atol=1e-9)
 
 
 # Second readers ---------------------------------------------------------------------------------
 
 
-@parametrize("name", ARMS + BODIES)
+@parametrize("name", [*ARMS, "rod.urdf", "face.urdf"])
 def test_a_second_reader_places_every_link_alike(name):
     assert urdf_difference(robots.urdf_path(name)) < 1e-12
 
@@ -169,7 +168,7 @@ def write(folder, *changes, limit=LIMIT, joint="turn", kind="revolute", **links)
     for old, new in changes:
         text = text.replace(old, new)
     file = folder / "toy.urdf"
-    file.write_text(text + "</robot>")
+    file.write_text(f"{text}</robot>")
     return file
 
 
@@ -192,8 +191,7 @@ def test_load_body_wants_one_rigid_link(tmp_path):
         robots.load_body(write(tmp_path, kind="fixed", tip=BALL, end=BALL))
     with model_error(r"found 0 \(none\)"):
         robots.load_body(write(tmp_path, kind="fixed", tip=""))
-    inertia = robots.load_body(write(tmp_path, kind="fixed"))
-    assert_allclose(inertia.lever, [0.1, 0, 0])
+    assert_allclose(robots.load_body(write(tmp_path, kind="fixed")).lever, [0.1, 0, 0])
 
 
 def test_the_second_reader_notices_a_joint_that_is_2_nm_off(tmp_path, monkeypatch):

@@ -14,9 +14,11 @@ from pytest import approx, fixture
 from rigs import (
     UNLIMITED,
     largest,
+    placed,
     random_state,
     shift,
     strong,
+    terms_at,
     ticked,
     with_motors,
     without_contacts,
@@ -84,7 +86,7 @@ def test_unreadable_joints_leave_the_last_posture():
     assert controller.unbraked is not None
 
 
-@parametrize(("name", "pace"), [("one_panda", 0.15), ("two_contact_rod", 1.0)])
+@parametrize("name, pace", [("one_panda", 0.15), ("two_contact_rod", 1.0)])
 def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
     case = CASES[name]()
     plant, controller = without_contacts(case, engaged=False)
@@ -179,7 +181,7 @@ def test_a_joint_is_stopped_before_its_end():
     ends = []
     for k in range(4000):
         angle = 1.5 * k * DT  # a turn that the wrist has no room for
-        goal = X * pin.SE3(pin.exp3(np.array([0.0, 0.0, angle])), np.zeros(3))
+        goal = X * placed(rpy=(0.0, 0.0, angle))
         seen = plant.measure()
         ends.append(np.fmin(seen.q - model.lowerPositionLimit, model.upperPositionLimit - seen.q))
         spin = np.append(np.zeros(3), 1.5 * X.rotation[:, 2])
@@ -194,7 +196,7 @@ def test_a_joint_is_stopped_before_its_end():
 
 
 @parametrize(
-    ("times", "word", "ticks"), [(8.0, "three times its command", 51), (-1.0, "fifth of its", 101)]
+    "times, word, ticks", [(8.0, "three times its command", 51), (-1.0, "fifth of its", 101)]
 )
 def test_a_force_that_is_far_too_large_stops_it_and_so_does_one_that_is_not_felt(
     times, word, ticks
@@ -223,10 +225,10 @@ def stop_of(case, v, known=True):
     Each arm carries its share of the object, where it is `known`.
     """
     chain = case.chain
-    data = chain.model.createData()
-    carry = pin.nonLinearEffects(chain.model, data, case.q, v)
+    data = terms_at(chain.model, case.q, v)
+    carry = np.array(data.nle)
     q_dd = -40.0 * v
-    brake = pin.crba(chain.model, data, case.q) @ q_dd
+    brake = data.M @ q_dd
     rest = case.at_rest()
     for arm, s in zip(rest.arms if known else (), chain.slices, strict=known):
         share = arm.J.T / len(rest.arms)
@@ -251,8 +253,7 @@ def test_motors_carry_first_and_brake_with_what_is_left(arms):
         most = abs(carry) * rng.choice([1.0, 0.9], len(q), p=[0.7, 0.3])
         most += abs(brake) * rng.choice([0.05, 0.3, 0.9, 5.0], len(q), p=[0.1, 0.1, 0.1, 0.7])
         most[[j for j in range(len(q)) if j not in chain.actuated]] = np.inf
-        weak = with_motors(chain, most[chain.actuated])
-        controller = osc.Controller(weak, [])
+        controller = osc.Controller(with_motors(chain, most[chain.actuated]), [])
         blind = osc.Measurement(q, v, BLIND[: len(chain.arms)])
         tau = controller.tick(blind, osc.Reference(pin.SE3.Identity()))
         room = np.maximum(most - carry * np.sign(brake), 0.0) / abs(brake)

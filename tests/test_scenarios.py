@@ -225,8 +225,7 @@ def test_all_complaints_come_at_once_sorted_by_line():
     text = text.replace("  right: {xyz", "  rigth: {xyz").replace(
         "damping: 40", "damping: 1\n    ,damping: 2"
     )
-    lines = [int(one.split(":")[1]) for one in complaints(text)]
-    assert lines == [3, 5, 9, 11, 16, 28, 31, 32]
+    assert [int(one.split(":")[1]) for one in complaints(text)] == [3, 5, 9, 11, 16, 28, 31, 32]
 
 
 def test_the_period_may_miss_a_whole_multiple_by_rounding_only():

@@ -46,8 +46,7 @@ LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
 
 @module_fixture
 def shown(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("scene")
-    return Shown(write(folder))
+    return Shown(write(tmp_path_factory.mktemp("scene")))
 
 
 def test_page_fetches_nothing_and_escapes_its_words(shown):
@@ -66,8 +65,7 @@ def test_arm_and_object_stand_where_the_recording_has_them(shown):
     for frame in (0, 4, 10):
         placed = links(RECORDING["q"][10 * frame])
         for joint in ("joint1", "joint3", "hinge"):
-            found = shown.pose(f"/meshcat/arms/left/{joint}", frame)
-            assert found.isApprox(placed[joint], 1e-5)
+            assert shown.pose(f"/meshcat/arms/left/{joint}", frame).isApprox(placed[joint], 1e-5)
         rod = shown.at("/meshcat/bodies/rod/base", "position", frame)
         assert_allclose(rod, RECORDING["pose"][10 * frame, :3], atol=1e-6)
 

@@ -10,7 +10,7 @@ from complaints import invalid_input, model_error, scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import PANDA_Q, largest, one_panda, shift
+from rigs import PANDA_Q, largest, one_panda, placed, shift
 from samples import first, parametrize
 from scenario_runs import always_closed, rig_of, verdict_of, worst_force
 from test_moving_face import TURNING
@@ -46,9 +46,7 @@ class Toy:
 
     def measure(self):
         t = self.time
-        X = np.eye(4)
-        X[:3, :3] = pin.exp3(np.array([0.0, 0.0, 0.1 * t]))
-        X[0, 3] = 0.02 * t
+        X = placed(0.02 * t, rpy=(0.0, 0.0, 0.1 * t)).homogeneous
         V = np.array([[0.02, 0, 0, 0, 0, 0.1]])
         return Measurement(
             np.arange(1, 4) * t,
@@ -83,16 +81,14 @@ def test_noise_and_bias_have_the_size_given():
     steps = SensorErrors(resolution=0.01)
     vision = VisionSpec(1e3, position={"noise": 1e-3}, orientation={"noise": 5e-3})
     wrists = clock, SensorErrors(noise, bias)
-    sensors = Sensors(encoders=(clock, steps), wrists=wrists, vision=vision)
-    out = readings(sensors, 4000)
+    out = readings(Sensors(encoders=(clock, steps), wrists=wrists, vision=vision), 4000)
     t = np.arange(len(out)) * DT
     read = np.array([m.wrenches for m in out])
     offset = read.mean(axis=0) - 5.0
     assert np.all(np.abs(offset) < bias + 0.1 * noise) and largest(offset / bias) > 0.2
     assert_allclose(read.std(axis=0) / noise, 1.0, atol=0.06)
     white = (read - read.mean(axis=0)).reshape(len(read), -1)
-    together = np.corrcoef(white.T) - np.eye(12)
-    assert largest(together) < 0.08
+    assert largest(np.corrcoef(white.T) - np.eye(12)) < 0.08
     assert largest((white[1:] * white[:-1]).mean(axis=0) / white.var(axis=0)) < 0.08
     q = np.array([m.q for m in out])
     assert_allclose(q / 0.01, np.round(q / 0.01), atol=1e-9)
@@ -222,14 +218,13 @@ def test_the_standard_errors_are_the_spread_of_many_calibrations():
         calibrate_wrist(R, clean + noise * rng.standard_normal(clean.shape), noise)
         for _ in range(2000)
     ]
-    spread = np.std([load.mass for load in loads])
-    assert loads[0].mass_error == approx(spread, rel=0.1)
+    assert loads[0].mass_error == approx(np.std([load.mass for load in loads]), rel=0.1)
     assert_allclose(loads[0].com_error, np.std([load.com for load in loads], axis=0), rtol=0.25)
 
 
 def test_a_wrist_that_only_turns_about_the_vertical_is_refused():
     """Every SCARA: weight and bias cannot be separated."""
-    R = [pin.exp3(np.array([0.0, 0.0, a])) for a in np.linspace(0, 3, 8)]
+    R = [placed(rpy=(0, 0, a)).rotation for a in np.linspace(0, 3, 8)]
     readings = [at_rest(X, 1.0, [0.01, 0.0, 0.05], np.zeros(6)) for X in R]
     with model_error(r"m, .*b_f_z.*tared"):
         calibrate_wrist(R, readings)
@@ -432,8 +427,7 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
 
 
 def test_vision_tracks_rod_and_arms_where_they_are():
-    rig = rig_of("moving_face", "plant.type=rigid", VISION)
-    sensed = rig.plant(5)
+    sensed = rig_of("moving_face", "plant.type=rigid", VISION).plant(5)
     seen = sensed.measure().seen
     truth = sensed.truth()
     for X, Y in zip((seen.object, *seen.tips), sensed.plant.poses(), strict=True):
@@ -446,7 +440,7 @@ def test_vision_tracks_rod_and_arms_where_they_are():
 def test_a_wandering_camera_is_followed():
     rng = default_rng(2)
     known = scattered(rng)
-    moved = pin.SE3(pin.exp3(np.array([0, 0, 2e-3])), np.array([3e-3, 0, 0]))
+    moved = placed(3e-3, rpy=(0, 0, 2e-3))
     found = Registration(*NOISE, drift=(1e-3, 1e-3))
     for where in (pin.SE3.Identity(), moved):
         for _ in range(600):

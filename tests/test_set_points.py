@@ -172,7 +172,7 @@ def test_bad_numbers_are_refused_at_the_door(bad):
 
 
 @parametrize(
-    ("start", "speed", "dt", "words"),
+    "start, speed, dt, words",
     [
         ([], 1.0, DT, "start"),
         ([1, [2]], 1.0, DT, "start"),

@@ -27,8 +27,7 @@ def tick(chain, q, v, posture=None, controller=None):
     reference = osc.Reference(goal, alpha_d=np.zeros(0), squeeze_d=4.0)
     controller = controller or osc.Controller(chain, [], GAINS, posture=posture)
     controller.reset()
-    measurement = unloaded(q, v, len(chain.arms))
-    return controller, controller.tick(measurement, reference)
+    return controller, controller.tick(unloaded(q, v, len(chain.arms)), reference)
 
 
 def share_left(chi):
@@ -156,19 +155,22 @@ SCARAS = ("two_contact_rod", [0, 1, 0], 0.2205)  # 0.2185 m is all they reach
 PANDA = ("panda_edge", [1, 0, 0.2], 0.4386)  # 0.4366 m
 
 
-RUNS = [
-    (SCARAS, 1.0, "mujoco"),
-    (PANDA, 1.1, "mujoco"),
-    (SCARAS, 1.6, "mujoco"),
-    (PANDA, 1.6, "mujoco"),
-    (SCARAS, 0.6, "mujoco"),
-    (PANDA, 0.8, "mujoco"),
-    (SCARAS, 1.0, "rigid"),
-    (PANDA, 0.8, "rigid"),
-]
-
-
-@parametrize("run", first(RUNS), ids=str)
+@parametrize(
+    "run",
+    first(
+        [
+            (SCARAS, 1.0, "mujoco"),
+            (PANDA, 1.1, "mujoco"),
+            (SCARAS, 1.6, "mujoco"),
+            (PANDA, 1.6, "mujoco"),
+            (SCARAS, 0.6, "mujoco"),
+            (PANDA, 0.8, "mujoco"),
+            (SCARAS, 1.0, "rigid"),
+            (PANDA, 0.8, "rigid"),
+        ]
+    ),
+    ids=str,
+)
 def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(run):
     arms, duration, plant = run
     recording = outward(*arms, duration, plant)

@@ -86,7 +86,7 @@ def test_as_array_returns_a_fresh_float_copy():
 
 
 @parametrize(
-    ("value", "shape", "message"),
+    "value, shape, message",
     [
         (np.zeros((2, 3)), (3, 3), r"tool: expected shape \(3, 3\), got \(2, 3\)"),
         (np.zeros(3), (3, None), r"tool: expected shape \(3, any\), got \(3,\)"),

@@ -169,7 +169,7 @@ def point_of(pair, X, X_WE):
     return start + np.linalg.lstsq(lines, pair.edge_point - start, rcond=None)[0][0] * e
 
 
-def turned_in_the_law(pair, turn, q, v, reference, touched=None):
+def turned_in_the_law(pair, turn, q, v, reference, touched):
     """N, n_γ and the next turn of a law whose pair is turned so far and slides off at 20 mm/s."""
     controller = osc.Controller(one_panda(), [pair], dt=DT)
     measurement = osc.Measurement(q, v, np.zeros((1, 6)), touched)
@@ -208,7 +208,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         pair = touching(kind, X_WE.actInv(X) * shift([0.01, 0.02, -0.01]), rng.integers(99), 0.1)
         touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
         V_D = 0.3 * rng.standard_normal(6)
-        reference = osc.Reference(X, V_D, alpha_d=np.array([10.0]))
+        reference = osc.Reference(X, V_D, alpha_d=[10.0])
         keys = {"edge_on_edge": "edge_direction", "sphere_on_plane": "face_normal"}
         key = keys.get(kind, "normal")
         sign = -1.0 if kind in ("vertex_on_face", "sphere_on_plane") else 1.0

@@ -99,7 +99,7 @@ def test_the_loop_in_real_time_counts_every_tick(library, rod, rate):
     lines = run(library / "loop", rate, 0.2, *rod).splitlines()
     assert f"{rate // 5} ticks at {rate} Hz" in next(x for x in lines if "missed" in x)
     for name in "tick", "latency":
-        line = next(x for x in lines if x.startswith(name + ":"))
+        line = next(x for x in lines if x.startswith(f"{name}:"))
         figures = [float(word) for word in re.findall(r"([\d.]+) µs", line)]
         assert len(figures) == 4 and figures == sorted(figures) and figures[0] > 0, line
     shown = [re.fullmatch(r"  below +(\d+) µs: (\d+)", x) for x in lines]
@@ -121,14 +121,13 @@ def test_every_way_a_tick_ends_is_replayed(library, tmp_path, name):
         m = case.measurement
         q = m.q + 1e-4 * rng.standard_normal(len(m.q)) * (np.nan if k % 50 > 44 else 1.0)
         wrenches = m.wrenches + rng.standard_normal(m.wrenches.shape)
-        given = replace(m, q=q, wrenches=wrenches, wrench_valid=k % 7 != 3)
-        controller.tick(given, case.reference)
+        controller.tick(replace(m, q=q, wrenches=wrenches, wrench_valid=k % 7 != 3), case.reference)
         if k == 200:
             controller.reset()
     (tmp_path / "recording.osc").write_bytes(tape.content())
     said = run(library / "replay", *files(tmp_path))
     assert said.startswith("400 of 400 ticks bit-equal") and " 0 HELD" not in said
-    assert (" 0 " + case.status.name) not in said
+    assert f" 0 {case.status.name}" not in said
 
 
 def test_the_library_needs_libc_and_libm_only(library):
@@ -250,8 +249,7 @@ def test_a_saved_controller_continues_and_takes_gains_tare_and_reset(
             controller.reset()
             assert c.osc_reset(handle) == 0
         noise = 1e-4 * rng.standard_normal(len(m.q)) * (np.nan if k > 120 else 1.0)
-        moved = replace(m, q=m.q + noise)
-        tick_in_both(c, handle, controller, moved, rig.references.at(1e-3 * k))
+        tick_in_both(c, handle, controller, replace(m, q=m.q + noise), rig.references.at(1e-3 * k))
         seen.add(controller.status)
     assert osc.Status.HELD in seen and len(seen) > 1
     c.osc_destroy(handle)
@@ -366,8 +364,7 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
         last = last + step * min(1.0, TORQUE_STEP / largest(step))
         wanted.append(last)
     (tmp_path / "robot").write_bytes(np.array(states).tobytes())
-    said = run(program, tmp_path / "robot", tmp_path / "light.osc", 0.1)
-    assert said == "0.100 s, done\n"
+    assert run(program, tmp_path / "robot", tmp_path / "light.osc", 0.1) == "0.100 s, done\n"
     sent = np.frombuffer((tmp_path / "robot.torques").read_bytes()).reshape(-1, 8)
     assert_array_equal(np.flatnonzero(sent[:, 7]), [100])
     assert_allclose(sent[:, :7], wanted, atol=1e-9)
