@@ -8,8 +8,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 from grasp_oracle import PITCH, System, across
-from pinocchio.rpy import rpyToMatrix
-from rigs import data_at, unit
+from rigs import unit
 
 import osc_contact as osc
 from osc_contact import robots
@@ -123,7 +122,7 @@ class Case:
 
 def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BODY):
     """Arms of `arms` with grasps of `kinds`, bases wherever that puts them."""
-    X_WO = pin.SE3(rpyToMatrix(*rng.uniform(-0.5, 0.5, 3)), rng.uniform(-0.5, 0.5, 3))
+    X_WO = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-0.5, 0.5, 3)), rng.uniform(-0.5, 0.5, 3))
     parts = []
     held = []
     known = []
@@ -133,9 +132,9 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         bend = rng.uniform(0.5, 1.5) if bends is None else bends[i]
         q = posture(arm, rng, bend)
         axis = rng.normal(size=3)
-        turned = rpyToMatrix(*rng.uniform(-1.5, 1.5, 3))
+        turned = pin.rpy.rpyToMatrix(*rng.uniform(-1.5, 1.5, 3))
         if upright:
-            turned = rpyToMatrix(0, 0, rng.uniform(-3, 3))
+            turned = pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))
             axis = np.array([0, 0, 1.0])
             X_WO = pin.SE3(np.eye(3), X_WO.translation)
         X_TO = pin.SE3(turned, rng.uniform(-0.2, 0.2, 3))
@@ -152,8 +151,9 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         made.model.lowerPositionLimit = np.minimum(limits[0], q - 1.0)  # random postures know none
         made.model.upperPositionLimit = np.maximum(limits[1], q + 1.0)
         X_WT = X_WO * (slip * X_TO).inverse()
-        reached = data_at(made.model, q).oMf[made.model.getFrameId(tip)]
-        base = X_WT * reached.inverse()
+        data = made.model.createData()
+        pin.framesForwardKinematics(made.model, data, q)
+        base = X_WT * data.oMf[made.model.getFrameId(tip)].inverse()
         parts.append(replace(made, base=base))
         held.append(grasp_of(kind, X_TO, axis))
         known.append((kind, X_TO, unit(axis)))
