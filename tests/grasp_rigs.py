@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 from grasp_oracle import PITCH, System, across
-from pinocchio.rpy import rpyToMatrix
 from rigs import data_at, placed, shift, unit
 
 import osc_contact as osc
@@ -133,9 +132,9 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         bend = rng.uniform(0.5, 1.5) if bends is None else bends[i]
         q = posture(arm, rng, bend)
         axis = rng.normal(size=3)
-        turned = rpyToMatrix(*rng.uniform(-1.5, 1.5, 3))
+        turned = pin.rpy.rpyToMatrix(*rng.uniform(-1.5, 1.5, 3))
         if upright:
-            turned = rpyToMatrix(0, 0, rng.uniform(-3, 3))
+            turned = pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))
             axis = np.array([0, 0, 1.0])
             X_WO = shift(X_WO.translation)
         X_TO = pin.SE3(turned, rng.uniform(-0.2, 0.2, 3))

@@ -19,7 +19,7 @@ from numpy.linalg import cholesky, inv, lstsq, svd
 from numpy.random import default_rng
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
-from rigs import LWA, data_at, direction, largest, placed, product, shift, terms_at, unit
+from rigs import LWA, data_at, direction, largest, placed, product, shift, unit
 
 from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
 
@@ -111,8 +111,18 @@ def on_joint(joint, rng, at, known, prescribed=False):
     return Body(model, q, v, tau, known, acceleration)
 
 
+def free(rng, at):
+    def known(O):
+        wrench = (body.X.rotation @ body.tau.reshape(2, 3).T).T.ravel()
+        here = {"X_WE": body.X, "axes": np.eye(6), "rates": body.V, "O": O}
+        return Environment.rail(body.model.inertias[1], **here, gravity=G, force=wrench)
+
+    body = on_joint(pin.JointModelFreeFlyer(), rng, at, known)
+    return body
+
+
 def guided(joint):
-    """A body on one joint: rail, door, ball, plate on a plane, or free."""
+    """A body on one joint: rail, door, ball, plate on a plane."""
 
     def make(rng, at):
         def known(O):
@@ -191,7 +201,7 @@ def cart(rng, at):
 
 
 BODIES = {
-    "free body": guided(lambda rng: pin.JointModelFreeFlyer()),
+    "free body": free,
     "rail": guided(lambda rng: pin.JointModelPrismaticUnaligned(direction(rng))),
     "hinge": guided(lambda rng: pin.JointModelRevoluteUnaligned(direction(rng))),
     "ball": guided(lambda rng: pin.JointModelSpherical()),
@@ -315,12 +325,11 @@ class State:
         self.v = v
         self.V = V
         self.system = self.case.system(v, V)
-        rows = self.system.rows
         n = self.n
-        self.grasps = np.vstack([np.zeros((0, n + 6)), *(row.coefficients for row in rows)])
+        self.grasps = self.system.rows
         U, values, Vh = svd(self.grasps)
         rank = np.count_nonzero(values > 1e-9 * values.max(initial=1.0))
-        right = U[:, :rank].T @ np.array([row.right for row in rows])
+        right = U[:, :rank].T @ self.system.right
         self.Z = Vh[rank:]
         S, sizes, _ = svd(self.Z[:, n:].T)
         self.S = S[:, : np.count_nonzero(sizes > 1e-9)]
@@ -353,11 +362,12 @@ class State:
         force[: self.n] = -s.h - self.case.chain.model.damping * self.v
         force[self.n : n] = s.pull
         force[self.case.chain.actuated] += tau
-        rows = [np.pad(row.coefficients, (0, end - n)) for row in s.rows]
-        right = [row.right for row in s.rows]
+        rows = [np.pad(row, (0, end - n)) for row in s.rows]
+        right = [*s.right]
         for b in self.bodies:
             part = parts[id(b)]
-            data = terms_at(b.model, b.q, b.v)
+            data = b.model.createData()
+            pin.computeAllTerms(b.model, data, b.q, b.v)
             M[part, part] = data.M
             force[part] = b.tau - data.nle
             if b.prescribed is not None:
@@ -412,7 +422,7 @@ class State:
         NS = self.N @ self.S
         r = len(self.N)
         K = np.block([[S.T @ W @ S, NS.T], [NS, np.zeros((r, r))]])
-        y = np.concatenate((S.T @ W @ (target - self.sigma), value - self.N @ self.sigma))
+        y = np.append(S.T @ W @ (target - self.sigma), value - self.N @ self.sigma)
         return S @ solve(K, y)[0][: S.shape[1]] + self.sigma
 
     def inertia_of_all(self):

@@ -14,7 +14,7 @@ from importlib import import_module
 
 import numpy as np
 import pinocchio as pin
-from numpy.linalg import norm, svd
+from numpy.linalg import svd
 from numpy.random import default_rng
 from rigs import direction, pose_of, shift
 
@@ -88,10 +88,8 @@ def about(axis, angle):
 
 
 def carrying(start, end):
-    """A rotation that turns one unit vector into another."""
-    axis = np.cross(start, end)
-    sine = norm(axis)
-    return pin.exp3(np.arctan2(sine, start @ end) * axis / sine)
+    """The shortest turn of one unit vector into another."""
+    return pin.Quaternion.FromTwoVectors(start, end).matrix()
 
 
 def placed(R, of_A, at_E):
@@ -256,36 +254,36 @@ def free(rng, c):
     return osc.Free(), lambda q: pin.SE3(pin.exp3(q[:3]), q[3:]), 0
 
 
-def point_on(rng, c, spread, place):
-    """A point of the object on a surface or a wire, given by gaps.
-
-    Args:
-        spread: of the free coordinates (m). place: these ↦ the others.
-    """
-    point = rng.standard_normal(3)
-    X = pose_of(rng)
-    k = len(spread)
-
-    def gap(X_EA):
-        x = X.actInv(X_EA.act(point))
-        return x[k:] - place(*x[:k])
-
-    def pose(q):
-        x = spread * q[3:]
-        return placed(pin.exp3(q[:3]), point, X.act(np.append(x, place(*x))))
-
-    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 3 - k
-
-
 @kind
 def point_on_a_saddle(rng, c):
-    k, m = rng.standard_normal(2)
-    return point_on(rng, c, np.full(2, 0.5), lambda x, y: [k * x * x + m * y * y * y])
+    vertex = rng.standard_normal(3)
+    (k, m) = rng.standard_normal(2)
+    X = pose_of(rng)
+
+    def gap(X_EA):
+        x, y, z = X.actInv(X_EA.act(vertex))
+        return np.array([z - k * x * x - m * y * y * y])
+
+    def pose(q):
+        x, y = 0.5 * q[3:]
+        return placed(pin.exp3(q[:3]), vertex, X.act(np.array([x, y, k * x * x + m * y**3])))
+
+    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 1
 
 
 @kind
 def bead_on_a_wire(rng, c):
-    return point_on(rng, c, np.ones(1), lambda x: [np.sin(x), 0.5 * x * x])
+    bead = rng.standard_normal(3)
+    X = pose_of(rng)
+
+    def gap(X_EA):
+        x, y, z = X.actInv(X_EA.act(bead))
+        return np.array([y - np.sin(x), z - 0.5 * x * x])
+
+    def pose(q):
+        return placed(pin.exp3(q[:3]), bead, X.act(np.array([q[3], np.sin(q[3]), 0.5 * q[3] ** 2])))
+
+    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2
 
 
 def steps(order, reach):
@@ -313,7 +311,7 @@ def kinematics(X):
 
     p_dot, p_ddot = (rate(lambda t: X(t).translation, order) for order in (1, 2))
     w, w_dot = (odd(rate(lambda t: X(t).rotation, order) @ R.T) for order in (1, 2))
-    return np.concatenate((p_dot, w)), np.concatenate((p_ddot - np.cross(w, p_dot), w_dot))
+    return np.append(p_dot, w), np.append(p_ddot - np.cross(w, p_dot), w_dot)
 
 
 @dataclass(frozen=True)

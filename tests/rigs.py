@@ -54,6 +54,11 @@ def shift(p):
     return pin.SE3(np.eye(3), np.array(p, dtype=float))
 
 
+def rotated(R):
+    """A pose that moves nothing."""
+    return pin.SE3(R, np.zeros(3))
+
+
 def displacement(start, end):
     """(6,) from one pose to another: of the origin, and turned, in world axes."""
     turn = pin.log3(end.rotation @ start.rotation.T)
@@ -171,16 +176,15 @@ def random_state(chain, rng):
     if chain is one_panda():
         q = PANDA_Q + rng.uniform(-0.6, 0.6, 7)
         return q, rng.normal(size=7)
-    scara = chain.nq == 10
     while True:
         shift = rng.uniform(-1, 1, 3)
-        if scara:
+        if chain.nq == 10:
             rpy = (0.0, *rng.uniform(-0.5, 0.5, 2))
             X = placed(0.1 * shift[0], 0.1 * shift[1], 0.2 + 0.03 * shift[2], rpy)
             guess = SCARA_Q
         else:
             X = placed(*(0.08 * shift + [0, 0, 0.45]), rpy=rng.uniform(-0.3, 0.3, 3))
-            guess = np.concatenate((PANDA_Q, PANDA_Q)) + rng.uniform(-0.3, 0.3, 14)
+            guess = np.append(PANDA_Q, PANDA_Q) + rng.uniform(-0.3, 0.3, 14)
         try:
             q = close(chain, reach(chain, guess, X))
         except osc.ModelError:

@@ -10,6 +10,11 @@ def rig_of(name="two_contact_rod", *changes):
     return osc.build_rig(osc.load_scenario(name, changes))
 
 
+def first_inputs(rig):
+    """Measurement and reference of its first tick."""
+    return rig.plant().measure(), rig.references.at(0.0)
+
+
 def run_of(name="two_contact_rod", *changes, **how):
     """The recording of its run."""
     return osc.run(osc.load_scenario(name, changes), **how)

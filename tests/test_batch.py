@@ -57,13 +57,11 @@ def story(chain, q, count, ticks, rng, moving=False):
 
 
 def single(controller, x, i):
-    valid = bool(x["wrench_valid"][i])
     touched = touched_of(x["touched"][i]) if "touched" in x else None
     readings = x["q"][i], x["v"][i], x["wrenches"][i], touched
-    measurement = osc.Measurement(*readings, wrench_valid=valid)
-    squeeze = float(x["squeeze_d"][i])
+    measurement = osc.Measurement(*readings, wrench_valid=bool(x["wrench_valid"][i]))
     reference = osc.Reference(
-        pin.SE3(x["X_WD"][i]), x["V_D"][i], x["A_D"][i], x["alpha_d"][i], squeeze
+        pin.SE3(x["X_WD"][i]), x["V_D"][i], x["A_D"][i], x["alpha_d"][i], float(x["squeeze_d"][i])
     )
     return controller.tick(measurement, reference)
 

@@ -3,6 +3,7 @@
 Pinocchio gives M, h, J and drifts, `kkt_oracle` what grasps permit.
 """
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -102,7 +103,7 @@ def assert_chain(case, v, V, s, rng):
         (
             "w",
             rows @ np.append(s.w, s.sigma + product(V)),
-            np.array([row.right for row in system.rows]),
+            system.right,
             1e-7,
         ),
         ("Λ_S", s.Lambda_S, s.W.T @ s.M @ s.W + carried @ S, 1e-8),
@@ -214,11 +215,10 @@ def test_what_singular_postures_lose():
         ball = np.block([[np.eye(3), -c], [c, 0.1**2 * np.eye(3) - c @ c]])
         assert_close(s.reference, s.metric + chain.arm_mass * ball, name="Λ_ref")
         L = cholesky(s.reference)
-        lost = list(s.singular_directions)
         for i, arm in enumerate(s.arms):
             sizes = svd(L.T @ solve(cholesky(arm.M), arm.J.T).T, compute_uv=False)
             chis = sizes[: chain.full_ranks[i]]
-            mine = [one for one in lost if one.arm == i]
+            mine = [one for one in s.singular_directions if one.arm == i]
             assert_allclose(
                 sorted(one.chi for one in mine), sorted(chis[chis < 0.3]), rtol=1e-6, atol=1e-9
             )
@@ -236,7 +236,7 @@ def test_a_state_is_a_value():
     chain = scara_pair()
     rng = default_rng(73)
     one = chain.state(SCARA_Q, np.zeros(10))
-    kept = replace(one, M=one.M.copy(), Phi=one.Phi.copy())
+    kept = deepcopy(one)
     chain.state(*random_state(chain, rng))
     again = chain.state(SCARA_Q, np.zeros(10))
     for name in ("M", "Phi"):

@@ -44,12 +44,6 @@ def test_settings_that_cannot_work_are_refused():
         PhaseSettings(rise=0.0)
 
 
-def read_of(state, wrench):
-    """What two wrists read of a wrench at O that the first one carries."""
-    first = (state.sensors[0].inverse() * shift(state.X_WO.translation)).act(pin.Force(wrench))
-    return np.array([first.vector, np.zeros(6)])
-
-
 # --- the law on random masks ----------------------------------------------------------------------
 
 
@@ -120,9 +114,8 @@ def test_phases_change_nothing_while_contacts_stay_closed(name):
     """Filter and least squares, several columns, motors at their limits: bit for bit."""
     at_once = "gains.force.rise=0 s"  # or the first millinewtons would open a contact
     rig = rig_of(name, at_once)
-    bare = rig_of(name, at_once, "control.life=off")
     plant, controller = start(rig)
-    other = start(bare)[1]
+    other = start(rig_of(name, at_once, "control.life=off"))[1]
     assert controller.life is not None and other.life is None
     for reference in rig.references.each(2300 if name == "limited_rod" else 700, DT):
         measurement = plant.measure()
@@ -150,10 +143,11 @@ def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(read
     D = controller._records.work.mobility[:2, :2].copy()
     Phi = inv(state.payload.Lambda)
     seen = state.Lambda_out @ Phi @ N @ solve(N.T @ Phi @ N, x)
-    wrenches = measurement.wrenches + read_of(state, seen)
+    to_sensor = state.sensors[0].inverse() * shift(state.X_WO.translation)
+    first = to_sensor.act(pin.Force(seen)).vector  # the other wrist feels nothing of it
+    wrenches = measurement.wrenches + [first, np.zeros(6)]
     controller.tick(replace(measurement, wrenches=wrenches), reference)
-    found = controller.result().alpha_meas - before
-    assert_allclose(D @ found, x, rtol=1e-7, atol=1e-9)
+    assert_allclose(D @ (controller.result().alpha_meas - before), x, rtol=1e-7, atol=1e-9)
 
 
 @module_fixture
@@ -163,12 +157,11 @@ def knocked():
 
 def test_every_collision_of_a_knocked_rod_is_flagged_in_time(knocked):
     """The plant's own contacts are the judge: re-made after ≥ 10 ms, at ≥ 10 mm/s."""
-    recording = knocked
     hits = collisions(knocked)
     assert {hit.contact for hit in hits} == {0, 1} and len(hits) >= 3
     assert all(hit.flagged is not None and hit.flagged <= 0.02 for hit in hits)
     assert all(hit.power > 0.02 for hit in hits)
-    assert (recording["status"] == 0).all()
+    assert (knocked["status"] == 0).all()
     rubs = [f"arms.{arm}.friction=0.3" for arm in ("left", "right")]  # then something is learned
     rubbing = run_of("collisions", *rubs, duration=2.5)
     most = [np.abs(run["friction"]).max() for run in (knocked, rubbing)]

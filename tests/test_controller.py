@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture, raises
 from rigs import UNLIMITED, held_tick, largest, one_panda, refused, rig_of, ticked
 from samples import module_fixture, parametrize
+from scenario_runs import first_inputs
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -32,7 +33,7 @@ def rig():
 def ready(rig):
     """(controller, measurement, reference) after one good tick."""
     controller = rig.controller()
-    given = rig.plant().measure(), rig.references.at(0.0)
+    given = first_inputs(rig)
     ticked(controller, *given)
     return controller, *given
 
@@ -72,7 +73,7 @@ def test_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
         def contact(self, X_WO, V_O, X_WE=None, V_E=None):
             heading = X_WO.rotation[:, 0].copy()
             heading[2] = 0.0
-            return osc.Contact(np.concatenate((np.zeros(3), heading))[:, None])
+            return osc.Contact(np.append(np.zeros(3), heading)[:, None])
 
         def gaps(self, X_WO, X_WE=None):
             return np.zeros(1)
@@ -92,7 +93,7 @@ def test_wiring_is_complete_and_runs_forward(rig):
         known |= set(block.outputs)
     assert known - {name for block in BLOCKS for name in block.inputs} == {"tau"}
     controller = rig.controller()
-    controller.tick(rig.plant().measure(), rig.references.at(0.0))
+    controller.tick(*first_inputs(rig))
     assert all(hasattr(controller.signals, name) for name in known)
 
 
@@ -275,8 +276,7 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
         calls.append((measurement, replace(reference, **{name: bad})))
     limits = rig.chain.tau_max * (1.0 + 1e-12)
     not_computed = 0
-    starts = good, of_kind(KINDS["lists"], *good)
-    for call, start in product(calls, starts):
+    for call, start in product(calls, (good, of_kind(KINDS["lists"], *good))):
         controller = rig.controller()
         last = ticked(controller, *start)
         before = controller.force_integral, controller.motion_integral

@@ -118,8 +118,7 @@ def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
     assert set(status) == {int(osc.Status.OK)}
     assert run.controller.state is RUN and run.controller.state_age == 1500
     assert run.controller.repeated == 1, "the last packet came twice"
-    alpha = run.plant.truth().alpha
-    assert_allclose(alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
+    assert_allclose(run.plant.truth().alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
 
 
 @parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])

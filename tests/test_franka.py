@@ -199,8 +199,7 @@ def test_torques_stay_within_the_limits_of_the_robot(franka):
     robot, _ = at_rest(franka, 1)
     before = np.array(robot.state.tau_J_d)
     robot.command(np.full(7, 1e6), 1e-3)
-    step = np.array(robot._torques.tau_J) - before
-    assert largest(step) == approx(0.99)
+    assert largest(np.array(robot._torques.tau_J) - before) == approx(0.99)
     robot._v = robot.chain.model.upperVelocityLimit.copy()  # every joint at its limit
     robot.state = type("state", (), {"tau_J_d": robot.chain.tau_max})
     weight = pin.computeGeneralizedGravity(robot._model, robot._data, robot._q)
@@ -289,8 +288,7 @@ def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path
         return True
 
     course = Commissioning(robot, tmp_path, PROBE + RADIUS + 0.003, confirm, 3.0, False)
-    done = course.run()
-    assert done, course.lines
+    assert course.run(), course.lines
     assert steps == ["model", "wrench", "shadow", "contact"]
     report = (tmp_path / "report.md").read_text()
     assert "forces may be commanded" in report and (tmp_path / "forces.png").exists()

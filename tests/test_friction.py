@@ -12,7 +12,6 @@ import osc_contact as osc
 from benchmarks.cases import POINT
 from benchmarks.reversals import register_plants, reversing
 from osc_contact.runs.rig import PLANT_TYPES, PLANTS, register_plant
-from osc_contact.scenarios.control_schema import Friction
 
 
 def worst(mu, compensation):
@@ -82,16 +81,15 @@ def test_friction_leaves_a_face_as_stiff_as_it_is(solref):
 
 
 def test_friction_on_contacts_without_known_points_is_refused():
-    chain = scara_pair()
     pair = osc.Revolute(np.zeros(3), np.array([0.0, 0.0, 1.0]), name="hinge")
     with refused(r"hinge.*points of contact"):
-        osc.Controller(chain, [pair], friction=Friction(0.1))
+        osc.Controller(scara_pair(), [pair], friction=osc.Friction(0.1))
 
 
 @parametrize("bad", [(-0.1, 1e-3), (0.1, 0.0), (float("nan"), 1e-3)])
 def test_impossible_friction_is_refused(bad):
     with refused("mu"):
-        Friction(*bad)
+        osc.Friction(*bad)
 
 
 @parametrize("mu", [0.0, 0.2, 0.3])
@@ -101,8 +99,7 @@ def test_a_first_contact_shows_its_friction(mu):
     changes = [f"plant.friction={mu}", "control.friction={mu: 0}"]
     changes += ["control.force.reading=least_squares", f"sensors.wrist={wrist}"]
     recording = run_of("ur5_wipe", *changes, duration=1.2)
-    steps = osc.metrics(recording)["steps"]
-    assert max(step["overshoot_rel"] for step in steps) < 0.12
+    assert max(step["overshoot_rel"] for step in osc.metrics(recording)["steps"]) < 0.12
     assert recording["closed"][recording["t"] > 0.02].all()
 
 
@@ -126,7 +123,7 @@ def test_tangential_forces_of_a_contact_at_rest_leave_the_contact_force_as_comma
         controller.tick(measurement, reference)
         controller._memory.columns.tangential[:] = f
         tau = controller.tick(measurement, reference)
-        load = plant._jacobian(plant._object()[0]).T @ np.concatenate((f, np.cross(p, f)))
+        load = plant._jacobian(plant._object()[0]).T @ np.append(f, np.cross(p, f))
         forces.append(plant._solve(tau - load).alpha[0])
         held = plant._solve(tau).alpha[0] - forces[0]
     assert forces[1] == approx(forces[0], abs=1e-6) and abs(held) > 0.1

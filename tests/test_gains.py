@@ -147,11 +147,9 @@ def pressed(scenario, step_of, value=10.0):
 
 def overshoots(run):
     """Of the first contact and of the step, shares; and what the step does to other forces (N)."""
-    t = run["t"]
-    true = run["alpha_true"]
     wanted = run["alpha_cmd"]
-    k = int(np.searchsorted(t, 0.5 - 1e-9))
-    over = true - wanted
+    k = int(np.searchsorted(run["t"], 0.5 - 1e-9))
+    over = run["alpha_true"] - wanted
     stepped = wanted[k] - wanted[k - 1] > 1.0
     first = (over[:k] / wanted[0]).max()
     return first, over[k:, stepped].max() / 5.0, largest(over[k:, ~stepped])

@@ -20,11 +20,13 @@ from rigs import (
     random_faces,
     refused,
     rig_of,
+    rotated,
     shift,
     ticked,
     unloaded,
 )
 from samples import first, parametrize
+from scenario_runs import first_inputs
 
 import osc_contact as osc
 from osc_contact.dynamics.assembly import close, object_pose, reach
@@ -110,7 +112,7 @@ def by_constraint_dynamics(whole, tau):
     """Spatial acceleration (6,) of the object by Pinocchio: free flyer, welds, points of balls."""
     chain = whole.case.chain
     X_WO = whole.case.X_WO
-    to_object = pin.SE3(X_WO.rotation.T, np.zeros(3)).action  # turns a twist into its axes
+    to_object = rotated(X_WO.rotation.T).action  # turns a twist into its axes
     model = chain.model.copy()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
     model.appendBodyToJoint(joint, chain.payload.inertia, pin.SE3.Identity())
@@ -158,8 +160,7 @@ def driven(rng, count, **options):
 
 def plant_at(whole, dt):
     """The exact plant in this motion."""
-    pairs = [c.pair for c in whole.contacts]
-    plant = RigidPlant(whole.case.chain, pairs, dt)
+    plant = RigidPlant(whole.case.chain, [c.pair for c in whole.contacts], dt)
     plant.q = whole.case.q
     plant.v = whole.v
     plant._X = whole.case.X_WO
@@ -244,9 +245,8 @@ def test_a_grasp_keeps_its_motions_and_nothing_else():
         assert largest(grasp.miss(X_WT, X_WO)) < 1e-14
         V = rng.standard_normal(6)
         h = 1e-6
-        O = X_WO.translation
         rate = (grasp.miss(X_WT, moved(X_WO, h * V)) - grasp.miss(X_WT, moved(X_WO, -h * V))) / 2
-        want = grasp.wrenches_at(X_WT, O).T @ V
+        want = grasp.wrenches_at(X_WT, X_WO.translation).T @ V
         assert_allclose(rate / h, want, atol=1e-8 * largest(want))
 
 
@@ -330,13 +330,13 @@ def test_a_grasp_that_registers_itself_has_a_name_in_scenarios(monkeypatch):
     monkeypatch.setitem(GRASP_TYPES, "slide", None)
 
     def slide(X_TO, axis):
-        return osc.Grasp(X_TO, np.concatenate((axis, np.zeros(3)))[:, None])
+        return osc.Grasp(X_TO, np.append(axis, np.zeros(3))[:, None])
 
     register_grasp("slide", slide, axis=True)
     hand = HANDS[0] % ", type: slide, axis: [0, 2, 0]"
     rig = rig_of("dual_panda_rod", *[f"grasps.left={hand}", "plant.type=rigid"])
     assert_array_equal(rig.chain.grasps[0].T[:, 0], [0, 1, 0, 0, 0, 0])
-    ticked(rig.controller(), rig.plant().measure(), rig.references.at(0.0))
+    ticked(rig.controller(), *first_inputs(rig))
 
 
 def test_exact_plant_steps_an_object_that_no_arm_leads():
@@ -393,8 +393,7 @@ def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
     chain = osc.ClosedChain([loose], case.chain.grasps, case.chain.payload)
     A_D = np.array([0.1, -0.2, 0.3, 0.1, 0.2, -0.1])
     controller = osc.Controller(chain, [], posture=case.q)
-    still = np.zeros(4)
-    measured = unloaded(case.q, still)
+    measured = unloaded(case.q, np.zeros(4))
     tau = ticked(controller, measured, osc.Reference(case.X_WO, A_D=A_D))
     found = pressed(case, ()).answer(np.insert(tau, 1, 0.0))
     s = controller.signals

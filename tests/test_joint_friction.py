@@ -26,7 +26,6 @@ from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 import osc_contact as osc
 from benchmarks.joint_friction import cases
 from osc_contact.control.records import SLIP
-from osc_contact.interface import Reference
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 MOST = 30.0
@@ -34,7 +33,7 @@ PRIOR = np.array([9.0, 4.0, 2.0, 0.01, 0.04])
 drafted = cache(cases)
 
 
-def learned(Phi, r, noise=0.1, dt=0.0):
+def learned(Phi, r, noise, dt=0.0):
     """θ and FRICTION after these residuals; dt = 0: nothing is forgotten, and R stays."""
     t = records(1, 1)
     prior = t.model.priors[0]
@@ -170,9 +169,7 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
     """Without errors of the model θ and e stay zero, whatever steps; with one they do not."""
     for changes, learns in ([], False), (["model_error.joint_friction=0.9"], True):
         friction = ["arms.left.friction=1", "arms.right.friction=1"] if learns else []
-        rise = "gains.force.rise=0 s"
-        given = [rise, *friction, *changes]
-        rig = rig_of("two_contact_rod", *given)
+        rig = rig_of("two_contact_rod", "gains.force.rise=0 s", *friction, *changes)
         controller = rig.controller()
         osc.run_loop(rig.plant(), controller, rig.references.each(6000, controller.dt))
         memory = controller._records.memory
@@ -197,7 +194,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
                 np.array([0.1, 0.02, 0.03]), X.act(np.array([0.1, 0.02, 0.03])), n
             )
             contacts = [corner] if pressed else []
-            wanted = Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
+            wanted = osc.Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
             controller = osc.Controller(chain, contacts, GAINS, reading="filter", safety=UNLIMITED)
             for _ in range(2):  # the first one has no tick before it
                 tau.append(ticked(controller, unloaded(q, v), wanted))

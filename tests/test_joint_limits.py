@@ -49,8 +49,7 @@ def panda(limits):
 )
 def test_the_push_rises_smoothly_over_a_margin_and_stays_bounded(joint, range_, whole):
     """k w (3s² − 2s³) at depth s of the margin w, 5 % of a range that counts as π at most."""
-    model = panda({joint: range_}).model
-    limits = joint_limit_margins(model, 400.0, 0.05)
+    limits = joint_limit_margins(panda({joint: range_}).model, 400.0, 0.05)
     for end, sign in zip(range_, (1.0, -1.0), strict=True):
         w = 0.05 * whole if np.isfinite(end) else 0.0
         for s, share in ((-0.1, 0.0), (0.0, 0.0), (0.25, 5 / 32), (0.5, 0.5), (1.0, 1.0), (9, 1.0)):
@@ -85,8 +84,7 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
         farthest = max(farthest, plant.q[0])
     assert (farthest < 0.2) == (stiffness > 0.0)
     assert jump < 2.0  # N m, in 2 ms
-    moved = plant.truth().X_WO
-    assert largest(moved.translation - X.translation) < 1e-5
+    assert largest(plant.truth().X_WO.translation - X.translation) < 1e-5
 
 
 @parametrize("past", [-0.3, -0.1, -0.02, 0.0, 0.05])

@@ -61,8 +61,7 @@ def test_what_cannot_be_factored_is_reported():
             assert done == (share == 2e-10 or (share == 0.5e-10 and k == 0))  # nothing is beside it
         X[n - 1] = 0.0
         assert not algebra.qr_rows(X.copy(), n, 8, np.zeros(8), np.zeros(8))
-        six = X[:, :6].copy()
-        assert algebra.orthonormalise(six, n, 0, Q[:, :6].copy(), L) == 0.0
+        assert algebra.orthonormalise(X[:, :6].copy(), n, 0, Q[:, :6].copy(), L) == 0.0
 
 
 def test_rows_that_nearly_depend_are_orthonormal_to_the_last_digit():
@@ -144,7 +143,7 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         w *= angle / norm(w)
         M = pin.SE3(pin.exp3(w), p)
         close(grasps._remaining(p, M.rotation), pin.log6(M).vector, atol=1e-9)
-        twist = np.concatenate((rng.standard_normal(3), w))
+        twist = np.append(rng.standard_normal(3), w)
         M = pose_of(rng)
         R = np.full((6, 6), 7.0)
         point = np.append(M.translation, 7.0)

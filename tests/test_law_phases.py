@@ -288,7 +288,7 @@ def watched(state, alpha, speed, dt, limits, more):
 def random_contacts(rng):
     """Owners, which can only push, settings, period: up to 6 columns of up to 4 contacts."""
     count = rng.integers(1, 5)
-    owners = np.sort(np.concatenate((np.arange(count), rng.integers(0, count, 6 - count))))
+    owners = np.sort(np.append(np.arange(count), rng.integers(0, count, 6 - count)))
     if rng.random() < 0.3:
         rng.shuffle(owners)
     off = rng.uniform(0.1, 0.5)
@@ -334,8 +334,7 @@ def assert_rules(phases, before, goal, wanted, pushing, k):
     assert_array_equal(rows.active, rows.phase != OPEN)
     for c, (was, now) in enumerate(zip(before, rows.phase, strict=True)):
         mine = c == phases.owners
-        row = rows[c]
-        assert was == now or row.since == 0.0
+        assert was == now or rows[c].since == 0.0
         if not pushing[c]:
             assert now == CLOSED
             assert_array_equal(goal[mine], wanted[mine])  # what cannot open gets what is commanded

@@ -298,7 +298,7 @@ def a_tick():
 def test_inputs_of_other_sizes_are_none():
     tick, given, memory = a_tick()
     for place, x in enumerate(given[2]):
-        for other in (x[:-1], np.concatenate((x, x[:1]))):
+        for other in (x[:-1], np.append(x, x[:1])):
             arrays = list(given[2])
             arrays[place] = np.ascontiguousarray(other)
             tick(*given[:2], tuple(arrays))
@@ -313,7 +313,7 @@ def test_joints_of_another_number_are_not_read(place, count):
     for more in (0.01, -2.0):
         tick, given, memory = a_tick()
         arrays = list(given[2])
-        x = np.concatenate((arrays[place], np.zeros(2)))
+        x = np.append(arrays[place], np.zeros(2))
         n = len(arrays[place]) + count
         x[n if count < 0 else n - 1 :] = more
         x[0] += more if count > 0 else 0.0

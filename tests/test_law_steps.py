@@ -107,9 +107,8 @@ def test_a_second_step_continues_value_slope_and_curvature(rises):
     forces.run([16.0], 21)
     forces.t.model.step_time = rises[1]
     found = forces.run([8.0], 100)[:, 0]
-    t0 = 21 * DT
     T = rises[1]
-    x = t0 / RISE
+    x = 21 * DT / RISE
     first = np.polynomial.Polynomial([1.0, 0.0, 0.0, -10.0, 15.0, -6.0])
     value = 16.0 - 6.0 * first(x)
     slope, bend = (-6.0 * first.deriv(k)(x) / RISE**k for k in (1, 2))
@@ -128,8 +127,7 @@ def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
     size = max(10.0 + change, 10.0 * (1.0 - 0.5 * DT))  # of the new command, or what is remembered
     wanted = 10.0 + change
     stepped = abs(change) > 20.0 * DT * size
-    found = forces.tick([wanted])[0]
-    assert found == approx(10.0 if stepped else wanted)
+    assert forces.tick([wanted])[0] == approx(10.0 if stepped else wanted)
     assert forces.work.step_left == (1.0 if stepped else 0.0)
 
 

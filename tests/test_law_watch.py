@@ -13,6 +13,7 @@ from law_calls import records, safety, sensors, tick_of, write
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
+from rigs import rotated
 from samples import parametrize
 
 from osc_contact.law import records as at
@@ -129,8 +130,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
         q = sign * (1.0 - gap)
         found = [look(t, q, sign * speed) for _ in range(4)]
         # braking does not help beyond the end
-        wanted = NEAR_END if stops else NO_REASON
-        assert found == [NO_REASON] * 2 + [wanted] * 2
+        assert found == [NO_REASON] * 2 + [NEAR_END if stops else NO_REASON] * 2
         assert t.memory.culprit == (0 if stops else -1)
         assert look(joints(reaction=reaction), q, -sign * 0.01) == NO_REASON
     t = joints(reaction=reaction)
@@ -317,7 +317,7 @@ def test_joints_move_no_further_than_they_can(sign, unread):
 class Approach:
     """Columns 3 and 1 of N are kept; the object moves with the twist V, at O."""
 
-    def __init__(self, seed=0, phase=APPROACHING):
+    def __init__(self, seed, phase=APPROACHING):
         rng = default_rng(seed)
         self.t = t = records(contacts=2, columns=4, period=DT, approach_speed=0.02)
         self.memory = t.memory
@@ -336,7 +336,7 @@ class Approach:
 
     def tick(self, V, speed):
         """The object has moved by V; these speeds were read. What is used."""
-        X = pin.SE3(pin.exp3(V[3:] * DT), np.zeros(3)) * pin.SE3(self.memory.X_WO.copy())
+        X = rotated(pin.exp3(V[3:] * DT)) * pin.SE3(self.memory.X_WO.copy())
         X.translation = self.memory.X_WO[:3, 3] + V[:3] * DT
         write(self.work, X_WO=X.homogeneous, speed=np.broadcast_to(speed, 2))
         sensors.compare_speeds(self.t)
@@ -485,8 +485,7 @@ def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest():
             assert sensors.tick(**still | {"q": q.copy()}) == NO_REASON
     sensors = Sensors(force_rank=0)
     for k in range(60):
-        v = (0.0, 1e-12 * (k % 2))
-        assert sensors.tick(**still | {"v": v}) == NO_REASON
+        assert sensors.tick(**still | {"v": (0.0, 1e-12 * (k % 2))}) == NO_REASON
     assert sensors.memory.frozen == 0
 
 

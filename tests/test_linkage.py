@@ -11,7 +11,7 @@ from law_calls import allocation, records, write
 from numpy.linalg import cholesky, pinv, qr, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from rigs import held_tick, largest, rig_of, unit
+from rigs import assert_close, held_tick, largest, rig_of, unit
 from samples import module_fixture, parametrize
 from scenario_runs import run_of
 
@@ -79,9 +79,8 @@ def test_commands_that_do_not_fit_the_bars_are_held(plate):
     reference = plate.references.at(0.0)
     fast = plate.controller()
     pair = rig_of("two_contact_rod")
-    two = pair.controller()
     wanted = replace(pair.references.at(0.0), squeeze_d=np.array([5.0, 5.0]))
-    held_tick(two, "2 arms take a number", pair.plant().measure(), wanted)
+    held_tick(pair.controller(), "2 arms take a number", pair.plant().measure(), wanted)
     for bad in (np.zeros(2), np.array([1.0, np.nan, 0.0]), np.zeros((3, 1)), "5 N", np.nan, [1, 2]):
         held = held_tick(fast, "squeeze_d", measurement, replace(reference, squeeze_d=bad))
         assert np.isfinite(held).all()
@@ -147,7 +146,7 @@ def assert_same(got, want):
     """The same levers, and bases that span the same."""
     assert_allclose(got[0], want[0], rtol=0, atol=1e-10 * largest(want[0]))
     assert got[1].shape == want[1].shape
-    assert_allclose(got[1] @ got[1].T, want[1] @ want[1].T, rtol=0, atol=1e-9)
+    assert_close(got[1] @ got[1].T, want[1] @ want[1].T, 1e-9)
 
 
 def without_motors(case, rng, share):
