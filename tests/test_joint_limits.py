@@ -104,8 +104,7 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
         state = chain.state(q, v)
         how = {"posture": posture, "safety": UNLIMITED, "joint_friction": False}
         controller = osc.Controller(chain, [], **how)
-        wanted = osc.Reference(state.X_WO, V_D=state.V_O)
-        tau = ticked(controller, unloaded(q, v), wanted)
+        tau = ticked(controller, unloaded(q, v), osc.Reference(state.X_WO, V_D=state.V_O))
         own = state.h + state.M @ (task.stiffness * (posture - q) - task.damping * v)
         own += np.diag(state.M) * push
         idle = np.linalg.svd(state.arms[0].J)[2][6]

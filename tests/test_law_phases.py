@@ -47,14 +47,11 @@ class Phases:
             "force_damping": GAINS.damping,
             "approach_speed": k.speed,
             "approach_damping": k.damping,
-            "travel": k.travel,
-            "rise": k.rise,
             "least_force": k.least,
-            "torque_rate": k.torque_rate,
             "lost_share": k.share,
-            "lag": k.lag,
         }
-        values |= {key: getattr(k, key) for key in MonitorLimits.model_fields}
+        names = *MonitorLimits.model_fields, "travel", "rise", "lag"
+        values |= {name: getattr(k, name) for name in names}
         write(self.chain, **values)
         self.chain.bodies.pushes = pushing
         self.chain.columns.contact = owners
@@ -85,8 +82,8 @@ class Phases:
         self.work.chosen[:r] = chosen
         self.work.mobility[:r, :r] = D
         self.work.here[:] = self.here
-        self.columns.alpha[:] = alpha
-        self.columns.speed[:] = speed
+        self.columns.alpha = alpha
+        self.columns.speed = speed
         self.work.speeds[:] = speed
         for column, here, goal in zip(self.columns, self.here, self.work.goal, strict=True):
             if here:
@@ -103,9 +100,6 @@ class Phases:
 
 # --- stories --------------------------------------------------------------------------------------
 
-OWNERS = np.array([0, 1, 1, 2])  # one force, an edge with two, a hinge that never opens
-PUSHING = np.array([True, True, False])
-
 
 def steady(phases, alpha, ticks, wanted=10.0):
     for _ in range(ticks):
@@ -115,7 +109,8 @@ def steady(phases, alpha, ticks, wanted=10.0):
 
 
 def test_a_story_approach_contact_loss_and_contact_again():
-    phases = Phases(OWNERS, PUSHING)
+    # one force, an edge with two, a hinge that never opens
+    phases = Phases([0, 1, 1, 2], [True, True, False])
     assert steady(phases, np.zeros(4), 50) == [APPROACHING, APPROACHING, CLOSED]
     half = steady(phases, [2.0, 2.0, 0.0, 0.0], 40)
     assert half == [CLOSED, APPROACHING, CLOSED]  # half an edge is no contact
