@@ -1,9 +1,7 @@
 """Redundant arms keep off their joint limits, in motions that leave the object alone only."""
 
-from types import SimpleNamespace
-
 import numpy as np
-from law_calls import allocation
+from law_calls import allocation, records, write
 from numpy.random import default_rng
 from pytest import approx
 from rigs import (
@@ -26,10 +24,8 @@ from osc_contact.scenarios.control_schema import PostureTask
 
 def push_of(q, margins):
     """(n,) accelerations away from joint limits."""
-    names = ("low", "high", "width", "most")
-    rows = [
-        SimpleNamespace(**dict(zip(names, row, strict=True))) for row in zip(*margins, strict=True)
-    ]
+    rows = records(joints=7).model.joints
+    write(rows, **dict(zip(("low", "high", "width", "most"), margins, strict=True)))
     return np.array([allocation.push_from_limits(row, x) for row, x in zip(rows, q, strict=True)])
 
 

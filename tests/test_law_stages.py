@@ -72,8 +72,7 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     t.model.columns.contact = [1, 0, 2, 3]
     t.work.chosen[:3] = [2, 0, 1]
     write(t.work, rank=2, count=3 if dependent else 2, kept=[0, 2], **dict.fromkeys(names, 7.0))
-    for name, row in zip(names, laws, strict=True):
-        getattr(t.memory.contacts, name)[:] = row
+    write(t.memory.contacts, **dict(zip(names, laws, strict=True)))
     reading.contact_laws(t)
     want = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]] if dependent else laws[:, [1, 2]]
     for name, row in zip(names, want, strict=True):
@@ -144,12 +143,9 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     modes = inv(cholesky(M)).T[:, :2].T
     t = records(joints=lo + n, posture_stiffness=3.0, retreat_damping=7.0)
     t.model.joints.posture = posture
-    t.input.q[:] = q
-    t.input.v[:] = v
+    write(t.input, q=q, v=v)
     joints = t.work.joints[lo:]
-    joints.M[:, :n] = M
-    for name, value in (("h", h), ("tau", tau), ("rest", rest)):
-        getattr(joints, name)[:] = value
+    write(joints, M=M, h=h, tau=tau, rest=rest)
     own = Record(n_lost=2, mode=modes, gone=[gone, gone], share=[0.3, 0.8])
     allocation._retreat_from_lost(t, Record(first=lo, end=lo + n), own)
     back = h + M @ (3.0 * (posture - q) - 7.0 * v)[lo:]
@@ -398,8 +394,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
         contact = t.memory.contacts[0]
         contact.phase = phase
         contact.since = since
-        for name, value in (("gap", gap), ("filtered_speed", slow), ("speed", fast)):
-            setattr(t.memory.columns[0], name, value)
+        write(t.memory.columns[0], gap=gap, filtered_speed=slow, speed=fast)
         t.work.goal[0] = 8.0
         phases.set_goals(t)
         close(t.work.goal[0], want)

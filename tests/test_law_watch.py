@@ -5,11 +5,10 @@ becomes of them in closed loop: tests/test_safety.py, tests/test_lying_sensors.p
 """
 
 from math import inf
-from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import records, safety, sensors, tick_of, write
+from law_calls import records, safety, sensors, write
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
@@ -423,9 +422,7 @@ class Sensors(Watched):
         return self._read(nothing, nothing, np.full((1, 6), np.nan))
 
     def _read(self, q, v, wrench):
-        self.t.input.q[:] = q
-        self.t.input.v[:] = v
-        self.t.input.wrenches[:] = wrench
+        write(self.t.input, q=q, v=v, wrenches=wrench)
         reason = sensors.check_sensors(self.t)
         sensors.estimate_joints(self.t)
         return reason
@@ -612,8 +609,10 @@ def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
 def test_a_state_counts_its_ticks_and_a_hold_begins_unsettled():
     for before in range(4):
         for after in range(4):
-            memory = Record(state=before, age=7, settled=1)
-            safety._enter(tick_of(memory=memory), after)
+            t = records()
+            memory = t.memory
+            write(memory, state=before, age=7, settled=1)
+            safety._enter(t, after)
             assert (memory.state, memory.age) == (after, 8 if before == after else 1)
             begins = after >= at.HOLD > before
             assert memory.settled == (0 if begins else 1)
