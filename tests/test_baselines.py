@@ -30,7 +30,6 @@ from paper.selection_laws import (
 from paper.study import Ask
 
 KHATIB = BASELINES["khatib"]
-ISAAC = BASELINES["isaac_lab"]
 
 
 class Frame(NamedTuple):
@@ -160,7 +159,7 @@ def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_
         assert khatib.cost <= 1e-9
         assert_allclose(khatib.M, np.eye(len(khatib.M)), atol=1e-9)
         assert_allclose(khatib.K, np.eye(len(khatib.K)), atol=1e-9)
-        isaac = instant.coupling(SelectionLaw(ISAAC, selection))
+        isaac = instant.coupling(SelectionLaw(BASELINES["isaac_lab"], selection))
         assert isaac.norms[0] <= 1e-9 and isaac.norms[1] > 1e-2
         assert instant.coupling(best_selection(instant, KHATIB, restarts=0)).cost <= 1e-9
 

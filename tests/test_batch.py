@@ -14,8 +14,6 @@ from test_law import motion_of
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
 
-GAINS = osc.Gains(osc.MotionGains(400, 40, 2000), osc.ForceGains(30, 5))
-
 
 def controllers(chain, count, rng, **how):
     """Controllers of one structure with different gains, faces and postures."""
@@ -120,7 +118,7 @@ def test_what_is_no_batch_is_refused():
     ones, q = controllers(chain, 2, rng)
     with refused("≥ 1"):
         osc.BatchController([])
-    fewer = osc.Controller(chain, ones[0].contacts[:1], GAINS)
+    fewer = osc.Controller(chain, ones[0].contacts[:1])
     with refused("n_columns"):
         osc.BatchController([ones[0], fewer])
     own = ones[0].with_laws(force=lambda a, b: a)

@@ -180,10 +180,9 @@ def test_textbook_law_gives_our_torques(name):
     )
     rng = np.random.default_rng(50)
     for _ in range(5):  # what is wanted varies
-        error = pin.exp6(pin.Motion(0.001 * rng.standard_normal(6)))
         reference = replace(
             case.reference,
-            X_WD=case.reference.X_WD * error,
+            X_WD=case.reference.X_WD * pin.exp6(pin.Motion(0.001 * rng.standard_normal(6))),
             A_D=rng.standard_normal(6),
             V_D=0.1 * rng.standard_normal(6),
             alpha_d=rng.uniform(5.0, 20.0, len(case.pairs)),

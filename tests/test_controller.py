@@ -395,8 +395,7 @@ def test_arrays_of_the_usual_kind_meet_no_conversion(rig):
         controller.tick(plant.measure(), rig.references.at(0.0))
     assert not controller._converting
     copy = controller.with_gains(rig.gains)
-    other = of_kind(KINDS["lists"], plant.measure(), rig.references.at(0.0))
-    controller.tick(*other)
+    controller.tick(*of_kind(KINDS["lists"], plant.measure(), rig.references.at(0.0)))
     assert controller._converting and not copy._converting
 
 
@@ -407,8 +406,7 @@ def test_a_plain_number_is_the_force_of_the_only_contact():
     assert at.alpha_d.shape == (1,)
     want = rig.controller().tick(measurement, at)
     number = float(at.alpha_d[0])
-    tau = ticked(rig.controller(), measurement, replace(at, alpha_d=number))
-    assert_array_equal(tau, want)
+    assert_array_equal(ticked(rig.controller(), measurement, replace(at, alpha_d=number)), want)
     X = at.X_WD
     made = osc.pose_reference(X.translation, X.rotation, alpha_d=number)
     assert_array_equal(made.alpha_d, at.alpha_d)

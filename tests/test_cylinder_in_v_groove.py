@@ -39,8 +39,7 @@ def test_each_wall_is_pushed_at_right_angles_from_inside():
     right = np.array([1.0, 0.0, -1.0]) / np.sqrt(2)
     left = np.array([-1.0, 0.0, -1.0]) / np.sqrt(2)
     assert_allclose(forces.T, [right, left, right, left], atol=1e-15)
-    lifted = shift(X.translation + [0, 0, 0.01])
-    assert_allclose(pair.gaps(lifted), 0.01 / np.sqrt(2), atol=1e-15)
+    assert_allclose(pair.gaps(shift(X.translation + [0, 0, 0.01])), 0.01 / np.sqrt(2), atol=1e-15)
 
 
 @parametrize("wrong", [{"groove_angle": 3.2}, {"groove_outward": [0, 2, 0]}])

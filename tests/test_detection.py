@@ -295,8 +295,7 @@ def test_crossed_lines_touch_in_their_crossing_point(row, seed):
     rng = default_rng(seed)
     depth = DEPTHS[seed % 3]
     X_WE = rotated(tilt(rng))
-    turn = rpyToMatrix(0, 0, rng.uniform(0.2, np.pi - 0.2))
-    X_WO = rotated(turn @ tilt(rng))
+    X_WO = rotated(rpyToMatrix(0, 0, rng.uniform(0.2, np.pi - 0.2)) @ tilt(rng))
     own, other = np.array([on_O, on_E], dtype=float)
     own[along], other[along] = rng.uniform(-0.03, 0.03, 2)  # crossing point along either line
     meet = X_WE.act(other) + radius * UP

@@ -11,6 +11,7 @@ from textwrap import indent
 import typer
 import yaml
 from command_line import call
+from pair_kinds import snake
 from pytest import mark, param
 from samples import ROOT, module_fixture, parametrize
 from scenario_runs import rig_of, run_of
@@ -162,8 +163,7 @@ def test_every_pair_has_a_row_with_its_r_and_its_keys():
     documented = {}
     for name, row in rows.items():
         if TICKED.search(row[-1]):
-            kind = re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
-            documented[kind] = (int(row[1]), set(TICKED.findall(row[-1])))
+            documented[snake(name)] = (int(row[1]), set(TICKED.findall(row[-1])))
     assert documented == {
         kind: (spec.forces, set(spec.model_fields) - {"name", "type", "body"})
         for kind, spec in CONTACT_TYPES.items()

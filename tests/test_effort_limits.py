@@ -163,8 +163,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_reported(rig, share):
 
 def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch):
     chain = scara_pair()
-    rng = default_rng(44)
-    pairs, measurement, reference = demanding(chain, rng, 1)
+    pairs, measurement, reference = demanding(chain, default_rng(44), 1)
     weak = 0.02 * chain.tau_max
     controller = motors_only(with_motors(chain, weak), pairs)
     controller.tick(measurement, reference)

@@ -139,8 +139,7 @@ def test_a_corner_that_lifts_opens_the_contact(rigs):
 
 @parametrize("name", first(NAMES, 1))
 def test_it_can_be_looked_at(rigs, runs, name, tmp_path):
-    page = write_scene_of(runs[name], rigs[name], tmp_path / "scene.html")
-    assert page.stat().st_size > 100_000
+    assert write_scene_of(runs[name], rigs[name], tmp_path / "scene.html").stat().st_size > 100_000
 
 
 def test_columns_of_the_recording_belong_together(runs):
@@ -219,8 +218,7 @@ def test_the_judge_takes_its_forces_from_the_plant_and_its_motion_from_the_objec
         ("rms_error_rel", np.sqrt((error**2).mean(axis=0))),
         ("peak_error_rel", np.abs(error).max(axis=0)),
     ):
-        found = [force[name] for force in verdict["force"].values()]
-        assert found == approx(wanted, rel=1e-9)
+        assert [force[name] for force in verdict["force"].values()] == approx(wanted, rel=1e-9)
     u = unit(np.cross(*nominal["contact_direction"][0]))
     slide = (nominal["pose"][:, :3] - nominal["pose"][0, :3]) @ u
     want = 0.05 * np.sin(2 * np.pi * 0.5 * t)

@@ -121,8 +121,7 @@ def test_a_robot_that_ends_the_motion_ends_the_loop(franka, fault, sentence):
     task.robot.close()
     with plant_error(r"is stopped \(.*Reflex.* connect with recover=True"):
         FrankaRobot(franka.host, task.chain)
-    again = FrankaRobot(franka.host, task.chain, recover=True)
-    assert "Idle" in str(again.state.robot_mode)
+    assert "Idle" in str(FrankaRobot(franka.host, task.chain, recover=True).state.robot_mode)
 
 
 def without_weight(robot):
@@ -185,8 +184,7 @@ def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka, sensor):
     t = 20.0 * 1e-3 * (franka.send()["steps"] - 1) * np.array([1.0, 1.3, 0.7])
     force = -8.0 * np.array([1.0, 1.0, 0.3]) * np.cos(t)
     wrench = X.act(pin.Force(read[-1].wrenches[0]))
-    mass = 0.73 if sensor == "hand" else 0.0
-    weight = [0, 0, 9.81 * mass]
+    weight = [0, 0, 9.81 * (0.73 if sensor == "hand" else 0.0)]
     assert_allclose(wrench.linear - weight, force, atol=1.5)
     tip = robot._base.act(robot._data.oMf[robot._tip]).translation
     lever = X.act(np.array([-0.01, 0.0, 0.03]))

@@ -95,7 +95,7 @@ class Guarded:
         if m.touched is not None:
             flags |= tick.MOVING
             touched = touched_rows(m.touched)
-        self.memory.wrench_missing = int(m.wrench_valid is not None and not m.wrench_valid)
+        self.memory.wrench_missing = int(not m.wrench_valid)
         self.memory.squeeze[:] = squeeze = reference.squeeze_d
         if len(m.wrenches) > 2 and np.any(squeeze):
             flags |= tick.COMMANDED

@@ -1,9 +1,7 @@
 """Redundant arms keep off their joint limits, in motions that leave the object alone only."""
 
-from types import SimpleNamespace
-
 import numpy as np
-from law_calls import allocation
+from law_calls import allocation, records, write
 from numpy.random import default_rng
 from pytest import approx
 from rigs import (
@@ -26,10 +24,8 @@ from osc_contact.scenarios.control_schema import PostureTask
 
 def push_of(q, margins):
     """(n,) accelerations away from joint limits."""
-    names = ("low", "high", "width", "most")
-    rows = [
-        SimpleNamespace(**dict(zip(names, row, strict=True))) for row in zip(*margins, strict=True)
-    ]
+    rows = records(joints=7).model.joints
+    write(rows, **dict(zip(("low", "high", "width", "most"), margins, strict=True)))
     return np.array([allocation.push_from_limits(row, x) for row, x in zip(rows, q, strict=True)])
 
 
@@ -104,8 +100,7 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
         state = chain.state(q, v)
         how = {"posture": posture, "safety": UNLIMITED, "joint_friction": False}
         controller = osc.Controller(chain, [], **how)
-        wanted = osc.Reference(state.X_WO, V_D=state.V_O)
-        tau = ticked(controller, unloaded(q, v), wanted)
+        tau = ticked(controller, unloaded(q, v), osc.Reference(state.X_WO, V_D=state.V_O))
         own = state.h + state.M @ (task.stiffness * (posture - q) - task.damping * v)
         own += np.diag(state.M) * push
         idle = np.linalg.svd(state.arms[0].J)[2][6]

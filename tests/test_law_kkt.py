@@ -331,8 +331,7 @@ def miss_of_response(t, answer):
     s = t.controller.signals
     got = osc.contact_response(s.state, s.contact, s.environment, tau=t.tau)
     spatial = answer.a - product(t.state.V)
-    forces = -t.state.N.T @ answer.alpha
-    return max(miss(got.acceleration, spatial), miss(got.f_c, forces))
+    return max(miss(got.acceleration, spatial), miss(got.f_c, -t.state.N.T @ answer.alpha))
 
 
 def metric_of(t):

@@ -254,8 +254,7 @@ def test_the_optimum_in_exact_fractions(how, tolerance):
 
 
 def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
-    rng = default_rng(67)
-    case = random_case(rng, d=6, r=2, k=2, s=1)
+    case = random_case(default_rng(67), d=6, r=2, k=2, s=1)
     for G in (0.0 * case.G, case.G * (np.arange(8) > 3)[:, None]):
         agree_within(replace(case, G=G, E=0.0 * case.E))
     out_of_reach = replace(

@@ -69,11 +69,10 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     laws = np.array([[3, 2, 1, 0], [5, 9, 4, 99], [0.1, 0.2, 0.3, 0.9], [0.7, 0.6, 0.8, 9]])
     names = ("gain", "damping", "least", "brake")
     t = records(contacts=4, columns=4)
-    t.model.columns.contact[:] = [1, 0, 2, 3]
+    t.model.columns.contact = [1, 0, 2, 3]
     t.work.chosen[:3] = [2, 0, 1]
     write(t.work, rank=2, count=3 if dependent else 2, kept=[0, 2], **dict.fromkeys(names, 7.0))
-    for name, row in zip(names, laws, strict=True):
-        getattr(t.memory.contacts, name)[:] = row
+    write(t.memory.contacts, **dict(zip(names, laws, strict=True)))
     reading.contact_laws(t)
     want = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]] if dependent else laws[:, [1, 2]]
     for name, row in zip(names, want, strict=True):
@@ -143,13 +142,10 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     q, v, posture = rng.standard_normal((3, lo + n))
     modes = inv(cholesky(M)).T[:, :2].T
     t = records(joints=lo + n, posture_stiffness=3.0, retreat_damping=7.0)
-    t.model.joints.posture[:] = posture
-    t.input.q[:] = q
-    t.input.v[:] = v
+    t.model.joints.posture = posture
+    write(t.input, q=q, v=v)
     joints = t.work.joints[lo:]
-    joints.M[:, :n] = M
-    for name, value in (("h", h), ("tau", tau), ("rest", rest)):
-        getattr(joints, name)[:] = value
+    write(joints, M=M, h=h, tau=tau, rest=rest)
     own = Record(n_lost=2, mode=modes, gone=[gone, gone], share=[0.3, 0.8])
     allocation._retreat_from_lost(t, Record(first=lo, end=lo + n), own)
     back = h + M @ (3.0 * (posture - q) - 7.0 * v)[lo:]
@@ -170,8 +166,8 @@ def test_rows_that_those_before_nearly_span_are_factored_too(seed):
     A = rng.standard_normal((8, n))
     A[7] = rng.standard_normal(7) @ A[:7] + 1e-3 * A[7]
     t = records(arms=1, joints=n)
-    t.model.arms.end[:] = n
-    t.model.joints.effort[:] = rng.uniform(0.5, 2.0, n)
+    t.model.arms.end = n
+    t.model.joints.effort = rng.uniform(0.5, 2.0, n)
     t.work.joints.J_bar[:] = A[:6].T
     write(t.work, effort=A[:6] * t.model.joints.effort @ A[:6].T, extra=A[6:])
     assert allocation.factor_effort(t) and allocation.add_row(t, 0) and allocation.add_row(t, 1)
@@ -183,8 +179,8 @@ def test_rows_that_those_before_nearly_span_are_factored_too(seed):
 
 def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
     t = records(joints=3)
-    t.model.joints.motor[:] = [1, -1, 0]
-    t.model.joints.tau_max[:] = 2.0
+    t.model.joints.motor = [1, -1, 0]
+    t.model.joints.tau_max = 2.0
     for torques, excess, finite in (
         ((1.9, 99.0, -2.0), False, True),
         ((2.1, 0.0, 0.0), True, True),
@@ -194,7 +190,7 @@ def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
         ((0.0, np.nan, 0.0), False, True),
     ):
         t.work.tau[:] = 7.0
-        t.work.joints.tau[:] = torques
+        t.work.joints.tau = torques
         with np.errstate(invalid="ignore"):
             assert allocation.limit_torques(t) == (excess, finite)
         given = finite and not excess
@@ -298,7 +294,7 @@ def a_tick():
 def test_inputs_of_other_sizes_are_none():
     tick, given, memory = a_tick()
     for place, x in enumerate(given[2]):
-        for other in (x[:-1], np.append(x, x[:1])):
+        for other in (x[:-1], np.concatenate((x, x[:1]))):
             arrays = list(given[2])
             arrays[place] = np.ascontiguousarray(other)
             tick(*given[:2], tuple(arrays))
@@ -398,8 +394,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
         contact = t.memory.contacts[0]
         contact.phase = phase
         contact.since = since
-        for name, value in (("gap", gap), ("filtered_speed", slow), ("speed", fast)):
-            setattr(t.memory.columns[0], name, value)
+        write(t.memory.columns[0], gap=gap, filtered_speed=slow, speed=fast)
         t.work.goal[0] = 8.0
         phases.set_goals(t)
         close(t.work.goal[0], want)
@@ -411,7 +406,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
 @parametrize("phased", [0, 1])
 def test_phases_keep_what_was_measured(phased):
     t = records(contacts=1, columns=2, phased=phased, lag=0.02, period=1e-3)
-    t.memory.columns.known[:] = 1
+    t.memory.columns.known = 1
     tick.altered("remember", phases=phases)(t)
     assert (t.memory.columns.known == 1 - phased).all(), "nothing is in contact"
 

@@ -56,12 +56,12 @@ class Forces:
         given = {"period": DT, "step_time": RISE, "drift_share": 0.25, "rise": RISE}
         given |= {"approach_damping": 200.0, "approach_speed": 0.01, "phased": 1}
         self.t = t = records(contacts=n, columns=n, **given | more)
-        t.model.columns.contact[:] = range(n)
-        t.model.bodies.pushes[:] = 1
-        t.memory.contacts.phase[:] = CLOSED
+        t.model.columns.contact = range(n)
+        t.model.bodies.pushes = 1
+        t.memory.contacts.phase = CLOSED
         write(t.memory, step_time=RISE, ticked=1)
         write(t.work, dt=DT, step_time=RISE, status=at.OK)
-        t.work.columns.shaped[:] = 1
+        t.work.columns.shaped = 1
         self.kept = t.memory.columns
         self.work = t.work
 
@@ -166,7 +166,7 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
 @parametrize("share, phase", [(0.29, CLOSED), (0.31, CLOSED), (-0.5, CLOSED), (0.31, APPROACHING)])
 def test_a_face_shows_its_tilt_where_it_carries_three_tenths_of_its_force(share, phase):
     forces = pressed()
-    forces.t.memory.contacts.phase[:] = phase
+    forces.t.memory.contacts.phase = phase
     turned = [0.02, -0.01, 0.03]
     write(forces.work.columns[0], turned=turned, slides=1.0)
     forces.tick([10.0], measured=[10.0 * share], speed=[0.04])
@@ -240,7 +240,7 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     forces.tick([20.0], speed=[5.0])
     assert forces.kept[0].drift == approx(drift), "the integral rests, and so does v̄"
     t = records(columns=3, contacts=1)
-    t.memory.columns.drift[:] = [0.5, 0.0, drift]
+    t.memory.columns.drift = [0.5, 0.0, drift]
     write(t.work, rank=2, kept=[0, 2], speed=[0.3, 0.7], brake=[20.0, 10.0])
     commands.brake_contacts(t)
     assert_allclose(t.work.brake[:2], [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])
@@ -249,7 +249,7 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
 @parametrize("measured", [True, False], ids=["measured", "not measured"])
 def test_the_brake_of_a_soft_face_is_that_of_the_tuning_page(measured):
     forces = Forces(drift_share=0.02, force_gain=30.0)
-    forces.t.model.bodies.kind[:] = at.YIELDING
+    forces.t.model.bodies.kind = at.YIELDING
     forces.t.model.bodies.parameters[:, 0] = 4e-4
     rng = default_rng(7)
     seen = []

@@ -5,11 +5,10 @@ becomes of them in closed loop: tests/test_safety.py, tests/test_lying_sensors.p
 """
 
 from math import inf
-from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import records, safety, sensors, tick_of, write
+from law_calls import records, safety, sensors, write
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
@@ -38,12 +37,8 @@ BOTH = parametrize("sign", [1.0, -1.0])
 def joints(count=1, **settings):
     """Joints between ∓1 rad, at most 2 rad/s, which brake with 5 rad/s²."""
     t = records(arms=1, joints=count, **{"period": DT, "fast_ticks": 99} | settings)
-    t.model.joints.lower[:] = -1.0
-    t.model.joints.upper[:] = 1.0
-    t.model.joints.brake[:] = 0.1
-    for name in ("speed_max", "rated"):
-        getattr(t.model.joints, name)[:] = 2.0
-    t.model.joints.motor[:] = range(count)
+    write(t.model.joints, lower=-1.0, upper=1.0, brake=0.1, speed_max=2.0, rated=2.0)
+    t.model.joints.motor = range(count)
     t.memory.culprit = -1
     return t
 
@@ -51,9 +46,7 @@ def joints(count=1, **settings):
 def wide(fast_ticks, speeds=(2.0, 2.0)):
     """Two joints of such speed limits, far from their ends."""
     t = joints(2, fast_ticks=fast_ticks)
-    t.model.joints.lower[:] = -9.0
-    t.model.joints.upper[:] = 9.0
-    t.model.joints.speed_max[:] = speeds
+    write(t.model.joints, lower=-9.0, upper=9.0, speed_max=speeds)
     return t
 
 
@@ -105,8 +98,7 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
         for j in range(2):
             t = wide(21, (2.0, 1.0))
             v = sign * speed * t.model.joints.speed_max * (np.arange(2) == j)
-            found = [look(t, 0.0, v) for _ in range(ticks)]
-            assert_at_last(found, OVERSPEED)
+            assert_at_last([look(t, 0.0, v) for _ in range(ticks)], OVERSPEED)
             assert t.memory.culprit == j
     assert look(wide(21), 0.0, [1e150, 0.0]) == OVERSPEED
     t = wide(4, (2.0, 1.0))
@@ -142,8 +134,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
 def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     t = joints(period=period)
-    found = [look(t, 0.99, 1.0) for _ in range(ticks)]
-    assert_at_last(found, NEAR_END)
+    assert_at_last([look(t, 0.99, 1.0) for _ in range(ticks)], NEAR_END)
 
 
 # --- contacts -------------------------------------------------------------------------------------
@@ -242,9 +233,9 @@ def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sig
 def readings():
     """What `check_readings` is given, all of it credible."""
     t = joints(2, wrench_timeout=0.0205, force_range=100.0, torque_range=10.0, plausible_speed=3.0)
-    t.model.joints.rated[:] = t.model.joints.speed_max[:] = [2.0, 4.0]
+    t.model.joints.rated = t.model.joints.speed_max = [2.0, 4.0]
     write(t.memory, has_wrench=1, compared=1)
-    t.memory.joints.q[:] = t.input.q[:] = [0.1, 0.2]
+    t.memory.joints.q = t.input.q[:] = [0.1, 0.2]
     write(t.input, X_WD=np.eye(4))
     return t
 
@@ -325,10 +316,10 @@ class Approach:
         self.kept = t.memory.columns
         write(t.memory, compared=1, X_WO=np.eye(4) + np.eye(4, k=3))
         write(t.work, rank=2, kept=[3, 1], V_N=0.01 * rng.standard_normal(2))
-        t.model.columns.contact[:] = [0, 0, 1, 1]
-        t.memory.contacts.phase[:] = phase
+        t.model.columns.contact = [0, 0, 1, 1]
+        t.memory.contacts.phase = phase
         t.work.columns.N[:] = rng.standard_normal((4, 6))
-        self.kept.known[:] = 1
+        self.kept.known = 1
 
     def true(self, V):
         """NᵀV_rel of the kept columns."""
@@ -347,8 +338,7 @@ class Approach:
 def test_an_approach_uses_positions_where_speeds_read_too_little():
     for seed in range(4):
         approach = Approach(seed)
-        rng = default_rng(seed)
-        V = 0.05 * rng.standard_normal(6)
+        V = 0.05 * default_rng(seed).standard_normal(6)
         true = np.array(approach.true(V))
         for _ in range(300):
             used = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s
@@ -432,9 +422,7 @@ class Sensors(Watched):
         return self._read(nothing, nothing, np.full((1, 6), np.nan))
 
     def _read(self, q, v, wrench):
-        self.t.input.q[:] = q
-        self.t.input.v[:] = v
-        self.t.input.wrenches[:] = wrench
+        write(self.t.input, q=q, v=v, wrenches=wrench)
         reason = sensors.check_sensors(self.t)
         sensors.estimate_joints(self.t)
         return reason
@@ -500,8 +488,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
             v[j] = sign * speed
             sensors.tick(v=v, q=still)
             sensors.joints.drift[j] = -9.0 * v[j] * DT  # drift as such is far from its bound
-            found = [sensors.tick(v=v, q=still) for _ in range(ticks)]
-            assert_at_last(found, DISAGREE)
+            assert_at_last([sensors.tick(v=v, q=still) for _ in range(ticks)], DISAGREE)
             assert sensors.memory.culprit == j
             assert sensors.memory.still == approx(1e-3 * ticks)
         for other in ({"q": still + 1e-12}, {"v": v * (1.0 + 1e-12)}):
@@ -622,8 +609,10 @@ def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
 def test_a_state_counts_its_ticks_and_a_hold_begins_unsettled():
     for before in range(4):
         for after in range(4):
-            memory = Record(state=before, age=7, settled=1)
-            safety._enter(tick_of(memory=memory), after)
+            t = records()
+            memory = t.memory
+            write(memory, state=before, age=7, settled=1)
+            safety._enter(t, after)
             assert (memory.state, memory.age) == (after, 8 if before == after else 1)
             begins = after >= at.HOLD > before
             assert memory.settled == (0 if begins else 1)

@@ -119,8 +119,8 @@ def test_a_squeezed_plate_stays_within_its_limits():
 def answer(state, chain):
     """(levers, basis (bars, s)) of the law; NaN where answers and scratch stand before."""
     t = records(len(chain.arms), chain.nq, angle_tolerance=chain.angle_tolerance)
-    ends = [(s.start, s.stop) for s in chain.slices]
-    write(t.model.arms, **dict(zip(("first", "end"), zip(*ends, strict=True), strict=True)))
+    of_arms = t.model.arms
+    write(of_arms, first=[s.start for s in chain.slices], end=[s.stop for s in chain.slices])
     t.model.joints.effort[chain.actuated] = effort_scale(chain.tau_max) ** 2
     L = cholesky(state.metric)
     V, beta = qr(solve(L, state.C), mode="raw")
