@@ -23,11 +23,11 @@ scenario_error = expecting(osc.ScenarioError)
 viewer_error = expecting(osc.ViewerError)
 
 
-def refusals(expected, rows):
-    """A test that the call of each row, (call, words), is refused with these words."""
+def refusals(expected, calls):
+    """A test that each call is refused with the words before it."""
 
-    @mark.parametrize("call, words", rows)
-    def test(call, words):
+    @mark.parametrize("words, call", calls.items())
+    def test(words, call):
         with expected(words):
             call()
 

@@ -62,7 +62,7 @@ class Robot(simulator.FrankaMujocoRobot):
     """Publishes the wrench on its environment, and the reflex that ended its motion."""
 
     wrench = np.zeros(6)
-    error: int | None = None
+    error = None
     success = 1.0
     tcp_off = 0.0
     torques = np.zeros(7)
@@ -116,7 +116,7 @@ class Server(FrankaRobotServer):
     begun = False  #: whether a command of this motion came
     owed = False  #: whether the client got the last packet, and has to reply
     reflex = False
-    kept: list[bytes] = []  # noqa: RUF012
+    kept = []  # noqa: RUF012
 
     def begin(self, faults, clock):
         self.faults = FAULTS | faults
@@ -243,7 +243,7 @@ class Simulation(simulator.MujocoSimulator):
         self.touch(given["stiffness"], given["friction"])
         mujoco.mj_forward(model, data)
         self.random = np.random.default_rng(0)
-        self.log: list[list[float]] = []
+        self.log = []
         self.nudge = np.zeros(3)  #: N, of a hand at the tool centre
         self.since = 0
         fresh = {"wrench": np.zeros(6), "error": None, "success": 1.0}
@@ -353,7 +353,7 @@ def obey(order, sim, server):
     if "nudge" in order:
         sim.nudge = np.array(order["nudge"])
     if "truth" in order:
-        np.save(order["truth"], np.array(sim.log))
+        np.save(order["truth"], sim.log)
     return {"steps": len(sim.log)}
 
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 from grasp_oracle import PITCH, System, across
-from rigs import unit
+from rigs import data_at, placed, shift, unit
 
 import osc_contact as osc
 from osc_contact import robots
@@ -30,12 +30,12 @@ def planar(joints, rng):
     model = pin.Model()
     last = 0
     for i in range(joints):
-        at = np.array([0.35 if i else 0.0, 0.0, 0.02 * i])
-        last = model.addJoint(last, pin.JointModelRZ(), pin.SE3(np.eye(3), at), f"joint{i}")
+        at = shift([0.35 if i else 0.0, 0.0, 0.02 * i])
+        last = model.addJoint(last, pin.JointModelRZ(), at, f"joint{i}")
         body = pin.Inertia(rng.uniform(1, 3), rng.uniform(-0.1, 0.1, 3), 0.02 * np.eye(3))
         model.appendBodyToJoint(last, body, pin.SE3.Identity())
     model.upperEffortLimit = np.full(joints, 80.0)
-    X = pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0]))
+    X = shift([0.3, 0.0, 0.0])
     model.addFrame(pin.Frame("wrist", last, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     model.addFrame(pin.Frame("tip", last, 0, X, pin.FrameType.OP_FRAME))
     return model, "tip", ()
@@ -122,7 +122,7 @@ class Case:
 
 def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BODY):
     """Arms of `arms` with grasps of `kinds`, bases wherever that puts them."""
-    X_WO = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-0.5, 0.5, 3)), rng.uniform(-0.5, 0.5, 3))
+    X_WO = placed(*rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.5, 3))
     parts = []
     held = []
     known = []
@@ -136,7 +136,7 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         if upright:
             turned = pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))
             axis = np.array([0, 0, 1.0])
-            X_WO = pin.SE3(np.eye(3), X_WO.translation)
+            X_WO = shift(X_WO.translation)
         X_TO = pin.SE3(turned, rng.uniform(-0.2, 0.2, 3))
         slip = slip_of(kind, axis, rng)
         made = osc.Arm.from_urdf(
@@ -151,9 +151,7 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         made.model.lowerPositionLimit = np.minimum(limits[0], q - 1.0)  # random postures know none
         made.model.upperPositionLimit = np.maximum(limits[1], q + 1.0)
         X_WT = X_WO * (slip * X_TO).inverse()
-        data = made.model.createData()
-        pin.framesForwardKinematics(made.model, data, q)
-        base = X_WT * data.oMf[made.model.getFrameId(tip)].inverse()
+        base = X_WT * data_at(made.model, q).oMf[made.model.getFrameId(tip)].inverse()
         parts.append(replace(made, base=base))
         held.append(grasp_of(kind, X_TO, axis))
         known.append((kind, X_TO, unit(axis)))

@@ -15,11 +15,11 @@ import numpy as np
 import pinocchio as pin
 from grasp_oracle import solve
 from grasp_rigs import Case
-from numpy.linalg import svd
+from numpy.linalg import cholesky, inv, lstsq, svd
 from numpy.random import default_rng
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
-from rigs import LWA, data_at, direction, largest, product, shift, unit
+from rigs import LWA, data_at, direction, largest, placed, product, shift, unit
 
 from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
 
@@ -96,7 +96,7 @@ def random_inertia(rng):
 
 
 def random_placement(rng, at):
-    return pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3)), at + rng.uniform(-0.3, 0.3, 3))
+    return placed(*(at + rng.uniform(-0.3, 0.3, 3)), rng.uniform(-3, 3, 3))
 
 
 def on_joint(joint, rng, at, known, prescribed=False):
@@ -237,10 +237,6 @@ def slopes(f, k):
     return np.array(columns).T.reshape(len(f(np.zeros(k))), k)
 
 
-def shifted(X, step):
-    return pin.SE3(pin.exp3(step[3:]) @ X.rotation, X.translation + step[:3])
-
-
 @dataclass
 class Contact:
     """A pair between object and body, and how its gaps change."""
@@ -255,7 +251,9 @@ class Contact:
         self.along_body = slopes(lambda s: self.gaps(np.zeros(6), s), len(self.on.v))
 
     def gaps(self, of_object, of_body):
-        return self.pair.gaps(shifted(self.X_WO, of_object), self.on.pose(of_body))
+        R = pin.exp3(of_object[3:]) @ self.X_WO.rotation
+        X_WO = pin.SE3(R, self.X_WO.translation + of_object[:3])
+        return self.pair.gaps(X_WO, self.on.pose(of_body))
 
     def bend(self, V):
         """(r,) second derivative of the gaps while nothing accelerates."""
@@ -327,12 +325,11 @@ class State:
         self.v = v
         self.V = V
         self.system = self.case.system(v, V)
-        rows = self.system.rows
         n = self.n
-        self.grasps = np.vstack([np.zeros((0, n + 6)), *(row.coefficients for row in rows)])
+        self.grasps = self.system.rows
         U, values, Vh = svd(self.grasps)
         rank = np.count_nonzero(values > 1e-9 * values.max(initial=1.0))
-        right = U[:, :rank].T @ np.array([row.right for row in rows])
+        right = U[:, :rank].T @ self.system.right
         self.Z = Vh[rank:]
         S, sizes, _ = svd(self.Z[:, n:].T)
         self.S = S[:, : np.count_nonzero(sizes > 1e-9)]
@@ -347,7 +344,7 @@ class State:
         )
         x = rng.standard_normal(self.n + 6)
         for _ in range(2):
-            x += np.linalg.lstsq(A, b - A @ x, rcond=1e-10)[0]
+            x += lstsq(A, b - A @ x, rcond=1e-10)[0]
         assert largest(A @ x - b) < 1e-11
         self.at(x[: self.n], x[self.n :])
 
@@ -365,8 +362,8 @@ class State:
         force[: self.n] = -s.h - self.case.chain.model.damping * self.v
         force[self.n : n] = s.pull
         force[self.case.chain.actuated] += tau
-        rows = [np.pad(row.coefficients, (0, end - n)) for row in s.rows]
-        right = [row.right for row in s.rows]
+        rows = [np.pad(row, (0, end - n)) for row in s.rows]
+        right = [*s.right]
         for b in self.bodies:
             part = parts[id(b)]
             data = b.model.createData()
@@ -425,7 +422,7 @@ class State:
         NS = self.N @ self.S
         r = len(self.N)
         K = np.block([[S.T @ W @ S, NS.T], [NS, np.zeros((r, r))]])
-        y = np.concatenate((S.T @ W @ (target - self.sigma), value - self.N @ self.sigma))
+        y = np.append(S.T @ W @ (target - self.sigma), value - self.N @ self.sigma)
         return S @ solve(K, y)[0][: S.shape[1]] + self.sigma
 
     def inertia_of_all(self):
@@ -436,7 +433,7 @@ class State:
         M[n:, n:] = self.system.I
         own = self.Z[:, n:] @ self.S
         mobility = own.T @ np.linalg.solve(self.Z @ M @ self.Z.T, own)
-        return self.S @ np.linalg.inv(mobility) @ self.S.T
+        return self.S @ inv(mobility) @ self.S.T
 
     def apart(self, N=None):
         """How far the columns are from dependence, as object and arms feel them: 0 … 1."""
@@ -446,7 +443,7 @@ class State:
         if len(N) > S.shape[1]:
             return 0.0
         size = np.sqrt(np.einsum("ri,ir->r", N, np.linalg.solve(inertia, N.T)))
-        felt = np.linalg.solve(np.linalg.cholesky(S.T @ inertia @ S), S.T @ N.T) / size
+        felt = np.linalg.solve(cholesky(S.T @ inertia @ S), S.T @ N.T) / size
         return svd(felt, compute_uv=False).min(initial=1.0)
 
 

@@ -10,32 +10,9 @@ from importlib import import_module
 import numpy as np
 
 from osc_contact.law.jit import as_python
-from osc_contact.law.records import Rows, Tick, new_model, views
+from osc_contact.law.records import Rows, new_model, views
 
 plain = cache(as_python)
-
-
-class Nested:
-    """A record and its tables, as `osc_contact.law.nested.View` has them, of a test's own."""
-
-    def __init__(self, head, tables):
-        self.__dict__.update(tables, head=head)
-
-    def __getattr__(self, name):
-        return getattr(self.__dict__["head"], name)
-
-    def __setattr__(self, name, value):
-        setattr(self.__dict__["head"], name, value)
-
-
-def tick_of(model=None, memory=None, work=None, input=None, **tables):
-    """What the parts of a tick take: heads, and tables as work_joints=…; the heads are changed."""
-    heads = {"model": model, "memory": memory, "work": work, "input": input}
-    own = {name: {} for name in heads}
-    for name, table in tables.items():
-        record, _, rest = name.partition("_")
-        own[record][rest] = table
-    return Tick(**{name: Nested(head, own[name]) for name, head in heads.items()})
 
 
 def records(arms=0, joints=0, contacts=0, columns=0, **settings):

@@ -111,14 +111,12 @@ def main():
     make_copy(copy)
     os.chdir(copy)
     os.environ |= {"PYTHONPATH": str(copy), "NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1"}
-    judges = Judges(out, survey(out, given.judges))
+    survey(out, given.judges)
+    judges = Judges(out, given.judges)
     modules = [m for m in mutated_modules() if given.only in str(m)]
     kept = out / f"results_{given.seed}.jsonl"
-    known = (
-        {r["key"]: r for r in map(json.loads, kept.read_text().splitlines())}
-        if kept.exists()
-        else {}
-    )
+    kept.touch()
+    known = {r["key"]: r for r in map(json.loads, kept.read_text().splitlines())}
     import_others()
     sys.path[:0] = [str(copy), str(copy / "tests")]
     found = []
@@ -167,14 +165,10 @@ def mutated_modules():
 def survey(out, names):
     """Run each judge once with coverage, unless neither it nor a module has changed since."""
     sources = b"".join(path.read_bytes() for path in mutated_modules())
-    there = []
     for name in names:
         test = Path(f"tests/test_{name}.py")
-        if not test.exists():
-            continue
         stamp = out / f"{name}.stamp"
         seen = hashlib.sha1(sources + test.read_bytes()).hexdigest()
-        there.append(name)
         if stamp.exists() and stamp.read_text() == seen:
             continue
         print(f"survey: {test}", flush=True)
@@ -197,7 +191,6 @@ def survey(out, names):
         if ended.returncode not in (0, 1):  # some pass; others are too slow
             sys.exit(f"the survey of {test} ended with {ended.returncode}")
         stamp.write_text(seen)
-    return there
 
 
 class TooSlow(BaseException):
@@ -327,7 +320,6 @@ def run_forked(tests, seconds):
 
 def import_others():
     """Everything that is not ours, once for all children."""
-    os.environ |= {"NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1"}
     sys.dont_write_bytecode = True
     for name in (
         "coal",

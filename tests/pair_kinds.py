@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
 
 import numpy as np
 import pinocchio as pin
-from numpy.linalg import norm
+from numpy.linalg import svd
 from numpy.random import default_rng
 from rigs import direction, pose_of, shift
 
@@ -35,9 +34,7 @@ class Path:
 
     @classmethod
     def random(cls, rng):
-        q = rng.standard_normal(4)
-        R0 = pin.Quaternion(*(q / norm(q))).matrix()
-        return cls(R0, rng.standard_normal((3, 3)), rng.standard_normal((2, 3)))
+        return cls(pose_of(rng).rotation, rng.standard_normal((3, 3)), rng.standard_normal((2, 3)))
 
     def __call__(self, t):
         p0, p1, p2 = self.p
@@ -77,9 +74,7 @@ class Coordinates:
 
 
 PLAIN = Coordinates()
-Poses = Callable[[np.ndarray], pin.SE3]
-Kind = Callable[[np.random.Generator, Coordinates], tuple[osc.ContactPair, Poses, int]]
-KINDS: dict[str, Kind] = {}
+KINDS = {}  #: by name; see `kind`
 
 
 def kind(make):
@@ -93,10 +88,8 @@ def about(axis, angle):
 
 
 def carrying(start, end):
-    """A rotation that turns one unit vector into another."""
-    axis = np.cross(start, end)
-    sine = norm(axis)
-    return pin.exp3(np.arctan2(sine, start @ end) * axis / sine)
+    """The shortest turn of one unit vector into another."""
+    return pin.Quaternion.FromTwoVectors(start, end).matrix()
 
 
 def placed(R, of_A, at_E):
@@ -105,7 +98,12 @@ def placed(R, of_A, at_E):
 
 
 def in_plane(normal):
-    return np.linalg.svd(normal[None, :])[2][1:]
+    return svd(normal[None, :])[2][1:]
+
+
+def two_lines(rng):
+    """A random point and a direction of either body."""
+    return rng.standard_normal(3), direction(rng), rng.standard_normal(3), direction(rng)
 
 
 def ball_on_plane(rng, make, rho):
@@ -135,9 +133,7 @@ def sphere_on_plane(rng, c):
 
 @kind
 def face_on_vertex(rng, c):
-    point = rng.standard_normal(3)
-    n = direction(rng)
-    vertex = rng.standard_normal(3)
+    point, n, vertex, _ = two_lines(rng)
     rho = 0.2
     plane = in_plane(n)
     pair = osc.FaceOnVertex(c.A(point), n, c.E(vertex), rho * c.per_metre)
@@ -166,10 +162,7 @@ def edge_on_edge_with_hint(rng, c):
 
 
 def line_on_plane(rng, c, make, rho):
-    point = rng.standard_normal(3)
-    e = direction(rng)
-    face = rng.standard_normal(3)
-    n = direction(rng)
+    point, e, face, n = two_lines(rng)
     plane = in_plane(n)
     R0 = carrying(e, plane[0])
 
@@ -197,10 +190,7 @@ def cylinder_on_plane(rng, c):
 
 @kind
 def face_on_face(rng, c):
-    point = rng.standard_normal(3)
-    n = direction(rng)
-    face = rng.standard_normal(3)
-    m = direction(rng)
+    point, n, face, m = two_lines(rng)
     R0 = carrying(n, -m)
     plane = in_plane(m)
     pair = osc.FaceOnFace(c.A(point), n, c.E(face), c.along_E(m), 0.2 * c.per_metre)
@@ -209,10 +199,7 @@ def face_on_face(rng, c):
 
 @kind
 def cylinder_in_hole(rng, c):
-    point = rng.standard_normal(3)
-    e = direction(rng)
-    hole = rng.standard_normal(3)
-    h = direction(rng)
+    point, e, hole, h = two_lines(rng)
     R0 = carrying(e, h)
     pair = osc.CylinderInHole(c.A(point), e, c.E(hole), c.along_E(h), 0.2 * c.per_metre)
     return pair, lambda q: placed(about(h, q[0]) @ R0, point, hole + q[1] * h), 4
@@ -220,10 +207,8 @@ def cylinder_in_hole(rng, c):
 
 @kind
 def cone_in_groove(rng, c):
-    apex = rng.standard_normal(3)
-    axis = direction(rng)
-    point = rng.standard_normal(3)
-    groove, seat = (direction(rng) for _ in range(2))
+    apex, axis, point, groove = two_lines(rng)
+    seat = direction(rng)
     R0 = carrying(axis, seat)
     pair = osc.ConeInGroove(c.A(apex), axis, c.E(point), c.along_E(groove), c.along_E(seat))
     return pair, lambda q: placed(about(seat, q[0]) @ R0, apex, point + q[1] * groove), 4
@@ -326,7 +311,7 @@ def kinematics(X):
 
     p_dot, p_ddot = (rate(lambda t: X(t).translation, order) for order in (1, 2))
     w, w_dot = (odd(rate(lambda t: X(t).rotation, order) @ R.T) for order in (1, 2))
-    return np.concatenate((p_dot, w)), np.concatenate((p_ddot - np.cross(w, p_dot), w_dot))
+    return np.append(p_dot, w), np.append(p_ddot - np.cross(w, p_dot), w_dot)
 
 
 @dataclass(frozen=True)
@@ -334,11 +319,11 @@ class Motion:
     """A pair, and both bodies moving."""
 
     pair: osc.ContactPair
-    body: Callable[[float], pin.SE3]
-    env: Callable[[float], pin.SE3]
+    body: object  #: t ↦ its pose in the world
+    env: object
 
     @classmethod
-    def keeping(cls, name, turn, per_metre=1.0):
+    def keeping(cls, name, turn, per_metre):
         """Both bodies move, the object on the free coordinates of the pair."""
         rng = default_rng([turn, 7])
         pair, pose, r = KINDS[name](rng, Coordinates(per_metre=per_metre))
@@ -351,7 +336,7 @@ class Motion:
         return cls(pair, body, lambda t: scaled(env(t), per_metre))
 
     @classmethod
-    def breaking(cls, name, turn, open_by=0.0):
+    def breaking(cls, name, turn, open_by):
         """Both bodies move at will, at t = 0 in contact or `open_by` (m, rad) away from it."""
         rng = default_rng([turn, 8])
         pair, pose, r = KINDS[name](rng, PLAIN)

@@ -29,6 +29,13 @@ def python(*words, code=0, cwd=None, **environment):
     return completed(sys.executable, *words, code=code, cwd=cwd, env=env)
 
 
+def started(command, **how):
+    """A process whose outputs are read when it has ended."""
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **how
+    )
+
+
 def wait_until(there, seconds=300.0, process=None):
     """Wait for something and return it; a process that is to do it must not end before."""
     deadline = time.monotonic() + seconds

@@ -32,6 +32,11 @@ def miss(got, want):
     return largest(got - want) / max(largest(want), 1.0)
 
 
+def assert_close(got, want, tolerance=1e-8, name=""):
+    """Differences within this share of the largest element, or of 1 if that is more."""
+    assert_allclose(got, want, rtol=0, atol=tolerance * max(1.0, largest(want)), err_msg=name)
+
+
 def unit(x):
     return x / np.linalg.norm(x)
 
@@ -49,6 +54,11 @@ def shift(p):
     return pin.SE3(np.eye(3), np.array(p, dtype=float))
 
 
+def rotated(R):
+    """A pose that moves nothing."""
+    return pin.SE3(R, np.zeros(3))
+
+
 def displacement(start, end):
     """(6,) from one pose to another: of the origin, and turned, in world axes."""
     turn = pin.log3(end.rotation @ start.rotation.T)
@@ -60,6 +70,13 @@ def data_at(model, q, *rates):
     data = model.createData()
     pin.forwardKinematics(model, data, q, *rates)
     pin.updateFramePlacements(model, data)
+    return data
+
+
+def terms_at(model, q, v):
+    """Likewise while no joint accelerates, with M, h, gravity and Jacobians."""
+    data = data_at(model, q, v, np.zeros(model.nv))
+    pin.computeAllTerms(model, data, q, v)
     return data
 
 
@@ -159,16 +176,15 @@ def random_state(chain, rng):
     if chain is one_panda():
         q = PANDA_Q + rng.uniform(-0.6, 0.6, 7)
         return q, rng.normal(size=7)
-    scara = chain.nq == 10
     while True:
         shift = rng.uniform(-1, 1, 3)
-        if scara:
+        if chain.nq == 10:
             rpy = (0.0, *rng.uniform(-0.5, 0.5, 2))
             X = placed(0.1 * shift[0], 0.1 * shift[1], 0.2 + 0.03 * shift[2], rpy)
             guess = SCARA_Q
         else:
             X = placed(*(0.08 * shift + [0, 0, 0.45]), rpy=rng.uniform(-0.3, 0.3, 3))
-            guess = np.concatenate((PANDA_Q, PANDA_Q)) + rng.uniform(-0.3, 0.3, 14)
+            guess = np.append(PANDA_Q, PANDA_Q) + rng.uniform(-0.3, 0.3, 14)
         try:
             q = close(chain, reach(chain, guess, X))
         except osc.ModelError:
@@ -224,7 +240,7 @@ def sliding(pairs, X_WO, V_O, touched, slip):
     return out
 
 
-def in_contact(chain, rng, r=2):
+def in_contact(chain, rng, r):
     """A random state in contact: (state, contact, pairs, q, v)."""
     while True:
         q, v = random_state(chain, rng)
@@ -278,9 +294,8 @@ def commanded(chain, pairs, q, v, a_u, alpha_u, squeeze=5.0, **how):
     # states out of any motion; what the oracles answer is without friction
     how = {"safety": UNLIMITED, "joint_friction": False, "laws": laws} | how
     controller = osc.Controller(strong(chain), pairs, **how)
-    wrenches = np.zeros((len(chain.arms), 6))
     wanted = osc.Reference(pin.SE3.Identity(), alpha_d=alpha_u, squeeze_d=squeeze)
-    tau = controller.tick(osc.Measurement(q, v, wrenches), wanted)
+    tau = controller.tick(unloaded(q, v, len(chain.arms)), wanted)
     fine = osc.Status.OK, osc.Status.DEGRADED
     assert controller.status in fine, controller.reason
     return controller, tau

@@ -1,6 +1,6 @@
 """Packaged scenarios with changes, of the two-contact rod unless another is named: rigs, runs."""
 
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose
 
 import osc_contact as osc
 
@@ -8,6 +8,11 @@ import osc_contact as osc
 def rig_of(name="two_contact_rod", *changes):
     """What a scenario describes."""
     return osc.build_rig(osc.load_scenario(name, changes))
+
+
+def first_inputs(rig):
+    """Measurement and reference of its first tick."""
+    return rig.plant().measure(), rig.references.at(0.0)
 
 
 def run_of(name="two_contact_rod", *changes, **how):
@@ -41,8 +46,8 @@ def assert_accurate(verdict, forces=True):
     assert verdict["status"] == {"ok": verdict["ticks"], "saturated": 0, "held": 0, "degraded": 0}
 
 
-def assert_same_run(one, other):
-    """All channels to the last bit but the time that each tick took."""
+def assert_same_run(one, other, atol=0.0):
+    """All channels, to the last bit unless a tolerance is given, but the time of each tick."""
     assert one.channels.keys() == other.channels.keys()
     for name in set(one.channels) - {"tick_s"}:
-        assert_array_equal(other[name], one[name], name)
+        assert_allclose(other[name], one[name], rtol=0, atol=atol, err_msg=name)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import umsgpack
+from rigs import data_at, placed, shift
 from samples import ROOT
 
 from osc_contact.recorder import Recording
@@ -16,8 +17,8 @@ from osc_contact.visual.parts import Content, Visual
 from osc_contact.visual.scene import write_scene
 
 URDF = ROOT / "urdf"
-BASE = pin.SE3(np.eye(3), np.array([-0.35, -0.4, 0.0]))
-FACE = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.4, 0.0), np.array([-0.3, 0.0, 0.19]))
+BASE = shift([-0.35, -0.4, 0.0])
+FACE = placed(-0.3, 0.0, 0.19, (0.3, 0.4, 0.0))
 ARMS = [Visual("left", URDF / "scara_left.urdf", [URDF], BASE, slice(0, 5))]
 BODIES = [
     Visual("rod", URDF / "rod.urdf", [URDF], None),
@@ -69,7 +70,7 @@ RECORDING = make_recording()
 
 def changed(**channels):
     """The recording with other channels."""
-    return Recording(RECORDING.meta, {**RECORDING.channels, **channels})
+    return Recording(RECORDING.meta, RECORDING.channels | channels)
 
 
 CONTENT = Content("test <scene>", ARMS, BODIES, ENDS)
@@ -85,8 +86,7 @@ def write(folder, recording=RECORDING, fps=10, **how):
 def links(q):
     """Placements of the arm's links in the world, by Pinocchio alone."""
     model = pin.buildModelFromUrdf(str(URDF / "scara_left.urdf"))
-    data = model.createData()
-    pin.forwardKinematics(model, data, q)
+    data = data_at(model, q)
     joints = ("joint1", "joint2", "joint3", "hinge")
     return {name: BASE * data.oMi[model.getJointId(name)] for name in joints}
 

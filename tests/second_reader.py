@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import yourdfpy
+from rigs import data_at
 
 from osc_contact import robots
 
@@ -19,13 +20,12 @@ def largest_difference(model, theirs):
         model: of ours. theirs: joint positions by name → placements by name; it may move
             joints that follow others.
     """
-    data = model.createData()
     names = list(model.names)[1:]
     worst = []
     for q in postures(model):
         joints = dict(zip(names, q, strict=True))
         placements = theirs(joints)
-        pin.framesForwardKinematics(model, data, np.array(list(joints.values())))
+        data = data_at(model, np.array(list(joints.values())))
         for name, X in placements.items():
             ours = data.oMf[robots.frame_id(model, name)].homogeneous
             worst.append(np.abs(ours - X).max())
@@ -56,14 +56,10 @@ def mjcf_difference(file):
         for name, position in joints.items():
             data.joint(name).qpos = position
         mujoco.mj_kinematics(mj, data)
-        found = {}
-        for body in filter(
-            lambda body: model.existBodyName(body.name), map(mj.body, range(mj.nbody))
-        ):
-            X = np.eye(4)
-            X[:3, :3] = data.xmat[body.id].reshape(3, 3)
-            X[:3, 3] = data.xpos[body.id]
-            found[body.name] = X
-        return found
+        return {
+            body.name: pin.SE3(body.xmat.reshape(3, 3), body.xpos).homogeneous
+            for body in map(data.body, range(mj.nbody))
+            if model.existBodyName(body.name)
+        }
 
     return largest_difference(model, placements)

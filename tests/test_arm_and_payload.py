@@ -8,23 +8,14 @@ import pinocchio as pin
 from complaints import model_error
 from numpy.linalg import inv
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
-from rigs import largest, panda_arm, refused, shift
+from numpy.testing import assert_array_equal
+from rigs import assert_close, data_at, panda_arm, refused, shift
 from robot_numbers import element, written_inertia
 from samples import parametrize
 
+import osc_contact as osc
 from osc_contact import robots
-from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.chain_state import RigidObject
 from osc_contact.dynamics.closed_chain import outboard_links
-from osc_contact.dynamics.environment import Environment
-
-
-def close(got, want, tolerance=1e-8):
-    got = np.asarray(got)
-    want = np.asarray(want)
-    assert got.shape == want.shape
-    assert_allclose(got, want, rtol=0, atol=tolerance * max(1.0, largest(want)))
 
 
 def motion(model, seed):
@@ -36,7 +27,8 @@ def motion(model, seed):
 
 
 def scara(**options):
-    return Arm.from_urdf(robots.urdf_path("scara_left.urdf"), name="left", tip="tool", **options)
+    how = {"name": "left", "tip": "tool"} | options
+    return osc.Arm.from_urdf(robots.urdf_path("scara_left"), **how)
 
 
 def test_locked_joints_stay_where_they_are_held():
@@ -53,25 +45,23 @@ def test_locked_joints_stay_where_they_are_held():
         q[[whole.joints[joint].idx_q for joint in joints]] = list(held.values())
         found = []
         for model in (arm.model, pin.buildReducedModel(whole, joints, q)):
-            data = model.createData()
-            v = motion(model, 0)[1]
-            tau = pin.rnea(model, data, *motion(model, 0), v)
-            pin.framesForwardKinematics(model, data, motion(model, 0)[0])
-            X = data.oMf[model.getFrameId(tip)].homogeneous
+            q, v = motion(model, 0)
+            tau = pin.rnea(model, model.createData(), q, v, v)
+            X = data_at(model, q).oMf[model.getFrameId(tip)].homogeneous
             found.append([*tau, *X.ravel()])
         assert list(model.names) == list(arm.model.names)
-        close(*found, 1e-12)
+        assert_close(*found, 1e-12)
 
 
 def test_mass_factor_scales_the_joint_space_dynamics():
     models = [scara(mass_factor=factor).model for factor in (1.25, 1.0)]
     q, v = motion(models[1], 1)
     heavy, one = (pin.rnea(model, model.createData(), q, v, v) for model in models)
-    close(heavy, 1.25 * one, 1e-12)
+    assert_close(heavy, 1.25 * one, 1e-12)
     ends = [[model.getFrameId(name) for name in ("wrist_sensor", "tool")] for model in models]
     weighed = [outboard_links(model, *end) for model, end in zip(models, ends, strict=True)]
     heavy, one = ([link.inertia.mass for link in links] for links in weighed)
-    close(heavy, 1.25 * np.array(one))
+    assert_close(heavy, 1.25 * np.array(one))
 
 
 @parametrize(
@@ -89,9 +79,7 @@ def test_mass_factor_scales_the_joint_space_dynamics():
 )
 def test_impossible_arms_are_refused(options, message):
     with model_error(message):
-        Arm.from_urdf(
-            robots.urdf_path("scara_left.urdf"), name="left", **{"tip": "tool", **options}
-        )
+        scara(**options)
 
 
 # What hangs beyond the wrist sensor ---------------------------------------------------------------
@@ -107,7 +95,7 @@ def test_outboard_links_of_the_scara(sensor):
         written_inertia(element("scara_left", link)) for link in ("wrist_sensor", "finger")
     )
     mounted = shift([0.0, 0.0, -0.02]).act(sensor)
-    close([link.inertia.matrix() for link in links], [mounted.matrix(), own.matrix()], 1e-12)
+    assert_close([link.inertia.matrix() for link in links], [mounted.matrix(), own.matrix()], 1e-12)
 
 
 @parametrize("sensor", ["panda_link8", "panda_hand"])
@@ -119,7 +107,7 @@ def test_outboard_links_of_the_panda(sensor):
     assert outboard_links(model, tip, tip) == []  # the hand is before the tip
     assert model.names[hand.joint] == "panda_joint7"
     link7 = written_inertia(element(robots.find_robot("panda")[0], "panda_link7"))
-    close(hand.inertia.matrix(), model.inertias[hand.joint].matrix() - link7.matrix(), 1e-12)
+    assert_close(hand.inertia.matrix(), model.inertias[hand.joint].matrix() - link7.matrix(), 1e-12)
 
 
 # The object ---------------------------------------------------------------------------------------
@@ -147,14 +135,13 @@ def test_impossible_objects_are_refused(mass, principal, message):
     inertia.mass = mass
     inertia.inertia = turn @ np.diag(principal) @ turn.T
     with model_error(message):
-        RigidObject(inertia)
+        osc.RigidObject(inertia)
 
 
 @parametrize("principal", [FLAT, [1e-9, 1.0, 1.0]])
 def test_flat_and_thin_objects_are_possible_and_keep_their_shape_when_scaled(principal):
-    held = RigidObject(pin.Inertia(2.0, np.ones(3), np.diag(principal)))
-    scaled = held.scaled(0.5).inertia
-    close(scaled.matrix(), 0.5 * held.inertia.matrix(), 1e-13)
+    held = osc.RigidObject(pin.Inertia(2.0, np.ones(3), np.diag(principal)))
+    assert_close(held.scaled(0.5).inertia.matrix(), 0.5 * held.inertia.matrix(), 1e-13)
     for factor in (0.0, -1.0, np.nan, np.inf):
         with model_error(f"factor {factor}"):
             held.scaled(factor)
@@ -174,16 +161,16 @@ def test_any_mobility_a_mechanism_can_have_is_accepted(seed):
     if seed % 3 == 0:  # axes along the coordinates: whole rows are nothing but rounding
         J = np.eye(6)[:, rng.permutation(6)[:k]] * 10 ** rng.uniform(-1, 1, size=k)
     Phi = inv(X) @ (X @ (J @ J.T) @ X.T) @ inv(X).T
-    assert_array_equal(Environment(Phi).Phi_e, Phi)
+    assert_array_equal(osc.Environment(Phi).Phi_e, Phi)
 
 
 def test_impossible_environments_are_refused():
     held = inv(pin.Inertia(2.0, np.full(3, 0.1), 0.1 * np.eye(3)).matrix())
-    Environment(held, np.ones(6), np.ones(6))
+    osc.Environment(held, np.ones(6), np.ones(6))
     skewed = held.copy()
     skewed[0, 4] += 1e-6 * held[4, 4]
     with refused("not symmetric"):
-        Environment(skewed)
+        osc.Environment(skewed)
     for wrong in (
         -held,
         np.diag([1.0, 1, 1, 1, 1, -1e-3]),
@@ -191,4 +178,4 @@ def test_impossible_environments_are_refused():
         np.eye(6, k=3) + np.eye(6, k=-3),
     ):
         with refused("not positive semidefinite"):
-            Environment(wrong)
+            osc.Environment(wrong)

@@ -7,11 +7,12 @@ import numpy as np
 import pinocchio as pin
 from command_line import answered, read_json, refused
 from complaints import invalid_input
+from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
-from rigs import consistent, contact_of, largest, one_panda, random_faces, random_state, shift
-from scenario_runs import rig_of
+from rigs import in_contact, largest, one_panda, random_state, shift
+from scenario_runs import first_inputs, rig_of
 from scipy.linalg import block_diag
 
 import osc_contact as osc
@@ -29,7 +30,6 @@ from paper.selection_laws import (
 from paper.study import Ask
 
 KHATIB = BASELINES["khatib"]
-ISAAC = BASELINES["isaac_lab"]
 
 
 class Frame(NamedTuple):
@@ -66,7 +66,7 @@ def random_frame(baseline, rng):
 def khatib_1987(selection, Lambda, a, f):
     """F = ΛΩa + Ω̄f, Ω = diag(S_FᵀΣ_F S_F, S_MᵀΣ_M S_M), Σ = 1 where motion is free, Ω̄ = 1 − Ω."""
     axes = block_diag(selection.linear.rotation, selection.angular)
-    free = 1.0 - np.concatenate((selection.forces, selection.couples))
+    free = 1.0 - np.append(selection.forces, selection.couples)
     Omega = axes * free @ axes.T
     return Lambda @ Omega @ a + f - Omega @ f
 
@@ -103,7 +103,7 @@ def sai(selection, Lambda, a, f):
 def isaac_lab(selection, Lambda, a, f):
     """Gains masked on the task frame's axes, and the force they give masked there again."""
     R = np.kron(np.eye(2), selection.linear.rotation)
-    S_force = R * np.concatenate((selection.forces, selection.couples)) @ R.T
+    S_force = R * np.append(selection.forces, selection.couples) @ R.T
     S_motion = np.eye(6) - S_force
     return S_motion @ Lambda @ S_motion @ a + S_force @ f
 
@@ -122,20 +122,16 @@ def test_laws_are_what_was_published(key, published):
     pin.seed(1)
     chain = one_panda()
     for _ in range(40):
-        q, v = random_state(chain, rng)
-        free = chain.state(q, v)
-        faces = random_faces(free.X_WO, 2, rng)
-        state = chain.state(q, consistent(chain, q, v, contact_of(faces, free).N))
-        contact = contact_of(faces, state)
-        Lambda = np.linalg.inv(state.Phi)
-        bias = np.linalg.solve(state.S.T, state.b_S) - Lambda @ state.sigma  # μ + p with −Λγ
+        state, contact, *_ = in_contact(chain, rng, 2)
+        Lambda = inv(state.Phi)
+        bias = solve(state.S.T, state.b_S) - Lambda @ state.sigma  # μ + p with −Λγ
         frame = random_frame(BASELINES[key], rng)
         law = SelectionLaw(BASELINES[key], frame.selection)
         a = rng.standard_normal(6) * 3
         alpha = rng.uniform(5, 20, 2)
         back = shift(law.selection.point).toActionMatrix()  # motions to O
-        there = np.linalg.solve(back, a), back.T @ contact.N @ alpha
-        F = np.linalg.solve(back.T, published(frame, back.T @ Lambda @ back, *there))
+        there = solve(back, a), back.T @ contact.N @ alpha
+        F = solve(back.T, published(frame, back.T @ Lambda @ back, *there))
         want = state.S.T @ (F + bias)
         got = f_S(law, state, a, contact.N @ alpha)
         assert_allclose(got, want, atol=1e-9 * largest(want))
@@ -163,7 +159,7 @@ def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_
         assert khatib.cost <= 1e-9
         assert_allclose(khatib.M, np.eye(len(khatib.M)), atol=1e-9)
         assert_allclose(khatib.K, np.eye(len(khatib.K)), atol=1e-9)
-        isaac = instant.coupling(SelectionLaw(ISAAC, selection))
+        isaac = instant.coupling(SelectionLaw(BASELINES["isaac_lab"], selection))
         assert isaac.norms[0] <= 1e-9 and isaac.norms[1] > 1e-2
         assert instant.coupling(best_selection(instant, KHATIB, restarts=0)).cost <= 1e-9
 
@@ -210,7 +206,7 @@ def test_the_search_finds_frames_no_worse_than_200_random_ones_and_the_same_from
 
 def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
     rig, instant = fig1()
-    given = rig.plant().measure(), rig.references.at(0.0)
+    given = first_inputs(rig)
     plain = rig.controller()
     assert Ours().install(plain) is plain and plain.laws.structure is None
     law = SelectionLaw(KHATIB, best_selection(instant, KHATIB, restarts=0).selection)

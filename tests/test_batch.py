@@ -14,8 +14,6 @@ from test_law import motion_of
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
 
-GAINS = osc.Gains(osc.MotionGains(400, 40, 2000), osc.ForceGains(30, 5))
-
 
 def controllers(chain, count, rng, **how):
     """Controllers of one structure with different gains, faces and postures."""
@@ -57,13 +55,11 @@ def story(chain, q, count, ticks, rng, moving=False):
 
 
 def single(controller, x, i):
-    valid = bool(x["wrench_valid"][i])
     touched = touched_of(x["touched"][i]) if "touched" in x else None
     readings = x["q"][i], x["v"][i], x["wrenches"][i], touched
-    measurement = osc.Measurement(*readings, wrench_valid=valid)
-    squeeze = float(x["squeeze_d"][i])
+    measurement = osc.Measurement(*readings, wrench_valid=bool(x["wrench_valid"][i]))
     reference = osc.Reference(
-        pin.SE3(x["X_WD"][i]), x["V_D"][i], x["A_D"][i], x["alpha_d"][i], squeeze
+        pin.SE3(x["X_WD"][i]), x["V_D"][i], x["A_D"][i], x["alpha_d"][i], float(x["squeeze_d"][i])
     )
     return controller.tick(measurement, reference)
 
@@ -122,7 +118,7 @@ def test_what_is_no_batch_is_refused():
     ones, q = controllers(chain, 2, rng)
     with refused("≥ 1"):
         osc.BatchController([])
-    fewer = osc.Controller(chain, ones[0].contacts[:1], GAINS)
+    fewer = osc.Controller(chain, ones[0].contacts[:1])
     with refused("n_columns"):
         osc.BatchController([ones[0], fewer])
     own = ones[0].with_laws(force=lambda a, b: a)

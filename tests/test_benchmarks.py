@@ -46,18 +46,6 @@ def test_benchmark_refuses_bad_input(line, words, tmp_path):
     assert words in done.stderr and not done.stdout and not file.exists()
 
 
-def run_program(name, ticks, folder):
-    """(JSON, printed) of a program."""
-    json_file = folder / "b.json"
-    ended = start(f"{name} --ticks {ticks} --json {json_file}")
-    result = read_json(json_file)
-    about = result["machine"]
-    assert about["cpu"] in ended.stdout and f"pin {about['pin']}" in ended.stdout
-    assert about["cores"] >= 1 and about["python"] == sys.version.split()[0]
-    assert about["osc-contact"] == osc.__version__
-    return result, ended.stdout
-
-
 def judge_peers(result):
     for name in ("two_contact_rod", "one_panda"):
         rows = {row["peer"]: row for row in result[name]}
@@ -88,18 +76,19 @@ def judge_tick(result):
         assert (row["law p50 (µs)"] is not None) == (name in CASES)
 
 
-PROGRAMS = (
-    judge_peers,
-    judge_tick,
-    judge_scaling,
-    judge_vector_env,
-)
+PROGRAMS = (judge_peers, judge_tick, judge_scaling, judge_vector_env)
 
 
 @parametrize("judge", first(PROGRAMS, 1))
 def test_programs_write_what_they_measure(judge, tmp_path):
-    result, printed = run_program(judge.__name__.removeprefix("judge_"), 16, tmp_path)
+    file = tmp_path / "b.json"
+    printed = start(f"{judge.__name__.removeprefix('judge_')} --ticks 16 --json {file}").stdout
+    result = read_json(file)
     judge(result)
+    about = result["machine"]
+    assert about["cpu"] in printed and f"pin {about['pin']}" in printed
+    assert about["cores"] >= 1 and about["python"] == sys.version.split()[0]
+    assert about["osc-contact"] == osc.__version__
     for name, rows in result.items():
         assert name in printed or name == "machine"
         for row in rows if isinstance(rows, list) else ():
@@ -134,8 +123,7 @@ def test_every_timed_tick_is_checked_and_begins_alike(name):
     for _ in range(3):
         unwind()
         assert not controller.motion_integral.any() and not len(controller.force_integral)
-        again = tick()
-    assert_allclose(again, first, rtol=0, atol=1e-12 * largest(first))
+    assert_allclose(tick(), first, rtol=0, atol=1e-12 * largest(first))
     another = next(status for status in osc.Status if status is not case.status)
     tick, unwind = replace(case, status=another).tick()
     tick()
@@ -151,8 +139,7 @@ def test_special_cases_are_what_they_are_called():
     for name, case in found.items():
         last[name] = case.controller()
         last[name].tick(*case.given)
-    lost = last["near_singular"].lost_directions
-    assert [0.0 < one.left < 1.0 for one in lost] == [True, True]
+    assert [0.0 < one.left < 1.0 for one in last["near_singular"].lost_directions] == [True, True]
     assert last["saturated"].given_up is not None
     bars = found["three_arms"].reference.squeeze_d
     assert_allclose(last["three_arms"].result().squeeze, bars, atol=1e-6)
@@ -193,10 +180,9 @@ def test_textbook_law_gives_our_torques(name):
     )
     rng = np.random.default_rng(50)
     for _ in range(5):  # what is wanted varies
-        error = pin.exp6(pin.Motion(0.001 * rng.standard_normal(6)))
         reference = replace(
             case.reference,
-            X_WD=case.reference.X_WD * error,
+            X_WD=case.reference.X_WD * pin.exp6(pin.Motion(0.001 * rng.standard_normal(6))),
             A_D=rng.standard_normal(6),
             V_D=0.1 * rng.standard_normal(6),
             alpha_d=rng.uniform(5.0, 20.0, len(case.pairs)),

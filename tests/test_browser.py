@@ -26,8 +26,7 @@ PLACE = "nodeAt('{}').object.getWorldPosition(new MeshCat.THREE.Vector3()).toArr
 
 @module_fixture
 def page(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("scene")
-    return write(folder, fps=20)
+    return write(tmp_path_factory.mktemp("scene"), fps=20)
 
 
 @module_fixture
@@ -46,8 +45,9 @@ def slide(browser, time):
     return browser.picture()
 
 
-def switch(browser, text):
-    browser.run(f"document.querySelector('#legend input[name^=\"{text}\"]').click()")
+def switch_tangents(browser):
+    """Show or hide them."""
+    browser.run("document.querySelector('#legend input[name^=\"T:\"]').click()")
 
 
 def place_in(browser, path):
@@ -132,9 +132,9 @@ def test_a_browser_without_decompression_shows_why(other, page, tmp_path):
 
 def test_check_boxes_show_and_hide(browser):
     on = near(slide(browser, 1.0)[:600], T_COLOUR)
-    switch(browser, "T:")
+    switch_tangents(browser)
     assert near(browser.picture()[:600], T_COLOUR) < 0.2 * on
-    switch(browser, "T:")
+    switch_tangents(browser)
     assert near(browser.picture()[:600], T_COLOUR) == approx(on, rel=0.05)
 
 
@@ -221,8 +221,7 @@ def test_frames_are_of_equal_steps_and_play_in_real_time():
 def test_a_gif_shows_arm_arrows_curves_and_the_marker_at_its_times(gif):
     assert len(gif) == 6 and gif[0].shape == (300, 320, 3)
     for number, frame in enumerate(gif):
-        dock = frame[210:260]
-        marker = np.flatnonzero((dock.max(axis=2) < 110).sum(axis=0) > 35)
+        marker = np.flatnonzero((frame[210:260].max(axis=2) < 110).sum(axis=0) > 35)
         assert abs(marker.mean() - (58 + number / 6 * (320 - 58 - 18))) < 3
     blue = [near(frame[:180], contact_colour(0), 40) for frame in gif]
     assert blue[1] > 20 and near(gif[0][:180], T_COLOUR) < 20, "arrows, and no twist axes"

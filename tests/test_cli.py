@@ -15,15 +15,14 @@ from PIL import Image
 from processes import python
 from pytest import approx, mark
 from samples import ROOT, module_fixture, parametrize
+from scenario_runs import run_of
 from scene_samples import read_commands
 
 import osc_contact
 from osc_contact.cli import app
 from osc_contact.console import PARTIAL
-from osc_contact.errors import PlantError
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.recorder import Recording
-from osc_contact.scenarios.loader import load_scenario
 from osc_contact.visual import browser
 from osc_contact.visual.plots import PRINT
 
@@ -55,8 +54,7 @@ def test_examples_are_the_programs_of_the_docs(tmp_path):
     done("examples", folder)
     files = sorted(folder.iterdir())
     assert len(files) >= 10 and files[0].name == "01_osc_contact.py"
-    first = files[0].read_text()
-    assert first.split("\n", 2)[2] in (ROOT / "README.md").read_text()
+    assert files[0].read_text().split("\n", 2)[2] in (ROOT / "README.md").read_text()
     for file in files:
         compile(file.read_text(), str(file), "exec")
     assert "is there already" in refused("examples", folder)
@@ -159,8 +157,8 @@ def test_reproduce_all_from_a_short_run(tmp_path):
 
 
 def test_bad_scenario_is_reported_with_its_line(tmp_path):
-    text = load_scenario("two_contact_rod").source.read_text()
-    before = text.partition("squeeze:")[0]
+    source = osc_contact.load_scenario("two_contact_rod").source
+    before = source.read_text().partition("squeeze:")[0]
     file = tmp_path / "bad.yaml"
     file.write_text(f"{before}squeeze: 10 mm")
     line = before.count("\n") + 1
@@ -205,7 +203,7 @@ def test_failed_run_exits_with_1_and_keeps_what_was_recorded(ran, tmp_path, monk
 
     def fragile(plant, tau, duration):
         if plant.time > 0.0195:
-            raise PlantError("rigid plant diverged at t = 0.02 s")
+            raise osc_contact.PlantError("rigid plant diverged at t = 0.02 s")
         command(plant, tau, duration)
 
     monkeypatch.setattr(RigidPlant, "command", fragile)
@@ -248,8 +246,7 @@ def test_installed_command_pipes_and_exits_like_the_application(tmp_path):
 
 @module_fixture
 def brief():
-    scenario = load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
-    return osc_contact.run(scenario, duration=0.05)
+    return run_of("two_contact_rod", "plant.type=rigid", "plant.step=1 ms", duration=0.05)
 
 
 def page_of(recording, folder, channels, **meta):
@@ -294,8 +291,7 @@ def test_view_refuses_the_wrong_times_and_meta(brief, tmp_path):
 
 
 def test_view_makes_the_page_of_a_contact_with_several_forces(tmp_path):
-    recording = osc_contact.run(load_scenario("ur5_wipe"), duration=0.02)
-    path = recording.save(tmp_path / "run.npz")
+    path = run_of("ur5_wipe", duration=0.02).save(tmp_path / "run.npz")
     done("view", path, "--html", tmp_path / "page.html")
 
 
@@ -321,8 +317,7 @@ def test_view_makes_the_page_of_a_recording(ran, brief, tmp_path):
     page = tmp_path / "deep" / "page.html"
     result = done("view", ran[0] / "recording.npz", "--html", page, "--time", "0.5")
     assert f"written: {page}" in result.stdout.replace("\n", "")
-    text = page.read_text()
-    assert '"still": 0.5' in text
+    assert '"still": 0.5' in page.read_text()
     moved, of_the_run = (
         [c for c in read_commands(file) if c["type"] != "set_object"]
         for file in (page, ran[0] / "scene.html")

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 from command_line import done, read_json
-from numpy.linalg import norm
+from numpy.linalg import inv, matrix_rank, norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
-from rigs import assert_derivatives, largest, refused, shift
+from rigs import assert_derivatives, largest, refused, rotated, shift
 
 import osc_contact as osc
 from paper import cone_in_groove as cg
@@ -37,7 +37,7 @@ def short_run():
 def pose_at(turn, slide):
     """The cone turned about its axis and moved along the groove, by products of poses."""
     X = rig().state.X_WO
-    about = pin.SE3(pin.exp3(turn * SEAT.cone_axis), np.zeros(3))
+    about = rotated(pin.exp3(turn * SEAT.cone_axis))
     to_apex = shift(SEAT.apex)
     return shift(slide * SEAT.direction) * X * to_apex * about * to_apex.inverse()
 
@@ -68,13 +68,12 @@ def test_inertia_is_that_of_a_stack_of_discs():
     radius = z * np.tan(SEAT.half_angle)
     m = radius**2 / (radius**2).sum() * inertia.mass
     centres = SEAT.apex + z[:, None] * SEAT.cone_axis
-    com = m @ centres / inertia.mass
-    total = np.zeros((3, 3))
-    for mass, r, c in zip(m, radius, centres - com, strict=True):
+    whole = pin.Inertia.Zero()
+    for mass, r, centre in zip(m, radius, centres, strict=True):
         disc = 0.25 * mass * r**2 * (np.eye(3) + np.outer(SEAT.cone_axis, SEAT.cone_axis))
-        total += disc + mass * (c @ c * np.eye(3) - np.outer(c, c))
-    assert_allclose(inertia.lever, com, atol=1e-8)
-    assert_allclose(inertia.inertia, total, rtol=1e-5, atol=1e-9)
+        whole += pin.Inertia(mass, centre, disc)
+    assert_allclose(inertia.lever, whole.lever, atol=1e-8)
+    assert_allclose(inertia.inertia, whole.inertia, rtol=1e-5, atol=1e-9)
 
 
 def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
@@ -89,17 +88,16 @@ def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
         levers = points - X.translation[:, None]
         lines = np.vstack((directions, np.cross(levers, directions, axis=0)))
         axis = X.rotation @ SEAT.cone_axis
-        apex = X.act(SEAT.apex)
-        T = np.array([[*np.cross(axis, X.translation - apex), *axis], [*e, 0, 0, 0]]).T
+        T = np.array([[*np.cross(axis, X.translation - X.act(SEAT.apex)), *axis], [*e, 0, 0, 0]]).T
         assert largest(lines.T @ T) < 1e-14
         assert largest(contact.N.T @ T) < 1e-14
-        assert np.linalg.matrix_rank(lines) == 4
+        assert matrix_rank(lines) == 4
         assert_allclose(contact.N @ SEAT.from_wall_forces, lines, atol=1e-13)
 
 
 def test_references_move_as_their_derivatives_say_and_stay_in_contact():
     task = rig().references
-    to_walls = np.linalg.inv(SEAT.from_wall_forces)
+    to_walls = inv(SEAT.from_wall_forces)
     for t in np.linspace(0.2, 4.5, 12):
         now = assert_derivatives(task.at, t, 1e-4, 1e-5, 1e-4)
         assert_allclose(SEAT.pair.gaps(now.X_WD), 0.0, atol=1e-9)
@@ -130,9 +128,8 @@ def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():
 
 def test_a_controller_with_a_wrong_seat_couples():
     """The coupling measured is not zero by construction."""
-    chain = rig().chain
     wrong = replace(SEAT.pair, axis=pin.exp3(np.array([0.0, 0.1, 0.0])) @ SEAT.pair.axis)
-    controller = osc.Controller(chain, [wrong], posture=rig().q_start)
+    controller = osc.Controller(rig().chain, [wrong], posture=rig().q_start)
     law = SimpleNamespace(install=lambda _: controller.with_gains(rig().gains))
     instant = Instant(rig().state, rig().contact)
     assert min(measured_coupling(rig(), law, instant, t=1.5).norms) > 1e-4

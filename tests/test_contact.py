@@ -70,18 +70,6 @@ def mobility(rng):
     return inv(pin.Inertia(5.0, rng.uniform(-0.2, 0.2, 3), spread).matrix())
 
 
-def all_columns(parts):
-    return np.hstack([c.N for c in parts]), np.concatenate([c.n_gamma for c in parts])
-
-
-def assert_leads_back(stacked, N_all, n_all):
-    """Columns, n_γ and rank of all that were stacked."""
-    rank = matrix_rank(N_all / norm(N_all, axis=0), tol=1e-9) if N_all.size else 0
-    assert stacked.r == rank and stacked.split_is_unique == (N_all.shape[1] == rank)
-    assert_allclose(stacked.N @ stacked.R, N_all, atol=1e-9 * largest(N_all))
-    assert_allclose(stacked.n_gamma @ stacked.R, n_all, atol=1e-9 * largest(n_all))
-
-
 @parametrize("seed", range(24))
 def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
     """Contacts of sizes 0 to 3, independent each, of rank 1 to 6 together; columns 1e-3 … 1e3.
@@ -97,12 +85,16 @@ def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
         k = min(int(rng.integers(0, 4)), rank)
         mix = rng.standard_normal((rank, k)) * 10 ** rng.uniform(-3, 3, size=k)
         parts.append(Contact(basis @ mix, n_gamma @ mix))
-    N_all, n_all = all_columns(parts)
+    N_all = np.hstack([c.N for c in parts])
+    n_all = np.concatenate([c.n_gamma for c in parts])
+    rank = matrix_rank(N_all / norm(N_all, axis=0), tol=1e-9) if N_all.size else 0
     half = len(parts) // 2
     nested = [Contact.stack(some) for some in ([], parts[:half], parts[half:])]
     for given in ((parts,), (nested,), (parts, mobility(rng))):
         stacked = Contact.stack(*given)
-        assert_leads_back(stacked, N_all, n_all)
+        assert stacked.r == rank and stacked.split_is_unique == (N_all.shape[1] == rank)
+        assert_allclose(stacked.N @ stacked.R, N_all, atol=1e-9 * largest(N_all))
+        assert_allclose(stacked.n_gamma @ stacked.R, n_all, atol=1e-9 * largest(n_all))
         alpha = rng.standard_normal(stacked.r)
         split = stacked.magnitudes(alpha)
         assert_allclose(stacked.R @ split, alpha, atol=1e-9)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
@@ -41,12 +42,6 @@ def test_settings_that_cannot_work_are_refused():
         PhaseSettings(speed=0.001)
     with refused("rise"):
         PhaseSettings(rise=0.0)
-
-
-def read_of(state, wrench):
-    """What two wrists read of a wrench at O that the first one carries."""
-    first = (state.sensors[0].inverse() * shift(state.X_WO.translation)).act(pin.Force(wrench))
-    return np.array([first.vector, np.zeros(6)])
 
 
 # --- the law on random masks ----------------------------------------------------------------------
@@ -111,14 +106,6 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
     assert {whole for whole, _ in seen} == {False, True}
 
 
-def at_rest(chain, seed):
-    """Two contacts."""
-    rng = default_rng(seed)
-    q, _ = random_state(chain, rng)
-    v = np.zeros(chain.nq)
-    return q, v, random_faces(chain.state(q, v).X_WO, 2, rng), rng
-
-
 # --- on MuJoCo ------------------------------------------------------------------------------------
 
 
@@ -127,9 +114,8 @@ def test_phases_change_nothing_while_contacts_stay_closed(name):
     """Filter and least squares, several columns, motors at their limits: bit for bit."""
     at_once = "gains.force.rise=0 s"  # or the first millinewtons would open a contact
     rig = rig_of(name, at_once)
-    bare = rig_of(name, at_once, "control.life=off")
     plant, controller = start(rig)
-    other = start(bare)[1]
+    other = start(rig_of(name, at_once, "control.life=off"))[1]
     assert controller.life is not None and other.life is None
     for reference in rig.references.each(2300 if name == "limited_rod" else 700, DT):
         measurement = plant.measure()
@@ -143,21 +129,25 @@ def test_phases_change_nothing_while_contacts_stay_closed(name):
 def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(reading):
     """Beside Λ_out: the object accelerates by x along its lines of force."""
     chain = panda_pair()
-    q, v, pairs, rng = at_rest(chain, 57)
+    rng = default_rng(57)
+    q, _ = random_state(chain, rng)
+    v = np.zeros(chain.nq)
+    state = chain.state(q, v)
+    pairs = random_faces(state.X_WO, 2, rng)
     controller = osc.Controller(chain, pairs, reading=reading, life=PhaseSettings())
     measurement, reference = inputs(chain, q, v, rng, 2)
-    state = chain.state(q, v)
     x = rng.standard_normal(2)
     controller.tick(measurement, reference)
     before = controller.result().alpha_meas.copy()
     N = controller.signals.contact.N
     D = controller._records.work.mobility[:2, :2].copy()
-    Phi = np.linalg.inv(state.payload.Lambda)
-    seen = state.Lambda_out @ Phi @ N @ np.linalg.solve(N.T @ Phi @ N, x)
-    wrenches = measurement.wrenches + read_of(state, seen)
+    Phi = inv(state.payload.Lambda)
+    seen = state.Lambda_out @ Phi @ N @ solve(N.T @ Phi @ N, x)
+    to_sensor = state.sensors[0].inverse() * shift(state.X_WO.translation)
+    first = to_sensor.act(pin.Force(seen)).vector  # the other wrist feels nothing of it
+    wrenches = measurement.wrenches + [first, np.zeros(6)]
     controller.tick(replace(measurement, wrenches=wrenches), reference)
-    found = controller.result().alpha_meas - before
-    assert_allclose(D @ found, x, rtol=1e-7, atol=1e-9)
+    assert_allclose(D @ (controller.result().alpha_meas - before), x, rtol=1e-7, atol=1e-9)
 
 
 @module_fixture
@@ -167,12 +157,11 @@ def knocked():
 
 def test_every_collision_of_a_knocked_rod_is_flagged_in_time(knocked):
     """The plant's own contacts are the judge: re-made after ≥ 10 ms, at ≥ 10 mm/s."""
-    recording = knocked
     hits = collisions(knocked)
     assert {hit.contact for hit in hits} == {0, 1} and len(hits) >= 3
     assert all(hit.flagged is not None and hit.flagged <= 0.02 for hit in hits)
     assert all(hit.power > 0.02 for hit in hits)
-    assert (recording["status"] == 0).all()
+    assert (knocked["status"] == 0).all()
     rubs = [f"arms.{arm}.friction=0.3" for arm in ("left", "right")]  # then something is learned
     rubbing = run_of("collisions", *rubs, duration=2.5)
     most = [np.abs(run["friction"]).max() for run in (knocked, rubbing)]

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture, raises
 from rigs import UNLIMITED, held_tick, largest, one_panda, refused, rig_of, ticked
 from samples import module_fixture, parametrize
+from scenario_runs import first_inputs
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -30,18 +31,16 @@ def rig():
 
 @fixture
 def ready(rig):
-    """(controller, plant, measurement, reference) after one good tick."""
+    """(controller, measurement, reference) after one good tick."""
     controller = rig.controller()
-    plant = rig.plant()
-    measurement = plant.measure()
-    reference = rig.references.at(0.0)
-    ticked(controller, measurement, reference)
-    return controller, plant, measurement, reference
+    given = first_inputs(rig)
+    ticked(controller, *given)
+    return controller, *given
 
 
 def test_signals_of_a_tick_stay(ready):
     """What is set afterwards does not change them; recordings keep the permitted error (7)."""
-    controller, _, measurement, reference = ready
+    controller, measurement, reference = ready
     tau = ticked(controller, measurement, reference)
     signals = controller.signals
     f_meas = controller.result().f_meas.copy()
@@ -74,7 +73,7 @@ def test_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
         def contact(self, X_WO, V_O, X_WE=None, V_E=None):
             heading = X_WO.rotation[:, 0].copy()
             heading[2] = 0.0
-            return osc.Contact(np.concatenate((np.zeros(3), heading))[:, None])
+            return osc.Contact(np.append(np.zeros(3), heading)[:, None])
 
         def gaps(self, X_WO, X_WE=None):
             return np.zeros(1)
@@ -94,7 +93,7 @@ def test_wiring_is_complete_and_runs_forward(rig):
         known |= set(block.outputs)
     assert known - {name for block in BLOCKS for name in block.inputs} == {"tau"}
     controller = rig.controller()
-    controller.tick(rig.plant().measure(), rig.references.at(0.0))
+    controller.tick(*first_inputs(rig))
     assert all(hasattr(controller.signals, name) for name in known)
 
 
@@ -128,10 +127,6 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig, ready):
     assert_allclose(controller.signals.f_S, force, rtol=1e-3, atol=1e-3)
 
 
-def unmeasured():
-    return rig_of("two_contact_rod", "arms.left.wrist_sensor=null")
-
-
 def limp():
     arm = replace(one_panda().arms[0], passive_joints=("panda_joint7",))
     return osc.ClosedChain([arm], None, one_panda().payload)
@@ -146,7 +141,7 @@ def limp():
         (lambda rig: rig.controller().residual_wrench(), "no tick"),
         (lambda rig: osc.MotionGains(100, 10, 2000), "Routh"),
         # half the sensors would weigh half the object and still look plausible
-        (lambda rig: unmeasured().controller(), "left"),
+        (lambda rig: rig_of("two_contact_rod", "arms.left.wrist_sensor=null").controller(), "left"),
         (lambda rig: Controller(limp(), []), "posture"),
     ],
 )
@@ -193,7 +188,7 @@ def test_other_gains_continue_without_a_jump(rig, ready):
 
 
 def test_copies_and_pickles_continue_alike_and_alone(ready):
-    controller, _, measurement, reference = ready
+    controller, measurement, reference = ready
     controller.f_tare = np.arange(6.0)
     controller.tick(measurement, reference)
     others = [copy.copy(controller), copy.deepcopy(controller)]
@@ -268,7 +263,7 @@ HELD = {"list": 5, "none": 11, "row": 11, "column": 11}
 
 @parametrize("kind", BAD)
 def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig, ready, kind):
-    _, _, *good = ready
+    _, *good = ready
     measurement, reference = good
     calls = [(None, reference), (measurement, None), ("a", 3)]
     for name in ("q", "v", "wrenches", "touched"):
@@ -281,8 +276,7 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
         calls.append((measurement, replace(reference, **{name: bad})))
     limits = rig.chain.tau_max * (1.0 + 1e-12)
     not_computed = 0
-    starts = good, of_kind(KINDS["lists"], *good)
-    for call, start in product(calls, starts):
+    for call, start in product(calls, (good, of_kind(KINDS["lists"], *good))):
         controller = rig.controller()
         last = ticked(controller, *start)
         before = controller.force_integral, controller.motion_integral
@@ -401,8 +395,7 @@ def test_arrays_of_the_usual_kind_meet_no_conversion(rig):
         controller.tick(plant.measure(), rig.references.at(0.0))
     assert not controller._converting
     copy = controller.with_gains(rig.gains)
-    other = of_kind(KINDS["lists"], plant.measure(), rig.references.at(0.0))
-    controller.tick(*other)
+    controller.tick(*of_kind(KINDS["lists"], plant.measure(), rig.references.at(0.0)))
     assert controller._converting and not copy._converting
 
 
@@ -413,8 +406,7 @@ def test_a_plain_number_is_the_force_of_the_only_contact():
     assert at.alpha_d.shape == (1,)
     want = rig.controller().tick(measurement, at)
     number = float(at.alpha_d[0])
-    tau = ticked(rig.controller(), measurement, replace(at, alpha_d=number))
-    assert_array_equal(tau, want)
+    assert_array_equal(ticked(rig.controller(), measurement, replace(at, alpha_d=number)), want)
     X = at.X_WD
     made = osc.pose_reference(X.translation, X.rotation, alpha_d=number)
     assert_array_equal(made.alpha_d, at.alpha_d)

@@ -2,8 +2,8 @@
 
 import numpy as np
 from numpy.testing import assert_allclose
-from pair_kinds import about, carrying, in_plane, kind, placed
-from rigs import direction, refused, shift
+from pair_kinds import about, carrying, in_plane, kind, placed, two_lines
+from rigs import refused, shift
 from samples import parametrize
 
 import osc_contact as osc
@@ -11,10 +11,7 @@ import osc_contact as osc
 
 @kind
 def cylinder_in_v_groove(rng, c):
-    point = rng.standard_normal(3)
-    e = direction(rng)
-    foot = rng.standard_normal(3)
-    g = direction(rng)
+    point, e, foot, g = two_lines(rng)
     rho = 0.15
     angle = rng.uniform(0.6, 2.2)
     out = in_plane(g)[0]
@@ -42,8 +39,7 @@ def test_each_wall_is_pushed_at_right_angles_from_inside():
     right = np.array([1.0, 0.0, -1.0]) / np.sqrt(2)
     left = np.array([-1.0, 0.0, -1.0]) / np.sqrt(2)
     assert_allclose(forces.T, [right, left, right, left], atol=1e-15)
-    lifted = shift(X.translation + [0, 0, 0.01])
-    assert_allclose(pair.gaps(lifted), 0.01 / np.sqrt(2), atol=1e-15)
+    assert_allclose(pair.gaps(shift(X.translation + [0, 0, 0.01])), 0.01 / np.sqrt(2), atol=1e-15)
 
 
 @parametrize("wrong", [{"groove_angle": 3.2}, {"groove_outward": [0, 2, 0]}])

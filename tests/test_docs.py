@@ -11,6 +11,7 @@ from textwrap import indent
 import typer
 import yaml
 from command_line import call
+from pair_kinds import snake
 from pytest import mark, param
 from samples import ROOT, module_fixture, parametrize
 from scenario_runs import rig_of, run_of
@@ -46,8 +47,7 @@ def blocks(language):
             after = fences[i + 1] if i + 1 < len(fences) else None
             between = text_of(page)[fence.end() : after.start()] if after else "no"
             shown = after[2] if after and after[1] == "text" and not between.strip() else None
-            name = f"{page.relative_to(ROOT)}-{i}"
-            found.append(param(page, fence[2], shown, id=name))
+            found.append(param(page, fence[2], shown, id=f"{page.relative_to(ROOT)}-{i}"))
     return found
 
 
@@ -90,8 +90,8 @@ def test_command_exists_and_parses(line):
     _, name, *arguments = shlex.split(line, comments=True)
     assert name in group.commands, f"{name} is no command of osc-contact"
     group.commands[name].make_context(name, list(arguments))  # raises on unknown options
-    made_there = "my_rod.yaml"  # tests/test_docs.py runs these
-    if name in ("run", "inspect") and arguments[0] not in ("SCENARIO", made_there):
+    # what the newcomer's page makes there is run below
+    if name in ("run", "inspect") and arguments[0] not in ("SCENARIO", "my_rod.yaml"):
         changes = [value for option, value in pairwise(arguments) if option == "--set"]
         osc.load_scenario(arguments[0], changes)
 
@@ -163,8 +163,7 @@ def test_every_pair_has_a_row_with_its_r_and_its_keys():
     documented = {}
     for name, row in rows.items():
         if TICKED.search(row[-1]):
-            kind = re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
-            documented[kind] = (int(row[1]), set(TICKED.findall(row[-1])))
+            documented[snake(name)] = (int(row[1]), set(TICKED.findall(row[-1])))
     assert documented == {
         kind: (spec.forces, set(spec.model_fields) - {"name", "type", "body"})
         for kind, spec in CONTACT_TYPES.items()
@@ -186,10 +185,9 @@ def leaves(data, prefix, contacts):
 
 
 def test_every_metric_is_documented(recording):
-    names = recording.meta["contact_names"]
     rows = table_rows("metrics.md", "metrics.json")
     assert {name for row in rows for name in TICKED.findall(row[0])} == leaves(
-        osc.metrics(recording), "", names
+        osc.metrics(recording), "", recording.meta["contact_names"]
     )
 
 
@@ -261,7 +259,6 @@ def test_the_readme_is_short_and_shows_a_picture_and_a_program_with_its_output_f
 
 
 MAP = ROOT / "docs" / "paper_map.md"
-REFERENCE = re.compile(r"`([^`\s]+)`")
 CELL = re.compile(r"`[^`\s]+`(, `[^`\s]+`)*")
 RIG = (
     "two SCARA arms",
@@ -314,7 +311,7 @@ ROWS = re.findall(r"^\| ((?:eq|fig|rig)\b.*?) \| (.*?) \| (.*?) \|$", text_of(MA
 def test_row_is_complete(row):
     for cell, test in zip(row[1:], (False, True), strict=True):
         assert CELL.fullmatch(cell), f"no references: {cell!r}"
-        for reference in REFERENCE.findall(cell):
+        for reference in TICKED.findall(cell):
             assert complaint(reference, test=test) is None
 
 
@@ -375,11 +372,6 @@ def arguments(function):
     return [one for one in every if one.arg not in ("self", "cls")]
 
 
-def is_command(function):
-    """Of the command line: its options have their help where they stand."""
-    return "Option" in ast.unparse(function.args)
-
-
 def records():
     """Arguments of the law that are records: one table explains them all."""
     text = (PACKAGE / "law" / "records.py").read_text()
@@ -392,8 +384,8 @@ def unexplained(text, known=()):
     found = []
     for function in public_functions(ast.parse(text)):
         names = [one.arg for one in arguments(function)]
-        if len(names) < 3 or is_command(function):
-            continue
+        if len(names) < 3 or "Option" in ast.unparse(function.args):
+            continue  # options of the command line have their help where they stand
         _, _, described = (ast.get_docstring(function) or "").partition("Args:")
         left_out = [name for name in names if name not in described and name not in known]
         if left_out:

@@ -62,8 +62,7 @@ def test_it_starts_touching_within_limits_and_is_described_in_words(rigs, name):
     json.dumps(found.as_dict())
     X = rig.state.X_WO
     assert max(np.abs(pair.gaps(X)).max() for pair in rig.pairs) < 1e-12
-    wanted = rig.scenario.object.pose.xyz
-    assert norm(X.translation - wanted) < 0.02  # near what the file says
+    assert norm(X.translation - rig.scenario.object.pose.xyz) < 0.02  # near what the file says
     for t in np.linspace(0.0, rig.scenario.duration, 50):
         assert (rig.references.at(t).alpha_d > 0.0).all()
 
@@ -75,8 +74,7 @@ def test_geometry_touches_where_the_pairs_say(rigs, name):
     plant = rig.plant()
     state = rig.state
     contact = rig.contact
-    pressed = 1e-4 * np.ones(contact.r)
-    eta = lstsq(contact.N.T @ state.S, pressed, rcond=None)[0]
+    eta = lstsq(contact.N.T @ state.S, 1e-4 * np.ones(contact.r), rcond=None)[0]
     plant.reset(rig.q_contact + state.W @ eta)
     points = np.array(plant.data.contact.pos)
     X = plant.truth().X_WO
@@ -136,14 +134,12 @@ def test_a_corner_that_lifts_opens_the_contact(rigs):
     tipped = rig.state
     eta = lstsq(tipped.S, np.array([0, 0, 0, 0, 0.02, 0.0]), rcond=None)[0]
     plant.reset(rig.q_contact + tipped.W @ eta)
-    truth = plant.truth()
-    assert plant.data.ncon > 0 and not truth.closed[0]
+    assert plant.data.ncon > 0 and not plant.truth().closed[0]
 
 
 @parametrize("name", first(NAMES, 1))
 def test_it_can_be_looked_at(rigs, runs, name, tmp_path):
-    page = write_scene_of(runs[name], rigs[name], tmp_path / "scene.html")
-    assert page.stat().st_size > 100_000
+    assert write_scene_of(runs[name], rigs[name], tmp_path / "scene.html").stat().st_size > 100_000
 
 
 def test_columns_of_the_recording_belong_together(runs):
@@ -222,8 +218,7 @@ def test_the_judge_takes_its_forces_from_the_plant_and_its_motion_from_the_objec
         ("rms_error_rel", np.sqrt((error**2).mean(axis=0))),
         ("peak_error_rel", np.abs(error).max(axis=0)),
     ):
-        found = [force[name] for force in verdict["force"].values()]
-        assert found == approx(wanted, rel=1e-9)
+        assert [force[name] for force in verdict["force"].values()] == approx(wanted, rel=1e-9)
     u = unit(np.cross(*nominal["contact_direction"][0]))
     slide = (nominal["pose"][:, :3] - nominal["pose"][0, :3]) @ u
     want = 0.05 * np.sin(2 * np.pi * 0.5 * t)
@@ -300,7 +295,7 @@ def test_forces_survive_everything_while_the_faces_move(everything):
     assert always_closed(verdict)
     assert verdict["status"]["held"] == 0
     travel = everything["face_pose"][-1, :, :3] - everything["face_pose"][0, :, :3]
-    assert_allclose(np.linalg.norm(travel, axis=1), 0.02, rtol=1e-3)
+    assert_allclose(norm(travel, axis=1), 0.02, rtol=1e-3)
     first, last = everything["face_pose"][[0, -1], :, 3:]
     cosine = np.abs(np.sum(first * last, axis=1))  # of half the angle between quaternions
     assert_allclose(2 * np.arccos(cosine), np.deg2rad(5.0), rtol=1e-3)
@@ -372,12 +367,10 @@ def test_a_pair_of_ones_own_cannot_be_displaced():
 
 def test_friction_that_turns_back_is_commanded_in_time():
     """Of two Pandas that slide to and fro, with friction that they learn."""
-    verdict = verdict_of("dual_panda_rod", "plant.friction=0.2", "duration=4 s")
-    assert worst_force(verdict) < 0.015
+    assert worst_force(verdict_of("dual_panda_rod", "plant.friction=0.2", "duration=4 s")) < 0.015
 
 
 @parametrize("time", [0.004, 0.02])
 def test_points_that_slide_on_hard_faces_keep_contact(time):
     changes = ["plant.friction=0.2", f"plant.solref=[{time}, 1]", "duration=2 s"]
-    verdict = verdict_of("two_contact_rod", *changes)
-    assert always_closed(verdict)
+    assert always_closed(verdict_of("two_contact_rod", *changes))

@@ -11,15 +11,7 @@ from scenario_runs import run_of
 
 import osc_contact as osc
 from benchmarks import fault_injection
-from benchmarks.fault_injection import (
-    FAULTS,
-    NAN,
-    Case,
-    Run,
-    Verdict,
-    cases,
-    try_fault,
-)
+from benchmarks.fault_injection import FAULTS, NAN, Case, Run, Verdict, cases, try_fault
 from benchmarks.pushes import packaged, push_arm
 from osc_contact.control.status import Phase
 from osc_contact.law.phases import CLOSED
@@ -126,8 +118,7 @@ def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
     assert set(status) == {int(osc.Status.OK)}
     assert run.controller.state is RUN and run.controller.state_age == 1500
     assert run.controller.repeated == 1, "the last packet came twice"
-    alpha = run.plant.truth().alpha
-    assert_allclose(alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
+    assert_allclose(run.plant.truth().alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
 
 
 @parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
@@ -263,7 +254,7 @@ def pull_away(name, by):
 def test_a_face_that_is_pulled_away_is_looked_for_or_the_arms_stop(name):
     controller, speeds, lost = pull_away(name, 0.2)
     assert max(speeds) < 1.0
-    assert controller.state is osc.SafetyState.SAFE_STOP or lost > 0.7, (lost, controller.reason)
+    assert controller.state is SAFE_STOP or lost > 0.7, (lost, controller.reason)
 
 
 @parametrize("name", ["two_contact_rod", "dual_panda_rod"])
@@ -282,16 +273,16 @@ def test_a_contact_that_is_not_found_again_stops_the_arms_until_a_reset():
             rows.memory.contacts.since[:] = 0.0
             rows.memory.columns.time_since_loss[0] = 0.99
         plant.command(controller.tick(plant.measure(), rig.references.at(0.001 * k)), 0.001)
-        assert controller.state is not osc.SafetyState.SAFE_STOP
+        assert controller.state is not SAFE_STOP
     rows.memory.columns.time_since_loss[0] = 1.01
     for _ in range(2):
         controller.tick(plant.measure(), rig.references.at(0.03))
-    assert controller.state is osc.SafetyState.SAFE_STOP
+    assert controller.state is SAFE_STOP
     assert "not held again 1 s after it was lost" in controller.reason
     controller.reset()
     assert (rows.memory.columns.time_since_loss == 0.0).all()
     controller.tick(plant.measure(), rig.references.at(0.03))
-    assert controller.state is osc.SafetyState.RUN
+    assert controller.state is RUN
 
 
 @parametrize("push", first(WORST))

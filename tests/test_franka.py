@@ -9,9 +9,9 @@ from command_line import call
 from complaints import invalid_input, plant_error
 from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
 from numpy.testing import assert_allclose
-from pytest import approx, mark, param
+from pytest import approx, mark
 from rigs import largest, shift
-from samples import parametrize
+from samples import first, parametrize
 
 import osc_contact as osc
 from osc_contact.drivers.franka import FrankaRobot
@@ -32,11 +32,11 @@ CASES = {  # force, gap, gap believed in, joint friction, tilt, friction, stiffn
     "soft": (15.0, 0.004, 0.004, 1.0, 0.0, 0.2, 1e4),
     "hard, 5 N": (5.0, 0.004, 0.004, 1.0, 0.0, 0.2, 3e5),
 }
-IMPACT = {"hard, 5 N": 3.0}  #: of the command; twice, the aim, is missed: mass, speed, stiffness
-SLOW = [param(case, marks=mark.slow) for case in IMPACT]
+#: Of the command, of the last cases; twice, the aim, is missed: mass, speed, stiffness.
+IMPACT = {"hard, 5 N": 3.0}
 
 
-@parametrize("case", [*(case for case in CASES if case not in IMPACT), *SLOW])
+@parametrize("case", first(CASES, len(CASES) - len(IMPACT)))
 def test_it_approaches_presses_slides_and_retreats(franka, case):
     force, gap, believed, losses, tilt, friction, stiffness = CASES[case]
     scene = {"joint_friction": losses, "tilt": tilt, "friction": friction, "stiffness": stiffness}
@@ -121,8 +121,7 @@ def test_a_robot_that_ends_the_motion_ends_the_loop(franka, fault, sentence):
     task.robot.close()
     with plant_error(r"is stopped \(.*Reflex.* connect with recover=True"):
         FrankaRobot(franka.host, task.chain)
-    again = FrankaRobot(franka.host, task.chain, recover=True)
-    assert "Idle" in str(again.state.robot_mode)
+    assert "Idle" in str(FrankaRobot(franka.host, task.chain, recover=True).state.robot_mode)
 
 
 def without_weight(robot):
@@ -185,8 +184,7 @@ def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka, sensor):
     t = 20.0 * 1e-3 * (franka.send()["steps"] - 1) * np.array([1.0, 1.3, 0.7])
     force = -8.0 * np.array([1.0, 1.0, 0.3]) * np.cos(t)
     wrench = X.act(pin.Force(read[-1].wrenches[0]))
-    mass = 0.73 if sensor == "hand" else 0.0
-    weight = [0, 0, 9.81 * mass]
+    weight = [0, 0, 9.81 * (0.73 if sensor == "hand" else 0.0)]
     assert_allclose(wrench.linear - weight, force, atol=1.5)
     tip = robot._base.act(robot._data.oMf[robot._tip]).translation
     lever = X.act(np.array([-0.01, 0.0, 0.03]))
@@ -199,8 +197,7 @@ def test_torques_stay_within_the_limits_of_the_robot(franka):
     robot, _ = at_rest(franka, 1)
     before = np.array(robot.state.tau_J_d)
     robot.command(np.full(7, 1e6), 1e-3)
-    step = np.array(robot._torques.tau_J) - before
-    assert largest(step) == approx(0.99)
+    assert largest(np.array(robot._torques.tau_J) - before) == approx(0.99)
     robot._v = robot.chain.model.upperVelocityLimit.copy()  # every joint at its limit
     robot.state = type("state", (), {"tau_J_d": robot.chain.tau_max})
     weight = pin.computeGeneralizedGravity(robot._model, robot._data, robot._q)
@@ -289,8 +286,7 @@ def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path
         return True
 
     course = Commissioning(robot, tmp_path, PROBE + RADIUS + 0.003, confirm, 3.0, False)
-    done = course.run()
-    assert done, course.lines
+    assert course.run(), course.lines
     assert steps == ["model", "wrench", "shadow", "contact"]
     report = (tmp_path / "report.md").read_text()
     assert "forces may be commanded" in report and (tmp_path / "forces.png").exists()

@@ -1,25 +1,24 @@
 """Friction compensation in closed loop; `test_law_kkt` judges N_μ and what saturation costs."""
 
+from unittest.mock import patch
+
 import numpy as np
 from pytest import approx, fixture
 from rigs import refused, scara_pair
 from samples import parametrize
+from scenario_runs import always_closed, run_of, verdict_of, worst_force
 
 import osc_contact as osc
 from benchmarks.cases import POINT
 from benchmarks.reversals import register_plants, reversing
 from osc_contact.runs.rig import PLANT_TYPES, PLANTS, register_plant
-from osc_contact.scenarios.control_schema import Friction
 
 
-def worst(mu, believed, *more, duration=2.0):
-    friction = [] if believed is None else [f"control.friction={{mu: {believed}}}"]
-    scenario = osc.load_scenario(
-        "two_contact_rod_friction", [f"plant.friction={mu}", *friction, *more]
-    )
-    verdict = osc.metrics(osc.run(scenario, duration=duration))
-    assert set(verdict["contact_fraction"].values()) == {1.0}
-    return max(force["rms_error_rel"] for force in verdict["force"].values())
+def worst(mu, compensation):
+    changes = f"plant.friction={mu}", f"control.friction={compensation}"
+    verdict = verdict_of("two_contact_rod_friction", *changes, duration=2.0)
+    assert always_closed(verdict)
+    return worst_force(verdict)
 
 
 @parametrize(
@@ -27,30 +26,27 @@ def worst(mu, believed, *more, duration=2.0):
     [(0.1, 0.13, 0.02), (0.1, 0.07, 0.02), (0.3, 0.39, 0.05), (0.3, 0.21, 0.05)],
 )
 def test_forces_survive_friction_known_within_thirty_per_cent(mu, believed, limit):
-    assert worst(mu, believed) <= limit
+    assert worst(mu, f"{{mu: {believed}}}") <= limit
 
 
 def test_without_compensation_friction_costs_twice_as_much():
-    assert worst(0.3, None, "control.friction=null") > 2 * worst(0.3, 0.3)
+    assert worst(0.3, "null") > 2 * worst(0.3, "{mu: 0.3}")
 
 
 @fixture(autouse=True)
 def registered():
     """Plants of the tests, taken out again."""
-    before = dict(PLANTS), dict(PLANT_TYPES)
-    register_plants()
-    yield
-    for register, content in zip((PLANTS, PLANT_TYPES), before, strict=True):
-        register.clear()
-        register.update(content)
+    with patch.dict(PLANTS), patch.dict(PLANT_TYPES):
+        register_plants()
+        yield
 
 
 def reversal_error(*which, duration=3.0, **plant):
     scenario = reversing(*which)
     scenario = scenario.replaced(plant=scenario.as_dict()["plant"] | plant)
     verdict = osc.metrics(osc.run(scenario, duration=duration))
-    assert verdict["contact_fraction"] == {"nose": 1.0}
-    return verdict["force"]["nose"]["rms_error_rel"]
+    assert always_closed(verdict)
+    return worst_force(verdict)
 
 
 @parametrize("known", [True, False])
@@ -85,16 +81,15 @@ def test_friction_leaves_a_face_as_stiff_as_it_is(solref):
 
 
 def test_friction_on_contacts_without_known_points_is_refused():
-    chain = scara_pair()
     pair = osc.Revolute(np.zeros(3), np.array([0.0, 0.0, 1.0]), name="hinge")
     with refused(r"hinge.*points of contact"):
-        osc.Controller(chain, [pair], friction=Friction(0.1))
+        osc.Controller(scara_pair(), [pair], friction=osc.Friction(0.1))
 
 
 @parametrize("bad", [(-0.1, 1e-3), (0.1, 0.0), (float("nan"), 1e-3)])
 def test_impossible_friction_is_refused(bad):
     with refused("mu"):
-        Friction(*bad)
+        osc.Friction(*bad)
 
 
 @parametrize("mu", [0.0, 0.2, 0.3])
@@ -103,9 +98,8 @@ def test_a_first_contact_shows_its_friction(mu):
     wrist = "{rate: 1 kHz, delay: 3 ms, force: {noise: 0.5 N}, torque: {noise: 0.02 Nm}}"
     changes = [f"plant.friction={mu}", "control.friction={mu: 0}"]
     changes += ["control.force.reading=least_squares", f"sensors.wrist={wrist}"]
-    recording = osc.run(osc.load_scenario("ur5_wipe", changes), duration=1.2)
-    steps = osc.metrics(recording)["steps"]
-    assert max(step["overshoot_rel"] for step in steps) < 0.12
+    recording = run_of("ur5_wipe", *changes, duration=1.2)
+    assert max(step["overshoot_rel"] for step in osc.metrics(recording)["steps"]) < 0.12
     assert recording["closed"][recording["t"] > 0.02].all()
 
 
@@ -129,7 +123,7 @@ def test_tangential_forces_of_a_contact_at_rest_leave_the_contact_force_as_comma
         controller.tick(measurement, reference)
         controller._memory.columns.tangential[:] = f
         tau = controller.tick(measurement, reference)
-        load = plant._jacobian(plant._object()[0]).T @ np.concatenate((f, np.cross(p, f)))
+        load = plant._jacobian(plant._object()[0]).T @ np.append(f, np.cross(p, f))
         forces.append(plant._solve(tau - load).alpha[0])
         held = plant._solve(tau).alpha[0] - forces[0]
     assert forces[1] == approx(forces[0], abs=1e-6) and abs(held) > 0.1

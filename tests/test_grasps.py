@@ -7,7 +7,7 @@ import pinocchio as pin
 from complaints import model_error, scenario_error
 from grasp_rigs import KINDS, grasp_of, random_case, slip_of
 from kkt_oracle import pressed
-from numpy.linalg import cholesky, norm, svd
+from numpy.linalg import cholesky, norm, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from rigs import (
@@ -20,11 +20,13 @@ from rigs import (
     random_faces,
     refused,
     rig_of,
+    rotated,
     shift,
     ticked,
     unloaded,
 )
 from samples import first, parametrize
+from scenario_runs import first_inputs
 
 import osc_contact as osc
 from osc_contact.dynamics.assembly import close, object_pose, reach
@@ -48,9 +50,7 @@ def touching(case, rng, most=2):
     still = case.at_rest()
     pairs = random_faces(case.X_WO, min(most, still.d), rng)
     root = cholesky(still.metric)
-    felt = svd(root.T @ still.S)[0][:, : still.d].T @ np.linalg.solve(
-        root, contact_of(pairs, still).N
-    )
+    felt = svd(root.T @ still.S)[0][:, : still.d].T @ solve(root, contact_of(pairs, still).N)
     return pairs if pairs and svd(felt)[1][-1] > 0.05 * norm(felt) else []
 
 
@@ -63,7 +63,6 @@ def moving(case, pairs, rng, size=1.0):
     return whole, state, contact_of(pairs, state), rng.standard_normal(case.chain.n_a) * 20.0
 
 
-BARE = [(arm,) for arm in ARMS for _ in range(4)]  # nothing held
 EIGHT = ("scara", "ur5", "panda", "3R", "panda", "ur5", "ur5", "panda")
 GRIPS = ("ball", "hinge", "rigid", "ball", "cylinder", "slide", "ball", "hinge")
 
@@ -72,7 +71,7 @@ def many_cases(rng):
     """Random chains of 1 to 4 arms with any grasps, of eight arms, and bare tips."""
     yield from (draw(rng) for _ in range(40))
     yield from (random_case(EIGHT, GRIPS, rng) for _ in range(2))
-    yield from (random_case(arm, ["rigid"], rng, body=None) for arm in BARE)
+    yield from (random_case([arm], ["rigid"], rng, body=None) for arm in ARMS for _ in range(4))
 
 
 @parametrize("bend", [None, 0.0, 1e-3, 1e-2])
@@ -112,7 +111,7 @@ def by_constraint_dynamics(whole, tau):
     """Spatial acceleration (6,) of the object by Pinocchio: free flyer, welds, points of balls."""
     chain = whole.case.chain
     X_WO = whole.case.X_WO
-    to_object = pin.SE3(X_WO.rotation.T, np.zeros(3)).action  # turns a twist into its axes
+    to_object = rotated(X_WO.rotation.T).action  # turns a twist into its axes
     model = chain.model.copy()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
     model.appendBodyToJoint(joint, chain.payload.inertia, pin.SE3.Identity())
@@ -160,8 +159,7 @@ def driven(rng, count, **options):
 
 def plant_at(whole, dt):
     """The exact plant in this motion."""
-    pairs = [c.pair for c in whole.contacts]
-    plant = RigidPlant(whole.case.chain, pairs, dt)
+    plant = RigidPlant(whole.case.chain, [c.pair for c in whole.contacts], dt)
     plant.q = whole.case.q
     plant.v = whole.v
     plant._X = whole.case.X_WO
@@ -246,9 +244,8 @@ def test_a_grasp_keeps_its_motions_and_nothing_else():
         assert largest(grasp.miss(X_WT, X_WO)) < 1e-14
         V = rng.standard_normal(6)
         h = 1e-6
-        O = X_WO.translation
         rate = (grasp.miss(X_WT, moved(X_WO, h * V)) - grasp.miss(X_WT, moved(X_WO, -h * V))) / 2
-        want = grasp.wrenches_at(X_WT, O).T @ V
+        want = grasp.wrenches_at(X_WT, X_WO.translation).T @ V
         assert_allclose(rate / h, want, atol=1e-8 * largest(want))
 
 
@@ -332,13 +329,13 @@ def test_a_grasp_that_registers_itself_has_a_name_in_scenarios(monkeypatch):
     monkeypatch.setitem(GRASP_TYPES, "slide", None)
 
     def slide(X_TO, axis):
-        return osc.Grasp(X_TO, np.concatenate((axis, np.zeros(3)))[:, None])
+        return osc.Grasp(X_TO, np.append(axis, np.zeros(3))[:, None])
 
     register_grasp("slide", slide, axis=True)
     hand = HANDS[0] % ", type: slide, axis: [0, 2, 0]"
     rig = rig_of("dual_panda_rod", *[f"grasps.left={hand}", "plant.type=rigid"])
     assert_array_equal(rig.chain.grasps[0].T[:, 0], [0, 1, 0, 0, 0, 0])
-    ticked(rig.controller(), rig.plant().measure(), rig.references.at(0.0))
+    ticked(rig.controller(), *first_inputs(rig))
 
 
 def test_exact_plant_steps_an_object_that_no_arm_leads():
@@ -395,9 +392,7 @@ def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
     chain = osc.ClosedChain([loose], case.chain.grasps, case.chain.payload)
     A_D = np.array([0.1, -0.2, 0.3, 0.1, 0.2, -0.1])
     controller = osc.Controller(chain, [], posture=case.q)
-    still = np.zeros(4)
-    measured = unloaded(case.q, still)
-    tau = ticked(controller, measured, osc.Reference(case.X_WO, A_D=A_D))
+    tau = ticked(controller, unloaded(case.q, np.zeros(4)), osc.Reference(case.X_WO, A_D=A_D))
     found = pressed(case, ()).answer(np.insert(tau, 1, 0.0))
     s = controller.signals
     assert_allclose(found.a_object, s.state.S @ s.eta_c + s.state.sigma, atol=1e-8)
@@ -419,8 +414,7 @@ def test_forces_at_a_tip_that_holds_nothing(arm):
         truth = state.answer(20.0 * rng.standard_normal(case.chain.n_a))
         controller = osc.Controller(case.chain, pairs, safety=UNLIMITED)
         reference = osc.Reference(pin.SE3.Identity(), alpha_d=np.zeros(len(pairs)))
-        read = osc.Measurement(case.q, state.v, state.readings(truth))
-        controller.tick(read, reference)
+        controller.tick(osc.Measurement(case.q, state.v, state.readings(truth)), reference)
         assert controller.status is not osc.Status.HELD, controller.reason
         assert miss(controller.result().alpha_meas, truth.alpha) < 1e-7
         seen += len(pairs)

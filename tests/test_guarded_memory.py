@@ -37,7 +37,7 @@ NO_ACCESS = 0
 kept = []
 
 
-def guarded(content, at_end=True, writable=True, beyond=0):
+def guarded(content, at_end, writable=True, beyond=0):
     """A copy that begins or ends at a page without access.
 
     Args:
@@ -69,26 +69,21 @@ class Guarded:
     """A controller whose records, program, readings and references lie apart from one another."""
 
     def __init__(self, controller, at_end, beyond):
-        own = controller._records
+        rows = controller._records.rows
         self.at_end = at_end
-        job = records.JOB.view(own.rows.raw)
-        parts = {
-            name: (int(getattr(job, name)), getattr(own.rows, name)[0])
-            for name in ("model", "memory", "work", "input")
-        }
-        self.job = guarded(own.rows.jobs[0], at_end)
+        self.job = guarded(rows.jobs[0], at_end)
         head = records.JOB.view(self.job)
         base = self.job.ctypes.data
-        self.parts = {}
-        for name, (_, content) in parts.items():
+        parts = {}
+        for name in ("model", "memory", "work", "input"):
             shift = beyond if name == "work" else 0
-            part = guarded(content, at_end, name != "model", shift)
+            part = guarded(getattr(rows, name)[0], at_end, name != "model", shift)
             setattr(head, name, part.ctypes.data - base)
-            self.parts[name] = part
-        self.memory = records.MEMORY.view(self.parts["memory"])
-        model = records.MODEL.view(self.parts["model"])
-        self.columns = int(model.n_columns)
-        limits = TorqueLimits(int(model.n_motors), max(1, self.columns), int(model.n_extra), 8)
+            parts[name] = part
+        self.memory = records.MEMORY.view(parts["memory"])
+        model = records.MODEL.view(parts["model"])
+        sizes = int(model.n_motors), max(1, int(model.n_columns)), int(model.n_extra)
+        limits = TorqueLimits(*sizes, 8)
         limits.program.mass = controller.chain.reference.inertia.mass
         limits._use(guarded(limits.raw, at_end))
         self.limits = limits
@@ -100,7 +95,7 @@ class Guarded:
         if m.touched is not None:
             flags |= tick.MOVING
             touched = touched_rows(m.touched)
-        self.memory.wrench_missing = int(m.wrench_valid is not None and not m.wrench_valid)
+        self.memory.wrench_missing = int(not m.wrench_valid)
         self.memory.squeeze[:] = squeeze = reference.squeeze_d
         if len(m.wrenches) > 2 and np.any(squeeze):
             flags |= tick.COMMANDED

@@ -69,8 +69,7 @@ for name in osc.__all__:
         assert "pip install 'osc-contact[" in str(error), error
         print(name)
 """
-    of_files = {"load_scenario", "list_scenarios", "sweep", "make_vector_env"}
-    assert set(printed(program)) == of_files
+    assert set(printed(program)) == {"load_scenario", "list_scenarios", "sweep", "make_vector_env"}
 
 
 def test_every_public_name_is_found_and_listed():

@@ -10,7 +10,7 @@ from complaints import scenario_error
 from numpy.linalg import lstsq, matrix_rank, norm
 from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import assert_derivatives, largest, object_poses, placed, shift
+from rigs import assert_derivatives, largest, object_poses, placed, rotated, shift
 from samples import module_fixture, parametrize
 from scenario_runs import rig_of
 
@@ -62,12 +62,10 @@ def test_dimensions(found, rig):
 def test_free_motions_keep_loops_and_contacts_closed(found, rig):
     """A small step along each: every arm can follow it, and no gap opens to first order."""
     chain = rig.chain
-    q = rig.q_contact
     state = rig.state
     for twist in found.free.T:
         eta, *_ = lstsq(state.S, twist, rcond=None)
-        step = 1e-6
-        pin.forwardKinematics(chain.model, chain.data, q + step * (state.W @ eta))
+        pin.forwardKinematics(chain.model, chain.data, rig.q_contact + 1e-6 * (state.W @ eta))
         first, second = object_poses(chain)
         assert largest((first.inverse() * second).homogeneous - np.eye(4)) < 1e-9
         for pair in rig.pairs:
@@ -164,8 +162,7 @@ def two_turns(centres=(None, None)):
     ]
     scenario = osc.load_scenario("two_contact_rod_mismatch").replaced(motion=motion)
     X = placed(0.1, 0.2, 0.3, (0.1, 0.2, 0.3))
-    pairs = rig_of().pairs
-    return References.of(scenario, X, pairs, np.array([0.01, 0.0, 0.02, 0.1, -0.2, 0.05]))
+    return References.of(scenario, X, rig_of().pairs, np.array([0.01, 0.0, 0.02, 0.1, -0.2, 0.05]))
 
 
 @parametrize("centres", [(None, None), CENTRES])
@@ -181,7 +178,7 @@ def test_turns_about_points_are_products_of_poses():
     X = wanted.X_start
     for centre, axis, angle in zip(CENTRES, np.eye(3)[[2, 1]], angles, strict=True):
         to = shift(centre)
-        X = to * pin.SE3(pin.exp3(angle * axis), np.zeros(3)) * to.inverse() * X
+        X = to * rotated(pin.exp3(angle * axis)) * to.inverse() * X
     X.translation += [wanted.scenario.motion[2].signals[0].at(t)[0], 0, 0]
     assert_allclose(wanted.at(t).X_WD.homogeneous, X.homogeneous, atol=1e-12)
     assert norm(X.translation - wanted.X_start.translation) > 0.02
@@ -200,11 +197,9 @@ def test_the_object_rests_off_the_contacts_while_wrists_are_tared():
 def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after):
     """Or 0.2 s later, while contacts are approached."""
     wanted = rig_of("two_contact_rod_mismatch", f"control.life={life}").references
-    start = wanted.at(0.0).X_WD
     engaged = wanted.at(wanted.engage_at + after).X_WD
     assert wanted.engage_at == approx(0.6 - after)
-    gap = norm(start.translation - wanted.X_start.translation)
-    assert gap > 3e-3
+    assert norm(wanted.at(0.0).X_WD.translation - wanted.X_start.translation) > 3e-3
     assert_allclose(engaged.translation, wanted.X_start.translation, atol=1e-12)
 
 

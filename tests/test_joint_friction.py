@@ -26,7 +26,6 @@ from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 import osc_contact as osc
 from benchmarks.joint_friction import cases
 from osc_contact.control.records import SLIP
-from osc_contact.interface import Reference
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 MOST = 30.0
@@ -34,7 +33,7 @@ PRIOR = np.array([9.0, 4.0, 2.0, 0.01, 0.04])
 drafted = cache(cases)
 
 
-def learned(Phi, r, noise=0.1, dt=0.0):
+def learned(Phi, r, noise, dt=0.0):
     """θ and FRICTION after these residuals; dt = 0: nothing is forgotten, and R stays."""
     t = records(1, 1)
     prior = t.model.priors[0]
@@ -49,6 +48,23 @@ def learned(Phi, r, noise=0.1, dt=0.0):
         joint_friction._regress(prior, row, phi, np.zeros(10), one, 1.0, dt)
     joint_friction._keep_bounds(prior, row, np.zeros((5, 5)))
     return row.theta, row
+
+
+def watched(known, residual, side, most=MOST):
+    """A joint that creeps to one side and has learned nothing: records, and what it will learn."""
+    t = records(1, 1, friction_learning=1)
+    t.model.priors.high = most
+    t.memory.balanced = 1000
+    t.memory.friction_known[0] = known
+    joint = t.memory.joints[0]
+    joint.residual = residual
+    joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = side, 0.1 * side
+    return t, t.memory.friction[0]
+
+
+def learn(t, ticks=1):
+    for _ in range(ticks):
+        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
 
 
 def test_the_estimate_is_that_of_least_squares():
@@ -89,37 +105,22 @@ def test_joints_without_friction_learn_none(dt):
 @parametrize(("most", "found"), [(20.0, 8.0), (5.0, 5.0)])
 def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, found):
     """The estimate, too: beyond its bound it would have to come back before F could."""
-    t = records(1, 1, friction_learning=1)
-    t.model.priors.high = most
-    t.memory.balanced = 1000
-    t.memory.friction_known[0] = joint_friction.LEARNED
-    joint = t.memory.joints[0]
-    joint.residual = 8.0
-    joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = 1.0, 0.1
-    for _ in range(500):
-        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
-    learned = t.memory.friction[0]
+    t, learned = watched(joint_friction.LEARNED, 8.0, 1.0, most)
+    learn(t, 500)
     assert learned.estimate[0] == approx(found) == learned.theta[0]
 
 
 @parametrize(("estimate", "F", "after"), [(4.0, 5.0, 0.0), (9.0, 9.0, 0.1)])
 def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
     """It shows 5 beside an estimated bias of 3; θ takes all for bias while friction may be none."""
-    t = records(1, 1, friction_learning=1)
-    t.model.priors.high = MOST
+    t, learned = watched(joint_friction.SUSPECTED, -2.0, -1.0)
     t.model.priors.low = -MOST
     t.model.priors.sure = 1e9
-    t.memory.balanced = 1000
-    t.memory.friction_known[0] = joint_friction.SUSPECTED
-    learned = t.memory.friction[0]
     learned.estimate[:] = estimate, 0.0, 0.0, 3.0, 0.0
     learned.theta[3] = 7.0
-    joint = t.memory.joints[0]
-    joint.residual = -2.0
-    joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = -1.0, -0.1
     sure = []
     for _ in range(500):
-        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
+        learn(t)
         sure.append(t.memory.friction_known[0] == joint_friction.LEARNED)
     assert after <= 1e-3 * sure.index(True) < after + 0.05
     assert learned.estimate[0] == approx(F) == learned.theta[0]
@@ -128,17 +129,10 @@ def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
 @parametrize(("rest", "F"), [(9, 0.0), (12, 8.0)])
 def test_joints_that_rest_for_less_than_10_ms_show_no_stiction(rest, F):
     """A knock inboard of the sensor turns a joint back: 88 N m of F if a moment were enough."""
-    t = records(1, 1, friction_learning=1)
-    t.model.priors.high = MOST
-    t.memory.balanced = 1000
-    t.memory.friction_known[0] = joint_friction.LEARNED
-    joint = t.memory.joints[0]
-    learned = t.memory.friction[0]
-    for means in (joint.means, learned.smooth):
-        means[[joint_friction.SIGN, joint_friction.SPEED]] = 1.0, 0.1
-    joint.residual = learned.smooth[joint_friction.TORQUE] = 8.0
-    for _ in range(rest):
-        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
+    t, learned = watched(joint_friction.LEARNED, 8.0, 1.0)
+    learned.smooth = t.memory.joints[0].means
+    learned.smooth[joint_friction.TORQUE] = 8.0
+    learn(t, rest)
     assert learned.estimate[0] == approx(F)
 
 
@@ -152,7 +146,7 @@ def test_the_observer_follows_what_is_not_learned_while_the_wrist_is_credible(un
     joint.unlearned = 1.0
     joint.unbalanced = unbalanced
     for n in range(1, 51):
-        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
+        learn(t)
         assert joint.unlearned == approx(aim + (1.0 - aim) * 0.93**n)
 
 
@@ -178,7 +172,7 @@ def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase
     t.memory.joints[0].sign = -1.0
     applied = []
     for _ in range(100):
-        joint_friction._learn(t, 0, True, 0.0, 0.0, 1e-3)
+        learn(t)
         applied.append(joint_friction.believed_friction(t, 0))
     steps = np.arange(1, 101) if phase == CLOSED else np.full(100, 100)
     assert_allclose(applied, -8.0 * steps / 100)
@@ -188,9 +182,7 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
     """Without errors of the model θ and e stay zero, whatever steps; with one they do not."""
     for changes, learns in ([], False), (["model_error.joint_friction=0.9"], True):
         friction = ["arms.left.friction=1", "arms.right.friction=1"] if learns else []
-        rise = "gains.force.rise=0 s"
-        given = [rise, *friction, *changes]
-        rig = rig_of("two_contact_rod", *given)
+        rig = rig_of("two_contact_rod", "gains.force.rise=0 s", *friction, *changes)
         controller = rig.controller()
         osc.run_loop(rig.plant(), controller, rig.references.each(6000, controller.dt))
         memory = controller._records.memory
@@ -215,7 +207,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
                 np.array([0.1, 0.02, 0.03]), X.act(np.array([0.1, 0.02, 0.03])), n
             )
             contacts = [corner] if pressed else []
-            wanted = Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
+            wanted = osc.Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
             controller = osc.Controller(chain, contacts, GAINS, reading="filter", safety=UNLIMITED)
             for _ in range(2):  # the first one has no tick before it
                 tau.append(ticked(controller, unloaded(q, v), wanted))

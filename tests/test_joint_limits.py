@@ -1,9 +1,7 @@
 """Redundant arms keep off their joint limits, in motions that leave the object alone only."""
 
-from types import SimpleNamespace
-
 import numpy as np
-from law_calls import allocation
+from law_calls import allocation, records, write
 from numpy.random import default_rng
 from pytest import approx
 from rigs import (
@@ -11,6 +9,7 @@ from rigs import (
     UNLIMITED,
     holding_panda,
     largest,
+    panda_arm,
     refused,
     rigid_plant,
     ticked,
@@ -19,32 +18,23 @@ from rigs import (
 from samples import parametrize
 
 import osc_contact as osc
-from osc_contact import robots
 from osc_contact.control.records import joint_limit_margins
 from osc_contact.scenarios.control_schema import PostureTask
 
 
 def push_of(q, margins):
     """(n,) accelerations away from joint limits."""
-    names = ("low", "high", "width", "most")
-    rows = [
-        SimpleNamespace(**dict(zip(names, row, strict=True))) for row in zip(*margins, strict=True)
-    ]
+    rows = records(joints=7).model.joints
+    write(rows, **dict(zip(("low", "high", "width", "most"), margins, strict=True)))
     return np.array([allocation.push_from_limits(row, x) for row, x in zip(rows, q, strict=True)])
 
 
-def panda(**limits):
-    """One Panda whose model has other limits: joint number → (lower, upper)."""
-    model = robots.load_model(robots.find_robot("panda")[0])
-    lower = model.lowerPositionLimit.copy()
-    upper = model.upperPositionLimit.copy()
-    for joint, (low, high) in limits.items():
-        i = model.joints[model.getJointId(f"panda_{joint}")].idx_q
-        lower[i] = low
-        upper[i] = high
-    model.lowerPositionLimit = lower
-    model.upperPositionLimit = upper
-    arm = osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp", wrist_sensor="panda_hand")
+def panda(limits):
+    """One Panda whose model has other limits: index of a joint → (lower, upper)."""
+    arm = panda_arm()
+    for joint, (lower, upper) in limits.items():
+        arm.model.lowerPositionLimit[joint] = lower
+        arm.model.upperPositionLimit[joint] = upper
     return holding_panda(arm)
 
 
@@ -55,8 +45,7 @@ def panda(**limits):
 )
 def test_the_push_rises_smoothly_over_a_margin_and_stays_bounded(joint, range_, whole):
     """k w (3s² − 2s³) at depth s of the margin w, 5 % of a range that counts as π at most."""
-    model = panda(**{f"joint{joint + 1}": range_}).model
-    limits = joint_limit_margins(model, 400.0, 0.05)
+    limits = joint_limit_margins(panda({joint: range_}).model, 400.0, 0.05)
     for end, sign in zip(range_, (1.0, -1.0), strict=True):
         w = 0.05 * whole if np.isfinite(end) else 0.0
         for s, share in ((-0.1, 0.0), (0.0, 0.0), (0.25, 5 / 32), (0.5, 0.5), (1.0, 1.0), (9, 1.0)):
@@ -70,7 +59,7 @@ def test_the_push_rises_smoothly_over_a_margin_and_stays_bounded(joint, range_, 
 @parametrize("stiffness", [400.0, 0.0])
 def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     """Its rest posture lies 0.25 rad beyond a limit of joint 1; without the push it gets there."""
-    chain = panda(joint1=(-2.8, 0.2))
+    chain = panda({0: (-2.8, 0.2)})
     posture = PANDA_Q + [3.2, 0, 0, 0, 0, 0, 0]
     plant = rigid_plant(PANDA_Q, chain, dt=2e-3)
     X = chain.state(PANDA_Q, np.zeros(7)).X_WO
@@ -91,8 +80,7 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
         farthest = max(farthest, plant.q[0])
     assert (farthest < 0.2) == (stiffness > 0.0)
     assert jump < 2.0  # N m, in 2 ms
-    moved = plant.truth().X_WO
-    assert largest(moved.translation - X.translation) < 1e-5
+    assert largest(plant.truth().X_WO.translation - X.translation) < 1e-5
 
 
 @parametrize("past", [-0.3, -0.1, -0.02, 0.0, 0.05])
@@ -102,18 +90,17 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
     for _ in range(3):
         q = PANDA_Q + rng.uniform(-0.5, 0.5, 7)
         v = rng.standard_normal(7)
-        ends = {f"joint{j}": (-np.inf, q[j - 1] - past) for j in (1, 4)}
-        ends |= {f"joint{j}": (q[j - 1] + past, q[j - 1] + 3.0) for j in (3, 6)}
-        chain = panda(**ends)
+        ends = {j: (-np.inf, q[j] - past) for j in (0, 3)}
+        ends |= {j: (q[j] + past, q[j] + 3.0) for j in (2, 5)}
+        chain = panda(ends)
         posture = q + 0.1 * rng.standard_normal(7)
         task = PostureTask()
         push = push_of(q, joint_limit_margins(chain.model, task.limit_stiffness, task.limit_margin))
         assert push.any() == (past > -0.15)
         state = chain.state(q, v)
-        safety = UNLIMITED
-        controller = osc.Controller(chain, [], posture=posture, safety=safety, joint_friction=False)
-        wanted = osc.Reference(state.X_WO, V_D=state.V_O)
-        tau = ticked(controller, unloaded(q, v), wanted)
+        how = {"posture": posture, "safety": UNLIMITED, "joint_friction": False}
+        controller = osc.Controller(chain, [], **how)
+        tau = ticked(controller, unloaded(q, v), osc.Reference(state.X_WO, V_D=state.V_O))
         own = state.h + state.M @ (task.stiffness * (posture - q) - task.damping * v)
         own += np.diag(state.M) * push
         idle = np.linalg.svd(state.arms[0].J)[2][6]

@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 from complaints import model_error, scenario_error
+from numpy.linalg import inv
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, fixture, mark
 from rigs import holding_panda, panda_arm, ticked
@@ -129,7 +130,7 @@ def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
         lost.append(world.measure().v[5])
     state = rig.state
     J = state.arms[0].J
-    rate = np.linalg.inv(state.M + J.T @ state.payload.Lambda @ J)[5, 5]
+    rate = inv(state.M + J.T @ state.payload.Lambda @ J)[5, 5]
     assert lost[0] - lost[1] == approx(rate * (0.3 + 0.2 * 0.5) * 5e-3, rel=0.05)
 
 
@@ -159,8 +160,7 @@ def test_inspect_names_what_limits_compensation_of_friction(given):
     lines = inspect_rig(rig).lines
     (least,) = (line for line in lines if "observer unstable" in line)
     M = rig.model.state(rig.q_contact, np.zeros(6)).M
-    felt = 1.0 / np.diag(np.linalg.inv(M))
-    for name, m in zip(rig.model.arms[0].model.names[1:], felt, strict=True):
+    for name, m in zip(rig.model.arms[0].model.names[1:], 1.0 / np.diag(inv(M)), strict=True):
         needed = 0.3 - m + m * 0.7 / 1.7
         assert (f"{needed:.2g} ({name}, 0.3 in the model)" in least) == (needed > 0.0)
     assert not any("damping over inertia" in line for line in lines)
@@ -237,7 +237,7 @@ def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading)
     R = state.X_WO.rotation
     face = osc.VertexOnFace([0, 0, 0], p, [0, 0, 1], name="face")
     controller = osc.Controller(chain, [face], posture=q, reading=reading)
-    wrench = np.concatenate((R.T @ [0.0, 0.0, -7.0], np.zeros(3)))  # of the arm on the surface
+    wrench = np.append(R.T @ [0.0, 0.0, -7.0], np.zeros(3))  # of the arm on the surface
     reference = osc.pose_reference(p, R, alpha_d=[10.0])
     for _ in range(3):
         ticked(controller, osc.Measurement(q, np.zeros(7), wrench[None]), reference)

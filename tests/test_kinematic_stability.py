@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 from command_line import done, read_json
-from numpy.linalg import inv
+from numpy.linalg import eigvals, inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import largest
+from rigs import LWA, data_at, displacement, largest, rotated
 
 from paper import kinematic_stability as ks
 from paper.kinematic_stability import eigenvalues, regularity
@@ -29,19 +29,12 @@ def found():
 
 def tip_pose(q):
     model, tip = ks.ur5()
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    return pin.SE3(data.oMf[tip])
-
-
-def displacement(start, end):
-    turned = pin.log3(end.rotation @ start.rotation.T)
-    return np.concatenate((end.translation - start.translation, turned))
+    return data_at(model, q).oMf[tip].copy()
 
 
 def jacobian(q):
     model, tip = ks.ur5()
-    return pin.computeFrameJacobian(model, model.createData(), q, tip, pin.LOCAL_WORLD_ALIGNED)
+    return pin.computeFrameJacobian(model, model.createData(), q, tip, LWA)
 
 
 def torques(q, v, acceleration):
@@ -62,11 +55,11 @@ def oracle_ours(q, v, goal):
     face."""
     X = tip_pose(q)
     J = jacobian(q)
-    Lambda = pin.SE3(X.rotation, np.zeros(3)).act(ks.HELD).matrix()
+    Lambda = rotated(X.rotation).act(ks.HELD).matrix()
     a_u = -inv(Lambda) @ ks.K_PRIME @ (displacement(goal, X) + DAMPING_S * J @ v)
     across = J[ks.FORCE]
     KKT = np.block([[J.T @ Lambda @ J, across[:, None]], [across[None], np.zeros((1, 1))]])
-    qdd = np.linalg.solve(KKT, np.append(J.T @ Lambda @ a_u, 0.0))[:-1]
+    qdd = solve(KKT, np.append(J.T @ Lambda @ a_u, 0.0))[:-1]
     return torques(q, v, qdd)
 
 
@@ -81,13 +74,13 @@ def numeric_poles(law, q0, h=1e-5):
     def rate(x):
         q = x[:n]
         v = x[n:]
-        return np.concatenate((v, pin.aba(model, data, q, v, law(q, v, goal))))
+        return np.append(v, pin.aba(model, data, q, v, law(q, v, goal)))
 
-    start = np.concatenate((q0, np.zeros(n)))
+    start = np.append(q0, np.zeros(n))
     A = np.column_stack(
         [(rate(start + h * e) - rate(start - h * e)) / (2 * h) for e in np.eye(2 * n)]
     )
-    values = np.linalg.eigvals(A)
+    values = eigvals(A)
     values = values[np.argsort(np.abs(values))]
     assert largest(values[:2]) < 0.05
     return np.sort_complex(values[2:])
@@ -97,7 +90,7 @@ def poles(eigenvalues):
     """Roots of z² + DAMPING_S λ z + λ: the poles (1/s) that the eigenvalues λ give."""
     half = -0.5 * DAMPING_S * eigenvalues
     root = np.sqrt(half**2 - eigenvalues.astype(complex))
-    return np.sort_complex(np.concatenate((half - root, half + root)))
+    return np.sort_complex(np.append(half - root, half + root))
 
 
 def assert_same_poles(got, expected):

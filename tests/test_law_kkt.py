@@ -30,7 +30,7 @@ import numpy as np
 import pinocchio as pin
 from grasp_rigs import BODY, KINDS, Case, random_case
 from kkt_oracle import BODIES, PAIRS, PLAIN, WORLD, Answer, Body, Contact, State, touch
-from numpy.linalg import lstsq, solve, svd
+from numpy.linalg import inv, lstsq, norm, pinv, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from processes import python
@@ -49,6 +49,7 @@ from rigs import (
     with_motors,
 )
 from samples import parametrize
+from scipy.linalg import null_space
 from test_linkage import bars_of
 
 import osc_contact as osc
@@ -178,17 +179,15 @@ SURROUNDINGS = {
 }
 
 
-def some_contacts(rest, i, rng, where):
-    """Independent columns: the kind of the first and r as the number of the state says."""
+def touching_state(rest, i, rng, where):
+    """In motion, with independent columns: the number says the kind of the first, and r."""
     X_WO = rest.case.X_WO
-    d = rest.S.shape[1]
     contacts = []
     N = np.zeros((0, 6))
     first = where.pairs[i % len(where.pairs)]
-    turn = i // len(where.pairs)
-    most = d - (where.mu > 0.0)  # what is held fast does not slide
+    most = rest.S.shape[1] - (where.mu > 0.0)  # what is held fast does not slide
     least = min(most, columns(first))
-    r = least + turn % (most - least + 1)
+    r = least + (i // len(where.pairs)) % (most - least + 1)
     for attempt in range(100):
         if contacts and len(N) == r:
             break
@@ -202,7 +201,9 @@ def some_contacts(rest, i, rng, where):
         if rest.apart(np.vstack((N, near))) > LEAST_APART:
             contacts = [*contacts, Contact(name, pair, body, X_WO)]
             N = np.vstack((N, near))
-    return contacts
+    state = State(rest.case, contacts, where.mu, rest)
+    state.move(rng)
+    return state
 
 
 # Ticks --------------------------------------------------------------------------------------------
@@ -221,6 +222,11 @@ class Tick:
     B: object
     tau: np.ndarray
     controller_of: Callable  # a chain ↦ such a controller
+
+    @property
+    def copied(self):
+        """Whether a contact counts twice."""
+        return len(self.contacts) > len(self.state.contacts)
 
 
 def tick(state, contacts, i, rng):
@@ -271,11 +277,10 @@ def ticks(rig, surroundings):
     while True:
         if i % 4 == 0:
             rest = State(RIGS[rig].make(rng), [])
-        state = State(rest.case, some_contacts(rest, i, rng, where), where.mu, rest)
-        state.move(rng)
+        state = touching_state(rest, i, rng, where)
         if max(largest(state.v), largest(state.V)) > FASTEST:
             continue
-        if where.mu and min(np.linalg.norm(c.slip(state.V)[0]) for c in state.contacts) < SLOWEST:
+        if where.mu and min(norm(c.slip(state.V)[0]) for c in state.contacts) < SLOWEST:
             continue
         copies = rng.integers(len(state.contacts), size=3 if where.copied else 0)
         yield tick(state, state.contacts + [state.contacts[j] for j in copies], i, rng)
@@ -293,7 +298,7 @@ def miss_of_geometry(t):
 
 def miss_of_forces(t, got, magnitudes):
     """Error of the contact forces; how dependent columns share them is not determined."""
-    if len(t.contacts) == len(t.state.contacts):
+    if not t.copied:
         return miss(got, magnitudes)
     N = np.vstack([c.along_object for c in t.contacts]).T
     return miss(t.state.N.T @ got, N @ magnitudes)
@@ -306,7 +311,7 @@ def miss_of_reading(t):
         return 0.0
     return max(
         miss(found.f_c, -t.state.N.T @ t.truth.alpha),
-        miss(found.alpha_meas, t.truth.alpha) if len(t.contacts) == len(t.state.contacts) else 0.0,
+        0.0 if t.copied else miss(found.alpha_meas, t.truth.alpha),
     )
 
 
@@ -314,29 +319,25 @@ def commanded_forces(t):
     """α_d and its first integral, of all columns."""
     found = t.controller.result()
     alpha_d = t.reference.alpha_d
-    if len(t.contacts) == len(t.state.contacts):
-        measured = found.alpha_meas
-    else:
-        measured = lstsq(-np.vstack([c.along_object for c in t.contacts]).T, found.f_c, rcond=1e-9)[
-            0
-        ]
+    measured = found.alpha_meas
+    if t.copied:
+        N = np.vstack([c.along_object for c in t.contacts]).T
+        measured = lstsq(-N, found.f_c, rcond=1e-9)[0]
     return alpha_d + K_F * DT * (alpha_d - measured)
 
 
 def miss_of_response(t, answer):
     """Errors of eqs. 14 to 20 in six-vectors: what these torques make of object and contacts."""
     s = t.controller.signals
-    V = t.state.V
     got = osc.contact_response(s.state, s.contact, s.environment, tau=t.tau)
-    spatial = answer.a - product(V)
-    forces = -t.state.N.T @ answer.alpha
-    return max(miss(got.acceleration, spatial), miss(got.f_c, forces))
+    spatial = answer.a - product(t.state.V)
+    return max(miss(got.acceleration, spatial), miss(got.f_c, -t.state.N.T @ answer.alpha))
 
 
 def metric_of(t):
     """(6, 6) B⁻¹ of the motion filter."""
     known = {"object": lambda: t.state.system.I, "chain": t.state.inertia_of_all}
-    return known.get(str(t.B), lambda: np.linalg.inv(t.B))()
+    return known.get(str(t.B), lambda: inv(t.B))()
 
 
 def commanded_motion(t, a):
@@ -344,14 +345,13 @@ def commanded_motion(t, a):
     state = t.state
     reference = t.reference
     error = displacement(t.state.case.X_WO, reference.X_WD)
-    inertia = state.system.I
     metric = metric_of(t)
     command = reference.A_D + K_D * (reference.V_D - state.V) + K_P * error
     if k_i := t.controller.gains.motion.integral:  # of the part of the error that contacts permit
         mobile = solve(metric, state.N.T)
         blocked = lstsq(state.N @ mobile, state.N @ error, rcond=1e-12)[0]
         command = command + k_i * DT * (error - mobile @ blocked)
-    command = state.nearest(inertia, command, state.N @ command)
+    command = state.nearest(state.system.I, command, state.N @ command)
     return state.nearest(metric, command, state.N @ a)
 
 
@@ -362,7 +362,7 @@ def bars(t):
         return np.zeros((0, 3)), np.zeros((3, 0))
     tips = chain.tip_poses(data_at(chain.model, t.state.case.q))
     E = bars_of([X.translation for X in tips])
-    return np.linalg.pinv(E, rcond=1e-6), E
+    return pinv(E, rcond=1e-6), E
 
 
 def miss_of_squeeze(t, answer):
@@ -374,8 +374,7 @@ def miss_of_squeeze(t, answer):
 
 def miss_of_what_weaker_motors_cost(t, answer):
     """Errors of the motion and the forces that a saturated controller reports as given up."""
-    chain = t.state.case.chain
-    controller = t.controller_of(with_motors(chain, 0.7 * np.abs(t.tau) + 1e-3))
+    controller = t.controller_of(with_motors(t.state.case.chain, 0.7 * np.abs(t.tau) + 1e-3))
     came = t.state.answer(controller.tick(t.measured, t.reference))
     assert controller.status is osc.Status.SATURATED, controller.reason
     lost = controller.given_up
@@ -387,24 +386,13 @@ def effort_in_vain(t):
     """Share of the torques' effort that could be spared: same motion, forces and squeeze."""
     chain = t.state.case.chain
     state = t.state
-    scale = t.state.case.chain.tau_max
-    model = chain.model
-    data = chain.model.createData()
-    pin.computeAllTerms(model, data, state.case.q, state.v)
-    pin.updateFramePlacements(model, data)
-    posture = np.zeros(chain.nq)
-    idle = [np.zeros((0, chain.nq))]
+    scale = chain.tau_max
+    M = state.system.M
     pull = PostureTask().stiffness * (t.controller.posture - state.case.q)
-    pull = data.nle + data.M @ (pull - PostureTask().damping * state.v)
-    for tip, s in zip(chain.tips, chain.slices, strict=True):
-        J = pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
-        if J.shape[1] > 6:
-            null = svd(J)[2][6:]
-            idle.append(np.zeros((len(null), chain.nq)))
-            idle[-1][:, s] = null
-            weighed = solve(data.M[s, s], J.T)
-            posture[s] = pull[s] - J.T @ solve(J @ weighed, weighed.T @ pull[s])
-    idle = np.vstack(idle)[:, chain.actuated]
+    pull = state.system.h + M @ (pull - PostureTask().damping * state.v)
+    idle = null_space(state.grasps[:, : chain.nq]).T  # what moves no tip
+    posture = M @ idle.T @ solve(idle @ M @ idle.T, idle @ pull)
+    idle = idle[:, chain.actuated]
     posture = posture[chain.actuated]
     share = bars(t)[0]
 
@@ -453,7 +441,7 @@ def judge(t):
         alike = len({arm.model.nv for arm in chain.arms}) == 1
         if alike and all(grasp.is_rigid for grasp in chain.grasps):  # else structure may carry some
             misses["squeeze"] = miss_of_squeeze(t, answer)
-        if len(t.contacts) == len(t.state.contacts):
+        if not t.copied:
             misses["given up"] = 0.01 * miss_of_what_weaker_motors_cost(t, answer)
     assert max(misses.values()) < rtol, (misses, rtol, state.S.shape, names, apart)
     return kind
@@ -512,10 +500,8 @@ def test_arms_that_differ_and_hold_with_balls_squeeze_as_commanded(arms):
         kinds = ["ball", "rigid", *rng.choice(["rigid", "ball"], arms - 2)]
         case = random_case(["ur5", *rng.choice(["ur5", "panda"], arms - 2), "panda"], kinds, rng)
         rest = State(replace(case, chain=strong(case.chain)), [])
-        contacts = some_contacts(rest, i, rng, SURROUNDINGS["world"])
-        state = State(rest.case, contacts, 0.0, rest)
-        state.move(rng)
-        t = tick(state, contacts, i, rng)
+        state = touching_state(rest, i, rng, SURROUNDINGS["world"])
+        t = tick(state, state.contacts, i, rng)
         for squeeze in (20.0 * rng.standard_normal(arms * (arms - 1) // 2), 7.5):
             reference = replace(t.reference, squeeze_d=squeeze)
             controller = t.controller_of(state.case.chain)
@@ -545,8 +531,7 @@ def test_near_singular_postures_motion_is_given_up_and_force_is_not(n, weight):
     for i in range(48):
         if i % 4 == 0:
             rest = State(nearly_singular(rng, n, weight), [])
-        state = State(rest.case, some_contacts(rest, i, rng, SURROUNDINGS["world"]), 0.0, rest)
-        state.move(rng)
+        state = touching_state(rest, i, rng, SURROUNDINGS["world"])
         if max(largest(state.v), largest(state.V)) > FASTEST:
             continue
         t = tick(state, state.contacts, i, rng)

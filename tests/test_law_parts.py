@@ -10,7 +10,7 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import algebra, commands, contact, grasps, records, tick_of
+from law_calls import algebra, commands, contact, grasps, records, write
 from law_calls import columns as columns_of_N
 from numpy.linalg import norm, qr
 from numpy.random import default_rng
@@ -61,8 +61,7 @@ def test_what_cannot_be_factored_is_reported():
             assert done == (share == 2e-10 or (share == 0.5e-10 and k == 0))  # nothing is beside it
         X[n - 1] = 0.0
         assert not algebra.qr_rows(X.copy(), n, 8, np.zeros(8), np.zeros(8))
-        six = X[:, :6].copy()
-        assert algebra.orthonormalise(six, n, 0, Q[:, :6].copy(), L) == 0.0
+        assert algebra.orthonormalise(X[:, :6].copy(), n, 0, Q[:, :6].copy(), L) == 0.0
 
 
 def test_rows_that_nearly_depend_are_orthonormal_to_the_last_digit():
@@ -144,7 +143,7 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         w *= angle / norm(w)
         M = pin.SE3(pin.exp3(w), p)
         close(grasps._remaining(p, M.rotation), pin.log6(M).vector, atol=1e-9)
-        twist = np.concatenate((rng.standard_normal(3), w))
+        twist = np.append(rng.standard_normal(3), w)
         M = pose_of(rng)
         R = np.full((6, 6), 7.0)
         point = np.append(M.translation, 7.0)
@@ -224,25 +223,20 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
         n_gamma = size * rng.standard_normal(2)
         implied = share @ n_gamma
         summands = abs(implied) + np.abs(share * n_gamma).sum()
-        rows = {
-            4: Record(n_gamma=n_gamma[0], share=[1.0, 0.0], extent=1.0),
-            2: Record(n_gamma=n_gamma[1], share=[0.0, 1.0], extent=1.0),
-            7: Record(n_gamma=implied, share=share, extent=1.0),
-        }
-        work = Record(where=-1, amount=0.0, count=3, rank=2)
-        numbers = {"work_chosen": [4, 2, 7], "work_kept": [4, 2]}
-
-        def check(rows, work, numbers=numbers):
-            return columns_of_N._consistent(tick_of(work_columns=rows, work=work, **numbers))
-
-        assert check(rows, work)
+        t = records(columns=8)
+        write(t.work, where=-1, amount=0.0, count=3, rank=2, chosen=[4, 2, 7], kept=[4, 2])
+        rows = t.work.columns
+        rows.extent = 1.0
+        rows.n_gamma[[4, 2, 7]] = *n_gamma, implied
+        rows.share[[4, 2, 7], :2] = *np.eye(2), share
+        assert columns_of_N._consistent(t)
         most = max(summands, 2.0 * largest(n_gamma))
         for off, fine in ((0.5e-5, True), (-0.5e-5, True), (2e-5, False), (-2e-5, False)):
             rows[7].n_gamma = implied + off * most
             if abs(off * most) > 2e-9 or fine:  # what is next to nothing may differ
-                assert check(rows, work) == fine
+                assert columns_of_N._consistent(t) == fine
         if size == 1.0:
-            assert (work.where, work.amount) == (7, approx(implied))
+            assert (t.work.where, t.work.amount) == (7, approx(implied))
 
 
 @parametrize("i", [0, 4, 8])

@@ -1,19 +1,16 @@
 """Contact phases of the law: their rules, whatever happens, and the monitor behind them."""
 
-from types import SimpleNamespace
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from law_calls import phases as law
-from law_calls import tick_of, write
+from law_calls import records
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from samples import first, parametrize
 
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
-from osc_contact.law.records import Rows, new_model, views
 from osc_contact.scenarios.control_schema import ForceGains, MonitorLimits, PhaseSettings
 
 DT = 1e-3
@@ -35,27 +32,23 @@ class Phases:
         pushing = np.asarray(pushing, dtype=bool)
         self.owners = owners
         self.n = len(owners)
-        self.tick = views(Rows(new_model(1, 1, 1, len(pushing), 0, self.n)))
-        self.chain, self.memory, self.work, _ = self.tick
-        self.contacts = self.memory.contacts
-        self.columns = self.memory.columns
-        self.kept = self.work.here
-        self.work.dt = dt
         values = {
             "period": dt,
             "force_gain": GAINS.integral,
             "force_damping": GAINS.damping,
             "approach_speed": k.speed,
             "approach_damping": k.damping,
-            "travel": k.travel,
-            "rise": k.rise,
             "least_force": k.least,
-            "torque_rate": k.torque_rate,
             "lost_share": k.share,
-            "lag": k.lag,
         }
-        values |= {key: getattr(k, key) for key in MonitorLimits.model_fields}
-        write(self.chain, **values)
+        names = *MonitorLimits.model_fields, "travel", "rise", "lag"
+        values |= {name: getattr(k, name) for name in names}
+        self.tick = records(1, 1, len(pushing), self.n, **values)
+        self.chain, self.memory, self.work, _ = self.tick
+        self.contacts = self.memory.contacts
+        self.columns = self.memory.columns
+        self.kept = self.work.here
+        self.work.dt = dt
         self.chain.bodies.pushes = pushing
         self.chain.columns.contact = owners
         self.contacts.phase = np.where(pushing, OPEN, CLOSED) if phase is None else phase
@@ -85,8 +78,8 @@ class Phases:
         self.work.chosen[:r] = chosen
         self.work.mobility[:r, :r] = D
         self.work.here[:] = self.here
-        self.columns.alpha[:] = alpha
-        self.columns.speed[:] = speed
+        self.columns.alpha = alpha
+        self.columns.speed = speed
         self.work.speeds[:] = speed
         for column, here, goal in zip(self.columns, self.here, self.work.goal, strict=True):
             if here:
@@ -103,9 +96,6 @@ class Phases:
 
 # --- stories --------------------------------------------------------------------------------------
 
-OWNERS = np.array([0, 1, 1, 2])  # one force, an edge with two, a hinge that never opens
-PUSHING = np.array([True, True, False])
-
 
 def steady(phases, alpha, ticks, wanted=10.0):
     for _ in range(ticks):
@@ -115,7 +105,8 @@ def steady(phases, alpha, ticks, wanted=10.0):
 
 
 def test_a_story_approach_contact_loss_and_contact_again():
-    phases = Phases(OWNERS, PUSHING)
+    # one force, an edge with two, a hinge that never opens
+    phases = Phases([0, 1, 1, 2], [True, True, False])
     assert steady(phases, np.zeros(4), 50) == [APPROACHING, APPROACHING, CLOSED]
     half = steady(phases, [2.0, 2.0, 0.0, 0.0], 40)
     assert half == [CLOSED, APPROACHING, CLOSED]  # half an edge is no contact
@@ -126,21 +117,19 @@ def test_a_story_approach_contact_loss_and_contact_again():
 
 def test_torques_go_gently_around_a_change_but_for_fast_joints():
     def rate(since, share=0.0, phased=1):
-        chain = SimpleNamespace(torque_rate=200.0, phase_rate=20.0, phased=phased, n_contacts=2)
-        rows = [SimpleNamespace(since=9.0), SimpleNamespace(since=since)]
-        return law.torque_rate(tick_of(model=chain, memory_contacts=rows), share)
+        t = records(contacts=2, torque_rate=200.0, phase_rate=20.0, phased=phased)
+        t.memory.contacts.since = 9.0, since
+        return law.torque_rate(t, share)
 
     assert rate(0.099) == 20.0 and rate(0.101) == 200.0 and rate(0.0, phased=0) == 200.0
     assert rate(0.0, 0.5) == approx(45.0) and rate(0.101, 0.5) == 200.0
     assert rate(0.0, 0.25) == 20.0 < rate(0.0, 0.26)
     assert rate(0.0, 0.8) == 200.0 == rate(0.0, 1.0) == rate(0.0, 3.0)
-    chain = SimpleNamespace(n_joints=3)
-    table = [SimpleNamespace(speed_max=s) for s in (2.0, 0.5, np.inf)]
+    t = records(joints=3)
+    t.model.joints.speed_max = 2.0, 0.5, np.inf
     for v, most in (((1.0, 0.1, 9.0), 0.5), ((-1.0, 0.4, 0.0), 0.8), ((0.1, -0.4, 0.0), 0.8)):
-        joints = [SimpleNamespace(v=x) for x in v]
-        assert law.max_speed_ratio(
-            tick_of(model=chain, model_joints=table, work_joints=joints)
-        ) == approx(most)
+        t.work.joints.v = v
+        assert law.max_speed_ratio(t) == approx(most)
 
 
 def meet(alpha, speed, mass=0.5, k=None, ticks=700):
@@ -288,7 +277,7 @@ def watched(state, alpha, speed, dt, limits, more):
 def random_contacts(rng):
     """Owners, which can only push, settings, period: up to 6 columns of up to 4 contacts."""
     count = rng.integers(1, 5)
-    owners = np.sort(np.concatenate((np.arange(count), rng.integers(0, count, 6 - count))))
+    owners = np.sort(np.append(np.arange(count), rng.integers(0, count, 6 - count)))
     if rng.random() < 0.3:
         rng.shuffle(owners)
     off = rng.uniform(0.1, 0.5)
@@ -334,8 +323,7 @@ def assert_rules(phases, before, goal, wanted, pushing, k):
     assert_array_equal(rows.active, rows.phase != OPEN)
     for c, (was, now) in enumerate(zip(before, rows.phase, strict=True)):
         mine = c == phases.owners
-        row = rows[c]
-        assert was == now or row.since == 0.0
+        assert was == now or rows[c].since == 0.0
         if not pushing[c]:
             assert now == CLOSED
             assert_array_equal(goal[mine], wanted[mine])  # what cannot open gets what is commanded

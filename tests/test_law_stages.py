@@ -9,18 +9,9 @@ from math import inf
 from types import SimpleNamespace as Record
 
 import numpy as np
-from law_calls import (
-    allocation,
-    operational,
-    phases,
-    reading,
-    reasons,
-    records,
-    tick,
-    write,
-)
+from law_calls import allocation, operational, phases, reading, records, tick, write
 from law_calls import command_filter as command
-from numpy.linalg import cholesky, qr
+from numpy.linalg import cholesky, inv, norm, qr, solve
 from numpy.testing import assert_array_equal
 from rigs import UNLIMITED, random_faces, random_state, scara_pair
 from samples import parametrize
@@ -32,6 +23,7 @@ from osc_contact.law import records as at
 from osc_contact.law.compiled import rows
 from osc_contact.law.limits import TorqueLimits, settle
 from osc_contact.law.phases import APPROACHING, CLOSED
+from osc_contact.law.reasons import NO_REASON
 from osc_contact.law.records import Rows, new_model, views
 from osc_contact.law.tick import BAD_INPUT, MOVING
 
@@ -77,11 +69,10 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     laws = np.array([[3, 2, 1, 0], [5, 9, 4, 99], [0.1, 0.2, 0.3, 0.9], [0.7, 0.6, 0.8, 9]])
     names = ("gain", "damping", "least", "brake")
     t = records(contacts=4, columns=4)
-    t.model.columns.contact[:] = [1, 0, 2, 3]
+    t.model.columns.contact = [1, 0, 2, 3]
     t.work.chosen[:3] = [2, 0, 1]
     write(t.work, rank=2, count=3 if dependent else 2, kept=[0, 2], **dict.fromkeys(names, 7.0))
-    for name, row in zip(names, laws, strict=True):
-        getattr(t.memory.contacts, name)[:] = row
+    write(t.memory.contacts, **dict(zip(names, laws, strict=True)))
     reading.contact_laws(t)
     want = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]] if dependent else laws[:, [1, 2]]
     for name, row in zip(names, want, strict=True):
@@ -149,15 +140,12 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     root = rng.standard_normal((n, n))
     M, h, tau, rest = root @ root.T, *rng.standard_normal((3, n))
     q, v, posture = rng.standard_normal((3, lo + n))
-    modes = np.linalg.inv(cholesky(M)).T[:, :2].T
+    modes = inv(cholesky(M)).T[:, :2].T
     t = records(joints=lo + n, posture_stiffness=3.0, retreat_damping=7.0)
-    t.model.joints.posture[:] = posture
-    t.input.q[:] = q
-    t.input.v[:] = v
+    t.model.joints.posture = posture
+    write(t.input, q=q, v=v)
     joints = t.work.joints[lo:]
-    joints.M[:, :n] = M
-    for name, value in (("h", h), ("tau", tau), ("rest", rest)):
-        getattr(joints, name)[:] = value
+    write(joints, M=M, h=h, tau=tau, rest=rest)
     own = Record(n_lost=2, mode=modes, gone=[gone, gone], share=[0.3, 0.8])
     allocation._retreat_from_lost(t, Record(first=lo, end=lo + n), own)
     back = h + M @ (3.0 * (posture - q) - 7.0 * v)[lo:]
@@ -178,8 +166,8 @@ def test_rows_that_those_before_nearly_span_are_factored_too(seed):
     A = rng.standard_normal((8, n))
     A[7] = rng.standard_normal(7) @ A[:7] + 1e-3 * A[7]
     t = records(arms=1, joints=n)
-    t.model.arms.end[:] = n
-    t.model.joints.effort[:] = rng.uniform(0.5, 2.0, n)
+    t.model.arms.end = n
+    t.model.joints.effort = rng.uniform(0.5, 2.0, n)
     t.work.joints.J_bar[:] = A[:6].T
     write(t.work, effort=A[:6] * t.model.joints.effort @ A[:6].T, extra=A[6:])
     assert allocation.factor_effort(t) and allocation.add_row(t, 0) and allocation.add_row(t, 1)
@@ -191,8 +179,8 @@ def test_rows_that_those_before_nearly_span_are_factored_too(seed):
 
 def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
     t = records(joints=3)
-    t.model.joints.motor[:] = [1, -1, 0]
-    t.model.joints.tau_max[:] = 2.0
+    t.model.joints.motor = [1, -1, 0]
+    t.model.joints.tau_max = 2.0
     for torques, excess, finite in (
         ((1.9, 99.0, -2.0), False, True),
         ((2.1, 0.0, 0.0), True, True),
@@ -202,7 +190,7 @@ def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
         ((0.0, np.nan, 0.0), False, True),
     ):
         t.work.tau[:] = 7.0
-        t.work.joints.tau[:] = torques
+        t.work.joints.tau = torques
         with np.errstate(invalid="ignore"):
             assert allocation.limit_torques(t) == (excess, finite)
         given = finite and not excess
@@ -226,15 +214,15 @@ def test_columns_on_which_the_arms_can_push(held):
     rng = rng_of(held)
     root = rng.standard_normal((6, 6))
     Lambda = root @ root.T + np.eye(6)
-    assert judged(np.zeros((0, 6)), Lambda, held)[0] == reasons.NO_REASON
+    assert judged(np.zeros((0, 6)), Lambda, held)[0] == NO_REASON
     for m in (0, 2, 5):
         N = rng.standard_normal((min(3, 6 - m), 6))
         reason, work, t = judged(N, Lambda, held, m)
-        assert (reason, command._judge_reach(t)) == (reasons.NO_REASON, reasons.NO_REASON)
+        assert (reason, command._judge_reach(t)) == (NO_REASON, NO_REASON)
         L = cholesky((Lambda + held * np.eye(6))[m:, m:])
-        seen = np.linalg.solve(L, N[:, m:].T)
+        seen = solve(L, N[:, m:].T)
         pivots = np.abs(np.diag(qr(seen)[1]))
-        close(work.amount, min(pivots / np.linalg.norm(seen, axis=0)), rtol=1e-7)
+        close(work.amount, min(pivots / norm(seen, axis=0)), rtol=1e-7)
         for a in range(len(N) if m else 0):
             hidden = N.copy()
             hidden[a, m:] = L @ np.full(6 - m, 0.5e-5)  # seen with 0.25e-10 (6 − m) of its square
@@ -243,21 +231,19 @@ def test_columns_on_which_the_arms_can_push(held):
             close(work.amount, (6 - m) * 0.25e-10 / (hidden[a] @ hidden[a]), rtol=1e-6)
     assert judged(N, Lambda, held, 6)[0] == command.UNREACHABLE
     # 1/Λ along the column, beside 1: on either side of 1e-9
-    for mobility, want in ((0.5e-9, command.UNREACHABLE), (2e-9, reasons.NO_REASON)):
+    for mobility, want in ((0.5e-9, command.UNREACHABLE), (2e-9, NO_REASON)):
         heavy = np.eye(6) / 7.0
         heavy[3, 3] = 1.0 / mobility
         reason, work, _ = judged(np.eye(6)[[1, 3]], heavy, held)
-        assert reason == want and (want == reasons.NO_REASON or work.where == 1)
+        assert reason == want and (want == NO_REASON or work.where == 1)
     # columns that differ by so much
-    for apart, want in ((0.3e-10, command.INSEPARABLE), (3e-10, reasons.NO_REASON)):
+    for apart, want in ((0.3e-10, command.INSEPARABLE), (3e-10, NO_REASON)):
         N = np.zeros((2, 6))
         N[:, 1] = 1.0
         N[1, 4] = apart
         assert judged(N, np.eye(6), held)[0] == want
     none = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
-    assert judged(np.eye(6)[:2], none, held)[0] == (
-        reasons.NO_REASON if held else command.BAD_METRIC
-    )
+    assert judged(np.eye(6)[:2], none, held)[0] == (NO_REASON if held else command.BAD_METRIC)
 
 
 def test_a_metric_that_is_not_definite_is_reported():
@@ -300,7 +286,7 @@ def a_tick():
     seen = []
     own.run = lambda given, *how: seen.append(given) or run(given, *how)
     controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
-    assert own.memory.reason == reasons.NO_REASON and own.memory.engaged
+    assert own.memory.reason == NO_REASON and own.memory.engaged
     own.rows.job.switches = MOVING
     return rows(), (own.rows.raw, 0, seen[-1]), own.memory
 
@@ -323,7 +309,7 @@ def test_joints_of_another_number_are_not_read(place, count):
     for more in (0.01, -2.0):
         tick, given, memory = a_tick()
         arrays = list(given[2])
-        x = np.concatenate((arrays[place], np.zeros(2)))
+        x = np.append(arrays[place], np.zeros(2))
         n = len(arrays[place]) + count
         x[n if count < 0 else n - 1 :] = more
         x[0] += more if count > 0 else 0.0
@@ -342,7 +328,7 @@ def command_of(flags=0, of_memory=None, integral=2.0, **of_work):
     called = {}
     decide = tick.altered(
         "command",
-        filter_motion=lambda t: reasons.NO_REASON,
+        filter_motion=lambda t: NO_REASON,
         command_object=lambda t: None,
         hand_over=lambda t: called.update(handed=True),
         reduce_motion=lambda *given: called.update(reduced=True),
@@ -355,7 +341,7 @@ def command_of(flags=0, of_memory=None, integral=2.0, **of_work):
     write(t.memory, force_sum=[0.5, -0.5], force_rank=2, motion_sum=0.1)
     write(t.memory, **(of_memory or {}))
     write(t.input, V_D=1.0, A_D=1.0)
-    assert decide(t, flags) == reasons.NO_REASON
+    assert decide(t, flags) == NO_REASON
     return t.work, t.memory, called
 
 
@@ -408,8 +394,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
         contact = t.memory.contacts[0]
         contact.phase = phase
         contact.since = since
-        for name, value in (("gap", gap), ("filtered_speed", slow), ("speed", fast)):
-            setattr(t.memory.columns[0], name, value)
+        write(t.memory.columns[0], gap=gap, filtered_speed=slow, speed=fast)
         t.work.goal[0] = 8.0
         phases.set_goals(t)
         close(t.work.goal[0], want)
@@ -421,7 +406,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
 @parametrize("phased", [0, 1])
 def test_phases_keep_what_was_measured(phased):
     t = records(contacts=1, columns=2, phased=phased, lag=0.02, period=1e-3)
-    t.memory.columns.known[:] = 1
+    t.memory.columns.known = 1
     tick.altered("remember", phases=phases)(t)
     assert (t.memory.columns.known == 1 - phased).all(), "nothing is in contact"
 

@@ -56,12 +56,12 @@ class Forces:
         given = {"period": DT, "step_time": RISE, "drift_share": 0.25, "rise": RISE}
         given |= {"approach_damping": 200.0, "approach_speed": 0.01, "phased": 1}
         self.t = t = records(contacts=n, columns=n, **given | more)
-        t.model.columns.contact[:] = range(n)
-        t.model.bodies.pushes[:] = 1
-        t.memory.contacts.phase[:] = CLOSED
+        t.model.columns.contact = range(n)
+        t.model.bodies.pushes = 1
+        t.memory.contacts.phase = CLOSED
         write(t.memory, step_time=RISE, ticked=1)
         write(t.work, dt=DT, step_time=RISE, status=at.OK)
-        t.work.columns.shaped[:] = 1
+        t.work.columns.shaped = 1
         self.kept = t.memory.columns
         self.work = t.work
 
@@ -107,9 +107,8 @@ def test_a_second_step_continues_value_slope_and_curvature(rises):
     forces.run([16.0], 21)
     forces.t.model.step_time = rises[1]
     found = forces.run([8.0], 100)[:, 0]
-    t0 = 21 * DT
     T = rises[1]
-    x = t0 / RISE
+    x = 21 * DT / RISE
     first = np.polynomial.Polynomial([1.0, 0.0, 0.0, -10.0, 15.0, -6.0])
     value = 16.0 - 6.0 * first(x)
     slope, bend = (-6.0 * first.deriv(k)(x) / RISE**k for k in (1, 2))
@@ -128,8 +127,7 @@ def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
     size = max(10.0 + change, 10.0 * (1.0 - 0.5 * DT))  # of the new command, or what is remembered
     wanted = 10.0 + change
     stepped = abs(change) > 20.0 * DT * size
-    found = forces.tick([wanted])[0]
-    assert found == approx(10.0 if stepped else wanted)
+    assert forces.tick([wanted])[0] == approx(10.0 if stepped else wanted)
     assert forces.work.step_left == (1.0 if stepped else 0.0)
 
 
@@ -168,7 +166,7 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
 @parametrize("share, phase", [(0.29, CLOSED), (0.31, CLOSED), (-0.5, CLOSED), (0.31, APPROACHING)])
 def test_a_face_shows_its_tilt_where_it_carries_three_tenths_of_its_force(share, phase):
     forces = pressed()
-    forces.t.memory.contacts.phase[:] = phase
+    forces.t.memory.contacts.phase = phase
     turned = [0.02, -0.01, 0.03]
     write(forces.work.columns[0], turned=turned, slides=1.0)
     forces.tick([10.0], measured=[10.0 * share], speed=[0.04])
@@ -201,10 +199,7 @@ def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
     found = forces.run([12.0, 9.0, 4.0], 60)
     assert_allclose(found[:, 0], 4.0)
     assert_allclose(found[:, 1], 12.0 - 2.0 * eased(np.arange(60) * DT / RISE), atol=1e-9)
-    assert (
-        forces.kept[1].has_desired == 0 == forces.kept[2].has_desired
-        and forces.kept[0].has_desired == 1
-    )
+    assert forces.kept.has_desired.tolist() == [1, 0, 0]
     assert forces.kept[1].scale == 0.0 and forces.kept[0].desired == 12.0
     assert forces.kept[2].desired == 4.0 == forces.kept[2].scale
 
@@ -230,13 +225,7 @@ def test_a_column_out_of_n_is_forgotten():
     assert row.predicted > 0.0 and row.to_come.any() and row.drift > 0.0
     forces.chosen = []
     forces.tick([16.0])
-    assert (row.has_desired, row.desired, row.scale, row.drift, row.predicted) == (
-        0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    )
+    assert not any((row.has_desired, row.desired, row.scale, row.drift, row.predicted))
     assert not row.to_come.any()
 
 
@@ -251,7 +240,7 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     forces.tick([20.0], speed=[5.0])
     assert forces.kept[0].drift == approx(drift), "the integral rests, and so does v̄"
     t = records(columns=3, contacts=1)
-    t.memory.columns.drift[:] = [0.5, 0.0, drift]
+    t.memory.columns.drift = [0.5, 0.0, drift]
     write(t.work, rank=2, kept=[0, 2], speed=[0.3, 0.7], brake=[20.0, 10.0])
     commands.brake_contacts(t)
     assert_allclose(t.work.brake[:2], [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])
@@ -260,7 +249,7 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
 @parametrize("measured", [True, False], ids=["measured", "not measured"])
 def test_the_brake_of_a_soft_face_is_that_of_the_tuning_page(measured):
     forces = Forces(drift_share=0.02, force_gain=30.0)
-    forces.t.model.bodies.kind[:] = at.YIELDING
+    forces.t.model.bodies.kind = at.YIELDING
     forces.t.model.bodies.parameters[:, 0] = 4e-4
     rng = default_rng(7)
     seen = []

@@ -5,18 +5,20 @@ becomes of them in closed loop: tests/test_safety.py, tests/test_lying_sensors.p
 """
 
 from math import inf
-from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import reasons, records, safety, sensors, tick_of, write
+from law_calls import records, safety, sensors, write
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
+from rigs import rotated
 from samples import parametrize
 
 from osc_contact.law import records as at
 from osc_contact.law.phases import APPROACHING, CLOSED
+from osc_contact.law.reasons import NO_REASON
+from osc_contact.law.safety import CONTACT_LOST, NEAR_END, OVERFORCE, OVERSPEED, POWERED
 from osc_contact.law.sensors import (
     DISAGREE,
     FROZEN,
@@ -35,12 +37,8 @@ BOTH = parametrize("sign", [1.0, -1.0])
 def joints(count=1, **settings):
     """Joints between ∓1 rad, at most 2 rad/s, which brake with 5 rad/s²."""
     t = records(arms=1, joints=count, **{"period": DT, "fast_ticks": 99} | settings)
-    t.model.joints.lower[:] = -1.0
-    t.model.joints.upper[:] = 1.0
-    t.model.joints.brake[:] = 0.1
-    for name in ("speed_max", "rated"):
-        getattr(t.model.joints, name)[:] = 2.0
-    t.model.joints.motor[:] = range(count)
+    write(t.model.joints, lower=-1.0, upper=1.0, brake=0.1, speed_max=2.0, rated=2.0)
+    t.model.joints.motor = range(count)
     t.memory.culprit = -1
     return t
 
@@ -48,9 +46,7 @@ def joints(count=1, **settings):
 def wide(fast_ticks, speeds=(2.0, 2.0)):
     """Two joints of such speed limits, far from their ends."""
     t = joints(2, fast_ticks=fast_ticks)
-    t.model.joints.lower[:] = -9.0
-    t.model.joints.upper[:] = 9.0
-    t.model.joints.speed_max[:] = speeds
+    write(t.model.joints, lower=-9.0, upper=9.0, speed_max=speeds)
     return t
 
 
@@ -63,7 +59,7 @@ def look(t, q, v):
 
 def assert_at_last(found, reason):
     """This reason in the last tick, none before."""
-    assert found == [reasons.NO_REASON] * (len(found) - 1) + [reason]
+    assert found == [NO_REASON] * (len(found) - 1) + [reason]
 
 
 class Watched:
@@ -73,9 +69,9 @@ class Watched:
         """Ticks until a reason is found, and the reason."""
         for k in range(1, most):
             reason = self.tick(*given, **how)
-            if reason != reasons.NO_REASON:
+            if reason != NO_REASON:
                 return k, reason
-        return 0, reasons.NO_REASON
+        return 0, NO_REASON
 
 
 # --- joints ---------------------------------------------------------------------------------------
@@ -88,12 +84,12 @@ def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
     def after(speeds):
         return [look(t, 0.0, [0.1, sign * v]) for v in speeds]
 
-    assert set(after([2.0] * 50)) == {reasons.NO_REASON}, "at the limit is not above it"
-    assert_at_last(after([2.001] * 5), safety.OVERSPEED)
+    assert set(after([2.0] * 50)) == {NO_REASON}, "at the limit is not above it"
+    assert_at_last(after([2.001] * 5), OVERSPEED)
     assert t.memory.culprit == 1
     # time below is taken off at the same pace, and no more than there is
-    assert set(after([1.0] * 9)) == {reasons.NO_REASON} and t.memory.overspeed == 0
-    assert_at_last(after([2.2] * 4 + [1.0] + [2.2] * 2), safety.OVERSPEED)
+    assert set(after([1.0] * 9)) == {NO_REASON} and t.memory.overspeed == 0
+    assert_at_last(after([2.2] * 4 + [1.0] + [2.2] * 2), OVERSPEED)
 
 
 @BOTH
@@ -102,12 +98,11 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
         for j in range(2):
             t = wide(21, (2.0, 1.0))
             v = sign * speed * t.model.joints.speed_max * (np.arange(2) == j)
-            found = [look(t, 0.0, v) for _ in range(ticks)]
-            assert_at_last(found, safety.OVERSPEED)
+            assert_at_last([look(t, 0.0, v) for _ in range(ticks)], OVERSPEED)
             assert t.memory.culprit == j
-    assert look(wide(21), 0.0, [1e150, 0.0]) == safety.OVERSPEED
+    assert look(wide(21), 0.0, [1e150, 0.0]) == OVERSPEED
     t = wide(4, (2.0, 1.0))
-    assert look(t, 0.0, [2.4, 1.6]) == safety.OVERSPEED
+    assert look(t, 0.0, [2.4, 1.6]) == OVERSPEED
     assert t.memory.culprit == 1, "the one that is further beyond its limit"
 
 
@@ -127,21 +122,19 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
         q = sign * (1.0 - gap)
         found = [look(t, q, sign * speed) for _ in range(4)]
         # braking does not help beyond the end
-        wanted = safety.NEAR_END if stops else reasons.NO_REASON
-        assert found == [reasons.NO_REASON] * 2 + [wanted] * 2
+        assert found == [NO_REASON] * 2 + [NEAR_END if stops else NO_REASON] * 2
         assert t.memory.culprit == (0 if stops else -1)
-        assert look(joints(reaction=reaction), q, -sign * 0.01) == reasons.NO_REASON
+        assert look(joints(reaction=reaction), q, -sign * 0.01) == NO_REASON
     t = joints(reaction=reaction)
     found = [look(t, sign, sign * 0.1) for _ in range(3)]
-    assert found[-1] == safety.NEAR_END, "it still is within its range"
+    assert found[-1] == NEAR_END, "it still is within its range"
 
 
 @parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
 def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     t = joints(period=period)
-    found = [look(t, 0.99, 1.0) for _ in range(ticks)]
-    assert_at_last(found, safety.NEAR_END)
+    assert_at_last([look(t, 0.99, 1.0) for _ in range(ticks)], NEAR_END)
 
 
 # --- contacts -------------------------------------------------------------------------------------
@@ -166,16 +159,16 @@ class Contacts(Watched):
     def ticks_until(self, reason, *given):
         """The first tick that ends with a reason, which is this one; 0: none does."""
         k, found = self.until(*given, most=40)
-        assert found in (reasons.NO_REASON, reason)
+        assert found in (NO_REASON, reason)
         return k
 
 
 def test_power_that_moves_into_faces_adds_up():
     wanted = (10.0, 10.0)
     for speed, ticks in (((1.0, 0.99), 0), ((1.0, 1.01), 3), ((2.5, -9.0), 3), ((1.9, -9.0), 0)):
-        assert Contacts().ticks_until(safety.POWERED, (10.0, 10.0), wanted, speed) == ticks
-    assert Contacts().ticks_until(safety.POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
-    assert Contacts(period=10e-3).ticks_until(safety.POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
+        assert Contacts().ticks_until(POWERED, (10.0, 10.0), wanted, speed) == ticks
+    assert Contacts().ticks_until(POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
+    assert Contacts(period=10e-3).ticks_until(POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
     contacts = Contacts()
     contacts.tick((10.0, 10.0), wanted, (3.0, 3.0))
     assert contacts.memory.powered == approx(DT)
@@ -183,7 +176,7 @@ def test_power_that_moves_into_faces_adds_up():
 
 @parametrize("column", [0, 1])
 def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
-    for astray, reason in ((0.0304, reasons.NO_REASON), (0.0306, safety.CONTACT_LOST)):
+    for astray, reason in ((0.0304, NO_REASON), (0.0306, CONTACT_LOST)):
         contacts = Contacts(phased=1)
         contacts.kept[2 * (1 - column)].time_since_loss = astray  # columns 2 and 0 of the contacts'
         assert contacts.tick((0.0, 0.0), (2.0, 2.0)) == reason
@@ -200,15 +193,15 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
     fine = 5.0
     for alpha, ticks in ((2.01, 0), (1.99, 11), (-8.0, 11), (0.0, 11)):
         contacts = Contacts()
-        assert contacts.ticks_until(safety.CONTACT_LOST, both(alpha, fine), wanted) == ticks
+        assert contacts.ticks_until(CONTACT_LOST, both(alpha, fine), wanted) == ticks
         assert contacts.memory.culprit == (-1 if not ticks else (2, 0)[column])
     for command, ticks in ((1.0, 0), (1.01, 11)):  # too little to differ from nothing
-        assert Contacts().ticks_until(safety.CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
+        assert Contacts().ticks_until(CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
     contacts = Contacts(phased=1)  # contact phases see to it
-    assert contacts.ticks_until(safety.CONTACT_LOST, both(0.0, fine), wanted) == 0
+    assert contacts.ticks_until(CONTACT_LOST, both(0.0, fine), wanted) == 0
     contacts = Contacts()
     contacts.memory.state = at.DEGRADED_STATE
-    assert contacts.ticks_until(safety.CONTACT_LOST, both(0.0, fine), wanted) == 0
+    assert contacts.ticks_until(CONTACT_LOST, both(0.0, fine), wanted) == 0
 
 
 @BOTH
@@ -219,10 +212,10 @@ def test_a_force_integral_at_its_bound_shows_that_nothing_is_measured(sign):
             contacts = Contacts()
             contacts.memory.force_sum[1] = sign * share * room
             given = (command, command), (command, command)
-            assert contacts.ticks_until(safety.CONTACT_LOST, *given) == ticks
+            assert contacts.ticks_until(CONTACT_LOST, *given) == ticks
             contacts.memory.force_rank = 1  # integrals of other columns
             contacts.kept[0].underforce = 0.0
-            assert contacts.ticks_until(safety.CONTACT_LOST, *given) == 0
+            assert contacts.ticks_until(CONTACT_LOST, *given) == 0
 
 
 @BOTH
@@ -230,7 +223,7 @@ def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sig
     for command, alpha, ticks in ((5.0, 29.9, 0), (5.0, 30.1, 6), (20.0, 59.0, 0), (20.0, 61.0, 6)):
         contacts = Contacts()
         given = (5.0, sign * alpha), (5.0, sign * command)
-        assert contacts.ticks_until(safety.OVERFORCE, *given) == ticks
+        assert contacts.ticks_until(OVERFORCE, *given) == ticks
         assert contacts.memory.culprit == (0 if ticks else -1)
 
 
@@ -240,16 +233,16 @@ def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sig
 def readings():
     """What `check_readings` is given, all of it credible."""
     t = joints(2, wrench_timeout=0.0205, force_range=100.0, torque_range=10.0, plausible_speed=3.0)
-    t.model.joints.rated[:] = t.model.joints.speed_max[:] = [2.0, 4.0]
+    t.model.joints.rated = t.model.joints.speed_max = [2.0, 4.0]
     write(t.memory, has_wrench=1, compared=1)
-    t.memory.joints.q[:] = t.input.q[:] = [0.1, 0.2]
+    t.memory.joints.q = t.input.q[:] = [0.1, 0.2]
     write(t.input, X_WD=np.eye(4))
     return t
 
 
 def assert_read(t, reason, culprit):
     assert sensors.check_readings(t) == reason
-    assert t.memory.culprit == (-1 if reason == reasons.NO_REASON else culprit)
+    assert t.memory.culprit == (-1 if reason == NO_REASON else culprit)
 
 
 def test_a_rotation_is_one_but_for_a_ten_thousandth():
@@ -262,24 +255,24 @@ def test_a_rotation_is_one_but_for_a_ten_thousandth():
 
     for _ in range(20):
         R = pin.exp3(rng.standard_normal(3))
-        assert verdict(R) == reasons.NO_REASON
+        assert verdict(R) == NO_REASON
         assert verdict(R @ np.diag([1, 1, -1])) == verdict(-R) == NO_ROTATION
         assert verdict(R[:, [1, 0, 2]]) == NO_ROTATION
         i, j = rng.choice(3, 2, replace=False)
         for way in (np.outer(np.eye(3)[i], R[j]), np.outer(np.eye(3)[i], 0.5 * R[i])):
-            for size, reason in ((0.97e-4, reasons.NO_REASON), (1.03e-4, NO_ROTATION)):
+            for size, reason in ((0.97e-4, NO_REASON), (1.03e-4, NO_ROTATION)):
                 assert verdict(R + size * way) == reason
 
 
 @BOTH
 def test_wrenches_within_the_range_of_their_sensors(sign):
     for axis, most in enumerate([100.0] * 3 + [10.0] * 3):
-        for size, reason in ((most, reasons.NO_REASON), (1.001 * most, OUT_OF_RANGE)):
+        for size, reason in ((most, NO_REASON), (1.001 * most, OUT_OF_RANGE)):
             t = readings()
             t.input.wrenches[0, axis] = sign * size
             assert_read(t, reason, 0)
             t.model.arms.sensor_joint[0] = -1  # no sensor, no range
-            assert sensors.check_readings(t) == reasons.NO_REASON
+            assert sensors.check_readings(t) == NO_REASON
 
 
 @parametrize(("age", "has"), [(19, 1), (20, 1), (0, 0)])
@@ -287,7 +280,7 @@ def test_a_tick_without_a_wrench_uses_one_that_is_young_enough(age, has):
     t = readings()
     t.input.wrenches[:] = np.nan
     write(t.memory, wrench_missing=1, wrench_age=age, has_wrench=has)
-    assert sensors.check_readings(t) == (reasons.NO_REASON if age == 19 else WRENCH_TIMEOUT)
+    assert sensors.check_readings(t) == (NO_REASON if age == 19 else WRENCH_TIMEOUT)
 
 
 @BOTH
@@ -296,14 +289,14 @@ def test_joints_move_no_further_than_they_can(sign, unread):
     """20 mrad, and three times the speed limit since the last reading that was accepted."""
     for j, limit in enumerate((2.0, 4.0)):
         most = 0.02 + 3.0 * limit * DT * (1 + unread)
-        for way, reason in ((most - 1e-6, reasons.NO_REASON), (most + 1e-6, JUMPED)):
+        for way, reason in ((most - 1e-6, NO_REASON), (most + 1e-6, JUMPED)):
             t = readings()
             t.memory.joints.unread_q[j] = unread
             t.input.q[j] += sign * way
             assert_read(t, reason, j)
             t.memory.compared = 0  # nothing to compare with
-            assert sensors.check_readings(t) == reasons.NO_REASON
-        for speed, reason in ((3.0 * limit, reasons.NO_REASON), (3.001 * limit, JUMPED)):
+            assert sensors.check_readings(t) == NO_REASON
+        for speed, reason in ((3.0 * limit, NO_REASON), (3.001 * limit, JUMPED)):
             t = readings()
             t.input.v[j] = sign * speed
             assert sensors.check_readings(t) == reason
@@ -315,7 +308,7 @@ def test_joints_move_no_further_than_they_can(sign, unread):
 class Approach:
     """Columns 3 and 1 of N are kept; the object moves with the twist V, at O."""
 
-    def __init__(self, seed=0, phase=APPROACHING):
+    def __init__(self, seed, phase=APPROACHING):
         rng = default_rng(seed)
         self.t = t = records(contacts=2, columns=4, period=DT, approach_speed=0.02)
         self.memory = t.memory
@@ -323,10 +316,10 @@ class Approach:
         self.kept = t.memory.columns
         write(t.memory, compared=1, X_WO=np.eye(4) + np.eye(4, k=3))
         write(t.work, rank=2, kept=[3, 1], V_N=0.01 * rng.standard_normal(2))
-        t.model.columns.contact[:] = [0, 0, 1, 1]
-        t.memory.contacts.phase[:] = phase
+        t.model.columns.contact = [0, 0, 1, 1]
+        t.memory.contacts.phase = phase
         t.work.columns.N[:] = rng.standard_normal((4, 6))
-        self.kept.known[:] = 1
+        self.kept.known = 1
 
     def true(self, V):
         """NᵀV_rel of the kept columns."""
@@ -334,7 +327,7 @@ class Approach:
 
     def tick(self, V, speed):
         """The object has moved by V; these speeds were read. What is used."""
-        X = pin.SE3(pin.exp3(V[3:] * DT), np.zeros(3)) * pin.SE3(self.memory.X_WO.copy())
+        X = rotated(pin.exp3(V[3:] * DT)) * pin.SE3(self.memory.X_WO.copy())
         X.translation = self.memory.X_WO[:3, 3] + V[:3] * DT
         write(self.work, X_WO=X.homogeneous, speed=np.broadcast_to(speed, 2))
         sensors.compare_speeds(self.t)
@@ -345,8 +338,7 @@ class Approach:
 def test_an_approach_uses_positions_where_speeds_read_too_little():
     for seed in range(4):
         approach = Approach(seed)
-        rng = default_rng(seed)
-        V = 0.05 * rng.standard_normal(6)
+        V = 0.05 * default_rng(seed).standard_normal(6)
         true = np.array(approach.true(V))
         for _ in range(300):
             used = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s
@@ -400,7 +392,7 @@ def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
 class Sensors(Watched):
     """One arm of two joints with a wrist; readings differ from tick to tick if not given."""
 
-    def __init__(self, **more):
+    def __init__(self, force_rank=1, **more):
         limits = {"frozen_time": 0.0105, "stuck_speed": 0.1, "speed_error": 0.1}
         limits |= {"position_drift": 0.05, "plausible_speed": 10.0}
         limits |= {"force_range": 1e6, "torque_range": 1e6}
@@ -408,7 +400,7 @@ class Sensors(Watched):
         self.t.model.arms.sensor_joint[0] = 1
         self.memory = self.t.memory
         self.joints = self.t.memory.joints
-        write(self.memory, engaged=1, force_rank=1, state=at.RUN, culprit=0)
+        write(self.memory, engaged=1, force_rank=force_rank, state=at.RUN, culprit=0)
         self.count = 0
         self.q = np.zeros(2)
 
@@ -430,9 +422,7 @@ class Sensors(Watched):
         return self._read(nothing, nothing, np.full((1, 6), np.nan))
 
     def _read(self, q, v, wrench):
-        self.t.input.q[:] = q
-        self.t.input.v[:] = v
-        self.t.input.wrenches[:] = wrench
+        write(self.t.input, q=q, v=v, wrenches=wrench)
         reason = sensors.check_sensors(self.t)
         sensors.estimate_joints(self.t)
         return reason
@@ -440,7 +430,7 @@ class Sensors(Watched):
 
 def test_readings_that_agree_are_used():
     sensors = Sensors()
-    assert sensors.until() == (0, reasons.NO_REASON)
+    assert sensors.until() == (0, NO_REASON)
     assert_array_equal(sensors.joints.q, sensors.q)
     assert_array_equal(sensors.memory.q, sensors.q)
     assert (sensors.memory.compared, sensors.memory.unbraked) == (1, -1)
@@ -457,38 +447,33 @@ def test_a_wrist_in_contact_may_repeat_itself_for_so_long():
         for k in range(40):
             moving = still.copy()
             moving[0, axis] += k
-            assert sensors.tick(wrench=moving) == reasons.NO_REASON
-    sensors = Sensors()
-    sensors.memory.force_rank = 0  # free: gravity alone may well be constant
-    assert sensors.until(wrench=still, most=60) == (0, reasons.NO_REASON)
+            assert sensors.tick(wrench=moving) == NO_REASON
+    sensors = Sensors(force_rank=0)  # free: gravity alone may well be constant
+    assert sensors.until(wrench=still, most=60) == (0, NO_REASON)
     sensors = Sensors()
     sensors.t.model.arms.sensor_joint[0] = -1
-    assert sensors.until(wrench=still, most=60) == (0, reasons.NO_REASON)
+    assert sensors.until(wrench=still, most=60) == (0, NO_REASON)
     sensors = Sensors()
     for k in range(100):  # what moves now and then begins anew
-        assert sensors.tick(wrench=still + k // 10) == reasons.NO_REASON
+        assert sensors.tick(wrench=still + k // 10) == NO_REASON
 
 
 def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest():
     still = {"wrench": np.ones((1, 6)), "q": np.ones(2), "v": (0.0, 0.0)}
-    sensors = Sensors()
-    sensors.memory.force_rank = 0
+    sensors = Sensors(force_rank=0)
     assert sensors.until(**still) == (12, FROZEN)
     assert (sensors.joints.faulty == 3).all(), "no reading of it is sound"
     sensors = Sensors()
-    assert sensors.until(**still | {"wrench": None}, most=60) == (0, reasons.NO_REASON)
+    assert sensors.until(**still | {"wrench": None}, most=60) == (0, NO_REASON)
     for j in range(2):
-        sensors = Sensors()
+        sensors = Sensors(force_rank=0)
         q = np.ones(2)
-        sensors.memory.force_rank = 0
         for k in range(60):
             q[j] = 1.0 + 1e-12 * (k % 2)
-            assert sensors.tick(**still | {"q": q.copy()}) == reasons.NO_REASON
-    sensors = Sensors()
-    sensors.memory.force_rank = 0
+            assert sensors.tick(**still | {"q": q.copy()}) == NO_REASON
+    sensors = Sensors(force_rank=0)
     for k in range(60):
-        v = (0.0, 1e-12 * (k % 2))
-        assert sensors.tick(**still | {"v": v}) == reasons.NO_REASON
+        assert sensors.tick(**still | {"v": (0.0, 1e-12 * (k % 2))}) == NO_REASON
     assert sensors.memory.frozen == 0
 
 
@@ -503,15 +488,14 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
             v[j] = sign * speed
             sensors.tick(v=v, q=still)
             sensors.joints.drift[j] = -9.0 * v[j] * DT  # drift as such is far from its bound
-            found = [sensors.tick(v=v, q=still) for _ in range(ticks)]
-            assert_at_last(found, DISAGREE)
+            assert_at_last([sensors.tick(v=v, q=still) for _ in range(ticks)], DISAGREE)
             assert sensors.memory.culprit == j
             assert sensors.memory.still == approx(1e-3 * ticks)
         for other in ({"q": still + 1e-12}, {"v": v * (1.0 + 1e-12)}):
             sensors.tick(**{"v": v, "q": still} | other)
             assert sensors.memory.still == 0
     sensors = Sensors(speed_error=inf)
-    assert sensors.until(v=(0.0, 0.0), q=still, most=90) == (0, reasons.NO_REASON), "at rest"
+    assert sensors.until(v=(0.0, 0.0), q=still, most=90) == (0, NO_REASON), "at rest"
 
 
 @BOTH
@@ -521,10 +505,10 @@ def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_li
     for j in range(2):
         sensors = Sensors(speed_error=inf, position_drift=inf, frozen_time=inf)
         ticks = 0
-        reason = reasons.NO_REASON
+        reason = NO_REASON
         sensors.tick(q=np.zeros(2))
         sensors.joints.acceleration[j] = sign * 10.3  # rad/s²; a tenth is 0.2 rad/s
-        while reason == reasons.NO_REASON and ticks < 90:
+        while reason == NO_REASON and ticks < 90:
             ticks += 1
             lost = every and ticks % every == every - 1
             reason = sensors.lose() if lost else sensors.tick(q=np.zeros(2))
@@ -537,7 +521,7 @@ def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_li
             sensors.tick(q=np.zeros(2))
             sensors.joints.acceleration[j] = sign * 10.0
             for k in range(60):  # slow encoders repeat readings
-                assert sensors.tick(q=np.full(2, 0.01 * (k // 15))) == reasons.NO_REASON
+                assert sensors.tick(q=np.full(2, 0.01 * (k // 15))) == NO_REASON
 
 
 @BOTH
@@ -566,7 +550,7 @@ def test_lost_ticks_take_no_evidence_away(every):
     for k in range(1, 60):
         lost = k % every == every - 1
         reason = sensors.lose() if lost else sensors.tick(v=-v, true=v)
-        if reason != reasons.NO_REASON:
+        if reason != NO_REASON:
             break
     assert reason == DISAGREE and k < 16
 
@@ -616,7 +600,7 @@ def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
             assert reason == DISAGREE and sensors.memory.culprit == j
             assert ticks == approx(expected, rel=0.03)
         else:
-            assert reason == reasons.NO_REASON
+            assert reason == NO_REASON
 
 
 # --- what becomes of it ---------------------------------------------------------------------------
@@ -625,8 +609,10 @@ def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
 def test_a_state_counts_its_ticks_and_a_hold_begins_unsettled():
     for before in range(4):
         for after in range(4):
-            memory = Record(state=before, age=7, settled=1)
-            safety._enter(tick_of(memory=memory), after)
+            t = records()
+            memory = t.memory
+            write(memory, state=before, age=7, settled=1)
+            safety._enter(t, after)
             assert (memory.state, memory.age) == (after, 8 if before == after else 1)
             begins = after >= at.HOLD > before
             assert memory.settled == (0 if begins else 1)

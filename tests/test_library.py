@@ -67,8 +67,7 @@ def made():
 
 def printed(program, library, *arguments):
     """Lines that a Python with this library prints."""
-    done = python("-c", program, *arguments, OSC_CONTACT_LAW=str(library))
-    return done.stdout.splitlines()
+    return python("-c", program, *arguments, OSC_CONTACT_LAW=str(library)).stdout.splitlines()
 
 
 def numbers_of(name):

@@ -6,20 +6,17 @@ That each bar carries its command is judged in `test_law_kkt`.
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 from grasp_rigs import KINDS, random_case
 from law_calls import allocation, records, write
-from numpy.linalg import pinv, svd
+from numpy.linalg import cholesky, pinv, qr, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from rigs import held_tick, largest, rig_of, unit
+from rigs import assert_close, held_tick, largest, rig_of, unit
 from samples import module_fixture, parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.dynamics.arm import effort_scale
-
-LWA = pin.LOCAL_WORLD_ALIGNED
 
 
 def bars_of(points):
@@ -67,7 +64,7 @@ def settable_bars(state, chain):
     some = size > 1e-9 * size.max(initial=0.0)
     # by the angle to null(G): an arm near a singular posture makes some forces all too easily
     apart = spans(Vh[some] @ quiet, tolerance, 1.0)[0]
-    return levers, basis @ np.linalg.qr((U[:, some] * size[some]) @ apart)[0]
+    return levers, basis @ qr((U[:, some] * size[some]) @ apart)[0]
 
 
 @module_fixture
@@ -82,9 +79,8 @@ def test_commands_that_do_not_fit_the_bars_are_held(plate):
     reference = plate.references.at(0.0)
     fast = plate.controller()
     pair = rig_of("two_contact_rod")
-    two = pair.controller()
     wanted = replace(pair.references.at(0.0), squeeze_d=np.array([5.0, 5.0]))
-    held_tick(two, "2 arms take a number", pair.plant().measure(), wanted)
+    held_tick(pair.controller(), "2 arms take a number", pair.plant().measure(), wanted)
     for bad in (np.zeros(2), np.array([1.0, np.nan, 0.0]), np.zeros((3, 1)), "5 N", np.nan, [1, 2]):
         held = held_tick(fast, "squeeze_d", measurement, replace(reference, squeeze_d=bad))
         assert np.isfinite(held).all()
@@ -123,15 +119,15 @@ def test_a_squeezed_plate_stays_within_its_limits():
 def answer(state, chain):
     """(levers, basis (bars, s)) of the law; NaN where answers and scratch stand before."""
     t = records(len(chain.arms), chain.nq, angle_tolerance=chain.angle_tolerance)
-    ends = [(s.start, s.stop) for s in chain.slices]
-    write(t.model.arms, **dict(zip(("first", "end"), zip(*ends, strict=True), strict=True)))
+    of_arms = t.model.arms
+    write(of_arms, first=[s.start for s in chain.slices], end=[s.stop for s in chain.slices])
     t.model.joints.effort[chain.actuated] = effort_scale(chain.tau_max) ** 2
-    L = np.linalg.cholesky(state.metric)
-    V, beta = np.linalg.qr(np.linalg.solve(L, state.C), mode="raw")
+    L = cholesky(state.metric)
+    V, beta = qr(solve(L, state.C), mode="raw")
     reflectors = np.triu(V, 1) + np.eye(*V.shape)
     locked = np.hstack([arm.C[:3] for arm in state.arms]).T
     owners = np.repeat(np.arange(len(chain.arms)), [arm.C.shape[1] for arm in state.arms])
-    t.work.joints.J_bar = np.vstack([np.linalg.solve(L, arm.J_bar.T).T for arm in state.arms])
+    t.work.joints.J_bar = np.vstack([solve(L, arm.J_bar.T).T for arm in state.arms])
     carried = locked / np.sqrt(chain.reference.inertia.mass)
     work = t.work
     write(work, points=state.grasp_points, carried=carried, owners=owners, locked=len(beta))
@@ -150,7 +146,7 @@ def assert_same(got, want):
     """The same levers, and bases that span the same."""
     assert_allclose(got[0], want[0], rtol=0, atol=1e-10 * largest(want[0]))
     assert got[1].shape == want[1].shape
-    assert_allclose(got[1] @ got[1].T, want[1] @ want[1].T, rtol=0, atol=1e-9)
+    assert_close(got[1] @ got[1].T, want[1] @ want[1].T, 1e-9)
 
 
 def without_motors(case, rng, share):

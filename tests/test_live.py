@@ -18,14 +18,11 @@ from processes import alive, sockets, wait_until
 from pytest import approx, fixture, mark, raises
 from samples import module_fixture
 from scenario_runs import assert_same_run
-from scene_samples import ARMS, BODIES, ENDS, RECORDING, links
+from scene_samples import BODIES, CONTENT, RECORDING, links
 from tornado.websocket import websocket_connect
 
 import osc_contact as osc
-from osc_contact.visual.live import Viewer
-from osc_contact.visual.parts import Content
 
-CONTENT = Content("test", ARMS, BODIES, ENDS)
 TICKS = [{k: v[i] for k, v in RECORDING.channels.items()} for i in range(len(RECORDING))]
 TICK_S = 1e-3
 
@@ -40,7 +37,7 @@ def lasting():
 
 
 def opened(content=CONTENT, rate=60.0):
-    return Viewer(content, rate=rate)
+    return osc.Viewer(content, rate=rate)
 
 
 @fixture
@@ -256,14 +253,12 @@ def test_at_most_so_many_ticks_per_second_are_sent():
         assert 2 <= sent <= 21
     for rate in (0.0, 61.0, float("nan")):
         with invalid_input("1 to 60"):
-            Viewer((), rate=rate)
+            osc.Viewer((), rate=rate)
 
 
 def test_the_server_ends_with_the_program_however_that_ends():
     done = python(
-        "viewer = t.opened()",
-        "print(viewer._process.pid, flush=True); os._exit(7)",
-        code=7,
+        "viewer = t.opened()", "print(viewer._process.pid, flush=True); os._exit(7)", code=7
     )
     wait_until(lambda: not alive(int(done.stdout)), 10.0)
 
@@ -272,7 +267,7 @@ def test_a_viewer_that_cannot_start_says_why(monkeypatch, tmp_path):
     (tmp_path / "tornado.py").write_text("raise RuntimeError('no tornado here')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with viewer_error("does not start: .*no tornado"):
-        Viewer(CONTENT)
+        osc.Viewer(CONTENT)
 
 
 def test_no_part_of_meshcat_that_opens_sockets_is_imported():
@@ -285,8 +280,7 @@ def test_no_part_of_meshcat_that_opens_sockets_is_imported():
 
 
 def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog):
-    missing = BODIES[0]._replace(urdf="/no/such/file.urdf")
-    broken = replace(CONTENT, bodies=(missing, *BODIES[1:]))
+    broken = replace(CONTENT, bodies=(BODIES[0]._replace(urdf="/no/such/file.urdf"), *BODIES[1:]))
     with opened(broken) as viewer:
         feed(viewer, 1.5)
         said = str(viewer.error)

@@ -30,7 +30,7 @@ RIGID = ("two_contact_rod", "plant.type=rigid", "plant.step=1 ms")
 
 
 def plan(rig, ticks=TICKS):
-    return rig.references.over(np.arange(ticks) * (1.0 / rig.scenario.control.rate))
+    return rig.references.each(ticks, 1.0 / rig.scenario.control.rate)
 
 
 def started(*scenario):

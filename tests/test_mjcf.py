@@ -2,11 +2,11 @@
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from command_line import call, done
 from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, fixture
+from rigs import terms_at
 from robot_numbers import mass_matrix
 from samples import parametrize
 from second_reader import mjcf_difference
@@ -54,27 +54,20 @@ def mj():
     return mujoco.MjModel.from_xml_string(ARM)
 
 
-def at(mj, q, v):
-    """MuJoCo's data with the arm's joints at q, v, and their numbers in qvel."""
-    data = mujoco.MjData(mj)
-    data.qpos[[int(mj.joint(name).qposadr[0]) for name in JOINTS]] = q
-    dofs = [int(mj.joint(name).dofadr[0]) for name in JOINTS]
-    data.qvel[dofs] = v
-    mujoco.mj_forward(mj, data)
-    return data, dofs
-
-
 def test_mass_matrix_forces_and_frames_are_mujocos(mj):
     model = robots.load_mjcf(mj, "tip")
     rng = np.random.default_rng(0)
-    data = model.createData()
     assert list(model.names)[1:] == JOINTS
+    truth = mujoco.MjData(mj)
+    places = [mj.joint(name).qposadr[0] for name in JOINTS]
+    dofs = [mj.joint(name).dofadr[0] for name in JOINTS]
     for _ in range(5):
         q = rng.uniform(-1, 1, 4)
         v = rng.standard_normal(4)
-        truth, dofs = at(mj, q, v)
-        pin.computeAllTerms(model, data, q, v)
-        pin.updateFramePlacements(model, data)
+        truth.qpos[places] = q
+        truth.qvel[dofs] = v
+        mujoco.mj_forward(mj, truth)
+        data = terms_at(model, q, v)
         assert_allclose(data.M, mass_matrix(mj, truth)[np.ix_(dofs, dofs)], atol=1e-12)
         assert_allclose(data.nle, truth.qfrc_bias[dofs], atol=1e-12)
         for name in ("wrist", "tip"):
@@ -124,8 +117,7 @@ def test_a_urdf_whose_links_are_called_as_its_joints(tmp_path):
             locked=locked,
             wrist_sensor="wrist_sensor",
         )
-        chain = osc.ClosedChain([arm])
-        assert chain.nq == 5 - len(locked)
+        assert osc.ClosedChain([arm]).nq == 5 - len(locked)
     arm = osc.Arm.from_urdf(file, name="a", tip="joint2")
     assert osc.ClosedChain([arm]).nq == 2
 
@@ -299,7 +291,6 @@ def test_joints_that_follow_others_on_the_way_to_the_tip_are_refused(tmp_path):
     file = arm(tmp_path, equality=follows.format("j3"))
     with model_error("'j3' on the way to the tip follows joint 'j2'"):
         osc.Arm.from_mjcf(file, **how)
-    both = {"j2": 0.1, "j3": 0.1}
-    assert osc.Arm.from_urdf(file, locked=both, **how).model.nv == 4
+    assert osc.Arm.from_urdf(file, locked={"j2": 0.1, "j3": 0.1}, **how).model.nv == 4
     file = arm(tmp_path, equality=follows.format("grip"))
     assert osc.Arm.from_mjcf(file, **how).model.nv == 6

@@ -8,7 +8,7 @@ import pinocchio as pin
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import fixture, mark, raises
-from rigs import PANDA_Q, largest, panda_arm, placed, refused, scara_pair
+from rigs import PANDA_Q, largest, panda_arm, placed, refused, scara_pair, terms_at
 
 import osc_contact as osc
 from osc_contact import robots
@@ -61,23 +61,20 @@ def textbook(arm, q, v):
     """The terms, M and the least χ; J̇ by finite differences."""
     model = arm.model.copy()
     model.gravity.linear = arm.base.rotation.T @ model.gravity.linear
-    data = model.createData()
-    M = pin.crba(model, data, q)
-    M = np.triu(M) + np.triu(M, 1).T
+    data = terms_at(model, q, v)
+    M = np.array(data.M)
     J = jacobian(arm, q)
     steps = {k: jacobian(arm, q + k * STEP * v) - jacobian(arm, q - k * STEP * v) for k in CENTRAL}
     drift = sum(CENTRAL[k] * d for k, d in steps.items()) @ v / STEP
-    g = pin.computeGeneralizedGravity(model, data, q)
-    h = pin.rnea(model, data, q, v, np.zeros_like(v))
     bar = inverse(M) @ J.T
     Phi = J @ bar
     chi = np.linalg.svd(BALL @ J @ np.linalg.inv(np.linalg.cholesky(M)).T)[1]
-    terms = {"J": J, "Phi": Phi, "drift": drift, "h": h}
+    terms = {"J": J, "Phi": Phi, "drift": drift, "h": np.array(data.nle)}
     if len(chi) == 6 and rank_of(chi, 1.1) == 6:
         Lambda = inverse(Phi)
         J_bar = bar @ Lambda
-        mu = J_bar.T @ (h - g) - Lambda @ drift
-        terms |= {"Lambda": Lambda, "J_bar": J_bar, "p": J_bar.T @ g, "mu": mu}
+        mu = J_bar.T @ (data.nle - data.g) - Lambda @ drift
+        terms |= {"Lambda": Lambda, "J_bar": J_bar, "p": J_bar.T @ data.g, "mu": mu}
     return terms, M, chi
 
 
@@ -142,7 +139,7 @@ def test_rows_threads_and_memory_given_change_nothing(arm):
 
 
 @mark.parametrize(
-    ("q", "v", "words"),
+    "q, v, words",
     [
         (PANDA_Q[:6], PANDA_Q, r"q: expected shape \(7\)"),
         ([PANDA_Q] * 2, PANDA_Q, "v: expected shape"),

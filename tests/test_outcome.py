@@ -258,11 +258,11 @@ DT = 1e-3
 
 test_what_is_no_threshold_is_refused = refusals(
     invalid_input,
-    [
-        (lambda: MonitorLimits(force_on=0.4, force_off=0.4), "above force_off"),
-        (lambda: MonitorLimits(power=0.0), "power: must be > 0"),
-        (lambda: MonitorLimits(power=-0.05), "power: must be > 0"),
-    ],
+    {
+        "above force_off": lambda: MonitorLimits(force_on=0.4, force_off=0.4),
+        "power: must be > 0; got 0": lambda: MonitorLimits(power=0.0),
+        "power: must be > 0; got -0.05": lambda: MonitorLimits(power=-0.05),
+    },
 )
 
 

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from complaints import plant_error
-from pytest import mark
 from rigs import shift
+from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.testing import check_robot
@@ -57,30 +57,34 @@ class Driver:
     def measure(self):
         m = self.plant.measure()
         self.ticks += 1
-        fault = self.fault
         q = m.q
         v = m.v
         w = m.wrenches
-        if fault.startswith("swapped"):
-            order = {"swapped 1 2": [1, 0, 2], "swapped 2 3": [0, 2, 1]}[fault]
-            q, v = (x[order] for x in (q, v))
-        elif fault == "degrees":
-            q, v = np.rad2deg((q, v))
-        elif fault == "speeds in degrees":
-            v = np.rad2deg(v)
-        elif fault == "mirrored wrench":
-            w = -w
-        elif fault == "mirrored joint":
-            v = v * [1, 1, -1]
-            q = (q - HOME) * [1, 1, -1] + HOME
-        elif fault == "no gravity":
-            state = self.chain.state(q, np.zeros(3))
-            force = shift(state.X_WO.translation).act(pin.Force(state.bias_out))
-            w = w - state.sensors[0].actInv(force).vector
-        elif fault == "wrench of another frame":
-            w = w[:, [1, 0, 2, 4, 3, 5]]
-        number = min(self.ticks, 10) if fault == "stale sequence" else self.ticks
-        encoders = 1 if fault == "stale stamps" else self.ticks
+        number = encoders = self.ticks
+        match self.fault:
+            case "swapped 1 2":
+                q, v = np.array((q, v))[:, [1, 0, 2]]
+            case "swapped 2 3":
+                q, v = np.array((q, v))[:, [0, 2, 1]]
+            case "degrees":
+                q, v = np.rad2deg((q, v))
+            case "speeds in degrees":
+                v = np.rad2deg(v)
+            case "mirrored wrench":
+                w = -w
+            case "mirrored joint":
+                v = v * [1, 1, -1]
+                q = (q - HOME) * [1, 1, -1] + HOME
+            case "no gravity":
+                state = self.chain.state(q, np.zeros(3))
+                force = shift(state.X_WO.translation).act(pin.Force(state.bias_out))
+                w = w - state.sensors[0].actInv(force).vector
+            case "wrench of another frame":
+                w = w[:, [1, 0, 2, 4, 3, 5]]
+            case "stale sequence":
+                number = min(number, 10)
+            case "stale stamps":
+                encoders = 1
         stamps = osc.interface.Stamps(1e-3 * encoders, wrists=1e-3 * self.ticks)
         return osc.Measurement(q, v, w, sequence=number, stamps=stamps)
 
@@ -101,22 +105,22 @@ def test_drivers_that_keep_the_contract_pass():
     assert np.abs(robot.plant.measure().q - HOME).max() < 0.03, "it is back where it was"
 
 
-@mark.parametrize(
+@parametrize(
     "fault, sentence",
-    [
-        ("mirrored wrench", "the sign is reversed: give the wrench that the arm exerts"),
-        ("no gravity", "without gravity, and Measurement.wrenches includes it: add the weight"),
-        ("wrench of another frame", "the sign or the axes of the frame are others"),
-        ("no weight", "their weight seems to be missing: the robot does not add it"),
-        ("twice the weight", "their weight seems to come twice: the robot adds it"),
-        ("swapped 2 3", "joints 'arm/shoulder' and 'arm/elbow' seem to be swapped"),
-        ("swapped 1 2", "'arm/base' and 'arm/shoulder' seem to be swapped"),
-        ("degrees", r"outside its limits \[-2.967, 2.967\].*look like degrees"),
-        ("speeds in degrees", "in degrees|the unit of one"),
-        ("mirrored joint", "reversed"),
-        ("stale stamps", "stamps or sequence do not advance: nothing newer than encoders"),
-        ("stale sequence", "stamps or sequence do not advance: nothing newer than packet 10"),
-    ],
+    {
+        "mirrored wrench": "the sign is reversed: give the wrench that the arm exerts",
+        "no gravity": "without gravity, and Measurement.wrenches includes it: add the weight",
+        "wrench of another frame": "the sign or the axes of the frame are others",
+        "no weight": "their weight seems to be missing: the robot does not add it",
+        "twice the weight": "their weight seems to come twice: the robot adds it",
+        "swapped 2 3": "joints 'arm/shoulder' and 'arm/elbow' seem to be swapped",
+        "swapped 1 2": "'arm/base' and 'arm/shoulder' seem to be swapped",
+        "degrees": r"outside its limits \[-2.967, 2.967\].*look like degrees",
+        "speeds in degrees": "in degrees|the unit of one",
+        "mirrored joint": "reversed",
+        "stale stamps": "stamps or sequence do not advance: nothing newer than encoders",
+        "stale sequence": "stamps or sequence do not advance: nothing newer than packet 10",
+    }.items(),
 )
 def test_what_is_wrong_is_said(fault, sentence):
     robot = Driver(fault)

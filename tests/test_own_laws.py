@@ -1,9 +1,6 @@
 """Custom laws and pairs, impedance and admittance: without shared memory, refused if bad."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -17,6 +14,7 @@ from samples import module_fixture, parametrize
 from test_moving_face import on_the_move
 
 import osc_contact as osc
+from benchmarks.cases import OwnFace
 from osc_contact.control.custom_laws import Laws, force_law, motion_law
 from osc_contact.interface import Touched
 from osc_contact.spatial import classical_to_spatial, pose_error
@@ -28,14 +26,15 @@ def rig():
     return rig_of("two_contact_rod", *changes)
 
 
+MADE = []  #: laws
+
+
 class Seen:
     """Feed-forward plus a constant; counts its calls."""
 
-    made: ClassVar[list[Seen]] = []
-
     def __init__(self):
-        self.calls: list[tuple[np.ndarray, np.ndarray]] = []
-        Seen.made.append(self)
+        self.calls = []
+        MADE.append(self)
 
     def __call__(self, desired, measured):
         self.calls.append((desired, measured))
@@ -43,7 +42,7 @@ class Seen:
 
 
 @parametrize(
-    ("law", "returned", "words"),
+    "law, returned, words",
     [
         ("force", [1.0], "return 2 finite numbers"),
         ("force", [1.0, np.nan], "return 2 finite numbers"),
@@ -132,8 +131,7 @@ def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig):
         measurement = plant.measure()
         tau = plain.tick(measurement, reference)
         for other in others:
-            got = ticked(other, measurement, reference)
-            assert_allclose(got, tau, rtol=0, atol=1e-8)
+            assert_allclose(ticked(other, measurement, reference), tau, rtol=0, atol=1e-8)
         plant.hold(tau)
         plant.command(tau, 2e-3)
     assert largest(plain.force_integral) > 1e-6
@@ -146,25 +144,16 @@ def test_laws_stay_when_gains_change_and_can_be_taken_out_again(rig):
     plain = rig.controller()
     other, own = (force_law(Seen)(plain) for _ in range(2))
     other.tick(measurement, reference)
-    first, second = Seen.made[-2:]
+    first, second = MADE[-2:]
     assert_array_equal(first.calls[0][0], reference.alpha_d)
     assert not second.calls, "every controller has its own law"
     changed = own.with_gains(plain.gains.replaced(force=osc.ForceGains(10.0, 5.0)))
     changed.tick(measurement, reference)
-    assert_allclose(
-        changed.signals.alpha_u, np.asarray(reference.alpha_d) + [1.0, -2.0], atol=1e-12
-    )
+    assert_allclose(changed.signals.alpha_u, reference.alpha_d + [1.0, -2.0], atol=1e-12)
     back = own.with_laws(force=None)
     assert_array_equal(back.tick(measurement, reference), plain.tick(measurement, reference))
     with refused("with_laws"):
         own.laws = Laws()
-
-
-class Written(osc.VertexOnFace):
-    """Evaluated by Python."""
-
-    def contact(self, *args, **kwargs):
-        return super().contact(*args, **kwargs)
 
 
 class Lifted(osc.VertexOnFace):
@@ -175,7 +164,7 @@ class Lifted(osc.VertexOnFace):
         return super().points_of_contact(X_WO, X_WE) + 0.1 * (R @ self.normal)[:, None]
 
 
-@parametrize("kind", [Written, Lifted])
+@parametrize("kind", [OwnFace, Lifted])
 @parametrize("moving", [False, True])
 def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(rig, kind, moving):
     rng = default_rng(60)
@@ -201,13 +190,12 @@ def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(rig, kind, movin
 
 # Impedance and admittance: their equations, by what the rigid plant does under them ---------------
 
-SETS = ["plant.type=rigid", "plant.step=1 ms"]
 KEYS = np.array([900.0, 700.0, 500.0, 40.0, 30.0, 20.0])
 
 
 @fixture(scope="module", params=["two_contact_rod", "panda_edge"])
 def exact(request):
-    made = rig_of(request.param, *SETS)
+    made = rig_of(request.param, "plant.type=rigid", "plant.step=1 ms")
     # viscous friction is compensated along the permitted command, not along the speed read here
     made.chain.model.damping = np.zeros(made.chain.nq)
     return made
@@ -226,8 +214,7 @@ def moving(rig, seed):
 
 def answered(rig, plant, controller, reference):
     """Signals, reading, and Λ a + b + N α of what the plant does, along S."""
-    measurement = plant.measure()
-    tau = ticked(controller, measurement, reference)
+    tau = ticked(controller, plant.measure(), reference)
     s = controller.signals
     _, a, alpha = plant.accelerations(tau)
     state = s.state
@@ -287,12 +274,12 @@ def test_admittance_moves_the_set_point_by_the_force(exact):
 
 test_numbers_out_of_bounds_are_refused = refusals(
     invalid_input,
-    [
-        (lambda: osc.impedance((1.0, -1.0)), "stiffness = .*give numbers ≥ 0"),
-        (lambda: osc.impedance(np.ones(3)), r"stiffness: expected shape \(6\)"),
-        (lambda: osc.impedance(damping_ratio=-0.1), "damping_ratio"),
-        (lambda: osc.admittance(mass=(0.0, 1.0)), "mass = .*give numbers > 0"),
-        (lambda: osc.admittance(damping=(-1.0, 1.0)), "damping = "),
-        (lambda: osc.admittance(frequency=0.0), "frequency = "),
-    ],
+    {
+        "stiffness = .*give numbers ≥ 0": lambda: osc.impedance((1.0, -1.0)),
+        r"stiffness: expected shape \(6\)": lambda: osc.impedance(np.ones(3)),
+        "damping_ratio": lambda: osc.impedance(damping_ratio=-0.1),
+        "mass = .*give numbers > 0": lambda: osc.admittance(mass=(0.0, 1.0)),
+        "damping = ": lambda: osc.admittance(damping=(-1.0, 1.0)),
+        "frequency = ": lambda: osc.admittance(frequency=0.0),
+    },
 )

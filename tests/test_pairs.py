@@ -13,17 +13,9 @@ from complaints import contact_error, invalid_input, refusals
 from numpy.linalg import det, norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pair_kinds import (
-    KINDS,
-    PLAIN,
-    STILL,
-    Motion,
-    about,
-    pose_of,
-    rate,
-)
+from pair_kinds import KINDS, PLAIN, STILL, Motion, pose_of, rate
 from pytest import approx, raises
-from rigs import largest, refused, shift, unit
+from rigs import largest, placed, refused, shift, unit
 from samples import parametrize
 
 import osc_contact as osc
@@ -32,7 +24,14 @@ from osc_contact.contacts.pairs.pair import count_forces, triad
 from osc_contact.contacts.pairs.tangent_pair import TangentPair
 
 ALL = sorted(KINDS)
-MADE = {name: type(KINDS[name](default_rng(0), PLAIN)[0]) for name in ALL}
+
+
+def drawn(name, seed):
+    """A pair of a kind, its free coordinates ↦ pose, number of forces."""
+    return KINDS[name](default_rng(seed), PLAIN)
+
+
+MADE = {name: type(drawn(name, 0)[0]) for name in ALL}
 #: n_γ from T and β: it presumes that V_rel is a permitted motion.
 BY_T = {name for name, pair in MADE.items() if issubclass(pair, TangentPair)}
 TURNS = range(3)
@@ -74,7 +73,7 @@ def test_gaps_shrink_along_the_columns_of_N(name, open_by, turn):
         open_by = 0.0
     motion = Motion.breaking(name, turn, open_by)
     contact = motion.contact()
-    assert (contact.r, contact.name) == (KINDS[name](default_rng(turn), PLAIN)[2], motion.pair.name)
+    assert (contact.r, contact.name) == (drawn(name, turn)[2], motion.pair.name)
     (V_rel, a_rel) = motion.relative
     size = np.abs(contact.N).T
     near(rate(motion.gaps), -contact.N.T @ V_rel, size @ np.abs(V_rel), 1e-8)
@@ -86,7 +85,7 @@ def test_gaps_shrink_along_the_columns_of_N(name, open_by, turn):
 
 @parametrize("name", ALL)
 def test_the_environment_defaults_to_the_world_at_rest(name):
-    pair, pose, r = KINDS[name](default_rng(5), PLAIN)
+    pair, pose, r = drawn(name, 5)
     X_WO = pose(np.full(6 - r, 0.3))
     V = np.arange(6.0)
     here = pin.SE3.Identity()
@@ -108,7 +107,7 @@ def test_lifted_objects_have_open_gaps(name, turn):
 
     Or against its own.
     """
-    pair, pose, r = KINDS[name](default_rng(turn), PLAIN)
+    pair, pose, r = drawn(name, turn)
     X = pose(np.full(6 - r, 0.2))
     own = {"face_on_vertex": -X.rotation} | {"vertex_on_face": np.eye(3)}
     normal = own[name] @ pair.normal if name in own else pair.face_normal
@@ -117,7 +116,7 @@ def test_lifted_objects_have_open_gaps(name, turn):
     assert_allclose(pair.contact(X, STILL).N[:3], np.tile(-normal[:, None], r))
 
 
-@parametrize(("side", "down"), [(1.0, 1), (-1.0, -1), ([0.1, 0.3, 2.0], 1)])
+@parametrize("side, down", [(1.0, 1), (-1.0, -1), ([0.1, 0.3, 2.0], 1)])
 def test_edges_cross_with_the_environment_on_the_stated_side(side, down):
     """e_A × e_E = y × x = −z; the crossing point follows the object."""
     pair = osc.EdgeOnEdge([0.0, 5, 0.02], [0.0, 1, 0], [7.0, 0, 0], [1.0, 0, 0], side)
@@ -130,13 +129,12 @@ def test_a_screw_is_closed_again_after_every_turn_and_open_in_between():
     pair = osc.Screw(np.zeros(3), [0.0, 0, 1], 0.002)
     for turns in (1, -2, 7):
         assert_allclose(pair.gaps(shift([0, 0, 0.002 * 2 * np.pi * turns])), 0.0, atol=1e-15)
-    low = pin.SE3(about(np.array([0.0, 0, 1]), 0.5), np.zeros(3))
-    assert_allclose(pair.gaps(low), [0, 0, 0, 0, 0.001], atol=1e-15)
+    assert_allclose(pair.gaps(placed(rpy=(0.0, 0.0, 0.5))), [0, 0, 0, 0, 0.001], atol=1e-15)
 
 
 @parametrize("name", ALL)
 def test_pairs_are_frozen_and_comparable(name):
-    pair, _, _ = KINDS[name](default_rng(1), PLAIN)
+    pair, _, _ = drawn(name, 1)
     with raises(AttributeError):
         pair.name = "other"
     assert pair == pair and pair in {pair}
@@ -152,7 +150,7 @@ def test_magnitudes_belong_to_feet_around_the_stated_point(turn):
         "cylinder_in_hole": 0.1,
     }
     for name, length in lever.items():
-        pair, pose, r = KINDS[name](default_rng(turn), PLAIN)
+        pair, pose, r = drawn(name, turn)
         X = pose(np.full(6 - r, 0.3))
         N = pair.contact(X, STILL).N
         moments = N[3:] - np.cross(X.rotation @ pair.point, N[:3], axis=0)
@@ -176,7 +174,7 @@ POSSIBLE = {"radius": {0.0}, "pitch": {-1.0}, "edge_outward": {-1.0}}
 @parametrize("name", ALL)
 def test_impossible_geometry_is_refused(name):
     """No numbers, no directions, lengths that are none; the field is named."""
-    pair, _, _ = KINDS[name](default_rng(1), PLAIN)
+    pair, _, _ = drawn(name, 1)
     for field in fields(pair):
         value = getattr(pair, field.name) if field.init else None
         if isinstance(value, float):
@@ -193,17 +191,17 @@ def test_impossible_geometry_is_refused(name):
 
 test_sides_and_steps_out_of_bounds_are_refused = refusals(
     invalid_input,
-    [
-        (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, 0.5), r"edge_outward = 0.5; give \+1 or −1"),
-        (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, O3), "edge_outward is zero"),
-        (lambda: osc.GapFunctions(lambda X: X.translation, step=1.0), "gap_functions.step = 1.0"),
-    ],
+    {
+        r"edge_outward = 0.5; give \+1 or −1": lambda: osc.EdgeOnEdge(O3, Z, O3, Z, 0.5),
+        "edge_outward is zero": lambda: osc.EdgeOnEdge(O3, Z, O3, Z, O3),
+        "gap_functions.step = 1.0": lambda: osc.GapFunctions(lambda X: X.translation, step=1.0),
+    },
 )
 
 
 @parametrize("name", ALL)
 def test_forces_are_counted_in_any_pose(name):
-    pair, _, r = KINDS[name](default_rng(4), PLAIN)
+    pair, _, r = drawn(name, 4)
     assert count_forces(pair) == r
     assert (
         count_forces(osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z, 1)) == 1

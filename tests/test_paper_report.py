@@ -18,21 +18,12 @@ from samples import ROOT, module_fixture, parametrize
 from scene_samples import read_commands
 
 import osc_contact as osc
-from osc_contact.recorder import Recording
-from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import VARIABLE
 from paper import fig3
 from paper.figures import ANSWERS, FIGURES, Evidence
-from paper.report import (
-    STUDIES,
-    Reproduction,
-    names_of,
-    typed,
-    write_paper_report,
-    write_study,
-)
+from paper.report import STUDIES, Reproduction, names_of, typed, write_paper_report, write_study
 from paper.statements import PAPER, Answer, Verdict, judge
 from paper.study import Ask, Study
 from paper.variants import VARIANTS
@@ -44,7 +35,7 @@ READY = "document.querySelector('main') !== null"
 @module_fixture
 def evidence():
     scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
-    return Evidence(build_rig(scenario), osc.run(scenario, duration=1.2))
+    return Evidence(osc.build_rig(scenario), osc.run(scenario, duration=1.2))
 
 
 @module_fixture
@@ -113,7 +104,7 @@ def test_answers_can_fail(evidence):
     run = evidence.recording
 
     def holds(figure, key, meta=(), **changed):
-        recording = Recording(run.meta | dict(meta), {**run.channels, **changed})
+        recording = osc.Recording(run.meta | dict(meta), run.channels | changed)
         return ANSWERS[figure](Evidence(evidence.rig, recording))[key].holds
 
     lost = run["closed"].copy()
@@ -144,8 +135,7 @@ def test_the_report_shows_statements_numbers_verdicts_and_commands(report):
     for name, verdict in wanted.items():
         (figure,) = (figure for figure in PAPER if figure.name == name)
         assert all(words in shown for words in (figure.shows, *figure.states.values()))
-        badges = re.findall(r'class="badge \w+">. ([\w ]+)<', sections[name])
-        assert badges == [verdict], name
+        assert re.findall(r'class="badge \w+">. ([\w ]+)<', sections[name]) == [verdict], name
         command = f"osc-contact reproduce {name} --plant rigid --set &#x27;a=[1, 2]&#x27;"
         assert command in sections[name] and "<img" in sections[name]
     assert "62.0° and 279.6 mm" in sections["fig1"]
@@ -168,39 +158,32 @@ def test_the_report_fetches_nothing(report):
 
 
 def test_it_fits_phones_and_desks_and_unfolds_scenes_that_are_opened(report):
+    """What is opened plays from then on: the browser must not outlive the test."""
     with Browser(report.as_uri(), ready=READY) as browser:
-        for width in (390, 1280):
-            assert_fits(browser, report, width)
-        unfold(browser)
-        assert browser.errors == []
-
-
-def assert_fits(browser, report, width):
-    browser.visit(report.as_uri(), width, ready=READY)
-    assert browser.run("document.documentElement.scrollWidth") == width
-    columns = browser.run(
-        "getComputedStyle(document.querySelector('#fig1 .pair')).gridTemplateColumns"
-    )
-    assert len(columns.split()) == (1 if width < 900 else 2)
-    browser.run("document.querySelector('#fig1 img').scrollIntoView()")
-    browser.until("document.querySelector('#fig1 img').naturalWidth > 0")
-
-
-def unfold(browser):
-    """What it opens plays from then on: the browser must not outlive the test."""
-    assert browser.run("document.querySelectorAll('iframe').length") == 0, "costs nothing before"
-    browser.run("document.querySelector('#run').scrollIntoView()")
-    before = near(browser.picture(), contact_colour(0))
-    browser.run("document.querySelector('#run summary').click()")
-    inside = "document.querySelector('iframe')?.contentDocument?"
-    browser.until(f"{inside}.querySelectorAll('#legend input').length === 6")
-    browser.until(f"{inside}.querySelector('#clock').textContent.includes('1.2 s')")
-    assert near(browser.picture(), contact_colour(0)) > before + 200
-    for _ in range(2):
+        for width, count in ((390, 1), (1280, 2)):
+            browser.visit(report.as_uri(), width, ready=READY)
+            assert browser.run("document.documentElement.scrollWidth") == width
+            columns = browser.run(
+                "getComputedStyle(document.querySelector('#fig1 .pair')).gridTemplateColumns"
+            )
+            assert len(columns.split()) == count
+            browser.run("document.querySelector('#fig1 img').scrollIntoView()")
+            browser.until("document.querySelector('#fig1 img').naturalWidth > 0")
+        frames = "document.querySelectorAll('iframe').length"
+        assert browser.run(frames) == 0, "costs nothing before"
+        browser.run("document.querySelector('#run').scrollIntoView()")
+        before = near(browser.picture(), contact_colour(0))
         browser.run("document.querySelector('#run summary').click()")
-    assert browser.run("document.querySelectorAll('iframe').length") == 1
-    browser.run("document.querySelector('#fig1 summary').click()")
-    browser.until("document.querySelectorAll('#fig1 iframe').length === 1")
+        inside = "document.querySelector('iframe')?.contentDocument?"
+        browser.until(f"{inside}.querySelectorAll('#legend input').length === 6")
+        browser.until(f"{inside}.querySelector('#clock').textContent.includes('1.2 s')")
+        assert near(browser.picture(), contact_colour(0)) > before + 200
+        for _ in range(2):
+            browser.run("document.querySelector('#run summary').click()")
+        assert browser.run(frames) == 1
+        browser.run("document.querySelector('#fig1 summary').click()")
+        browser.until("document.querySelectorAll('#fig1 iframe').length === 1")
+        assert browser.errors == []
 
 
 def test_names_and_options():
@@ -259,10 +242,10 @@ def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
     low = corners.min(axis=0)[:2]
     high = corners.max(axis=0)[:2]
     seen = [X.translation for X in cell.faces]
-    q = np.asarray(cell.sample["q"], dtype=float)
-    pin.framesForwardKinematics(cell.rig.chain.model, cell.rig.chain.data, q)
-    seen += [X.translation for X in cell.rig.chain.tip_poses()]
-    rod = pin.XYZQUATToSE3(np.asarray(cell.sample["pose"], dtype=float))
+    chain = cell.rig.chain
+    pin.framesForwardKinematics(chain.model, chain.data, cell.sample["q"])
+    seen += [X.translation for X in chain.tip_poses()]
+    rod = pin.XYZQUATToSE3(cell.sample["pose"])
     seen += [rod.act(np.array([x, 0.0, 0.0])) for x in (-0.3, 0.3)]
     for point in seen:
         assert (low < point[:2]).all() and (point[:2] < high).all()

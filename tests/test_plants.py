@@ -46,7 +46,7 @@ def test_rigid_plant_keeps_energy_and_constraints_while_it_slides_freely(rig):
 def test_mujoco_contacts_push_and_never_pull(rig):
     plant = rig.plant()
     for _ in range(100):
-        plant.command(np.array([0, 0, -120.0, 0, 0, 0, -120.0, 0]), 1e-3)  # lift off
+        plant.command([0, 0, -120.0, 0, 0, 0, -120.0, 0], 1e-3)  # lift off
         truth = plant.truth()
         assert truth.alpha.min() >= 0.0
     assert not truth.closed.any()

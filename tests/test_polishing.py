@@ -53,12 +53,11 @@ def test_an_even_force_wears_as_soft_as_the_edge_is():
 def test_a_few_generations_learn_the_hidden_hardness():
     policy, curve = teach("ours", 0, rows=32)
     assert curve[0] > 0.3
-    seen = judge("ours", policy, SLOW)
-    assert seen.uneven.mean() < 0.5 * curve[0]
+    assert judge("ours", policy, SLOW).uneven.mean() < 0.5 * curve[0]
     assert np.corrcoef(policy, best_forces(KNOTS))[0, 1] > 0.8
 
 
-@mark.parametrize("law", first(list(LAWS)))
+@mark.parametrize("law", first(LAWS))
 def test_the_best_forces_wear_evenly_above_every_law(law):
     slow, fast = (judge(law, best_forces(KNOTS), seconds) for seconds in (SLOW, FAST))
     assert slow.uneven.mean() < 0.05 and fast.uneven.mean() < 0.08

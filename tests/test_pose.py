@@ -7,8 +7,10 @@ import pinocchio as pin
 import yaml
 from command_line import answered, call, done, refused
 from complaints import invalid_input, model_error
+from numpy.linalg import norm
 from numpy.testing import assert_allclose
 from pytest import approx
+from rigs import data_at, placed, shift
 from samples import chosen, parametrize
 from scenario_runs import rig_of
 
@@ -18,7 +20,6 @@ from osc_contact.dynamics.assembly import outside_limits, reach
 from osc_contact.runs import poses
 from osc_contact.runs.poses import Press, _text
 
-POSTURE = "10 deg, -45 deg, 0, -135 deg, 0.1, 90 deg, 45 deg"
 TIP = "pose panda --tip panda_hand_tcp"
 
 
@@ -36,13 +37,13 @@ def panda_chain():
 def standing(q):
     """Pose of the Panda's tip, fingers at 0."""
     model = panda()
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, np.concatenate((q, np.zeros(model.nq - len(q)))))
+    data = data_at(model, np.append(q, np.zeros(model.nq - len(q))))
     return data.oMf[model.getFrameId("panda_hand_tcp")]
 
 
 def test_forward_kinematics_of_a_robot_by_name():
-    result, found = answered(f"{TIP} --posture", POSTURE)
+    posture = "10 deg, -45 deg, 0, -135 deg, 0.1, 90 deg, 45 deg"
+    result, found = answered(f"{TIP} --posture", posture)
     assert "panda panda_hand_tcp: {xyz: [" in result.stdout
     q = np.deg2rad([10, -45, 0, -135, np.rad2deg(0.1), 90, 45])
     assert_allclose(list(found["posture"].values()), q, atol=1e-12)
@@ -83,16 +84,16 @@ def test_a_scenario_shows_where_its_postures_put_the_object_and_how_to_put_it_el
 
 @parametrize(
     "words, said",
-    [
-        ("pose panda", "panda has 3 ends: "),
-        (f"{TIP} --posture '1, 2'", "2 numbers for 7 joints"),
-        (f"{TIP} --xyz '1, 2'", "xyz '1, 2'"),
-        (f"{TIP} --xyz '1 kg, 0, 0'", "a length"),
-        ("pose two_contact_rod --tip tool", "a scenario names its own"),
-        ("pose panda --set a=1", "give --posture"),
-        ("pose pandaa", "no robot 'pandaa'"),
-        ("pose arm.xml", "'arm.xml' is neither the file"),
-    ],
+    {
+        "pose panda": "panda has 3 ends: ",
+        f"{TIP} --posture '1, 2'": "2 numbers for 7 joints",
+        f"{TIP} --xyz '1, 2'": "xyz '1, 2'",
+        f"{TIP} --xyz '1 kg, 0, 0'": "a length",
+        "pose two_contact_rod --tip tool": "a scenario names its own",
+        "pose panda --set a=1": "give --posture",
+        "pose pandaa": "no robot 'pandaa'",
+        "pose arm.xml": "'arm.xml' is neither the file",
+    }.items(),
 )
 def test_what_is_wrong_ends_with_exit_code_2(words, said):
     assert said in refused(words)
@@ -119,23 +120,22 @@ def test_joints_outside_either_limit_are_named():
 def test_of_poses_out_of_reach_the_nearest_is_given():
     """The arm points at it, as far as it goes: no farther off than any posture tried at random."""
     chain = panda_chain()
-    far = pin.SE3(np.eye(3), np.array([0.9, 0.9, 0.3]))
+    far = shift([0.9, 0.9, 0.3])
     found = poses.solve(chain, far, poses.rest(chain))
     assert not found.reached and not outside_limits(chain, found.q)
     reached = [standing(q).translation for q in robots.random_configurations(chain.model, 2000, 3)]
-    nearest = min(np.linalg.norm(x - far.translation) for x in reached)
-    assert np.linalg.norm(standing(found.q).translation - far.translation) < nearest + 0.05
+    nearest = min(norm(x - far.translation) for x in reached)
+    assert norm(standing(found.q).translation - far.translation) < nearest + 0.05
 
 
 def test_every_arm_must_get_there():
     """One of two arms reaches the object; what its hinge permits is no miss, what it forbids is."""
     chain, q, X = poses.chain_of(osc.load_scenario("two_contact_rod"))
-    away = pin.SE3(X.rotation, X.translation + np.array([-0.45, -0.4, 0.0]))
+    away = pin.SE3(X.rotation, X.translation + [-0.45, -0.4, 0.0])
     found = poses.solve(chain, away, q)
     assert not found.reached and found.miss[0] > 1e-2
     chain, q, X = poses.chain_of(osc.load_scenario("hinge_ball_rod"))
-    near = pin.SE3(X.rotation, X.translation + np.array([0.0, 0.01, 0.01]))
-    assert poses.solve(chain, near, q).reached
+    assert poses.solve(chain, pin.SE3(X.rotation, X.translation + [0.0, 0.01, 0.01]), q).reached
 
 
 # Where runs start: inverse kinematics within limits, and the pose that the posture gives.
@@ -155,7 +155,7 @@ def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same()
         q = reach(chain, start, X)
         assert np.all(q >= low) and np.all(q <= high)
         pin.framesForwardKinematics(chain.model, chain.data, q)
-        missed.append(np.linalg.norm(chain.object_pose().translation - X.translation))
+        missed.append(norm(chain.object_pose().translation - X.translation))
     assert np.mean(np.array(missed) < 1e-4) > 0.3  # the rest would have to go round end stops
 
 
@@ -165,19 +165,16 @@ def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
     rig = osc.build_rig(scenario)
     arm = scenario.arms[0]
     one = rig.chain.arms[0]
-    data = one.model.createData()
-    pin.framesForwardKinematics(one.model, data, np.array(arm.posture))
-    tip = data.oMf[one.model.getFrameId(arm.tip)]
+    tip = data_at(one.model, np.array(arm.posture)).oMf[one.model.getFrameId(arm.tip)]
     grasp = scenario.grasps[arm.name]
-    held = pin.SE3(pin.rpy.rpyToMatrix(*grasp.rpy), np.array(grasp.xyz))
+    held = placed(*grasp.xyz, grasp.rpy)
     assert_allclose((one.base * tip * held).homogeneous, rig.X_given, atol=1e-12)
 
 
 def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():
     rig = rig_of("two_contact_rod", "object.pose=null")
     assert osc.preflight(rig) == ()
-    given = rig_of()
-    assert np.linalg.norm(given.state.X_WO.translation - rig.state.X_WO.translation) < 1e-3
+    assert norm(rig_of().state.X_WO.translation - rig.state.X_WO.translation) < 1e-3
 
 
 def test_where_no_arm_determines_the_pose_it_must_be_given():
@@ -202,7 +199,7 @@ ARMS = {
 }
 
 
-@parametrize("robot", chosen(list(ARMS), "ur10", "xarm", "so100", "baxter"))
+@parametrize("robot", chosen(ARMS, "ur10", "xarm", "so100", "baxter"))
 def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     tip, press = ARMS[robot]
     file = tmp_path / "my.yaml"
@@ -217,8 +214,8 @@ def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     assert verdict["force"]["ball"]["rms_error_rel"] < 0.05
     chain = rig.chain
     chain.state(rig.q_contact, np.zeros(chain.nq))
-    pressed = chain.tip_poses()[0].rotation @ np.array(wanted.axis)
-    assert_allclose(pressed, -np.array(scenario.contacts[0].face.normal), atol=1e-4)
+    pressed = chain.tip_poses()[0].rotation @ wanted.axis
+    assert_allclose(-pressed, scenario.contacts[0].face.normal, atol=1e-4)
 
 
 def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path, no_figures):
@@ -231,14 +228,14 @@ def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path,
 
 @parametrize(
     "words, said",
-    [
-        ("ur10 --press W=3", "an axis of the tip and newtons, such as Z=15"),
-        ("ur10 --press Z=-3", "an axis of the tip and newtons"),
-        ("ur10 --press Z=5000", "times their limits"),
-        ("ur10 --posture '1, 2'", "2 numbers for 6 joints"),
-        ("ur11", "no robot 'ur11'"),
-        ("panda", "has 3 ends"),
-    ],
+    {
+        "ur10 --press W=3": "an axis of the tip and newtons, such as Z=15",
+        "ur10 --press Z=-3": "an axis of the tip and newtons",
+        "ur10 --press Z=5000": "times their limits",
+        "ur10 --posture '1, 2'": "2 numbers for 6 joints",
+        "ur11": "no robot 'ur11'",
+        "panda": "has 3 ends",
+    }.items(),
 )
 def test_what_cannot_be_is_refused_and_nothing_is_written(words, said, tmp_path):
     assert said in refused(f"new --robot {words} --out", tmp_path / "x.yaml")
@@ -250,9 +247,11 @@ def test_a_plane_wall_has_an_exact_normal():
     urdf, _ = robots.find_robot("ur10")
     arm = osc.Arm.from_urdf(urdf, name="ur10", tip="tool0")
     q = np.round(np.deg2rad([0.0, -30.0, -30.0, -30.0, -90.0, 0.0]), 6)
-    data = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q))
-    normal = data["contacts"][0]["face"]["normal"]
-    assert sorted(np.abs(normal)) == [0.0, 0.0, 1.0]
-    slanted = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q + 0.3))
-    normal = np.array(slanted["contacts"][0]["face"]["normal"])
-    assert np.linalg.norm(normal) == approx(1.0, abs=1e-6) and np.abs(normal).min() > 1e-3
+
+    def normal(q):
+        data = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q))
+        return data["contacts"][0]["face"]["normal"]
+
+    assert sorted(np.abs(normal(q))) == [0.0, 0.0, 1.0]
+    slanted = normal(q + 0.3)
+    assert norm(slanted) == approx(1.0, abs=1e-6) and np.abs(slanted).min() > 1e-3

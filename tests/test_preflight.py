@@ -1,7 +1,6 @@
 """Mistakes in a scenario, in Python and at the command line: found before it runs, with a cure."""
 
 import logging
-from typing import ClassVar
 
 import numpy as np
 from command_line import call, done, refused
@@ -15,47 +14,6 @@ from osc_contact.runs.preflight import least_peak
 
 SINE = "signals: [{type: sine, amplitude: 50 mm, frequency: 0.5 Hz, start: 0 s, ramp: 1 s}]"
 LEFT = "contacts.left_end.face"
-CART = "{type: cart, direction: [0, 0, 1], mass: 2 kg}"
-REFUSED = {
-    "plate 1 m away": (f"{LEFT}.point=[-0.295, 0, -0.8]", "move object, faces or base"),
-    "reversed normal": (f"{LEFT}.normal=[-0.501104, -0.200441, -0.841854]", "reverse contacts.l"),
-    "contact outside the face": (f"{LEFT}.point=[-0.595011, -0.002004, 0.37]", "219 mm beside"),
-    "80 m of motion": ("motion.0.signals.0.amplitude=80 m", "are its signals in the right unit?"),
-    "force beyond the motors": (
-        "force.left_end=[{type: constant, value: 5 kN}]",
-        "30 times their limits",
-    ),
-    "a face that pulls": (
-        "force.right_end.0.value=-9 N",
-        "this contact cannot pull",
-    ),
-    "posture of too few joints": ("arms.left.posture=[0, 0, 0]", "8 joint positions given"),
-    "no wrist sensor": ("arms.left.wrist_sensor=null", "name a frame of its URDF as wrist_sensor"),
-}
-DOUBTFUL = {
-    "motion along the normal": (
-        f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]",
-        "which does not permit it",
-    ),
-    "free cart": (f"{LEFT}.motion={CART}", "nothing balances the cart of 'face_left_end'"),
-    "springs without a loop": (
-        "plant.flexible_joints.frequency=60 Hz",
-        "set control.joint_torque={rate: 4 kHz}",
-    ),
-    "masses wrong, no tare": ("model_error.arm_mass=1.2", "arm_mass is 1.2, and nothing zeroes"),
-    "motion out of reach": (
-        "motion.0.signals=[{type: minimum_jerk, value: 0.5 m, duration: 0.4 s}]",
-        "where no posture near the start puts it",
-    ),
-    "friction that the filter reads": (
-        "plant.friction=0.2",
-        "set control.force.reading=least_squares, or give control.friction",
-    ),
-    "biased wrists, no tare": (
-        "sensors.wrist={rate: 1 kHz, torque: {bias: 0.1 Nm}}",
-        "set tare={} to zero them",
-    ),
-}
 
 
 @parametrize("name", osc.list_scenarios())
@@ -63,18 +21,45 @@ def test_packaged_scenarios_pass_without_a_word(name):
     assert osc.preflight(rig_of(name)) == ()
 
 
-@parametrize("name", REFUSED)
-def test_what_cannot_run_is_refused_at_every_door(name, tmp_path):
-    change, cure = REFUSED[name]
+@parametrize(
+    "change, cure",
+    {
+        f"{LEFT}.point=[-0.295, 0, -0.8]": "move object, faces or base",  # plate 1 m away
+        f"{LEFT}.normal=[-0.501104, -0.200441, -0.841854]": "reverse contacts.l",
+        f"{LEFT}.point=[-0.595011, -0.002004, 0.37]": "219 mm beside",  # contact outside the face
+        "motion.0.signals.0.amplitude=80 m": "are its signals in the right unit?",
+        "force.left_end=[{type: constant, value: 5 kN}]": "30 times their limits",
+        "force.right_end.0.value=-9 N": "this contact cannot pull",
+        "arms.left.posture=[0, 0, 0]": "8 joint positions given",
+        "arms.left.wrist_sensor=null": "name a frame of its URDF as wrist_sensor",
+    }.items(),
+)
+def test_what_cannot_run_is_refused_at_every_door(change, cure, tmp_path):
     for line in ("inspect two_contact_rod --set", f"run two_contact_rod --out {tmp_path} --set"):
         assert cure in refused(line, change)
     with scenario_error(cure.replace("?", r"\?")):
         run_of("two_contact_rod", change, duration=0.5)
 
 
-@parametrize("name", DOUBTFUL)
-def test_what_is_doubtful_is_reported_at_every_door(name, caplog):
-    change, words = DOUBTFUL[name]
+@parametrize(
+    "change, words",
+    {
+        f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]": "which does not permit it",
+        f"{LEFT}.motion={{type: cart, direction: [0, 0, 1], mass: 2 kg}}": (
+            "nothing balances the cart of 'face_left_end'"
+        ),
+        "plant.flexible_joints.frequency=60 Hz": "set control.joint_torque={rate: 4 kHz}",
+        "model_error.arm_mass=1.2": "arm_mass is 1.2, and nothing zeroes",  # no tare
+        # out of reach
+        "motion.0.signals=[{type: minimum_jerk, value: 0.5 m, duration: 0.4 s}]": (
+            "where no posture near the start puts it"
+        ),
+        # friction that the filter reads
+        "plant.friction=0.2": "set control.force.reading=least_squares, or give control.friction",
+        "sensors.wrist={rate: 1 kHz, torque: {bias: 0.1 Nm}}": "set tare={} to zero them",
+    }.items(),
+)
+def test_what_is_doubtful_is_reported_at_every_door(change, words, caplog):
     with caplog.at_level(logging.WARNING, "osc_contact.preflight"):
         result = call("inspect two_contact_rod --set", change)
         assert result.exit_code == 1 and "free motion 1" in result.stdout
@@ -163,7 +148,7 @@ def test_the_least_peak_is_that_of_the_dual_problem():
         b = rng.standard_normal(2)
         angles = np.linspace(0.0, 2.0 * np.pi, 20_001)
         y = np.array((np.cos(angles), np.sin(angles)))
-        best = float((b @ y / np.abs(A.T @ y).sum(axis=0)).max())
+        best = (b @ y / np.abs(A.T @ y).sum(axis=0)).max()
         assert least_peak(A, b) == approx(best, rel=0.002)
     contrary = np.vstack((A, A[0])), np.append(b, b[0] + 1.0)  # no x: of the least squares
     assert least_peak(*contrary) == approx(np.abs(np.linalg.pinv(contrary[0]) @ contrary[1]).max())
@@ -320,8 +305,8 @@ def test_forces_beyond_the_motors_are_doubtful_then_refused():
 class Floor:
     """A pair of one's own: the object's origin on the floor, with N of the wrong sign."""
 
-    name: ClassVar[str] = "floor"
-    pushes: ClassVar[bool] = True
+    name = "floor"
+    pushes = True
 
     def contact(self, X_WO, V_O, X_WE=None, V_E=None):
         return osc.Contact(np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]).T, np.zeros(1))
@@ -331,7 +316,7 @@ class Floor:
 
 
 class Gapless:
-    name: ClassVar[str] = "floor"
+    name = "floor"
     contact = Floor.contact
 
 
@@ -356,13 +341,13 @@ def test_pairs_of_ones_own_that_do_not_fit():
 
 
 @parametrize(
-    "install, words",
-    [
-        (5, "got 5"),
-        (lambda: None, "takes 0 positional arguments"),
-        (lambda controller: None, "which has no tick"),
-        (osc.Controller, "missing 1 required positional argument"),
-    ],
+    "words, install",
+    {
+        "got 5": 5,
+        "takes 0 positional arguments": lambda: None,
+        "which has no tick": lambda controller: None,
+        "missing 1 required positional argument": osc.Controller,
+    }.items(),
 )
 def test_what_install_takes(install, words):
     scenario = osc.load_scenario("panda_edge", ["duration=1.1 s"])
@@ -381,8 +366,7 @@ def test_mistakes_of_an_install_are_its_own():
 def test_one_force_for_two_contacts():
     rig = rig_of()
     controller = rig.controller()
-    at = rig.references.at(0.0)
-    controller.tick(rig.plant().measure(), osc.Reference(at.X_WD, alpha_d=10.0))
+    controller.tick(rig.plant().measure(), osc.Reference(rig.references.at(0.0).X_WD, alpha_d=10.0))
     assert controller.status is osc.Status.HELD
     assert "1 forces for 2 columns of N; give one for each degree" in controller.reason
 

@@ -8,7 +8,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, raises
-from rigs import refused, shift
+from rigs import pose_of, refused, shift
 from samples import parametrize
 
 from osc_contact.contacts import raibert_craig
@@ -17,13 +17,12 @@ from osc_contact.contacts.raibert_craig import as_raibert_craig, selection_colum
 from osc_contact.errors import ContactError, InvalidInputError
 
 SIZE = 0.3
-NONE = (False,) * 3
 ALL = (True,) * 3
 
 
 def frame_at(rng):
-    rotation = pin.Quaternion(*rng.standard_normal(4)).normalized().matrix()
-    return pin.SE3(rotation, SIZE * rng.standard_normal(3))
+    X = pose_of(rng)
+    return pin.SE3(X.rotation, SIZE * X.translation)
 
 
 def selection(rng, ranks=range(7)):
@@ -42,11 +41,6 @@ def couple(axis):
     return np.concatenate((np.zeros(3), axis))
 
 
-def seen_from(N, point):
-    """The same wrenches with their moments about another point."""
-    return np.concatenate((N[:3], N[3:] - np.cross(point, N[:3], axis=0)))
-
-
 def largest_sine(A, B):
     """Between range(A) and range(B), by their orthogonal projectors."""
     assert A.shape == B.shape
@@ -54,7 +48,7 @@ def largest_sine(A, B):
     for columns in (A, B):
         scaled = columns / np.array([1.0] * 3 + [SIZE] * 3)[:, None]
         projectors.append(scaled @ np.linalg.pinv(scaled))
-    return float(norm(projectors[0] - projectors[1], 2))
+    return norm(projectors[0] - projectors[1], 2)
 
 
 def space_of(found):
@@ -65,7 +59,7 @@ def kind(forces, couples):
     """Numbers of forces, of couples, and of axes with both."""
     f = np.asarray(forces)
     c = np.asarray(couples)
-    return int(f.sum()), int(c.sum()), int((f & c).sum())
+    return f.sum(), c.sum(), (f & c).sum()
 
 
 def assert_describes(found, N):
@@ -251,11 +245,12 @@ def test_nothing_depends_on_operational_point_axes_units_or_basis():
             N = selection_columns(frame_at(rng), *selection(rng, range(r, r + 1)))
         centre, away = SIZE * rng.standard_normal((2, 3))
         found = as_raibert_craig(N, SIZE, centre=centre)
-        R = frame_at(rng).rotation
+        R = pose_of(rng).rotation
         turned = np.kron(np.eye(2), R) @ N
+        about_another = np.concatenate((N[:3], N[3:] - np.cross(away, N[:3], axis=0)))
         same = pin.SE3.Identity()
         for other, at, X, unit in (
-            (seen_from(N, away), centre - away, shift(away), 1.0),
+            (about_another, centre - away, shift(away), 1.0),
             (turned, R @ centre, pin.SE3(R.T, np.zeros(3)), 1.0),
             (N @ rng.standard_normal((r, r)), centre, same, 1.0),
             (N * millimetres, 1e3 * centre, same, 1e3),
@@ -281,7 +276,7 @@ def test_malformed_selections_are_refused(flags):
 
 
 @parametrize(
-    ("given", "words"),
+    "given, words",
     [
         *((dict(size=size), "size = ") for size in (0.0, -1.0, np.nan, np.inf)),
         *((dict(tolerance=tolerance), "tolerance = ") for tolerance in (0.0, 1.0, np.nan)),

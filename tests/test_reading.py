@@ -8,14 +8,7 @@ from numpy.linalg import cholesky, inv, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pair_kinds import touching
-from rigs import (
-    UNLIMITED,
-    one_panda,
-    random_faces,
-    random_state,
-    refused,
-    sliding,
-)
+from rigs import UNLIMITED, one_panda, product, random_faces, random_state, refused, sliding
 from samples import chosen, first, parametrize
 from scenario_runs import always_closed
 from test_law import inputs, motion_of, off_their_faces
@@ -23,6 +16,7 @@ from test_law import inputs, motion_of, off_their_faces
 import osc_contact as osc
 from benchmarks.cases import POINT
 from osc_contact.dynamics.environment import Conveyor, Guided, Rail
+from osc_contact.runs.run import start
 
 
 def point(changes=None, **control):
@@ -32,9 +26,9 @@ def point(changes=None, **control):
     return osc.Scenario.model_validate(data)
 
 
-def judged(scenario, key="rms_error_rel", duration=3.0, install=None):
+def judged(scenario, key="rms_error_rel", install=None):
     """The worst of all forces, relative to its mean command; contact all the time."""
-    verdict = osc.metrics(osc.run(scenario, duration=duration, install=install))
+    verdict = osc.metrics(osc.run(scenario, duration=3.0, install=install))
     assert always_closed(verdict)
     return max(force[key] for force in verdict["force"].values())
 
@@ -89,18 +83,9 @@ def test_faces_posts_and_corners_with_friction(name, mu):
 
 
 def test_the_coefficient_is_learnt_while_the_contact_slides():
-    rig = osc.build_rig(point({"friction": 0.2}, friction={"mu": 0.1}))
     for learning, low, high in ((5.0, 0.08, 0.12), (0.0, 0.0, 0.0)):
-        controller = rig.controller()
-        controller = osc.Controller(
-            controller.chain,
-            controller.contacts,
-            controller.gains,
-            posture=controller.posture,
-            friction=osc.Friction(0.1, learning=learning),
-        )
-        plant = rig.plant(0)
-        plant.hold(rig.controller().tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+        rig = osc.build_rig(point({"friction": 0.2}, friction={"mu": 0.1, "learning": learning}))
+        plant, controller = start(rig)
         osc.run_loop(plant, controller, rig.references.each(2000, 1e-3))
         assert low <= controller._records.memory.more_friction <= high
 
@@ -125,11 +110,10 @@ def explained(f_meas, state, contact, environment, friction_wrenches, A_D, wante
     metric = state.metric
     out = state.Lambda_out
     mass = metric[0, 0]
-    V = state.V_O
     r = contact.N.shape[1]
     pull = solve(metric, N)
     pull = pull @ inv(N.T @ pull)  # least motion for given normal accelerations
-    a = A_D - np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
+    a = A_D - product(state.V_O)
     a = a + pull @ (contact.n_gamma + N.T @ environment.b_e - N.T @ a)
     pushed = N + friction_wrenches
     H = pushed + out @ pull @ N.T @ environment.Phi_e @ pushed
@@ -212,7 +196,7 @@ def test_least_squares_is_chosen_where_its_answer_is_unique():
 
     assert all(chosen([touching(name, X, 4, 0.1)]) == "least_squares" for name in PUSHING)
     assert chosen([one, shifted]) == "least_squares"
-    cylinder = np.zeros(3), np.array([1.0, 0, 0]), 0.02
+    cylinder = np.zeros(3), [1.0, 0, 0], 0.02
     groove = osc.CylinderInVGroove(*cylinder, np.zeros(3), [1.0, 0, 0], [0, 0, 1.0])
     assert chosen([groove]) == "filter"  # on two planes
     assert chosen([one, other]) == chosen([]) == chosen([osc.Revolute([0, 0, 0], one.normal, X)])

@@ -12,7 +12,8 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, plant_error
 from numpy.testing import assert_allclose
-from pytest import approx, mark, raises
+from pytest import approx, raises
+from samples import parametrize
 from scenario_runs import rig_of
 from test_loop import REFERENCE, Controller, Robot, loop_of
 from test_own_driver import HOME, Driver
@@ -29,8 +30,6 @@ def state_of_process():
 
 class Paced(Robot):
     """Keeps its time, and notes in which state the process is."""
-
-    slow = 0.0
 
     def measure(self):
         time.sleep(1e-3)
@@ -91,11 +90,16 @@ def test_what_counts_as_missed():
     assert latency(report.as_dict()) == times
 
 
+def keeping_home(robot, ticks):
+    """A controller, and references, of a driver's robot that stays at home."""
+    goal = osc.Reference(robot.chain.state(HOME, np.zeros(3)).X_WO)
+    return osc.Controller(robot.chain, [], dt=1e-3, posture=HOME), repeat(goal, ticks)
+
+
 def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(loop, "MOST_MISSED", 10**9)  # other tests run beside it
     driver = Driver()
-    controller = osc.Controller(driver.chain, [], dt=1e-3, posture=HOME)
-    X = driver.chain.state(HOME, np.zeros(3)).X_WO
+    controller, goals = keeping_home(driver, 1100)
     recorder = osc.Recorder(controller, driver.plant, journal=tmp_path / "run.mcap")
     threads = set()
     shown = []
@@ -109,12 +113,11 @@ def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch, cap
     class Viewer:
         def show(self, tick):
             threads.add(threading.current_thread().name)
-            shown.append(float(tick["t"]))
+            shown.append(tick["t"])
             if len(shown) == 3:
                 raise OSError("no browser")
 
     recorder.journal.append = hang
-    goals = repeat(osc.pose_reference(X.translation, X.rotation), 1100)
     watched = {"recorder": recorder, "viewer": Viewer()}
     report = osc.run_loop(driver, controller, goals, realtime=True, **watched)
     assert threads == {"side work_0"} and shown == sorted(shown) and len(shown) == 3
@@ -144,10 +147,7 @@ class Guided(Driver):
 def shadow(fault="", change=lambda robot: None, ticks=4000):
     robot = Guided(fault)
     change(robot)
-    controller = osc.Controller(robot.chain, [], dt=1e-3, posture=HOME)
-    X = robot.chain.state(HOME, np.zeros(3)).X_WO
-    reference = osc.pose_reference(X.translation, X.rotation)
-    report = osc.run_loop(robot, controller, repeat(reference, ticks), shadow=True)
+    report = osc.run_loop(robot, *keeping_home(robot, ticks), shadow=True)
     assert robot.stops == [""], "the controller's own stops are not carried out"
     return report.shadow
 
@@ -170,14 +170,14 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
     assert found.wrench_scale == approx(1.0, abs=0.15) and found.forces
 
 
-@mark.parametrize(
+@parametrize(
     "fault, sentence",
-    [
-        ("mirrored wrench", "the wrench is reversed"),
-        ("no gravity", "tare it .* or correct the payload"),
-        ("wrench of another frame", "axes of its frame are wrong|tare it"),
-        ("mirrored joint", "elbow.* unexplained: is it, or a joint near it, reversed"),
-    ],
+    {
+        "mirrored wrench": "the wrench is reversed",
+        "no gravity": "tare it .* or correct the payload",
+        "wrench of another frame": "axes of its frame are wrong|tare it",
+        "mirrored joint": "elbow.* unexplained: is it, or a joint near it, reversed",
+    }.items(),
 )
 def test_shadow_mode_says_why_no_force_may_be_commanded(fault, sentence):
     found = shadow(fault)

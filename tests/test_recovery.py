@@ -5,7 +5,6 @@ import json
 import os
 import resource
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from time import sleep
@@ -13,7 +12,7 @@ from time import sleep
 from complaints import recording_error
 from mcap.reader import make_reader
 from numpy.testing import assert_array_equal
-from processes import COMMAND, python
+from processes import COMMAND, python, started
 from pytest import approx, mark, raises
 from samples import first, module_fixture, parametrize
 from scenario_runs import run_of
@@ -22,20 +21,13 @@ import osc_contact as osc
 from osc_contact.runs import recorder as rows_of_runs
 
 RUN = [sys.executable, str(Path(__file__).with_name("recorded_run.py"))]
-TIMES = {"tick_s"}
 pytestmark = mark.usefixtures("usual_handlers")
-
-
-def started(command, **more):
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more
-    )
 
 
 def same(found, whole):
     """All channels of the ticks of both."""
     cut = min(len(found), len(whole))
-    for name in set(whole.channels) - TIMES:
+    for name in set(whole.channels) - {"tick_s"}:
         assert_array_equal(found[name][:cut], whole[name][:cut], err_msg=name)
 
 
@@ -119,14 +111,13 @@ def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
         (tmp_path / kind).mkdir()
         setting = {"PYTHONHASHSEED": seed, "OPENBLAS_NUM_THREADS": threads}
         setting |= {"NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
-        done = python(*RUN[1:], tmp_path / kind, "0.7", **setting)
-        assert done.stdout.split()[-1] == "700"
+        assert python(*RUN[1:], tmp_path / kind, "0.7", **setting).stdout.split()[-1] == "700"
         files.append((tmp_path / kind / "recording.npz").read_bytes())
     assert files[0] == files[1]
 
 
 @parametrize(
-    ("name", "plant"),
+    "name, plant",
     [
         ("two_contact_rod", "rigid"),
         ("moving_face", "mujoco"),
@@ -139,8 +130,7 @@ def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tm
     once = osc.run(scenario, duration=0.06)
     monkeypatch.setattr(rows_of_runs, "_EVERY", 0.0)
     monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", 0)
-    found = osc.run(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap")
-    same(found, once)
+    same(osc.run(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap"), once)
     recovered = osc.recover(tmp_path / "unfinished.mcap")
     assert recovered.meta["missing"] == []
     same(recovered, once)

@@ -1,7 +1,6 @@
 """Checks of robots: every kind of bad URDF is refused alive; the report of `osc-contact check`."""
 
 import json
-import math
 import re
 
 import numpy as np
@@ -77,7 +76,7 @@ def chain(joints, masses, length=1.0, mass=1.0):
             f'<axis xyz="{axis}"/><limit lower="{-length if kind == "prismatic" else -1.5}" '
             f'upper="{length if kind == "prismatic" else 1.5}" effort="1" velocity="1"/></joint>'
         )
-    return text + "</robot>"
+    return f"{text}</robot>"
 
 
 def summary(folder, text, *tip):
@@ -101,11 +100,10 @@ UNITS = parametrize("length, mass", [(1.0, 1.0), (1e3, 1.0), (1.0, 1e-3), (0.025
 def test_a_gantry_has_the_masses_it_pushes(tmp_path, length, mass):
     axes = [("prismatic", axis, "0 0 0") for axis in ("1 0 0", "0 1 0", "0 0 1")]
     robot = summary(tmp_path, chain(axes, [5.0, 3.0, 2.0], length, mass))
-    moved = [joint.moved_mass / mass for joint in robot.joints]
-    assert moved == approx([10.0, 5.0, 2.0])
+    assert [joint.moved_mass / mass for joint in robot.joints] == approx([10.0, 5.0, 2.0])
     assert robot.mass == robot.moving_mass == approx(10.0 * mass)
     (tip,) = robot.tips
-    assert tip.mass == approx((2.0 * mass, 10.0 * mass)) and tip.inertia == (math.inf, math.inf)
+    assert tip.mass == approx((2.0 * mass, 10.0 * mass)) and tip.inertia == (np.inf, np.inf)
 
 
 @UNITS
@@ -118,7 +116,7 @@ def test_mobility_is_the_share_of_the_last_body_in_the_energy(tmp_path, length, 
     (tip,) = summary(tmp_path, texts[0]).tips
     models = [pin.buildModelFromXML(text) for text in texts]
     sigma = []
-    for q in robots.model.random_configurations(models[0], 200):
+    for q in robots.random_configurations(models[0], 200):
         M, M_last = (np.array(pin.crba(model, model.createData(), q)) for model in models)
         sigma.append(np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(M, M_last)).real)[::-1]))
     expected = np.column_stack((np.min(sigma, axis=0), np.max(sigma, axis=0)))
@@ -184,17 +182,17 @@ def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path):
 
 @parametrize(
     "line, message",
-    [
-        ("./absent.urdf", "neither the file"),
-        ("absent.urdf", "neither the file"),
-        ("pnda", "did you mean 'panda'"),
-        ("example-robot-data:pnda", "did you mean 'panda'"),
-        ("panda --tip hnd", "no frame 'hnd'"),
-        ("panda --limit elbow:effort=3", "no moving joint matches 'elbow'"),
-        ("panda --limit panda_joint1:torque=3", "expected JOINT:key=number"),
-        ("panda --inertias any", "positive"),
-        ("/", "is neither the file"),
-    ],
+    {
+        "./absent.urdf": "neither the file",
+        "absent.urdf": "neither the file",
+        "pnda": "did you mean 'panda'",
+        "example-robot-data:pnda": "did you mean 'panda'",
+        "panda --tip hnd": "no frame 'hnd'",
+        "panda --limit elbow:effort=3": "no moving joint matches 'elbow'",
+        "panda --limit panda_joint1:torque=3": "expected JOINT:key=number",
+        "panda --inertias any": "positive",
+        "/": "is neither the file",
+    }.items(),
 )
 def test_bad_words_end_with_2(line, message):
     assert message in refused(f"check {line}")
@@ -203,17 +201,9 @@ def test_bad_words_end_with_2(line, message):
 # Mutants of sound URDFs in a process of their own, and the inputs that kill Pinocchio.
 
 
-TESTS = ROOT / "tests"
-
-
-def run(*command):
-    """Standard output of a Python process that must end well; a crash has a return code < 0."""
-    return python(*command).stdout
-
-
 @parametrize("count", first([1_250, 20_000], 1))
 def test_no_mutant_crashes_and_none_is_accepted_with_a_bad_mass_matrix(count):
-    result = json.loads(run("-W", "error", str(TESTS / "urdf_mutants.py"), "1999", str(count)))
+    result = json.loads(python("-W", "error", ROOT / "tests/urdf_mutants.py", "1999", count).stdout)
     verdicts = result["verdicts"]
     assert sum(verdicts.values()) == result["mutants"] == count
     assert result["broken"] == []
@@ -226,7 +216,7 @@ def test_no_mutant_crashes_and_none_is_accepted_with_a_bad_mass_matrix(count):
 
 
 def test_the_longest_robot_that_is_accepted_does_not_kill_the_process():
-    out = run(
+    out = python(
         "-c",
         """
 import pathlib, tempfile
@@ -248,4 +238,4 @@ for n in (513, 4000, 20000):
         print('more than 512 links' in str(error))
 """,  # noqa: E501
     )
-    assert out.split() == ["1024", "True", "True", "True"]
+    assert out.stdout.split() == ["1024", "True", "True", "True"]

@@ -1,6 +1,5 @@
 """Robots: the packaged ones, those of example-robot-data; every bad file is refused."""
 
-import math
 import re
 
 import numpy as np
@@ -8,6 +7,7 @@ import pinocchio as pin
 from complaints import invalid_input, model_error
 from numpy.testing import assert_allclose
 from pytest import approx, raises
+from rigs import placed
 from samples import ROOT, parametrize
 from second_reader import urdf_difference
 
@@ -17,9 +17,6 @@ from osc_contact.robots import JointLimits, loading
 from osc_contact.robots.model import build_model
 
 ARMS = ("scara_left.urdf", "scara_right.urdf")
-BODIES = ("rod.urdf", "face.urdf")
-JOINTS = ["joint1", "joint2", "joint3", "joint4", "hinge"]
-MASSES = [8.0, 4.0, 2.5, 0.9, 0.3 + 0.35, 0.15]
 MIRROR = np.diag([1.0, -1.0, 1.0])
 
 
@@ -35,7 +32,7 @@ def limits(model):
 @parametrize("name", ARMS)
 def test_scara_has_the_announced_joints_and_limits(name):
     model = robots.load_model(robots.urdf_path(name))
-    assert list(model.names)[1:] == JOINTS
+    assert list(model.names)[1:] == ["joint1", "joint2", "joint3", "joint4", "hinge"]
     kinds = [joint.shortname()[-2:] for joint in model.joints[1:]]
     assert kinds == ["RZ", "RZ", "ed", "RZ", "RY"], "the third is prismatic, unaligned: downwards"
     assert limits(model) == [
@@ -45,7 +42,8 @@ def test_scara_has_the_announced_joints_and_limits(name):
         [2.9, 2.7, 0.26, 3.1, 1.2],
     ]
     assert not model.upperDryFrictionLimit.any() and not model.damping.any()
-    assert [inertia.mass for inertia in model.inertias] == approx(MASSES)
+    masses = [inertia.mass for inertia in model.inertias]
+    assert masses == approx([8.0, 4.0, 2.5, 0.9, 0.3 + 0.35, 0.15])
     _, solids, _ = robots.load_geometry(robots.urdf_path(name), pin.GeometryType.VISUAL)
     assert {one.parentJoint for one in solids.geometryObjects} == {*range(model.njoints)}
 
@@ -64,15 +62,14 @@ def test_right_arm_is_the_mirror_image_of_the_left():
 
 def test_rod_inertia_is_that_of_a_capsule():
     rod = robots.load_body(robots.urdf_path("rod.urdf"))
-    along_z = pin.Inertia.FromCapsule(1.5, 0.01, 0.58)
-    turned = pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.zeros(3)).act(along_z)
+    turned = placed(rpy=(0, np.pi / 2, 0)).act(pin.Inertia.FromCapsule(1.5, 0.01, 0.58))
     assert_allclose(rod.matrix(), turned.matrix(), rtol=1e-6, atol=1e-9)
 
 
 # Second readers ---------------------------------------------------------------------------------
 
 
-@parametrize("name", ARMS + BODIES)
+@parametrize("name", [*ARMS, "rod.urdf", "face.urdf"])
 def test_a_second_reader_places_every_link_alike(name):
     assert urdf_difference(robots.urdf_path(name)) < 1e-12
 
@@ -171,7 +168,7 @@ def write(folder, *changes, limit=LIMIT, joint="turn", kind="revolute", **links)
     for old, new in changes:
         text = text.replace(old, new)
     file = folder / "toy.urdf"
-    file.write_text(text + "</robot>")
+    file.write_text(f"{text}</robot>")
     return file
 
 
@@ -194,8 +191,7 @@ def test_load_body_wants_one_rigid_link(tmp_path):
         robots.load_body(write(tmp_path, kind="fixed", tip=BALL, end=BALL))
     with model_error(r"found 0 \(none\)"):
         robots.load_body(write(tmp_path, kind="fixed", tip=""))
-    inertia = robots.load_body(write(tmp_path, kind="fixed"))
-    assert_allclose(inertia.lever, [0.1, 0, 0])
+    assert_allclose(robots.load_body(write(tmp_path, kind="fixed")).lever, [0.1, 0, 0])
 
 
 def test_the_second_reader_notices_a_joint_that_is_2_nm_off(tmp_path, monkeypatch):
@@ -215,37 +211,37 @@ def test_limits_given_by_hand_stand_in_for_missing_ones(tmp_path):
     file = write(tmp_path, limit="", tip=BALL, end=BALL)
     with model_error(r"joint 'turn': has no <limit>.*JointLimits"):
         robots.load_model(file)
-    given = robots.JointLimits(lower=-1.5, upper=2.5, effort=7, velocity=3)
-    free = robots.JointLimits(-math.inf, math.inf, 4, 5)
+    given = JointLimits(lower=-1.5, upper=2.5, effort=7, velocity=3)
+    free = JointLimits(-np.inf, np.inf, 4, 5)
     model = robots.load_model(file, limits={"next*": free, "turn": given})
-    assert limits(model) == [[7, 4], [3, 5], [-1.5, -math.inf], [2.5, math.inf]]
+    assert limits(model) == [[7, 4], [3, 5], [-1.5, -np.inf], [2.5, np.inf]]
     with invalid_input(r"no moving joint matches 'trun'; did you mean 'turn'"):
         robots.load_model(file, limits={"trun": given})
 
 
 def test_limits_given_by_hand_win_over_those_of_the_file(tmp_path):
     file = write(tmp_path, limit=LIMIT.replace('effort="2"', 'effort="0"'))
-    model = robots.load_model(file, limits={"turn": robots.JointLimits(effort=9)})
+    model = robots.load_model(file, limits={"turn": JointLimits(effort=9)})
     assert model.effortLimit[0] == 9 and model.velocityLimit[0] == 3
     with model_error("lower limit 5 is above the upper limit 1"):
-        robots.load_model(file, limits={"turn": robots.JointLimits(lower=5, effort=9)})
+        robots.load_model(file, limits={"turn": JointLimits(lower=5, effort=9)})
 
 
 @parametrize(
     "wrong",
     [
         {"effort": 0.0},
-        {"effort": math.inf},
-        {"velocity": math.nan},
+        {"effort": np.inf},
+        {"velocity": np.nan},
         {"velocity": -1.0},
         {"lower": 2.0, "upper": 1.0},
-        {"lower": math.nan},
-        {"upper": -math.inf},
+        {"lower": np.nan},
+        {"upper": -np.inf},
     ],
 )
 def test_impossible_limits_cannot_be_given(wrong):
     with invalid_input("JointLimits"):
-        robots.JointLimits(**wrong)
+        JointLimits(**wrong)
 
 
 def test_positive_is_content_with_moving_bodies_that_have_energy(tmp_path):
@@ -289,7 +285,7 @@ def test_the_verdict_on_the_mass_matrix_does_not_depend_on_units(tmp_path, lengt
 
 
 MOTOR = JointLimits(effort=5.0, velocity=5.0)
-SWING = JointLimits(-math.inf, math.inf, 5.0, 5.0)
+SWING = JointLimits(-np.inf, np.inf, 5.0, 5.0)
 HELPED = {
     "centauro": {"limits": {"j_wheel_*": SWING}},
     "double_pendulum": {"limits": {"joint?": SWING}},

@@ -65,8 +65,7 @@ def test_rows_are_single_runs_of_the_same_sample_under_each_law(found):
 
 def chosen_law(rig, family):
     """A family's best law, by its definition: least product of both errors in the nominal run."""
-    instant = study.Instant(rig.state, rig.contact)
-    laws = study.best_frames(instant, study.BASELINES[family])
+    laws = study.best_frames(study.Instant(rig.state, rig.contact), study.BASELINES[family])
     candidates = [(law, *errors(rig.scenario, 0, install=law.install)) for law in laws]
     return min(candidates, key=lambda one: one[1] * one[2])[0]
 

@@ -6,15 +6,14 @@ from pathlib import Path
 import numpy as np
 import yaml
 from complaints import scenario_error
-from numpy.testing import assert_allclose
 from pytest import raises
 from rigs import unit
 from samples import ROOT, parametrize
+from scenario_runs import assert_same_run
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
 from osc_contact.scenarios.loader import load_scenario, parse_scenario
-from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import MinimumJerk
 
 GOOD = """\
@@ -226,8 +225,7 @@ def test_all_complaints_come_at_once_sorted_by_line():
     text = text.replace("  right: {xyz", "  rigth: {xyz").replace(
         "damping: 40", "damping: 1\n    ,damping: 2"
     )
-    lines = [int(one.split(":")[1]) for one in complaints(text)]
-    assert lines == [3, 5, 9, 11, 16, 28, 31, 32]
+    assert [int(one.split(":")[1]) for one in complaints(text)] == [3, 5, 9, 11, 16, 28, 31, 32]
 
 
 def test_the_period_may_miss_a_whole_multiple_by_rounding_only():
@@ -269,31 +267,28 @@ def test_overrides(override):
         assert parse_scenario(GOOD, None, changes) == wanted
 
 
-BAD_OVERRIDES = [
-    (
-        "plant.frction=0.1",
-        "plant.frction: unknown key; did you mean 'friction' or 'joint_friction'?",
-    ),
-    ("plnt.friction=0.1", "plnt: unknown key; did you mean 'plant'?"),
-    ("contacts.edn.radius=1", "contacts has no item 'edn'; did you mean 'end'? known: end"),
-    ("contacts.1.radius=1", "contacts has no item '1'; known: end"),
-    ("arms.left.posture.5=1", "arms.left.posture has no item '5'; items are 0 to 1"),
-    ("duration.x=1", "duration is '2 s' and has no keys or items"),
-    ("duration=3 N", "duration: expected a time in s, ms, µs, min; got '3 N', which is a force"),
-    ("duration=", "no value is given; write null to clear a key"),
-    ("duration=[1", "its value:1: not valid YAML"),
-    ("duration=&a 1", "its value:1: &a: anchors and aliases are refused"),
-    ("duration", "expected path.to.key=value"),
-    ("plant..step=1", "the path has an empty part"),
-    ("tare.standof=1 mm", "tare.standof: unknown key; did you mean 'standoff'?"),
-    ("plant={type: rigid, step: 1 N}", "plant.step: expected a time"),
-    ("plant={type: rigid}", "plant: the key 'step' is missing"),
-    ("plant.step=0.3 ms", "plant.step: the control period is 3.33333333 plant steps"),
-    ("name=null", "name: expected text; got None"),
-]
+BAD_OVERRIDES = {
+    "plant.frction=0.1": "plant.frction: unknown key; did you mean 'friction' or 'joint_friction'?",
+    "plnt.friction=0.1": "plnt: unknown key; did you mean 'plant'?",
+    "contacts.edn.radius=1": "contacts has no item 'edn'; did you mean 'end'? known: end",
+    "contacts.1.radius=1": "contacts has no item '1'; known: end",
+    "arms.left.posture.5=1": "arms.left.posture has no item '5'; items are 0 to 1",
+    "duration.x=1": "duration is '2 s' and has no keys or items",
+    "duration=3 N": "duration: expected a time in s, ms, µs, min; got '3 N', which is a force",
+    "duration=": "no value is given; write null to clear a key",
+    "duration=[1": "its value:1: not valid YAML",
+    "duration=&a 1": "its value:1: &a: anchors and aliases are refused",
+    "duration": "expected path.to.key=value",
+    "plant..step=1": "the path has an empty part",
+    "tare.standof=1 mm": "tare.standof: unknown key; did you mean 'standoff'?",
+    "plant={type: rigid, step: 1 N}": "plant.step: expected a time",
+    "plant={type: rigid}": "plant: the key 'step' is missing",
+    "plant.step=0.3 ms": "plant.step: the control period is 3.33333333 plant steps",
+    "name=null": "name: expected text; got None",
+}
 
 
-@parametrize("override, message", BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
+@parametrize("override, message", BAD_OVERRIDES.items(), ids=BAD_OVERRIDES)
 def test_bad_overrides_are_named_instead_of_a_line(override, message):
     found = complaints(GOOD, [override])
     message = message.removeprefix(override.partition("=")[0] + ": ")  # the key is named once
@@ -314,7 +309,7 @@ def test_a_clash_of_two_keys_is_blamed_on_the_overridden_one():
 def test_round_trip():
     for scenario in (parse_scenario(GOOD, "f.yaml"), load_scenario("two_contact_rod")):
         data = json.loads(json.dumps(scenario.as_dict(), allow_nan=False))
-        assert Scenario.model_validate(data) == scenario
+        assert osc.Scenario.model_validate(data) == scenario
         again = parse_scenario(yaml.safe_dump(data))
         assert again == scenario and again.as_dict() == data
         assert "source" not in data
@@ -344,7 +339,6 @@ def test_loading_by_path_and_unknown_names(tmp_path):
 
 
 PLANTS = ("rigid", "mujoco")
-SAME = ("q", "tau", "pose", "alpha_true", "alpha_meas", "N", "closed", "contact_point", "face_pose")
 
 
 class Ball(osc.SphereOnPlane):
@@ -360,12 +354,6 @@ def task(plant, name="two_contact_rod"):
     return osc.load_scenario(name, changes)
 
 
-def assert_same(ours, theirs, atol):
-    assert ours.channels.keys() == theirs.channels.keys()
-    for name in SAME:
-        assert_allclose(ours[name], theirs[name], rtol=0, atol=atol, err_msg=name)
-
-
 @parametrize("plant", PLANTS)
 def test_pairs_of_ones_own(plant):
     plain = task(plant, "scara_peg")
@@ -377,7 +365,7 @@ def test_pairs_of_ones_own(plant):
         for p in osc.build_rig(plain).pairs
     ]
     ours = osc.run(plain.replaced(contacts=own))
-    assert_same(ours, osc.run(plain), 1e-6)
+    assert_same_run(ours, osc.run(plain), 1e-6)
     assert ours.magnitude_names == ["wall_x", "wall_y"] and not ours["status"].any()
     contact = json.loads(json.dumps(ours.meta["scenario"]))["contacts"][0]
     assert contact == {"name": "wall_x", "body": "socket", "pair": "Ball"}
@@ -408,7 +396,7 @@ def test_bodies_of_ones_own(plant):
     own = osc.OwnMotion(osc.Rail(direction, motion=drive), Belt())
     packaged = {"type": "conveyor", "direction": direction, "signals": [signal]}
     ours = osc.run(with_motion(own))
-    assert_same(ours, osc.run(with_motion(packaged)), 1e-6)
+    assert_same_run(ours, osc.run(with_motion(packaged)), 1e-6)
     assert answered and np.ptp(ours["face_pose"][:, 0, :3], axis=0).max() > 1e-3
     late = osc.OwnMotion(osc.Rail(direction, motion=lambda t: drive(t + 0.02)))
     with scenario_error("away from where the contacts touch"):
@@ -431,10 +419,10 @@ def test_laws_of_ones_own(plant):
 
     ours = osc.run(plain.replaced(laws=lambda: osc.Laws(force=Proportional())))
     theirs = osc.run(plain, install=lambda c: c.with_laws(force=Proportional()))
-    assert_same(ours, theirs, 0.0)
+    assert_same_run(ours, theirs)
     assert [law.calls for law in made] == [20, 1, 20, 1], "every controller has its own"
     with raises(AssertionError):
-        assert_same(ours, osc.run(plain), 1e-6)
+        assert_same_run(ours, osc.run(plain), 1e-6)
 
 
 def test_a_scenario_from_a_dict_is_that_of_the_file():
@@ -447,14 +435,14 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
 
 
 @parametrize(
-    "parts, words",
-    [
-        ({"duration": -1.0}, "duration: must be > 0"),
-        ({"gains": {"motion": {"stiffness": 1, "frequency": 2}}}, "frequency beside stiffness"),
-        ({"laws": "proportional"}, "expected osc.Laws"),
-        ({"contacts": [{"pair": "cone", "body": "groove"}]}, "the key 'type' is missing"),
-        ({"contacts": [{"pair": osc.Free(), "body": "table"}], "force": {}}, "environment"),
-    ],
+    "words, parts",
+    {
+        "duration: must be > 0": {"duration": -1.0},
+        "frequency beside stiffness": {"gains": {"motion": {"stiffness": 1, "frequency": 2}}},
+        "expected osc.Laws": {"laws": "proportional"},
+        "the key 'type' is missing": {"contacts": [{"pair": "cone", "body": "groove"}]},
+        "environment": {"contacts": [{"pair": osc.Free(), "body": "table"}], "force": {}},
+    }.items(),
 )
 def test_what_does_not_fit_is_reported_as_for_a_file(parts, words):
     with scenario_error(words):

@@ -41,14 +41,12 @@ from osc_contact.visual.scene import (
 from osc_contact.visual.screws import twist_screw
 from osc_contact.visual.shapes import along, triangle_colours, urdf_geometry, vertex_colours
 
-ROOT = "/meshcat/"
 LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
 
 
 @module_fixture
 def shown(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("scene")
-    return Shown(write(folder))
+    return Shown(write(tmp_path_factory.mktemp("scene")))
 
 
 def test_page_fetches_nothing_and_escapes_its_words(shown):
@@ -67,8 +65,7 @@ def test_arm_and_object_stand_where_the_recording_has_them(shown):
     for frame in (0, 4, 10):
         placed = links(RECORDING["q"][10 * frame])
         for joint in ("joint1", "joint3", "hinge"):
-            found = shown.pose(f"/meshcat/arms/left/{joint}", frame)
-            assert found.isApprox(placed[joint], 1e-5)
+            assert shown.pose(f"/meshcat/arms/left/{joint}", frame).isApprox(placed[joint], 1e-5)
         rod = shown.at("/meshcat/bodies/rod/base", "position", frame)
         assert_allclose(rod, RECORDING["pose"][10 * frame, :3], atol=1e-6)
 
@@ -144,7 +141,7 @@ def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, co
             speed = v + np.cross(omega, RECORDING["contact_point"][10 * frame, c] - on_axis)
             along_force = speed @ RECORDING["contact_direction"][10 * frame, c]
             assert abs(along_force) < 2e-3 * max(1.0, np.linalg.norm(speed))
-    assert len(drawn) == np.linalg.matrix_rank(np.array(twists), tol=1e-3) == count
+    assert len(drawn) == np.linalg.matrix_rank(twists, tol=1e-3) == count
 
 
 def test_a_column_with_a_couple_is_a_screw(tmp_path):
@@ -169,7 +166,7 @@ def test_a_column_with_a_couple_is_a_screw(tmp_path):
 
 def test_legend_switches_every_contact(shown):
     switches = {entry["text"]: entry for entry in shown.config["legend"] if entry["paths"]}
-    paths = [ROOT + path for entry in switches.values() for path in entry["paths"]]
+    paths = [f"/meshcat/{path}" for entry in switches.values() for path in entry["paths"]]
     for path in paths:
         assert any(c["path"].startswith(path) for c in shown.commands) or "label" in path, path
         assert (path, "visible") not in shown.tracks, "switched and animated"
@@ -240,22 +237,18 @@ SHORT_ARM = Content("", [ARMS[0]._replace(q_slice=slice(0, 4))])
 
 
 @parametrize(
-    "make, complaint",
-    [
-        (lambda p: write_scene(RECORDING, SHORT_ARM, p), r"takes 4 numbers of q.*nq = 5"),
-        (
-            lambda p: write_scene(make_recording(without=("pose",)), Content("", [], BODIES), p),
-            "'pose'",
+    "complaint, make",
+    {
+        r"takes 4 numbers of q.*nq = 5": lambda p: write_scene(RECORDING, SHORT_ARM, p),
+        "'pose'": lambda p: write_scene(
+            make_recording(without=("pose",)), Content("", [], BODIES), p
         ),
-        (lambda p: write_scene(RECORDING, Content("", []), p, fps=0), "0 frames/s"),
-        (
-            lambda p: write_page(
-                CommandSink(), p, "t", EMPTY | {"legend": [{"colour": "red;}", "text": "x"}]}
-            ),
-            "#RRGGBB",
+        "0 frames/s": lambda p: write_scene(RECORDING, Content("", []), p, fps=0),
+        "#RRGGBB": lambda p: write_page(
+            CommandSink(), p, "t", EMPTY | {"legend": [{"colour": "red;}", "text": "x"}]}
         ),
-        (lambda p: along([0, 0, 0], [0, 0, 0]), "no finite length"),
-    ],
+        "no finite length": lambda p: along([0, 0, 0], [0, 0, 0]),
+    }.items(),
 )
 def test_scene_refuses_what_does_not_fit(make, complaint, tmp_path):
     with invalid_input(complaint):

@@ -10,7 +10,7 @@ from complaints import invalid_input, model_error, scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from rigs import PANDA_Q, largest, one_panda, shift
+from rigs import PANDA_Q, largest, one_panda, placed, shift
 from samples import first, parametrize
 from scenario_runs import always_closed, rig_of, verdict_of, worst_force
 from test_moving_face import TURNING
@@ -35,9 +35,6 @@ class Toy:
     def reset(self, q):
         self.time = 0.0
 
-    def hold(self, tau):
-        pass
-
     def command(self, tau, duration):
         self.time += duration
 
@@ -49,9 +46,7 @@ class Toy:
 
     def measure(self):
         t = self.time
-        X = np.eye(4)
-        X[:3, :3] = pin.exp3(np.array([0.0, 0.0, 0.1 * t]))
-        X[0, 3] = 0.02 * t
+        X = placed(0.02 * t, rpy=(0.0, 0.0, 0.1 * t)).homogeneous
         V = np.array([[0.02, 0, 0, 0, 0, 0.1]])
         return Measurement(
             np.arange(1, 4) * t,
@@ -86,16 +81,14 @@ def test_noise_and_bias_have_the_size_given():
     steps = SensorErrors(resolution=0.01)
     vision = VisionSpec(1e3, position={"noise": 1e-3}, orientation={"noise": 5e-3})
     wrists = clock, SensorErrors(noise, bias)
-    sensors = Sensors(encoders=(clock, steps), wrists=wrists, vision=vision)
-    out = readings(sensors, 4000)
+    out = readings(Sensors(encoders=(clock, steps), wrists=wrists, vision=vision), 4000)
     t = np.arange(len(out)) * DT
     read = np.array([m.wrenches for m in out])
     offset = read.mean(axis=0) - 5.0
     assert np.all(np.abs(offset) < bias + 0.1 * noise) and largest(offset / bias) > 0.2
     assert_allclose(read.std(axis=0) / noise, 1.0, atol=0.06)
     white = (read - read.mean(axis=0)).reshape(len(read), -1)
-    together = np.corrcoef(white.T) - np.eye(12)
-    assert largest(together) < 0.08
+    assert largest(np.corrcoef(white.T) - np.eye(12)) < 0.08
     assert largest((white[1:] * white[:-1]).mean(axis=0) / white.var(axis=0)) < 0.08
     q = np.array([m.q for m in out])
     assert_allclose(q / 0.01, np.round(q / 0.01), atol=1e-9)
@@ -114,7 +107,7 @@ def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
     out = readings(Sensors(encoders=(Clock(rate, delay), SensorErrors())), 500)
     for k, m in enumerate(out):
         t = k * DT
-        samples = np.ceil(np.arange(0, int(t * rate) + 2) / rate / DT - 1e-6) * DT
+        samples = np.ceil(np.arange(int(t * rate) + 2) / rate / DT - 1e-6) * DT
         want = samples[samples + delay <= t + 1e-9].max(initial=0.0)
         assert m.stamps.encoders == approx(want, abs=1e-9)
         assert_allclose(m.q, want * np.arange(1, 4), atol=1e-9)
@@ -148,14 +141,14 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
 
 @parametrize(
     "override, said",
-    [
-        ("sensors.encoder={rate: 1 kHz, angle: {noise: 1 mm}}", "an angle"),
-        ("sensors.encoder={angle: {noise: 1 mrad}}", "'rate' is missing"),
-        ("sensors.wrist={rate: 1 kHz, torque: {noise: 1 N}}", "a torque"),
-        ("sensors.vision={rate: 60 Hz, delay: -30 ms}", ">= 0"),
-        ("sensors.vision={rate: 60 Hz, dropout: 1}", "< 1"),
-        ("sensors.encoders={rate: 1 kHz}", "did you mean 'encoder'"),
-    ],
+    {
+        "sensors.encoder={rate: 1 kHz, angle: {noise: 1 mm}}": "an angle",
+        "sensors.encoder={angle: {noise: 1 mrad}}": "'rate' is missing",
+        "sensors.wrist={rate: 1 kHz, torque: {noise: 1 N}}": "a torque",
+        "sensors.vision={rate: 60 Hz, delay: -30 ms}": ">= 0",
+        "sensors.vision={rate: 60 Hz, dropout: 1}": "< 1",
+        "sensors.encoders={rate: 1 kHz}": "did you mean 'encoder'",
+    }.items(),
 )
 def test_wrong_sensors_are_refused_by_the_scenario(override, said):
     with scenario_error(said):
@@ -164,27 +157,19 @@ def test_wrong_sensors_are_refused_by_the_scenario(override, said):
 
 # --- a better sensor is never worse ---------------------------------------------------------------
 
-CLEAN = "sensors.encoder={rate: %g Hz}"
 BITS = "sensors.encoder={rate: %g Hz, angle: {resolution: %.9e rad}, length: {resolution: %.9e m}}"
-
-
-def force_error(name, rate, encoder):
-    """Largest of a contact force, 2 s judged, MuJoCo."""
-    verdict = verdict_of(name, f"control.rate={rate} Hz", encoder, duration=3.0)
-    assert always_closed(verdict)
-    return worst_force(verdict)
 
 
 @parametrize("rate", first([250, 500, 1000], 1))
 @parametrize("name", first(["two_contact_rod", "ur5_wipe"], 1))
 def test_a_better_encoder_is_never_worse(name, rate):
-    errors = [
-        force_error(name, rate, encoder)
-        for encoder in (
-            *(BITS % (rate, 2 * np.pi / 2**bits, 1.0 / 2**bits) for bits in (20, 23, 26)),
-            CLEAN % rate,
-        )
-    ]
+    """By contact forces, 2 s judged, MuJoCo."""
+    encoders = [BITS % (rate, 2 * np.pi / 2**bits, 1.0 / 2**bits) for bits in (20, 23, 26)]
+    errors = []
+    for encoder in (*encoders, f"sensors.encoder={{rate: {rate} Hz}}"):
+        verdict = verdict_of(name, f"control.rate={rate} Hz", encoder, duration=3.0)
+        assert always_closed(verdict)
+        errors.append(worst_force(verdict))
     assert all(better <= 1.02 * worse for worse, better in pairwise(errors)), errors
     assert errors[-1] <= 1e-3
 
@@ -192,12 +177,9 @@ def test_a_better_encoder_is_never_worse(name, rate):
 # Wrist calibration: exact without noise, within its promise under noise, refused when blind.
 
 
-G = np.array([0.0, 0.0, -9.81])
-
-
 def at_rest(R, mass, com, bias):
     """What holds a body up, by hand: minus its weight, through its centre of mass."""
-    weight = R.T @ (mass * G)
+    weight = mass * R.T @ [0.0, 0.0, -9.81]
     return np.concatenate((-weight, np.cross(com, -weight))) + bias
 
 
@@ -217,7 +199,7 @@ def test_readings_of_an_arm_give_what_its_wrist_carries():
         X = state.sensors[0].inverse() * shift(state.X_WO.translation)
         poses.append(state.sensors[0].rotation)
         readings.append(X.act(pin.Force(state.bias_out)).vector + bias)
-    load = calibrate_wrist(poses, np.array(readings))
+    load = calibrate_wrist(poses, readings)
     ((hand,),) = chain.outboard
     sensor = chain.model.frames[chain.model.getFrameId("arm/panda_hand")].placement
     carried = sensor.inverse().act(hand.inertia)
@@ -231,20 +213,19 @@ def test_the_standard_errors_are_the_spread_of_many_calibrations():
     rng = default_rng(1)
     R = tilted(rng, 6)
     noise = np.repeat([0.05, 0.003], 3)
-    clean = np.array([at_rest(X, 1.2, np.array([0.02, -0.01, 0.05]), np.zeros(6)) for X in R])
+    clean = np.array([at_rest(X, 1.2, [0.02, -0.01, 0.05], np.zeros(6)) for X in R])
     loads = [
         calibrate_wrist(R, clean + noise * rng.standard_normal(clean.shape), noise)
         for _ in range(2000)
     ]
-    spread = np.std([load.mass for load in loads])
-    assert loads[0].mass_error == approx(spread, rel=0.1)
+    assert loads[0].mass_error == approx(np.std([load.mass for load in loads]), rel=0.1)
     assert_allclose(loads[0].com_error, np.std([load.com for load in loads], axis=0), rtol=0.25)
 
 
 def test_a_wrist_that_only_turns_about_the_vertical_is_refused():
     """Every SCARA: weight and bias cannot be separated."""
-    R = [pin.exp3(np.array([0.0, 0.0, a])) for a in np.linspace(0, 3, 8)]
-    readings = np.array([at_rest(X, 1.0, np.array([0.01, 0.0, 0.05]), np.zeros(6)) for X in R])
+    R = [placed(rpy=(0, 0, a)).rotation for a in np.linspace(0, 3, 8)]
+    readings = [at_rest(X, 1.0, [0.01, 0.0, 0.05], np.zeros(6)) for X in R]
     with model_error(r"m, .*b_f_z.*tared"):
         calibrate_wrist(R, readings)
 
@@ -446,8 +427,7 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
 
 
 def test_vision_tracks_rod_and_arms_where_they_are():
-    rig = rig_of("moving_face", "plant.type=rigid", VISION)
-    sensed = rig.plant(5)
+    sensed = rig_of("moving_face", "plant.type=rigid", VISION).plant(5)
     seen = sensed.measure().seen
     truth = sensed.truth()
     for X, Y in zip((seen.object, *seen.tips), sensed.plant.poses(), strict=True):
@@ -460,7 +440,7 @@ def test_vision_tracks_rod_and_arms_where_they_are():
 def test_a_wandering_camera_is_followed():
     rng = default_rng(2)
     known = scattered(rng)
-    moved = pin.SE3(pin.exp3(np.array([0, 0, 2e-3])), np.array([3e-3, 0, 0]))
+    moved = placed(3e-3, rpy=(0, 0, 2e-3))
     found = Registration(*NOISE, drift=(1e-3, 1e-3))
     for where in (pin.SE3.Identity(), moved):
         for _ in range(600):

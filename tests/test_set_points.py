@@ -9,7 +9,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, raises
-from rigs import displacement, largest, placed, refused, shift
+from rigs import displacement, largest, placed, pose_of, refused, shift
 from samples import parametrize
 
 import osc_contact as osc
@@ -21,11 +21,6 @@ from osc_contact.scenarios.signals import jerk_limited
 DT = 1e-3
 LINEAR = osc.JerkLimits(0.3, 2.0, 40.0)
 ANGULAR = osc.JerkLimits(1.0, 8.0, 150.0)
-
-
-def random_pose(rng):
-    w = rng.standard_normal(3)
-    return pin.SE3(pin.exp3(w * rng.uniform(0, 3.0) / norm(w)), rng.standard_normal(3))
 
 
 def some_goal(rng, x, v, a, j, most):
@@ -111,8 +106,8 @@ def test_angular_motion_is_the_derivative_of_the_rotation(size):
 def test_poses_with_goals_that_change_on_the_way():
     """Twist and classical acceleration are derivatives of the pose, also where goals change."""
     rng = default_rng(2)
-    point = osc.PoseSetPoint(random_pose(rng), LINEAR, ANGULAR, DT)
-    goals = [goal for goal in (random_pose(rng) for _ in range(12)) for _ in range(150)]
+    point = osc.PoseSetPoint(pose_of(rng), LINEAR, ANGULAR, DT)
+    goals = [goal for goal in (pose_of(rng) for _ in range(12)) for _ in range(150)]
     path = [point.step(goal, [1.0]) for goal in goals]
     for before, after in pairwise(path):
         step = displacement(before.X_WD, after.X_WD)
@@ -143,14 +138,18 @@ def test_the_short_way_round_again_and_again():
     assert turned == approx(8 * np.pi, abs=1e-3)
 
 
-NAN = shift([0.0, np.nan, 0.0])
-SHEARED = pin.SE3(np.eye(3) + 0.1 * np.eye(3, k=1), np.zeros(3))
-
-
-@parametrize("goal", [NAN, SHEARED, np.eye(4), pin.SE3(-np.eye(3), np.zeros(3))])
+@parametrize(
+    "goal",
+    [
+        shift([0.0, np.nan, 0.0]),
+        pin.SE3(np.eye(3) + 0.1 * np.eye(3, k=1), np.zeros(3)),  # sheared
+        np.eye(4),
+        pin.SE3(-np.eye(3), np.zeros(3)),
+    ],
+)
 def test_a_goal_that_is_none_is_refused_and_the_former_is_kept(goal):
     ours, other = (osc.PoseSetPoint(pin.SE3.Identity(), LINEAR, ANGULAR, DT) for _ in range(2))
-    good = random_pose(default_rng(3))
+    good = pose_of(default_rng(3))
     for _ in range(50):
         ours.step(good), other.step(good)
     with refused("goal"):
@@ -173,7 +172,7 @@ def test_bad_numbers_are_refused_at_the_door(bad):
 
 
 @parametrize(
-    ("start", "speed", "dt", "words"),
+    "start, speed, dt, words",
     [
         ([], 1.0, DT, "start"),
         ([1, [2]], 1.0, DT, "start"),
@@ -195,7 +194,7 @@ def test_ruckig_missing_is_reported_at_once(monkeypatch):
 
 
 def test_a_reference_leaves_out_what_is_zero():
-    X = random_pose(default_rng(4))
+    X = pose_of(default_rng(4))
     short = osc.Reference(X)
     long = osc.pose_reference(X.translation, X.rotation)
     for reference in (short, long):

@@ -106,7 +106,7 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
         assert largest(x_dot) <= v * (1 + 1e-9) and largest(x_ddot) <= a * (1 + 1e-9)
         assert largest(np.diff(x_ddot) / np.diff(t)) <= j * (1 + 1e-6)
         for reached, when in zip(way, 0.3 + np.cumsum(least), strict=True):
-            x, x_dot, x_ddot = signal.at(float(when))
+            x, x_dot, x_ddot = signal.at(when)
             assert x == approx(reached, abs=1e-8 * size)
             assert abs(x_dot) <= 1e-6 * v and abs(x_ddot) <= 1e-3 * a + j * 1e-6 * sum(least)
         assert signal.at(math.inf) == (way[2], 0.0, 0.0) and signal.at(0.3) == (0.0, 0.0, 0.0)

@@ -27,8 +27,7 @@ def tick(chain, q, v, posture=None, controller=None):
     reference = osc.Reference(goal, alpha_d=np.zeros(0), squeeze_d=4.0)
     controller = controller or osc.Controller(chain, [], GAINS, posture=posture)
     controller.reset()
-    measurement = unloaded(q, v, len(chain.arms))
-    return controller, controller.tick(measurement, reference)
+    return controller, controller.tick(unloaded(q, v, len(chain.arms)), reference)
 
 
 def share_left(chi):
@@ -70,7 +69,7 @@ def assert_faded(chain, q, v, posture, controller):
             weight = np.sqrt((1.0 - lost.share) / max(lost.share, 1e-8)) / size
             rows.append(weight * row)
             right.append(weight * target)
-    change = S @ np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
+    change = S @ np.linalg.lstsq(rows, right, rcond=None)[0]
     size = max(largest(a), largest(change))
     assert_allclose(S @ s.eta_c + state.sigma, a + change, rtol=0, atol=1e-6 * size)
 
@@ -156,24 +155,27 @@ SCARAS = ("two_contact_rod", [0, 1, 0], 0.2205)  # 0.2185 m is all they reach
 PANDA = ("panda_edge", [1, 0, 0.2], 0.4386)  # 0.4366 m
 
 
-RUNS = [
-    (SCARAS, 1.0, "mujoco"),
-    (PANDA, 1.1, "mujoco"),
-    (SCARAS, 1.6, "mujoco"),
-    (PANDA, 1.6, "mujoco"),
-    (SCARAS, 0.6, "mujoco"),
-    (PANDA, 0.8, "mujoco"),
-    (SCARAS, 1.0, "rigid"),
-    (PANDA, 0.8, "rigid"),
-]
-
-
-@parametrize("run", first(RUNS), ids=str)
+@parametrize(
+    "run",
+    first(
+        [
+            (SCARAS, 1.0, "mujoco"),
+            (PANDA, 1.1, "mujoco"),
+            (SCARAS, 1.6, "mujoco"),
+            (PANDA, 1.6, "mujoco"),
+            (SCARAS, 0.6, "mujoco"),
+            (PANDA, 0.8, "mujoco"),
+            (SCARAS, 1.0, "rigid"),
+            (PANDA, 0.8, "rigid"),
+        ]
+    ),
+    ids=str,
+)
 def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(run):
     arms, duration, plant = run
     recording = outward(*arms, duration, plant)
     share = recording["tau"] / np.array(list(recording.meta["effort_limits"].values()))
-    assert np.isfinite(share).all() and largest(share) <= 1.0
+    assert largest(share) <= 1.0
     assert largest(np.diff(share, axis=0)) < 0.15
     assert (recording["status"] == 3).sum() > 50 and not (recording["status"] == 2).any()
     assert largest(recording["motion_error"][-1, :3]) < 1e-3

@@ -151,14 +151,6 @@ def test_words_of_the_field_are_found(pages, site, page, words):
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.py"))
 
 
-def execute(notebook, folder):
-    """Run all cells in a new kernel whose working folder is `folder`; raises on the first error."""
-    client = nbclient.NotebookClient(
-        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}}
-    )
-    return client.execute()
-
-
 def test_notebooks_are_numbered():
     assert [path.stem[:3] for path in NOTEBOOKS] == ["01_", "02_", "03_", "04_", "05_", "06_"]
 
@@ -173,7 +165,9 @@ def test_a_page_is_embedded_whole(tmp_path):
 
 @parametrize("path", chosen(NOTEBOOKS, NOTEBOOKS[1]), ids=lambda path: getattr(path, "stem", None))
 def test_notebook_runs(path, tmp_path):
-    notebook = execute(jupytext.read(path), tmp_path)
+    """All cells in a new kernel, which raises on the first error."""
+    how = {"timeout": 300, "kernel_name": "python3", "resources": {"metadata": {"path": tmp_path}}}
+    notebook = nbclient.NotebookClient(jupytext.read(path), **how).execute()
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert code and all(cell.execution_count for cell in code)
     outputs = [output for cell in code for output in cell.outputs]

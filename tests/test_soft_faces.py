@@ -22,20 +22,20 @@ NOISY = (
 )
 
 
-def soft_rig(stiffness, mass=1.0, damping=5.0, more=()):
+def soft_rig(stiffness, *more, mass=1.0, damping=5.0):
     """`moving_face` with its left face on a spring that carries the weight, default gains."""
     cart = (
         f"{{type: cart, direction: {INTO.tolist()}, mass: {mass} kg, stiffness: {stiffness}, "
         f"damping: {damping}, preload: {WEIGHT * mass} N}}"
     )
-    changes = [
+    return rig_of(
+        "moving_face",
         f"contacts.left_end.face.motion={cart}",
         "gains={}",
         "model_error.environment=yielding",
         "duration=3 s",
         *more,
-    ]
-    return rig_of("moving_face", *changes)
+    )
 
 
 def run(rig, measured, ticks=3000):
@@ -60,7 +60,7 @@ def run(rig, measured, ticks=3000):
 
 @parametrize("stiffness, most", [(1e3, 0.03), (5e4, 0.02)])
 def test_sensors_of_real_arms_do(stiffness, most):
-    found = osc.metrics(osc.run(soft_rig(stiffness, more=[NOISY]).scenario))
+    found = osc.metrics(osc.run(soft_rig(stiffness, NOISY).scenario))
     assert found["task"]["word"] == "OK"
     assert found["force"]["left_end"]["rms_error_rel"] < most
 
@@ -69,7 +69,8 @@ def test_sensors_of_real_arms_do(stiffness, most):
 def test_any_support_from_1_to_100_kN_per_m(seed):
     """Masses and dampings at random; nothing of it is known, its motion is measured or not."""
     rng = default_rng(seed)
-    rig = soft_rig(10 ** (3.0 + 0.4 * seed), rng.uniform(0.3, 3.0), rng.uniform(0.0, 20.0))
+    stiffness = 10 ** (3.0 + 0.4 * seed)
+    rig = soft_rig(stiffness, mass=rng.uniform(0.3, 3.0), damping=rng.uniform(0.0, 20.0))
     errors = run(rig, bool(seed % 2))
     assert (np.sqrt(np.mean(errors**2, axis=0)) < 0.02).all()
 

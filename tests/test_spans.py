@@ -7,24 +7,16 @@ from complaints import contact_error
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import fixture, mark
+from rigs import largest
 from samples import parametrize
 from scenario_runs import rig_of
 from test_projections import SIZE, close, mixing
 
+import osc_contact as osc
 from osc_contact import projections as P
-from osc_contact.contacts.contact import Contact
-from osc_contact.dynamics.environment import Environment
-from osc_contact.response import contact_response
 
-GAPS = [1e-4, 1e-5, 1e-6]
 FORCE_LAWS = (P.Omega_f, P.Omega_m_bar)
 MOTION_LAWS = (P.Omega_m, P.Omega_f_bar)
-
-
-def frame_change(rng):
-    """Turned axes and another operational point, up to 2 m away: motions by X, forces by X*."""
-    X = pin.SE3(pin.exp3(2.0 * rng.standard_normal(3)), rng.uniform(-2.0, 2.0, size=3))
-    return X.toActionMatrix(), X.toDualActionMatrix()
 
 
 @fixture(params=[0.01, 1.0, 100.0], ids=["stricter", "as is", "laxer"])
@@ -53,8 +45,12 @@ def nearly_dependent(rng, r, gap):
 
 
 def changes(rng):
-    """As it is, from another point and in other axes, in millimetres, and both."""
-    one = frame_change(rng)
+    """As it is, from another point and in other axes, in millimetres, and both.
+
+    Another point lies up to 2 m away; motions are carried by X, forces by X*.
+    """
+    X = pin.SE3(pin.exp3(2.0 * rng.standard_normal(3)), rng.uniform(-2.0, 2.0, size=3))
+    one = X.action, X.dualAction
     other = np.diag([1e3] * 3 + [1.0] * 3), np.diag([1.0] * 3 + [1e3] * 3)  # power in N mm/s
     yield np.eye(6), np.eye(6)
     yield one
@@ -62,7 +58,7 @@ def changes(rng):
     yield other[0] @ one[0], other[1] @ one[1]
 
 
-@parametrize("gap", GAPS)
+@parametrize("gap", [1e-4, 1e-5, 1e-6])
 @parametrize("rank", [5, 6])
 @parametrize("seed", range(4))
 def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_basis(
@@ -92,10 +88,9 @@ def test_columns_a_millionth_apart_are_accepted_in_every_frame(seed, rank):
     force = metric(rng, 1 / SIZE, rank)
     motion = metric(rng, SIZE, rank)
     for X, X_f in changes(rng):
-        for law in FORCE_LAWS:
+        for law in FORCE_LAWS + MOTION_LAWS:
             law(X_f @ near, X @ force @ X.T)
         for law in MOTION_LAWS:
-            law(X_f @ near, X @ force @ X.T)
             law(P.null_space(X_f @ near), X_f @ motion @ X_f.T)
 
 
@@ -157,12 +152,12 @@ def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
     gap = 1e-4
     C = np.array([[1.0, 1.0], [0.0, gap]])  # N = good C
     Phi_e = np.diag([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])
-    for environment in (Environment.fixed(), Environment(Phi_e, rng.standard_normal(6))):
+    for environment in (osc.Environment.fixed(), osc.Environment(Phi_e, rng.standard_normal(6))):
         n_gamma = rng.standard_normal(2)
         f_S = rng.standard_normal(state.d)
         found = []
         for N, n_g in ((good @ C, n_gamma @ C), (good, n_gamma)):
-            answer = contact_response(state, Contact(N, n_g), environment, f_S=f_S)
+            answer = osc.contact_response(state, osc.Contact(N, n_g), environment, f_S=f_S)
             found.append([answer.f_c, answer.acceleration])
         for one, other in zip(*found, strict=True):
-            assert_allclose(one, other, rtol=0.0, atol=1e-10 * np.abs(other).max())
+            assert_allclose(one, other, rtol=0.0, atol=1e-10 * largest(other))

@@ -5,7 +5,7 @@ import pinocchio as pin
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from rigs import refused, shift, unit
+from rigs import data_at, refused, shift, unit
 from samples import parametrize
 
 from osc_contact.errors import OscContactError
@@ -54,12 +54,9 @@ def test_classical_to_spatial_agrees_with_pinocchio(seed):
     pin.seed(seed)
     rng = default_rng(seed)
     model = pin.buildSampleModelManipulator()
-    data = model.createData()
     q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
     v, a = rng.standard_normal((2, model.nv))
-    pin.forwardKinematics(model, data, q, v, a)
-    pin.updateFramePlacements(model, data)
-    at = (model, data, model.nframes - 1, pin.LOCAL_WORLD_ALIGNED)
+    at = model, data_at(model, q, v, a), model.nframes - 1, pin.LOCAL_WORLD_ALIGNED
     V = pin.getFrameVelocity(*at).vector
     spatial = classical_to_spatial(pin.getFrameClassicalAcceleration(*at).vector, V)
     assert_allclose(spatial, pin.getFrameAcceleration(*at).vector, atol=1e-12)
@@ -72,7 +69,7 @@ def test_pose_error_carries_the_object_to_its_goal(seed):
     X_WO = pin.SE3.Random()
     e = pose_error(X_WD, X_WO)
     assert_allclose(X_WO.translation + e[:3], X_WD.translation, atol=1e-14)
-    turned = pin.AngleAxis(float(norm(e[3:])), unit(e[3:]))
+    turned = pin.AngleAxis(norm(e[3:]), unit(e[3:]))
     assert_allclose(turned.matrix() @ X_WO.rotation, X_WD.rotation, atol=1e-12)
     assert norm(e[3:]) <= np.pi + 1e-12
 
@@ -89,7 +86,7 @@ def test_as_array_returns_a_fresh_float_copy():
 
 
 @parametrize(
-    ("value", "shape", "message"),
+    "value, shape, message",
     [
         (np.zeros((2, 3)), (3, 3), r"tool: expected shape \(3, 3\), got \(2, 3\)"),
         (np.zeros(3), (3, None), r"tool: expected shape \(3, any\), got \(3,\)"),

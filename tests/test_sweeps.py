@@ -78,11 +78,11 @@ def test_choices_and_integers_are_all_as_likely():
 def test_factors_multiply_and_units_stay_with_their_numbers():
     factor = parse_distribution("factor(0.5, 1.5)")
     for before, text in ((4, "5.0"), ("10 mm", "12.5 mm"), ([1, "2 N"], "[1.25, 2.5 N]")):
-        assert factor.draw(np.array([0.75]), before)[0] == text
+        assert factor.draw([0.75], before)[0] == text
     found = parse_distribution("uniform(5 mm, 10 mm)").draw([0.5], None)
     assert found == ("7.5 mm", {" [mm]": 7.5})
     with invalid_input("multiplies a number"):
-        factor.draw(np.array([0.5]), "filter")
+        factor.draw([0.5], "filter")
 
 
 def test_tilted_directions_fill_their_cap_evenly():
@@ -157,14 +157,14 @@ def test_a_grid_has_every_combination_and_both_ends():
 
 
 @parametrize(
-    "vary, complaint",
-    [
-        (["squeeze"], "path.to.key=distribution"),
-        ([], "at least one"),
-        (["squeeze=uniform(0, 1)", "squeeze=uniform(0, 2)"], "varies twice"),
-        (["squeese=uniform(0, 1)"], "squeese"),
-        (["duration=factor(1, 2)", "control.nothing.at.all=factor(1, 2)"], "multiplies a number"),
-    ],
+    "complaint, vary",
+    {
+        "path.to.key=distribution": ["squeeze"],
+        "at least one": [],
+        "varies twice": ["squeeze=uniform(0, 1)", "squeeze=uniform(0, 2)"],
+        "squeese": ["squeese=uniform(0, 1)"],
+        "multiplies a number": ["duration=factor(1, 2)", "control.nothing.at.all=factor(1, 2)"],
+    }.items(),
 )
 def test_a_study_that_cannot_be_made_is_refused_before_its_runs(vary, complaint):
     with raises((osc.InvalidInputError, osc.ScenarioError), match=complaint):
@@ -411,6 +411,5 @@ def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_pa
 
 def test_start_leaves_the_controller_that_only_gave_first_torques_behind():
     """Both controllers of a start know nothing of one another."""
-    rig = rig_of()
-    _, controller = start(rig)
+    _, controller = start(rig_of())
     assert not controller._records.memory.ticked

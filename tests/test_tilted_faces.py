@@ -40,7 +40,7 @@ def slid(scenario, duration):
     controller = max(kept, key=lambda c: c._records.memory.ticked)
     pairs = *rig.pairs, *rig.controlled_pairs()
     n = pairs[1].normal - controller._records.memory.columns[0].turn
-    return *(float(np.arcsin(norm(np.cross(n, pair.normal)))) for pair in pairs), run, controller
+    return *(np.arcsin(norm(np.cross(n, pair.normal))) for pair in pairs), run, controller
 
 
 DEGREE = np.deg2rad(1.0)
@@ -117,12 +117,15 @@ def test_the_estimate_is_not_worse_than_none_on_soft_faces_that_move(face):
     assert error[0] < error[1] + 0.001, error
 
 
+def noisy(scenario, angle):
+    """With noise of encoders."""
+    return scenario.replaced(sensors={"encoder": {"rate": "1 kHz", "angle": {"noise": angle}}})
+
+
 @parametrize("about", [0.0, 45.0, 90.0, 135.0])
 def test_the_covariance_is_that_of_the_error_and_settles(about):
     """With noise of encoders; half of an error of 5° is gone 0.4 s after the motion has begun."""
-    data = circle(0.5, about).as_dict()
-    data["sensors"] = {"encoder": {"rate": "1 kHz", "angle": {"noise": "0.02 mrad"}}}
-    off, _, run, controller = slid(osc.Scenario.from_dict(data), 3.0)
+    off, _, run, controller = slid(noisy(circle(0.5, about), "0.02 mrad"), 3.0)
     std = run["normal_std"][:, 0]
     assert std[np.flatnonzero(np.isfinite(std))[0]] == approx(5.0 * DEGREE, rel=0.01)
     assert std[-1] < 1.5 * DEGREE
@@ -145,9 +148,7 @@ def test_it_settles_within_a_second_and_a_half(about):
 
 
 def test_what_stands_keeps_its_face_and_its_uncertainty():
-    data = circle(0.5).replaced(motion=[]).as_dict()
-    data["sensors"] = {"encoder": {"rate": "1 kHz", "angle": {"noise": "0.1 mrad"}}}
-    _, turned, run, _ = slid(osc.Scenario.from_dict(data), 3.0)
+    _, turned, run, _ = slid(noisy(circle(0.5), "0.1 mrad").replaced(motion=[]), 3.0)
     assert turned == 0.0
     for std in (run["normal_std"][-1, 0], osc.metrics(run)["normals"]["nose"]):
         assert std == approx(5.0 * DEGREE, rel=0.01)
@@ -168,7 +169,7 @@ def point_of(pair, X, X_WE):
     return start + np.linalg.lstsq(lines, pair.edge_point - start, rcond=None)[0][0] * e
 
 
-def turned_in_the_law(pair, turn, q, v, reference, touched=None):
+def turned_in_the_law(pair, turn, q, v, reference, touched):
     """N, n_γ and the next turn of a law whose pair is turned so far and slides off at 20 mm/s."""
     controller = osc.Controller(one_panda(), [pair], dt=DT)
     measurement = osc.Measurement(q, v, np.zeros((1, 6)), touched)
@@ -178,12 +179,6 @@ def turned_in_the_law(pair, turn, q, v, reference, touched=None):
     memory.drift = 0.02
     controller.tick(measurement, reference)
     return controller.signals.contact, controller._records.work.columns[0].turned
-
-
-def states(rng):
-    for _ in range(5):
-        q, v = random_state(one_panda(), rng)
-        yield q, v, one_panda().state(q, v)
 
 
 def correction(shown, across):
@@ -203,7 +198,9 @@ TURNED = ["vertex_on_face", "sphere_on_plane", "face_on_vertex"]
 def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, moving):
     """N and n_γ against the pair made anew; what shows of it, from a difference of its N."""
     rng = default_rng(11)
-    for q, v, state in states(rng):
+    for _ in range(5):
+        q, v = random_state(one_panda(), rng)
+        state = one_panda().state(q, v)
         X = state.X_WO
         X_WE = pose_of(rng) if moving else pin.SE3.Identity()
         V_E = 0.1 * rng.standard_normal(6) * moving
@@ -211,7 +208,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         pair = touching(kind, X_WE.actInv(X) * shift([0.01, 0.02, -0.01]), rng.integers(99), 0.1)
         touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
         V_D = 0.3 * rng.standard_normal(6)
-        reference = osc.Reference(X, V_D, alpha_d=np.array([10.0]))
+        reference = osc.Reference(X, V_D, alpha_d=[10.0])
         keys = {"edge_on_edge": "edge_direction", "sphere_on_plane": "face_normal"}
         key = keys.get(kind, "normal")
         sign = -1.0 if kind in ("vertex_on_face", "sphere_on_plane") else 1.0

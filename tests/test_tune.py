@@ -93,13 +93,13 @@ def test_command_prints_the_keys_to_paste():
 
 
 @parametrize(
-    "how, complaint",
-    [
-        ({"objective": "speed"}, "give force, motion, both, or a column"),
-        ({"limits": {"speed": 1.0}}, "no such columns"),
-        ({"overrides": ["duration=0.5 s"]}, "judged"),
-        ({"overrides": [*SHORT, "gains.force.integral=3000"]}, "integral"),
-    ],
+    "complaint, how",
+    {
+        "give force, motion, both, or a column": {"objective": "speed"},
+        "no such columns": {"limits": {"speed": 1.0}},
+        "judged": {"overrides": ["duration=0.5 s"]},
+        "integral": {"overrides": [*SHORT, "gains.force.integral=3000"]},
+    }.items(),
 )
 def test_what_cannot_be_tuned_is_refused(how, complaint):
     with raises(osc.OscContactError, match=complaint):

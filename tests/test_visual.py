@@ -3,12 +3,13 @@
 from itertools import combinations, pairwise
 
 import numpy as np
+from complaints import recording_error
 from matplotlib.patches import FancyBboxPatch
 from matplotlib.transforms import Bbox
-from pytest import fixture, raises
+from pytest import fixture
 from scene_samples import RECORDING, changed, make_recording
 
-from osc_contact import RecordingError, load_scenario
+from osc_contact import load_scenario
 from osc_contact.visual import plots
 from paper.diagrams import BLOCKS, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
 from paper.figures import reproduce
@@ -77,7 +78,7 @@ def test_tracking_and_torque_figures():
     (arm,) = plots.torques(limited).axes
     assert "% of its limit" in arm.get_ylabel() and len(arm.lines) == 6, "both limits are drawn"
     assert np.allclose(arm.lines[3].get_ydata()[-1], 80.0) and "80 %" in arm.lines[3].get_label()
-    with raises(RecordingError, match="no channel 'tau'"):
+    with recording_error("no channel 'tau'"):
         plots.torques(make_recording(without=("tau",)))
 
 
@@ -108,7 +109,8 @@ def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):
         named = [
             name
             for text, room in texts
-            if abs(room.x0 + room.x1 - box.x0 - box.x1) < 4 and 0 < _apart(room, box) < 40
+            if abs(room.x0 + room.x1 - box.x0 - box.x1) < 4
+            and 0 < max(room.y0 - box.y1, box.y0 - room.y1) < 40
             for name in text.split(" · ")
         ]
         connected = sum(abs(x - box.x0) < 2 and box.y0 < y < box.y1 for x, y in tips)
@@ -120,10 +122,6 @@ def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):
         assert beside == {LABELS[s] for s in block.outputs if s != "v"}, block.name
     for signal, reader in CONNECTIONS:
         assert signal in next(block.inputs for block in LOOP if block.name == reader)
-
-
-def _apart(a, b):
-    return max(a.y0 - b.y1, b.y0 - a.y1)
 
 
 def test_diagrams_are_legible(diagram):

@@ -169,8 +169,8 @@ def judge(text, model, rng):
 def main(seed, count):
     rng = random.Random(seed)
     numpy_rng = np.random.default_rng(seed)
-    seeds = (GOOD, robots.urdf_path("scara_left").read_text())
-    plain = re.sub(r"\s*<(visual|collision)\b.*?</\1>", "", seeds[1], flags=re.DOTALL)
+    scara = robots.urdf_path("scara_left").read_text()
+    plain = re.sub(r"\s*<(visual|collision)\b.*?</\1>", "", scara, flags=re.DOTALL)
     checks: Counter[str] = Counter()
     slowest = 0.0
     worst_off = 0.0
