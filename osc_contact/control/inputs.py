@@ -147,6 +147,7 @@ class Freshness:
     """The newest packet and stamps so far, of one controller.
 
     Attributes:
+        flags: which readings the last tick repeated, JOINTS, WRISTS.
         repeated: ticks in a row, up to the last one, that repeated readings.
     """
 
@@ -160,10 +161,10 @@ class Freshness:
         """Begin again."""
         self._newest = dict.fromkeys(_READINGS, _NEVER)
         self._ages = dict.fromkeys(_READINGS, 0.0)
-        self.repeated = 0
+        self.repeated = self.flags = 0
 
     def require(self, measurement: Measurement) -> int:
-        """Which readings are repeated, as flags JOINTS, WRISTS.
+        """Find `flags`, and return them.
 
         Raises:
             SensorTimeout: readings that are too old, or a packet older than one read before.
@@ -185,6 +186,7 @@ class Freshness:
             else:
                 self._ages[name] += self.dt
                 flags |= _READINGS[name]
+        self.flags = flags
         self.repeated = self.repeated + 1 if flags else 0
         for name, age in self._ages.items():
             if age > self.patience * (1.0 + 1e-9):

@@ -64,7 +64,7 @@ class Tape:
         missing = measurement.wrench_valid is not None and not measurement.wrench_valid
         flags = MEMORY * (memory is not None) + TOUCHED * (measurement.touched is not None)
         flags += WRENCH_MISSING * missing + ESTIMATED * bool(measurement.estimated)
-        flags += SQUEEZE * bool(given)
+        flags += SQUEEZE * bool(given) + (controller._freshness.flags << REPEATED)
         forces = np.zeros(model.n_columns)
         alpha = np.ravel(reference.alpha_d)
         forces[: len(alpha)] = alpha
