@@ -121,11 +121,9 @@ class ScenarioDocument:
     def __init__(self, text: str, problems: Problems) -> None:
         self.problems = problems
         self.origins: dict[Key, int | str] = {}
-        self.data: Any = None
         node = compose(text, problems)
-        if node is not None:
-            self.data = self._read(node, ())
-        self.origins[()] = node.start_mark.line + 1 if node is not None else 1
+        self.data: Any = None if node is None else self._read(node, ())
+        self.origins.setdefault((), 1)
 
     def _read(self, node: yaml.Node, key: Key) -> Any:
         self.origins.setdefault(key, node.start_mark.line + 1)
@@ -295,8 +293,7 @@ def _locate(loc: Iterable[str | int], root: type[BaseModel]) -> tuple[Key, type[
         if tagged:
             options = tagged
             continue
-        only = options[0] if len(options) == 1 else None
-        owner = only if _is_model(only) else None
+        owner = options[0] if len(options) == 1 and _is_model(options[0]) else None
         place = (*place, part)
         options = [inner for kind in options for inner in _inside(kind, part)]
     return place, owner

@@ -163,14 +163,19 @@ class SurfaceMove(Spec):
 
     def _legs(self) -> tuple[list[tuple[Any, Any]], float]:
         """Unit vector (2,) and signal of each leg; when the last ends."""
-        limits = {"velocity": self.feed, "acceleration": self.acceleration, "jerk": self.jerk}
         now = self.start
         here = np.zeros(2)
         legs = []
         for point in (*self._lines(), *np.reshape(self.points, (-1, 2))):
             length = float(np.linalg.norm(point - here))
             if length > 0.0:
-                leg = _Leg(value=length, start=now, **limits)
+                leg = _Leg(
+                    value=length,
+                    start=now,
+                    velocity=self.feed,
+                    acceleration=self.acceleration,
+                    jerk=self.jerk,
+                )
                 legs.append(((point - here) / length, leg))
                 now += leg.duration + self.dwell
             here = point

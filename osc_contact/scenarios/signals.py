@@ -1,7 +1,7 @@
 """Commands over time: each signal gives its value and its first two time derivatives."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -122,18 +122,19 @@ class Points(OfQuantity[Q], Generic[Q]):
     @field_validator("points")
     @classmethod
     def _spaced_well(cls, points: tuple[tuple[float, Q], ...]) -> Any:
-        for (before, _), (after, _) in pairwise(points):
+        t, values = zip(*points, strict=True)
+        for before, after in pairwise(t):
             if not after - before >= 1e-6:
                 raise refuse(
                     f"times must increase, by 1 µs at least; {after:.9g} s is after {before:.9g} s"
                 )
-        t = [time for time, _ in points]
-        for i in set(range(len(t))) - _stops([float(x) for _, x in points]):
+        for i in set(range(len(t))) - _stops(values):
             ratio = (t[i + 1] - t[i]) / (t[i] - t[i - 1])
-            if max(ratio, 1.0 / ratio) > 10.0 + 1e-9:
+            times = max(ratio, 1.0 / ratio)
+            if times > 10.0 + 1e-9:
                 raise refuse(
                     f"between the points before and after {t[i]:.9g} s the curve would swing far "
-                    f"out: one is {max(ratio, 1.0 / ratio):.3g} times as far away as the other, 10 "
+                    f"out: one is {times:.3g} times as far away as the other, 10 "
                     "at most; add points, or stop by giving a value twice"
                 )
         return points
@@ -199,7 +200,7 @@ def least_jerk(points: tuple[tuple[float, float], ...]) -> Polynomials:
     return Polynomials(PPoly(coefficients, t), float(x[-1]))
 
 
-def _stops(values: list[float]) -> set[int]:
+def _stops(values: Sequence[float]) -> set[int]:
     """The points at which a curve rests: both ends, and where a value is given twice in a row."""
     twice = [i for i, (x, y) in enumerate(pairwise(values)) if x == y]
     return {0, len(values) - 1, *twice, *(i + 1 for i in twice)}
@@ -310,9 +311,7 @@ class MinimumJerk(OfQuantity[Q], Generic[Q]):
 
     def at(self, t: Any) -> Values:
         """Return value times the rise and its exact derivatives."""
-        value = float(self.value)
-        (e, e_dot, e_ddot) = rise(t, self.start, self.duration)
-        return value * e, value * e_dot, value * e_ddot
+        return self.value * np.array(rise(t, self.start, self.duration))
 
 
 LengthSignal = Annotated[
