@@ -255,7 +255,7 @@ def _refuse(M: Array, X: Array, unseen: Array, what: str) -> NoReturn:
     unit, length = _unit(M)
     seen = np.linalg.norm(X @ unit, axis=0)
     column = int(seen.argmin())
-    (independent, which) = least(M)
+    independent, which = least(M)
     if seen[column] < BLOCKED:
         raise ContactError(
             f"{what}: column {column} has nᵀΦn = {(seen * length)[column] ** 2:.3g}, its root "
@@ -286,7 +286,7 @@ def _unit(columns: Array) -> tuple[Array, Array]:
 def _large(weights: Array) -> list[int]:
     """Which of them are not next to nothing."""
     size = np.abs(weights)
-    return [int(i) for i in np.flatnonzero(size > 1e-3 * size.max())]
+    return np.flatnonzero(size > 1e-3 * size.max()).tolist()
 
 
 def _factor(metric: Array, what: str) -> tuple[Array, Array]:

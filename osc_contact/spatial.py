@@ -54,7 +54,7 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
         expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
         raise InvalidInputError(f"{name}: expected shape {expected}, got {array.shape}")
     if not isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        where = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
         raise InvalidInputError(f"{name}: element {where} is {array[where]}; give a finite number")
     return array
 
@@ -106,7 +106,7 @@ def cross(x: Array, y: Array) -> Array:
 
 def skew(x: Array) -> Array:
     """The matrix [x]× with [x]× y = x × y; x (3,)."""
-    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+    return np.asarray(pin.skew(x))
 
 
 def carry_twist(V: Array, start: Array, end: Array) -> Array:
@@ -133,12 +133,12 @@ def carry_wrench(F: Array, start: Array, end: Array) -> Array:
 
 def cross_twist(V: Array, U: Array) -> Array:
     """V × U (6,), the rate of a motion U carried along by a body of twist V."""
-    return np.concatenate((cross(V[3:], U[:3]) + cross(V[:3], U[3:]), cross(V[3:], U[3:])))
+    return np.asarray(pin.Motion(V).cross(pin.Motion(U)).vector)
 
 
 def cross_wrench(V: Array, F: Array) -> Array:
     """V ×* F (6,), the rate of a wrench F carried along by a body of twist V."""
-    return np.concatenate((cross(V[3:], F[:3]), cross(V[3:], F[3:]) + cross(V[:3], F[:3])))
+    return np.asarray(pin.Motion(V).cross(pin.Force(F)).vector)
 
 
 def classical_to_spatial(a_classical: Array, V: Array) -> Array:

@@ -314,8 +314,8 @@ class FrankaRobot:
 def _pose(numbers: ArrayLike) -> pin.SE3:
     """From 16 numbers, column by column."""
     X = np.reshape(numbers, (4, 4), order="F")
-    return pin.SE3(pin.Quaternion(X[:3, :3]).normalized().toRotationMatrix(), X[:3, 3])
+    return pin.SE3(pin.Quaternion(X[:3, :3]).normalized(), X[:3, 3])
 
 
 def _show(X: pin.SE3) -> list[float]:
-    return [float(x) for x in np.round(X.translation, 4)]
+    return np.round(X.translation, 4).tolist()

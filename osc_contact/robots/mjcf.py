@@ -111,13 +111,13 @@ def bodies_of(mj: Any, tip: str | None) -> list[int]:
 
 def pose(position: Array, quaternion: Array) -> pin.SE3:
     """From MuJoCo's w, x, y, z."""
-    return pin.SE3(pin.Quaternion(*quaternion).toRotationMatrix(), np.array(position))
+    return pin.SE3(pin.Quaternion(*quaternion), np.array(position))
 
 
 def placed(X: pin.SE3) -> dict[str, Array]:
     """A pose as the arguments of MuJoCo's bodies, frames and sites."""
-    x, y, z, w = pin.Quaternion(X.rotation).coeffs()
-    return {"pos": X.translation, "quat": np.array([w, x, y, z])}
+    xyzw = pin.Quaternion(X.rotation).coeffs()
+    return {"pos": X.translation, "quat": np.roll(xyzw, 1)}
 
 
 def _moved(kind: int, place: Array, displacement: Array) -> pin.SE3:

@@ -45,7 +45,7 @@ def along(point: ArrayLike, direction: ArrayLike) -> pin.SE3:
     if not np.isfinite(length) or length == 0.0:
         raise InvalidInputError(f"direction {direction.tolist()} has no finite length > 0")
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 1.0, 0.0]), direction / length)
-    return pin.SE3(turn.matrix(), np.asarray(point, dtype=float))
+    return pin.SE3(turn, np.asarray(point, dtype=float))
 
 
 # --- Paint ------------------------------------------------------------------------------------
