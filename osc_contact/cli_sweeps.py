@@ -68,7 +68,7 @@ def sweep(
             raise Exit(130) from None
     summary = write_report(table, study, folder)
     for one in in_words(summary):
-        out.print(one, highlight=False, markup=False, soft_wrap=isinstance(one, str))
+        say(one)
     columns = f"{table.num_rows} rows of {table.num_columns} columns"
     say(f"written to {folder}: {TABLE}, {columns}; {REPORT}")
     if json_file:

@@ -18,6 +18,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Table
 from typer import Argument, Exit, Option
 
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError, missing
@@ -87,9 +88,9 @@ class CompilationBar:
                 self._bar = None
 
 
-def say(text: str) -> None:
-    """Print a text as it is."""
-    out.print(text, highlight=False, markup=False, soft_wrap=True)
+def say(what: str | Table) -> None:
+    """Print a text or a table as it is."""
+    out.print(what, highlight=False, markup=False, soft_wrap=isinstance(what, str))
 
 
 def require(package: str) -> None:

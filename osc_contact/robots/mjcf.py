@@ -220,30 +220,30 @@ def _add_frame(
 def _add_joint(mj: Any, model: pin.Model, j: int, body: _Place) -> _Place:
     """A joint where `body` stands; returns the place of the body behind it."""
     name = joint_name(mj, j)
-    kind = mj.jnt_type[j]
+    joint = mj.joint(j)
+    kind = joint.type[0]
     if kind in (_FREE, _BALL):
         raise ModelError(
             f"joint {name!r} is a {('free', 'ball')[kind]} joint (nq ≠ nv), which is not "
             "supported; build it from hinges and slides, or fix it"
         )
-    if mj.jnt_stiffness[j] != 0.0:
+    if joint.stiffness[0] != 0.0:
         raise ModelError(
-            f"joint {name!r} has a spring of {mj.jnt_stiffness[j]:g}, which the control law "
+            f"joint {name!r} has a spring of {joint.stiffness[0]:g}, which the control law "
             "does not know; set its stiffness to 0"
         )
     make = pin.JointModelPrismaticUnaligned if kind == _SLIDE else pin.JointModelRevoluteUnaligned
-    axis = np.array(mj.jnt_axis[j])
-    anchor = pin.SE3(np.eye(3), np.array(mj.jnt_pos[j]))
-    X = body.X * _moved(kind, anchor.translation, -mj.qpos0[mj.jnt_qposadr[j]] * axis) * anchor
+    axis = np.array(joint.axis)
+    anchor = pin.SE3(np.eye(3), np.array(joint.pos))
+    X = body.X * _moved(kind, anchor.translation, -joint.qpos0[0] * axis) * anchor
     number = model.addJoint(body.joint, make(axis), X, name)
     frame = model.addJointFrame(number, body.frame)
     v = model.joints[number].idx_v
-    dof = mj.jnt_dofadr[j]
-    model.armature[v] = mj.dof_armature[dof]
-    model.damping[v] = mj.dof_damping[dof]
-    lower, upper = mj.jnt_range[j] if mj.jnt_limited[j] else (-np.inf, np.inf)
+    model.armature[v] = joint.armature[0]
+    model.damping[v] = joint.damping[0]
+    lower, upper = joint.range if joint.limited[0] else (-np.inf, np.inf)
     limits = {"lower": lower, "upper": upper, "effort": _effort(mj, j), "velocity": _NONE}
-    _set_limits(model, v, limits | {"dryFriction": mj.dof_frictionloss[dof]})
+    _set_limits(model, v, limits | {"dryFriction": joint.frictionloss[0]})
     return _Place(number, anchor.inverse(), frame)
 
 
@@ -301,25 +301,27 @@ def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str,
     spec.compiler.fusestatic = False
     made: dict[int, Any] = {0: spec.worldbody}
     for b in bodies_of(mj, tip):
+        given = mj.body(b)
         made[b] = body = made[mj.body_parentid[b]].add_body(
             name=body_name(mj, b),
-            pos=mj.body_pos[b],
-            quat=mj.body_quat[b],
+            pos=given.pos,
+            quat=given.quat,
             explicitinertial=True,
-            mass=mj.body_mass[b],
-            ipos=mj.body_ipos[b],
-            iquat=mj.body_iquat[b],
-            inertia=mj.body_inertia[b],
+            mass=given.mass[0],
+            ipos=given.ipos,
+            iquat=given.iquat,
+            inertia=given.inertia,
         )
         for j in joints_of(mj, b):
+            joint = mj.joint(j)
             body.add_joint(
                 name=joint_name(mj, j),
-                type=mujoco.mjtJoint(mj.jnt_type[j]),
-                pos=mj.jnt_pos[j],
-                axis=mj.jnt_axis[j],
-                ref=mj.qpos0[mj.jnt_qposadr[j]],
-                range=mj.jnt_range[j],
-                limited=int(bool(mj.jnt_limited[j])),
+                type=mujoco.mjtJoint(joint.type[0]),
+                pos=joint.pos,
+                axis=joint.axis,
+                ref=joint.qpos0[0],
+                range=joint.range,
+                limited=int(joint.limited[0]),
             )
     weld_joints(spec, locked)
     bodies = [mj.body(b).name for b in made]

@@ -10,6 +10,7 @@ makes both agree, and the bodies are moved along with it. Errors of camera and b
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -168,9 +169,10 @@ class VisionFusion:
         self._known = known
         self._delay = delay
         self._markers = None if markers is None else [SE3(np.array(X)) for X in markers]
-        self._acceleration = np.repeat(acceleration, 3)
-        self._dt = dt
-        self._period = period
+        noise = np.repeat((registration.position, registration.orientation), 3)
+        self._channels = partial(
+            VelocityEstimate.optimal, noise, np.repeat(acceleration, 3), dt, period
+        )
         self._bodies: list[BodyEstimate] = []
         self._stamp: float | None = None
 
@@ -210,8 +212,3 @@ class VisionFusion:
             X_WE.append(X.homogeneous)
             V_E.append(carry_twist(turned, X_WM.translation, X.translation))
         return Touched(np.array(X_WE), np.array(V_E), touched.A_E)
-
-    def _channels(self) -> VelocityEstimate:
-        """Position and rotation vector of one body."""
-        noise = np.repeat((self.registration.position, self.registration.orientation), 3)
-        return VelocityEstimate.optimal(noise, self._acceleration, self._dt, self._period)
