@@ -42,11 +42,9 @@ from osc_contact.law import compiled
 from osc_contact.runs import report, viewing
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.preflight import require_ready
-from osc_contact.runs.report import write_json
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.run import shown_of
 from osc_contact.runs.tape import build as build_library
-from osc_contact.runs.viewing import content_of, require_drawable, write_scene_of
 from osc_contact.scenarios.loader import list_scenarios
 from osc_contact.visual.browser import find_browser, write_gif, write_mp4
 
@@ -128,9 +126,7 @@ def run(
         written, failed = report_run(recording, chosen, folder, json_file)
         forget_rows(folder)
     missing = recording.meta.get("missing", ())
-    for sentence in missing:
-        say(sentence)
-    say(f"written to {folder}: {written}")
+    say(*missing, f"written to {folder}: {written}")
     if failed or missing or recording.meta.get("doubts"):
         code = code or 1
     raise Exit(code)
@@ -144,8 +140,7 @@ def export(
 ) -> None:
     """Write a recording for other programs; recover that of a run that was killed."""
     loaded = open_recording(str(recording), folder)
-    for sentence in loaded.meta.get("missing", ()):
-        say(sentence)
+    say(*loaded.meta.get("missing", ()))
     say(f"written: {loaded.export(file)}")
 
 
@@ -219,10 +214,10 @@ def view(
             raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
         recording = open_recording(what, folder)
         shown = shown_of(recording, Path(what), folder)
-        require_drawable(recording, shown, what)
+        viewing.require_drawable(recording, shown, what)
     else:
         scenario = load_task(what, set_, plant, duration)
-        shown = content_of(build_rig(scenario))
+        shown = viewing.content_of(build_rig(scenario))
     if live:
         show_live(shown, scenario, recording, seed, hold)
         return
@@ -236,7 +231,7 @@ def view(
         written = viewing.moving_picture(recording, shown, film, write)
     else:
         page = html or Path("out") / f"{Path(what).stem}.html"
-        written = write_scene_of(recording, shown, page, time)
+        written = viewing.write_scene_of(recording, shown, page, time)
     say(f"written: {written}")
 
 
@@ -248,12 +243,11 @@ def inspect(
     rig = build_rig(load_task(scenario, set_))
     doubts = require_ready(rig)
     inspection = inspect_rig(rig)
-    for line in inspection.lines:
-        say(line)
+    say(*inspection.lines)
     for table in report.basis_tables(inspection):
         out.print(table)
     if json_file:
-        write_json(inspection.as_dict(), json_file)
+        report.write_json(inspection.as_dict(), json_file)
     if doubts:
         raise Exit(1)
 
@@ -265,7 +259,7 @@ def list_(json_file: JsonOption = None) -> None:
     out.print(report.scenario_table(scenarios))
     say("osc-contact reproduce --help lists the figures")
     if json_file:
-        write_json({"scenarios": scenarios}, json_file)
+        report.write_json({"scenarios": scenarios}, json_file)
 
 
 @app.command(context_settings=PASSED_ON)

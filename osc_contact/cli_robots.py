@@ -45,8 +45,7 @@ def check(
         package_dirs=[*folders, *(package_dir or [])],
         tip=tip,
     )
-    for line in report.lines():
-        say(line)
+    say(*report.lines())
     for table in robot_tables(report.summary) if report.summary else ():
         out.print(table)
     if json_file:
@@ -98,8 +97,7 @@ def pose(
                 "give another pose, or another --seed"
             )
     outside = outside_limits(chain, q)
-    for line in (*poses.pose_lines(chain, q), *outside):
-        say(line)
+    say(*poses.pose_lines(chain, q), *outside)
     if json_file:
         write_json(poses.as_dict(chain, q), json_file)
     if outside or not reached:
@@ -171,7 +169,6 @@ def commission(
     driver = FrankaRobot(host, ClosedChain([arm]))
     course = Commissioning(driver, folder, gap, confirm, shadow_time, realtime)
     done = course.run()
-    for line in course.lines:
-        say(line)
+    say(*course.lines)
     if not done:
         raise Exit(1)

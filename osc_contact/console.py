@@ -26,9 +26,7 @@ from osc_contact.files import sole_user
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.runs import report, viewing
-from osc_contact.runs.report import require_judgeable, write_json, write_report
 from osc_contact.runs.run import recover, run
-from osc_contact.runs.viewing import open_viewer
 from osc_contact.scenarios.loader import load_scenario
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.visual.live import Shows
@@ -88,9 +86,10 @@ class CompilationBar:
                 self._bar = None
 
 
-def say(what: str | Table) -> None:
-    """Print a text or a table as it is."""
-    out.print(what, highlight=False, markup=False, soft_wrap=isinstance(what, str))
+def say(*parts: str | Table) -> None:
+    """Print texts and tables as they are, each on a new line."""
+    for part in parts:
+        out.print(part, highlight=False, markup=False, soft_wrap=isinstance(part, str))
 
 
 def require(package: str) -> None:
@@ -205,12 +204,11 @@ def report_run(
     if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
         recording.save(folder / "recording.npz")
         return "recording.npz; the run was too short to be judged", False
-    verdict = write_report(recording, scenario, folder)
+    verdict = report.write_report(recording, scenario, folder)
     out.print(report.verdict_table(verdict))
-    for line in report.task_lines(verdict):
-        say(line)
+    say(*report.task_lines(verdict))
     if json_file:
-        write_json(verdict, json_file)
+        report.write_json(verdict, json_file)
     return "metrics.json, recording.npz, figures, scene.html", bool(verdict["task"]["failed"])
 
 
@@ -233,7 +231,7 @@ def show_live(
     if hold is None and at_terminal:
         patience = 15.0
         stay = float("inf")
-    with open_viewer(shown) as viewer:
+    with viewing.open_viewer(shown) as viewer:
         say(f"open {viewer.url}" + "   (Ctrl-C ends it)" * at_terminal)
         viewing.wait_for(lambda: viewer.count_browsers() > 0, patience)
         try:
@@ -278,4 +276,4 @@ def load_task(
 def require_report(scenario: Scenario) -> None:
     """Refuse what would fail after the run."""
     require("matplotlib")
-    require_judgeable(scenario)
+    report.require_judgeable(scenario)

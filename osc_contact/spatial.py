@@ -51,8 +51,8 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
         want is None or want == got for want, got in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise InvalidInputError(f"{name}: expected shape {expected}, got {array.shape}")
+        expected = ", ".join("any" if n is None else str(n) for n in shape)
+        raise InvalidInputError(f"{name}: expected shape ({expected}), got {array.shape}")
     if not isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
         where = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
         raise InvalidInputError(f"{name}: element {where} is {array[where]}; give a finite number")
@@ -156,9 +156,9 @@ def pose_error(X_WD: SE3, X_WO: SE3) -> Array:
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:
     """The blocks along the diagonal of a matrix of zeros."""
-    rows, columns = (np.cumsum([0, *(b.shape[i] for b in blocks)]) for i in (0, 1))
-    out = np.zeros((rows[-1], columns[-1]))
-    for block, i, j in zip(blocks, rows, columns, strict=False):
+    corners = np.cumsum([(0, 0), *(block.shape for block in blocks)], axis=0)
+    out = np.zeros(tuple(corners[-1]))
+    for block, (i, j) in zip(blocks, corners, strict=False):
         out[i : i + block.shape[0], j : j + block.shape[1]] = block
     return out
 

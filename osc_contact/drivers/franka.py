@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, PlantError, missing
 from osc_contact.interface import Measurement, Stamps
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array, as_array, norm
 
 TORQUE_STEP = 0.99  #: N m; the robot refuses torques that change by 1 N m in a millisecond
 SPEED_SHARE = 0.9  #: of a joint's speed limit, from which on torques that speed it up fade
@@ -162,8 +162,8 @@ class FrankaRobot:
         self._place(np.array(self.state.q))
         model = pin.updateFramePlacement(self._model, self._data, self._tip)
         robot = self._base * _pose(self.state.O_T_EE)
-        away = float(np.linalg.norm(model.translation - robot.translation))
-        turned = float(np.linalg.norm(pin.log3(model.rotation.T @ robot.rotation)))
+        away = norm(model.translation - robot.translation)
+        turned = norm(pin.log3(model.rotation.T @ robot.rotation))
         if away > TIP_ERROR[0] or turned > TIP_ERROR[1]:
             raise PlantError(
                 f"the model's tip '{self.chain.arms[0].tip}' is {1e3 * away:.3g} mm and "

@@ -167,11 +167,12 @@ def load_mjcf(
     for b in bodies_of(mj, tip):
         places[b] = _add_body(mj, model, b, places[mj.body_parentid[b]])
     for s in range(mj.nsite):
-        place = places.get(mj.site_bodyid[s])
-        if place is not None and mj.site(s).name:
-            X = place.X * pose(mj.site_pos[s], mj.site_quat[s])
+        site = mj.site(s)
+        place = places.get(site.bodyid[0])
+        if place is not None and site.name:
+            X = place.X * pose(site.pos, site.quat)
             # beside its body, behind the same joint: a force sensor cuts before its body
-            _add_frame(model, mj.site(s).name, place._replace(X=X), pin.FrameType.OP_FRAME)
+            _add_frame(model, site.name, place._replace(X=X), pin.FrameType.OP_FRAME)
     names = joint_names(model)
     for name, given in matching_limits(names, limits or {}).items():
         _set_limits(model, names.index(name), given)
@@ -189,18 +190,19 @@ class _Place(NamedTuple):
 
 def _add_body(mj: Any, model: pin.Model, b: int, parent: _Place) -> _Place:
     name = body_name(mj, b)
+    body = mj.body(b)
     if mj.body_gravcomp[b] != 0.0:
         raise ModelError(
             f"body {name!r} has gravcomp {mj.body_gravcomp[b]:g}: MuJoCo carries its weight, "
             "and so would the control law; set gravcomp to 0"
         )
-    place = parent._replace(X=parent.X * pose(mj.body_pos[b], mj.body_quat[b]))
+    place = parent._replace(X=parent.X * pose(body.pos, body.quat))
     for j in joints_of(mj, b):
         place = _add_joint(mj, model, j, place)
-    R = pin.Quaternion(*mj.body_iquat[b]).toRotationMatrix()
-    about_centre: Array = R @ np.diag(mj.body_inertia[b]) @ R.T
-    inertia = pin.Inertia(mj.body_mass[b], np.array(mj.body_ipos[b]), about_centre)
-    if mj.body_jntnum[b]:
+    R = pin.Quaternion(*body.iquat).toRotationMatrix()
+    about_centre: Array = R @ np.diag(body.inertia) @ R.T
+    inertia = pin.Inertia(body.mass[0], np.array(body.ipos), about_centre)
+    if body.jntnum[0]:
         model.appendBodyToJoint(place.joint, inertia, place.X)
     else:
         place = place._replace(

@@ -237,7 +237,7 @@ class Moving(Part):
         """Take over base and joint positions of one tick."""
         what = self.what
         q = self._channel(sample, "q")[what.q_slice] if self.moving else np.zeros(0)
-        if self.model.nq != self.model.nv or q.shape != (len(self.moving),):
+        if q.shape != (len(self.moving),):
             raise InvalidInputError(
                 f"{what.name!r}: {what.q_slice} takes {q.size} numbers of q, "
                 f"but its model has nq = {self.model.nq}, {len(what.locked)} locked"

@@ -116,9 +116,9 @@ class LivePage:
 class BrowserLink(WebSocketHandler):
     """One browser; it gets the next picture when it has taken the last one."""
 
-    def initialize(self, page: LivePage) -> None:
+    def initialize(self) -> None:
         """Called by tornado for every request."""
-        self.page = page
+        self.page: LivePage = self.settings["page"]
         self.busy = False
         self.shown: Frame = {}
         self.late: dict[str, dict[str, Any]] = {}
@@ -165,15 +165,11 @@ class BrowserLink(WebSocketHandler):
 class Page(RequestHandler):
     """The page itself."""
 
-    def initialize(self, page: LivePage) -> None:
-        """Called by tornado for every request."""
-        self.page = page
-
     def get(self) -> None:
         """The page of the scene, never from a cache."""
         self.set_header("Cache-Control", "no-store")
         self.set_header("X-Frame-Options", "DENY")
-        self.finish(self.page.text())
+        self.finish(self.settings["page"].text())
 
 
 def serve(link: socket.socket, content: Content) -> None:
@@ -188,11 +184,10 @@ def serve(link: socket.socket, content: Content) -> None:
     """
     link.setblocking(False)
     page = LivePage(link, content)
-    application = Application(websocket_max_message_size=1024, log_function=lambda _: None)
-    given = {"page": page}
-    application.add_handlers(
-        r"(127\.0\.0\.1|localhost)", [("/", Page, given), ("/frames", BrowserLink, given)]
+    application = Application(
+        page=page, websocket_max_message_size=1024, log_function=lambda _: None
     )
+    application.add_handlers(r"(127\.0\.0\.1|localhost)", [("/", Page), ("/frames", BrowserLink)])
     sockets = bind_sockets(0, LOOPBACK)
     HTTPServer(application, max_body_size=1024, idle_connection_timeout=30.0).add_sockets(sockets)
     link.send(json.dumps({"url": f"http://{LOOPBACK}:{sockets[0].getsockname()[1]}/"}).encode())
