@@ -60,7 +60,6 @@ class Commands(TyperGroup):
 
 app = typer.Typer(
     cls=Commands,
-    help="Decoupled force and motion control of arms in contact.",
     invoke_without_command=True,
     pretty_exceptions_enable=False,
     add_completion=False,
@@ -81,7 +80,7 @@ PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_opt
 
 def _show_version(requested: bool) -> None:
     if requested:
-        typer.echo(f"osc-contact {__version__}")
+        say(f"osc-contact {__version__}")
         raise Exit
 
 
@@ -172,16 +171,14 @@ def view(
     live: Annotated[bool, Option("--live", help="in a browser, during the run")] = False,
     html: Annotated[
         Path | None,
-        Option("--html", help="one file that needs no server", show_default=False),
+        Option(help="one file that needs no server"),
     ] = None,
-    png: Annotated[Path | None, Option("--png", help="a picture of the page")] = None,
-    gif: Annotated[Path | None, Option("--gif", help="a moving picture of it")] = None,
-    mp4: Annotated[
-        Path | None, Option("--mp4", help="a video of it (extra `video`)", show_default=False)
-    ] = None,
+    png: Annotated[Path | None, Option(help="a picture of the page")] = None,
+    gif: Annotated[Path | None, Option(help="a moving picture of it")] = None,
+    mp4: Annotated[Path | None, Option(help="a video of it (extra `video`)")] = None,
     time: Annotated[
         float | None,
-        Option(help="s: stand still there (PNG: default the middle)", show_default=False),
+        Option(help="s: stand still there (PNG: default the middle)"),
     ] = None,
     hold: Annotated[
         float | None,

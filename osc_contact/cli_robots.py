@@ -26,14 +26,12 @@ def check(
     tip: Annotated[str | None, Option(help="frame to describe (default: all ends)")] = None,
     limit: Annotated[
         list[str] | None,
-        Option("--limit", help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
+        Option(help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
     ] = None,
     inertias: Annotated[
         robots.Inertias, Option(help="positive: for parameters that no body has exactly")
     ] = "possible",
-    package_dir: Annotated[
-        list[Path] | None, Option("--package-dir", help="folder that may hold meshes")
-    ] = None,
+    package_dir: Annotated[list[Path] | None, Option(help="folder that may hold meshes")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Check a robot's URDF or MJCF and describe the robot; exit code 1 if something is wrong."""

@@ -38,16 +38,14 @@ ScenarioArgument = Annotated[str, Argument(help="packaged name (see `list`) or a
 PlantOption = Annotated[
     Literal["mujoco", "rigid"] | None, Option(help="instead of the scenario's own")
 ]
-DurationOption = Annotated[
-    float | None, Option(help="seconds, instead of the scenario's own", show_default=False)
-]
+DurationOption = Annotated[float | None, Option(help="seconds, instead of the scenario's own")]
 SeedOption = Annotated[int, Option(min=0, help="of everything random")]
 SetOption = Annotated[
     list[str] | None, Option("--set", help="path.to.key=value, any number of times")
 ]
 FolderOption = Annotated[
     Path | None,
-    Option(help="of the scenario's file, if its URDFs are beside it", show_default=False),
+    Option(help="of the scenario's file, if its URDFs are beside it"),
 ]
 JsonOption = Annotated[Path | None, Option("--json", help="also write the result as JSON")]
 

@@ -254,7 +254,7 @@ def _refuse(M: Array, X: Array, unseen: Array, what: str) -> NoReturn:
     """Say why: one column, dependent columns, or a combination (k,) of those that M maps to."""
     unit, length = _unit(M)
     seen = np.linalg.norm(X @ unit, axis=0)
-    column = int(seen.argmin())
+    column = seen.argmin()
     independent, which = least(M)
     if seen[column] < BLOCKED:
         raise ContactError(

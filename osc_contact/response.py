@@ -120,7 +120,7 @@ def require_reachable(state: ChainState, contact: Contact, Phi_e: Array | None =
     held = N.T @ np.linalg.solve(state.metric, N)
     reach = np.diag(D) / np.diag(held)  # the object's own mobility sets the scale
     if reach.min() < 1e-9:
-        column = int(reach.argmin())
+        column = reach.argmin()
         raise ContactError(
             f"{who} cannot push on contact column {column}: its mobility is {reach[column]:.2g} "
             "of the free object's. The structure carries this force; leave the contact out of N."

@@ -70,7 +70,7 @@ def as_pose(name: str, position: Any, rotation: Any) -> SE3:
     """
     p = as_array(f"{name} position", position, (3,))
     R = as_array(f"{name} rotation", rotation, (3, 3))
-    off = float(np.abs(R.T @ R - np.eye(3)).max())
+    off = np.abs(R.T @ R - np.eye(3)).max()
     if off > 1e-6 or np.linalg.det(R) < 0.0:
         raise InvalidInputError(
             f"{name} rotation: RᵀR differs from 1 by {off:.3g} and det R = {np.linalg.det(R):.3g}; "
@@ -106,7 +106,7 @@ def cross(x: Array, y: Array) -> Array:
 
 def skew(x: Array) -> Array:
     """The matrix [x]× with [x]× y = x × y; x (3,)."""
-    return np.asarray(pin.skew(x))
+    return pin.skew(x)
 
 
 def carry_twist(V: Array, start: Array, end: Array) -> Array:
@@ -133,12 +133,12 @@ def carry_wrench(F: Array, start: Array, end: Array) -> Array:
 
 def cross_twist(V: Array, U: Array) -> Array:
     """V × U (6,), the rate of a motion U carried along by a body of twist V."""
-    return np.asarray(pin.Motion(V).cross(pin.Motion(U)).vector)
+    return pin.Motion(V).cross(pin.Motion(U)).vector
 
 
 def cross_wrench(V: Array, F: Array) -> Array:
     """V ×* F (6,), the rate of a wrench F carried along by a body of twist V."""
-    return np.asarray(pin.Motion(V).cross(pin.Force(F)).vector)
+    return pin.Motion(V).cross(pin.Force(F)).vector
 
 
 def classical_to_spatial(a_classical: Array, V: Array) -> Array:
@@ -150,7 +150,7 @@ def classical_to_spatial(a_classical: Array, V: Array) -> Array:
 
 def pose_error(X_WD: SE3, X_WO: SE3) -> Array:
     """Displacement (6,) from O to D, world axes at O: [p_D − p_O; log₃(R_D R_Oᵀ)] (m, rad)."""
-    rotation: Array = pin.log3(X_WD.rotation @ X_WO.rotation.T)
+    rotation = pin.log3(X_WD.rotation @ X_WO.rotation.T)
     return np.concatenate((X_WD.translation - X_WO.translation, rotation))
 
 
@@ -200,7 +200,7 @@ class Poses:
 def rotated(R: Array, x: Array) -> Array:
     """R x at k times: R (3, 3, k) and x (3, k), or the columns of x (3, m, k); k or 1 of each."""
     R = R[:, :, None] if x.ndim == 3 else R
-    out: Array = R[:, 0] * x[0]
+    out = R[:, 0] * x[0]
     out += R[:, 1] * x[1]
     out += R[:, 2] * x[2]
     return out

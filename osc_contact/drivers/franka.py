@@ -215,7 +215,7 @@ class FrankaRobot:
         total = self._at.act(self._turn.act(pin.Force(np.array(state.O_F_ext_hat_K))))
         self._at.translation = sensor.act(self._hangs.lever)
         total += self._at.act(self._lift)
-        return np.asarray(sensor.actInv(total).vector)
+        return sensor.actInv(total).vector
 
     def command(self, tau: Array, duration: float) -> None:
         """Send torques; the wait for the period's end is the next `measure`.
@@ -248,7 +248,7 @@ class FrankaRobot:
             own -= self._brake * np.sign(self._v) * np.maximum(np.abs(self._v) - self._speed, 0.0)
             sent = np.array(self.state.tau_J_d)
             step = np.clip(own, -self._tau_max, self._tau_max) - sent
-            step *= min(1.0, TORQUE_STEP / max(float(np.abs(step).max()), TORQUE_STEP))
+            step *= min(1.0, TORQUE_STEP / max(np.abs(step).max(), TORQUE_STEP))
             self._torques = self._lib.Torques((sent + step).tolist())
             self._control.writeOnce(self._torques)
             self.read_to_write = perf_counter() - self._read_at

@@ -24,7 +24,7 @@ def is_mjcf(path: Path | str) -> bool:
     """Whether a file begins as MJCF does, with <mujoco>."""
     try:
         with Path(path).open("rb") as stream:
-            return bool(next(iterparse(stream, ["start"]))[1].tag == "mujoco")
+            return next(iterparse(stream, ["start"]))[1].tag == "mujoco"
     except (OSError, ValueError, LookupError, ParseError, StopIteration):
         return False
 
@@ -200,7 +200,7 @@ def _add_body(mj: Any, model: pin.Model, b: int, parent: _Place) -> _Place:
     for j in joints_of(mj, b):
         place = _add_joint(mj, model, j, place)
     R = pin.Quaternion(*body.iquat).toRotationMatrix()
-    about_centre: Array = R @ np.diag(body.inertia) @ R.T
+    about_centre = R @ np.diag(body.inertia) @ R.T
     inertia = pin.Inertia(body.mass[0], np.array(body.ipos), about_centre)
     if body.jntnum[0]:
         model.appendBodyToJoint(place.joint, inertia, place.X)

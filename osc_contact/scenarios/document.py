@@ -80,8 +80,7 @@ def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | N
             if tag is not None:
                 problems.at_line(line, f"{tag}: tags are refused; write a plain value")
         problems.raise_any()
-        node: yaml.Node | None = yaml.compose(text, Loader=loader)
-        return node
+        return yaml.compose(text, Loader=loader)
     except (yaml.MarkedYAMLError, yaml.reader.ReaderError) as error:
         if loader is not yaml.SafeLoader:  # which names better what is wrong, and where
             return compose(text, problems, yaml.SafeLoader)

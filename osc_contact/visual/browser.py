@@ -164,7 +164,7 @@ class Browser:
             raise ViewerError(f"the browser gave no answer to {method}: {error}") from error
         if "error" in answer:
             raise ViewerError(f"the browser refused {method}: {answer['error']}")
-        return dict(answer["result"])
+        return answer["result"]
 
     def _next_answer(self) -> dict[str, Any]:
         while b"\0" not in self.rest:

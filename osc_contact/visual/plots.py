@@ -282,7 +282,7 @@ def _shade(ax: Axes, t: Array, counted: Judged) -> None:
     edges = np.flatnonzero(np.diff(~counted, prepend=False, append=False))
     for start, stop in edges.reshape(-1, 2):
         end = t[min(stop, len(t) - 1)]
-        ax.axvspan(float(t[start]), float(end), color="#B8BDC4", alpha=0.6, lw=0)
+        ax.axvspan(t[start], end, color="#B8BDC4", alpha=0.6, lw=0)
 
 
 def _scale_errors(ax: Axes, error: Array, linear: float) -> None:

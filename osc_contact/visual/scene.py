@@ -94,8 +94,8 @@ class Scene:
         points = np.vstack([near, *(arm.corners(samples[0]) for arm in self.arms)])
         bases = np.vstack([nothing, *(arm.base.translation for arm in self.arms)])
         directions = samples[0].get("contact_direction", nothing)
-        floor = float(np.min(bases[:, 2], initial=0.0))
-        lowest = float(points[:, 2].min())
+        floor = np.min(bases[:, 2], initial=0.0)
+        lowest = points[:, 2].min()
         if lowest <= floor - 0.05:
             floor = lowest - 0.1
         front, side = _headings(points, bases, np.nan_to_num(directions.reshape(-1, 3)))
@@ -270,10 +270,10 @@ def _headings(points: Array, bases: Array, pushes: Array) -> tuple[float, float]
     """Headings (rad) of the object's side, and near it of where forces are seen from the side."""
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))[:2]
     away = middle - bases[:, :2].mean(axis=0) if len(bases) else middle
-    front = float(np.arctan2(away[1], away[0])) if norm(away) > 0.02 else -np.pi / 3
+    front = np.arctan2(away[1], away[0]) if norm(away) > 0.02 else -np.pi / 3
     turns = np.deg2rad([0, 15, -15, 30, -30, 45, -45, 60, -60])
     along = [np.abs(pushes @ eye(front + turn)).max(initial=0.0) for turn in turns]
-    return front, front + float(turns[np.argmin(np.round(along, 1))])
+    return front, front + turns[np.argmin(np.round(along, 1))]
 
 
 def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, Array]:
@@ -290,7 +290,7 @@ def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, A
     target = axes.T @ (0.5 * (across.min(axis=0) + across.max(axis=0)))
     for _ in range(20):  # perspective: centre the picture at the distance that just fits
         seen = (points - target) @ axes.T
-        distance = float((np.abs(seen[:, :2]) / half + seen[:, 2:]).max()) + 0.05
+        distance = (np.abs(seen[:, :2]) / half + seen[:, 2:]).max() + 0.05
         image = seen[:, :2] / (distance - seen[:, 2:])
         shift = 0.5 * (image.min(axis=0) + image.max(axis=0)) * distance
         target = target + axes[:2].T @ shift

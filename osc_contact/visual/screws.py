@@ -139,7 +139,7 @@ def tangents(N: Array) -> Array:
     axes as far as there are any.
     """
     U, values, _ = np.linalg.svd(N)
-    rank = int((values > 1e-9 * values.max(initial=0.0)).sum())
+    rank = (values > 1e-9 * values.max(initial=0.0)).sum()
     return echelon(U[:, rank:])
 
 
@@ -152,7 +152,7 @@ def echelon(basis: ArrayLike) -> Array:
         if row == len(rows):
             break
         weight = size if column >= 3 else 1.0
-        pivot = row + int(np.abs(rows[row:, column]).argmax())
+        pivot = row + np.abs(rows[row:, column]).argmax()
         if np.abs(rows[pivot, column]) * weight < 1e-6 * np.abs(rows).max():
             continue
         rows[[row, pivot]] = rows[[pivot, row]]
@@ -176,6 +176,6 @@ def helix(pitch: float, radius: float, length: float, count: int = 48) -> Array:
         length: of the path (m).
         count: how many points.
     """
-    angle = min(length / float(np.hypot(radius, pitch)), 1.75 * np.pi)
+    angle = min(length / np.hypot(radius, pitch), 1.75 * np.pi)
     turn = np.linspace(-0.5 * angle, 0.5 * angle, count)
     return np.column_stack([radius * np.sin(turn), pitch * turn, radius * np.cos(turn)])
