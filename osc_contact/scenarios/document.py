@@ -137,13 +137,14 @@ class ScenarioDocument:
                 self.problems.at_line(line, f"{_dotted(key)}a key must be plain text")
                 continue
             name = str(name_node.value)
+            place = (*key, name)
             if name in group:
-                first = self.origins[(*key, name)]
-                text = f"{_dotted((*key, name), '')}: given twice, first in line {first}; keep one"
+                first = self.origins[place]
+                text = f"{_dotted(place, '')}: given twice, first in line {first}; keep one"
                 self.problems.at_line(line, text)
                 continue
-            self.origins[(*key, name)] = line
-            group[name] = self._read(value_node, (*key, name))
+            self.origins[place] = line
+            group[name] = self._read(value_node, place)
         return group
 
     def override(self, path: str, value: str) -> None:
@@ -175,15 +176,16 @@ class ScenarioDocument:
         """Return what holds the value at `path`, and its key; groups left out are begun."""
         key: Key = ()
         holder = self.data
-        parts = path.split(".")
-        depth = -1
-        while (depth := depth + 1) < len(parts):
-            part = parts[depth]
-            if isinstance(holder, dict) and part not in holder and depth + 1 < len(parts):
-                dotted = f"{part}.{parts[depth + 1]}"  # a force magnitude, such as pad.1
+        done: list[str] = []
+        rest = path.split(".")
+        while rest:
+            part = rest.pop(0)
+            if isinstance(holder, dict) and part not in holder and rest:
+                dotted = f"{part}.{rest[0]}"  # a force magnitude, such as pad.1
                 if dotted in holder:
-                    parts[depth : depth + 2] = [part := dotted]
-            where = ".".join(parts[:depth]) or "the scenario"
+                    part = dotted
+                    del rest[0]
+            where = ".".join(done) or "the scenario"
             if not part:
                 raise ScenarioError("the path has an empty part; write path.to.key=value")
             step: str | int = part
@@ -192,7 +194,8 @@ class ScenarioDocument:
             elif not isinstance(holder, dict):
                 raise ScenarioError(f"{where} is {holder!r} and has no keys or items")
             key = (*key, step)
-            if depth < len(parts) - 1:
+            done.append(part)
+            if rest:
                 if _child(holder, step) is None:
                     holder[step] = {}
                     self.origins[key] = override
@@ -264,21 +267,22 @@ def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iter
     """
     for item in error.errors(include_url=False):
         place, owner = _locate(item["loc"], root)
+        kind = item["type"]
         context = item.get("ctx", {})
-        if item["type"] == "too_short" and len(item["input"]) >= context["min_length"]:
+        if kind == "too_short" and len(item["input"]) >= context["min_length"]:
             continue  # long enough but for items that are refused themselves
-        if item["type"] == "union_tag_not_found":
+        if kind == "union_tag_not_found":
             yield (
                 place,
                 f"the key {context['discriminator']} is missing: {_TAGS}"
                 + ", ".join(CONTACT_TYPES),
             )
-        elif item["type"] == "union_tag_invalid":
+        elif kind == "union_tag_invalid":
             tag = context["discriminator"].strip("'")
             expected = context["expected_tags"]
             yield (*place, tag), f"expected one of {expected}; got {context['tag']!r}"
         else:
-            yield place[:-1] if item["type"] == "missing" else place, sentence(item, owner)
+            yield place[:-1] if kind == "missing" else place, sentence(item, owner)
     yield from problems_across(data)
 
 
