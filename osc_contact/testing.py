@@ -212,12 +212,13 @@ class _Check:
         most = float(self.chain.tau_max[joint])
         for share in SHARES:
             M = self.mass(self.now.q)
-            a = min(share * most / M[joint, joint], SPEED / (PULSE * self.dt))
+            own = M[joint, joint]
+            a = min(share * most / own, SPEED / (PULSE * self.dt))
             gained = np.zeros(self.chain.nq)
             turned = 0.0
             summed = 0.0
-            torque = max(M[joint, joint] * a, share * most * (share > SHARES[1]))
-            tau = M[:, joint] * torque / M[joint, joint]
+            torque = max(own * a, share * most * (share > SHARES[1]))
+            tau = M[:, joint] * torque / own
             for sign in (1.0, -1.0):
                 before = self.now
                 for _ in range(PULSE):
@@ -231,7 +232,7 @@ class _Check:
             if np.abs(gained).max() > MOVED:
                 break
         other = np.abs(gained).argmax()
-        predicted = torque / M[joint, joint] * PULSE * self.dt
+        predicted = torque / own * PULSE * self.dt
         if np.abs(gained).max() <= MOVED:
             raise PlantError(
                 f"joint '{name}' does not move with {torque:.3g} N m; are torques in another unit "

@@ -72,7 +72,7 @@ class FrankaRobot:
             import pylibfranka
         except ImportError as error:
             raise PlantError(f"{missing(error)} (Linux, Python 3.11 or 3.12)") from error
-        self._lib: Any = pylibfranka
+        self._lib = pylibfranka
         self.host = host
         self.chain = chain
         self._wrench = wrench
@@ -102,10 +102,10 @@ class FrankaRobot:
         self._tip = int(chain.tips[0])
         model = self._model = chain.model.copy()
         last = model.njoints - 1
-        if model.frames[self._sensor].parentJoint != last:
-            name = model.frames[self._sensor].name
+        sensor = model.frames[self._sensor]
+        if sensor.parentJoint != last:
             raise InvalidInputError(
-                f"the wrist sensor '{name}' of a Franka sits beyond its last joint"
+                f"the wrist sensor '{sensor.name}' of a Franka sits beyond its last joint"
             )
         hangs = pin.Inertia.Zero()
         for link in chain.outboard[0]:
@@ -115,7 +115,7 @@ class FrankaRobot:
             load = held.act(chain.payload.inertia)
             model.inertias[last] += load
             hangs = hangs + load
-        self._hangs = model.frames[self._sensor].placement.actInv(hangs)
+        self._hangs = sensor.placement.actInv(hangs)
         self._lift = pin.Force(-self._hangs.mass * model.gravity.linear, np.zeros(3))
         self._data = model.createData()
         self._at = pin.SE3.Identity()

@@ -71,7 +71,7 @@ def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | N
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > _DEEPEST:
                 problems.at_line(line, f"nested deeper than {_DEEPEST} levels")
-                problems.raise_any()
+                break
             anchor = getattr(event, "anchor", None)
             tag = getattr(event, "tag", None)
             if anchor is not None:
@@ -130,7 +130,7 @@ class ScenarioDocument:
             return [self._read(item, (*key, index)) for index, item in enumerate(node.value)]
         if not isinstance(node, yaml.MappingNode):
             return scalar(node)
-        group: dict[str, Any] = {}
+        group = {}
         for name_node, value_node in node.value:
             line = name_node.start_mark.line + 1
             if not isinstance(name_node, yaml.ScalarNode):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from itertools import pairwise
 from numbers import Real
-from typing import Annotated, Any, Generic, Self, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -158,7 +158,7 @@ _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\
 Q = TypeVar("Q", bound=float)
 
 
-class OfQuantity(Spec, Generic[Q]):
+class OfQuantity(Spec):
     """Base that names a parametrised model after its quantity: `Step[a force]`."""
 
     @classmethod

@@ -12,7 +12,6 @@ from pydantic import (
     BeforeValidator,
     Field,
     PlainValidator,
-    PrivateAttr,
     TypeAdapter,
     ValidationError,
     model_validator,
@@ -239,7 +238,7 @@ class Scenario(Spec):
     laws: Annotated[Any, PlainValidator(_take_laws), Field(exclude=True)] = None
     """custom laws, in [scenarios made in Python](extend.md#a-scenario-made-in-python) only"""
 
-    _source: Path | None = PrivateAttr(default=None)
+    _source: Path | None = None
 
     @property
     def source(self) -> Path | None:

@@ -66,7 +66,7 @@ class Polynomials:
         return value[()], self.curve(s, 1) * moves, self.curve(s, 2) * moves
 
 
-class JerkLimited(OfQuantity[Q], Generic[Q, V, A, J]):
+class JerkLimited(OfQuantity, Generic[Q, V, A, J]):
     """0 → via → value as fast as the limits permit, at rest at each of them; then held."""
 
     type: Literal["jerk_limited"] = "jerk_limited"
@@ -98,7 +98,7 @@ class JerkLimited(OfQuantity[Q], Generic[Q, V, A, J]):
         return jerk_limited(points, self.start, self.velocity, self.acceleration, self.jerk)
 
 
-class Points(OfQuantity[Q], Generic[Q]):
+class Points(OfQuantity, Generic[Q]):
     """Through [time, value] points by the curve of least ∫ jerk² dt, at rest before and after.
 
     A value given twice in a row is held in between."""
@@ -248,7 +248,7 @@ def product(f: Values, g: Values) -> Array:
     )
 
 
-class Constant(OfQuantity[Q], Generic[Q]):
+class Constant(OfQuantity, Generic[Q]):
     """The same value at all times."""
 
     type: Literal["constant"] = "constant"
@@ -260,7 +260,7 @@ class Constant(OfQuantity[Q], Generic[Q]):
         return float(self.value), 0.0, 0.0
 
 
-class Step(OfQuantity[Q], Generic[Q]):
+class Step(OfQuantity, Generic[Q]):
     """0 before `start`, `value` from `start` on; both derivatives are 0."""
 
     type: Literal["step"] = "step"
@@ -274,7 +274,7 @@ class Step(OfQuantity[Q], Generic[Q]):
         return (t >= self.start) * float(self.value), 0.0, 0.0
 
 
-class Sine(OfQuantity[Q], Generic[Q]):
+class Sine(OfQuantity, Generic[Q]):
     """amplitude · sin(2π f (t − start) + phase) · E(t), E rising 0 → 1 over `ramp`."""
 
     type: Literal["sine"] = "sine"
@@ -298,7 +298,7 @@ class Sine(OfQuantity[Q], Generic[Q]):
         return product(rise(t, self.start, self.ramp), wave)
 
 
-class MinimumJerk(OfQuantity[Q], Generic[Q]):
+class MinimumJerk(OfQuantity, Generic[Q]):
     """0 → value between start and start + duration by 10s³ − 15s⁴ + 6s⁵, then held."""
 
     type: Literal["minimum_jerk"] = "minimum_jerk"

@@ -175,7 +175,7 @@ class Browser:
                 raise BrokenPipeError("it has ended")
             self.rest += part
         text, self.rest = self.rest.split(b"\0", 1)
-        answer: dict[str, Any] = json.loads(text)
+        answer = json.loads(text)
         params = answer.get("params", {})
         if answer.get("method") == "Runtime.exceptionThrown":
             self.errors.append(str(params["exceptionDetails"]))

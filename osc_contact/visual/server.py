@@ -55,8 +55,10 @@ class LivePage:
         """The page, as long as there is no tick one that loads itself again."""
         if self.scene is None:
             return WAITING
-        empty: dict[str, Any] = {"t": [], "y": [[] for _ in self.scene.lines]}
-        config = self.scene.config(live=True, window=WINDOW_S, curves=empty)
+        lines = self.scene.lines
+        config = self.scene.config(
+            live=True, window=WINDOW_S, curves={"t": [], "y": [[] for _ in lines]}
+        )
         return page_text(self.drawn, self.content.title, config)
 
     def update(self) -> None:
