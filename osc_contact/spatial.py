@@ -98,7 +98,7 @@ def norm(x: Array) -> float:
 
 
 def cross(x: Array, y: Array) -> Array:
-    """x × y of 3-vectors (3,) or of columns (3, k)."""
+    """x × y of 3-vectors along the first axis: (3,), (3, k), …"""
     return np.array(
         (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
     )
@@ -211,9 +211,9 @@ def rotations(w: Array) -> Array:
     angle = np.sqrt((w * w).sum(axis=0))
     a = np.sinc(angle / np.pi)
     b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    unit = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(angle)))
-    once = np.stack([cross(w, unit[:, j]) for j in range(3)], axis=1)
-    twice = np.stack([cross(w, once[:, j]) for j in range(3)], axis=1)
+    unit = np.eye(3)[:, :, None]
+    once = cross(w[:, None], unit)
+    twice = cross(w[:, None], once)
     return unit + a * once + b * twice
 
 

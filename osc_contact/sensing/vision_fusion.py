@@ -19,7 +19,7 @@ from pinocchio import SE3
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Seen, Touched
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
-from osc_contact.spatial import Array, carry_twist, skew
+from osc_contact.spatial import Array, carry_twist, pose_error, skew
 
 _ITERATIONS = 4  # of the update, which is nonlinear in large turns
 
@@ -96,11 +96,11 @@ class Registration:
         start = self.X
         for _ in range(_ITERATIONS):  # in information form: exact noise-free poses do no harm
             information = prior.copy()
-            push = -prior @ _displacement(start, self.X)
+            moved = pose_error(self.X * start.inverse(), SE3.Identity())
+            push = -prior @ moved
             for X_W, X_C in zip(known, seen, strict=True):
                 found = self.X * X_C
-                turn = pin.log3(X_W.rotation @ found.rotation.T)
-                y = np.concatenate((X_W.translation - found.translation, turn))
+                y = pose_error(X_W, found)
                 H = np.eye(6)
                 H[:3, 3:] = -skew(found.translation)
                 information += H.T @ (weights[:, None] * H)
@@ -111,18 +111,12 @@ class Registration:
         return self.X
 
 
-def _displacement(start: SE3, end: SE3) -> Array:
-    """ξ (6,) with end = (exp(θ), δ) ∘ start."""
-    rest = end * start.inverse()
-    return np.concatenate((rest.translation, pin.log3(rest.rotation)))
-
-
 @dataclass
 class BodyEstimate:
-    """Position and rotation vector of a tracked body, from its first orientation on."""
+    """Position and rotation vector of a tracked body, from `start`: its first orientation."""
 
     channels: VelocityEstimate
-    R_first: Array
+    start: SE3
 
     def update(self, X: SE3, fresh: bool, delay: float) -> tuple[SE3, Array]:
         """(pose, twist (6,) at its origin) now, from a pose that is `delay` old.
@@ -130,10 +124,9 @@ class BodyEstimate:
         Args:
             X: measured pose. fresh: whether it is a new one. delay: its age (s).
         """
-        turned = pin.log3(X.rotation @ self.R_first.T)
-        x, rate = self.channels.update(np.concatenate((X.translation, turned)), fresh=fresh)
+        x, rate = self.channels.update(pose_error(X, self.start), fresh=fresh)
         x = x + delay * rate
-        pose = SE3(pin.exp3(x[3:]) @ self.R_first, x[:3])
+        pose = SE3(pin.exp3(x[3:]) @ self.start.rotation, x[:3])
         return pose, np.concatenate((rate[:3], pin.Jexp3(-x[3:]) @ rate[3:]))
 
 
@@ -198,7 +191,7 @@ class VisionFusion:
         markers = self._markers or [SE3.Identity()] * len(frames)
         if not self._bodies:
             self._bodies = [
-                BodyEstimate(self._channels(), (X * M).rotation.copy())
+                BodyEstimate(self._channels(), SE3((X * M).rotation, np.zeros(3)))
                 for X, M in zip(frames, markers, strict=True)
             ]
         X_WC = self.registration.X
