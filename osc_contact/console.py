@@ -57,8 +57,14 @@ UNFINISHED = "unfinished.mcap"
 
 def progress_bar(*columns: ProgressColumn) -> Progress:
     """A bar below the other output, on terminals only, with what else its line shows."""
-    first = TextColumn("{task.description}"), BarColumn()
-    return Progress(*first, *columns, console=err, transient=True, disable=not err.is_terminal)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        *columns,
+        console=err,
+        transient=True,
+        disable=not err.is_terminal,
+    )
 
 
 class CompilationBar:

@@ -68,11 +68,8 @@ def null_space(columns: Array) -> Array:
     Which basis is arbitrary; the space it spans is not, so no metric is implied. Columns and
     rows are equilibrated first, so that the digits do not depend on metres or millimetres.
     """
-    k = columns.shape[1]
-    if k == 0:
-        return np.eye(6)
     rows, U, _ = span(columns)
-    return U[:, k:] / rows
+    return U[:, columns.shape[1] :] / rows
 
 
 def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:

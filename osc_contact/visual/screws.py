@@ -164,8 +164,8 @@ def echelon(basis: ArrayLike) -> Array:
     return rows[::-1].T
 
 
-def helix(pitch: float, radius: float, length: float, count: int = 48) -> Array:
-    """(count, 3) path of a point `radius` m from the y-axis that turns about it and advances.
+def helix(pitch: float, radius: float, length: float) -> Array:
+    """(48, 3) path of a point `radius` m from the y-axis that turns about it and advances.
 
     The path is `length` m long whatever the pitch (m/rad): a circle's arc for pitch 0, ever closer
     to a straight line as the pitch grows. The middle of the path is at y = 0.
@@ -174,8 +174,7 @@ def helix(pitch: float, radius: float, length: float, count: int = 48) -> Array:
         pitch: advance per turned angle (m/rad).
         radius: of the helix (m).
         length: of the path (m).
-        count: how many points.
     """
     angle = min(length / np.hypot(radius, pitch), 1.75 * np.pi)
-    turn = np.linspace(-0.5 * angle, 0.5 * angle, count)
+    turn = np.linspace(-0.5 * angle, 0.5 * angle, 48)
     return np.column_stack([radius * np.sin(turn), pitch * turn, radius * np.cos(turn)])
