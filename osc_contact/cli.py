@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-from typer import Argument, Exit, Option
+from typer import Argument, Context, Exit, Option, Typer
 from typer.core import TyperGroup
 
 from osc_contact import __version__, cli_robots, cli_sweeps
@@ -58,7 +57,7 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
 
 
-app = typer.Typer(
+app = Typer(
     cls=Commands,
     invoke_without_command=True,
     pretty_exceptions_enable=False,
@@ -86,7 +85,7 @@ def _show_version(requested: bool) -> None:
 
 @app.callback()
 def main(
-    context: typer.Context,
+    context: Context,
     version: Annotated[
         bool, Option("--version", callback=_show_version, is_eager=True, help="and exit")
     ] = False,
@@ -144,7 +143,7 @@ def export(
 
 
 @app.command(context_settings=PASSED_ON)
-def reproduce(context: typer.Context) -> None:
+def reproduce(context: Context) -> None:
     """Make the paper's figures from our own data, with a report on them (needs a checkout)."""
     load_program("paper").app(context.args, prog_name="osc-contact reproduce")
 
@@ -260,7 +259,7 @@ def list_(json_file: JsonOption = None) -> None:
 
 
 @app.command(context_settings=PASSED_ON)
-def bench(context: typer.Context) -> None:
+def bench(context: Context) -> None:
     """Time the control tick, and more: `python -m benchmarks` (needs a checkout)."""
     load_program("benchmarks").app(context.args, prog_name="osc-contact bench")
 
