@@ -209,8 +209,8 @@ def __getattr__(name: str) -> Any:
         value = _imported(name)
     elif find_spec(f"{__name__}.{name}"):
         return import_module(f"{__name__}.{name}")
-    elif name[0].isupper() and hasattr(import_module(_homes()["ContactPair"]), name):
-        value = getattr(import_module(_homes()["ContactPair"]), name)  # a file beside other pairs
+    elif name[0].isupper() and hasattr(pairs := import_module(_homes()["ContactPair"]), name):
+        value = getattr(pairs, name)  # a file beside other pairs
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-from typer import Argument, Exit, Option
+from typer import Argument, Context, Exit, Option, Typer
 from typer.core import TyperGroup
 
 from osc_contact import __version__, cli_robots, cli_sweeps
@@ -42,11 +41,9 @@ from osc_contact.law import compiled
 from osc_contact.runs import report, viewing
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.preflight import require_ready
-from osc_contact.runs.report import write_json
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.run import shown_of
 from osc_contact.runs.tape import build as build_library
-from osc_contact.runs.viewing import content_of, require_drawable, write_scene_of
 from osc_contact.scenarios.loader import list_scenarios
 from osc_contact.visual.browser import find_browser, write_gif, write_mp4
 
@@ -60,9 +57,8 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
 
 
-app = typer.Typer(
+app = Typer(
     cls=Commands,
-    help="Decoupled force and motion control of arms in contact.",
     invoke_without_command=True,
     pretty_exceptions_enable=False,
     add_completion=False,
@@ -83,13 +79,13 @@ PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_opt
 
 def _show_version(requested: bool) -> None:
     if requested:
-        typer.echo(f"osc-contact {__version__}")
+        say(f"osc-contact {__version__}")
         raise Exit
 
 
 @app.callback()
 def main(
-    context: typer.Context,
+    context: Context,
     version: Annotated[
         bool, Option("--version", callback=_show_version, is_eager=True, help="and exit")
     ] = False,
@@ -128,9 +124,7 @@ def run(
         written, failed = report_run(recording, chosen, folder, json_file)
         forget_rows(folder)
     missing = recording.meta.get("missing", ())
-    for sentence in missing:
-        say(sentence)
-    say(f"written to {folder}: {written}")
+    say(*missing, f"written to {folder}: {written}")
     if failed or missing or recording.meta.get("doubts"):
         code = code or 1
     raise Exit(code)
@@ -144,13 +138,12 @@ def export(
 ) -> None:
     """Write a recording for other programs; recover that of a run that was killed."""
     loaded = open_recording(str(recording), folder)
-    for sentence in loaded.meta.get("missing", ()):
-        say(sentence)
+    say(*loaded.meta.get("missing", ()))
     say(f"written: {loaded.export(file)}")
 
 
 @app.command(context_settings=PASSED_ON)
-def reproduce(context: typer.Context) -> None:
+def reproduce(context: Context) -> None:
     """Make the paper's figures from our own data, with a report on them (needs a checkout)."""
     load_program("paper").app(context.args, prog_name="osc-contact reproduce")
 
@@ -177,16 +170,14 @@ def view(
     live: Annotated[bool, Option("--live", help="in a browser, during the run")] = False,
     html: Annotated[
         Path | None,
-        Option("--html", help="one file that needs no server", show_default=False),
+        Option(help="one file that needs no server"),
     ] = None,
-    png: Annotated[Path | None, Option("--png", help="a picture of the page")] = None,
-    gif: Annotated[Path | None, Option("--gif", help="a moving picture of it")] = None,
-    mp4: Annotated[
-        Path | None, Option("--mp4", help="a video of it (extra `video`)", show_default=False)
-    ] = None,
+    png: Annotated[Path | None, Option(help="a picture of the page")] = None,
+    gif: Annotated[Path | None, Option(help="a moving picture of it")] = None,
+    mp4: Annotated[Path | None, Option(help="a video of it (extra `video`)")] = None,
     time: Annotated[
         float | None,
-        Option(help="s: stand still there (PNG: default the middle)", show_default=False),
+        Option(help="s: stand still there (PNG: default the middle)"),
     ] = None,
     hold: Annotated[
         float | None,
@@ -219,10 +210,10 @@ def view(
             raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
         recording = open_recording(what, folder)
         shown = shown_of(recording, Path(what), folder)
-        require_drawable(recording, shown, what)
+        viewing.require_drawable(recording, shown, what)
     else:
         scenario = load_task(what, set_, plant, duration)
-        shown = content_of(build_rig(scenario))
+        shown = viewing.content_of(build_rig(scenario))
     if live:
         show_live(shown, scenario, recording, seed, hold)
         return
@@ -236,7 +227,7 @@ def view(
         written = viewing.moving_picture(recording, shown, film, write)
     else:
         page = html or Path("out") / f"{Path(what).stem}.html"
-        written = write_scene_of(recording, shown, page, time)
+        written = viewing.write_scene_of(recording, shown, page, time)
     say(f"written: {written}")
 
 
@@ -248,12 +239,11 @@ def inspect(
     rig = build_rig(load_task(scenario, set_))
     doubts = require_ready(rig)
     inspection = inspect_rig(rig)
-    for line in inspection.lines:
-        say(line)
+    say(*inspection.lines)
     for table in report.basis_tables(inspection):
         out.print(table)
     if json_file:
-        write_json(inspection.as_dict(), json_file)
+        report.write_json(inspection.as_dict(), json_file)
     if doubts:
         raise Exit(1)
 
@@ -265,11 +255,11 @@ def list_(json_file: JsonOption = None) -> None:
     out.print(report.scenario_table(scenarios))
     say("osc-contact reproduce --help lists the figures")
     if json_file:
-        write_json({"scenarios": scenarios}, json_file)
+        report.write_json({"scenarios": scenarios}, json_file)
 
 
 @app.command(context_settings=PASSED_ON)
-def bench(context: typer.Context) -> None:
+def bench(context: Context) -> None:
     """Time the control tick, and more: `python -m benchmarks` (needs a checkout)."""
     load_program("benchmarks").app(context.args, prog_name="osc-contact bench")
 

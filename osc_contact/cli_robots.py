@@ -26,14 +26,12 @@ def check(
     tip: Annotated[str | None, Option(help="frame to describe (default: all ends)")] = None,
     limit: Annotated[
         list[str] | None,
-        Option("--limit", help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
+        Option(help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
     ] = None,
     inertias: Annotated[
         robots.Inertias, Option(help="positive: for parameters that no body has exactly")
     ] = "possible",
-    package_dir: Annotated[
-        list[Path] | None, Option("--package-dir", help="folder that may hold meshes")
-    ] = None,
+    package_dir: Annotated[list[Path] | None, Option(help="folder that may hold meshes")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Check a robot's URDF or MJCF and describe the robot; exit code 1 if something is wrong."""
@@ -45,8 +43,7 @@ def check(
         package_dirs=[*folders, *(package_dir or [])],
         tip=tip,
     )
-    for line in report.lines():
-        say(line)
+    say(*report.lines())
     for table in robot_tables(report.summary) if report.summary else ():
         out.print(table)
     if json_file:
@@ -98,8 +95,7 @@ def pose(
                 "give another pose, or another --seed"
             )
     outside = outside_limits(chain, q)
-    for line in (*poses.pose_lines(chain, q), *outside):
-        say(line)
+    say(*poses.pose_lines(chain, q), *outside)
     if json_file:
         write_json(poses.as_dict(chain, q), json_file)
     if outside or not reached:
@@ -171,7 +167,6 @@ def commission(
     driver = FrankaRobot(host, ClosedChain([arm]))
     course = Commissioning(driver, folder, gap, confirm, shadow_time, realtime)
     done = course.run()
-    for line in course.lines:
-        say(line)
+    say(*course.lines)
     if not done:
         raise Exit(1)

@@ -67,8 +67,7 @@ def sweep(
             say(f"interrupted; the same command continues with what is in {folder}")
             raise Exit(130) from None
     summary = write_report(table, study, folder)
-    for one in in_words(summary):
-        out.print(one, highlight=False, markup=False, soft_wrap=isinstance(one, str))
+    say(*in_words(summary))
     columns = f"{table.num_rows} rows of {table.num_columns} columns"
     say(f"written to {folder}: {TABLE}, {columns}; {REPORT}")
     if json_file:

@@ -18,6 +18,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Table
 from typer import Argument, Exit, Option
 
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError, missing
@@ -25,9 +26,7 @@ from osc_contact.files import sole_user
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.runs import report, viewing
-from osc_contact.runs.report import require_judgeable, write_json, write_report
 from osc_contact.runs.run import recover, run
-from osc_contact.runs.viewing import open_viewer
 from osc_contact.scenarios.loader import load_scenario
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.visual.live import Shows
@@ -39,16 +38,14 @@ ScenarioArgument = Annotated[str, Argument(help="packaged name (see `list`) or a
 PlantOption = Annotated[
     Literal["mujoco", "rigid"] | None, Option(help="instead of the scenario's own")
 ]
-DurationOption = Annotated[
-    float | None, Option(help="seconds, instead of the scenario's own", show_default=False)
-]
+DurationOption = Annotated[float | None, Option(help="seconds, instead of the scenario's own")]
 SeedOption = Annotated[int, Option(min=0, help="of everything random")]
 SetOption = Annotated[
     list[str] | None, Option("--set", help="path.to.key=value, any number of times")
 ]
 FolderOption = Annotated[
     Path | None,
-    Option(help="of the scenario's file, if its URDFs are beside it", show_default=False),
+    Option(help="of the scenario's file, if its URDFs are beside it"),
 ]
 JsonOption = Annotated[Path | None, Option("--json", help="also write the result as JSON")]
 
@@ -60,8 +57,14 @@ UNFINISHED = "unfinished.mcap"
 
 def progress_bar(*columns: ProgressColumn) -> Progress:
     """A bar below the other output, on terminals only, with what else its line shows."""
-    first = TextColumn("{task.description}"), BarColumn()
-    return Progress(*first, *columns, console=err, transient=True, disable=not err.is_terminal)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        *columns,
+        console=err,
+        transient=True,
+        disable=not err.is_terminal,
+    )
 
 
 class CompilationBar:
@@ -87,9 +90,10 @@ class CompilationBar:
                 self._bar = None
 
 
-def say(text: str) -> None:
-    """Print a text as it is."""
-    out.print(text, highlight=False, markup=False, soft_wrap=True)
+def say(*parts: str | Table) -> None:
+    """Print texts and tables as they are, each on a new line."""
+    for part in parts:
+        out.print(part, highlight=False, markup=False, soft_wrap=isinstance(part, str))
 
 
 def require(package: str) -> None:
@@ -204,12 +208,11 @@ def report_run(
     if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
         recording.save(folder / "recording.npz")
         return "recording.npz; the run was too short to be judged", False
-    verdict = write_report(recording, scenario, folder)
+    verdict = report.write_report(recording, scenario, folder)
     out.print(report.verdict_table(verdict))
-    for line in report.task_lines(verdict):
-        say(line)
+    say(*report.task_lines(verdict))
     if json_file:
-        write_json(verdict, json_file)
+        report.write_json(verdict, json_file)
     return "metrics.json, recording.npz, figures, scene.html", bool(verdict["task"]["failed"])
 
 
@@ -232,7 +235,7 @@ def show_live(
     if hold is None and at_terminal:
         patience = 15.0
         stay = float("inf")
-    with open_viewer(shown) as viewer:
+    with viewing.open_viewer(shown) as viewer:
         say(f"open {viewer.url}" + "   (Ctrl-C ends it)" * at_terminal)
         viewing.wait_for(lambda: viewer.count_browsers() > 0, patience)
         try:
@@ -277,4 +280,4 @@ def load_task(
 def require_report(scenario: Scenario) -> None:
     """Refuse what would fail after the run."""
     require("matplotlib")
-    require_judgeable(scenario)
+    report.require_judgeable(scenario)

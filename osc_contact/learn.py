@@ -98,9 +98,9 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         ids, _ = self._entity.find_joints(joints, preserve_order=True)
         self._joints = torch.tensor(ids, device=self.device)
         self._motors = self._joints[torch.tensor(chain.actuated, device=self.device)]
-        own = f"{cfg.entity_name}/{{}}/{{}}"
         self._wrists = cfg.wrists or tuple(
-            (own.format(arm.name, "force"), own.format(arm.name, "torque")) for arm in chain.arms
+            (f"{cfg.entity_name}/{arm.name}/force", f"{cfg.entity_name}/{arm.name}/torque")
+            for arm in chain.arms
         )
         every = cfg.controller.dt / env.physics_dt
         of_action = env.step_dt / cfg.controller.dt

@@ -68,11 +68,8 @@ def null_space(columns: Array) -> Array:
     Which basis is arbitrary; the space it spans is not, so no metric is implied. Columns and
     rows are equilibrated first, so that the digits do not depend on metres or millimetres.
     """
-    k = columns.shape[1]
-    if k == 0:
-        return np.eye(6)
     rows, U, _ = span(columns)
-    return U[:, k:] / rows
+    return U[:, columns.shape[1] :] / rows
 
 
 def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:
@@ -254,8 +251,8 @@ def _refuse(M: Array, X: Array, unseen: Array, what: str) -> NoReturn:
     """Say why: one column, dependent columns, or a combination (k,) of those that M maps to."""
     unit, length = _unit(M)
     seen = np.linalg.norm(X @ unit, axis=0)
-    column = int(seen.argmin())
-    (independent, which) = least(M)
+    column = seen.argmin()
+    independent, which = least(M)
     if seen[column] < BLOCKED:
         raise ContactError(
             f"{what}: column {column} has nᵀΦn = {(seen * length)[column] ** 2:.3g}, its root "
@@ -286,7 +283,7 @@ def _unit(columns: Array) -> tuple[Array, Array]:
 def _large(weights: Array) -> list[int]:
     """Which of them are not next to nothing."""
     size = np.abs(weights)
-    return [int(i) for i in np.flatnonzero(size > 1e-3 * size.max())]
+    return np.flatnonzero(size > 1e-3 * size.max()).tolist()
 
 
 def _factor(metric: Array, what: str) -> tuple[Array, Array]:

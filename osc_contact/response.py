@@ -120,7 +120,7 @@ def require_reachable(state: ChainState, contact: Contact, Phi_e: Array | None =
     held = N.T @ np.linalg.solve(state.metric, N)
     reach = np.diag(D) / np.diag(held)  # the object's own mobility sets the scale
     if reach.min() < 1e-9:
-        column = int(reach.argmin())
+        column = reach.argmin()
         raise ContactError(
             f"{who} cannot push on contact column {column}: its mobility is {reach[column]:.2g} "
             "of the free object's. The structure carries this force; leave the contact out of N."
@@ -128,7 +128,7 @@ def require_reachable(state: ChainState, contact: Contact, Phi_e: Array | None =
     scaled = D / np.sqrt(np.outer(np.diag(D), np.diag(D)))
     values, vectors = np.linalg.eigh(scaled)
     if values[0] < 1e-10:
-        which = [int(i) for i in np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3)]
+        which = np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3).tolist()
         raise ContactError(
             f"in the metric of {who}, contact columns {which} are dependent (scaled eigenvalue "
             f"{values[0]:.2g}): their forces cannot be distinguished. Keep an independent subset."

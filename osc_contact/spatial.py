@@ -51,10 +51,10 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
         want is None or want == got for want, got in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise InvalidInputError(f"{name}: expected shape {expected}, got {array.shape}")
+        expected = ", ".join("any" if n is None else str(n) for n in shape)
+        raise InvalidInputError(f"{name}: expected shape ({expected}), got {array.shape}")
     if not isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        where = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
         raise InvalidInputError(f"{name}: element {where} is {array[where]}; give a finite number")
     return array
 
@@ -70,7 +70,7 @@ def as_pose(name: str, position: Any, rotation: Any) -> SE3:
     """
     p = as_array(f"{name} position", position, (3,))
     R = as_array(f"{name} rotation", rotation, (3, 3))
-    off = float(np.abs(R.T @ R - np.eye(3)).max())
+    off = np.abs(R.T @ R - np.eye(3)).max()
     if off > 1e-6 or np.linalg.det(R) < 0.0:
         raise InvalidInputError(
             f"{name} rotation: RᵀR differs from 1 by {off:.3g} and det R = {np.linalg.det(R):.3g}; "
@@ -98,7 +98,7 @@ def norm(x: Array) -> float:
 
 
 def cross(x: Array, y: Array) -> Array:
-    """x × y of 3-vectors (3,) or of columns (3, k)."""
+    """x × y of 3-vectors along the first axis: (3,), (3, k), …"""
     return np.array(
         (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
     )
@@ -106,7 +106,7 @@ def cross(x: Array, y: Array) -> Array:
 
 def skew(x: Array) -> Array:
     """The matrix [x]× with [x]× y = x × y; x (3,)."""
-    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+    return pin.skew(x)
 
 
 def axial(A: Array) -> Array:
@@ -138,12 +138,12 @@ def carry_wrench(F: Array, start: Array, end: Array) -> Array:
 
 def cross_twist(V: Array, U: Array) -> Array:
     """V × U (6,), the rate of a motion U carried along by a body of twist V."""
-    return np.concatenate((cross(V[3:], U[:3]) + cross(V[:3], U[3:]), cross(V[3:], U[3:])))
+    return pin.Motion(V).cross(pin.Motion(U)).vector
 
 
 def cross_wrench(V: Array, F: Array) -> Array:
     """V ×* F (6,), the rate of a wrench F carried along by a body of twist V."""
-    return np.concatenate((cross(V[3:], F[:3]), cross(V[3:], F[3:]) + cross(V[:3], F[:3])))
+    return pin.Motion(V).cross(pin.Force(F)).vector
 
 
 def classical_to_spatial(a_classical: Array, V: Array) -> Array:
@@ -155,15 +155,15 @@ def classical_to_spatial(a_classical: Array, V: Array) -> Array:
 
 def pose_error(X_WD: SE3, X_WO: SE3) -> Array:
     """Displacement (6,) from O to D, world axes at O: [p_D − p_O; log₃(R_D R_Oᵀ)] (m, rad)."""
-    rotation: Array = pin.log3(X_WD.rotation @ X_WO.rotation.T)
+    rotation = pin.log3(X_WD.rotation @ X_WO.rotation.T)
     return np.concatenate((X_WD.translation - X_WO.translation, rotation))
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:
     """The blocks along the diagonal of a matrix of zeros."""
-    rows, columns = (np.cumsum([0, *(b.shape[i] for b in blocks)]) for i in (0, 1))
-    out = np.zeros((rows[-1], columns[-1]))
-    for block, i, j in zip(blocks, rows, columns, strict=False):
+    corners = np.cumsum([(0, 0), *(block.shape for block in blocks)], axis=0)
+    out = np.zeros(tuple(corners[-1]))
+    for block, (i, j) in zip(blocks, corners, strict=False):
         out[i : i + block.shape[0], j : j + block.shape[1]] = block
     return out
 
@@ -205,7 +205,7 @@ class Poses:
 def rotated(R: Array, x: Array) -> Array:
     """R x at k times: R (3, 3, k) and x (3, k), or the columns of x (3, m, k); k or 1 of each."""
     R = R[:, :, None] if x.ndim == 3 else R
-    out: Array = R[:, 0] * x[0]
+    out = R[:, 0] * x[0]
     out += R[:, 1] * x[1]
     out += R[:, 2] * x[2]
     return out
@@ -216,9 +216,9 @@ def rotations(w: Array) -> Array:
     angle = np.sqrt((w * w).sum(axis=0))
     a = np.sinc(angle / np.pi)
     b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    unit = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(angle)))
-    once = np.stack([cross(w, unit[:, j]) for j in range(3)], axis=1)
-    twice = np.stack([cross(w, once[:, j]) for j in range(3)], axis=1)
+    unit = np.eye(3)[:, :, None]
+    once = cross(w[:, None], unit)
+    twice = cross(w[:, None], once)
     return unit + a * once + b * twice
 
 

@@ -123,7 +123,7 @@ class _Check:
         self.now = self.read()
 
     def weight(self, q: Array) -> Array:
-        return np.asarray(pin.computeGeneralizedGravity(self.model, self.data, q)).copy()
+        return pin.computeGeneralizedGravity(self.model, self.data, q).copy()
 
     def mass(self, q: Array) -> Array:
         return np.array(pin.crba(self.model, self.data, q))
@@ -137,7 +137,7 @@ class _Check:
             self.step(self.weight(q) + self.mass(q) @ desired)
             away = np.abs(q - self.rest.q)
             if away.max() > FAR or np.abs(v).max() > 2.0:
-                worst = int(away.argmax())
+                worst = away.argmax()
                 raise PlantError(
                     f"joint '{self.names[worst]}' leaves its place though it is braked: "
                     f"{away[worst]:.3g} rad away at {v[worst]:.3g} rad/s; are speeds or torques "
@@ -173,7 +173,7 @@ class _Check:
             cause = f"joints '{self.names[i]}' and '{self.names[j]}' seem to be swapped"
             causes[cause] = np.linalg.solve(self.mass(q[order]), torques)[order]
         cause = min(causes, key=lambda cause: norm(causes[cause] - seen))
-        worst = int(np.abs(seen).argmax())
+        worst = np.abs(seen).argmax()
         raise PlantError(
             f"torques that balance the arm's weight speed up joint '{self.names[worst]}' by "
             f"{seen[worst]:.3g} rad/s²; {cause}"
@@ -212,12 +212,13 @@ class _Check:
         most = float(self.chain.tau_max[joint])
         for share in SHARES:
             M = self.mass(self.now.q)
-            a = min(share * most / M[joint, joint], SPEED / (PULSE * self.dt))
+            own = M[joint, joint]
+            a = min(share * most / own, SPEED / (PULSE * self.dt))
             gained = np.zeros(self.chain.nq)
             turned = 0.0
             summed = 0.0
-            torque = max(M[joint, joint] * a, share * most * (share > SHARES[1]))
-            tau = M[:, joint] * torque / M[joint, joint]
+            torque = max(own * a, share * most * (share > SHARES[1]))
+            tau = M[:, joint] * torque / own
             for sign in (1.0, -1.0):
                 before = self.now
                 for _ in range(PULSE):
@@ -230,8 +231,8 @@ class _Check:
             self.settle(2 * PULSE)
             if np.abs(gained).max() > MOVED:
                 break
-        other = int(np.abs(gained).argmax())
-        predicted = torque / M[joint, joint] * PULSE * self.dt
+        other = np.abs(gained).argmax()
+        predicted = torque / own * PULSE * self.dt
         if np.abs(gained).max() <= MOVED:
             raise PlantError(
                 f"joint '{name}' does not move with {torque:.3g} N m; are torques in another unit "

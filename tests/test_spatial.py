@@ -37,13 +37,14 @@ def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
     assert [found.shape[1] for found in (products, motions, forces)] == 3 * [columns]
     for k, (v, u, f) in enumerate(zip(V.T, U.T, F.T, strict=True)):
         twist = pin.Motion(v)
+        W = skew(v[3:])
         for got, want in (
             (products[:, k], pin.skew(v[:3]) @ u[:3]),
             (motions[:, k], X.act(twist).vector),
             (forces[:, k], X.act(pin.Force(f)).vector),
-            (skew(v[:3]), pin.skew(v[:3])),
-            (cross_twist(v, u), twist.cross(pin.Motion(u)).vector),
-            (cross_wrench(v, f), twist.cross(pin.Force(f)).vector),
+            (skew(v[:3]) @ u[:3], np.cross(v[:3], u[:3])),
+            (cross_twist(v, u), np.block([[W, skew(v[:3])], [np.zeros((3, 3)), W]]) @ u),
+            (cross_wrench(v, f) @ u, -f @ cross_twist(v, u)),
         ):
             assert_allclose(got, want, atol=1e-14)
     assert_array_equal(given, kept)

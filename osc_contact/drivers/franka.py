@@ -72,7 +72,7 @@ class FrankaRobot:
             import pylibfranka
         except ImportError as error:
             raise PlantError(f"{missing(error)} (Linux, Python 3.11 or 3.12)") from error
-        self._lib: Any = pylibfranka
+        self._lib = pylibfranka
         self.host = host
         self.chain = chain
         self._wrench = wrench
@@ -102,10 +102,10 @@ class FrankaRobot:
         self._tip = int(chain.tips[0])
         model = self._model = chain.model.copy()
         last = model.njoints - 1
-        if model.frames[self._sensor].parentJoint != last:
-            name = model.frames[self._sensor].name
+        sensor = model.frames[self._sensor]
+        if sensor.parentJoint != last:
             raise InvalidInputError(
-                f"the wrist sensor '{name}' of a Franka sits beyond its last joint"
+                f"the wrist sensor '{sensor.name}' of a Franka sits beyond its last joint"
             )
         hangs = pin.Inertia.Zero()
         for link in chain.outboard[0]:
@@ -115,7 +115,7 @@ class FrankaRobot:
             load = held.act(chain.payload.inertia)
             model.inertias[last] += load
             hangs = hangs + load
-        self._hangs = model.frames[self._sensor].placement.actInv(hangs)
+        self._hangs = sensor.placement.actInv(hangs)
         self._lift = pin.Force(-self._hangs.mass * model.gravity.linear, np.zeros(3))
         self._data = model.createData()
         self._at = pin.SE3.Identity()
@@ -215,7 +215,7 @@ class FrankaRobot:
         total = self._at.act(self._turn.act(pin.Force(np.array(state.O_F_ext_hat_K))))
         self._at.translation = sensor.act(self._hangs.lever)
         total += self._at.act(self._lift)
-        return np.asarray(sensor.actInv(total).vector)
+        return sensor.actInv(total).vector
 
     def command(self, tau: Array, duration: float) -> None:
         """Send torques; the wait for the period's end is the next `measure`.
@@ -248,7 +248,7 @@ class FrankaRobot:
             own -= self._brake * np.sign(self._v) * np.maximum(np.abs(self._v) - self._speed, 0.0)
             sent = np.array(self.state.tau_J_d)
             step = np.clip(own, -self._tau_max, self._tau_max) - sent
-            step *= min(1.0, TORQUE_STEP / max(float(np.abs(step).max()), TORQUE_STEP))
+            step *= min(1.0, TORQUE_STEP / max(np.abs(step).max(), TORQUE_STEP))
             self._torques = self._lib.Torques((sent + step).tolist())
             self._control.writeOnce(self._torques)
             self.read_to_write = perf_counter() - self._read_at
@@ -314,8 +314,8 @@ class FrankaRobot:
 def _pose(numbers: ArrayLike) -> pin.SE3:
     """From 16 numbers, column by column."""
     X = np.reshape(numbers, (4, 4), order="F")
-    return pin.SE3(pin.Quaternion(X[:3, :3]).normalized().toRotationMatrix(), X[:3, 3])
+    return pin.SE3(pin.Quaternion(X[:3, :3]).normalized(), X[:3, 3])
 
 
 def _show(X: pin.SE3) -> list[float]:
-    return [float(x) for x in np.round(X.translation, 4)]
+    return np.round(X.translation, 4).tolist()

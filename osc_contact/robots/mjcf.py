@@ -24,7 +24,7 @@ def is_mjcf(path: Path | str) -> bool:
     """Whether a file begins as MJCF does, with <mujoco>."""
     try:
         with Path(path).open("rb") as stream:
-            return bool(next(iterparse(stream, ["start"]))[1].tag == "mujoco")
+            return next(iterparse(stream, ["start"]))[1].tag == "mujoco"
     except (OSError, ValueError, LookupError, ParseError, StopIteration):
         return False
 
@@ -111,13 +111,13 @@ def bodies_of(mj: Any, tip: str | None) -> list[int]:
 
 def pose(position: Array, quaternion: Array) -> pin.SE3:
     """From MuJoCo's w, x, y, z."""
-    return pin.SE3(pin.Quaternion(*quaternion).toRotationMatrix(), np.array(position))
+    return pin.SE3(pin.Quaternion(*quaternion), np.array(position))
 
 
 def placed(X: pin.SE3) -> dict[str, Array]:
     """A pose as the arguments of MuJoCo's bodies, frames and sites."""
-    x, y, z, w = pin.Quaternion(X.rotation).coeffs()
-    return {"pos": X.translation, "quat": np.array([w, x, y, z])}
+    xyzw = pin.Quaternion(X.rotation).coeffs()
+    return {"pos": X.translation, "quat": np.roll(xyzw, 1)}
 
 
 def _moved(kind: int, place: Array, displacement: Array) -> pin.SE3:
@@ -167,11 +167,12 @@ def load_mjcf(
     for b in bodies_of(mj, tip):
         places[b] = _add_body(mj, model, b, places[mj.body_parentid[b]])
     for s in range(mj.nsite):
-        place = places.get(mj.site_bodyid[s])
-        if place is not None and mj.site(s).name:
-            X = place.X * pose(mj.site_pos[s], mj.site_quat[s])
+        site = mj.site(s)
+        place = places.get(site.bodyid[0])
+        if place is not None and site.name:
+            X = place.X * pose(site.pos, site.quat)
             # beside its body, behind the same joint: a force sensor cuts before its body
-            _add_frame(model, mj.site(s).name, place._replace(X=X), pin.FrameType.OP_FRAME)
+            _add_frame(model, site.name, place._replace(X=X), pin.FrameType.OP_FRAME)
     names = joint_names(model)
     for name, given in matching_limits(names, limits or {}).items():
         _set_limits(model, names.index(name), given)
@@ -189,18 +190,19 @@ class _Place(NamedTuple):
 
 def _add_body(mj: Any, model: pin.Model, b: int, parent: _Place) -> _Place:
     name = body_name(mj, b)
+    body = mj.body(b)
     if mj.body_gravcomp[b] != 0.0:
         raise ModelError(
             f"body {name!r} has gravcomp {mj.body_gravcomp[b]:g}: MuJoCo carries its weight, "
             "and so would the control law; set gravcomp to 0"
         )
-    place = parent._replace(X=parent.X * pose(mj.body_pos[b], mj.body_quat[b]))
+    place = parent._replace(X=parent.X * pose(body.pos, body.quat))
     for j in joints_of(mj, b):
         place = _add_joint(mj, model, j, place)
-    R = pin.Quaternion(*mj.body_iquat[b]).toRotationMatrix()
-    about_centre: Array = R @ np.diag(mj.body_inertia[b]) @ R.T
-    inertia = pin.Inertia(mj.body_mass[b], np.array(mj.body_ipos[b]), about_centre)
-    if mj.body_jntnum[b]:
+    R = pin.Quaternion(*body.iquat).toRotationMatrix()
+    about_centre = R @ np.diag(body.inertia) @ R.T
+    inertia = pin.Inertia(body.mass[0], np.array(body.ipos), about_centre)
+    if body.jntnum[0]:
         model.appendBodyToJoint(place.joint, inertia, place.X)
     else:
         place = place._replace(
@@ -220,30 +222,30 @@ def _add_frame(
 def _add_joint(mj: Any, model: pin.Model, j: int, body: _Place) -> _Place:
     """A joint where `body` stands; returns the place of the body behind it."""
     name = joint_name(mj, j)
-    kind = mj.jnt_type[j]
+    joint = mj.joint(j)
+    kind = joint.type[0]
     if kind in (_FREE, _BALL):
         raise ModelError(
             f"joint {name!r} is a {('free', 'ball')[kind]} joint (nq ≠ nv), which is not "
             "supported; build it from hinges and slides, or fix it"
         )
-    if mj.jnt_stiffness[j] != 0.0:
+    if joint.stiffness[0] != 0.0:
         raise ModelError(
-            f"joint {name!r} has a spring of {mj.jnt_stiffness[j]:g}, which the control law "
+            f"joint {name!r} has a spring of {joint.stiffness[0]:g}, which the control law "
             "does not know; set its stiffness to 0"
         )
     make = pin.JointModelPrismaticUnaligned if kind == _SLIDE else pin.JointModelRevoluteUnaligned
-    axis = np.array(mj.jnt_axis[j])
-    anchor = pin.SE3(np.eye(3), np.array(mj.jnt_pos[j]))
-    X = body.X * _moved(kind, anchor.translation, -mj.qpos0[mj.jnt_qposadr[j]] * axis) * anchor
+    axis = np.array(joint.axis)
+    anchor = pin.SE3(np.eye(3), np.array(joint.pos))
+    X = body.X * _moved(kind, anchor.translation, -joint.qpos0[0] * axis) * anchor
     number = model.addJoint(body.joint, make(axis), X, name)
     frame = model.addJointFrame(number, body.frame)
     v = model.joints[number].idx_v
-    dof = mj.jnt_dofadr[j]
-    model.armature[v] = mj.dof_armature[dof]
-    model.damping[v] = mj.dof_damping[dof]
-    lower, upper = mj.jnt_range[j] if mj.jnt_limited[j] else (-np.inf, np.inf)
+    model.armature[v] = joint.armature[0]
+    model.damping[v] = joint.damping[0]
+    lower, upper = joint.range if joint.limited[0] else (-np.inf, np.inf)
     limits = {"lower": lower, "upper": upper, "effort": _effort(mj, j), "velocity": _NONE}
-    _set_limits(model, v, limits | {"dryFriction": mj.dof_frictionloss[dof]})
+    _set_limits(model, v, limits | {"dryFriction": joint.frictionloss[0]})
     return _Place(number, anchor.inverse(), frame)
 
 
@@ -301,25 +303,27 @@ def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str,
     spec.compiler.fusestatic = False
     made: dict[int, Any] = {0: spec.worldbody}
     for b in bodies_of(mj, tip):
+        given = mj.body(b)
         made[b] = body = made[mj.body_parentid[b]].add_body(
             name=body_name(mj, b),
-            pos=mj.body_pos[b],
-            quat=mj.body_quat[b],
+            pos=given.pos,
+            quat=given.quat,
             explicitinertial=True,
-            mass=mj.body_mass[b],
-            ipos=mj.body_ipos[b],
-            iquat=mj.body_iquat[b],
-            inertia=mj.body_inertia[b],
+            mass=given.mass[0],
+            ipos=given.ipos,
+            iquat=given.iquat,
+            inertia=given.inertia,
         )
         for j in joints_of(mj, b):
+            joint = mj.joint(j)
             body.add_joint(
                 name=joint_name(mj, j),
-                type=mujoco.mjtJoint(mj.jnt_type[j]),
-                pos=mj.jnt_pos[j],
-                axis=mj.jnt_axis[j],
-                ref=mj.qpos0[mj.jnt_qposadr[j]],
-                range=mj.jnt_range[j],
-                limited=int(bool(mj.jnt_limited[j])),
+                type=mujoco.mjtJoint(joint.type[0]),
+                pos=joint.pos,
+                axis=joint.axis,
+                ref=joint.qpos0[0],
+                range=joint.range,
+                limited=int(joint.limited[0]),
             )
     weld_joints(spec, locked)
     bodies = [mj.body(b).name for b in made]

@@ -88,7 +88,7 @@ def position_limits(model: pin.Model) -> tuple[Array, Array]:
 
 def slides(model: pin.Model, joint: int) -> bool:
     """Whether a joint of a model is a sliding one."""
-    return bool(model.joints[joint].shortname().startswith("JointModelP"))
+    return model.joints[joint].shortname().startswith("JointModelP")
 
 
 def joint_axis(model: pin.Model, joint: int) -> Array:

@@ -38,23 +38,10 @@ def mjcf_geometry(path: Path | str, tip: str | None) -> tuple[pin.Model, pin.Geo
     return read_picture(scene_picture(mj, data, model, q, joints, bodies_of(mj, tip)))
 
 
-def _touches_nothing(mj: Any, g: int) -> bool:
-    return not (mj.geom_contype[g] or mj.geom_conaffinity[g])
-
-
 def _colour(mj: Any, g: int) -> Array:
     """(4,) of a geom's material, or its own."""
     material = mj.geom_matid[g]
     return np.array(mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[g], dtype=float)
-
-
-def _mesh_rows(mj: Any, g: int) -> tuple[Any, Any]:
-    """Corners (k, 3) in m and faces (m, 3) of the mesh of a geom."""
-    mesh = mj.mesh(mj.geom_dataid[g])
-    v = mesh.vertadr[0]
-    f = mesh.faceadr[0]
-    corners = mj.mesh_vert[v : v + mesh.vertnum[0]]
-    return corners, mj.mesh_face[f : f + mesh.facenum[0]]
 
 
 def _solid(kind: int, size: Any) -> Any:
@@ -99,14 +86,15 @@ def scene_picture(
     owner = [0] * mj.nbody
     for b in range(1, mj.nbody):
         owner[b] = moves.get(b, owner[mj.body_parentid[b]])
-    dressed = {mj.geom_bodyid[g] for g in range(mj.ngeom) if _touches_nothing(mj, g)}
+    touches = (mj.geom_contype | mj.geom_conaffinity) != 0
+    dressed = set(mj.geom_bodyid[~touches])
     shapes = []
     for g in range(mj.ngeom):
         body = mj.geom_bodyid[g]
         joint = owner[body]
         rgba = _colour(mj, g)
         of_arm = body in only if only else joint > 0
-        hidden = of_arm and body in dressed and not _touches_nothing(mj, g)
+        hidden = of_arm and body in dressed and touches[g]
         left_out = hidden or not rgba[3] or (only and not of_arm)
         shape = None if left_out else _describe(mj, g)
         if shape is not None:
@@ -133,7 +121,11 @@ def _describe(mj: Any, g: int) -> dict[str, Any] | None:
     size = _round(mj.geom_size[g])
     if kind != _MESH:
         return {"kind": kind, "size": size} if _solid(kind, size) else None
-    corners, faces = _mesh_rows(mj, g)
+    mesh = mj.mesh(mj.geom_dataid[g])
+    v = mesh.vertadr[0]
+    f = mesh.faceadr[0]
+    corners = mj.mesh_vert[v : v + mesh.vertnum[0]]
+    faces = mj.mesh_face[f : f + mesh.facenum[0]]
     if max(len(corners), len(faces)) > MOST_CORNERS:
         return {"kind": _BOX, "size": _round(np.abs(corners).max(axis=0))}
     return {"kind": _MESH, "corners": _packed(corners, "<f4"), "faces": _packed(faces, "<i4")}

@@ -73,8 +73,9 @@ def losses_by_arm(losses: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, st
 def loss_words(joints: Sequence[Mapping[str, Any]]) -> str:
     """Friction, damping and armature of some joints, those that are not zero, in one line."""
     words = []
-    for key in (key for key in _UNITS if key in joints[0]):
-        units = _UNITS[key]
+    for key, units in _UNITS.items():
+        if key not in joints[0]:
+            continue
         groups: dict[tuple[float, str], list[str]] = {}
         for values in joints:
             if values[key]:

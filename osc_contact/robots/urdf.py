@@ -144,8 +144,6 @@ class Element:
         while owner.tag not in ("link", "joint") and owner.parent is not None:
             owner = owner.parent
         named = f"{owner.tag} {_short(owner.get('name'))}" if owner.get("name") else ""
-        if owner is self and not key:
-            return named or f"<{self.tag}>"
         value = f" {key}={_short(self.get(key))}" if key in self.attributes else ""
         own = f"<{self.tag}{value}>"
         return f"{named} {own}" if named and owner is not self else named + value or own
@@ -573,7 +571,7 @@ def _axis(element: Element, kind: str) -> Vector:
     if len(axis.findings) == known and not abs(length - 1.0) <= 1e-4:
         reason = f"the axis has length {length:.6g}; readers disagree on what that means"
         axis.note("joint", reason, "write a unit vector", "xyz")
-    return numbers if len(axis.findings) > known else tuple(x / length for x in numbers)
+    return tuple(x / (length or 1.0) for x in numbers)
 
 
 # Links and joints form one tree -------------------------------------------------------------------

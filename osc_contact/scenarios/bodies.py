@@ -289,15 +289,15 @@ class OwnContactSpec(OnBodySpec):
 
     @model_validator(mode="before")
     @classmethod
-    def _named_as_the_pair(cls, data: Any) -> Any:
-        pair = data.get("pair") if isinstance(data, dict) else None
+    def _named_as_the_pair(cls, data: dict[str, Any]) -> dict[str, Any]:
+        pair = data["pair"]
         missing = [key for key in ("name", "contact", "gaps") if not hasattr(pair, key)]
-        if pair is not None and missing:
+        if missing:
             raise refuse(
                 f"a {type(pair).__name__} has no {' and no '.join(missing)}; a custom pair "
                 "has name, contact(X_WO, V_O, X_WE, V_E) and gaps(X_WO, X_WE)"
             )
-        return {"name": data["pair"].name, **data} if isinstance(data, dict) else data
+        return {"name": pair.name, **data}
 
     @property
     def forces(self) -> int:  # type: ignore[override]

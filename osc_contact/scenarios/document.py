@@ -71,7 +71,7 @@ def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | N
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > _DEEPEST:
                 problems.at_line(line, f"nested deeper than {_DEEPEST} levels")
-                problems.raise_any()
+                break
             anchor = getattr(event, "anchor", None)
             tag = getattr(event, "tag", None)
             if anchor is not None:
@@ -80,8 +80,7 @@ def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | N
             if tag is not None:
                 problems.at_line(line, f"{tag}: tags are refused; write a plain value")
         problems.raise_any()
-        node: yaml.Node | None = yaml.compose(text, Loader=loader)
-        return node
+        return yaml.compose(text, Loader=loader)
     except (yaml.MarkedYAMLError, yaml.reader.ReaderError) as error:
         if loader is not yaml.SafeLoader:  # which names better what is wrong, and where
             return compose(text, problems, yaml.SafeLoader)
@@ -121,11 +120,9 @@ class ScenarioDocument:
     def __init__(self, text: str, problems: Problems) -> None:
         self.problems = problems
         self.origins: dict[Key, int | str] = {}
-        self.data: Any = None
         node = compose(text, problems)
-        if node is not None:
-            self.data = self._read(node, ())
-        self.origins[()] = node.start_mark.line + 1 if node is not None else 1
+        self.data: Any = None if node is None else self._read(node, ())
+        self.origins.setdefault((), 1)
 
     def _read(self, node: yaml.Node, key: Key) -> Any:
         self.origins.setdefault(key, node.start_mark.line + 1)
@@ -133,20 +130,21 @@ class ScenarioDocument:
             return [self._read(item, (*key, index)) for index, item in enumerate(node.value)]
         if not isinstance(node, yaml.MappingNode):
             return scalar(node)
-        group: dict[str, Any] = {}
+        group = {}
         for name_node, value_node in node.value:
             line = name_node.start_mark.line + 1
             if not isinstance(name_node, yaml.ScalarNode):
                 self.problems.at_line(line, f"{_dotted(key)}a key must be plain text")
                 continue
             name = str(name_node.value)
+            place = (*key, name)
             if name in group:
-                first = self.origins[(*key, name)]
-                text = f"{_dotted((*key, name), '')}: given twice, first in line {first}; keep one"
+                first = self.origins[place]
+                text = f"{_dotted(place, '')}: given twice, first in line {first}; keep one"
                 self.problems.at_line(line, text)
                 continue
-            self.origins[(*key, name)] = line
-            group[name] = self._read(value_node, (*key, name))
+            self.origins[place] = line
+            group[name] = self._read(value_node, place)
         return group
 
     def override(self, path: str, value: str) -> None:
@@ -178,15 +176,16 @@ class ScenarioDocument:
         """Return what holds the value at `path`, and its key; groups left out are begun."""
         key: Key = ()
         holder = self.data
-        parts = path.split(".")
-        depth = -1
-        while (depth := depth + 1) < len(parts):
-            part = parts[depth]
-            if isinstance(holder, dict) and part not in holder and depth + 1 < len(parts):
-                dotted = f"{part}.{parts[depth + 1]}"  # a force magnitude, such as pad.1
+        done: list[str] = []
+        rest = path.split(".")
+        while rest:
+            part = rest.pop(0)
+            if isinstance(holder, dict) and part not in holder and rest:
+                dotted = f"{part}.{rest[0]}"  # a force magnitude, such as pad.1
                 if dotted in holder:
-                    parts[depth : depth + 2] = [part := dotted]
-            where = ".".join(parts[:depth]) or "the scenario"
+                    part = dotted
+                    del rest[0]
+            where = ".".join(done) or "the scenario"
             if not part:
                 raise ScenarioError("the path has an empty part; write path.to.key=value")
             step: str | int = part
@@ -195,7 +194,8 @@ class ScenarioDocument:
             elif not isinstance(holder, dict):
                 raise ScenarioError(f"{where} is {holder!r} and has no keys or items")
             key = (*key, step)
-            if depth < len(parts) - 1:
+            done.append(part)
+            if rest:
                 if _child(holder, step) is None:
                     holder[step] = {}
                     self.origins[key] = override
@@ -267,21 +267,22 @@ def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iter
     """
     for item in error.errors(include_url=False):
         place, owner = _locate(item["loc"], root)
+        kind = item["type"]
         context = item.get("ctx", {})
-        if item["type"] == "too_short" and len(item["input"]) >= context["min_length"]:
+        if kind == "too_short" and len(item["input"]) >= context["min_length"]:
             continue  # long enough but for items that are refused themselves
-        if item["type"] == "union_tag_not_found":
+        if kind == "union_tag_not_found":
             yield (
                 place,
                 f"the key {context['discriminator']} is missing: {_TAGS}"
                 + ", ".join(CONTACT_TYPES),
             )
-        elif item["type"] == "union_tag_invalid":
+        elif kind == "union_tag_invalid":
             tag = context["discriminator"].strip("'")
             expected = context["expected_tags"]
             yield (*place, tag), f"expected one of {expected}; got {context['tag']!r}"
         else:
-            yield place[:-1] if item["type"] == "missing" else place, sentence(item, owner)
+            yield place[:-1] if kind == "missing" else place, sentence(item, owner)
     yield from problems_across(data)
 
 
@@ -295,8 +296,7 @@ def _locate(loc: Iterable[str | int], root: type[BaseModel]) -> tuple[Key, type[
         if tagged:
             options = tagged
             continue
-        only = options[0] if len(options) == 1 else None
-        owner = only if _is_model(only) else None
+        owner = options[0] if len(options) == 1 and _is_model(options[0]) else None
         place = (*place, part)
         options = [inner for kind in options for inner in _inside(kind, part)]
     return place, owner

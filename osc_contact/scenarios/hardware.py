@@ -144,7 +144,7 @@ class Clock(Spec):
     """probability that a sample is lost"""
 
 
-class Errors(OfQuantity[Q], Generic[Q]):
+class Errors(OfQuantity, Generic[Q]):
     """Errors of a measured quantity."""
 
     noise: NotNegative[Q] = 0.0  # type: ignore[assignment]

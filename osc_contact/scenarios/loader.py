@@ -5,7 +5,7 @@ line of every key, changed by overrides, and only then validated."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -93,8 +93,14 @@ class Template:
     def _changed(self, overrides: Overrides) -> ScenarioDocument:
         """The document after overrides."""
         document = deepcopy(self._document)
-        for key, value in _pairs(overrides, document.problems):
-            document.override(key, value)
+        if isinstance(overrides, Mapping):
+            overrides = [f"{path}={value}" for path, value in overrides.items()]
+        for item in (overrides,) if isinstance(overrides, str) else overrides:
+            path, equals, value = item.partition("=")
+            if equals:
+                document.override(path.strip(), value)
+            else:
+                document.problems.at_override(item, "expected path.to.key=value")
         return document
 
     def make(self, overrides: Overrides = ()) -> Scenario:
@@ -139,14 +145,3 @@ def read_text(name_or_path: str | Path) -> tuple[str, Path]:
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"cannot read the scenario file {path}: {error}") from error
     return text, path
-
-
-def _pairs(overrides: Overrides, problems: Problems) -> Iterator[tuple[str, str]]:
-    if isinstance(overrides, Mapping):
-        overrides = [f"{path}={value}" for path, value in overrides.items()]
-    for item in (overrides,) if isinstance(overrides, str) else overrides:
-        path, equals, value = item.partition("=")
-        if equals:
-            yield path.strip(), value
-        else:
-            problems.at_override(item, "expected path.to.key=value")

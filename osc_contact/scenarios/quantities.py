@@ -7,11 +7,11 @@ import re
 import reprlib
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from itertools import pairwise
 from numbers import Real
-from typing import Annotated, Any, Generic, Self, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -38,10 +38,10 @@ _SHAPES = {
     "model_attributes_type": "a group of keys",
 }
 _SIGNS = {
-    "greater_than": (">", "gt"),
-    "greater_than_equal": (">=", "ge"),
-    "less_than": ("<", "lt"),
-    "less_than_equal": ("<=", "le"),
+    "greater_than": ">",
+    "greater_than_equal": ">=",
+    "less_than": "<",
+    "less_than_equal": "<=",
 }
 
 
@@ -111,9 +111,9 @@ def meaning(owner: type, key: str) -> str | None:
         except (OSError, TypeError, SyntaxError):
             continue  # made without a file, or for a quantity: an ancestor has the source
         for line, after in pairwise(getattr(tree, "body", [])):
-            named = isinstance(line, ast.AnnAssign) and getattr(line.target, "id", None) == key
-            if named and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
-                return inspect.cleandoc(str(after.value.value))
+            match line, after:
+                case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(text)) if name == key:
+                    return inspect.cleandoc(str(text))
     return None
 
 
@@ -137,8 +137,8 @@ def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:
     if kind in _SHAPES:
         return f"expected {_SHAPES[kind]}; {got}"
     if kind in _SIGNS:
-        sign, limit = _SIGNS[kind]
-        return f"must be {sign} {context[limit]:g}; {got}"
+        (limit,) = context.values()
+        return f"must be {_SIGNS[kind]} {limit:g}; {got}"
     if kind == "literal_error":
         return f"expected {context['expected']}; {got}"
     if kind == "string_pattern_mismatch":
@@ -158,7 +158,7 @@ _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\
 Q = TypeVar("Q", bound=float)
 
 
-class OfQuantity(Spec, Generic[Q]):
+class OfQuantity(Spec):
     """Base that names a parametrised model after its quantity: `Step[a force]`."""
 
     @classmethod
@@ -176,11 +176,8 @@ class Dimension:
     Used as ``Annotated[float, Dimension(...)]``: accepts a finite number or "50 mm"."""
 
     kind: str
-    units: dict[str, Decimal]
+    units: dict[str, Decimal] = field(hash=False)
     open: bool = False  #: whether it may be infinite: no limit
-
-    def __hash__(self) -> int:
-        return hash(self.kind)
 
     @property
     def expected(self) -> str:

@@ -12,7 +12,6 @@ from pydantic import (
     BeforeValidator,
     Field,
     PlainValidator,
-    PrivateAttr,
     TypeAdapter,
     ValidationError,
     model_validator,
@@ -163,14 +162,19 @@ class SurfaceMove(Spec):
 
     def _legs(self) -> tuple[list[tuple[Any, Any]], float]:
         """Unit vector (2,) and signal of each leg; when the last ends."""
-        limits = {"velocity": self.feed, "acceleration": self.acceleration, "jerk": self.jerk}
         now = self.start
         here = np.zeros(2)
         legs = []
         for point in (*self._lines(), *np.reshape(self.points, (-1, 2))):
             length = float(np.linalg.norm(point - here))
             if length > 0.0:
-                leg = _Leg(value=length, start=now, **limits)
+                leg = _Leg(
+                    value=length,
+                    start=now,
+                    velocity=self.feed,
+                    acceleration=self.acceleration,
+                    jerk=self.jerk,
+                )
                 legs.append(((point - here) / length, leg))
                 now += leg.duration + self.dwell
             here = point
@@ -234,7 +238,7 @@ class Scenario(Spec):
     laws: Annotated[Any, PlainValidator(_take_laws), Field(exclude=True)] = None
     """custom laws, in [scenarios made in Python](extend.md#a-scenario-made-in-python) only"""
 
-    _source: Path | None = PrivateAttr(default=None)
+    _source: Path | None = None
 
     @property
     def source(self) -> Path | None:

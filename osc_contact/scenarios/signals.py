@@ -1,7 +1,7 @@
 """Commands over time: each signal gives its value and its first two time derivatives."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -66,7 +66,7 @@ class Polynomials:
         return value[()], self.curve(s, 1) * moves, self.curve(s, 2) * moves
 
 
-class JerkLimited(OfQuantity[Q], Generic[Q, V, A, J]):
+class JerkLimited(OfQuantity, Generic[Q, V, A, J]):
     """0 → via → value as fast as the limits permit, at rest at each of them; then held."""
 
     type: Literal["jerk_limited"] = "jerk_limited"
@@ -98,7 +98,7 @@ class JerkLimited(OfQuantity[Q], Generic[Q, V, A, J]):
         return jerk_limited(points, self.start, self.velocity, self.acceleration, self.jerk)
 
 
-class Points(OfQuantity[Q], Generic[Q]):
+class Points(OfQuantity, Generic[Q]):
     """Through [time, value] points by the curve of least ∫ jerk² dt, at rest before and after.
 
     A value given twice in a row is held in between."""
@@ -122,18 +122,19 @@ class Points(OfQuantity[Q], Generic[Q]):
     @field_validator("points")
     @classmethod
     def _spaced_well(cls, points: tuple[tuple[float, Q], ...]) -> Any:
-        for (before, _), (after, _) in pairwise(points):
+        t, values = zip(*points, strict=True)
+        for before, after in pairwise(t):
             if not after - before >= 1e-6:
                 raise refuse(
                     f"times must increase, by 1 µs at least; {after:.9g} s is after {before:.9g} s"
                 )
-        t = [time for time, _ in points]
-        for i in set(range(len(t))) - _stops([float(x) for _, x in points]):
+        for i in set(range(len(t))) - _stops(values):
             ratio = (t[i + 1] - t[i]) / (t[i] - t[i - 1])
-            if max(ratio, 1.0 / ratio) > 10.0 + 1e-9:
+            times = max(ratio, 1.0 / ratio)
+            if times > 10.0 + 1e-9:
                 raise refuse(
                     f"between the points before and after {t[i]:.9g} s the curve would swing far "
-                    f"out: one is {max(ratio, 1.0 / ratio):.3g} times as far away as the other, 10 "
+                    f"out: one is {times:.3g} times as far away as the other, 10 "
                     "at most; add points, or stop by giving a value twice"
                 )
         return points
@@ -199,7 +200,7 @@ def least_jerk(points: tuple[tuple[float, float], ...]) -> Polynomials:
     return Polynomials(PPoly(coefficients, t), float(x[-1]))
 
 
-def _stops(values: list[float]) -> set[int]:
+def _stops(values: Sequence[float]) -> set[int]:
     """The points at which a curve rests: both ends, and where a value is given twice in a row."""
     twice = [i for i, (x, y) in enumerate(pairwise(values)) if x == y]
     return {0, len(values) - 1, *twice, *(i + 1 for i in twice)}
@@ -247,7 +248,7 @@ def product(f: Values, g: Values) -> Array:
     )
 
 
-class Constant(OfQuantity[Q], Generic[Q]):
+class Constant(OfQuantity, Generic[Q]):
     """The same value at all times."""
 
     type: Literal["constant"] = "constant"
@@ -259,7 +260,7 @@ class Constant(OfQuantity[Q], Generic[Q]):
         return float(self.value), 0.0, 0.0
 
 
-class Step(OfQuantity[Q], Generic[Q]):
+class Step(OfQuantity, Generic[Q]):
     """0 before `start`, `value` from `start` on; both derivatives are 0."""
 
     type: Literal["step"] = "step"
@@ -273,7 +274,7 @@ class Step(OfQuantity[Q], Generic[Q]):
         return (t >= self.start) * float(self.value), 0.0, 0.0
 
 
-class Sine(OfQuantity[Q], Generic[Q]):
+class Sine(OfQuantity, Generic[Q]):
     """amplitude · sin(2π f (t − start) + phase) · E(t), E rising 0 → 1 over `ramp`."""
 
     type: Literal["sine"] = "sine"
@@ -297,7 +298,7 @@ class Sine(OfQuantity[Q], Generic[Q]):
         return product(rise(t, self.start, self.ramp), wave)
 
 
-class MinimumJerk(OfQuantity[Q], Generic[Q]):
+class MinimumJerk(OfQuantity, Generic[Q]):
     """0 → value between start and start + duration by 10s³ − 15s⁴ + 6s⁵, then held."""
 
     type: Literal["minimum_jerk"] = "minimum_jerk"
@@ -310,9 +311,7 @@ class MinimumJerk(OfQuantity[Q], Generic[Q]):
 
     def at(self, t: Any) -> Values:
         """Return value times the rise and its exact derivatives."""
-        value = float(self.value)
-        (e, e_dot, e_ddot) = rise(t, self.start, self.duration)
-        return value * e, value * e_dot, value * e_ddot
+        return self.value * np.array(rise(t, self.start, self.duration))
 
 
 LengthSignal = Annotated[

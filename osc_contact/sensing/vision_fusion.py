@@ -10,6 +10,7 @@ makes both agree, and the bodies are moved along with it. Errors of camera and b
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +19,7 @@ from pinocchio import SE3
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Seen, Touched
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
-from osc_contact.spatial import Array, carry_twist, skew
+from osc_contact.spatial import Array, carry_twist, pose_error, skew
 
 _ITERATIONS = 4  # of the update, which is nonlinear in large turns
 
@@ -95,12 +96,11 @@ class Registration:
         start = self.X
         for _ in range(_ITERATIONS):  # in information form: exact noise-free poses do no harm
             information = prior.copy()
-            so_far = self.X * start.inverse()
-            push = -prior @ np.concatenate((so_far.translation, pin.log3(so_far.rotation)))
+            moved = pose_error(self.X * start.inverse(), SE3.Identity())
+            push = -prior @ moved
             for X_W, X_C in zip(known, seen, strict=True):
                 found = self.X * X_C
-                turn = pin.log3(X_W.rotation @ found.rotation.T)
-                y = np.concatenate((X_W.translation - found.translation, turn))
+                y = pose_error(X_W, found)
                 H = np.eye(6)
                 H[:3, 3:] = -skew(found.translation)
                 information += H.T @ (weights[:, None] * H)
@@ -113,10 +113,10 @@ class Registration:
 
 @dataclass
 class BodyEstimate:
-    """Position and rotation vector of a tracked body, from its first orientation on."""
+    """Position and rotation vector of a tracked body, from `start`: its first orientation."""
 
     channels: VelocityEstimate
-    R_first: Array
+    start: SE3
 
     def update(self, X: SE3, fresh: bool, delay: float) -> tuple[SE3, Array]:
         """(pose, twist (6,) at its origin) now, from a pose that is `delay` old.
@@ -124,10 +124,9 @@ class BodyEstimate:
         Args:
             X: measured pose. fresh: whether it is a new one. delay: its age (s).
         """
-        turned = pin.log3(X.rotation @ self.R_first.T)
-        x, rate = self.channels.update(np.concatenate((X.translation, turned)), fresh=fresh)
+        x, rate = self.channels.update(pose_error(X, self.start), fresh=fresh)
         x = x + delay * rate
-        pose = SE3(pin.exp3(x[3:]) @ self.R_first, x[:3])
+        pose = SE3(pin.exp3(x[3:]) @ self.start.rotation, x[:3])
         return pose, np.concatenate((rate[:3], pin.Jexp3(-x[3:]) @ rate[3:]))
 
 
@@ -163,9 +162,10 @@ class VisionFusion:
         self._known = known
         self._delay = delay
         self._markers = None if markers is None else [SE3(np.array(X)) for X in markers]
-        self._acceleration = np.repeat(acceleration, 3)
-        self._dt = dt
-        self._period = period
+        noise = np.repeat((registration.position, registration.orientation), 3)
+        self._channels = partial(
+            VelocityEstimate.optimal, noise, np.repeat(acceleration, 3), dt, period
+        )
         self._bodies: list[BodyEstimate] = []
         self._stamp: float | None = None
 
@@ -191,7 +191,7 @@ class VisionFusion:
         markers = self._markers or [SE3.Identity()] * len(frames)
         if not self._bodies:
             self._bodies = [
-                BodyEstimate(self._channels(), (X * M).rotation.copy())
+                BodyEstimate(self._channels(), SE3((X * M).rotation, np.zeros(3)))
                 for X, M in zip(frames, markers, strict=True)
             ]
         X_WC = self.registration.X
@@ -205,8 +205,3 @@ class VisionFusion:
             X_WE.append(X.homogeneous)
             V_E.append(carry_twist(turned, X_WM.translation, X.translation))
         return Touched(np.array(X_WE), np.array(V_E), touched.A_E)
-
-    def _channels(self) -> VelocityEstimate:
-        """Position and rotation vector of one body."""
-        noise = np.repeat((self.registration.position, self.registration.orientation), 3)
-        return VelocityEstimate.optimal(noise, self._acceleration, self._dt, self._period)

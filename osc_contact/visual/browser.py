@@ -164,7 +164,7 @@ class Browser:
             raise ViewerError(f"the browser gave no answer to {method}: {error}") from error
         if "error" in answer:
             raise ViewerError(f"the browser refused {method}: {answer['error']}")
-        return dict(answer["result"])
+        return answer["result"]
 
     def _next_answer(self) -> dict[str, Any]:
         while b"\0" not in self.rest:
@@ -175,7 +175,7 @@ class Browser:
                 raise BrokenPipeError("it has ended")
             self.rest += part
         text, self.rest = self.rest.split(b"\0", 1)
-        answer: dict[str, Any] = json.loads(text)
+        answer = json.loads(text)
         params = answer.get("params", {})
         if answer.get("method") == "Runtime.exceptionThrown":
             self.errors.append(str(params["exceptionDetails"]))

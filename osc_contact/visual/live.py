@@ -102,7 +102,7 @@ class Viewer:
         ready, _, _ = select.select([self._link], [], [], START_S)
         if not ready:
             raise OSError(f"no answer within {START_S:g} s")
-        return str(json.loads(self._link.recv(4096))["url"])
+        return json.loads(self._link.recv(4096))["url"]
 
     def show(self, tick: Mapping[str, Any]) -> None:
         """Hand over the channels of one control tick; returns at once and never raises.

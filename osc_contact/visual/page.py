@@ -123,7 +123,7 @@ def packed(command: dict[str, Any]) -> bytes:
     """One command as meshcat's viewer reads it; numbers in single precision, as it keeps them."""
     import umsgpack
 
-    return bytes(umsgpack.packb(command, force_float_precision="single"))
+    return umsgpack.packb(command, force_float_precision="single")
 
 
 def filled(template: str, parts: Mapping[str, str]) -> str:

@@ -224,18 +224,20 @@ class Moving(Part):
             urdf_geometry(node[f"{number}_{shape.name}"], shape)
 
     def states(self, sample: Sample) -> Frame:
-        """Placement of every moving node."""
-        return {path: State(pose) for path, pose in self.placements(sample).items()}
-
-    def placements(self, sample: Sample) -> dict[str, pin.SE3]:
-        """Pose of every node; where q or pose is not known (NaN) it stays where it was.
+        """Placement of every moving node; where q or pose is not known (NaN) it stays.
 
         Raises:
             InvalidInputError: a channel is not recorded, or the slice of q does not fit the URDF.
         """
+        self._move(sample)
+        oMi = self.data.oMi
+        return {path: State(self.base * oMi[joint]) for joint, path in self.paths.items()}
+
+    def _move(self, sample: Sample) -> None:
+        """Take over base and joint positions of one tick."""
         what = self.what
         q = self._channel(sample, "q")[what.q_slice] if self.moving else np.zeros(0)
-        if self.model.nq != self.model.nv or q.shape != (len(self.moving),):
+        if q.shape != (len(self.moving),):
             raise InvalidInputError(
                 f"{what.name!r}: {what.q_slice} takes {q.size} numbers of q, "
                 f"but its model has nq = {self.model.nq}, {len(what.locked)} locked"
@@ -250,7 +252,6 @@ class Moving(Part):
         if np.isfinite(pose).all():
             self.base = pin.XYZQUATToSE3(pose)
         pin.forwardKinematics(self.model, self.data, self.q)
-        return {path: self.base * self.data.oMi[joint] for joint, path in self.paths.items()}
 
     def _channel(self, sample: Sample, key: str) -> Array:
         if key not in sample:
@@ -261,9 +262,9 @@ class Moving(Part):
 
     def corners(self, sample: Sample) -> Array:
         """(k, 3) origin, corners of the bounding boxes, or points of meshes, at one tick."""
-        poses = self.placements(sample)
+        self._move(sample)
         points = [
-            poses[self.paths[shape.parentJoint]] * corner
+            self.base * self.data.oMi[shape.parentJoint] * corner
             for shape in self.shapes
             for corner in _corners(shape)
         ]

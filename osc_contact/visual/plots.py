@@ -4,10 +4,9 @@ Each function returns a matplotlib figure and shows nothing; `save` writes it as
 figures have one look: `style`, and stacked `panels` with one time axis.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -28,34 +27,33 @@ NEAR_LIMIT = 60.0  # %: from there on the limits are drawn
 # --- The one look of all figures ----------------------------------------------------------------
 
 
-@contextmanager
-def style() -> Iterator[None]:
+def style() -> AbstractContextManager[None]:
     """The one look of all figures: Okabe-Ito colours, light grid, no box, constrained layout."""
-    look: Any = {
-        "axes.prop_cycle": cycler(color=[*CONTACT_COLOURS, OKABE_ITO["black"], "#999999"]),
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.grid": True,
-        "axes.axisbelow": True,
-        "axes.titlesize": 10,
-        "axes.titlelocation": "left",
-        "axes.labelsize": 9.5,
-        "grid.color": "#E3E5E8",
-        "grid.linewidth": 0.6,
-        "xtick.labelsize": 9,
-        "ytick.labelsize": 9,
-        "legend.fontsize": 8.5,
-        "legend.frameon": False,
-        "lines.linewidth": 1.1,
-        "mathtext.fontset": "dejavusans",
-        "figure.constrained_layout.use": True,
-        "figure.facecolor": "white",
-        "svg.fonttype": "path",
-        "pdf.fonttype": 42,
-        "svg.hashsalt": "osc_contact",
-    }
-    with matplotlib.rc_context(look):
-        yield
+    return matplotlib.rc_context(
+        {
+            "axes.prop_cycle": cycler(color=[*CONTACT_COLOURS, OKABE_ITO["black"], "#999999"]),
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "axes.grid": True,
+            "axes.axisbelow": True,
+            "axes.titlesize": 10,
+            "axes.titlelocation": "left",
+            "axes.labelsize": 9.5,
+            "grid.color": "#E3E5E8",
+            "grid.linewidth": 0.6,
+            "xtick.labelsize": 9,
+            "ytick.labelsize": 9,
+            "legend.fontsize": 8.5,
+            "legend.frameon": False,
+            "lines.linewidth": 1.1,
+            "mathtext.fontset": "dejavusans",
+            "figure.constrained_layout.use": True,
+            "figure.facecolor": "white",
+            "svg.fonttype": "path",
+            "pdf.fonttype": 42,
+            "svg.hashsalt": "osc_contact",
+        }
+    )
 
 
 def panels(count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
@@ -89,7 +87,7 @@ def save(
     """
     base = Path(path_without_suffix)
     written = []
-    undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     for suffix in suffixes:
         written.append(base.with_name(base.name + suffix))
         with whole_file(written[-1]) as unfinished:
@@ -201,8 +199,13 @@ def power(recording: Recording, judged: Judged | None = None) -> Figure:
             _shade(ax, t, counted)
         if axes[0].patches:
             words = "not in the rms: settling, landings, force steps"
-            place: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
-            axes[0].legend([axes[0].patches[0]], [words], **place)
+            axes[0].legend(
+                [axes[0].patches[0]],
+                [words],
+                loc="lower right",
+                bbox_to_anchor=(1.0, 1.0),
+                borderaxespad=0.1,
+            )
     return figure
 
 
@@ -282,7 +285,7 @@ def _shade(ax: Axes, t: Array, counted: Judged) -> None:
     edges = np.flatnonzero(np.diff(~counted, prepend=False, append=False))
     for start, stop in edges.reshape(-1, 2):
         end = t[min(stop, len(t) - 1)]
-        ax.axvspan(float(t[start]), float(end), color="#B8BDC4", alpha=0.6, lw=0)
+        ax.axvspan(t[start], end, color="#B8BDC4", alpha=0.6, lw=0)
 
 
 def _scale_errors(ax: Axes, error: Array, linear: float) -> None:

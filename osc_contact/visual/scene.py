@@ -94,8 +94,8 @@ class Scene:
         points = np.vstack([near, *(arm.corners(samples[0]) for arm in self.arms)])
         bases = np.vstack([nothing, *(arm.base.translation for arm in self.arms)])
         directions = samples[0].get("contact_direction", nothing)
-        floor = float(np.min(bases[:, 2], initial=0.0))
-        lowest = float(points[:, 2].min())
+        floor = np.min(bases[:, 2], initial=0.0)
+        lowest = points[:, 2].min()
         if lowest <= floor - 0.05:
             floor = lowest - 0.1
         front, side = _headings(points, bases, np.nan_to_num(directions.reshape(-1, 3)))
@@ -243,8 +243,7 @@ def set_stage(
     from meshcat.geometry import Box, LineBasicMaterial, LineSegments, PointsGeometry
 
     ground = scene["floor"]
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    ground.set_transform(at([*middle[:2], floor - 0.0025]).homogeneous)
+    ground.set_transform(at([*centre(points)[:2], floor - 0.0025]).homogeneous)
     ground["plane"].set_object(Box([FLOOR_SIDE, FLOOR_SIDE, 0.01]), plain(FLOOR_COLOUR))
     ground["plane"].set_transform(at([0.0, 0.0, -0.007]).homogeneous)
     steps = np.arange(-GRID_LINES, GRID_LINES + 1) * GRID_STEP
@@ -268,12 +267,12 @@ def set_stage(
 
 def _headings(points: Array, bases: Array, pushes: Array) -> tuple[float, float]:
     """Headings (rad) of the object's side, and near it of where forces are seen from the side."""
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))[:2]
+    middle = centre(points)[:2]
     away = middle - bases[:, :2].mean(axis=0) if len(bases) else middle
-    front = float(np.arctan2(away[1], away[0])) if norm(away) > 0.02 else -np.pi / 3
+    front = np.arctan2(away[1], away[0]) if norm(away) > 0.02 else -np.pi / 3
     turns = np.deg2rad([0, 15, -15, 30, -30, 45, -45, 60, -60])
     along = [np.abs(pushes @ eye(front + turn)).max(initial=0.0) for turn in turns]
-    return front, front + float(turns[np.argmin(np.round(along, 1))])
+    return front, front + turns[np.argmin(np.round(along, 1))]
 
 
 def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, Array]:
@@ -286,15 +285,18 @@ def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, A
     """
     axes = np.vstack((picture_axes(view), view))
     half = np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW_DEG)) * np.array([aspect, 1.0]) * FILLED
-    across = points @ axes.T
-    target = axes.T @ (0.5 * (across.min(axis=0) + across.max(axis=0)))
+    target = axes.T @ centre(points @ axes.T)
     for _ in range(20):  # perspective: centre the picture at the distance that just fits
         seen = (points - target) @ axes.T
-        distance = float((np.abs(seen[:, :2]) / half + seen[:, 2:]).max()) + 0.05
+        distance = (np.abs(seen[:, :2]) / half + seen[:, 2:]).max() + 0.05
         image = seen[:, :2] / (distance - seen[:, 2:])
-        shift = 0.5 * (image.min(axis=0) + image.max(axis=0)) * distance
-        target = target + axes[:2].T @ shift
+        target = target + axes[:2].T @ (centre(image) * distance)
     return target, max(distance, 0.3) * view
+
+
+def centre(points: Array) -> Array:
+    """(n,) of the box around points (k, n)."""
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
 def picture_axes(view: Array) -> Array:
@@ -387,7 +389,8 @@ def thinned(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> dic
         stretches = np.array_split(np.arange(len(t)), BINS)
         t = t[[part[k] for part in stretches for k in (0, -1)]]
         for number, row in enumerate(np.nan_to_num(rows)):
-            places = [(row[part].argmin(), row[part].argmax()) for part in stretches]
-            found = [part[sorted(ends)] for part, ends in zip(stretches, places, strict=True)]
+            found = [
+                sorted((part[row[part].argmin()], part[row[part].argmax()])) for part in stretches
+            ]
             rows[number] = row[np.concatenate(found)]
     return {"t": np.round(t, 4).tolist(), "y": [rounded(row) for row in rows]}

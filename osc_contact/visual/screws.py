@@ -139,7 +139,7 @@ def tangents(N: Array) -> Array:
     axes as far as there are any.
     """
     U, values, _ = np.linalg.svd(N)
-    rank = int((values > 1e-9 * values.max(initial=0.0)).sum())
+    rank = (values > 1e-9 * values.max(initial=0.0)).sum()
     return echelon(U[:, rank:])
 
 
@@ -152,7 +152,7 @@ def echelon(basis: ArrayLike) -> Array:
         if row == len(rows):
             break
         weight = size if column >= 3 else 1.0
-        pivot = row + int(np.abs(rows[row:, column]).argmax())
+        pivot = row + np.abs(rows[row:, column]).argmax()
         if np.abs(rows[pivot, column]) * weight < 1e-6 * np.abs(rows).max():
             continue
         rows[[row, pivot]] = rows[[pivot, row]]
@@ -164,8 +164,8 @@ def echelon(basis: ArrayLike) -> Array:
     return rows[::-1].T
 
 
-def helix(pitch: float, radius: float, length: float, count: int = 48) -> Array:
-    """(count, 3) path of a point `radius` m from the y-axis that turns about it and advances.
+def helix(pitch: float, radius: float, length: float) -> Array:
+    """(48, 3) path of a point `radius` m from the y-axis that turns about it and advances.
 
     The path is `length` m long whatever the pitch (m/rad): a circle's arc for pitch 0, ever closer
     to a straight line as the pitch grows. The middle of the path is at y = 0.
@@ -174,8 +174,7 @@ def helix(pitch: float, radius: float, length: float, count: int = 48) -> Array:
         pitch: advance per turned angle (m/rad).
         radius: of the helix (m).
         length: of the path (m).
-        count: how many points.
     """
-    angle = min(length / float(np.hypot(radius, pitch)), 1.75 * np.pi)
-    turn = np.linspace(-0.5 * angle, 0.5 * angle, count)
+    angle = min(length / np.hypot(radius, pitch), 1.75 * np.pi)
+    turn = np.linspace(-0.5 * angle, 0.5 * angle, 48)
     return np.column_stack([radius * np.sin(turn), pitch * turn, radius * np.cos(turn)])

@@ -55,8 +55,10 @@ class LivePage:
         """The page, as long as there is no tick one that loads itself again."""
         if self.scene is None:
             return WAITING
-        empty: dict[str, Any] = {"t": [], "y": [[] for _ in self.scene.lines]}
-        config = self.scene.config(live=True, window=WINDOW_S, curves=empty)
+        lines = self.scene.lines
+        config = self.scene.config(
+            live=True, window=WINDOW_S, curves={"t": [], "y": [[] for _ in lines]}
+        )
         return page_text(self.drawn, self.content.title, config)
 
     def update(self) -> None:
@@ -116,9 +118,9 @@ class LivePage:
 class BrowserLink(WebSocketHandler):
     """One browser; it gets the next picture when it has taken the last one."""
 
-    def initialize(self, page: LivePage) -> None:
+    def initialize(self) -> None:
         """Called by tornado for every request."""
-        self.page = page
+        self.page: LivePage = self.settings["page"]
         self.busy = False
         self.shown: Frame = {}
         self.late: dict[str, dict[str, Any]] = {}
@@ -165,15 +167,11 @@ class BrowserLink(WebSocketHandler):
 class Page(RequestHandler):
     """The page itself."""
 
-    def initialize(self, page: LivePage) -> None:
-        """Called by tornado for every request."""
-        self.page = page
-
     def get(self) -> None:
         """The page of the scene, never from a cache."""
         self.set_header("Cache-Control", "no-store")
         self.set_header("X-Frame-Options", "DENY")
-        self.finish(self.page.text())
+        self.finish(self.settings["page"].text())
 
 
 def serve(link: socket.socket, content: Content) -> None:
@@ -188,11 +186,10 @@ def serve(link: socket.socket, content: Content) -> None:
     """
     link.setblocking(False)
     page = LivePage(link, content)
-    application = Application(websocket_max_message_size=1024, log_function=lambda _: None)
-    given = {"page": page}
-    application.add_handlers(
-        r"(127\.0\.0\.1|localhost)", [("/", Page, given), ("/frames", BrowserLink, given)]
+    application = Application(
+        page=page, websocket_max_message_size=1024, log_function=lambda _: None
     )
+    application.add_handlers(r"(127\.0\.0\.1|localhost)", [("/", Page), ("/frames", BrowserLink)])
     sockets = bind_sockets(0, LOOPBACK)
     HTTPServer(application, max_body_size=1024, idle_connection_timeout=30.0).add_sockets(sockets)
     link.send(json.dumps({"url": f"http://{LOOPBACK}:{sockets[0].getsockname()[1]}/"}).encode())

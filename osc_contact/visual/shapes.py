@@ -45,7 +45,7 @@ def along(point: ArrayLike, direction: ArrayLike) -> pin.SE3:
     if not np.isfinite(length) or length == 0.0:
         raise InvalidInputError(f"direction {direction.tolist()} has no finite length > 0")
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 1.0, 0.0]), direction / length)
-    return pin.SE3(turn.matrix(), np.asarray(point, dtype=float))
+    return pin.SE3(turn, np.asarray(point, dtype=float))
 
 
 # --- Paint ------------------------------------------------------------------------------------
@@ -218,10 +218,10 @@ def triangle_colours(file: str | Path, count: int) -> Array | None:
     if Path(file).suffix.lower() != ".dae":
         return None
     try:
-        groups = list(_groups(ET.parse(file).getroot()))
-    except (OSError, ET.ParseError, ValueError):
+        shades, counts = zip(*_groups(ET.parse(file).getroot()), strict=True)
+    except (OSError, ET.ParseError, ValueError):  # the last one: also of no groups at all
         return None
-    colours = np.repeat([g[0] for g in groups], [g[1] for g in groups], axis=0) if groups else ()
+    colours = np.repeat(shades, counts, axis=0)
     if not len(colours) or abs(len(colours) - count) > LOST_SHARE * len(colours):
         return None
     places = np.linspace(0, len(colours) - 1, count).round().astype(int)
