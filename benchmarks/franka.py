@@ -8,8 +8,6 @@ from importlib import import_module
 from itertools import repeat
 from pathlib import Path
 
-import numpy as np
-
 import osc_contact as osc
 from benchmarks.measuring import SHARES
 from osc_contact.drivers.franka import FrankaRobot
@@ -42,7 +40,7 @@ def measure(ticks: int) -> Data:
                 robot = FrankaRobot(server.host, chain)
                 q = robot.measure().q
                 controller = osc.Controller(chain, [], dt=1e-3, posture=q)
-                X = chain.state(q, np.zeros(7)).X_WO
+                X = chain.state(q).X_WO
                 hold = repeat(osc.pose_reference(X.translation, X.rotation), ticks)
                 recorder = osc.Recorder(controller)
                 loop = partial(osc.run_loop, recorder=recorder, realtime=name == "realtime")

@@ -93,7 +93,7 @@ for name, extra in (("task torques alone", 0.0), ("with null-space torques", inn
 from osc_contact.spatial import classical_to_spatial, pose_error
 
 dt, w = 1e-3, 2 * np.pi
-start = chain.state(q, np.zeros(7)).X_WO
+start = chain.state(q).X_WO
 x, qd, rows, miss = q.copy(), np.zeros(7), [], 0.0
 for k in range(2000):
     state = chain.state(x, qd)

@@ -165,7 +165,7 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         chain = self.cfg.controller.chain
         q = self._read(self._entity.data.joint_pos[:, self._joints])
         for i in np.flatnonzero(self._fresh):
-            self._target[i] = chain.state(q[i], np.zeros(chain.nq)).X_WO.homogeneous
+            self._target[i] = chain.state(q[i]).X_WO.homogeneous
             self._forces[i] = forces[i]
 
     @staticmethod

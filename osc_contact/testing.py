@@ -185,7 +185,7 @@ class _Check:
         if None in chain.sensors:
             yield "wrenches are not checked: an arm of the model has no wrist sensor"
             return
-        state = chain.state(self.now.q, np.zeros(chain.nq))
+        state = chain.state(self.now.q)
         settings: Any = SimpleNamespace(chain=chain, safety=SafetySettings())
         why = judge_load(settings, self.outside() - state.bias_out, state.bias_out)
         if why:
@@ -271,7 +271,7 @@ def mean_outside(chain: ClosedChain, read: Callable[[], Measurement]) -> Array:
     sums = []
     for _ in range(MEAN):
         m = read()
-        state = chain.state(m.q, np.zeros(chain.nq))
+        state = chain.state(m.q)
         origin = pin.SE3(np.eye(3), state.X_WO.translation)
         felt = np.zeros(6)
         for X, wrench in zip(state.sensors, m.wrenches, strict=True):

@@ -112,7 +112,7 @@ class Press:
         self.chain = osc.ClosedChain([self.server.arm(sensor=driver.pop("sensor", "tcp"))])
         self.robot = FrankaRobot(self.server.host, self.chain, **driver)
         q = self.robot.measure().q
-        self.start = self.chain.state(q, np.zeros(7)).X_WO
+        self.start = self.chain.state(q).X_WO
         table = osc.VertexOnFace(
             [0, 0, PROBE], point=[0.5, 0, TIP - self.modelled], normal=[0, 0, 1], radius=RADIUS
         )
@@ -147,7 +147,7 @@ class Press:
                 return
             if t >= SLID and not self.released:
                 self.released = k
-                away = self.chain.state(np.array(self.robot.state.q), np.zeros(7)).X_WO.translation
+                away = self.chain.state(np.array(self.robot.state.q)).X_WO.translation
                 away = away - x - [0.0, self.slide, 0.0]
             force = self.force * (k > 50 and not self.released)
             sides = np.outer(rise(t, 0.7, 1.3), [0.0, self.slide, 0.0])

@@ -111,7 +111,7 @@ class Case:
     grasps: list  # (kind, X_TO, axis)
 
     def at_rest(self):
-        return self.chain.state(self.q, np.zeros(self.chain.nq), self.X_WO, np.zeros(6))
+        return self.chain.state(self.q, X_WO=self.X_WO, V_O=np.zeros(6))
 
     def system(self, v, V):
         chain = self.chain

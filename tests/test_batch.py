@@ -33,7 +33,7 @@ def controllers(chain, count, rng, **how):
 
 def story(chain, q, count, ticks, rng, moving=False):
     """Measurements and references (ticks, count, …)."""
-    X = chain.state(q, np.zeros(chain.nq)).X_WO.homogeneous
+    X = chain.state(q).X_WO.homogeneous
     faces = [motion_of(rng, 2) for _ in range(count * moving)]
     rows = [np.hstack((face.X_WE.reshape(2, 16), face.V_E, face.A_E)) for face in faces]
     moved = {"touched": np.array(rows)} if moving else {}

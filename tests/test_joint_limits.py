@@ -62,7 +62,7 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     chain = panda({0: (-2.8, 0.2)})
     posture = PANDA_Q + [3.2, 0, 0, 0, 0, 0, 0]
     plant = rigid_plant(PANDA_Q, chain, dt=2e-3)
-    X = chain.state(PANDA_Q, np.zeros(7)).X_WO
+    X = chain.state(PANDA_Q).X_WO
     task = PostureTask(limit_stiffness=stiffness)
     unwatched = osc.SafetySettings(brake_time=0.0)
     controller = osc.Controller(

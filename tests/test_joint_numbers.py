@@ -159,7 +159,7 @@ def test_inspect_names_what_limits_compensation_of_friction(given):
     rig = rig_of("ur5_wipe", given, "arms.ur5.armature=0.3")
     lines = inspect_rig(rig).lines
     (least,) = (line for line in lines if "observer unstable" in line)
-    M = rig.model.state(rig.q_contact, np.zeros(6)).M
+    M = rig.model.state(rig.q_contact).M
     for name, m in zip(rig.model.arms[0].model.names[1:], 1.0 / np.diag(inv(M)), strict=True):
         needed = 0.3 - m + m * 0.7 / 1.7
         assert (f"{needed:.2g} ({name}, 0.3 in the model)" in least) == (needed > 0.0)
@@ -232,7 +232,7 @@ def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading)
     """7 N on the tip of a Panda, whose sensor sits in the massless frame of the tip."""
     chain = osc.ClosedChain([panda_arm(wrist_sensor="panda_hand_tcp")])
     q = np.array([0.0, -0.7, 0.2, -2.2, 0.1, 1.6, 0.7])
-    state = chain.state(q, np.zeros(7))
+    state = chain.state(q)
     p = state.X_WO.translation
     R = state.X_WO.rotation
     face = osc.VertexOnFace([0, 0, 0], p, [0, 0, 1], name="face")

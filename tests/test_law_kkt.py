@@ -111,7 +111,7 @@ def any_arms(*grasps):
             case = random_case(arms, list(rng.choice(grasps, n)), rng)
             try:
                 chain = strong(case.chain)
-                chain.state(case.q, np.zeros(chain.nq))
+                chain.state(case.q)
                 osc.Controller(chain, [])
             except osc.ModelError:  # motions that no motor drives, or that no joint measures
                 continue

@@ -76,7 +76,7 @@ class Driver:
                 v = v * [1, 1, -1]
                 q = (q - HOME) * [1, 1, -1] + HOME
             case "no gravity":
-                state = self.chain.state(q, np.zeros(3))
+                state = self.chain.state(q)
                 force = shift(state.X_WO.translation).act(pin.Force(state.bias_out))
                 w = w - state.sensors[0].actInv(force).vector
             case "wrench of another frame":

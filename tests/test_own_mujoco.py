@@ -90,7 +90,7 @@ def ready(robot, pair=WALL, guess=START, **how):
     start = robot.touching(guess)
     robot.reset(start)
     controller = osc.Controller(robot.chain, [pair], posture=start, **how)
-    return controller, robot.chain.state(start, np.zeros(3)).X_WO
+    return controller, robot.chain.state(start).X_WO
 
 
 def wiping(X, amplitude=0.04, alpha=10.0):
@@ -478,7 +478,7 @@ def test_a_controller_that_starts_outside_the_limits_holds_and_stops():
     robot = limited()
     q = np.array(START)
     controller = osc.Controller(robot.chain, [], posture=q)
-    goal = osc.Reference(robot.chain.state(q, np.zeros(3)).X_WO)
+    goal = osc.Reference(robot.chain.state(q).X_WO)
     read = unloaded(DEGREES, np.zeros(3))
     for _ in range(25):
         assert largest(held_tick(controller, "look like degrees", read, goal)) < 40.0

@@ -213,7 +213,7 @@ def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     assert verdict["force"]["ball"]["mean_command_N"] == approx(wanted.force)
     assert verdict["force"]["ball"]["rms_error_rel"] < 0.05
     chain = rig.chain
-    chain.state(rig.q_contact, np.zeros(chain.nq))
+    chain.state(rig.q_contact)
     pressed = chain.tip_poses()[0].rotation @ wanted.axis
     assert_allclose(-pressed, scenario.contacts[0].face.normal, atol=1e-4)
 

@@ -92,7 +92,7 @@ def test_what_counts_as_missed():
 
 def keeping_home(robot, ticks):
     """A controller, and references, of a driver's robot that stays at home."""
-    goal = osc.Reference(robot.chain.state(HOME, np.zeros(3)).X_WO)
+    goal = osc.Reference(robot.chain.state(HOME).X_WO)
     return osc.Controller(robot.chain, [], dt=1e-3, posture=HOME), repeat(goal, ticks)
 
 

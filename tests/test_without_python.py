@@ -351,7 +351,7 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
     heavy.save(tmp_path / "heavy.osc")
     rng = default_rng(4)
     data = chain.model.createData()
-    start = chain.state(READY, np.zeros(7)).X_WO
+    start = chain.state(READY).X_WO
     states, wanted, last = [], [], np.zeros(7)
     for k in range(101):
         drift = 2e-3 * np.sin(0.05 * k) * np.ones(7)

@@ -48,7 +48,7 @@ def poses(env, parts):
     """Of the objects, from mjlab's own joints."""
     _, controller = parts
     q = env.scene["panda"].data.joint_pos.numpy().astype(float)
-    return [controller.chain.state(one, np.zeros(7)).X_WO for one in q]
+    return [controller.chain.state(one).X_WO for one in q]
 
 
 def test_actions_move_set_points_and_press(parts):

@@ -252,7 +252,7 @@ class ClosedChain:
     def state(
         self,
         q: npt.ArrayLike,
-        v: npt.ArrayLike,
+        v: npt.ArrayLike | None = None,
         X_WO: pin.SE3 | None = None,
         V_O: npt.ArrayLike | None = None,
         *,
@@ -262,7 +262,7 @@ class ClosedChain:
 
         Args:
             q: (n,) joint positions, arms in order, each in model order, passive joints included.
-            v: (n,) joint velocities, consistent with the closed loop.
+            v: (n,) joint velocities, consistent with the closed loop; None: at rest.
             X_WO, V_O: pose and twist (6,) of the object, where the joints do not determine them.
             data: to work in (threads need one each); default: the chain's own.
 
@@ -271,8 +271,9 @@ class ClosedChain:
             ModelError: the joints do not determine where the object is, or the motors cannot drive
                 every motion the arms permit.
         """
+        still = np.zeros(self.nq)
         q = as_array("q", q, (self.nq,))
-        v = as_array("v", v, (self.nq,))
+        v = still if v is None else as_array("v", v, (self.nq,))
         data = data or self.data
         pin.forwardKinematics(self.model, data, q, v)
         led = X_WO is None and V_O is None and self.leader is not None
@@ -282,7 +283,7 @@ class ClosedChain:
             X_WO = X_WO or self.object_pose(data)
             V = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
         work = chain_work(row, q, v, X_WO, V)
-        rest = chain_work(row, q, np.zeros(self.nq), X_WO, np.zeros(6))
+        rest = chain_work(row, q, still, X_WO, np.zeros(6))
         reason = int(work.reason)
         if reason != NO_REASON:
             measured = ", or give the measured pose and twist: state(q, v, X_WO, V_O)"

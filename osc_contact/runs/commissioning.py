@@ -132,7 +132,7 @@ class Commissioning:
 
     def _stands(self) -> tuple[Array, pin.SE3]:
         q = self.robot.measure().q
-        return q, self.robot.chain.state(q, np.zeros(7)).X_WO
+        return q, self.robot.chain.state(q).X_WO
 
     def _press(self) -> Iterator[str]:
         """Approach, two forces, a slide, a retreat."""

@@ -228,7 +228,7 @@ class Task:
         q = np.asarray(measured.q, dtype=float)
         if chain.nq != len(q):
             raise InvalidInputError(f"the robot measures {len(q)} joints of {chain.nq}")
-        state = chain.state(q, np.zeros(chain.nq))
+        state = chain.state(q)
         looks = np.unique(np.linspace(0, len(given) - 1, _LOOKS).astype(int))
         names = column_names([pair.name for pair in pairs], owners.tolist())
         return cls(

@@ -353,7 +353,7 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     X_given = given_pose(scenario, chain, posture)
     require_own_pairs(scenario, X_given)
     q_contact = touching(chain, pairs, posture, X_given)
-    state = chain.state(q_contact, np.zeros(chain.nq))
+    state = chain.state(q_contact)
     contact = contact_at(pairs, state.X_WO)
     require_reachable(state, contact)
     tare = scenario.tare

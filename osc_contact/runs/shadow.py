@@ -153,7 +153,7 @@ class Shadow:
 
     def _outside(self, q: Array, wrench: Array) -> Array:
         """(6,) reading less the load, at the object in world axes."""
-        state = self.chain.state(q, np.zeros(self.chain.nq))
+        state = self.chain.state(q)
         origin = pin.SE3(np.eye(3), state.X_WO.translation)
         sensor = state.sensors[0]
         assert sensor is not None
