@@ -176,9 +176,9 @@ def test_power_that_moves_into_faces_adds_up():
 
 @parametrize("column", [0, 1])
 def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
-    for astray, reason in ((0.0304, NO_REASON), (0.0306, CONTACT_LOST)):
+    for since, reason in ((0.0304, NO_REASON), (0.0306, CONTACT_LOST)):
         contacts = Contacts(phased=1)
-        contacts.kept[2 * (1 - column)].time_since_loss = astray  # columns 2 and 0 of the contacts'
+        contacts.kept[2 * (1 - column)].time_since_loss = since  # columns 2 and 0 of the contacts'
         assert contacts.tick((0.0, 0.0), (2.0, 2.0)) == reason
         assert contacts.memory.culprit == (2 * (1 - column) if reason else -1)
 

@@ -276,7 +276,8 @@ class Controller:
         """At the start; with bodies that move, stamps, three arms, or custom code."""
         memory = self._memory
         if measurement.stamps is not None or measurement.sequence is not None:
-            memory.repeated = self._freshness.require(measurement)
+            self._freshness.require(measurement)
+            memory.repeated = self._freshness.flags
             if measurement.stamps is not None:
                 memory.stamped = memory.stamped or memory.instant + 1
                 late = measurement.stamps.encoders - measurement.stamps.wrists

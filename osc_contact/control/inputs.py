@@ -163,8 +163,8 @@ class Freshness:
         self._ages = dict.fromkeys(_READINGS, 0.0)
         self.repeated = self.flags = 0
 
-    def require(self, measurement: Measurement) -> int:
-        """Find `flags`, and return them.
+    def require(self, measurement: Measurement) -> None:
+        """Find `flags`.
 
         Raises:
             SensorTimeout: readings that are too old, or a packet older than one read before.
@@ -174,7 +174,7 @@ class Freshness:
         given = {} if stamps is None else {"encoders": stamps.encoders, "wrists": stamps.wrists}
         if number is not None:
             given["packet"] = number
-        flags = 0
+        self.flags = 0
         for name, stamp in given.items():
             if stamp > self._newest[name]:
                 self._newest[name] = stamp
@@ -185,9 +185,8 @@ class Freshness:
                 )
             else:
                 self._ages[name] += self.dt
-                flags |= _READINGS[name]
-        self.flags = flags
-        self.repeated = self.repeated + 1 if flags else 0
+                self.flags |= _READINGS[name]
+        self.repeated = self.repeated + 1 if self.flags else 0
         for name, age in self._ages.items():
             if age > self.patience * (1.0 + 1e-9):
                 newest = self._newest[name]
@@ -196,4 +195,3 @@ class Freshness:
                     f"nothing newer than {which} was read for {age:.4g} s; more than "
                     f"wrench_timeout = {self.patience:g} s is not run on"
                 )
-        return flags
