@@ -26,18 +26,22 @@ install = set -o pipefail; OSC_CONTACT_LAW=jit $(BIN)/pip install -q --no-compil
 		{ $(call install,-e '.[$(EXTRAS)]'); } && wait $$!
 	@touch $@
 
+# Without Chromium all but figure 3's picture is made.
 demo: .venv/.demo
+	-$(chromium)
 	$(BIN)/osc-contact run two_contact_rod --out out/two_contact_rod
 	$(BIN)/osc-contact reproduce all --out out/figures
 	@echo "look at out/two_contact_rod/scene.html and out/figures/report.html"
 
-# The tests look at pages with Chromium. Root gets it by apt-get; for others the way is printed.
-browser: venv
-	@$(BIN)/python -m osc_contact.visual.browser || { \
+# Pages are rendered and tested with Chromium. Root gets it by apt-get; for others the way is printed.
+chromium = @$(BIN)/python -m osc_contact.visual.browser || { \
 		test "$$(id -u)" = 0 && command -v apt-get > /dev/null && echo "installing chromium" && \
 		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq \
 			--no-install-recommends chromium fonts-liberation > /dev/null && \
 		$(BIN)/python -m osc_contact.visual.browser; }
+
+browser: venv
+	$(chromium)
 
 check: venv
 	$(BIN)/ruff check .

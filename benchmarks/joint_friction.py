@@ -15,6 +15,7 @@ verdict. Where the plate stands follows from the posture that `osc-contact new` 
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
+from itertools import product
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any, NamedTuple
@@ -24,7 +25,9 @@ import typer
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import triad
+from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs import poses
+from osc_contact.runs.rig import PLANTS, Rig
 from osc_contact.sweeps.sweep import without_logged_doubts
 
 MJCF = ("iiwa", "jaco", "kinova3", "panda", "sawyer", "spot_arm", "ur5e", "xarm7")  #: folders
@@ -39,10 +42,22 @@ TWO_ARMS = {
 }
 ROTORS = ("friction=1.0", "damping=2.0", "armature=0.1")
 #: Encoders (bit), noise of the wrists (N), the most that the error may be; 3 ms of delay.
-SENSORS = {
-    "20 bit, 0.05 N, 3 ms": (20, 0.05, 1.5),
-    "16 bit, 0.5 N, 3 ms": (16, 0.5, 3.0),
-}
+SENSORS = ((20, 0.05, 1.5), (16, 0.5, 3.0))
+
+
+@osc.register_plant("stribeck")
+def _stribeck(rig: Rig, seed: int) -> Any:
+    """MuJoCo with joint friction that falls to 60 % as a joint begins to move: v_s = 0.03 rad/s."""
+    plant: Any = PLANTS["mujoco"](rig, seed)
+    stiction = plant.model.dof_frictionloss.copy()
+
+    def command(tau: np.ndarray, duration: float) -> None:
+        falling = 0.6 + 0.4 * np.exp(-((plant.data.qvel / 0.03) ** 2))
+        plant.model.dof_frictionloss[:] = falling * stiction
+        MujocoPlant.command(plant, tau, duration)
+
+    plant.command = command
+    return plant
 
 
 class Case(NamedTuple):
@@ -55,17 +70,21 @@ class Case(NamedTuple):
 
     @without_logged_doubts()
     def run(self) -> tuple[Any, ...]:
-        """Rms and peak of the force error, share of contact, largest overshoot (%), verdict.
+        """Force error, rms and peak, share of contact, largest overshoot (%), of motion, verdict.
+
+        Of motion: the rms error of the position (mm), the largest one of the orientation (mrad).
 
         Packaged scenarios are judged as by the verdict, without steps.
         """
         try:
             recording = osc.run(osc.load_scenario(_file(self.scenario), list(self.changes)))
         except osc.OscContactError as refusal:
-            return np.nan, np.nan, np.nan, np.nan, str(refusal)[:60]
+            return *np.full(6, np.nan), str(refusal)[:60]
         verdict = osc.metrics(recording)
+        judged = recording["t"] >= JUDGED_FROM
+        away = np.linalg.norm(recording["motion_error"][judged].reshape(-1, 2, 3), axis=2).T
+        motion = 1e3 * np.sqrt(np.mean(away[0] ** 2)), 1e3 * away[1].max()
         if self.scenario in TIPS:
-            judged = recording["t"] >= JUDGED_FROM
             force = recording["alpha_true"][judged]
             wanted = recording["alpha_cmd"][judged]
             error = (force - wanted) / np.abs(wanted).max()
@@ -78,7 +97,7 @@ class Case(NamedTuple):
             found = (*worst, min(verdict["contact_fraction"].values()))
         overshoot = max((step["overshoot_rel"] for step in verdict["steps"]), default=np.nan)
         numbers = 100.0 * np.array((*found, overshoot))
-        return *numbers, verdict["task"]["word"]
+        return *numbers, *motion, verdict["task"]["word"]
 
 
 @cache
@@ -196,8 +215,17 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
         yield f"unknown {arm} {100 * share:g} % of the limit", most, changes
     slowly = (*slide(0.2, 1), "plant.joint_friction=0.02")
     yield f"unknown {arm} 2 % of the limit, to and fro at 0.2 Hz", 2.5, slowly
-    for what, (bits, newtons, most) in SENSORS.items():
-        yield f"noise {arm} {what}", most, (*slide(), *rotors, *HALF, _noisy(bits, newtons))
+    for frequency, moves in product((0.2, 0.5, 1.0), (1, 2)):
+        falling = (
+            *_joints(arm, ["friction=0"]),
+            "plant.type=stribeck",
+            "plant.joint_friction=0.01",
+        )
+        name = f"Stribeck 1 % {arm} {frequency:g} Hz, {'line' if moves == 1 else 'circle'}"
+        yield name, 5.0, (*slide(frequency, moves), *falling)
+    for bits, newtons, most in SENSORS:
+        name = f"noise {arm} {bits} bit, {newtons} N, 3 ms"
+        yield name, most, (*slide(), *rotors, *HALF, _noisy(bits, newtons))
     late = "sensors={wrist: {rate: 1 kHz, delay: 10 ms}}"
     yield f"late wrist {arm} 10 ms", 5.0, (*slide(), *rotors, *HALF, late)
     still = (*slide()[1:3], *rotors, *HALF, "motion=[]")
@@ -227,13 +255,15 @@ def main(only: str = "", workers: int = 2, folder: Path | None = None) -> None:
     """
     others = [] if folder is None else _of_mjcf(folder)
     rows = [case for case in (*cases(), *others) if only in case.name]
-    print(f"{'case':52}   rms %  wanted   peak %  contact %  overshoot %  verdict")
+    print(
+        f"{'case':52}   rms %  wanted   peak %  contact %  overshoot %  rms mm  peak mrad  verdict"
+    )
     with ProcessPoolExecutor(workers) as pool:
         for case, found in zip(rows, pool.map(Case.run, rows), strict=True):
-            rms, peak, closed, overshoot, word = found
+            rms, peak, closed, overshoot, away, turned, word = found
             print(
                 f"{case.name:52} {rms:7.4f}  {case.most:6.2f}  {peak:7.1f}  {closed:9.1f}"
-                f"  {overshoot:11.1f}  {word}",
+                f"  {overshoot:11.1f}  {away:6.3f}  {turned:9.2f}  {word}",
                 flush=True,
             )
 
