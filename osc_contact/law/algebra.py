@@ -78,42 +78,42 @@ def forward_rows(L, n, X):
 
 
 @inner
-def forward(L, n, x, first):
-    """Overwrite x[first : first + n] with L⁻¹x, L from `cholesky`.
+def forward(L, n, x):
+    """Overwrite x[:n] with L⁻¹x, L from `cholesky`.
 
     Args:
-        L: (n, n) factor. n: its size. x: right side, then solution. first: element where it begins.
+        L: (n, n) factor. n: its size. x: right side, then solution.
     """
     for i in range(n):
-        s = x[first + i]
+        s = x[i]
         for k in range(i):
-            s -= L[i, k] * x[first + k]
-        x[first + i] = s * L[i, i]
+            s -= L[i, k] * x[k]
+        x[i] = s * L[i, i]
 
 
 @inner
-def backward(L, n, x, first):
-    """Overwrite x[first : first + n] with L⁻ᵀx.
+def backward(L, n, x):
+    """Overwrite x[:n] with L⁻ᵀx.
 
     Args:
-        L, n, x, first: as of `forward`.
+        L, n, x: as of `forward`.
     """
     for i in range(n - 1, -1, -1):
-        s = x[first + i]
+        s = x[i]
         for k in range(i + 1, n):
-            s -= L[k, i] * x[first + k]
-        x[first + i] = s * L[i, i]
+            s -= L[k, i] * x[k]
+        x[i] = s * L[i, i]
 
 
 @inner
-def cholesky_solve(L, n, x, first):
-    """Overwrite x[first : first + n] with (LLᵀ)⁻¹x.
+def cholesky_solve(L, n, x):
+    """Overwrite x[:n] with (LLᵀ)⁻¹x.
 
     Args:
-        L, n, x, first: as of `forward`.
+        L, n, x: as of `forward`.
     """
-    forward(L, n, x, first)
-    backward(L, n, x, first)
+    forward(L, n, x)
+    backward(L, n, x)
 
 
 @inner
@@ -315,5 +315,5 @@ def project_onto_columns(L, Q, r, x, target):
     Args:
         L, Q: from `orthonormalise`. r: how many rows. x: (6,), target: (r,), both overwritten.
     """
-    forward(L, r, target, 0)
+    forward(L, r, target)
     project_onto_constraint(Q, r, x, target)

@@ -337,7 +337,7 @@ def add_row(t, e):
     _weigh(t, a, work.weighed[e])
     _multiply(t, work.weighed[e], e, row)
     whole = row[size] = dot(work.weighed[e], a, t.model.n_joints)
-    forward(work.factor, size, row, 0)
+    forward(work.factor, size, row)
     left = whole - dot(row, row, size)
     if left < _DOUBTFUL * whole:
         left = _project_again(t, e)
@@ -374,7 +374,7 @@ def _project_again(t, e):
     x = work.products
     for i in range(size):
         x[i] = Z[size, i]
-    backward(Z, size, x, 0)  # multipliers of the rows before
+    backward(Z, size, x)  # multipliers of the rows before
     y = _from_free(work, x)
     for j in range(n):
         left[j] = work.extra[e, j] - dot6(work.joints[j].J_bar, y)
@@ -382,7 +382,7 @@ def _project_again(t, e):
         add_scaled(-x[6 - m + c], work.extra[c], n, left)
     _weigh(t, left, work.left_weighed)
     _multiply(t, work.left_weighed, e, x)
-    forward(Z, size, x, 0)
+    forward(Z, size, x)
     add_scaled(1.0, x, size, Z[size])
     return dot(work.left_weighed, left, n) - dot(x, x, size)
 
@@ -500,7 +500,7 @@ def allocate_torques(t):
                 work.extra[size - d, j] = work.extra[e, j]
         if add_row(t, size - d):
             size += 1
-    cholesky_solve(work.factor, size, b, 0)
+    cholesky_solve(work.factor, size, b)
     y = _from_free(work, b)
     for k in range(model.n_arms):
         _add_torques(t, arms[k], work.arms[k], y)

@@ -80,7 +80,7 @@ def solve_chain(t):
         place_frame(tip, model.X_LP, work.R, work.C)
         set_axes(work.R, model.roots, work.axes)
     else:
-        copy_rows(memory.X_WO, 0, work.X_WO)
+        copy_rows(memory.X_WO, work.X_WO)
         if memory.given >= GIVEN_POSE:
             centre_object(t, work.X_WO)
         elif not find_object(t, work.X_WO):
@@ -142,14 +142,14 @@ def _combine_twists(t):
     _add_covariance(t, 0, P)
     V = energy_motion(work.axes, work.V_C)
     for k in range(1, t.model.n_arms):
-        copy_rows(P, 0, S)
+        copy_rows(P, S)
         _add_covariance(t, k, S)
         if not cholesky(S, 0, 6, S) > 0.0:
             return
-        copy_rows(P, 0, before)
+        copy_rows(P, before)
         for i in range(6):
             fill(K[i], P[i])
-            cholesky_solve(S, 6, K[i], 0)
+            cholesky_solve(S, 6, K[i])
         V = plus(V, times6(K, minus(energy_motion(work.axes, work.arms[k].V), V)))
         for i in range(6):
             for j in range(6):

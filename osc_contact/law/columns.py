@@ -162,7 +162,7 @@ def _express(t):
         column = columns[work.chosen[j]]
         for a in range(rank):
             column.share[a] = dot6(work.Q[a], column.energy)
-        backward(work.L, rank, column.share, 0)
+        backward(work.L, rank, column.share)
         for a in range(rank):
             column.share[a] /= columns[work.kept[a]].extent
     for a in range(rank):

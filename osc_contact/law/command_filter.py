@@ -112,7 +112,7 @@ def _judge_reach(t):
     for a in range(r):
         N = work.N_t[a]
         fill(work.D[a], N)
-        forward(work.B, d, work.D[a], m)
+        forward(work.B, d, work.D[a, m:])
         work.amount = dot(work.D[a, m:], work.D[a, m:], d) / dot6(N, N)
         if not work.amount > _REACH:
             work.where = a
@@ -171,10 +171,10 @@ def _meet_weighed(t, B_inv, m, x, target):
         x[m + i] = s
     for a in range(r):
         fill(work.D[a], work.N_t[a])
-        forward(K, d, work.D[a], m)
+        forward(K, d, work.D[a, m:])
     orthonormalise(work.D, r, m, work.E, work.A)
     project_onto_columns(work.A, work.E, r, x, target)
-    backward(K, d, x, m)
+    backward(K, d, x[m:])
     return True
 
 
@@ -220,7 +220,7 @@ def reduce_motion(t):
                 accumulate(H[i], weight * row[i], row)
     fill(work.u, ZERO)
     cholesky(H, m, 6 - m, work.B)
-    cholesky_solve(work.B, 6 - m, step, m)
+    cholesky_solve(work.B, 6 - m, step[m:])
     _meet_weighed(t, H, m, step, work.u)
     fill(work.x, plus(work.x, step))
 
@@ -233,15 +233,15 @@ def set_metric(t):
     work = t.work
     out = work.B_inv_t
     if t.model.metric == BY_CHAIN:
-        copy_rows(work.Lambda, 0, out)
+        copy_rows(work.Lambda, out)
         return
-    copy_rows(t.model.B_inv, 0, out)
+    copy_rows(t.model.B_inv, out)
     for _ in range(2):  # the map from wrenches to energy coordinates, from both sides
         for i in range(6):
             f = wrench_to_energy(work, out[i])
             for j in range(6):
                 work.A[j, i] = f[j]
-        copy_rows(work.A, 0, out)
+        copy_rows(work.A, out)
     reflect_sides(work, out)
 
 

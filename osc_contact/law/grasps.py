@@ -109,7 +109,7 @@ def find_twist(t, given):
         return True
     if not cholesky(work.A, 0, 6, work.B) > KNOWN:
         return False
-    cholesky_solve(work.B, 6, x, 0)
+    cholesky_solve(work.B, 6, x)
     fill(work.V_C, world_motion(work.axes, x))
     return True
 
@@ -364,12 +364,12 @@ def find_object(t, X):
             grasp_rows(arm, own, work.C, work.axes, own.passed)
             if not orthonormalise(own.passed, arm.m, 0, own.passed, work.D) > 0.0:
                 return False
-            forward(work.D, arm.m, r, 0)
+            forward(work.D, arm.m, r)
             for a in range(arm.m):
                 _add_condition(own.passed[a], -r[a], work.A, x)
         if not cholesky(work.A, 0, 6, work.B) > KNOWN:
             return False
-        cholesky_solve(work.B, 6, x, 0)
+        cholesky_solve(work.B, 6, x)
         step = carry_motion(world_motion(work.axes, x), work.C, work.O)
         rotate(X, step[3:])
         size = 0.0

@@ -226,7 +226,7 @@ def _mobility(p):
     for b in range(r):
         for i in range(d):
             p.P[b, i] = X[b, i] + X[b, 6 + i]
-        cholesky_solve(p.K, d, p.P[b], 0)
+        cholesky_solve(p.K, d, p.P[b])
     for a in range(r):
         p.extent[a] = 0.0
         for b in range(r):
@@ -250,7 +250,7 @@ def _respond(p):
     for j in range(n):
         for i in range(d):
             p.motion[j, i] = p.G[j, 6 - d + i] * p.scale[j]
-        cholesky_solve(p.K, d, p.motion[j], 0)
+        cholesky_solve(p.K, d, p.motion[j])
         for a in range(r):
             p.force[j, a] = dot(p.X[a], p.motion[j], d) / p.extent[a]
     if not lu_solve(p.D, r, p.force, n):
@@ -464,7 +464,7 @@ def _shares(t, alpha, share, floor):
             continue
         x = share[k]
         fill(x, work.columns[work.chosen[j]].share)
-        cholesky_solve(work.B, r, x, 0)
+        cholesky_solve(work.B, r, x)
         floor[k] = min(_FLOOR, dot(x, alpha, r))
         k += 1
     return k
@@ -480,7 +480,7 @@ def _idle_motions(t, arm, own, idle, count):
         return count
     null_motions(work, own, n)
     for c in range(own.n_kept, min(n, own.n_kept + len(idle) - count)):
-        backward(work.K, n, work.Z[c], 0)
+        backward(work.K, n, work.Z[c])
         for i in range(n):
             motor = t.model.joints[lo + i].motor
             if motor >= 0:
@@ -514,7 +514,7 @@ def fill_program(raw, at, i, program):
             p.E[e, motor] = rows[e, j]
         for c in range(len(p.idle)):
             p.idle[c, motor] = 0.0
-    copy_rows(work.Lambda, 0, p.Lambda)
+    copy_rows(work.Lambda, p.Lambda)
     for a in range(work.rank):
         p.alpha[a] = work.alpha_u[a]
         fill(p.N[a], work.N_t[a])

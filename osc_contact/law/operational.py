@@ -27,7 +27,6 @@ from osc_contact.law.vectors import (
     fill,
     fill3,
     finiteness,
-    mirror,
     plus3,
     reflector,
     scaled,
@@ -170,7 +169,9 @@ def _decompose(t, lo, n, arm, row):
             x = add(x, joints[lo + j].M[k], joints[lo + k].J_bar)
         for i in range(6):
             accumulate(arm.Lambda[i], bar[i], x)
-    mirror(arm.Lambda)
+    for i in range(1, 6):  # symmetric but for rounding errors
+        for j in range(i):
+            arm.Lambda[j, i] = arm.Lambda[i, j]
     return True
 
 
@@ -384,7 +385,7 @@ def find_lost(t, arm, own):
             own.lost[at, i] = root[i] * X[k, n + i]
         for j in range(n):
             own.mode[at, j] = X[k, j]
-        backward(work.K, n, own.mode[at], 0)
+        backward(work.K, n, own.mode[at])
         own.n_lost += 1
         work.n_lost += 1
 

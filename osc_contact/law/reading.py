@@ -111,7 +111,7 @@ def measure_magnitudes(t):
         fill(work.solved[a], work.Q[a])
     if t.model.held == 0:
         return _measure_at_tip(t)
-    copy_rows(work.out_T, 0, work.B)
+    copy_rows(work.out_T, work.B)
     if not lu_solve(work.B, 6, work.solved, r):  # rows: Λ_out⁻ᵀ q
         return False
     return _solve_magnitudes(t, 1.0)
@@ -134,9 +134,9 @@ def _solve_magnitudes(t, inertial):
             D[a, b] = dot6(work.solved[a], work.pushed[b])
             E[b, a] = inertial * work.Phi_mu[a, b]
         work.w[a] = inertial * (work.n_gamma[a] + work.b_N[a])
-    forward(L, r, work.w, 0)
+    forward(L, r, work.w)
     for b in range(r):  # columns of L⁻¹Φ_μ
-        forward(L, r, E[b], 0)
+        forward(L, r, E[b])
         for a in range(r):
             D[a, b] += E[b, a]
     for a in range(r):
@@ -148,12 +148,12 @@ def _solve_magnitudes(t, inertial):
     alpha = work.A
     for a in range(r):
         alpha[0, a] = dot6(work.solved[a], f) + work.z[a] - work.w[a]
-        forward(L, r, D[a], 0)  # a row of D L⁻ᵀ
+        forward(L, r, D[a])  # a row of D L⁻ᵀ
     if not lu_solve(D, r, alpha, 1):
         return False
     for a in range(r):
         work.alpha_meas[a] = alpha[0, a]
-    backward(L, r, work.alpha_meas, 0)
+    backward(L, r, work.alpha_meas)
     return True
 
 
@@ -306,7 +306,7 @@ def weigh_magnitudes(t):
     for a in range(r):
         y = work.solved[a]
         fill(y, H[a])
-        cholesky_solve(work.A, 6, y, 0)
+        cholesky_solve(work.A, 6, y)
         right[0, a] = dot6(y, f)
         for b in range(r):
             gram[a, b] = dot6(y, H[b])
@@ -318,7 +318,7 @@ def weigh_magnitudes(t):
     for a in range(r):
         work.alpha_meas[a] = right[0, a]
         accumulate(f, -right[0, a], H[a])
-    cholesky_solve(work.A, 6, f, 0)
+    cholesky_solve(work.A, 6, f)
     return True
 
 
@@ -421,7 +421,7 @@ def oppose_friction(t):
     solvable = d > 0 and cholesky(work.Lambda, m, d, work.B) > 0.0
     for a in range(r if solvable else 0):
         fill(work.z, work.N_t[a])
-        cholesky_solve(work.B, d, work.z, m)
+        cholesky_solve(work.B, d, work.z[m:])
         x[a] += dot(work.z[m:], work.u[m:], d)
         for b in range(r):
             work.D[a, b] = work.Phi_mu[a, b] + dot(work.z[m:], work.pushed_t[b, m:], d)
@@ -532,7 +532,7 @@ def _push_on(t, force, chosen):
 @inner
 def _add_yield(work, f):
     """f more Λ_out times the least motion with the normal acceleration s (r,): a body yields."""
-    forward(work.L, work.rank, work.s, 0)
+    forward(work.L, work.rank, work.s)
     a = ZERO
     for b in range(work.rank):
         a = add(a, work.s[b], work.Q[b])

@@ -209,7 +209,7 @@ def take_in(t, engaged, moving):
     model = t.model
     work = t.work
     given = t.input
-    copy_rows(given.X_WD, 0, work.X_WD)
+    copy_rows(given.X_WD, work.X_WD)
     fill(work.V_D, given.V_D)
     fill(work.A_D, given.A_D)
     for j in range(model.n_joints):
@@ -432,7 +432,7 @@ def remember(t):
     memory.located = 1
     memory.more_friction = work.more_friction
     memory.slid = work.slid
-    copy_rows(work.X_WO, 0, memory.X_WO)
+    copy_rows(work.X_WO, memory.X_WO)
     if work.status != SATURATED:
         for a in range(work.rank):
             memory.force_sum[a] = work.force_next[a]
@@ -548,19 +548,19 @@ def rows(raw, at, given):
             _copy(q, i * n, fits_q, own.q)
             _copy(v, i * n, fits_v, own.v)
             if t.memory.wrench_missing:
-                copy_rows(t.memory.wrenches, 0, own.wrenches)
+                copy_rows(t.memory.wrenches, own.wrenches)
             elif fits_wrenches:
-                copy_rows(wrenches, i * k, own.wrenches)
+                copy_rows(wrenches[i * k :], own.wrenches)
             else:
                 own.wrenches[:] = nan
             if fits:
-                copy_rows(X_WD, 4 * i, own.X_WD)
+                copy_rows(X_WD[4 * i :], own.X_WD)
                 _copy(V_D, 6 * i, True, own.V_D)
                 _copy(A_D, 6 * i, True, own.A_D)
                 if has_desired:
                     _copy(alpha_d, i * head.n_columns, True, own.alpha_d)
                 if moving:
-                    copy_rows(touched, i * c, own.touched)
+                    copy_rows(touched[i * c :], own.touched)
         status = _row(t, flags, job.begin, job.stop)
         if job.begin != HAND_OVER:
             t.memory.status = status

@@ -43,13 +43,13 @@ def add3(y, s, x):
 @leaf
 def plus3(x, y):
     """x + y of 3-vectors, as a tuple."""
-    return x[0] + y[0], x[1] + y[1], x[2] + y[2]
+    return add3(x, 1.0, y)
 
 
 @leaf
 def minus3(x, y):
     """x − y of 3-vectors, as a tuple."""
-    return x[0] - y[0], x[1] - y[1], x[2] - y[2]
+    return add3(x, -1.0, y)
 
 
 @leaf
@@ -93,15 +93,13 @@ def dot6(a, b):
 @leaf
 def six(x):
     """A row as a tuple."""
-    return x[0], x[1], x[2], x[3], x[4], x[5]
+    return linear(x) + angular(x)
 
 
 @leaf
 def fill(x, t):
     """x ← t."""
-    x[0] = t[0]
-    x[1] = t[1]
-    x[2] = t[2]
+    fill3(x, t)
     x[3] = t[3]
     x[4] = t[4]
     x[5] = t[5]
@@ -114,14 +112,7 @@ def add(t, s, x):
     Args:
         t: six numbers. s: factor. x: six numbers.
     """
-    return (
-        t[0] + s * x[0],
-        t[1] + s * x[1],
-        t[2] + s * x[2],
-        t[3] + s * x[3],
-        t[4] + s * x[4],
-        t[5] + s * x[5],
-    )
+    return add3(t, s, x) + add3(angular(t), s, angular(x))
 
 
 @leaf
@@ -137,19 +128,19 @@ def accumulate(x, s, y):
 @leaf
 def plus(x, y):
     """x + y, as a tuple."""
-    return x[0] + y[0], x[1] + y[1], x[2] + y[2], x[3] + y[3], x[4] + y[4], x[5] + y[5]
+    return add(x, 1.0, y)
 
 
 @leaf
 def minus(x, y):
     """x − y, as a tuple."""
-    return x[0] - y[0], x[1] - y[1], x[2] - y[2], x[3] - y[3], x[4] - y[4], x[5] - y[5]
+    return add(x, -1.0, y)
 
 
 @leaf
 def scaled(s, x):
     """s x, as a tuple."""
-    return s * x[0], s * x[1], s * x[2], s * x[3], s * x[4], s * x[5]
+    return scaled3(s, x) + scaled3(s, angular(x))
 
 
 @leaf
@@ -179,41 +170,15 @@ def finiteness(x, n):
 
 
 @leaf
-def copy_rows(X, start, out):
-    """out ← the rows X[start:], as many and as long as there are in out.
+def copy_rows(X, out):
+    """out ← the first rows of X, as many and as long as there are in out.
 
     Args:
-        X: rows. start: the first that is copied. out: (rows, length), overwritten.
+        X: rows. out: (rows, length), overwritten.
     """
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] = X[start + i, j]
-
-
-@leaf
-def reflected(V, beta, m, x):
-    """H_m … H_1 x (6,) with the reflectors in the rows of V, as a tuple.
-
-    Args:
-        V: reflectors. beta: (m,) their factors. m: how many. x: six numbers.
-    """
-    y = six(x)
-    for k in range(m):
-        y = add(y, -beta[k] * dot6(V[k], y), V[k])
-    return y
-
-
-@leaf
-def reflected_back(V, beta, m, x):
-    """H_1 … H_m x, the inverse of `reflected`.
-
-    Args:
-        V, beta, m, x: as of `reflected`.
-    """
-    y = six(x)
-    for k in range(m - 1, -1, -1):
-        y = add(y, -beta[k] * dot6(V[k], y), V[k])
-    return y
+            out[i, j] = X[i, j]
 
 
 @inner
@@ -232,31 +197,27 @@ def reflect_sides(work, A):
 
 
 @leaf
-def mirror(A):
-    """Copy what is below the diagonal of A (6, 6) above it."""
-    for i in range(1, 6):
-        for j in range(i):
-            A[j, i] = A[i, j]
+def row3(R, i):
+    """The first three of row i, as a tuple."""
+    return R[i, 0], R[i, 1], R[i, 2]
+
+
+@leaf
+def column3(R, i):
+    """The first three of column i, as a tuple."""
+    return R[0, i], R[1, i], R[2, i]
 
 
 @leaf
 def rotated(R, x):
     """R x, as a tuple; the rotation stands in the first rows and columns of R."""
-    return (
-        R[0, 0] * x[0] + R[0, 1] * x[1] + R[0, 2] * x[2],
-        R[1, 0] * x[0] + R[1, 1] * x[1] + R[1, 2] * x[2],
-        R[2, 0] * x[0] + R[2, 1] * x[1] + R[2, 2] * x[2],
-    )
+    return dot3(row3(R, 0), x), dot3(row3(R, 1), x), dot3(row3(R, 2), x)
 
 
 @leaf
 def rotated_back(R, x):
     """Rᵀ x, as a tuple."""
-    return (
-        R[0, 0] * x[0] + R[1, 0] * x[1] + R[2, 0] * x[2],
-        R[0, 1] * x[0] + R[1, 1] * x[1] + R[2, 1] * x[2],
-        R[0, 2] * x[0] + R[1, 2] * x[1] + R[2, 2] * x[2],
-    )
+    return dot3(column3(R, 0), x), dot3(column3(R, 1), x), dot3(column3(R, 2), x)
 
 
 @leaf
@@ -268,17 +229,13 @@ def rotated9(R, x):
 @leaf
 def rotated9_back(R, x):
     """Rᵀ x of a rotation (≥ 9,) by rows, as a tuple."""
-    return (
-        R[0] * x[0] + R[3] * x[1] + R[6] * x[2],
-        R[1] * x[0] + R[4] * x[1] + R[7] * x[2],
-        R[2] * x[0] + R[5] * x[1] + R[8] * x[2],
-    )
+    return add3(add3(scaled3(x[0], R), x[1], R[3:]), x[2], R[6:])
 
 
 @leaf
 def origin(X):
     """The point of a pose X (≥ 3, 4), as a tuple."""
-    return X[0, 3], X[1, 3], X[2, 3]
+    return column3(X, 3)
 
 
 @leaf
@@ -288,11 +245,8 @@ def transformed(p, R, x):
     Args:
         p, x: (3,). R: (3, 3).
     """
-    return (
-        p[0] + R[0, 0] * x[0] + R[0, 1] * x[1] + R[0, 2] * x[2],
-        p[1] + R[1, 0] * x[0] + R[1, 1] * x[1] + R[1, 2] * x[2],
-        p[2] + R[2, 0] * x[0] + R[2, 1] * x[1] + R[2, 2] * x[2],
-    )
+    x_y = add3(add3(p, x[0], column3(R, 0)), x[1], column3(R, 1))
+    return add3(x_y, x[2], column3(R, 2))
 
 
 @leaf
@@ -400,14 +354,25 @@ def wrench_to_world(work, f):
 
 @leaf
 def turned(work, x):
-    """x (6,) turned so that the first m energy axes are those that the arms lock."""
-    return reflected(work.reflectors, work.beta, work.locked, x)
+    """x (6,) turned so that the first m energy axes are those that the arms lock, as a tuple.
+
+    H x with H = H_m … H_1, the reflectors.
+    """
+    y = six(x)
+    for k in range(work.locked):
+        v = work.reflectors[k]
+        y = add(y, -work.beta[k] * dot6(v, y), v)
+    return y
 
 
 @leaf
 def turned_back(work, x):
     """The inverse of `turned`."""
-    return reflected_back(work.reflectors, work.beta, work.locked, x)
+    y = six(x)
+    for k in range(work.locked - 1, -1, -1):
+        v = work.reflectors[k]
+        y = add(y, -work.beta[k] * dot6(v, y), v)
+    return y
 
 
 # --- From energy coordinates to world axes at O, as matrices --------------------------------------
