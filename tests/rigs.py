@@ -32,6 +32,11 @@ def miss(got, want):
     return largest(got - want) / max(largest(want), 1.0)
 
 
+def assert_near(got, want, atol=0.0, rtol=1e-7, name=""):
+    """Each element within atol, plus this share of what is wanted."""
+    assert_allclose(got, want, rtol, atol, err_msg=name)
+
+
 def assert_close(got, want, tolerance=1e-8, name=""):
     """Differences within this share of the largest element, or of 1 if that is more."""
     assert_allclose(got, want, rtol=0, atol=tolerance * max(1.0, largest(want)), err_msg=name)

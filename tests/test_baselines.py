@@ -9,9 +9,9 @@ from command_line import answered, read_json, refused
 from complaints import invalid_input
 from numpy.linalg import inv, solve
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx, mark
-from rigs import in_contact, largest, one_panda, random_state, shift
+from rigs import assert_near, in_contact, largest, one_panda, random_state, shift
 from scenario_runs import first_inputs, rig_of
 from scipy.linalg import block_diag
 
@@ -134,7 +134,7 @@ def test_laws_are_what_was_published(key, published):
         F = solve(back.T, published(frame, back.T @ Lambda @ back, *there))
         want = state.S.T @ (F + bias)
         got = f_S(law, state, a, contact.N @ alpha)
-        assert_allclose(got, want, atol=1e-9 * largest(want))
+        assert_near(got, want, 1e-9 * largest(want))
 
 
 def representable(rng):
@@ -157,8 +157,8 @@ def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_
         instant, selection = representable(rng)
         khatib = instant.coupling(SelectionLaw(KHATIB, selection))
         assert khatib.cost <= 1e-9
-        assert_allclose(khatib.M, np.eye(len(khatib.M)), atol=1e-9)
-        assert_allclose(khatib.K, np.eye(len(khatib.K)), atol=1e-9)
+        assert_near(khatib.M, np.eye(len(khatib.M)), 1e-9)
+        assert_near(khatib.K, np.eye(len(khatib.K)), 1e-9)
         isaac = instant.coupling(SelectionLaw(BASELINES["isaac_lab"], selection))
         assert isaac.norms[0] <= 1e-9 and isaac.norms[1] > 1e-2
         assert instant.coupling(best_selection(instant, KHATIB, restarts=0)).cost <= 1e-9
@@ -183,7 +183,7 @@ def test_on_the_skew_contact_every_frame_couples_and_the_plant_says_the_same():
         measured = measured_coupling(rig, law, instant)
         predicted = instant.coupling(law)
         assert predicted.usable and min(predicted.norms) > 0.05
-        assert_allclose(measured.residuals, predicted.residuals, atol=1e-9)
+        assert_near(measured.residuals, predicted.residuals, 1e-9)
 
 
 def test_the_search_finds_frames_no_worse_than_200_random_ones_and_the_same_from_any_seed():
@@ -200,7 +200,7 @@ def test_the_search_finds_frames_no_worse_than_200_random_ones_and_the_same_from
             usable += np.isfinite(cost)
             assert not cost < least
         other = best_selection(instant, baseline, restarts=2, seed=7)
-        assert_allclose(other.selection.force, best.selection.force, atol=1e-5)
+        assert_near(other.selection.force, best.selection.force, 1e-5)
         assert instant.coupling(other).cost == approx(least, rel=1e-9)
 
 
@@ -217,10 +217,10 @@ def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
     after = installed.signals
     for name in ("f_meas", "f_c_meas", "alpha_meas", "alpha_u", "a_u"):
         assert_array_equal(getattr(after, name), getattr(plain.signals, name), name)
-    assert_allclose(after.eta_c, law.eta(after.state, after.a_u), atol=1e-9)
+    assert_near(after.eta_c, law.eta(after.state, after.a_u), 1e-9)
     want = f_S(law, after.state, after.a_u, after.contact.N @ after.alpha_u)
-    assert_allclose(after.f_S, want, atol=1e-9 * largest(want))
-    assert_allclose(after.state.G @ tau, want, atol=1e-9 * largest(want))
+    assert_near(after.f_S, want, 1e-9 * largest(want))
+    assert_near(after.state.G @ tau, want, 1e-9 * largest(want))
     assert rig.controller().laws.structure is None, "other controllers keep theirs"
 
 

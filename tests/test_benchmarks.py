@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 from command_line import read_json
 from complaints import invalid_input
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from processes import python
 from pytest import approx, mark
-from rigs import largest, ticked
+from rigs import assert_near, largest, ticked
 from samples import ROOT, first, parametrize
 
 import osc_contact as osc
@@ -123,7 +123,7 @@ def test_every_timed_tick_is_checked_and_begins_alike(name):
     for _ in range(3):
         unwind()
         assert not controller.motion_integral.any() and not len(controller.force_integral)
-    assert_allclose(tick(), first, rtol=0, atol=1e-12 * largest(first))
+    assert_near(tick(), first, 1e-12 * largest(first), 0)
     another = next(status for status in osc.Status if status is not case.status)
     tick, unwind = replace(case, status=another).tick()
     tick()
@@ -142,7 +142,7 @@ def test_special_cases_are_what_they_are_called():
     assert [0.0 < one.left < 1.0 for one in last["near_singular"].lost_directions] == [True, True]
     assert last["saturated"].given_up is not None
     bars = found["three_arms"].reference.squeeze_d
-    assert_allclose(last["three_arms"].result().squeeze, bars, atol=1e-6)
+    assert_near(last["three_arms"].result().squeeze, bars, 1e-6)
     assert (last["contact_phases"].phases() == Phase.CLOSED).all()
     assert [type(pair) for pair in last["own_pair"].contacts] == [OwnFace, osc.VertexOnFace]
 
@@ -193,10 +193,10 @@ def test_textbook_law_gives_our_torques(name):
         textbook = TextbookLaw(varied)
         for _ in range(4):  # the motion integral grows
             ours = ticked(controller, case.measurement, reference)
-            assert_allclose(textbook.tick(), ours, rtol=0, atol=1e-8)
+            assert_near(textbook.tick(), ours, 1e-8, 0)
         integral = controller.motion_integral
         assert largest(integral) > 1e-6
-        assert_allclose(textbook.motion_sum, integral, rtol=0, atol=1e-12)
+        assert_near(textbook.motion_sum, integral, 1e-12, 0)
 
 
 @parametrize("name", ["two_contact_rod", "one_panda"])
@@ -210,7 +210,7 @@ def test_mujoco_inverse_explains_the_torques_on_every_contact(name):
     dofs = [int(model.joint(joint).dofadr[0]) for joint in case.chain.joint_names]
     wanted = np.zeros(case.chain.nq)
     wanted[case.chain.actuated] = data.ctrl
-    assert_allclose(data.qfrc_inverse[dofs], wanted, atol=1e-4)
+    assert_near(data.qfrc_inverse[dofs], wanted, 1e-4)
 
 
 @parametrize("name", [*CASES, "three_arms"])
@@ -226,7 +226,7 @@ def test_constraint_dynamics_moves_the_joints_as_commanded(name):
     found = np.array(constraint_dynamics(case)())
     arms = case.chain.state(case.measurement.q, case.measurement.v).arms
     for s, arm in zip(case.chain.slices, arms, strict=True):  # what posture moves is ours alone
-        assert_allclose(arm.J @ found[s], arm.J @ commanded[s], atol=1e-6)
+        assert_near(arm.J @ found[s], arm.J @ commanded[s], 1e-6)
 
 
 def interpreter(path, script):

@@ -7,9 +7,9 @@ import numpy as np
 from complaints import viewer_error
 from headless import Browser, near, pixels_of
 from numpy.linalg import norm
-from numpy.testing import assert_allclose
 from PIL import Image, ImageSequence
 from pytest import approx
+from rigs import assert_near
 from samples import module_fixture
 from scene_samples import BASE, ENDS, RECORDING, links, write
 
@@ -213,7 +213,7 @@ def gif(plain):
 def test_frames_are_of_equal_steps_and_play_in_real_time():
     times, shown = moments(2.0, 4.0)
     assert len(times) == 24 and shown == 80
-    assert_allclose(times, 2.0 + np.arange(24) / 12.0)
+    assert_near(times, 2.0 + np.arange(24) / 12.0)
     times, shown = moments(0.0, 60.0)
     assert len(times) * shown == approx(10_000, rel=0.1), "faster, in 10 s"
 
@@ -254,7 +254,7 @@ def test_cameras_look_from_where_they_say(other, plain):
     assert names == ["whole", "contacts", "from above", "other side"]
     drawn = other.run(EYE)  # placed by drawing commands, not by the page's list
     other.run("element('camera').dispatchEvent(new Event('change'))")
-    assert_allclose(other.run(EYE), drawn, atol=1e-5)
+    assert_near(other.run(EYE), drawn, 1e-5)
     eyes = {}
     for place, name in enumerate(names):
         other.run(
@@ -273,7 +273,7 @@ def test_cameras_look_from_where_they_say(other, plain):
     assert high["from above"] > 0.99 and high["whole"] == approx(np.sin(np.deg2rad(28)))
     assert norm(eyes["contacts"]) < norm(eyes["whole"])
     flat = [eyes[name][[0, 2]] / norm(eyes[name][[0, 2]]) for name in names]
-    assert_allclose(flat[3], -flat[0], atol=1e-6)
+    assert_near(flat[3], -flat[0], 1e-6)
 
 
 def test_a_page_whose_script_fails_gives_no_gif(plain, tmp_path):

@@ -12,12 +12,13 @@ from grasp_rigs import BODY, KINDS, random_case
 from kkt_oracle import State
 from numpy.linalg import cholesky, inv, lstsq, matrix_rank, norm, pinv, qr, solve, svd
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx
 from rigs import (
     LWA,
     SCARA_Q,
     assert_close,
+    assert_near,
     largest,
     one_panda,
     panda_pair,
@@ -49,7 +50,7 @@ def assert_arms(chain, s, q, v):
     assert_close(s.h, data.nle, name="h")
     O = s.X_WO.translation
     X = chain.tip_poses(data)
-    assert_allclose(s.grasp_points, [one.translation for one in X], atol=1e-12)
+    assert_near(s.grasp_points, [one.translation for one in X], 1e-12)
     root = cholesky(s.metric)
     for i, (arm, part, grasp) in enumerate(zip(s.arms, chain.slices, chain.grasps, strict=True)):
         to_O = shift(X[i].translation - O).action
@@ -158,7 +159,7 @@ def test_random_chains_with_every_grasp():
             assert "do not determine where the object is" in str(error)
             continue
         found += 1
-        assert_allclose(s.X_WO.homogeneous, case.X_WO.homogeneous, atol=1e-10)
+        assert_near(s.X_WO.homogeneous, case.X_WO.homogeneous, 1e-10)
         assert_close(s.V_O, V)
         assert_arms(case.chain, s, case.q, v)
     assert found > 15
@@ -219,9 +220,7 @@ def test_what_singular_postures_lose():
             sizes = svd(L.T @ solve(cholesky(arm.M), arm.J.T).T, compute_uv=False)
             chis = sizes[: chain.full_ranks[i]]
             mine = [one for one in s.singular_directions if one.arm == i]
-            assert_allclose(
-                sorted(one.chi for one in mine), sorted(chis[chis < 0.3]), rtol=1e-6, atol=1e-9
-            )
+            assert_near(sorted(one.chi for one in mine), sorted(chis[chis < 0.3]), 1e-9, 1e-6)
             for one in mine:
                 assert one.mode @ arm.M @ one.mode == approx(1.0)
                 assert one.twist @ s.reference @ one.twist == approx(1.0)
@@ -255,4 +254,4 @@ def test_calibration_errors_do_not_cost_a_motion():
         parts = [left, turned], pair.grasps, pair.payload
         s = osc.ClosedChain(*parts, angle_tolerance=tolerance).state(q, v)
         assert s.d == d
-        assert_allclose(s.V_O, V_O, rtol=0, atol=1e-3 * largest(V_O))
+        assert_near(s.V_O, V_O, 1e-3 * largest(V_O), 0)

@@ -10,10 +10,10 @@ from unittest.mock import MagicMock
 import numpy as np
 import typer
 from command_line import answered, call, done, read_json, refused
-from numpy.testing import assert_allclose
 from PIL import Image
 from processes import python
 from pytest import approx, mark
+from rigs import assert_near
 from samples import ROOT, module_fixture, parametrize
 from scenario_runs import run_of
 from scene_samples import read_commands
@@ -215,7 +215,7 @@ def test_failed_run_exits_with_1_and_keeps_what_was_recorded(ran, tmp_path, monk
     whole = Recording.load(ran[0] / "recording.npz")
     assert len(part) == 21 and part.channels.keys() == whole.channels.keys()
     for name in set(whole.channels) - {"tick_s"}:
-        assert_allclose(part[name], whole[name][:21], atol=1e-13, err_msg=name)
+        assert_near(part[name], whole[name][:21], 1e-13, name=name)
 
 
 @parametrize(

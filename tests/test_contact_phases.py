@@ -10,10 +10,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import inv, solve
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx
 from rigs import (
     UNLIMITED,
+    assert_near,
     largest,
     panda_pair,
     random_faces,
@@ -97,7 +98,7 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
             measurement, replace(reference, alpha_d=reference.alpha_d[closed[owners]])
         )
         assert knowing.status is blind.status
-        assert_allclose(got, want, rtol=0, atol=1e-6 * largest(want))
+        assert_near(got, want, 1e-6 * largest(want), 0)
         if knowing.status is not osc.Status.HELD:  # else out of reach, or too many columns
             seen |= {(bool(closed.all()), knowing.status)}
             assert len(knowing.signals.alpha_u) == knowing.signals.contact.r
@@ -147,7 +148,7 @@ def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(read
     first = to_sensor.act(pin.Force(seen)).vector  # the other wrist feels nothing of it
     wrenches = measurement.wrenches + [first, np.zeros(6)]
     controller.tick(replace(measurement, wrenches=wrenches), reference)
-    assert_allclose(D @ (controller.result().alpha_meas - before), x, rtol=1e-7, atol=1e-9)
+    assert_near(D @ (controller.result().alpha_meas - before), x, 1e-9, 1e-7)
 
 
 @module_fixture

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 from complaints import scenario_error
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import fixture, raises
-from rigs import UNLIMITED, held_tick, largest, one_panda, refused, rig_of, ticked
+from rigs import UNLIMITED, assert_near, held_tick, largest, one_panda, refused, rig_of, ticked
 from samples import module_fixture, parametrize
 from scenario_runs import first_inputs
 
@@ -60,7 +60,7 @@ def test_signals_of_a_tick_stay(ready):
         (found.free_error, Omega_m @ found.error),
         (found.squeeze, signals.squeeze_d),
     ):
-        assert_allclose(got, want, atol=1e-9)
+        assert_near(got, want, 1e-9)
 
 
 def test_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
@@ -121,10 +121,10 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig, ready):
     learnt = s.state.Lambda_S @ s.eta_c
     controller.engage()
     assert controller.engaged and not controller.motion_integral.any()
-    assert_allclose(s.state.S.T @ controller.f_bias, learnt, rtol=1e-6, atol=1e-9)
+    assert_near(s.state.S.T @ controller.f_bias, learnt, 1e-9, 1e-6)
     controller.engaged = False  # the same free motion, now with the bias in place of the integral
     controller.tick(measurement, reference)
-    assert_allclose(controller.signals.f_S, force, rtol=1e-3, atol=1e-3)
+    assert_near(controller.signals.f_S, force, 1e-3, 1e-3)
 
 
 def limp():
@@ -181,9 +181,9 @@ def test_other_gains_continue_without_a_jump(rig, ready):
         assert other.gains is changed and controller.gains is GAINS
         got = ticked(other, measurement, still)
         # handed to f_bias the force on the object stays, though no acceleration is expected of it
-        assert_allclose(other.signals.f_S, alike.signals.f_S, rtol=1e-6, atol=1e-6)
+        assert_near(other.signals.f_S, alike.signals.f_S, 1e-6, 1e-6)
         if integral:
-            assert_allclose(got, tau, rtol=0, atol=1e-9 * largest(tau))
+            assert_near(got, tau, 1e-9 * largest(tau), 0)
     assert_array_equal(controller.gains.force.integral, 30)
 
 

@@ -1,9 +1,8 @@
 """A cylinder in a V-groove: its kind for the tests of all pairs, its walls, and a task."""
 
 import numpy as np
-from numpy.testing import assert_allclose
 from pair_kinds import about, carrying, in_plane, kind, placed, two_lines
-from rigs import refused, shift
+from rigs import assert_near, refused, shift
 from samples import parametrize
 
 import osc_contact as osc
@@ -34,12 +33,12 @@ def test_each_wall_is_pushed_at_right_angles_from_inside():
     """A square groove along y that opens upwards, its walls 45° to each side."""
     pair = osc.CylinderInVGroove([0, 0, 0], [0, 1, 0], 0.1, [0, 0, 0], [0, 1, 0], [0, 0, 1])
     X = shift([0.0, 0.3, 0.1 * np.sqrt(2)])
-    assert_allclose(pair.gaps(X), 0.0, atol=1e-15)
+    assert_near(pair.gaps(X), 0.0, 1e-15)
     forces = pair.contact(X, np.zeros(6)).N[:3]
     right = np.array([1.0, 0.0, -1.0]) / np.sqrt(2)
     left = np.array([-1.0, 0.0, -1.0]) / np.sqrt(2)
-    assert_allclose(forces.T, [right, left, right, left], atol=1e-15)
-    assert_allclose(pair.gaps(shift(X.translation + [0, 0, 0.01])), 0.01 / np.sqrt(2), atol=1e-15)
+    assert_near(forces.T, [right, left, right, left], 1e-15)
+    assert_near(pair.gaps(shift(X.translation + [0, 0, 0.01])), 0.01 / np.sqrt(2), 1e-15)
 
 
 @parametrize("wrong", [{"groove_angle": 3.2}, {"groove_outward": [0, 2, 0]}])

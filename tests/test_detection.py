@@ -12,10 +12,9 @@ import pinocchio as pin
 from complaints import contact_error, invalid_input, model_error
 from numpy.linalg import det, norm, pinv
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pinocchio.rpy import rpyToMatrix
 from pytest import approx
-from rigs import placed, pose_of, rig_of, rotated, shift, unit
+from rigs import assert_near, placed, pose_of, rig_of, rotated, shift, unit
 from samples import module_fixture, parametrize
 
 import osc_contact as osc
@@ -57,7 +56,7 @@ def assert_same_range(N, expected):
     """Equal spans, whatever the bases (moments in units of 0.1 m)."""
     scale = np.array([1, 1, 1, 10, 10, 10.0])[:, None]
     first, second = (M @ pinv(M, rcond=1e-6) for M in (scale * N, scale * expected))
-    assert_allclose(first, second, atol=1e-9)
+    assert_near(first, second, 1e-9)
     assert np.trace(first) == approx(N.shape[1])
 
 
@@ -73,13 +72,13 @@ def assert_only(found, kind, points, normal, X_WO, X_WE=None, gap=0.0):
     """
     found = only(found)
     assert found.kind == kind
-    assert_allclose(found.normal, normal, atol=1e-9)
+    assert_near(found.normal, normal, 1e-9)
     pair = found.pair()
     contact = pair.contact(X_WO, np.zeros(6), X_WE)
     assert contact.r == found.r
     assert_same_range(contact.N, pushes(points, -np.asarray(normal), X_WO))
-    assert_allclose(contact.n_gamma, 0.0, atol=1e-12)
-    assert_allclose(pair.gaps(X_WO, X_WE), np.full(found.r, gap), atol=1e-9)
+    assert_near(contact.n_gamma, 0.0, 1e-12)
+    assert_near(pair.gaps(X_WO, X_WE), np.full(found.r, gap), 1e-9)
     assert (contact.N[:3].T @ found.normal < 0.0).all()  # into the environment
     return found
 
@@ -215,7 +214,7 @@ def test_an_overlap_narrower_than_the_margin_is_a_line():
     X = shift([0.5496, 0.1, 0.03])
     ends = np.array([[0.4998, 0.06, 0.0], [0.4998, 0.14, 0.0]])
     found = assert_only(detect(BOX, X, TABLE), "edge on face", ends, UP, X)
-    assert_allclose(found.points[np.argsort(found.points[:, 1])], ends, atol=1e-9)
+    assert_near(found.points[np.argsort(found.points[:, 1])], ends, 1e-9)
 
 
 @SEEDS
@@ -305,7 +304,7 @@ def test_crossed_lines_touch_in_their_crossing_point(row, seed):
     at = [X.act(meet)]
     found = detect(of_O, X_WO, of_E, X * X_WE)
     found = assert_only(found, kind, at, X.rotation @ UP, X_WO, X * X_WE, -depth)
-    assert_allclose(found.points, at, atol=1e-9 + abs(depth) * (radius > 0))
+    assert_near(found.points, at, 1e-9 + abs(depth) * (radius > 0))
     assert found.distance == approx(-depth, abs=1e-9)
     assert radius or norm(found.object_point - own) < 1e-9
 
@@ -330,10 +329,10 @@ def test_the_rod_finds_the_contacts_the_scenario_declares(rod):
         V_O = default_rng(0).standard_normal(6)
         mine = contact.pair().contact(X_WO, V_O, X_WE)
         theirs = pair.contact(X_WO, V_O)
-        assert_allclose(mine.N, theirs.N, atol=1e-9)
-        assert_allclose(mine.n_gamma, theirs.n_gamma, atol=1e-9)
-        assert_allclose(contact.points, pair.points_of_contact(X_WO).T, atol=1e-9)
-        assert_allclose(contact.normal, pair.normal, atol=1e-12)
+        assert_near(mine.N, theirs.N, 1e-9)
+        assert_near(mine.n_gamma, theirs.n_gamma, 1e-9)
+        assert_near(contact.points, pair.points_of_contact(X_WO).T, 1e-9)
+        assert_near(contact.normal, pair.normal, 1e-12)
 
 
 # Found twice ----------------------------------------------------------------------------------
@@ -375,7 +374,7 @@ def test_a_standing_cylinder_is_one_face_contact(seed):
     three = moved(X_WE, middle + 0.03 * np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0]]))
     found = detect(CAN, X_WO, TABLE, X_WE)
     found = assert_only(found, "face on face", three, X_WE.rotation @ UP, X_WO, X_WE, -depth)
-    assert_allclose(norm(found.points - X_WE.act(middle), axis=1), 0.03, atol=1e-9)
+    assert_near(norm(found.points - X_WE.act(middle), axis=1), 0.03, 1e-9)
 
 
 def test_a_can_on_the_rim_of_its_end_rolls_in_contact():
@@ -384,10 +383,10 @@ def test_a_can_on_the_rim_of_its_end_rolls_in_contact():
     table = pose_of(rng)
     can = table * standing(rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0), RIM, rng)
     rolled = can * pin.exp6(pin.Motion(AROUND))
-    assert_allclose(only(detect(TABLE, table, CAN, can)).pair().gaps(table, rolled), 0, atol=1e-9)
+    assert_near(only(detect(TABLE, table, CAN, can)).pair().gaps(table, rolled), 0, 1e-9)
     found = only(detect(CAN, can, TABLE, table))
-    assert_allclose(found.object_point, RIM[0], atol=1e-9)
-    assert_allclose(found.pair().gaps(rolled, table), 0, atol=1e-9)
+    assert_near(found.object_point, RIM[0], 1e-9)
+    assert_near(found.pair().gaps(rolled, table), 0, 1e-9)
 
 
 def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
@@ -435,16 +434,16 @@ def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
         centre = BALL[0].placement
         X = shift(corner + 0.03 * n - centre.translation)
         found = assert_only(detect(BALL, X, TABLE), kind, [corner], n, X)
-        assert_allclose(found.points, [corner], atol=1e-9)
+        assert_near(found.points, [corner], 1e-9)
         spun = rotated(pin.exp3(rng.standard_normal(3)))
         turned = X * centre * spun * centre.inverse()
-        assert_allclose(found.pair().gaps(turned), 0.0, atol=1e-9)
+        assert_near(found.pair().gaps(turned), 0.0, 1e-9)
 
 
 def test_pills_side_by_side_have_no_pair():
     found = only(detect(PILL, shift([0.06, 0.0, 0.01]), PILL))
     assert (found.kind, found.r) == ("cylinder on cylinder", 2)
-    assert_allclose(np.sort(found.points[:, 2]), [-0.05, 0.06], atol=1e-9)
+    assert_near(np.sort(found.points[:, 2]), [-0.05, 0.06], 1e-9)
     with contact_error(r"cylinder on cylinder along a line.*GapFunctions"):
         found.pair()
 
@@ -455,7 +454,7 @@ def test_a_rim_on_an_edge_has_no_pair():
     X.translation = ledge.act(np.array([0.0, 0.4, 0.0])) + 2e-4 * UP - X.act(RIM[0])
     found = only(detect(CAN, X, TABLE, ledge))
     assert (found.kind, found.r) == ("rim on edge", 1)
-    assert_allclose(found.normal, UP, atol=5e-3)  # the solver's
+    assert_near(found.normal, UP, 5e-3)  # the solver's
     with contact_error(r"rim of a cylinder.*GapFunctions"):
         found.pair()
 
@@ -466,10 +465,10 @@ def test_a_rim_on_an_edge_has_no_pair():
 def test_shapes_of_a_urdf_have_the_names_and_places_of_the_file():
     shapes = {s.name: s for s in collision_shapes(robots.urdf_path("rod.urdf"))}
     assert list(shapes) == ["shaft", "left_end", "right_end"]
-    assert_allclose(shapes["left_end"].placement.translation, [-0.29, 0, 0])
+    assert_near(shapes["left_end"].placement.translation, [-0.29, 0, 0])
     assert shapes["right_end"].shape.radius == 0.01
     assert shapes["shaft"].shape.halfLength == 0.29
-    assert_allclose(shapes["shaft"].solid.axis, [1, 0, 0], atol=1e-9)
+    assert_near(shapes["shaft"].solid.axis, [1, 0, 0], 1e-9)
 
 
 def urdf(tmp_path, collision, joint=""):
@@ -520,7 +519,7 @@ def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path, faces):
     found = only(detect(mesh, pin.SE3.Identity(), TABLE))
     assert (found.kind, found.r) == ("face on face", 3)
     assert found.distance == approx(0.0, abs=1e-9)
-    assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
+    assert_near(found.normal, [0, 0, 1], 1e-9)
     assert detect(mesh, shift([0, 0, 0.01]), TABLE) == []
 
 

@@ -3,9 +3,8 @@
 import numpy as np
 from numpy.linalg import norm
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pytest import approx, mark
-from rigs import largest, rig_of, unit
+from rigs import assert_near, largest, rig_of, unit
 from scenario_runs import always_closed, verdict_of, worst_force
 
 import osc_contact as osc
@@ -28,8 +27,8 @@ def test_it_is_bounded_smooth_and_ends():
     for x in (s, s_1, s_2):
         assert largest(x[outside]) < 1e-9
     later, before = (np.array(slides(dither, 0.5, t + h)) for h in (H, -H))
-    assert_allclose((later[0] - before[0]) / (2 * H), s_1, atol=1e-7)
-    assert_allclose((later[1] - before[1]) / (2 * H), s_2, atol=2e-5)
+    assert_near((later[0] - before[0]) / (2 * H), s_1, 1e-7)
+    assert_near((later[1] - before[1]) / (2 * H), s_2, 2e-5)
 
 
 @mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "hinge_ball_rod"])
@@ -46,7 +45,7 @@ def test_arms_and_contacts_permit_it_and_both_points_slide_along_their_line(name
     t = 1.1
     now, plain = (rig_of(name, f"control.dither={how}").references.at(t) for how in ("{}", "null"))
     s = slides(Dither(), rig.references.engage_at, np.array([t]))
-    assert_allclose(now.V_D - plain.V_D, V * s[1], atol=2e-3)
+    assert_near(now.V_D - plain.V_D, V * s[1], 2e-3)
     assert largest(now.V_D - plain.V_D) > 1e-3
 
 

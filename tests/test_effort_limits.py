@@ -9,10 +9,11 @@ from complaints import model_error
 from kkt_oracle import held
 from numpy.linalg import cholesky, lstsq, solve, svd
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx
 from rigs import (
     UNLIMITED,
+    assert_near,
     held_tick,
     in_contact,
     largest,
@@ -140,7 +141,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_reported(rig, share):
         z = (tau - wanted) / limit
         got = base + slope @ z
         # what came is what was said; test_law_kkt judges force and motion that are lost
-        assert_allclose(base[forces], s.alpha_u, atol=1e-6)
+        assert_near(base[forces], s.alpha_u, 1e-6)
         if len(chain.arms) == 2:
             assert base[-1] - got[-1] == approx(cost.squeeze[0], abs=1e-5)
         # forces stay between their floor and what was commanded
@@ -157,7 +158,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_reported(rig, share):
         C = C[slack < np.repeat([1e-9, 1e-6], [n, len(slack) - n])].T
         multipliers, *_ = lstsq(C, gradient, rcond=1e-9)
         weight = largest(rows.T @ np.abs(rows @ z)) + largest(gradient)
-        assert_allclose(C @ multipliers, gradient, atol=1e-5 * weight)
+        assert_near(C @ multipliers, gradient, 1e-5 * weight)
         assert (multipliers >= -1e-5 * largest(multipliers)).all()
 
 
@@ -188,7 +189,7 @@ def test_motors_without_limit():
     found = []
     for one in (endless, with_motors(chain, np.full(7, 1e6))):
         found.append(ticked(motors_only(one, pairs), measurement, reference))
-    assert_allclose(found[0], found[1], atol=1e-9 * largest(found[1]))
+    assert_near(found[0], found[1], 1e-9 * largest(found[1]))
 
 
 @parametrize("limit", [0.0, -3.0])
@@ -216,7 +217,7 @@ def test_integrals_rest_while_motors_are_at_their_limits():
             missing = reference.alpha_d - controller.result().alpha_meas
             want = before + 30.0 * 1e-3 * (missing - controller.given_up.force)
             before = controller.force_integral
-            assert_allclose(before, want, atol=1e-9)
+            assert_near(before, want, 1e-9)
         assert_array_equal(controller.motion_integral, np.zeros(6))
 
 

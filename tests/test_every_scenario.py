@@ -5,9 +5,8 @@ import json
 import numpy as np
 from complaints import scenario_error
 from numpy.linalg import lstsq, norm
-from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import largest, unit
+from rigs import assert_near, largest, unit
 from samples import ROOT, chosen, first, module_fixture, parametrize
 from scenario_runs import always_closed, assert_accurate, rig_of, run_of, verdict_of, worst_force
 
@@ -170,7 +169,7 @@ def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_p
     rig = osc.build_rig(osc.load_scenario("panda_edge", changes))
     assert rig.contact.r == 4 and "of either sign" in "\n".join(inspect_rig(rig).lines)
     recording = osc.run(rig.scenario, duration=0.3)
-    assert_allclose(recording["alpha_true"][-1], list(wanted.values()), atol=5e-3)
+    assert_near(recording["alpha_true"][-1], list(wanted.values()), 5e-3)
     assert recording["contact_seen"][-1, :3].all()  # hole.2 pulls and counts by its size
     assert (recording["alpha_meas"][-1, 1] < -2.9) and recording["contact_seen"].shape[1] == 4
 
@@ -208,9 +207,9 @@ def test_the_judge_takes_its_forces_from_the_plant_and_its_motion_from_the_objec
     assert verdict["task"]["word"] == "OK" and verdict["power"]["ratio"] <= 0.02  # fig. 6
     assert verdict["power"]["total_rms_W"] > 0.02
     t = nominal["t"]
-    assert_allclose(t, np.arange(10_000) * 1e-3, atol=1e-9)
+    assert_near(t, np.arange(10_000) * 1e-3, 1e-9)
     commands = np.array((np.where(t >= 5.0, 15.0, 10.0), 8.0 + 4.0 * np.sin(np.pi * t)))
-    assert_allclose(nominal["alpha_cmd"][1000:], commands[:, 1000:].T, atol=1e-9)
+    assert_near(nominal["alpha_cmd"][1000:], commands[:, 1000:].T, 1e-9)
     quiet = (t >= 1.0) & ~((t >= 5.0) & (t < 5.05 + nominal.meta["force_rise_s"]))
     error = (nominal["alpha_true"] - nominal["alpha_cmd"])[quiet]
     error /= nominal["alpha_cmd"][quiet].mean(axis=0)
@@ -295,10 +294,10 @@ def test_forces_survive_everything_while_the_faces_move(everything):
     assert always_closed(verdict)
     assert verdict["status"]["held"] == 0
     travel = everything["face_pose"][-1, :, :3] - everything["face_pose"][0, :, :3]
-    assert_allclose(norm(travel, axis=1), 0.02, rtol=1e-3)
+    assert_near(norm(travel, axis=1), 0.02, rtol=1e-3)
     first, last = everything["face_pose"][[0, -1], :, 3:]
     cosine = np.abs(np.sum(first * last, axis=1))  # of half the angle between quaternions
-    assert_allclose(2 * np.arccos(cosine), np.deg2rad(5.0), rtol=1e-3)
+    assert_near(2 * np.arccos(cosine), np.deg2rad(5.0), rtol=1e-3)
 
 
 def test_the_monitor_raises_no_false_alarm(everything):
@@ -329,11 +328,11 @@ def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
     )
     tip = np.array([-0.15, 0.0, 0.0])  # of the left arm, in the frame of the rod
     want = np.cross(X.rotation @ tip, -0.3 * gravity)
-    assert_allclose(true - assumed, [*(-0.3 * gravity), *want], atol=1e-9)
+    assert_near(true - assumed, [*(-0.3 * gravity), *want], 1e-9)
     with_mass, without = (rig.plant().model for rig in rigs)
     assert with_mass.body_subtreemass[0] - without.body_subtreemass[0] == approx(0.3, abs=1e-9)
     rod, bare = (model.body("object/root") for model in (with_mass, without))
-    assert_allclose(rod.ipos, (0.3 * tip + bare.mass * bare.ipos) / rod.mass, atol=1e-9)
+    assert_near(rod.ipos, (0.3 * tip + bare.mass * bare.ipos) / rod.mass, 1e-9)
 
 
 @parametrize("name", ["two_contact_rod", "panda_edge", "ur5_wipe", "three_arm_plate"])
@@ -341,7 +340,7 @@ def test_bodies_are_assumed_to_be_nearer(name):
     rig = rig_of(name, "model_error.face_offset=3 mm")
     for body in rig.bodies:
         gaps = rig.controlled_pairs()[body.contacts[0]].gaps(rig.state.X_WO)
-        assert_allclose(gaps, -0.003, atol=1e-8)
+        assert_near(gaps, -0.003, 1e-8)
 
 
 def test_faces_are_assumed_to_be_turned_about_where_they_touch():
@@ -353,7 +352,7 @@ def test_faces_are_assumed_to_be_turned_about_where_they_touch():
         for pair, assumed in zip(rig.pairs, rig.controlled_pairs(), strict=True):
             assert assumed.gaps(X)[0] == approx(0.010 * (np.cos(np.deg2rad(3)) - 1), abs=1e-8)
             turned.append(np.cross(pair.normal, assumed.normal))
-    assert_allclose([t @ t for t in turned], np.sin(np.deg2rad(3)) ** 2, atol=1e-9)
+    assert_near([t @ t for t in turned], np.sin(np.deg2rad(3)) ** 2, 1e-9)
     assert abs(turned[0][2]) < 1e-9 > abs(turned[0] @ turned[2])
 
 

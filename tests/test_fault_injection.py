@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.testing import assert_allclose
 from pytest import mark
-from rigs import largest, rig_of, unit
+from rigs import assert_near, largest, rig_of, unit
 from samples import chosen, first, parametrize
 from scenario_runs import run_of
 
@@ -118,7 +117,7 @@ def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
     assert set(status) == {int(osc.Status.OK)}
     assert run.controller.state is RUN and run.controller.state_age == 1500
     assert run.controller.repeated == 1, "the last packet came twice"
-    assert_allclose(run.plant.truth().alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
+    assert_near(run.plant.truth().alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
 
 
 @parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
@@ -183,7 +182,7 @@ def test_contact_is_made_although_every_second_tick_is_lost():
         run.step(seen)
     assert not seen.wrong, seen.wrong
     assert set(run.controller.phases()) == {CLOSED}
-    assert_allclose(run.plant.truth().alpha, 10.0, rtol=0.2)
+    assert_near(run.plant.truth().alpha, 10.0, rtol=0.2)
 
 
 @parametrize(

@@ -8,9 +8,8 @@ import pinocchio as pin
 from command_line import call
 from complaints import invalid_input, plant_error
 from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
-from numpy.testing import assert_allclose
 from pytest import approx, mark
-from rigs import largest, shift
+from rigs import assert_near, largest, shift
 from samples import first, parametrize
 
 import osc_contact as osc
@@ -185,11 +184,11 @@ def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka, sensor):
     force = -8.0 * np.array([1.0, 1.0, 0.3]) * np.cos(t)
     wrench = X.act(pin.Force(read[-1].wrenches[0]))
     weight = [0, 0, 9.81 * (0.73 if sensor == "hand" else 0.0)]
-    assert_allclose(wrench.linear - weight, force, atol=1.5)
+    assert_near(wrench.linear - weight, force, 1.5)
     tip = robot._base.act(robot._data.oMf[robot._tip]).translation
     lever = X.act(np.array([-0.01, 0.0, 0.03]))
     about = np.cross(tip, force) + np.cross(lever, weight)
-    assert_allclose(wrench.angular, about, rtol=0, atol=0.5)
+    assert_near(wrench.angular, about, 0.5, 0)
     robot.stop()
 
 
@@ -217,12 +216,12 @@ def test_payload_end_effector_and_mounted_sensor(franka):
     readings = iter([np.arange(6.0), None, [np.nan] * 6])
     robot = FrankaRobot(franka.host, chain, wrench=lambda: next(readings))
     assert robot.state.m_load == approx(0.5, rel=1e-6)
-    assert_allclose(robot.state.F_x_Cload, [0.0, 0.0, 0.2034], atol=1e-6)
+    assert_near(robot.state.F_x_Cload, [0.0, 0.0, 0.2034], 1e-6)
     first, second, third = (robot.measure() for _ in range(3))
     assert first.wrench_valid and first.wrenches[0].tolist() == [0, 1, 2, 3, 4, 5]
     assert not second.wrench_valid and not third.wrench_valid and not third.wrenches.any()
     robot._wrench = None
-    assert_allclose(robot._hangs.mass, 0.5)
+    assert_near(robot._hangs.mass, 0.5)
     franka.begin(height=0.0, tcp_off=0.02)
     with plant_error(r"tip 'tcp' is 20 mm and .* give end_effector="):
         FrankaRobot(franka.host, chain)

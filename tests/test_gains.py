@@ -7,9 +7,9 @@ import pinocchio as pin
 from complaints import invalid_input, refusals, scenario_error
 from kkt_oracle import held
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pytest import approx
 from rigs import (
+    assert_near,
     contact_of,
     data_at,
     largest,
@@ -114,7 +114,7 @@ def test_the_brake_decelerates_the_contact_whatever_the_mass():
             tau = ticked(one, measurement, reference)
             found.append(held(holding, q, v).answer(tau).a_object)
         N = contact_of(pairs, state).N
-        assert_allclose(N.T @ np.subtract(*found), -kappa * N.T @ state.V_O, rtol=1e-8, atol=1e-9)
+        assert_near(N.T @ np.subtract(*found), -kappa * N.T @ state.V_O, 1e-9, 1e-8)
 
 
 def test_other_gains_continue_while_a_step_is_made():
@@ -132,7 +132,7 @@ def test_other_gains_continue_while_a_step_is_made():
         commanded.append(controller.signals.alpha_u)
     change = np.abs(np.diff(commanded, axis=0)).max(axis=1)
     assert change.max() < 1.05 * change[:124].max()
-    assert_allclose(commanded[-1], [20.0, 15.0], atol=0.05)
+    assert_near(commanded[-1], [20.0, 15.0], 0.05)
 
 
 # What it brings: MuJoCo, default gains ------------------------------------------------------------

@@ -9,9 +9,10 @@ from grasp_rigs import KINDS, grasp_of, random_case, slip_of
 from kkt_oracle import pressed
 from numpy.linalg import cholesky, norm, solve, svd
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from rigs import (
     UNLIMITED,
+    assert_near,
     commanded,
     contact_of,
     held_tick,
@@ -246,7 +247,7 @@ def test_a_grasp_keeps_its_motions_and_nothing_else():
         h = 1e-6
         rate = (grasp.miss(X_WT, moved(X_WO, h * V)) - grasp.miss(X_WT, moved(X_WO, -h * V))) / 2
         want = grasp.wrenches_at(X_WT, X_WO.translation).T @ V
-        assert_allclose(rate / h, want, atol=1e-8 * largest(want))
+        assert_near(rate / h, want, 1e-8 * largest(want))
 
 
 @parametrize(
@@ -298,16 +299,16 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
     plant = rig.plant()
     controller = rig.controller()
     started = plant.truth().X_WO
-    assert_allclose(started.homogeneous, rig.state.X_WO.homogeneous, atol=1e-12)
+    assert_near(started.homogeneous, rig.state.X_WO.homogeneous, 1e-12)
     osc.run_loop(plant, controller, rig.references.each(200, 1e-3))
     q = plant.measure().q
     truth = plant.truth()
     X = object_pose(rig.chain, q)
     assert norm(X.translation - started.translation) > 1e-4  # it moves
     assert_held(rig.chain, X, 2e-5)
-    assert_allclose(truth.X_WO.homogeneous, X.homogeneous, atol=1e-4)
+    assert_near(truth.X_WO.homogeneous, X.homogeneous, 1e-4)
     assert truth.closed.all() and controller.status is osc.Status.OK
-    assert_allclose(truth.alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
+    assert_near(truth.alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
 
 
 @parametrize(
@@ -348,7 +349,7 @@ def test_exact_plant_steps_an_object_that_no_arm_leads():
         plant.command(tau, dt)
         assert miss((plant._V - whole.V) / dt, whole.answer(tau).a) < 1e-3
         want = moved(case.X_WO, 0.5 * dt * (whole.V + plant._V))
-        assert_allclose(plant._X.homogeneous, want.homogeneous, atol=1e-10)
+        assert_near(plant._X.homogeneous, want.homogeneous, 1e-10)
         assert plant.truth().X_WO == plant._X
 
 
@@ -382,7 +383,7 @@ def test_idle_motions_obey_the_posture_task(name):
         assert len(idle) == arm.J.shape[1] - arm.rank > 0
         task = PostureTask()
         want = task.stiffness * (rest - case.q)[s] - task.retreat_damping * whole.v[s]
-        assert_allclose(idle @ whole.answer(tau).qdd[s], idle @ want, atol=1e-7)
+        assert_near(idle @ whole.answer(tau).qdd[s], idle @ want, 1e-7)
 
 
 def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
@@ -395,7 +396,7 @@ def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
     tau = ticked(controller, unloaded(case.q, np.zeros(4)), osc.Reference(case.X_WO, A_D=A_D))
     found = pressed(case, ()).answer(np.insert(tau, 1, 0.0))
     s = controller.signals
-    assert_allclose(found.a_object, s.state.S @ s.eta_c + s.state.sigma, atol=1e-8)
+    assert_near(found.a_object, s.state.S @ s.eta_c + s.state.sigma, 1e-8)
 
 
 # Contact forces out of wrist readings, fig. 5 -----------------------------------------------------

@@ -8,9 +8,8 @@ import numpy as np
 import pinocchio as pin
 from complaints import scenario_error
 from numpy.linalg import lstsq, matrix_rank, norm
-from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import assert_derivatives, largest, object_poses, placed, rotated, shift
+from rigs import assert_derivatives, assert_near, largest, object_poses, placed, rotated, shift
 from samples import module_fixture, parametrize
 from scenario_runs import rig_of
 
@@ -180,7 +179,7 @@ def test_turns_about_points_are_products_of_poses():
         to = shift(centre)
         X = to * rotated(pin.exp3(angle * axis)) * to.inverse() * X
     X.translation += [wanted.scenario.motion[2].signals[0].at(t)[0], 0, 0]
-    assert_allclose(wanted.at(t).X_WD.homogeneous, X.homogeneous, atol=1e-12)
+    assert_near(wanted.at(t).X_WD.homogeneous, X.homogeneous, 1e-12)
     assert norm(X.translation - wanted.X_start.translation) > 0.02
 
 
@@ -190,7 +189,7 @@ def test_the_object_rests_off_the_contacts_while_wrists_are_tared():
     assert any(signal.at(0.1)[2] for move in wanted.scenario.motion for signal in move.signals)
     plan = wanted.over(np.linspace(0.0, wanted.scenario.tare.duration, 9))
     assert not plan.V_D.any() and not plan.A_D.any()
-    assert_allclose(plan.X_WD, np.tile(plan.X_WD[0], (9, 1)), atol=1e-12)
+    assert_near(plan.X_WD, np.tile(plan.X_WD[0], (9, 1)), 1e-12)
 
 
 @parametrize("life, after", [("off", 0.0), ("{}", 0.2)])
@@ -200,7 +199,7 @@ def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after)
     engaged = wanted.at(wanted.engage_at + after).X_WD
     assert wanted.engage_at == approx(0.6 - after)
     assert norm(wanted.at(0.0).X_WD.translation - wanted.X_start.translation) > 3e-3
-    assert_allclose(engaged.translation, wanted.X_start.translation, atol=1e-12)
+    assert_near(engaged.translation, wanted.X_start.translation, 1e-12)
 
 
 def test_common_tangent_lies_in_every_face_and_must_be_unique():

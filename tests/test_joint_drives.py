@@ -7,9 +7,9 @@ import numpy as np
 from complaints import invalid_input, plant_error, scenario_error
 from numpy.linalg import cholesky, eigh, solve
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import largest
+from rigs import assert_near, largest
 from samples import first, parametrize
 from scenario_runs import always_closed, rig_of, verdict_of, worst_force
 
@@ -43,7 +43,7 @@ def test_the_motor_obeys_spongs_equation():
         plant.command(tau, 2e-3)
         plant._mj.mj_forward(plant.model, plant.data)
         theta_dd = plant.data.qacc[plant._v[rig.chain.actuated]]
-        assert_allclose(J * theta_dd, tau - plant.measure().joint_torques, atol=1e-6 * largest(tau))
+        assert_near(J * theta_dd, tau - plant.measure().joint_torques, 1e-6 * largest(tau))
 
 
 def test_a_held_rig_starts_with_wound_up_springs_at_the_same_pose():
@@ -52,8 +52,8 @@ def test_a_held_rig_starts_with_wound_up_springs_at_the_same_pose():
     tau = np.array([-3.9, -1.1, -15.0, 0.3, 3.7, -0.2, -17.7, 0.1])
     plant.hold(tau)
     read = plant.measure()
-    assert_allclose(read.joint_torques, tau, rtol=1e-9)
-    assert_allclose(read.q, rig.q_start, atol=1e-12)
+    assert_near(read.joint_torques, tau, rtol=1e-9)
+    assert_near(read.q, rig.q_start, 1e-12)
     assert_array_equal(read.v, 0.0)
 
 
@@ -96,8 +96,8 @@ def test_springs_share_the_inertias_of_the_joints():
     own = joint_inertias(state, driven)
     assert own.min() > 0.01  # the wrist's turn too moves half a rod
     K = stiffness_for(state, driven, 7.0)
-    assert_allclose(K / own, K[0] / own[0], rtol=1e-12)
-    assert_allclose(modes(state, driven, 4 * K), 2 * modes(state, driven, K), rtol=1e-12)
+    assert_near(K / own, K[0] / own[0], rtol=1e-12)
+    assert_near(modes(state, driven, 4 * K), 2 * modes(state, driven, K), rtol=1e-12)
 
 
 @parametrize("inertia", [2e-4, 2.0])
@@ -113,14 +113,14 @@ def test_joint_friction_is_dry_for_light_joints_too(inertia):
         data = mujoco.MjData(model)
         data.qfrc_applied[:] = torque
         mujoco.mj_step(model, data, 400)
-        assert_allclose(data.qvel, speed, atol=1e-4 * 0.1 / inertia)
+        assert_near(data.qvel, speed, 1e-4 * 0.1 / inertia)
 
 
 def test_motors_have_the_joint_friction_and_springs_have_none():
     rig = free_rig(FLEXIBLE, "plant.joint_friction=0.05")
     plant = rig.plant()
     friction = plant.model.dof_frictionloss
-    assert_allclose(friction[plant._v[rig.chain.actuated]], 0.05 * rig.chain.tau_max)
+    assert_near(friction[plant._v[rig.chain.actuated]], 0.05 * rig.chain.tau_max)
     assert not friction[plant._spring_v].any()
 
 
@@ -129,10 +129,10 @@ def test_motor_errors_are_those_drawn():
         Motors.drawn(np.array([60.0, 200.0]), np.array([False, True]), 0.01, 0.005, default_rng(3))
         for _ in range(2)
     )
-    assert_allclose(np.abs(motors.bias), [0.6, 2.0])
+    assert_near(np.abs(motors.bias), [0.6, 2.0])
     turn = np.linspace(0, 2 * np.pi, 1000)
     error = np.array([motors.torque(np.zeros(2), np.array([x, x * 0.01])) for x in turn])
-    assert_allclose(np.ptp(error, axis=0), [2 * 0.3, 2 * 1.0], rtol=1e-3)
+    assert_near(np.ptp(error, axis=0), [2 * 0.3, 2 * 1.0], rtol=1e-3)
     assert_array_equal(motors.phase, again.phase)
 
 
@@ -140,7 +140,7 @@ def test_imperfect_motors_reach_the_stiff_joint():
     rig = rig_of("two_contact_rod", "plant.motors={bias: 0.01}")
     plant = rig.plant(seed=4)
     plant.hold(np.zeros(8))
-    assert_allclose(np.abs(plant.measure().joint_torques), 0.01 * rig.chain.tau_max)
+    assert_near(np.abs(plant.measure().joint_torques), 0.01 * rig.chain.tau_max)
 
 
 def test_springs_by_number():

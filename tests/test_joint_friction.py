@@ -6,10 +6,11 @@ import numpy as np
 from law_calls import joint_friction, records
 from numpy.linalg import inv, solve
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx
 from rigs import (
     UNLIMITED,
+    assert_near,
     largest,
     one_panda,
     random_state,
@@ -78,11 +79,11 @@ def test_the_estimate_is_that_of_least_squares():
     theta, row = learned(Phi, r, noise=0.2)
     P = inv(Phi.T @ Phi / 0.2 + np.diag(1.0 / PRIOR))
     theta_P = P @ Phi.T @ r / 0.2
-    assert_allclose(theta, theta_P, rtol=1e-9)
-    assert_allclose(row.P, P, rtol=1e-7, atol=1e-12)
+    assert_near(theta, theta_P, rtol=1e-9)
+    assert_near(row.P, P, 1e-12, 1e-7)
     miss = 50.0  # beyond three standard deviations the step falls with the residual
     later, _ = learned(np.vstack([Phi, Phi[:1]]), np.append(r, Phi[0] @ theta_P + miss), noise=0.2)
-    assert_allclose(later - theta, P @ Phi[0] * 9.0 / miss, rtol=1e-6)
+    assert_near(later - theta, P @ Phi[0] * 9.0 / miss, rtol=1e-6)
 
 
 @parametrize("dt", [0.0, 1e-3])
@@ -175,7 +176,7 @@ def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase
         learn(t)
         applied.append(joint_friction.believed_friction(t, 0))
     steps = np.arange(1, 101) if phase == CLOSED else np.full(100, 100)
-    assert_allclose(applied, -8.0 * steps / 100)
+    assert_near(applied, -8.0 * steps / 100)
 
 
 def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
@@ -221,7 +222,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         fastest = chain.model.velocityLimit
         s = np.clip(weighed @ solve(J @ weighed, V), -fastest, fastest)
         want = VISCOUS * s + DRY * s / np.hypot(s, SLIP)
-        assert_allclose(tau[3] - tau[1], want, rtol=1e-9, atol=1e-9)
+        assert_near(tau[3] - tau[1], want, 1e-9, 1e-9)
 
 
 @parametrize(
@@ -280,9 +281,9 @@ def test_errors_of_links_are_compensated_beside_a_tare(mass):
         memory = controller._records.memory
         missing = memory.joints.residual - memory.joints.means[:, joint_friction.FRICTION]
         e = memory.joints.unlearned
-        assert_allclose(e, missing * (not changes), atol=0.02 * largest(missing))
+        assert_near(e, missing * (not changes), 0.02 * largest(missing))
         most = np.minimum(0.3 * np.abs(controller._records.work.joints.h), 0.05 * rig.model.tau_max)
-        assert_allclose(controller.result().friction, 0.7 * np.clip(e, -most, most), atol=1e-3)
+        assert_near(controller.result().friction, 0.7 * np.clip(e, -most, most), 1e-3)
     assert rms[0] < 0.5 * rms[1]
 
 

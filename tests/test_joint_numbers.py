@@ -4,9 +4,9 @@ import numpy as np
 import pinocchio as pin
 from complaints import model_error, scenario_error
 from numpy.linalg import inv
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx, fixture, mark
-from rigs import holding_panda, panda_arm, ticked
+from rigs import assert_near, holding_panda, panda_arm, ticked
 from robot_numbers import mass_matrix
 from samples import parametrize
 from scenario_runs import rig_of, verdict_of, worst_force
@@ -63,7 +63,7 @@ def test_rotors_behind_gears_count_with_the_square_of_the_ratio():
     model = robots.load_model(robots.find_robot("panda")[0])
     model.rotorInertia = np.full(model.nv, 2e-5)
     model.rotorGearRatio = np.arange(model.nv) * 10.0
-    assert_allclose(armature(), 2e-5 * (np.arange(7) * 10.0) ** 2)
+    assert_near(armature(), 2e-5 * (np.arange(7) * 10.0) ** 2)
     model.armature = np.full(model.nv, 0.3)  # it says what is felt at the joint
     assert_array_equal(armature(), 0.3)
 
@@ -78,7 +78,7 @@ def test_a_transmission_states_rotor_and_gear(tmp_path):
     file = tmp_path / "geared.urdf"
     file.write_text(text.replace("</robot>", gear))
     arm = osc.Arm.from_urdf(file, name="a", tip="tool", passive_joints=["hinge"])
-    assert_allclose(osc.ClosedChain([arm]).model.armature, [1.0, 0, 0, 0, 0])
+    assert_near(osc.ClosedChain([arm]).model.armature, [1.0, 0, 0, 0, 0])
 
 
 def test_what_a_urdf_says_of_friction_arrives():
@@ -106,7 +106,7 @@ def test_mujocos_mass_matrix_is_that_of_chain_and_object():
     M = mass_matrix(plant.model, plant.data)
     J = state.arms[0].J
     ours = state.M + J.T @ state.payload.Lambda @ J
-    assert_allclose(M[np.ix_(plant._v, plant._v)], ours, atol=1e-6)
+    assert_near(M[np.ix_(plant._v, plant._v)], ours, 1e-6)
 
 
 @parametrize("plant", ["mujoco", "rigid"])
@@ -171,8 +171,8 @@ def test_inspect_names_what_limits_compensation_of_friction(given):
 
 def test_errors_of_rotors_are_in_the_model_alone():
     rig = rig_of("ur5_wipe", "arms.ur5.armature=0.5", "model_error.armature=0.6")
-    assert_allclose(rig.chain.model.armature, 0.5)
-    assert_allclose(rig.model.model.armature, 0.3)
+    assert_near(rig.chain.model.armature, 0.5)
+    assert_near(rig.model.model.armature, 0.3)
 
 
 # Joints and sensors out of the ordinary
@@ -241,4 +241,4 @@ def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading)
     reference = osc.pose_reference(p, R, alpha_d=[10.0])
     for _ in range(3):
         ticked(controller, osc.Measurement(q, np.zeros(7), wrench[None]), reference)
-        assert_allclose(controller.result().alpha_meas, 7.0, atol=1e-9)
+        assert_near(controller.result().alpha_meas, 7.0, 1e-9)

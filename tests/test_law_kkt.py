@@ -32,11 +32,11 @@ from grasp_rigs import BODY, KINDS, Case, random_case
 from kkt_oracle import BODIES, PAIRS, PLAIN, WORLD, Answer, Body, Contact, State, touch
 from numpy.linalg import inv, lstsq, norm, pinv, solve, svd
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from processes import python
 from pytest import mark, param
 from rigs import (
     UNLIMITED,
+    assert_near,
     data_at,
     displacement,
     largest,
@@ -563,4 +563,4 @@ def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     python("-c", words, file, **where)
     found = np.load(file)
     for name, want in zip(found.files, some_torques(), strict=True):
-        assert_allclose(found[name], want, rtol=0, atol=1e-12 * largest(want))
+        assert_near(found[name], want, 1e-12 * largest(want), 0)

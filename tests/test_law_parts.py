@@ -14,15 +14,14 @@ from law_calls import algebra, commands, contact, grasps, records, write
 from law_calls import columns as columns_of_N
 from numpy.linalg import norm, qr
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import largest, pose_of, unit
+from rigs import assert_near, largest, pose_of, unit
 from samples import parametrize
 
 from osc_contact.law import records as at
 
 SEEDS = parametrize("seed", range(6))
-close = assert_allclose
 
 
 def rng_of(seed):
@@ -68,10 +67,10 @@ def test_rows_that_nearly_depend_are_orthonormal_to_the_last_digit():
     X, Q, L = rng_of(1).standard_normal((3, 6, 6))
     X[3] = X[0] + 1e-7 * X[3]
     least = algebra.orthonormalise(X, 4, 2, Q, L)
-    close(Q[:4] @ Q[:4].T, np.eye(4), atol=1e-13)
+    assert_near(Q[:4] @ Q[:4].T, np.eye(4), 1e-13)
     np.fill_diagonal(L, 1.0 / np.diag(L))
-    close(np.tril(L)[:4, :4] @ Q[:4, 2:], X[:4, 2:], atol=1e-13)
-    close(least, L[3, 3] / norm(X[3, 2:]), rtol=1e-9)
+    assert_near(np.tril(L)[:4, :4] @ Q[:4, 2:], X[:4, 2:], 1e-13)
+    assert_near(least, L[3, 3] / norm(X[3, 2:]), rtol=1e-9)
 
 
 @parametrize("size", [1e-70, 1e-77, 1e-78, 1e-79, 1e-80, 1e-81, 1e-150, 1e-300])
@@ -80,7 +79,7 @@ def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size
     X = rng_of(7).standard_normal((5, 8)) * size
     X[:, 3:] = np.eye(5)
     algebra.one_sided_jacobi(X, 5, 3, 5)
-    close(X[:, 3:] @ X[:, 3:].T, np.eye(5), atol=1e-14)
+    assert_near(X[:, 3:] @ X[:, 3:].T, np.eye(5), 1e-14)
 
 
 # --- rotations and poses --------------------------------------------------------------------------
@@ -98,7 +97,7 @@ def test_rotation_vectors_of_all_angles_and_axes():
             R = np.full((6, 6), 7.0)
             R[:3, :3] = pin.exp3(angle * w)
             found = commands.rotation_vector(R)
-            close(found, angle * w, rtol=1e-6, atol=1e-9 if angle > 2.9 else 1e-14)
+            assert_near(found, angle * w, 1e-9 if angle > 2.9 else 1e-14, 1e-6)
 
 
 def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
@@ -106,9 +105,9 @@ def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
     for signs in SIGNS:
         w = np.array(signs) / norm(signs)
         found = np.array(commands.rotation_vector(2.0 * np.outer(w, w) - np.eye(3)))
-        close(np.pi * w, found * np.sign(found @ w), atol=1e-9)
+        assert_near(np.pi * w, found * np.sign(found @ w), 1e-9)
     found = commands.rotation_vector(np.diag([1.0, -1.0 - 1e-9, -1.0 - 1e-9]))  # rounded
-    close(np.abs(found), [np.pi, 0.0, 0.0], atol=1e-8)
+    assert_near(np.abs(found), [np.pi, 0.0, 0.0], 1e-8)
 
 
 @SEEDS
@@ -120,7 +119,7 @@ def test_a_rotation_is_continued_and_squared_up(seed):
         w *= angle / norm(w)
         Y = X.copy()
         grasps.rotate(Y, w)
-        close(Y[:3, :3], pin.exp3(w) @ X[:3, :3], atol=1e-11)
+        assert_near(Y[:3, :3], pin.exp3(w) @ X[:3, :3], 1e-11)
         Y[:3, :3] = X[:3, :3]
         assert_array_equal(Y, X)
     X = np.ones((4, 4))
@@ -128,8 +127,8 @@ def test_a_rotation_is_continued_and_squared_up(seed):
     Q, R = qr(X[:3, :2])
     Q *= np.sign(np.diag(R))
     grasps._square_up(X)
-    close(X[:3, :2], Q, atol=1e-12)
-    close(X[:3, 2], np.cross(Q[:, 0], Q[:, 1]), atol=1e-12)
+    assert_near(X[:3, :2], Q, 1e-12)
+    assert_near(X[:3, 2], np.cross(Q[:, 0], Q[:, 1]), 1e-12)
     assert_array_equal(X[3], 1.0)
 
 
@@ -142,7 +141,7 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         p = rng.standard_normal(3)
         w *= angle / norm(w)
         M = pin.SE3(pin.exp3(w), p)
-        close(grasps._remaining(p, M.rotation), pin.log6(M).vector, atol=1e-9)
+        assert_near(grasps._remaining(p, M.rotation), pin.log6(M).vector, 1e-9)
         twist = np.append(rng.standard_normal(3), w)
         M = pose_of(rng)
         R = np.full((6, 6), 7.0)
@@ -150,8 +149,8 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         R[:3, :3] = M.rotation
         grasps._take_off(R, point, -twist)
         want = M * pin.exp6(-twist)
-        close(R[:3, :3], want.rotation, atol=1e-9)
-        close(point[:3], want.translation, atol=1e-9)
+        assert_near(R[:3, :3], want.rotation, 1e-9)
+        assert_near(point[:3], want.translation, 1e-9)
         assert R[3, 3] == 7.0 == point[3]
 
 
@@ -186,7 +185,7 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
         frame = np.vstack((tip.rotation, tip.translation))
         out = np.full(6, 7.0)
         grasps._miss_of_group(arm, frame, X.homogeneous, np.zeros((6, 6)), out * 0.0, out)
-        close(out[: len(N)], n, atol=1e-9)
+        assert_near(out[: len(N)], n, 1e-9)
 
 
 @SEEDS
@@ -205,8 +204,8 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     frame = np.vstack((tip.rotation, tip.translation))
     grasps._miss(arm, frame, X.homogeneous, out := np.full(6, 7.0))
     between = pin.Quaternion.FromTwoVectors(tip_axis, tip.rotation.T @ X.rotation @ axis)
-    close(out[:3], tip.actInv(X.act(point)), atol=1e-12)
-    close(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), atol=1e-9)
+    assert_near(out[:3], tip.actInv(X.act(point)), 1e-12)
+    assert_near(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), 1e-9)
     arm.kind = at.BALL
     grasps._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
     assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])

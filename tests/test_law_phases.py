@@ -6,8 +6,9 @@ from hypothesis import strategies as st
 from law_calls import phases as law
 from law_calls import records
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx
+from rigs import assert_near
 from samples import first, parametrize
 
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
@@ -189,7 +190,7 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     first = np.flatnonzero(seen)[0]
     assert 100 < first < 200 and (seen[: first - 1] == 0.0).all()
     steady = seen[first:500]  # 30 ms of contact are not held: `rise` is 50 ms
-    assert_allclose(steady, DT * np.arange(1, len(steady) + 1), atol=1e-9)
+    assert_near(steady, DT * np.arange(1, len(steady) + 1), 1e-9)
     assert seen[-1] == 0.0
     start = Phases([0], [True], phase=[OPEN])
     for _ in range(200):
@@ -208,7 +209,7 @@ def test_torques_go_straight_and_not_too_far(seed):
         given = last.copy()
         law.slew(out, given, step, begun)
         share = min(1.0, (step / np.abs(tau - last)).min()) if begun else 1.0
-        assert_allclose(out, last + share * (tau - last), rtol=0, atol=1e-12)
+        assert_near(out, last + share * (tau - last), 1e-12, 0)
         assert_array_equal(given, out)
 
 
@@ -458,4 +459,4 @@ def test_measurements_are_low_passed_and_freed_of_inertia(seed):
             "speed": speed,
             "net": here * (force - flying),
         }.items():
-            assert_allclose(phases.columns[name], want, 1e-12, size, err_msg=name)
+            assert_near(phases.columns[name], want, size, 1e-12, name)

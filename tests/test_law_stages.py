@@ -13,10 +13,10 @@ from law_calls import allocation, operational, phases, reading, records, tick, w
 from law_calls import command_filter as command
 from numpy.linalg import cholesky, inv, norm, qr, solve
 from numpy.testing import assert_array_equal
-from rigs import UNLIMITED, random_faces, random_state, scara_pair
+from rigs import UNLIMITED, assert_near, random_faces, random_state, scara_pair
 from samples import parametrize
 from test_law import inputs, motion_of
-from test_law_parts import SEEDS, close, rng_of
+from test_law_parts import SEEDS, rng_of
 
 import osc_contact as osc
 from osc_contact.law import records as at
@@ -60,7 +60,7 @@ def command_force(alpha_d, felt, speed, w, least=-inf):
     ],
 )
 def test_the_force_law(given, want):
-    close(command_force(*given), want, rtol=1e-12)
+    assert_near(command_force(*given), want, rtol=1e-12)
 
 
 @parametrize("dependent", [False, True])
@@ -122,12 +122,12 @@ def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
         X[k] = chi * rng.standard_normal(n + 2)
         behind = X[k, n:].copy()
         small(X, k, n, chi)
-        close(X[: k + 1, :n] @ X[: k + 1, :n].T, np.eye(k + 1), atol=1e-12)
+        assert_near(X[: k + 1, :n] @ X[: k + 1, :n].T, np.eye(k + 1), 1e-12)
         assert_array_equal(X[k, n:], behind)
     X = rng.standard_normal((3, 7))
     want = X[1, :5] / 0.3
     small(X, 1, 5, 0.3)
-    close(X[1, :5], want, rtol=1e-12)
+    assert_near(X[1, :5], want, rtol=1e-12)
 
 
 @SEEDS
@@ -152,7 +152,7 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     want = rest.copy()
     for mode, share in zip(modes, own.share, strict=True):
         want += mode @ (back - tau if gone else (1.0 - share) * back) * (M @ mode)
-    close(joints.rest, want, rtol=1e-9, atol=1e-9)
+    assert_near(joints.rest, want, 1e-9, 1e-9)
 
 
 # --- torques --------------------------------------------------------------------------------------
@@ -173,8 +173,8 @@ def test_rows_that_those_before_nearly_span_are_factored_too(seed):
     assert allocation.factor_effort(t) and allocation.add_row(t, 0) and allocation.add_row(t, 1)
     R = qr((A * np.sqrt(t.model.joints.effort)).T)[1]
     want = (R * np.sign(np.diag(R))[:, None]).T
-    close(np.tril(t.work.factor[:8, :8], -1), np.tril(want, -1), atol=1e-9)
-    close(1.0 / np.diag(t.work.factor)[:8], np.diag(want), rtol=1e-8)
+    assert_near(np.tril(t.work.factor[:8, :8], -1), np.tril(want, -1), 1e-9)
+    assert_near(1.0 / np.diag(t.work.factor)[:8], np.diag(want), rtol=1e-8)
 
 
 def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
@@ -222,13 +222,13 @@ def test_columns_on_which_the_arms_can_push(held):
         L = cholesky((Lambda + held * np.eye(6))[m:, m:])
         seen = solve(L, N[:, m:].T)
         pivots = np.abs(np.diag(qr(seen)[1]))
-        close(work.amount, min(pivots / norm(seen, axis=0)), rtol=1e-7)
+        assert_near(work.amount, min(pivots / norm(seen, axis=0)), rtol=1e-7)
         for a in range(len(N) if m else 0):
             hidden = N.copy()
             hidden[a, m:] = L @ np.full(6 - m, 0.5e-5)  # seen with 0.25e-10 (6 − m) of its square
             reason, work, _ = judged(hidden, Lambda, held, m)
             assert (reason, work.where) == (command.UNREACHABLE, a)
-            close(work.amount, (6 - m) * 0.25e-10 / (hidden[a] @ hidden[a]), rtol=1e-6)
+            assert_near(work.amount, (6 - m) * 0.25e-10 / (hidden[a] @ hidden[a]), rtol=1e-6)
     assert judged(N, Lambda, held, 6)[0] == command.UNREACHABLE
     # 1/Λ along the column, beside 1: on either side of 1e-9
     for mobility, want in ((0.5e-9, command.UNREACHABLE), (2e-9, NO_REASON)):
@@ -348,19 +348,21 @@ def command_of(flags=0, of_memory=None, integral=2.0, **of_work):
 def test_laws_and_integrals_of_a_tick():
     """Whole ticks are those of test_law_kkt; here: bounds, new columns, laws of the user."""
     work, _, _ = command_of()
-    close(work.motion_next, [0.2, -0.4, 0.4, 0.1, 0.1, 0.1])  # no further than 0.8 / 2
-    close(command_of(of_memory={"force_rank": 1})[0].force_next[:2], [0.04, -0.03])  # begins anew
-    close(command_of(of_memory={"wrench_missing": 1})[0].force_next[:2], [0.5, -0.5])
-    close(command_of(integral=0.0)[0].motion_next, [0.2, -0.8, 1.0, 0.1, 0.1, 0.1])
+    assert_near(work.motion_next, [0.2, -0.4, 0.4, 0.1, 0.1, 0.1])  # no further than 0.8 / 2
+    assert_near(
+        command_of(of_memory={"force_rank": 1})[0].force_next[:2], [0.04, -0.03]
+    )  # begins anew
+    assert_near(command_of(of_memory={"wrench_missing": 1})[0].force_next[:2], [0.5, -0.5])
+    assert_near(command_of(integral=0.0)[0].motion_next, [0.2, -0.8, 1.0, 0.1, 0.1, 0.1])
     _, memory, called = command_of(of_memory={"hand_over": 1})
     assert called["handed"] and memory.hand_over == 0
     for lost, locked, reduced in ((1, 5, True), (1, 6, False), (0, 5, False)):
         assert ("reduced" in command_of(n_lost=lost, locked=locked)[2]) == reduced
     work, _, _ = command_of(tick.OWN_FORCE)
-    close(work.alpha_u[:2], [8.0 - 1.0, 7.0])  # approached; the user's own
-    close(work.force_next[:2], [0.5, -0.5])
-    close(command_of(tick.OWN_FORCE, {"force_rank": 1})[0].force_next, 0.0)
-    close(command_of(tick.OWN_MOTION)[0].a_u, 7.0)
+    assert_near(work.alpha_u[:2], [8.0 - 1.0, 7.0])  # approached; the user's own
+    assert_near(work.force_next[:2], [0.5, -0.5])
+    assert_near(command_of(tick.OWN_FORCE, {"force_rank": 1})[0].force_next, 0.0)
+    assert_near(command_of(tick.OWN_MOTION)[0].a_u, 7.0)
 
 
 # --- phases ---------------------------------------------------------------------------------------
@@ -397,7 +399,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
         write(t.memory.columns[0], gap=gap, filtered_speed=slow, speed=fast)
         t.work.goal[0] = 8.0
         phases.set_goals(t)
-        close(t.work.goal[0], want)
+        assert_near(t.work.goal[0], want)
         found = contact.active, contact.gain, contact.damping, contact.brake
         assert found == ((1, 0.0, 200.0, 0.0) if near else (1, 3.0, 5.0, 0.5))
         assert contact.least == (0.4 if pushes and not near else -inf)
@@ -427,15 +429,15 @@ def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     program = TorqueLimits(2, 1, 1)
     write(program.program, tau=[6.0, -1.0], lost_force=[50.0], lost_squeeze=[5.0])
     settle(rows.raw, 0, 0, program.raw)
-    close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
+    assert_near(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1
     return memory.torques.copy(), work.bars.tolist()
 
 
 def test_torques_within_the_limits_change_no_faster_than_others():
-    close(settled(1)[0], [6.0, -1.0])  # the first tick has none before it
-    close(settled(2)[0], [3.0, -0.5])  # 100/s of 30 N m, in 1 ms
-    close(settled(2, rate=1e9)[0], [6.0, -1.0])
+    assert_near(settled(1)[0], [6.0, -1.0])  # the first tick has none before it
+    assert_near(settled(2)[0], [3.0, -0.5])  # 100/s of 30 N m, in 1 ms
+    assert_near(settled(2, rate=1e9)[0], [6.0, -1.0])
     assert settled(2)[1] == [5.0]
     assert settled(2, n_internal=0)[1] == [8.0], "what is lost is of an older tick"
     assert settled(2, n_arms=3)[1] == [5.0] * 3

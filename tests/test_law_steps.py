@@ -3,8 +3,8 @@
 import numpy as np
 from law_calls import commands, records, write
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pytest import approx
+from rigs import assert_near
 from samples import parametrize
 from scipy.interpolate import BPoly
 
@@ -95,8 +95,8 @@ def test_a_step_is_let_in_along_the_quintic_of_least_jerk():
     forces.run([10.0, 4.0], 200)
     found = forces.run([16.0, 3.0], 80)
     share = eased(np.arange(80) * DT / RISE)
-    assert_allclose(found[:, 0], 16.0 - 6.0 * share, atol=1e-9)
-    assert_allclose(found[:, 1], 3.0 + 1.0 * share, atol=1e-9)
+    assert_near(found[:, 0], 16.0 - 6.0 * share, 1e-9)
+    assert_near(found[:, 1], 3.0 + 1.0 * share, 1e-9)
     assert forces.work.step_left == 0.0 and (found[-1] == [16.0, 3.0]).all()
 
 
@@ -114,7 +114,7 @@ def test_a_second_step_continues_value_slope_and_curvature(rises):
     slope, bend = (-6.0 * first.deriv(k)(x) / RISE**k for k in (1, 2))
     path = BPoly.from_derivatives([0.0, T], [[value - 8.0, slope, bend], [0.0, 0.0, 0.0]])
     t = np.arange(100) * DT
-    assert_allclose(found, 8.0 + np.where(t < T, path(t), 0.0), atol=1e-7)
+    assert_near(found, 8.0 + np.where(t < T, path(t), 0.0), 1e-7)
     assert found.max() > value, "it continues upwards at first"
 
 
@@ -171,7 +171,7 @@ def test_a_face_shows_its_tilt_where_it_carries_three_tenths_of_its_force(share,
     write(forces.work.columns[0], turned=turned, slides=1.0)
     forces.tick([10.0], measured=[10.0 * share], speed=[0.04])
     presses = share > 0.3 and phase == CLOSED
-    assert_allclose(forces.kept[0].turn, turned if presses else 0.0)
+    assert_near(forces.kept[0].turn, turned if presses else 0.0)
     assert forces.kept[0].drift == approx(0.0 if presses else 0.01), "sliding or leaving"
 
 
@@ -197,8 +197,8 @@ def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
     forces.t.memory.contacts.phase[2] = APPROACHING
     forces.run([10.0, 7.0, 2.0], 200)
     found = forces.run([12.0, 9.0, 4.0], 60)
-    assert_allclose(found[:, 0], 4.0)
-    assert_allclose(found[:, 1], 12.0 - 2.0 * eased(np.arange(60) * DT / RISE), atol=1e-9)
+    assert_near(found[:, 0], 4.0)
+    assert_near(found[:, 1], 12.0 - 2.0 * eased(np.arange(60) * DT / RISE), 1e-9)
     assert forces.kept.has_desired.tolist() == [1, 0, 0]
     assert forces.kept[1].scale == 0.0 and forces.kept[0].desired == 12.0
     assert forces.kept[2].desired == 4.0 == forces.kept[2].scale
@@ -243,7 +243,7 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     t.memory.columns.drift = [0.5, 0.0, drift]
     write(t.work, rank=2, kept=[0, 2], speed=[0.3, 0.7], brake=[20.0, 10.0])
     commands.brake_contacts(t)
-    assert_allclose(t.work.brake[:2], [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])
+    assert_near(t.work.brake[:2], [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])
 
 
 @parametrize("measured", [True, False], ids=["measured", "not measured"])
@@ -262,4 +262,4 @@ def test_the_brake_of_a_soft_face_is_that_of_the_tuning_page(measured):
         goal = forces.tick([10.0 + np.sin(0.1 * k)])[0]
         seen.append((V, face, alpha, goal, forces.kept[0].scale, forces.work.brake[0]))
     *series, brake = np.transpose(seen)
-    assert_allclose(brake, soft_brake(*series, 200.0, 30.0, 20.0)[0], rtol=1e-6)
+    assert_near(brake, soft_brake(*series, 200.0, 30.0, 20.0)[0], rtol=1e-6)

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 from law_calls import records, safety, sensors, write
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import rotated
+from rigs import assert_near, rotated
 from samples import parametrize
 
 from osc_contact.law import records as at
@@ -342,7 +342,7 @@ def test_an_approach_uses_positions_where_speeds_read_too_little():
         true = np.array(approach.true(V))
         for _ in range(300):
             used = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s
-        assert_allclose(used, true, atol=1e-6)
+        assert_near(used, true, 1e-6)
         assert_array_equal(used, approach.kept.velocity_from_positions[[3, 1]])
         for _ in range(300):
             approach.tick(V, true - 0.02)
@@ -362,7 +362,7 @@ def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
     for k in range(1, 60):
         approach.tick(TWIST, 0.0)
         share = 1.0 - (20.0 / 21.0) ** k  # 20 ms
-        assert_allclose(approach.kept.velocity_from_positions[[3, 1]], true * share, rtol=1e-4)
+        assert_near(approach.kept.velocity_from_positions[[3, 1]], true * share, rtol=1e-4)
         assert not approach.kept.velocity_from_encoders.any()
     approach.memory.compared = 0
     assert_array_equal(approach.tick(TWIST, 0.007), 0.007)
@@ -575,10 +575,10 @@ def test_what_is_not_read_follows_from_speeds_or_positions():
     sensors.tick(v)
     for k in range(1, 30):
         sensors.tick(nothing, true=2.0 * v)
-        assert_allclose(sensors.memory.v, v * (2.0 - (5.0 / 6.0) ** k), rtol=1e-7)
+        assert_near(sensors.memory.v, v * (2.0 - (5.0 / 6.0) ** k), rtol=1e-7)
     for k in range(1, 30):
         sensors.tick(v, q=nothing)
-        assert_allclose(sensors.memory.q, v * (0.059 + k * DT), rtol=1e-7)
+        assert_near(sensors.memory.q, v * (0.059 + k * DT), rtol=1e-7)
 
 
 @BOTH

@@ -12,9 +12,10 @@ from itertools import repeat
 import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, recording_error
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from processes import SIGNALS, wait_until
 from pytest import approx, mark, raises
+from rigs import assert_near
 from samples import first, parametrize
 from scenario_runs import assert_same_run, rig_of
 
@@ -80,8 +81,8 @@ def test_hardware_without_a_truth_leaves_a_recording(scenario):
     assert {duration for _, duration in robot.sent} == {1.0 / rig.scenario.control.rate}
     run = osc.run(rig.scenario, duration=TICKS * controller.dt)
     for channel in ("pose", "twist", "N", "face_pose", "contact_point"):
-        assert_allclose(found[channel], run[channel], atol=1e-9, err_msg=channel)
-    assert_allclose(found["alpha_meas"], run["alpha_true"], rtol=1e-6, atol=1e-9)
+        assert_near(found[channel], run[channel], 1e-9, name=channel)
+    assert_near(found["alpha_meas"], run["alpha_true"], 1e-9, 1e-6)
     assert np.ptp(run["pose"][:, :3], axis=0).max() > 1e-7
     assert found["closed"].all() and found.magnitude_names == ["left_end", "right_end"]
     with recording_error("no judge took part"):
@@ -129,7 +130,7 @@ def test_a_viewer_needs_what_is_recorded():
     assert len(seen) == 3 and len(seen[0]) > 10 and seen[2]["N"].shape == (6, 2)
     for k, tick in enumerate(seen):
         for name, value in tick.items():
-            assert_allclose(value, recording[name][k], atol=1e-14, err_msg=name)
+            assert_near(value, recording[name][k], 1e-14, name=name)
 
 
 # How `run_loop` ends: the robot is stopped at once and with a reason, by real signals, too.
@@ -361,4 +362,4 @@ def test_a_process_that_is_signalled_stops_its_robot_and_keeps_its_recording(num
     assert (tmp_path / "stops").read_text().split("\n")[:-1] == [signal.Signals(number).name]
     recording = osc.Recording.load(tmp_path / "recording.npz")
     assert len(recording) >= 50 and np.isfinite(recording["tau"]).all()
-    assert_allclose(np.diff(recording["t"]), 1e-3, atol=1e-9)
+    assert_near(np.diff(recording["t"]), 1e-3, 1e-9)

@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 from command_line import call, done
 from complaints import invalid_input, model_error
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx, fixture
-from rigs import terms_at
+from rigs import assert_near, terms_at
 from robot_numbers import mass_matrix
 from samples import parametrize
 from second_reader import mjcf_difference
@@ -68,14 +68,14 @@ def test_mass_matrix_forces_and_frames_are_mujocos(mj):
         truth.qvel[dofs] = v
         mujoco.mj_forward(mj, truth)
         data = terms_at(model, q, v)
-        assert_allclose(data.M, mass_matrix(mj, truth)[np.ix_(dofs, dofs)], atol=1e-12)
-        assert_allclose(data.nle, truth.qfrc_bias[dofs], atol=1e-12)
+        assert_near(data.M, mass_matrix(mj, truth)[np.ix_(dofs, dofs)], 1e-12)
+        assert_near(data.nle, truth.qfrc_bias[dofs], 1e-12)
         for name in ("wrist", "tip"):
             X = data.oMf[model.getFrameId(name)]
-            assert_allclose(X.translation, truth.site(name).xpos, atol=1e-12)
-            assert_allclose(X.rotation.ravel(), truth.site(name).xmat, atol=1e-12)
+            assert_near(X.translation, truth.site(name).xpos, 1e-12)
+            assert_near(X.rotation.ravel(), truth.site(name).xmat, 1e-12)
         hand = data.oMf[robots.frame_id(model, "hand")]
-        assert_allclose(hand.translation, truth.body("hand").xpos, atol=1e-12)
+        assert_near(hand.translation, truth.body("hand").xpos, 1e-12)
 
 
 def test_joints_have_the_files_numbers(mj):
@@ -83,7 +83,7 @@ def test_joints_have_the_files_numbers(mj):
     assert_array_equal(model.armature, [0.1, 2.0, 0.1, 0.1])
     assert_array_equal(model.damping, 0.5)
     assert_array_equal(model.upperDryFrictionLimit, 0.2)
-    assert_allclose(model.upperEffortLimit[:3], [100.0, 80.0, 30.0])
+    assert_near(model.upperEffortLimit[:3], [100.0, 80.0, 30.0])
     assert model.upperEffortLimit[3] > 1e12  # nobody names one
     assert (model.lowerPositionLimit[0], model.upperPositionLimit[1]) == (-2.0, np.inf)
 
@@ -241,7 +241,7 @@ def test_a_scenario_takes_an_mjcf_file(tmp_path, tip):
     assert verdict["task"]["word"] == "OK" and verdict["contact_fraction"] == {"ball": 1.0}
     assert verdict["force"]["ball"]["rms_error_rel"] < 0.01
     exact = osc.run(scenario.replaced(plant={"type": "rigid", "step": 1e-3}))
-    assert_allclose(exact["alpha_true"][-1], 5.0, rtol=1e-3)
+    assert_near(exact["alpha_true"][-1], 5.0, rtol=1e-3)
 
 
 def test_both_plants_accelerate_an_arm_from_mjcf_alike(tmp_path):
@@ -267,8 +267,8 @@ def test_both_plants_accelerate_an_arm_from_mjcf_alike(tmp_path):
 
     ours = fallen(scenario)
     theirs = fallen(scenario.replaced(plant={"type": "rigid", "step": 5e-5}))
-    assert_allclose(ours.q, theirs.q, atol=1.5e-5)
-    assert_allclose(ours.wrenches, theirs.wrenches, atol=0.05)
+    assert_near(ours.q, theirs.q, 1.5e-5)
+    assert_near(ours.wrenches, theirs.wrenches, 0.05)
 
 
 def test_check_describes_it_and_refuses_with_exit_code_1(tmp_path):

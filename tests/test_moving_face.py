@@ -4,9 +4,9 @@ import numpy as np
 import pinocchio as pin
 from complaints import contact_error, scenario_error
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import mark
-from rigs import direction, displacement, largest
+from rigs import assert_near, direction, displacement, largest
 from samples import parametrize
 from scenario_runs import always_closed, assert_accurate, rig_of, run_of, verdict_of, worst_force
 
@@ -43,10 +43,10 @@ def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
     plant, controller = on_the_move(rig)
     moved = 0.0
     for _, reference, truth in ticks(plant, controller, rig.references.over(times(20, 1.06))):
-        assert_allclose(truth.alpha, controller.signals.alpha_u, rtol=1e-9)
+        assert_near(truth.alpha, controller.signals.alpha_u, rtol=1e-9)
         controller.force_integral = np.zeros(2)
         controller.tick(plant.measure(), reference)
-        assert_allclose(controller.signals.alpha_meas, truth.alpha, rtol=1e-9)
+        assert_near(controller.signals.alpha_meas, truth.alpha, rtol=1e-9)
         moved = max(moved, largest(plant.measure().touched.V_E))
     assert moved > 1e-3
     assert (largest(plant.measure().touched.V_E[:, 3:]) > 1e-2) == (changes in (TURNING, HINGE))
@@ -68,12 +68,12 @@ def test_a_free_face_takes_the_power_of_its_contact(changes):
         rate = faces.rates[0][joint]
         V_e = rail.twist(faces.s[0], faces.rates[0], truth.X_WO.translation)
         N = rig.pairs[0].contact(truth.X_WO, truth.V_O, truth.X_WE[0]).N
-        assert_allclose(N.T @ (truth.V_O - V_e), 0.0, atol=1e-12)
+        assert_near(N.T @ (truth.V_O - V_e), 0.0, 1e-12)
         power.append(truth.alpha[0] * (N.T @ V_e)[0] - rail.damping * rate**2)
         energy.append((rail.inertia * rate**2 + rail.stiffness * s**2) / 2 - load * s)
     power = np.array(power)
     taken = 1e-3 * (power[1:] + power[:-1]) / 2
-    assert_allclose(np.diff(energy), taken, atol=2e-6 * largest(power))
+    assert_near(np.diff(energy), taken, 2e-6 * largest(power))
     assert largest(power) > 1e-3
 
 
@@ -106,12 +106,12 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose():
         rail = swinging(rng)
         t = rng.uniform(0, 5)
         (X0, V0, _), (X, V, A), (X1, V1, _) = (placed(rail, t + dt) for dt in (-H, 0.0, H))
-        assert_allclose(V, displacement(X0, X1) / (2 * H), atol=1e-5)
-        assert_allclose(A, (V1 - V0) / (2 * H), atol=1e-5)
+        assert_near(V, displacement(X0, X1) / (2 * H), 1e-5)
+        assert_near(A, (V1 - V0) / (2 * H), 1e-5)
         (travel, angle), *_ = rail.motion(t)
-        assert_allclose(X.rotation, pin.exp3(angle * rail.axis), atol=1e-12)
+        assert_near(X.rotation, pin.exp3(angle * rail.axis), 1e-12)
         hinge = rail.through + travel * rail.direction
-        assert_allclose(X.act(rail.through), hinge, atol=1e-12)
+        assert_near(X.act(rail.through), hinge, 1e-12)
 
 
 @parametrize("face", [FACES["conveyor"], TURNING], ids=["conveyor", "turning"])
@@ -127,10 +127,10 @@ def test_a_driven_face_is_where_its_signals_say(plant, face):
     rail = osc.Rail(*np.array([motion.direction, *hinge]), lambda _: s)
     X, V, A = placed(rail, 0.15)
     touched = plant.measure().touched
-    assert_allclose(touched.X_WE[0], X.homogeneous, atol=1e-7)
-    assert_allclose(touched.V_E[0], V, atol=1e-5)
-    assert_allclose(touched.A_E[0], A, atol=1e-7)
-    assert_allclose(plant.truth().X_WE[0].homogeneous, touched.X_WE[0], atol=1e-5)
+    assert_near(touched.X_WE[0], X.homogeneous, 1e-7)
+    assert_near(touched.V_E[0], V, 1e-5)
+    assert_near(touched.A_E[0], A, 1e-7)
+    assert_near(plant.truth().X_WE[0].homogeneous, touched.X_WE[0], 1e-5)
     assert_array_equal(touched.X_WE[1], np.eye(4))
     assert s[0, 0] > 1e-4 and (abs(s[1, 1]) > 1e-2) == (turn is not None)
 
@@ -192,9 +192,9 @@ def test_tracked_contacts_are_looked_up_again_after_a_while_and_agree_with_the_d
         V_O, V_E = rng.standard_normal((2, 6))
         moved = X_WE * pin.SE3(X.rotation, X.translation + along)
         ours, truth = (one.contact(moved, V_O, X_WE, V_E) for one in (tracked, pair))
-        assert_allclose(ours.N, truth.N, atol=1e-9)
-        assert_allclose(ours.n_gamma, truth.n_gamma, atol=1e-9)
-        assert_allclose(tracked.gaps(moved, X_WE), pair.gaps(moved, X_WE), atol=1e-9)
+        assert_near(ours.N, truth.N, 1e-9)
+        assert_near(ours.n_gamma, truth.n_gamma, 1e-9)
+        assert_near(tracked.gaps(moved, X_WE), pair.gaps(moved, X_WE), 1e-9)
         seen.append(tracked.lookups)
     assert seen[0] == 1 and 2 < seen[-1] < 10
     away = pin.SE3(X.rotation, X.translation + 0.1 * pair.normal)

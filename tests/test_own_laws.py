@@ -7,9 +7,9 @@ import pinocchio as pin
 from complaints import invalid_input, refusals
 from numpy.linalg import solve
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import fixture
-from rigs import held_tick, largest, product, refused, rig_of, ticked
+from rigs import assert_near, held_tick, largest, product, refused, rig_of, ticked
 from samples import module_fixture, parametrize
 from test_moving_face import on_the_move
 
@@ -91,7 +91,7 @@ def test_a_motion_law_commands_a_classical_acceleration(rig):
     controller = motion_law(lambda: lambda *_: wanted)(rig.controller())
     ticked(controller, read, rig.references.at(0.0))
     s = controller.signals
-    assert_allclose(s.a_u + product(s.state.V_O), wanted, atol=1e-12)
+    assert_near(s.a_u + product(s.state.V_O), wanted, 1e-12)
     assert largest(product(s.state.V_O)) > 1e-6
 
 
@@ -131,7 +131,7 @@ def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig):
         measurement = plant.measure()
         tau = plain.tick(measurement, reference)
         for other in others:
-            assert_allclose(ticked(other, measurement, reference), tau, rtol=0, atol=1e-8)
+            assert_near(ticked(other, measurement, reference), tau, 1e-8, 0)
         plant.hold(tau)
         plant.command(tau, 2e-3)
     assert largest(plain.force_integral) > 1e-6
@@ -149,7 +149,7 @@ def test_laws_stay_when_gains_change_and_can_be_taken_out_again(rig):
     assert not second.calls, "every controller has its own law"
     changed = own.with_gains(plain.gains.replaced(force=osc.ForceGains(10.0, 5.0)))
     changed.tick(measurement, reference)
-    assert_allclose(changed.signals.alpha_u, reference.alpha_d + [1.0, -2.0], atol=1e-12)
+    assert_near(changed.signals.alpha_u, reference.alpha_d + [1.0, -2.0], 1e-12)
     back = own.with_laws(force=None)
     assert_array_equal(back.tick(measurement, reference), plain.tick(measurement, reference))
     with refused("with_laws"):
@@ -246,7 +246,7 @@ def test_impedance_is_a_spring_and_a_damper_on_the_arms_own_inertia(exact, ratio
         spring = KEYS * e + s.contact.N @ s.alpha_d
         want = want + state.S.T @ spring + D @ P @ (reference.V_D - state.V_O)
         assert largest(state.S.T @ (KEYS * e)) > 0.05
-        assert_allclose(moved, want, rtol=0, atol=1e-7)
+        assert_near(moved, want, 1e-7, 0)
 
 
 def test_admittance_moves_the_set_point_by_the_force(exact):
@@ -268,7 +268,7 @@ def test_admittance_moves_the_set_point_by_the_force(exact):
         A = reference.A_D + acceleration + omega**2 * e
         A = A + 2.0 * omega * (reference.V_D + rate - s.state.V_O)
         want = inertial(s, A)[0] + s.state.S.T @ reading
-        assert_allclose(moved, want, rtol=0, atol=1e-7)
+        assert_near(moved, want, 1e-7, 0)
     assert largest(c) > 1e-7
 
 

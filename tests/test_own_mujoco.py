@@ -12,10 +12,10 @@ from command_line import done, refused
 from complaints import invalid_input, model_error, plant_error
 from headless import Browser, near, pixels_of
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from PIL import Image
 from pytest import approx, raises
-from rigs import data_at, held_tick, largest, ticked, unloaded
+from rigs import assert_near, data_at, held_tick, largest, ticked, unloaded
 from samples import module_fixture, parametrize
 from scenario_runs import worst_force
 
@@ -135,19 +135,19 @@ def test_scene_is_robot_and_judge(actuators):
     robot = robot_of(scene(actuators), locked={"grip": 0.03}, keyframe="ball_aside")
     assert robot.chain.joint_names == ["arm/shoulder", "arm/elbow", "arm/wrist_pitch"]
     controller, X = ready(robot)
-    assert_allclose(robot.measure().q, controller.posture)
+    assert_near(robot.measure().q, controller.posture)
     spy = Spy(controller, robot)
     osc.run_loop(robot, controller, map(wiping(X), np.arange(0, 2.5, 1e-3)), recorder=spy)
     recording = spy.recording()
-    assert_allclose(recording["alpha_true"][:, 0], spy.pushes, atol=1e-9)
+    assert_near(recording["alpha_true"][:, 0], spy.pushes, 1e-9)
     verdict = osc.metrics(recording)
     assert worst_force(verdict) < 5e-3 and verdict["motion"]["rms_error_m"] < 1e-4
     assert verdict["contact_fraction"]["wall"] == 1.0
     assert verdict["task"]["word"] == "OK" and verdict["scenario"] is None
     assert np.ptp(recording["pose"][:, 2]) > 0.07  # it went there
     site = robot.data.site("tip")
-    assert_allclose(robot.poses()[1, :3, 3], site.xpos, atol=1e-12)
-    assert_allclose(robot.poses()[1, :3, :3].ravel(), site.xmat, atol=1e-12)
+    assert_near(robot.poses()[1, :3, 3], site.xpos, 1e-12)
+    assert_near(robot.poses()[1, :3, :3].ravel(), site.xmat, 1e-12)
     assert robot.data.joint("grip").qpos[0] == approx(0.03, abs=1e-3)
     assert robot.data.body("ball").xpos[0] == approx(-2.0, abs=1e-3)
 

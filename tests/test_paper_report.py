@@ -11,9 +11,9 @@ from complaints import invalid_input
 from headless import Browser, near
 from html_pages import Page
 from matplotlib.image import imread
-from numpy.testing import assert_allclose
 from PIL import Image
 from rich.table import Table
+from rigs import assert_near
 from samples import ROOT, module_fixture, parametrize
 from scene_samples import read_commands
 
@@ -255,7 +255,7 @@ def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
         for X, b in zip(cell.faces, cell.rig.bodies, strict=True)
     ]
     angles = [np.linalg.norm(pin.log3(R)) for R in turned]
-    assert_allclose(angles, np.deg2rad(5.0), atol=1e-3)
+    assert_near(angles, np.deg2rad(5.0), 1e-3)
 
 
 def test_every_label_hangs_on_a_node_and_says_what_the_scenario_says(cell, tmp_path):

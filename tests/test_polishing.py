@@ -1,8 +1,8 @@
 """The learning example: what it gauges, what it learns in a few generations, and the other law."""
 
 import numpy as np
-from numpy.testing import assert_allclose
 from pytest import approx, fixture, mark
+from rigs import assert_near
 from samples import first
 
 from benchmarks import polishing
@@ -36,7 +36,7 @@ def test_the_strategy_finds_what_is_hidden():
         return ((policies - hidden) ** 2).sum(axis=1) + 0.01 * noise.standard_normal(40)
 
     found, curve = learn(cost, np.zeros(3), 1.0, 40, 25, seed=1)
-    assert_allclose(found, hidden, atol=0.1)
+    assert_near(found, hidden, 0.1)
     assert curve[0] == approx(hidden @ hidden, abs=0.05) and len(curve) == 25
 
 
@@ -45,7 +45,7 @@ def test_an_even_force_wears_as_soft_as_the_edge_is():
     fine = np.linspace(EDGES[:-1], EDGES[1:], 50)
     soft = softness(fine).mean(axis=0)
     assert soft.max() > 2.2 * soft.min()
-    assert_allclose(seen.depth, np.tile(soft, (6, 1)), rtol=0.08)  # unknown masses
+    assert_near(seen.depth, np.tile(soft, (6, 1)), rtol=0.08)  # unknown masses
     assert seen.off.max() < 1e-3
 
 

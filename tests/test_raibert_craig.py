@@ -6,9 +6,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import norm
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pytest import approx, raises
-from rigs import pose_of, refused, shift
+from rigs import assert_near, pose_of, refused, shift
 from samples import parametrize
 
 from osc_contact.contacts import raibert_craig
@@ -66,7 +65,7 @@ def assert_describes(found, N):
     assert found, found.reason
     assert found.reason == "" and 0.0 <= found.residual <= 1e-9
     E = found.frame.rotation
-    assert_allclose(E.T @ E, np.eye(3), atol=1e-12)
+    assert_near(E.T @ E, np.eye(3), 1e-12)
     assert np.linalg.det(E) > 0.0
     assert largest_sine(space_of(found), N) < 1e-9
 
@@ -84,7 +83,7 @@ def test_every_frame_and_selection_is_recognised_in_any_basis(monkeypatch):
         axes = frame.rotation.T
         lines = [line(axis, frame.translation) for axis in axes[forces]]
         N = selection_columns(frame, forces, couples)
-        assert_allclose(N.T, [*lines, *map(couple, axes[couples])] or N.T, atol=1e-15)
+        assert_near(N.T, [*lines, *map(couple, axes[couples])] or N.T, 1e-15)
         N = N @ rng.standard_normal((N.shape[1],) * 2)
         found = as_raibert_craig(N, SIZE)
         assert_describes(found, N)
@@ -103,14 +102,14 @@ def test_the_frame_lies_where_one_would_put_it():
     columns = [line(Z, p) for p in ([0, 0, 0], [0.2, 0, 0], [0, 0.3, 0])]
     face = as_raibert_craig(np.column_stack(columns), SIZE)
     assert face.forces == (False, False, True) and face.couples == (True, True, False)
-    assert_allclose(face.frame.rotation, np.eye(3), atol=1e-12)
+    assert_near(face.frame.rotation, np.eye(3), 1e-12)
     for directions in ((LEAN, Z), (LEAN, Z, (0, 1, 1))):
         found = as_raibert_craig(np.column_stack([line(d, Q) for d in directions]), SIZE)
-        assert_allclose(found.frame.translation, Q, atol=1e-12)
+        assert_near(found.frame.translation, Q, 1e-12)
         assert kind(found.forces, found.couples) == (len(directions), 0, 0)
     # on a single line: the point nearest to the centre
     found = as_raibert_craig(line(LEAN, Q)[:, None], SIZE, centre=[1.0, 0, 0])
-    assert_allclose(found.frame.translation, Q + LEAN * (LEAN @ ([1.0, 0, 0] - Q)), atol=1e-12)
+    assert_near(found.frame.translation, Q + LEAN * (LEAN @ ([1.0, 0, 0] - Q)), 1e-12)
 
 
 # Refused ------------------------------------------------------------------------------------------

@@ -6,9 +6,17 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import cholesky, inv, solve, svd
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pair_kinds import touching
-from rigs import UNLIMITED, one_panda, product, random_faces, random_state, refused, sliding
+from rigs import (
+    UNLIMITED,
+    assert_near,
+    one_panda,
+    product,
+    random_faces,
+    random_state,
+    refused,
+    sliding,
+)
 from samples import chosen, first, parametrize
 from scenario_runs import always_closed
 from test_law import inputs, motion_of, off_their_faces
@@ -162,11 +170,11 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
         to_come = s.state.V_O + 2.0 * controller.dt * reference.A_D
         where = sliding(pairs, s.state.X_WO, to_come, touched, known)
         friction = np.reshape([mu * np.append(x, np.cross(p, x)) for p, _, x in where], (n, 6)).T
-        assert_allclose(s.friction_wrenches, friction, atol=1e-10)
+        assert_near(s.friction_wrenches, friction, 1e-10)
         want = explained(
             s.f_meas, s.state, s.contact, s.environment, friction, reference.A_D, s.alpha_d, where
         )
-        assert_allclose(s.alpha_meas, want, rtol=1e-7, atol=1e-7)
+        assert_near(s.alpha_meas, want, 1e-7, 1e-7)
 
 
 # --- which contacts ------------------------------------------------------------------------------

@@ -11,8 +11,8 @@ from itertools import repeat
 import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, plant_error
-from numpy.testing import assert_allclose
 from pytest import approx, raises
+from rigs import assert_near
 from samples import parametrize
 from scenario_runs import rig_of
 from test_loop import REFERENCE, Controller, Robot, loop_of
@@ -166,7 +166,7 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
         ("inertia", 0.2, 0.06),
         ("offset", 0.0, 0.3),
     ):
-        assert_allclose([getattr(j, key) for j in found.joints], wanted, atol=atol)
+        assert_near([getattr(j, key) for j in found.joints], wanted, atol)
     assert found.wrench_scale == approx(1.0, abs=0.15) and found.forces
 
 

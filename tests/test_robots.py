@@ -5,9 +5,8 @@ import re
 import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, model_error
-from numpy.testing import assert_allclose
 from pytest import approx, raises
-from rigs import placed
+from rigs import assert_near, placed
 from samples import ROOT, parametrize
 from second_reader import urdf_difference
 
@@ -51,8 +50,8 @@ def test_scara_has_the_announced_joints_and_limits(name):
 def test_right_arm_is_the_mirror_image_of_the_left():
     left, right = (robots.load_model(robots.urdf_path(name)) for name in ARMS)
     for one, other in zip(left.inertias, right.inertias, strict=True):
-        assert_allclose(other.lever, MIRROR @ one.lever, atol=1e-9)
-        assert_allclose(other.inertia, MIRROR @ one.inertia @ MIRROR, atol=1e-9)
+        assert_near(other.lever, MIRROR @ one.lever, 1e-9)
+        assert_near(other.inertia, MIRROR @ one.inertia @ MIRROR, 1e-9)
     for a, b in zip(left.jointPlacements, right.jointPlacements, strict=True):
         assert a.isApprox(b, 1e-14)
 
@@ -63,7 +62,7 @@ def test_right_arm_is_the_mirror_image_of_the_left():
 def test_rod_inertia_is_that_of_a_capsule():
     rod = robots.load_body(robots.urdf_path("rod.urdf"))
     turned = placed(rpy=(0, np.pi / 2, 0)).act(pin.Inertia.FromCapsule(1.5, 0.01, 0.58))
-    assert_allclose(rod.matrix(), turned.matrix(), rtol=1e-6, atol=1e-9)
+    assert_near(rod.matrix(), turned.matrix(), 1e-9, 1e-6)
 
 
 # Second readers ---------------------------------------------------------------------------------
@@ -191,7 +190,7 @@ def test_load_body_wants_one_rigid_link(tmp_path):
         robots.load_body(write(tmp_path, kind="fixed", tip=BALL, end=BALL))
     with model_error(r"found 0 \(none\)"):
         robots.load_body(write(tmp_path, kind="fixed", tip=""))
-    assert_allclose(robots.load_body(write(tmp_path, kind="fixed")).lever, [0.1, 0, 0])
+    assert_near(robots.load_body(write(tmp_path, kind="fixed")).lever, [0.1, 0, 0])
 
 
 def test_the_second_reader_notices_a_joint_that_is_2_nm_off(tmp_path, monkeypatch):
@@ -413,7 +412,7 @@ def test_continuous_joint_is_a_revolute_joint_without_end_stops(name, seed):
         tau = pin.rnea(model, data, at, v, a)
         pin.framesForwardKinematics(model, data, at)
         found.append(np.concatenate((tau, *(X.homogeneous.ravel() for X in data.oMf))))
-    assert_allclose(*found, atol=1e-10)
+    assert_near(*found, 1e-10)
 
 
 def test_ready_models_are_judged_too():

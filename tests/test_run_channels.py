@@ -5,9 +5,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import cholesky, inv, lstsq, norm, solve, svd
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pair_kinds import KINDS, PLAIN, STILL, pose_of
-from rigs import unloaded
+from rigs import assert_near, unloaded
 from samples import parametrize
 from scenario_runs import rig_of
 from test_moving_face import TURNING
@@ -242,7 +242,7 @@ def test_channels_are_what_they_are_defined_to_be(name):
         if channel in ("q", "v", "tau", "closed", "contact_seen", "collision_seen", "status"):
             assert_array_equal(found, values, err_msg=channel)
         else:
-            assert_allclose(found, values, rtol=1e-11, atol=1e-13, err_msg=channel)
+            assert_near(found, values, 1e-13, 1e-11, channel)
 
 
 def test_poses_are_those_of_pinocchio():
@@ -263,7 +263,7 @@ def test_poses_are_those_of_pinocchio():
             (moved[:, i], X.act(x[:, i])),
             (back[:, i], X.rotation.T @ x[:, i]),
         ):
-            assert_allclose(found, want, atol=1e-14)
+            assert_near(found, want, 1e-14)
     assert_array_equal(rotated(poses.R, x[:, None])[:, 0], poses.rotate(x))
 
 
@@ -285,7 +285,7 @@ def test_lines_of_force_over_time_are_those_of_the_pair(name):
         assert found.shape == (6, r, 5)
         for i in range(5):
             want = pair.contact(X[i], STILL, moving and E[i]).N
-            assert_allclose(found[:, :, i], want, atol=1e-13)
+            assert_near(found[:, :, i], want, 1e-13)
 
 
 @parametrize("name", ["two_contact_rod", "scara_peg", "ur5_wipe", "hinge_ball_rod"])
@@ -303,4 +303,4 @@ def test_the_permitted_error_is_what_arms_and_contacts_permit_in_postures_of_all
             osc.Reference(X_WD, alpha_d=np.zeros(rig.contact.r)),
         )
         assert controller.status.name in ("OK", "SATURATED"), controller.reason
-        assert_allclose(controller.result().free_error, error(controller, q), atol=1e-9)
+        assert_near(controller.result().free_error, error(controller, q), 1e-9)

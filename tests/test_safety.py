@@ -9,10 +9,11 @@ import rigs
 from complaints import invalid_input, refusals
 from grasp_rigs import Case, random_case
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx, fixture
 from rigs import (
     UNLIMITED,
+    assert_near,
     largest,
     placed,
     random_state,
@@ -82,7 +83,7 @@ def test_unreadable_joints_leave_the_last_posture():
     for _ in range(300):
         tau = controller.tick(osc.Measurement(NAN * m.q, NAN * m.q, BLIND[:1]), case.reference)
     at = Case(case.chain, m.q, case.chain.state(m.q, m.v).X_WO, [])
-    assert_allclose(tau, stop_of(at, 0.0 * m.v)[0], atol=0.02 * case.chain.tau_max.max())
+    assert_near(tau, stop_of(at, 0.0 * m.v)[0], 0.02 * case.chain.tau_max.max())
     assert controller.unbraked is not None
 
 
@@ -110,7 +111,7 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
     assert max(speeds[300:]) < 0.05
     osc.run_loop(plant, controller, repeat(reference, 300))
     assert controller.state is SAFE_STOP  # though the wrenches are back
-    assert_allclose(plant.measure().q, rest, rtol=0, atol=2e-3)
+    assert_near(plant.measure().q, rest, 2e-3, 0)
 
 
 def test_joints_that_stay_too_fast_end_in_a_stop(case):
@@ -264,10 +265,10 @@ def test_motors_carry_first_and_brake_with_what_is_left(arms):
             better = (least - share * brake)[s][driven] @ q_dd[s][driven] > 0.0
             brake[s] = least[s] if better else share * brake[s]
             kept = controller._records.memory.joints.acceleration
-            assert_allclose(kept[s], share * q_dd[s], atol=1e-9)
+            assert_near(kept[s], share * q_dd[s], 1e-9)
             scaled += share < 1.0
         want = np.clip(carry + brake, -most, most)[chain.actuated]
-        assert_allclose(tau, want, rtol=1e-9, atol=1e-9)
+        assert_near(tau, want, 1e-9, 1e-9)
     assert scaled > 6
 
 
@@ -280,7 +281,7 @@ def test_an_object_that_no_arm_holds_rigidly_is_carried_where_it_was(located):
     for v, read in ((still, np.zeros((2, 6))), *[(still + 0.1, BLIND)] * 3)[not located :]:
         tau = controller.tick(osc.Measurement(case.q, v, read), osc.Reference(case.X_WO))
     carry, brake, _ = stop_of(case, v, located)
-    assert_allclose(tau, carry + brake, atol=1e-9)
+    assert_near(tau, carry + brake, 1e-9)
 
 
 def test_limits_can_be_changed(case):
@@ -306,4 +307,4 @@ def test_other_limits_and_gains_hold_beside_pairs_written_in_python():
     made = replace(case, gains=soft).controller()
     for _ in range(2):
         got, want = (c.tick(*case.given) for c in (other, made))
-        assert_allclose(got, want, rtol=1e-12)
+        assert_near(got, want, rtol=1e-12)

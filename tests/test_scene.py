@@ -4,9 +4,8 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input
 from html_pages import Page
-from numpy.testing import assert_allclose
 from pytest import approx, raises
-from rigs import largest
+from rigs import assert_near, largest
 from samples import module_fixture, parametrize
 from scene_samples import (
     ARMS,
@@ -67,7 +66,7 @@ def test_arm_and_object_stand_where_the_recording_has_them(shown):
         for joint in ("joint1", "joint3", "hinge"):
             assert shown.pose(f"/meshcat/arms/left/{joint}", frame).isApprox(placed[joint], 1e-5)
         rod = shown.at("/meshcat/bodies/rod/base", "position", frame)
-        assert_allclose(rod, RECORDING["pose"][10 * frame, :3], atol=1e-6)
+        assert_near(rod, RECORDING["pose"][10 * frame, :3], 1e-6)
 
 
 def test_a_face_follows_its_recorded_pose(tmp_path):
@@ -86,7 +85,7 @@ def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown,
     node = (LEFT, RIGHT)[i]
     placed = shown.pose(node, frame)
     for found, channel in ((placed.translation, "point"), (placed.rotation[:, 1], "direction")):
-        assert_allclose(found, RECORDING[f"contact_{channel}"][tick, i], atol=1e-6)
+        assert_near(found, RECORDING[f"contact_{channel}"][tick, i], 1e-6)
     for arrow, channel in (("true", "true"), ("commanded", "cmd"), ("measured", "meas")):
         alpha = RECORDING[f"alpha_{channel}"][tick, i]
         assert shown.length(f"{node}/{arrow}", frame) == approx(0.01 * alpha, abs=1e-5)
@@ -161,7 +160,7 @@ def test_a_column_with_a_couple_is_a_screw(tmp_path):
     couple = 0.1 * RECORDING["alpha_true"][80, 1]
     assert shown.length(f"{RIGHT}/true", 8) == approx(couple, abs=1e-5)
     assert f"{RIGHT}/true/head/second" in shown.objects, "a couple has two heads"
-    assert_allclose(shown.pose(RIGHT, 8).rotation[:, 1], d[80, 1], atol=1e-6)
+    assert_near(shown.pose(RIGHT, 8).rotation[:, 1], d[80, 1], 1e-6)
 
 
 def test_legend_switches_every_contact(shown):
@@ -346,9 +345,9 @@ BLUE = (0.14, 0.14, 0.88)
 def test_triangles_have_the_colours_of_their_materials(tmp_path):
     file = tmp_path / "two.dae"
     file.write_text(DAE)
-    assert_allclose(triangle_colours(file, 3), [RED, RED, BLUE], atol=1e-12)
+    assert_near(triangle_colours(file, 3), [RED, RED, BLUE], 1e-12)
     found = vertex_colours(file, np.array([[0, 1, 2], [2, 1, 3], [4, 5, 6]]), 7)
-    assert_allclose(found, [RED] * 4 + [BLUE] * 3, atol=1e-6)
+    assert_near(found, [RED] * 4 + [BLUE] * 3, 1e-6)
 
 
 @parametrize(

@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, model_error, scenario_error
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import PANDA_Q, largest, one_panda, placed, shift
+from rigs import PANDA_Q, assert_near, largest, one_panda, placed, shift
 from samples import first, parametrize
 from scenario_runs import always_closed, rig_of, verdict_of, worst_force
 from test_moving_face import TURNING
@@ -69,7 +69,7 @@ def readings(sensors, steps, seed=0):
 
 def test_an_ideal_sensor_changes_nothing_and_the_truth_is_not_touched():
     got = readings(Sensors(), 5)[-1]
-    assert_allclose(got.q, 5e-3 * np.arange(1, 4), rtol=1e-12)
+    assert_near(got.q, 5e-3 * np.arange(1, 4), rtol=1e-12)
     assert_array_equal(got.v, [1, 2, 3])
     assert SensedPlant(Toy(), Sensors()).truth() == "the truth"
 
@@ -86,19 +86,19 @@ def test_noise_and_bias_have_the_size_given():
     read = np.array([m.wrenches for m in out])
     offset = read.mean(axis=0) - 5.0
     assert np.all(np.abs(offset) < bias + 0.1 * noise) and largest(offset / bias) > 0.2
-    assert_allclose(read.std(axis=0) / noise, 1.0, atol=0.06)
+    assert_near(read.std(axis=0) / noise, 1.0, 0.06)
     white = (read - read.mean(axis=0)).reshape(len(read), -1)
     assert largest(np.corrcoef(white.T) - np.eye(12)) < 0.08
     assert largest((white[1:] * white[:-1]).mean(axis=0) / white.var(axis=0)) < 0.08
     q = np.array([m.q for m in out])
-    assert_allclose(q / 0.01, np.round(q / 0.01), atol=1e-9)
+    assert_near(q / 0.01, np.round(q / 0.01), 1e-9)
     assert largest(q - np.outer(t, [1, 2, 3])) <= 0.005 + 1e-12
     X = np.array([m.touched.X_WE[0] for m in out])
     away = X[:, :3, 3] - np.outer(0.02 * t, [1, 0, 0])
     back = np.outer(-0.1 * t, [0, 0, 1])
     turn = [pin.log3(R @ pin.exp3(w)) for R, w in zip(X[:, :3, :3], back, strict=True)]
-    assert_allclose(away.std(axis=0), 1e-3, rtol=0.06)
-    assert_allclose(np.std(turn, axis=0), 5e-3, rtol=0.06)
+    assert_near(away.std(axis=0), 1e-3, rtol=0.06)
+    assert_near(np.std(turn, axis=0), 5e-3, rtol=0.06)
 
 
 @parametrize("rate, delay", [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
@@ -110,14 +110,14 @@ def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
         samples = np.ceil(np.arange(int(t * rate) + 2) / rate / DT - 1e-6) * DT
         want = samples[samples + delay <= t + 1e-9].max(initial=0.0)
         assert m.stamps.encoders == approx(want, abs=1e-9)
-        assert_allclose(m.q, want * np.arange(1, 4), atol=1e-9)
+        assert_near(m.q, want * np.arange(1, 4), 1e-9)
 
 
 def test_lost_samples_keep_the_old_reading():
     out = readings(Sensors(encoders=(Clock(1e3, 0.0, dropout=0.2), SensorErrors())), 5000)
     stamps = np.array([m.stamps.encoders for m in out])
     assert np.mean(np.diff(stamps) == 0.0) == approx(0.2, abs=0.02)
-    assert_allclose([m.q[0] for m in out], stamps, atol=1e-9)
+    assert_near([m.q[0] for m in out], stamps, 1e-9)
 
 
 def test_encoders_give_no_velocity_and_vision_no_twist():
@@ -205,8 +205,8 @@ def test_readings_of_an_arm_give_what_its_wrist_carries():
     carried = sensor.inverse().act(hand.inertia)
     carried += (state.sensors[0].inverse() * state.X_WO).act(chain.payload.inertia)
     assert load.mass == approx(carried.mass)
-    assert_allclose(load.com, carried.lever, atol=1e-9)
-    assert_allclose(load.bias, bias, atol=1e-9)
+    assert_near(load.com, carried.lever, 1e-9)
+    assert_near(load.bias, bias, 1e-9)
 
 
 def test_the_standard_errors_are_the_spread_of_many_calibrations():
@@ -219,7 +219,7 @@ def test_the_standard_errors_are_the_spread_of_many_calibrations():
         for _ in range(2000)
     ]
     assert loads[0].mass_error == approx(np.std([load.mass for load in loads]), rel=0.1)
-    assert_allclose(loads[0].com_error, np.std([load.com for load in loads], axis=0), rtol=0.25)
+    assert_near(loads[0].com_error, np.std([load.com for load in loads], axis=0), rtol=0.25)
 
 
 def test_a_wrist_that_only_turns_about_the_vertical_is_refused():
@@ -281,7 +281,7 @@ def riccati(noise, acceleration, dt):
 def test_gains_are_those_of_the_riccati_equation(noise, acceleration):
     estimate = VelocityEstimate.optimal(noise, acceleration, DT)
     K = riccati(noise, acceleration, DT)
-    assert_allclose([estimate.alpha[0], estimate.beta[0] / DT], K, rtol=1e-6)
+    assert_near([estimate.alpha[0], estimate.beta[0] / DT], K, rtol=1e-6)
 
 
 @parametrize("noise", np.geomspace(1e-15, 1e-2, 14))
@@ -303,7 +303,7 @@ def test_a_fresh_reading_corrects_what_the_acceleration_predicts():
         estimate.v = np.array([2.0])
         x, v = estimate.update(np.array([99.0]), np.array([10.0]), fresh)
         want = 1.002005 + 0.5 * innovation, 2.01 + 25.0 * innovation
-        assert_allclose([x[0], v[0]], want, rtol=1e-12)
+        assert_near([x[0], v[0]], want, rtol=1e-12)
 
 
 def test_a_slow_sensor_is_followed_between_its_samples():
@@ -314,7 +314,7 @@ def test_a_slow_sensor_is_followed_between_its_samples():
         fresh = int(t * 60) != int((t - DT) * 60)
         found.append(estimate.update(np.array([0.02 * t]), 0.0, fresh))
     x, v = np.array(found[4000:])[..., 0].T
-    assert_allclose(v, 0.02, rtol=0.01)
+    assert_near(v, 0.02, rtol=0.01)
     assert largest(np.diff(x)) < 1e-3  # no jumps at the samples
 
 
@@ -352,7 +352,7 @@ def test_without_noise_one_picture_finds_the_camera():
         known = scattered(rng)
         found = Registration(1e-9, 1e-9, prior=(1.0, 1.0))
         found.update(known, [X_WC.inverse() * X for X in known])
-        assert_allclose(lacking(found.X, X_WC), 0.0, atol=1e-8)
+        assert_near(lacking(found.X, X_WC), 0.0, 1e-8)
 
 
 def test_the_covariance_is_that_of_the_error():
@@ -371,7 +371,7 @@ def test_the_covariance_is_that_of_the_error():
         squares.append(error @ np.linalg.solve(found.P, error))
         spread.append(error / np.sqrt(np.diag(found.P)))
     assert np.mean(squares) == approx(6.0, abs=4 * np.sqrt(12 / 300))
-    assert_allclose(np.std(spread, axis=0), 1.0, atol=0.15)
+    assert_near(np.std(spread, axis=0), 1.0, 0.15)
 
 
 def test_history_interpolates_the_past():
@@ -380,8 +380,8 @@ def test_history_interpolates_the_past():
         history.at(0.0)
     for k in range(301):
         history.add(1e-3 * k, np.array([1e-3 * k, 2.0]))
-    assert_allclose(history.at(0.2345), [0.2345, 2.0], atol=1e-12)
-    assert_allclose(history.at(9.0), [0.3, 2.0])
+    assert_near(history.at(0.2345), [0.2345, 2.0], 1e-12)
+    assert_near(history.at(9.0), [0.3, 2.0])
     assert history.at(0.0)[0] == approx(0.2, abs=2e-3)  # no further back than 0.1 s
     alone = History(1.0)
     alone.add(0.0, np.ones(1))
@@ -433,7 +433,7 @@ def test_vision_tracks_rod_and_arms_where_they_are():
     for X, Y in zip((seen.object, *seen.tips), sensed.plant.poses(), strict=True):
         assert 1e-4 < largest(X[:3, 3] - Y[:3, 3]) < 1.5e-2
         assert np.linalg.norm(pin.log3(X[:3, :3] @ Y[:3, :3].T)) < 0.04
-    assert_allclose(sensed.plant.poses()[0], truth.X_WO.homogeneous, atol=1e-12)
+    assert_near(sensed.plant.poses()[0], truth.X_WO.homogeneous, 1e-12)
     assert seen.tips.shape == (2, 4, 4)
 
 

@@ -6,10 +6,9 @@ import re
 import numpy as np
 import yaml
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pydantic import TypeAdapter, ValidationError
 from pytest import approx, raises
-from rigs import largest
+from rigs import assert_near, largest
 from samples import parametrize
 
 from osc_contact.errors import InvalidInputError
@@ -63,8 +62,8 @@ def test_many_times_at_once_are_those_times_one_by_one():
     t = np.sort(np.append(default_rng(0).uniform(-0.5, 2.0, 200), [0.1, 0.3, 0.4, 0.7]))
     for chosen in ([], *([one] for one in signals), signals):
         summed = np.array([np.sum([one.at(x) for one in chosen], axis=0) * np.ones(3) for x in t])
-        assert_allclose(total(chosen, t).T, summed, atol=1e-12)
-        assert_allclose([total(chosen, x) for x in t], summed, atol=1e-12)
+        assert_near(total(chosen, t).T, summed, 1e-12)
+        assert_near([total(chosen, x) for x in t], summed, 1e-12)
 
 
 def test_step_rises_at_its_start_with_zero_derivatives():
@@ -121,8 +120,8 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         times = np.cumsum(rng.uniform(0.2, 1.0, rng.integers(2, 8)))
         values = rng.standard_normal(len(times))
         signal = Points(points=np.column_stack((times, values)).tolist())
-        assert_allclose(signal.at(times)[0], values, atol=1e-10)
-        assert_allclose(signal.at(times[[0, -1]] + [1e-9, -1e-9])[1:], 0.0, atol=1e-4)
+        assert_near(signal.at(times)[0], values, 1e-10)
+        assert_near(signal.at(times[[0, -1]] + [1e-9, -1e-9])[1:], 0.0, 1e-4)
         assert signal.at(-1.0) == (values[0], 0.0, 0.0)
         assert signal.at(math.inf) == (values[-1], 0.0, 0.0)
         t = np.linspace(times[0], times[-1], 40_001)
@@ -140,9 +139,9 @@ def test_a_value_given_twice_is_held_and_parts_the_curve():
     first = [(0.0, 3.0), (0.4, 5.0), (0.9, 4.0)]
     last = [(6.0, 4.0), (6.3, 1.0), (7.0, 2.0)]
     both, before, after = (np.array(Points(points=p).at(t)) for p in (first + last, first, last))
-    assert_allclose(both, np.where(t < 3.0, before, after), atol=1e-9)
+    assert_near(both, np.where(t < 3.0, before, after), 1e-9)
     held = (t >= 0.9) & (t <= 6.0)
-    assert_allclose(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
+    assert_near(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), 1e-12)
 
 
 @parametrize(

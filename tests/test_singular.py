@@ -3,9 +3,8 @@
 import numpy as np
 import pinocchio as pin
 from numpy.linalg import norm, solve
-from numpy.testing import assert_allclose
 from pytest import approx
-from rigs import SCARA_Q, largest, object_poses, one_panda, scara_pair, unloaded
+from rigs import SCARA_Q, assert_near, largest, object_poses, one_panda, scara_pair, unloaded
 from samples import first, parametrize
 from scipy.optimize import brentq
 
@@ -60,7 +59,7 @@ def assert_faded(chain, q, v, posture, controller):
         assert one.arm == chain.arms[lost.arm].name
         assert one.left == approx(share_left(lost.chi), abs=1e-9) == lost.share
         assert one.inertia_ratio == approx(1.0 / max(lost.chi, 1e-12) ** 2, rel=1e-6)
-        assert_allclose(one.twist, lost.twist / norm(lost.twist[:3]), atol=1e-9)
+        assert_near(one.twist, lost.twist / norm(lost.twist[:3]), 1e-9)
         assert one.arm in controller.reason and "singular" in controller.reason
         row = S.T @ lost.wrench
         size = norm(solve(L, row))
@@ -71,7 +70,7 @@ def assert_faded(chain, q, v, posture, controller):
             right.append(weight * target)
     change = S @ np.linalg.lstsq(rows, right, rcond=None)[0]
     size = max(largest(a), largest(change))
-    assert_allclose(S @ s.eta_c + state.sigma, a + change, rtol=0, atol=1e-6 * size)
+    assert_near(S @ s.eta_c + state.sigma, a + change, 1e-6 * size, 0)
 
 
 def stretched_scaras():

@@ -5,9 +5,8 @@ import numpy as np
 import pinocchio as pin
 from complaints import contact_error
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pytest import fixture, mark
-from rigs import largest
+from rigs import assert_near, largest
 from samples import parametrize
 from scenario_runs import rig_of
 from test_projections import SIZE, close, mixing
@@ -160,4 +159,4 @@ def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
             answer = osc.contact_response(state, osc.Contact(N, n_g), environment, f_S=f_S)
             found.append([answer.f_c, answer.acceleration])
         for one, other in zip(*found, strict=True):
-            assert_allclose(one, other, rtol=0.0, atol=1e-10 * largest(other))
+            assert_near(one, other, 1e-10 * largest(other), 0.0)

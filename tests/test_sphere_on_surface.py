@@ -6,11 +6,11 @@ import pinocchio as pin
 from complaints import contact_error, model_error, scenario_error
 from numpy.linalg import norm
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pair_kinds import kind, placed, pose_of
 from pytest import approx, fixture
 from rigs import (
     assert_derivatives,
+    assert_near,
     direction,
     largest,
     one_panda,
@@ -119,15 +119,15 @@ def test_normals_gaps_and_points_are_those_of_the_shapes_that_touch(face, R):
         place = (R + 0.012 - deep) * n
         X_WO = X_WE * placed(pin.exp3(rng.standard_normal(3)), pair.centre, place)
         ours = pair.contact(X_WO, np.ones(6), X_WE)
-        assert_allclose(ours.N[:3, 0], -X_WE.rotation @ n, atol=1e-10)
+        assert_near(ours.N[:3, 0], -X_WE.rotation @ n, 1e-10)
         assert pair.gaps(X_WO, X_WE)[0] == approx(-deep, abs=1e-12)
         on_ball = X_WE.act(place - 0.012 * n)
-        assert_allclose(pair.points_of_contact(X_WO, X_WE)[:, 0], on_ball, atol=1e-10)
+        assert_near(pair.points_of_contact(X_WO, X_WE)[:, 0], on_ball, 1e-10)
         (found,) = osc.detect(ball, X_WO, [CollisionShape("e", solid)], X_WE)
         assert isinstance(found.pair(), osc.SphereOnSurface)
         other = found.pair().contact(X_WO, np.ones(6), X_WE)
-        assert_allclose(other.N, ours.N, atol=1e-9)
-        assert_allclose(other.n_gamma, ours.n_gamma, atol=1e-8)
+        assert_near(other.N, ours.N, 1e-9)
+        assert_near(other.n_gamma, ours.n_gamma, 1e-8)
 
 
 def test_what_no_ball_can_touch_is_refused():
@@ -190,8 +190,8 @@ def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
     n = normal(there, X)
     column = controller._records.work.columns[0]
     p = X.rotation @ centre + 0.012 * (normal(pair, X) if kind is Own else n)
-    assert_allclose(column.point, p, atol=1e-12)
-    assert_allclose(controller.signals.contact.N[:, 0], np.append(n, np.cross(p, n)), atol=1e-12)
+    assert_near(column.point, p, 1e-12)
+    assert_near(controller.signals.contact.N[:, 0], np.append(n, np.cross(p, n)), 1e-12)
 
 
 # --- in a scenario --------------------------------------------------------------------------------
@@ -218,7 +218,7 @@ def test_references_touch_all_the_way_and_are_derivatives_of_one_another(task):
             assert abs(pair.gaps(at.X_WD)[0]) < 1e-15
             start = rig.references.at(0.0).X_WD
             turned = at.X_WD.rotation @ start.rotation.T @ normal(pair, start)
-            assert_allclose(turned, normal(pair, at.X_WD), atol=1e-12)
+            assert_near(turned, normal(pair, at.X_WD), 1e-12)
 
 
 def test_a_raster_rests_at_its_corners_and_a_loop_takes_it(task):
@@ -242,7 +242,7 @@ def test_a_force_may_be_a_file(task, tmp_path):
     np.savetxt(tmp_path / "force.csv", np.column_stack((t, force)), delimiter=",")
     signal = {"type": "points", "points": "force.csv"}
     scenario = task().replaced(force={"nose": [signal]})
-    assert_allclose(osc.build_rig(scenario).references.forces(t)[0], force, atol=1e-12)
+    assert_near(osc.build_rig(scenario).references.forces(t)[0], force, 1e-12)
     assert type(scenario).from_dict(scenario.as_dict()) == scenario  # the points, not the name
     (tmp_path / "force.csv").write_text("0, 1\n1, a\n")
     with scenario_error("a CSV file with lines 'time, value'"):

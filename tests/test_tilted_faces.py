@@ -7,10 +7,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import norm
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pair_kinds import touching
 from pytest import approx
-from rigs import one_panda, pose_of, random_state, shift, unit, velocity_at
+from rigs import assert_near, one_panda, pose_of, random_state, shift, unit, velocity_at
 from samples import parametrize
 from scenario_runs import always_closed, verdict_of, worst_force
 from test_moving_face import FACES
@@ -137,7 +136,7 @@ def test_the_covariance_is_that_of_the_error_and_settles(about):
     largest_of_two = np.sqrt(half + np.sqrt(half**2 - pairs))  # exact for rank two; n has turned
     assert controller.normal_std[0] == approx(largest_of_two, rel=1e-6)
     assert controller.normal_std[0] == approx(np.sqrt(variances[-1]), rel=0.01)
-    assert_allclose(P, P.T, atol=1e-15)
+    assert_near(P, P.T, 1e-15)
 
 
 @parametrize("about", [0.0, 90.0])
@@ -218,8 +217,8 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         found, turned = turned_in_the_law(pair, turn, q, v, reference, touched if moving else None)
         other = replace(pair, **{key: new})
         want = other.contact(*at)
-        assert_allclose(found.N, want.N, atol=1e-12)
-        assert_allclose(found.n_gamma, want.n_gamma, atol=1e-11)
+        assert_near(found.N, want.N, 1e-12)
+        assert_near(found.n_gamma, want.n_gamma, 1e-11)
         n = want.N[:3, 0]
         point = point_of(other, X, X_WE)
         on_body = velocity_at(V_E, point - X_WE.translation)
@@ -229,7 +228,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         normals = np.array([one.contact(*at).N[:3, 0] for one in steps])
         shown = (normals[:3] - normals[3:]) @ (along - (n @ along) * n) / 2e-6
         new = unit(new - correction(shown, across))
-        assert_allclose(given + sign * turned, new, atol=1e-10)
+        assert_near(given + sign * turned, new, 1e-10)
 
 
 def test_gains_for_one_mass_leave_faces_as_they_are_given():

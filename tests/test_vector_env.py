@@ -8,7 +8,8 @@ import pinocchio as pin
 from complaints import invalid_input
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
+from rigs import assert_near
 from samples import first, parametrize
 from scenario_runs import rig_of
 
@@ -90,7 +91,7 @@ def test_rows_of_a_fleet_are_single_runs(name):
         fields = ([getattr(plans[i], f)[k] for i in rows] for f in ("V_D", "A_D", "alpha_d"))
         tau = fleet.tick(X, *map(np.array, fields), np.array([plans[i].squeeze_d for i in rows]))
         for found, channel in ((q, "q"), (v, "v"), (tau, "tau")):
-            assert_allclose(found, [recordings[i][channel][k] for i in rows], atol=1e-9)
+            assert_near(found, [recordings[i][channel][k] for i in rows], 1e-9)
     assert not fleet.diverged().any()
 
 
@@ -110,10 +111,10 @@ def test_actions_move_the_set_point_and_set_the_force():
     for _ in range(60):
         observation = env.step(action)[0]
     moved = env.fleet.objects()[0] - start
-    assert_allclose(moved[:, 1], [0.04, -0.02], atol=2e-4)
-    assert_allclose(part(env, observation, "force 0")[:, 0], [12.0, 6.0], atol=0.05)
-    assert_allclose(part(env, observation, "desired force")[:, 0], [12.0, 6.0], atol=1e-9)
-    assert_allclose(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
+    assert_near(moved[:, 1], [0.04, -0.02], 2e-4)
+    assert_near(part(env, observation, "force 0")[:, 0], [12.0, 6.0], 0.05)
+    assert_near(part(env, observation, "desired force")[:, 0], [12.0, 6.0], 1e-9)
+    assert_near(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
 
 
 def test_following_the_scenario_is_rewarded_and_leaving_it_is_not():

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from processes import completed
 from pytest import mark
-from rigs import largest, panda_arm, refused, rig_of, ticked
+from rigs import assert_near, largest, panda_arm, refused, rig_of, ticked
 from samples import first, module_fixture, parametrize
 
 import osc_contact as osc
@@ -371,7 +371,7 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
     assert run(program, tmp_path / "robot", tmp_path / "light.osc", 0.1) == "0.100 s, done\n"
     sent = np.frombuffer((tmp_path / "robot.torques").read_bytes()).reshape(-1, 8)
     assert_array_equal(np.flatnonzero(sent[:, 7]), [100])
-    assert_allclose(sent[:, :7], wanted, atol=1e-9)
+    assert_near(sent[:, :7], wanted, 1e-9)
     assert largest(sent[:, :7]) > TORQUE_STEP
     refused_with = run(program, tmp_path / "robot", tmp_path / "heavy.osc", 0.1, code=1)
     assert "compensates weight" in refused_with
