@@ -5,8 +5,13 @@ from pathlib import Path
 from pytest import fixture, mark, param
 
 ROOT = Path(__file__).resolve().parent.parent  #: of the checkout
-parametrize = mark.parametrize
 module_fixture = fixture(scope="module")
+
+
+def parametrize(names, rows, **how):
+    """`mark.parametrize`, which also takes a table from the first of two names to the second."""
+    table = isinstance(rows, dict) and "," in names
+    return mark.parametrize(names, rows.items() if table else rows, **how)
 
 
 def first(items, count=2):

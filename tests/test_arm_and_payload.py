@@ -65,17 +65,17 @@ def test_mass_factor_scales_the_joint_space_dynamics():
 
 
 @parametrize(
-    ("options", "message"),
-    [
-        ({"tip": "tol"}, "tol"),
-        ({"tip": ""}, "no frame ''"),
-        ({"passive_joints": ["universe"]}, "no moving joint called 'universe'"),
-        ({"passive_joints": ["wrist"]}, "no moving joint called 'wrist'"),
-        ({"locked": {"elbow": 0.1}}, "no moving joint called 'elbow'"),
-        ({"wrist_sensor": "wrist"}, "wrist"),
-        ({"locked": {"hinge": 0.0}, "passive_joints": ["hinge"]}, "'hinge'"),
-        ({"tip": "base_link"}, "no joint moves the tip frame 'base_link'"),
-    ],
+    "message, options",
+    {
+        "tol": {"tip": "tol"},
+        "no frame ''": {"tip": ""},
+        "no moving joint called 'universe'": {"passive_joints": ["universe"]},
+        "no moving joint called 'wrist'": {"passive_joints": ["wrist"]},
+        "no moving joint called 'elbow'": {"locked": {"elbow": 0.1}},
+        "wrist": {"wrist_sensor": "wrist"},
+        "'hinge'": {"locked": {"hinge": 0.0}, "passive_joints": ["hinge"]},
+        "no joint moves the tip frame 'base_link'": {"tip": "base_link"},
+    },
 )
 def test_impossible_arms_are_refused(options, message):
     with model_error(message):
@@ -117,7 +117,7 @@ FLAT = [1.0, 1.0, 2.0]  #: of a disc, which is possible
 
 
 @parametrize(
-    ("mass", "principal", "message"),
+    "mass, principal, message",
     [
         (0.0, FLAT, "object of mass 0 kg"),
         (-1.0, FLAT, "object of mass -1 kg"),

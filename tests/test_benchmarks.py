@@ -39,7 +39,7 @@ def start(line, code=0):
     return python("-W", "error", "-m", "benchmarks", *line.split(), code=code, cwd=ROOT)
 
 
-@parametrize("line, words", [("nope", "no benchmark"), ("tick --ticks many", "valid integer")])
+@parametrize("line, words", {"nope": "no benchmark", "tick --ticks many": "valid integer"})
 def test_benchmark_refuses_bad_input(line, words, tmp_path):
     file = tmp_path / "b.json"
     done = start(f"{line} --json {file}", 2)

@@ -103,7 +103,7 @@ def elsewhere(path, *words):
     return python("-m", "osc_contact", *words, code=None, cwd=path, PYTHONPATH=around)
 
 
-@parametrize("command, folder", [("reproduce", "paper"), ("bench", "benchmarks")])
+@parametrize("command, folder", {"reproduce": "paper", "bench": "benchmarks"})
 def test_programs_of_the_checkout_are_missed_with_a_cure(command, folder, tmp_path):
     """As installed: another package of the name may be there, a checkout is not."""
     for part in ("osc_contact", "urdf"):
@@ -168,23 +168,23 @@ def test_bad_scenario_is_reported_with_its_line(tmp_path):
 
 @parametrize(
     "line, message",
-    [
-        ("inspect two_contact_rob", "no packaged scenario 'two_contact_rob'"),
-        ("reproduce fig9", "no figure 'fig9'; there are fig1"),
-        ("reproduce fig2 --set 'squeeze=1 N'", "fig2 is not made from a scenario"),
-        ("reproduce fig5 --samples 3", "leave --samples out"),
-        ("reproduce fig2 --duration nan", "duration"),
-        ("bench tock", "no benchmark 'tock'; there are tick, peers, "),
-        ("run two_contact_rod --set squeeze", "expected path.to.key=value"),
-        ("run two_contact_rod --duration 0.9", "judged from t = 1 s"),
-        ("run two_contact_rod --duration nan", "duration"),
-        ("run two_contact_rod --plant gazebo", "gazebo"),
-        ("run two_contact_rod --seed -1", "greater than or equal to 0"),
-        ("run two_contact_rod_mismatch --plant rigid", "plant.type=mujoco"),
-        ("run", "Missing argument"),
-        ("bench tick --ticks 0", "greater than or equal to 1"),
-        ("dance", "No such command"),
-    ],
+    {
+        "inspect two_contact_rob": "no packaged scenario 'two_contact_rob'",
+        "reproduce fig9": "no figure 'fig9'; there are fig1",
+        "reproduce fig2 --set 'squeeze=1 N'": "fig2 is not made from a scenario",
+        "reproduce fig5 --samples 3": "leave --samples out",
+        "reproduce fig2 --duration nan": "duration",
+        "bench tock": "no benchmark 'tock'; there are tick, peers, ",
+        "run two_contact_rod --set squeeze": "expected path.to.key=value",
+        "run two_contact_rod --duration 0.9": "judged from t = 1 s",
+        "run two_contact_rod --duration nan": "duration",
+        "run two_contact_rod --plant gazebo": "gazebo",
+        "run two_contact_rod --seed -1": "greater than or equal to 0",
+        "run two_contact_rod_mismatch --plant rigid": "plant.type=mujoco",
+        "run": "Missing argument",
+        "bench tick --ticks 0": "greater than or equal to 1",
+        "dance": "No such command",
+    },
 )
 def test_bad_input_is_refused(line, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

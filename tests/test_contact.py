@@ -112,7 +112,7 @@ def parallel(y):
     return Contact(np.array([[0, 0, 1, y, 0, 0]]).T, [0.3])
 
 
-@parametrize(("apart", "r"), [(0.1, 2), (1e-6, 2), (1e-8, 2), (1e-13, 1), (0.0, 1)])
+@parametrize("apart, r", {0.1: 2, 1e-6: 2, 1e-8: 2, 1e-13: 1, 0.0: 1})
 def test_the_rank_knows_no_frame_origin_basis_or_unit(apart, r):
     """Two parallel lines of force: 200 changes for each distance, the same verdict, map and force.
 
@@ -161,7 +161,7 @@ TWO = np.eye(6)[:, :2]
 
 
 @parametrize(
-    ("make", "given", "message"),
+    "make, given, message",
     [
         (Contact, [np.zeros((5, 1))], r"N: expected shape \(6, any\), got \(5, 1\)"),
         (Contact, [TWO, [1.0]], r"n_gamma: expected shape \(2\), got \(1,\)"),
@@ -196,7 +196,7 @@ def columns(change):
 
 
 @parametrize(
-    ("N", "message"),
+    "N, message",
     [
         (columns(lambda n: 0.0 * n[:, 0]), "column 3 is zero"),
         *(

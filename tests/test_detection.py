@@ -202,7 +202,7 @@ def test_both_the_angle_and_the_margin_must_allow_a_face_or_an_edge():
     assert box_on_table(plate, 2e-3, 0.8e-3).kind == "vertex on face"
 
 
-@parametrize(("tilt", "along"), [((0.9e-3, 0.6e-3), 0), ((0.6e-3, 0.9e-3), 1)])
+@parametrize("tilt, along", {(0.9e-3, 0.6e-3): 0, (0.6e-3, 0.9e-3): 1})
 def test_a_face_too_steep_across_leaves_its_flattest_edge(tilt, along):
     """Both sides rise by less than 1 mrad, the face by more: roll lifts along y, pitch along x."""
     found = box_on_table((0.1, 0.1, 0.1), *tilt)

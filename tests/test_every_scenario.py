@@ -310,7 +310,7 @@ def test_the_monitor_raises_no_false_alarm(everything):
 
 
 @parametrize("mass", MASSES)
-@parametrize("name, side", [("two_contact_rod", 90), ("panda_edge", 0)])
+@parametrize("name, side", {"two_contact_rod": 90, "panda_edge": 0})
 def test_all_errors_at_once(name, mass, side):
     verdict = judge(name, mass, side)
     assert always_closed(verdict)

@@ -120,7 +120,7 @@ def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
     assert_near(run.plant.truth().alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
 
 
-@parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
+@parametrize("lost_of, stops", {(1, 2): False, (2, 3): True, (19, 20): True})
 def test_more_than_half_of_the_ticks_must_not_be_lost_for_long(lost_of, stops):
     n, m = lost_of
 
@@ -186,7 +186,7 @@ def test_contact_is_made_although_every_second_tick_is_lost():
 
 
 @parametrize(
-    ("fault", "scenario", "every"),
+    "fault, scenario, every",
     [
         ("speeds mirrored", "limited_rod", 0),  # hardly carries its weight, and brakes all the same
         ("encoder stuck", "hinge_ball_rod", 0),  # held 0.3 s after the stop, not creeping

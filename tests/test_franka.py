@@ -292,9 +292,7 @@ def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path
     robot.close()
 
 
-@parametrize(
-    "sign, sentence", [(1.0, "was not moved; push the tool"), (-1.0, "N more in world axes")]
-)
+@parametrize("sentence, sign", {"was not moved; push the tool": 1.0, "N more in world axes": -1.0})
 def test_commissioning_ends_where_a_step_fails(franka, tmp_path, monkeypatch, sign, sentence):
     franka.begin(height=0.0, sign=sign)
     monkeypatch.setattr("osc_contact.drivers.franka.FrankaRobot", Nudged)

@@ -22,7 +22,7 @@ def worst(mu, compensation):
 
 
 @parametrize(
-    ("mu", "believed", "limit"),
+    "mu, believed, limit",
     [(0.1, 0.13, 0.02), (0.1, 0.07, 0.02), (0.3, 0.39, 0.05), (0.3, 0.21, 0.05)],
 )
 def test_forces_survive_friction_known_within_thirty_per_cent(mu, believed, limit):

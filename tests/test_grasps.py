@@ -313,12 +313,12 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
 
 @parametrize(
     "how, words",
-    [
-        ("{type: hinge}", "a hinge needs an axis"),
-        ("{type: ball, axis: [0, 0, 1]}", "a ball grasp has no axis"),
-        ("{type: glue}", "'rigid', 'hinge' or 'ball'"),
-        ("{type: hinge, axis: [0, 0, 0]}", "whose length is 0"),
-    ],
+    {
+        "{type: hinge}": "a hinge needs an axis",
+        "{type: ball, axis: [0, 0, 1]}": "a ball grasp has no axis",
+        "{type: glue}": "'rigid', 'hinge' or 'ball'",
+        "{type: hinge, axis: [0, 0, 0]}": "whose length is 0",
+    },
 )
 def test_scenarios_refuse_half_a_grasp(how, words):
     with scenario_error(words):

@@ -192,7 +192,7 @@ def test_the_object_rests_off_the_contacts_while_wrists_are_tared():
     assert_near(plan.X_WD, np.tile(plan.X_WD[0], (9, 1)), 1e-12)
 
 
-@parametrize("life, after", [("off", 0.0), ("{}", 0.2)])
+@parametrize("life, after", {"off": 0.0, "{}": 0.2})
 def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after):
     """Or 0.2 s later, while contacts are approached."""
     wanted = rig_of("two_contact_rod_mismatch", f"control.life={life}").references

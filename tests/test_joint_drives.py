@@ -178,11 +178,11 @@ FOUR = "[1, 1, 1, 1]"
 
 @parametrize(
     "stiffness, said",
-    [
-        (f"left: [1, 1, 1], right: {FOUR}", "give 4 numbers"),
-        (f"left: {FOUR}", "give 4 numbers"),
-        (f"left: {FOUR}, right: {FOUR}, up: {FOUR}", "up"),
-    ],
+    {
+        f"left: [1, 1, 1], right: {FOUR}": "give 4 numbers",
+        f"left: {FOUR}": "give 4 numbers",
+        f"left: {FOUR}, right: {FOUR}, up: {FOUR}": "up",
+    },
 )
 def test_springs_must_fit_the_motors(stiffness, said):
     rig = rig_of("two_contact_rod", f"plant.flexible_joints={{stiffness: {{{stiffness}}}}}")

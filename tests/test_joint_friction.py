@@ -103,7 +103,7 @@ def test_joints_without_friction_learn_none(dt):
     assert (np.abs(theta) < 1e-3 * MOST).all() and (theta[:2] >= 0.0).all()
 
 
-@parametrize(("most", "found"), [(20.0, 8.0), (5.0, 5.0)])
+@parametrize("most, found", {20.0: 8.0, 5.0: 5.0})
 def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, found):
     """The estimate, too: beyond its bound it would have to come back before F could."""
     t, learned = watched(joint_friction.LEARNED, 8.0, 1.0, most)
@@ -111,7 +111,7 @@ def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, fou
     assert learned.estimate[0] == approx(found) == learned.theta[0]
 
 
-@parametrize(("estimate", "F", "after"), [(4.0, 5.0, 0.0), (9.0, 9.0, 0.1)])
+@parametrize("estimate, F, after", [(4.0, 5.0, 0.0), (9.0, 9.0, 0.1)])
 def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
     """It shows 5 beside an estimated bias of 3; θ takes all for bias while friction may be none."""
     t, learned = watched(joint_friction.SUSPECTED, -2.0, -1.0)
@@ -127,7 +127,7 @@ def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
     assert learned.estimate[0] == approx(F) == learned.theta[0]
 
 
-@parametrize(("rest", "F"), [(9, 0.0), (12, 8.0)])
+@parametrize("rest, F", {9: 0.0, 12: 8.0})
 def test_joints_that_rest_for_less_than_10_ms_show_no_stiction(rest, F):
     """A knock inboard of the sensor turns a joint back: 88 N m of F if a moment were enough."""
     t, learned = watched(joint_friction.LEARNED, 8.0, 1.0)
@@ -137,7 +137,7 @@ def test_joints_that_rest_for_less_than_10_ms_show_no_stiction(rest, F):
     assert learned.estimate[0] == approx(F)
 
 
-@parametrize(("unbalanced", "aim"), [(0.0, 2.0), (0.01, 0.0)])
+@parametrize("unbalanced, aim", {0.0: 2.0, 0.01: 0.0})
 def test_the_observer_follows_what_is_not_learned_while_the_wrist_is_credible(unbalanced, aim):
     t = records(1, 1, friction_errors=1, friction_smoothing=70.0)
     t.memory.friction_known[0] = joint_friction.LEARNED
@@ -151,7 +151,7 @@ def test_the_observer_follows_what_is_not_learned_while_the_wrist_is_credible(un
         assert joint.unlearned == approx(aim + (1.0 - aim) * 0.93**n)
 
 
-@parametrize(("errors", "unlearned", "kept"), [(0, 2.0, 0.0), (0, -2.0, -2.0), (1, 2.0, 2.0)])
+@parametrize("errors, unlearned, kept", [(0, 2.0, 0.0), (0, -2.0, -2.0), (1, 2.0, 2.0)])
 def test_what_would_be_along_friction_after_a_reversal_is_dropped(errors, unlearned, kept):
     """Else joints that stick are set in motion by more than F, unless e is of the links."""
     t = records(1, 1, friction_errors=errors, friction_share=0.5, wrist_error=1.0)
@@ -249,7 +249,7 @@ def test_forces_are_held_although_friction_is_modelled_wrongly(name):
 
 
 @parametrize(
-    ("friction", "damping", "sure"),
+    "friction, damping, sure",
     [
         (0.2, 0.0, True),  # noise: less than 0.3 % of 87 N m
         (0.3, 0.0, False),

@@ -39,7 +39,7 @@ def panda(limits):
 
 
 @parametrize(
-    ("joint", "range_", "whole"),
+    "joint, range_, whole",
     [(0, (-1.0, 2.0), 3.0), (1, (-np.inf, np.inf), None), (2, (-np.inf, 1.0), np.pi)]
     + [(0, (-9.0, 9.0), np.pi)],
 )

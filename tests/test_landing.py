@@ -38,7 +38,7 @@ def test_the_peak_grows_with_speed_and_with_the_root_of_the_stiffness():
         assert three.stiffness == approx(4.0 * one.stiffness)
 
 
-@parametrize(("speed", "hard"), [(0.1, False), (0.2, True)])
+@parametrize("speed, hard", {0.1: False, 0.2: True})
 def test_hard_landings_are_announced(speed, hard):
     rig = osc.build_rig(approach(speed))
     texts = [finding.text for finding in osc.preflight(rig) if "lands at" in finding.text]

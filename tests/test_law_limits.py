@@ -228,7 +228,7 @@ def agree(case, tolerance):
 
 
 @parametrize(
-    ("how", "tolerance"),
+    "how, tolerance",
     [
         ({}, 1e-11),
         ({"weak": 0.05}, 1e-11),

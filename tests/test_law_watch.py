@@ -130,7 +130,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     assert found[-1] == NEAR_END, "it still is within its range"
 
 
-@parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
+@parametrize("period, ticks", {0.3e-3: 9, 1e-3: 3, 2e-3: 2, 10e-3: 2})
 def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     t = joints(period=period)
@@ -275,7 +275,7 @@ def test_wrenches_within_the_range_of_their_sensors(sign):
             assert sensors.check_readings(t) == NO_REASON
 
 
-@parametrize(("age", "has"), [(19, 1), (20, 1), (0, 0)])
+@parametrize("age, has", {19: 1, 20: 1, 0: 0})
 def test_a_tick_without_a_wrench_uses_one_that_is_young_enough(age, has):
     t = readings()
     t.input.wrenches[:] = np.nan

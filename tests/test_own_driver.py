@@ -120,7 +120,7 @@ def test_drivers_that_keep_the_contract_pass():
         "mirrored joint": "reversed",
         "stale stamps": "stamps or sequence do not advance: nothing newer than encoders",
         "stale sequence": "stamps or sequence do not advance: nothing newer than packet 10",
-    }.items(),
+    },
 )
 def test_what_is_wrong_is_said(fault, sentence):
     robot = Driver(fault)

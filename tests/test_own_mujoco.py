@@ -160,7 +160,7 @@ def test_only_the_tool_touches():
     assert pushes(robot, ["tool"]) == 0.0 and truth.alpha[0] == 0.0 and not truth.closed[0]
 
 
-@parametrize("friction, reported", [(0.1, False), (0.6, True)])
+@parametrize("friction, reported", {0.1: False, 0.6: True})
 def test_much_friction_is_reported(caplog, friction, reported):
     model = scene()
     model.geom("wall").friction[0] = friction
@@ -185,7 +185,7 @@ def test_the_model_given_stays_as_it_is():
         r'no torque sensor; .*<torque site="bare"/>': {"wrist_sensor": "bare"},
         "no keyframe 'ball_asid'; did you mean 'ball_aside'": {"keyframe": "ball_asid"},
         "no moving joint called 'elbo'": {"locked": {"elbo": 0.0}},
-    }.items(),
+    },
 )
 def test_what_is_not_there_is_named_with_a_cure(how, words):
     with raises(osc.OscContactError, match=words):
@@ -440,7 +440,7 @@ def limited():
     return robot_of(model)
 
 
-@parametrize("door, out", {"reset": 3.0, "touching": 3.0, "posture": 200.0}.items())
+@parametrize("door, out", {"reset": 3.0, "touching": 3.0, "posture": 200.0})
 def test_postures_outside_the_limits_are_refused_with_numbers_and_cure(door, out):
     """The posture is a goal, which only wrong units bring this far out."""
     robot = limited()

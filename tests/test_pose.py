@@ -92,7 +92,7 @@ def test_a_scenario_shows_where_its_postures_put_the_object_and_how_to_put_it_el
         "pose panda --set a=1": "give --posture",
         "pose pandaa": "no robot 'pandaa'",
         "pose arm.xml": "'arm.xml' is neither the file",
-    }.items(),
+    },
 )
 def test_what_is_wrong_ends_with_exit_code_2(words, said):
     assert said in refused(words)
@@ -234,7 +234,7 @@ def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path,
         "ur10 --posture '1, 2'": "2 numbers for 6 joints",
         "ur11": "no robot 'ur11'",
         "panda": "has 3 ends",
-    }.items(),
+    },
 )
 def test_what_cannot_be_is_refused_and_nothing_is_written(words, said, tmp_path):
     assert said in refused(f"new --robot {words} --out", tmp_path / "x.yaml")

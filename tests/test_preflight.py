@@ -32,7 +32,7 @@ def test_packaged_scenarios_pass_without_a_word(name):
         "force.right_end.0.value=-9 N": "this contact cannot pull",
         "arms.left.posture=[0, 0, 0]": "8 joint positions given",
         "arms.left.wrist_sensor=null": "name a frame of its URDF as wrist_sensor",
-    }.items(),
+    },
 )
 def test_what_cannot_run_is_refused_at_every_door(change, cure, tmp_path):
     for line in ("inspect two_contact_rod --set", f"run two_contact_rod --out {tmp_path} --set"):
@@ -57,7 +57,7 @@ def test_what_cannot_run_is_refused_at_every_door(change, cure, tmp_path):
         # friction that the filter reads
         "plant.friction=0.2": "set control.force.reading=least_squares, or give control.friction",
         "sensors.wrist={rate: 1 kHz, torque: {bias: 0.1 Nm}}": "set tare={} to zero them",
-    }.items(),
+    },
 )
 def test_what_is_doubtful_is_reported_at_every_door(change, words, caplog):
     with caplog.at_level(logging.WARNING, "osc_contact.preflight"):
@@ -347,7 +347,7 @@ def test_pairs_of_ones_own_that_do_not_fit():
         "takes 0 positional arguments": lambda: None,
         "which has no tick": lambda controller: None,
         "missing 1 required positional argument": osc.Controller,
-    }.items(),
+    },
 )
 def test_what_install_takes(install, words):
     scenario = osc.load_scenario("panda_edge", ["duration=1.1 s"])

@@ -177,7 +177,7 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
         "no gravity": "tare it .* or correct the payload",
         "wrench of another frame": "axes of its frame are wrong|tare it",
         "mirrored joint": "elbow.* unexplained: is it, or a joint near it, reversed",
-    }.items(),
+    },
 )
 def test_shadow_mode_says_why_no_force_may_be_commanded(fault, sentence):
     found = shadow(fault)

@@ -118,12 +118,12 @@ def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
 
 @parametrize(
     "name, plant",
-    [
-        ("two_contact_rod", "rigid"),
-        ("moving_face", "mujoco"),
-        ("two_contact_rod_mismatch", "mujoco"),
-        ("three_arm_plate", "mujoco"),
-    ],
+    {
+        "two_contact_rod": "rigid",
+        "moving_face": "mujoco",
+        "two_contact_rod_mismatch": "mujoco",
+        "three_arm_plate": "mujoco",
+    },
 )
 def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tmp_path):
     scenario = osc.load_scenario(name, [f"plant.type={plant}"])

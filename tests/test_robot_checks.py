@@ -192,7 +192,7 @@ def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path):
         "panda --limit panda_joint1:torque=3": "expected JOINT:key=number",
         "panda --inertias any": "positive",
         "/": "is neither the file",
-    }.items(),
+    },
 )
 def test_bad_words_end_with_2(line, message):
     assert message in refused(f"check {line}")

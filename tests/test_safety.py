@@ -87,7 +87,7 @@ def test_unreadable_joints_leave_the_last_posture():
     assert controller.unbraked is not None
 
 
-@parametrize("name, pace", [("one_panda", 0.15), ("two_contact_rod", 1.0)])
+@parametrize("name, pace", {"one_panda": 0.15, "two_contact_rod": 1.0})
 def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
     case = CASES[name]()
     plant, controller = without_contacts(case, engaged=False)

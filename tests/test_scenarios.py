@@ -288,7 +288,7 @@ BAD_OVERRIDES = {
 }
 
 
-@parametrize("override, message", BAD_OVERRIDES.items(), ids=BAD_OVERRIDES)
+@parametrize("override, message", BAD_OVERRIDES, ids=BAD_OVERRIDES)
 def test_bad_overrides_are_named_instead_of_a_line(override, message):
     found = complaints(GOOD, [override])
     message = message.removeprefix(override.partition("=")[0] + ": ")  # the key is named once
@@ -442,7 +442,7 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
         "expected osc.Laws": {"laws": "proportional"},
         "the key 'type' is missing": {"contacts": [{"pair": "cone", "body": "groove"}]},
         "environment": {"contacts": [{"pair": osc.Free(), "body": "table"}], "force": {}},
-    }.items(),
+    },
 )
 def test_what_does_not_fit_is_reported_as_for_a_file(parts, words):
     with scenario_error(words):

@@ -111,7 +111,7 @@ def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
     assert np.ptp([*paint[f"{LEFT}/lost/line/rod"].to_bytes(3)]) < 16, "grey"
 
 
-@parametrize("frame, count", [(2, 4), (5, 5), (9, 4)])  # the left one is lost at 5
+@parametrize("frame, count", {2: 4, 5: 5, 9: 4})  # the left one is lost at 5
 def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, count):
     """The velocity of each contact point, moved as drawn, has no part along the force.
 
@@ -247,7 +247,7 @@ SHORT_ARM = Content("", [ARMS[0]._replace(q_slice=slice(0, 4))])
             CommandSink(), p, "t", EMPTY | {"legend": [{"colour": "red;}", "text": "x"}]}
         ),
         "no finite length": lambda p: along([0, 0, 0], [0, 0, 0]),
-    }.items(),
+    },
 )
 def test_scene_refuses_what_does_not_fit(make, complaint, tmp_path):
     with invalid_input(complaint):

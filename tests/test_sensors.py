@@ -101,7 +101,7 @@ def test_noise_and_bias_have_the_size_given():
     assert_near(np.std(turn, axis=0), 5e-3, rtol=0.06)
 
 
-@parametrize("rate, delay", [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
+@parametrize("delay, rate", {0.0: 1000, 0.004: 1000, 0.03: 60, 0.002: 333})
 def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
     """Reading at t: the value at the last multiple of the period that is `delay` or more old."""
     out = readings(Sensors(encoders=(Clock(rate, delay), SensorErrors())), 500)
@@ -148,7 +148,7 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
         "sensors.vision={rate: 60 Hz, delay: -30 ms}": ">= 0",
         "sensors.vision={rate: 60 Hz, dropout: 1}": "< 1",
         "sensors.encoders={rate: 1 kHz}": "did you mean 'encoder'",
-    }.items(),
+    },
 )
 def test_wrong_sensors_are_refused_by_the_scenario(override, said):
     with scenario_error(said):
@@ -277,7 +277,7 @@ def riccati(noise, acceleration, dt):
     return K
 
 
-@parametrize("noise, acceleration", [(2e-5, 2.0), (1e-4, 0.5), (1e-6, 50.0), (1e-9, 2.0)])
+@parametrize("noise, acceleration", {2e-5: 2.0, 1e-4: 0.5, 1e-6: 50.0, 1e-9: 2.0})
 def test_gains_are_those_of_the_riccati_equation(noise, acceleration):
     estimate = VelocityEstimate.optimal(noise, acceleration, DT)
     K = riccati(noise, acceleration, DT)

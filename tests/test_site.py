@@ -134,10 +134,10 @@ def test_names_in_tables_break_after_their_parts_only(site):
 
 @parametrize(
     "page, words",
-    [
-        ("impedance_admittance", "impedance admittance"),
-        ("glossary", "hybrid force position polishing peg hole guarded wrench frame compensation"),
-    ],
+    {
+        "impedance_admittance": "impedance admittance",
+        "glossary": "hybrid force position polishing peg hole guarded wrench frame compensation",
+    },
 )
 def test_words_of_the_field_are_found(pages, site, page, words):
     """Sphinx's search leads to pages that have all words."""

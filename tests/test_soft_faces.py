@@ -58,7 +58,7 @@ def run(rig, measured, ticks=3000):
     return alpha[1000:] / commanded[1000:] - 1.0
 
 
-@parametrize("stiffness, most", [(1e3, 0.03), (5e4, 0.02)])
+@parametrize("stiffness, most", {1e3: 0.03, 5e4: 0.02})
 def test_sensors_of_real_arms_do(stiffness, most):
     found = osc.metrics(osc.run(soft_rig(stiffness, NOISY).scenario))
     assert found["task"]["word"] == "OK"

@@ -54,11 +54,11 @@ def rod(samples, *vary, **how):
 
 @parametrize(
     "words, oracle",
-    [
-        ("uniform(-2, 3)", stats.uniform(-2, 5)),
-        ("normal(4, 0.5)", stats.norm(4, 0.5)),
-        ("loguniform(1e-3, 10)", stats.loguniform(1e-3, 10)),
-    ],
+    {
+        "uniform(-2, 3)": stats.uniform(-2, 5),
+        "normal(4, 0.5)": stats.norm(4, 0.5),
+        "loguniform(1e-3, 10)": stats.loguniform(1e-3, 10),
+    },
 )
 def test_numbers_are_those_of_scipys_distributions(words, oracle):
     found = [float(parse_distribution(words).draw(np.array([u]), None)[0]) for u in U]
@@ -126,7 +126,7 @@ def test_what_is_not_understood_is_refused_with_how_it_is_written(words):
 # --- points ---------------------------------------------------------------------------------------
 
 
-@parametrize("design, points", [("halton", qmc.Halton), ("sobol", qmc.Sobol)])
+@parametrize("design, points", {"halton": qmc.Halton, "sobol": qmc.Sobol})
 def test_points_are_scipys_and_those_behind_a_block_go_on(design, points):
     study = rod(3000, "squeeze=uniform(0, 1)", "seed=integers(0, 9)", design=design, seed=4)
     oracle = points(2, scramble=True, rng=4).random(2048)
@@ -164,7 +164,7 @@ def test_a_grid_has_every_combination_and_both_ends():
         "varies twice": ["squeeze=uniform(0, 1)", "squeeze=uniform(0, 2)"],
         "squeese": ["squeese=uniform(0, 1)"],
         "multiplies a number": ["duration=factor(1, 2)", "control.nothing.at.all=factor(1, 2)"],
-    }.items(),
+    },
 )
 def test_a_study_that_cannot_be_made_is_refused_before_its_runs(vary, complaint):
     with raises((osc.InvalidInputError, osc.ScenarioError), match=complaint):

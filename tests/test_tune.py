@@ -67,7 +67,7 @@ def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatc
     assert found.numbers["force"][0] == approx(max(force[0]))
 
 
-@parametrize("most, broken", [(0.001, ("overshoot_rel > 0.001",)), (9.0, ())])
+@parametrize("most, broken", {0.001: ("overshoot_rel > 0.001",), 9.0: ()})
 def test_limits_that_no_trial_keeps_are_named(most, broken):
     found = tune("two_contact_rod", limits={"overshoot_rel": most}, trials=3, **ONE)
     assert found.broken == broken and not (broken and found.better)
@@ -99,7 +99,7 @@ def test_command_prints_the_keys_to_paste():
         "no such columns": {"limits": {"speed": 1.0}},
         "judged": {"overrides": ["duration=0.5 s"]},
         "integral": {"overrides": [*SHORT, "gains.force.integral=3000"]},
-    }.items(),
+    },
 )
 def test_what_cannot_be_tuned_is_refused(how, complaint):
     with raises(osc.OscContactError, match=complaint):

@@ -219,7 +219,7 @@ def test_the_header_says_of_each_gain_its_unit_and_what_it_is(library):
     assert " *   force.damping: N s/m; K_v of the normal velocity" in text
 
 
-@parametrize("name, integral", [("two_contact_rod", 30.0), ("limited_rod", 0.0)])
+@parametrize("name, integral", {"two_contact_rod": 30.0, "limited_rod": 0.0})
 def test_a_saved_controller_continues_and_takes_gains_tare_and_reset(
     library, tmp_path, name, integral
 ):
