@@ -281,11 +281,11 @@ def test_view_refuses_channels_that_no_run_of_its_scenario_has(name, brief, tmp_
 def test_view_refuses_the_wrong_times_and_meta(brief, tmp_path):
     for times in (np.zeros(50), np.arange(50.0)[::-1], np.full(50, np.nan), np.full(50, np.inf)):
         assert "channel 't'" in refused(page_of(brief, tmp_path, {"t": times}))
-    for key, words in (
-        ("contact_names", "its contact_names are"),
-        ("columns", "its columns are"),
-        ("scenario", "does not hold the scenario"),
-    ):
+    for key, words in {
+        "contact_names": "its contact_names are",
+        "columns": "its columns are",
+        "scenario": "does not hold the scenario",
+    }.items():
         for junk in (5, "x", [], {}, ["a"], [7], {"a": 1}):
             assert words in refused(page_of(brief, tmp_path, {}, **{key: junk}))
 
@@ -353,13 +353,13 @@ def test_view_live_serves_a_page_while_it_runs(what, brief, tmp_path):
 def test_view_refuses_what_it_cannot_show(ran, tmp_path, monkeypatch):
     recording = ran[0] / "recording.npz"
     bare = Recording({"contact_names": []}, {"t": np.zeros(1)}).save(tmp_path / "bare.npz")
-    for line, words in (
-        ("--live --html x.html", "give one of"),
-        ("--duration 1", "change runs, not recordings"),
-        ("--gif x.gif --time 0.5", "a GIF shows the whole recording"),
-        ("--mp4 x.mp4 --time 0.5", "a video shows the whole recording"),
-        ("--png x.png --time 7", "time 7 s is not in the recording, which spans 0 to 1.04"),
-    ):
+    for line, words in {
+        "--live --html x.html": "give one of",
+        "--duration 1": "change runs, not recordings",
+        "--gif x.gif --time 0.5": "a GIF shows the whole recording",
+        "--mp4 x.mp4 --time 0.5": "a video shows the whole recording",
+        "--png x.png --time 7": "time 7 s is not in the recording, which spans 0 to 1.04",
+    }.items():
         assert words in refused(f"view {recording} {line}")
     assert "no recording" in refused("view none.npz")
     assert "does not hold the scenario" in refused("view", bare)

@@ -298,11 +298,11 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
 def test_the_first_tick_refuses_wrong_shapes_later_ones_hold(rig, ready):
     *_, measurement, reference = ready
     good = measurement, reference
-    for name, shape in (
-        ("q", r"\(10,\), got \(9,\)"),
-        ("v", r"\(10,\), got \(9,\)"),
-        ("wrenches", r"\(2, 6\), got \(1, 6\)"),
-    ):
+    for name, shape in {
+        "q": r"\(10,\), got \(9,\)",
+        "v": r"\(10,\), got \(9,\)",
+        "wrenches": r"\(2, 6\), got \(1, 6\)",
+    }.items():
         bad = replace(measurement, **{name: getattr(measurement, name)[:-1]})
         controller = rig.controller()
         with refused(f"{name}: expected shape {shape}"):

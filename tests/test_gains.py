@@ -80,12 +80,12 @@ def test_scenarios_take_both_kinds_and_name_the_others():
     assert gains.motion == osc.MotionGains(frequency=4, damping_ratio=0.8)
     assert gains.force == osc.ForceGains(bandwidth=3)
     assert osc.Scenario.from_dict(scenario.as_dict()) == scenario
-    for sets, words in (
-        ("gains.force.bandwidth=3 Hz", "--set 'gains.force={bandwidth: 5 Hz}'"),
-        ("gains.motion.frequency=3 Hz", "--set 'gains.motion={frequency: 5 Hz}'"),
-        ("gains.motion={stiffness: 400}", "stiffness .* and damping .* together"),
-        ("gains.force={damping: 4}", "damping .* goes with integral"),
-    ):
+    for sets, words in {
+        "gains.force.bandwidth=3 Hz": "--set 'gains.force={bandwidth: 5 Hz}'",
+        "gains.motion.frequency=3 Hz": "--set 'gains.motion={frequency: 5 Hz}'",
+        "gains.motion={stiffness: 400}": "stiffness .* and damping .* together",
+        "gains.force={damping: 4}": "damping .* goes with integral",
+    }.items():
         with scenario_error(words.replace("{", r"\{")):
             osc.load_scenario("two_contact_rod", [sets])
 

@@ -48,7 +48,7 @@ def test_the_push_rises_smoothly_over_a_margin_and_stays_bounded(joint, range_, 
     limits = joint_limit_margins(panda({joint: range_}).model, 400.0, 0.05)
     for end, sign in zip(range_, (1.0, -1.0), strict=True):
         w = 0.05 * whole if np.isfinite(end) else 0.0
-        for s, share in ((-0.1, 0.0), (0.0, 0.0), (0.25, 5 / 32), (0.5, 0.5), (1.0, 1.0), (9, 1.0)):
+        for s, share in {-0.1: 0.0, 0.0: 0.0, 0.25: 5 / 32, 0.5: 0.5, 1.0: 1.0, 9: 1.0}.items():
             q = PANDA_Q.copy()
             q[joint] = end + sign * w * (1.0 - s) if w else sign * -1e3
             found = push_of(q, limits)

@@ -230,7 +230,7 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
         rows.share[[4, 2, 7], :2] = *np.eye(2), share
         assert columns_of_N._consistent(t)
         most = max(summands, 2.0 * largest(n_gamma))
-        for off, fine in ((0.5e-5, True), (-0.5e-5, True), (2e-5, False), (-2e-5, False)):
+        for off, fine in {0.5e-5: True, -0.5e-5: True, 2e-5: False, -2e-5: False}.items():
             rows[7].n_gamma = implied + off * most
             if abs(off * most) > 2e-9 or fine:  # what is next to nothing may differ
                 assert columns_of_N._consistent(t) == fine

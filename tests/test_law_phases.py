@@ -128,7 +128,7 @@ def test_torques_go_gently_around_a_change_but_for_fast_joints():
     assert rate(0.0, 0.8) == 200.0 == rate(0.0, 1.0) == rate(0.0, 3.0)
     t = records(joints=3)
     t.model.joints.speed_max = 2.0, 0.5, np.inf
-    for v, most in (((1.0, 0.1, 9.0), 0.5), ((-1.0, 0.4, 0.0), 0.8), ((0.1, -0.4, 0.0), 0.8)):
+    for v, most in {(1.0, 0.1, 9.0): 0.5, (-1.0, 0.4, 0.0): 0.8, (0.1, -0.4, 0.0): 0.8}.items():
         t.work.joints.v = v
         assert law.max_speed_ratio(t) == approx(most)
 

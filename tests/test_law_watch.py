@@ -94,7 +94,7 @@ def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
 
 @BOTH
 def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fast(sign):
-    for speed, ticks in ((1.1, 22), (1.13, 11), (1.26, 8), (1.51, 5), (3.1, 2), (9.0, 1)):
+    for speed, ticks in {1.1: 22, 1.13: 11, 1.26: 8, 1.51: 5, 3.1: 2, 9.0: 1}.items():
         for j in range(2):
             t = wide(21, (2.0, 1.0))
             v = sign * speed * t.model.joints.speed_max * (np.arange(2) == j)
@@ -165,7 +165,7 @@ class Contacts(Watched):
 
 def test_power_that_moves_into_faces_adds_up():
     wanted = (10.0, 10.0)
-    for speed, ticks in (((1.0, 0.99), 0), ((1.0, 1.01), 3), ((2.5, -9.0), 3), ((1.9, -9.0), 0)):
+    for speed, ticks in {(1.0, 0.99): 0, (1.0, 1.01): 3, (2.5, -9.0): 3, (1.9, -9.0): 0}.items():
         assert Contacts().ticks_until(POWERED, (10.0, 10.0), wanted, speed) == ticks
     assert Contacts().ticks_until(POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
     assert Contacts(period=10e-3).ticks_until(POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
@@ -191,7 +191,7 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
 
     wanted = both(10.0, 5.0)
     fine = 5.0
-    for alpha, ticks in ((2.01, 0), (1.99, 11), (-8.0, 11), (0.0, 11)):
+    for alpha, ticks in {2.01: 0, 1.99: 11, -8.0: 11, 0.0: 11}.items():
         contacts = Contacts()
         assert contacts.ticks_until(CONTACT_LOST, both(alpha, fine), wanted) == ticks
         assert contacts.memory.culprit == (-1 if not ticks else (2, 0)[column])
@@ -527,7 +527,7 @@ def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_li
 @BOTH
 def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
     for j in range(2):
-        for error, found in ((0.199, False), (0.201, True), (1.0, True)):
+        for error, found in {0.199: False, 0.201: True, 1.0: True}.items():
             sensors = Sensors(position_drift=inf)
             v = np.array([0.3, -0.4])
             wrong = v.copy()

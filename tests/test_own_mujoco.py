@@ -315,11 +315,11 @@ def test_a_wrist_without_gravity_is_refused_at_the_door():
 def test_what_cannot_be_looked_at_is_refused():
     robot, controller, references = task()
     bad = [replace(references[0], alpha_d=np.zeros(2))]
-    for given, words in (
-        ((), "its controller and references"),
-        ((controller, []), "no references"),
-        ((controller, bad), "1 columns of N"),
-    ):
+    for words, given in {
+        "its controller and references": (),
+        "no references": (controller, []),
+        "1 columns of N": (controller, bad),
+    }.items():
         with invalid_input(words):
             osc.preflight(robot, *given)
 

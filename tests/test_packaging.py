@@ -84,11 +84,11 @@ def test_wheel_carries_nothing_else(wheel):
 def test_wheel_declares_the_command_and_the_licence(wheel):
     info = f"osc_contact-{PROJECT['version']}.dist-info"
     assert wheel.read(f"{info}/licenses/LICENSE") == (ROOT / "LICENSE").read_bytes()
-    for name, words in (
-        ("entry_points.txt", b"osc-contact = osc_contact.__main__:main"),
-        ("METADATA", b"License-Expression: BSD-3-Clause\n"),
-        ("METADATA", b"Requires-Python: >=3.11\n"),
-    ):
+    for words, name in {
+        b"osc-contact = osc_contact.__main__:main": "entry_points.txt",
+        b"License-Expression: BSD-3-Clause\n": "METADATA",
+        b"Requires-Python: >=3.11\n": "METADATA",
+    }.items():
         assert words in wheel.read(f"{info}/{name}")
 
 

@@ -51,7 +51,7 @@ def report(evidence, tmp_path_factory):
         return png, svg
 
     made = {}
-    for name, width in (("fig1", 100), ("fig2", 100), ("fig4", 300), ("fig5", 100), ("fig8", 100)):
+    for name, width in {"fig1": 100, "fig2": 100, "fig4": 300, "fig5": 100, "fig8": 100}.items():
         answers = ANSWERS[name](evidence) if name != "fig2" else {}
         made[name] = Study({}, answers=answers, files=drawn(name, width))
     made["fig8"].answers["follow"] = Answer("<b>no</b>", False, "less & less")

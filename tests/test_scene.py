@@ -86,7 +86,7 @@ def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown,
     placed = shown.pose(node, frame)
     for found, channel in ((placed.translation, "point"), (placed.rotation[:, 1], "direction")):
         assert_near(found, RECORDING[f"contact_{channel}"][tick, i], 1e-6)
-    for arrow, channel in (("true", "true"), ("commanded", "cmd"), ("measured", "meas")):
+    for arrow, channel in {"true": "true", "commanded": "cmd", "measured": "meas"}.items():
         alpha = RECORDING[f"alpha_{channel}"][tick, i]
         assert shown.length(f"{node}/{arrow}", frame) == approx(0.01 * alpha, abs=1e-5)
     beside = shown.at(f"{node}/measured", "position", 0)
@@ -96,13 +96,13 @@ def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown,
 def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
     for frame in range(1, 11):
         lost = frame in (4, 5)
-        for part, there in (
-            (f"{LEFT}/closed/line/rod", not lost),
-            (f"{LEFT}/true/shaft/rod", not lost),
-            (f"{LEFT}/lost/line/rod", lost),
-            (f"{LEFT}/commanded/shaft/rod", True),
-            (f"{RIGHT}/closed/line/rod", True),
-        ):
+        for part, there in {
+            f"{LEFT}/closed/line/rod": not lost,
+            f"{LEFT}/true/shaft/rod": not lost,
+            f"{LEFT}/lost/line/rod": lost,
+            f"{LEFT}/commanded/shaft/rod": True,
+            f"{RIGHT}/closed/line/rod": True,
+        }.items():
             assert shown.seen(part, frame) == there, part
     assert not shown.seen(f"{RIGHT}/true/shaft/rod", 0), "no arrow for 0 N"
     paint = {path: one["materials"][0]["color"] for path, one in shown.objects.items()}

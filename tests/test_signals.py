@@ -166,7 +166,7 @@ def test_the_same_signals_hold_lengths_angles_or_forces(kind, text, si, bad):
         with raises(ValidationError, match="which is a"):
             read(data | {name: bad})
     data = {"type": "jerk_limited", "value": 1, "velocity": f"{text}/s"}
-    for two, three in (("²", "³"), ("^2", "^3"), ("2", "3")):
+    for two, three in {"²": "³", "^2": "^3", "2": "3"}.items():
         data |= {"acceleration": f"{text}/s{two}", "jerk": f"{text}/s{three}"}
         found = read(data)
         assert (found.velocity, found.acceleration, found.jerk) == approx((si,) * 3, rel=1e-15)

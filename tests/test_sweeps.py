@@ -77,7 +77,7 @@ def test_choices_and_integers_are_all_as_likely():
 
 def test_factors_multiply_and_units_stay_with_their_numbers():
     factor = parse_distribution("factor(0.5, 1.5)")
-    for before, text in ((4, "5.0"), ("10 mm", "12.5 mm"), ([1, "2 N"], "[1.25, 2.5 N]")):
+    for text, before in {"5.0": 4, "12.5 mm": "10 mm", "[1.25, 2.5 N]": [1, "2 N"]}.items():
         assert factor.draw([0.75], before)[0] == text
     found = parse_distribution("uniform(5 mm, 10 mm)").draw([0.5], None)
     assert found == ("7.5 mm", {" [mm]": 7.5})

@@ -90,7 +90,7 @@ def test_rows_of_a_fleet_are_single_runs(name):
         X = np.array([pin.XYZQUATToSE3(plans[i].X_WD[k]).homogeneous for i in rows])
         fields = ([getattr(plans[i], f)[k] for i in rows] for f in ("V_D", "A_D", "alpha_d"))
         tau = fleet.tick(X, *map(np.array, fields), np.array([plans[i].squeeze_d for i in rows]))
-        for found, channel in ((q, "q"), (v, "v"), (tau, "tau")):
+        for channel, found in {"q": q, "v": v, "tau": tau}.items():
             assert_near(found, [recordings[i][channel][k] for i in rows], 1e-9)
     assert not fleet.diverged().any()
 
