@@ -5,9 +5,14 @@ from numpy.testing import assert_allclose
 import osc_contact as osc
 
 
-def rig_of(name="two_contact_rod", *changes):
+def scenario_of(given, changes):
+    """A name or a file is loaded, a scenario is there already."""
+    return given if isinstance(given, osc.Scenario) else osc.load_scenario(given, changes)
+
+
+def rig_of(given="two_contact_rod", *changes):
     """What a scenario describes."""
-    return osc.build_rig(osc.load_scenario(name, changes))
+    return osc.build_rig(scenario_of(given, changes))
 
 
 def first_inputs(rig):
@@ -15,14 +20,14 @@ def first_inputs(rig):
     return rig.plant().measure(), rig.references.at(0.0)
 
 
-def run_of(name="two_contact_rod", *changes, **how):
+def run_of(given="two_contact_rod", *changes, **how):
     """The recording of its run."""
-    return osc.run(osc.load_scenario(name, changes), **how)
+    return osc.run(scenario_of(given, changes), **how)
 
 
-def verdict_of(name="two_contact_rod", *changes, **how):
+def verdict_of(given="two_contact_rod", *changes, **how):
     """What a run of it is judged to be."""
-    return osc.metrics(run_of(name, *changes, **how))
+    return osc.metrics(run_of(given, *changes, **how))
 
 
 def worst_force(verdict):

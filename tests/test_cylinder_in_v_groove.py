@@ -4,6 +4,7 @@ import numpy as np
 from pair_kinds import about, carrying, in_plane, kind, placed, two_lines
 from rigs import assert_near, refused, shift
 from samples import parametrize
+from scenario_runs import verdict_of
 
 import osc_contact as osc
 
@@ -70,7 +71,7 @@ def test_four_forces_are_held_while_the_cylinder_slides_and_rolls():
             f"{{kind: angular, direction: {along}, signals: [{roll}]}}]",
         ],
     )
-    found = osc.metrics(osc.run(scenario, duration=1.2))
+    found = verdict_of(scenario, duration=1.2)
     for k in (1, 2, 3, 4):
         assert found["force"][f"rod.{k}"]["rms_error_rel"] < 2e-3
     assert found["motion"]["rms_error_m"] < 2e-5 and found["motion"]["rms_error_rad"] < 2e-4

@@ -7,7 +7,6 @@ from pytest import approx, mark
 from rigs import assert_near, largest, rig_of, unit
 from scenario_runs import always_closed, verdict_of, worst_force
 
-import osc_contact as osc
 from benchmarks.combined_errors import ERRORS
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.inspection import inspect_rig
@@ -81,7 +80,7 @@ def test_inspect_and_the_verdict_suggest_it_with_its_gain():
     standing = rig_of("two_contact_rod", *changes, "motion=[]")
     said = [line for line in inspect_rig(standing).lines if "cannot be observed" in line]
     assert len(said) == 2
-    verdict = osc.metrics(osc.run(standing.scenario))
+    verdict = verdict_of(standing.scenario)
     assert set(verdict["normals"]) == {"left_end", "right_end"}
     rows = [str(cell) for column in verdict_table(verdict).columns for cell in column.cells]
     assert any("known to 5 deg" in cell for cell in rows)

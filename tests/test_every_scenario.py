@@ -45,7 +45,7 @@ def runs(rigs):
         for signal in (s for signals in data["force"].values() for s in signals):
             if signal.get("start", 0.0) > 1.0:
                 signal["start"] = 1.2
-        found[name] = osc.run(osc.Scenario.model_validate(data))
+        found[name] = run_of(osc.Scenario.model_validate(data))
     return found
 
 
@@ -166,9 +166,9 @@ def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_p
         "motion": "[{kind: linear, direction: [0, 0, 1], signals: [{type: sine, "
         "amplitude: 10 mm, frequency: 1 Hz, ramp: 0.1 s}]}]",
     }
-    rig = osc.build_rig(osc.load_scenario("panda_edge", changes))
+    rig = rig_of(osc.load_scenario("panda_edge", changes))
     assert rig.contact.r == 4 and "of either sign" in "\n".join(inspect_rig(rig).lines)
-    recording = osc.run(rig.scenario, duration=0.3)
+    recording = run_of(rig.scenario, duration=0.3)
     assert_near(recording["alpha_true"][-1], list(wanted.values()), 5e-3)
     assert recording["contact_seen"][-1, :3].all()  # hole.2 pulls and counts by its size
     assert (recording["alpha_meas"][-1, 1] < -2.9) and recording["contact_seen"].shape[1] == 4
@@ -263,7 +263,7 @@ def test_another_state_of_contact_needs_only_another_file(path):
 
 def test_the_workcell_is_real_in_every_respect():
     scenario = osc.load_scenario("workcell")
-    rig = osc.build_rig(scenario)
+    rig = rig_of(scenario)
     joints = flexible_joints(scenario, rig.chain, rig.state)
     assert 3.0 <= modes(rig.state, rig.chain.actuated, joints.stiffness)[0] <= 10.0
     plant = scenario.plant
@@ -358,8 +358,8 @@ def test_faces_are_assumed_to_be_turned_about_where_they_touch():
 
 def test_a_pair_of_ones_own_cannot_be_displaced():
     scenario = osc.load_scenario("scara_peg", ["model_error.face_offset=3 mm"])
-    own = [{"pair": osc.build_rig(scenario).pairs[0], "body": "socket"}, scenario.contacts[1]]
-    rig = osc.build_rig(scenario.replaced(contacts=own))
+    own = [{"pair": rig_of(scenario).pairs[0], "body": "socket"}, scenario.contacts[1]]
+    rig = rig_of(scenario.replaced(contacts=own))
     with scenario_error("put another pair into the controller"):
         rig.controller()
 

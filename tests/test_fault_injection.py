@@ -170,7 +170,7 @@ def test_speeds_estimated_from_encoders_are_no_second_reading_of_them():
             "tare={}",
         ],
     )
-    recording = osc.run(scenario, duration=1.0)
+    recording = run_of(scenario, duration=1.0)
     assert recording.meta["end_state"] != "SAFE_STOP", recording.meta["end_reason"]
 
 

@@ -44,7 +44,7 @@ def registered():
 def reversal_error(*which, duration=3.0, **plant):
     scenario = reversing(*which)
     scenario = scenario.replaced(plant=scenario.as_dict()["plant"] | plant)
-    verdict = osc.metrics(osc.run(scenario, duration=duration))
+    verdict = verdict_of(scenario, duration=duration)
     assert always_closed(verdict)
     return worst_force(verdict)
 
@@ -75,7 +75,7 @@ def test_friction_leaves_a_face_as_stiff_as_it_is(solref):
 
     for mu in (0.0, 0.2):
         plant = {**POINT["plant"], "type": "kept", "friction": mu, "solref": solref}
-        osc.run(osc.Scenario.from_dict({**POINT, "plant": plant, "motion": []}), duration=0.5)
+        run_of(osc.Scenario.from_dict({**POINT, "plant": plant, "motion": []}), duration=0.5)
     depth = [float(plant.data.contact.dist[0]) for plant in plants]
     assert depth[1] == approx(depth[0], rel=0.1)
 

@@ -74,7 +74,7 @@ test_gains_of_both_kinds_and_impossible_ones_are_refused = refusals(
 
 def test_scenarios_take_both_kinds_and_name_the_others():
     scenario = osc.load_scenario("ur5_wipe", ["gains={}"])
-    assert osc.build_rig(scenario).gains == osc.Gains()
+    assert rig_of(scenario).gains == osc.Gains()
     own = "gains={motion: {frequency: 4 Hz, damping_ratio: 0.8}, force: {bandwidth: 3 Hz}}"
     gains = rig_of("ur5_wipe", own).gains
     assert gains.motion == osc.MotionGains(frequency=4, damping_ratio=0.8)
@@ -142,7 +142,7 @@ def pressed(scenario, step_of, value=10.0):
     """Each contact pressed with 10 N at rest; one with 5 N more at 0.5 s."""
     forces = {name: [{"type": "constant", "value": value}] for name in scenario.force}
     forces[step_of].append({"type": "step", "value": 5.0, "start": 0.5})
-    return osc.run(scenario.replaced(force=forces, motion=[], gains={}, duration=1.0))
+    return run_of(scenario.replaced(force=forces, motion=[], gains={}, duration=1.0))
 
 
 def overshoots(run):
@@ -211,9 +211,9 @@ def test_near_singular_contact_is_made_softly_and_kept_or_the_run_is_refused(chi
     scenario = osc.Scenario.from_dict(data)
     if chi == "overloaded":
         with scenario_error(r"arm_left_2_joint needs 24\.3\d N m .*limit of 22"):
-            osc.run(scenario)
+            run_of(scenario)
         return
-    state = osc.build_rig(scenario).state
+    state = rig_of(scenario).state
     assert min(lost.chi for lost in state.singular_directions) < 1.3 * float(chi)
     run = pressed(scenario, "nose")
     assert np.max(overshoots(run)[:2]) < 0.2

@@ -38,11 +38,11 @@ def test_friction_damping_and_armature_are_shown_wherever_a_robot_is():
         "armature 0.1 kg m² (joint1, joint2, joint4, hinge), 0.1 kg (joint3)",
     )
     sides = ("left", "right")
-    lines = inspect_rig(osc.build_rig(scenario)).lines
+    lines = inspect_rig(rig_of(scenario)).lines
     assert {f"joints of '{arm}': {own}" for arm, own in zip(sides, words, strict=True)} <= {*lines}
     (least,) = (line for line in lines if "observer unstable" in line)
     assert "joint4, 0.1 in the model" in least and "hinge" not in least
-    verdict = osc.metrics(osc.run(scenario))
+    verdict = verdict_of(scenario)
     assert verdict["joint_losses"][2] == {
         "joint": "left/joint3",
         "friction": 20.0,

@@ -22,16 +22,16 @@ def approach(speed, rate=1.0):
 @parametrize("speed", [0.03, 0.1])
 def test_landings_are_as_hard_as_expected(speed):
     one = approach(speed)
-    expected = [landing.peak for landing in landings(osc.build_rig(one))]
-    peaks = osc.run(one, duration=2.5)["alpha_true"].max(axis=0)
+    expected = [landing.peak for landing in landings(rig_of(one))]
+    peaks = run_of(one, duration=2.5)["alpha_true"].max(axis=0)
     assert (peaks < np.maximum(2.0 * PUSH, 1.2 * np.array(expected))).all()
     assert peaks.max() > 0.5 * max(expected)
 
 
 def test_the_peak_grows_with_speed_and_with_the_root_of_the_stiffness():
-    first = landings(osc.build_rig(approach(0.2)))
-    fast = landings(osc.build_rig(approach(0.4)))
-    stiff = landings(osc.build_rig(approach(0.2, rate=2.0)))
+    first = landings(rig_of(approach(0.2)))
+    fast = landings(rig_of(approach(0.4)))
+    stiff = landings(rig_of(approach(0.2, rate=2.0)))
     for one, two, three in zip(first, fast, stiff, strict=True):
         assert one.peak == approx(one.speed * np.sqrt(one.stiffness * one.mass))
         assert two.peak == approx(2.0 * one.peak) == approx(three.peak)
@@ -40,7 +40,7 @@ def test_the_peak_grows_with_speed_and_with_the_root_of_the_stiffness():
 
 @parametrize("speed, hard", {0.1: False, 0.2: True})
 def test_hard_landings_are_announced(speed, hard):
-    rig = osc.build_rig(approach(speed))
+    rig = rig_of(approach(speed))
     texts = [finding.text for finding in osc.preflight(rig) if "lands at" in finding.text]
     assert len(texts) == 2 * hard
     for text, landing in zip(texts, landings(rig), strict=False):

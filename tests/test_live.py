@@ -17,7 +17,7 @@ from complaints import invalid_input, viewer_error
 from processes import alive, sockets, wait_until
 from pytest import approx, fixture, mark, raises
 from samples import module_fixture
-from scenario_runs import assert_same_run
+from scenario_runs import assert_same_run, run_of
 from scene_samples import BODIES, CONTENT, RECORDING, links
 from tornado.websocket import websocket_connect
 
@@ -224,10 +224,10 @@ def test_a_dead_or_frozen_viewer_is_reported_once_and_never_waited_for(viewer, b
 
 def test_a_run_is_the_same_with_a_viewer_that_dies_in_it(caplog):
     scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
-    plain = osc.run(scenario, duration=0.15)
+    plain = run_of(scenario, duration=0.15)
     with osc.open_viewer(scenario, rate=60.0) as viewer:
         how = {"progress": lambda t: viewer._process.kill() if t > 0.05 else None}
-        watched = osc.run(scenario, duration=0.15, viewer=viewer, **how)
+        watched = run_of(scenario, duration=0.15, viewer=viewer, **how)
         assert viewer.error is not None and len(caplog.records) == 1
     assert_same_run(plain, watched)
 

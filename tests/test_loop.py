@@ -17,7 +17,7 @@ from processes import SIGNALS, wait_until
 from pytest import approx, mark, raises
 from rigs import assert_near
 from samples import first, parametrize
-from scenario_runs import assert_same_run, rig_of
+from scenario_runs import assert_same_run, rig_of, run_of
 
 import osc_contact as osc
 from osc_contact.control.status import SafetyState
@@ -64,7 +64,7 @@ def test_a_plant_in_the_loop_leaves_what_run_leaves(scenario):
     rig, plant, controller = started(*scenario)
     recorder = osc.Recorder(controller, plant, subject=rig.subject(controller))
     osc.run_loop(plant, controller, plan(rig), recorder=recorder)
-    assert_same_run(recorder.recording(), osc.run(rig.scenario, duration=TICKS * 1e-3))
+    assert_same_run(recorder.recording(), run_of(rig.scenario, duration=TICKS * 1e-3))
 
 
 @parametrize("scenario", [RIGID, ("moving_face", "plant.type=rigid", "control.rate=500 Hz")])
@@ -79,7 +79,7 @@ def test_hardware_without_a_truth_leaves_a_recording(scenario):
     assert "alpha_true" not in found and found.meta["where"] == "cell 3"
     assert_array_equal(found["tau"], [tau for tau, _ in robot.sent])
     assert {duration for _, duration in robot.sent} == {1.0 / rig.scenario.control.rate}
-    run = osc.run(rig.scenario, duration=TICKS * controller.dt)
+    run = run_of(rig.scenario, duration=TICKS * controller.dt)
     for channel in ("pose", "twist", "N", "face_pose", "contact_point"):
         assert_near(found[channel], run[channel], 1e-9, name=channel)
     assert_near(found["alpha_meas"], run["alpha_true"], 1e-9, 1e-6)

@@ -9,6 +9,7 @@ from pytest import approx, fixture
 from rigs import assert_near, terms_at
 from robot_numbers import mass_matrix
 from samples import parametrize
+from scenario_runs import rig_of, verdict_of
 from second_reader import mjcf_difference
 
 import osc_contact as osc
@@ -234,10 +235,10 @@ def task(folder, tip="tip", *changes):
 @parametrize("tip", ["tip", "hand"])
 def test_a_scenario_takes_an_mjcf_file(tmp_path, tip):
     scenario = task(tmp_path, tip)
-    rig = osc.build_rig(scenario)
+    rig = rig_of(scenario)
     assert osc.preflight(rig) == ()
     assert np.linalg.norm(rig.state.X_WO.translation - rig.X_given.translation) < 1e-9
-    verdict = osc.metrics(osc.run(scenario))
+    verdict = verdict_of(scenario)
     assert verdict["task"]["word"] == "OK" and verdict["contact_fraction"] == {"ball": 1.0}
     assert verdict["force"]["ball"]["rms_error_rel"] < 0.01
     exact = osc.run(scenario.replaced(plant={"type": "rigid", "step": 1e-3}))
@@ -258,7 +259,7 @@ def test_both_plants_accelerate_an_arm_from_mjcf_alike(tmp_path):
     )
 
     def fallen(scenario):
-        rig = osc.build_rig(scenario)
+        rig = rig_of(scenario)
         plant = rig.plant()
         plant.command(np.zeros(4), 0.02)
         read = plant.measure()

@@ -170,7 +170,7 @@ def test_detected_contacts_keep_the_task():
     rig = rig_of("two_contact_rod", "control.contacts=detected", "duration=1.6")
     tracked = rig.controller().contacts
     assert all(pair.name == own.name for pair, own in zip(tracked, rig.pairs, strict=True))
-    verdict = osc.metrics(osc.run(rig.scenario))
+    verdict = verdict_of(rig.scenario)
     assert_accurate(verdict)
     assert verdict["motion"]["rms_error_m"] < 1e-4
 

@@ -237,7 +237,7 @@ def test_runs_end_with_the_exit_code_of_their_verdict(
 def test_the_first_reason_is_kept_beyond_a_stop():
     """A law of one's own that returns nonsense stops the arms; the cause is the first tick's."""
     task = osc.load_scenario("two_contact_rod", ["duration=1.05 s"])
-    recording = osc.run(task.replaced(laws=osc.Laws(force=lambda *forces: 5.0)))
+    recording = run_of(task.replaced(laws=osc.Laws(force=lambda *forces: 5.0)))
     assert recording.meta["end_state"] == "SAFE_STOP"
     assert recording.meta["first_reason"].startswith("at 0.000 s: the force law returned 5.0")
     (stopped, *_) = osc.metrics(recording)["task"]["why"]

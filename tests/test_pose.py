@@ -11,7 +11,7 @@ from numpy.linalg import norm
 from pytest import approx
 from rigs import assert_near, data_at, placed, shift
 from samples import chosen, parametrize
-from scenario_runs import rig_of
+from scenario_runs import rig_of, verdict_of
 
 import osc_contact as osc
 from osc_contact import robots
@@ -161,7 +161,7 @@ def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same()
 @parametrize("name", ["two_contact_rod", "ur5_wipe", "three_arm_plate"])
 def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
     scenario = osc.load_scenario(name, ["object.pose=null"])
-    rig = osc.build_rig(scenario)
+    rig = rig_of(scenario)
     arm = scenario.arms[0]
     one = rig.chain.arms[0]
     tip = data_at(one.model, np.array(arm.posture)).oMf[one.model.getFrameId(arm.tip)]
@@ -204,9 +204,9 @@ def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     file = tmp_path / "my.yaml"
     done(f"new --robot {robot} --tip {tip} --press={press} --out", file)
     scenario = osc.load_scenario(file)
-    rig = osc.build_rig(scenario)
+    rig = rig_of(scenario)
     assert osc.preflight(rig) == ()
-    verdict = osc.metrics(osc.run(scenario, seed=1))
+    verdict = verdict_of(scenario, seed=1)
     assert verdict["task"]["word"] == "OK" and verdict["contact_fraction"] == {"ball": 1.0}
     wanted = Press.parse(press)
     assert verdict["force"]["ball"]["mean_command_N"] == approx(wanted.force)

@@ -133,9 +133,9 @@ def test_forces_are_reported_where_the_motors_end(name, force, reported):
     contact = {"scara_peg": "wall_x", "panda_edge": "edge"}[name]
     change = f"force.{contact}=[{{type: constant, value: {force} N}}]"
     scenario = osc.load_scenario(name, [change, "motion=[]", "duration=1 s"])
-    found = osc.preflight(osc.build_rig(scenario))
+    found = osc.preflight(rig_of(scenario))
     assert [one.text.startswith(f"force.{contact} is") for one in found] == [True] * reported
-    recording = osc.run(scenario)
+    recording = run_of(scenario)
     lost = (recording["alpha_cmd"] - recording["alpha_true"])[-200:, 0].mean() / force
     assert (lost > 0.05) == reported
 
@@ -158,7 +158,7 @@ def test_a_contact_without_forces_is_no_trouble():
     data = osc.load_scenario("two_contact_rod").as_dict()
     data["contacts"] = [{"pair": osc.Free(), "body": "table"}]
     data |= {"environment": [{"name": "table", "urdf": "table.urdf"}], "force": {}, "motion": []}
-    assert osc.preflight(osc.build_rig(osc.Scenario.from_dict(data))) == ()
+    assert osc.preflight(rig_of(osc.Scenario.from_dict(data))) == ()
 
 
 def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
@@ -335,9 +335,9 @@ def test_pairs_of_ones_own_that_do_not_fit():
     with scenario_error(r"Gapless has no gaps; a custom pair has"):
         on_the_table(Gapless())
     with scenario_error("reverse the sign of N or of gaps"):
-        osc.build_rig(on_the_table(Floor()))
+        rig_of(on_the_table(Floor()))
     with scenario_error("one column of N"):
-        osc.build_rig(on_the_table(TwoGaps(), "floor.1", "floor.2"))
+        rig_of(on_the_table(TwoGaps(), "floor.1", "floor.2"))
 
 
 @parametrize(
@@ -352,7 +352,7 @@ def test_pairs_of_ones_own_that_do_not_fit():
 def test_what_install_takes(install, words):
     scenario = osc.load_scenario("panda_edge", ["duration=1.1 s"])
     with invalid_input(f"install= takes a function.*{words}"):
-        osc.run(scenario, install=install)
+        run_of(scenario, install=install)
 
 
 def test_mistakes_of_an_install_are_its_own():

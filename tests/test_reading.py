@@ -18,7 +18,7 @@ from rigs import (
     sliding,
 )
 from samples import chosen, first, parametrize
-from scenario_runs import always_closed
+from scenario_runs import always_closed, verdict_of
 from test_law import inputs, motion_of, off_their_faces
 
 import osc_contact as osc
@@ -36,7 +36,7 @@ def point(changes=None, **control):
 
 def judged(scenario, key="rms_error_rel", install=None):
     """The worst of all forces, relative to its mean command; contact all the time."""
-    verdict = osc.metrics(osc.run(scenario, duration=3.0, install=install))
+    verdict = verdict_of(scenario, duration=3.0, install=install)
     assert always_closed(verdict)
     return max(force[key] for force in verdict["force"].values())
 

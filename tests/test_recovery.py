@@ -83,7 +83,7 @@ def test_a_run_asked_to_end_gives_what_it_has(number, plant):
 
     scenario = osc.load_scenario("two_contact_rod", [f"plant.type={plant}", "plant.step=1 ms"])
     with raises(osc.Interrupted, match=r"ended on request at t = 0\.1 s") as ended:
-        osc.run(scenario, duration=0.5, progress=ask)
+        run_of(scenario, duration=0.5, progress=ask)
     assert isinstance(ended.value, KeyboardInterrupt) and len(ended.value.recording) == 100
     assert signal.getsignal(number) == before
 
@@ -127,10 +127,10 @@ def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
 )
 def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tmp_path):
     scenario = osc.load_scenario(name, [f"plant.type={plant}"])
-    once = osc.run(scenario, duration=0.06)
+    once = run_of(scenario, duration=0.06)
     monkeypatch.setattr(rows_of_runs, "_EVERY", 0.0)
     monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", 0)
-    same(osc.run(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap"), once)
+    same(run_of(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap"), once)
     recovered = osc.recover(tmp_path / "unfinished.mcap")
     assert recovered.meta["missing"] == []
     same(recovered, once)

@@ -6,7 +6,7 @@ from complaints import invalid_input
 from pytest import MonkeyPatch, approx, mark
 from rigs import assert_near
 from samples import module_fixture
-from scenario_runs import rig_of
+from scenario_runs import rig_of, verdict_of
 
 import osc_contact as osc
 from osc_contact.sweeps import sweep
@@ -49,7 +49,7 @@ def found(made):
 
 
 def errors(scenario, seed, **how):
-    verdict = osc.metrics(osc.run(scenario, seed=seed, **how))
+    verdict = verdict_of(scenario, seed=seed, **how)
     errors = [one["rms_error_rel"] for one in verdict["force"].values()]
     force = max(np.inf if error is None else error for error in errors)  # None: never in contact
     return force, verdict["motion"]["rms_error_m"]

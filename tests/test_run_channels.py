@@ -235,7 +235,7 @@ def test_channels_are_what_they_are_defined_to_be(name):
         data["force"]["again"] = data["force"]["left_end"]
         scenario = type(scenario).model_validate(data).with_source(scenario.source)
     recording = osc.run(scenario, seed=3)
-    plain = run_plainly(osc.build_rig(scenario))
+    plain = run_plainly(rig_of(scenario))
     assert set(recording.channels) == {*plain, "tick_s"}
     for channel, values in plain.items():
         found = recording[channel]

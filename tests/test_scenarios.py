@@ -9,7 +9,7 @@ from complaints import scenario_error
 from pytest import raises
 from rigs import unit
 from samples import ROOT, parametrize
-from scenario_runs import assert_same_run
+from scenario_runs import assert_same_run, rig_of, run_of
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
@@ -362,10 +362,10 @@ def test_pairs_of_ones_own(plant):
             "pair": Ball(p.centre, p.radius, p.face_point, p.face_normal, name=p.name),
             "body": "socket",
         }
-        for p in osc.build_rig(plain).pairs
+        for p in rig_of(plain).pairs
     ]
-    ours = osc.run(plain.replaced(contacts=own))
-    assert_same_run(ours, osc.run(plain), 1e-6)
+    ours = run_of(plain.replaced(contacts=own))
+    assert_same_run(ours, run_of(plain), 1e-6)
     assert ours.magnitude_names == ["wall_x", "wall_y"] and not ours["status"].any()
     contact = json.loads(json.dumps(ours.meta["scenario"]))["contacts"][0]
     assert contact == {"name": "wall_x", "body": "socket", "pair": "Ball"}
@@ -395,12 +395,12 @@ def test_bodies_of_ones_own(plant):
 
     own = osc.OwnMotion(osc.Rail(direction, motion=drive), Belt())
     packaged = {"type": "conveyor", "direction": direction, "signals": [signal]}
-    ours = osc.run(with_motion(own))
-    assert_same_run(ours, osc.run(with_motion(packaged)), 1e-6)
+    ours = run_of(with_motion(own))
+    assert_same_run(ours, run_of(with_motion(packaged)), 1e-6)
     assert answered and np.ptp(ours["face_pose"][:, 0, :3], axis=0).max() > 1e-3
     late = osc.OwnMotion(osc.Rail(direction, motion=lambda t: drive(t + 0.02)))
     with scenario_error("away from where the contacts touch"):
-        osc.build_rig(with_motion(late)).plant()
+        rig_of(with_motion(late)).plant()
 
 
 @parametrize("plant", PLANTS)
@@ -417,12 +417,12 @@ def test_laws_of_ones_own(plant):
             self.calls += 1
             return desired + 0.2 * (desired - measured)
 
-    ours = osc.run(plain.replaced(laws=lambda: osc.Laws(force=Proportional())))
-    theirs = osc.run(plain, install=lambda c: c.with_laws(force=Proportional()))
+    ours = run_of(plain.replaced(laws=lambda: osc.Laws(force=Proportional())))
+    theirs = run_of(plain, install=lambda c: c.with_laws(force=Proportional()))
     assert_same_run(ours, theirs)
     assert [law.calls for law in made] == [20, 1, 20, 1], "every controller has its own"
     with raises(AssertionError):
-        assert_same_run(ours, osc.run(plain), 1e-6)
+        assert_same_run(ours, run_of(plain), 1e-6)
 
 
 def test_a_scenario_from_a_dict_is_that_of_the_file():

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.random import default_rng
 from rigs import refused, rig_of
 from samples import parametrize
+from scenario_runs import verdict_of
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Yielding
@@ -60,7 +61,7 @@ def run(rig, measured, ticks=3000):
 
 @parametrize("stiffness, most", {1e3: 0.03, 5e4: 0.02})
 def test_sensors_of_real_arms_do(stiffness, most):
-    found = osc.metrics(osc.run(soft_rig(stiffness, NOISY).scenario))
+    found = verdict_of(soft_rig(stiffness, NOISY).scenario)
     assert found["task"]["word"] == "OK"
     assert found["force"]["left_end"]["rms_error_rel"] < most
 

@@ -21,6 +21,7 @@ from rigs import (
     unloaded,
 )
 from samples import first, parametrize
+from scenario_runs import rig_of
 from test_reading import judged
 
 import osc_contact as osc
@@ -211,7 +212,7 @@ def test_references_touch_all_the_way_and_are_derivatives_of_one_another(task):
     for face, more in (("saddle", []), ("sphere", [raster])):
         scenario = task(face)
         scenario = scenario.replaced(motion=[*more, *([] if more else scenario.motion)])
-        rig = osc.build_rig(scenario)
+        rig = rig_of(scenario)
         (pair,) = rig.pairs
         for t in (0.3, 1.3, 2.1):
             at = assert_derivatives(rig.references.at, t, 1e-4, 2e-6, 1e-4)
@@ -222,7 +223,7 @@ def test_references_touch_all_the_way_and_are_derivatives_of_one_another(task):
 
 
 def test_a_raster_rests_at_its_corners_and_a_loop_takes_it(task):
-    rig = osc.build_rig(task())
+    rig = rig_of(task())
     (pair,) = rig.pairs
     how = {"direction": [1, 0, 0], "force": 8.0, "raster": [0.04, 0.02, 2], "feed": 0.1}
     all_of_it = list(osc.surface_references(pair, rig.state.X_WO, 2e-3, dwell=0.2, **how))
@@ -233,7 +234,7 @@ def test_a_raster_rests_at_its_corners_and_a_loop_takes_it(task):
         next(osc.surface_references(pair, rig.state.X_WO, 1e-3, direction=[0, 0, 1], force=1.0))
     move = {"kind": "surface", "contact": "tip", "direction": [1, 0, 0]}
     with scenario_error("'tip' is no contact of type sphere_on_surface"):
-        osc.build_rig(task().replaced(motion=[move]))
+        rig_of(task().replaced(motion=[move]))
 
 
 def test_a_force_may_be_a_file(task, tmp_path):
@@ -242,7 +243,7 @@ def test_a_force_may_be_a_file(task, tmp_path):
     np.savetxt(tmp_path / "force.csv", np.column_stack((t, force)), delimiter=",")
     signal = {"type": "points", "points": "force.csv"}
     scenario = task().replaced(force={"nose": [signal]})
-    assert_near(osc.build_rig(scenario).references.forces(t)[0], force, 1e-12)
+    assert_near(rig_of(scenario).references.forces(t)[0], force, 1e-12)
     assert type(scenario).from_dict(scenario.as_dict()) == scenario  # the points, not the name
     (tmp_path / "force.csv").write_text("0, 1\n1, a\n")
     with scenario_error("a CSV file with lines 'time, value'"):
@@ -255,7 +256,7 @@ def test_a_tool_follows_a_curved_face(task, case):
     own = case == "custom pair"
     scenario = task("sphere" if own else "saddle", **curved_faces.CASES.get(case, {}))
     if own:
-        (pair,) = osc.build_rig(scenario).pairs
+        (pair,) = rig_of(scenario).pairs
         pair = Own(pair.centre, pair.radius, pair.surface, pair.surface_point, name="nose")
         scenario = scenario.replaced(contacts=[{"pair": pair, "body": "part"}])
         rubbing = {"plant": {**scenario.plant.model_dump(), "friction": 0.2}}

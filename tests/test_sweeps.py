@@ -19,7 +19,7 @@ from pyarrow import parquet
 from pytest import approx, mark, param, raises
 from rigs import assert_near
 from samples import parametrize
-from scenario_runs import assert_same_run, rig_of
+from scenario_runs import assert_same_run, rig_of, run_of
 from scipy import stats
 from scipy.stats import qmc
 
@@ -239,7 +239,7 @@ def test_runs_that_fail_keep_their_reason():
 
 def test_doubts_stand_in_the_rows_and_are_not_logged(caplog):
     study = rod(1, "model_error.object_mass=uniform(1.1, 1.2)")
-    require_ready(osc.build_rig(study.scenario(study.sample(0))))
+    require_ready(rig_of(study.scenario(study.sample(0))))
     assert "model_error" in caplog.text  # a single run tells them
     caplog.clear()
     (row,) = make_rows(study, [0])
@@ -378,8 +378,8 @@ def test_rigs_that_share_chains_are_those_built_alone():
         for normal in ("0.50", "0.53")
     ]
     for scenario in scenarios:
-        alone = osc.run(scenario)
-        sharing = osc.run(scenario, build=builder.rig)
+        alone = run_of(scenario)
+        sharing = run_of(scenario, build=builder.rig)
         assert_same_run(alone, sharing)
         clocks = {"wall_s": 0.0, "cpu_s": 0.0}
         assert alone.meta | clocks == sharing.meta | clocks

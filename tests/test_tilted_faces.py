@@ -11,7 +11,7 @@ from pair_kinds import touching
 from pytest import approx
 from rigs import assert_near, one_panda, pose_of, random_state, shift, unit, velocity_at
 from samples import parametrize
-from scenario_runs import always_closed, verdict_of, worst_force
+from scenario_runs import always_closed, rig_of, verdict_of, worst_force
 from test_moving_face import FACES
 from test_reading import judged, point
 
@@ -35,7 +35,7 @@ def slid(scenario, duration):
     """rad between the law's normal and the true one at last, and the given one; run, controller."""
     kept = []
     run = osc.run(scenario, duration=duration, install=lambda c: kept.append(c) or c)
-    rig = osc.build_rig(scenario)
+    rig = rig_of(scenario)
     controller = max(kept, key=lambda c: c._records.memory.ticked)
     pairs = *rig.pairs, *rig.controlled_pairs()
     n = pairs[1].normal - controller._records.memory.columns[0].turn
@@ -59,7 +59,7 @@ def test_fast_circles_on_a_face_that_is_assumed_to_be_tilted(about):
 def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     """docs/tuning.md: of acceleration and brake that leak into the force."""
     cost = [judged(circle(hertz, about, {"force": {"tilt": 0}})) for about in (0.0, 90.0)]
-    rig = osc.build_rig(circle(hertz))
+    rig = rig_of(circle(hertz))
     state = rig.state
     N = rig.pairs[0].contact(state.X_WO, np.zeros(6)).N
     M = 1.0 / (N.T @ state.S @ np.linalg.solve(state.Lambda_S, state.S.T) @ N).item()
@@ -92,7 +92,7 @@ def edge(about, **gains):
     """The packaged Panda on the edge of a table that is assumed to be turned by 5°."""
     tilt = ["model_error.face_tilt=5 deg", f"model_error.face_tilt_about={about} deg"]
     scenario = osc.load_scenario("panda_edge", tilt).replaced(gains=gains)
-    return worst_force(osc.metrics(osc.run(scenario, duration=3.0)))
+    return worst_force(verdict_of(scenario, duration=3.0))
 
 
 @parametrize("about", [45.0, 90.0])

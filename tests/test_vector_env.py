@@ -81,7 +81,7 @@ def test_rows_of_a_fleet_are_single_runs(name):
         for m in (1.0, 1.1, 1.2)
     ]
     recordings = [osc.run(one) for one in scenarios]
-    starts = [Start.of(osc.build_rig(one)) for one in scenarios]
+    starts = [Start.of(rig_of(one)) for one in scenarios]
     rows = [0, 1, 2, 1]
     fleet = Fleet([starts[i] for i in rows], threads=2)
     plans = [start.rig.references.over(np.arange(200) * fleet.dt) for start in starts]
