@@ -2,6 +2,7 @@
 
 import gc
 import signal
+from unittest.mock import patch
 
 from processes import SIGNALS
 from pytest import fixture
@@ -16,6 +17,15 @@ def pytest_collection_finish():
 def no_figures(monkeypatch):
     """`osc-contact run` without its figures, half of the time: tests/test_cli.py has them drawn."""
     monkeypatch.setattr("osc_contact.visual.plots.save", lambda *_: ())
+
+
+@fixture
+def own_plants():
+    """Plants that a test registers are taken out again."""
+    from osc_contact.runs.rig import PLANT_TYPES, PLANTS
+
+    with patch.dict(PLANTS), patch.dict(PLANT_TYPES):
+        yield
 
 
 @fixture

@@ -197,6 +197,12 @@ def random_state(chain, rng):
         return q, consistent(chain, q, rng.normal(size=chain.nq))
 
 
+def posed(chain, rng):
+    """(q, v, pose of the object) of such a state."""
+    q, v = random_state(chain, rng)
+    return q, v, chain.state(q, v).X_WO
+
+
 def velocity_at(V, p):
     """(3,) of the point p, from where the twist V (6,) is given."""
     return V[:3] + np.cross(V[3:], p)

@@ -14,6 +14,10 @@ def parametrize(names, rows, **how):
     return mark.parametrize(names, rows.items() if table else rows, **how)
 
 
+def names_in(folder):
+    return {path.name for path in folder.iterdir()}
+
+
 def first(items, count=2):
     """Parameters, one for each item: those behind the first `count` are slow."""
     return [item if i < count else param(item, marks=mark.slow) for i, item in enumerate(items)]

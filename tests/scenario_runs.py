@@ -39,6 +39,12 @@ def always_closed(verdict):
     return set(verdict["contact_fraction"].values()) == {1.0}
 
 
+def closed_force(verdict):
+    """The same of contacts that were closed throughout."""
+    assert always_closed(verdict)
+    return worst_force(verdict)
+
+
 def assert_accurate(verdict, forces=True):
     """Forces within 1 % rms and 5 % peak, 0.5 mm and 2 mrad, closed and unsaturated throughout."""
     for force in verdict["force"].values() if forces else ():

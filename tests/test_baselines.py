@@ -12,6 +12,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx, mark
 from rigs import assert_near, in_contact, largest, one_panda, random_state, shift
+from samples import names_in
 from scenario_runs import first_inputs, rig_of
 from scipy.linalg import block_diag
 
@@ -245,7 +246,7 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
     line = "reproduce baselines --duration 1.05 --set 'control.rate=200 Hz'"
     result, again = answered(line, "--out", tmp_path)
     names = {f"baselines.{kind}" for kind in ("json", "png", "svg", "pdf")}
-    assert {path.name for path in tmp_path.iterdir()} == names
+    assert names_in(tmp_path) == names
     assert (tmp_path / "baselines.pdf").read_bytes().startswith(b"%PDF")
     found = read_json(tmp_path / "baselines.json")
     assert found == again["studies"]["baselines"]

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from rigs import one_panda, random_faces, random_state, refused, scara_pair, touched_of, with_motors
+from rigs import one_panda, posed, random_faces, refused, scara_pair, touched_of, with_motors
 from samples import parametrize
 from test_law import motion_of
 
@@ -18,8 +18,7 @@ from osc_contact.dynamics.environment import Conveyor
 def controllers(chain, count, rng, **how):
     """Controllers of one structure with different gains, faces and postures."""
     out = []
-    q, v = random_state(chain, rng)
-    X = chain.state(q, v).X_WO
+    q, _, X = posed(chain, rng)
     for i in range(count):
         motion = osc.MotionGains(rng.uniform(200, 600), rng.uniform(20, 60), rng.uniform(0, 2000))
         k = rng.uniform(5, 40)

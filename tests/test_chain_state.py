@@ -23,6 +23,7 @@ from rigs import (
     one_panda,
     panda_pair,
     placed,
+    posed,
     product,
     random_state,
     scara_pair,
@@ -197,8 +198,8 @@ def test_a_pose_that_is_given_counts_more_than_what_the_joints_say(rig):
     """O somewhere else: everything is expressed there, and the twist is the tip's."""
     chain = rig()
     rng = default_rng(71)
-    q, v = random_state(chain, rng)
-    X = chain.state(q, v).X_WO * pin.exp6(pin.Motion(0.05 * rng.standard_normal(6)))
+    q, v, X = posed(chain, rng)
+    X = X * pin.exp6(pin.Motion(0.05 * rng.standard_normal(6)))
     s = chain.state(q, v, X)
     assert_array_equal(s.X_WO.homogeneous, X.homogeneous)
     assert_arms(chain, s, q, v)

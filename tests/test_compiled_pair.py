@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import kind, placed
 from pytest import mark
-from rigs import direction, one_panda, random_state, refused, unloaded
+from rigs import direction, one_panda, posed, refused, unloaded
 
 import osc_contact as osc
 
@@ -68,8 +68,7 @@ def two(X):
 @mark.parametrize("friction", [None, osc.Friction(mu=0.2)])
 def test_a_controller_ticks_as_with_the_packaged_pair(friction):
     chain = one_panda()
-    q, v = random_state(chain, default_rng(4))
-    X = chain.state(q, v).X_WO
+    q, v, X = posed(chain, default_rng(4))
     measurement = osc.Measurement(q, 0.1 * v, np.ones((1, 6)))
     reference = osc.Reference(X, np.full(6, 0.02), alpha_d=np.array([10.0]))
     controllers = [osc.Controller(chain, [pair], friction=friction) for pair in two(X)]
@@ -92,9 +91,8 @@ def test_what_is_wrong_is_said(tmp_path):
     with contact_error("N or n_γ is not finite"):
         empty.contact(pin.SE3.Identity(), np.zeros(6))
     chain = one_panda()
-    q, v = random_state(chain, default_rng(4))
+    q, v, X = posed(chain, default_rng(4))
     controller = osc.Controller(chain, [empty])
-    X = chain.state(q, v).X_WO
     tau = controller.tick(unloaded(q, v), osc.Reference(X, alpha_d=np.array([1.0])))
     assert controller.status is osc.Status.HELD and np.isfinite(tau).all()
     assert "returned what is not finite" in controller.reason

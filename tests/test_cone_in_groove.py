@@ -11,14 +11,12 @@ from numpy.linalg import inv, matrix_rank, norm
 from numpy.random import default_rng
 from pytest import approx, mark
 from rigs import assert_derivatives, assert_near, largest, refused, rotated, shift
+from samples import names_in
 
 import osc_contact as osc
 from paper import cone_in_groove as cg
 from paper.baselines import measured_coupling
 from paper.selection_laws import Instant
-
-STEPS = (0.51, 0.53, 0.55, 0.57)
-
 
 SEAT = cg.Seat()
 
@@ -30,7 +28,7 @@ def rig():
 
 @cache
 def short_run():
-    return cg.run(0.62, STEPS)
+    return cg.run(0.62, (0.51, 0.53, 0.55, 0.57))
 
 
 def pose_at(turn, slide):
@@ -144,7 +142,7 @@ def test_reproduce_fig2_writes_pictures_and_numbers(tmp_path):
     result = done("reproduce fig2 --duration 0.52 --out", tmp_path)
     pictures = ("fig2", "fig2_forces", "fig2_motion")
     names = {f"{n}.{s}" for n in pictures for s in ("png", "svg", "pdf")} | {"fig2.json"}
-    assert {path.name for path in tmp_path.iterdir()} == names
+    assert names_in(tmp_path) == names
     found = read_json(tmp_path / "fig2.json")
     assert found["r"] == 4 and found["raibert_craig"]["describes_it"] is False
     assert found["duration_s"] == 0.52 and found["force_step_to_motion"] < 1e-9

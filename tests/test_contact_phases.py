@@ -17,6 +17,7 @@ from rigs import (
     assert_near,
     largest,
     panda_pair,
+    posed,
     random_faces,
     random_state,
     refused,
@@ -68,8 +69,7 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
     rng = default_rng(51)
     seen = set()
     for k in range(32):
-        q, v = random_state(chain, rng)
-        X = chain.state(q, v).X_WO
+        q, v, X = posed(chain, rng)
         pairs = random_faces(X, 2, rng)
         p = 0.1 * rng.standard_normal(3)
         n = rng.standard_normal(3)

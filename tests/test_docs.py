@@ -13,13 +13,12 @@ import yaml
 from command_line import call
 from pair_kinds import snake
 from pytest import mark, param
-from samples import ROOT, module_fixture, parametrize
+from samples import ROOT, module_fixture, names_in, parametrize
 from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
 from osc_contact.cli import app
 from osc_contact.contacts.pairs import PAIRS
-from osc_contact.runs import rig as plants
 from osc_contact.scenarios.bodies import CONTACT_TYPES
 
 PAGES = [
@@ -64,10 +63,10 @@ def programs():
 
 
 @parametrize("page, code, shown", programs())
-def test_program_runs_and_prints_what_is_shown(page, code, shown, tmp_path, monkeypatch, capsys):
+def test_program_runs_and_prints_what_is_shown(
+    page, code, shown, tmp_path, monkeypatch, capsys, own_plants
+):
     monkeypatch.chdir(tmp_path)
-    for register in (plants.PLANTS, plants.PLANT_TYPES):  # a page enters a plant: taken out again
-        monkeypatch.setitem(register, "halved", None)
     exec(compile(code, str(page), "exec"), {"__name__": "__main__"})
     if shown is not None:
         assert capsys.readouterr().out == shown
@@ -460,6 +459,6 @@ def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path, mo
         kinds.append(kind)
     programs = ["sh", "text", "diff", "sh", "text", "sh", "text", "python", "text", *3 * ["sh"]]
     assert kinds == programs
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"my_rod.html", "my_rod"}
+    assert names_in(tmp_path / "out") == {"my_rod.html", "my_rod"}
     assert (tmp_path / "out" / "my_rod" / "metrics.json").exists()
     assert (tmp_path / "my_task.yaml").exists()

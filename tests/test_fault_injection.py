@@ -35,14 +35,11 @@ ELSEWHERE = (
 )
 
 
-@parametrize("name", FAULTS)
-def test_every_kind_of_fault_in_contact(name):
-    verdict = try_fault(name, Case())
-    assert not verdict.wrong, verdict
+IN_CONTACT = ((name, Case()) for name in FAULTS)
 
 
-@parametrize("where", first(ELSEWHERE, 7), ids=str)
-def test_faults_in_other_phases_and_scenarios(where):
+@parametrize("where", [*IN_CONTACT, *first(ELSEWHERE, 7)], ids=str)
+def test_every_kind_of_fault_in_contact_and_some_elsewhere(where):
     verdict = try_fault(*where)
     assert not verdict.wrong, verdict
 

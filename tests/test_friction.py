@@ -1,24 +1,20 @@
 """Friction compensation in closed loop; `test_law_kkt` judges N_μ and what saturation costs."""
 
-from unittest.mock import patch
-
 import numpy as np
 from pytest import approx, fixture
 from rigs import refused, scara_pair
 from samples import parametrize
-from scenario_runs import always_closed, run_of, verdict_of, worst_force
+from scenario_runs import closed_force, run_of, verdict_of
 
 import osc_contact as osc
 from benchmarks.cases import POINT
 from benchmarks.reversals import register_plants, reversing
-from osc_contact.runs.rig import PLANT_TYPES, PLANTS, register_plant
+from osc_contact.runs.rig import PLANTS, register_plant
 
 
 def worst(mu, compensation):
     changes = f"plant.friction={mu}", f"control.friction={compensation}"
-    verdict = verdict_of("two_contact_rod_friction", *changes, duration=2.0)
-    assert always_closed(verdict)
-    return worst_force(verdict)
+    return closed_force(verdict_of("two_contact_rod_friction", *changes, duration=2.0))
 
 
 @parametrize(
@@ -34,19 +30,14 @@ def test_without_compensation_friction_costs_twice_as_much():
 
 
 @fixture(autouse=True)
-def registered():
-    """Plants of the tests, taken out again."""
-    with patch.dict(PLANTS), patch.dict(PLANT_TYPES):
-        register_plants()
-        yield
+def registered(own_plants):
+    register_plants()
 
 
 def reversal_error(*which, duration=3.0, **plant):
     scenario = reversing(*which)
     scenario = scenario.replaced(plant=scenario.as_dict()["plant"] | plant)
-    verdict = verdict_of(scenario, duration=duration)
-    assert always_closed(verdict)
-    return worst_force(verdict)
+    return closed_force(verdict_of(scenario, duration=duration))
 
 
 @parametrize("known", [True, False])

@@ -68,7 +68,7 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     controller = osc.Controller(
         chain, [], dt=2e-3, posture=posture, posture_task=task, safety=unwatched
     )
-    wanted = osc.Reference(X, alpha_d=np.zeros(0))
+    wanted = osc.Reference(X)
     farthest = -np.inf
     before = None
     jump = 0.0

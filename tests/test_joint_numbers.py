@@ -221,12 +221,6 @@ def test_before_it_or_with_both_locked_the_arm_is_there(urdf, caplog):
     assert np.isinf(arm.model.upperPositionLimit).all()
 
 
-def test_a_model_with_an_endless_joint_of_its_own_is_refused_with_the_cure(urdf):
-    model = pin.buildModelFromUrdf(str(urdf))
-    with model_error("nq = 2 but nv = 1; load the URDF by its path"):
-        osc.Arm.from_urdf(model, name="arm", tip="c")
-
-
 @mark.parametrize("reading", ["filter", "least_squares", None])
 def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading):
     """7 N on the tip of a Panda, whose sensor sits in the massless frame of the tip."""

@@ -10,6 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from rigs import LWA, data_at, displacement, largest, rotated
+from samples import names_in
 
 from paper import kinematic_stability as ks
 from paper.kinematic_stability import eigenvalues, regularity
@@ -154,7 +155,7 @@ def test_search_counts_what_it_says():
 def test_reproduce_writes_picture_and_numbers(tmp_path):
     printed = done("reproduce kinematic_stability --seed 1 --out", tmp_path).stdout
     names = {f"kinematic_stability.{suffix}" for suffix in ("png", "svg", "pdf", "json")}
-    assert {path.name for path in tmp_path.iterdir()} == names
+    assert names_in(tmp_path) == names
     assert (tmp_path / "kinematic_stability.pdf").read_bytes().startswith(b"%PDF")
     data = read_json(tmp_path / "kinematic_stability.json")
     assert data["postures"] == 1000 and data["seed"] == 1

@@ -41,8 +41,8 @@ from rigs import (
     displacement,
     largest,
     miss,
+    posed,
     product,
-    random_state,
     scara_pair,
     strong,
     touched_of,
@@ -97,8 +97,8 @@ def alike(kind):
 
 
 def paper(rng):
-    q, v = random_state(scara_pair(), rng)
-    return rigid_case(scara_pair(), q, scara_pair().state(q, v).X_WO)
+    q, _, X_WO = posed(scara_pair(), rng)
+    return rigid_case(scara_pair(), q, X_WO)
 
 
 def any_arms(*grasps):

@@ -109,6 +109,11 @@ def random_case(
     )
 
 
+def two_forces(seed, **how):
+    """One that moves in all ways."""
+    return random_case(default_rng(seed), d=6, r=2, k=2, s=1, **how)
+
+
 MADE: dict[int, TorqueLimits] = {}
 
 
@@ -254,7 +259,7 @@ def test_the_optimum_in_exact_fractions(how, tolerance):
 
 
 def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
-    case = random_case(default_rng(67), d=6, r=2, k=2, s=1)
+    case = two_forces(67)
     for G in (0.0 * case.G, case.G * (np.arange(8) > 3)[:, None]):
         agree_within(replace(case, G=G, E=0.0 * case.E))
     out_of_reach = replace(
@@ -270,7 +275,7 @@ def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
 
 
 def test_a_floor_above_the_command_is_the_command():
-    case = random_case(default_rng(72), d=6, r=2, k=2, s=1)
+    case = two_forces(72)
     low = replace(case, alpha=case.alpha / 100.0)
     for got, want in zip(solve(low), solve(replace(low, floor=low.share @ low.alpha)), strict=True):
         assert_array_equal(got, want)
@@ -307,8 +312,8 @@ def agree_within(case):
 
 @parametrize("verdict", [-1, 1])
 def test_what_is_not_solved_is_an_error(monkeypatch, verdict):
-    case = random_case(default_rng(69), d=6, r=2, k=2, s=1, weak=0.05)
-    solve(random_case(default_rng(69), d=6, r=2, k=2, s=1))
+    case = two_forces(69, weak=0.05)
+    solve(two_forces(69))
     with raises(osc.SolverError, match="motor limits"):
         MADE[8].Lambda[:] = -np.eye(6)
         MADE[8].solve()
@@ -322,7 +327,7 @@ def test_what_is_not_solved_is_an_error(monkeypatch, verdict):
 
 
 def test_nothing_accumulates():
-    solve(random_case(default_rng(70), 8, 6, 2, 2, 1))
+    solve(two_forces(70))
     for _ in range(2):
         before = sys.getallocatedblocks()
         for _ in range(2000):

@@ -173,7 +173,7 @@ def test_a_contact_stands_out_of_the_noise_before_it():
     assert 200 < clear < later < 300, "what it was is forgotten in 50 ms or so"
     phases = Phases([0], [True], phase=[CLOSED])
     for k in range(400):
-        phases.end([noise(k)], [0.0], np.eye(1), independent=True)
+        phases.end([noise(k)], [0.0], independent=True)
     assert phases.columns[0].noise == approx(3.0, rel=0.1)
 
 
@@ -183,7 +183,7 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     seen = []
     for alpha, count in ((10.0, 100), (0.0, 300), (10.0, 30), (0.0, 100), (10.0, 100)):
         for _ in range(count):
-            phases.end([alpha], [0.0], np.eye(1), independent=True)
+            phases.end([alpha], [0.0], independent=True)
             phases.begin(wanted)
             seen.append(phases.columns[0].time_since_loss)
     seen = np.array(seen)
@@ -195,7 +195,7 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     start = Phases([0], [True], phase=[OPEN])
     for _ in range(200):
         start.begin(wanted)
-        start.end([0.0], [0.0], np.eye(1), independent=True)
+        start.end([0.0], [0.0], independent=True)
     assert start.columns[0].time_since_loss == 0.0, "it was never there"
 
 

@@ -13,7 +13,7 @@ from law_calls import allocation, operational, phases, reading, records, tick, w
 from law_calls import command_filter as command
 from numpy.linalg import cholesky, inv, norm, qr, solve
 from numpy.testing import assert_array_equal
-from rigs import UNLIMITED, assert_near, random_faces, random_state, scara_pair
+from rigs import UNLIMITED, assert_near, posed, random_faces, scara_pair
 from samples import parametrize
 from test_law import inputs, motion_of
 from test_law_parts import SEEDS, rng_of
@@ -278,8 +278,8 @@ def a_tick():
     """A controller of two contacts after a tick, and what the law was given."""
     chain = scara_pair()
     rng = rng_of(0)
-    q, v = random_state(chain, rng)
-    pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
+    q, v, X = posed(chain, rng)
+    pairs = random_faces(X, 2, rng)
     controller = osc.Controller(chain, pairs, safety=UNLIMITED)
     own = controller._records
     run = own.run

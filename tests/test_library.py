@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from processes import python
 from pytest import fixture, mark, param, raises
-from samples import module_fixture, parametrize
+from samples import module_fixture, names_in, parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
@@ -160,7 +160,7 @@ def test_the_library_is_made_once_and_kept(workshop, tmp_path):
         assert lines[0].startswith("compiling the control tick") and len(lines) == 2
         first = Path(c_object.make().__file__)
         assert len(workshop) == 1 and first.is_relative_to(tmp_path / "cache")
-        assert {path.name for path in first.parent.iterdir()} == {
+        assert names_in(first.parent) == {
             library.LIBRARY,
             library.OBJECT,
             library.CHECKSUM,
@@ -197,7 +197,7 @@ def test_old_libraries_are_removed(workshop, tmp_path):
         folder.mkdir(parents=True)
         os.utime(folder, (k, k))
     path = Path(c_object.make().__file__)
-    left = {folder.name for folder in (tmp_path / "cache").iterdir()} - {".lock"}
+    left = names_in(tmp_path / "cache") - {".lock"}
     assert left == {path.parent.name} | {f"law-{k}" for k in range(4, c_object.KEPT + 3)}
 
 

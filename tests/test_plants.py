@@ -13,7 +13,7 @@ from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.plants.rigid import RigidPlant
-from osc_contact.runs import rig as plants
+from osc_contact.runs.rig import PLANTS
 
 
 @module_fixture
@@ -79,11 +79,9 @@ def test_the_scene_needs_an_object(rig):
         RigidPlant(chain, rig.pairs, 1e-3)
 
 
-def test_a_registered_plant_is_named_in_scenarios(monkeypatch):
+def test_a_registered_plant_is_named_in_scenarios(own_plants):
     """That it runs shows the program of docs/extend.md."""
-    for register in (plants.PLANTS, plants.PLANT_TYPES):  # taken out again after the test
-        monkeypatch.setitem(register, "halved", None)
-    osc.register_plant("halved", exact=True)(plants.PLANTS["rigid"])
+    osc.register_plant("halved", exact=True)(PLANTS["rigid"])
     rig = rig_of("approach_and_slide", "plant.type=halved")
     assert rig.scenario.plant.exact
     with scenario_error("the halved plant's are bilateral"):

@@ -11,9 +11,9 @@ from rigs import (
     UNLIMITED,
     assert_near,
     one_panda,
+    posed,
     product,
     random_faces,
-    random_state,
     refused,
     sliding,
 )
@@ -156,8 +156,8 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
     rng = default_rng(6)
     slip = 0.01
     for k in range(8):
-        q, v = random_state(chain, rng)
-        pairs = off_their_faces(chain.state(q, v).X_WO, 1 + k % 3, rng)
+        q, v, X = posed(chain, rng)
+        pairs = off_their_faces(X, 1 + k % 3, rng)
         n = len(pairs)
         how = {"bodies": [on] * n, "friction": osc.Friction(mu, slip) if mu else None}
         controller = osc.Controller(chain, pairs, reading="least_squares", safety=UNLIMITED, **how)
@@ -195,7 +195,7 @@ PUSHING = [
 def test_least_squares_is_chosen_where_its_answer_is_unique():
     chain = one_panda()
     rng = default_rng(4)
-    X = chain.state(*random_state(chain, rng)).X_WO
+    *_, X = posed(chain, rng)
     one, other = random_faces(X, 2, rng)
     shifted = replace(one, vertex=one.vertex + one.normal @ X.rotation * 0.0 + 0.01)
 
@@ -217,7 +217,7 @@ def test_least_squares_is_chosen_where_its_answer_is_unique():
 def test_impossible_readings_are_refused():
     chain = one_panda()
     rng = default_rng(5)
-    X = chain.state(*random_state(chain, rng)).X_WO
+    *_, X = posed(chain, rng)
     hinge = osc.Revolute([0, 0, 0], [0, 0, 1], X, name="hinge")
     with refused("hinge"):
         osc.Controller(chain, [hinge], reading="least_squares")

@@ -417,7 +417,7 @@ def test_continuous_joint_is_a_revolute_joint_without_end_stops(name, seed):
 
 def test_ready_models_are_judged_too():
     wrapped = pin.buildModelFromUrdf(str(robots.find_robot("kinova")[0]))
-    with model_error(r"j2s6s200_joint_1.*nq = 2 but nv = 1; load the URDF by"):
+    with model_error(r"j2s6s200_joint_1.*nq = 2 but nv = 1; load the URDF by its path"):
         osc.Arm.from_urdf(wrapped, name="k", tip="j2s6s200_end_effector")
     panda = robots.load_model(robots.find_robot("panda")[0])
     for i in range(7, panda.njoints):

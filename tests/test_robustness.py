@@ -5,7 +5,7 @@ from command_line import done, read_json, refused
 from complaints import invalid_input
 from pytest import MonkeyPatch, approx, mark
 from rigs import assert_near
-from samples import module_fixture
+from samples import module_fixture, names_in
 from scenario_runs import rig_of, verdict_of
 
 import osc_contact as osc
@@ -106,7 +106,7 @@ def test_what_the_controllers_do_not_know_costs_all_of_them_accuracy(found):
 @mark.slow
 def test_the_table_shows_the_rows(made, found):
     folder, printed = made
-    assert {path.name for path in folder.iterdir()} == {
+    assert names_in(folder) == {
         "robustness.json",
         *(f"robustness_{case}.jsonl" for case in study.VARIED),
     }

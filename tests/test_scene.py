@@ -6,7 +6,7 @@ from complaints import invalid_input
 from html_pages import Page
 from pytest import approx, raises
 from rigs import assert_near, largest
-from samples import module_fixture, parametrize
+from samples import module_fixture, names_in, parametrize
 from scene_samples import (
     ARMS,
     BODIES,
@@ -259,7 +259,7 @@ def test_page_is_written_whole_or_not_at_all(tmp_path):
     (tmp_path / "taken").mkdir()
     with raises(OSError):
         write_page(CommandSink(), tmp_path / "taken", "title")
-    assert [p.name for p in tmp_path.iterdir()] == ["taken"]
+    assert names_in(tmp_path) == {"taken"}
     empty = tmp_path / "empty.html"
     empty.write_text("<html></html>")
     with invalid_input("no drawing commands"):

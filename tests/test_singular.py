@@ -11,7 +11,6 @@ from scipy.optimize import brentq
 import osc_contact as osc
 from osc_contact.scenarios.control_schema import MotionGains, PostureTask
 
-GAINS = osc.Gains(MotionGains(400, 40))
 STRAIGHT = -np.arctan(0.0825 / 0.316) - np.arctan(0.0825 / 0.384)  # the Panda's elbow has offsets
 
 
@@ -23,8 +22,10 @@ def tick(chain, q, v, posture=None, controller=None):
     """A controller after one tick that asks for the same motion, whatever the posture."""
     X = chain.state(q, v).X_WO
     goal = pin.SE3(X.rotation, X.translation + [0.01, -0.005, 0.004])
-    reference = osc.Reference(goal, alpha_d=np.zeros(0), squeeze_d=4.0)
-    controller = controller or osc.Controller(chain, [], GAINS, posture=posture)
+    reference = osc.Reference(goal, squeeze_d=4.0)
+    controller = controller or osc.Controller(
+        chain, [], osc.Gains(MotionGains(400, 40)), posture=posture
+    )
     controller.reset()
     return controller, controller.tick(unloaded(q, v, len(chain.arms)), reference)
 

@@ -14,7 +14,7 @@ from rigs import (
     direction,
     largest,
     one_panda,
-    random_state,
+    posed,
     refused,
     shift,
     unit,
@@ -27,7 +27,6 @@ from test_reading import judged
 import osc_contact as osc
 from benchmarks import curved_faces
 from osc_contact.contacts.detection import CollisionShape
-from osc_contact.runs import rig as plants
 
 
 def ball_on(surface, height, slopes, axis=2):
@@ -174,8 +173,7 @@ def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
     """n + δ/d, normalised, is the normal of the ball moved by δ, d away; N is W(n, p) then."""
     chain = one_panda()
     rng = default_rng(4)
-    q, v = random_state(chain, rng)
-    X = chain.state(q, v).X_WO
+    q, v, X = posed(chain, rng)
     centre = 0.1 * rng.standard_normal(3)
     at = X.act(centre) + 0.112 * direction(rng)
     pair = kind(centre, 0.012, osc.Surface.sphere(0.1), at)
@@ -199,9 +197,7 @@ def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
 
 
 @fixture
-def task(tmp_path, monkeypatch):
-    for register in (plants.PLANTS, plants.PLANT_TYPES):  # taken out again after the test
-        monkeypatch.setitem(register, "tangent_plane", None)
+def task(tmp_path, own_plants):
     osc.register_plant("tangent_plane")(curved_faces.tangent_plane)
     return lambda face="sphere", R=0.1, **changes: curved_faces.scenario(tmp_path, face, R, changes)
 
