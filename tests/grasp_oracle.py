@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import lstsq
 from rigs import largest, product, rotated, shift, terms_at, unit
+from samples import aligned
 
 PITCH = 0.1  # of screws (m/rad)
 
@@ -33,7 +34,7 @@ class System:
         rows = []
         right = []
         self.ends = [0]
-        for tip, (kind, X_TO, axis) in zip(tips, grasps, strict=True):
+        for tip, (kind, X_TO, axis) in aligned(tips, grasps):
             at = model, data, model.getFrameId(tip), pin.LOCAL
             J = pin.getFrameJacobian(*at)
             of_tip = pin.getFrameVelocity(*at)
@@ -70,7 +71,7 @@ def derivatives(kind, axis, X, V):
         yield np.append(s, np.cross(p, s) - turn), s @ np.cross(w, p_dot)
     pairs = []
     if kind in ("rigid", "slide"):
-        pairs = zip(E, E[[1, 2, 0]], strict=True)
+        pairs = aligned(E, E[[1, 2, 0]])
     elif kind != "ball":
         pairs = [(s, axis) for s in across(axis)]
     for s, of_object in pairs:  # stay perpendicular

@@ -20,6 +20,7 @@ from numpy.random import default_rng
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
 from rigs import LWA, data_at, direction, largest, placed, product, shift, unit
+from samples import aligned
 
 from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
 
@@ -353,7 +354,7 @@ class State:
         s = self.system
         n = self.n + 6
         ends = np.cumsum([n, *(len(b.v) for b in self.bodies)])
-        parts = {id(b): slice(*at) for b, at in zip(self.bodies, pairwise(ends), strict=True)}
+        parts = {id(b): slice(*at) for b, at in aligned(self.bodies, pairwise(ends))}
         end = ends[-1]
         M = np.zeros((end, end))
         force = np.zeros(end)
@@ -405,7 +406,7 @@ class State:
         model = chain.model
         data = data_at(model, self.case.q, self.v, answer.qdd)
         out = []
-        for arm, links, pull in zip(chain.arms, chain.outboard, answer.loops, strict=True):
+        for arm, links, pull in aligned(chain.arms, chain.outboard, answer.loops):
             total = shift(self.case.X_WO.translation).act(pin.Force(pull))
             for link in links:
                 X = data.oMi[link.joint]

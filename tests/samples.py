@@ -1,11 +1,13 @@
 """The checkout, rows of tests, what modules share, what every `make test` runs of a long list."""
 
+from functools import partial
 from pathlib import Path
 
 from pytest import fixture, mark, param
 
 ROOT = Path(__file__).resolve().parent.parent  #: of the checkout
 module_fixture = fixture(scope="module")
+aligned = partial(zip, strict=True)  #: of equally many
 
 
 def parametrize(names, rows, **how):

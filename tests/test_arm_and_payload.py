@@ -11,7 +11,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from rigs import assert_close, data_at, panda_arm, refused, shift
 from robot_numbers import element, written_inertia
-from samples import parametrize
+from samples import aligned, parametrize
 
 import osc_contact as osc
 from osc_contact import robots
@@ -59,7 +59,7 @@ def test_mass_factor_scales_the_joint_space_dynamics():
     heavy, one = (pin.rnea(model, model.createData(), q, v, v) for model in models)
     assert_close(heavy, 1.25 * one, 1e-12)
     ends = [[model.getFrameId(name) for name in ("wrist_sensor", "tool")] for model in models]
-    weighed = [outboard_links(model, *end) for model, end in zip(models, ends, strict=True)]
+    weighed = [outboard_links(model, *end) for model, end in aligned(models, ends)]
     heavy, one = ([link.inertia.mass for link in links] for links in weighed)
     assert_close(heavy, 1.25 * np.array(one))
 

@@ -13,7 +13,7 @@ from numpy.testing import assert_array_equal
 from processes import python
 from pytest import approx, mark
 from rigs import assert_near, largest, ticked
-from samples import ROOT, first, parametrize
+from samples import ROOT, aligned, first, parametrize
 
 import osc_contact as osc
 from benchmarks import many_runs, peers
@@ -225,7 +225,7 @@ def test_constraint_dynamics_moves_the_joints_as_commanded(name):
     commanded = controller.joint_acceleration()
     found = np.array(constraint_dynamics(case)())
     arms = case.chain.state(case.measurement.q, case.measurement.v).arms
-    for s, arm in zip(case.chain.slices, arms, strict=True):  # what posture moves is ours alone
+    for s, arm in aligned(case.chain.slices, arms):  # what posture moves is ours alone
         assert_near(arm.J @ found[s], arm.J @ commanded[s], 1e-6)
 
 

@@ -30,7 +30,7 @@ from rigs import (
     shift,
     terms_at,
 )
-from samples import parametrize
+from samples import aligned, parametrize
 from test_singular import straight_panda, stretched_scaras
 
 import osc_contact as osc
@@ -53,7 +53,7 @@ def assert_arms(chain, s, q, v):
     X = chain.tip_poses(data)
     assert_near(s.grasp_points, [one.translation for one in X], 1e-12)
     root = cholesky(s.metric)
-    for i, (arm, part, grasp) in enumerate(zip(s.arms, chain.slices, chain.grasps, strict=True)):
+    for i, (arm, part, grasp) in enumerate(aligned(s.arms, chain.slices, chain.grasps)):
         to_O = shift(X[i].translation - O).action
         J = to_O @ pin.getFrameJacobian(model, data, chain.tips[i], LWA)[:, part]
         gamma = to_O @ pin.getFrameAcceleration(model, data, chain.tips[i], LWA).vector
@@ -126,7 +126,7 @@ def assert_chain(case, v, V, s, rng):
     answer = oracle.answer(20.0 * rng.standard_normal(case.chain.n_a))
     at_O = shift(s.X_WO.translation).inverse()
     total = np.zeros(6)
-    for reading, X, F in zip(oracle.readings(answer), s.sensors, s.filters, strict=True):
+    for reading, X, F in aligned(oracle.readings(answer), s.sensors, s.filters):
         wrench = (at_O * X).act(pin.Force(reading)).vector
         total += wrench if F is None else F @ wrench
     assert_close(total, s.Lambda_out @ answer.a_object + s.bias_out, 1e-7, "Λ_out")
@@ -179,7 +179,7 @@ def test_arms_that_contradict_one_another_move_the_object_as_all_joints_say(rig)
     energy = cholesky(s.metric).T
     A = np.eye(chain.nq + 12, chain.nq + 6)
     b = np.zeros(len(A))
-    for i, (arm, part) in enumerate(zip(s.arms, chain.slices, strict=True)):
+    for i, (arm, part) in enumerate(aligned(s.arms, chain.slices)):
         J = energy @ arm.J * roots[part]
         rows = slice(chain.nq + 6 * i, chain.nq + 6 * i + 6)
         scale = 10.0 / norm(J)

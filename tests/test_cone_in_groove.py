@@ -11,7 +11,7 @@ from numpy.linalg import inv, matrix_rank, norm
 from numpy.random import default_rng
 from pytest import approx, mark
 from rigs import assert_derivatives, assert_near, largest, refused, rotated, shift
-from samples import names_in
+from samples import aligned, names_in
 
 import osc_contact as osc
 from paper import cone_in_groove as cg
@@ -46,7 +46,7 @@ def test_the_cone_lies_on_both_walls_and_in_neither():
     """The lowest line of its side, of all lines at the half angle to its axis."""
     X = rig().state.X_WO
     axis = X.rotation @ SEAT.cone_axis
-    for wall, generator in zip(SEAT.normals, SEAT.generators, strict=True):
+    for wall, generator in aligned(SEAT.normals, SEAT.generators):
         assert (X.act(SEAT.apex) - SEAT.point) @ wall == approx(0.0, abs=1e-12)
         up = axis @ wall
         assert up - np.tan(SEAT.half_angle) * np.sqrt(1.0 - up**2) == approx(0.0, abs=1e-12)
@@ -66,7 +66,7 @@ def test_inertia_is_that_of_a_stack_of_discs():
     m = radius**2 / (radius**2).sum() * inertia.mass
     centres = SEAT.apex + z[:, None] * SEAT.cone_axis
     whole = pin.Inertia.Zero()
-    for mass, r, centre in zip(m, radius, centres, strict=True):
+    for mass, r, centre in aligned(m, radius, centres):
         disc = 0.25 * mass * r**2 * (np.eye(3) + np.outer(SEAT.cone_axis, SEAT.cone_axis))
         whole += pin.Inertia(mass, centre, disc)
     assert_near(inertia.lever, whole.lever, 1e-8)

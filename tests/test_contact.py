@@ -8,7 +8,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
 from rigs import assert_near, largest, refused
-from samples import parametrize
+from samples import aligned, parametrize
 
 from osc_contact import projections
 from osc_contact.contacts.contact import Contact
@@ -129,7 +129,7 @@ def test_the_rank_knows_no_frame_origin_basis_or_unit(apart, r):
         motion = np.diag([1e3] * 3 + [1.0] * 3) @ X.toActionMatrix()
         force = 1e9 * inv(motion).T
         size = 10 ** rng.uniform(-3, 3, size=2)  # of the columns
-        moved = [Contact(force @ c.N * s, c.n_gamma * s) for c, s in zip(lines, size, strict=True)]
+        moved = [Contact(force @ c.N * s, c.n_gamma * s) for c, s in aligned(lines, size)]
         stacked = Contact.stack(moved, motion @ Phi @ motion.T / 1e9)
         assert stacked.r == r
         if apart == 0.0:

@@ -25,7 +25,7 @@ from rigs import (
     scara_pair,
     shift,
 )
-from samples import module_fixture, parametrize
+from samples import aligned, module_fixture, parametrize
 from scenario_runs import run_of
 from test_law import inputs
 
@@ -89,7 +89,7 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
         closed = rng.random(len(pairs)) < 0.6
         how = {"friction": friction, "reading": "filter", "safety": UNLIMITED}
         knowing = osc.Controller(chain, pairs, life=PhaseSettings(), **how)
-        few = [pair for pair, here in zip(pairs, closed, strict=True) if here]
+        few = [pair for pair, here in aligned(pairs, closed) if here]
         blind = osc.Controller(chain, few, life=PhaseSettings(), **how)
         given_phases(knowing, np.where(closed, CLOSED, OPEN))
         given_phases(blind, np.full(len(few), CLOSED))

@@ -15,7 +15,7 @@ from numpy.random import default_rng
 from pinocchio.rpy import rpyToMatrix
 from pytest import approx
 from rigs import assert_near, placed, pose_of, rig_of, rotated, shift, unit
-from samples import module_fixture, parametrize
+from samples import aligned, module_fixture, parametrize
 
 import osc_contact as osc
 from osc_contact import robots
@@ -323,7 +323,7 @@ def rod():
 
 def test_the_rod_finds_the_contacts_the_scenario_declares(rod):
     shapes, declared, plates, X_WO = rod
-    for pair, (plate, X_WE), side in zip(declared, plates, ("left", "right"), strict=True):
+    for pair, (plate, X_WE), side in aligned(declared, plates, ("left", "right")):
         contact = only(detect(shapes, X_WO, plate, X_WE))
         assert (contact.name, contact.kind) == (f"{side}_end on plate", "sphere on plane")
         V_O = default_rng(0).standard_normal(6)

@@ -13,7 +13,7 @@ import yaml
 from command_line import call
 from pair_kinds import snake
 from pytest import mark, param
-from samples import ROOT, module_fixture, names_in, parametrize
+from samples import ROOT, aligned, module_fixture, names_in, parametrize
 from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
@@ -308,7 +308,7 @@ ROWS = re.findall(r"^\| ((?:eq|fig|rig)\b.*?) \| (.*?) \| (.*?) \|$", text_of(MA
 
 @parametrize("row", ROWS, ids=[row[0].split(":")[0] for row in ROWS])
 def test_row_is_complete(row):
-    for cell, test in zip(row[1:], (False, True), strict=True):
+    for cell, test in aligned(row[1:], (False, True)):
         assert CELL.fullmatch(cell), f"no references: {cell!r}"
         for reference in TICKED.findall(cell):
             assert complaint(reference, test=test) is None
@@ -319,7 +319,7 @@ def test_every_equation_figure_and_part_of_the_rig_has_one_row():
     wanted = [f"eq. {n}" for n in range(1, 26)] + [f"fig. {n}" for n in range(1, 9)]
     assert [start for start in starts if start != "rig"] == wanted
     parts = [what for what, _, _ in ROWS if what.startswith("rig: ")]
-    for part, wanted in zip(parts, RIG, strict=True):
+    for part, wanted in aligned(parts, RIG):
         assert part.startswith(f"rig: {wanted}")
 
 

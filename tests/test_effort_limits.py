@@ -26,7 +26,7 @@ from rigs import (
     with_motors,
     without_contacts,
 )
-from samples import module_fixture, parametrize
+from samples import aligned, module_fixture, parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
@@ -49,7 +49,7 @@ def motors_only(chain, pairs):
 def idle_motions(state, chain):
     """(p, n_a) null spaces of NᵀJ of the redundant arms, orthonormal by M."""
     rows = []
-    for arm, part in zip(state.arms, chain.slices, strict=True):
+    for arm, part in aligned(state.arms, chain.slices):
         null = svd(arm.N.T @ arm.J)[2][arm.rank :].T
         rows.append(np.zeros((null.shape[1], chain.nq)))
         rows[-1][:, part] = solve(cholesky(null.T @ arm.M @ null), null.T)

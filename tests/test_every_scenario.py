@@ -7,7 +7,7 @@ from complaints import scenario_error
 from numpy.linalg import lstsq, norm
 from pytest import approx
 from rigs import assert_near, largest, unit
-from samples import ROOT, chosen, first, module_fixture, parametrize
+from samples import ROOT, aligned, chosen, first, module_fixture, parametrize
 from scenario_runs import (
     always_closed,
     assert_accurate,
@@ -346,7 +346,7 @@ def test_faces_are_assumed_to_be_turned_about_where_they_touch():
         wrong = ["model_error.face_tilt=3 deg", f"model_error.face_tilt_about={about} deg"]
         rig = rig_of("two_contact_rod", *wrong)
         X = rig.state.X_WO
-        for pair, assumed in zip(rig.pairs, rig.controlled_pairs(), strict=True):
+        for pair, assumed in aligned(rig.pairs, rig.controlled_pairs()):
             assert assumed.gaps(X)[0] == approx(0.010 * (np.cos(np.deg2rad(3)) - 1), abs=1e-8)
             turned.append(np.cross(pair.normal, assumed.normal))
     assert_near([t @ t for t in turned], np.sin(np.deg2rad(3)) ** 2, 1e-9)

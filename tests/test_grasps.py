@@ -26,7 +26,7 @@ from rigs import (
     ticked,
     unloaded,
 )
-from samples import first, parametrize
+from samples import aligned, first, parametrize
 from scenario_runs import first_inputs
 
 import osc_contact as osc
@@ -117,7 +117,7 @@ def by_constraint_dynamics(whole, tau):
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
     model.appendBodyToJoint(joint, chain.payload.inertia, pin.SE3.Identity())
     ties = []
-    for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
+    for arm, grasp in aligned(chain.arms, chain.grasps):
         tip = model.frames[model.getFrameId(f"{arm.name}/{arm.tip}")]
         kind = pin.ContactType.CONTACT_6D if grasp.is_rigid else pin.ContactType.CONTACT_3D
         ends = tip.parentJoint, tip.placement, joint, grasp.X_TO.inverse()
@@ -151,7 +151,7 @@ def driven(rng, count, **options):
         state = case.at_rest()
         redundant = any(
             arm.passive_joints and arm.model.nv > grasp.N.shape[1]
-            for arm, grasp in zip(case.chain.arms, case.chain.grasps, strict=True)
+            for arm, grasp in aligned(case.chain.arms, case.chain.grasps)
         )
         if state.unactuated.shape[1] == 0 and state.d > 0 and not redundant:
             found += 1
@@ -209,7 +209,7 @@ def test_a_rod_between_two_balls_spins_about_their_line():
 
 def assert_held(chain, X, tolerance):
     """The object at X misses no tip by more, where `chain.data` has them."""
-    for grasp, tip in zip(chain.grasps, chain.tip_poses(), strict=True):
+    for grasp, tip in aligned(chain.grasps, chain.tip_poses()):
         assert largest(grasp.miss(tip, X)) < tolerance
 
 
@@ -291,7 +291,7 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
     """Joints and equality constraints of MuJoCo against N of the grasps, 0.2 s under control."""
     sets = [
         f"grasps.{side}={hand % HOW[kind]}"
-        for side, hand, kind in zip(("left", "right"), HANDS, kinds, strict=True)
+        for side, hand, kind in aligned(("left", "right"), HANDS, kinds)
     ]
     at_once = "gains.force.rise=0 s"  # the forces are judged after 0.2 s
     rig = rig_of("dual_panda_rod", at_once, *sets)

@@ -10,7 +10,7 @@ from complaints import scenario_error
 from numpy.linalg import lstsq, matrix_rank, norm
 from pytest import approx
 from rigs import assert_derivatives, assert_near, largest, object_poses, placed, rotated, shift
-from samples import module_fixture, parametrize
+from samples import aligned, module_fixture, parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
@@ -175,7 +175,7 @@ def test_turns_about_points_are_products_of_poses():
     t = 2.7  # after the standoff
     angles = [move.signals[0].at(t)[0] for move in wanted.scenario.motion[:2]]
     X = wanted.X_start
-    for centre, axis, angle in zip(CENTRES, np.eye(3)[[2, 1]], angles, strict=True):
+    for centre, axis, angle in aligned(CENTRES, np.eye(3)[[2, 1]], angles):
         to = shift(centre)
         X = to * rotated(pin.exp3(angle * axis)) * to.inverse() * X
     X.translation += [wanted.scenario.motion[2].signals[0].at(t)[0], 0, 0]

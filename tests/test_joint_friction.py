@@ -20,7 +20,7 @@ from rigs import (
     ticked,
     unloaded,
 )
-from samples import parametrize
+from samples import aligned, parametrize
 from scenario_runs import verdict_of
 from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 
@@ -45,7 +45,7 @@ def learned(Phi, r, noise, dt=0.0):
     row = t.memory.friction[0]
     row.P[:] = np.diag(PRIOR)
     row.noise = noise
-    for phi, one in zip(Phi, r, strict=True):
+    for phi, one in aligned(Phi, r):
         joint_friction._regress(prior, row, phi, np.zeros(10), one, 1.0, dt)
     joint_friction._keep_bounds(prior, row, np.zeros((5, 5)))
     return row.theta, row
@@ -296,7 +296,7 @@ def test_what_was_learned_is_the_start_of_the_next_controller():
     assert controller.joint_friction[2, 0] == 7.0
     friction, damping = controller.joint_friction.T
     again = osc.Controller(panda(damping=damping, friction=friction), [])
-    assert_array_equal(again.joint_friction, [*zip(friction, damping, strict=True)])
+    assert_array_equal(again.joint_friction, [*aligned(friction, damping)])
     controller.reset()
     assert controller.joint_friction[2, 0] == 7.0, "a stop does not change the joints"
 

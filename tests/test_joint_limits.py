@@ -15,7 +15,7 @@ from rigs import (
     ticked,
     unloaded,
 )
-from samples import parametrize
+from samples import aligned, parametrize
 
 import osc_contact as osc
 from osc_contact.control.records import joint_limit_margins
@@ -25,8 +25,8 @@ from osc_contact.scenarios.control_schema import PostureTask
 def push_of(q, margins):
     """(n,) accelerations away from joint limits."""
     rows = records(joints=7).model.joints
-    write(rows, **dict(zip(("low", "high", "width", "most"), margins, strict=True)))
-    return np.array([allocation.push_from_limits(row, x) for row, x in zip(rows, q, strict=True)])
+    write(rows, **dict(aligned(("low", "high", "width", "most"), margins)))
+    return np.array([allocation.push_from_limits(row, x) for row, x in aligned(rows, q)])
 
 
 def panda(limits):
@@ -46,7 +46,7 @@ def panda(limits):
 def test_the_push_rises_smoothly_over_a_margin_and_stays_bounded(joint, range_, whole):
     """k w (3s² − 2s³) at depth s of the margin w, 5 % of a range that counts as π at most."""
     limits = joint_limit_margins(panda({joint: range_}).model, 400.0, 0.05)
-    for end, sign in zip(range_, (1.0, -1.0), strict=True):
+    for end, sign in aligned(range_, (1.0, -1.0)):
         w = 0.05 * whole if np.isfinite(end) else 0.0
         for s, share in {-0.1: 0.0, 0.0: 0.0, 0.25: 5 / 32, 0.5: 0.5, 1.0: 1.0, 9: 1.0}.items():
             q = PANDA_Q.copy()

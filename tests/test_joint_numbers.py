@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 from pytest import approx, fixture, mark
 from rigs import assert_near, holding_panda, panda_arm, ticked
 from robot_numbers import mass_matrix
-from samples import parametrize
+from samples import aligned, parametrize
 from scenario_runs import rig_of, verdict_of, worst_force
 
 import osc_contact as osc
@@ -39,7 +39,7 @@ def test_friction_damping_and_armature_are_shown_wherever_a_robot_is():
     )
     sides = ("left", "right")
     lines = inspect_rig(rig_of(scenario)).lines
-    assert {f"joints of '{arm}': {own}" for arm, own in zip(sides, words, strict=True)} <= {*lines}
+    assert {f"joints of '{arm}': {own}" for arm, own in aligned(sides, words)} <= {*lines}
     (least,) = (line for line in lines if "observer unstable" in line)
     assert "joint4, 0.1 in the model" in least and "hinge" not in least
     verdict = verdict_of(scenario)
@@ -51,7 +51,7 @@ def test_friction_damping_and_armature_are_shown_wherever_a_robot_is():
         "slides": True,
     }
     cells = [list(column.cells) for column in verdict_table(verdict).columns]
-    rows = dict(zip(*cells, strict=True))
+    rows = dict(aligned(*cells))
     assert [rows[f"joints {arm}, in the model"] for arm in ("left", "right")] == list(words)
 
 
@@ -160,7 +160,7 @@ def test_inspect_names_what_limits_compensation_of_friction(given):
     lines = inspect_rig(rig).lines
     (least,) = (line for line in lines if "observer unstable" in line)
     M = rig.model.state(rig.q_contact).M
-    for name, m in zip(rig.model.arms[0].model.names[1:], 1.0 / np.diag(inv(M)), strict=True):
+    for name, m in aligned(rig.model.arms[0].model.names[1:], 1.0 / np.diag(inv(M))):
         needed = 0.3 - m + m * 0.7 / 1.7
         assert (f"{needed:.2g} ({name}, 0.3 in the model)" in least) == (needed > 0.0)
     assert not any("damping over inertia" in line for line in lines)

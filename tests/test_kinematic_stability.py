@@ -10,7 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from rigs import LWA, data_at, displacement, largest, rotated
-from samples import names_in
+from samples import aligned, names_in
 
 from paper import kinematic_stability as ks
 from paper.kinematic_stability import eigenvalues, regularity
@@ -175,5 +175,5 @@ def test_eigenvalues_give_the_poles_of_the_closed_loop():
         q = rng.uniform(-np.pi, np.pi, 6)
         postures += [q] if regularity(q) >= 1e-3 else []
     for q in postures:
-        for values, oracle in zip(eigenvalues(q), (oracle_classic, oracle_ours), strict=True):
+        for values, oracle in aligned(eigenvalues(q), (oracle_classic, oracle_ours)):
             assert_same_poles(numeric_poles(oracle, q), poles(values))

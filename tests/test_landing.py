@@ -3,7 +3,7 @@
 import numpy as np
 from pytest import approx
 from rigs import rig_of
-from samples import parametrize
+from samples import aligned, parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
@@ -32,7 +32,7 @@ def test_the_peak_grows_with_speed_and_with_the_root_of_the_stiffness():
     first = landings(rig_of(approach(0.2)))
     fast = landings(rig_of(approach(0.4)))
     stiff = landings(rig_of(approach(0.2, rate=2.0)))
-    for one, two, three in zip(first, fast, stiff, strict=True):
+    for one, two, three in aligned(first, fast, stiff):
         assert one.peak == approx(one.speed * np.sqrt(one.stiffness * one.mass))
         assert two.peak == approx(2.0 * one.peak) == approx(three.peak)
         assert three.stiffness == approx(4.0 * one.stiffness)

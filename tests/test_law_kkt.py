@@ -48,7 +48,7 @@ from rigs import (
     touched_of,
     with_motors,
 )
-from samples import parametrize
+from samples import aligned, parametrize
 from scipy.linalg import null_space
 from test_linkage import bars_of
 
@@ -291,7 +291,7 @@ def miss_of_geometry(t):
     """Errors of N and n_γ of every contact."""
     errors = [0.0]
     contacts = [c for c in t.contacts if len(c.along_object)]  # not what may move in every way
-    for part, c in zip(t.controller.signals.parts, contacts, strict=True):
+    for part, c in aligned(t.controller.signals.parts, contacts):
         errors += [miss(part.N, -c.along_object.T), miss(part.n_gamma, c.n_gamma(t.state.V))]
     return max(errors)
 
@@ -562,5 +562,5 @@ def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     where = {how: "1", "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "OSC_CONTACT_LAW": "jit"}
     python("-c", words, file, **where)
     found = np.load(file)
-    for name, want in zip(found.files, some_torques(), strict=True):
+    for name, want in aligned(found.files, some_torques()):
         assert_near(found[name], want, 1e-12 * largest(want), 0)

@@ -13,7 +13,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import mark, param, raises
 from rigs import assert_near, largest
-from samples import parametrize
+from samples import aligned, parametrize
 
 import osc_contact as osc
 from osc_contact.law.limits import TorqueLimits
@@ -227,7 +227,7 @@ def agree(case, tolerance):
     assert largest((tau - want) / case.scale) < tolerance
     near = np.abs(want) >= case.tau_max * (1.0 - 1e-9)
     assert_array_equal(at_limit, near)
-    for got, exact in zip((force, motion, squeeze), lost, strict=True):
+    for got, exact in aligned((force, motion, squeeze), lost):
         assert_near(got, exact, tolerance * (1.0 + largest(exact)), 0)
     return short
 
@@ -277,7 +277,7 @@ def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
 def test_a_floor_above_the_command_is_the_command():
     case = two_forces(72)
     low = replace(case, alpha=case.alpha / 100.0)
-    for got, want in zip(solve(low), solve(replace(low, floor=low.share @ low.alpha)), strict=True):
+    for got, want in aligned(solve(low), solve(replace(low, floor=low.share @ low.alpha))):
         assert_array_equal(got, want)
 
 

@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
 from rigs import assert_near
-from samples import first, parametrize
+from samples import aligned, first, parametrize
 
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
 from osc_contact.scenarios.control_schema import ForceGains, MonitorLimits, PhaseSettings
@@ -82,7 +82,7 @@ class Phases:
         self.columns.alpha = alpha
         self.columns.speed = speed
         self.work.speeds[:] = speed
-        for column, here, goal in zip(self.columns, self.here, self.work.goal, strict=True):
+        for column, here, goal in aligned(self.columns, self.here, self.work.goal):
             if here:
                 law.predict_force(self.tick, column, goal, limited, self.chain.period)
             else:
@@ -304,7 +304,7 @@ def random_ticks(rng, n, ticks):
     out = np.zeros((3, ticks, n))
     levels = [0.0, 0.25, 0.5, 5.0, 12.0, -3.0], [0.0, 0.4, 1.0, 4.0, 9.0, 20.0], [0.0, 0.01, -0.04]
     weights = [0.15, 0.1, 0.1, 0.3, 0.3, 0.05], [0.2, 0.1, 0.1, 0.2, 0.3, 0.1], [0.6, 0.3, 0.1]
-    for values, level, weight, long in zip(out, levels, weights, (150, 60, 40), strict=True):
+    for values, level, weight, long in aligned(out, levels, weights, (150, 60, 40)):
         for j in range(n):
             k = 0
             while k < ticks:
@@ -322,7 +322,7 @@ def assert_rules(phases, before, goal, wanted, pushing, k):
     rows = phases.contacts
     columns = phases.columns
     assert_array_equal(rows.active, rows.phase != OPEN)
-    for c, (was, now) in enumerate(zip(before, rows.phase, strict=True)):
+    for c, (was, now) in enumerate(aligned(before, rows.phase)):
         mine = c == phases.owners
         assert was == now or rows[c].since == 0.0
         if not pushing[c]:
@@ -357,7 +357,7 @@ def run_story(seed):
         judge = ticked and not held
         changed, goal = phases.begin(wanted, judge=judge)
         now = phases.contacts.phase
-        happened |= set(zip(before[pushing].tolist(), now[pushing].tolist(), strict=True))
+        happened |= set(aligned(before[pushing].tolist(), now[pushing].tolist()))
         happened |= {"collision"} if phases.columns.collision.any() else set()
         assert changed == ((now != OPEN) != (was_here != 0)).any() and np.isfinite(goal).all()
         if judge:
@@ -408,13 +408,13 @@ def test_one_magnitude_is_judged_by_its_rules(seed):
     states = [(bool(closed), 0.0, 0.0, 0.0, 0.0, False) for closed in rows.closed]
     names = "closed", "low_for", "high_for", "burst", "armed_for", "collision"
     _, alphas, speeds = random_ticks(rng, 4, 150)
-    for alpha, speed in zip(alphas, speeds, strict=True):
+    for alpha, speed in aligned(alphas, speeds):
         more = np.where(rng.random(4) < 0.3, rng.uniform(0, 5, 4), 0.0)
-        given = zip(states, alpha, speed, more, strict=True)
+        given = aligned(states, alpha, speed, more)
         states = [watched(one, a, v, DT, limits, extra) for one, a, v, extra in given]
         for j in range(4):
             law.monitor(phases.chain, rows[j], alpha[j], speed[j], DT, limits.dwell, more[j])
-        for row, state in zip(rows, states, strict=True):
+        for row, state in aligned(rows, states):
             assert tuple(row[name] for name in names) == state
 
 

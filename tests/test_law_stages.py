@@ -14,7 +14,7 @@ from law_calls import command_filter as command
 from numpy.linalg import cholesky, inv, norm, qr, solve
 from numpy.testing import assert_array_equal
 from rigs import UNLIMITED, assert_near, posed, random_faces, scara_pair
-from samples import parametrize
+from samples import aligned, parametrize
 from test_law import inputs, motion_of
 from test_law_parts import SEEDS, rng_of
 
@@ -72,10 +72,10 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     t.model.columns.contact = [1, 0, 2, 3]
     t.work.chosen[:3] = [2, 0, 1]
     write(t.work, rank=2, count=3 if dependent else 2, kept=[0, 2], **dict.fromkeys(names, 7.0))
-    write(t.memory.contacts, **dict(zip(names, laws, strict=True)))
+    write(t.memory.contacts, **dict(aligned(names, laws)))
     reading.contact_laws(t)
     want = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]] if dependent else laws[:, [1, 2]]
-    for name, row in zip(names, want, strict=True):
+    for name, row in aligned(names, want):
         assert_array_equal(getattr(t.work, name)[:3], [*row, 7.0])
 
 
@@ -150,7 +150,7 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     allocation._retreat_from_lost(t, Record(first=lo, end=lo + n), own)
     back = h + M @ (3.0 * (posture - q) - 7.0 * v)[lo:]
     want = rest.copy()
-    for mode, share in zip(modes, own.share, strict=True):
+    for mode, share in aligned(modes, own.share):
         want += mode @ (back - tau if gone else (1.0 - share) * back) * (M @ mode)
     assert_near(joints.rest, want, 1e-9, 1e-9)
 

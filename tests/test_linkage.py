@@ -11,7 +11,7 @@ from law_calls import allocation, records, write
 from numpy.linalg import cholesky, pinv, qr, solve, svd
 from numpy.random import default_rng
 from rigs import assert_close, assert_near, held_tick, largest, rig_of, unit
-from samples import module_fixture, parametrize
+from samples import aligned, module_fixture, parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
@@ -48,12 +48,8 @@ def settable_bars(state, chain):
     with np.errstate(invalid="ignore"):
         E = np.nan_to_num(bars_of(state.grasp_points))  # no bar between grasps in one place
     share = np.split(pinv(E, rcond=tolerance), len(chain.arms), axis=1)
-    levers = np.hstack(
-        [own @ arm.J_bar[:, :3].T for own, arm in zip(share, state.arms, strict=True)]
-    )
-    carried = np.hstack(
-        [own @ arm.C[:3] / root for own, arm in zip(share, state.arms, strict=True)]
-    )
+    levers = np.hstack([own @ arm.J_bar[:, :3].T for own, arm in aligned(share, state.arms)])
+    carried = np.hstack([own @ arm.C[:3] / root for own, arm in aligned(share, state.arms)])
     basis = spans(E.T, tolerance)[0]
     basis = basis @ spans(carried.T @ basis, tolerance, 1.0)[1]
     known = np.isfinite(chain.tau_max)

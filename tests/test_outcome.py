@@ -6,7 +6,7 @@ import numpy as np
 from command_line import call, read_json
 from complaints import invalid_input, refusals
 from pytest import approx
-from samples import parametrize
+from samples import aligned, parametrize
 from scenario_runs import run_of
 from test_law_phases import watched
 
@@ -278,10 +278,10 @@ def test_a_series_is_watched_as_tick_by_tick(seed):
     speed = 0.02 * rng.standard_normal(alpha.shape)
     closed, collision = watch_series(ContactMonitor(2, DT), alpha, speed)
     states = [(False, 0.0, 0.0, 0.0, 0.0, False)] * 2
-    for k, now in enumerate(zip(alpha, speed, strict=True)):
+    for k, now in enumerate(aligned(alpha, speed)):
         states = [
             watched(state, *given, DT, MonitorLimits(), 0.0)
-            for state, *given in zip(states, *now, strict=True)
+            for state, *given in aligned(states, *now)
         ]
-        assert [(row[0], row[-1]) for row in states] == [*zip(closed[k], collision[k], strict=True)]
+        assert [(row[0], row[-1]) for row in states] == [*aligned(closed[k], collision[k])]
     assert collision.any() and not closed.all() and closed.any()

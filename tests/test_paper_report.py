@@ -14,7 +14,7 @@ from matplotlib.image import imread
 from PIL import Image
 from rich.table import Table
 from rigs import assert_near
-from samples import ROOT, module_fixture, names_in, parametrize
+from samples import ROOT, aligned, module_fixture, names_in, parametrize
 from scene_samples import read_commands
 
 import osc_contact as osc
@@ -250,10 +250,7 @@ def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
     for point in seen:
         assert (low < point[:2]).all() and (point[:2] < high).all()
         assert point[2] < fig3.EYE[2]
-    turned = [
-        X.rotation.T @ b.placement.rotation
-        for X, b in zip(cell.faces, cell.rig.bodies, strict=True)
-    ]
+    turned = [X.rotation.T @ b.placement.rotation for X, b in aligned(cell.faces, cell.rig.bodies)]
     angles = [np.linalg.norm(pin.log3(R)) for R in turned]
     assert_near(angles, np.deg2rad(5.0), 1e-3)
 

@@ -17,7 +17,7 @@ from rigs import (
     refused,
     sliding,
 )
-from samples import chosen, first, parametrize
+from samples import aligned, chosen, first, parametrize
 from scenario_runs import always_closed, verdict_of
 from test_law import inputs, motion_of, off_their_faces
 
@@ -126,7 +126,7 @@ def explained(f_meas, state, contact, environment, friction_wrenches, A_D, wante
     pushed = N + friction_wrenches
     H = pushed + out @ pull @ N.T @ environment.Phi_e @ pushed
     tangents = []
-    for (p, n, s), force in zip(where, wanted, strict=True):
+    for (p, n, s), force in aligned(where, wanted):
         basis = svd(n[None])[2][1:].T
         C = ACROSS**2 * np.eye(2) + (ALONG**2 - ACROSS**2) * np.outer(basis.T @ s, basis.T @ s)
         wrench = np.vstack((np.eye(3), pin.skew(p))) @ basis @ cholesky(C)

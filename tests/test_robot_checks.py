@@ -10,7 +10,7 @@ from complaints import model_error
 from processes import python
 from pytest import approx, raises
 from rigs import assert_near
-from samples import ROOT, first, parametrize
+from samples import ROOT, aligned, first, parametrize
 from second_reader import urdf_difference
 from urdf_corpus import CORPUS, GOOD, SOUND
 
@@ -60,7 +60,7 @@ def test_every_check_has_a_row_on_the_page_on_robots():
 def chain(joints, masses, length=1.0, mass=1.0):
     """Joints (kind, axis, origin in m) one behind the other, with boxes of the given masses."""
     text = '<robot name="toy"><link name="l0"/>'
-    for i, ((kind, axis, origin), m) in enumerate(zip(joints, masses, strict=True), 1):
+    for i, ((kind, axis, origin), m) in enumerate(aligned(joints, masses), 1):
         x, y, z = (float(part) * length for part in origin.split())
         I = 0.1 * m * mass * length**2
         body = (

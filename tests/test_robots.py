@@ -7,7 +7,7 @@ import pinocchio as pin
 from complaints import invalid_input, model_error
 from pytest import approx, raises
 from rigs import assert_near, placed
-from samples import ROOT, parametrize
+from samples import ROOT, aligned, parametrize
 from second_reader import urdf_difference
 
 import osc_contact as osc
@@ -49,10 +49,10 @@ def test_scara_has_the_announced_joints_and_limits(name):
 
 def test_right_arm_is_the_mirror_image_of_the_left():
     left, right = (robots.load_model(robots.urdf_path(name)) for name in ARMS)
-    for one, other in zip(left.inertias, right.inertias, strict=True):
+    for one, other in aligned(left.inertias, right.inertias):
         assert_near(other.lever, MIRROR @ one.lever, 1e-9)
         assert_near(other.inertia, MIRROR @ one.inertia @ MIRROR, 1e-9)
-    for a, b in zip(left.jointPlacements, right.jointPlacements, strict=True):
+    for a, b in aligned(left.jointPlacements, right.jointPlacements):
         assert a.isApprox(b, 1e-14)
 
 
@@ -402,7 +402,7 @@ def test_continuous_joint_is_a_revolute_joint_without_end_stops(name, seed):
     v, a = rng.standard_normal((2, ours.nv))
     endless = [joint.nq == 2 for joint in list(theirs.joints)[1:]]
     x = []
-    for angle, turns in zip(q, endless, strict=True):
+    for angle, turns in aligned(q, endless):
         x += [np.cos(angle), np.sin(angle)] if turns else [angle]
     for limit in (ours.lowerPositionLimit, ours.upperPositionLimit):
         assert np.isinf(limit).tolist() == endless

@@ -5,7 +5,7 @@ from command_line import done, read_json, refused
 from complaints import invalid_input
 from pytest import MonkeyPatch, approx, mark
 from rigs import assert_near
-from samples import module_fixture, names_in
+from samples import aligned, module_fixture, names_in
 from scenario_runs import rig_of, verdict_of
 
 import osc_contact as osc
@@ -127,7 +127,7 @@ def test_failed_runs_count_as_the_largest_errors():
     failed = np.arange(50) < 3
     rows = [
         {"ours.failed": bool(f), "ours.force": None if f else x, "ours.motion": 0.0}
-        for x, f in zip(values, failed, strict=True)
+        for x, f in aligned(values, failed)
     ]
     known = study.quantiles(rows, "ours")
     assert known["success_rate"] == approx(0.94)

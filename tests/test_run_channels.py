@@ -8,7 +8,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pair_kinds import KINDS, PLAIN, STILL, pose_of
 from rigs import assert_near, unloaded
-from samples import parametrize
+from samples import aligned, parametrize
 from scenario_runs import rig_of
 from test_moving_face import TURNING
 
@@ -43,7 +43,7 @@ def run_plainly(rig):
     ticks = []
     samples = []
     times = np.arange(round(rig.scenario.duration / period)) * period
-    for t, wanted in zip(times, rig.references.over(times), strict=True):
+    for t, wanted in aligned(times, rig.references.over(times)):
         read = plant.measure()
         truth = judged(plant)
         tau = controller.tick(read, wanted)
@@ -156,7 +156,7 @@ def lines(rig, truth):
     O = X.translation
     N = []
     found = {"contact_point": [], "contact_direction": [], "face_pose": []}
-    for pair, on, E in zip(rig.pairs, rig.on, truth["E"], strict=True):
+    for pair, on, E in aligned(rig.pairs, rig.on, truth["E"]):
         columns = pair.contact(X, STILL, E).N
         columns = columns / norm(columns[:3], axis=0)
         surface = E.act(getattr(pair, ON_SURFACE[type(pair)])) - O
@@ -179,10 +179,10 @@ def free_part(chain, q, X_WO, N, x):
     J = L.T @ columns_at(chain.data.J, X_WO.translation)
     slips = [
         L.T @ grasp.motions_at(X_WT, X_WO.translation)
-        for grasp, X_WT in zip(chain.grasps, chain.tip_poses(), strict=True)
+        for grasp, X_WT in aligned(chain.grasps, chain.tip_poses())
     ]
     locked = np.hstack(
-        [outside(np.hstack((J[:, arm], T))) for arm, T in zip(chain.slices, slips, strict=True)]
+        [outside(np.hstack((J[:, arm], T))) for arm, T in aligned(chain.slices, slips)]
     )
     # arms whose loops are open lock one direction, as for the law
     S = outside(locked, chain.angle_tolerance) if locked.shape[1] else np.eye(6)
@@ -279,7 +279,7 @@ def test_lines_of_force_over_time_are_those_of_the_pair(name):
     touching = [pose(0.5 * rng.standard_normal(6 - r)) for _ in range(5)]
     faces = [pose_of(rng) for _ in range(5)]
     for E in ([WORLD] * 5, faces, faces[:1] * 5):
-        X = [X_WE * X_EA for X_WE, X_EA in zip(E, touching, strict=True)]
+        X = [X_WE * X_EA for X_WE, X_EA in aligned(E, touching)]
         moving = None if E[0] is WORLD else stacked(E[:1] if E[1] is E[0] else E)
         found = normals_over(pair, stacked(X), moving)
         assert found.shape == (6, r, 5)

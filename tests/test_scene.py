@@ -6,7 +6,7 @@ from complaints import invalid_input
 from html_pages import Page
 from pytest import approx, raises
 from rigs import assert_near, largest
-from samples import module_fixture, names_in, parametrize
+from samples import aligned, module_fixture, names_in, parametrize
 from scene_samples import (
     ARMS,
     BODIES,
@@ -177,7 +177,7 @@ def test_plots_hold_the_recorded_numbers(shown):
     assert [panel["title"] for panel in page["panels"]] == ["contact force", "power"]
     lines = [line for panel in page["panels"] for line in panel["lines"]]
     assert np.allclose(page["curves"]["t"], RECORDING["t"])
-    for line, values in zip(lines, page["curves"]["y"], strict=True):
+    for line, values in aligned(lines, page["curves"]["y"]):
         channel = RECORDING[line["key"]]
         expected = channel if line["index"] < 0 else channel[:, line["index"]]
         assert np.allclose(values, expected, rtol=1e-3, atol=1e-6)

@@ -11,7 +11,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
 from rigs import PANDA_Q, assert_near, largest, one_panda, placed, shift
-from samples import first, parametrize
+from samples import aligned, first, parametrize
 from scenario_runs import closed_force, rig_of, verdict_of
 from test_moving_face import TURNING
 
@@ -96,7 +96,7 @@ def test_noise_and_bias_have_the_size_given():
     X = np.array([m.touched.X_WE[0] for m in out])
     away = X[:, :3, 3] - np.outer(0.02 * t, [1, 0, 0])
     back = np.outer(-0.1 * t, [0, 0, 1])
-    turn = [pin.log3(R @ pin.exp3(w)) for R, w in zip(X[:, :3, :3], back, strict=True)]
+    turn = [pin.log3(R @ pin.exp3(w)) for R, w in aligned(X[:, :3, :3], back)]
     assert_near(away.std(axis=0), 1e-3, rtol=0.06)
     assert_near(np.std(turn, axis=0), 5e-3, rtol=0.06)
 
@@ -130,7 +130,7 @@ def test_encoders_give_no_velocity_and_vision_no_twist():
 def test_one_seed_one_run_and_a_reset_begins_it_again():
     sensors = Sensors(encoders=(Clock(1e3, 0, 0.1), SensorErrors(1e-3, 1e-2)))
     first, again, other = (readings(sensors, 50, seed) for seed in (1, 1, 2))
-    for a, b in zip(first, again, strict=True):
+    for a, b in aligned(first, again):
         assert_array_equal(a.q, b.q)
     assert largest(first[-1].q - other[-1].q) > 1e-3
     plant = SensedPlant(Toy(), sensors, 1)
@@ -429,7 +429,7 @@ def test_vision_tracks_rod_and_arms_where_they_are():
     sensed = rig_of("moving_face", "plant.type=rigid", VISION).plant(5)
     seen = sensed.measure().seen
     truth = sensed.truth()
-    for X, Y in zip((seen.object, *seen.tips), sensed.plant.poses(), strict=True):
+    for X, Y in aligned((seen.object, *seen.tips), sensed.plant.poses()):
         assert 1e-4 < largest(X[:3, 3] - Y[:3, 3]) < 1.5e-2
         assert np.linalg.norm(pin.log3(X[:3, :3] @ Y[:3, :3].T)) < 0.04
     assert_near(sensed.plant.poses()[0], truth.X_WO.homogeneous, 1e-12)

@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from pydantic import TypeAdapter, ValidationError
 from pytest import approx, raises
 from rigs import assert_near, largest
-from samples import parametrize
+from samples import aligned, parametrize
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.quantities import (
@@ -104,7 +104,7 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
         x, x_dot, x_ddot = signal.at(t)
         assert largest(x_dot) <= v * (1 + 1e-9) and largest(x_ddot) <= a * (1 + 1e-9)
         assert largest(np.diff(x_ddot) / np.diff(t)) <= j * (1 + 1e-6)
-        for reached, when in zip(way, 0.3 + np.cumsum(least), strict=True):
+        for reached, when in aligned(way, 0.3 + np.cumsum(least)):
             x, x_dot, x_ddot = signal.at(when)
             assert x == approx(reached, abs=1e-8 * size)
             assert abs(x_dot) <= 1e-6 * v and abs(x_ddot) <= 1e-3 * a + j * 1e-6 * sum(least)

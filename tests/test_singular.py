@@ -5,7 +5,7 @@ import pinocchio as pin
 from numpy.linalg import norm, solve
 from pytest import approx
 from rigs import SCARA_Q, assert_near, largest, object_poses, one_panda, scara_pair, unloaded
-from samples import first, parametrize
+from samples import aligned, first, parametrize
 from scipy.optimize import brentq
 
 import osc_contact as osc
@@ -54,7 +54,7 @@ def assert_faded(chain, q, v, posture, controller):
     L = np.linalg.cholesky(weight @ S)
     rows = [*L.T]
     right = [0.0] * state.d
-    for lost, one in zip(state.singular_directions, reported, strict=True):
+    for lost, one in aligned(state.singular_directions, reported):
         arm = state.arms[lost.arm]
         part = chain.slices[lost.arm]
         assert one.arm == chain.arms[lost.arm].name

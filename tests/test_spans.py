@@ -7,7 +7,7 @@ from complaints import contact_error
 from numpy.random import default_rng
 from pytest import fixture, mark
 from rigs import assert_near, largest
-from samples import parametrize
+from samples import aligned, parametrize
 from scenario_runs import rig_of
 from test_projections import SIZE, close, mixing
 
@@ -158,5 +158,5 @@ def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
         for N, n_g in ((good @ C, n_gamma @ C), (good, n_gamma)):
             answer = osc.contact_response(state, osc.Contact(N, n_g), environment, f_S=f_S)
             found.append([answer.f_c, answer.acceleration])
-        for one, other in zip(*found, strict=True):
+        for one, other in aligned(*found):
             assert_near(one, other, 1e-10 * largest(other), 0.0)

@@ -6,7 +6,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from rigs import assert_near, data_at, refused, shift, unit
-from samples import parametrize
+from samples import aligned, parametrize
 
 from osc_contact.errors import OscContactError
 from osc_contact.spatial import (
@@ -35,7 +35,7 @@ def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
     motions = carry_twist(V, start, end)
     forces = carry_wrench(F, start, end)
     assert [found.shape[1] for found in (products, motions, forces)] == 3 * [columns]
-    for k, (v, u, f) in enumerate(zip(V.T, U.T, F.T, strict=True)):
+    for k, (v, u, f) in enumerate(aligned(V.T, U.T, F.T)):
         twist = pin.Motion(v)
         W = skew(v[3:])
         for got, want in (

@@ -18,7 +18,7 @@ from processes import COMMAND, alive, wait_until
 from pyarrow import parquet
 from pytest import approx, mark, param, raises
 from rigs import assert_near
-from samples import parametrize
+from samples import aligned, parametrize
 from scenario_runs import assert_same_run, rig_of, run_of
 from scipy import stats
 from scipy.stats import qmc
@@ -194,7 +194,7 @@ def test_a_key_with_two_numbers_is_exchanged_as_one():
     A, B, *exchanged = (study.sample(5 + i).shown for i in range(5))
     tilt = [name for name in A if "normal" in name]
     assert len(tilt) == 2 and all(A[name] != B[name] for name in A)
-    for names, one in zip(([next(iter(A))], tilt, ["squeeze"]), exchanged, strict=True):
+    for names, one in aligned(([next(iter(A))], tilt, ["squeeze"]), exchanged):
         assert one == A | {name: B[name] for name in names}
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from command_line import answered
 from pytest import approx, raises
-from samples import parametrize
+from samples import aligned, parametrize
 from scenario_runs import verdict_of, worst_force
 
 import osc_contact as osc
@@ -59,7 +59,7 @@ def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatc
     )
     force = [
         [max(r["force.left_end.rms_error_rel"], r["force.right_end.rms_error_rel"]) for r in rows]
-        for rows in zip(seen[::2], seen[1::2], strict=True)
+        for rows in aligned(seen[::2], seen[1::2])
     ]
     assert len(force) == 4 and all(len(one) == 2 for one in force)
     assert found.shipped == approx(np.mean(force[0]))

@@ -14,7 +14,7 @@ from numpy.testing import assert_array_equal
 from processes import completed
 from pytest import mark
 from rigs import assert_near, largest, panda_arm, refused, rig_of, ticked
-from samples import first, module_fixture, parametrize
+from samples import aligned, first, module_fixture, parametrize
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
@@ -297,7 +297,7 @@ def test_crafted_files_with_a_right_checksum_do_not_reach_beyond_their_bytes(
     kinds = [records.MODEL, records.MEMORY, records.WORK, records.INPUT, PROGRAM]
     words = [records.JOB.dtype.fields[one][1] for one in ("model", "memory", "work", "input")]
     words += [starts[0] + fields[one][1] for one in MODEL_SIZES]
-    for at, kind in zip([*starts, size], kinds, strict=True):
+    for at, kind in aligned([*starts, size], kinds):
         words += range(at, at + 8 * (len(kind.tables) + len(kind.counts)), 8)
     crafted = []
     for at in words:
