@@ -14,7 +14,7 @@ import osc_contact as osc
 from osc_contact import robots
 
 BODY = pin.Inertia(2.5, np.array([0.02, -0.03, 0.01]), np.diag([0.02, 0.05, 0.045]))
-KINDS = ("rigid", "hinge", "ball", "slide", "cylinder")
+KINDS = "rigid", "hinge", "ball", "slide", "cylinder"
 
 
 @cache

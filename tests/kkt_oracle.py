@@ -145,7 +145,7 @@ def linkage(rng, at):
         X = random_placement(rng, at if k == 0 else np.zeros(3))
         model.addJoint(k, pin.JointModelRevoluteUnaligned(direction(rng)), X, f"hinge{k}")
         model.appendBodyToJoint(k + 1, random_inertia(rng), pin.SE3.Identity())
-    for k, name in ((1, "upper"), (2, "touched")):
+    for k, name in (1, "upper"), (2, "touched"):
         X = random_placement(rng, np.zeros(3))
         model.addFrame(pin.Frame(name, k, 0, X, pin.FrameType.OP_FRAME))
     q, v, tau = rng.standard_normal((3, 2))
@@ -176,8 +176,7 @@ def hinged(rng, at):
     model, c, q, v = on_joints(rng, at, pin.JointModelRevoluteUnaligned(a), inertia=balanced)
     k, d, preload = rng.uniform(0, 5, 3)
     through = c + rng.normal() * a
-    inertia = a @ body.inertia @ a
-    rail = Rail(np.zeros(3), 2.0 * a, through, None, inertia, k, d, preload)
+    rail = Rail(np.zeros(3), 2.0 * a, through, None, a @ body.inertia @ a, k, d, preload)
     return Body(model, q, v, preload - k * q - d * v, Guided(rail))
 
 

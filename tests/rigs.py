@@ -184,7 +184,7 @@ def random_state(chain, rng):
     while True:
         shift = rng.uniform(-1, 1, 3)
         if chain.nq == 10:
-            rpy = (0.0, *rng.uniform(-0.5, 0.5, 2))
+            rpy = 0.0, *rng.uniform(-0.5, 0.5, 2)
             X = placed(0.1 * shift[0], 0.1 * shift[1], 0.2 + 0.03 * shift[2], rpy)
             guess = SCARA_Q
         else:

@@ -87,7 +87,7 @@ def links(q):
     """Placements of the arm's links in the world, by Pinocchio alone."""
     model = pin.buildModelFromUrdf(str(URDF / "scara_left.urdf"))
     data = data_at(model, q)
-    joints = ("joint1", "joint2", "joint3", "hinge")
+    joints = "joint1", "joint2", "joint3", "hinge"
     return {name: BASE * data.oMi[model.getJointId(name)] for name in joints}
 
 

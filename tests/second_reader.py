@@ -27,8 +27,7 @@ def largest_difference(model, theirs):
         placements = theirs(joints)
         data = data_at(model, np.array(list(joints.values())))
         for name, X in placements.items():
-            ours = data.oMf[robots.frame_id(model, name)].homogeneous
-            worst.append(np.abs(ours - X).max())
+            worst.append(np.abs(data.oMf[robots.frame_id(model, name)].homogeneous - X).max())
     return max(worst)
 
 

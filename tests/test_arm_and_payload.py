@@ -44,7 +44,7 @@ def test_locked_joints_stay_where_they_are_held():
         q = pin.neutral(whole)
         q[[whole.joints[joint].idx_q for joint in joints]] = list(held.values())
         found = []
-        for model in (arm.model, pin.buildReducedModel(whole, joints, q)):
+        for model in arm.model, pin.buildReducedModel(whole, joints, q):
             q, v = motion(model, 0)
             tau = pin.rnea(model, model.createData(), q, v, v)
             X = data_at(model, q).oMf[model.getFrameId(tip)].homogeneous
@@ -142,7 +142,7 @@ def test_impossible_objects_are_refused(mass, principal, message):
 def test_flat_and_thin_objects_are_possible_and_keep_their_shape_when_scaled(principal):
     held = osc.RigidObject(pin.Inertia(2.0, np.ones(3), np.diag(principal)))
     assert_close(held.scaled(0.5).inertia.matrix(), 0.5 * held.inertia.matrix(), 1e-13)
-    for factor in (0.0, -1.0, np.nan, np.inf):
+    for factor in 0.0, -1.0, np.nan, np.inf:
         with model_error(f"factor {factor}"):
             held.scaled(factor)
 

@@ -134,8 +134,7 @@ def test_laws_are_what_was_published(key, published):
         there = solve(back, a), back.T @ contact.N @ alpha
         F = solve(back.T, published(frame, back.T @ Lambda @ back, *there))
         want = state.S.T @ (F + bias)
-        got = f_S(law, state, a, contact.N @ alpha)
-        assert_near(got, want, 1e-9 * largest(want))
+        assert_near(f_S(law, state, a, contact.N @ alpha), want, 1e-9 * largest(want))
 
 
 def representable(rng):
@@ -216,7 +215,7 @@ def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
     tau = installed.tick(*given)
     assert installed.status is osc.Status.OK, installed.reason
     after = installed.signals
-    for name in ("f_meas", "f_c_meas", "alpha_meas", "alpha_u", "a_u"):
+    for name in "f_meas", "f_c_meas", "alpha_meas", "alpha_u", "a_u":
         assert_array_equal(getattr(after, name), getattr(plain.signals, name), name)
     assert_near(after.eta_c, law.eta(after.state, after.a_u), 1e-9)
     want = f_S(law, after.state, after.a_u, after.contact.N @ after.alpha_u)
@@ -245,8 +244,7 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
     """At 200 Hz, for a short task: everything the command makes, and what the numbers say."""
     line = "reproduce baselines --duration 1.05 --set 'control.rate=200 Hz'"
     result, again = answered(line, "--out", tmp_path)
-    names = {f"baselines.{kind}" for kind in ("json", "png", "svg", "pdf")}
-    assert names_in(tmp_path) == names
+    assert names_in(tmp_path) == {f"baselines.{kind}" for kind in ("json", "png", "svg", "pdf")}
     assert (tmp_path / "baselines.pdf").read_bytes().startswith(b"%PDF")
     found = read_json(tmp_path / "baselines.json")
     assert found == again["studies"]["baselines"]
@@ -255,12 +253,12 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
     assert max(laws["ours"]["measured"].values()) <= 1e-9
     for plant in PLANTS:
         assert {law[plant]["task"]["status"]["held"] for law in laws.values()} == {0}
-        for key in ("force_to_motion_m", "motion_to_force_N"):
+        for key in "force_to_motion_m", "motion_to_force_N":
             ours, *others = (max(law[plant][key]) for law in laws.values())
             assert min(others) > 10 * ours
     most = {name: max(law["mujoco"]["force_to_motion_m"]) for name, law in laws.items()}
     ratio = min(most["khatib"], most["isaac_lab"]) / most["ours"]
-    for words in ("Khatib, Newton, SAI", "Isaac Lab", f"{ratio:.3g}"):
+    for words in "Khatib, Newton, SAI", "Isaac Lab", f"{ratio:.3g}":
         assert words in result.stdout
 
 

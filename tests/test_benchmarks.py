@@ -47,7 +47,7 @@ def test_benchmark_refuses_bad_input(line, words, tmp_path):
 
 
 def judge_peers(result):
-    for name in ("two_contact_rod", "one_panda"):
+    for name in "two_contact_rod", "one_panda":
         rows = {row["peer"]: row for row in result[name]}
         assert len(rows) == 5
         for row in rows.values():
@@ -59,7 +59,7 @@ def judge_scaling(result):
     sizes = [(row["kind"], row["arms"]) for row in result["arms"]]
     assert sizes == [(k, n) for k in (*KINDS, "mixed") for n in range(1, 9)]
     assert [row["r"] for row in result["ranks"]] == list(range(7))
-    for row in (*result["arms"], *result["ranks"], *result["contacts"]):
+    for row in *result["arms"], *result["ranks"], *result["contacts"]:
         assert row["tick / arm (µs)"] == approx(row["tick p50 (µs)"] / row["arms"])
 
 
@@ -76,7 +76,7 @@ def judge_tick(result):
         assert (row["law p50 (µs)"] is not None) == (name in CASES)
 
 
-PROGRAMS = (judge_peers, judge_tick, judge_scaling, judge_vector_env)
+PROGRAMS = judge_peers, judge_tick, judge_scaling, judge_vector_env
 
 
 @parametrize("judge", first(PROGRAMS, 1))

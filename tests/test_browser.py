@@ -74,7 +74,7 @@ def test_the_page_is_not_blank_and_has_the_named_colours(browser):
     scene = picture[:600]
     dock = picture[640:]
     assert scene.std() > 20 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 300
-    for colour in (BLUE, VERMILLION, T_COLOUR):
+    for colour in BLUE, VERMILLION, T_COLOUR:
         assert near(scene, colour) > 200, colour
     assert near(dock, BLUE) > 100 and near(dock, VERMILLION) > 100, "curves"
     assert browser.run("document.querySelectorAll('#legend input').length") == 6
@@ -82,7 +82,7 @@ def test_the_page_is_not_blank_and_has_the_named_colours(browser):
 
 def test_the_slider_moves_arms_arrows_marker_and_clock(browser):
     seen = {}
-    for time, tick in ((0.2, 20), (0.9, 90)):
+    for time, tick in (0.2, 20), (0.9, 90):
         picture = slide(browser, time)
         assert np.allclose(place_in(browser, "arms/left/hinge"), hinge(tick), atol=2e-3)
         assert abs(marker(picture, 700) - (58 + time * (1280 - 58 - 18))) < 3
@@ -139,7 +139,7 @@ def test_check_boxes_show_and_hide(browser):
 
 
 def test_labels_and_legend_do_not_cover_each_other(browser):
-    for time in (0.0, 0.3, 0.5, 0.8, 1.0):
+    for time in 0.0, 0.3, 0.5, 0.8, 1.0:
         slide(browser, time)
         boxes = browser.run(
             LABELS + ".map(d => { const r = d.getBoundingClientRect();"
@@ -158,7 +158,7 @@ def test_play_continues_and_a_click_in_a_plot_stops_there(browser):
     assert browser.run("player.playing")
     x = 58 + 0.5 * (1280 - 58 - 18)
     click = {"x": x, "y": 720, "button": "left", "buttons": 1, "clickCount": 1}
-    for kind in ("mousePressed", "mouseReleased"):
+    for kind in "mousePressed", "mouseReleased":
         browser.request("Input.dispatchMouseEvent", type=kind, **click)
     browser.until("!player.playing")
     assert browser.run("player.time") == approx(0.5, abs=0.01)
@@ -193,7 +193,7 @@ def test_without_webgl_there_is_a_still_picture_and_a_sentence(page, monkeypatch
 # Moving pictures: frames of a page at given times, and the page's cameras
 
 
-SIZE = (320, 300)
+SIZE = 320, 300
 
 
 @module_fixture

@@ -239,7 +239,7 @@ def test_a_state_is_a_value():
     kept = deepcopy(one)
     chain.state(*random_state(chain, rng))
     again = chain.state(SCARA_Q)
-    for name in ("M", "Phi"):
+    for name in "M", "Phi":
         assert_array_equal(getattr(one, name), getattr(kept, name))
         assert_array_equal(getattr(one, name), getattr(again, name))
 
@@ -251,7 +251,7 @@ def test_calibration_errors_do_not_cost_a_motion():
     turned = replace(right, base=right.base * placed(rpy=(1e-4, -1e-4, 0.0)))
     q, v = random_state(pair, default_rng(8))
     V_O = pair.state(q, v).V_O
-    for tolerance, d in ((pair.angle_tolerance, 5), (1e-6, 4)):
+    for tolerance, d in (pair.angle_tolerance, 5), (1e-6, 4):
         parts = [left, turned], pair.grasps, pair.payload
         s = osc.ClosedChain(*parts, angle_tolerance=tolerance).state(q, v)
         assert s.d == d

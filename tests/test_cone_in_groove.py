@@ -140,7 +140,7 @@ def test_a_run_that_cannot_be_judged_is_refused(words):
 
 def test_reproduce_fig2_writes_pictures_and_numbers(tmp_path):
     result = done("reproduce fig2 --duration 0.52 --out", tmp_path)
-    pictures = ("fig2", "fig2_forces", "fig2_motion")
+    pictures = "fig2", "fig2_forces", "fig2_motion"
     names = {f"{n}.{s}" for n in pictures for s in ("png", "svg", "pdf")} | {"fig2.json"}
     assert names_in(tmp_path) == names
     found = read_json(tmp_path / "fig2.json")

@@ -188,7 +188,7 @@ def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
     ticks = 400
     closed = np.ones((ticks, 1), dtype=bool)
     speed = np.zeros(ticks)
-    for lost, made, met in ((50, 70, 0.05), (120, 125, 0.05), (200, 230, 0.002), (300, 330, 0.02)):
+    for lost, made, met in (50, 70, 0.05), (120, 125, 0.05), (200, 230, 0.002), (300, 330, 0.02):
         closed[lost:made] = False
         speed[made - 2 : made] = met
     flags = np.zeros((ticks, 1), dtype=bool)
@@ -216,7 +216,7 @@ def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
 
 
 def test_a_landing_is_soft_and_torques_do_not_jump():
-    start = ("tare.standoff=4.5 mm", "object.pose.rpy.1=8 mrad")
+    start = "tare.standoff=4.5 mm", "object.pose.rpy.1=8 mrad"
     recording = run_of("approach_and_slide", *start, seed=3)
     command = recording["alpha_cmd"]
     made = max(osc.metrics(recording)["first_contact_s"].values())

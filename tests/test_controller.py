@@ -175,7 +175,7 @@ def test_other_gains_continue_without_a_jump(rig, ready):
     assert largest(controller.motion_integral) > 1e-5
     alike = copy.copy(controller)
     tau = alike.tick(measurement, still)
-    for integral in (3000.0, 0.0):
+    for integral in 3000.0, 0.0:
         changed = osc.Gains(osc.MotionGains(400, 40, integral), GAINS.force)
         other = controller.with_gains(changed)
         assert other.gains is changed and controller.gains is GAINS
@@ -266,11 +266,11 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
     _, *good = ready
     measurement, reference = good
     calls = [(None, reference), (measurement, None), ("a", 3)]
-    for name in ("q", "v", "wrenches", "touched"):
+    for name in "q", "v", "wrenches", "touched":
         given = getattr(measurement, name)
         bad = BAD[kind](np.zeros(3) if given is None else given)
         calls.append((replace(measurement, **{name: bad}), reference))
-    for name in ("V_D", "A_D", "alpha_d", "squeeze_d", "X_WD"):
+    for name in "V_D", "A_D", "alpha_d", "squeeze_d", "X_WD":
         given = getattr(reference, name)
         bad = BAD[kind](given.homogeneous if name == "X_WD" else given)
         calls.append((measurement, replace(reference, **{name: bad})))

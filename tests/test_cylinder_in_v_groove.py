@@ -72,7 +72,7 @@ def test_four_forces_are_held_while_the_cylinder_slides_and_rolls():
         ],
     )
     found = verdict_of(scenario, duration=1.2)
-    for k in (1, 2, 3, 4):
+    for k in 1, 2, 3, 4:
         assert found["force"][f"rod.{k}"]["rms_error_rel"] < 2e-3
     assert found["motion"]["rms_error_m"] < 2e-5 and found["motion"]["rms_error_rad"] < 2e-4
     assert found["contact_fraction"] == {"rod": 1.0}

@@ -28,7 +28,7 @@ BOX = [CollisionShape("box", coal.Box(*SIZE))]
 TABLE = [CollisionShape("table", coal.Box(1.0, 0.8, 0.1), shift([0, 0, -0.05]))]
 """Its top is z = 0."""
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3))) * SIZE
-DEPTHS = (0.0, 5e-4, -5e-4)
+DEPTHS = 0.0, 5e-4, -5e-4
 """Just touching, overlapping, a little apart (m); taken in turn."""
 UP = np.array([0.0, 0.0, 1.0])
 FLOOR = [CollisionShape("floor", coal.Box(9, 9, 1), shift(-0.5 * UP))]
@@ -193,8 +193,8 @@ def box_on_table(size, *tilt):
 
 def test_both_the_angle_and_the_margin_must_allow_a_face_or_an_edge():
     """1 mrad and 1 mm: small bodies differ by their angle, large ones by the height."""
-    small = (0.01, 0.01, 0.01)
-    plate = (1.6, 0.4, 0.02)
+    small = 0.01, 0.01, 0.01
+    plate = 1.6, 0.4, 0.02
     assert box_on_table(small, 5e-3, 5e-3).kind == "vertex on face"  # no corner above 0.1 mm
     assert box_on_table(small, 5e-3, 0.0).kind == "edge on face"
     assert box_on_table(plate, 0.0, 0.8e-3).kind == "edge on face"  # one side is 1.3 mm up
@@ -261,7 +261,7 @@ def test_where_the_distance_solver_fails_the_shapes_decide(monkeypatch):
 @parametrize("seed", range(2))
 def test_what_is_apart_does_not_touch(seed, gap):
     rng = default_rng(seed)
-    for tilt in (np.eye(3), rpyToMatrix(0.4, 0, 0), rpyToMatrix(0.4, 0.6, 0)):
+    for tilt in np.eye(3), rpyToMatrix(0.4, 0, 0), rpyToMatrix(0.4, 0.6, 0):
         X = standing(tilt, CORNERS, rng, lift=gap)
         assert detect(BOX, X, TABLE) == []
         assert len(detect(BOX, X, TABLE, margin=1.05 * gap)) == 1
@@ -341,9 +341,8 @@ def test_the_rod_finds_the_contacts_the_scenario_declares(rod):
 def test_a_rim_inside_a_ball_gives_way_to_the_ball(rod):
     """The rod nearly flat: its shaft's rim is closer to the table than the margin too."""
     shapes = rod[0]
-    for tilt in (0.01, 0.1, 0.3):
-        R = rpyToMatrix(0, tilt, 0)
-        X = pin.SE3(R, np.array([0, 0, 0.01 + 0.29 * np.sin(tilt)]))
+    for tilt in 0.01, 0.1, 0.3:
+        X = pin.SE3(rpyToMatrix(0, tilt, 0), np.array([0, 0, 0.01 + 0.29 * np.sin(tilt)]))
         shaft = [shape for shape in shapes if shape.name == "shaft"]
         assert only(detect(shaft, X, TABLE)).kind == "rim on face"
         found = only(detect(shapes, X, TABLE))
@@ -401,8 +400,7 @@ def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
         (0.1, 0.6, True, "cylinder on plane"),
     ):
         tilt = np.pi / 2 - 0.8e-3 if lies else 0.8e-3
-        low = np.array([[0, -radius, -length / 2]])
-        X = standing(rpyToMatrix(tilt, 0, 0), low, rng)
+        X = standing(rpyToMatrix(tilt, 0, 0), np.array([[0, -radius, -length / 2]]), rng)
         X.translation = X.translation * [0, 0, 1]
         big = [CollisionShape("big", coal.Cylinder(radius, length))]
         assert only(detect(big, X, FLOOR)).kind == kind
@@ -500,7 +498,7 @@ def test_a_convex_mesh_touches_like_the_box_it_is(tmp_path):
     mesh = collision_shapes(urdf(tmp_path, MESH.format("box.stl")))
     assert mesh[0].name == "a_0"
     assert mesh[0].solid.corners.shape == (8, 3)
-    for roll, pitch, r in ((0, 0, 3), (0.4, 0, 2), (0.4, 0.6, 1)):
+    for roll, pitch, r in (0, 0, 3), (0.4, 0, 2), (0.4, 0.6, 1):
         X = standing(rpyToMatrix(roll, pitch, 0), CORNERS, default_rng(r))
         as_mesh = only(detect(mesh, X, TABLE))
         as_box = only(detect(BOX, X, TABLE))
@@ -546,7 +544,7 @@ def test_files_that_are_no_body_are_refused(tmp_path, collision, joint, message)
 
 def test_bad_input_is_refused_at_the_door():
     X = pin.SE3.Identity()
-    for options in ({"margin": 0.0}, {"margin": np.nan}, {"angle": 0.0}, {"angle": 0.5}):
+    for options in {"margin": 0.0}, {"margin": np.nan}, {"angle": 0.0}, {"angle": 0.5}:
         with invalid_input(next(iter(options))):
             detect(BOX, X, TABLE, **options)
     with invalid_input("Ellipsoid"):

@@ -110,11 +110,10 @@ def energy_rows(controller, slope):
     N = controller.signals.contact.N
     r = N.shape[1]
     inertia = state.payload.Lambda
-    normal = N.T @ solve(inertia, N)
     rows = np.vstack(
         (
             cholesky(inertia).T @ slope[:6],
-            np.sqrt(FORCE) * cholesky(normal).T @ slope[6 : 6 + r],
+            np.sqrt(FORCE) * cholesky(N.T @ solve(inertia, N)).T @ slope[6 : 6 + r],
             np.sqrt(SQUEEZE / chain.payload.inertia.mass) * slope[6 + r :],
             np.sqrt(POSTURE) * idle_motions(state, chain) * chain.tau_max,
         )
@@ -187,7 +186,7 @@ def test_motors_without_limit():
     endless = osc.ClosedChain([replace(chain.arms[0], model=model)], chain.grasps, chain.payload)
     assert np.isinf(endless.tau_max).all()
     found = []
-    for one in (endless, with_motors(chain, np.full(7, 1e6))):
+    for one in endless, with_motors(chain, np.full(7, 1e6)):
         found.append(ticked(motors_only(one, pairs), measurement, reference))
     assert_near(found[0], found[1], 1e-9 * largest(found[1]))
 
@@ -245,7 +244,7 @@ def test_nothing_winds_up(run):
     t = run["t"]
     force = np.abs(run["alpha_true"] - run["alpha_cmd"])
     motion = np.abs(run["motion_error"])
-    for end in (3.0, 5.25, 6.25):  # the steps of the motion ask too much for a quarter second
+    for end in 3.0, 5.25, 6.25:  # the steps of the motion ask too much for a quarter second
         ends = t[(run["status"] == 1) & (t < end + 0.2)].max()
         back = (t >= max(ends, end) + 0.2) & (t < max(ends, end) + 0.5)
         assert (run["status"][back] == 0).all()

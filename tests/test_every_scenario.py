@@ -336,13 +336,12 @@ def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
 def test_bodies_are_assumed_to_be_nearer(name):
     rig = rig_of(name, "model_error.face_offset=3 mm")
     for body in rig.bodies:
-        gaps = rig.controlled_pairs()[body.contacts[0]].gaps(rig.state.X_WO)
-        assert_near(gaps, -0.003, 1e-8)
+        assert_near(rig.controlled_pairs()[body.contacts[0]].gaps(rig.state.X_WO), -0.003, 1e-8)
 
 
 def test_faces_are_assumed_to_be_turned_about_where_they_touch():
     turned = []
-    for about in (0, 90):
+    for about in 0, 90:
         wrong = ["model_error.face_tilt=3 deg", f"model_error.face_tilt_about={about} deg"]
         rig = rig_of("two_contact_rod", *wrong)
         X = rig.state.X_WO

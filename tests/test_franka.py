@@ -187,8 +187,7 @@ def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka, sensor):
     assert_near(wrench.linear - weight, force, 1.5)
     tip = robot._base.act(robot._data.oMf[robot._tip]).translation
     lever = X.act(np.array([-0.01, 0.0, 0.03]))
-    about = np.cross(tip, force) + np.cross(lever, weight)
-    assert_near(wrench.angular, about, 0.5, 0)
+    assert_near(wrench.angular, np.cross(tip, force) + np.cross(lever, weight), 0.5, 0)
     robot.stop()
 
 

@@ -64,7 +64,7 @@ def test_friction_leaves_a_face_as_stiff_as_it_is(solref):
         plants.append(PLANTS["mujoco"](rig, seed))
         return plants[-1]
 
-    for mu in (0.0, 0.2):
+    for mu in 0.0, 0.2:
         plant = {**POINT["plant"], "type": "kept", "friction": mu, "solref": solref}
         run_of(osc.Scenario.from_dict({**POINT, "plant": plant, "motion": []}), duration=0.5)
     depth = [float(plant.data.contact.dist[0]) for plant in plants]

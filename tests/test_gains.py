@@ -98,7 +98,7 @@ def test_the_brake_decelerates_the_contact_whatever_the_mass():
     chain = one_panda()
     rng = default_rng(5)
     kappa = 44.0
-    for mass in (0.1, 1.0, 6.0):
+    for mass in 0.1, 1.0, 6.0:
         body = pin.Inertia(mass, np.array([0.01, 0.02, 0.0]), 0.02 * mass * np.eye(3))
         holding = osc.ClosedChain(chain.arms, chain.grasps, osc.RigidObject(body))
         q, v = random_state(chain, rng)
@@ -108,7 +108,7 @@ def test_the_brake_decelerates_the_contact_whatever_the_mass():
         measurement = unloaded(q, v)
         reference = osc.Reference(state.X_WO, alpha_d=np.zeros(2))
         found = []
-        for brake in (kappa, 0.0):
+        for brake in kappa, 0.0:
             gains = osc.Gains(osc.MotionGains(), osc.ForceGains(0.0, brake=brake))
             one = osc.Controller(holding, pairs, gains, posture=q, reading="filter")
             tau = ticked(one, measurement, reference)

@@ -36,7 +36,7 @@ from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios.bodies import GRASP_TYPES
 from osc_contact.scenarios.control_schema import PostureTask
 
-ARMS = ("scara", "ur5", "panda", "2R", "3R")
+ARMS = "scara", "ur5", "panda", "2R", "3R"
 NOTHING = osc.Contact(np.zeros((6, 0)))
 RTOL = 1e-9
 
@@ -64,8 +64,8 @@ def moving(case, pairs, rng, size=1.0):
     return whole, state, contact_of(pairs, state), rng.standard_normal(case.chain.n_a) * 20.0
 
 
-EIGHT = ("scara", "ur5", "panda", "3R", "panda", "ur5", "ur5", "panda")
-GRIPS = ("ball", "hinge", "rigid", "ball", "cylinder", "slide", "ball", "hinge")
+EIGHT = "scara", "ur5", "panda", "3R", "panda", "ur5", "ur5", "panda"
+GRIPS = "ball", "hinge", "rigid", "ball", "cylinder", "slide", "ball", "hinge"
 
 
 def many_cases(rng):
@@ -174,7 +174,7 @@ def test_two_grasps_that_pass_on_no_squeeze(kinds):
 
     Seeds 3 and 45: near singular postures rounding leaves a pivot for the squeeze, on some kernels.
     """
-    for seed in (0, 1, 2, 3, 45):
+    for seed in 0, 1, 2, 3, 45:
         rng = default_rng(seed)
         case = random_case(["ur5", "ur5"], kinds, rng)
         whole = moving(case, (), rng)[0]

@@ -67,7 +67,7 @@ class Guarded:
         head = records.JOB.view(self.job)
         base = self.job.ctypes.data
         parts = {}
-        for name in ("model", "memory", "work", "input"):
+        for name in "model", "memory", "work", "input":
             shift = beyond if name == "work" else 0
             part = guarded(getattr(rows, name)[0], at_end, name != "model", shift)
             setattr(head, name, part.ctypes.data - base)

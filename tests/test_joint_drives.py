@@ -73,7 +73,7 @@ def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain()
     velocity *= 0.02 / largest(velocity)
     plant.hold(holding(rig))
     passive = np.setdiff1d(np.arange(rig.chain.nq), driven)
-    for joints, which in ((plant._spring_v, driven), (plant._v[passive], passive)):
+    for joints, which in (plant._spring_v, driven), (plant._v[passive], passive):
         plant.data.qvel[joints] = velocity[which]
     wound = []
     for _ in range(2000):
@@ -109,7 +109,7 @@ def test_joint_friction_is_dry_for_light_joints_too(inertia):
     body = spec.worldbody.add_body(mass=1.0, inertia=np.full(3, inertia))
     set_dry_friction(body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE), 1.0, spec.option.timestep)
     model = spec.compile()
-    for torque, speed in ((0.95, 0.0), (1.05, 0.05 * 0.1 / inertia)):
+    for torque, speed in (0.95, 0.0), (1.05, 0.05 * 0.1 / inertia):
         data = mujoco.MjData(model)
         data.qfrc_applied[:] = torque
         mujoco.mj_step(model, data, 400)
@@ -225,8 +225,7 @@ def test_the_loop_decays_as_fast_as_its_spectral_radius(gain):
     loop = loop_of(gain)
     radius = float(loop.spectral_radius()[0])
     tau = simulated(loop, 400)
-    error = np.abs(tau[10:150] - 1.0)
-    envelope = np.maximum.accumulate(error[::-1])[::-1] + 1e-300
+    envelope = np.maximum.accumulate(np.abs(tau[10:150] - 1.0)[::-1])[::-1] + 1e-300
     slope, _ = np.polyfit(range(140), np.log(envelope), 1)
     assert np.exp(slope) == approx(radius, abs=0.02)
     assert tau[-1] == approx(1.0, rel=1e-3)
@@ -238,8 +237,7 @@ def test_a_gain_the_sampled_loop_cannot_bear_is_refused():
 
 
 def test_errors_of_the_motor_shrink_by_one_plus_gain():
-    tau = simulated(loop_of(60.0), 800, bias=6.1)
-    assert tau[-1] - 1.0 == approx(6.1 / 61.0, rel=1e-3)
+    assert simulated(loop_of(60.0), 800, bias=6.1)[-1] - 1.0 == approx(6.1 / 61.0, rel=1e-3)
 
 
 def test_motor_limits_are_kept():

@@ -159,7 +159,7 @@ def test_what_would_be_along_friction_after_a_reversal_is_dropped(errors, unlear
     t.model.joints.theta[0, 0] = 8.0
     joint = t.memory.joints[0]
     joint.unlearned = unlearned
-    for sign, e in ((-1.0, unlearned), (1.0, kept), (1.0, kept)):
+    for sign, e in (-1.0, unlearned), (1.0, kept), (1.0, kept):
         joint.sign = sign
         assert joint_friction._compensation(t, 0) == approx(8.0 * sign + 0.5 * e)
 
@@ -199,13 +199,12 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
     for _ in range(5):
         q, v = random_state(one_panda(), rng)
         tau = []
-        for friction in ({"damping": 0.0, "friction": 0.0}, {"damping": VISCOUS, "friction": DRY}):
+        for friction in {"damping": 0.0, "friction": 0.0}, {"damping": VISCOUS, "friction": DRY}:
             chain = strong(panda(**joints, **friction))
             state = chain.state(q, v)
             X = state.X_WO
-            n = X.rotation[:, 2]
             corner = osc.VertexOnFace(
-                np.array([0.1, 0.02, 0.03]), X.act(np.array([0.1, 0.02, 0.03])), n
+                np.array([0.1, 0.02, 0.03]), X.act(np.array([0.1, 0.02, 0.03])), X.rotation[:, 2]
             )
             contacts = [corner] if pressed else []
             wanted = osc.Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
@@ -271,7 +270,7 @@ def test_friction_is_learned_and_must_be_sure_where_the_model_has_none(friction,
 def test_errors_of_links_are_compensated_beside_a_tare(mass):
     """By 0.7 of them, while e is within its bound: at rest that is the weight."""
     rms = []
-    for changes in ([], ["control.joint_friction.errors=false"]):
+    for changes in [], ["control.joint_friction.errors=false"]:
         words = [f"model_error.arm_mass={mass}", "tare={}", *changes]
         rig = rig_of("panda_edge", *words)
         controller = rig.controller()
@@ -302,7 +301,7 @@ def test_what_was_learned_is_the_start_of_the_next_controller():
 
 
 def test_settings_out_of_range_are_refused():
-    for wrong in ({"share": 1.0}, {"most": 0.0}, {"smoothing": -1.0}):
+    for wrong in {"share": 1.0}, {"most": 0.0}, {"smoothing": -1.0}:
         with refused(next(iter(wrong))):
             osc.JointFriction(**wrong)
     assert osc.Controller(one_panda(), [], joint_friction=False).settings.joint_friction is None

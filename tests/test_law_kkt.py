@@ -129,7 +129,7 @@ class Rig:
     grasps: tuple = ("rigid",)
 
 
-ALL_GRASPS = (*KINDS, "screw", "plane")
+ALL_GRASPS = *KINDS, "screw", "plane"
 RIGS = {
     "planar": Rig(alike("planar"), {3}),
     "scara": Rig(alike("scara"), {4}),
@@ -502,7 +502,7 @@ def test_arms_that_differ_and_hold_with_balls_squeeze_as_commanded(arms):
         rest = State(replace(case, chain=strong(case.chain)), [])
         state = touching_state(rest, i, rng, SURROUNDINGS["world"])
         t = tick(state, state.contacts, i, rng)
-        for squeeze in (20.0 * rng.standard_normal(arms * (arms - 1) // 2), 7.5):
+        for squeeze in 20.0 * rng.standard_normal(arms * (arms - 1) // 2), 7.5:
             reference = replace(t.reference, squeeze_d=squeeze)
             controller = t.controller_of(state.case.chain)
             tau = controller.tick(t.measured, reference)

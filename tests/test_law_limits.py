@@ -184,7 +184,7 @@ def exact_optimum(case, tau):
     least = np.minimum((floor - share @ fractions(case.alpha)) / unit, 0)
     starts = np.hstack(((-tau_max - wanted) / scale, least))
     first = {i: int(np.sign(tau[i])) for i in range(n) if abs(tau[i]) >= case.tau_max[i]}
-    for soft in (Fraction(1, 10**40), Fraction(1, int(BEYOND))):
+    for soft in Fraction(1, 10**40), Fraction(1, int(BEYOND)):
         give = [Fraction(1, 10**40)] * n + [soft] * k
         z, broken = active_limits(H, A, starts, ends, give, dict(first))
         if broken < Fraction(1, 10**20) or soft > Fraction(1, 1000):
@@ -260,7 +260,7 @@ def test_the_optimum_in_exact_fractions(how, tolerance):
 
 def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
     case = two_forces(67)
-    for G in (0.0 * case.G, case.G * (np.arange(8) > 3)[:, None]):
+    for G in 0.0 * case.G, case.G * (np.arange(8) > 3)[:, None]:
         agree_within(replace(case, G=G, E=0.0 * case.E))
     out_of_reach = replace(
         case,

@@ -113,7 +113,7 @@ def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
 @SEEDS
 def test_a_rotation_is_continued_and_squared_up(seed):
     rng = rng_of(seed)
-    for angle in (0.0, 1e-9, 0.9e-6, 1.1e-6, 1e-3, 0.5, 2.0, 3.1):
+    for angle in 0.0, 1e-9, 0.9e-6, 1.1e-6, 1e-3, 0.5, 2.0, 3.1:
         X = rng.standard_normal((4, 4))
         w = rng.standard_normal(3)
         w *= angle / norm(w)
@@ -136,7 +136,7 @@ def test_a_rotation_is_continued_and_squared_up(seed):
 def test_logarithm_and_exponential_of_a_motion(seed):
     """Series below 10 mrad, and what they stand for above."""
     rng = rng_of(seed)
-    for angle in (0.0, 1e-5, 0.0099, 0.0101, 0.1, 0.9, 2.0, 3.0):
+    for angle in 0.0, 1e-5, 0.0099, 0.0101, 0.1, 0.9, 2.0, 3.0:
         w = rng.standard_normal(3)
         p = rng.standard_normal(3)
         w *= angle / norm(w)
@@ -171,7 +171,7 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
     N = np.eye(6)[[i for i in range(6) if not T[:, i].any()]]
     if name == "screw":
         N = np.vstack((N, [0.0, 0.0, 0.8, 0.0, 0.0, -0.6]))
-    for size in (0.0, 1e-3, 0.3, 1.5):
+    for size in 0.0, 1e-3, 0.3, 1.5:
         n = 0.2 * rng.standard_normal(len(N))
         t = size * rng.uniform(-1.0, 1.0, len(T))
         tip = pose_of(rng)

@@ -158,7 +158,7 @@ def test_speeds_alone_or_wrists_alone_make_no_contact():
     stops = lambda k: 0.01 if k < 50 else 0.0  # noqa: E731
     assert meet(0.0, stops, mass=1.0) == 0
     assert meet(lambda k: 0.0 if k < 50 else 2.0, stops, mass=1.0) < 57
-    for read, made in ((0.39, 0), (0.41, 1)):  # an impact counts for no more than 1.5 times that
+    for read, made in (0.39, 0), (0.41, 1):  # an impact counts for no more than 1.5 times that
         falls = lambda k: 0.004 - 1e-3 * k  # noqa: E731  1 N for each kg
         assert bool(meet(read, falls, mass=3.0, ticks=30)) == made
 
@@ -181,7 +181,7 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     phases = Phases([0], [True], phase=[CLOSED])
     wanted = [10.0]
     seen = []
-    for alpha, count in ((10.0, 100), (0.0, 300), (10.0, 30), (0.0, 100), (10.0, 100)):
+    for alpha, count in (10.0, 100), (0.0, 300), (10.0, 30), (0.0, 100), (10.0, 100):
         for _ in range(count):
             phases.end([alpha], [0.0], independent=True)
             phases.begin(wanted)
@@ -204,7 +204,7 @@ def test_torques_go_straight_and_not_too_far(seed):
     rng = default_rng(seed)
     tau, last = rng.standard_normal((2, 8)) * 10
     step = rng.uniform(0.1, 5, 8)
-    for begun in (False, True):
+    for begun in False, True:
         out = tau.copy()
         given = last.copy()
         law.slew(out, given, step, begun)
@@ -214,7 +214,7 @@ def test_torques_go_straight_and_not_too_far(seed):
 
 
 #: three columns of two closed contacts that share two integrals; a third contact is open
-SHARED = ([0, 0, 1, 2], [CLOSED, APPROACHING, OPEN], [1.5, -2.5])
+SHARED = [0, 0, 1, 2], [CLOSED, APPROACHING, OPEN], [1.5, -2.5]
 
 
 @parametrize(

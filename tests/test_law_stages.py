@@ -67,7 +67,7 @@ def test_the_force_law(given, want):
 def test_laws_of_contacts_are_those_of_their_columns(dependent):
     """Rows: gain, damping, least force and brake."""
     laws = np.array([[3, 2, 1, 0], [5, 9, 4, 99], [0.1, 0.2, 0.3, 0.9], [0.7, 0.6, 0.8, 9]])
-    names = ("gain", "damping", "least", "brake")
+    names = "gain", "damping", "least", "brake"
     t = records(contacts=4, columns=4)
     t.model.columns.contact = [1, 0, 2, 3]
     t.work.chosen[:3] = [2, 0, 1]
@@ -84,7 +84,7 @@ def test_bodies_do_not_yield_while_their_motion_is_unknown():
     t = records(contacts=1, columns=1)
     write(t.work, rank=1, L=np.eye(1), Q=np.ones((1, 6)), out_T=np.eye(6))
     pushes = []
-    for found in (0.0, 1.0):
+    for found in 0.0, 1.0:
         t.work.yields[:] = found
         pushes.append(reading._push_on(t, (1.0, 2.0, 3.0), 0))
     assert_array_equal(*pushes)
@@ -103,7 +103,7 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
     Lambda *= 0.3**-2 / beside  # at the limit: 1/χ² = 1/0.3²
     t = records(lightness=1.0 / reference)
     arm = Record(full_rank=5)
-    for factor, kept, want in ((0.999, 5, False), (1.001, 5, True), (1e-9, 4, True)):
+    for factor, kept, want in (0.999, 5, False), (1.001, 5, True), (1e-9, 4, True):
         own = Record(Lambda=factor * Lambda, n_kept=kept)
         assert operational.may_be_singular(t, arm, own) == want
 
@@ -215,7 +215,7 @@ def test_columns_on_which_the_arms_can_push(held):
     root = rng.standard_normal((6, 6))
     Lambda = root @ root.T + np.eye(6)
     assert judged(np.zeros((0, 6)), Lambda, held)[0] == NO_REASON
-    for m in (0, 2, 5):
+    for m in 0, 2, 5:
         N = rng.standard_normal((min(3, 6 - m), 6))
         reason, work, t = judged(N, Lambda, held, m)
         assert (reason, command._judge_reach(t)) == (NO_REASON, NO_REASON)
@@ -231,13 +231,13 @@ def test_columns_on_which_the_arms_can_push(held):
             assert_near(work.amount, (6 - m) * 0.25e-10 / (hidden[a] @ hidden[a]), rtol=1e-6)
     assert judged(N, Lambda, held, 6)[0] == command.UNREACHABLE
     # 1/Λ along the column, beside 1: on either side of 1e-9
-    for mobility, want in ((0.5e-9, command.UNREACHABLE), (2e-9, NO_REASON)):
+    for mobility, want in (0.5e-9, command.UNREACHABLE), (2e-9, NO_REASON):
         heavy = np.eye(6) / 7.0
         heavy[3, 3] = 1.0 / mobility
         reason, work, _ = judged(np.eye(6)[[1, 3]], heavy, held)
         assert reason == want and (want == NO_REASON or work.where == 1)
     # columns that differ by so much
-    for apart, want in ((0.3e-10, command.INSEPARABLE), (3e-10, NO_REASON)):
+    for apart, want in (0.3e-10, command.INSEPARABLE), (3e-10, NO_REASON):
         N = np.zeros((2, 6))
         N[:, 1] = 1.0
         N[1, 4] = apart
@@ -264,9 +264,9 @@ def test_every_number_that_comes_in_is_looked_at(arms):
     given["squeeze"] = t.memory.squeeze
     for name, x in given.items():
         for i in range(x.size):
-            for bad in (np.nan, inf, -inf):
+            for bad in np.nan, inf, -inf:
                 x.flat[i] = bad
-                for on in (False, True):
+                for on in False, True:
                     counts = {"alpha_d": on, "touched": on}.get(name, True)
                     with np.errstate(invalid="ignore"):
                         assert tick.is_finite(t, on, on) != counts, (name, i)
@@ -294,7 +294,7 @@ def a_tick():
 def test_inputs_of_other_sizes_are_none():
     tick, given, memory = a_tick()
     for place, x in enumerate(given[2]):
-        for other in (x[:-1], np.concatenate((x, x[:1]))):
+        for other in x[:-1], np.concatenate((x, x[:1])):
             arrays = list(given[2])
             arrays[place] = np.ascontiguousarray(other)
             tick(*given[:2], tuple(arrays))
@@ -306,7 +306,7 @@ def test_inputs_of_other_sizes_are_none():
 def test_joints_of_another_number_are_not_read(place, count):
     """What stands beyond their end, or one of them more, moves nothing that is held."""
     found = []
-    for more in (0.01, -2.0):
+    for more in 0.01, -2.0:
         tick, given, memory = a_tick()
         arrays = list(given[2])
         x = np.append(arrays[place], np.zeros(2))
@@ -356,7 +356,7 @@ def test_laws_and_integrals_of_a_tick():
     assert_near(command_of(integral=0.0)[0].motion_next, [0.2, -0.8, 1.0, 0.1, 0.1, 0.1])
     _, memory, called = command_of(of_memory={"hand_over": 1})
     assert called["handed"] and memory.hand_over == 0
-    for lost, locked, reduced in ((1, 5, True), (1, 6, False), (0, 5, False)):
+    for lost, locked, reduced in (1, 5, True), (1, 6, False), (0, 5, False):
         assert ("reduced" in command_of(n_lost=lost, locked=locked)[2]) == reduced
     work, _, _ = command_of(tick.OWN_FORCE)
     assert_near(work.alpha_u[:2], [8.0 - 1.0, 7.0])  # approached; the user's own
@@ -388,7 +388,7 @@ def test_laws_and_integrals_of_a_tick():
 def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
     """K_a v_a = 2 N while it is approached, from 0.5 N on; faster back over a known gap."""
     near = phase == APPROACHING
-    for slow, fast in ((pace, -9.0), (9.0, pace), (pace, pace)):  # the slower one counts
+    for slow, fast in (pace, -9.0), (9.0, pace), (pace, pace):  # the slower one counts
         t = records(contacts=1, columns=1, force_gain=3.0, force_damping=5.0, force_brake=0.5)
         write(t.model, approach_damping=200.0, approach_speed=0.01, least_force=0.4, travel=0.05)
         write(t.model, force_on=1.0, rise=0.4)

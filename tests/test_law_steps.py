@@ -156,7 +156,7 @@ def test_the_integral_rests_while_much_of_a_step_is_to_come():
 
 
 def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
-    for ticked, start in ((1, 3.0), (0, 0.0)):
+    for ticked, start in (1, 3.0), (0, 0.0):
         forces = Forces()
         forces.t.memory.ticked = ticked
         assert forces.tick([10.0], measured=[3.0])[0] == approx(start)
@@ -177,7 +177,7 @@ def test_a_face_shows_its_tilt_where_it_carries_three_tenths_of_its_force(share,
 
 def test_an_impact_is_not_held_where_phases_close_a_contact():
     """What is measured at the moment of contact may be many times what is wanted."""
-    for phased, start in ((1, 2.0), (0, 40.0)):
+    for phased, start in (1, 2.0), (0, 40.0):
         forces = Forces(phased=phased)
         assert forces.tick([2.0], measured=[40.0])[0] == approx(start)
         found = forces.run([10.0], 60)
@@ -185,7 +185,7 @@ def test_an_impact_is_not_held_where_phases_close_a_contact():
         assert found[-1, 0] == approx(10.0)
     forces = Forces()
     assert forces.tick([-2.0], measured=[-40.0])[0] == approx(-40.0), "it may be pulled"
-    for pushes, start in ((1, 0.0), (0, -40.0)):
+    for pushes, start in (1, 0.0), (0, -40.0):
         forces = Forces()
         forces.t.model.bodies.pushes[0] = pushes
         assert forces.tick([2.0], measured=[-40.0])[0] == approx(start), "noise is no pull"
@@ -206,7 +206,7 @@ def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
 
 def test_without_a_rise_time_forces_are_as_they_are_wanted():
     forces = Forces(step_time=0.0)
-    for goal in (10.0, -4.0, 60.0):
+    for goal in 10.0, -4.0, 60.0:
         assert forces.tick([goal])[0] == goal
         assert forces.work.integral_scale == 1.0 and forces.work.step_left == 0.0
     forces = pressed()
@@ -233,7 +233,7 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     """v̄ follows NᵀV_rel by a share of a quarter each tick, and not while a step is made."""
     forces = pressed()
     drift = 0.0
-    for speed in (0.02, 0.02, -0.01):
+    for speed in 0.02, 0.02, -0.01:
         forces.tick([10.0], speed=[speed])
         drift += 0.25 * (speed - drift)
         assert forces.kept[0].drift == approx(drift)

@@ -117,7 +117,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     while v > 0.0:
         way = way + (v - 0.5 * 5.0 * dt) * dt
         v = v - 5.0 * dt
-    for gap, stops in ((way + 1e-3, False), (way - 1e-3, True), (-1e-3, False)):
+    for gap, stops in (way + 1e-3, False), (way - 1e-3, True), (-1e-3, False):
         t = joints(reaction=reaction)
         q = sign * (1.0 - gap)
         found = [look(t, q, sign * speed) for _ in range(4)]
@@ -164,7 +164,7 @@ class Contacts(Watched):
 
 
 def test_power_that_moves_into_faces_adds_up():
-    wanted = (10.0, 10.0)
+    wanted = 10.0, 10.0
     for speed, ticks in {(1.0, 0.99): 0, (1.0, 1.01): 3, (2.5, -9.0): 3, (1.9, -9.0): 0}.items():
         assert Contacts().ticks_until(POWERED, (10.0, 10.0), wanted, speed) == ticks
     assert Contacts().ticks_until(POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
@@ -176,7 +176,7 @@ def test_power_that_moves_into_faces_adds_up():
 
 @parametrize("column", [0, 1])
 def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
-    for since, reason in ((0.0304, NO_REASON), (0.0306, CONTACT_LOST)):
+    for since, reason in (0.0304, NO_REASON), (0.0306, CONTACT_LOST):
         contacts = Contacts(phased=1)
         contacts.kept[2 * (1 - column)].time_since_loss = since  # columns 2 and 0 of the contacts'
         assert contacts.tick((0.0, 0.0), (2.0, 2.0)) == reason
@@ -195,7 +195,7 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
         contacts = Contacts()
         assert contacts.ticks_until(CONTACT_LOST, both(alpha, fine), wanted) == ticks
         assert contacts.memory.culprit == (-1 if not ticks else (2, 0)[column])
-    for command, ticks in ((1.0, 0), (1.01, 11)):  # too little to differ from nothing
+    for command, ticks in (1.0, 0), (1.01, 11):  # too little to differ from nothing
         assert Contacts().ticks_until(CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
     contacts = Contacts(phased=1)  # contact phases see to it
     assert contacts.ticks_until(CONTACT_LOST, both(0.0, fine), wanted) == 0
@@ -207,8 +207,8 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
 @BOTH
 def test_a_force_integral_at_its_bound_shows_that_nothing_is_measured(sign):
     """15 N, or one and a half times the command."""
-    for command, room in ((4.0, 15.0), (40.0, 60.0)):
-        for share, ticks in ((0.98, 0), (0.995, 11)):
+    for command, room in (4.0, 15.0), (40.0, 60.0):
+        for share, ticks in (0.98, 0), (0.995, 11):
             contacts = Contacts()
             contacts.memory.force_sum[1] = sign * share * room
             given = (command, command), (command, command)
@@ -220,7 +220,7 @@ def test_a_force_integral_at_its_bound_shows_that_nothing_is_measured(sign):
 
 @BOTH
 def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sign):
-    for command, alpha, ticks in ((5.0, 29.9, 0), (5.0, 30.1, 6), (20.0, 59.0, 0), (20.0, 61.0, 6)):
+    for command, alpha, ticks in (5.0, 29.9, 0), (5.0, 30.1, 6), (20.0, 59.0, 0), (20.0, 61.0, 6):
         contacts = Contacts()
         given = (5.0, sign * alpha), (5.0, sign * command)
         assert contacts.ticks_until(OVERFORCE, *given) == ticks
@@ -259,15 +259,15 @@ def test_a_rotation_is_one_but_for_a_ten_thousandth():
         assert verdict(R @ np.diag([1, 1, -1])) == verdict(-R) == NO_ROTATION
         assert verdict(R[:, [1, 0, 2]]) == NO_ROTATION
         i, j = rng.choice(3, 2, replace=False)
-        for way in (np.outer(np.eye(3)[i], R[j]), np.outer(np.eye(3)[i], 0.5 * R[i])):
-            for size, reason in ((0.97e-4, NO_REASON), (1.03e-4, NO_ROTATION)):
+        for way in np.outer(np.eye(3)[i], R[j]), np.outer(np.eye(3)[i], 0.5 * R[i]):
+            for size, reason in (0.97e-4, NO_REASON), (1.03e-4, NO_ROTATION):
                 assert verdict(R + size * way) == reason
 
 
 @BOTH
 def test_wrenches_within_the_range_of_their_sensors(sign):
     for axis, most in enumerate([100.0] * 3 + [10.0] * 3):
-        for size, reason in ((most, NO_REASON), (1.001 * most, OUT_OF_RANGE)):
+        for size, reason in (most, NO_REASON), (1.001 * most, OUT_OF_RANGE):
             t = readings()
             t.input.wrenches[0, axis] = sign * size
             assert_read(t, reason, 0)
@@ -289,14 +289,14 @@ def test_joints_move_no_further_than_they_can(sign, unread):
     """20 mrad, and three times the speed limit since the last reading that was accepted."""
     for j, limit in enumerate((2.0, 4.0)):
         most = 0.02 + 3.0 * limit * DT * (1 + unread)
-        for way, reason in ((most - 1e-6, NO_REASON), (most + 1e-6, JUMPED)):
+        for way, reason in (most - 1e-6, NO_REASON), (most + 1e-6, JUMPED):
             t = readings()
             t.memory.joints.unread_q[j] = unread
             t.input.q[j] += sign * way
             assert_read(t, reason, j)
             t.memory.compared = 0  # nothing to compare with
             assert sensors.check_readings(t) == NO_REASON
-        for speed, reason in ((3.0 * limit, NO_REASON), (3.001 * limit, JUMPED)):
+        for speed, reason in (3.0 * limit, NO_REASON), (3.001 * limit, JUMPED):
             t = readings()
             t.input.v[j] = sign * speed
             assert sensors.check_readings(t) == reason
@@ -347,7 +347,7 @@ def test_an_approach_uses_positions_where_speeds_read_too_little():
         for _ in range(300):
             approach.tick(V, true - 0.02)
         assert_array_equal(approach.tick(V, true + 0.05), true + 0.05)  # the low-pass lags behind
-        for more in (-0.0039, 0.1):
+        for more in -0.0039, 0.1:
             approach = Approach(seed)
             for _ in range(300):
                 assert_array_equal(approach.tick(V, true + more), true + more)
@@ -366,7 +366,7 @@ def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
         assert not approach.kept.velocity_from_encoders.any()
     approach.memory.compared = 0
     assert_array_equal(approach.tick(TWIST, 0.007), 0.007)
-    for seen in (approach.kept.velocity_from_positions, approach.kept.velocity_from_encoders):
+    for seen in approach.kept.velocity_from_positions, approach.kept.velocity_from_encoders:
         assert_array_equal(seen, [0.0, 0.007, 0.0, 0.007])
     approach.memory.compared = 1
     approach.kept.known[3] = 0
@@ -482,7 +482,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
     """Wrists are live: an encoder's card repeats itself."""
     still = np.ones(2)
     for j in range(2):
-        for speed, ticks in ((1.3, 11), (0.03, 14)):  # rad/s; more than 0.4 mrad, after 10.5 ms
+        for speed, ticks in (1.3, 11), (0.03, 14):  # rad/s; more than 0.4 mrad, after 10.5 ms
             sensors = Sensors(speed_error=inf, position_drift=0.05)
             v = np.zeros(2)
             v[j] = sign * speed
@@ -491,7 +491,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
             assert_at_last([sensors.tick(v=v, q=still) for _ in range(ticks)], DISAGREE)
             assert sensors.memory.culprit == j
             assert sensors.memory.still == approx(1e-3 * ticks)
-        for other in ({"q": still + 1e-12}, {"v": v * (1.0 + 1e-12)}):
+        for other in {"q": still + 1e-12}, {"v": v * (1.0 + 1e-12)}:
             sensors.tick(**{"v": v, "q": still} | other)
             assert sensors.memory.still == 0
     sensors = Sensors(speed_error=inf)
@@ -585,7 +585,7 @@ def test_what_is_not_read_follows_from_speeds_or_positions():
 def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
     """d' = e − d/T, T = 0.5 s, less 5 % of the speed: e (1 − exp(−t/T)) T = 50 mrad + 10 ms q̇."""
     j = int(sign > 0.0)
-    for error, speed, limit in ((0.09, 0.0, 0.05), (0.18, 1.0, 0.06)):
+    for error, speed, limit in (0.09, 0.0, 0.05), (0.18, 1.0, 0.06):
         sensors = Sensors()
         v = np.zeros(2)
         v[j] = sign * speed

@@ -76,7 +76,7 @@ def test_commands_that_do_not_fit_the_bars_are_held(plate):
     pair = rig_of("two_contact_rod")
     wanted = replace(pair.references.at(0.0), squeeze_d=np.array([5.0, 5.0]))
     held_tick(pair.controller(), "2 arms take a number", pair.plant().measure(), wanted)
-    for bad in (np.zeros(2), np.array([1.0, np.nan, 0.0]), np.zeros((3, 1)), "5 N", np.nan, [1, 2]):
+    for bad in np.zeros(2), np.array([1.0, np.nan, 0.0]), np.zeros((3, 1)), "5 N", np.nan, [1, 2]:
         held = held_tick(fast, "squeeze_d", measurement, replace(reference, squeeze_d=bad))
         assert np.isfinite(held).all()
 
@@ -128,7 +128,7 @@ def answer(state, chain):
     write(work, points=state.grasp_points, carried=carried, owners=owners, locked=len(beta))
     write(work, reflectors=reflectors, beta=beta)
     work.axes[0] = L[:3, :3].T
-    for out in (work.levers, work.basis, work.scratch):
+    for out in work.levers, work.basis, work.scratch:
         out[:] = np.nan
     s = allocation.settable_bars(t, len(locked))
     basis = work.basis[:, :s]
@@ -151,7 +151,7 @@ def without_motors(case, rng, share):
     names = list(arms[i].model.names)[1:]
     limp = tuple(name for name in names if name in arms[i].passive_joints or rng.random() < share)
     arms[i] = replace(arms[i], passive_joints=limp)
-    parts = (arms, case.chain.grasps, case.chain.payload)
+    parts = arms, case.chain.grasps, case.chain.payload
     return replace(case, chain=osc.ClosedChain(*parts, allow_unactuated=True))
 
 
@@ -216,7 +216,7 @@ def test_it_decides_as_singular_values_do(how, least, most):
 
 def test_eight_arms_of_seven_joints():
     rng = default_rng(81)
-    for kinds in (["rigid"] * 8, ["rigid", *["cylinder"] * 7]):
+    for kinds in ["rigid"] * 8, ["rigid", *["cylinder"] * 7]:
         case = random_case(["panda"] * 8, kinds, rng)
         state = case.at_rest()
         levers, basis = answer(state, case.chain)

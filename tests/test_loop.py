@@ -27,7 +27,7 @@ TICKS = 30
 pytestmark = mark.usefixtures("usual_handlers")
 
 
-RIGID = ("two_contact_rod", "plant.type=rigid", "plant.step=1 ms")
+RIGID = "two_contact_rod", "plant.type=rigid", "plant.step=1 ms"
 
 
 def plan(rig, ticks=TICKS):
@@ -80,7 +80,7 @@ def test_hardware_without_a_truth_leaves_a_recording(scenario):
     assert_array_equal(found["tau"], [tau for tau, _ in robot.sent])
     assert {duration for _, duration in robot.sent} == {1.0 / rig.scenario.control.rate}
     run = run_of(rig.scenario, duration=TICKS * controller.dt)
-    for channel in ("pose", "twist", "N", "face_pose", "contact_point"):
+    for channel in "pose", "twist", "N", "face_pose", "contact_point":
         assert_near(found[channel], run[channel], 1e-9, name=channel)
     assert_near(found["alpha_meas"], run["alpha_true"], 1e-9, 1e-6)
     assert np.ptp(run["pose"][:, :3], axis=0).max() > 1e-7

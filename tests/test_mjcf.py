@@ -71,7 +71,7 @@ def test_mass_matrix_forces_and_frames_are_mujocos(mj):
         data = terms_at(model, q, v)
         assert_near(data.M, mass_matrix(mj, truth)[np.ix_(dofs, dofs)], 1e-12)
         assert_near(data.nle, truth.qfrc_bias[dofs], 1e-12)
-        for name in ("wrist", "tip"):
+        for name in "wrist", "tip":
             X = data.oMf[model.getFrameId(name)]
             assert_near(X.translation, truth.site(name).xpos, 1e-12)
             assert_near(X.rotation.ravel(), truth.site(name).xmat, 1e-12)
@@ -92,8 +92,7 @@ def test_joints_have_the_files_numbers(mj):
 def test_an_arm_has_its_rotors_and_a_link_may_be_called_as_its_joint(tmp_path):
     file = tmp_path / "arm.xml"
     file.write_text(ARM)
-    arm = osc.Arm.from_mjcf(file, name="a", tip="tip", wrist_sensor="wrist")
-    chain = osc.ClosedChain([arm])
+    chain = osc.ClosedChain([osc.Arm.from_mjcf(file, name="a", tip="tip", wrist_sensor="wrist")])
     assert chain.joint_names == ["a/turn", "a/slide", "a/bend"]  # the finger is locked
     assert_array_equal(chain.model.armature, [0.1, 2.0, 0.1])
     own = chain.outboard[0][0].inertia
@@ -104,12 +103,12 @@ def test_an_arm_has_its_rotors_and_a_link_may_be_called_as_its_joint(tmp_path):
 
 def test_a_urdf_whose_links_are_called_as_its_joints(tmp_path):
     text = robots.urdf_path("scara_left").read_text()
-    for name, link in (("joint1", "upper_arm"), ("joint2", "forearm")):
+    for name, link in ("joint1", "upper_arm"), ("joint2", "forearm"):
         assert f'"{link}"' in text
         text = text.replace(f'"{link}"', f'"{name}"')
     file = tmp_path / "same.urdf"
     file.write_text(text)
-    for locked in ({}, {"joint1": 0.3}):
+    for locked in {}, {"joint1": 0.3}:
         arm = osc.Arm.from_urdf(
             file,
             name="a",

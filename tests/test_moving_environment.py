@@ -225,6 +225,6 @@ def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_
 def test_contact_response_needs_exactly_one_command():
     state = scaras(15)
     nothing = osc.Contact(np.zeros((6, 0)))
-    for commands in ({}, {"tau": np.zeros(8), "f_S": np.zeros(5)}):
+    for commands in {}, {"tau": np.zeros(8), "f_S": np.zeros(5)}:
         with refused("exactly one"):
             contact_response(state, nothing, **commands)

@@ -78,8 +78,7 @@ def test_a_free_face_takes_the_power_of_its_contact(changes):
         power.append(truth.alpha[0] * (N.T @ V_e)[0] - rail.damping * rate**2)
         energy.append((rail.inertia * rate**2 + rail.stiffness * s**2) / 2 - load * s)
     power = np.array(power)
-    taken = 1e-3 * (power[1:] + power[:-1]) / 2
-    assert_near(np.diff(energy), taken, 2e-6 * largest(power))
+    assert_near(np.diff(energy), 1e-3 * (power[1:] + power[:-1]) / 2, 2e-6 * largest(power))
     assert largest(power) > 1e-3
 
 
@@ -130,8 +129,7 @@ def test_a_driven_face_is_where_its_signals_say(plant, face):
     angle = turn.signals[0].at(0.15) if turn else np.zeros(3)
     s = np.array([motion.signals[0].at(0.15), angle]).T
     hinge = [turn.axis, turn.through] if turn else np.zeros((2, 3))
-    rail = osc.Rail(*np.array([motion.direction, *hinge]), lambda _: s)
-    X, V, A = placed(rail, 0.15)
+    X, V, A = placed(osc.Rail(*np.array([motion.direction, *hinge]), lambda _: s), 0.15)
     touched = plant.measure().touched
     assert_near(touched.X_WE[0], X.homogeneous, 1e-7)
     assert_near(touched.V_E[0], V, 1e-5)

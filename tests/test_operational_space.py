@@ -134,7 +134,7 @@ def test_rows_threads_and_memory_given_change_nothing(arm):
         osc.operational_space(arm, np.repeat(q[k], 2)[::2], v[k], kept)
         assert np.shares_memory(memory, kept.Lambda)
         for name in osc.OperationalSpace.__annotations__:
-            for one in (other, kept):
+            for one in other, kept:
                 assert_array_equal(getattr(batch, name)[k], getattr(one, name), err_msg=name)
 
 

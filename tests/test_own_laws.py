@@ -178,9 +178,9 @@ def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(rig, kind, movin
         )
         V, A = rng.standard_normal((2, len(made), 6))
         measurement = replace(measurement, touched=Touched(X, 0.1 * V, A))
-    for friction in (osc.Friction(0.4), None):
+    for friction in osc.Friction(0.4), None:
         torques = []
-        for pairs in (rig.pairs, made, [made[0], rig.pairs[1]]):
+        for pairs in rig.pairs, made, [made[0], rig.pairs[1]]:
             controller = osc.Controller(rig.model, pairs, rig.gains, dt=2e-3, friction=friction)
             torques.append(ticked(controller, measurement, reference))
         assert controller.signals.friction_wrenches.any() == (friction is not None)

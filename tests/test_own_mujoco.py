@@ -374,7 +374,7 @@ def test_the_picture_stands_where_mujoco_puts_the_shapes(recorded):
     for one in shapes.geometryObjects:
         X = data.oMi[one.parentJoint] * one.placement
         drawn[one.parentJoint > 0].append(X.translation)
-    for name in ("upper", "lower", "tool", "wall"):
+    for name in "upper", "lower", "tool", "wall":
         away = drawn[name != "wall"] - robot.data.geom(name).xpos
         assert np.linalg.norm(away, axis=1).min() < 1e-6, name
 
@@ -394,7 +394,7 @@ def test_a_recording_carries_no_path_and_is_drawn(recorded, tmp_path):
 def test_a_viewer_takes_the_robot_and_its_recording(recorded, tmp_path):
     robot, recording, _ = recorded
     with osc.open_viewer(robot) as viewer:
-        for tick in (0, 200):
+        for tick in 0, 200:
             viewer._due = 0.0
             viewer.show(recording.at(tick))
         with Browser(viewer.url) as page:
@@ -434,7 +434,7 @@ DEGREES = np.degrees(START)
 def limited():
     """The arm of `scene`, its joints limited to ±2 rad."""
     model = scene()
-    for name in ("shoulder", "elbow", "wrist_pitch"):
+    for name in "shoulder", "elbow", "wrist_pitch":
         model.joint(name).range[:] = -2.0, 2.0
         model.joint(name).limited[:] = 1
     return robot_of(model)
@@ -533,7 +533,7 @@ def test_a_wrist_that_reads_another_weight_is_refused_before_contact(name, engag
         return
     assert ticks < 100 + 100 * (not engaged)
     assert controller.state is osc.SafetyState.SAFE_STOP
-    for word in (cause, "load_error = 2 N", "wrist", "frame"):
+    for word in cause, "load_error = 2 N", "wrist", "frame":
         assert word in controller.reason
 
 

@@ -53,7 +53,7 @@ def test_motions_that_keep_the_contact(name, turn, per_metre):
     motion = Motion.keeping(name, turn, per_metre)
     contact = motion.contact()
     (V_rel, a_rel) = motion.relative
-    for t in (0.0, -0.3, 0.2):
+    for t in 0.0, -0.3, 0.2:
         assert_near(motion.gaps(t), 0.0, 1e-12 * per_metre)
     size = np.abs(contact.N).T
     near(contact.N.T @ V_rel, np.zeros(contact.r), size @ np.abs(V_rel), 1e-10, per_metre)
@@ -87,7 +87,7 @@ def test_the_environment_defaults_to_the_world_at_rest(name):
     X_WO = pose(np.full(6 - r, 0.3))
     V = np.arange(6.0)
     here = pin.SE3.Identity()
-    for V_E in (STILL, V[::-1].copy()):
+    for V_E in STILL, V[::-1].copy():
         one = pair.contact(X_WO, V, V_E=V_E) if V_E.any() else pair.contact(X_WO, V)
         other = pair.contact(X_WO, V, here, V_E)
         assert_near(one.N, other.N, 1e-14)
@@ -118,14 +118,14 @@ def test_lifted_objects_have_open_gaps(name, turn):
 def test_edges_cross_with_the_environment_on_the_stated_side(side, down):
     """e_A × e_E = y × x = −z; the crossing point follows the object."""
     pair = osc.EdgeOnEdge([0.0, 5, 0.02], [0.0, 1, 0], [7.0, 0, 0], [1.0, 0, 0], side)
-    for X in (pin.SE3.Identity(), shift([0.4, 0, 0])):
+    for X in pin.SE3.Identity(), shift([0.4, 0, 0]):
         assert_near(pair.gaps(X), [down * 0.02], 1e-15)
         assert_near(pair.contact(X, STILL).N[:, 0], [0, 0, -down, 0, 0, 0])
 
 
 def test_a_screw_is_closed_again_after_every_turn_and_open_in_between():
     pair = osc.Screw(np.zeros(3), [0.0, 0, 1], 0.002)
-    for turns in (1, -2, 7):
+    for turns in 1, -2, 7:
         assert_near(pair.gaps(shift([0, 0, 0.002 * 2 * np.pi * turns])), 0.0, 1e-15)
     assert_near(pair.gaps(placed(rpy=(0.0, 0.0, 0.5))), [0, 0, 0, 0, 0.001], 1e-15)
 
@@ -157,7 +157,7 @@ def test_magnitudes_belong_to_feet_around_the_stated_point(turn):
 
 
 def test_joints_are_held_by_forces_and_couples_along_the_axes_of_their_seats():
-    for r, pair in ((5, osc.Revolute(O3, Z)), (6, osc.Fixed())):
+    for r, pair in (5, osc.Revolute(O3, Z)), (6, osc.Fixed()):
         assert_near(pair.contact(pin.SE3.Identity(), STILL).N, np.eye(6)[:, :r])
 
 
@@ -209,7 +209,7 @@ def test_forces_are_counted_in_any_pose(name):
 def test_contacts_that_do_not_exist_are_refused():
     here = pin.SE3.Identity()
     parallel = osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z, 1, name="rails")
-    for ask in (lambda: parallel.contact(here, STILL), lambda: parallel.gaps(here)):
+    for ask in lambda: parallel.contact(here, STILL), lambda: parallel.gaps(here):
         with contact_error("rails: the edges are parallel"):
             ask()
     flat = osc.GapFunctions(lambda X: 1.0)  # a gap that no motion changes, as a plain number
@@ -228,7 +228,7 @@ def test_a_vertex_touches_where_the_line_of_force_meets_the_face():
     for _ in range(40):
         pair = osc.VertexOnFace(*rng.standard_normal((3, 3)), 0.07)
         X_WO = pose_of(rng)
-        for X_WE in ([pose_of(rng)], []):
+        for X_WE in [pose_of(rng)], []:
             on_face = pair.points_of_contact(X_WO, *X_WE)[:, 0]
             body = (*X_WE, here)[0]
             height = body.actInv(on_face) @ pair.normal

@@ -28,7 +28,7 @@ def energy(plant):
 def test_rigid_plant_keeps_energy_and_constraints_while_it_slides_freely(rig):
     """Frictionless bilateral contacts do no work: energy is kept (second order in the step)."""
     drift = []
-    for step in (2e-3, 1e-3):
+    for step in 2e-3, 1e-3:
         plant = rigid_plant(rig.q_contact, rig.chain, rig.pairs, step)
         start = energy(plant)
         for _ in range(round(0.2 / step)):

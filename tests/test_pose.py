@@ -50,14 +50,13 @@ def test_forward_kinematics_of_a_robot_by_name():
 
 
 def test_inverse_kinematics_keep_the_limits_and_print_what_a_file_takes():
-    for xyz in ("0.4, 10 cm, 0.3", "[-0.3, 0.4, 0.5]", "0.1, -0.5, 0.2"):
+    for xyz in "0.4, 10 cm, 0.3", "[-0.3, 0.4, 0.5]", "0.1, -0.5, 0.2":
         result, found = answered(f"{TIP} --rpy '180 deg, 0, 0' --xyz='{xyz}'")
         q = np.array(list(found["posture"].values()))
         X = standing(q)
         assert_near(X.translation, poses.numbers("xyz", xyz), 1e-6)
         assert_near(X.rotation, np.diag([1, -1, -1]), 1e-5)
-        typed = result.stdout.split("[")[1].split("]")[0]
-        assert_near(poses.numbers("posture", typed), q, 1e-6)
+        assert_near(poses.numbers("posture", result.stdout.split("[")[1].split("]")[0]), q, 1e-6)
         assert not outside_limits(panda_chain(), q)
 
 
@@ -111,7 +110,7 @@ def test_joints_outside_either_limit_are_named():
     assert outside_limits(chain, low) == outside_limits(chain, high) == []
     assert_near(poses.rest(chain), (low + high) / 2, 1e-15)
     for k, name in enumerate(chain.joint_names):
-        for q in (low - 1e-3 * np.eye(7)[k], high + 1e-3 * np.eye(7)[k]):
+        for q in low - 1e-3 * np.eye(7)[k], high + 1e-3 * np.eye(7)[k]:
             (said,) = outside_limits(chain, q)
             assert said.startswith(f"joint {name} at ")
 
@@ -130,8 +129,7 @@ def test_of_poses_out_of_reach_the_nearest_is_given():
 def test_every_arm_must_get_there():
     """One of two arms reaches the object; what its hinge permits is no miss, what it forbids is."""
     chain, q, X = poses.chain_of(osc.load_scenario("two_contact_rod"))
-    away = pin.SE3(X.rotation, X.translation + [-0.45, -0.4, 0.0])
-    found = poses.solve(chain, away, q)
+    found = poses.solve(chain, pin.SE3(X.rotation, X.translation + [-0.45, -0.4, 0.0]), q)
     assert not found.reached and found.miss[0] > 1e-2
     chain, q, X = poses.chain_of(osc.load_scenario("hinge_ball_rod"))
     assert poses.solve(chain, pin.SE3(X.rotation, X.translation + [0.0, 0.01, 0.01]), q).reached
@@ -166,8 +164,7 @@ def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
     one = rig.chain.arms[0]
     tip = data_at(one.model, np.array(arm.posture)).oMf[one.model.getFrameId(arm.tip)]
     grasp = scenario.grasps[arm.name]
-    held = placed(*grasp.xyz, grasp.rpy)
-    assert_near((one.base * tip * held).homogeneous, rig.X_given, 1e-12)
+    assert_near((one.base * tip * placed(*grasp.xyz, grasp.rpy)).homogeneous, rig.X_given, 1e-12)
 
 
 def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():

@@ -35,7 +35,7 @@ def test_packaged_scenarios_pass_without_a_word(name):
     },
 )
 def test_what_cannot_run_is_refused_at_every_door(change, cure, tmp_path):
-    for line in ("inspect two_contact_rod --set", f"run two_contact_rod --out {tmp_path} --set"):
+    for line in "inspect two_contact_rod --set", f"run two_contact_rod --out {tmp_path} --set":
         assert cure in refused(line, change)
     with scenario_error(cure.replace("?", r"\?")):
         run_of("two_contact_rod", change, duration=0.5)
@@ -148,8 +148,7 @@ def test_the_least_peak_is_that_of_the_dual_problem():
         b = rng.standard_normal(2)
         angles = np.linspace(0.0, 2.0 * np.pi, 20_001)
         y = np.array((np.cos(angles), np.sin(angles)))
-        best = (b @ y / np.abs(A.T @ y).sum(axis=0)).max()
-        assert least_peak(A, b) == approx(best, rel=0.002)
+        assert least_peak(A, b) == approx((b @ y / np.abs(A.T @ y).sum(axis=0)).max(), rel=0.002)
     contrary = np.vstack((A, A[0])), np.append(b, b[0] + 1.0)  # no x: of the least squares
     assert least_peak(*contrary) == approx(np.abs(np.linalg.pinv(contrary[0]) @ contrary[1]).max())
 
@@ -163,7 +162,7 @@ def test_a_contact_without_forces_is_no_trouble():
 
 def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
     motion = f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]"
-    for change in (motion, "motion.1.signals.0.start=1.5 s"):
+    for change in motion, "motion.1.signals.0.start=1.5 s":
         found = findings("approach_and_slide", change)
         assert any("does not permit it" in text for _, text in found)
 

@@ -91,7 +91,7 @@ def test_faces_posts_and_corners_with_friction(name, mu):
 
 
 def test_the_coefficient_is_learnt_while_the_contact_slides():
-    for learning, low, high in ((5.0, 0.08, 0.12), (0.0, 0.0, 0.0)):
+    for learning, low, high in (5.0, 0.08, 0.12), (0.0, 0.0, 0.0):
         rig = osc.build_rig(point({"friction": 0.2}, friction={"mu": 0.1, "learning": learning}))
         plant, controller = start(rig)
         osc.run_loop(plant, controller, rig.references.each(2000, 1e-3))

@@ -83,7 +83,7 @@ def test_rows_are_those_of_single_runs_and_are_not_run_again(tmp_path, monkeypat
 
     monkeypatch.setattr(sweep, "make_all", make_all)
     monkeypatch.setattr(study, "_candidates", candidates)
-    axes = (np.zeros(3), [np.eye(3)])
+    axes = np.zeros(3), [np.eye(3)]
     chosen = [Selection.of_axes(*axes, (1, 3)), Selection.of_axes(*axes, (1, 5))]
     ask = study.Ask(changes=CHANGES, samples=1, folder=tmp_path)
     first = study.run(ask, 1)
@@ -97,7 +97,7 @@ def test_rows_are_those_of_single_runs_and_are_not_run_again(tmp_path, monkeypat
 
 @mark.slow
 def test_what_the_controllers_do_not_know_costs_all_of_them_accuracy(found):
-    for case in ("masses", "friction", "normals"):
+    for case in "masses", "friction", "normals":
         for law in study.LAWS:
             worst = max(row[f"{law}.force"] for row in found["rows"][case])
             assert worst > found["nominal"][f"{law}.force"] + 0.01  # of the command

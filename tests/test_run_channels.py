@@ -278,7 +278,7 @@ def test_lines_of_force_over_time_are_those_of_the_pair(name):
     pair, pose, r = KINDS[name](rng, PLAIN)
     touching = [pose(0.5 * rng.standard_normal(6 - r)) for _ in range(5)]
     faces = [pose_of(rng) for _ in range(5)]
-    for E in ([WORLD] * 5, faces, faces[:1] * 5):
+    for E in [WORLD] * 5, faces, faces[:1] * 5:
         X = [X_WE * X_EA for X_WE, X_EA in aligned(E, touching)]
         moving = None if E[0] is WORLD else stacked(E[:1] if E[1] is E[0] else E)
         found = normals_over(pair, stacked(X), moving)

@@ -264,8 +264,7 @@ def test_motors_carry_first_and_brake_with_what_is_left(arms):
             driven = np.isfinite(most[s])
             better = (least - share * brake)[s][driven] @ q_dd[s][driven] > 0.0
             brake[s] = least[s] if better else share * brake[s]
-            kept = controller._records.memory.joints.acceleration
-            assert_near(kept[s], share * q_dd[s], 1e-9)
+            assert_near(controller._records.memory.joints.acceleration[s], share * q_dd[s], 1e-9)
             scaled += share < 1.0
         want = np.clip(carry + brake, -most, most)[chain.actuated]
         assert_near(tau, want, 1e-9, 1e-9)

@@ -61,9 +61,9 @@ def test_page_fetches_nothing_and_escapes_its_words(shown):
 
 
 def test_arm_and_object_stand_where_the_recording_has_them(shown):
-    for frame in (0, 4, 10):
+    for frame in 0, 4, 10:
         placed = links(RECORDING["q"][10 * frame])
-        for joint in ("joint1", "joint3", "hinge"):
+        for joint in "joint1", "joint3", "hinge":
             assert shown.pose(f"/meshcat/arms/left/{joint}", frame).isApprox(placed[joint], 1e-5)
         rod = shown.at("/meshcat/bodies/rod/base", "position", frame)
         assert_near(rod, RECORDING["pose"][10 * frame, :3], 1e-6)
@@ -73,7 +73,7 @@ def test_a_face_follows_its_recorded_pose(tmp_path):
     poses = np.tile(pin.SE3ToXYZQUAT(FACE), (101, 2, 1))
     poses[:, 0, 2] += 0.1 * RECORDING["t"]
     shown = Shown(write(tmp_path, changed(face_pose=poses)))
-    for frame in (0, 7):
+    for frame in 0, 7:
         expected = pin.XYZQUATToSE3(poses[10 * frame, 0])
         assert shown.pose("/meshcat/bodies/face/base", frame).isApprox(expected, 1e-5)
 
@@ -84,7 +84,7 @@ def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown,
     tick = 10 * frame
     node = (LEFT, RIGHT)[i]
     placed = shown.pose(node, frame)
-    for found, channel in ((placed.translation, "point"), (placed.rotation[:, 1], "direction")):
+    for found, channel in (placed.translation, "point"), (placed.rotation[:, 1], "direction"):
         assert_near(found, RECORDING[f"contact_{channel}"][tick, i], 1e-6)
     for arrow, channel in {"true": "true", "commanded": "cmd", "measured": "meas"}.items():
         alpha = RECORDING[f"alpha_{channel}"][tick, i]
@@ -106,7 +106,7 @@ def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
             assert shown.seen(part, frame) == there, part
     assert not shown.seen(f"{RIGHT}/true/shaft/rod", 0), "no arrow for 0 N"
     paint = {path: one["materials"][0]["color"] for path, one in shown.objects.items()}
-    for part in ("true/shaft/rod", "commanded/head/cone", "closed/line/rod", "closed/point"):
+    for part in "true/shaft/rod", "commanded/head/cone", "closed/line/rod", "closed/point":
         assert paint[f"{LEFT}/{part}"] == int(contact_colour(0)[1:], 16)
     assert np.ptp([*paint[f"{LEFT}/lost/line/rod"].to_bytes(3)]) < 16, "grey"
 
@@ -195,7 +195,7 @@ def test_thinning_keeps_short_peaks_in_their_place():
     thin = thinned(panel["lines"], {"t": t, "power_total": y})
     times, values = np.array((thin["t"], thin["y"][0]))
     assert len(times) <= 900 and np.all(np.diff(times) >= 0.0)
-    for peak, at in ((values.argmax(), 31_415), (values.argmin(), 20_000)):
+    for peak, at in (values.argmax(), 31_415), (values.argmin(), 20_000):
         assert values[peak] == y[at] and abs(times[peak] - t[at]) < 0.12
     usual = np.abs(values) < 2.0
     assert largest(values[usual] - np.sin(times[usual])) < 0.12
@@ -338,8 +338,8 @@ DAE = """<?xml version="1.0"?>
 </instance_geometry></node></visual_scene></library_visual_scenes>
 </COLLADA>
 """
-RED = (0.88, 0.14, 0.14)
-BLUE = (0.14, 0.14, 0.88)
+RED = 0.88, 0.14, 0.14
+BLUE = 0.14, 0.14, 0.88
 
 
 def test_triangles_have_the_colours_of_their_materials(tmp_path):

@@ -166,7 +166,7 @@ def test_a_better_encoder_is_never_worse(name, rate):
     """By contact forces, 2 s judged, MuJoCo."""
     encoders = [BITS % (rate, 2 * np.pi / 2**bits, 1.0 / 2**bits) for bits in (20, 23, 26)]
     errors = []
-    for encoder in (*encoders, f"sensors.encoder={{rate: {rate} Hz}}"):
+    for encoder in *encoders, f"sensors.encoder={{rate: {rate} Hz}}":
         verdict = verdict_of(name, f"control.rate={rate} Hz", encoder, duration=3.0)
         errors.append(closed_force(verdict))
     assert all(better <= 1.02 * worse for worse, better in pairwise(errors)), errors
@@ -296,7 +296,7 @@ def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noi
 
 def test_a_fresh_reading_corrects_what_the_acceleration_predicts():
     """The velocity by β over the period of the sensor."""
-    for fresh, innovation in ((False, 0.0), (True, 99.0 - 1.002005)):
+    for fresh, innovation in (False, 0.0), (True, 99.0 - 1.002005):
         estimate = VelocityEstimate(np.array([0.5]), np.array([0.1]), DT, 4 * DT)
         estimate.update(np.array([1.0]))
         estimate.v = np.array([2.0])
@@ -320,7 +320,7 @@ def test_a_slow_sensor_is_followed_between_its_samples():
 # Vision fused with encoders: the camera's frame found, its delay undone, its noise weighed.
 
 
-NOISE = (1e-3, 5e-3)
+NOISE = 1e-3, 5e-3
 
 
 def displaced(rng, size):
@@ -357,7 +357,7 @@ def test_without_noise_one_picture_finds_the_camera():
 def test_the_covariance_is_that_of_the_error():
     """Normalised squared error over 300 cameras: chi² with 6 degrees of freedom, mean 6 ± 0.2."""
     rng = default_rng(1)
-    prior = (5e-3, 5e-3)
+    prior = 5e-3, 5e-3
     squares = []
     spread = []
     for _ in range(300):
@@ -414,7 +414,7 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
         if k >= 1200 and k % 20 == 0:
             truth = sensed.truth()
             n = truth.X_WE[0].rotation @ pair.normal
-            for touched in (done.touched, read.touched):
+            for touched in done.touched, read.touched:
                 X_WE = pin.SE3(touched.X_WE[0])
                 off = np.cross(n, X_WE.rotation @ pair.normal)
                 squares.append([off @ off, *pair.gaps(truth.X_WO, X_WE) ** 2])
@@ -441,7 +441,7 @@ def test_a_wandering_camera_is_followed():
     known = scattered(rng)
     moved = placed(3e-3, rpy=(0, 0, 2e-3))
     found = Registration(*NOISE, drift=(1e-3, 1e-3))
-    for where in (pin.SE3.Identity(), moved):
+    for where in pin.SE3.Identity(), moved:
         for _ in range(600):
             found.update(known, [noisy(where.inverse() * X, rng) for X in known], 1 / 60)
     assert largest(lacking(found.X, moved)) < 1.5e-3

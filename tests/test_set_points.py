@@ -41,7 +41,7 @@ def test_goals_that_change_at_any_time_are_followed_within_the_limits(monkeypatc
     if ruckig == "finds none":
         monkeypatch.setattr(jerk_limits, "_Fastest", fail)
     rng = default_rng(0)
-    for n in (1, 3, 6):
+    for n in 1, 3, 6:
         v, a, j = size * 10.0 ** rng.uniform(-1, 1.5, (3, n))
         point = osc.SetPoint(np.zeros(n), osc.JerkLimits(v, a, j), DT)
         states = [point.step()]
@@ -52,7 +52,7 @@ def test_goals_that_change_at_any_time_are_followed_within_the_limits(monkeypatc
         tiny = 1e-9 * size
         assert (np.abs(x_dot) <= v + tiny).all() and (np.abs(x_ddot) <= a + tiny).all()
         assert (np.abs(np.diff(x_ddot, axis=0)) <= j * DT + tiny).all()
-        for path, rate, most in ((x, x_dot, DT / 6), (x_dot, x_ddot, 1 / 4)):
+        for path, rate, most in (x, x_dot, DT / 6), (x_dot, x_ddot, 1 / 4):
             drawn = np.diff(path, axis=0) - DT * (rate[1:] + rate[:-1]) / 2
             assert (np.abs(drawn) <= j * most * DT**2 + 1e-3 * tiny).all()
         due = point.remaining / DT + 2
@@ -68,7 +68,7 @@ def test_goals_that_change_at_any_time_are_followed_within_the_limits(monkeypatc
 def test_no_finite_goal_raises(way):
     bounds = LINEAR.each(2)
     path = Trajectory.rest(np.zeros(2), bounds)
-    for share in (1.0, 0.3, -1.0):
+    for share in 1.0, 0.3, -1.0:
         goal = way * np.array([share, 0.5])
         path = Trajectory(*path.state, goal, bounds)
         path.advance(0.1)
@@ -197,7 +197,7 @@ def test_a_reference_leaves_out_what_is_zero():
     X = pose_of(default_rng(4))
     short = osc.Reference(X)
     long = osc.pose_reference(X.translation, X.rotation)
-    for reference in (short, long):
+    for reference in short, long:
         assert_array_equal((reference.V_D, reference.A_D), np.zeros((2, 6)))
         assert len(reference.alpha_d) == 0 and reference.squeeze_d == 0.0
     assert long.X_WD == X and short.V_D is not osc.Reference(X).V_D

@@ -60,7 +60,7 @@ def test_derivatives_match_central_differences(signal):
 def test_many_times_at_once_are_those_times_one_by_one():
     signals = [*SMOOTH, Step(value=5.0, start=0.7), Sine(amplitude=1.0, frequency=2.0, start=0.3)]
     t = np.sort(np.append(default_rng(0).uniform(-0.5, 2.0, 200), [0.1, 0.3, 0.4, 0.7]))
-    for chosen in ([], *([one] for one in signals), signals):
+    for chosen in [], *([one] for one in signals), signals:
         summed = np.array([np.sum([one.at(x) for one in chosen], axis=0) * np.ones(3) for x in t])
         assert_near(total(chosen, t).T, summed, 1e-12)
         assert_near([total(chosen, x) for x in t], summed, 1e-12)
@@ -77,7 +77,7 @@ def test_sine_is_silent_before_start_and_pure_after_the_ramp():
     assert tuple(sine.at(0.999)) == (0.0, 0.0, 0.0)
     w = math.pi
     angle = w + 0.3
-    wanted = (4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle))
+    wanted = 4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle)
     assert sine.at(2.0) == approx(wanted, rel=1e-13)
 
 
@@ -253,7 +253,7 @@ def test_vectors():
     loaded = unit([0.4, 0.3, -0.87])
     assert math.hypot(*loaded) == approx(1.0, abs=4e-16)
     assert np.cross(loaded, [0.4, 0.3, -0.87]) == approx(np.zeros(3), abs=1e-16)
-    for read, bad in ((vec3, [1, 2]), (vec3, "abc"), (vec3, [1, 2, "3 N"]), (unit, [0, 0, 0])):
+    for read, bad in (vec3, [1, 2]), (vec3, "abc"), (vec3, [1, 2, "3 N"]), (unit, [0, 0, 0]):
         with raises(ValidationError, match="expected"):
             read(bad)
     for vector in default_rng(0).normal(size=(2000, 3)).tolist():

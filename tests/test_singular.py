@@ -126,7 +126,7 @@ def test_torques_are_continuous_through_the_straight_elbow(rest):
     panda = one_panda()
     chain = osc.ClosedChain(panda.arms, panda.grasps, panda.payload, rank_tolerance=3e-3)
     v = rest * np.array([0.3, -0.5, 0.2, 0.8, 0.1, -0.4, 0.6])
-    ends = ((-0.4, -2e-3, 400), (-2e-3, 2e-3, 200), (2e-3, 0.4, 400))
+    ends = (-0.4, -2e-3, 400), (-2e-3, 2e-3, 200), (2e-3, 0.4, 400)
     offsets = np.concatenate([np.linspace(*end) for end in ends])
     postures = map(straight_panda, offsets)
     assert ranks_on_the_way(chain, postures, v, straight_panda(-0.8)) == {5, 6}
@@ -151,8 +151,8 @@ def outward(name, direction, distance, duration, plant):
     return osc.run(osc.Scenario.model_validate(data))
 
 
-SCARAS = ("two_contact_rod", [0, 1, 0], 0.2205)  # 0.2185 m is all they reach
-PANDA = ("panda_edge", [1, 0, 0.2], 0.4386)  # 0.4366 m
+SCARAS = "two_contact_rod", [0, 1, 0], 0.2205  # 0.2185 m is all they reach
+PANDA = "panda_edge", [1, 0, 0.2], 0.4386  # 0.4366 m
 
 
 @parametrize(

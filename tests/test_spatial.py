@@ -76,7 +76,7 @@ def test_pose_error_carries_the_object_to_its_goal(seed):
 
 
 def test_as_array_returns_a_fresh_float_copy():
-    for given, shape in ((np.arange(6).reshape(2, 3), (2, None)), (np.ones(3), (3,))):
+    for given, shape in (np.arange(6).reshape(2, 3), (2, None)), (np.ones(3), (3,)):
         kept = given.copy()
         taken = as_array("x", given, shape)
         assert taken.dtype == np.float64

@@ -121,8 +121,7 @@ def test_normals_gaps_and_points_are_those_of_the_shapes_that_touch(face, R):
         ours = pair.contact(X_WO, np.ones(6), X_WE)
         assert_near(ours.N[:3, 0], -X_WE.rotation @ n, 1e-10)
         assert pair.gaps(X_WO, X_WE)[0] == approx(-deep, abs=1e-12)
-        on_ball = X_WE.act(place - 0.012 * n)
-        assert_near(pair.points_of_contact(X_WO, X_WE)[:, 0], on_ball, 1e-10)
+        assert_near(pair.points_of_contact(X_WO, X_WE)[:, 0], X_WE.act(place - 0.012 * n), 1e-10)
         (found,) = osc.detect(ball, X_WO, [CollisionShape("e", solid)], X_WE)
         assert isinstance(found.pair(), osc.SphereOnSurface)
         other = found.pair().contact(X_WO, np.ones(6), X_WE)
@@ -148,8 +147,7 @@ def test_a_fit_states_its_error_and_refuses_too_few_points(tmp_path):
     rough = osc.Surface.fitted(np.array([x, y, z + 1e-3 * rng.standard_normal(3000)]).T)
     assert rough.rms == approx(1e-3, rel=0.1) and rough.worst > 3 * rough.rms
     ball = osc.SphereOnSurface(np.zeros(3), 0.0, rough)
-    away = [ball.gaps(shift(p))[0] for p in np.array([x, y, z]).T[:50]]
-    assert largest(away) < 2e-3
+    assert largest([ball.gaps(shift(p))[0] for p in np.array([x, y, z]).T[:50]]) < 2e-3
     with refused("do not determine a spline of 8 × 8 cells"):
         osc.Surface.fitted(rng.standard_normal((40, 3)))
     with model_error("no mesh is read"):
@@ -185,8 +183,7 @@ def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
     delta = 0.004 * rng.standard_normal(3)
     controller._records.memory.columns[0].turn[:] = delta / 0.112
     controller.tick(measurement, reference)
-    there = osc.SphereOnSurface(centre, 0.012, osc.Surface.sphere(0.1), at + delta)
-    n = normal(there, X)
+    n = normal(osc.SphereOnSurface(centre, 0.012, osc.Surface.sphere(0.1), at + delta), X)
     column = controller._records.work.columns[0]
     p = X.rotation @ centre + 0.012 * (normal(pair, X) if kind is Own else n)
     assert_near(column.point, p, 1e-12)
@@ -205,12 +202,12 @@ def task(tmp_path, own_plants):
 def test_references_touch_all_the_way_and_are_derivatives_of_one_another(task):
     raster = {"kind": "surface", "contact": "nose", "direction": [1, 0, 0], "dwell": 0.1}
     raster |= {"raster": [0.04, 0.02, 3], "feed": 0.1}
-    for face, more in (("saddle", []), ("sphere", [raster])):
+    for face, more in ("saddle", []), ("sphere", [raster]):
         scenario = task(face)
         scenario = scenario.replaced(motion=[*more, *([] if more else scenario.motion)])
         rig = rig_of(scenario)
         (pair,) = rig.pairs
-        for t in (0.3, 1.3, 2.1):
+        for t in 0.3, 1.3, 2.1:
             at = assert_derivatives(rig.references.at, t, 1e-4, 2e-6, 1e-4)
             assert abs(pair.gaps(at.X_WD)[0]) < 1e-15
             start = rig.references.at(0.0).X_WD

@@ -40,7 +40,7 @@ from osc_contact.sweeps.sweep import (
 )
 
 U = np.linspace(0.01, 0.99, 7)
-SHORT = ("duration=1.02 s", "control.rate=250 Hz")
+SHORT = "duration=1.02 s", "control.rate=250 Hz"
 MASSES = "model_error.object_mass=uniform(0.8, 1.2)"
 NORMALS = "contacts.left_end.face.normal=tilt(5 deg)"
 
@@ -130,13 +130,13 @@ def test_what_is_not_understood_is_refused_with_how_it_is_written(words):
 def test_points_are_scipys_and_those_behind_a_block_go_on(design, points):
     study = rod(3000, "squeeze=uniform(0, 1)", "seed=integers(0, 9)", design=design, seed=4)
     oracle = points(2, scramble=True, rng=4).random(2048)
-    for i in (0, 5, 1023, 1024, 2047):
+    for i in 0, 5, 1023, 1024, 2047:
         assert study.sample(i).shown["squeeze"] == approx(oracle[i, 0], abs=1e-12)
         assert study.sample(i).seed == int(oracle[i, 1] * 10)
 
 
 def test_a_sample_does_not_depend_on_how_many_there_are():
-    for design in ("halton", "sobol", "random"):
+    for design in "halton", "sobol", "random":
         few, many = (rod(n, MASSES, NORMALS, design=design) for n in (10, 5000))
         assert few.fingerprint == many.fingerprint
         assert [few.sample(i) for i in range(10)] == [many.sample(i) for i in range(10)]
@@ -395,7 +395,7 @@ def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_pa
     heavier = text.replace('<mass value="1.5"/>', '<mass value="2.5"/>')
     assert len(heavier) == len(text) and heavier != text
     masses = []
-    for one in (text, heavier, text):
+    for one in text, heavier, text:
         file.write_text(one)
         masses.append(robots.load_body(file).mass)
         robots.load_body(file).mass = 99.0

@@ -108,7 +108,7 @@ SOFT += ["control.force.reading=least_squares", "duration=3 s"]
 @parametrize("face", ["hinge with spring", "conveyor", "cart with spring"])
 def test_the_estimate_is_not_worse_than_none_on_soft_faces_that_move(face):
     error = []
-    for tilt in ("10 deg", "0"):
+    for tilt in "10 deg", "0":
         changes = [*FACES[face], *SOFT, f"gains={{force: {{tilt: {tilt}}}}}"]
         error.append(closed_force(verdict_of("moving_face", *changes)))
     assert error[0] < error[1] + 0.001, error
@@ -147,7 +147,7 @@ def test_it_settles_within_a_second_and_a_half(about):
 def test_what_stands_keeps_its_face_and_its_uncertainty():
     _, turned, run, _ = slid(noisy(circle(0.5), "0.1 mrad").replaced(motion=[]), 3.0)
     assert turned == 0.0
-    for std in (run["normal_std"][-1, 0], osc.metrics(run)["normals"]["nose"]):
+    for std in run["normal_std"][-1, 0], osc.metrics(run)["normals"]["nose"]:
         assert std == approx(5.0 * DEGREE, rel=0.01)
 
 

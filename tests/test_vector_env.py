@@ -59,7 +59,7 @@ def test_rows_are_reset_as_gymnasium_resets_environments():
     ours = make_vector_env("panda_edge", 2, threads=1, **how)
     theirs = SyncVectorEnv([lambda: One(**how)] * 2, autoreset_mode=AutoresetMode.NEXT_STEP)
     assert ours.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    for env in (ours, theirs):
+    for env in ours, theirs:
         env.action_space.seed(5)
     assert_array_equal(ours.reset(seed=1)[0], theirs.reset(seed=1)[0])
     ends = np.zeros((2, 2), dtype=int)
@@ -97,7 +97,7 @@ def test_rows_of_a_fleet_are_single_runs(name):
 
 def test_actions_move_the_set_point_and_set_the_force():
     """Along the table's edge, which the contact permits: the object follows, the force too."""
-    still = ("motion=[]", "force.edge=[{type: constant, value: 10 N}]", "duration=3 s")
+    still = "motion=[]", "force.edge=[{type: constant, value: 10 N}]", "duration=3 s"
     how = {"move": (2e-3, 1e-2), "most_force": 20.0}
     env = make_vector_env("panda_edge", 2, overrides=still, threads=1, **how)
     env.reset(seed=0)
@@ -158,6 +158,6 @@ def test_a_row_refuses_a_controller_of_another_structure():
     light = Start.of(rig_of("panda_edge")).controller
     batch = osc.BatchController([light] * 2)
     rod = rig_of().controller()
-    for row, controller, words in ((0, rod, "one structure"), (2, light, "rows 0")):
+    for row, controller, words in (0, rod, "one structure"), (2, light, "rows 0"):
         with invalid_input(words):
             batch.replace(row, controller)

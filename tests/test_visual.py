@@ -103,7 +103,7 @@ def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):
     texts = [(t.get_text().replace("\n", " · "), t.get_window_extent()) for t in shown]
     tips = [ax.transData.transform(t.xy) for t in ax.texts if getattr(t, "arrow_patch", None)]
     for block, box in boxes:
-        for signals in (block.inputs, block.outputs):
+        for signals in block.inputs, block.outputs:
             assert ("q" in signals) == ("v" in signals), "v is drawn with q"
         wanted = [LABELS[s] for s in block.inputs if s != "v"]
         named = [

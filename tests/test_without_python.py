@@ -301,7 +301,7 @@ def test_crafted_files_with_a_right_checksum_do_not_reach_beyond_their_bytes(
         words += range(at, at + 8 * (len(kind.tables) + len(kind.counts)), 8)
     crafted = []
     for at in words:
-        for value in (-1, 0, 1 << 40, (1 << 63) - 1, int(raw[at : at + 8].view(np.int64)[0]) + 64):
+        for value in -1, 0, 1 << 40, (1 << 63) - 1, int(raw[at : at + 8].view(np.int64)[0]) + 64:
             body = bytearray(content[:-4])
             word = value.to_bytes(8, "little", signed=True)
             if body[HEAD + at : HEAD + at + 8] != word:

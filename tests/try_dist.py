@@ -32,15 +32,15 @@ COMMANDS = (
     "osc-contact examples mine",
     "python mine/01_osc_contact.py",
 )
-TESTS = ("test_contact.py", "test_projections.py", "test_importing.py", "test_browser.py")
-BESIDE = ("franky-sim", "robosuite", "mjlab", "newton")
+TESTS = "test_contact.py", "test_projections.py", "test_importing.py", "test_browser.py"
+BESIDE = "franky-sim", "robosuite", "mjlab", "newton"
 #: Tests of pages whose tools need newer versions of what the package needs, too.
 OF_PAGES = ("test_site.py",)
 OTHERS_WARN = ("optuna.exceptions.ExperimentalWarning",)  # of what is an argument of optuna 5
 #: Tests of what differs with versions: layers need a tool of `dev`, robots come and go.
 OF_PINNED = "not picture_of_the_rooms and not every_robot_of_the_data"
 OF_NEWER = "not vector_env and not learning.md and not even_force and not best_forces"  # MuJoCo 4
-WRITTEN = ("rod/metrics.json", "rod/scene.html", "rod.gif")
+WRITTEN = "rod/metrics.json", "rod/scene.html", "rod.gif"
 
 
 def main():
@@ -106,7 +106,7 @@ def suite(python, versions):
     run(ROOT, around, "python", "-m", "osc_contact.law.c_object")
     others = [f"--ignore=tests/{test}" for test in OF_PAGES]
     warned = (f"-Wignore::{one}" for one in ("DeprecationWarning", *OTHERS_WARN))
-    how = ("-q", "-n", "auto", "-p", "no:cacheprovider", *warned)
+    how = "-q", "-n", "auto", "-p", "no:cacheprovider", *warned
     leave = {"pinned": "", "highest": OF_PINNED, "lowest": f"{OF_PINNED} and {OF_NEWER}"}
     others += ["-k", leave[versions]]
     done = subprocess.run(
@@ -131,7 +131,7 @@ def core(file, python):
         run(folder, around, *pip, "--no-deps", "example-robot-data")  # the robot of the program
         page = (ROOT / "docs/own_loop.md").read_text()
         run(folder, around, "python", "-c", page.split("```python\n")[1].split("```")[0])
-    for what, found in (("pin", before), (f"{file.name}, no extras", after)):
+    for what, found in ("pin", before), (f"{file.name}, no extras", after):
         packages, size_of = (x - y for x, y in zip(found, empty, strict=True))
         say(f"  {what}: {packages} packages, {size_of / 1e6:.0f} MB")
 
@@ -153,7 +153,7 @@ def beside(file, python):
         torch.write_text(re.search(r"^torch==.*$", pinned, re.M)[0])
         for other in BESIDE:
             report = folder / f"{other}.json"
-            options = ("--dry-run", "--report", str(report), "-c", str(torch))
+            options = "--dry-run", "--report", str(report), "-c", str(torch)
             run(folder, around, *pip, *options, f"{file}[all]", other)
             found = {
                 item["metadata"]["name"].lower(): item["metadata"]["version"]
@@ -194,7 +194,7 @@ def attempt(file, python, versions):
             )
             if not (source / "figures/fig1.png").is_file():
                 sys.exit("the source archive makes no figure")
-        for needed in ("tests", "urdf"):
+        for needed in "tests", "urdf":
             shutil.copytree(ROOT / needed, folder / needed)
         run(folder, around, *pip, "pytest", "pytest-timeout", "hypothesis")
         tests = [f"tests/{test}" for test in TESTS]

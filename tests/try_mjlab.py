@@ -20,7 +20,7 @@ import osc_contact as osc
 from osc_contact.learn import ContactActionCfg, begin
 
 MOST = 30.0
-MOVE = (2e-3, 1e-2)
+MOVE = 2e-3, 1e-2
 
 
 @fixture(scope="module")
