@@ -14,7 +14,6 @@ from importlib import import_module
 
 import numpy as np
 import pinocchio as pin
-from numpy.linalg import svd
 from numpy.random import default_rng
 from rigs import direction, pose_of, shift
 
@@ -98,7 +97,7 @@ def placed(R, of_A, at_E):
 
 
 def in_plane(normal):
-    return svd(normal[None, :])[2][1:]
+    return np.linalg.svd(normal[None, :])[2][1:]
 
 
 def two_lines(rng):

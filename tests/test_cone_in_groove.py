@@ -8,7 +8,6 @@ import numpy as np
 import pinocchio as pin
 from command_line import done, read_json
 from numpy.linalg import inv, matrix_rank, norm
-from numpy.random import default_rng
 from pytest import approx, mark
 from rigs import assert_derivatives, assert_near, largest, refused, rotated, shift
 from samples import aligned, names_in
@@ -75,7 +74,7 @@ def test_inertia_is_that_of_a_stack_of_discs():
 
 def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
     """t₁ = [axis × (O − apex)…], t₂ = [e; 0]; pushes normal to the walls do no work on either."""
-    rng = default_rng(0)
+    rng = np.random.default_rng(0)
     e = SEAT.direction
     for _ in range(20):
         X = pose_at(rng.uniform(-3, 3), rng.uniform(-0.1, 0.1))

@@ -9,7 +9,6 @@ from itertools import product
 import numpy as np
 import pinocchio as pin
 from complaints import scenario_error
-from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import fixture, raises
 from rigs import UNLIMITED, assert_near, held_tick, largest, one_panda, refused, rig_of, ticked
@@ -211,7 +210,7 @@ def test_copies_and_pickles_continue_alike_and_alone(ready):
 
 def test_two_threads_on_one_chain_do_not_disturb_one_another(rig, ready):
     *_, m, reference = ready
-    rng = default_rng(4)
+    rng = np.random.default_rng(4)
     stories = [
         [replace(m, q=m.q + 1e-3 * rng.standard_normal(10)) for _ in range(300)] for _ in "ab"
     ]

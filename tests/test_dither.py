@@ -1,8 +1,6 @@
 """A bounded motion by which two points show their normals, and what forces are known to without."""
 
 import numpy as np
-from numpy.linalg import norm
-from numpy.random import default_rng
 from pytest import approx, mark
 from rigs import assert_near, largest, rig_of, unit
 from scenario_runs import closed_force, verdict_of
@@ -63,8 +61,8 @@ def test_what_a_wrong_normal_costs_two_points():
     points = [state.X_WO.act(pair.vertex) for pair in rig.pairs]
     u = unit(points[1] - points[0])
     along = u - (n @ u)[:, None] * n  # in each face
-    pushes = 10.0 * 0.05 * default_rng(0).normal(size=(4000, 2, 1))
-    left = pushes * along / norm(along, axis=1)[:, None]  # beside the assumed normals
+    pushes = 10.0 * 0.05 * np.random.default_rng(0).normal(size=(4000, 2, 1))
+    left = pushes * along / np.linalg.norm(along, axis=1)[:, None]  # beside the assumed normals
     s = np.sum(left * along, axis=(1, 2)) / np.sum(along**2)
     want = np.sqrt(np.mean(s**2)) * np.abs(n @ u).max() / 10.0
     assert known_to(rig.pairs, state, 0.05) == approx(want, rel=0.05)

@@ -6,7 +6,6 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, refusals, scenario_error
 from kkt_oracle import held
-from numpy.random import default_rng
 from pytest import approx
 from rigs import (
     assert_near,
@@ -96,7 +95,7 @@ def test_scenarios_take_both_kinds_and_name_the_others():
 def test_the_brake_decelerates_the_contact_whatever_the_mass():
     """The acceleration of a full system of equations changes by −κ NᵀV along N."""
     chain = one_panda()
-    rng = default_rng(5)
+    rng = np.random.default_rng(5)
     kappa = 44.0
     for mass in 0.1, 1.0, 6.0:
         body = pin.Inertia(mass, np.array([0.01, 0.02, 0.0]), 0.02 * mass * np.eye(3))

@@ -6,7 +6,6 @@ import signal
 from dataclasses import replace
 
 import numpy as np
-from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from processes import python
 from pytest import mark
@@ -120,7 +119,7 @@ def tick_between_guards(name, at_end, beyond=0):
     controller, m, reference = prepared(name)
     controller.tick(m, reference)
     other = Guarded(controller, at_end, beyond)
-    rng = default_rng(3)
+    rng = np.random.default_rng(3)
     seen = set()
     for k in range(30):
         q = m.q + 1e-4 * rng.standard_normal(len(m.q)) * (np.nan if k % 10 == 7 else 1.0)

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 from numpy.linalg import norm
-from numpy.random import default_rng
 from pytest import approx
 from rigs import largest, shift
 from samples import parametrize
@@ -50,7 +49,7 @@ def test_laws_of_other_software_do_what_is_commanded(name):
 
 
 def test_damping_acts_only_near_a_singular_posture():
-    rng = default_rng(1)
+    rng = np.random.default_rng(1)
     J, root, a = rng.standard_normal((6, 7)), rng.standard_normal((7, 7)), np.zeros(7)
 
     def torques(thresholds, J):

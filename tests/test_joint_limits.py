@@ -2,7 +2,6 @@
 
 import numpy as np
 from law_calls import allocation, records, write
-from numpy.random import default_rng
 from pytest import approx
 from rigs import (
     PANDA_Q,
@@ -86,7 +85,7 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
 @parametrize("past", [-0.3, -0.1, -0.02, 0.0, 0.05])
 def test_idle_motions_are_pushed_away_from_their_limits(past):
     """Some joints inside their margins, some beyond their limits, some with a limit on one side."""
-    rng = default_rng(62)
+    rng = np.random.default_rng(62)
     for _ in range(3):
         q = PANDA_Q + rng.uniform(-0.5, 0.5, 7)
         v = rng.standard_normal(7)

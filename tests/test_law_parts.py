@@ -13,7 +13,6 @@ import pinocchio as pin
 from law_calls import algebra, commands, contact, grasps, records, write
 from law_calls import columns as columns_of_N
 from numpy.linalg import norm, qr
-from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
 from rigs import assert_near, largest, pose_of, unit
@@ -25,7 +24,7 @@ SEEDS = parametrize("seed", range(6))
 
 
 def rng_of(seed):
-    return default_rng(1000 + seed)
+    return np.random.default_rng(1000 + seed)
 
 
 def turn(rng):

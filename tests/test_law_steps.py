@@ -2,7 +2,6 @@
 
 import numpy as np
 from law_calls import commands, records, write
-from numpy.random import default_rng
 from pytest import approx
 from rigs import assert_near
 from samples import parametrize
@@ -251,7 +250,7 @@ def test_the_brake_of_a_soft_face_is_that_of_the_tuning_page(measured):
     forces = Forces(drift_share=0.02, force_gain=30.0)
     forces.t.model.bodies.kind = at.YIELDING
     forces.t.model.bodies.parameters[:, 0] = 4e-4
-    rng = default_rng(7)
+    rng = np.random.default_rng(7)
     seen = []
     for k in range(300):
         V, face, noise = rng.standard_normal(3)

@@ -1,7 +1,6 @@
 """Limit cycles: oscillations of a force that last and that nobody commanded, and what is none."""
 
 import numpy as np
-from numpy.random import default_rng
 from pytest import approx
 from samples import parametrize
 from scenario_runs import verdict_of
@@ -11,7 +10,7 @@ from osc_contact.runs.limit_cycles import find_cycle, worst_cycles
 
 DT = 1e-3
 T = np.arange(4000) * DT
-RNG = default_rng(1)
+RNG = np.random.default_rng(1)
 
 
 def sine(frequency, amplitude=1.0):

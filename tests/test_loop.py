@@ -20,7 +20,6 @@ from samples import first, parametrize
 from scenario_runs import assert_same_run, rig_of, run_of
 
 import osc_contact as osc
-from osc_contact.control.status import SafetyState
 from osc_contact.runs.run import start
 
 TICKS = 30
@@ -174,17 +173,17 @@ class Controller:
     def __init__(self, stops_at=()):
         self.stops_at = stops_at
         self.ticks = 0
-        self.state = SafetyState.RUN
+        self.state = osc.SafetyState.RUN
         self.reason = ""
 
     def tick(self, measurement, reference):
         if self.ticks in self.stops_at:
-            self.state = SafetyState.SAFE_STOP
+            self.state = osc.SafetyState.SAFE_STOP
             self.reason = f"tick {self.ticks}: an encoder"
         if self.ticks - 2 in self.stops_at:  # somebody resets it
-            self.state = SafetyState.RUN
+            self.state = osc.SafetyState.RUN
         self.ticks += 1
-        return np.array([-1.0 if self.state is SafetyState.SAFE_STOP else 1.0])
+        return np.array([-1.0 if self.state is osc.SafetyState.SAFE_STOP else 1.0])
 
 
 def loop_of(robot, ticks=None, stops_at=(), **how):

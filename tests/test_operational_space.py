@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pinocchio as pin
+from numpy.linalg import cholesky, inv, svd
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import fixture, mark, raises
@@ -68,7 +69,7 @@ def textbook(arm, q, v):
     drift = sum(CENTRAL[k] * d for k, d in steps.items()) @ v / STEP
     bar = inverse(M) @ J.T
     Phi = J @ bar
-    chi = np.linalg.svd(BALL @ J @ np.linalg.inv(np.linalg.cholesky(M)).T)[1]
+    chi = svd(BALL @ J @ inv(cholesky(M)).T)[1]
     terms = {"J": J, "Phi": Phi, "drift": drift, "h": np.array(data.nle)}
     if len(chi) == 6 and rank_of(chi, 1.1) == 6:
         Lambda = inverse(Phi)

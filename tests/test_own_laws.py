@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, refusals
-from numpy.linalg import solve
+from numpy.linalg import eig, inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import fixture
@@ -240,8 +240,8 @@ def test_impedance_is_a_spring_and_a_damper_on_the_arms_own_inertia(exact, ratio
         s, _, moved = answered(exact, plant, controller, reference)
         state = s.state
         want, P = inertial(s, reference.A_D)
-        w, V = np.linalg.eig(solve(state.Lambda_S, state.S.T * KEYS @ state.S))
-        D = 2.0 * ratio * (state.Lambda_S @ V * np.sqrt(w)) @ np.linalg.inv(V)
+        w, V = eig(solve(state.Lambda_S, state.S.T * KEYS @ state.S))
+        D = 2.0 * ratio * (state.Lambda_S @ V * np.sqrt(w)) @ inv(V)
         e = pose_error(reference.X_WD, state.X_WO)
         spring = KEYS * e + s.contact.N @ s.alpha_d
         want = want + state.S.T @ spring + D @ P @ (reference.V_D - state.V_O)

@@ -11,7 +11,6 @@ import numpy as np
 from command_line import done, refused
 from complaints import invalid_input, model_error, plant_error
 from headless import Browser, near, pixels_of
-from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from PIL import Image
 from pytest import approx, raises
@@ -490,7 +489,7 @@ def test_a_controller_that_starts_outside_the_limits_holds_and_stops():
 def free_run(change, tick=lambda k, controller: None, ticks=300, **how):
     """Ticks `off_the_wall`, the wrist's readings changed."""
     robot, controller, X = off_the_wall(**how)
-    rng = default_rng(1)
+    rng = np.random.default_rng(1)
     for k in range(ticks):
         read = robot.measure()
         noise = rng.standard_normal((1, 6)) * np.repeat([0.3, 0.006], 3)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from complaints import contact_error
-from numpy.linalg import inv, matrix_rank, qr, solve
+from numpy.linalg import inv, lstsq, matrix_rank, qr, solve
 from numpy.random import default_rng
 from rigs import largest
 from samples import parametrize
@@ -108,7 +108,7 @@ def test_rank_five_inverse_inertia_is_enough(seed, r):
     Phi = root @ root.T
     assert matrix_rank(Phi) == 5
     f = c.size * rng.standard_normal(6)
-    alpha = np.linalg.lstsq(root.T @ c.N, root.T @ f, rcond=None)[0]
+    alpha = lstsq(root.T @ c.N, root.T @ f, rcond=None)[0]
     projection = P.Omega_f(c.N, Phi)
     close(projection @ f, c.N @ alpha, 1e-8)
     close(P.Omega_m_bar(c.N, Phi), projection.T, 1e-8)

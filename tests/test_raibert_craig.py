@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pinocchio as pin
-from numpy.linalg import norm
+from numpy.linalg import det, norm, pinv
 from numpy.random import default_rng
 from pytest import approx, raises
 from rigs import assert_near, pose_of, refused, shift
@@ -46,7 +46,7 @@ def largest_sine(A, B):
     projectors = []
     for columns in A, B:
         scaled = columns / np.array([1.0] * 3 + [SIZE] * 3)[:, None]
-        projectors.append(scaled @ np.linalg.pinv(scaled))
+        projectors.append(scaled @ pinv(scaled))
     return norm(projectors[0] - projectors[1], 2)
 
 
@@ -66,7 +66,7 @@ def assert_describes(found, N):
     assert found.reason == "" and 0.0 <= found.residual <= 1e-9
     E = found.frame.rotation
     assert_near(E.T @ E, np.eye(3), 1e-12)
-    assert np.linalg.det(E) > 0.0
+    assert det(E) > 0.0
     assert largest_sine(space_of(found), N) < 1e-9
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.linalg import cholesky, inv, solve, svd
+from numpy.linalg import cholesky, inv, lstsq, solve, svd
 from numpy.random import default_rng
 from pair_kinds import touching
 from rigs import (
@@ -140,7 +140,7 @@ def explained(f_meas, state, contact, environment, friction_wrenches, A_D, wante
     k = unlikely.shape[1]
     rows = np.vstack((sharp @ np.hstack((H, unlikely)), np.eye(k, r + k, r)))
     known = np.append(sharp @ (f_meas - state.bias_out - out @ a), np.zeros(k))
-    return np.linalg.lstsq(rows, known, rcond=None)[0][:r]
+    return lstsq(rows, known, rcond=None)[0][:r]
 
 
 @parametrize("body", [None, "conveyor", "cart"])

@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 from complaints import invalid_input
 from html_pages import Page
+from numpy.linalg import matrix_rank, norm
 from pytest import approx, raises
 from rigs import assert_near, largest
 from samples import aligned, module_fixture, names_in, parametrize
@@ -139,8 +140,8 @@ def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, co
         for c in np.flatnonzero(RECORDING["closed"][10 * frame]):
             speed = v + np.cross(omega, RECORDING["contact_point"][10 * frame, c] - on_axis)
             along_force = speed @ RECORDING["contact_direction"][10 * frame, c]
-            assert abs(along_force) < 2e-3 * max(1.0, np.linalg.norm(speed))
-    assert len(drawn) == np.linalg.matrix_rank(twists, tol=1e-3) == count
+            assert abs(along_force) < 2e-3 * max(1.0, norm(speed))
+    assert len(drawn) == matrix_rank(twists, tol=1e-3) == count
 
 
 def test_a_column_with_a_couple_is_a_screw(tmp_path):
@@ -214,7 +215,7 @@ def test_the_camera_sees_everything_and_stands_no_further_than_needed(seed):
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((30, 3)) * rng.uniform(0.1, 2.0, 3)
     view = rng.standard_normal(3) + [0.0, 0.0, 0.5]
-    view /= np.linalg.norm(view)
+    view /= norm(view)
     target, offset = fitted(points, view)
     away = points - target - offset
     image = away @ picture_axes(view).T / -(away @ view)[:, None] / [ASPECT, 1.0]

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 from complaints import invalid_input, model_error, scenario_error
+from numpy.linalg import eigvals, norm, solve
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
@@ -290,7 +291,7 @@ def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noi
     estimate = VelocityEstimate.optimal(noise, 2.0, dt)
     K = np.array([estimate.alpha[0], estimate.beta[0] / dt])
     F = np.array([[1.0, dt], [0.0, 1.0]])
-    poles = np.linalg.eigvals((np.eye(2) - np.outer(K, [1.0, 0.0])) @ F)
+    poles = eigvals((np.eye(2) - np.outer(K, [1.0, 0.0])) @ F)
     assert largest(poles) < 1.0 and poles.real.min() > -0.27
 
 
@@ -367,7 +368,7 @@ def test_the_covariance_is_that_of_the_error():
         for _ in range(8):
             found.update(known, [noisy(X_WC.inverse() * X, rng) for X in known], 1 / 60)
         error = lacking(found.X, X_WC)
-        squares.append(error @ np.linalg.solve(found.P, error))
+        squares.append(error @ solve(found.P, error))
         spread.append(error / np.sqrt(np.diag(found.P)))
     assert np.mean(squares) == approx(6.0, abs=4 * np.sqrt(12 / 300))
     assert_near(np.std(spread, axis=0), 1.0, 0.15)
@@ -431,7 +432,7 @@ def test_vision_tracks_rod_and_arms_where_they_are():
     truth = sensed.truth()
     for X, Y in aligned((seen.object, *seen.tips), sensed.plant.poses()):
         assert 1e-4 < largest(X[:3, 3] - Y[:3, 3]) < 1.5e-2
-        assert np.linalg.norm(pin.log3(X[:3, :3] @ Y[:3, :3].T)) < 0.04
+        assert norm(pin.log3(X[:3, :3] @ Y[:3, :3].T)) < 0.04
     assert_near(sensed.plant.poses()[0], truth.X_WO.homogeneous, 1e-12)
     assert seen.tips.shape == (2, 4, 4)
 

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import yaml
+from numpy.linalg import norm
 from numpy.random import default_rng
 from pydantic import TypeAdapter, ValidationError
 from pytest import approx, raises
@@ -131,7 +132,7 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         eta_ddot = np.gradient(np.gradient(eta, t), t)
         jerk = np.gradient(a, t)[5:-5]
         eta_jerk = np.gradient(eta_ddot, t)[5:-5]
-        assert abs(jerk @ eta_jerk) <= 2e-3 * np.linalg.norm(jerk) * np.linalg.norm(eta_jerk)
+        assert abs(jerk @ eta_jerk) <= 2e-3 * norm(jerk) * norm(eta_jerk)
 
 
 def test_a_value_given_twice_is_held_and_parts_the_curve():

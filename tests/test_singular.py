@@ -2,7 +2,7 @@
 
 import numpy as np
 import pinocchio as pin
-from numpy.linalg import norm, solve
+from numpy.linalg import cholesky, lstsq, norm, solve
 from pytest import approx
 from rigs import SCARA_Q, assert_near, largest, object_poses, one_panda, scara_pair, unloaded
 from samples import aligned, first, parametrize
@@ -51,7 +51,7 @@ def assert_faded(chain, q, v, posture, controller):
     retreat = task.stiffness * (posture - q) - task.retreat_damping * v
     weight = S.T @ state.metric
     a = S @ solve(weight @ S, weight @ (s.a_u - state.sigma)) + state.sigma
-    L = np.linalg.cholesky(weight @ S)
+    L = cholesky(weight @ S)
     rows = [*L.T]
     right = [0.0] * state.d
     for lost, one in aligned(state.singular_directions, reported):
@@ -69,7 +69,7 @@ def assert_faded(chain, q, v, posture, controller):
             weight = np.sqrt((1.0 - lost.share) / max(lost.share, 1e-8)) / size
             rows.append(weight * row)
             right.append(weight * target)
-    change = S @ np.linalg.lstsq(rows, right, rcond=None)[0]
+    change = S @ lstsq(rows, right, rcond=None)[0]
     size = max(largest(a), largest(change))
     assert_near(S @ s.eta_c + state.sigma, a + change, 1e-6 * size, 0)
 

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.random import default_rng
 from rigs import refused, rig_of
 from samples import parametrize
 from scenario_runs import verdict_of
@@ -69,7 +68,7 @@ def test_sensors_of_real_arms_do(stiffness, most):
 @parametrize("seed", range(6))
 def test_any_support_from_1_to_100_kN_per_m(seed):
     """Masses and dampings at random; nothing of it is known, its motion is measured or not."""
-    rng = default_rng(seed)
+    rng = np.random.default_rng(seed)
     stiffness = 10 ** (3.0 + 0.4 * seed)
     rig = soft_rig(stiffness, mass=rng.uniform(0.3, 3.0), damping=rng.uniform(0.0, 20.0))
     assert (np.sqrt(np.mean(run(rig, bool(seed % 2)) ** 2, axis=0)) < 0.02).all()

@@ -5,8 +5,7 @@ from itertools import product
 
 import numpy as np
 import pinocchio as pin
-from numpy.linalg import norm
-from numpy.random import default_rng
+from numpy.linalg import eigvalsh, lstsq, norm, solve
 from pair_kinds import touching
 from pytest import approx
 from rigs import assert_near, one_panda, pose_of, random_state, shift, unit, velocity_at
@@ -62,7 +61,7 @@ def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     rig = rig_of(circle(hertz))
     state = rig.state
     N = rig.pairs[0].contact(state.X_WO, np.zeros(6)).N
-    M = 1.0 / (N.T @ state.S @ np.linalg.solve(state.Lambda_S, state.S.T) @ N).item()
+    M = 1.0 / (N.T @ state.S @ solve(state.Lambda_S, state.S.T) @ N).item()
     w = 2 * np.pi * hertz
     K = 10 * np.pi
     leak = M * np.deg2rad(5) * 0.04 * w**2 / np.sqrt(2) / 10
@@ -128,7 +127,7 @@ def test_the_covariance_is_that_of_the_error_and_settles(about):
     assert std[-1] < 1.5 * DEGREE
     assert np.sin(off) < 3.0 * std[-1]
     P = controller.normal_covariance[0]
-    variances = np.linalg.eigvalsh(P)
+    variances = eigvalsh(P)
     half = variances.sum() / 2.0
     pairs = (variances.sum() ** 2 - variances @ variances) / 2.0
     largest_of_two = np.sqrt(half + np.sqrt(half**2 - pairs))  # exact for rank two; n has turned
@@ -163,7 +162,7 @@ def point_of(pair, X, X_WE):
     e = X.rotation @ pair.direction
     lines = np.column_stack((e, -pair.edge_direction))
     start = X.act(pair.point)
-    return start + np.linalg.lstsq(lines, pair.edge_point - start, rcond=None)[0][0] * e
+    return start + lstsq(lines, pair.edge_point - start, rcond=None)[0][0] * e
 
 
 def turned_in_the_law(pair, turn, q, v, reference, touched):
@@ -194,7 +193,7 @@ TURNED = ["vertex_on_face", "sphere_on_plane", "face_on_vertex"]
 )
 def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, moving):
     """N and n_γ against the pair made anew; what shows of it, from a difference of its N."""
-    rng = default_rng(11)
+    rng = np.random.default_rng(11)
     for _ in range(5):
         q, v = random_state(one_panda(), rng)
         state = one_panda().state(q, v)
