@@ -5,8 +5,6 @@ as points and directions that stay together, differentiated twice by hand. Nothi
 N, T or generalised inverses of the package.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 from numpy.linalg import lstsq

@@ -1,7 +1,5 @@
 """Random chains: arms of any kind around an object, each with a grasp of any kind, loops closed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -90,7 +88,7 @@ def slip_of(kind, axis, rng):
     """A random motion that the grasp permits, far from zero."""
     turn = rng.uniform(-2, 2)
     slide = rng.uniform(-0.05, 0.05)
-    turns = rng.normal(size=3)
+    turns = rng.standard_normal(3)
     sizes = {
         "ball": turns,
         "slide": [slide],
@@ -131,7 +129,7 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         model, tip, passive = planar(int(arm[0]), rng) if arm[0] in "234" else _urdf(arm)
         bend = rng.uniform(0.5, 1.5) if bends is None else bends[i]
         q = posture(arm, rng, bend)
-        axis = rng.normal(size=3)
+        axis = rng.standard_normal(3)
         turned = pin.rpy.rpyToMatrix(*rng.uniform(-1.5, 1.5, 3))
         if upright:
             turned = pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))

@@ -6,8 +6,6 @@ grasps; a contact is what its gaps say, differentiated twice along the motion. N
 S, no Φ_e of the package takes part. Accelerations of the object are classical.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -309,7 +307,7 @@ class State:
     case: Case
     contacts: list
     mu: float = 0.0
-    rest: State | None = None  # the same arms at rest
+    rest: object = None  # the State of the same arms at rest
 
     def __post_init__(self):
         self.n = self.case.chain.nq

@@ -12,8 +12,6 @@ few `--judges` are a quick start; all of them judge what these leave with `--aga
 Times are the processor's, not the clock's: a busy machine changes no verdict.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json
@@ -84,7 +82,7 @@ JUDGES = {
 SLOW = 6  #: s; a test that takes longer without compilation is no judge
 CHECK = 2.0  #: s of tests that have to pass without any mutant, three times
 SECONDS = "MUTANTS_SECONDS"  #: the file for the times of a survey
-_passed: dict[str, float] = {}
+_passed = {}  #: seconds of each test
 OPERATORS = re.compile(
     r"""core/(ReplaceBinaryOperator_(Add_Sub|Add_Mul|Sub_Add|Mul_Div|Mul_Add|Div_Mul|Pow_Mul
         |Mod_FloorDiv|FloorDiv_Mul)|ReplaceComparisonOperator_(?!Is)\w+(?<!Is)(?<!IsNot)
@@ -226,8 +224,8 @@ class Judges:
     """Which tests run which lines, and how long they take."""
 
     def __init__(self, out, names):
-        self.seconds: dict[str, float] = {}
-        self.by_line: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
+        self.seconds = {}
+        self.by_line = defaultdict(lambda: defaultdict(set))  # tests by path and line
         for name in names:
             self.seconds |= json.loads((out / f"{name}.json").read_text())
             data = CoverageData(str(out / f"{name}.cov"))
@@ -271,7 +269,7 @@ class Judges:
 
 def sample(modules, count, seed):
     """Places drawn at random, one mutant at each."""
-    places: dict[tuple[str, tuple[int, int]], list[MutationSpec]] = defaultdict(list)
+    places = defaultdict(list)  # mutants by path and position
     operators = {name: get_operator(name)() for name in operator_names() if OPERATORS.match(name)}
     for module in modules:
         nodes = list(ast_nodes(get_ast_from_path(module)))

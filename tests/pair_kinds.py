@@ -5,8 +5,6 @@ contact. Twists and accelerations come from differentiated poses. A pair that is
 kind in its own test, tests/test_NAME.py, and takes part in the tests of all pairs from there.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from dataclasses import dataclass, field

@@ -180,7 +180,7 @@ def random_state(chain, rng):
     """(q, v) with closed loops, random pose and random velocity (up to 1 m/s and 3 rad/s)."""
     if chain is one_panda():
         q = PANDA_Q + rng.uniform(-0.6, 0.6, 7)
-        return q, rng.normal(size=7)
+        return q, rng.standard_normal(7)
     while True:
         shift = rng.uniform(-1, 1, 3)
         if chain.nq == 10:
@@ -194,7 +194,7 @@ def random_state(chain, rng):
             q = close(chain, reach(chain, guess, X))
         except osc.ModelError:
             continue  # out of reach: draw again
-        return q, consistent(chain, q, rng.normal(size=chain.nq))
+        return q, consistent(chain, q, rng.standard_normal(chain.nq))
 
 
 def posed(chain, rng):
@@ -229,7 +229,7 @@ def random_faces(X_WO, r, rng):
     pairs = []
     for i in range(r):
         vertex = rng.uniform(-0.3, 0.3, 3)
-        normal = rng.normal(size=3)
+        normal = rng.standard_normal(3)
         pairs.append(osc.VertexOnFace(vertex, X_WO.act(vertex), normal, name=f"contact{i}"))
     return pairs
 

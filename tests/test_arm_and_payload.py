@@ -20,7 +20,7 @@ from osc_contact.dynamics.closed_chain import outboard_links
 
 def motion(model, seed):
     rng = default_rng([seed, 6])
-    return rng.uniform(-1, 1, size=model.nq), rng.standard_normal(model.nv)
+    return rng.uniform(-1, 1, model.nq), rng.standard_normal(model.nv)
 
 
 # Arms from files ----------------------------------------------------------------------------------
@@ -154,12 +154,12 @@ def test_flat_and_thin_objects_are_possible_and_keep_their_shape_when_scaled(pri
 def test_any_mobility_a_mechanism_can_have_is_accepted(seed):
     """Φ = X J M⁻¹Jᵀ Xᵀ of rank 1 to 6, given at another point, with its rounding errors."""
     rng = default_rng([seed, 11])
-    turns = rng.integers(0, 4, size=3) * np.pi / 2 if seed % 2 else rng.uniform(-3, 3, size=3)
-    X = pin.SE3(pin.rpy.rpyToMatrix(turns), rng.integers(-9, 9, size=3) / 10).toActionMatrix()
+    turns = rng.integers(0, 4, 3) * np.pi / 2 if seed % 2 else rng.uniform(-3, 3, 3)
+    X = pin.SE3(pin.rpy.rpyToMatrix(turns), rng.integers(-9, 9, 3) / 10).toActionMatrix()
     k = seed % 6 + 1
-    J = rng.standard_normal((6, k)) * 10 ** rng.uniform(-1, 1, size=k)
+    J = rng.standard_normal((6, k)) * 10 ** rng.uniform(-1, 1, k)
     if seed % 3 == 0:  # axes along the coordinates: whole rows are nothing but rounding
-        J = np.eye(6)[:, rng.permutation(6)[:k]] * 10 ** rng.uniform(-1, 1, size=k)
+        J = np.eye(6)[:, rng.permutation(6)[:k]] * 10 ** rng.uniform(-1, 1, k)
     Phi = inv(X) @ (X @ (J @ J.T) @ X.T) @ inv(X).T
     assert_array_equal(osc.Environment(Phi).Phi_e, Phi)
 

@@ -17,7 +17,7 @@ from osc_contact.contacts.contact import Contact
 def random_normals(seed, r):
     """r lines of force through points within 0.5 m of O, with couples, magnitudes 0.01 to 100."""
     rng = default_rng([seed, r])
-    return rng.standard_normal((6, r)) * 10 ** rng.uniform(-2, 2, size=r)
+    return rng.standard_normal((6, r)) * 10 ** rng.uniform(-2, 2, r)
 
 
 def assert_complete(N, T):
@@ -83,7 +83,7 @@ def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
     parts = []
     for _ in range(rng.integers(2, 6)):
         k = min(int(rng.integers(0, 4)), rank)
-        mix = rng.standard_normal((rank, k)) * 10 ** rng.uniform(-3, 3, size=k)
+        mix = rng.standard_normal((rank, k)) * 10 ** rng.uniform(-3, 3, k)
         parts.append(Contact(basis @ mix, n_gamma @ mix))
     N_all = np.hstack([c.N for c in parts])
     n_all = np.concatenate([c.n_gamma for c in parts])
@@ -128,7 +128,7 @@ def test_the_rank_knows_no_frame_origin_basis_or_unit(apart, r):
         X = pin.SE3(pin.exp3(rng.standard_normal(3)), away)
         motion = np.diag([1e3] * 3 + [1.0] * 3) @ X.toActionMatrix()
         force = 1e9 * inv(motion).T
-        size = 10 ** rng.uniform(-3, 3, size=2)  # of the columns
+        size = 10 ** rng.uniform(-3, 3, 2)  # of the columns
         moved = [Contact(force @ c.N * s, c.n_gamma * s) for c, s in aligned(lines, size)]
         stacked = Contact.stack(moved, motion @ Phi @ motion.T / 1e9)
         assert stacked.r == r

@@ -61,7 +61,7 @@ def test_what_a_wrong_normal_costs_two_points():
     points = [state.X_WO.act(pair.vertex) for pair in rig.pairs]
     u = unit(points[1] - points[0])
     along = u - (n @ u)[:, None] * n  # in each face
-    pushes = 10.0 * 0.05 * np.random.default_rng(0).normal(size=(4000, 2, 1))
+    pushes = 10.0 * 0.05 * np.random.default_rng(0).standard_normal((4000, 2, 1))
     left = pushes * along / np.linalg.norm(along, axis=1)[:, None]  # beside the assumed normals
     s = np.sum(left * along, axis=(1, 2)) / np.sum(along**2)
     want = np.sqrt(np.mean(s**2)) * np.abs(n @ u).max() / 10.0

@@ -18,8 +18,6 @@ postures the law gives up motion, never force. Two arms whose grasps pass on no 
 All of these are counted by themselves: the 2,000 states are without them.
 """
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace

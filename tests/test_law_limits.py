@@ -1,7 +1,5 @@
 """Motor limits as array functions: the optimum in exact fractions, on cases of every size."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
@@ -114,7 +112,7 @@ def two_forces(seed, **how):
     return random_case(default_rng(seed), d=6, r=2, k=2, s=1, **how)
 
 
-MADE: dict[int, TorqueLimits] = {}
+MADE = {}  #: by the number of motors
 
 
 def solve(case):

@@ -257,6 +257,6 @@ def test_vectors():
     for read, bad in (vec3, [1, 2]), (vec3, "abc"), (vec3, [1, 2, "3 N"]), (unit, [0, 0, 0]):
         with raises(ValidationError, match="expected"):
             read(bad)
-    for vector in default_rng(0).normal(size=(2000, 3)).tolist():
+    for vector in default_rng(0).standard_normal((2000, 3)).tolist():
         once = unit(vector)
         assert unit(once) == once, "normalised twice: no bit changes"

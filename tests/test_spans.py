@@ -48,7 +48,7 @@ def changes(rng):
 
     Another point lies up to 2 m away; motions are carried by X, forces by X*.
     """
-    X = pin.SE3(pin.exp3(2.0 * rng.standard_normal(3)), rng.uniform(-2.0, 2.0, size=3))
+    X = pin.SE3(pin.exp3(2.0 * rng.standard_normal(3)), rng.uniform(-2.0, 2.0, 3))
     one = X.action, X.dualAction
     other = np.diag([1e3] * 3 + [1.0] * 3), np.diag([1.0] * 3 + [1e3] * 3)  # power in N mm/s
     yield np.eye(6), np.eye(6)

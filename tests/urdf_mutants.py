@@ -171,7 +171,7 @@ def main(seed, count):
     numpy_rng = np.random.default_rng(seed)
     scara = robots.urdf_path("scara_left").read_text()
     plain = re.sub(r"\s*<(visual|collision)\b.*?</\1>", "", scara, flags=re.DOTALL)
-    checks: Counter[str] = Counter()
+    checks = Counter()
     slowest = 0.0
     worst_off = 0.0
     least = np.inf
