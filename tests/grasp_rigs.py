@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 from grasp_oracle import PITCH, System, across
-from rigs import data_at, placed, shift, unit
+from rigs import data_at, placed, shift, unit, vector
 
 import osc_contact as osc
 from osc_contact import robots
 
-BODY = pin.Inertia(2.5, np.array([0.02, -0.03, 0.01]), np.diag([0.02, 0.05, 0.045]))
+BODY = pin.Inertia(2.5, vector(0.02, -0.03, 0.01), np.diag([0.02, 0.05, 0.045]))
 KINDS = "rigid", "hinge", "ball", "slide", "cylinder"
 
 
@@ -31,10 +31,10 @@ def planar(joints, rng):
         at = shift([0.35 if i else 0.0, 0.0, 0.02 * i])
         last = model.addJoint(last, pin.JointModelRZ(), at, f"joint{i}")
         body = pin.Inertia(rng.uniform(1, 3), rng.uniform(-0.1, 0.1, 3), 0.02 * np.eye(3))
-        model.appendBodyToJoint(last, body, pin.SE3.Identity())
+        model.appendBodyToJoint(last, body, placed())
     model.upperEffortLimit = np.full(joints, 80.0)
     X = shift([0.3, 0.0, 0.0])
-    model.addFrame(pin.Frame("wrist", last, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    model.addFrame(pin.Frame("wrist", last, 0, placed(), pin.FrameType.OP_FRAME))
     model.addFrame(pin.Frame("tip", last, 0, X, pin.FrameType.OP_FRAME))
     return model, "tip", ()
 
@@ -133,7 +133,7 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         turned = pin.rpy.rpyToMatrix(*rng.uniform(-1.5, 1.5, 3))
         if upright:
             turned = pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))
-            axis = np.array([0, 0, 1.0])
+            axis = vector(0, 0, 1.0)
             X_WO = shift(X_WO.translation)
         X_TO = pin.SE3(turned, rng.uniform(-0.2, 0.2, 3))
         slip = slip_of(kind, axis, rng)

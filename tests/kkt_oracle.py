@@ -17,12 +17,12 @@ from numpy.linalg import cholesky, inv, lstsq, svd
 from numpy.random import default_rng
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
-from rigs import LWA, data_at, direction, largest, placed, product, shift, unit
+from rigs import LWA, data_at, direction, largest, placed, product, shift, unit, vector
 from samples import aligned
 
 from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
 
-G = np.array([0.0, 0.0, -9.81])
+G = vector(0.0, 0.0, -9.81)
 SIZE = 0.15  # of the pairs' geometry, as drawn with 1 m
 STEP = 0.025  # of the differences (m or rad)
 REACH = 6  # steps to either side: the twelfth order
@@ -102,7 +102,7 @@ def on_joint(joint, rng, at, known, prescribed=False):
     """A body on one joint, of any kind, placed at random."""
     model = pin.Model()
     model.addJointFrame(model.addJoint(0, joint, random_placement(rng, at), "body"))
-    model.appendBodyToJoint(1, random_inertia(rng), pin.SE3.Identity())
+    model.appendBodyToJoint(1, random_inertia(rng), placed())
     q = pin.integrate(model, pin.neutral(model), rng.uniform(-0.5, 0.5, model.nv))
     v = rng.uniform(-1, 1, model.nv)
     tau = rng.standard_normal(model.nv) * 5
@@ -142,7 +142,7 @@ def linkage(rng, at):
     for k in range(2):
         X = random_placement(rng, at if k == 0 else np.zeros(3))
         model.addJoint(k, pin.JointModelRevoluteUnaligned(direction(rng)), X, f"hinge{k}")
-        model.appendBodyToJoint(k + 1, random_inertia(rng), pin.SE3.Identity())
+        model.appendBodyToJoint(k + 1, random_inertia(rng), placed())
     for k, name in (1, "upper"), (2, "touched"):
         X = random_placement(rng, np.zeros(3))
         model.addFrame(pin.Frame(name, k, 0, X, pin.FrameType.OP_FRAME))
@@ -161,7 +161,7 @@ def on_joints(rng, at, *joints, inertia):
     c = at + rng.uniform(-0.3, 0.3, 3)
     for k, joint in enumerate(joints):
         model.addJoint(k, joint, shift(np.zeros(3) if k else c), f"joint{k}")
-        model.appendBodyToJoint(k + 1, inertia, pin.SE3.Identity())
+        model.appendBodyToJoint(k + 1, inertia, placed())
     model.addFrame(pin.Frame("E", len(joints), 0, shift(-c), pin.FrameType.OP_FRAME))
     return model, c, rng.uniform(-1.5, 1.5, model.nv), rng.uniform(-1, 1, model.nv)
 

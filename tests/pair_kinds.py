@@ -13,7 +13,7 @@ from importlib import import_module
 import numpy as np
 import pinocchio as pin
 from numpy.random import default_rng
-from rigs import direction, pose_of, shift
+from rigs import direction, pose_of, shift, vector
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
@@ -259,11 +259,11 @@ def point_on_a_saddle(rng, c):
 
     def gap(X_EA):
         x, y, z = X.actInv(X_EA.act(vertex))
-        return np.array([z - k * x * x - m * y * y * y])
+        return vector(z - k * x * x - m * y * y * y)
 
     def pose(q):
         x, y = 0.5 * q[3:]
-        return placed(pin.exp3(q[:3]), vertex, X.act(np.array([x, y, k * x * x + m * y**3])))
+        return placed(pin.exp3(q[:3]), vertex, X.act(vector(x, y, k * x * x + m * y**3)))
 
     return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 1
 
@@ -275,10 +275,10 @@ def bead_on_a_wire(rng, c):
 
     def gap(X_EA):
         x, y, z = X.actInv(X_EA.act(bead))
-        return np.array([y - np.sin(x), z - 0.5 * x * x])
+        return vector(y - np.sin(x), z - 0.5 * x * x)
 
     def pose(q):
-        return placed(pin.exp3(q[:3]), bead, X.act(np.array([q[3], np.sin(q[3]), 0.5 * q[3] ** 2])))
+        return placed(pin.exp3(q[:3]), bead, X.act(vector(q[3], np.sin(q[3]), 0.5 * q[3] ** 2)))
 
     return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2
 
@@ -304,7 +304,7 @@ def kinematics(X):
     R = X(0.0).rotation
 
     def odd(A):
-        return 0.5 * np.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+        return 0.5 * vector(A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1])
 
     p_dot, p_ddot = (rate(lambda t: X(t).translation, order) for order in (1, 2))
     w, w_dot = (odd(rate(lambda t: X(t).rotation, order) @ R.T) for order in (1, 2))

@@ -42,6 +42,10 @@ def assert_close(got, want, tolerance=1e-8, name=""):
     assert_allclose(got, want, rtol=0, atol=tolerance * max(1.0, largest(want)), err_msg=name)
 
 
+def vector(*numbers):
+    return np.array(numbers, dtype=float)
+
+
 def unit(x):
     return x / np.linalg.norm(x)
 

@@ -134,7 +134,7 @@ class Shown:
         if keys is not None:
             return keys[max(k for k in keys if k <= frame)]
         found = {"visible": True, "scale": [1.0] * 3}
-        X = pin.SE3.Identity()
+        X = placed()
         for command in self.commands:
             if command["path"] == path and command["type"] == "set_transform":
                 X = pin.SE3(matrix(command))

@@ -9,7 +9,7 @@ from complaints import model_error
 from numpy.linalg import inv
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from rigs import assert_close, data_at, panda_arm, refused, shift
+from rigs import assert_close, data_at, panda_arm, refused, shift, vector
 from robot_numbers import element, written_inertia
 from samples import aligned, parametrize
 
@@ -130,7 +130,7 @@ FLAT = [1.0, 1.0, 2.0]  #: of a disc, which is possible
     ],
 )
 def test_impossible_objects_are_refused(mass, principal, message):
-    turn = pin.exp3(np.array([0.3, -0.4, 0.5]))
+    turn = pin.exp3(vector(0.3, -0.4, 0.5))
     inertia = pin.Inertia.Zero()
     inertia.mass = mass
     inertia.inertia = turn @ np.diag(principal) @ turn.T

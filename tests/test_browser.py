@@ -9,7 +9,7 @@ from headless import Browser, near, pixels_of
 from numpy.linalg import norm
 from PIL import Image, ImageSequence
 from pytest import approx
-from rigs import assert_near
+from rigs import assert_near, vector
 from samples import module_fixture, names_in
 from scene_samples import BASE, ENDS, RECORDING, links, write
 
@@ -54,7 +54,7 @@ def place_in(browser, path):
     """Position of a node relative to the base of the arm, in world axes (m)."""
     here, base = (browser.run(PLACE.format(p)) for p in (path, "arms/left/base"))
     x, y, z = np.array(here) - np.array(base)  # three.js has y up
-    return np.array([x, -z, y])
+    return vector(x, -z, y)
 
 
 def marker(picture, row):

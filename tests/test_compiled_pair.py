@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import kind, placed
 from pytest import mark
-from rigs import direction, one_panda, posed, refused, unloaded
+from rigs import direction, one_panda, posed, refused, unloaded, vector
 
 import osc_contact as osc
 
@@ -42,7 +42,7 @@ def compiled_pair(rng, c):
 
     def pose(q):
         x, y, z = pin.exp3(np.append(q[3:], 0.0))[:, 2]
-        return placed(pin.exp3(q[:3]), ball, rest + radii.sum() * np.array([x, y, z]))
+        return placed(pin.exp3(q[:3]), ball, rest + radii.sum() * vector(x, y, z))
 
     return osc.CompiledPair(ball_on_ball, given, pushes=True), pose, 1
 
@@ -70,7 +70,7 @@ def test_a_controller_ticks_as_with_the_packaged_pair(friction):
     chain = one_panda()
     q, v, X = posed(chain, default_rng(4))
     measurement = osc.Measurement(q, 0.1 * v, np.ones((1, 6)))
-    reference = osc.Reference(X, np.full(6, 0.02), alpha_d=np.array([10.0]))
+    reference = osc.Reference(X, np.full(6, 0.02), alpha_d=vector(10.0))
     controllers = [osc.Controller(chain, [pair], friction=friction) for pair in two(X)]
     for _ in range(3):
         ours, theirs = (one.tick(measurement, reference) for one in controllers)
@@ -93,7 +93,7 @@ def test_what_is_wrong_is_said(tmp_path):
     chain = one_panda()
     q, v, X = posed(chain, default_rng(4))
     controller = osc.Controller(chain, [empty])
-    tau = controller.tick(unloaded(q, v), osc.Reference(X, alpha_d=np.array([1.0])))
+    tau = controller.tick(unloaded(q, v), osc.Reference(X, alpha_d=vector(1.0)))
     assert controller.status is osc.Status.HELD and np.isfinite(tau).all()
     assert "returned what is not finite" in controller.reason
     with refused("CompiledPair"):

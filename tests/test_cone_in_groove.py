@@ -9,7 +9,7 @@ import pinocchio as pin
 from command_line import done, read_json
 from numpy.linalg import inv, matrix_rank, norm
 from pytest import approx, mark
-from rigs import assert_derivatives, assert_near, largest, refused, rotated, shift
+from rigs import assert_derivatives, assert_near, largest, refused, rotated, shift, vector
 from samples import aligned, names_in
 
 import osc_contact as osc
@@ -124,7 +124,7 @@ def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():
 
 def test_a_controller_with_a_wrong_seat_couples():
     """The coupling measured is not zero by construction."""
-    wrong = replace(SEAT.pair, axis=pin.exp3(np.array([0.0, 0.1, 0.0])) @ SEAT.pair.axis)
+    wrong = replace(SEAT.pair, axis=pin.exp3(vector(0.0, 0.1, 0.0)) @ SEAT.pair.axis)
     controller = osc.Controller(rig().chain, [wrong], posture=rig().q_start)
     law = SimpleNamespace(install=lambda _: controller.with_gains(rig().gains))
     instant = Instant(rig().state, rig().contact)

@@ -11,7 +11,7 @@ from numpy.linalg import lstsq, norm
 from numpy.random import default_rng
 from pair_kinds import snake
 from pytest import approx
-from rigs import assert_near, pose_of, shift
+from rigs import assert_near, placed, pose_of, shift, vector
 from samples import parametrize
 
 from osc_contact.contacts.pairs.pair import make_pair
@@ -73,9 +73,9 @@ def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
     (pair,) = build_pairs(scenario)
     assert snake(type(pair).__name__) == kind
     assert pair.name == "pad"
-    own = make_pair(scenario.contacts[0], pin.SE3.Identity())
+    own = make_pair(scenario.contacts[0], placed())
     X_WB = pin.SE3(
-        pin.rpy.rpyToMatrix(np.deg2rad(20), -0.3, np.deg2rad(50)), np.array([0.1, -0.2, 0.3])
+        pin.rpy.rpyToMatrix(np.deg2rad(20), -0.3, np.deg2rad(50)), vector(0.1, -0.2, 0.3)
     )
     rng = default_rng(3)
     for _ in range(5):
@@ -186,8 +186,8 @@ def test_only_contacts_that_push_are_kept_from_pulling():
     def found(kind):
         scenario = parse_scenario(text(kind), None, ["force.pad.2.0.value=-1 N"])
         pairs = build_pairs(scenario)
-        times = np.array([0.0, 1.0])
-        plan = References.of(scenario, pin.SE3.Identity(), pairs, np.zeros(6)).over(times)
+        times = vector(0.0, 1.0)
+        plan = References.of(scenario, placed(), pairs, np.zeros(6)).over(times)
         task = SimpleNamespace(
             pairs=pairs,
             owners=force_owners(pairs),

@@ -24,6 +24,7 @@ from rigs import (
     rig_of,
     scara_pair,
     shift,
+    vector,
 )
 from samples import aligned, module_fixture, parametrize
 from scenario_runs import run_of
@@ -81,7 +82,7 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
             pairs.append(kinds[k % 2])
         elif chain.nq > 10:
             spots = np.column_stack((rng.uniform(-0.2, 0.2, (4, 2)), np.full(4, -0.05)))
-            up = X.rotation @ np.array([0.0, 0.0, 1.0])
+            up = X.rotation @ vector(0.0, 0.0, 1.0)
             pairs = [osc.VertexOnFace(spot, X.act(spot), up) for spot in spots]
         owners = np.repeat(np.arange(len(pairs)), [len(pair.gaps(X)) for pair in pairs])
         measurement, reference = inputs(chain, q, v, rng, len(owners))

@@ -11,7 +11,17 @@ import pinocchio as pin
 from complaints import scenario_error
 from numpy.testing import assert_array_equal
 from pytest import fixture, raises
-from rigs import UNLIMITED, assert_near, held_tick, largest, one_panda, refused, rig_of, ticked
+from rigs import (
+    UNLIMITED,
+    assert_near,
+    held_tick,
+    largest,
+    one_panda,
+    refused,
+    rig_of,
+    ticked,
+    vector,
+)
 from samples import module_fixture, parametrize
 from scenario_runs import first_inputs
 
@@ -113,7 +123,7 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig, ready):
     controller = Controller(rig.model, rig.pairs, GAINS, engaged=False)
     *_, measurement, reference = ready
     controller.tick(measurement, reference)
-    controller.motion_integral = np.array([1e-3, -2e-3, 3e-3, 0.0, 1e-3, 2e-3])
+    controller.motion_integral = vector(1e-3, -2e-3, 3e-3, 0.0, 1e-3, 2e-3)
     controller.tick(measurement, reference)
     s = controller.signals
     force = s.f_S.copy()
@@ -165,7 +175,7 @@ def test_other_gains_continue_without_a_jump(rig, ready):
     # the very same readings again and again
     controller = Controller(rig.model, rig.pairs, GAINS, safety=UNLIMITED)
     *_, measurement, reference = ready
-    shift = np.array([1e-3, -2e-3, 1e-3, 2e-3, 1e-3, -1e-3])
+    shift = vector(1e-3, -2e-3, 1e-3, 2e-3, 1e-3, -1e-3)
     away = replace(reference, X_WD=reference.X_WD * pin.exp6(pin.Motion(shift)))
     for _ in range(50):
         controller.tick(measurement, away)

@@ -2,7 +2,7 @@
 
 import numpy as np
 from pair_kinds import about, carrying, in_plane, kind, placed, two_lines
-from rigs import assert_near, refused, shift
+from rigs import assert_near, refused, shift, vector
 from samples import parametrize
 from scenario_runs import verdict_of
 
@@ -36,8 +36,8 @@ def test_each_wall_is_pushed_at_right_angles_from_inside():
     X = shift([0.0, 0.3, 0.1 * np.sqrt(2)])
     assert_near(pair.gaps(X), 0.0, 1e-15)
     forces = pair.contact(X, np.zeros(6)).N[:3]
-    right = np.array([1.0, 0.0, -1.0]) / np.sqrt(2)
-    left = np.array([-1.0, 0.0, -1.0]) / np.sqrt(2)
+    right = vector(1.0, 0.0, -1.0) / np.sqrt(2)
+    left = vector(-1.0, 0.0, -1.0) / np.sqrt(2)
     assert_near(forces.T, [right, left, right, left], 1e-15)
     assert_near(pair.gaps(shift(X.translation + [0, 0, 0.01])), 0.01 / np.sqrt(2), 1e-15)
 

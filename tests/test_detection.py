@@ -14,7 +14,7 @@ from numpy.linalg import det, norm, pinv
 from numpy.random import default_rng
 from pinocchio.rpy import rpyToMatrix
 from pytest import approx
-from rigs import assert_near, placed, pose_of, rig_of, rotated, shift, unit
+from rigs import assert_near, placed, pose_of, rig_of, rotated, shift, unit, vector
 from samples import aligned, module_fixture, parametrize
 
 import osc_contact as osc
@@ -23,14 +23,14 @@ from osc_contact.contacts.detection import CollisionShape, collision_shapes, det
 from osc_contact.contacts.detection.features import nearest
 from osc_contact.contacts.pairs.pair import triad
 
-SIZE = np.array([0.10, 0.08, 0.06])
+SIZE = vector(0.10, 0.08, 0.06)
 BOX = [CollisionShape("box", coal.Box(*SIZE))]
 TABLE = [CollisionShape("table", coal.Box(1.0, 0.8, 0.1), shift([0, 0, -0.05]))]
 """Its top is z = 0."""
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3))) * SIZE
 DEPTHS = 0.0, 5e-4, -5e-4
 """Just touching, overlapping, a little apart (m); taken in turn."""
-UP = np.array([0.0, 0.0, 1.0])
+UP = vector(0.0, 0.0, 1.0)
 FLOOR = [CollisionShape("floor", coal.Box(9, 9, 1), shift(-0.5 * UP))]
 
 
@@ -42,7 +42,7 @@ def standing(rotation, points, rng, lift=0.0):
     """A pose with this tilt (and random yaw) whose lowest of `points` is at z = lift."""
     R = rpyToMatrix(0, 0, rng.uniform(-np.pi, np.pi)) @ rotation
     x, y = rng.uniform(-0.2, 0.2, 2)
-    return pin.SE3(R, np.array([x, y, lift - (points @ R.T)[:, 2].min()]))
+    return pin.SE3(R, vector(x, y, lift - (points @ R.T)[:, 2].min()))
 
 
 def pushes(points, directions, X_WO):
@@ -54,7 +54,7 @@ def pushes(points, directions, X_WO):
 
 def assert_same_range(N, expected):
     """Equal spans, whatever the bases (moments in units of 0.1 m)."""
-    scale = np.array([1, 1, 1, 10, 10, 10.0])[:, None]
+    scale = vector(1, 1, 1, 10, 10, 10.0)[:, None]
     first, second = (M @ pinv(M, rcond=1e-6) for M in (scale * N, scale * expected))
     assert_near(first, second, 1e-9)
     assert np.trace(first) == approx(N.shape[1])
@@ -88,7 +88,7 @@ CAN = [CollisionShape("can", coal.Cylinder(0.03, 0.12))]
 PILL = [CollisionShape("pill", coal.Capsule(0.03, 0.12))]
 AXIS = np.array([[0, 0, -0.06], [0, 0, 0.06]])
 RIM = np.array([[0, -0.03, -0.06]])  #: lowest point of a can: turning about x lifts +y
-AROUND = np.array([0, 0, 0, 0, 0, 0.7])
+AROUND = vector(0, 0, 0, 0, 0, 0.7)
 """A turn of the can about its own axis."""
 
 SEEDS = parametrize("seed", range(4))
@@ -239,7 +239,7 @@ def test_a_corner_in_a_corner_touches_floor_and_walls():
         CollisionShape("side", coal.Box(1, 0.1, 1), shift([0, -0.05, 0])),
     ]
     ball = [CollisionShape("ball", coal.Sphere(0.0))]
-    X = pin.SE3.Identity()
+    X = placed()
     found = detect(ball, X, room)
     assert sorted(d.environment_shape for d in found) == ["floor", "side", "wall"]
     N = osc.Contact.stack([d.pair().contact(X, np.zeros(6)) for d in found]).N
@@ -342,7 +342,7 @@ def test_a_rim_inside_a_ball_gives_way_to_the_ball(rod):
     """The rod nearly flat: its shaft's rim is closer to the table than the margin too."""
     shapes = rod[0]
     for tilt in 0.01, 0.1, 0.3:
-        X = pin.SE3(rpyToMatrix(0, tilt, 0), np.array([0, 0, 0.01 + 0.29 * np.sin(tilt)]))
+        X = pin.SE3(rpyToMatrix(0, tilt, 0), vector(0, 0, 0.01 + 0.29 * np.sin(tilt)))
         shaft = [shape for shape in shapes if shape.name == "shaft"]
         assert only(detect(shaft, X, TABLE)).kind == "rim on face"
         found = only(detect(shapes, X, TABLE))
@@ -413,7 +413,7 @@ def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
     depth = (*DEPTHS, 3e-3)[seed % 4]
     n = unit(rng.uniform(0.2, 1.0, 3))
     z = unit(np.cross(n, rng.standard_normal(3)))
-    corner = np.array([0.5, 0.4, 0.0])
+    corner = vector(0.5, 0.4, 0.0)
     X = pin.SE3(np.column_stack((n, np.cross(z, n), z)), corner)
     X.translation = corner + (0.03 - depth) * n + 0.03 * rng.uniform(-1, 1) * z
     assert_only(detect(CAN, X, TABLE), "cylinder on vertex", [corner], n, X, gap=-depth)
@@ -425,8 +425,8 @@ def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
     rng = default_rng(seed)
     outward = np.append(rng.uniform(0.2, 1.0, 2), 0.0)
     for kind, corner, away in (
-        ("sphere on edge", np.array([0.5, 0.4, -0.05]), outward),
-        ("sphere on vertex", np.array([0.5, 0.4, 0.0]), outward + rng.uniform(0.2, 1.0) * UP),
+        ("sphere on edge", vector(0.5, 0.4, -0.05), outward),
+        ("sphere on vertex", vector(0.5, 0.4, 0.0), outward + rng.uniform(0.2, 1.0) * UP),
     ):
         n = unit(away)
         centre = BALL[0].placement
@@ -449,7 +449,7 @@ def test_pills_side_by_side_have_no_pair():
 def test_a_rim_on_an_edge_has_no_pair():
     ledge = placed(rpy=(np.pi / 4, 0, 0))  # an edge along x on top
     X = placed(rpy=(0.6, 0, np.pi / 2))  # its rim runs along y there
-    X.translation = ledge.act(np.array([0.0, 0.4, 0.0])) + 2e-4 * UP - X.act(RIM[0])
+    X.translation = ledge.act(vector(0.0, 0.4, 0.0)) + 2e-4 * UP - X.act(RIM[0])
     found = only(detect(CAN, X, TABLE, ledge))
     assert (found.kind, found.r) == ("rim on edge", 1)
     assert_near(found.normal, UP, 5e-3)  # the solver's
@@ -514,7 +514,7 @@ def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path, faces):
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
     stl(tmp_path / "wedge.stl", corners / 2, faces)
     mesh = collision_shapes(urdf(tmp_path, MESH.format("wedge.stl")))
-    found = only(detect(mesh, pin.SE3.Identity(), TABLE))
+    found = only(detect(mesh, placed(), TABLE))
     assert (found.kind, found.r) == ("face on face", 3)
     assert found.distance == approx(0.0, abs=1e-9)
     assert_near(found.normal, [0, 0, 1], 1e-9)
@@ -543,7 +543,7 @@ def test_files_that_are_no_body_are_refused(tmp_path, collision, joint, message)
 
 
 def test_bad_input_is_refused_at_the_door():
-    X = pin.SE3.Identity()
+    X = placed()
     for options in {"margin": 0.0}, {"margin": np.nan}, {"angle": 0.0}, {"angle": 0.5}:
         with invalid_input(next(iter(options))):
             detect(BOX, X, TABLE, **options)

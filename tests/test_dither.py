@@ -2,7 +2,7 @@
 
 import numpy as np
 from pytest import approx, mark
-from rigs import assert_near, largest, rig_of, unit
+from rigs import assert_near, largest, rig_of, unit, vector
 from scenario_runs import closed_force, verdict_of
 
 from benchmarks.combined_errors import ERRORS
@@ -41,7 +41,7 @@ def test_arms_and_contacts_permit_it_and_both_points_slide_along_their_line(name
         assert (V[:3] + np.cross(V[3:], point - state.X_WO.translation)) @ u == approx(1.0)
     t = 1.1
     now, plain = (rig_of(name, f"control.dither={how}").references.at(t) for how in ("{}", "null"))
-    s = slides(Dither(), rig.references.engage_at, np.array([t]))
+    s = slides(Dither(), rig.references.engage_at, vector(t))
     assert_near(now.V_D - plain.V_D, V * s[1], 2e-3)
     assert largest(now.V_D - plain.V_D) > 1e-3
 

@@ -23,6 +23,7 @@ from rigs import (
     strong,
     ticked,
     unit,
+    vector,
     with_motors,
     without_contacts,
 )
@@ -265,7 +266,7 @@ def test_a_saturated_redundant_arm_does_not_whirl():
     """A jump of the wanted speed saturates a wrist: the elbow must not spin to make up for it."""
     case = CASES["one_panda"]()
     plant, controller = without_contacts(case, engaged=False)
-    V_D = np.array([0.3, 0.2, 0.0, 0.0, 0.0, 0.5])
+    V_D = vector(0.3, 0.2, 0.0, 0.0, 0.0, 0.5)
     wanted = replace(case.reference, alpha_d=np.zeros(0), V_D=V_D)
     saturated = 0
     fastest = 0.0

@@ -6,7 +6,7 @@ import numpy as np
 from complaints import scenario_error
 from numpy.linalg import lstsq, norm
 from pytest import approx
-from rigs import assert_near, largest, unit
+from rigs import assert_near, largest, unit, vector
 from samples import ROOT, aligned, chosen, first, module_fixture, parametrize
 from scenario_runs import (
     always_closed,
@@ -139,7 +139,7 @@ def test_a_corner_that_lifts_opens_the_contact(rigs):
     rig = rigs["ur5_wipe"]
     plant = rig.plant()
     tipped = rig.state
-    eta = lstsq(tipped.S, np.array([0, 0, 0, 0, 0.02, 0.0]), rcond=None)[0]
+    eta = lstsq(tipped.S, vector(0, 0, 0, 0, 0.02, 0.0), rcond=None)[0]
     plant.reset(rig.q_contact + tipped.W @ eta)
     assert plant.data.ncon > 0 and not plant.truth().closed[0]
 
@@ -319,11 +319,11 @@ def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
     rig = rig_of("two_contact_rod", "model_error.hidden_mass=0.3 kg")
     rigs = rig, rig_of()
     X = rig.state.X_WO
-    gravity = np.array([0.0, 0.0, -9.81])
+    gravity = vector(0.0, 0.0, -9.81)
     true, assumed = (
         chain.payload.terms(X, np.zeros(6), gravity).p for chain in (rig.chain, rig.model)
     )
-    tip = np.array([-0.15, 0.0, 0.0])  # of the left arm, in the frame of the rod
+    tip = vector(-0.15, 0.0, 0.0)  # of the left arm, in the frame of the rod
     want = np.cross(X.rotation @ tip, -0.3 * gravity)
     assert_near(true - assumed, [*(-0.3 * gravity), *want], 1e-9)
     with_mass, without = (rig.plant().model for rig in rigs)

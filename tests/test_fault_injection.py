@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from pytest import mark
-from rigs import assert_near, largest, rig_of, unit
+from rigs import assert_near, largest, rig_of, unit, vector
 from samples import chosen, first, parametrize
 from scenario_runs import run_of
 
@@ -133,7 +133,7 @@ def test_arms_whose_wrist_is_frozen_are_held_where_they_are():
     run = Run(Case())
     seen = Verdict("no fault", Case())
     down = run.plant.model.opt.gravity
-    down[:] = 9.81 * np.array([np.sin(np.deg2rad(5.0)), 0.0, -np.cos(np.deg2rad(5.0))])
+    down[:] = 9.81 * vector(np.sin(np.deg2rad(5.0)), 0.0, -np.cos(np.deg2rad(5.0)))
     measure = run.robot.measure
     kept = {}
 

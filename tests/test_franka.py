@@ -9,7 +9,7 @@ from command_line import call
 from complaints import invalid_input, plant_error
 from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
 from pytest import approx, mark
-from rigs import assert_near, largest, shift
+from rigs import assert_near, largest, shift, vector
 from samples import first, parametrize
 
 import osc_contact as osc
@@ -180,13 +180,13 @@ def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka):
 def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka, sensor):
     robot, read = at_rest(franka, 60, sensor, push=[8.0, 20.0], noise=0.0)
     X = pin.SE3(robot._data.oMf[robot._sensor])
-    t = 20.0 * 1e-3 * (franka.send()["steps"] - 1) * np.array([1.0, 1.3, 0.7])
-    force = -8.0 * np.array([1.0, 1.0, 0.3]) * np.cos(t)
+    t = 20.0 * 1e-3 * (franka.send()["steps"] - 1) * vector(1.0, 1.3, 0.7)
+    force = -8.0 * vector(1.0, 1.0, 0.3) * np.cos(t)
     wrench = X.act(pin.Force(read[-1].wrenches[0]))
     weight = [0, 0, 9.81 * (0.73 if sensor == "hand" else 0.0)]
     assert_near(wrench.linear - weight, force, 1.5)
     tip = robot._base.act(robot._data.oMf[robot._tip]).translation
-    lever = X.act(np.array([-0.01, 0.0, 0.03]))
+    lever = X.act(vector(-0.01, 0.0, 0.03))
     assert_near(wrench.angular, np.cross(tip, force) + np.cross(lever, weight), 0.5, 0)
     robot.stop()
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 from pytest import approx, fixture
-from rigs import refused, scara_pair
+from rigs import refused, scara_pair, vector
 from samples import parametrize
 from scenario_runs import closed_force, run_of, verdict_of
 
@@ -72,7 +72,7 @@ def test_friction_leaves_a_face_as_stiff_as_it_is(solref):
 
 
 def test_friction_on_contacts_without_known_points_is_refused():
-    pair = osc.Revolute(np.zeros(3), np.array([0.0, 0.0, 1.0]), name="hinge")
+    pair = osc.Revolute(np.zeros(3), vector(0.0, 0.0, 1.0), name="hinge")
     with refused(r"hinge.*points of contact"):
         osc.Controller(scara_pair(), [pair], friction=osc.Friction(0.1))
 

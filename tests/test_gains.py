@@ -19,6 +19,7 @@ from rigs import (
     rig_of,
     ticked,
     unloaded,
+    vector,
 )
 from samples import chosen, first, parametrize
 from scenario_runs import run_of
@@ -98,7 +99,7 @@ def test_the_brake_decelerates_the_contact_whatever_the_mass():
     rng = np.random.default_rng(5)
     kappa = 44.0
     for mass in 0.1, 1.0, 6.0:
-        body = pin.Inertia(mass, np.array([0.01, 0.02, 0.0]), 0.02 * mass * np.eye(3))
+        body = pin.Inertia(mass, vector(0.01, 0.02, 0.0), 0.02 * mass * np.eye(3))
         holding = osc.ClosedChain(chain.arms, chain.grasps, osc.RigidObject(body))
         q, v = random_state(chain, rng)
         v *= 0.01
@@ -122,7 +123,7 @@ def test_other_gains_continue_while_a_step_is_made():
     rig = rig_of("two_contact_rod", *changes)
     plant = rig.plant()
     controller = rig.controller()
-    reference = replace(rig.references.at(0.0), alpha_d=np.array([20.0, 15.0]))
+    reference = replace(rig.references.at(0.0), alpha_d=vector(20.0, 15.0))
     commanded = []
     for k in range(400):
         if k == 125:
@@ -160,7 +161,7 @@ def one_arm(robot, tip, posture, push, armature):
     grasp = placed(z=0.29, rpy=(0, -np.pi / 2, 0))
     X = data.oMf[arm.model.getFrameId(tip)] * grasp
     push = np.array(push) / np.linalg.norm(push)
-    at = X.act(np.array([0.29, 0.0, 0.0])) + 0.01 * push
+    at = X.act(vector(0.29, 0.0, 0.0)) + 0.01 * push
 
     def pose(X):
         return {"xyz": X.translation, "rpy": pin.rpy.matrixToRpy(X.rotation)}

@@ -18,6 +18,7 @@ from rigs import (
     held_tick,
     largest,
     miss,
+    placed,
     random_faces,
     refused,
     rig_of,
@@ -25,6 +26,7 @@ from rigs import (
     shift,
     ticked,
     unloaded,
+    vector,
 )
 from samples import aligned, first, parametrize
 from scenario_runs import first_inputs
@@ -114,8 +116,8 @@ def by_constraint_dynamics(whole, tau):
     X_WO = whole.case.X_WO
     to_object = rotated(X_WO.rotation.T).action  # turns a twist into its axes
     model = chain.model.copy()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
-    model.appendBodyToJoint(joint, chain.payload.inertia, pin.SE3.Identity())
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), placed(), "object")
+    model.appendBodyToJoint(joint, chain.payload.inertia, placed())
     ties = []
     for arm, grasp in aligned(chain.arms, chain.grasps):
         tip = model.frames[model.getFrameId(f"{arm.name}/{arm.tip}")]
@@ -262,7 +264,7 @@ def test_a_grasp_keeps_its_motions_and_nothing_else():
     ],
 )
 def test_what_is_no_grasp_is_refused(T, words):
-    X = pin.SE3.Identity()
+    X = placed()
     with refused(words):
         osc.Grasp(X, T)
     with refused("give a direction"):
@@ -274,7 +276,7 @@ def test_what_is_no_grasp_is_refused(T, words):
 def test_an_object_without_mass_needs_rigid_grasps():
     arm = random_case(["ur5"], ["rigid"], default_rng(11)).chain.arms[0]
     with model_error("without mass"):
-        osc.ClosedChain([arm], [osc.Grasp.ball(pin.SE3.Identity())])
+        osc.ClosedChain([arm], [osc.Grasp.ball(placed())])
 
 
 HANDS = [
@@ -391,7 +393,7 @@ def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
     case = random_case(["4R"], ["rigid"], default_rng(3))
     loose = replace(case.chain.arms[0], passive_joints=("joint1",))
     chain = osc.ClosedChain([loose], case.chain.grasps, case.chain.payload)
-    A_D = np.array([0.1, -0.2, 0.3, 0.1, 0.2, -0.1])
+    A_D = vector(0.1, -0.2, 0.3, 0.1, 0.2, -0.1)
     controller = osc.Controller(chain, [], posture=case.q)
     tau = ticked(controller, unloaded(case.q, np.zeros(4)), osc.Reference(case.X_WO, A_D=A_D))
     found = pressed(case, ()).answer(np.insert(tau, 1, 0.0))
@@ -414,7 +416,7 @@ def test_forces_at_a_tip_that_holds_nothing(arm):
         state.move(rng)
         truth = state.answer(20.0 * rng.standard_normal(case.chain.n_a))
         controller = osc.Controller(case.chain, pairs, safety=UNLIMITED)
-        reference = osc.Reference(pin.SE3.Identity(), alpha_d=np.zeros(len(pairs)))
+        reference = osc.Reference(placed(), alpha_d=np.zeros(len(pairs)))
         controller.tick(osc.Measurement(case.q, state.v, state.readings(truth)), reference)
         assert controller.status is not osc.Status.HELD, controller.reason
         assert miss(controller.result().alpha_meas, truth.alpha) < 1e-7

@@ -3,10 +3,9 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pinocchio as pin
 from numpy.linalg import norm
 from pytest import approx
-from rigs import largest, shift
+from rigs import largest, placed, shift, vector
 from samples import parametrize
 
 import osc_contact as osc
@@ -25,7 +24,7 @@ def test_the_finger_is_at_its_goal_with_the_desired_force(case):
     n = case.normal
     last = case.goals[-1].point
     assert n @ (pose[-1, :3] - case.wall) == approx(RADIUS, abs=1e-3)
-    along = np.array([-n[2], 0.0, n[0]])
+    along = vector(-n[2], 0.0, n[0])
     assert along @ pose[-1, :3] == approx(along @ last, abs=1e-3)
     assert pose[-1, 1] == approx(last[1], abs=1e-3)
     assert np.ptp(pose[:, 1]) > 0.4  # it did go along the wall
@@ -54,8 +53,8 @@ def test_damping_acts_only_near_a_singular_posture():
 
     def torques(thresholds, J):
         s = SimpleNamespace(q=a, v=a, V=np.zeros(6), J=J, M=root @ root.T + np.eye(7), gravity=a)
-        s.error = pose_error(shift([0.01, 0.0, 0.0]), pin.SE3.Identity())
-        s.axis = np.array([0.0, 0.0, 1.0])
+        s.error = pose_error(shift([0.01, 0.0, 0.0]), placed())
+        s.axis = vector(0.0, 0.0, 1.0)
         s.force = s.force_goal = 0.0
         return force_laws.isaac_lab(s, CASES[0], thresholds)(s)
 

@@ -9,7 +9,16 @@ import pinocchio as pin
 from complaints import scenario_error
 from numpy.linalg import lstsq, matrix_rank, norm
 from pytest import approx
-from rigs import assert_derivatives, assert_near, largest, object_poses, placed, rotated, shift
+from rigs import (
+    assert_derivatives,
+    assert_near,
+    largest,
+    object_poses,
+    placed,
+    rotated,
+    shift,
+    vector,
+)
 from samples import aligned, module_fixture, parametrize
 from scenario_runs import rig_of
 
@@ -161,7 +170,7 @@ def two_turns(centres=(None, None)):
     ]
     scenario = osc.load_scenario("two_contact_rod_mismatch").replaced(motion=motion)
     X = placed(0.1, 0.2, 0.3, (0.1, 0.2, 0.3))
-    return References.of(scenario, X, rig_of().pairs, np.array([0.01, 0.0, 0.02, 0.1, -0.2, 0.05]))
+    return References.of(scenario, X, rig_of().pairs, vector(0.01, 0.0, 0.02, 0.1, -0.2, 0.05))
 
 
 @parametrize("centres", [(None, None), CENTRES])

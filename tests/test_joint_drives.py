@@ -9,7 +9,7 @@ from numpy.linalg import cholesky, eigh, solve
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import assert_near, largest
+from rigs import assert_near, largest, vector
 from samples import first, parametrize
 from scenario_runs import closed_force, rig_of, verdict_of, worst_force
 
@@ -49,7 +49,7 @@ def test_the_motor_obeys_spongs_equation():
 def test_a_held_rig_starts_with_wound_up_springs_at_the_same_pose():
     rig = rig_of("two_contact_rod", FLEXIBLE)
     plant = rig.plant()
-    tau = np.array([-3.9, -1.1, -15.0, 0.3, 3.7, -0.2, -17.7, 0.1])
+    tau = vector(-3.9, -1.1, -15.0, 0.3, 3.7, -0.2, -17.7, 0.1)
     plant.hold(tau)
     read = plant.measure()
     assert_near(read.joint_torques, tau, rtol=1e-9)
@@ -126,12 +126,12 @@ def test_motors_have_the_joint_friction_and_springs_have_none():
 
 def test_motor_errors_are_those_drawn():
     motors, again = (
-        Motors.drawn(np.array([60.0, 200.0]), np.array([False, True]), 0.01, 0.005, default_rng(3))
+        Motors.drawn(vector(60.0, 200.0), np.array([False, True]), 0.01, 0.005, default_rng(3))
         for _ in range(2)
     )
     assert_near(np.abs(motors.bias), [0.6, 2.0])
     turn = np.linspace(0, 2 * np.pi, 1000)
-    error = np.array([motors.torque(np.zeros(2), np.array([x, x * 0.01])) for x in turn])
+    error = np.array([motors.torque(np.zeros(2), vector(x, x * 0.01)) for x in turn])
     assert_near(np.ptp(error, axis=0), [2 * 0.3, 2 * 1.0], rtol=1e-3)
     assert_array_equal(motors.phase, again.phase)
 
@@ -192,14 +192,14 @@ def test_springs_must_fit_the_motors(stiffness, said):
 
 def test_impossible_springs_are_refused():
     with plant_error("stiffness"):
-        FlexibleJoints(np.array([-1.0]), np.array([0.0]), np.array([1.0]))
+        FlexibleJoints(vector(-1.0), vector(0.0), vector(1.0))
 
 
 # --- the joint torque loop ------------------------------------------------------------------------
 
 
 def loop_of(*settings, tau_max=1e9):
-    joint = (np.array([x]) for x in (1700.0, 0.45, tau_max))
+    joint = (vector(x) for x in (1700.0, 0.45, tau_max))
     return JointTorqueLoop(*joint, JointTorqueSpec("4 kHz", *settings))
 
 
@@ -212,7 +212,7 @@ def simulated(loop, steps, bias=0.0):
     rate = 0.0
     out = []
     for _ in range(steps):
-        u = loop.command(np.array([1.0]), np.array([K * theta]))[0] + bias
+        u = loop.command(vector(1.0), vector(K * theta))[0] + bias
         for _ in range(50):
             rate += dt * (u - K * theta) / J
             theta += dt * rate
@@ -241,7 +241,7 @@ def test_errors_of_the_motor_shrink_by_one_plus_gain():
 
 
 def test_motor_limits_are_kept():
-    assert loop_of(tau_max=10.0).command(np.array([5.0]), np.array([-5.0]))[0] == 10.0
+    assert loop_of(tau_max=10.0).command(vector(5.0), vector(-5.0))[0] == 10.0
 
 
 @parametrize("frequency", first([5, 3, 10], 1))

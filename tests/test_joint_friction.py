@@ -19,6 +19,7 @@ from rigs import (
     strong,
     ticked,
     unloaded,
+    vector,
 )
 from samples import aligned, parametrize
 from scenario_runs import verdict_of
@@ -30,7 +31,7 @@ from osc_contact.control.records import SLIP
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 MOST = 30.0
-PRIOR = np.array([9.0, 4.0, 2.0, 0.01, 0.04])
+PRIOR = vector(9.0, 4.0, 2.0, 0.01, 0.04)
 drafted = cache(cases)
 
 
@@ -39,8 +40,8 @@ def learned(Phi, r, noise, dt=0.0):
     t = records(1, 1)
     prior = t.model.priors[0]
     prior.noise = np.sqrt(noise)
-    prior.spread[:] = MOST * np.array([0.5, 0.5, 0.5, 0.3, 0.1])
-    prior.high[:] = MOST * np.array([1.0, 20.0, 20.0, 1.0, 1.0])
+    prior.spread[:] = MOST * vector(0.5, 0.5, 0.5, 0.3, 0.1)
+    prior.high[:] = MOST * vector(1.0, 20.0, 20.0, 1.0, 1.0)
     prior.low[:] = [0.0, 0.0, -MOST, -MOST, -MOST]
     row = t.memory.friction[0]
     row.P[:] = np.diag(PRIOR)
@@ -204,7 +205,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
             state = chain.state(q, v)
             X = state.X_WO
             corner = osc.VertexOnFace(
-                np.array([0.1, 0.02, 0.03]), X.act(np.array([0.1, 0.02, 0.03])), X.rotation[:, 2]
+                vector(0.1, 0.02, 0.03), X.act(vector(0.1, 0.02, 0.03)), X.rotation[:, 2]
             )
             contacts = [corner] if pressed else []
             wanted = osc.Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
@@ -257,7 +258,7 @@ def test_forces_are_held_although_friction_is_modelled_wrongly(name):
     ],
 )
 def test_friction_is_learned_and_must_be_sure_where_the_model_has_none(friction, damping, sure):
-    joints = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    joints = vector(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     chain = panda(damping=damping * joints, friction=friction * joints)
     model = osc.Controller(chain, [])._records.model
     assert model.friction_learning == 1 and (model.priors.sure[0] > 0.0) == sure

@@ -6,7 +6,7 @@ from complaints import model_error, scenario_error
 from numpy.linalg import inv
 from numpy.testing import assert_array_equal
 from pytest import approx, fixture, mark
-from rigs import assert_near, holding_panda, panda_arm, ticked
+from rigs import assert_near, holding_panda, panda_arm, ticked, vector
 from robot_numbers import mass_matrix
 from samples import aligned, parametrize
 from scenario_runs import rig_of, verdict_of, worst_force
@@ -16,9 +16,9 @@ from osc_contact import robots
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.report import verdict_table
 
-ROTORS = np.array([0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05])
-DRY = np.array([2.0, 1.5, 1.0, 1.0, 0.5, 0.4, 0.3])
-VISCOUS = np.array([3.0, 2.0, 1.0, 1.0, 0.5, 0.4, 0.3])
+ROTORS = vector(0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05)
+DRY = vector(2.0, 1.5, 1.0, 1.0, 0.5, 0.4, 0.3)
+VISCOUS = vector(3.0, 2.0, 1.0, 1.0, 0.5, 0.4, 0.3)
 GAINS = osc.Gains(osc.MotionGains(400.0, 40.0, 0.0), osc.ForceGains(30.0))
 
 
@@ -223,7 +223,7 @@ def test_before_it_or_with_both_locked_the_arm_is_there(urdf, caplog):
 def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading):
     """7 N on the tip of a Panda, whose sensor sits in the massless frame of the tip."""
     chain = osc.ClosedChain([panda_arm(wrist_sensor="panda_hand_tcp")])
-    q = np.array([0.0, -0.7, 0.2, -2.2, 0.1, 1.6, 0.7])
+    q = vector(0.0, -0.7, 0.2, -2.2, 0.1, 1.6, 0.7)
     state = chain.state(q)
     p = state.X_WO.translation
     R = state.X_WO.rotation

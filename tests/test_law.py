@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from complaints import model_error
 from processes import python
-from rigs import placed, random_faces, unit
+from rigs import placed, random_faces, unit, vector
 
 import osc_contact as osc
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
@@ -81,7 +81,7 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     model = pin.Model()
     joint = 0
     X = placed(0.1, 0.2, 0.3, (0.3, -0.2, 0.5))
-    axis = unit(np.array([0.3, -0.5, 0.8]))
+    axis = unit(vector(0.3, -0.5, 0.8))
     kinds = [
         pin.JointModelRX(),
         pin.JointModelPY(),
@@ -97,7 +97,7 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
         X = pin.SE3.Random()
     model.upperEffortLimit[:] = 50.0
     model.addFrame(pin.Frame("tip", joint, 0, placed(0.2), pin.FrameType.OP_FRAME))
-    body = osc.RigidObject(pin.Inertia(1.0, np.array([0.02, 0.01, 0.0]), 0.01 * np.eye(3)))
+    body = osc.RigidObject(pin.Inertia(1.0, vector(0.02, 0.01, 0.0), 0.01 * np.eye(3)))
     chain = osc.ClosedChain([osc.Arm.from_urdf(model, name="arm", tip="tip")], payload=body)
     wrong_link = chain.law_row(led=False).copy()
     MODEL.view(wrong_link).joints.link[3][0] *= 1.0 + 1e-6

@@ -8,7 +8,7 @@ from law_calls import records
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import assert_near
+from rigs import assert_near, vector
 from samples import aligned, first, parametrize
 
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
@@ -313,7 +313,7 @@ def random_ticks(rng, n, ticks):
                 k = end
         if rng.random() < 0.5:  # all alike: contacts with several columns are made as one
             values[:] = values[:, :1]
-    out[1:] += np.array([0.05, 3e-4])[:, None, None] * rng.standard_normal((2, ticks, n))
+    out[1:] += vector(0.05, 3e-4)[:, None, None] * rng.standard_normal((2, ticks, n))
     return out
 
 

@@ -12,7 +12,7 @@ from law_calls import records, safety, sensors, write
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import assert_near, rotated
+from rigs import assert_near, rotated, vector
 from samples import parametrize
 
 from osc_contact.law import records as at
@@ -353,7 +353,7 @@ def test_an_approach_uses_positions_where_speeds_read_too_little():
                 assert_array_equal(approach.tick(V, true + more), true + more)
 
 
-TWIST = np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.6])
+TWIST = vector(0.3, -0.2, 0.1, 0.5, 0.4, -0.6)
 
 
 def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
@@ -529,7 +529,7 @@ def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
     for j in range(2):
         for error, found in {0.199: False, 0.201: True, 1.0: True}.items():
             sensors = Sensors(position_drift=inf)
-            v = np.array([0.3, -0.4])
+            v = vector(0.3, -0.4)
             wrong = v.copy()
             wrong[j] += sign * error
             sensors.tick(v=v)
@@ -545,7 +545,7 @@ def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
 def test_lost_ticks_take_no_evidence_away(every):
     """Speeds mirrored, and every so many-th tick lost."""
     sensors = Sensors(position_drift=inf)
-    v = np.array([0.3, -0.4])
+    v = vector(0.3, -0.4)
     sensors.tick(v=v)
     for k in range(1, 60):
         lost = k % every == every - 1
@@ -570,7 +570,7 @@ def test_a_joint_without_a_sound_reading_cannot_be_braked():
 def test_what_is_not_read_follows_from_speeds_or_positions():
     """Positions as integrals, speeds by a low-pass of 5 ms."""
     sensors = Sensors()
-    v = np.array([0.3, -0.4])
+    v = vector(0.3, -0.4)
     nothing = np.full(2, np.nan)
     sensors.tick(v)
     for k in range(1, 30):

@@ -10,7 +10,7 @@ from grasp_rigs import KINDS, random_case
 from law_calls import allocation, records, write
 from numpy.linalg import cholesky, pinv, qr, solve, svd
 from numpy.random import default_rng
-from rigs import assert_close, assert_near, held_tick, largest, rig_of, unit
+from rigs import assert_close, assert_near, held_tick, largest, rig_of, unit, vector
 from samples import aligned, module_fixture, parametrize
 from scenario_runs import run_of
 
@@ -74,9 +74,9 @@ def test_commands_that_do_not_fit_the_bars_are_held(plate):
     reference = plate.references.at(0.0)
     fast = plate.controller()
     pair = rig_of("two_contact_rod")
-    wanted = replace(pair.references.at(0.0), squeeze_d=np.array([5.0, 5.0]))
+    wanted = replace(pair.references.at(0.0), squeeze_d=vector(5.0, 5.0))
     held_tick(pair.controller(), "2 arms take a number", pair.plant().measure(), wanted)
-    for bad in np.zeros(2), np.array([1.0, np.nan, 0.0]), np.zeros((3, 1)), "5 N", np.nan, [1, 2]:
+    for bad in np.zeros(2), vector(1.0, np.nan, 0.0), np.zeros((3, 1)), "5 N", np.nan, [1, 2]:
         held = held_tick(fast, "squeeze_d", measurement, replace(reference, squeeze_d=bad))
         assert np.isfinite(held).all()
 
@@ -87,7 +87,7 @@ def test_motor_limits_take_it_first(plate):
     reference = plate.references.at(0.0)
     controller = plate.controller()
     controller.tick(measurement, reference)
-    squeeze = np.array([4000.0, 100.0, 50.0])
+    squeeze = vector(4000.0, 100.0, 50.0)
     tau = controller.tick(measurement, replace(reference, squeeze_d=squeeze))
     assert controller.status is osc.Status.SATURATED
     assert (np.abs(tau) <= plate.chain.tau_max).all()

@@ -10,12 +10,11 @@ from dataclasses import replace
 from itertools import repeat
 
 import numpy as np
-import pinocchio as pin
 from complaints import invalid_input, recording_error
 from numpy.testing import assert_array_equal
 from processes import SIGNALS, wait_until
 from pytest import approx, mark, raises
-from rigs import assert_near
+from rigs import assert_near, placed, vector
 from samples import first, parametrize
 from scenario_runs import assert_same_run, rig_of, run_of
 
@@ -135,7 +134,7 @@ def test_a_viewer_needs_what_is_recorded():
 # How `run_loop` ends: the robot is stopped at once and with a reason, by real signals, too.
 
 
-REFERENCE = osc.Reference(pin.SE3.Identity())
+REFERENCE = osc.Reference(placed())
 READING = osc.Measurement(np.zeros(1), np.zeros(1), np.zeros((1, 6)))
 
 
@@ -183,7 +182,7 @@ class Controller:
         if self.ticks - 2 in self.stops_at:  # somebody resets it
             self.state = osc.SafetyState.RUN
         self.ticks += 1
-        return np.array([-1.0 if self.state is osc.SafetyState.SAFE_STOP else 1.0])
+        return vector(-1.0 if self.state is osc.SafetyState.SAFE_STOP else 1.0)
 
 
 def loop_of(robot, ticks=None, stops_at=(), **how):

@@ -12,7 +12,7 @@ from complaints import contact_error, invalid_input, model_error, refusals
 from kkt_oracle import linkage, random_inertia
 from numpy.linalg import inv, lstsq, solve
 from numpy.random import default_rng
-from rigs import largest, miss, pose_of, random_state, refused, scara_pair, ticked
+from rigs import largest, miss, placed, pose_of, random_state, refused, scara_pair, ticked, vector
 from samples import parametrize
 from test_law_kkt import ticks
 
@@ -135,8 +135,8 @@ def test_the_environment_of_several_contacts_follows_from_the_inertia_of_the_obj
     assert miss(env.b_e, K @ b_N) < 1e-9 and miss(env.V_e, K @ V_N) < 1e-9
 
 
-BODY = pin.Inertia(2.0, np.array([0.1, 0, 0]), np.diag([0.02, 0.03, 0.04]))
-AT = {"X_WE": pin.SE3.Identity(), "O": np.zeros(3)}
+BODY = pin.Inertia(2.0, vector(0.1, 0, 0), np.diag([0.02, 0.03, 0.04]))
+AT = {"X_WE": placed(), "O": np.zeros(3)}
 
 
 def rail(axes=(1,) * 6, rates=(0,), body=BODY, **how):

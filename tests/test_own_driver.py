@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from complaints import plant_error
-from rigs import shift
+from rigs import shift, vector
 from samples import parametrize
 
 import osc_contact as osc
@@ -37,7 +37,7 @@ SCENE = """
   <actuator> <motor joint="base"/> <motor joint="shoulder"/> <motor joint="elbow"/> </actuator>
   <sensor> <force site="sensor"/> <torque site="sensor"/> </sensor>
 </mujoco>"""
-HOME = np.array([0.2, -0.6, 1.1])
+HOME = vector(0.2, -0.6, 1.1)
 
 
 class Driver:

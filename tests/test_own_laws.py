@@ -9,7 +9,7 @@ from numpy.linalg import eig, inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import fixture
-from rigs import assert_near, held_tick, largest, product, refused, rig_of, ticked
+from rigs import assert_near, held_tick, largest, product, refused, rig_of, ticked, vector
 from samples import module_fixture, parametrize
 from test_moving_face import on_the_move
 
@@ -85,7 +85,7 @@ def paper(s):
 
 
 def test_a_motion_law_commands_a_classical_acceleration(rig):
-    wanted = np.array([0.3, -0.5, 0.4, 0.2, 0.6, -0.7])
+    wanted = vector(0.3, -0.5, 0.4, 0.2, 0.6, -0.7)
     read = rig.plant().measure()
     read = replace(read, v=0.1 * default_rng(1).standard_normal(rig.model.nq))
     controller = motion_law(lambda: lambda *_: wanted)(rig.controller())
@@ -190,7 +190,7 @@ def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(rig, kind, movin
 
 # Impedance and admittance: their equations, by what the rigid plant does under them ---------------
 
-KEYS = np.array([900.0, 700.0, 500.0, 40.0, 30.0, 20.0])
+KEYS = vector(900.0, 700.0, 500.0, 40.0, 30.0, 20.0)
 
 
 @fixture(scope="module", params=["two_contact_rod", "panda_edge"])

@@ -14,7 +14,7 @@ from headless import Browser, near, pixels_of
 from numpy.testing import assert_array_equal
 from PIL import Image
 from pytest import approx, raises
-from rigs import assert_near, data_at, held_tick, largest, ticked, unloaded
+from rigs import assert_near, data_at, held_tick, largest, ticked, unloaded, vector
 from samples import module_fixture, parametrize
 from scenario_runs import worst_force
 
@@ -364,7 +364,7 @@ def recorded(tmp_path_factory):
 def test_the_picture_stands_where_mujoco_puts_the_shapes(recorded):
     robot, recording, _ = recorded
     model, shapes = read_picture(recording.meta["picture"])
-    q = np.array([0.7, -0.4, 1.1])
+    q = vector(0.7, -0.4, 1.1)
     robot.reset(q)
     robot.data.joint("grip").qpos[:] = 0.02
     mujoco.mj_forward(robot.model, robot.data)

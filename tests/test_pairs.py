@@ -15,7 +15,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pair_kinds import KINDS, PLAIN, STILL, Motion, pose_of, rate
 from pytest import approx, raises
-from rigs import assert_near, largest, placed, refused, shift, unit
+from rigs import assert_near, largest, placed, refused, shift, unit, vector
 from samples import parametrize
 
 import osc_contact as osc
@@ -86,7 +86,7 @@ def test_the_environment_defaults_to_the_world_at_rest(name):
     pair, pose, r = drawn(name, 5)
     X_WO = pose(np.full(6 - r, 0.3))
     V = np.arange(6.0)
-    here = pin.SE3.Identity()
+    here = placed()
     for V_E in STILL, V[::-1].copy():
         one = pair.contact(X_WO, V, V_E=V_E) if V_E.any() else pair.contact(X_WO, V)
         other = pair.contact(X_WO, V, here, V_E)
@@ -118,7 +118,7 @@ def test_lifted_objects_have_open_gaps(name, turn):
 def test_edges_cross_with_the_environment_on_the_stated_side(side, down):
     """e_A × e_E = y × x = −z; the crossing point follows the object."""
     pair = osc.EdgeOnEdge([0.0, 5, 0.02], [0.0, 1, 0], [7.0, 0, 0], [1.0, 0, 0], side)
-    for X in pin.SE3.Identity(), shift([0.4, 0, 0]):
+    for X in placed(), shift([0.4, 0, 0]):
         assert_near(pair.gaps(X), [down * 0.02], 1e-15)
         assert_near(pair.contact(X, STILL).N[:, 0], [0, 0, -down, 0, 0, 0])
 
@@ -158,7 +158,7 @@ def test_magnitudes_belong_to_feet_around_the_stated_point(turn):
 
 def test_joints_are_held_by_forces_and_couples_along_the_axes_of_their_seats():
     for r, pair in (5, osc.Revolute(O3, Z)), (6, osc.Fixed()):
-        assert_near(pair.contact(pin.SE3.Identity(), STILL).N, np.eye(6)[:, :r])
+        assert_near(pair.contact(placed(), STILL).N, np.eye(6)[:, :r])
 
 
 Z = [0.0, 0.0, 1.0]
@@ -207,7 +207,7 @@ def test_forces_are_counted_in_any_pose(name):
 
 
 def test_contacts_that_do_not_exist_are_refused():
-    here = pin.SE3.Identity()
+    here = placed()
     parallel = osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z, 1, name="rails")
     for ask in lambda: parallel.contact(here, STILL), lambda: parallel.gaps(here):
         with contact_error("rails: the edges are parallel"):
@@ -224,7 +224,7 @@ def test_contacts_that_do_not_exist_are_refused():
 
 def test_a_vertex_touches_where_the_line_of_force_meets_the_face():
     rng = default_rng(0)
-    here = pin.SE3.Identity()
+    here = placed()
     for _ in range(40):
         pair = osc.VertexOnFace(*rng.standard_normal((3, 3)), 0.07)
         X_WO = pose_of(rng)
@@ -239,7 +239,7 @@ def test_a_vertex_touches_where_the_line_of_force_meets_the_face():
 
 @parametrize("normal", [*np.vstack((np.eye(3), -np.eye(3))), (1e-3, 2e-3, 0), (300, -1, 2)])
 def test_the_normal_of_a_face_becomes_a_unit_vector_and_input_is_copied(normal):
-    point = np.array([0.1, 0.2, 0.3])
+    point = vector(0.1, 0.2, 0.3)
     pair = osc.VertexOnFace(np.zeros(3), point, normal)
     point[:] = 9.0
     axes = triad(pair.normal)

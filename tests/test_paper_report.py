@@ -13,7 +13,7 @@ from html_pages import Page
 from matplotlib.image import imread
 from PIL import Image
 from rich.table import Table
-from rigs import assert_near
+from rigs import assert_near, vector
 from samples import ROOT, aligned, module_fixture, names_in, parametrize
 from scene_samples import read_commands
 
@@ -246,7 +246,7 @@ def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
     pin.framesForwardKinematics(chain.model, chain.data, cell.sample["q"])
     seen += [X.translation for X in chain.tip_poses()]
     rod = pin.XYZQUATToSE3(cell.sample["pose"])
-    seen += [rod.act(np.array([x, 0.0, 0.0])) for x in (-0.3, 0.3)]
+    seen += [rod.act(vector(x, 0.0, 0.0)) for x in (-0.3, 0.3)]
     for point in seen:
         assert (low < point[:2]).all() and (point[:2] < high).all()
         assert point[2] < fig3.EYE[2]
@@ -287,7 +287,7 @@ def test_reproduce_fig3_renders_it(cell, tmp_path, monkeypatch):
     assert {path.name for path in made.files} >= {"fig3.png", "fig3.html", "fig3.json"}
     picture = imread(tmp_path / "fig3.png")[..., :3]
     assert picture.shape[1] > 1500 and picture.std(axis=(0, 1)).min() > 0.05
-    view = np.array([0x2B, 0x7C, 0xAE]) / 255  # edges of what the camera sees, on the left half
+    view = vector(0x2B, 0x7C, 0xAE) / 255  # edges of what the camera sees, on the left half
     near = np.abs(picture[:, : picture.shape[1] // 2] - view).max(axis=2) < 0.1
     assert near.sum() > 500
     parts = read_json(tmp_path / "fig3.json")

@@ -2,7 +2,7 @@
 
 import numpy as np
 from pytest import approx, fixture, mark
-from rigs import assert_near
+from rigs import assert_near, vector
 from samples import first
 
 from benchmarks import polishing
@@ -28,7 +28,7 @@ def few_rows(monkeypatch):
 
 def test_the_strategy_finds_what_is_hidden():
     """The lowest point of a parabola, of which it gets noisy heights."""
-    hidden = np.array([3.0, -1.0, 0.5])
+    hidden = vector(3.0, -1.0, 0.5)
     noise = np.random.default_rng(0)
 
     def cost(policies, seed):

@@ -10,13 +10,13 @@ import numpy as np
 from complaints import contact_error
 from numpy.linalg import inv, lstsq, matrix_rank, qr, solve
 from numpy.random import default_rng
-from rigs import largest
+from rigs import largest, vector
 from samples import parametrize
 
 from osc_contact import projections as P
 
 #: rad/s, kg m², N m and m/s, kg, N: what a hand-held object in SI units looks like
-SIZE = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
+SIZE = vector(1.0, 1.0, 1.0, 0.2, 0.2, 0.2)
 #: of force: N, N m; N, N mm; g mm/s², g mm²/s²
 UNITS = np.repeat([[1.0, 1.0], [1.0, 1e3], [1e6, 1e9]], 3, axis=1)
 

@@ -7,7 +7,7 @@ import pinocchio as pin
 from numpy.linalg import det, norm, pinv
 from numpy.random import default_rng
 from pytest import approx, raises
-from rigs import assert_near, pose_of, refused, shift
+from rigs import assert_near, placed, pose_of, refused, shift, vector
 from samples import parametrize
 
 from osc_contact.contacts import raibert_craig
@@ -92,9 +92,9 @@ def test_every_frame_and_selection_is_recognised_in_any_basis(monkeypatch):
     assert len(kinds) == 20  # all there are
 
 
-LEAN = np.array([0.6, 0.0, 0.8])
-Z = np.array([0.0, 0.0, 1.0])
-Q = np.array([0.1, -0.2, 0.05])
+LEAN = vector(0.6, 0.0, 0.8)
+Z = vector(0.0, 0.0, 1.0)
+Q = vector(0.1, -0.2, 0.05)
 
 
 def test_the_frame_lies_where_one_would_put_it():
@@ -136,7 +136,7 @@ def test_skew_lines_are_refused_with_their_distance():
 
 def cone_in_groove(angle):
     """Fig. 2: spin about the cone's axis, slide along a groove at `angle` from it. N (6, 4)."""
-    axis = np.array([np.cos(angle), 0.0, np.sin(angle)])
+    axis = vector(np.cos(angle), 0.0, np.sin(angle))
     spin = np.concatenate((np.cross(Q, axis), axis))
     return Contact.from_tangents(np.column_stack((spin, [1.0, 0, 0, 0, 0, 0]))).N
 
@@ -247,7 +247,7 @@ def test_nothing_depends_on_operational_point_axes_units_or_basis():
         R = pose_of(rng).rotation
         turned = np.kron(np.eye(2), R) @ N
         about_another = np.concatenate((N[:3], N[3:] - np.cross(away, N[:3], axis=0)))
-        same = pin.SE3.Identity()
+        same = placed()
         for other, at, X, unit in (
             (about_another, centre - away, shift(away), 1.0),
             (turned, R @ centre, pin.SE3(R.T, np.zeros(3)), 1.0),
@@ -269,9 +269,9 @@ def test_nothing_depends_on_operational_point_axes_units_or_basis():
 @parametrize("flags", [(True, False), (True, False, 2), (True, None, False), True])
 def test_malformed_selections_are_refused(flags):
     with refused(r"forces = .* three times True or False"):
-        selection_columns(pin.SE3.Identity(), flags, ALL)
+        selection_columns(placed(), flags, ALL)
     with refused("couples = "):
-        selection_columns(pin.SE3.Identity(), ALL, flags)
+        selection_columns(placed(), ALL, flags)
 
 
 @parametrize(

@@ -9,10 +9,9 @@ import time
 from itertools import repeat
 
 import numpy as np
-import pinocchio as pin
 from complaints import invalid_input, plant_error
 from pytest import approx, raises
-from rigs import assert_near
+from rigs import assert_near, placed, vector
 from samples import parametrize
 from scenario_runs import rig_of
 from test_loop import REFERENCE, Controller, Robot, loop_of
@@ -138,7 +137,7 @@ class Guided(Driver):
     def command(self, tau, duration):
         t = 1e-3 * self.ticks - 0.3
         body = self.plant.model.site("tip").bodyid[0]
-        force = 12.0 * np.sin(np.array([7.0, 9.0, 5.0]) * max(t, 0.0))
+        force = 12.0 * np.sin(vector(7.0, 9.0, 5.0) * max(t, 0.0))
         arm = self.plant.data.site("tip").xpos - self.plant.data.xipos[body]
         self.plant.data.xfrc_applied[body] = [*force, *np.cross(arm, force)]
         super().command(tau, duration)
@@ -193,7 +192,7 @@ def test_shadow_mode_needs_motion_and_one_arm():
         shadow(ticks=500)
     bare = rig_of().controller()
     with invalid_input("judges one arm"):
-        osc.run_loop(Robot(), bare, [osc.Reference(pin.SE3.Identity())], shadow=True)
+        osc.run_loop(Robot(), bare, [osc.Reference(placed())], shadow=True)
 
 
 def test_an_error_of_the_thread_beside_the_loop_ends_the_run_after_the_stop(monkeypatch):

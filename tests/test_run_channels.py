@@ -7,7 +7,7 @@ from numpy.linalg import cholesky, inv, lstsq, norm, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pair_kinds import KINDS, PLAIN, STILL, pose_of
-from rigs import assert_near, unloaded
+from rigs import assert_near, placed, unloaded
 from samples import aligned, parametrize
 from scenario_runs import rig_of
 from test_moving_face import TURNING
@@ -28,7 +28,7 @@ ON_SURFACE = {
     pairs.EdgeOnEdge: "edge_point",
     pairs.FaceOnFace: "face_point",
 }
-WORLD = pin.SE3.Identity()
+WORLD = placed()
 
 
 def run_plainly(rig):

@@ -21,6 +21,7 @@ from rigs import (
     strong,
     terms_at,
     ticked,
+    vector,
     with_motors,
     without_contacts,
 )
@@ -92,7 +93,7 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
     case = CASES[name]()
     plant, controller = without_contacts(case, engaged=False)
     reference = replace(
-        case.reference, alpha_d=np.zeros(0), V_D=pace * np.array([0.3, 0.2, 0.0, 0.0, 0.0, 0.5])
+        case.reference, alpha_d=np.zeros(0), V_D=pace * vector(0.3, 0.2, 0.0, 0.0, 0.0, 0.5)
     )
     osc.run_loop(plant, controller, repeat(reference, 40))
     assert controller.status is osc.Status.OK and largest(plant.measure().v) > 0.09
@@ -256,7 +257,7 @@ def test_motors_carry_first_and_brake_with_what_is_left(arms):
         most[[j for j in range(len(q)) if j not in chain.actuated]] = np.inf
         controller = osc.Controller(with_motors(chain, most[chain.actuated]), [])
         blind = osc.Measurement(q, v, BLIND[: len(chain.arms)])
-        tau = controller.tick(blind, osc.Reference(pin.SE3.Identity()))
+        tau = controller.tick(blind, osc.Reference(placed()))
         room = np.maximum(most - carry * np.sign(brake), 0.0) / abs(brake)
         for s in chain.slices:
             share = np.clip(room[s].min(), 0.1, 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 import yaml
 from complaints import scenario_error
 from pytest import raises
-from rigs import unit
+from rigs import unit, vector
 from samples import ROOT, parametrize
 from scenario_runs import assert_same_run, rig_of, run_of
 
@@ -374,7 +374,7 @@ def test_pairs_of_ones_own(plant):
 @parametrize("plant", PLANTS)
 def test_bodies_of_ones_own(plant):
     """A face driven by a function, and what the controller makes of it, as of a conveyor."""
-    direction = unit(np.array([-0.904196, -0.361677, 0.227199]))
+    direction = unit(vector(-0.904196, -0.361677, 0.227199))
     signal = {"type": "minimum_jerk", "value": 0.005, "start": 0.0, "duration": 0.05}
     scenario = task(plant, "moving_face")
 

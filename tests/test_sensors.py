@@ -11,7 +11,7 @@ from numpy.linalg import eigvals, norm, solve
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import PANDA_Q, assert_near, largest, one_panda, placed, shift
+from rigs import PANDA_Q, assert_near, largest, one_panda, placed, shift, vector
 from samples import aligned, first, parametrize
 from scenario_runs import closed_force, rig_of, verdict_of
 from test_moving_face import TURNING
@@ -77,7 +77,7 @@ def test_an_ideal_sensor_changes_nothing_and_the_truth_is_not_touched():
 
 def test_noise_and_bias_have_the_size_given():
     clock = Clock(1e3)
-    noise = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
+    noise = vector(0.1, 0.1, 0.1, 0.01, 0.01, 0.01)
     bias = 10 * noise
     steps = SensorErrors(resolution=0.01)
     vision = VisionSpec(1e3, position={"noise": 1e-3}, orientation={"noise": 5e-3})
@@ -231,7 +231,7 @@ def test_a_wrist_that_only_turns_about_the_vertical_is_refused():
 
 
 def at_two(alpha, beta, dt=DT):
-    return VelocityEstimate(np.array([alpha]), np.array([beta]), dt)
+    return VelocityEstimate(vector(alpha), vector(beta), dt)
 
 
 def calibrated(k, noise):
@@ -289,7 +289,7 @@ def test_gains_are_those_of_the_riccati_equation(noise, acceleration):
 def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noise, dt):
     """Eigenvalues of the error from sample to sample: at worst 0.27 from one to the next."""
     estimate = VelocityEstimate.optimal(noise, 2.0, dt)
-    K = np.array([estimate.alpha[0], estimate.beta[0] / dt])
+    K = vector(estimate.alpha[0], estimate.beta[0] / dt)
     F = np.array([[1.0, dt], [0.0, 1.0]])
     poles = eigvals((np.eye(2) - np.outer(K, [1.0, 0.0])) @ F)
     assert largest(poles) < 1.0 and poles.real.min() > -0.27
@@ -298,10 +298,10 @@ def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noi
 def test_a_fresh_reading_corrects_what_the_acceleration_predicts():
     """The velocity by β over the period of the sensor."""
     for fresh, innovation in (False, 0.0), (True, 99.0 - 1.002005):
-        estimate = VelocityEstimate(np.array([0.5]), np.array([0.1]), DT, 4 * DT)
-        estimate.update(np.array([1.0]))
-        estimate.v = np.array([2.0])
-        x, v = estimate.update(np.array([99.0]), np.array([10.0]), fresh)
+        estimate = VelocityEstimate(vector(0.5), vector(0.1), DT, 4 * DT)
+        estimate.update(vector(1.0))
+        estimate.v = vector(2.0)
+        x, v = estimate.update(vector(99.0), vector(10.0), fresh)
         want = 1.002005 + 0.5 * innovation, 2.01 + 25.0 * innovation
         assert_near([x[0], v[0]], want, rtol=1e-12)
 
@@ -312,7 +312,7 @@ def test_a_slow_sensor_is_followed_between_its_samples():
     found = []
     for t in DT * np.arange(6000):
         fresh = int(t * 60) != int((t - DT) * 60)
-        found.append(estimate.update(np.array([0.02 * t]), 0.0, fresh))
+        found.append(estimate.update(vector(0.02 * t), 0.0, fresh))
     x, v = np.array(found[4000:])[..., 0].T
     assert_near(v, 0.02, rtol=0.01)
     assert largest(np.diff(x)) < 1e-3  # no jumps at the samples
@@ -379,7 +379,7 @@ def test_history_interpolates_the_past():
     with invalid_input("empty"):
         history.at(0.0)
     for k in range(301):
-        history.add(1e-3 * k, np.array([1e-3 * k, 2.0]))
+        history.add(1e-3 * k, vector(1e-3 * k, 2.0))
     assert_near(history.at(0.2345), [0.2345, 2.0], 1e-12)
     assert_near(history.at(9.0), [0.3, 2.0])
     assert history.at(0.0)[0] == approx(0.2, abs=2e-3)  # no further back than 0.1 s
@@ -442,7 +442,7 @@ def test_a_wandering_camera_is_followed():
     known = scattered(rng)
     moved = placed(3e-3, rpy=(0, 0, 2e-3))
     found = Registration(*NOISE, drift=(1e-3, 1e-3))
-    for where in pin.SE3.Identity(), moved:
+    for where in placed(), moved:
         for _ in range(600):
             found.update(known, [noisy(where.inverse() * X, rng) for X in known], 1 / 60)
     assert largest(lacking(found.X, moved)) < 1.5e-3

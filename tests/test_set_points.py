@@ -9,7 +9,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx, raises
-from rigs import assert_near, displacement, largest, placed, pose_of, refused, shift
+from rigs import assert_near, displacement, largest, placed, pose_of, refused, shift, vector
 from samples import parametrize
 
 import osc_contact as osc
@@ -69,7 +69,7 @@ def test_no_finite_goal_raises(way):
     bounds = LINEAR.each(2)
     path = Trajectory.rest(np.zeros(2), bounds)
     for share in 1.0, 0.3, -1.0:
-        goal = way * np.array([share, 0.5])
+        goal = way * vector(share, 0.5)
         path = Trajectory(*path.state, goal, bounds)
         path.advance(0.1)
         assert np.isfinite(path.state).all()
@@ -81,7 +81,7 @@ def test_a_number_stays_a_number_and_several_arrive_together_on_a_line():
     state = osc.SetPoint(5.0, osc.JerkLimits(20, 200, 4000), DT).step(8.0)
     assert np.shape(state.value) == () and 5.0 < state.value < 8.0
     line = osc.SetPoint([1.0, 2.0, 3.0], LINEAR, DT)
-    goal = np.array([1.3, 1.9, 3.2])
+    goal = vector(1.3, 1.9, 3.2)
     done = np.array([(line.step(goal).value - [1, 2, 3]) / (goal - [1, 2, 3]) for _ in range(800)])
     assert_near(done, done[:, :1] * np.ones(3), 1e-9)
 
@@ -125,7 +125,7 @@ def test_poses_with_goals_that_change_on_the_way():
 
 def test_the_short_way_round_again_and_again():
     """Goals a third of a turn on, four turns in all: never back, always about z."""
-    point = osc.PoseSetPoint(pin.SE3.Identity(), LINEAR, ANGULAR, DT)
+    point = osc.PoseSetPoint(placed(), LINEAR, ANGULAR, DT)
     turned = 0.0
     for k in range(1, 13):
         goal = placed(rpy=(0.0, 0.0, k * 2 * np.pi / 3))
@@ -148,14 +148,14 @@ def test_the_short_way_round_again_and_again():
     ],
 )
 def test_a_goal_that_is_none_is_refused_and_the_former_is_kept(goal):
-    ours, other = (osc.PoseSetPoint(pin.SE3.Identity(), LINEAR, ANGULAR, DT) for _ in range(2))
+    ours, other = (osc.PoseSetPoint(placed(), LINEAR, ANGULAR, DT) for _ in range(2))
     good = pose_of(default_rng(3))
     for _ in range(50):
         ours.step(good), other.step(good)
     with refused("goal"):
         ours.step(goal)
     with refused("alpha_d"):
-        ours.step(pin.SE3.Identity(), [np.inf])
+        ours.step(placed(), [np.inf])
     assert_array_equal(ours.step().V_D, other.step().V_D)
 
 
@@ -216,5 +216,5 @@ def test_a_scenario_s_signal_is_where_they_meet_too(value):
     """`jerk_limited` of 2a³/j², as a scenario loads it."""
     a = 1.0
     signal = jerk_limited((0.0, value), 0.5, 100.0, a, (2 * a**3 / abs(value)) ** 0.5)
-    assert signal.at(np.array([0.5]))[0] == 0.0
-    assert signal.at(np.array([1e4]))[0] == value
+    assert signal.at(vector(0.5))[0] == 0.0
+    assert signal.at(vector(1e4))[0] == value

@@ -4,7 +4,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import cholesky, lstsq, norm, solve
 from pytest import approx
-from rigs import SCARA_Q, assert_near, largest, object_poses, one_panda, scara_pair, unloaded
+from rigs import (
+    SCARA_Q,
+    assert_near,
+    largest,
+    object_poses,
+    one_panda,
+    scara_pair,
+    unloaded,
+    vector,
+)
 from samples import aligned, first, parametrize
 from scipy.optimize import brentq
 
@@ -15,7 +24,7 @@ STRAIGHT = -np.arctan(0.0825 / 0.316) - np.arctan(0.0825 / 0.384)  # the Panda's
 
 
 def straight_panda(offset):
-    return np.array([0.1, 0.6, -0.2, STRAIGHT + offset, 0.2, 1.9, 0.4])
+    return vector(0.1, 0.6, -0.2, STRAIGHT + offset, 0.2, 1.9, 0.4)
 
 
 def tick(chain, q, v, posture=None, controller=None):
@@ -125,7 +134,7 @@ def test_torques_are_continuous_through_the_straight_elbow(rest):
     """Through fading, rank loss and out again on the other side, with the arm still or moving."""
     panda = one_panda()
     chain = osc.ClosedChain(panda.arms, panda.grasps, panda.payload, rank_tolerance=3e-3)
-    v = rest * np.array([0.3, -0.5, 0.2, 0.8, 0.1, -0.4, 0.6])
+    v = rest * vector(0.3, -0.5, 0.2, 0.8, 0.1, -0.4, 0.6)
     ends = (-0.4, -2e-3, 400), (-2e-3, 2e-3, 200), (2e-3, 0.4, 400)
     offsets = np.concatenate([np.linspace(*end) for end in ends])
     postures = map(straight_panda, offsets)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from rigs import refused, rig_of
+from rigs import refused, rig_of, vector
 from samples import parametrize
 from scenario_runs import verdict_of
 
@@ -11,7 +11,7 @@ import osc_contact as osc
 from osc_contact.dynamics.environment import Yielding
 
 DT = 1e-3
-INTO = np.array([-0.501104, -0.200441, -0.841854])  # the left face, along the contact's normal
+INTO = vector(-0.501104, -0.200441, -0.841854)  # the left face, along the contact's normal
 WEIGHT = 9.81 * INTO[2]  #: N/kg along it, with the sign of what holds it
 
 

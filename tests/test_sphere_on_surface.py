@@ -19,6 +19,7 @@ from rigs import (
     shift,
     unit,
     unloaded,
+    vector,
 )
 from samples import first, parametrize
 from scenario_runs import rig_of
@@ -49,7 +50,7 @@ def ball_on(surface, height, slopes, axis=2):
         def pose(q):
             x, y = 0.4 * np.tanh(q[3:])
             n = np.append(-np.array(slopes(x, y)), 1.0)
-            place = np.array([x, y, height(x, y)]) + rho * n / norm(n)
+            place = vector(x, y, height(x, y)) + rho * n / norm(n)
             return placed(pin.exp3(q[:3]), ball, X.act(place))
 
         return pair, pose, 1
@@ -71,7 +72,7 @@ KINDS = {
     "sphere_on_surface": (
         lambda s: osc.Surface.sphere(s * R),
         lambda x, y: np.sqrt(R * R - x * x - y * y),
-        lambda x, y: -np.array([x, y]) / np.sqrt(R * R - x * x - y * y),
+        lambda x, y: -vector(x, y) / np.sqrt(R * R - x * x - y * y),
     ),
     "ball_in_a_pipe": (
         lambda s: osc.Surface.cylinder(-s * R),

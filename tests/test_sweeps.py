@@ -17,7 +17,7 @@ from numpy.linalg import norm
 from processes import COMMAND, alive, wait_until
 from pyarrow import parquet
 from pytest import approx, mark, param, raises
-from rigs import assert_near
+from rigs import assert_near, vector
 from samples import aligned, parametrize
 from scenario_runs import assert_same_run, rig_of, run_of
 from scipy import stats
@@ -61,7 +61,7 @@ def rod(samples, *vary, **how):
     },
 )
 def test_numbers_are_those_of_scipys_distributions(words, oracle):
-    found = [float(parse_distribution(words).draw(np.array([u]), None)[0]) for u in U]
+    found = [float(parse_distribution(words).draw(vector(u), None)[0]) for u in U]
     assert_near(found, oracle.ppf(U), rtol=1e-9)
 
 
@@ -71,7 +71,7 @@ def test_choices_and_integers_are_all_as_likely():
         ("choice(filter, least_squares, [1, 2])", {"filter", "least_squares", "[1, 2]"}),
         ("integers(-1, 1)", {"-1", "0", "1"}),
     ):
-        drawn = [parse_distribution(words).draw(np.array([x]), None)[0] for x in u]
+        drawn = [parse_distribution(words).draw(vector(x), None)[0] for x in u]
         assert {v: drawn.count(v) for v in values} == dict.fromkeys(values, 1000)
 
 
@@ -87,7 +87,7 @@ def test_factors_multiply_and_units_stay_with_their_numbers():
 
 def test_tilted_directions_fill_their_cap_evenly():
     """On a sphere the height above the rim of a cap is uniform (Archimedes)."""
-    normal = np.array([0.5, 0.2, 0.84]) / norm([0.5, 0.2, 0.84])
+    normal = vector(0.5, 0.2, 0.84) / norm([0.5, 0.2, 0.84])
     u = np.random.default_rng(0).random((4000, 2))
     tilt = parse_distribution("tilt(20 deg)")
     drawn = np.array([json.loads(tilt.draw(x, normal.tolist())[0]) for x in u])

@@ -4,11 +4,10 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-import pinocchio as pin
 from numpy.linalg import eigvalsh, lstsq, norm, solve
 from pair_kinds import touching
 from pytest import approx
-from rigs import assert_near, one_panda, pose_of, random_state, shift, unit, velocity_at
+from rigs import assert_near, one_panda, placed, pose_of, random_state, shift, unit, velocity_at
 from samples import parametrize
 from scenario_runs import closed_force, rig_of, verdict_of, worst_force
 from test_moving_face import FACES
@@ -198,7 +197,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         q, v = random_state(one_panda(), rng)
         state = one_panda().state(q, v)
         X = state.X_WO
-        X_WE = pose_of(rng) if moving else pin.SE3.Identity()
+        X_WE = pose_of(rng) if moving else placed()
         V_E = 0.1 * rng.standard_normal(6) * moving
         at = X, state.V_O, X_WE, V_E
         pair = touching(kind, X_WE.actInv(X) * shift([0.01, 0.02, -0.01]), rng.integers(99), 0.1)

@@ -13,7 +13,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from processes import completed
 from pytest import mark
-from rigs import assert_near, largest, panda_arm, refused, rig_of, ticked
+from rigs import assert_near, largest, panda_arm, refused, rig_of, ticked, vector
 from samples import aligned, first, module_fixture, parametrize
 
 import osc_contact as osc
@@ -319,7 +319,7 @@ def test_what_only_python_can_evaluate_is_refused():
 
 
 #: where a Franka starts in the tests
-READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+READY = vector(0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)
 
 
 def panda(weight):
@@ -359,7 +359,7 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
         f = np.zeros(6) if k == 0 else 0.2 * rng.standard_normal(6)
         X = chain.state(q, v).X_WO.homogeneous
         states.append(np.concatenate([q, v, X.ravel(order="F"), f]))
-        t, w, up = 1e-3 * k, 1.5708, np.array([0, 0, 0.01])
+        t, w, up = 1e-3 * k, 1.5708, vector(0, 0, 0.01)
         p = start.translation + (1 - np.cos(w * t)) * up
         rates = w * np.sin(w * t) * up, w**2 * np.cos(w * t) * up
         reference = osc.pose_reference(p, start.rotation, *rates)
