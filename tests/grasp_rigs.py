@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 from grasp_oracle import PITCH, System, across
-from rigs import data_at, placed, shift, unit, vector
+from rigs import placed, pose_at, shift, unit, vector
 
 import osc_contact as osc
 from osc_contact import robots
@@ -28,12 +28,12 @@ def planar(joints, rng):
     model = pin.Model()
     last = 0
     for i in range(joints):
-        at = shift([0.35 if i else 0.0, 0.0, 0.02 * i])
+        at = placed(0.35 if i else 0.0, 0.0, 0.02 * i)
         last = model.addJoint(last, pin.JointModelRZ(), at, f"joint{i}")
         body = pin.Inertia(rng.uniform(1, 3), rng.uniform(-0.1, 0.1, 3), 0.02 * np.eye(3))
         model.appendBodyToJoint(last, body, placed())
     model.upperEffortLimit = np.full(joints, 80.0)
-    X = shift([0.3, 0.0, 0.0])
+    X = placed(0.3)
     model.addFrame(pin.Frame("wrist", last, 0, placed(), pin.FrameType.OP_FRAME))
     model.addFrame(pin.Frame("tip", last, 0, X, pin.FrameType.OP_FRAME))
     return model, "tip", ()
@@ -96,7 +96,7 @@ def slip_of(kind, axis, rng):
         "plane": [turn, *turns[:2]],
     }
     T = motions_of(kind, axis)
-    return pin.exp6(pin.Motion(T @ sizes.get(kind, [turn] * T.shape[1])))
+    return pin.exp6(T @ sizes.get(kind, [turn] * T.shape[1]))
 
 
 @dataclass
@@ -149,7 +149,7 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
         made.model.lowerPositionLimit = np.minimum(limits[0], q - 1.0)  # random postures know none
         made.model.upperPositionLimit = np.maximum(limits[1], q + 1.0)
         X_WT = X_WO * (slip * X_TO).inverse()
-        base = X_WT * data_at(made.model, q).oMf[made.model.getFrameId(tip)].inverse()
+        base = X_WT * pose_at(made.model, q, tip).inverse()
         parts.append(replace(made, base=base))
         held.append(grasp_of(kind, X_TO, axis))
         known.append((kind, X_TO, unit(axis)))

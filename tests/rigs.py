@@ -54,8 +54,12 @@ def direction(rng):
     return unit(rng.standard_normal(3))
 
 
+def any_rotation(rng):
+    return pin.exp3(rng.standard_normal(3))
+
+
 def pose_of(rng):
-    return pin.SE3(pin.exp3(rng.standard_normal(3)), rng.standard_normal(3))
+    return pin.SE3(any_rotation(rng), rng.standard_normal(3))
 
 
 def shift(p):
@@ -80,6 +84,11 @@ def data_at(model, q, *rates):
     pin.forwardKinematics(model, data, q, *rates)
     pin.updateFramePlacements(model, data)
     return data
+
+
+def pose_at(model, q, frame):
+    """Of a frame, at q."""
+    return data_at(model, q).oMf[model.getFrameId(frame)]
 
 
 def terms_at(model, q, v):
@@ -121,12 +130,12 @@ def unloaded(q, v, arms=1):
     return osc.Measurement(q, v, np.zeros((arms, 6)))
 
 
-ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
+ROD = pin.Inertia(1.5, vector(0.01, -0.004, 0.006), np.diag([2e-3, 0.045, 0.044]))
 """A rod whose centre of mass is off its axis, so that no term of the maths vanishes."""
 
 
 def placed(x=0.0, y=0.0, z=0.0, rpy=(0.0, 0.0, 0.0)):
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array([x, y, z], dtype=float))
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), vector(x, y, z))
 
 
 @cache
@@ -176,8 +185,8 @@ def one_panda():
     return holding_panda(panda_arm(damping=0.0))
 
 
-SCARA_Q = np.array([1.84, -1.63, 0.12, -0.21, 0.0, 1.30, 1.63, 0.12, 0.21, 0.0])
-PANDA_Q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78])
+SCARA_Q = vector(1.84, -1.63, 0.12, -0.21, 0.0, 1.30, 1.63, 0.12, 0.21, 0.0)
+PANDA_Q = vector(0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78)
 
 
 def random_state(chain, rng):

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import umsgpack
-from rigs import data_at, placed, shift
+from rigs import data_at, placed
 from samples import ROOT
 
 from osc_contact.recorder import Recording
@@ -17,7 +17,7 @@ from osc_contact.visual.parts import Content, Visual
 from osc_contact.visual.scene import write_scene
 
 URDF = ROOT / "urdf"
-BASE = shift([-0.35, -0.4, 0.0])
+BASE = placed(-0.35, -0.4)
 FACE = placed(-0.3, 0.0, 0.19, (0.3, 0.4, 0.0))
 ARMS = [Visual("left", URDF / "scara_left.urdf", [URDF], BASE, slice(0, 5))]
 BODIES = [

@@ -9,7 +9,7 @@ from complaints import model_error
 from numpy.linalg import inv
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from rigs import assert_close, data_at, panda_arm, refused, shift, vector
+from rigs import assert_close, panda_arm, placed, pose_at, refused, vector
 from robot_numbers import element, written_inertia
 from samples import aligned, parametrize
 
@@ -47,7 +47,7 @@ def test_locked_joints_stay_where_they_are_held():
         for model in arm.model, pin.buildReducedModel(whole, joints, q):
             q, v = motion(model, 0)
             tau = pin.rnea(model, model.createData(), q, v, v)
-            X = data_at(model, q).oMf[model.getFrameId(tip)].homogeneous
+            X = pose_at(model, q, tip).homogeneous
             found.append([*tau, *X.ravel()])
         assert list(model.names) == list(arm.model.names)
         assert_close(*found, 1e-12)
@@ -94,7 +94,7 @@ def test_outboard_links_of_the_scara(sensor):
     sensor, own = (
         written_inertia(element("scara_left", link)) for link in ("wrist_sensor", "finger")
     )
-    mounted = shift([0.0, 0.0, -0.02]).act(sensor)
+    mounted = placed(0.0, 0.0, -0.02).act(sensor)
     assert_close([link.inertia.matrix() for link in links], [mounted.matrix(), own.matrix()], 1e-12)
 
 

@@ -182,7 +182,7 @@ def test_textbook_law_gives_our_torques(name):
     for _ in range(5):  # what is wanted varies
         reference = replace(
             case.reference,
-            X_WD=case.reference.X_WD * pin.exp6(pin.Motion(0.001 * rng.standard_normal(6))),
+            X_WD=case.reference.X_WD * pin.exp6(0.001 * rng.standard_normal(6)),
             A_D=rng.standard_normal(6),
             V_D=0.1 * rng.standard_normal(6),
             alpha_d=rng.uniform(5.0, 20.0, len(case.pairs)),

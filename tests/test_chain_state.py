@@ -199,7 +199,7 @@ def test_a_pose_that_is_given_counts_more_than_what_the_joints_say(rig):
     chain = rig()
     rng = default_rng(71)
     q, v, X = posed(chain, rng)
-    X = X * pin.exp6(pin.Motion(0.05 * rng.standard_normal(6)))
+    X = X * pin.exp6(0.05 * rng.standard_normal(6))
     s = chain.state(q, v, X)
     assert_array_equal(s.X_WO.homogeneous, X.homogeneous)
     assert_arms(chain, s, q, v)

@@ -7,7 +7,7 @@ from numpy.linalg import inv, matrix_rank, norm, pinv, svd
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import assert_near, largest, refused
+from rigs import any_rotation, assert_near, largest, refused
 from samples import aligned, parametrize
 
 from osc_contact import projections
@@ -65,7 +65,7 @@ def test_tangents_are_all_motions_without_power(seed, r):
 
 def mobility(rng):
     """Φ (6, 6) of a body about as large as the table."""
-    turn = pin.exp3(rng.standard_normal(3))
+    turn = any_rotation(rng)
     spread = turn @ np.diag(rng.uniform(0.6, 1.0, 3)) @ turn.T
     return inv(pin.Inertia(5.0, rng.uniform(-0.2, 0.2, 3), spread).matrix())
 
@@ -125,7 +125,7 @@ def test_the_rank_knows_no_frame_origin_basis_or_unit(apart, r):
     assert Contact.stack(lines, Phi).r == r
     for _ in range(200):
         away = rng.standard_normal(3) * 10 ** rng.uniform(-1, 2)
-        X = pin.SE3(pin.exp3(rng.standard_normal(3)), away)
+        X = pin.SE3(any_rotation(rng), away)
         motion = np.diag([1e3] * 3 + [1.0] * 3) @ X.toActionMatrix()
         force = 1e9 * inv(motion).T
         size = 10 ** rng.uniform(-3, 3, 2)  # of the columns

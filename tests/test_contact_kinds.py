@@ -11,7 +11,7 @@ from numpy.linalg import lstsq, norm
 from numpy.random import default_rng
 from pair_kinds import snake
 from pytest import approx
-from rigs import assert_near, placed, pose_of, shift, vector
+from rigs import assert_near, placed, pose_of, vector
 from samples import parametrize
 
 from osc_contact.contacts.pairs.pair import make_pair
@@ -100,7 +100,7 @@ def test_feet_lie_on_the_lines_of_force_and_on_the_touched_surface(kind):
     (pair,) = build_pairs(scenario)
     rng = default_rng(8)
     X = pin.SE3(pin.exp3(0.3 * rng.standard_normal(3)), 0.1 * rng.standard_normal(3))
-    E = shift([0.02, -0.03, 0.01])  # the body has slid
+    E = placed(0.02, -0.03, 0.01)  # the body has slid
     points, directions = feet(pair, X, E)
     N = pair.contact(X, np.zeros(6), E).N
     assert_near(norm(directions, axis=1), 1.0, 1e-12)

@@ -176,7 +176,7 @@ def test_other_gains_continue_without_a_jump(rig, ready):
     controller = Controller(rig.model, rig.pairs, GAINS, safety=UNLIMITED)
     *_, measurement, reference = ready
     shift = vector(1e-3, -2e-3, 1e-3, 2e-3, 1e-3, -1e-3)
-    away = replace(reference, X_WD=reference.X_WD * pin.exp6(pin.Motion(shift)))
+    away = replace(reference, X_WD=reference.X_WD * pin.exp6(shift))
     for _ in range(50):
         controller.tick(measurement, away)
     X_WO = pin.SE3(controller.result().X_WO.copy())

@@ -14,7 +14,7 @@ from numpy.linalg import det, norm, pinv
 from numpy.random import default_rng
 from pinocchio.rpy import rpyToMatrix
 from pytest import approx
-from rigs import assert_near, placed, pose_of, rig_of, rotated, shift, unit, vector
+from rigs import any_rotation, assert_near, placed, pose_of, rig_of, rotated, shift, unit, vector
 from samples import aligned, module_fixture, parametrize
 
 import osc_contact as osc
@@ -25,7 +25,7 @@ from osc_contact.contacts.pairs.pair import triad
 
 SIZE = vector(0.10, 0.08, 0.06)
 BOX = [CollisionShape("box", coal.Box(*SIZE))]
-TABLE = [CollisionShape("table", coal.Box(1.0, 0.8, 0.1), shift([0, 0, -0.05]))]
+TABLE = [CollisionShape("table", coal.Box(1.0, 0.8, 0.1), placed(0, 0, -0.05))]
 """Its top is z = 0."""
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3))) * SIZE
 DEPTHS = 0.0, 5e-4, -5e-4
@@ -83,7 +83,7 @@ def assert_only(found, kind, points, normal, X_WO, X_WE=None, gap=0.0):
     return found
 
 
-BALL = [CollisionShape("ball", coal.Sphere(0.03), shift([0.01, 0.02, 0.0]))]
+BALL = [CollisionShape("ball", coal.Sphere(0.03), placed(0.01, 0.02))]
 CAN = [CollisionShape("can", coal.Cylinder(0.03, 0.12))]
 PILL = [CollisionShape("pill", coal.Capsule(0.03, 0.12))]
 AXIS = np.array([[0, 0, -0.06], [0, 0, 0.06]])
@@ -142,7 +142,7 @@ RESTING = [
         BALL,
         BALL[0].placement.translation[None],
         0.03,
-        lambda rng: pin.exp3(rng.standard_normal(3)),
+        any_rotation,
     ),
     (
         "rim on face",
@@ -211,7 +211,7 @@ def test_a_face_too_steep_across_leaves_its_flattest_edge(tilt, along):
 
 
 def test_an_overlap_narrower_than_the_margin_is_a_line():
-    X = shift([0.5496, 0.1, 0.03])
+    X = placed(0.5496, 0.1, 0.03)
     ends = np.array([[0.4998, 0.06, 0.0], [0.4998, 0.14, 0.0]])
     found = assert_only(detect(BOX, X, TABLE), "edge on face", ends, UP, X)
     assert_near(found.points[np.argsort(found.points[:, 1])], ends, 1e-9)
@@ -221,7 +221,7 @@ def test_an_overlap_narrower_than_the_margin_is_a_line():
 def test_corners_that_point_at_one_another_touch_on_their_bodies(seed):
     """Where edges near both corners cross beyond their ends, the contact stays on them."""
     rng = default_rng(seed)
-    R = pin.exp3(rng.standard_normal(3))
+    R = any_rotation(rng)
     down = unit(-np.abs(rng.standard_normal(3)))
     corner = CORNERS[((CORNERS @ R.T) @ down).argmax()]
     found = only(detect(BOX, pin.SE3(R, -5e-4 * down - R @ corner), BOX, shift(-SIZE / 2)))
@@ -234,9 +234,9 @@ def test_corners_that_point_at_one_another_touch_on_their_bodies(seed):
 def test_a_corner_in_a_corner_touches_floor_and_walls():
     """Three contacts in one point: they repeat one another in place, not in direction."""
     room = [
-        CollisionShape("floor", coal.Box(1, 1, 0.1), shift([0, 0, -0.05])),
-        CollisionShape("wall", coal.Box(0.1, 1, 1), shift([-0.05, 0, 0])),
-        CollisionShape("side", coal.Box(1, 0.1, 1), shift([0, -0.05, 0])),
+        CollisionShape("floor", coal.Box(1, 1, 0.1), placed(0, 0, -0.05)),
+        CollisionShape("wall", coal.Box(0.1, 1, 1), placed(-0.05)),
+        CollisionShape("side", coal.Box(1, 0.1, 1), placed(0, -0.05)),
     ]
     ball = [CollisionShape("ball", coal.Sphere(0.0))]
     X = placed()
@@ -265,7 +265,7 @@ def test_what_is_apart_does_not_touch(seed, gap):
         X = standing(tilt, CORNERS, rng, lift=gap)
         assert detect(BOX, X, TABLE) == []
         assert len(detect(BOX, X, TABLE, margin=1.05 * gap)) == 1
-    assert detect(BOX, shift([0.55 + gap, 0.0, -0.02]), TABLE) == []
+    assert detect(BOX, placed(0.55 + gap, 0.0, -0.02), TABLE) == []
 
 
 # Edges and vertices of the environment --------------------------------------------------------
@@ -351,9 +351,9 @@ def test_a_rim_inside_a_ball_gives_way_to_the_ball(rod):
 
 def test_two_feet_make_one_face_and_two_balls_two_points():
     def pair_of(shape):
-        return [CollisionShape(f"foot{x:+.1f}", shape, shift([x, 0, 0])) for x in (-0.1, 0.1)]
+        return [CollisionShape(f"foot{x:+.1f}", shape, placed(x)) for x in (-0.1, 0.1)]
 
-    X = shift([0, 0, 0.02])
+    X = placed(0, 0, 0.02)
     found = only(detect(pair_of(coal.Box(0.04, 0.04, 0.04)), X, TABLE))
     assert (found.kind, found.r) == ("face on face", 3)
     assert [d.r for d in detect(pair_of(coal.Sphere(0.02)), X, TABLE)] == [1, 1]
@@ -381,7 +381,7 @@ def test_a_can_on_the_rim_of_its_end_rolls_in_contact():
     rng = default_rng(0)
     table = pose_of(rng)
     can = table * standing(rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0), RIM, rng)
-    rolled = can * pin.exp6(pin.Motion(AROUND))
+    rolled = can * pin.exp6(AROUND)
     assert_near(only(detect(TABLE, table, CAN, can)).pair().gaps(table, rolled), 0, 1e-9)
     found = only(detect(CAN, can, TABLE, table))
     assert_near(found.object_point, RIM[0], 1e-9)
@@ -433,13 +433,13 @@ def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
         X = shift(corner + 0.03 * n - centre.translation)
         found = assert_only(detect(BALL, X, TABLE), kind, [corner], n, X)
         assert_near(found.points, [corner], 1e-9)
-        spun = rotated(pin.exp3(rng.standard_normal(3)))
+        spun = rotated(any_rotation(rng))
         turned = X * centre * spun * centre.inverse()
         assert_near(found.pair().gaps(turned), 0.0, 1e-9)
 
 
 def test_pills_side_by_side_have_no_pair():
-    found = only(detect(PILL, shift([0.06, 0.0, 0.01]), PILL))
+    found = only(detect(PILL, placed(0.06, 0.0, 0.01), PILL))
     assert (found.kind, found.r) == ("cylinder on cylinder", 2)
     assert_near(np.sort(found.points[:, 2]), [-0.05, 0.06], 1e-9)
     with contact_error(r"cylinder on cylinder along a line.*GapFunctions"):
@@ -518,7 +518,7 @@ def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path, faces):
     assert (found.kind, found.r) == ("face on face", 3)
     assert found.distance == approx(0.0, abs=1e-9)
     assert_near(found.normal, [0, 0, 1], 1e-9)
-    assert detect(mesh, shift([0, 0, 0.01]), TABLE) == []
+    assert detect(mesh, placed(0, 0, 0.01), TABLE) == []
 
 
 SWING = '<joint name="swing" type="continuous"><parent link="a"/><child link="b"/></joint>'

@@ -9,7 +9,7 @@ from command_line import call
 from complaints import invalid_input, plant_error
 from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
 from pytest import approx, mark
-from rigs import assert_near, largest, shift, vector
+from rigs import assert_near, largest, placed, vector
 from samples import first, parametrize
 
 import osc_contact as osc
@@ -211,7 +211,7 @@ def test_torques_stay_within_the_limits_of_the_robot(franka):
 def test_payload_end_effector_and_mounted_sensor(franka):
     franka.begin(height=0.0)
     ball = osc.RigidObject(pin.Inertia.FromSphere(0.5, 0.03))
-    chain = osc.ClosedChain([franka.arm()], [shift([0, 0, 0.1])], ball)
+    chain = osc.ClosedChain([franka.arm()], [placed(0, 0, 0.1)], ball)
     readings = iter([np.arange(6.0), None, [np.nan] * 6])
     robot = FrankaRobot(franka.host, chain, wrench=lambda: next(readings))
     assert robot.state.m_load == approx(0.5, rel=1e-6)

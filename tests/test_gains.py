@@ -10,14 +10,15 @@ from pytest import approx
 from rigs import (
     assert_near,
     contact_of,
-    data_at,
     largest,
     one_panda,
     placed,
+    pose_at,
     random_faces,
     random_state,
     rig_of,
     ticked,
+    unit,
     unloaded,
     vector,
 )
@@ -157,10 +158,9 @@ def overshoots(run):
 def one_arm(robot, tip, posture, push, armature):
     """An arm alone, a rod in its hand, the end of which is pressed against a face."""
     arm = osc.Arm.from_urdf(robots.find_robot(robot)[0], name="arm", tip=tip)
-    data = data_at(arm.model, np.array(posture))
     grasp = placed(z=0.29, rpy=(0, -np.pi / 2, 0))
-    X = data.oMf[arm.model.getFrameId(tip)] * grasp
-    push = np.array(push) / np.linalg.norm(push)
+    X = pose_at(arm.model, np.array(posture), tip) * grasp
+    push = unit(np.array(push))
     at = X.act(vector(0.29, 0.0, 0.0)) + 0.01 * push
 
     def pose(X):

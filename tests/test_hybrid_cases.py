@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.linalg import norm
 from pytest import approx
-from rigs import largest, placed, shift, vector
+from rigs import largest, placed, vector
 from samples import parametrize
 
 import osc_contact as osc
@@ -53,7 +53,7 @@ def test_damping_acts_only_near_a_singular_posture():
 
     def torques(thresholds, J):
         s = SimpleNamespace(q=a, v=a, V=np.zeros(6), J=J, M=root @ root.T + np.eye(7), gravity=a)
-        s.error = pose_error(shift([0.01, 0.0, 0.0]), placed())
+        s.error = pose_error(placed(0.01), placed())
         s.axis = vector(0.0, 0.0, 1.0)
         s.force = s.force_goal = 0.0
         return force_laws.isaac_lab(s, CASES[0], thresholds)(s)

@@ -19,7 +19,7 @@ from osc_contact.law.records import MODEL
 
 def inputs(chain, q, v, rng, columns, touched=None):
     """Any readings, and a reference somewhat off."""
-    X = chain.state(q, v).X_WO * pin.exp6(pin.Motion(0.02 * rng.standard_normal(6)))
+    X = chain.state(q, v).X_WO * pin.exp6(0.02 * rng.standard_normal(6))
     wrenches = 10 * rng.standard_normal((len(chain.arms), 6))
     alpha_d = rng.uniform(5, 20, columns)
     squeeze = 5.0 if len(chain.arms) < 3 else 0.0  # more than two are the readable path's

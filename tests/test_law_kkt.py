@@ -256,7 +256,7 @@ def tick(state, contacts, i, rng):
     measured = osc.Measurement(case.q, state.v, state.readings(truth), touched)
     squeeze = rng.uniform(-5.0, 5.0, k * (k - 1) // 2) * rigid
     reference = osc.Reference(
-        case.X_WO * pin.exp6(pin.Motion(0.02 * rng.standard_normal(6))),
+        case.X_WO * pin.exp6(0.02 * rng.standard_normal(6)),
         0.1 * rng.standard_normal(6),
         rng.standard_normal(6) * (state.mu == 0.0),  # else friction is that of a slip to come
         rng.uniform(5.0, 20.0, sum(len(c.along_object) for c in contacts)),

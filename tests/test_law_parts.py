@@ -15,7 +15,7 @@ from law_calls import columns as columns_of_N
 from numpy.linalg import norm, qr
 from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import assert_near, largest, pose_of, unit
+from rigs import any_rotation, assert_near, largest, pose_of, unit
 from samples import parametrize
 
 from osc_contact.law import records as at
@@ -25,11 +25,6 @@ SEEDS = parametrize("seed", range(6))
 
 def rng_of(seed):
     return np.random.default_rng(1000 + seed)
-
-
-def turn(rng):
-    """A random rotation."""
-    return pin.exp3(rng.standard_normal(3))
 
 
 # --- rows of six, dense algebra -------------------------------------------------------------------
@@ -122,7 +117,7 @@ def test_a_rotation_is_continued_and_squared_up(seed):
         Y[:3, :3] = X[:3, :3]
         assert_array_equal(Y, X)
     X = np.ones((4, 4))
-    X[:3, :3] = turn(rng) + 0.05 * rng.standard_normal((3, 3))
+    X[:3, :3] = any_rotation(rng) + 0.05 * rng.standard_normal((3, 3))
     Q, R = qr(X[:3, :2])
     Q *= np.sign(np.diag(R))
     grasps._square_up(X)
@@ -193,8 +188,8 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     tip = pose_of(rng)
     X = pose_of(rng)
     point = rng.standard_normal(3)
-    axis = turn(rng)[0]
-    tip_axis = turn(rng)[0]
+    axis = any_rotation(rng)[0]
+    tip_axis = any_rotation(rng)[0]
     if seed == 5:  # fits
         axis = X.rotation.T @ tip.rotation @ tip_axis
     rows = np.zeros((6, 6))

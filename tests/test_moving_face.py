@@ -6,7 +6,7 @@ from complaints import contact_error, scenario_error
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import mark
-from rigs import assert_near, direction, displacement, largest
+from rigs import assert_near, direction, displacement, largest, shift
 from samples import aligned, parametrize
 from scenario_runs import (
     assert_accurate,
@@ -189,14 +189,14 @@ def test_tracked_contacts_are_looked_up_again_after_a_while_and_agree_with_the_d
         along = 2e-4 * k * np.cross(pair.normal, [0.0, 0.0, 1.0])
         X_WE = pin.SE3(pin.exp3(0.01 * k * direction(rng)), rng.standard_normal(3))
         V_O, V_E = rng.standard_normal((2, 6))
-        moved = X_WE * pin.SE3(X.rotation, X.translation + along)
+        moved = X_WE * shift(along) * X
         ours, truth = (one.contact(moved, V_O, X_WE, V_E) for one in (tracked, pair))
         assert_near(ours.N, truth.N, 1e-9)
         assert_near(ours.n_gamma, truth.n_gamma, 1e-9)
         assert_near(tracked.gaps(moved, X_WE), pair.gaps(moved, X_WE), 1e-9)
         seen.append(tracked.lookups)
     assert seen[0] == 1 and 2 < seen[-1] < 10
-    away = pin.SE3(X.rotation, X.translation + 0.1 * pair.normal)
+    away = shift(0.1 * pair.normal) * X
     assert tracked.contact(away, V_O).r == 1  # the last one found stays in force
     fresh = rig.controlled_pairs()[0]
     with contact_error("nothing touches"):

@@ -173,9 +173,7 @@ def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(rig, kind, movin
     measurement = rig.plant().measure()
     measurement = replace(measurement, v=0.1 * rng.standard_normal(rig.model.nq))
     if moving:
-        X = np.array(
-            [pin.exp6(pin.Motion(0.02 * rng.standard_normal(6))).homogeneous for _ in made]
-        )
+        X = np.array([pin.exp6(0.02 * rng.standard_normal(6)).homogeneous for _ in made])
         V, A = rng.standard_normal((2, len(made), 6))
         measurement = replace(measurement, touched=Touched(X, 0.1 * V, A))
     for friction in osc.Friction(0.4), None:

@@ -9,7 +9,7 @@ from command_line import answered, call, done, refused
 from complaints import invalid_input, model_error
 from numpy.linalg import norm
 from pytest import approx
-from rigs import assert_near, data_at, placed, shift
+from rigs import assert_near, placed, pose_at
 from samples import chosen, parametrize
 from scenario_runs import rig_of, verdict_of
 
@@ -36,8 +36,7 @@ def panda_chain():
 def standing(q):
     """Pose of the Panda's tip, fingers at 0."""
     model = panda()
-    data = data_at(model, np.append(q, np.zeros(model.nq - len(q))))
-    return data.oMf[model.getFrameId("panda_hand_tcp")]
+    return pose_at(model, np.append(q, np.zeros(model.nq - len(q))), "panda_hand_tcp")
 
 
 def test_forward_kinematics_of_a_robot_by_name():
@@ -118,7 +117,7 @@ def test_joints_outside_either_limit_are_named():
 def test_of_poses_out_of_reach_the_nearest_is_given():
     """The arm points at it, as far as it goes: no farther off than any posture tried at random."""
     chain = panda_chain()
-    far = shift([0.9, 0.9, 0.3])
+    far = placed(0.9, 0.9, 0.3)
     found = poses.solve(chain, far, poses.rest(chain))
     assert not found.reached and not outside_limits(chain, found.q)
     reached = [standing(q).translation for q in robots.random_configurations(chain.model, 2000, 3)]
@@ -129,10 +128,10 @@ def test_of_poses_out_of_reach_the_nearest_is_given():
 def test_every_arm_must_get_there():
     """One of two arms reaches the object; what its hinge permits is no miss, what it forbids is."""
     chain, q, X = poses.chain_of(osc.load_scenario("two_contact_rod"))
-    found = poses.solve(chain, pin.SE3(X.rotation, X.translation + [-0.45, -0.4, 0.0]), q)
+    found = poses.solve(chain, placed(-0.45, -0.4) * X, q)
     assert not found.reached and found.miss[0] > 1e-2
     chain, q, X = poses.chain_of(osc.load_scenario("hinge_ball_rod"))
-    assert poses.solve(chain, pin.SE3(X.rotation, X.translation + [0.0, 0.01, 0.01]), q).reached
+    assert poses.solve(chain, placed(0.0, 0.01, 0.01) * X, q).reached
 
 
 # Where runs start: inverse kinematics within limits, and the pose that the posture gives.
@@ -162,7 +161,7 @@ def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
     rig = rig_of(scenario)
     arm = scenario.arms[0]
     one = rig.chain.arms[0]
-    tip = data_at(one.model, np.array(arm.posture)).oMf[one.model.getFrameId(arm.tip)]
+    tip = pose_at(one.model, np.array(arm.posture), arm.tip)
     grasp = scenario.grasps[arm.name]
     assert_near((one.base * tip * placed(*grasp.xyz, grasp.rpy)).homogeneous, rig.X_given, 1e-12)
 

@@ -7,7 +7,7 @@ import pinocchio as pin
 from numpy.linalg import det, norm, pinv
 from numpy.random import default_rng
 from pytest import approx, raises
-from rigs import assert_near, placed, pose_of, refused, shift, vector
+from rigs import assert_near, placed, pose_of, refused, rotated, shift, vector
 from samples import parametrize
 
 from osc_contact.contacts import raibert_craig
@@ -250,7 +250,7 @@ def test_nothing_depends_on_operational_point_axes_units_or_basis():
         same = placed()
         for other, at, X, unit in (
             (about_another, centre - away, shift(away), 1.0),
-            (turned, R @ centre, pin.SE3(R.T, np.zeros(3)), 1.0),
+            (turned, R @ centre, rotated(R.T), 1.0),
             (N @ rng.standard_normal((r, r)), centre, same, 1.0),
             (N * millimetres, 1e3 * centre, same, 1e3),
         ):

@@ -9,7 +9,16 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx, raises
-from rigs import assert_near, displacement, largest, placed, pose_of, refused, shift, vector
+from rigs import (
+    assert_near,
+    displacement,
+    largest,
+    placed,
+    pose_of,
+    refused,
+    rotated,
+    vector,
+)
 from samples import parametrize
 
 import osc_contact as osc
@@ -141,10 +150,10 @@ def test_the_short_way_round_again_and_again():
 @parametrize(
     "goal",
     [
-        shift([0.0, np.nan, 0.0]),
-        pin.SE3(np.eye(3) + 0.1 * np.eye(3, k=1), np.zeros(3)),  # sheared
+        placed(0.0, np.nan),
+        rotated(np.eye(3) + 0.1 * np.eye(3, k=1)),  # sheared
         np.eye(4),
-        pin.SE3(-np.eye(3), np.zeros(3)),
+        rotated(-np.eye(3)),
     ],
 )
 def test_a_goal_that_is_none_is_refused_and_the_former_is_kept(goal):

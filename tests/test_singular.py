@@ -10,6 +10,7 @@ from rigs import (
     largest,
     object_poses,
     one_panda,
+    placed,
     scara_pair,
     unloaded,
     vector,
@@ -30,7 +31,7 @@ def straight_panda(offset):
 def tick(chain, q, v, posture=None, controller=None):
     """A controller after one tick that asks for the same motion, whatever the posture."""
     X = chain.state(q, v).X_WO
-    goal = pin.SE3(X.rotation, X.translation + [0.01, -0.005, 0.004])
+    goal = placed(0.01, -0.005, 0.004) * X
     reference = osc.Reference(goal, squeeze_d=4.0)
     controller = controller or osc.Controller(
         chain, [], osc.Gains(MotionGains(400, 40)), posture=posture

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.linalg import eigvalsh, lstsq, norm, solve
 from pair_kinds import touching
 from pytest import approx
-from rigs import assert_near, one_panda, placed, pose_of, random_state, shift, unit, velocity_at
+from rigs import assert_near, one_panda, placed, pose_of, random_state, unit, velocity_at
 from samples import parametrize
 from scenario_runs import closed_force, rig_of, verdict_of, worst_force
 from test_moving_face import FACES
@@ -200,7 +200,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         X_WE = pose_of(rng) if moving else placed()
         V_E = 0.1 * rng.standard_normal(6) * moving
         at = X, state.V_O, X_WE, V_E
-        pair = touching(kind, X_WE.actInv(X) * shift([0.01, 0.02, -0.01]), rng.integers(99), 0.1)
+        pair = touching(kind, X_WE.actInv(X) * placed(0.01, 0.02, -0.01), rng.integers(99), 0.1)
         touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
         V_D = 0.3 * rng.standard_normal(6)
         reference = osc.Reference(X, V_D, alpha_d=[10.0])
