@@ -27,6 +27,11 @@ def largest(x):
     return np.abs(x).max(initial=0.0)
 
 
+def within(x, limit):
+    """Whether the size of every element is."""
+    return (np.abs(x) <= limit).all()
+
+
 def miss(got, want):
     """Largest difference over the largest element, or over 1 (m/s², rad/s², N) if that is more."""
     return largest(got - want) / max(largest(want), 1.0)

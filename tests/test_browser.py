@@ -9,7 +9,7 @@ from headless import Browser, near, pixels_of
 from numpy.linalg import norm
 from PIL import Image, ImageSequence
 from pytest import approx
-from rigs import assert_near, vector
+from rigs import assert_near, largest, vector
 from samples import module_fixture, names_in
 from scene_samples import BASE, ENDS, RECORDING, links, write
 
@@ -84,7 +84,7 @@ def test_the_slider_moves_arms_arrows_marker_and_clock(browser):
     seen = {}
     for time, tick in (0.2, 20), (0.9, 90):
         picture = slide(browser, time)
-        assert np.allclose(place_in(browser, "arms/left/hinge"), hinge(tick), atol=2e-3)
+        assert_near(place_in(browser, "arms/left/hinge"), hinge(tick), 2e-3)
         assert abs(marker(picture, 700) - (58 + time * (1280 - 58 - 18))) < 3
         assert browser.run("element('clock').textContent").startswith(f"{time:.2f}")
         scale = browser.run("nodeAt('contacts/left_end/true/shaft').object.scale.y")
@@ -186,7 +186,7 @@ def test_without_webgl_there_is_a_still_picture_and_a_sentence(page, monkeypatch
         picture = slide(browser, 1.0)
         assert near(picture[:600], BLUE) > 200 and near(picture[:600], VERMILLION) > 200
         assert near(picture[640:], BLUE) > 100, "curves"
-        assert np.abs(slide(browser, 0.2)[:600] - picture[:600]).max() > 50, "another instant"
+        assert largest(slide(browser, 0.2)[:600] - picture[:600]) > 50, "another instant"
         assert browser.errors == []
 
 

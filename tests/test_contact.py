@@ -7,7 +7,7 @@ from numpy.linalg import inv, matrix_rank, norm, pinv, svd
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import any_rotation, assert_near, largest, refused
+from rigs import any_rotation, assert_near, largest, refused, within
 from samples import aligned, parametrize
 
 from osc_contact import projections
@@ -22,7 +22,7 @@ def random_normals(seed, r):
 
 def assert_complete(N, T):
     """NᵀT = 0 against the size of the summands, six columns in all, both of full rank."""
-    assert (np.abs(N.T @ T) <= 1e-12 * (np.abs(N).T @ np.abs(T))).all()
+    assert within(N.T @ T, 1e-12 * (np.abs(N).T @ np.abs(T)))
     assert N.shape[1] + T.shape[1] == 6
     for columns in N, T:
         assert matrix_rank(columns, tol=1e-9) == columns.shape[1]

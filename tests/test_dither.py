@@ -64,7 +64,7 @@ def test_what_a_wrong_normal_costs_two_points():
     pushes = 10.0 * 0.05 * np.random.default_rng(0).standard_normal((4000, 2, 1))
     left = pushes * along / np.linalg.norm(along, axis=1)[:, None]  # beside the assumed normals
     s = np.sum(left * along, axis=(1, 2)) / np.sum(along**2)
-    want = np.sqrt(np.mean(s**2)) * np.abs(n @ u).max() / 10.0
+    want = np.sqrt(np.mean(s**2)) * largest(n @ u) / 10.0
     assert known_to(rig.pairs, state, 0.05) == approx(want, rel=0.05)
 
 

@@ -68,7 +68,7 @@ def test_it_starts_touching_within_limits_and_is_described_in_words(rigs, name):
     assert all(text in report for text in words), report
     json.dumps(found.as_dict())
     X = rig.state.X_WO
-    assert max(np.abs(pair.gaps(X)).max() for pair in rig.pairs) < 1e-12
+    assert max(largest(pair.gaps(X)) for pair in rig.pairs) < 1e-12
     assert norm(X.translation - rig.scenario.object.pose.xyz) < 0.02  # near what the file says
     for t in np.linspace(0.0, rig.scenario.duration, 50):
         assert (rig.references.at(t).alpha_d > 0.0).all()

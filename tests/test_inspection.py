@@ -117,9 +117,9 @@ def test_contact_lines_state_direction_and_point(found, rig):
         line = sentence(found, f"contact '{pair.name}'")
         direction = numbers(line)
         point = numbers(line.split("through", 1)[1])
-        assert np.allclose(direction, found.N[:3, i], atol=6e-4)
+        assert_near(direction, found.N[:3, i], 6e-4)
         moment = np.cross(point - rig.state.X_WO.translation, direction)
-        assert np.allclose(moment, found.N[3:, i], atol=2e-3)
+        assert_near(moment, found.N[3:, i], 2e-3)
 
 
 def test_conditioning_does_not_depend_on_units_of_force(found, rig):

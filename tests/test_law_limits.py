@@ -10,7 +10,7 @@ from law_calls import write
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import mark, param, raises
-from rigs import assert_near, largest
+from rigs import assert_near, largest, within
 from samples import aligned, parametrize
 
 import osc_contact as osc
@@ -221,7 +221,7 @@ def agree(case, tolerance):
     """All that is found as in the exact optimum; returns whether forces leave their range."""
     tau, at_limit, force, motion, squeeze, short = solve(case)
     want, *lost, there = exact_optimum(case, tau)
-    assert short == there and (np.abs(tau) <= case.tau_max).all()
+    assert short == there and within(tau, case.tau_max)
     assert largest((tau - want) / case.scale) < tolerance
     near = np.abs(want) >= case.tau_max * (1.0 - 1e-9)
     assert_array_equal(at_limit, near)
@@ -304,7 +304,7 @@ def test_a_floor_that_another_implies_changes_nothing(monkeypatch):
 
 def agree_within(case):
     tau, *rest = solve(case)
-    assert (np.abs(tau) <= case.tau_max).all() and all(np.isfinite(x).all() for x in rest)
+    assert within(tau, case.tau_max) and all(np.isfinite(x).all() for x in rest)
     return tau, *rest
 
 

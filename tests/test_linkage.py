@@ -10,7 +10,7 @@ from grasp_rigs import KINDS, random_case
 from law_calls import allocation, records, write
 from numpy.linalg import cholesky, pinv, qr, solve, svd
 from numpy.random import default_rng
-from rigs import assert_close, assert_near, held_tick, largest, rig_of, unit, vector
+from rigs import assert_close, assert_near, held_tick, largest, rig_of, unit, vector, within
 from samples import aligned, module_fixture, parametrize
 from scenario_runs import run_of
 
@@ -90,7 +90,7 @@ def test_motor_limits_take_it_first(plate):
     squeeze = vector(4000.0, 100.0, 50.0)
     tau = controller.tick(measurement, replace(reference, squeeze_d=squeeze))
     assert controller.status is osc.Status.SATURATED
-    assert (np.abs(tau) <= plate.chain.tau_max).all()
+    assert within(tau, plate.chain.tau_max)
     lost = controller.given_up
     assert lost.squeeze.shape == (3,) and lost.squeeze[0] > 1000.0
     assert largest(lost.acceleration) < 0.1 and largest(lost.force) < 1.0

@@ -201,11 +201,10 @@ def exact(request):
 
 def moving(rig, seed):
     """A plant in motion on its contacts, and a reference beside it."""
-    rng = default_rng(seed)
     plant, controller = on_the_move(rig, start=0.3)
     plant.hold(controller.last_torques())
     at = rig.references.at(0.36)
-    small = 2e-3 * rng.standard_normal((3, 6))
+    small = 2e-3 * default_rng(seed).standard_normal((3, 6))
     X = pin.SE3(at.X_WD.rotation @ pin.exp3(small[0, 3:]), at.X_WD.translation + small[0, :3])
     return plant, replace(at, X_WD=X, V_D=at.V_D + small[1], A_D=at.A_D + small[2])
 

@@ -14,7 +14,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pair_kinds import KINDS, PLAIN, STILL, Motion, pose_of, rate
 from pytest import approx, raises
-from rigs import assert_near, largest, placed, refused, shift, unit, vector
+from rigs import assert_near, largest, placed, refused, shift, unit, vector, within
 from samples import parametrize
 
 import osc_contact as osc
@@ -42,7 +42,7 @@ def near(value, expected, scale, tolerance, per_metre=1.0):
     """Against the size of the summands, both bodies moving at about 1 m/s and 1 rad/s."""
     assert value.shape == expected.shape
     scale = scale + 0.1 * per_metre
-    assert (np.abs(value - expected) <= tolerance * scale).all(), (value, expected, scale)
+    assert within(value - expected, tolerance * scale), (value, expected, scale)
 
 
 @parametrize("per_metre", [1.0, 1e3])

@@ -292,9 +292,8 @@ def test_rows_come_back(tmp_path):
 
 def test_rows_of_other_widths_may_follow(tmp_path):
     journal = JournalFile(tmp_path / "run.mcap", {})
-    wide = np.zeros(2, np.dtype([("tick", "<i8"), ("numbers", "<f8", (130,))]))
     journal.append(0, rows(0, 3))
-    journal.append(3, wide)
+    journal.append(3, np.zeros(2, np.dtype([("tick", "<i8"), ("numbers", "<f8", (130,))])))
     (_, first), (_, second) = Journal(tmp_path / "run.mcap").rows()
     assert first.dtype == ROW and second["numbers"].shape == (2, 130)
 

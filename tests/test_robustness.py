@@ -122,8 +122,7 @@ def test_the_table_shows_the_rows(made, found):
 
 
 def test_failed_runs_count_as_the_largest_errors():
-    rng = np.random.default_rng(0)
-    values = rng.uniform(1, 2, 50)
+    values = np.random.default_rng(0).uniform(1, 2, 50)
     failed = np.arange(50) < 3
     rows = [
         {"ours.failed": bool(f), "ours.force": None if f else x, "ours.motion": 0.0}

@@ -155,7 +155,7 @@ def test_a_column_with_a_couple_is_a_screw(tmp_path):
     N[:, 3:, 1] = d[:, 1]  # the second contact transmits a pure couple
     shown = Shown(write(tmp_path, changed(N=N)))
     offset = shown.pose(LEFT, 3).translation - p[30, 0]
-    assert np.allclose(np.cross(offset, d[30, 0]), 0.0, atol=1e-6)
+    assert_near(np.cross(offset, d[30, 0]), 0.0, 1e-6)
     path, turned = shown.path_of_tube(f"{LEFT}/closed/line/pitch")
     assert np.polyfit(turned, path[:, 1], 1)[0] == approx(pitch, rel=1e-3)
     couple = 0.1 * RECORDING["alpha_true"][80, 1]
@@ -181,7 +181,7 @@ def test_plots_hold_the_recorded_numbers(shown):
     for line, values in aligned(lines, page["curves"]["y"]):
         channel = RECORDING[line["key"]]
         expected = channel if line["index"] < 0 else channel[:, line["index"]]
-        assert np.allclose(values, expected, rtol=1e-3, atol=1e-6)
+        assert_near(values, expected, 1e-6, 1e-3)
     numbers = [lines[one["line"]] for one in page["labels"] if one["line"] is not None]
     assert [(x["key"], x["index"]) for x in numbers] == [("alpha_true", 0), ("alpha_true", 1)]
     assert (page["begin"], page["length"]) == (0.0, 1.0)

@@ -18,6 +18,7 @@ from rigs import (
     refused,
     rotated,
     vector,
+    within,
 )
 from samples import parametrize
 
@@ -59,11 +60,11 @@ def test_goals_that_change_at_any_time_are_followed_within_the_limits(monkeypatc
             states += [point.step(goal) for _ in range(steps + 1)]
         x, x_dot, x_ddot = np.swapaxes(states, 0, 1)
         tiny = 1e-9 * size
-        assert (np.abs(x_dot) <= v + tiny).all() and (np.abs(x_ddot) <= a + tiny).all()
-        assert (np.abs(np.diff(x_ddot, axis=0)) <= j * DT + tiny).all()
+        assert within(x_dot, v + tiny) and within(x_ddot, a + tiny)
+        assert within(np.diff(x_ddot, axis=0), j * DT + tiny)
         for path, rate, most in (x, x_dot, DT / 6), (x_dot, x_ddot, 1 / 4):
             drawn = np.diff(path, axis=0) - DT * (rate[1:] + rate[:-1]) / 2
-            assert (np.abs(drawn) <= j * most * DT**2 + 1e-3 * tiny).all()
+            assert within(drawn, j * most * DT**2 + 1e-3 * tiny)
         due = point.remaining / DT + 2
         count = 0
         while point.remaining > 0.0:
@@ -122,8 +123,8 @@ def test_poses_with_goals_that_change_on_the_way():
         step = displacement(before.X_WD, after.X_WD)
         assert_near(step / DT, (before.V_D + after.V_D) / 2, 1e-4)
         assert_near((after.V_D - before.V_D) / DT, (before.A_D + after.A_D) / 2, 0.1)
-        assert (np.abs(after.V_D[:3]) <= 0.3 + 1e-9).all()
-        assert (np.abs(after.A_D[:3]) <= 2.0 + 1e-9).all()
+        assert within(after.V_D[:3], 0.3 + 1e-9)
+        assert within(after.A_D[:3], 2.0 + 1e-9)
         assert norm(after.V_D[3:]) <= 3**0.5 * 1.0 + 0.05
     while point.remaining > 0.0:
         last = point.step()

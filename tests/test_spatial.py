@@ -53,10 +53,9 @@ def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
 @parametrize("seed", SEEDS)
 def test_classical_to_spatial_agrees_with_pinocchio(seed):
     pin.seed(seed)
-    rng = default_rng(seed)
     model = pin.buildSampleModelManipulator()
     q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
-    v, a = rng.standard_normal((2, model.nv))
+    v, a = default_rng(seed).standard_normal((2, model.nv))
     at = model, data_at(model, q, v, a), model.nframes - 1, pin.LOCAL_WORLD_ALIGNED
     V = pin.getFrameVelocity(*at).vector
     spatial = classical_to_spatial(pin.getFrameClassicalAcceleration(*at).vector, V)
