@@ -18,8 +18,6 @@ from rigs import direction, pose_of, shift, vector
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
 
-STILL = np.zeros(6)
-
 
 @dataclass(frozen=True)
 class Path:

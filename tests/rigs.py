@@ -18,6 +18,7 @@ from osc_contact.response import require_reachable
 LWA = pin.LOCAL_WORLD_ALIGNED
 refused = complaints.invalid_input
 rig_of = scenario_runs.rig_of
+STILL = np.zeros(6)  #: a twist, or an acceleration
 UNLIMITED = osc.SafetySettings.motors_only()
 """States drawn at random are no motion: no limits but those of motors."""
 

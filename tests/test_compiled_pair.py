@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import kind, placed
 from pytest import mark
-from rigs import direction, one_panda, posed, refused, unloaded, vector
+from rigs import STILL, direction, one_panda, posed, refused, unloaded, vector
 
 import osc_contact as osc
 
@@ -89,7 +89,7 @@ def test_what_is_wrong_is_said(tmp_path):
         osc.CompiledPair(nothing, forces=7)
     empty = osc.CompiledPair(nothing)
     with contact_error("N or n_γ is not finite"):
-        empty.contact(pin.SE3.Identity(), np.zeros(6))
+        empty.contact(pin.SE3.Identity(), STILL)
     chain = one_panda()
     q, v, X = posed(chain, default_rng(4))
     controller = osc.Controller(chain, [empty])

@@ -9,7 +9,7 @@ import pinocchio as pin
 from command_line import done, read_json
 from numpy.linalg import inv, matrix_rank, norm
 from pytest import approx, mark
-from rigs import assert_derivatives, assert_near, largest, refused, rotated, shift, vector
+from rigs import STILL, assert_derivatives, assert_near, largest, refused, rotated, shift, vector
 from samples import aligned, names_in
 
 import osc_contact as osc
@@ -78,7 +78,7 @@ def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
     e = SEAT.direction
     for _ in range(20):
         X = pose_at(rng.uniform(-3, 3), rng.uniform(-0.1, 0.1))
-        contact = SEAT.pair.contact(X, np.zeros(6))
+        contact = SEAT.pair.contact(X, STILL)
         assert_near(SEAT.pair.gaps(X), 0.0, 1e-14)
         points, directions = SEAT.wall_forces(X)
         levers = points - X.translation[:, None]

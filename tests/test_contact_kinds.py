@@ -11,7 +11,7 @@ from numpy.linalg import lstsq, norm
 from numpy.random import default_rng
 from pair_kinds import snake
 from pytest import approx
-from rigs import assert_near, placed, pose_of, vector
+from rigs import STILL, assert_near, placed, pose_of, vector
 from samples import parametrize
 
 from osc_contact.contacts.pairs.pair import make_pair
@@ -102,7 +102,7 @@ def test_feet_lie_on_the_lines_of_force_and_on_the_touched_surface(kind):
     X = pin.SE3(pin.exp3(0.3 * rng.standard_normal(3)), 0.1 * rng.standard_normal(3))
     E = placed(0.02, -0.03, 0.01)  # the body has slid
     points, directions = feet(pair, X, E)
-    N = pair.contact(X, np.zeros(6), E).N
+    N = pair.contact(X, STILL, E).N
     assert_near(norm(directions, axis=1), 1.0, 1e-12)
     moments = np.cross(points - X.translation, directions)
     assert_near(np.vstack((directions.T, moments.T)), N, 1e-12)
@@ -187,7 +187,7 @@ def test_only_contacts_that_push_are_kept_from_pulling():
         scenario = parse_scenario(text(kind), None, ["force.pad.2.0.value=-1 N"])
         pairs = build_pairs(scenario)
         times = vector(0.0, 1.0)
-        plan = References.of(scenario, placed(), pairs, np.zeros(6)).over(times)
+        plan = References.of(scenario, placed(), pairs, STILL).over(times)
         task = SimpleNamespace(
             pairs=pairs,
             owners=force_owners(pairs),

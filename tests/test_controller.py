@@ -12,6 +12,7 @@ from complaints import scenario_error
 from numpy.testing import assert_array_equal
 from pytest import fixture, raises
 from rigs import (
+    STILL,
     UNLIMITED,
     assert_near,
     held_tick,
@@ -181,7 +182,7 @@ def test_other_gains_continue_without_a_jump(rig, ready):
     for _ in range(50):
         controller.tick(measurement, away)
     X_WO = pin.SE3(controller.result().X_WO.copy())
-    still = replace(reference, X_WD=X_WO, V_D=np.zeros(6), A_D=np.zeros(6))
+    still = replace(reference, X_WD=X_WO, V_D=STILL, A_D=STILL)
     assert largest(controller.motion_integral) > 1e-5
     alike = copy.copy(controller)
     tau = alike.tick(measurement, still)

@@ -15,6 +15,7 @@ from numpy.random import default_rng
 from pinocchio.rpy import rpyToMatrix
 from pytest import approx
 from rigs import (
+    STILL,
     any_rotation,
     assert_near,
     placed,
@@ -85,7 +86,7 @@ def assert_only(found, kind, points, normal, X_WO, X_WE=None, gap=0.0):
     assert found.kind == kind
     assert_near(found.normal, normal, 1e-9)
     pair = found.pair()
-    contact = pair.contact(X_WO, np.zeros(6), X_WE)
+    contact = pair.contact(X_WO, STILL, X_WE)
     assert contact.r == found.r
     assert_same_range(contact.N, pushes(points, -np.asarray(normal), X_WO))
     assert_near(contact.n_gamma, 0.0, 1e-12)
@@ -253,7 +254,7 @@ def test_a_corner_in_a_corner_touches_floor_and_walls():
     X = placed()
     found = detect(ball, X, room)
     assert sorted(d.environment_shape for d in found) == ["floor", "side", "wall"]
-    N = osc.Contact.stack([d.pair().contact(X, np.zeros(6)) for d in found]).N
+    N = osc.Contact.stack([d.pair().contact(X, STILL) for d in found]).N
     assert_same_range(N, np.eye(6)[:, :3])
 
 

@@ -23,6 +23,7 @@ from rigs import (
     strong,
     ticked,
     unit,
+    unloaded,
     vector,
     with_motors,
     within,
@@ -64,7 +65,7 @@ def demanding(chain, rng, r):
     reference = osc.Reference(
         state.X_WO, state.V_O, 2 * rng.standard_normal(6), rng.uniform(5, 20, r), 5.0
     )
-    return pairs, osc.Measurement(q, v, np.zeros((len(chain.arms), 6))), reference
+    return pairs, unloaded(q, v, len(chain.arms)), reference
 
 
 def limited_tick(chain, rng, r, share):

@@ -2,7 +2,7 @@
 
 import numpy as np
 from pytest import approx, fixture
-from rigs import refused, scara_pair, vector
+from rigs import STILL, refused, scara_pair, vector
 from samples import parametrize
 from scenario_runs import closed_force, run_of, verdict_of
 
@@ -106,7 +106,7 @@ def test_tangential_forces_of_a_contact_at_rest_leave_the_contact_force_as_comma
     (pair,) = rig.pairs
     X = rig.state.X_WO
     p = pair.points_of_contact(X)[:, 0] - X.translation
-    n = pair.contact(X, np.zeros(6)).N[:3, 0]
+    n = pair.contact(X, STILL).N[:3, 0]
     forces = []
     for rubs in np.array([[0.0, 0.0, 0.0], [1.5, -0.4, 0.9]]):
         f = rubs - n * (n @ rubs) / (n @ n)

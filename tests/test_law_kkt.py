@@ -33,6 +33,7 @@ from numpy.random import default_rng
 from processes import python
 from pytest import mark, param
 from rigs import (
+    STILL,
     UNLIMITED,
     assert_near,
     data_at,
@@ -195,7 +196,7 @@ def touching_state(rest, i, rng, where):
         name = rng.choice(fit) if contacts or attempt > 4 else first
         body = where.on(rng, contacts)
         pair = touch(name, rng, body.X.actInv(X_WO))
-        near = pair.contact(X_WO, np.zeros(6), body.X).N.T
+        near = pair.contact(X_WO, STILL, body.X).N.T
         if rest.apart(np.vstack((N, near))) > LEAST_APART:
             contacts = [*contacts, Contact(name, pair, body, X_WO)]
             N = np.vstack((N, near))

@@ -12,9 +12,9 @@ from complaints import contact_error, invalid_input, refusals
 from numpy.linalg import det, norm
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from pair_kinds import KINDS, PLAIN, STILL, Motion, pose_of, rate
+from pair_kinds import KINDS, PLAIN, Motion, pose_of, rate
 from pytest import approx, raises
-from rigs import assert_near, largest, placed, refused, shift, unit, vector, within
+from rigs import STILL, assert_near, largest, placed, refused, shift, unit, vector, within
 from samples import parametrize
 
 import osc_contact as osc

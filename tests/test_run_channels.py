@@ -6,8 +6,8 @@ import pinocchio as pin
 from numpy.linalg import cholesky, inv, lstsq, norm, solve, svd
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from pair_kinds import KINDS, PLAIN, STILL, pose_of
-from rigs import assert_near, placed, unloaded
+from pair_kinds import KINDS, PLAIN, pose_of
+from rigs import STILL, assert_near, placed, unloaded
 from samples import aligned, parametrize
 from scenario_runs import rig_of
 from test_moving_face import TURNING

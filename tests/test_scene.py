@@ -233,13 +233,12 @@ def test_scene_without_contacts(how, tmp_path):
     assert not any("contacts" in p or "twists" in p for p in paths)
 
 
-SHORT_ARM = Content("", [ARMS[0]._replace(q_slice=slice(0, 4))])
-
-
 @parametrize(
     "complaint, make",
     {
-        r"takes 4 numbers of q.*nq = 5": lambda p: write_scene(RECORDING, SHORT_ARM, p),
+        r"takes 4 numbers of q.*nq = 5": lambda p: write_scene(
+            RECORDING, Content("", [ARMS[0]._replace(q_slice=slice(0, 4))]), p
+        ),
         "'pose'": lambda p: write_scene(
             make_recording(without=("pose",)), Content("", [], BODIES), p
         ),

@@ -9,6 +9,7 @@ from numpy.random import default_rng
 from pair_kinds import kind, placed, pose_of
 from pytest import approx, fixture
 from rigs import (
+    STILL,
     any_rotation,
     assert_derivatives,
     assert_near,
@@ -134,7 +135,7 @@ def test_normals_gaps_and_points_are_those_of_the_shapes_that_touch(face, R):
 def test_what_no_ball_can_touch_is_refused():
     pair = osc.SphereOnSurface(np.zeros(3), 0.012, osc.Surface.sphere(0.1))
     with contact_error("no one place of the surface is nearest"):
-        pair.contact(pin.SE3.Identity(), np.zeros(6))
+        pair.contact(pin.SE3.Identity(), STILL)
     with refused("x axis of the surface"):
         osc.SphereOnSurface(np.zeros(3), 0.0, osc.Surface.sphere(1.0), surface_axis=[1, 0, 0])
 
@@ -158,7 +159,7 @@ def test_a_fit_states_its_error_and_refuses_too_few_points(tmp_path):
 
 def normal(pair, X_WO):
     """(3,) of the surface, into the part."""
-    return pair.contact(X_WO, np.zeros(6)).N[:3, 0]
+    return pair.contact(X_WO, STILL).N[:3, 0]
 
 
 class Own(osc.SphereOnSurface):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.linalg import eigvalsh, lstsq, norm, solve
 from pair_kinds import touching
 from pytest import approx
-from rigs import assert_near, one_panda, placed, pose_of, random_state, unit, velocity_at
+from rigs import STILL, assert_near, one_panda, placed, pose_of, random_state, unit, velocity_at
 from samples import parametrize
 from scenario_runs import closed_force, rig_of, verdict_of, worst_force
 from test_moving_face import FACES
@@ -59,7 +59,7 @@ def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     cost = [judged(circle(hertz, about, {"force": {"tilt": 0}})) for about in (0.0, 90.0)]
     rig = rig_of(circle(hertz))
     state = rig.state
-    N = rig.pairs[0].contact(state.X_WO, np.zeros(6)).N
+    N = rig.pairs[0].contact(state.X_WO, STILL).N
     M = 1.0 / (N.T @ state.S @ solve(state.Lambda_S, state.S.T) @ N).item()
     w = 2 * np.pi * hertz
     K = 10 * np.pi

@@ -13,7 +13,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from processes import completed
 from pytest import mark
-from rigs import assert_near, largest, panda_arm, refused, rig_of, ticked, vector
+from rigs import STILL, assert_near, largest, panda_arm, refused, rig_of, ticked, vector
 from samples import aligned, first, module_fixture, parametrize
 
 import osc_contact as osc
@@ -391,7 +391,7 @@ def test_the_ros2_plugin_sends_what_the_controller_computes(manager, tmp_path, n
     controller.reset()  # as on_activate does
     controller.save(tmp_path / "controller.osc")
     m, reference = plant.measure(), rig.references.at(0.0)
-    reference = replace(reference, V_D=np.zeros(6), A_D=np.zeros(6))
+    reference = replace(reference, V_D=STILL, A_D=STILL)
     alpha = np.ravel(reference.alpha_d).astype(float)
     bars = controller._records.model.n_bars
     squeeze = np.full(bars, reference.squeeze_d, dtype=float)
