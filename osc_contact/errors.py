@@ -64,10 +64,6 @@ class InvalidInputError(OscContactError, ValueError):
     """An argument has the wrong shape, is not finite, or is outside its range."""
 
 
-class SensorTimeout(OscContactError):
-    """Readings are too old, or a packet came twice: a controller then holds the posture."""
-
-
 class ModelError(OscContactError):
     """A robot, an object or a closed chain is impossible: bad URDF, lost or unactuated motions.
 

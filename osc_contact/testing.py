@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from osc_contact.control.inputs import Freshness
 from osc_contact.control.start_check import judge_load, outboard_mass, require_start
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.errors import InvalidInputError, OscContactError, PlantError
+from osc_contact.errors import InvalidInputError, PlantError
 from osc_contact.interface import Measurement, Robot
+from osc_contact.law.records import OUTDATED
 from osc_contact.scenarios.control_schema import SafetySettings
 from osc_contact.spatial import Array, as_array, norm
 
@@ -30,6 +31,7 @@ ALONE = 0.3  #: of what the fastest joint gains; less is no motion of the joint 
 FALLING = 0.3  #: share of the weight's acceleration that counts as none or twice the weight
 FAR = 0.3  #: rad (m) from the start, and 2 rad/s: the check ends at once
 MEAN = 20  #: ticks of a mean wrench
+MOST_REPEATED = 5  #: ticks in a row with the same stamps
 
 
 def check_robot(
@@ -85,7 +87,7 @@ class _Check:
         self.model = chain.model
         self.data = chain.model.createData()
         self.names = chain.joint_names
-        self.fresh = Freshness(dt, 5.0 * dt)
+        self.fresh = Freshness()
         self.now = self.rest = self.read()
 
     def run(self, nudge: ArrayLike | None, patience: float) -> Iterator[str]:
@@ -109,13 +111,11 @@ class _Check:
             given = np.asarray(getattr(m, name))
             if given.shape != shape or not np.isfinite(given).all():
                 raise PlantError(f"measure(): {name} is {given.tolist()}; give {shape} numbers")
-        try:
-            self.fresh.require(m)
-        except OscContactError as error:
+        if self.fresh.look(m) & OUTDATED or self.fresh.repeated > MOST_REPEATED:
             raise PlantError(
-                f"measure(): stamps or sequence do not advance: {error}; give the time of each "
-                "reading, as the robot knows it"
-            ) from error
+                f"measure(): stamps ({m.stamps}) or sequence ({m.sequence}) do not advance; give "
+                "the time of each reading, as the robot knows it"
+            )
         return m
 
     def step(self, tau: Array) -> None:

@@ -68,16 +68,23 @@ def library(tmp_path_factory):
     return folder
 
 
-#: readings that ticks repeat
-SLOW = ["sensors={wrist: {rate: 100 Hz}}", "control.safety.frozen_time=5 ms"]
+#: readings that ticks repeat; and that grow too old
+SLOW, STALE = (
+    ["control.safety.frozen_time=5 ms", f"sensors={{wrist: {{rate: {rate} Hz}}}}"]
+    for rate in (100, 40)
+)
 
 
-@parametrize("name, changes", [*((name, []) for name in TASKS), ("two_contact_rod", SLOW)])
+@parametrize(
+    "name, changes",
+    [*((name, []) for name in TASKS), ("two_contact_rod", SLOW), ("two_contact_rod", STALE)],
+)
 def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path, name, changes):
     tape = build(rig_of(name, *changes), tmp_path, ticks=1500)
     said = run(library / "replay", *files(tmp_path))
     assert said.startswith(f"{tape.count} of {tape.count} ticks bit-equal") and tape.count == 1500
     assert (" 0 SATURATED" not in said) == (name == "limited_rod")
+    assert (" 0 HELD" not in said) == (changes is STALE)
     path = files(tmp_path)[1]
     recording = bytearray(path.read_bytes())
     recording[-1] ^= 1  # of the last torque: the replay can fail
@@ -125,7 +132,10 @@ def test_every_way_a_tick_ends_is_replayed(library, tmp_path, name):
         m = case.measurement
         q = m.q + 1e-4 * rng.standard_normal(len(m.q)) * (np.nan if k % 50 > 44 else 1.0)
         wrenches = m.wrenches + rng.standard_normal(m.wrenches.shape)
-        controller.tick(replace(m, q=q, wrenches=wrenches, wrench_valid=k % 7 != 3), case.reference)
+        number = k - 3 * (k % 50 == 20)  # some come after newer ones
+        read = replace(m, q=q, wrenches=wrenches, wrench_valid=k % 7 != 3, sequence=number)
+        controller.tick(read, case.reference)
+        assert k % 50 != 20 or controller.status is osc.Status.HELD
         if k == 200:
             controller.reset()
     (tmp_path / "recording.osc").write_bytes(tape.content())

@@ -36,12 +36,12 @@ from osc_contact.control.torque_limits import MotorLimits, relieve, scale_torque
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Body
-from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout, SolverError
+from osc_contact.errors import InvalidInputError, OscContactError, SolverError
 from osc_contact.files import write_whole
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.chain import OBJECT_UNKNOWN
 from osc_contact.law.compiled import rows as law_rows
-from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, JOINTS, WRISTS, Bytes
+from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, Bytes
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,
@@ -65,6 +65,8 @@ FORGOTTEN = (
     "frozen",
     "still",
     "wrench_age",
+    "old_joints",
+    "old_wrists",
     "balanced",
     "apart",
     "repeats",
@@ -200,7 +202,7 @@ class Controller:
         self.__dict__.update(settings=settings, laws=laws)
         records = TickRecords(model)
         self._custom = CustomParts(settings, laws, records.model)
-        self._freshness = Freshness(settings.dt, settings.safety.wrench_timeout)
+        self._freshness = Freshness()
         self._start = start
         self._take_records(records)
 
@@ -276,8 +278,7 @@ class Controller:
         """At the start; with bodies that move, stamps, three arms, or custom code."""
         memory = self._memory
         if measurement.stamps is not None or measurement.sequence is not None:
-            self._freshness.require(measurement)
-            memory.repeated = self._freshness.flags
+            memory.repeated = self._freshness.look(measurement)
             if measurement.stamps is not None:
                 memory.stamped = memory.stamped or memory.instant + 1
                 late = measurement.stamps.encoders - measurement.stamps.wrists
@@ -301,8 +302,6 @@ class Controller:
         refusal costs as much as many ticks.
         """
         try:
-            if isinstance(error, SensorTimeout):
-                raise error
             require_sizes(measurement, reference, self.settings)
             if self._converting:
                 raise error
@@ -310,8 +309,6 @@ class Controller:
             self._plan()
             return self.tick(replace(measurement, stamps=None, sequence=None), reference)
         except Exception as why:
-            if isinstance(why, SensorTimeout):
-                self._memory.repeated = JOINTS | WRISTS
             if not self._memory.ticked:
                 require_shapes(measurement, reference, self.settings)
             self._inputs = (measurement, reference)
@@ -412,7 +409,7 @@ class Controller:
 
     @property
     def repeated(self) -> int:
-        """Ticks in a row, up to the last one, computed with readings that were there before."""
+        """Ticks in a row, up to the last one, with readings that were there before."""
         return self._freshness.repeated
 
     @property

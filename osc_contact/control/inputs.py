@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from osc_contact.control.records import STILL, Settings, TickRecords
-from osc_contact.errors import InvalidInputError, SensorTimeout
+from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference, Touched, as_numbers
 from osc_contact.law import tick as law
-from osc_contact.law.records import JOINTS, WRISTS
+from osc_contact.law.records import JOINTS, OUTDATED, WRISTS
 from osc_contact.spatial import Array, as_array
 
 _double = partial(np.array, dtype=float, order="C")
@@ -147,28 +147,21 @@ class Freshness:
     """The newest packet and stamps so far, of one controller.
 
     Attributes:
-        flags: which readings the last tick repeated, JOINTS, WRISTS.
-        repeated: ticks in a row, up to the last one, that repeated readings.
+        flags: which readings of the last tick were not new: JOINTS, WRISTS, OUTDATED.
+        repeated: ticks in a row, up to the last one, with readings that were not new.
     """
 
-    def __init__(self, dt: float, patience: float) -> None:
-        """Judge packets that come every dt (s); readings may be repeated for `patience` (s)."""
-        self.dt = dt
-        self.patience = patience
+    def __init__(self) -> None:
+        """Nothing was read yet."""
         self.forget()
 
     def forget(self) -> None:
         """Begin again."""
         self._newest = dict.fromkeys(_READINGS, _NEVER)
-        self._ages = dict.fromkeys(_READINGS, 0.0)
         self.repeated = self.flags = 0
 
-    def require(self, measurement: Measurement) -> None:
-        """Find `flags`.
-
-        Raises:
-            SensorTimeout: readings that are too old, or a packet older than one read before.
-        """
+    def look(self, measurement: Measurement) -> int:
+        """Compare a measurement with those before it: `flags`."""
         stamps = measurement.stamps
         number = measurement.sequence
         given = {} if stamps is None else {"encoders": stamps.encoders, "wrists": stamps.wrists}
@@ -178,20 +171,9 @@ class Freshness:
         for name, stamp in given.items():
             if stamp > self._newest[name]:
                 self._newest[name] = stamp
-                self._ages[name] = 0.0
-            elif name == "packet" and stamp < self._newest[name]:
-                raise SensorTimeout(
-                    f"packet {number} came after packet {self._newest[name]:.0f}; it is not used"
-                )
-            else:
-                self._ages[name] += self.dt
-                self.flags |= _READINGS[name]
+                continue
+            self.flags |= _READINGS[name]
+            if name == "packet" and stamp < self._newest[name]:
+                self.flags |= OUTDATED
         self.repeated = self.repeated + 1 if self.flags else 0
-        for name, age in self._ages.items():
-            if age > self.patience * (1.0 + 1e-9):
-                newest = self._newest[name]
-                which = f"packet {newest:.0f}" if name == "packet" else f"{name} of {newest:g} s"
-                raise SensorTimeout(
-                    f"nothing newer than {which} was read for {age:.4g} s; more than "
-                    f"wrench_timeout = {self.patience:g} s is not run on"
-                )
+        return self.flags

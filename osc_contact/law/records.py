@@ -224,9 +224,10 @@ BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
 
 GIVEN_POSE = 1
 GIVEN_TWIST = 2
-#: readings of a tick
+#: readings of a tick that are those of the last one; or even older, in a packet out of order
 JOINTS = 1
 WRISTS = 2
+OUTDATED = 4
 #: of a joint
 FAULTY_POSITION = 1
 FAULTY_SPEED = 2
@@ -259,7 +260,9 @@ _MEMORY = _record(
         "wrench_age",
         "has_wrench",
         "compared",
-        "repeated",  # which readings of this tick are those of the last one: JOINTS, WRISTS
+        "repeated",  # which readings of this tick are not new: JOINTS, WRISTS, OUTDATED
+        "old_joints",
+        "old_wrists",  # ticks since either was new
         "balanced",  # ticks in which wrists were compared with motor torques
         "instant",  # the same with lost ticks
         "stamped",  # `instant` from which on wrenches have stamps; 0: they have none

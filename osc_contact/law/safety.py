@@ -12,10 +12,12 @@ from osc_contact.law.reasons import LASTING, NO_REASON, declare_reason
 from osc_contact.law.records import (
     DEGRADED_STATE,
     HOLD,
+    JOINTS,
     OK,
     RUN,
     SAFE_STOP,
     SATURATED,
+    WRISTS,
 )
 from osc_contact.law.sensors import check_sensors, estimate_joints
 from osc_contact.law.vectors import (
@@ -190,6 +192,8 @@ def guard(t, reason):
     work = t.work
     memory = t.memory
     memory.wrench_age = memory.wrench_age + 1 if memory.wrench_missing else 0
+    memory.old_joints = memory.old_joints + 1 if memory.repeated & JOINTS else 0
+    memory.old_wrists = memory.old_wrists + 1 if memory.repeated & WRISTS else 0
     cause = check_sensors(t)
     estimate_joints(t)
     if reason == NO_REASON:

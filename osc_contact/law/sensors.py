@@ -27,6 +27,7 @@ from osc_contact.law.records import (
     FAULTY_SPEED,
     JOINTS,
     OTHER,
+    OUTDATED,
     SAFE_STOP,
     WRISTS,
     contact_of,
@@ -63,6 +64,17 @@ WRENCH_TIMEOUT = declare_reason(
     "WRENCH_TIMEOUT",
     17,
     "no wrench was read for longer than wrench_timeout = {safety.wrench_timeout:g} s",
+)
+STALE = declare_reason(
+    "STALE",
+    18,
+    "nothing newer than the last readings of joints or wrists came for longer than "
+    "wrench_timeout = {safety.wrench_timeout:g} s; check the sensors' rate and the network",
+)
+OUT_OF_ORDER = declare_reason(
+    "OUT_OF_ORDER",
+    19,
+    "a packet came after a newer one; it is not used. Read packets in the order of their numbers",
 )
 STUCK = declare_reason(
     "STUCK",
@@ -146,6 +158,11 @@ def check_readings(t):
             if model.arms[k].sensor_joint >= 0 and not _measurable(t, k):
                 memory.culprit = k
                 return OUT_OF_RANGE
+    if memory.repeated & OUTDATED:
+        return OUT_OF_ORDER
+    for mark, age in ((JOINTS, memory.old_joints), (WRISTS, memory.old_wrists)):
+        if memory.repeated & mark and (age + 1) * model.period > model.wrench_timeout:
+            return STALE
     for j in range(model.n_joints):
         fast = abs(t.input.v[j]) > model.plausible_speed * table[j].rated
         if fast or (memory.compared and jumped(t, table[j], t.memory.joints[j], t.input.q[j])):
