@@ -15,7 +15,6 @@ from osc_contact.law.algebra import (
 from osc_contact.law.arm_motion import place_frame, turn_axes
 from osc_contact.law.commands import rotation_vector
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.operational import multiply_rows
 from osc_contact.law.records import BALL, HINGE
 from osc_contact.law.vectors import (
     ZERO,
@@ -170,16 +169,21 @@ def filter_outboard(t, arm, own, bias):
         fill(G[j], minus(P, times6(H, work.joints[arm.first + j].J)))
         for a in range(6):
             largest = max(largest, abs(P[a]))
-    multiply_rows(T, count, work, n)
-    one_sided_jacobi(X, count, n, 6)
+    for a in range(count):
+        for j in range(n):
+            X[a, j] = dot6(T[a], G[j])
+        for b in range(count):
+            X[a, n + b] = 1.0 if a == b else 0.0
+    one_sided_jacobi(X, count, n, count)
     set_identity(F)
     for k in range(count):
         square = dot(X[k], X[k], n)
         if not sqrt(square) > _MOVES * largest:
             continue
         moved = combined(X[k], G, n)
+        felt = combined(X[k, n:], T, count)
         for a in range(6):
-            accumulate(F[a], -moved[a] / square, X[k, n:])
+            accumulate(F[a], -moved[a] / square, felt)
     fill(work.bias_e, plus(work.bias_e, times6(F, bias)))
     for a in range(6):
         x = combined(F[a], H, 6)

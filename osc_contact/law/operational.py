@@ -206,7 +206,7 @@ def _separate(t, lo, n, m, arm, row):
     X = work.X
     if not weigh_joints(work, lo, n):
         return False
-    multiply_rows(arm.passed, m, work, n)
+    _multiply_rows(arm.passed, m, work, n)
     one_sided_jacobi(X, m, n, 6)
     for j in range(n):
         fill(joints[lo + j].J_bar, ZERO)
@@ -232,7 +232,7 @@ def _separate(t, lo, n, m, arm, row):
 
 
 @inner
-def multiply_rows(rows, count, work, n):
+def _multiply_rows(rows, count, work, n):
     """X[:count] ← the products of rows of six with Z[:n], and behind them these rows themselves.
 
     Args:
@@ -251,7 +251,7 @@ def null_motions(work, own, n):
     Args:
         work: its Z holds n rows of six, J or K⁻¹Jᵀ. own: ARM_WORK row. n: joints of the arm.
     """
-    multiply_rows(own.kept, own.n_kept, work, n)
+    _multiply_rows(own.kept, own.n_kept, work, n)
     qr_rows(work.X, own.n_kept, n, work.s, work.t)
     form_q(work.X, own.n_kept, n, work.t, n, work.Z)
 
@@ -354,7 +354,7 @@ def find_lost(t, arm, own):
         for j in range(n):
             Z[j, i] *= root[i]
     orthonormalise(work.A, m, 0, work.A, work.B)  # wrenches that the grasp passes on, in Λ_ref
-    multiply_rows(work.A, m, work, n)
+    _multiply_rows(work.A, m, work, n)
     one_sided_jacobi(X, m, n, 6)
     _sort_rows(X, m, n)
     for k in range(arm.full_rank):
