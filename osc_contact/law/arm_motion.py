@@ -34,41 +34,6 @@ from osc_contact.law.vectors import (
 
 
 @leaf
-def place_arm(t, lo, hi, q):
-    """Rotation R and point p of every joint of an arm at q (n,), in the world.
-
-    Args:
-        lo, hi: first joint of the arm, and the one behind its last. q: (n,) positions (m, rad).
-    """
-    joints = t.model.joints
-    work = t.work.joints
-    for j in range(lo, hi):
-        X = joints[j].placement
-        R = work[j].R
-        p = work[j].p
-        if j == lo:
-            for i in range(3):
-                fill3(R[i], X[3 * i :])
-            fill3(p, X[9:])
-        else:
-            turn_axes(work[j - 1].R, X, R)
-            fill3(p, transformed(work[j - 1].p, work[j - 1].R, X[9:]))
-        c = 1.0
-        s = 0.0
-        slide = q[j]
-        if joints[j].slides == 0:
-            c = cos(q[j])
-            s = sin(q[j])
-            slide = 0.0
-        for i in range(3):
-            a = R[i, 0]
-            b = R[i, 1]
-            R[i, 0] = c * a + s * b
-            R[i, 1] = c * b - s * a
-            p[i] += slide * R[i, 2]
-
-
-@leaf
 def place_point(joint, x):
     """A point x (m) given in a joint (JOINT_WORK), in the world, as a tuple (m)."""
     return transformed(joint.p, joint.R, x)
@@ -98,6 +63,36 @@ def turn_axes(R, own, out):
 
 
 @leaf
+def place_arm(t, arm, q):
+    """Rotation R and point p of every joint of an arm at q (n,), in the world.
+
+    Args:
+        arm: ARM row. q: (n,) positions (m, rad).
+    """
+    joints = t.model.joints
+    work = t.work.joints
+    for j in range(arm.first, arm.end):
+        X = joints[j].placement
+        R = work[j].R
+        p = work[j].p
+        if j == arm.first:
+            for i in range(3):
+                fill3(R[i], X[3 * i :])
+            fill3(p, X[9:])
+        else:
+            place_frame(work[j - 1], X, R, p)
+        angle = 0.0 if joints[j].slides else q[j]
+        c = cos(angle)
+        s = sin(angle)
+        for i in range(3):
+            a = R[i, 0]
+            b = R[i, 1]
+            R[i, 0] = c * a + s * b
+            R[i, 1] = c * b - s * a
+            p[i] += (q[j] - angle) * R[i, 2]
+
+
+@leaf
 def _place_body(w, C, link, body):
     """A body given in a joint (mass, centre, inertia about it by rows) in world axes about C.
 
@@ -106,19 +101,12 @@ def _place_body(w, C, link, body):
     R = w.R
     m = link[0]
     c = minus3(place_point(w, link[1:]), C)
-    inertia = link[4:]
-    x = rotated(R, rotated9(inertia, R[0]))  # rows of R I Rᵀ
-    y = rotated(R, rotated9(inertia, R[1]))
-    z = rotated(R, rotated9(inertia, R[2]))
-    square = m * dot3(c, c)
     body[0] = m
     fill3(body[1:], scaled3(m, c))
-    fill3(body[4:], add3(x, -m * c[0], c))
-    fill3(body[7:], add3(y, -m * c[1], c))
-    fill3(body[10:], add3(z, -m * c[2], c))
-    body[4] += square
-    body[8] += square
-    body[12] += square
+    for i in range(3):
+        row = rotated(R, rotated9(link[4:], R[i]))  # of R I Rᵀ
+        fill3(body[4 + 3 * i :], add3(row, -body[1 + i], c))
+        body[4 + 4 * i] += m * dot3(c, c)
 
 
 @leaf
@@ -148,11 +136,12 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
     """
     joints = t.model.joints
     gravity = t.model.gravity
+    work = t.work.joints
     outer = t.work.s
     fill(V, ZERO)
     fill(gamma, ZERO)
     for j in range(arm.first, arm.end):
-        w = t.work.joints[j]
+        w = work[j]
         axis = (w.R[0, 2], w.R[1, 2], w.R[2, 2])
         column = axis + (0.0, 0.0, 0.0) if joints[j].slides else cross(minus3(w.p, C), axis) + axis
         fill(w.column, column)
@@ -164,7 +153,27 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
         if j == arm.outer_joint:
             _place_body(w, C, arm.outer, outer)
             fill(bias_out, plus(bias_out, _force_on(outer, V, gamma, gravity)))
-    _sum_back(t, arm.first, arm.end, arm.outer_joint, bias_out)
+    for j in range(arm.end - 1, arm.first - 1, -1):  # from the tip back: what is beyond each joint
+        w = work[j]
+        if j < arm.end - 1:
+            beyond = work[j + 1]
+            if j == arm.outer_joint:
+                fill(bias_out, plus(bias_out, beyond.force))
+                for i in range(13):
+                    outer[i] += beyond.body[i]
+            fill(w.force, plus(w.force, beyond.force))
+            for i in range(13):
+                w.body[i] += beyond.body[i]
+        w.h = dot6(w.column, w.force)
+        momentum = _times(w.body, w.column)
+        for k in range(arm.first, j + 1):
+            m = dot6(work[k].column, momentum)
+            w.M[k - arm.first] = m
+            work[k].M[j - arm.first] = m
+        w.M[j - arm.first] += joints[j].armature
+        if j <= arm.outer_joint:
+            momentum = _times(outer, w.column)
+        fill(w.outboard, momentum)
 
 
 @leaf
@@ -175,32 +184,3 @@ def weight_on_joint(w, gravity):
         w: JOINT_WORK row. gravity: (3,) m/s².
     """
     return dot6(w.column, _times(w.body, scaled3(-1.0, gravity) + (0.0, 0.0, 0.0)))
-
-
-@leaf
-def _sum_back(t, lo, hi, sensed, bias_out):
-    """Forces and composite inertias from the tip back: h, M, outboard inertia times J."""
-    work = t.work.joints
-    outer = t.work.s
-    for j in range(hi - 1, lo - 1, -1):
-        w = work[j]
-        if j < hi - 1:
-            beyond = work[j + 1]
-            if j == sensed:
-                fill(bias_out, plus(bias_out, beyond.force))
-                for i in range(13):
-                    outer[i] += beyond.body[i]
-            fill(w.force, plus(w.force, beyond.force))
-            for i in range(13):
-                w.body[i] += beyond.body[i]
-        c = w.column
-        w.h = dot6(c, w.force)
-        momentum = _times(w.body, c)
-        for k in range(lo, j + 1):
-            m = dot6(work[k].column, momentum)
-            w.M[k - lo] = m
-            work[k].M[j - lo] = m
-        w.M[j - lo] += t.model.joints[j].armature
-        if j <= sensed:
-            momentum = _times(outer, c)
-        fill(w.outboard, momentum)

@@ -19,6 +19,7 @@ from osc_contact.law.vectors import (
     ZERO,
     accumulate,
     add,
+    add_square,
     carry_motion,
     copy_rows,
     cross,
@@ -69,7 +70,7 @@ def solve_chain(t):
     memory = t.memory
     work = t.work
     for k in range(model.n_arms):
-        place_arm(t, model.arms[k].first, model.arms[k].end, t.input.q)
+        place_arm(t, model.arms[k], t.input.q)
     if model.leader >= 0:
         tip = work.joints[model.arms[model.leader].tip_joint]
         place_frame(tip, model.X_LO, work.X_WO, work.O)
@@ -169,8 +170,7 @@ def _add_covariance(t, k, G):
         J = t.work.joints[j].J
         variance = SLIDES * SLIDES if t.model.joints[j].slides else 1.0
         rho += _GEOMETRY * _GEOMETRY * variance * dot6(J, J)
-        for i in range(6):
-            accumulate(G[i], variance * J[i], J)
+        add_square(variance, J, G)
     for i in range(6):
         G[i, i] += rho
 

@@ -26,14 +26,17 @@ from osc_contact.law.records import BY_CHAIN, BY_OBJECT
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,
+    add_square,
     copy_rows,
     dot6,
     fill,
+    fill_free,
     minus,
     motion_to_energy,
     motion_to_world,
     plus,
     reflect_sides,
+    set_identity,
     turned,
     turned_back,
     wrench_to_energy,
@@ -135,9 +138,7 @@ def permit_error(t):
     e = work.y
     r = work.rank
     fill(work.s, ZERO)
-    fill(e, turned(work, motion_to_energy(work, work.error)))
-    for i in range(work.locked):
-        e[i] = 0.0
+    fill_free(e, work, motion_to_energy(work, work.error))
     project_onto_constraint(work.Q_t, r, e, work.s)
     fill(work.free_error, motion_to_world(work, turned_back(work, e)))
     fill(e, motion_to_energy(work, work.error))
@@ -194,9 +195,7 @@ def reduce_motion(t):
     step = work.y
     row = work.w
     fill(step, ZERO)
-    H[:] = 0.0
-    for i in range(6):
-        H[i, i] = 1.0
+    set_identity(H)
     a = turned_back(work, work.x)
     for k in range(t.model.n_arms):
         own = work.arms[k]
@@ -208,16 +207,13 @@ def reduce_motion(t):
             target *= own.chi[e]
             for i in range(6):
                 target -= own.lost[e, i] * (a[i] - own.gamma[i])
-            fill(row, turned(work, own.lost[e]))
-            for i in range(m):
-                row[i] = 0.0
+            fill_free(row, work, own.lost[e])
             size = dot(row, row, 6)
             if own.gone[e] != 0.0 or size < _GONE:  # no motion of the chain's any more
                 continue
             weight = (1.0 - own.share[e]) / (max(own.share[e], _HARD) * size)
             accumulate(step, weight * target, row)
-            for i in range(6):
-                accumulate(H[i], weight * row[i], row)
+            add_square(weight, row, H)
     fill(work.u, ZERO)
     cholesky(H, m, 6 - m, work.B)
     cholesky_solve(work.B, 6 - m, step[m:])

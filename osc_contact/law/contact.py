@@ -42,6 +42,7 @@ from osc_contact.law.vectors import (
     rotated9_back,
     rotated_back,
     scaled3,
+    set_identity,
     velocity_at,
 )
 
@@ -250,9 +251,7 @@ def place_contacts(t):
     R_E = work.X_WE
     V_E = work.u
     V_rel = work.w
-    for i in range(4):
-        for j in range(4):
-            R_E[i, j] = 1.0 if i == j else 0.0
+    set_identity(R_E)
     fill(V_E, ZERO)
     fill(V_rel, V_O)
     for c in range(model.n_contacts):

@@ -21,9 +21,11 @@ from osc_contact.law.vectors import (
     accumulate,
     add,
     add3,
+    add_square,
     angular,
     carry_motion,
     carry_wrench,
+    combined,
     cross,
     divided3,
     dot3,
@@ -41,6 +43,7 @@ from osc_contact.law.vectors import (
     rotated_back,
     scaled,
     set_axes,
+    set_identity,
     times6,
     transformed,
     world_motion,
@@ -117,8 +120,7 @@ def find_twist(t, given):
 @leaf
 def _add_condition(row, s, A, x):
     """Normal equations A y = x with row·y = s beside those before."""
-    for i in range(6):
-        accumulate(A[i], row[i], row)
+    add_square(1.0, row, A)
     accumulate(x, s, row)
 
 
@@ -173,26 +175,18 @@ def filter_outboard(t, arm, own, bias):
         for b in range(count):
             X[a, n + b] = 1.0 if a == b else 0.0
     one_sided_jacobi(X, count, n, count)
-    F[:] = 0.0
-    for a in range(6):
-        F[a, a] = 1.0
+    set_identity(F)
     for k in range(count):
         square = dot(X[k], X[k], n)
         if not sqrt(square) > _MOVES * largest:
             continue
-        moved = ZERO
-        felt = ZERO
-        for j in range(n):
-            moved = add(moved, X[k, j], G[j])
-        for b in range(count):
-            felt = add(felt, X[k, n + b], T[b])
+        moved = combined(X[k], G, n)
+        felt = combined(X[k, n:], T, count)
         for a in range(6):
             accumulate(F[a], -moved[a] / square, felt)
     fill(work.bias_e, plus(work.bias_e, times6(F, bias)))
     for a in range(6):
-        x = ZERO
-        for c in range(6):
-            x = add(x, F[a, c], H[c])
+        x = combined(F[a], H, 6)
         for b in range(6):
             work.out_T[b, a] += x[b]
 

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import dot, project_onto_columns
+from osc_contact.law.algebra import add_scaled, dot, project_onto_columns
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import APPROACHING
 from osc_contact.law.reading import read_wrist
@@ -45,9 +45,10 @@ from osc_contact.law.vectors import (
     add,
     dot6,
     fill,
+    fill_free,
     motion_to_energy,
     scaled,
-    turned,
+    six,
     turned_back,
     world_wrench,
 )
@@ -98,7 +99,7 @@ def observe_arm(t, arm, own, sound, dt):
             the last tick that was computed.
     """
     work = t.work
-    joints = t.work.joints
+    joints = work.joints
     known = t.memory.joints
     begins = t.memory.balanced <= 1  # there is no last tick yet
     k = 0.0 if begins else max(dt / (LAG + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
@@ -110,10 +111,10 @@ def observe_arm(t, arm, own, sound, dt):
         known[j].past_v = v
         if arm.outer_joint >= 0:  # of what is beyond the wrist, in energy coordinates
             moved = add(moved, known[j].rate, joints[j].outboard)
-            if arm.filtered != 0:
+            if arm.filtered:
                 beyond = add(beyond, joints[j].offset, joints[j].outboard)
     moved = world_wrench(work.axes, moved)
-    if arm.outer_joint >= 0 and arm.filtered != 0:
+    if arm.outer_joint >= 0 and arm.filtered:
         beyond = world_wrench(work.axes, beyond)
     wrench = read_wrist(own.reading, joints[arm.sensor_joint], arm.sensor, work.C)
     for j in range(arm.first, arm.sensor_joint + 1):
@@ -129,7 +130,7 @@ def observe_arm(t, arm, own, sound, dt):
         row.past_weight = weight
         torque = t.memory.torques[joint.motor] - held
         then = (torque, row.sign, row.speed, row.past_v, row.friction, held, row.rate, inertial)
-        if t.memory.stamped != 0:
+        if t.memory.stamped:
             then = _align(t, t.memory.past[j], then, int(dt / t.model.period + 0.5))
         torque = then[TORQUE]
         bound = _OUTLIER * joint.tau_max
@@ -139,7 +140,7 @@ def observe_arm(t, arm, own, sound, dt):
         for i in range(SIGN, RATE):
             row.means[i] += k * (then[i] - row.means[i])
         row.residual = row.means[TORQUE] - then[INERTIAL]
-        if (t.model.friction_learning != 0 or t.model.friction_errors != 0) and not begins:
+        if (t.model.friction_learning or t.model.friction_errors) and not begins:
             _learn(t, j, sound, then[RATE], then[INERTIAL], dt)
 
 
@@ -157,7 +158,7 @@ def _align(t, row, now, ticks):
             row.history[at, kind] = now[kind]
     kept = min(memory.balanced - 1, memory.instant - memory.stamped, HISTORY - 1)
     x = row.history[(memory.instant - min(memory.late, kept)) % HISTORY]
-    return (x[TORQUE], x[SIGN], x[SPEED], x[V], x[FRICTION], x[WEIGHT], x[RATE], x[INERTIAL])
+    return six(x) + (x[RATE], x[INERTIAL])
 
 
 @leaf
@@ -175,44 +176,43 @@ def _learn(t, j, sound, rate, inertial, dt):
     prior = t.model.priors[j]
     row = t.memory.joints[j]
     learned = t.memory.friction[j]
-    known = t.memory.friction_known
+    state = t.memory.friction_known[j]
     means = row.means
     missing = row.residual - means[FRICTION]
-    if known[j] == UNKNOWN:
-        known[j] = MODEL_ONLY
+    if state == UNKNOWN:
+        state = MODEL_ONLY
         learned.noise = prior.noise * prior.noise
         for i in range(_SIZE):
             learned.theta[i] = learned.estimate[i] = joint.theta[i]
             learned.P[i, i] = prior.doubt[i] * prior.doubt[i]
         weight = _MASSES * t.work.joints[j].h
         learned.P[3, 3] += weight * weight
-    if known[j] == MODEL_ONLY:
+    if state == MODEL_ONLY:
         seen = dt if abs(missing) > prior.rounding else -dt
         learned.evidence = max(learned.evidence + seen, 0.0)
-        if learned.evidence > (_EVIDENCE if t.model.friction_errors == 0 else 0.0):
-            known[j] = SUSPECTED if prior.sure > 0.0 else LEARNED
-    if known[j] == LEARNED and learned.applied < 1.0:
+        if learned.evidence > (0.0 if t.model.friction_errors else _EVIDENCE):
+            state = SUSPECTED if prior.sure > 0.0 else LEARNED
+    t.memory.friction_known[j] = state
+    if state == LEARNED and learned.applied < 1.0:
         learned.applied = min(learned.applied + (dt / _RISE if _all_closed(t) else 1.0), 1.0)
-    if known[j] == LEARNED or (known[j] == SUSPECTED and t.model.friction_errors != 0):
+    if state == LEARNED or (state == SUSPECTED and t.model.friction_errors):
         aim = missing if row.unbalanced == 0.0 else 0.0  # else the wrist may be wrong
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
     k = dt / (_SMOOTH + dt)
     smooth = learned.smooth
-    smooth[TORQUE] += k * (row.residual - smooth[TORQUE])
-    for i in range(SIGN, FRICTION):
-        smooth[i] += k * (means[i] - smooth[i])
-    smooth[WEIGHT] += k * (means[WEIGHT] + inertial - smooth[WEIGHT])
-    smooth[_ACCELERATION] += k * (rate - smooth[_ACCELERATION])
-    least = _MOVES * (SLIDES if joint.slides != 0 else 1.0)
+    shown = (row.residual, means[SIGN], means[SPEED], means[V], rate, means[WEIGHT] + inertial)
+    for i in range(len(shown)):
+        smooth[i] += k * (shown[i] - smooth[i])
+    least = _MOVES * (SLIDES if joint.slides else 1.0)
     y = smooth[SPEED]
     moves = min(abs(row.speed), abs(y)) > least and smooth[V] * y > _FOLLOWS * y * y
     rests = abs(smooth[V]) < min(_FOLLOWS * abs(y), _RESTS * least)
-    rests = rests and (abs(y) > least or known[j] == LEARNED)
+    rests = rests and (abs(y) > least or state == LEARNED)
     learned.rested = learned.rested + dt if rests else 0.0
-    if (t.memory.balanced + j) % _TURNS != 0 or known[j] == MODEL_ONLY or not sound:
+    if (t.memory.balanced + j) % _TURNS or state == MODEL_ONLY or not sound:
         return
     settled = t.memory.balanced * dt > _SETTLED
-    if t.model.friction_learning != 0 and settled and abs(smooth[SIGN]) > _FULL:
+    if t.model.friction_learning and settled and abs(smooth[SIGN]) > _FULL:
         _estimate(t, j, moves, min(_TURNS * k, 1.0), _TURNS * dt)
 
 
@@ -249,12 +249,7 @@ def _estimate(t, j, moves, k, dt):
     holds = learned.rested > _HOLDS and dry * smooth[SIGN] > unsure
     if not (moves or sticks or holds):
         return
-    phi = t.work.s
-    phi[0] = smooth[SIGN]
-    phi[1] = smooth[V]
-    phi[2] = smooth[_ACCELERATION]
-    phi[3] = 1.0
-    phi[4] = smooth[WEIGHT]
+    phi = (smooth[SIGN], smooth[V], a, 1.0, smooth[WEIGHT])
     if sticks:  # F is at least this, and as uncertain as before
         learned.estimate[0] += min(excess, max(prior.high[0] - learned.estimate[0], 0.0))
     elif moves:
@@ -280,22 +275,18 @@ def _regress(prior, learned, phi, gain, r, k, dt):
     """
     estimate = learned.estimate
     P = learned.P
-    miss = r
-    for i in range(_SIZE):
-        miss -= phi[i] * estimate[i]
+    miss = r - dot(estimate, phi, _SIZE)
     noise = prior.noise
     bound = 10.0 * noise
     bounded = min(max(miss, -bound), bound)
     square = bounded * bounded
     learned.noise += dt / (_SCATTER + dt) * (square - learned.noise)
     R = max(learned.noise, (_QUIET * noise) * (_QUIET * noise))
-    whole = R / k
-    expected = R
     for i in range(_SIZE):
         gain[i] = dot(P[i], phi, _SIZE)
-        whole += phi[i] * gain[i]
-        expected += phi[i] * gain[i]
-    whole *= max(miss * miss / (_SEEN * _SEEN * expected), 1.0)  # outliers count less
+    unsure = dot(gain, phi, _SIZE)
+    whole = R / k + unsure
+    whole *= max(miss * miss / (_SEEN * _SEEN * (R + unsure)), 1.0)  # outliers count less
     for i in range(_SIZE):
         estimate[i] += gain[i] * miss / whole
         grown = 1.0 + 0.5 * dt / _FORGET
@@ -343,9 +334,9 @@ def _shows_friction(prior, known, learned, phi, C):
     """
     theta = learned.theta
     torque = 0.0
+    distance = 0.0
     for i in range(3):
         torque += phi[i] * (theta[i] - known[i])
-    distance = 0.0
     for i in range(3):
         if C[i, i] > 0.0:
             apart = theta[i] - known[i]
@@ -363,13 +354,11 @@ def _condition(theta, C, i, value):
         theta: (5,). C: (≥ 5, ≥ 5). i: which. value: θ_i.
     """
     beyond = (theta[i] - value) / C[i, i]
-    for j in range(_SIZE):
-        theta[j] -= beyond * C[i, j]
+    add_scaled(-beyond, C[i], _SIZE, theta)
     theta[i] = value
     for j in range(_SIZE):
-        for k in range(_SIZE):
-            if j != i and k != i:
-                C[j, k] -= C[j, i] * C[i, k] / C[i, i]
+        if j != i:
+            add_scaled(-C[j, i] / C[i, i], C[i], _SIZE, C[j])
     for j in range(_SIZE):
         C[i, j] = C[j, i] = 0.0
 
@@ -383,9 +372,7 @@ def permit_speeds(t):
     """
     work = t.work
     x = work.y
-    fill(x, turned(work, motion_to_energy(work, work.V_D)))
-    for i in range(work.locked):
-        x[i] = 0.0
+    fill_free(x, work, motion_to_energy(work, work.V_D))
     for a in range(work.rank):
         work.s[a] = work.V_N[a]
         approached = contact_of(t, work.kept[a]).phase == APPROACHING
@@ -395,22 +382,19 @@ def permit_speeds(t):
         project_onto_columns(work.L_t, work.Q_t, work.rank, x, work.s)
     fill(x, turned_back(work, x))
     for j in range(t.model.n_joints):
-        most = min(t.model.joints[j].rated, _FASTEST)
+        joint = t.model.joints[j]
+        most = min(joint.rated, _FASTEST)
         row = t.memory.joints[j]
-        s = dot6(t.work.joints[j].J_bar, x)
+        slip = joint.slip
+        s = dot6(work.joints[j].J_bar, x)
         s = min(max(s, -most), most) if s == s else 0.0  # NaN where what is commanded overflows
-        before = row.speed if t.memory.ticked != 0 else s
+        before = row.speed if t.memory.ticked else s
         most /= _SUDDEN
         row.speed = s
         row.turn = min(max((s - before) / work.dt, -most), most)
+        # mean of s/√(s² + s_0²) while s goes to s_1: (√(s_1² + s_0²) − √(s² + s_0²))/(s_1 − s)
         then = s + t.model.period * row.turn
-        row.sign = _mean_sign(s, then, t.model.joints[j].slip)
-
-
-@leaf
-def _mean_sign(a, b, slip):
-    """Mean of s/√(s² + s_0²) while s goes from a to b: (√(b² + s_0²) − √(a² + s_0²))/(b − a)."""
-    return (a + b) / (sqrt(a * a + slip * slip) + sqrt(b * b + slip * slip))
+        row.sign = (s + then) / (sqrt(s * s + slip * slip) + sqrt(then * then + slip * slip))
 
 
 @inner
@@ -432,15 +416,14 @@ def _compensation(t, j):
     or the joint would be set in motion by more than F. With `errors` e is of the links, too.
     """
     row = t.memory.joints[j]
-    joint = t.model.joints[j]
     before = row.friction
     row.friction = believed_friction(t, j)
-    most = largest_friction(t, j)
-    if t.model.friction_errors != 0:
+    most = _theta(t, j, 0) + _theta(t, j, 1) * abs(row.speed)  # F + D |s|
+    if t.model.friction_errors:
         most += _LINKS * abs(t.work.joints[j].h)
     elif before * row.friction < 0.0 and row.friction * row.unlearned > 0.0:
         row.unlearned = 0.0
-    most = min(most, t.model.wrist_error * joint.tau_max)
+    most = min(most, t.model.wrist_error * t.model.joints[j].tau_max)
     rest = min(max(row.unlearned, -most), most)
     return row.friction + t.model.friction_share * rest
 
@@ -453,12 +436,6 @@ def _theta(t, j, i):
         learned = t.memory.friction[j]
         known += learned.applied * (learned.theta[i] - known)
     return known
-
-
-@leaf
-def largest_friction(t, j):
-    """F + D |s| of joint j, as learned so far."""
-    return _theta(t, j, 0) + _theta(t, j, 1) * abs(t.memory.joints[j].speed)
 
 
 @leaf

@@ -27,7 +27,7 @@ from osc_contact.law.operational import null_motions, weigh_joints
 from osc_contact.law.phases import limit_changes
 from osc_contact.law.records import body_of, row_of
 from osc_contact.law.safety import count_computed
-from osc_contact.law.vectors import ZERO, add, copy_rows, fill, turned
+from osc_contact.law.vectors import ZERO, add, copy_rows, fill, six, turned
 
 _FLOAT = np.float64
 #: The quadratic program: what it is given, what it answers, its scratch. Sizes: a motors,
@@ -39,7 +39,7 @@ PROGRAM = Nested(
         + [("mass", _FLOAT)]
         + [(name, _FLOAT, (6, 6)) for name in ("Lambda", "N", "pushed", "Phi_e", "K", "D", "P")]
         + [("X", _FLOAT, (6, 18))]
-        + [(n, _FLOAT, (6,)) for n in ("alpha", "lost_force", "lost_motion", "extent", "psi")],
+        + [(n, _FLOAT, (6,)) for n in ("alpha", "lost_force", "lost_motion", "extent")],
         align=True,
     ),
     desired="a",
@@ -80,23 +80,6 @@ PROGRAM = Nested(
 _program = PROGRAM.at
 
 
-def new_program(n_a: int, k_max: int, s_max: int, p: int = 0) -> Bytes:
-    """Bytes of PROGRAM.
-
-    Args:
-        n_a, k_max, s_max, p: how many motors, contacts that must not pull, squeeze rows and joint
-            motions of redundant arms there are, at most.
-    """
-    v = n_a + k_max
-    w = 12 + s_max + p + v + k_max
-    counts = {"a": n_a, "k": k_max, "s": s_max, "p": p, "v": v, "w": w, "k1": k_max + 1}
-    raw = PROGRAM.new({**counts, "vv": v * v, "kv": k_max * v, "vk": v + k_max})
-    program = PROGRAM.view(raw)
-    program.mass = 1.0
-    program.tau_max[:] = np.inf
-    return raw
-
-
 # --- A point of the program, refined from its active limits ---------------------------------------
 
 _DEPENDENT = 1e-9  # of a unit row, beside the rows before it
@@ -123,8 +106,7 @@ def refine(p, slack):
     t = p.t
     f = 0
     kept = 0
-    for i in range(w + k):
-        t[i] = 0.0
+    t[:] = 0.0
     for j in range(v):
         for i in range(w + k):
             p.reduced[f, i] = p.rows[j, i] if i < w else A[i - w, j]
@@ -145,8 +127,7 @@ def refine(p, slack):
         mirrored = qr_rows(p.normals[kept:], 1, f - kept, p.diagonal, p.bend[kept:])
         if not mirrored or abs(p.diagonal[0]) <= _DEPENDENT:
             continue
-        for i in range(w + k):
-            p.mix[i] = 0.0
+        p.mix[:] = 0.0
         for j in range(f - kept):
             add_scaled(p.bend[kept] * u[j], rest[j], w + k, p.mix)
         for j in range(f - kept):
@@ -259,15 +240,13 @@ def _respond(p):
         motion = p.motion[j]
         force = p.force[j]
         row = p.rows[j]
-        for i in range(d + 6):
-            row[i] = 0.0
+        row[:] = 0.0
+        psi = six(force)
+        fill(force, ZERO)
         for a in range(r):
-            p.psi[a] = force[a]
-            force[a] = 0.0
-        for a in range(r):
-            add_scaled(-p.psi[a], p.P[a], d, motion)
-            add_scaled(p.psi[a], p.X[a, 6 + d :], r, force)
-            add_scaled(sqrt(_FORCE) * p.psi[a], p.X[a], 6, row[d:])
+            add_scaled(-psi[a], p.P[a], d, motion)
+            add_scaled(psi[a], p.X[a, 6 + d :], r, force)
+            add_scaled(sqrt(_FORCE) * psi[a], p.X[a], 6, row[d:])
         add_scaled(1.0, motion, d, row)
     return True
 
@@ -301,8 +280,9 @@ def prepare(raw, slack):
     for j in range(n):
         if not isinf(tau_max[j]):
             largest = max(largest, tau_max[j])
+    largest = largest if largest > 0.0 else 1.0
     for j in range(n):
-        scale[j] = tau_max[j] if not isinf(tau_max[j]) else largest if largest > 0.0 else 1.0
+        scale[j] = min(tau_max[j], largest)
         lower[j] = max((-tau_max[j] - p.desired[j]) / scale[j], -_INFINITE)
         upper[j] = min((tau_max[j] - p.desired[j]) / scale[j], _INFINITE)
     if not _respond(p):
@@ -323,7 +303,7 @@ def prepare(raw, slack):
         for i in range(v):
             rows[j, w + i] = sqrt(weight) if i == j else 0.0
         for i in range(j + 1):
-            H[i, j] = H[j, i] = dot(rows[i], rows[j], w) + (weight if i == j else 0.0)
+            H[i, j] = H[j, i] = dot(rows[i], rows[j], w + v)
     for c in range(p.k):
         for j in range(v):
             A[c, j] = dot(p.share[c], p.force[j], p.r) if j < n else 0.0
@@ -390,12 +370,19 @@ class TorqueLimits:
     """
 
     def __init__(self, n_a: int, k_max: int, s_max: int, p: int = 0) -> None:
-        self._use(new_program(n_a, k_max, s_max, p))
-        self.solve()  # no tick has to wait until this is compiled
+        """Make room.
 
-    def _use(self, raw: Bytes) -> None:
-        self.raw = raw
-        self.program = PROGRAM.view(raw)
+        Args:
+            n_a, k_max, s_max, p: how many motors, contacts that must not pull, squeeze rows and
+                joint motions of redundant arms there are, at most.
+        """
+        v = n_a + k_max
+        w = 12 + s_max + p + v + k_max
+        counts = {"a": n_a, "k": k_max, "s": s_max, "p": p, "v": v, "w": w, "k1": k_max + 1}
+        self.__setstate__(PROGRAM.new({**counts, "vv": v * v, "kv": k_max * v, "vk": v + k_max}))
+        self.program.mass = 1.0
+        self.program.tau_max[:] = np.inf
+        self.solve()  # no tick has to wait until this is compiled
 
     def __getattr__(self, name: str) -> Any:
         if name in ("raw", "program"):  # not made yet
@@ -443,7 +430,8 @@ class TorqueLimits:
         return self.raw
 
     def __setstate__(self, raw: Bytes) -> None:
-        self._use(raw.copy())
+        self.raw = raw.copy()
+        self.program = PROGRAM.view(self.raw)
 
 
 # --- A saturated tick's records as the program ----------------------------------------------------
@@ -476,7 +464,7 @@ def _idle_motions(t, arm, own, idle, count):
     work = t.work
     lo = arm.first
     n = arm.end - lo
-    if n <= arm.m or not weigh_joints(lo, n, work.joints, work.K, work.Z):
+    if n <= arm.m or not weigh_joints(work, lo, n):
         return count
     null_motions(work, own, n)
     for c in range(own.n_kept, min(n, own.n_kept + len(idle) - count)):
@@ -526,9 +514,7 @@ def fill_program(raw, at, i, program):
             lo = model.arms[k].first
             hi = model.arms[k].end
             for j in range(lo, hi):
-                s = 0.0
-                for i in range(lo, hi):
-                    s += rows[e, i] * joints[i].M[j - lo]
+                s = dot(rows[e, lo:], joints[j].M, hi - lo)
                 carried = add(carried, s, joints[j].J_bar)
         fill(p.carried[e], turned(work, carried))
     count = 0

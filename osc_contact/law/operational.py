@@ -22,6 +22,8 @@ from osc_contact.law.vectors import (
     ZERO,
     accumulate,
     add,
+    add_square,
+    combined,
     cross,
     dot6,
     fill,
@@ -30,6 +32,7 @@ from osc_contact.law.vectors import (
     plus3,
     reflector,
     scaled,
+    set_identity,
     six,
 )
 
@@ -51,62 +54,48 @@ def arm_terms(t, lo, n, m, arm, row):
         arm: ARM_WORK row; Lambda, kept, n_kept, n_locked filled. row: of `locked_rows`, from which
             on the wrenches that it locks are put.
     """
-    beyond_doubt = False
     if m == 6:  # all wrenches: the axes themselves are orthonormal
-        arm.passed[:] = 0.0
-        for i in range(6):
-            arm.passed[i, i] = 1.0
+        set_identity(arm.passed)
         if _decompose(t, lo, n, arm, row):
             trace = 0.0
             for i in range(6):
                 trace += arm.Lambda[i, i]
-            beyond_doubt = trace * t.model.rank_tolerance * t.model.rank_tolerance < 1.0
-    if not (beyond_doubt or _separate(t, lo, n, m, arm, row)):
-        return -1
-    return arm.n_locked
+            if trace * t.model.rank_tolerance * t.model.rank_tolerance < 1.0:
+                return arm.n_locked
+    return arm.n_locked if _separate(t, lo, n, m, arm, row) else -1
 
 
 @leaf
-def _weigh_inverse(lo, n, joints, K, Lambda):
+def _weigh_inverse(work, lo, n, Lambda):
     """From the rows of A⁺ in J̄: Λ = A⁺ᵀA⁺, J̄ = K⁻ᵀA⁺."""
+    joints = work.joints
+    K = work.K
     Lambda[:] = 0.0
     for j in range(n - 1, -1, -1):
         bar = joints[lo + j].J_bar
         x = six(bar)
-        for i in range(6):
-            accumulate(Lambda[i], bar[i], x)
+        add_square(1.0, x, Lambda)
         for k in range(j + 1, n):
             x = add(x, -K[k, j], joints[lo + k].J_bar)
         fill(bar, scaled(K[j, j], x))
 
 
 @leaf
-def factor_inertia(lo, n, joints, K):
-    """K (n, n) with M = KKᵀ, its inverse pivots on the diagonal as in `cholesky`.
+def weigh_joints(work, lo, n):
+    """Z[:n, :6] = K⁻¹Jᵀ, M = KKᵀ with K as from `cholesky`; False: M is not definite.
 
     Args:
-        lo: first joint of the arm. n: how many. joints: JOINT_WORK rows. K: (n, n) for the factor.
+        work: K and Z are filled. lo: first joint of the arm. n: how many.
     """
+    K = work.K
     for i in range(n):
-        M = joints[lo + i].M
+        joint = work.joints[lo + i]
+        fill(work.Z[i], joint.J)
         for j in range(i + 1):
-            K[i, j] = M[j]
-    return cholesky(K, 0, n, K) > 0.0
-
-
-@leaf
-def weigh_joints(lo, n, joints, K, Z):
-    """Z[:n, :6] = K⁻¹Jᵀ, K as in `factor_inertia`; False: M is not definite.
-
-    Args:
-        lo: first joint of the arm. n: how many. joints: JOINT_WORK rows. K: for the factor.
-        Z: rows of six.
-    """
-    for j in range(n):
-        fill(Z[j], joints[lo + j].J)
-    if not factor_inertia(lo, n, joints, K):
+            K[i, j] = joint.M[j]
+    if not cholesky(K, 0, n, K) > 0.0:
         return False
-    forward_rows(K, n, Z)
+    forward_rows(K, n, work.Z)
     return True
 
 
@@ -121,17 +110,17 @@ def _decompose(t, lo, n, arm, row):
     joints = work.joints
     A = work.Z
     Q = work.X
-    R = work.A
+    L = work.A  # Rᵀ
     B = work.B  # R⁻ᵀ
     wide = n > 6
     columns = min(n, 6)
-    if wide and not weigh_joints(lo, n, joints, work.K, A):
+    if wide and not weigh_joints(work, lo, n):
         return False
     for i in range(0 if wide else 6):
         fill(A[i], ZERO)
         for j in range(n):
             A[i, j] = joints[lo + j].J[i]
-    if not _qr_tall(A, max(n, 6), columns, Q, R, work.t, work.u):
+    if not _qr_tall(A, max(n, 6), columns, Q, L, work.t, work.u):
         return False
     arm.n_kept = columns
     arm.n_locked = 6 - columns
@@ -141,17 +130,10 @@ def _decompose(t, lo, n, arm, row):
                 work.locked_rows[row + k - n, i] = Q[i, k]
             else:
                 arm.kept[k, i] = arm.passed[k, i] if wide else Q[i, k]
-    for d in range(columns):
-        x = ZERO
-        for c in range(d):
-            x = add(x, -R[c, d], B[c])
-        fill(B[d], x)
-        B[d, d] += 1.0
-        fill(B[d], scaled(1.0 / R[d, d], B[d]))
+    set_identity(B)
+    forward_rows(L, columns, B)
     for i in range(max(n, 6)):
-        x = ZERO
-        for c in range(columns):
-            x = add(x, Q[i, c], B[c])
+        x = combined(Q[i], B, columns)
         if wide:
             fill(joints[lo + i].J_bar, x)
         else:
@@ -159,7 +141,7 @@ def _decompose(t, lo, n, arm, row):
             for j in range(n):
                 joints[lo + j].J_bar[i] = work.u[j]
     if wide:
-        _weigh_inverse(lo, n, joints, work.K, arm.Lambda)
+        _weigh_inverse(work, lo, n, arm.Lambda)
         return True
     arm.Lambda[:] = 0.0
     for j in range(n):
@@ -176,10 +158,11 @@ def _decompose(t, lo, n, arm, row):
 
 
 @inner
-def _qr_tall(A, rows, columns, Q, R, beta, scratch):
-    """A = QR of at least six rows of six, of which `columns` count, by Householder reflections.
+def _qr_tall(A, rows, columns, Q, L, beta, scratch):
+    """A = QLᵀ of at least six rows of six, of which `columns` count, by Householder reflections.
 
-    A is destroyed; Q gets six columns. Returns False where a column depends on those before it to
+    A is destroyed; Q gets six columns; L, lower triangular, carries the inverse of its diagonal
+    there, as in `cholesky`. Returns False where a column depends on those before it to
     the last digit.
     """
     for k in range(columns):
@@ -198,8 +181,9 @@ def _qr_tall(A, rows, columns, Q, R, beta, scratch):
         t = six(scratch)
         for i in range(k, rows):
             accumulate(A[i], -A[i, k], t)
-        fill(R[k], A[k])
-        R[k, k] = alpha
+        for c in range(k + 1, columns):
+            L[c, k] = A[k, c]
+        L[k, k] = 1.0 / alpha
     for i in range(rows):
         fill(Q[i], ZERO)
         if i < 6:
@@ -220,12 +204,9 @@ def _separate(t, lo, n, m, arm, row):
     work = t.work
     joints = work.joints
     X = work.X
-    if not weigh_joints(lo, n, joints, work.K, work.Z):
+    if not weigh_joints(work, lo, n):
         return False
-    for i in range(m):
-        for j in range(n):
-            X[i, j] = dot6(arm.passed[i], work.Z[j])
-        fill(X[i, n:], arm.passed[i])
+    _multiply_rows(arm.passed, m, work, n)
     one_sided_jacobi(X, m, n, 6)
     for j in range(n):
         fill(joints[lo + j].J_bar, ZERO)
@@ -246,8 +227,21 @@ def _separate(t, lo, n, m, arm, row):
         else:
             fill(work.locked_rows[row + arm.n_locked], u)
             arm.n_locked += 1
-    _weigh_inverse(lo, n, joints, work.K, arm.Lambda)
+    _weigh_inverse(work, lo, n, arm.Lambda)
     return True
+
+
+@inner
+def _multiply_rows(rows, count, work, n):
+    """X[:count] ← the products of rows of six with Z[:n], and behind them these rows themselves.
+
+    Args:
+        rows: (≥ count, 6). count: how many. work: its Z holds n rows of six; X is filled.
+    """
+    for a in range(count):
+        for j in range(n):
+            work.X[a, j] = dot6(rows[a], work.Z[j])
+        fill(work.X[a, n:], rows[a])
 
 
 @inner
@@ -257,9 +251,7 @@ def null_motions(work, own, n):
     Args:
         work: its Z holds n rows of six, J or K⁻¹Jᵀ. own: ARM_WORK row. n: joints of the arm.
     """
-    for a in range(own.n_kept):
-        for j in range(n):
-            work.X[a, j] = dot6(own.kept[a], work.Z[j])
+    _multiply_rows(own.kept, own.n_kept, work, n)
     qr_rows(work.X, own.n_kept, n, work.s, work.t)
     form_q(work.X, own.n_kept, n, work.t, n, work.Z)
 
@@ -284,25 +276,21 @@ def effort_metric(t, lo, n, m, arm, out):
     out[:] = 0.0
     if n <= m:
         for j in range(lo, lo + n):
-            bar = joints[j].J_bar
-            for a in range(6):
-                accumulate(out[a], table[j].effort * bar[a], bar)
+            add_square(table[j].effort, joints[j].J_bar, out)
         return True
     A[:] = 0.0
     fill(x, ZERO)
     for j in range(lo, lo + n):
         for a in range(count):
             x[a] = dot6(arm.kept[a], joints[j].J)
-        for a in range(count):
-            accumulate(A[a], table[j].ease * x[a], x)
+        add_square(table[j].ease, x, A)
     if count > 0 and not cholesky(A, 0, count, B) > _DEFINITE:
         return False
     for a in range(count):
         fill(A[a], arm.kept[a])
     forward_rows(B, count, A)
     for a in range(count):
-        for i in range(6):
-            accumulate(out[i], A[a, i], A[a])
+        add_square(1.0, A[a], out)
     return True
 
 
@@ -357,7 +345,7 @@ def find_lost(t, arm, own):
     X = work.X
     Z = work.Z
     root = work.u
-    if not weigh_joints(arm.first, n, work.joints, work.K, Z):
+    if not weigh_joints(work, arm.first, n):
         return
     for i in range(6):
         root[i] = sqrt(t.model.reference[i])
@@ -366,10 +354,7 @@ def find_lost(t, arm, own):
         for j in range(n):
             Z[j, i] *= root[i]
     orthonormalise(work.A, m, 0, work.A, work.B)  # wrenches that the grasp passes on, in Λ_ref
-    for a in range(m):
-        for j in range(n):
-            X[a, j] = dot6(work.A[a], Z[j])
-        fill(X[a, n:], work.A[a])
+    _multiply_rows(work.A, m, work, n)
     one_sided_jacobi(X, m, n, 6)
     _sort_rows(X, m, n)
     for k in range(arm.full_rank):
@@ -379,7 +364,8 @@ def find_lost(t, arm, own):
             continue
         at = own.n_lost
         own.chi[at] = chi
-        own.share[at] = _share_left(chi)
+        s = max((chi - NONE_LEFT) / (FULL - NONE_LEFT), 0.0)
+        own.share[at] = s * s * (3.0 - 2.0 * s)  # 0 at χ ≤ NONE_LEFT, 1 at FULL
         own.gone[at] = k >= own.n_kept
         for i in range(6):
             own.lost[at, i] = root[i] * X[k, n + i]
@@ -430,13 +416,6 @@ def _unit_row(X, k, n, chi):
     norm = sqrt(dot(X[k], X[k], n))
     for j in range(n):
         X[k, j] /= norm
-
-
-@inner
-def _share_left(chi):
-    """1 at χ ≥ FULL, 0 at χ ≤ NONE_LEFT, 3s² − 2s³ between."""
-    s = min(max((chi - NONE_LEFT) / (FULL - NONE_LEFT), 0.0), 1.0)
-    return s * s * (3.0 - 2.0 * s)
 
 
 @inner
@@ -495,26 +474,24 @@ def _arm_at_tip(t, n, q, v, out):
     root = work.z
     mu = ZERO
     p = ZERO
-    place_arm(t, 0, n, q)
+    place_arm(t, arm, q)
     fill3(work.C, place_point(joints[arm.tip_joint], arm.tip[9:]))
     move_arm(t, arm, v, work.C, own.V, drift, own.bias)
     fill3(drift, plus3(drift, cross(own.V[3:], own.V)))  # the rate of J q̇, no spatial acceleration
-    for i in range(3):
-        root[i] = model.roots[0]
-        root[3 + i] = model.roots[1 + i]
+    for i in range(6):
+        root[i] = model.roots[max(i - 2, 0)]
     for j in range(n):
         for i in range(6):
             joints[j].J[i] = root[i] * joints[j].column[i]
     if arm_terms(t, 0, n, 6, own, 0) < 0:
         return False
-    weigh_joints(0, n, joints, work.K, work.Z)
+    weigh_joints(work, 0, n)
     work.A[:] = 0.0
     for j in range(n):
         bar = joints[j].J_bar
-        Z = work.Z[j]
+        add_square(1.0, work.Z[j], work.A)
         for a in range(6):
             bar[a] *= root[a]
-            accumulate(work.A[a], Z[a], Z)
         g = weight_on_joint(joints[j], model.gravity)
         p = add(p, g, bar)
         mu = add(mu, joints[j].h - g, bar)

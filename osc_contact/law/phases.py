@@ -64,8 +64,7 @@ def low_pass(t, independent):
     for a in range(r):
         j = work.chosen[a]
         row = columns[j]
-        known = row.known != 0
-        b[0, a] = k * (work.speeds[j] - row.filtered_speed) / dt if known else 0.0
+        b[0, a] = k * (work.speeds[j] - row.filtered_speed) / dt if row.known else 0.0
         fill(work.D[a], work.mobility[a])
     solved = lu_solve(work.D, r, b, 1)
     for j in range(t.model.n_columns):
@@ -131,7 +130,8 @@ def monitor(limits, row, force, speed, dt, dwell, more):
     row.armed_for = max(row.armed_for - dt, 0.0) if before else limits.window
     row.burst = max(row.burst, abs(force * speed)) if closed or row.high_for > 0.0 else 0.0
     collision = closed and row.armed_for > 0.0 and row.burst > limits.power
-    row.armed_for = 0.0 if collision else row.armed_for
+    if collision:
+        row.armed_for = 0.0
     row.closed = closed
     row.collision = collision
 
@@ -251,13 +251,14 @@ def set_goals(t):
         contact = contact_of(t, j)
         row = t.memory.columns[j]
         pushes = body_of(t, j).pushes != 0
-        start = model.approach_damping * model.approach_speed if pushes else goal[j]
-        if contact.phase == APPROACHING:
-            speed = min(model.approach_speed + _RETURN * row.gap, _FASTEST)
-            speed = max(model.approach_speed, speed)
+        speed = model.approach_speed
+        approaching = contact.phase == APPROACHING
+        if approaching:
+            speed = max(speed, min(speed + _RETURN * row.gap, _FASTEST))
+        start = model.approach_damping * speed if pushes else goal[j]
+        if approaching:
             gentle = _GENTLE * model.force_on * speed / model.approach_speed
             moving = min(abs(row.filtered_speed), abs(row.speed))
-            start = model.approach_damping * speed if pushes else goal[j]
             start = min(start, gentle + model.approach_damping * moving)
             if contact.since * model.approach_speed >= model.travel:
                 start = 0.0  # it has found nothing and stands still

@@ -21,7 +21,9 @@ from osc_contact.law.vectors import (
     ZERO,
     accumulate,
     add,
+    add_square,
     carry_wrench,
+    combined,
     copy_rows,
     cross,
     divided3,
@@ -57,7 +59,7 @@ def add_friction(t):
     work = t.work
     for a in range(work.rank):
         friction = ZERO
-        for j in range(work.count if work.mu != 0.0 else 0):
+        for j in range(work.count if work.mu else 0):
             column = work.columns[work.chosen[j]]
             friction = add(friction, column.share[a], column.friction_wrench)
         fill(work.friction_wrenches[a], friction)
@@ -109,7 +111,7 @@ def measure_magnitudes(t):
     for a in range(r):
         work.z[a] = 0.0
         fill(work.solved[a], work.Q[a])
-    if t.model.held == 0:
+    if not t.model.held:
         return _measure_at_tip(t)
     copy_rows(work.out_T, work.B)
     if not lu_solve(work.B, 6, work.solved, r):  # rows: Λ_out⁻ᵀ q
@@ -190,10 +192,7 @@ def _measure_at_tip(t):
     if not lu_solve(work.D, d, work.E, work.rank):
         return False
     for a in range(work.rank):
-        x = ZERO
-        for i in range(d):
-            x = add(x, work.E[a, i], S[i])
-        fill(work.solved[a], x)
+        fill(work.solved[a], combined(work.E[a], S, d))
     return _solve_magnitudes(t, 1.0)
 
 
@@ -289,8 +288,7 @@ def weigh_magnitudes(t):
     H = work.D
     f = work.reading_e
     _subtract_motion(t, f)
-    _weigh_departure(t, t.model.principal[0], R)
-    largest = _weigh_tangents(t, R)
+    largest = _weigh_likely(t, R)
     for a in range(r):
         h = six(work.pushed[a])
         if work.moving:
@@ -298,7 +296,7 @@ def weigh_magnitudes(t):
                 work.s[b] = work.Phi_mu[b, a]
             h = _add_yield(work, h)
         fill(H[a], h)
-        _add_square(1.0, scaled(largest, h), R)
+        add_square(1.0, scaled(largest, h), R)
     if not cholesky(R, 0, 6, work.A) > 0.0:
         return False
     gram = work.E
@@ -339,9 +337,7 @@ def _find_mobility(t):
         seen = _add_yield(work, ZERO)
         for a in range(r):
             A[a, b] = dot6(work.solved[a], seen)
-    for a in range(r):  # columns of the Gram matrix, as rows
-        for b in range(r):
-            work.mobility[a, b] = work.E[b, a]
+    copy_rows(work.E, work.mobility)  # columns of the Gram matrix, which is symmetric, as rows
     if not lu_solve(A, r, work.mobility, r):
         work.weightless = 1
     for a in range(r):
@@ -364,7 +360,6 @@ def learn_friction(t):
     work = t.work
     if model.learning == 0.0:
         return
-    y = work.reading_e
     dependent = work.rank < work.count
     found = slid = whole = uncertain = 0.0
     for j in range(work.count):
@@ -374,7 +369,7 @@ def learn_friction(t):
         w = max(abs(work.goal[chosen]), _LEAST_FORCE)
         along = dot3(s, s)
         share = (_ALONG**2 - _ACROSS**2) * along + _ACROSS**2
-        found += w * w * w * share * dot6(_push_on(t, linear(s), chosen), y)
+        found += w * w * w * share * dot6(_push_on(t, linear(s), chosen), work.reading_e)
         pressed = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
         slid += w * pressed * along
         whole += w * w
@@ -413,7 +408,7 @@ def oppose_friction(t):
         resting = scaled3(1.0 - dot3(column.slip, column.slip), past)
         f = resting + cross(column.point, resting)
         total = plus(total, turned(work, wrench_to_energy(work, f)))
-        for a in range(r if work.moving != 0 else 0):
+        for a in range(r if work.moving else 0):
             if body_of(t, work.kept[a]).same == body_of(t, chosen).same:
                 x[a] += dot6(work.yields[a], f)
         _find_tangential(t, column, chosen, past)
@@ -435,12 +430,9 @@ def oppose_friction(t):
 def _find_tangential(t, column, chosen, past):
     """`tangential` of a column: β_j of this tick, low-passed."""
     work = t.work
-    f = work.z
-    n = divided3(column.N, sqrt(dot3(column.N, column.N)))
     for k in range(3):
-        fill3(f, scaled3(-n[k], n))
-        f[k] += 1.0
-        work.w[k] = dot6(_push_on(t, linear(f), chosen), work.reading_e)
+        push = _push_on(t, _across(work.z, column.N, k), chosen)
+        work.w[k] = dot6(push, work.reading_e)
     w = max(abs(work.goal[chosen]), _LEAST_FORCE)
     along = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, work.w)
     k = work.dt / (_LAG + work.dt)
@@ -452,10 +444,7 @@ def _find_tangential(t, column, chosen, past):
 @inner
 def _outboard(work, x):
     """Λ_out x, energy coordinates."""
-    y = ZERO
-    for j in range(6):
-        y = add(y, x[j], work.out_T[j])
-    return y
+    return combined(x, work.out_T, 6)
 
 
 @inner
@@ -474,44 +463,41 @@ def _subtract_motion(t, f):
 
 
 @inner
-def _weigh_departure(t, mass, R):
-    """R = σ_a²m Λ_out(1 − QᵀQ)Λ_outᵀ and the noise of the wrists."""
-    work = t.work
-    share = _DEPARTURE * _DEPARTURE * mass
-    L = work.out_T
-    for i in range(6):
-        y = ZERO
-        for k in range(6):
-            y = add(y, L[k, i], L[k])
-        fill(R[i], scaled(share, y))
-        R[i, i] += _NOISE * _NOISE / mass
-    for a in range(work.rank):
-        _add_square(-share, _outboard(work, work.Q[a]), R)
-
-
-@inner
-def _weigh_tangents(t, R):
-    """Add ΣT_jC_jT_jᵀ to R; returns the largest w_j.
+def _weigh_likely(t, R):
+    """R = σ_a²m Λ_out(1 − QᵀQ)Λ_outᵀ + ΣT_jC_jT_jᵀ and the wrists' noise; the largest w_j.
 
     C_j = w_j²(σ_t²(1 − nnᵀ) + (σ_s² − σ_t²) ssᵀ), s the direction of slip, shorter than 1 where
     the contact hardly slides.
     """
     work = t.work
-    f = work.z
+    mass = t.model.principal[0]
+    share = _DEPARTURE * _DEPARTURE * mass
     largest = 0.0
-    more = sqrt(_ALONG * _ALONG - _ACROSS * _ACROSS)
+    for i in range(6):
+        fill(R[i], scaled(share, _outboard(work, work.out_T[:, i])))
+        R[i, i] += _NOISE * _NOISE / mass
+    for a in range(work.rank):
+        add_square(-share, _outboard(work, work.Q[a]), R)
     for j in range(work.count):
         chosen = work.chosen[j]
         column = work.columns[chosen]
         w = max(abs(work.goal[chosen]), _LEAST_FORCE)
         largest = max(largest, w)
-        n = divided3(column.N, sqrt(dot3(column.N, column.N)))
         for k in range(3):
-            fill3(f, scaled3(-n[k], n))
-            f[k] += 1.0
-            _add_square(1.0, _push_on(t, scaled3(w * _ACROSS, f), chosen), R)
-        _add_square(1.0, _push_on(t, scaled3(w * more, column.slip), chosen), R)
+            across = scaled3(w * _ACROSS, _across(work.z, column.N, k))
+            add_square(1.0, _push_on(t, across, chosen), R)
+        along = scaled3(w * sqrt(_ALONG**2 - _ACROSS**2), column.slip)
+        add_square(1.0, _push_on(t, along, chosen), R)
     return largest
+
+
+@inner
+def _across(f, N, k):
+    """Column k of 1 − nnᵀ, n the direction of a column of N, as a tuple; f (≥ 3,) is scratch."""
+    n = divided3(N, sqrt(dot3(N, N)))
+    fill3(f, scaled3(-n[k], n))
+    f[k] += 1.0
+    return linear(f)
 
 
 @inner
@@ -520,7 +506,7 @@ def _push_on(t, force, chosen):
     work = t.work
     f = force + cross(work.columns[chosen].point, force)
     g = wrench_to_energy(work, f)
-    if work.moving == 0:
+    if not work.moving:
         return g
     body = body_of(t, chosen).same
     for a in range(work.rank):  # s = NᵀΦ_e f
@@ -533,14 +519,4 @@ def _push_on(t, force, chosen):
 def _add_yield(work, f):
     """f more Λ_out times the least motion with the normal acceleration s (r,): a body yields."""
     forward(work.L, work.rank, work.s)
-    a = ZERO
-    for b in range(work.rank):
-        a = add(a, work.s[b], work.Q[b])
-    return plus(f, _outboard(work, a))
-
-
-@leaf
-def _add_square(scale, x, R):
-    """R + scale x xᵀ."""
-    for i in range(6):
-        accumulate(R[i], scale * x[i], x)
+    return plus(f, _outboard(work, combined(work.s, work.Q, work.rank)))

@@ -271,7 +271,7 @@ def _hold_posture(t):
         memory.settled = 0 if fast and memory.age * model.period < _BRAKING else 1
     for k in range(model.n_arms):
         arm = model.arms[k]
-        place_arm(t, arm.first, arm.end, q)
+        place_arm(t, arm, q)
         fill(work.u, ZERO)  # the world's origin
         move_arm(t, arm, speed, work.u, work.w, work.y, work.z)
     mass = _carry_weight(t)

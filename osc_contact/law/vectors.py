@@ -126,6 +126,38 @@ def accumulate(x, s, y):
 
 
 @leaf
+def add_square(s, x, A):
+    """A ← A + s x xᵀ.
+
+    Args:
+        s: factor. x: (6,). A: (6, 6), overwritten.
+    """
+    for i in range(6):
+        accumulate(A[i], s * x[i], x)
+
+
+@leaf
+def combined(s, X, n):
+    """Σ s_k X_k of n rows of six, as a tuple.
+
+    Args:
+        s: (n,) factors. X: rows. n: how many of them count.
+    """
+    x = ZERO
+    for k in range(n):
+        x = add(x, s[k], X[k])
+    return x
+
+
+@leaf
+def set_identity(A):
+    """A ← 1."""
+    A[:] = 0.0
+    for i in range(len(A)):
+        A[i, i] = 1.0
+
+
+@leaf
 def plus(x, y):
     """x + y, as a tuple."""
     return add(x, 1.0, y)
@@ -363,6 +395,14 @@ def turned(work, x):
         v = work.reflectors[k]
         y = add(y, -work.beta[k] * dot6(v, y), v)
     return y
+
+
+@leaf
+def fill_free(x, work, y):
+    """x ← y turned, as far as the arms do not lock it."""
+    fill(x, turned(work, y))
+    for i in range(work.locked):
+        x[i] = 0.0
 
 
 @leaf
