@@ -24,8 +24,6 @@ from osc_contact.spatial import Array
 
 #: A Panda that slides a ball-nosed peg in a circle on a tilted face with 10 N, as a scenario.
 POINT = osc.load_scenario("panda_dome").as_dict()
-_CIRCLE: Any = {"type": "sine", "amplitude": "40 mm", "frequency": "0.5 Hz", "ramp": "1 s"}
-_FACE = {"urdf": "face.urdf", "point": [0.49, 0, 0.24], "normal": [-0.34202, 0, 0.93969]}
 POINT |= {
     "name": "point",
     "description": "",
@@ -36,12 +34,28 @@ POINT |= {
             "type": "vertex_on_face",
             "vertex": [0, 0, -0.15],
             "radius": "12 mm",
-            "face": _FACE,
+            "face": {
+                "urdf": "face.urdf",
+                "point": [0.49, 0, 0.24],
+                "normal": [-0.34202, 0, 0.93969],
+            },
         }
     ],
     "force": {"nose": [{"type": "constant", "value": "10 N"}]},
     "motion": [
-        {"kind": "linear", "direction": direction, "signals": [_CIRCLE | {"phase": phase}]}
+        {
+            "kind": "linear",
+            "direction": direction,
+            "signals": [
+                {
+                    "type": "sine",
+                    "amplitude": "40 mm",
+                    "frequency": "0.5 Hz",
+                    "ramp": "1 s",
+                    "phase": phase,
+                }
+            ],
+        }
         for direction, phase in (([0, 1, 0], 0), ([0.93969, 0, 0.34202], "90 deg"))
     ],
     "gains": {"motion": {"stiffness": 900, "damping": 60}, "force": {"integral": 30}},
@@ -181,9 +195,8 @@ def two_contact_rod() -> TickCase:
 
 def one_panda() -> TickCase:
     """One Panda, its rod pressed on a face by one end: d = 6, r = 1, one redundant joint."""
-    arm = panda("arm", pin.SE3.Identity())
-    grasp = pin.SE3(np.eye(3), np.array([0.02, 0.01, 0.08]))
-    chain = ClosedChain([arm], [grasp], osc.RigidObject(ROD))
+    arm = panda("arm", _at())
+    chain = ClosedChain([arm], [_at(0.02, 0.01, 0.08)], osc.RigidObject(ROD))
     return _sliding("one_panda", chain, PANDA_Q, [END])
 
 
@@ -192,7 +205,7 @@ def two_pandas() -> TickCase:
     arms = [panda("left", _at(-0.55)), panda("right", _at(0.55, yaw=np.pi))]
     grasps = [_at(-0.15, roll=np.pi).inverse(), _at(0.15, roll=np.pi, yaw=np.pi).inverse()]
     chain = ClosedChain(arms, grasps, osc.RigidObject(ROD))
-    q = close(chain, reach(chain, np.tile(PANDA_Q, 2), _at(0.0, z=0.45)))
+    q = close(chain, reach(chain, np.tile(PANDA_Q, 2), _at(z=0.45)))
     return _sliding("two_pandas", chain, q, [-END, END])
 
 
@@ -203,8 +216,10 @@ CASES: dict[str, Callable[[], TickCase]] = {
 }
 
 
-def _at(x: float, z: float = 0.0, roll: float = 0.0, yaw: float = 0.0) -> pin.SE3:
-    return pin.SE3(pin.rpy.rpyToMatrix(roll, 0.0, yaw), np.array([x, 0.0, z]))
+def _at(
+    x: float = 0.0, y: float = 0.0, z: float = 0.0, *, roll: float = 0.0, yaw: float = 0.0
+) -> pin.SE3:
+    return pin.SE3(pin.rpy.rpyToMatrix(roll, 0.0, yaw), np.array([x, y, z]))
 
 
 def panda(name: str, base: pin.SE3) -> osc.Arm:
@@ -260,15 +275,13 @@ class Kind(NamedTuple):
         last = 0
         for i, (quarters, *p) in enumerate(self.joints):
             joint = pin.JointModelPZ() if i == self.sliding else pin.JointModelRZ()
-            R = pin.rpy.rpyToMatrix(quarters * np.pi / 2, 0.0, 0.0)
-            place = pin.SE3(R, rng.uniform(0.9, 1.1) * np.array(p))
+            place = _at(*(rng.uniform(0.9, 1.1) * np.array(p)), roll=quarters * np.pi / 2)
             last = model.addJoint(last, joint, place, f"joint{i}")
             body = pin.Inertia(rng.uniform(1.0, 3.0), rng.uniform(-0.1, 0.1, 3), 0.02 * np.eye(3))
             model.appendBodyToJoint(last, body, pin.SE3.Identity())
         model.upperEffortLimit[:] = 1e4
         for name, point in {"wrist": (0.0, 0.0, 0.0), "tip": self.tip}.items():
-            X = pin.SE3(np.eye(3), np.array(point))
-            model.addFrame(pin.Frame(name, last, 0, X, pin.FrameType.OP_FRAME))
+            model.addFrame(pin.Frame(name, last, 0, _at(*point), pin.FrameType.OP_FRAME))
         return model, np.array(self.q) + self.spread * rng.uniform(-1.0, 1.0, len(self.q))
 
 
@@ -309,7 +322,7 @@ class RandomRig:
         chain: arms and object. q: (n,) positions. X_WO: pose of the object.
     """
 
-    X_WO = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.6]))
+    X_WO = _at(z=0.6)
 
     def __init__(self, kinds: Sequence[str], rng: np.random.Generator) -> None:
         """Put arms around the object.
@@ -323,8 +336,8 @@ class RandomRig:
         for i, kind in enumerate(kinds):
             model, q = KINDS[kind].draw(rng)
             angle = 2.0 * np.pi * i / len(kinds)
-            grip = 0.2 * np.array([np.cos(angle), np.sin(angle), 0.0])
-            X_OT = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, rng.uniform(-3.0, 3.0)), grip)
+            grip = 0.2 * np.array([np.cos(angle), np.sin(angle)])
+            X_OT = _at(*grip, yaw=rng.uniform(-3.0, 3.0))
             data = model.createData()
             pin.framesForwardKinematics(model, data, q)
             base = self.X_WO * X_OT * data.oMf[model.getFrameId("tip")].inverse()
@@ -472,6 +485,7 @@ SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
 SPREADS = {"q": 1e-3, "v": 1e-3, "wrenches": 0.1, "V_D": 1e-3, "A_D": 0.0, "alpha_d": 0.1}
 
 
+@dataclass
 class BatchCase:
     """Rows of one rig, each at a random state close to a case's.
 
@@ -480,23 +494,20 @@ class BatchCase:
         inputs: of `BatchController.tick`, by name.
     """
 
-    def __init__(self, case: TickCase, rows: int, threads: int) -> None:
-        """Draw the states.
+    case: TickCase
+    rows: int
+    threads: int
 
-        Args:
-            case: of the single tick. rows: how many. threads: of the batch.
-        """
-        self.case = case
-        self.rows = rows
-        self.threads = threads
+    def __post_init__(self) -> None:
+        """Draw the states."""
         rng = np.random.default_rng(0)
-        r = case.reference
+        given = vars(self.case.measurement) | vars(self.case.reference)
         self.inputs = {}
         for name, spread in SPREADS.items():
-            x = np.asarray(getattr(r if hasattr(r, name) else case.measurement, name), float)
-            self.inputs[name] = x + spread * rng.normal(size=(rows, *x.shape))
-        self.inputs["X_WD"] = np.tile(r.X_WD.homogeneous, (rows, 1, 1))
-        self.inputs["squeeze_d"] = np.full(rows, float(r.squeeze_d))
+            x = np.asarray(given[name], float)
+            self.inputs[name] = x + spread * rng.normal(size=(self.rows, *x.shape))
+        self.inputs["X_WD"] = np.tile(given["X_WD"].homogeneous, (self.rows, 1, 1))
+        self.inputs["squeeze_d"] = np.full(self.rows, float(given["squeeze_d"]))
 
     def tick(self) -> Timed:
         """A tick of all rows, and what is to be called after each, as in `TickCase.tick`."""

@@ -14,7 +14,7 @@ two Pandas hold a rod whose ball-shaped end (10 mm) does the same on a cylinder.
 import tempfile
 from itertools import product
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from scipy.optimize import root
@@ -64,9 +64,14 @@ def saddle_mesh(path: Path, R: float) -> None:
 def scenario(folder: Path, face: str, R: float, changes: Data) -> osc.Scenario:
     """The task on one face, its files in a folder."""
     (folder / "part.urdf").write_text(BODY.format(shape=SHAPES[face].format(R=R)))
-    surface: Data = {"type": "cylinder" if face == TWO else face, "radius": R}
-    contact: Data = {"name": "nose", "type": "sphere_on_surface", "body": "part"}
-    contact |= {"centre": NOSE, "radius": BALL, "surface": surface}
+    contact: Data = {
+        "name": "nose",
+        "type": "sphere_on_surface",
+        "body": "part",
+        "centre": NOSE,
+        "radius": BALL,
+        "surface": {"type": "cylinder" if face == TWO else face, "radius": R},
+    }
     wave = {"type": "sine", "amplitude": "30 mm", "frequency": "0.5 Hz", "ramp": "1 s"}
     move = {"kind": "surface", "contact": "nose", "direction": [1, 0, 0], "signals": [wave]}
     middle = TOP - [0, 0, R]
@@ -153,7 +158,7 @@ def tangent_plane(rig: Any, seed: int) -> TangentPlane:
     plant: Any = PLANTS["mujoco"](rig, seed)
     plant.__class__ = TangentPlane  # which keeps nothing of its own but
     plant.radius = float(rig.scenario.description)
-    return cast(TangentPlane, plant)
+    return plant
 
 
 @without_logged_doubts()

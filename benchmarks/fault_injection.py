@@ -58,7 +58,7 @@ class Fault(NamedTuple):
         torque: what becomes of the torques on their way to the motors; or None.
     """
 
-    change: Change | None
+    change: Change | None = None
     lasts: float = np.inf
     ends: tuple[SafetyState, ...] = (RUN, DEGRADED, HOLD, SAFE_STOP)
     lies: bool = True
@@ -84,7 +84,7 @@ class Trial:
 
     def pick(self, n: int) -> int:
         """One of n, the same all the time."""
-        return int(self.kept.setdefault(f"pick{n}", int(self.rng.integers(n))))
+        return int(self.first(f"pick{n}", self.rng.integers(n)))
 
 
 # --- what goes wrong ------------------------------------------------------------------------------
@@ -244,9 +244,9 @@ FAULTS: dict[str, Fault] = {
         _goal("A_D", lambda A: A + [50.0, 0, 0, 0, 0, 0]), 0.1, lies=False
     ),
     # motors
-    "a motor is dead": Fault(None, lies=False, torque=_weaken(0.0)),
-    "a motor is weak": Fault(None, lies=False, torque=_weaken(0.7)),
-    "torques are late by a tick": Fault(None, lies=False, torque=_delay),
+    "a motor is dead": Fault(lies=False, torque=_weaken(0.0)),
+    "a motor is weak": Fault(lies=False, torque=_weaken(0.7)),
+    "torques are late by a tick": Fault(lies=False, torque=_delay),
 }
 
 #: s at which the fault begins, and what of the scenario is changed
@@ -311,7 +311,7 @@ class Run:
         """Build the rig of a case, at the start of its task."""
         how = PHASES[case.phase][1]
         self.case = case
-        self.hold = bool(how.get("hold"))
+        self.hold = "hold" in how
         scenario = _scenario(how.get("scenario", case.scenario), how.get("outward"))
         rig = self.rig = osc.build_rig(scenario)
         self.plant, self.controller = start(rig, case.seed)
@@ -350,7 +350,8 @@ class Run:
             if fault.change is not None:
                 measurement, reference = fault.change(trial, measurement, reference)
         if case.every and k % case.every == case.every - 1 and self.controller.engaged:
-            measurement = _lost(measurement)
+            m = measurement  # no packet came
+            measurement = replace(m, q=m.q * NAN, v=m.v * NAN, wrenches=m.wrenches * NAN)
         tau = self.tick(measurement, reference)
         if not np.isfinite(tau).all() or (np.abs(tau) > self.limit * (1 + 1e-9)).any():
             verdict.wrong.append(f"tick {k}: torques {tau}")
@@ -367,12 +368,6 @@ class Run:
             verdict.wrong.append(f"tick {k}: {error}"[:90])
         self.k += 1
         return reference
-
-    def lead_in(self) -> None:
-        """Up to the fault."""
-        seen = Verdict("no fault", self.case)
-        while self.k < self.first and not seen.wrong:
-            self.step(seen)
 
     def judge(self, name: str) -> Verdict:
         """The run with the fault, from where it begins."""
@@ -440,11 +435,6 @@ class Run:
             wrong.append(f"moved by {verdict.travel:.2f} rad (m) since the stop")
 
 
-def _lost(m: Measurement) -> Measurement:
-    """A tick in which no packet came."""
-    return replace(m, q=m.q * NAN, v=m.v * NAN, wrenches=m.wrenches * NAN)
-
-
 def _scenario(name: str, outward: float | None) -> osc.Scenario:
     """As packaged; or without contacts, both arms drawn to the edge of their reach (m)."""
     scenario = osc.load_scenario(name)
@@ -462,7 +452,9 @@ def _scenario(name: str, outward: float | None) -> osc.Scenario:
 def try_fault(name: str, case: Case) -> Verdict:
     """Run the scenario of a case up to its phase, then with the fault; judge it."""
     run = Run(case)
-    run.lead_in()
+    seen = Verdict("no fault", case)
+    while run.k < run.first and not seen.wrong:
+        run.step(seen)
     return run.judge(name)
 
 
@@ -475,7 +467,7 @@ def cases(seeds: int) -> Iterator[Case]:
         for every in LOSSES:
             for phase in PHASES:
                 yield Case(phase, every=every, seed=seed)
-            for scenario in sorted(osc.list_scenarios()):
+            for scenario in osc.list_scenarios():
                 if scenario != "two_contact_rod":
                     yield Case("contact", scenario, every, seed)
 

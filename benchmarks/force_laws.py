@@ -23,7 +23,7 @@ import typer
 from rich.console import Console
 
 import osc_contact as osc
-from benchmarks.hybrid_cases import CASES, Case, goal_times, scenario_of
+from benchmarks.hybrid_cases import CASES, MUJOCO, Case, goal_times, scenario_of
 from osc_contact.spatial import Array, pose_error
 from paper.study import table_of, with_object
 
@@ -92,13 +92,6 @@ def _frame(axis: Array) -> Array:
     return np.column_stack((side, np.cross(axis, side), axis))
 
 
-def _selection(axis: Array) -> tuple[Array, Array]:
-    """Ω and Ω̄ (6, 6): everything but the force along the axis moves."""
-    force = np.zeros((6, 6))
-    force[:3, :3] = np.outer(axis, axis)
-    return np.eye(6) - force, force
-
-
 def newton(start: Sight, case: Case, projection: bool) -> Law:
     """Newton 1.8's `ControllerOperationalSpaceModelFree`, the real one, on the CPU."""
     import warp as wp
@@ -111,7 +104,7 @@ def newton(start: Sight, case: Case, projection: bool) -> Law:
         controlled_dofs_per_robot=wp.array([len(start.q)], dtype=wp.int32, device="cpu"),
         motion_stiffness=case.stiffness,
         motion_damping=case.damping,
-        operational_frame_pose_world=wp.transform(*_transform(frame)),
+        operational_frame_pose_world=wp.transform(*pin.SE3ToXYZQUAT(frame)),
         use_wrench_feedforward=True,
         use_wrench_feedback=True,
         use_motion_wrench_projection=projection,
@@ -130,12 +123,12 @@ def newton(start: Sight, case: Case, projection: bool) -> Law:
         wrench = np.r_[s.axis, np.zeros(3)]
         twist = np.r_[R.T @ s.V_goal[:3], R.T @ s.V_goal[3:]]
         for port, value in (
-            (inputs.tool_pose_world, _transform(s.X)),
+            (inputs.tool_pose_world, pin.SE3ToXYZQUAT(s.X)),
             (inputs.tool_twist_world, s.V),
             (inputs.jacobian_tool_world, s.J),
             (inputs.mass_matrix, s.M),
             (inputs.gravity_force, s.gravity),
-            (inputs.desired_tool_pose_operational, _transform(frame.actInv(s.goal))),
+            (inputs.desired_tool_pose_operational, pin.SE3ToXYZQUAT(frame.actInv(s.goal))),
             (inputs.desired_twist_operational, twist),
             (inputs.desired_wrench_world, s.force_goal * wrench),
             (inputs.measured_wrench_world, s.force * wrench),
@@ -149,10 +142,6 @@ def newton(start: Sight, case: Case, projection: bool) -> Law:
     return law
 
 
-def _transform(X: pin.SE3) -> Array:
-    return np.array(pin.SE3ToXYZQUAT(X))
-
-
 def isaac_lab(start: Sight, case: Case, thresholds: tuple[float, float] | None) -> Law:
     """Isaac Lab's `OperationalSpaceController`, rebuilt; full decoupling and posture control.
 
@@ -161,8 +150,9 @@ def isaac_lab(start: Sight, case: Case, thresholds: tuple[float, float] | None) 
         thresholds: of Isaac Lab 3: eigenvalues of J M⁻¹Jᵀ relative to the largest, below which
             directions are damped (pull request 7903); None: the plain inverse of before.
     """
-    motion, force = _selection(start.axis)
-    goal_q = start.q
+    force = np.zeros((6, 6))  # Ω̄, and Ω: everything but the force along the axis moves
+    force[:3, :3] = np.outer(start.axis, start.axis)
+    motion = np.eye(6) - force
 
     def inverse(Phi: Array) -> Array:
         if thresholds is None:
@@ -178,7 +168,7 @@ def isaac_lab(start: Sight, case: Case, thresholds: tuple[float, float] | None) 
         a = motion @ (case.stiffness * s.error) - motion @ (case.damping * s.V)
         pressed = s.force_goal + FEEDBACK * (s.force_goal - s.force)
         F = motion @ Lambda @ a + force @ np.r_[s.axis * pressed, np.zeros(3)]
-        posture = POSTURE * (goal_q - s.q) - 2.0 * POSTURE**0.5 * s.v
+        posture = POSTURE * (start.q - s.q) - 2.0 * POSTURE**0.5 * s.v
         return s.J.T @ (F - Lambda @ s.J @ posture) + s.M @ posture + s.gravity
 
     return law
@@ -344,9 +334,9 @@ def of_the_tests(names: list[str], friction: float) -> list[str]:
     """A row for each case and law: errors at the goals, and over the whole run."""
     rows = []
     for case in CASES:
-        plant = {"type": "mujoco", "step": 2.5e-4, "friction": friction}
+        scenario = scenario_of(case, plant=MUJOCO | {"friction": friction})
         for name in names:
-            done = follow(scenario_of(case, plant=plant), case, LAWS[name])
+            done = follow(scenario, case, LAWS[name])
             rest = [round(1e3 * t) - 1 for t in goal_times(case)]
             force, along, turn = done.rms()
             at_rest = np.abs(done.force - done.force_goal).take(rest, mode="clip").max()

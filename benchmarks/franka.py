@@ -49,11 +49,17 @@ def measure(ticks: int) -> Data:
                     found |= loop(robot, controller, hold).as_dict()
                 except osc.PlantError as error:  # as on a machine that does other things, too
                     found |= recorder.recording().meta.get("loop", {}) | {"ended": str(error)}
-                times = found.get("read_to_write_us", dict.fromkeys(SHARES))
-                row = {"loop": name, "ticks": found.get("ticks")} | times
-                row |= {"missed": found.get("missed"), "success rate": robot.least_success_rate}
-                row |= {"notes": ", ".join(found.get("notes", [])), "end": found["ended"]}
-                rows.append(row)
+                rows.append(
+                    {
+                        "loop": name,
+                        "ticks": found.get("ticks"),
+                        **found.get("read_to_write_us", dict.fromkeys(SHARES)),
+                        "missed": found.get("missed"),
+                        "success rate": robot.least_success_rate,
+                        "notes": ", ".join(found.get("notes", [])),
+                        "end": found["ended"],
+                    }
+                )
                 robot.close()
         finally:
             server.end()

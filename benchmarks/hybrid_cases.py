@@ -26,6 +26,7 @@ UNKNOWN = (
     "plant.friction=uniform(0, 0.3)",
 )
 RADIUS = 0.01  #: m, of the finger tip
+MUJOCO: Any = {"type": "mujoco", "step": 2.5e-4}
 STAY_S = 0.5  #: at each goal; theirs: 2.5 s or 7.5 s with the way
 
 
@@ -134,7 +135,7 @@ def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
             "force": {"integral": 30.0, "damping": 400.0},
         },
         "control": {"rate": 1000.0},
-        "plant": {"type": "mujoco", "step": 2.5e-4},
+        "plant": MUJOCO,
         "duration": times[-1],
     }
     return osc.Scenario.from_dict(data | changes)

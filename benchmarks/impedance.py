@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 import osc_contact as osc
-from benchmarks.hybrid_cases import CASES, RADIUS, scenario_of
+from benchmarks.hybrid_cases import CASES, MUJOCO, RADIUS, scenario_of
 from osc_contact.visual.plots import legend, save, style
 from paper.study import table_of
 
@@ -74,7 +74,7 @@ def run(law: Callable[[], osc.Laws], wall: Wall, offset: float) -> osc.Recording
         gains=wall.gains,
         control={"rate": 1000.0, "life": {}},
         tare={"duration": 0.3, "standoff": 0.005, "approach": 0.5},
-        plant={"type": "mujoco", "step": 2.5e-4, **wall.surface},
+        plant=MUJOCO | wall.surface,
         duration=4.0,
     )
     return osc.run(scenario.replaced(laws=law))
@@ -130,8 +130,8 @@ def main(
                 depth = last["pose"][-1, 0] - (CASES[0].wall[0] - RADIUS)
                 print(f"{name}: {1e-3 * last['alpha_true'][-1, 0] / depth:.2g} kN/m at {FORCE:g} N")
     titles = "; ".join(("wall", "off (mm)", *LAWS))
-    table = table_of("landing (N) / force rms (N) / along the wall, rms (mm)", titles, rows)
-    Console(width=150).print(table)
+    title = "landing (N) / force rms (N) / along the wall, rms (mm)"
+    Console(width=150).print(table_of(title, titles, rows))
     if picture is not None:
         draw(seen, picture)
 

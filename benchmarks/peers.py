@@ -78,9 +78,11 @@ def measure(rounds: int, tsid_python: Path | None = None) -> Data:
             for peer, some in times.items()
         ]
         if name == TSID_CASE:
-            found["tsid"] = HOW_TO_TSID
-            if tsid_python is not None:
-                found["tsid"] = _beside_tsid(peers, tsid_python, 10 * rounds)
+            found["tsid"] = (
+                HOW_TO_TSID
+                if tsid_python is None
+                else _beside_tsid(peers, tsid_python, 10 * rounds)
+            )
     return found
 
 
@@ -96,15 +98,6 @@ def _in_blocks(peers: Peers, rounds: int) -> dict[str, Array]:
 
 def _beside_tsid(peers: Peers, python: Path, rounds: int) -> Rows:
     """TSID's run, and the tick in the same pattern: next to its floor."""
-    compiled, _, unwind = peers
-    parts = _tsid(python, rounds)
-    alone = {name: compiled[name] for name in (TICK, FLOOR)}
-    tick = take_turns(alone, rounds, unwind)[TICK]
-    parts |= {"the tick": tick, "TSID / tick": parts[TOTAL] / np.median(tick)}
-    return [{"part": part, **spread(some)} for part, some in parts.items()]
-
-
-def _tsid(python: Path, rounds: int) -> dict[str, Array]:
     program = Path(__file__).with_name("tsid_peer.py")
     urdf, _ = robots.find_robot("panda")
     command = [str(python), "-I", str(program), str(urdf), str(rounds)]
@@ -115,7 +108,12 @@ def _tsid(python: Path, rounds: int) -> dict[str, Array]:
     if done.returncode != 0:
         said = (done.stderr.strip() or "nothing").splitlines()[-1]
         raise osc.InvalidInputError(f"{python} cannot run TSID: {said}. {HOW_TO_TSID}")
-    return {part: np.array(times) for part, times in json.loads(done.stdout).items()}
+    parts = {part: np.array(times) for part, times in json.loads(done.stdout).items()}
+    compiled, _, unwind = peers
+    alone = {name: compiled[name] for name in (TICK, FLOOR)}
+    tick = take_turns(alone, rounds, unwind)[TICK]
+    parts |= {"the tick": tick, "TSID / tick": parts[TOTAL] / np.median(tick)}
+    return [{"part": part, **spread(some)} for part, some in parts.items()]
 
 
 # --- What other engines need for one evaluation of the same rig's equations of motion ---
@@ -157,8 +155,7 @@ def constraint_dynamics(case: TickCase) -> Call:
     tau = np.zeros(chain.nq)
     tau[chain.actuated] = case.controller().tick(case.measurement, case.reference)
     tau -= model.damping * v  # which `pin.constraintDynamics` does not know
-    all_of_it = (model, data, q, v, tau, constraints, states, settings)
-    return partial(pin.constraintDynamics, *all_of_it)
+    return partial(pin.constraintDynamics, model, data, q, v, tau, constraints, states, settings)
 
 
 def mujoco_state(case: TickCase) -> tuple[Any, Any]:

@@ -170,8 +170,7 @@ class SelectionRows:
         """Rows of an environment, whose `fleet.control` it becomes."""
         self._fleet = env.fleet
         self._gains = gains
-        self._chains = [one.chain for one in env.fleet.control._settings]
-        self._models = [with_object(chain) for chain in self._chains]
+        self._arms = [(one.chain, *with_object(one.chain)) for one in env.fleet.control._settings]
         self._rest = env.fleet.measure()[0]
         self._sum, self.alpha_meas, self.normal_speed = np.zeros((3, env.num_envs, 1))
         self.state = np.full(env.num_envs, int(osc.SafetyState.RUN))
@@ -179,8 +178,8 @@ class SelectionRows:
 
     def replace(self, row: int, controller: Any) -> None:
         """A row begins anew, with the model of this controller."""
-        self._chains[row] = controller.settings.chain
-        self._models[row] = with_object(controller.settings.chain)
+        chain = controller.settings.chain
+        self._arms[row] = (chain, *with_object(chain))
         self._sum[row] = 0.0
 
     def tick(
@@ -215,8 +214,7 @@ class SelectionRows:
 
     def _look(self, row: int, q: Array, wrench: Array) -> tuple[Array, Array, float]:
         """J at the operational point, torques that carry arm and bar, the force that is read."""
-        chain = self._chains[row]
-        model, at = self._models[row]
+        chain, model, at = self._arms[row]
         data = model.createData()
         weight = np.array(pin.computeGeneralizedGravity(model, data, q))
         J = pin.computeFrameJacobian(model, data, q, at, pin.LOCAL_WORLD_ALIGNED)
@@ -306,8 +304,7 @@ def judge(law: str, policy: Array, seconds: float) -> Passes:
 
 def main(figure: Annotated[Path | None, typer.Option(help="also draw it (PNG)")] = None) -> None:
     """Learn (minutes), judge, print, draw."""
-    learners = (("ours", 0), ("ours", 1), ("Jᵀ, stiff", 0))
-    learned = {one: teach(*one) for one in learners}
+    learned = {one: teach(*one) for one in (("ours", 0), ("ours", 1), ("Jᵀ, stiff", 0))}
     policies = {("ours", "15 N everywhere"): np.full(len(KNOTS), MEAN)}
     policies |= {(law, f"learned, seed {seed}"): found[0] for (law, seed), found in learned.items()}
     policies |= {(law, "best, known hardness"): best_forces(KNOTS) for law in LAWS}

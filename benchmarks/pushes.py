@@ -44,11 +44,6 @@ _SINKING = 0.1  #: shares of their speed limits below which joints rest, or sink
 SINKING = {"limited_rod", "moving_face"}  #: motors that hardly carry the weight; a cart that leans
 
 
-def packaged() -> list[str]:
-    """The names of the packaged scenarios."""
-    return sorted(osc.list_scenarios())
-
-
 def push_arm(
     name: str, direction: str, force: float, duration: float, changes: Sequence[str] = ()
 ) -> Data:
@@ -80,9 +75,8 @@ def push_arm(
     true = recording["alpha_true"]
     wanted = recording["alpha_cmd"]
     off = np.abs(true - calm[: len(true)]) > np.maximum(_NEAR * np.abs(wanted), _LEAST)
-    off = off.any(axis=1)
-    off &= (wanted > _LEAST).any(axis=1)  # else the task has taken the forces away
-    back = since[off & (since < BACK_WITHIN + _STEADY)].max(initial=0.0)
+    pressed = (wanted > _LEAST).any(axis=1)  # else the task has taken the forces away
+    back = since[off.any(axis=1) & pressed & (since < BACK_WITHIN + _STEADY)].max(initial=0.0)
     stopped = recording.meta["end_state"] == "SAFE_STOP"
     if late > SLOW_WITHIN:
         row["wrong"] = f"a joint above its speed limit {late:.3f} s after the push"
@@ -90,9 +84,13 @@ def push_arm(
         row["wrong"] = "not back"
     elif stopped and speeds[-1] > (_SINKING if name in SINKING else _REST):
         row["wrong"] = f"stopped, but a joint moves at {speeds[-1]:.2f} of its speed limit"
-    largest = np.abs(true[since > -duration]).max(initial=0.0)
-    row |= {"back": back if back < BACK_WITHIN else None, "stopped": stopped, "late": late}
-    return row | {"speed": speeds.max(), "force": largest}
+    return row | {
+        "back": back if back < BACK_WITHIN else None,
+        "stopped": stopped,
+        "late": late,
+        "speed": speeds.max(),
+        "force": np.abs(true[since > -duration]).max(initial=0.0),
+    }
 
 
 @cache
@@ -128,7 +126,7 @@ def _direction(rig: osc.Rig, word: str) -> np.ndarray:
 
 def main(scenario: list[str] | None = None, workers: int = 2) -> None:
     """Push them all; exit with 1 if anything was wrong."""
-    pushes = product(scenario or packaged(), DIRECTIONS, FORCES, DURATIONS)
+    pushes = product(scenario or osc.list_scenarios(), DIRECTIONS, FORCES, DURATIONS)
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         rows = list(pool.map(push_arm, *zip(*pushes, strict=True)))
     Console(width=200).print(table_from("pushes", rows))

@@ -109,8 +109,12 @@ def reversing(
         mu: coefficient of friction. known: whether the controller is given it.
     """
     amplitude, frequency = stroke
-    sine = {"type": "sine", "amplitude": f"{amplitude} mm", "ramp": "1 s"}
-    sine["frequency"] = f"{frequency} Hz"
+    sine = {
+        "type": "sine",
+        "amplitude": f"{amplitude} mm",
+        "frequency": f"{frequency} Hz",
+        "ramp": "1 s",
+    }
     plant = POINT["plant"] | {"type": "sliding" if kind == "exact" else kind, "friction": mu}
     control = POINT["control"] | ({"friction": {"mu": mu}} if known else {})
     motion = [{"kind": "linear", "direction": LINES[line], "signals": [sine]}]

@@ -5,8 +5,8 @@ import numpy as np
 from benchmarks.cases import KINDS, RandomRig, faces_of
 from benchmarks.measuring import Rows, take_turns
 
-ARMS = (1, 2, 3, 4, 5, 6, 7, 8)
-RANKS = (0, 1, 2, 3, 4, 5, 6)
+ARMS = range(1, 9)
+RANKS = range(7)
 CONTACTS = (1, 2, 4, 8, 16)
 
 
@@ -38,15 +38,16 @@ def measure(rounds: int) -> dict[str, Rows]:
         times = take_turns({"tick": ticked, "floor": case.floor()}, rounds, unwind)
         tick, floor = (float(np.median(some)) for some in times.values())
         arms = len(case.chain.arms)
-        row = {
-            "kind": kind,
-            "arms": arms,
-            "contacts": contacts,
-            "r": r,
-            "tick p50 (µs)": tick,
-            "floor p50 (µs)": floor,
-            "tick / floor": tick / floor,
-            "tick / arm (µs)": tick / arms,
-        }
-        tables[what].append(row)
+        tables[what].append(
+            {
+                "kind": kind,
+                "arms": arms,
+                "contacts": contacts,
+                "r": r,
+                "tick p50 (µs)": tick,
+                "floor p50 (µs)": floor,
+                "tick / floor": tick / floor,
+                "tick / arm (µs)": tick / arms,
+            }
+        )
     return tables

@@ -41,8 +41,8 @@ class TextbookLaw:
         self.case = case
         self.model = chain.model
         self.data = chain.model.createData()
-        self.tips = [self.model.getFrameId(f"{a.name}/{a.tip}") for a in chain.arms]
-        self.wrists = [self.model.getFrameId(f"{a.name}/{a.wrist_sensor}") for a in chain.arms]
+        self.tips = chain.tips
+        self.wrists = chain.sensors
         self.inertia = chain.payload.inertia
         self.selected = np.eye(chain.nq)[:, chain.actuated]  # B: motor torques to joint torques
         self.limits = np.ones(chain.nq)
@@ -66,8 +66,7 @@ class TextbookLaw:
 
         # each arm at O: Λ = (J M⁻¹Jᵀ)⁺, J̄ = M⁻¹JᵀΛ, μ + p = J̄ᵀh − Λγ
         arms = []
-        V = np.zeros(6)
-        for i, (s, tip) in enumerate(zip(case.chain.slices, self.tips, strict=True)):
+        for s, tip in zip(case.chain.slices, self.tips, strict=True):
             shift = np.eye(6)  # of twists from the tip to O
             shift[:3, 3:] = -pin.skew(O - data.oMf[tip].translation)
             J = shift @ pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
@@ -78,8 +77,7 @@ class TextbookLaw:
             Minv = inv(M)
             Lambda = pinv(J @ Minv @ J.T, rcond=1e-9)
             arms.append(ArmTerms(s, J, M, h, gamma, Lambda, Minv @ J.T @ Lambda))
-            if i == 0:
-                V = J @ v[s]
+        V = arms[0].J @ v[arms[0].s]
         w = V[3:]
 
         # motions that all arms permit, a = S η̇ + σ
@@ -120,15 +118,15 @@ class TextbookLaw:
         alpha = inv(N.T @ Phi_o @ N) @ (N.T @ Phi_o @ (f_meas - bias_o) - n_gamma)
         k = case.gains.force
         alpha_d = case.reference.alpha_d
-        self.force_sum = self.force_sum + k.integral * DT * (alpha_d - alpha)
+        self.force_sum += k.integral * DT * (alpha_d - alpha)
         alpha_u = alpha_d + self.force_sum - k.damping * (N.T @ V)
 
         # motion loop
         g = case.gains.motion
-        turn_error = pin.log3(case.reference.X_WD.rotation @ R.T)
-        e = np.r_[case.reference.X_WD.translation - O, turn_error]
+        X_WD = case.reference.X_WD
+        e = np.r_[X_WD.translation - O, pin.log3(X_WD.rotation @ R.T)]
         Omega_m = np.eye(6) - Phi_o @ N @ inv(N.T @ Phi_o @ N) @ N.T
-        self.motion_sum = self.motion_sum + Omega_m @ e * DT
+        self.motion_sum += Omega_m @ e * DT
         a = case.reference.A_D + g.damping * (case.reference.V_D - V) + g.stiffness * e
         a = a + g.integral * self.motion_sum - np.r_[np.cross(w, V[:3]), np.zeros(3)]
 
@@ -138,7 +136,7 @@ class TextbookLaw:
         N_S = S.T @ N
         lift = B @ N_S @ inv(N_S.T @ B @ N_S)
         eta = P_T @ (a - sigma)
-        eta = eta - lift @ (N_S.T @ eta - n_gamma + N.T @ sigma)
+        eta -= lift @ (N_S.T @ eta - n_gamma + N.T @ sigma)
         f_S = Lambda_S @ eta + S.T @ bias + N_S @ alpha_u
 
         # viscous friction along permitted speeds; dry friction is left out

@@ -118,7 +118,7 @@ def draw_collisions(recording: osc.Recording) -> Figure:
     with plots.style():
         for flagged, face in ((True, OKABE_ITO["black"]), (False, "white")):
             at = [hit.t for hit in hits if (hit.flagged is not None) == flagged]
-            label = f"flagged ({len(at)})" if flagged else f"not flagged ({len(at)})"
+            label = f"{'' if flagged else 'not '}flagged ({len(at)})"
             ax.plot(at, [high] * len(at), "v", ms=5, mfc=face, mec="black", label=label)
         ax.legend(title="collisions", loc="center right")
     return figure

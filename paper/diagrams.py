@@ -29,8 +29,8 @@ class Block(NamedTuple):
     group: str
     place: Point
     equation: str
-    inputs: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
 
 
 #: The boxes of fig. 4 in the order in which the signals meet them.
@@ -230,7 +230,10 @@ def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
             else:
                 _arrow(ax, [(x - 0.4, y), end])
                 _write(ax, x - 0.45, y - 0.08, signal, "right")
-        _legend(ax, [block.group for block in blocks])
+        groups = dict.fromkeys(block.group for block in blocks)
+        shown = [GROUPS[group] for group in groups]
+        handles = [Patch(fc=colour, alpha=0.6, label=meaning) for colour, meaning in shown]
+        ax.legend(handles=handles, ncols=len(handles), loc="lower right", fontsize=10)
     return figure
 
 
@@ -305,9 +308,3 @@ def _arrow(ax: Axes, points: Sequence[Point]) -> None:
 
 def _write(ax: Axes, x: float, y: float, signal: str, side: Any) -> None:
     ax.text(x, y + 0.03, LABELS[signal], size=LABEL, ha=side, va="bottom")
-
-
-def _legend(ax: Axes, groups: Sequence[str]) -> None:
-    shown = [GROUPS[group] for group in dict.fromkeys(groups)]
-    handles = [Patch(fc=colour, alpha=0.6, label=meaning) for colour, meaning in shown]
-    ax.legend(handles=handles, ncols=len(handles), loc="lower right", fontsize=10)

@@ -154,10 +154,10 @@ class Workcell:
         self.sample = sample
         model = rig.chain.model
         data = model.createData()
-        pin.framesForwardKinematics(model, data, np.asarray(sample["q"]))
+        pin.framesForwardKinematics(model, data, sample["q"])
         self.frames = {f.name: X.copy() for f, X in zip(model.frames, data.oMf, strict=True)}
-        self.seen = SEEN + [*EYE[:2], float(sample["pose"][2])]
-        self.faces = [pin.XYZQUATToSE3(np.asarray(x, dtype=float)) for x in sample["face_pose"]]
+        self.seen = SEEN + [*EYE[:2], sample["pose"][2]]
+        self.faces = [pin.XYZQUATToSE3(x) for x in sample["face_pose"]]
         self.rings = {
             path.format(arm.name): (self.frames[f"{arm.name}/{frame}"] * at(place), radius, colour)
             for arm in rig.chain.arms
@@ -275,7 +275,7 @@ def _whole(cell: Workcell) -> Shot:
         Callout(vision, EYE + [0, 0, 0.09], (0.3, 0.05), VISION),
         Callout("left arm", left + [0, 0, 0.13], (0.16, 0.1)),
         Callout("right arm", right + [0, 0, 0.13], (-0.16, 0.14)),
-        Callout("rod", _rod(cell), (-0.03, -0.11)),
+        Callout("rod", cell.sample["pose"][:3], (-0.03, -0.11)),
         Callout("joint torque sensors", sensor, (0.06, -0.09), JOINT_TORQUE),
         Callout("wrist force/torque sensor", _edge(rings["wrist/right"]), (0.09, 0.11), WRIST),
         Callout("free hinge", hinge, (-0.12, 0.03)),
@@ -292,14 +292,9 @@ def _task(cell: Workcell) -> Shot:
         name = f"{contact.name.replace('_', ' ')}: {cell.sample['alpha_true'][k]:.1f} N"
         beside = (0.1 - 0.2 * k, 0.03)
         callouts.append(Callout(name, point - 0.12 * push, beside, contact_colour(k)))
-    points = np.vstack((corners, _rod(cell) + [0, 0, 0.12]))
+    points = np.vstack((corners, cell.sample["pose"][:3] + [0, 0, 0.12]))
     title = "two-contact task: the lines of force are skew"
     return Shot(title, points, 84.0, 30.0, (840, 560), callouts)
-
-
-def _rod(cell: Workcell) -> Array:
-    """(3,) its middle."""
-    return np.asarray(cell.sample["pose"][:3], dtype=float)
 
 
 def _corners(X_WF: pin.SE3) -> list[Array]:

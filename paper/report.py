@@ -237,11 +237,10 @@ class Reproduction(NamedTuple):
 
     def verdicts(self) -> dict[str, Verdict]:
         """By the names of the figures of the paper that were made."""
-        figures_made = ((figure, self.made.get(figure.name)) for figure in PAPER)
         return {
             figure.name: judge(figure, one.answers, one.drawn)
-            for figure, one in figures_made
-            if one
+            for figure in PAPER
+            if (one := self.made.get(figure.name))
         }
 
     def as_dict(self) -> Data:
@@ -269,13 +268,12 @@ def names_of(figure: str) -> tuple[str, ...]:
     Raises:
         InvalidInputError: unknown, with the names there are.
     """
-    names: tuple[str, ...] = (figure,)
     if figure == "all":
         paper = {one.name for one in PAPER}
-        names = tuple(name for name in REPRODUCIBLE if name in paper or name not in SLOW)
-    if not set(REPRODUCIBLE).issuperset(names):
+        return tuple(name for name in REPRODUCIBLE if name in paper or name not in SLOW)
+    if figure not in REPRODUCIBLE:
         raise osc.InvalidInputError(f"no figure '{figure}'; there are {', '.join(REPRODUCIBLE)}")
-    return names
+    return (figure,)
 
 
 def typed(plant: str | None, duration: float | None, seed: int, changes: Sequence[str]) -> str:

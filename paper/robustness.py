@@ -43,7 +43,7 @@ _SCALE = {"force": 100.0, "motion": 1e3}
 #: A control rate at which a row is cheap; the task's slow first part is over after 1 s. Force
 #: errors are what is compared: a task has failed by them only where next to no force arrives.
 _AT = ("control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.5 s", "verdict.force_rms=0.9")
-Candidate = tuple[SelectionLaw, float, float]
+Candidate = tuple[SelectionLaw, float]
 _FIRST = 2  #: samples of each case by which the best selection laws are chosen
 
 
@@ -98,7 +98,7 @@ def run(ask: Ask, workers: int | None = None) -> Data:
     ]
     ask.tell("best selection laws")
     candidates = {name: _candidates(studies, family, seed) for name, family in BASELINES.items()}
-    best = {name: min(some, key=lambda x: x[1] * x[2])[0] for name, some in candidates.items()}
+    best = {name: min(some, key=lambda x: x[1])[0] for name, some in candidates.items()}
     laws: dict[str, Law] = {"ours": Ours()} | best
     frames = {name: law.selection.as_dict() for name, law in best.items()}
     rows = {}
@@ -149,9 +149,8 @@ def _candidates(studies: Sequence[SweepStudy], family: Baseline, seed: int) -> l
     for law in best_frames(instant, family, seed=seed):
         rows = [_judge(law, *job) for job in jobs]
         if not any(row["failed"] for row in rows):
-            errors = [(row["force"], row["motion"]) for row in rows]
-            force, motion = np.exp(np.mean(np.log(errors), axis=0))
-            found.append((law, float(force), float(motion)))
+            errors = [row["force"] * row["motion"] for row in rows]
+            found.append((law, float(np.mean(np.log(errors)))))
     return found
 
 

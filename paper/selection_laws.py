@@ -44,8 +44,6 @@ def coordinates(state: ChainState, W: Array) -> Array:
     SM = state.S.T @ state.metric
     H = SM @ state.S
     P = np.linalg.solve(H, SM)
-    if W.shape[1] == 0:
-        return P
     W_S = state.S.T @ W
     lift = np.linalg.solve(H, W_S)
     return P + lift @ np.linalg.solve(W_S.T @ lift, W.T - W_S.T @ P)
@@ -227,7 +225,7 @@ class Coupling(NamedTuple):
     @property
     def force_to_motion(self) -> Array:
         """(n, r) m G_f M⁻¹: acceleration along the free motions per achieved force."""
-        return self.inertia * np.asarray(np.linalg.solve(self.M.T, self.G_f.T).T)
+        return self.inertia * np.linalg.solve(self.M.T, self.G_f.T).T
 
     @property
     def motion_to_force(self) -> Array:

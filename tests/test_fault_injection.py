@@ -11,7 +11,7 @@ from scenario_runs import run_of
 import osc_contact as osc
 from benchmarks import fault_injection
 from benchmarks.fault_injection import FAULTS, NAN, Case, Run, Verdict, cases, try_fault
-from benchmarks.pushes import packaged, push_arm
+from benchmarks.pushes import push_arm
 from osc_contact.control.status import Phase
 from osc_contact.law.phases import CLOSED
 from osc_contact.runs.run import start
@@ -199,7 +199,7 @@ def test_arms_rest_after_a_fault_that_is_hard_to_find(fault, scenario, every):
 # Faces pulled away: nothing runs away; pushes: back in contact
 
 
-WITH_CONTACTS = [name for name in packaged() if osc.load_scenario(name).contacts]
+WITH_CONTACTS = [name for name in osc.list_scenarios() if osc.load_scenario(name).contacts]
 
 #: what came out worst in `benchmarks/pushes.py`
 WORST = (

@@ -79,7 +79,7 @@ def test_rows_are_those_of_single_runs_and_are_not_run_again(tmp_path, monkeypat
         return inner(crew, jobs, make)
 
     def candidates(_, family, __):
-        return [(study.SelectionLaw(family, chosen[0]), 1.0, 1.0)]
+        return [(study.SelectionLaw(family, chosen[0]), 1.0)]
 
     monkeypatch.setattr(sweep, "make_all", make_all)
     monkeypatch.setattr(study, "_candidates", candidates)

@@ -130,7 +130,7 @@ class BatchController:
         flags = 0
         motion = STILL
         if touched is not None:
-            motion = _table("touched", touched, (B, c, 28)).reshape(-1, 28)
+            motion = _table("touched", touched, (B, c, 28))
             flags |= law.MOVING
         self._squeeze[:] = 0.0
         if squeeze_d is not None:
@@ -138,18 +138,18 @@ class BatchController:
             flags |= law.COMMANDED if k > 2 else 0
         joints = _table("q", q, (B, n))
         args = (
-            joints.ravel(),
-            _table("v", v, (B, n)).ravel(),
-            _table("wrenches", wrenches, (B, k, 6)).reshape(-1, 6),
-            _table("X_WD", X_WD, (B, 4, 4)).reshape(-1, 4),
-            _table("V_D", V_D, (B, 6)).ravel(),
-            _table("A_D", A_D, (B, 6)).ravel(),
-            _table("alpha_d", alpha_d, (B, r)).ravel(),
+            joints,
+            _table("v", v, (B, n)),
+            _table("wrenches", wrenches, (B, k, 6)),
+            _table("X_WD", X_WD, (B, 4, 4)),
+            _table("V_D", V_D, (B, 6)),
+            _table("A_D", A_D, (B, 6)),
+            _table("alpha_d", alpha_d, (B, r)),
             motion,
         )
         if wrench_valid is not None:
             self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
-        self._locate(joints)
+        self._locate(joints.reshape(B, n))
         ends = np.linspace(0, B, self.threads + 1).astype(int).tolist()
         others = [
             self._pool.submit(self._run, i, ends[i], ends[i + 1], flags, args)
@@ -182,11 +182,7 @@ class BatchController:
         try:
             relieve(self._limits[i].program, rows)
         except SolverError:
-            job = self._jobs[thread]
-            job.switches |= law.MISFIT
-            job.first = i
-            job.last = i + 1
-            law_rows()(self._bytes.raw, rows.at, args)
+            self._run(thread, i, i + 1, int(self._jobs[thread].switches) | law.MISFIT, args)
 
     def _locate(self, q: Array) -> None:
         """Where no arm holds the object rigidly: find it once, from the joints alone."""
@@ -288,10 +284,11 @@ def _structure_of(controller: Controller) -> dict[str, int]:
 
 
 def _table(name: str, x: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
-    """x as a contiguous array of numbers of this shape, which need not be finite; None: zeros."""
-    if x is None:
-        return np.zeros(shape)
-    array = np.ascontiguousarray(x, dtype=float)
+    """x of this shape, what is of all rows one behind the other; None: zeros.
+
+    Its numbers need not be finite.
+    """
+    array = np.zeros(shape) if x is None else np.ascontiguousarray(x, dtype=float)
     if array.shape != shape:
         raise InvalidInputError(f"{name}: expected shape {shape}, got {array.shape}")
-    return array
+    return array.reshape(-1, *shape[2:])

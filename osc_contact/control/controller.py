@@ -41,7 +41,7 @@ from osc_contact.files import write_whole
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.chain import OBJECT_UNKNOWN
 from osc_contact.law.compiled import rows as law_rows
-from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, Bytes
+from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, OK, Bytes
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,
@@ -291,8 +291,8 @@ class Controller:
         error = None
         if self._custom.needed:
             error = self._custom.tick(self, measurement, reference, given, flags)
-        elif self._records.run(given, flags) == 2:
-            return self.last_torques()
+        else:
+            self._records.run(given, flags)
         return self._end(measurement, reference, error)
 
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
@@ -325,9 +325,9 @@ class Controller:
     def _end(
         self, measurement: Measurement, reference: Reference, error: Exception | None = None
     ) -> Array:
-        """What is left to do after a tick that did not end OK; `error`: raised outside the law."""
+        """What is left to do after a tick; `error`: raised outside the law."""
         code = int(self._memory.status)
-        if code == DEGRADED:  # the law did it all, and nothing of the controller's has changed
+        if code in (OK, DEGRADED):  # the law did it all, nothing of the controller's has changed
             return self.last_torques()
         self._given_up = None
         self._inputs = (measurement, reference)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from osc_contact.law import tick as law
 from osc_contact.law.records import JOINTS, OUTDATED, WRISTS
 from osc_contact.spatial import Array, as_array
 
-_double = partial(np.array, dtype=float, order="C")
 _NEVER = float("-inf")
 _READINGS = {"encoders": JOINTS, "wrists": WRISTS, "packet": JOINTS | WRISTS}
 
@@ -74,16 +72,18 @@ def convert_arrays(measurement: Measurement, reference: Reference) -> tuple[Meas
     """Both with new arrays, contiguous and of double precision."""
     touched = measurement.touched
     if touched is not None:
-        touched = Touched(*map(_double, (touched.X_WE, touched.V_E, touched.A_E)))
-    q, v, wrenches, V_D, A_D = map(
-        _double,
-        (measurement.q, measurement.v, measurement.wrenches, reference.V_D, reference.A_D),
-    )
-    alpha_d = _double(reference.alpha_d, ndmin=1)
+        touched = _doubled(touched, "X_WE", "V_E", "A_E")
+    alpha_d = np.atleast_1d(reference.alpha_d)
     return (
-        replace(measurement, q=q, v=v, wrenches=wrenches, touched=touched),
-        replace(reference, V_D=V_D, A_D=A_D, alpha_d=alpha_d),
+        replace(_doubled(measurement, "q", "v", "wrenches"), touched=touched),
+        _doubled(replace(reference, alpha_d=alpha_d), "V_D", "A_D", "alpha_d"),
     )
+
+
+def _doubled(given: Any, *names: str) -> Any:
+    """With new arrays of these names."""
+    arrays = {name: np.array(getattr(given, name), dtype=float, order="C") for name in names}
+    return replace(given, **arrays)
 
 
 def touched_rows(touched: Touched) -> Array:

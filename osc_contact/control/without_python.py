@@ -21,6 +21,7 @@ from osc_contact.law.c_object import object_file
 from osc_contact.law.library import law_hash
 from osc_contact.law.limits import PROGRAM
 from osc_contact.law.reasons import CODES
+from osc_contact.law.records import COUNTED
 from osc_contact.scenarios.control_schema import Gains
 from osc_contact.scenarios.quantities import meaning
 
@@ -38,17 +39,6 @@ ERRORS = {
     "NO_MEMORY": "no memory left",
     "OUT_OF_RANGE": "a number is not finite, or negative",
     "UNKNOWN_NAME": "no gain has this name",
-}
-#: counts of tables, and the field of MODEL that says the same
-_SAME = {
-    "k": "n_arms",
-    "n": "n_joints",
-    "a": "n_motors",
-    "c": "n_contacts",
-    "s": "n_shapes",
-    "r": "n_columns",
-    "bars": "n_bars",
-    "e": "n_extra",
 }
 _RECORDS = {
     "JOB": records.JOB,
@@ -164,8 +154,8 @@ def _structure() -> list[str]:
         for dtype, sizes in kind.tables.values():
             rows = [-1 - kind.slot(one) if isinstance(one, str) else one for one in (*sizes, 1)]
             tables.append(f"    {{{name}, {dtype.itemsize}, {rows[0]}, {rows[1]}}},")
-        known = [one for one in kind.counts if one in (_SAME if name != "PROGRAM" else "a")]
-        same += [f"    {{{name}, {kind.slot(one)}, {fields[_SAME[one]][1]}}}," for one in known]
+        known = [one for one in kind.counts if one in (COUNTED if name != "PROGRAM" else "a")]
+        same += [f"    {{{name}, {kind.slot(one)}, {fields[COUNTED[one]][1]}}}," for one in known]
     return [
         "/* Sizes of tables: numbers, or −1 − the slot of the layout that has them. */",
         f"enum {{ {', '.join(_RECORDS)}, RECORDS }};",

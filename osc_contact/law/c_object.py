@@ -24,15 +24,12 @@ from osc_contact.errors import OscContactError
 from osc_contact.files import one_by_one
 from osc_contact.law import jit, library, limits, operational, tick
 from osc_contact.law.compiled import announced, report_to
-from osc_contact.law.jit import bytes_at, inner, row_at, table_at, words_at
+from osc_contact.law.jit import bytes_at, inner, numbers_at, words_at
 from osc_contact.law.limits import PROGRAM
-from osc_contact.law.records import JOB, MODEL
 
 _log = logging.getLogger(__name__)
 KEPT = 16  #: libraries of other laws, 2 MB each, stay in the cache
 _TRANSLATION = 0.8  #: of the time is over when all parts are translated; the rest is machine code
-_job = JOB.at
-_model = MODEL.at
 _program = PROGRAM.at
 
 _rows, _terms, _prepare, _finish, _fill, _settle = (
@@ -58,14 +55,14 @@ def osc_law_rows(raw, at, arrays, sizes):
     x = words_at(arrays, 8)
     n = words_at(sizes, 8)
     given = (
-        row_at(x[0], n[0]),
-        row_at(x[1], n[1]),
-        table_at(x[2], n[2], 6),
-        table_at(x[3], n[3], 4),
-        row_at(x[4], n[4]),
-        row_at(x[5], n[5]),
-        row_at(x[6], n[6]),
-        table_at(x[7], n[7], 28),
+        numbers_at(x[0], n[0]),
+        numbers_at(x[1], n[1]),
+        numbers_at(x[2], (n[2], 6)),
+        numbers_at(x[3], (n[3], 4)),
+        numbers_at(x[4], n[4]),
+        numbers_at(x[5], n[5]),
+        numbers_at(x[6], n[6]),
+        numbers_at(x[7], (n[7], 28)),
     )
     return _rows(bytes_at(raw), at, given)
 
@@ -78,7 +75,9 @@ def osc_law_terms(raw, q, v, out, sizes):
             elements or rows of each.
     """
     n = words_at(sizes, 4)
-    return _terms(bytes_at(raw), row_at(q, n[1]), row_at(v, n[2]), table_at(out, n[3], n[0]))
+    return _terms(
+        bytes_at(raw), numbers_at(q, n[1]), numbers_at(v, n[2]), numbers_at(out, (n[3], n[0]))
+    )
 
 
 def osc_law_fill(raw, at, i, program):
@@ -98,7 +97,7 @@ def osc_law_prepare(program, slack):
     Args:
         program: address. slack: as there.
     """
-    return 1 if _prepare(bytes_at(program), slack) else 0
+    return int(_prepare(bytes_at(program), slack))
 
 
 def osc_law_finish(program, slack):
@@ -107,7 +106,7 @@ def osc_law_finish(program, slack):
     Args:
         program: address. slack: as there.
     """
-    return 1 if _finish(bytes_at(program), slack) else 0
+    return int(_finish(bytes_at(program), slack))
 
 
 def osc_law_settle(raw, at, i, program):

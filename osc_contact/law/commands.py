@@ -12,6 +12,8 @@ from osc_contact.law.vectors import (
     add,
     add3,
     angular,
+    axis3,
+    column3,
     cross,
     dot3,
     fill,
@@ -20,7 +22,9 @@ from osc_contact.law.vectors import (
     minus,
     minus3,
     origin,
+    plus3,
     rotated,
+    row3,
     scaled3,
 )
 
@@ -38,21 +42,12 @@ def rotation_vector(R):
         return scaled3(angle / sine if sine > 1e-6 else 1.0 + sine * sine / 6.0, v)
     # near a half turn the axis comes from the symmetric part, (1 − cos) aaᵀ + cos 1: its longest
     # column, whose sign is known best
-    x = R[0, 0] - cosine
-    y = R[1, 1] - cosine
-    z = R[2, 2] - cosine
-    a = 0.5 * (R[0, 1] + R[1, 0])
-    b = 0.5 * (R[0, 2] + R[2, 0])
-    c = 0.5 * (R[1, 2] + R[2, 1])
-    axis = (b, c, z)
-    side = v[2]
-    if x >= y and x >= z:
-        axis = (x, a, b)
-        side = v[0]
-    elif y >= z:
-        axis = (a, y, c)
-        side = v[1]
-    return scaled3(copysign(angle / sqrt(dot3(axis, axis)), side), axis)
+    k = 0
+    for i in range(1, 3):
+        if R[i, i] > R[k, k]:
+            k = i
+    axis = add3(scaled3(0.5, plus3(row3(R, k), column3(R, k))), -cosine, axis3(k))
+    return scaled3(copysign(angle / sqrt(dot3(axis, axis)), v[k]), axis)
 
 
 @inner

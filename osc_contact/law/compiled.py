@@ -36,9 +36,9 @@ def rows() -> Any:
     none = np.zeros(0)
     empty = Rows(new_model(1, 1, 1))
     empty.job.last = 0
-    none_6 = np.zeros((0, 6))
-    none_4 = np.zeros((0, 4))
-    given = none, none, none_6, none_4, none, none, none, np.zeros((0, 28))
+    wrenches = np.zeros((0, 6))
+    X_WD = np.zeros((0, 4))
+    given = none, none, wrenches, X_WD, none, none, none, np.zeros((0, 28))
     return _made(law.rows, empty.raw, 0, given)
 
 

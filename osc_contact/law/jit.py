@@ -48,7 +48,6 @@ def _find_units() -> Any:
     return None
 
 
-_njit: Any = None
 _config: Any = None
 UNITS: Any = None
 if COMPILES:
@@ -58,7 +57,6 @@ if COMPILES:
         from numba.extending import intrinsic
     except ImportError as error:
         raise ImportError(f"the law is not compiled here, and {missing(error)}") from error
-    _njit = njit
     _config = config
     UNITS = _find_units()
 #: Whether there is a library of the law, or one can be made.
@@ -70,7 +68,7 @@ def inner(function: Any, inlined: bool = False) -> Any:
     if not COMPILES:
         return function
     if UNITS is None:
-        return _njit(**_PLAIN, forceinline=inlined)(function)
+        return njit(**_PLAIN, forceinline=inlined)(function)
     return UNITS.called(UNITS.Unit(function, inlined))
 
 
@@ -118,7 +116,7 @@ def _as_numba_does(function: Any) -> Any:
     usual = _config.CACHE_DIR
     _config.CACHE_DIR = usual or str(library.kept("numba"))
     try:
-        return _njit(nogil=True, cache=True, **_PLAIN)(function)
+        return njit(nogil=True, cache=True, **_PLAIN)(function)
     finally:
         _config.CACHE_DIR = usual
 
@@ -163,15 +161,13 @@ if not COMPILES:
     call_at: Any = call_address
     matrix: Any = _reshape
     prefetch: Any = _no_prefetch
-    view: Any = None
     bytes_at: Any = None
-    row_at: Any = None
+    numbers_at: Any = None
     words_at: Any = None
-    table_at: Any = None
 else:
     #: A small part that reads bytes at an address.
     VIEW: Any = {**_PLAIN, "forceinline": True, "_nrt": True}
-    view = _njit(**VIEW)
+    view = njit(**VIEW)
 
     @intrinsic
     def _pointer(typing: Any, address: Any) -> Any:
@@ -190,27 +186,22 @@ else:
     @view
     def bytes_at(address):
         """All bytes from an address."""
-        return carray(_pointer(address), (1 << 40,), np.uint8)
+        return carray(_pointer(address), 1 << 40, np.uint8)
 
     @view
-    def row_at(address, count):
-        """Numbers at an address."""
-        return carray(_pointer(address), (count,), np.float64)
+    def numbers_at(address, shape):
+        """Numbers at an address as an array of this shape."""
+        return carray(_pointer(address), shape, np.float64)
 
     @view
     def words_at(address, count):
         """Whole numbers at an address."""
-        return carray(_pointer(address), (count,), np.int64)
-
-    @view
-    def table_at(address, rows, columns):
-        """Numbers at an address as (rows, columns)."""
-        return carray(_pointer(address), (rows, columns), np.float64)
+        return carray(_pointer(address), count, np.int64)
 
     @view
     def matrix(x, start, rows, columns):
         """Numbers of a row from `start` as (rows, columns)."""
-        return table_at(_place(x) + np.uintp(8 * start), rows, columns)
+        return numbers_at(_place(x) + np.uintp(8 * start), (rows, columns))
 
     @intrinsic
     def _call(typing: Any, at: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Any:

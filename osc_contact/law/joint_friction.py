@@ -251,7 +251,7 @@ def _estimate(t, j, moves, k, dt):
         return
     phi = (smooth[SIGN], smooth[V], a, 1.0, smooth[WEIGHT])
     if sticks:  # F is at least this, and as uncertain as before
-        learned.estimate[0] += min(excess, max(prior.high[0] - learned.estimate[0], 0.0))
+        likely[0] += min(excess, max(prior.high[0] - likely[0], 0.0))
     elif moves:
         _regress(prior, learned, phi, t.work.t, smooth[TORQUE], k, dt)
     _keep_bounds(prior, learned, t.work.Z)

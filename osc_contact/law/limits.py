@@ -548,5 +548,4 @@ def settle(raw, at, i, program):
         memory.force_sum[a] = work.force_next[a] - work.gain[a] * work.dt * p.lost_force[a]
     memory.force_rank = work.rank
     for bar in range(model.n_bars):
-        for c in range(work.n_internal):
-            work.bars[bar] -= work.basis[bar, c] * p.lost_squeeze[c]
+        work.bars[bar] -= dot(work.basis[bar], p.lost_squeeze, work.n_internal)

@@ -395,25 +395,23 @@ def _sort_rows(X, m, n):
 @inner
 def _unit_row(X, k, n, chi):
     """Row k made a unit vector v; of a null row, any that is new to the others."""
-    if chi > _SMALL:
+    norm = chi
+    if not chi > _SMALL:
+        best = 0
+        largest = -1.0
+        for e in range(n):  # the unit vector that sticks out most
+            left = 1.0
+            for b in range(k):
+                left -= X[b, e] * X[b, e]
+            if left > largest:
+                best = e
+                largest = left
         for j in range(n):
-            X[k, j] /= chi
-        return
-    best = 0
-    largest = -1.0
-    for e in range(n):  # the unit vector that sticks out most
-        left = 1.0
-        for b in range(k):
-            left -= X[b, e] * X[b, e]
-        if left > largest:
-            best = e
-            largest = left
-    for j in range(n):
-        X[k, j] = 1.0 if j == best else 0.0
-    for _ in range(2):
-        for b in range(k):
-            add_scaled(-dot(X[b], X[k], n), X[b], n, X[k])
-    norm = sqrt(dot(X[k], X[k], n))
+            X[k, j] = 1.0 if j == best else 0.0
+        for _ in range(2):
+            for b in range(k):
+                add_scaled(-dot(X[b], X[k], n), X[b], n, X[k])
+        norm = sqrt(dot(X[k], X[k], n))
     for j in range(n):
         X[k, j] /= norm
 

@@ -21,7 +21,9 @@ from osc_contact.law.vectors import (
     ZERO,
     accumulate,
     add,
+    add3,
     add_square,
+    axis3,
     carry_wrench,
     combined,
     copy_rows,
@@ -431,8 +433,7 @@ def _find_tangential(t, column, chosen, past):
     """`tangential` of a column: β_j of this tick, low-passed."""
     work = t.work
     for k in range(3):
-        push = _push_on(t, _across(work.z, column.N, k), chosen)
-        work.w[k] = dot6(push, work.reading_e)
+        work.w[k] = dot6(_push_on(t, _across(column.N, k), chosen), work.reading_e)
     w = max(abs(work.goal[chosen]), _LEAST_FORCE)
     along = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, work.w)
     k = work.dt / (_LAG + work.dt)
@@ -484,7 +485,7 @@ def _weigh_likely(t, R):
         w = max(abs(work.goal[chosen]), _LEAST_FORCE)
         largest = max(largest, w)
         for k in range(3):
-            across = scaled3(w * _ACROSS, _across(work.z, column.N, k))
+            across = scaled3(w * _ACROSS, _across(column.N, k))
             add_square(1.0, _push_on(t, across, chosen), R)
         along = scaled3(w * sqrt(_ALONG**2 - _ACROSS**2), column.slip)
         add_square(1.0, _push_on(t, along, chosen), R)
@@ -492,12 +493,10 @@ def _weigh_likely(t, R):
 
 
 @inner
-def _across(f, N, k):
-    """Column k of 1 − nnᵀ, n the direction of a column of N, as a tuple; f (≥ 3,) is scratch."""
+def _across(N, k):
+    """Column k of 1 − nnᵀ, n the direction of a column of N, as a tuple."""
     n = divided3(N, sqrt(dot3(N, N)))
-    fill3(f, scaled3(-n[k], n))
-    f[k] += 1.0
-    return linear(f)
+    return add3(axis3(k), -n[k], n)
 
 
 @inner

@@ -580,31 +580,6 @@ OK, SATURATED, HELD, DEGRADED = range(4)
 #: What the controller does, see `safety`.
 RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)
 
-
-#: What came in at a tick.
-_INPUT = _record(
-    whole=("moving",),  # whether motions of the touched bodies were measured
-    X_WD=(4, 4),
-    V_D=6,
-    A_D=6,  # the reference
-)
-#: What a call of `tick.rows` is to do: parts of the tick, rows; where their bytes are.
-_JOB = _record(
-    whole=(
-        "switches",
-        "begin",
-        "stop",
-        "first",
-        "last",
-        "count",
-        "model",
-        "model_step",
-        "memory",
-        "work",
-        "input",
-    )
-)
-
 # The records as one run of bytes each -----------------------------------------------------------
 
 #: Sizes: k arms, n joints, a motors, c contacts, s shapes, r columns of N, see `_counts`.
@@ -667,15 +642,38 @@ WORK = Nested(
     basis=("bars", "bars"),
     scratch="scratch",
 )
+#: What came in at a tick.
 INPUT = Nested(
-    _INPUT,
+    _record(
+        whole=("moving",),  # whether motions of the touched bodies were measured
+        X_WD=(4, 4),
+        V_D=6,
+        A_D=6,  # the reference
+    ),
     q="n",
     v="n",
     wrenches=("k", 6),
     alpha_d="r",
     touched=("c", 28),  # X_WE by rows, V_E, A_E of the bodies
 )
-JOB = Nested(_JOB)
+#: What a call of `tick.rows` is to do: parts of the tick, rows; where their bytes are.
+JOB = Nested(
+    _record(
+        whole=(
+            "switches",
+            "begin",
+            "stop",
+            "first",
+            "last",
+            "count",
+            "model",
+            "model_step",
+            "memory",
+            "work",
+            "input",
+        )
+    )
+)
 
 #: What the parts of a tick take: four records.
 Tick = namedtuple("Tick", "model memory work input")
@@ -711,7 +709,17 @@ def body_of(t, column):
     return t.model.bodies[t.model.columns[column].contact]
 
 
-_SIZES = "n_arms", "n_joints", "n_motors", "n_contacts", "n_shapes", "n_columns"
+#: Counts of tables, those of `_counts` first, and the field of MODEL that says the same.
+COUNTED = {
+    "k": "n_arms",
+    "n": "n_joints",
+    "a": "n_motors",
+    "c": "n_contacts",
+    "s": "n_shapes",
+    "r": "n_columns",
+    "bars": "n_bars",
+    "e": "n_extra",
+}
 
 
 def _counts(k: int, n: int, a: int, c: int, s: int, r: int) -> dict[str, int]:
@@ -745,10 +753,8 @@ def new_model(
     counts = _counts(arms, joints, motors, contacts, shapes, columns)
     raw = MODEL.new(counts)
     head = MODEL.view(raw)
-    for name, count in zip(_SIZES, counts.values(), strict=False):
-        setattr(head, name, count)
-    head.n_bars = counts["bars"]
-    head.n_extra = counts["e"]
+    for size, name in COUNTED.items():
+        setattr(head, name, counts[size])
     head.row_bytes = len(raw)
     head.memory_bytes = len(MEMORY.new(counts))
     return raw
@@ -774,7 +780,7 @@ class Rows:
         """
         model = np.atleast_2d(model)
         head = MODEL.view(model[0])
-        counts = _counts(*(int(head[name]) for name in _SIZES))
+        counts = _counts(*[int(head[name]) for name in COUNTED.values()][:6])
         if memory is None:
             memory = np.tile(MEMORY.new(counts), (len(model), 1))
         shared = len(model) > 1 and (model == model[0]).all()

@@ -199,7 +199,7 @@ def guard(t, reason):
     if reason == NO_REASON:
         memory.gap = 0
         for j in range(model.n_joints):
-            t.memory.joints[j].acceleration = t.work.joints[j].acceleration
+            memory.joints[j].acceleration = work.joints[j].acceleration
         memory.has_wrench = 1
         if work.status != SATURATED:  # then the motor limits still have to be met
             count_computed(t)
@@ -221,7 +221,7 @@ def guard(t, reason):
     _enter(t, state)
     if memory.state == DEGRADED_STATE or memory.compared == 0:
         for i in range(model.n_motors):
-            t.work.tau[i] = t.memory.torques[i]
+            work.tau[i] = memory.torques[i]
     else:
         _hold_posture(t)
     return reason
@@ -377,8 +377,7 @@ def _carry_weight(t):
     own = model.X_LP
     fill(work.y, ZERO)
     fill(work.u, ZERO)
-    known = model.leader >= 0 or memory.located != 0
-    if model.held == 0 or not known:
+    if model.held == 0 or (model.leader < 0 and memory.located == 0):
         return 0.0
     if model.leader >= 0:
         place_frame(work.joints[model.arms[model.leader].tip_joint], own, work.A, work.u)

@@ -33,6 +33,7 @@ from osc_contact.law.records import (
     contact_of,
 )
 from osc_contact.law.vectors import (
+    clamped,
     cross,
     dot3,
     dot6,
@@ -165,7 +166,7 @@ def check_readings(t):
             return STALE
     for j in range(model.n_joints):
         fast = abs(t.input.v[j]) > model.plausible_speed * table[j].rated
-        if fast or (memory.compared and jumped(t, table[j], t.memory.joints[j], t.input.q[j])):
+        if fast or (memory.compared and jumped(t, table[j], memory.joints[j], t.input.q[j])):
             memory.culprit = j
             return JUMPED
     return NO_REASON
@@ -241,9 +242,9 @@ def check_arms(t):
     of the torque limit, as far as it is not the usual one, and within twice that, see
     `joint_friction`.
     """
-    arms = t.model.arms
+    model = t.model
     memory = t.memory
-    dt = t.model.period * (1 + max(memory.gap, memory.wrench_age))
+    dt = model.period * (1 + max(memory.gap, memory.wrench_age))
     apart = _find_apart(t)
     memory.apart = collect(memory.apart, dt, apart >= 0)
     if apart >= 0 and memory.apart > _APART:
@@ -252,12 +253,9 @@ def check_arms(t):
     if memory.wrench_missing or memory.ticked == 0:
         return NO_REASON
     memory.balanced += 1
-    memory.instant += int(dt / t.model.period + 0.5)
-    for k in range(t.model.n_arms):
-        if arms[k].sensor_joint < 0:
-            continue
-        found = _balance_arm(t, k, dt)
-        if found:
+    memory.instant += int(dt / model.period + 0.5)
+    for k in range(model.n_arms):
+        if model.arms[k].sensor_joint >= 0 and _balance_arm(t, k, dt):
             memory.culprit = k
             return UNBALANCED
     return NO_REASON
@@ -280,9 +278,9 @@ def _balance_arm(t, k, dt):
     slow = max(dt / (_USUAL + dt), first)
     for j in range(arm.first, arm.sensor_joint + 1):
         known = t.memory.joints[j]
-        if t.model.joints[j].motor < 0:
-            continue
         joint = t.model.joints[j]
+        if joint.motor < 0:
+            continue
         most = t.model.wrist_error * joint.tau_max
         theta = joint.theta
         speed = abs(known.means[SPEED])
@@ -295,14 +293,13 @@ def _balance_arm(t, k, dt):
         least = _DOUBTFUL * most
         if known.means[V] * known.unexplained > _RUBBING * abs(known.unexplained):
             most *= 2.0  # it brakes the joint, as friction does that is not learned yet
-        rest = known.residual - min(max(known.residual, -friction), friction)
-        bound = _OUTLIER * most
-        rest = min(max(rest, -bound), bound)
-        known.unexplained += fast * (rest - known.unexplained)
+        rest = known.residual - clamped(known.residual, friction)
+        known.unexplained += fast * (clamped(rest, _OUTLIER * most) - known.unexplained)
         rest = known.unexplained
         known.usual += slow * (rest - known.usual)
-        doubtful = doubtful or abs(rest - known.usual) > least
-        too_much = abs(rest - known.usual) > most or abs(rest) > 2.0 * most
+        unusual = abs(rest - known.usual)
+        doubtful = doubtful or unusual > least
+        too_much = unusual > most or abs(rest) > 2.0 * most
         known.unbalanced = collect(known.unbalanced, dt, too_much)
         found = found or known.unbalanced > _UNBALANCED
     own.doubtful = collect(own.doubtful, dt, doubtful)
@@ -404,13 +401,13 @@ def _check_wrists(t):
     """The arm whose wrist has read the very same in contact for too long, or −1; whether all do."""
     model = t.model
     memory = t.memory
-    last_wrenches = t.memory.wrenches
+    last_wrenches = memory.wrenches
     wrenches = t.input.wrenches
     all_same = True
     dead = -1
     fresh = memory.repeated & WRISTS == 0 and memory.wrench_missing == 0
     for k in range(model.n_arms):
-        known = t.memory.arms[k]
+        known = memory.arms[k]
         if not (fresh and _measurable(t, k)):
             known.unread += 1
             continue
@@ -443,7 +440,7 @@ def _check_joint(t, known, limit, step, v, dt):
     known.due = known.due + v * dt if step == 0.0 else 0.0
     gained = min(abs(known.pending), _GAIN * model.stuck_speed * limit)
     known.gained = known.gained + gained if step == 0.0 else 0.0
-    error = min(max(v - slope, -2.0 * limit), 2.0 * limit)
+    error = clamped(v - slope, 2.0 * limit)
     k = dt / (_MODEL + dt)
     lag = dt / (_LAG + dt)
     known.error += lag * (error - known.error)
@@ -504,11 +501,10 @@ def estimate_joints(t):
     model = t.model
     table = model.joints
     memory = t.memory
-    n = model.n_joints
     dt = model.period
     memory.unbraked = -1
-    for j in range(n):
-        known = t.memory.joints[j]
+    for j in range(model.n_joints):
+        known = memory.joints[j]
         use_q = known.faulty & FAULTY_POSITION == 0
         use_v = known.faulty & FAULTY_SPEED == 0
         seen_q = use_q and known.unread_q == 0
@@ -522,8 +518,7 @@ def estimate_joints(t):
         elif seen_q:
             slope = (known.q - memory.q[j]) / dt
             v += (slope - v) * dt / (_SLOPE + dt)
-        most = model.plausible_speed * table[j].rated
-        v = min(max(v, -most), most)
+        v = clamped(v, model.plausible_speed * table[j].rated)
         memory.q[j] = known.q if seen_q else memory.q[j] + v * dt
         memory.v[j] = v
         blind_q = not use_q or known.unread_q * dt > _BLIND

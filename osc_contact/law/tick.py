@@ -87,6 +87,7 @@ from osc_contact.law.sensors import check_arms, check_readings, compare_speeds
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,
+    clamped,
     copy_rows,
     dot6,
     fill,
@@ -350,16 +351,17 @@ def command(t, flags):
     model = t.model
     work = t.work
     memory = t.memory
+    own = flags & OWN_FORCE != 0
     for a in range(work.rank):
-        if flags & OWN_FORCE == 0 and memory.wrench_missing:
-            work.gain[a] = 0.0
         # another number of columns: start again
         work.w[a] = memory.force_sum[a] if memory.force_rank == work.rank else 0.0
-        if flags & OWN_FORCE:
+        if own:
             work.force_next[a] = work.w[a]
             if work.damping[a] > 0.0:  # approached
                 work.alpha_u[a] = work.alpha_d[a] - work.damping[a] * work.speed[a]
-    if flags & OWN_FORCE == 0:
+        elif memory.wrench_missing:
+            work.gain[a] = 0.0
+    if not own:
         command_force(t)
     if memory.hand_over:
         memory.hand_over = 0
@@ -367,7 +369,7 @@ def command(t, flags):
     most = model.integral_motion / model.integral if model.integral > 0.0 else inf
     for i in range(6):
         s = memory.motion_sum[i] + work.motion_next[i] * work.dt
-        work.motion_next[i] = min(max(s, -most), most)
+        work.motion_next[i] = clamped(s, most)
     if flags & OWN_MOTION == 0:
         command_motion(t)
     reason = filter_motion(t)

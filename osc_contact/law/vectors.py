@@ -19,6 +19,12 @@ ZERO = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @leaf
+def clamped(x, most):
+    """x within ±most."""
+    return min(max(x, -most), most)
+
+
+@leaf
 def cross(a, b):
     """a × b of 3-vectors."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
@@ -74,6 +80,12 @@ def linear(x):
 def angular(x):
     """The last three of six, as a tuple."""
     return x[3], x[4], x[5]
+
+
+@leaf
+def axis3(k):
+    """The unit vector along axis k, as a tuple."""
+    return 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0
 
 
 @leaf
