@@ -17,7 +17,7 @@ from benchmarks.tick import ALL_CASES
 from osc_contact.control.inputs import touched_rows
 from osc_contact.law import jit, records, tick
 from osc_contact.law.compiled import rows
-from osc_contact.law.limits import TorqueLimits, fill_program, settle
+from osc_contact.law.limits import PROGRAM, TorqueLimits, fill_program, settle
 from osc_contact.runs.run import start
 
 MOVING = "moving_face"  #: bodies that move
@@ -76,7 +76,8 @@ class Guarded:
         sizes = int(model.n_motors), max(1, int(model.n_columns)), int(model.n_extra)
         limits = TorqueLimits(*sizes, 8)
         limits.program.mass = controller.chain.reference.inertia.mass
-        limits._use(guarded(limits.raw, at_end))
+        limits.raw = guarded(limits.raw, at_end)
+        limits.program = PROGRAM.view(limits.raw)
         self.limits = limits
 
     def tick(self, m, reference):

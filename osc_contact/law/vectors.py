@@ -411,7 +411,11 @@ def turned(work, x):
 
 @leaf
 def fill_free(x, work, y):
-    """x ← y turned, as far as the arms do not lock it."""
+    """x ← y turned, as far as the arms do not lock it.
+
+    Args:
+        x: (6,) is written. work: WORK. y: (6,) energy coordinates.
+    """
     fill(x, turned(work, y))
     for i in range(work.locked):
         x[i] = 0.0
