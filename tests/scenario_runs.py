@@ -62,3 +62,10 @@ def assert_same_run(one, other, atol=0.0):
     assert one.channels.keys() == other.channels.keys()
     for name in set(one.channels) - {"tick_s"}:
         assert_allclose(other[name], one[name], rtol=0, atol=atol, err_msg=name)
+
+
+def judged(scenario, key="rms_error_rel", install=None):
+    """The worst of all forces, relative to its mean command; contact all the time."""
+    verdict = verdict_of(scenario, duration=3.0, install=install)
+    assert always_closed(verdict)
+    return max(force[key] for force in verdict["force"].values())

@@ -18,7 +18,7 @@ from rigs import (
     sliding,
 )
 from samples import aligned, chosen, first, parametrize
-from scenario_runs import always_closed, verdict_of
+from scenario_runs import judged
 from test_law import inputs, motion_of, off_their_faces
 
 import osc_contact as osc
@@ -32,13 +32,6 @@ def point(changes=None, **control):
     data = POINT | {"control": POINT["control"] | control}
     data["plant"] = POINT["plant"] | (changes or {})
     return osc.Scenario.model_validate(data)
-
-
-def judged(scenario, key="rms_error_rel", install=None):
-    """The worst of all forces, relative to its mean command; contact all the time."""
-    verdict = verdict_of(scenario, duration=3.0, install=install)
-    assert always_closed(verdict)
-    return max(force[key] for force in verdict["force"].values())
 
 
 # --- against MuJoCo -------------------------------------------------------------------------------

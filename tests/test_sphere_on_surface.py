@@ -24,8 +24,7 @@ from rigs import (
     vector,
 )
 from samples import first, parametrize
-from scenario_runs import rig_of
-from test_reading import judged
+from scenario_runs import judged, rig_of
 
 import osc_contact as osc
 from benchmarks import curved_faces

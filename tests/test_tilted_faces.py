@@ -9,9 +9,9 @@ from pair_kinds import touching
 from pytest import approx
 from rigs import STILL, assert_near, one_panda, placed, pose_of, random_state, unit, velocity_at
 from samples import parametrize
-from scenario_runs import closed_force, rig_of, verdict_of, worst_force
+from scenario_runs import closed_force, judged, rig_of, verdict_of, worst_force
 from test_moving_face import FACES
-from test_reading import judged, point
+from test_reading import point
 
 import osc_contact as osc
 
