@@ -75,7 +75,7 @@ class Case(NamedTuple):
 
         Packaged scenarios are judged as by the verdict, without steps.
         """
-        # here, not at the import: who imports this module gets no further plant
+        # at run time: importing this module leaves the register of plants as it is
         osc.register_plant("stribeck")(_stribeck)
         try:
             recording = osc.run(osc.load_scenario(_file(self.scenario), list(self.changes)))
