@@ -709,7 +709,7 @@ def body_of(t, column):
     return t.model.bodies[t.model.columns[column].contact]
 
 
-#: Counts of tables, those of `_counts` first, and the field of MODEL that says the same.
+#: Counts of tables, and the field of MODEL that says the same.
 COUNTED = {
     "k": "n_arms",
     "n": "n_joints",
@@ -780,7 +780,7 @@ class Rows:
         """
         model = np.atleast_2d(model)
         head = MODEL.view(model[0])
-        counts = _counts(*[int(head[name]) for name in COUNTED.values()][:6])
+        counts = _counts(**{size: int(head[COUNTED[size]]) for size in "knacsr"})
         if memory is None:
             memory = np.tile(MEMORY.new(counts), (len(model), 1))
         shared = len(model) > 1 and (model == model[0]).all()
