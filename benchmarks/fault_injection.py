@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
@@ -29,6 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 import osc_contact as osc
+from benchmarks.measuring import side_by_side
 from osc_contact.control.status import SafetyState
 from osc_contact.interface import Measurement, Reference, Stamps
 from osc_contact.runs.run import Taring, start
@@ -496,11 +496,10 @@ def main(only: str = "", seeds: int = 1, workers: int = 2) -> None:
     if not runs:
         raise typer.BadParameter(f"no run has {only!r} in its name")
     verdicts = []
-    with ProcessPoolExecutor(workers) as pool:
-        for verdict in pool.map(try_fault, *zip(*runs, strict=True)):
-            verdicts.append(verdict)
-            if verdict.wrong:
-                print(f"{verdict.fault} / {verdict.case}: {'; '.join(verdict.wrong)}", flush=True)
+    for verdict in side_by_side(try_fault, runs, workers):
+        verdicts.append(verdict)
+        if verdict.wrong:
+            print(f"{verdict.fault} / {verdict.case}: {'; '.join(verdict.wrong)}", flush=True)
     Console(width=200).print(table(verdicts))
     wrong = sum(bool(v.wrong) for v in verdicts)
     print(f"{len(verdicts)} runs, {wrong} of them wrong")

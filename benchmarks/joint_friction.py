@@ -13,7 +13,6 @@ verdict. Where the plate stands follows from the posture that `osc-contact new` 
 """
 
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -24,6 +23,7 @@ import numpy as np
 import typer
 
 import osc_contact as osc
+from benchmarks.measuring import side_by_side
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs import poses
@@ -259,14 +259,14 @@ def main(only: str = "", workers: int = 2, folder: Path | None = None) -> None:
     print(
         f"{'case':52}   rms %  wanted   peak %  contact %  overshoot %  rms mm  peak mrad  verdict"
     )
-    with ProcessPoolExecutor(workers) as pool:
-        for case, found in zip(rows, pool.map(Case.run, rows), strict=True):
-            rms, peak, closed, overshoot, away, turned, word = found
-            print(
-                f"{case.name:52} {rms:7.4f}  {case.most:6.2f}  {peak:7.1f}  {closed:9.1f}"
-                f"  {overshoot:11.1f}  {away:6.3f}  {turned:9.2f}  {word}",
-                flush=True,
-            )
+    found = side_by_side(Case.run, [(case,) for case in rows], workers)
+    for case, values in zip(rows, found, strict=True):
+        rms, peak, closed, overshoot, away, turned, word = values
+        print(
+            f"{case.name:52} {rms:7.4f}  {case.most:6.2f}  {peak:7.1f}  {closed:9.1f}"
+            f"  {overshoot:11.1f}  {away:6.3f}  {turned:9.2f}  {word}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

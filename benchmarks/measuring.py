@@ -3,16 +3,20 @@
 import os
 import platform
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
+from rich.progress import track
 from rich.table import Table
 
+from osc_contact.console import err
 from osc_contact.spatial import Array
 from paper.study import Data, table_of
 
@@ -46,6 +50,20 @@ def table_from(title: str, rows: Rows) -> Table:
         return "–" if x is None else f"{x:.2f}" if isinstance(x, float) else str(x)
 
     return table_of(title, "; ".join(rows[0]), (map(cell, row.values()) for row in rows))
+
+
+def side_by_side(
+    task: Callable[..., Any], jobs: Collection[tuple[Any, ...]], workers: int
+) -> Iterator[Any]:
+    """What a task gives for each of some arguments, in their order; a terminal shows how many.
+
+    Args:
+        task: a function of a module. jobs: its arguments, call by call. workers: processes.
+    """
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        found = pool.map(task, *zip(*jobs, strict=True))
+        hidden = not err.is_terminal
+        yield from track(found, "", len(jobs), console=err, transient=True, disable=hidden)
 
 
 def take_turns(

@@ -13,18 +13,16 @@ reported, and not wrong below a tenth of their speed limits.
 
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
 from itertools import product
-from multiprocessing import get_context
 
 import numpy as np
 import typer
 from rich.console import Console
 
 import osc_contact as osc
-from benchmarks.measuring import table_from
+from benchmarks.measuring import side_by_side, table_from
 from osc_contact.scenarios.hardware import Push
 from osc_contact.sweeps.sweep import without_logged_doubts
 from paper.study import Data
@@ -126,9 +124,8 @@ def _direction(rig: osc.Rig, word: str) -> np.ndarray:
 
 def main(scenario: list[str] | None = None, workers: int = 2) -> None:
     """Push them all; exit with 1 if anything was wrong."""
-    pushes = product(scenario or osc.list_scenarios(), DIRECTIONS, FORCES, DURATIONS)
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        rows = list(pool.map(push_arm, *zip(*pushes, strict=True)))
+    pushes = [*product(scenario or osc.list_scenarios(), DIRECTIONS, FORCES, DURATIONS)]
+    rows = [*side_by_side(push_arm, pushes, workers)]
     Console(width=200).print(table_from("pushes", rows))
     wrong = sum(bool(row["wrong"]) for row in rows)
     print(f"{len(rows)} pushes, {wrong} of them wrong")
