@@ -44,7 +44,7 @@ STRETCHED = _CASE._replace(name="stretched", goals=(_CASE.goals[0], _FAR, _CASE.
 
 
 class Sight:
-    """The arm as the simulator knows it at one instant; tool: the finger's middle, world axes.
+    """The simulator's arm at one instant; tool: the finger's middle, world axes.
 
     Attributes:
         q, v: (7,) rad, rad/s. X: of the tool. V: (6,) its twist. J: (6, 7). M: (7, 7).
@@ -272,13 +272,13 @@ class Done(NamedTuple):
     """What a law did, tick by tick.
 
     Attributes:
-        wanted: ticks of the whole run. force, force_goal: (k,) N.
+        planned: ticks of the whole run. force, force_goal: (k,) N.
         off: (k, 6) from the object to its goal in the axes of the wall, the third one into it (m,
             rad).
         tau: (k, 7) N m. speed: (k, 7) rad/s. tick: (k,) µs of the law itself.
     """
 
-    wanted: int
+    planned: int
     force: Array
     force_goal: Array
     off: Array
@@ -288,7 +288,7 @@ class Done(NamedTuple):
 
     def rms(self) -> tuple[float, ...]:
         """Of forces (N), along the wall (mm), of turns (mrad); NaN where the run ended early."""
-        if len(self.force) < self.wanted:
+        if len(self.force) < self.planned:
             return (np.nan,) * 3
         off = 1e3 * self.off
         parts = ((self.force - self.force_goal)[:, None], off[:, :2], off[:, 3:])

@@ -1,4 +1,4 @@
-"""Joint friction that the controller believes wrongly: rms error of the contact force, in MuJoCo.
+"""Joint friction that differs from the controller's model: rms force errors in MuJoCo.
 
     python -m benchmarks.joint_friction [--only PART] [--workers 2]
     python -m benchmarks.joint_friction --folder robosuite/models/assets/robots --only MJCF
@@ -87,8 +87,8 @@ class Case(NamedTuple):
         motion = 1e3 * np.sqrt(np.mean(away[0] ** 2)), 1e3 * away[1].max()
         if self.scenario in TIPS:
             force = recording["alpha_true"][judged]
-            wanted = recording["alpha_cmd"][judged]
-            error = (force - wanted) / np.abs(wanted).max()
+            commanded = recording["alpha_cmd"][judged]
+            error = (force - commanded) / np.abs(commanded).max()
             found = np.sqrt(np.mean(error**2)), np.abs(error).max(), np.mean(force > 0.0)
         else:
             worst = [
@@ -257,7 +257,7 @@ def main(only: str = "", workers: int = 2, folder: Path | None = None) -> None:
     others = [] if folder is None else _of_mjcf(folder)
     rows = [case for case in (*cases(), *others) if only in case.name]
     print(
-        f"{'case':52}   rms %  wanted   peak %  contact %  overshoot %  rms mm  peak mrad  verdict"
+        f"{'case':52}   rms %   limit   peak %  contact %  overshoot %  rms mm  peak mrad  verdict"
     )
     found = side_by_side(Case.run, [(case,) for case in rows], workers)
     for case, values in zip(rows, found, strict=True):

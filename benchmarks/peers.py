@@ -106,8 +106,8 @@ def _beside_tsid(peers: Peers, python: Path, rounds: int) -> Rows:
     except OSError as error:
         raise osc.InvalidInputError(f"{python} cannot be run: {error}. {HOW_TO_TSID}") from error
     if done.returncode != 0:
-        said = (done.stderr.strip() or "nothing").splitlines()[-1]
-        raise osc.InvalidInputError(f"{python} cannot run TSID: {said}. {HOW_TO_TSID}")
+        message = (done.stderr.strip() or "nothing").splitlines()[-1]
+        raise osc.InvalidInputError(f"{python} cannot run TSID: {message}. {HOW_TO_TSID}")
     parts = {part: np.array(times) for part, times in json.loads(done.stdout).items()}
     compiled, _, unwind = peers
     alone = {name: compiled[name] for name in (TICK, FLOOR)}

@@ -1,6 +1,6 @@
 """The task: wear an edge of hidden hardness evenly, in one pass of a bar along it.
 
-A pass takes off dh = k(y) f |dy| at a place y (Preston's law): k says how soft the edge is there, f
+A pass takes off dh = k(y) f |dy| at a place y (Preston's law): k is how soft the edge is there, f
 is the true contact force. No sensor reads k and no force law can know it. The depth is gauged after
 the pass, and a learner receives one number: how uneven it is.
 """
@@ -60,7 +60,7 @@ def best_forces(y: Array) -> Array:
 def make_env(rows: int, seconds: float) -> ContactVectorEnv:
     """Rows of `panda_edge`; the bar passes along the table's edge in so many seconds.
 
-    On its way it turns and slides along its own edge. Masses are not what the controller believes,
+    On its way it turns and slides along its own edge. Masses differ from the controller's model,
     and differ from one pass to the next.
     """
     signal = f"{{type: minimum_jerk, start: {BEFORE} s, duration: {seconds} s, value: %s}}"
@@ -224,7 +224,7 @@ class SelectionRows:
         return J, weight, float(INTO @ read)
 
 
-# --- An evolution strategy in plain NumPy: it sees what each policy is worth, and nothing else ---
+# --- An evolution strategy in plain NumPy: its only input is the value of each policy ---
 
 
 _BEST = 0.25  #: of a generation, from which the next is drawn
@@ -268,7 +268,7 @@ def learn(
 # --- Learn to polish, above our law and above another: `python -m benchmarks.polishing` ---
 
 
-KNOTS = np.linspace(EDGES[0], EDGES[-1], 12)  #: m, where a policy says its forces
+KNOTS = np.linspace(EDGES[0], EDGES[-1], 12)  #: m, where a policy gives its forces
 SLOW = 1.4
 FAST = 0.7  #: s, of a pass: while learning; and twice as fast, not seen while learning
 UNSEEN = 10**6

@@ -71,9 +71,9 @@ def push_arm(
     speeds = (np.abs(recording["v"][:, joints]) / fastest).max(axis=1) * (since > -duration)
     late = since[speeds > 1.0].max(initial=0.0)
     true = recording["alpha_true"]
-    wanted = recording["alpha_cmd"]
-    off = np.abs(true - calm[: len(true)]) > np.maximum(_NEAR * np.abs(wanted), _LEAST)
-    pressed = (wanted > _LEAST).any(axis=1)  # else the task has taken the forces away
+    commanded = recording["alpha_cmd"]
+    off = np.abs(true - calm[: len(true)]) > np.maximum(_NEAR * np.abs(commanded), _LEAST)
+    pressed = (commanded > _LEAST).any(axis=1)  # else the task has taken the forces away
     back = since[off.any(axis=1) & pressed & (since < BACK_WITHIN + _STEADY)].max(initial=0.0)
     stopped = recording.meta["end_state"] == "SAFE_STOP"
     if late > SLOW_WITHIN:

@@ -164,8 +164,8 @@ class TextbookLaw:
             if J.shape[1] > 6:
                 R = np.diag(self.limits[s] ** -2.0)
                 weight[s, s] = J.T @ inv(J @ R @ J.T) @ J
-                wanted = STIFFNESS * (case.posture[s] - q[s]) - DAMPING * v[s]
-                rest[s] = (np.eye(J.shape[1]) - J.T @ arm.J_bar.T) @ (arm.h + arm.M @ wanted)
+                desired = STIFFNESS * (case.posture[s] - q[s]) - DAMPING * v[s]
+                rest[s] = (np.eye(J.shape[1]) - J.T @ arm.J_bar.T) @ (arm.h + arm.M @ desired)
         A = G
         b = f_S
         if len(arms) == 2:

@@ -15,7 +15,7 @@ FEWER = 20  #: a batch has so many times fewer rounds: each ticks thousands of r
 def measure(rounds: int) -> dict[str, Rows]:
     """{"tick": rows} in µs; tick, the law's one call in it and floor take turns.
 
-    Every tick is checked to have ended as the case says. Times of a batch are those of one row:
+    Every tick is checked to have ended as the case states. Times of a batch are those of one row:
     the whole tick, and the floor of all rows, over their number. The law is timed by itself where
     nothing else is a case's own.
 

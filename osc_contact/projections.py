@@ -106,7 +106,7 @@ def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:
 DEPENDENT = 1e-12
 #: The same for the columns of a contact; far below any real geometry.
 INDEPENDENT = 1e-10
-#: Share of a direction that a metric, or a dual space, sees: 1e-6 … 1; of none, 1e-17 … 1e-10.
+#: Share of a direction within a metric, or a dual space: 1e-6 … 1; outside of it, 1e-17 … 1e-10.
 BLOCKED = 1e-8
 #: The direction that columns hardly span is known to 1e-16 by that singular value.
 BLURRED = 1e-13

@@ -48,7 +48,7 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"{name}: expected numbers of shape {shape}: {error}") from error
     fits = array.ndim == len(shape) and all(
-        want is None or want == got for want, got in zip(shape, array.shape, strict=True)
+        n is None or n == got for n, got in zip(shape, array.shape, strict=True)
     )
     if not fits:
         expected = ", ".join("any" if n is None else str(n) for n in shape)

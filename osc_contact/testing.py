@@ -114,7 +114,7 @@ class _Check:
         if self.fresh.look(m) & OUTDATED or self.fresh.repeated > MOST_REPEATED:
             raise PlantError(
                 f"measure(): stamps ({m.stamps}) or sequence ({m.sequence}) do not advance; give "
-                "the time of each reading, as the robot knows it"
+                "the time of each reading, by the clock of the robot"
             )
         return m
 

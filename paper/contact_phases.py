@@ -1,4 +1,4 @@
-"""Fig. 7: contacts lost and made again, collisions as the plant knows them.
+"""Fig. 7: contacts lost and made again, collisions as in the plant's truth.
 
 `collisions` knocks the rod off its faces again and again.
 """
@@ -22,7 +22,7 @@ WITHIN_S = 0.020  #: in which a collision is to be flagged
 
 
 class Collision(NamedTuple):
-    """A contact re-made, as the plant knows it.
+    """A contact re-made, in the plant's truth.
 
     Attributes:
         contact: its number. t: when it was made (s).
@@ -72,7 +72,7 @@ def false_alarms(recording: osc.Recording) -> int:
 
 
 def answers(recording: osc.Recording) -> dict[str, Answer]:
-    """What a run of `collisions` says to the paper's statements on fig. 7."""
+    """Answers of a run of `collisions` to the paper's statements on fig. 7."""
     t = recording["t"]
     power = np.abs(recording["power_projected"])
     hits = collisions(recording)
@@ -103,7 +103,7 @@ def answers(recording: osc.Recording) -> dict[str, Answer]:
 def draw_collisions(recording: osc.Recording) -> Figure:
     """Fig. 7: total and projected power as in fig. 6.
 
-    Triangles: collisions as the plant knows them; the monitor flagged the filled ones in 20 ms.
+    Triangles: collisions in the plant's truth; the monitor flagged the filled ones in 20 ms.
     Shaded: a contact is open, and N assumes what is not there.
     """
     hits = collisions(recording)

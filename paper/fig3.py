@@ -309,12 +309,12 @@ def _edge(mark: tuple[pin.SE3, float, str]) -> Array:
 
 
 def _vision_words(cell: Workcell) -> str:
-    eyes = cell.rig.scenario.sensors.vision
-    if eyes is None:
+    vision = cell.rig.scenario.sensors.vision
+    if vision is None:
         return "ideal"
     return (
-        f"{eyes.rate:g} Hz, {1e3 * eyes.delay:g} ms old, "
-        f"±{1e3 * eyes.position.noise:g} mm, ±{1e3 * eyes.orientation.noise:g} mrad"
+        f"{vision.rate:g} Hz, {1e3 * vision.delay:g} ms old, "
+        f"±{1e3 * vision.position.noise:g} mm, ±{1e3 * vision.orientation.noise:g} mrad"
     )
 
 

@@ -169,12 +169,12 @@ def _fig5(seen: Evidence) -> dict[str, Answer]:
     while reader := next((b for b in force if signal in b.inputs), None):
         path.append(reader.name)
         signal = reader.outputs[0]
-    wanted = ["force filter", "generalised inverse", "force law", "to operational space"]
+    expected = ["force filter", "generalised inverse", "force law", "to operational space"]
     sensed = [force["sensing_rms_rel"] for force in seen.verdict["force"].values()]
     rate = float(seen.recording.meta["control_rate_hz"])
     faster = np.linalg.norm(np.diff(seen["twist"][:, :3], axis=0), axis=1).max() * rate
     answers = {
-        "path": Answer(f"As wired in a tick: {' → '.join(path)}.", path == wanted),
+        "path": Answer(f"As wired in a tick: {' → '.join(path)}.", path == expected),
         "filter": Answer(
             f"While the rod accelerates by up to {faster:.2f} m/s², the filtered magnitudes are "
             f"the plant's true ones within {_each(sensed, '{:.2g} %', 100.0)} rms.",

@@ -118,7 +118,7 @@ def _section(figure: PaperFigure, verdict: Verdict, reproduction: Reproduction) 
     return (
         f'<section id="{figure.name}"><h2>Fig. {figure.name[3:]} {_badge(verdict)}</h2>'
         f'<div class="pair{broad}"><div class="paper"><h3>The paper shows</h3>'
-        f"<p>{escape(figure.shows)}</p><h3>… states, and ours says</h3><ol>{states}</ol>{command}"
+        f"<p>{escape(figure.shows)}</p><h3>… states, and ours shows</h3><ol>{states}</ol>{command}"
         f'</div><div class="ours"><h3>Ours</h3>{ours}</div></div></section>'
     )
 
@@ -126,16 +126,18 @@ def _section(figure: PaperFigure, verdict: Verdict, reproduction: Reproduction) 
 def _statement(words: str, answer: Answer | None) -> str:
     if answer is None:
         verdict = Verdict.partly
-        said = "Open: this run does not answer it."
+        text = "Open: this run does not answer it."
         limit = ""
     else:
         verdict = Verdict.reproduced if answer.holds else Verdict.contradicted
-        said = answer.found
-        limit = f' <span class="limit">Asked: {escape(answer.limit)}.</span>' * bool(answer.limit)
+        text = answer.found
+        limit = f' <span class="limit">Required: {escape(answer.limit)}.</span>' * bool(
+            answer.limit
+        )
     kind, mark, _ = _MARKS[verdict]
     return (
-        f'<li><p>{escape(words)}</p><p class="said"><span class="mark {kind}" title="{verdict}">'
-        f"{mark}</span> {escape(said)}{limit}</p></li>"
+        f'<li><p>{escape(words)}</p><p class="answer"><span class="mark {kind}" title="{verdict}">'
+        f"{mark}</span> {escape(text)}{limit}</p></li>"
     )
 
 

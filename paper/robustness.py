@@ -63,11 +63,11 @@ def quantiles(rows: Sequence[Data], law: str) -> Data:
     Args:
         rows: of a case. law: of `LAWS`.
     """
-    told: Data = {"success_rate": sum(not row[f"{law}.failed"] for row in rows) / len(rows)}
+    summary: Data = {"success_rate": sum(not row[f"{law}.failed"] for row in rows) / len(rows)}
     for quantity in QUANTITIES:
         values = np.quantile(errors(rows, law, quantity), SHARES, method="inverted_cdf")
-        told[quantity] = [float(x) if np.isfinite(x) else None for x in values]
-    return told
+        summary[quantity] = [float(x) if np.isfinite(x) else None for x in values]
+    return summary
 
 
 def run(ask: Ask, workers: int | None = None) -> Data:
@@ -192,11 +192,12 @@ def tabulate(found: Data) -> Table:
     rows = []
     for name, case in cases.items():
         for law in LAWS:
-            told = case[law]
+            summary = case[law]
             errors = [
-                " / ".join("none" if x is None else f"{x:.3g}" for x in told[k]) for k in QUANTITIES
+                " / ".join("none" if x is None else f"{x:.3g}" for x in summary[k])
+                for k in QUANTITIES
             ]
-            rows.append((TITLES[name], LABELS[law], f"{told['success_rate']:.1%}", *errors))
+            rows.append((TITLES[name], LABELS[law], f"{summary['success_rate']:.1%}", *errors))
     title = f"two_contact_rod on mujoco, {samples} samples of each case: {shares} of runs below"
     return table_of(
         title, f"not as believed; law; tasks done; {'; '.join(QUANTITIES.values())}", rows

@@ -25,7 +25,7 @@ class PaperFigure(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What ours says to a statement.
+    """Our answer to a statement.
 
     Attributes:
         found: the numbers, in words.

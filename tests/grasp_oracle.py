@@ -1,7 +1,7 @@
 """Full systems of equations for arms that hold an object by any grasp.
 
 Every joint and the object have accelerations of their own, in classical terms; grasps are written
-as points and directions that stay together, differentiated twice by hand. Nothing here knows
+as points and directions that stay together, differentiated twice by hand. Nothing here uses
 N, T or generalised inverses of the package.
 """
 

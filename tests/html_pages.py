@@ -1,4 +1,4 @@
-"""What a page of HTML says, loads and leads to, read without a browser."""
+"""What a page of HTML shows, loads and leads to, read without a browser."""
 
 from lxml.html import document_fromstring
 

@@ -33,7 +33,7 @@ REACH = 6  # steps to either side: the twelfth order
 
 @dataclass(eq=False)
 class Body:
-    """A mechanism whose last frame is touched, in a state, with what a controller knows of it.
+    """A mechanism whose last frame is touched, in a state, with a controller's model of it.
 
     known: a body of the package, or the `Environment` at O (3,); prescribed: q̈ of its drives.
     """

@@ -140,7 +140,7 @@ def main():
 
 
 def make_copy(copy):
-    """A copy of what git knows, as it is now; files that are the same keep their dates."""
+    """A copy of the files of git, as they are now; files that are the same keep their dates."""
     words = ["git", "-C", str(ROOT), "ls-files", "-co", "--exclude-standard"]
     listed = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
     for name in listed:

@@ -33,19 +33,21 @@ def within(x, limit):
     return (np.abs(x) <= limit).all()
 
 
-def miss(got, want):
+def miss(got, expected):
     """Largest difference over the largest element, or over 1 (m/s², rad/s², N) if that is more."""
-    return largest(got - want) / max(largest(want), 1.0)
+    return largest(got - expected) / max(largest(expected), 1.0)
 
 
-def assert_near(got, want, atol=0.0, rtol=1e-7, name=""):
+def assert_near(got, expected, atol=0.0, rtol=1e-7, name=""):
     """Each element within atol, plus this share of what is wanted."""
-    assert_allclose(got, want, rtol, atol, err_msg=name)
+    assert_allclose(got, expected, rtol, atol, err_msg=name)
 
 
-def assert_close(got, want, tolerance=1e-8, name=""):
+def assert_close(got, expected, tolerance=1e-8, name=""):
     """Differences within this share of the largest element, or of 1 if that is more."""
-    assert_allclose(got, want, rtol=0, atol=tolerance * max(1.0, largest(want)), err_msg=name)
+    assert_allclose(
+        got, expected, rtol=0, atol=tolerance * max(1.0, largest(expected)), err_msg=name
+    )
 
 
 def vector(*numbers):
@@ -324,8 +326,8 @@ def commanded(chain, pairs, q, v, a_u, alpha_u, squeeze=5.0, **how):
     # states out of any motion; what the oracles answer is without friction
     how = {"safety": UNLIMITED, "joint_friction": False, "laws": laws} | how
     controller = osc.Controller(strong(chain), pairs, **how)
-    wanted = osc.Reference(pin.SE3.Identity(), alpha_d=alpha_u, squeeze_d=squeeze)
-    tau = controller.tick(unloaded(q, v, len(chain.arms)), wanted)
+    desired = osc.Reference(pin.SE3.Identity(), alpha_d=alpha_u, squeeze_d=squeeze)
+    tau = controller.tick(unloaded(q, v, len(chain.arms)), desired)
     fine = osc.Status.OK, osc.Status.DEGRADED
     assert controller.status in fine, controller.reason
     return controller, tau

@@ -133,8 +133,8 @@ def test_laws_are_what_was_published(key, published):
         back = shift(law.selection.point).toActionMatrix()  # motions to O
         there = solve(back, a), back.T @ contact.N @ alpha
         F = solve(back.T, published(frame, back.T @ Lambda @ back, *there))
-        want = state.S.T @ (F + bias)
-        assert_near(f_S(law, state, a, contact.N @ alpha), want, 1e-9 * largest(want))
+        expected = state.S.T @ (F + bias)
+        assert_near(f_S(law, state, a, contact.N @ alpha), expected, 1e-9 * largest(expected))
 
 
 def representable(rng):
@@ -218,9 +218,9 @@ def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
     for name in "f_meas", "f_c_meas", "alpha_meas", "alpha_u", "a_u":
         assert_array_equal(getattr(after, name), getattr(plain.signals, name), name)
     assert_near(after.eta_c, law.eta(after.state, after.a_u), 1e-9)
-    want = f_S(law, after.state, after.a_u, after.contact.N @ after.alpha_u)
-    assert_near(after.f_S, want, 1e-9 * largest(want))
-    assert_near(after.state.G @ tau, want, 1e-9 * largest(want))
+    expected = f_S(law, after.state, after.a_u, after.contact.N @ after.alpha_u)
+    assert_near(after.f_S, expected, 1e-9 * largest(expected))
+    assert_near(after.state.G @ tau, expected, 1e-9 * largest(expected))
     assert rig.controller().laws.structure is None, "other controllers keep theirs"
 
 

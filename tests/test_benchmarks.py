@@ -160,9 +160,9 @@ def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads):
             def of_row(given, *names, i=i):
                 return replace(given, **{name: rows.inputs[name][i] for name in names})
 
-            wanted = of_row(case.reference, "V_D", "A_D", "alpha_d")
+            desired = of_row(case.reference, "V_D", "A_D", "alpha_d")
             read = of_row(case.measurement, "q", "v", "wrenches")
-            assert_array_equal(torques[i], case.controller().tick(read, wanted))
+            assert_array_equal(torques[i], case.controller().tick(read, desired))
     assert len(np.unique(torques[:, 0])) == rows.rows, "every row is at a state of its own"
     rows.inputs["q"][3, 0] = np.nan
     tick()
@@ -208,9 +208,9 @@ def test_mujoco_inverse_explains_the_torques_on_every_contact(name):
     assert data.ncon >= len(case.pairs)
     mujoco.mj_inverse(model, data)
     dofs = [int(model.joint(joint).dofadr[0]) for joint in case.chain.joint_names]
-    wanted = np.zeros(case.chain.nq)
-    wanted[case.chain.actuated] = data.ctrl
-    assert_near(data.qfrc_inverse[dofs], wanted, 1e-4)
+    expected = np.zeros(case.chain.nq)
+    expected[case.chain.actuated] = data.ctrl
+    assert_near(data.qfrc_inverse[dofs], expected, 1e-4)
 
 
 @parametrize("name", [*CASES, "three_arms"])

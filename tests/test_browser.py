@@ -255,24 +255,24 @@ def test_cameras_look_from_where_they_say(other, plain):
     drawn = other.run(EYE)  # placed by drawing commands, not by the page's list
     other.run("element('camera').dispatchEvent(new Event('change'))")
     assert_near(other.run(EYE), drawn, 1e-5)
-    eyes = {}
+    views = {}
     for place, name in enumerate(names):
         other.run(
             f"element('camera').selectedIndex = {place};"
             "element('camera').dispatchEvent(new Event('change'))"
         )
         other.run(FRAMES)
-        eyes[name] = np.array(other.run("viewer.camera.position.toArray()"))
+        views[name] = np.array(other.run("viewer.camera.position.toArray()"))
         for end in ENDS:
             x, y, _ = other.run(
                 f"nodeAt('contacts/{end}').object.getWorldPosition(new MeshCat.THREE.Vector3())"
                 ".project(viewer.camera).toArray()"
             )
-            assert max(abs(x), abs(y)) < 1, f"{name} sees both contacts"
-    high = {name: eye[1] / norm(eye) for name, eye in eyes.items()}
+            assert max(abs(x), abs(y)) < 1, f"{name} shows both contacts"
+    high = {name: eye[1] / norm(eye) for name, eye in views.items()}
     assert high["from above"] > 0.99 and high["whole"] == approx(np.sin(np.deg2rad(28)))
-    assert norm(eyes["contacts"]) < norm(eyes["whole"])
-    flat = [eyes[name][[0, 2]] / norm(eyes[name][[0, 2]]) for name in names]
+    assert norm(views["contacts"]) < norm(views["whole"])
+    flat = [views[name][[0, 2]] / norm(views[name][[0, 2]]) for name in names]
     assert_near(flat[3], -flat[0], 1e-6)
 
 

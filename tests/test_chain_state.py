@@ -72,7 +72,7 @@ def assert_arms(chain, s, q, v):
         J_bar = inv(cholesky(M)).T @ inverse @ passed.T @ root.T
         assert arm.rank == rank
         Lambda = J_bar.T @ M @ J_bar
-        for name, want in {
+        for name, expected in {
             "J": J,
             "gamma": gamma,
             "M": M,
@@ -82,7 +82,7 @@ def assert_arms(chain, s, q, v):
             "mu": J_bar.T @ (h - g) - Lambda @ gamma,
             "p": J_bar.T @ g,
         }.items():
-            assert_close(getattr(arm, name), want, name=name)
+            assert_close(getattr(arm, name), expected, name=name)
         assert_close(onto(arm.C), onto(root @ passed @ U[:, rank:]), name="C of an arm")
         if not grasp.is_rigid:
             assert_close(onto(arm.N), onto(root @ passed @ U[:, :rank]), name="N of an arm")
@@ -97,7 +97,7 @@ def assert_chain(case, v, V, s, rng):
     carried = S.T @ s.payload.Lambda
     weight = s.payload.mu + s.payload.p
     bias = s.W.T @ (s.h + s.M @ s.w) + S.T @ weight + carried @ s.sigma
-    for name, got, want, *tolerance in (
+    for name, got, expected, *tolerance in (
         ("S", onto(S), onto(oracle.S), 1e-7),
         ("C", s.C.T @ S, 0.0),
         ("least σ", S.T @ s.metric @ s.sigma, 0.0),
@@ -119,7 +119,7 @@ def assert_chain(case, v, V, s, rng):
         ("p_S", S.T @ s.p, s.p_S, 1e-9),
         ("μ_S + p_S", s.mu_S + s.p_S, s.b_S, 1e-9),
     ):
-        assert_close(got, want, *tolerance, name=name)
+        assert_close(got, expected, *tolerance, name=name)
     assert s.C.shape[1] == 6 - s.d == 6 - oracle.S.shape[1]
     undriven = matrix_rank(S, 1e-9) - matrix_rank(s.G, 1e-6)
     assert s.unactuated.shape[1] == undriven

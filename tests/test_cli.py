@@ -1,4 +1,4 @@
-"""The command line: what it says, what it writes, how it exits."""
+"""The command line: what it prints, what it writes, how it exits."""
 
 import io
 import os

@@ -71,11 +71,11 @@ def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client):
     study = Deadly.of("two_contact_rod", [tilt], 5, seed=1, overrides=SHORT)
     how = {"workers": 2} if where == "processes" else {"scheduler": client}
     rows = run_study(study, **how).to_pylist()
-    wanted = run_study(study, workers=1).to_pylist()
+    expected = run_study(study, workers=1).to_pylist()
     died = rows.pop()
     assert died["row"] == 4 and died["word"] == "CRASHED" and died["failed"]
-    assert "twice" in died["why"] and wanted.pop()["word"] == "OK"
-    assert rows == wanted
+    assert "twice" in died["why"] and expected.pop()["word"] == "OK"
+    assert rows == expected
 
 
 def test_tuning_finds_the_same_on_a_cluster(client):

@@ -91,9 +91,9 @@ def test_torques_are_equal_to_the_bit_however_the_law_is_compiled(tmp_path, othe
     done = python("-c", WAYS, duration, **environment)
     space = {"__name__": "ways"}
     exec(WAYS, space)
-    want = list(space["lines"](duration))
-    assert done.stdout.splitlines() == want
-    assert {status.name for status in osc.Status} <= {line.split()[1] for line in want}
+    expected = list(space["lines"](duration))
+    assert done.stdout.splitlines() == expected
+    assert {status.name for status in osc.Status} <= {line.split()[1] for line in expected}
 
 
 def compiling(program, folder, **changes):
@@ -118,7 +118,7 @@ print(jit.UNITS, jit.inner(lambda x: x * x)(3))
 @parametrize(
     "before, changes",
     [(OTHER_NUMBA, {}), ("", {"CC": "no-such-compiler"}), ("", {"OSC_CONTACT_LAW": "jit"})],
-    ids=["other numba", "no compiler", "asked for"],
+    ids=["other numba", "no compiler", "requested"],
 )
 def test_what_lacks_for_a_library_is_said_and_numba_compiles_as_it_always_does(
     before, changes, tmp_path

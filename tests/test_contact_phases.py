@@ -95,11 +95,11 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
         given_phases(knowing, np.where(closed, CLOSED, OPEN))
         given_phases(blind, np.full(len(few), CLOSED))
         got = knowing.tick(measurement, reference)
-        want = blind.tick(
+        expected = blind.tick(
             measurement, replace(reference, alpha_d=reference.alpha_d[closed[owners]])
         )
         assert knowing.status is blind.status
-        assert_near(got, want, 1e-6 * largest(want), 0)
+        assert_near(got, expected, 1e-6 * largest(expected), 0)
         if knowing.status is not osc.Status.HELD:  # else out of reach, or too many columns
             seen |= {(bool(closed.all()), knowing.status)}
             assert len(knowing.signals.alpha_u) == knowing.signals.contact.r
@@ -121,8 +121,8 @@ def test_phases_change_nothing_while_contacts_stay_closed(name):
     assert controller.life is not None and other.life is None
     for reference in rig.references.each(2300 if name == "limited_rod" else 700, DT):
         measurement = plant.measure()
-        tau, want = (c.tick(measurement, reference) for c in (controller, other))
-        assert_array_equal(tau, want)
+        tau, expected = (c.tick(measurement, reference) for c in (controller, other))
+        assert_array_equal(tau, expected)
         plant.command(tau, DT)
     assert_array_equal(controller.phases(), CLOSED)
 

@@ -63,7 +63,7 @@ def test_signals_of_a_tick_stay(ready):
     assert_array_equal(signals.q, measurement.q)
     state = signals.state
     Omega_m = signals.contact.motion_projection(np.linalg.inv(state.metric))
-    for got, want in (
+    for got, expected in (
         (found.f_meas, f_meas),
         (found.bias_out, state.bias_out),
         (found.V_O, state.V_O),
@@ -71,7 +71,7 @@ def test_signals_of_a_tick_stay(ready):
         (found.free_error, Omega_m @ found.error),
         (found.squeeze, signals.squeeze_d),
     ):
-        assert_near(got, want, 1e-9)
+        assert_near(got, expected, 1e-9)
 
 
 def test_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
@@ -90,8 +90,8 @@ def test_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
             return np.zeros(1)
 
     blocked = Controller(rig.model, [Twist()])
-    wanted = replace(reference, alpha_d=np.ones(1))
-    first = held_tick(blocked, "cannot push on contact column 0", measurement, wanted)
+    desired = replace(reference, alpha_d=np.ones(1))
+    first = held_tick(blocked, "cannot push on contact column 0", measurement, desired)
     assert blocked.state is osc.SafetyState.HOLD and first.any()  # there is nothing to repeat yet
 
 
@@ -129,10 +129,10 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig, ready):
     controller.tick(measurement, reference)
     s = controller.signals
     force = s.f_S.copy()
-    learnt = s.state.Lambda_S @ s.eta_c
+    learned = s.state.Lambda_S @ s.eta_c
     controller.engage()
     assert controller.engaged and not controller.motion_integral.any()
-    assert_near(s.state.S.T @ controller.f_bias, learnt, 1e-9, 1e-6)
+    assert_near(s.state.S.T @ controller.f_bias, learned, 1e-9, 1e-6)
     controller.engaged = False  # the same free motion, now with the bias in place of the integral
     controller.tick(measurement, reference)
     assert_near(controller.signals.f_S, force, 1e-3, 1e-3)
@@ -389,12 +389,12 @@ def test_other_arrays_are_found_out_once_and_give_the_same_torques(
         measurement, reference = of_kind(rounded, plant.measure(), rig.references.at(k * 1e-3))
         if sequence:
             measurement = replace(measurement, sequence=k)
-        want = usual.tick(measurement, reference)
+        expected = usual.tick(measurement, reference)
         tau = other.tick(*of_kind(KINDS[kind], measurement, reference))
         assert other.status is usual.status, other.reason
-        assert_array_equal(tau, want)
+        assert_array_equal(tau, expected)
         assert np.array_equal(usual.motion_integral, other.motion_integral)
-        plant.command(want, 1e-3)
+        plant.command(expected, 1e-3)
     assert usual.status is osc.Status.OK
     assert len(refused) <= 1, f"{len(refused)} of 20 ticks were refused first"
 
@@ -415,9 +415,9 @@ def test_a_plain_number_is_the_force_of_the_only_contact():
     measurement = rig.plant().measure()
     at = rig.references.at(0.0)
     assert at.alpha_d.shape == (1,)
-    want = rig.controller().tick(measurement, at)
+    expected = rig.controller().tick(measurement, at)
     number = float(at.alpha_d[0])
-    assert_array_equal(ticked(rig.controller(), measurement, replace(at, alpha_d=number)), want)
+    assert_array_equal(ticked(rig.controller(), measurement, replace(at, alpha_d=number)), expected)
     X = at.X_WD
     made = osc.pose_reference(X.translation, X.rotation, alpha_d=number)
     assert_array_equal(made.alpha_d, at.alpha_d)

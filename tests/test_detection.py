@@ -420,7 +420,7 @@ def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
 
 @SEEDS
 def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
-    """Nearest point of the axis, overlapping by up to 3 mm: no solver knows this normal well."""
+    """Nearest point of the axis, overlapping by up to 3 mm: no solver finds this normal well."""
     rng = default_rng(seed)
     depth = (*DEPTHS, 3e-3)[seed % 4]
     n = unit(rng.uniform(0.2, 1.0, 3))

@@ -64,20 +64,20 @@ def test_what_a_wrong_normal_costs_two_points():
     pushes = 10.0 * 0.05 * np.random.default_rng(0).standard_normal((4000, 2, 1))
     left = pushes * along / np.linalg.norm(along, axis=1)[:, None]  # beside the assumed normals
     s = np.sum(left * along, axis=(1, 2)) / np.sum(along**2)
-    want = np.sqrt(np.mean(s**2)) * largest(n @ u) / 10.0
-    assert known_to(rig.pairs, state, 0.05) == approx(want, rel=0.05)
+    expected = np.sqrt(np.mean(s**2)) * largest(n @ u) / 10.0
+    assert known_to(rig.pairs, state, 0.05) == approx(expected, rel=0.05)
 
 
 def test_inspect_and_the_verdict_suggest_it_with_its_gain():
     changes = ["gains={}", "duration=1.2 s"]
     rig = rig_of("two_contact_rod", *changes)
-    said = [line for line in inspect_rig(rig).lines if "control.dither={}" in line]
-    assert len(said) == 1 and "known to 5 deg" in said[0]
+    found = [line for line in inspect_rig(rig).lines if "control.dither={}" in line]
+    assert len(found) == 1 and "known to 5 deg" in found[0]
     without = rig_of("two_contact_rod", *changes, "control.dither={}")
     assert not any("control.dither" in line for line in inspect_rig(without).lines)
     standing = rig_of("two_contact_rod", *changes, "motion=[]")
-    said = [line for line in inspect_rig(standing).lines if "cannot be observed" in line]
-    assert len(said) == 2
+    found = [line for line in inspect_rig(standing).lines if "cannot be observed" in line]
+    assert len(found) == 2
     verdict = verdict_of(standing.scenario)
     assert set(verdict["normals"]) == {"left_end", "right_end"}
     rows = [str(cell) for column in verdict_table(verdict).columns for cell in column.cells]

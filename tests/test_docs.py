@@ -298,11 +298,11 @@ def complaint(reference, *, test):
     if test and not (file.startswith("tests/test_") and name.startswith("test_")):
         return f"{reference} is no test"
     if not test and file.startswith("tests/"):
-        return f"{reference} lives in the tests"
+        return f"{reference} stands in the tests"
     return None if name and defines(ROOT / file, name) else f"{file} defines no {name!r}"
 
 
-#: (what, where, test) of every table row that speaks of the paper.
+#: (what, where, test) of every table row about the paper.
 ROWS = re.findall(r"^\| ((?:eq|fig|rig)\b.*?) \| (.*?) \| (.*?) \|$", text_of(MAP), re.MULTILINE)
 
 
@@ -316,11 +316,11 @@ def test_row_is_complete(row):
 
 def test_every_equation_figure_and_part_of_the_rig_has_one_row():
     starts = [what.partition(":")[0] for what, _, _ in ROWS]
-    wanted = [f"eq. {n}" for n in range(1, 26)] + [f"fig. {n}" for n in range(1, 9)]
-    assert [start for start in starts if start != "rig"] == wanted
+    expected = [f"eq. {n}" for n in range(1, 26)] + [f"fig. {n}" for n in range(1, 9)]
+    assert [start for start in starts if start != "rig"] == expected
     parts = [what for what, _, _ in ROWS if what.startswith("rig: ")]
-    for part, wanted in aligned(parts, RIG):
-        assert part.startswith(f"rig: {wanted}")
+    for part, expected in aligned(parts, RIG):
+        assert part.startswith(f"rig: {expected}")
 
 
 def test_the_erratum_is_stated_once_with_its_correction():
@@ -341,14 +341,14 @@ PROOF = "tests/test_projections.py::test_every_projection_is_the_decomposition_i
         ("urdf/scara_left.urdf::elbow", False, "defines no"),
         ("tests/test_projections.py::case", True, "is no test"),
         ("osc_contact/projections.py::Omega_f", True, "is no test"),
-        (PROOF, False, "lives in the tests"),
+        (PROOF, False, "stands in the tests"),
     ],
 )
 def test_the_checker_itself(reference, test, words):
     assert words in complaint(reference, test=test)
 
 
-# Docstrings: every public function that takes three things or more says what each of them is.
+# Docstrings: every public function that takes three things or more states what each of them is.
 
 
 PACKAGE = ROOT / "osc_contact"
@@ -414,7 +414,7 @@ def test_options_of_commands_have_their_help():
         assert all(option.help for option in command.params), command.name
 
 
-# The newcomer's page: its commands run one after the other in a folder, and say what it says.
+# The newcomer's page: its commands run one after the other in a folder, and print what it shows.
 
 
 NEWCOMERS = ROOT / "docs" / "press_and_slide.md"
@@ -433,7 +433,7 @@ def run_line(line):
 
 
 def edit(patch, file):
-    """Do what a patch of the page says: a line with a minus becomes that with a plus below it."""
+    """Apply a patch of the page: a line with a minus becomes that with a plus below it."""
     text = file.read_text()
     for before, after in re.findall(r"^-(.*)\n\+(.*)$", patch, re.MULTILINE):
         assert text.count(before) == 1, f"{before!r} is not in the file"
@@ -444,17 +444,17 @@ def edit(patch, file):
 @mark.usefixtures("no_figures")
 def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    said = ""
+    printed = ""
     kinds = []
     for fence in FENCE.finditer(NEWCOMERS.read_text()):
         kind = fence[1]
         text = fence[2]
         if kind == "sh":
-            said = "".join(run_line(line) for line in text.splitlines())
+            printed = "".join(run_line(line) for line in text.splitlines())
         elif kind == "diff":
             edit(text, tmp_path / "my_rod.yaml")
         elif kind == "text" and kinds[-1] != "python":  # tests/test_docs.py runs the program
-            assert text.strip() in said
+            assert text.strip() in printed
         kinds.append(kind)
     programs = ["sh", "text", "diff", "sh", "text", "sh", "text", "python", "text", *3 * ["sh"]]
     assert kinds == programs

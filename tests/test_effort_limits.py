@@ -73,20 +73,20 @@ def limited_tick(chain, rng, r, share):
     while True:
         pairs, measurement, reference = demanding(chain, rng, r)
         # what the tick asks: the torques of stronger motors in the same proportions
-        wanted = ticked(motors_only(strong(chain), pairs), measurement, reference)
-        weak = with_motors(chain, chain.tau_max * share * largest(wanted / chain.tau_max))
+        desired = ticked(motors_only(strong(chain), pairs), measurement, reference)
+        weak = with_motors(chain, chain.tau_max * share * largest(desired / chain.tau_max))
         controller = motors_only(weak, pairs)
         tau = controller.tick(measurement, reference)
         assert controller.status is osc.Status.SATURATED, controller.reason
         if not controller.given_up.short:  # else no torques keep the forces in their range
-            return controller, measurement, wanted, tau
+            return controller, measurement, desired, tau
 
 
-def sampled(controller, measurement, wanted):
+def sampled(controller, measurement, desired):
     """What the chain makes of torques, by the KKT system of all bodies: affine, so sampled.
 
     Returns:
-        Accelerations of the object, contact forces and squeeze: of the torques wanted, and the
+        Accelerations of the object, contact forces and squeeze: of the torques desired, and the
         slope along torques as shares of their limits.
     """
     chain = controller.chain
@@ -101,8 +101,8 @@ def sampled(controller, measurement, wanted):
         half = 0.5 * line @ (got.loops[0] - got.loops[-1])
         return np.concatenate((got.a_object, got.alpha, [half]))
 
-    base = at(wanted)
-    return base, np.array([at(wanted + step) - base for step in np.diag(chain.tau_max)]).T
+    base = at(desired)
+    return base, np.array([at(desired + step) - base for step in np.diag(chain.tau_max)]).T
 
 
 def energy_rows(controller, slope):
@@ -131,17 +131,17 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_reported(rig, share):
     chain = rig()
     rng = default_rng(40)
     for k in range(8):
-        controller, measurement, wanted, tau = limited_tick(chain, rng, k % 4, share)
-        base, slope = sampled(controller, measurement, wanted)
+        controller, measurement, desired, tau = limited_tick(chain, rng, k % 4, share)
+        base, slope = sampled(controller, measurement, desired)
         cost = controller.given_up
         s = controller.signals
         forces = slice(6, 6 + s.contact.r)
         n = len(tau)
         limit = controller.chain.tau_max
         assert within(tau, limit)
-        z = (tau - wanted) / limit
+        z = (tau - desired) / limit
         got = base + slope @ z
-        # what came is what was said; test_law_kkt judges force and motion that are lost
+        # what came is what was reported; test_law_kkt judges force and motion that are lost
         assert_near(base[forces], s.alpha_u, 1e-6)
         if len(chain.arms) == 2:
             assert base[-1] - got[-1] == approx(cost.squeeze[0], abs=1e-5)
@@ -216,9 +216,9 @@ def test_integrals_rest_while_motors_are_at_their_limits():
             controller.tick(measurement, reference)
             assert controller.status is osc.Status.SATURATED
             missing = reference.alpha_d - controller.result().alpha_meas
-            want = before + 30.0 * 1e-3 * (missing - controller.given_up.force)
+            expected = before + 30.0 * 1e-3 * (missing - controller.given_up.force)
             before = controller.force_integral
-            assert_near(before, want, 1e-9)
+            assert_near(before, expected, 1e-9)
         assert_array_equal(controller.motion_integral, np.zeros(6))
 
 
@@ -264,15 +264,15 @@ def test_the_other_contact_and_the_motion_are_left_alone(run):
 
 
 def test_a_saturated_redundant_arm_does_not_whirl():
-    """A jump of the wanted speed saturates a wrist: the elbow must not spin to make up for it."""
+    """A jump of the desired speed saturates a wrist: the elbow must not spin to make up for it."""
     case = CASES["one_panda"]()
     plant, controller = without_contacts(case, engaged=False)
     V_D = vector(0.3, 0.2, 0.0, 0.0, 0.0, 0.5)
-    wanted = replace(case.reference, alpha_d=np.zeros(0), V_D=V_D)
+    desired = replace(case.reference, alpha_d=np.zeros(0), V_D=V_D)
     saturated = 0
     fastest = 0.0
     for _ in range(40):
-        plant.command(controller.tick(plant.measure(), wanted), 1e-3)
+        plant.command(controller.tick(plant.measure(), desired), 1e-3)
         saturated += controller.status is osc.Status.SATURATED
         fastest = max(fastest, largest(plant.measure().v))
     assert saturated > 5 and fastest < 1.0  # rad/s; 5.1 where idle motions cost nothing

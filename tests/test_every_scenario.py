@@ -69,7 +69,7 @@ def test_it_starts_touching_within_limits_and_is_described_in_words(rigs, name):
     json.dumps(found.as_dict())
     X = rig.state.X_WO
     assert max(largest(pair.gaps(X)) for pair in rig.pairs) < 1e-12
-    assert norm(X.translation - rig.scenario.object.pose.xyz) < 0.02  # near what the file says
+    assert norm(X.translation - rig.scenario.object.pose.xyz) < 0.02  # near that of the file
     for t in np.linspace(0.0, rig.scenario.duration, 50):
         assert (rig.references.at(t).alpha_d > 0.0).all()
 
@@ -161,7 +161,7 @@ def test_columns_of_the_recording_belong_together(runs):
 
 def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_plant():
     """cylinder_in_hole, r = 4, held by a Panda; one magnitude is commanded negative."""
-    wanted = {"hole.1": 5.0, "hole.2": -3.0, "hole.3": 2.0, "hole.4": 1.0}
+    commanded = {"hole.1": 5.0, "hole.2": -3.0, "hole.3": 2.0, "hole.4": 1.0}
     changes = {
         "plant": "{type: rigid, step: 1 ms}",
         "environment": "[{name: socket, urdf: socket.urdf, "
@@ -170,14 +170,14 @@ def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_p
         "grasps.panda": "{xyz: [0, 0, 0], rpy: [180 deg, 0, 0]}",
         "contacts": "[{name: hole, type: cylinder_in_hole, body: socket, point: [0, 0, -0.13], "
         "direction: [0, 0, 1], length: 40 mm, hole_point: [0, 0, 0], hole_direction: [0, 0, 1]}]",
-        "force": str({k: [{"type": "constant", "value": v}] for k, v in wanted.items()}),
+        "force": str({k: [{"type": "constant", "value": v}] for k, v in commanded.items()}),
         "motion": "[{kind: linear, direction: [0, 0, 1], signals: [{type: sine, "
         "amplitude: 10 mm, frequency: 1 Hz, ramp: 0.1 s}]}]",
     }
     rig = rig_of(osc.load_scenario("panda_edge", changes))
     assert rig.contact.r == 4 and "of either sign" in "\n".join(inspect_rig(rig).lines)
     recording = run_of(rig.scenario, duration=0.3)
-    assert_near(recording["alpha_true"][-1], list(wanted.values()), 5e-3)
+    assert_near(recording["alpha_true"][-1], list(commanded.values()), 5e-3)
     assert recording["contact_seen"][-1, :3].all()  # hole.2 pulls and counts by its size
     assert (recording["alpha_meas"][-1, 1] < -2.9) and recording["contact_seen"].shape[1] == 4
 
@@ -212,16 +212,16 @@ def test_the_judge_takes_its_forces_from_the_plant_and_its_motion_from_the_objec
     quiet = (t >= 1.0) & ~((t >= 5.0) & (t < 5.05 + nominal.meta["force_rise_s"]))
     error = (nominal["alpha_true"] - nominal["alpha_cmd"])[quiet]
     error /= nominal["alpha_cmd"][quiet].mean(axis=0)
-    for name, wanted in (
+    for name, expected in (
         ("rms_error_rel", np.sqrt((error**2).mean(axis=0))),
         ("peak_error_rel", np.abs(error).max(axis=0)),
     ):
-        assert [force[name] for force in verdict["force"].values()] == approx(wanted, rel=1e-9)
+        assert [force[name] for force in verdict["force"].values()] == approx(expected, rel=1e-9)
     u = unit(np.cross(*nominal["contact_direction"][0]))
     slide = (nominal["pose"][:, :3] - nominal["pose"][0, :3]) @ u
-    want = 0.05 * np.sin(2 * np.pi * 0.5 * t)
-    want *= np.sign(slide @ want)
-    assert np.sqrt(((slide - want)[t >= 1.0] ** 2).mean()) < 0.2e-3  # true pose, not encoders
+    expected = 0.05 * np.sin(2 * np.pi * 0.5 * t)
+    expected *= np.sign(slide @ expected)
+    assert np.sqrt(((slide - expected)[t >= 1.0] ** 2).mean()) < 0.2e-3  # true pose, not encoders
 
 
 def test_wrong_masses_are_tared_and_integrated_away():
@@ -324,8 +324,8 @@ def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
         chain.payload.terms(X, np.zeros(6), gravity).p for chain in (rig.chain, rig.model)
     )
     tip = vector(-0.15, 0.0, 0.0)  # of the left arm, in the frame of the rod
-    want = np.cross(X.rotation @ tip, -0.3 * gravity)
-    assert_near(true - assumed, [*(-0.3 * gravity), *want], 1e-9)
+    expected = np.cross(X.rotation @ tip, -0.3 * gravity)
+    assert_near(true - assumed, [*(-0.3 * gravity), *expected], 1e-9)
     with_mass, without = (rig.plant().model for rig in rigs)
     assert with_mass.body_subtreemass[0] - without.body_subtreemass[0] == approx(0.3, abs=1e-9)
     rod, bare = (model.body("object/root") for model in (with_mass, without))

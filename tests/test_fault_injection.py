@@ -67,7 +67,7 @@ def test_noise_and_delay_stop_nothing(scenario):
 
 
 def test_a_fault_is_found_wrong_where_the_limits_are_off(monkeypatch):
-    """The judge sees what it is there to see."""
+    """The judge finds what it is there to find."""
     real = fault_injection.start
 
     def bare(rig, seed):
@@ -129,7 +129,7 @@ def test_more_than_half_of_the_ticks_must_not_be_lost_for_long(lost_of, stops):
 
 
 def test_arms_whose_wrist_is_frozen_are_held_where_they_are():
-    """Gravity is 5° off what the controller knows, so that without their encoders arms creep."""
+    """Gravity is 5° off the controller's model, so that without their encoders arms creep."""
     run = Run(Case())
     seen = Verdict("no fault", Case())
     down = run.plant.model.opt.gravity
@@ -289,7 +289,7 @@ def test_pushes_end_in_contact_or_in_a_stop(push):
 
 @mark.slow
 def test_a_push_without_limits_and_phases_is_found_wrong():
-    """The judge sees what it is there to see."""
+    """The judge finds what it is there to find."""
     off = [f"control.safety.{key}=100 s" for key in ("contact_loss_time", "overspeed_time")]
     off += ["control.life=off", "control.safety.contact_power=1e9", "control.safety.brake_time=0"]
     assert push_arm("dual_panda_rod", "off", 1000.0, 0.1, off)["wrong"]

@@ -48,7 +48,7 @@ def test_straight_reversals(stroke, known):
 
 
 def test_reversals_on_rigid_faces_and_in_a_cone_that_strikes():
-    """The exact plant knows no part of MuJoCo; one impedance for both directions lifts the peg."""
+    """The exact plant has no part of MuJoCo; one impedance for both directions lifts the peg."""
     short = {"step": 1e-3, "duration": 1.3}  # a reversal is judged
     assert reversal_error("exact", (20, 2), "across", 0.2, True, **short) < 0.002
     assert reversal_error("elliptic", (20, 2), "across", 0.2, True) > 0.03

@@ -148,11 +148,15 @@ def pressed(scenario, step_of, value=10.0):
 
 def overshoots(run):
     """Of the first contact and of the step, shares; and what the step does to other forces (N)."""
-    wanted = run["alpha_cmd"]
+    commanded = run["alpha_cmd"]
     k = int(np.searchsorted(run["t"], 0.5 - 1e-9))
-    over = run["alpha_true"] - wanted
-    stepped = wanted[k] - wanted[k - 1] > 1.0
-    return (over[:k] / wanted[0]).max(), over[k:, stepped].max() / 5.0, largest(over[k:, ~stepped])
+    over = run["alpha_true"] - commanded
+    stepped = commanded[k] - commanded[k - 1] > 1.0
+    return (
+        (over[:k] / commanded[0]).max(),
+        over[k:, stepped].max() / 5.0,
+        largest(over[k:, ~stepped]),
+    )
 
 
 def one_arm(robot, tip, posture, push, armature):

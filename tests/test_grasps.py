@@ -184,13 +184,13 @@ def test_two_grasps_that_pass_on_no_squeeze(kinds):
         controller, tau = commanded(*given, 5.0)
         assert controller.status is not osc.Status.HELD, controller.reason
         s = controller.signals
-        want = s.state.S @ s.eta_c + s.state.sigma
-        assert miss(whole.answer(tau).a_object, want) < 1e-8
+        expected = s.state.S @ s.eta_c + s.state.sigma
+        assert miss(whole.answer(tau).a_object, expected) < 1e-8
         assert_array_equal(tau, commanded(*given, 0.0)[1])
 
 
 def test_a_rod_between_two_balls_spins_about_their_line():
-    """No motor drives it, no joint measures it: both are said."""
+    """No motor drives it, no joint measures it: both are reported."""
     case = random_case(["ur5", "ur5"], ["ball", "ball"], default_rng(7))
     chain = case.chain
     still = np.zeros(12)
@@ -248,8 +248,8 @@ def test_a_grasp_keeps_its_motions_and_nothing_else():
         V = rng.standard_normal(6)
         h = 1e-6
         rate = (grasp.miss(X_WT, moved(X_WO, h * V)) - grasp.miss(X_WT, moved(X_WO, -h * V))) / 2
-        want = grasp.wrenches_at(X_WT, X_WO.translation).T @ V
-        assert_near(rate / h, want, 1e-8 * largest(want))
+        expected = grasp.wrenches_at(X_WT, X_WO.translation).T @ V
+        assert_near(rate / h, expected, 1e-8 * largest(expected))
 
 
 @parametrize(
@@ -342,7 +342,7 @@ def test_a_grasp_that_registers_itself_has_a_name_in_scenarios(monkeypatch):
 
 
 def test_exact_plant_steps_an_object_that_no_arm_leads():
-    """It is a body of its own there: a short step changes its twist by what the oracle says."""
+    """It is a body of its own there: a short step changes its twist by that of the oracle."""
     rng = default_rng(12)
     dt = 1e-6
     for case in driven(rng, 8, arms=("ur5", "panda"), kinds=("hinge", "ball"), least=2, most=3):
@@ -350,8 +350,8 @@ def test_exact_plant_steps_an_object_that_no_arm_leads():
         plant = plant_at(whole, dt)
         plant.command(tau, dt)
         assert miss((plant._V - whole.V) / dt, whole.answer(tau).a) < 1e-3
-        want = moved(case.X_WO, 0.5 * dt * (whole.V + plant._V))
-        assert_near(plant._X.homogeneous, want.homogeneous, 1e-10)
+        expected = moved(case.X_WO, 0.5 * dt * (whole.V + plant._V))
+        assert_near(plant._X.homogeneous, expected.homogeneous, 1e-10)
         assert plant.truth().X_WO == plant._X
 
 
@@ -384,8 +384,8 @@ def test_idle_motions_obey_the_posture_task(name):
         idle = svd(arm.N.T @ arm.J)[2][arm.rank :] @ arm.M
         assert len(idle) == arm.J.shape[1] - arm.rank > 0
         task = PostureTask()
-        want = task.stiffness * (rest - case.q)[s] - task.retreat_damping * whole.v[s]
-        assert_near(idle @ whole.answer(tau).qdd[s], idle @ want, 1e-7)
+        expected = task.stiffness * (rest - case.q)[s] - task.retreat_damping * whole.v[s]
+        assert_near(idle @ whole.answer(tau).qdd[s], idle @ expected, 1e-7)
 
 
 def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():

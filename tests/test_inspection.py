@@ -180,23 +180,23 @@ def test_twist_and_classical_acceleration_are_derivatives_of_the_pose(t, centres
 
 
 def test_turns_about_points_are_products_of_poses():
-    wanted = two_turns(CENTRES)
+    references = two_turns(CENTRES)
     t = 2.7  # after the standoff
-    angles = [move.signals[0].at(t)[0] for move in wanted.scenario.motion[:2]]
-    X = wanted.X_start
+    angles = [move.signals[0].at(t)[0] for move in references.scenario.motion[:2]]
+    X = references.X_start
     for centre, axis, angle in aligned(CENTRES, np.eye(3)[[2, 1]], angles):
         to = shift(centre)
         X = to * rotated(pin.exp3(angle * axis)) * to.inverse() * X
-    X.translation += [wanted.scenario.motion[2].signals[0].at(t)[0], 0, 0]
-    assert_near(wanted.at(t).X_WD.homogeneous, X.homogeneous, 1e-12)
-    assert norm(X.translation - wanted.X_start.translation) > 0.02
+    X.translation += [references.scenario.motion[2].signals[0].at(t)[0], 0, 0]
+    assert_near(references.at(t).X_WD.homogeneous, X.homogeneous, 1e-12)
+    assert norm(X.translation - references.X_start.translation) > 0.02
 
 
 def test_the_object_rests_off_the_contacts_while_wrists_are_tared():
     """What accelerates it would be taken for an error of the wrists."""
-    wanted = two_turns()
-    assert any(signal.at(0.1)[2] for move in wanted.scenario.motion for signal in move.signals)
-    plan = wanted.over(np.linspace(0.0, wanted.scenario.tare.duration, 9))
+    references = two_turns()
+    assert any(signal.at(0.1)[2] for move in references.scenario.motion for signal in move.signals)
+    plan = references.over(np.linspace(0.0, references.scenario.tare.duration, 9))
     assert not plan.V_D.any() and not plan.A_D.any()
     assert_near(plan.X_WD, np.tile(plan.X_WD[0], (9, 1)), 1e-12)
 
@@ -204,11 +204,11 @@ def test_the_object_rests_off_the_contacts_while_wrists_are_tared():
 @parametrize("life, after", {"off": 0.0, "{}": 0.2})
 def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after):
     """Or 0.2 s later, while contacts are approached."""
-    wanted = rig_of("two_contact_rod_mismatch", f"control.life={life}").references
-    engaged = wanted.at(wanted.engage_at + after).X_WD
-    assert wanted.engage_at == approx(0.6 - after)
-    assert norm(wanted.at(0.0).X_WD.translation - wanted.X_start.translation) > 3e-3
-    assert_near(engaged.translation, wanted.X_start.translation, 1e-12)
+    references = rig_of("two_contact_rod_mismatch", f"control.life={life}").references
+    engaged = references.at(references.engage_at + after).X_WD
+    assert references.engage_at == approx(0.6 - after)
+    assert norm(references.at(0.0).X_WD.translation - references.X_start.translation) > 3e-3
+    assert_near(engaged.translation, references.X_start.translation, 1e-12)
 
 
 def test_common_tangent_lies_in_every_face_and_must_be_unique():

@@ -168,8 +168,8 @@ def test_springs_by_number():
     ],
 )
 def test_wrong_drives_are_refused_by_the_scenario(row):
-    said, *overrides = row
-    with scenario_error(said):
+    message, *overrides = row
+    with scenario_error(message):
         osc.load_scenario("two_contact_rod", overrides)
 
 
@@ -177,16 +177,16 @@ FOUR = "[1, 1, 1, 1]"
 
 
 @parametrize(
-    "stiffness, said",
+    "stiffness, message",
     {
         f"left: [1, 1, 1], right: {FOUR}": "give 4 numbers",
         f"left: {FOUR}": "give 4 numbers",
         f"left: {FOUR}, right: {FOUR}, up: {FOUR}": "up",
     },
 )
-def test_springs_must_fit_the_motors(stiffness, said):
+def test_springs_must_fit_the_motors(stiffness, message):
     rig = rig_of("two_contact_rod", f"plant.flexible_joints={{stiffness: {{{stiffness}}}}}")
-    with scenario_error(said):
+    with scenario_error(message):
         rig.plant()
 
 

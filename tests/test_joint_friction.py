@@ -208,11 +208,13 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
                 vector(0.1, 0.02, 0.03), X.act(vector(0.1, 0.02, 0.03)), X.rotation[:, 2]
             )
             contacts = [corner] if pressed else []
-            wanted = osc.Reference(X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0))
+            desired = osc.Reference(
+                X, 0.1 * np.arange(6.0), np.ones(6), np.full(len(contacts), 9.0)
+            )
             controller = osc.Controller(chain, contacts, GAINS, reading="filter", safety=UNLIMITED)
             for _ in range(2):  # the first one has no tick before it
-                tau.append(ticked(controller, unloaded(q, v), wanted))
-        V = wanted.V_D
+                tau.append(ticked(controller, unloaded(q, v), desired))
+        V = desired.V_D
         if pressed:  # the nearest permitted twist, in the metric of the object's inertia
             N = corner.contact(X, state.V_O).N
             B = inv(chain.reference_inertia(X))
@@ -221,8 +223,8 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         weighed = solve(state.M, J.T)
         fastest = chain.model.velocityLimit
         s = np.clip(weighed @ solve(J @ weighed, V), -fastest, fastest)
-        want = VISCOUS * s + DRY * s / np.hypot(s, SLIP)
-        assert_near(tau[3] - tau[1], want, 1e-9, 1e-9)
+        expected = VISCOUS * s + DRY * s / np.hypot(s, SLIP)
+        assert_near(tau[3] - tau[1], expected, 1e-9, 1e-9)
 
 
 @parametrize(

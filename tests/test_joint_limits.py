@@ -67,12 +67,12 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     controller = osc.Controller(
         chain, [], dt=2e-3, posture=posture, posture_task=task, safety=unwatched
     )
-    wanted = osc.Reference(X)
+    desired = osc.Reference(X)
     farthest = -np.inf
     before = None
     jump = 0.0
     for _ in range(400):
-        tau = ticked(controller, plant.measure(), wanted)
+        tau = ticked(controller, plant.measure(), desired)
         jump = max(jump, 0.0 if before is None else largest(tau - before))
         before = tau
         plant.command(tau, 2e-3)

@@ -63,7 +63,7 @@ def test_rotors_behind_gears_count_with_the_square_of_the_ratio():
     model.rotorInertia = np.full(model.nv, 2e-5)
     model.rotorGearRatio = np.arange(model.nv) * 10.0
     assert_near(armature(), 2e-5 * (np.arange(7) * 10.0) ** 2)
-    model.armature = np.full(model.nv, 0.3)  # it says what is felt at the joint
+    model.armature = np.full(model.nv, 0.3)  # it is the inertia at the joint
     assert_array_equal(armature(), 0.3)
 
 

@@ -13,7 +13,7 @@ Pinocchio. On more than 2,000 random states, all moving, brought about by any to
     what is lost      of motion and forces where motors are too weak, and what is reported of it
 
 Where columns nearly depend on one another, σ from it, forces answer accelerations with 1/σ²: the
-tolerance grows with that. `GapFunctions` knows N and n_γ to 1e-11 … 1e-9 only. Near singular
+tolerance grows with that. `GapFunctions` has N and n_γ to 1e-11 … 1e-9 only. Near singular
 postures the law gives up motion, never force. Two arms whose grasps pass on no squeeze are held.
 All of these are counted by themselves: the 2,000 states are without them.
 """
@@ -179,7 +179,7 @@ SURROUNDINGS = {
 
 
 def touching_state(rest, i, rng, where):
-    """In motion, with independent columns: the number says the kind of the first, and r."""
+    """In motion, with independent columns: the number gives the kind of the first, and r."""
     X_WO = rest.case.X_WO
     contacts = []
     N = np.zeros((0, 6))
@@ -410,7 +410,7 @@ def effort_in_vain(t):
 
 
 def judge(t):
-    """Count a tick by its kind after everything that the oracle says of it has been compared."""
+    """Count a tick by its kind after everything that the oracle gives of it has been compared."""
     state = t.state
     status = t.controller.status
     names = {c.name for c in t.contacts}
@@ -561,5 +561,5 @@ def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     where = {how: "1", "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "OSC_CONTACT_LAW": "jit"}
     python("-c", words, file, **where)
     found = np.load(file)
-    for name, want in aligned(found.files, some_torques()):
-        assert_near(found[name], want, 1e-12 * largest(want), 0)
+    for name, expected in aligned(found.files, some_torques()):
+        assert_near(found[name], expected, 1e-12 * largest(expected), 0)

@@ -87,12 +87,12 @@ def random_case(
         share = R.T @ np.linalg.inv(R @ R.T)
     share = share[len(share) - (int(rng.integers(0, len(share) + 1)) if k is None else k) :]
     tau_max = rng.uniform(5.0, 80.0, n)
-    wanted = rng.standard_normal(n) * tau_max * min(1.0, np.sqrt(weak))
+    desired = rng.standard_normal(n) * tau_max * min(1.0, np.sqrt(weak))
     tau_max *= weak
     tau_max[rng.permutation(n)[:endless]] = np.inf
     return Case(
         d,
-        wanted,
+        desired,
         tau_max,
         rng.standard_normal((n, 6)),
         np.eye(6) + root @ root.T / 6,
@@ -176,18 +176,18 @@ def exact_optimum(case, tau):
     forces = share @ force
     unit = fractions(np.sqrt((forces.astype(float) ** 2).sum(axis=1)))
     A = np.vstack((fractions(np.eye(n)), forces / unit[:, None]))
-    wanted = fractions(case.desired)
+    desired = fractions(case.desired)
     tau_max = fractions(np.minimum(case.tau_max, 1e12))  # of motors without a limit
-    ends = np.hstack(((tau_max - wanted) / scale, fractions(np.zeros(k))))
+    ends = np.hstack(((tau_max - desired) / scale, fractions(np.zeros(k))))
     least = np.minimum((floor - share @ fractions(case.alpha)) / unit, 0)
-    starts = np.hstack(((-tau_max - wanted) / scale, least))
+    starts = np.hstack(((-tau_max - desired) / scale, least))
     first = {i: int(np.sign(tau[i])) for i in range(n) if abs(tau[i]) >= case.tau_max[i]}
     for soft in Fraction(1, 10**40), Fraction(1, int(BEYOND)):
         give = [Fraction(1, 10**40)] * n + [soft] * k
         z, broken = active_limits(H, A, starts, ends, give, dict(first))
         if broken < Fraction(1, 10**20) or soft > Fraction(1, 1000):
             lost = [-(rows @ z).astype(float) for rows in (force, motion, squeeze)]
-            return (wanted + scale * z).astype(float), *lost, soft > Fraction(1, 1000)
+            return (desired + scale * z).astype(float), *lost, soft > Fraction(1, 1000)
     raise AssertionError
 
 
@@ -220,10 +220,10 @@ def active_limits(H, A, starts, ends, give, sides):
 def agree(case, tolerance):
     """All that is found as in the exact optimum; returns whether forces leave their range."""
     tau, at_limit, force, motion, squeeze, short = solve(case)
-    want, *lost, there = exact_optimum(case, tau)
+    expected, *lost, there = exact_optimum(case, tau)
     assert short == there and within(tau, case.tau_max)
-    assert largest((tau - want) / case.scale) < tolerance
-    near = np.abs(want) >= case.tau_max * (1.0 - 1e-9)
+    assert largest((tau - expected) / case.scale) < tolerance
+    near = np.abs(expected) >= case.tau_max * (1.0 - 1e-9)
     assert_array_equal(at_limit, near)
     for got, exact in aligned((force, motion, squeeze), lost):
         assert_near(got, exact, tolerance * (1.0 + largest(exact)), 0)
@@ -275,8 +275,8 @@ def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
 def test_a_floor_above_the_command_is_the_command():
     case = two_forces(72)
     low = replace(case, alpha=case.alpha / 100.0)
-    for got, want in aligned(solve(low), solve(replace(low, floor=low.share @ low.alpha))):
-        assert_array_equal(got, want)
+    for got, expected in aligned(solve(low), solve(replace(low, floor=low.share @ low.alpha))):
+        assert_array_equal(got, expected)
 
 
 def test_a_floor_that_another_implies_changes_nothing(monkeypatch):
@@ -294,11 +294,11 @@ def test_a_floor_that_another_implies_changes_nothing(monkeypatch):
     for _ in range(40):
         case = random_case(rng, d=5, r=2, k=2, s=1)
         twice = replace(case, share=case.share[[0, 1, 1]], floor=case.floor[[0, 1, 1]])
-        want, *_, short = solve(case)
+        expected, *_, short = solve(case)
         with monkeypatch.context() as patch:
             patch.setattr(daqp, "solve", both)
             got, *_, also = solve(twice)
-        assert also == short and (short or largest((got - want) / case.scale) < 1e-11)
+        assert also == short and (short or largest((got - expected) / case.scale) < 1e-11)
     assert sum(active) > 10
 
 

@@ -142,9 +142,9 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         point = np.append(M.translation, 7.0)
         R[:3, :3] = M.rotation
         grasps._take_off(R, point, -twist)
-        want = M * pin.exp6(-twist)
-        assert_near(R[:3, :3], want.rotation, 1e-9)
-        assert_near(point[:3], want.translation, 1e-9)
+        expected = M * pin.exp6(-twist)
+        assert_near(R[:3, :3], expected.rotation, 1e-9)
+        assert_near(point[:3], expected.translation, 1e-9)
         assert R[3, 3] == 7.0 == point[3]
 
 

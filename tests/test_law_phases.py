@@ -62,9 +62,9 @@ class Phases:
         """(n,) which columns are in N."""
         return self.contacts.active[self.owners] != 0
 
-    def begin(self, wanted, judge=True):
+    def begin(self, commanded, judge=True):
         """Start a tick; returns whether N has changed, and the goals."""
-        self.work.goal[:] = wanted
+        self.work.goal[:] = commanded
         changed = judge and law.advance_phases(self.tick)
         if judge:
             law.remap_force_sums(self.tick)
@@ -98,9 +98,9 @@ class Phases:
 # --- stories --------------------------------------------------------------------------------------
 
 
-def steady(phases, alpha, ticks, wanted=10.0):
+def steady(phases, alpha, ticks, commanded=10.0):
     for _ in range(ticks):
-        phases.begin(np.full(4, wanted))
+        phases.begin(np.full(4, commanded))
         phases.end(phases.here * np.array(alpha), np.zeros(4))
     return phases.contacts.phase.tolist()
 
@@ -113,7 +113,7 @@ def test_a_story_approach_contact_loss_and_contact_again():
     assert half == [CLOSED, APPROACHING, CLOSED]  # half an edge is no contact
     assert steady(phases, [9.0, 5.0, 5.0, 0.0], 40) == [CLOSED, CLOSED, CLOSED]
     assert steady(phases, [9.0, 5.0, 0.0, 0.0], 40) == [CLOSED, APPROACHING, CLOSED]
-    assert steady(phases, [9.0, 5.0, 0.0, 0.0], 1, wanted=0.0) == [OPEN, OPEN, CLOSED]
+    assert steady(phases, [9.0, 5.0, 0.0, 0.0], 1, commanded=0.0) == [OPEN, OPEN, CLOSED]
 
 
 def test_torques_go_gently_around_a_change_but_for_fast_joints():
@@ -179,12 +179,12 @@ def test_a_contact_stands_out_of_the_noise_before_it():
 
 def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     phases = Phases([0], [True], phase=[CLOSED])
-    wanted = [10.0]
+    commanded = [10.0]
     seen = []
     for alpha, count in (10.0, 100), (0.0, 300), (10.0, 30), (0.0, 100), (10.0, 100):
         for _ in range(count):
             phases.end([alpha], [0.0], independent=True)
-            phases.begin(wanted)
+            phases.begin(commanded)
             seen.append(phases.columns[0].time_since_loss)
     seen = np.array(seen)
     first = np.flatnonzero(seen)[0]
@@ -194,7 +194,7 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     assert seen[-1] == 0.0
     start = Phases([0], [True], phase=[OPEN])
     for _ in range(200):
-        start.begin(wanted)
+        start.begin(commanded)
         start.end([0.0], [0.0], independent=True)
     assert start.columns[0].time_since_loss == 0.0, "it was never there"
 
@@ -218,7 +218,7 @@ SHARED = [0, 0, 1, 2], [CLOSED, APPROACHING, OPEN], [1.5, -2.5]
 
 
 @parametrize(
-    "owners, phase, sums, wanted, after",
+    "owners, phase, sums, commanded, after",
     [
         # contact 1 leaves, 0 comes in front and behind
         ([0, 1, 2, 2, 0], [OPEN, CLOSED, CLOSED], [1, 2, 3], [5, 0, 5, 5, 5], [0, 2, 3, 0]),
@@ -232,11 +232,11 @@ SHARED = [0, 0, 1, 2], [CLOSED, APPROACHING, OPEN], [1.5, -2.5]
         *[(range(n), [OPEN] * n, [], [5] * n, []) for n in (7, 9)],
     ],
 )
-def test_force_integrals_follow_their_columns(owners, phase, sums, wanted, after):
+def test_force_integrals_follow_their_columns(owners, phase, sums, commanded, after):
     phases = Phases(owners, [True] * len(phase), phase=phase)
     phases.memory.force_rank = len(sums)
     phases.memory.force_sum[: len(sums)] = sums
-    phases.begin(np.array(wanted, dtype=float))
+    phases.begin(np.array(commanded, dtype=float))
     assert phases.sums.tolist() == after
 
 
@@ -300,7 +300,7 @@ def random_contacts(rng):
 
 
 def random_ticks(rng, n, ticks):
-    """Wishes, magnitudes (N) and speeds (m/s) that stay near one level for some ticks each."""
+    """Commands, magnitudes (N) and speeds (m/s) that stay near one level for some ticks each."""
     out = np.zeros((3, ticks, n))
     levels = [0.0, 0.25, 0.5, 5.0, 12.0, -3.0], [0.0, 0.4, 1.0, 4.0, 9.0, 20.0], [0.0, 0.01, -0.04]
     weights = [0.15, 0.1, 0.1, 0.3, 0.3, 0.05], [0.2, 0.1, 0.1, 0.2, 0.3, 0.1], [0.6, 0.3, 0.1]
@@ -317,7 +317,7 @@ def random_ticks(rng, n, ticks):
     return out
 
 
-def assert_rules(phases, before, goal, wanted, pushing, k):
+def assert_rules(phases, before, goal, commanded, pushing, k):
     """What holds after any tick: phases `before` it, and goals."""
     rows = phases.contacts
     columns = phases.columns
@@ -327,13 +327,14 @@ def assert_rules(phases, before, goal, wanted, pushing, k):
         assert was == now or rows[c].since == 0.0
         if not pushing[c]:
             assert now == CLOSED
-            assert_array_equal(goal[mine], wanted[mine])  # what cannot open gets what is commanded
-        elif not (wanted[mine] > 0.0).any():
+            # what cannot open gets what is commanded
+            assert_array_equal(goal[mine], commanded[mine])
+        elif not (commanded[mine] > 0.0).any():
             assert now == OPEN
         else:
             assert now == APPROACHING if was == OPEN else now != OPEN  # never at once from free
         if was == APPROACHING and now == CLOSED and pushing[c]:
-            heavy = mine & (wanted > k.force_on)
+            heavy = mine & (commanded > k.force_on)
             assert (columns.closed[heavy] != 0).all()  # several are one contact
 
 
@@ -349,19 +350,19 @@ def run_story(seed):
     ticked = False
     loud = np.zeros(n)  # ticks in a row in which the force was above force_on, counted here
     felt = np.zeros(n, dtype=bool)  # whether these ever lasted, since the contact was opened
-    for wanted, alpha, speed in np.swapaxes(random_ticks(rng, n, 400), 0, 1):
+    for commanded, alpha, speed in np.swapaxes(random_ticks(rng, n, 400), 0, 1):
         before = phases.contacts.phase.copy()
         was_here = phases.contacts.active.copy()
         loud = np.where(phases.here & (phases.columns.net > k.force_on), loud + 1, 0)
         felt = phases.here & (felt | (loud * dt > k.dwell))
         judge = ticked and not held
-        changed, goal = phases.begin(wanted, judge=judge)
+        changed, goal = phases.begin(commanded, judge=judge)
         now = phases.contacts.phase
         happened |= set(aligned(before[pushing].tolist(), now[pushing].tolist()))
         happened |= {"collision"} if phases.columns.collision.any() else set()
         assert changed == ((now != OPEN) != (was_here != 0)).any() and np.isfinite(goal).all()
         if judge:
-            assert_rules(phases, before, goal, wanted, pushing, k)
+            assert_rules(phases, before, goal, commanded, pushing, k)
             made = pushing & (before == APPROACHING) & (now == CLOSED)
             assert all(felt[owners == c].any() for c in np.flatnonzero(made))
             assert_array_equal(phases.kept, (before[owners] != OPEN) & (before <= now)[owners])
@@ -427,7 +428,7 @@ def test_measurements_are_low_passed_and_freed_of_inertia(seed):
     phases = Phases(np.arange(n), [True] * n, PhaseSettings(lag=lag))
     known = np.zeros(n, bool)
     share = DT / (lag + DT)
-    force, pace, noise = np.zeros((3, n))
+    force, filtered, noise = np.zeros((3, n))
     for _ in range(60):
         phases.contacts.active = rng.random(n) < 0.8
         here = phases.here
@@ -442,21 +443,21 @@ def test_measurements_are_low_passed_and_freed_of_inertia(seed):
         elif independent:
             inertia[np.ix_(chosen, chosen)] = np.linalg.inv(D)
         force = np.where(known, force + share * (alpha - force), alpha)
-        change = np.where(known, share * (speed - pace), 0.0)
-        pace = np.where(known, pace + change, speed)
+        change = np.where(known, share * (speed - filtered), 0.0)
+        filtered = np.where(known, filtered + change, speed)
         flying = inertia @ change / DT
         pulls = here * np.maximum(flying - alpha, 0.0)
         noise = noise + (2.0 * pulls - noise) / (1.0 + 0.05 / DT)
         known = here
         phases.end(alpha, speed, D, independent, chosen)
         size = 1e-12 * (np.linalg.cond(D) if count and not singular else 1.0)
-        for name, want in {
+        for name, expected in {
             "force": force,
-            "filtered_speed": pace,
+            "filtered_speed": filtered,
             "known": known,
             "noise": noise,
             "alpha": alpha,
             "speed": speed,
             "net": here * (force - flying),
         }.items():
-            assert_near(phases.columns[name], want, size, 1e-12, name)
+            assert_near(phases.columns[name], expected, size, 1e-12, name)

@@ -43,7 +43,7 @@ def command_force(alpha_d, felt, speed, w, least=-inf):
 
 
 @parametrize(
-    "given, want",
+    "given, expected",
     {
         (8.0, 6.0, 0.01, 0.5): (8.0 + 0.5 + 0.04 - 1.0, 0.54),
         (8.0, 6.0, -0.01, 0.5): (8.0 + 0.5 + 0.04 + 1.0, 0.54),
@@ -59,8 +59,8 @@ def command_force(alpha_d, felt, speed, w, least=-inf):
         (8.0, 9.0, 0.06, -1.0, 0.5): (0.98, -1.02),
     },
 )
-def test_the_force_law(given, want):
-    assert_near(command_force(*given), want, rtol=1e-12)
+def test_the_force_law(given, expected):
+    assert_near(command_force(*given), expected, rtol=1e-12)
 
 
 @parametrize("dependent", [False, True])
@@ -74,8 +74,8 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     write(t.work, rank=2, count=3 if dependent else 2, kept=[0, 2], **dict.fromkeys(names, 7.0))
     write(t.memory.contacts, **dict(aligned(names, laws)))
     reading.contact_laws(t)
-    want = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]] if dependent else laws[:, [1, 2]]
-    for name, row in aligned(names, want):
+    expected = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]] if dependent else laws[:, [1, 2]]
+    for name, row in aligned(names, expected):
         assert_array_equal(getattr(t.work, name)[:3], [*row, 7.0])
 
 
@@ -103,9 +103,9 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
     Lambda *= 0.3**-2 / beside  # at the limit: 1/χ² = 1/0.3²
     t = records(lightness=1.0 / reference)
     arm = Record(full_rank=5)
-    for factor, kept, want in (0.999, 5, False), (1.001, 5, True), (1e-9, 4, True):
+    for factor, kept, expected in (0.999, 5, False), (1.001, 5, True), (1e-9, 4, True):
         own = Record(Lambda=factor * Lambda, n_kept=kept)
-        assert operational.may_be_singular(t, arm, own) == want
+        assert operational.may_be_singular(t, arm, own) == expected
 
 
 @parametrize("chi", [0.0, 1e-10])
@@ -125,9 +125,9 @@ def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
         assert_near(X[: k + 1, :n] @ X[: k + 1, :n].T, np.eye(k + 1), 1e-12)
         assert_array_equal(X[k, n:], behind)
     X = rng.standard_normal((3, 7))
-    want = X[1, :5] / 0.3
+    expected = X[1, :5] / 0.3
     small(X, 1, 5, 0.3)
-    assert_near(X[1, :5], want, rtol=1e-12)
+    assert_near(X[1, :5], expected, rtol=1e-12)
 
 
 @SEEDS
@@ -149,10 +149,10 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     own = Record(n_lost=2, mode=modes, gone=[gone, gone], share=[0.3, 0.8])
     allocation._retreat_from_lost(t, Record(first=lo, end=lo + n), own)
     back = h + M @ (3.0 * (posture - q) - 7.0 * v)[lo:]
-    want = rest.copy()
+    expected = rest.copy()
     for mode, share in aligned(modes, own.share):
-        want += mode @ (back - tau if gone else (1.0 - share) * back) * (M @ mode)
-    assert_near(joints.rest, want, 1e-9, 1e-9)
+        expected += mode @ (back - tau if gone else (1.0 - share) * back) * (M @ mode)
+    assert_near(joints.rest, expected, 1e-9, 1e-9)
 
 
 # --- torques --------------------------------------------------------------------------------------
@@ -172,9 +172,9 @@ def test_rows_that_those_before_nearly_span_are_factored_too(seed):
     write(t.work, effort=A[:6] * t.model.joints.effort @ A[:6].T, extra=A[6:])
     assert allocation.factor_effort(t) and allocation.add_row(t, 0) and allocation.add_row(t, 1)
     R = qr((A * np.sqrt(t.model.joints.effort)).T)[1]
-    want = (R * np.sign(np.diag(R))[:, None]).T
-    assert_near(np.tril(t.work.factor[:8, :8], -1), np.tril(want, -1), 1e-9)
-    assert_near(1.0 / np.diag(t.work.factor)[:8], np.diag(want), rtol=1e-8)
+    expected = (R * np.sign(np.diag(R))[:, None]).T
+    assert_near(np.tril(t.work.factor[:8, :8], -1), np.tril(expected, -1), 1e-9)
+    assert_near(1.0 / np.diag(t.work.factor)[:8], np.diag(expected), rtol=1e-8)
 
 
 def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
@@ -231,17 +231,17 @@ def test_columns_on_which_the_arms_can_push(held):
             assert_near(work.amount, (6 - m) * 0.25e-10 / (hidden[a] @ hidden[a]), rtol=1e-6)
     assert judged(N, Lambda, held, 6)[0] == command.UNREACHABLE
     # 1/Λ along the column, beside 1: on either side of 1e-9
-    for mobility, want in (0.5e-9, command.UNREACHABLE), (2e-9, NO_REASON):
+    for mobility, expected in (0.5e-9, command.UNREACHABLE), (2e-9, NO_REASON):
         heavy = np.eye(6) / 7.0
         heavy[3, 3] = 1.0 / mobility
         reason, work, _ = judged(np.eye(6)[[1, 3]], heavy, held)
-        assert reason == want and (want == NO_REASON or work.where == 1)
+        assert reason == expected and (expected == NO_REASON or work.where == 1)
     # columns that differ by so much
-    for apart, want in (0.3e-10, command.INSEPARABLE), (3e-10, NO_REASON):
+    for apart, expected in (0.3e-10, command.INSEPARABLE), (3e-10, NO_REASON):
         N = np.zeros((2, 6))
         N[:, 1] = 1.0
         N[1, 4] = apart
-        assert judged(N, np.eye(6), held)[0] == want
+        assert judged(N, np.eye(6), held)[0] == expected
     none = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
     assert judged(np.eye(6)[:2], none, held)[0] == (NO_REASON if held else command.BAD_METRIC)
 
@@ -369,7 +369,7 @@ def test_laws_and_integrals_of_a_tick():
 
 
 @parametrize(
-    "phase, pushes, since, gap, pace, want",
+    "phase, pushes, since, gap, speed, expected",
     [
         (CLOSED, 1, 9.0, 0.0, 0.0, 8.0),
         (CLOSED, 1, 0.1, 0.0, 0.0, 2.0 + 0.25 * 6.0),
@@ -385,10 +385,10 @@ def test_laws_and_integrals_of_a_tick():
         (APPROACHING, 1, 9.0, 9.0, 0.1, 0.0),
     ],
 )
-def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
+def test_goals_of_contacts(phase, pushes, since, gap, speed, expected):
     """K_a v_a = 2 N while it is approached, from 0.5 N on; faster back over a known gap."""
     near = phase == APPROACHING
-    for slow, fast in (pace, -9.0), (9.0, pace), (pace, pace):  # the slower one counts
+    for slow, fast in (speed, -9.0), (9.0, speed), (speed, speed):  # the slower one counts
         t = records(contacts=1, columns=1, force_gain=3.0, force_damping=5.0, force_brake=0.5)
         write(t.model, approach_damping=200.0, approach_speed=0.01, least_force=0.4, travel=0.05)
         write(t.model, force_on=1.0, rise=0.4)
@@ -399,7 +399,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
         write(t.memory.columns[0], gap=gap, filtered_speed=slow, speed=fast)
         t.work.goal[0] = 8.0
         phases.set_goals(t)
-        assert_near(t.work.goal[0], want)
+        assert_near(t.work.goal[0], expected)
         found = contact.active, contact.gain, contact.damping, contact.brake
         assert found == ((1, 0.0, 200.0, 0.0) if near else (1, 3.0, 5.0, 0.5))
         assert contact.least == (0.4 if pushes and not near else -inf)

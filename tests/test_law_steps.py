@@ -124,9 +124,9 @@ def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
     forces = pressed()
     change = sign * rate * 20.0 * DT * 10.0
     size = max(10.0 + change, 10.0 * (1.0 - 0.5 * DT))  # of the new command, or what is remembered
-    wanted = 10.0 + change
+    commanded = 10.0 + change
     stepped = abs(change) > 20.0 * DT * size
-    assert forces.tick([wanted])[0] == approx(10.0 if stepped else wanted)
+    assert forces.tick([commanded])[0] == approx(10.0 if stepped else commanded)
     assert forces.work.step_left == (1.0 if stepped else 0.0)
 
 
@@ -149,8 +149,8 @@ def test_the_integral_rests_while_much_of_a_step_is_to_come():
     assert idle.work.integral_scale == 1.0, "nothing was ever commanded"
     for left in eased(np.arange(60) * DT / RISE):
         forces.tick([14.0])
-        wanted = max(1.0 - 4.0 * left / 14.0 / 0.1, 0.0)
-        assert forces.work.integral_scale == approx(wanted, abs=1e-9)
+        expected = max(1.0 - 4.0 * left / 14.0 / 0.1, 0.0)
+        assert forces.work.integral_scale == approx(expected, abs=1e-9)
     assert forces.work.integral_scale == 1.0
 
 

@@ -87,7 +87,7 @@ def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
     assert set(after([2.0] * 50)) == {NO_REASON}, "at the limit is not above it"
     assert_at_last(after([2.001] * 5), OVERSPEED)
     assert t.memory.culprit == 1
-    # time below is taken off at the same pace, and no more than there is
+    # time below is taken off at the same rate, and no more than there is
     assert set(after([1.0] * 9)) == {NO_REASON} and t.memory.overspeed == 0
     assert_at_last(after([2.2] * 4 + [1.0] + [2.2] * 2), OVERSPEED)
 
@@ -152,8 +152,8 @@ class Contacts(Watched):
         write(self.memory, force_rank=2, state=at.RUN, culprit=-1)
         write(self.t.work, rank=2, kept=[2, 0])
 
-    def tick(self, alpha, wanted, speed=(0.0, 0.0)):
-        write(self.t.work, alpha_meas=alpha, alpha_d=wanted, speed=speed)
+    def tick(self, alpha, commanded, speed=(0.0, 0.0)):
+        write(self.t.work, alpha_meas=alpha, alpha_d=commanded, speed=speed)
         return safety.watch_contacts(self.t)
 
     def ticks_until(self, reason, *given):
@@ -164,13 +164,13 @@ class Contacts(Watched):
 
 
 def test_power_that_moves_into_faces_adds_up():
-    wanted = 10.0, 10.0
+    commanded = 10.0, 10.0
     for speed, ticks in {(1.0, 0.99): 0, (1.0, 1.01): 3, (2.5, -9.0): 3, (1.9, -9.0): 0}.items():
-        assert Contacts().ticks_until(POWERED, (10.0, 10.0), wanted, speed) == ticks
+        assert Contacts().ticks_until(POWERED, (10.0, 10.0), commanded, speed) == ticks
     assert Contacts().ticks_until(POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
-    assert Contacts(period=10e-3).ticks_until(POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
+    assert Contacts(period=10e-3).ticks_until(POWERED, (10.0, 10.0), commanded, (3.0, 0.0)) == 2
     contacts = Contacts()
-    contacts.tick((10.0, 10.0), wanted, (3.0, 3.0))
+    contacts.tick((10.0, 10.0), commanded, (3.0, 3.0))
     assert contacts.memory.powered == approx(DT)
 
 
@@ -189,19 +189,19 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
     def both(x, other):
         return (sign * x, sign * other) if column == 0 else (sign * other, sign * x)
 
-    wanted = both(10.0, 5.0)
+    commanded = both(10.0, 5.0)
     fine = 5.0
     for alpha, ticks in {2.01: 0, 1.99: 11, -8.0: 11, 0.0: 11}.items():
         contacts = Contacts()
-        assert contacts.ticks_until(CONTACT_LOST, both(alpha, fine), wanted) == ticks
+        assert contacts.ticks_until(CONTACT_LOST, both(alpha, fine), commanded) == ticks
         assert contacts.memory.culprit == (-1 if not ticks else (2, 0)[column])
     for command, ticks in (1.0, 0), (1.01, 11):  # too little to differ from nothing
         assert Contacts().ticks_until(CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
     contacts = Contacts(phased=1)  # contact phases see to it
-    assert contacts.ticks_until(CONTACT_LOST, both(0.0, fine), wanted) == 0
+    assert contacts.ticks_until(CONTACT_LOST, both(0.0, fine), commanded) == 0
     contacts = Contacts()
     contacts.memory.state = at.DEGRADED_STATE
-    assert contacts.ticks_until(CONTACT_LOST, both(0.0, fine), wanted) == 0
+    assert contacts.ticks_until(CONTACT_LOST, both(0.0, fine), commanded) == 0
 
 
 @BOTH

@@ -74,8 +74,8 @@ def test_commands_that_do_not_fit_the_bars_are_held(plate):
     reference = plate.references.at(0.0)
     fast = plate.controller()
     pair = rig_of("two_contact_rod")
-    wanted = replace(pair.references.at(0.0), squeeze_d=vector(5.0, 5.0))
-    held_tick(pair.controller(), "2 arms take a number", pair.plant().measure(), wanted)
+    desired = replace(pair.references.at(0.0), squeeze_d=vector(5.0, 5.0))
+    held_tick(pair.controller(), "2 arms take a number", pair.plant().measure(), desired)
     for bad in np.zeros(2), vector(1.0, np.nan, 0.0), np.zeros((3, 1)), "5 N", np.nan, [1, 2]:
         held = held_tick(fast, "squeeze_d", measurement, replace(reference, squeeze_d=bad))
         assert np.isfinite(held).all()
@@ -137,11 +137,11 @@ def answer(state, chain):
     return work.levers, basis
 
 
-def assert_same(got, want):
+def assert_same(got, expected):
     """The same levers, and bases that span the same."""
-    assert_near(got[0], want[0], 1e-10 * largest(want[0]), 0)
-    assert got[1].shape == want[1].shape
-    assert_close(got[1] @ got[1].T, want[1] @ want[1].T, 1e-9)
+    assert_near(got[0], expected[0], 1e-10 * largest(expected[0]), 0)
+    assert got[1].shape == expected[1].shape
+    assert_close(got[1] @ got[1].T, expected[1] @ expected[1].T, 1e-9)
 
 
 def without_motors(case, rng, share):

@@ -77,7 +77,7 @@ def feed(viewer, seconds):
 
 
 class Client:
-    """A browser without a screen: takes messages, says when it has drawn them."""
+    """A browser without a screen: takes messages, reports when it has drawn them."""
 
     def __init__(self, socket):
         self.socket = socket
@@ -137,7 +137,7 @@ def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(las
             assert length == approx(0.01 * newest["alpha_true"][0], abs=1e-5)
             assert client.visible["/meshcat/contacts/left_end/lost"] == (tick == 45)
             assert picture["y"][2:4] == approx(newest["alpha_true"], rel=1e-3)
-        for i in range(40):  # it has not said that it is ready
+        for i in range(40):  # it has not reported that it is ready
             lasting.show(TICKS[i])
             await asyncio.sleep(0.02)
         with raises(TimeoutError):
@@ -283,8 +283,8 @@ def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog):
     broken = replace(CONTENT, bodies=(BODIES[0]._replace(urdf="/no/such/file.urdf"), *BODIES[1:]))
     with opened(broken) as viewer:
         feed(viewer, 1.5)
-        said = str(viewer.error)
-        assert "has ended (exit code" in said and len(caplog.records) == 1
-        assert "/no/such/file.urdf" in said, "the cause is missing"
+        message = str(viewer.error)
+        assert "has ended (exit code" in message and len(caplog.records) == 1
+        assert "/no/such/file.urdf" in message, "the cause is missing"
         viewer.close()
         assert viewer._process.poll() == 1

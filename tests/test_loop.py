@@ -67,7 +67,7 @@ def test_a_plant_in_the_loop_leaves_what_run_leaves(scenario):
 
 @parametrize("scenario", [RIGID, ("moving_face", "plant.type=rigid", "control.rate=500 Hz")])
 def test_hardware_without_a_truth_leaves_a_recording(scenario):
-    """Faces are measured, and what encoders and wrists give is what a judge sees."""
+    """Faces are measured, and what encoders and wrists give is what a judge measures."""
     rig, plant, controller = started(*scenario)
     robot = Hardware(plant)
     recorder = osc.Recorder(controller, subject=rig.subject(controller))

@@ -32,11 +32,11 @@ def test_ticks_without_a_wrench_use_the_last_one_for_a_while(case):
     states = []
     for _ in range(25):
         tau = controller.tick(gone, case.reference)
-        want = other.tick(*case.given)
+        expected = other.tick(*case.given)
         other.force_integral = sums  # what is old is not integrated
         states.append(controller.state)
         if len(states) == 1:
-            assert_near(tau, want, 1e-1, 0)
+            assert_near(tau, expected, 1e-1, 0)
         if len(states) <= 20:
             assert_array_equal(controller.force_integral, sums)
     assert states == [DEGRADED] * 20 + [DEGRADED] * 2 + [HOLD] * 3

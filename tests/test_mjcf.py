@@ -123,7 +123,7 @@ def test_a_urdf_whose_links_are_called_as_its_joints(tmp_path):
 
 
 @parametrize(
-    "old, new, says",
+    "old, new, message",
     [
         ('armature="2"', 'armature="2" stiffness="5"', "spring"),
         ('<body name="hand"', '<body name="hand" gravcomp="1"', "gravcomp"),
@@ -131,10 +131,10 @@ def test_a_urdf_whose_links_are_called_as_its_joints(tmp_path):
         ("<worldbody>", "<worldbody><nonsense/>", "MuJoCo refuses"),
     ],
 )
-def test_what_the_law_does_not_know_is_refused(tmp_path, old, new, says):
+def test_what_the_law_does_not_model_is_refused(tmp_path, old, new, message):
     assert ARM.count(old) == 1
     (tmp_path / "arm.xml").write_text(ARM.replace(old, new))
-    with model_error(says):
+    with model_error(message):
         osc.Arm.from_mjcf(tmp_path / "arm.xml", name="a", tip="tip")
 
 

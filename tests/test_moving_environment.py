@@ -63,17 +63,19 @@ def test_equations_17_to_23_as_written_with_the_relative_inertia():
         assert largest(inverse @ (drive - split @ drive) - theta) < rtol  # 19
         assert largest(T @ beta_dot - theta) < rtol  # 15
         # any commands, unfiltered
-        wanted, force = rng.standard_normal((2, 6)) * [[2], [10]]
-        f = Lambda_0 @ (wanted + inverse @ force) + from_f  # 21
+        desired, force = rng.standard_normal((2, 6)) * [[2], [10]]
+        f = Lambda_0 @ (desired + inverse @ force) + from_f  # 21
         own = {"structure": lambda s, f=f: (np.zeros(6), s.state.S.T @ f)}
         controller = t.controller_of(t.state.case.chain).with_laws(**own)
         truth = t.state.answer(ticked(controller, t.measured, t.reference))
         f_c = N @ truth.alpha
         theta = truth.a_object - env.Phi_e @ f_c - env.b_e - Tdot_beta
         bar = projections.Omega_m_bar(N, inverse)
-        want = wanted - bar @ wanted + inverse @ (force - split @ force)  # 22
-        assert largest(theta - want) < RTOL * max(largest(truth.a_object), largest(inverse @ force))
-        assert miss(f_c, split @ force + relative @ bar @ wanted) < RTOL  # 23
+        expected = desired - bar @ desired + inverse @ (force - split @ force)  # 22
+        assert largest(theta - expected) < RTOL * max(
+            largest(truth.a_object), largest(inverse @ force)
+        )
+        assert miss(f_c, split @ force + relative @ bar @ desired) < RTOL  # 23
         assert largest(f_c - split @ force) > 1e-3
     assert len(bodies) > 10 and set(bodies) >= {1, 2}
 
@@ -211,8 +213,8 @@ def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_
     state = scaras(47)
     locked = osc.Contact(state.C)
     got = contact_response(state, locked, Environment(state.C @ state.C.T * 0.1), tau=np.zeros(8))
-    want = (state.C.T @ state.sigma) / (0.1 * (state.C.T @ state.C)[0, 0] ** 2)
-    assert miss(got.alpha, want) < RTOL
+    expected = (state.C.T @ state.sigma) / (0.1 * (state.C.T @ state.C)[0, 0] ** 2)
+    assert miss(got.alpha, expected) < RTOL
     across = Environment(np.outer(state.S[:, 0], state.S[:, 0]))
     with contact_error("the arms and the environment cannot push"):
         contact_response(state, locked, across, tau=np.zeros(8))

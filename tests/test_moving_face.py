@@ -1,4 +1,4 @@
-"""Faces that move and turn: kinematics, plants, geometry, and the law, which alone knows Φ_e."""
+"""Faces that move and turn: kinematics, plants, geometry, and the law, which alone has Φ_e."""
 
 import numpy as np
 import pinocchio as pin

@@ -91,15 +91,15 @@ def test_they_are_the_textbooks_on_500_states(arm):
     least = np.inf
     for q, v in states(arm, 500):
         got = osc.operational_space(arm, q, v)
-        want, M, chi = textbook(arm, q, v)
+        expected, M, chi = textbook(arm, q, v)
         rank = rank_of(chi)
-        for name, x in want.items():  # J knows χ to 1e-16
+        for name, x in expected.items():  # χ of J is exact to 1e-16
             x = x.astype(float)
             atol = max(1e-10, 1e-14 / chi[-1]) * largest(x)
             assert_near(getattr(got, name), x, atol, 0, name)
         if rank_of(chi, 0.9) == rank_of(chi, 1.1):
             assert got.rank == rank
-        if "Lambda" in want:
+        if "Lambda" in expected:
             least = min(least, chi[-1])
         a = default_rng(1).standard_normal(arm.model.nv)
         F = got.Lambda @ (got.J @ a + got.drift) + got.mu + got.p

@@ -1,4 +1,4 @@
-"""`check_robot` accepts drivers that keep the contract, and says what others get wrong."""
+"""`check_robot` accepts drivers that keep the contract, and reports the errors of others."""
 
 import mujoco
 import numpy as np

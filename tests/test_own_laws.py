@@ -85,13 +85,13 @@ def paper(s):
 
 
 def test_a_motion_law_commands_a_classical_acceleration(rig):
-    wanted = vector(0.3, -0.5, 0.4, 0.2, 0.6, -0.7)
+    desired = vector(0.3, -0.5, 0.4, 0.2, 0.6, -0.7)
     read = rig.plant().measure()
     read = replace(read, v=0.1 * default_rng(1).standard_normal(rig.model.nq))
-    controller = motion_law(lambda: lambda *_: wanted)(rig.controller())
+    controller = motion_law(lambda: lambda *_: desired)(rig.controller())
     ticked(controller, read, rig.references.at(0.0))
     s = controller.signals
-    assert_near(s.a_u + product(s.state.V_O), wanted, 1e-12)
+    assert_near(s.a_u + product(s.state.V_O), desired, 1e-12)
     assert largest(product(s.state.V_O)) > 1e-6
 
 
@@ -236,14 +236,14 @@ def test_impedance_is_a_spring_and_a_damper_on_the_arms_own_inertia(exact, ratio
         controller = exact.controller().with_laws(**vars(osc.impedance(KEYS, ratio)))
         s, _, moved = answered(exact, plant, controller, reference)
         state = s.state
-        want, P = inertial(s, reference.A_D)
+        expected, P = inertial(s, reference.A_D)
         w, V = eig(solve(state.Lambda_S, state.S.T * KEYS @ state.S))
         D = 2.0 * ratio * (state.Lambda_S @ V * np.sqrt(w)) @ inv(V)
         e = pose_error(reference.X_WD, state.X_WO)
         spring = KEYS * e + s.contact.N @ s.alpha_d
-        want = want + state.S.T @ spring + D @ P @ (reference.V_D - state.V_O)
+        expected = expected + state.S.T @ spring + D @ P @ (reference.V_D - state.V_O)
         assert largest(state.S.T @ (KEYS * e)) > 0.05
-        assert_near(moved, want, 1e-7, 0)
+        assert_near(moved, expected, 1e-7, 0)
 
 
 def test_admittance_moves_the_set_point_by_the_force(exact):
@@ -264,8 +264,8 @@ def test_admittance_moves_the_set_point_by_the_force(exact):
         e = pose_error(moved_to, s.state.X_WO)
         A = reference.A_D + acceleration + omega**2 * e
         A = A + 2.0 * omega * (reference.V_D + rate - s.state.V_O)
-        want = inertial(s, A)[0] + s.state.S.T @ reading
-        assert_near(moved, want, 1e-7, 0)
+        expected = inertial(s, A)[0] + s.state.S.T @ reading
+        assert_near(moved, expected, 1e-7, 0)
     assert largest(c) > 1e-7
 
 

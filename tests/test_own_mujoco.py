@@ -105,12 +105,12 @@ def wiping(X, amplitude=0.04, alpha=10.0):
 
 
 def pushes(robot, geoms):
-    """(N) what MuJoCo says its contacts with these geoms of the robot carry, along the normal."""
-    wanted = {robot.model.geom(name).id for name in geoms}
+    """(N) what in MuJoCo its contacts with these geoms of the robot carry, along the normal."""
+    numbers = {robot.model.geom(name).id for name in geoms}
     force = np.zeros(6)
     total = 0.0
     for i, contact in enumerate(robot.data.contact):
-        if wanted & {*contact.geom}:
+        if numbers & {*contact.geom}:
             mujoco.mj_contactForce(robot.model, robot.data, i, force)
             total += force[0]
     return total
@@ -333,7 +333,7 @@ def test_distances_in_a_scene_are_those_of_its_shapes():
     <body name="hand" pos="0 0 6"><joint type="slide"/><geom size="0.1" mass="1"/></body>
     </worldbody></mujoco>""")
     probe = osc.MujocoRobot.from_model(model, tip="hand").probe()
-    for point, want in (
+    for point, expected in (
         ([0, 0, 4.5], 0.5),
         ([0, 0, 3.7], -0.3),
         ([0, 0.9, 3], -0.1),
@@ -342,7 +342,7 @@ def test_distances_in_a_scene_are_those_of_its_shapes():
         ([3, 0, -0.4], -0.4),
         ([5, 0, 3.8], -0.2),
     ):
-        assert probe.distance(np.array(point, dtype=float))[0] == approx(want, abs=1e-5)
+        assert probe.distance(np.array(point, dtype=float))[0] == approx(expected, abs=1e-5)
     assert probe.clearance() == (approx(1.9), "box")
 
 

@@ -133,12 +133,12 @@ def test_conda_recipe_requires_what_the_wheel_requires():
     listed = recipe["requirements"]
     further = [r for r in requirements("sweep", "tune", "learn") if r not in requirements()]
     of_python = {"python >=${{ python_min }}", "__linux"}
-    for part, wanted in (
+    for part, expected in (
         (set(listed["run"]) - of_python, requirements("law", "scenarios", "view", "sim", "plot")),
         (listed["run_constraints"], further),
     ):
-        names = {r.name: CONDA_NAMES.get(r.name, r.name.lower()) for r in wanted}
-        bounds = {names[r.name]: r.specifier for r in wanted}
+        names = {r.name: CONDA_NAMES.get(r.name, r.name.lower()) for r in expected}
+        bounds = {names[r.name]: r.specifier for r in expected}
         assert {r.name: r.specifier for r in map(Requirement, part)} == bounds
 
 

@@ -1,4 +1,4 @@
-"""The report on the paper's figures: what it says, how it judges; fig. 3 and its picture."""
+"""The report on the paper's figures: what it states, how it judges; fig. 3 and its picture."""
 
 import json
 import re
@@ -129,10 +129,10 @@ def test_the_report_shows_statements_numbers_verdicts_and_commands(report):
     text = report.read_text()
     shown = Page(text).text
     sections = dict(re.findall(r'<section id="(\w+)">(.*?)</section>', text, re.S))
-    wanted = {"fig1": "reproduced", "fig2": "partly reproduced", "fig4": "reproduced"}
-    wanted |= {"fig5": "partly reproduced", "fig8": "contradicted"}
-    assert [name for name in sections if name.startswith("fig")] == list(wanted)
-    for name, verdict in wanted.items():
+    expected = {"fig1": "reproduced", "fig2": "partly reproduced", "fig4": "reproduced"}
+    expected |= {"fig5": "partly reproduced", "fig8": "contradicted"}
+    assert [name for name in sections if name.startswith("fig")] == list(expected)
+    for name, verdict in expected.items():
         (figure,) = (figure for figure in PAPER if figure.name == name)
         assert all(words in shown for words in (figure.shows, *figure.states.values()))
         assert re.findall(r'class="badge \w+">. ([\w ]+)<', sections[name]) == [verdict], name

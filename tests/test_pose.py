@@ -60,7 +60,7 @@ def test_inverse_kinematics_keep_the_limits_and_print_what_a_file_takes():
 
 
 def test_what_is_out_of_reach_or_outside_the_limits_ends_with_exit_code_1():
-    for words, said in (
+    for words, message in (
         ("--xyz '3, 0, 0.5'", "not reached within the joints' limits"),
         (
             "--posture '0, 0, 0, 0, 0, 90 deg, 0'",
@@ -68,7 +68,7 @@ def test_what_is_out_of_reach_or_outside_the_limits_ends_with_exit_code_1():
         ),
     ):
         result = call(f"{TIP} {words}")
-        assert result.exit_code == 1 and said in result.stdout
+        assert result.exit_code == 1 and message in result.stdout
 
 
 def test_a_scenario_shows_where_its_postures_put_the_object_and_how_to_put_it_elsewhere():
@@ -80,7 +80,7 @@ def test_a_scenario_shows_where_its_postures_put_the_object_and_how_to_put_it_el
 
 
 @parametrize(
-    "words, said",
+    "words, message",
     {
         "pose panda": "panda has 3 ends: ",
         f"{TIP} --posture '1, 2'": "2 numbers for 7 joints",
@@ -92,8 +92,8 @@ def test_a_scenario_shows_where_its_postures_put_the_object_and_how_to_put_it_el
         "pose arm.xml": "'arm.xml' is neither the file",
     },
 )
-def test_what_is_wrong_ends_with_exit_code_2(words, said):
-    assert said in refused(words)
+def test_what_is_wrong_ends_with_exit_code_2(words, message):
+    assert message in refused(words)
 
 
 def test_numbers_are_those_of_scenario_files():
@@ -110,8 +110,8 @@ def test_joints_outside_either_limit_are_named():
     assert_near(poses.rest(chain), (low + high) / 2, 1e-15)
     for k, name in enumerate(chain.joint_names):
         for q in low - 1e-3 * np.eye(7)[k], high + 1e-3 * np.eye(7)[k]:
-            (said,) = outside_limits(chain, q)
-            assert said.startswith(f"joint {name} at ")
+            (message,) = outside_limits(chain, q)
+            assert message.startswith(f"joint {name} at ")
 
 
 def test_of_poses_out_of_reach_the_nearest_is_given():
@@ -204,12 +204,12 @@ def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     assert osc.preflight(rig) == ()
     verdict = verdict_of(scenario, seed=1)
     assert verdict["task"]["word"] == "OK" and verdict["contact_fraction"] == {"ball": 1.0}
-    wanted = Press.parse(press)
-    assert verdict["force"]["ball"]["mean_command_N"] == approx(wanted.force)
+    commanded = Press.parse(press)
+    assert verdict["force"]["ball"]["mean_command_N"] == approx(commanded.force)
     assert verdict["force"]["ball"]["rms_error_rel"] < 0.05
     chain = rig.chain
     chain.state(rig.q_contact)
-    pressed = chain.tip_poses()[0].rotation @ wanted.axis
+    pressed = chain.tip_poses()[0].rotation @ commanded.axis
     assert_near(-pressed, scenario.contacts[0].face.normal, 1e-4)
 
 
@@ -222,7 +222,7 @@ def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path,
 
 
 @parametrize(
-    "words, said",
+    "words, message",
     {
         "ur10 --press W=3": "an axis of the tip and newtons, such as Z=15",
         "ur10 --press Z=-3": "an axis of the tip and newtons",
@@ -232,8 +232,8 @@ def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path,
         "panda": "has 3 ends",
     },
 )
-def test_what_cannot_be_is_refused_and_nothing_is_written(words, said, tmp_path):
-    assert said in refused(f"new --robot {words} --out", tmp_path / "x.yaml")
+def test_what_cannot_be_is_refused_and_nothing_is_written(words, message, tmp_path):
+    assert message in refused(f"new --robot {words} --out", tmp_path / "x.yaml")
     assert not list(tmp_path.iterdir())
 
 

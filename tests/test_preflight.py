@@ -373,8 +373,8 @@ def test_one_force_for_two_contacts():
 
 def test_a_posture_that_does_not_serve_is_called_so(tmp_path):
     line = "new --robot panda --tip panda_hand_tcp --press Z=10 --posture '0, 0, 0' --out"
-    said = refused(line, tmp_path / "my.yaml")
-    assert "in the posture given" in said and "or none to have one sought" in said
+    message = refused(line, tmp_path / "my.yaml")
+    assert "in the posture given" in message and "or none to have one sought" in message
 
 
 def test_seeds_find_other_postures():

@@ -56,12 +56,12 @@ def part(first, second, x):
     return first @ solve(np.hstack((first, second)), x)[: first.shape[1]]
 
 
-def close(got, want, tolerance=1e-10):
+def close(got, expected, tolerance=1e-10):
     """Equal relative to the larger of the two, linear and angular rows each on their own scale."""
-    assert got.shape == want.shape
+    assert got.shape == expected.shape
     for rows in slice(0, 3), slice(3, 6):
-        scale = max(largest(want[rows]), largest(got[rows]))
-        assert largest(got[rows] - want[rows]) <= tolerance * scale
+        scale = max(largest(expected[rows]), largest(got[rows]))
+        assert largest(got[rows] - expected[rows]) <= tolerance * scale
 
 
 def on_every_contact(test):

@@ -101,10 +101,10 @@ LEAST_FORCE = 1.0
 NOISE = 0.01
 
 
-def explained(f_meas, state, contact, environment, friction_wrenches, A_D, wanted, where):
+def explained(f_meas, state, contact, environment, friction_wrenches, A_D, commanded, where):
     """Magnitudes α (r,) by one weighted system in α, tangential forces and departures.
 
-    The law works with the covariance of what α does not explain. A_D (6,) is classical; wanted:
+    The law works with the covariance of what α does not explain. A_D (6,) is classical; commanded:
     forces of all columns; where: point from O, normal and s = v_t / √(v_t² + v_0²) of each.
     """
     N = contact.N
@@ -119,7 +119,7 @@ def explained(f_meas, state, contact, environment, friction_wrenches, A_D, wante
     pushed = N + friction_wrenches
     H = pushed + out @ pull @ N.T @ environment.Phi_e @ pushed
     tangents = []
-    for (p, n, s), force in aligned(where, wanted):
+    for (p, n, s), force in aligned(where, commanded):
         basis = svd(n[None])[2][1:].T
         C = ACROSS**2 * np.eye(2) + (ALONG**2 - ACROSS**2) * np.outer(basis.T @ s, basis.T @ s)
         wrench = np.vstack((np.eye(3), pin.skew(p))) @ basis @ cholesky(C)
@@ -164,10 +164,10 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
         where = sliding(pairs, s.state.X_WO, to_come, touched, known)
         friction = np.reshape([mu * np.append(x, np.cross(p, x)) for p, _, x in where], (n, 6)).T
         assert_near(s.friction_wrenches, friction, 1e-10)
-        want = explained(
+        expected = explained(
             s.f_meas, s.state, s.contact, s.environment, friction, reference.A_D, s.alpha_d, where
         )
-        assert_near(s.alpha_meas, want, 1e-7, 1e-7)
+        assert_near(s.alpha_meas, expected, 1e-7, 1e-7)
 
 
 # --- which contacts ------------------------------------------------------------------------------

@@ -155,17 +155,17 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
     def rub(robot):
         robot.plant.model.dof_frictionloss[:] = 1.0, 0.5, 1.5
         robot.plant.model.dof_damping[:] = 0.4, 0.8, 0.2
-        robot.plant.model.dof_armature[:] = 0.25  # of which the model knows 0.05
+        robot.plant.model.dof_armature[:] = 0.25  # of which the model has 0.05
 
     found = shadow(change=rub)
     assert all(joint.moved for joint in found.joints)
-    for key, wanted, atol in (
+    for key, expected, atol in (
         ("coulomb", [1.0, 0.5, 1.5], 0.25),
         ("viscous", [0.4, 0.8, 0.2], 0.3),
         ("inertia", 0.2, 0.06),
         ("offset", 0.0, 0.3),
     ):
-        assert_near([getattr(j, key) for j in found.joints], wanted, atol)
+        assert_near([getattr(j, key) for j in found.joints], expected, atol)
     assert found.wrench_scale == approx(1.0, abs=0.15) and found.forces
 
 

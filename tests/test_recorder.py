@@ -242,8 +242,8 @@ def test_a_failed_save_keeps_the_older_file_and_leaves_nothing_else(
 
     with monkeypatch.context() as patch:
         patch.setattr(broken, fail)
-        wanted = RecordingError if isinstance(error, OSError) else KeyboardInterrupt
-        with raises(wanted, match=str(error)):
+        expected = RecordingError if isinstance(error, OSError) else KeyboardInterrupt
+        with raises(expected, match=str(error)):
             record(4).save(path)
     assert len(Recording.load(path)) == 2 and os.listdir(tmp_path) == ["run.npz"]
 
@@ -343,11 +343,11 @@ def test_a_second_run_in_a_folder_is_refused_and_the_first_keeps_its_rows(tmp_pa
             wait_until(rows.exists, process=process)
             process.send_signal(signal.SIGSTOP)  # it need not run on to hold its folder
             number = rows.stat().st_ino
-            said = refused("run two_contact_rod --duration 1.2 --out", tmp_path)
+            message = refused("run two_contact_rod --duration 1.2 --out", tmp_path)
             assert process.poll() is None and rows.stat().st_ino == number
         finally:
             process.kill()
-    assert "another program writes to" in said and "--out" in said, said
+    assert "another program writes to" in message and "--out" in message, message
     with sole_user(tmp_path):  # the lock ends with its process
         assert rows.exists()
 
@@ -473,8 +473,8 @@ def test_recordings_hold_no_folder_and_are_shown_with_the_scenarios(tmp_path, mo
     monkeypatch.chdir(tmp_path)
     page = tmp_path / "page.html"
     for name in "run.npz", "unfinished.mcap":
-        said = refused("view", shown / name, "--html", page)
-        assert "copy them beside the recording" in said and "--folder" in said, said
+        message = refused("view", shown / name, "--html", page)
+        assert "copy them beside the recording" in message and "--folder" in message, message
         done("view", shown / name, "--html", page, "--folder", home)
     assert len(osc.recover(shown / "unfinished.mcap", home)) == 50
     shutil.copy(home / "my_rod.urdf", shown)

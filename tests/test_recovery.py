@@ -61,10 +61,10 @@ def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
         while not journal.exists() or journal.stat().st_size < 20_000:  # until there are ticks
             sleep(0.05)
         process.send_signal(signal.SIGINT)
-        said, complaints = process.communicate(timeout=300)
+        printed, complaints = process.communicate(timeout=300)
     assert process.returncode == 130
     assert all("compil" in line for line in complaints.split("\n") if line), complaints
-    assert "ended on request at t = " in said and f"written to {tmp_path}: " in said
+    assert "ended on request at t = " in printed and f"written to {tmp_path}: " in printed
     assert not (tmp_path / "unfinished.mcap").exists()
     found = osc.Recording.load(tmp_path / "recording.npz")
     assert found.meta["ended_s"] == approx(len(found) * 1e-3)
@@ -93,8 +93,8 @@ def test_a_run_goes_on_when_the_disk_is_full(tmp_path, whole):
         resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
 
     with started([*RUN, tmp_path, "1.2"], preexec_fn=small) as process:
-        said, complaints = process.communicate(timeout=300)
-    *loop, last = said.splitlines()
+        printed, complaints = process.communicate(timeout=300)
+    *loop, last = printed.splitlines()
     assert loop[-1] == "1.2", "the loop went on"
     assert complaints.startswith("recording stops after") and "File too large" in complaints
     assert complaints.endswith("; the loop continues\n") and complaints.count("\n") == 1

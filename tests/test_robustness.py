@@ -14,7 +14,7 @@ from osc_contact.sweeps.study import SweepStudy
 from paper import robustness as study
 from paper.selection_laws import Selection
 
-#: Of wrong masses and friction `preflight` knows, and says so.
+#: Of wrong masses and friction `preflight` has notes.
 WORDS = {"masses": "DOUBTFUL", "friction": "DOUBTFUL", "delay": "OK", "normals": "OK"}
 CHANGES = ["control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.1", "verdict.force_rms=0.9"]
 
@@ -71,11 +71,11 @@ def chosen_law(rig, family):
 
 
 def test_rows_are_those_of_single_runs_and_are_not_run_again(tmp_path, monkeypatch):
-    asked = []
+    counts = []
     inner = sweep.make_all
 
     def make_all(crew, jobs, make):
-        asked.append(len(jobs))
+        counts.append(len(jobs))
         return inner(crew, jobs, make)
 
     def candidates(_, family, __):
@@ -88,7 +88,7 @@ def test_rows_are_those_of_single_runs_and_are_not_run_again(tmp_path, monkeypat
     ask = study.Ask(changes=CHANGES, samples=1, folder=tmp_path)
     first = study.run(ask, 1)
     second = study.run(ask, 1)
-    assert asked == [1] * 4 + [0] * 4 and first["rows"] == second["rows"]
+    assert counts == [1] * 4 + [0] * 4 and first["rows"] == second["rows"]
     assert_row_is_that_of_single_runs(first["rows"]["delay"][0], "delay", 0, {"ours": study.Ours()})
     del chosen[0]
     with invalid_input("seed or law"):  # rows of other laws
@@ -130,6 +130,6 @@ def test_failed_runs_count_as_the_largest_errors():
     ]
     known = study.quantiles(rows, "ours")
     assert known["success_rate"] == approx(0.94)
-    wanted = np.quantile(np.where(failed, np.inf, values), (0.5, 0.9), method="inverted_cdf")
-    assert_near(known["force"][:2], 100 * wanted)
+    expected = np.quantile(np.where(failed, np.inf, values), (0.5, 0.9), method="inverted_cdf")
+    assert_near(known["force"][:2], 100 * expected)
     assert known["force"][2] is None

@@ -43,10 +43,10 @@ def run_plainly(rig):
     ticks = []
     samples = []
     times = np.arange(round(rig.scenario.duration / period)) * period
-    for t, wanted in aligned(times, rig.references.over(times)):
+    for t, desired in aligned(times, rig.references.over(times)):
         read = plant.measure()
         truth = judged(plant)
-        tau = controller.tick(read, wanted)
+        tau = controller.tick(read, desired)
         if tare is not None and not controller.engaged:
             if 2 * tare.duration / 3 <= t < tare.duration:
                 samples.append(controller.residual_wrench())
@@ -71,13 +71,13 @@ def run_plainly(rig):
                 "q": read.q,
                 "v": read.v,
                 "tau": tau,
-                "alpha_cmd": wanted.alpha_d,
+                "alpha_cmd": desired.alpha_d,
                 "alpha_meas": alpha,
                 "contact_seen": closed,
                 "collision_seen": collision,
                 "wrench_meas": wrench,
                 "squeeze": np.squeeze(found.squeeze),
-                "squeeze_cmd": wanted.squeeze_d,
+                "squeeze_cmd": desired.squeeze_d,
                 "friction": np.array(found.friction),
                 "status": int(controller.status),
                 "contact_phase": np.full(len(rig.pairs), 2 * controller.engaged),
@@ -95,7 +95,7 @@ def run_plainly(rig):
 
 
 def judged(plant):
-    """What the plant knows; of MuJoCo from its own functions, contact by contact."""
+    """Of the plant's truth; of MuJoCo from its own functions, contact by contact."""
     if not isinstance(plant, MujocoPlant):
         truth = plant.truth()
         E = truth.X_WE or [WORLD] * len(plant.contacts)
@@ -257,13 +257,13 @@ def test_poses_are_those_of_pinocchio():
     back = poses.rotate_back(x)
     for i in range(60):
         X = pin.SE3(pin.exp3(w[:, i]), p[:, i])
-        for found, want in (
+        for found, expected in (
             (poses[i].homogeneous, X.homogeneous),
             (numbers[i], pin.SE3ToXYZQUAT(X)),
             (moved[:, i], X.act(x[:, i])),
             (back[:, i], X.rotation.T @ x[:, i]),
         ):
-            assert_near(found, want, 1e-14)
+            assert_near(found, expected, 1e-14)
     assert_array_equal(rotated(poses.R, x[:, None])[:, 0], poses.rotate(x))
 
 
@@ -284,8 +284,8 @@ def test_lines_of_force_over_time_are_those_of_the_pair(name):
         found = normals_over(pair, stacked(X), moving)
         assert found.shape == (6, r, 5)
         for i in range(5):
-            want = pair.contact(X[i], STILL, moving and E[i]).N
-            assert_near(found[:, :, i], want, 1e-13)
+            expected = pair.contact(X[i], STILL, moving and E[i]).N
+            assert_near(found[:, :, i], expected, 1e-13)
 
 
 @parametrize("name", ["two_contact_rod", "scara_peg", "ur5_wipe", "hinge_ball_rod"])

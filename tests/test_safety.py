@@ -89,12 +89,12 @@ def test_unreadable_joints_leave_the_last_posture():
     assert controller.unbraked is not None
 
 
-@parametrize("name, pace", {"one_panda": 0.15, "two_contact_rod": 1.0})
-def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
+@parametrize("name, speed", {"one_panda": 0.15, "two_contact_rod": 1.0})
+def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, speed):
     case = CASES[name]()
     plant, controller = without_contacts(case, engaged=False)
     reference = replace(
-        case.reference, alpha_d=np.zeros(0), V_D=pace * vector(0.3, 0.2, 0.0, 0.0, 0.0, 0.5)
+        case.reference, alpha_d=np.zeros(0), V_D=speed * vector(0.3, 0.2, 0.0, 0.0, 0.0, 0.5)
     )
     osc.run_loop(plant, controller, repeat(reference, 40))
     assert controller.status is osc.Status.OK and largest(plant.measure().v) > 0.09
@@ -268,8 +268,8 @@ def test_motors_carry_first_and_brake_with_what_is_left(arms):
             brake[s] = least[s] if better else share * brake[s]
             assert_near(controller._records.memory.joints.acceleration[s], share * q_dd[s], 1e-9)
             scaled += share < 1.0
-        want = np.clip(carry + brake, -most, most)[chain.actuated]
-        assert_near(tau, want, 1e-9, 1e-9)
+        expected = np.clip(carry + brake, -most, most)[chain.actuated]
+        assert_near(tau, expected, 1e-9, 1e-9)
     assert scaled > 6
 
 
@@ -291,8 +291,8 @@ def test_limits_can_be_changed(case):
     other = controller.with_safety(osc.SafetySettings(torque_rate=5.0))
     assert other.settings.safety.torque_rate == 5.0
     assert_array_equal(other.last_torques(), controller.last_torques())
-    wish = replace(case.reference, alpha_d=np.full(len(case.pairs), 300.0))
-    step = np.abs(other.tick(case.measurement, wish) - controller.last_torques())
+    desired = replace(case.reference, alpha_d=np.full(len(case.pairs), 300.0))
+    step = np.abs(other.tick(case.measurement, desired) - controller.last_torques())
     assert (step / case.chain.tau_max).max() == approx(5.0 * DT)
 
 
@@ -307,5 +307,5 @@ def test_other_limits_and_gains_hold_beside_pairs_written_in_python():
     other = case.controller().with_gains(soft)
     made = replace(case, gains=soft).controller()
     for _ in range(2):
-        got, want = (c.tick(*case.given) for c in (other, made))
-        assert_near(got, want, rtol=1e-12)
+        got, expected = (c.tick(*case.given) for c in (other, made))
+        assert_near(got, expected, rtol=1e-12)

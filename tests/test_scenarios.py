@@ -260,11 +260,11 @@ OVERRIDES = {
 
 @parametrize("override", OVERRIDES)
 def test_overrides(override):
-    wanted = parse_scenario(GOOD.replace(*OVERRIDES[override], 1))
-    assert wanted != parse_scenario(GOOD)
+    expected = parse_scenario(GOOD.replace(*OVERRIDES[override], 1))
+    assert expected != parse_scenario(GOOD)
     key, _, value = override.partition("=")
     for changes in [override], {key: value}:
-        assert parse_scenario(GOOD, None, changes) == wanted
+        assert parse_scenario(GOOD, None, changes) == expected
 
 
 BAD_OVERRIDES = {

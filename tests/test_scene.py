@@ -291,12 +291,12 @@ def test_urdf_shapes_lie_as_in_the_urdf(tmp_path):
     drawn = {c["path"]: c["object"] for c in sink.commands if c["type"] == "set_object"}
     placed = {c["path"]: matrix(c) for c in sink.commands if c["type"] == "set_transform"}
     box, cylinder, sphere, tetra = (drawn[f"/meshcat/{i}/shape"]["geometries"][0] for i in range(4))
-    for shape, wanted in (
+    for shape, expected in (
         (box, {"width": 1.0, "height": 2.0, "depth": 3.0}),
         (cylinder, {"radiusTop": 0.1, "height": 0.7}),
         (sphere, {"radius": 0.2}),
     ):
-        assert wanted.items() <= shape.items()
+        assert expected.items() <= shape.items()
     assert np.allclose(placed["/meshcat/1/shape"][:3, :3] @ [0, 1, 0], [0, 0, 1])
     vertices = np.frombuffer(tetra["data"]["attributes"]["position"]["array"].data, np.float32)
     assert vertices.max() == 2.0 and len(vertices) % 3 == 0 and placed["/meshcat/2"][0, 3] == 2.0

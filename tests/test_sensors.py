@@ -109,9 +109,9 @@ def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
     for k, m in enumerate(out):
         t = k * DT
         samples = np.ceil(np.arange(int(t * rate) + 2) / rate / DT - 1e-6) * DT
-        want = samples[samples + delay <= t + 1e-9].max(initial=0.0)
-        assert m.stamps.encoders == approx(want, abs=1e-9)
-        assert_near(m.q, want * np.arange(1, 4), 1e-9)
+        expected = samples[samples + delay <= t + 1e-9].max(initial=0.0)
+        assert m.stamps.encoders == approx(expected, abs=1e-9)
+        assert_near(m.q, expected * np.arange(1, 4), 1e-9)
 
 
 def test_lost_samples_keep_the_old_reading():
@@ -141,7 +141,7 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
 
 
 @parametrize(
-    "override, said",
+    "override, message",
     {
         "sensors.encoder={rate: 1 kHz, angle: {noise: 1 mm}}": "an angle",
         "sensors.encoder={angle: {noise: 1 mrad}}": "'rate' is missing",
@@ -151,8 +151,8 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
         "sensors.encoders={rate: 1 kHz}": "did you mean 'encoder'",
     },
 )
-def test_wrong_sensors_are_refused_by_the_scenario(override, said):
-    with scenario_error(said):
+def test_wrong_sensors_are_refused_by_the_scenario(override, message):
+    with scenario_error(message):
         osc.load_scenario("two_contact_rod", [override])
 
 
@@ -302,8 +302,8 @@ def test_a_fresh_reading_corrects_what_the_acceleration_predicts():
         estimate.update(vector(1.0))
         estimate.v = vector(2.0)
         x, v = estimate.update(vector(99.0), vector(10.0), fresh)
-        want = 1.002005 + 0.5 * innovation, 2.01 + 25.0 * innovation
-        assert_near([x[0], v[0]], want, rtol=1e-12)
+        expected = 1.002005 + 0.5 * innovation, 2.01 + 25.0 * innovation
+        assert_near([x[0], v[0]], expected, rtol=1e-12)
 
 
 def test_a_slow_sensor_is_followed_between_its_samples():

@@ -78,8 +78,8 @@ def test_sine_is_silent_before_start_and_pure_after_the_ramp():
     assert tuple(sine.at(0.999)) == (0.0, 0.0, 0.0)
     w = math.pi
     angle = w + 0.3
-    wanted = 4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle)
-    assert sine.at(2.0) == approx(wanted, rel=1e-13)
+    expected = 4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle)
+    assert sine.at(2.0) == approx(expected, rel=1e-13)
 
 
 def rest_to_rest(distance, v, a, j):

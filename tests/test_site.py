@@ -81,8 +81,8 @@ def test_every_public_name_has_its_place_in_reading_order():
     text = "".join((ROOT / "docs" / f"{page}.rst").read_text() for page in order)
     pairs = [f".. autoclass:: {name}" for name in osc.__all__ if name in osc.PAIRS]
     text = text.replace(".. contact-pairs::", "\n".join(pairs))
-    told = re.findall(r"^\.\. auto(?:class|function|exception):: (\w+)$", text, re.M)
-    assert told == osc.__all__, "a public name needs a line in docs/api/"
+    listed = re.findall(r"^\.\. auto(?:class|function|exception):: (\w+)$", text, re.M)
+    assert listed == osc.__all__, "a public name needs a line in docs/api/"
 
 
 def test_docstrings_reach_the_pages(site):
@@ -113,12 +113,12 @@ def test_equations_are_drawn_without_a_script(site):
 
 def test_first_uses_of_symbols_lead_to_the_glossary(site):
     """Each once on a page, in its text; not in tables of keys, where N is a newton."""
-    wanted = {
+    expected = {
         "theory": "N T r d S C G O n_γ α_u η̇ Ψ Φ Ω_f",
         "inspect": "d r C N T",
         "scenario": "r",
     }
-    for page, names in wanted.items():
+    for page, names in expected.items():
         text = text_of(site, f"docs/{page}")
         links = re.findall(r'<a class="term [^>]*>(.*?)</a>', text)
         linked = [re.sub("</?sub>", "", link.replace("<sub>", "_")) for link in links]

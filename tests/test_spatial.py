@@ -38,7 +38,7 @@ def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
     for k, (v, u, f) in enumerate(aligned(V.T, U.T, F.T)):
         twist = pin.Motion(v)
         W = skew(v[3:])
-        for got, want in (
+        for got, expected in (
             (products[:, k], pin.skew(v[:3]) @ u[:3]),
             (motions[:, k], X.act(twist).vector),
             (forces[:, k], X.act(pin.Force(f)).vector),
@@ -46,7 +46,7 @@ def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
             (cross_twist(v, u), np.block([[W, skew(v[:3])], [np.zeros((3, 3)), W]]) @ u),
             (cross_wrench(v, f) @ u, -f @ cross_twist(v, u)),
         ):
-            assert_near(got, want, 1e-14)
+            assert_near(got, expected, 1e-14)
     assert_array_equal(given, kept)
 
 

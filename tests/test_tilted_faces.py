@@ -64,8 +64,8 @@ def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     w = 2 * np.pi * hertz
     K = 10 * np.pi
     leak = M * np.deg2rad(5) * 0.04 * w**2 / np.sqrt(2) / 10
-    want = leak * abs(1 + 1.4 * K / (K / 6 + 1j * w)) * w / np.hypot(w, K)
-    assert np.mean(cost) == approx(want, rel=0.25)
+    expected = leak * abs(1 + 1.4 * K / (K / 6 + 1j * w)) * w / np.hypot(w, K)
+    assert np.mean(cost) == approx(expected, rel=0.25)
 
 
 def test_the_normal_that_is_learnt_is_that_of_the_face():
@@ -212,10 +212,10 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         turn = sign * (new - given)
         found, turned = turned_in_the_law(pair, turn, q, v, reference, touched if moving else None)
         other = replace(pair, **{key: new})
-        want = other.contact(*at)
-        assert_near(found.N, want.N, 1e-12)
-        assert_near(found.n_gamma, want.n_gamma, 1e-11)
-        n = want.N[:3, 0]
+        expected = other.contact(*at)
+        assert_near(found.N, expected.N, 1e-12)
+        assert_near(found.n_gamma, expected.n_gamma, 1e-11)
+        n = expected.N[:3, 0]
         point = point_of(other, X, X_WE)
         on_body = velocity_at(V_E, point - X_WE.translation)
         across = n @ (velocity_at(state.V_O, point - X.translation) - on_body)

@@ -46,11 +46,11 @@ def part(env, observation, name):
 
 @parametrize("vary", [{}, MASS])
 def test_gymnasium_finds_nothing_wrong(vary):
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         check_env(One(vary=vary, overrides=SHORT, episodes=3), skip_render_check=True)
-    said = [str(one.message) for one in said]
-    assert [one for one in said if "infinity" not in one and "spec" not in one] == []
+    warned = [str(one.message) for one in warned]
+    assert [one for one in warned if "infinity" not in one and "spec" not in one] == []
 
 
 def test_rows_are_reset_as_gymnasium_resets_environments():
@@ -124,8 +124,8 @@ def test_following_the_scenario_is_rewarded_and_leaving_it_is_not():
         away = part(env, observation, "scenario")[:, :6] - part(env, observation, "set point")
         action = np.zeros((2, 7))
         action[0, :6] = np.clip(away[0] / env.move, -1, 1)
-        wanted = part(env, observation, "scenario force")[:, 0]
-        action[:, 6] = 2.0 * wanted / env.most_force - 1.0
+        commanded = part(env, observation, "scenario force")[:, 0]
+        action[:, 6] = 2.0 * commanded / env.most_force - 1.0
         action[1, 6] = -1.0  # hardly presses
         observation, rewards, *_ = env.step(action)
     assert rewards[0] > 0.9 and rewards[1] < 0.0

@@ -105,7 +105,7 @@ def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):
     for block, box in boxes:
         for signals in block.inputs, block.outputs:
             assert ("q" in signals) == ("v" in signals), "v is drawn with q"
-        wanted = [LABELS[s] for s in block.inputs if s != "v"]
+        expected = [LABELS[s] for s in block.inputs if s != "v"]
         named = [
             name
             for text, room in texts
@@ -114,8 +114,8 @@ def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):
             for name in text.split(" · ")
         ]
         connected = sum(abs(x - box.x0) < 2 and box.y0 < y < box.y1 for x, y in tips)
-        assert set(named) <= set(wanted), block.name
-        assert len(named) + connected == len(wanted), block.name
+        assert set(named) <= set(expected), block.name
+        assert len(named) + connected == len(expected), block.name
         beside = {
             text for text, room in texts if 0 < room.x0 - box.x1 < 12 and box.y0 < room.y0 < box.y1
         }

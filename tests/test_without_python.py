@@ -41,7 +41,7 @@ TASKS = (
 
 
 def run(*command, code=0):
-    """What a command says that ends with this code."""
+    """Output of a command that ends with this code."""
     done = completed(*command, code=code)
     return done.stderr if code else done.stdout
 
@@ -81,10 +81,12 @@ SLOW, STALE = (
 )
 def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path, name, changes):
     tape = build(rig_of(name, *changes), tmp_path, ticks=1500)
-    said = run(library / "replay", *files(tmp_path))
-    assert said.startswith(f"{tape.count} of {tape.count} ticks bit-equal") and tape.count == 1500
-    assert (" 0 SATURATED" not in said) == (name == "limited_rod")
-    assert (" 0 HELD" not in said) == (changes is STALE)
+    printed = run(library / "replay", *files(tmp_path))
+    assert (
+        printed.startswith(f"{tape.count} of {tape.count} ticks bit-equal") and tape.count == 1500
+    )
+    assert (" 0 SATURATED" not in printed) == (name == "limited_rod")
+    assert (" 0 HELD" not in printed) == (changes is STALE)
     path = files(tmp_path)[1]
     recording = bytearray(path.read_bytes())
     recording[-1] ^= 1  # of the last torque: the replay can fail
@@ -139,9 +141,9 @@ def test_every_way_a_tick_ends_is_replayed(library, tmp_path, name):
         if k == 200:
             controller.reset()
     (tmp_path / "recording.osc").write_bytes(tape.content())
-    said = run(library / "replay", *files(tmp_path))
-    assert said.startswith("400 of 400 ticks bit-equal") and " 0 HELD" not in said
-    assert f" 0 {case.status.name}" not in said
+    printed = run(library / "replay", *files(tmp_path))
+    assert printed.startswith("400 of 400 ticks bit-equal") and " 0 HELD" not in printed
+    assert f" 0 {case.status.name}" not in printed
 
 
 def test_the_library_needs_libc_and_libm_only(library):
@@ -165,8 +167,8 @@ def test_no_tick_allocates(library, tmp_path):
     trap = ["cc", "-O1", "-I", library, *wrap, Path(__file__).parent / "trap.c", *parts]
     run("make", "-C", library, "replay.o", "recording.o")
     run(*trap, "-o", tmp_path / "trapped")
-    said = run(tmp_path / "trapped", *files(tmp_path))
-    assert said.startswith(f"{tape.count} of {tape.count}") and " 0 SATURATED" not in said
+    printed = run(tmp_path / "trapped", *files(tmp_path))
+    assert printed.startswith(f"{tape.count} of {tape.count}") and " 0 SATURATED" not in printed
     run(*trap, "-DRED", "-o", tmp_path / "red")
     run(tmp_path / "red", *files(tmp_path), code=-signal.SIGABRT)
 
@@ -202,16 +204,16 @@ class Command(ctypes.Structure):
 
 
 def tick_in_both(c, handle, controller, m, r):
-    """A tick in Python and in C: torques equal to the bit, and what is said beside them."""
-    want = controller.tick(m, r)
+    """A tick in Python and in C: torques equal to the bit, and what is reported beside them."""
+    expected = controller.tick(m, r)
     goal = r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, [r.squeeze_d]
     goal = [np.array(x, dtype=float) for x in goal]
-    tau = np.zeros(len(want))
+    tau = np.zeros(len(expected))
     measured = Measurement(*map(Numbers.of, (m.q, m.v, m.wrenches)))
-    wanted = Reference(*map(Numbers.of, goal))
-    out = Command(tau.ctypes.data, len(want))
-    assert c.osc_tick(handle, *map(ctypes.byref, (measured, wanted, out))) == 0
-    assert_array_equal(tau, want)
+    desired = Reference(*map(Numbers.of, goal))
+    out = Command(tau.ctypes.data, len(expected))
+    assert c.osc_tick(handle, *map(ctypes.byref, (measured, desired, out))) == 0
+    assert_array_equal(tau, expected)
     assert (out.status, out.state) == (controller.status, controller.state)
 
 
@@ -297,7 +299,7 @@ def reader(library, tmp_path_factory):
 def test_crafted_files_with_a_right_checksum_do_not_reach_beyond_their_bytes(
     reader, tmp_path, name
 ):
-    """Each word that says where something is, or how much of it, replaced by others."""
+    """Each word that holds where something is, or how much of it, replaced by others."""
     content = controller_bytes(start(rig_of(name))[1])
     raw = np.frombuffer(content, np.uint8)[HEAD:-4]
     job = records.JOB.view(raw)
@@ -362,7 +364,7 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
     rng = default_rng(4)
     data = chain.model.createData()
     start = chain.state(READY).X_WO
-    states, wanted, last = [], [], np.zeros(7)
+    states, expected, last = [], [], np.zeros(7)
     for k in range(101):
         drift = 2e-3 * np.sin(0.05 * k) * np.ones(7)
         q, v = READY + drift, 0.1 * np.cos(0.05 * k) * np.ones(7)
@@ -376,12 +378,12 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
         tau = ticked(heavy, osc.Measurement(q, v, f[None]), reference)
         step = tau - pin.computeGeneralizedGravity(chain.model, data, q) - last
         last = last + step * min(1.0, TORQUE_STEP / largest(step))
-        wanted.append(last)
+        expected.append(last)
     (tmp_path / "robot").write_bytes(np.array(states).tobytes())
     assert run(program, tmp_path / "robot", tmp_path / "light.osc", 0.1) == "0.100 s, done\n"
     sent = np.frombuffer((tmp_path / "robot.torques").read_bytes()).reshape(-1, 8)
     assert_array_equal(np.flatnonzero(sent[:, 7]), [100])
-    assert_near(sent[:, :7], wanted, 1e-9)
+    assert_near(sent[:, :7], expected, 1e-9)
     assert largest(sent[:, :7]) > TORQUE_STEP
     refused_with = run(program, tmp_path / "robot", tmp_path / "heavy.osc", 0.1, code=1)
     assert "compensates weight" in refused_with
@@ -407,13 +409,13 @@ def test_the_ros2_plugin_sends_what_the_controller_computes(manager, tmp_path, n
     squeeze = np.full(bars, reference.squeeze_d, dtype=float)
     arms, joints = len(m.wrenches), len(m.q)
     rng = default_rng(5)
-    rows, wanted, seen = [], [], set()
+    rows, expected, seen = [], [], set()
     for k in range(60):
         q = m.q + 1e-4 * rng.standard_normal(joints)
         q[1] = np.nan if k == 40 else q[1]
         given = replace(m, q=q, v=m.v + 1e-3 * rng.standard_normal(joints))
         rows.append(np.concatenate([q, given.v, m.wrenches.ravel()]))
-        wanted.append(controller.tick(given, reference))
+        expected.append(controller.tick(given, reference))
         seen.add(controller.status)
     assert seen == {osc.Status.OK, osc.Status.HELD}
     content = np.concatenate([reference.X_WD.homogeneous.ravel(), alpha, squeeze, *rows]).tobytes()
@@ -427,8 +429,8 @@ def test_the_ros2_plugin_sends_what_the_controller_computes(manager, tmp_path, n
         bars,
     ]
     done = completed(*call, input=content, text=False)
-    torques = np.frombuffer(done.stdout).reshape(-1, len(wanted[0]))
-    assert_array_equal(torques[:-1], wanted)
+    torques = np.frombuffer(done.stdout).reshape(-1, len(expected[0]))
+    assert_array_equal(torques[:-1], expected)
     assert not torques[-1].any()  # deactivated
     names = done.stderr.decode().split()
     assert names[0] == "arm0_0/effort" and names[joints : joints + 1] == ["arm0_0/position"]

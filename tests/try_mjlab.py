@@ -62,8 +62,8 @@ def test_actions_move_set_points_and_press(parts):
         for _ in range(steps):
             env.step(action)
     assert not term.stopped.any()
-    wanted = 0.5 * MOST * (1.0 + action[:, 6].numpy())
-    assert_allclose(term.force[:, 0].numpy(), wanted, rtol=0.02)
+    commanded = 0.5 * MOST * (1.0 + action[:, 6].numpy())
+    assert_allclose(term.force[:, 0].numpy(), commanded, rtol=0.02)
     ways = np.array([0.0, 10.0, -5.0]) * MOVE[0]
     for way, x, X in zip(ways, poses(env, parts), start, strict=True):
         assert abs(x.translation[1] - X.translation[1] - way) < 3e-4

@@ -81,7 +81,7 @@ GOOD = """\
 
 
 class Bad(NamedTuple):
-    """A spoilt file and what must be said of it."""
+    """A spoilt file and what must be reported of it."""
 
     text: str | bytes
     check: str

@@ -67,10 +67,10 @@ def verdict_words(recording: osc.Recording) -> str:
     for name, force in verdict["force"].items():
         closed = verdict["contact_fraction"][name.partition(".")[0]]
         if closed > 0.99:
-            told = f"error {force['rms_error_rel']:.2%} rms"
+            note = f"error {force['rms_error_rel']:.2%} rms"
         else:
-            told = f"closed {closed:.0%} of the time"
-        words.append(f"`{name}` {force['mean_command_N']:.1f} N, {told}")
+            note = f"closed {closed:.0%} of the time"
+        words.append(f"`{name}` {force['mean_command_N']:.1f} N, {note}")
     motion = verdict["motion"]
     words.append(f"free motion {1e3 * motion['rms_error_m']:.2g} mm rms")
     return "; ".join(words)

@@ -26,8 +26,8 @@ def block(self: Any, node: nodes.math_block) -> None:
     """A displayed equation, with its number at the right."""
     text = node.astext()
     number = TAG.search(text)
-    told = f'<span class="number">({number[1]})</span>' if number else ""
+    label = f'<span class="number">({number[1]})</span>' if number else ""
     text = TAG.sub("", text).replace("{aligned}", "{align*}")  # the converter knows this name
     drawn = convert(text, display="block")
-    self.body.append(f'<div class="equation">{drawn}{told}</div>\n')
+    self.body.append(f'<div class="equation">{drawn}{label}</div>\n')
     raise nodes.SkipNode

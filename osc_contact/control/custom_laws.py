@@ -57,7 +57,7 @@ def force_law(make: Callable[[], ForceCommand]) -> Callable[[Any], Any]:
         make: called once for every controller, so that laws with a memory do not share it: a class,
             or a function without arguments. What it returns is called in every tick, see
             `Laws.force`. If it returns anything else the controller holds its last torques, and
-            `Controller.reason` says why.
+            `Controller.reason` has the cause.
 
     Returns:
         A function from `Controller` to `Controller`, which `osc_contact.run` takes as ``install``.

@@ -46,8 +46,8 @@ class ContactMonitor:
             alpha: (r,) measured magnitudes (N), from the wrist filter. speed: (r,) NᵀV_rel (m/s).
         """
         x = self.limits
-        for row, force, pace in zip(self.rows, alpha.tolist(), speed.tolist(), strict=True):
-            _monitor(x, row, force, pace, self.dt, x.dwell, 0.0)
+        for row, force, rate in zip(self.rows, alpha.tolist(), speed.tolist(), strict=True):
+            _monitor(x, row, force, rate, self.dt, x.dwell, 0.0)
         flags = np.array([[row.closed, row.collision] for row in self.rows], dtype=bool)
         return flags.reshape(-1, 2).T
 

@@ -215,7 +215,7 @@ _ROUNDING = 2e-4  #: likewise, of a model without errors: of discrete time
 #: where the model has less friction than noise: standard deviations by which residuals must show it
 _SURELY = 2.0
 #: of F, D, A, bias and wrong masses, where F, and D and A at 1 rad/s and 1 rad/s², are at most 1:
-#: standard deviation at the start, beside half of what the model says; at most; bound
+#: standard deviation at the start, beside half of the model's value; at most; bound
 _DOUBT = np.array([0.07, 0.07, 0.07, 0.017, 0.07])
 _SPREAD = np.array([0.5, 0.5, 0.5, 0.5, 0.2])
 _BOUND = np.array([1.0, 20.0, 20.0, 1.0, 0.5])

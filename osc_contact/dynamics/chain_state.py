@@ -96,7 +96,7 @@ class ArmTerms:
     """
 
     J: Array  #: (6, n) Jacobian
-    gamma: Array  #: (6,) spatial drift: acceleration of the object at q̈ = 0, as far as N sees it
+    gamma: Array  #: (6,) spatial drift: acceleration of the object at q̈ = 0, on the range of N
     M: Array  #: (n, n) joint-space inertia
     Phi: Array  #: (6, 6) inverse inertia J M⁻¹ Jᵀ, rank ≤ n
     Lambda: Array  #: (6, 6) inertia Φ⁺ on range(J)
@@ -105,7 +105,7 @@ class ArmTerms:
     p: Array  #: (6,) gravity wrench J̄ᵀ g
     C: Array  #: (6, m−rank) wrenches the arm's structure resists: CᵀJ = 0, C in range(N)
     N: Array  #: (6, 6) identity for a rigid grasp, else (6, rank) the wrenches it can exert
-    rank: int  #: motions of the object, as far as N sees them, that the joints can make
+    rank: int  #: motions of the object, on the range of N, that the joints can make
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class SingularDirection:
 
     Attributes:
         arm: its number. chi: χ. share: of the command that is left, 1 … 0.
-        wrench: (6,) L u at O, world axes: wrenchᵀ(a − γ) is the acceleration it sees.
+        wrench: (6,) L u at O, world axes: wrenchᵀ(a − γ) is the acceleration along it.
         twist: (6,) L⁻ᵀu: the motion that is lost, its scale that of 1 J of Λ_ref.
         mode: (n,) K⁻ᵀv of the arm's joints, of unit kinetic energy (times two).
         locked: the chain counts the direction as lost (`ClosedChain.rank_tolerance`).
@@ -172,7 +172,7 @@ class ChainState:
     bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
     unactuated: Array  #: (6, u) motions of the object that no motor drives
     reference: Array  #: (6, 6) object and heaviest arm, which singular postures are judged by
-    full_ranks: tuple[int, ...]  #: motions each arm makes, as N sees them, in ordinary postures
+    full_ranks: tuple[int, ...]  #: motions each arm makes, on the range of N, in ordinary postures
     #: directions that arms near a singular posture are losing
     singular_directions: tuple[SingularDirection, ...]
 
@@ -192,9 +192,9 @@ class ChainState:
 
         Λ a + μ + p is the wrench that moves arms and object with a permitted a = S η̇ + σ. With
         d = 6 it is unique, and Λ = Φ⁻¹. With d < 6 the structure of the arms carries the wrenches C
-        without motors, and the wrench is known up to these only: the sum of what each `ArmTerms`
-        says is one of them. Then Φ is not the inverse of Λ, and Λ of a motion that is not permitted
-        means nothing.
+        without motors, and the wrench is known up to these only: the sum of those of each
+        `ArmTerms` is one of them. Then Φ is not the inverse of Λ, and Λ of a motion that is not
+        permitted means nothing.
         """
         return self._sum("Lambda")
 

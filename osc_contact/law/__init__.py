@@ -2,7 +2,7 @@
 
     rows(MODEL, MEMORY, WORK, INPUT) → MEMORY, WORK
 
-Nothing else is read or written. `records` says what the records hold; `tick` runs the stages in the
+Nothing else is read or written. `records` declares what they hold; `tick` runs the stages in the
 order of the figure. The same source runs compiled, as plain Python, and over the rows of a batch.
 
 Everything 6-dimensional is written in *energy coordinates* of the held object: motions x̃ = Lᵀx and

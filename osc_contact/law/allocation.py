@@ -173,7 +173,7 @@ def _invert(X, count, length, carried, tolerance):
 
 @inner
 def _see_forces(t, rank, X, n_locked, Y):
-    """Rows of Y: what each row of X[:rank, :3k] sees of locked forces, then of joint torques."""
+    """Rows of Y: the part of locked forces in each row of X[:rank, :3k], then of joint torques."""
     work = t.work
     for row in range(rank):
         for c in range(n_locked):

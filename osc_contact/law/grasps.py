@@ -241,7 +241,7 @@ def _miss(arm, tip, X, out):
     fill3(out, rotated_back(tip, transformed(minus3(origin(X), tip[3]), X, arm.point)))
     if arm.kind == BALL:
         return
-    u = rotated_back(tip, rotated(X, arm.axis))  # the object's axis as the tip sees it
+    u = rotated_back(tip, rotated(X, arm.axis))  # the object's axis, in the tip's axes
     x = cross(arm.tip_axis, u)
     s = sqrt(dot3(x, x))
     f = 1.0

@@ -13,7 +13,7 @@ friction F and D, and the inertia A of its rotor that the model lacks, by recurs
 
 both low-passed once more against noise, with m = h + M q̈ − Jᵀ w_out, so that links that weigh 1 +
 μ times as much as in the model are not taken for friction. Where the model has no friction, F, D
-and A stay as it says until the estimate surely differs, or a joint rests for long although s
+and A keep its values until the estimate surely differs, or a joint rests for long although s
 commands it. A joint that rests so has at least the friction that it shows: what of r exceeds F + D
 |s| is learned as F. Friction is learned of the speed that the joint has, and compensated along the
 speed s that the contacts permit: J̄ P V_D, P = Ω_m(Λ_o⁻¹) of eq. 4. This has neither the noise of
@@ -26,7 +26,7 @@ before they are limited: f is not a feedback, and e, with g < 1 and |e| ≤ F + 
 friction is not learned; where f reverses, e along the new f is dropped. A wrist that is wrong feeds
 e, too: where no friction is known or learned, e is zero. With `errors` the bound is wider by 0.3
 |h|, so that e also is what masses of the links are wrong by. What is compared with a wrench that
-comes late is of the instant at which it was read. Without learning θ is what the model says, and
+comes late is of the instant at which it was read. Without learning θ is the model's, and
 without `errors` e = 0. Passive joints have no motors: what is known of their friction goes into h
 instead.
 """
@@ -229,7 +229,7 @@ def _all_closed(t):
 def _estimate(t, j, moves, k, dt):
     """θ of a joint after one step, if it moves, or rests although it is commanded to move.
 
-    What a resting joint shows is compared with the estimate: θ says that all of it is bias as long
+    What a resting joint shows is compared with the estimate: in θ all of it is bias as long
     as the joint may be without friction. One that rests for long has friction.
 
     Args:

@@ -61,7 +61,7 @@ class Nested:
         return len(self.tables) + self.counts.index(size)
 
     def start(self, table: str) -> int:
-        """Which word of the layout says where a table begins."""
+        """Which word of the layout holds where a table begins."""
         return list(self.tables).index(table)
 
     def new(self, counts: dict[str, int]) -> Bytes:

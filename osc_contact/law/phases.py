@@ -26,7 +26,7 @@ from osc_contact.law.jit import inner, leaf
 from osc_contact.law.records import body_of, contact_of
 from osc_contact.law.vectors import fill
 
-#: Out of N; in N and dragged towards the face; in N under force control.
+#: Out of N; in N, in a guarded approach; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
 _CHANGES = 0.1  #: s after a change of phase for which torques go gently
 APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
@@ -115,7 +115,7 @@ def monitor(limits, row, force, speed, dt, dwell, more):
         limits: force_on, force_off: N; made above the first, lost `more` (N) above the second or
             below. power: W; more than this (in size) is a collision. window: s after contact is
             made in which one is looked for. patience: s of low force until contact is lost.
-            leaving: m/s; what leaves its face faster has no contact, whatever the force says.
+            leaving: m/s; what leaves its face faster has no contact, whatever the force is.
         force: (N). speed: NᵀV_rel (m/s). dt: the tick (s). dwell: s of high force until contact is
             made.
     """
@@ -335,6 +335,6 @@ def collect(seconds, dt, violated):
     """Seconds of evidence after one tick more.
 
     Args:
-        seconds: so far. dt: period (s). violated: whether this tick speaks against it.
+        seconds: so far. dt: period (s). violated: whether this tick is evidence.
     """
     return seconds + dt if violated else max(seconds - dt, 0.0)

@@ -2,7 +2,7 @@
 
 Each is one run of bytes: a head, then the rows of arms, joints and so on, see `nested`. A
 controller has one row of MODEL and one of MEMORY; a batch has many. WORK and INPUT belong to the
-thread that computes. Field names of rows that `numpy.recarray` knows as methods are not allowed.
+thread that computes. Field names of rows that are methods of `numpy.recarray` are not allowed.
 
 The parts of a tick take all four, and what is theirs:
 
@@ -709,7 +709,7 @@ def body_of(t, column):
     return t.model.bodies[t.model.columns[column].contact]
 
 
-#: Counts of tables, and the field of MODEL that says the same.
+#: Counts of tables, and the field of MODEL of the same value.
 COUNTED = {
     "k": "n_arms",
     "n": "n_joints",

@@ -72,7 +72,7 @@ OVERFORCE = declare_reason(
 #
 # Each rule looks at a tick that could be computed, before its torques are worked out. A reason that
 # it finds stops the arms, see `safety`. Rules about forces and speeds collect seconds of evidence:
-# what speaks against them takes it away at the same pace, so that neither a knock nor one wrong
+# what contradicts them takes it away at the same rate, so that neither a knock nor one wrong
 # sample stops a robot, and bouncing does.
 
 _FULL = 0.99  #: share of its bound at which a force integral has reached it

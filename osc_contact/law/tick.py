@@ -499,7 +499,7 @@ def _copy(x, start, fits, out):
 def rows(raw, at, given):
     """Controllers `first` … `last` − 1 of a job, each from part `begin` to before part `stop`.
 
-    Returns after a tick that ends SATURATED: its WORK says what motor limits must know. Torques are
+    Returns after a tick that ends SATURATED: its WORK has what motor limits need. Torques are
     in MEMORY, and how each tick ended.
 
     Args:

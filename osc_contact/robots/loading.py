@@ -1,4 +1,4 @@
-"""URDF in, checked Pinocchio model out; every file is judged before Pinocchio sees it."""
+"""URDF in, checked Pinocchio model out; every file is judged before Pinocchio reads it."""
 
 import importlib.metadata
 import re

@@ -13,7 +13,7 @@ from osc_contact.robots.urdf import LIMITS, Document, refuse, refuse_file
 from osc_contact.spatial import Array, norm
 
 SAMPLES = 20
-_NO_RANGE = {"lower": 0.0, "upper": 0.0}  # set afterwards: URDF knows no infinite ones
+_NO_RANGE = {"lower": 0.0, "upper": 0.0}  # set afterwards: URDF has no infinite ones
 _ENDLESS = 1e9
 """A position limit beyond (m or rad) is none; Pinocchio writes 1.8e308 for it."""
 _DIAGONAL_FLOOR = 1e-13

@@ -28,7 +28,7 @@ MAX_BYTES = 8 * 2**20
 MAX_DEPTH = 64
 MAX_ELEMENTS = 100_000
 MAX_LINKS = 512
-"""Most links (joints) of a robot; Pinocchio's reader dies of a few thousand."""
+"""Most links (joints) of a robot; Pinocchio's reader crashes at a few thousand."""
 _HUGE = 1e9
 """No length, mass, moment or angle of a robot is larger, in any unit anybody uses."""
 _DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -48,7 +48,7 @@ class ModelFinding:
     """One thing wrong with a file.
 
     Attributes:
-        check: which check speaks: "file", "xml", "name", "number", "tree", "joint", "geometry",
+        check: which check failed: "file", "xml", "name", "number", "tree", "joint", "geometry",
             "mesh", "limit", "inertia", "mass matrix" or "mjcf".
         file: the URDF. line, column: where, from 1; 0 where no place in the file is to blame.
         element: "link 'tip' <mass value='-1'>"; empty for the file as a whole.

@@ -111,13 +111,17 @@ def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
         for j, column in enumerate(N.T):
             V = _STEP * column / max(norm(column), 1e-12)
             rate = (spec.pair.gaps(moved(X_WO, V))[j] - before[j]) / _STEP
-            want = -column @ V / _STEP
-            if abs(rate - want) > 0.5 * abs(want):
+            expected = -column @ V / _STEP
+            if abs(rate - expected) > 0.5 * abs(expected):
                 raise ScenarioError(
                     f"contact '{spec.name}': along column {j + 1} of its N the gap changes by "
-                    f"{rate:.3g} m per metre instead of {want:.3g}: N points into the environment "
-                    "and gaps shrink along it; "
-                    + ("reverse the sign of N or of gaps" if rate * want < 0.0 else "check both")
+                    f"{rate:.3g} m per metre instead of {expected:.3g}: N points into the "
+                    "environment and gaps shrink along it; "
+                    + (
+                        "reverse the sign of N or of gaps"
+                        if rate * expected < 0.0
+                        else "check both"
+                    )
                 )
 
 

@@ -117,7 +117,7 @@ class Shadow:
         self.rows: list[Array] = []
 
     def torques(self, measurement: Measurement) -> Array:
-        """(n,) what is sent: the weight that the model knows; the tick is noted."""
+        """(n,) what is sent: the weight of the model; the tick is noted."""
         q = np.asarray(measurement.q, dtype=float)
         sent = np.array(pin.computeGeneralizedGravity(self.chain.model, self.data, q))
         sent = np.clip(np.nan_to_num(sent), -self.chain.tau_max, self.chain.tau_max)

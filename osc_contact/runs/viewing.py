@@ -170,11 +170,11 @@ class RealTime:
 
 def replay(recording: Recording, viewer: Viewer) -> None:
     """Show a recording in real time, until its end or the viewer's."""
-    pace = RealTime(viewer)
+    clock = RealTime(viewer)
     for tick in range(len(recording)):
         if viewer.error is not None:
             return
-        pace.show(recording.at(tick))
+        clock.show(recording.at(tick))
 
 
 def wait_for(condition: Callable[[], bool], seconds: float) -> bool:

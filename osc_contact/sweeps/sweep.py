@@ -489,8 +489,8 @@ def make_all(
 ) -> Iterator[tuple[SweepStudy, Row]]:
     """All rows of all jobs, in the order in which they are done.
 
-    Where a worker dies its jobs are done again, row by row; a row that ends its worker then too is
-    a row that states it.
+    Where a worker's process ends, its jobs are done again, row by row; a row that ends its worker
+    then, too, reports that.
 
     Args:
         workers: see `workers_of`; None: this process. jobs: what is to be done.

@@ -2,7 +2,7 @@
 
 Drawing and serving happen in a separate process. The control loop's side is one call that
 copies the newest numbers into a socket to that process, without waiting: what the other side has
-no room for is dropped, so a slow, stopped, flooded or dead viewer costs the loop microseconds. The
+no room for is dropped, so a slow, stopped, flooded or ended viewer costs the loop microseconds. The
 viewer's thread of control being another process, it does not compete for the interpreter lock.
 """
 

@@ -2,7 +2,7 @@
  *
  *     loop [RATE in Hz [SECONDS [CONTROLLER RECORDING]]]
  *
- * Where real-time scheduling and locked memory are not permitted, it says so and runs without.
+ * Where real-time scheduling and locked memory are not permitted, it reports that and runs without.
  * Latency is the time from a deadline until the loop runs; a deadline is missed where the torques of
  * the one before are not there yet. */
 #define _POSIX_C_SOURCE 200112L

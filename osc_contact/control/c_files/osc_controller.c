@@ -90,7 +90,7 @@ static size_t record_bytes(int record, const unsigned char *bytes, size_t most) 
     return line_end(end) <= most ? line_end(end) : 0;
 }
 
-/* Whether records lie where JOB says, one behind the other, and agree on their sizes. */
+/* Whether records are where JOB places them, one behind the other, and agree on their sizes. */
 static int is_whole(const osc_controller *c) {
     static const size_t places[] = {0, JOB_model, JOB_memory, JOB_work, JOB_input};
     const unsigned char *at[RECORDS];
