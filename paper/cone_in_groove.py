@@ -215,13 +215,13 @@ def run(duration: float = 5.0, step_times: tuple[float, ...] = STEP_TIMES) -> Co
     channels = {"t": t[:-1], "alpha_cmd": desired, "alpha_meas": read, "alpha_true": true}
     walls = osc.Recording(recording.meta | {"contact_names": ["push on the walls"]}, channels)
     poses = [pin.XYZQUATToSE3(pose) for pose in recording["pose"]]
-    motion, desired = (
+    motion, planned = (
         np.array([seat.motion(X) for X in some]) for some in (poses, [one.X_WD for one in plan])
     )
     judged = t >= SETTLE_S
     late = judged[:-1]
     force_error = (true - desired)[late]
-    turn_rms, slide_rms = _rms((motion - desired)[judged])
+    turn_rms, slide_rms = _rms((motion - planned)[judged])
     turned, slid = np.ptp(motion, axis=0).tolist()
     frame = seat.raibert_craig
     data = {
