@@ -342,7 +342,7 @@ def test_a_grasp_that_registers_itself_has_a_name_in_scenarios(monkeypatch):
 
 
 def test_exact_plant_steps_an_object_that_no_arm_leads():
-    """It is a body of its own there: a short step changes its twist by that of the oracle."""
+    """The object is a separate body there: a short step changes its twist as in the oracle."""
     rng = default_rng(12)
     dt = 1e-6
     for case in driven(rng, 8, arms=("ur5", "panda"), kinds=("hinge", "ball"), least=2, most=3):

@@ -192,7 +192,7 @@ class ChainState:
 
         Λ a + μ + p is the wrench that moves arms and object with a permitted a = S η̇ + σ. With
         d = 6 it is unique, and Λ = Φ⁻¹. With d < 6 the structure of the arms carries the wrenches C
-        without motors, and the wrench is known up to these only: the sum of those of each
+        without motors, and the wrench is known up to these only: the sum over all
         `ArmTerms` is one of them. Then Φ is not the inverse of Λ, and Λ of a motion that is not
         permitted means nothing.
         """

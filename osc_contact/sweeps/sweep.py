@@ -490,7 +490,7 @@ def make_all(
     """All rows of all jobs, in the order in which they are done.
 
     Where a worker's process ends, its jobs are done again, row by row; a row that ends its worker
-    then, too, reports that.
+    then, too, becomes a row with this error.
 
     Args:
         workers: see `workers_of`; None: this process. jobs: what is to be done.
