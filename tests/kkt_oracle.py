@@ -237,12 +237,17 @@ def slopes(f, k):
 
 @dataclass
 class Contact:
-    """A pair between object and body, and how its gaps change."""
+    """A pair between object and body, and how its gaps change.
+
+    Attributes:
+        bent: (r,) known second derivative of the gaps at rest accelerations; None: by differences.
+    """
 
     name: str
     pair: object
     on: Body
     X_WO: pin.SE3
+    bent: object = None
 
     def __post_init__(self):
         self.along_object = slopes(lambda s: self.gaps(s, 0.0 * self.on.v), 6)
@@ -255,6 +260,8 @@ class Contact:
 
     def bend(self, V):
         """(r,) second derivative of the gaps while nothing accelerates."""
+        if self.bent is not None:
+            return self.bent
         speed = max(1.0, largest(V), largest(self.on.v))
         there = V / speed, self.on.v / speed
         return speed**2 * rate(lambda t: self.gaps(*(t * x for x in there)), 2, STEP, REACH)

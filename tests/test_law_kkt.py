@@ -13,9 +13,10 @@ Pinocchio. On more than 2,000 random states, all moving, brought about by any to
     what is lost      of motion and forces where motors are too weak, and what is reported of it
 
 Where columns nearly depend on one another, σ from it, forces answer accelerations with 1/σ²: the
-tolerance grows with that. `GapFunctions` has N and n_γ to 1e-11 … 1e-9 only. Near singular
-postures the law gives up motion, never force. Two arms whose grasps pass on no squeeze are held.
-All of these are counted by themselves: the 2,000 states are without them.
+tolerance grows with that. Near singular postures the law gives up motion, never force. Two arms
+whose grasps pass on no squeeze are held. All of these are counted by themselves: the 2,000 states
+are without them. `GapFunctions` has n_γ from differences, to 1e-9 only, and the inertia of an arm
+near a singular posture makes 50 mN of 1e-10 m/s²: once compared, its n_γ is the oracle's, too.
 """
 
 from collections import Counter, defaultdict
@@ -64,7 +65,6 @@ STATES = 84  # of each rig and surroundings, well apart and in ordinary postures
 SOME = 6  # that every `make test` judges, of any kind; the others are slow
 RTOL = 1e-9
 FADED_RTOL = 1e-7
-ROUGH_RTOL = 1e-6
 APART = 0.1
 LEAST_APART = 0.03
 FASTEST = 5.0
@@ -286,11 +286,16 @@ def ticks(rig, surroundings):
         i += 1
 
 
+def parts_of_contacts(t):
+    """What the law found of each contact, with the contact."""
+    contacts = [c for c in t.contacts if len(c.along_object)]  # not what may move in every way
+    return aligned(t.controller.signals.parts, contacts)
+
+
 def miss_of_geometry(t):
     """Errors of N and n_γ of every contact."""
     errors = [0.0]
-    contacts = [c for c in t.contacts if len(c.along_object)]  # not what may move in every way
-    for part, c in aligned(t.controller.signals.parts, contacts):
+    for part, c in parts_of_contacts(t):
         errors += [miss(part.N, -c.along_object.T), miss(part.n_gamma, c.n_gamma(t.state.V))]
     return max(errors)
 
@@ -421,15 +426,19 @@ def judge(t):
         return "held"
     apart = state.apart()
     looser = max(1.0, (APART / apart) ** 2)
-    rtol = looser * (ROUGH_RTOL if names & ROUGH else RTOL)
+    rtol = looser * RTOL
+    geometry = miss_of_geometry(t)
+    for part, c in parts_of_contacts(t):
+        if c.name in ROUGH:
+            c.bent = part.n_gamma - c.n_gamma(state.V) + c.bend(state.V)
     answer = state.answer(t.tau)
     misses = {
-        "geometry": 0.01 * miss_of_geometry(t),  # differences, where edges are all but parallel
+        "geometry": 0.01 * geometry,  # differences, where edges are all but parallel
         "reading": 0.01 * miss_of_reading(t),
         "force": miss_of_forces(t, answer.alpha, commanded_forces(t)),
         "response": 0.0 if state.mu else miss_of_response(t, answer),
     }
-    kind = "rough" if names & ROUGH else "near" if apart < APART else "well apart"
+    kind = "near" if apart < APART else "well apart"
     if status is osc.Status.DEGRADED:
         rtol = max(rtol, FADED_RTOL * looser)
         kind = "faded"
@@ -484,7 +493,7 @@ def test_torques_bring_the_commanded_forces_and_motion(rig, surroundings):
     assert seen["grasps"] == set(RIGS[rig].grasps)
     assert seen["bodies"] == ({"world"} if where.on is in_the_world else {"world", *BODIES})
     assert seen["pairs"] >= {name for name in where.pairs if rig == "ur5" or columns(name) < 2}
-    assert max(count["near"], count["rough"]) < 2 * STATES
+    assert count["near"] < 2 * STATES
     assert count["held"] < 4 * STATES * mixed + 1
     assert (
         count["faded"] < 4 * STATES * mixed + 5
