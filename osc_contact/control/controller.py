@@ -383,7 +383,7 @@ class Controller:
     @property
     def status(self) -> Status:
         """How the last tick ended."""
-        return Status(int(self._memory.status))
+        return Status(self._memory.status)
 
     @property
     def reason(self) -> str:
@@ -395,7 +395,7 @@ class Controller:
     @property
     def state(self) -> SafetyState:
         """Whether the controller runs, holds a posture or has stopped; see `SafetyState`."""
-        return SafetyState(int(self._memory.state))
+        return SafetyState(self._memory.state)
 
     @property
     def state_age(self) -> int:

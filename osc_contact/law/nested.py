@@ -49,6 +49,8 @@ class Nested:
         if words:
             fields.insert(0, ("layout", np.int64, (words,)))
         self.dtype = np.dtype(fields, align=True)
+        numbers = {name: _number(name) for name in self.dtype.names if not self.dtype[name].shape}
+        self._view: Any = type("View", (View,), numbers)
         if not COMPILES:
             self.at: Any = lambda raw, start: self.view(raw[start:])
         else:
@@ -94,7 +96,8 @@ class Nested:
 
     def view(self, raw: Bytes) -> View:
         """The record at the beginning of these bytes."""
-        return View(self, raw)
+        view: View = self._view(self, raw)
+        return view
 
 
 class Rows(np.ndarray[Any, Any]):
@@ -111,6 +114,11 @@ class Rows(np.ndarray[Any, Any]):
             self[name] = value
         else:
             super().__setattr__(name, value)
+
+
+def _number(name: str) -> Any:
+    """A field of one number as a property, in half the time that `View.__getattr__` takes."""
+    return property(lambda view: view.head[name])
 
 
 class View:
