@@ -16,7 +16,7 @@ Where columns nearly depend on one another, σ from it, forces answer accelerati
 tolerance grows with that. Near singular postures the law gives up motion, never force. Two arms
 whose grasps pass on no squeeze are held. All of these are counted by themselves: the 2,000 states
 are without them. `GapFunctions` has n_γ from differences, to 1e-9 only, and the inertia of an arm
-near a singular posture makes 50 mN of 1e-10 m/s²: once compared, its n_γ is the oracle's, too.
+near a singular posture makes 50 µN of 1e-10 m/s²: once compared, its n_γ is the oracle's, too.
 """
 
 from collections import Counter, defaultdict
