@@ -88,7 +88,7 @@ def settable_bars(t, n_locked):
     _place_bars(k, bars, work.points, X)
     one_sided_jacobi(X, bars, 3 * k, bars)
     rank = _invert(X, bars, 3 * k, bars, tolerance)
-    _see_forces(t, rank, X, n_locked, Y)
+    _dot_forces(t, rank, X, n_locked, Y)
     for bar in range(bars):
         for j in range(n):
             levers[bar, j] = 0.0
@@ -172,8 +172,8 @@ def _invert(X, count, length, carried, tolerance):
 
 
 @inner
-def _see_forces(t, rank, X, n_locked, Y):
-    """Rows of Y: the part of locked forces in each row of X[:rank, :3k], then of joint torques."""
+def _dot_forces(t, rank, X, n_locked, Y):
+    """Y[:rank]: rows X[:rank, :3k] times each locked force, then times that of each joint."""
     work = t.work
     for row in range(rank):
         for c in range(n_locked):
@@ -186,7 +186,7 @@ def _see_forces(t, rank, X, n_locked, Y):
 
 @inner
 def _make_forces(s, count, bars, n, Z, Y, X):
-    """Rows X[:s, :bars]: what the torques Z[:s] make in the combinations Y[:count]."""
+    """X[c, :bars] = Σ (y[:n]·Z[c]) y[n:] over rows y of Y[:count]: forces of torques Z[:s]."""
     for c in range(s):
         for bar in range(bars):
             X[c, bar] = 0.0
