@@ -101,3 +101,15 @@ def test_an_observed_arm_runs_on_after_one_bad_encoder_sample(bad):
         seen = observed.measure()
         assert np.isnan(seen.q).any() == (k == 150)
     assert_near(seen.v[:4], 0.1, rtol=0.1)
+
+
+@parametrize("share, ends", [(0.99, RUN), (1.01, SAFE_STOP)])
+def test_arms_that_have_the_object_at_different_places_stop(case, share, ends):
+    q = case.measurement.q.copy()
+    lift = case.chain.joint_names.index("right/joint3")  # m, up
+    q[lift] += share * osc.SafetySettings().closure_error
+    controller = case.controller()
+    for _ in range(20):
+        controller.tick(replace(case.measurement, q=q), case.reference)
+    assert controller.state is ends
+    assert ("hold the object" in controller.reason) == (ends is SAFE_STOP)

@@ -76,6 +76,19 @@ def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case, lost):
         ticked(controller, *case.given)
 
 
+@parametrize("lost, running", [(1, 40), (2, 18)])
+def test_lost_ticks_between_others_add_up_where_they_are_more(case, lost, running):
+    """Two out of three: the 20th more than were computed stops the arms."""
+    controller = case.controller()
+    states = []
+    for _ in range(40):
+        for _ in range(lost):
+            controller.tick(blind(case), case.reference)
+        controller.tick(*case.given)
+        states.append(controller.state)
+    assert states == [RUN] * running + [SAFE_STOP] * (40 - running)
+
+
 def test_unreadable_joints_leave_the_last_posture():
     """Speeds are predicted from what was commanded: braked, they are gone in 1/(2 ω) = 25 ms."""
     case = panda()
