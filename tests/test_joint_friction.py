@@ -87,6 +87,17 @@ def test_the_estimate_is_that_of_least_squares():
     assert_near(later - theta, P @ Phi[0] * 9.0 / miss, rtol=1e-6)
 
 
+def test_the_noise_is_the_mean_square_of_what_the_estimate_does_not_explain():
+    """By a first-order lag of 0.5 s; outliers count as ten deviations."""
+    expected = 0.04
+    r = default_rng(6).normal(scale=0.5, size=400)
+    r[::50] = 30.0
+    _, row = learned(np.zeros((400, 5)), r, noise=expected, dt=1e-3)
+    for square in r * r:
+        expected += (min(square, 4.0) - expected) * 1e-3 / 0.501
+    assert_near(row.noise, expected, rtol=1e-12)
+
+
 @parametrize("dt", [0.0, 1e-3])
 def test_joints_without_friction_learn_none(dt):
     """θ at its bound does not drift, though some directions of it are hardly excited."""
