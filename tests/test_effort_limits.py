@@ -163,6 +163,24 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_reported(rig, share):
         assert (multipliers >= -1e-5 * largest(multipliers)).all()
 
 
+@parametrize("rig", [scara_pair, panda_pair])
+def test_the_order_of_contacts_that_may_pull_and_may_not_changes_nothing(rig):
+    chain = rig()
+    rng = default_rng(44)
+    for _ in range(6):
+        pairs, measurement, reference = demanding(chain, rng, 2)
+        pairs[0] = osc.GapFunctions(pairs[0].gaps, length=0.1)
+        desired = ticked(motors_only(strong(chain), pairs), measurement, reference)
+        weak = with_motors(chain, 0.5 * chain.tau_max * largest(desired / chain.tau_max))
+        found = []
+        for order in [0, 1], [1, 0]:
+            controller = motors_only(weak, [pairs[i] for i in order])
+            given = replace(reference, alpha_d=reference.alpha_d[order])
+            found.append(controller.tick(measurement, given))
+            assert controller.status is osc.Status.SATURATED, controller.reason
+        assert_near(*found, rtol=1e-6)
+
+
 def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch):
     chain = scara_pair()
     pairs, measurement, reference = demanding(chain, default_rng(44), 1)
