@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pinocchio as pin
 from complaints import contact_error
+from numba import njit
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import kind, placed
@@ -33,6 +34,9 @@ def ball_on_ball(X_WO, V_O, X_WE, V_E, given, *out):
     gaps[0] = apart - given[3] - given[7]
 
 
+one_ball = njit(ball_on_ball)
+
+
 @kind
 def compiled_pair(rng, c):
     ball = rng.standard_normal(3)
@@ -55,23 +59,33 @@ def of_no_type(*arrays):
     arrays[7][0] = {}.nothing_of_the_kind
 
 
-def two(X):
-    """A compiled pair and a packaged one of the same geometry."""
+def balls_on_balls(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):
+    for k in range(len(gaps)):
+        out = N[:, k:], n_gamma[k:], gaps[k:], points[:, k:]
+        one_ball(X_WO, V_O, X_WE, V_E, given[8 * k :], *out)
+
+
+def same(X, count):
+    """A compiled pair, and packaged ones of the same geometry."""
     rng = default_rng(3)
-    ball = 0.1 * rng.standard_normal(3)
-    at = X.act(ball) + 0.112 * direction(rng)
-    surface = osc.SphereOnSurface(ball, 0.012, osc.Surface.sphere(0.1), at, name="one")
-    given = [*ball, 0.012, *at, 0.1]
-    return osc.CompiledPair(ball_on_ball, given, pushes=True, name="one"), surface
+    given = []
+    surfaces = []
+    for _ in range(count):
+        ball = 0.1 * rng.standard_normal(3)
+        at = X.act(ball) + 0.112 * direction(rng)
+        surfaces.append(osc.SphereOnSurface(ball, 0.012, osc.Surface.sphere(0.1), at))
+        given += [*ball, 0.012, *at, 0.1]
+    return [osc.CompiledPair(balls_on_balls, given, forces=count, pushes=True)], surfaces
 
 
+@mark.parametrize("count", [1, 3])
 @mark.parametrize("friction", [None, osc.Friction(mu=0.2)])
-def test_a_controller_ticks_as_with_the_packaged_pair(friction):
+def test_a_controller_ticks_as_with_the_packaged_pair(friction, count):
     chain = one_panda()
     q, v, X = posed(chain, default_rng(4))
     measurement = osc.Measurement(q, 0.1 * v, np.ones((1, 6)))
-    reference = osc.Reference(X, np.full(6, 0.02), alpha_d=vector(10.0))
-    controllers = [osc.Controller(chain, [pair], friction=friction) for pair in two(X)]
+    reference = osc.Reference(X, np.full(6, 0.02), alpha_d=np.arange(10.0, 10.0 + count))
+    controllers = [osc.Controller(chain, pairs, friction=friction) for pairs in same(X, count)]
     for _ in range(3):
         ours, theirs = (one.tick(measurement, reference) for one in controllers)
         assert_allclose(ours, theirs, rtol=1e-9)
