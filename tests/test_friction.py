@@ -2,7 +2,7 @@
 
 import numpy as np
 from pytest import approx, fixture
-from rigs import STILL, refused, scara_pair, vector
+from rigs import STILL, assert_near, refused, scara_pair, vector
 from samples import parametrize
 from scenario_runs import closed_force, run_of, verdict_of
 
@@ -108,6 +108,7 @@ def test_tangential_forces_of_a_contact_at_rest_leave_the_contact_force_as_comma
     p = pair.points_of_contact(X)[:, 0] - X.translation
     n = pair.contact(X, STILL).N[:3, 0]
     forces = []
+    read = []
     for rubs in np.array([[0.0, 0.0, 0.0], [1.5, -0.4, 0.9]]):
         f = rubs - n * (n @ rubs) / (n @ n)
         controller = rig.controller()
@@ -117,4 +118,6 @@ def test_tangential_forces_of_a_contact_at_rest_leave_the_contact_force_as_comma
         load = plant._jacobian(plant._object()[0]).T @ np.append(f, np.cross(p, f))
         forces.append(plant._solve(tau - load).alpha[0])
         held = plant._solve(tau).alpha[0] - forces[0]
+        read.append(controller._memory.columns.tangential[0].copy())
     assert forces[1] == approx(forces[0], abs=1e-6) and abs(held) > 0.1
+    assert_near(read[1] - read[0], f * 5.0 / 6.0, 1e-9)  # a lag of 5 ms at 1 kHz
