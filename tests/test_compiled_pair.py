@@ -59,10 +59,11 @@ def of_no_type(*arrays):
     arrays[7][0] = {}.nothing_of_the_kind
 
 
-def balls_on_balls(X_WO, V_O, X_WE, V_E, given, N, n_gamma, gaps, points):
+def balls_on_balls(X_WO, V_O, X_WE, V_E, given, *out):
+    N, n_gamma, gaps, points = out
     for k in range(len(gaps)):
-        out = N[:, k:], n_gamma[k:], gaps[k:], points[:, k:]
-        one_ball(X_WO, V_O, X_WE, V_E, given[8 * k :], *out)
+        rest = N[:, k:], n_gamma[k:], gaps[k:], points[:, k:]
+        one_ball(X_WO, V_O, X_WE, V_E, given[8 * k :], *rest)
 
 
 def same(X, count):
