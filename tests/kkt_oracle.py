@@ -240,7 +240,7 @@ class Contact:
     """A pair between object and body, and how its gaps change.
 
     Attributes:
-        bent: (r,) known second derivative of the gaps at rest accelerations; None: by differences.
+        bent: (r,) `bend` where it is known; None: by differences.
     """
 
     name: str

@@ -174,7 +174,7 @@ def best_law(baseline):
     return best_selection(fig1()[1], baseline, restarts=1)
 
 
-def test_on_the_skew_contact_every_frame_couples_and_the_plant_says_the_same():
+def test_on_the_skew_contact_every_frame_couples_and_the_plant_agrees():
     """Whole ticks answered by joint-space multipliers agree with eqs. 17 and 18; ours ≤ 1e-9."""
     rig, instant = fig1()
     assert max(measured_coupling(rig, Ours(), instant).norms) <= 1e-9

@@ -64,7 +64,7 @@ def test_by_command_and_address_too(client, alone, tmp_path):
 
 
 @mark.parametrize("where", ["processes", "cluster"])
-def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client):
+def test_a_run_that_ends_its_worker_twice_is_a_row_with_the_error(where, client):
     # one death may be that of a neighbour: dask charges all that a worker was given
     client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 1))
     tilt = "model_error.face_tilt=uniform(0 deg, 2 deg)"  # no doubts before a run, as of masses

@@ -66,7 +66,7 @@ def balls_on_balls(X_WO, V_O, X_WE, V_E, given, *out):
         one_ball(X_WO, V_O, X_WE, V_E, given[8 * k :], *rest)
 
 
-def same(X, count):
+def same_geometry(X, count):
     """A compiled pair, and packaged ones of the same geometry."""
     rng = default_rng(3)
     given = []
@@ -86,7 +86,9 @@ def test_a_controller_ticks_as_with_the_packaged_pair(friction, count):
     q, v, X = posed(chain, default_rng(4))
     measurement = osc.Measurement(q, 0.1 * v, np.ones((1, 6)))
     reference = osc.Reference(X, np.full(6, 0.02), alpha_d=np.arange(10.0, 10.0 + count))
-    controllers = [osc.Controller(chain, pairs, friction=friction) for pairs in same(X, count)]
+    controllers = [
+        osc.Controller(chain, pairs, friction=friction) for pairs in same_geometry(X, count)
+    ]
     for _ in range(3):
         ours, theirs = (one.tick(measurement, reference) for one in controllers)
         assert_allclose(ours, theirs, rtol=1e-9)
@@ -97,7 +99,7 @@ def test_a_controller_ticks_as_with_the_packaged_pair(friction, count):
     )
 
 
-def test_what_is_wrong_is_said(tmp_path):
+def test_what_is_wrong_is_reported(tmp_path):
     with refused("numba cannot compile it"):
         osc.CompiledPair(of_no_type)
     with refused("forces = 7; give r, 1 … 6"):

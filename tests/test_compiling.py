@@ -120,7 +120,7 @@ print(jit.UNITS, jit.inner(lambda x: x * x)(3))
     [(OTHER_NUMBA, {}), ("", {"CC": "no-such-compiler"}), ("", {"OSC_CONTACT_LAW": "jit"})],
     ids=["other numba", "no compiler", "requested"],
 )
-def test_what_lacks_for_a_library_is_said_and_numba_compiles_as_it_always_does(
+def test_what_lacks_for_a_library_is_reported_and_numba_compiles_as_always(
     before, changes, tmp_path
 ):
     """At once, not at the first compilation, where nothing would catch it."""

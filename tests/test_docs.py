@@ -140,7 +140,7 @@ def test_files_named_in_backticks_exist(page):
             assert not complaint(name, test=False), f"{page.name}: {complaint(name, test=False)}"
 
 
-def test_every_section_of_the_theory_says_where_it_is_computed():
+def test_every_section_of_the_theory_names_where_it_is_computed():
     for section in text_of("theory.md").split("\n## ")[1:]:
         assert re.search(r"^In code: `osc_contact/\S+::\S+`", section, re.M), section.split("\n")[0]
 

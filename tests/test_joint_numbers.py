@@ -80,7 +80,7 @@ def test_a_transmission_states_rotor_and_gear(tmp_path):
     assert_near(osc.ClosedChain([arm]).model.armature, [1.0, 0, 0, 0, 0])
 
 
-def test_what_a_urdf_says_of_friction_arrives():
+def test_friction_in_a_urdf_arrives():
     urdf, _ = robots.find_robot("talos_left_arm")
     arm = osc.Arm.from_urdf(urdf, name="a", tip="gripper_left_base_link")
     model = osc.ClosedChain([arm]).model

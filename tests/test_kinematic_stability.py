@@ -135,7 +135,7 @@ def test_it_is_the_selection_that_makes_the_classic_scheme_unstable():
     assert everything.real.min() > 10.0 and eigenvalues(q)[0].real.min() < -10.0
 
 
-def test_search_counts_what_it_says():
+def test_search_counts_what_it_reports():
     """The same draw again: the regular postures, and the least real part of each."""
     q, counts = ks.search(4, 400, 0.6)
     drawn = default_rng(4).uniform(-np.pi, np.pi, (400, 6))

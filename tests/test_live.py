@@ -263,7 +263,7 @@ def test_the_server_ends_with_the_program_however_that_ends():
     wait_until(lambda: not alive(int(done.stdout)), 10.0)
 
 
-def test_a_viewer_that_cannot_start_says_why(monkeypatch, tmp_path):
+def test_a_viewer_that_cannot_start_gives_the_reason(monkeypatch, tmp_path):
     (tmp_path / "tornado.py").write_text("raise RuntimeError('no tornado here')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with viewer_error("does not start: .*no tornado"):

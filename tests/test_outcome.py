@@ -143,7 +143,7 @@ def test_each_word_has_its_threshold(row):
     assert sentence in "\n".join(lines)
 
 
-def test_the_gravest_word_is_said_and_every_reason():
+def test_the_gravest_word_is_given_and_every_reason():
     both = changed("closed", 2000, 2100, 0) | changed("status", 1500, 1501, 2)
     task = osc.metrics(made(**both))["task"]
     assert task["word"] == "LOST"
@@ -204,7 +204,7 @@ def test_a_run_that_begins_with_an_approach_is_judged_by_its_phases():
     assert late["word"] == "POOR" and "closed too late; run it longer" in late["why"][0]
 
 
-def test_a_power_ratio_that_is_large_says_why():
+def test_a_power_ratio_that_is_large_has_a_reason():
     for share, words in (1.41, ("141 %", "power into the contacts")), (0.01, ("ratio 1 %",)):
         verdict = osc.metrics(made(power_projected=np.full(TICKS, share)))
         assert any(all(word in row for word in words) for row in rows_of(verdict))

@@ -122,7 +122,7 @@ def test_drivers_that_keep_the_contract_pass():
         "stale sequence": r"sequence \(10\) do not advance",
     },
 )
-def test_what_is_wrong_is_said(fault, sentence):
+def test_what_is_wrong_is_reported(fault, sentence):
     robot = Driver(fault)
     with plant_error(sentence):
         check_robot(robot)

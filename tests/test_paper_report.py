@@ -254,7 +254,7 @@ def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
     assert_near([np.linalg.norm(pin.log3(R)) for R in turned], np.deg2rad(5.0), 1e-3)
 
 
-def test_every_label_hangs_on_a_node_and_says_what_the_scenario_says(cell, tmp_path):
+def test_every_label_hangs_on_a_node_and_agrees_with_the_scenario(cell, tmp_path):
     words = []
     for k, shot in enumerate(cell.shots()):
         page = cell.page(shot, tmp_path / f"{k}.html")

@@ -156,7 +156,7 @@ def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same()
 
 
 @parametrize("name", ["two_contact_rod", "ur5_wipe", "three_arm_plate"])
-def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
+def test_the_object_is_where_the_posture_puts_it_unless_the_file_places_it(name):
     scenario = osc.load_scenario(name, ["object.pose=null"])
     rig = rig_of(scenario)
     arm = scenario.arms[0]
@@ -166,7 +166,7 @@ def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
     assert_near((one.base * tip * placed(*grasp.xyz, grasp.rpy)).homogeneous, rig.X_given, 1e-12)
 
 
-def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():
+def test_a_scenario_that_starts_in_its_posture_runs_without_a_doubt():
     rig = rig_of("two_contact_rod", "object.pose=null")
     assert osc.preflight(rig) == ()
     assert norm(rig_of().state.X_WO.translation - rig.state.X_WO.translation) < 1e-3

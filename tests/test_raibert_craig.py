@@ -198,7 +198,7 @@ def test_both_conditions_can_fail():
     assert as_raibert_craig(N, SIZE).reason.startswith(tilted.reason.split(";")[0])
 
 
-def test_a_nearly_parallel_pair_says_what_it_nearly_is():
+def test_a_nearly_parallel_pair_is_reported_as_such():
     N = np.column_stack((line([0, 0, 1.0], [0.2, 0, 0]), line([0, 1e-6, 1.0], [-0.2, 0, 0])))
     found = as_raibert_craig(N, SIZE)
     assert not found and 1e-8 < found.residual < 2e-6

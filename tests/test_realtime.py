@@ -178,7 +178,7 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
         "mirrored joint": "elbow.* unexplained: is it, or a joint near it, reversed",
     },
 )
-def test_shadow_mode_says_why_no_force_may_be_commanded(fault, sentence):
+def test_shadow_mode_reports_why_no_force_may_be_commanded(fault, sentence):
     found = shadow(fault)
     assert not found.forces
     assert re.search(sentence, " ".join(found.findings)), found.findings

@@ -311,7 +311,7 @@ def test_a_cut_file_loses_the_chunk_of_the_cut(tmp_path):
     assert count == 500
 
 
-def test_flipped_bits_cost_their_chunk_and_are_told(tmp_path):
+def test_flipped_bits_cost_their_chunk_and_are_reported(tmp_path):
     path = tmp_path / "run.mcap"
     journal_of(path).close()
     whole = path.read_bytes()

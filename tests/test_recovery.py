@@ -75,7 +75,7 @@ def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
 
 @parametrize("plant", ["rigid", "mujoco"])  # in Python, compiled
 @parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_run_asked_to_end_gives_what_it_has(number, plant):
+def test_a_run_ended_by_a_signal_gives_what_it_has(number, plant):
     before = signal.getsignal(number)
 
     def ask(t):

@@ -118,7 +118,7 @@ def test_robots_are_found_by_folder_too():
     assert robots.find_robot("xarm")[0].name == "xarm7.urdf"
 
 
-def test_missing_robot_data_says_what_to_install(monkeypatch, tmp_path):
+def test_missing_robot_data_names_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setattr(loading.pin, "__file__", f"{tmp_path}/lib/py/site/pinocchio/__init__.py")
     monkeypatch.setattr(loading, "ROBOT_DATA", "no-such-robot-data")
     with model_error("pip install no-such-robot-data"):

@@ -299,7 +299,7 @@ def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path
     assert resumed.equals(run_study(study, workers=1))
 
 
-def test_command_tells_what_became_of_the_runs(tmp_path):
+def test_command_prints_what_became_of_the_runs(tmp_path):
     tilt = "model_error.face_tilt=uniform(0 deg, 2 deg)"  # no doubts before a run, as of masses
     line = f"sweep two_contact_rod --vary '{tilt}' --samples 6 --duration 1.02 --workers 1 --out"
     printed, summary = answered(line, tmp_path)

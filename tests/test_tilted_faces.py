@@ -54,7 +54,7 @@ def test_fast_circles_on_a_face_that_is_assumed_to_be_tilted(about):
 
 
 @parametrize("hertz", [0.5, 0.75, 1.0])
-def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
+def test_what_a_wrong_normal_costs_agrees_with_the_formula(hertz):
     """docs/tuning.md: of acceleration and brake that leak into the force."""
     cost = [judged(circle(hertz, about, {"force": {"tilt": 0}})) for about in (0.0, 90.0)]
     rig = rig_of(circle(hertz))

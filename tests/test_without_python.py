@@ -226,7 +226,7 @@ def created(library, folder, controller):
     return c, handle
 
 
-def test_the_header_says_of_each_gain_its_unit_and_what_it_is(library):
+def test_the_header_gives_the_unit_and_the_meaning_of_each_gain(library):
     text = (library / "osc_controller.h").read_text()
     assert " *   force.damping: N s/m; K_v of the normal velocity" in text
 

@@ -117,7 +117,7 @@ class Rows(np.ndarray[Any, Any]):
 
 
 def _number(name: str) -> Any:
-    """A field of one number as a property, in half the time that `View.__getattr__` takes."""
+    """A field of one number, read anew each time; as a property faster than by `__getattr__`."""
     return property(lambda view: view.head[name])
 
 
@@ -140,8 +140,7 @@ class View:
                 found = own["head"][name]
         except (KeyError, ValueError) as error:
             raise AttributeError(name) from error
-        if isinstance(found, np.ndarray):
-            own[name] = found
+        own[name] = found
         return found
 
     def __setattr__(self, name: str, value: Any) -> None:

@@ -337,9 +337,7 @@ class MujocoTruth:
     def note(self) -> None:
         """Keep where the object and bodies on rails are, and each contact with its force."""
         data = self._plant.data
-        rails = self._plant.face_q
-        parts = (*self._parts, data.qpos.take(rails)) if len(rails) else self._parts
-        self._states.append(np.concatenate(parts))
+        self._states.append(np.concatenate((*self._parts, data.qpos.take(self._plant.face_q))))
         if data.ncon != self._seen:  # contacts stand at the start of MuJoCo's arena at every step
             contact = data.contact
             self._seen = data.ncon

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree.ElementTree import ParseError, XMLPullParser
+from xml.etree.ElementTree import ParseError, iterparse
 
 import numpy as np
 import pinocchio as pin
@@ -23,15 +23,10 @@ _SLIDE = 2
 def is_mjcf(path: Path | str) -> bool:
     """Whether a file begins as MJCF does, with <mujoco>."""
     try:
-        parser: Any = XMLPullParser(["start"])
         with Path(path).open("rb") as stream:
-            for line in stream:  # the first few suffice
-                parser.feed(line)
-                for _, root in parser.read_events():
-                    return bool(root.tag == "mujoco")
-    except (OSError, ValueError, LookupError, ParseError):
-        pass
-    return False
+            return next(iterparse(stream, ["start"]))[1].tag == "mujoco"
+    except (OSError, ValueError, LookupError, ParseError, StopIteration):
+        return False
 
 
 def compile_mjcf(mjcf: Path | str | Any) -> Any:
