@@ -43,9 +43,10 @@ LEFT_OUT = (
     "__init__.py",
     "c_object.py",
     "compiled.py",
+    "ingredients.py",
     "jit.py",
     "records.py",
-    "sources.py",
+    "store.py",
     "units.py",
 )
 MODULES = "projections.py", "response.py", "control/monitor.py"

@@ -133,7 +133,7 @@ PARTS = """
 from numba import types
 from osc_contact.law.jit import UNITS
 shares = []
-UNITS.watchers[:] = [shares.append]
+UNITS.watchers[:] = [lambda share, kept: shares.append(share)]
 first = UNITS.called(UNITS.Unit(lambda x: 2.0 * x, False))
 UNITS.Unit(lambda x: first(x) + first(3), False).translated((types.int64,))
 print(*shares)

@@ -9,27 +9,32 @@ Sizes of arrays are those of MODEL; nobody checks them here.
 
 from __future__ import annotations
 
+import inspect
 import logging
+import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from osc_contact.errors import OscContactError
 from osc_contact.files import one_by_one
-from osc_contact.law import jit, library, limits, operational, tick
+from osc_contact.law import jit, library, limits, operational, records, tick
 from osc_contact.law.compiled import announced, report_to
 from osc_contact.law.jit import bytes_at, inner, numbers_at, words_at
 from osc_contact.law.limits import PROGRAM
 
 _log = logging.getLogger(__name__)
 KEPT = 16  #: libraries of other laws, 2 MB each, stay in the cache
-_TRANSLATION = 0.8  #: of the time is over when all parts are translated; the rest is machine code
+MACHINE_CODE = 20.0  #: s of a core for linking, optimising and emitting all parts
+_MANY = 10  #: new parts, from which on a second process is worth its start
 _program = PROGRAM.at
 
 _rows, _terms, _prepare, _finish, _fill, _settle = (
@@ -180,16 +185,107 @@ def _make(folder: Path) -> Any:
 
 def _object(show: Callable[[float], None], triple: str = "") -> bytes:
     """law.o of all entries, see `units.emit`."""
+    units = jit.UNITS
+    target = units.target_of(triple)
+    progress = Progress(show)
+    assistant = _Assistant()
+    units.watchers[:] = [progress.part_is_ready, assistant.start_if_needed]
+    with assistant:
+        roots = {entry.__name__: _translated(entry) for entry in ENTRIES}
+    return bytes(units.emit(roots, target, progress.stage_is_over))
+
+
+class Progress:
+    """The share of the time that is over, from the pace so far.
+
+    How long parts take is seen only while they are translated, since most of them may be kept.
+    """
+
+    def __init__(self, show: Callable[[float], None]) -> None:
+        self._show = show
+        self._began = perf_counter()
+        self._shown = 0.0
+        self._translated = 1.0  #: s until all parts were ready
+
+    def part_is_ready(self, share: float, kept: bool) -> None:
+        """Show the progress after another part.
+
+        Args:
+            share: of the units of which a part is ready. kept: whether it was found, not made.
+        """
+        elapsed = perf_counter() - self._began
+        self._translated = elapsed
+        self._raise_to(elapsed / (elapsed / share + MACHINE_CODE))
+
+    def stage_is_over(self, share: float) -> None:
+        """Show the progress after a stage of making the machine code.
+
+        Args:
+            share: of its time, with all stages before it.
+        """
+        whole = self._translated + MACHINE_CODE
+        self._raise_to((self._translated + share * MACHINE_CODE) / whole)
+
+    def _raise_to(self, share: float) -> None:
+        self._shown = max(self._shown, min(share, 1.0))
+        self._show(self._shown)
+
+
+def _translated(entry: Any) -> Any:
+    """An entry's part, see `units.Unit.translated`."""
     from numba import types
 
-    units = jit.UNITS
     kinds = {"p": types.uintp, "i": types.int64}
-    units.watchers[:] = [lambda share: show(_TRANSLATION * share)]
-    roots = {
-        entry.__name__: units.Unit(entry, False).translated(tuple(kinds[one] for one in given))
-        for entry, given in ENTRIES.items()
-    }
-    return bytes(units.emit(roots, triple))
+    unit = jit.UNITS.Unit(entry, False)
+    return unit.translated(tuple(kinds[one] for one in ENTRIES[entry]))
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class _Assistant:
+    """A second process that translates parts from the other end; the first one finds them kept."""
+
+    def __init__(self) -> None:
+        self._new = 0
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start_if_needed(self, share: float, kept: bool) -> None:
+        """Start it where many parts are new, and there is a core for it."""
+        self._new += not kept
+        if self._new == _MANY and self._process is None and _cores() > 1:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", __spec__.name, "assist"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *error: object) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+
+def _assist() -> None:
+    """Translate small entries, then the parts that take a tick, its last ones first."""
+    from numba import types
+    from numba.core.errors import NumbaError
+
+    for entry in reversed(ENTRIES):
+        if entry is not osc_law_rows:
+            _translated(entry)
+    of_bytes = types.Array(types.uint8, 1, "C")
+    row = records.row_of.unit.translated((of_bytes, types.int64, types.int64))
+    for unit in reversed(jit.UNITS.all_units()):
+        if [*inspect.signature(unit.py_func).parameters] == ["t"]:
+            with suppress(NumbaError):
+                unit.translated((row.returned,))
 
 
 def _link(folder: Path) -> None:
@@ -210,7 +306,9 @@ def _link(folder: Path) -> None:
 
 if __name__ == "__main__":  # PLATFORM FILE: only law.o, for another one
     report_to(print)
-    if len(sys.argv) == 3:
+    if sys.argv[1:] == ["assist"]:
+        _assist()
+    elif len(sys.argv) == 3:
         with announced() as show:
             Path(sys.argv[2]).write_bytes(_object(show, sys.argv[1]))
     elif jit.HAS_LIBRARY:

@@ -5,6 +5,7 @@ All of it is numba's public interface for extensions: a type with a model, attri
 
 from __future__ import annotations
 
+from hashlib import sha256
 from typing import Any
 
 import numba
@@ -27,16 +28,36 @@ class _Pointer(models.PrimitiveModel):
         super().__init__(manager, record, ir.ArrayType(_BYTE, record.size).as_pointer())
 
 
+_records: dict[str, Any] = {}  #: types of records by their names
+
+
+def record_named(name: str) -> Any:
+    """The type of a record that was made in this process."""
+    return _records[name]
+
+
 def pointer_to(kind: Any) -> Any:
     """A compiled function (bytes, offset) that takes what is there for a record of this kind."""
 
     class Record(types.Record):
-        """The head; its tables are further attributes."""
+        """The head; its tables are further attributes.
+
+        Its name is a hash of the layout: numba's own would have thousands of characters.
+        """
+
+        def __init__(self) -> None:
+            head: Any = _public.from_dtype(kind.dtype)
+            fields = [(name, field._asdict()) for name, field in head.fields.items()]
+            super().__init__(fields, head.size, head.aligned)
+            layout = f"{kind.dtype} {kind.tables}"
+            self.name = f"record_{sha256(layout.encode()).hexdigest()[:16]}"
+
+        def __reduce__(self) -> Any:
+            return record_named, (self.name,)
 
     register_model(Record)(_Pointer)
-    head: Any = _public.from_dtype(kind.dtype)
-    fields = [(name, field._asdict()) for name, field in head.fields.items()]
-    record = Record(fields, head.size, head.aligned)
+    record = Record()
+    _records[record.name] = record
     for slot, (name, (dtype, sizes)) in enumerate(kind.tables.items()):
         shape = [_word(kind.slot(one)) if isinstance(one, str) else _fixed(one) for one in sizes]
         _public.extending.overload_attribute(Record, name, jit_options=VIEW)(

@@ -1,99 +1,200 @@
 """Parts of the law compiled by themselves and called by symbol; machine code of all of them.
 
 numba links what a function calls into each of its callers, so that most parts would be optimised a
-hundred times. Here each part is translated once, callers name it by its symbol, and LLVM links,
-optimises and emits all parts of an entry at once, for any processor of the platform.
+hundred times. Here each part is translated once for each list of argument types, callers name it by
+its symbol, and LLVM links, optimises and emits all parts of an entry at once, for any processor of
+the platform. Translated parts are kept (`store`) under the hash of all they are made of
+(`ingredients`), so that an edit of the law translates again only what it changed.
 
 This is all that rests on undocumented numba (`compile_extra` and its flags, function descriptors,
-the calling convention, modules of libraries). Where it is missing, `jit` compiles with public numba
-instead, to the same results.
+the calling convention, libraries and their modules). Where it is missing, `jit` compiles with
+public numba instead, to the same results.
 """
 
 from __future__ import annotations
 
 import inspect
+import os
+import pickle
 import platform
+import sys
 from collections.abc import Callable
-from typing import Any
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import llvmlite
+import numba
+import numpy as np
 from llvmlite import binding as llvm
 from numba import types
 from numba.core import cgutils
-from numba.core.codegen import CPUCodeLibrary
+from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
 from numba.core.compiler import Flags, compile_extra
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
+from osc_contact.errors import OscContactError
+from osc_contact.law import library
+from osc_contact.law.ingredients import digest
+from osc_contact.law.store import Store
+
 for _class, _names in (
     (Flags, ("no_compile", "no_cpython_wrapper", "no_cfunc_wrapper", "error_model", "nrt")),
-    (CPUCodeLibrary, ("_get_module_for_linking",)),
+    (CPUCodeLibrary, ("_get_module_for_linking", "_optimize_functions")),
 ):
     for _name in _names:
         getattr(_class, _name)  # another numba may have others: an AttributeError, see `jit`
 
-#: What every processor of the platform has; elsewhere code is made for the one at hand.
+#: Processors that code is made for, by the platform: what every processor of it has.
 BASELINE = {"x86_64": "x86-64", "AMD64": "x86-64", "aarch64": "generic", "arm64": "generic"}
-_units: list[Unit] = []
-_made: dict[str, Any] = {}  #: translated parts by their symbols
-watchers: list[Callable[[float], None]] = []  #: take the share of the parts that is translated
+#: Translated parts that stay in the user's cache, some 10 kB each.
+KEPT = 4_000
+#: What translates parts and is not one: an edit of these files makes all parts anew.
+_MACHINERY = ("ingredients", "jit", "nested", "nested_type", "store", "units")
+
+_units: dict[str, Unit] = {}
+_parts: dict[str, Part] = {}  #: translated parts by their symbols
+#: Called when a part is ready: with the share of units that have one, and whether it was kept.
+watchers: list[Callable[[float, bool], None]] = []
+
+
+class Call(NamedTuple):
+    """Which part another one calls, and the type of the result that it counts on."""
+
+    unit: str
+    kinds: tuple[Any, ...]
+    returned: Any
+
+
+class Part(NamedTuple):
+    """A unit translated for one list of argument types.
+
+    Attributes:
+        symbol: name of its function. returned: type of the result. code: bitcode of the function
+            and of helpers of numba that it calls. calls: other parts that it calls.
+    """
+
+    symbol: str
+    returned: Any
+    code: bytes
+    calls: tuple[Call, ...]
 
 
 class Unit:
-    """A part, translated once for each list of types of its arguments.
+    """A function of the law, translated once for each list of types of its arguments.
 
     Attributes:
-        py_func: its source. inlined: whether its callers take it in.
+        name: module and name of the function. py_func: its source. inlined: whether its callers
+            take it in. known: its parts by the types of the arguments.
     """
 
     def __init__(self, function: Any, inlined: bool) -> None:
+        name = f"{function.__module__}.{function.__qualname__}".removeprefix(f"{__package__}.")
+        same = sum(other.partition("~")[0] == name for other in _units)
+        self.name = f"{name}~{same}" if same else name
         self.py_func = function
         self.inlined = inlined
-        self.known: dict[Any, Any] = {}
-        _units.append(self)
+        self.known: dict[tuple[Any, ...], Part] = {}
+        _units[self.name] = self
 
     @global_compiler_lock
-    def translated(self, kinds: tuple[Any, ...]) -> Any:
-        """Its signature, symbol and code without what it calls."""
+    def translated(self, kinds: tuple[Any, ...]) -> Part:
+        """The part for arguments of these types: the one that was kept, or a new one."""
         if kinds not in self.known:
-            self.known[kinds] = made = self._translate(kinds)
-            _made[made.fndesc.llvm_func_name] = made
+            symbol = f"{self.name}.{sha256(str(kinds).encode()).hexdigest()[:12]}"
+            key = self.key(kinds)
+            part = _find(key, symbol)
+            kept = part is not None
+            if part is None:
+                part = self._translate(kinds, symbol)
+                _store().keep(key, pickle.dumps(tuple(part)))
+            self.known[kinds] = _parts[symbol] = part
             for watch in watchers:
-                watch(sum(bool(unit.known) for unit in _units) / len(_units))
+                watch(sum(bool(unit.known) for unit in _units.values()) / len(_units), kept)
         return self.known[kinds]
 
-    def _translate(self, kinds: tuple[Any, ...]) -> Any:
+    def key(self, kinds: tuple[Any, ...]) -> str:
+        """Hash of all that the part for these types is made of, but for the parts that it calls."""
+        made_of = (_machinery(), self.name, self.inlined, kinds, digest(self.py_func))
+        return sha256("\n".join(map(str, made_of)).encode()).hexdigest()
+
+    def _translate(self, kinds: tuple[Any, ...], symbol: str) -> Part:
         flags: Any = Flags()
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         flags.error_model = "numpy"
         flags.nrt = False  # the law makes no arrays, so nothing needs to be counted
         flags.forceinline = self.inlined
         context = cpu_target.target_context
-        return compile_extra(
-            cpu_target.typing_context, context, self.py_func, kinds, None, flags, {}
+        made = compile_extra(
+            cpu_target.typing_context,
+            context,
+            self.py_func,
+            kinds,
+            None,
+            flags,
+            {},
+            library=_Library(context.codegen(), symbol),
         )
+        module = llvm.parse_assembly("")
+        module.link_in(made.library._final_module, preserve=True)
+        for used in dict.fromkeys(made.library._linking_libraries):
+            module.link_in(used._get_module_for_linking(), preserve=True)
+        module.get_function(made.fndesc.llvm_func_name).name = symbol
+        calls = [_call_of(_parts[one.name]) for one in module.functions if one.name in _parts]
+        _simplify(module, symbol)
+        return Part(symbol, made.signature.return_type, module.as_bitcode(), tuple(calls))
+
+
+def all_units() -> list[Unit]:
+    """Every function of the law that is translated by itself, in the order of the modules."""
+    return [*_units.values()]
+
+
+class _Library(JITCodeLibrary):
+    """Modules of one part, which are optimised later, with those of the helpers that they call."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+
+
+def _call_of(part: Part) -> Call:
+    """A part as another one calls it."""
+    for unit in _units.values():
+        for kinds, known in unit.known.items():
+            if known is part:
+                return Call(unit.name, kinds, part.returned)
+    raise KeyError(part.symbol)
 
 
 def called(unit: Unit) -> Any:
-    """A function of compiled code that calls a unit by its symbol."""
+    """A function of compiled code that calls a unit by its symbol.
+
+    Arrays that are fields of records are passed as arrays of any size, so that one translation
+    serves fields of all sizes.
+    """
 
     def typed(typing: Any, *given: Any) -> Any:
-        kinds = tuple(types.unliteral(one) for one in given)
-        made = unit.translated(kinds)
-        returned = made.signature.return_type
+        given = tuple(types.unliteral(one) for one in given)
+        kinds = tuple(_any_size(one) for one in given)
+        part = unit.translated(kinds)
 
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            symbol = made.fndesc.llvm_func_name
             convention = context.call_conv
-            kind = convention.get_function_type(returned, kinds)
-            function = cgutils.get_or_insert_function(builder.module, kind, symbol)
+            kind = convention.get_function_type(part.returned, kinds)
+            function = cgutils.get_or_insert_function(builder.module, kind, part.symbol)
             cast = [
-                context.cast(builder, *one)
-                for one in zip(values, signature.args, kinds, strict=True)
+                value
+                if from_kind is not to_kind and isinstance(from_kind, types.NestedArray)
+                else context.cast(builder, value, from_kind, to_kind)
+                for value, from_kind, to_kind in zip(values, signature.args, kinds, strict=True)
             ]
-            return convention.call_function(builder, function, returned, kinds, cast)[1]
+            return convention.call_function(builder, function, part.returned, kinds, cast)[1]
 
-        return returned(*kinds), generate
+        return part.returned(*given), generate
 
     parameter = inspect.Parameter
     names = ("typing", *inspect.signature(unit.py_func).parameters)
@@ -107,65 +208,167 @@ def called(unit: Unit) -> Any:
     return made
 
 
+def _any_size(kind: Any) -> Any:
+    """The type of an argument as a unit takes it."""
+    if isinstance(kind, types.NestedArray):
+        return types.Array(kind.dtype, kind.ndim, "C")
+    return kind
+
+
+# --- Parts that are kept --------------------------------------------------------------------------
+
+
+@cache
+def _store() -> Store:
+    return Store(library.cache_folder() / "parts")
+
+
+@cache
+def _machinery() -> str:
+    """Hash of all that parts depend on beside their own ingredients."""
+    here = Path(__file__).parent
+    options = {key: value for key, value in os.environ.items() if key.startswith("NUMBA_")}
+    options.pop("NUMBA_CACHE_DIR", None)
+    made_of = (
+        *((here / f"{name}.py").read_text() for name in _MACHINERY),
+        (numba.__version__, llvmlite.__version__, np.__version__, sys.version),
+        sorted(options.items()),
+        cpu_target.target_context.codegen().magic_tuple(),
+    )
+    return sha256("\n".join(map(str, made_of)).encode()).hexdigest()
+
+
+def _find(key: str, symbol: str) -> Part | None:
+    """A part that was kept, if all that it calls still returns what it counts on."""
+    content = _store().find(key)
+    if content is None:
+        return None
+    _, returned, code, calls = pickle.loads(content)
+    for call in calls:
+        unit = _units.get(call.unit)
+        try:
+            if unit is None or unit.translated(call.kinds).returned != call.returned:
+                return None
+        except NumbaError:  # it no longer takes such arguments
+            return None
+    return Part(symbol, returned, code, calls)
+
+
 # --- Machine code ---------------------------------------------------------------------------------
 
 
-def baseline() -> str:
-    """The processor that every machine of this platform can stand in for."""
-    return BASELINE.get(platform.machine()) or str(llvm.get_host_cpu_name())
-
-
-def link(roots: dict[str, Any]) -> Any:
-    """A module of some units and all that they call, which offers nothing else.
+def target_of(triple: str = "") -> Any:
+    """LLVM's description of what every processor of a platform has.
 
     Args:
-        roots: what `Unit.translated` returned, by the symbols that the module shall offer.
+        triple: LLVM's name of a 64-bit platform; "": of this one, where it is not listed in
+            BASELINE of the processor at hand only.
+
+    Raises:
+        OscContactError: another platform that is not listed.
+    """
+    machine = triple.partition("-")[0] if triple else platform.machine()
+    cpu = BASELINE.get(machine)
+    if triple and cpu is None:
+        raise OscContactError(
+            f"the law cannot be compiled for {triple!r}: its first word is {machine!r}, and "
+            f"known are {', '.join(sorted(BASELINE))}, as in aarch64-linux-gnu"
+        )
+    if triple:
+        llvm.initialize_all_targets()
+        llvm.initialize_all_asmprinters()
+    target = llvm.Target.from_triple(triple or llvm.get_process_triple())
+    return target.create_target_machine(
+        cpu=cpu or llvm.get_host_cpu_name(), opt=3, reloc="pic", codemodel="default"
+    )
+
+
+@cache
+def _own_target() -> Any:
+    return target_of()
+
+
+def _optimize(module: Any, target: Any, level: int) -> None:
+    tuning = llvm.create_pipeline_tuning_options(level)
+    tuning.loop_vectorization = tuning.slp_vectorization = level == 3
+    builder = llvm.create_pass_builder(target, tuning)
+    builder.getModulePassManager().run(module, builder)
+
+
+def _simplify(module: Any, symbol: str) -> None:
+    """Take helpers of numba into the part that calls them, under names that no process chooses."""
+    helpers = [
+        one
+        for one in (*module.functions, *module.global_variables)
+        if not one.is_declaration and one.name != symbol
+    ]
+    for number, one in enumerate(helpers):
+        one.linkage = "internal"
+        one.name = f"{symbol}.{number}"
+    module.name = symbol
+    _optimize(module, _own_target(), 1)
+
+
+def _needed(roots: dict[str, Part]) -> list[Part]:
+    """Some parts and all that they call, in an order that no process chooses."""
+    found: dict[str, Part] = {}
+    left = list(roots.values())
+    while left:
+        part = left.pop()
+        if part.symbol not in found:
+            found[part.symbol] = part
+            left += [_units[call.unit].known[call.kinds] for call in part.calls]
+    return [found[symbol] for symbol in sorted(found)]
+
+
+def link(roots: dict[str, Part]) -> Any:
+    """A module of some parts and all that they call, which offers nothing else.
+
+    Args:
+        roots: parts by the symbols that the module shall offer.
     """
     module = llvm.parse_assembly("")
-    left = list(roots.values())
-    linked: set[str] = set()
-    while left:
-        made = left.pop()
-        if made.fndesc.llvm_func_name in linked:
-            continue
-        linked.add(made.fndesc.llvm_func_name)
-        own = made.library._final_module
-        module.link_in(own, preserve=True)
-        for library in dict.fromkeys(made.library._linking_libraries):
-            module.link_in(library._get_module_for_linking(), preserve=True)
-        left += [_made[one.name] for one in own.functions if one.name in _made]
+    for part in _needed(roots):
+        module.link_in(llvm.parse_bitcode(part.code))
     for one in (*module.functions, *module.global_variables):
         if not one.is_declaration:
             one.linkage = "internal"
-    for symbol, made in roots.items():
-        function = module.get_function(made.fndesc.llvm_func_name)
+    for name, part in roots.items():
+        function = module.get_function(part.symbol)
         function.linkage = "external"
-        function.name = symbol
+        function.name = name
     return module
 
 
 @global_compiler_lock
-def emit(roots: dict[str, Any], triple: str = "") -> bytes:
-    """An object file of some units and all that they call, for every processor of a platform.
+def emit(
+    roots: dict[str, Part], target: Any, report: Callable[[float], None] = lambda share: None
+) -> bytes:
+    """An object file of some parts and all that they call, for every processor of a platform.
+
+    It is kept, too: where no part is another one, as after an edit of comments, it is the same.
 
     Args:
-        roots: see `link`. triple: LLVM's name of a 64-bit platform; "": of this one.
+        roots: see `link`. target: see `target_of`.
+        report: is called after each stage with the share of the time that is usually over then.
     """
-    cpu = baseline()
-    if triple:
-        cpu = BASELINE[triple.partition("-")[0]]
-        llvm.initialize_all_targets()
-        llvm.initialize_all_asmprinters()
-    triple = triple or llvm.get_process_triple()
-    target = llvm.Target.from_triple(triple).create_target_machine(
-        cpu=cpu, opt=3, reloc="pic", codemodel="default"
-    )
+    made_of = sha256(f"{_machinery()} {target.triple} {target.target_data}".encode())
+    for part in _needed(roots):
+        made_of.update(sha256(part.code).digest())
+    for name, part in roots.items():
+        made_of.update(f"{name} {part.symbol}".encode())
+    key = f"object-{made_of.hexdigest()}"
+    kept = _store().find(key)
+    if kept is not None:
+        return kept
     module = link(roots)
-    module.triple = triple
+    module.triple = target.triple
     module.data_layout = str(target.target_data)
     module.verify()
-    tuning = llvm.create_pipeline_tuning_options(3)
-    tuning.loop_vectorization = tuning.slp_vectorization = True
-    builder = llvm.create_pass_builder(target, tuning)
-    builder.getModulePassManager().run(module, builder)
-    return bytes(target.emit_object(module))
+    report(0.05)
+    _optimize(module, target, 3)
+    report(0.8)
+    made = bytes(target.emit_object(module))
+    _store().keep(key, made)
+    _store().remove_old(KEPT)
+    return made

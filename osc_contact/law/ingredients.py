@@ -1,0 +1,141 @@
+"""All that the translation of a function depends on, written out, so that a hash of it is a key.
+
+numba translates bytecode; the names in it stand for values that it reads when it translates:
+constants, other functions, members of modules. A value whose content cannot be written out is an
+error here, since a change of it would go unnoticed and old code would run.
+"""
+
+from __future__ import annotations
+
+import dis
+import sys
+from functools import cache
+from hashlib import sha256
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+
+#: Packages whose versions are part of every key: what they hold is named only.
+VERSIONED = {"numba", "numpy", "llvmlite", *sys.stdlib_module_names} - {"__main__"}
+_PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
+
+
+def digest(function: FunctionType) -> str:
+    """SHA-256 of the ingredients of a function."""
+    return sha256("\n".join(ingredients(function)).encode()).hexdigest()
+
+
+def ingredients(function: FunctionType) -> list[str]:
+    """Lines that say what a function is made of: its bytecode and every value that it reads.
+
+    Args:
+        function: a Python function that numba translates.
+
+    Returns:
+        The same lines in every process; of functions that are called, a part of the law gives its
+        name only, since it is translated by itself, and any other one gives its ingredients.
+
+    Raises:
+        TypeError: it reads a value whose content cannot be written out.
+    """
+    lines = [_bytecode(function.__code__), f"defaults {_written(function.__defaults__)}"]
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    values = {name: cell.cell_contents for name, cell in cells} | values_read(function)
+    for name, value in sorted(values.items()):
+        try:
+            lines.append(f"{name} = {_written(value)}")
+        except TypeError as error:
+            raise TypeError(f"{function.__qualname__} reads {name}: {error}") from error
+    return lines
+
+
+def values_read(function: FunctionType) -> dict[str, Any]:
+    """Global values that a function names, by name or, in a module, by path: `math.sqrt`."""
+    found: dict[str, Any] = {}
+    for name, *members in _paths(function.__code__):
+        if name not in function.__globals__:
+            continue  # of Python itself
+        value = function.__globals__[name]
+        path = name
+        for member in members:
+            if not isinstance(value, ModuleType):
+                break
+            value = getattr(value, member)
+            path = f"{path}.{member}"
+        found[path] = value
+    return found
+
+
+@cache
+def _paths(code: CodeType) -> tuple[tuple[str, ...], ...]:
+    """Global names in a function's code, each with the attributes that are read of it at once."""
+    found: list[tuple[str, ...]] = []
+    follows = False
+    for step in dis.get_instructions(code):
+        if step.opname == "LOAD_GLOBAL":
+            found.append((str(step.argval),))
+            follows = True
+        elif step.opname in ("LOAD_ATTR", "LOAD_METHOD") and follows:
+            found[-1] += (str(step.argval),)
+        elif step.opname not in ("CACHE", "EXTENDED_ARG", "PUSH_NULL"):
+            follows = False
+    inner = [_paths(one) for one in code.co_consts if isinstance(one, CodeType)]
+    return (*found, *(path for paths in inner for path in paths))
+
+
+@cache
+def _bytecode(code: CodeType) -> str:
+    """A function's code without its docstring and the numbers of its lines."""
+    constants = [
+        _bytecode(constant) if isinstance(constant, CodeType) else repr(constant)
+        for place, constant in enumerate(code.co_consts)
+        if place > 0 or not isinstance(constant, str) or _loads(code, place)
+    ]
+    counts = (code.co_argcount, code.co_kwonlyargcount, code.co_flags)
+    names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
+    return f"code {code.co_code.hex()} {counts} {names} {constants}"
+
+
+def _loads(code: CodeType, place: int) -> bool:
+    """Whether code loads the constant at a place of its table."""
+    return any(
+        step.opname == "LOAD_CONST" and step.arg == place for step in dis.get_instructions(code)
+    )
+
+
+def _written(value: Any) -> str:
+    """A value as text that changes with its content.
+
+    Raises:
+        TypeError: its content cannot be written out.
+    """
+    module = getattr(value, "__module__", None) or ""
+    if module.partition(".")[0] in VERSIONED and hasattr(value, "__qualname__"):
+        return f"{module}.{value.__qualname__}"
+    if type(value) in _PLAIN:
+        return repr(value)
+    if isinstance(value, tuple | list):
+        return f"{type(value).__name__}({', '.join(map(_written, value))})"
+    if isinstance(value, np.dtype):
+        return repr(value.descr if value.names else value)
+    if isinstance(value, np.generic):
+        return f"{value.dtype} {value!r}"
+    if hasattr(value, "unit"):  # a part of the law, called by its symbol
+        return f"part {value.unit.name}, inlined: {value.unit.inlined}"
+    if hasattr(value, "_defn"):  # another intrinsic of numba
+        return f"intrinsic {ingredients(value._defn)}"
+    if hasattr(value, "py_func"):  # a function that numba compiles as usual
+        return f"function {ingredients(value.py_func)} {sorted(value.targetoptions.items())}"
+    if isinstance(value, FunctionType):
+        return f"function {ingredients(value)}"
+    if isinstance(value, type) and hasattr(value, "_fields"):
+        return f"named tuple {value.__module__}.{value.__qualname__} {value._fields}"
+    if isinstance(value, ModuleType):
+        return f"module {value.__name__}"
+    if hasattr(value, "mangling_args"):  # a type of numba
+        return f"type {value}"
+    raise TypeError(
+        f"a {type(value).__name__}, whose content no key of a translated part would hold: pass a "
+        "number, a tuple of numbers or a function"
+    )

@@ -1,0 +1,61 @@
+"""A folder of results, each under a key that holds all it is made from.
+
+Every file begins with the SHA-256 of its key and its content, so that one which is damaged, half
+written or of another key is noticed and made anew. Several processes may write at once: a file
+appears whole, and two that are written under one key have the same content.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+
+from osc_contact.files import write_whole
+
+_DIGEST = 32  #: bytes
+
+
+def _digest(key: str, content: bytes) -> bytes:
+    return sha256(key.encode() + content).digest()
+
+
+class Store:
+    """Results by their keys, in a folder; none where the folder cannot be written to.
+
+    Attributes:
+        folder: where they are; it is made when the first result is kept.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def find(self, key: str) -> bytes | None:
+        """What was kept under a key; None: nothing, or it is damaged."""
+        path = self.folder / key
+        try:
+            content = path.read_bytes()
+        except OSError:
+            return None
+        if _digest(key, content[_DIGEST:]) != content[:_DIGEST]:
+            return None
+        with suppress(OSError):
+            os.utime(path)
+        return content[_DIGEST:]
+
+    def keep(self, key: str, content: bytes) -> None:
+        """Keep a result; where that is not possible, it is made anew next time."""
+        with suppress(OSError):
+            write_whole(_digest(key, content) + content, self.folder / key)
+
+    def remove_old(self, most: int) -> None:
+        """Remove the results that were not used for the longest time.
+
+        Args:
+            most: number of results that stay.
+        """
+        with suppress(OSError):
+            by_use = sorted(self.folder.iterdir(), key=lambda path: path.stat().st_mtime)
+            for path in by_use[: max(0, len(by_use) - most)]:
+                path.unlink(missing_ok=True)
