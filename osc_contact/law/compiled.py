@@ -73,7 +73,7 @@ def announced() -> Iterator[Callable[[float], None]]:
     began = perf_counter()
     usual = gc.get_threshold()
     gc.set_threshold(50_000, 20, 100)
-    _log.info("compiling the control tick: a minute (without a C compiler, three), then it is kept …")
+    _log.info("compiling the control tick, once: a minute (without a C compiler, three) …")
     _shown[-1](0.0)
     try:
         yield _shown[-1]
