@@ -1,5 +1,9 @@
 """Faces that move and turn: kinematics, plants, geometry, and the law, which alone has Φ_e."""
 
+import copy
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 from complaints import contact_error, scenario_error
@@ -17,6 +21,7 @@ from scenario_runs import (
 )
 
 import osc_contact as osc
+from osc_contact.plants.faces import Faces
 from paper import variants
 from paper.study import ticks
 
@@ -137,6 +142,60 @@ def test_a_driven_face_is_where_its_signals_say(plant, face):
     assert_near(plant.truth().X_WE[0].homogeneous, touched.X_WE[0], 1e-5)
     assert_array_equal(touched.X_WE[1], np.eye(4))
     assert s[0, 0] > 1e-4 and (abs(s[1, 1]) > 1e-2) == (turn is not None)
+
+
+def test_motions_are_evaluated_once_an_instant_and_anew_at_the_next():
+    evaluated = []
+    size = np.ones(2)
+
+    def motion(t):
+        evaluated.append(t)
+        return size * t, size, 0.0 * size
+
+    faces = Faces([osc.Rail(axis=[0, 0, 1], motion=motion), osc.Rail()], (0, 1, 0))
+    for t in 0.0, 0.1, 0.1, 0.3, 0.1:
+        faces.s[:] = 7.0  # a plant may have moved them meanwhile
+        faces.drive(t)
+        assert_array_equal([faces.s, faces.rates], [[[t, t], [7, 7]], [[1, 1], [0, 0]]])
+    assert evaluated == [0.0, 0.1, 0.3, 0.1]
+    faces.drive(0.0)
+    size *= 2.0
+    faces.reset()
+    assert_array_equal(faces.rates[0], 2.0)
+    assert not faces.s.any()
+
+
+@parametrize("plant", ["rigid", "mujoco"])
+@parametrize("face", [HINGE, TURNING], ids=["hinge", "turning"])
+def test_readings_of_a_face_are_those_of_their_instant_whenever_they_are_looked_at(plant, face):
+    plant, _ = on_the_move(rig_of("moving_face", f"plant.type={plant}", *face), 100)
+    known = plant.measure().touched
+    expected = [known.X_WE.copy(), known.V_E.copy(), known.A_E.copy()]
+    read, copied, changed = (plant.measure().touched for _ in range(3))
+    plant.command(np.zeros(plant.chain.n_a), 4e-3)
+    now = plant.measure().touched
+    copies = pickle.loads(pickle.dumps(copied)), copy.deepcopy(read), replace(changed)
+    for old in (read, known, *copies):
+        for x, y in zip((old.X_WE, old.V_E, old.A_E), expected, strict=True):
+            assert_array_equal(x, y)
+    assert largest(now.X_WE - read.X_WE) > 1e-6 and largest(now.V_E - read.V_E) > 1e-6
+    assert_array_equal(replace(now, V_E=0.0 * now.V_E).X_WE, now.X_WE)
+
+
+def test_signals_of_a_workcell_are_evaluated_once_a_step():
+    commands = 3
+    rig = rig_of("workcell")
+    plant = rig.plant()
+    robot = rig.robot(plant, rig.controller())
+    evaluated = []
+    faces = plant.plant.faces
+    for i, motion in faces.driven.items():
+        faces.driven[i] = lambda t, motion=motion: evaluated.append(t) or motion(t)
+    for _ in range(commands):
+        robot.measure()
+        robot.command(np.zeros(plant.plant.chain.n_a), 1e-3)
+    assert len(evaluated) == 2 * 4 * commands
+    assert len(set(evaluated)) == 4 * commands
 
 
 @parametrize(

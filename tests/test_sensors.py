@@ -33,8 +33,14 @@ class Toy:
     def __init__(self):
         self.time = 0.0
 
+    measured = 0  # how often
+    torque = 7.0
+
     def reset(self, q):
         self.time = 0.0
+
+    def hold(self, tau):
+        self.torque = tau[0]
 
     def command(self, tau, duration):
         self.time += duration
@@ -46,6 +52,7 @@ class Toy:
         return np.tile(np.eye(4), (3, 1, 1))
 
     def measure(self):
+        self.measured += 1
         t = self.time
         X = placed(0.02 * t, rpy=(0.0, 0.0, 0.1 * t)).homogeneous
         V = np.array([[0.02, 0, 0, 0, 0, 0.1]])
@@ -54,7 +61,7 @@ class Toy:
             np.arange(1.0, 4.0),
             np.full((2, 6), 5.0),
             touched=Touched(X[None], V, np.zeros((1, 6))),
-            joint_torques=np.full(2, 7.0),
+            joint_torques=np.full(2, self.torque),
         )
 
 
@@ -73,6 +80,23 @@ def test_an_ideal_sensor_changes_nothing_and_the_truth_is_not_touched():
     assert_near(got.q, 5e-3 * np.arange(1, 4), rtol=1e-12)
     assert_array_equal(got.v, [1, 2, 3])
     assert SensedPlant(Toy(), Sensors()).truth() == "the truth"
+
+
+def test_the_plant_is_measured_once_an_instant_and_anew_at_the_next():
+    toy = Toy()
+    plant = SensedPlant(toy, Sensors(wrists=(Clock(500), SensorErrors())))
+    plant.command(np.zeros(2), DT)
+    before = toy.measured
+    assert [plant.measure().q[0] for _ in range(3)] == [DT] * 3 and toy.measured == before + 1
+    plant.command(np.zeros(2), DT)
+    assert plant.measure().q[0] == 2 * DT and toy.measured == before + 2
+    plant.hold(np.full(2, 3.0))  # time stands still
+    assert plant.measure().joint_torques[0] == 3.0
+    plant.reset(np.zeros(3))
+    assert plant.measure().q[0] == 0.0
+    toy.measured = 0
+    plant.command(np.zeros(2), DT)  # no sample is due
+    assert toy.measured == 0
 
 
 def test_noise_and_bias_have_the_size_given():

@@ -1,6 +1,9 @@
 """How the bodies of a plant's environment move: at rest, driven, or free on a slide or a hinge."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import nan
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -10,6 +13,30 @@ from osc_contact.contacts.pairs import ContactPair
 from osc_contact.dynamics.environment import Rail
 from osc_contact.interface import Touched
 from osc_contact.spatial import Array, classical_to_spatial
+
+
+class TouchedLater(Touched):
+    """Readings that are worked out when one of them is read; a copy of it is a plain `Touched`.
+
+    They are those of the instant at which it was made: nothing that changes later is in them.
+    """
+
+    @classmethod
+    def of(cls, work_out: Callable[[], Touched]) -> Touched:
+        """Readings that a function gives, which is called once or not at all."""
+        made = cls.__new__(cls)
+        made.__dict__["_work_out"] = work_out
+        return made
+
+    def __getattr__(self, name: str) -> Any:
+        """A reading, where none was read before."""
+        if name not in Touched.__dataclass_fields__ or "_work_out" not in self.__dict__:
+            raise AttributeError(name)
+        self.__dict__.update(vars(self.__dict__.pop("_work_out")()))
+        return self.__dict__[name]
+
+    def __reduce__(self) -> tuple[type[Touched], tuple[Array, Array, Array]]:
+        return Touched, (self.X_WE, self.V_E, self.A_E)
 
 
 class Faces:
@@ -45,11 +72,32 @@ class Faces:
         ]
         self.free = tuple(np.array(free, dtype=int).reshape(-1, 2).T)
         self.s, self.rates, self.second = np.zeros((3, len(self.rails), 2))
+        self._driven = list(self.driven)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Of the drives, when they were driven last, and where they are then: (3, driven, 2)."""
+        self._commanded: tuple[float, Array] = nan, np.zeros((3, len(self._driven), 2))
+
+    def reset(self) -> None:
+        """Every body in its assembled pose, the driven ones where their motions begin."""
+        for x in (self.s, self.rates, self.second):
+            x[:] = 0.0
+        self._forget()
+        self.drive(0.0)
 
     def drive(self, t: float) -> None:
-        """Put the driven bodies where their motions are at time t (s)."""
-        for i, motion in self.driven.items():
-            self.s[i], self.rates[i], self.second[i] = motion(t)
+        """Put the driven bodies where their motions are at time t (s).
+
+        The motions are evaluated once an instant, however often that is.
+        """
+        if not self.driven:
+            return
+        if t != self._commanded[0]:
+            motions = [motion(t) for motion in self.driven.values()]
+            self._commanded = t, np.array(motions).swapaxes(0, 1)
+        bodies = self._driven
+        self.s[bodies], self.rates[bodies], self.second[bodies] = self._commanded[1]
 
     def pulls(self, gravity: Array) -> list[float]:
         """Force along each free joint besides the contacts' (N, N m); hinges are balanced.
@@ -96,14 +144,22 @@ class Faces:
         """Readings of encoders on the rails and drives; None where nothing can move."""
         if not self.moving:
             return None
-        X_WE = self.poses()
-        A = np.zeros((len(self.on), 6))
-        for i, body in enumerate(self.on):
+        s, rates, second = np.array((self.s, self.rates, self.second))
+        return TouchedLater.of(partial(self._work_out, s, rates, second))
+
+    def _work_out(self, s: Array, rates: Array, second: Array) -> Touched:
+        """The readings at given coordinates and derivatives, (bodies, 2) each."""
+        motion = {}
+        for body in set(self.on):
+            rail = self.rails[body]
+            X_WE = rail.pose(s[body])
+            A_E = np.zeros(6)
             if body in self.driven:
-                along = self.s[body], self.rates[body], self.second[body]
-                A[i] = self.rails[body].acceleration(*along, X_WE[i].translation)
-        X = np.array([X.homogeneous for X in X_WE]).reshape(-1, 4, 4)
-        return Touched(X, np.reshape(self.twists(X_WE), (-1, 6)), A)
+                A_E = rail.acceleration(s[body], rates[body], second[body], X_WE.translation)
+            motion[body] = X_WE.homogeneous, rail.twist(s[body], rates[body], X_WE.translation), A_E
+        shapes = (-1, 4, 4), (-1, 6), (-1, 6)
+        each = ([motion[body][k] for body in self.on] for k in range(3))
+        return Touched(*(np.reshape(x, shape) for x, shape in zip(each, shapes, strict=True)))
 
     def closing(self, parts: Sequence[Contact], point: Array) -> tuple[Array, Array]:
         """Nᵀ × the motion of the bodies: how fast each gap closes with them.

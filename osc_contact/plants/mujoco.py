@@ -536,7 +536,10 @@ class MujocoPlant:
         guides = [(i, k) for i, rail in enumerate(faces.rails) for k in rail.joints]
         self.guided = tuple(np.array(guides, dtype=int).reshape(-1, 2).T)
         self.face_q, self._face_v = self._places([f"face{i}/{GUIDES[k]}" for i, k in guides])
-        self._drives = np.isin(self.guided[0], list(faces.driven))
+        by_drive = np.isin(self.guided[0], list(faces.driven))
+        self._driven = tuple(x[by_drive] for x in self.guided)
+        self._driven_q = self.face_q[by_drive]
+        self._driven_v = self._face_v[by_drive]
         if faces.driven:  # the drive's mass must not set the scale of the solver's accuracy
             model.stat.meaninertia = 1.0
         self._sensed = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
@@ -586,6 +589,7 @@ class MujocoPlant:
         self._qpos[self._q] = q
         self._turn_object(q)
         self.time = 0.0
+        self.faces.reset()
         self.data.qfrc_applied[self._face_v] = [self.faces.rails[i].preload for i in self.guided[0]]
         self._drive(0.0)
         self._mj.mj_forward(self.model, self.data)
@@ -667,13 +671,9 @@ class MujocoPlant:
         """Put driven faces where they are at t, with the force that moves them to the next step."""
         faces = self.faces
         faces.drive(t)
-        v = self._face_v[self._drives]
-        s, rates, second = (
-            x[self.guided][self._drives] for x in (faces.s, faces.rates, faces.second)
-        )
-        self._qpos[self.face_q[self._drives]] = s
-        self._qvel[v] = rates
-        self.data.qfrc_applied[v] = DRIVE_MASS * second
+        self._qpos[self._driven_q] = faces.s[self._driven]
+        self._qvel[self._driven_v] = faces.rates[self._driven]
+        self.data.qfrc_applied[self._driven_v] = DRIVE_MASS * faces.second[self._driven]
 
     def truth(self) -> Truth:
         """As of the last step's beginning, like the wrenches; see `MujocoTruth`."""

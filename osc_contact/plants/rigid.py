@@ -151,8 +151,7 @@ class RigidPlant:
     def reset(self, q: Array) -> None:
         """Start at rest at q, moved onto loops and contacts."""
         self.time = 0.0
-        self.faces.s[:] = self.faces.rates[:] = 0.0
-        self.faces.drive(0.0)
+        self.faces.reset()
         q = as_array("q", q, (self.chain.nq,))
         self._project(q, object_pose(self.chain, q), np.zeros(self.chain.nq), np.zeros(6))
         self._tau = np.zeros(self.chain.n_a)

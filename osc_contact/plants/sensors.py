@@ -7,7 +7,7 @@ changes neither plant nor controller. Every random number comes from one seed.
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,8 @@ from osc_contact.interface import Measurement, Seen, Stamps, Touched
 from osc_contact.plants.judge import Plant, Truth, TruthLog
 from osc_contact.scenarios.hardware import Clock, Errors, VisionSpec
 from osc_contact.spatial import Array
+
+Reading = dict[str, Any]  #: parts of a `Measurement` by their names
 
 _ON_TIME = 1e-9  # s, rounding of sums of steps
 #: Of each sensor but vision, by the name of its stamp, what of a measurement it reads.
@@ -42,18 +44,19 @@ class Sensor:
     """One sensor: samples on its own clock, errs, delivers late.
 
     Attributes:
-        clock: when. corrupt: what a sample of a value reads. rng: for lost samples.
+        clock: when. sample: what it reads of a value, as parts of a measurement by their names.
+        rng: for lost samples.
     """
 
     clock: Clock
-    corrupt: Callable[[Array], Array]
+    sample: Callable[[Array], Reading]
     rng: np.random.Generator
-    _samples: deque[tuple[float, Array]] = field(init=False)
+    _samples: deque[tuple[float, Reading]] = field(init=False)
     _count: int = field(init=False)
 
     def begin(self, t: float, value: Array) -> None:
         """Forget everything; the first sample is there at once and never lost."""
-        self._samples = deque([(t, self.corrupt(value))])
+        self._samples = deque([(t, self.sample(value))])
         self._count = round(t * self.clock.rate) + 1
 
     def observe(self, t: float, value: Callable[[], Array]) -> None:
@@ -62,9 +65,9 @@ class Sensor:
             return
         self._count = int((t + _ON_TIME) * self.clock.rate) + 1
         if self.rng.random() >= self.clock.dropout:
-            self._samples.append((t, self.corrupt(value())))
+            self._samples.append((t, self.sample(value())))
 
-    def read(self, t: float) -> tuple[float, Array]:
+    def read(self, t: float) -> tuple[float, Reading]:
         """(time of the sample, reading) that has arrived by time t."""
         while len(self._samples) > 1 and self._samples[1][0] + self.clock.delay <= t + _ON_TIME:
             self._samples.popleft()
@@ -94,7 +97,8 @@ class SensedPlant:
 
     Joint velocities are NaN where encoders are modelled, twists of touched bodies NaN where vision
     is: neither sensor gives them. What vision sees is in the camera's frame. Sensors sample at the
-    ends of steps: a rate above that of the steps is theirs.
+    ends of steps: a rate above that of the steps is theirs. The plant inside is moved by this one's
+    methods only: what it measures is taken once an instant.
     """
 
     def __init__(self, plant: Plant, sensors: Sensors, seed: int = 0) -> None:
@@ -117,10 +121,9 @@ class SensedPlant:
     def command(self, tau: Array, duration: float) -> None:
         """Hold the torques; the sensors look at the end."""
         self.plant.command(tau, duration)
-        self.time = self.plant.time
-        ideal = self.plant.measure()
+        self._look()
         for name, sensor in self._sensor.items():
-            sensor.observe(self.time, partial(self._value, name, ideal))
+            sensor.observe(self.time, partial(self._value, name))
 
     def stop(self, reason: str = "") -> None:
         """Nothing to do."""
@@ -140,23 +143,25 @@ class SensedPlant:
     def measure(self) -> Measurement:
         """What has arrived by now, and when it was sampled."""
         stamps = dict.fromkeys((*_READ, "vision"), self.time)
-        read: dict[str, Any] = {}
+        read: Reading = {}
         for name, sensor in self._sensor.items():
             stamps[name], reading = sensor.read(self.time)
-            read |= self._pictured(reading) if name == "vision" else {_READ[name]: reading}
-        if "q" in read:
-            read["v"] = np.full_like(read["q"], np.nan)
-        return replace(self.plant.measure(), stamps=Stamps(**stamps), **read)
+            read |= reading
+        return replace(self._ideal(), stamps=Stamps(**stamps), **read)
+
+    def _look(self) -> None:
+        """A new instant: the plant is measured when the first of its readings is used, once."""
+        self.time = self.plant.time
+        self._ideal = cache(self.plant.measure)
 
     def _begin(self) -> None:
-        self.time = self.plant.time
-        ideal = self.plant.measure()
+        self._look()
         self._robots = len(self.plant.poses())  # object and arms come before the bodies
         self._sensor: dict[str, Sensor] = {}
         streams = np.random.default_rng([self.seed, 1]).spawn(4)
         for name, rng in zip((*_READ, "vision"), streams, strict=True):
             spec = getattr(self.sensors, name)
-            value = None if spec is None else self._value(name, ideal)
+            value = None if spec is None else self._value(name)
             if value is None:
                 continue
             if name == "vision":
@@ -165,22 +170,32 @@ class SensedPlant:
             else:
                 clock, errors = spec
                 corrupt = _noisy(errors, value.shape, rng)
-            self._sensor[name] = Sensor(clock, corrupt, rng)
+            self._sensor[name] = Sensor(clock, partial(self._sample, name, corrupt), rng)
             self._sensor[name].begin(self.time, value)
 
-    def _value(self, name: str, ideal: Measurement) -> Any:
+    def _value(self, name: str) -> Any:
         """The ideal reading behind a sensor, by the name of its stamp; None: there is none."""
         if name != "vision":
-            return getattr(ideal, _READ[name])
+            return getattr(self._ideal(), _READ[name])
         poses = self.plant.poses()
-        if ideal.touched is None:
+        touched = self._ideal().touched
+        if touched is None:
             return poses
         markers = np.eye(4) if self.sensors.markers is None else self.sensors.markers
-        return np.concatenate((poses, ideal.touched.X_WE @ markers))
+        return np.concatenate((poses, touched.X_WE @ markers))
 
-    def _pictured(self, poses: Array) -> dict[str, Any]:
+    def _sample(self, name: str, corrupt: Callable[[Array], Array], value: Array) -> Reading:
+        """What a sensor reads of a value, with the errors of `corrupt`."""
+        reading = corrupt(value)
+        if name == "vision":
+            return self._pictured(reading)
+        if name == "encoders":
+            return {"q": reading, "v": np.full_like(reading, np.nan)}
+        return {_READ[name]: reading}
+
+    def _pictured(self, poses: Array) -> Reading:
         """What a picture shows, as parts of a measurement."""
-        read: dict[str, Any] = {"seen": Seen(poses[0], poses[1 : self._robots])}
+        read: Reading = {"seen": Seen(poses[0], poses[1 : self._robots])}
         bodies = poses[self._robots :]
         if len(bodies):
             if self.sensors.markers is not None:

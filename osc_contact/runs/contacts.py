@@ -276,7 +276,7 @@ def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
 def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
     """(s, ṡ, s̈) of travel (m) and angle (rad), each (2,)."""
     turn = () if motion.turn is None else motion.turn.signals
-    s, rates, second = np.column_stack((total(motion.signals, t), total(turn, t)))
+    s, rates, second = np.array((total(motion.signals, t), total(turn, t))).T
     return s, rates, second
 
 

@@ -311,7 +311,8 @@ class MinimumJerk(OfQuantity, Generic[Q]):
 
     def at(self, t: Any) -> Values:
         """Return value times the rise and its exact derivatives."""
-        return self.value * np.array(rise(t, self.start, self.duration))
+        value, first, second = rise(t, self.start, self.duration)
+        return self.value * value, self.value * first, self.value * second
 
 
 LengthSignal = Annotated[
@@ -345,8 +346,11 @@ ForceSignal = Annotated[
 
 def total(signals: Iterable[Signal], t: Any) -> Array:
     """Return the sums (3,) of the signals' values and derivatives at `t` (s), or (3, k) at (k,)."""
-    sums = np.zeros((3, *np.shape(t)))
+    zero = np.zeros(t.shape) if isinstance(t, np.ndarray) else 0.0
+    value = first = second = zero
     for signal in signals:
-        for i, x in enumerate(signal.at(t)):
-            sums[i] += x
-    return sums
+        own_value, own_first, own_second = signal.at(t)
+        value = value + own_value
+        first = first + own_first
+        second = second + own_second
+    return np.array((value, first, second))
