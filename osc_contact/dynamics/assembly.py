@@ -1,6 +1,7 @@
 """Joint positions: within their limits, or at which the loops are closed and the contacts touch."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -12,8 +13,13 @@ from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots.model import position_limits
 from osc_contact.spatial import Array, block_diagonal, pose_error
 
-#: Gaps (r,) and N (6, r) at a pose of the object: a gap closes as the object moves along N.
-Gaps = Callable[[SE3], tuple[Array, Array]]
+#: Gaps (r,) at a pose of the object, and what gives N (6, r) there: a gap closes as the object
+#: moves along N.
+Gaps = Callable[[SE3], tuple[Array, Callable[[], Array]]]
+
+
+def _no_gaps(X_WO: SE3) -> tuple[Array, Callable[[], Array]]:
+    return np.zeros(0), partial(np.zeros, (6, 0))
 
 
 def object_pose(chain: ClosedChain, q: Array, data: pin.Data | None = None) -> SE3:
@@ -76,7 +82,7 @@ def close(chain: ClosedChain, q: Array, gaps: Gaps | None = None) -> Array:
 
     Args:
         chain: the arms. q: (n,) near solution.
-        gaps: of the contacts at an object pose, and their N.
+        gaps: of the contacts at an object pose, and what gives their N.
 
     Raises:
         ModelError: the loops and contacts cannot be met together from here.
@@ -100,7 +106,7 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
         pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
         if X is None or chain.leader is not None:
             X = chain.object_pose()
-        gap, N = gaps(X) if gaps else (np.zeros(0), np.zeros((6, 0)))
+        gap, normals = (gaps or _no_gaps)(X)
         tips = chain.tip_poses()
         misses = [  # of each arm but the leader (m, rad), as `constraint_rows` has them
             pose_error(X, tips[i] * grasp.X_TO) if grasp.is_rigid else grasp.miss(tips[i], X)
@@ -110,7 +116,7 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
         error = np.concatenate([*misses, gap])
         if np.abs(error).max(initial=0.0) <= CLOSED:
             return q, X
-        A = constraint_rows(chain, X.translation, N)
+        A = constraint_rows(chain, X.translation, normals())
         step = inverse_rows(chain, A, inertia_of(chain, X))[0] @ error
         q = q - step[: chain.nq]
         if chain.leader is None:

@@ -344,7 +344,8 @@ class Rail:
     Attributes:
         direction: (3,) u, world, normalised on entry; zero: no slide.
         axis: (3,) a, world, likewise; zero: no hinge. through: (3,) c, where the hinge is at s = 0.
-        motion: t → (s, ṡ, s̈), each (2,), of a driven body. None: it is free along its one joint,
+        motion: t → (s, ṡ, s̈), each (2,), of a driven body; plants evaluate it once an instant.
+            None: it is free along its one joint,
             I s̈ = (force or moment along it) + preload − k s − c ṡ.
         inertia: I of a free body, kg on a slide, kg m² about a hinge.
         stiffness, damping, preload: of a free body, per m and N or per rad and N m.

@@ -134,11 +134,17 @@ class Faces:
         pairs = zip(contacts, X_WE, self.twists(X_WE), strict=True)
         return [pair.contact(X_WO, V_O, X_E, V_E) for pair, X_E, V_E in pairs]
 
-    def gaps(self, contacts: Sequence[ContactPair], X_WO: pin.SE3) -> tuple[Array, Array]:
-        """(r,) gaps (m) of the contacts with the object at X_WO, and their N (6, r)."""
+    def gaps(
+        self, contacts: Sequence[ContactPair], X_WO: pin.SE3
+    ) -> tuple[Array, Callable[[], Array]]:
+        """(r,) gaps (m) of the contacts with the object at X_WO, and what gives their N (6, r)."""
         pairs = zip(contacts, self.poses(), strict=True)
         gaps = [np.zeros(0), *(pair.gaps(X_WO, X_E) for pair, X_E in pairs)]
-        return np.concatenate(gaps), stacked(self.parts(contacts, X_WO, np.zeros(6)))[0]
+        return np.concatenate(gaps), partial(self.normals, contacts, X_WO)
+
+    def normals(self, contacts: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
+        """N (6, r) of all contacts with the object at X_WO."""
+        return stacked(self.parts(contacts, X_WO, np.zeros(6)))[0]
 
     def touched(self) -> Touched | None:
         """Readings of encoders on the rails and drives; None where nothing can move."""

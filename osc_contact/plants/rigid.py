@@ -81,6 +81,25 @@ def wrist_cut(model: pin.Model, cut: int) -> WristCut:
 
 
 @dataclass(frozen=True)
+class Equations:
+    """All of an instant's equations but the motors' torques, and what is solved once for all."""
+
+    X: pin.SE3  # of the object
+    V: Array  # (6,)
+    N: Array  # (6, r)
+    M: Array  # (m, m) of joints, of an object that no arm leads, of bodies on rails
+    force: Array  # (m,) without motors
+    slope: Array  # (n,) of the joint friction over the velocity
+    A: Array  # (k, m) rows of loops and contacts
+    right: Array  # (k,)
+    ends: Array  # (loops + 1,) of the rows of each loop
+    passed: list[Array]  # of each loop, the wrenches that it transmits, at O
+    first: Array  # (6, n or n + 6) V_O from the joints' rates
+    gamma_O: Array  # (6,)
+    joints: list[pin.SE3]  # placements of the joints at the tips
+
+
+@dataclass(frozen=True)
 class Solution:
     """The equations of one instant."""
 
@@ -146,6 +165,7 @@ class RigidPlant:
         self._X = pin.SE3.Identity()
         self._V = np.zeros(6)
         self._tau = np.zeros(chain.n_a)
+        self._set_up: tuple[bytes, Any] = b"", None
         self._solved: tuple[bytes, Any] = b"", None
 
     def reset(self, q: Array) -> None:
@@ -177,12 +197,11 @@ class RigidPlant:
 
     def _now(self) -> tuple[Solution, tuple[pin.SE3, Array]]:
         """The solution under the torques applied last, pose and twist of the object."""
-        faces = self.faces
-        free = (self._V, self._X.homogeneous, faces.s, faces.rates, faces.second)
-        key = np.concatenate((self.q, self.v, self._tau, *free), axis=None).tobytes()
+        key = self._state() + self._tau.tobytes()
         if self._solved[0] != key:  # `measure` and `truth` of one instant share it
             solution = self._solve(self._tau, with_wrenches=True)
-            self._solved = key, (solution, self._object())
+            now = self._equations()
+            self._solved = key, (solution, (now.X, now.V))
         return self._solved[1]
 
     def poses(self) -> Array:
@@ -230,6 +249,43 @@ class RigidPlant:
         order.
         """
         chain = self.chain
+        n = chain.nq
+        now = self._equations()
+        force = now.force.copy()
+        force[chain.actuated] += tau
+        M = now.M.copy()
+        M[:n, :n] += ahead * np.diag(now.slope)
+        unheld = np.linalg.solve(M, force)
+        inverse, multipliers = inverse_rows(chain, now.A, M)
+        short = now.right - now.A @ unheld
+        x = unheld + inverse @ short
+        lam = multipliers @ short  # M x = force + Aᵀλ
+        size = now.first.shape[1]
+        sdd = self.faces.second.copy()
+        sdd[self.faces.free] = x[size:]
+        *shares, alpha = np.split(lam, now.ends[1:])
+        qdd = x[:n]
+        wrenches = np.zeros((len(self._tips), 6))
+        if with_wrenches:
+            loops = [passed @ share for passed, share in zip(now.passed, shares, strict=True)]
+            wrenches = self._wrist(qdd, loops, now.N @ alpha, now)
+        return Solution(qdd, sdd, now.first @ x[:size] + now.gamma_O, alpha, wrenches)
+
+    def _state(self) -> bytes:
+        """What the equations follow from."""
+        faces = self.faces
+        free = (self._V, self._X.homogeneous, faces.s, faces.rates, faces.second)
+        return np.concatenate((self.q, self.v, *free), axis=None).tobytes()
+
+    def _equations(self) -> Equations:
+        """The equations now; `measure`, `truth` and `command` of one instant share them."""
+        state = self._state()
+        if self._set_up[0] != state:
+            self._set_up = state, self._work_out()
+        return self._set_up[1]
+
+    def _work_out(self) -> Equations:
+        chain = self.chain
         model = self.model
         faces = self.faces
         pin.computeAllTerms(model, self.data, self.q, self.v)
@@ -261,36 +317,35 @@ class RigidPlant:
         share = np.tanh(self.v / self._slip)
         slope = model.damping + dry / self._slip * (1.0 - share**2)
         force = -self.data.nle - (model.damping * self.v + dry * share)
-        force[chain.actuated] += tau
-        M = np.array(self.data.M) + ahead * np.diag(slope)
+        M = np.array(self.data.M)
         if chain.leader is None:
             body = chain.reference.terms(X, V, model.gravity.linear)
             force = np.concatenate((force, -body.mu - body.p))
             M = block_diagonal([M, body.Lambda])
         A = constraint_rows(chain, O, N, self.data)
-        size = len(M)
         bodies, joints = faces.free
         if len(bodies):
             own = along[:, bodies, joints]
             A = np.hstack((A, np.vstack((np.zeros((ends[-1], len(bodies))), own))))
             M = block_diagonal([M, np.diag([faces.rails[i].inertia for i in bodies])])
             force = np.concatenate((force, faces.pulls(model.gravity.linear)))
-        unheld = np.linalg.solve(M, force)
-        inverse, multipliers = inverse_rows(chain, A, M)
-        short = np.concatenate(right) - A @ unheld
-        x = unheld + inverse @ short
-        lam = multipliers @ short  # M x = force + Aᵀλ
-        sdd = faces.second.copy()
-        sdd[faces.free] = x[size:]
-        *shares, alpha = np.split(lam, ends[1:])
-        qdd = x[: chain.nq]
-        wrenches = np.zeros((len(self._tips), 6))
-        if with_wrenches:
-            loops = [passed @ share for passed, share in zip(normals, shares, strict=True)]
-            wrenches = self._wrist(qdd, loops, N @ alpha, X)
-        return Solution(qdd, sdd, first @ x[:size] + gamma_O, alpha, wrenches)
+        return Equations(
+            X=X.copy(),
+            V=V.copy(),
+            N=N,
+            M=M,
+            force=force,
+            slope=slope,
+            A=A,
+            right=np.concatenate(right),
+            ends=ends,
+            passed=normals,
+            first=first,
+            gamma_O=gamma_O,
+            joints=[self.data.oMi[tip.parentJoint].copy() for tip in self._tips],
+        )
 
-    def _wrist(self, qdd: Array, loops: list[Array], f_c: Array, X: pin.SE3) -> Array:
+    def _wrist(self, qdd: Array, loops: list[Array], f_c: Array, now: Equations) -> Array:
         """Wrist wrenches in sensor axes: what each arm's joint transmits, minus its own side.
 
         Newton–Euler from the base: the wrench through the sensor's joint, less what the links
@@ -298,15 +353,15 @@ class RigidPlant:
 
         Args:
             qdd: (n,) accelerations. loops: (6,) wrench of each arm but the leader on the object.
-            f_c: (6,) of the object on its contacts. X: pose of the object.
+            f_c: (6,) of the object on its contacts. now: the equations.
         """
         leader = self.chain.leader
         if leader is not None:  # it bears the rest; the object's inertia rides on its joint
             loops.insert(leader, f_c - sum(loops, np.zeros(6)))
         external = [pin.Force.Zero() for _ in range(self.model.njoints)]
-        for tip, wrench in zip(self._tips, loops, strict=True):
-            at_origin = pin.Force(carry_wrench(-wrench, X.translation, np.zeros(3)))
-            external[tip.parentJoint] = self.data.oMi[tip.parentJoint].actInv(at_origin)
+        for tip, wrench, X in zip(self._tips, loops, now.joints, strict=True):
+            at_origin = pin.Force(carry_wrench(-wrench, now.X.translation, np.zeros(3)))
+            external[tip.parentJoint] = X.actInv(at_origin)
         pin.rnea(self.model, self.data, self.q, self.v, qdd, external)
         return np.array(
             [np.zeros(6) if cut is None else cut.reading(self.data) for cut in self._sensors]
@@ -340,7 +395,8 @@ class RigidPlant:
         b = np.zeros(len(A))
         b[len(A) - len(along) :] = -np.tensordot(along, self.faces.rates)
         x = np.concatenate((v, V))[: A.shape[1]]
+        inverse, _ = inverse_rows(chain, A, inertia_of(chain, X))
         for _ in range(2):
-            x = x - inverse_rows(chain, A, inertia_of(chain, X))[0] @ (A @ x - b)
+            x = x - inverse @ (A @ x - b)
         self.v = x[: chain.nq]
         self._V = x[chain.nq :] if chain.leader is None else V

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import sqrt
 
 import numpy as np
@@ -19,7 +19,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.errors import ModelError, ScenarioError
 from osc_contact.interface import Measurement, Robot
-from osc_contact.plants.faces import stacked
+from osc_contact.plants.faces import Faces
 from osc_contact.plants.joint_drives import FlexibleJoints
 from osc_contact.plants.judge import Plant
 from osc_contact.plants.mujoco import MujocoPlant
@@ -98,13 +98,11 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
             the joints' limits. Both name the contact that is furthest away.
     """
 
-    def gaps(X: pin.SE3) -> tuple[Array, Array]:
-        gap = np.concatenate([np.zeros(0), *(pair.gaps(X) for pair in pairs)])
-        return gap, stacked([pair.contact(X, np.zeros(6)) for pair in pairs])[0]
+    faces = Faces(None, None, len(pairs))  # at rest
 
     q_near = reach(chain, q, X_WO)
     try:
-        q_contact = close(chain, q_near, gaps)
+        q_contact = close(chain, q_near, partial(faces.gaps, pairs))
         if found := outside_limits(chain, q_contact):
             raise ScenarioError(
                 f"the contacts touch where {found[0]}; move object, faces or base, or change the "
