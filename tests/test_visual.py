@@ -4,6 +4,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 from complaints import recording_error
+from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 from matplotlib.transforms import Bbox
 from pytest import fixture
@@ -93,6 +94,22 @@ def diagram(request):
     rooms = [p for p in ax.patches if isinstance(p, FancyBboxPatch) and p.get_alpha() is None]
     assert len(rooms) == len(blocks)
     return list(zip(blocks, [p.get_window_extent() for p in rooms], strict=True)), ax
+
+
+def test_each_file_of_a_figure_is_drawn_once_and_all_have_one_layout(tmp_path, monkeypatch):
+    drawn = []
+    draw = Figure.draw
+    monkeypatch.setattr(Figure, "draw", lambda self, by: (drawn.append(type(by)), draw(self, by)))
+    figure = plots.power(RECORDING)
+    before = [ax.get_position().bounds for ax in figure.axes]
+    with plots.style():  # whose figures have a layout of their own
+        written = plots.save(figure, tmp_path / "power", plots.PRINT)
+    assert [path.suffix for path in written] == [".png", ".svg", ".pdf"]
+    assert len(drawn) == len(written), drawn
+    after = [ax.get_position().bounds for ax in figure.axes]
+    assert after != before, "laid out"
+    plots.save(figure, tmp_path / "again", plots.PRINT)
+    assert after == [ax.get_position().bounds for ax in figure.axes]
 
 
 def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):

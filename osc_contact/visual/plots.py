@@ -22,6 +22,7 @@ from osc_contact.visual import CONTACT_COLOURS, OKABE_ITO, contact_colour
 
 Judged = NDArray[np.bool_]
 PRINT = (".png", ".svg", ".pdf")  #: of a figure of the paper or of a study
+_DPI = 150  # of a PNG, and of the layout
 NEAR_LIMIT = 60.0  # %: from there on the limits are drawn
 
 # --- The one look of all figures ----------------------------------------------------------------
@@ -88,12 +89,31 @@ def save(
     base = Path(path_without_suffix)
     written = []
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    for suffix in suffixes:
-        written.append(base.with_name(base.name + suffix))
-        with whole_file(written[-1]) as unfinished:
-            figure.savefig(unfinished, dpi=150, format=suffix[1:], metadata=undated.get(suffix))
-        figure.set_layout_engine("none")  # laid out once, alike in all files
+    with matplotlib.rc_context({"figure.constrained_layout.use": False}):
+        _lay_out(figure)
+        for suffix in suffixes:
+            written.append(base.with_name(base.name + suffix))
+            with whole_file(written[-1]) as unfinished:
+                figure.savefig(
+                    unfinished, dpi=_DPI, format=suffix[1:], metadata=undated.get(suffix)
+                )
     return tuple(written)
+
+
+def _lay_out(figure: Figure) -> None:
+    """Place the parts of a figure, once and alike for all of its files.
+
+    The layout engine is taken away: `savefig` draws a figure that has one twice, the first time for
+    the layout alone. While `rcParams` have a constrained layout in use, matplotlib restores one.
+    """
+    engine = figure.get_layout_engine()
+    if engine is None:
+        return
+    own = figure.dpi
+    figure.set_dpi(_DPI)
+    engine.execute(figure)
+    figure.set_dpi(own)
+    figure.set_layout_engine(None)
 
 
 # --- Plots ---------------------------------------------------------------------------------------
