@@ -26,22 +26,30 @@ install = set -o pipefail; OSC_CONTACT_LAW=jit $(BIN)/pip install -q --no-compil
 		{ $(call install,-e '.[$(EXTRAS)]'); } && wait $$!
 	@touch $@
 
-# Without Chromium all but figure 3's picture is made.
-demo: .venv/.demo
-	-$(chromium)
-	$(BIN)/osc-contact run two_contact_rod --out out/two_contact_rod
-	$(BIN)/osc-contact reproduce all --out out/figures
+# The task of the README first, and where its result is; then the paper's figures. Chromium, for
+# figure 3's picture, comes meanwhile; without it all but that picture is made.
+demo:
+	@mkdir -p out
+	@{ $(chromium); } > out/chromium.txt 2>&1 & chromium=$$!; set -e; \
+		$(demo_venv); \
+		$(BIN)/osc-contact run two_contact_rod --out out/two_contact_rod; \
+		echo "look at out/two_contact_rod/scene.html; the paper's figures follow"; \
+		wait $$chromium || cat out/chromium.txt; \
+		$(BIN)/osc-contact reproduce all --out out/figures
 	@echo "look at out/two_contact_rod/scene.html and out/figures/report.html"
 
+demo_venv = $(MAKE) --no-print-directory .venv/.demo
+
 # Pages are rendered and tested with Chromium. Root gets it by apt-get; for others the way is printed.
-chromium = @$(BIN)/python -m osc_contact.visual.browser || { \
+find_chromium = $(PYTHON) -m osc_contact.visual.browser
+chromium = $(find_chromium) || { \
 		test "$$(id -u)" = 0 && command -v apt-get > /dev/null && echo "installing chromium" && \
-		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq \
+		nice apt-get update -qq && DEBIAN_FRONTEND=noninteractive nice apt-get install -y -qq \
 			--no-install-recommends chromium fonts-liberation > /dev/null && \
-		$(BIN)/python -m osc_contact.visual.browser; }
+		$(find_chromium); }
 
 browser: venv
-	$(chromium)
+	@$(chromium)
 
 check: venv
 	$(BIN)/ruff check .

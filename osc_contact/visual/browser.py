@@ -1,4 +1,8 @@
-"""Pictures of pages, still and moving: a Chromium without window or network photographs them."""
+"""Pictures of pages, still and moving: a Chromium without window or network photographs them.
+
+`python -m osc_contact.visual.browser` prints the browser, or how to get one. It needs no package: a
+browser can be installed while the packages are.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +21,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
-
-import numpy as np
 
 from osc_contact.errors import InvalidInputError, ViewerError
 from osc_contact.files import whole_file, write_whole
@@ -275,6 +277,8 @@ def moments(begin: float, end: float, most: int = MOST_FRAMES) -> tuple[list[flo
         begin, end: of the recording (s).
         most: how many frames at most.
     """
+    import numpy as np
+
     span = max(end - begin, 1e-3)
     count = int(np.clip(np.ceil(span * RATE), 2, most))
     shown = 10 * max(round(100.0 * min(span, LONGEST_S) / count), 4)
@@ -334,6 +338,7 @@ def write_mp4(
         InvalidInputError: the page holds no drawing commands.
     """
     import av
+    import numpy as np
 
     count = max(2, round(min(end - begin, LONGEST_VIDEO_S) * VIDEO_RATE))
     times = np.linspace(begin, end, count, endpoint=False).tolist()
@@ -370,6 +375,7 @@ def one_palette(frames: Sequence[Image]) -> list[Image]:
 
     Pixels that hardly change keep their colour: flicker that is not seen costs most bytes.
     """
+    import numpy as np
     from PIL import Image
 
     pixels = np.array([np.asarray(frame) for frame in frames])
@@ -385,7 +391,7 @@ def one_palette(frames: Sequence[Image]) -> list[Image]:
     ]
 
 
-if __name__ == "__main__":  # `make browser`
+if __name__ == "__main__":  # `make browser`, `make demo`
     try:
         print(find_browser())
     except ViewerError as error:
