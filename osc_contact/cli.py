@@ -5,6 +5,7 @@ import gc
 import re
 import unicodedata
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -45,7 +46,9 @@ from osc_contact.runs.rig import build_rig
 from osc_contact.runs.run import shown_of
 from osc_contact.runs.tape import build as build_library
 from osc_contact.scenarios.loader import list_scenarios
+from osc_contact.sweeps.sweep import available_cores
 from osc_contact.visual.browser import find_browser, write_gif, write_mp4
+from osc_contact.visual.run_figures import FigureProcess
 
 
 class Commands(TyperGroup):
@@ -114,14 +117,15 @@ def run(
     folder = out_dir or Path("out") / chosen.file_stem
     require_report(chosen)
     code = 0
-    with sole_user(folder):
+    beside = FigureProcess() if available_cores() > 1 else nullcontext()
+    with sole_user(folder), beside as figures:
         try:
             recording = run_with_progress(chosen, seed, folder)
         except Interrupted as error:
             recording = error.recording
             code = 130
             say(str(error))
-        written, failed = report_run(recording, chosen, folder, json_file)
+        written, failed = report_run(recording, chosen, folder, json_file, figures)
         forget_rows(folder)
     missing = recording.meta.get("missing", ())
     say(*missing, f"written to {folder}: {written}")

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
+from multiprocessing import parent_process
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Literal
@@ -31,6 +32,7 @@ from osc_contact.scenarios.loader import load_scenario
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.visual.live import Shows
 from osc_contact.visual.parts import Content
+from osc_contact.visual.run_figures import FigureProcess
 
 ScenarioArgument = Annotated[str, Argument(help="packaged name (see `list`) or a YAML file")]
 
@@ -56,14 +58,17 @@ UNFINISHED = "unfinished.mcap"
 
 
 def progress_bar(*columns: ProgressColumn) -> Progress:
-    """A bar below the other output, on terminals only, with what else its line shows."""
+    """A bar below the other output, with what else its line shows.
+
+    On terminals only, and only in the process that was started there.
+    """
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         *columns,
         console=err,
         transient=True,
-        disable=not err.is_terminal,
+        disable=not err.is_terminal or parent_process() is not None,
     )
 
 
@@ -198,17 +203,22 @@ def record(scenario: Scenario, seed: int, folder: Path) -> Recording:
 
 
 def report_run(
-    recording: Recording, scenario: Scenario, folder: Path, json_file: Path | None
+    recording: Recording,
+    scenario: Scenario,
+    folder: Path,
+    json_file: Path | None,
+    figures: FigureProcess | None = None,
 ) -> tuple[str, bool]:
     """Write and report the results of a run: what was written, in words; whether its task failed.
 
     Args:
         recording, scenario: of the run. folder: for its files. json_file: for the verdict.
+        figures: see `report.write_report`.
     """
     if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
         recording.save(folder / "recording.npz")
         return "recording.npz; the run was too short to be judged", False
-    verdict = report.write_report(recording, scenario, folder)
+    verdict = report.write_report(recording, scenario, folder, figures)
     out.print(report.verdict_table(verdict))
     say(*report.task_lines(verdict))
     if json_file:

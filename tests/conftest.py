@@ -16,6 +16,7 @@ def pytest_collection_finish():
 @fixture
 def no_figures(monkeypatch):
     """`osc-contact run` without its figures, half of the time: tests/test_cli.py has them drawn."""
+    monkeypatch.setattr("osc_contact.cli.available_cores", lambda: 1)  # in this process
     monkeypatch.setattr("osc_contact.visual.plots.save", lambda *_: ())
 
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from osc_contact.errors import InvalidInputError
 from osc_contact.files import Json, write_whole
 from osc_contact.recorder import Recording
-from osc_contact.recorder.judged import SETTLE_S, judged_ticks
+from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.robots import RobotSummary
 from osc_contact.robots.summary import losses_by_arm
 from osc_contact.runs.inspection import Inspection
@@ -19,9 +19,10 @@ from osc_contact.runs.loop import latency
 from osc_contact.runs.references import gain_in_words
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.verdict import metrics
-from osc_contact.runs.viewing import DRAWN, write_scene_of
+from osc_contact.runs.viewing import write_scene_of
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
+from osc_contact.visual.run_figures import RECORDING, FigureProcess, draw_figures
 
 MOST_PROJECTED = 0.1  #: of the total power; a larger share is explained
 
@@ -238,26 +239,24 @@ def require_judgeable(scenario: Scenario) -> None:
         )
 
 
-def write_report(recording: Recording, scenario: Scenario, folder: Path) -> Json:
+def write_report(
+    recording: Recording, scenario: Scenario, folder: Path, figures: FigureProcess | None = None
+) -> Json:
     """Write metrics.json, recording.npz, the figures and scene.html; returns the metrics.
 
     Args:
         recording: of the run. scenario: that was run. folder: for the files.
+        figures: draws them meanwhile; None: this process draws them.
     """
-    from osc_contact.visual import plots
-
     folder.mkdir(parents=True, exist_ok=True)
-    recording.save(folder / "recording.npz")
+    recording.save(folder / RECORDING)
+    if figures is not None:
+        figures.begin(folder)
     verdict = metrics(recording)
     write_json(verdict, folder / "metrics.json")
-    recording = recording.thinned(DRAWN)
-    forces, whole = judged_ticks(recording)
-    if recording.meta["contact_names"]:
-        plots.save(plots.contact_forces(recording, forces), folder / "contact_forces")
-    plots.save(plots.power(recording, whole), folder / "power")
-    plots.save(plots.tracking(recording, SETTLE_S), folder / "tracking")
-    plots.save(plots.torques(recording), folder / "torques")
     write_scene_of(recording, build_rig(scenario), folder / "scene.html")
+    if figures is None or not figures.finish():
+        draw_figures(recording, folder)
     return verdict
 
 

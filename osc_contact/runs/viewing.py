@@ -20,9 +20,9 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.live import CHANNELS, Viewer
 from osc_contact.visual.parts import Content, Visual
+from osc_contact.visual.run_figures import DRAWN
 from osc_contact.visual.scene import Scene, write_scene
 
-DRAWN = 50_000  #: ticks; of longer recordings every second, third, … one is drawn
 _LARGEST = 1e9  #: m, rad, N, W; no run comes near it
 
 
