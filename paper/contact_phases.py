@@ -3,6 +3,8 @@
 `collisions` knocks the rod off its faces again and again.
 """
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -16,6 +18,7 @@ from paper.study import Ask, Study, table_of
 
 KNOCKED = "collisions"
 QUIET = ("two_contact_rod", "workcell")
+CHANNELS = ("t", "N", "twist", "closed", "collision_seen", "power_total", "power_projected")
 OPEN_S = 0.010  #: a contact re-made after less is one that chatters
 SPEED = 0.010  #: m/s; slower than that it is a touch
 WITHIN_S = 0.020  #: in which a collision is to be flagged
@@ -124,21 +127,37 @@ def draw_collisions(recording: osc.Recording) -> Figure:
     return figure
 
 
+def run(scenario: str, changes: Sequence[str], duration: float, seed: int) -> osc.Recording:
+    """Run a scenario; of its recording, what fig. 7 is made of.
+
+    Args:
+        scenario: with these changes. duration: s. seed: of everything random.
+    """
+    recording = osc.run(osc.load_scenario(scenario, changes), duration=duration, seed=seed)
+    return osc.Recording(recording.meta, {name: np.array(recording[name]) for name in CHANNELS})
+
+
+def runs(ask: Ask) -> dict[str, Callable[[], osc.Recording]]:
+    """The runs of fig. 7, by the names of their scenarios."""
+    return {
+        name: partial(
+            run, name, ask.changes if name == KNOCKED else (), ask.lasting(10.0), ask.seed
+        )
+        for name in (KNOCKED, *QUIET)
+    }
+
+
 def fig7(ask: Ask) -> Study:
     """Fig. 7: collisions and what the monitor makes of them; false alarms of quiet runs.
 
     Args:
         ask: duration of every run (s), else 10 s; changes of `collisions`.
     """
-    runs = {}
-    for name in (KNOCKED, *QUIET):
-        ask.tell(name)
-        scenario = osc.load_scenario(name, ask.changes if name == KNOCKED else ())
-        runs[name] = osc.run(scenario, duration=ask.lasting(10.0), seed=ask.seed)
-    knocked = runs[KNOCKED]
+    recordings = ask.results(runs(ask))
+    knocked = recordings[KNOCKED]
     hits = collisions(knocked)
     flagged = [hit.flagged for hit in hits if hit.flagged is not None]
-    alarms = {name: false_alarms(r) for name, r in runs.items()}
+    alarms = {name: false_alarms(r) for name, r in recordings.items()}
     data = {"collisions": [hit._asdict() for hit in hits], "false_alarms": alarms}
     rows = {"collisions flagged within 20 ms": f"{len(flagged)} of {len(hits)}"}
     if flagged:
@@ -147,6 +166,6 @@ def fig7(ask: Ask) -> Study:
         least = min(hit.power for hit in hits)
         rows["least peak of projected power"] = f"{least:.3f} W"
     for name, count in alarms.items():
-        rows[f"false alarms in {runs[name]['t'][-1]:.0f} s of {name}"] = str(count)
+        rows[f"false alarms in {recordings[name]['t'][-1]:.0f} s of {name}"] = str(count)
     table = table_of("fig. 7: contacts on mujoco", "quantity; value", rows.items())
     return Study({"fig7": draw_collisions(knocked)}, table, data, answers(knocked))

@@ -14,13 +14,13 @@ from dataclasses import replace
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rich.table import Table
 
 import osc_contact as osc
 from osc_contact import __version__
-from osc_contact.console import err, out, record
+from osc_contact.console import out, record
 from osc_contact.files import write_whole
 from osc_contact.runs.report import verdict_table, write_json, write_report
 from osc_contact.visual.page import POLICY, asset, filled
@@ -36,6 +36,7 @@ from paper import (
     variants,
 )
 from paper.figures import ANSWERS, Evidence
+from paper.parallel import Job, Tell, done
 from paper.statements import PAPER, Answer, PaperFigure, Verdict, judge
 from paper.study import Ask, Data, Study
 
@@ -214,6 +215,11 @@ STUDIES: dict[str, Callable[[Ask], Study]] = {
     **{name: partial(variants.compare, name) for name in variants.VARIANTS},
     "fig7": contact_phases.fig7,
 }
+RUNS: dict[str, Callable[[Ask], Mapping[str, Callable[[], Any]]]] = {
+    **{name: partial(variants.runs, name) for name in variants.VARIANTS},
+    "fig7": contact_phases.runs,
+}
+"""Independent runs of those studies that have several."""
 SLOW = {"baselines", "robustness", "workcell", "fig7"}
 """several minutes: not in `reproduce all`"""
 WITH_SCENARIO = SLOW | {"fig3", "moving_face"}
@@ -295,7 +301,7 @@ def typed(plant: str | None, duration: float | None, seed: int, changes: Sequenc
 def make(
     names: Sequence[str], folder: Path, scenario: osc.Scenario, ask: Ask, options: str = ""
 ) -> Reproduction:
-    """Make figures and studies; their tables are printed.
+    """Make figures and studies on all cores; their tables are printed in the order of the names.
 
     Args:
         names: of `FIGURES` and `STUDIES`.
@@ -305,26 +311,102 @@ def make(
         options: of the command, as typed; shown in the report.
     """
     drawn = [name for name in names if name not in STUDIES]
-    recording = None
-    scene = None
-    if figures.NEED_RUN.intersection(drawn):
-        recording = record(scenario, ask.seed, folder)
-        of_run = folder / scenario.name
-        out.print(verdict_table(write_report(recording, scenario, of_run)))
-        scene = of_run / "scene.html"
+    needs_run = bool(figures.NEED_RUN.intersection(drawn))
+    jobs = list(_jobs(names, folder, scenario, ask))
+    shown = [job.name for job in jobs if not job.name.partition(BETWEEN)[1]]
+    made: dict[str, Study] = {}
+    found = {}
+    for name, result in done(jobs, LONG):
+        found[name] = result
+        while shown and shown[0] in found:
+            for study_name, study in found[shown.pop(0)].items():
+                made[study_name] = study
+                if study.table is not None:
+                    out.print(study.table)
+    of_run = folder / scenario.name
+    return Reproduction(
+        {name: made[name] for name in (*drawn, *(k for k in names if k in STUDIES))},
+        scenario,
+        osc.Recording.load(of_run / "recording.npz") if needs_run else None,
+        of_run / "scene.html" if needs_run else None,
+        options,
+    )
+
+
+#: Jobs that take long, by their names: they begin first where there are several cores.
+LONG = ("fig7: workcell", "fig2", "fig3", figures.SCENARIO)
+BETWEEN = ": "  #: name of a study and name of its run
+
+
+def _jobs(names: Sequence[str], folder: Path, scenario: osc.Scenario, ask: Ask) -> Iterator[Job]:
+    """What there is to do: the figures of one run, the runs of studies, and the studies.
+
+    Args:
+        names, folder, scenario, ask: as of `make`.
+    """
+    drawn = [name for name in names if name not in STUDIES]
+    if drawn:
+        run = partial(_draw_figures, drawn, scenario, ask.seed, folder)
+        yield Job(figures.SCENARIO, run)
+    for name in names:
+        if name in STUDIES:
+            _require_changeable(name, ask)
+            runs = RUNS[name](ask) if name in RUNS else {}
+            named = {f"{name}{BETWEEN}{key}": run for key, run in runs.items()}
+            yield from (Job(key, partial(_run, run)) for key, run in named.items())
+            yield Job(name, partial(_make_study, name, folder, ask), tuple(named))
+
+
+def _draw_figures(
+    names: Sequence[str],
+    scenario: osc.Scenario,
+    seed: int,
+    folder: Path,
+    tell: Tell,
+    needed: Mapping[str, Any],
+) -> dict[str, Study]:
+    """Run the scenario if a figure needs it, report the run, and write the figures.
+
+    Args:
+        names: of `FIGURES`. scenario, seed: of the run. folder: for everything that is written.
+        tell, needed: as of `Job`.
+
+    Returns:
+        By name; the run, by the name of its scenario, is a study without figures.
+    """
     made = {}
-    for name in drawn:
+    recording = None
+    if figures.NEED_RUN.intersection(names):
+        recording = record(scenario, seed, folder)
+        table = verdict_table(write_report(recording, scenario, folder / scenario.name))
+        made[scenario.name] = Study({}, table)
+    for name in names:
         answers = {}
         if recording is not None:
             answers = ANSWERS[name](Evidence(osc.build_rig(scenario), recording))
         picture = {name: figures.reproduce(name, scenario, recording)}
         made[name] = write(name, folder, Study(picture, answers=answers))
-    for name in names:
-        if name in STUDIES:
-            with err.status(name) as status:
-                made[name] = write_study(name, folder, replace(ask, tell=status.update))
-            out.print(made[name].table)
-    return Reproduction(made, scenario, recording, scene, options)
+    return made
+
+
+def _run(run: Callable[[], Any], tell: Tell, needed: Mapping[str, Any]) -> Any:
+    """One run of a study, as a job."""
+    tell("")
+    return run()
+
+
+def _make_study(
+    name: str, folder: Path, ask: Ask, tell: Tell, needed: Mapping[str, Any]
+) -> dict[str, Study]:
+    """A study, as a job: by its name.
+
+    Args:
+        name, folder, ask: as of `write_study`. tell: as of `Job`.
+        needed: results of its runs, by the names of their jobs.
+    """
+    tell("")
+    runs = {key.removeprefix(f"{name}{BETWEEN}"): result for key, result in needed.items()}
+    return {name: write_study(name, folder, replace(ask, tell=tell, made=runs))}
 
 
 def write_study(name: str, folder: Path, ask: Ask) -> Study:
@@ -338,10 +420,15 @@ def write_study(name: str, folder: Path, ask: Ask) -> Study:
     Raises:
         InvalidInputError: changes of a scenario for a study that has none.
     """
-    if ask.changes and name not in WITH_SCENARIO:
-        raise osc.InvalidInputError(f"{name} is not made from a scenario; leave --set out")
+    _require_changeable(name, ask)
     folder.mkdir(parents=True, exist_ok=True)
     return write(name, folder, STUDIES[name](replace(ask, folder=folder)))
+
+
+def _require_changeable(name: str, ask: Ask) -> None:
+    """Refuse changes of a scenario for a study that has none."""
+    if ask.changes and name not in WITH_SCENARIO:
+        raise osc.InvalidInputError(f"{name} is not made from a scenario; leave --set out")
 
 
 def write(name: str, folder: Path, study: Study) -> Study:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pinocchio as pin
 from matplotlib.figure import Figure
@@ -14,6 +14,7 @@ from osc_contact.plants.judge import Plant, Truth
 from paper.statements import Answer
 
 Data = dict[str, Any]  #: numbers for JSON
+T = TypeVar("T")
 PANDA: Data = {
     "name": "panda",
     "urdf": "example-robot-data:panda",
@@ -49,6 +50,10 @@ class Study:
         return any(path.suffix in (".png", ".svg") for path in self.files)
 
 
+def silent(step: str) -> None:
+    """Show no step of a study."""
+
+
 @dataclass(frozen=True)
 class Ask:
     """Options of a study.
@@ -60,6 +65,7 @@ class Ask:
         samples: of what varies, where something does; default: the study's own.
         folder: for what a study keeps while it runs.
         tell: called with the next step.
+        made: results of runs of the study that have been made before, by their names.
     """
 
     seed: int = 0
@@ -67,7 +73,20 @@ class Ask:
     changes: Sequence[str] = ()
     samples: int | None = None
     folder: Path = Path()
-    tell: Callable[[str], None] = lambda step: None
+    tell: Callable[[str], None] = silent
+    made: Mapping[str, Any] = field(default_factory=dict)
+
+    def results(self, runs: Mapping[str, Callable[[], T]]) -> dict[str, T]:
+        """The results of all runs of a study, by name; those not made yet are made one by one.
+
+        Args:
+            runs: by name, independent of each other.
+        """
+        found = {}
+        for name, run in runs.items():
+            self.tell(name)
+            found[name] = self.made[name] if name in self.made else run()
+        return found
 
     def lasting(self, usual: float) -> float:
         """The duration of its runs (s).

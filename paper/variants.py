@@ -6,13 +6,16 @@ that sees the face's pose and velocity but takes it as unyielding and unaccelera
 eqs. 14 to 25). `workcell`: one part after another of section 6 is real.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
+
+import numpy as np
 
 import osc_contact as osc
 from osc_contact.recorder.judged import judged_ticks
 from osc_contact.visual import plots
-from paper.study import Ask, Study, table_of
+from paper.study import Ask, Data, Study, table_of
 
 
 class Variant(NamedTuple):
@@ -85,6 +88,39 @@ VARIANTS: dict[str, Mapping[str, Variant]] = {
 }
 
 
+class Result(NamedTuple):
+    """What is shown of a variant's run.
+
+    Attributes:
+        recording: with the channels of its force errors. judged: which of its ticks are.
+        verdict: of all of it.
+    """
+
+    recording: osc.Recording
+    judged: plots.Judged
+    verdict: Data
+
+
+def run(scenario: str, changes: Sequence[str], duration: float, seed: int) -> Result:
+    """Run a variant.
+
+    Args:
+        scenario: with these changes. duration: s. seed: of everything random.
+    """
+    recording = osc.run(osc.load_scenario(scenario, changes), duration=duration, seed=seed)
+    kept = {name: np.array(recording[name]) for name in ("t", "alpha_cmd", "alpha_true")}
+    judged = judged_ticks(recording)[0]
+    return Result(osc.Recording(recording.meta, kept), judged, osc.metrics(recording))
+
+
+def runs(scenario: str, ask: Ask) -> dict[str, Callable[[], Result]]:
+    """The runs of all variants of a scenario, by name; see `compare`."""
+    return {
+        name: partial(run, scenario, [*variant.changes, *ask.changes], ask.lasting(8.0), ask.seed)
+        for name, variant in VARIANTS[scenario].items()
+    }
+
+
 def compare(scenario: str, ask: Ask) -> Study:
     """Force errors of every variant of a scenario, the larger of both ends, and contact kept.
 
@@ -92,18 +128,15 @@ def compare(scenario: str, ask: Ask) -> Study:
         scenario: of `VARIANTS`.
         ask: duration (default: 8 s) and seed of every run; further changes of the scenario.
     """
-    variants = VARIANTS[scenario]
+    results = ask.results(runs(scenario, ask))
     data = {}
     rows = []
     with plots.style():
-        figure, axes = plots.panels(len(variants), 1.4)
-        for (name, (changes, limit)), ax in zip(variants.items(), axes, strict=True):
-            ask.tell(name)
-            task = osc.load_scenario(scenario, [*changes, *ask.changes])
-            recording = osc.run(task, duration=ask.lasting(8.0), seed=ask.seed)
-            plots.draw_errors(ax, recording, judged_ticks(recording)[0], linear=1.0)
+        figure, axes = plots.panels(len(results), 1.4)
+        for (name, (recording, judged, verdict)), ax in zip(results.items(), axes, strict=True):
+            limit = VARIANTS[scenario][name].limit
+            plots.draw_errors(ax, recording, judged, linear=1.0)
             ax.set_title(name)
-            verdict = osc.metrics(recording)
             error = max(force["rms_error_rel"] for force in verdict["force"].values())
             closed = min(verdict["contact_fraction"].values())
             data[name] = {"force_rms_rel": error, "limit": limit, "contact_fraction": closed}

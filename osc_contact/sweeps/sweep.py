@@ -546,7 +546,7 @@ def _hand_out(
             future.cancel()
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Wait until the parent process has ended, which a kill does not let it announce; then end."""
     parent = parent_process()
     if parent is not None:
@@ -563,5 +563,5 @@ def _begin_work() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         signal.signal(number, lambda number, frame: os._exit(128 + number))
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     gc.freeze()  # what is imported stays; not looked through again with every run
