@@ -1,6 +1,8 @@
 """What a stranger installs: the wheel's content, the pinned versions, the files of the root."""
 
 import re
+import subprocess
+import sys
 import tarfile
 import tomllib
 import zipfile
@@ -171,6 +173,21 @@ def test_make_has_the_targets_that_pages_and_workflows_name():
     named = set(re.findall(r'(?:^|[`"]|run: )make ([\w-]+)', text, re.M))
     assert {"demo", "gallery", "peers", "oldest-numba"} < named
     assert named - set(re.findall(r"^([\w-]+):", text_of("Makefile"), re.M)) == set()
+
+
+def test_the_demo_shows_its_task_before_it_waits_for_anything():
+    (recipe,) = re.findall(r"^demo:\n((?:\t.*\n)+)", text_of("Makefile"), re.M)
+    steps = [recipe.index(step) for step in ("$(chromium)", " run two_contact_rod", "look at out")]
+    later = [recipe.index(step) for step in ("wait $$chromium", "reproduce all")]
+    assert steps == sorted(steps) and later == sorted(later) and steps[-1] < later[0]
+    assert recipe.index("& chromium=$$!") < steps[1], "it is installed beside the rest"
+
+
+def test_a_browser_is_looked_for_without_any_package(tmp_path):
+    program = [sys.executable, "-S", "-m", "osc_contact.visual.browser"]
+    nothing = {"PATH": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    found = subprocess.run(program, capture_output=True, text=True, env=nothing, timeout=120)
+    assert found.returncode == 1 and "apt-get install chromium" in found.stderr, found.stderr
 
 
 def test_the_paper_has_the_sections_of_the_journal_and_cites_what_it_lists():
