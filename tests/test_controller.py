@@ -49,6 +49,17 @@ def ready(rig):
     return controller, *given
 
 
+def test_places_of_views_are_where_their_numbers_stand(ready):
+    """Of whole tables, columns of tables and fields, in the order in which they are given."""
+    records = ready[0]._records
+    columns = records.memory.columns
+    views = [columns.alpha, records.work.X_WO, columns.covariance, records.work.f_meas[::2]]
+    for number, view in enumerate(views):
+        view[...] = np.arange(view.size).reshape(view.shape) + 1000.0 * number
+    found = records.rows.numbers[records.places(*views)]
+    assert_array_equal(found, np.concatenate([view.ravel() for view in views]))
+
+
 def test_signals_of_a_tick_stay(ready):
     """What is set afterwards does not change them; recordings keep the permitted error (7)."""
     controller, measurement, reference = ready

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from itertools import repeat
+from itertools import count, repeat
 
 import numpy as np
 from complaints import invalid_input, recording_error
@@ -85,6 +85,23 @@ def test_hardware_without_a_truth_leaves_a_recording(scenario):
     assert found["closed"].all() and found.magnitude_names == ["left_end", "right_end"]
     with recording_error("no judge took part"):
         osc.metrics(found)
+
+
+@parametrize("kind, chunks", {"named": TICKS - 1, "by another": TICKS - 1, "temporary": 0})
+def test_a_temporary_file_gets_rows_block_by_block(kind, chunks, tmp_path, monkeypatch):
+    """Nothing can be recovered of it; unless another thread writes, which is handed little at once.
+
+    Clocks here show a second later each time.
+    """
+    monkeypatch.setattr("osc_contact.runs.recorder.perf_counter", count().__next__)
+    rig, plant, controller = started(*RIGID)
+    journal = tmp_path / "unfinished.mcap" if kind == "named" else None
+    recorder = osc.Recorder(controller, plant, journal=journal)
+    if kind == "by another":
+        recorder.hand_over = lambda write: write()
+    osc.run_loop(plant, controller, plan(rig), recorder=recorder)
+    assert len(list(recorder.journal.read().rows())) == chunks
+    assert len(recorder.recording()) == TICKS
 
 
 def test_ticks_that_are_held_are_recorded_and_do_not_end_the_loop():

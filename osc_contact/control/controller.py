@@ -52,6 +52,9 @@ from osc_contact.scenarios.control_schema import (
 )
 from osc_contact.spatial import Array, as_array
 
+# The members of enumerations by their numbers: looked up in every tick.
+_STATUS = tuple(Status)
+_STATES = tuple(SafetyState)
 _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_integral", "force_integral")
 #: What `reset` sets to zero: of MEMORY, and of rows of its tables, all of them where none is named.
 FORGOTTEN = (
@@ -383,7 +386,7 @@ class Controller:
     @property
     def status(self) -> Status:
         """How the last tick ended."""
-        return Status(self._memory.status)
+        return _STATUS[self._memory.status]
 
     @property
     def reason(self) -> str:
@@ -395,7 +398,7 @@ class Controller:
     @property
     def state(self) -> SafetyState:
         """Whether the controller runs, holds a posture or has stopped; see `SafetyState`."""
-        return SafetyState(self._memory.state)
+        return _STATES[self._memory.state]
 
     @property
     def state_age(self) -> int:

@@ -468,6 +468,20 @@ class TickRecords:
         six = np.zeros(6)
         self.run((q, v, wrenches, np.eye(4), six, six, np.zeros(0), STILL), begin=begin)
 
+    def places(self, *parts: Array) -> Array:
+        """(k,) where in `rows.numbers` the numbers of some views stand, one after the other.
+
+        Args:
+            parts: arrays that share the memory of `rows`, each element of eight bytes.
+        """
+        every = np.arange(len(self.rows.numbers))
+        start = self.rows.raw.ctypes.data
+        own = (
+            np.ndarray(part.shape, every.dtype, every, part.ctypes.data - start, part.strides)
+            for part in parts
+        )
+        return np.concatenate([one.ravel() for one in own])
+
     def copy(self) -> TickRecords:
         """The same in separate bytes."""
         other = TickRecords(self.model_bytes)

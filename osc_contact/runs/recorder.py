@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
+from math import inf
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
@@ -219,10 +220,11 @@ _FOUND = {"f_meas": 6, "bias_out": 6, "V_O": 6, "X_WO": 16, "f_c": 6, "error": 6
 class Recorder:
     """Notes the ticks of `run_loop`; `recording` works their channels out, all at once.
 
-    A tick is one row of raw numbers, written by one copy. Rows go to a file while the loop runs, at
-    least ten times per second: memory does not grow, and whatever ends the process leaves them
-    there, see `recover`. Where they cannot be written the loop continues; that is logged at once
-    and stated in the recording.
+    A tick is one row of raw numbers, written by one copy. Rows go to a file while the loop runs, so
+    memory does not grow. To a named file they go at least ten times per second, and whatever ends
+    the process leaves them there, see `recover`; a temporary file is filled block by block, but in
+    real time. Where they cannot be written the loop continues; that is logged at once and stated in
+    the recording.
 
     With a judge, such as a plant, the recording holds the truth. Without one, as on hardware, pose,
     twist, N and whether contacts are closed are what the controller takes them for, and
@@ -267,6 +269,7 @@ class Recorder:
         self._first_reason = ""  #: why the first tick that failed could not be computed
         self._logged = False
         self._k = 0  #: rows that are not in the journal yet
+        self._named = journal is not None
         self._flushed = perf_counter()
         self._last: TickResult | None = None
         #: writes rows; `run_loop(…, realtime=True)` has another thread do it
@@ -284,10 +287,10 @@ class Recorder:
         if self.truth is None:
             unknown["X_WE"] = 16 * contacts
         numbers = {"tick_s": 1, "status": 1, "squeeze_d": squeezes, "given_up": r}
-        flags = {"engaged": 1, "normal_std": r}
+        whole = {"engaged": 1}
         if of.controller.life is not None:
-            flags |= {"phase": contacts, "active": contacts, "closed": r, "collision": r}
-        sizes = {**unknown, "tau": chain.n_a, **numbers, **flags}
+            whole |= {"phase": contacts, "active": contacts, "closed": r, "collision": r}
+        sizes = {**unknown, "tau": chain.n_a, **numbers, "normal_std": r, **whole}
         self._names = tuple(found)
         self._fields = [(name, "<f8", (size,)) for name, size in sizes.items()]
         self._rows = np.zeros((_BLOCK, sum(sizes.values())))
@@ -296,7 +299,15 @@ class Recorder:
         self._numbers = np.zeros(sum(numbers.values()))
         self._squeezes, self._given_up = np.split(self._numbers[2:], [squeezes])
         self._squeeze: float | None = None  #: of the last tick, if its numbers are as noted
-        self._flags: list[Array] = [np.zeros(sum(flags.values()))]
+        # read off the controller's records
+        self._read = np.zeros(2 * r + sum(found.values()) + r)
+        self._found, self._normal_std = np.split(self._read, [len(self._read) - r])
+        self._whole = np.zeros(sum(whole.values()), np.int64)
+
+    @property
+    def _patience(self) -> float:
+        """Longest time from one flush to the next (s); real-time loops hand over little at once."""
+        return _EVERY if self._named or self.hand_over is not at_once else inf
 
     @property
     def error(self) -> RecordingError | None:
@@ -312,7 +323,7 @@ class Recorder:
             measurement, reference: that went into it.
             tau: (n_a,) that came out. seconds: that it took.
         """
-        if self._k == _BLOCK or perf_counter() - self._flushed > _EVERY:
+        if self._k == _BLOCK or perf_counter() - self._flushed > self._patience:
             self.flush()
         row = self._rows[self._k]
         status = self.of.controller.status
@@ -329,12 +340,16 @@ class Recorder:
             self._given_up[:] = 0.0
             if cost is not None and len(cost.force) == len(self._given_up):
                 self._given_up[:] = cost.force
+        known = (tau, numbers, self._normal_std, self._whole)
         try:
-            found = self._found(measurement)
-            parts = (measurement.q, measurement.v, reference.alpha_d, *found)
-            np.concatenate((*parts, tau, numbers, *self._flags), out=row)
+            self._read_records()
+            parts = (measurement.q, measurement.v, reference.alpha_d, self._found)
+            if self.truth is None:
+                touched = measurement.touched
+                parts += (self._still if touched is None else np.ravel(touched.X_WE),)
+            np.concatenate(parts + known, out=row)
         except (InvalidInputError, TypeError, ValueError):  # held: no result, or misshapen
-            np.concatenate((self._unknown, tau, numbers, *self._flags), out=row)
+            np.concatenate((self._unknown, *known), out=row)
         if self.truth is not None:
             self.truth.note()
         if status is Status.HELD and not self._first_reason:
@@ -343,24 +358,32 @@ class Recorder:
         self._k += 1
         self.count += 1
 
-    def _found(self, measurement: Measurement) -> list[Array]:
-        """What the last tick found: views of the controller's records."""
+    def _read_records(self) -> None:
+        """Copy what the last tick left in the controller's records.
+
+        Raises:
+            InvalidInputError: there was no tick yet.
+        """
         result = self.of.controller.result()
         if result is not self._last:
             self._last = result
-            columns = result.records.memory.columns
-            self._parts = [columns.alpha, columns.speed]
-            self._parts += [getattr(result, name).reshape(-1) for name in self._names]
-            head = result.records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
-            self._flags = [head["engaged"], columns.normal_std]
-            if self.of.controller.life is not None:
-                contacts = result.records.memory.contacts
-                self._flags += [contacts.phase, contacts.active, columns.closed, columns.collision]
-        parts = self._parts
-        if self.truth is None:
-            touched = measurement.touched
-            return [*parts, self._still if touched is None else np.ravel(touched.X_WE)]
-        return parts
+            self._locate(result)
+        self._words.view(np.float64).take(self._read_at, out=self._read, mode="clip")
+        self._words.take(self._whole_at, out=self._whole, mode="clip")
+
+    def _locate(self, result: TickResult) -> None:
+        """Find where in the records each number stands."""
+        records = result.records
+        columns = records.memory.columns
+        contacts = records.memory.contacts
+        found = [columns.alpha, columns.speed, *(getattr(result, name) for name in self._names)]
+        head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
+        whole = [head["engaged"]]
+        if self.of.controller.life is not None:
+            whole += [contacts.phase, contacts.active, columns.closed, columns.collision]
+        self._words = records.rows.raw.view(np.int64)
+        self._read_at = records.places(*found, columns.normal_std)
+        self._whole_at = records.places(*whole)
 
     def flush(self) -> None:
         """Append to the journal what was noted since the last time."""
