@@ -26,7 +26,7 @@ from scipy.stats import qmc
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.detection import collision_shapes
-from osc_contact.runs.preflight import require_ready
+from osc_contact.runs.preflight import judge_robot, require_ready
 from osc_contact.runs.run import start
 from osc_contact.sweeps.report import variances, write_report
 from osc_contact.sweeps.study import SweepStudy, parse_distribution
@@ -36,6 +36,7 @@ from osc_contact.sweeps.sweep import (
     RigBuilder,
     RowFile,
     make_rows,
+    robot_key,
     run_study,
 )
 
@@ -362,9 +363,16 @@ def test_scenarios_made_in_python_are_swept_and_their_laws_refused():
 # What the runs of a sweep share: every number of a recording is that of the run by itself.
 
 
-def test_rigs_that_share_chains_are_those_built_alone():
-    """In an order in which every chain that is kept has been used by another run."""
+def test_rigs_that_share_chains_are_those_built_alone(monkeypatch):
+    """In an order in which every chain, and every robot, that is kept has been used by another run.
+
+    Preflight of a robot is gone through once, whatever the controller's model has wrong.
+    """
     builder = RigBuilder()
+    judged = []
+    monkeypatch.setattr(
+        "osc_contact.sweeps.sweep.judge_robot", lambda rig: judged.append(rig) or judge_robot(rig)
+    )
     scenarios = [
         osc.load_scenario(
             "two_contact_rod",
@@ -379,13 +387,90 @@ def test_rigs_that_share_chains_are_those_built_alone():
     ]
     for scenario in scenarios:
         alone = run_of(scenario)
-        sharing = run_of(scenario, build=builder.rig)
+        sharing = run_of(scenario, build=builder.rig, check=builder.require_ready)
         assert_same_run(alone, sharing)
         clocks = {"wall_s": 0.0, "cpu_s": 0.0}
         assert alone.meta | clocks == sharing.meta | clocks
+        assert len(alone.meta["doubts"]) == (scenario.model_error.object_mass != 1.0)
+    assert len(judged) == 2
     rigs = [builder.rig(scenario) for scenario in scenarios]
     assert len({id(rig.chain) for rig in rigs}) == 1 and len({id(rig.model) for rig in rigs}) == 2
     assert len({rig.q_contact.tobytes() for rig in rigs}) == 2  # the normals do vary
+
+
+def leaves(content, path=()):
+    """Paths and values of all numbers and words of nested lists and mappings."""
+    pairs = content.items() if isinstance(content, dict) else enumerate(content)
+    for key, value in pairs:
+        if isinstance(value, dict | list):
+            yield from leaves(value, (*path, key))
+        else:
+            yield (*path, key), value
+
+
+def edited(value):
+    """Values near this one; of a word those that the workcell's keys may have."""
+    if isinstance(value, bool):
+        return [not value]
+    if isinstance(value, str):
+        return [f"{value}_", "chain", "least_squares", "detected", "rigid", "sine", "ignored"]
+    return [1.0] if value is None else [value + 1e-9, value + 1, 2 * value, value - 1]
+
+
+def scenarios_with_one_edit(scenario, *sections):
+    """(path, scenario) for each key, of some sections, but those of which no edit is a scenario."""
+    content = scenario.as_dict()
+    paths = ((path, x) for path, x in leaves(content) if not sections or path[0] in sections)
+    for path, value in paths:
+        for new in edited(value):
+            other = json.loads(json.dumps(content))
+            place = other
+            for key in path[:-1]:
+                place = place[key]
+            place[path[-1]] = new
+            try:
+                made = osc.Scenario.from_dict(other, scenario.source)
+            except osc.ScenarioError:
+                continue
+            if made != scenario:
+                yield path, made
+                break
+
+
+def test_every_key_of_a_scenario_makes_another_robot_but_errors_and_limits():
+    """A key that is left out by mistake would give a run another run's robot, silently."""
+    scenario = osc.load_scenario("workcell")
+    found = dict(scenarios_with_one_edit(scenario))
+    paths = [path for path, _ in leaves(scenario.as_dict())]
+    assert len(found) > 0.9 * len(paths)
+    assert {path[0] for path in found} == {path[0] for path in paths}
+    same = {path for path, other in found.items() if robot_key(other) == robot_key(scenario)}
+    left_out = {path for path in found if path[0] in ("model_error", "verdict")}
+    assert same == left_out - {("model_error", "hidden_mass")}
+    assert {path[1] for path in left_out if path[0] == "model_error"} == set(
+        type(scenario.model_error).model_fields
+    )
+    elsewhere = scenario.with_source(scenario.source.with_name("other.yaml"))
+    assert robot_key(elsewhere) != robot_key(scenario)
+
+
+@parametrize("name", ["two_contact_rod", "workcell"])
+def test_what_is_shared_of_a_robot_does_not_depend_on_errors_and_limits(name):
+    """Each key that the robot's key leaves out is changed, alone; the rig is built from nothing."""
+    scenario = osc.load_scenario(name, ["plant.friction=0.1", "duration=1 s"])
+    rig = osc.build_rig(scenario)
+    found = judge_robot(rig)
+    for path, other in scenarios_with_one_edit(scenario, "model_error", "verdict"):
+        if path[1] == "hidden_mass":
+            continue
+        one = osc.build_rig(other)
+        assert judge_robot(one) == found, path
+        for array in "q_contact", "q_start", "placements", "owners":
+            assert getattr(one, array).tobytes() == getattr(rig, array).tobytes(), path
+        assert one.chain.model == rig.chain.model
+        assert (
+            one.references.overview[1].X_WD.tobytes() == rig.references.overview[1].X_WD.tobytes()
+        )
 
 
 def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_path):

@@ -283,30 +283,42 @@ def preflight(
             contacts.
     """
     if isinstance(task, Rig):
-        of = Task.of_rig(task)
-        found = findings(RIG_RULES, task) + findings((weights, pulls), of)
-    elif controller is None:
+        return (*findings(MODEL_RULES, task), *judge_robot(task))
+    if controller is None:
         raise InvalidInputError(
             "preflight takes the rig of a scenario, or a robot with its controller and references"
         )
-    else:
-        of = Task.of_robot(task, controller, references)
-        found = findings(ROBOT_RULES, of)
-        if isinstance(task, MujocoRobot):
-            found += findings(SCENE_RULES, of)
-        if any(one.refused for one in found):  # what follows from it is no news
-            return tuple(found)
+    of = Task.of_robot(task, controller, references)
+    found = findings(ROBOT_RULES, of)
+    if isinstance(task, MujocoRobot):
+        found += findings(SCENE_RULES, of)
+    if any(one.refused for one in found):  # what follows from it is no news
+        return tuple(found)
+    return (*found, *_judge_motion(of))
+
+
+def judge_robot(rig: Rig) -> tuple[Finding, ...]:
+    """What of `preflight` is the same whatever the controller's model has wrong."""
+    of = Task.of_rig(rig)
+    return (*findings(RIG_RULES, rig), *findings((weights, pulls), of), *_judge_motion(of))
+
+
+def _judge_motion(of: Task) -> list[Finding]:
+    """What every task is compared with: rate, motion, motors."""
     motion = findings(MOTION_RULES, of) or findings((joints,), of)
-    return (*found, *findings((rate,), of), *motion, *findings((motors,), of))
+    return findings((rate,), of) + motion + findings((motors,), of)
 
 
-def require_ready(rig: Rig) -> list[str]:
+def require_ready(rig: Rig, robot: Sequence[Finding] | None = None) -> list[str]:
     """The doubts about a task, which are logged too.
+
+    Args:
+        rig: of the task. robot: what `judge_robot` has found, if it was called before.
 
     Raises:
         ScenarioError: it cannot run; with everything that `preflight` refuses.
     """
-    found = preflight(rig)
+    found = [*findings(MODEL_RULES, rig), *(judge_robot(rig) if robot is None else robot)]
     refused = [one.text for one in found if one.refused]
     if refused:
         raise ScenarioError("\n".join(refused))
@@ -1005,6 +1017,7 @@ PLACE_RULES = (normals, inverted, inside, start, beside)
 SCENE_RULES = (period, touchable, masses, place, turn, penetration, tool)
 #: What a task has to follow; a new rule is entered in one of these rows. `joints` go through a
 #: motion that none of `MOTION_RULES` finds fault with.
-RIG_RULES = (sensors, tare, springs, swinging, *PLACE_RULES, friction, carts, landing)
+RIG_RULES = (sensors, springs, swinging, *PLACE_RULES, friction, carts, landing)
+MODEL_RULES = (tare,)  #: of a scenario; they look at what the controller's model has wrong
 ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range)
 MOTION_RULES = (stretched, postures, lifted)

@@ -1,5 +1,7 @@
 """From a scenario to the parts of a run: true chain, controller's chain, contacts, plant, start."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -125,6 +127,7 @@ def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
     )
 
 
+MakesChain = Callable[[Scenario, ModelErrorSpec], ClosedChain]  #: such as `build_chain`
 TARE_INTEGRAL_S = 0.2  #: integral_time of the motion where there is a tare
 
 
@@ -153,6 +156,15 @@ class Rig:
     references: References
     X_given: pin.SE3
     state: ChainState
+
+    def with_error(self, scenario: Scenario, chains: MakesChain) -> Rig:
+        """The same robot at the same task; the controller's model has other things wrong.
+
+        Args:
+            scenario: differs in `model_error`, but for `hidden_mass`, and `verdict` only.
+            chains: makes the chains, see `build_rig`.
+        """
+        return replace(self, scenario=scenario, model=_model(scenario, self.chain, chains))
 
     def plant(self, seed: int = 0) -> Plant:
         """The plant the scenario names, at its start, seen through its sensors.
@@ -329,7 +341,7 @@ def _mujoco(rig: Rig, seed: int) -> Plant:
     )
 
 
-def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = None) -> Rig:
+def build_rig(scenario: Scenario, chains: MakesChain | None = None) -> Rig:
     """Load the parts, close the loops, put the object onto the faces.
 
     Args:
@@ -339,13 +351,9 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     Raises:
         ScenarioError, ModelError, ContactError: with what does not fit together.
     """
-    error = scenario.model_error
     make = chains or build_chain
-    hidden = ModelErrorSpec(hidden_mass=error.hidden_mass)
-    keys = ("arm_mass", "object_mass", "joint_friction", "armature")
-    modelled = ModelErrorSpec(**{key: getattr(error, key) for key in keys})
-    chain = make(scenario, hidden)
-    model = chain if modelled == hidden else make(scenario, modelled)
+    chain = make(scenario, _true(scenario.model_error))
+    model = _model(scenario, chain, make)
     pairs = build_pairs(scenario)
     posture = posture_of(scenario, chain)
     X_given = given_pose(scenario, chain, posture)
@@ -367,6 +375,23 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     return Rig(
         scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_given, state
     )
+
+
+def _true(error: ModelErrorSpec) -> ModelErrorSpec:
+    """What of an error is so: the hidden mass."""
+    return ModelErrorSpec(hidden_mass=error.hidden_mass)
+
+
+def _model(scenario: Scenario, chain: ClosedChain, make: MakesChain) -> ClosedChain:
+    """The controller's idea of arms and object: the true chain where nothing of it is wrong.
+
+    Args:
+        scenario: with its `model_error`. chain: the true one. make: see `build_rig`.
+    """
+    error = scenario.model_error
+    keys = ("arm_mass", "object_mass", "joint_friction", "armature")
+    modelled = ModelErrorSpec(**{key: getattr(error, key) for key in keys})
+    return chain if modelled == _true(error) else make(scenario, modelled)
 
 
 def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> ClosedChain:

@@ -49,6 +49,7 @@ def run(
     install: Install | None = None,
     journal: Path | None = None,
     build: Callable[[Scenario], Rig] = build_rig,
+    check: Callable[[Rig], list[str]] = require_ready,
 ) -> Recording:
     """Run a scenario and record it.
 
@@ -65,7 +66,7 @@ def run(
         install: puts another control law into each controller of the run.
         journal: the file that the run's rows go to while it lasts, such as unfinished.mcap, for
             `recover` if the process is killed; None: a temporary one.
-        build: makes the rig of the scenario.
+        build: makes the rig of the scenario. check: refuses it, or returns what is doubtful.
 
     Returns:
         The recording; `metrics(recording)` judges it.
@@ -81,7 +82,7 @@ def run(
     if plant is not None:
         scenario = scenario.replaced(plant={**dict(scenario.plant), "type": plant})
     rig = build(scenario)
-    doubts = require_ready(rig)
+    doubts = check(rig)
     simulated, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
     meta = {

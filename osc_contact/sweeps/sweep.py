@@ -21,10 +21,11 @@ from concurrent.futures import (
 )
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
@@ -32,6 +33,7 @@ from osc_contact.files import Json, hold, whole_file
 from osc_contact.law import compiled
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
+from osc_contact.runs.preflight import Finding, judge_robot, require_ready
 from osc_contact.runs.rig import Rig, build_chain, build_rig
 from osc_contact.runs.run import Install, run
 from osc_contact.runs.verdict import metrics
@@ -64,13 +66,33 @@ Row = Json
 
 # --- Making rows --------------------------------------------------------------------------------
 
-_KEPT = 8  #: chains; where each run has its own masses they are not needed again
+_KEPT = 8  #: chains, and robots; where each run has its own numbers they are not needed again
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True, eq=False)
+class RobotAtTask:
+    """What runs share that differ in the controller's idea of the robot only.
+
+    Attributes:
+        rig: of the first of them.
+    """
+
+    rig: Rig
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """See `judge_robot`."""
+        return judge_robot(self.rig)
 
 
 class RigBuilder(threading.local):
-    """Builds rigs; chains of the same arms, object and factors are the same chain.
+    """Builds and judges rigs; what is equal in several is built and judged once.
 
-    Each thread has its own chains: they hold scratch memory.
+    Chains of the same arms, object and factors are the same chain, see `build_chain`; rigs that
+    differ in what the controller's model has wrong only are built, and judged, as one robot.
+
+    Each thread has its own: chains hold scratch memory.
 
     Attributes:
         study: whose rows this thread made last.
@@ -79,21 +101,57 @@ class RigBuilder(threading.local):
     study: SweepStudy | None = None
 
     def __init__(self) -> None:
-        """No chains."""
+        """Nothing is built yet."""
         self._chains: dict[str, ClosedChain] = {}
+        self._robots: dict[str, RobotAtTask] = {}
 
     def rig(self, scenario: Scenario) -> Rig:
-        """See `build_rig`."""
-        return build_rig(scenario, self._chain)
+        """See `build_rig`.
+
+        Args:
+            scenario: as a file gives it, without laws and pairs written in Python.
+        """
+        robot = self._robot(scenario)
+        if robot.rig.scenario is scenario:
+            return robot.rig
+        return robot.rig.with_error(scenario, self._chain)
+
+    def require_ready(self, rig: Rig) -> list[str]:
+        """See `preflight.require_ready`; rig: of `RigBuilder.rig`."""
+        return require_ready(rig, self._robot(rig.scenario).findings)
+
+    def _robot(self, scenario: Scenario) -> RobotAtTask:
+        key = robot_key(scenario)
+        return _kept(self._robots, key, lambda: RobotAtTask(build_rig(scenario, self._chain)))
 
     def _chain(self, scenario: Scenario, error: ModelErrorSpec) -> ClosedChain:
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
-        key = json.dumps([content, dict(error), str(scenario.source)], sort_keys=True)
-        chain = self._chains.pop(key, None) or build_chain(scenario, error)
-        self._chains[key] = chain  # behind those that were used before
-        if len(self._chains) > _KEPT:
-            del self._chains[next(iter(self._chains))]
-        return chain
+        key = _key(scenario, content, dict(error))
+        return _kept(self._chains, key, lambda: build_chain(scenario, error))
+
+
+def robot_key(scenario: Scenario) -> str:
+    """Text that is equal for scenarios of the same robot at the same task.
+
+    They may differ in what the controller's model has wrong, and in the limits of the verdict: the
+    true robot, and what `judge_robot` looks at, do not depend on either.
+    """
+    content = scenario.model_dump(mode="json", exclude={"model_error", "verdict"})
+    return _key(scenario, content, scenario.model_error.hidden_mass)
+
+
+def _key(scenario: Scenario, *content: Any) -> str:
+    """Text that is equal for equal content of scenarios whose files are looked for at one place."""
+    return json.dumps([content, str(scenario.source)], sort_keys=True)
+
+
+def _kept(store: dict[str, Made], key: str, make: Callable[[], Made]) -> Made:
+    """What is stored under a key, made if need be; what was not used for long is forgotten."""
+    made = store.pop(key) if key in store else make()
+    store[key] = made  # behind those that were used before
+    if len(store) > _KEPT:
+        del store[next(iter(store))]
+    return made
 
 
 _rigs = RigBuilder()
@@ -140,7 +198,13 @@ def record_sample(study: SweepStudy, sample: Sample, install: Install | None = N
     Raises:
         OscContactError: it cannot be built, is not possible, or diverges.
     """
-    return run(study.scenario(sample), seed=sample.seed, install=install, build=_rigs.rig)
+    return run(
+        study.scenario(sample),
+        seed=sample.seed,
+        install=install,
+        build=_rigs.rig,
+        check=_rigs.require_ready,
+    )
 
 
 def require_long_enough(study: SweepStudy) -> None:
