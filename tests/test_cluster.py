@@ -3,17 +3,16 @@
 import multiprocessing
 import os
 import signal
+from contextlib import contextmanager
 
 from command_line import done
 from complaints import invalid_input
-from distributed import Client, LocalCluster
 from pyarrow import parquet
 from pytest import mark
 from samples import module_fixture
 from test_sweeps import MASSES, SHORT
 
 import osc_contact as osc
-from osc_contact.sweeps import cluster
 from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import TABLE, run_study
 from osc_contact.sweeps.tune import tune
@@ -28,12 +27,19 @@ class Deadly(SweepStudy):
         return super().sample(number)
 
 
+@contextmanager
+def cluster_of(workers):
+    """A client of dask's, which only the process that runs these tests imports."""
+    from distributed import Client, LocalCluster
+
+    how = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(n_workers=workers, **how) as made, Client(made) as client:
+        yield client
+
+
 @module_fixture
 def client():
-    with (
-        LocalCluster(2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as made,
-        Client(made) as client,
-    ):
+    with cluster_of(2) as client:
         yield client
 
 
@@ -87,7 +93,7 @@ def test_tuning_finds_the_same_on_a_cluster(client):
 
 
 def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch):
-    monkeypatch.setattr(cluster, "_PATIENCE_S", 0.5)
+    monkeypatch.setattr("osc_contact.sweeps.cluster._PATIENCE_S", 0.5)
 
     def refused(scheduler, complaint, **how):
         with invalid_input(complaint):
@@ -96,7 +102,7 @@ def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch):
     refused(client, "a cluster has its own", workers=2)
     refused("tcp://127.0.0.1:1", "cluster of tcp://127.0.0.1:1 cannot be used")
     refused("nonsense://x", "cluster of nonsense://x cannot be used")
-    with LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty, Client(empty) as idle:
+    with cluster_of(0) as idle:
         refused(idle, "dask worker ADDRESS")
-    monkeypatch.setattr(cluster, "__version__", "0.0.1")
+    monkeypatch.setattr("osc_contact.sweeps.cluster.__version__", "0.0.1")
     refused(client, "this is osc_contact 0.0.1")

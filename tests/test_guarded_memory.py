@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 from processes import python
 from pytest import mark
 from rigs import rig_of
-from samples import parametrize
+from samples import aligned
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
@@ -117,6 +117,7 @@ def prepared(name):
 
 def tick_between_guards(name, at_end, beyond=0):
     """Ticks of two controllers, one between guard pages, are the same. Prints how they ended."""
+    print(name, end=" ", flush=True)  # which one it was if the process ends
     controller, m, reference = prepared(name)
     controller.tick(m, reference)
     other = Guarded(controller, at_end, beyond)
@@ -132,34 +133,35 @@ def tick_between_guards(name, at_end, beyond=0):
         seen.add(status.name)
         if controller.state is osc.SafetyState.SAFE_STOP:
             break
-    print(*sorted(seen))
+    print(*sorted(seen), flush=True)
 
 
-def run(name, *sides, code=0):
-    """Words printed for each side in a separate process, which an access outside ends."""
-    words = f"[t.tick_between_guards({name!r}, *side) for side in {sides!r}]"
+NAMES = (
+    "two_contact_rod",
+    "one_panda",
+    "near_singular",
+    "saturated",
+    "three_arms",
+    "contact_phases",
+    MOVING,
+)
+
+
+def run(names, *sides, code=0):
+    """Lines printed for each name and side in a separate process, which an access outside ends."""
+    words = f"[t.tick_between_guards(name, *side) for name in {names!r} for side in {sides!r}]"
     done = python("-c", f"import test_guarded_memory as t; {words}", code=code)
     return [line.split() for line in done.stdout.splitlines()]
 
 
-@parametrize(
-    "name",
-    [
-        "two_contact_rod",
-        "one_panda",
-        "near_singular",
-        "saturated",
-        "three_arms",
-        "contact_phases",
-        MOVING,
-    ],
-)
-def test_no_tick_reads_or_writes_outside_of_its_records(name):
+def test_no_tick_reads_or_writes_outside_of_its_records():
     """Neither behind nor before them."""
-    behind, before = run(name, (True,), (False,))
-    assert "HELD" in behind and len(behind) >= 2 and before == behind
+    lines = run(NAMES, (True,), (False,))
+    for name, behind, before in aligned(NAMES, lines[::2], lines[1::2]):
+        assert behind[0] == name and before == behind
+        assert "HELD" in behind and len(behind) >= 3
 
 
 @mark.skipif(jit.PLAIN_PYTHON, reason="arrays of NumPy end where they end")
 def test_records_too_near_to_the_guard_are_noticed():
-    run("two_contact_rod", (True, 4096), code=-signal.SIGSEGV)
+    run(NAMES[:1], (True, 4096), code=-signal.SIGSEGV)

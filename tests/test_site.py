@@ -5,8 +5,6 @@ import subprocess
 import sys
 from urllib.parse import unquote, urlsplit
 
-import jupytext
-import nbclient
 from html_pages import Page
 from samples import ROOT, chosen, module_fixture, parametrize
 
@@ -166,6 +164,9 @@ def test_a_page_is_embedded_whole(tmp_path):
 @parametrize("path", chosen(NOTEBOOKS, NOTEBOOKS[1]), ids=lambda path: getattr(path, "stem", None))
 def test_notebook_runs(path, tmp_path):
     """All cells in a new kernel, which raises on the first error."""
+    import jupytext
+    import nbclient
+
     how = {"timeout": 300, "kernel_name": "python3", "resources": {"metadata": {"path": tmp_path}}}
     notebook = nbclient.NotebookClient(jupytext.read(path), **how).execute()
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
