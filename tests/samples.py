@@ -1,13 +1,33 @@
 """The checkout, rows of tests, what modules share, what every `make test` runs of a long list."""
 
+import fcntl
+import os
 from functools import partial
 from pathlib import Path
+from shutil import rmtree
 
 from pytest import fixture, mark, param
 
 ROOT = Path(__file__).resolve().parent.parent  #: of the checkout
 module_fixture = fixture(scope="module")
 aligned = partial(zip, strict=True)  #: of equally many
+
+
+def made_once(tmp_path_factory, name, make):
+    """A folder that one worker of pytest fills, by `make(folder)`; the others wait for it."""
+    root = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent
+    folder = root / name
+    made = root / f"{name}.made"
+    with open(root / f"{name}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not made.exists():
+            rmtree(folder, ignore_errors=True)  # of one that failed
+            folder.mkdir()
+            make(folder)
+            made.touch()
+    return folder
 
 
 def parametrize(names, rows, **how):

@@ -6,7 +6,7 @@ import sys
 from urllib.parse import unquote, urlsplit
 
 from html_pages import Page
-from samples import ROOT, chosen, module_fixture, parametrize
+from samples import ROOT, chosen, made_once, module_fixture, parametrize
 
 import osc_contact as osc
 from osc_contact.visual.page import embed
@@ -25,10 +25,11 @@ def build(source, into, *options):
 
 @module_fixture
 def site(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("docs")
-    done = build(ROOT, folder, "-c", ROOT / "docs")
-    assert done.returncode == 0 and not done.stderr, done.stderr
-    return folder / "site"
+    def make(folder):
+        done = build(ROOT, folder, "-c", ROOT / "docs")
+        assert done.returncode == 0 and not done.stderr, done.stderr
+
+    return made_once(tmp_path_factory, "docs", make) / "site"
 
 
 def text_of(site, page):

@@ -6,6 +6,7 @@ import signal
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +15,7 @@ from numpy.testing import assert_array_equal
 from processes import completed
 from pytest import mark
 from rigs import STILL, assert_near, largest, panda_arm, refused, rig_of, ticked, vector
-from samples import aligned, first, module_fixture, parametrize
+from samples import aligned, first, made_once, module_fixture, parametrize
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
@@ -62,10 +63,14 @@ def sanitized(library, folder, name, *more):
 
 @module_fixture
 def library(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("library")
-    write_library(folder)
-    run("make", "-C", folder)
-    return folder
+    """Compiled once for all workers; a copy, as tests have parts of it compiled anew."""
+
+    def make(folder):
+        write_library(folder)
+        run("make", "-C", folder)
+
+    made = made_once(tmp_path_factory, "library", make)
+    return copytree(made, tmp_path_factory.mktemp("library") / "own")
 
 
 #: readings that ticks repeat; and that grow too old
