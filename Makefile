@@ -51,10 +51,22 @@ chromium = $(find_chromium) || { \
 browser: venv
 	@$(chromium)
 
+# Side by side, each one's lines together; all are run, though one fails.
+CHECKS := check-code check-format check-types check-layers
+.PHONY: $(CHECKS)
 check: venv
+	@$(MAKE) --no-print-directory --keep-going --output-sync=target -j $(words $(CHECKS)) $(CHECKS)
+
+check-code:
 	$(BIN)/ruff check .
+
+check-format:
 	$(BIN)/ruff format --check .
+
+check-types:
 	$(BIN)/mypy
+
+check-layers:
 	$(BIN)/lint-imports
 
 test: check browser
