@@ -343,6 +343,7 @@ class Recorder:
         known = (tau, numbers, self._normal_std, self._whole)
         try:
             self._read_records()
+            parts: tuple[np.ndarray[Any, Any], ...]
             parts = (measurement.q, measurement.v, reference.alpha_d, self._found)
             if self.truth is None:
                 touched = measurement.touched
