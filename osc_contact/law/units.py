@@ -144,8 +144,8 @@ class Unit:
         for used in dict.fromkeys(made.library._linking_libraries):
             module.link_in(used._get_module_for_linking(), preserve=True)
         module.get_function(made.fndesc.llvm_func_name).name = symbol
+        module = _simplified(module, symbol)
         calls = [_call_of(_parts[one.name]) for one in module.functions if one.name in _parts]
-        _simplify(module, symbol)
         return Part(symbol, made.signature.return_type, module.as_bitcode(), tuple(calls))
 
 
@@ -173,13 +173,13 @@ def _call_of(part: Part) -> Call:
 def called(unit: Unit) -> Any:
     """A function of compiled code that calls a unit by its symbol.
 
-    Arrays that are fields of records are passed as arrays of any size, so that one translation
-    serves fields of all sizes.
+    A unit that is inlined takes arrays that are fields of records as arrays of any size: one
+    translation serves all sizes, and LLVM finds the size again where it inlines it.
     """
 
     def typed(typing: Any, *given: Any) -> Any:
         given = tuple(types.unliteral(one) for one in given)
-        kinds = tuple(_any_size(one) for one in given)
+        kinds = tuple(_any_size(one) for one in given) if unit.inlined else given
         part = unit.translated(kinds)
 
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -209,7 +209,7 @@ def called(unit: Unit) -> Any:
 
 
 def _any_size(kind: Any) -> Any:
-    """The type of an argument as a unit takes it."""
+    """The type of an array whatever its size, if the size is part of its own type."""
     if isinstance(kind, types.NestedArray):
         return types.Array(kind.dtype, kind.ndim, "C")
     return kind
@@ -288,25 +288,37 @@ def _own_target() -> Any:
     return target_of()
 
 
-def _optimize(module: Any, target: Any, level: int) -> None:
-    tuning = llvm.create_pipeline_tuning_options(level)
-    tuning.loop_vectorization = tuning.slp_vectorization = level == 3
-    builder = llvm.create_pass_builder(target, tuning)
-    builder.getModulePassManager().run(module, builder)
+def _pass_builder(target: Any) -> Any:
+    """What makes the passes of LLVM's third level for a target."""
+    tuning = llvm.create_pipeline_tuning_options(3)
+    tuning.loop_vectorization = tuning.slp_vectorization = True
+    return llvm.create_pass_builder(target, tuning)
 
 
-def _simplify(module: Any, symbol: str) -> None:
-    """Take helpers of numba into the part that calls them, under names that no process chooses."""
-    helpers = [
-        one
-        for one in (*module.functions, *module.global_variables)
-        if not one.is_declaration and one.name != symbol
-    ]
+def _simplified(linked: Any, symbol: str) -> Any:
+    """A part as others take it in: simplified, with the helpers that it calls and no others.
+
+    Args:
+        linked: module of the part and of helpers of numba. symbol: name of the part's function.
+    """
+    builder = _pass_builder(_own_target())
+    builder.getFunctionPassManager().run(linked.get_function(symbol), builder)
+    for one in _defined(linked):
+        if one.name != symbol:
+            one.linkage = "linkonce_odr"  # then only those that are used come into a module
+    module = llvm.parse_assembly("")
+    module.link_in(linked)
+    helpers = [one for one in _defined(module) if one.name != symbol]
     for number, one in enumerate(helpers):
         one.linkage = "internal"
-        one.name = f"{symbol}.{number}"
+        one.name = f"{symbol}.{number}"  # numba's own names count what the process compiled
     module.name = symbol
-    _optimize(module, _own_target(), 1)
+    return module
+
+
+def _defined(module: Any) -> list[Any]:
+    """Functions and variables of a module that are defined in it."""
+    return [one for one in (*module.functions, *module.global_variables) if not one.is_declaration]
 
 
 def _needed(roots: dict[str, Part]) -> list[Part]:
@@ -330,9 +342,8 @@ def link(roots: dict[str, Part]) -> Any:
     module = llvm.parse_assembly("")
     for part in _needed(roots):
         module.link_in(llvm.parse_bitcode(part.code))
-    for one in (*module.functions, *module.global_variables):
-        if not one.is_declaration:
-            one.linkage = "internal"
+    for one in _defined(module):
+        one.linkage = "internal"
     for name, part in roots.items():
         function = module.get_function(part.symbol)
         function.linkage = "external"
@@ -366,7 +377,8 @@ def emit(
     module.data_layout = str(target.target_data)
     module.verify()
     report(0.05)
-    _optimize(module, target, 3)
+    builder = _pass_builder(target)
+    builder.getModulePassManager().run(module, builder)
     report(0.8)
     made = bytes(target.emit_object(module))
     _store().keep(key, made)
