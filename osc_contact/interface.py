@@ -103,8 +103,9 @@ class Robot(Protocol):
     def stop(self, reason: str = "") -> None:
         """Come to a safe stop, by brakes if there are any, and return soon. Plants do nothing.
 
-        Called in the tick in which the controller enters `SAFE_STOP`, and once more however the
-        loop ends: a second call must be safe. After the first one the controller's braking torques
+        Called in the tick in which the controller enters `SAFE_STOP`; once more if no sound
+        reading of a joint is left later, so that it needs its mechanical brake, as the reason says;
+        and however the loop ends: further calls must be safe. After the first one the controller's braking torques
         still come by `command`; a driver that has engaged its brakes ignores them.
 
         Args:

@@ -390,8 +390,12 @@ class Controller:
 
     @property
     def reason(self) -> str:
-        """Why `status` is not OK; empty if it is."""
-        if self.status is Status.HELD:
+        """Why `status` is not OK, or the arms stop; else empty.
+
+        In the tick of a stop, too, whose torques still are those of the law where a sensor is found
+        faulty after it. Where a joint needs its mechanical brake (`unbraked`) it ends with that.
+        """
+        if self.status is Status.HELD or self.state is SafetyState.SAFE_STOP:
             return explain(self._records, self.settings, *self._inputs, self._failure)
         return str(self.given_up or "; ".join(map(str, self.lost_directions)))
 

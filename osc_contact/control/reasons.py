@@ -74,13 +74,19 @@ def explain(
     reference: Reference,
     failure: Exception | None,
 ) -> str:
-    """The sentence for a tick that ended HELD.
+    """The sentence for a tick that ended HELD, or in which the arms stop.
+
+    A sensor found faulty after a tick stops the arms in it, whether it was computed or held for
+    another reason: what is at fault belongs to that cause.
 
     Args:
         records: of the tick. settings: of the controller.
-        measurement, reference: what came in. failure: error of Python code called in it.
+        measurement, reference: what came in, of a tick that ended HELD.
+        failure: error of Python code called in it.
     """
+    memory = records.memory
     code = int(records.work.reason)
+    cause = int(memory.cause)
     warning = ""
     if joint := unbraked_joint(records, settings):
         warning = (
@@ -88,8 +94,10 @@ def explain(
             "cannot brake it reliably, engage the mechanical brakes"
         )
     facts = _Facts(records, settings)
-    if code == STOPPED:
-        cause = int(records.memory.cause)
+    stopped = memory.state == at.SAFE_STOP
+    if stopped and code != cause and memory.age == 1:
+        return f"{SENTENCES[cause].format_map(facts)}{warning}{_RESET}"
+    if code == STOPPED or (stopped and code != cause):
         why = "a tick could not be computed" if failure is None else str(failure)
         if cause in (UNREACHABLE, CONTRADICTION):  # where they were is not remembered
             why = ""
@@ -100,17 +108,27 @@ def explain(
     if failure is not None:
         return f"{failure}{warning}"
     if code == BAD_INPUT:
-        try:
-            require_sizes(measurement, reference, settings)
-        except OscContactError as error:
-            return str(error)
-        return (
-            f"reference alpha_d: {np.size(reference.alpha_d)} forces for "
-            f"{len(records.work.columns)} columns of N; give one for each degree of constraint, "
-            "contact after contact"
-        )
-    lasting = (code >= LASTING) * ". See why, then call reset()"
-    return SENTENCES[code].format_map(facts) + lasting
+        return _describe_input(records, settings, measurement, reference) + warning
+    lasting = (code >= LASTING) * _RESET
+    return f"{SENTENCES[code].format_map(facts)}{warning}{lasting}"
+
+
+_RESET = ". See why, then call reset()"
+
+
+def _describe_input(
+    records: TickRecords, settings: Settings, measurement: Measurement, reference: Reference
+) -> str:
+    """What of a measurement or a reference is not finite, or of the wrong size."""
+    try:
+        require_sizes(measurement, reference, settings)
+    except OscContactError as error:
+        return str(error)
+    return (
+        f"reference alpha_d: {np.size(reference.alpha_d)} forces for "
+        f"{len(records.work.columns)} columns of N; give one for each degree of constraint, "
+        "contact after contact"
+    )
 
 
 def unbraked_joint(records: TickRecords, settings: Settings) -> str | None:

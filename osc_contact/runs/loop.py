@@ -156,15 +156,15 @@ def run_loop(
     The robot keeps the time: `Robot.command` returns when the period is over.
 
     `Robot.stop` is called with a reason in the very tick in which the controller enters
-    `SAFE_STOP`, and however the loop ends: with its references, by an error, by Ctrl-C, SIGTERM or
-    SIGHUP. A signal ends the loop at once, but never amid a tick's record or amid this last stop,
+    `SAFE_STOP`, once more if it comes to need the mechanical brakes later, and however the loop
+    ends: with its references, by an error, by Ctrl-C, SIGTERM or SIGHUP. A signal ends the loop at once, but never amid a tick's record or amid this last stop,
     unless it is the third. That is so in the main thread, which signals come to, where the program
     has no handler yet; elsewhere end the references to end the loop.
 
     Args:
         robot: hardware, or a plant.
-        controller: a `Controller`, or anything with its `tick` and `dt`; its `state` and `reason`
-            are looked at if there are any.
+        controller: a `Controller`, or anything with its `tick` and `dt`; its `state`, `reason` and
+            `unbraked` are looked at if there are any.
         references: one for each tick, of any length; a generator may have no end.
         recorder: notes every tick; a `Recorder` makes a recording of them, with the truth if it
             was given a judge.
@@ -193,7 +193,7 @@ def run_loop(
     period = controller.dt
     report = LoopReport(period)
     judge = Shadow(controller) if shadow else None
-    stopped = False
+    stopped = braked = False
 
     def draw(tick: Mapping[str, Any]) -> None:
         nonlocal viewer
@@ -211,9 +211,10 @@ def run_loop(
                 start = perf_counter()
                 tau = controller.tick(measurement, reference)
                 seconds = perf_counter() - start
-                entered = not stopped
+                before = stopped, braked
                 stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
-                if stopped and entered and not shadow:
+                braked = stopped and (braked or bool(getattr(controller, "unbraked", None)))
+                if stopped and before != (stopped, braked) and not shadow:
                     _stop(robot, getattr(controller, "reason", ""))
                 if recorder is not None:
                     signals.whole(recorder.append, measurement, reference, tau, seconds)
