@@ -105,8 +105,8 @@ class Robot(Protocol):
 
         Called in the tick in which the controller enters `SAFE_STOP`; once more if no sound
         reading of a joint is left later, so that it needs its mechanical brake, as the reason says;
-        and however the loop ends: further calls must be safe. After the first one the controller's braking torques
-        still come by `command`; a driver that has engaged its brakes ignores them.
+        and however the loop ends: further calls must be safe. After the first one the controller's
+        braking torques still come by `command`; a driver that has engaged its brakes ignores them.
 
         Args:
             reason: why, in a sentence: the controller's, an error, or the name of a signal; empty

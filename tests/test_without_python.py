@@ -3,7 +3,6 @@
 import ctypes
 import re
 import signal
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
@@ -15,16 +14,15 @@ from numpy.testing import assert_array_equal
 from processes import completed
 from pytest import mark
 from rigs import STILL, assert_near, largest, panda_arm, refused, rig_of, ticked, vector
-from samples import aligned, first, made_once, module_fixture, parametrize
+from samples import made_once, module_fixture, parametrize
 
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
-from osc_contact.control.saving import HEAD, controller_bytes
+from osc_contact.control.saving import controller_bytes
 from osc_contact.control.without_python import write_library
 from osc_contact.drivers.franka import TORQUE_STEP
-from osc_contact.law import records
 from osc_contact.law.jit import HAS_LIBRARY
-from osc_contact.law.limits import PROGRAM
+from osc_contact.law.reasons import CODES
 from osc_contact.runs.run import start
 from osc_contact.runs.tape import Tape, build
 
@@ -204,7 +202,8 @@ class Reference(ctypes.Structure):
 
 class Command(ctypes.Structure):
     _fields_ = [("torques", ctypes.c_void_p), ("count", ctypes.c_size_t)] + [
-        (name, ctypes.c_int32) for name in ("status", "reason", "state", "unbraked")
+        (name, ctypes.c_int32)
+        for name in ("status", "reason", "state", "unbraked", "cause", "culprit")
     ]
 
 
@@ -220,6 +219,7 @@ def tick_in_both(c, handle, controller, m, r):
     assert c.osc_tick(handle, *map(ctypes.byref, (measured, desired, out))) == 0
     assert_array_equal(tau, expected)
     assert (out.status, out.state) == (controller.status, controller.state)
+    return out
 
 
 def created(library, folder, controller):
@@ -276,56 +276,35 @@ def test_a_saved_controller_continues_and_takes_gains_tare_and_reset(
     c.osc_destroy(handle)
 
 
-MODEL_SIZES = (
-    "n_arms",
-    "n_joints",
-    "n_motors",
-    "n_contacts",
-    "n_shapes",
-    "n_columns",
-    "n_bars",
-    "n_extra",
-    "row_bytes",
-    "memory_bytes",
-)
-
-
-def signed(content):
-    return bytes(content) + zlib.crc32(bytes(content)).to_bytes(4, "little")
-
-
-@module_fixture
-def reader(library, tmp_path_factory):
-    """The program that reads crafted files."""
-    return sanitized(library, tmp_path_factory.mktemp("crafted"), "crafted")
-
-
-@parametrize("name", first(["three_arm_plate", "two_contact_rod"], 1))
-def test_crafted_files_with_a_right_checksum_do_not_reach_beyond_their_bytes(
-    reader, tmp_path, name
+@parametrize("fault", ["joint", "wrist", "packet"])
+def test_the_tick_of_a_stop_gives_its_cause_and_the_joint_that_needs_its_brake(
+    library, tmp_path, fault
 ):
-    """Each word that holds where something is, or how much of it, replaced by others."""
-    content = controller_bytes(start(rig_of(name))[1])
-    raw = np.frombuffer(content, np.uint8)[HEAD:-4]
-    job = records.JOB.view(raw)
-    starts = [int(getattr(job, name)) for name in ("model", "memory", "work", "input")]
-    fields = records.MODEL.dtype.fields
-    size = int.from_bytes(content[80:88], "little")
-    kinds = [records.MODEL, records.MEMORY, records.WORK, records.INPUT, PROGRAM]
-    words = [records.JOB.dtype.fields[one][1] for one in ("model", "memory", "work", "input")]
-    words += [starts[0] + fields[one][1] for one in MODEL_SIZES]
-    for at, kind in aligned([*starts, size], kinds):
-        words += range(at, at + 8 * (len(kind.tables) + len(kind.counts)), 8)
-    crafted = []
-    for at in words:
-        for value in -1, 0, 1 << 40, (1 << 63) - 1, int(raw[at : at + 8].view(np.int64)[0]) + 64:
-            body = bytearray(content[:-4])
-            word = value.to_bytes(8, "little", signed=True)
-            if body[HEAD + at : HEAD + at + 8] != word:
-                body[HEAD + at : HEAD + at + 8] = word
-                crafted.append(signed(body))
-    (tmp_path / "crafted").write_bytes(b"".join(len(x).to_bytes(8, "little") + x for x in crafted))
-    assert run(reader, tmp_path / "crafted") == f"{len(crafted)} refused\n"
+    """A fault found after a tick whose torques still are those of the law."""
+    rig = rig_of("two_contact_rod")
+    plant, controller = start(rig)
+    m, r = plant.measure(), rig.references.at(0.0)
+    for _ in range(2):
+        controller.tick(m, r)
+    memory = controller._memory
+    if fault == "wrist":
+        memory.arms.same[1] = 1.0  # s for which it reads the very same
+    else:
+        memory.joints.gained[3] = 1e3  # though this joint was to move
+        memory.still = 1.0 * (fault == "packet")
+    c, handle = created(library, tmp_path, controller)
+    first, later = (tick_in_both(c, handle, controller, m, r) for _ in range(2))
+    assert (first.status, first.state) == (osc.Status.OK, osc.SafetyState.SAFE_STOP)
+    assert later.reason == CODES["STOPPED"]
+    for out in first, later:
+        assert out.cause == CODES["WRIST_FROZEN" if fault == "wrist" else "STUCK"]
+        assert out.culprit == (1 if fault == "wrist" else 3)
+        assert (out.unbraked >= 0) == (fault == "packet")
+    controller.reset()
+    assert c.osc_reset(handle) == 0
+    running = tick_in_both(c, handle, controller, m, r)
+    assert (running.cause, running.culprit, running.unbraked) == (CODES["NO_REASON"], -1, -1)
+    c.osc_destroy(handle)
 
 
 def test_what_only_python_can_evaluate_is_refused():

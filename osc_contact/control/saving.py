@@ -4,6 +4,7 @@ import zlib
 from struct import Struct
 from typing import Any
 
+from osc_contact.control.record_ranges import require_ranges
 from osc_contact.control.torque_limits import MotorLimits
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.library import law_hash
@@ -19,8 +20,8 @@ def controller_bytes(controller: Any) -> bytes:
     """A controller as it is, as the content of a file.
 
     Raises:
-        InvalidInputError: pairs, bodies or laws that only Python can evaluate, or pairs whose
-            function is at an address of this process.
+        InvalidInputError: pairs, bodies or laws that only Python can evaluate, pairs whose function
+            is at an address of this process, or a number that no file may hold.
     """
     if controller._custom.needed:
         raise InvalidInputError(
@@ -34,6 +35,7 @@ def controller_bytes(controller: Any) -> bytes:
             "hold: use the packaged pairs"
         )
     program = MotorLimits(controller.settings, own.model).program
+    require_ranges(own.rows.raw, program.raw)
     parts = [own.rows.raw.tobytes(), program.raw.tobytes()]
     head = _HEAD.pack(MAGIC, FORMAT, law_hash().encode(), *map(len, parts))
     content = b"".join((head, *parts))

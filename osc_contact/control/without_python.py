@@ -5,6 +5,7 @@ declared; `osc_controller.c` contains no offset.
 """
 
 import json
+import math
 import tarfile
 from importlib.metadata import version
 from importlib.resources import files
@@ -12,6 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from osc_contact.control.controller import FORGOTTEN, FORGOTTEN_TABLES
+from osc_contact.control.record_ranges import (
+    ENDS,
+    MOST_ROWS,
+    NUMBERS,
+    RECORDS,
+    RELATIONS,
+    Sum,
+    number_ranges,
+    read_relation,
+)
 from osc_contact.control.records import GAIN_FIELDS
 from osc_contact.control.saving import FORMAT, HEAD, MAGIC
 from osc_contact.control.status import SafetyState, Status
@@ -19,8 +30,7 @@ from osc_contact.files import write_whole
 from osc_contact.law import records, tick
 from osc_contact.law.c_object import object_file
 from osc_contact.law.library import law_hash
-from osc_contact.law.limits import PROGRAM
-from osc_contact.law.reasons import CODES
+from osc_contact.law.reasons import CODES, SENTENCES
 from osc_contact.law.records import COUNTED
 from osc_contact.scenarios.control_schema import Gains
 from osc_contact.scenarios.quantities import meaning
@@ -37,16 +47,8 @@ ERRORS = {
     "OTHER_LAW": "the file was written with other sources of the law than law.o was made of",
     "DAMAGED": "the file is damaged: its checksum does not fit",
     "NO_MEMORY": "no memory left",
-    "OUT_OF_RANGE": "a number is not finite, or negative",
+    "OUT_OF_RANGE": "a number is not finite, or out of its range",
     "UNKNOWN_NAME": "no gain has this name",
-}
-_RECORDS = {
-    "JOB": records.JOB,
-    "MODEL": records.MODEL,
-    "MEMORY": records.MEMORY,
-    "WORK": records.WORK,
-    "INPUT": records.INPUT,
-    "PROGRAM": PROGRAM,
 }
 
 
@@ -60,7 +62,11 @@ def write_library(folder: Path) -> None:
         folder: is made.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    contents: dict[str, str | bytes] = {"osc_layout.h": _layout(), "law.o": object_file()}
+    contents: dict[str, str | bytes] = {
+        "osc_layout.h": _layout(),
+        "osc_ranges.h": _ranges(),
+        "law.o": object_file(),
+    }
     for item in (files("osc_contact.control") / "c_files").iterdir():
         if item.name.endswith(".tar.xz"):
             with item.open("rb") as stream, tarfile.open(fileobj=stream) as archive:
@@ -89,12 +95,21 @@ def _header(text: str) -> str:
         ),
         "STATUSES": _enum("OSC_STATUS_", Status.__members__.items()),
         "STATES": _enum("OSC_STATE_", SafetyState.__members__.items()),
-        "REASONS": _enum("OSC_REASON_", CODES.items()),
+        "REASONS": ",\n".join(
+            f"    OSC_REASON_{name} = {code}{_culprit(code)}" for name, code in CODES.items()
+        ),
         "GAINS": "\n".join(f" *   {name}: {words}" for name, _, _, words in _gains()),
     }
     for name, value in values.items():
         text = text.replace(f"@{name}@", value)
     return text
+
+
+def _culprit(code: int) -> str:
+    """What is at fault where the arms stop for this reason, as a comment."""
+    kinds = {"{joint}": "a joint", "{arm}": "an arm", "{contact}": "a force"}
+    found = next((words for name, words in kinds.items() if name in SENTENCES[code]), "")
+    return f" /* of {found} */" if found else ""
 
 
 def _gains() -> list[tuple[str, int, int, str]]:
@@ -112,10 +127,15 @@ def _gains() -> list[tuple[str, int, int, str]]:
     return found
 
 
+def _offset(row: Any, field: str) -> int:
+    """Where a field of a row is (bytes)."""
+    return int(row.fields[field][1])
+
+
 def _layout() -> str:
     """osc_layout.h: offsets of fields, slots of tables."""
     lines = ["/* Written with osc_controller.h: where fields and tables of the records are. */"]
-    for name, kind in _RECORDS.items():
+    for name, kind in RECORDS.items():
         fields: Any = kind.dtype.fields
         lines += [f"#define {name}_{field} {at}" for field, (_, at, *_) in fields.items()]
         lines += [f"#define {name}_{table} {kind.start(table)}" for table in kind.tables]
@@ -127,6 +147,10 @@ def _layout() -> str:
         "COMMANDED": tick.COMMANDED,
         "MEMORY_LAYOUT_WORDS": words,
         "CONTACT_BYTES": records.CONTACT_MEMORY.itemsize,
+        "JOINT_BYTES": records.JOINT.itemsize,
+        "JOINT_MOTOR": _offset(records.JOINT, "motor"),
+        "JOINT_TAU_MAX": _offset(records.JOINT, "tau_max"),
+        "HISTORY": records.HISTORY,
         "OSC_FILE_HEAD": HEAD,
     }
     lines += [f"#define {name} {value}" for name, value in numbers.items()]
@@ -146,11 +170,11 @@ def _layout() -> str:
 
 def _structure() -> list[str]:
     """Heads of records, the tables behind them, and counts that stand in MODEL, too."""
-    heads = ", ".join(str(kind.dtype.itemsize) for kind in _RECORDS.values())
+    heads = ", ".join(str(kind.dtype.itemsize) for kind in RECORDS.values())
     fields: Any = records.MODEL.dtype.fields
     tables = []
     same = []
-    for name, kind in _RECORDS.items():
+    for name, kind in RECORDS.items():
         for dtype, sizes in kind.tables.values():
             rows = [-1 - kind.slot(one) if isinstance(one, str) else one for one in (*sizes, 1)]
             tables.append(f"    {{{name}, {dtype.itemsize}, {rows[0]}, {rows[1]}}},")
@@ -158,7 +182,7 @@ def _structure() -> list[str]:
         same += [f"    {{{name}, {kind.slot(one)}, {fields[COUNTED[one]][1]}}}," for one in known]
     return [
         "/* Sizes of tables: numbers, or −1 − the slot of the layout that has them. */",
-        f"enum {{ {', '.join(_RECORDS)}, RECORDS }};",
+        f"enum {{ {', '.join(RECORDS)}, RECORDS }};",
         f"static const size_t HEADS[] = {{{heads}}};",
         "static const struct { int record; size_t bytes; int rows, columns; } TABLES[] = {",
         *tables,
@@ -181,3 +205,138 @@ def _forgotten() -> list[tuple[int, int, int, int, int]]:
         parts = [(own[one][1], own[one][0].itemsize) for one in names] or whole
         found += [(slot, count, dtype.itemsize, at, size) for at, size in parts]
     return found
+
+
+# --- The check of what a file holds ---------------------------------------------------------------
+
+
+def _ranges() -> str:
+    """osc_ranges.h: `record_ranges` as C."""
+    lines = ["/* Written with osc_layout.h: whether numbers of a record are in their ranges. */"]
+    lines += ['#include "osc_bytes.h"', "#include <math.h>", ""]
+    lines += _surface_shapes()
+    for name in RECORDS:
+        lines += _relations(name)
+    lines += ["struct number_range {", "    int slot, rows, columns;"]
+    lines += ["    size_t step, offset, count;", "    double low, high;", "};"]
+    for name in NUMBERS:
+        lines += [f"static const struct number_range {name}_NUMBERS[] = {{"]
+        lines += _number_rows(name)
+        lines += ["};"]
+    return "\n".join([*lines, ""])
+
+
+def _surface_shapes() -> list[str]:
+    """Whole cells of a SURFACE pair, as `record_ranges` counts them."""
+    shapes, (shape, _) = records.MODEL.start("shapes"), records.MODEL.tables["shapes"]
+    pair: Any = records.PAIR.fields
+    count = records.MODEL.slot("s")
+    return [
+        "static int64_t surface_shapes(const unsigned char *model, const unsigned char *pair) {",
+        f"    int64_t first = whole(pair, {pair['shape_at'][1]});",
+        f"    if (whole(pair, {pair['kind'][1]}) != {records.SURFACE}) return 0;",
+        f"    if (first < 0 || first >= whole(model, {8 * count})) return {MOST_ROWS + 1};",
+        f"    const unsigned char *row = record_table(model, {shapes}) + {shape.itemsize} * first;",
+        "    double x = number(row, 8 * 13), y = number(row, 8 * 14);",
+        "    if (x == 0.0 && y == 0.0) return 2;",
+        f"    if (!(x >= 1.0 && y >= 1.0 && x <= {MOST_ROWS} && y <= {MOST_ROWS})) "
+        f"return {MOST_ROWS + 1};",
+        f"    if (x != floor(x) || y != floor(y)) return {MOST_ROWS + 1};",
+        "    return 2 + (int64_t)x * (int64_t)y;",
+        "}",
+        "",
+    ]
+
+
+def _relations(name: str) -> list[str]:
+    """A function: whether all whole numbers of a record are in their ranges."""
+    kind = RECORDS[name]
+    lines = [
+        f"static int {name}_in_range(const unsigned char *head, const unsigned char *model) {{"
+    ]
+    lines += ["    (void)model;"]
+    for table, relations in RELATIONS[name].items():
+        if not table:
+            lines += [f"    if (!({_in_c(one, name, '')})) return 0;" for one in relations]
+            continue
+        dtype, sizes = kind.tables[table]
+        rows = f"whole(head, {8 * kind.slot(sizes[0])})"
+        lines += [
+            "    {",
+            f"        const unsigned char *own = record_table(head, {kind.start(table)});",
+        ]
+        lines += [f"        int64_t row = 0, rows = {rows}, motors_before = 0;"]
+        lines += [f"        for (; row < rows; row++, own += {dtype.itemsize}) {{"]
+        lines += [f"            if (!({_in_c(one, name, table)})) return 0;" for one in relations]
+        if "motor" in (dtype.names or ()):
+            fields: Any = dtype.fields
+            lines += [f"            motors_before += whole(own, {fields['motor'][1]}) >= 0;"]
+        lines += ["        }", "        (void)motors_before;"]
+        ends = ENDS.get(name, {}).get(table, ())
+        lines += [f"        if (!({_in_c(one, name, table)})) return 0;" for one in ends]
+        lines += ["    }"]
+    return [*lines, "    return 1;", "}", ""]
+
+
+def _in_c(relation: str, name: str, table: str) -> str:
+    """A relation as a condition in C."""
+    alternatives = []
+    for sums, signs in read_relation(relation):
+        sides = [_sum_in_c(one, name, table) for one in sums]
+        pairs = zip(sides, signs, sides[1:], strict=False)
+        alternatives.append(" && ".join(f"{left} {sign} {right}" for left, sign, right in pairs))
+    return " || ".join(f"({one})" for one in alternatives) if alternatives[1:] else alternatives[0]
+
+
+def _sum_in_c(products: Sum, name: str, table: str) -> str:
+    parts = []
+    for factor, names in products:
+        words = [_name_in_c(one, name, table) for one in names]
+        if abs(factor) != 1 or not words:
+            words.insert(0, f"INT64_C({abs(factor)})")
+        parts.append(("- " if factor < 0 else "+ ") + " * ".join(words))
+    return " ".join(parts).removeprefix("+ ").replace("- INT64_C", "-INT64_C", 1)
+
+
+def _name_in_c(word: str, name: str, table: str) -> str:
+    """What a name of `record_ranges` is in C."""
+    kind = RECORDS[name]
+    dtype = kind.tables[table][0] if table else kind.dtype
+    own = "own" if table else "head"
+    fields: Any = dtype.fields or {}
+    model: Any = records.MODEL.dtype.fields
+    if word == table:
+        return f"whole{'' if dtype.itemsize == 8 else 8 * dtype.itemsize}({own}, 0)"
+    if word in fields:
+        return f"whole({own}, {fields[word][1]})"
+    if word.startswith("size_"):
+        return f"whole(head, {8 * kind.slot(word.removeprefix('size_'))})"
+    if word in ("row", "motors_before"):
+        return word
+    if word.startswith("before_"):
+        offset = fields[word.removeprefix("before_")][1]
+        return f"(row ? whole(own - {dtype.itemsize}, {offset}) : 0)"
+    if word == "surface_shapes":
+        return "surface_shapes(model, own)"
+    return f"whole(model, {model[word][1]})"
+
+
+def _number_rows(name: str) -> list[str]:
+    """Rows of a table of C: runs of numbers that have one range."""
+    kind = RECORDS[name]
+    lines = []
+    for table, field, (low, high) in number_ranges(name):
+        dtype, sizes = kind.tables[table] if table else (kind.dtype, [1])
+        fields: Any = dtype.fields or {table: (dtype, 0)}
+        item, offset = fields[field][:2]
+        rows, columns = [-1 - kind.slot(x) if isinstance(x, str) else x for x in (*sizes, 1)][:2]
+        slot = kind.start(table) if table else -1
+        bounds = ", ".join(_number_in_c(x) for x in (low, high))
+        count = item.itemsize // 8
+        place = f"{slot}, {rows}, {columns}, {dtype.itemsize}, {offset}, {count}"
+        lines.append(f"    {{{place}, {bounds}}}, /* {table} {field} */")
+    return lines
+
+
+def _number_in_c(x: float) -> str:
+    return f"{'-' if x < 0 else ''}INFINITY" if math.isinf(x) else repr(x)

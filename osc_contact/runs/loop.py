@@ -157,9 +157,10 @@ def run_loop(
 
     `Robot.stop` is called with a reason in the very tick in which the controller enters
     `SAFE_STOP`, once more if it comes to need the mechanical brakes later, and however the loop
-    ends: with its references, by an error, by Ctrl-C, SIGTERM or SIGHUP. A signal ends the loop at once, but never amid a tick's record or amid this last stop,
-    unless it is the third. That is so in the main thread, which signals come to, where the program
-    has no handler yet; elsewhere end the references to end the loop.
+    ends: with its references, by an error, by Ctrl-C, SIGTERM or SIGHUP. A signal ends the loop at
+    once, but never amid a tick's record or amid this last stop, unless it is the third. That is so
+    in the main thread, which signals come to, where the program has no handler yet; elsewhere end
+    the references to end the loop.
 
     Args:
         robot: hardware, or a plant.

@@ -69,7 +69,7 @@ struct Motion {
 osc_command tick(osc_controller* c, const franka::RobotState& state, const osc_reference& r, Joints& tau) {
   const osc_measurement m = {
       {state.q.data(), 7}, {state.dq.data(), 7}, {state.K_F_ext_hat_K.data(), 6}, {nullptr, 0}, 0, 0, 0, 0};
-  osc_command out = {tau.data(), tau.size(), 0, 0, 0, 0};
+  osc_command out = {tau.data(), tau.size(), 0, 0, 0, 0, 0, 0};
   require(osc_tick(c, &m, &r, &out));
   return out;
 }
@@ -103,19 +103,20 @@ void run(const char* host, const char* path, double seconds, franka::RealtimeCon
   require_weightless(path, start);
   Motion motion(start.O_T_EE);
   double t = 0.0;
-  int state = OSC_STATE_RUN;
+  osc_command last = {};
   robot.control(
       [&](const franka::RobotState& now, franka::Duration period) -> franka::Torques {
         Joints tau{};
         t += period.toSec();  // longer where packets were lost
-        state = tick(c.get(), now, motion.at(t), tau).state;
+        last = tick(c.get(), now, motion.at(t), tau);
         step_from(now.tau_J_d, tau);
         const franka::Torques torques(tau);
-        const bool ends = t >= seconds || state == OSC_STATE_SAFE_STOP;
+        const bool ends = t >= seconds || last.state == OSC_STATE_SAFE_STOP;
         return ends ? franka::MotionFinished(torques) : torques;
       },
       false, franka::kMaxCutoffFrequency);  // no filter: the steps are limited above
-  std::printf("%.3f s, %s\n", t, state == OSC_STATE_SAFE_STOP ? "safe stop" : "done");
+  if (last.state != OSC_STATE_SAFE_STOP) std::printf("%.3f s, done\n", t);
+  else std::printf("%.3f s, safe stop; cause %d of enum osc_reason\n", t, last.cause);
 }
 
 }  // namespace

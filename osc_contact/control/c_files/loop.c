@@ -83,7 +83,7 @@ int main(int count, char **words) {
         wait_until(deadline);
         int64_t awake = now();
         recorded_tick t = next_tick(&tape, c); /* here: read the robot */
-        osc_command out = {torques, tape.n.motors, 0, 0, 0, 0};
+        osc_command out = {torques, tape.n.motors, 0, 0, 0, 0, 0, 0};
         require(osc_tick(c, &t.m, &t.r, &out), "tick"); /* then: send the torques */
         int64_t done = now();
         latency[i] = 1e-3 * (double)(awake - deadline);

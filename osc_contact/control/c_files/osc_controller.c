@@ -4,8 +4,10 @@
  * ticks beyond the motors' limits. Offsets come from osc_layout.h, which is generated with them.
  */
 #include "osc_controller.h"
+#include "osc_bytes.h"
 #include "osc_daqp.h"
 #include "osc_layout.h"
+#include "osc_ranges.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -27,12 +29,6 @@ struct osc_controller {
     double *missing; /* NaN in place of readings */
 };
 
-static int64_t whole(const unsigned char *record, size_t offset) {
-    int64_t value;
-    memcpy(&value, record + offset, sizeof value);
-    return value;
-}
-
 static void set_whole(unsigned char *record, size_t offset, int64_t value) {
     memcpy(record + offset, &value, sizeof value);
 }
@@ -41,7 +37,6 @@ static double *numbers(unsigned char *record, size_t offset) {
     return (double *)(void *)(record + offset);
 }
 
-/* A table of a record: where it begins stands in the record's first words. */
 static unsigned char *table(unsigned char *record, size_t slot) {
     return record + whole(record, 8 * slot);
 }
@@ -111,6 +106,47 @@ static int is_whole(const osc_controller *c) {
            (size_t)whole(at[MODEL], MODEL_memory_bytes) == sizes[MEMORY];
 }
 
+static int numbers_in_range(const unsigned char *record, const struct number_range *one) {
+    const unsigned char *at = one->slot < 0 ? record : record_table(record, (size_t)one->slot);
+    size_t rows = size_of(record, one->rows) * size_of(record, one->columns);
+    for (size_t row = 0; row < rows; row++, at += one->step)
+        for (size_t i = 0; i < one->count; i++) {
+            double x = number(at, one->offset + 8 * i);
+            if (!(x >= one->low && x <= one->high)) return 0; /* nor if it is NaN */
+        }
+    return 1;
+}
+
+/* Whether MEMORY holds what may be remembered: a file's, or one of a recording. */
+static int memory_in_range(const unsigned char *memory, const unsigned char *model) {
+    size_t ranges = sizeof MEMORY_NUMBERS / sizeof *MEMORY_NUMBERS;
+    const unsigned char *joint = record_table(model, MODEL_joints);
+    const unsigned char *torques = record_table(memory, MEMORY_torques);
+    if (!MEMORY_in_range(memory, model)) return 0;
+    for (size_t i = 0; i < ranges; i++)
+        if (!numbers_in_range(memory, &MEMORY_NUMBERS[i])) return 0;
+    for (int64_t j = 0; j < whole(model, MODEL_n_joints); j++, joint += JOINT_BYTES) {
+        int64_t motor = whole(joint, JOINT_MOTOR);
+        if (motor >= 0 && !(fabs(number(torques, 8 * (size_t)motor)) <= number(joint, JOINT_TAU_MAX)))
+            return 0;
+    }
+    return 1;
+}
+
+/* Whether all numbers are what the compiled law may use without looking at them. */
+static int in_range(const osc_controller *c) {
+    size_t ranges = sizeof MODEL_NUMBERS / sizeof *MODEL_NUMBERS;
+    const unsigned char *joint = record_table(c->model, MODEL_joints);
+    const unsigned char *input = c->raw + whole(c->raw, JOB_input);
+    if (!JOB_in_range(c->raw, c->model) || !MODEL_in_range(c->model, c->model)) return 0;
+    for (size_t i = 0; i < ranges; i++)
+        if (!numbers_in_range(c->model, &MODEL_NUMBERS[i])) return 0;
+    for (int64_t j = 0; j < whole(c->model, MODEL_n_joints); j++, joint += JOINT_BYTES)
+        if (whole(joint, JOINT_MOTOR) >= 0 && !(number(joint, JOINT_TAU_MAX) > 0.0)) return 0;
+    return memory_in_range(c->memory, c->model) && WORK_in_range(c->work, c->model) &&
+           INPUT_in_range(input, c->model) && PROGRAM_in_range(c->program, c->model);
+}
+
 static void look(osc_controller *c) {
     osc_dimensions *n = &c->dimensions;
     c->job = (int64_t *)(void *)c->raw;
@@ -158,6 +194,10 @@ int osc_create_from(const void *data, size_t size, osc_controller **out) {
         return OSC_DAMAGED;
     }
     look(c);
+    if (!in_range(c)) {
+        osc_destroy(c);
+        return OSC_OUT_OF_RANGE;
+    }
     size_t most = 16 + c->dimensions.joints + 6 * c->dimensions.arms + c->dimensions.forces;
     if ((c->missing = malloc(most * sizeof(double))) == NULL) {
         osc_destroy(c);
@@ -287,7 +327,7 @@ int osc_tick(osc_controller *c, const osc_measurement *m, const osc_reference *r
     if (m->wrench_age >= 0) {
         if (!whole(c->memory, MEMORY_stamped))
             set_whole(c->memory, MEMORY_stamped, whole(c->memory, MEMORY_instant) + 1);
-        set_whole(c->memory, MEMORY_late, m->wrench_age);
+        set_whole(c->memory, MEMORY_late, m->wrench_age < HISTORY ? m->wrench_age : HISTORY);
     }
     run(c, m, r, m->wrenches.data, switches, LOOK);
     if (whole(c->memory, MEMORY_status) == OSC_STATUS_SATURATED && !relieve(c)) {
@@ -299,7 +339,10 @@ int osc_tick(osc_controller *c, const osc_measurement *m, const osc_reference *r
     out->status = (int32_t)whole(c->memory, MEMORY_status);
     out->reason = (int32_t)whole(c->memory, MEMORY_reason);
     out->state = (int32_t)whole(c->memory, MEMORY_state);
-    out->unbraked = out->state == OSC_STATE_SAFE_STOP ? (int32_t)whole(c->memory, MEMORY_unbraked) : -1;
+    int stopped = out->state == OSC_STATE_SAFE_STOP;
+    out->unbraked = stopped ? (int32_t)whole(c->memory, MEMORY_unbraked) : -1;
+    out->cause = stopped ? (int32_t)whole(c->memory, MEMORY_cause) : OSC_REASON_NO_REASON;
+    out->culprit = stopped ? (int32_t)whole(c->memory, MEMORY_culprit) : -1;
     return OSC_DONE;
 }
 
@@ -380,6 +423,7 @@ int osc_set_memory(osc_controller *c, const void *bytes, size_t size) {
     if (size != (size_t)whole(c->model, MODEL_memory_bytes)) return OSC_WRONG_SIZE;
     size_t layout = 8 * MEMORY_LAYOUT_WORDS;
     if (memcmp(c->memory, bytes, layout) != 0) return OSC_WRONG_SIZE; /* of another structure */
+    if (!memory_in_range(bytes, c->model)) return OSC_OUT_OF_RANGE;
     memcpy(c->memory, bytes, size);
     return OSC_DONE;
 }

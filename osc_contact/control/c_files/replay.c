@@ -16,7 +16,7 @@ int main(int count, char **words) {
     if (times == NULL || torques == NULL) return 2;
     for (size_t i = 0; i < ticks; i++) {
         struct timespec from, to;
-        osc_command out = {torques, tape.n.motors, 0, 0, 0, 0};
+        osc_command out = {torques, tape.n.motors, 0, 0, 0, 0, 0, 0};
         recorded_tick t = next_tick(&tape, c);
         clock_gettime(CLOCK_MONOTONIC, &from);
         int code = osc_tick(c, &t.m, &t.r, &out);

@@ -98,7 +98,7 @@ class HybridController : public controller_interface::ControllerInterface {
     const osc_reference r = {{X_WD_.data(), 16}, {kRest, 6}, {kRest, 6},
                              {alpha_d_.data(), alpha_d_.size()},
                              {squeeze_d_.data(), squeeze_d_.size()}};
-    osc_command out = {torques_.data(), torques_.size(), 0, 0, 0, 0};
+    osc_command out = {torques_.data(), torques_.size(), 0, 0, 0, 0, 0, 0};
     if (osc_tick(controller_.get(), &m, &r, &out) != OSC_DONE) return return_type::ERROR;
     bool sent = true;
     for (size_t i = 0; i < torques_.size(); i++) sent &= command_interfaces_[i].set_value(torques_[i]);

@@ -1,0 +1,457 @@
+"""Ranges of the numbers in a controller's records: what a file may hold, declared once.
+
+Whole numbers are indices, counts, kinds and switches: compiled code follows them without a check,
+so that one beyond its range reads or writes anywhere. They are declared as relations such as
+"first + 1 <= end <= n_joints". What is not there must not be in a file: tests compare the
+declaration with the records' fields. `without_python` writes it as C; `require_ranges` reads it
+for Python.
+
+A relation compares sums of products, a side for each of <=, ==, != in it; " or " separates
+alternatives. Names are, in this order of precedence,
+
+| name | is |
+|---|---|
+| `first` | a field of the same row; of a table of whole numbers: its name, the number itself |
+| `before_first` | that field of the row before, 0 in the first row |
+| `row` | the number of the row |
+| `size_k` | a size of this record's tables, see `law.nested` |
+| `motors_before` | rows before this one whose `motor` is not −1 |
+| `surface_shapes` | shapes that a SURFACE pair reads; 0 of others |
+| `n_joints` | a field of MODEL |
+
+Floating-point numbers of MODEL and MEMORY are finite, but for those declared in `NUMBERS`. Those
+of WORK, INPUT and PROGRAM are computed anew from these.
+"""
+
+import math
+import operator
+import re
+from collections.abc import Callable, Iterator
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from osc_contact.errors import InvalidInputError
+from osc_contact.law import records as at
+from osc_contact.law.limits import PROGRAM
+from osc_contact.law.nested import Bytes, Nested
+from osc_contact.law.reasons import CODES
+from osc_contact.scenarios.control_schema import PhaseSettings, SafetySettings
+
+MOST_ARMS = 32  #: that a file may hold
+MOST_ROWS = 4096  #: of contacts, shapes, columns of N
+MOST_TICKS = 1 << 48  #: of any count of ticks: 9000 years at 1 kHz; sums of some do not overflow
+MOST_TORQUE = 1e9  #: N m, N: of torques, so that their differences are finite
+
+RECORDS = {
+    "JOB": at.JOB,
+    "MODEL": at.MODEL,
+    "MEMORY": at.MEMORY,
+    "WORK": at.WORK,
+    "INPUT": at.INPUT,
+    "PROGRAM": PROGRAM,
+}
+
+
+def _each(relation: str, *names: str) -> tuple[str, ...]:
+    """The same relation for several names, each in place of `x`."""
+    return tuple(re.sub(r"\bx\b", name, relation) for name in names)
+
+
+def _flags(*names: str) -> tuple[str, ...]:
+    return _each("0 <= x <= 1", *names)
+
+
+def _ticks(*names: str) -> tuple[str, ...]:
+    return _each(f"0 <= x <= {MOST_TICKS}", *names)
+
+
+_REASON = _each(f"0 <= x <= {max(CODES.values())}", "reason")
+_SIX = "0 <= x <= 6"
+_SQUEEZES = ("n_bars == 0 or size_squeezes == n_bars", "n_bars != 0 or size_squeezes == 1")
+
+#: Relations of whole numbers by record and table ("": the head), in the order in which they are
+#: checked: a sum is formed of numbers that were found to be small.
+RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
+    # Where records begin is compared with their sizes by whoever reads a file.
+    "JOB": {
+        "": (
+            "switches == 0",
+            f"begin == {at.LOOK}",
+            f"stop == {at.END}",
+            "first == 0",
+            "last == 1",
+            "count == 1",
+            *_each("0 <= x", "model", "memory", "work", "input"),
+            "model_step == row_bytes",
+        ),
+    },
+    "MODEL": {
+        "": (
+            f"1 <= n_arms <= {MOST_ARMS}",
+            f"n_arms <= n_joints <= {at.MAX_JOINTS} * n_arms",
+            "0 <= n_motors <= n_joints",
+            *_each(f"0 <= x <= {MOST_ROWS}", "n_contacts", "n_shapes", "n_columns", "n_bars"),
+            "2 * n_bars == n_arms * n_arms - n_arms",
+            "n_bars == 0 or n_extra == n_bars + 6 * n_arms",
+            "n_bars != 0 or n_extra == 1 + 6 * n_arms",
+            *_flags("held", "slipping", "rubs", "friction_learning", "friction_errors"),
+            *_flags("phased", "guarded"),
+            f"{at.BY_OBJECT} <= metric <= {at.BY_MATRIX}",
+            f"{at.FILTER} <= reading <= {at.LEAST_SQUARES}",
+            "-1 <= leader <= n_arms - 1",
+            *_ticks("repeats", "fault_ticks", "fast_ticks", "row_bytes", "memory_bytes"),
+        ),
+        "arms": (
+            "first == before_end",
+            f"first + 1 <= end <= first + {at.MAX_JOINTS}",
+            "end <= n_joints",
+            "first <= tip_joint <= end - 1",
+            "sensor_joint == -1 or first <= sensor_joint <= end - 1",
+            "outer_joint == -1 or first <= outer_joint <= end - 1",
+            *_each(_SIX, "m", "full_rank"),
+            "full_rank <= m",
+            f"{at.RIGID} <= kind <= {at.OTHER}",
+            *_flags("filtered"),
+        ),
+        "joints": (*_flags("slides"), "motor == -1 or motor == motors_before"),
+        "pairs": (
+            f"{at.POINTS} <= kind <= {at.FUNCTION}",
+            f"kind != {at.GIVEN}",  # Python evaluates it
+            f"kind != {at.FUNCTION}",  # of a process: in another one its address is any code
+            "0 <= count <= n_columns",
+            "first == before_first + before_count",
+            f"count == 1 or kind == {at.POINTS} or kind == {at.TANGENTS}",
+            f"0 <= freedoms <= {MOST_ROWS}",
+            "shape_at == before_shape_at + before_count + before_freedoms",
+            f"shape_at + count + freedoms <= {MOST_ROWS}",
+            "surface_shapes <= count + freedoms",
+            *_flags("has_friction"),
+            "address == 0",
+        ),
+        "columns": ("before_contact <= contact <= n_contacts - 1",),
+        "bodies": (
+            f"{at.UNYIELDING} <= kind <= {at.YIELDING}",
+            "0 <= same <= row",
+            *_flags("pushes"),
+        ),
+    },
+    "MEMORY": {
+        "": (
+            *_each(_SIX, "force_rank"),
+            "0 <= located <= 2",
+            *_ticks("ticked", "gap", "age", "faults", "lost", "overspeed", "repeats"),
+            *_ticks("wrench_age", "old_joints", "old_wrists", "balanced", "instant", "stamped"),
+            *_flags("fresh", "engaged", "hand_over", "settled", "wrench_missing", "has_wrench"),
+            *_flags("compared", "derived"),
+            *_REASON,
+            f"0 <= cause <= {max(CODES.values())}",
+            f"{at.RUN} <= state <= {at.SAFE_STOP}",
+            f"0 <= culprit <= {MOST_ROWS}",
+            "-1 <= unbraked <= n_joints - 1",
+            f"0 <= repeated <= {at.JOINTS + at.WRISTS + at.OUTDATED}",
+            f"0 <= late <= {at.HISTORY}",
+            f"0 <= given <= {at.GIVEN_TWIST}",
+            f"{at.OK} <= status <= {at.DEGRADED}",
+            *_SQUEEZES,
+        ),
+        "contacts": (*_flags("active", "held"), "0 <= phase <= 2"),
+        "joints": (
+            f"0 <= faulty <= {at.FAULTY_POSITION + at.FAULTY_SPEED}",
+            *_ticks("unread_q", "unread_v"),
+            *_flags("stuck"),
+        ),
+        "arms": _ticks("unread"),
+        "columns": _flags("closed", "collision", "known", "has_desired"),
+        "friction_known": ("0 <= friction_known <= 3",),
+    },
+    "WORK": {
+        "": (
+            *_each(_SIX, "rank", "locked", "n_lost"),
+            "0 <= count <= n_columns",
+            f"{at.OK} <= status <= {at.DEGRADED}",
+            *_REASON,
+            f"0 <= where <= {MOST_ROWS}",
+            "0 <= n_internal <= n_bars",
+            *_flags("commanded", "moving", "weightless"),
+            "size_6k == 6 * n_arms",
+            "size_6e == 6 + n_extra",
+            *_SQUEEZES,
+            "size_scratch == 9 * n_bars * n_arms + 2 * n_bars * n_joints + 2 * n_bars * n_bars"
+            " + 6 * n_joints",
+        ),
+        "arms": (*_each(_SIX, "n_locked", "n_kept", "n_lost"), *_flags("wide")),
+        "columns": _flags("shaped"),
+        "chosen": ("0 <= chosen <= n_columns - 1",),
+        "kept": ("0 <= kept <= n_columns - 1",),
+        "owners": ("0 <= owners <= n_arms - 1",),
+    },
+    "INPUT": {"": _flags("moving")},
+    "PROGRAM": {
+        "": (
+            "size_a == n_motors",
+            "size_s == n_extra",
+            "n_columns == 0 or size_k == n_columns",
+            "n_columns != 0 or size_k == 1",
+            "0 <= size_p <= n_joints + 2 * n_arms",
+            "size_v == size_a + size_k",
+            "size_w == 12 + size_s + size_p + size_v + size_k",
+            "size_k1 == size_k + 1",
+            "size_vv == size_v * size_v",
+            "size_kv == size_k * size_v",
+            "size_vk == size_v + size_k",
+            *_each(_SIX, "d", "r"),
+            "0 <= k <= size_k",
+            "0 <= s <= size_s",
+            *_flags("short"),
+        ),
+        "at_limit": _flags("at_limit"),
+        "sense": ("sense == 0",),
+        "free": ("0 <= free <= size_v - 1",),
+    },
+}
+
+#: Relations that hold behind the last row of a table.
+ENDS: dict[str, dict[str, tuple[str, ...]]] = {
+    "MODEL": {
+        "arms": ("before_end == n_joints",),
+        "joints": ("motors_before == n_motors",),
+        "pairs": (
+            "before_first + before_count == n_columns",
+            "before_shape_at + before_count + before_freedoms == n_shapes",
+        ),
+    }
+}
+
+_FINITE = (-float(np.finfo(float).max), float(np.finfo(float).max))
+_NOT_NEGATIVE = (0.0, _FINITE[1])
+_LIMIT = (0.0, math.inf)  #: inf: none
+_ANY = (-math.inf, math.inf)
+#: Settings that may be infinite have their names in MODEL.
+_OPEN = {
+    key: _LIMIT
+    for settings in (SafetySettings, PhaseSettings)
+    for key, field in settings.model_fields.items()
+    if any(getattr(mark, "open", False) for mark in field.metadata)
+    and key in (at.MODEL.dtype.names or ())
+}
+#: Ranges of numbers that are not just finite, by record and table.
+NUMBERS: dict[str, dict[str, dict[str, tuple[float, float]]]] = {
+    "MODEL": {
+        "": {
+            **_OPEN,
+            "period": (1e-9, 1e3),
+        },
+        "joints": {
+            "tau_max": _LIMIT,
+            "speed_max": _LIMIT,
+            "rated": _LIMIT,
+            "lower": _ANY,
+            "upper": _ANY,
+            "low": _ANY,
+            "high": _ANY,
+        },
+    },
+    "MEMORY": {
+        "contacts": {"least": _ANY, "since": _LIMIT},
+        "torques": {"torques": (-MOST_TORQUE, MOST_TORQUE)},
+    },
+}
+
+
+# --- Relations, read ------------------------------------------------------------------------------
+
+Sum = list[tuple[int, list[str]]]  #: factor and names of each product
+
+
+@cache
+def read_relation(text: str) -> list[tuple[list[Sum], list[str]]]:
+    """The alternatives of a relation: the sums that it compares, and the signs between them."""
+    found = []
+    for alternative in text.split(" or "):
+        parts = re.split(r" (<=|==|!=) ", alternative)
+        found.append(([_read_sum(one) for one in parts[::2]], parts[1::2]))
+    return found
+
+
+def _read_sum(text: str) -> Sum:
+    words = re.split(r" ([+-]) ", text)
+    products: Sum = []
+    for sign, product in zip(["+", *words[1::2]], words[::2], strict=True):
+        factor = 1 if sign == "+" else -1
+        names = []
+        for part in product.split(" * "):
+            if re.fullmatch(r"-?\d+", part):
+                factor *= int(part)
+            else:
+                names.append(part)
+        products.append((factor, names))
+    return products
+
+
+def names_in(text: str) -> set[str]:
+    """The names in a relation."""
+    return {
+        name
+        for sums, _ in read_relation(text)
+        for one in sums
+        for _, names in one
+        for name in names
+    }
+
+
+def _holds(text: str, value: Callable[[str], int]) -> bool:
+    signs = {"<=": operator.le, "==": operator.eq, "!=": operator.ne}
+    for sums, between in read_relation(text):
+        numbers = [sum(k * math.prod(map(value, names)) for k, names in one) for one in sums]
+        pairs = zip(pairwise(numbers), between, strict=True)
+        if all(signs[sign](left, right) for (left, right), sign in pairs):
+            return True
+    return False
+
+
+# --- A controller's records -----------------------------------------------------------------------
+
+
+class _Names:
+    """Values of the names of relations, while the rows of a table are gone through."""
+
+    def __init__(self, kind: Nested, record: Any, model: Any) -> None:
+        self.kind, self.record, self.model = kind, record, model
+        self.own: Any = None
+        self.before: Any = None
+        self.table = ""
+        self.row = self.motors = 0
+
+    def begin(self, table: str) -> None:
+        """Go to the first row of a table; "": the head."""
+        self.table, self.row, self.motors, self.before = table, 0, 0, None
+
+    def step(self) -> None:
+        """Go to the next row."""
+        self.before = self.own
+        if "motor" in (self.own.dtype.names or ()):
+            self.motors += int(self.own["motor"] >= 0)
+
+    def __call__(self, name: str) -> int:
+        if name == self.table:
+            return int(self.own)
+        if self.own is not None and name in (self.own.dtype.names or ()):
+            return int(self.own[name])
+        if name.startswith("before_"):
+            return 0 if self.before is None else int(self.before[name.removeprefix("before_")])
+        if name.startswith("size_"):
+            slot = self.kind.slot(name.removeprefix("size_"))
+            return int(self.record.head["layout"][slot])
+        match name:
+            case "row":
+                return self.row
+            case "motors_before":
+                return self.motors
+            case "surface_shapes":
+                return _surface_shapes(self.model, self.own)
+        return int(self.model.head[name])
+
+
+def _surface_shapes(model: Any, pair: Any) -> int:
+    """Shapes that a SURFACE pair reads: its own, that of its axes, one of each cell."""
+    first = int(pair["shape_at"])
+    if pair["kind"] != at.SURFACE:
+        return 0
+    if not 0 <= first < len(model.shapes):
+        return MOST_ROWS + 1
+    x, y = model.shapes.row[first, 13:15]
+    if x == 0.0 and y == 0.0:
+        return 2
+    whole = all(1.0 <= n <= MOST_ROWS and n == math.floor(n) for n in (x, y))
+    return 2 + int(x) * int(y) if whole else MOST_ROWS + 1
+
+
+def broken_relations(name: str, record: Any, model: Any) -> Iterator[str]:
+    """What in a record is out of its range, a clause each.
+
+    Args:
+        name: of the record. record: a view of it. model: of MODEL.
+    """
+    kind = RECORDS[name]
+    value = _Names(kind, record, model)
+    for table, relations in RELATIONS[name].items():
+        rows = getattr(record, table).view(np.ndarray) if table else [record.head]
+        value.begin(table)
+        for value.row, value.own in enumerate(rows):
+            place = f"{name}.{table}[{value.row}]" if table else name
+            yield from (f"{place}: {one}" for one in relations if not _holds(one, value))
+            value.step()
+        value.own = None
+        for one in ENDS.get(name, {}).get(table, ()):
+            if not _holds(one, value):
+                yield f"{name}.{table}: {one}"
+    yield from _strange_numbers(name, record)
+
+
+def _strange_numbers(name: str, record: Any) -> Iterator[str]:
+    """Floating-point numbers out of their ranges, a clause each."""
+    for table, field, (low, high) in number_ranges(name):
+        rows = getattr(record, table).view(np.ndarray) if table else record.head
+        values = rows[field] if field in (rows.dtype.names or ()) else rows
+        if not ((values >= low) & (values <= high)).all():
+            yield f"{name}.{table}.{field}: {low:g} <= number <= {high:g}".replace("..", ".")
+
+
+def number_ranges(name: str) -> Iterator[tuple[str, str, tuple[float, float]]]:
+    """Table, field and range of all floating-point numbers that a record's ranges are about."""
+    if name not in NUMBERS:
+        return
+    kind = RECORDS[name]
+    heads = {"": kind.dtype, **{table: dtype for table, (dtype, _) in kind.tables.items()}}
+    for table, dtype in heads.items():
+        own = NUMBERS[name].get(table, {})
+        for field in dtype.names or (table,):
+            if (dtype[field] if dtype.names else dtype).base.kind == "f":
+                yield table, field, own.get(field, _FINITE)
+
+
+def broken_ranges(raw: Bytes, program: Bytes) -> list[str]:
+    """What in a controller's records is out of its range, a clause each; none: a file may hold it.
+
+    Args:
+        raw: JOB, MODEL, MEMORY, WORK and INPUT of one controller, whose layouts are right.
+        program: PROGRAM, likewise.
+    """
+    job = at.JOB.view(raw)
+    starts = {"JOB": 0, **{one.upper(): int(job[one]) for one in _PLACES}}
+    views = {name: RECORDS[name].view(raw[start:]) for name, start in starts.items()}
+    views["PROGRAM"] = PROGRAM.view(program)
+    model = views["MODEL"]
+    found = [one for name, view in views.items() for one in broken_relations(name, view, model)]
+    return found + list(_strange_torques(model, views["MEMORY"]))
+
+
+_PLACES = ("model", "memory", "work", "input")
+
+
+def _strange_torques(model: Any, memory: Any) -> Iterator[str]:
+    """The torques given out last are within the motors' limits, which are above zero."""
+    joints = model.joints.view(np.ndarray)
+    limits = joints["tau_max"][joints["motor"] >= 0]
+    if not (limits > 0.0).all():
+        yield "MODEL.joints.tau_max: 0 < limit of a motor"
+    elif len(limits) == len(memory.torques) and not (np.abs(memory.torques) <= limits).all():
+        yield "MEMORY.torques: |torque| <= tau_max of its motor"
+
+
+def require_ranges(raw: Bytes, program: Bytes) -> None:
+    """Refuse records that a file must not hold.
+
+    Args:
+        raw, program: as of `broken_ranges`.
+
+    Raises:
+        InvalidInputError: some number is out of its range.
+    """
+    if found := broken_ranges(raw, program):
+        raise InvalidInputError(
+            f"this controller cannot be saved: its numbers do not satisfy {'; '.join(found[:5])}"
+        )
