@@ -18,6 +18,7 @@ from numpy.random import default_rng
 from processes import completed
 from scenario_runs import rig_of
 
+import osc_contact as osc
 from osc_contact.control.record_ranges import RECORDS as KINDS
 from osc_contact.control.saving import HEAD, controller_bytes
 from osc_contact.control.without_python import write_library
@@ -47,6 +48,25 @@ def whole_fields(kind):
     ]
 
 
+def on_spline(controller):
+    """The same controller, whose sphere is cells of a spline."""
+    own = controller.settings
+    (pair,) = own.contacts
+    radius = 1.0 / pair.surface.bend[0]
+    x, y = 0.6 * abs(radius) * np.array(np.meshgrid(*[np.linspace(-1, 1, 20)] * 2)).reshape(2, -1)
+    top = np.sign(radius) * np.sqrt(radius**2 - x**2 - y**2)
+    surface = osc.Surface.fitted(np.array([x, y, top]).T, (2, 3))
+    seat = pair.surface_point, pair.surface_axis, pair.surface_x
+    return osc.Controller(
+        own.chain,
+        [osc.SphereOnSurface(pair.centre, pair.radius, surface, *seat)],
+        own.gains,
+        dt=own.dt,
+        posture=own.posture,
+        friction=own.friction,
+    )
+
+
 class Base:
     """A controller's file, with a recording of the ticks after it, in a folder.
 
@@ -54,10 +74,18 @@ class Base:
         content: of the file. starts: where records are, behind the head.
     """
 
-    def __init__(self, folder: Path, name: str, *changes: str, ticks: int, blind: int = 0) -> None:
-        """Run a scenario for some ticks, the last `blind` of them without readings."""
-        rig = rig_of(name, *changes)
+    def __init__(
+        self, folder: Path, name: str, ticks: int, blind: int = 0, spline: bool = False
+    ) -> None:
+        """Run a scenario for some ticks, the last `blind` of them without readings.
+
+        Args:
+            folder: is made. name: of the scenario. spline: whether its sphere is a spline instead.
+        """
+        rig = rig_of(name)
         plant, controller = start(rig)
+        if spline:
+            controller = on_spline(controller)
 
         def tick(k: int, blind: bool) -> None:
             m = plant.measure()
@@ -197,7 +225,7 @@ BASES = {
     "limited_rod": {"ticks": 300},
     "moving_face": {"ticks": 100},
     "approach_and_slide": {"ticks": 600},
-    "panda_dome": {"ticks": 100},
+    "panda_dome": {"ticks": 100, "spline": True},
     "scara_peg": {"ticks": 0},
     "panda_edge": {"ticks": 60, "blind": 6},
     "dual_panda_rod": {"ticks": 80, "blind": 30},
@@ -216,7 +244,7 @@ def main(count: int = 10_000, seed: int = 1) -> int:
             begun = time.monotonic()
             base = Base(folder / scenario, scenario, **how)
             whole = base.out_of_range()
-            random = base.mutations(count // len(BASES), seed)
+            random = base.mutations(count // len(BASES), seed + len(total))
             for kind, patches in ("whole", [patch for _, patch in whole]), ("random", random):
                 endings = base.tried(program, patches)
                 found = Counter("refused" if x < 1 else ENDINGS[x] for x in endings)
