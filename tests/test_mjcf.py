@@ -48,6 +48,10 @@ ARM = """
   </actuator>
 </mujoco>"""
 JOINTS = ["turn", "slide", "bend", "grip"]
+CUBE = (
+    "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+    + "f 1 3 2\nf 2 3 4\nf 5 6 7\nf 6 8 7\nf 1 2 5\nf 2 6 5\nf 3 7 4\nf 4 7 8\nf 1 5 3\nf 3 5 7\nf 2 4 6\nf 4 8 6\n"
+)
 
 
 @fixture
@@ -294,3 +298,46 @@ def test_joints_that_follow_others_on_the_way_to_the_tip_are_refused(tmp_path):
     assert osc.Arm.from_urdf(file, locked={"j2": 0.1, "j3": 0.1}, **how).model.nv == 4
     file = arm(tmp_path, equality=follows.format("grip"))
     assert osc.Arm.from_mjcf(file, **how).model.nv == 6
+
+
+# What must not reach MuJoCo -----------------------------------------------------------------------
+
+
+def test_an_mjcf_file_called_urdf_does_not_pass_by_the_checks_of_urdfs(tmp_path):
+    """MuJoCo would read the mesh, which lies outside of the robot's folder."""
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere/cube.obj").write_text(CUBE)
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    shape = '<geom type="mesh" mesh="cube" mass="0.4"/>'
+    assets = '<asset><mesh name="cube" file="../elsewhere/cube.obj"/></asset><worldbody>'
+    written = ARM.replace('<geom size="0.03" mass="0.4"/>', shape).replace("<worldbody>", assets)
+    file = folder / "x.urdf"
+    file.write_text(written)
+    for load in robots.load_robot, robots.compile_mjcf:
+        with model_error(r"not called \.urdf"):
+            load(file)
+    with model_error(r"begins with <robot>.*not called \.urdf"):
+        osc.Arm.from_urdf(file, name="a", tip="tip")
+    assert call("check", file).exit_code == 1
+    file.rename(folder / "x.xml")
+    assert robots.load_robot(folder / "x.xml")[0].nq == 4
+
+
+@parametrize("name", ["x.urdf", "x.xml"])
+def test_a_file_larger_than_any_robots_is_refused_unread(tmp_path, monkeypatch, name):
+    def parsed(*given):
+        raise AssertionError("the file was parsed")
+
+    file = tmp_path / name
+    file.write_text("<mujoco>" + " " * 2**23 + "</mujoco>")
+    monkeypatch.setattr(robots.mjcf, "iterparse", parsed)
+    monkeypatch.setattr(mujoco.MjModel, "from_xml_path", parsed)
+    for load in robots.load_robot, robots.compile_mjcf:
+        with model_error("larger than 8 MiB"):
+            load(file)
+
+
+def test_a_urdf_is_not_read_as_mjcf():
+    with model_error("Arm.from_urdf reads URDFs"):
+        osc.Arm.from_mjcf(robots.urdf_path("scara_left"), name="a", tip="tool")

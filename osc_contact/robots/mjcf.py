@@ -11,6 +11,7 @@ import pinocchio as pin
 from osc_contact.errors import ModelError, did_you_mean, missing
 from osc_contact.robots.checks import JointLimits, matching_limits
 from osc_contact.robots.model import check_mass_matrix, joint_names
+from osc_contact.robots.urdf import MAX_BYTES, read_bytes
 from osc_contact.spatial import Array
 
 _NONE = 1e30  #: a limit that is none (N m, N, rad/s, m/s)
@@ -21,9 +22,16 @@ _SLIDE = 2
 
 
 def is_mjcf(path: Path | str) -> bool:
-    """Whether a file begins as MJCF does, with <mujoco>."""
+    """Whether a file is to be read as MJCF: it begins with <mujoco> and is not called .urdf.
+
+    MuJoCo opens what meshes and includes an MJCF file names, wherever they lie; a URDF must not.
+    A file larger than any robot's is not looked into.
+    """
+    file = Path(path)
     try:
-        with Path(path).open("rb") as stream:
+        if file.suffix.lower() == ".urdf" or file.stat().st_size > MAX_BYTES:
+            return False
+        with file.open("rb") as stream:
             return next(iterparse(stream, ["start"]))[1].tag == "mujoco"
     except (OSError, ValueError, LookupError, ParseError, StopIteration):
         return False
@@ -33,7 +41,7 @@ def compile_mjcf(mjcf: Path | str | Any) -> Any:
     """The `MjModel` of a file, of a `MjSpec`, or itself.
 
     Raises:
-        ModelError: MuJoCo is missing, or refuses the file.
+        ModelError: MuJoCo is missing, or refuses the file; it is no MJCF file, or over 8 MiB.
     """
     try:
         import mujoco
@@ -44,8 +52,12 @@ def compile_mjcf(mjcf: Path | str | Any) -> Any:
     try:
         if isinstance(mjcf, mujoco.MjSpec):
             return mjcf.compile()
-        if not Path(mjcf).is_file():
-            raise ModelError(f"{mjcf}: there is no such file")
+        read_bytes(Path(mjcf))  # what is no file, or too large for a robot, is refused
+        if not is_mjcf(mjcf):
+            raise ModelError(
+                f"{mjcf} is no MJCF file: these begin with <mujoco> and are not called .urdf. "
+                "Arm.from_urdf reads URDFs"
+            )
         return mujoco.MjModel.from_xml_path(str(mjcf))
     except (ValueError, mujoco.FatalError) as error:
         raise ModelError(f"{mjcf}: MuJoCo refuses it: {error}") from error

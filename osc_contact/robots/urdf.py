@@ -24,7 +24,7 @@ from xml.parsers import expat
 
 from osc_contact.errors import ModelError, did_you_mean
 
-MAX_BYTES = 8 * 2**20
+MAX_BYTES = 8 * 2**20  #: of a robot's file, URDF or MJCF
 MAX_DEPTH = 64
 MAX_ELEMENTS = 100_000
 MAX_LINKS = 512
@@ -303,7 +303,7 @@ def parse(file: Path, data: bytes) -> Element:
     root = roots[0]
     if root.tag != "robot":
         reason = f"the root element is <{root.tag}>, a URDF begins with <robot>"
-        cure = "convert SDF or MJCF files to URDF"
+        cure = "convert SDF to URDF; an MJCF file is not called .urdf, but .xml"
         refuse_file("xml", file, reason, cure, root.line, root.column)
     return root
 
