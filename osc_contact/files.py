@@ -1,6 +1,7 @@
 """Files that appear complete or not at all, and folders that one program at a time writes to."""
 
 import os
+import stat
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -64,9 +65,27 @@ def sole_user(folder: Path) -> Iterator[None]:
         os.close(number)
 
 
+def require_private(folder: Path) -> None:
+    """Refuse a folder of programs to be loaded into which other users may write.
+
+    Root counts as no other user.
+
+    Raises:
+        PermissionError: it is another user's, or its group or all users may write to it.
+        OSError: it is not there.
+    """
+    if not hasattr(os, "getuid"):  # Windows
+        return
+    found = folder.stat()
+    if found.st_uid not in (0, os.getuid()):
+        raise PermissionError(f"{folder} belongs to another user: name a folder of your own")
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise PermissionError(f"other users may write to {folder}: chmod go-w {folder}")
+
+
 @contextmanager
 def one_by_one(folder: Path) -> Iterator[None]:
-    """Make a folder, and let programs that call this do so one after another.
+    """Make a private folder, and let programs that call this do so one after another.
 
     Where the file system has no locks, nobody waits.
 
@@ -74,14 +93,20 @@ def one_by_one(folder: Path) -> Iterator[None]:
         folder: for what they make.
 
     Raises:
-        OSError: it cannot be made.
+        PermissionError: other users may write to it. OSError: it cannot be made, or its `.lock` is
+            a link.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / ".lock", "w") as file:
+    folder.mkdir(mode=stat.S_IRWXU, parents=True, exist_ok=True)
+    require_private(folder)
+    not_through_a_link = getattr(os, "O_NOFOLLOW", 0)  # Windows has none
+    number = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | not_through_a_link, 0o600)
+    try:
         if fcntl is not None:
             with suppress(OSError):
-                fcntl.flock(file, fcntl.LOCK_EX)
+                fcntl.flock(number, fcntl.LOCK_EX)
         yield
+    finally:
+        os.close(number)
 
 
 @contextmanager

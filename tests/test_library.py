@@ -208,6 +208,28 @@ def test_a_cache_that_cannot_be_written_costs_a_line(workshop, tmp_path, caplog)
     assert "every process compiles it" in caplog.text
 
 
+def test_a_lock_that_is_a_link_does_not_empty_its_target(workshop, tmp_path, caplog):
+    cache = tmp_path / "cache"
+    cache.mkdir(mode=0o700)
+    (tmp_path / "thesis").write_text("years of work")
+    (cache / ".lock").symlink_to(tmp_path / "thesis")
+    with caplog.at_level(logging.WARNING):
+        assert library.law_hash() == c_object.make().LAW
+    assert (tmp_path / "thesis").read_text() == "years of work"
+    assert "every process compiles it" in caplog.text and names_in(cache) == {".lock"}
+
+
+@parametrize("mode", [0o777, 0o770])
+def test_nothing_is_kept_where_others_may_write(workshop, tmp_path, caplog, mode):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    cache.chmod(mode)
+    with caplog.at_level(logging.WARNING):
+        assert library.law_hash() == c_object.make().LAW
+    assert names_in(cache) == set()
+    assert f"other users may write to {cache}: chmod go-w {cache}" in caplog.text
+
+
 def test_a_compiler_that_fails_is_quoted(workshop, monkeypatch):
     monkeypatch.setattr(library, "COMPILER", "false")
     with raises(osc.OscContactError, match="the C compiler cannot build the law"):

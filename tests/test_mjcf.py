@@ -48,9 +48,10 @@ ARM = """
   </actuator>
 </mujoco>"""
 JOINTS = ["turn", "slide", "bend", "grip"]
-CUBE = (
-    "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
-    + "f 1 3 2\nf 2 3 4\nf 5 6 7\nf 6 8 7\nf 1 2 5\nf 2 6 5\nf 3 7 4\nf 4 7 8\nf 1 5 3\nf 3 5 7\nf 2 4 6\nf 4 8 6\n"
+_FACES = "132 234 567 687 125 265 374 478 153 357 246 486"
+CUBE = "".join(
+    [f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    + [f"f {' '.join(face)}\n" for face in _FACES.split()]
 )
 
 
