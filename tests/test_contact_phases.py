@@ -216,6 +216,19 @@ def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
     assert false_alarms(recording) == 2
 
 
+def test_an_approach_that_stands_still_names_the_distance_left():
+    recording = run_of("approach_and_slide", "control.life.travel=3 mm", duration=1.6)
+    assert (recording["contact_phase"][-1] == APPROACHING).any()
+    assert (recording["status"] == osc.Status.OK).all() and not recording["alpha_true"].any()
+    found = re.findall(
+        r"the approach of contact '(\w+)' has covered travel = 3 mm, met nothing and stands still; "
+        r"in the model ([\d.]+) mm are left",
+        recording.meta["end_reason"],
+    )
+    assert [name for name, _ in found] == recording.meta["contact_names"]
+    assert all(float(left) == approx(3.0, abs=0.5) for _, left in found)  # of 6 mm
+
+
 def test_a_landing_is_soft_and_torques_do_not_jump():
     start = "tare.standoff=4.5 mm", "object.pose.rpy.1=8 mrad"
     recording = run_of("approach_and_slide", *start, seed=3)

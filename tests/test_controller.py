@@ -1,6 +1,7 @@
 """The assembled controller: wiring, settings, limits, and whatever programs may call it with."""
 
 import copy
+import logging
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -147,6 +148,31 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig, ready):
     controller.engaged = False  # the same free motion, now with the bias in place of the integral
     controller.tick(measurement, reference)
     assert_near(controller.signals.f_S, force, 1e-3, 1e-3)
+
+
+def test_desired_forces_of_contacts_that_are_not_engaged_are_missed_aloud(caplog):
+    """A scenario with a tare in a loop of one's own."""
+    rig = rig_of("two_contact_rod_mismatch")
+    plant = rig.plant()
+    controller = rig.controller()
+    reference = rig.references.at(0.0)
+    assert reference.alpha_d.all()
+    free = replace(reference, alpha_d=np.zeros(len(reference.alpha_d)))
+
+    def loop(seconds, reference):
+        for _ in range(round(seconds / controller.dt)):
+            plant.command(controller.tick(plant.measure(), reference), controller.dt)
+        assert controller.status is osc.Status.OK
+
+    with caplog.at_level(logging.WARNING, "osc_contact.control"):
+        loop(0.1, free)
+        assert controller.reason == ""
+        loop(2.5, reference)
+    assert controller.reason.startswith("contact forces have been desired for 2.5 s, and the cont")
+    assert "controller.engage()" in controller.reason
+    assert "engage()" in caplog.text and len(caplog.records) == 1
+    controller.engage()
+    assert controller.reason == ""
 
 
 def limp():

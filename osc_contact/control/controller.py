@@ -1,5 +1,6 @@
 """The decoupled force/motion controller, fig. 4: its tick, its state, and copies of it."""
 
+import logging
 import os
 from collections.abc import Callable, Sequence
 from copy import copy, deepcopy
@@ -33,6 +34,7 @@ from osc_contact.control.signals import Signals, TickResult
 from osc_contact.control.start_check import StartCheck
 from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
 from osc_contact.control.torque_limits import MotorLimits, relieve, scale_torques
+from osc_contact.control.waiting import Idle, standing_approaches
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Body
@@ -52,6 +54,7 @@ from osc_contact.scenarios.control_schema import (
 )
 from osc_contact.spatial import Array, as_array
 
+_log = logging.getLogger(__name__)
 # The members of enumerations by their numbers: looked up in every tick.
 _STATUS = tuple(Status)
 _STATES = tuple(SafetyState)
@@ -207,6 +210,7 @@ class Controller:
         self._custom = CustomParts(settings, laws, records.model)
         self._freshness = Freshness()
         self._start = start
+        self._idle = Idle()
         self._take_records(records)
 
     def _take_records(self, records: TickRecords) -> None:
@@ -218,6 +222,7 @@ class Controller:
         """Choose how the ticks to come are computed: by one call of the law, or part by part."""
         memory = self._memory
         special = self._custom.needed or not self._start.done or self._converting
+        special = special or not memory.engaged
         self._tables = (
             self._records.rows.raw,
             memory.squeeze,
@@ -296,6 +301,8 @@ class Controller:
             error = self._custom.tick(self, measurement, reference, given, flags)
         else:
             self._records.run(given, flags)
+        if not memory.engaged and self._idle.count(self.settings, reference.alpha_d):
+            _log.warning("%s", self._idle.sentence(self.settings))
         return self._end(measurement, reference, error)
 
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
@@ -390,14 +397,19 @@ class Controller:
 
     @property
     def reason(self) -> str:
-        """Why `status` is not OK, or the arms stop; else empty.
+        """Why `status` is not OK, the arms stop, or a desired contact force is not there; else empty.
 
         In the tick of a stop, too, whose torques still are those of the law where a sensor is found
         faulty after it. Where a joint needs its mechanical brake (`unbraked`) it ends with that.
         """
         if self.status is Status.HELD or self.state is SafetyState.SAFE_STOP:
             return explain(self._records, self.settings, *self._inputs, self._failure)
-        return str(self.given_up or "; ".join(map(str, self.lost_directions)))
+        lost = str(self.given_up or "; ".join(map(str, self.lost_directions)))
+        if lost or not self._memory.ticked:
+            return lost
+        if not self.engaged:
+            return self._idle.sentence(self.settings)
+        return standing_approaches(self._records, self.settings)
 
     @property
     def state(self) -> SafetyState:
@@ -560,6 +572,8 @@ class Controller:
     @engaged.setter
     def engaged(self, engaged: bool) -> None:
         self._memory.engaged = engaged
+        self._idle = Idle()
+        self._plan()
         if self.life is None or not engaged:
             self._memory.contacts.active[:] = engaged
 
@@ -632,6 +646,7 @@ class Controller:
         other._begin(settings, laws, deepcopy(self._start), self._records.model_bytes)
         other._records.memory_bytes[:] = self._records.memory_bytes
         other._memory.status = Status.OK
+        other._plan()
         return other
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
@@ -651,6 +666,7 @@ class Controller:
         settings, laws, start = state["parts"]
         self._begin(settings, laws, start, pack_model(settings, state["columns"]))
         self._records.memory_bytes[:], self._records.work_bytes[:] = state["bytes"]
+        self._plan()
         self.__dict__.update(state["ended"])
 
     def _hand_over(self) -> None:

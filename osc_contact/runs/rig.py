@@ -238,7 +238,11 @@ class Rig:
         return friction.replaced(errors=self.scenario.tare is not None)
 
     def controller(self) -> Controller:
-        """The controller with the scenario's gains, knowing only `model`."""
+        """The controller with the scenario's gains, made of `model` alone.
+
+        Where the scenario has a `tare` it begins without its contacts, as `osc.run` does: a loop of
+        your own averages `residual_wrench()` into `f_tare`, and calls `engage()`.
+        """
         scenario = self.scenario
         control = scenario.control
         return Controller(

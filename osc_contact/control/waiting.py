@@ -1,0 +1,74 @@
+"""Desired contact forces that are not there although every tick is computed: why, in words."""
+
+from typing import Any
+
+import numpy as np
+from pinocchio import SE3
+
+from osc_contact.control.records import Settings
+from osc_contact.control.status import Phase
+from osc_contact.spatial import Array
+
+PATIENCE_S = 2.0  #: s of desired forces without engaged contacts, after which it is logged
+
+
+class Idle:
+    """Ticks with desired contact forces in which the contacts are not engaged.
+
+    Attributes:
+        ticks: so many in a row, up to the last one.
+        logged: whether it was logged.
+    """
+
+    def __init__(self) -> None:
+        self.ticks = 0
+        self.logged = False
+
+    def count(self, settings: Settings, alpha_d: Any) -> bool:
+        """Take in a tick without engaged contacts; returns whether this is to be logged now.
+
+        Args:
+            settings: of the controller. alpha_d: (r,) desired magnitudes (N).
+        """
+        desired = len(settings.contacts) > 0 and np.any(np.asarray(alpha_d) > 0.0)
+        self.ticks = self.ticks + 1 if desired else 0
+        due = not self.logged and self.ticks * settings.dt > PATIENCE_S
+        self.logged = self.logged or due
+        return due
+
+    def sentence(self, settings: Settings) -> str:
+        """Why nothing presses; empty where no force is desired."""
+        if not self.ticks:
+            return ""
+        return (
+            f"contact forces have been desired for {self.ticks * settings.dt:.3g} s, and the "
+            "contacts are not engaged: the object counts as free. At rest, off the contacts, "
+            "average controller.residual_wrench() into controller.f_tare, then call "
+            "controller.engage()"
+        )
+
+
+def standing_approaches(records: Any, settings: Settings) -> str:
+    """Which approaches have covered `travel` and met nothing, with the distance left.
+
+    Args:
+        records: `TickRecords` of the last tick. settings: of the controller.
+    """
+    if settings.life is None:
+        return ""
+    travel = settings.life.travel
+    X_WO = SE3(records.work.X_WO)
+    found = []
+    rows = zip(settings.contacts, records.memory.contacts, records.work.bodies.motion, strict=False)
+    for pair, contact, motion in rows:
+        if contact.phase != Phase.APPROACHING or contact.since * settings.life.speed < travel:
+            continue
+        X_WE = SE3(motion[:16].reshape(4, 4)) if records.work.moving else None
+        gap: Array = np.abs(pair.gaps(X_WO, X_WE))
+        found.append(
+            f"the approach of contact '{pair.name}' has covered travel = {1e3 * travel:g} mm, met "
+            f"nothing and stands still; in the model {1e3 * gap.max():.3g} mm are left. Correct "
+            "the place of what it touches, begin nearer, or raise travel (PhaseSettings, "
+            "control.life)"
+        )
+    return "; ".join(found)
