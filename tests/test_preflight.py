@@ -1,6 +1,7 @@
 """Mistakes in a scenario, in Python and at the command line: found before it runs, with a cure."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 from command_line import call, done, refused
@@ -12,6 +13,7 @@ from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
 from osc_contact.runs.preflight import least_peak
+from osc_contact.runs.run import start
 
 SINE = "signals: [{type: sine, amplitude: 50 mm, frequency: 0.5 Hz, start: 0 s, ramp: 1 s}]"
 LEFT = "contacts.left_end.face"
@@ -369,6 +371,31 @@ def test_one_force_for_two_contacts():
     controller.tick(rig.plant().measure(), osc.Reference(rig.references.at(0.0).X_WD, alpha_d=10.0))
     assert controller.status is osc.Status.HELD
     assert "1 forces for 2 columns of N; give one for each degree" in controller.reason
+
+
+class BeforeItsFirstStep:
+    """A simulator whose force sensor reads exact zeros until it is stepped."""
+
+    def __init__(self, plant):
+        self.plant = plant
+        self.stepped = False
+
+    def measure(self):
+        m = self.plant.measure()
+        return m if self.stepped else replace(m, wrenches=np.zeros_like(m.wrenches))
+
+
+def test_a_sensor_that_was_not_read_yet_is_called_so():
+    rig = rig_of("panda_edge", "tare={standoff: 5 mm}")
+    plant, controller = start(rig)
+    robot = BeforeItsFirstStep(plant)
+    controller.engaged = True
+    references = [replace(rig.references.at(0.0), A_D=np.zeros(6))]
+    (found,) = osc.preflight(robot, controller, references)
+    assert not found.refused and "exactly zero" in found.text and "step once" in found.text
+    assert "add the weight" not in found.text
+    robot.stepped = True
+    assert osc.preflight(robot, controller, references) == ()
 
 
 def test_a_posture_that_does_not_serve_is_called_so(tmp_path):

@@ -23,6 +23,7 @@ CLEAR = 1e-3  #: m, rad; contacts whose gaps are larger are not made
 WINDOW_S = 0.05  #: s of readings whose median is compared
 FEWEST = 5  #: readings
 LEVER = 0.2  #: m, the least on which `load_error` acts as a torque
+NOTHING = 1e-9  #: of the weight; smaller readings (N, N m) are exact zeros, but for rounding
 LIKE = 0.25  #: of the weight; readings nearer to none, or to its opposite, show the cause
 
 
@@ -137,7 +138,13 @@ def judge_load(settings: Settings, error: Array, expected: Array) -> str:
     if force <= most and torque <= most * lever:
         return ""
     weight = norm(expected[:3])
-    if norm(error[:3] + expected[:3]) < LIKE * weight:
+    if norm(error + expected) < NOTHING * weight:
+        cause = (
+            "The readings are exactly zero, as of a sensor that was not read yet, or of a "
+            "simulation that was not stepped yet: step once under torques that hold the arm, and "
+            "check again. If zeros remain, the sensor is not connected"
+        )
+    elif norm(error[:3] + expected[:3]) < LIKE * weight:
         cause = (
             "The readings seem to be without gravity, and Measurement.wrenches includes it: add "
             "the weight of what hangs on the sensor"

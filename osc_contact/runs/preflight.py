@@ -661,7 +661,8 @@ def first_tick(task: Task) -> Values:
         error = trial.residual_wrench() - trial.f_tare
         why = judge_load(trial.settings, error, trial.result().bias_out)
         if why:  # a controller that has not engaged may still be tared
-            yield 1.0 if trial.engaged else 0.5, {"why": why}
+            may_change = not trial.engaged or not np.any(task.measured.wrenches)
+            yield 0.5 if may_change else 1.0, {"why": why}
 
 
 @rule(
