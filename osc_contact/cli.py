@@ -29,6 +29,7 @@ from osc_contact.console import (
     load_task,
     open_recording,
     out,
+    recording_in,
     report_run,
     require,
     require_report,
@@ -136,12 +137,14 @@ def run(
 
 @app.command()
 def export(
-    recording: Annotated[Path, Argument(help="recording.npz, or unfinished.mcap of a run")],
+    recording: Annotated[
+        str, Argument(help="folder of a run, its recording.npz or unfinished.mcap")
+    ],
     file: Annotated[Path, Argument(help="to write: .npz, .csv or .mcap")],
     folder: FolderOption = None,
 ) -> None:
     """Write a recording for other programs; recover that of a run that was killed."""
-    loaded = open_recording(str(recording), folder)
+    loaded = open_recording(recording_in(recording), folder)
     say(*loaded.meta.get("missing", ()))
     say(f"written: {loaded.export(file)}")
 
@@ -168,7 +171,8 @@ def build(
 @app.command()
 def view(
     what: Annotated[
-        str, Argument(metavar="SCENARIO|RECORDING", help="as for `run`, or an .npz file")
+        str,
+        Argument(metavar="SCENARIO|RECORDING", help="as for `run`, an .npz file, a run's folder"),
     ],
     *,
     live: Annotated[bool, Option("--live", help="in a browser, during the run")] = False,
@@ -209,6 +213,7 @@ def view(
     if film:
         require("PIL")
     recording = scenario = None
+    what = recording_in(what)
     if what.endswith(RECORDINGS):
         if set_ or plant or duration is not None:
             raise InvalidInputError("--set, --plant and --duration change runs, not recordings")

@@ -82,7 +82,7 @@ def pose(
     if seed is not None and xyz is None and rpy is None:
         raise InvalidInputError("--seed is of the search for a posture; give --xyz or --rpy")
     if xyz is not None or rpy is not None:
-        p = now.translation if xyz is None else poses.numbers("xyz", xyz)
+        p = now.translation if xyz is None else poses.place(xyz)
         R = now.rotation if rpy is None else pin.rpy.rpyToMatrix(*poses.numbers("rpy", rpy))
         solution = poses.solve(chain, pin.SE3(R, p), q, seed)
         q = solution.q
@@ -95,7 +95,7 @@ def pose(
                 "give another pose, or another --seed"
             )
     outside = outside_limits(chain, q)
-    say(*poses.pose_lines(chain, q), *outside)
+    say(*poses.pose_lines(chain, q), *outside, *poses.degrees(chain, q))
     if json_file:
         write_json(poses.as_dict(chain, q), json_file)
     if outside or not reached:

@@ -51,8 +51,10 @@ FolderOption = Annotated[
 ]
 JsonOption = Annotated[Path | None, Option("--json", help="also write the result as JSON")]
 
-out = Console(width=None if sys.stdout.isatty() else 120)
-err = Console(stderr=True)
+# without markup: names of robots may hold brackets
+out = Console(width=None if sys.stdout.isatty() else 120, markup=False)
+err = Console(stderr=True, markup=False)
+WHOLE = "recording.npz"
 PARTIAL = "recording_until_failure.npz"
 UNFINISHED = "unfinished.mcap"
 
@@ -98,7 +100,7 @@ class CompilationBar:
 def say(*parts: str | Table) -> None:
     """Print texts and tables as they are, each on a new line."""
     for part in parts:
-        out.print(part, highlight=False, markup=False, soft_wrap=isinstance(part, str))
+        out.print(part, highlight=False, soft_wrap=isinstance(part, str))
 
 
 def require(package: str) -> None:
@@ -142,7 +144,7 @@ def exit_codes() -> Iterator[None]:
         if isinstance(error, ImportError) and not absent:
             raise
         words = absent or "\n".join((str(error), *getattr(error, "__notes__", ())))
-        err.print(f"error: {words}", style="red", highlight=False, markup=False, soft_wrap=True)
+        err.print(f"error: {words}", style="red", highlight=False, soft_wrap=True)
         failed = isinstance(error, PlantError) and not absent
         raise Exit(1 if failed else 2) from error
 
@@ -181,6 +183,23 @@ def forget_rows(folder: Path) -> None:
     (folder / UNFINISHED).unlink(missing_ok=True)
 
 
+def recording_in(name: str) -> str:
+    """The recording in the folder of a run; a name that is no folder as it is.
+
+    Raises:
+        InvalidInputError: no recording is in the folder.
+    """
+    folder = Path(name)
+    if not folder.is_dir():
+        return name
+    for file in (WHOLE, PARTIAL, UNFINISHED):
+        if (folder / file).is_file():
+            return str(folder / file)
+    raise InvalidInputError(
+        f"{name} is a folder without a recording: there is no {WHOLE}, {PARTIAL} or {UNFINISHED}"
+    )
+
+
 def open_recording(name: str, folder: Path | None) -> Recording:
     """A recording, or what is left of one.
 
@@ -216,8 +235,8 @@ def report_run(
         figures: see `report.write_report`.
     """
     if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
-        recording.save(folder / "recording.npz")
-        return "recording.npz; the run was too short to be judged", False
+        recording.save(folder / WHOLE)
+        return f"{WHOLE}; the run was too short to be judged", False
     verdict = report.write_report(recording, scenario, folder, figures)
     out.print(report.verdict_table(verdict))
     say(*report.task_lines(verdict))

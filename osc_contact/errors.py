@@ -41,18 +41,21 @@ MANY = 8  #: names beside a guess
 SHOWN = 12  #: names without one
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
+def did_you_mean(word: str, known: Iterable[str], most: int = SHOWN) -> str:
     """Return "did you mean 'x'? known: ..." for a word that is not among `known`.
 
     Long lists are left out where there is a guess, and cut where there is none.
+
+    Args:
+        word, known: as said. most: names listed; 0: none, a guess alone or "".
     """
     names = list(known)
     near = get_close_matches(word, names, n=2, cutoff=0.6)
     hint = f"did you mean {' or '.join(map(repr, near))}?" if near else ""
-    if near and len(names) > MANY:
+    if most == 0 or (near and len(names) > MANY):
         return hint
-    more = f", … ({len(names)} in all)" if len(names) > SHOWN else ""
-    listed = ", ".join(names[:SHOWN]) or "none"
+    more = f", … ({len(names)} in all)" if len(names) > most else ""
+    listed = ", ".join(names[:most]) or "none"
     return f"{hint} known: {listed}{more}".lstrip()
 
 

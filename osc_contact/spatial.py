@@ -114,6 +114,11 @@ def axial(A: Array) -> Array:
     return np.array((A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]))
 
 
+def columns_of(J: Array) -> Array:
+    """(6, n) of a Jacobian of Pinocchio's, which has the shape (6,) where one joint moves."""
+    return np.reshape(J, (6, -1))
+
+
 def carry_twist(V: Array, start: Array, end: Array) -> Array:
     """Twists (6,) or (6, k) carried from point to point: v_end = v_start + ω × (end − start).
 

@@ -66,9 +66,17 @@ def check_robot(
         InvalidInputError: no model is known, or it has joints without motors.
     """
     chain = getattr(robot, "chain", None) if chain is None else chain
-    if chain is None or chain.n_a != chain.nq:
+    if chain is None:
         raise InvalidInputError(
-            "the check needs a model of the robot, all of whose joints have motors; give chain="
+            f"{type(robot).__name__} has no attribute `chain`, and the check needs a model of the "
+            'robot: check_robot(robot, osc.ClosedChain([osc.Arm.from_urdf("arm.urdf", name="arm", '
+            'tip="…", wrist_sensor="…")]))'
+        )
+    if chain.n_a != chain.nq:
+        motorless = sorted(set(chain.joint_names) - {chain.joint_names[j] for j in chain.actuated})
+        raise InvalidInputError(
+            f"the check turns every joint by its motor, and {', '.join(motorless)} has none: give "
+            "a chain of the arm alone, without what it holds"
         )
     check = _Check(robot, chain, dt)
     try:

@@ -327,6 +327,18 @@ def test_view_makes_the_page_of_a_recording(ran, brief, tmp_path):
     done("view", short, "--html", page)  # shorter than a picture
 
 
+def test_the_folder_of_a_run_stands_for_its_recording(ran, tmp_path):
+    page = tmp_path / "page.html"
+    done("view", ran[0], "--html", page, "--time", "0.5")
+    assert "left_end" in page.read_text()
+    done("export", ran[0], tmp_path / "run.csv")
+    assert (tmp_path / "run.csv").read_text().startswith("t,")
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    for line in ("view", bare), ("export", bare, tmp_path / "run.csv"):
+        assert "there is no recording.npz, recording_until_failure.npz or unf" in refused(*line)
+
+
 def test_view_runs_a_scenario_and_writes_to_out(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done(f"view {ROD} --duration 0.05")

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pinocchio as pin
-from complaints import plant_error
+from complaints import invalid_input, plant_error
 from rigs import largest, shift, vector
 from samples import parametrize
 
@@ -102,6 +102,20 @@ def test_drivers_that_keep_the_contract_pass():
     assert robot.stops == ["the check has ended", ""]
     assert check_robot(Driver().plant) == [], "readings without stamps, too"
     assert largest(robot.plant.measure().q - HOME) < 0.03, "it is back where it was"
+
+
+def test_a_robot_without_a_model_or_with_a_joint_without_motor_is_refused_with_a_cure():
+    robot = Driver()
+    chain = robot.chain
+    del robot.chain
+    with invalid_input(r"Driver has no attribute `chain`.*check_robot\(robot, osc.ClosedChain"):
+        check_robot(robot)
+    assert check_robot(robot, chain) == []
+    model = mujoco.MjModel.from_xml_string(SCENE)
+    how = {"tip": "tip", "wrist_sensor": "sensor", "passive_joints": ["elbow"], "name": "arm"}
+    loose = osc.ClosedChain([osc.Arm.from_mjcf(model, **how)])
+    with invalid_input("by its motor, and arm/elbow has none"):
+        check_robot(robot, loose)
 
 
 @parametrize(

@@ -96,6 +96,48 @@ def test_what_is_wrong_ends_with_exit_code_2(words, message):
     assert message in refused(words)
 
 
+def test_numbers_in_other_units_are_refused_with_theirs():
+    message = refused(f"{TIP} --xyz '600, 100, 300'")
+    assert "plain numbers are metres" in message and "'600 mm, 100 mm, 300 mm'" in message
+    result = call(f"{TIP} --posture '0, -45, 0, -135, 0, 90, 45'")
+    assert result.exit_code == 1
+    cure = "write '0 deg, -45 deg, 0 deg, -135 deg, 0 deg, 90 deg, 45 deg'"
+    assert f"plain numbers are radians, and these look like degrees: {cure}" in result.stdout
+    assert "degrees" not in call(f"{TIP} --posture '0, 0, 0, 0, 0, 0, 9'").stdout
+
+
+ONE_JOINT = """
+<robot name="one">
+  <link name="base"/>
+  <link name="arm"><inertial>
+    <origin xyz="0.1 0 0"/> <mass value="1"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>
+  </inertial></link>
+  <link name="TIP"/>
+  <joint name="JOINT" type="revolute">
+    <parent link="base"/> <child link="arm"/> <axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="10" velocity="1"/>
+  </joint>
+  <joint name="flange" type="fixed">
+    <parent link="arm"/> <child link="TIP"/> <origin xyz="0.3 0 0"/>
+  </joint>
+</robot>"""
+
+
+@parametrize("tip, joint", [("tip", "turn"), ("[/bold]tip", "[red]turn")])
+def test_robots_of_one_joint_and_names_with_brackets(tmp_path, tip, joint):
+    file = tmp_path / "one.urdf"
+    file.write_text(ONE_JOINT.replace("TIP", tip).replace("JOINT", joint))
+    text = done("check", file).stdout
+    assert f"│ {joint}" in text and f"│ {tip}" in text
+    place = f"{0.3 * np.cos(0.5)}, {0.3 * np.sin(0.5)}, 0"
+    _, found = answered("pose", file, "--xyz", place, "--rpy", "0, 0, 0.5")
+    assert found["posture"] == {f"one/{joint}": approx(0.5, abs=1e-6)}
+    result = call("new", "--robot", file, "--press", "Y=3", "--out", tmp_path / "one.yaml")
+    assert result.exit_code == 2 and "no posture of" in result.output
+    assert "not valid YAML" not in result.output
+
+
 def test_numbers_are_those_of_scenario_files():
     assert_near(poses.numbers("rpy", "[180 deg, 0, 1]"), [np.pi, 0, 1])
     with invalid_input("posture"):

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pinocchio as pin
+from command_line import refused
 from complaints import invalid_input, model_error
 from pytest import approx, raises
 from rigs import assert_near, placed
@@ -116,6 +117,15 @@ def test_robots_are_found_by_folder_too():
     path, _ = robots.find_robot("anymal_c_simple_description/anymal")
     assert path.parent.parent.name == "anymal_c_simple_description"
     assert robots.find_robot("xarm")[0].name == "xarm7.urdf"
+
+
+def test_a_robot_that_is_not_known_is_refused_with_the_names_of_all():
+    message = refused("check nosuchrobot")
+    root = robots.find_robot("panda")[1] / "example-robot-data/robots"
+    names = {path.stem.removesuffix("_robot") for path in root.glob("*/*/*.urdf")}
+    assert len(names) > 60 and all(name in message for name in names)
+    assert "scara_left" in message and "did you mean" not in message
+    assert "did you mean 'panda'" in refused("check pandda")
 
 
 def test_missing_robot_data_names_what_to_install(monkeypatch, tmp_path):

@@ -397,7 +397,7 @@ class Controller:
 
     @property
     def reason(self) -> str:
-        """Why `status` is not OK, the arms stop, or a desired contact force is not there; else empty.
+        """Why `status` is not OK, the arms stop, or a desired contact force is missing; else empty.
 
         In the tick of a stop, too, whose torques still are those of the law where a sensor is found
         faulty after it. Where a joint needs its mechanical brake (`unbraked`) it ends with that.

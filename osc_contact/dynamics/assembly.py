@@ -227,10 +227,10 @@ def _reach_step(
         if grasp.is_rigid:
             X = tip * grasp.X_TO
             miss = L.T @ pose_error(X_WO, X)
-            J = L.T @ columns_at(chain.data.J[:, s], X.translation)
+            J = L.T @ columns_at(chain.data.J, X.translation)[:, s]
         else:  # the rows of N alone, made orthonormal in the object's metric
             Q, miss = grasp.whitened(tip, X_WO, L)
-            J = Q.T @ L.T @ columns_at(chain.data.J[:, s], X_WO.translation)
+            J = Q.T @ L.T @ columns_at(chain.data.J, X_WO.translation)[:, s]
         cost += 0.5 * float(miss @ miss)
         slope = J.T @ miss
         low = chain.model.lowerPositionLimit[s]

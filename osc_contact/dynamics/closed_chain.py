@@ -44,7 +44,7 @@ from osc_contact.law.reasons import NO_REASON, SENTENCES
 from osc_contact.law.records import Bytes, Rows, new_model, views
 from osc_contact.law.vectors import motions, reflection, wrenches
 from osc_contact.robots.model import joint_axis, joint_names, slides
-from osc_contact.spatial import Array, as_array, carry_twist, cross, norm
+from osc_contact.spatial import Array, as_array, carry_twist, columns_of, cross, norm
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,8 @@ def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink
 
 
 def columns_at(J_world: Array, O: Array) -> Array:  # noqa: E741 - the operational point
-    """Jacobian columns carried from the world origin to O."""
-    return carry_twist(J_world, np.zeros(3), O)
+    """Jacobian columns (6, n) carried from the world origin to O."""
+    return carry_twist(columns_of(J_world), np.zeros(3), O)
 
 
 GYRATION = 0.1  #: m, of the ball that stands for the heaviest arm, see `law.singular`
@@ -324,7 +324,7 @@ def _full_rank(arm: Arm, grasp: Grasp) -> int:
     frame = robots.frame_id(model, arm.tip)
     postures = np.random.default_rng(0).uniform(-1.0, 1.0, (4, model.nq))
     jacobians = (pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL) for q in postures)
-    return max(int(np.linalg.matrix_rank(grasp.N.T @ J, tol=1e-6)) for J in jacobians)
+    return max(int(np.linalg.matrix_rank(grasp.N.T @ columns_of(J), tol=1e-6)) for J in jacobians)
 
 
 def _merge(arms: Sequence[Arm]) -> pin.Model:
@@ -653,7 +653,7 @@ def require_pinocchio_agrees(chain: ClosedChain, row: Bytes) -> None:
         work = chain_work(row, q, v, SE3.Identity(), np.zeros(6))
         pin.computeAllTerms(chain.model, data, q, v)
         for name, ours, theirs in (
-            ("J", carry_twist(work.joints.column.T, work.C, np.zeros(3)), data.J),
+            ("J", carry_twist(work.joints.column.T, work.C, np.zeros(3)), columns_of(data.J)),
             ("M", mass_matrix(work, chain.slices), data.M),
             ("h", work.joints.h, data.nle),
         ):

@@ -25,6 +25,7 @@ from osc_contact.spatial import (
     as_array,
     carry_twist,
     classical_to_spatial,
+    columns_of,
     cross,
     cross_wrench,
     rotated,
@@ -226,7 +227,7 @@ class Environment:
         free = tau - data.nle
         M_inv = inverse(np.array(data.M), "the environment's joint-space inertia")
         world = pin.ReferenceFrame.WORLD
-        J = carry_twist(pin.getJointJacobian(model, data, joint, world), _ZERO, point)
+        J = carry_twist(columns_of(pin.getJointJacobian(model, data, joint, world)), _ZERO, point)
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
         drift = data.oMi[joint].act(data.a[joint]).vector
         b_e = J @ M_inv @ free + carry_twist(drift, _ZERO, point)

@@ -245,8 +245,12 @@ def find_robot(name: str) -> tuple[Path, Path]:
             raise ModelError(
                 f"{name!r} is ambiguous in {ROBOT_DATA}: name one of {', '.join(hits)}"
             )
-    stems = {path.stem.removesuffix("_robot") for path in files.values()}
-    raise ModelError(f"{ROBOT_DATA} has no robot {name!r}; {did_you_mean(name, sorted(stems))}")
+    stems = sorted({path.stem.removesuffix("_robot") for path in files.values()})
+    near = did_you_mean(name, stems, most=0)
+    raise ModelError(
+        f"{ROBOT_DATA} has no robot {name!r}; {near + ' ' if near else ''}its robots: "
+        f"{', '.join(stems)}; packaged: {', '.join(_packaged())}"
+    )
 
 
 def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path, tuple[Path, ...]]:

@@ -24,7 +24,7 @@ from osc_contact.robots.model import (
     sliding,
 )
 from osc_contact.robots.urdf import ModelFinding
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, columns_of
 
 POSTURES = 200
 NO_LIMIT = 1e30  #: N m, N, rad/s, m/s: as large as none
@@ -243,7 +243,7 @@ def _tip(model: pin.Model, frame: int) -> TipSummary:
     mobility = []
     for q in random_configurations(model, POSTURES):
         M = np.array(pin.crba(model, data, q))
-        J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
+        J = columns_of(pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL))
         A = np.linalg.solve(np.linalg.cholesky(M.T), J.T).T
         linear.append(np.linalg.eigvalsh(A[:3] @ A[:3].T))
         angular.append(np.linalg.eigvalsh(A[3:] @ A[3:].T))

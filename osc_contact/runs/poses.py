@@ -5,6 +5,7 @@ And a first scenario for any arm: it presses a stylus on a plate and slides alon
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.assembly import object_pose, reach
+from osc_contact.dynamics.assembly import object_pose, outside_limits, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
 from osc_contact.robots.model import joint_names, position_limits, sliding
@@ -28,12 +29,13 @@ from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.loader import parse_scenario
 from osc_contact.scenarios.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array, norm, pose_error
+from osc_contact.spatial import Array, columns_of, norm, pose_error
 
 TRIES = 40  #: random postures from which a pose is sought, after the given one
 #: a pose that is missed by less is reached
 MISS_M = 1e-6
 MISS_RAD = 1e-5
+FARTHEST_M = 20.0  #: m; no arm's work is further from the origin of its scene
 VECTORS: dict[str, TypeAdapter[Any]] = {
     "xyz": TypeAdapter(Vec3),
     "rpy": TypeAdapter(AngleVec3),
@@ -107,6 +109,36 @@ def numbers(kind: str, text: str) -> Array:
         raise InvalidInputError(f"{kind} {text!r}: {error.errors()[0]['msg']}") from error
     except yaml.YAMLError as error:
         raise InvalidInputError(f"{kind} {text!r}: expected numbers with commas between") from error
+
+
+def place(text: str) -> Array:
+    """(3,) m, a place that a person typed.
+
+    Raises:
+        InvalidInputError: it is none, or further away than any arm reaches.
+    """
+    xyz = numbers("xyz", text)
+    if np.abs(xyz).max() > FARTHEST_M:
+        as_mm = ", ".join(f"{x:g} mm" for x in xyz)
+        raise InvalidInputError(
+            f"xyz {text!r}: {np.abs(xyz).max():g} m, and plain numbers are metres; in millimetres "
+            f"write {as_mm!r}"
+        )
+    return xyz
+
+
+def degrees(chain: ClosedChain, q: Array) -> list[str]:
+    """A sentence where a posture outside the limits is within them if its angles are degrees.
+
+    Args:
+        chain: the arms. q: (n,) joint positions (rad, m).
+    """
+    slide = np.concatenate([sliding(arm.model) for arm in chain.arms])
+    turned = np.where(slide, q, np.radians(q))
+    if not outside_limits(chain, q) or outside_limits(chain, turned):
+        return []
+    units = ", ".join(f"{x:g}" if s else f"{x:g} deg" for x, s in zip(q, slide, strict=True))
+    return [f"plain numbers are radians, and these look like degrees: write '{units}'"]
 
 
 def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = None) -> Posture:
@@ -310,7 +342,7 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
             room = np.minimum(q - low, high - q) / np.minimum(high - low, 2 * np.pi)
         margin = np.nanmin(np.where(np.isfinite(room), room, 0.5))
         rank = min(3, model.nv)
-        score = sizes[rank - 1] / sizes[0] + min(margin, 0.15) / 0.15 - 0.5 * down[2]
+        score = sizes[rank - 1] / max(sizes[0], 1e-12) + min(margin, 0.15) / 0.15 - 0.5 * down[2]
         score += 0.5 * min(X.translation[2], 0.1) / 0.1 - max(0.0, strain - 0.4) * 5.0
         scores.append(score)
     for k in np.argsort(scores)[::-1][:TRIED]:
@@ -332,17 +364,18 @@ def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
     point = X_WT.translation + (LENGTH_M + BALL_M) * down
     along = _tangent(model, data, q, tip, down)
     travel = min(20.0, 1e3 * 0.05 * norm(X_WT.translation))
+    about = f"{robot} presses {press.force:g} N with a stylus along {press} of {arm.tip}"
     return f"""\
 # {robot} presses a stylus on a plate with {press.force:g} N and slides along it.
 # A quantity is a number in SI or a string with a unit; docs/scenario.md has every key.
 name: {arm.name}_press
-description: {robot} presses {press.force:g} N with a stylus along {press} of {arm.tip}, and slides
+description: {_quoted(f"{about}, and slides")}
 
 arms:
   - name: {arm.name}
-    urdf: {_reference(robot)}
-    tip: {arm.tip}                    # the frame that carries the stylus
-    wrist_sensor: {arm.tip}           # where force and torque are measured
+    urdf: {_quoted(_reference(robot))}
+    tip: {_quoted(arm.tip)}                    # the frame that carries the stylus
+    wrist_sensor: {_quoted(arm.tip)}           # where force and torque are measured
     # {joints}
     posture: [{", ".join(f"{x:.6f}" for x in q)}]   # rad, m
 
@@ -383,6 +416,18 @@ duration: 4 s
 """
 
 
+def _quoted(text: str) -> str:
+    """A text as YAML, in quotation marks where it would be read as something else."""
+    import yaml
+
+    try:
+        if yaml.safe_load(text) == text:
+            return text
+    except yaml.YAMLError:
+        pass
+    return json.dumps(text, ensure_ascii=False)
+
+
 def _unnoisy(direction: Array) -> Array:
     """The unit vector (3,) without components that the rounding of the posture makes."""
     kept = np.where(np.abs(direction) < 1e-5, 0.0, direction)
@@ -403,7 +448,6 @@ def _tangent(model: pin.Model, data: pin.Data, q: Array, tip: int, down: Array) 
 
 
 def _jacobian(model: pin.Model, data: pin.Data, q: Array, tip: int) -> tuple[Array, Array]:
-    """J (3, n) of the tip in the world, M (n, n); Pinocchio drops an axis where n is 1."""
+    """J (3, n) of the tip in the world, M (n, n)."""
     J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)
-    M = np.array(pin.crba(model, data, q))
-    return np.reshape(J, (6, model.nv))[:3], M.reshape(model.nv, model.nv)
+    return columns_of(J)[:3], np.array(pin.crba(model, data, q))

@@ -19,7 +19,7 @@ import pinocchio as pin
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement
-from osc_contact.spatial import Array, norm
+from osc_contact.spatial import Array, columns_of, norm
 
 REST_S = 0.2  #: from the beginning, in which nobody touches the arm
 HALF = 10  #: ticks to either side over which accelerations and means are taken
@@ -165,7 +165,7 @@ class Shadow:
         q, v, sent, wrench = np.split(rows.mean(axis=0), [n, 2 * n, 3 * n])
         acceleration = (rows[-1, n : 2 * n] - rows[0, n : 2 * n]) / (2 * HALF * self.dt)
         needed = np.array(pin.rnea(self.inboard, self.data, q, v, acceleration))
-        J = pin.computeFrameJacobian(self.inboard, self.data, q, self.chain.sensors[0])
+        J = columns_of(pin.computeFrameJacobian(self.inboard, self.data, q, self.chain.sensors[0]))
         return v, acceleration, sent - needed, J.T @ wrench
 
     def _scale(self, v: Array, acceleration: Array, left: Array, felt: Array) -> float:
