@@ -14,8 +14,9 @@ import pinocchio as pin
 import processes
 import umsgpack
 from complaints import invalid_input, viewer_error
+from headless import Browser
 from processes import alive, sockets, wait_until
-from pytest import approx, fixture, mark, raises
+from pytest import approx, fixture, raises
 from samples import module_fixture
 from scenario_runs import assert_same_run, run_of
 from scene_samples import BODIES, CONTENT, RECORDING, links
@@ -208,18 +209,62 @@ def test_foreign_names_and_foreign_pages_get_nothing(lasting):
     assert get(lasting, "/frames", **upgrade, **named)[0] == 404
 
 
-@mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stopped"])
-def test_a_dead_or_frozen_viewer_is_reported_once_and_never_waited_for(viewer, blow, caplog):
+def test_a_dead_viewer_is_reported_once_and_never_waited_for(viewer, caplog):
     with caplog.at_level(logging.INFO, "osc_contact.viewer"):
         feed(viewer, 0.5)
-        viewer._process.send_signal(blow)
+        viewer._process.send_signal(signal.SIGKILL)
         feed(viewer, 2.5)
         assert isinstance(viewer.error, osc.ViewerError)
         (record,) = caplog.records
-    words = "has ended" if blow == signal.SIGKILL else "has taken nothing for 1 s"
-    assert words in record.getMessage() and "the run continues" in record.getMessage()
+    message = record.getMessage()
+    assert "has ended" in message and "the run continues" in message
     viewer.close()
     assert viewer._process.poll() is not None
+
+
+def test_a_viewer_that_takes_nothing_for_a_while_continues_afterwards(viewer, caplog):
+    """As on a loaded machine: nobody waits for it, and it is not given up."""
+    with caplog.at_level(logging.INFO, "osc_contact.viewer"):
+        feed(viewer, 0.5)
+        viewer._process.send_signal(signal.SIGSTOP)
+        feed(viewer, 2.5)
+        assert viewer.error is None and viewer.stalled
+        (record,) = caplog.records
+        assert "has taken nothing for 1 s" in record.getMessage()
+        viewer._process.send_signal(signal.SIGCONT)
+        wait_until(lambda: viewer.show(TICKS[45]) or not viewer.stalled, 20.0)
+
+        async def newest():
+            client = await connect(viewer)
+            t = (await client.picture())["t"]
+            await client.leave()
+            return t
+
+        wait_until(lambda: asyncio.run(newest()) == TICKS[45]["t"], 20.0)
+    assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
+
+
+def test_the_page_shows_whether_it_is_live(viewer):
+    shown = "document.getElementById('live').textContent"
+    feed(viewer, 0.5)
+    with Browser(viewer.url) as page:
+
+        def wait_for(word, feeding=True):
+            def seen():
+                if feeding:
+                    viewer.show(TICKS[0])
+                return page.run(shown) == word
+
+            wait_until(seen, 30.0)
+
+        wait_for("LIVE")
+        wait_for("WAITING", feeding=False)
+        wait_for("LIVE")
+        page.run("LIVE.socket.close()")
+        wait_for("RECONNECTING", feeding=False)
+        wait_for("LIVE")
+        viewer.close()
+        wait_for("ENDED", feeding=False)
 
 
 def test_a_run_is_the_same_with_a_viewer_that_dies_in_it(caplog):

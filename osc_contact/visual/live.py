@@ -45,7 +45,8 @@ CHANNELS: dict[str, tuple[int | str, ...]] = {
 }
 """What a scene draws from, and its shape at one tick; all else stays in the loop's process."""
 START_S = 30.0
-STALLED_S = 1.0
+STALLED_S = 1.0  #: after which it is logged that the viewer's process takes nothing
+RETRY_S = 0.25  #: from then on it is offered a tick so often
 ROOM = 1 << 15
 
 
@@ -66,6 +67,8 @@ class Viewer:
     Attributes:
         url: address of the page; any number of browsers may open it, none needs to.
         error: why the view has ended, once it has; the run continues.
+        stalled: whether its process has taken nothing for a second, as on a loaded machine; ticks
+            are dropped until it does.
 
     Raises:
         ViewerError: the process does not start.
@@ -79,7 +82,8 @@ class Viewer:
         self._reason = ""
         self._period = 1.0 / rate
         self._due = 0.0
-        self._stalled = float("inf")
+        self._stalled_since = float("inf")
+        self.stalled = False
         self._link, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with tempfile.TemporaryFile() as complaints:
             with other:  # closed here, so that the end of the process closes the link
@@ -116,17 +120,40 @@ class Viewer:
         try:
             sample = {name: np.array(tick[name], dtype=float) for name in CHANNELS if name in tick}
             self._link.send(pickle.dumps(sample))
-            self._stalled = float("inf")
+            self._taken()
         except BlockingIOError:
-            self._stalled = min(self._stalled, now)
-            if now - self._stalled > STALLED_S:
-                self._fail(f"its process has taken nothing for {STALLED_S:g} s")
+            self._wait(now)
         except OSError:
             self._read_news()
             why = f": {self._reason}" if self._reason else ""
             self._fail(f"its process has ended (exit code {self._process.poll()}){why}")
         except (TypeError, ValueError) as error:
             self._fail(f"a tick does not hold numbers: {error!r}")
+
+    def _taken(self) -> None:
+        """A tick was taken."""
+        self._stalled_since = float("inf")
+        if self.stalled:
+            self.stalled = False
+            LOG.info("the live view continues")
+
+    def _wait(self, now: float) -> None:
+        """No tick is taken; reported once, then offered more seldom.
+
+        Args:
+            now: s, by the clock of `monotonic`.
+        """
+        self._stalled_since = min(self._stalled_since, now)
+        if now - self._stalled_since <= STALLED_S:
+            return
+        self._due = now + RETRY_S
+        if not self.stalled:
+            self.stalled = True
+            LOG.warning(
+                "the live view waits: its process has taken nothing for %g s (a loaded machine?); "
+                "the run continues, and the view as soon as it can",
+                STALLED_S,
+            )
 
     def _fail(self, reason: str) -> None:
         """Report once; the loop continues."""
