@@ -131,6 +131,36 @@ static void ticks(osc_controller *c) {
     free(good.numbers);
 }
 
+static void reports(osc_controller *c) {
+    double value, six[6], *many = calloc(2 * n.joints + n.forces + 1, sizeof *many);
+    int32_t *phases = calloc(n.contacts + 1, sizeof *phases);
+    size_t rank;
+    EXPECT(osc_get_forces(c, NULL, n.forces), OSC_NULL);
+    EXPECT(osc_get_forces(c, many, n.forces + 1), OSC_WRONG_SIZE);
+    EXPECT(osc_get_forces(c, many, n.forces), OSC_DONE);
+    EXPECT(osc_get_phases(NULL, phases, n.contacts), OSC_NULL);
+    EXPECT(osc_get_phases(c, phases, n.contacts + 1), OSC_WRONG_SIZE);
+    EXPECT(osc_get_phases(c, phases, n.contacts), OSC_DONE);
+    EXPECT(osc_get_motion_integral(c, NULL), OSC_NULL);
+    EXPECT(osc_get_motion_integral(c, six), OSC_DONE);
+    EXPECT(osc_get_force_integral(c, six, NULL), OSC_NULL);
+    EXPECT(osc_get_force_integral(c, six, &rank), OSC_DONE);
+    EXPECT(osc_get_friction(c, many, n.joints), OSC_WRONG_SIZE);
+    EXPECT(osc_get_friction(c, many, 2 * n.joints), OSC_DONE);
+    EXPECT(osc_engage(NULL), OSC_NULL);
+    EXPECT(osc_engage(c), OSC_DONE);
+    EXPECT(osc_set_phase_setting(c, NULL, 1.0), OSC_NULL);
+    EXPECT(osc_set_phase_setting(c, "sped", 0.01), OSC_UNKNOWN_NAME);
+    EXPECT(osc_set_phase_setting(c, "speed", 0.0), OSC_OUT_OF_RANGE);
+    EXPECT(osc_set_phase_setting(c, "speed", 1e-4), OSC_OUT_OF_RANGE);
+    EXPECT(osc_set_phase_setting(c, "speed", 0.02), OSC_DONE);
+    EXPECT(osc_get_phase_setting(c, "speed", NULL), OSC_NULL);
+    EXPECT(osc_get_phase_setting(c, "speed", &value), OSC_DONE);
+    if (osc_reason_text(-1) == NULL || value != 0.02) wrong = 1;
+    free(phases);
+    free(many);
+}
+
 int main(int count, char **words) {
     FILE *stream = count > 1 ? fopen(words[1], "rb") : NULL;
     osc_controller *c[2];
@@ -145,6 +175,7 @@ int main(int count, char **words) {
     EXPECT(osc_get_dimensions(c[0], &n), OSC_DONE);
     EXPECT(osc_get_dimensions(c[0], NULL), OSC_NULL);
     ticks(c[0]);
+    reports(c[0]);
     for (int i = 0; i < 2; i++) {
         osc_destroy(c[i]);
         EXPECT(osc_create(words[1], &c[i]), OSC_DONE);

@@ -19,10 +19,10 @@ from samples import made_once, module_fixture, parametrize
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
 from osc_contact.control.saving import controller_bytes
-from osc_contact.control.without_python import write_library
+from osc_contact.control.without_python import ERRORS, write_library
 from osc_contact.drivers.franka import TORQUE_STEP
 from osc_contact.law.jit import HAS_LIBRARY
-from osc_contact.law.reasons import CODES
+from osc_contact.law.reasons import CODES, SENTENCES
 from osc_contact.runs.run import start
 from osc_contact.runs.tape import Tape, build
 
@@ -274,6 +274,89 @@ def test_a_saved_controller_continues_and_takes_gains_tare_and_reset(
         seen.add(controller.status)
     assert osc.Status.HELD in seen and len(seen) > 1
     c.osc_destroy(handle)
+
+
+def code_of(name):
+    """Of an error of the C library."""
+    return -list(ERRORS).index(name)
+
+
+def numbers_of(c, handle, name, *counted, size, kind=ctypes.c_double):
+    """What a getter fills in."""
+    out = (kind * size)()
+    assert getattr(c, name)(handle, out, *counted) == 0
+    return np.array(out)
+
+
+def assert_reported_alike(c, handle, controller):
+    """Measured forces, phases, integrals and learned friction, in Python and in C."""
+    columns = controller._records.memory.columns
+    r, contacts, joints = len(columns), len(controller.contacts), controller.chain.nq
+    size = ctypes.c_size_t
+    got = numbers_of(c, handle, "osc_get_forces", size(r), size=r)
+    assert_array_equal(got, columns.alpha)
+    phases = numbers_of(
+        c, handle, "osc_get_phases", size(contacts), size=contacts, kind=ctypes.c_int32
+    )
+    assert_array_equal(phases, controller.phases())
+    got = numbers_of(c, handle, "osc_get_motion_integral", size=6)
+    assert_array_equal(got, controller.motion_integral)
+    count = size()
+    got = numbers_of(c, handle, "osc_get_force_integral", ctypes.byref(count), size=6)
+    assert_array_equal(got[: count.value], controller.force_integral)
+    got = numbers_of(c, handle, "osc_get_friction", size(2 * joints), size=2 * joints)
+    assert_array_equal(got.reshape(-1, 2), controller.joint_friction)
+
+
+@parametrize("changes", [["control.life={}"], ["control.life=off", "arms.left.friction=0.3"]])
+def test_c_programs_engage_approach_and_read_what_python_reports(library, tmp_path, changes):
+    rig = rig_of("two_contact_rod", "tare={standoff: 1.5 mm}", *changes)
+    plant, controller = start(rig)
+    phased = controller.life is not None
+    c, handle = created(library, tmp_path, rig.controller())
+    assert c.osc_engage(handle) == code_of("NO_TICK")
+    c.osc_destroy(handle)
+    reference = rig.references.at(0.0)
+    for _ in range(5):
+        plant.command(controller.tick(plant.measure(), reference), controller.dt)
+    c, handle = created(library, tmp_path, controller)
+    speed = ctypes.c_double()
+    seen = set()
+    for k in range(400):
+        if k == 20:
+            controller.engage()
+            assert c.osc_engage(handle) == 0 == c.osc_engage(handle)
+        if k == 60 and phased:
+            assert c.osc_set_phase_setting(handle, b"speed", ctypes.c_double(0.02)) == 0
+            assert c.osc_get_phase_setting(handle, b"speed", ctypes.byref(speed)) == 0
+            assert speed.value == 0.02
+            life = controller.life.replaced(speed=0.02)
+            state = controller.__getstate__()
+            settings = replace(controller.settings, life=life)
+            parts = (settings, *state["parts"][1:])
+            controller.__setstate__(state | {"parts": parts})
+        m = plant.measure()
+        tick_in_both(c, handle, controller, m, reference)
+        assert_reported_alike(c, handle, controller)
+        seen |= set(controller.phases().tolist())
+        plant.command(controller.last_torques(), controller.dt)
+    assert controller.result().alpha_meas.any() and seen == ({0, 1, 2} if phased else {0, 2})
+    code = c.osc_set_phase_setting(handle, b"speed", ctypes.c_double(1e-3))
+    why = "OUT_OF_RANGE" if phased else "NO_PHASES"  # it would push less than counts as contact
+    assert code == code_of(why)
+    c.osc_destroy(handle)
+
+
+def test_every_reason_has_a_sentence(library):
+    c = ctypes.CDLL(str(library / "libosc_controller.so"))
+    c.osc_reason_text.restype = ctypes.c_char_p
+    texts = {code: c.osc_reason_text(code).decode() for code in SENTENCES}
+    assert not texts.pop(0) and all(len(text) > 20 for text in texts.values())
+    assert (
+        "stayed above its speed limit of <speed> rad/s or m/s for <overspeed_time> s" in texts[50]
+    )
+    assert not any("{" in text for text in texts.values())
+    assert c.osc_reason_text(999) == b"unknown"
 
 
 @parametrize("fault", ["joint", "wrist", "packet"])

@@ -282,6 +282,16 @@ GAIN_FIELDS: dict[str, tuple[str, str]] = {
 }
 
 
+#: Keys of `PhaseSettings` whose fields of MODEL have other names.
+PHASE_NAMES = {
+    "speed": "approach_speed",
+    "damping": "approach_damping",
+    "least": "least_force",
+    "share": "lost_share",
+    "torque_rate": "phase_rate",
+}
+
+
 def pack_gains(settings: Settings, head: Any) -> None:
     """What may differ between controllers of one structure."""
     dt = settings.dt
@@ -313,11 +323,7 @@ def pack_gains(settings: Settings, head: Any) -> None:
         _copy(
             settings.life,
             head,
-            speed="approach_speed",
-            damping="approach_damping",
-            least="least_force",
-            share="lost_share",
-            torque_rate="phase_rate",
+            **PHASE_NAMES,
         )
 
 

@@ -6,11 +6,12 @@ declared; `osc_controller.c` contains no offset.
 
 import json
 import math
+import re
 import tarfile
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from osc_contact.control.controller import FORGOTTEN, FORGOTTEN_TABLES
 from osc_contact.control.record_ranges import (
@@ -23,17 +24,18 @@ from osc_contact.control.record_ranges import (
     number_ranges,
     read_relation,
 )
-from osc_contact.control.records import GAIN_FIELDS
+from osc_contact.control.records import GAIN_FIELDS, PHASE_NAMES
 from osc_contact.control.saving import FORMAT, HEAD, MAGIC
-from osc_contact.control.status import SafetyState, Status
+from osc_contact.control.status import Phase, SafetyState, Status
 from osc_contact.files import write_whole
 from osc_contact.law import records, tick
 from osc_contact.law.c_object import object_file
 from osc_contact.law.library import law_hash
 from osc_contact.law.reasons import CODES, SENTENCES
 from osc_contact.law.records import COUNTED
-from osc_contact.scenarios.control_schema import Gains
-from osc_contact.scenarios.quantities import meaning
+from osc_contact.law.tick import BAD_INPUT, STOPPED
+from osc_contact.scenarios.control_schema import Gains, PhaseSettings
+from osc_contact.scenarios.quantities import Dimension, meaning
 
 #: enum osc_error, by its codes 0, −1, …
 ERRORS = {
@@ -48,8 +50,16 @@ ERRORS = {
     "DAMAGED": "the file is damaged: its checksum does not fit",
     "NO_MEMORY": "no memory left",
     "OUT_OF_RANGE": "a number is not finite, or out of its range",
-    "UNKNOWN_NAME": "no gain has this name",
+    "UNKNOWN_NAME": "no gain, or no setting of phases, has this name",
+    "NO_TICK": "no tick was computed yet",
+    "NO_PHASES": "the controller was made without phases (life)",
 }
+#: Reasons whose sentences Python makes of what came in.
+REASONS = {
+    BAD_INPUT: "a number of the measurement or of the reference is not finite or out of range",
+    STOPPED: "stopped, until osc_reset is called; field cause has the reason of the stop",
+}
+_VALUE = re.compile(r"\{(?:\w+\.)?(\w+)[^}]*\}")  #: of a sentence: {joint}, {safety.hold_rate:g}
 
 
 # --- The C library --------------------------------------------------------------------------------
@@ -85,6 +95,7 @@ def _enum(prefix: str, names: Any) -> str:
 
 def _header(text: str) -> str:
     """osc_controller.h from its frame."""
+    phases = (f" *   {one.name}: {one.words}" for one in _phase_settings())
     values = {
         "VERSION": version("osc-contact"),
         "FILE_VERSION": str(FORMAT),
@@ -99,6 +110,8 @@ def _header(text: str) -> str:
             f"    OSC_REASON_{name} = {code}{_culprit(code)}" for name, code in CODES.items()
         ),
         "GAINS": "\n".join(f" *   {name}: {words}" for name, _, _, words in _gains()),
+        "PHASES": _enum("OSC_PHASE_", Phase.__members__.items()),
+        "PHASE_SETTINGS": "\n".join(phases),
     }
     for name, value in values.items():
         text = text.replace(f"@{name}@", value)
@@ -132,6 +145,35 @@ def _offset(row: Any, field: str) -> int:
     return int(row.fields[field][1])
 
 
+class _PhaseSetting(NamedTuple):
+    """A setting of phases: name, offset in MODEL, whether it may be 0, unit and meaning."""
+
+    name: str
+    offset: int
+    may_be_zero: bool
+    words: str
+
+
+def _phase_settings() -> list[_PhaseSetting]:
+    fields: Any = records.MODEL.dtype.fields
+    found = []
+    for name, about in PhaseSettings.model_fields.items():
+        field = PHASE_NAMES.get(name, name)
+        dimension = next((x for x in about.metadata if isinstance(x, Dimension)), None)
+        unit = next((x for x in about.metadata if isinstance(x, str)), "")
+        unit = unit or ("" if dimension is None else next(iter(dimension.units), ""))
+        words = "; ".join(part for part in (unit, meaning(PhaseSettings, name)) if part)
+        may_be_zero = any(getattr(x, "ge", None) == 0 for x in about.metadata)
+        found.append(_PhaseSetting(name, int(fields[field][1]), may_be_zero, words))
+    return found
+
+
+def _reason_texts() -> dict[int, str]:
+    """Sentences of the reasons; in place of values the names that they have."""
+    texts = {code: _VALUE.sub(r"<\1>", text) for code, text in SENTENCES.items()}
+    return texts | REASONS
+
+
 def _layout() -> str:
     """osc_layout.h: offsets of fields, slots of tables."""
     lines = ["/* Written with osc_controller.h: where fields and tables of the records are. */"]
@@ -160,12 +202,38 @@ def _layout() -> str:
     lines += ["struct gain { const char *name; size_t offset; int of_contact; };"]
     lines += ["static const struct gain GAINS[] = {"]
     lines += [f'    {{"{name}", {at}, {of}}},' for name, at, of, _ in _gains()] + ["};"]
+    lines += ["struct phase_setting { const char *name; size_t offset; int may_be_zero; };"]
+    lines += ["static const struct phase_setting PHASE_SETTINGS[] = {"]
+    lines += [
+        f'    {{"{one.name}", {one.offset}, {int(one.may_be_zero)}}},' for one in _phase_settings()
+    ] + ["};"]
+    lines += ["static const struct { int reason; const char *text; } REASON_TEXTS[] = {"]
+    lines += [
+        f"    {{{code}, {json.dumps(text, ensure_ascii=False)}}},"
+        for code, text in sorted(_reason_texts().items())
+    ] + ["};"]
+    lines += _rows()
     lines += _structure()
     lines += ["/* What osc_reset sets to zero: of MEMORY (slot −1), and of rows of its tables. */"]
     lines += ["struct forgotten { int slot, count; size_t step, offset, bytes; };"]
     lines += ["static const struct forgotten FORGOTTEN[] = {"]
     lines += [f"    {{{', '.join(map(str, one))}}}," for one in _forgotten()] + ["};", ""]
     return "\n".join(lines)
+
+
+def _rows() -> list[str]:
+    """Offsets in rows of MEMORY's tables, and of the joints in MODEL, that getters read."""
+    lines = []
+    for name, kind, wanted in (
+        ("MEMORY", records.MEMORY, {"contacts": ("active", "phase"), "columns": ("alpha",)}),
+        ("MEMORY", records.MEMORY, {"friction": ("theta",)}),
+        ("MODEL", records.MODEL, {"joints": ("theta",)}),
+    ):
+        for table, columns in wanted.items():
+            dtype: Any = kind.tables[table][0]
+            lines.append(f"#define {name}_{table}_BYTES {dtype.itemsize}")
+            lines += [f"#define {name}_{table}_{key} {dtype.fields[key][1]}" for key in columns]
+    return lines
 
 
 def _structure() -> list[str]:

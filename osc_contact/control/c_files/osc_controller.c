@@ -375,16 +375,21 @@ int osc_get_tare(const osc_controller *c, double wrench[6]) {
     return OSC_DONE;
 }
 
-/* The command of the motion integral stays: ∫e is scaled, or becomes a constant wrench. */
+/* The command of the motion integral becomes a constant wrench. */
+static void hand_over(osc_controller *c) {
+    osc_numbers none = {c->missing, 0};
+    osc_measurement m = {none, none, none, {NULL, 0}, 0, 0, 0, -1};
+    osc_reference r = {none, none, none, none, none};
+    run(c, &m, &r, c->missing, 0, HAND_OVER);
+}
+
+/* The command of the motion integral stays: ∫e is scaled, or handed over. */
 static void keep_integral(osc_controller *c, double before, double after) {
     double *sum = numbers(c->memory, MEMORY_motion_sum);
     if (after > 0.0) {
         for (int i = 0; i < 6; i++) sum[i] *= before / after;
     } else if (whole(c->memory, MEMORY_ticked)) {
-        osc_numbers none = {c->missing, 0};
-        osc_measurement m = {none, none, none, {NULL, 0}, 0, 0, 0};
-        osc_reference r = {none, none, none, none, none};
-        run(c, &m, &r, c->missing, 0, HAND_OVER);
+        hand_over(c);
     }
 }
 
@@ -402,7 +407,7 @@ int osc_set_gain(osc_controller *c, const char *name, double value) {
         if (gain->of_contact >= 0 && whole(c->model, MODEL_phased) == 0) {
             unsigned char *contacts = table(c->memory, MEMORY_contacts);
             for (size_t k = 0; k < c->dimensions.contacts; k++)
-                memcpy(contacts + k * CONTACT_BYTES + gain->of_contact, &value, sizeof value);
+                memcpy(contacts + k * MEMORY_contacts_BYTES + gain->of_contact, &value, sizeof value);
         }
         return OSC_DONE;
     }
@@ -431,4 +436,115 @@ int osc_set_memory(osc_controller *c, const void *bytes, size_t size) {
 const char *osc_error_text(int error) {
     int at = -error;
     return at >= 0 && at < (int)(sizeof ERROR_TEXTS / sizeof *ERROR_TEXTS) ? ERROR_TEXTS[at] : "unknown";
+}
+
+/* --- What it reports ------------------------------------------------------------------------ */
+
+int osc_get_forces(const osc_controller *c, double *alpha, size_t forces) {
+    if (c == NULL || alpha == NULL) return OSC_NULL;
+    if (forces != c->dimensions.forces) return OSC_WRONG_SIZE;
+    const unsigned char *row = table(c->memory, MEMORY_columns);
+    for (size_t j = 0; j < forces; j++, row += MEMORY_columns_BYTES)
+        memcpy(alpha + j, row + MEMORY_columns_alpha, sizeof *alpha);
+    return OSC_DONE;
+}
+
+int osc_get_phases(const osc_controller *c, int32_t *phases, size_t contacts) {
+    if (c == NULL || phases == NULL) return OSC_NULL;
+    if (contacts != c->dimensions.contacts) return OSC_WRONG_SIZE;
+    const unsigned char *row = table(c->memory, MEMORY_contacts);
+    for (size_t i = 0; i < contacts; i++, row += MEMORY_contacts_BYTES) {
+        int32_t phase = OSC_PHASE_CLOSED;
+        if (whole(c->model, MODEL_phased)) phase = (int32_t)whole(row, MEMORY_contacts_phase);
+        if (!whole(row, MEMORY_contacts_active)) phase = OSC_PHASE_OPEN;
+        memcpy(phases + i, &phase, sizeof phase);
+    }
+    return OSC_DONE;
+}
+
+int osc_get_motion_integral(const osc_controller *c, double integral[6]) {
+    if (c == NULL || integral == NULL) return OSC_NULL;
+    memcpy(integral, c->memory + MEMORY_motion_sum, 6 * sizeof(double));
+    return OSC_DONE;
+}
+
+int osc_get_force_integral(const osc_controller *c, double integral[6], size_t *count) {
+    if (c == NULL || integral == NULL || count == NULL) return OSC_NULL;
+    int64_t rank = whole(c->memory, MEMORY_force_rank);
+    *count = rank < 0 ? 0 : rank > 6 ? 6 : (size_t)rank;
+    memcpy(integral, c->memory + MEMORY_force_sum, *count * sizeof(double));
+    return OSC_DONE;
+}
+
+int osc_get_friction(const osc_controller *c, double *friction, size_t count) {
+    if (c == NULL || friction == NULL) return OSC_NULL;
+    if (count != 2 * c->dimensions.joints) return OSC_WRONG_SIZE;
+    const unsigned char *known = table(c->memory, MEMORY_friction_known);
+    const unsigned char *learned = table(c->memory, MEMORY_friction) + MEMORY_friction_theta;
+    const unsigned char *given = table(c->model, MODEL_joints) + MODEL_joints_theta;
+    for (size_t j = 0; j < c->dimensions.joints; j++) {
+        const unsigned char *from =
+            whole(known, 8 * j) ? learned + j * MEMORY_friction_BYTES : given + j * MODEL_joints_BYTES;
+        memcpy(friction + 2 * j, from, 2 * sizeof(double));
+    }
+    return OSC_DONE;
+}
+
+const char *osc_reason_text(int reason) {
+    for (size_t i = 0; i < sizeof REASON_TEXTS / sizeof *REASON_TEXTS; i++)
+        if (REASON_TEXTS[i].reason == reason) return REASON_TEXTS[i].text;
+    return "unknown";
+}
+
+/* --- Contacts ------------------------------------------------------------------------------- */
+
+int osc_engage(osc_controller *c) {
+    if (c == NULL) return OSC_NULL;
+    if (whole(c->memory, MEMORY_engaged)) return OSC_DONE;
+    if (!whole(c->memory, MEMORY_ticked)) return OSC_NO_TICK;
+    hand_over(c);
+    set_whole(c->memory, MEMORY_force_rank, 0);
+    set_whole(c->memory, MEMORY_engaged, 1);
+    if (!whole(c->model, MODEL_phased)) {
+        unsigned char *row = table(c->memory, MEMORY_contacts);
+        for (size_t i = 0; i < c->dimensions.contacts; i++, row += MEMORY_contacts_BYTES)
+            set_whole(row, MEMORY_contacts_active, 1);
+    }
+    return OSC_DONE;
+}
+
+static int find_phase_setting(const osc_controller *c, const char *name,
+                              const struct phase_setting **found) {
+    if (!whole(c->model, MODEL_phased)) return OSC_NO_PHASES;
+    for (size_t i = 0; i < sizeof PHASE_SETTINGS / sizeof *PHASE_SETTINGS; i++)
+        if (strcmp(name, PHASE_SETTINGS[i].name) == 0) {
+            *found = &PHASE_SETTINGS[i];
+            return OSC_DONE;
+        }
+    return OSC_UNKNOWN_NAME;
+}
+
+int osc_get_phase_setting(const osc_controller *c, const char *name, double *value) {
+    const struct phase_setting *one;
+    int code;
+    if (c == NULL || name == NULL || value == NULL) return OSC_NULL;
+    if ((code = find_phase_setting(c, name, &one)) != OSC_DONE) return code;
+    memcpy(value, c->model + one->offset, sizeof *value);
+    return OSC_DONE;
+}
+
+/* What cannot work is refused: an approach that pushes less than counts as contact, for one. */
+int osc_set_phase_setting(osc_controller *c, const char *name, double value) {
+    const struct phase_setting *one;
+    int code;
+    if (c == NULL || name == NULL) return OSC_NULL;
+    if ((code = find_phase_setting(c, name, &one)) != OSC_DONE) return code;
+    if (!isfinite(value) || !(one->may_be_zero ? value >= 0.0 : value > 0.0)) return OSC_OUT_OF_RANGE;
+    double *field = numbers(c->model, one->offset), before = *field;
+    *field = value;
+    double on = *numbers(c->model, MODEL_force_on);
+    double push = *numbers(c->model, MODEL_approach_damping) * *numbers(c->model, MODEL_approach_speed);
+    if (push > on && on > *numbers(c->model, MODEL_force_off)) return OSC_DONE;
+    *field = before;
+    return OSC_OUT_OF_RANGE;
 }
