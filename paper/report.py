@@ -70,7 +70,8 @@ def write_paper_report(reproduction: Reproduction, path: Path) -> Path:
         "about": _about(reproduction),
         "overview": "".join(_row(*one) for one in shown),
         "rules": "".join(
-            f"<li>{_badge(v)} {escape(words)}</li>" for v, (*_, words) in _MARKS.items()
+            f"<li>{_badge(v)} <span>{escape(words)}</span></li>"
+            for v, (*_, words) in _MARKS.items()
         ),
         "figures": "".join(_section(*one, reproduction) for one in shown),
         "scene": _scene(

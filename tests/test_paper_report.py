@@ -169,6 +169,18 @@ def test_it_fits_phones_and_desks_and_unfolds_scenes_that_are_opened(report):
             assert len(columns.split()) == count
             browser.run("document.querySelector('#fig1 img').scrollIntoView()")
             browser.until("document.querySelector('#fig1 img').naturalWidth > 0")
+        browser.visit(report.as_uri(), 400, ready=READY)
+        assert browser.run("document.documentElement.scrollWidth") == 400
+        heights = browser.run(
+            "[...document.querySelectorAll('.badge')].map((one) => one.offsetHeight)"
+        )
+        assert len(heights) > 5 and max(heights) < 26, "each badge in one line"
+        beside = browser.run(
+            "[...document.querySelectorAll('.rules li')].map((one) => "
+            "one.children[1].getBoundingClientRect().left - "
+            "one.children[0].getBoundingClientRect().right)"
+        )
+        assert len(beside) == 3 and min(beside) >= 0.0, "words beside their badge, not below"
         frames = "document.querySelectorAll('iframe').length"
         assert browser.run(frames) == 0, "costs nothing before"
         browser.run("document.querySelector('#run').scrollIntoView()")

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from urllib.parse import unquote, urlsplit
 
+from headless import Browser
 from html_pages import Page
 from samples import ROOT, chosen, made_once, module_fixture, parametrize
 
@@ -178,3 +179,19 @@ def test_notebook_runs(path, tmp_path):
     assert sum(pictures) >= path.read_text().count("plots.contact_forces(")
     shown = [one.get("data", {}).get("text/html", "") for one in outputs]
     assert sum("MeshCat" in page and page.startswith("<iframe") for page in shown) == 1
+
+
+def test_pictures_of_doors_reach_their_edges_on_phones(site):
+    with Browser((site / "docs/index.html").as_uri(), ready="true") as browser:
+        browser.visit((site / "docs/index.html").as_uri(), 400, 1600, ready="true")
+        assert browser.run("document.documentElement.scrollWidth") == 400
+        cut = browser.run(
+            "[...document.querySelectorAll('.door img')].map((one) => {"
+            "  const door = one.closest('.door').getBoundingClientRect();"
+            "  const box = one.getBoundingClientRect();"
+            "  const clips = getComputedStyle(one.parentElement).overflowX !== 'visible';"
+            "  return Math.abs(box.left - door.left) + Math.abs(box.right - door.right)"
+            "    + 100 * clips;"
+            "})"
+        )
+        assert len(cut) == 4 and max(cut) < 4.0, cut
