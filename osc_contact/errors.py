@@ -116,3 +116,47 @@ class Interrupted(KeyboardInterrupt):
     """
 
     recording: Any = None
+
+
+def require_kind(name: str, value: object, kind: type, example: str) -> None:
+    """Refuse an argument that is no object of its class.
+
+    Args:
+        name: of the argument. value: as given. kind: the class that it takes.
+        example: what to give instead, as it is written in a program.
+
+    Raises:
+        InvalidInputError: with the class expected and what was given.
+    """
+    if not isinstance(value, kind):
+        raise InvalidInputError(
+            f"{name} takes {article(kind.__name__)}, got {brief(value)}; give {example}"
+        )
+
+
+def as_tuple(name: str, value: Any, example: str) -> tuple[Any, ...]:
+    """The elements of an argument that takes several objects.
+
+    Args:
+        name: of the argument. value: as given. example: what to give instead of anything else.
+
+    Raises:
+        InvalidInputError: there are no elements.
+    """
+    try:
+        if not isinstance(value, str):
+            return tuple(value)
+    except TypeError:
+        pass
+    raise InvalidInputError(f"{name} is {brief(value)}; give a list, such as {example}")
+
+
+def brief(value: object) -> str:
+    """The representation of a value in one line of at most 60 characters, for messages."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:59]}…"
+
+
+def article(noun: str) -> str:
+    """ "an Arm", "a ClosedChain": a noun with its indefinite article."""
+    return f"{'an' if noun[0] in 'AEIO' else 'a'} {noun}"

@@ -1,14 +1,41 @@
 """What passes between a robot and its controller: measurements, references, torques."""
 
-from dataclasses import dataclass, field
-from functools import partial
-from typing import Protocol
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from osc_contact.errors import InvalidInputError, brief
 from osc_contact.spatial import Array, as_array, as_pose
+
+_DOUBLE = np.dtype(np.float64)
+
+
+def _doubles(value: ArrayLike) -> Array:
+    """`value` itself where the compiled law can read it, else a new array of its numbers.
+
+    The law reads aligned, contiguous, writeable arrays of doubles. Numbers need not be finite.
+
+    Raises:
+        Exception: of any kind, where `value` holds no numbers.
+    """
+    if value.__class__ is np.ndarray and value.dtype == _DOUBLE and value.flags.carray:
+        return value
+    if value is None:  # NumPy makes it a NaN
+        raise TypeError("no numbers")
+    return np.array(value, dtype=np.float64, order="C")
+
+
+def _readable(value: ArrayLike) -> Any:
+    """`_doubles` of a reading; `value` as it is where it holds no numbers: its tick is held."""
+    try:
+        return _doubles(value)
+    except Exception:  # numbers too large, or warnings made errors, among others
+        return value
 
 
 @dataclass(frozen=True)
@@ -49,9 +76,12 @@ class Seen:
     tips: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Measurement:
     """What the sensors of the rig deliver at one tick; nothing a real rig would not have.
+
+    Lists and arrays of other types become arrays of doubles. What holds no numbers is kept as it
+    is: the tick that it comes to is held, see `Controller.tick`.
 
     Attributes:
         q, v: (n,) joint positions and velocities of all arms, passive joints included. v is NaN
@@ -81,6 +111,33 @@ class Measurement:
     wrench_valid: bool | None = None
     sequence: int | None = None
     estimated: bool = False
+
+    def __init__(
+        self,
+        q: ArrayLike,
+        v: ArrayLike,
+        wrenches: ArrayLike,
+        touched: Touched | None = None,
+        joint_torques: Array | None = None,
+        stamps: Stamps | None = None,
+        seen: Seen | None = None,
+        wrench_valid: bool | None = None,
+        sequence: int | None = None,
+        estimated: bool = False,
+    ) -> None:
+        """Take the readings; see the class for shapes and units."""
+        self.__dict__.update(
+            q=_readable(q),
+            v=_readable(v),
+            wrenches=_readable(wrenches),
+            touched=touched,
+            joint_torques=joint_torques,
+            stamps=stamps,
+            seen=seen,
+            wrench_valid=wrench_valid,
+            sequence=sequence,
+            estimated=estimated,
+        )
 
 
 class Robot(Protocol):
@@ -114,7 +171,7 @@ class Robot(Protocol):
         """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Reference:
     """The user's commands at one tick; what is left out is zero.
 
@@ -134,10 +191,103 @@ class Reference:
     """
 
     X_WD: pin.SE3
-    V_D: Array = field(default_factory=partial(np.zeros, 6))
-    A_D: Array = field(default_factory=partial(np.zeros, 6))
-    alpha_d: Array = field(default_factory=partial(np.zeros, 0))
-    squeeze_d: float | Array = 0.0
+    V_D: Array
+    A_D: Array
+    alpha_d: Array
+    squeeze_d: float | Array
+
+    def __init__(
+        self,
+        X_WD: pin.SE3 | ArrayLike,
+        V_D: ArrayLike | None = None,
+        A_D: ArrayLike | None = None,
+        alpha_d: ArrayLike = (),
+        squeeze_d: float | ArrayLike = 0.0,
+    ) -> None:
+        """Take the commands, and convert lists, arrays of other types and a plain number alpha_d.
+
+        Numbers need not be finite: the tick that they come to is held, see `Controller.tick`.
+
+        Args:
+            X_WD: `pin.SE3`, or its homogeneous matrix (4, 4).
+            V_D, A_D: (6,) m/s, rad/s; m/s², rad/s². None: zero.
+            alpha_d: (r,) N; a number where r = 1.
+            squeeze_d: a number, or an array (k(k − 1)/2,) (N).
+
+        Raises:
+            InvalidInputError: wrong shapes, no numbers, or a matrix that is no pose.
+        """
+        self.__dict__.update(
+            X_WD=X_WD if isinstance(X_WD, pin.SE3) else _pose_of(X_WD),
+            V_D=np.zeros(6) if V_D is None else _command("V_D", V_D, (6,)),
+            A_D=np.zeros(6) if A_D is None else _command("A_D", A_D, (6,)),
+            alpha_d=_command("alpha_d", alpha_d, None),
+            squeeze_d=squeeze_d
+            if squeeze_d.__class__ is float
+            else _number_or_command("squeeze_d", squeeze_d),
+        )
+
+
+def _command(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:
+    """(…) doubles of a reference's field; shape None: (any number,), or a number as one of one.
+
+    Raises:
+        InvalidInputError: see `Reference`.
+    """
+    try:
+        array = _doubles(value)
+    except Exception as error:  # of all kinds: whatever conversion to numbers raises
+        expected = "a list of numbers" if shape is None else f"numbers of shape {shape}"
+        raise InvalidInputError(
+            f"reference {name}: expected {expected}, got {brief(value)} ({error})"
+        ) from error
+    if shape is None:
+        if array.ndim == 0:
+            return array.reshape(1)
+        if array.ndim != 1:
+            raise InvalidInputError(
+                f"reference {name}: expected shape (r,), got {array.shape}; give one number for "
+                "each degree of constraint, contact after contact"
+            )
+    elif array.shape != shape:
+        raise InvalidInputError(
+            f"reference {name}: expected shape {shape}, got {array.shape}; give the linear part, "
+            "then the angular part"
+        )
+    return array
+
+
+def _number_or_command(name: str, value: float | ArrayLike) -> float | Array:
+    """A plain number, or (…,) of them; see `_command`."""
+    array = _command(name, value, None)
+    return float(array[0]) if np.ndim(value) == 0 else array
+
+
+def _pose_of(matrix: ArrayLike) -> pin.SE3:
+    """The pose that a homogeneous matrix (4, 4) gives; one with a NaN gives one with a NaN.
+
+    Raises:
+        InvalidInputError: another shape, or no pose.
+    """
+    try:
+        X = _doubles(matrix)
+    except Exception:  # of all kinds: whatever conversion to numbers raises
+        X = np.zeros(())
+    if X.shape != (4, 4):
+        got = f"shape {X.shape}" if X.ndim else f"{brief(matrix)}"
+        raise InvalidInputError(
+            f"reference X_WD: expected a pin.SE3 or its matrix (4, 4), got {got}; give "
+            "pin.SE3(R, p), pin.XYZQUATToSE3([x, y, z, qx, qy, qz, qw]), or chain.state(q).X_WO "
+            "to stay where the object is"
+        )
+    if not np.isfinite(X).all():
+        return pin.SE3(X)
+    if np.abs(X[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
+        raise InvalidInputError(
+            f"reference X_WD: the last row is {X[3].tolist()}, expected [0, 0, 0, 1]; give the "
+            "matrix with R in its first three rows and columns, p in its last column"
+        )
+    return as_pose("reference X_WD", X[:3, 3], X[:3, :3])
 
 
 def pose_reference(

@@ -13,7 +13,6 @@ from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.custom_laws import CustomParts, Laws
 from osc_contact.control.inputs import (
     Freshness,
-    convert_arrays,
     read_joints,
     read_tick,
     require_shapes,
@@ -38,7 +37,7 @@ from osc_contact.control.waiting import Idle, standing_approaches
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Body
-from osc_contact.errors import InvalidInputError, OscContactError, SolverError
+from osc_contact.errors import InvalidInputError, OscContactError, SolverError, require_kind
 from osc_contact.files import write_whole
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.chain import OBJECT_UNKNOWN
@@ -117,12 +116,11 @@ class Controller:
     _failure: Exception | None = None
     _inputs: tuple[Any, Any] = (None, None)  #: of the last tick that did not end OK
     _result: TickResult | None = None
-    _converting = False  #: whether arrays of other types came, which are converted since
 
     def __init__(
         self,
         chain: ClosedChain,
-        contacts: Sequence[ContactPair],
+        contacts: ContactPair | Sequence[ContactPair],
         gains: Gains | None = None,
         *,
         dt: float = 1e-3,
@@ -142,7 +140,7 @@ class Controller:
 
         Args:
             chain: model of arms and object.
-            contacts: pairs in the order of alpha_d.
+            contacts: a pair, or several in the order of alpha_d.
             gains: of both loops.
             dt: control period (s).
             B: metric of the motion filter Ω_m(B), eq. 24: "object" (Λ_o⁻¹), "chain"
@@ -165,17 +163,18 @@ class Controller:
                 `JointFriction()`; False: not at all.
 
         Raises:
-            InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
-                although there are contacts: their forces could not be measured.
+            InvalidInputError: an argument of another class or unit, unknown metric, or an arm
+                without a wrist sensor although there are contacts: their forces could not be
+                measured.
             ModelError: an arm that the law cannot take.
         """
         settings = Settings(
             chain,
-            contacts,
+            (contacts,) if isinstance(contacts, ContactPair) else contacts,
             gains or Gains(),
             dt,
             B,
-            bodies or (),
+            () if bodies is None else bodies,
             posture,
             posture_task or PostureTask(),
             friction,
@@ -184,6 +183,14 @@ class Controller:
             joint_friction,
             reading,
         )
+        if laws is not None:
+            require_kind(
+                "laws=",
+                laws,
+                Laws,
+                "osc.Laws(force=function), osc.Laws(motion=function) or "
+                "osc.Laws(structure=function)",
+            )
         chain.law_row(led=False)  # judges the arms
         self._begin(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))
         memory = self._memory
@@ -221,8 +228,7 @@ class Controller:
     def _plan(self) -> None:
         """Choose how the ticks to come are computed: by one call of the law, or part by part."""
         memory = self._memory
-        special = self._custom.needed or not self._start.done or self._converting
-        special = special or not memory.engaged
+        special = self._custom.needed or not self._start.done or not memory.engaged
         self._tables = (
             self._records.rows.raw,
             memory.squeeze,
@@ -280,7 +286,7 @@ class Controller:
                 return torques.copy() if done == 2 else self._end(measurement, reference)
             return self._tick(measurement, reference)
         except Exception as error:  # nothing that comes in may end the control loop
-            return self._convert(measurement, reference, error)
+            return self._refuse(measurement, reference, error)
 
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
         """At the start; with bodies that move, stamps, three arms, or custom code."""
@@ -291,8 +297,6 @@ class Controller:
                 memory.stamped = memory.stamped or memory.instant + 1
                 late = measurement.stamps.encoders - measurement.stamps.wrists
                 memory.late = min(max(0.0, late / self.dt + 0.5), HISTORY)
-        if self._converting:
-            measurement, reference = convert_arrays(measurement, reference)
         given, flags = read_tick(self._records, measurement, reference)
         if not self._start.done and self._start.look(self, measurement):
             self._plan()
@@ -305,25 +309,17 @@ class Controller:
             _log.warning("%s", self._idle.sentence(self.settings))
         return self._end(measurement, reference, error)
 
-    def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
-        """A tick whose arrays are of other types, or one to be held.
-
-        That such arrays come is found out once: from then on every tick converts them. numba's
-        refusal costs as much as many ticks.
-        """
+    def _refuse(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
+        """Torques (n_a,) of a tick that cannot be taken in; `error`: what the law made of it."""
+        if not self._memory.ticked:
+            require_shapes(measurement, reference, self.settings)
+        self._inputs = (measurement, reference)
+        self._failure = error
         try:
             require_sizes(measurement, reference, self.settings)
-            if self._converting:
-                raise error
-            self._converting = True
-            self._plan()
-            return self.tick(replace(measurement, stamps=None, sequence=None), reference)
-        except Exception as why:
-            if not self._memory.ticked:
-                require_shapes(measurement, reference, self.settings)
-            self._inputs = (measurement, reference)
+        except Exception as why:  # the same in words
             self._failure = why
-            return self._hold(measurement)
+        return self._hold(measurement)
 
     def _hold(self, measurement: Measurement) -> Array:
         """Torques (n_a,) of a tick that failed outside of the law: one that is not computed."""

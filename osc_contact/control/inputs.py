@@ -1,7 +1,6 @@
 """What comes in each tick: sizes, types, and whether readings are new."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -66,24 +65,6 @@ def require_shapes(measurement: Any, reference: Any, settings: Settings) -> None
     for name, value, shape in _arrays(measurement, reference, settings):
         if isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.shape != shape:
             raise InvalidInputError(f"{name}: expected shape {shape}, got {value.shape}")
-
-
-def convert_arrays(measurement: Measurement, reference: Reference) -> tuple[Measurement, Reference]:
-    """Both with new arrays, contiguous and of double precision."""
-    touched = measurement.touched
-    if touched is not None:
-        touched = _doubled(touched, "X_WE", "V_E", "A_E")
-    alpha_d = np.atleast_1d(reference.alpha_d)
-    return (
-        replace(_doubled(measurement, "q", "v", "wrenches"), touched=touched),
-        _doubled(replace(reference, alpha_d=alpha_d), "V_D", "A_D", "alpha_d"),
-    )
-
-
-def _doubled(given: Any, *names: str) -> Any:
-    """With new arrays of these names."""
-    arrays = {name: np.array(getattr(given, name), dtype=float, order="C") for name in names}
-    return replace(given, **arrays)
 
 
 def touched_rows(touched: Touched) -> Array:

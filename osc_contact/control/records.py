@@ -16,16 +16,17 @@ from osc_contact.contacts.pairs.pair import (
     count_forces,
     knows_where_it_slides,
     law_row,
+    object_sizes,
     pushes_only,
     store,
 )
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
 from osc_contact.control.status import LostDirection
-from osc_contact.dynamics.arm import effort_scale
+from osc_contact.dynamics.arm import effort_scale, stretched_length
 from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain, pack_chain
 from osc_contact.dynamics.environment import Body, Conveyor, Guided, Yielding
-from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.errors import InvalidInputError, ModelError, as_tuple, brief, require_kind
 from osc_contact.law import records as at
 from osc_contact.law import vectors
 from osc_contact.law.compiled import rows as law_rows
@@ -65,13 +66,28 @@ _SAME = 1e-3  #: normals and planes (m) that differ by less are one
 GOAL_BEYOND = 1.5
 
 
+#: s; a longer control period is given in another unit: motion at 10 Hz is no control of force.
+LONGEST_PERIOD = 0.1
+#: Lengths of the held object above this many times the arms' stretched length are in other units.
+LARGEST_OBJECT = 2.0
+#: What settings are, and how they are written in a program.
+_KINDS: dict[str, tuple[type, str]] = {
+    "gains": (Gains, "osc.Gains(osc.MotionGains(frequency=3.0), osc.ForceGains(bandwidth=5.0))"),
+    "posture_task": (PostureTask, "PostureTask(stiffness=10.0)"),
+    "friction": (Friction, "osc.Friction(mu=0.2)"),
+    "life": (PhaseSettings, "osc.PhaseSettings(), or None for contacts that are made already"),
+    "safety": (SafetySettings, "osc.SafetySettings(), whose keys are its limits"),
+    "joint_friction": (JointFriction, "osc.JointFriction(), or True or False"),
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Settings:
     """Everything a controller is given; see `Controller`. `reading` None becomes what it chooses.
 
     Raises:
-        InvalidInputError: dt not positive, unknown metric, a posture far outside the joints'
-            limits, or an arm without a wrist sensor
+        InvalidInputError: an object of another class, dt not positive or above 0.1 s, unknown
+            metric, a posture far outside the joints' limits, or an arm without a wrist sensor
             although there are contacts: their forces could not be measured.
         ModelError: a redundant arm with passive joints.
     """
@@ -91,9 +107,9 @@ class Settings:
     reading: Reading | None
 
     def __post_init__(self) -> None:
+        self._require_kinds()
         chain = self.chain
-        if not (np.isfinite(self.dt) and self.dt > 0.0):
-            raise InvalidInputError(f"dt = {self.dt}; give the control period in seconds, > 0")
+        self._require_period()
         if isinstance(self.B, str):
             if self.B not in ("object", "chain"):
                 raise InvalidInputError(
@@ -102,14 +118,15 @@ class Settings:
         else:
             store(self, B=as_array("B", self.B, (6, 6)))
             unit_diagonal(self.B, "the metric B of eq. 24", "an inverse inertia", InvalidInputError)
-        contacts = tuple(self.contacts)
+        contacts = self._listed_contacts()
         blind = [arm.name for arm in chain.arms if arm.wrist_sensor is None]
         if contacts and blind:
             raise InvalidInputError(
                 "contact forces are measured in the wrists of all arms together, but "
                 f"{blind} have no wrist_sensor; name its frame when loading the arm"
             )
-        bodies = tuple(self.bodies) or (None,) * len(contacts)
+        bodies = as_tuple("Controller: bodies", self.bodies, "[None, osc.Yielding()]")
+        bodies = bodies or (None,) * len(contacts)
         if len(bodies) != len(contacts):
             raise InvalidInputError(
                 f"{len(contacts)} contacts but {len(bodies)} bodies; give one for each contact"
@@ -149,6 +166,56 @@ class Settings:
                     f"them passive, to move the object in {grasp.N.shape[1]} ways: posture torques "
                     "for redundant arms need a motor in every joint"
                 )
+
+    def _require_kinds(self) -> None:
+        """Refuse objects of other classes: numbers, truth values, groups of keys."""
+        require_kind("Controller", self.chain, ClosedChain, "osc.ClosedChain([arm])")
+        for name, (kind, example) in _KINDS.items():
+            value = getattr(self, name)
+            if value is not None and not (name == "joint_friction" and isinstance(value, bool)):
+                require_kind(f"{name}=", value, kind, example)
+
+    def _require_period(self) -> None:
+        """Refuse a control period that is no time, or given in another unit than seconds."""
+        try:
+            dt = float(self.dt)
+        except (TypeError, ValueError):
+            dt = np.nan
+        if not (np.isfinite(dt) and dt > 0.0):
+            raise InvalidInputError(
+                f"dt = {brief(self.dt)}; give the control period in seconds, > 0, such as 1e-3"
+            )
+        if dt > LONGEST_PERIOD:
+            raise InvalidInputError(
+                f"dt = {dt:g} s, longer than {LONGEST_PERIOD:g} s; give the control period in "
+                f"seconds: {1e-3 * dt:g} for {dt:g} ms, {1.0 / dt:.3g} for a rate of {dt:g} Hz"
+            )
+        store(self, dt=dt)
+
+    def _listed_contacts(self) -> tuple[ContactPair, ...]:
+        """The contact pairs, whose geometry must fit the arms."""
+        example = "[osc.VertexOnFace([0, 0, 0], point=p, normal=n)]"
+        contacts = as_tuple("Controller: contacts", self.contacts, example)
+        for pair in contacts:
+            if not isinstance(pair, ContactPair):
+                raise InvalidInputError(
+                    f"Controller: contacts has {brief(pair)}, which is no contact pair: it lacks "
+                    f"name, contact or gaps; give pairs, such as {example}"
+                )
+        return self._fitting(contacts)
+
+    def _fitting(self, contacts: tuple[ContactPair, ...]) -> tuple[ContactPair, ...]:
+        """The same pairs; refused are lengths of the object that no arm of this size can hold."""
+        most = max(map(stretched_length, self.chain.arms))
+        for pair in contacts:
+            for key, length in object_sizes(pair).items():
+                if length > LARGEST_OBJECT * most:
+                    raise InvalidInputError(
+                        f"contact '{pair.name}': {key} is {length:.4g} m from the object's origin "
+                        f"or in size, and the stretched arm is {most:.3g} m long; give lengths in "
+                        f"m: {1e-3 * length:.4g} for {length:.4g} mm"
+                    )
+        return contacts
 
 
 def choose_reading(

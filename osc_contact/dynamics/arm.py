@@ -14,8 +14,8 @@ import pinocchio as pin
 from osc_contact import robots
 from osc_contact.dynamics.chain_state import scaled_inertia
 from osc_contact.errors import ModelError
-from osc_contact.robots.model import joint_names, rotors, sliding
-from osc_contact.spatial import Array
+from osc_contact.robots.model import joint_names, position_limits, rotors, sliding
+from osc_contact.spatial import Array, norm
 
 PerJoint = float | Sequence[float] | Array  #: a number for all joints, or one for each
 
@@ -233,6 +233,16 @@ class Arm:
         _require_uncoupled(arm.model, follows)
         _warn_of_followers(arm, follows)
         return arm
+
+
+def stretched_length(arm: Arm) -> float:
+    """Distance (m) from the base beyond which no point of the tip gets: all links in one line."""
+    model = arm.model
+    tip = model.frames[robots.frame_id(model, arm.tip)]
+    links = [X.translation for X in (*model.jointPlacements, tip.placement)]
+    low, high = position_limits(model)
+    slides = np.maximum(np.abs(low), np.abs(high))[sliding(model)]
+    return float(sum(map(norm, links)) + slides.sum())
 
 
 def _require_joints(model: pin.Model, names: Sequence[str]) -> None:

@@ -36,7 +36,7 @@ from osc_contact.dynamics.chain_state import (
     SingularDirection,
 )
 from osc_contact.dynamics.grasp import Grasp, locate
-from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.errors import InvalidInputError, ModelError, as_tuple, require_kind
 from osc_contact.law import records as at
 from osc_contact.law.chain import OBJECT_UNKNOWN
 from osc_contact.law.compiled import rows as law_rows
@@ -103,6 +103,9 @@ _REFERENCE = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
 RANK_TOLERANCE = float(np.cbrt(np.finfo(float).eps))
 
 
+_PAYLOAD = "osc.RigidObject(pin.Inertia(mass, lever, I)), in kg, m and kg m²"
+
+
 class ClosedChain:
     """Several arms that hold one object (or one arm whose tip is the object).
 
@@ -120,9 +123,9 @@ class ClosedChain:
 
     def __init__(
         self,
-        arms: Sequence[Arm],
-        grasps: Sequence[SE3 | Grasp] | None = None,
-        payload: RigidObject | None = None,
+        arms: Arm | Sequence[Arm],
+        grasps: SE3 | Grasp | Sequence[SE3 | Grasp] | None = None,
+        payload: RigidObject | pin.Inertia | None = None,
         *,
         rank_tolerance: float = RANK_TOLERANCE,
         angle_tolerance: float = 1e-3,
@@ -131,10 +134,11 @@ class ClosedChain:
         """Merge the arms into one model.
 
         Args:
-            arms: one or more, with different names.
+            arms: one, or several with different names.
             grasps: for each arm X_TO, pose of the object in its tip frame, held rigidly, or a
                 `Grasp` that permits motions (default: the tip itself, rigidly).
-            payload: the held object; None: nothing but the last link.
+            payload: the held object, or its inertia in the object's frame (kg, m); None: nothing
+                but the last link.
             rank_tolerance: an arm direction counts as locked when the inertia of arm and object in
                 it is more than 1/tolerance² times that in the direction where it is least. A
                 matter of rounding only.
@@ -145,16 +149,32 @@ class ClosedChain:
                 to study how it moves by itself; a controller needs every motion driven.
 
         Raises:
+            InvalidInputError: arms, grasps or a payload of other classes.
             ModelError: no arms, equal names, a grasp too few, or one that permits motions of an
                 object without mass.
         """
+        arms = (arms,) if isinstance(arms, Arm) else as_tuple("ClosedChain: arms", arms, "[arm]")
+        for arm in arms:
+            require_kind(
+                "ClosedChain", arm, Arm, "osc.Arm.from_urdf('arm.urdf', name='arm', tip='tool0')"
+            )
+        if isinstance(grasps, SE3 | Grasp):
+            grasps = (grasps,)
+        if isinstance(payload, pin.Inertia):
+            payload = RigidObject(payload)
+        if payload is not None:
+            require_kind("payload=", payload, RigidObject, _PAYLOAD)
         if not arms:
             raise ModelError("a closed chain needs at least one arm")
         names = [arm.name for arm in arms]
         if len(set(names)) != len(names):
             raise ModelError(f"arm names must differ, got {names}; pass name= to Arm.from_urdf")
         self.arms = tuple(arms)
-        given = [SE3.Identity() for _ in arms] if grasps is None else grasps
+        given = (
+            [SE3.Identity() for _ in arms]
+            if grasps is None
+            else as_tuple("ClosedChain: grasps", grasps, "[pin.SE3(R, p)]")
+        )
         self.grasps = tuple(g if isinstance(g, Grasp) else Grasp.rigid(g) for g in given)
         rigid = [i for i, grasp in enumerate(self.grasps) if grasp.is_rigid]
         self.leader = rigid[0] if rigid else None

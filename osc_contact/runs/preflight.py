@@ -20,7 +20,6 @@ import daqp
 import numpy as np
 import pinocchio as pin
 
-from osc_contact import robots
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.detection.features import collision_shapes, nearest
 from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
@@ -28,7 +27,7 @@ from osc_contact.control.controller import Controller
 from osc_contact.control.records import choose_reading
 from osc_contact.control.start_check import is_clear, judge_load, outboard_mass
 from osc_contact.control.status import SafetyState, Status
-from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.arm import stretched_length
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.chain_state import ChainState, modes
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -42,7 +41,7 @@ from osc_contact.errors import (
 from osc_contact.interface import Measurement, Reference, Robot
 from osc_contact.plants.own_mujoco import MujocoRobot, SceneProbe
 from osc_contact.recorder.recording import column_names
-from osc_contact.robots.model import position_limits, sliding
+from osc_contact.robots.model import position_limits
 from osc_contact.runs import hardware
 from osc_contact.runs.contacts import contact_at, feet, force_owners, known_bodies, urdf_of
 from osc_contact.runs.rig import Rig, landings
@@ -485,21 +484,11 @@ def rate(task: Task) -> Values:
 def stretched(task: Task) -> Values:
     """Distance from the base, over what the stretched arm reaches."""
     for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
-        most = _length(arm) + norm(grasp.X_TO.translation)
+        most = stretched_length(arm) + norm(grasp.X_TO.translation)
         far = np.linalg.norm(task.poses[:, :3] - arm.base.translation, axis=1)
         k = far.argmax()
         words = {"far": far[k], "name": arm.name, "t": task.times[k], "most": most}
         yield far[k] / most, words
-
-
-def _length(arm: Arm) -> float:
-    """No point of the tip is further from the base: all links stretched out (m)."""
-    model = arm.model
-    frame = model.frames[robots.frame_id(model, arm.tip)]
-    links = [X.translation for X in (*model.jointPlacements, frame.placement)]
-    low, high = position_limits(model)
-    slides = np.maximum(np.abs(low), np.abs(high))[sliding(model)]
-    return sum(map(norm, links)) + slides.sum()
 
 
 @doubt(

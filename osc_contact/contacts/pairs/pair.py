@@ -243,6 +243,21 @@ def check_geometry(pair: Any) -> None:
             raise InvalidInputError(f"{name} = {value}; give a length {kind} 0 m")
 
 
+def object_sizes(pair: ContactPair) -> dict[str, float]:
+    """Lengths (m) that a packaged pair states of the held object: of radii, extents and points.
+
+    A point counts by its distance from the object's origin. Points of the environment are left
+    out: those of an endless plane may lie anywhere.
+    """
+    found = {}
+    for key, (kind, *keys) in _geometry(type(pair)).items():
+        if kind == "point" and Vec3 not in keys:
+            continue
+        if kind != "direction":
+            found[key] = norm(np.atleast_1d(getattr(pair, key)))
+    return found
+
+
 # The register of contact pairs: each enters it where it is written, with its keys in YAML.
 
 
