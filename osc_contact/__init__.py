@@ -66,10 +66,11 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.response import ContactResponse, contact_response
     from osc_contact.runs.contacts import OwnMotion
     from osc_contact.runs.loop import run_loop
-    from osc_contact.runs.preflight import Finding, preflight
+    from osc_contact.runs.preflight import preflight
     from osc_contact.runs.recorder import Recorder
     from osc_contact.runs.references import surface_references
     from osc_contact.runs.rig import Rig, build_rig, register_plant
+    from osc_contact.runs.rules import Finding
     from osc_contact.runs.run import recover, run
     from osc_contact.runs.verdict import metrics
     from osc_contact.runs.viewing import open_viewer

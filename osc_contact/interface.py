@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -140,8 +141,45 @@ class Measurement:
         )
 
 
+class Scene(Protocol):
+    """Surroundings of a robot at one instant, with which a controller's model is compared.
+
+    Attributes:
+        moved_mass: of all links that the joints move (kg).
+        carried_mass: beyond the wrist sensors (kg); 0: there are none.
+        tool_touches: whether any shape of the tool can touch any of the surroundings.
+        loose: mass (kg) beyond each joint that no motor of the controller moves and nothing holds,
+            by the joint's name.
+    """
+
+    moved_mass: float
+    carried_mass: float
+    tool_touches: bool
+    loose: Mapping[str, float]
+
+    def distance(self, point: Array) -> tuple[float, str]:
+        """Distance (m) of a point of the world (3,) from the nearest shape, and that one's name.
+
+        It is negative within the shape.
+        """
+
+    def clearance(self) -> tuple[float, str]:
+        """Distance (m) of the tool from the nearest shape, negative in an overlap, and its name."""
+
+    def require_period(self, duration: float) -> None:
+        """Refuse a control period (s) that the robot cannot keep.
+
+        Raises:
+            PlantError: with the periods that it can.
+        """
+
+
 class Robot(Protocol):
-    """Methods that the control loop needs of a robot: hardware, or a plant that simulates one."""
+    """Methods that the control loop needs of a robot: hardware, or a plant that simulates one.
+
+    A robot may also have a method `scene()`, which returns its `Scene` as it is now: the checks
+    before a run compare the controller's contacts, tool and masses with it.
+    """
 
     def measure(self) -> Measurement:
         """What the robot's sensors read now."""

@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from osc_contact.control.inputs import Freshness
-from osc_contact.control.start_check import judge_load, outboard_mass, require_start
+from osc_contact.control.start_check import judge_load, require_start
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, PlantError
 from osc_contact.interface import Measurement, Robot
@@ -198,7 +198,7 @@ class _Check:
         why = judge_load(settings, self.outside() - state.bias_out, state.bias_out)
         if why:
             raise PlantError(why)
-        weight = 9.81 * outboard_mass(chain)
+        weight = 9.81 * chain.outboard_mass
         if weight < 2.0 * settings.safety.load_error:
             yield (
                 f"the sign of the wrench is not checked by {weight:.2g} N, which hang on the "

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 import osc_contact as osc
+from osc_contact.contacts.feet import feet
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.projections import Omega_m_bar
-from osc_contact.runs.contacts import feet
 from osc_contact.runs.report import require_judgeable
 from osc_contact.runs.run import start
 from osc_contact.spatial import Array, pose_error

@@ -14,10 +14,12 @@ from pytest import approx
 from rigs import STILL, assert_near, placed, pose_of, vector
 from samples import parametrize
 
+from osc_contact.contacts.feet import feet, force_owners
 from osc_contact.contacts.pairs.pair import make_pair
-from osc_contact.runs.contacts import build_pairs, environment_bodies, feet, force_owners
-from osc_contact.runs.preflight import findings, pulls
+from osc_contact.runs.contacts import build_pairs, environment_bodies
 from osc_contact.runs.references import References, force_names
+from osc_contact.runs.rules import findings
+from osc_contact.runs.start_rules import pulls
 from osc_contact.scenarios.bodies import CONTACT_TYPES, OnBodySpec, magnitude_names
 from osc_contact.scenarios.loader import parse_scenario
 from osc_contact.scenarios.quantities import Dimension

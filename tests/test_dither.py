@@ -6,7 +6,7 @@ from rigs import assert_near, largest, rig_of, unit, vector
 from scenario_runs import closed_force, verdict_of
 
 from benchmarks.combined_errors import ERRORS
-from osc_contact.runs.contacts import feet
+from osc_contact.contacts.feet import feet
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.references import known_to, showing_twist, slides
 from osc_contact.runs.report import verdict_table

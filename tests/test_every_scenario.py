@@ -20,8 +20,8 @@ from scenario_runs import (
 
 import osc_contact as osc
 from benchmarks.combined_errors import MASSES, judge
+from osc_contact.contacts.feet import feet
 from osc_contact.dynamics.chain_state import modes
-from osc_contact.runs.contacts import feet
 from osc_contact.runs.hardware import flexible_joints
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.viewing import write_scene_of

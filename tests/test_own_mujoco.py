@@ -346,7 +346,7 @@ def test_distances_in_a_scene_are_those_of_its_shapes():
     <geom name="box" type="box" size="1 1 1" pos="0 0 3"/>
     <body name="hand" pos="0 0 6"><joint type="slide"/><geom size="0.1" mass="1"/></body>
     </worldbody></mujoco>""")
-    probe = osc.MujocoRobot.from_model(model, tip="hand").probe()
+    scene = osc.MujocoRobot.from_model(model, tip="hand").scene()
     for point, expected in (
         ([0, 0, 4.5], 0.5),
         ([0, 0, 3.7], -0.3),
@@ -356,8 +356,8 @@ def test_distances_in_a_scene_are_those_of_its_shapes():
         ([3, 0, -0.4], -0.4),
         ([5, 0, 3.8], -0.2),
     ):
-        assert probe.distance(np.array(point, dtype=float))[0] == approx(expected, abs=1e-5)
-    assert probe.clearance() == (approx(1.9), "box")
+        assert scene.distance(np.array(point, dtype=float))[0] == approx(expected, abs=1e-5)
+    assert scene.clearance() == (approx(1.9), "box")
 
 
 # Pictures of a robot in a MuJoCo scene of one's own, and of recordings that it leaves.

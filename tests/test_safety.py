@@ -124,7 +124,7 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, speed):
     assert controller.state is SAFE_STOP
     rest = plant.measure().q
     assert max(speeds[300:]) < 0.05
-    osc.run_loop(plant, controller, repeat(reference, 300))
+    osc.run_loop(plant, controller, repeat(reference, 300), check=False)  # which refuses a stop
     assert controller.state is SAFE_STOP  # though the wrenches are back
     assert_near(plant.measure().q, rest, 2e-3, 0)
 

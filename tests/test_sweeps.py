@@ -26,7 +26,7 @@ from scipy.stats import qmc
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.detection import collision_shapes
-from osc_contact.runs.preflight import judge_robot, require_ready
+from osc_contact.runs.preflight import judge_rig, require_ready
 from osc_contact.runs.run import start
 from osc_contact.sweeps.report import variances, write_report
 from osc_contact.sweeps.study import SweepStudy, parse_distribution
@@ -371,7 +371,7 @@ def test_rigs_that_share_chains_are_those_built_alone(monkeypatch):
     builder = RigBuilder()
     judged = []
     monkeypatch.setattr(
-        "osc_contact.sweeps.sweep.judge_robot", lambda rig: judged.append(rig) or judge_robot(rig)
+        "osc_contact.sweeps.sweep.judge_rig", lambda rig: judged.append(rig) or judge_rig(rig)
     )
     scenarios = [
         osc.load_scenario(
@@ -459,12 +459,12 @@ def test_what_is_shared_of_a_robot_does_not_depend_on_errors_and_limits(name):
     """Each key that the robot's key leaves out is changed, alone; the rig is built from nothing."""
     scenario = osc.load_scenario(name, ["plant.friction=0.1", "duration=1 s"])
     rig = osc.build_rig(scenario)
-    found = judge_robot(rig)
+    found = judge_rig(rig)
     for path, other in scenarios_with_one_edit(scenario, "model_error", "verdict"):
         if path[1] == "hidden_mass":
             continue
         one = osc.build_rig(other)
-        assert judge_robot(one) == found, path
+        assert judge_rig(one) == found, path
         for array in "q_contact", "q_start", "placements", "owners":
             assert getattr(one, array).tobytes() == getattr(rig, array).tobytes(), path
         assert one.chain.model == rig.chain.model

@@ -16,8 +16,8 @@ from osc_contact.contacts.pairs.pair import (
     count_forces,
     knows_where_it_slides,
     law_row,
-    object_sizes,
     pushes_only,
+    require_object_fits,
     store,
 )
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
@@ -68,8 +68,6 @@ GOAL_BEYOND = 1.5
 
 #: s; a longer control period is given in another unit: motion at 10 Hz is no control of force.
 LONGEST_PERIOD = 0.1
-#: Lengths of the held object above this many times the arms' stretched length are in other units.
-LARGEST_OBJECT = 2.0
 #: What settings are, and how they are written in a program.
 _KINDS: dict[str, tuple[type, str]] = {
     "gains": (Gains, "osc.Gains(osc.MotionGains(frequency=3.0), osc.ForceGains(bandwidth=5.0))"),
@@ -202,19 +200,7 @@ class Settings:
                     f"Controller: contacts has {brief(pair)}, which is no contact pair: it lacks "
                     f"name, contact or gaps; give pairs, such as {example}"
                 )
-        return self._fitting(contacts)
-
-    def _fitting(self, contacts: tuple[ContactPair, ...]) -> tuple[ContactPair, ...]:
-        """The same pairs; refused are lengths of the object that no arm of this size can hold."""
-        most = max(map(stretched_length, self.chain.arms))
-        for pair in contacts:
-            for key, length in object_sizes(pair).items():
-                if length > LARGEST_OBJECT * most:
-                    raise InvalidInputError(
-                        f"contact '{pair.name}': {key} is {length:.4g} m from the object's origin "
-                        f"or in size, and the stretched arm is {most:.3g} m long; give lengths in "
-                        f"m: {1e-3 * length:.4g} for {length:.4g} mm"
-                    )
+            require_object_fits(pair, max(map(stretched_length, self.chain.arms)))
         return contacts
 
 

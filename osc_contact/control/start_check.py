@@ -68,7 +68,7 @@ class StartCheck:
                 return False
             if is_clear(settings, rows):
                 inertial = np.zeros(6)
-                inertial[:3] = outboard_mass(settings.chain) * rows.work.A_D[:3]
+                inertial[:3] = settings.chain.outboard_mass * rows.work.A_D[:3]
                 self.readings.append(controller.residual_wrench() - inertial)
                 self.expected = controller.result().bias_out.copy()
                 if len(self.readings) < max(FEWEST, WINDOW_S / settings.dt):
@@ -117,12 +117,6 @@ def is_clear(settings: Settings, rows: Any) -> bool:
     return True
 
 
-def outboard_mass(chain: ClosedChain) -> float:
-    """kg beyond all wrist sensors, the held object included."""
-    held = 0.0 if chain.payload is None else chain.payload.inertia.mass
-    return float(held + sum(link.inertia.mass for links in chain.outboard for link in links))
-
-
 def judge_load(settings: Settings, error: Array, expected: Array) -> str:
     """A sentence on wrists that read another load than they carry; "" for none.
 
@@ -163,7 +157,7 @@ def judge_load(settings: Settings, error: Array, expected: Array) -> str:
     return (
         f"the wrist sensor ({frames}) reads another load than it carries, and no contact is made: "
         f"in world axes at the object's origin {_show(read)}, expected {_show(expected)} of "
-        f"{outboard_mass(chain):.3g} kg; the difference is {force:.3g} N and {torque:.3g} N m, "
+        f"{chain.outboard_mass:.3g} kg; the difference is {force:.3g} N and {torque:.3g} N m, "
         f"limit load_error = {most:g} N ({most * lever:.2g} N m). {cause}"
     )
 

@@ -227,6 +227,20 @@ class ClosedChain:
         """All joints in the order of q and v, "arm/joint"."""
         return joint_names(self.model)
 
+    @property
+    def moved_mass(self) -> float:
+        """Mass (kg) of all links that the joints move, and of the held object."""
+        return self._held_mass + sum(link.mass for link in list(self.model.inertias)[1:])
+
+    @property
+    def outboard_mass(self) -> float:
+        """Mass (kg) beyond all wrist sensors, the held object included."""
+        return self._held_mass + sum(x.inertia.mass for links in self.outboard for x in links)
+
+    @property
+    def _held_mass(self) -> float:
+        return 0.0 if self.payload is None else float(self.payload.inertia.mass)
+
     def tip_poses(self, data: pin.Data | None = None) -> list[SE3]:
         """Pose of each arm's tip in the world, at the positions last given to `data`."""
         return [self._placement(f, data) for f in self.tips]

@@ -10,7 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.dynamics.arm import Arm
+from osc_contact.contacts.pairs.pair import require_object_fits
+from osc_contact.dynamics.arm import Arm, stretched_length
 from osc_contact.dynamics.assembly import close, require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Rail
@@ -28,15 +29,33 @@ _POINT_M = 1e-6  #: m, radius of the sphere that stands for a point
 _SPHERE = 2  #: MuJoCo's number of the type
 
 
-class SceneProbe:
-    """A copy of a scene, as it is at one instant, in which one geom of the tool becomes a point."""
+class MujocoScene:
+    """A copy of a scene, as it is at one instant, in which one geom of the tool becomes a point.
 
-    def __init__(self, model: Any, data: Any, tool: Sequence[int], others: Sequence[int]) -> None:
+    Attributes:
+        moved_mass, carried_mass, loose: see `osc_contact.interface.Scene`.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        data: Any,
+        tool: Sequence[int],
+        others: Sequence[int],
+        *,
+        chain: ClosedChain,
+        loose: Mapping[str, float],
+    ) -> None:
         """Take the copy.
 
         Args:
             model, data: MuJoCo's. tool: its geoms. others: geoms that are not the arm's.
+            chain: of the arm, as it is in the scene. loose: kg beyond joints that nothing holds.
         """
+        self.moved_mass = chain.moved_mass
+        self.carried_mass = chain.outboard_mass
+        self.loose = loose
+        self._step = float(model.opt.timestep)
         self._model = model
         self._data = copy.copy(data)
         self.pairs = [(a, b) for a in tool for b in others if _can_touch(model, a, b)]
@@ -47,6 +66,19 @@ class SceneProbe:
             self._at = copy.copy(data)
             self._probe.geom_type[point] = _SPHERE
             self._probe.geom_size[point] = self._probe.geom_rbound[point] = _POINT_M
+
+    @property
+    def tool_touches(self) -> bool:
+        """Whether MuJoCo lets any geom of the tool touch any other."""
+        return bool(self.pairs)
+
+    def require_period(self, duration: float) -> None:
+        """Refuse a control period (s) that is no whole number of MuJoCo's steps.
+
+        Raises:
+            PlantError: it is none.
+        """
+        require_whole_steps(duration, self._step)
 
     def distance(self, point: Array) -> tuple[float, str]:
         """Of a point of the world (3,) from the nearest geom (m), and that one's name.
@@ -59,6 +91,21 @@ class SceneProbe:
     def clearance(self) -> tuple[float, str]:
         """The same of the tool; negative where it penetrates."""
         return _nearest(self._model, self._data, self.pairs)
+
+
+def require_whole_steps(duration: float, step: float) -> None:
+    """Refuse a control period (s) that is no whole number of MuJoCo's steps (s).
+
+    Raises:
+        PlantError: it is none.
+    """
+    steps = duration / step
+    if abs(steps - max(1, round(steps))) > 1e-6 * steps:
+        raise PlantError(
+            f"the control period {1e3 * duration:g} ms is no whole number of MuJoCo's steps of "
+            f"{1e3 * step:g} ms; set opt.timestep to a part of it, such as {duration / 4:g} s, "
+            "before from_model, or the controller's dt to a multiple"
+        )
 
 
 def _nearest(model: Any, data: Any, pairs: list[tuple[int, int]]) -> tuple[float, str]:
@@ -121,6 +168,7 @@ class MujocoRobot(MujocoPlant):
             keyframe: where the rest of the scene starts; default: where the file puts it.
 
         Raises:
+            InvalidInputError: contacts whose lengths are not in m.
             ModelError: no such tip or joint, or what `robots.load_mjcf` refuses.
             PlantError: no such keyframe or site, or no sensors on that site.
         """
@@ -148,6 +196,8 @@ class MujocoRobot(MujocoPlant):
         return robot
 
     def _take(self, mj: Any, chain: ClosedChain, contacts: Sequence[ContactPair]) -> None:
+        for pair in contacts:
+            require_object_fits(pair, stretched_length(chain.arms[0]))
         self._connect(mj, chain, contacts, Faces([Rail()], (0,) * len(contacts)))
         arm = chain.arms[0]
         number = {joint_name(mj, j): j for j in range(mj.njnt)}
@@ -276,22 +326,8 @@ class MujocoRobot(MujocoPlant):
         Raises:
             PlantError: it is none, or MuJoCo diverged.
         """
-        self.require_steps(duration)
+        require_whole_steps(duration, self._step)
         super().command(tau, duration)
-
-    def require_steps(self, duration: float) -> None:
-        """Refuse a duration (s) that is no whole number of MuJoCo's steps.
-
-        Raises:
-            PlantError: it is none.
-        """
-        steps = duration / self._step
-        if abs(steps - max(1, round(steps))) > 1e-6 * steps:
-            raise PlantError(
-                f"the control period {1e3 * duration:g} ms is no whole number of MuJoCo's steps of "
-                f"{1e3 * self._step:g} ms; set opt.timestep to a part of it, such as "
-                f"{duration / 4:g} s, before from_model, or the controller's dt to a multiple"
-            )
 
     def picture(self) -> dict[str, Any]:
         """What is seen of the scene, as JSON data; recordings carry it, see `robots.pictures`."""
@@ -301,10 +337,26 @@ class MujocoRobot(MujocoPlant):
         joints = {number[at]: k + 1 for k, at in enumerate(self._q)}
         return scene_picture(mj, self.data, model, np.array(self._qpos[self._q]), joints)
 
-    def probe(self) -> SceneProbe:
-        """Distances from what the tool can touch, as the scene is now."""
+    def scene(self) -> MujocoScene:
+        """What stands around the arm now: distances from what the tool can touch, and masses."""
         tool, others = (np.flatnonzero(self.body_of == which).tolist() for which in (OBJECT, 0))
-        return SceneProbe(self.model, self.data, tool, others)
+        return MujocoScene(
+            self.model, self.data, tool, others, chain=self.chain, loose=self._loose_joints()
+        )
+
+    def _loose_joints(self) -> dict[str, float]:
+        """Mass (kg) beyond each joint of the arm that is not the chain's and that nothing holds."""
+        mj = self.model
+        own = mj.body_rootid == mj.body_rootid[self.object_body]
+        coupled = mj.eq_type == self._mj.mjtEq.mjEQ_JOINT
+        joined = {*mj.eq_obj1id[coupled].tolist(), *mj.eq_obj2id[coupled].tolist()}
+        found = {}
+        for j in range(mj.njnt):
+            servos = mj.actuator_biasprm[motors_of(mj, j), 1]  # feedback of the position
+            held = np.any(servos) or mj.jnt_stiffness[j] > 0.0 or j in joined
+            if own[mj.jnt_bodyid[j]] and mj.jnt_dofadr[j] not in self._v and not held:
+                found[joint_name(mj, j)] = float(mj.body_subtreemass[mj.jnt_bodyid[j]])
+        return found
 
     def _send(self, tau: Array) -> None:
         self._tau = as_array("tau", tau, (self.chain.n_a,))

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.feet import feet
 from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.law.joint_friction import LAG
 from osc_contact.robots.summary import friction_warnings, joint_losses, loss_words
-from osc_contact.runs.contacts import feet
 from osc_contact.runs.references import gain_in_words, known_to
 from osc_contact.runs.rig import Rig, landings
 from osc_contact.spatial import Array, norm

@@ -22,9 +22,10 @@ from typing import Any, NoReturn, Protocol
 import numpy as np
 
 from osc_contact.control.status import SafetyState
-from osc_contact.errors import InvalidInputError, PlantError
+from osc_contact.errors import InvalidInputError, PlantError, brief
 from osc_contact.interface import Measurement, Reference, Robot
 from osc_contact.runs.shadow import Shadow, ShadowReport
+from osc_contact.runs.start_rules import checked
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
 
@@ -150,6 +151,7 @@ def run_loop(
     progress: Callable[[float], None] | None = None,
     realtime: bool = False,
     shadow: bool = False,
+    check: bool = True,
 ) -> LoopReport:
     """Measure, compute, record, command: once for each reference, then stop the robot.
 
@@ -177,20 +179,24 @@ def run_loop(
             a thread that runs while the loop waits. 20 missed deadlines in a row end the loop.
         shadow: send the model's weight in place of the controller's torques, while somebody moves
             the arm by hand, and judge the model. The controller's stops are not carried out.
+        check: compare robot, controller and references before the first command, as `preflight`
+            does, in half a second at most. A sequence of references is compared as a whole (what
+            the joints do on the way, for its first 2000 steps), of an iterator the first one only.
+            Doubts are logged. Not with `shadow`, nor for controllers that are no `Controller`.
 
     Returns:
         How the loop ran, with the findings of `shadow`.
 
     Raises:
         InvalidInputError: a viewer without a recorder; a robot whose `stop` takes no reason;
-            `shadow` with more than one arm.
+            `shadow` with more than one arm; what `check` refuses, with cause and cure.
         PlantError: deadlines are missed, the simulation diverged, or what else the robot raises. If
             its `stop` then fails, too, that is a note of the error, and logged.
         KeyboardInterrupt, SystemExit: a signal ended it; the latter has the code 128 + its number.
     """
     if viewer is not None and recorder is None:
         raise InvalidInputError("a viewer shows what is recorded; give the loop a recorder, too")
-    _require_stop(robot)
+    _require_robot(robot, controller)
     period = controller.dt
     report = LoopReport(period)
     judge = Shadow(controller) if shadow else None
@@ -207,6 +213,8 @@ def run_loop(
 
     with raised_signals() as signals, _process(realtime, recorder, report) as side:
         try:
+            if check and not shadow:
+                references = checked(robot, controller, references)
             for k, reference in enumerate(references):
                 measurement = robot.measure()
                 start = perf_counter()
@@ -279,8 +287,21 @@ def _stop(robot: Robot, reason: str) -> Exception | None:
     return None
 
 
-def _require_stop(robot: Robot) -> None:
-    """Refuse a robot that cannot be stopped with a reason, before it moves."""
+def _require_robot(robot: Robot, controller: Controls) -> None:
+    """Refuse what has not the methods of a robot and of a controller, before it moves.
+
+    And a robot that cannot be stopped with a reason.
+    """
+    for name, value, methods in (
+        ("robot", robot, ("measure", "command", "stop")),
+        ("controller", controller, ("tick", "dt")),
+    ):
+        lacking = [method for method in methods if not hasattr(value, method)]
+        if lacking:
+            raise InvalidInputError(
+                f"{name} is {brief(value)}, which has no {' and no '.join(lacking)}; the order is "
+                "run_loop(robot, controller, references)"
+            )
     try:
         signature(robot.stop).bind("why")
     except TypeError as error:

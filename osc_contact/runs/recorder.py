@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from osc_contact.contacts.feet import feet_over, force_owners
 from osc_contact.contacts.pairs.pair import ContactPair, normals_over, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor, watch_series
@@ -27,7 +28,6 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.journal import Journal, JournalFile
 from osc_contact.recorder.recording import gather
 from osc_contact.robots.summary import joint_losses
-from osc_contact.runs.contacts import feet_over, force_owners
 from osc_contact.runs.loop import at_once
 from osc_contact.spatial import Array, Poses
 

@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from osc_contact.contacts.feet import contact_at, feet
 from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.errors import InvalidInputError, ScenarioError
 from osc_contact.interface import Reference
-from osc_contact.runs.contacts import contact_at, feet
 from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.scenarios.control_schema import Dither
 from osc_contact.scenarios.quantities import Length

@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.feet import contact_at, feet, force_owners
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
@@ -32,10 +33,7 @@ from osc_contact.runs import hardware
 from osc_contact.runs.contacts import (
     EnvironmentBody,
     build_pairs,
-    contact_at,
     environment_bodies,
-    feet,
-    force_owners,
     known_bodies,
     misplaced,
     pose_of,

@@ -11,10 +11,10 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
+from osc_contact.contacts.feet import force_owners
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
-from osc_contact.runs.contacts import force_owners
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.visual.browser import write_png

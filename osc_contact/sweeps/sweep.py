@@ -33,8 +33,9 @@ from osc_contact.files import Json, hold, whole_file
 from osc_contact.law import compiled
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
-from osc_contact.runs.preflight import Finding, judge_robot, require_ready
+from osc_contact.runs.preflight import judge_rig, require_ready
 from osc_contact.runs.rig import Rig, build_chain, build_rig
+from osc_contact.runs.rules import Finding
 from osc_contact.runs.run import Install, run
 from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.control_schema import ModelErrorSpec
@@ -82,8 +83,8 @@ class RobotAtTask:
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """See `judge_robot`."""
-        return judge_robot(self.rig)
+        """See `judge_rig`."""
+        return judge_rig(self.rig)
 
 
 class RigBuilder(threading.local):
@@ -134,7 +135,7 @@ def robot_key(scenario: Scenario) -> str:
     """Text that is equal for scenarios of the same robot at the same task.
 
     They may differ in what the controller's model has wrong, and in the limits of the verdict: the
-    true robot, and what `judge_robot` looks at, do not depend on either.
+    true robot, and what `judge_rig` looks at, do not depend on either.
     """
     content = scenario.model_dump(mode="json", exclude={"model_error", "verdict"})
     return _key(scenario, content, scenario.model_error.hidden_mass)

@@ -105,6 +105,11 @@ def pushes_only(pair: ContactPair) -> bool:
     return bool(getattr(pair, "pushes", False))
 
 
+def has_place(pair: ContactPair) -> bool:
+    """Whether a contact touches at points that are known."""
+    return getattr(pair, "surface_point", None) is not None
+
+
 def knows_where_it_slides(pair: ContactPair) -> bool:
     """Whether friction at the pair is known: it pushes at known points.
 
@@ -243,6 +248,10 @@ def check_geometry(pair: Any) -> None:
             raise InvalidInputError(f"{name} = {value}; give a length {kind} 0 m")
 
 
+#: Lengths of the held object above this many times the arms' stretched length are in other units.
+LARGEST_OBJECT = 2.0
+
+
 def object_sizes(pair: ContactPair) -> dict[str, float]:
     """Lengths (m) that a packaged pair states of the held object: of radii, extents and points.
 
@@ -256,6 +265,24 @@ def object_sizes(pair: ContactPair) -> dict[str, float]:
         if kind != "direction":
             found[key] = norm(np.atleast_1d(getattr(pair, key)))
     return found
+
+
+def require_object_fits(pair: ContactPair, longest: float) -> None:
+    """Refuse lengths of the held object that no arm of this size can hold.
+
+    Args:
+        pair: of the contact. longest: stretched length of the longest arm (m).
+
+    Raises:
+        InvalidInputError: with the length in m and in mm.
+    """
+    for key, length in object_sizes(pair).items():
+        if length > LARGEST_OBJECT * longest:
+            raise InvalidInputError(
+                f"contact '{pair.name}': {key} is {length:.4g} m in size or from the object's "
+                f"origin, and the stretched arm is {longest:.3g} m long; give lengths in m: "
+                f"{1e-3 * length:.4g} for {length:.4g} mm"
+            )
 
 
 # The register of contact pairs: each enters it where it is written, with its keys in YAML.
