@@ -5,9 +5,10 @@ import os
 from collections.abc import Callable, Sequence
 from copy import copy, deepcopy
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.custom_laws import CustomParts, Laws
@@ -111,6 +112,7 @@ class Controller:
             of the settings. reading: as given, or as chosen.
     """
 
+    dt: float  #: of the settings, see `__getattr__`
     _limits: MotorLimits | None = None
     _given_up: LimitLoss | None = None
     _failure: Exception | None = None
@@ -124,9 +126,9 @@ class Controller:
         gains: Gains | None = None,
         *,
         dt: float = 1e-3,
-        B: Array | str = "object",
+        B: ArrayLike | str = "object",
         bodies: Sequence[Body | None] | None = None,
-        posture: Array | None = None,
+        posture: ArrayLike | None = None,
         engaged: bool = True,
         friction: Friction | None = None,
         reading: Reading | None = None,
@@ -173,9 +175,9 @@ class Controller:
             (contacts,) if isinstance(contacts, ContactPair) else contacts,
             gains or Gains(),
             dt,
-            B,
+            cast("Array | str", B),  # settings make arrays of both
             () if bodies is None else bodies,
-            posture,
+            cast("Array | None", posture),
             posture_task or PostureTask(),
             friction,
             life,

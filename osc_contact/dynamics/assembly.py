@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 from pinocchio import SE3
 
 from osc_contact.dynamics.closed_chain import ClosedChain, columns_at
@@ -35,7 +36,7 @@ def object_pose(chain: ClosedChain, q: Array, data: pin.Data | None = None) -> S
     return chain.object_pose(data)
 
 
-def reach(chain: ClosedChain, q: Array, X_WO: SE3, tolerance: float = 1e-6) -> Array:
+def reach(chain: ClosedChain, q: ArrayLike, X_WO: SE3, tolerance: float = 1e-6) -> Array:
     """Bring every grasp as near to an object pose as the arms can (inverse kinematics).
 
     Levenberg–Marquardt on the energy-weighted pose errors, (object's inertia)½ × displacement,
@@ -51,22 +52,22 @@ def reach(chain: ClosedChain, q: Array, X_WO: SE3, tolerance: float = 1e-6) -> A
     """
     L = np.linalg.cholesky(chain.reference_inertia(X_WO))
     limits = position_limits(chain.model)
-    q = np.clip(np.array(q, dtype=float), *limits)
+    here: Array = np.clip(np.array(q, dtype=float), *limits)
     damping = 1e-3
-    cost, step = _reach_step(chain, q, X_WO, L, damping)
+    cost, step = _reach_step(chain, here, X_WO, L, damping)
     for _ in range(300):
-        there = np.clip(q + step, *limits)
+        there = np.clip(here + step, *limits)
         next_cost, next_step = _reach_step(chain, there, X_WO, L, 0.3 * damping)
         if next_cost <= cost:
-            if np.abs(there - q).max() < tolerance:
+            if np.abs(there - here).max() < tolerance:
                 return there
             damping = max(0.3 * damping, 1e-12)
-            q = there
+            here = there
             cost = next_cost
             step = next_step
         else:
             damping *= 10.0
-            cost, step = _reach_step(chain, q, X_WO, L, damping)
+            cost, step = _reach_step(chain, here, X_WO, L, damping)
     raise ModelError(
         f"the arms do not reach the object at {np.round(X_WO.translation, 4)} m; energy-weighted "
         f"miss {np.sqrt(2 * cost):.3g}. Move the object, the bases, or give another posture."

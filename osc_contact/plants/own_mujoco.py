@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.pair import require_object_fits
@@ -278,7 +279,7 @@ class MujocoRobot(MujocoPlant):
                 most,
             )
 
-    def reset(self, q: Array) -> None:
+    def reset(self, q: ArrayLike) -> None:
         """Start at rest at joint positions q (n,), the rest of the scene where it starts.
 
         Motors carry the arm from the beginning, as far as their limits permit, so that the first
@@ -304,7 +305,7 @@ class MujocoRobot(MujocoPlant):
         model = self.chain.model
         self.hold(pin.computeGeneralizedGravity(model, model.createData(), q)[self.chain.actuated])
 
-    def touching(self, q: Array) -> Array:
+    def touching(self, q: ArrayLike) -> Array:
         """(n,) joint positions next to q at which every contact touches.
 
         Raises:

@@ -16,7 +16,7 @@ from osc_contact.contacts.feet import contact_at, feet
 from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.dynamics.chain_state import ChainState
-from osc_contact.errors import InvalidInputError, ScenarioError
+from osc_contact.errors import InvalidInputError, ScenarioError, brief
 from osc_contact.interface import Reference
 from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.scenarios.control_schema import Dither
@@ -339,7 +339,7 @@ class SurfaceMotion:
 
 
 def surface_references(
-    pair: SphereOnSurface,
+    pair: ContactPair,
     X_start: pin.SE3,
     period: float,
     *,
@@ -358,8 +358,14 @@ def surface_references(
         path: keys of a move of kind `surface`: points, raster, signals, feed, dwell, …
 
     Raises:
-        ValueError: keys of the path that do not fit. InvalidInputError: see `SurfaceMotion`.
+        ValueError: keys of the path that do not fit. InvalidInputError: a pair without a curved
+            face; see `SurfaceMotion`.
     """
+    if not isinstance(pair, SphereOnSurface):
+        raise InvalidInputError(
+            f"surface_references follows a curved face, and {brief(pair)} has none; give an "
+            "osc.SphereOnSurface"
+        )
     motion = SurfaceMotion(pair, X_start, direction)
     move = SurfaceMove(contact=pair.name, direction=direction, **path)
     t = np.arange(0.0, move.duration if duration is None else duration, period)

@@ -14,12 +14,14 @@ from inspect import signature
 from pathlib import Path
 from types import SimpleNamespace
 from typing import (
+    TYPE_CHECKING,
     Annotated,
     Any,
     ClassVar,
     Literal,
     NamedTuple,
     Protocol,
+    TypeAlias,
     TypeVar,
     dataclass_transform,
     get_type_hints,
@@ -27,6 +29,7 @@ from typing import (
 )
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pinocchio import SE3
 from pydantic import Field, create_model
 
@@ -210,17 +213,32 @@ def store(pair: Any, **values: Any) -> None:
         object.__setattr__(pair, key, value)
 
 
-#: What a number of a pair's geometry is, and as a key of a scenario; `check_geometry` and
-#: `register_pair` read both from the field's annotation.
-Point = Annotated[Array, "point", Vec3]
-Direction = Annotated[Array, "direction", UnitVec3]
-BodyPoint = Annotated[Array, "point", bodies.BodyPoint]
-BodyDirection = Annotated[Array, "direction", bodies.BodyDirection]
+if TYPE_CHECKING:
+
+    class Coordinates:
+        """A field of a pair as type checkers see it: numbers of any kind in, an array out."""
+
+        def __get__(self, pair: Any, owner: Any = None) -> Array: ...
+        def __set__(self, pair: Any, value: ArrayLike) -> None: ...
+
+    Point: TypeAlias = Coordinates
+    Direction: TypeAlias = Coordinates
+    BodyPoint: TypeAlias = Coordinates
+    BodyDirection: TypeAlias = Coordinates
+    FacePoint: TypeAlias = Coordinates
+    FaceDirection: TypeAlias = Coordinates
+else:
+    #: What a number of a pair's geometry is, and as a key of a scenario; `check_geometry` and
+    #: `register_pair` read both from the field's annotation.
+    Point = Annotated[Array, "point", Vec3]
+    Direction = Annotated[Array, "direction", UnitVec3]
+    BodyPoint = Annotated[Array, "point", bodies.BodyPoint]
+    BodyDirection = Annotated[Array, "direction", bodies.BodyDirection]
+    #: Of a face that a contact brings: keys of `face`.
+    FacePoint = Annotated[Array, "point"]
+    FaceDirection = Annotated[Array, "direction"]
 Radius = Annotated[float, "≥", Annotated[NotNegative[Length], Field(default=0.0)]]
 Extent = Annotated[float, ">", Positive[Length]]
-#: Of a face that a contact brings: keys of `face`.
-FacePoint = Annotated[Array, "point"]
-FaceDirection = Annotated[Array, "direction"]
 
 
 @cache
