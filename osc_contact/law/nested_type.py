@@ -1,6 +1,7 @@
 """The type of a `nested.Nested` record to numba: a record with tables as further attributes.
 
-All of it is numba's public interface for extensions: a type with a model, attributes, intrinsics.
+It is made of numba's interface for extensions: a type with a model, attributes, intrinsics. That
+tables are arrays rests on `numba.np.arrayobj`, as in numba's own extensions.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, models, register_model
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import infer_getattr, intrinsic, lower_getattr, models, register_model
+from numba.np.arrayobj import make_array, populate_array
 
-from osc_contact.law.jit import VIEW, view
+from osc_contact.law.jit import view
 
 _public: Any = numba  #: its type hints leave out `carray` and options of `overload_attribute`
 _BYTE = ir.IntType(8)
@@ -58,11 +61,19 @@ def pointer_to(kind: Any) -> Any:
     register_model(Record)(_Pointer)
     record = Record()
     _records[record.name] = record
-    for slot, (name, (dtype, sizes)) in enumerate(kind.tables.items()):
-        shape = [_word(kind.slot(one)) if isinstance(one, str) else _fixed(one) for one in sizes]
-        _public.extending.overload_attribute(Record, name, jit_options=VIEW)(
-            _table(dtype, _word(slot, behind=True), shape)
-        )
+    tables = {name: _Table(kind, name) for name in kind.tables}
+
+    @infer_getattr
+    class Tables(AttributeTemplate):
+        """Types of the tables."""
+
+        key = Record
+
+        def generic_resolve(self, value: Any, attr: str) -> Any:  # type: ignore[override]
+            return tables[attr].array if attr in tables else None
+
+    for name, table in tables.items():
+        lower_getattr(Record, name)(table.found)
 
     @intrinsic
     def point(typing: Any, address: Any) -> Any:
@@ -78,51 +89,47 @@ def pointer_to(kind: Any) -> Any:
     return at
 
 
-def _table(dtype: Any, start: Any, shape: list[Any]) -> Any:
-    """What an attribute of a record is: the array that begins at `start`."""
-    rows = shape[0]
-    columns = shape[-1]
+class _Table:
+    """A table of a record, which compiled code takes as an array.
 
-    carray = _public.carray
-
-    def one(record: Any) -> Any:
-        return carray(start(record), (rows(record),), dtype)
-
-    def two(record: Any) -> Any:
-        return carray(start(record), (rows(record), columns(record)), dtype)
-
-    def choose(record: Any) -> Any:
-        return one if len(shape) == 1 else two
-
-    return choose
-
-
-def _word(slot: int, behind: bool = False) -> Any:
-    """A compiled function of a record: a word of its layout; the address so many bytes behind it.
-
-    The layout never changes: compiled code reads each word once.
+    Attributes:
+        array: its type.
     """
 
-    @intrinsic
-    def word(typing: Any, record: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-            words = builder.bitcast(given[0], _WORD.as_pointer())
-            found = builder.load(builder.gep(words, [_WORD(slot)]))
-            found.set_metadata("invariant.load", builder.module.add_metadata([]))
-            if behind:
-                return builder.gep(builder.bitcast(given[0], _BYTE.as_pointer()), [found])
-            return found
+    def __init__(self, kind: Any, name: str) -> None:
+        dtype, sizes = kind.tables[name]
+        self.array = types.Array(_public.from_dtype(dtype), len(sizes), "C")
+        self._item = dtype.itemsize
+        self._start = kind.start(name)
+        self._sizes = [kind.slot(one) if isinstance(one, str) else _WORD(one) for one in sizes]
 
-        return (types.voidptr if behind else types.intp)(record), generate
+    def found(self, context: Any, builder: Any, record: Any, value: Any) -> Any:
+        """The array, as `numba.extending.lower_getattr` takes it, at its place in the record."""
+        shape = [
+            one if isinstance(one, ir.Constant) else _word(builder, value, one)
+            for one in self._sizes
+        ]
+        strides = [_WORD(self._item)]
+        for size in reversed(shape[1:]):
+            strides.insert(0, builder.mul(size, strides[0]))
+        start = _word(builder, value, self._start)
+        place = builder.gep(builder.bitcast(value, _BYTE.as_pointer()), [start])
+        item = context.get_data_type(self.array.dtype)
+        made = make_array(self.array)(context, builder)
+        populate_array(
+            made,
+            data=builder.bitcast(place, item.as_pointer()),
+            shape=shape,
+            strides=strides,
+            itemsize=strides[-1],
+            meminfo=None,
+        )
+        return made._getvalue()
 
-    return word
 
-
-def _fixed(size: int) -> Any:
-    """The same of a size that is known."""
-
-    @intrinsic
-    def word(typing: Any, record: Any) -> Any:
-        return types.intp(record), lambda context, builder, signature, given: _WORD(size)
-
-    return word
+def _word(builder: Any, record: Any, slot: int) -> Any:
+    """A word of a record's layout, which never changes: compiled code reads each once."""
+    words = builder.bitcast(record, _WORD.as_pointer())
+    found = builder.load(builder.gep(words, [_WORD(slot)]))
+    found.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return found

@@ -29,10 +29,11 @@ import numba
 import numpy as np
 from llvmlite import binding as llvm
 from numba import types
-from numba.core import cgutils
+from numba.core import cgutils, typed_passes, untyped_passes
 from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
-from numba.core.compiler import Flags, compile_extra
+from numba.core.compiler import CompilerBase, Flags, compile_extra
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.compiler_machinery import PassManager
 from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
@@ -138,6 +139,7 @@ class Unit:
             flags,
             {},
             library=_Library(context.codegen(), symbol),
+            pipeline_class=_Pipeline,
         )
         module = llvm.parse_assembly("")
         module.link_in(made.library._final_module, preserve=True)
@@ -152,6 +154,32 @@ class Unit:
 def all_units() -> list[Unit]:
     """Every function of the law that is translated by itself, in the order of the modules."""
     return [*_units.values()]
+
+
+class _Pipeline(CompilerBase):
+    """The passes of numba that the law needs: it has no closures and no array expressions."""
+
+    def define_pipelines(self) -> Any:
+        """One pipeline; what it cannot translate is an error."""
+        passes = PassManager("law")
+        for one in (
+            untyped_passes.TranslateByteCode,
+            untyped_passes.FixupArgs,
+            untyped_passes.IRProcessing,
+            untyped_passes.RewriteSemanticConstants,
+            untyped_passes.DeadBranchPrune,
+            untyped_passes.GenericRewrites,
+            untyped_passes.ReconstructSSA,
+            typed_passes.NopythonTypeInference,
+            typed_passes.PreLowerStripPhis,
+            typed_passes.IRLegalization,
+            typed_passes.AnnotateTypes,
+            typed_passes.NativeLowering,
+            typed_passes.NoPythonBackend,
+        ):
+            passes.add_pass(one, one.__name__)
+        passes.finalize()
+        return [passes]
 
 
 class _Library(JITCodeLibrary):
