@@ -8,7 +8,7 @@ import threading
 from pathlib import Path
 
 import numpy as np
-from processes import python
+from processes import completed, python
 from pytest import fixture, mark, param, raises
 from samples import module_fixture, names_in, parametrize
 from scenario_runs import run_of
@@ -97,8 +97,8 @@ def test_arrays_of_other_kinds_end_as_they_should(made, where):
     assert all(end == plain for end in ends.values())
 
 
-def test_a_library_that_does_not_fit_is_left(made, tmp_path, monkeypatch):
-    found = {}
+def test_a_library_that_is_named_and_does_not_fit_is_refused(made, tmp_path, monkeypatch):
+    refused = "is no library of this law for this platform"
     content = made.read_bytes()
     law = library.law_hash().encode()
     assert content.count(law) == 1
@@ -108,8 +108,45 @@ def test_a_library_that_does_not_fit_is_left(made, tmp_path, monkeypatch):
         path = tmp_path / f"{len(one)}{name[0]}.so"
         path.write_bytes(one)
         monkeypatch.setenv("OSC_CONTACT_LAW", str(path))
-        found[name] = library.found() is not None
-    assert found == {"fits": True, "other sources": False, "damaged": False}
+        if name == "fits":
+            assert library.found() is not None
+            continue
+        with raises(osc.OscContactError, match=refused):
+            library.found()
+
+
+def test_a_library_that_is_named_and_not_there_is_missed(tmp_path, monkeypatch):
+    monkeypatch.setenv("OSC_CONTACT_LAW", str(tmp_path / "law.so"))
+    with raises(osc.OscContactError, match=r"OSC_CONTACT_LAW names .*law.so, which is not there"):
+        library.found()
+
+
+FOREIGN = """
+#include <stdio.h>
+__attribute__((constructor)) static void run(void) { fclose(fopen("MARK", "w")); }
+"""
+
+
+def test_a_foreign_library_is_refused_before_it_runs(tmp_path, monkeypatch):
+    ran = tmp_path / "it_ran"
+    (tmp_path / "foreign.c").write_text(FOREIGN.replace("MARK", str(ran)))
+    foreign = tmp_path / "foreign.so"
+    completed("cc", "-shared", "-fPIC", tmp_path / "foreign.c", "-o", foreign)
+    monkeypatch.setenv("OSC_CONTACT_LAW", str(foreign))
+    with raises(osc.OscContactError, match="is no library of this law"):
+        library.found()
+    assert not ran.exists()
+
+
+def test_a_library_is_not_taken_from_where_others_may_write(tmp_path, caplog):
+    folder = tmp_path / "cache" / "law-x"
+    folder.mkdir(parents=True, mode=0o700)
+    assert library.may_keep(folder) and library.may_keep(folder.parent)
+    folder.parent.chmod(0o777)
+    (folder / library.LIBRARY).write_bytes(b"")
+    with caplog.at_level(logging.WARNING):
+        assert library.found_in(folder) is None
+    assert f"other users may write to {folder.parent}" in caplog.text
 
 
 def test_an_edit_of_any_source_of_the_law_is_another_library(made, tmp_path, monkeypatch):

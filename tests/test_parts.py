@@ -320,6 +320,18 @@ def test_what_was_not_used_for_long_is_removed(tmp_path):
     assert names_in(store.folder) == {"a", "c"}
 
 
+@parametrize("open_to_others", ["store", "."])
+def test_nothing_is_taken_from_a_folder_that_others_may_write_to(open_to_others, tmp_path):
+    """Parts become programs that run."""
+    store = Store(tmp_path / "store")
+    store.keep("a", b"content")
+    (tmp_path / open_to_others).chmod(0o777)
+    assert store.find("a") is None
+    store.keep("b", b"content")
+    (tmp_path / open_to_others).chmod(0o700)
+    assert store.find("a") == b"content" and store.find("b") is None
+
+
 def test_a_folder_that_cannot_be_written_to_keeps_nothing(tmp_path):
     (tmp_path / "file").write_text("")
     store = Store(tmp_path / "file")

@@ -168,7 +168,7 @@ def _make(folder: Path) -> Any:
     """Make the folder whole or not at all, and load the library."""
     with announced() as show, TemporaryDirectory(dir=folder.parent) as unfinished:
         new = Path(unfinished) / folder.name
-        new.mkdir()
+        new.mkdir(mode=0o700)
         (new / library.OBJECT).write_bytes(_object(show))
         _link(new)
         (new / library.CHECKSUM).write_text(library.checksum(new))

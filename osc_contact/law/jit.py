@@ -13,6 +13,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
+from contextlib import suppress
 from functools import cache, cached_property
 from importlib import import_module
 from types import FunctionType
@@ -114,9 +115,13 @@ def the_library() -> Any:
 def _as_numba_does(function: Any) -> Any:
     """An entry in numba's own cache, in a folder of this law."""
     usual = _config.CACHE_DIR
-    _config.CACHE_DIR = usual or str(library.kept("numba"))
+    folder = library.kept("numba")
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    kept = bool(usual) or (library.may_keep(folder.parent) and library.may_keep(folder))
+    _config.CACHE_DIR = usual or str(folder)
     try:
-        return njit(nogil=True, cache=True, **_PLAIN)(function)
+        return njit(nogil=True, cache=kept, **_PLAIN)(function)
     finally:
         _config.CACHE_DIR = usual
 

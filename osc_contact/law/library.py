@@ -13,6 +13,7 @@ Environment variables:
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import sysconfig
@@ -23,10 +24,14 @@ from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from typing import Any
 
+from osc_contact.errors import OscContactError
+from osc_contact.files import require_private
+
 LIBRARY = "osc_law.abi3.so"
 OBJECT = "law.o"
 CHECKSUM = "sha256"  #: of both files, in a third one
 COMPILER = os.environ.get("CC", "cc")
+_log = logging.getLogger(__name__)
 HEADERS = sysconfig.get_paths()["include"]
 
 
@@ -66,15 +71,52 @@ def checksum(folder: Path) -> str:
 
 
 def found() -> Any:
-    """The library that fits the sources; None: there is none."""
+    """The library that fits the sources; None: there is none.
+
+    Raises:
+        OscContactError: OSC_CONTACT_LAW names what is none of this law.
+    """
     where = os.environ.get("OSC_CONTACT_LAW", "")
     if where:
-        return None if where in ("jit", "compile") else load(Path(where))
+        return None if where in ("jit", "compile") else named(Path(where))
     return load(Path(__file__).with_name(LIBRARY)) or found_in(kept())
 
 
+def named(path: Path) -> Any:
+    """The library at a path that the user gives.
+
+    Raises:
+        OscContactError: there is no such file, or it is none of this law, for this platform.
+    """
+    made = load(path)
+    if made is None:
+        what = "is no library of this law for this platform" if path.is_file() else "is not there"
+        raise OscContactError(
+            f"OSC_CONTACT_LAW names {path}, which {what}: unset it, or make the library by "
+            "OSC_CONTACT_LAW= python -m osc_contact.law.c_object, which prints where it is"
+        )
+    return made
+
+
+def may_keep(folder: Path) -> bool:
+    """Whether programs may be loaded from a folder: it is there, and no other user's to write to.
+
+    One that others may write to is logged.
+    """
+    try:
+        require_private(folder)
+    except PermissionError as error:
+        _log.warning("the compiled law that is kept is not used: %s", error)
+        return False
+    except OSError:
+        return False
+    return True
+
+
 def found_in(folder: Path) -> Any:
-    """The library that was made there; None: there is none, or it is damaged."""
+    """The library that was made there; None: there is none, it is damaged, or others may write."""
+    if not (may_keep(folder.parent) and may_keep(folder)):
+        return None
     try:
         whole = (folder / CHECKSUM).read_text("ascii", "replace") == checksum(folder)
     except OSError:
@@ -84,8 +126,8 @@ def found_in(folder: Path) -> Any:
 
 def load(path: Path) -> Any:
     """A library; None: it is none for this platform, or of other sources."""
-    if not path.is_file():
-        return None
+    if not path.is_file() or law_hash().encode() not in path.read_bytes():
+        return None  # a foreign one is not loaded: that would run it
     loader = ExtensionFileLoader("osc_law", str(path))
     spec = spec_from_loader("osc_law", loader)
     assert spec is not None

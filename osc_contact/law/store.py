@@ -2,7 +2,8 @@
 
 Every file begins with the SHA-256 of its key and its content, so that one which is damaged, half
 written or of another key is noticed and made anew. Several processes may write at once: a file
-appears whole, and two that are written under one key have the same content.
+appears whole, and two that are written under one key have the same content. A folder into which
+other users may write is not used.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 
-from osc_contact.files import write_whole
+from osc_contact.files import require_private, write_whole
 
 _DIGEST = 32  #: bytes
 
@@ -22,7 +23,7 @@ def _digest(key: str, content: bytes) -> bytes:
 
 
 class Store:
-    """Results by their keys, in a folder; none where the folder cannot be written to.
+    """Results by their keys, in a folder; none where it cannot be written to, or others may write.
 
     Attributes:
         folder: where they are; it is made when the first result is kept.
@@ -35,6 +36,7 @@ class Store:
         """What was kept under a key; None: nothing, or it is damaged."""
         path = self.folder / key
         try:
+            self._require_private()
             content = path.read_bytes()
         except OSError:
             return None
@@ -47,7 +49,19 @@ class Store:
     def keep(self, key: str, content: bytes) -> None:
         """Keep a result; where that is not possible, it is made anew next time."""
         with suppress(OSError):
+            for folder in (self.folder.parent, self.folder):
+                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._require_private()
             write_whole(_digest(key, content) + content, self.folder / key)
+
+    def _require_private(self) -> None:
+        """Refuse a folder into which other users may write: what is found there is executed.
+
+        Raises:
+            OSError: they may, or it is not there.
+        """
+        require_private(self.folder.parent)
+        require_private(self.folder)
 
     def remove_old(self, most: int) -> None:
         """Remove the results that were not used for the longest time.

@@ -280,7 +280,7 @@ def object_sizes(pair: ContactPair) -> dict[str, float]:
     for key, (kind, *keys) in _geometry(type(pair)).items():
         if kind == "point" and Vec3 not in keys:
             continue
-        if kind != "direction":
+        if kind and kind != "direction":  # a surface has neither
             found[key] = norm(np.atleast_1d(getattr(pair, key)))
     return found
 
