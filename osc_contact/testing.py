@@ -195,7 +195,7 @@ class _Check:
             return
         state = chain.state(self.now.q)
         settings: Any = SimpleNamespace(chain=chain, safety=SafetySettings())
-        why = judge_load(settings, self.outside() - state.bias_out, state.bias_out)
+        why = judge_load(settings, self.outside() - state.bias_out, state.bias_out, stepped=True)
         if why:
             raise PlantError(why)
         weight = 9.81 * chain.outboard_mass

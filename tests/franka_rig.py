@@ -106,6 +106,7 @@ class Press:
     hold: float = 2.75  #: s from landing to the end
     scene: dict = field(default_factory=dict)
     faults: dict = field(default_factory=dict)
+    check: bool = True  #: before the first command
 
     def prepare(self, **driver):
         self.server.begin(height=TIP - self.gap, faults=self.faults, **self.scene)
@@ -126,7 +127,7 @@ class Press:
     def run(self):
         """Run it, and keep what was true from its first tick on."""
         try:
-            osc.run_loop(self.robot, self.controller, self.references())
+            osc.run_loop(self.robot, self.controller, self.references(), check=self.check)
         finally:
             if not self.faults.get("kill"):
                 rows = self.server.truth()[-len(self.status) :]

@@ -138,11 +138,20 @@ def without_weight(robot):
     ids=["wrong payload", "mirrored wrench", "no gravity"],
 )
 def test_a_wrist_that_is_wrong_ends_in_a_stop(franka, scene, driver, sentence):
-    task = Press(franka, gap=0.003, scene=scene, ticks=4000)
+    """In the loop; the check before the first command refuses two of them, see the next test."""
+    task = Press(franka, gap=0.003, scene=scene, ticks=4000, check=False)
     if driver:
         driver["wrench"] = lambda: without_weight(task.robot) if hasattr(task, "robot") else None
     assert run_faulty(task, **driver) is None
     assert task.state[-1] is osc.SafetyState.SAFE_STOP and sentence in task.reason
+
+
+def test_a_wrist_that_reads_another_load_is_refused_before_the_first_command(franka):
+    task = Press(franka, gap=0.003, scene={"mass": 0.5}, ticks=4000)
+    task.prepare()
+    with invalid_input("reads another load than it carries"):
+        task.run()
+    assert not task.status, "no command was sent"
 
 
 # --- item 1: what goes in and what comes out ------------------------------------------------------

@@ -6,6 +6,7 @@ That each bar carries its command is judged in `test_law_kkt`.
 from dataclasses import replace
 
 import numpy as np
+from complaints import invalid_input
 from grasp_rigs import KINDS, random_case
 from law_calls import allocation, records, write
 from numpy.linalg import cholesky, pinv, qr, solve, svd
@@ -76,9 +77,12 @@ def test_commands_that_do_not_fit_the_bars_are_held(plate):
     pair = rig_of("two_contact_rod")
     desired = replace(pair.references.at(0.0), squeeze_d=vector(5.0, 5.0))
     held_tick(pair.controller(), "2 arms take a number", pair.plant().measure(), desired)
-    for bad in np.zeros(2), vector(1.0, np.nan, 0.0), np.zeros((3, 1)), "5 N", np.nan, [1, 2]:
+    for bad in np.zeros(2), vector(1.0, np.nan, 0.0), np.nan, [1, 2]:
         held = held_tick(fast, "squeeze_d", measurement, replace(reference, squeeze_d=bad))
         assert np.isfinite(held).all()
+    for bad in np.zeros((3, 1)), "5 N":
+        with invalid_input("reference squeeze_d: expected"):
+            replace(reference, squeeze_d=bad)
 
 
 def test_motor_limits_take_it_first(plate):

@@ -43,7 +43,8 @@ def on_the_move(rig, count=60, start=1.0):
     """A plant and a controller after so many ticks: faces swing, the object moves."""
     plant = rig.plant()
     controller = rig.controller()
-    osc.run_loop(plant, controller, rig.references.over(times(count, start)))
+    if count:
+        osc.run_loop(plant, controller, rig.references.over(times(count, start)))
     return plant, controller
 
 

@@ -122,8 +122,6 @@ class PoseSetPoint:
                 former goal is kept and no time passed.
         """
         forces = as_array("alpha_d", alpha_d, (None,))
-        if forces.size == 0:  # writing into it would do nothing: it raises
-            forces.flags.writeable = False
         squeeze = as_numbers("squeeze_d", squeeze_d)
         if goal is not None and not (isinstance(goal, SE3) and goal == self._goal):
             self._aim(_pose("goal", goal))

@@ -117,12 +117,13 @@ def is_clear(settings: Settings, rows: Any) -> bool:
     return True
 
 
-def judge_load(settings: Settings, error: Array, expected: Array) -> str:
+def judge_load(settings: Settings, error: Array, expected: Array, stepped: bool = False) -> str:
     """A sentence on wrists that read another load than they carry; "" for none.
 
     Args:
         settings: of the controller. error: (6,) reading less load, at O in world axes.
         expected: (6,) the load.
+        stepped: whether the robot was commanded before, so that exact zeros are readings.
     """
     chain = settings.chain
     most = settings.safety.load_error
@@ -132,7 +133,7 @@ def judge_load(settings: Settings, error: Array, expected: Array) -> str:
     if force <= most and torque <= most * lever:
         return ""
     weight = norm(expected[:3])
-    if norm(error + expected) < NOTHING * weight:
+    if not stepped and norm(error + expected) < NOTHING * weight:
         cause = (
             "The readings are exactly zero, as of a sensor that was not read yet, or of a "
             "simulation that was not stepped yet: step once under torques that hold the arm, and "

@@ -14,8 +14,8 @@ from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots.model import position_limits
 from osc_contact.spatial import Array, block_diagonal, pose_error
 
-#: Gaps (r,) at a pose of the object, and what gives N (6, r) there: a gap closes as the object
-#: moves along N.
+#: A function of the object's pose that returns gaps, r numbers, and a function that returns the
+#: columns of N in that pose. A gap closes as the object moves along its column.
 Gaps = Callable[[SE3], tuple[Array, Callable[[], Array]]]
 
 
