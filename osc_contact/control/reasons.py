@@ -119,7 +119,7 @@ _RESET = ". See why, then call reset()"
 def _describe_input(
     records: TickRecords, settings: Settings, measurement: Measurement, reference: Reference
 ) -> str:
-    """What of a measurement or a reference is not finite, or of the wrong size."""
+    """Name the inputs of a tick that are not finite or have the wrong size."""
     try:
         require_sizes(measurement, reference, settings)
     except OscContactError as error:

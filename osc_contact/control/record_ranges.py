@@ -56,7 +56,7 @@ RECORDS = {
 
 
 def _each(relation: str, *names: str) -> tuple[str, ...]:
-    """The same relation for several names, each in place of `x`."""
+    """Repeat a relation for several names, each in place of `x`."""
     return tuple(re.sub(r"\bx\b", name, relation) for name in names)
 
 
@@ -370,7 +370,7 @@ def _surface_shapes(model: Any, pair: Any) -> int:
 
 
 def broken_relations(name: str, record: Any, model: Any) -> Iterator[str]:
-    """What in a record is out of its range, a clause each.
+    """Clauses that name the fields of a record that are out of their ranges.
 
     Args:
         name: of the record. record: a view of it. model: of MODEL.
@@ -414,7 +414,7 @@ def number_ranges(name: str) -> Iterator[tuple[str, str, tuple[float, float]]]:
 
 
 def broken_ranges(raw: Bytes, program: Bytes) -> list[str]:
-    """What in a controller's records is out of its range, a clause each; none: a file may hold it.
+    """Clauses that name the fields of a controller's records that are out of their ranges.
 
     Args:
         raw: JOB, MODEL, MEMORY, WORK and INPUT of one controller, whose layouts are right.

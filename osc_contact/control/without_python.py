@@ -119,7 +119,7 @@ def _header(text: str) -> str:
 
 
 def _culprit(code: int) -> str:
-    """What is at fault where the arms stop for this reason, as a comment."""
+    """A C comment that names the kind of part that a stop for this reason blames."""
     kinds = {"{joint}": "a joint", "{arm}": "an arm", "{contact}": "a force"}
     found = next((words for name, words in kinds.items() if name in SENTENCES[code]), "")
     return f" /* of {found} */" if found else ""
@@ -367,7 +367,7 @@ def _sum_in_c(products: Sum, name: str, table: str) -> str:
 
 
 def _name_in_c(word: str, name: str, table: str) -> str:
-    """What a name of `record_ranges` is in C."""
+    """The C expression for a name of `record_ranges`."""
     kind = RECORDS[name]
     dtype = kind.tables[table][0] if table else kind.dtype
     own = "own" if table else "head"

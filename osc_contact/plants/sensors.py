@@ -185,7 +185,7 @@ class SensedPlant:
         return np.concatenate((poses, touched.X_WE @ markers))
 
     def _sample(self, name: str, corrupt: Callable[[Array], Array], value: Array) -> Reading:
-        """What a sensor reads of a value, with the errors of `corrupt`."""
+        """The reading of a sensor for a value, with the errors of `corrupt`."""
         reading = corrupt(value)
         if name == "vision":
             return self._pictured(reading)

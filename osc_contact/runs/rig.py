@@ -380,7 +380,7 @@ def build_rig(scenario: Scenario, chains: MakesChain | None = None) -> Rig:
 
 
 def _true(error: ModelErrorSpec) -> ModelErrorSpec:
-    """What of an error is so: the hidden mass."""
+    """The hidden mass of a model error."""
     return ModelErrorSpec(hidden_mass=error.hidden_mass)
 
 

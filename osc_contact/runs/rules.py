@@ -77,12 +77,12 @@ doubt = partial(rule, refused=np.inf)  #: a rule that refuses nothing
 
 
 def findings(rules: Iterable[Rule], task: Any) -> list[Finding]:
-    """Of all rules, one after the other."""
+    """Findings of several rules, one rule after the other."""
     return [one for rule in rules for one in rule.findings(task)]
 
 
 def rounded(x: Array, digits: int = 4) -> list[float]:
-    """Of a vector, for messages."""
+    """Round a vector, for messages."""
     return np.round(x, digits).tolist()
 
 

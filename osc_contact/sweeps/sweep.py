@@ -73,7 +73,7 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True, eq=False)
 class RobotAtTask:
-    """What runs share that differ in the controller's idea of the robot only.
+    """The robot and task that runs share when only the controller's model of the robot differs.
 
     Attributes:
         rig: of the first of them.
@@ -147,7 +147,7 @@ def _key(scenario: Scenario, *content: Any) -> str:
 
 
 def _kept(store: dict[str, Made], key: str, make: Callable[[], Made]) -> Made:
-    """What is stored under a key, made if need be; what was not used for long is forgotten."""
+    """The entry under a key, made if missing; the least recently used one is dropped."""
     made = store.pop(key) if key in store else make()
     store[key] = made  # behind those that were used before
     if len(store) > _KEPT:
