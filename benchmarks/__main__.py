@@ -1,7 +1,7 @@
 """Time the control tick beside its floor and its peers, by size, on the clock.
 
 python -m benchmarks tick | peers | scaling | operational_space | soak | many_runs | vector_env |
-franka
+franka | compilation
 """
 
 from importlib import import_module
@@ -16,7 +16,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.runs.report import write_json
 from paper.study import Data
 
-#: Name of each benchmark, which is that of its module, → ticks where none are given.
+#: Name of each benchmark, which is that of its module, → ticks (rows, edits) where none are given.
 BENCHMARKS: dict[str, int] = {
     "tick": 1000,
     "peers": 500,
@@ -26,6 +26,7 @@ BENCHMARKS: dict[str, int] = {
     "many_runs": 20,
     "vector_env": 60,
     "franka": 60_000,
+    "compilation": 10,
 }
 
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
@@ -36,7 +37,7 @@ def run_benchmark(name: str, ticks: int | None = None, tsid_python: Path | None 
 
     Args:
         name: one of `BENCHMARKS`.
-        ticks: timed ticks of each of its cases, or rounds, runs, steps (default: its own).
+        ticks: timed ticks of each of its cases, or rounds, runs, steps, edits (default: its own).
         tsid_python: interpreter of TSID's environment, for the peers.
 
     Raises:

@@ -3,6 +3,7 @@
 import ast
 import io
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import numpy as np
 from processes import python
@@ -12,7 +13,7 @@ from samples import parametrize
 
 import osc_contact as osc
 from osc_contact import console
-from osc_contact.law import nested, records
+from osc_contact.law import c_object, nested, records
 
 #: torques of ticks that end in every way: OK, near a singular posture, beyond the motors' limits,
 #: held for a bad reading or none; three arms, contact phases. Then runs of all packaged scenarios
@@ -109,23 +110,43 @@ del Library._get_module_for_linking
 import osc_contact.law.jit
 Library._get_module_for_linking = kept
 """
+OTHER_ARRAYS = """
+from numba.np import arrayobj
+kept = arrayobj.populate_array
+del arrayobj.populate_array
+import osc_contact.law.jit
+arrayobj.populate_array = kept
+"""
+#: Compiled functions: one of numbers; one that reads a record's table of two sizes.
 SQUARE = """
+import numpy as np
 from osc_contact.law import jit
-print(jit.UNITS, jit.inner(lambda x: x * x)(3))
+from osc_contact.law.nested import Nested
+kind = Nested(np.dtype([("a", float)]), table=("rows", 3))
+raw = kind.new({"rows": 2})
+kind.table(raw, raw.view(np.int64), "table")[1, 2] = 5.0
+at = kind.at
+found = jit.inner(lambda raw: at(raw, 0).table[1, 2] + at(raw, 0).table.shape[0])(raw)
+print(jit.UNITS, jit.inner(lambda x: x * x)(3), found)
 """
 
 
 @parametrize(
     "before, changes",
-    [(OTHER_NUMBA, {}), ("", {"CC": "no-such-compiler"}), ("", {"OSC_CONTACT_LAW": "jit"})],
-    ids=["other numba", "no compiler", "requested"],
+    [
+        (OTHER_NUMBA, {}),
+        (OTHER_ARRAYS, {}),
+        ("", {"CC": "no-such-compiler"}),
+        ("", {"OSC_CONTACT_LAW": "jit"}),
+    ],
+    ids=["other numba", "other arrays", "no compiler", "requested"],
 )
 def test_what_lacks_for_a_library_is_reported_and_numba_compiles_as_always(
     before, changes, tmp_path
 ):
     """At once, not at the first compilation, where nothing would catch it."""
     out = compiling(before + SQUARE, tmp_path, **changes)
-    assert out.stdout.split() == ["None", "9"], out.stderr
+    assert out.stdout.split() == ["None", "9", "7.0"], out.stderr
     assert ("longer to compile" in out.stderr) == ("OSC_CONTACT_LAW" not in changes)
 
 
@@ -145,6 +166,20 @@ def test_progress_rises_with_the_parts_translated(tmp_path):
     out = compiling(PARTS, tmp_path)
     shares = list(map(float, out.stdout.split()))
     assert len(shares) == 2 and 0.0 < shares[0] < shares[1] <= 1.0, out.stderr
+
+
+@parametrize("command, said", [("/bin/false", ["ended with 1"]), ("/bin/true", [])])
+def test_a_second_process_that_fails_is_logged(command, said, monkeypatch, caplog):
+    """It is started with the first parts that are new, and the compilation goes on without it."""
+    monkeypatch.setattr(c_object.sys, "executable", command)
+    monkeypatch.setattr(c_object, "_cores", lambda: 2)
+    with TemporaryFile() as errors, c_object._Assistant(errors) as assistant:
+        for _ in range(c_object._MANY):
+            assert assistant._process is None
+            assistant.start_if_needed(0.1, False)
+        assistant._process.wait()
+    assert len(caplog.messages) == len(said)
+    assert all(one in message for one, message in zip(said, caplog.messages, strict=True))
 
 
 def test_the_bar_of_the_commands_ends_with_the_compilation(monkeypatch):

@@ -9,18 +9,16 @@ Sizes of arrays are those of MODEL; nobody checks them here.
 
 from __future__ import annotations
 
-import inspect
 import logging
 import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory, mkdtemp
+from tempfile import TemporaryDirectory, TemporaryFile, mkdtemp
 from time import perf_counter
-from typing import Any
+from typing import IO, Any, Self
 
 import numpy as np
 
@@ -188,9 +186,8 @@ def _object(show: Callable[[float], None], triple: str = "") -> bytes:
     units = jit.UNITS
     target = units.target_of(triple)
     progress = Progress(show)
-    assistant = _Assistant()
-    units.watchers[:] = [progress.part_is_ready, assistant.start_if_needed]
-    with assistant:
+    with TemporaryFile() as errors, _Assistant(errors) as assistant:
+        units.watchers[:] = [progress.part_is_ready, assistant.start_if_needed]
         roots = {entry.__name__: _translated(entry) for entry in ENTRIES}
     return bytes(units.emit(roots, target, progress.stage_is_over))
 
@@ -248,44 +245,59 @@ def _cores() -> int:
 class _Assistant:
     """A second process that translates parts from the other end; the first one finds them kept."""
 
-    def __init__(self) -> None:
+    def __init__(self, errors: IO[bytes]) -> None:
+        """None is started yet.
+
+        Args:
+            errors: a file that takes what it writes to its standard error.
+        """
         self._new = 0
         self._process: subprocess.Popen[bytes] | None = None
+        self._errors = errors
 
     def start_if_needed(self, share: float, kept: bool) -> None:
-        """Start it where many parts are new, and there is a core for it."""
+        """Start it where many parts are new, and there is a core for it.
+
+        Args:
+            share: of the units of which a part is ready. kept: whether the last part was found.
+        """
         self._new += not kept
         if self._new == _MANY and self._process is None and _cores() > 1:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", __spec__.name, "assist"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
+                stderr=self._errors,
             )
 
-    def __enter__(self) -> None:
-        pass
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, *error: object) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
+        """End it. One that failed is logged: without it, the compilation took longer."""
+        if self._process is None:
+            return
+        if self._process.poll():
+            self._errors.seek(0)
+            _log.warning(
+                "the law was translated by one process, since the second one ended with %d: %s",
+                self._process.returncode,
+                self._errors.read().decode(errors="replace").strip()[-500:],
+            )
+        self._process.kill()
+        self._process.wait()
 
 
 def _assist() -> None:
     """Translate small entries, then the parts that take a tick, its last ones first."""
     from numba import types
-    from numba.core.errors import NumbaError
 
     for entry in reversed(ENTRIES):
         if entry is not osc_law_rows:
             _translated(entry)
     of_bytes = types.Array(types.uint8, 1, "C")
     row = records.row_of.unit.translated((of_bytes, types.int64, types.int64))
-    for unit in reversed(jit.UNITS.all_units()):
-        if [*inspect.signature(unit.py_func).parameters] == ["t"]:
-            with suppress(NumbaError):
-                unit.translated((row.returned,))
+    jit.UNITS.translate_from_the_end("t", row.returned)
 
 
 def _link(folder: Path) -> None:

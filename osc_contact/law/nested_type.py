@@ -1,11 +1,13 @@
 """The type of a `nested.Nested` record to numba: a record with tables as further attributes.
 
-It is made of numba's interface for extensions: a type with a model, attributes, intrinsics. That
-tables are arrays rests on `numba.np.arrayobj`, as in numba's own extensions.
+It is made of numba's public interface for extensions: a type with a model, attributes, intrinsics.
+Where the law is compiled by parts, tables are lowered by `nested_tables` instead, which compiles no
+function for each of them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from hashlib import sha256
 from typing import Any
 
@@ -13,22 +15,20 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core.typing.templates import AttributeTemplate
-from numba.extending import infer_getattr, intrinsic, lower_getattr, models, register_model
-from numba.np.arrayobj import make_array, populate_array
+from numba.extending import intrinsic, models, register_model
 
-from osc_contact.law.jit import view
+from osc_contact.law import jit
+from osc_contact.law.jit import VIEW, view
+from osc_contact.law.layout_code import BYTE, WORD, layout_word, table_address
 
 _public: Any = numba  #: its type hints leave out `carray` and options of `overload_attribute`
-_BYTE = ir.IntType(8)
-_WORD = ir.IntType(64)
 
 
 class _Pointer(models.PrimitiveModel):
     """Unlike other records one of these may be part of a tuple."""
 
     def __init__(self, manager: Any, record: Any) -> None:
-        super().__init__(manager, record, ir.ArrayType(_BYTE, record.size).as_pointer())
+        super().__init__(manager, record, ir.ArrayType(BYTE, record.size).as_pointer())
 
 
 _records: dict[str, Any] = {}  #: types of records by their names
@@ -61,19 +61,13 @@ def pointer_to(kind: Any) -> Any:
     register_model(Record)(_Pointer)
     record = Record()
     _records[record.name] = record
-    tables = {name: _Table(kind, name) for name in kind.tables}
-
-    @infer_getattr
-    class Tables(AttributeTemplate):
-        """Types of the tables."""
-
-        key = Record
-
-        def generic_resolve(self, value: Any, attr: str) -> Any:  # type: ignore[override]
-            return tables[attr].array if attr in tables else None
-
-    for name, table in tables.items():
-        lower_getattr(Record, name)(table.found)
+    if jit.UNITS is None:
+        for name in kind.tables:
+            _public.extending.overload_attribute(Record, name, jit_options=VIEW)(
+                _attribute(kind, name)
+            )
+    else:
+        jit.UNITS.lower_tables(Record, kind)
 
     @intrinsic
     def point(typing: Any, address: Any) -> Any:
@@ -89,47 +83,70 @@ def pointer_to(kind: Any) -> Any:
     return at
 
 
-class _Table:
-    """A table of a record, which compiled code takes as an array.
+def _attribute(kind: Any, name: str) -> Callable[[Any], Any]:
+    """The implementation of a table as `numba.extending.overload_attribute` takes it.
 
-    Attributes:
-        array: its type.
+    Args:
+        kind: the `Nested` record. name: of the table.
+    """
+    dtype, sizes = kind.tables[name]
+    start = _start(kind.start(name))
+    shape = [_count(kind.slot(one)) if isinstance(one, str) else _fixed(one) for one in sizes]
+    rows = shape[0]
+    columns = shape[-1]
+    carray = _public.carray
+
+    def one_size(record: Any) -> Any:
+        return carray(start(record), (rows(record),), dtype)
+
+    def two_sizes(record: Any) -> Any:
+        return carray(start(record), (rows(record), columns(record)), dtype)
+
+    def choose(record: Any) -> Any:
+        return one_size if len(shape) == 1 else two_sizes
+
+    return choose
+
+
+def _start(slot: int) -> Any:
+    """A compiled function of a record: the address of a table.
+
+    Args:
+        slot: number of the word of layout that holds where the table begins.
     """
 
-    def __init__(self, kind: Any, name: str) -> None:
-        dtype, sizes = kind.tables[name]
-        self.array = types.Array(_public.from_dtype(dtype), len(sizes), "C")
-        self._item = dtype.itemsize
-        self._start = kind.start(name)
-        self._sizes = [kind.slot(one) if isinstance(one, str) else _WORD(one) for one in sizes]
+    @intrinsic
+    def start(typing: Any, record: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+            return table_address(builder, given[0], slot)
 
-    def found(self, context: Any, builder: Any, record: Any, value: Any) -> Any:
-        """The array, as `numba.extending.lower_getattr` takes it, at its place in the record."""
-        shape = [
-            one if isinstance(one, ir.Constant) else _word(builder, value, one)
-            for one in self._sizes
-        ]
-        strides = [_WORD(self._item)]
-        for size in reversed(shape[1:]):
-            strides.insert(0, builder.mul(size, strides[0]))
-        start = _word(builder, value, self._start)
-        place = builder.gep(builder.bitcast(value, _BYTE.as_pointer()), [start])
-        item = context.get_data_type(self.array.dtype)
-        made = make_array(self.array)(context, builder)
-        populate_array(
-            made,
-            data=builder.bitcast(place, item.as_pointer()),
-            shape=shape,
-            strides=strides,
-            itemsize=strides[-1],
-            meminfo=None,
-        )
-        return made._getvalue()
+        return types.voidptr(record), generate
+
+    return start
 
 
-def _word(builder: Any, record: Any, slot: int) -> Any:
-    """A word of a record's layout, which never changes: compiled code reads each once."""
-    words = builder.bitcast(record, _WORD.as_pointer())
-    found = builder.load(builder.gep(words, [_WORD(slot)]))
-    found.set_metadata("invariant.load", builder.module.add_metadata([]))
-    return found
+def _count(slot: int) -> Any:
+    """A compiled function of a record: a size of its tables that is known at run time.
+
+    Args:
+        slot: number of the word of layout that holds the size.
+    """
+
+    @intrinsic
+    def count(typing: Any, record: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+            return layout_word(builder, given[0], slot)
+
+        return types.intp(record), generate
+
+    return count
+
+
+def _fixed(size: int) -> Any:
+    """A compiled function of a record: a size of its tables that is known beforehand."""
+
+    @intrinsic
+    def fixed(typing: Any, record: Any) -> Any:
+        return types.intp(record), lambda context, builder, signature, given: WORD(size)
+
+    return fixed

@@ -33,7 +33,7 @@ class Store:
         self.folder = folder
 
     def find(self, key: str) -> bytes | None:
-        """What was kept under a key; None: nothing, or it is damaged."""
+        """Content that was kept under a key; None: there is none, or it is damaged."""
         path = self.folder / key
         try:
             self._require_private()

@@ -6,9 +6,9 @@ its symbol, and LLVM links, optimises and emits all parts of an entry at once, f
 the platform. Translated parts are kept (`store`) under the hash of all they are made of
 (`ingredients`), so that an edit of the law translates again only what it changed.
 
-This is all that rests on undocumented numba (`compile_extra` and its flags, function descriptors,
-the calling convention, libraries and their modules). Where it is missing, `jit` compiles with
-public numba instead, to the same results.
+This, with `nested_tables`, is all that rests on undocumented numba (`compile_extra` and its flags,
+passes, function descriptors, the calling convention, libraries and their modules). Where it is
+missing, `jit` compiles with public numba instead, to the same results.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import pickle
 import platform
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -41,6 +42,7 @@ from numba.extending import intrinsic
 from osc_contact.errors import OscContactError
 from osc_contact.law import library
 from osc_contact.law.ingredients import digest
+from osc_contact.law.nested_tables import lower_tables as lower_tables  # for `nested_type`
 from osc_contact.law.store import Store
 
 for _class, _names in (
@@ -54,8 +56,17 @@ for _class, _names in (
 BASELINE = {"x86_64": "x86-64", "AMD64": "x86-64", "aarch64": "generic", "arm64": "generic"}
 #: Translated parts that stay in the user's cache, some 10 kB each.
 KEPT = 4_000
-#: What translates parts and is not one: an edit of these files makes all parts anew.
-_MACHINERY = ("ingredients", "jit", "nested", "nested_type", "store", "units")
+#: Modules that translate parts and hold none: an edit of these files makes all parts anew.
+_MACHINERY = (
+    "ingredients",
+    "jit",
+    "layout_code",
+    "nested",
+    "nested_tables",
+    "nested_type",
+    "store",
+    "units",
+)
 
 _units: dict[str, Unit] = {}
 _parts: dict[str, Part] = {}  #: translated parts by their symbols
@@ -154,6 +165,20 @@ class Unit:
 def all_units() -> list[Unit]:
     """Every function of the law that is translated by itself, in the order of the modules."""
     return [*_units.values()]
+
+
+def translate_from_the_end(parameter: str, kind: Any) -> None:
+    """Translate the units with one parameter of this name, the last one first.
+
+    Units that take no argument of this type are left out.
+
+    Args:
+        parameter: its name. kind: type of the argument.
+    """
+    for unit in reversed(all_units()):
+        if [*inspect.signature(unit.py_func).parameters] == [parameter]:
+            with suppress(NumbaError):
+                unit.translated((kind,))
 
 
 class _Pipeline(CompilerBase):
@@ -317,7 +342,7 @@ def _own_target() -> Any:
 
 
 def _pass_builder(target: Any) -> Any:
-    """What makes the passes of LLVM's third level for a target."""
+    """Maker of the passes of LLVM's third level for a target."""
     tuning = llvm.create_pipeline_tuning_options(3)
     tuning.loop_vectorization = tuning.slp_vectorization = True
     return llvm.create_pass_builder(target, tuning)

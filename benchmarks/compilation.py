@@ -1,0 +1,124 @@
+"""How long the law takes to compile: whole, on one core, and after an edit of one function."""
+
+import ast
+import os
+import random
+import resource
+import shutil
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+import osc_contact
+from benchmarks.measuring import Rows
+from osc_contact.errors import OscContactError
+
+#: Makes the library where there is none, and calls it once.
+FIRST_TICK = """
+from benchmarks.tick import CASES
+case = CASES["two_contact_rod"]()
+case.controller().tick(*case.given)
+"""
+COMPILE = ("-m", "osc_contact.law.c_object")
+PARTS = {"inner", "leaf"}  #: decorators of the functions that are translated by themselves
+
+
+class _NotCompiledError(OscContactError):
+    """A process that compiles the law failed."""
+
+
+def measure(count: int) -> dict[str, Rows]:
+    """{"compilation": rows}: seconds on the clock and of the processor.
+
+    The law is compiled in a copy of the package: with an empty cache, likewise on a single core,
+    and after each of some edits until the end of the first tick. An edit multiplies a product of
+    a function by 1.5; functions are drawn at random by a fixed seed.
+
+    Args:
+        count: edits, each of another function.
+
+    Raises:
+        OscContactError: the law was not compiled.
+    """
+    rows = []
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / "copy"
+        for package in ("osc_contact", "benchmarks", "paper"):
+            source = Path(osc_contact.__file__).parents[1] / package
+            shutil.copytree(source, copy / package)
+        rows.append({"what": "whole", **_timed(COMPILE, copy, f"{folder}/whole")})
+        one_core = {min(os.sched_getaffinity(0))}
+        rows.append({"what": "on one core", **_timed(COMPILE, copy, f"{folder}/one", one_core)})
+        tick = ("-c", FIRST_TICK)
+        _timed(tick, copy, f"{folder}/whole")
+        times: Rows = []
+        for file, name, edited in _edits(copy / "osc_contact/law"):
+            if len(times) == count:
+                break
+            usual = file.read_text()
+            file.write_text(edited)
+            with suppress(_NotCompiledError):  # products of whole numbers have to stay whole
+                times.append({"what": f"edit of {name}", **_timed(tick, copy, f"{folder}/whole")})
+            file.write_text(usual)
+    times.sort(key=lambda row: float(row["clock (s)"]))
+    middle = {**times[len(times) // 2], "what": f"median of {count} edits"}
+    return {"compilation": [*rows, middle, *times]}
+
+
+def _timed(
+    words: tuple[str, ...], copy: Path, cache: str, cores: set[int] | None = None
+) -> dict[str, float]:
+    """Seconds that Python takes in a copy of the package, with all processes that it starts.
+
+    Args:
+        words: after the interpreter. copy: folder of the package. cache: folder of what is kept.
+        cores: that it may use; None: all.
+
+    Raises:
+        _NotCompiledError: it failed.
+    """
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    began = perf_counter()
+    done = subprocess.run(
+        [sys.executable, *words],
+        cwd=copy,
+        env={**os.environ, "PYTHONPATH": str(copy), "OSC_CONTACT_CACHE": cache}
+        | {"OSC_CONTACT_LAW": "", "PYTHONDONTWRITEBYTECODE": ""},
+        preexec_fn=lambda: os.sched_setaffinity(0, cores or os.sched_getaffinity(0)),
+        capture_output=True,
+        text=True,
+    )
+    clock = perf_counter() - began
+    if done.returncode != 0:
+        raise _NotCompiledError(f"the law was not compiled: {done.stderr[-1000:]}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {"clock (s)": clock, "processor (s)": processor}
+
+
+def _edits(law: Path) -> list[tuple[Path, str, str]]:
+    """Functions with a product, in random order: a file, the function, and the file edited.
+
+    Args:
+        law: folder of the sources.
+    """
+    found = []
+    for path in sorted(law.glob("*.py")):
+        source = path.read_text()
+        for function in ast.walk(ast.parse(source)):
+            if not isinstance(function, ast.FunctionDef):
+                continue
+            if not any(isinstance(x, ast.Name) and x.id in PARTS for x in function.decorator_list):
+                continue
+            for one in ast.walk(function):
+                if not (isinstance(one, ast.BinOp) and isinstance(one.op, ast.Mult)):
+                    continue
+                text = ast.get_source_segment(source, one) or ""
+                if source.count(text) == 1:
+                    found.append((path, function.name, source.replace(text, f"(1.5 * ({text}))")))
+                    break
+    random.Random(1).shuffle(found)
+    return found
