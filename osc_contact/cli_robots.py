@@ -14,6 +14,8 @@ from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, outside_limits
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
+from osc_contact.robots import second_reading
+from osc_contact.robots.mjcf import is_mjcf
 from osc_contact.runs import poses
 from osc_contact.runs.report import robot_tables, write_json
 from osc_contact.scenarios.loader import list_scenarios
@@ -36,18 +38,23 @@ def check(
 ) -> None:
     """Check a robot's URDF or MJCF and describe the robot; exit code 1 if something is wrong."""
     path, folders = robots.resolve_urdf(robot)
+    by_hand = dict(robots.JointLimits.parse(text) for text in limit or [])
+    places = [*folders, *(package_dir or [])]
     report = robots.check_robot(
-        path,
-        limits=dict(robots.JointLimits.parse(text) for text in limit or []),
-        inertias=inertias,
-        package_dirs=[*folders, *(package_dir or [])],
-        tip=tip,
+        path, limits=by_hand, inertias=inertias, package_dirs=places, tip=tip
     )
     say(*report.lines())
+    found = report.as_dict()
+    if report.sound and not is_mjcf(path):
+        differences = second_reading.differences(
+            path, limits=by_hand, inertias=inertias, package_dirs=places
+        )
+        found["differences"] = differences
+        say(*(differences or [second_reading.AGREE]))
     for table in robot_tables(report.summary) if report.summary else ():
         out.print(table)
     if json_file:
-        write_json(report.as_dict(), json_file)
+        write_json(found, json_file)
     if not report.sound:
         raise Exit(1)
 

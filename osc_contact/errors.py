@@ -21,6 +21,7 @@ EXTRAS = {
     "mujoco": "sim",
     "ruckig": "sim",
     "pyarrow": "sweep",
+    "yourdfpy": "scenarios",
     "scipy": "scenarios",
     "gymnasium": "learn",
     "optuna": "tune",

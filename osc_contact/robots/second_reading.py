@@ -1,0 +1,214 @@
+"""A second reading of a URDF, by yourdfpy, beside the one that the dynamics rests on.
+
+Readers of URDFs differ in what they make of unusual files. Where two that share no code agree on
+joints, placements, inertias and meshes, the robot is what its file says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.errors import ModelError, missing
+from osc_contact.robots.checks import Inertias, JointLimits, matching_limits
+from osc_contact.robots.loading import load
+from osc_contact.robots.model import frame_id, joint_names, position_limits, random_configurations
+from osc_contact.robots.urdf import LIMITS, Document, Element
+from osc_contact.spatial import Array, norm
+
+#: Of numbers that two readers make of the same text, of 1 or of the number where that is more.
+TOLERANCE = 1e-9
+AGREE = "yourdfpy reads the same joints, placements, inertias and meshes"
+
+
+def differences(
+    path: Path | str,
+    *,
+    limits: Mapping[str, JointLimits] | None = None,
+    inertias: Inertias = "possible",
+    package_dirs: Sequence[Path | str] = (),
+) -> list[str]:
+    """Sentences on what yourdfpy reads in another way than `load_model` does; empty: they agree.
+
+    Compared are names, parents and children of joints, their limits, where they put the links in
+    two postures, masses, centres and moments of inertia of the bodies that move, and the addresses
+    and scales of meshes. Limits that are given by hand are not compared.
+
+    Args:
+        path, limits, inertias, package_dirs: as of `load_model`.
+
+    Raises:
+        ModelError: the file is refused, see `load_model`; or yourdfpy is not installed.
+    """
+    try:
+        import yourdfpy
+    except ImportError as error:
+        raise ModelError(missing(error)) from error
+    model, document = load(path, limits=limits, inertias=inertias, package_dirs=package_dirs)
+    try:
+        other = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        return [f"yourdfpy does not read the file: {error}"]
+    by_hand = matching_limits(joint_names(model), dict(limits or {}))
+    found = list(_tree_differences(document, other))
+    if not found:  # else links and joints have no counterparts
+        found += _limit_differences(model, document, other, by_hand)
+        found += _placement_differences(model, document, other)
+        found += _inertia_differences(model, other)
+        found += _mesh_differences(document, other)
+    return found
+
+
+def _near(ours: Any, theirs: Any) -> bool:
+    """Whether numbers are those of the same text."""
+    return bool(np.allclose(ours, theirs, rtol=TOLERANCE, atol=TOLERANCE))
+
+
+def _tree_differences(document: Document, other: Any) -> Iterator[str]:
+    """Links and joints by name, with the type, parent and child of each joint."""
+    links = {*document.links} ^ {*other.link_map}
+    joints = {*document.joints} ^ {*other.joint_map}
+    for kind, name in [("link", one) for one in links] + [("joint", one) for one in joints]:
+        theirs = name in other.link_map or name in other.joint_map
+        yield f"{kind} '{name}' is read by {'yourdfpy' if theirs else 'osc_contact'} only"
+    for name in sorted({*document.joints} & {*other.joint_map}):
+        joint = document.joints[name]
+        there = other.joint_map[name]
+        master = there.mimic and there.mimic.joint
+        for what, ours, by_it in (
+            ("type", joint.kind, there.type),
+            ("parent", joint.parent, there.parent),
+            ("child", joint.child, there.child),
+            ("master", joint.mimic, master),
+        ):
+            if ours != by_it:
+                yield f"joint '{name}': its {what} is {ours!r}, by yourdfpy {by_it!r}"
+
+
+def _limit_differences(
+    model: pin.Model, document: Document, other: Any, by_hand: Mapping[str, Any]
+) -> Iterator[str]:
+    """Limits of the joints that move, where the file has them.
+
+    Args:
+        by_hand: limits that did not come from the file, by joint.
+    """
+    lower, upper = position_limits(model)
+    effort = model.upperEffortLimit
+    velocity = model.upperVelocityLimit
+    for j, name in enumerate(joint_names(model)):
+        theirs = other.joint_map[name].limit
+        if name in by_hand or theirs is None:
+            continue
+        ours = dict(zip(LIMITS, (lower[j], upper[j], effort[j], velocity[j]), strict=True))
+        if document.joints[name].kind == "continuous":  # it has no ends, whatever is written
+            del ours["lower"], ours["upper"]
+        for key, here in ours.items():
+            there = getattr(theirs, key)
+            if there is not None and not _near(here, there):
+                yield f"joint '{name}': {key} {here:.9g}, by yourdfpy {there:.9g}"
+
+
+def _placement_differences(model: pin.Model, document: Document, other: Any) -> Iterator[str]:
+    """Pose of the child of each joint in its parent, in the zero posture and a random one."""
+    for q in (pin.neutral(model), *random_configurations(model, 1)):
+        ours, theirs = _link_poses(model, other, q)
+        for name, joint in document.joints.items():
+            here = ours[joint.parent].actInv(ours[joint.child])
+            there = theirs[joint.parent].actInv(theirs[joint.child])
+            if not _near(here.homogeneous, there.homogeneous):
+                apart = here.actInv(there)
+                yield (
+                    f"joint '{name}': yourdfpy places its child {norm(apart.translation):.3g} m "
+                    f"and {norm(pin.log3(apart.rotation)):.3g} rad elsewhere, in the posture "
+                    f"{np.array2string(q, precision=3)}"
+                )
+
+
+def _link_poses(
+    model: pin.Model, other: Any, q: Array
+) -> tuple[dict[str, pin.SE3], dict[str, pin.SE3]]:
+    """Placements of all links in the world, ours and theirs; joints with a master follow it.
+
+    Args:
+        q: (n,) joint positions of ours.
+    """
+    position = dict(zip(joint_names(model), q.tolist(), strict=True))
+    for name in position:
+        if mimic := other.joint_map[name].mimic:
+            position[name] = mimic.multiplier * position[mimic.joint] + mimic.offset
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(list(position.values())))
+    if position:
+        other.update_cfg({name: position[name] for name in other.actuated_joint_names})
+    names = list(other.link_map)
+    ours = {name: data.oMf[frame_id(model, name)] for name in names}
+    theirs = {name: pin.SE3(other.get_transform(name, other.base_link)) for name in names}
+    return ours, theirs
+
+
+def _inertia_differences(model: pin.Model, other: Any) -> Iterator[str]:
+    """Mass, first moment of mass and moments of inertia of each body, fixed links together."""
+    bodies = [np.zeros((6, 6)) for _ in model.inertias]
+    for name, link in other.link_map.items():
+        frame = model.frames[frame_id(model, name)]
+        if link.inertial is not None:
+            bodies[frame.parentJoint] += _spatial_inertia(link.inertial, frame.placement)
+    for j, theirs in enumerate(bodies):
+        ours = model.inertias[j].matrix()
+        body = f"the body behind joint '{model.names[j]}'" if j else "the base"
+        for part, unit, block in (
+            ("mass", "kg", np.s_[:3, :3]),
+            ("first moment of mass", "kg m", np.s_[3:, :3]),
+            ("moments of inertia", "kg m²", np.s_[3:, 3:]),
+        ):
+            if not _near(ours[block], theirs[block]):
+                off = np.abs(ours[block] - theirs[block]).max()
+                yield f"{body}: its {part} differs from yourdfpy's by {off:.3g} {unit}"
+
+
+def _spatial_inertia(inertial: Any, X_JL: pin.SE3) -> Array:
+    """(6, 6) inertia of a link in the frame of its joint, linear part first.
+
+    Args:
+        inertial: yourdfpy's `Inertial`. X_JL: the link's pose there.
+    """
+    X_LC = pin.SE3.Identity() if inertial.origin is None else pin.SE3(inertial.origin)
+    I_C = np.zeros((6, 6))
+    I_C[:3, :3] = (inertial.mass or 0.0) * np.eye(3)
+    I_C[3:, 3:] = np.zeros((3, 3)) if inertial.inertia is None else inertial.inertia
+    X = X_JL * X_LC
+    return np.asarray(X.toDualActionMatrix() @ I_C @ X.inverse().toActionMatrix())
+
+
+def _mesh_differences(document: Document, other: Any) -> Iterator[str]:
+    """Addresses and scales of the meshes of each link, those that are seen and those that touch."""
+    for name, link in document.links.items():
+        theirs = other.link_map[name]
+        for tag, shapes in ("visual", theirs.visuals), ("collision", theirs.collisions):
+            there = [_their_mesh(one.geometry.mesh) for one in shapes if one.geometry.mesh]
+            here = [
+                _our_mesh(mesh)
+                for shape in link.element.findall(tag)
+                for mesh in shape.iter("mesh")
+            ]
+            if [address for address, _ in here] != [address for address, _ in there]:
+                yield (
+                    f"link '{name}': {tag} meshes {[one for one, _ in here]}, by yourdfpy "
+                    f"{[one for one, _ in there]}"
+                )
+            elif not all(_near(a, b) for (_, a), (_, b) in zip(here, there, strict=True)):
+                yield f"link '{name}': yourdfpy scales {tag} meshes in another way"
+
+
+def _our_mesh(mesh: Element) -> tuple[str, Array]:
+    return mesh.get("filename"), np.array(mesh.vector("scale", (1.0, 1.0, 1.0)))
+
+
+def _their_mesh(mesh: Any) -> tuple[str, Array]:
+    scale = 1.0 if mesh.scale is None else mesh.scale
+    return mesh.filename, np.broadcast_to(scale, 3)
