@@ -227,7 +227,7 @@ def robosuite(start: Sight, case: Case) -> Law:
 
 
 def crisp(start: Sight, case: Case) -> Law:
-    """crisp_controllers' Cartesian impedance with a `target_wrench`, in open loop; rebuilt.
+    """crisp_controllers' Cartesian impedance with a target wrench, in open loop; rebuilt.
 
     Its default gains but none along the axis; axes of the tool, error limits and filter of the
     target pose as by default, with compensation of gravity and velocity terms.

@@ -1,7 +1,7 @@
 """Hybrid motion and force on walls: the cases of a learning framework's controller tests, rebuilt.
 
-The goals, walls and stiffnesses are those of `test_franka_hybrid_decoupled_motion`,
-`test_franka_hybrid_variable_kp_impedance` and `test_franka_taskframe_hybrid` of Isaac Lab's
+The goals, walls and stiffnesses are those of "test_franka_hybrid_decoupled_motion",
+"test_franka_hybrid_variable_kp_impedance" and "test_franka_taskframe_hybrid" of Isaac Lab's
 operational-space controller (isaac-sim/IsaacLab, source/isaaclab/test/controllers): the finger of a
 Panda presses on a wall and goes from goal to goal along it.
 """

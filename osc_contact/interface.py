@@ -224,7 +224,7 @@ class Reference:
         alpha_d: (r,) desired contact force magnitudes (N).
         squeeze_d: desired internal force along the grasp line, > 0 compresses (N). With k ≥ 3 arms:
             in each line between two grasps, in the order (1, 2), (1, 3), …, (k − 1, k), see
-            `law.linkage`: (k(k − 1)/2,), or a number for all of them; the number 0 leaves
+            `law.grasps`: (k(k − 1)/2,), or a number for all of them; the number 0 leaves
             them at least effort.
     """
 

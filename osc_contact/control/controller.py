@@ -155,7 +155,7 @@ class Controller:
             friction: what is known of the contacts' friction; None: nothing.
             reading: how contact forces are read off the wrists, 'filter' (fig. 5) or
                 'least_squares', which friction and tilted faces do not fool; None: the latter
-                where its answer is unique (see `control.reading`).
+                where its answer is unique (see `law.reading`).
             life: opens, approaches and closes the contacts one by one; None: all of them are
                 closed as long as they are engaged.
             laws: of the user's own, in place of force law, motion law or control structure.

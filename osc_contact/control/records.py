@@ -487,7 +487,7 @@ class TickRecords:
 
     Attributes:
         rows: the bytes; index, thread: which row of them, whose WORK. at: of its JOB.
-        model, memory, work: views, see `law.tables`; model_bytes, memory_bytes, work_bytes.
+        model, memory, work: views, see `law.records`; model_bytes, memory_bytes, work_bytes.
     """
 
     def __init__(self, rows: Rows | Bytes, index: int = 0, thread: int = 0) -> None:

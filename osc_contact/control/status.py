@@ -18,7 +18,7 @@ class Status(IntEnum):
 
 
 class SafetyState(IntEnum):
-    """What the controller does; `law.safety` and `law.watch` decide it."""
+    """What the controller does; `law.safety` and `law.sensors` decide it."""
 
     RUN = 0  #: the last tick was computed and nothing was lost
     DEGRADED = 1  #: motors at their limits, near a singular posture, or a tick or two not computed

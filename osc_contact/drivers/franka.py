@@ -36,7 +36,7 @@ class FrankaRobot:
         state: the robot's last one, of the client library.
         read_to_write: s, from the arrival of a state until its torques were sent, of the last tick.
         success_rate: share of the last 100 commands that the robot got in time, and the least of
-            all ticks: `success_rates`.
+            all ticks: "success_rates".
     """
 
     def __init__(

@@ -93,7 +93,7 @@ def columns_at(J_world: Array, O: Array) -> Array:  # noqa: E741 - the operation
     return carry_twist(columns_of(J_world), np.zeros(3), O)
 
 
-GYRATION = 0.1  #: m, of the ball that stands for the heaviest arm, see `law.singular`
+GYRATION = 0.1  #: m, of the ball that stands for the heaviest arm, see `law.operational`
 #: Stands in for the object's inertia in rank decisions when the arms hold nothing:
 #: 1 kg with a radius of gyration of 0.1 m.
 _REFERENCE = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
@@ -386,7 +386,7 @@ def _merge(arms: Sequence[Arm]) -> pin.Model:
     return merged
 
 
-# Arms, grasps and object of a closed chain as records of the law, see `law.tables`.
+# Arms, grasps and object of a closed chain as records of the law, see `law.records`.
 
 
 _KINDS = {"rigid": at.RIGID, "hinge": at.HINGE, "ball": at.BALL, "other": at.OTHER}

@@ -216,7 +216,7 @@ def _turn_given(column, R_E):
 # A PAIR names its kind, its first column of N, their number, and the first SHAPE of its geometry;
 # what the numbers of a shape are is given with each function. Positions are from O, motions at O.
 # Matrices are read element by element, so the functions run as they are on numbers and on arrays of
-# numbers over time (`contacts.pairs.law_pair`).
+# numbers over time (`contacts.pairs.pair`).
 
 PARALLEL = 1e-6  #: sine of the angle below which two edges have no common normal
 AHEAD = 2.0  #: control periods after its measurement at which a torque acts at the latest

@@ -89,7 +89,7 @@ _MODEL = _record(
         "memory_bytes",  # of one controller
     ),
     number=(
-        "rank_tolerance",  # see `dynamics.chain_model`
+        "rank_tolerance",  # see `dynamics.closed_chain`
         "angle_tolerance",
         "stiffness",
         "damping",

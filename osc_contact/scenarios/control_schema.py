@@ -402,7 +402,7 @@ class PostureTask(Spec):
     limit_stiffness: Annotated[NotNegativeNumber, "1/s²"] = 400.0
     """of the push away from joint limits; 0: none"""
     limit_margin: Annotated[Number, Field(gt=0, lt=0.5)] = 0.05
-    """where that push begins, as a share of the joint's range (see `JointLimitAvoidance`)"""
+    """where that push begins, as a share of the joint's range"""
 
 
 class JointTorqueSpec(Spec):

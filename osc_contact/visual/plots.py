@@ -104,7 +104,7 @@ def _lay_out(figure: Figure) -> None:
     """Place the parts of a figure, once and alike for all of its files.
 
     The layout engine is taken away: `savefig` draws a figure that has one twice, the first time for
-    the layout alone. While `rcParams` have a constrained layout in use, matplotlib restores one.
+    the layout alone. While rcParams have a constrained layout in use, matplotlib restores one.
     """
     engine = figure.get_layout_engine()
     if engine is None:
