@@ -20,9 +20,9 @@ from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.marks import TwistAxes
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
-from osc_contact.visual.parts import State, changes
+from osc_contact.visual.parts import States, changes
 from osc_contact.visual.plots import style
-from osc_contact.visual.scene import Scene, eye, label, picture_axes, sample_at, set_stage
+from osc_contact.visual.scene import Scene, eye, label, picture_axes, samples_at, set_stage
 from osc_contact.visual.shapes import along, at, material, plain
 from paper.statements import Answer
 from paper.study import Ask, Data, Study, table_of
@@ -166,15 +166,16 @@ class Workcell:
 
     def page(self, shot: Shot, path: Path) -> Path:
         """Write a still page of one view."""
-        picture = Scene(content_of(self.rig), self.sample)
+        now = samples_at(self.sample, None)
+        picture = Scene(content_of(self.rig), now)
         picture.parts = [part for part in picture.parts if not isinstance(part, TwistAxes)]
         sink = CommandSink()
         scene = sink.visualizer()
         picture.draw(scene)
-        frame = picture.states(self.sample)
+        frame = picture.states(now)
         for node in frame:
             if node.endswith(("/commanded", "/measured")):
-                frame[node] = State(visible=False)
+                frame[node] = States(visible=np.array([False]))
         changes(scene, {}, frame)
         if shot.whole:
             draw_camera(scene, self.seen)
@@ -236,7 +237,7 @@ def run(duration: float = 1.4, seed: int = 0, changes: Sequence[str] = ()) -> Wo
     """
     scenario = osc.load_scenario(SCENARIO, changes)
     recording = osc.run(scenario, duration=duration, seed=seed)
-    sample = sample_at(recording.channels, len(recording) - 1)
+    sample = samples_at(recording.channels, len(recording) - 1)
     return Workcell(osc.build_rig(scenario), sample)
 
 

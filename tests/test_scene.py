@@ -2,6 +2,7 @@
 
 import numpy as np
 import pinocchio as pin
+import umsgpack
 from complaints import invalid_input
 from html_pages import Page
 from numpy.linalg import matrix_rank, norm
@@ -26,6 +27,7 @@ from scene_samples import (
 from osc_contact import robots
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
+from osc_contact.visual.key_frames import Animation
 from osc_contact.visual.page import EMPTY, CommandSink, page_text, write_page
 from osc_contact.visual.parts import Content
 from osc_contact.visual.scene import (
@@ -38,7 +40,7 @@ from osc_contact.visual.scene import (
     thinned,
     write_scene,
 )
-from osc_contact.visual.screws import twist_screw
+from osc_contact.visual.screws import twist_screw, wrench_screw
 from osc_contact.visual.shapes import along, triangle_colours, urdf_geometry, vertex_colours
 
 LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
@@ -77,6 +79,20 @@ def test_a_face_follows_its_recorded_pose(tmp_path):
     for frame in 0, 7:
         expected = pin.XYZQUATToSE3(poses[10 * frame, 0])
         assert shown.pose("/meshcat/bodies/face/base", frame).isApprox(expected, 1e-5)
+
+
+def test_what_is_not_known_stays_where_it_was(tmp_path):
+    keys = ("q", "pose", "contact_point")
+    channels = {key: RECORDING[key].copy() for key in keys}
+    for values in channels.values():
+        values[35:66] = np.nan
+    shown = Shown(write(tmp_path, changed(**channels)))
+    for node in "/meshcat/arms/left/joint1", "/meshcat/bodies/rod/base", LEFT:
+        stays, moves = (not shown.pose(node, 3).isApprox(shown.pose(node, k)) for k in (6, 7))
+        assert (stays, moves) == (False, True), node
+    for frame, known in {3: True, 5: False, 7: True}.items():
+        for shape in "closed", "commanded":
+            assert shown.seen(f"{RIGHT}/{shape}", frame) == known
 
 
 @parametrize("frame", [3, 8])
@@ -162,6 +178,35 @@ def test_a_column_with_a_couple_is_a_screw(tmp_path):
     assert shown.length(f"{RIGHT}/true", 8) == approx(couple, abs=1e-5)
     assert f"{RIGHT}/true/head/second" in shown.objects, "a couple has two heads"
     assert_near(shown.pose(RIGHT, 8).rotation[:, 1], d[80, 1], 1e-6)
+
+
+def test_key_frames_are_read_as_written():
+    """By the reader of MessagePack: single precision, keys inside equal stretches left out."""
+    rng = np.random.default_rng(5)
+    positions = rng.standard_normal((70_000, 3))
+    positions[3:9] = positions[3]
+    visible = np.repeat([True, False, True], [1, 4, 69_995])
+    animation = Animation(29.7)
+    animation.track("/a", "position", "vector3", positions)
+    animation.track("/a", "visible", "boolean", visible)
+    animation.track("/b", "scale", "vector3", np.ones((70_000, 3)))
+    message = umsgpack.unpackb(animation.message())
+    assert message["type"] == "set_animation" and message["options"]["play"] is True
+    ((clip, path),) = [(one["clip"], one["path"]) for one in message["animations"]]
+    assert (path, clip["fps"]) == ("/a", approx(29.7))
+    moves, shows = clip["tracks"]
+    assert (moves["name"], moves["type"], shows["name"]) == (".position", "vector3", ".visible")
+    kept = np.setdiff1d(np.arange(70_000), np.arange(4, 8))
+    assert [key["time"] for key in moves["keys"]] == kept.tolist()
+    found = [key["value"] for key in moves["keys"]]
+    assert np.array_equal(found, positions[kept].astype(np.float32))
+    assert [(key["time"], key["value"]) for key in shows["keys"]] == [
+        (0, True),
+        (1, False),
+        (4, False),
+        (5, True),
+        (69_999, True),
+    ]
 
 
 def test_legend_switches_every_contact(shown):
@@ -305,7 +350,31 @@ def test_urdf_shapes_lie_as_in_the_urdf(tmp_path):
     assert placed["/meshcat/4/shape/top"][2, 3] == approx(capsule.geometry.halfLength)
 
 
-@parametrize("bad", [np.zeros(6), np.ones(5), [np.nan, 0, 0, 0, 0, 1]])
+def test_screws_are_the_wrenches_they_are_of():
+    """f = |f| d and m = (p − O) × f + h f, for each of many; a couple has no line."""
+    rng = np.random.default_rng(3)
+    wrenches = rng.standard_normal((40, 6)) * 10.0 ** rng.uniform(-3, 3, (40, 1))
+    wrenches[:10, :3] = 0.0
+    origins = rng.standard_normal((40, 3))
+    point, direction, pitch = wrench_screw(wrenches, origins)
+    assert_near(norm(direction, axis=1), 1.0, 1e-12)
+    assert np.isinf(pitch[:10]).all() and np.isfinite(pitch[10:]).all()
+    assert_near(point[:10], origins[:10], 0.0)
+    couples = wrenches[:10, 3:]
+    assert_near(direction[:10], couples / norm(couples, axis=1)[:, None], 1e-12)
+    lines = (part[10:] for part in (wrenches, origins, point, direction, pitch))
+    for wrench, O, p, d, h in aligned(*lines):
+        f = norm(wrench[:3]) * d
+        moment = np.cross(p - O, f) + h * f
+        assert_near(np.append(f, moment), wrench, 1e-9 * norm(wrench))
+        assert abs((p - O) @ d) < 1e-9 * max(1.0, norm(p - O)), "the point nearest to O"
+        single = wrench_screw(wrench, O)
+        assert_near(np.hstack([single.point, single.direction, single.pitch]), [*p, *d, h], 1e-12)
+
+
+@parametrize(
+    "bad", [np.zeros(6), np.ones(5), [np.nan, 0, 0, 0, 0, 1], np.eye(6)[:, :5] @ np.eye(5, 6)]
+)
 def test_what_is_no_screw_is_refused(bad):
     with invalid_input("no screw"):
         twist_screw(bad, np.zeros(3))

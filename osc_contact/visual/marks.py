@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from osc_contact.spatial import Array, norm
 from osc_contact.visual import contact_colour
-from osc_contact.visual.parts import Frame, LegendEntry, Part, Sample, State
+from osc_contact.visual.parts import Frames, LegendEntry, Part, Samples, States, held
 from osc_contact.visual.screws import helix, tangents, twist_screw, wrench_screw
-from osc_contact.visual.shapes import along, at, cylinder, material, on_y, plain, tube
+from osc_contact.visual.shapes import along, at, cylinder, material, plain, tube
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -61,18 +62,35 @@ ARROWS = (
 )
 
 
-def arrow_states(path: str, length: float) -> Frame:
-    """States that make an arrow `length` m long, with its tip at its origin, along the y-axis.
+def arrow_states(path: str, lengths: Array) -> Frames:
+    """States of an arrow with its tip at its origin, along the y-axis.
 
     The head keeps its size; an arrow shorter than its head is a smaller head without shaft.
+
+    Args:
+        path: of its node. lengths: (F,) m.
     """
-    length = max(length, SHORTEST) if np.isfinite(length) else SHORTEST
-    head = min(1.0, length / HEAD_LENGTH)
-    shaft = max(length - HEAD_LENGTH, SHORTEST)
+    lengths = np.maximum(np.where(np.isfinite(lengths), lengths, 0.0), SHORTEST)
+    head = np.minimum(1.0, lengths / HEAD_LENGTH)
+    shaft = np.maximum(lengths - HEAD_LENGTH, SHORTEST)
     return {
-        f"{path}/shaft": State(on_y(-HEAD_LENGTH * head), (head, shaft, head)),
-        f"{path}/head": State(scale=(head, head, head)),
+        f"{path}/shaft": States(on_y_axis(-HEAD_LENGTH * head), np.array([head, shaft, head]).T),
+        f"{path}/head": States(scale=np.array([head, head, head]).T),
     }
+
+
+def on_y_axis(y: Array) -> Array:
+    """(F, 7) poses on the y-axis, not turned; y (F,) m."""
+    poses = np.zeros((len(y), 7))
+    poses[:, 1] = y
+    poses[:, 6] = 1.0
+    return poses
+
+
+def poses_along(points: Array, directions: Array) -> Array:
+    """(F, 7) poses with origins at the points and y-axes in the directions, both (F, 3)."""
+    poses = map(along, points, directions)
+    return np.reshape([pin.SE3ToXYZQUAT(pose) for pose in poses], (-1, 7))
 
 
 class ContactForce(Part):
@@ -82,18 +100,19 @@ class ContactForce(Part):
         name: of the node, unique.
         column: which column of N it is.
         contact: which contact it belongs to; gives the colour.
-        first: the sample at which the pitch of the line is drawn.
+        first: one tick, at which the pitch of the line is drawn.
     """
 
-    def __init__(self, name: str, column: int, contact: int, first: Sample) -> None:
+    def __init__(self, name: str, column: int, contact: int, first: Samples) -> None:
         self.path = f"contacts/{name}"
         self.words = name.replace("_", " ")
         self.column = column
         self.contact = contact
         self.colour = contact_colour(contact)
         self.arrows = [arrow for arrow in ARROWS if arrow.channel in first]
-        self.last = pin.SE3.Identity()
-        pitch = self._place(first)
+        self.last = pin.SE3ToXYZQUAT(pin.SE3.Identity())
+        _, pitches = self._place(first)
+        pitch = float(pitches[0]) if len(pitches) else 0.0
         self.couple = np.isinf(pitch)
         self.pitch = pitch if abs(pitch) > LEAST_PITCH else 0.0
 
@@ -120,45 +139,53 @@ class ContactForce(Part):
                 ends = tip - HEAD_LENGTH, tip
                 cylinder(part[f"head/{name}"], paint, ends, 2.4 * arrow.radius, top=0.0)
 
-    def states(self, sample: Sample) -> Frame:
-        """Pose, lengths and visibility at one tick."""
-        self._place(sample)
-        known, pressed = (bool(flags[self.column]) for flags in sample["normals"][1:])
-        frame = {
-            self.path: State(self.last),
-            f"{self.path}/closed": State(visible=pressed),
-            f"{self.path}/lost": State(visible=known and not pressed),
+    def states(self, samples: Samples) -> Frames:
+        """Poses, lengths and visibility."""
+        poses, _ = self._place(samples)
+        known, pressed = (flags[:, self.column] for flags in samples["normals"][1:])
+        frames = {
+            self.path: States(poses),
+            f"{self.path}/closed": States(visible=pressed),
+            f"{self.path}/lost": States(visible=known & ~pressed),
         }
         unit = METRES_PER_NEWTON_METRE if self.couple else METRES_PER_NEWTON
-        lengths = [0.0]
+        longest = np.zeros(len(poses))
         for arrow in self.arrows:
-            alpha = float(sample[arrow.channel][self.column])
+            alpha = samples[arrow.channel][:, self.column]
             drawn = pressed if arrow.name == "true" else known
             path = f"{self.path}/{arrow.name}"
-            frame[path] = State(visible=drawn and alpha > SHOWN_FROM)
-            frame |= arrow_states(path, unit * alpha)
-            lengths.append(np.nan_to_num(unit * alpha, posinf=0.0))
-        frame[f"{self.path}/label"] = State(on_y(-max(lengths) - 0.045))
-        return frame
+            frames[path] = States(visible=drawn & (alpha > SHOWN_FROM))
+            frames |= arrow_states(path, unit * alpha)
+            longest = np.maximum(longest, np.nan_to_num(unit * alpha, posinf=0.0))
+        frames[f"{self.path}/label"] = States(on_y_axis(-longest - 0.045))
+        return frames
 
-    def corners(self, sample: Sample) -> Array:
-        """(k, 3) tip and label at one tick; none where the contact is not known."""
-        label = self.states(sample)[f"{self.path}/label"].pose
-        known = sample["normals"].known[self.column]
-        ends = [X.translation for X in (self.last, self.last * label) if known]
+    def corners(self, samples: Samples) -> Array:
+        """(k, 3) tips and labels; none where the contact is not known."""
+        frames = self.states(samples)
+        tips, labels = (frames[path].poses for path in (self.path, f"{self.path}/label"))
+        assert tips is not None and labels is not None
+        known = samples["normals"].known[:, self.column]
+        ends = []
+        for tip, label in zip(tips[known], labels[known], strict=True):
+            X = pin.XYZQUATToSE3(tip)
+            ends += [X.translation, X * label[:3]]
         return np.reshape(ends, (-1, 3))
 
-    def _place(self, sample: Sample) -> float:
-        """Put the y-axis on the line of force, near the contact point, if known; the pitch (m)."""
-        N, known, _ = sample["normals"]
-        if not known[self.column]:
-            return 0.0
-        point = sample["contact_point"][self.contact]
-        foot, direction, pitch = wrench_screw(N[:, self.column], sample["pose"][:3])
-        if not np.isinf(pitch):
-            point = foot + ((point - foot) @ direction) * direction
-        self.last = along(point, direction)
-        return pitch
+    def _place(self, samples: Samples) -> tuple[Array, Array]:
+        """(F, 7) poses with the y-axis on the line of force, near the contact point.
+
+        Where the contact is not known the last pose stays. Also the pitches (m) where it is known.
+        """
+        N, known, _ = samples["normals"]
+        here = known[:, self.column]
+        points = samples["contact_point"][here, self.contact]
+        foot, directions, pitches = wrench_screw(N[here, :, self.column], samples["pose"][here, :3])
+        on_line = foot + np.vecdot(points - foot, directions)[:, None] * directions
+        points = np.where(np.isinf(pitches)[:, None], points, on_line)
+        poses = held(here, poses_along(points, directions), self.last)
+        self.last = poses[-1]
+        return poses, pitches
 
 
 def legend(forces: Sequence[ContactForce]) -> list[LegendEntry]:
@@ -203,11 +230,11 @@ class TwistAxes(Part):
     advances; the height of a path is drawn up to 0.5 m.
     """
 
-    def __init__(self, first: Sample) -> None:
-        self.pitches = [LEAST_TWIST_PITCH] * 6
-        for i, (_, pitch) in enumerate(_screws(first)):
-            if LEAST_TWIST_PITCH < abs(pitch) < np.inf:
-                self.pitches[i] = pitch
+    def __init__(self, first: Samples) -> None:
+        """Pitches of the paths that are drawn: those at the first tick."""
+        _, (pitches,), _ = _screws(first)
+        steep = (np.abs(pitches) > LEAST_TWIST_PITCH) & np.isfinite(pitches)
+        self.pitches = np.where(steep, pitches, LEAST_TWIST_PITCH).tolist()
 
     def draw(self, scene: Visualizer) -> None:
         """Make the nodes of all six axes that T can have."""
@@ -222,30 +249,30 @@ class TwistAxes(Part):
             cylinder(node["slide/up"], paint, (half - 0.008, half + 0.02), 0.007, top=0.0)
             cylinder(node["slide/down"], paint, (-half - 0.02, 0.008 - half), 0.0, top=0.007)
 
-    def states(self, sample: Sample) -> Frame:
-        """Where the axes are at one tick; those that T does not have are hidden."""
-        screws = _screws(sample)
-        frame: Frame = {}
+    def states(self, samples: Samples) -> Frames:
+        """Where the axes are; those that T does not have are hidden."""
+        poses, pitches, there = _screws(samples)
+        frames: Frames = {}
         for i, reference in enumerate(self.pitches):
             path = f"twists/{i}"
-            pose, pitch = screws[i] if i < len(screws) else (pin.SE3.Identity(), 0.0)
-            turns = bool(np.isfinite(pitch))
+            turns = np.isfinite(pitches[:, i])
             curve = helix(reference, *TWIST_HELIX)
             most = TALLEST / np.ptp(curve[:, 1])
-            stretch = float(np.clip(pitch / reference, -most, most)) if turns else 0.0
-            if abs(stretch) < 1e-6:
-                stretch = 1e-6
-            curve *= [1.0, stretch, 1.0]
-            end = 0.53 * (AXIS_LENGTH if turns else SLIDE_LENGTH + 0.06)
-            frame |= {
-                path: State(pose, visible=i < len(screws)),
-                f"{path}/turn": State(visible=turns),
-                f"{path}/slide": State(visible=not turns),
-                f"{path}/turn/path": State(scale=(1.0, stretch, 1.0)),
-                f"{path}/label": State(on_y(end)),
-                f"{path}/turn/end": State(along(curve[-1], curve[-1] - curve[-2])),
+            stretch = np.clip(np.where(turns, pitches[:, i], 0.0) / reference, -most, most)
+            stretch[np.abs(stretch) < 1e-6] = 1e-6
+            scale = np.insert(np.ones((len(stretch), 2)), 1, stretch, axis=1)
+            end = 0.53 * np.where(turns, AXIS_LENGTH, SLIDE_LENGTH + 0.06)
+            frames |= {
+                path: States(poses[:, i], visible=there[:, i]),
+                f"{path}/turn": States(visible=turns),
+                f"{path}/slide": States(visible=~turns),
+                f"{path}/turn/path": States(scale=scale),
+                f"{path}/label": States(on_y_axis(end)),
+                f"{path}/turn/end": States(
+                    poses_along(scale * curve[-1], scale * (curve[-1] - curve[-2]))
+                ),
             }
-        return frame
+        return frames
 
     def legend(self) -> LegendEntry:
         """Its line of the legend."""
@@ -253,11 +280,24 @@ class TwistAxes(Part):
         return LegendEntry(T_COLOUR, "T: a basis of the motions permitted", "turn", paths)
 
 
-def _screws(sample: Sample) -> list[tuple[pin.SE3, float]]:
-    """Pose, whose y-axis is the axis, and pitch of each motion that the closed contacts permit."""
-    N, _, pressed = sample["normals"]
-    screws = [twist_screw(t, sample["pose"][:3]) for t in tangents(N[:, pressed]).T]
-    return [(along(screw.point, screw.direction), screw.pitch) for screw in screws]
+def _screws(samples: Samples) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Poses, whose y-axes are the axes, and pitches of the motions that closed contacts permit.
+
+    Returns:
+        (F, 6, 7), (F, 6), and (F, 6) which of the six there are; of the others the pitch is zero.
+    """
+    N, _, pressed = samples["normals"]
+    bases = [tangents(one[:, held_by]).T for one, held_by in zip(N, pressed, strict=True)]
+    counts = np.array([len(basis) for basis in bases])
+    there = np.arange(6) < counts[:, None]
+    origins = np.repeat(samples["pose"][:, :3], counts, axis=0)
+    point, direction, pitch = twist_screw(np.vstack(bases), origins)
+    poses = np.zeros((*there.shape, 7))
+    poses[..., 6] = 1.0
+    poses[there] = poses_along(point, direction)
+    pitches = np.zeros(there.shape)
+    pitches[there] = pitch
+    return poses, pitches, there
 
 
 # --- Trails -------------------------------------------------------------------------------------
@@ -270,7 +310,7 @@ STEP = 5e-4
 class Trails:
     """Paths of the object's origin and of the contact points.
 
-    They grow sample by sample; a path longer than 240 points is thinned to every other one.
+    They grow tick by tick; a path longer than 240 points is thinned to every other one.
     """
 
     def __init__(self, contacts: Sequence[str]) -> None:
@@ -279,15 +319,16 @@ class Trails:
         self.points: dict[str, list[Array]] = {name: [] for name in self.colours}
         self.drawn: dict[str, int] = {}
 
-    def extend(self, sample: Sample) -> None:
-        """Take one tick in; a step of less than 0.5 mm is left out."""
-        contacts = np.reshape(sample.get("contact_point", ()), (-1, 3))
-        points = np.vstack((sample.get("pose", [np.nan] * 3)[:3], contacts))
-        for path, point in zip(self.points.values(), points, strict=False):
-            if np.isfinite(point).all() and (not path or norm(point - path[-1]) >= STEP):
-                path.append(point)
-                if len(path) > LONGEST:
-                    path[:-1] = path[:-1:2]
+    def extend(self, samples: Samples) -> None:
+        """Take ticks in; steps of less than 0.5 mm are left out."""
+        contacts = np.moveaxis(samples.get("contact_point", np.zeros((0, 0, 3))), 1, 0)
+        objects = [samples["pose"][:, :3]] if "pose" in samples else [np.zeros((0, 3))]
+        for path, points in zip(self.points.values(), [*objects, *contacts], strict=False):
+            for point in points[np.isfinite(points).all(axis=1)]:
+                if not path or norm(point - path[-1]) >= STEP:
+                    path.append(point)
+                    if len(path) > LONGEST:
+                        path[:-1] = path[:-1:2]
 
     def draw(self, scene: Visualizer) -> None:
         """(Re)draw what has grown since the last call."""

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.files import write_whole
+from osc_contact.visual.messages import packed
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -56,10 +57,12 @@ class CommandSink:
 
     Attributes:
         commands: what was sent, as the plain dictionaries that meshcat's viewer understands.
+        animation: what plays once all of it is drawn (`Animation.message`); empty: nothing.
     """
 
     def __init__(self) -> None:
         self.commands: list[dict[str, Any]] = []
+        self.animation = b""
 
     def send(self, command: Any) -> None:
         """Lower one meshcat command and keep it."""
@@ -88,8 +91,8 @@ def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
             )
     viewer = Path(_meshcat().viewer_assets_path()) / "dist" / "main.min.js"
     scripts = ("plot.js", "flat.js", "player.js", *(("live.js",) if config["live"] else ()))
-    messages = [packed(command) for command in sink.commands]
-    commands = b"".join(len(one).to_bytes(4, "little") + one for one in messages)
+    messages = [*map(packed, sink.commands), sink.animation]
+    commands = b"".join(len(one).to_bytes(4, "little") + one for one in messages if one)
     parts = {
         "policy": POLICY + (" 'self'" if config["live"] else ""),
         "title": html.escape(title),
@@ -117,13 +120,6 @@ def write_page(
         InvalidInputError: as `page_text`.
     """
     return write_whole(page_text(sink, title, config), path)
-
-
-def packed(command: dict[str, Any]) -> bytes:
-    """One command as meshcat's viewer reads it; numbers in single precision, as it keeps them."""
-    import umsgpack
-
-    return umsgpack.packb(command, force_float_precision="single")
 
 
 def filled(template: str, parts: Mapping[str, str]) -> str:

@@ -1,13 +1,13 @@
 """What a scene is made of: parts that are drawn once and then only move, grow, appear, vanish.
 
-A part gives the states of its nodes at one recorded tick. The same states become key frames of a
-page that plays by itself, and drawing commands of a live view. Arms, the held object and faces are
+A part gives the states of its nodes at recorded ticks. The same states become key frames of a page
+that plays by itself, and drawing commands of a live view. Arms, the held object and faces are
 the parts drawn from URDFs; those that mark contacts are in `visual.marks`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -22,41 +22,52 @@ from osc_contact.robots import is_mjcf, load_geometry
 from osc_contact.robots.model import joint_names
 from osc_contact.robots.pictures import mjcf_geometry, read_picture
 from osc_contact.spatial import Array
+from osc_contact.visual.key_frames import Animation
 from osc_contact.visual.shapes import urdf_geometry
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
-    from meshcat.animation import Animation
 
 
-Sample = Mapping[str, Any]
-"""The channels of a recording at one tick; for marks at contacts also its `normals`."""
+Samples = Mapping[str, Any]
+"""The channels of a recording at F ticks, (F, …) each; for marks at contacts also `normals`."""
 
 
-class State(NamedTuple):
-    """State of a node in its parent: None leaves a property at what it was drawn with.
+class States(NamedTuple):
+    """States of a node in its parent at F ticks.
+
+    None leaves a property at what it was drawn with.
 
     Attributes:
-        pose: placement in the parent node.
-        scale: along the node's own axes.
-        visible: with everything below it.
+        poses: (F, 7) in the parent node, x y z (m) and quaternion x y z w.
+        scale: (F, 3) along the node's own axes.
+        visible: (F,) with everything below it.
     """
 
-    pose: pin.SE3 | None = None
-    scale: tuple[float, float, float] | None = None
-    visible: bool | None = None
+    poses: Array | None = None
+    scale: Array | None = None
+    visible: NDArray[np.bool_] | None = None
 
-    @property
-    def matrix(self) -> Any:
+    def matrix(self, tick: int = 0) -> Array | None:
         """(4, 4) scaled, then placed; None where neither is given."""
-        if self.pose is None and self.scale is None:
+        if self.poses is None and self.scale is None:
             return None
-        placed = np.eye(4) if self.pose is None else self.pose.homogeneous
-        return placed * [*(self.scale or (1.0, 1.0, 1.0)), 1.0]
+        placed = np.eye(4) if self.poses is None else pin.XYZQUATToSE3(self.poses[tick]).homogeneous
+        return placed if self.scale is None else placed * [*self.scale[tick], 1.0]
 
 
-Frame = dict[str, State]
-"""State of every moving node by its path below the scene's root; always the same nodes."""
+Frames = dict[str, States]
+"""States of every moving node by its path below the scene's root; always the same nodes."""
+
+
+def held(known: NDArray[np.bool_], values: Array, before: Array) -> Array:
+    """(F, n) the newest value at each of F ticks.
+
+    Args:
+        known: (F,) at which ticks there is a new value. values: (k, n) those, in their order.
+        before: (n,) the value before the first of them.
+    """
+    return np.vstack([before, values])[np.cumsum(known)]
 
 
 class LegendEntry(NamedTuple):
@@ -81,73 +92,50 @@ class Part(Protocol):
     def draw(self, scene: Visualizer) -> None:
         """Make the nodes."""
 
-    def states(self, sample: Sample) -> Frame:
-        """States of the nodes at one tick."""
+    def states(self, samples: Samples) -> Frames:
+        """States of the nodes."""
 
 
 # --- From states to pages -----------------------------------------------------------------------
 
 
-def animate(scene: Visualizer, animation: Animation, frames: Sequence[Frame]) -> None:
+def animate(scene: Visualizer, animation: Animation, frames: Frames) -> None:
     """Start at the first frame and animate through all of them; what never changes is set once.
 
     Args:
         scene: of the page.
         animation: that takes the key frames.
-        frames: where everything is, one entry a frame.
+        frames: where everything is.
     """
-    for path in frames[0]:
+    for path, states in frames.items():
         node = scene[path]
-        poses, scales, seen = zip(*(frame[path] for frame in frames), strict=True)
-        if poses[0] is not None:
-            node.set_transform(poses[0].homogeneous)
-            numbers = np.array([pin.SE3ToXYZQUAT(pose) for pose in poses])
-            track(node, animation, "position", "vector3", numbers[:, :3])
-            track(node, animation, "quaternion", "quaternion", numbers[:, 3:])
-        for name, kind, values in (("scale", "vector3", scales), ("visible", "boolean", seen)):
-            if values[0] is not None:
-                node.set_property(name, values[0])
-                track(node, animation, name, kind, np.array(values))
+        place = node.path.lower()
+        if states.poses is not None:
+            node.set_transform(pin.XYZQUATToSE3(states.poses[0]).homogeneous)
+            animation.track(place, "position", "vector3", states.poses[:, :3])
+            animation.track(place, "quaternion", "quaternion", states.poses[:, 3:])
+        if states.scale is not None:
+            node.set_property("scale", states.scale[0].tolist())
+            animation.track(place, "scale", "vector3", states.scale)
+        if states.visible is not None:
+            node.set_property("visible", bool(states.visible[0]))
+            animation.track(place, "visible", "boolean", states.visible)
 
 
-def track(
-    node: Visualizer, animation: Animation, name: str, kind: str, values: NDArray[Any]
-) -> None:
-    """Key frames of one property; keys inside a stretch of equal values are left out.
-
-    The last frame always has its key: tracks of unequal length would drift apart when repeated.
-
-    Args:
-        node: that moves.
-        animation: that takes the key frames.
-        name: the property, such as `position`.
-        kind: its type in three.js, such as `vector3`.
-        values: (frames, …) one value a frame.
-    """
-    from meshcat.animation import AnimationClip, AnimationTrack
-
-    changed = np.any(values[1:] != values[:-1], axis=tuple(range(1, values.ndim)))
-    if not changed.any():
-        return
-    frames = np.flatnonzero(np.append(True, changed) | np.append(changed, True))
-    clip = animation.clips.setdefault(node.path, AnimationClip(fps=animation.default_framerate))
-    clip.tracks[name] = AnimationTrack(name, kind, frames.tolist(), values[frames].tolist())
-
-
-def changes(scene: Visualizer, before: Frame, after: Frame) -> None:
+def changes(scene: Visualizer, before: Frames, after: Frames) -> None:
     """Send what differs from the frame before (an empty one: everything).
 
     Args:
         scene: of the page.
-        before, after: two frames of the same parts.
+        before, after: one tick each, of the same parts.
     """
-    for path, state in after.items():
-        old = before.get(path, State())
-        matrix = state.matrix
-        if matrix is not None and not np.array_equal(matrix, old.matrix):
+    for path, states in after.items():
+        old = before.get(path, States())
+        matrix, old_matrix = states.matrix(), old.matrix()
+        if matrix is not None and (old_matrix is None or not np.array_equal(matrix, old_matrix)):
             scene[path].set_transform(matrix)
-        if state.visible is not None and state.visible != old.visible:
-            scene[path].set_property("visible", state.visible)
+        if states.visible is not None and (old.visible is None or states.visible != old.visible):
+            scene[path].set_property("visible", bool(states.visible[0]))
 
 
 # --- Arms, object and faces ---------------------------------------------------------------------
@@ -213,7 +201,7 @@ class Moving(Part):
         nodes = [f"{folder}/{what.name}/{name}" for name in ("base", *names)]
         self.shapes = list(geometry.geometryObjects)
         self.paths = {shape.parentJoint: nodes[shape.parentJoint] for shape in self.shapes}
-        self.base = what.base or pin.SE3.Identity()
+        self.base = pin.SE3ToXYZQUAT(what.base or pin.SE3.Identity())
         self.q = np.array([what.locked.get(name, 0.0) for name in names])
         self.moving = [j for j, name in enumerate(names) if name not in what.locked]
 
@@ -223,52 +211,72 @@ class Moving(Part):
             node = scene[self.paths[shape.parentJoint]]
             urdf_geometry(node[f"{number}_{shape.name}"], shape)
 
-    def states(self, sample: Sample) -> Frame:
-        """Placement of every moving node; where q or pose is not known (NaN) it stays.
+    def states(self, samples: Samples) -> Frames:
+        """Placements of every moving node; where q or pose is not known (NaN) it stays.
 
         Raises:
             InvalidInputError: a channel is not recorded, or the slice of q does not fit the URDF.
         """
-        self._move(sample)
-        oMi = self.data.oMi
-        return {path: State(self.base * oMi[joint]) for joint, path in self.paths.items()}
+        poses: dict[int, list[Array]] = {joint: [] for joint in self.paths}
+        for placed in self._placements(samples):
+            for joint, found in poses.items():
+                found.append(pin.SE3ToXYZQUAT(placed[joint]))
+        return {path: States(np.array(poses[joint])) for joint, path in self.paths.items()}
 
-    def _move(self, sample: Sample) -> None:
-        """Take over base and joint positions of one tick."""
+    def corners(self, samples: Samples) -> Array:
+        """(k, 3) origins, corners of the bounding boxes, or points of meshes."""
+        corners = [(shape.parentJoint, _corners(shape)) for shape in self.shapes]
+        points = []
+        for placed in self._placements(samples):
+            points.append(placed[0].translation[None])
+            for joint, own in corners:
+                points.append(own @ placed[joint].rotation.T + placed[joint].translation)
+        return np.vstack(points)
+
+    def _placements(self, samples: Samples) -> Iterator[dict[int, pin.SE3]]:
+        """Placements in the world of the base (0) and of all joints with shapes, tick by tick."""
+        ticks = len(next(iter(samples.values())))
+        joints = {0, *self.paths}
+        for q, base in zip(
+            self._positions(samples, ticks), self._bases(samples, ticks), strict=True
+        ):
+            pin.forwardKinematics(self.model, self.data, q)
+            X = pin.XYZQUATToSE3(base)
+            yield {joint: X * self.data.oMi[joint] for joint in joints}
+
+    def _positions(self, samples: Samples, ticks: int) -> Array:
+        """(F, nq) joint positions."""
         what = self.what
-        q = self._channel(sample, "q")[what.q_slice] if self.moving else np.zeros(0)
-        if q.shape != (len(self.moving),):
+        q = self._channel(samples, "q")[:, what.q_slice] if self.moving else np.zeros((ticks, 0))
+        if q.shape[1] != len(self.moving):
             raise InvalidInputError(
-                f"{what.name!r}: {what.q_slice} takes {q.size} numbers of q, "
+                f"{what.name!r}: {what.q_slice} takes {q.shape[1]} numbers of q, "
                 f"but its model has nq = {self.model.nq}, {len(what.locked)} locked"
             )
-        if np.isfinite(q).all():
-            self.q[self.moving] = q
-        pose = np.full(7, np.nan)
-        if what.face is not None and "face_pose" in sample:
-            pose = sample["face_pose"][what.face]
-        elif what.base is None:
-            pose = self._channel(sample, "pose")
-        if np.isfinite(pose).all():
-            self.base = pin.XYZQUATToSE3(pose)
-        pin.forwardKinematics(self.model, self.data, self.q)
+        known = np.asarray(np.isfinite(q).all(axis=1))
+        positions = np.tile(self.q, (ticks, 1))
+        positions[:, self.moving] = held(known, q[known], self.q[self.moving])
+        self.q = positions[-1]
+        return positions
 
-    def _channel(self, sample: Sample, key: str) -> Array:
-        if key not in sample:
+    def _bases(self, samples: Samples, ticks: int) -> Array:
+        """(F, 7) poses of the base."""
+        poses = np.full((ticks, 7), np.nan)
+        if self.what.face is not None and "face_pose" in samples:
+            poses = samples["face_pose"][:, self.what.face]
+        elif self.what.base is None:
+            poses = self._channel(samples, "pose")
+        known = np.asarray(np.isfinite(poses).all(axis=1))
+        bases = held(known, poses[known], self.base)
+        self.base = bases[-1]
+        return bases
+
+    def _channel(self, samples: Samples, key: str) -> Array:
+        if key not in samples:
             raise InvalidInputError(
                 f"{self.what.name!r} moves with the channel {key!r}: it is not recorded"
             )
-        return np.asarray(sample[key], dtype=float)
-
-    def corners(self, sample: Sample) -> Array:
-        """(k, 3) origin, corners of the bounding boxes, or points of meshes, at one tick."""
-        self._move(sample)
-        points = [
-            self.base * self.data.oMi[shape.parentJoint] * corner
-            for shape in self.shapes
-            for corner in _corners(shape)
-        ]
-        return np.array([self.base.translation, *points])
+        return samples[key]
 
 
 def _shapes(what: Visual) -> tuple[pin.Model, pin.GeometryModel]:
@@ -280,15 +288,17 @@ def _shapes(what: Visual) -> tuple[pin.Model, pin.GeometryModel]:
     return load_geometry(what.urdf, pin.GeometryType.VISUAL, what.package_dirs)[:2]
 
 
-def _corners(shape: Any) -> list[Array]:
-    """Corners of the shape's bounding box, or points of its mesh, in its parent joint."""
+def _corners(shape: Any) -> Array:
+    """(k, 3) corners of the shape's bounding box, or points of its mesh, in its parent joint."""
     import coal
 
     if isinstance(shape.geometry, coal.BVHModelBase):
         vertices = np.asarray(shape.geometry.vertices(), dtype=float).reshape(-1, 3)
-        return [shape.placement * vertex for vertex in vertices[:: len(vertices) // 50 + 1]]
-    shape.geometry.computeLocalAABB()
-    box = shape.geometry.aabb_local
-    return [
-        shape.placement * np.where(pick, box.max_, box.min_) for pick in product((0, 1), repeat=3)
-    ]
+        points = vertices[:: len(vertices) // 50 + 1]
+    else:
+        shape.geometry.computeLocalAABB()
+        box = shape.geometry.aabb_local
+        points = np.array(
+            [np.where(pick, box.max_, box.min_) for pick in product((0, 1), repeat=3)]
+        )
+    return points @ shape.placement.rotation.T + shape.placement.translation

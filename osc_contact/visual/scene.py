@@ -7,20 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording, column_names
 from osc_contact.spatial import Array, norm
 from osc_contact.visual import OKABE_ITO, contact_colour, marks
+from osc_contact.visual.key_frames import Animation
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
-from osc_contact.visual.parts import (
-    Content,
-    Frame,
-    Moving,
-    Part,
-    Sample,
-    animate,
-)
+from osc_contact.visual.parts import Content, Frames, Moving, Part, Samples, animate
 from osc_contact.visual.screws import contact_normals
 from osc_contact.visual.shapes import at, plain, rgb
 
@@ -37,10 +32,10 @@ class Scene:
 
     Args:
         content: what to show.
-        first: the channels at the first tick; what is missing there is not drawn.
+        first: the first tick; what is missing there is not drawn.
     """
 
-    def __init__(self, content: Content, first: Sample) -> None:
+    def __init__(self, content: Content, first: Samples) -> None:
         located = {"contact_point", "contact_direction", "pose"} <= first.keys()
         contacts = content.contacts if located else ()
         self.owners = list(content.columns or range(len(contacts))) if contacts else []
@@ -61,22 +56,22 @@ class Scene:
         self.panels = panels_of(first, names, self.owners)
         self.lines = [line for panel in self.panels for line in panel["lines"]]
 
-    def _with_normals(self, sample: Sample) -> Sample:
-        return (
-            {**sample, "normals": contact_normals(sample, self.owners)} if self.owners else sample
-        )
+    def _with_normals(self, samples: Samples) -> Samples:
+        if not self.owners:
+            return samples
+        return {**samples, "normals": contact_normals(samples, self.owners)}
 
     def draw(self, scene: Visualizer) -> None:
         """Make all nodes."""
         for part in self.parts:
             part.draw(scene)
 
-    def states(self, sample: Sample) -> Frame:
-        """Where everything is at one tick."""
-        sample = self._with_normals(sample)
-        return {path: state for part in self.parts for path, state in part.states(sample).items()}
+    def states(self, samples: Samples) -> Frames:
+        """Where everything is."""
+        samples = self._with_normals(samples)
+        return {path: one for part in self.parts for path, one in part.states(samples).items()}
 
-    def look(self, scene: Visualizer, samples: Sequence[Sample]) -> list[dict[str, Any]]:
+    def look(self, scene: Visualizer, samples: Samples) -> list[dict[str, Any]]:
         """Floor, background, and cameras that see what the samples show.
 
         Args:
@@ -88,12 +83,13 @@ class Scene:
             from where, seen from there (m, world).
         """
         nothing = np.zeros((0, 3))
-        samples = [self._with_normals(sample) for sample in samples]
+        first = samples_at(samples, slice(1))
+        samples = self._with_normals(samples)
         small: Sequence[Moving | marks.ContactForce] = (*self.bodies, *self.forces)
-        near = np.vstack([nothing, *(part.corners(one) for part in small for one in samples)])
-        points = np.vstack([near, *(arm.corners(samples[0]) for arm in self.arms)])
-        bases = np.vstack([nothing, *(arm.base.translation for arm in self.arms)])
-        directions = samples[0].get("contact_direction", nothing)
+        near = np.vstack([nothing, *(part.corners(samples) for part in small)])
+        points = np.vstack([near, *(arm.corners(first) for arm in self.arms)])
+        bases = np.vstack([nothing, *(arm.base[:3] for arm in self.arms)])
+        directions = first.get("contact_direction", nothing)
         floor = np.min(bases[:, 2], initial=0.0)
         lowest = points[:, 2].min()
         if lowest <= floor - 0.05:
@@ -180,22 +176,18 @@ def write_scene(
     fps = float(min(fps, MOST_FRAMES / length)) if length else float(fps)
     times = np.arange(int(length * fps + 1e-9) + 1) / fps
     ticks = np.minimum(np.searchsorted(t - t[0], times - 1e-9), t.size - 1)
-    samples = [sample_at(recording.channels, int(tick)) for tick in ticks]
-    picture = Scene(content, samples[0])
+    samples = samples_at(recording.channels, ticks)
+    picture = Scene(content, samples_at(samples, slice(1)))
     sink = CommandSink()
     scene = sink.visualizer()
-    from meshcat.animation import Animation
-
-    animation = Animation(default_framerate=fps)
+    animation = Animation(fps)
     picture.draw(scene)
-    frames = []
-    for sample in samples:
-        picture.trails.extend(sample)
-        frames.append(picture.states(sample))
+    picture.trails.extend(samples)
+    frames = picture.states(samples)
     picture.trails.draw(scene)
     animate(scene, animation, frames)
-    cameras = picture.look(scene, samples[:: max(len(samples) // 20, 1)])
-    scene.set_animation(animation, play=True, repetitions=float("inf"))
+    cameras = picture.look(scene, samples_at(samples, slice(None, None, max(len(ticks) // 20, 1))))
+    sink.animation = animation.message()
     config = picture.config(
         curves=thinned(picture.lines, recording.channels),
         begin=float(t[0]),
@@ -206,9 +198,16 @@ def write_scene(
     return write_page(sink, path, content.title, config)
 
 
-def sample_at(channels: Mapping[str, Any], tick: int) -> dict[str, Any]:
-    """The channels at one tick."""
-    return {key: np.asarray(value[tick], dtype=float) for key, value in channels.items()}
+def samples_at(
+    channels: Mapping[str, Any], ticks: int | slice | NDArray[np.intp] | None
+) -> dict[str, Any]:
+    """The channels at some ticks.
+
+    Args:
+        channels: of a recording.
+        ticks: which; None: the channels are those of one tick, without an axis of ticks.
+    """
+    return {key: np.asarray(value[ticks], dtype=float) for key, value in channels.items()}
 
 
 # --- The stage: floor, background, and a camera that sees the forces from the side --------------
@@ -322,12 +321,12 @@ _POWERS = (
 
 
 def panels_of(
-    sample: Sample, names: Sequence[str] = (), owners: Sequence[int] = ()
+    samples: Samples, names: Sequence[str] = (), owners: Sequence[int] = ()
 ) -> list[dict[str, Any]]:
     """The panels and their lines, for what was recorded; JSON-able.
 
     Args:
-        sample: the channels at one tick; what is missing has no panel.
+        samples: the channels; what is missing has no panel.
         names: of the contact forces.
         owners: the contact of each force.
     """
@@ -340,13 +339,13 @@ def panels_of(
             "name": name.replace("_", " ") if look == "solid" else "",
         }
         for key, look in _FORCES
-        if key in sample
-        for i, name in enumerate(names[: np.size(sample[key])])
+        if key in samples
+        for i, name in enumerate(names[: samples[key].shape[1]])
     ]
     powers = [
         {"key": key, "index": -1, "look": "solid", "colour": colour, "name": name}
         for key, colour, name in _POWERS
-        if key in sample
+        if key in samples
     ]
     looks = "wide: commanded, solid: true, dashed: measured"
     what = "of the measured wrench, in the motion relative to the faces"
@@ -358,7 +357,7 @@ def panels_of(
 
 
 def values(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> Array:
-    """(lines,) at one tick, or (lines, T): the numbers of all lines."""
+    """(lines, T) the numbers of all lines."""
     found = []
     for line in lines:
         channel = channels[line["key"]]

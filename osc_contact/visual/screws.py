@@ -8,7 +8,7 @@ couple or a pure translation. Axis and pitch depend neither on units nor on the 
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,46 +21,47 @@ FAR = 100.0
 
 
 class ScrewAxis(NamedTuple):
-    """A line and a pitch.
+    """A line and a pitch, or one of each for every wrench or twist.
 
     Attributes:
-        point: (3,) the point of the axis nearest to where the wrench or twist is given, m.
-        direction: (3,) unit vector along the axis.
-        pitch: m, or m/rad; ``inf`` for a pure couple or a pure translation.
+        point: (…, 3) the point of the axis nearest to where the wrench or twist is given, m.
+        direction: (…, 3) unit vector along the axis.
+        pitch: (…) m, or m/rad; ``inf`` for a pure couple or a pure translation.
     """
 
     point: Array
     direction: Array
-    pitch: float
+    pitch: Array
 
 
 def wrench_screw(wrench: ArrayLike, origin: ArrayLike) -> ScrewAxis:
-    """The screw of a wrench [f; m] (6,) whose moment is taken about `origin` (3,), m.
+    """The screws of wrenches [f; m] (…, 6) whose moments are taken about `origin` (…, 3), m.
 
     Raises:
-        InvalidInputError: zero, not finite or not (6,).
+        InvalidInputError: one is zero or not finite, or they are not (…, 6).
     """
     values = np.asarray(wrench, dtype=float)
-    if values.shape != (6,) or not np.isfinite(values).all() or not values.any():
+    finite = values.shape[-1:] == (6,) and np.isfinite(values).all()
+    if not finite or not values.any(axis=-1).all():
         raise InvalidInputError(f"{values.tolist()} is no screw: 6 finite numbers, not all zero")
-    line, moment = np.split(values, 2)
-    point = np.asarray(origin, dtype=float)
-    size = norm(line)
-    arm = norm(moment)
-    if size * FAR <= arm:
-        return ScrewAxis(point, moment / arm, float("inf"))
-    direction = line / size
-    across = np.cross(direction, moment / size)
-    return ScrewAxis(point + across, direction, float(direction @ moment / size))
+    line, moment = np.split(values, 2, axis=-1)
+    size = np.linalg.norm(line, axis=-1, keepdims=True)
+    arm = np.linalg.norm(moment, axis=-1, keepdims=True)
+    couple = size * FAR <= arm
+    size = np.where(couple, arm, size)
+    direction = np.where(couple, moment, line) / size
+    across = np.cross(direction, moment / size)  # of a couple: zero
+    pitch = np.where(couple[..., 0], np.inf, np.vecdot(direction, moment) / size[..., 0])
+    return ScrewAxis(np.asarray(origin, dtype=float) + across, direction, pitch)
 
 
 def twist_screw(twist: ArrayLike, origin: ArrayLike) -> ScrewAxis:
-    """The screw of a twist [v; ω] (6,) whose velocity is that of `origin` (3,), m.
+    """The screws of twists [v; ω] (…, 6) whose velocities are those of `origin` (…, 3), m.
 
     Raises:
-        InvalidInputError: zero, not finite or not (6,).
+        InvalidInputError: one is zero or not finite, or they are not (…, 6).
     """
-    return wrench_screw(np.roll(twist, 3), origin)  # ω is the line, v the moment
+    return wrench_screw(np.roll(twist, 3, axis=-1), origin)  # ω is the line, v the moment
 
 
 class CommonPerpendicular(NamedTuple):
@@ -94,12 +95,12 @@ def common_perpendicular(
 
 
 class Normals(NamedTuple):
-    """The contact forces of one recorded tick.
+    """The contact forces of F recorded ticks.
 
     Attributes:
-        N: (6, r) at O, world axes; columns that are not known are zero.
-        known: (r,) whether the contact's place was recorded at this tick.
-        pressed: (r,) whether it is also closed, so that N really holds the column.
+        N: (F, 6, r) at O, world axes; columns that are not known are zero.
+        known: (F, r) whether the contact's place was recorded at the tick.
+        pressed: (F, r) whether it is also closed, so that N really holds the column.
     """
 
     N: Array
@@ -107,29 +108,30 @@ class Normals(NamedTuple):
     pressed: NDArray[np.bool_]
 
 
-def contact_normals(sample: Mapping[str, Any], owners: Sequence[int] = ()) -> Normals:
-    """N of one recorded tick.
+def contact_normals(samples: Mapping[str, Array], owners: Sequence[int] = ()) -> Normals:
+    """N of recorded ticks.
 
-    The channel ``N`` (6, r) is taken if it was recorded; otherwise each contact is a line of
+    The channel ``N`` (F, 6, r) is taken if it was recorded; otherwise each contact is a line of
     force, [d; (p − O) × d].
 
     Args:
-        sample: the channels at one tick.
+        samples: the channels at F ticks.
         owners: (r,) the contact of each column, default one column per contact.
     """
-    directions = np.reshape(sample["contact_direction"], (-1, 3))
-    points = np.asarray(sample["contact_point"], dtype=float).reshape(-1, 3)
-    closed = np.asarray(sample.get("closed", np.ones(len(points))), dtype=bool)
-    arms = points - sample["pose"][:3]
-    N = np.hstack([directions, np.cross(arms, directions)]).T
-    owner = np.arange(len(points))
-    if "N" in sample:
-        N = sample["N"]
-        owner = np.asarray(owners or range(N.shape[1]), dtype=np.intp)
-    known = np.isfinite(points).all(axis=1)[owner] & np.isfinite(N).all(axis=0)
-    N = np.where(known, N, 0.0)
-    known &= N.any(axis=0)
-    return Normals(N, known, known & closed[owner])
+    directions = samples["contact_direction"]
+    points = samples["contact_point"]
+    closed = np.asarray(samples.get("closed", np.ones(points.shape[:2])), dtype=bool)
+    arms = points - samples["pose"][:, None, :3]
+    N = np.concatenate([directions, np.cross(arms, directions)], axis=2).transpose(0, 2, 1)
+    owner = np.arange(points.shape[1])
+    if "N" in samples:
+        N = samples["N"]
+        owner = np.asarray(owners or range(N.shape[2]), dtype=np.intp)
+    located = np.asarray(np.isfinite(points).all(axis=2))
+    known = located[:, owner] & np.isfinite(N).all(axis=1)
+    N = np.where(known[:, None], N, 0.0)
+    known &= N.any(axis=1)
+    return Normals(N, known, known & closed[:, owner])
 
 
 def tangents(N: Array) -> Array:

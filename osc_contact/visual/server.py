@@ -20,9 +20,10 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from osc_contact.visual.page import CommandSink, packed, page_text
-from osc_contact.visual.parts import Content, Frame, Sample, changes
-from osc_contact.visual.scene import Scene, rounded, values
+from osc_contact.visual.messages import packed
+from osc_contact.visual.page import CommandSink, page_text
+from osc_contact.visual.parts import Content, Frames, Samples, changes
+from osc_contact.visual.scene import Scene, rounded, samples_at, values
 
 LOOPBACK = "127.0.0.1"
 PICTURES_MS = 1000.0 / 60.0
@@ -45,7 +46,7 @@ class LivePage:
         self.drawn = CommandSink()
         self.trails: dict[str, dict[str, Any]] = {}
         self.browsers: set[BrowserLink] = set()
-        self.frame: Frame = {}
+        self.frame: Frames = {}
         self.numbers = ""
         self.pictures = 0
         self.parent = os.getppid()
@@ -67,15 +68,15 @@ class LivePage:
         tornado would log whatever a callback raises and continue: `serve` raises it after the loop.
         """
         try:
-            sample = self._newest()
-            if sample is not None:
-                self._show(sample)
+            newest = self._newest()
+            if newest is not None:
+                self._show(newest)
         except Exception as error:
             self.error = error
             self._report({"error": f"{type(error).__name__}: {error}"[:1000]})
             IOLoop.current().stop()
 
-    def _newest(self) -> Sample | None:
+    def _newest(self) -> Samples | None:
         """The last tick that came, if any has; the loop ends with the run's process."""
         newest = None
         with contextlib.suppress(ConnectionError):
@@ -84,25 +85,25 @@ class LivePage:
                     newest = message
             except BlockingIOError:
                 if os.getppid() == self.parent:
-                    return pickle.loads(newest) if newest else None
+                    return samples_at(pickle.loads(newest), None) if newest else None
         IOLoop.current().stop()
         return None
 
-    def _show(self, sample: Sample) -> None:
+    def _show(self, newest: Samples) -> None:
         if self.scene is None:
-            self.scene = Scene(self.content, sample)
+            self.scene = Scene(self.content, newest)
             self.scene.draw(self.drawn.visualizer())
-            self.scene.look(self.drawn.visualizer(), [sample])
+            self.scene.look(self.drawn.visualizer(), newest)
         scene = self.scene
-        self.frame = scene.states(sample)
-        scene.trails.extend(sample)
+        self.frame = scene.states(newest)
+        scene.trails.extend(newest)
         fresh = CommandSink()
         if self.pictures % TRAIL_EVERY == 0:
             scene.trails.draw(fresh.visualizer())
             self.trails |= {command["path"]: command for command in fresh.commands}
         self.pictures += 1
-        curves = rounded(values(scene.lines, sample))
-        self.numbers = json.dumps({"t": float(sample["t"]), "y": curves})
+        curves = rounded(values(scene.lines, newest)[:, 0])
+        self.numbers = json.dumps({"t": float(newest["t"][0]), "y": curves})
         for browser in list(self.browsers):
             browser.send(fresh.commands)
 
@@ -122,7 +123,7 @@ class BrowserLink(WebSocketHandler):
         """Called by tornado for every request."""
         self.page: LivePage = self.settings["page"]
         self.busy = False
-        self.shown: Frame = {}
+        self.shown: Frames = {}
         self.late: dict[str, dict[str, Any]] = {}
 
     def open(self, *_: str, **__: str) -> None:
