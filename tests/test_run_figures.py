@@ -5,11 +5,11 @@ import signal
 
 from complaints import recording_error
 from pytest import fixture
-from samples import names_in
+from samples import names_in, parametrize
 
 import osc_contact as osc
 from osc_contact.runs.report import write_report
-from osc_contact.visual.run_figures import RECORDING, FigureProcess, draw_figures
+from osc_contact.visual.run_figures import RECORDING, SHARES, FigureProcess, draw_figures
 
 FIGURES = {
     f"{name}.{kind}"
@@ -49,6 +49,15 @@ def test_figures_are_drawn_here_where_the_second_process_ends_early(recording, s
         figures._process.wait()
         write_report(recording, scenario, tmp_path, figures)
     assert names_in(tmp_path) >= FIGURES | {"scene.html", "metrics.json"}
+
+
+@parametrize("figure", [share[-1] for share in SHARES])
+def test_a_figure_that_cannot_be_written_is_noticed(figure, recording, tmp_path):
+    recording.save(tmp_path / RECORDING)
+    (tmp_path / f"{figure}.svg").mkdir()
+    with FigureProcess() as figures:
+        figures.begin(tmp_path)
+        assert not figures.finish()
 
 
 def test_a_process_without_a_recording_draws_nothing_and_says_so(tmp_path):
