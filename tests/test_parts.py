@@ -255,6 +255,19 @@ def copied(folder, target):
     return [path for path in parts if path.exists()]
 
 
+def test_parts_that_hand_on_a_record_of_another_layout_are_made_anew(kept, tmp_path):
+    """The key of an entry holds its arguments, bytes: what it makes of them is another record."""
+    copy = tmp_path / "copy"
+    shutil.copytree(LAW.parent, copy / "osc_contact")
+    limits = copy / "osc_contact" / "law" / "limits.py"
+    source = limits.read_text()
+    assert source.count("    lost_squeeze=") == 1
+    limits.write_text(source.replace("    lost_squeeze=", '    edited="s",\n    lost_squeeze='))
+    shutil.copytree(kept[0], tmp_path / "store")
+    found, _, new = made(copy, tmp_path / "store", SMALL)
+    assert new and found == made(copy, tmp_path / "empty", SMALL)[0] != kept[1][0]
+
+
 DAMAGE = {
     "half": lambda content: content[: len(content) // 2],
     "empty": lambda content: b"",

@@ -35,7 +35,11 @@ _records: dict[str, Any] = {}  #: types of records by their names
 
 
 def record_named(name: str) -> Any:
-    """The type of a record that was made in this process."""
+    """The type of a record that was made in this process.
+
+    Raises:
+        KeyError: there is none of this layout.
+    """
     return _records[name]
 
 

@@ -296,7 +296,10 @@ def _find(key: str, symbol: str) -> Part | None:
     content = _store().find(key)
     if content is None:
         return None
-    _, returned, code, calls = pickle.loads(content)
+    try:
+        _, returned, code, calls = pickle.loads(content)
+    except KeyError:  # a record that it takes or hands on has another layout now
+        return None
     for call in calls:
         unit = _units.get(call.unit)
         try:
