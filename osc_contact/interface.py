@@ -14,6 +14,9 @@ from osc_contact.errors import InvalidInputError, brief
 from osc_contact.spatial import Array, as_array, as_pose
 
 _DOUBLE = np.dtype(np.float64)
+#: alpha_d of every reference without forces: read-only, as nothing written to it could count.
+_NO_FORCES: Array = np.zeros(0)
+_NO_FORCES.flags.writeable = False
 
 
 def _doubles(value: ArrayLike) -> Array:
@@ -100,6 +103,11 @@ class Measurement:
             used for `wrench_timeout`; one older than the last is not used. None: packets have none.
         estimated: whether v was estimated from q: then it is no second reading of the joints, with
             which faults of encoders could be found.
+
+    Example:
+        >>> reading = osc.Measurement(q=[0.1, 0.2], v=[0, 0], wrenches=[[0, 0, 9.81, 0, 0, 0]])
+        >>> print(reading.q.dtype, reading.wrenches.shape)
+        float64 (1, 6)
     """
 
     q: Array
@@ -179,6 +187,16 @@ class Robot(Protocol):
 
     A robot may also have a method `scene()`, which returns its `Scene` as it is now: the checks
     before a run compare the controller's contacts, tool and masses with it.
+
+    Example:
+        >>> class Still:  # a robot of one joint, whose wrist reads nothing
+        ...     def measure(self) -> osc.Measurement:
+        ...         return osc.Measurement([0.0], [0.0], np.zeros((1, 6)))
+        ...     def command(self, tau: np.ndarray, duration: float) -> None:
+        ...         pass
+        ...     def stop(self, reason: str = "") -> None:
+        ...         pass
+        >>> robot: osc.Robot = Still()
     """
 
     def measure(self) -> Measurement:
@@ -221,11 +239,16 @@ class Reference:
         X_WD: desired pose of the object.
         V_D: (6,) its twist at its own origin, world axes.
         A_D: (6,) its classical acceleration: [second derivative of the origin's position; ω̇].
-        alpha_d: (r,) desired contact force magnitudes (N).
+        alpha_d: (r,) desired contact force magnitudes (N); without any it is empty and read-only.
         squeeze_d: desired internal force along the grasp line, > 0 compresses (N). With k ≥ 3 arms:
             in each line between two grasps, in the order (1, 2), (1, 3), …, (k − 1, k), see
             `law.grasps`: (k(k − 1)/2,), or a number for all of them; the number 0 leaves
-            them at least effort.
+            them at least effort. Its steps are smoothed as those of alpha_d are, see `ForceGains`.
+
+    Example:
+        >>> goal = osc.Reference(pin.SE3.Identity(), V_D=[0.1, 0, 0, 0, 0, 0], alpha_d=[5.0])
+        >>> print(goal.A_D, goal.alpha_d)
+        [0. 0. 0. 0. 0. 0.] [5.]
     """
 
     X_WD: pin.SE3
@@ -259,7 +282,7 @@ class Reference:
             X_WD=X_WD if isinstance(X_WD, pin.SE3) else _pose_of(X_WD),
             V_D=np.zeros(6) if V_D is None else _command("V_D", V_D, (6,)),
             A_D=np.zeros(6) if A_D is None else _command("A_D", A_D, (6,)),
-            alpha_d=_command("alpha_d", alpha_d, None),
+            alpha_d=_forces(alpha_d),
             squeeze_d=squeeze_d
             if squeeze_d.__class__ is float
             else _number_or_command("squeeze_d", squeeze_d),
@@ -293,6 +316,12 @@ def _command(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Arra
             "then the angular part"
         )
     return array
+
+
+def _forces(alpha_d: ArrayLike) -> Array:
+    """(r,) doubles of alpha_d; see `_command`."""
+    array = _command("alpha_d", alpha_d, None)
+    return array if array.size else _NO_FORCES
 
 
 def _number_or_command(name: str, value: float | ArrayLike) -> float | Array:

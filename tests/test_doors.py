@@ -10,6 +10,7 @@ from samples import module_fixture, parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
+from osc_contact.control.records import TickRecords
 
 X = placed(0.4, 0.1, 0.3, (0.1, 0.2, 0.3))
 MATRIX = X.homogeneous
@@ -54,6 +55,35 @@ def test_what_is_left_out_of_a_reference_is_zero():
     assert_array_equal(reference.V_D, np.zeros(6))
     assert_array_equal(reference.A_D, np.zeros(6))
     assert reference.alpha_d.shape == (0,) and reference.squeeze_d == 0.0
+
+
+def test_a_reference_without_forces_reaches_the_law_as_any_other(monkeypatch):
+    """Read-only arrays are of another type to numba, which would hold every tick of theirs."""
+    taken = []
+    run = TickRecords.run
+
+    def watched(records, given, *more, **how):
+        taken.append(given)
+        return run(records, given, *more, **how)
+
+    monkeypatch.setattr(TickRecords, "run", watched)
+    rig = rig_of("panda_edge")
+    controller = osc.Controller(rig.chain, [], posture=rig.q_start)
+    readings, goal = rig.plant().measure(), osc.Reference(rig.state.X_WO)
+    while not controller._start.done:
+        controller.tick(readings, goal)
+    first = len(taken)
+    raw, squeeze, torques, call, plain = controller._tables
+
+    def single_call(raw, at, given):
+        taken.append(given)
+        return call(raw, at, given)
+
+    controller._tables = raw, squeeze, torques, single_call, plain
+    controller.tick(readings, goal)
+    assert first > 0 and len(taken) == first + 1, "by parts, then by one call"
+    assert all(array.flags.writeable for given in taken for array in given)
+    assert controller.status is osc.Status.OK
 
 
 def reference_of(**fields):

@@ -82,9 +82,42 @@ class Forces:
         return np.array([self.tick(goal) for _ in range(ticks)])
 
 
+class Squeeze:
+    """Internal forces of two arms, or of more; ticks from tick 1 on."""
+
+    def __init__(self, arms=2, ticked=1, **more):
+        self.t = t = records(arms=arms, **{"period": DT, "step_time": RISE} | more)
+        write(t.memory, ticked=ticked)
+        write(t.work, dt=DT, status=at.OK)
+        self.two = arms == 2
+        self.kept = t.memory.internal
+        self.work = t.work
+
+    def tick(self, desired, commanded=True):
+        """What is commanded between each two grasps."""
+        t = self.t
+        t.work.commanded = self.two or commanded
+        t.memory.squeeze[:] = desired
+        commands.shape_steps(t, False)
+        commands.shape_squeeze(t)
+        commands.keep_steps(t)
+        t.memory.ticked += 1
+        return t.work.internal.goal.copy()
+
+    def run(self, desired, ticks):
+        return np.array([self.tick(desired) for _ in range(ticks)])
+
+
 def pressed():
     """A column that has had 10 N for long."""
     forces = Forces()
+    forces.run([10.0], 200)
+    return forces
+
+
+def squeezed():
+    """Two arms that have squeezed with 10 N for long."""
+    forces = Squeeze()
     forces.run([10.0], 200)
     return forces
 
@@ -99,10 +132,11 @@ def test_a_step_is_let_in_along_the_quintic_of_least_jerk():
     assert forces.work.step_left == 0.0 and (found[-1] == [16.0, 3.0]).all()
 
 
+@parametrize("begin", [pressed, squeezed])
 @parametrize("rises", [(RISE, RISE), (RISE, 0.08)])
-def test_a_second_step_continues_value_slope_and_curvature(rises):
+def test_a_second_step_continues_value_slope_and_curvature(rises, begin):
     """Of either rise time: the path is a polynomial of degree 5 from there, at rest in its end."""
-    forces = pressed()
+    forces = begin()
     forces.run([16.0], 21)
     forces.t.model.step_time = rises[1]
     found = forces.run([8.0], 100)[:, 0]
@@ -117,17 +151,49 @@ def test_a_second_step_continues_value_slope_and_curvature(rises):
     assert found.max() > value, "it continues upwards at first"
 
 
+@parametrize("begin", [pressed, squeezed])
 @parametrize("rate", [0.99, 1.01])
 @parametrize("sign", [1.0, -1.0])
-def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
+def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign, begin):
     """20 times its size a second: 0.2 N in a tick for 10 N."""
-    forces = pressed()
+    forces = begin()
     change = sign * rate * 20.0 * DT * 10.0
     size = max(10.0 + change, 10.0 * (1.0 - 0.5 * DT))  # of the new command, or what is remembered
     commanded = 10.0 + change
     stepped = abs(change) > 20.0 * DT * size
     assert forces.tick([commanded])[0] == approx(10.0 if stepped else commanded)
-    assert forces.work.step_left == (1.0 if stepped else 0.0)
+    left = forces.work.step_left + forces.work.squeeze_left
+    assert left == (1.0 if stepped else 0.0)
+
+
+def test_a_step_of_internal_forces_is_let_in_along_the_same_quintic():
+    """Of three bars; contact forces have a clock of their own, and their integral does not rest."""
+    forces = Squeeze(arms=3)
+    forces.run([10.0, 4.0, 0.0], 200)
+    found = forces.run([16.0, 3.0, 5.0], 80)
+    share = eased(np.arange(80) * DT / RISE)[:, None]
+    assert_near(found, [16.0, 3.0, 5.0] - [6.0, -1.0, 5.0] * share, 1e-9)
+    assert (found[-1] == [16.0, 3.0, 5.0]).all() and forces.work.squeeze_left == 0.0
+    assert forces.work.step_left == 0.0 and forces.work.integral_scale == 1.0
+
+
+def test_internal_forces_begin_as_they_are_desired():
+    """In the first tick of all: an object that grasps carry by friction does not fall."""
+    assert (Squeeze(ticked=0).run([10.0], 5) == 10.0).all()
+    assert Squeeze(ticked=1).tick([10.0])[0] == approx(0.0)
+
+
+def test_three_arms_release_within_the_rise_time_before_their_effort_is_the_least():
+    forces = Squeeze(arms=3)
+    forces.run([10.0, 4.0, 2.0], 200)
+    found = []
+    for _ in range(60):
+        found.append(forces.tick(0.0, commanded=False))
+        if not forces.work.commanded:
+            break
+    assert len(found) == round(RISE / DT) + 1
+    share = eased(np.arange(len(found)) * DT / RISE)[:, None]
+    assert_near(found, [10.0, 4.0, 2.0] * share, 1e-9)
 
 
 def test_the_size_of_a_force_that_has_gone_fades():
@@ -205,8 +271,9 @@ def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
 
 def test_without_a_rise_time_forces_are_as_they_are_wanted():
     forces = Forces(step_time=0.0)
+    inner = Squeeze(step_time=0.0)
     for goal in 10.0, -4.0, 60.0:
-        assert forces.tick([goal])[0] == goal
+        assert forces.tick([goal])[0] == goal == inner.tick([goal])[0]
         assert forces.work.integral_scale == 1.0 and forces.work.step_left == 0.0
     forces = pressed()
     forces.run([16.0], 60)

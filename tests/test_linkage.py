@@ -17,6 +17,7 @@ from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.dynamics.arm import effort_scale
+from osc_contact.runs.run import start
 
 
 def bars_of(points):
@@ -110,6 +111,25 @@ def test_a_squeezed_plate_stays_within_its_limits():
     assert_near(recording["squeeze"], 10.0, 1e-6)
     # at first the gaps are zero up to rounding, and the forces rise from zero
     assert recording["closed"][10:].all()
+
+
+@parametrize("name", ["two_contact_rod", "three_arm_plate"])
+def test_a_step_of_the_squeeze_is_let_in_within_the_rise_time(name):
+    rig = rig_of(name, "gains.force={rise: 50 ms}")
+    plant, controller = start(rig)
+    desired = rig.references.at(0.0)
+    arms = len(rig.chain.arms)
+    squeezes = []
+    for k in range(120):
+        step = np.full(3, 20.0 * (k >= 40)) if arms > 2 else 20.0 * (k >= 40)
+        tau = controller.tick(plant.measure(), replace(desired, squeeze_d=step))
+        plant.command(tau, controller.dt)
+        assert controller.status is osc.Status.OK
+        squeezes.append(controller.result().squeeze.copy())
+    x = np.clip(np.arange(-40, 80) / 50, 0.0, 1.0)
+    expected = 20.0 * (10.0 * x**3 - 15.0 * x**4 + 6.0 * x**5)
+    assert_near(squeezes, np.broadcast_to(expected[:, None], np.shape(squeezes)), 1e-6)
+    assert largest(np.diff(squeezes, axis=0)) < 0.8, "20 N in one tick without a rise"
 
 
 # The law's own computation ------------------------------------------------------------------------

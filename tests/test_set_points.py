@@ -1,6 +1,7 @@
 """References for loops of one's own: set points that move, poses, classical accelerations."""
 
 import sys
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -210,6 +211,9 @@ def test_a_reference_leaves_out_what_is_zero():
     for reference in short, long:
         assert_array_equal((reference.V_D, reference.A_D), np.zeros((2, 6)))
         assert len(reference.alpha_d) == 0 and reference.squeeze_d == 0.0
+        with raises(ValueError, match="read-only"):  # it would count for nothing
+            reference.alpha_d[:] = 5.0
+        assert_array_equal(replace(reference, alpha_d=[5.0]).alpha_d, [5.0])
     assert long.X_WD == X and short.V_D is not osc.Reference(X).V_D
     for wrong in (
         {"velocity": [0, 0]},

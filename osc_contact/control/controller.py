@@ -1,5 +1,7 @@
 """The decoupled force/motion controller, fig. 4: its tick, its state, and copies of it."""
 
+from __future__ import annotations
+
 import logging
 import os
 from collections.abc import Callable, Sequence
@@ -13,6 +15,7 @@ from numpy.typing import ArrayLike
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.custom_laws import CustomParts, Laws
 from osc_contact.control.inputs import (
+    NO_FORCES,
     Freshness,
     read_joints,
     read_tick,
@@ -78,6 +81,7 @@ FORGOTTEN = (
     "repeats",
     "fresh",
     "step_left",
+    "squeeze_left",
     "motion_sum",
     "force_sum",
 )
@@ -110,6 +114,14 @@ class Controller:
     Attributes:
         settings, laws: as given. chain, contacts, gains, dt, B, bodies, posture, friction, life:
             of the settings. reading: as given, or as chosen.
+
+    Example:
+        >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+        >>> controller = osc.Controller(rig.chain, rig.pairs, dt=1e-3, posture=rig.q_start)
+        >>> goal = osc.Reference(rig.state.X_WO, alpha_d=[5.0, 5.0])
+        >>> tau = controller.tick(rig.plant().measure(), goal)
+        >>> print(tau.shape, controller.status.name)
+        (8,) OK
     """
 
     dt: float  #: of the settings, see `__getattr__`
@@ -274,6 +286,7 @@ class Controller:
                 and not measurement.estimated
             ):
                 squeeze[0] = reference.squeeze_d
+                alpha_d = reference.alpha_d
                 given = (
                     measurement.q,
                     measurement.v,
@@ -281,7 +294,7 @@ class Controller:
                     reference.X_WD.homogeneous,
                     reference.V_D,
                     reference.A_D,
-                    reference.alpha_d,
+                    alpha_d if alpha_d.size else NO_FORCES,
                     STILL,
                 )
                 done = call(raw, 0, given)

@@ -12,6 +12,9 @@ from osc_contact.law import tick as law
 from osc_contact.law.records import JOINTS, OUTDATED, WRISTS
 from osc_contact.spatial import Array, as_array
 
+#: What the law takes for alpha_d where a reference has none: its own array is read-only.
+NO_FORCES: Array = np.zeros(0)
+
 _NEVER = float("-inf")
 _READINGS = {"encoders": JOINTS, "wrists": WRISTS, "packet": JOINTS | WRISTS}
 
@@ -109,7 +112,7 @@ def read_tick(
         reference.X_WD.homogeneous,
         reference.V_D,
         reference.A_D,
-        reference.alpha_d,
+        reference.alpha_d if reference.alpha_d.size else NO_FORCES,
         table,
     )
     return given, flags

@@ -1,5 +1,7 @@
 """Set points that may be moved at any time: followed within limits, one state each period."""
 
+from __future__ import annotations
+
 import math
 from typing import NamedTuple
 
@@ -15,7 +17,14 @@ from osc_contact.spatial import Array, as_array, as_pose, cross, skew
 
 
 class SetPointState(NamedTuple):
-    """Where a set point stands on its way: arrays of the shape of its start."""
+    """Where a set point stands on its way: arrays of the shape of its start.
+
+    Example:
+        >>> x = osc.SetPoint([0.0, 0.0], osc.JerkLimits(1.0, 5.0, 50.0), dt=0.01)
+        >>> value, velocity, acceleration = x.step([0.3, 0.0])
+        >>> print(value.shape)
+        (2,)
+    """
 
     value: Array
     velocity: Array
@@ -35,6 +44,13 @@ class SetPoint:
 
     Raises:
         InvalidInputError: start, limits or dt are not finite, of wrong shape or out of range.
+
+    Example:
+        >>> limits = osc.JerkLimits(velocity=50.0, acceleration=500.0, jerk=1e4)  # N/s, …
+        >>> force = osc.SetPoint(0.0, limits, dt=0.01)
+        >>> way = [float(force.step(goal=10.0).value) for tick in range(40)]
+        >>> print(f"{way[-1]:.3f} N, {force.remaining:.2f} s left")
+        10.000 N, 0.00 s left
     """
 
     def __init__(self, start: ArrayLike, limits: JerkLimits, dt: float) -> None:
@@ -90,6 +106,12 @@ class PoseSetPoint:
 
     Raises:
         InvalidInputError: start, limits or dt are not finite, of wrong shape or out of range.
+
+    Example:
+        >>> limits = osc.JerkLimits(velocity=0.2, acceleration=1.0, jerk=20.0)
+        >>> set_point = osc.PoseSetPoint(pin.SE3.Identity(), limits, limits, dt=1e-3)
+        >>> goal = pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
+        >>> reference = set_point.step(goal, alpha_d=[5.0])
     """
 
     def __init__(self, start: SE3, linear: JerkLimits, angular: JerkLimits, dt: float) -> None:
@@ -115,7 +137,8 @@ class PoseSetPoint:
         """The reference one period later, on the way to `goal`; None: to the former goal.
 
         Args:
-            goal: pose of the object. alpha_d, squeeze_d: passed on, see `Reference`.
+            goal: pose of the object. alpha_d, squeeze_d: passed on, see `Reference`. Without forces
+                alpha_d of the reference is empty and read-only: give all of them here.
 
         Raises:
             InvalidInputError: goal or forces are not finite, of the wrong shape, or no pose; the

@@ -279,7 +279,7 @@ def internal_rows(t, d):
             work.extra[e, j] = s
             side += s * (joints[j].inertial - joints[j].rest)
         for c in range(bars):
-            side += work.basis[c, e] * t.memory.squeeze[c]
+            side += work.basis[c, e] * work.internal[c].goal
         work.sides[d + e] = side
     return count
 

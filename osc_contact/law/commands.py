@@ -85,6 +85,10 @@ def command_motion(t):
 # is measured there, in the first tick of all from none: nothing has been measured under control
 # yet. While much of a step is still to come the integral rests, which would take it for an error.
 #
+# Internal forces are shaped in the same way, with a clock of their own: a grasp that is tightened
+# leaves the contact forces as they are. In the first tick of all they are what is desired, as an
+# object that friction at the grasps carries must not fall.
+#
 # The brake commands the normal acceleration −κ(NᵀV_rel − v̄) in place of none, v̄ the part that
 # lasts: an object that slides along a tilted face is not braked. In accelerations the same κ
 # serves every mass, and any basis of N; the force that it takes is (NᵀΦN)⁻¹ times as much.
@@ -127,7 +131,6 @@ def shape_steps(t, own):
     left = 0.0 if own else memory.step_left
     if left > 0.0:
         left = max(left - dt / T, 0.0)
-    x = 1.0 - left
     smooth = left > 0.0 or time > 0.0
     sudden = False
     for i in range(work.count):
@@ -158,17 +161,76 @@ def shape_steps(t, own):
         if smooth and row.shaped and memory.columns[j].has_desired:
             to_come = linear(memory.columns[j].to_come)
         if sudden:
-            to_come = _continue(to_come, left, time / T if left > 0.0 else 1.0)
-            to_come = add3(to_come, step, (1.0, 3.0, 6.0))
+            to_come = _add_step(to_come, step, left, time / T if left > 0.0 else 1.0)
         fill3(row.to_come, to_come)
-        a, b, c = to_come
-        w = a if sudden else left * left * left * (a + x * (b + x * c))
+        w = _still_to_come(to_come, 1.0 if sudden else left)
         row.goal -= w
         if row.scale > 0.0:
             largest = max(largest, abs(w) / row.scale)
     work.step_left = 1.0 if sudden else left
     work.step_time = time if sudden else T
     work.integral_scale = max(1.0 - largest / _RESTS, 0.0)
+
+
+@inner
+def shape_squeeze(t):
+    """Fill `goal` of the internal forces (N) from `squeeze`, whose steps are shaped.
+
+    Forces that three arms and more leave at least effort count as none: a step from there begins
+    with none, one to there ends with none before they are left at least effort.
+    """
+    memory = t.memory
+    work = t.work
+    dt = work.dt
+    T = memory.squeeze_time
+    time = t.model.step_time
+    left = memory.squeeze_left
+    if left > 0.0:
+        left = max(left - dt / T, 0.0)
+    sudden = False
+    for c in range(t.model.n_bars):
+        own = work.internal[c]
+        last = memory.internal[c]
+        desired = memory.squeeze[c]
+        before = last.desired
+        if memory.ticked == 0:
+            before = desired
+        own.goal = desired - before  # the step, for now
+        own.scale = max(abs(desired), last.scale * (1.0 - _FADES * dt))
+        sudden = sudden or abs(own.goal) > _SUDDEN * dt * own.scale
+    sudden = sudden and time > 0.0
+    for c in range(t.model.n_bars):
+        own = work.internal[c]
+        to_come = (0.0, 0.0, 0.0)
+        if left > 0.0:
+            to_come = linear(memory.internal[c].to_come)
+        if sudden:
+            to_come = _add_step(to_come, own.goal, left, time / T if left > 0.0 else 1.0)
+        fill3(own.to_come, to_come)
+        own.goal = memory.squeeze[c] - _still_to_come(to_come, 1.0 if sudden else left)
+    work.squeeze_left = 1.0 if sudden else left
+    work.squeeze_time = time if sudden else T
+    if work.squeeze_left > 0.0:
+        work.commanded = 1
+
+
+@leaf
+def _still_to_come(to_come, left):
+    """w of a step (N), a share `left` of whose time is left."""
+    a, b, c = to_come
+    x = 1.0 - left
+    return left * left * left * (a + x * (b + x * c))
+
+
+@inner
+def _add_step(to_come, step, left, stretch):
+    """a, b, c of what is to come of a former step and a new one (N), from x = 0 on.
+
+    Args:
+        to_come: of the former step. step: the new one (N). left: share of the former one's time.
+        stretch: times as long as the former one takes.
+    """
+    return add3(_continue(to_come, left, stretch), step, (1.0, 3.0, 6.0))
 
 
 @inner
@@ -266,6 +328,21 @@ def _keep_deflections(t):
         row.excitation = kept * row.excitation + change * (work.alpha_meas[a] - row.alpha_mean)
 
 
+@leaf
+def _keep_squeeze(t):
+    """What the next tick must know of the internal forces."""
+    memory = t.memory
+    work = t.work
+    memory.squeeze_left = work.squeeze_left
+    memory.squeeze_time = work.squeeze_time
+    for c in range(t.model.n_bars):
+        row = memory.internal[c]
+        own = work.internal[c]
+        row.desired = memory.squeeze[c]
+        row.scale = own.scale
+        fill3(row.to_come, own.to_come)
+
+
 @inner
 def keep_steps(t):
     """What the next tick must know of the desired forces, v̄ and the turn of each column."""
@@ -273,6 +350,7 @@ def keep_steps(t):
     _keep_deflections(t)  # before what they begin from is overwritten
     t.memory.step_left = work.step_left
     t.memory.step_time = work.step_time
+    _keep_squeeze(t)
     for j in range(t.model.n_columns):
         row = t.memory.columns[j]
         own = work.columns[j]

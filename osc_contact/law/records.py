@@ -281,6 +281,8 @@ _MEMORY = _record(
         "apart",  # s for which arms have held the object at different places
         "step_left",
         "step_time",  # share of a step's time that is left, and that time, see `commands`
+        "squeeze_left",
+        "squeeze_time",  # the same of a step of internal forces
     ),
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
     vector=(
@@ -341,6 +343,8 @@ COLUMN_MEMORY = _record(
     tangential=3,  # force that friction does not explain (N), low-passed, see `reading`
     covariance=9,  # of that turn (rad²); 0: not estimated
 )
+#: of an internal force: what was desired last (N), its size, what is to come of a step
+BAR_MEMORY = _record(number=("desired", "scale"), to_come=3)
 #: what is known of a joint from its sensors, see `sensors`; `acceleration`: as commanded last
 JOINT_MEMORY = _record(
     whole=(
@@ -424,6 +428,8 @@ _WORK = _record(
         "slid",
         "step_left",
         "step_time",
+        "squeeze_left",
+        "squeeze_time",
         "integral_scale",
     ),
     # what recordings keep, side by side
@@ -573,6 +579,7 @@ COLUMN_WORK = _record(
         "share",
     ),
 )
+BAR_WORK = _record(number=("goal", "scale"), to_come=3)  #: goal: what is commanded (N)
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E
 
 #: How a tick ends.
@@ -603,7 +610,8 @@ MEMORY = Nested(
     v="n",  # as estimated, see `sensors.estimate_joints`
     friction_known=(_INT, "n"),  # see `joint_friction`
     wrenches=("k", 6),  # last read
-    squeeze="squeezes",  # internal forces that are commanded (N)
+    squeeze="squeezes",  # internal forces that are desired (N)
+    internal=(BAR_MEMORY, "squeezes"),  # see `commands`
     friction=(FRICTION, "n"),  # used where friction is learned only
     past=(PAST, "n"),  # used where wrenches have stamps only
     columns=(COLUMN_MEMORY, "r"),  # last: pairs in Python may change r
@@ -633,7 +641,8 @@ WORK = Nested(
     left="n",
     left_weighed="n",
     products="6e",
-    # of internal forces, see `allocation`
+    # of internal forces, see `commands` and `allocation`
+    internal=(BAR_WORK, "squeezes"),
     bars="squeezes",
     points=("k", 3),
     owners=(_INT, "6k"),

@@ -46,6 +46,7 @@ from osc_contact.law.commands import (
     command_motion,
     keep_steps,
     pose_error,
+    shape_squeeze,
     shape_steps,
 )
 from osc_contact.law.contact import place_contacts, take_turns
@@ -283,6 +284,7 @@ def set_desired_forces(t, flags):
     columns = work.columns
     own = flags & OWN_FORCE != 0
     shape_steps(t, own)
+    shape_squeeze(t)
     brake_contacts(t)
     independent = work.rank == work.count
     for a in range(work.rank):
