@@ -61,11 +61,26 @@ def did_you_mean(word: str, known: Iterable[str], most: int = SHOWN) -> str:
 
 
 class OscContactError(Exception):
-    """Base class: catch this one to catch whatever the toolkit raises on purpose."""
+    """Base class: catch this one to catch whatever the toolkit raises on purpose.
+
+    Example:
+        >>> try:
+        ...     scenario = osc.load_scenario("no_such_task")
+        ... except osc.OscContactError as error:
+        ...     print(type(error).__name__)
+        ScenarioError
+    """
 
 
 class InvalidInputError(OscContactError, ValueError):
-    """An argument has the wrong shape, is not finite, or is outside its range."""
+    """An argument has the wrong shape, is not finite, or is outside its range.
+
+    Example:
+        >>> osc.JerkLimits(velocity=0.0, acceleration=1.0, jerk=10.0)
+        Traceback (most recent call last):
+            ...
+        osc_contact.errors.InvalidInputError: ...
+    """
 
 
 class ModelError(OscContactError):
@@ -73,22 +88,50 @@ class ModelError(OscContactError):
 
     Attributes:
         findings: of a refused URDF, every `osc_contact.robots.Finding`; else empty.
+
+    Example:
+        >>> osc.RigidObject(pin.Inertia.Zero())
+        Traceback (most recent call last):
+            ...
+        osc_contact.errors.ModelError: ...
     """
 
     findings: tuple[Any, ...] = ()
 
 
 class ContactError(OscContactError):
-    """A contact state is impossible: NᵀT ≠ 0, contradictory or unreachable contacts."""
+    """A contact state is impossible: NᵀT ≠ 0, contradictory or unreachable contacts.
+
+    Example:
+        >>> osc.Contact(np.ones((6, 2)))  # dependent columns
+        Traceback (most recent call last):
+            ...
+        osc_contact.errors.ContactError: ...
+    """
 
 
 class ScenarioError(OscContactError):
-    """A scenario file is wrong; the message names the file, the line and the key."""
+    """A scenario file is wrong; the message names the file, the line and the key.
+
+    Example:
+        >>> osc.load_scenario("two_contact_rod", ["squeeze=5 mm"])
+        Traceback (most recent call last):
+            ...
+        osc_contact.errors.ScenarioError: ...
+    """
 
 
 class SolverError(OscContactError):
     """A quadratic program was not solved (a controller that meets it holds its last torques), or no
-    jerk-limited way was found (a set point keeps its former goal)."""
+    jerk-limited way was found (a set point keeps its former goal).
+
+    Example:
+        >>> height = osc.SetPoint(0.0, osc.JerkLimits(0.1, 1.0, 10.0), dt=1e-3)
+        >>> try:
+        ...     state = height.step(goal=0.2)
+        ... except osc.SolverError:
+        ...     state = height.step()  # on the way to the former goal
+    """
 
 
 class PlantError(OscContactError):
@@ -96,17 +139,37 @@ class PlantError(OscContactError):
 
     Attributes:
         recording: the `Recording` of what came before a run's plant failed, else None.
+
+    Example:
+        >>> try:
+        ...     recording = osc.run(osc.load_scenario("two_contact_rod"), duration=0.01)
+        ... except osc.PlantError as error:
+        ...     recording = error.recording
     """
 
     recording: Any = None
 
 
 class RecordingError(OscContactError):
-    """A recording cannot be written or read back."""
+    """A recording cannot be written or read back.
+
+    Example:
+        >>> osc.Recording({}, {"t": [0.0, 0.1], "force": [5.0]})
+        Traceback (most recent call last):
+            ...
+        osc_contact.errors.RecordingError: ...
+    """
 
 
 class ViewerError(OscContactError):
-    """A picture cannot be shown: no browser, no server, or the live view has ended."""
+    """A picture cannot be shown: no browser, no server, or the live view has ended.
+
+    Example:
+        >>> try:
+        ...     osc.open_viewer(osc.load_scenario("two_contact_rod")).close()
+        ... except osc.ViewerError as error:
+        ...     print(f"no picture: {error}")
+    """
 
 
 class Interrupted(KeyboardInterrupt):
@@ -114,6 +177,12 @@ class Interrupted(KeyboardInterrupt):
 
     Attributes:
         recording: the `Recording` of what came before.
+
+    Example:
+        >>> try:
+        ...     recording = osc.run(osc.load_scenario("two_contact_rod"), duration=0.01)
+        ... except osc.Interrupted as end:
+        ...     recording = end.recording
     """
 
     recording: Any = None

@@ -36,6 +36,9 @@ class JerkLimits:
 
     Raises:
         InvalidInputError: a bound is not finite or not positive.
+
+    Example:
+        >>> limits = osc.JerkLimits(velocity=0.3, acceleration=2.0, jerk=40.0)  # m/s, m/s², m/s³
     """
 
     velocity: ArrayLike

@@ -1,5 +1,7 @@
 """Equations 17 to 20: how a closed chain in contact accelerates, and how hard it presses."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +25,12 @@ class ContactResponse:
         alpha: (r,) contact force magnitudes.
         f_c: (6,) contact force on the environment, N α (eq. 16).
         a_e: (6,) acceleration of the environment (eq. 14).
+
+    Example:
+        >>> state = osc.build_rig(osc.load_scenario("two_contact_rod")).state
+        >>> answer = osc.contact_response(state, osc.Contact(np.eye(6)[:, [2]]), tau=np.zeros(8))
+        >>> print(answer.alpha.shape, answer.acceleration.shape)
+        (1,) (6,)
     """
 
     acceleration: Array

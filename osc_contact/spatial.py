@@ -18,18 +18,41 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pinocchio import SE3
 
 from osc_contact.errors import InvalidInputError
 
 Array = NDArray[Any]
+
+if TYPE_CHECKING:
+
+    class Coordinates:
+        """A field of a `geometry` as type checkers see it: numbers of any kind in, an array out."""
+
+        def __get__(self, owner: Any, kind: Any = None) -> Array: ...
+        def __set__(self, owner: Any, value: ArrayLike) -> None: ...
+
+else:
+    Coordinates = Array
+
+Kind = TypeVar("Kind", bound=type[Any])
+
+
+@dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(field,))
+def geometry(kind: Kind) -> Kind:
+    """Class decorator: make a frozen dataclass, whose `Coordinates` take numbers of any kind.
+
+    That is stated to type checkers; `__post_init__` of the class makes arrays of them.
+    """
+    dataclass(frozen=True, eq=False)(kind)
+    return kind
 
 
 def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:

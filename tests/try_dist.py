@@ -34,8 +34,8 @@ COMMANDS = (
 )
 TESTS = "test_contact.py", "test_projections.py", "test_importing.py", "test_browser.py"
 BESIDE = "franky-sim", "robosuite", "mjlab", "newton"
-#: Tests of pages whose tools need newer versions of what the package needs, too.
-OF_PAGES = ("test_site.py",)
+#: Tests with tools of `docs` and `dev`, which need newer versions of what the package needs, too.
+OF_PAGES = "test_site.py", "test_types.py"
 OTHERS_WARN = ("optuna.exceptions.ExperimentalWarning",)  # of what is an argument of optuna 5
 #: Tests of what differs with versions: layers need a tool of `dev`, robots come and go.
 OF_PINNED = "not picture_of_the_rooms and not every_robot_of_the_data"

@@ -29,6 +29,11 @@ class Contact:
         R: (r, r_all) gives every stacked column, N_all = N R; the identity unless `stack` had to
             leave dependent ones out of N.
         name: used in messages.
+
+    Example:
+        >>> press = osc.Contact(np.eye(6)[:, [2]])  # forces along z, at O
+        >>> print(press.r, press.T.shape)
+        1 (6, 5)
     """
 
     def __init__(

@@ -15,6 +15,8 @@ seen from far enough away two skew lines of force look like two pure couples, so
 measure that knew no point would be zero for them. The verdict itself needs neither.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations, product
@@ -47,6 +49,12 @@ class RaibertCraig:
         residual: sine of the largest principal angle between N and the space of the frame, moments
             taken about the object's centre and divided by its size. 0 … 1.
         reason: why N has no constraint frame, in plain words; empty if it has one.
+
+    Example:
+        >>> press_and_hold = osc.Contact(np.eye(6)[:, [2, 3]])  # force along z, couple about x
+        >>> frame = press_and_hold.as_raibert_craig()
+        >>> print(bool(frame), sum(frame.forces), sum(frame.couples))
+        True 1 1
     """
 
     frame: SE3

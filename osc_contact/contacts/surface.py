@@ -66,6 +66,13 @@ class Surface:
         cells: (nx, ny, 4, 4) factors of uᵖvᵠ in each cell (m), u, v = 0 … 1 along x and y; None: no
             h. corner, pitch: (2,) where the cells begin, and their sides (m).
         rms, worst: of the heights of the points it is fitted to above it (m).
+
+    Example:
+        >>> x, y = np.meshgrid(np.linspace(-0.1, 0.1, 12), np.linspace(-0.1, 0.1, 12))
+        >>> measured = np.column_stack([x.ravel(), y.ravel(), 0.5 * x.ravel() ** 2])
+        >>> surface = osc.Surface.fitted(measured, cells=(4, 4))  # as of a scanner
+        >>> print(surface.worst < 1e-6)  # m
+        True
     """
 
     bend: Array

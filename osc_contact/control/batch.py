@@ -1,5 +1,7 @@
 """Many controllers at once: the rows of one batch, each with a separate model and memory."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
@@ -31,6 +33,13 @@ class BatchController:
         rows: B, how many controllers.
         threads: how many share a tick.
         status: (B,) of `Status`, of the last tick.
+
+    Example:
+        >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+        >>> batch = osc.BatchController([rig.controller()] * 4)
+        >>> q, X = np.tile(rig.q_start, (4, 1)), np.tile(rig.state.X_WO.homogeneous, (4, 1, 1))
+        >>> batch.tick(q, np.zeros_like(q), np.zeros((4, 2, 6)), X).shape
+        (4, 8)
     """
 
     def __init__(self, controllers: Sequence[Controller], threads: int = 1) -> None:

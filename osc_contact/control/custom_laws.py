@@ -1,5 +1,7 @@
 """Laws, pairs and bodies in Python: what is evaluated between the compiled parts of a tick."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -34,6 +36,14 @@ class Laws:
             in world axes (m/s², rad/s²), from the reference, the object's pose and twist.
         structure: (η̇_c, f_S) = structure(signals), (d,) each, in place of the motion filter and the
             control structure, eqs. 24 and 21; `signals` holds what comes before them.
+
+    Example:
+        >>> from numpy.typing import NDArray
+        >>> Forces = NDArray[np.float64]
+        >>> def push(desired: Forces, measured: Forces) -> Forces:
+        ...     return desired + 0.2 * (desired - measured)
+        >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+        >>> controller = osc.Controller(rig.chain, rig.pairs, laws=osc.Laws(force=push))
     """
 
     force: ForceCommand | None = None

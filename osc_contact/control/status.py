@@ -1,5 +1,7 @@
 """What a tick reports beside its torques: how it ended, what was lost, and in which state."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -9,7 +11,15 @@ from osc_contact.spatial import Array, norm
 
 
 class Status(IntEnum):
-    """How a tick ended. Anything but OK leaves a torque within limits and a reason to read."""
+    """How a tick ended. Anything but OK leaves a torque within limits and a reason to read.
+
+    Example:
+        >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+        >>> controller = rig.controller()
+        >>> tau = controller.tick(rig.plant().measure(), rig.references.at(0.0))
+        >>> print(controller.status.name)
+        OK
+    """
 
     OK = 0
     SATURATED = 1  #: a motor limit was reached: `given_up` has the cost
@@ -18,7 +28,13 @@ class Status(IntEnum):
 
 
 class SafetyState(IntEnum):
-    """What the controller does; `law.safety` and `law.sensors` decide it."""
+    """What the controller does; `law.safety` and `law.sensors` decide it.
+
+    Example:
+        >>> controller = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
+        >>> print(controller.state.name)
+        RUN
+    """
 
     RUN = 0  #: the last tick was computed and nothing was lost
     DEGRADED = 1  #: motors at their limits, near a singular posture, or a tick or two not computed

@@ -121,6 +121,15 @@ class Arm:
         wrist_sensor: frame of the 6-axis force/torque sensor; everything outboard of it is weighed
             by it. None: no sensor.
         locked: positions of the URDF's other joints, which hold still (m, rad).
+
+    Example:
+        >>> from osc_contact import robots
+        >>> urdf = robots.find_robot("panda")[0]
+        >>> arm = osc.Arm.from_urdf(
+        ...     urdf, name="panda", tip="panda_hand_tcp", wrist_sensor="panda_link7"
+        ... )
+        >>> print(arm.name, arm.model.nq)
+        panda 7
     """
 
     name: str

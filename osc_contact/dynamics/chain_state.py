@@ -32,6 +32,11 @@ class RigidObject:
 
     Raises:
         ModelError: mass or rotational inertia not positive, or not finite.
+
+    Example:
+        >>> ball = osc.RigidObject(pin.Inertia.FromSphere(0.3, 0.02))  # 0.3 kg, 20 mm
+        >>> print(ball.scaled(2.0).inertia.mass)
+        0.6
     """
 
     inertia: pin.Inertia
@@ -146,6 +151,11 @@ class ChainState:
     world axes. Λ_S, μ_S, p_S, G and W have coordinates η of the motions S, an arbitrary basis.
 
         Sᵀ(Λ a + μ + p + f_c) = Λ_S η̇ + μ_S + p_S + Sᵀf_c = G τ,    a = S η̇ + σ
+
+    Example:
+        >>> state = osc.build_rig(osc.load_scenario("two_contact_rod")).state
+        >>> print(state.d, state.Lambda.shape, state.G.shape)
+        5 (6, 6) (5, 8)
     """
 
     X_WO: SE3  #: pose of the object

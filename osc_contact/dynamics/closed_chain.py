@@ -119,6 +119,17 @@ class ClosedChain:
         tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
         outboard: links beyond each sensor. arm_mass: of the heaviest arm, rotors included.
         reference: the object, or its stand-in for rank decisions. full_ranks: as in `ChainState`.
+
+    Example:
+        >>> from osc_contact import robots
+        >>> urdf = robots.find_robot("panda")[0]
+        >>> arm = osc.Arm.from_urdf(
+        ...     urdf, name="panda", tip="panda_hand_tcp", wrist_sensor="panda_link7"
+        ... )
+        >>> chain = osc.ClosedChain(arm, payload=pin.Inertia.FromSphere(0.3, 0.02))
+        >>> at = chain.state(pin.neutral(chain.model)).X_WO.translation
+        >>> print(f"{chain.n_a} motors, tip {at[2]:.3f} m above the base")
+        7 motors, tip 0.823 m above the base
     """
 
     def __init__(

@@ -21,6 +21,7 @@ from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.projections import left_inverse, unit_diagonal
 from osc_contact.spatial import (
     Array,
+    Coordinates,
     Poses,
     as_array,
     carry_twist,
@@ -28,6 +29,7 @@ from osc_contact.spatial import (
     columns_of,
     cross,
     cross_wrench,
+    geometry,
     rotated,
     rotations,
     unit_vector,
@@ -96,6 +98,12 @@ class Environment:
 
     Raises:
         InvalidInputError: wrong shapes, or Φ_e not symmetric positive semidefinite.
+
+    Example:
+        >>> cart = dict(X_WE=pin.SE3.Identity(), axes=[1, 0, 0, 0, 0, 0], rates=[0.1], O=[0, 0, 0])
+        >>> environment = osc.Environment.rail(pin.Inertia.FromSphere(20.0, 0.1), **cart)
+        >>> print(environment.Phi_e[0, 0], environment.V_e[:3])
+        0.05 [0.1 0.  0. ]
     """
 
     Phi_e: Array = field(default_factory=lambda: np.zeros((6, 6)))
@@ -335,7 +343,7 @@ def _move_as_one(a: Environment, b: Environment) -> bool:
 Motion = Callable[[float], tuple[Array, Array, Array]]
 
 
-@dataclass(frozen=True, eq=False)
+@geometry
 class Rail:
     """A slide along u, and on it a hinge about a; without either the body rests.
 
@@ -353,11 +361,16 @@ class Rail:
 
     Raises:
         InvalidInputError: numbers that no body has.
+
+    Example:
+        >>> cart = osc.Rail(direction=[1, 0, 0], inertia=20.0, stiffness=5e3, damping=50.0)
+        >>> print(cart.pose(np.array([0.1, 0.0])).translation)
+        [0.1 0.  0. ]
     """
 
-    direction: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    axis: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    through: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    direction: Coordinates = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    axis: Coordinates = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    through: Coordinates = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     motion: Motion | None = None
     inertia: float = 1.0
     stiffness: float = 0.0

@@ -36,6 +36,11 @@ class Grasp:
     Raises:
         InvalidInputError: T is not a basis, or its motions do not stay the same while they are
             made (they are no group: take a hinge, a ball, a slide, a cylinder, a screw, a plane).
+
+    Example:
+        >>> hand = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))  # the object, 0.1 m before the tip
+        >>> print(osc.Grasp.rigid(hand).kind, osc.Grasp.hinge(hand, axis=[0, 1, 0]).kind)
+        rigid hinge
     """
 
     X_TO: SE3

@@ -1,5 +1,7 @@
 """Operational-space dynamics of one arm at its tip, alone: Λ, μ, p, J, J̄, Φ, h in world axes."""
 
+from __future__ import annotations
+
 import numpy as np
 import numpy.typing as npt
 
@@ -34,6 +36,16 @@ class OperationalSpace:
       the same in every frame and every unit. Nothing is damped.
 
     Attributes have the rows of q in front, if there are several.
+
+    Example:
+        >>> from osc_contact import robots
+        >>> urdf = robots.find_robot("panda")[0]
+        >>> arm = osc.Arm.from_urdf(
+        ...     urdf, name="panda", tip="panda_hand_tcp", wrist_sensor="panda_link7"
+        ... )
+        >>> terms = osc.operational_space(arm, q=[0, 0.1, 0, -2.2, 0, 2.3, 0.8], v=np.zeros(7))
+        >>> print(terms.Lambda.shape, terms.J_bar.shape)
+        (6, 6) (7, 6)
     """
 
     Lambda: Array  #: (6, 6) Λ, inertia at the tip (kg, kg m, kg m²)

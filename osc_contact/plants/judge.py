@@ -114,7 +114,13 @@ class Watched:
 
 
 class Judge(Protocol):
-    """A source of the truth about object and contacts; the controller never gets it."""
+    """A source of the truth about object and contacts; the controller never gets it.
+
+    Example:
+        >>> judge: osc.Judge = osc.build_rig(osc.load_scenario("two_contact_rod")).plant()
+        >>> print(judge.truth().alpha.shape)
+        (2,)
+    """
 
     def truth(self) -> Truth:
         """The truth now."""

@@ -1,5 +1,7 @@
 """The user's MuJoCo scene as robot and judge: arm, tool and sensor are found by name."""
 
+from __future__ import annotations
+
 import copy
 import logging
 from collections.abc import Mapping, Sequence
@@ -136,6 +138,17 @@ class MujocoRobot(MujocoPlant):
     Attributes:
         chain: model of the arm, nothing held: its tip is the operational point. contacts: pairs.
         model, data: MuJoCo's, the robot's own copies.
+
+    Example:
+        >>> import mujoco
+        >>> SCENE = '''<mujoco><worldbody><body>
+        ...   <joint name="hinge" axis="0 1 0"/><geom size="0.05"/>
+        ...   <body pos="0.5 0 0"><geom size="0.02"/><site name="tip"/></body>
+        ... </body></worldbody><actuator><motor joint="hinge"/></actuator></mujoco>'''
+        >>> robot = osc.MujocoRobot.from_model(mujoco.MjModel.from_xml_string(SCENE), tip="tip")
+        >>> robot.reset([0.3])
+        >>> print(robot.measure().q)
+        [0.3]
     """
 
     _keyframe: int | None

@@ -267,7 +267,13 @@ class Recording:
         channels: arrays of bool, int or float with equally long first axes.
 
     Raises:
-        RecordingError: meta is not JSON-able, or the channels do not fit together."""
+        RecordingError: meta is not JSON-able, or the channels do not fit together.
+
+    Example:
+        >>> recording = osc.Recording({"task": "press"}, {"t": [0.0, 0.1], "force": [4.0, 5.0]})
+        >>> print(len(recording), recording["force"].max())
+        2 5.0
+    """
 
     def __init__(self, meta: Mapping[str, Any], channels: Mapping[str, npt.ArrayLike]) -> None:
         try:

@@ -4,6 +4,8 @@ Every pair is built in the world's coordinates at the start: its environment fra
 the world while the body it is on stands where it began.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -200,6 +202,10 @@ class OwnMotion:
     Attributes:
         rail: how the plants move it; driven by any function of time, or free.
         body: its answer to forces in the controller's model; None: like a face at rest.
+
+    Example:
+        >>> slope = osc.Rail(direction=[1, 0, -1], inertia=20.0, stiffness=5e3, damping=50.0)
+        >>> motion = osc.OwnMotion(slope)  # a cart; the controller takes it for a face at rest
     """
 
     rail: Rail

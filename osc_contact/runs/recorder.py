@@ -1,5 +1,7 @@
 """What the control loop leaves behind: every tick noted, a recording in the end."""
 
+from __future__ import annotations
+
 import logging
 from collections import UserDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -234,6 +236,15 @@ class Recorder:
         of: what is recorded. count: ticks noted.
         truth: the judge's own log of the same ticks; None: there is no judge.
         journal: where the rows go.
+
+    Example:
+        >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+        >>> robot, controller = rig.plant(), rig.controller()
+        >>> recorder = osc.Recorder(controller, robot)
+        >>> references = [rig.references.at(0.0)] * 5
+        >>> report = osc.run_loop(robot, controller, references, recorder=recorder)
+        >>> print(recorder.recording()["alpha_true"].shape)
+        (5, 2)
     """
 
     def __init__(

@@ -142,6 +142,11 @@ class Rig:
         references: of the run.
         X_given: the pose of the object that the scenario gives.
         state: the true chain at rest in contact.
+
+    Example:
+        >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+        >>> robot, controller = rig.plant(), rig.controller()
+        >>> tau = controller.tick(robot.measure(), rig.references.at(0.0))
     """
 
     scenario: Scenario

@@ -28,6 +28,11 @@ class Finding:
     Attributes:
         refused: whether it cannot run; else it is doubtful.
         text: a sentence with the numbers and the cure.
+
+    Example:
+        >>> findings = osc.preflight(osc.build_rig(osc.load_scenario("panda_edge")))
+        >>> [finding.text for finding in findings if finding.refused]
+        []
     """
 
     refused: bool

@@ -31,6 +31,7 @@ from osc_contact.scenarios.quantities import (
     NotNegative,
     NotNegativeNumber,
     Number,
+    OrderedSpec,
     Positive,
     PositiveNumber,
     Spec,
@@ -45,7 +46,7 @@ _UNBRAKED = 6.0  #: a speed of the contact that lasts longer than this / K_i is 
 _DERIVED: Any = Field(default=None)  #: follows from the other gains
 
 
-class _GainsOfOneLoop(Spec):
+class _GainsOfOneLoop(OrderedSpec):
     """Gains that serve every mass, or the numbers themselves; those not given follow from them."""
 
     serving: ClassVar[tuple[str, ...]]
@@ -87,6 +88,13 @@ class MotionGains(_GainsOfOneLoop):
 
     Scalars, the same for positions and angles, so that no metre meets a radian. They are gains of
     accelerations: the model's inertia makes forces of them, so they serve every mass.
+
+    Example:
+        >>> gains = osc.MotionGains(frequency=3.0, damping_ratio=0.7)
+        >>> print(f"{gains.stiffness:.0f} 1/s², {gains.damping:.1f} 1/s")
+        355 1/s², 26.4 1/s
+        >>> print(osc.MotionGains(stiffness=400.0, damping=40.0).damping_ratio)
+        1.0
     """
 
     serving = ("frequency", "damping_ratio", "integral_time")
@@ -143,6 +151,11 @@ class ForceGains(_GainsOfOneLoop):
 
     There is no proportional gain: a rigid contact answers a command within the same instant, so a
     proportional loop with gain ≥ 1 is unstable in discrete time at any rate.
+
+    Example:
+        >>> gains = osc.ForceGains(bandwidth=5.0, rise=0.1)
+        >>> print(f"{gains.integral:.1f} 1/s, {gains.brake:.1f} 1/s")
+        31.4 1/s, 44.0 1/s
     """
 
     serving = ("bandwidth", "damping_ratio")
@@ -158,7 +171,7 @@ class ForceGains(_GainsOfOneLoop):
     damping_ratio: NotNegativeNumber = _DERIVED
     """brakes a contact that swings, by the mass behind it; 0.7; above ½ none swings up"""
     rise: NotNegative[Time] = _DERIVED
-    """time that a step of a desired force takes; 0.25 s, 0 beside `integral`"""
+    """time that a step of a desired force or squeeze takes; 0.25 s, 0 beside `integral`"""
     tilt: Annotated[Angle, Field(ge=0, le=0.8)] = _DERIVED
     """a face on which one point slides is taken to be turned to the measured motion, by so much at
     most ([tuning](tuning.md#why)); 10 deg, 0 beside `integral`"""
@@ -191,8 +204,14 @@ class ForceGains(_GainsOfOneLoop):
         }
 
 
-class Gains(Spec):
-    """Gains of the two loops; left out, they serve every mass ([tuning](tuning.md))."""
+class Gains(OrderedSpec):
+    """Gains of the two loops; left out, they serve every mass ([tuning](tuning.md)).
+
+    Example:
+        >>> gains = osc.Gains(osc.MotionGains(frequency=3.0), osc.ForceGains(bandwidth=8.0))
+        >>> print(gains.replaced(force=osc.ForceGains(bandwidth=2.0)).motion.frequency)
+        3.0
+    """
 
     motion: MotionGains = MotionGains()
     """the motion loop: `frequency` and `damping_ratio`, or `stiffness` and `damping`"""
@@ -200,7 +219,7 @@ class Gains(Spec):
     """the force loop: `bandwidth`, `damping_ratio` and `rise`, or `integral` and `damping`"""
 
 
-class MonitorLimits(Spec):
+class MonitorLimits(OrderedSpec):
     """When contact counts as made, as lost, and as a collision."""
 
     force_on: Positive[Force] = 1.0
@@ -230,7 +249,13 @@ class MonitorLimits(Spec):
 
 
 class PhaseSettings(MonitorLimits):
-    """How contacts are made and kept: opened, approached and closed one by one."""
+    """How contacts are made and kept: opened, approached and closed one by one.
+
+    Example:
+        >>> life = osc.PhaseSettings(speed=0.02, travel=0.1)
+        >>> print(life.push)  # N, against the face that is met
+        4.0
+    """
 
     speed: Positive[Velocity] = 0.01
     """v_a of the approach, along −N"""
@@ -275,8 +300,14 @@ class PhaseSettings(MonitorLimits):
         return self
 
 
-class SafetySettings(Spec):
-    """Ticks that cannot be computed, and limits of the robot beside its motors'."""
+class SafetySettings(OrderedSpec):
+    """Ticks that cannot be computed, and limits of the robot beside its motors'.
+
+    Example:
+        >>> safety = osc.SafetySettings(contact_force=50.0, contact_loss_time=0.1)
+        >>> print(safety.replaced(contact_power=5.0).contact_force)
+        50.0
+    """
 
     repeats: NotNegative[int] = 2
     """ticks in a row that cannot be computed and repeat the last torques; later ones
@@ -359,8 +390,13 @@ class SafetySettings(Spec):
         return self
 
 
-class Friction(Spec):
-    """Friction at the contacts that the controller takes into account."""
+class Friction(OrderedSpec):
+    """Friction at the contacts that the controller takes into account.
+
+    Example:
+        >>> print(osc.Friction(mu=0.2))
+        mu=0.2 slip=0.002 learning=8.0
+    """
 
     mu: NotNegativeNumber
     """the Coulomb coefficient, the same at all contacts, such as 0.1"""
@@ -372,8 +408,13 @@ class Friction(Spec):
     learns nothing"""
 
 
-class JointFriction(Spec):
-    """Friction of the joints: as the controller's model has it, or learned from there on."""
+class JointFriction(OrderedSpec):
+    """Friction of the joints: as the controller's model has it, or learned from there on.
+
+    Example:
+        >>> print(osc.JointFriction(learning=False).share)
+        0.7
+    """
 
     learning: bool = True
     """whether Coulomb and viscous friction of each joint are learned from motors and wrists,
@@ -390,7 +431,7 @@ class JointFriction(Spec):
     """times a motor's torque limit: more friction is neither assumed nor compensated"""
 
 
-class PostureTask(Spec):
+class PostureTask(OrderedSpec):
     """What redundant arms do with joints they do not need."""
 
     stiffness: Annotated[NotNegativeNumber, "1/s²"] = 25.0

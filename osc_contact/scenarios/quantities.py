@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from itertools import pairwise
 from numbers import Real
-from typing import Annotated, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, dataclass_transform
 
 from pydantic import (
     AfterValidator,
@@ -45,6 +45,40 @@ _SIGNS = {
 }
 
 
+class _Source(str):
+    """A piece of source as `help` prints it: without quotes."""
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+class _Written:
+    """Descriptor of a group's class: its signature with the types and groups as they are written.
+
+    Types are shown without bounds and units, a default that is a group by its class.
+    """
+
+    def __get__(self, group: object, owner: type[BaseModel]) -> inspect.Signature:
+        texts: dict[str, Any] = {}
+        for base in reversed(owner.__mro__):
+            texts |= inspect.get_annotations(base)
+        parameters = []
+        for key, item in owner.model_fields.items():
+            default: Any = inspect.Parameter.empty
+            if not item.is_required():
+                value = item.get_default(call_default_factory=True)
+                name = type(value).__name__
+                default = _Source(f"{name}()") if isinstance(value, BaseModel) else value
+            match ast.parse(text := str(texts[key]), mode="eval").body:
+                case ast.Subscript(ast.Name("Annotated"), ast.Tuple([shown, *_])):
+                    text = ast.unparse(shown)
+            kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+            parameters.append(
+                inspect.Parameter(key, kind, default=default, annotation=_Source(text))
+            )
+        return inspect.Signature(parameters, __validate_parameters__=False)
+
+
 class Spec(BaseModel):
     """A group of settings: frozen, finite, no unknown keys, built when first used.
 
@@ -54,6 +88,13 @@ class Spec(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+    __signature__ = _Written()
+
+    @classmethod
+    def __pydantic_on_complete__(cls) -> None:
+        """Keep the signature: pydantic replaces it by one that spells out the types of all keys."""
+        cls.__signature__ = _Written()
 
     def __init__(self, *values: Any, **keys: Any) -> None:
         """Take values in the order of the keys, or by their names.
@@ -82,6 +123,24 @@ class Spec(BaseModel):
         """
         given = {key: getattr(self, key) for key in self.model_fields_set}
         return type(self)(**given | keys)
+
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+
+    @dataclass_transform(field_specifiers=(Field,))
+    class _ByPosition(ModelMetaclass):
+        """Metaclass that lets type checkers accept keys by position; pydantic's wants names."""
+
+else:
+    _ByPosition = type(BaseModel)
+
+
+class OrderedSpec(Spec, metaclass=_ByPosition):
+    """A group that programs make: keys without a default come first.
+
+    Type checkers let it be made by position, too, of numbers in SI.
+    """
 
 
 def one_of(known: Mapping[str, Any]) -> AfterValidator:

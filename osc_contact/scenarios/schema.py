@@ -195,7 +195,13 @@ MotionSpec = Annotated[LinearMove | AngularMove | SurfaceMove, Field(discriminat
 
 
 class Scenario(Spec):
-    """One experiment: arms, object, contacts, commands, gains, plant and duration (s)."""
+    """One experiment: arms, object, contacts, commands, gains, plant and duration (s).
+
+    Example:
+        >>> scenario = osc.load_scenario("two_contact_rod", ["squeeze=5 N"])
+        >>> print(scenario.squeeze, scenario.replaced(duration=2.0).duration)
+        5.0 2.0
+    """
 
     name: Name
     """a name of letters, digits, _ and -"""

@@ -135,6 +135,12 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
     Attributes:
         names: of the numbers of an observation. fleet: plants and controllers.
         move: (6,) the largest increments (m, rad). most_force: the largest force (N).
+
+    Example:
+        >>> env = osc.make_vector_env("panda_edge", 2, overrides=["duration=1 s"])
+        >>> observation, infos = env.reset(seed=0)
+        >>> print(observation.shape, env.action_space.shape)
+        (2, 36) (2, 7)
     """
 
     def __init__(

@@ -72,6 +72,12 @@ class Viewer:
 
     Raises:
         ViewerError: the process does not start.
+
+    Example:
+        >>> viewer = osc.open_viewer(osc.load_scenario("two_contact_rod"))
+        >>> print(viewer.url.startswith("http://127.0.0.1"))
+        True
+        >>> viewer.close()
     """
 
     def __init__(self, about: object, rate: float = 30.0) -> None:

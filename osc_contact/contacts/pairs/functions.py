@@ -1,5 +1,7 @@
 """Pairs that functions of the user describe: by the gaps alone, or by all that the law needs."""
 
+from __future__ import annotations
+
 import ctypes
 from collections.abc import Callable
 from dataclasses import field
@@ -51,6 +53,13 @@ class GapFunctions(PackagedPair):
         length: over which the geometry bends (m), for instance the smallest radius of curvature.
         step: of the differences (rad, and part of `length`).
         name: used in messages and recordings.
+
+    Example:
+        >>> def above(X_EA: pin.SE3) -> list[float]:
+        ...     return [X_EA.translation[2] - 0.2]  # the object's origin on the plane z = 0.2 m
+        >>> pair = osc.GapFunctions(above, length=0.1)
+        >>> print(pair.gaps(pin.SE3.Identity()))
+        [-0.2]
     """
 
     gap: Callable[[SE3], npt.ArrayLike]
@@ -114,6 +123,14 @@ class CompiledPair(PackagedPair):
         pushes: whether every magnitude is a force that must not become negative; then points are
             given, and there may be friction.
         name: used in messages and recordings.
+
+    Example:
+        >>> def level(*arrays: np.ndarray) -> None:  # the object's origin at a height
+        ...     X_WO, V_O, X_WE, V_E, parameters, N, n_gamma, gaps, points = arrays
+        ...     N[:, 0] = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+        ...     gaps[0] = X_WO[2, 3] - parameters[0]
+        >>> print(osc.CompiledPair(level, parameters=[0.2]).gaps(pin.SE3.Identity()))
+        [-0.2]
     """
 
     function: Callable[..., None]

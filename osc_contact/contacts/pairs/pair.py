@@ -42,7 +42,17 @@ from osc_contact.law.records import EDGES, FACE_ON_VERTEX, SURFACE, TANGENTS
 from osc_contact.scenarios import bodies
 from osc_contact.scenarios.bodies import ContactSpec, OfBody, OnBodySpec, register_contact
 from osc_contact.scenarios.quantities import Length, NotNegative, Positive, UnitVec3, Vec3
-from osc_contact.spatial import Array, Poses, as_array, carry_twist, cross, norm, unit_vector
+from osc_contact.spatial import (
+    Array,
+    Coordinates,
+    Poses,
+    as_array,
+    carry_twist,
+    cross,
+    geometry,
+    norm,
+    unit_vector,
+)
 
 _WORLD = SE3.Identity()
 _AT_REST = np.zeros(6)
@@ -65,6 +75,12 @@ class ContactPair(Protocol):
       of force come nearest to it (to O; 0);
     * row(): what it is to the compiled law, see `PairRow` (None: Python evaluates the pair
       between the parts of each tick).
+
+    Example:
+        >>> pair: osc.ContactPair = osc.VertexOnFace([0, 0, 0], [0, 0, 0.5], [0, 0, 1])
+        >>> contact = pair.contact(pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5])), np.zeros(6))
+        >>> print(contact.N.T + 0.0, pair.gaps(pin.SE3.Identity()))
+        [[ 0.  0. -1.  0.  0.  0.]] [-0.5]
     """
 
     @property
@@ -215,10 +231,10 @@ def store(pair: Any, **values: Any) -> None:
 
 if TYPE_CHECKING:
 
-    class Coordinates:
-        """A field of a pair as type checkers see it: numbers of any kind in, an array out."""
+    class Outward:
+        """A field that is a number or an array, and takes either as numbers of any kind."""
 
-        def __get__(self, pair: Any, owner: Any = None) -> Array: ...
+        def __get__(self, pair: Any, owner: Any = None) -> float | Array: ...
         def __set__(self, pair: Any, value: ArrayLike) -> None: ...
 
     Point: TypeAlias = Coordinates
@@ -237,6 +253,8 @@ else:
     #: Of a face that a contact brings: keys of `face`.
     FacePoint = Annotated[Array, "point"]
     FaceDirection = Annotated[Array, "direction"]
+    #: Out of a body at its edge: a direction, or a sign.
+    Outward = Annotated[float | Array, "", bodies.BodyDirection]
 Radius = Annotated[float, "≥", Annotated[NotNegative[Length], Field(default=0.0)]]
 Extent = Annotated[float, ">", Positive[Length]]
 
@@ -327,7 +345,7 @@ def register_pair(
 
     def enter(pair: Pair) -> Pair:
         if issubclass(pair, PackagedPair) and "__dataclass_fields__" not in vars(pair):
-            dataclass(frozen=True, eq=False)(pair)
+            geometry(pair)
             _show_plain_types(pair)
         PAIRS[pair.__name__] = pair
         if forces is not None:
@@ -338,11 +356,16 @@ def register_pair(
 
 
 def _show_plain_types(pair: Any) -> None:
-    """Help and API pages show the types of fields without what they are as keys."""
+    """Let help and API pages show the types of fields without what they are as keys."""
     shown = signature(pair)
     hints = get_type_hints(pair)
-    plain = {name: "Array" if hint == Array else hint for name, hint in hints.items()}
-    arguments = [one.replace(annotation=plain[one.name]) for one in shown.parameters.values()]
+    arguments = []
+    for one in shown.parameters.values():
+        hint = hints[one.name]
+        plain = "ArrayLike" if hint == Array else hint
+        # no class: as it is written, since unions and callables spell out all that they are made of
+        kept = plain if isinstance(plain, str | type) else one.annotation
+        arguments.append(one.replace(annotation=kept))
     pair.__signature__ = shown.replace(parameters=arguments)
 
 
@@ -555,6 +578,11 @@ class FaceOnVertex(LawPair):
     N = [n; (p − O) × n] with n the *outward* normal of the object's face, which points into the
     environment, and p the vertex. Now the object carries n and the environment p: ṅ = ω_O × n,
     ṗ = v_E(p).
+
+    Example:
+        >>> tip = osc.FaceOnVertex([0, 0, -0.1], [0, 0, -1], body_vertex=[0, 0, 0.3], radius=0.01)
+        >>> print(tip.gaps(pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.45]))).round(6))
+        [0.04]
     """
 
     point: Point
@@ -592,6 +620,12 @@ class EdgeOnEdge(LawPair):
     ṅ = ± (1 − nnᵀ)(ė_A × e_E + e_A × ė_E) / |e_A × e_E|. With the gap g open, p is the
     point of the object's edge nearest to the other one and
     ṫ e_E − ṡ e_A = v_A(p) − v_E(p + g n) + g ṅ in the plane ⟂ n, so N and n_γ stay exact.
+
+    Example:
+        >>> point, along, across, up = [0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]
+        >>> edges = osc.EdgeOnEdge(point, along, point, across, edge_outward=up)
+        >>> print(edges.gaps(pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.02]))).round(6))
+        [0.02]
     """
 
     point: Point
@@ -602,7 +636,7 @@ class EdgeOnEdge(LawPair):
     """a point of the body's edge [x, y, z] in the body frame"""
     edge_direction: BodyDirection
     """along the body's edge [x, y, z] in the body frame"""
-    edge_outward: Annotated[float | Array, "", bodies.BodyDirection]
+    edge_outward: Outward
     """roughly out of the body at its edge [x, y, z] in the body frame; its component along
     direction × edge_direction decides. In Python also +1 or −1 times that"""
     name: str = "edge_on_edge"

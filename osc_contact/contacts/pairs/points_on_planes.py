@@ -1,5 +1,7 @@
 """Pairs made of points of the object, each held on a plane of the environment."""
 
+from __future__ import annotations
+
 from math import pi
 from typing import Annotated, Any
 
@@ -79,6 +81,11 @@ class VertexOnFace(PointsOnPlanes):
     N = [n; (p − O) × n], n pointing into the face, p the vertex. A vertex rounded with a radius is
     a small sphere: its line of force passes through the centre, so `vertex` is that centre and only
     the gap contains the radius.
+
+    Example:
+        >>> table = osc.VertexOnFace([0, 0, 0], point=[0.5, 0, 0.2], normal=[0, 0, 1], radius=0.01)
+        >>> print(table.gaps(pin.SE3(np.eye(3), np.array([0.4, 0.1, 0.26]))))
+        [0.05]
     """
 
     vertex: Point
@@ -104,6 +111,11 @@ class SphereOnPlane(PointsOnPlanes):
     """A sphere (or rounded vertex) of the object on a plane of the environment, r = 1.
 
     The same as a rounded vertex on a face: the line of force passes through the centre.
+
+    Example:
+        >>> ball = osc.SphereOnPlane([0, 0, 0], 0.02, face_point=[0, 0, 0], face_normal=[0, 0, 1])
+        >>> print(ball.gaps(pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.05]))).round(6))
+        [0.03]
     """
 
     centre: Point
@@ -131,6 +143,11 @@ class EdgeOnFace(PointsOnPlanes):
     Its distributed force is carried by two points of the edge, `length` apart around `point`, each
     like a vertex on the face: both magnitudes are forces (N), positive while the centre of pressure
     is between them. Any other length spans the same spaces N and T.
+
+    Example:
+        >>> edge = osc.EdgeOnFace([0, 0, 0], [1, 0, 0], face_point=[0, 0, 0], face_normal=[0, 0, 1])
+        >>> print(edge.gaps(pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.02]))).round(6))
+        [0.02 0.02]
     """
 
     point: Point
@@ -160,6 +177,13 @@ class CylinderOnPlane(PointsOnPlanes):
 
     As an edge on a face, with the lines of force through two points of the *axis*, `length` apart;
     only the gaps know the radius. Rolling is free: where the surface touches does not matter.
+
+    Example:
+        >>> roll = osc.CylinderOnPlane(
+        ...     [0, 0, 0], [1, 0, 0], radius=0.01, face_point=[0, 0, 0], face_normal=[0, 0, 1]
+        ... )
+        >>> print(roll.gaps(pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.03]))).round(6))
+        [0.02 0.02]
     """
 
     point: Point
@@ -196,6 +220,11 @@ class FaceOnFace(PointsOnPlanes):
     object's face around `point`, each like a vertex on the other face: all three magnitudes are
     forces (N), positive while the centre of pressure lies in the triangle. Any other triangle
     spans the same spaces N and T.
+
+    Example:
+        >>> foot = osc.FaceOnFace([0, 0, 0], [0, 0, -1], [0, 0, 0], face_normal=[0, 0, 1])
+        >>> print(foot.gaps(pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.02]))).round(6))
+        [0.02 0.02 0.02]
     """
 
     point: Point
@@ -228,6 +257,11 @@ class CylinderInHole(PointsOnPlanes):
     perpendicular forces (N): a touch on any side of the wall, so the magnitudes have either sign.
     The cylinder may turn and slide. Any other length spans the same
     spaces N and T.
+
+    Example:
+        >>> peg = osc.CylinderInHole([0, 0, 0], [0, 0, 1], [0, 0, 0], hole_direction=[0, 0, 1])
+        >>> peg.contact(pin.SE3.Identity(), np.zeros(6)).r
+        4
     """
 
     point: Point
@@ -259,6 +293,12 @@ class CylinderInVGroove(PointsOnPlanes):
     walls, like spheres: the magnitudes are forces into the walls (N), at each point first into the
     wall on the side of direction × outward. The cylinder may slide along the groove and roll about
     its own axis. Any other length spans the same spaces N and T.
+
+    Example:
+        >>> point, along, up = [0, 0, 0], [1, 0, 0], [0, 0, 1]
+        >>> rod = osc.CylinderInVGroove(point, along, 0.01, point, along, groove_outward=up)
+        >>> rod.contact(pin.SE3.Identity(), np.zeros(6)).r
+        4
     """
 
     point: Point

@@ -1,5 +1,7 @@
 """A ball or vertex of the object on a curved surface of the environment."""
 
+from __future__ import annotations
+
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -86,6 +88,11 @@ class SphereOnSurface(LawPair):
     n_γ is that of a plane, and v_rel(p)ᵀ∇²φ v_rel(p) more. The gap is φ − ρ. All this holds with
     open gaps too, as far as one point of the surface is the nearest: the ball's radius and the
     misplacement of the surface together stay below its radius of curvature where it is hollow.
+
+    Example:
+        >>> dome = osc.SphereOnSurface([0, 0, 0], radius=0.01, surface=osc.Surface.sphere(0.3))
+        >>> print(dome.gaps(pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.32]))).round(6))
+        [0.01]
     """
 
     centre: Point

@@ -1,6 +1,8 @@
 """Pairs given by T: N annihilates T by construction, n_γ = NᵀṪβ."""
 
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -100,6 +102,11 @@ class Fixed(TangentPair):
     Attributes:
         assembled: the pose of the object in the environment frame.
         name: used in messages and recordings.
+
+    Example:
+        >>> clamp = osc.Fixed(assembled=pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.2])))
+        >>> clamp.contact(pin.SE3.Identity(), np.zeros(6)).r
+        6
     """
 
     assembled: SE3 = field(default_factory=SE3.Identity)
@@ -112,7 +119,12 @@ class Fixed(TangentPair):
 
 @register_pair()
 class Free(TangentPair):
-    """No contact (r = 0)."""
+    """No contact (r = 0).
+
+    Example:
+        >>> osc.Free().contact(pin.SE3.Identity(), np.zeros(6)).r
+        0
+    """
 
     name: str = "free"
 
@@ -123,15 +135,8 @@ class Free(TangentPair):
 # A slide between object and environment.
 
 
-@dataclass(frozen=True, eq=False)
-class _Joint(TangentPair):
-    point: Point
-    axis: Direction
-    assembled: SE3 = field(default_factory=SE3.Identity)
-
-
 @register_pair()
-class Prismatic(_Joint):
+class Prismatic(TangentPair):
     """A slide: the object moves along an axis of the environment and does not turn (r = 5).
 
     Gaps: two distances of the point from the line, three angles.
@@ -141,8 +146,16 @@ class Prismatic(_Joint):
         axis: (3,) in the object frame; normalised on entry.
         assembled: a pose of the object in the environment frame at which the slide is closed.
         name: used in messages and recordings.
+
+    Example:
+        >>> slide = osc.Prismatic([0, 0, 0], axis=[1, 0, 0])
+        >>> print(slide.contact(pin.SE3.Identity(), np.zeros(6)).T.T)
+        [[1. 0. 0. 0. 0. 0.]]
     """
 
+    point: Point
+    axis: Direction
+    assembled: SE3 = field(default_factory=SE3.Identity)
     name: str = "prismatic"
 
     def _make(self) -> None:
@@ -156,7 +169,7 @@ class Prismatic(_Joint):
 
 
 @register_pair()
-class Revolute(_Joint):
+class Revolute(TangentPair):
     """A hinge: the object turns about an axis of the environment (r = 5).
 
     Gaps: three distances of the point, two angles of the axis.
@@ -166,8 +179,16 @@ class Revolute(_Joint):
         axis: (3,) in the object frame; normalised on entry.
         assembled: a pose of the object in the environment frame at which the hinge is closed.
         name: used in messages and recordings.
+
+    Example:
+        >>> hinge = osc.Revolute([0, 0, 0], axis=[0, 0, 1])
+        >>> print(hinge.contact(pin.SE3.Identity(), np.zeros(6)).T.T)
+        [[0. 0. 0. 0. 0. 1.]]
     """
 
+    point: Point
+    axis: Direction
+    assembled: SE3 = field(default_factory=SE3.Identity)
     name: str = "revolute"
 
     def _make(self) -> None:
@@ -194,6 +215,11 @@ class Screw(TangentPair):
         pitch: advance along the axis (m/rad, not per turn); negative: left-handed.
         assembled: a pose of the object in the environment frame at which the screw is closed.
         name: used in messages and recordings.
+
+    Example:
+        >>> bolt = osc.Screw([0, 0, 0], axis=[0, 0, 1], pitch=1e-3 / (2 * np.pi))  # 1 mm a turn
+        >>> bolt.contact(pin.SE3.Identity(), np.zeros(6)).r
+        5
     """
 
     point: Point
@@ -246,6 +272,12 @@ class ConeInGroove(TangentPair):
         groove_direction: (3,) along that line, environment frame; normalised on entry.
         seat: (3,) the direction the cone's axis has in the environment frame; normalised.
         name: used in messages and recordings.
+
+    Example:
+        >>> point, along, up = [0, 0, 0], [1, 0, 0], [0, 0, 1]
+        >>> cone = osc.ConeInGroove(point, up, point, groove_direction=along, seat=up)
+        >>> cone.contact(pin.SE3.Identity(), np.zeros(6)).r
+        4
     """
 
     apex: Point
