@@ -270,6 +270,23 @@ def test_a_robot_of_ones_own_answers_for_its_scene(rig):
         osc.run_loop(robot, rig.controller(), plan(rig))
 
 
+ON_ITS_AXIS = """<mujoco><option timestep="0.0005"/>
+  <worldbody><body><joint name="turn"/><geom size="0.05"/><site name="tip"/></body></worldbody>
+  <actuator><motor joint="turn"/></actuator></mujoco>"""
+
+
+def test_a_tip_on_the_axis_of_its_joint_reaches_where_it_is():
+    """The stretched arm reaches 0 m, and a ratio to that was no number."""
+    model = mujoco.MjModel.from_xml_string(ON_ITS_AXIS)
+    robot = osc.MujocoRobot.from_model(model, tip="tip")
+    X = robot.chain.state(np.zeros(1)).X_WO
+    controller = osc.Controller(robot.chain, [])
+    assert osc.preflight(robot, controller, [osc.Reference(X)] * 5) == ()
+    beside = [osc.Reference(X)] * 5 + [osc.Reference(placed(2e-3) * X)] * 5
+    texts = [one.text for one in osc.preflight(robot, controller, beside) if one.refused]
+    assert any("the stretched arm reaches 0 m" in text for text in texts), texts
+
+
 def test_a_sequence_of_a_hundred_thousand_is_compared_to_its_end():
     rig = rig_of("panda_edge")
     controller = osc.Controller(rig.chain, [], rig.gains, posture=rig.q_contact)

@@ -41,6 +41,9 @@ SAME_RATE = 0.2  #: of the rate of X_WD: what is left of it when V_D, scaled, is
 WEAK_DOUBTFUL = 5e-3  #: m, rad; likewise, by motors at their limits
 JUMPS = 2  #: looks at which X_WD may jump, which is no speed
 SPACING_DOUBTFUL, SPACING_REFUSED = 0.1, 0.4  #: |ln| of the period of the references, over dt
+ROUNDING = 1e-6  #: m; a distance that much too large is none
+#: How V_D and the rate of X_WD are related: V_D is zero, the rate is s V_D, or neither.
+_LEFT_OUT, _A_FACTOR, _ANOTHER = "left out", "a factor", "another motion"
 _logger = logging.getLogger("osc_contact.preflight")
 
 
@@ -241,16 +244,16 @@ def rate(task: Task) -> Values:
     "the motion leads the object to {far:.3g} m from the base of arm '{name}' at t = {t:.3g} s, "
     "and the stretched arm reaches {most:.3g} m; command a smaller motion (are its signals in the "
     "right unit?)",
-    1.0,
+    ROUNDING,
 )
 def stretched(task: Task) -> Values:
-    """Distance from the base, over what the stretched arm reaches."""
+    """By how much the object is further from the base than the stretched arm reaches (m)."""
     for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
         most = stretched_length(arm) + norm(grasp.X_TO.translation)
         far = np.linalg.norm(task.poses[:, :3] - arm.base.translation, axis=1)
         k = far.argmax()
         words = {"far": far[k], "name": arm.name, "t": task.times[k], "most": most}
-        yield far[k] / most, words
+        yield far[k] - most, words
 
 
 @doubt(
@@ -529,10 +532,9 @@ def lifted(task: Task) -> Values:
 )
 def spacing(task: Task) -> Values:
     """|ln| of the rate of X_WD over V_D, where they differ by a factor."""
-    for _, share, left in _compared_rates(task):
-        if share > 0.0 and left < SAME_RATE:
-            dt = 1e3 * task.dt
-            yield abs(np.log(share)), {"share": share, "spacing": share * dt, "dt": dt}
+    dt = 1e3 * task.dt
+    for _, share in _moving_parts(task, _A_FACTOR):
+        yield abs(np.log(share)), {"share": share, "spacing": share * dt, "dt": dt}
 
 
 @rule(
@@ -544,9 +546,7 @@ def spacing(task: Task) -> Values:
 )
 def contradiction(task: Task) -> Values:
     """By how much V_D leads the object off X_WD, where it is another motion (m, rad)."""
-    for part, share, left in _compared_rates(task):
-        if share != 0.0 and not (share > 0.0 and left < SAME_RATE):  # else see `spacing`
-            yield from _lead(task, part)
+    return _leads(task, _ANOTHER)
 
 
 @doubt(
@@ -556,29 +556,28 @@ def contradiction(task: Task) -> Values:
 )
 def lag(task: Task) -> Values:
     """By how much the object follows behind where V_D is left out (m, rad)."""
-    for part, share, _ in _compared_rates(task):
-        if share == 0.0:
-            yield from _lead(task, part)
+    return _leads(task, _LEFT_OUT)
 
 
-def _lead(task: Task, part: slice) -> Values:
-    """K_d/K_p |rate − V_D| of the linear or angular part, by which the object is off (m, rad)."""
+def _leads(task: Task, relation: str) -> Values:
+    """K_d/K_p |rate − V_D|, by which the object is off, of the parts of this relation (m, rad)."""
     motion = task.gains.motion
-    rates = task.rates[:, part]
-    off = np.linalg.norm(rates - task.twists[:, part], axis=1)
-    if motion.stiffness == 0.0 or len(off) <= JUMPS:
-        return
-    most = float(np.sort(off)[-JUMPS - 1])
-    speed = float(np.sort(np.linalg.norm(rates, axis=1))[-JUMPS - 1])
-    units = ("m/s", "m") if part.start == 0 else ("rad/s", "rad")
-    words = dict(zip(("unit", "length"), units, strict=True))
-    yield most * motion.damping / motion.stiffness, words | {"off": most, "speed": speed}
+    for part, _ in _moving_parts(task, relation):
+        rates = task.rates[:, part]
+        off = np.linalg.norm(rates - task.twists[:, part], axis=1)
+        if motion.stiffness == 0.0 or len(off) <= JUMPS:
+            continue
+        most = float(np.sort(off)[-JUMPS - 1])
+        speed = float(np.sort(np.linalg.norm(rates, axis=1))[-JUMPS - 1])
+        units = ("m/s", "m") if part.start == 0 else ("rad/s", "rad")
+        words = dict(zip(("unit", "length"), units, strict=True))
+        yield most * motion.damping / motion.stiffness, words | {"off": most, "speed": speed}
 
 
-def _compared_rates(task: Task) -> Iterator[tuple[slice, float, float]]:
-    """Of the linear and the angular part that move: s of rate = s V_D, and the share that is left.
+def _moving_parts(task: Task, relation: str) -> Iterator[tuple[slice, float]]:
+    """The linear and the angular part that move, as slices of (6,), where V_D is so related.
 
-    The part as a slice of (6,); s by least squares over all looks, 0 where V_D is zero.
+    With s of rate = s V_D, by least squares over all looks, 0 where V_D is zero.
     """
     for part in slice(0, 3), slice(3, 6):
         D = task.rates[:, part]
@@ -587,7 +586,12 @@ def _compared_rates(task: Task) -> Iterator[tuple[slice, float, float]]:
         if size <= 1e-9 * len(D) or not np.isfinite(size):
             continue
         share = float((D * V).sum() / (V * V).sum()) if V.any() else 0.0
-        yield part, share, norm(D - share * V) / size
+        found = _LEFT_OUT
+        if share != 0.0:
+            same = share > 0.0 and norm(D - share * V) < SAME_RATE * size
+            found = _A_FACTOR if same else _ANOTHER
+        if found == relation:
+            yield part, share
 
 
 #: What a task has to follow; a new rule is entered in one of these rows. `joints` go through a
