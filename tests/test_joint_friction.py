@@ -3,6 +3,7 @@
 from functools import cache
 
 import numpy as np
+import pinocchio as pin
 from law_calls import joint_friction, records
 from numpy.linalg import inv, solve
 from numpy.random import default_rng
@@ -319,3 +320,57 @@ def test_settings_out_of_range_are_refused():
         with refused(next(iter(wrong))):
             osc.JointFriction(**wrong)
     assert osc.Controller(one_panda(), [], joint_friction=False).settings.joint_friction is None
+
+
+# --- what was learned, saved with the identity of its robot ---------------------------------------
+
+
+def test_what_was_learned_is_kept_in_a_file_and_put_on_the_same_robot(tmp_path):
+    controller = osc.Controller(panda(damping=VISCOUS, friction=DRY), [])
+    memory = controller._records.memory
+    memory.friction_known[2] = joint_friction.LEARNED
+    memory.friction.theta[2, :3] = 7.0, 3.0, 0.05
+    (learned,) = controller.learned_friction
+    again = osc.LearnedFriction.load(learned.save(tmp_path / "panda.friction.json"))
+    assert again == learned
+    (arm,) = panda(damping=0.0, friction=0.0).arms
+    model = again.put_on(arm).model
+    assert_array_equal(model.upperDryFrictionLimit, controller.joint_friction[:, 0])
+    assert_array_equal(model.damping, controller.joint_friction[:, 1])
+    assert model.armature[2] == approx(0.05 + arm.model.armature[2])
+
+
+def test_what_was_learned_of_another_robot_is_refused(tmp_path):
+    (learned,) = osc.Controller(one_panda(), []).learned_friction
+    (arm,) = one_panda().arms
+    heavier = osc.Arm.from_urdf(arm.model, name="panda", tip=arm.tip, mass_factor=1.01)
+    weaker = osc.Arm.from_urdf(arm.model, name="panda", tip=arm.tip, effort_factor=0.9)
+    (scara, _) = rig_of("two_contact_rod").chain.arms
+    for other in heavier, weaker, scara:
+        with refused("learned of another robot"):
+            learned.put_on(other)
+    placed = osc.Arm.from_urdf(
+        arm.model, name="other", tip=arm.tip, friction=0.5, base=pin.SE3.Random()
+    )
+    assert learned.put_on(placed).name == "other", "where it stands, and what it is called"
+
+
+@parametrize(
+    "change",
+    [
+        lambda x: "",
+        lambda x: x[:-20],
+        lambda x: x.replace("friction", "fiction"),
+        lambda x: x.replace("0.0", "NaN", 1),
+        lambda x: x.replace("0.0", "-1.0", 1),
+        lambda x: x.replace("0.0,", "", 1),
+    ],
+)
+def test_files_that_hold_no_learned_friction_are_refused(tmp_path, change):
+    (learned,) = osc.Controller(one_panda(), []).learned_friction
+    path = learned.save(tmp_path / "panda.friction.json")
+    path.write_text(change(path.read_text()))
+    with refused("friction"):
+        osc.LearnedFriction.load(path)
+    with refused("holds no learned friction"):
+        osc.LearnedFriction.load(tmp_path / "nowhere.json")

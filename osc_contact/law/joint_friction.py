@@ -46,7 +46,9 @@ from osc_contact.law.vectors import (
     dot6,
     fill,
     fill_free,
+    minus,
     motion_to_energy,
+    plus,
     scaled,
     six,
     turned_back,
@@ -117,6 +119,7 @@ def observe_arm(t, arm, own, sound, dt):
     if arm.outer_joint >= 0 and arm.filtered:
         beyond = world_wrench(work.axes, beyond)
     wrench = read_wrist(own.reading, joints[arm.sensor_joint], arm.sensor, work.C)
+    fill(own.net, minus(plus(wrench, beyond), moved))
     for j in range(arm.first, arm.sensor_joint + 1):
         row = known[j]
         joint = t.model.joints[j]

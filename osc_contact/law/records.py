@@ -147,6 +147,13 @@ _MODEL = _record(
         "window",
         "dwell",
         "leaving",
+        # see `ceilings`: N, N, m/s; s; times the largest command so far
+        "contact_ceiling",
+        "wrist_ceiling",
+        "speed_ceiling",
+        "ceiling_time",
+        "contact_headroom",
+        "wrist_headroom",
     ),
     gravity=3,
     roots=4,  # √ of mass and principal moments of the object
@@ -281,7 +288,18 @@ _MEMORY = _record(
         "apart",  # s for which arms have held the object at different places
         "step_left",
         "step_time",  # share of a step's time that is left, and that time, see `commands`
+        # see `ceilings`: N, the largest command so far of one contact, and of all beside squeezes;
+        # s above each ceiling; the ceiling of a stop, and what was above it
+        "largest_force",
+        "largest_sum",
+        "over_contact",
+        "over_wrist",
+        "over_tip",
+        "ceiling",
+        "reached",
     ),
+    centre_speed=3,  # of the object's centre in the last tick (m/s), and its rate, low-passed
+    centre_rate=3,
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
     vector=(
         "motion_sum",
@@ -518,6 +536,7 @@ ARM_WORK = _record(
         "chi",
         "share",
         "gone",  # of lost directions; gone: the chain counts them as locked
+        "net",  # reading of its wrist at C less what moves and carries the bodies outboard of it
     ),
     matrix=(
         "passed",  # m of N, then 6 − m of T, orthonormal _e
