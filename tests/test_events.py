@@ -188,7 +188,7 @@ def test_a_recording_has_version_law_date_and_the_robot_files_hashes(tmp_path):
     assert (meta["version"], meta["law_hash"]) == (osc.__version__, law_hash())
     assert began <= datetime.fromisoformat(meta["date"]) <= datetime.now(UTC)
     scenario = osc.load_scenario("two_contact_rod")
-    urdf = resolve_urdf(scenario.arms[0].urdf, Path.cwd())
+    urdf, *_ = resolve_urdf(scenario.arms[0].urdf, Path.cwd())
     assert meta["robot_files"]["arms.left"] == sha256(Path(urdf).read_bytes()).hexdigest()
     assert {"arms.right", "object"} < set(meta["robot_files"])
 

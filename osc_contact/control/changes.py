@@ -29,8 +29,8 @@ class Changes:
         """Begin with the controller as it is."""
         self._controller = controller
         self._take_records()
-        self._state = controller.state
         self._ceilings: dict[str, float] = {}
+        self._unbraked: str | None = None
 
     def _take_records(self) -> None:
         records = self._controller._records
@@ -81,8 +81,11 @@ class Changes:
             kind = "reset" if old is SafetyState.SAFE_STOP else "state"
             reason = controller.reason if new is not SafetyState.RUN else ""
             yield kind, {"from": old.name, "to": new.name, "reason": reason}
-        if "unbraked" in changed and controller.unbraked is not None:
-            yield "brakes", {"joint": controller.unbraked, "reason": controller.reason}
+        if changed & {"unbraked", "state"}:  # a joint is unbraked where the arms are stopped only
+            joint = controller.unbraked
+            if joint is not None and joint != self._unbraked:
+                yield "brakes", {"joint": joint, "reason": controller.reason}
+            self._unbraked = joint
         yield from self._risen(now)
 
     def _risen(self, now: dict[str, Any]) -> Iterator[Event]:
