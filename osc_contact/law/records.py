@@ -410,7 +410,11 @@ PAST = _record(history=(HISTORY, 8))  #: of a joint, where wrenches have stamps
 #: θ of a joint, the same without bounds, its covariance, variance of residuals; share of what is
 #: learned that is applied; means low-passed once more; see `joint_friction`
 FRICTION = _record(
-    number=("noise", "evidence", "rested", "applied"), theta=5, estimate=5, P=(5, 5), smooth=6
+    number=("noise", "evidence", "rested", "applied", "contradicted"),
+    theta=5,
+    estimate=5,
+    P=(5, 5),
+    smooth=6,
 )
 #: ticks since a wrist was read, s for which it has read the very same, and for which motors have
 #: been doubtful
