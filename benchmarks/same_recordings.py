@@ -26,7 +26,8 @@ from osc_contact.spatial import Array
 from osc_contact.sweeps.sweep import available_cores
 
 SEED = 1
-TIMES = ("tick_s", "wall_s", "cpu_s")  #: channels and meta data that a clock measured
+#: channels and meta data that a clock measured, and that are of the sources themselves
+TIMES = ("tick_s", "wall_s", "cpu_s", "date", "law_hash")
 
 
 def record(name: str, duration: float | None) -> osc.Recording:

@@ -45,6 +45,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.dynamics.closed_chain import ClosedChain
     from osc_contact.dynamics.environment import Environment, Rail
     from osc_contact.dynamics.grasp import Grasp
+    from osc_contact.dynamics.learned_friction import LearnedFriction
     from osc_contact.dynamics.operational_space import OperationalSpace, operational_space
     from osc_contact.errors import (
         ContactError,
@@ -166,6 +167,7 @@ __all__ = [
     "Grasp",
     "ClosedChain",
     "ChainState",
+    "LearnedFriction",
     "operational_space",
     "OperationalSpace",
     "Environment",

@@ -25,6 +25,7 @@ from typer import Argument, Exit, Option
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError, missing
 from osc_contact.files import sole_user
 from osc_contact.recorder import Recording
+from osc_contact.recorder.events import events_beside
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.runs import report, viewing
 from osc_contact.runs.run import recover, run
@@ -180,7 +181,8 @@ def run_with_progress(
 
 def forget_rows(folder: Path) -> None:
     """Remove the rows of a run, once what they make is written."""
-    (folder / UNFINISHED).unlink(missing_ok=True)
+    for path in (folder / UNFINISHED, events_beside(folder / UNFINISHED)):
+        path.unlink(missing_ok=True)
 
 
 def recording_in(name: str) -> str:

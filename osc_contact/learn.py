@@ -25,6 +25,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import start
+from osc_contact.scenarios.control_schema import require_below_ceilings
 from osc_contact.spatial import Array, moved
 
 
@@ -47,7 +48,7 @@ def begin(rig: Rig) -> tuple[EntityCfg, Controller]:
         articulation=EntityArticulationInfoCfg(
             actuators=(XmlActuatorCfg(target_names_expr=(".*",)),)
         ),
-    ), controller
+    ), controller.with_safety(rig.scenario.control.safety)  # ceilings follow the actions
 
 
 @dataclass(kw_only=True)
@@ -113,6 +114,7 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
             )
         self.batch = BatchController([cfg.controller] * self.num_envs, cfg.threads)
         self._r = self.batch.alpha_meas.shape[1]
+        require_below_ceilings(cfg.controller.settings.safety, cfg.most_force, self._r)
         self._raw = torch.zeros(self.num_envs, 6 + self._r, device=self.device)
         self._target = np.tile(np.eye(4), (self.num_envs, 1, 1))
         self._forces = np.zeros((self.num_envs, self._r))

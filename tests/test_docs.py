@@ -245,6 +245,19 @@ def test_each_of_the_thirty_bad_inputs_has_a_test():
         assert re.search(rf"^def {name}\(", text_of(ROOT / file), re.MULTILINE), cited
 
 
+def test_each_hazard_has_what_detects_it_a_time_a_limit_and_a_test():
+    assert "**Nothing here is a safety function.**" in text_of("reliability.md")[:400]
+    rows = table_rows("reliability.md", "Hazards")
+    assert len(rows) >= 20
+    for hazard, *cells, cited in rows:
+        assert all(cells), f"{hazard}: an empty cell"
+        if cited == "none":  # then the page says what is not detected
+            assert "not sufficient" in cells[-1], hazard
+            continue
+        (reference,) = TICKED.findall(cited)
+        assert complaint(reference, test=True) is None, complaint(reference, test=True)
+
+
 def test_the_readme_is_short_and_shows_a_picture_and_a_program_with_its_output_first():
     text = text_of(ROOT / "README.md")
     assert len(text.split()) <= 900

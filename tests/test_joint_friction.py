@@ -3,7 +3,8 @@
 from functools import cache
 
 import numpy as np
-from law_calls import joint_friction, records
+import pinocchio as pin
+from law_calls import joint_friction, records, write
 from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
@@ -178,7 +179,8 @@ def test_what_would_be_along_friction_after_a_reversal_is_dropped(errors, unlear
 
 @parametrize("phase", [APPROACHING, CLOSED])
 def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase):
-    t = records(1, 1, 1, friction_learning=1)
+    t = records(1, 1, 1, friction_learning=1, wrist_error=1.0)
+    t.model.joints.tau_max = 100.0
     t.memory.contacts.phase = phase
     t.memory.friction_known[0] = joint_friction.LEARNED
     t.memory.friction[0].theta[0] = 8.0
@@ -189,6 +191,54 @@ def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase
         applied.append(joint_friction.believed_friction(t, 0))
     steps = np.arange(1, 101) if phase == CLOSED else np.full(100, 100)
     assert_near(applied, -8.0 * steps / 100)
+
+
+@parametrize("sign", [1.0, -1.0])
+def test_what_is_applied_of_learned_friction_is_bounded_as_e_is(sign):
+    """It differs from the model by `wrist_error` of the motor, 5 N m here, and what is trusted."""
+    t = records(1, 1, wrist_error=0.05)
+    t.model.joints.tau_max = 100.0
+    t.model.joints.theta[0, :2] = 2.0, 1.0
+    t.memory.friction_known[0] = joint_friction.LEARNED
+    learned = t.memory.friction[0]
+    learned.applied = 1.0
+    write(t.memory.joints[0], sign=sign, speed=sign * 0.5)
+    for F, found in (6.0, 6.5), (7.4, 7.5), (40.0, 7.5), (0.0, 0.5):  # of 2.5 in the model
+        learned.theta[:2] = F, 1.0
+        assert joint_friction.believed_friction(t, 0) == approx(sign * found)
+    write(t.memory.joints[0], trusted=[3.0, 2.0])  # as learned for long: 4 N m
+    learned.theta[0] = 40.0
+    assert joint_friction.believed_friction(t, 0) == approx(sign * 11.5)
+
+
+@parametrize(
+    "residual, moving, forgotten",
+    [(3.9, 1.0, True), (-8.0, 1.0, True), (4.1, 1.0, False), (12.0, 1.0, False), (0.0, 0.0, False)],
+)
+def test_friction_that_is_not_there_any_more_is_forgotten_in_50_ms(residual, moving, forgotten):
+    """8 N m were learned, less than half of them is shown; a joint that sticks shows nothing."""
+    t = records(1, 1, friction_learning=1, wrist_error=1.0)
+    t.model.joints.tau_max = 100.0
+    write(t.model.priors[0], noise=0.3, doubt=1.0)
+    t.memory.friction_known[0] = joint_friction.LEARNED
+    learned = t.memory.friction[0]
+    learned.P[:] = 1.0
+    write(learned, applied=1.0, theta=[8.0], estimate=[8.0])
+    joint = t.memory.joints[0]
+    write(joint, sign=1.0, speed=0.1, residual=residual)
+    for place, value in {"SIGN": 1.0, "SPEED": 0.1, "V": 0.1 * moving, "FRICTION": 8.0}.items():
+        at = getattr(joint_friction, place)
+        joint.means[at] = value
+        if place != "FRICTION":
+            learned.smooth[at] = value
+    learn(t, 48)
+    assert joint_friction.believed_friction(t, 0) == 8.0
+    learn(t, 4)
+    assert joint_friction.believed_friction(t, 0) == (0.0 if forgotten else 8.0)
+    if forgotten:
+        learn(t)
+        assert t.memory.friction_known[0] < joint_friction.LEARNED and joint.unlearned == 0.0
+        assert_array_equal(learned.P, np.eye(5), "nothing of before is left in it")
 
 
 def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
@@ -319,3 +369,57 @@ def test_settings_out_of_range_are_refused():
         with refused(next(iter(wrong))):
             osc.JointFriction(**wrong)
     assert osc.Controller(one_panda(), [], joint_friction=False).settings.joint_friction is None
+
+
+# --- what was learned, saved with the identity of its robot ---------------------------------------
+
+
+def test_what_was_learned_is_kept_in_a_file_and_put_on_the_same_robot(tmp_path):
+    controller = osc.Controller(panda(damping=VISCOUS, friction=DRY), [])
+    memory = controller._records.memory
+    memory.friction_known[2] = joint_friction.LEARNED
+    memory.friction.theta[2, :3] = 7.0, 3.0, 0.05
+    (learned,) = controller.learned_friction
+    again = osc.LearnedFriction.load(learned.save(tmp_path / "panda.friction.json"))
+    assert again == learned
+    (arm,) = panda(damping=0.0, friction=0.0).arms
+    model = again.put_on(arm).model
+    assert_array_equal(model.upperDryFrictionLimit, controller.joint_friction[:, 0])
+    assert_array_equal(model.damping, controller.joint_friction[:, 1])
+    assert model.armature[2] == approx(0.05 + arm.model.armature[2])
+
+
+def test_what_was_learned_of_another_robot_is_refused(tmp_path):
+    (learned,) = osc.Controller(one_panda(), []).learned_friction
+    (arm,) = one_panda().arms
+    heavier = osc.Arm.from_urdf(arm.model, name="panda", tip=arm.tip, mass_factor=1.01)
+    weaker = osc.Arm.from_urdf(arm.model, name="panda", tip=arm.tip, effort_factor=0.9)
+    (scara, _) = rig_of("two_contact_rod").chain.arms
+    for other in heavier, weaker, scara:
+        with refused("learned of another robot"):
+            learned.put_on(other)
+    placed = osc.Arm.from_urdf(
+        arm.model, name="other", tip=arm.tip, friction=0.5, base=pin.SE3.Random()
+    )
+    assert learned.put_on(placed).name == "other", "where it stands, and what it is called"
+
+
+@parametrize(
+    "change",
+    [
+        lambda x: "",
+        lambda x: x[:-20],
+        lambda x: x.replace("friction", "fiction"),
+        lambda x: x.replace("0.0", "NaN", 1),
+        lambda x: x.replace("0.0", "-1.0", 1),
+        lambda x: x.replace("0.0,", "", 1),
+    ],
+)
+def test_files_that_hold_no_learned_friction_are_refused(tmp_path, change):
+    (learned,) = osc.Controller(one_panda(), []).learned_friction
+    path = learned.save(tmp_path / "panda.friction.json")
+    path.write_text(change(path.read_text()))
+    with refused("friction"):
+        osc.LearnedFriction.load(path)
+    with refused("holds no learned friction"):
+        osc.LearnedFriction.load(tmp_path / "nowhere.json")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import repeat
+from math import inf
 
 import numpy as np
 import pinocchio as pin
@@ -131,6 +132,8 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, speed):
 
 def test_joints_that_stay_too_fast_end_in_a_stop(case):
     controller = repeatable(case.controller())
+    limits = controller.settings.safety.replaced(speed_ceiling=inf)
+    controller = controller.with_safety(limits)
     limit = case.chain.model.velocityLimit[case.chain.actuated]
     joint = case.chain.actuated[np.argmin(limit)]
     v = case.measurement.v.copy()
@@ -224,7 +227,9 @@ def test_a_force_that_is_far_too_large_stops_it_and_so_does_one_that_is_not_felt
     n = case.pairs[0].contact(state.X_WO, state.V_O).N[:, 0]
     more = shift(state.X_WO.translation).act(pin.Force(n * 10.0 * (times - 1.0)))
     pressed = replace(m, wrenches=m.wrenches + state.sensors[0].actInv(more).vector)
-    limits = osc.SafetySettings(overforce_time=0.0505, contact_loss_time=0.1005)
+    limits = osc.SafetySettings(
+        overforce_time=0.0505, contact_loss_time=0.1005, contact_ceiling=inf, wrist_ceiling=inf
+    )
     controller = repeatable(case.controller().with_safety(limits))
     passed = 0
     while controller.state is not SAFE_STOP and passed < 120:

@@ -17,6 +17,7 @@ from rigs import STILL, assert_near, largest, panda_arm, refused, rig_of, ticked
 from samples import made_once, module_fixture, parametrize
 
 import osc_contact as osc
+from benchmarks.cases import repeatable
 from benchmarks.tick import ALL_CASES
 from osc_contact.control.saving import controller_bytes
 from osc_contact.control.without_python import ERRORS, write_library
@@ -273,6 +274,34 @@ def test_a_saved_controller_continues_and_takes_gains_tare_and_reset(
         tick_in_both(c, handle, controller, replace(m, q=m.q + noise), rig.references.at(1e-3 * k))
         seen.add(controller.status)
     assert osc.Status.HELD in seen and len(seen) > 1
+    c.osc_destroy(handle)
+
+
+@parametrize(
+    "ceilings, cause",
+    [
+        ({}, "CONTACT_ABOVE_CEILING"),
+        ({"contact_ceiling": np.inf}, "WRIST_ABOVE_CEILING"),
+        ({"contact_ceiling": np.inf, "wrist_ceiling": np.inf}, "NO_REASON"),
+    ],
+)
+def test_ceilings_stop_in_c_as_in_python(library, tmp_path, ceilings, cause):
+    """Those of a program whose commands are not known follow the largest one there, too."""
+    rig = rig_of("two_contact_rod", "control.life=off")
+    limits = osc.SafetySettings(overforce_time=np.inf, contact_power=np.inf, **ceilings)
+    controller = repeatable(rig.controller().with_safety(limits))
+    c, handle = created(library, tmp_path, controller)
+    m, reference = rig.plant().measure(), rig.references.at(0.0)
+    along = np.zeros((2, 6))
+    along[0, :3] = 400.0, 300.0, 400.0
+    stopped = 0
+    for k in range(60):
+        seen = m if k < 20 else replace(m, wrenches=m.wrenches + along)
+        out = tick_in_both(c, handle, controller, seen, reference)
+        stopped = stopped or k * (out.state == osc.SafetyState.SAFE_STOP)
+    assert out.cause == CODES[cause]
+    assert (39 <= stopped <= 42) if cause != "NO_REASON" else stopped == 0
+    assert out.culprit == (controller._records.memory.culprit if stopped else -1)
     c.osc_destroy(handle)
 
 

@@ -41,12 +41,14 @@ from osc_contact.control.waiting import Idle, standing_approaches
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Body
+from osc_contact.dynamics.learned_friction import LearnedFriction, robot_identity
 from osc_contact.errors import InvalidInputError, OscContactError, SolverError, require_kind
 from osc_contact.files import write_whole
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.chain import OBJECT_UNKNOWN
 from osc_contact.law.compiled import rows as law_rows
 from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, OK, Bytes
+from osc_contact.robots.model import joint_names
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,
@@ -84,6 +86,10 @@ FORGOTTEN = (
     "squeeze_left",
     "motion_sum",
     "force_sum",
+    "over_contact",
+    "over_wrist",
+    "over_tip",
+    "centre_rate",
 )
 FORGOTTEN_TABLES: dict[str, tuple[str, ...]] = {
     "joints": (),
@@ -557,6 +563,26 @@ class Controller:
         Below zero where the model has too much.
         """
         return np.array(self._memory.friction.theta[:, 2])
+
+    @property
+    def learned_friction(self) -> tuple[LearnedFriction, ...]:
+        """What was learned of the joints so far, of each arm, with the identity of its robot.
+
+        `LearnedFriction.save` and `load` keep it, `put_on` gives it to an arm to start with.
+        """
+        found = []
+        for arm, s in zip(self.chain.arms, self.chain.slices, strict=True):
+            friction, damping = self.joint_friction[s].T
+            found.append(
+                LearnedFriction(
+                    robot=robot_identity(arm.model),
+                    joints=tuple(joint_names(arm.model)),
+                    friction=tuple(friction.tolist()),
+                    damping=tuple(damping.tolist()),
+                    missing_inertia=tuple(self.missing_inertia[s].tolist()),
+                )
+            )
+        return tuple(found)
 
     @property
     def normal_covariance(self) -> Array:

@@ -49,6 +49,10 @@ class _Facts(dict[str, Any]):
                 return 1e3 * self.settings.safety.closure_error
             case "head":
                 return rows.model
+            case "reached":
+                return float(rows.memory.reached)
+            case "ceiling":
+                return float(rows.memory.ceiling)
             case "amount":
                 return float(rows.work.amount)
             case "column":

@@ -39,6 +39,7 @@ from osc_contact.law.limits import PROGRAM
 from osc_contact.law.nested import Bytes, Nested
 from osc_contact.law.reasons import CODES
 from osc_contact.scenarios.control_schema import PhaseSettings, SafetySettings
+from osc_contact.scenarios.quantities import may_be_infinite
 
 MOST_ARMS = 32  #: that a file may hold
 MOST_ROWS = 4096  #: of contacts, shapes, columns of N
@@ -234,8 +235,7 @@ _OPEN = {
     key: _LIMIT
     for settings in (SafetySettings, PhaseSettings)
     for key, field in settings.model_fields.items()
-    if any(getattr(mark, "open", False) for mark in field.metadata)
-    and key in (at.MODEL.dtype.names or ())
+    if may_be_infinite(field) and key in (at.MODEL.dtype.names or ())
 }
 #: Ranges of numbers that are not just finite, by record and table.
 NUMBERS: dict[str, dict[str, dict[str, tuple[float, float]]]] = {

@@ -35,6 +35,8 @@ from osc_contact.law.safety import BRAKE_RATE, SURE
 from osc_contact.projections import unit_diagonal
 from osc_contact.robots.model import position_limits
 from osc_contact.scenarios.control_schema import (
+    HEADROOM,
+    LEAST_CEILING,
     Friction,
     Gains,
     JointFriction,
@@ -386,6 +388,10 @@ def pack_safety(settings: Settings, head: Any) -> None:
     _copy(safety, head, stop_after="fault_ticks")
     # s from the decision to stop until the brakes are on, as far as stopping ways are concerned
     head.reaction = 0.5 / safety.hold_rate + 0.5 / BRAKE_RATE + SURE
+    for key in ("contact", "wrist"):  # a ceiling that is not given follows the commands
+        given = getattr(safety, f"{key}_ceiling")
+        setattr(head, f"{key}_ceiling", LEAST_CEILING if given is None else given)
+        setattr(head, f"{key}_headroom", HEADROOM if given is None else 0.0)
     head.guarded = 1
     head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER))
     weight = 9.81 * settings.chain.reference.inertia.mass
@@ -474,8 +480,9 @@ def joint_limit_margins(
 def _copy(settings: Spec, head: Any, **names: str) -> None:
     """Copy settings into the fields of their names, or of `names` where these differ."""
     for key in type(settings).model_fields:
-        if (name := names.get(key, key)) in at.MODEL.dtype.names:
-            setattr(head, name, getattr(settings, key))
+        value = getattr(settings, key)
+        if value is not None and (name := names.get(key, key)) in at.MODEL.dtype.names:
+            setattr(head, name, value)
 
 
 STILL = np.zeros((0, 28))  #: motion of the touched bodies where all of them rest

@@ -22,13 +22,14 @@ over the tick, so that friction reverses within the tick in which the joint does
 
     f + g clip(e),   f = F sign s + D s + A ṡ,   ė = K_d(r − LP_K f − e),
 
-before they are limited: f is not a feedback, and e, with g < 1 and |e| ≤ F + D |s|, is what of the
-friction is not learned; where f reverses, e along the new f is dropped. A wrist that is wrong feeds
-e, too: where no friction is known or learned, e is zero. With `errors` the bound is wider by 0.3
-|h|, so that e also is what masses of the links are wrong by. What is compared with a wrench that
-comes late is of the instant at which it was read. Without learning θ is the model's, and
-without `errors` e = 0. Passive joints have no motors: what is known of their friction goes into h
-instead.
+before they are limited; f differs from the model by the bound of e at most, and by what has been
+learned for long, and what residuals contradict for 50 ms is forgotten. f is not a feedback, and e,
+with g < 1 and |e| ≤ F + D |s|, is what of the friction is not learned; where f reverses, e along
+the new f is dropped. A wrist that is wrong feeds e, too: where no friction is known or learned, e
+is zero. With `errors` the bound is wider by 0.3 |h|, so that e also is what masses of the links are
+wrong by. What is compared with a wrench that comes late is of the instant at which it was read.
+Without learning θ is the model's, and without `errors` e = 0. Passive joints have no motors: what
+is known of their friction goes into h instead.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ from osc_contact.law.vectors import (
     dot6,
     fill,
     fill_free,
+    minus,
     motion_to_energy,
+    plus,
     scaled,
     six,
     turned_back,
@@ -65,6 +68,8 @@ _HOLDS = 0.1  #: s likewise, until it surely has friction, as much as has been l
 _FOLLOWS = 0.09  #: of the permitted speed; a joint that moves with less of it learns nothing
 _FULL = 0.7  #: of dry friction; near a reversal nothing is learned
 _FORGET = 2.0  #: s
+_LESS = 0.5  #: share of what is learned beyond the model; if that is missing, nothing was friction
+_CONTRADICTED = 0.05  #: s for which it must be missing
 _RISE = 0.1  #: s in which what is learned comes to be applied: integrals have held it before
 _TURNS = 4  #: ticks in which each joint learns once, for speed: residuals change more slowly
 _EVIDENCE = 0.15  #: s for which residuals must exceed rounding until anything is learned
@@ -117,6 +122,7 @@ def observe_arm(t, arm, own, sound, dt):
     if arm.outer_joint >= 0 and arm.filtered:
         beyond = world_wrench(work.axes, beyond)
     wrench = read_wrist(own.reading, joints[arm.sensor_joint], arm.sensor, work.C)
+    fill(own.net, minus(plus(wrench, beyond), moved))
     for j in range(arm.first, arm.sensor_joint + 1):
         row = known[j]
         joint = t.model.joints[j]
@@ -182,6 +188,7 @@ def _learn(t, j, sound, rate, inertial, dt):
     if state == UNKNOWN:
         state = MODEL_ONLY
         learned.noise = prior.noise * prior.noise
+        learned.P[:] = 0.0
         for i in range(_SIZE):
             learned.theta[i] = learned.estimate[i] = joint.theta[i]
             learned.P[i, i] = prior.doubt[i] * prior.doubt[i]
@@ -209,11 +216,37 @@ def _learn(t, j, sound, rate, inertial, dt):
     rests = abs(smooth[V]) < min(_FOLLOWS * abs(y), _RESTS * least)
     rests = rests and (abs(y) > least or state == LEARNED)
     learned.rested = learned.rested + dt if rests else 0.0
+    if state == LEARNED and _is_contradicted(t, j, missing, moves, dt):
+        t.memory.friction_known[j] = UNKNOWN
+        learned.evidence = learned.applied = row.unlearned = 0.0
+        return
     if (t.memory.balanced + j) % _TURNS or state == MODEL_ONLY or not sound:
         return
     settled = t.memory.balanced * dt > _SETTLED
     if t.model.friction_learning and settled and abs(smooth[SIGN]) > _FULL:
         _estimate(t, j, moves, min(_TURNS * k, 1.0), _TURNS * dt)
+
+
+@leaf
+def _is_contradicted(t, j, missing, moves, dt):
+    """Whether residuals have shown for long that more than half of what was learned is not there.
+
+    Friction stays; what drags at an arm may let go of it. All that was learned is forgotten then.
+
+    Args:
+        j: joint. missing: residual less friction compensated (N m, N), of one instant.
+        moves: whether the joint does; one that sticks may need less than F. dt: s.
+    """
+    learned = t.memory.friction[j]
+    more = believed_friction(t, j) - _modelled_friction(t, j)
+    above = moves and abs(more) > t.model.priors[j].noise
+    above = above and abs(t.memory.joints[j].sign) > _FULL
+    less = above and missing * more < -_LESS * more * more
+    learned.contradicted = max(learned.contradicted + (dt if less else -dt), 0.0)
+    if learned.contradicted <= _CONTRADICTED:
+        return False
+    learned.contradicted = 0.0
+    return True
 
 
 @leaf
@@ -440,6 +473,24 @@ def _theta(t, j, i):
 
 @leaf
 def believed_friction(t, j):
-    """F s/√(s² + s_0²) + D s + A ṡ of joint j in this tick, as learned so far."""
+    """F s/√(s² + s_0²) + D s + A ṡ of joint j in this tick, as learned so far.
+
+    What is learned differs from the model by `wrist_error` at most, as e does, and by what has been
+    learned for long: more may be something that drags at the arm, or a wrist that is wrong.
+    """
     row = t.memory.joints[j]
-    return _theta(t, j, 0) * row.sign + _theta(t, j, 1) * row.speed + _theta(t, j, 2) * row.turn
+    friction = _theta(t, j, 0) * row.sign + _theta(t, j, 1) * row.speed + _theta(t, j, 2) * row.turn
+    if t.memory.friction_known[j] != UNKNOWN:
+        modelled = _modelled_friction(t, j)
+        trusted = row.trusted[0] + row.trusted[1] * abs(row.speed) + row.trusted[2] * abs(row.turn)
+        most = t.model.wrist_error * t.model.joints[j].tau_max + trusted
+        friction = min(max(friction, modelled - most), modelled + most)
+    return friction
+
+
+@leaf
+def _modelled_friction(t, j):
+    """The same as of the model."""
+    row = t.memory.joints[j]
+    known = t.model.joints[j].theta
+    return known[0] * row.sign + known[1] * row.speed + known[2] * row.turn

@@ -147,6 +147,13 @@ _MODEL = _record(
         "window",
         "dwell",
         "leaving",
+        # see `ceilings`: N, N, m/s; s; times the largest command so far
+        "contact_ceiling",
+        "wrist_ceiling",
+        "speed_ceiling",
+        "ceiling_time",
+        "contact_headroom",
+        "wrist_headroom",
     ),
     gravity=3,
     roots=4,  # √ of mass and principal moments of the object
@@ -283,7 +290,18 @@ _MEMORY = _record(
         "step_time",  # share of a step's time that is left, and that time, see `commands`
         "squeeze_left",
         "squeeze_time",  # the same of a step of internal forces
+        # see `ceilings`: N, the largest command so far of one contact, and of all beside squeezes;
+        # s above each ceiling; the ceiling of a stop, and what was above it
+        "largest_force",
+        "largest_sum",
+        "over_contact",
+        "over_wrist",
+        "over_tip",
+        "ceiling",
+        "reached",
     ),
+    centre_speed=3,  # of the object's centre in the last tick (m/s), and its rate, low-passed
+    centre_rate=3,
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
     vector=(
         "motion_sum",
@@ -396,7 +414,11 @@ PAST = _record(history=(HISTORY, 8))  #: of a joint, where wrenches have stamps
 #: θ of a joint, the same without bounds, its covariance, variance of residuals; share of what is
 #: learned that is applied; means low-passed once more; see `joint_friction`
 FRICTION = _record(
-    number=("noise", "evidence", "rested", "applied"), theta=5, estimate=5, P=(5, 5), smooth=6
+    number=("noise", "evidence", "rested", "applied", "contradicted"),
+    theta=5,
+    estimate=5,
+    P=(5, 5),
+    smooth=6,
 )
 #: ticks since a wrist was read, s for which it has read the very same, and for which motors have
 #: been doubtful
@@ -524,6 +546,7 @@ ARM_WORK = _record(
         "chi",
         "share",
         "gone",  # of lost directions; gone: the chain counts them as locked
+        "net",  # reading of its wrist at C less what moves and carries the bodies outboard of it
     ),
     matrix=(
         "passed",  # m of N, then 6 − m of T, orthonormal _e

@@ -25,6 +25,7 @@ from osc_contact.law.allocation import (
     limit_torques,
     predict_joints,
 )
+from osc_contact.law.ceilings import watch_ceilings
 from osc_contact.law.chain import OBJECT_UNKNOWN, solve_chain
 from osc_contact.law.columns import (
     answer_bodies,
@@ -394,6 +395,8 @@ def watch(t):
         reason = check_arms(t)
     if reason == NO_REASON and t.work.rank > 0:
         reason = watch_contacts(t)
+    if reason == NO_REASON and t.model.guarded:
+        reason = watch_ceilings(t)
     return reason
 
 

@@ -24,6 +24,7 @@ from numpy.lib import format as npy
 
 from osc_contact.errors import RecordingError
 from osc_contact.files import Json, StrPath, whole_file
+from osc_contact.recorder.events import events_beside, to_line
 
 # Named arrays and a text in one .npz file: same content, same bytes; read without surprises.
 #
@@ -233,7 +234,7 @@ _FORMAT = 1
 _RESERVED = frozenset({TEXT, "file", "allow_pickle"})
 #: What a clock measured: all that differs from one run to the next of the same seed.
 _TIMES = ("tick_s",)
-_META_TIMES = ("wall_s", "cpu_s")
+_META_TIMES = ("wall_s", "cpu_s", "date")
 _PIECE = 1 << 14  #: ticks that are judged or drawn at once
 _FROM_DISK = 1 << 11  #: the same of a recording that stays on disk, and is to take little memory
 
@@ -266,6 +267,9 @@ class Recording:
         meta: what the series belong to; kept as JSON data (tuples become lists).
         channels: arrays of bool, int or float with equally long first axes.
 
+    Attributes:
+        events: what happened in the run, with wall-clock times; see docs/metrics.md.
+
     Raises:
         RecordingError: meta is not JSON-able, or the channels do not fit together.
 
@@ -282,6 +286,7 @@ class Recording:
             raise RecordingError(
                 f"meta must be JSON-able (finite numbers, text): {error}"
             ) from error
+        self.events: list[Json] = []
         self.channels = Channels()
         for name, values in channels.items():
             array = np.asarray(values)
@@ -354,8 +359,9 @@ class Recording:
     def save(self, path: StrPath) -> Path:
         """Write one .npz file: complete under its final name, or not there at all.
 
-        Two runs of the same seed make the same bytes. What a clock measured (`tick_s`; `wall_s`
-        and `cpu_s` of the meta) goes to another file beside it, run.times.npz for run.npz.
+        Two runs of the same seed make the same bytes. What a clock measured (`tick_s`; `wall_s`,
+        `cpu_s` and `date` of the meta) goes to another file beside it, run.times.npz for run.npz,
+        and the events to run.events.jsonl.
 
         Raises:
             RecordingError: the file cannot be written; an older file of the name is kept."""
@@ -371,6 +377,13 @@ class Recording:
             write_archive(beside, _text(meta=spent, of=checksum(target)), times)
         else:
             beside.unlink(missing_ok=True)
+        events = events_beside(target)
+        if self.events:
+            lines = [{"event": "recording", "of": checksum(target)}, *self.events]
+            with _written(events) as file:
+                file.write("".join(map(to_line, lines)).encode())
+        else:
+            events.unlink(missing_ok=True)
         return target
 
     def export(self, path: StrPath) -> Path:
@@ -396,7 +409,7 @@ class Recording:
 
     @classmethod
     def load(cls, path: StrPath) -> Recording:
-        """Read a file written by `save`, and its times where they stand beside it.
+        """Read a file written by `save`, and its times and events where they stand beside it.
 
         Checksums are verified, nothing is unpickled; what is large stays in the file.
 
@@ -418,7 +431,20 @@ class Recording:
                 if isinstance(meta, dict):
                     meta |= {k: v for k, v in spent["meta"].items() if k in _META_TIMES}
         names = [*(name for name in order if name in columns), *columns]
-        return cls(meta, {name: columns[name] for name in names})
+        recording = cls(meta, {name: columns[name] for name in names})
+        recording.events = _read_events(source)
+        return recording
+
+
+def _read_events(source: Path) -> list[Json]:
+    """The events beside a recording; none where they are of another one, or cannot be read."""
+    try:
+        lines = events_beside(source).read_text("utf-8").splitlines()
+        first, *events = map(json.loads, lines)
+        fits = first["of"] == checksum(source)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return []
+    return [one for one in events if isinstance(one, dict)] if fits else []
 
 
 def _beside(path: Path) -> Path:

@@ -135,6 +135,9 @@ class Records(Protocol):
         """The channels of the last tick, for a viewer; by default none."""
         return {}
 
+    def log(self, event: str, **facts: Any) -> None:
+        """Note an event of the loop, such as "stop" with its reason; by default nothing is done."""
+
 
 def at_once(call: Callable[[], object]) -> None:
     """Do something at once: what a recorder does where no thread does it."""
@@ -202,6 +205,13 @@ def run_loop(
     judge = Shadow(controller) if shadow else None
     stopped = braked = False
 
+    log = getattr(recorder, "log", _log_nothing)
+
+    def stop(reason: str) -> Exception | None:
+        failure = _stop(robot, reason)
+        log("stop", reason=reason, **({} if failure is None else {"failure": repr(failure)}))
+        return failure
+
     def draw(tick: Mapping[str, Any]) -> None:
         nonlocal viewer
         try:
@@ -224,7 +234,7 @@ def run_loop(
                 stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
                 braked = stopped and (braked or bool(getattr(controller, "unbraked", None)))
                 if stopped and before != (stopped, braked) and not shadow:
-                    _stop(robot, getattr(controller, "reason", ""))
+                    stop(getattr(controller, "reason", ""))
                 if recorder is not None:
                     signals.whole(recorder.append, measurement, reference, tau, seconds)
                     if viewer is not None:
@@ -245,10 +255,11 @@ def run_loop(
             signals.busy = True
         except BaseException as error:
             signals.busy = True
-            failure = _stop(robot, signals.name or f"{type(error).__name__}: {error}")
+            failure = stop(signals.name or f"{type(error).__name__}: {error}")
             if failure is not None:
                 error.add_note(f"robot.stop() then failed, too: {failure!r}")
             raise
+        log("stop", reason="")
         robot.stop("")
     if judge is not None:
         report.shadow = judge.report()
@@ -275,6 +286,10 @@ def _process(realtime: bool, recorder: Any, report: LoopReport) -> Iterator[Side
                 recorder.note({"loop": report.as_dict()})
         if side.failure is not None:  # the robot has been stopped
             raise side.failure
+
+
+def _log_nothing(event: str, **facts: Any) -> None:
+    """What notes events where there is no recorder, or one that keeps none."""
 
 
 def _stop(robot: Robot, reason: str) -> Exception | None:

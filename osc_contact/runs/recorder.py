@@ -6,8 +6,10 @@ import logging
 from collections import UserDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import cached_property, partial
+from importlib.metadata import version
 from math import inf
 from pathlib import Path
 from time import perf_counter, process_time
@@ -17,6 +19,7 @@ import numpy as np
 
 from osc_contact.contacts.feet import feet_over, force_owners
 from osc_contact.contacts.pairs.pair import ContactPair, normals_over, pushes_only
+from osc_contact.control.changes import Changes, changed_settings
 from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.control.signals import TickResult, internal_forces
@@ -24,9 +27,11 @@ from osc_contact.control.status import Phase, Status
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import records as at
+from osc_contact.law.library import law_hash
 from osc_contact.plants.judge import Judge, TruthLog, Truths
 from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
+from osc_contact.recorder.events import EventLog, events_beside
 from osc_contact.recorder.journal import Journal, JournalFile
 from osc_contact.recorder.recording import gather
 from osc_contact.robots.summary import joint_losses
@@ -272,9 +277,12 @@ class Recorder:
         self._began = perf_counter(), process_time()
         self.of = of = _subject(controller) if subject is None else subject
         self._meta = {**describe_subject(of), **(meta or {})}
+        self._meta["date"] = datetime.now(UTC).isoformat(timespec="seconds")
         if isinstance(judge, MujocoRobot):
             self._meta["picture"] = judge.picture()
         self.journal = JournalFile(journal, self._meta)
+        self._events = EventLog(None if journal is None else events_beside(journal))
+        self._changes = Changes(controller)
         self.truth = None if judge is None else judge.log()
         self.count = 0
         self._first_reason = ""  #: why the first tick that failed could not be computed
@@ -286,6 +294,8 @@ class Recorder:
         #: writes rows; `run_loop(…, realtime=True)` has another thread do it
         self.hand_over: Callable[[Callable[[], object]], None] = at_once
         self._lay_out(of)
+        about = {key: self._meta[key] for key in ("version", "law_hash")}
+        self.log("start", state=controller.state.name, **about)
 
     def _lay_out(self, of: Subject) -> None:
         """Name the numbers of a row: what is NaN where a tick has no result, and the others."""
@@ -367,8 +377,29 @@ class Recorder:
         if status is Status.HELD and not self._first_reason:
             at = self.count * self.of.controller.dt
             self._first_reason = f"at {at:.3f} s: {self.of.controller.reason}"
+        for event, facts in self._changes.look():
+            self.log(event, **facts)
         self._k += 1
         self.count += 1
+
+    def log(self, event: str, **facts: Any) -> None:
+        """Note an event with the wall-clock time, in the recording and beside its rows.
+
+        Args:
+            event: its kind, such as "stop". facts: JSON-able, what belongs to it.
+        """
+        self._events.note(self.count * self.of.controller.dt, event, facts, self.hand_over)
+
+    def switch(self, controller: Controller) -> None:
+        """Note another controller's ticks from now on, and which settings it has otherwise.
+
+        Args:
+            controller: that continues, such as that of `with_gains` or `with_safety`.
+        """
+        changed = changed_settings(self.of.controller.settings, controller.settings)
+        self.of = replace(self.of, controller=controller)
+        self._changes = Changes(controller)
+        self.log("settings", changed=changed)
 
     def _read_records(self) -> None:
         """Copy what the last tick left in the controller's records.
@@ -446,6 +477,8 @@ class Recorder:
             recording.meta["missing"] = [str(self.error)]
         controller = self.of.controller
         learns = getattr(controller.settings.joint_friction, "learning", False)
+        self.log("end", state=controller.state.name, reason=controller.reason)
+        recording.events = list(self._events.events)
         recording.meta |= {
             "end_state": controller.state.name,
             "end_reason": controller.reason,
@@ -485,6 +518,8 @@ def describe_subject(of: Subject) -> dict[str, Any]:
     limits = [limit if limit < np.inf else None for limit in chain.tau_max.tolist()]
     motors = [chain.joint_names[j] for j in chain.actuated]
     return {
+        "version": version("osc-contact"),
+        "law_hash": law_hash(),
         "arm_names": [arm.name for arm in chain.arms],
         "joint_names": chain.joint_names,
         "effort_limits": dict(zip(motors, limits, strict=True)),

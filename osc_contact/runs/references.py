@@ -62,6 +62,7 @@ def force_steps(scenario: Scenario) -> list[float]:
 
 _WHOLE = np.array([[1.0], [0.0], [0.0]])  #: the constant 1, with its derivatives
 _AT_ONCE = 1000  #: references that are worked out together
+_COMPARED = 100_000  #: ticks whose forces are compared together
 _BEGINNING = 3.0  #: times the approach after a tare, until the motion is that of the signals
 
 
@@ -129,6 +130,20 @@ class References:
         names = force_names(self.scenario)
         signals = self.scenario.force
         return np.reshape([total(signals[name], t)[0] for name in names], (len(names), len(t)))
+
+    @cached_property
+    def largest_commands(self) -> tuple[float, float]:
+        """Of all ticks: the largest command of one contact or squeeze, and of their sum (N)."""
+        arms = len(self.scenario.arms)
+        squeezes = abs(self.scenario.squeeze) * np.ones(arms * (arms - 1) // 2)
+        ticks = round(self.scenario.duration * self.scenario.control.rate) + 1
+        largest = total = 0.0
+        for start in range(0, ticks, _COMPARED):
+            t = np.arange(start, min(start + _COMPARED, ticks)) / self.scenario.control.rate
+            forces = np.abs(self.forces(t))
+            largest = max(largest, float(forces.max(initial=0.0)))
+            total = max(total, float(forces.sum(axis=0).max()))
+        return max(largest, squeezes.max(initial=0.0)), total + squeezes.sum()
 
     @cached_property
     def overview(self) -> tuple[Array, Plan]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from hashlib import sha256
 from math import sqrt
 
 import numpy as np
@@ -45,7 +46,13 @@ from osc_contact.runs.contacts import (
 from osc_contact.runs.recorder import Subject
 from osc_contact.runs.references import References, force_names, least_motion, showing_twist
 from osc_contact.scenarios.bodies import CartSpec, GraspSpec
-from osc_contact.scenarios.control_schema import Gains, JointFriction, ModelErrorSpec, PhaseSettings
+from osc_contact.scenarios.control_schema import (
+    Gains,
+    JointFriction,
+    ModelErrorSpec,
+    PhaseSettings,
+    SafetySettings,
+)
 from osc_contact.scenarios.hardware import PLANT_TYPES
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
@@ -199,6 +206,14 @@ class Rig:
             read = replace(read, touched=replace(read.touched, V_E=still))
         return replace(read, q=self.q_start, v=np.zeros(self.chain.nq))
 
+    def file_hashes(self) -> dict[str, str]:
+        """SHA-256 of the URDFs of arms, object and surroundings, by what they are of."""
+        scenario = self.scenario
+        files = {f"arms.{arm.name}": urdf_of(scenario, arm) for arm in scenario.arms}
+        files["object"] = urdf_of(scenario, scenario.object)
+        files |= {f"environment.{body.name}": body.urdf[0] for body in self.bodies}
+        return {name: sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+
     def robot(self, plant: Plant, controller: Controller) -> Robot:
         """The plant as the control loop meets it: behind the joint torque loop, if any, and what
         estimates the velocities that its sensors do not give."""
@@ -260,10 +275,15 @@ class Rig:
             friction=control.friction,
             reading=control.force.reading,
             life=self.life,
-            safety=control.safety,
+            safety=self.safety,
             laws=scenario.laws() if callable(scenario.laws) else scenario.laws,
             joint_friction=self.joint_friction or False,
         )
+
+    @cached_property
+    def safety(self) -> SafetySettings:
+        """As the controller takes them: ceilings not given follow from the scenario's commands."""
+        return self.scenario.control.safety.for_commands(*self.references.largest_commands)
 
     @property
     def life(self) -> PhaseSettings | None:

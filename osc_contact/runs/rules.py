@@ -108,6 +108,8 @@ class Task:
         force_names: (r,) in messages. owners: (r,) the contact of each.
         rests: of each contact, whether its body does. kept_from: s, when contacts are to be kept.
         bound: whether all contacts are kept, also those whose force is zero.
+        squeezes, commanded: (k,) sums of the internal forces (N), and (k, 6) V_D, at `times`; (0,)
+            and (0, 6): not compared.
         controller, measured, scene: that will run, what its robot measures now, and what stands
             around it; None: not known, as of a scenario.
     """
@@ -134,6 +136,8 @@ class Task:
     rehearsed: int | None = None
     rates: Array = field(default_factory=partial(np.zeros, (0, 6)))
     twists: Array = field(default_factory=partial(np.zeros, (0, 6)))
+    squeezes: Array = field(default_factory=partial(np.zeros, 0))
+    commanded: Array = field(default_factory=partial(np.zeros, (0, 6)))
     controller: Controller | None = None
     measured: Measurement | None = None
     scene: Scene | None = None

@@ -90,6 +90,7 @@ def run(
         "source": scenario.source and scenario.source.name,
         "plant": scenario.plant.type,
         "seed": seed,
+        "robot_files": rig.file_hashes(),
         "force_steps_s": force_steps(scenario),
         "doubts": doubts,
         "force_per_normal": known_to(rig.pairs, rig.state, 1.0),

@@ -103,7 +103,7 @@ def judge_robot(task: Task) -> tuple[Finding, ...]:
 def judge_motion(task: Task) -> tuple[Finding, ...]:
     """Everything that is wrong or doubtful about the motions and forces of a task."""
     motion = findings(MOTION_RULES, task) or findings((joints,), task)
-    return (*findings((rate,), task), *motion, *findings((motors,), task))
+    return (*findings((rate, *CEILINGS), task), *motion, *findings((motors,), task))
 
 
 def task_of_robot(
@@ -153,6 +153,8 @@ def task_of_robot(
         twists=np.array([0.5 * (given[k].V_D + given[k + 1].V_D) for k in following]).reshape(
             -1, 6
         ),
+        squeezes=np.array([np.abs(given[k].squeeze_d).sum() for k in looks]),
+        commanded=np.array([given[k].V_D for k in looks]),
         every=lambda period: iter(given[:: max(1, round(period / dt))]),
         force_names=[f"alpha_d of {name}" for name in names],
         owners=owners,
@@ -503,6 +505,52 @@ def measured_range(task: Task) -> Values:
         yield force[k] / most, words
 
 
+@rule(
+    "{name} is {force:.4g} N at t = {t:.3g} s, above safety.{key} = {most:.4g} N, at which the "
+    "arms are stopped; command less force, or raise {key} to what task and robot permit",
+    1.0,
+)
+def force_ceilings(task: Task) -> Values:
+    """Commands of one contact, and all at once, over the ceilings that are given."""
+    forces = np.abs(task.forces)
+    total = forces.sum(axis=1)
+    total[: len(task.squeezes)] += task.squeezes
+    compared = dict(zip(task.force_names, forces.T, strict=True))
+    if len(task.squeezes) and len(task.chain.arms) == 2:
+        compared["the internal force"] = task.squeezes
+    all_at_once = "the sum of all commanded forces"
+    for name, force in {**compared, all_at_once: total}.items():
+        key = "wrist_ceiling" if name == all_at_once else "contact_ceiling"
+        most = getattr(task.safety, key)
+        if most is not None:
+            k = force.argmax()
+            words = {"name": name, "t": task.times[k], "force": force[k], "key": key}
+            yield force[k] / most, words | {"most": most}
+
+
+@rule(
+    "the motion leads the tip of arm '{name}' at {speed:.3g} m/s at t = {t:.3g} s, above "
+    "safety.speed_ceiling = {most:.3g} m/s, at which the arms are stopped; command a slower "
+    "motion, or raise speed_ceiling to what task and robot permit",
+    1.0,
+)
+def speed_ceiling(task: Task) -> Values:
+    """Speeds of the arms' tips by V_D, over their ceiling."""
+    most = task.safety.speed_ceiling
+    V = task.commanded
+    if not len(V) or not most < np.inf:
+        return
+    axis = task.poses[:, 3:6]  # of the quaternion
+    for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
+        point = grasp.X_TO.inverse().translation  # of the tip, in the object
+        across = 2.0 * np.cross(axis, point)
+        lever = point + task.poses[:, 6:] * across + np.cross(axis, across)
+        speeds = np.linalg.norm(V[:, :3] + np.cross(V[:, 3:], lever), axis=1)
+        k = speeds.argmax()
+        words = {"name": arm.name, "speed": speeds[k], "t": task.times[k], "most": most}
+        yield speeds[k] / most, words
+
+
 @doubt(
     "the motion leads the object {mm:.0f} mm {way} the surface of contact '{name}', which "
     "does not permit it: that part is not followed; give a direction along the surface, such as "
@@ -597,4 +645,5 @@ def _moving_parts(task: Task, relation: str) -> Iterator[tuple[slice, float]]:
 #: What a task has to follow; a new rule is entered in one of these rows. `joints` go through a
 #: motion that none of `MOTION_RULES` finds fault with.
 ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range, spacing, contradiction)
+CEILINGS = (force_ceilings, speed_ceiling)
 MOTION_RULES = (stretched, postures, lifted, lag)

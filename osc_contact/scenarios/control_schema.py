@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.quantities import (
     Acceleration,
     Angle,
@@ -39,9 +40,12 @@ from osc_contact.scenarios.quantities import (
     TimeLimit,
     Velocity,
     VelocityLimit,
+    may_be_infinite,
     refuse,
 )
 
+LEAST_CEILING = 30.0  #: N; no ceiling that follows from commands is lower
+HEADROOM = 3.0  #: times the largest command: such a ceiling
 _UNBRAKED = 6.0  #: a speed of the contact that lasts longer than this / K_i is not braked
 _DERIVED: Any = Field(default=None)  #: follows from the other gains
 
@@ -327,7 +331,7 @@ class SafetySettings(OrderedSpec):
     ends are not watched"""
     contact_power: Annotated[Limit, "W"] = 20.0
     """more power into the contacts stops the controller"""
-    contact_force: ForceLimit = 30.0
+    contact_force: ForceLimit = LEAST_CEILING
     """a contact that reads more, and more than three times its command, for `overforce_time` stops
     it"""
     overforce_time: TimeLimit = 0.15
@@ -369,15 +373,36 @@ class SafetySettings(OrderedSpec):
     mirrored, scaled, offset or of another arm"""
     closure_error: LengthLimit = 0.02
     """arms whose encoders place the object they hold further apart stop"""
+    contact_ceiling: ForceLimit | None = None
+    """a contact that reads more for `ceiling_time` stops the arms, whatever is commanded, and a
+    larger command is refused before the start; null: three times the largest command (of a contact
+    or `squeeze`), at least 30 N ([ceilings](reliability.md#ceilings))"""
+    wrist_ceiling: ForceLimit | None = None
+    """the same of the force that a wrist bears beside weight and inertia; null: three times the
+    largest sum of all commands, at least 30 N"""
+    speed_ceiling: VelocityLimit = 0.5
+    """the same of the speed of a tip"""
+    ceiling_time: TimeLimit = 0.02
+    """see `contact_ceiling`"""
+
+    def for_commands(self, largest: float, total: float) -> Self:
+        """The same with ceilings for commands that are all known beforehand; given ones stay.
+
+        Args:
+            largest: command of one contact, or squeeze (N). total: largest sum of all of them (N).
+        """
+        commands = {"contact_ceiling": largest, "wrist_ceiling": total}
+        derived = {
+            key: max(LEAST_CEILING, HEADROOM * command)
+            for key, command in commands.items()
+            if getattr(self, key) is None
+        }
+        return self.replaced(**derived)
 
     @classmethod
     def motors_only(cls, **keys: Any) -> SafetySettings:
         """No limits but those of the motors and of `keys`: for ticks that are not one motion."""
-        unlimited = {
-            key: inf
-            for key, field in cls.model_fields.items()
-            if any(getattr(mark, "open", False) for mark in field.metadata)
-        }
+        unlimited = {key: inf for key, field in cls.model_fields.items() if may_be_infinite(field)}
         return cls(**{"brake_time": 0.0, **unlimited, **keys})
 
     @model_validator(mode="after")
@@ -388,6 +413,26 @@ class SafetySettings(OrderedSpec):
                 "stop_after"
             )
         return self
+
+
+def require_below_ceilings(safety: SafetySettings, force: float, contacts: int) -> None:
+    """Refuse commands that could be above the ceilings that are given.
+
+    Args:
+        safety: of the controller. force: the largest command of a contact (N). contacts: number
+            of forces that may be commanded so at once.
+
+    Raises:
+        InvalidInputError: a ceiling is lower, with the cure.
+    """
+    for key, command in (("contact_ceiling", force), ("wrist_ceiling", contacts * force)):
+        ceiling = getattr(safety, key)
+        if ceiling is not None and command > ceiling:
+            raise InvalidInputError(
+                f"forces of up to {force:g} N in {contacts} contacts may be commanded, above "
+                f"safety.{key} = {ceiling:g} N, at which the arms are stopped; lower most_force, "
+                f"or raise control.safety.{key}"
+            )
 
 
 class Friction(OrderedSpec):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from itertools import pairwise
 from numbers import Real
-from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, dataclass_transform, get_args
 
 from pydantic import (
     AfterValidator,
@@ -22,6 +22,7 @@ from pydantic import (
     GetCoreSchemaHandler,
     ValidationError,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
 from osc_contact.errors import InvalidInputError, did_you_mean
@@ -353,12 +354,19 @@ NotEmpty = Annotated[tuple[T, ...], Field(min_length=1)]
 PositiveNumber = Positive[Number]
 NotNegativeNumber = NotNegative[Number]
 
-# What is limited up to there; .inf in a file: no limit.
+# What is limited up to there; .inf in a file: no limit, see `may_be_infinite`.
 Limit = Positive[Annotated[float, replace(_NUMBER, open=True)]]
 ForceLimit = Positive[Annotated[float, replace(_FORCE, open=True)]]
 LengthLimit = Positive[Annotated[float, replace(_LENGTH, open=True)]]
 TimeLimit = Positive[Annotated[float, replace(_TIME, open=True)]]
 VelocityLimit = Positive[Annotated[float, replace(_LENGTH_RATES[0], open=True)]]
+
+
+def may_be_infinite(field: FieldInfo) -> bool:
+    """Whether a key is a limit that may be left out by .inf, also one that may be null."""
+    parts = (field.annotation, *get_args(field.annotation))
+    marks = [*field.metadata, *(mark for part in parts for mark in get_args(part)[1:])]
+    return any(getattr(mark, "open", False) for mark in marks)
 
 
 def _three(what: str) -> BeforeValidator:

@@ -6,7 +6,7 @@ Its episodes begin at the starts of a scenario, with other numbers each, as samp
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from gymnasium.vector.utils import batch_space
 
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
+from osc_contact.scenarios.control_schema import require_below_ceilings
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, moved
 from osc_contact.sweeps.fleet import Fleet, Start
@@ -61,6 +62,8 @@ def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
         places = np.array([pin.XYZQUATToSE3(x).homogeneous for x in plan.X_WD])
         with without_logged_doubts():
             start = Start.of(rig)
+        follows = start.controller.with_safety(rig.scenario.control.safety)  # ceilings: the actions
+        start = replace(start, controller=follows)
         return Episode(number, start, places, plan.alpha_d, plan.squeeze_d)
 
     return make
@@ -180,6 +183,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self.move = np.repeat(_needed(first.places) if move is None else move, 3)
         largest = 2.0 * float(np.abs(first.forces).max(initial=0.0))
         self.most_force = largest if most_force is None else most_force
+        require_below_ceilings(first.start.rig.scenario.control.safety, self.most_force, self._r)
         self._now = [first] * num_envs
         count = available_cores() if threads is None else threads
         self.fleet = Fleet([first.start] * num_envs, min(count, num_envs))

@@ -1,0 +1,122 @@
+"""What changes in a controller from one tick to the next, as events for a log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from osc_contact.control.records import Settings
+from osc_contact.control.status import SafetyState
+from osc_contact.law import records as at
+
+Event = tuple[str, dict[str, Any]]  #: kind, and what belongs to it
+
+RISE = 1.1  #: times the ceiling that was noted last; smaller rises are no event
+_STATES = tuple(SafetyState)
+#: Of MEMORY: fields of which a change is an event, or may be a part of one.
+_WATCHED = ("state", "engaged", "unbraked", "f_tare", "f_bias", "largest_force", "largest_sum")
+
+
+class Changes:
+    """A controller's state, its contacts, tare and ceilings, compared with those at the last look.
+
+    A look at a controller of which nothing has changed compares some bytes and returns at once.
+    """
+
+    def __init__(self, controller: Any) -> None:
+        """Begin with the controller as it is."""
+        self._controller = controller
+        self._take_records()
+        self._ceilings: dict[str, float] = {}
+        self._unbraked: str | None = None
+
+    def _take_records(self) -> None:
+        records = self._controller._records
+        head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
+        self._records = records
+        self._words = records.rows.raw.view(np.int64)
+        self._places = records.places(*(head[name] for name in _WATCHED))
+        self._seen = np.zeros(len(self._places), np.int64)
+        self._before = self._read()
+
+    def _read(self) -> bytes:
+        self._words.take(self._places, out=self._seen, mode="clip")
+        return self._seen.tobytes()
+
+    def look(self) -> Sequence[Event]:
+        """Events since the last look, the oldest first."""
+        if self._controller._records is not self._records:
+            self._take_records()
+            return ()
+        now = self._read()
+        if now == self._before:
+            return ()
+        before = self._fields(self._before)
+        self._before = now
+        return list(self._events(before, self._fields(now)))
+
+    @staticmethod
+    def _fields(seen: bytes) -> dict[str, Any]:
+        """The watched fields, of their bytes."""
+        fields: dict[str, Any] = {}
+        first = 0
+        for name in _WATCHED:
+            kind = at.MEMORY.dtype[name]
+            fields[name] = np.frombuffer(seen, kind.base, int(np.prod(kind.shape)), first)
+            first += kind.itemsize
+        return fields
+
+    def _events(self, before: dict[str, Any], now: dict[str, Any]) -> Iterator[Event]:
+        controller = self._controller
+        changed = {name for name in _WATCHED if before[name].tobytes() != now[name].tobytes()}
+        if "engaged" in changed:
+            yield "setting", {"name": "engaged", "value": bool(now["engaged"][0])}
+        for name in ("f_tare", "f_bias"):
+            if name in changed:
+                yield "setting", {"name": name, "value": now[name].tolist()}
+        if "state" in changed:
+            old, new = (_STATES[int(one["state"][0])] for one in (before, now))
+            kind = "reset" if old is SafetyState.SAFE_STOP else "state"
+            reason = controller.reason if new is not SafetyState.RUN else ""
+            yield kind, {"from": old.name, "to": new.name, "reason": reason}
+        if changed & {"unbraked", "state"}:  # a joint is unbraked where the arms are stopped only
+            joint = controller.unbraked
+            if joint is not None and joint != self._unbraked:
+                yield "brakes", {"joint": joint, "reason": controller.reason}
+            self._unbraked = joint
+        yield from self._risen(now)
+
+    def _risen(self, now: dict[str, Any]) -> Iterator[Event]:
+        """Ceilings that follow the largest command so far, where they have risen."""
+        model = self._records.model
+        for key, command in (("contact", "largest_force"), ("wrist", "largest_sum")):
+            ceiling = float(model[f"{key}_headroom"] * now[command][0])
+            if ceiling > max(RISE * self._ceilings.get(key, 0.0), model[f"{key}_ceiling"]):
+                self._ceilings[key] = ceiling
+                yield "ceiling", {"name": f"{key}_ceiling", "value": ceiling}
+
+
+def changed_settings(before: Settings, now: Settings) -> dict[str, list[Any]]:
+    """Keys of settings that differ, such as safety.contact_force: [30.0, 50.0].
+
+    Args:
+        before, now: of two controllers.
+    """
+    found: dict[str, list[Any]] = {}
+    for group in ("gains", "safety", "friction", "life", "posture_task", "joint_friction"):
+        old, new = (_flat(group, getattr(one, group)) for one in (before, now))
+        for key in {**old, **new}:
+            if old.get(key) != new.get(key):
+                found[key] = [old.get(key), new.get(key)]
+    return found
+
+
+def _flat(name: str, value: Any) -> dict[str, Any]:
+    """The keys of a group of settings, and of the groups in it, with their paths."""
+    fields = getattr(type(value), "model_fields", None)
+    if fields is None:
+        return {name: value}
+    parts = [_flat(f"{name}.{key}", getattr(value, key)) for key in fields]
+    return {key: one for part in parts for key, one in part.items()}

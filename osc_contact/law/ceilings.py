@@ -1,0 +1,169 @@
+"""Ceilings: the most that contacts and wrists may bear and the fastest that tips may move.
+
+They hold whatever is commanded at the moment, unlike the limits of `safety`. A contact's is
+compared with its magnitude as read, a wrist's with the force that it reads without what moves and
+carries the bodies outboard of it and the arm's share of the object, a tip's with its speed. Where
+the largest commands are not known beforehand, ceilings rise with them: `contact_headroom` times the
+largest so far.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from osc_contact.law.arm_motion import place_point
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.joint_friction import LAG
+from osc_contact.law.phases import collect
+from osc_contact.law.reasons import NO_REASON, declare_reason
+from osc_contact.law.vectors import (
+    add3,
+    dot3,
+    fill3,
+    linear,
+    minus3,
+    scaled3,
+    velocity_at,
+)
+
+CONTACT_ABOVE_CEILING = declare_reason(
+    "CONTACT_ABOVE_CEILING",
+    70,
+    "{contact}: {reached:.3g} N was read, above the ceiling of {ceiling:.4g} N (contact_ceiling) "
+    "for longer than ceiling_time = {safety.ceiling_time:g} s",
+)
+WRIST_ABOVE_CEILING = declare_reason(
+    "WRIST_ABOVE_CEILING",
+    71,
+    "the wrist of arm '{arm}' bears {reached:.3g} N beside weight and inertia, above the ceiling "
+    "of {ceiling:.4g} N (wrist_ceiling) for longer than ceiling_time = {safety.ceiling_time:g} s",
+)
+TIP_ABOVE_CEILING = declare_reason(
+    "TIP_ABOVE_CEILING",
+    72,
+    "the tip of arm '{arm}' moves at {reached:.3g} m/s, above the ceiling of {ceiling:.4g} m/s "
+    "(speed_ceiling) for longer than ceiling_time = {safety.ceiling_time:g} s",
+)
+
+
+@inner
+def watch_ceilings(t):
+    """Contacts, wrists or tips that have been above their ceilings for too long; a reason.
+
+    The time below a ceiling takes that above it away, as of the other limits. A wrist that was not
+    read in this tick leaves its evidence as it is.
+    """
+    model = t.model
+    memory = t.memory
+    _note_commands(t)
+    ceiling = max(model.contact_ceiling, model.contact_headroom * memory.largest_force)
+    column, force = _largest_force(t)
+    memory.over_contact = collect(memory.over_contact, t.work.dt, force > ceiling)
+    if force > ceiling and memory.over_contact > model.ceiling_time:
+        return _stop(memory, CONTACT_ABOVE_CEILING, column, force, ceiling)
+    rate = _follow_centre(t)
+    if memory.wrench_missing == 0 and memory.balanced > 0:
+        ceiling = max(model.wrist_ceiling, model.wrist_headroom * memory.largest_sum)
+        arm, force = _largest_load(t, rate)
+        memory.over_wrist = collect(memory.over_wrist, t.work.dt, force > ceiling)
+        if force > ceiling and memory.over_wrist > model.ceiling_time:
+            return _stop(memory, WRIST_ABOVE_CEILING, arm, force, ceiling)
+    arm, speed = _fastest_tip(t)
+    memory.over_tip = collect(memory.over_tip, t.work.dt, speed > model.speed_ceiling)
+    if speed > model.speed_ceiling and memory.over_tip > model.ceiling_time:
+        return _stop(memory, TIP_ABOVE_CEILING, arm, speed, model.speed_ceiling)
+    return NO_REASON
+
+
+@leaf
+def _stop(memory, reason, culprit, reached, ceiling):
+    """The reason, with what its sentence names noted in `memory`."""
+    memory.culprit = culprit
+    memory.reached = reached
+    memory.ceiling = ceiling
+    return reason
+
+
+@leaf
+def _note_commands(t):
+    """The largest command so far of one contact or squeeze, and of all together (N)."""
+    memory = t.memory
+    total = 0.0
+    for j in range(t.model.n_columns):
+        force = abs(t.work.columns[j].alpha_d)
+        memory.largest_force = max(memory.largest_force, force)
+        total += force
+    for bar in range(t.model.n_bars):
+        force = abs(memory.squeeze[bar])
+        memory.largest_force = max(memory.largest_force, force)
+        total += force
+    memory.largest_sum = max(memory.largest_sum, total)
+
+
+@leaf
+def _largest_force(t):
+    """The column of N with the largest magnitude as read, and this magnitude (N)."""
+    column = 0
+    largest = 0.0
+    for a in range(t.work.rank):
+        force = abs(t.work.alpha_meas[a])
+        if force > largest:
+            column = t.work.kept[a]
+            largest = force
+    return column, largest
+
+
+@leaf
+def _follow_centre(t):
+    """Acceleration of the object's centre (3,), from its velocity, low-passed as the joints'."""
+    memory = t.memory
+    velocity = linear(t.work.V_C)
+    dt = t.model.period * (1 + memory.gap)
+    k = 0.0 if memory.balanced <= 1 else dt / (LAG + dt)
+    now = scaled3(1.0 / dt, minus3(velocity, memory.centre_speed))
+    rate = add3(memory.centre_rate, k, minus3(now, memory.centre_rate))
+    fill3(memory.centre_rate, rate)
+    fill3(memory.centre_speed, velocity)
+    return rate
+
+
+@leaf
+def _largest_load(t, rate):
+    """The arm whose wrist bears the largest force beside weight and inertia, and this force (N).
+
+    Each arm bears an equal share of the object's weight and inertia, and of the tare.
+
+    Args:
+        rate: (3,) acceleration of the object's centre.
+    """
+    model = t.model
+    mass = model.principal[0] / model.n_arms if model.held else 0.0
+    carried = add3(scaled3(mass, minus3(rate, model.gravity)), 1.0 / model.n_arms, t.memory.f_tare)
+    arm = 0
+    largest = 0.0
+    for k in range(model.n_arms):
+        if model.arms[k].sensor_joint < 0:
+            continue
+        force = minus3(t.work.arms[k].net, carried)
+        size = sqrt(dot3(force, force))
+        if size > largest:
+            arm = k
+            largest = size
+    return arm, largest
+
+
+@leaf
+def _fastest_tip(t):
+    """The arm whose tip is the fastest, and its speed (m/s)."""
+    work = t.work
+    arm = 0
+    fastest = 0.0
+    for k in range(t.model.n_arms):
+        own = t.model.arms[k]
+        tip = place_point(work.joints[own.tip_joint], own.tip[9:])
+        velocity = velocity_at(work.arms[k].V, minus3(tip, work.C))
+        speed = sqrt(dot3(velocity, velocity))
+        if speed > fastest:
+            arm = k
+            fastest = speed
+    return arm, fastest
