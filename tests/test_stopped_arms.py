@@ -11,6 +11,7 @@ import numpy as np
 from pytest import mark
 from rigs import vector
 from samples import first, parametrize
+from scenario_runs import run_of
 
 import osc_contact as osc
 from benchmarks.fault_injection import NAN, REST_AFTER, REST_SPEED, REST_TRAVEL, Run, Verdict
@@ -84,9 +85,9 @@ class Seen:
 
 def stop(how):
     """Run until the wrists die, and for `WATCHED` seconds after the stop or until the brakes."""
-    run = Run(Place(scenario=how.scenario, seed=how.seed))
-    if how.friction:
-        run = rubbing(how)
+    rubs = [f"plant.joint_friction={how.friction}"] if how.friction else []
+    place = Place(scenario=how.scenario, seed=how.seed)
+    run = Run(place, osc.load_scenario(how.scenario, rubs))
     angle = np.deg2rad(how.tilt)
     run.true.model.opt.gravity[:] = 9.81 * vector(np.sin(angle), 0.0, -np.cos(angle))
     rng = np.random.default_rng(how.seed)
@@ -133,12 +134,6 @@ def stop(how):
             seen.speed = max(seen.speed, float(speeds.max()))
     seen.reasons.append(control.reason)
     return seen
-
-
-def rubbing(how):
-    """The run with dry friction in its joints."""
-    scenario = osc.load_scenario(how.scenario, [f"plant.joint_friction={how.friction}"])
-    return Run(Place(scenario=how.scenario, seed=how.seed), scenario)
 
 
 def drawn(count, seed, deaths):
@@ -286,3 +281,39 @@ def test_brakes_are_requested_in_the_tick_in_which_a_mixed_packet_stops_the_arms
     age = run.controller.state_age
     stopped = run.k - age
     assert stopped * run.dt - how.moment < 0.02
+
+
+# --- no false stops -------------------------------------------------------------------------------
+
+#: scenario, dry friction (share of the motors' limits), bits of the encoders; None: ideal ones
+RUBBING = (
+    ("panda_edge", 0.01, 20),
+    ("ur5_wipe", 0.01, 20),
+    ("panda_dome", 0.01, 20),
+    ("scara_peg", 0.01, 20),
+    ("ur5_wipe", 0.02, 16),
+    ("panda_edge", 0.02, None),
+    ("two_contact_rod", 0.02, 18),
+)
+
+
+@parametrize("how", first(RUBBING, 4), ids=str)
+def test_joints_that_stick_in_dry_friction_stop_nothing(how):
+    scenario, friction, bits = how
+    step = 0.0 if bits is None else 2.0 * np.pi / 2**bits
+    errors = f"{{rate: 1 kHz, angle: {{resolution: {step} rad}}, length: {{resolution: {step} m}}}}"
+    changes = [f"plant.joint_friction={friction}"]
+    changes += [] if bits is None else [f"sensors.encoder={errors}"]
+    meta = run_of(scenario, *changes, duration=3.0).meta
+    assert meta["end_state"] != "SAFE_STOP", meta["first_reason"]
+
+
+def test_ideal_sensors_of_an_arm_at_rest_are_no_packet_that_repeats_itself():
+    """Free and still, all readings the very same for a second."""
+    run = Run(Place("approach", "approach_and_slide"))
+    still = run.robot.measure()
+    for _ in range(1000):
+        run.controller.tick(still, run.rig.references.at(0.0))
+        if run.controller.state is SAFE_STOP:
+            break
+    assert "a packet repeats itself" not in run.controller.reason
