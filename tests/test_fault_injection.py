@@ -117,15 +117,35 @@ def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
     assert_near(run.plant.truth().alpha, run.rig.references.at(1.5).alpha_d, rtol=0.05)
 
 
-@parametrize("lost_of, stops", {(1, 2): False, (2, 3): True, (19, 20): True})
-def test_more_than_half_of_the_ticks_must_not_be_lost_for_long(lost_of, stops):
+@parametrize("lost_of, within", {(1, 2): 1000, (2, 3): 100, (19, 20): 50, (1, 3): None})
+def test_a_run_stops_where_many_ticks_are_lost_for_good(lost_of, within):
+    """Every second one within a second, of every third one none."""
     n, m = lost_of
 
     def change(measurement, k):
         return lost(measurement) if k >= 100 and k % m < n else measurement
 
-    run, _ = driven(change, 500)
-    assert (run.controller.state is SAFE_STOP) == stops, run.controller.reason
+    run, _ = driven(change, 100 + (within or 2500))
+    assert (run.controller.state is SAFE_STOP) == (within is not None), run.controller.reason
+    if lost_of == (1, 2):
+        assert "more than missed_share = 0.4 of the ticks" in run.controller.reason
+
+
+def test_the_share_of_lost_ticks_that_stops_a_run_is_a_setting():
+    def change(measurement, k):
+        return lost(measurement) if k % 10 == 9 else measurement
+
+    for share, stops in (0.08, True), (0.12, False):
+        run = Run(Case())
+        safety = osc.SafetySettings(missed_share=share)
+        controller = run.controller.with_safety(safety)
+        run.controller, run.tick = controller, controller.tick
+        measure = run.robot.measure
+        run.robot.measure = lambda run=run, measure=measure: change(measure(), run.k)
+        seen = Verdict("no fault", run.case)
+        while run.k < 1500:
+            run.step(seen)
+        assert (controller.state is SAFE_STOP) == stops
 
 
 def test_arms_whose_wrist_is_frozen_are_held_where_they_are():

@@ -23,6 +23,7 @@ from osc_contact.law.sensors import (
     DISAGREE,
     FROZEN,
     JUMPED,
+    MIXED,
     NO_ROTATION,
     OUT_OF_RANGE,
     STUCK,
@@ -294,6 +295,9 @@ def test_joints_move_no_further_than_they_can(sign, unread):
             t.memory.joints.unread_q[j] = unread
             t.input.q[j] += sign * way
             assert_read(t, reason, j)
+            t.memory.joints.barred[j] = 1  # after a jump: where it is predicted, without waiting
+            t.memory.q[j] = t.input.q[j] - sign * (way - 3.0 * limit * DT * unread)
+            assert_read(t, reason, j)
             t.memory.compared = 0  # nothing to compare with
             assert sensors.check_readings(t) == NO_REASON
         for speed, reason in (3.0 * limit, NO_REASON), (3.001 * limit, JUMPED):
@@ -401,6 +405,7 @@ class Sensors(Watched):
         self.memory = self.t.memory
         self.joints = self.t.memory.joints
         write(self.memory, engaged=1, force_rank=force_rank, state=at.RUN, culprit=0)
+        self.joints.driven[:] = 1  # there is no friction
         self.count = 0
         self.q = np.zeros(2)
 
@@ -458,23 +463,177 @@ def test_a_wrist_in_contact_may_repeat_itself_for_so_long():
         assert sensors.tick(wrench=still + k // 10) == NO_REASON
 
 
-def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest():
-    still = {"wrench": np.ones((1, 6)), "q": np.ones(2), "v": (0.0, 0.0)}
-    sensors = Sensors(force_rank=0)
-    assert sensors.until(**still) == (12, FROZEN)
+STILL = {"wrench": np.ones((1, 6)), "q": np.ones(2), "v": (0.0, 0.0)}
+
+
+def noisy(state=at.RUN, joints=(0, 1), **how):
+    """After 100 readings at rest with noise in the positions of these joints."""
+    sensors = Sensors(force_rank=0, **how)
+    sensors.memory.state = state
+    for k in range(100):
+        q = np.ones(2)
+        q[list(joints)] += 1e-5 * (-1) ** k
+        assert sensors.tick(**STILL | {"q": q, "wrench": None}) == NO_REASON
+    return sensors
+
+
+@parametrize("state", [at.RUN, at.SAFE_STOP])
+def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest(state):
+    """By the noise that its readings had before; also in a stop."""
+    sensors = noisy(state)
+    assert sensors.until(**STILL) == (12, FROZEN)
     assert (sensors.joints.faulty == 3).all(), "no reading of it is sound"
-    sensors = Sensors()
-    assert sensors.until(**still | {"wrench": None}, most=60) == (0, NO_REASON)
+    assert sensors.memory.unbraked == 1
+    assert noisy(state).until(**STILL | {"wrench": None}, most=60) == (0, NO_REASON)
+    for joints in (), (0,), (1,):  # ideal or coarse sensors read the same at rest
+        assert noisy(state, joints).until(**STILL, most=60) == (0, NO_REASON)
     for j in range(2):
-        sensors = Sensors(force_rank=0)
+        sensors = noisy(state)
         q = np.ones(2)
         for k in range(60):
             q[j] = 1.0 + 1e-12 * (k % 2)
-            assert sensors.tick(**still | {"q": q.copy()}) == NO_REASON
-    sensors = Sensors(force_rank=0)
+            assert sensors.tick(**STILL | {"q": q.copy()}) == NO_REASON
+    sensors = noisy(state)
     for k in range(60):
-        assert sensors.tick(**still | {"v": (0.0, 1e-12 * (k % 2))}) == NO_REASON
+        assert sensors.tick(**STILL | {"v": (0.0, 1e-12 * (k % 2))}) == NO_REASON
     assert sensors.memory.frozen == 0
+
+
+def test_a_wrist_out_of_range_is_none_that_repeats_itself():
+    """It reads something else than it did; one that is not read leaves the evidence as it is."""
+    for beyond, ends in (1e7, (0, NO_REASON)), (np.nan, (12, FROZEN)):
+        sensors = noisy()
+        assert sensors.until(**STILL | {"wrench": np.full((1, 6), beyond)}, most=60) == ends
+
+
+def stopped(**how):
+    """A stopped arm at rest; its holds are moved every 15 ms."""
+    sensors = Sensors(force_rank=0, hold_rate=200.0, frozen_time=inf, **how)
+    write(sensors.memory, state=at.SAFE_STOP, settled=1)
+    sensors.joints.driven[:] = 0
+    return sensors
+
+
+def follow(sensors, ticks, joints=(0, 1), steps=3):
+    """Joints go where their holds stand, within so many readings."""
+    q = sensors.joints.q.copy()
+    for _ in range(ticks):
+        for j in joints:
+            q[j] += np.clip(sensors.joints.hold[j] - q[j], *(1.2e-4 / steps * vector(-1.0, 1.0)))
+        sensors.tick(v=(0.0, 0.0), q=q.copy())
+
+
+def test_holds_of_a_stop_go_to_and_fro():
+    sensors = stopped()
+    seen = []
+    for _ in range(61):
+        follow(sensors, 1)
+        seen.append(sensors.joints.hold[0])
+    assert_near(np.unique(seen), [0.0, 1.2e-4], 1e-12)
+    assert np.count_nonzero(np.diff(seen)) == 4
+
+
+@parametrize("j", [0, 1])
+@parametrize("of_speed", [True, False])
+def test_the_encoder_of_a_stopped_joint_that_follows_its_hold_no_more_is_dead(j, of_speed):
+    sensors = stopped()
+    follow(sensors, 100)
+    assert (sensors.joints.faulty == 0).all() and (sensors.joints.followed == 4).all()
+    sensors.memory.derived = of_speed
+    sensors.joints.moved[j] = 0.0
+    for k in range(31):
+        assert sensors.joints.faulty[j] == 0
+        q = sensors.joints.q.copy()
+        q[1 - j] = sensors.joints.hold[1 - j] - 1e-5 * k
+        sensors.memory.derived = of_speed
+        sensors.tick(v=vector(0.0, 0.0) + (0.0 if of_speed else 1e-7 * k), q=q)
+        if sensors.joints.faulty.any():
+            break
+    assert sensors.joints.faulty[j] == (3 if of_speed else at.FAULTY_POSITION)
+    assert sensors.joints.faulty[1 - j] == 0
+    assert sensors.memory.unbraked == (j if of_speed else -1)
+
+
+def test_stopped_joints_that_never_followed_are_held_by_friction():
+    for how in {"joints": (1,)}, {"joints": (1,), "steps": 1}:
+        sensors = stopped()
+        follow(sensors, 300, **how)
+        follow(sensors, 300, joints=())
+        assert sensors.joints.faulty[0] == 0
+    sensors = stopped()
+    sensors.memory.settled = 0  # braked
+    follow(sensors, 100)
+    assert (sensors.joints.hold == 0.0).all()
+
+
+@BOTH
+def test_a_stopped_joint_does_not_read_one_position_and_a_speed(sign):
+    """More than 0.4 mrad, for more than 30 ms."""
+    for j in range(2):
+        for speed, ticks in (0.1, 31), (0.005, 81):
+            sensors = stopped(speed_error=inf)
+            v = np.zeros(2)
+            v[j] = sign * speed
+            q = np.ones(2)
+            sensors.tick(v=v, q=q)
+            other = 1e-7 * np.eye(2)[1 - j]
+            found = []
+            while DISAGREE not in found and len(found) < 200:
+                found.append(sensors.tick(v=v, q=q + other * len(found)))
+            assert_at_last(found, DISAGREE)
+            assert len(found) == approx(ticks, abs=1)
+            assert sensors.memory.unbraked == j
+
+
+def test_joints_that_jump_in_one_packet_discredit_all_of_it():
+    """One that jumps alone has lost its position only."""
+    sensors = Sensors()
+    sensors.until(most=20)
+    v = vector(0.3, -0.4)
+    before = sensors.memory.v.copy()
+    swapped = sensors.q[::-1] + vector(0.5, -0.5)
+    found = []
+    while len(found) < 20 and MIXED not in found:
+        sensors.q = sensors.q + DT * v
+        found.append(sensors._read(swapped, vector(9.0, 9.0), np.full((1, 6), 1e3 + len(found))))
+        assert_near(sensors.memory.v, before, 1e-6)
+        assert_near(sensors.memory.q, sensors.q, 1e-6)
+    assert_at_last(found, MIXED)
+    assert 10 <= len(found) <= 11
+    assert (sensors.joints.faulty == 3).all() and sensors.memory.unbraked == 1
+    sensors = Sensors()
+    sensors.until(most=20)
+    alone = sensors.q + vector(0.5, 0.0)
+    for k in range(30):
+        sensors.q = sensors.q + DT * v
+        alone[1] = sensors.q[1]
+        assert sensors._read(alone, v, np.full((1, 6), 1e3 + k)) == NO_REASON
+    assert_near(sensors.memory.q, sensors.q, 1e-6)
+    assert sensors.memory.unbraked == -1 and (sensors.joints.faulty == 0).all()
+
+
+@BOTH
+def test_friction_may_hold_a_joint_against_a_share_of_its_torque(sign):
+    """5 % of its limit, and twice the dry friction that is known of it."""
+    t = joints(2)
+    t.model.arms.end[0] = 2
+    write(t.model.joints, tau_max=10.0)
+    t.model.joints.theta[1, 0] = 0.25
+    t.work.joints.M[0, :2] = 2.0, 0.5
+    t.work.joints.M[1, :2] = 0.5, 1.0
+    arm = t.model.arms[0]
+    M = t.work.joints.M[:, :2].copy()
+
+    def driven(*pushes):
+        write(t.work.joints, acceleration=np.linalg.solve(M, sign * np.array(pushes)))
+        return [bool(sensors.must_move(t, arm, j)) for j in range(2)]
+
+    assert driven(0.501, 0.999) == [True, False]
+    assert driven(0.499, 1.001) == [False, True]
+    t.memory.joints.trusted[1, 0] = 0.4  # learned
+    assert driven(0.0, 1.299) == [False, False] and driven(0.0, 1.301) == [False, True]
+    t.model.joints.motor[0] = -1  # no friction of a motor
+    assert driven(1e-6, 0.0) == [True, False]
 
 
 @BOTH
@@ -543,16 +702,19 @@ def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
 
 @parametrize("every", [2, 3, 10])
 def test_lost_ticks_take_no_evidence_away(every):
-    """Speeds mirrored, and every so many-th tick lost."""
-    sensors = Sensors(position_drift=inf)
+    """Speeds mirrored, of one joint or of both, and every so many-th tick lost."""
     v = vector(0.3, -0.4)
-    sensors.tick(v=v)
-    for k in range(1, 60):
-        lost = k % every == every - 1
-        reason = sensors.lose() if lost else sensors.tick(v=-v, true=v)
-        if reason != NO_REASON:
-            break
-    assert reason == DISAGREE and k < 16
+    for signs, found in ((1.0, -1.0), DISAGREE), ((-1.0, -1.0), MIXED):
+        sensors = Sensors(position_drift=inf)
+        sensors.tick(v=v)
+        for k in range(1, 60):
+            lost = k % every == every - 1
+            reason = sensors.lose() if lost else sensors.tick(v=v * signs, true=v)
+            if reason != NO_REASON:
+                break
+        assert reason == found and k < 16
+        if found == MIXED:
+            assert (sensors.joints.faulty == at.FAULTY_SPEED).all(), "positions are sound"
 
 
 def test_a_joint_without_a_sound_reading_cannot_be_braked():

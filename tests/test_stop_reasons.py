@@ -10,6 +10,7 @@ from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.law.reasons import CODES, LASTING, SENTENCES
+from osc_contact.runs.recorder import Recorder
 from osc_contact.runs.run import start
 
 SAFE_STOP = osc.SafetyState.SAFE_STOP
@@ -58,7 +59,11 @@ FAULTS = {
     "frozen packet": ("FROZEN", "", "frozen"),
 }
 #: what needs readings that the other one is without
-IMPOSSIBLE = {("JUMPED", "frozen packet"), ("WRENCH_TIMEOUT", "frozen wrist")}
+IMPOSSIBLE = {
+    ("JUMPED", "frozen packet"),
+    ("OUT_OF_RANGE", "frozen packet"),
+    ("WRENCH_TIMEOUT", "frozen wrist"),
+}
 
 
 def prepared(case, fault):
@@ -68,6 +73,7 @@ def prepared(case, fault):
     controller.tick(*case.given)
     _, table, field = FAULTS[fault]
     memory = controller._memory
+    memory.joints["turning"] = 1.0  # their positions have been noisy
     if table:
         getattr(memory, table)[field][ROWS[table]] = 1e3
     else:
@@ -163,6 +169,16 @@ def test_brakes_are_requested_once_more_where_they_are_needed_after_the_stop(cas
     assert end == ""
     at = [k for k, call in enumerate(robot.calls) if call[0] == "stop"]
     assert at[0] == 0 and 5 <= at[1] - 1 <= 5 + 20
+
+
+@parametrize("fault", FAULTS)
+def test_a_recording_has_the_moment_and_the_reason_of_the_stop(case, fault):
+    """In whose tick the torques still are those of the law."""
+    controller = prepared(case, fault)
+    recorder = Recorder(controller)
+    osc.run_loop(Robot(case.measurement), controller, [case.reference] * 3, recorder=recorder)
+    first = recorder.recording().meta["first_reason"]
+    assert first.startswith(f"at 0.000 s: {first_words(FAULTS[fault][0])}")
 
 
 def test_nothing_is_reported_of_a_controller_that_runs(case):

@@ -125,6 +125,7 @@ _MODEL = _record(
         "wrench_timeout",
         "stuck_speed",
         "frozen_time",  # likewise: share of a speed limit, s
+        "missed_share",  # of the ticks of the last second, see `safety`
         "speed_error",
         "position_drift",  # times a speed limit; rad or m
         "wrist_error",
@@ -261,6 +262,7 @@ _MEMORY = _record(
         "settled",
         "culprit",  # joint, arm or column of N that the cause is about
         "unbraked",  # joint that is stopped without any sound reading of it, or −1
+        "above",  # whether holds that test the encoders stand above where the joints came to rest
         # see `sensors`: whether this tick has no wrench, ticks since the last one, whether one
         # was ever read, whether joints were
         "wrench_missing",
@@ -286,6 +288,9 @@ _MEMORY = _record(
         "still",
         "frozen",  # s for which joints, and all sensors, have read the very same
         "apart",  # s for which arms have held the object at different places
+        "mixed",  # s for which several joints have jumped in one packet
+        "tested",  # s since the holds of a stop were last moved
+        "missed",  # share of ticks that were not computed, low-passed
         "step_left",
         "step_time",  # share of a step's time that is left, and that time, see `commands`
         "squeeze_left",
@@ -370,6 +375,12 @@ JOINT_MEMORY = _record(
         "unread_q",
         "unread_v",  # ticks since either was read
         "stuck",  # whether it should have moved by what was commanded
+        "driven",  # whether friction cannot hold it against what was commanded
+        # whether its last reading was a jump; how often its position has changed while the hold
+        # stood where it does, and holds in a row that it has followed, see `sensors`
+        "barred",
+        "changes",
+        "followed",
     ),
     number=(
         "q",
@@ -385,6 +396,13 @@ JOINT_MEMORY = _record(
         "same_speed",
         "moved",
         "due",
+        # s for which the position has been the very same; where it was when the hold was last
+        # moved, and how far it had gone since the time before
+        "rested",
+        "begun",
+        "went",
+        "step",  # its last change, and the share of changes that turned back, low-passed
+        "turning",
         "model_v",
         "model_q",  # speeds predicted from those read, and from those of positions
         "surprise_v",

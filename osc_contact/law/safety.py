@@ -19,7 +19,13 @@ from osc_contact.law.records import (
     SATURATED,
     WRISTS,
 )
-from osc_contact.law.sensors import check_sensors, estimate_joints
+from osc_contact.law.sensors import (
+    UNBALANCED,
+    check_sensors,
+    estimate_joints,
+    isolate_packet,
+    must_move,
+)
 from osc_contact.law.vectors import (
     ZERO,
     add,
@@ -60,6 +66,12 @@ CONTACT_LOST = declare_reason(
     "or its integral stood at its bound ({force:.3g} N when last computed), or it was not held "
     "again {safety.regain_time:g} s after it was lost. Contact is lost, or a wrist sensor is "
     "dead or wired with the wrong sign",
+)
+MISSED = declare_reason(
+    "MISSED",
+    62,
+    "more than missed_share = {safety.missed_share:g} of the ticks of the last second could not be "
+    "computed; check the sensors' rate and the network",
 )
 OVERFORCE = declare_reason(
     "OVERFORCE",
@@ -174,6 +186,7 @@ def watch_contacts(t):
 # SAFE_STOP not computed for too long or too often, a limit of the robot is passed, or a sensor is
 #           faulty, see `sensors`: braked to rest, then held; ends by a reset only
 
+_RECENT = 0.5  #: s, of the low-pass of ticks that are not computed: of those of the last second
 _AT_REST = 0.02  #: rad/s, m/s: below it a braked joint is held where it is
 _BRAKING = 0.3  #: s; a joint that still moves then is held all the same
 _LEAST = 0.1  #: share of the brakes that is left where motors can hardly carry the arm
@@ -195,11 +208,14 @@ def guard(t, reason):
     memory.old_joints = memory.old_joints + 1 if memory.repeated & JOINTS else 0
     memory.old_wrists = memory.old_wrists + 1 if memory.repeated & WRISTS else 0
     cause = check_sensors(t)
+    if reason == UNBALANCED:
+        isolate_packet(t)
     estimate_joints(t)
+    held = 0.0 if reason == NO_REASON else 1.0
+    memory.missed += model.period / (_RECENT + model.period) * (held - memory.missed)
     if reason == NO_REASON:
         memory.gap = 0
-        for j in range(model.n_joints):
-            memory.joints[j].acceleration = work.joints[j].acceleration
+        _note_accelerations(t)
         memory.has_wrench = 1
         if work.status != SATURATED:  # then the motor limits still have to be met
             count_computed(t)
@@ -215,8 +231,10 @@ def guard(t, reason):
     if memory.state != SAFE_STOP:
         memory.faults += 1
         memory.lost += 1
-        memory.cause = reason if cause == NO_REASON else cause
-        if memory.lost < model.fault_ticks and memory.cause < LASTING:
+        if cause == NO_REASON:
+            cause = MISSED if memory.missed > model.missed_share else reason
+        memory.cause = cause
+        if memory.lost < model.fault_ticks and cause < LASTING:
             state = HOLD if memory.faults > memory.repeats else DEGRADED_STATE
     _enter(t, state)
     if memory.state == DEGRADED_STATE or memory.compared == 0:
@@ -225,6 +243,17 @@ def guard(t, reason):
     else:
         _hold_posture(t)
     return reason
+
+
+@inner
+def _note_accelerations(t):
+    """Keep what was commanded, and what of it must show in joints whose readings stand still."""
+    for k in range(t.model.n_arms):
+        arm = t.model.arms[k]
+        for j in range(arm.first, arm.end):
+            known = t.memory.joints[j]
+            known.acceleration = t.work.joints[j].acceleration
+            known.driven = 1 if known.rested > 0.0 and must_move(t, arm, j) else 0
 
 
 @leaf
@@ -287,6 +316,7 @@ def _hold_posture(t):
         rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
         for j in range(model.arms[k].first, model.arms[k].end):
             memory.joints[j].acceleration = share * joints[j].acceleration
+            memory.joints[j].driven = 0  # wrong gravity and friction hold it for ever
             if share < 1.0:
                 memory.joints[j].hold = q[j]
             motor = model.joints[j].motor

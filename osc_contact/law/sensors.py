@@ -77,17 +77,23 @@ OUT_OF_ORDER = declare_reason(
     19,
     "a packet came after a newer one; it is not used. Read packets in the order of their numbers",
 )
+SPEEDS_JUMPED = declare_reason(
+    "SPEEDS_JUMPED",
+    20,
+    "the speeds of joint {joint} and of others jump in one packet by more than speed_error = "
+    "{safety.speed_error:g} of their limits",
+)
 STUCK = declare_reason(
     "STUCK",
     55,
     "the encoder of joint {joint} reads the very same though it was commanded to gain "
-    "{safety.stuck_speed:g} of its speed limit",
+    "{safety.stuck_speed:g} of its speed limit, by more torque than friction takes",
 )
 FROZEN = declare_reason(
     "FROZEN",
     56,
-    "all readings are the very same for {safety.frozen_time:g} s: a packet repeats itself. "
-    "Sensors too coarse to show any noise take frozen_time = inf",
+    "all readings are the very same for {safety.frozen_time:g} s, and were noisy before: a packet "
+    "repeats itself",
 )
 WRIST_FROZEN = declare_reason(
     "WRIST_FROZEN",
@@ -118,6 +124,13 @@ APART = declare_reason(
     "slipped",
 )
 
+MIXED = declare_reason(
+    "MIXED",
+    61,
+    "joint {joint} and others jump in one packet and stay there: encoders of joints or arms are "
+    "swapped, speeds are mirrored or dead, or the packet is that of another robot",
+)
+
 _ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
 _GAIN = 0.21  #: share of `stuck_speed` that one tick can show: slow encoders repeat readings
 _LAG = 0.02  #: s, of the low-pass of speeds that disagree
@@ -141,6 +154,17 @@ _RUBBING = 2e-3  #: rad/s, m/s; joints that are faster than this rub
 _RUBS = 0.5  #: of the friction that the model has, which may be wrong
 _APART = 0.01  #: s for which arms may hold the object at different places
 _BLIND = 0.01  #: s without a sound reading from which on a joint cannot be braked
+_HELD = 0.05  #: of a motor's torque limit; dry friction may hold a joint against so much
+_FINE = 1e-9  #: rad, m; smaller changes of a position are rounding, not noise
+_TURNING = 0.1  #: s, of the low-pass of changes that turn back
+_NOISY = 0.2  #: of the changes; where so many turn back a position is noisy: of noise 2 of 3 do
+_SAME = 0.03  #: s for which a stopped joint may read the very same position and a speed
+# Holds of stopped joints are moved to and fro, each time for _SETTLES/ω, ω the `hold_rate`: a
+# joint without friction then has gone 0.8 of the way. Encoders of 17 bits and more show that.
+_MOVED = 1.2e-4  #: rad, m
+_SETTLES = 3.0
+_CHANGES = 2  #: at the least, of a reading that follows
+_FOLLOWED = 4  #: times; a joint that follows so often will follow again
 
 
 @inner
@@ -164,24 +188,49 @@ def check_readings(t):
     for mark, age in ((JOINTS, memory.old_joints), (WRISTS, memory.old_wrists)):
         if memory.repeated & mark and (age + 1) * model.period > model.wrench_timeout:
             return STALE
+    count = 0
+    last = 0
     for j in range(model.n_joints):
         fast = abs(t.input.v[j]) > model.plausible_speed * table[j].rated
-        if fast or (memory.compared and jumped(t, table[j], memory.joints[j], t.input.q[j])):
+        if fast or (memory.compared and jumped(t, j, t.input.q[j])):
             memory.culprit = j
             return JUMPED
+        if memory.compared and speed_jumped(t, j):
+            count += 1
+            last = j
+    if count > 1:
+        memory.culprit = last
+        return SPEEDS_JUMPED
     return NO_REASON
 
 
 @leaf
-def jumped(t, row, known, now):
-    """Whether a joint has moved faster than it can since its position was read last.
+def jumped(t, j, now):
+    """Whether joint j has moved faster than it can since its position was read last.
+
+    After a jump its readings are compared with its predicted position: they do not become
+    plausible by waiting.
 
     Args:
-        row: JOINT row. known: its JOINT_MEMORY. now: its position as read at this tick
-        (m, rad).
+        now: its position as read at this tick (m, rad).
     """
-    room = t.model.plausible_speed * row.rated * t.model.period
+    known = t.memory.joints[j]
+    room = t.model.plausible_speed * t.model.joints[j].rated * t.model.period
+    if known.barred:
+        return abs(now - t.memory.q[j]) > _NOISE + room
     return abs(now - known.q) > _NOISE + room * (1 + known.unread_q)
+
+
+@leaf
+def speed_jumped(t, j):
+    """Whether the speed of joint j is not the one that follows from the last, as commanded.
+
+    Speeds that are estimated from positions jump with these.
+    """
+    known = t.memory.joints[j]
+    room = t.model.speed_error * t.model.joints[j].speed_max * (1 + known.unread_q)
+    follows = t.memory.v[j] + known.acceleration * t.model.period
+    return t.memory.derived == 0 and abs(t.input.v[j] - follows) > room
 
 
 @leaf
@@ -193,6 +242,16 @@ def _measurable(t, k):
             t.model.force_range if i < 3 else t.model.torque_range
         )
     return fits
+
+
+@leaf
+def _exceeds(t, k):
+    """Whether the reading of wrist k is there, and beyond the range of its sensor."""
+    exceeds = False
+    for i in range(6):
+        most = t.model.force_range if i < 3 else t.model.torque_range
+        exceeds = exceeds or abs(t.input.wrenches[k, i]) > most
+    return exceeds
 
 
 @leaf
@@ -326,16 +385,18 @@ def check_sensors(t):
     """What this tick's readings show of the sensors; a reason to stop.
 
     A joint whose encoder reads the very same while it is commanded to gain more than a share of
-    its speed limit is stuck. Speeds disagree with positions where q̇ − Δq/Δt, low-passed, is more
-    than a share of the limit. Wrists in contact that read the same for too long are frozen; where
-    all readings do, a packet repeats itself. What both add up to drifts apart,
+    its speed limit, by more torque than dry friction may take, is stuck. Speeds disagree with
+    positions where q̇ − Δq/Δt, low-passed, is more than a share of the limit. Wrists in contact that
+    read the same for too long are frozen; where all readings do that were noisy before, a packet
+    repeats itself. What both add up to drifts apart,
 
         d ← d + (q̇ − Δq/Δt − d/T) Δt,
 
     where |d| is more than `position_drift` and what a small error of scale and delay of q̇ explain;
     not where speeds are estimated from positions, whose errors last as long as those of the model.
     Δt is the time since the position was read last; readings that are not there, repeated or not
-    credible leave the evidence as it is.
+    credible leave the evidence as it is. Where positions of several joints jump in one packet none
+    of its readings is credible; where speeds do, none of its speeds.
     """
     model = t.model
     memory = t.memory
@@ -349,6 +410,11 @@ def check_sensors(t):
         reason = WRIST_FROZEN
         culprit = dead
     fresh = memory.repeated & JOINTS == 0
+    jumps, speeds_jump = _find_jumps(t) if fresh and compared else (-1, -1)
+    fresh = fresh and jumps < 0
+    if max(jumps, speeds_jump) >= 0 and memory.mixed > _BLIND:
+        reason = MIXED
+        culprit = max(jumps, speeds_jump)
     complete = fresh
     same_joints = compared
     elapsed = 0.0
@@ -356,9 +422,8 @@ def check_sensors(t):
         known = memory.joints[j]
         joint = model.joints[j]
         known.pending += known.acceleration * model.period
-        read = fresh and isfinite(q[j])
-        read = read and not (compared and jumped(t, joint, known, q[j]))
-        credible = fresh and abs(v[j]) <= model.plausible_speed * joint.rated
+        read = fresh and isfinite(q[j]) and known.barred == 0
+        credible = fresh and abs(v[j]) <= model.plausible_speed * joint.rated and speeds_jump < 0
         complete = complete and read
         if read:
             step = q[j] - known.q
@@ -386,14 +451,110 @@ def check_sensors(t):
             if abs(memory.joints[j].v) * memory.still > _RESOLUTION:
                 reason = DISAGREE
                 culprit = j
-        if memory.frozen > model.frozen_time and memory.state != SAFE_STOP:  # then they may rest
+        if memory.frozen > model.frozen_time and _were_noisy(t):
             reason = FROZEN
-        if reason in (STUCK, DISAGREE, FROZEN) and memory.still > _DEAD:  # a dead packet
-            for j in range(model.n_joints):
-                memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED
+        if memory.state == SAFE_STOP and memory.settled:
+            _test_encoders(t, elapsed)
+    dead_packet = reason in (STUCK, DISAGREE, FROZEN) and complete and memory.still > _DEAD
+    for j in range(model.n_joints if dead_packet or reason == MIXED else 0):
+        memory.joints[j].faulty |= FAULTY_SPEED
+        if dead_packet or jumps >= 0:
+            memory.joints[j].faulty |= FAULTY_POSITION
     if memory.state != SAFE_STOP:  # the cause of a stop keeps what it is about
         memory.culprit = culprit
     return reason
+
+
+@inner
+def _find_jumps(t):
+    """A joint whose position jumps in this packet as another's does, and one whose speed does; −1.
+
+    Also for how long there was one. One that jumps alone has lost its own reading only.
+    """
+    memory = t.memory
+    joint = -1
+    speed = -1
+    read = 0
+    jumps = 0
+    speeds_jump = 0
+    for j in range(t.model.n_joints):
+        if not isfinite(t.input.q[j]):
+            continue
+        read += 1
+        jumps_here = jumped(t, j, t.input.q[j])
+        memory.joints[j].barred = 1 if jumps_here else 0
+        if jumps_here:
+            jumps += 1
+            joint = j
+        if speed_jumped(t, j):
+            speeds_jump += 1
+            speed = j
+    joint = joint if jumps > 1 else -1
+    speed = speed if speeds_jump > 1 else -1
+    if joint >= 0 or speed >= 0 or (read == 0 and memory.mixed > 0.0):
+        memory.mixed += t.model.period
+    else:
+        memory.mixed = 0.0
+    return joint, speed
+
+
+@leaf
+def _were_noisy(t):
+    """Whether the positions of all joints have shown noise, as they last changed."""
+    noisy = True
+    for j in range(t.model.n_joints):
+        noisy = noisy and t.memory.joints[j].turning > _NOISY
+    return noisy
+
+
+@inner
+def _test_encoders(t, dt):
+    """Move the holds of stopped joints, and note which encoder does not show it any more.
+
+    What a hold commands is no evidence: wrong gravity and friction keep a joint at rest beside its
+    hold for ever. A joint that has followed the hold to and fro, and does not change its reading
+    now, is one whose encoder is dead. One that friction or a contact holds never follows; with
+    its encoder dead it stays where it is.
+
+    Args:
+        dt: s since the last readings.
+    """
+    memory = t.memory
+    memory.tested += dt
+    if memory.tested * t.model.hold_rate < _SETTLES:
+        return
+    memory.above = 1 - memory.above
+    for j in range(t.model.n_joints):
+        known = memory.joints[j]
+        went = known.q - known.begun
+        if known.changes == 0 and known.followed >= _FOLLOWED:
+            known.faulty |= FAULTY_POSITION
+            if memory.derived or known.same_speed >= memory.tested:
+                known.faulty |= FAULTY_SPEED
+        follows = known.changes >= _CHANGES and went * known.went < 0.0
+        known.followed = min(known.followed + 1, _FOLLOWED) if follows else 0
+        known.went = went
+        known.begun = known.q
+        known.changes = 0
+        known.hold += _MOVED if memory.above else -_MOVED
+    memory.tested = 0.0
+
+
+@leaf
+def must_move(t, arm, j):
+    """Whether the acceleration commanded to a joint takes more torque than dry friction may.
+
+    Args:
+        arm: ARM. j: of its joints.
+    """
+    joint = t.model.joints[j]
+    known = t.memory.joints[j]
+    push = 0.0
+    for i in range(arm.first, arm.end):
+        push += t.work.joints[j].M[i - arm.first] * t.work.joints[i].acceleration
+    most = 2.0 * max(joint.theta[0], known.trusted[0])  # compensated along the wrong way, too
+    most += _HELD * joint.tau_max if joint.motor >= 0 else 0.0
+    return abs(push) > most
 
 
 @inner
@@ -410,6 +571,7 @@ def _check_wrists(t):
         known = memory.arms[k]
         if not (fresh and _measurable(t, k)):
             known.unread += 1
+            all_same = all_same and not (fresh and _exceeds(t, k))
             continue
         same = memory.has_wrench != 0
         for i in range(6):
@@ -438,8 +600,18 @@ def _check_joint(t, known, limit, step, v, dt):
     known.same_speed = known.same_speed + dt if same else 0.0
     known.moved = known.moved + step if same else 0.0
     known.due = known.due + v * dt if step == 0.0 else 0.0
+    known.rested = known.rested + dt if step == 0.0 else 0.0
     gained = min(abs(known.pending), _GAIN * model.stuck_speed * limit)
-    known.gained = known.gained + gained if step == 0.0 else 0.0
+    if step != 0.0:
+        known.gained = 0.0
+    elif known.driven:
+        known.gained += gained
+    if step != 0.0:
+        known.changes += 1
+    if abs(step) > _FINE:
+        back = 1.0 if step * known.step < 0.0 else 0.0
+        known.turning += dt / (_TURNING + dt) * (back - known.turning)
+        known.step = step
     error = clamped(v - slope, 2.0 * limit)
     k = dt / (_MODEL + dt)
     lag = dt / (_LAG + dt)
@@ -457,6 +629,10 @@ def _check_joint(t, known, limit, step, v, dt):
     known.stuck = known.gained > model.stuck_speed * limit
     if known.stuck:
         return STUCK
+    constant = min(known.rested, known.same_speed)
+    if t.memory.state == SAFE_STOP and constant > _SAME and abs(v) * constant > _RESOLUTION:
+        known.stuck = 1
+        return DISAGREE
     if abs(known.error) > model.speed_error * limit:
         return DISAGREE
     if t.memory.derived == 0 and abs(drift) > model.position_drift + _LATE * abs(v):
@@ -488,6 +664,17 @@ def _isolate(t, j):
                     joint_memory[i].faulty = FAULTY_SPEED
         else:
             known.faulty = FAULTY_POSITION
+
+
+@inner
+def isolate_packet(t):
+    """Note that no joint is read, where motors contradict a wrist while all joints stand still.
+
+    The torque is more than friction takes: joints that read the very same for as long must move.
+    """
+    memory = t.memory
+    for j in range(t.model.n_joints if memory.still > _UNBALANCED else 0):
+        memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED
 
 
 @inner

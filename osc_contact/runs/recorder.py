@@ -23,7 +23,7 @@ from osc_contact.control.changes import Changes, changed_settings
 from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.control.signals import TickResult, internal_forces
-from osc_contact.control.status import Phase, Status
+from osc_contact.control.status import Phase, SafetyState, Status
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import records as at
@@ -374,7 +374,8 @@ class Recorder:
             np.concatenate((self._unknown, *known), out=row)
         if self.truth is not None:
             self.truth.note()
-        if status is Status.HELD and not self._first_reason:
+        stopped = self.of.controller.state is SafetyState.SAFE_STOP
+        if (stopped or status is Status.HELD) and not self._first_reason:
             at = self.count * self.of.controller.dt
             self._first_reason = f"at {at:.3f} s: {self.of.controller.reason}"
         for event, facts in self._changes.look():

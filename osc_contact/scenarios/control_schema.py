@@ -319,6 +319,9 @@ class SafetySettings(OrderedSpec):
     stop_after: Positive[int] = 20
     """how many more such ticks than computed ones stop the controller: 20 in a row, or more than
     half of them for longer"""
+    missed_share: Annotated[Limit, "–"] = 0.4
+    """more of the ticks of the last second that cannot be computed (their share, low-passed with
+    0.5 s) stop it: every second one for good, within 1 s, not every third"""
     overspeed_time: TimeLimit = 0.02
     """a motor joint above its speed limit for longer stops the controller; time below it is taken
     off"""
@@ -358,9 +361,10 @@ class SafetySettings(OrderedSpec):
     """ticks continue with the last wrenches for so long; stamps may stand still for so long"""
     stuck_speed: Limit = 0.1
     """times a joint's speed limit: a joint that is commanded to gain more while its encoder repeats
-    one reading stops the controller"""
+    one reading stops the controller, as far as more torque drives it than friction takes"""
     frozen_time: TimeLimit = 0.25
-    """a wrist in contact, or a whole packet, that repeats one reading for longer stops it"""
+    """a wrist in contact, or a whole packet of noisy readings, that repeats itself for longer stops
+    it"""
     speed_error: Limit = 0.1
     """times a joint's speed limit: speeds that differ from those of the positions by more, for
     20 ms or so, stop it"""
