@@ -13,9 +13,9 @@ contact force; the exit code is 1 where
 * the true contact force went beyond three times its command (or 30 N, whichever is more), the
   pushes of the scenario, and what an obstacle adds until a force is seen;
 * a contact that was commanded and made was open for 0.3 s, and the controller took it as closed;
-* stopped arms moved faster than 0.1 rad/s (m/s) later than 0.5 s after the stop, or 0.1 rad (m)
-  further than braking took;
-* the mechanical brakes were requested although encoders or speeds were sound;
+* stopped arms whose motors are sound moved faster than 0.1 rad/s (m/s) later than 0.5 s after the
+  stop, or 0.1 rad (m) further than braking took;
+* the mechanical brakes were requested although encoders or speeds were sound, and the motors;
 * the run ended in a state that its kind is not to end in.
 
 Brakes are not simulated: what follows the request for them is not judged. Verdicts are kept in
@@ -239,8 +239,10 @@ class Run:
         if verdict.state not in ends:
             wrong.append(f"ended in {verdict.state.name}: {verdict.reason[:60]}")
         if verdict.unbraked:
-            if not {"q", "v"} <= set(fault.unsound):
+            if not ({"q", "v"} <= set(fault.unsound) or "tau" in fault.unsound):
                 wrong.append(f"brakes requested with sound sensors: {verdict.reason[:60]}")
+            return
+        if "tau" in fault.unsound:  # without its torque, gravity or a spring moves the joint
             return
         if verdict.rest_speed > REST_SPEED:
             wrong.append(f"{verdict.rest_speed:.2f} rad/s (m/s) later than {REST_AFTER:g} s")

@@ -37,8 +37,9 @@ class Fault(NamedTuple):
         limited: whether contact forces are judged: not where the reference commands a collision.
         torque: changes the torques on their way to the motors; or None.
         world: changes the simulated robot or what acts on it, before each control period; or None.
-        unsound: names of the readings of all joints that it makes worthless, of `Measurement`:
-            where both "q" and "v" are, brakes may be requested.
+        unsound: names of the readings of all joints that it makes worthless, of `Measurement`, and
+            "tau" where a motor does not give its torque: with "q" and "v", or with "tau", brakes
+            may be requested.
         arms: least number of arms that it takes.
         stiffness: N/m, of an obstacle: forces grow with it until the arm is stopped.
         pulls: whether it moves an arm that is stopped, and at rest.
@@ -308,6 +309,7 @@ def _hand(t: Trial, plant: MujocoPlant) -> None:
 _angles, _speeds, _wrists = (partial(_reading, name) for name in ("q", "v", "wrenches"))
 _STOPS = (SAFE_STOP,)
 _JOINTS = ("q", "v")
+_MOTOR = ("tau",)
 _ON = (RUN, DEGRADED)
 _TICK = 1e-9  #: of a fault that lasts one tick
 _NO_WRENCH = _packet(lambda t, m: replace(m, wrenches=NAN * m.wrenches, wrench_valid=False))
@@ -390,9 +392,9 @@ FAULTS: dict[str, Fault] = {
         _goal("A_D", lambda A: A + [50.0, 0, 0, 0, 0, 0]), 0.1, limited=False
     ),
     # motors
-    "a motor is dead": Fault(torque=_weaken(0.0)),
-    "a motor is weak": Fault(torque=_weaken(0.7)),
-    "torque constant of 50 %": Fault(torque=_weaken(0.5)),
+    "a motor is dead": Fault(torque=_weaken(0.0), unsound=_MOTOR),
+    "a motor is weak": Fault(torque=_weaken(0.7), unsound=_MOTOR),
+    "torque constant of 50 %": Fault(torque=_weaken(0.5), unsound=_MOTOR),
     "torques are late by a tick": Fault(torque=_delay),
     # the world
     "a brake engages": Fault(world=_brake),
