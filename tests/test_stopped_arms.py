@@ -14,8 +14,9 @@ from samples import first, parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
-from benchmarks.fault_injection import NAN, REST_AFTER, REST_SPEED, REST_TRAVEL, Run, Verdict
+from benchmarks.fault_injection import REST_AFTER, REST_SPEED, REST_TRAVEL, Run, Verdict
 from benchmarks.fault_injection import Case as Place
+from benchmarks.faults import NAN
 
 SAFE_STOP = osc.SafetyState.SAFE_STOP
 WATCHED = 15.0  #: s after the stop
@@ -87,7 +88,7 @@ def stop(how):
     """Run until the wrists die, and for `WATCHED` seconds after the stop or until the brakes."""
     rubs = [f"plant.joint_friction={how.friction}"] if how.friction else []
     place = Place(scenario=how.scenario, seed=how.seed)
-    run = Run(place, osc.load_scenario(how.scenario, rubs))
+    run = Run(place, scenario=osc.load_scenario(how.scenario, rubs))
     angle = np.deg2rad(how.tilt)
     run.true.model.opt.gravity[:] = 9.81 * vector(np.sin(angle), 0.0, -np.cos(angle))
     rng = np.random.default_rng(how.seed)
