@@ -307,14 +307,3 @@ def test_joints_that_stick_in_dry_friction_stop_nothing(how):
     changes += [] if bits is None else [f"sensors.encoder={errors}"]
     meta = run_of(scenario, *changes, duration=3.0).meta
     assert meta["end_state"] != "SAFE_STOP", meta["first_reason"]
-
-
-def test_ideal_sensors_of_an_arm_at_rest_are_no_packet_that_repeats_itself():
-    """Free and still, all readings the very same for a second."""
-    run = Run(Place("approach", "approach_and_slide"))
-    still = run.robot.measure()
-    for _ in range(1000):
-        run.controller.tick(still, run.rig.references.at(0.0))
-        if run.controller.state is SAFE_STOP:
-            break
-    assert "a packet repeats itself" not in run.controller.reason
