@@ -79,7 +79,7 @@ def test_run_leaves_everything_behind(ran):
     plots = "contact_forces", "power", "tracking", "torques"
     figures = {f"{name}{suffix}" for name in plots for suffix in (".png", ".svg")}
     files = {"recording.npz", "recording.times.npz", "metrics.json", "scene.html", "deep"}
-    assert names == figures | files
+    assert names == figures | files | {"recording.events.jsonl"}
     for name in figures:
         content = (folder / name).read_bytes()
         assert content.startswith(STARTS[name[-4:]]) and len(content) > 5000
@@ -210,7 +210,7 @@ def test_failed_run_exits_with_1_and_keeps_what_was_recorded(ran, tmp_path, monk
     result = call(f"run {SHORT} --seed 7 --out", tmp_path)
     assert result.exit_code == 1 and "diverged at t = 0.02 s" in result.stderr
     assert str(tmp_path / PARTIAL) in result.stderr and "Traceback" not in result.output
-    assert len(list(tmp_path.iterdir())) == 2, "and its times"
+    assert len(list(tmp_path.iterdir())) == 3, "and its times and events"
     part = Recording.load(tmp_path / PARTIAL)
     whole = Recording.load(ran[0] / "recording.npz")
     assert len(part) == 21 and part.channels.keys() == whole.channels.keys()

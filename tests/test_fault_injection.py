@@ -41,11 +41,19 @@ ELSEWHERE = (
 SHORT = {"fault_for": 0.6, "stopped_for": 0.6}
 
 
-@parametrize(
-    "where", [*((name, Case(), IN_CONTACT) for name in FAULTS), *first(ELSEWHERE, 7)], ids=str
-)
+IN_CONTACT_ALL = [(name, Case(), IN_CONTACT) for name in FAULTS if name != "a grasp lets go"]
+
+
+@parametrize("where", [*IN_CONTACT_ALL, *first(ELSEWHERE, 7)], ids=str)
 def test_every_kind_of_fault_in_contact_and_some_elsewhere(where):
     verdict = try_fault(*where, **SHORT)
+    assert not verdict.wrong, verdict
+
+
+@mark.xfail(strict=True, reason="arms that no longer hold one object are braked as if they did")
+def test_arms_of_which_one_has_let_go_of_the_object_come_to_rest():
+    """A known defect: the stop is found in time, and the arms swing after it."""
+    verdict = try_fault("a grasp lets go", Case(), IN_CONTACT, **SHORT)
     assert not verdict.wrong, verdict
 
 

@@ -17,7 +17,7 @@ import osc_contact as osc
 from osc_contact.scenarios.quantities import Frequency, OrderedSpec, Positive
 
 WIDTH = 100  #: columns of a screen
-SIGNATURE = 8 * WIDTH  #: characters
+SIGNATURE = 10 * WIDTH  #: characters
 SCREEN = 60  #: rows, of the signature, the description and the example
 
 #: All classes; that of `make_vector_env` has another name.

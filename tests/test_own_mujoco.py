@@ -276,8 +276,9 @@ def test_a_sound_task_is_passed_and_left_as_it_is():
 def test_a_joint_too_fast_is_named_with_its_time():
     robot, controller, references = task(amplitude=0.2, ticks=800)
     robot.chain.model.velocityLimit[:] = 0.5
-    (one,) = osc.preflight(robot, controller, references)
+    *others, one = osc.preflight(robot, controller, references)
     assert one.refused and "above its speed limit of 0.5" in one.text and "at t = 0." in one.text
+    assert all("above safety.speed_ceiling" in other.text for other in others)
 
 
 def test_a_controller_with_other_masses_is_found():

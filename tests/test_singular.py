@@ -157,7 +157,8 @@ def outward(name, direction, distance, duration, plant):
         for value, start in ((distance, 0.1), (-distance, 0.1 + duration))
     ]
     data["motion"] = [{"kind": "linear", "direction": direction, "signals": moves}]
-    data["control"]["safety"] = {"overspeed_time": 10.0}  # joints pass their speed limits here
+    # joints pass their speed limits here, and tips are fast
+    data["control"]["safety"] = {"overspeed_time": 10.0, "speed_ceiling": 1.0}
     return osc.run(osc.Scenario.model_validate(data))
 
 

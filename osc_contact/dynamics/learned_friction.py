@@ -48,6 +48,11 @@ class LearnedFriction:
         robot: identity of the arm, see `robot_identity`. joints: names.
         friction: (n,) Coulomb friction (N m; N). damping: (n,) viscous (N m s/rad; N s/m).
         missing_inertia: (n,) of the rotors, that the model lacks (kg m²; kg).
+
+    Example:
+        >>> learned = osc.LearnedFriction("…", ("joint1",), (2.0,), (0.1,), (0.0,))
+        >>> learned.friction
+        (2.0,)
     """
 
     robot: str

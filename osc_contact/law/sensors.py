@@ -212,7 +212,7 @@ def jumped(t, j, now):
     plausible by waiting.
 
     Args:
-        now: its position as read at this tick (m, rad).
+        j: joint. now: its position as read at this tick (m, rad).
     """
     known = t.memory.joints[j]
     room = t.model.plausible_speed * t.model.joints[j].rated * t.model.period
@@ -223,14 +223,21 @@ def jumped(t, j, now):
 
 @leaf
 def speed_jumped(t, j):
-    """Whether the speed of joint j is not the one that follows from the last, as commanded.
+    """Whether the speed of joint j lies neither at the last one nor on the way that is commanded.
 
+    A joint that is held, or whose motor gives less than it should, changes less than commanded.
     Speeds that are estimated from positions jump with these.
+
+    Args:
+        j: joint.
     """
     known = t.memory.joints[j]
     room = t.model.speed_error * t.model.joints[j].speed_max * (1 + known.unread_q)
-    follows = t.memory.v[j] + known.acceleration * t.model.period
-    return t.memory.derived == 0 and abs(t.input.v[j] - follows) > room
+    last = t.memory.v[j]
+    follows = last + known.acceleration * t.model.period
+    now = t.input.v[j]
+    jumps = now < min(last, follows) - room or now > max(last, follows) + room
+    return t.memory.derived == 0 and jumps
 
 
 @leaf
