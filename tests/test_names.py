@@ -88,7 +88,7 @@ def test_names_in_backticks_exist(file, words):
 
 @parametrize(
     "name, is_stale",
-    {
+    [
         ("law.sensors", False),
         ("law.watch", True),
         ("law.tick.rows", False),
@@ -97,7 +97,7 @@ def test_names_in_backticks_exist(file, words):
         ("numpy.cross", False),
         ("Controller.tick", False),
         ("Controller.tock_that_nothing_has", True),
-    },
+    ],
 )
 def test_a_name_that_nothing_has_is_found(name, is_stale, words):
     assert stale(name, words - {"tock_that_nothing_has"}) == is_stale
