@@ -57,7 +57,7 @@ myst_heading_anchors = 4
 # API: Google docstrings, names as users write them.
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
-autodoc_type_aliases = {"Array": "Array", "npt.ArrayLike": "ArrayLike"}
+autodoc_type_aliases = {"Array": "Array", "npt.ArrayLike": "ArrayLike", "Outward": "ArrayLike"}
 autodoc_default_options = {"members": True}
 autoclass_content = "both"
 napoleon_google_docstring = True

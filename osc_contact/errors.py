@@ -2,7 +2,9 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 #: Extra that brings a package, by the name under which it is imported.
 EXTRAS = {
@@ -204,7 +206,7 @@ def require_kind(name: str, value: object, kind: type, example: str) -> None:
         )
 
 
-def as_tuple(name: str, value: Any, example: str) -> tuple[Any, ...]:
+def as_tuple(name: str, value: Iterable[T], example: str) -> tuple[T, ...]:
     """The elements of an argument that takes several objects.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -34,7 +34,7 @@ def _doubles(value: ArrayLike) -> Array:
     return np.array(value, dtype=np.float64, order="C")
 
 
-def _readable(value: ArrayLike) -> Any:
+def _readable(value: ArrayLike) -> ArrayLike:
     """`_doubles` of a reading; `value` as it is where it holds no numbers: its tick is held."""
     try:
         return _doubles(value)

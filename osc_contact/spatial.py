@@ -36,13 +36,13 @@ if TYPE_CHECKING:
     class Coordinates:
         """A field of a `geometry` as type checkers see it: numbers of any kind in, an array out."""
 
-        def __get__(self, owner: Any, kind: Any = None) -> Array: ...
-        def __set__(self, owner: Any, value: ArrayLike) -> None: ...
+        def __get__(self, owner: object, kind: type | None = None) -> Array: ...
+        def __set__(self, owner: object, value: ArrayLike) -> None: ...
 
 else:
     Coordinates = Array
 
-Kind = TypeVar("Kind", bound=type[Any])
+Kind = TypeVar("Kind", bound=type)
 
 
 @dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(field,))
@@ -55,7 +55,7 @@ def geometry(kind: Kind) -> Kind:
     return kind
 
 
-def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
+def as_array(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
     """Return `value` as a finite float64 array of `shape` (None: any size along that axis).
 
     Where a vector of any size is expected, (None,), a plain number is one of one element.
@@ -82,7 +82,7 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     return array
 
 
-def as_pose(name: str, position: Any, rotation: Any) -> SE3:
+def as_pose(name: str, position: object, rotation: object) -> SE3:
     """Return the pose of `position` (3,) and rotation matrix `rotation` (3, 3).
 
     Args:
@@ -102,7 +102,7 @@ def as_pose(name: str, position: Any, rotation: Any) -> SE3:
     return SE3(R, p)
 
 
-def unit_vector(name: str, value: Any) -> Array:
+def unit_vector(name: str, value: object) -> Array:
     """`value` (3,) normalised; `name` is that of the argument.
 
     Raises:

@@ -172,7 +172,7 @@ class BatchController:
             part.result()
         return np.array(self._torques)
 
-    def _run(self, thread: int, lo: int, hi: int, flags: int, args: tuple[Any, ...]) -> None:
+    def _run(self, thread: int, lo: int, hi: int, flags: int, args: tuple[Array, ...]) -> None:
         job = self._jobs[thread]
         start = self._bytes.starts[thread]
         while lo < hi:
@@ -183,7 +183,7 @@ class BatchController:
             if self._codes[lo - 1] == Status.SATURATED:
                 self._relieve(lo - 1, thread, args)
 
-    def _relieve(self, i: int, thread: int, args: tuple[Any, ...]) -> None:
+    def _relieve(self, i: int, thread: int, args: tuple[Array, ...]) -> None:
         """Torques within the limits for a row that has just ended SATURATED."""
         rows = TickRecords(self._bytes, i, thread)
         if i not in self._limits:

@@ -251,7 +251,7 @@ class Controller:
             len(memory.squeeze) == 1 and not special,
         )
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         if name not in _SETTABLE and not name.startswith("_"):
             raise InvalidInputError(
                 f"controller.{name} is taken when a controller is made, and would be ignored "
@@ -660,7 +660,7 @@ class Controller:
         other._plan()
         return other
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+    def __deepcopy__(self, memo: dict[int, object]) -> Self:
         return copy(self)  # settings and laws are shared
 
     def __getstate__(self) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """What comes in each tick: sizes, types, and whether readings are new."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -20,8 +19,8 @@ _READINGS = {"encoders": JOINTS, "wrists": WRISTS, "packet": JOINTS | WRISTS}
 
 
 def _arrays(
-    measurement: Any, reference: Any, settings: Settings
-) -> Iterator[tuple[str, Any, tuple[int, ...]]]:
+    measurement: object, reference: object, settings: Settings
+) -> Iterator[tuple[str, object, tuple[int, ...]]]:
     """Names, values and shapes of the arrays that every tick takes."""
     n = settings.chain.nq
     k = len(settings.chain.arms)
@@ -47,16 +46,21 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
         as_array("touched X_WE", touched.X_WE, (c, 4, 4))
         as_array("touched V_E", touched.V_E, (c, 6))
         as_array("touched A_E", touched.A_E, (c, 6))
-    alpha_d = as_array("reference alpha_d", reference.alpha_d, (None,))
-    if np.abs(alpha_d).max(initial=0.0) > 1e6:  # the law takes in no more than 1.8e6
-        raise InvalidInputError(f"reference alpha_d: {alpha_d} N; no robot presses with 1e6 N")
+    _require_force("alpha_d", as_array("reference alpha_d", reference.alpha_d, (None,)))
     if k < 3 and np.ndim(reference.squeeze_d):
         raise InvalidInputError(f"reference squeeze_d: {k} arms take a number, got an array")
-    as_numbers("reference squeeze_d", reference.squeeze_d, k * (k - 1) // 2)
+    squeeze = as_numbers("reference squeeze_d", reference.squeeze_d, k * (k - 1) // 2)
+    _require_force("squeeze_d", squeeze)
     as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))
 
 
-def require_shapes(measurement: Any, reference: Any, settings: Settings) -> None:
+def _require_force(name: str, forces: float | Array) -> None:
+    """Refuse forces (N) that the law does not take in: more than 1.8e6 in size."""
+    if np.abs(forces).max(initial=0.0) > 1e6:
+        raise InvalidInputError(f"reference {name}: {forces} N; no robot presses with 1e6 N")
+
+
+def require_shapes(measurement: object, reference: object, settings: Settings) -> None:
     """Refuse arrays of numbers that no tick of this controller will ever take.
 
     Args:
@@ -84,7 +88,7 @@ def touched_rows(touched: Touched) -> Array:
 
 def read_tick(
     records: TickRecords, measurement: Measurement, reference: Reference
-) -> tuple[tuple[Any, ...], int]:
+) -> tuple[tuple[Array, ...], int]:
     """What the law's call takes in a tick, and its switches; the marks of readings go to MEMORY.
 
     Args:
@@ -118,7 +122,7 @@ def read_tick(
     return given, flags
 
 
-def read_joints(x: Any, n: int) -> Array:
+def read_joints(x: object, n: int) -> Array:
     """(n,) numbers, as far as x has them; else all of them NaN."""
     try:
         array = np.array(x, dtype=float)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -18,7 +18,7 @@ from osc_contact.interface import Measurement, Reference, Scene
 from osc_contact.scenarios.control_schema import Gains, SafetySettings
 from osc_contact.spatial import Array
 
-Values = Iterator[tuple[float, dict[str, Any]]]
+Values = Iterator[tuple[float, Mapping[str, object]]]
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,9 @@ _LEFT_OUT, _A_FACTOR, _ANOTHER = "left out", "a factor", "another motion"
 _logger = logging.getLogger("osc_contact.preflight")
 
 
-def checked(robot: Robot, controller: Any, references: Iterable[Reference]) -> Iterable[Reference]:
+def checked(
+    robot: Robot, controller: object, references: Iterable[Reference]
+) -> Iterable[Reference]:
     """The references of a loop, once robot, controller and references have passed all rules.
 
     A sequence is compared as a whole; of an iterator only the first reference is taken, which is

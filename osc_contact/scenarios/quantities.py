@@ -59,12 +59,12 @@ class _Written:
     """
 
     def __get__(self, group: object, owner: type[BaseModel]) -> inspect.Signature:
-        texts: dict[str, Any] = {}
+        texts: dict[str, object] = {}
         for base in reversed(owner.__mro__):
             texts |= inspect.get_annotations(base)
         parameters = []
         for key, item in owner.model_fields.items():
-            default: Any = inspect.Parameter.empty
+            default: object = inspect.Parameter.empty
             if not item.is_required():
                 value = item.get_default(call_default_factory=True)
                 name = type(value).__name__
@@ -115,7 +115,7 @@ class Spec(BaseModel):
 
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # files need no call of it
 
-    def replaced(self, **keys: Any) -> Self:
+    def replaced(self, **keys: object) -> Self:
         """The same with other values of some keys, checked anew.
 
         Raises:
@@ -143,7 +143,7 @@ class OrderedSpec(Spec, metaclass=_ByPosition):
     """
 
 
-def one_of(known: Mapping[str, Any]) -> AfterValidator:
+def one_of(known: Mapping[str, object]) -> AfterValidator:
     """Accepts the names that are registered in `known` by then."""
 
     def check(value: str) -> str:
@@ -244,7 +244,7 @@ class Dimension:
         shown = [unit for unit in self.units if not _SPELLINGS.fullmatch(unit)]
         return f"{self.kind} in {', '.join(shown)}" if shown else self.kind
 
-    def parse(self, value: Any) -> float:
+    def parse(self, value: object) -> float:
         """Return `value` in SI.
 
         Raises:
@@ -279,7 +279,7 @@ class Dimension:
             return math.inf
 
     def __get_pydantic_core_schema__(
-        self, source: Any, handler: GetCoreSchemaHandler
+        self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
         number = core_schema.float_schema(allow_inf_nan=self.open)
         return core_schema.no_info_before_validator_function(self.parse, number)
@@ -362,7 +362,7 @@ VelocityLimit = Positive[Annotated[float, replace(_LENGTH_RATES[0], open=True)]]
 
 
 def _three(what: str) -> BeforeValidator:
-    def check(value: Any) -> Any:
+    def check(value: object) -> object:
         if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 3:
             raise refuse(f"expected {what}; got {value!r}")
         return value

@@ -24,6 +24,7 @@ from typing import (
     TypeAlias,
     TypeVar,
     dataclass_transform,
+    get_args,
     get_type_hints,
     runtime_checkable,
 )
@@ -223,7 +224,7 @@ def triad(z: Array) -> Array:
     return np.column_stack((x, cross(z, x), z))
 
 
-def store(pair: Any, **values: Any) -> None:
+def store(pair: object, **values: object) -> None:
     """Set attributes of a frozen dataclass while it is being made."""
     for key, value in values.items():
         object.__setattr__(pair, key, value)
@@ -234,8 +235,8 @@ if TYPE_CHECKING:
     class Outward:
         """A field that is a number or an array, and takes either as numbers of any kind."""
 
-        def __get__(self, pair: Any, owner: Any = None) -> float | Array: ...
-        def __set__(self, pair: Any, value: ArrayLike) -> None: ...
+        def __get__(self, pair: object, owner: type | None = None) -> float | Array: ...
+        def __set__(self, pair: object, value: ArrayLike) -> None: ...
 
     Point: TypeAlias = Coordinates
     Direction: TypeAlias = Coordinates
@@ -260,7 +261,7 @@ Extent = Annotated[float, ">", Positive[Length]]
 
 
 @cache
-def _geometry(pair: Any) -> dict[str, tuple[Any, ...]]:
+def _geometry(pair: type) -> dict[str, tuple[Any, ...]]:
     """Of each field whose annotation states them, its kind and what it is as a key."""
     hints = get_type_hints(pair, include_extras=True).items()
     return {key: hint.__metadata__ for key, hint in hints if hasattr(hint, "__metadata__")}
@@ -324,7 +325,7 @@ def require_object_fits(pair: ContactPair, longest: float) -> None:
 # The register of contact pairs: each enters it where it is written, with its keys in YAML.
 
 
-Pair = TypeVar("Pair", bound=type[Any])
+Pair = TypeVar("Pair", bound=type)
 
 #: Every registered pair by the name of its class.
 PAIRS: dict[str, type[ContactPair]] = {}
@@ -362,7 +363,7 @@ def _show_plain_types(pair: Any) -> None:
     arguments = []
     for one in shown.parameters.values():
         hint = hints[one.name]
-        plain = "ArrayLike" if hint == Array else hint
+        plain = "ArrayLike" if Array in (hint, *get_args(hint)) else hint
         # no class: as it is written, since unions and callables spell out all that they are made of
         kept = plain if isinstance(plain, str | type) else one.annotation
         arguments.append(one.replace(annotation=kept))
