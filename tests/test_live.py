@@ -269,10 +269,10 @@ def test_the_page_shows_whether_it_is_live(viewer):
 
 def test_a_run_is_the_same_with_a_viewer_that_dies_in_it(caplog):
     scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
-    plain = run_of(scenario, duration=0.15)
+    plain = run_of(scenario, duration=0.6)
     with osc.open_viewer(scenario, rate=60.0) as viewer:
         how = {"progress": lambda t: viewer._process.kill() if t > 0.05 else None}
-        watched = run_of(scenario, duration=0.15, viewer=viewer, **how)
+        watched = run_of(scenario, duration=0.6, viewer=viewer, **how)
         assert viewer.error is not None and len(caplog.records) == 1
     assert_same_run(plain, watched)
 

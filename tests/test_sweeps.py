@@ -389,7 +389,7 @@ def test_rigs_that_share_chains_are_those_built_alone(monkeypatch):
         alone = run_of(scenario)
         sharing = run_of(scenario, build=builder.rig, check=builder.require_ready)
         assert_same_run(alone, sharing)
-        clocks = {"wall_s": 0.0, "cpu_s": 0.0}
+        clocks = {"wall_s": 0.0, "cpu_s": 0.0, "date": ""}
         assert alone.meta | clocks == sharing.meta | clocks
         assert len(alone.meta["doubts"]) == (scenario.model_error.object_mass != 1.0)
     assert len(judged) == 2
