@@ -1,6 +1,7 @@
 """Dynamically decoupled force/motion control for any state of contact.
 
-Names in reading order; `osc_contact.spatial` is the page of conventions.
+Names in reading order; `osc_contact.spatial` is the page of conventions. Examples of classes begin
+with `import osc_contact as osc`, `import numpy as np` and `import pinocchio as pin`.
 """
 
 import ast
