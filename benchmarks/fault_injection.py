@@ -84,7 +84,7 @@ class Case:
         return f"{self.phase}, {self.scenario}{lost}, seed {self.seed}"
 
     def rng(self, fault: str) -> np.random.Generator:
-        """Of a fault in this case: a moment, and which joint or wrist it is."""
+        """Generator of the moment of a fault, and of the joint or wrist that it concerns."""
         words = f"{fault} / {self}".encode()
         return np.random.default_rng([*sha256(words).digest()])
 

@@ -570,7 +570,7 @@ class Controller:
 
     @property
     def learned_friction(self) -> tuple[LearnedFriction, ...]:
-        """What was learned of the joints so far, of each arm, with the identity of its robot.
+        """Friction of the joints of each arm as learned so far, with the identity of its robot.
 
         `LearnedFriction.save` and `load` keep it, `put_on` gives it to an arm to start with.
         """

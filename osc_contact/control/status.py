@@ -28,7 +28,7 @@ class Status(IntEnum):
 
 
 class SafetyState(IntEnum):
-    """What the controller does; `law.safety` and `law.sensors` decide it.
+    """State of the controller, decided by `law.safety` and `law.sensors`.
 
     Example:
         >>> controller = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()

@@ -42,7 +42,7 @@ def robot_identity(model: pin.Model) -> str:
 
 @dataclass(frozen=True)
 class LearnedFriction:
-    """What a controller has learned of the joints of one arm.
+    """Friction of the joints of one arm, as learned by a controller.
 
     Attributes:
         robot: identity of the arm, see `robot_identity`. joints: names.

@@ -85,7 +85,7 @@ def command_motion(t):
 # is measured there, in the first tick of all from none: nothing has been measured under control
 # yet. While much of a step is still to come the integral rests, which would take it for an error.
 #
-# Internal forces are shaped in the same way, with a clock of their own: a grasp that is tightened
+# Internal forces are shaped in the same way, but timed independently: a grasp that is tightened
 # leaves the contact forces as they are. In the first tick of all they are what is desired, as an
 # object that friction at the grasps carries must not fall.
 #
@@ -330,7 +330,7 @@ def _keep_deflections(t):
 
 @leaf
 def _keep_squeeze(t):
-    """What the next tick must know of the internal forces."""
+    """Keep the steps of the internal forces for the next tick."""
     memory = t.memory
     work = t.work
     memory.squeeze_left = work.squeeze_left

@@ -490,7 +490,7 @@ def believed_friction(t, j):
 
 @leaf
 def _modelled_friction(t, j):
-    """The same as of the model."""
+    """F s/√(s² + s_0²) + D s + A ṡ of joint j (N m, N), with the model's values."""
     row = t.memory.joints[j]
     known = t.model.joints[j].theta
     return known[0] * row.sign + known[1] * row.speed + known[2] * row.turn

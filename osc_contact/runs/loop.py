@@ -289,7 +289,7 @@ def _process(realtime: bool, recorder: Any, report: LoopReport) -> Iterator[Side
 
 
 def _log_nothing(event: str, **facts: Any) -> None:
-    """What notes events where there is no recorder, or one that keeps none."""
+    """Drop an event: there is no recorder, or it keeps no events."""
 
 
 def _stop(robot: Robot, reason: str) -> Exception | None:

@@ -133,7 +133,7 @@ class References:
 
     @cached_property
     def largest_commands(self) -> tuple[float, float]:
-        """Of all ticks: the largest command of one contact or squeeze, and of their sum (N)."""
+        """Largest command of one contact or squeeze in the run, and largest sum of all (N)."""
         arms = len(self.scenario.arms)
         squeezes = abs(self.scenario.squeeze) * np.ones(arms * (arms - 1) // 2)
         ticks = round(self.scenario.duration * self.scenario.control.rate) + 1
