@@ -26,7 +26,7 @@ COMPILE = ("-m", "osc_contact.law.c_object")
 PARTS = {"inner", "leaf"}  #: decorators of the functions that are translated by themselves
 
 
-class _NotCompiledError(OscContactError):
+class NotCompiledError(OscContactError):
     """A process that compiles the law failed."""
 
 
@@ -49,26 +49,30 @@ def measure(count: int) -> dict[str, Rows]:
         for package in ("osc_contact", "benchmarks", "paper"):
             source = Path(osc_contact.__file__).parents[1] / package
             shutil.copytree(source, copy / package)
-        rows.append({"what": "whole", **_timed(COMPILE, copy, f"{folder}/whole")})
+        rows.append({"what": "whole", **timed_python(COMPILE, copy, f"{folder}/whole")})
         one_core = {min(os.sched_getaffinity(0))}
-        rows.append({"what": "on one core", **_timed(COMPILE, copy, f"{folder}/one", one_core)})
+        rows.append(
+            {"what": "on one core", **timed_python(COMPILE, copy, f"{folder}/one", one_core)}
+        )
         tick = ("-c", FIRST_TICK)
-        _timed(tick, copy, f"{folder}/whole")
+        timed_python(tick, copy, f"{folder}/whole")
         times: Rows = []
-        for file, name, edited in _edits(copy / "osc_contact/law"):
+        for file, name, edited in edits(copy / "osc_contact/law"):
             if len(times) == count:
                 break
             usual = file.read_text()
             file.write_text(edited)
-            with suppress(_NotCompiledError):  # products of whole numbers have to stay whole
-                times.append({"what": f"edit of {name}", **_timed(tick, copy, f"{folder}/whole")})
+            with suppress(NotCompiledError):  # products of whole numbers have to stay whole
+                times.append(
+                    {"what": f"edit of {name}", **timed_python(tick, copy, f"{folder}/whole")}
+                )
             file.write_text(usual)
     times.sort(key=lambda row: float(row["clock (s)"]))
-    middle = {**times[len(times) // 2], "what": f"median of {count} edits"}
+    middle = {**times[len(times) // 2], "what": f"median of {len(times)} edits"}
     return {"compilation": [*rows, middle, *times]}
 
 
-def _timed(
+def timed_python(
     words: tuple[str, ...], copy: Path, cache: str, cores: set[int] | None = None
 ) -> dict[str, float]:
     """Seconds that Python takes in a copy of the package, with all processes that it starts.
@@ -78,7 +82,7 @@ def _timed(
         cores: that it may use; None: all.
 
     Raises:
-        _NotCompiledError: it failed.
+        NotCompiledError: it failed.
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     began = perf_counter()
@@ -93,13 +97,13 @@ def _timed(
     )
     clock = perf_counter() - began
     if done.returncode != 0:
-        raise _NotCompiledError(f"the law was not compiled: {done.stderr[-1000:]}")
+        raise NotCompiledError(f"the law was not compiled: {done.stderr[-1000:]}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return {"clock (s)": clock, "processor (s)": processor}
 
 
-def _edits(law: Path) -> list[tuple[Path, str, str]]:
+def edits(law: Path) -> list[tuple[Path, str, str]]:
     """Functions with a product, in random order: a file, the function, and the file edited.
 
     Args:
