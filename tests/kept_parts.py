@@ -34,6 +34,7 @@ made = jit.UNITS.emit(roots, jit.UNITS.target_of())
 units = [unit.name for unit in jit.UNITS.all_units() if unit.known]
 print(json.dumps([sha256(made).hexdigest(), units, kept.count(False)]))
 """
+TIMEOUT = 3000  #: s; all entries anew take a minute of an idle core
 #: Comparisons, and those that stand in their place.
 OTHERS = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq}
 
@@ -42,7 +43,8 @@ def made(copy, store, entries):
     """The hash of the object file, its units, and the number of parts that were not kept."""
     environment = {"OSC_CONTACT_CACHE": store, "OSC_CONTACT_LAW": "compile"}
     environment["NUMBA_DISABLE_JIT"] = "0"
-    return json.loads(python("-c", PROGRAM, *entries, cwd=copy, **environment).stdout)
+    done = python("-c", PROGRAM, *entries, cwd=copy, timeout=TIMEOUT, **environment)
+    return json.loads(done.stdout)
 
 
 def edit(source, name, rng):

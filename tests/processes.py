@@ -22,11 +22,15 @@ def completed(*words, code=0, **how):
     return done
 
 
-def python(*words, code=0, cwd=None, **environment):
-    """A new Python with these variables, which imports what the tests can import."""
+def python(*words, code=0, cwd=None, timeout=500, **environment):
+    """A new Python with these variables, which imports what the tests can import.
+
+    Args:
+        words: after the interpreter. code: that it has to end with. timeout: s.
+    """
     path = os.pathsep.join((os.path.dirname(__file__), *sys.path))
     env = {**os.environ, "PYTHONPATH": path, **environment}
-    return completed(sys.executable, *words, code=code, cwd=cwd, env=env)
+    return completed(sys.executable, *words, code=code, cwd=cwd, env=env, timeout=timeout)
 
 
 def started(command, **how):
