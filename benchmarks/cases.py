@@ -111,7 +111,7 @@ class TickCase:
     @property
     def given(self) -> tuple[Measurement, Reference]:
         """What a tick at this instant is given."""
-        return self.measurement, self.reference
+        return (self.measurement, self.reference)
 
     def controller(self) -> Controller:
         """A controller of this rig."""
@@ -145,7 +145,7 @@ class TickCase:
             ticked.motion_integral = np.zeros(6)
             ticked.force_integral = np.zeros(0)
 
-        return partial(ticked.tick, *self.given), unwind
+        return (partial(ticked.tick, *self.given), unwind)
 
     def floor(self) -> Callable[[], object]:
         """`pin.computeAllTerms` of the same arms at the same q and v."""
@@ -183,7 +183,7 @@ def rod_rig() -> tuple[osc.Rig, tuple[VertexOnFace, ...]]:
     A step that fades within the rise time would make each tick at the same instant another one.
     """
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["gains.force.rise=0 s"]))
-    return rig, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
+    return (rig, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace)))
 
 
 def two_contact_rod() -> TickCase:
@@ -282,7 +282,7 @@ class Kind(NamedTuple):
         model.upperEffortLimit[:] = 1e4
         for name, point in {"wrist": (0.0, 0.0, 0.0), "tip": self.tip}.items():
             model.addFrame(pin.Frame(name, last, 0, _at(*point), pin.FrameType.OP_FRAME))
-        return model, np.array(self.q) + self.spread * rng.uniform(-1.0, 1.0, len(self.q))
+        return (model, np.array(self.q) + self.spread * rng.uniform(-1.0, 1.0, len(self.q)))
 
 
 _REACH = (0, 0.325, 0, 0)
@@ -524,7 +524,7 @@ class BatchCase:
                 )
             batch.reset()
 
-        return partial(batch.tick, **self.inputs), unwind
+        return (partial(batch.tick, **self.inputs), unwind)
 
     def floor(self) -> Callable[[], object]:
         """`pin.computeAllTerms` of all rows, one after the other."""

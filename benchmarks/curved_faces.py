@@ -150,7 +150,7 @@ def foot_on_saddle(p: Array, R: float) -> tuple[Array, Array]:
 
     x, y = root(gradient, p[:2], tol=1e-14).x
     n = np.array([-x / R, y / R, 1.0])
-    return np.array([x, y, (x * x - y * y) / (2 * R)]), n / np.linalg.norm(n)
+    return (np.array([x, y, (x * x - y * y) / (2 * R)]), n / np.linalg.norm(n))
 
 
 def tangent_plane(rig: Any, seed: int) -> TangentPlane:

@@ -408,7 +408,7 @@ class Kept:
     def __init__(self, folder: Path = KEPT) -> None:
         """Read those that are there."""
         digest = sha256()
-        for part in "osc_contact", "benchmarks", "urdf":
+        for part in ("osc_contact", "benchmarks", "urdf"):
             for path in sorted((ROOT / part).rglob("*")):
                 if path.is_file() and "__pycache__" not in path.parts:
                     digest.update(path.read_bytes())

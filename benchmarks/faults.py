@@ -21,7 +21,7 @@ NAN = float("nan")
 POST = 20e3  #: N/m, of a post that stands in the way
 POST_SEEN_AFTER = 0.15  #: s, `overforce_time`
 DRAG = 20.0  #: N, of a cable
-HAND = 1e3, 50.0  #: N/m and N s/m, of a person who holds an arm
+HAND = (1e3, 50.0)  #: N/m and N s/m, of a person who holds an arm
 TILT = np.deg2rad(5.0)  #: of gravity
 AWAY = 10.0  #: m, to where faces vanish
 
@@ -137,7 +137,7 @@ def _reading(
             x[i] = (gain + gain_drift * seconds) * x[i] + offset + drift * seconds
             x[i] += noise * t.rng.normal(size=x[i].shape)
         changes: dict[str, Any] = {name: x}
-        return replace(m, **changes), r
+        return (replace(m, **changes), r)
 
     return change
 

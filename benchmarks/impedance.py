@@ -86,7 +86,7 @@ def judge(seen: osc.Recording) -> tuple[float, float, float]:
     later = seen["t"] > SLIDES_FROM
     off = 1e3 * np.linalg.norm(seen["motion_error"][later, 1:3], axis=1)
     rms, error = (float(np.sqrt(np.mean(x * x))) for x in (force[later] - FORCE, off))
-    return float(force[~later].max()), rms, error
+    return (float(force[~later].max()), rms, error)
 
 
 def draw(seen: Mapping[tuple[str, float], Mapping[str, osc.Recording]], path: Path) -> None:

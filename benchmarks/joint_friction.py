@@ -80,16 +80,16 @@ class Case(NamedTuple):
         try:
             recording = osc.run(osc.load_scenario(_file(self.scenario), list(self.changes)))
         except osc.OscContactError as refusal:
-            return *np.full(6, np.nan), str(refusal)[:60]
+            return (*np.full(6, np.nan), str(refusal)[:60])
         verdict = osc.metrics(recording)
         judged = recording["t"] >= JUDGED_FROM
         away = np.linalg.norm(recording["motion_error"][judged].reshape(-1, 2, 3), axis=2).T
-        motion = 1e3 * np.sqrt(np.mean(away[0] ** 2)), 1e3 * away[1].max()
+        motion = (1e3 * np.sqrt(np.mean(away[0] ** 2)), 1e3 * away[1].max())
         if self.scenario in TIPS:
             force = recording["alpha_true"][judged]
             commanded = recording["alpha_cmd"][judged]
             error = (force - commanded) / np.abs(commanded).max()
-            found = np.sqrt(np.mean(error**2)), np.abs(error).max(), np.mean(force > 0.0)
+            found = (np.sqrt(np.mean(error**2)), np.abs(error).max(), np.mean(force > 0.0))
         else:
             worst = [
                 max(one[key] or np.nan for one in verdict["force"].values())
@@ -98,7 +98,7 @@ class Case(NamedTuple):
             found = (*worst, min(verdict["contact_fraction"].values()))
         overshoot = max((step["overshoot_rel"] for step in verdict["steps"]), default=np.nan)
         numbers = 100.0 * np.array((*found, overshoot))
-        return *numbers, *motion, verdict["task"]["word"]
+        return (*numbers, *motion, verdict["task"]["word"])
 
 
 @cache
@@ -125,7 +125,7 @@ def move_on_wall(scenario: str, frequency: float = 0.5, moves: int = 2) -> tuple
         f"amplitude: 20 mm, frequency: {frequency} Hz, phase: {phase} deg}}]}}"
         for (x, y, z), phase in axes
     )
-    return f"motion=[{signals}]", "force.ball=[{type: constant, value: 10 N}]", "gains={}"
+    return (f"motion=[{signals}]", "force.ball=[{type: constant, value: 10 N}]", "gains={}")
 
 
 def _joints(scenario: str, numbers: Iterable[str]) -> tuple[str, ...]:
@@ -202,20 +202,24 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
 
     rotors = _joints(arm, ROTORS)
     for factor, believed in BELIEVED.items():
-        yield f"rotors {arm} x{factor:g}", 1.0, (*slide(), *rotors, *believed)
+        yield (f"rotors {arm} x{factor:g}", 1.0, (*slide(), *rotors, *believed))
         if factor in (1.0, 1.5):
-            yield f"bare {arm} x{factor:g}", 2.5, (*slide(), *rotors[:2], *believed)
+            yield (f"bare {arm} x{factor:g}", 2.5, (*slide(), *rotors[:2], *believed))
     forgotten = _joints(arm, ("armature=0.5",))
     changes = (*slide(), *forgotten, "model_error.armature=0")
-    yield f"forgotten rotors {arm}", 1.0, changes
+    yield (f"forgotten rotors {arm}", 1.0, changes)
     for frequency, most in ((0.5, 1.0), (1.0, 1.5), (2.0, 2.0)):
-        yield f"reversals {arm} {frequency:g} Hz x0.5", most, (*slide(frequency, 1), *rotors, *HALF)
-    yield f"5 mm/s {arm} x0.5", 0.3, (*slide(0.04), *rotors, *HALF)
+        yield (
+            f"reversals {arm} {frequency:g} Hz x0.5",
+            most,
+            (*slide(frequency, 1), *rotors, *HALF),
+        )
+    yield (f"5 mm/s {arm} x0.5", 0.3, (*slide(0.04), *rotors, *HALF))
     for share, most in ((0.005, 1.2), (0.02, 2.5)):
         changes = (*slide(), f"plant.joint_friction={share}")
-        yield f"unknown {arm} {100 * share:g} % of the limit", most, changes
+        yield (f"unknown {arm} {100 * share:g} % of the limit", most, changes)
     slowly = (*slide(0.2, 1), "plant.joint_friction=0.02")
-    yield f"unknown {arm} 2 % of the limit, to and fro at 0.2 Hz", 2.5, slowly
+    yield (f"unknown {arm} 2 % of the limit, to and fro at 0.2 Hz", 2.5, slowly)
     for frequency, moves in product((0.2, 0.5, 1.0), (1, 2)):
         falling = (
             *_joints(arm, ["friction=0"]),
@@ -223,19 +227,19 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
             "plant.joint_friction=0.01",
         )
         name = f"Stribeck 1 % {arm} {frequency:g} Hz, {'line' if moves == 1 else 'circle'}"
-        yield name, 5.0, (*slide(frequency, moves), *falling)
+        yield (name, 5.0, (*slide(frequency, moves), *falling))
     for bits, newtons, most in SENSORS:
         name = f"noise {arm} {bits} bit, {newtons} N, 3 ms"
-        yield name, most, (*slide(), *rotors, *HALF, _noisy(bits, newtons))
+        yield (name, most, (*slide(), *rotors, *HALF, _noisy(bits, newtons)))
     late = "sensors={wrist: {rate: 1 kHz, delay: 10 ms}}"
-    yield f"late wrist {arm} 10 ms", 5.0, (*slide(), *rotors, *HALF, late)
+    yield (f"late wrist {arm} 10 ms", 5.0, (*slide(), *rotors, *HALF, late))
     still = (*slide()[1:3], *rotors, *HALF, "motion=[]")
     step = (
         "force.ball=[{type: constant, value: 10 N}, "
         "{type: minimum_jerk, value: 5 N, start: 2 s, duration: 0.2 s}]"
     )
-    yield f"standing {arm} x0.5", 3.0, (*still, "duration=10 s")
-    yield f"force step {arm} x0.5", 3.0, (*still, step, "duration=4 s")
+    yield (f"standing {arm} x0.5", 3.0, (*still, "duration=10 s"))
+    yield (f"force step {arm} x0.5", 3.0, (*still, step, "duration=4 s"))
 
 
 def _of_mjcf(folder: Path) -> Iterable[Case]:

@@ -34,7 +34,7 @@ def _time(arm: osc.Arm, q: Any, rounds: int) -> Rows:
     data = model.createData()
     v = np.full(model.nv, 0.3)
     kept = osc.operational_space(arm, q, v)
-    many = np.tile(q, (ROWS, 1)), np.tile(v, (ROWS, 1))
+    many = (np.tile(q, (ROWS, 1)), np.tile(v, (ROWS, 1)))
     batch = osc.operational_space(arm, *many)
     calls: dict[str, Call] = {
         FLOOR: partial(pin.computeAllTerms, model, data, q, v),
@@ -65,4 +65,4 @@ def _by_hand(model: pin.Model, data: pin.Data, tip: str, q: Any, v: Any) -> obje
     Phi = J @ bar
     Lambda = np.linalg.inv(Phi)
     J_bar = bar @ Lambda
-    return J_bar, J_bar.T @ data.g, J_bar.T @ (data.nle - data.g) - Lambda @ (rate @ v)
+    return (J_bar, J_bar.T @ data.g, J_bar.T @ (data.nle - data.g) - Lambda @ (rate @ v))

@@ -50,7 +50,7 @@ def peers_of(case: TickCase) -> Peers:
         "pin.constraintDynamics": constraint_dynamics(case),
         "MuJoCo mj_inverse": partial(mujoco.mj_inverse, *mujoco_state(case)),
     }
-    return compiled, {"textbook law in NumPy": TextbookLaw(case).tick}, unwind
+    return (compiled, {"textbook law in NumPy": TextbookLaw(case).tick}, unwind)
 
 
 def measure(rounds: int, tsid_python: Path | None = None) -> Data:
@@ -172,4 +172,4 @@ def mujoco_state(case: TickCase) -> tuple[Any, Any]:
         plant.data.qpos[joint.qposadr] = case.measurement.q[i]
         plant.data.qvel[joint.dofadr] = case.measurement.v[i]
     plant.hold(case.controller().tick(case.measurement, case.reference))
-    return plant.model, plant.data
+    return (plant.model, plant.data)

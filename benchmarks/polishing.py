@@ -137,7 +137,7 @@ def touch(env: ContactVectorEnv) -> tuple[Array, Array]:
     off = p + R @ LOW - TABLE
     s = -(off[:, 0] * u[:, 0] + off[:, 2] * u[:, 2]) / (u[:, 0] ** 2 + u[:, 2] ** 2)
     force = env.fleet._plants.bind("cfrc_ext")[:, env.fleet._plant.object_body, 3:]
-    return off[:, 1] + s * u[:, 1], np.maximum(-(force @ INTO), 0.0)
+    return (off[:, 1] + s * u[:, 1], np.maximum(-(force @ INTO), 0.0))
 
 
 # --- The same task with a law of the Jacobian's transpose and a selection matrix ---
@@ -221,7 +221,7 @@ class SelectionRows:
         sensor = pin.updateFramePlacement(model, data, chain.sensors[0])
         beyond = sum(link.inertia.mass for link in (*chain.outboard[0], chain.payload))
         read = sensor.rotation @ wrench[:3] + beyond * model.gravity.linear
-        return J, weight, float(INTO @ read)
+        return (J, weight, float(INTO @ read))
 
 
 # --- An evolution strategy in plain NumPy: its only input is the value of each policy ---
@@ -262,7 +262,7 @@ def learn(
         best = policies[np.argsort(costs)[: max(2, round(_BEST * rows))]]
         mean = best.mean(axis=0)
         deviation = _KEPT * deviation + (1.0 - _KEPT) * best.std(axis=0)
-    return mean, np.array(curve)
+    return (mean, np.array(curve))
 
 
 # --- Learn to polish, above our law and above another: `python -m benchmarks.polishing` ---

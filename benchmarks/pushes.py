@@ -100,7 +100,7 @@ def _in_contact(name: str, changes: tuple[str, ...]) -> tuple[osc.Rig, float, np
     rig = osc.build_rig(scenario)
     calm = _run(rig, scenario.duration + 5.0)  # s, longer than any push is looked at
     made = osc.metrics(calm)["first_contact_s"].values()
-    return rig, max(made, default=0.0) + _SETTLING, calm["alpha_true"]
+    return (rig, max(made, default=0.0) + _SETTLING, calm["alpha_true"])
 
 
 @without_logged_doubts()

@@ -65,7 +65,7 @@ def main(urdf: str, rounds: int) -> None:
         tau = law.getActuatorForces(solution)
         end = perf_counter_ns()
         pin.computeAllTerms(model, data, Q, v)
-        row[:] = middle - start, end - middle, perf_counter_ns() - end
+        row[:] = (middle - start, end - middle, perf_counter_ns() - end)
         if solution.status != 0 or not np.isfinite(tau).all():
             raise SystemExit(f"TSID found no solution: status {solution.status}")
     setup, solve, floor = times[WARM_UP:].T / 1e3

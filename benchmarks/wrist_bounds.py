@@ -62,7 +62,7 @@ def main() -> None:
         times = np.arange(0.0, scenario.duration, PERIOD)
         force = max(np.abs(rig.references.at(t).alpha_d).max() for t in times)
         least, most = float(errors.min()), float(errors.max())
-        scales = found_below(force, least), found_below(force, most)
+        scales = (found_below(force, least), found_below(force, most))
         rows.append((name, f"{least:.1f}", f"{most:.1f}", f"{force:.1f}", *scales))
     columns = "scenario; least ΔF (N); largest; command (N); found below s, least; largest"
     Console(width=120).print(table_of("", columns, rows))

@@ -72,7 +72,7 @@ def drawing() -> str:
         return max((1 + floor(above) for above in ROOMS if room in below[above]), default=0)
 
     def place(room: str) -> tuple[float, int]:
-        return 80 + COLUMN * ROOMS[room][0], 40 + ROW * floor(room)
+        return (80 + COLUMN * ROOMS[room][0], 40 + ROW * floor(room))
 
     lines, boxes = [], []
     for room, (_, duty) in ROOMS.items():

@@ -321,7 +321,7 @@ def programs() -> Iterator[tuple[str, str, str]]:
         text = _page(page).read_text(encoding="utf-8")
         for found in PROGRAM.finditer(text):
             heading = HEADING.findall(text[: found.start()])[-1]
-            yield _slug(heading), page, found[1]
+            yield (_slug(heading), page, found[1])
 
 
 def _page(name: str) -> Path:

@@ -120,7 +120,7 @@ def _standing(
     if changes:
         raise InvalidInputError("--set changes scenarios; give --posture for a robot")
     chain = ClosedChain([poses.arm_of(what, tip)])
-    return chain, poses.rest(chain), None
+    return (chain, poses.rest(chain), None)
 
 
 def new(

@@ -238,13 +238,13 @@ def report_run(
     """
     if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
         recording.save(folder / WHOLE)
-        return f"{WHOLE}; the run was too short to be judged", False
+        return (f"{WHOLE}; the run was too short to be judged", False)
     verdict = report.write_report(recording, scenario, folder, figures)
     out.print(report.verdict_table(verdict))
     say(*report.task_lines(verdict))
     if json_file:
         report.write_json(verdict, json_file)
-    return "metrics.json, recording.npz, figures, scene.html", bool(verdict["task"]["failed"])
+    return ("metrics.json, recording.npz, figures, scene.html", bool(verdict["task"]["failed"]))
 
 
 def show_live(

@@ -104,7 +104,7 @@ def _to_rest(v0: float, a0: float, a: float, j: float) -> Pieces:
     stay = 0.0
     if least == a:
         stay = max(0.0, (v0 + 0.5 * first * (a0 - a)) / a - 0.5 * a / j)
-    return (first, -j if a0 > -least else j), (stay, 0.0), (least / j, j)
+    return ((first, -j if a0 > -least else j), (stay, 0.0), (least / j, j))
 
 
 def follow(
@@ -122,7 +122,7 @@ def follow(
         v += h * (a + h * jerk / 2.0)
         a += h * jerk
         t -= h
-    return x, v, a
+    return (x, v, a)
 
 
 def _length(pieces: Pieces) -> float:
@@ -136,7 +136,7 @@ class _StopAndGo:
     """
 
     def __init__(self, x: Array, v: Array, a: Array, goal: Array, limits: Array) -> None:
-        self._begin = x, v, a
+        self._begin = (x, v, a)
         self._stops = [_to_rest(*each) for each in zip(v, a, limits[1], limits[2], strict=True)]
         self._ends = [_length(stop) for stop in self._stops]
         self._stopped = max(self._ends)
@@ -252,9 +252,9 @@ class Trajectory:
     def state(self) -> tuple[Array, Array, Array]:
         """(x, v, a) now, new arrays; at the end exactly the goal, at rest."""
         if self._t >= self._way.duration:
-            return self.goal.copy(), np.zeros(len(self.goal)), np.zeros(len(self.goal))
+            return (self.goal.copy(), np.zeros(len(self.goal)), np.zeros(len(self.goal)))
         x, v, a = self._way.at_time(self._t)
-        return x, v, a
+        return (x, v, a)
 
     @property
     def remaining(self) -> float:

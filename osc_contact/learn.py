@@ -40,15 +40,18 @@ def begin(rig: Rig) -> tuple[EntityCfg, Controller]:
         raise InvalidInputError("mjlab takes rigs with plant.type=mujoco and ideal sensors")
     spec = plant.spec
     joints = (name.split("/")[-1] for name in rig.chain.joint_names)
-    return EntityCfg(
-        init_state=EntityCfg.InitialStateCfg(
-            joint_pos=dict(zip(joints, rig.q_start.tolist(), strict=True))
+    return (
+        EntityCfg(
+            init_state=EntityCfg.InitialStateCfg(
+                joint_pos=dict(zip(joints, rig.q_start.tolist(), strict=True))
+            ),
+            spec_fn=lambda: spec.copy(),
+            articulation=EntityArticulationInfoCfg(
+                actuators=(XmlActuatorCfg(target_names_expr=(".*",)),)
+            ),
         ),
-        spec_fn=lambda: spec.copy(),
-        articulation=EntityArticulationInfoCfg(
-            actuators=(XmlActuatorCfg(target_names_expr=(".*",)),)
-        ),
-    ), controller.with_safety(rig.scenario.control.safety)  # ceilings follow the actions
+        controller.with_safety(rig.scenario.control.safety),
+    )  # ceilings follow the actions
 
 
 @dataclass(kw_only=True)
@@ -155,7 +158,7 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         share = np.arange(1, self._ticks + 1)[:, None, None] / self._ticks
         X = moved(self._target, share * increment)
         alpha = self._forces + share * (forces - self._forces)
-        self._plan = X, increment / self._env.step_dt, alpha
+        self._plan = (X, increment / self._env.step_dt, alpha)
         self._target = X[-1]
         self._forces = forces
         self._step = 0

@@ -124,7 +124,7 @@ def scaled_columns(columns: Array, name: str = "N") -> tuple[Array, Array]:
     size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     if not size.all():
         raise ContactError(f"{name}: column {int(size.argmin())} is zero; remove it")
-    return columns / size, size
+    return (columns / size, size)
 
 
 def independent(scaled: Array) -> bool:
@@ -171,7 +171,7 @@ def span(columns: Array) -> tuple[Array, Array, Array]:
         rows = np.repeat(np.where(largest > 0.0, largest, 1.0), 3)[:, None]
     unit, length = _unit(columns / rows)
     U, S, Vt = np.linalg.svd(unit)
-    return rows, U, S[:, None] * Vt * length
+    return (rows, U, S[:, None] * Vt * length)
 
 
 def unit_diagonal(
@@ -192,7 +192,7 @@ def unit_diagonal(
         scaled = matrix / np.outer(size, size)
         skewed = np.abs(scaled - scaled.T).max(initial=0.0)
         if skewed <= _ASYMMETRIC and np.linalg.eigvalsh(scaled).min(initial=1.0) > _NO_MOBILITY:
-            return scaled, size
+            return (scaled, size)
     raise refusal(
         f"{what} is not symmetric positive definite (diagonal {np.round(diagonal, 9)}); give {cure}"
     )
@@ -201,7 +201,7 @@ def unit_diagonal(
 def least(columns: Array) -> tuple[float, list[int]]:
     """The least singular value of unit columns (n, k), k ≤ n, and which columns it is made of."""
     _, S, Vt = np.linalg.svd(_unit(columns)[0], full_matrices=False)
-    return float(S[-1]), _large(Vt[-1])
+    return (float(S[-1]), _large(Vt[-1]))
 
 
 def orthonormal(columns: Array, metric: Array, what: str) -> tuple[Array, Array, Array]:
@@ -222,7 +222,7 @@ def orthonormal(columns: Array, metric: Array, what: str) -> tuple[Array, Array,
     """
     n, k = columns.shape
     if k == 0:
-        return np.zeros((n, 0)), np.zeros((n, 0)), np.zeros((0, 0))
+        return (np.zeros((n, 0)), np.zeros((n, 0)), np.zeros((0, 0)))
     if k > n:
         raise ContactError(f"{what}: {k} columns of {n} numbers are dependent. Remove some.")
     sizes, F = _factor(metric, what)
@@ -234,7 +234,7 @@ def orthonormal(columns: Array, metric: Array, what: str) -> tuple[Array, Array,
     if independent < DEPENDENT or Sigma[-1] < max(BLOCKED, BLURRED / independent):
         _refuse(M, F.T @ Q, Zt[-1], what)
     Z = Zt.T / Sigma
-    return Q @ Z / sizes, sizes * (F @ P), np.linalg.solve(M, Z)
+    return (Q @ Z / sizes, sizes * (F @ P), np.linalg.solve(M, Z))
 
 
 def left_inverse(columns: Array, metric: Array, what: str) -> Array:
@@ -277,7 +277,7 @@ def _unit(columns: Array) -> tuple[Array, Array]:
     """Columns of unit length, and the length that each had; one without any stays zero."""
     length = np.linalg.norm(columns, axis=0)
     length[length == 0.0] = 1.0
-    return columns / length, length
+    return (columns / length, length)
 
 
 def _large(weights: Array) -> list[int]:
@@ -315,4 +315,4 @@ def _factor(metric: Array, what: str) -> tuple[Array, Array]:
         )
     values[values < _NO_MOBILITY * values[-1]] = 0.0
     root = np.sqrt(values[-1]) if values[-1] > 0.0 else 1.0
-    return sizes * root, vectors * np.sqrt(np.maximum(values, 0.0)) / root
+    return (sizes * root, vectors * np.sqrt(np.maximum(values, 0.0)) / root)

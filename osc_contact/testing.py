@@ -24,7 +24,7 @@ from osc_contact.spatial import Array, as_array, norm
 
 HOLD = 50  #: ticks under the model's own weight
 PULSE = 30  #: ticks of a torque, and as many of its opposite
-SHARES = 0.02, 0.05, 0.1, 0.2, 0.35  #: of a motor's limit, tried until the joint moves
+SHARES = (0.02, 0.05, 0.1, 0.2, 0.35)  #: of a motor's limit, tried until the joint moves
 SPEED = 0.3  #: rad/s (m/s) that a pulse adds at most, as the model predicts
 MOVED = 0.01  #: rad/s (m/s) that count as motion
 ALONE = 0.3  #: of what the fastest joint gains; less is no motion of the joint with the torque
@@ -176,7 +176,7 @@ class _Check:
         causes = {missing: -falls, twice: falls}
         for i, j in combinations(range(len(q)), 2):
             order = np.arange(len(q))
-            order[[i, j]] = j, i
+            order[[i, j]] = (j, i)
             torques = self.weight(q) - self.weight(q[order])
             cause = f"joints '{self.names[i]}' and '{self.names[j]}' seem to be swapped"
             causes[cause] = np.linalg.solve(self.mass(q[order]), torques)[order]

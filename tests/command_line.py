@@ -29,7 +29,7 @@ def answered(line, *words):
     """The same: (result, what it writes with --json)."""
     with TemporaryDirectory() as folder:
         file = Path(folder, "found.json")
-        return done(line, *words, "--json", file), read_json(file)
+        return (done(line, *words, "--json", file), read_json(file))
 
 
 def read_json(file):

@@ -56,7 +56,7 @@ def on_spline(controller):
     x, y = 0.6 * abs(radius) * np.array(np.meshgrid(*[np.linspace(-1, 1, 20)] * 2)).reshape(2, -1)
     top = np.sign(radius) * np.sqrt(radius**2 - x**2 - y**2)
     surface = osc.Surface.fitted(np.array([x, y, top]).T, (2, 3))
-    seat = pair.surface_point, pair.surface_axis, pair.surface_x
+    seat = (pair.surface_point, pair.surface_axis, pair.surface_x)
     return osc.Controller(
         own.chain,
         [osc.SphereOnSurface(pair.centre, pair.radius, surface, *seat)],
@@ -245,7 +245,7 @@ def main(count: int = 10_000, seed: int = 1) -> int:
             base = Base(folder / scenario, scenario, **how)
             whole = base.out_of_range()
             random = base.mutations(count // len(BASES), seed + len(total))
-            for kind, patches in ("whole", [patch for _, patch in whole]), ("random", random):
+            for kind, patches in (("whole", [patch for _, patch in whole]), ("random", random)):
                 endings = base.tried(program, patches)
                 found = Counter("refused" if x < 1 else ENDINGS[x] for x in endings)
                 total.update({f"{kind} numbers: {x}": n for x, n in found.items()})

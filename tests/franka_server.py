@@ -32,7 +32,7 @@ from franky_sim.franka_robot_server import FrankaRobotServer
 from franky_sim.franka_robot_state import FrankaRobotState
 from franky_sim.simulation_server import LocalHostnames
 
-HOME = 0.0, 0.1, 0.0, -2.0, 0.0, 2.1, 0.785
+HOME = (0.0, 0.1, 0.0, -2.0, 0.0, 2.1, 0.785)
 #: m along the hand's z: tool centre, probe, its radius
 TCP = 0.1034
 PROBE = 0.125
@@ -46,7 +46,7 @@ PERIOD = 1e-3  #: s
 #: s; the client gives up after 1 s without a packet
 PATIENCE = 0.9
 IDLE = 0.02  #: s, from step to step without a client
-NOTHING = "clock", "tilt", "friction", "mass", "push", "rest", "tcp_off"
+NOTHING = ("clock", "tilt", "friction", "mass", "push", "rest", "tcp_off")
 SCENE = dict.fromkeys(NOTHING, 0) | {
     "height": 0.2,
     "stiffness": 7e4,
@@ -152,7 +152,7 @@ class Server(FrankaRobotServer):
             self.stop_motion(send_preemption_signal=False)
             self.reset_current_motion_id()
             self.send_state()
-            reply = self._tcp_socket, RobotCommand.kMove, number
+            reply = (self._tcp_socket, RobotCommand.kMove, number)
             BaseCommand.send_response(*reply, MoveStatus.kReflexAborted)
         super()._post_process_commands()
 
@@ -175,7 +175,7 @@ class Server(FrankaRobotServer):
         if self.moving and k > 0:
             packets = self.spoil(packets, k)
         for packet in packets:
-            address = self._FrankaServer__client_address, self._FrankaServer__client_udp_port
+            address = (self._FrankaServer__client_address, self._FrankaServer__client_udp_port)
             self._FrankaServer__udp_socket.sendto(packet, address)
         self.owed = self.begun and bool(packets)
 
@@ -238,8 +238,8 @@ class Simulation(simulator.MujocoSimulator):
         data.qpos[robot._qpos_addrs] = HOME
         mujoco.mj_forward(model, data)
         tilt = 0.5 * given["tilt"]
-        model.body_quat[self.plate] = np.cos(tilt), np.sin(tilt), 0.0, 0.0
-        model.body_pos[self.plate] = *data.geom_xpos[self.tip][:2], given["height"]
+        model.body_quat[self.plate] = (np.cos(tilt), np.sin(tilt), 0.0, 0.0)
+        model.body_pos[self.plate] = (*data.geom_xpos[self.tip][:2], given["height"])
         self.touch(given["stiffness"], given["friction"])
         mujoco.mj_forward(model, data)
         self.random = np.random.default_rng(0)
@@ -267,7 +267,7 @@ class Simulation(simulator.MujocoSimulator):
         model.pair_friction[:, :2] = friction
         model.pair_solimp[:, :2] = half
         model.pair_solref[:] = -half * share * np.array([stiffness, damping])
-        model.pair_solreffriction[:] = -1e-9, -half * STICKING
+        model.pair_solreffriction[:] = (-1e-9, -half * STICKING)
 
     def _step(self):
         self.pushed = np.array([*self.nudge, 0.0, 0.0, 0.0])

@@ -33,7 +33,7 @@ class System:
         right = []
         self.ends = [0]
         for tip, (kind, X_TO, axis) in aligned(tips, grasps):
-            at = model, data, model.getFrameId(tip), pin.LOCAL
+            at = (model, data, model.getFrameId(tip), pin.LOCAL)
             J = pin.getFrameJacobian(*at)
             of_tip = pin.getFrameVelocity(*at)
             a = pin.getFrameAcceleration(*at)
@@ -66,7 +66,7 @@ def derivatives(kind, axis, X, V):
         lines = {"plane": [axis], "screw": [*across(axis), axis]}.get(kind, across(axis))
     for s in lines:  # s · p = 0, along the axis of a screw the pitch times the angle
         turn = PITCH * s if kind == "screw" and s is axis else 0.0
-        yield np.append(s, np.cross(p, s) - turn), s @ np.cross(w, p_dot)
+        yield (np.append(s, np.cross(p, s) - turn), s @ np.cross(w, p_dot))
     pairs = []
     if kind in ("rigid", "slide"):
         pairs = aligned(E, E[[1, 2, 0]])
@@ -74,7 +74,7 @@ def derivatives(kind, axis, X, V):
         pairs = [(s, axis) for s in across(axis)]
     for s, of_object in pairs:  # stay perpendicular
         b = X.rotation @ of_object
-        yield np.append(np.zeros(3), np.cross(b, s)), s @ np.cross(w, np.cross(w, b))
+        yield (np.append(np.zeros(3), np.cross(b, s)), s @ np.cross(w, np.cross(w, b)))
 
 
 def solve(K, y):
@@ -84,11 +84,11 @@ def solve(K, y):
     x = scale * lstsq(Ks, scale * y, rcond=1e-13)[0]
     for _ in range(3):
         x += scale * lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
-    return x, largest(scale * (K @ x - y))
+    return (x, largest(scale * (K @ x - y)))
 
 
 def across(axis):
     """Two unit vectors perpendicular to an axis (3,)."""
     first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     first = unit(first)
-    return first, np.cross(unit(axis), first)
+    return (first, np.cross(unit(axis), first))

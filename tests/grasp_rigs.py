@@ -12,15 +12,15 @@ import osc_contact as osc
 from osc_contact import robots
 
 BODY = pin.Inertia(2.5, vector(0.02, -0.03, 0.01), np.diag([0.02, 0.05, 0.045]))
-KINDS = "rigid", "hinge", "ball", "slide", "cylinder"
+KINDS = ("rigid", "hinge", "ball", "slide", "cylinder")
 
 
 @cache
 def _urdf(kind):
     if kind == "scara":
-        return robots.load_model(robots.urdf_path("scara_left")), "tool", ("hinge",)
+        return (robots.load_model(robots.urdf_path("scara_left")), "tool", ("hinge",))
     path, _ = robots.find_robot(kind)
-    return robots.load_model(path), {"ur5": "tool0", "panda": "panda_hand_tcp"}[kind], ()
+    return (robots.load_model(path), {"ur5": "tool0", "panda": "panda_hand_tcp"}[kind], ())
 
 
 def planar(joints, rng):
@@ -36,7 +36,7 @@ def planar(joints, rng):
     X = placed(0.3)
     model.addFrame(pin.Frame("wrist", last, 0, placed(), pin.FrameType.OP_FRAME))
     model.addFrame(pin.Frame("tip", last, 0, X, pin.FrameType.OP_FRAME))
-    return model, "tip", ()
+    return (model, "tip", ())
 
 
 #: Joints, which of them is the elbow, frame of the wrist sensor.
@@ -145,7 +145,7 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
             wrist_sensor=ARMS[arm][2],
             damping=0.0,  # the oracles know none
         )
-        limits = made.model.lowerPositionLimit, made.model.upperPositionLimit
+        limits = (made.model.lowerPositionLimit, made.model.upperPositionLimit)
         made.model.lowerPositionLimit = np.minimum(limits[0], q - 1.0)  # random postures know none
         made.model.upperPositionLimit = np.maximum(limits[1], q + 1.0)
         X_WT = X_WO * (slip * X_TO).inverse()

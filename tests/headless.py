@@ -22,7 +22,7 @@ class Browser(browser.Browser):
         """Open another page, or the same anew, in a window of this size (CSS pixels)."""
         screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self.request("Emulation.setDeviceMetricsOverride", **screen)
-        for url in "about:blank", address:
+        for url in ("about:blank", address):
             self.request("Page.navigate", url=url)
         self.until(f"document.readyState === 'complete' && {ready}")
 

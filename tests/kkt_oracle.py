@@ -79,7 +79,7 @@ class Body:
         """(28,) X_WE, V_E, A_E: the acceleration is reported where a drive makes it."""
         A = np.zeros(6)
         if self.prescribed is not None:
-            how = self.X.translation, pin.getFrameClassicalAcceleration
+            how = (self.X.translation, pin.getFrameClassicalAcceleration)
             A = self.acceleration(self.prescribed, *how)
         return np.concatenate((self.X.homogeneous.ravel(), self.V, A))
 
@@ -143,11 +143,11 @@ def linkage(rng, at):
         X = random_placement(rng, at if k == 0 else np.zeros(3))
         model.addJoint(k, pin.JointModelRevoluteUnaligned(direction(rng)), X, f"hinge{k}")
         model.appendBodyToJoint(k + 1, random_inertia(rng), placed())
-    for k, name in (1, "upper"), (2, "touched"):
+    for k, name in ((1, "upper"), (2, "touched")):
         X = random_placement(rng, np.zeros(3))
         model.addFrame(pin.Frame(name, k, 0, X, pin.FrameType.OP_FRAME))
     q, v, tau = rng.standard_normal((3, 2))
-    state = model, q, v, 2 * tau
+    state = (model, q, v, 2 * tau)
     return Body(*state, lambda O: Environment.articulated(*state, "touched", O))
 
 
@@ -163,7 +163,7 @@ def on_joints(rng, at, *joints, inertia):
         model.addJoint(k, joint, shift(np.zeros(3) if k else c), f"joint{k}")
         model.appendBodyToJoint(k + 1, inertia, placed())
     model.addFrame(pin.Frame("E", len(joints), 0, shift(-c), pin.FrameType.OP_FRAME))
-    return model, c, rng.uniform(-1.5, 1.5, model.nv), rng.uniform(-1, 1, model.nv)
+    return (model, c, rng.uniform(-1.5, 1.5, model.nv), rng.uniform(-1, 1, model.nv))
 
 
 def hinged(rng, at):
@@ -183,7 +183,7 @@ def turning(rng, at):
     u = direction(rng)
     a = direction(rng)
     rates = rng.standard_normal(2) * 3
-    joints = pin.JointModelPrismaticUnaligned(u), pin.JointModelRevoluteUnaligned(a)
+    joints = (pin.JointModelPrismaticUnaligned(u), pin.JointModelRevoluteUnaligned(a))
     model, _, q, v = on_joints(rng, at, *joints, inertia=random_inertia(rng))
     return Body(model, q, v, np.zeros(2), Conveyor(), rates)
 
@@ -263,7 +263,7 @@ class Contact:
         if self.bent is not None:
             return self.bent
         speed = max(1.0, largest(V), largest(self.on.v))
-        there = V / speed, self.on.v / speed
+        there = (V / speed, self.on.v / speed)
         return speed**2 * rate(lambda t: self.gaps(*(t * x for x in there)), 2, STEP, REACH)
 
     def slip(self, V):
@@ -272,7 +272,7 @@ class Contact:
         n = X_WE.rotation @ unit(self.pair.normal)
         arm = self.X_WO.rotation @ self.pair.vertex - self.pair.radius * n
         far = self.X_WO.translation + arm - X_WE.translation
-        return V[:3] + np.cross(V[3:], arm) - V_E[:3] - np.cross(V_E[3:], far), arm, far
+        return (V[:3] + np.cross(V[3:], arm) - V_E[:3] - np.cross(V_E[3:], far), arm, far)
 
     def n_gamma(self, V):
         """(r,) Nᵀ of the spatial acceleration of the object less that of the body."""
@@ -285,7 +285,7 @@ class Contact:
         f = -mu * unit(slip)
         b = self.on
         J = pin.computeFrameJacobian(b.model, b.model.createData(), b.q, b.frame, LWA)
-        return np.append(f, np.cross(arm, f)), -J.T @ np.append(f, np.cross(far, f))
+        return (np.append(f, np.cross(arm, f)), -J.T @ np.append(f, np.cross(far, f)))
 
 
 # Everything at once -------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ LEFT_OUT = (
     "store.py",
     "units.py",
 )
-MODULES = "projections.py", "response.py", "control/monitor.py"
+MODULES = ("projections.py", "response.py", "control/monitor.py")
 #: The tests of a part itself come first: of the modules named. `law_kkt` judges whole ticks after
 #: them.
 JUDGES = {

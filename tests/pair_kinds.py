@@ -98,7 +98,7 @@ def in_plane(normal):
 
 def two_lines(rng):
     """A random point and a direction of either body."""
-    return rng.standard_normal(3), direction(rng), rng.standard_normal(3), direction(rng)
+    return (rng.standard_normal(3), direction(rng), rng.standard_normal(3), direction(rng))
 
 
 def ball_on_plane(rng, make, rho):
@@ -107,7 +107,7 @@ def ball_on_plane(rng, make, rho):
     n = direction(rng)
     plane = in_plane(n)
     pair = make(centre, point, n)
-    return pair, lambda q: placed(pin.exp3(q[:3]), centre, point + q[3:] @ plane + rho * n), 1
+    return (pair, lambda q: placed(pin.exp3(q[:3]), centre, point + q[3:] @ plane + rho * n), 1)
 
 
 @kind
@@ -132,7 +132,7 @@ def face_on_vertex(rng, c):
     rho = 0.2
     plane = in_plane(n)
     pair = osc.FaceOnVertex(c.A(point), n, c.E(vertex), rho * c.per_metre)
-    return pair, lambda q: placed(pin.exp3(q[:3]), point + q[3:] @ plane + rho * n, vertex), 1
+    return (pair, lambda q: placed(pin.exp3(q[:3]), point + q[3:] @ plane + rho * n, vertex), 1)
 
 
 def crossed_edges(rng, c, hint):
@@ -143,7 +143,7 @@ def crossed_edges(rng, c, hint):
     R0 = carrying(e, np.cross(f, in_plane(f)[0]))
     side = c.along_E(-np.cross(R0 @ e, f)) if hint else -1.0
     pair = osc.EdgeOnEdge(c.A(a), 2 * e, c.E(b), 3 * c.along_E(f), side)
-    return pair, lambda q: placed(pin.exp3(0.3 * q[:3]) @ R0, a + q[3] * e, b + q[4] * f), 1
+    return (pair, lambda q: placed(pin.exp3(0.3 * q[:3]) @ R0, a + q[3] * e, b + q[4] * f), 1)
 
 
 @kind
@@ -164,7 +164,7 @@ def line_on_plane(rng, c, make, rho):
     def pose(q):
         return placed(about(n, q[0]) @ R0 @ about(e, q[1]), point, face + q[2:] @ plane + rho * n)
 
-    return make(c.A(point), e, c.E(face), c.along_E(n)), pose, 2
+    return (make(c.A(point), e, c.E(face), c.along_E(n)), pose, 2)
 
 
 @kind
@@ -189,7 +189,7 @@ def face_on_face(rng, c):
     R0 = carrying(n, -m)
     plane = in_plane(m)
     pair = osc.FaceOnFace(c.A(point), n, c.E(face), c.along_E(m), 0.2 * c.per_metre)
-    return pair, lambda q: placed(about(m, q[0]) @ R0, point, face + q[1:] @ plane), 3
+    return (pair, lambda q: placed(about(m, q[0]) @ R0, point, face + q[1:] @ plane), 3)
 
 
 @kind
@@ -197,7 +197,7 @@ def cylinder_in_hole(rng, c):
     point, e, hole, h = two_lines(rng)
     R0 = carrying(e, h)
     pair = osc.CylinderInHole(c.A(point), e, c.E(hole), c.along_E(h), 0.2 * c.per_metre)
-    return pair, lambda q: placed(about(h, q[0]) @ R0, point, hole + q[1] * h), 4
+    return (pair, lambda q: placed(about(h, q[0]) @ R0, point, hole + q[1] * h), 4)
 
 
 @kind
@@ -206,7 +206,7 @@ def cone_in_groove(rng, c):
     seat = direction(rng)
     R0 = carrying(axis, seat)
     pair = osc.ConeInGroove(c.A(apex), axis, c.E(point), c.along_E(groove), c.along_E(seat))
-    return pair, lambda q: placed(about(seat, q[0]) @ R0, apex, point + q[1] * groove), 4
+    return (pair, lambda q: placed(about(seat, q[0]) @ R0, apex, point + q[1] * groove), 4)
 
 
 def joint(rng, c, make, turns=0.0, slides=0.0):
@@ -220,7 +220,7 @@ def joint(rng, c, make, turns=0.0, slides=0.0):
         return X * placed(about(e, turns * q[0]), point, point + along * q[0] * e)
 
     given = (along * c.per_metre,) if turns and along else ()
-    return make(c.A(point), e, *given, c.pose(X)), pose, 5
+    return (make(c.A(point), e, *given, c.pose(X)), pose, 5)
 
 
 @kind
@@ -241,12 +241,12 @@ def screw(rng, c):
 @kind
 def fixed(rng, c):
     X = pose_of(rng)
-    return osc.Fixed(c.pose(X)), lambda q: X, 6
+    return (osc.Fixed(c.pose(X)), lambda q: X, 6)
 
 
 @kind
 def free(rng, c):
-    return osc.Free(), lambda q: pin.SE3(pin.exp3(q[:3]), q[3:]), 0
+    return (osc.Free(), lambda q: pin.SE3(pin.exp3(q[:3]), q[3:]), 0)
 
 
 @kind
@@ -263,7 +263,7 @@ def point_on_a_saddle(rng, c):
         x, y = 0.5 * q[3:]
         return placed(pin.exp3(q[:3]), vertex, X.act(vector(x, y, k * x * x + m * y**3)))
 
-    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 1
+    return (osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 1)
 
 
 @kind
@@ -278,7 +278,7 @@ def bead_on_a_wire(rng, c):
     def pose(q):
         return placed(pin.exp3(q[:3]), bead, X.act(vector(q[3], np.sin(q[3]), 0.5 * q[3] ** 2)))
 
-    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2
+    return (osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2)
 
 
 def steps(order, reach):
@@ -287,7 +287,7 @@ def steps(order, reach):
     weights = order * np.cumprod((k - 1 - reach) / (k + reach)) / -(k**order)
     sign = 1.0 if order == 2 else -1.0
     middle = -2.0 * weights.sum() if order == 2 else 0.0
-    return np.arange(-reach, reach + 1), np.concatenate((sign * weights[::-1], [middle], weights))
+    return (np.arange(-reach, reach + 1), np.concatenate((sign * weights[::-1], [middle], weights)))
 
 
 def rate(f, order=1, h=5e-3, reach=4):
@@ -306,7 +306,7 @@ def kinematics(X):
 
     p_dot, p_ddot = (rate(lambda t: X(t).translation, order) for order in (1, 2))
     w, w_dot = (odd(rate(lambda t: X(t).rotation, order) @ R.T) for order in (1, 2))
-    return np.append(p_dot, w), np.append(p_ddot - np.cross(w, p_dot), w_dot)
+    return (np.append(p_dot, w), np.append(p_ddot - np.cross(w, p_dot), w_dot))
 
 
 @dataclass(frozen=True)

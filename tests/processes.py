@@ -62,4 +62,4 @@ def sockets(pid):
     opened = psutil.Process(pid).net_connections("all")
     opened = [one for one in opened if one.family != socket.AF_UNIX]
     listening = [tuple(one.laddr) for one in opened if one.status == psutil.CONN_LISTEN]
-    return [one.laddr[0] for one in opened], listening
+    return ([one.laddr[0] for one in opened], listening)

@@ -38,13 +38,21 @@ def miss(got, expected):
     return largest(got - expected) / max(largest(expected), 1.0)
 
 
-def assert_near(got, expected, atol=0.0, rtol=1e-7, name=""):
-    """Each element within atol, plus this share of what is wanted."""
-    assert_allclose(got, expected, rtol, atol, err_msg=name)
+def assert_near(got, expected, *, atol=0.0, rtol=1e-7, name=""):
+    """Assert |got − expected| ≤ atol + rtol |expected| element by element.
+
+    Args:
+        got, expected: arrays, or nested lists of numbers. name: shown where they differ.
+    """
+    assert_allclose(got, expected, rtol=rtol, atol=atol, err_msg=name)
 
 
-def assert_close(got, expected, tolerance=1e-8, name=""):
-    """Differences within this share of the largest element, or of 1 if that is more."""
+def assert_close(got, expected, *, tolerance=1e-8, name=""):
+    """Assert |got − expected| ≤ tolerance max(1, largest |expected|) element by element.
+
+    Args:
+        got, expected: arrays, or nested lists of numbers. name: shown where they differ.
+    """
     assert_allclose(
         got, expected, rtol=0, atol=tolerance * max(1.0, largest(expected)), err_msg=name
     )
@@ -201,11 +209,11 @@ def random_state(chain, rng):
     """(q, v) with closed loops, random pose and random velocity (up to 1 m/s and 3 rad/s)."""
     if chain is one_panda():
         q = PANDA_Q + rng.uniform(-0.6, 0.6, 7)
-        return q, rng.standard_normal(7)
+        return (q, rng.standard_normal(7))
     while True:
         shift = rng.uniform(-1, 1, 3)
         if chain.nq == 10:
-            rpy = 0.0, *rng.uniform(-0.5, 0.5, 2)
+            rpy = (0.0, *rng.uniform(-0.5, 0.5, 2))
             X = placed(0.1 * shift[0], 0.1 * shift[1], 0.2 + 0.03 * shift[2], rpy)
             guess = SCARA_Q
         else:
@@ -215,13 +223,13 @@ def random_state(chain, rng):
             q = close(chain, reach(chain, guess, X))
         except osc.ModelError:
             continue  # out of reach: draw again
-        return q, consistent(chain, q, rng.standard_normal(chain.nq))
+        return (q, consistent(chain, q, rng.standard_normal(chain.nq)))
 
 
 def posed(chain, rng):
     """(q, v, pose of the object) of such a state."""
     q, v = random_state(chain, rng)
-    return q, v, chain.state(q, v).X_WO
+    return (q, v, chain.state(q, v).X_WO)
 
 
 def velocity_at(V, p):
@@ -284,7 +292,7 @@ def in_contact(chain, rng, r):
             continue
         v = consistent(chain, q, v, contact_of(pairs, free).N)
         state = chain.state(q, v)
-        return state, contact_of(pairs, state), pairs, q, v
+        return (state, contact_of(pairs, state), pairs, q, v)
 
 
 def touched_of(rows):
@@ -295,7 +303,7 @@ def touched_of(rows):
 
 def with_motors(chain, tau_max):
     """The same chain with other motors."""
-    parts = chain.arms, chain.grasps, chain.payload
+    parts = (chain.arms, chain.grasps, chain.payload)
     how = {"rank_tolerance": chain.rank_tolerance, "angle_tolerance": chain.angle_tolerance}
     out = osc.ClosedChain(*parts, **how)
     out.tau_max = np.asarray(tau_max, dtype=float)
@@ -312,7 +320,7 @@ def rigid_plant(q, chain, pairs=(), dt=1e-3):
 def without_contacts(case, **how):
     """The exact plant of a case whose object touches nothing, and a controller."""
     controller = osc.Controller(case.chain, (), case.gains, posture=case.posture, **how)
-    return rigid_plant(case.measurement.q, case.chain), controller
+    return (rigid_plant(case.measurement.q, case.chain), controller)
 
 
 def strong(chain):
@@ -328,6 +336,6 @@ def commanded(chain, pairs, q, v, a_u, alpha_u, squeeze=5.0, **how):
     controller = osc.Controller(strong(chain), pairs, **how)
     desired = osc.Reference(pin.SE3.Identity(), alpha_d=alpha_u, squeeze_d=squeeze)
     tau = controller.tick(unloaded(q, v, len(chain.arms)), desired)
-    fine = osc.Status.OK, osc.Status.DEGRADED
+    fine = (osc.Status.OK, osc.Status.DEGRADED)
     assert controller.status in fine, controller.reason
-    return controller, tau
+    return (controller, tau)

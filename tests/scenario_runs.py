@@ -17,7 +17,7 @@ def rig_of(given="two_contact_rod", *changes):
 
 def first_inputs(rig):
     """Measurement and reference of its first tick."""
-    return rig.plant().measure(), rig.references.at(0.0)
+    return (rig.plant().measure(), rig.references.at(0.0))
 
 
 def run_of(given="two_contact_rod", *changes, **how):

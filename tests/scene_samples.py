@@ -87,7 +87,7 @@ def links(q):
     """Placements of the arm's links in the world, by Pinocchio alone."""
     model = pin.buildModelFromUrdf(str(URDF / "scara_left.urdf"))
     data = data_at(model, q)
-    joints = "joint1", "joint2", "joint3", "hinge"
+    joints = ("joint1", "joint2", "joint3", "hinge")
     return {name: BASE * data.oMi[model.getJointId(name)] for name in joints}
 
 
@@ -163,4 +163,4 @@ class Shown:
         """(k, 3) middles of a tube of six sides, and the angles of the points about y."""
         data = self.objects[path]["geometries"][0]["data"]["attributes"]["position"]["array"].data
         middles = np.frombuffer(data, np.float32).reshape(-1, 6, 3).mean(axis=1)
-        return middles, np.unwrap(np.arctan2(middles[:, 0], middles[:, 2]))
+        return (middles, np.unwrap(np.arctan2(middles[:, 0], middles[:, 2])))

@@ -20,7 +20,7 @@ from osc_contact.dynamics.closed_chain import outboard_links
 
 def motion(model, seed):
     rng = default_rng([seed, 6])
-    return rng.uniform(-1, 1, model.nq), rng.standard_normal(model.nv)
+    return (rng.uniform(-1, 1, model.nq), rng.standard_normal(model.nv))
 
 
 # Arms from files ----------------------------------------------------------------------------------
@@ -44,20 +44,20 @@ def test_locked_joints_stay_where_they_are_held():
         q = pin.neutral(whole)
         q[[whole.joints[joint].idx_q for joint in joints]] = list(held.values())
         found = []
-        for model in arm.model, pin.buildReducedModel(whole, joints, q):
+        for model in (arm.model, pin.buildReducedModel(whole, joints, q)):
             q, v = motion(model, 0)
             tau = pin.rnea(model, model.createData(), q, v, v)
             X = pose_at(model, q, tip).homogeneous
             found.append([*tau, *X.ravel()])
         assert list(model.names) == list(arm.model.names)
-        assert_close(*found, 1e-12)
+        assert_close(*found, tolerance=1e-12)
 
 
 def test_mass_factor_scales_the_joint_space_dynamics():
     models = [scara(mass_factor=factor).model for factor in (1.25, 1.0)]
     q, v = motion(models[1], 1)
     heavy, one = (pin.rnea(model, model.createData(), q, v, v) for model in models)
-    assert_close(heavy, 1.25 * one, 1e-12)
+    assert_close(heavy, 1.25 * one, tolerance=1e-12)
     ends = [[model.getFrameId(name) for name in ("wrist_sensor", "tool")] for model in models]
     weighed = [outboard_links(model, *end) for model, end in aligned(models, ends)]
     heavy, one = ([link.inertia.mass for link in links] for links in weighed)
@@ -95,7 +95,9 @@ def test_outboard_links_of_the_scara(sensor):
         written_inertia(element("scara_left", link)) for link in ("wrist_sensor", "finger")
     )
     mounted = placed(0.0, 0.0, -0.02).act(sensor)
-    assert_close([link.inertia.matrix() for link in links], [mounted.matrix(), own.matrix()], 1e-12)
+    assert_close(
+        [link.inertia.matrix() for link in links], [mounted.matrix(), own.matrix()], tolerance=1e-12
+    )
 
 
 @parametrize("sensor", ["panda_link8", "panda_hand"])
@@ -107,7 +109,9 @@ def test_outboard_links_of_the_panda(sensor):
     assert outboard_links(model, tip, tip) == []  # the hand is before the tip
     assert model.names[hand.joint] == "panda_joint7"
     link7 = written_inertia(element(robots.find_robot("panda")[0], "panda_link7"))
-    assert_close(hand.inertia.matrix(), model.inertias[hand.joint].matrix() - link7.matrix(), 1e-12)
+    assert_close(
+        hand.inertia.matrix(), model.inertias[hand.joint].matrix() - link7.matrix(), tolerance=1e-12
+    )
 
 
 # The object ---------------------------------------------------------------------------------------
@@ -141,8 +145,8 @@ def test_impossible_objects_are_refused(mass, principal, message):
 @parametrize("principal", [FLAT, [1e-9, 1.0, 1.0]])
 def test_flat_and_thin_objects_are_possible_and_keep_their_shape_when_scaled(principal):
     held = osc.RigidObject(pin.Inertia(2.0, np.ones(3), np.diag(principal)))
-    assert_close(held.scaled(0.5).inertia.matrix(), 0.5 * held.inertia.matrix(), 1e-13)
-    for factor in 0.0, -1.0, np.nan, np.inf:
+    assert_close(held.scaled(0.5).inertia.matrix(), 0.5 * held.inertia.matrix(), tolerance=1e-13)
+    for factor in (0.0, -1.0, np.nan, np.inf):
         with model_error(f"factor {factor}"):
             held.scaled(factor)
 

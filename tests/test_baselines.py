@@ -50,7 +50,7 @@ class Frame(NamedTuple):
 
 def flags(rng):
     """One axis left to force, one to motion, and any third."""
-    return True, False, bool(rng.integers(2))
+    return (True, False, bool(rng.integers(2)))
 
 
 def random_frame(baseline, rng):
@@ -131,10 +131,10 @@ def test_laws_are_what_was_published(key, published):
         a = rng.standard_normal(6) * 3
         alpha = rng.uniform(5, 20, 2)
         back = shift(law.selection.point).toActionMatrix()  # motions to O
-        there = solve(back, a), back.T @ contact.N @ alpha
+        there = (solve(back, a), back.T @ contact.N @ alpha)
         F = solve(back.T, published(frame, back.T @ Lambda @ back, *there))
         expected = state.S.T @ (F + bias)
-        assert_near(f_S(law, state, a, contact.N @ alpha), expected, 1e-9 * largest(expected))
+        assert_near(f_S(law, state, a, contact.N @ alpha), expected, atol=1e-9 * largest(expected))
 
 
 def representable(rng):
@@ -146,7 +146,7 @@ def representable(rng):
     N = frame.toDualActionMatrix()[:, [*kept.forces, *kept.couples]]
     r = N.shape[1]
     mixed = N @ (np.eye(r) + 0.3 * rng.standard_normal((r, r)))
-    return Instant(state, osc.Contact(mixed, np.zeros(r))), kept.selection
+    return (Instant(state, osc.Contact(mixed, np.zeros(r))), kept.selection)
 
 
 def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_too():
@@ -157,8 +157,8 @@ def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_
         instant, selection = representable(rng)
         khatib = instant.coupling(SelectionLaw(KHATIB, selection))
         assert khatib.cost <= 1e-9
-        assert_near(khatib.M, np.eye(len(khatib.M)), 1e-9)
-        assert_near(khatib.K, np.eye(len(khatib.K)), 1e-9)
+        assert_near(khatib.M, np.eye(len(khatib.M)), atol=1e-9)
+        assert_near(khatib.K, np.eye(len(khatib.K)), atol=1e-9)
         isaac = instant.coupling(SelectionLaw(BASELINES["isaac_lab"], selection))
         assert isaac.norms[0] <= 1e-9 and isaac.norms[1] > 1e-2
         assert instant.coupling(best_selection(instant, KHATIB, restarts=0)).cost <= 1e-9
@@ -166,7 +166,7 @@ def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_
 
 def fig1():
     rig = rig_of("two_contact_rod", "plant.type=rigid")
-    return rig, Instant(rig.state, rig.contact)
+    return (rig, Instant(rig.state, rig.contact))
 
 
 @cache
@@ -183,7 +183,7 @@ def test_on_the_skew_contact_every_frame_couples_and_the_plant_agrees():
         measured = measured_coupling(rig, law, instant)
         predicted = instant.coupling(law)
         assert predicted.usable and min(predicted.norms) > 0.05
-        assert_near(measured.residuals, predicted.residuals, 1e-9)
+        assert_near(measured.residuals, predicted.residuals, atol=1e-9)
 
 
 def test_the_search_finds_frames_no_worse_than_200_random_ones_and_the_same_from_any_seed():
@@ -200,7 +200,7 @@ def test_the_search_finds_frames_no_worse_than_200_random_ones_and_the_same_from
             usable += np.isfinite(cost)
             assert not cost < least
         other = best_selection(instant, baseline, restarts=2, seed=7)
-        assert_near(other.selection.force, best.selection.force, 1e-5)
+        assert_near(other.selection.force, best.selection.force, atol=1e-5)
         assert instant.coupling(other).cost == approx(least, rel=1e-9)
 
 
@@ -215,12 +215,12 @@ def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
     tau = installed.tick(*given)
     assert installed.status is osc.Status.OK, installed.reason
     after = installed.signals
-    for name in "f_meas", "f_c_meas", "alpha_meas", "alpha_u", "a_u":
+    for name in ("f_meas", "f_c_meas", "alpha_meas", "alpha_u", "a_u"):
         assert_array_equal(getattr(after, name), getattr(plain.signals, name), name)
-    assert_near(after.eta_c, law.eta(after.state, after.a_u), 1e-9)
+    assert_near(after.eta_c, law.eta(after.state, after.a_u), atol=1e-9)
     expected = f_S(law, after.state, after.a_u, after.contact.N @ after.alpha_u)
-    assert_near(after.f_S, expected, 1e-9 * largest(expected))
-    assert_near(after.state.G @ tau, expected, 1e-9 * largest(expected))
+    assert_near(after.f_S, expected, atol=1e-9 * largest(expected))
+    assert_near(after.state.G @ tau, expected, atol=1e-9 * largest(expected))
     assert rig.controller().laws.structure is None, "other controllers keep theirs"
 
 
@@ -253,12 +253,12 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
     assert max(laws["ours"]["measured"].values()) <= 1e-9
     for plant in PLANTS:
         assert {law[plant]["task"]["status"]["held"] for law in laws.values()} == {0}
-        for key in "force_to_motion_m", "motion_to_force_N":
+        for key in ("force_to_motion_m", "motion_to_force_N"):
             ours, *others = (max(law[plant][key]) for law in laws.values())
             assert min(others) > 10 * ours
     most = {name: max(law["mujoco"]["force_to_motion_m"]) for name, law in laws.items()}
     ratio = min(most["khatib"], most["isaac_lab"]) / most["ours"]
-    for words in "Khatib, Newton, SAI", "Isaac Lab", f"{ratio:.3g}":
+    for words in ("Khatib, Newton, SAI", "Isaac Lab", f"{ratio:.3g}"):
         assert words in result.stdout
 
 

@@ -27,7 +27,7 @@ def controllers(chain, count, rng, **how):
         )
         posture = q + 0.1 * rng.standard_normal(chain.nq)
         out.append(osc.Controller(chain, random_faces(X, 2, rng), gains, posture=posture, **how))
-    return out, q
+    return (out, q)
 
 
 def story(chain, q, count, ticks, rng, moving=False):
@@ -55,7 +55,7 @@ def story(chain, q, count, ticks, rng, moving=False):
 
 def single(controller, x, i):
     touched = touched_of(x["touched"][i]) if "touched" in x else None
-    readings = x["q"][i], x["v"][i], x["wrenches"][i], touched
+    readings = (x["q"][i], x["v"][i], x["wrenches"][i], touched)
     measurement = osc.Measurement(*readings, wrench_valid=bool(x["wrench_valid"][i]))
     reference = osc.Reference(
         pin.SE3(x["X_WD"][i]), x["V_D"][i], x["A_D"][i], x["alpha_d"][i], float(x["squeeze_d"][i])

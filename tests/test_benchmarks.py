@@ -47,7 +47,7 @@ def test_benchmark_refuses_bad_input(line, words, tmp_path):
 
 
 def judge_peers(result):
-    for name in "two_contact_rod", "one_panda":
+    for name in ("two_contact_rod", "one_panda"):
         rows = {row["peer"]: row for row in result[name]}
         assert len(rows) == 5
         for row in rows.values():
@@ -59,7 +59,7 @@ def judge_scaling(result):
     sizes = [(row["kind"], row["arms"]) for row in result["arms"]]
     assert sizes == [(k, n) for k in (*KINDS, "mixed") for n in range(1, 9)]
     assert [row["r"] for row in result["ranks"]] == list(range(7))
-    for row in *result["arms"], *result["ranks"], *result["contacts"]:
+    for row in (*result["arms"], *result["ranks"], *result["contacts"]):
         assert row["tick / arm (µs)"] == approx(row["tick p50 (µs)"] / row["arms"])
 
 
@@ -76,7 +76,7 @@ def judge_tick(result):
         assert (row["law p50 (µs)"] is not None) == (name in CASES)
 
 
-PROGRAMS = judge_peers, judge_tick, judge_scaling, judge_vector_env
+PROGRAMS = (judge_peers, judge_tick, judge_scaling, judge_vector_env)
 
 
 @parametrize("judge", first(PROGRAMS, 1))
@@ -124,7 +124,7 @@ def test_every_timed_tick_is_checked_and_begins_alike(name):
     for _ in range(3):
         unwind()
         assert not controller.motion_integral.any() and not len(controller.force_integral)
-    assert_near(tick(), first, 1e-12 * largest(first), 0)
+    assert_near(tick(), first, atol=1e-12 * largest(first), rtol=0)
     another = next(status for status in osc.Status if status is not case.status)
     tick, unwind = replace(case, status=another).tick()
     tick()
@@ -143,7 +143,7 @@ def test_special_cases_are_what_they_are_called():
     assert [0.0 < one.left < 1.0 for one in last["near_singular"].lost_directions] == [True, True]
     assert last["saturated"].given_up is not None
     bars = found["three_arms"].reference.squeeze_d
-    assert_near(last["three_arms"].result().squeeze, bars, 1e-6)
+    assert_near(last["three_arms"].result().squeeze, bars, atol=1e-6)
     assert_array_equal(last["contact_phases"].phases(), Phase.CLOSED)
     assert [type(pair) for pair in last["own_pair"].contacts] == [OwnFace, osc.VertexOnFace]
 
@@ -194,10 +194,10 @@ def test_textbook_law_gives_our_torques(name):
         textbook = TextbookLaw(varied)
         for _ in range(4):  # the motion integral grows
             ours = ticked(controller, case.measurement, reference)
-            assert_near(textbook.tick(), ours, 1e-8, 0)
+            assert_near(textbook.tick(), ours, atol=1e-8, rtol=0)
         integral = controller.motion_integral
         assert largest(integral) > 1e-6
-        assert_near(textbook.motion_sum, integral, 1e-12, 0)
+        assert_near(textbook.motion_sum, integral, atol=1e-12, rtol=0)
 
 
 @parametrize("name", ["two_contact_rod", "one_panda"])
@@ -211,7 +211,7 @@ def test_mujoco_inverse_explains_the_torques_on_every_contact(name):
     dofs = [int(model.joint(joint).dofadr[0]) for joint in case.chain.joint_names]
     expected = np.zeros(case.chain.nq)
     expected[case.chain.actuated] = data.ctrl
-    assert_near(data.qfrc_inverse[dofs], expected, 1e-4)
+    assert_near(data.qfrc_inverse[dofs], expected, atol=1e-4)
 
 
 @parametrize("name", [*CASES, "three_arms"])
@@ -227,7 +227,7 @@ def test_constraint_dynamics_moves_the_joints_as_commanded(name):
     found = np.array(constraint_dynamics(case)())
     arms = case.chain.state(case.measurement.q, case.measurement.v).arms
     for s, arm in aligned(case.chain.slices, arms):  # what posture moves is ours alone
-        assert_near(arm.J @ found[s], arm.J @ commanded[s], 1e-6)
+        assert_near(arm.J @ found[s], arm.J @ commanded[s], atol=1e-6)
 
 
 def interpreter(path, script):

@@ -74,7 +74,7 @@ def test_the_page_is_not_blank_and_has_the_named_colours(browser):
     scene = picture[:600]
     dock = picture[640:]
     assert scene.std() > 20 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 300
-    for colour in BLUE, VERMILLION, T_COLOUR:
+    for colour in (BLUE, VERMILLION, T_COLOUR):
         assert near(scene, colour) > 200, colour
     assert near(dock, BLUE) > 100 and near(dock, VERMILLION) > 100, "curves"
     assert browser.run("document.querySelectorAll('#legend input').length") == 6
@@ -82,9 +82,9 @@ def test_the_page_is_not_blank_and_has_the_named_colours(browser):
 
 def test_the_slider_moves_arms_arrows_marker_and_clock(browser):
     seen = {}
-    for time, tick in (0.2, 20), (0.9, 90):
+    for time, tick in ((0.2, 20), (0.9, 90)):
         picture = slide(browser, time)
-        assert_near(place_in(browser, "arms/left/hinge"), hinge(tick), 2e-3)
+        assert_near(place_in(browser, "arms/left/hinge"), hinge(tick), atol=2e-3)
         assert abs(marker(picture, 700) - (58 + time * (1280 - 58 - 18))) < 3
         assert browser.run("element('clock').textContent").startswith(f"{time:.2f}")
         scale = browser.run("nodeAt('contacts/left_end/true/shaft').object.scale.y")
@@ -139,7 +139,7 @@ def test_check_boxes_show_and_hide(browser):
 
 
 def test_labels_and_legend_do_not_cover_each_other(browser):
-    for time in 0.0, 0.3, 0.5, 0.8, 1.0:
+    for time in (0.0, 0.3, 0.5, 0.8, 1.0):
         slide(browser, time)
         boxes = browser.run(
             LABELS + ".map(d => { const r = d.getBoundingClientRect();"
@@ -158,7 +158,7 @@ def test_play_continues_and_a_click_in_a_plot_stops_there(browser):
     assert browser.run("player.playing")
     x = 58 + 0.5 * (1280 - 58 - 18)
     click = {"x": x, "y": 720, "button": "left", "buttons": 1, "clickCount": 1}
-    for kind in "mousePressed", "mouseReleased":
+    for kind in ("mousePressed", "mouseReleased"):
         browser.request("Input.dispatchMouseEvent", type=kind, **click)
     browser.until("!player.playing")
     assert browser.run("player.time") == approx(0.5, abs=0.01)
@@ -193,7 +193,7 @@ def test_without_webgl_there_is_a_still_picture_and_a_sentence(page, monkeypatch
 # Moving pictures: frames of a page at given times, and the page's cameras
 
 
-SIZE = 320, 300
+SIZE = (320, 300)
 
 
 @module_fixture
@@ -254,7 +254,7 @@ def test_cameras_look_from_where_they_say(other, plain):
     assert names == ["whole", "contacts", "from above", "other side"]
     drawn = other.run(EYE)  # placed by drawing commands, not by the page's list
     other.run("element('camera').dispatchEvent(new Event('change'))")
-    assert_near(other.run(EYE), drawn, 1e-5)
+    assert_near(other.run(EYE), drawn, atol=1e-5)
     views = {}
     for place, name in enumerate(names):
         other.run(
@@ -273,7 +273,7 @@ def test_cameras_look_from_where_they_say(other, plain):
     assert high["from above"] > 0.99 and high["whole"] == approx(np.sin(np.deg2rad(28)))
     assert norm(views["contacts"]) < norm(views["whole"])
     flat = [views[name][[0, 2]] / norm(views[name][[0, 2]]) for name in names]
-    assert_near(flat[3], -flat[0], 1e-6)
+    assert_near(flat[3], -flat[0], atol=1e-6)
 
 
 def test_a_page_whose_script_fails_gives_no_gif(plain, tmp_path):

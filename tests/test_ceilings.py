@@ -48,8 +48,8 @@ class Arms:
         for k in range(2):
             self.t.work.arms[k].net[:] = 0.0
             self.t.work.arms[k].V[:] = 0.0
-        self.t.work.arms[arm].net[:3] = net, 0.0, 0.0
-        self.t.work.arms[arm].V[:3] = 0.0, speed, 0.0
+        self.t.work.arms[arm].net[:3] = (net, 0.0, 0.0)
+        self.t.work.arms[arm].V[:3] = (0.0, speed, 0.0)
         return ceilings.watch_ceilings(self.t)
 
     def ticks_until(self, reason, **given):
@@ -114,7 +114,7 @@ def test_ceilings_that_are_not_given_follow_the_largest_command_so_far(command):
         wrist_headroom=HEADROOM,
     )
     commands = arms.t.work.columns.alpha_d
-    commands[:] = 0.2 * command, -command, 0.4 * command
+    commands[:] = (0.2 * command, -command, 0.4 * command)
     arms.tick()
     commands[:] = 0.0  # the largest so far counts
     one = max(30.0, 3.0 * command)
@@ -138,13 +138,13 @@ def test_an_internal_force_is_a_command():
 def test_a_tip_turns_about_the_centre_too():
     arms = Arms()
     own = arms.t.work.arms[1]
-    arms.t.model.arms[1].tip[9:] = 0.0, 0.3, 0.0
-    arms.t.work.joints[1].p[:] = 0.0, 0.1, 0.0
-    arms.t.work.C[:] = 0.0, -0.1, 0.0
-    for turn, ticks in (0.99, 0), (1.01, 21):
+    arms.t.model.arms[1].tip[9:] = (0.0, 0.3, 0.0)
+    arms.t.work.joints[1].p[:] = (0.0, 0.1, 0.0)
+    arms.t.work.C[:] = (0.0, -0.1, 0.0)
+    for turn, ticks in ((0.99, 0), (1.01, 21)):
 
         def tick(turn=turn):
-            own.V[:] = 0.0, 0.0, 0.0, 0.0, 0.0, turn  # 0.5 m away from the axis
+            own.V[:] = (0.0, 0.0, 0.0, 0.0, 0.0, turn)  # 0.5 m away from the axis
             return ceilings.watch_ceilings(arms.t)
 
         found = [tick() for _ in range(21)]
@@ -199,14 +199,14 @@ def loads(rig, ticks):
     for reference in rig.references.each(ticks, DT):
         plant.command(controller.tick(plant.measure(), reference), DT)
         rate = tuple(t.memory.centre_rate)
-        yield ceilings._largest_load(t, rate)[1], np.linalg.norm(t.work.f_c[:3]), rate
+        yield (ceilings._largest_load(t, rate)[1], np.linalg.norm(t.work.f_c[:3]), rate)
 
 
 def test_a_wrist_bears_contact_forces_without_weight_and_inertia():
     """A single arm's is what the filter reads of its contacts, while 2 kg more are accelerated."""
     rig = rig_of("panda_edge", "model_error.object_mass=1")
     found = np.array([(load, f_c) for load, f_c, _ in loads(rig, 700)])[300:]
-    assert_near(found[:, 0], found[:, 1], 0.5)
+    assert_near(found[:, 0], found[:, 1], atol=0.5)
     assert found[:, 1].min() > 5.0
 
 

@@ -51,7 +51,7 @@ def assert_arms(chain, s, q, v):
     assert_close(s.h, data.nle, name="h")
     O = s.X_WO.translation
     X = chain.tip_poses(data)
-    assert_near(s.grasp_points, [one.translation for one in X], 1e-12)
+    assert_near(s.grasp_points, [one.translation for one in X], atol=1e-12)
     root = cholesky(s.metric)
     for i, (arm, part, grasp) in enumerate(aligned(s.arms, chain.slices, chain.grasps)):
         to_O = shift(X[i].translation - O).action
@@ -129,7 +129,7 @@ def assert_chain(case, v, V, s, rng):
     for reading, X, F in aligned(oracle.readings(answer), s.sensors, s.filters):
         wrench = (at_O * X).act(pin.Force(reading)).vector
         total += wrench if F is None else F @ wrench
-    assert_close(total, s.Lambda_out @ answer.a_object + s.bias_out, 1e-7, "Λ_out")
+    assert_close(total, s.Lambda_out @ answer.a_object + s.bias_out, tolerance=1e-7, name="Λ_out")
 
 
 def test_random_chains_with_every_grasp():
@@ -160,7 +160,7 @@ def test_random_chains_with_every_grasp():
             assert "do not determine where the object is" in str(error)
             continue
         found += 1
-        assert_near(s.X_WO.homogeneous, case.X_WO.homogeneous, 1e-10)
+        assert_near(s.X_WO.homogeneous, case.X_WO.homogeneous, atol=1e-10)
         assert_close(s.V_O, V)
         assert_arms(case.chain, s, case.q, v)
     assert found > 15
@@ -221,12 +221,16 @@ def test_what_singular_postures_lose():
             sizes = svd(L.T @ solve(cholesky(arm.M), arm.J.T).T, compute_uv=False)
             chis = sizes[: chain.full_ranks[i]]
             mine = [one for one in s.singular_directions if one.arm == i]
-            assert_near(sorted(one.chi for one in mine), sorted(chis[chis < 0.3]), 1e-9, 1e-6)
+            assert_near(
+                sorted(one.chi for one in mine), sorted(chis[chis < 0.3]), atol=1e-9, rtol=1e-6
+            )
             for one in mine:
                 assert one.mode @ arm.M @ one.mode == approx(1.0)
                 assert one.twist @ s.reference @ one.twist == approx(1.0)
-                assert_close(arm.J @ one.mode, one.chi * one.twist, 1e-7, "J ν = χ u")
-                assert_close(one.wrench, s.reference @ one.twist, 1e-7, "wrench")
+                assert_close(
+                    arm.J @ one.mode, one.chi * one.twist, tolerance=1e-7, name="J ν = χ u"
+                )
+                assert_close(one.wrench, s.reference @ one.twist, tolerance=1e-7, name="wrench")
                 seen += 1
     assert seen > 10
 
@@ -238,7 +242,7 @@ def test_a_state_is_a_value():
     kept = deepcopy(one)
     chain.state(*random_state(chain, default_rng(73)))
     again = chain.state(SCARA_Q)
-    for name in "M", "Phi":
+    for name in ("M", "Phi"):
         assert_array_equal(getattr(one, name), getattr(kept, name))
         assert_array_equal(getattr(one, name), getattr(again, name))
 
@@ -250,8 +254,8 @@ def test_calibration_errors_do_not_cost_a_motion():
     turned = replace(right, base=right.base * placed(rpy=(1e-4, -1e-4, 0.0)))
     q, v = random_state(pair, default_rng(8))
     V_O = pair.state(q, v).V_O
-    for tolerance, d in (pair.angle_tolerance, 5), (1e-6, 4):
-        parts = [left, turned], pair.grasps, pair.payload
+    for tolerance, d in ((pair.angle_tolerance, 5), (1e-6, 4)):
+        parts = ([left, turned], pair.grasps, pair.payload)
         s = osc.ClosedChain(*parts, angle_tolerance=tolerance).state(q, v)
         assert s.d == d
-        assert_near(s.V_O, V_O, 1e-3 * largest(V_O), 0)
+        assert_near(s.V_O, V_O, atol=1e-3 * largest(V_O), rtol=0)

@@ -34,7 +34,7 @@ STARTS = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
 @module_fixture
 def ran(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    return folder, done(f"run {SHORT} --seed 7 --out {folder} --json {folder}/deep/again.json")
+    return (folder, done(f"run {SHORT} --seed 7 --out {folder} --json {folder}/deep/again.json"))
 
 
 def test_version_and_help():
@@ -76,7 +76,7 @@ def test_inspect_prints_the_contact_state():
 def test_run_leaves_everything_behind(ran):
     folder, result = ran
     names = names_in(folder)
-    plots = "contact_forces", "power", "tracking", "torques"
+    plots = ("contact_forces", "power", "tracking", "torques")
     figures = {f"{name}{suffix}" for name in plots for suffix in (".png", ".svg")}
     files = {"recording.npz", "recording.times.npz", "metrics.json", "scene.html", "deep"}
     assert names == figures | files | {"recording.events.jsonl"}
@@ -106,7 +106,7 @@ def elsewhere(path, *words):
 @parametrize("command, folder", {"reproduce": "paper", "bench": "benchmarks"})
 def test_programs_of_the_checkout_are_missed_with_a_cure(command, folder, tmp_path):
     """As installed: another package of the name may be there, a checkout is not."""
-    for part in "osc_contact", "urdf":
+    for part in ("osc_contact", "urdf"):
         shutil.copytree(ROOT / part, tmp_path / part)
     (tmp_path / folder).mkdir()
     (tmp_path / folder / "__main__.py").write_text("print('another program')")
@@ -117,7 +117,7 @@ def test_programs_of_the_checkout_are_missed_with_a_cure(command, folder, tmp_pa
 
 
 def test_programs_of_the_checkout_are_not_mistaken_for_others(tmp_path):
-    for name in "paper", "benchmarks":
+    for name in ("paper", "benchmarks"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise RuntimeError('another package')")
     figures = elsewhere(tmp_path, "reproduce", "--help")
@@ -127,7 +127,7 @@ def test_programs_of_the_checkout_are_not_mistaken_for_others(tmp_path):
 
 
 def test_reproduce_figures_without_a_run(tmp_path):
-    for name in "fig1", "fig4", "fig5":
+    for name in ("fig1", "fig4", "fig5"):
         _, found = answered(f"reproduce {name} --out", tmp_path)
         assert (tmp_path / f"{name}.png").stat().st_size > 20000
         assert found["figures"] == [f"{tmp_path}/{name}{suffix}" for suffix in PRINT]
@@ -162,7 +162,7 @@ def test_bad_scenario_is_reported_with_its_line(tmp_path):
     file = tmp_path / "bad.yaml"
     file.write_text(f"{before}squeeze: 10 mm")
     line = before.count("\n") + 1
-    for command in "inspect", "run --duration 1.05":
+    for command in ("inspect", "run --duration 1.05"):
         assert f"bad.yaml:{line}: squeeze" in refused(command, file)
 
 
@@ -215,7 +215,7 @@ def test_failed_run_exits_with_1_and_keeps_what_was_recorded(ran, tmp_path, monk
     whole = Recording.load(ran[0] / "recording.npz")
     assert len(part) == 21 and part.channels.keys() == whole.channels.keys()
     for name in set(whole.channels) - {"tick_s"}:
-        assert_near(part[name], whole[name][:21], 1e-13, name=name)
+        assert_near(part[name], whole[name][:21], atol=1e-13, name=name)
 
 
 @parametrize(
@@ -257,8 +257,8 @@ def page_of(recording, folder, channels, **meta):
 
 
 #: What a page draws; of those without a mark it needs all.
-NEEDED = "t", "q", "pose"
-DRAWN = *NEEDED, "face_pose", "N", "contact_point", "contact_direction", "closed", "alpha_cmd"
+NEEDED = ("t", "q", "pose")
+DRAWN = (*NEEDED, "face_pose", "N", "contact_point", "contact_direction", "closed", "alpha_cmd")
 DRAWN += ("alpha_meas", "alpha_true", "power_total", "power_projected")
 
 
@@ -268,7 +268,7 @@ def test_view_refuses_channels_that_no_run_of_its_scenario_has(name, brief, tmp_
         return page_of(brief, tmp_path, {name: values})
 
     ticks, *rest = brief[name].shape
-    for shape in (ticks, 0), (ticks, 3, 5), *([(ticks,)] if rest else []):
+    for shape in ((ticks, 0), (ticks, 3, 5), *([(ticks,)] if rest else [])):
         words = refused(page(np.zeros(shape)))
         assert f"channel '{name}' has shape {shape[1:]}" in words and f"{tuple(rest)}" in words
     assert f"channel '{name}' holds numbers above" in refused(page(np.full((ticks, *rest), 1e300)))
@@ -279,14 +279,14 @@ def test_view_refuses_channels_that_no_run_of_its_scenario_has(name, brief, tmp_
 
 
 def test_view_refuses_the_wrong_times_and_meta(brief, tmp_path):
-    for times in np.zeros(50), np.arange(50.0)[::-1], np.full(50, np.nan), np.full(50, np.inf):
+    for times in (np.zeros(50), np.arange(50.0)[::-1], np.full(50, np.nan), np.full(50, np.inf)):
         assert "channel 't'" in refused(page_of(brief, tmp_path, {"t": times}))
     for key, words in {
         "contact_names": "its contact_names are",
         "columns": "its columns are",
         "scenario": "does not hold the scenario",
     }.items():
-        for junk in 5, "x", [], {}, ["a"], [7], {"a": 1}:
+        for junk in (5, "x", [], {}, ["a"], [7], {"a": 1}):
             assert words in refused(page_of(brief, tmp_path, {}, **{key: junk}))
 
 
@@ -298,7 +298,7 @@ def test_view_makes_the_page_of_a_contact_with_several_forces(tmp_path):
 @parametrize("name", ["run.npz", "run.mcap"])
 def test_view_refuses_files_that_are_no_recordings(name, tmp_path):
     page = tmp_path / "page.html"
-    for content in b"", b"name: two_contact_rod\n", b"\x89MCAP0\r\n" + bytes(range(256)):
+    for content in (b"", b"name: two_contact_rod\n", b"\x89MCAP0\r\n" + bytes(range(256))):
         (tmp_path / name).write_bytes(content)
         words = refused("view", tmp_path / name, "--html", page)
         assert words.startswith("error: ") and name in words
@@ -335,7 +335,7 @@ def test_the_folder_of_a_run_stands_for_its_recording(ran, tmp_path):
     assert (tmp_path / "run.csv").read_text().startswith("t,")
     bare = tmp_path / "bare"
     bare.mkdir()
-    for line in ("view", bare), ("export", bare, tmp_path / "run.csv"):
+    for line in (("view", bare), ("export", bare, tmp_path / "run.csv")):
         assert "there is no recording.npz, recording_until_failure.npz or unf" in refused(*line)
 
 
@@ -350,7 +350,7 @@ def test_view_runs_a_scenario_and_writes_to_out(tmp_path, monkeypatch):
     chromium = MagicMock()  # tests/test_browser.py makes moving pictures with Chromium
     chromium.return_value.__enter__.return_value.png.return_value = grey.getvalue()
     monkeypatch.setattr(browser, "Browser", chromium)
-    for kind, start in ("gif", b"GIF89a"), ("mp4", b"\0\0\0 ftyp"):
+    for kind, start in (("gif", b"GIF89a"), ("mp4", b"\0\0\0 ftyp")):
         done(f"view {ROD} --duration 0.05 --{kind} new.{kind}")
         assert Path(f"new.{kind}").read_bytes().startswith(start)
 

@@ -48,7 +48,7 @@ def compiled_pair(rng, c):
         x, y, z = pin.exp3(np.append(q[3:], 0.0))[:, 2]
         return placed(pin.exp3(q[:3]), ball, rest + radii.sum() * vector(x, y, z))
 
-    return osc.CompiledPair(ball_on_ball, given, pushes=True), pose, 1
+    return (osc.CompiledPair(ball_on_ball, given, pushes=True), pose, 1)
 
 
 def nothing(*arrays):
@@ -62,7 +62,7 @@ def of_no_type(*arrays):
 def balls_on_balls(X_WO, V_O, X_WE, V_E, given, *out):
     N, n_gamma, gaps, points = out
     for k in range(len(gaps)):
-        rest = N[:, k:], n_gamma[k:], gaps[k:], points[:, k:]
+        rest = (N[:, k:], n_gamma[k:], gaps[k:], points[:, k:])
         one_ball(X_WO, V_O, X_WE, V_E, given[8 * k :], *rest)
 
 
@@ -76,7 +76,7 @@ def same_geometry(X, count):
         at = X.act(ball) + 0.112 * direction(rng)
         surfaces.append(osc.SphereOnSurface(ball, 0.012, osc.Surface.sphere(0.1), at))
         given += [*ball, 0.012, *at, 0.1]
-    return [osc.CompiledPair(balls_on_balls, given, forces=count, pushes=True)], surfaces
+    return ([osc.CompiledPair(balls_on_balls, given, forces=count, pushes=True)], surfaces)
 
 
 @mark.parametrize("count", [1, 3])

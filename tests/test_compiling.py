@@ -186,7 +186,7 @@ def test_the_bar_of_the_commands_ends_with_the_compilation(monkeypatch):
     text = io.StringIO()
     monkeypatch.setattr(console, "err", Console(file=text, force_terminal=True, width=80))
     bar = console.CompilationBar()
-    for share in 0.1, 0.5, 1.0:
+    for share in (0.1, 0.5, 1.0):
         bar(share)
     assert "compiling" in text.getvalue() and bar._bar is None
     bar(1.0)

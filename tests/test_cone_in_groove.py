@@ -68,8 +68,8 @@ def test_inertia_is_that_of_a_stack_of_discs():
     for mass, r, centre in aligned(m, radius, centres):
         disc = 0.25 * mass * r**2 * (np.eye(3) + np.outer(SEAT.cone_axis, SEAT.cone_axis))
         whole += pin.Inertia(mass, centre, disc)
-    assert_near(inertia.lever, whole.lever, 1e-8)
-    assert_near(inertia.inertia, whole.inertia, 1e-9, 1e-5)
+    assert_near(inertia.lever, whole.lever, atol=1e-8)
+    assert_near(inertia.inertia, whole.inertia, atol=1e-9, rtol=1e-5)
 
 
 def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
@@ -79,7 +79,7 @@ def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
     for _ in range(20):
         X = pose_at(rng.uniform(-3, 3), rng.uniform(-0.1, 0.1))
         contact = SEAT.pair.contact(X, STILL)
-        assert_near(SEAT.pair.gaps(X), 0.0, 1e-14)
+        assert_near(SEAT.pair.gaps(X), 0.0, atol=1e-14)
         points, directions = SEAT.wall_forces(X)
         levers = points - X.translation[:, None]
         lines = np.vstack((directions, np.cross(levers, directions, axis=0)))
@@ -88,7 +88,7 @@ def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
         assert largest(lines.T @ T) < 1e-14
         assert largest(contact.N.T @ T) < 1e-14
         assert matrix_rank(lines) == 4
-        assert_near(contact.N @ SEAT.from_wall_forces, lines, 1e-13)
+        assert_near(contact.N @ SEAT.from_wall_forces, lines, atol=1e-13)
 
 
 def test_references_move_as_their_derivatives_say_and_stay_in_contact():
@@ -96,9 +96,9 @@ def test_references_move_as_their_derivatives_say_and_stay_in_contact():
     to_walls = inv(SEAT.from_wall_forces)
     for t in np.linspace(0.2, 4.5, 12):
         now = assert_derivatives(task.at, t, 1e-4, 1e-5, 1e-4)
-        assert_near(SEAT.pair.gaps(now.X_WD), 0.0, 1e-9)
+        assert_near(SEAT.pair.gaps(now.X_WD), 0.0, atol=1e-9)
         turn, slide = SEAT.motion(now.X_WD)
-        assert_near(now.X_WD.homogeneous, pose_at(turn, slide).homogeneous, 1e-9)
+        assert_near(now.X_WD.homogeneous, pose_at(turn, slide).homogeneous, atol=1e-9)
     whole = task.over(np.linspace(0, 5, 500))
     assert np.ptp([SEAT.motion(one.X_WD)[0] for one in whole]) > 1.0
     assert (whole.alpha_d @ to_walls.T)[30:].min() > 0.0
@@ -139,7 +139,7 @@ def test_a_run_that_cannot_be_judged_is_refused(words):
 
 def test_reproduce_fig2_writes_pictures_and_numbers(tmp_path):
     result = done("reproduce fig2 --duration 0.52 --out", tmp_path)
-    pictures = "fig2", "fig2_forces", "fig2_motion"
+    pictures = ("fig2", "fig2_forces", "fig2_motion")
     names = {f"{n}.{s}" for n in pictures for s in ("png", "svg", "pdf")} | {"fig2.json"}
     assert names_in(tmp_path) == names
     found = read_json(tmp_path / "fig2.json")

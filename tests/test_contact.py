@@ -24,7 +24,7 @@ def assert_complete(N, T):
     """NᵀT = 0 against the size of the summands, six columns in all, both of full rank."""
     assert within(N.T @ T, 1e-12 * (np.abs(N).T @ np.abs(T)))
     assert N.shape[1] + T.shape[1] == 6
-    for columns in N, T:
+    for columns in (N, T):
         assert matrix_rank(columns, tol=1e-9) == columns.shape[1]
 
 
@@ -47,7 +47,7 @@ def test_tangents_are_all_motions_without_power(seed, r):
     X = default_rng([seed, 99]).standard_normal((6, 6))
     given = Contact.from_tangents(T, np.arange(r))
     moving = Contact.from_tangents(T, T_dot_beta=X[0])
-    for other, n_gamma in (given, np.arange(r)), (moving, moving.N.T @ X[0]):
+    for other, n_gamma in ((given, np.arange(r)), (moving, moving.N.T @ X[0])):
         assert other.r == r
         assert_array_equal(other.T, T)
         assert_array_equal(other.n_gamma, n_gamma)
@@ -57,7 +57,7 @@ def test_tangents_are_all_motions_without_power(seed, r):
         (contact.force_projection, projections.Omega_f, N, metric),
         (contact.motion_projection, projections.Omega_m, contact.T, inv(metric)),
     ):
-        assert_near(got(metric), law(of, A), 1e-8, 1e-8)
+        assert_near(got(metric), law(of, A), atol=1e-8, rtol=1e-8)
 
 
 # Several at once ----------------------------------------------------------------------------------
@@ -90,15 +90,15 @@ def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
     rank = matrix_rank(N_all / norm(N_all, axis=0), tol=1e-9) if N_all.size else 0
     half = len(parts) // 2
     nested = [Contact.stack(some) for some in ([], parts[:half], parts[half:])]
-    for given in (parts,), (nested,), (parts, mobility(rng)):
+    for given in ((parts,), (nested,), (parts, mobility(rng))):
         stacked = Contact.stack(*given)
         assert stacked.r == rank and stacked.split_is_unique == (N_all.shape[1] == rank)
-        assert_near(stacked.N @ stacked.R, N_all, 1e-9 * largest(N_all))
-        assert_near(stacked.n_gamma @ stacked.R, n_all, 1e-9 * largest(n_all))
+        assert_near(stacked.N @ stacked.R, N_all, atol=1e-9 * largest(N_all))
+        assert_near(stacked.n_gamma @ stacked.R, n_all, atol=1e-9 * largest(n_all))
         alpha = rng.standard_normal(stacked.r)
         split = stacked.magnitudes(alpha)
-        assert_near(stacked.R @ split, alpha, 1e-9)
-        assert_near(pinv(stacked.R) @ alpha, split, 1e-9)  # the least one
+        assert_near(stacked.R @ split, alpha, atol=1e-9)
+        assert_near(pinv(stacked.R) @ alpha, split, atol=1e-9)  # the least one
         if stacked.split_is_unique:
             assert_array_equal(stacked.N, N_all)
             assert_array_equal(stacked.n_gamma, n_all)

@@ -89,11 +89,11 @@ def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
         # the cross axes of a hole are a choice: compare spaces there
         if kind == "cylinder_in_hole":
             projected = theirs.N @ lstsq(theirs.N, ours.N, rcond=None)[0]
-            assert_near(projected, ours.N, 1e-9)
+            assert_near(projected, ours.N, atol=1e-9)
             continue
-        assert_near(ours.N, theirs.N, 1e-12)
-        assert_near(ours.n_gamma, theirs.n_gamma, 1e-9)
-        assert_near(pair.gaps(X), own.gaps(X, X_WB), 1e-12)
+        assert_near(ours.N, theirs.N, atol=1e-12)
+        assert_near(ours.n_gamma, theirs.n_gamma, atol=1e-9)
+        assert_near(pair.gaps(X), own.gaps(X, X_WB), atol=1e-12)
 
 
 @parametrize("kind", KINDS)
@@ -105,14 +105,14 @@ def test_feet_lie_on_the_lines_of_force_and_on_the_touched_surface(kind):
     E = placed(0.02, -0.03, 0.01)  # the body has slid
     points, directions = feet(pair, X, E)
     N = pair.contact(X, STILL, E).N
-    assert_near(norm(directions, axis=1), 1.0, 1e-12)
+    assert_near(norm(directions, axis=1), 1.0, atol=1e-12)
     moments = np.cross(points - X.translation, directions)
-    assert_near(np.vstack((directions.T, moments.T)), N, 1e-12)
+    assert_near(np.vstack((directions.T, moments.T)), N, atol=1e-12)
     on_body = E * environment_bodies(scenario)[0].placement
     local = np.array([on_body.actInv(p) for p in points])
     spec = scenario.contacts[0]
     if hasattr(spec, "face_point"):
-        assert_near((local - spec.face_point) @ spec.face_normal, 0.0, 1e-12)
+        assert_near((local - spec.face_point) @ spec.face_normal, 0.0, atol=1e-12)
     if kind == "face_on_vertex":
         assert norm(local[0] - spec.body_vertex) == approx(spec.radius, abs=1e-12)
     if kind == "edge_on_edge":

@@ -99,7 +99,7 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
             measurement, replace(reference, alpha_d=reference.alpha_d[closed[owners]])
         )
         assert knowing.status is blind.status
-        assert_near(got, expected, 1e-6 * largest(expected), 0)
+        assert_near(got, expected, atol=1e-6 * largest(expected), rtol=0)
         if knowing.status is not osc.Status.HELD:  # else out of reach, or too many columns
             seen |= {(bool(closed.all()), knowing.status)}
             assert len(knowing.signals.alpha_u) == knowing.signals.contact.r
@@ -149,7 +149,7 @@ def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(read
     first = to_sensor.act(pin.Force(seen)).vector  # the other wrist feels nothing of it
     wrenches = measurement.wrenches + [first, np.zeros(6)]
     controller.tick(replace(measurement, wrenches=wrenches), reference)
-    assert_near(D @ (controller.result().alpha_meas - before), x, 1e-9, 1e-7)
+    assert_near(D @ (controller.result().alpha_meas - before), x, atol=1e-9, rtol=1e-7)
 
 
 @module_fixture
@@ -189,7 +189,7 @@ def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
     ticks = 400
     closed = np.ones((ticks, 1), dtype=bool)
     speed = np.zeros(ticks)
-    for lost, made, met in (50, 70, 0.05), (120, 125, 0.05), (200, 230, 0.002), (300, 330, 0.02):
+    for lost, made, met in ((50, 70, 0.05), (120, 125, 0.05), (200, 230, 0.002), (300, 330, 0.02)):
         closed[lost:made] = False
         speed[made - 2 : made] = met
     flags = np.zeros((ticks, 1), dtype=bool)
@@ -230,7 +230,7 @@ def test_an_approach_that_stands_still_names_the_distance_left():
 
 
 def test_a_landing_is_soft_and_torques_do_not_jump():
-    start = "tare.standoff=4.5 mm", "object.pose.rpy.1=8 mrad"
+    start = ("tare.standoff=4.5 mm", "object.pose.rpy.1=8 mrad")
     recording = run_of("approach_and_slide", *start, seed=3)
     command = recording["alpha_cmd"]
     made = max(osc.metrics(recording)["first_contact_s"].values())

@@ -47,7 +47,7 @@ def ready(rig):
     controller = rig.controller()
     given = first_inputs(rig)
     ticked(controller, *given)
-    return controller, *given
+    return (controller, *given)
 
 
 def test_places_of_views_are_where_their_numbers_stand(ready):
@@ -83,7 +83,7 @@ def test_signals_of_a_tick_stay(ready):
         (found.free_error, Omega_m @ found.error),
         (found.squeeze, signals.squeeze_d),
     ):
-        assert_near(got, expected, 1e-9)
+        assert_near(got, expected, atol=1e-9)
 
 
 def test_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
@@ -144,10 +144,10 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig, ready):
     learned = s.state.Lambda_S @ s.eta_c
     controller.engage()
     assert controller.engaged and not controller.motion_integral.any()
-    assert_near(s.state.S.T @ controller.f_bias, learned, 1e-9, 1e-6)
+    assert_near(s.state.S.T @ controller.f_bias, learned, atol=1e-9, rtol=1e-6)
     controller.engaged = False  # the same free motion, now with the bias in place of the integral
     controller.tick(measurement, reference)
-    assert_near(controller.signals.f_S, force, 1e-3, 1e-3)
+    assert_near(controller.signals.f_S, force, atol=1e-3, rtol=1e-3)
 
 
 def test_desired_forces_of_contacts_that_are_not_engaged_are_missed_aloud(caplog):
@@ -223,15 +223,15 @@ def test_other_gains_continue_without_a_jump(rig, ready):
     assert largest(controller.motion_integral) > 1e-5
     alike = copy.copy(controller)
     tau = alike.tick(measurement, still)
-    for integral in 3000.0, 0.0:
+    for integral in (3000.0, 0.0):
         changed = osc.Gains(osc.MotionGains(400, 40, integral), GAINS.force)
         other = controller.with_gains(changed)
         assert other.gains is changed and controller.gains is GAINS
         got = ticked(other, measurement, still)
         # handed to f_bias the force on the object stays, though no acceleration is expected of it
-        assert_near(other.signals.f_S, alike.signals.f_S, 1e-6, 1e-6)
+        assert_near(other.signals.f_S, alike.signals.f_S, atol=1e-6, rtol=1e-6)
         if integral:
-            assert_near(got, tau, 1e-9 * largest(tau), 0)
+            assert_near(got, tau, atol=1e-9 * largest(tau), rtol=0)
     assert_array_equal(controller.gains.force.integral, 30)
 
 
@@ -321,11 +321,11 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
     _, *good = ready
     measurement, reference = good
     calls = [(None, reference), (measurement, None), ("a", 3)]
-    for name in "q", "v", "wrenches", "touched":
+    for name in ("q", "v", "wrenches", "touched"):
         given = getattr(measurement, name)
         bad = BAD[kind](np.zeros(3) if given is None else given)
         calls.append((replace(measurement, **{name: bad}), reference))
-    for name in "V_D", "A_D", "alpha_d", "squeeze_d", "X_WD":
+    for name in ("V_D", "A_D", "alpha_d", "squeeze_d", "X_WD"):
         given = getattr(reference, name)
         bad = BAD[kind](given.homogeneous if name == "X_WD" else given)
         calls.append((measurement, forged(reference, **{name: bad})))
@@ -334,7 +334,7 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
     for call, start in product(calls, (good, of_kind(KINDS["lists"], *good))):
         controller = rig.controller()
         last = ticked(controller, *start)
-        before = controller.force_integral, controller.motion_integral
+        before = (controller.force_integral, controller.motion_integral)
         tau = controller.tick(*call)
         assert np.isfinite(tau).all() and within(tau, limits)
         if controller.status is osc.Status.HELD:
@@ -352,7 +352,7 @@ def test_a_tick_never_raises_and_what_does_not_fit_repeats_the_last_torques(rig,
 
 def test_the_first_tick_refuses_wrong_shapes_later_ones_hold(rig, ready):
     *_, measurement, reference = ready
-    good = measurement, reference
+    good = (measurement, reference)
     for name, shape in {
         "q": r"\(10,\), got \(9,\)",
         "v": r"\(10,\), got \(9,\)",
@@ -407,7 +407,7 @@ def of_kind(make, measurement, reference):
     """The same tick in arrays of another kind."""
     m = {name: make(getattr(measurement, name)) for name in ("q", "v", "wrenches")}
     r = {name: make(getattr(reference, name)) for name in ("V_D", "A_D", "alpha_d")}
-    return replace(measurement, **m), replace(reference, **r)
+    return (replace(measurement, **m), replace(reference, **r))
 
 
 def rounded(x):

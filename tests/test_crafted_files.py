@@ -99,7 +99,7 @@ def test_a_controller_that_was_given_the_worst_can_still_be_saved():
         for x in (q, v, w, V_D, A_D):
             if rng.random() < 0.3:
                 x.flat[rng.integers(x.size)] = rng.choice(words)
-        bad = osc.Measurement(q, v, w), replace(r, V_D=V_D, A_D=A_D)
+        bad = (osc.Measurement(q, v, w), replace(r, V_D=V_D, A_D=A_D))
         tau = controller.tick(*((m, r) if k % 3 == 0 else bad))
         assert (np.abs(tau) <= controller.chain.tau_max).all()
         if k % 20 == 19:

@@ -27,19 +27,19 @@ def cylinder_in_v_groove(rng, c):
         angle,
         0.4 * c.per_metre,
     )
-    return pair, lambda q: placed(about(g, q[0]) @ R0, point, seat + q[1] * g), 4
+    return (pair, lambda q: placed(about(g, q[0]) @ R0, point, seat + q[1] * g), 4)
 
 
 def test_each_wall_is_pushed_at_right_angles_from_inside():
     """A square groove along y that opens upwards, its walls 45° to each side."""
     pair = osc.CylinderInVGroove([0, 0, 0], [0, 1, 0], 0.1, [0, 0, 0], [0, 1, 0], [0, 0, 1])
     X = shift([0.0, 0.3, 0.1 * np.sqrt(2)])
-    assert_near(pair.gaps(X), 0.0, 1e-15)
+    assert_near(pair.gaps(X), 0.0, atol=1e-15)
     forces = pair.contact(X, STILL).N[:3]
     right = vector(1.0, 0.0, -1.0) / np.sqrt(2)
     left = vector(-1.0, 0.0, -1.0) / np.sqrt(2)
-    assert_near(forces.T, [right, left, right, left], 1e-15)
-    assert_near(pair.gaps(shift(X.translation + [0, 0, 0.01])), 0.01 / np.sqrt(2), 1e-15)
+    assert_near(forces.T, [right, left, right, left], atol=1e-15)
+    assert_near(pair.gaps(shift(X.translation + [0, 0, 0.01])), 0.01 / np.sqrt(2), atol=1e-15)
 
 
 @parametrize("wrong", [{"groove_angle": 3.2}, {"groove_outward": [0, 2, 0]}])
@@ -72,7 +72,7 @@ def test_four_forces_are_held_while_the_cylinder_slides_and_rolls():
         ],
     )
     found = verdict_of(scenario, duration=1.2)
-    for k in 1, 2, 3, 4:
+    for k in (1, 2, 3, 4):
         assert found["force"][f"rod.{k}"]["rms_error_rel"] < 2e-3
     assert found["motion"]["rms_error_m"] < 2e-5 and found["motion"]["rms_error_rad"] < 2e-4
     assert found["contact_fraction"] == {"rod": 1.0}

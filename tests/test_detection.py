@@ -40,7 +40,7 @@ BOX = [CollisionShape("box", coal.Box(*SIZE))]
 TABLE = [CollisionShape("table", coal.Box(1.0, 0.8, 0.1), placed(0, 0, -0.05))]
 """Its top is z = 0."""
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3))) * SIZE
-DEPTHS = 0.0, 5e-4, -5e-4
+DEPTHS = (0.0, 5e-4, -5e-4)
 """Just touching, overlapping, a little apart (m); taken in turn."""
 UP = vector(0.0, 0.0, 1.0)
 FLOOR = [CollisionShape("floor", coal.Box(9, 9, 1), shift(-0.5 * UP))]
@@ -68,7 +68,7 @@ def assert_same_range(N, expected):
     """Equal spans, whatever the bases (moments in units of 0.1 m)."""
     scale = vector(1, 1, 1, 10, 10, 10.0)[:, None]
     first, second = (M @ pinv(M, rcond=1e-6) for M in (scale * N, scale * expected))
-    assert_near(first, second, 1e-9)
+    assert_near(first, second, atol=1e-9)
     assert np.trace(first) == approx(N.shape[1])
 
 
@@ -84,13 +84,13 @@ def assert_only(found, kind, points, normal, X_WO, X_WE=None, gap=0.0):
     """
     found = only(found)
     assert found.kind == kind
-    assert_near(found.normal, normal, 1e-9)
+    assert_near(found.normal, normal, atol=1e-9)
     pair = found.pair()
     contact = pair.contact(X_WO, STILL, X_WE)
     assert contact.r == found.r
     assert_same_range(contact.N, pushes(points, -np.asarray(normal), X_WO))
-    assert_near(contact.n_gamma, 0.0, 1e-12)
-    assert_near(pair.gaps(X_WO, X_WE), np.full(found.r, gap), 1e-9)
+    assert_near(contact.n_gamma, 0.0, atol=1e-12)
+    assert_near(pair.gaps(X_WO, X_WE), np.full(found.r, gap), atol=1e-9)
     assert (contact.N[:3].T @ found.normal < 0.0).all()  # into the environment
     return found
 
@@ -205,8 +205,8 @@ def box_on_table(size, *tilt):
 
 def test_both_the_angle_and_the_margin_must_allow_a_face_or_an_edge():
     """1 mrad and 1 mm: small bodies differ by their angle, large ones by the height."""
-    small = 0.01, 0.01, 0.01
-    plate = 1.6, 0.4, 0.02
+    small = (0.01, 0.01, 0.01)
+    plate = (1.6, 0.4, 0.02)
     assert box_on_table(small, 5e-3, 5e-3).kind == "vertex on face"  # no corner above 0.1 mm
     assert box_on_table(small, 5e-3, 0.0).kind == "edge on face"
     assert box_on_table(plate, 0.0, 0.8e-3).kind == "edge on face"  # one side is 1.3 mm up
@@ -226,7 +226,7 @@ def test_an_overlap_narrower_than_the_margin_is_a_line():
     X = placed(0.5496, 0.1, 0.03)
     ends = np.array([[0.4998, 0.06, 0.0], [0.4998, 0.14, 0.0]])
     found = assert_only(detect(BOX, X, TABLE), "edge on face", ends, UP, X)
-    assert_near(found.points[np.argsort(found.points[:, 1])], ends, 1e-9)
+    assert_near(found.points[np.argsort(found.points[:, 1])], ends, atol=1e-9)
 
 
 @SEEDS
@@ -273,7 +273,7 @@ def test_where_the_distance_solver_fails_the_shapes_decide(monkeypatch):
 @parametrize("seed", range(2))
 def test_what_is_apart_does_not_touch(seed, gap):
     rng = default_rng(seed)
-    for tilt in np.eye(3), rpyToMatrix(0.4, 0, 0), rpyToMatrix(0.4, 0.6, 0):
+    for tilt in (np.eye(3), rpyToMatrix(0.4, 0, 0), rpyToMatrix(0.4, 0.6, 0)):
         X = standing(tilt, CORNERS, rng, lift=gap)
         assert detect(BOX, X, TABLE) == []
         assert len(detect(BOX, X, TABLE, margin=1.05 * gap)) == 1
@@ -316,7 +316,7 @@ def test_crossed_lines_touch_in_their_crossing_point(row, seed):
     at = [X.act(meet)]
     found = detect(of_O, X_WO, of_E, X * X_WE)
     found = assert_only(found, kind, at, X.rotation @ UP, X_WO, X * X_WE, -depth)
-    assert_near(found.points, at, 1e-9 + abs(depth) * (radius > 0))
+    assert_near(found.points, at, atol=1e-9 + abs(depth) * (radius > 0))
     assert found.distance == approx(-depth, abs=1e-9)
     assert radius or norm(found.object_point - own) < 1e-9
 
@@ -330,7 +330,7 @@ def rod():
     rig = rig_of("two_contact_rod")
     plate = collision_shapes(robots.urdf_path("face.urdf"))
     plates = [(plate, pin.SE3(triad(pair.normal), pair.point)) for pair in rig.pairs]
-    return collision_shapes(robots.urdf_path("rod.urdf")), rig.pairs, plates, rig.state.X_WO
+    return (collision_shapes(robots.urdf_path("rod.urdf")), rig.pairs, plates, rig.state.X_WO)
 
 
 def test_the_rod_finds_the_contacts_the_scenario_declares(rod):
@@ -341,10 +341,10 @@ def test_the_rod_finds_the_contacts_the_scenario_declares(rod):
         V_O = default_rng(0).standard_normal(6)
         mine = contact.pair().contact(X_WO, V_O, X_WE)
         theirs = pair.contact(X_WO, V_O)
-        assert_near(mine.N, theirs.N, 1e-9)
-        assert_near(mine.n_gamma, theirs.n_gamma, 1e-9)
-        assert_near(contact.points, pair.points_of_contact(X_WO).T, 1e-9)
-        assert_near(contact.normal, pair.normal, 1e-12)
+        assert_near(mine.N, theirs.N, atol=1e-9)
+        assert_near(mine.n_gamma, theirs.n_gamma, atol=1e-9)
+        assert_near(contact.points, pair.points_of_contact(X_WO).T, atol=1e-9)
+        assert_near(contact.normal, pair.normal, atol=1e-12)
 
 
 # Found twice ----------------------------------------------------------------------------------
@@ -353,7 +353,7 @@ def test_the_rod_finds_the_contacts_the_scenario_declares(rod):
 def test_a_rim_inside_a_ball_gives_way_to_the_ball(rod):
     """The rod nearly flat: its shaft's rim is closer to the table than the margin too."""
     shapes = rod[0]
-    for tilt in 0.01, 0.1, 0.3:
+    for tilt in (0.01, 0.1, 0.3):
         X = pin.SE3(rpyToMatrix(0, tilt, 0), vector(0, 0, 0.01 + 0.29 * np.sin(tilt)))
         shaft = [shape for shape in shapes if shape.name == "shaft"]
         assert only(detect(shaft, X, TABLE)).kind == "rim on face"
@@ -385,7 +385,7 @@ def test_a_standing_cylinder_is_one_face_contact(seed):
     three = moved(X_WE, middle + 0.03 * np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0]]))
     found = detect(CAN, X_WO, TABLE, X_WE)
     found = assert_only(found, "face on face", three, X_WE.rotation @ UP, X_WO, X_WE, -depth)
-    assert_near(norm(found.points - X_WE.act(middle), axis=1), 0.03, 1e-9)
+    assert_near(norm(found.points - X_WE.act(middle), axis=1), 0.03, atol=1e-9)
 
 
 def test_a_can_on_the_rim_of_its_end_rolls_in_contact():
@@ -394,10 +394,10 @@ def test_a_can_on_the_rim_of_its_end_rolls_in_contact():
     table = pose_of(rng)
     can = table * standing(rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0), RIM, rng)
     rolled = can * pin.exp6(AROUND)
-    assert_near(only(detect(TABLE, table, CAN, can)).pair().gaps(table, rolled), 0, 1e-9)
+    assert_near(only(detect(TABLE, table, CAN, can)).pair().gaps(table, rolled), 0, atol=1e-9)
     found = only(detect(CAN, can, TABLE, table))
-    assert_near(found.object_point, RIM[0], 1e-9)
-    assert_near(found.pair().gaps(rolled, table), 0, 1e-9)
+    assert_near(found.object_point, RIM[0], atol=1e-9)
+    assert_near(found.pair().gaps(rolled, table), 0, atol=1e-9)
 
 
 def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
@@ -444,16 +444,16 @@ def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
         centre = BALL[0].placement
         X = shift(corner + 0.03 * n - centre.translation)
         found = assert_only(detect(BALL, X, TABLE), kind, [corner], n, X)
-        assert_near(found.points, [corner], 1e-9)
+        assert_near(found.points, [corner], atol=1e-9)
         spun = rotated(any_rotation(rng))
         turned = X * centre * spun * centre.inverse()
-        assert_near(found.pair().gaps(turned), 0.0, 1e-9)
+        assert_near(found.pair().gaps(turned), 0.0, atol=1e-9)
 
 
 def test_pills_side_by_side_have_no_pair():
     found = only(detect(PILL, placed(0.06, 0.0, 0.01), PILL))
     assert (found.kind, found.r) == ("cylinder on cylinder", 2)
-    assert_near(np.sort(found.points[:, 2]), [-0.05, 0.06], 1e-9)
+    assert_near(np.sort(found.points[:, 2]), [-0.05, 0.06], atol=1e-9)
     with contact_error(r"cylinder on cylinder along a line.*GapFunctions"):
         found.pair()
 
@@ -464,7 +464,7 @@ def test_a_rim_on_an_edge_has_no_pair():
     X.translation = ledge.act(vector(0.0, 0.4, 0.0)) + 2e-4 * UP - X.act(RIM[0])
     found = only(detect(CAN, X, TABLE, ledge))
     assert (found.kind, found.r) == ("rim on edge", 1)
-    assert_near(found.normal, UP, 5e-3)  # the solver's
+    assert_near(found.normal, UP, atol=5e-3)  # the solver's
     with contact_error(r"rim of a cylinder.*GapFunctions"):
         found.pair()
 
@@ -478,7 +478,7 @@ def test_shapes_of_a_urdf_have_the_names_and_places_of_the_file():
     assert_near(shapes["left_end"].placement.translation, [-0.29, 0, 0])
     assert shapes["right_end"].shape.radius == 0.01
     assert shapes["shaft"].shape.halfLength == 0.29
-    assert_near(shapes["shaft"].solid.axis, [1, 0, 0], 1e-9)
+    assert_near(shapes["shaft"].solid.axis, [1, 0, 0], atol=1e-9)
 
 
 def urdf(tmp_path, collision, joint=""):
@@ -510,7 +510,7 @@ def test_a_convex_mesh_touches_like_the_box_it_is(tmp_path):
     mesh = collision_shapes(urdf(tmp_path, MESH.format("box.stl")))
     assert mesh[0].name == "a_0"
     assert mesh[0].solid.corners.shape == (8, 3)
-    for roll, pitch, r in (0, 0, 3), (0.4, 0, 2), (0.4, 0.6, 1):
+    for roll, pitch, r in ((0, 0, 3), (0.4, 0, 2), (0.4, 0.6, 1)):
         X = standing(rpyToMatrix(roll, pitch, 0), CORNERS, default_rng(r))
         as_mesh = only(detect(mesh, X, TABLE))
         as_box = only(detect(BOX, X, TABLE))
@@ -529,7 +529,7 @@ def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path, faces):
     found = only(detect(mesh, placed(), TABLE))
     assert (found.kind, found.r) == ("face on face", 3)
     assert found.distance == approx(0.0, abs=1e-9)
-    assert_near(found.normal, [0, 0, 1], 1e-9)
+    assert_near(found.normal, [0, 0, 1], atol=1e-9)
     assert detect(mesh, placed(0, 0, 0.01), TABLE) == []
 
 
@@ -556,7 +556,7 @@ def test_files_that_are_no_body_are_refused(tmp_path, collision, joint, message)
 
 def test_bad_input_is_refused_at_the_door():
     X = placed()
-    for options in {"margin": 0.0}, {"margin": np.nan}, {"angle": 0.0}, {"angle": 0.5}:
+    for options in ({"margin": 0.0}, {"margin": np.nan}, {"angle": 0.0}, {"angle": 0.5}):
         with invalid_input(next(iter(options))):
             detect(BOX, X, TABLE, **options)
     with invalid_input("Ellipsoid"):

@@ -21,11 +21,11 @@ def test_it_is_bounded_smooth_and_ends():
     s, s_1, s_2 = slides(dither, 0.5, t)
     outside = (t <= 0.5) | (t >= 3.0)
     assert largest(s) == approx(0.004, rel=0.01)
-    for x in s, s_1, s_2:
+    for x in (s, s_1, s_2):
         assert largest(x[outside]) < 1e-9
     later, before = (np.array(slides(dither, 0.5, t + h)) for h in (H, -H))
-    assert_near((later[0] - before[0]) / (2 * H), s_1, 1e-7)
-    assert_near((later[1] - before[1]) / (2 * H), s_2, 2e-5)
+    assert_near((later[0] - before[0]) / (2 * H), s_1, atol=1e-7)
+    assert_near((later[1] - before[1]) / (2 * H), s_2, atol=2e-5)
 
 
 @mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "hinge_ball_rod"])
@@ -42,12 +42,12 @@ def test_arms_and_contacts_permit_it_and_both_points_slide_along_their_line(name
     t = 1.1
     now, plain = (rig_of(name, f"control.dither={how}").references.at(t) for how in ("{}", "null"))
     s = slides(Dither(), rig.references.engage_at, vector(t))
-    assert_near(now.V_D - plain.V_D, V * s[1], 2e-3)
+    assert_near(now.V_D - plain.V_D, V * s[1], atol=2e-3)
     assert largest(now.V_D - plain.V_D) > 1e-3
 
 
 def test_nothing_is_shown_where_there_are_no_two_points():
-    for name in "panda_edge", "ur5_wipe":
+    for name in ("panda_edge", "ur5_wipe"):
         rig = rig_of(name, "control.dither={}")
         assert not showing_twist(rig.pairs, rig.state, rig.contact.N).any()
         assert known_to(rig.pairs, rig.state, 1.0) == 0.0
@@ -88,7 +88,7 @@ def test_inspect_and_the_verdict_suggest_it_with_its_gain():
 def test_under_all_errors_it_brings_two_points_to_three_per_cent():
     masses = ["model_error.arm_mass=1.2", "model_error.object_mass=1.2"]
     error = []
-    for dither in "null", "{}":
+    for dither in ("null", "{}"):
         changes = [*ERRORS, *masses, f"control.dither={dither}", "duration=4 s"]
         error.append(closed_force(verdict_of("two_contact_rod", *changes)))
     assert error[1] < 0.031 and error[1] < 0.8 * error[0], error

@@ -162,7 +162,7 @@ def test_every_pair_has_a_row_with_its_r_and_its_keys():
     documented = {}
     for name, row in rows.items():
         if TICKED.search(row[-1]):
-            documented[snake(name)] = int(row[1]), set(TICKED.findall(row[-1]))
+            documented[snake(name)] = (int(row[1]), set(TICKED.findall(row[-1])))
     assert documented == {
         kind: (spec.forces, set(spec.model_fields) - {"name", "type", "body"})
         for kind, spec in CONTACT_TYPES.items()
@@ -423,7 +423,7 @@ def test_what_is_left_out_is_found():
 
 def test_options_of_commands_have_their_help():
     group = typer.main.get_command(app)
-    for command in group, *group.commands.values():
+    for command in (group, *group.commands.values()):
         assert all(option.help for option in command.params), command.name
 
 

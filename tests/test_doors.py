@@ -31,7 +31,7 @@ def test_a_plain_number_of_force_is_an_array_of_one():
 
 
 def test_a_matrix_is_the_pose_that_it_describes():
-    for given in MATRIX, MATRIX.tolist(), np.asfortranarray(MATRIX):
+    for given in (MATRIX, MATRIX.tolist(), np.asfortranarray(MATRIX)):
         assert osc.Reference(given).X_WD.isApprox(X, 1e-12)
     single = osc.Reference(MATRIX.astype(np.float32))
     assert single.X_WD.isApprox(X, 1e-6)
@@ -43,9 +43,9 @@ def test_other_numbers_become_doubles(kind):
     given = numbers.tolist() if kind is list else numbers.astype(kind)
     reference = osc.Reference(X, given, given, given[:2], given[:3])
     assert_array_equal(reference.V_D, numbers)
-    for array in reference.V_D, reference.A_D, reference.alpha_d, reference.squeeze_d:
+    for array in (reference.V_D, reference.A_D, reference.alpha_d, reference.squeeze_d):
         assert array.dtype == np.float64
-    for number in 3, np.float32(3.0), np.array(3.0):
+    for number in (3, np.float32(3.0), np.array(3.0)):
         squeeze = osc.Reference(X, squeeze_d=number).squeeze_d
         assert squeeze == 3.0 and type(squeeze) is float
 
@@ -79,7 +79,7 @@ def test_a_reference_without_forces_reaches_the_law_as_any_other(monkeypatch):
         taken.append(given)
         return call(raw, at, given)
 
-    controller._tables = raw, squeeze, torques, single_call, plain
+    controller._tables = (raw, squeeze, torques, single_call, plain)
     controller.tick(readings, goal)
     assert first > 0 and len(taken) == first + 1, "by parts, then by one call"
     assert all(array.flags.writeable for given in taken for array in given)

@@ -65,7 +65,7 @@ def demanding(chain, rng, r):
     reference = osc.Reference(
         state.X_WO, state.V_O, 2 * rng.standard_normal(6), rng.uniform(5, 20, r), 5.0
     )
-    return pairs, unloaded(q, v, len(chain.arms)), reference
+    return (pairs, unloaded(q, v, len(chain.arms)), reference)
 
 
 def limited_tick(chain, rng, r, share):
@@ -79,7 +79,7 @@ def limited_tick(chain, rng, r, share):
         tau = controller.tick(measurement, reference)
         assert controller.status is osc.Status.SATURATED, controller.reason
         if not controller.given_up.short:  # else no torques keep the forces in their range
-            return controller, measurement, desired, tau
+            return (controller, measurement, desired, tau)
 
 
 def sampled(controller, measurement, desired):
@@ -102,7 +102,7 @@ def sampled(controller, measurement, desired):
         return np.concatenate((got.a_object, got.alpha, [half]))
 
     base = at(desired)
-    return base, np.array([at(desired + step) - base for step in np.diag(chain.tau_max)]).T
+    return (base, np.array([at(desired + step) - base for step in np.diag(chain.tau_max)]).T)
 
 
 def energy_rows(controller, slope):
@@ -142,7 +142,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_reported(rig, share):
         z = (tau - desired) / limit
         got = base + slope @ z
         # what came is what was reported; test_law_kkt judges force and motion that are lost
-        assert_near(base[forces], s.alpha_u, 1e-6)
+        assert_near(base[forces], s.alpha_u, atol=1e-6)
         if len(chain.arms) == 2:
             assert base[-1] - got[-1] == approx(cost.squeeze[0], abs=1e-5)
         # forces stay between their floor and what was commanded
@@ -159,7 +159,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_reported(rig, share):
         C = C[slack < np.repeat([1e-9, 1e-6], [n, len(slack) - n])].T
         multipliers, *_ = lstsq(C, gradient, rcond=1e-9)
         weight = largest(rows.T @ np.abs(rows @ z)) + largest(gradient)
-        assert_near(C @ multipliers, gradient, 1e-5 * weight)
+        assert_near(C @ multipliers, gradient, atol=1e-5 * weight)
         assert (multipliers >= -1e-5 * largest(multipliers)).all()
 
 
@@ -173,7 +173,7 @@ def test_the_order_of_contacts_that_may_pull_and_may_not_changes_nothing(rig):
         desired = ticked(motors_only(strong(chain), pairs), measurement, reference)
         weak = with_motors(chain, 0.5 * chain.tau_max * largest(desired / chain.tau_max))
         found = []
-        for order in [0, 1], [1, 0]:
+        for order in ([0, 1], [1, 0]):
             controller = motors_only(weak, [pairs[i] for i in order])
             given = replace(reference, alpha_d=reference.alpha_d[order])
             found.append(controller.tick(measurement, given))
@@ -206,9 +206,9 @@ def test_motors_without_limit():
     endless = osc.ClosedChain([replace(chain.arms[0], model=model)], chain.grasps, chain.payload)
     assert np.isinf(endless.tau_max).all()
     found = []
-    for one in endless, with_motors(chain, np.full(7, 1e6)):
+    for one in (endless, with_motors(chain, np.full(7, 1e6))):
         found.append(ticked(motors_only(one, pairs), measurement, reference))
-    assert_near(found[0], found[1], 1e-9 * largest(found[1]))
+    assert_near(found[0], found[1], atol=1e-9 * largest(found[1]))
 
 
 @parametrize("limit", [0.0, -3.0])
@@ -236,7 +236,7 @@ def test_integrals_rest_while_motors_are_at_their_limits():
             missing = reference.alpha_d - controller.result().alpha_meas
             expected = before + 30.0 * 1e-3 * (missing - controller.given_up.force)
             before = controller.force_integral
-            assert_near(before, expected, 1e-9)
+            assert_near(before, expected, atol=1e-9)
         assert_array_equal(controller.motion_integral, np.zeros(6))
 
 
@@ -264,7 +264,7 @@ def test_nothing_winds_up(run):
     t = run["t"]
     force = np.abs(run["alpha_true"] - run["alpha_cmd"])
     motion = np.abs(run["motion_error"])
-    for end in 3.0, 5.25, 6.25:  # the steps of the motion ask too much for a quarter second
+    for end in (3.0, 5.25, 6.25):  # the steps of the motion ask too much for a quarter second
         ends = t[(run["status"] == 1) & (t < end + 0.2)].max()
         back = (t >= max(ends, end) + 0.2) & (t < max(ends, end) + 0.5)
         assert_array_equal(run["status"][back], 0)

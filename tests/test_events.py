@@ -58,7 +58,7 @@ def looped(rig, ticks, *broken, journal=None, between=None):
             yield reference
 
     osc.run_loop(robot, controller, references(), recorder=recorder, check=False)
-    return recorder, robot
+    return (recorder, robot)
 
 
 def of(found, *kinds):

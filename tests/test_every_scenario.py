@@ -177,7 +177,7 @@ def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_p
     rig = rig_of(osc.load_scenario("panda_edge", changes))
     assert rig.contact.r == 4 and "of either sign" in "\n".join(inspect_rig(rig).lines)
     recording = run_of(rig.scenario, duration=0.3)
-    assert_near(recording["alpha_true"][-1], list(commanded.values()), 5e-3)
+    assert_near(recording["alpha_true"][-1], list(commanded.values()), atol=5e-3)
     assert recording["contact_seen"][-1, :3].all()  # hole.2 pulls and counts by its size
     assert (recording["alpha_meas"][-1, 1] < -2.9) and recording["contact_seen"].shape[1] == 4
 
@@ -206,9 +206,9 @@ def test_the_judge_takes_its_forces_from_the_plant_and_its_motion_from_the_objec
     assert verdict["task"]["word"] == "OK" and verdict["power"]["ratio"] <= 0.02  # fig. 6
     assert verdict["power"]["total_rms_W"] > 0.02
     t = nominal["t"]
-    assert_near(t, np.arange(10_000) * 1e-3, 1e-9)
+    assert_near(t, np.arange(10_000) * 1e-3, atol=1e-9)
     commands = np.array((np.where(t >= 5.0, 15.0, 10.0), 8.0 + 4.0 * np.sin(np.pi * t)))
-    assert_near(nominal["alpha_cmd"][1000:], commands[:, 1000:].T, 1e-9)
+    assert_near(nominal["alpha_cmd"][1000:], commands[:, 1000:].T, atol=1e-9)
     quiet = (t >= 1.0) & ~((t >= 5.0) & (t < 5.05 + nominal.meta["force_rise_s"]))
     error = (nominal["alpha_true"] - nominal["alpha_cmd"])[quiet]
     error /= nominal["alpha_cmd"][quiet].mean(axis=0)
@@ -238,7 +238,7 @@ def test_wrong_masses_are_tared_and_integrated_away():
 
 def test_without_the_tare_wrong_masses_spoil_the_forces():
     """The limit above is not met by luck: contact from the start, no tare, no integral motion."""
-    heavy = "model_error.object_mass=1.2", "model_error.arm_mass=1.2"
+    heavy = ("model_error.object_mass=1.2", "model_error.arm_mass=1.2")
     assert worst_force(verdict_of("two_contact_rod", *heavy, duration=2.0)) > 0.03
 
 
@@ -317,7 +317,7 @@ def test_all_errors_at_once(name, mass, side):
 def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
     """It weighs m g where the left arm grasps the rod; MuJoCo's own masses agree."""
     rig = rig_of("two_contact_rod", "model_error.hidden_mass=0.3 kg")
-    rigs = rig, rig_of()
+    rigs = (rig, rig_of())
     X = rig.state.X_WO
     gravity = vector(0.0, 0.0, -9.81)
     true, assumed = (
@@ -325,30 +325,32 @@ def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
     )
     tip = vector(-0.15, 0.0, 0.0)  # of the left arm, in the frame of the rod
     expected = np.cross(X.rotation @ tip, -0.3 * gravity)
-    assert_near(true - assumed, [*(-0.3 * gravity), *expected], 1e-9)
+    assert_near(true - assumed, [*(-0.3 * gravity), *expected], atol=1e-9)
     with_mass, without = (rig.plant().model for rig in rigs)
     assert with_mass.body_subtreemass[0] - without.body_subtreemass[0] == approx(0.3, abs=1e-9)
     rod, bare = (model.body("object/root") for model in (with_mass, without))
-    assert_near(rod.ipos, (0.3 * tip + bare.mass * bare.ipos) / rod.mass, 1e-9)
+    assert_near(rod.ipos, (0.3 * tip + bare.mass * bare.ipos) / rod.mass, atol=1e-9)
 
 
 @parametrize("name", ["two_contact_rod", "panda_edge", "ur5_wipe", "three_arm_plate"])
 def test_bodies_are_assumed_to_be_nearer(name):
     rig = rig_of(name, "model_error.face_offset=3 mm")
     for body in rig.bodies:
-        assert_near(rig.controlled_pairs()[body.contacts[0]].gaps(rig.state.X_WO), -0.003, 1e-8)
+        assert_near(
+            rig.controlled_pairs()[body.contacts[0]].gaps(rig.state.X_WO), -0.003, atol=1e-8
+        )
 
 
 def test_faces_are_assumed_to_be_turned_about_where_they_touch():
     turned = []
-    for about in 0, 90:
+    for about in (0, 90):
         wrong = ["model_error.face_tilt=3 deg", f"model_error.face_tilt_about={about} deg"]
         rig = rig_of("two_contact_rod", *wrong)
         X = rig.state.X_WO
         for pair, assumed in aligned(rig.pairs, rig.controlled_pairs()):
             assert assumed.gaps(X)[0] == approx(0.010 * (np.cos(np.deg2rad(3)) - 1), abs=1e-8)
             turned.append(np.cross(pair.normal, assumed.normal))
-    assert_near([t @ t for t in turned], np.sin(np.deg2rad(3)) ** 2, 1e-9)
+    assert_near([t @ t for t in turned], np.sin(np.deg2rad(3)) ** 2, atol=1e-9)
     assert abs(turned[0][2]) < 1e-9 > abs(turned[0] @ turned[2])
 
 

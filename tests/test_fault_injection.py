@@ -87,7 +87,7 @@ def test_a_fault_is_found_wrong_where_the_limits_are_off(monkeypatch):
 
     def bare(rig, seed):
         plant, controller = real(rig, seed)
-        return plant, controller.with_safety(osc.SafetySettings.motors_only())
+        return (plant, controller.with_safety(osc.SafetySettings.motors_only()))
 
     monkeypatch.setattr(fault_injection, "start", bare)
     assert try_fault("speeds mirrored", Case(), IN_CONTACT).wrong
@@ -146,7 +146,7 @@ def driven(change, ticks):
         run.step(seen)
         status.append(int(run.controller.status))
     assert not seen.wrong, seen.wrong
-    return run, status
+    return (run, status)
 
 
 def lost(m):
@@ -186,7 +186,7 @@ def test_the_share_of_lost_ticks_that_stops_a_run_is_a_setting():
     def change(measurement, k):
         return lost(measurement) if k % 10 == 9 else measurement
 
-    for share, stops in (0.08, True), (0.12, False):
+    for share, stops in ((0.08, True), (0.12, False)):
         run = Run(Case())
         safety = osc.SafetySettings(missed_share=share)
         controller = run.controller.with_safety(safety)
@@ -314,7 +314,7 @@ def pull_away(name, by):
             lost += not closed
             seen.append(largest(loop.true.measure().v[loop.act] / loop.fastest))
         assert loop.k * dt < rig.scenario.duration, "it never was in contact"
-    return controller, seen, lost / len(seen)
+    return (controller, seen, lost / len(seen))
 
 
 @parametrize("name", chosen(WITH_CONTACTS, "two_contact_rod", "ur5_wipe", "hinge_ball_rod"))

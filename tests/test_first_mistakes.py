@@ -119,8 +119,8 @@ def end_of(code, monkeypatch):
     try:
         exec(compile(code, str(PAGE), "exec"), {"__name__": "__main__"})
     except osc.OscContactError as error:
-        return str(error), len(commands)
-    return "", len(commands)
+        return (str(error), len(commands))
+    return ("", len(commands))
 
 
 @parametrize("name", MISTAKES)

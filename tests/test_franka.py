@@ -167,7 +167,7 @@ def at_rest(server, ticks, sensor="tcp", **scene):
     for _ in range(ticks):
         robot.command(pin.computeGeneralizedGravity(chain.model, data, read[-1].q), 1e-3)
         read.append(robot.measure())
-    return robot, read
+    return (robot, read)
 
 
 def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka):
@@ -193,10 +193,10 @@ def test_the_wrench_is_that_of_the_arm_on_its_gripper(franka, sensor):
     force = -8.0 * vector(1.0, 1.0, 0.3) * np.cos(t)
     wrench = X.act(pin.Force(read[-1].wrenches[0]))
     weight = [0, 0, 9.81 * (0.73 if sensor == "hand" else 0.0)]
-    assert_near(wrench.linear - weight, force, 1.5)
+    assert_near(wrench.linear - weight, force, atol=1.5)
     tip = robot._base.act(robot._data.oMf[robot._tip]).translation
     lever = X.act(vector(-0.01, 0.0, 0.03))
-    assert_near(wrench.angular, np.cross(tip, force) + np.cross(lever, weight), 0.5, 0)
+    assert_near(wrench.angular, np.cross(tip, force) + np.cross(lever, weight), atol=0.5, rtol=0)
     robot.stop()
 
 
@@ -224,7 +224,7 @@ def test_payload_end_effector_and_mounted_sensor(franka):
     readings = iter([np.arange(6.0), None, [np.nan] * 6])
     robot = FrankaRobot(franka.host, chain, wrench=lambda: next(readings))
     assert robot.state.m_load == approx(0.5, rel=1e-6)
-    assert_near(robot.state.F_x_Cload, [0.0, 0.0, 0.2034], 1e-6)
+    assert_near(robot.state.F_x_Cload, [0.0, 0.0, 0.2034], atol=1e-6)
     first, second, third = (robot.measure() for _ in range(3))
     assert first.wrench_valid and first.wrenches[0].tolist() == [0, 1, 2, 3, 4, 5]
     assert not second.wrench_valid and not third.wrench_valid and not third.wrenches.any()

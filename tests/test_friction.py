@@ -13,7 +13,7 @@ from osc_contact.runs.rig import PLANTS, register_plant
 
 
 def worst(mu, compensation):
-    changes = f"plant.friction={mu}", f"control.friction={compensation}"
+    changes = (f"plant.friction={mu}", f"control.friction={compensation}")
     return closed_force(verdict_of("two_contact_rod_friction", *changes, duration=2.0))
 
 
@@ -64,7 +64,7 @@ def test_friction_leaves_a_face_as_stiff_as_it_is(solref):
         plants.append(PLANTS["mujoco"](rig, seed))
         return plants[-1]
 
-    for mu in 0.0, 0.2:
+    for mu in (0.0, 0.2):
         plant = {**POINT["plant"], "type": "kept", "friction": mu, "solref": solref}
         run_of(osc.Scenario.from_dict({**POINT, "plant": plant, "motion": []}), duration=0.5)
     depth = [float(plant.data.contact.dist[0]) for plant in plants]
@@ -120,4 +120,4 @@ def test_tangential_forces_of_a_contact_at_rest_leave_the_contact_force_as_comma
         held = plant._solve(tau).alpha[0] - forces[0]
         read.append(controller._memory.columns.tangential[0].copy())
     assert forces[1] == approx(forces[0], abs=1e-6) and abs(held) > 0.1
-    assert_near(read[1] - read[0], f * 5.0 / 6.0, 1e-9)  # a lag of 5 ms at 1 kHz
+    assert_near(read[1] - read[0], f * 5.0 / 6.0, atol=1e-9)  # a lag of 5 ms at 1 kHz

@@ -99,7 +99,7 @@ def test_the_brake_decelerates_the_contact_whatever_the_mass():
     chain = one_panda()
     rng = np.random.default_rng(5)
     kappa = 44.0
-    for mass in 0.1, 1.0, 6.0:
+    for mass in (0.1, 1.0, 6.0):
         body = pin.Inertia(mass, vector(0.01, 0.02, 0.0), 0.02 * mass * np.eye(3))
         holding = osc.ClosedChain(chain.arms, chain.grasps, osc.RigidObject(body))
         q, v = random_state(chain, rng)
@@ -109,13 +109,13 @@ def test_the_brake_decelerates_the_contact_whatever_the_mass():
         measurement = unloaded(q, v)
         reference = osc.Reference(state.X_WO, alpha_d=np.zeros(2))
         found = []
-        for brake in kappa, 0.0:
+        for brake in (kappa, 0.0):
             gains = osc.Gains(osc.MotionGains(), osc.ForceGains(0.0, brake=brake))
             one = osc.Controller(holding, pairs, gains, posture=q, reading="filter")
             tau = ticked(one, measurement, reference)
             found.append(held(holding, q, v).answer(tau).a_object)
         N = contact_of(pairs, state).N
-        assert_near(N.T @ np.subtract(*found), -kappa * N.T @ state.V_O, 1e-9, 1e-8)
+        assert_near(N.T @ np.subtract(*found), -kappa * N.T @ state.V_O, atol=1e-9, rtol=1e-8)
 
 
 def test_other_gains_continue_while_a_step_is_made():
@@ -133,7 +133,7 @@ def test_other_gains_continue_while_a_step_is_made():
         commanded.append(controller.signals.alpha_u)
     change = np.abs(np.diff(commanded, axis=0)).max(axis=1)
     assert change.max() < 1.05 * change[:124].max()
-    assert_near(commanded[-1], [20.0, 15.0], 0.05)
+    assert_near(commanded[-1], [20.0, 15.0], atol=0.05)
 
 
 # What it brings: MuJoCo, default gains ------------------------------------------------------------
@@ -184,8 +184,8 @@ def one_arm(robot, tip, posture, push, armature):
 
 
 DOWN = [0.2, 0.1, -1.0]
-UR10 = "ur10", "tool0", [0, -1.4, 1.9, -1.9, -1.57, 0.3], DOWN
-TALOS = "talos_left_arm", "gripper_left_base_link"
+UR10 = ("ur10", "tool0", [0, -1.4, 1.9, -1.9, -1.57, 0.3], DOWN)
+TALOS = ("talos_left_arm", "gripper_left_base_link")
 ARMS = {
     "0.5 kg": ("kinova", "j2s6s200_end_effector", [0, 2.9, 1.3, 4.2, 1.4, 0], DOWN, 0.0),
     "1.5 kg": (*TALOS, [0.3, 0.2, -1.5, 0.3, 0.3, 0.1], [-1, 0, -0.3], 0.0),

@@ -38,7 +38,7 @@ from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios.bodies import GRASP_TYPES
 from osc_contact.scenarios.control_schema import PostureTask
 
-ARMS = "scara", "ur5", "panda", "2R", "3R"
+ARMS = ("scara", "ur5", "panda", "2R", "3R")
 NOTHING = osc.Contact(np.zeros((6, 0)))
 RTOL = 1e-9
 
@@ -63,11 +63,11 @@ def moving(case, pairs, rng, size=1.0):
     whole.move(rng)
     whole.at(size * whole.v, size * whole.V)
     state = case.chain.state(case.q, whole.v, case.X_WO, whole.V)
-    return whole, state, contact_of(pairs, state), rng.standard_normal(case.chain.n_a) * 20.0
+    return (whole, state, contact_of(pairs, state), rng.standard_normal(case.chain.n_a) * 20.0)
 
 
-EIGHT = "scara", "ur5", "panda", "3R", "panda", "ur5", "ur5", "panda"
-GRIPS = "ball", "hinge", "rigid", "ball", "cylinder", "slide", "ball", "hinge"
+EIGHT = ("scara", "ur5", "panda", "3R", "panda", "ur5", "ur5", "panda")
+GRIPS = ("ball", "hinge", "rigid", "ball", "cylinder", "slide", "ball", "hinge")
 
 
 def many_cases(rng):
@@ -122,7 +122,7 @@ def by_constraint_dynamics(whole, tau):
     for arm, grasp in aligned(chain.arms, chain.grasps):
         tip = model.frames[model.getFrameId(f"{arm.name}/{arm.tip}")]
         kind = pin.ContactType.CONTACT_6D if grasp.is_rigid else pin.ContactType.CONTACT_3D
-        ends = tip.parentJoint, tip.placement, joint, grasp.X_TO.inverse()
+        ends = (tip.parentJoint, tip.placement, joint, grasp.X_TO.inverse())
         ties.append(pin.RigidConstraintModel(kind, model, *ends, pin.LOCAL))
     states = [tie.createData() for tie in ties]
     data = model.createData()
@@ -176,11 +176,11 @@ def test_two_grasps_that_pass_on_no_squeeze(kinds):
 
     Seeds 3 and 45: near singular postures rounding leaves a pivot for the squeeze, on some kernels.
     """
-    for seed in 0, 1, 2, 3, 45:
+    for seed in (0, 1, 2, 3, 45):
         rng = default_rng(seed)
         case = random_case(["ur5", "ur5"], kinds, rng)
         whole = moving(case, (), rng)[0]
-        given = case.chain, (), case.q, whole.v, rng.standard_normal(6), np.zeros(0)
+        given = (case.chain, (), case.q, whole.v, rng.standard_normal(6), np.zeros(0))
         controller, tau = commanded(*given, 5.0)
         assert controller.status is not osc.Status.HELD, controller.reason
         s = controller.signals
@@ -249,7 +249,7 @@ def test_a_grasp_keeps_its_motions_and_nothing_else():
         h = 1e-6
         rate = (grasp.miss(X_WT, moved(X_WO, h * V)) - grasp.miss(X_WT, moved(X_WO, -h * V))) / 2
         expected = grasp.wrenches_at(X_WT, X_WO.translation).T @ V
-        assert_near(rate / h, expected, 1e-8 * largest(expected))
+        assert_near(rate / h, expected, atol=1e-8 * largest(expected))
 
 
 @parametrize(
@@ -301,14 +301,14 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
     plant = rig.plant()
     controller = rig.controller()
     started = plant.truth().X_WO
-    assert_near(started.homogeneous, rig.state.X_WO.homogeneous, 1e-12)
+    assert_near(started.homogeneous, rig.state.X_WO.homogeneous, atol=1e-12)
     osc.run_loop(plant, controller, rig.references.each(200, 1e-3))
     q = plant.measure().q
     truth = plant.truth()
     X = object_pose(rig.chain, q)
     assert norm(X.translation - started.translation) > 1e-4  # it moves
     assert_held(rig.chain, X, 2e-5)
-    assert_near(truth.X_WO.homogeneous, X.homogeneous, 1e-4)
+    assert_near(truth.X_WO.homogeneous, X.homogeneous, atol=1e-4)
     assert truth.closed.all() and controller.status is osc.Status.OK
     assert_near(truth.alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
 
@@ -351,7 +351,7 @@ def test_exact_plant_steps_an_object_that_no_arm_leads():
         plant.command(tau, dt)
         assert miss((plant._V - whole.V) / dt, whole.answer(tau).a) < 1e-3
         expected = moved(case.X_WO, 0.5 * dt * (whole.V + plant._V))
-        assert_near(plant._X.homogeneous, expected.homogeneous, 1e-10)
+        assert_near(plant._X.homogeneous, expected.homogeneous, atol=1e-10)
         assert plant.truth().X_WO == plant._X
 
 
@@ -385,7 +385,7 @@ def test_idle_motions_obey_the_posture_task(name):
         assert len(idle) == arm.J.shape[1] - arm.rank > 0
         task = PostureTask()
         expected = task.stiffness * (rest - case.q)[s] - task.retreat_damping * whole.v[s]
-        assert_near(idle @ whole.answer(tau).qdd[s], idle @ expected, 1e-7)
+        assert_near(idle @ whole.answer(tau).qdd[s], idle @ expected, atol=1e-7)
 
 
 def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
@@ -398,7 +398,7 @@ def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
     tau = ticked(controller, unloaded(case.q, np.zeros(4)), osc.Reference(case.X_WO, A_D=A_D))
     found = pressed(case, ()).answer(np.insert(tau, 1, 0.0))
     s = controller.signals
-    assert_near(found.a_object, s.state.S @ s.eta_c + s.state.sigma, 1e-8)
+    assert_near(found.a_object, s.state.S @ s.eta_c + s.state.sigma, atol=1e-8)
 
 
 # Contact forces out of wrist readings, fig. 5 -----------------------------------------------------

@@ -66,14 +66,14 @@ class Guarded:
         head = records.JOB.view(self.job)
         base = self.job.ctypes.data
         parts = {}
-        for name in "model", "memory", "work", "input":
+        for name in ("model", "memory", "work", "input"):
             shift = beyond if name == "work" else 0
             part = guarded(getattr(rows, name)[0], at_end, name != "model", shift)
             setattr(head, name, part.ctypes.data - base)
             parts[name] = part
         self.memory = records.MEMORY.view(parts["memory"])
         model = records.MODEL.view(parts["model"])
-        sizes = int(model.n_motors), max(1, int(model.n_columns)), int(model.n_extra)
+        sizes = (int(model.n_motors), max(1, int(model.n_columns)), int(model.n_extra))
         limits = TorqueLimits(*sizes, 8)
         limits.program.mass = controller.chain.reference.inertia.mass
         limits.raw = guarded(limits.raw, at_end)
@@ -93,7 +93,7 @@ class Guarded:
             flags |= tick.COMMANDED
         X = reference.X_WD.homogeneous
         alpha = np.asarray(reference.alpha_d, dtype=float)
-        given = m.q, m.v, m.wrenches, X, reference.V_D, reference.A_D, alpha, touched
+        given = (m.q, m.v, m.wrenches, X, reference.V_D, reference.A_D, alpha, touched)
         job = records.JOB.view(self.job)
         job.switches = flags
         rows()(self.job, 0, tuple(guarded(x, self.at_end, writable=False) for x in given))
@@ -102,7 +102,7 @@ class Guarded:
             fill_program(self.job, 0, 0, self.limits.raw)
             self.limits.solve()
             settle(self.job, 0, 0, self.limits.raw)
-        return osc.Status(int(self.memory.status)), np.array(self.memory.torques)
+        return (osc.Status(int(self.memory.status)), np.array(self.memory.torques))
 
 
 def prepared(name):
@@ -110,9 +110,9 @@ def prepared(name):
     if name == MOVING:
         rig = rig_of(name)
         plant, controller = start(rig)
-        return controller, plant.measure(), rig.references.at(0.0)
+        return (controller, plant.measure(), rig.references.at(0.0))
     case = ALL_CASES[name]()
-    return case.controller(), *case.given
+    return (case.controller(), *case.given)
 
 
 def tick_between_guards(name, at_end, beyond=0):

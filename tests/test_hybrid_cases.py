@@ -41,7 +41,7 @@ def test_wrong_masses_and_friction_cost_little(case):
 def test_laws_of_other_software_do_what_is_commanded(name):
     done = force_laws.follow(force_laws.steps(), CASES[0], force_laws.LAWS[name])
     assert len(done.force) == done.planned
-    for end in 399, 799, 1199:
+    for end in (399, 799, 1199):
         assert done.force[end] == approx(done.force_goal[end], rel=0.05)
     assert done.force_goal[-1] == CASES[0].goals[0].force + force_laws.FORCE_STEP
     assert largest(done.off[-1, :2]) < 1e-3 < 4e-3 < largest(done.off[800, :2])

@@ -117,9 +117,9 @@ def test_contact_lines_state_direction_and_point(found, rig):
         line = sentence(found, f"contact '{pair.name}'")
         direction = numbers(line)
         point = numbers(line.split("through", 1)[1])
-        assert_near(direction, found.N[:3, i], 6e-4)
+        assert_near(direction, found.N[:3, i], atol=6e-4)
         moment = np.cross(point - rig.state.X_WO.translation, direction)
-        assert_near(moment, found.N[3:, i], 2e-3)
+        assert_near(moment, found.N[3:, i], atol=2e-3)
 
 
 def test_conditioning_does_not_depend_on_units_of_force(found, rig):
@@ -153,7 +153,7 @@ def test_lines_that_are_parallel_or_meet(rig, left, right, words):
 # References: twists and accelerations are the derivatives of the pose, steps and standoffs too.
 
 
-CENTRES = [0.3, -0.2, 0.1], [-0.1, 0.4, 0.5]  # of two turns
+CENTRES = ([0.3, -0.2, 0.1], [-0.1, 0.4, 0.5])  # of two turns
 
 
 def two_turns(centres=(None, None)):
@@ -188,7 +188,7 @@ def test_turns_about_points_are_products_of_poses():
         to = shift(centre)
         X = to * rotated(pin.exp3(angle * axis)) * to.inverse() * X
     X.translation += [references.scenario.motion[2].signals[0].at(t)[0], 0, 0]
-    assert_near(references.at(t).X_WD.homogeneous, X.homogeneous, 1e-12)
+    assert_near(references.at(t).X_WD.homogeneous, X.homogeneous, atol=1e-12)
     assert norm(X.translation - references.X_start.translation) > 0.02
 
 
@@ -198,7 +198,7 @@ def test_the_object_rests_off_the_contacts_while_wrists_are_tared():
     assert any(signal.at(0.1)[2] for move in references.scenario.motion for signal in move.signals)
     plan = references.over(np.linspace(0.0, references.scenario.tare.duration, 9))
     assert not plan.V_D.any() and not plan.A_D.any()
-    assert_near(plan.X_WD, np.tile(plan.X_WD[0], (9, 1)), 1e-12)
+    assert_near(plan.X_WD, np.tile(plan.X_WD[0], (9, 1)), atol=1e-12)
 
 
 @parametrize("life, after", {"off": 0.0, "{}": 0.2})
@@ -208,7 +208,7 @@ def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after)
     engaged = references.at(references.engage_at + after).X_WD
     assert references.engage_at == approx(0.6 - after)
     assert norm(references.at(0.0).X_WD.translation - references.X_start.translation) > 3e-3
-    assert_near(engaged.translation, references.X_start.translation, 1e-12)
+    assert_near(engaged.translation, references.X_start.translation, atol=1e-12)
 
 
 def test_common_tangent_lies_in_every_face_and_must_be_unique():

@@ -43,7 +43,7 @@ def test_the_motor_obeys_spongs_equation():
         plant.command(tau, 2e-3)
         plant._mj.mj_forward(plant.model, plant.data)
         theta_dd = plant.data.qacc[plant._v[rig.chain.actuated]]
-        assert_near(J * theta_dd, tau - plant.measure().joint_torques, 1e-6 * largest(tau))
+        assert_near(J * theta_dd, tau - plant.measure().joint_torques, atol=1e-6 * largest(tau))
 
 
 def test_a_held_rig_starts_with_wound_up_springs_at_the_same_pose():
@@ -53,7 +53,7 @@ def test_a_held_rig_starts_with_wound_up_springs_at_the_same_pose():
     plant.hold(tau)
     read = plant.measure()
     assert_near(read.joint_torques, tau, rtol=1e-9)
-    assert_near(read.q, rig.q_start, 1e-12)
+    assert_near(read.q, rig.q_start, atol=1e-12)
     assert_array_equal(read.v, 0.0)
 
 
@@ -73,7 +73,7 @@ def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain()
     velocity *= 0.02 / largest(velocity)
     plant.hold(holding(rig))
     passive = np.setdiff1d(np.arange(rig.chain.nq), driven)
-    for joints, which in (plant._spring_v, driven), (plant._v[passive], passive):
+    for joints, which in ((plant._spring_v, driven), (plant._v[passive], passive)):
         plant.data.qvel[joints] = velocity[which]
     wound = []
     for _ in range(2000):
@@ -109,11 +109,11 @@ def test_joint_friction_is_dry_for_light_joints_too(inertia):
     body = spec.worldbody.add_body(mass=1.0, inertia=np.full(3, inertia))
     set_dry_friction(body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE), 1.0, spec.option.timestep)
     model = spec.compile()
-    for torque, speed in (0.95, 0.0), (1.05, 0.05 * 0.1 / inertia):
+    for torque, speed in ((0.95, 0.0), (1.05, 0.05 * 0.1 / inertia)):
         data = mujoco.MjData(model)
         data.qfrc_applied[:] = torque
         mujoco.mj_step(model, data, 400)
-        assert_near(data.qvel, speed, 1e-4 * 0.1 / inertia)
+        assert_near(data.qvel, speed, atol=1e-4 * 0.1 / inertia)
 
 
 def test_motors_have_the_joint_friction_and_springs_have_none():

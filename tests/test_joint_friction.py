@@ -50,7 +50,7 @@ def learned(Phi, r, noise, dt=0.0):
     for phi, one in aligned(Phi, r):
         joint_friction._regress(prior, row, phi, np.zeros(10), one, 1.0, dt)
     joint_friction._keep_bounds(prior, row, np.zeros((5, 5)))
-    return row.theta, row
+    return (row.theta, row)
 
 
 def watched(known, residual, side, most=MOST):
@@ -61,8 +61,8 @@ def watched(known, residual, side, most=MOST):
     t.memory.friction_known[0] = known
     joint = t.memory.joints[0]
     joint.residual = residual
-    joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = side, 0.1 * side
-    return t, t.memory.friction[0]
+    joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = (side, 0.1 * side)
+    return (t, t.memory.friction[0])
 
 
 def learn(t, ticks=1):
@@ -82,7 +82,7 @@ def test_the_estimate_is_that_of_least_squares():
     P = inv(Phi.T @ Phi / 0.2 + np.diag(1.0 / PRIOR))
     theta_P = P @ Phi.T @ r / 0.2
     assert_near(theta, theta_P, rtol=1e-9)
-    assert_near(row.P, P, 1e-12, 1e-7)
+    assert_near(row.P, P, atol=1e-12, rtol=1e-7)
     miss = 50.0  # beyond three standard deviations the step falls with the residual
     later, _ = learned(np.vstack([Phi, Phi[:1]]), np.append(r, Phi[0] @ theta_P + miss), noise=0.2)
     assert_near(later - theta, P @ Phi[0] * 9.0 / miss, rtol=1e-6)
@@ -130,7 +130,7 @@ def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
     t, learned = watched(joint_friction.SUSPECTED, -2.0, -1.0)
     t.model.priors.low = -MOST
     t.model.priors.sure = 1e9
-    learned.estimate[:] = estimate, 0.0, 0.0, 3.0, 0.0
+    learned.estimate[:] = (estimate, 0.0, 0.0, 3.0, 0.0)
     learned.theta[3] = 7.0
     sure = []
     for _ in range(500):
@@ -172,7 +172,7 @@ def test_what_would_be_along_friction_after_a_reversal_is_dropped(errors, unlear
     t.model.joints.theta[0, 0] = 8.0
     joint = t.memory.joints[0]
     joint.unlearned = unlearned
-    for sign, e in (-1.0, unlearned), (1.0, kept), (1.0, kept):
+    for sign, e in ((-1.0, unlearned), (1.0, kept), (1.0, kept)):
         joint.sign = sign
         assert joint_friction._compensation(t, 0) == approx(8.0 * sign + 0.5 * e)
 
@@ -198,13 +198,13 @@ def test_what_is_applied_of_learned_friction_is_bounded_as_e_is(sign):
     """It differs from the model by `wrist_error` of the motor, 5 N m here, and what is trusted."""
     t = records(1, 1, wrist_error=0.05)
     t.model.joints.tau_max = 100.0
-    t.model.joints.theta[0, :2] = 2.0, 1.0
+    t.model.joints.theta[0, :2] = (2.0, 1.0)
     t.memory.friction_known[0] = joint_friction.LEARNED
     learned = t.memory.friction[0]
     learned.applied = 1.0
     write(t.memory.joints[0], sign=sign, speed=sign * 0.5)
-    for F, found in (6.0, 6.5), (7.4, 7.5), (40.0, 7.5), (0.0, 0.5):  # of 2.5 in the model
-        learned.theta[:2] = F, 1.0
+    for F, found in ((6.0, 6.5), (7.4, 7.5), (40.0, 7.5), (0.0, 0.5)):  # of 2.5 in the model
+        learned.theta[:2] = (F, 1.0)
         assert joint_friction.believed_friction(t, 0) == approx(sign * found)
     write(t.memory.joints[0], trusted=[3.0, 2.0])  # as learned for long: 4 N m
     learned.theta[0] = 40.0
@@ -243,7 +243,7 @@ def test_friction_that_is_not_there_any_more_is_forgotten_in_50_ms(residual, mov
 
 def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
     """Without errors of the model θ and e stay zero, whatever steps; with one they do not."""
-    for changes, learns in ([], False), (["model_error.joint_friction=0.9"], True):
+    for changes, learns in (([], False), (["model_error.joint_friction=0.9"], True)):
         friction = ["arms.left.friction=1", "arms.right.friction=1"] if learns else []
         rig = rig_of("two_contact_rod", "gains.force.rise=0 s", *friction, *changes)
         controller = rig.controller()
@@ -261,7 +261,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
     for _ in range(5):
         q, v = random_state(one_panda(), rng)
         tau = []
-        for friction in {"damping": 0.0, "friction": 0.0}, {"damping": VISCOUS, "friction": DRY}:
+        for friction in ({"damping": 0.0, "friction": 0.0}, {"damping": VISCOUS, "friction": DRY}):
             chain = strong(panda(**joints, **friction))
             state = chain.state(q, v)
             X = state.X_WO
@@ -285,7 +285,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         fastest = chain.model.velocityLimit
         s = np.clip(weighed @ solve(J @ weighed, V), -fastest, fastest)
         expected = VISCOUS * s + DRY * s / np.hypot(s, SLIP)
-        assert_near(tau[3] - tau[1], expected, 1e-9, 1e-9)
+        assert_near(tau[3] - tau[1], expected, atol=1e-9, rtol=1e-9)
 
 
 @parametrize(
@@ -334,7 +334,7 @@ def test_friction_is_learned_and_must_be_sure_where_the_model_has_none(friction,
 def test_errors_of_links_are_compensated_beside_a_tare(mass):
     """By 0.7 of them, while e is within its bound: at rest that is the weight."""
     rms = []
-    for changes in [], ["control.joint_friction.errors=false"]:
+    for changes in ([], ["control.joint_friction.errors=false"]):
         words = [f"model_error.arm_mass={mass}", "tare={}", *changes]
         rig = rig_of("panda_edge", *words)
         controller = rig.controller()
@@ -344,9 +344,9 @@ def test_errors_of_links_are_compensated_beside_a_tare(mass):
         memory = controller._records.memory
         missing = memory.joints.residual - memory.joints.means[:, joint_friction.FRICTION]
         e = memory.joints.unlearned
-        assert_near(e, missing * (not changes), 0.02 * largest(missing))
+        assert_near(e, missing * (not changes), atol=0.02 * largest(missing))
         most = np.minimum(0.3 * np.abs(controller._records.work.joints.h), 0.05 * rig.model.tau_max)
-        assert_near(controller.result().friction, 0.7 * np.clip(e, -most, most), 1e-3)
+        assert_near(controller.result().friction, 0.7 * np.clip(e, -most, most), atol=1e-3)
     assert rms[0] < 0.5 * rms[1]
 
 
@@ -365,7 +365,7 @@ def test_what_was_learned_is_the_start_of_the_next_controller():
 
 
 def test_settings_out_of_range_are_refused():
-    for wrong in {"share": 1.0}, {"most": 0.0}, {"smoothing": -1.0}:
+    for wrong in ({"share": 1.0}, {"most": 0.0}, {"smoothing": -1.0}):
         with refused(next(iter(wrong))):
             osc.JointFriction(**wrong)
     assert osc.Controller(one_panda(), [], joint_friction=False).settings.joint_friction is None
@@ -378,7 +378,7 @@ def test_what_was_learned_is_kept_in_a_file_and_put_on_the_same_robot(tmp_path):
     controller = osc.Controller(panda(damping=VISCOUS, friction=DRY), [])
     memory = controller._records.memory
     memory.friction_known[2] = joint_friction.LEARNED
-    memory.friction.theta[2, :3] = 7.0, 3.0, 0.05
+    memory.friction.theta[2, :3] = (7.0, 3.0, 0.05)
     (learned,) = controller.learned_friction
     again = osc.LearnedFriction.load(learned.save(tmp_path / "panda.friction.json"))
     assert again == learned
@@ -395,7 +395,7 @@ def test_what_was_learned_of_another_robot_is_refused(tmp_path):
     heavier = osc.Arm.from_urdf(arm.model, name="panda", tip=arm.tip, mass_factor=1.01)
     weaker = osc.Arm.from_urdf(arm.model, name="panda", tip=arm.tip, effort_factor=0.9)
     (scara, _) = rig_of("two_contact_rod").chain.arms
-    for other in heavier, weaker, scara:
+    for other in (heavier, weaker, scara):
         with refused("learned of another robot"):
             learned.put_on(other)
     placed = osc.Arm.from_urdf(

@@ -37,7 +37,7 @@ def test_friction_damping_and_armature_are_shown_wherever_a_robot_is():
         "no friction; no damping; "
         "armature 0.1 kg m² (joint1, joint2, joint4, hinge), 0.1 kg (joint3)",
     )
-    sides = "left", "right"
+    sides = ("left", "right")
     lines = inspect_rig(rig_of(scenario)).lines
     assert {f"joints of '{arm}': {own}" for arm, own in aligned(sides, words)} <= {*lines}
     (least,) = (line for line in lines if "observer unstable" in line)
@@ -104,18 +104,18 @@ def test_mujocos_mass_matrix_is_that_of_chain_and_object():
     state = rig.state
     M = mass_matrix(plant.model, plant.data)
     J = state.arms[0].J
-    assert_near(M[np.ix_(plant._v, plant._v)], state.M + J.T @ state.payload.Lambda @ J, 1e-6)
+    assert_near(M[np.ix_(plant._v, plant._v)], state.M + J.T @ state.payload.Lambda @ J, atol=1e-6)
 
 
 @parametrize("plant", ["mujoco", "rigid"])
 def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
     """Speed lost in 5 ms: (F + D v)/(M⁻¹)⁻¹ of the joint, others free, no gravity to speak of."""
-    bare = *(f"{key}=[]" for key in ("contacts", "environment", "motion")), "force={}"
+    bare = (*(f"{key}=[]" for key in ("contacts", "environment", "motion")), "force={}")
     rubs = (
         f"arms.ur5.{key}=[0, 0, 0, 0, 0, {x}]" for key, x in (("friction", 0.3), ("damping", 0.2))
     )
     lost = []
-    for extra in (), rubs:
+    for extra in ((), rubs):
         rig = rig_of("ur5_wipe", f"plant.type={plant}", "control.rate=1 kHz", *bare, *extra)
         world = rig.plant()
         v = np.zeros(6)
@@ -203,7 +203,7 @@ def urdf(tmp_path):
 
 
 def test_a_joint_that_follows_another_one_on_the_way_to_the_tip_is_refused_with_the_cure(urdf):
-    for file in urdf, pin.buildModelFromUrdf(str(urdf), mimic=True):
+    for file in (urdf, pin.buildModelFromUrdf(str(urdf), mimic=True)):
         with model_error(r"'jb' on the way .* follows joint 'ja'.* Lock"):
             osc.Arm.from_urdf(file, name="arm", tip="c")
 
@@ -233,4 +233,4 @@ def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading)
     reference = osc.pose_reference(p, R, alpha_d=[10.0])
     for _ in range(3):
         ticked(controller, osc.Measurement(q, np.zeros(7), wrench[None]), reference)
-        assert_near(controller.result().alpha_meas, 7.0, 1e-9)
+        assert_near(controller.result().alpha_meas, 7.0, atol=1e-9)

@@ -107,7 +107,7 @@ def test_ours_is_real_and_positive_next_to_singularities():
     unstable = 0
     for _ in range(60):
         q = rng.uniform(-np.pi, np.pi, 6)
-        for joint in 2, 4:
+        for joint in (2, 4):
             q[joint] = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-4.0, -2.0)
         assert regularity(q) < 1e-4
         classic, ours = eigenvalues(q)

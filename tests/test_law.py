@@ -24,7 +24,7 @@ def inputs(chain, q, v, rng, columns, touched=None):
     alpha_d = rng.uniform(5, 20, columns)
     squeeze = 5.0 if len(chain.arms) < 3 else 0.0  # more than two are the readable path's
     reference = Reference(X, 0.1 * rng.standard_normal(6), rng.standard_normal(6), alpha_d, squeeze)
-    return Measurement(q, v, wrenches, touched), reference
+    return (Measurement(q, v, wrenches, touched), reference)
 
 
 def motion_of(rng, contacts):
@@ -103,6 +103,6 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     MODEL.view(wrong_link).joints.link[3][0] *= 1.0 + 1e-6
     wrong_rotor = chain.law_row(led=False).copy()
     MODEL.view(wrong_rotor).joints.armature[3] += 0.1
-    for row in wrong_link, wrong_rotor:
+    for row in (wrong_link, wrong_rotor):
         with model_error("law's .* differs from Pinocchio"):
             require_pinocchio_agrees(chain, row)

@@ -128,7 +128,7 @@ class Rig:
     grasps: tuple = ("rigid",)
 
 
-ALL_GRASPS = *KINDS, "screw", "plane"
+ALL_GRASPS = (*KINDS, "screw", "plane")
 RIGS = {
     "planar": Rig(alike("planar"), {3}),
     "scara": Rig(alike("scara"), {4}),
@@ -363,10 +363,10 @@ def bars(t):
     """E⁺ (bars, 3 arms): by how much arms that push so press their grasps together, and E."""
     chain = t.state.case.chain
     if len(chain.arms) < 2:
-        return np.zeros((0, 3)), np.zeros((3, 0))
+        return (np.zeros((0, 3)), np.zeros((3, 0)))
     tips = chain.tip_poses(data_at(chain.model, t.state.case.q))
     E = bars_of([X.translation for X in tips])
-    return pinv(E, rcond=1e-6), E
+    return (pinv(E, rcond=1e-6), E)
 
 
 def miss_of_squeeze(t, answer):
@@ -510,7 +510,7 @@ def test_arms_that_differ_and_hold_with_balls_squeeze_as_commanded(arms):
         rest = State(replace(case, chain=strong(case.chain)), [])
         state = touching_state(rest, i, rng, SURROUNDINGS["world"])
         t = tick(state, state.contacts, i, rng)
-        for squeeze in 20.0 * rng.standard_normal(arms * (arms - 1) // 2), 7.5:
+        for squeeze in (20.0 * rng.standard_normal(arms * (arms - 1) // 2), 7.5):
             reference = replace(t.reference, squeeze_d=squeeze)
             controller = t.controller_of(state.case.chain)
             tau = controller.tick(t.measured, reference)
@@ -571,4 +571,4 @@ def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     python("-c", words, file, **where)
     found = np.load(file)
     for name, expected in aligned(found.files, some_torques()):
-        assert_near(found[name], expected, 1e-12 * largest(expected), 0)
+        assert_near(found[name], expected, atol=1e-12 * largest(expected), rtol=0)

@@ -125,8 +125,8 @@ def solve(case):
     write(limits.program, d=case.d, r=r, k=len(case.floor), s=s)
     short = limits.solve()
     assert not limits.lost_force[r:].any() and not limits.lost_motion[: 6 - case.d].any()
-    lost = limits.lost_force[:r], limits.lost_motion[6 - case.d :], limits.lost_squeeze[:s]
-    return limits.tau.copy(), limits.at_limit.copy(), *(x.copy() for x in lost), short
+    lost = (limits.lost_force[:r], limits.lost_motion[6 - case.d :], limits.lost_squeeze[:s])
+    return (limits.tau.copy(), limits.at_limit.copy(), *(x.copy() for x in lost), short)
 
 
 # An oracle in fractions ---------------------------------------------------------------------------
@@ -182,12 +182,12 @@ def exact_optimum(case, tau):
     least = np.minimum((floor - share @ fractions(case.alpha)) / unit, 0)
     starts = np.hstack(((-tau_max - desired) / scale, least))
     first = {i: int(np.sign(tau[i])) for i in range(n) if abs(tau[i]) >= case.tau_max[i]}
-    for soft in Fraction(1, 10**40), Fraction(1, int(BEYOND)):
+    for soft in (Fraction(1, 10**40), Fraction(1, int(BEYOND))):
         give = [Fraction(1, 10**40)] * n + [soft] * k
         z, broken = active_limits(H, A, starts, ends, give, dict(first))
         if broken < Fraction(1, 10**20) or soft > Fraction(1, 1000):
             lost = [-(rows @ z).astype(float) for rows in (force, motion, squeeze)]
-            return (desired + scale * z).astype(float), *lost, soft > Fraction(1, 1000)
+            return ((desired + scale * z).astype(float), *lost, soft > Fraction(1, 1000))
     raise AssertionError
 
 
@@ -210,7 +210,7 @@ def active_limits(H, A, starts, ends, give, sides):
         most = max([wrong[i] for i in rows], default=Fraction(0))
         wrong[rows] = [answer[n + j] * sides[i] for j, i in enumerate(rows)]
         if max(wrong) <= 0:
-            return z, most
+            return (z, most)
         i = int(np.argmax(wrong) if step < 15 else rng.choice(np.flatnonzero(wrong > 0)))
         if sides.pop(i, 0) == 0:  # chance ends what would go round
             sides[i] = 1 if x[i] > ends[i] else -1
@@ -226,7 +226,7 @@ def agree(case, tolerance):
     near = np.abs(expected) >= case.tau_max * (1.0 - 1e-9)
     assert_array_equal(at_limit, near)
     for got, exact in aligned((force, motion, squeeze), lost):
-        assert_near(got, exact, tolerance * (1.0 + largest(exact)), 0)
+        assert_near(got, exact, atol=tolerance * (1.0 + largest(exact)), rtol=0)
     return short
 
 
@@ -258,7 +258,7 @@ def test_the_optimum_in_exact_fractions(how, tolerance):
 
 def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
     case = two_forces(67)
-    for G in 0.0 * case.G, case.G * (np.arange(8) > 3)[:, None]:
+    for G in (0.0 * case.G, case.G * (np.arange(8) > 3)[:, None]):
         agree_within(replace(case, G=G, E=0.0 * case.E))
     out_of_reach = replace(
         case,
@@ -288,7 +288,7 @@ def test_a_floor_that_another_implies_changes_nothing(monkeypatch):
         z, value, verdict, info = solver(*args, **how)
         info["lam"][-1] = info["lam"][-2]
         active.append(info["lam"][-1] != 0.0)
-        return z + 1e-9, value, verdict, info  # to be seen, if it is not worked out once more
+        return (z + 1e-9, value, verdict, info)  # to be seen, if it is not worked out once more
 
     rng = default_rng(73)
     for _ in range(40):
@@ -305,7 +305,7 @@ def test_a_floor_that_another_implies_changes_nothing(monkeypatch):
 def agree_within(case):
     tau, *rest = solve(case)
     assert within(tau, case.tau_max) and all(np.isfinite(x).all() for x in rest)
-    return tau, *rest
+    return (tau, *rest)
 
 
 @parametrize("verdict", [-1, 1])
@@ -317,7 +317,7 @@ def test_what_is_not_solved_is_an_error(monkeypatch, verdict):
         MADE[8].solve()
 
     def fail(H, f, *a, **k):
-        return np.full(len(f), np.nan), 0.0, verdict, {"lam": np.zeros(len(a[1]))}
+        return (np.full(len(f), np.nan), 0.0, verdict, {"lam": np.zeros(len(a[1]))})
 
     monkeypatch.setattr(daqp, "solve", fail)
     with raises(osc.SolverError, match="motor limits"):

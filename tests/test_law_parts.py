@@ -61,9 +61,9 @@ def test_rows_that_nearly_depend_are_orthonormal_to_the_last_digit():
     X, Q, L = rng_of(1).standard_normal((3, 6, 6))
     X[3] = X[0] + 1e-7 * X[3]
     least = algebra.orthonormalise(X, 4, 2, Q, L)
-    assert_near(Q[:4] @ Q[:4].T, np.eye(4), 1e-13)
+    assert_near(Q[:4] @ Q[:4].T, np.eye(4), atol=1e-13)
     np.fill_diagonal(L, 1.0 / np.diag(L))
-    assert_near(np.tril(L)[:4, :4] @ Q[:4, 2:], X[:4, 2:], 1e-13)
+    assert_near(np.tril(L)[:4, :4] @ Q[:4, 2:], X[:4, 2:], atol=1e-13)
     assert_near(least, L[3, 3] / norm(X[3, 2:]), rtol=1e-9)
 
 
@@ -73,7 +73,7 @@ def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size
     X = rng_of(7).standard_normal((5, 8)) * size
     X[:, 3:] = np.eye(5)
     algebra.one_sided_jacobi(X, 5, 3, 5)
-    assert_near(X[:, 3:] @ X[:, 3:].T, np.eye(5), 1e-14)
+    assert_near(X[:, 3:] @ X[:, 3:].T, np.eye(5), atol=1e-14)
 
 
 # --- rotations and poses --------------------------------------------------------------------------
@@ -91,7 +91,7 @@ def test_rotation_vectors_of_all_angles_and_axes():
             R = np.full((6, 6), 7.0)
             R[:3, :3] = pin.exp3(angle * w)
             found = commands.rotation_vector(R)
-            assert_near(found, angle * w, 1e-9 if angle > 2.9 else 1e-14, 1e-6)
+            assert_near(found, angle * w, atol=1e-9 if angle > 2.9 else 1e-14, rtol=1e-6)
 
 
 def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
@@ -99,21 +99,21 @@ def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
     for signs in SIGNS:
         w = np.array(signs) / norm(signs)
         found = np.array(commands.rotation_vector(2.0 * np.outer(w, w) - np.eye(3)))
-        assert_near(np.pi * w, found * np.sign(found @ w), 1e-9)
+        assert_near(np.pi * w, found * np.sign(found @ w), atol=1e-9)
     found = commands.rotation_vector(np.diag([1.0, -1.0 - 1e-9, -1.0 - 1e-9]))  # rounded
-    assert_near(np.abs(found), [np.pi, 0.0, 0.0], 1e-8)
+    assert_near(np.abs(found), [np.pi, 0.0, 0.0], atol=1e-8)
 
 
 @SEEDS
 def test_a_rotation_is_continued_and_squared_up(seed):
     rng = rng_of(seed)
-    for angle in 0.0, 1e-9, 0.9e-6, 1.1e-6, 1e-3, 0.5, 2.0, 3.1:
+    for angle in (0.0, 1e-9, 0.9e-6, 1.1e-6, 1e-3, 0.5, 2.0, 3.1):
         X = rng.standard_normal((4, 4))
         w = rng.standard_normal(3)
         w *= angle / norm(w)
         Y = X.copy()
         grasps.rotate(Y, w)
-        assert_near(Y[:3, :3], pin.exp3(w) @ X[:3, :3], 1e-11)
+        assert_near(Y[:3, :3], pin.exp3(w) @ X[:3, :3], atol=1e-11)
         Y[:3, :3] = X[:3, :3]
         assert_array_equal(Y, X)
     X = np.ones((4, 4))
@@ -121,8 +121,8 @@ def test_a_rotation_is_continued_and_squared_up(seed):
     Q, R = qr(X[:3, :2])
     Q *= np.sign(np.diag(R))
     grasps._square_up(X)
-    assert_near(X[:3, :2], Q, 1e-12)
-    assert_near(X[:3, 2], np.cross(Q[:, 0], Q[:, 1]), 1e-12)
+    assert_near(X[:3, :2], Q, atol=1e-12)
+    assert_near(X[:3, 2], np.cross(Q[:, 0], Q[:, 1]), atol=1e-12)
     assert_array_equal(X[3], 1.0)
 
 
@@ -130,12 +130,12 @@ def test_a_rotation_is_continued_and_squared_up(seed):
 def test_logarithm_and_exponential_of_a_motion(seed):
     """Series below 10 mrad, and what they stand for above."""
     rng = rng_of(seed)
-    for angle in 0.0, 1e-5, 0.0099, 0.0101, 0.1, 0.9, 2.0, 3.0:
+    for angle in (0.0, 1e-5, 0.0099, 0.0101, 0.1, 0.9, 2.0, 3.0):
         w = rng.standard_normal(3)
         p = rng.standard_normal(3)
         w *= angle / norm(w)
         M = pin.SE3(pin.exp3(w), p)
-        assert_near(grasps._remaining(p, M.rotation), pin.log6(M).vector, 1e-9)
+        assert_near(grasps._remaining(p, M.rotation), pin.log6(M).vector, atol=1e-9)
         twist = np.append(rng.standard_normal(3), w)
         M = pose_of(rng)
         R = np.full((6, 6), 7.0)
@@ -143,8 +143,8 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         R[:3, :3] = M.rotation
         grasps._take_off(R, point, -twist)
         expected = M * pin.exp6(-twist)
-        assert_near(R[:3, :3], expected.rotation, 1e-9)
-        assert_near(point[:3], expected.translation, 1e-9)
+        assert_near(R[:3, :3], expected.rotation, atol=1e-9)
+        assert_near(point[:3], expected.translation, atol=1e-9)
         assert R[3, 3] == 7.0 == point[3]
 
 
@@ -165,7 +165,7 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
     N = np.eye(6)[[i for i in range(6) if not T[:, i].any()]]
     if name == "screw":
         N = np.vstack((N, [0.0, 0.0, 0.8, 0.0, 0.0, -0.6]))
-    for size in 0.0, 1e-3, 0.3, 1.5:
+    for size in (0.0, 1e-3, 0.3, 1.5):
         n = 0.2 * rng.standard_normal(len(N))
         t = size * rng.uniform(-1.0, 1.0, len(T))
         tip = pose_of(rng)
@@ -179,7 +179,7 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
         frame = np.vstack((tip.rotation, tip.translation))
         out = np.full(6, 7.0)
         grasps._miss_of_group(arm, frame, X.homogeneous, np.zeros((6, 6)), out * 0.0, out)
-        assert_near(out[: len(N)], n, 1e-9)
+        assert_near(out[: len(N)], n, atol=1e-9)
 
 
 @SEEDS
@@ -198,8 +198,8 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     frame = np.vstack((tip.rotation, tip.translation))
     grasps._miss(arm, frame, X.homogeneous, out := np.full(6, 7.0))
     between = pin.Quaternion.FromTwoVectors(tip_axis, tip.rotation.T @ X.rotation @ axis)
-    assert_near(out[:3], tip.actInv(X.act(point)), 1e-12)
-    assert_near(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), 1e-9)
+    assert_near(out[:3], tip.actInv(X.act(point)), atol=1e-12)
+    assert_near(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), atol=1e-9)
     arm.kind = at.BALL
     grasps._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
     assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
@@ -220,8 +220,8 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
         write(t.work, where=-1, amount=0.0, count=3, rank=2, chosen=[4, 2, 7], kept=[4, 2])
         rows = t.work.columns
         rows.extent = 1.0
-        rows.n_gamma[[4, 2, 7]] = *n_gamma, implied
-        rows.share[[4, 2, 7], :2] = *np.eye(2), share
+        rows.n_gamma[[4, 2, 7]] = (*n_gamma, implied)
+        rows.share[[4, 2, 7], :2] = (*np.eye(2), share)
         assert columns_of_N._consistent(t)
         most = max(summands, 2.0 * largest(n_gamma))
         for off, fine in {0.5e-5: True, -0.5e-5: True, 2e-5: False, -2e-5: False}.items():

@@ -42,7 +42,7 @@ class Phases:
             "least_force": k.least,
             "lost_share": k.share,
         }
-        names = *MonitorLimits.model_fields, "travel", "rise", "lag"
+        names = (*MonitorLimits.model_fields, "travel", "rise", "lag")
         values |= {name: getattr(k, name) for name in names}
         self.tick = records(1, 1, len(pushing), self.n, **values)
         self.chain, self.memory, self.work, _ = self.tick
@@ -69,7 +69,7 @@ class Phases:
         if judge:
             law.remap_force_sums(self.tick)
         law.set_goals(self.tick)
-        return changed, self.work.goal.copy()
+        return (changed, self.work.goal.copy())
 
     def end(self, alpha, speed, D=None, independent=False, chosen=None, limited=False):
         """End a tick with what was measured; D (r, r) is of the columns chosen, or all in N."""
@@ -119,7 +119,7 @@ def test_a_story_approach_contact_loss_and_contact_again():
 def test_torques_go_gently_around_a_change_but_for_fast_joints():
     def rate(since, share=0.0, phased=1):
         t = records(contacts=2, torque_rate=200.0, phase_rate=20.0, phased=phased)
-        t.memory.contacts.since = 9.0, since
+        t.memory.contacts.since = (9.0, since)
         return law.torque_rate(t, share)
 
     assert rate(0.099) == 20.0 and rate(0.101) == 200.0 and rate(0.0, phased=0) == 200.0
@@ -127,7 +127,7 @@ def test_torques_go_gently_around_a_change_but_for_fast_joints():
     assert rate(0.0, 0.25) == 20.0 < rate(0.0, 0.26)
     assert rate(0.0, 0.8) == 200.0 == rate(0.0, 1.0) == rate(0.0, 3.0)
     t = records(joints=3)
-    t.model.joints.speed_max = 2.0, 0.5, np.inf
+    t.model.joints.speed_max = (2.0, 0.5, np.inf)
     for v, most in {(1.0, 0.1, 9.0): 0.5, (-1.0, 0.4, 0.0): 0.8, (0.1, -0.4, 0.0): 0.8}.items():
         t.work.joints.v = v
         assert law.max_speed_ratio(t) == approx(most)
@@ -158,7 +158,7 @@ def test_speeds_alone_or_wrists_alone_make_no_contact():
     stops = lambda k: 0.01 if k < 50 else 0.0  # noqa: E731
     assert meet(0.0, stops, mass=1.0) == 0
     assert meet(lambda k: 0.0 if k < 50 else 2.0, stops, mass=1.0) < 57
-    for read, made in (0.39, 0), (0.41, 1):  # an impact counts for no more than 1.5 times that
+    for read, made in ((0.39, 0), (0.41, 1)):  # an impact counts for no more than 1.5 times that
         falls = lambda k: 0.004 - 1e-3 * k  # noqa: E731  1 N for each kg
         assert bool(meet(read, falls, mass=3.0, ticks=30)) == made
 
@@ -181,7 +181,7 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     phases = Phases([0], [True], phase=[CLOSED])
     commanded = [10.0]
     seen = []
-    for alpha, count in (10.0, 100), (0.0, 300), (10.0, 30), (0.0, 100), (10.0, 100):
+    for alpha, count in ((10.0, 100), (0.0, 300), (10.0, 30), (0.0, 100), (10.0, 100)):
         for _ in range(count):
             phases.end([alpha], [0.0], independent=True)
             phases.begin(commanded)
@@ -190,7 +190,7 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     first = np.flatnonzero(seen)[0]
     assert 100 < first < 200 and (seen[: first - 1] == 0.0).all()
     steady = seen[first:500]  # 30 ms of contact are not held: `rise` is 50 ms
-    assert_near(steady, DT * np.arange(1, len(steady) + 1), 1e-9)
+    assert_near(steady, DT * np.arange(1, len(steady) + 1), atol=1e-9)
     assert seen[-1] == 0.0
     start = Phases([0], [True], phase=[OPEN])
     for _ in range(200):
@@ -204,17 +204,17 @@ def test_torques_go_straight_and_not_too_far(seed):
     rng = default_rng(seed)
     tau, last = rng.standard_normal((2, 8)) * 10
     step = rng.uniform(0.1, 5, 8)
-    for begun in False, True:
+    for begun in (False, True):
         out = tau.copy()
         given = last.copy()
         law.slew(out, given, step, begun)
         share = min(1.0, (step / np.abs(tau - last)).min()) if begun else 1.0
-        assert_near(out, last + share * (tau - last), 1e-12, 0)
+        assert_near(out, last + share * (tau - last), atol=1e-12, rtol=0)
         assert_array_equal(given, out)
 
 
 #: three columns of two closed contacts that share two integrals; a third contact is open
-SHARED = [0, 0, 1, 2], [CLOSED, APPROACHING, OPEN], [1.5, -2.5]
+SHARED = ([0, 0, 1, 2], [CLOSED, APPROACHING, OPEN], [1.5, -2.5])
 
 
 @parametrize(
@@ -245,7 +245,7 @@ def test_the_integral_of_a_contact_that_was_lost_starts_anew():
     phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
     phases.columns.closed[0] = 0
     phases.memory.force_rank = 2
-    phases.memory.force_sum[:2] = 7.0, 8.0
+    phases.memory.force_sum[:2] = (7.0, 8.0)
     phases.begin([5.0, 5.0])
     assert phases.sums.tolist() == [0.0, 8.0]
 
@@ -272,7 +272,7 @@ def watched(state, alpha, speed, dt, limits, more):
     closed = (closed or high_for > limits.dwell) and not (closed and low_for > limits.patience)
     burst = max(burst, abs(alpha * speed)) if closed or high_for > 0.0 else 0.0
     collision = closed and armed_for > 0.0 and burst > limits.power
-    return closed, low_for, high_for, burst, 0.0 if collision else armed_for, collision
+    return (closed, low_for, high_for, burst, 0.0 if collision else armed_for, collision)
 
 
 def random_contacts(rng):
@@ -296,14 +296,18 @@ def random_contacts(rng):
         share=rng.uniform(0.05, 0.4),
         lag=rng.uniform(1e-4, 1e-2),
     )
-    return owners, rng.random(count) < 0.75, k, rng.choice([1e-3, 5e-4])
+    return (owners, rng.random(count) < 0.75, k, rng.choice([1e-3, 5e-4]))
 
 
 def random_ticks(rng, n, ticks):
     """Commands, magnitudes (N) and speeds (m/s) that stay near one level for some ticks each."""
     out = np.zeros((3, ticks, n))
-    levels = [0.0, 0.25, 0.5, 5.0, 12.0, -3.0], [0.0, 0.4, 1.0, 4.0, 9.0, 20.0], [0.0, 0.01, -0.04]
-    weights = [0.15, 0.1, 0.1, 0.3, 0.3, 0.05], [0.2, 0.1, 0.1, 0.2, 0.3, 0.1], [0.6, 0.3, 0.1]
+    levels = (
+        [0.0, 0.25, 0.5, 5.0, 12.0, -3.0],
+        [0.0, 0.4, 1.0, 4.0, 9.0, 20.0],
+        [0.0, 0.01, -0.04],
+    )
+    weights = ([0.15, 0.1, 0.1, 0.3, 0.3, 0.05], [0.2, 0.1, 0.1, 0.2, 0.3, 0.1], [0.6, 0.3, 0.1])
     for values, level, weight, long in aligned(out, levels, weights, (150, 60, 40)):
         for j in range(n):
             k = 0
@@ -407,7 +411,7 @@ def test_one_magnitude_is_judged_by_its_rules(seed):
     rows = phases.columns
     rows.closed = rng.integers(0, 2, 4)
     states = [(bool(closed), 0.0, 0.0, 0.0, 0.0, False) for closed in rows.closed]
-    names = "closed", "low_for", "high_for", "burst", "armed_for", "collision"
+    names = ("closed", "low_for", "high_for", "burst", "armed_for", "collision")
     _, alphas, speeds = random_ticks(rng, 4, 150)
     for alpha, speed in aligned(alphas, speeds):
         more = np.where(rng.random(4) < 0.3, rng.uniform(0, 5, 4), 0.0)
@@ -460,4 +464,4 @@ def test_measurements_are_low_passed_and_freed_of_inertia(seed):
             "speed": speed,
             "net": here * (force - flying),
         }.items():
-            assert_near(phases.columns[name], expected, size, 1e-12, name)
+            assert_near(phases.columns[name], expected, atol=size, rtol=1e-12, name=name)

@@ -39,7 +39,7 @@ def command_force(alpha_d, felt, speed, w, least=-inf):
     write(t.work, rank=2, dt=1e-3)
     reading.command_force(t)
     assert t.work.force_next[2] == t.work.alpha_u[2] == 0.0 and t.work.force_next[0] == 1.0
-    return t.work.alpha_u[1], t.work.force_next[1]
+    return (t.work.alpha_u[1], t.work.force_next[1])
 
 
 @parametrize(
@@ -67,7 +67,7 @@ def test_the_force_law(given, expected):
 def test_laws_of_contacts_are_those_of_their_columns(dependent):
     """Rows: gain, damping, least force and brake."""
     laws = np.array([[3, 2, 1, 0], [5, 9, 4, 99], [0.1, 0.2, 0.3, 0.9], [0.7, 0.6, 0.8, 9]])
-    names = "gain", "damping", "least", "brake"
+    names = ("gain", "damping", "least", "brake")
     t = records(contacts=4, columns=4)
     t.model.columns.contact = [1, 0, 2, 3]
     t.work.chosen[:3] = [2, 0, 1]
@@ -84,7 +84,7 @@ def test_bodies_do_not_yield_while_their_motion_is_unknown():
     t = records(contacts=1, columns=1)
     write(t.work, rank=1, L=np.eye(1), Q=np.ones((1, 6)), out_T=np.eye(6))
     pushes = []
-    for found in 0.0, 1.0:
+    for found in (0.0, 1.0):
         t.work.yields[:] = found
         pushes.append(reading._push_on(t, (1.0, 2.0, 3.0), 0))
     assert_array_equal(*pushes)
@@ -103,7 +103,7 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
     Lambda *= 0.3**-2 / beside  # at the limit: 1/χ² = 1/0.3²
     t = records(lightness=1.0 / reference)
     arm = Record(full_rank=5)
-    for factor, kept, expected in (0.999, 5, False), (1.001, 5, True), (1e-9, 4, True):
+    for factor, kept, expected in ((0.999, 5, False), (1.001, 5, True), (1e-9, 4, True)):
         own = Record(Lambda=factor * Lambda, n_kept=kept)
         assert operational.may_be_singular(t, arm, own) == expected
 
@@ -122,7 +122,7 @@ def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
         X[k] = chi * rng.standard_normal(n + 2)
         behind = X[k, n:].copy()
         small(X, k, n, chi)
-        assert_near(X[: k + 1, :n] @ X[: k + 1, :n].T, np.eye(k + 1), 1e-12)
+        assert_near(X[: k + 1, :n] @ X[: k + 1, :n].T, np.eye(k + 1), atol=1e-12)
         assert_array_equal(X[k, n:], behind)
     X = rng.standard_normal((3, 7))
     expected = X[1, :5] / 0.3
@@ -152,7 +152,7 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     expected = rest.copy()
     for mode, share in aligned(modes, own.share):
         expected += mode @ (back - tau if gone else (1.0 - share) * back) * (M @ mode)
-    assert_near(joints.rest, expected, 1e-9, 1e-9)
+    assert_near(joints.rest, expected, atol=1e-9, rtol=1e-9)
 
 
 # --- torques --------------------------------------------------------------------------------------
@@ -173,7 +173,7 @@ def test_rows_that_those_before_nearly_span_are_factored_too(seed):
     assert allocation.factor_effort(t) and allocation.add_row(t, 0) and allocation.add_row(t, 1)
     R = qr((A * np.sqrt(t.model.joints.effort)).T)[1]
     expected = (R * np.sign(np.diag(R))[:, None]).T
-    assert_near(np.tril(t.work.factor[:8, :8], -1), np.tril(expected, -1), 1e-9)
+    assert_near(np.tril(t.work.factor[:8, :8], -1), np.tril(expected, -1), atol=1e-9)
     assert_near(1.0 / np.diag(t.work.factor)[:8], np.diag(expected), rtol=1e-8)
 
 
@@ -206,7 +206,7 @@ def judged(N, Lambda, held, m=0):
     Lambda_S = Lambda + held * np.eye(6)
     write(t.work, rank=len(N), locked=m, N_t=7.0, Lambda=Lambda_S, where=-1, amount=-1.0)
     t.work.N_t[: len(N)] = N
-    return command.require_reachable(t), t.work, t
+    return (command.require_reachable(t), t.work, t)
 
 
 @parametrize("held", [0, 1])
@@ -215,7 +215,7 @@ def test_columns_on_which_the_arms_can_push(held):
     root = rng.standard_normal((6, 6))
     Lambda = root @ root.T + np.eye(6)
     assert judged(np.zeros((0, 6)), Lambda, held)[0] == NO_REASON
-    for m in 0, 2, 5:
+    for m in (0, 2, 5):
         N = rng.standard_normal((min(3, 6 - m), 6))
         reason, work, t = judged(N, Lambda, held, m)
         assert (reason, command._judge_reach(t)) == (NO_REASON, NO_REASON)
@@ -231,13 +231,13 @@ def test_columns_on_which_the_arms_can_push(held):
             assert_near(work.amount, (6 - m) * 0.25e-10 / (hidden[a] @ hidden[a]), rtol=1e-6)
     assert judged(N, Lambda, held, 6)[0] == command.UNREACHABLE
     # 1/Λ along the column, beside 1: on either side of 1e-9
-    for mobility, expected in (0.5e-9, command.UNREACHABLE), (2e-9, NO_REASON):
+    for mobility, expected in ((0.5e-9, command.UNREACHABLE), (2e-9, NO_REASON)):
         heavy = np.eye(6) / 7.0
         heavy[3, 3] = 1.0 / mobility
         reason, work, _ = judged(np.eye(6)[[1, 3]], heavy, held)
         assert reason == expected and (expected == NO_REASON or work.where == 1)
     # columns that differ by so much
-    for apart, expected in (0.3e-10, command.INSEPARABLE), (3e-10, NO_REASON):
+    for apart, expected in ((0.3e-10, command.INSEPARABLE), (3e-10, NO_REASON)):
         N = np.zeros((2, 6))
         N[:, 1] = 1.0
         N[1, 4] = apart
@@ -264,9 +264,9 @@ def test_every_number_that_comes_in_is_looked_at(arms):
     given["squeeze"] = t.memory.squeeze
     for name, x in given.items():
         for i in range(x.size):
-            for bad in np.nan, inf, -inf:
+            for bad in (np.nan, inf, -inf):
                 x.flat[i] = bad
-                for on in False, True:
+                for on in (False, True):
                     counts = {"alpha_d": on, "touched": on}.get(name, True)
                     with np.errstate(invalid="ignore"):
                         assert tick.is_finite(t, on, on) != counts, (name, i)
@@ -288,13 +288,13 @@ def a_tick():
     controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
     assert own.memory.reason == NO_REASON and own.memory.engaged
     own.rows.job.switches = MOVING
-    return rows(), (own.rows.raw, 0, seen[-1]), own.memory
+    return (rows(), (own.rows.raw, 0, seen[-1]), own.memory)
 
 
 def test_inputs_of_other_sizes_are_none():
     tick, given, memory = a_tick()
     for place, x in enumerate(given[2]):
-        for other in x[:-1], np.concatenate((x, x[:1])):
+        for other in (x[:-1], np.concatenate((x, x[:1]))):
             arrays = list(given[2])
             arrays[place] = np.ascontiguousarray(other)
             tick(*given[:2], tuple(arrays))
@@ -306,7 +306,7 @@ def test_inputs_of_other_sizes_are_none():
 def test_joints_of_another_number_are_not_read(place, count):
     """What stands beyond their end, or one of them more, moves nothing that is held."""
     found = []
-    for more in 0.01, -2.0:
+    for more in (0.01, -2.0):
         tick, given, memory = a_tick()
         arrays = list(given[2])
         x = np.append(arrays[place], np.zeros(2))
@@ -342,7 +342,7 @@ def command_of(flags=0, of_memory=None, integral=2.0, **of_work):
     write(t.memory, **(of_memory or {}))
     write(t.input, V_D=1.0, A_D=1.0)
     assert decide(t, flags) == NO_REASON
-    return t.work, t.memory, called
+    return (t.work, t.memory, called)
 
 
 def test_laws_and_integrals_of_a_tick():
@@ -356,7 +356,7 @@ def test_laws_and_integrals_of_a_tick():
     assert_near(command_of(integral=0.0)[0].motion_next, [0.2, -0.8, 1.0, 0.1, 0.1, 0.1])
     _, memory, called = command_of(of_memory={"hand_over": 1})
     assert called["handed"] and memory.hand_over == 0
-    for lost, locked, reduced in (1, 5, True), (1, 6, False), (0, 5, False):
+    for lost, locked, reduced in ((1, 5, True), (1, 6, False), (0, 5, False)):
         assert ("reduced" in command_of(n_lost=lost, locked=locked)[2]) == reduced
     work, _, _ = command_of(tick.OWN_FORCE)
     assert_near(work.alpha_u[:2], [8.0 - 1.0, 7.0])  # approached; the user's own
@@ -388,7 +388,7 @@ def test_laws_and_integrals_of_a_tick():
 def test_goals_of_contacts(phase, pushes, since, gap, speed, expected):
     """K_a v_a = 2 N while it is approached, from 0.5 N on; faster back over a known gap."""
     near = phase == APPROACHING
-    for slow, fast in (speed, -9.0), (9.0, speed), (speed, speed):  # the slower one counts
+    for slow, fast in ((speed, -9.0), (9.0, speed), (speed, speed)):  # the slower one counts
         t = records(contacts=1, columns=1, force_gain=3.0, force_damping=5.0, force_brake=0.5)
         write(t.model, approach_damping=200.0, approach_speed=0.01, least_force=0.4, travel=0.05)
         write(t.model, force_on=1.0, rise=0.4)
@@ -400,7 +400,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, speed, expected):
         t.work.goal[0] = 8.0
         phases.set_goals(t)
         assert_near(t.work.goal[0], expected)
-        found = contact.active, contact.gain, contact.damping, contact.brake
+        found = (contact.active, contact.gain, contact.damping, contact.brake)
         assert found == ((1, 0.0, 200.0, 0.0) if near else (1, 3.0, 5.0, 0.5))
         assert contact.least == (0.4 if pushes and not near else -inf)
 
@@ -431,7 +431,7 @@ def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     settle(rows.raw, 0, 0, program.raw)
     assert_near(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1
-    return memory.torques.copy(), work.bars.tolist()
+    return (memory.torques.copy(), work.bars.tolist())
 
 
 def test_torques_within_the_limits_change_no_faster_than_others():

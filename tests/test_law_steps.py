@@ -44,7 +44,7 @@ def soft_brake(V, V_face, alpha, alpha_s, scale, kappa, K_i, w):
     u = V - driven - s * rate
     acceleration = (rate - before(low_pass(rate, DT / (0.01 + DT)))) / 0.01
     deflection = before(low_pass(u, w * DT)) / w
-    return kappa * (u + (K_i - w) * deflection) - s * acceleration, s
+    return (kappa * (u + (K_i - w) * deflection) - s * acceleration, s)
 
 
 class Forces:
@@ -127,8 +127,8 @@ def test_a_step_is_let_in_along_the_quintic_of_least_jerk():
     forces.run([10.0, 4.0], 200)
     found = forces.run([16.0, 3.0], 80)
     share = eased(np.arange(80) * DT / RISE)
-    assert_near(found[:, 0], 16.0 - 6.0 * share, 1e-9)
-    assert_near(found[:, 1], 3.0 + 1.0 * share, 1e-9)
+    assert_near(found[:, 0], 16.0 - 6.0 * share, atol=1e-9)
+    assert_near(found[:, 1], 3.0 + 1.0 * share, atol=1e-9)
     assert forces.work.step_left == 0.0 and (found[-1] == [16.0, 3.0]).all()
 
 
@@ -147,7 +147,7 @@ def test_a_second_step_continues_value_slope_and_curvature(rises, begin):
     slope, bend = (-6.0 * first.deriv(k)(x) / RISE**k for k in (1, 2))
     path = BPoly.from_derivatives([0.0, T], [[value - 8.0, slope, bend], [0.0, 0.0, 0.0]])
     t = np.arange(100) * DT
-    assert_near(found, 8.0 + np.where(t < T, path(t), 0.0), 1e-7)
+    assert_near(found, 8.0 + np.where(t < T, path(t), 0.0), atol=1e-7)
     assert found.max() > value, "it continues upwards at first"
 
 
@@ -172,7 +172,7 @@ def test_a_step_of_internal_forces_is_let_in_along_the_same_quintic():
     forces.run([10.0, 4.0, 0.0], 200)
     found = forces.run([16.0, 3.0, 5.0], 80)
     share = eased(np.arange(80) * DT / RISE)[:, None]
-    assert_near(found, [16.0, 3.0, 5.0] - [6.0, -1.0, 5.0] * share, 1e-9)
+    assert_near(found, [16.0, 3.0, 5.0] - [6.0, -1.0, 5.0] * share, atol=1e-9)
     assert (found[-1] == [16.0, 3.0, 5.0]).all() and forces.work.squeeze_left == 0.0
     assert forces.work.step_left == 0.0 and forces.work.integral_scale == 1.0
 
@@ -193,7 +193,7 @@ def test_three_arms_release_within_the_rise_time_before_their_effort_is_the_leas
             break
     assert len(found) == round(RISE / DT) + 1
     share = eased(np.arange(len(found)) * DT / RISE)[:, None]
-    assert_near(found, [10.0, 4.0, 2.0] * share, 1e-9)
+    assert_near(found, [10.0, 4.0, 2.0] * share, atol=1e-9)
 
 
 def test_the_size_of_a_force_that_has_gone_fades():
@@ -221,7 +221,7 @@ def test_the_integral_rests_while_much_of_a_step_is_to_come():
 
 
 def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
-    for ticked, start in (1, 3.0), (0, 0.0):
+    for ticked, start in ((1, 3.0), (0, 0.0)):
         forces = Forces()
         forces.t.memory.ticked = ticked
         assert forces.tick([10.0], measured=[3.0])[0] == approx(start)
@@ -242,7 +242,7 @@ def test_a_face_shows_its_tilt_where_it_carries_three_tenths_of_its_force(share,
 
 def test_an_impact_is_not_held_where_phases_close_a_contact():
     """What is measured at the moment of contact may be many times what is wanted."""
-    for phased, start in (1, 2.0), (0, 40.0):
+    for phased, start in ((1, 2.0), (0, 40.0)):
         forces = Forces(phased=phased)
         assert forces.tick([2.0], measured=[40.0])[0] == approx(start)
         found = forces.run([10.0], 60)
@@ -250,7 +250,7 @@ def test_an_impact_is_not_held_where_phases_close_a_contact():
         assert found[-1, 0] == approx(10.0)
     forces = Forces()
     assert forces.tick([-2.0], measured=[-40.0])[0] == approx(-40.0), "it may be pulled"
-    for pushes, start in (1, 0.0), (0, -40.0):
+    for pushes, start in ((1, 0.0), (0, -40.0)):
         forces = Forces()
         forces.t.model.bodies.pushes[0] = pushes
         assert forces.tick([2.0], measured=[-40.0])[0] == approx(start), "noise is no pull"
@@ -263,7 +263,7 @@ def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
     forces.run([10.0, 7.0, 2.0], 200)
     found = forces.run([12.0, 9.0, 4.0], 60)
     assert_near(found[:, 0], 4.0)
-    assert_near(found[:, 1], 12.0 - 2.0 * eased(np.arange(60) * DT / RISE), 1e-9)
+    assert_near(found[:, 1], 12.0 - 2.0 * eased(np.arange(60) * DT / RISE), atol=1e-9)
     assert forces.kept.has_desired.tolist() == [1, 0, 0]
     assert forces.kept[1].scale == 0.0 and forces.kept[0].desired == 12.0
     assert forces.kept[2].desired == 4.0 == forces.kept[2].scale
@@ -272,7 +272,7 @@ def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
 def test_without_a_rise_time_forces_are_as_they_are_wanted():
     forces = Forces(step_time=0.0)
     inner = Squeeze(step_time=0.0)
-    for goal in 10.0, -4.0, 60.0:
+    for goal in (10.0, -4.0, 60.0):
         assert forces.tick([goal])[0] == goal == inner.tick([goal])[0]
         assert forces.work.integral_scale == 1.0 and forces.work.step_left == 0.0
     forces = pressed()
@@ -299,7 +299,7 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     """v̄ follows NᵀV_rel by a share of a quarter each tick, and not while a step is made."""
     forces = pressed()
     drift = 0.0
-    for speed in 0.02, 0.02, -0.01:
+    for speed in (0.02, 0.02, -0.01):
         forces.tick([10.0], speed=[speed])
         drift += 0.25 * (speed - drift)
         assert forces.kept[0].drift == approx(drift)

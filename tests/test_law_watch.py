@@ -71,8 +71,8 @@ class Watched:
         for k in range(1, most):
             reason = self.tick(*given, **how)
             if reason != NO_REASON:
-                return k, reason
-        return 0, NO_REASON
+                return (k, reason)
+        return (0, NO_REASON)
 
 
 # --- joints ---------------------------------------------------------------------------------------
@@ -118,7 +118,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     while v > 0.0:
         way = way + (v - 0.5 * 5.0 * dt) * dt
         v = v - 5.0 * dt
-    for gap, stops in (way + 1e-3, False), (way - 1e-3, True), (-1e-3, False):
+    for gap, stops in ((way + 1e-3, False), (way - 1e-3, True), (-1e-3, False)):
         t = joints(reaction=reaction)
         q = sign * (1.0 - gap)
         found = [look(t, q, sign * speed) for _ in range(4)]
@@ -165,7 +165,7 @@ class Contacts(Watched):
 
 
 def test_power_that_moves_into_faces_adds_up():
-    commanded = 10.0, 10.0
+    commanded = (10.0, 10.0)
     for speed, ticks in {(1.0, 0.99): 0, (1.0, 1.01): 3, (2.5, -9.0): 3, (1.9, -9.0): 0}.items():
         assert Contacts().ticks_until(POWERED, (10.0, 10.0), commanded, speed) == ticks
     assert Contacts().ticks_until(POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
@@ -177,7 +177,7 @@ def test_power_that_moves_into_faces_adds_up():
 
 @parametrize("column", [0, 1])
 def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
-    for since, reason in (0.0304, NO_REASON), (0.0306, CONTACT_LOST):
+    for since, reason in ((0.0304, NO_REASON), (0.0306, CONTACT_LOST)):
         contacts = Contacts(phased=1)
         contacts.kept[2 * (1 - column)].time_since_loss = since  # columns 2 and 0 of the contacts'
         assert contacts.tick((0.0, 0.0), (2.0, 2.0)) == reason
@@ -196,7 +196,7 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
         contacts = Contacts()
         assert contacts.ticks_until(CONTACT_LOST, both(alpha, fine), commanded) == ticks
         assert contacts.memory.culprit == (-1 if not ticks else (2, 0)[column])
-    for command, ticks in (1.0, 0), (1.01, 11):  # too little to differ from nothing
+    for command, ticks in ((1.0, 0), (1.01, 11)):  # too little to differ from nothing
         assert Contacts().ticks_until(CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
     contacts = Contacts(phased=1)  # contact phases see to it
     assert contacts.ticks_until(CONTACT_LOST, both(0.0, fine), commanded) == 0
@@ -208,11 +208,11 @@ def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
 @BOTH
 def test_a_force_integral_at_its_bound_shows_that_nothing_is_measured(sign):
     """15 N, or one and a half times the command."""
-    for command, room in (4.0, 15.0), (40.0, 60.0):
-        for share, ticks in (0.98, 0), (0.995, 11):
+    for command, room in ((4.0, 15.0), (40.0, 60.0)):
+        for share, ticks in ((0.98, 0), (0.995, 11)):
             contacts = Contacts()
             contacts.memory.force_sum[1] = sign * share * room
-            given = (command, command), (command, command)
+            given = ((command, command), (command, command))
             assert contacts.ticks_until(CONTACT_LOST, *given) == ticks
             contacts.memory.force_rank = 1  # integrals of other columns
             contacts.kept[0].underforce = 0.0
@@ -221,9 +221,9 @@ def test_a_force_integral_at_its_bound_shows_that_nothing_is_measured(sign):
 
 @BOTH
 def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sign):
-    for command, alpha, ticks in (5.0, 29.9, 0), (5.0, 30.1, 6), (20.0, 59.0, 0), (20.0, 61.0, 6):
+    for command, alpha, ticks in ((5.0, 29.9, 0), (5.0, 30.1, 6), (20.0, 59.0, 0), (20.0, 61.0, 6)):
         contacts = Contacts()
-        given = (5.0, sign * alpha), (5.0, sign * command)
+        given = ((5.0, sign * alpha), (5.0, sign * command))
         assert contacts.ticks_until(OVERFORCE, *given) == ticks
         assert contacts.memory.culprit == (0 if ticks else -1)
 
@@ -260,15 +260,15 @@ def test_a_rotation_is_one_but_for_a_ten_thousandth():
         assert verdict(R @ np.diag([1, 1, -1])) == verdict(-R) == NO_ROTATION
         assert verdict(R[:, [1, 0, 2]]) == NO_ROTATION
         i, j = rng.choice(3, 2, replace=False)
-        for way in np.outer(np.eye(3)[i], R[j]), np.outer(np.eye(3)[i], 0.5 * R[i]):
-            for size, reason in (0.97e-4, NO_REASON), (1.03e-4, NO_ROTATION):
+        for way in (np.outer(np.eye(3)[i], R[j]), np.outer(np.eye(3)[i], 0.5 * R[i])):
+            for size, reason in ((0.97e-4, NO_REASON), (1.03e-4, NO_ROTATION)):
                 assert verdict(R + size * way) == reason
 
 
 @BOTH
 def test_wrenches_within_the_range_of_their_sensors(sign):
     for axis, most in enumerate([100.0] * 3 + [10.0] * 3):
-        for size, reason in (most, NO_REASON), (1.001 * most, OUT_OF_RANGE):
+        for size, reason in ((most, NO_REASON), (1.001 * most, OUT_OF_RANGE)):
             t = readings()
             t.input.wrenches[0, axis] = sign * size
             assert_read(t, reason, 0)
@@ -290,7 +290,7 @@ def test_joints_move_no_further_than_they_can(sign, unread):
     """20 mrad, and three times the speed limit since the last reading that was accepted."""
     for j, limit in enumerate((2.0, 4.0)):
         most = 0.02 + 3.0 * limit * DT * (1 + unread)
-        for way, reason in (most - 1e-6, NO_REASON), (most + 1e-6, JUMPED):
+        for way, reason in ((most - 1e-6, NO_REASON), (most + 1e-6, JUMPED)):
             t = readings()
             t.memory.joints.unread_q[j] = unread
             t.input.q[j] += sign * way
@@ -300,7 +300,7 @@ def test_joints_move_no_further_than_they_can(sign, unread):
             assert_read(t, reason, j)
             t.memory.compared = 0  # nothing to compare with
             assert sensors.check_readings(t) == NO_REASON
-        for speed, reason in (3.0 * limit, NO_REASON), (3.001 * limit, JUMPED):
+        for speed, reason in ((3.0 * limit, NO_REASON), (3.001 * limit, JUMPED)):
             t = readings()
             t.input.v[j] = sign * speed
             assert sensors.check_readings(t) == reason
@@ -346,12 +346,12 @@ def test_an_approach_uses_positions_where_speeds_read_too_little():
         true = np.array(approach.true(V))
         for _ in range(300):
             used = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s
-        assert_near(used, true, 1e-6)
+        assert_near(used, true, atol=1e-6)
         assert_array_equal(used, approach.kept.velocity_from_positions[[3, 1]])
         for _ in range(300):
             approach.tick(V, true - 0.02)
         assert_array_equal(approach.tick(V, true + 0.05), true + 0.05)  # the low-pass lags behind
-        for more in -0.0039, 0.1:
+        for more in (-0.0039, 0.1):
             approach = Approach(seed)
             for _ in range(300):
                 assert_array_equal(approach.tick(V, true + more), true + more)
@@ -370,7 +370,7 @@ def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
         assert not approach.kept.velocity_from_encoders.any()
     approach.memory.compared = 0
     assert_array_equal(approach.tick(TWIST, 0.007), 0.007)
-    for seen in approach.kept.velocity_from_positions, approach.kept.velocity_from_encoders:
+    for seen in (approach.kept.velocity_from_positions, approach.kept.velocity_from_encoders):
         assert_array_equal(seen, [0.0, 0.007, 0.0, 0.007])
     approach.memory.compared = 1
     approach.kept.known[3] = 0
@@ -485,7 +485,7 @@ def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest(state
     assert (sensors.joints.faulty == 3).all(), "no reading of it is sound"
     assert sensors.memory.unbraked == 1
     assert noisy(state).until(**STILL | {"wrench": None}, most=60) == (0, NO_REASON)
-    for joints in (), (0,), (1,):  # ideal or coarse sensors read the same at rest
+    for joints in ((), (0,), (1,)):  # ideal or coarse sensors read the same at rest
         assert noisy(state, joints).until(**STILL, most=60) == (0, NO_REASON)
     for j in range(2):
         sensors = noisy(state)
@@ -501,7 +501,7 @@ def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest(state
 
 def test_a_wrist_out_of_range_is_none_that_repeats_itself():
     """It reads something else than it did; one that is not read leaves the evidence as it is."""
-    for beyond, ends in (1e7, (0, NO_REASON)), (np.nan, (12, FROZEN)):
+    for beyond, ends in ((1e7, (0, NO_REASON)), (np.nan, (12, FROZEN))):
         sensors = noisy()
         assert sensors.until(**STILL | {"wrench": np.full((1, 6), beyond)}, most=60) == ends
 
@@ -529,7 +529,7 @@ def test_holds_of_a_stop_go_to_and_fro():
     for _ in range(61):
         follow(sensors, 1)
         seen.append(sensors.joints.hold[0])
-    assert_near(np.unique(seen), [0.0, 1.2e-4], 1e-12)
+    assert_near(np.unique(seen), [0.0, 1.2e-4], atol=1e-12)
     assert np.count_nonzero(np.diff(seen)) == 4
 
 
@@ -555,7 +555,7 @@ def test_the_encoder_of_a_stopped_joint_that_follows_its_hold_no_more_is_dead(j,
 
 
 def test_stopped_joints_that_never_followed_are_held_by_friction():
-    for how in {"joints": (1,)}, {"joints": (1,), "steps": 1}:
+    for how in ({"joints": (1,)}, {"joints": (1,), "steps": 1}):
         sensors = stopped()
         follow(sensors, 300, **how)
         follow(sensors, 300, joints=())
@@ -570,7 +570,7 @@ def test_stopped_joints_that_never_followed_are_held_by_friction():
 def test_a_stopped_joint_does_not_read_one_position_and_a_speed(sign):
     """More than 0.4 mrad, for more than 30 ms."""
     for j in range(2):
-        for speed, ticks in (0.1, 31), (0.005, 81):
+        for speed, ticks in ((0.1, 31), (0.005, 81)):
             sensors = stopped(speed_error=inf)
             v = np.zeros(2)
             v[j] = sign * speed
@@ -596,8 +596,8 @@ def test_joints_that_jump_in_one_packet_discredit_all_of_it():
     while len(found) < 20 and MIXED not in found:
         sensors.q = sensors.q + DT * v
         found.append(sensors._read(swapped, vector(9.0, 9.0), np.full((1, 6), 1e3 + len(found))))
-        assert_near(sensors.memory.v, before, 1e-6)
-        assert_near(sensors.memory.q, sensors.q, 1e-6)
+        assert_near(sensors.memory.v, before, atol=1e-6)
+        assert_near(sensors.memory.q, sensors.q, atol=1e-6)
     assert_at_last(found, MIXED)
     assert 10 <= len(found) <= 11
     assert (sensors.joints.faulty == 3).all() and sensors.memory.unbraked == 1
@@ -608,7 +608,7 @@ def test_joints_that_jump_in_one_packet_discredit_all_of_it():
         sensors.q = sensors.q + DT * v
         alone[1] = sensors.q[1]
         assert sensors._read(alone, v, np.full((1, 6), 1e3 + k)) == NO_REASON
-    assert_near(sensors.memory.q, sensors.q, 1e-6)
+    assert_near(sensors.memory.q, sensors.q, atol=1e-6)
     assert sensors.memory.unbraked == -1 and (sensors.joints.faulty == 0).all()
 
 
@@ -619,8 +619,8 @@ def test_friction_may_hold_a_joint_against_a_share_of_its_torque(sign):
     t.model.arms.end[0] = 2
     write(t.model.joints, tau_max=10.0)
     t.model.joints.theta[1, 0] = 0.25
-    t.work.joints.M[0, :2] = 2.0, 0.5
-    t.work.joints.M[1, :2] = 0.5, 1.0
+    t.work.joints.M[0, :2] = (2.0, 0.5)
+    t.work.joints.M[1, :2] = (0.5, 1.0)
     arm = t.model.arms[0]
     M = t.work.joints.M[:, :2].copy()
 
@@ -641,7 +641,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
     """Wrists are live: an encoder's card repeats itself."""
     still = np.ones(2)
     for j in range(2):
-        for speed, ticks in (1.3, 11), (0.03, 14):  # rad/s; more than 0.4 mrad, after 10.5 ms
+        for speed, ticks in ((1.3, 11), (0.03, 14)):  # rad/s; more than 0.4 mrad, after 10.5 ms
             sensors = Sensors(speed_error=inf, position_drift=0.05)
             v = np.zeros(2)
             v[j] = sign * speed
@@ -650,7 +650,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
             assert_at_last([sensors.tick(v=v, q=still) for _ in range(ticks)], DISAGREE)
             assert sensors.memory.culprit == j
             assert sensors.memory.still == approx(1e-3 * ticks)
-        for other in {"q": still + 1e-12}, {"v": v * (1.0 + 1e-12)}:
+        for other in ({"q": still + 1e-12}, {"v": v * (1.0 + 1e-12)}):
             sensors.tick(**{"v": v, "q": still} | other)
             assert sensors.memory.still == 0
     sensors = Sensors(speed_error=inf)
@@ -704,7 +704,7 @@ def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
 def test_lost_ticks_take_no_evidence_away(every):
     """Speeds mirrored, of one joint or of both, and every so many-th tick lost."""
     v = vector(0.3, -0.4)
-    for signs, found in ((1.0, -1.0), DISAGREE), ((-1.0, -1.0), MIXED):
+    for signs, found in (((1.0, -1.0), DISAGREE), ((-1.0, -1.0), MIXED)):
         sensors = Sensors(position_drift=inf)
         sensors.tick(v=v)
         for k in range(1, 60):
@@ -747,7 +747,7 @@ def test_what_is_not_read_follows_from_speeds_or_positions():
 def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
     """d' = e − d/T, T = 0.5 s, less 5 % of the speed: e (1 − exp(−t/T)) T = 50 mrad + 10 ms q̇."""
     j = int(sign > 0.0)
-    for error, speed in (0.09, 0.0), (0.13, 0.0), (0.18, 1.0), (0.19, 0.5):
+    for error, speed in ((0.09, 0.0), (0.13, 0.0), (0.18, 1.0), (0.19, 0.5)):
         sensors = Sensors()
         v = np.zeros(2)
         v[j] = sign * speed

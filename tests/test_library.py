@@ -18,7 +18,7 @@ from osc_contact.law import c_object, jit, library
 from osc_contact.law.compiled import report_to
 
 pytestmark = mark.skipif(jit.PLAIN_PYTHON, reason="nothing is compiled, so there is no library")
-TASKS = "two_contact_rod", "limited_rod"
+TASKS = ("two_contact_rod", "limited_rod")
 RUN = """
 import sys
 sys.modules["numba"] = sys.modules["llvmlite"] = None
@@ -153,7 +153,7 @@ def test_an_edit_of_any_source_of_the_law_is_another_library(made, tmp_path, mon
     monkeypatch.setattr(library, "__file__", str(tmp_path / "law" / "library.py"))
     shutil.copytree(c_object.__file__.rpartition("/")[0], tmp_path / "law")
     hashes = set()
-    for name in "library.py", "tick.py", "limits.py", "units.py", "extension.c":
+    for name in ("library.py", "tick.py", "limits.py", "units.py", "extension.c"):
         library.law_hash.cache_clear()
         hashes.add(library.law_hash())
         assert (library.load(made) is not None) == (name == "library.py")

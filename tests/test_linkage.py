@@ -37,7 +37,7 @@ def spans(A, tolerance, size=None):
     """Orthonormal columns: what A (m, n) spans, and what it takes to zero; `size` of its values."""
     U, s, Vh = svd(A)
     rank = np.count_nonzero(s > tolerance * (s.max(initial=0.0) if size is None else size))
-    return U[:, :rank], Vh[rank:].T
+    return (U[:, :rank], Vh[rank:].T)
 
 
 def settable_bars(state, chain):
@@ -61,7 +61,7 @@ def settable_bars(state, chain):
     some = size > 1e-9 * size.max(initial=0.0)
     # by the angle to null(G): an arm near a singular posture makes some forces all too easily
     apart = spans(Vh[some] @ quiet, tolerance, 1.0)[0]
-    return levers, basis @ qr((U[:, some] * size[some]) @ apart)[0]
+    return (levers, basis @ qr((U[:, some] * size[some]) @ apart)[0])
 
 
 @module_fixture
@@ -78,10 +78,10 @@ def test_commands_that_do_not_fit_the_bars_are_held(plate):
     pair = rig_of("two_contact_rod")
     desired = replace(pair.references.at(0.0), squeeze_d=vector(5.0, 5.0))
     held_tick(pair.controller(), "2 arms take a number", pair.plant().measure(), desired)
-    for bad in np.zeros(2), vector(1.0, np.nan, 0.0), np.nan, [1, 2]:
+    for bad in (np.zeros(2), vector(1.0, np.nan, 0.0), np.nan, [1, 2]):
         held = held_tick(fast, "squeeze_d", measurement, replace(reference, squeeze_d=bad))
         assert np.isfinite(held).all()
-    for bad in np.zeros((3, 1)), "5 N":
+    for bad in (np.zeros((3, 1)), "5 N"):
         with invalid_input("reference squeeze_d: expected"):
             replace(reference, squeeze_d=bad)
 
@@ -108,7 +108,7 @@ def test_a_squeezed_plate_stays_within_its_limits():
     for name, force in osc.metrics(recording)["force"].items():
         assert force["rms_error_rel"] <= 0.01, name
     assert recording["squeeze"].shape == (len(recording), 3)
-    assert_near(recording["squeeze"], 10.0, 1e-6)
+    assert_near(recording["squeeze"], 10.0, atol=1e-6)
     # at first the gaps are zero up to rounding, and the forces rise from zero
     assert recording["closed"][10:].all()
 
@@ -128,7 +128,7 @@ def test_a_step_of_the_squeeze_is_let_in_within_the_rise_time(name):
         squeezes.append(controller.result().squeeze.copy())
     x = np.clip(np.arange(-40, 80) / 50, 0.0, 1.0)
     expected = 20.0 * (10.0 * x**3 - 15.0 * x**4 + 6.0 * x**5)
-    assert_near(squeezes, np.broadcast_to(expected[:, None], np.shape(squeezes)), 1e-6)
+    assert_near(squeezes, np.broadcast_to(expected[:, None], np.shape(squeezes)), atol=1e-6)
     assert largest(np.diff(squeezes, axis=0)) < 0.8, "20 N in one tick without a rise"
 
 
@@ -152,20 +152,20 @@ def answer(state, chain):
     write(work, points=state.grasp_points, carried=carried, owners=owners, locked=len(beta))
     write(work, reflectors=reflectors, beta=beta)
     work.axes[0] = L[:3, :3].T
-    for out in work.levers, work.basis, work.scratch:
+    for out in (work.levers, work.basis, work.scratch):
         out[:] = np.nan
     s = allocation.settable_bars(t, len(locked))
     basis = work.basis[:, :s]
-    assert_near(basis.T @ basis, np.eye(s), 1e-12)
+    assert_near(basis.T @ basis, np.eye(s), atol=1e-12)
     assert s < len(work.levers) or (work.basis == np.eye(s)).all()
-    return work.levers, basis
+    return (work.levers, basis)
 
 
 def assert_same(got, expected):
     """The same levers, and bases that span the same."""
-    assert_near(got[0], expected[0], 1e-10 * largest(expected[0]), 0)
+    assert_near(got[0], expected[0], atol=1e-10 * largest(expected[0]), rtol=0)
     assert got[1].shape == expected[1].shape
-    assert_close(got[1] @ got[1].T, expected[1] @ expected[1].T, 1e-9)
+    assert_close(got[1] @ got[1].T, expected[1] @ expected[1].T, tolerance=1e-9)
 
 
 def without_motors(case, rng, share):
@@ -175,7 +175,7 @@ def without_motors(case, rng, share):
     names = list(arms[i].model.names)[1:]
     limp = tuple(name for name in names if name in arms[i].passive_joints or rng.random() < share)
     arms[i] = replace(arms[i], passive_joints=limp)
-    parts = arms, case.chain.grasps, case.chain.payload
+    parts = (arms, case.chain.grasps, case.chain.payload)
     return replace(case, chain=osc.ClosedChain(*parts, allow_unactuated=True))
 
 
@@ -208,7 +208,7 @@ def draw(how, rng):
     if how == "strong":
         case.chain.tau_max[: case.chain.arms[0].model.nv - 1] *= 1e4
     state = case.at_rest()
-    return case, replace(state, grasp_points=moved_points(state.grasp_points, how, rng))
+    return (case, replace(state, grasp_points=moved_points(state.grasp_points, how, rng)))
 
 
 @parametrize(
@@ -240,7 +240,7 @@ def test_it_decides_as_singular_values_do(how, least, most):
 
 def test_eight_arms_of_seven_joints():
     rng = default_rng(81)
-    for kinds in ["rigid"] * 8, ["rigid", *["cylinder"] * 7]:
+    for kinds in (["rigid"] * 8, ["rigid", *["cylinder"] * 7]):
         case = random_case(["panda"] * 8, kinds, rng)
         state = case.at_rest()
         levers, basis = answer(state, case.chain)

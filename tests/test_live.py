@@ -57,7 +57,7 @@ def get(viewer, path="/", **headers):
     answer = connection.getresponse()
     text = answer.read().decode()
     connection.close()
-    return answer.status, text
+    return (answer.status, text)
 
 
 def feed(viewer, seconds):
@@ -124,7 +124,7 @@ def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(las
     async def watch():
         client = await connect(lasting)
         picture = await client.picture()
-        for tick in 45, 100:
+        for tick in (45, 100):
             newest = TICKS[tick]
             while picture["t"] != newest["t"]:
                 await asyncio.sleep(0.02)
@@ -194,7 +194,7 @@ def test_foreign_names_and_foreign_pages_get_nothing(lasting):
     assert get(lasting, Host="evil.example")[0] == 404
     assert get(lasting, Host=f"localhost:{port(lasting)}")[0] == 200
     long = "/no/such/page" + "x" * 5000
-    for path in "/static/../etc/passwd", "//etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", long:
+    for path in ("/static/../etc/passwd", "//etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", long):
         assert get(lasting, path)[0] in (400, 404)
     with socket.create_connection(("127.0.0.1", port(lasting))) as raw:
         raw.sendall(b"\0\xff garbage " * 500)
@@ -296,7 +296,7 @@ def test_at_most_so_many_ticks_per_second_are_sent():
             sent += viewer._due != due
             time.sleep(TICK_S)
         assert 2 <= sent <= 21
-    for rate in 0.0, 61.0, float("nan"):
+    for rate in (0.0, 61.0, float("nan")):
         with invalid_input("1 to 60"):
             osc.Viewer((), rate=rate)
 

@@ -25,7 +25,7 @@ TICKS = 30
 pytestmark = mark.usefixtures("usual_handlers")
 
 
-RIGID = "two_contact_rod", "plant.type=rigid", "plant.step=1 ms"
+RIGID = ("two_contact_rod", "plant.type=rigid", "plant.step=1 ms")
 
 
 def plan(rig, ticks=TICKS):
@@ -35,7 +35,7 @@ def plan(rig, ticks=TICKS):
 def started(*scenario):
     """A rig, its plant and its controller."""
     rig = rig_of(*scenario)
-    return rig, *start(rig)
+    return (rig, *start(rig))
 
 
 class Hardware:
@@ -78,9 +78,9 @@ def test_hardware_without_a_truth_leaves_a_recording(scenario):
     assert_array_equal(found["tau"], [tau for tau, _ in robot.sent])
     assert {duration for _, duration in robot.sent} == {1.0 / rig.scenario.control.rate}
     run = run_of(rig.scenario, duration=TICKS * controller.dt)
-    for channel in "pose", "twist", "N", "face_pose", "contact_point":
-        assert_near(found[channel], run[channel], 1e-9, name=channel)
-    assert_near(found["alpha_meas"], run["alpha_true"], 1e-9, 1e-6)
+    for channel in ("pose", "twist", "N", "face_pose", "contact_point"):
+        assert_near(found[channel], run[channel], atol=1e-9, name=channel)
+    assert_near(found["alpha_meas"], run["alpha_true"], atol=1e-9, rtol=1e-6)
     assert np.ptp(run["pose"][:, :3], axis=0).max() > 1e-7
     assert found["closed"].all() and found.magnitude_names == ["left_end", "right_end"]
     with recording_error("no judge took part"):
@@ -145,7 +145,7 @@ def test_a_viewer_needs_what_is_recorded():
     assert len(seen) == 3 and len(seen[0]) > 10 and seen[2]["N"].shape == (6, 2)
     for k, tick in enumerate(seen):
         for name, value in tick.items():
-            assert_near(value, recording[name][k], 1e-14, name=name)
+            assert_near(value, recording[name][k], atol=1e-14, name=name)
 
 
 # How `run_loop` ends: the robot is stopped at once and with a reason, by real signals, too.
@@ -220,7 +220,7 @@ def test_a_stop_is_reported_in_its_tick_and_braking_continues():
     robot = Robot()
     loop_of(robot, 8, [3, 6])
     assert robot.stops == ["tick 3: an encoder", "tick 6: an encoder", ""]
-    stop = "stop", "tick 3: an encoder"
+    stop = ("stop", "tick 3: an encoder")
     at = robot.calls.index(stop)
     assert robot.calls[at - 1 : at + 2] == [("measure",), stop, ("command", -1.0)]
     sent = [given[0] for name, *given in robot.calls if name == "command"]
@@ -377,4 +377,4 @@ def test_a_process_that_is_signalled_stops_its_robot_and_keeps_its_recording(num
     assert (tmp_path / "stops").read_text().split("\n")[:-1] == [signal.Signals(number).name]
     recording = osc.Recording.load(tmp_path / "recording.npz")
     assert len(recording) >= 50 and np.isfinite(recording["tau"]).all()
-    assert_near(np.diff(recording["t"]), 1e-3, 1e-9)
+    assert_near(np.diff(recording["t"]), 1e-3, atol=1e-9)

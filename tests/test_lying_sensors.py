@@ -26,7 +26,7 @@ def test_ticks_without_a_wrench_use_the_last_one_for_a_while(case):
     gone = replace(case.measurement, wrenches=np.full((2, 6), NAN), wrench_valid=False)
     controller = case.controller()
     other = case.controller()
-    for each in controller, other:
+    for each in (controller, other):
         each.tick(*case.given)
     sums = controller.force_integral.copy()
     states = []
@@ -36,7 +36,7 @@ def test_ticks_without_a_wrench_use_the_last_one_for_a_while(case):
         other.force_integral = sums  # what is old is not integrated
         states.append(controller.state)
         if len(states) == 1:
-            assert_near(tau, expected, 1e-1, 0)
+            assert_near(tau, expected, atol=1e-1, rtol=0)
         if len(states) <= 20:
             assert_array_equal(controller.force_integral, sums)
     assert states == [DEGRADED] * 20 + [DEGRADED] * 2 + [HOLD] * 3
@@ -52,7 +52,7 @@ def test_packets_that_repeat_are_used_for_a_while_and_late_ones_are_not(case):
 
     controller = case.controller()
     controller.tick(number(4), case.reference)
-    for k, status in (5, "OK"), (5, "OK"), (3, "HELD"), (6, "OK"), (60, "OK"):
+    for k, status in ((5, "OK"), (5, "OK"), (3, "HELD"), (6, "OK"), (60, "OK")):
         controller.tick(number(k), case.reference)
         assert controller.status is osc.Status[status], (k, controller.reason)
         if status == "HELD":

@@ -74,14 +74,14 @@ def test_mass_matrix_forces_and_frames_are_mujocos(mj):
         truth.qvel[dofs] = v
         mujoco.mj_forward(mj, truth)
         data = terms_at(model, q, v)
-        assert_near(data.M, mass_matrix(mj, truth)[np.ix_(dofs, dofs)], 1e-12)
-        assert_near(data.nle, truth.qfrc_bias[dofs], 1e-12)
-        for name in "wrist", "tip":
+        assert_near(data.M, mass_matrix(mj, truth)[np.ix_(dofs, dofs)], atol=1e-12)
+        assert_near(data.nle, truth.qfrc_bias[dofs], atol=1e-12)
+        for name in ("wrist", "tip"):
             X = data.oMf[model.getFrameId(name)]
-            assert_near(X.translation, truth.site(name).xpos, 1e-12)
-            assert_near(X.rotation.ravel(), truth.site(name).xmat, 1e-12)
+            assert_near(X.translation, truth.site(name).xpos, atol=1e-12)
+            assert_near(X.rotation.ravel(), truth.site(name).xmat, atol=1e-12)
         hand = data.oMf[robots.frame_id(model, "hand")]
-        assert_near(hand.translation, truth.body("hand").xpos, 1e-12)
+        assert_near(hand.translation, truth.body("hand").xpos, atol=1e-12)
 
 
 def test_joints_have_the_files_numbers(mj):
@@ -108,12 +108,12 @@ def test_an_arm_has_its_rotors_and_a_link_may_be_called_as_its_joint(tmp_path):
 
 def test_a_urdf_whose_links_are_called_as_its_joints(tmp_path):
     text = robots.urdf_path("scara_left").read_text()
-    for name, link in ("joint1", "upper_arm"), ("joint2", "forearm"):
+    for name, link in (("joint1", "upper_arm"), ("joint2", "forearm")):
         assert f'"{link}"' in text
         text = text.replace(f'"{link}"', f'"{name}"')
     file = tmp_path / "same.urdf"
     file.write_text(text)
-    for locked in {}, {"joint1": 0.3}:
+    for locked in ({}, {"joint1": 0.3}):
         arm = osc.Arm.from_urdf(
             file,
             name="a",
@@ -272,8 +272,8 @@ def test_both_plants_accelerate_an_arm_from_mjcf_alike(tmp_path):
 
     ours = fallen(scenario)
     theirs = fallen(scenario.replaced(plant={"type": "rigid", "step": 5e-5}))
-    assert_near(ours.q, theirs.q, 1.5e-5)
-    assert_near(ours.wrenches, theirs.wrenches, 0.05)
+    assert_near(ours.q, theirs.q, atol=1.5e-5)
+    assert_near(ours.wrenches, theirs.wrenches, atol=0.05)
 
 
 def test_check_describes_it_and_refuses_with_exit_code_1(tmp_path):
@@ -315,7 +315,7 @@ def test_an_mjcf_file_called_urdf_does_not_pass_by_the_checks_of_urdfs(tmp_path)
     written = ARM.replace('<geom size="0.03" mass="0.4"/>', shape).replace("<worldbody>", assets)
     file = folder / "x.urdf"
     file.write_text(written)
-    for load in robots.load_robot, robots.compile_mjcf:
+    for load in (robots.load_robot, robots.compile_mjcf):
         with model_error(r"not called \.urdf"):
             load(file)
     with model_error(r"begins with <robot>.*not called \.urdf"):
@@ -334,7 +334,7 @@ def test_a_file_larger_than_any_robots_is_refused_unread(tmp_path, monkeypatch, 
     file.write_text("<mujoco>" + " " * 2**23 + "</mujoco>")
     monkeypatch.setattr(robots.mjcf, "iterparse", parsed)
     monkeypatch.setattr(mujoco.MjModel, "from_xml_path", parsed)
-    for load in robots.load_robot, robots.compile_mjcf:
+    for load in (robots.load_robot, robots.compile_mjcf):
         with model_error("larger than 8 MiB"):
             load(file)
 

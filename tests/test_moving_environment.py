@@ -196,7 +196,7 @@ test_impossible_bodies_are_refused = refusals(
 
 def test_impossible_mechanisms_and_dependent_contacts_are_refused():
     body = linkage(default_rng(46), np.zeros(3))
-    args = body.q, body.v, body.tau
+    args = (body.q, body.v, body.tau)
     with model_error("touchd"):
         Environment.articulated(body.model, *args, "touchd", np.zeros(3))
     with refused("tau: expected shape"):
@@ -226,6 +226,6 @@ def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_
 def test_contact_response_needs_exactly_one_command():
     state = scaras(15)
     nothing = osc.Contact(np.zeros((6, 0)))
-    for commands in {}, {"tau": np.zeros(8), "f_S": np.zeros(5)}:
+    for commands in ({}, {"tau": np.zeros(8), "f_S": np.zeros(5)}):
         with refused("exactly one"):
             contact_response(state, nothing, **commands)

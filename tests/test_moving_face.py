@@ -31,7 +31,7 @@ FACES = {
 }
 TURNING = FACES["turning conveyor"]
 HINGE = FACES["hinge with spring"]
-RIGID = "plant.type=rigid", "plant.step=1 ms"
+RIGID = ("plant.type=rigid", "plant.step=1 ms")
 
 
 def times(count, start=1.0):
@@ -45,7 +45,7 @@ def on_the_move(rig, count=60, start=1.0):
     controller = rig.controller()
     if count:
         osc.run_loop(plant, controller, rig.references.over(times(count, start)))
-    return plant, controller
+    return (plant, controller)
 
 
 @parametrize("changes", FACES.values(), ids=FACES)
@@ -80,11 +80,11 @@ def test_a_free_face_takes_the_power_of_its_contact(changes):
         rate = faces.rates[0][joint]
         V_e = rail.twist(faces.s[0], faces.rates[0], truth.X_WO.translation)
         N = rig.pairs[0].contact(truth.X_WO, truth.V_O, truth.X_WE[0]).N
-        assert_near(N.T @ (truth.V_O - V_e), 0.0, 1e-12)
+        assert_near(N.T @ (truth.V_O - V_e), 0.0, atol=1e-12)
         power.append(truth.alpha[0] * (N.T @ V_e)[0] - rail.damping * rate**2)
         energy.append((rail.inertia * rate**2 + rail.stiffness * s**2) / 2 - load * s)
     power = np.array(power)
-    assert_near(np.diff(energy), 1e-3 * (power[1:] + power[:-1]) / 2, 2e-6 * largest(power))
+    assert_near(np.diff(energy), 1e-3 * (power[1:] + power[:-1]) / 2, atol=2e-6 * largest(power))
     assert largest(power) > 1e-3
 
 
@@ -99,7 +99,7 @@ def swinging(rng):
 
     def motion(t):
         x = w * t + phase
-        return A * np.sin(x), A * w * np.cos(x), -A * w**2 * np.sin(x)
+        return (A * np.sin(x), A * w * np.cos(x), -A * w**2 * np.sin(x))
 
     return osc.Rail(direction(rng), direction(rng), rng.standard_normal(3), motion)
 
@@ -108,7 +108,7 @@ def placed(rail, t):
     s, rates, second = rail.motion(t)
     X = rail.pose(s)
     p = X.translation
-    return X, rail.twist(s, rates, p), rail.acceleration(s, rates, second, p)
+    return (X, rail.twist(s, rates, p), rail.acceleration(s, rates, second, p))
 
 
 def test_twist_and_acceleration_are_the_derivatives_of_the_pose():
@@ -117,12 +117,12 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose():
         rail = swinging(rng)
         t = rng.uniform(0, 5)
         (X0, V0, _), (X, V, A), (X1, V1, _) = (placed(rail, t + dt) for dt in (-H, 0.0, H))
-        assert_near(V, displacement(X0, X1) / (2 * H), 1e-5)
-        assert_near(A, (V1 - V0) / (2 * H), 1e-5)
+        assert_near(V, displacement(X0, X1) / (2 * H), atol=1e-5)
+        assert_near(A, (V1 - V0) / (2 * H), atol=1e-5)
         (travel, angle), *_ = rail.motion(t)
-        assert_near(X.rotation, pin.exp3(angle * rail.axis), 1e-12)
+        assert_near(X.rotation, pin.exp3(angle * rail.axis), atol=1e-12)
         hinge = rail.through + travel * rail.direction
-        assert_near(X.act(rail.through), hinge, 1e-12)
+        assert_near(X.act(rail.through), hinge, atol=1e-12)
 
 
 @parametrize("face", [FACES["conveyor"], TURNING], ids=["conveyor", "turning"])
@@ -137,10 +137,10 @@ def test_a_driven_face_is_where_its_signals_say(plant, face):
     hinge = [turn.axis, turn.through] if turn else np.zeros((2, 3))
     X, V, A = placed(osc.Rail(*np.array([motion.direction, *hinge]), lambda _: s), 0.15)
     touched = plant.measure().touched
-    assert_near(touched.X_WE[0], X.homogeneous, 1e-7)
-    assert_near(touched.V_E[0], V, 1e-5)
-    assert_near(touched.A_E[0], A, 1e-7)
-    assert_near(plant.truth().X_WE[0].homogeneous, touched.X_WE[0], 1e-5)
+    assert_near(touched.X_WE[0], X.homogeneous, atol=1e-7)
+    assert_near(touched.V_E[0], V, atol=1e-5)
+    assert_near(touched.A_E[0], A, atol=1e-7)
+    assert_near(plant.truth().X_WE[0].homogeneous, touched.X_WE[0], atol=1e-5)
     assert_array_equal(touched.X_WE[1], np.eye(4))
     assert s[0, 0] > 1e-4 and (abs(s[1, 1]) > 1e-2) == (turn is not None)
 
@@ -151,10 +151,10 @@ def test_motions_are_evaluated_once_an_instant_and_anew_at_the_next():
 
     def motion(t):
         evaluated.append(t)
-        return size * t, size, 0.0 * size
+        return (size * t, size, 0.0 * size)
 
     faces = Faces([osc.Rail(axis=[0, 0, 1], motion=motion), osc.Rail()], (0, 1, 0))
-    for t in 0.0, 0.1, 0.1, 0.3, 0.1:
+    for t in (0.0, 0.1, 0.1, 0.3, 0.1):
         faces.s[:] = 7.0  # a plant may have moved them meanwhile
         faces.drive(t)
         assert_array_equal([faces.s, faces.rates], [[[t, t], [7, 7]], [[1, 1], [0, 0]]])
@@ -175,7 +175,7 @@ def test_readings_of_a_face_are_those_of_their_instant_whenever_they_are_looked_
     read, copied, changed = (plant.measure().touched for _ in range(3))
     plant.command(np.zeros(plant.chain.n_a), 4e-3)
     now = plant.measure().touched
-    copies = pickle.loads(pickle.dumps(copied)), copy.deepcopy(read), replace(changed)
+    copies = (pickle.loads(pickle.dumps(copied)), copy.deepcopy(read), replace(changed))
     for old in (read, known, *copies):
         for x, y in zip((old.X_WE, old.V_E, old.A_E), expected, strict=True):
             assert_array_equal(x, y)
@@ -251,9 +251,9 @@ def test_tracked_contacts_are_looked_up_again_after_a_while_and_agree_with_the_d
         V_O, V_E = rng.standard_normal((2, 6))
         moved = X_WE * shift(along) * X
         ours, truth = (one.contact(moved, V_O, X_WE, V_E) for one in (tracked, pair))
-        assert_near(ours.N, truth.N, 1e-9)
-        assert_near(ours.n_gamma, truth.n_gamma, 1e-9)
-        assert_near(tracked.gaps(moved, X_WE), pair.gaps(moved, X_WE), 1e-9)
+        assert_near(ours.N, truth.N, atol=1e-9)
+        assert_near(ours.n_gamma, truth.n_gamma, atol=1e-9)
+        assert_near(tracked.gaps(moved, X_WE), pair.gaps(moved, X_WE), atol=1e-9)
         seen.append(tracked.lookups)
     assert seen[0] == 1 and 2 < seen[-1] < 10
     away = shift(0.1 * pair.normal) * X

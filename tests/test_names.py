@@ -37,7 +37,7 @@ def code_and_text(source):
             words |= set(WORD.findall(IN_BACKTICKS.sub("", token.string)))
         elif token.type == tokenize.NAME:
             words.add(token.string)
-    return words, texts
+    return (words, texts)
 
 
 @fixture(scope="module")

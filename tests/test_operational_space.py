@@ -76,7 +76,7 @@ def textbook(arm, q, v):
         J_bar = bar @ Lambda
         mu = J_bar.T @ (data.nle - data.g) - Lambda @ drift
         terms |= {"Lambda": Lambda, "J_bar": J_bar, "p": J_bar.T @ data.g, "mu": mu}
-    return terms, M, chi
+    return (terms, M, chi)
 
 
 def states(arm, count, seed=30):
@@ -84,7 +84,7 @@ def states(arm, count, seed=30):
     rng = default_rng(seed)
     for k in range(count):
         size = 10.0 ** rng.uniform(-5.0, 0.0) if k % 2 else 1.0
-        yield size * rng.uniform(-2.5, 2.5, arm.model.nq), rng.standard_normal(arm.model.nv)
+        yield (size * rng.uniform(-2.5, 2.5, arm.model.nq), rng.standard_normal(arm.model.nv))
 
 
 def test_they_are_the_textbooks_on_500_states(arm):
@@ -96,7 +96,7 @@ def test_they_are_the_textbooks_on_500_states(arm):
         for name, x in expected.items():  # χ of J is exact to 1e-16
             x = x.astype(float)
             atol = max(1e-10, 1e-14 / chi[-1]) * largest(x)
-            assert_near(getattr(got, name), x, atol, 0, name)
+            assert_near(getattr(got, name), x, atol=atol, rtol=0, name=name)
         if rank_of(chi, 0.9) == rank_of(chi, 1.1):
             assert got.rank == rank
         if "Lambda" in expected:
@@ -106,19 +106,19 @@ def test_they_are_the_textbooks_on_500_states(arm):
         if got.rank == 6:
             wrench = got.J_bar.T @ (M @ a + got.h)
             atol = max(1e-9, 1e-15 / chi[-1] ** 2) * largest(wrench)
-            assert_near(F, wrench, atol, 0)
+            assert_near(F, wrench, atol=atol, rtol=0)
         elif got.rank == arm.model.nv:  # the structure carries the rest of F
-            assert_near(got.J.T @ F, M @ a + got.h, 1e-6, 0)
+            assert_near(got.J.T @ F, M @ a + got.h, atol=1e-6, rtol=0)
             R_S = BALL**2 @ got.J  # Λ = R S (SᵀR Φ R S)⁻¹ SᵀR with S = J
             half = R_S @ inverse(got.J.T @ R_S)
             Lambda = (half @ M @ half.T).astype(float)
             # rounding of M and J, which every BLAS kernel does in another order
             atol = max(1e-8, 3e-15 / chi[rank - 1] ** 2) * largest(Lambda)
-            assert_near(got.Lambda, Lambda, atol, 0)
+            assert_near(got.Lambda, Lambda, atol=atol, rtol=0)
         P = got.J @ got.J_bar
         atol = max(1e-6, 1e-12 / chi[rank - 1] ** 2)
-        assert_near(got.Phi @ got.Lambda, P, atol, 0)
-        assert_near(P @ P, P, atol, 0)
+        assert_near(got.Phi @ got.Lambda, P, atol=atol, rtol=0)
+        assert_near(P @ P, P, atol=atol, rtol=0)
     assert least < 5e-4 or arm.model.nv < 6, "near-singular states are among them"
 
 
@@ -135,7 +135,7 @@ def test_rows_threads_and_memory_given_change_nothing(arm):
         osc.operational_space(arm, np.repeat(q[k], 2)[::2], v[k], kept)
         assert np.shares_memory(memory, kept.Lambda)
         for name in osc.OperationalSpace.__annotations__:
-            for one in other, kept:
+            for one in (other, kept):
                 assert_array_equal(getattr(batch, name)[k], getattr(one, name), err_msg=name)
 
 

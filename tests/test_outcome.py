@@ -76,7 +76,7 @@ def test_a_step_is_reported_with_its_overshoot_and_the_first_contact_too():
         made({"force_steps_s": [2.0]}, alpha_cmd=command, alpha_true=truth, closed=closed)
     )
     assert verdict["first_contact_s"] == {"tip": approx(0.04)}
-    keys = "what", "from_N", "to_N", "peak_N", "overshoot_rel"
+    keys = ("what", "from_N", "to_N", "peak_N", "overshoot_rel")
     assert [[step[key] for key in keys] for step in verdict["steps"]] == [
         ["first contact", 0.0, 10.0, 13.0, approx(0.3)],
         ["step", 10.0, 4.0, approx(3.4), approx(0.1)],
@@ -205,7 +205,7 @@ def test_a_run_that_begins_with_an_approach_is_judged_by_its_phases():
 
 
 def test_a_power_ratio_that_is_large_has_a_reason():
-    for share, words in (1.41, ("141 %", "power into the contacts")), (0.01, ("ratio 1 %",)):
+    for share, words in ((1.41, ("141 %", "power into the contacts")), (0.01, ("ratio 1 %",))):
         verdict = osc.metrics(made(power_projected=np.full(TICKS, share)))
         assert any(all(word in row for word in words) for row in rows_of(verdict))
 

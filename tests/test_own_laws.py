@@ -61,7 +61,7 @@ def test_a_law_that_returns_nonsense_holds_the_torques(rig, law, returned, words
             raise returned
         return returned
 
-    given = rig.plant().measure(), rig.references.at(0.0)
+    given = (rig.plant().measure(), rig.references.at(0.0))
     controller = rig.controller()
     before = controller.tick(*given)
     controller = controller.with_laws(**{law: nonsense})
@@ -79,9 +79,9 @@ def paper(s):
     r = N.shape[1]
     weight = S.T @ s.state.metric
     K = np.block([[weight @ S, S.T @ N], [N.T @ S, np.zeros((r, r))]])
-    known = weight @ (s.a_u - s.state.sigma), s.contact.n_gamma - N.T @ s.state.sigma
+    known = (weight @ (s.a_u - s.state.sigma), s.contact.n_gamma - N.T @ s.state.sigma)
     eta = solve(K, np.concatenate(known))[: len(weight)]
-    return eta, s.state.Lambda_S @ eta + s.state.b_S + S.T @ N @ s.alpha_u
+    return (eta, s.state.Lambda_S @ eta + s.state.b_S + S.T @ N @ s.alpha_u)
 
 
 def test_a_motion_law_commands_a_classical_acceleration(rig):
@@ -91,7 +91,7 @@ def test_a_motion_law_commands_a_classical_acceleration(rig):
     controller = motion_law(lambda: lambda *_: desired)(rig.controller())
     ticked(controller, read, rig.references.at(0.0))
     s = controller.signals
-    assert_near(s.a_u + product(s.state.V_O), desired, 1e-12)
+    assert_near(s.a_u + product(s.state.V_O), desired, atol=1e-12)
     assert largest(product(s.state.V_O)) > 1e-6
 
 
@@ -131,7 +131,7 @@ def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig):
         measurement = plant.measure()
         tau = plain.tick(measurement, reference)
         for other in others:
-            assert_near(ticked(other, measurement, reference), tau, 1e-8, 0)
+            assert_near(ticked(other, measurement, reference), tau, atol=1e-8, rtol=0)
         plant.hold(tau)
         plant.command(tau, 2e-3)
     assert largest(plain.force_integral) > 1e-6
@@ -149,7 +149,7 @@ def test_laws_stay_when_gains_change_and_can_be_taken_out_again(rig):
     assert not second.calls, "every controller has its own law"
     changed = own.with_gains(plain.gains.replaced(force=osc.ForceGains(10.0, 5.0)))
     changed.tick(measurement, reference)
-    assert_near(changed.signals.alpha_u, reference.alpha_d + [1.0, -2.0], 1e-12)
+    assert_near(changed.signals.alpha_u, reference.alpha_d + [1.0, -2.0], atol=1e-12)
     back = own.with_laws(force=None)
     assert_array_equal(back.tick(measurement, reference), plain.tick(measurement, reference))
     with refused("with_laws"):
@@ -176,9 +176,9 @@ def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(rig, kind, movin
         X = np.array([pin.exp6(0.02 * rng.standard_normal(6)).homogeneous for _ in made])
         V, A = rng.standard_normal((2, len(made), 6))
         measurement = replace(measurement, touched=Touched(X, 0.1 * V, A))
-    for friction in osc.Friction(0.4), None:
+    for friction in (osc.Friction(0.4), None):
         torques = []
-        for pairs in rig.pairs, made, [made[0], rig.pairs[1]]:
+        for pairs in (rig.pairs, made, [made[0], rig.pairs[1]]):
             controller = osc.Controller(rig.model, pairs, rig.gains, dt=2e-3, friction=friction)
             torques.append(ticked(controller, measurement, reference))
         assert controller.signals.friction_wrenches.any() == (friction is not None)
@@ -206,7 +206,7 @@ def moving(rig, seed):
     at = rig.references.at(0.36)
     small = 2e-3 * default_rng(seed).standard_normal((3, 6))
     X = pin.SE3(at.X_WD.rotation @ pin.exp3(small[0, 3:]), at.X_WD.translation + small[0, :3])
-    return plant, replace(at, X_WD=X, V_D=at.V_D + small[1], A_D=at.A_D + small[2])
+    return (plant, replace(at, X_WD=X, V_D=at.V_D + small[1], A_D=at.A_D + small[2]))
 
 
 def answered(rig, plant, controller, reference):
@@ -217,7 +217,7 @@ def answered(rig, plant, controller, reference):
     state = s.state
     moved = state.Lambda @ a + state.mu + state.p + s.contact.N @ alpha
     reading = s.f_meas - controller.result().bias_out
-    return s, reading, state.S.T @ moved
+    return (s, reading, state.S.T @ moved)
 
 
 def inertial(s, A):
@@ -225,7 +225,7 @@ def inertial(s, A):
     state = s.state
     P = solve(state.S.T @ state.metric @ state.S, state.S.T @ state.metric)
     eta = P @ (classical_to_spatial(A, state.V_O) - state.sigma)
-    return state.Lambda_S @ eta + state.b_S, P
+    return (state.Lambda_S @ eta + state.b_S, P)
 
 
 @parametrize("ratio", [0.0, 0.7])
@@ -243,7 +243,7 @@ def test_impedance_is_a_spring_and_a_damper_on_the_arms_own_inertia(exact, ratio
         spring = KEYS * e + s.contact.N @ s.alpha_d
         expected = expected + state.S.T @ spring + D @ P @ (reference.V_D - state.V_O)
         assert largest(state.S.T @ (KEYS * e)) > 0.05
-        assert_near(moved, expected, 1e-7, 0)
+        assert_near(moved, expected, atol=1e-7, rtol=0)
 
 
 def test_admittance_moves_the_set_point_by_the_force(exact):
@@ -265,7 +265,7 @@ def test_admittance_moves_the_set_point_by_the_force(exact):
         A = reference.A_D + acceleration + omega**2 * e
         A = A + 2.0 * omega * (reference.V_D + rate - s.state.V_O)
         expected = inertial(s, A)[0] + s.state.S.T @ reading
-        assert_near(moved, expected, 1e-7, 0)
+        assert_near(moved, expected, atol=1e-7, rtol=0)
     assert largest(c) > 1e-7
 
 

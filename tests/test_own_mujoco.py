@@ -89,7 +89,7 @@ def ready(robot, pair=WALL, guess=START, **how):
     start = robot.touching(guess)
     robot.reset(start)
     controller = osc.Controller(robot.chain, [pair], posture=start, **how)
-    return controller, robot.chain.state(start).X_WO
+    return (controller, robot.chain.state(start).X_WO)
 
 
 def wiping(X, amplitude=0.04, alpha=10.0):
@@ -97,7 +97,7 @@ def wiping(X, amplitude=0.04, alpha=10.0):
     w = 3.0
 
     def along(t):
-        along_z = 1 - np.cos(w * t), w * np.sin(w * t), w**2 * np.cos(w * t)
+        along_z = (1 - np.cos(w * t), w * np.sin(w * t), w**2 * np.cos(w * t))
         p, v, a = np.outer(along_z, [0, 0, amplitude])
         return osc.pose_reference(X.translation + p, X.rotation, v, a, alpha_d=[alpha])
 
@@ -138,15 +138,15 @@ def test_scene_is_robot_and_judge(actuators):
     spy = Spy(controller, robot)
     osc.run_loop(robot, controller, map(wiping(X), np.arange(0, 2.5, 1e-3)), recorder=spy)
     recording = spy.recording()
-    assert_near(recording["alpha_true"][:, 0], spy.pushes, 1e-9)
+    assert_near(recording["alpha_true"][:, 0], spy.pushes, atol=1e-9)
     verdict = osc.metrics(recording)
     assert worst_force(verdict) < 5e-3 and verdict["motion"]["rms_error_m"] < 1e-4
     assert verdict["contact_fraction"]["wall"] == 1.0
     assert verdict["task"]["word"] == "OK" and verdict["scenario"] is None
     assert np.ptp(recording["pose"][:, 2]) > 0.07  # it went there
     site = robot.data.site("tip")
-    assert_near(robot.poses()[1, :3, 3], site.xpos, 1e-12)
-    assert_near(robot.poses()[1, :3, :3].ravel(), site.xmat, 1e-12)
+    assert_near(robot.poses()[1, :3, 3], site.xpos, atol=1e-12)
+    assert_near(robot.poses()[1, :3, :3].ravel(), site.xmat, atol=1e-12)
     assert robot.data.joint("grip").qpos[0] == approx(0.03, abs=1e-3)
     assert robot.data.body("ball").xpos[0] == approx(-2.0, abs=1e-3)
 
@@ -206,7 +206,7 @@ def task(model=None, pair=WALL, alpha=10.0, amplitude=0.02, ticks=1500, guess=ST
     robot = robot_of(scene() if model is None else model, contacts=[pair])
     controller, X = ready(robot, pair, guess, **how)
     along = wiping(X, amplitude, alpha)
-    return robot, controller, [along(1e-3 * k) for k in range(ticks)]
+    return (robot, controller, [along(1e-3 * k) for k in range(ticks)])
 
 
 def heavy(factor):
@@ -214,7 +214,7 @@ def heavy(factor):
     model.body_mass[:] *= factor
     model.body_inertia[:] *= factor
     model.actuator_ctrllimited[:] = 1
-    model.actuator_ctrlrange[:] = -40, 40
+    model.actuator_ctrlrange[:] = (-40, 40)
     return model
 
 
@@ -225,7 +225,7 @@ def short(limit):
     """The elbow's range ends so far beyond its position in contact."""
     model = scene()
     at = robot_of(model).touching(NEAR)[1]
-    model.joint("elbow").range[:] = at - limit, at + limit
+    model.joint("elbow").range[:] = (at - limit, at + limit)
     model.joint("elbow").limited[:] = 1
     return model
 
@@ -295,7 +295,7 @@ def off_the_wall(**how):
     """The robot at rest 20 mm before the wall, a controller that approaches it, and its pose."""
     robot = robot_of(scene())
     robot.contacts = [replace(WALL, point=[0.48, 0, 0.5])]
-    return robot, *ready(robot, life=osc.PhaseSettings(), **how)
+    return (robot, *ready(robot, life=osc.PhaseSettings(), **how))
 
 
 def test_a_wrist_without_gravity_is_refused_at_the_door():
@@ -316,14 +316,14 @@ def test_force_sensors_read_the_same_after_a_step_in_two_halves():
     """What the lower bound of MuJoCo rests on: 3.5 leaves out what velocities contribute."""
     model = scene()
     whole, halves = mujoco.MjData(model), mujoco.MjData(model)
-    for data in whole, halves:
+    for data in (whole, halves):
         data.qvel[:] = 1.0
     for _ in range(3):
         mujoco.mj_step(model, whole)
         mujoco.mj_step1(model, halves)
         mujoco.mj_step2(model, halves)
     assert largest(whole.sensordata) > 0.1
-    assert_near(halves.sensordata, whole.sensordata, 1e-9)
+    assert_near(halves.sensordata, whole.sensordata, atol=1e-9)
 
 
 def test_what_cannot_be_looked_at_is_refused():
@@ -373,7 +373,7 @@ def recorded(tmp_path_factory):
     osc.run_loop(robot, controller, map(wiping(X), np.arange(0, 0.4, 1e-3)), recorder=recorder)
     file = tmp_path_factory.mktemp("own") / "own.npz"
     recorder.recording().save(file)
-    return robot, osc.Recording.load(file), file
+    return (robot, osc.Recording.load(file), file)
 
 
 def test_the_picture_stands_where_mujoco_puts_the_shapes(recorded):
@@ -388,7 +388,7 @@ def test_the_picture_stands_where_mujoco_puts_the_shapes(recorded):
     for one in shapes.geometryObjects:
         X = data.oMi[one.parentJoint] * one.placement
         drawn[one.parentJoint > 0].append(X.translation)
-    for name in "upper", "lower", "tool", "wall":
+    for name in ("upper", "lower", "tool", "wall"):
         away = drawn[name != "wall"] - robot.data.geom(name).xpos
         assert np.linalg.norm(away, axis=1).min() < 1e-6, name
 
@@ -408,7 +408,7 @@ def test_a_recording_carries_no_path_and_is_drawn(recorded, tmp_path):
 def test_a_viewer_takes_the_robot_and_its_recording(recorded, tmp_path):
     robot, recording, _ = recorded
     with osc.open_viewer(robot) as viewer:
-        for tick in 0, 200:
+        for tick in (0, 200):
             viewer._due = 0.0
             viewer.show(recording.at(tick))
         with Browser(viewer.url) as page:
@@ -448,8 +448,8 @@ DEGREES = np.degrees(START)
 def limited():
     """The arm of `scene`, its joints limited to ±2 rad."""
     model = scene()
-    for name in "shoulder", "elbow", "wrist_pitch":
-        model.joint(name).range[:] = -2.0, 2.0
+    for name in ("shoulder", "elbow", "wrist_pitch"):
+        model.joint(name).range[:] = (-2.0, 2.0)
         model.joint(name).limited[:] = 1
     return robot_of(model)
 
@@ -514,7 +514,7 @@ def free_run(change, tick=lambda k, controller: None, ticks=300, **how):
         if controller.state is osc.SafetyState.SAFE_STOP:
             break
         robot.command(tau, controller.dt)
-    return controller, k
+    return (controller, k)
 
 
 def without_gravity(wrench, robot):
@@ -547,7 +547,7 @@ def test_a_wrist_that_reads_another_weight_is_refused_before_contact(name, engag
         return
     assert ticks < 100 + 100 * (not engaged)
     assert controller.state is osc.SafetyState.SAFE_STOP
-    for word in cause, "load_error = 2 N", "wrist", "frame":
+    for word in (cause, "load_error = 2 N", "wrist", "frame"):
         assert word in controller.reason
 
 

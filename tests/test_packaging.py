@@ -32,7 +32,7 @@ EXTRAS = [name for name in PROJECT["optional-dependencies"] if name != "mutation
 
 
 def wheel_of(source, folder):
-    options = "--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check"
+    options = ("--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check")
     python("-m", "pip", "wheel", *options, "-w", folder, source, cwd=folder)
     (wheel,) = folder.glob("*.whl")
     return zipfile.ZipFile(wheel)
@@ -100,7 +100,7 @@ def test_source_archive_builds_the_same_wheel(wheel, tmp_path, monkeypatch):
     (sdist,) = (tmp_path / "sdist").glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         inside = {name.split("/", 1)[1] for name in archive.getnames()}
-    for file in "constraints.txt", "CHANGELOG.md", "CITATION.cff", "Makefile", "urdf/rod.urdf":
+    for file in ("constraints.txt", "CHANGELOG.md", "CITATION.cff", "Makefile", "urdf/rod.urdf"):
         assert file in inside
     assert f"tests/{Path(__file__).name}" in inside
     (tmp_path / "wheel").mkdir()

@@ -58,8 +58,8 @@ def test_motions_that_keep_the_contact(name, turn, per_metre):
     motion = Motion.keeping(name, turn, per_metre)
     contact = motion.contact()
     (V_rel, a_rel) = motion.relative
-    for t in 0.0, -0.3, 0.2:
-        assert_near(motion.gaps(t), 0.0, 1e-12 * per_metre)
+    for t in (0.0, -0.3, 0.2):
+        assert_near(motion.gaps(t), 0.0, atol=1e-12 * per_metre)
     size = np.abs(contact.N).T
     near(contact.N.T @ V_rel, np.zeros(contact.r), size @ np.abs(V_rel), 1e-10, per_metre)
     near(contact.n_gamma, contact.N.T @ a_rel, size @ np.abs(a_rel), 1e-8, per_metre)
@@ -92,12 +92,12 @@ def test_the_environment_defaults_to_the_world_at_rest(name):
     X_WO = pose(np.full(6 - r, 0.3))
     V = np.arange(6.0)
     here = placed()
-    for V_E in STILL, V[::-1].copy():
+    for V_E in (STILL, V[::-1].copy()):
         one = pair.contact(X_WO, V, V_E=V_E) if V_E.any() else pair.contact(X_WO, V)
         other = pair.contact(X_WO, V, here, V_E)
-        assert_near(one.N, other.N, 1e-14)
-        assert_near(one.n_gamma, other.n_gamma, 1e-11)
-    assert_near(pair.gaps(X_WO), pair.gaps(X_WO, here), 1e-14)
+        assert_near(one.N, other.N, atol=1e-14)
+        assert_near(one.n_gamma, other.n_gamma, atol=1e-11)
+    assert_near(pair.gaps(X_WO), pair.gaps(X_WO, here), atol=1e-14)
     assert isinstance(pair, osc.ContactPair)
 
 
@@ -115,7 +115,7 @@ def test_lifted_objects_have_open_gaps(name, turn):
     own = {"face_on_vertex": -X.rotation} | {"vertex_on_face": np.eye(3)}
     normal = own[name] @ pair.normal if name in own else pair.face_normal
     lifted = shift(0.05 * normal) * X
-    assert_near(pair.gaps(lifted), np.full(r, 0.05), 1e-13)
+    assert_near(pair.gaps(lifted), np.full(r, 0.05), atol=1e-13)
     assert_near(pair.contact(X, STILL).N[:3], np.tile(-normal[:, None], r))
 
 
@@ -123,16 +123,16 @@ def test_lifted_objects_have_open_gaps(name, turn):
 def test_edges_cross_with_the_environment_on_the_stated_side(side, down):
     """e_A × e_E = y × x = −z; the crossing point follows the object."""
     pair = osc.EdgeOnEdge([0.0, 5, 0.02], [0.0, 1, 0], [7.0, 0, 0], [1.0, 0, 0], side)
-    for X in placed(), placed(0.4):
-        assert_near(pair.gaps(X), [down * 0.02], 1e-15)
+    for X in (placed(), placed(0.4)):
+        assert_near(pair.gaps(X), [down * 0.02], atol=1e-15)
         assert_near(pair.contact(X, STILL).N[:, 0], [0, 0, -down, 0, 0, 0])
 
 
 def test_a_screw_is_closed_again_after_every_turn_and_open_in_between():
     pair = osc.Screw(np.zeros(3), [0.0, 0, 1], 0.002)
-    for turns in 1, -2, 7:
-        assert_near(pair.gaps(placed(0, 0, 0.002 * 2 * np.pi * turns)), 0.0, 1e-15)
-    assert_near(pair.gaps(placed(rpy=(0.0, 0.0, 0.5))), [0, 0, 0, 0, 0.001], 1e-15)
+    for turns in (1, -2, 7):
+        assert_near(pair.gaps(placed(0, 0, 0.002 * 2 * np.pi * turns)), 0.0, atol=1e-15)
+    assert_near(pair.gaps(placed(rpy=(0.0, 0.0, 0.5))), [0, 0, 0, 0, 0.001], atol=1e-15)
 
 
 @parametrize("name", ALL)
@@ -157,12 +157,12 @@ def test_magnitudes_belong_to_feet_around_the_stated_point(turn):
         X = pose(np.full(6 - r, 0.3))
         N = pair.contact(X, STILL).N
         moments = N[3:] - np.cross(X.rotation @ pair.point, N[:3], axis=0)
-        assert_near(norm(moments, axis=0), length, 1e-12)
-        assert_near(moments.sum(axis=1), 0.0, 1e-12)
+        assert_near(norm(moments, axis=0), length, atol=1e-12)
+        assert_near(moments.sum(axis=1), 0.0, atol=1e-12)
 
 
 def test_joints_are_held_by_forces_and_couples_along_the_axes_of_their_seats():
-    for r, pair in (5, osc.Revolute(O3, Z)), (6, osc.Fixed()):
+    for r, pair in ((5, osc.Revolute(O3, Z)), (6, osc.Fixed())):
         assert_near(pair.contact(placed(), STILL).N, np.eye(6)[:, :r])
 
 
@@ -214,7 +214,7 @@ def test_forces_are_counted_in_any_pose(name):
 def test_contacts_that_do_not_exist_are_refused():
     here = placed()
     parallel = osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z, 1, name="rails")
-    for ask in lambda: parallel.contact(here, STILL), lambda: parallel.gaps(here):
+    for ask in (lambda: parallel.contact(here, STILL), lambda: parallel.gaps(here)):
         with contact_error("rails: the edges are parallel"):
             ask()
     flat = osc.GapFunctions(lambda X: 1.0)  # a gap that no motion changes, as a plain number
@@ -233,13 +233,13 @@ def test_a_vertex_touches_where_the_line_of_force_meets_the_face():
     for _ in range(40):
         pair = osc.VertexOnFace(*rng.standard_normal((3, 3)), 0.07)
         X_WO = pose_of(rng)
-        for X_WE in [pose_of(rng)], []:
+        for X_WE in ([pose_of(rng)], []):
             on_face = pair.points_of_contact(X_WO, *X_WE)[:, 0]
             body = (*X_WE, here)[0]
             height = body.actInv(on_face) @ pair.normal
             assert height == approx(pair.point @ pair.normal, abs=1e-12)
             reach = (pair.gaps(X_WO, *X_WE) + 0.07) * (body.rotation @ pair.normal)
-            assert_near(on_face, X_WO.act(pair.vertex) - reach, 1e-12)
+            assert_near(on_face, X_WO.act(pair.vertex) - reach, atol=1e-12)
 
 
 @parametrize("normal", [*np.vstack((np.eye(3), -np.eye(3))), (1e-3, 2e-3, 0), (300, -1, 2)])
@@ -248,8 +248,8 @@ def test_the_normal_of_a_face_becomes_a_unit_vector_and_input_is_copied(normal):
     pair = osc.VertexOnFace(np.zeros(3), point, normal)
     point[:] = 9.0
     axes = triad(pair.normal)
-    assert_near(axes.T @ axes, np.eye(3), 1e-12)
+    assert_near(axes.T @ axes, np.eye(3), atol=1e-12)
     assert det(axes) == approx(1.0)
-    assert_near([axes[:, 2], pair.normal], [unit(normal)] * 2, 1e-12)
+    assert_near([axes[:, 2], pair.normal], [unit(normal)] * 2, atol=1e-12)
     assert_array_equal(pair.point, [0.1, 0.2, 0.3])
     assert pair.radius == 0.0 and pair.name == "vertex_on_face"

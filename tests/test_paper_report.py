@@ -48,7 +48,7 @@ def report(evidence, tmp_path_factory):
         png, svg = (folder / f"{name}.{kind}" for kind in ("png", "svg"))
         svg.write_text(SVG.format(width) + more)
         Image.new("RGB", (width, 20)).save(png)
-        return png, svg
+        return (png, svg)
 
     made = {}
     for name, width in {"fig1": 100, "fig2": 100, "fig4": 300, "fig5": 100, "fig8": 100}.items():
@@ -57,7 +57,7 @@ def report(evidence, tmp_path_factory):
     made["fig8"].answers["follow"] = Answer("<b>no</b>", False, "less & less")
     table = Table("arm & leg", "value", title="a table")
     table.add_row("left <arm>", "3 µm")
-    files = *drawn("steps", more=" " * 1_000_000)[::-1], folder / "steps.json"
+    files = (*drawn("steps", more=" " * 1_000_000)[::-1], folder / "steps.json")
     made["steps"] = Study({}, table, {"a": 1}, files=files)
     made["fig1"] = replace(made["fig1"], files=(*made["fig1"].files, scene))
     found = Reproduction(
@@ -85,9 +85,9 @@ def test_the_verdict():
     every = dict.fromkeys(figure.states, yes)
     assert judge(figure, every) is Verdict.reproduced
     assert judge(figure, every, drawn=False) is Verdict.partly
-    for answers in {}, dict.fromkeys(others, yes), {"another": yes}:
+    for answers in ({}, dict.fromkeys(others, yes), {"another": yes}):
         assert judge(figure, answers) is Verdict.partly
-    for answers in {first: no}, every | {others[0]: no}:
+    for answers in ({first: no}, every | {others[0]: no}):
         assert judge(figure, answers) is Verdict.contradicted
 
 
@@ -160,7 +160,7 @@ def test_the_report_fetches_nothing(report):
 def test_it_fits_phones_and_desks_and_unfolds_scenes_that_are_opened(report):
     """What is opened plays from then on: the browser must not outlive the test."""
     with Browser(report.as_uri(), ready=READY) as browser:
-        for width, count in (390, 1), (1280, 2):
+        for width, count in ((390, 1), (1280, 2)):
             browser.visit(report.as_uri(), width, ready=READY)
             assert browser.run("document.documentElement.scrollWidth") == width
             columns = browser.run(
@@ -263,7 +263,7 @@ def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
         assert (low < point[:2]).all() and (point[:2] < high).all()
         assert point[2] < fig3.EYE[2]
     turned = [X.rotation.T @ b.placement.rotation for X, b in aligned(cell.faces, cell.rig.bodies)]
-    assert_near([np.linalg.norm(pin.log3(R)) for R in turned], np.deg2rad(5.0), 1e-3)
+    assert_near([np.linalg.norm(pin.log3(R)) for R in turned], np.deg2rad(5.0), atol=1e-3)
 
 
 def test_every_label_hangs_on_a_node_and_agrees_with_the_scenario(cell, tmp_path):

@@ -20,11 +20,11 @@ SEVERAL = (1, 2)  # cores
 def count(number, tell, needed):
     """A number, and those that it needs."""
     tell("counts")
-    return number, sorted(needed.values())
+    return (number, sorted(needed.values()))
 
 
 def threads(tell, needed):
-    return os.environ.get("OPENBLAS_NUM_THREADS"), os.getpid()
+    return (os.environ.get("OPENBLAS_NUM_THREADS"), os.getpid())
 
 
 def fail(tell, needed):

@@ -113,7 +113,7 @@ class Sources:
                 if isinstance(node, ast.ImportFrom):
                     self._note_import(path.stem, node)
         self.units = {key for key, node in self.functions.items() if PARTS & marks_of(node)}
-        self._readers = defaultdict(set), defaultdict(set)  # of a binding, of a definition
+        self._readers = (defaultdict(set), defaultdict(set))  # of a binding, of a definition
         for function in self.functions:
             for read in self._reads(function):
                 for readers, place in zip(self._readers, read, strict=True):
@@ -133,9 +133,9 @@ class Sources:
         for name, member in names_in_body(self.functions[function]):
             home, original = self._imported.get((module, name), (module, name))
             if original is None:
-                yield (home, member), (home, member)
+                yield ((home, member), (home, member))
             else:
-                yield (module, name), (home, original)
+                yield ((module, name), (home, original))
 
     def concerned(self, edited):
         """Units that are to be translated again after an edit of a name.
@@ -176,7 +176,7 @@ def names_in_body(node):
     members += [(one.value, one.attr) for one in body if isinstance(one, ast.Attribute)]
     for name, member in members:
         if isinstance(name, ast.Name) and name.id not in own:
-            yield name.id, member
+            yield (name.id, member)
 
 
 @module_fixture
@@ -242,7 +242,7 @@ def test_the_whole_law_of_kept_parts_is_the_law_that_is_made_without_them():
 def kept(tmp_path_factory):
     """A store with the parts of the small entries; what `kept_parts.made` returned for them."""
     folder = tmp_path_factory.mktemp("kept")
-    return folder, made(ROOT, folder, SMALL)
+    return (folder, made(ROOT, folder, SMALL))
 
 
 def copied(folder, target):

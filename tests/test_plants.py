@@ -28,7 +28,7 @@ def energy(plant):
 def test_rigid_plant_keeps_energy_and_constraints_while_it_slides_freely(rig):
     """Frictionless bilateral contacts do no work: energy is kept (second order in the step)."""
     drift = []
-    for step in 2e-3, 1e-3:
+    for step in (2e-3, 1e-3):
         plant = rigid_plant(rig.q_contact, rig.chain, rig.pairs, step)
         start = energy(plant)
         for _ in range(round(0.2 / step)):
@@ -119,11 +119,11 @@ def test_equations_of_the_rigid_plant_are_those_of_its_state(scenario, name, fac
     rig = rig_of(scenario)
     tau = np.arange(float(rig.chain.n_a))
     plant, other = (rigid_plant(rig.q_contact, rig.chain, rig.pairs) for _ in range(2))
-    for one in plant, other:
+    for one in (plant, other):
         for _ in range(20):
             one.command(tau, 1e-3)
     before = plant.measure()
-    for one in plant, other:
+    for one in (plant, other):
         setattr(one, name, factor * getattr(one, name))
     now = plant.measure()
     assert_array_equal(now.wrenches, other.measure().wrenches)
@@ -139,7 +139,7 @@ def test_wrists_of_the_rigid_plant_read_where_it_is_and_not_where_it_was_looked_
     plant.q = q + 0.1
     plant.poses()
     plant.q = q
-    for one in plant, other:
+    for one in (plant, other):
         one.hold(np.arange(8.0))
     assert_array_equal(plant.measure().wrenches, other.measure().wrenches)
 

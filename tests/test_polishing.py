@@ -36,7 +36,7 @@ def test_the_strategy_finds_what_is_hidden():
         return ((policies - hidden) ** 2).sum(axis=1) + 0.01 * noise.standard_normal(40)
 
     found, curve = learn(cost, np.zeros(3), 1.0, 40, 25, seed=1)
-    assert_near(found, hidden, 0.1)
+    assert_near(found, hidden, atol=0.1)
     assert curve[0] == approx(hidden @ hidden, abs=0.05) and len(curve) == 25
 
 

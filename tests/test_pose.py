@@ -44,18 +44,20 @@ def test_forward_kinematics_of_a_robot_by_name():
     result, found = answered(f"{TIP} --posture", posture)
     assert "panda panda_hand_tcp: {xyz: [" in result.stdout
     q = np.deg2rad([10, -45, 0, -135, np.rad2deg(0.1), 90, 45])
-    assert_near(list(found["posture"].values()), q, 1e-12)
-    assert_near(found["tips"]["panda"], standing(q).homogeneous, 1e-9)
+    assert_near(list(found["posture"].values()), q, atol=1e-12)
+    assert_near(found["tips"]["panda"], standing(q).homogeneous, atol=1e-9)
 
 
 def test_inverse_kinematics_keep_the_limits_and_print_what_a_file_takes():
-    for xyz in "0.4, 10 cm, 0.3", "[-0.3, 0.4, 0.5]", "0.1, -0.5, 0.2":
+    for xyz in ("0.4, 10 cm, 0.3", "[-0.3, 0.4, 0.5]", "0.1, -0.5, 0.2"):
         result, found = answered(f"{TIP} --rpy '180 deg, 0, 0' --xyz='{xyz}'")
         q = np.array(list(found["posture"].values()))
         X = standing(q)
-        assert_near(X.translation, poses.numbers("xyz", xyz), 1e-6)
-        assert_near(X.rotation, np.diag([1, -1, -1]), 1e-5)
-        assert_near(poses.numbers("posture", result.stdout.split("[")[1].split("]")[0]), q, 1e-6)
+        assert_near(X.translation, poses.numbers("xyz", xyz), atol=1e-6)
+        assert_near(X.rotation, np.diag([1, -1, -1]), atol=1e-5)
+        assert_near(
+            poses.numbers("posture", result.stdout.split("[")[1].split("]")[0]), q, atol=1e-6
+        )
         assert not outside_limits(panda_chain(), q)
 
 
@@ -74,9 +76,9 @@ def test_what_is_out_of_reach_or_outside_the_limits_ends_with_exit_code_1():
 def test_a_scenario_shows_where_its_postures_put_the_object_and_how_to_put_it_elsewhere():
     assert "object pose: {xyz: [" in done("pose two_contact_rod").stdout
     _, found = answered("pose two_contact_rod --xyz '0, 5 cm, 0.2'")
-    assert_near(np.array(found["object"])[:3, 3], [0, 0.05, 0.2], 1e-6)
+    assert_near(np.array(found["object"])[:3, 3], [0, 0.05, 0.2], atol=1e-6)
     tips = [np.array(found["tips"][arm])[:3, 3] for arm in ("left", "right")]
-    assert_near(tips, [[-0.15, 0.05, 0.2], [0.15, 0.05, 0.2]], 1e-6)
+    assert_near(tips, [[-0.15, 0.05, 0.2], [0.15, 0.05, 0.2]], atol=1e-6)
 
 
 @parametrize(
@@ -149,9 +151,9 @@ def test_joints_outside_either_limit_are_named():
     low = chain.model.lowerPositionLimit
     high = chain.model.upperPositionLimit
     assert outside_limits(chain, low) == outside_limits(chain, high) == []
-    assert_near(poses.rest(chain), (low + high) / 2, 1e-15)
+    assert_near(poses.rest(chain), (low + high) / 2, atol=1e-15)
     for k, name in enumerate(chain.joint_names):
-        for q in low - 1e-3 * np.eye(7)[k], high + 1e-3 * np.eye(7)[k]:
+        for q in (low - 1e-3 * np.eye(7)[k], high + 1e-3 * np.eye(7)[k]):
             (message,) = outside_limits(chain, q)
             assert message.startswith(f"joint {name} at ")
 
@@ -205,7 +207,9 @@ def test_the_object_is_where_the_posture_puts_it_unless_the_file_places_it(name)
     one = rig.chain.arms[0]
     tip = pose_at(one.model, np.array(arm.posture), arm.tip)
     grasp = scenario.grasps[arm.name]
-    assert_near((one.base * tip * placed(*grasp.xyz, grasp.rpy)).homogeneous, rig.X_given, 1e-12)
+    assert_near(
+        (one.base * tip * placed(*grasp.xyz, grasp.rpy)).homogeneous, rig.X_given, atol=1e-12
+    )
 
 
 def test_a_scenario_that_starts_in_its_posture_runs_without_a_doubt():
@@ -252,7 +256,7 @@ def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     chain = rig.chain
     chain.state(rig.q_contact)
     pressed = chain.tip_poses()[0].rotation @ commanded.axis
-    assert_near(-pressed, scenario.contacts[0].face.normal, 1e-4)
+    assert_near(-pressed, scenario.contacts[0].face.normal, atol=1e-4)
 
 
 def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path, no_figures):

@@ -38,7 +38,7 @@ def test_packaged_scenarios_pass_without_a_word(name):
     },
 )
 def test_what_cannot_run_is_refused_at_every_door(change, cure, tmp_path):
-    for line in "inspect two_contact_rod --set", f"run two_contact_rod --out {tmp_path} --set":
+    for line in ("inspect two_contact_rod --set", f"run two_contact_rod --out {tmp_path} --set"):
         assert cure in refused(line, change)
     with scenario_error(cure.replace("?", r"\?")):
         run_of("two_contact_rod", change, duration=0.5)
@@ -153,7 +153,7 @@ def test_the_least_peak_is_that_of_the_dual_problem():
         angles = np.linspace(0.0, 2.0 * np.pi, 20_001)
         y = np.array((np.cos(angles), np.sin(angles)))
         assert least_peak(A, b) == approx((b @ y / np.abs(A.T @ y).sum(axis=0)).max(), rel=0.002)
-    contrary = np.vstack((A, A[0])), np.append(b, b[0] + 1.0)  # no x: of the least squares
+    contrary = (np.vstack((A, A[0])), np.append(b, b[0] + 1.0))  # no x: of the least squares
     assert least_peak(*contrary) == approx(largest(np.linalg.pinv(contrary[0]) @ contrary[1]))
 
 
@@ -166,7 +166,7 @@ def test_a_contact_without_forces_is_no_trouble():
 
 def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
     motion = f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]"
-    for change in motion, "motion.1.signals.0.start=1.5 s":
+    for change in (motion, "motion.1.signals.0.start=1.5 s"):
         found = findings("approach_and_slide", change)
         assert any("does not permit it" in text for _, text in found)
 
@@ -212,7 +212,7 @@ def balanced(newtons):
     """A cart of 2 kg; preload, weight and 8 N on a face that leans leave so much along its rail."""
     preload = 2.0 * 9.81 + 8.0 * LEAN + newtons
     cart = f"{{type: cart, direction: [0, 0, 1], mass: 2 kg, preload: {preload:.6f} N}}"
-    return f"{LEFT}.motion={cart}", "force.left_end=[{type: constant, value: 8 N}]"
+    return (f"{LEFT}.motion={cart}", "force.left_end=[{type: constant, value: 8 N}]")
 
 
 def lift(mm):

@@ -59,7 +59,7 @@ def part(first, second, x):
 def close(got, expected, tolerance=1e-10):
     """Equal relative to the larger of the two, linear and angular rows each on their own scale."""
     assert got.shape == expected.shape
-    for rows in slice(0, 3), slice(3, 6):
+    for rows in (slice(0, 3), slice(3, 6)):
         scale = max(largest(expected[rows]), largest(got[rows]))
         assert largest(got[rows] - expected[rows]) <= tolerance * scale
 
@@ -90,9 +90,9 @@ def test_identities_9_to_12(seed, r):
     g1, g2 = (P.Omega_f_bar(c.T, A) for A in c.A)
     m1, m2 = (P.Omega_m(c.T, inverse(B)) for B in c.B)
     w1, w2 = (P.Omega_m_bar(c.N, B) for B in c.B)
-    for one, other in (f1, f2), (m1, m2):
+    for one, other in ((f1, f2), (m1, m2)):
         close(one @ other, other)
-    for one, other, none in (g1, g2, f2), (w1, w2, m2):
+    for one, other, none in ((g1, g2, f2), (w1, w2, m2)):
         close(one @ other, one)
         assert (np.abs(one @ none) <= 1e-10 * (np.abs(one) @ np.abs(none))).all()
         assert not 0 < r < 6 or largest(one @ other) > 1e-3
@@ -139,10 +139,10 @@ def test_metrics_that_are_not_symmetric_or_not_definite_are_refused(size):
         P.Omega_f(N, skew)
     mixed = np.eye(6)
     mixed[0, 1] = mixed[1, 0] = 1.0 + size  # positive diagonal, negative eigenvalue
-    for sunken in *(np.diag(np.where(np.arange(6) == i, -size, 1.0)) for i in (1, 5)), mixed:
+    for sunken in (*(np.diag(np.where(np.arange(6) == i, -size, 1.0)) for i in (1, 5)), mixed):
         with contact_error(f"smallest eigenvalue -{size:.3g}"):
             P.Omega_f(N, sunken)
-    for within in 1e-12, -1e-12:  # is one
+    for within in (1e-12, -1e-12):  # is one
         skew[1, 0] = within
         close(P.Omega_f(N, skew), P.Omega_f(N, np.eye(6)))
 
@@ -152,7 +152,7 @@ def test_zero_columns_are_refused(k):
     rng = default_rng(k)
     columns = SIZE[:, None] * rng.standard_normal((6, k))
     columns[:, -1] = 0.0
-    for law in P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar:
+    for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
         with contact_error(f"column {k - 1}"):
             law(columns, definite(rng, 1 / SIZE))
 
@@ -169,7 +169,7 @@ def test_any_complement_decomposes(seed, r):
     T_prime = rng.standard_normal((6, r)) / c.size[:, None]
     f = c.size * rng.standard_normal(6)
     v = rng.standard_normal(6) / c.size
-    for unit in 1e-7, 1.0, 1e7:
+    for unit in (1e-7, 1.0, 1e7):
         got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T) @ f
         close(got, part(N_prime, c.N, f), 1e-9)
     close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
@@ -177,7 +177,7 @@ def test_any_complement_decomposes(seed, r):
         return
     N_prime[:, 0] = c.N @ rng.standard_normal(r)
     T_prime[:, 0] = c.T @ rng.standard_normal(6 - r)
-    for unit in 1e-7, 1.0, 1e7:
+    for unit in (1e-7, 1.0, 1e7):
         with contact_error("N′ is not a complement of N"):
             P.Omega_f_bar_from_complement(unit * N_prime @ mixing(rng, 6 - r), unit * c.T)
     with contact_error("T′ is not a complement of T"):
@@ -190,7 +190,7 @@ def test_any_complement_decomposes(seed, r):
 
 
 def test_null_space_of_pure_forces_and_pure_couples():
-    for columns in np.eye(6)[:, :2], np.eye(6)[:, 3:], 1e-6 * np.eye(6)[:, 5:]:
+    for columns in (np.eye(6)[:, :2], np.eye(6)[:, 3:], 1e-6 * np.eye(6)[:, 5:]):
         T = P.null_space(columns)
         assert largest(columns.T @ T) <= 1e-15
         assert matrix_rank(np.hstack((columns / largest(columns), T))) == 6

@@ -28,7 +28,7 @@ def selection(rng, ranks=range(7)):
     while True:
         flags = rng.random(6) < rng.random()
         if flags.sum() in ranks:
-            return flags[:3], flags[3:]
+            return (flags[:3], flags[3:])
 
 
 def line(direction, point):
@@ -44,7 +44,7 @@ def largest_sine(A, B):
     """Between range(A) and range(B), by their orthogonal projectors."""
     assert A.shape == B.shape
     projectors = []
-    for columns in A, B:
+    for columns in (A, B):
         scaled = columns / np.array([1.0] * 3 + [SIZE] * 3)[:, None]
         projectors.append(scaled @ pinv(scaled))
     return norm(projectors[0] - projectors[1], 2)
@@ -58,14 +58,14 @@ def kind(forces, couples):
     """Numbers of forces, of couples, and of axes with both."""
     f = np.asarray(forces)
     c = np.asarray(couples)
-    return f.sum(), c.sum(), (f & c).sum()
+    return (f.sum(), c.sum(), (f & c).sum())
 
 
 def assert_describes(found, N):
     assert found, found.reason
     assert found.reason == "" and 0.0 <= found.residual <= 1e-9
     E = found.frame.rotation
-    assert_near(E.T @ E, np.eye(3), 1e-12)
+    assert_near(E.T @ E, np.eye(3), atol=1e-12)
     assert det(E) > 0.0
     assert largest_sine(space_of(found), N) < 1e-9
 
@@ -83,7 +83,7 @@ def test_every_frame_and_selection_is_recognised_in_any_basis(monkeypatch):
         axes = frame.rotation.T
         lines = [line(axis, frame.translation) for axis in axes[forces]]
         N = selection_columns(frame, forces, couples)
-        assert_near(N.T, [*lines, *map(couple, axes[couples])] or N.T, 1e-15)
+        assert_near(N.T, [*lines, *map(couple, axes[couples])] or N.T, atol=1e-15)
         N = N @ rng.standard_normal((N.shape[1],) * 2)
         found = as_raibert_craig(N, SIZE)
         assert_describes(found, N)
@@ -102,14 +102,14 @@ def test_the_frame_lies_where_one_would_put_it():
     columns = [line(Z, p) for p in ([0, 0, 0], [0.2, 0, 0], [0, 0.3, 0])]
     face = as_raibert_craig(np.column_stack(columns), SIZE)
     assert face.forces == (False, False, True) and face.couples == (True, True, False)
-    assert_near(face.frame.rotation, np.eye(3), 1e-12)
-    for directions in (LEAN, Z), (LEAN, Z, (0, 1, 1)):
+    assert_near(face.frame.rotation, np.eye(3), atol=1e-12)
+    for directions in ((LEAN, Z), (LEAN, Z, (0, 1, 1))):
         found = as_raibert_craig(np.column_stack([line(d, Q) for d in directions]), SIZE)
-        assert_near(found.frame.translation, Q, 1e-12)
+        assert_near(found.frame.translation, Q, atol=1e-12)
         assert kind(found.forces, found.couples) == (len(directions), 0, 0)
     # on a single line: the point nearest to the centre
     found = as_raibert_craig(line(LEAN, Q)[:, None], SIZE, centre=[1.0, 0, 0])
-    assert_near(found.frame.translation, Q + LEAN * (LEAN @ ([1.0, 0, 0] - Q)), 1e-12)
+    assert_near(found.frame.translation, Q + LEAN * (LEAN @ ([1.0, 0, 0] - Q)), atol=1e-12)
 
 
 # Refused ------------------------------------------------------------------------------------------
@@ -150,7 +150,7 @@ def test_cone_in_groove_is_refused_for_its_axes():
         "nor perpendicular"
     )
     assert "(ii)" not in found.reason
-    for angle in 0.0, np.pi / 2:
+    for angle in (0.0, np.pi / 2):
         assert_describes(as_raibert_craig(cone_in_groove(angle), SIZE), cone_in_groove(angle))
     # a little off the right angle: off by about as little
     assert 1e-4 < as_raibert_craig(cone_in_groove(np.pi / 2 - 1e-3), SIZE).residual < 1e-2
@@ -159,7 +159,7 @@ def test_cone_in_groove_is_refused_for_its_axes():
 def test_contacts_of_a_selection_are_described_from_any_centre():
     """Figs. 1 and 2 by their own geometry: test_every_scenario.py, test_cone_in_groove.py."""
     frame = pin.SE3(pin.exp3(0.3 * LEAN), 0.1 * Z)
-    for centre in None, [0.1, 0.2, 0.3]:
+    for centre in (None, [0.1, 0.2, 0.3]):
         same = Contact.from_selection(frame, (True, False, False), (False, True, True))
         assert_describes(same.as_raibert_craig(centre=centre), same.N)
 

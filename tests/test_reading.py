@@ -84,7 +84,7 @@ def test_faces_posts_and_corners_with_friction(name, mu):
 
 
 def test_the_coefficient_is_learnt_while_the_contact_slides():
-    for learning, low, high in (5.0, 0.08, 0.12), (0.0, 0.0, 0.0):
+    for learning, low, high in ((5.0, 0.08, 0.12), (0.0, 0.0, 0.0)):
         rig = osc.build_rig(point({"friction": 0.2}, friction={"mu": 0.1, "learning": learning}))
         plant, controller = start(rig)
         osc.run_loop(plant, controller, rig.references.each(2000, 1e-3))
@@ -163,11 +163,11 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
         to_come = s.state.V_O + 2.0 * controller.dt * reference.A_D
         where = sliding(pairs, s.state.X_WO, to_come, touched, known)
         friction = np.reshape([mu * np.append(x, np.cross(p, x)) for p, _, x in where], (n, 6)).T
-        assert_near(s.friction_wrenches, friction, 1e-10)
+        assert_near(s.friction_wrenches, friction, atol=1e-10)
         expected = explained(
             s.f_meas, s.state, s.contact, s.environment, friction, reference.A_D, s.alpha_d, where
         )
-        assert_near(s.alpha_meas, expected, 1e-7, 1e-7)
+        assert_near(s.alpha_meas, expected, atol=1e-7, rtol=1e-7)
 
 
 # --- which contacts ------------------------------------------------------------------------------
@@ -197,7 +197,7 @@ def test_least_squares_is_chosen_where_its_answer_is_unique():
 
     assert all(chosen([touching(name, X, 4, 0.1)]) == "least_squares" for name in PUSHING)
     assert chosen([one, shifted]) == "least_squares"
-    cylinder = np.zeros(3), [1.0, 0, 0], 0.02
+    cylinder = (np.zeros(3), [1.0, 0, 0], 0.02)
     groove = osc.CylinderInVGroove(*cylinder, np.zeros(3), [1.0, 0, 0], [0, 0, 1.0])
     assert chosen([groove]) == "filter"  # on two planes
     assert chosen([one, other]) == chosen([]) == chosen([osc.Revolute([0, 0, 0], one.normal, X)])

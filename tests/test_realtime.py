@@ -24,7 +24,7 @@ from osc_contact.runs.report import verdict_table
 
 
 def state_of_process():
-    return gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval()
+    return (gc.isenabled(), os.sched_getscheduler(0), sys.getswitchinterval())
 
 
 class Paced(Robot):
@@ -92,7 +92,7 @@ def test_what_counts_as_missed():
 def keeping_home(robot, ticks):
     """A controller, and references, of a driver's robot that stays at home."""
     goal = osc.Reference(robot.chain.state(HOME).X_WO)
-    return osc.Controller(robot.chain, [], dt=1e-3, posture=HOME), repeat(goal, ticks)
+    return (osc.Controller(robot.chain, [], dt=1e-3, posture=HOME), repeat(goal, ticks))
 
 
 def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch, caplog):
@@ -153,8 +153,8 @@ def shadow(fault="", change=lambda robot: None, ticks=4000):
 
 def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
     def rub(robot):
-        robot.plant.model.dof_frictionloss[:] = 1.0, 0.5, 1.5
-        robot.plant.model.dof_damping[:] = 0.4, 0.8, 0.2
+        robot.plant.model.dof_frictionloss[:] = (1.0, 0.5, 1.5)
+        robot.plant.model.dof_damping[:] = (0.4, 0.8, 0.2)
         robot.plant.model.dof_armature[:] = 0.25  # of which the model has 0.05
 
     found = shadow(change=rub)
@@ -165,7 +165,7 @@ def test_shadow_mode_finds_friction_rotors_and_right_wrenches():
         ("inertia", 0.2, 0.06),
         ("offset", 0.0, 0.3),
     ):
-        assert_near([getattr(j, key) for j in found.joints], expected, atol)
+        assert_near([getattr(j, key) for j in found.joints], expected, atol=atol)
     assert found.wrench_scale == approx(1.0, abs=0.15) and found.forces
 
 

@@ -118,7 +118,7 @@ def test_unknown_files_are_refused(tmp_path, content):
 
 
 def test_missing_files_are_refused(tmp_path):
-    for path in tmp_path / "none.npz", tmp_path:
+    for path in (tmp_path / "none.npz", tmp_path):
         with recording_error("there is no such file"):
             Recording.load(path)
 
@@ -148,7 +148,7 @@ def test_damaged_files_never_give_other_data(in_memory, tmp_path, monkeypatch):
 
 def test_the_same_content_makes_the_same_bytes_with_times_apart(tmp_path):
     made = []
-    for run in "first", "second":
+    for run in ("first", "second"):
         spent = {"wall_s": 1.0 + len(run), "cpu_s": 2.0}
         channels = {**record().channels, "tick_s": np.full(5, 1.0 + len(run)), "last": np.arange(5)}
         recording = Recording(META | spent, channels)
@@ -179,7 +179,7 @@ def test_numpy_reads_the_file_and_what_it_packed_is_read(tmp_path):
         assert json.loads(str(stored["meta"]))["meta"]["seed"] == 3
     about = np.array(json.dumps({"format": 1, "meta": META}))
     q = np.asfortranarray(record()["q"])
-    for save in np.savez, np.savez_compressed:
+    for save in (np.savez, np.savez_compressed):
         save(tmp_path / "run.npz", meta=about, q=q)
         assert_array_equal(Recording.load(tmp_path / "run.npz")["q"], q)
 
@@ -276,7 +276,7 @@ def read(path):
     parts = list(journal.rows())
     for first, part in parts:
         assert_array_equal(part, rows(first, len(part)))
-    return [first for first, _ in parts], sum(len(part) for _, part in parts), journal.missing
+    return ([first for first, _ in parts], sum(len(part) for _, part in parts), journal.missing)
 
 
 def test_rows_come_back(tmp_path):
@@ -355,7 +355,7 @@ def test_a_second_run_in_a_folder_is_refused_and_the_first_keeps_its_rows(tmp_pa
 def test_rows_of_chunks_that_come_again_are_read_once(tmp_path):
     path = tmp_path / "unfinished.mcap"
     journal = JournalFile(path, {"name": "x"})
-    for first, count in (0, 5), (0, 5), (5, 3), (3, 7), (10, 1), (10, 1):
+    for first, count in ((0, 5), (0, 5), (5, 3), (3, 7), (10, 1), (10, 1)):
         journal.append(first, rows(first, count))
     journal.close()
     firsts, count, missing = read(path)
@@ -458,7 +458,7 @@ def test_metrics_of_a_recording_without_meta_name_what_is_missing():
 def test_recordings_hold_no_folder_and_are_shown_with_the_scenarios(tmp_path, monkeypatch):
     home = tmp_path / "home" / "somebody"
     shown = tmp_path / "elsewhere"
-    for folder in home, shown:
+    for folder in (home, shown):
         folder.mkdir(parents=True)
     packaged = osc.load_scenario("two_contact_rod")
     text = packaged.source.read_text()
@@ -466,13 +466,13 @@ def test_recordings_hold_no_folder_and_are_shown_with_the_scenarios(tmp_path, mo
     (home / "mine.yaml").write_text(text.replace(packaged.object.urdf, "my_rod.urdf"))
     recording = run_of(home / "mine.yaml", duration=0.05, journal=shown / "unfinished.mcap")
     path = recording.save(shown / "run.npz")
-    for file in path, shown / "run.times.npz":
+    for file in (path, shown / "run.times.npz"):
         archive = zipfile.ZipFile(file)
         assert not any(b"somebody" in archive.read(name) for name in archive.namelist())
     assert b"somebody" not in (shown / "unfinished.mcap").read_bytes()
     monkeypatch.chdir(tmp_path)
     page = tmp_path / "page.html"
-    for name in "run.npz", "unfinished.mcap":
+    for name in ("run.npz", "unfinished.mcap"):
         message = refused("view", shown / name, "--html", page)
         assert "copy them beside the recording" in message and "--folder" in message, message
         done("view", shown / name, "--html", page, "--folder", home)

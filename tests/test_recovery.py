@@ -107,7 +107,7 @@ def test_a_run_goes_on_when_the_disk_is_full(tmp_path, whole):
 
 def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
     files = []
-    for kind, seed, threads in ("a", "1", "1"), ("b", "77", "2"):
+    for kind, seed, threads in (("a", "1", "1"), ("b", "77", "2")):
         (tmp_path / kind).mkdir()
         setting = {"PYTHONHASHSEED": seed, "OPENBLAS_NUM_THREADS": threads}
         setting |= {"NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
@@ -163,7 +163,7 @@ def test_exports_say_the_same(tmp_path, whole):
         (about,) = reader.iter_metadata()
     assert json.loads(about.metadata["meta"]) == whole.meta
     assert [at for at, _ in messages] == [round(t * 1e9) for t in whole["t"]]
-    for name in "tau", "closed", "status", "N":
+    for name in ("tau", "closed", "status", "N"):
         assert messages[700][1][name] == whole[name][700].tolist()
     with recording_error(r"run\.hdf5: give a name that ends in"):
         whole.export(tmp_path / "run.hdf5")

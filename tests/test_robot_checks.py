@@ -129,7 +129,7 @@ def test_the_tip_can_be_chosen(tmp_path):
     assert [tip.tip for tip in every.tips] == ["finger", "tool"] and every.more_tips == 0
     (slide,) = summary(tmp_path, GOOD, "slide").tips
     assert (slide.tip, slide.joints, len(slide.mobility)) == ("slide", 2, 2)
-    for tip, words in ("tol", "no frame 'tol'"), ("base", "no joint moves the frame 'base'"):
+    for tip, words in (("tol", "no frame 'tol'"), ("base", "no joint moves the frame 'base'")):
         with model_error(words):
             summary(tmp_path, GOOD, tip)
     assert robots.load_model(robots.urdf_path("rod")).nv == 0
@@ -210,7 +210,7 @@ def test_no_mutant_crashes_and_none_is_accepted_with_a_bad_mass_matrix(count):
     assert result["least_eigenvalue"] > 1e-12 and result["largest_difference"] < 1e-6
     assert result["slowest_ms"] < 10_000  # a hang; how fast it is, benchmarks measure
     assert "no finding" not in verdicts, "Pinocchio refused what our own checks let through"
-    for check in "accepted", "xml", "number", "tree", "limit", "inertia", "joint":
+    for check in ("accepted", "xml", "number", "tree", "limit", "inertia", "joint"):
         assert verdicts[check] > count / 100, "the mutants must reach every check"
     assert verdicts["mass matrix"] > count / 4000
 

@@ -16,13 +16,13 @@ from osc_contact import robots
 from osc_contact.robots import JointLimits, loading
 from osc_contact.robots.model import build_model
 
-ARMS = "scara_left.urdf", "scara_right.urdf"
+ARMS = ("scara_left.urdf", "scara_right.urdf")
 MIRROR = np.diag([1.0, -1.0, 1.0])
 
 
 def limits(model):
     """Of effort, speed, and the lower and upper ones of position."""
-    position = model.lowerPositionLimit, model.upperPositionLimit
+    position = (model.lowerPositionLimit, model.upperPositionLimit)
     return [x.tolist() for x in (model.effortLimit, model.velocityLimit, *position)]
 
 
@@ -51,8 +51,8 @@ def test_scara_has_the_announced_joints_and_limits(name):
 def test_right_arm_is_the_mirror_image_of_the_left():
     left, right = (robots.load_model(robots.urdf_path(name)) for name in ARMS)
     for one, other in aligned(left.inertias, right.inertias):
-        assert_near(other.lever, MIRROR @ one.lever, 1e-9)
-        assert_near(other.inertia, MIRROR @ one.inertia @ MIRROR, 1e-9)
+        assert_near(other.lever, MIRROR @ one.lever, atol=1e-9)
+        assert_near(other.inertia, MIRROR @ one.inertia @ MIRROR, atol=1e-9)
     for a, b in aligned(left.jointPlacements, right.jointPlacements):
         assert a.isApprox(b, 1e-14)
 
@@ -63,7 +63,7 @@ def test_right_arm_is_the_mirror_image_of_the_left():
 def test_rod_inertia_is_that_of_a_capsule():
     rod = robots.load_body(robots.urdf_path("rod.urdf"))
     turned = placed(rpy=(0, np.pi / 2, 0)).act(pin.Inertia.FromCapsule(1.5, 0.01, 0.58))
-    assert_near(rod.matrix(), turned.matrix(), 1e-9, 1e-6)
+    assert_near(rod.matrix(), turned.matrix(), atol=1e-9, rtol=1e-6)
 
 
 # Second readers ---------------------------------------------------------------------------------
@@ -107,7 +107,7 @@ def toy():
 
 def test_urdf_path_finds_the_folder_of_an_installed_package(monkeypatch, tmp_path):
     monkeypatch.setattr(loading, "_PACKAGE", tmp_path.resolve() / "osc_contact")
-    for folder in tmp_path / "urdf", tmp_path / "osc_contact/urdf":
+    for folder in (tmp_path / "urdf", tmp_path / "osc_contact/urdf"):
         folder.mkdir(parents=True)
         (folder / "rod.urdf").touch()
         assert robots.urdf_path("rod") == folder.resolve() / "rod.urdf"
@@ -183,7 +183,7 @@ def write(folder, *changes, limit=LIMIT, joint="turn", kind="revolute", **links)
 
 def test_thin_rods_and_massless_markers_are_accepted(tmp_path):
     bodies = {"marker": inertial(0, 0, 0, 0), "tip": inertial(1, 0, 0.1, 0.1)}
-    fixed = 'name="turn" type="revolute"', 'name="turn" type="fixed"'
+    fixed = ('name="turn" type="revolute"', 'name="turn" type="fixed"')
     assert robots.load_model(write(tmp_path, fixed, **bodies)).nv == 1
 
 
@@ -255,7 +255,7 @@ def test_impossible_limits_cannot_be_given(wrong):
 
 def test_positive_is_content_with_moving_bodies_that_have_energy(tmp_path):
     slip = inertial(0.1, 1e-3, 1e-3, -1e-3)  # a link no body can be, fixed to a good one
-    fixed = 'name="next1" type="revolute"', 'name="next0" type="fixed"'
+    fixed = ('name="next1" type="revolute"', 'name="next0" type="fixed"')
     file = write(tmp_path, fixed, tip=BALL, flag=slip)
     with model_error("link 'flag' <inertia>: the inertia is not positive"):
         robots.load_model(file)
@@ -280,8 +280,8 @@ def test_the_verdict_on_the_mass_matrix_does_not_depend_on_units(tmp_path, lengt
     moment = mass * length**2
     rod = inertial(mass, 0.1 * moment, 0.1 * moment, rotor * moment)
     slim = rod.replace("<inertial>", f'<inertial><origin xyz="0 0 {0.5 * length}"/>')
-    scaled = 'xyz="0.1 0 0"', f'xyz="{0.3 * length} 0 0"'
-    sliding = 'name="turn" type="revolute"', 'name="turn" type="prismatic"'
+    scaled = ('xyz="0.1 0 0"', f'xyz="{0.3 * length} 0 0"')
+    sliding = ('name="turn" type="revolute"', 'name="turn" type="prismatic"')
     file = write(tmp_path, scaled, sliding, car=rod, arm=rod, rod=slim)
     if rotor == 1e-9:
         assert robots.load_model(file).nv == 3
@@ -353,7 +353,7 @@ def test_the_page_on_robots_has_these_verdicts():
     counts = [len(group) for group in (SOUND, HELPED, REFUSED)]
     assert [int(n) for n in stated.groups()] == [sum(counts), *counts]
     table = page.split("| robots | what is wrong")[1]
-    for name in *HELPED, *REFUSED:
+    for name in (*HELPED, *REFUSED):
         assert f"`{name.rpartition('/')[2]}`" in table, name
 
 
@@ -414,15 +414,15 @@ def test_continuous_joint_is_a_revolute_joint_without_end_stops(name, seed):
     x = []
     for angle, turns in aligned(q, endless):
         x += [np.cos(angle), np.sin(angle)] if turns else [angle]
-    for limit in ours.lowerPositionLimit, ours.upperPositionLimit:
+    for limit in (ours.lowerPositionLimit, ours.upperPositionLimit):
         assert np.isinf(limit).tolist() == endless
     found = []
-    for model, at in (ours, q), (theirs, np.array(x)):
+    for model, at in ((ours, q), (theirs, np.array(x))):
         data = model.createData()
         tau = pin.rnea(model, data, at, v, a)
         pin.framesForwardKinematics(model, data, at)
         found.append(np.concatenate((tau, *(X.homogeneous.ravel() for X in data.oMf))))
-    assert_near(*found, 1e-10)
+    assert_near(*found, atol=1e-10)
 
 
 def test_ready_models_are_judged_too():
@@ -454,7 +454,7 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path):
     inside = tmp_path / "robot"
     outside = tmp_path / "secret"
-    for folder in inside, outside:
+    for folder in (inside, outside):
         folder.mkdir()
         (folder / "m.obj").write_text(TRIANGLE)
     kind = pin.GeometryType.VISUAL
@@ -485,6 +485,6 @@ def test_limits_as_words_of_the_command_line():
         "arm/j*",
         JointLimits(effort=5.0, velocity=2.5),
     )
-    for wrong in "j1", "effort=5", "j1:torque=3", "j1:effort=x", "j1:effort=-1", "j1:":
+    for wrong in ("j1", "effort=5", "j1:torque=3", "j1:effort=x", "j1:effort=-1", "j1:"):
         with invalid_input(r"j1|effort"):
             JointLimits.parse(wrong)

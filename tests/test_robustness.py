@@ -28,7 +28,7 @@ def made(tmp_path_factory):
         patch.setattr(study, "_FIRST", 0)  # the best law from nominal runs alone
         printed = done(line).stdout
         assert "another study" in refused(f"{line} --seed 1")
-    return folder, printed
+    return (folder, printed)
 
 
 def assert_row_is_that_of_single_runs(row, case, number, laws):
@@ -52,7 +52,7 @@ def errors(scenario, seed, **how):
     verdict = verdict_of(scenario, seed=seed, **how)
     errors = [one["rms_error_rel"] for one in verdict["force"].values()]
     force = max(np.inf if error is None else error for error in errors)  # None: never in contact
-    return force, verdict["motion"]["rms_error_m"]
+    return (force, verdict["motion"]["rms_error_m"])
 
 
 @mark.slow
@@ -83,7 +83,7 @@ def test_rows_are_those_of_single_runs_and_are_not_run_again(tmp_path, monkeypat
 
     monkeypatch.setattr(sweep, "make_all", make_all)
     monkeypatch.setattr(study, "_candidates", candidates)
-    axes = np.zeros(3), [np.eye(3)]
+    axes = (np.zeros(3), [np.eye(3)])
     chosen = [Selection.of_axes(*axes, (1, 3)), Selection.of_axes(*axes, (1, 5))]
     ask = study.Ask(changes=CHANGES, samples=1, folder=tmp_path)
     first = study.run(ask, 1)
@@ -97,7 +97,7 @@ def test_rows_are_those_of_single_runs_and_are_not_run_again(tmp_path, monkeypat
 
 @mark.slow
 def test_what_the_controllers_do_not_know_costs_all_of_them_accuracy(found):
-    for case in "masses", "friction", "normals":
+    for case in ("masses", "friction", "normals"):
         for law in study.LAWS:
             worst = max(row[f"{law}.force"] for row in found["rows"][case])
             assert worst > found["nominal"][f"{law}.force"] + 0.01  # of the command

@@ -242,7 +242,7 @@ def test_channels_are_what_they_are_defined_to_be(name):
         if channel in ("q", "v", "tau", "closed", "contact_seen", "collision_seen", "status"):
             assert_array_equal(found, values, err_msg=channel)
         else:
-            assert_near(found, values, 1e-13, 1e-11, channel)
+            assert_near(found, values, atol=1e-13, rtol=1e-11, name=channel)
 
 
 def test_poses_are_those_of_pinocchio():
@@ -263,7 +263,7 @@ def test_poses_are_those_of_pinocchio():
             (moved[:, i], X.act(x[:, i])),
             (back[:, i], X.rotation.T @ x[:, i]),
         ):
-            assert_near(found, expected, 1e-14)
+            assert_near(found, expected, atol=1e-14)
     assert_array_equal(rotated(poses.R, x[:, None])[:, 0], poses.rotate(x))
 
 
@@ -278,14 +278,14 @@ def test_lines_of_force_over_time_are_those_of_the_pair(name):
     pair, pose, r = KINDS[name](rng, PLAIN)
     touching = [pose(0.5 * rng.standard_normal(6 - r)) for _ in range(5)]
     faces = [pose_of(rng) for _ in range(5)]
-    for E in [WORLD] * 5, faces, faces[:1] * 5:
+    for E in ([WORLD] * 5, faces, faces[:1] * 5):
         X = [X_WE * X_EA for X_WE, X_EA in aligned(E, touching)]
         moving = None if E[0] is WORLD else stacked(E[:1] if E[1] is E[0] else E)
         found = normals_over(pair, stacked(X), moving)
         assert found.shape == (6, r, 5)
         for i in range(5):
             expected = pair.contact(X[i], STILL, moving and E[i]).N
-            assert_near(found[:, :, i], expected, 1e-13)
+            assert_near(found[:, :, i], expected, atol=1e-13)
 
 
 @parametrize("name", ["two_contact_rod", "scara_peg", "ur5_wipe", "hinge_ball_rod"])
@@ -303,4 +303,4 @@ def test_the_permitted_error_is_what_arms_and_contacts_permit_in_postures_of_all
             osc.Reference(X_WD, alpha_d=np.zeros(rig.contact.r)),
         )
         assert controller.status.name in ("OK", "SATURATED"), controller.reason
-        assert_near(controller.result().free_error, error(controller, q), 1e-9)
+        assert_near(controller.result().free_error, error(controller, q), atol=1e-9)

@@ -53,7 +53,7 @@ def blind(case):
 def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case, lost):
     controller = case.controller()
     good = controller.tick(*case.given)
-    sums = controller.motion_integral.copy(), controller.force_integral.copy()
+    sums = (controller.motion_integral.copy(), controller.force_integral.copy())
     states = []
     for _ in range(lost):
         tau = controller.tick(blind(case), case.reference)
@@ -99,7 +99,7 @@ def test_unreadable_joints_leave_the_last_posture():
     for _ in range(300):
         tau = controller.tick(osc.Measurement(NAN * m.q, NAN * m.q, BLIND[:1]), case.reference)
     at = Case(case.chain, m.q, case.chain.state(m.q, m.v).X_WO, [])
-    assert_near(tau, stop_of(at, 0.0 * m.v)[0], 0.02 * case.chain.tau_max.max())
+    assert_near(tau, stop_of(at, 0.0 * m.v)[0], atol=0.02 * case.chain.tau_max.max())
     assert controller.unbraked is not None
 
 
@@ -127,7 +127,7 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, speed):
     assert max(speeds[300:]) < 0.05
     osc.run_loop(plant, controller, repeat(reference, 300), check=False)  # which refuses a stop
     assert controller.state is SAFE_STOP  # though the wrenches are back
-    assert_near(plant.measure().q, rest, 2e-3, 0)
+    assert_near(plant.measure().q, rest, atol=2e-3, rtol=0)
 
 
 def test_joints_that_stay_too_fast_end_in_a_stop(case):
@@ -255,7 +255,7 @@ def stop_of(case, v, known=True):
         share = arm.J.T / len(rest.arms)
         carry[s] += share @ rest.payload.p
         brake[s] += share @ rest.payload.Lambda @ arm.J @ q_dd[s]
-    return carry, brake, q_dd
+    return (carry, brake, q_dd)
 
 
 BLIND = np.full((2, 6), NAN)
@@ -284,10 +284,12 @@ def test_motors_carry_first_and_brake_with_what_is_left(arms):
             driven = np.isfinite(most[s])
             better = (least - share * brake)[s][driven] @ q_dd[s][driven] > 0.0
             brake[s] = least[s] if better else share * brake[s]
-            assert_near(controller._records.memory.joints.acceleration[s], share * q_dd[s], 1e-9)
+            assert_near(
+                controller._records.memory.joints.acceleration[s], share * q_dd[s], atol=1e-9
+            )
             scaled += share < 1.0
         expected = np.clip(carry + brake, -most, most)[chain.actuated]
-        assert_near(tau, expected, 1e-9, 1e-9)
+        assert_near(tau, expected, atol=1e-9, rtol=1e-9)
     assert scaled > 6
 
 
@@ -300,7 +302,7 @@ def test_an_object_that_no_arm_holds_rigidly_is_carried_where_it_was(located):
     for v, read in ((still, np.zeros((2, 6))), *[(still + 0.1, BLIND)] * 3)[not located :]:
         tau = controller.tick(osc.Measurement(case.q, v, read), osc.Reference(case.X_WO))
     carry, brake, _ = stop_of(case, v, located)
-    assert_near(tau, carry + brake, 1e-9)
+    assert_near(tau, carry + brake, atol=1e-9)
 
 
 def test_limits_can_be_changed(case):

@@ -263,7 +263,7 @@ def test_overrides(override):
     expected = parse_scenario(GOOD.replace(*OVERRIDES[override], 1))
     assert expected != parse_scenario(GOOD)
     key, _, value = override.partition("=")
-    for changes in [override], {key: value}:
+    for changes in ([override], {key: value}):
         assert parse_scenario(GOOD, None, changes) == expected
 
 
@@ -301,13 +301,13 @@ def test_complaints_about_overrides_follow_those_about_lines():
 
 
 def test_a_clash_of_two_keys_is_blamed_on_the_overridden_one():
-    for override in "control.rate=3 kHz", "control={rate: 3 kHz}", "plant.step=0.3 ms":
+    for override in ("control.rate=3 kHz", "control={rate: 3 kHz}", "plant.step=0.3 ms"):
         (found,) = complaints(GOOD, [override])
         assert found.startswith(f"override {override}: ") and "the control period is" in found
 
 
 def test_round_trip():
-    for scenario in parse_scenario(GOOD, "f.yaml"), load_scenario("two_contact_rod"):
+    for scenario in (parse_scenario(GOOD, "f.yaml"), load_scenario("two_contact_rod")):
         data = json.loads(json.dumps(scenario.as_dict(), allow_nan=False))
         assert osc.Scenario.model_validate(data) == scenario
         again = parse_scenario(yaml.safe_dump(data))
@@ -324,7 +324,7 @@ def test_loading_by_path_and_unknown_names(tmp_path):
     assert load_scenario(str(path)).duration == 2.0
     with scenario_error("did you mean 'two_contact_rod'"):
         load_scenario("two_contact_rood")
-    for bad in tmp_path / "none.yaml", tmp_path:
+    for bad in (tmp_path / "none.yaml", tmp_path):
         with scenario_error("cannot read the scenario file"):
             load_scenario(bad)
     path.write_bytes(b"name: \xff\xfe")
@@ -338,7 +338,7 @@ def test_loading_by_path_and_unknown_names(tmp_path):
 # Scenarios made in Python: pairs, moving bodies and laws of one's own, on both plants.
 
 
-PLANTS = "rigid", "mujoco"
+PLANTS = ("rigid", "mujoco")
 
 
 class Ball(osc.SphereOnPlane):
@@ -350,7 +350,12 @@ class Ball(osc.SphereOnPlane):
 
 def task(plant, name="two_contact_rod"):
     step = {"rigid": "2 ms", "mujoco": "0.25 ms"}[plant]
-    changes = f"plant.type={plant}", f"plant.step={step}", "control.rate=500 Hz", "duration=0.04 s"
+    changes = (
+        f"plant.type={plant}",
+        f"plant.step={step}",
+        "control.rate=500 Hz",
+        "duration=0.04 s",
+    )
     return osc.load_scenario(name, changes)
 
 

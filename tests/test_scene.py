@@ -64,19 +64,19 @@ def test_page_fetches_nothing_and_escapes_its_words(shown):
 
 
 def test_arm_and_object_stand_where_the_recording_has_them(shown):
-    for frame in 0, 4, 10:
+    for frame in (0, 4, 10):
         placed = links(RECORDING["q"][10 * frame])
-        for joint in "joint1", "joint3", "hinge":
+        for joint in ("joint1", "joint3", "hinge"):
             assert shown.pose(f"/meshcat/arms/left/{joint}", frame).isApprox(placed[joint], 1e-5)
         rod = shown.at("/meshcat/bodies/rod/base", "position", frame)
-        assert_near(rod, RECORDING["pose"][10 * frame, :3], 1e-6)
+        assert_near(rod, RECORDING["pose"][10 * frame, :3], atol=1e-6)
 
 
 def test_a_face_follows_its_recorded_pose(tmp_path):
     poses = np.tile(pin.SE3ToXYZQUAT(FACE), (101, 2, 1))
     poses[:, 0, 2] += 0.1 * RECORDING["t"]
     shown = Shown(write(tmp_path, changed(face_pose=poses)))
-    for frame in 0, 7:
+    for frame in (0, 7):
         expected = pin.XYZQUATToSE3(poses[10 * frame, 0])
         assert shown.pose("/meshcat/bodies/face/base", frame).isApprox(expected, 1e-5)
 
@@ -87,11 +87,11 @@ def test_what_is_not_known_stays_where_it_was(tmp_path):
     for values in channels.values():
         values[35:66] = np.nan
     shown = Shown(write(tmp_path, changed(**channels)))
-    for node in "/meshcat/arms/left/joint1", "/meshcat/bodies/rod/base", LEFT:
+    for node in ("/meshcat/arms/left/joint1", "/meshcat/bodies/rod/base", LEFT):
         stays, moves = (not shown.pose(node, 3).isApprox(shown.pose(node, k)) for k in (6, 7))
         assert (stays, moves) == (False, True), node
     for frame, known in {3: True, 5: False, 7: True}.items():
-        for shape in "closed", "commanded":
+        for shape in ("closed", "commanded"):
             assert shown.seen(f"{RIGHT}/{shape}", frame) == known
 
 
@@ -101,8 +101,8 @@ def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown,
     tick = 10 * frame
     node = (LEFT, RIGHT)[i]
     placed = shown.pose(node, frame)
-    for found, channel in (placed.translation, "point"), (placed.rotation[:, 1], "direction"):
-        assert_near(found, RECORDING[f"contact_{channel}"][tick, i], 1e-6)
+    for found, channel in ((placed.translation, "point"), (placed.rotation[:, 1], "direction")):
+        assert_near(found, RECORDING[f"contact_{channel}"][tick, i], atol=1e-6)
     for arrow, channel in {"true": "true", "commanded": "cmd", "measured": "meas"}.items():
         alpha = RECORDING[f"alpha_{channel}"][tick, i]
         assert shown.length(f"{node}/{arrow}", frame) == approx(0.01 * alpha, abs=1e-5)
@@ -123,7 +123,7 @@ def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
             assert shown.seen(part, frame) == there, part
     assert not shown.seen(f"{RIGHT}/true/shaft/rod", 0), "no arrow for 0 N"
     paint = {path: one["materials"][0]["color"] for path, one in shown.objects.items()}
-    for part in "true/shaft/rod", "commanded/head/cone", "closed/line/rod", "closed/point":
+    for part in ("true/shaft/rod", "commanded/head/cone", "closed/line/rod", "closed/point"):
         assert paint[f"{LEFT}/{part}"] == int(contact_colour(0)[1:], 16)
     assert np.ptp([*paint[f"{LEFT}/lost/line/rod"].to_bytes(3)]) < 16, "grey"
 
@@ -171,13 +171,13 @@ def test_a_column_with_a_couple_is_a_screw(tmp_path):
     N[:, 3:, 1] = d[:, 1]  # the second contact transmits a pure couple
     shown = Shown(write(tmp_path, changed(N=N)))
     offset = shown.pose(LEFT, 3).translation - p[30, 0]
-    assert_near(np.cross(offset, d[30, 0]), 0.0, 1e-6)
+    assert_near(np.cross(offset, d[30, 0]), 0.0, atol=1e-6)
     path, turned = shown.path_of_tube(f"{LEFT}/closed/line/pitch")
     assert np.polyfit(turned, path[:, 1], 1)[0] == approx(pitch, rel=1e-3)
     couple = 0.1 * RECORDING["alpha_true"][80, 1]
     assert shown.length(f"{RIGHT}/true", 8) == approx(couple, abs=1e-5)
     assert f"{RIGHT}/true/head/second" in shown.objects, "a couple has two heads"
-    assert_near(shown.pose(RIGHT, 8).rotation[:, 1], d[80, 1], 1e-6)
+    assert_near(shown.pose(RIGHT, 8).rotation[:, 1], d[80, 1], atol=1e-6)
 
 
 def test_key_frames_are_read_as_written():
@@ -226,7 +226,7 @@ def test_plots_hold_the_recorded_numbers(shown):
     for line, values in aligned(lines, page["curves"]["y"]):
         channel = RECORDING[line["key"]]
         expected = channel if line["index"] < 0 else channel[:, line["index"]]
-        assert_near(values, expected, 1e-6, 1e-3)
+        assert_near(values, expected, atol=1e-6, rtol=1e-3)
     numbers = [lines[one["line"]] for one in page["labels"] if one["line"] is not None]
     assert [(x["key"], x["index"]) for x in numbers] == [("alpha_true", 0), ("alpha_true", 1)]
     assert (page["begin"], page["length"]) == (0.0, 1.0)
@@ -241,7 +241,7 @@ def test_thinning_keeps_short_peaks_in_their_place():
     thin = thinned(panel["lines"], {"t": t, "power_total": y})
     times, values = np.array((thin["t"], thin["y"][0]))
     assert len(times) <= 900 and np.all(np.diff(times) >= 0.0)
-    for peak, at in (values.argmax(), 31_415), (values.argmin(), 20_000):
+    for peak, at in ((values.argmax(), 31_415), (values.argmin(), 20_000)):
         assert values[peak] == y[at] and abs(times[peak] - t[at]) < 0.12
     usual = np.abs(values) < 2.0
     assert largest(values[usual] - np.sin(times[usual])) < 0.12
@@ -357,19 +357,21 @@ def test_screws_are_the_wrenches_they_are_of():
     wrenches[:10, :3] = 0.0
     origins = rng.standard_normal((40, 3))
     point, direction, pitch = wrench_screw(wrenches, origins)
-    assert_near(norm(direction, axis=1), 1.0, 1e-12)
+    assert_near(norm(direction, axis=1), 1.0, atol=1e-12)
     assert np.isinf(pitch[:10]).all() and np.isfinite(pitch[10:]).all()
-    assert_near(point[:10], origins[:10], 0.0)
+    assert_near(point[:10], origins[:10], atol=0.0)
     couples = wrenches[:10, 3:]
-    assert_near(direction[:10], couples / norm(couples, axis=1)[:, None], 1e-12)
+    assert_near(direction[:10], couples / norm(couples, axis=1)[:, None], atol=1e-12)
     lines = (part[10:] for part in (wrenches, origins, point, direction, pitch))
     for wrench, O, p, d, h in aligned(*lines):
         f = norm(wrench[:3]) * d
         moment = np.cross(p - O, f) + h * f
-        assert_near(np.append(f, moment), wrench, 1e-9 * norm(wrench))
+        assert_near(np.append(f, moment), wrench, atol=1e-9 * norm(wrench))
         assert abs((p - O) @ d) < 1e-9 * max(1.0, norm(p - O)), "the point nearest to O"
         single = wrench_screw(wrench, O)
-        assert_near(np.hstack([single.point, single.direction, single.pitch]), [*p, *d, h], 1e-12)
+        assert_near(
+            np.hstack([single.point, single.direction, single.pitch]), [*p, *d, h], atol=1e-12
+        )
 
 
 @parametrize(
@@ -407,16 +409,16 @@ DAE = """<?xml version="1.0"?>
 </instance_geometry></node></visual_scene></library_visual_scenes>
 </COLLADA>
 """
-RED = 0.88, 0.14, 0.14
-BLUE = 0.14, 0.14, 0.88
+RED = (0.88, 0.14, 0.14)
+BLUE = (0.14, 0.14, 0.88)
 
 
 def test_triangles_have_the_colours_of_their_materials(tmp_path):
     file = tmp_path / "two.dae"
     file.write_text(DAE)
-    assert_near(triangle_colours(file, 3), [RED, RED, BLUE], 1e-12)
+    assert_near(triangle_colours(file, 3), [RED, RED, BLUE], atol=1e-12)
     found = vertex_colours(file, np.array([[0, 1, 2], [2, 1, 3], [4, 5, 6]]), 7)
-    assert_near(found, [RED] * 4 + [BLUE] * 3, 1e-6)
+    assert_near(found, [RED] * 4 + [BLUE] * 3, atol=1e-6)
 
 
 @parametrize(

@@ -105,18 +105,18 @@ def test_noise_and_bias_have_the_size_given():
     bias = 10 * noise
     steps = SensorErrors(resolution=0.01)
     vision = VisionSpec(1e3, position={"noise": 1e-3}, orientation={"noise": 5e-3})
-    wrists = clock, SensorErrors(noise, bias)
+    wrists = (clock, SensorErrors(noise, bias))
     out = readings(Sensors(encoders=(clock, steps), wrists=wrists, vision=vision), 4000)
     t = np.arange(len(out)) * DT
     read = np.array([m.wrenches for m in out])
     offset = read.mean(axis=0) - 5.0
     assert np.all(np.abs(offset) < bias + 0.1 * noise) and largest(offset / bias) > 0.2
-    assert_near(read.std(axis=0) / noise, 1.0, 0.06)
+    assert_near(read.std(axis=0) / noise, 1.0, atol=0.06)
     white = (read - read.mean(axis=0)).reshape(len(read), -1)
     assert largest(np.corrcoef(white.T) - np.eye(12)) < 0.08
     assert largest((white[1:] * white[:-1]).mean(axis=0) / white.var(axis=0)) < 0.08
     q = np.array([m.q for m in out])
-    assert_near(q / 0.01, np.round(q / 0.01), 1e-9)
+    assert_near(q / 0.01, np.round(q / 0.01), atol=1e-9)
     assert largest(q - np.outer(t, [1, 2, 3])) <= 0.005 + 1e-12
     X = np.array([m.touched.X_WE[0] for m in out])
     away = X[:, :3, 3] - np.outer(0.02 * t, [1, 0, 0])
@@ -135,14 +135,14 @@ def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
         samples = np.ceil(np.arange(int(t * rate) + 2) / rate / DT - 1e-6) * DT
         expected = samples[samples + delay <= t + 1e-9].max(initial=0.0)
         assert m.stamps.encoders == approx(expected, abs=1e-9)
-        assert_near(m.q, expected * np.arange(1, 4), 1e-9)
+        assert_near(m.q, expected * np.arange(1, 4), atol=1e-9)
 
 
 def test_lost_samples_keep_the_old_reading():
     out = readings(Sensors(encoders=(Clock(1e3, 0.0, dropout=0.2), SensorErrors())), 5000)
     stamps = np.array([m.stamps.encoders for m in out])
     assert np.mean(np.diff(stamps) == 0.0) == approx(0.2, abs=0.02)
-    assert_near([m.q[0] for m in out], stamps, 1e-9)
+    assert_near([m.q[0] for m in out], stamps, atol=1e-9)
 
 
 def test_encoders_give_no_velocity_and_vision_no_twist():
@@ -191,7 +191,7 @@ def test_a_better_encoder_is_never_worse(name, rate):
     """By contact forces, 2 s judged, MuJoCo."""
     encoders = [BITS % (rate, 2 * np.pi / 2**bits, 1.0 / 2**bits) for bits in (20, 23, 26)]
     errors = []
-    for encoder in *encoders, f"sensors.encoder={{rate: {rate} Hz}}":
+    for encoder in (*encoders, f"sensors.encoder={{rate: {rate} Hz}}"):
         verdict = verdict_of(name, f"control.rate={rate} Hz", encoder, duration=3.0)
         errors.append(closed_force(verdict))
     assert all(better <= 1.02 * worse for worse, better in pairwise(errors)), errors
@@ -229,8 +229,8 @@ def test_readings_of_an_arm_give_what_its_wrist_carries():
     carried = sensor.inverse().act(hand.inertia)
     carried += (state.sensors[0].inverse() * state.X_WO).act(chain.payload.inertia)
     assert load.mass == approx(carried.mass)
-    assert_near(load.com, carried.lever, 1e-9)
-    assert_near(load.bias, bias, 1e-9)
+    assert_near(load.com, carried.lever, atol=1e-9)
+    assert_near(load.bias, bias, atol=1e-9)
 
 
 def test_the_standard_errors_are_the_spread_of_many_calibrations():
@@ -321,12 +321,12 @@ def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noi
 
 def test_a_fresh_reading_corrects_what_the_acceleration_predicts():
     """The velocity by β over the period of the sensor."""
-    for fresh, innovation in (False, 0.0), (True, 99.0 - 1.002005):
+    for fresh, innovation in ((False, 0.0), (True, 99.0 - 1.002005)):
         estimate = VelocityEstimate(vector(0.5), vector(0.1), DT, 4 * DT)
         estimate.update(vector(1.0))
         estimate.v = vector(2.0)
         x, v = estimate.update(vector(99.0), vector(10.0), fresh)
-        expected = 1.002005 + 0.5 * innovation, 2.01 + 25.0 * innovation
+        expected = (1.002005 + 0.5 * innovation, 2.01 + 25.0 * innovation)
         assert_near([x[0], v[0]], expected, rtol=1e-12)
 
 
@@ -345,7 +345,7 @@ def test_a_slow_sensor_is_followed_between_its_samples():
 # Vision fused with encoders: the camera's frame found, its delay undone, its noise weighed.
 
 
-NOISE = 1e-3, 5e-3
+NOISE = (1e-3, 5e-3)
 
 
 def displaced(rng, size):
@@ -376,13 +376,13 @@ def test_without_noise_one_picture_finds_the_camera():
         known = scattered(rng)
         found = Registration(1e-9, 1e-9, prior=(1.0, 1.0))
         found.update(known, [X_WC.inverse() * X for X in known])
-        assert_near(lacking(found.X, X_WC), 0.0, 1e-8)
+        assert_near(lacking(found.X, X_WC), 0.0, atol=1e-8)
 
 
 def test_the_covariance_is_that_of_the_error():
     """Normalised squared error over 300 cameras: chi² with 6 degrees of freedom, mean 6 ± 0.2."""
     rng = default_rng(1)
-    prior = 5e-3, 5e-3
+    prior = (5e-3, 5e-3)
     squares = []
     spread = []
     for _ in range(300):
@@ -395,7 +395,7 @@ def test_the_covariance_is_that_of_the_error():
         squares.append(error @ solve(found.P, error))
         spread.append(error / np.sqrt(np.diag(found.P)))
     assert np.mean(squares) == approx(6.0, abs=4 * np.sqrt(12 / 300))
-    assert_near(np.std(spread, axis=0), 1.0, 0.15)
+    assert_near(np.std(spread, axis=0), 1.0, atol=0.15)
 
 
 def test_history_interpolates_the_past():
@@ -404,7 +404,7 @@ def test_history_interpolates_the_past():
         history.at(0.0)
     for k in range(301):
         history.add(1e-3 * k, vector(1e-3 * k, 2.0))
-    assert_near(history.at(0.2345), [0.2345, 2.0], 1e-12)
+    assert_near(history.at(0.2345), [0.2345, 2.0], atol=1e-12)
     assert_near(history.at(9.0), [0.3, 2.0])
     assert history.at(0.0)[0] == approx(0.2, abs=2e-3)  # no further back than 0.1 s
     alone = History(1.0)
@@ -425,7 +425,7 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
         re.sub(": (0.7|1) Hz", ": 0.1 Hz", c).replace("ramp: 0.1 s", "ramp: 4 s") for c in TURNING
     ]
     step = {"mujoco": "0.25 ms", "rigid": "1 ms"}[plant]
-    changes = f"plant.type={plant}", f"plant.step={step}", "control.rate=1 kHz"
+    changes = (f"plant.type={plant}", f"plant.step={step}", "control.rate=1 kHz")
     rig = rig_of("moving_face", *slow, VISION, *changes)
     sensed = rig.plant(2)
     controller = rig.controller()
@@ -439,7 +439,7 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
         if k >= 1200 and k % 20 == 0:
             truth = sensed.truth()
             n = truth.X_WE[0].rotation @ pair.normal
-            for touched in done.touched, read.touched:
+            for touched in (done.touched, read.touched):
                 X_WE = pin.SE3(touched.X_WE[0])
                 off = np.cross(n, X_WE.rotation @ pair.normal)
                 squares.append([off @ off, *pair.gaps(truth.X_WO, X_WE) ** 2])
@@ -457,7 +457,7 @@ def test_vision_tracks_rod_and_arms_where_they_are():
     for X, Y in aligned((seen.object, *seen.tips), sensed.plant.poses()):
         assert 1e-4 < largest(X[:3, 3] - Y[:3, 3]) < 1.5e-2
         assert norm(pin.log3(X[:3, :3] @ Y[:3, :3].T)) < 0.04
-    assert_near(sensed.plant.poses()[0], truth.X_WO.homogeneous, 1e-12)
+    assert_near(sensed.plant.poses()[0], truth.X_WO.homogeneous, atol=1e-12)
     assert seen.tips.shape == (2, 4, 4)
 
 
@@ -466,7 +466,7 @@ def test_a_wandering_camera_is_followed():
     known = scattered(rng)
     moved = placed(3e-3, rpy=(0, 0, 2e-3))
     found = Registration(*NOISE, drift=(1e-3, 1e-3))
-    for where in placed(), moved:
+    for where in (placed(), moved):
         for _ in range(600):
             found.update(known, [noisy(where.inverse() * X, rng) for X in known], 1 / 60)
     assert largest(lacking(found.X, moved)) < 1.5e-3

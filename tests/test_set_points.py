@@ -52,7 +52,7 @@ def test_goals_that_change_at_any_time_are_followed_within_the_limits(monkeypatc
     if ruckig == "finds none":
         monkeypatch.setattr(jerk_limits, "_Fastest", fail)
     rng = default_rng(0)
-    for n in 1, 3, 6:
+    for n in (1, 3, 6):
         v, a, j = size * 10.0 ** rng.uniform(-1, 1.5, (3, n))
         point = osc.SetPoint(np.zeros(n), osc.JerkLimits(v, a, j), DT)
         states = [point.step()]
@@ -63,7 +63,7 @@ def test_goals_that_change_at_any_time_are_followed_within_the_limits(monkeypatc
         tiny = 1e-9 * size
         assert within(x_dot, v + tiny) and within(x_ddot, a + tiny)
         assert within(np.diff(x_ddot, axis=0), j * DT + tiny)
-        for path, rate, most in (x, x_dot, DT / 6), (x_dot, x_ddot, 1 / 4):
+        for path, rate, most in ((x, x_dot, DT / 6), (x_dot, x_ddot, 1 / 4)):
             drawn = np.diff(path, axis=0) - DT * (rate[1:] + rate[:-1]) / 2
             assert within(drawn, j * most * DT**2 + 1e-3 * tiny)
         due = point.remaining / DT + 2
@@ -79,7 +79,7 @@ def test_goals_that_change_at_any_time_are_followed_within_the_limits(monkeypatc
 def test_no_finite_goal_raises(way):
     bounds = LINEAR.each(2)
     path = Trajectory.rest(np.zeros(2), bounds)
-    for share in 1.0, 0.3, -1.0:
+    for share in (1.0, 0.3, -1.0):
         goal = way * vector(share, 0.5)
         path = Trajectory(*path.state, goal, bounds)
         path.advance(0.1)
@@ -94,7 +94,7 @@ def test_a_number_stays_a_number_and_several_arrive_together_on_a_line():
     line = osc.SetPoint([1.0, 2.0, 3.0], LINEAR, DT)
     goal = vector(1.3, 1.9, 3.2)
     done = np.array([(line.step(goal).value - [1, 2, 3]) / (goal - [1, 2, 3]) for _ in range(800)])
-    assert_near(done, done[:, :1] * np.ones(3), 1e-9)
+    assert_near(done, done[:, :1] * np.ones(3), atol=1e-9)
 
 
 @parametrize("size", [0.0, 1e-9, 1e-3, 0.31, 0.32, 1.0, 3.1, 5.0])
@@ -109,9 +109,9 @@ def test_angular_motion_is_the_derivative_of_the_rotation(size):
             return rotation_of(w + w_dot * t + w_ddot * t * t / 2, w_dot + w_ddot * t, w_ddot)
 
         R, omega, omega_dot = moved(0.0)
-        assert_near(R, pin.exp3(w), 1e-12)
-        assert_near(omega, pin.log3(moved(h)[0] @ moved(-h)[0].T) / (2 * h), 1e-8)
-        assert_near(omega_dot, (moved(h)[1] - moved(-h)[1]) / (2 * h), 1e-8)
+        assert_near(R, pin.exp3(w), atol=1e-12)
+        assert_near(omega, pin.log3(moved(h)[0] @ moved(-h)[0].T) / (2 * h), atol=1e-8)
+        assert_near(omega_dot, (moved(h)[1] - moved(-h)[1]) / (2 * h), atol=1e-8)
 
 
 def test_poses_with_goals_that_change_on_the_way():
@@ -122,8 +122,8 @@ def test_poses_with_goals_that_change_on_the_way():
     path = [point.step(goal, [1.0]) for goal in goals]
     for before, after in pairwise(path):
         step = displacement(before.X_WD, after.X_WD)
-        assert_near(step / DT, (before.V_D + after.V_D) / 2, 1e-4)
-        assert_near((after.V_D - before.V_D) / DT, (before.A_D + after.A_D) / 2, 0.1)
+        assert_near(step / DT, (before.V_D + after.V_D) / 2, atol=1e-4)
+        assert_near((after.V_D - before.V_D) / DT, (before.A_D + after.A_D) / 2, atol=0.1)
         assert within(after.V_D[:3], 0.3 + 1e-9)
         assert within(after.A_D[:3], 2.0 + 1e-9)
         assert norm(after.V_D[3:]) <= 3**0.5 * 1.0 + 0.05
@@ -208,7 +208,7 @@ def test_a_reference_leaves_out_what_is_zero():
     X = pose_of(default_rng(4))
     short = osc.Reference(X)
     long = osc.pose_reference(X.translation, X.rotation)
-    for reference in short, long:
+    for reference in (short, long):
         assert_array_equal((reference.V_D, reference.A_D), np.zeros((2, 6)))
         assert len(reference.alpha_d) == 0 and reference.squeeze_d == 0.0
         with raises(ValueError, match="read-only"):  # it would count for nothing

@@ -61,10 +61,10 @@ def test_derivatives_match_central_differences(signal):
 def test_many_times_at_once_are_those_times_one_by_one():
     signals = [*SMOOTH, Step(value=5.0, start=0.7), Sine(amplitude=1.0, frequency=2.0, start=0.3)]
     t = np.sort(np.append(default_rng(0).uniform(-0.5, 2.0, 200), [0.1, 0.3, 0.4, 0.7]))
-    for chosen in [], *([one] for one in signals), signals:
+    for chosen in ([], *([one] for one in signals), signals):
         summed = np.array([np.sum([one.at(x) for one in chosen], axis=0) * np.ones(3) for x in t])
-        assert_near(total(chosen, t).T, summed, 1e-12)
-        assert_near([total(chosen, x) for x in t], summed, 1e-12)
+        assert_near(total(chosen, t).T, summed, atol=1e-12)
+        assert_near([total(chosen, x) for x in t], summed, atol=1e-12)
 
 
 def test_step_rises_at_its_start_with_zero_derivatives():
@@ -78,7 +78,7 @@ def test_sine_is_silent_before_start_and_pure_after_the_ramp():
     assert tuple(sine.at(0.999)) == (0.0, 0.0, 0.0)
     w = math.pi
     angle = w + 0.3
-    expected = 4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle)
+    expected = (4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle))
     assert sine.at(2.0) == approx(expected, rel=1e-13)
 
 
@@ -121,8 +121,8 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         times = np.cumsum(rng.uniform(0.2, 1.0, rng.integers(2, 8)))
         values = rng.standard_normal(len(times))
         signal = Points(points=np.column_stack((times, values)).tolist())
-        assert_near(signal.at(times)[0], values, 1e-10)
-        assert_near(signal.at(times[[0, -1]] + [1e-9, -1e-9])[1:], 0.0, 1e-4)
+        assert_near(signal.at(times)[0], values, atol=1e-10)
+        assert_near(signal.at(times[[0, -1]] + [1e-9, -1e-9])[1:], 0.0, atol=1e-4)
         assert signal.at(-1.0) == (values[0], 0.0, 0.0)
         assert signal.at(math.inf) == (values[-1], 0.0, 0.0)
         t = np.linspace(times[0], times[-1], 40_001)
@@ -140,9 +140,9 @@ def test_a_value_given_twice_is_held_and_parts_the_curve():
     first = [(0.0, 3.0), (0.4, 5.0), (0.9, 4.0)]
     last = [(6.0, 4.0), (6.3, 1.0), (7.0, 2.0)]
     both, before, after = (np.array(Points(points=p).at(t)) for p in (first + last, first, last))
-    assert_near(both, np.where(t < 3.0, before, after), 1e-9)
+    assert_near(both, np.where(t < 3.0, before, after), atol=1e-9)
     held = (t >= 0.9) & (t <= 6.0)
-    assert_near(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), 1e-12)
+    assert_near(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
 
 
 @parametrize(
@@ -254,7 +254,7 @@ def test_vectors():
     loaded = unit([0.4, 0.3, -0.87])
     assert math.hypot(*loaded) == approx(1.0, abs=4e-16)
     assert np.cross(loaded, [0.4, 0.3, -0.87]) == approx(np.zeros(3), abs=1e-16)
-    for read, bad in (vec3, [1, 2]), (vec3, "abc"), (vec3, [1, 2, "3 N"]), (unit, [0, 0, 0]):
+    for read, bad in ((vec3, [1, 2]), (vec3, "abc"), (vec3, [1, 2, "3 N"]), (unit, [0, 0, 0])):
         with raises(ValidationError, match="expected"):
             read(bad)
     for vector in default_rng(0).standard_normal((2000, 3)).tolist():

@@ -37,7 +37,7 @@ def tick(chain, q, v, posture=None, controller=None):
         chain, [], osc.Gains(MotionGains(400, 40)), posture=posture
     )
     controller.reset()
-    return controller, controller.tick(unloaded(q, v, len(chain.arms)), reference)
+    return (controller, controller.tick(unloaded(q, v, len(chain.arms)), reference))
 
 
 def share_left(chi):
@@ -70,7 +70,7 @@ def assert_faded(chain, q, v, posture, controller):
         assert one.arm == chain.arms[lost.arm].name
         assert one.left == approx(share_left(lost.chi), abs=1e-9) == lost.share
         assert one.inertia_ratio == approx(1.0 / max(lost.chi, 1e-12) ** 2, rel=1e-6)
-        assert_near(one.twist, lost.twist / norm(lost.twist[:3]), 1e-9)
+        assert_near(one.twist, lost.twist / norm(lost.twist[:3]), atol=1e-9)
         assert one.arm in controller.reason and "singular" in controller.reason
         row = S.T @ lost.wrench
         size = norm(solve(L, row))
@@ -81,7 +81,7 @@ def assert_faded(chain, q, v, posture, controller):
             right.append(weight * target)
     change = S @ lstsq(rows, right, rcond=None)[0]
     size = max(largest(a), largest(change))
-    assert_near(S @ s.eta_c + state.sigma, a + change, 1e-6 * size, 0)
+    assert_near(S @ s.eta_c + state.sigma, a + change, atol=1e-6 * size, rtol=0)
 
 
 def stretched_scaras():
@@ -101,7 +101,7 @@ def _closed(q):
 
     def posture(shoulder):
         trial = q.copy()
-        trial[[0, 5]] = shoulder, np.pi - shoulder
+        trial[[0, 5]] = (shoulder, np.pi - shoulder)
         trial[3] = -(trial[0] + trial[1])
         trial[8] = -trial[3]
         return trial
@@ -136,7 +136,7 @@ def test_torques_are_continuous_through_the_straight_elbow(rest):
     panda = one_panda()
     chain = osc.ClosedChain(panda.arms, panda.grasps, panda.payload, rank_tolerance=3e-3)
     v = rest * vector(0.3, -0.5, 0.2, 0.8, 0.1, -0.4, 0.6)
-    ends = (-0.4, -2e-3, 400), (-2e-3, 2e-3, 200), (2e-3, 0.4, 400)
+    ends = ((-0.4, -2e-3, 400), (-2e-3, 2e-3, 200), (2e-3, 0.4, 400))
     offsets = np.concatenate([np.linspace(*end) for end in ends])
     postures = map(straight_panda, offsets)
     assert ranks_on_the_way(chain, postures, v, straight_panda(-0.8)) == {5, 6}
@@ -162,8 +162,8 @@ def outward(name, direction, distance, duration, plant):
     return osc.run(osc.Scenario.model_validate(data))
 
 
-SCARAS = "two_contact_rod", [0, 1, 0], 0.2205  # 0.2185 m is all they reach
-PANDA = "panda_edge", [1, 0, 0.2], 0.4386  # 0.4366 m
+SCARAS = ("two_contact_rod", [0, 1, 0], 0.2205)  # 0.2185 m is all they reach
+PANDA = ("panda_edge", [1, 0, 0.2], 0.4386)  # 0.4366 m
 
 
 @parametrize(

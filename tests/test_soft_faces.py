@@ -106,6 +106,6 @@ def test_the_arm_in_contact_is_passive():
 
 
 def test_what_is_no_compliance_is_refused():
-    for value in 0.0, -1e-4, np.inf, np.nan:
+    for value in (0.0, -1e-4, np.inf, np.nan):
         with refused("compliance"):
             Yielding(value)

@@ -14,14 +14,14 @@ from test_projections import SIZE, close, mixing
 import osc_contact as osc
 from osc_contact import projections as P
 
-FORCE_LAWS = P.Omega_f, P.Omega_m_bar
-MOTION_LAWS = P.Omega_m, P.Omega_f_bar
+FORCE_LAWS = (P.Omega_f, P.Omega_m_bar)
+MOTION_LAWS = (P.Omega_m, P.Omega_f_bar)
 
 
 @fixture(params=[0.01, 1.0, 100.0], ids=["stricter", "as is", "laxer"])
 def limits(request, monkeypatch):
     """No verdict here may hang on a limit: each holds with limits a hundred times off."""
-    for name in "DEPENDENT", "BLOCKED", "BLURRED", "_NO_MOBILITY":
+    for name in ("DEPENDENT", "BLOCKED", "BLURRED", "_NO_MOBILITY"):
         monkeypatch.setattr(P, name, getattr(P, name) * request.param)
 
 
@@ -40,7 +40,7 @@ def nearly_dependent(rng, r, gap):
     good = SIZE[:, None] * orthogonal(rng)[:, :r]
     near = good.copy()
     near[:, -1] = good[:, 0] + gap * good[:, -1]
-    return near, good
+    return (near, good)
 
 
 def changes(rng):
@@ -49,12 +49,12 @@ def changes(rng):
     Another point lies up to 2 m away; motions are carried by X, forces by X*.
     """
     X = pin.SE3(pin.exp3(2.0 * rng.standard_normal(3)), rng.uniform(-2.0, 2.0, 3))
-    one = X.action, X.dualAction
-    other = np.diag([1e3] * 3 + [1.0] * 3), np.diag([1.0] * 3 + [1e3] * 3)  # power in N mm/s
-    yield np.eye(6), np.eye(6)
+    one = (X.action, X.dualAction)
+    other = (np.diag([1e3] * 3 + [1.0] * 3), np.diag([1.0] * 3 + [1e3] * 3))  # power in N mm/s
+    yield (np.eye(6), np.eye(6))
     yield one
     yield other
-    yield other[0] @ one[0], other[1] @ one[1]
+    yield (other[0] @ one[0], other[1] @ one[1])
 
 
 @parametrize("gap", [1e-4, 1e-5, 1e-6])
@@ -71,9 +71,9 @@ def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_b
     f = SIZE * rng.standard_normal(6)
     v = rng.standard_normal(6) / SIZE
     for X, X_f in changes(rng):
-        for basis in np.eye(r), np.diag(10 ** rng.uniform(-3, 3, r)):
-            given = X_f @ near @ basis, X @ Phi @ X.T
-            for law, x, way in (P.Omega_f, f, X_f), (P.Omega_m_bar, v, X):
+        for basis in (np.eye(r), np.diag(10 ** rng.uniform(-3, 3, r))):
+            given = (X_f @ near @ basis, X @ Phi @ X.T)
+            for law, x, way in ((P.Omega_f, f, X_f), (P.Omega_m_bar, v, X)):
                 found = np.linalg.solve(way, law(*given) @ way @ x)
                 close(found, law(good, Phi) @ x, 3e-13 / gap)
 
@@ -106,7 +106,7 @@ def test_singular_metrics_are_refused_in_every_frame(r):
         near = N.copy()
         near[:, 0] = N[:, -1] + 1e-6 * N[:, 0]
         for X, X_f in changes(rng):
-            for columns in N, N @ mixing(rng, r), *([near] if r > 1 else []):
+            for columns in (N, N @ mixing(rng, r), *([near] if r > 1 else [])):
                 for law in FORCE_LAWS:
                     with contact_error("cannot move along"):
                         law(X_f @ columns, X @ Phi @ X.T)
@@ -151,12 +151,12 @@ def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns():
     gap = 1e-4
     C = np.array([[1.0, 1.0], [0.0, gap]])  # N = good C
     Phi_e = np.diag([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])
-    for environment in osc.Environment.fixed(), osc.Environment(Phi_e, rng.standard_normal(6)):
+    for environment in (osc.Environment.fixed(), osc.Environment(Phi_e, rng.standard_normal(6))):
         n_gamma = rng.standard_normal(2)
         f_S = rng.standard_normal(state.d)
         found = []
-        for N, n_g in (good @ C, n_gamma @ C), (good, n_gamma):
+        for N, n_g in ((good @ C, n_gamma @ C), (good, n_gamma)):
             answer = osc.contact_response(state, osc.Contact(N, n_g), environment, f_S=f_S)
             found.append([answer.f_c, answer.acceleration])
         for one, other in aligned(*found):
-            assert_near(one, other, 1e-10 * largest(other), 0.0)
+            assert_near(one, other, atol=1e-10 * largest(other), rtol=0.0)

@@ -46,7 +46,7 @@ def test_products_and_carrying_agree_with_pinocchio_column_by_column(columns):
             (cross_twist(v, u), np.block([[W, skew(v[:3])], [np.zeros((3, 3)), W]]) @ u),
             (cross_wrench(v, f) @ u, -f @ cross_twist(v, u)),
         ):
-            assert_near(got, expected, 1e-14)
+            assert_near(got, expected, atol=1e-14)
     assert_array_equal(given, kept)
 
 
@@ -56,10 +56,10 @@ def test_classical_to_spatial_agrees_with_pinocchio(seed):
     model = pin.buildSampleModelManipulator()
     q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
     v, a = default_rng(seed).standard_normal((2, model.nv))
-    at = model, data_at(model, q, v, a), model.nframes - 1, pin.LOCAL_WORLD_ALIGNED
+    at = (model, data_at(model, q, v, a), model.nframes - 1, pin.LOCAL_WORLD_ALIGNED)
     V = pin.getFrameVelocity(*at).vector
     spatial = classical_to_spatial(pin.getFrameClassicalAcceleration(*at).vector, V)
-    assert_near(spatial, pin.getFrameAcceleration(*at).vector, 1e-12)
+    assert_near(spatial, pin.getFrameAcceleration(*at).vector, atol=1e-12)
 
 
 @parametrize("seed", SEEDS)
@@ -68,14 +68,14 @@ def test_pose_error_carries_the_object_to_its_goal(seed):
     X_WD = pin.SE3.Random()
     X_WO = pin.SE3.Random()
     e = pose_error(X_WD, X_WO)
-    assert_near(X_WO.translation + e[:3], X_WD.translation, 1e-14)
+    assert_near(X_WO.translation + e[:3], X_WD.translation, atol=1e-14)
     turned = pin.AngleAxis(norm(e[3:]), unit(e[3:]))
-    assert_near(turned.matrix() @ X_WO.rotation, X_WD.rotation, 1e-12)
+    assert_near(turned.matrix() @ X_WO.rotation, X_WD.rotation, atol=1e-12)
     assert norm(e[3:]) <= np.pi + 1e-12
 
 
 def test_as_array_returns_a_fresh_float_copy():
-    for given, shape in (np.arange(6).reshape(2, 3), (2, None)), (np.ones(3), (3,)):
+    for given, shape in ((np.arange(6).reshape(2, 3), (2, None)), (np.ones(3), (3,))):
         kept = given.copy()
         taken = as_array("x", given, shape)
         assert taken.dtype == np.float64

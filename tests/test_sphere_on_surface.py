@@ -54,7 +54,7 @@ def ball_on(surface, height, slopes, axis=2):
             place = vector(x, y, height(x, y)) + rho * n / norm(n)
             return placed(pin.exp3(q[:3]), ball, X.act(place))
 
-        return pair, pose, 1
+        return (pair, pose, 1)
 
     return make
 
@@ -121,14 +121,16 @@ def test_normals_gaps_and_points_are_those_of_the_shapes_that_touch(face, R):
         place = (R + 0.012 - deep) * n
         X_WO = X_WE * placed(any_rotation(rng), pair.centre, place)
         ours = pair.contact(X_WO, np.ones(6), X_WE)
-        assert_near(ours.N[:3, 0], -X_WE.rotation @ n, 1e-10)
+        assert_near(ours.N[:3, 0], -X_WE.rotation @ n, atol=1e-10)
         assert pair.gaps(X_WO, X_WE)[0] == approx(-deep, abs=1e-12)
-        assert_near(pair.points_of_contact(X_WO, X_WE)[:, 0], X_WE.act(place - 0.012 * n), 1e-10)
+        assert_near(
+            pair.points_of_contact(X_WO, X_WE)[:, 0], X_WE.act(place - 0.012 * n), atol=1e-10
+        )
         (found,) = osc.detect(ball, X_WO, [CollisionShape("e", solid)], X_WE)
         assert isinstance(found.pair(), osc.SphereOnSurface)
         other = found.pair().contact(X_WO, np.ones(6), X_WE)
-        assert_near(other.N, ours.N, 1e-9)
-        assert_near(other.n_gamma, ours.n_gamma, 1e-8)
+        assert_near(other.N, ours.N, atol=1e-9)
+        assert_near(other.n_gamma, ours.n_gamma, atol=1e-8)
 
 
 def test_what_no_ball_can_touch_is_refused():
@@ -188,8 +190,8 @@ def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
     n = normal(osc.SphereOnSurface(centre, 0.012, osc.Surface.sphere(0.1), at + delta), X)
     column = controller._records.work.columns[0]
     p = X.rotation @ centre + 0.012 * (normal(pair, X) if kind is Own else n)
-    assert_near(column.point, p, 1e-12)
-    assert_near(controller.signals.contact.N[:, 0], np.append(n, np.cross(p, n)), 1e-12)
+    assert_near(column.point, p, atol=1e-12)
+    assert_near(controller.signals.contact.N[:, 0], np.append(n, np.cross(p, n)), atol=1e-12)
 
 
 # --- in a scenario --------------------------------------------------------------------------------
@@ -204,17 +206,17 @@ def task(tmp_path, own_plants):
 def test_references_touch_all_the_way_and_are_derivatives_of_one_another(task):
     raster = {"kind": "surface", "contact": "nose", "direction": [1, 0, 0], "dwell": 0.1}
     raster |= {"raster": [0.04, 0.02, 3], "feed": 0.1}
-    for face, more in ("saddle", []), ("sphere", [raster]):
+    for face, more in (("saddle", []), ("sphere", [raster])):
         scenario = task(face)
         scenario = scenario.replaced(motion=[*more, *([] if more else scenario.motion)])
         rig = rig_of(scenario)
         (pair,) = rig.pairs
-        for t in 0.3, 1.3, 2.1:
+        for t in (0.3, 1.3, 2.1):
             at = assert_derivatives(rig.references.at, t, 1e-4, 2e-6, 1e-4)
             assert abs(pair.gaps(at.X_WD)[0]) < 1e-15
             start = rig.references.at(0.0).X_WD
             turned = at.X_WD.rotation @ start.rotation.T @ normal(pair, start)
-            assert_near(turned, normal(pair, at.X_WD), 1e-12)
+            assert_near(turned, normal(pair, at.X_WD), atol=1e-12)
 
 
 def test_a_raster_rests_at_its_corners_and_a_loop_takes_it(task):
@@ -238,7 +240,7 @@ def test_a_force_may_be_a_file(task, tmp_path):
     np.savetxt(tmp_path / "force.csv", np.column_stack((t, force)), delimiter=",")
     signal = {"type": "points", "points": "force.csv"}
     scenario = task().replaced(force={"nose": [signal]})
-    assert_near(rig_of(scenario).references.forces(t)[0], force, 1e-12)
+    assert_near(rig_of(scenario).references.forces(t)[0], force, atol=1e-12)
     assert type(scenario).from_dict(scenario.as_dict()) == scenario  # the points, not the name
     (tmp_path / "force.csv").write_text("0, 1\n1, a\n")
     with scenario_error("a CSV file with lines 'time, value'"):

@@ -14,7 +14,7 @@ from scenario_runs import rig_of
 
 import osc_contact as osc
 
-RIGID = "two_contact_rod", "plant.type=rigid", "plant.step=1 ms"
+RIGID = ("two_contact_rod", "plant.type=rigid", "plant.step=1 ms")
 LOGGER = "osc_contact.preflight"
 
 
@@ -255,10 +255,10 @@ def test_a_robot_of_ones_own_answers_for_its_scene(rig):
         loose = {}  # noqa: RUF012
 
         def distance(self, point):
-            return 0.012, "table"
+            return (0.012, "table")
 
         def clearance(self):
-            return 0.0, "table"
+            return (0.0, "table")
 
         def require_period(self, duration):
             if duration < 2e-3:

@@ -23,7 +23,7 @@ class Case:
         self.rig = rig_of(name)
         plant, controller = start(self.rig)
         self.measurement, self.reference = plant.measure(), self.rig.references.at(0.0)
-        self.given = self.measurement, self.reference
+        self.given = (self.measurement, self.reference)
         self.chain = controller.chain
 
     def controller(self):
@@ -132,7 +132,7 @@ def test_no_pair_of_reason_and_cause_is_without_a_sentence(case, held):
         size = next((n for name, n in sizes.items() if f"{{{name}}}" in sentence), 2)
         memory.cause, memory.culprit = cause, size - 1
         controller._records.work.reason = CODES[held]
-        for memory.age in 1, 2:
+        for memory.age in (1, 2):
             assert sentence.partition("{")[0] in controller.reason
 
 

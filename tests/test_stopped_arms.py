@@ -252,7 +252,7 @@ def swap(how):
             end = min(end, t + 0.1)
         if t > how.moment:
             force = max(force, *np.abs(run.plant.truth().alpha).tolist())
-    return force, run
+    return (force, run)
 
 
 SWAPS = (

@@ -41,7 +41,7 @@ from osc_contact.sweeps.sweep import (
 )
 
 U = np.linspace(0.01, 0.99, 7)
-SHORT = "duration=1.02 s", "control.rate=250 Hz"
+SHORT = ("duration=1.02 s", "control.rate=250 Hz")
 MASSES = "model_error.object_mass=uniform(0.8, 1.2)"
 NORMALS = "contacts.left_end.face.normal=tilt(5 deg)"
 
@@ -92,7 +92,7 @@ def test_tilted_directions_fill_their_cap_evenly():
     u = np.random.default_rng(0).random((4000, 2))
     tilt = parse_distribution("tilt(20 deg)")
     drawn = np.array([json.loads(tilt.draw(x, normal.tolist())[0]) for x in u])
-    assert_near(norm(drawn, axis=1), 1.0, 1e-12)
+    assert_near(norm(drawn, axis=1), 1.0, atol=1e-12)
     rim = np.cos(np.deg2rad(20))
     height = (drawn @ normal - rim) / (1 - rim)
     assert height.min() > -1e-12
@@ -131,13 +131,13 @@ def test_what_is_not_understood_is_refused_with_how_it_is_written(words):
 def test_points_are_scipys_and_those_behind_a_block_go_on(design, points):
     study = rod(3000, "squeeze=uniform(0, 1)", "seed=integers(0, 9)", design=design, seed=4)
     oracle = points(2, scramble=True, rng=4).random(2048)
-    for i in 0, 5, 1023, 1024, 2047:
+    for i in (0, 5, 1023, 1024, 2047):
         assert study.sample(i).shown["squeeze"] == approx(oracle[i, 0], abs=1e-12)
         assert study.sample(i).seed == int(oracle[i, 1] * 10)
 
 
 def test_a_sample_does_not_depend_on_how_many_there_are():
-    for design in "halton", "sobol", "random":
+    for design in ("halton", "sobol", "random"):
         few, many = (rod(n, MASSES, NORMALS, design=design) for n in (10, 5000))
         assert few.fingerprint == many.fingerprint
         assert [few.sample(i) for i in range(10)] == [many.sample(i) for i in range(10)]
@@ -183,8 +183,8 @@ def test_sobol_indices_are_those_of_ishigamis_function():
     table = pyarrow.table({"motion.rms_error_m": error})
     found = variances(table, study, "motion.rms_error_m")
     first, total = ([found[key][kind] for key in keys] for kind in ("first", "total"))
-    assert_near(first, (0.3139, 0.4424, 0.0), 0.03)
-    assert_near(total, (0.5576, 0.4424, 0.2437), 0.03)
+    assert_near(first, (0.3139, 0.4424, 0.0), atol=0.03)
+    assert_near(total, (0.5576, 0.4424, 0.2437), atol=0.03)
     assert variances(table.slice(0, 9), study, "motion.rms_error_m") == {}
     with invalid_input("power of two, such as 1024"):
         rod(1000, MASSES, design="saltelli")
@@ -405,7 +405,7 @@ def leaves(content, path=()):
         if isinstance(value, dict | list):
             yield from leaves(value, (*path, key))
         else:
-            yield (*path, key), value
+            yield ((*path, key), value)
 
 
 def edited(value):
@@ -433,7 +433,7 @@ def scenarios_with_one_edit(scenario, *sections):
             except osc.ScenarioError:
                 continue
             if made != scenario:
-                yield path, made
+                yield (path, made)
                 break
 
 
@@ -465,7 +465,7 @@ def test_what_is_shared_of_a_robot_does_not_depend_on_errors_and_limits(name):
             continue
         one = osc.build_rig(other)
         assert judge_rig(one) == found, path
-        for array in "q_contact", "q_start", "placements", "owners":
+        for array in ("q_contact", "q_start", "placements", "owners"):
             assert getattr(one, array).tobytes() == getattr(rig, array).tobytes(), path
         assert one.chain.model == rig.chain.model
         assert (
@@ -480,7 +480,7 @@ def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_pa
     heavier = text.replace('<mass value="1.5"/>', '<mass value="2.5"/>')
     assert len(heavier) == len(text) and heavier != text
     masses = []
-    for one in text, heavier, text:
+    for one in (text, heavier, text):
         file.write_text(one)
         masses.append(robots.load_body(file).mass)
         robots.load_body(file).mass = 99.0

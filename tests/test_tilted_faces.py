@@ -35,9 +35,9 @@ def slid(scenario, duration):
     run = osc.run(scenario, duration=duration, install=lambda c: kept.append(c) or c)
     rig = rig_of(scenario)
     controller = max(kept, key=lambda c: c._records.memory.ticked)
-    pairs = *rig.pairs, *rig.controlled_pairs()
+    pairs = (*rig.pairs, *rig.controlled_pairs())
     n = pairs[1].normal - controller._records.memory.columns[0].turn
-    return *(np.arcsin(norm(np.cross(n, pair.normal))) for pair in pairs), run, controller
+    return (*(np.arcsin(norm(np.cross(n, pair.normal))) for pair in pairs), run, controller)
 
 
 DEGREE = np.deg2rad(1.0)
@@ -106,7 +106,7 @@ SOFT += ["control.force.reading=least_squares", "duration=3 s"]
 @parametrize("face", ["hinge with spring", "conveyor", "cart with spring"])
 def test_the_estimate_is_not_worse_than_none_on_soft_faces_that_move(face):
     error = []
-    for tilt in "10 deg", "0":
+    for tilt in ("10 deg", "0"):
         changes = [*FACES[face], *SOFT, f"gains={{force: {{tilt: {tilt}}}}}"]
         error.append(closed_force(verdict_of("moving_face", *changes)))
     assert error[0] < error[1] + 0.001, error
@@ -132,7 +132,7 @@ def test_the_covariance_is_that_of_the_error_and_settles(about):
     largest_of_two = np.sqrt(half + np.sqrt(half**2 - pairs))  # exact for rank two; n has turned
     assert controller.normal_std[0] == approx(largest_of_two, rel=1e-6)
     assert controller.normal_std[0] == approx(np.sqrt(variances[-1]), rel=0.01)
-    assert_near(P, P.T, 1e-15)
+    assert_near(P, P.T, atol=1e-15)
 
 
 @parametrize("about", [0.0, 90.0])
@@ -145,7 +145,7 @@ def test_it_settles_within_a_second_and_a_half(about):
 def test_what_stands_keeps_its_face_and_its_uncertainty():
     _, turned, run, _ = slid(noisy(circle(0.5), "0.1 mrad").replaced(motion=[]), 3.0)
     assert turned == 0.0
-    for std in run["normal_std"][-1, 0], osc.metrics(run)["normals"]["nose"]:
+    for std in (run["normal_std"][-1, 0], osc.metrics(run)["normals"]["nose"]):
         assert std == approx(5.0 * DEGREE, rel=0.01)
 
 
@@ -173,7 +173,7 @@ def turned_in_the_law(pair, turn, q, v, reference, touched):
     memory.turn[:] = turn
     memory.drift = 0.02
     controller.tick(measurement, reference)
-    return controller.signals.contact, controller._records.work.columns[0].turned
+    return (controller.signals.contact, controller._records.work.columns[0].turned)
 
 
 def correction(shown, across):
@@ -199,7 +199,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         X = state.X_WO
         X_WE = pose_of(rng) if moving else placed()
         V_E = 0.1 * rng.standard_normal(6) * moving
-        at = X, state.V_O, X_WE, V_E
+        at = (X, state.V_O, X_WE, V_E)
         pair = touching(kind, X_WE.actInv(X) * placed(0.01, 0.02, -0.01), rng.integers(99), 0.1)
         touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
         V_D = 0.3 * rng.standard_normal(6)
@@ -213,8 +213,8 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         found, turned = turned_in_the_law(pair, turn, q, v, reference, touched if moving else None)
         other = replace(pair, **{key: new})
         expected = other.contact(*at)
-        assert_near(found.N, expected.N, 1e-12)
-        assert_near(found.n_gamma, expected.n_gamma, 1e-11)
+        assert_near(found.N, expected.N, atol=1e-12)
+        assert_near(found.n_gamma, expected.n_gamma, atol=1e-11)
         n = expected.N[:3, 0]
         point = point_of(other, X, X_WE)
         on_body = velocity_at(V_E, point - X_WE.translation)
@@ -224,7 +224,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         normals = np.array([one.contact(*at).N[:3, 0] for one in steps])
         shown = (normals[:3] - normals[3:]) @ (along - (n @ along) * n) / 2e-6
         new = unit(new - correction(shown, across))
-        assert_near(given + sign * turned, new, 1e-10)
+        assert_near(given + sign * turned, new, atol=1e-10)
 
 
 def test_gains_for_one_mass_leave_faces_as_they_are_given():

@@ -19,7 +19,7 @@ def errors(changes):
     verdict = verdict_of("two_contact_rod", *SHORT, *changes)
     force = worst_force(verdict)
     steps = [step["overshoot_rel"] for step in verdict["steps"]]
-    return force, verdict["motion"]["rms_error_m"], max(steps)
+    return (force, verdict["motion"]["rms_error_m"], max(steps))
 
 
 def test_found_gains_beat_the_shipped_ones_in_a_run_of_their_own():

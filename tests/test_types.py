@@ -88,7 +88,7 @@ def mypy(folder):
     (folder / "beside").mkdir()
     (folder / "beside" / "benchmarks").symlink_to(ROOT / "benchmarks")
     files = [path.name for path in sorted(folder.glob("*.py"))]
-    how = "--config-file", "mypy.ini", "--hide-error-context"
+    how = ("--config-file", "mypy.ini", "--hide-error-context")
     printed = run(sys.executable, "-m", "mypy", *how, *files, cwd=folder)
     assert re.search(r"^(Success: no issues found|Found \d+ errors) ", printed, re.M), printed
     found = re.findall(r"^(\w+)\.py:(\d+): error: (.*)$", printed, re.M)

@@ -33,11 +33,11 @@ class One(gymnasium.Env):
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         observation, infos = self.rows.reset(seed=seed)
-        return observation[0], {"sample": int(infos["sample"][0])}
+        return (observation[0], {"sample": int(infos["sample"][0])})
 
     def step(self, action):
         observation, *ended, infos = self.rows.step(action[None])
-        return observation[0], *(x.item() for x in ended), {"sample": int(infos["sample"][0])}
+        return (observation[0], *(x.item() for x in ended), {"sample": int(infos["sample"][0])})
 
 
 def part(env, observation, name):
@@ -59,7 +59,7 @@ def test_rows_are_reset_as_gymnasium_resets_environments():
     ours = make_vector_env("panda_edge", 2, threads=1, **how)
     theirs = SyncVectorEnv([lambda: One(**how)] * 2, autoreset_mode=AutoresetMode.NEXT_STEP)
     assert ours.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    for env in ours, theirs:
+    for env in (ours, theirs):
         env.action_space.seed(5)
     assert_array_equal(ours.reset(seed=1)[0], theirs.reset(seed=1)[0])
     ends = np.zeros((2, 2), dtype=int)
@@ -91,13 +91,13 @@ def test_rows_of_a_fleet_are_single_runs(name):
         fields = ([getattr(plans[i], f)[k] for i in rows] for f in ("V_D", "A_D", "alpha_d"))
         tau = fleet.tick(X, *map(np.array, fields), np.array([plans[i].squeeze_d for i in rows]))
         for channel, found in {"q": q, "v": v, "tau": tau}.items():
-            assert_near(found, [recordings[i][channel][k] for i in rows], 1e-9)
+            assert_near(found, [recordings[i][channel][k] for i in rows], atol=1e-9)
     assert not fleet.diverged().any()
 
 
 def test_actions_move_the_set_point_and_set_the_force():
     """Along the table's edge, which the contact permits: the object follows, the force too."""
-    still = "motion=[]", "force.edge=[{type: constant, value: 10 N}]", "duration=3 s"
+    still = ("motion=[]", "force.edge=[{type: constant, value: 10 N}]", "duration=3 s")
     how = {"move": (2e-3, 1e-2), "most_force": 20.0}
     env = make_vector_env("panda_edge", 2, overrides=still, threads=1, **how)
     env.reset(seed=0)
@@ -111,9 +111,9 @@ def test_actions_move_the_set_point_and_set_the_force():
     for _ in range(60):
         observation = env.step(action)[0]
     moved = env.fleet.objects()[0] - start
-    assert_near(moved[:, 1], [0.04, -0.02], 2e-4)
-    assert_near(part(env, observation, "force 0")[:, 0], [12.0, 6.0], 0.05)
-    assert_near(part(env, observation, "desired force")[:, 0], [12.0, 6.0], 1e-9)
+    assert_near(moved[:, 1], [0.04, -0.02], atol=2e-4)
+    assert_near(part(env, observation, "force 0")[:, 0], [12.0, 6.0], atol=0.05)
+    assert_near(part(env, observation, "desired force")[:, 0], [12.0, 6.0], atol=1e-9)
     assert_near(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
 
 
@@ -158,6 +158,6 @@ def test_a_row_refuses_a_controller_of_another_structure():
     light = Start.of(rig_of("panda_edge")).controller
     batch = osc.BatchController([light] * 2)
     rod = rig_of().controller()
-    for row, controller, words in (0, rod, "one structure"), (2, light, "rows 0"):
+    for row, controller, words in ((0, rod, "one structure"), (2, light, "rows 0")):
         with invalid_input(words):
             batch.replace(row, controller)

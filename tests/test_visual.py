@@ -93,7 +93,7 @@ def diagram(request):
     (ax,) = draw_blocks(blocks, request.param).axes
     rooms = [p for p in ax.patches if isinstance(p, FancyBboxPatch) and p.get_alpha() is None]
     assert len(rooms) == len(blocks)
-    return list(zip(blocks, [p.get_window_extent() for p in rooms], strict=True)), ax
+    return (list(zip(blocks, [p.get_window_extent() for p in rooms], strict=True)), ax)
 
 
 def test_each_file_of_a_figure_is_drawn_once_and_all_have_one_layout(tmp_path, monkeypatch):
@@ -120,7 +120,7 @@ def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):
     texts = [(t.get_text().replace("\n", " · "), t.get_window_extent()) for t in shown]
     tips = [ax.transData.transform(t.xy) for t in ax.texts if getattr(t, "arrow_patch", None)]
     for block, box in boxes:
-        for signals in block.inputs, block.outputs:
+        for signals in (block.inputs, block.outputs):
             assert ("q" in signals) == ("v" in signals), "v is drawn with q"
         expected = [LABELS[s] for s in block.inputs if s != "v"]
         named = [

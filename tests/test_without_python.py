@@ -47,7 +47,7 @@ def run(*command, code=0):
 
 
 def files(folder):
-    return folder / "controller.osc", folder / "recording.osc"
+    return (folder / "controller.osc", folder / "recording.osc")
 
 
 def sanitized(library, folder, name, *more):
@@ -98,7 +98,7 @@ def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path, name, changes):
     run(library / "replay", *files(tmp_path), code=1)
 
 
-STRICT = "-O2", "-Wall", "-Wextra", "-Werror"
+STRICT = ("-O2", "-Wall", "-Wextra", "-Werror")
 
 
 @module_fixture
@@ -115,7 +115,7 @@ def test_the_loop_in_real_time_counts_every_tick(library, rod, rate):
     run("make", "-C", library, "loop")
     lines = run(library / "loop", rate, 0.2, *rod).splitlines()
     assert f"{rate // 5} ticks at {rate} Hz" in next(x for x in lines if "missed" in x)
-    for name in "tick", "latency":
+    for name in ("tick", "latency"):
         line = next(x for x in lines if x.startswith(f"{name}:"))
         figures = [float(word) for word in re.findall(r"([\d.]+) µs", line)]
         assert len(figures) == 4 and figures == sorted(figures) and figures[0] > 0, line
@@ -211,7 +211,7 @@ class Command(ctypes.Structure):
 def tick_in_both(c, handle, controller, m, r):
     """A tick in Python and in C: torques equal to the bit, and what is reported beside them."""
     expected = controller.tick(m, r)
-    goal = r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, [r.squeeze_d]
+    goal = (r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, [r.squeeze_d])
     goal = [np.array(x, dtype=float) for x in goal]
     tau = np.zeros(len(expected))
     measured = Measurement(*map(Numbers.of, (m.q, m.v, m.wrenches)))
@@ -229,7 +229,7 @@ def created(library, folder, controller):
     c = ctypes.CDLL(str(library / "libosc_controller.so"))
     handle = ctypes.c_void_p()
     assert c.osc_create(str(folder / "controller.osc").encode(), ctypes.byref(handle)) == 0
-    return c, handle
+    return (c, handle)
 
 
 def test_the_header_gives_the_unit_and_the_meaning_of_each_gain(library):
@@ -293,7 +293,7 @@ def test_ceilings_stop_in_c_as_in_python(library, tmp_path, ceilings, cause):
     c, handle = created(library, tmp_path, controller)
     m, reference = rig.plant().measure(), rig.references.at(0.0)
     along = np.zeros((2, 6))
-    along[0, :3] = 400.0, 300.0, 400.0
+    along[0, :3] = (400.0, 300.0, 400.0)
     stopped = 0
     for k in range(60):
         seen = m if k < 20 else replace(m, wrenches=m.wrenches + along)
@@ -408,7 +408,7 @@ def test_the_tick_of_a_stop_gives_its_cause_and_the_joint_that_needs_its_brake(
     first, later = (tick_in_both(c, handle, controller, m, r) for _ in range(2))
     assert (first.status, first.state) == (osc.Status.OK, osc.SafetyState.SAFE_STOP)
     assert later.reason == CODES["STOPPED"]
-    for out in first, later:
+    for out in (first, later):
         assert out.cause == CODES["WRIST_FROZEN" if fault == "wrist" else "STUCK"]
         assert out.culprit == (1 if fault == "wrist" else 3)
         assert (out.unbraked >= 0) == (fault == "packet")
@@ -440,7 +440,7 @@ def panda(weight):
     chain = osc.ClosedChain([arm])
     if not weight:
         chain.model.gravity.linear = np.zeros(3)
-    return chain, osc.Controller(chain, [], dt=1e-3, posture=READY)
+    return (chain, osc.Controller(chain, [], dt=1e-3, posture=READY))
 
 
 def link_cpp(library, program, *sources):
@@ -469,7 +469,7 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
         states.append(np.concatenate([q, v, X.ravel(order="F"), f]))
         t, w, up = 1e-3 * k, 1.5708, vector(0, 0, 0.01)
         p = start.translation + (1 - np.cos(w * t)) * up
-        rates = w * np.sin(w * t) * up, w**2 * np.cos(w * t) * up
+        rates = (w * np.sin(w * t) * up, w**2 * np.cos(w * t) * up)
         reference = osc.pose_reference(p, start.rotation, *rates)
         tau = ticked(heavy, osc.Measurement(q, v, f[None]), reference)
         step = tau - pin.computeGeneralizedGravity(chain.model, data, q) - last
@@ -479,7 +479,7 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
     assert run(program, tmp_path / "robot", tmp_path / "light.osc", 0.1) == "0.100 s, done\n"
     sent = np.frombuffer((tmp_path / "robot.torques").read_bytes()).reshape(-1, 8)
     assert_array_equal(np.flatnonzero(sent[:, 7]), [100])
-    assert_near(sent[:, :7], expected, 1e-9)
+    assert_near(sent[:, :7], expected, atol=1e-9)
     assert largest(sent[:, :7]) > TORQUE_STEP
     refused_with = run(program, tmp_path / "robot", tmp_path / "heavy.osc", 0.1, code=1)
     assert "compensates weight" in refused_with
@@ -488,7 +488,7 @@ def test_the_franka_loop_sends_what_the_driver_would(library, tmp_path):
 @module_fixture
 def manager(library, tmp_path_factory):
     """The program that runs the plugin."""
-    sources = library / "ros2_controller.cpp", Path(__file__).parent / "ros2_manager.cpp"
+    sources = (library / "ros2_controller.cpp", Path(__file__).parent / "ros2_manager.cpp")
     return link_cpp(library, tmp_path_factory.mktemp("ros2") / "manager", *sources)
 
 

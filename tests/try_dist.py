@@ -32,15 +32,15 @@ COMMANDS = (
     "osc-contact examples mine",
     "python mine/01_osc_contact.py",
 )
-TESTS = "test_contact.py", "test_projections.py", "test_importing.py", "test_browser.py"
-BESIDE = "franky-sim", "robosuite", "mjlab", "newton"
+TESTS = ("test_contact.py", "test_projections.py", "test_importing.py", "test_browser.py")
+BESIDE = ("franky-sim", "robosuite", "mjlab", "newton")
 #: Tests with tools of `docs` and `dev`, which need newer versions of what the package needs, too.
-OF_PAGES = "test_site.py", "test_types.py"
+OF_PAGES = ("test_site.py", "test_types.py")
 OTHERS_WARN = ("optuna.exceptions.ExperimentalWarning",)  # of what is an argument of optuna 5
 #: Tests of what differs with versions: layers need a tool of `dev`, robots come and go.
 OF_PINNED = "not picture_of_the_rooms and not every_robot_of_the_data"
 OF_NEWER = "not vector_env and not learning.md and not even_force and not best_forces"  # MuJoCo 4
-WRITTEN = "rod/metrics.json", "rod/scene.html", "rod.gif"
+WRITTEN = ("rod/metrics.json", "rod/scene.html", "rod.gif")
 
 
 def main():
@@ -80,10 +80,10 @@ def lowest():
 def limits(folder, versions):
     """pip's options that choose the versions."""
     if versions == "pinned":
-        return "-c", str(ROOT / "constraints.txt")
+        return ("-c", str(ROOT / "constraints.txt"))
     bounds = folder / "bounds.txt"
     bounds.write_text("\n".join(lowest() if versions == "lowest" else []))
-    return "-c", str(bounds)
+    return ("-c", str(bounds))
 
 
 def environment(folder, python, name="env"):
@@ -93,7 +93,7 @@ def environment(folder, python, name="env"):
         "PATH": f"{folder / name / 'bin'}{os.pathsep}{os.environ['PATH']}",
         "NUMBA_CACHE_DIR": str(folder / name / "compiled"),
     }
-    return around, (str(folder / name / "bin/python"), "-m", "pip", "install", "-q")
+    return (around, (str(folder / name / "bin/python"), "-m", "pip", "install", "-q"))
 
 
 def suite(python, versions):
@@ -106,7 +106,7 @@ def suite(python, versions):
     run(ROOT, around, "python", "-m", "osc_contact.law.c_object")
     others = [f"--ignore=tests/{test}" for test in OF_PAGES]
     warned = (f"-Wignore::{one}" for one in ("DeprecationWarning", *OTHERS_WARN))
-    how = "-q", "-n", "auto", "-p", "no:cacheprovider", *warned
+    how = ("-q", "-n", "auto", "-p", "no:cacheprovider", *warned)
     leave = {"pinned": "", "highest": OF_PINNED, "lowest": f"{OF_PINNED} and {OF_NEWER}"}
     others += ["-k", leave[versions]]
     done = subprocess.run(
@@ -131,7 +131,7 @@ def core(file, python):
         run(folder, around, *pip, "--no-deps", "example-robot-data")  # the robot of the program
         page = (ROOT / "docs/own_loop.md").read_text()
         run(folder, around, "python", "-c", page.split("```python\n")[1].split("```")[0])
-    for what, found in ("pin", before), (f"{file.name}, no extras", after):
+    for what, found in (("pin", before), (f"{file.name}, no extras", after)):
         packages, size_of = (x - y for x, y in zip(found, empty, strict=True))
         say(f"  {what}: {packages} packages, {size_of / 1e6:.0f} MB")
 
@@ -140,7 +140,7 @@ def size(folder):
     """Packages of the environment, and its bytes."""
     site = next((folder / "env/lib").glob("python*/site-packages"))
     files = (path for path in (folder / "env").rglob("*") if path.is_file())
-    return len([*site.glob("*.dist-info")]), sum(path.lstat().st_size for path in files)
+    return (len([*site.glob("*.dist-info")]), sum(path.lstat().st_size for path in files))
 
 
 def beside(file, python):
@@ -153,7 +153,7 @@ def beside(file, python):
         torch.write_text(re.search(r"^torch==.*$", pinned, re.M)[0])
         for other in BESIDE:
             report = folder / f"{other}.json"
-            options = "--dry-run", "--report", str(report), "-c", str(torch)
+            options = ("--dry-run", "--report", str(report), "-c", str(torch))
             run(folder, around, *pip, *options, f"{file}[all]", other)
             found = {
                 item["metadata"]["name"].lower(): item["metadata"]["version"]
@@ -194,7 +194,7 @@ def attempt(file, python, versions):
             )
             if not (source / "figures/fig1.png").is_file():
                 sys.exit("the source archive makes no figure")
-        for needed in "tests", "urdf":
+        for needed in ("tests", "urdf"):
             shutil.copytree(ROOT / needed, folder / needed)
         run(folder, around, *pip, "pytest", "pytest-timeout", "hypothesis")
         tests = [f"tests/{test}" for test in TESTS]

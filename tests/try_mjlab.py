@@ -20,7 +20,7 @@ import osc_contact as osc
 from osc_contact.learn import ContactActionCfg, begin
 
 MOST = 30.0
-MOVE = 2e-3, 1e-2
+MOVE = (2e-3, 1e-2)
 
 
 @fixture(scope="module")
@@ -41,7 +41,7 @@ def environment(parts, count, **changes):
     )
     env = ManagerBasedRlEnv(cfg, device="cpu")
     env.reset()
-    return env, env.action_manager.get_term("contact")
+    return (env, env.action_manager.get_term("contact"))
 
 
 def poses(env, parts):
@@ -56,7 +56,7 @@ def test_actions_move_set_points_and_press(parts):
     start = poses(env, parts)
     action = torch.zeros(3, 7)
     action[:, 6] = torch.tensor([-0.2, 0.0, 0.4])
-    along_the_edge = torch.zeros(3), torch.tensor([0.0, 1.0, -0.5]), torch.zeros(3)
+    along_the_edge = (torch.zeros(3), torch.tensor([0.0, 1.0, -0.5]), torch.zeros(3))
     for steps, move in zip((15, 10, 15), along_the_edge, strict=True):
         action[:, 1] = move
         for _ in range(steps):
@@ -134,7 +134,7 @@ def test_512_environments(parts):
         begin = perf_counter()
         tau = tick(*args, **more)
         times.append(perf_counter() - begin)
-        seen[:] = args, more
+        seen[:] = (args, more)
         return tau
 
     term.batch.tick = timed

@@ -163,7 +163,7 @@ def judge(text, model, rng):
     ours = np.array(pin.crba(model, model.createData(), q))
     ours = np.triu(ours) + np.triu(ours, 1).T
     off = float(np.abs(scale[:, None] * (ours - M) * scale).max())
-    return off, float(np.linalg.eigvalsh(scale[:, None] * M * scale).min())
+    return (off, float(np.linalg.eigvalsh(scale[:, None] * M * scale).min()))
 
 
 def main(seed, count):

@@ -59,8 +59,8 @@ def short_aliases(
     if given is None:  # no function
         return None
     if hasattr(_object, "model_fields"):
-        return "(keys)", None
+        return ("(keys)", None)
     given = FUNCTION.sub(r"\1", given.replace("<factory>", "..."))
     for long, short in ((ALIAS, r"\1"), (ARRAY, "Array"), (ARRAY_LIKE, "ArrayLike")):
         given, returned = long.sub(short, given), returned and long.sub(short, returned)
-    return given, returned
+    return (given, returned)

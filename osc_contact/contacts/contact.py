@@ -279,7 +279,7 @@ def reduce(scaled: Array, size: Array) -> tuple[list[int], Array]:
     keep.sort()
     R = np.linalg.lstsq(scaled[:, keep], scaled, rcond=None)[0]
     R[:, keep] = np.eye(rank)
-    return keep, R * size / size[keep][:, None]
+    return (keep, R * size / size[keep][:, None])
 
 
 def require_consistent(

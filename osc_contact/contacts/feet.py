@@ -33,7 +33,7 @@ def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple
     E = None if X_WE is None else Poses(X_WE.rotation[:, :, None], X_WE.translation[:, None])
     O = Poses(X_WO.rotation[:, :, None], X_WO.translation[:, None])  # noqa: E741
     points, directions = feet_over(pair, normals_over(pair, O, E), O, E)
-    return points[:, :, 0].T, directions[:, :, 0].T
+    return (points[:, :, 0].T, directions[:, :, 0].T)
 
 
 def feet_over(
@@ -56,4 +56,4 @@ def feet_over(
         surface = surface[:, None] if X_WE is None else X_WE.act(surface[:, None])
         height = (directions * (surface - X_WO.p)[:, None]).sum(axis=0)  # along each line, from O
         points = points + (height - getattr(pair, "surface_radius", 0.0)) * directions
-    return points, np.where(force > 0.0, directions, moments)
+    return (points, np.where(force > 0.0, directions, moments))

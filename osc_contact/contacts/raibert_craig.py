@@ -252,7 +252,7 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
     # an absolute limit: a wrench whose force is rounding does not determine p
     reach = np.maximum(np.linalg.norm(system, axis=(1, 2)), POINT)
     p = E @ np.linalg.pinv(system, rcond=POINT / reach) @ right
-    return E, p[:, :, 0], chosen
+    return (E, p[:, :, 0], chosen)
 
 
 def axis_of(U: Array, dimension: int) -> Array | None:
@@ -335,4 +335,4 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
         S[better] = new_S[better]
         across[better] = new_across[better]
         damping = np.where(better, 0.2 * damping, 10.0 * damping)
-    return E, p
+    return (E, p)

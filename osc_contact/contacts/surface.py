@@ -175,10 +175,10 @@ class Surface:
         """
         cells = np.zeros((0, 16)) if self.cells is None else self.cells.reshape(-1, 16)
         shapes = np.vstack((np.zeros((2, 16)), cells))
-        shapes[0, :9] = *ball, radius, *self.bend, self.slope, self.level
-        shapes[1, :12] = *X_ES.rotation.ravel(), *X_ES.translation
+        shapes[0, :9] = (*ball, radius, *self.bend, self.slope, self.level)
+        shapes[1, :12] = (*X_ES.rotation.ravel(), *X_ES.translation)
         if self.cells is not None:
-            shapes[0, 9:15] = *self.corner, *1.0 / np.array(self.pitch), *self.cells.shape[:2]
+            shapes[0, 9:15] = (*self.corner, *1.0 / np.array(self.pitch), *self.cells.shape[:2])
         return tuple(shapes)
 
 
@@ -195,7 +195,7 @@ def distance_and_normal(shapes: Shapes, p: Array) -> tuple[Array, Array]:
     along, gradient, _, _ = found or _nearest(shapes, 0, tuple(p))
     g = np.array([one + 0.0 * along for one in gradient]).reshape(p.shape)
     size = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-    return np.reshape(along, p.shape[1:]) * size, g / size
+    return (np.reshape(along, p.shape[1:]) * size, g / size)
 
 
 def triangles_of(read: Callable[[int], Any], count: int) -> Array:

@@ -21,7 +21,7 @@ from osc_contact.spatial import Array, as_array, norm
 
 TORQUE_STEP = 0.99  #: N m; the robot refuses torques that change by 1 N m in a millisecond
 SPEED_SHARE = 0.9  #: of a joint's speed limit, from which on torques that speed it up fade
-TIP_ERROR = 2e-3, 0.01  #: m, rad by which tip and end effector may differ
+TIP_ERROR = (2e-3, 0.01)  #: m, rad by which tip and end effector may differ
 _PERIOD = 1e-3  #: s, the robot's
 
 

@@ -20,7 +20,7 @@ Gaps = Callable[[SE3], tuple[Array, Callable[[], Array]]]
 
 
 def _no_gaps(X_WO: SE3) -> tuple[Array, Callable[[], Array]]:
-    return np.zeros(0), partial(np.zeros, (6, 0))
+    return (np.zeros(0), partial(np.zeros, (6, 0)))
 
 
 def object_pose(chain: ClosedChain, q: Array, data: pin.Data | None = None) -> SE3:
@@ -116,7 +116,7 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
         ]
         error = np.concatenate([*misses, gap])
         if np.abs(error).max(initial=0.0) <= CLOSED:
-            return q, X
+            return (q, X)
         A = constraint_rows(chain, X.translation, normals())
         step = inverse_rows(chain, A, inertia_of(chain, X))[0] @ error
         q = q - step[: chain.nq]
@@ -125,7 +125,7 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
     left = np.abs(error).max()
     if left <= 100 * CLOSED:
         assert X is not None
-        return q, X
+        return (q, X)
     raise ModelError(
         f"the loops and contacts do not close: the largest error left is {left:.3g} "
         "(m or rad). Start the object nearer to the contacts, or check grasps and faces"
@@ -215,7 +215,7 @@ def inverse_rows(chain: ClosedChain, A: Array, M: Array) -> tuple[Array, Array]:
     keep = s > 1e-8 * s.max(initial=0.0)
     s = s[keep]
     U = U[:, keep] / size[:, None]
-    return np.linalg.solve(K.T, (Vh[keep].T / s) @ U.T), (U / s**2) @ U.T
+    return (np.linalg.solve(K.T, (Vh[keep].T / s) @ U.T), (U / s**2) @ U.T)
 
 
 def _reach_step(
@@ -240,7 +240,7 @@ def _reach_step(
         H = J.T @ J + damping * chain.data.M[s, s]
         free = np.flatnonzero(~stopped)
         step[s][free] = np.linalg.solve(H[np.ix_(free, free)], slope[free])
-    return cost, step
+    return (cost, step)
 
 
 ROUNDING = 1e-6  #: m, rad; what a number may lose on its way through a file

@@ -434,7 +434,7 @@ def pack_chain(chain: ClosedChain, raw: Bytes, leader: int | None) -> None:
     body = chain.reference.inertia
     moments, axes = np.linalg.eigh(body.inertia)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
-    head.principal[:] = body.mass, *moments
+    head.principal[:] = (body.mass, *moments)
     head.roots[:] = np.sqrt(head.principal)
     ball = np.repeat((chain.arm_mass, chain.arm_mass * GYRATION**2), 3)
     head.reference[:] = 1.0 + ball / head.principal[[0, 0, 0, 1, 2, 3]]
@@ -551,7 +551,7 @@ def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | No
         memory.V_O = 0.0 if V_O is None else V_O
     rows.job.stop = at.MEASURE
     six = np.zeros(6)
-    given = q, v, np.zeros((len(head.arms), 6)), np.eye(4), six, six, _NONE, np.zeros((0, 28))
+    given = (q, v, np.zeros((len(head.arms), 6)), np.eye(4), six, six, _NONE, np.zeros((0, 28)))
     law_rows()(rows.raw, 0, given)
     return work
 

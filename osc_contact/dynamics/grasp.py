@@ -133,7 +133,7 @@ class Grasp:
             X_WT, X_WO: poses of tip and object. L: (6, 6) Cholesky factor of the object's inertia.
         """
         Q, R = np.linalg.qr(np.linalg.solve(L, self.wrenches_at(X_WT, X_WO.translation)))
-        return Q, np.linalg.solve(R.T, self.miss(X_WT, X_WO))
+        return (Q, np.linalg.solve(R.T, self.miss(X_WT, X_WO)))
 
     def _displacement(self, X: SE3) -> Array:
         """(6,) of a relative pose: point and rotation by themselves, where T only turns."""

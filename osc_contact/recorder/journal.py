@@ -186,7 +186,7 @@ class Journal:
                 self.missing.append(f"ticks {first} to {last} come again, and are left out there")
             if again < len(rows):
                 after = first + len(rows)
-                yield first + again, rows[again:]
+                yield (first + again, rows[again:])
 
     def _messages(self) -> Iterator[tuple[int, bytes]]:
         """(MCAP channel, data) of the messages in all whole chunks; after damage, from the next."""
@@ -202,7 +202,7 @@ class Journal:
                             break
                         for one in breakup_chunk(record):
                             if isinstance(one, Message):
-                                yield one.channel_id, one.data
+                                yield (one.channel_id, one.data)
                     at = file.tell()
                     file.madvise(mmap.MADV_DONTNEED)  # what was read needs no memory
                 else:

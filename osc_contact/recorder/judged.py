@@ -66,7 +66,7 @@ class JudgedTicks:
         quiet = np.ones(len(t), dtype=bool)
         for begin, end in self._blanks:
             quiet &= ~((t >= begin - 1e-9) & (t < end - 1e-9))
-        return contacts, contacts[:, self.columns] & quiet[:, None], whole & quiet
+        return (contacts, contacts[:, self.columns] & quiet[:, None], whole & quiet)
 
     def _settled(self, i: int, t: Array, commanded: Flags, closed: Flags) -> Flags:
         """Which ticks of contact i are judged."""
@@ -93,7 +93,7 @@ def judged_ticks(recording: Recording) -> tuple[Flags, Flags]:
     """(T, r) whether each force magnitude is judged, (T,) whether the run is; see `JudgedTicks`."""
     ticks = JudgedTicks(recording)
     found = [ticks.add(piece)[1:] for piece in recording.pieces(*READ)]
-    return np.concatenate([one[0] for one in found]), np.concatenate([one[1] for one in found])
+    return (np.concatenate([one[0] for one in found]), np.concatenate([one[1] for one in found]))
 
 
 def stretches(flags: Flags) -> Iterator[tuple[int, int]]:

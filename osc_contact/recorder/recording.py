@@ -165,7 +165,7 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
                 stays = large and info.compress_type == zipfile.ZIP_STORED
                 name = info.filename.removesuffix(".npy")
                 arrays[name] = _array(archive, info, file if stays else None)
-        return str(arrays.pop(TEXT)[()]), arrays
+        return (str(arrays.pop(TEXT)[()]), arrays)
     except zipfile.BadZipFile as error:
         name = str(error).partition("'")[2].rstrip("'")
         damage = f"the checksum of {name} is wrong" if "CRC" in str(error) else str(error)
@@ -227,7 +227,7 @@ def _header(
         raise ValueError(f"{info.filename} holds Python objects, which are not read")
     if min(shape, default=0) < 0 or prod(shape) * dtype.itemsize != info.file_size - start:
         raise ValueError(f"{info.filename} has {info.file_size - start} bytes for shape {shape}")
-    return dtype, shape, start, "F" if in_columns else "C"
+    return (dtype, shape, start, "F" if in_columns else "C")
 
 
 _FORMAT = 1
@@ -469,7 +469,7 @@ def _read(source: Path) -> tuple[Json, dict[str, Array]]:
         raise RecordingError(
             f"{source} has recording format {version!r}; this version reads format {_FORMAT}"
         )
-    return content, columns
+    return (content, columns)
 
 
 def column_names(contacts: Sequence[str], owners: Sequence[int]) -> list[str]:

@@ -65,7 +65,7 @@ class JointLimits:
                 f"{text!r}: expected JOINT:key=number,… with the keys {', '.join(LIMITS)}"
             )
         try:
-            return name, cls(**{key: float(value) for key, value in given.items()})
+            return (name, cls(**{key: float(value) for key, value in given.items()}))
         except ValueError as error:
             raise InvalidInputError(f"{text!r}: {error}") from error
 
@@ -155,7 +155,7 @@ def _principal(tensors: Sequence[Any]) -> tuple[Array, Array]:
     """(k, 3) principal moments, ascending, and (k,) what rounding may make of each."""
     moments = np.linalg.eigvalsh(np.reshape(tensors, (-1, 3, 3)))
     sizes = np.abs(moments).max(axis=1, initial=0.0)
-    return moments, _SLACK * sizes + _DUST * sizes.max(initial=0.0)
+    return (moments, _SLACK * sizes + _DUST * sizes.max(initial=0.0))
 
 
 def check_inertias(document: Document, inertias: Inertias) -> None:
@@ -253,22 +253,22 @@ def check_mesh_files(
             missing.append(mesh.finding("mesh", looked, "pass package_dirs", "filename"))
         elif problem := _file_problem(file, roots):
             wrong.append(mesh.finding("mesh", *problem, "filename"))
-    return wrong, missing
+    return (wrong, missing)
 
 
 def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
     """(what is wrong with a mesh file, cure)."""
     if not _inside(file, roots, os.path.realpath):
-        return f"leads to {file.resolve()}, outside of the robot's folders", "copy the file"
+        return (f"leads to {file.resolve()}, outside of the robot's folders", "copy the file")
     size = file.stat().st_size
     if size > MAX_MESH_BYTES:
         limit = f"simplify it to at most {MAX_MESH_BYTES / 2**20:.0f} MiB"
-        return f"has {size / 2**20:.0f} MiB", limit
+        return (f"has {size / 2**20:.0f} MiB", limit)
     for found in _TEXTURE.findall(file.read_bytes()) if file.suffix.lower() == ".dae" else ():
         texture = unquote(found.decode("utf-8", "replace"))
         if _SCHEME.match(texture) or not _inside(file.parent / texture, roots, os.path.realpath):
             cure = "keep textures beside the mesh, or convert it to STL or OBJ"
-            return f"{file.name} takes a texture from {texture!r}", cure
+            return (f"{file.name} takes a texture from {texture!r}", cure)
     return None
 
 
@@ -298,14 +298,14 @@ def _address_problem(mesh: Element, roots: Sequence[Path]) -> tuple[str, str] | 
     suffix = os.path.splitext(address)[1].lower()
     scheme = _SCHEME.match(address)
     if not address:
-        return "a mesh without filename", 'write filename="…"'
+        return ("a mesh without filename", 'write filename="…"')
     if suffix not in MESH_TYPES:
         reason = f"meshes of the type {suffix or 'without suffix'} are not read"
-        return reason, f"convert it to {', '.join(MESH_TYPES)}"
+        return (reason, f"convert it to {', '.join(MESH_TYPES)}")
     if scheme and scheme[0] not in ("package:", "file:"):
-        return f"the address has the scheme {scheme[0]!r}: only local files are read", cure
+        return (f"the address has the scheme {scheme[0]!r}: only local files are read", cure)
     if not all(_inside(place, roots, os.path.normpath) for place in _places(mesh, roots)):
-        return "the mesh lies outside of the robot's folders", cure
+        return ("the mesh lies outside of the robot's folders", cure)
     return None
 
 

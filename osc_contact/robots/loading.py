@@ -133,10 +133,10 @@ def load_robot(
     """
     if is_mjcf(path):
         mj = compile_mjcf(path)
-        return load_mjcf(mj, tip), couplings(mj)
+        return (load_mjcf(mj, tip), couplings(mj))
     model, document = load(path, package_dirs=package_dirs)
     joints = document.joints.values()
-    return model.copy(), {joint.name: joint.mimic for joint in joints if joint.mimic is not None}
+    return (model.copy(), {joint.name: joint.mimic for joint in joints if joint.mimic is not None})
 
 
 def load_body(path: Path | str) -> pin.Inertia:
@@ -184,7 +184,7 @@ def load_geometry(
         )
     except (ValueError, RuntimeError) as error:
         refuse_file("mesh", file, f"Pinocchio cannot read the shapes: {error}")
-    return model, geometry, document
+    return (model, geometry, document)
 
 
 def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:
@@ -240,7 +240,7 @@ def find_robot(name: str) -> tuple[Path, Path]:
     for rule in rules:
         hits = [key for key, path in files.items() if rule(key, path)]
         if len(hits) == 1:
-            return files[hits[0]], root.parent.parent
+            return (files[hits[0]], root.parent.parent)
         if hits:
             raise ModelError(
                 f"{name!r} is ambiguous in {ROBOT_DATA}: name one of {', '.join(hits)}"
@@ -266,14 +266,14 @@ def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path,
     """
     packaged = _find_packaged(reference)
     if packaged is not None:
-        return packaged, ()
+        return (packaged, ())
     path = ((relative_to or Path.cwd()) / reference).resolve()
     if path.is_file():
-        return path, (path.parent,)
+        return (path, (path.parent,))
     name = reference.removeprefix(f"{ROBOT_DATA}:")
     if name != reference or _ROBOT.fullmatch(name):
         file, package_dir = find_robot(name)
-        return file, (package_dir,)
+        return (file, (package_dir,))
     raise ModelError(
         f"URDF {reference!r} is neither the file {path} nor packaged; a robot of the data package "
         f"is written '{ROBOT_DATA}:panda'; {did_you_mean(reference, _packaged())}"
@@ -287,7 +287,7 @@ def _find_packaged(name: str) -> Path | None:
 
 def _packaged() -> dict[str, Path]:
     """Packaged URDFs by file name: inside the installed package, or beside it in a checkout."""
-    places = _PACKAGE / "urdf", _PACKAGE.parent / "urdf"
+    places = (_PACKAGE / "urdf", _PACKAGE.parent / "urdf")
     return _urdfs_in(next((folder for folder in places if folder.is_dir()), places[0]))
 
 

@@ -83,7 +83,7 @@ def joint_names(model: pin.Model) -> list[str]:
 
 def position_limits(model: pin.Model) -> tuple[Array, Array]:
     """(nq,) lowest and highest position of each joint (m, rad); ∓inf: none."""
-    return np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    return (np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit))
 
 
 def slides(model: pin.Model, joint: int) -> bool:

@@ -182,7 +182,7 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
         one.meshColor = np.array(shape["rgba"], dtype=float)
         one.overrideMaterial = True
         geometry.addGeometryObject(one)
-    return model, geometry
+    return (model, geometry)
 
 
 def _mesh_of(corners: Any, faces: Any) -> coal.BVHModelOBBRSS:

@@ -148,7 +148,7 @@ def _link_poses(
     names = list(other.link_map)
     ours = {name: data.oMf[frame_id(model, name)] for name in names}
     theirs = {name: pin.SE3(other.get_transform(name, other.base_link)) for name in names}
-    return ours, theirs
+    return (ours, theirs)
 
 
 def _inertia_differences(model: pin.Model, other: Any) -> Iterator[str]:
@@ -189,7 +189,7 @@ def _mesh_differences(document: Document, other: Any) -> Iterator[str]:
     """Addresses and scales of the meshes of each link, those that are seen and those that touch."""
     for name, link in document.links.items():
         theirs = other.link_map[name]
-        for tag, shapes in ("visual", theirs.visuals), ("collision", theirs.collisions):
+        for tag, shapes in (("visual", theirs.visuals), ("collision", theirs.collisions)):
             there = [_their_mesh(one.geometry.mesh) for one in shapes if one.geometry.mesh]
             here = [
                 _our_mesh(mesh)
@@ -206,9 +206,9 @@ def _mesh_differences(document: Document, other: Any) -> Iterator[str]:
 
 
 def _our_mesh(mesh: Element) -> tuple[str, Array]:
-    return mesh.get("filename"), np.array(mesh.vector("scale", (1.0, 1.0, 1.0)))
+    return (mesh.get("filename"), np.array(mesh.vector("scale", (1.0, 1.0, 1.0))))
 
 
 def _their_mesh(mesh: Any) -> tuple[str, Array]:
     scale = 1.0 if mesh.scale is None else mesh.scale
-    return mesh.filename, np.broadcast_to(scale, 3)
+    return (mesh.filename, np.broadcast_to(scale, 3))

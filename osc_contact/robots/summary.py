@@ -67,7 +67,7 @@ def losses_by_arm(losses: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, st
         arm, _, joint = values["joint"].rpartition("/")
         arms.setdefault(arm, []).append({**values, "joint": joint})
     for arm, joints in arms.items():
-        yield arm, loss_words(joints)
+        yield (arm, loss_words(joints))
 
 
 def loss_words(joints: Sequence[Mapping[str, Any]]) -> str:
@@ -259,7 +259,7 @@ def _inverse(eigenvalues: list[Array]) -> tuple[float, float]:
     values[values <= 1e-12 * values.max()] = 0.0
     with np.errstate(divide="ignore"):
         inverse = 1.0 / values
-    return float(inverse.min()), float(inverse.max())
+    return (float(inverse.min()), float(inverse.max()))
 
 
 def _limit(value: float) -> float:

@@ -255,7 +255,7 @@ def parse(file: Path, data: bytes) -> Element:
     parser = expat.ParserCreate()
 
     def stop(reason: str, cure: str) -> NoReturn:
-        place = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+        place = (parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
         refuse_file("xml", file, reason, cure, *place)
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -272,7 +272,7 @@ def parse(file: Path, data: bytes) -> Element:
         if colon and (prefix == "xacro" or name == "include"):
             cure = "expand macros and includes first (xacro in.xacro > out.urdf)"
             stop(f"<{tag}> is not URDF", cure)
-        place = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+        place = (parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
         above = stack[-1] if stack else None
         element = Element(tag, attributes, file, *place, findings, above)
         (roots if above is None else above.children).append(element)
@@ -484,7 +484,7 @@ def _rotor(transmission: Element) -> tuple[float, float]:
             value = found[child.tag] = child.value(child.tag, child.text.strip())
             if child.tag == "rotorInertia" and value < 0.0:
                 child.note("joint", f"rotor inertia {value:g} is negative", "write a value ≥ 0")
-    return found["rotorInertia"], found["mechanicalReduction"]
+    return (found["rotorInertia"], found["mechanicalReduction"])
 
 
 def _keep(kept: dict[str, Part], one: Part) -> None:
@@ -564,7 +564,7 @@ def _axis(element: Element, kind: str) -> Vector:
     """Unit axis of a joint; (1, 0, 0) where none is given (URDF's default)."""
     axis = element.find("axis")
     if axis is None or kind == "fixed":
-        return 1.0, 0.0, 0.0
+        return (1.0, 0.0, 0.0)
     known = len(axis.findings)
     numbers = axis.vector("xyz")
     length = math.hypot(*numbers)

@@ -102,11 +102,11 @@ class VelocityEstimate:
         """
         if self.x is None:
             self.x = np.array(x, dtype=float)
-            return self.x, self.v
+            return (self.x, self.v)
         self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * acceleration
         self.v = self.v + self.dt * acceleration
         if fresh:
             innovation = np.where(np.isfinite(x), x - self.x, 0.0)
             self.x = self.x + self.alpha * innovation
             self.v = self.v + self.beta / self.sample * innovation
-        return self.x, self.v
+        return (self.x, self.v)

@@ -127,7 +127,7 @@ class BodyEstimate:
         x, rate = self.channels.update(pose_error(X, self.start), fresh=fresh)
         x = x + delay * rate
         pose = SE3(pin.exp3(x[3:]) @ self.start.rotation, x[:3])
-        return pose, np.concatenate((rate[:3], pin.Jexp3(-x[3:]) @ rate[3:]))
+        return (pose, np.concatenate((rate[:3], pin.Jexp3(-x[3:]) @ rate[3:])))
 
 
 class VisionFusion:

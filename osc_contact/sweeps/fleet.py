@@ -134,7 +134,7 @@ class Fleet:
     def objects(self) -> tuple[Array, Array]:
         """Positions (B, 3) and rotations (B, 3, 3) of the objects, a plant step ago."""
         body = self._plant.object_body
-        return self._xpos[:, body], self._xmat[:, body].reshape(-1, 3, 3)
+        return (self._xpos[:, body], self._xmat[:, body].reshape(-1, 3, 3))
 
     def diverged(self) -> Array:
         """(B,) whether MuJoCo has warned since the row began."""

@@ -102,7 +102,7 @@ def _quantities(parts: Sequence[str], count: int) -> tuple[list[float], str]:
         units.add(match[2])
     if len(units) > 1:
         raise ValueError(f"the units {sorted(units)} differ")
-    return values, units.pop()
+    return (values, units.pop())
 
 
 def _scalar(at: Callable[[float, float, float], float]) -> Make:
@@ -118,7 +118,7 @@ def _scalar(at: Callable[[float, float, float], float]) -> Make:
 
         def draw(u: Array, _: Any) -> Drawn:
             x = at(float(u[0]), first, second)
-            return f"{x!r} {unit}".strip(), {f" [{unit}]" if unit else "": x}
+            return (f"{x!r} {unit}".strip(), {f" [{unit}]" if unit else "": x})
 
         return Distribution(1, draw, ends=at is not _normal)
 
@@ -150,7 +150,7 @@ def _factor(parts: Sequence[str]) -> Distribution:
 
     def draw(u: Array, value: Any) -> Drawn:
         x = float(uniform.draw(u, None)[0])
-        return _times(value, x), {" [factor]": x}
+        return (_times(value, x), {" [factor]": x})
 
     return Distribution(1, draw, ends=True, relative=True)
 
@@ -166,7 +166,7 @@ def _choice(parts: Sequence[str], values: Sequence[Any] = ()) -> Distribution:
 
     def draw(u: Array, _: Any) -> Drawn:
         i = min(int(u[0] * len(parts)), len(parts) - 1)
-        return parts[i], {"": values[i]}
+        return (parts[i], {"": values[i]})
 
     return Distribution(1, draw, len(parts))
 
@@ -204,7 +204,7 @@ def _tilt(parts: Sequence[str]) -> Distribution:
         a /= norm(a)
         side = np.cos(heading) * a + np.sin(heading) * np.cross(n, a)
         tilted = np.cos(angle) * n + np.sin(angle) * side
-        return str(tilted.tolist()), {".tilt [rad]": angle, ".heading [rad]": heading}
+        return (str(tilted.tolist()), {".tilt [rad]": angle, ".heading [rad]": heading})
 
     return Distribution(2, draw, relative=True)
 
@@ -310,7 +310,7 @@ class SweepStudy:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """With its points: workers need no scipy.stats, which takes them a second to import."""
-        return type(self), astuple(self), {"_points": self._points}
+        return (type(self), astuple(self), {"_points": self._points})
 
     def require_sound(self) -> None:
         """Whether all of it can be understood, as far as the first row shows.
@@ -388,7 +388,7 @@ class SweepStudy:
             own, u = np.split(u, [distribution.dims])
             overrides[path], values = distribution.draw(own, self._stated.get(path))
             shown |= {path + suffix: value for suffix, value in values.items()}
-        return overrides, shown
+        return (overrides, shown)
 
     def scenario(self, sample: Sample) -> Scenario:
         """The scenario of one run."""

@@ -256,7 +256,7 @@ def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, An
         if isinstance(value, Mapping):
             yield from _flat(value, f"{name}.")
         else:
-            yield name, value
+            yield (name, value)
 
 
 # --- File and table -----------------------------------------------------------------------------
@@ -564,7 +564,7 @@ def make_all(
     if workers is None:
         for study, numbers in jobs:
             for number in numbers:
-                yield study, make(study, [number])[0]
+                yield (study, make(study, [number])[0])
         return
     lost: list[Job] = []
     for (study, numbers), rows in _hand_out(workers, jobs, make):
@@ -575,7 +575,7 @@ def make_all(
     for job in lost:  # it may have ended a worker: now alone
         for (study, numbers), rows in _hand_out(workers, [job], make):
             why = "its process died twice; run it alone to find the cause"
-            yield study, rows[0] if rows else _head(study.sample(numbers[0]), CRASHED, why)
+            yield (study, rows[0] if rows else _head(study.sample(numbers[0]), CRASHED, why))
 
 
 def available_cores() -> int:
@@ -601,7 +601,7 @@ def _hand_out(
                     rows = future.result()
                 except workers.deaths:
                     rows = None
-                yield job, rows
+                yield (job, rows)
     except CancelledError as error:
         raise OscContactError(
             "the cluster is lost; start it again, and the same call continues with what is done"

@@ -122,7 +122,7 @@ def tune(
         trial = study.ask()
         values = keys.at(np.array([trial.suggest_float(name, 0.0, 1.0) for name in names]))[0]
         trial.set_user_attr("values", values)
-        return trial, replace(base, overrides=(*base.overrides, *texts(values)))
+        return (trial, replace(base, overrides=(*base.overrides, *texts(values))))
 
     def ended() -> list[Any]:
         return study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))

@@ -223,7 +223,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         """All rows begin anew; see gymnasium."""
         super().reset(seed=seed)
         self._begin(range(self.num_envs))
-        return self._observe(), self._infos()
+        return (self._observe(), self._infos())
 
     def _begin(self, rows: Sequence[int]) -> None:
         if not rows:
@@ -255,7 +255,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         terminated = going & (seen.diverged | away.any(axis=1))
         truncated = going & ~terminated & (self._step >= self._last)
         self._over = terminated | truncated
-        return self._observe(), rewards, terminated, truncated, self._infos()
+        return (self._observe(), rewards, terminated, truncated, self._infos())
 
     def _advance(self, actions: Array, going: Array) -> Array:
         """The ticks of one action; rows that are over stand still. Returns the last torques."""
@@ -290,7 +290,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         steps = np.minimum(self._step + ahead, self._last)
         at = list(zip(self._now, steps, strict=True))
         forces = np.array([episode.forces[k] for episode, k in at])
-        return np.array([episode.places[k] for episode, k in at]), forces
+        return (np.array([episode.places[k] for episode, k in at]), forces)
 
     @property
     def _last(self) -> Array:

@@ -282,7 +282,7 @@ def moments(begin: float, end: float, most: int = MOST_FRAMES) -> tuple[list[flo
     span = max(end - begin, 1e-3)
     count = int(np.clip(np.ceil(span * RATE), 2, most))
     shown = 10 * max(round(100.0 * min(span, LONGEST_S) / count), 4)
-    return np.linspace(begin, end, count, endpoint=False).tolist(), shown
+    return (np.linspace(begin, end, count, endpoint=False).tolist(), shown)
 
 
 def write_gif(

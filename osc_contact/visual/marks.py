@@ -136,7 +136,7 @@ class ContactForce(Part):
             paint = material(BLACK if measured else self.colour, arrow.opacity, glow=0.12)
             cylinder(part["shaft/rod"], paint, (-1.0, 0.0), arrow.radius)
             for name, tip in (("cone", 0.0), ("second", -0.025))[: 1 + self.couple]:
-                ends = tip - HEAD_LENGTH, tip
+                ends = (tip - HEAD_LENGTH, tip)
                 cylinder(part[f"head/{name}"], paint, ends, 2.4 * arrow.radius, top=0.0)
 
     def states(self, samples: Samples) -> Frames:
@@ -185,7 +185,7 @@ class ContactForce(Part):
         points = np.where(np.isinf(pitches)[:, None], points, on_line)
         poses = held(here, poses_along(points, directions), self.last)
         self.last = poses[-1]
-        return poses, pitches
+        return (poses, pitches)
 
 
 def legend(forces: Sequence[ContactForce]) -> list[LegendEntry]:
@@ -297,7 +297,7 @@ def _screws(samples: Samples) -> tuple[Array, Array, NDArray[np.bool_]]:
     poses[there] = poses_along(point, direction)
     pitches = np.zeros(there.shape)
     pitches[there] = pitch
-    return poses, pitches, there
+    return (poses, pitches, there)
 
 
 # --- Trails -------------------------------------------------------------------------------------

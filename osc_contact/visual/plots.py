@@ -65,7 +65,7 @@ def panels(count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
         ax.margins(x=0.01)  # the first moments do not hide in the axis
     axes[-1].set_xlabel("time (s)")
     figure.align_ylabels(axes)
-    return figure, list(axes)
+    return (figure, list(axes))
 
 
 def legend(ax: Axes) -> None:
@@ -331,7 +331,7 @@ def _limits(values: Array) -> tuple[float, float]:
     finite = values[np.isfinite(values)]
     low, high = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
     air = 0.05 * (high - low) or 1e-3
-    return low - air, high + air
+    return (low - air, high + air)
 
 
 def _si(value: float) -> str:

@@ -271,7 +271,7 @@ def _headings(points: Array, bases: Array, pushes: Array) -> tuple[float, float]
     front = np.arctan2(away[1], away[0]) if norm(away) > 0.02 else -np.pi / 3
     turns = np.deg2rad([0, 15, -15, 30, -30, 45, -45, 60, -60])
     along = [np.abs(pushes @ eye(front + turn)).max(initial=0.0) for turn in turns]
-    return front, front + turns[np.argmin(np.round(along, 1))]
+    return (front, front + turns[np.argmin(np.round(along, 1))])
 
 
 def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, Array]:
@@ -290,7 +290,7 @@ def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, A
         distance = (np.abs(seen[:, :2]) / half + seen[:, 2:]).max() + 0.05
         image = seen[:, :2] / (distance - seen[:, 2:])
         target = target + axes[:2].T @ (centre(image) * distance)
-    return target, max(distance, 0.3) * view
+    return (target, max(distance, 0.3) * view)
 
 
 def centre(points: Array) -> Array:

@@ -238,7 +238,10 @@ def _groups(root: ET.Element) -> Iterator[tuple[list[float], int]]:
         }
         for part in geometries[instance.get("url", "")[1:]].findall("c:mesh/*", SPACE):
             if part.tag.split("}")[-1] in GROUPS:
-                yield _colour(root, bound.get(part.get("material"), "")), int(part.get("count", 0))
+                yield (
+                    _colour(root, bound.get(part.get("material"), "")),
+                    int(part.get("count", 0)),
+                )
 
 
 def _colour(root: ET.Element, material: str) -> list[float]:

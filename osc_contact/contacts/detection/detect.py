@@ -206,7 +206,7 @@ class Detected:
         if a.name in ("vertex", "sphere") and e.name in ("sphere", "cylinder"):
             surface = Surface.cylinder if e.dimension else Surface.sphere
             along, _, axis = triad(e.direction if e.dimension else self.environment_normal).T
-            place = e.points[0], axis, along
+            place = (e.points[0], axis, along)
             return SphereOnSurface(a.points[0], a.radius, surface(e.radius), *place, self.name)
         if a.radius > 0.0 or e.radius > 0.0 or a.dimension + e.dimension < 2:
             return between_round(a, e, self.name)
@@ -426,7 +426,7 @@ class TrackedContact:
         self.name = name
         self.pairs: tuple[ContactPair, ...] = ()
         self.lookups = 0
-        self._shapes = object_geometry, environment_geometry
+        self._shapes = (object_geometry, environment_geometry)
         self._X_EO = SE3.Identity()
 
     def contact(

@@ -171,7 +171,7 @@ def _faces_and_edges(corners: Array, triangles: Array) -> tuple[Array, Array]:
     edges /= np.linalg.norm(edges, axis=1)[:, None]
     first = np.argmax(np.abs(edges) > 1e-9, axis=1)
     edges *= np.sign(edges[np.arange(len(edges)), first])[:, None]
-    return _distinct(normals), _distinct(edges)
+    return (_distinct(normals), _distinct(edges))
 
 
 def _distinct(directions: Array) -> Array:
@@ -393,7 +393,7 @@ def _of_lines(a: Array, e: Array, angle: float) -> Array:
     """Where two line pieces cross, or the piece in which two parallel ones run side by side."""
     along_a = a[1] - a[0]
     along_e = e[1] - e[0]
-    lengths = norm(along_a), norm(along_e)
+    lengths = (norm(along_a), norm(along_e))
     sine = (along_a[0] * along_e[1] - along_a[1] * along_e[0]) / (lengths[0] * lengths[1])
     if abs(sine) > angle:
         s, _ = np.linalg.solve(np.column_stack((along_a, -along_e)), e[0] - a[0])

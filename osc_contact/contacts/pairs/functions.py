@@ -98,7 +98,7 @@ class GapFunctions(PackagedPair):
         ahead = np.array([g(k * self.step) for k in _STEPS])
         behind = np.array([g(-k * self.step) for k in _STEPS])
         first = _FIRST @ (ahead - behind) / self.step
-        return first, _SECOND @ (ahead + behind - 2.0 * self._gaps(X_EA)) / self.step**2
+        return (first, _SECOND @ (ahead + behind - 2.0 * self._gaps(X_EA)) / self.step**2)
 
 
 # A pair whose N and n_γ a function computes, compiled and called inside the law.
@@ -177,7 +177,7 @@ class CompiledPair(PackagedPair):
     def _evaluate(self, b: Bodies) -> Array:
         """(r, 11) N, n_γ, gap and point from O of each magnitude."""
         found = np.empty((self.forces, 11))
-        given = b.X_A.homogeneous, b.V_A, b.X_E.homogeneous, b.V_E
+        given = (b.X_A.homogeneous, b.V_A, b.X_E.homogeneous, b.V_E)
         rows = [np.ascontiguousarray(one, dtype=float) for one in given]
         call_address(self.row().address, *rows, self._rows, found)
         return found
@@ -216,7 +216,7 @@ def _entry(function: Any, forces: int, count: int) -> tuple[int, Any]:
 
     if PLAIN_PYTHON:
         kept: Any = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(ctypes.c_double)] * 6)(evaluate)
-        return int(ctypes.cast(kept, ctypes.c_void_p).value or 0), kept
+        return (int(ctypes.cast(kept, ctypes.c_void_p).value or 0), kept)
     types: Any = numba.types
     kept = numba.cfunc(types.void(*[types.CPointer(types.float64)] * 6))(evaluate)
-    return int(kept.address), kept
+    return (int(kept.address), kept)

@@ -653,7 +653,7 @@ class EdgeOnEdge(LawPair):
                 "that points out of the environment, towards the object"
             )
         side = (0.0, out) if np.ndim(out) else (out, np.zeros(3))
-        lines = self.point, self.direction, self.edge_point, self.edge_direction
+        lines = (self.point, self.direction, self.edge_point, self.edge_direction)
         self._hold(self.edge_point, EDGES, (shape(*lines, *side),))
 
     def _gaps(self, X_EA: SE3) -> Array:

@@ -138,7 +138,7 @@ class SphereOnSurface(LawPair):
             self._numbers[1], R.T @ (points - self.surface_point[:, None])
         )
         n = R @ n
-        return away, points - away * n, n
+        return (away, points - away * n, n)
 
     def _gaps(self, X_EA: SE3) -> Array:
         """(1,) signed distance of the ball (m), negative where it overlaps."""

@@ -74,19 +74,19 @@ class TangentPair(PointsOnPlanes):
 def held_axis(axis: Array, seat: Array) -> tuple[Array, Array]:
     """Arms and marks (3, 2) that keep `axis` of A along `seat` of E; couples along triad(seat)."""
     x, y, _ = triad(seat).T
-    return np.column_stack((axis, axis)), np.column_stack((-y, x))
+    return (np.column_stack((axis, axis)), np.column_stack((-y, x)))
 
 
 def held_axes(R_EA: Array) -> tuple[Array, Array]:
     """Arms and marks (3, 3) that keep A's orientation in E at R_EA; couples along E's axes."""
-    return R_EA.T[:, [1, 2, 0]], np.eye(3)[:, [2, 0, 1]]
+    return (R_EA.T[:, [1, 2, 0]], np.eye(3)[:, [2, 0, 1]])
 
 
 def assembled_axis(joint: Any) -> tuple[Array, Array]:
     """The axis of a joint in E, and a point on it, as assembled; of that pose it keeps a copy."""
     X = SE3(joint.assembled)
     store(joint, assembled=X)
-    return X.rotation @ joint.axis, X.act(joint.point)
+    return (X.rotation @ joint.axis, X.act(joint.point))
 
 
 # The object clamped to the environment, and no contact at all.
@@ -290,6 +290,6 @@ class ConeInGroove(TangentPair):
     def _make(self) -> None:
         across = triad(self.groove_direction)[:, :2]
         turn = shape(self.apex, self.axis, TURN)
-        freedoms = turn, shape(self.apex, self.groove_direction, SLIDE)
+        freedoms = (turn, shape(self.apex, self.groove_direction, SLIDE))
         tilts = held_axis(self.axis, self.seat)
         self._hold_tangents(self.apex, across, self.groove_point, tilts, freedoms)
