@@ -19,24 +19,25 @@ StrPath = str | os.PathLike[str]  #: a file's name, as `open` takes it
 Json = dict[str, Any]  #: an object of a JSON file
 
 
-def hold(number: int, what: StrPath) -> None:
+def hold(descriptor: int, name: StrPath) -> None:
     """Lock an open file or folder until it is closed, at the latest by the end of the process.
 
-    Where the file system has no locks, nothing is locked.
+    Nothing is locked on a file system without locks.
 
     Args:
-        number: of the open file. what: its name.
+        descriptor: file descriptor of the open file or folder.
+        name: name of the file or folder, for messages.
 
     Raises:
-        InvalidInputError: another program holds it.
+        InvalidInputError: another program has locked it.
     """
     if fcntl is None:
         return
     try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise InvalidInputError(
-            f"another program writes to {what} now: wait until it ends, or give another folder "
+            f"another program writes to {name} now: wait until it ends, or give another folder "
             "(--out)"
         ) from error
     except OSError:  # a file system without locks
@@ -45,34 +46,37 @@ def hold(number: int, what: StrPath) -> None:
 
 @contextmanager
 def sole_user(folder: Path) -> Iterator[None]:
-    """Make a folder, and keep other programs that call this from it while the block lasts.
+    """Make a folder and lock it for this process while the block runs.
+
+    The lock binds programs that lock the folder by this function.
 
     Args:
-        folder: for results.
+        folder: folder for results.
 
     Raises:
-        InvalidInputError: another program holds it. OSError: it cannot be made.
+        InvalidInputError: another program has locked the folder.
+        OSError: the folder cannot be made.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if fcntl is None:
         yield
         return
-    number = os.open(folder, os.O_RDONLY)
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
-        hold(number, folder)
+        hold(descriptor, folder)
         yield
     finally:
-        os.close(number)
+        os.close(descriptor)
 
 
 def require_private(folder: Path) -> None:
-    """Refuse a folder of programs to be loaded into which other users may write.
+    """Refuse to load programs from a folder into which other users may write.
 
-    Root counts as no other user.
+    A folder of root is accepted.
 
     Raises:
-        PermissionError: it is another user's, or its group or all users may write to it.
-        OSError: it is not there.
+        PermissionError: the folder is another user's, or its group or all users may write to it.
+        OSError: the folder does not exist.
     """
     if not hasattr(os, "getuid"):  # Windows
         return
@@ -85,39 +89,39 @@ def require_private(folder: Path) -> None:
 
 @contextmanager
 def one_by_one(folder: Path) -> Iterator[None]:
-    """Make a private folder, and let programs that call this do so one after another.
+    """Make a private folder and run the block while no other program runs such a block in it.
 
-    Where the file system has no locks, nobody waits.
+    Programs wait for one another; on a file system without locks they do not.
 
     Args:
-        folder: for what they make.
+        folder: folder whose `.lock` file is locked.
 
     Raises:
-        PermissionError: other users may write to it. OSError: it cannot be made, or its `.lock` is
-            a link.
+        PermissionError: other users may write to the folder.
+        OSError: the folder cannot be made, or its `.lock` is a link.
     """
     folder.mkdir(mode=stat.S_IRWXU, parents=True, exist_ok=True)
     require_private(folder)
     not_through_a_link = getattr(os, "O_NOFOLLOW", 0)  # Windows has none
-    number = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | not_through_a_link, 0o600)
+    descriptor = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | not_through_a_link, 0o600)
     try:
         if fcntl is not None:
             with suppress(OSError):
-                fcntl.flock(number, fcntl.LOCK_EX)
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
-        os.close(number)
+        os.close(descriptor)
 
 
 @contextmanager
 def whole_file(path: StrPath) -> Iterator[Path]:
-    """Yield a path to write to; in the end that file gets its name, after an error it is removed.
+    """Yield a temporary path, which is renamed to `path` at the end and removed after an error.
 
     Args:
-        path: the name of the file; its folder is made, an older file of the name is replaced.
+        path: final name of the file; its folder is made, and an older file is replaced.
 
     Raises:
-        OSError: the folder cannot be made, or the file not be written.
+        OSError: the folder cannot be made, or the file cannot be written.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -130,7 +134,9 @@ def whole_file(path: StrPath) -> Iterator[Path]:
 
 
 def write_whole(content: str | bytes, path: StrPath) -> Path:
-    """Write a file (text as UTF-8), which appears complete or not at all; returns its path."""
+    """Write a file (text as UTF-8) that appears complete or not at all, and return its path."""
+    if isinstance(content, str):
+        content = content.encode()
     with whole_file(path) as unfinished:
-        unfinished.write_bytes(content if isinstance(content, bytes) else content.encode())
+        unfinished.write_bytes(content)
     return Path(path)

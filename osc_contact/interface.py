@@ -1,4 +1,4 @@
-"""What passes between a robot and its controller: measurements, references, torques."""
+"""Interface between a robot and its controller: measurements, references, torques."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from osc_contact.errors import InvalidInputError, brief
 from osc_contact.spatial import Array, as_array, as_pose
 
 _DOUBLE = np.dtype(np.float64)
-#: alpha_d of every reference without forces: read-only, as nothing written to it could count.
+#: alpha_d of every reference without forces; read-only, because all of them share it.
 _NO_FORCES: Array = np.zeros(0)
 _NO_FORCES.flags.writeable = False
 
 
 def _doubles(value: ArrayLike) -> Array:
-    """`value` itself where the compiled law can read it, else a new array of its numbers.
+    """Return `value` itself if the compiled law can read it, else an array of its numbers.
 
     The law reads aligned, contiguous, writeable arrays of doubles. Numbers need not be finite.
 
     Raises:
-        Exception: of any kind, where `value` holds no numbers.
+        Exception: `value` cannot be converted to numbers; its `__array__` may raise any error.
     """
     if value.__class__ is np.ndarray and value.dtype == _DOUBLE and value.flags.carray:
         return value
@@ -35,16 +35,20 @@ def _doubles(value: ArrayLike) -> Array:
 
 
 def _readable(value: ArrayLike) -> ArrayLike:
-    """`_doubles` of a reading; `value` as it is where it holds no numbers: its tick is held."""
+    """Return a reading as doubles, or unchanged if it cannot be converted: its tick is held."""
     try:
         return _doubles(value)
-    except Exception:  # numbers too large, or warnings made errors, among others
+    except Exception:  # for instance numbers too large, or warnings turned into errors
         return value
 
 
 @dataclass(frozen=True)
 class Stamps:
-    """When each kind of reading was sampled (s); all of them at one instant if no sensor lags."""
+    """Sampling times of the readings (s), by kind; they are equal if no sensor lags.
+
+    Attributes:
+        encoders, joint_torques, wrists, vision: time of the last sample of that kind.
+    """
 
     encoders: float = 0.0
     joint_torques: float = 0.0
@@ -54,13 +58,14 @@ class Stamps:
 
 @dataclass(frozen=True)
 class Touched:
-    """Motion of the body at each contact, from its encoders or from a tracker.
+    """Motion of the touched body at each contact, from its encoders or from a tracker.
 
     Attributes:
-        X_WE: (contacts, 4, 4) pose of its frame E in the world; the pair's geometry is given in E.
-        V_E: (contacts, 6) its twist at E's origin, world axes.
-        A_E: (contacts, 6) [p̈; ω̇] of E, what is known of it: the acceleration a drive is commanded
-            to make. Zero for bodies that follow the contact force.
+        X_WE: (contacts, 4, 4) pose of the body's frame E in the world; the geometry of a pair is
+            given in E.
+        V_E: (contacts, 6) twist of the body at E's origin, world axes (m/s, rad/s).
+        A_E: (contacts, 6) known part of the classical acceleration [p̈; ω̇] of E, the commanded one
+            of a drive (m/s², rad/s²). Zero for bodies that follow the contact force.
     """
 
     X_WE: Array
@@ -70,10 +75,11 @@ class Touched:
 
 @dataclass(frozen=True)
 class Seen:
-    """What an overhead camera sees besides the touched bodies, in the same frame as those.
+    """Poses of the object and the arms' tips from a camera, in the frame of the touched bodies.
 
     Attributes:
-        object: (4, 4) pose of the held object. tips: (arms, 4, 4) of the arms' tips.
+        object: (4, 4) pose of the held object.
+        tips: (arms, 4, 4) poses of the arms' tips.
     """
 
     object: Array
@@ -82,27 +88,29 @@ class Seen:
 
 @dataclass(frozen=True, init=False)
 class Measurement:
-    """What the sensors of the rig deliver at one tick; nothing a real rig would not have.
+    """Sensor readings of one tick, limited to quantities that a real robot can measure.
 
-    Lists and arrays of other types become arrays of doubles. What holds no numbers is kept as it
-    is: the tick that it comes to is held, see `Controller.tick`.
+    Lists and arrays of other types are converted to arrays of doubles. A value that cannot be
+    converted is kept: its tick is held, see `Controller.tick`.
 
     Attributes:
-        q, v: (n,) joint positions and velocities of all arms, passive joints included. v is NaN
-            where encoders give no velocities: they must be estimated first.
+        q, v: (n,) positions (rad, m) and velocities (rad/s, m/s) of the joints of all arms, passive
+            joints included. v is NaN if the encoders give no velocities, which must be estimated
+            before a tick.
         wrenches: (arms, 6) wrench that each arm exerts on its gripper, at the sensor's origin and
             in the sensor's axes (N, N m). Rows of arms without a sensor are zero.
-        touched: how the bodies at the contacts move; None: all of them rest in the world. Poses
-            that a camera gave are in its frame: its idea of where the world is.
-        joint_torques: (n_a,) what the joint torque sensors read (N m, N); None: there are none.
-        stamps: when each was sampled; None: all of them now.
-        seen: object and arms as a camera sees them; None: there is none.
-        wrench_valid: False: this tick has no new wrenches, whatever stands in them; the controller
-            continues with the last ones for a while. None: they are as good as they look.
-        sequence: number of the packet. One that came before is a reading of a known age, which is
-            used for `wrench_timeout`; one older than the last is not used. None: packets have none.
-        estimated: whether v was estimated from q: then it is no second reading of the joints, with
-            which faults of encoders could be found.
+        touched: motion of the bodies at the contacts; None: all of them are at rest in the world.
+            Poses from a camera are in the camera's estimate of the world frame.
+        joint_torques: (n_a,) readings of the joint torque sensors (N m, N); None: no such sensors.
+        stamps: sampling times; None: all readings are of this instant.
+        seen: object and tips as seen by a camera; None: no camera.
+        wrench_valid: False: `wrenches` is not a new reading; the controller continues with the
+            last one for at most `wrench_timeout`. None: valid unless the checks find otherwise.
+        sequence: number of the packet. A repeated number is a reading of known age, which is used
+            for at most `wrench_timeout`; a number below the last one is not used. None: packets
+            are not numbered.
+        estimated: True if v was estimated from q, so that comparing the two cannot reveal faults
+            of encoders.
 
     Example:
         >>> reading = osc.Measurement(q=[0.1, 0.2], v=[0, 0], wrenches=[[0, 0, 9.81, 0, 0, 0]])
@@ -150,14 +158,14 @@ class Measurement:
 
 
 class Scene(Protocol):
-    """Surroundings of a robot at one instant, with which a controller's model is compared.
+    """Masses and shapes of a robot and its surroundings at one instant, to check a model against.
 
     Attributes:
-        moved_mass: of all links that the joints move (kg).
-        carried_mass: beyond the wrist sensors (kg); 0: there are none.
-        tool_touches: whether any shape of the tool can touch any of the surroundings.
-        loose: mass (kg) beyond each joint that no motor of the controller moves and nothing holds,
-            by the joint's name.
+        moved_mass: mass of all links that the joints move (kg).
+        carried_mass: mass beyond the wrist sensors (kg); 0 without wrist sensors.
+        tool_touches: True if collisions between the tool and its surroundings are enabled.
+        loose: by the name of each joint that the controller cannot move and nothing else holds, the
+            mass beyond it (kg).
     """
 
     moved_mass: float
@@ -166,27 +174,31 @@ class Scene(Protocol):
     loose: Mapping[str, float]
 
     def distance(self, point: Array) -> tuple[float, str]:
-        """Distance (m) of a point of the world (3,) from the nearest shape, and that one's name.
+        """Distance of a point from the nearest shape (m), and the name of that shape.
 
-        It is negative within the shape.
+        Args:
+            point: (3,) in the world (m). Within the shape the distance is negative.
         """
 
     def clearance(self) -> tuple[float, str]:
-        """Distance (m) of the tool from the nearest shape, negative in an overlap, and its name."""
+        """Distance of the tool from the nearest shape (m), and the name of that shape.
+
+        The distance is negative if the two overlap.
+        """
 
     def require_period(self, duration: float) -> None:
-        """Refuse a control period (s) that the robot cannot keep.
+        """Refuse a control period `duration` (s) that the robot cannot keep.
 
         Raises:
-            PlantError: with the periods that it can.
+            PlantError: the message names possible periods.
         """
 
 
 class Robot(Protocol):
     """Methods that the control loop needs of a robot: hardware, or a plant that simulates one.
 
-    A robot may also have a method `scene()`, which returns its `Scene` as it is now: the checks
-    before a run compare the controller's contacts, tool and masses with it.
+    A robot may also have a method `scene()` that returns its current `Scene`: the checks before a
+    run compare the controller's contacts, tool and masses with it.
 
     Example:
         >>> class Still:  # a robot of one joint, whose wrist reads nothing
@@ -200,12 +212,12 @@ class Robot(Protocol):
     """
 
     def measure(self) -> Measurement:
-        """What the robot's sensors read now."""
+        """Read the robot's sensors."""
 
     def command(self, tau: Array, duration: float) -> None:
-        """Hold motor torques for one control period; return when it is over.
+        """Apply motor torques for one control period and return at its end.
 
-        A plant simulates the period. Hardware sends the torques and waits for the next deadline,
+        A plant simulates the period. A driver sends the torques and waits for the next deadline,
         or for the next reading of its sensors.
 
         Args:
@@ -214,36 +226,38 @@ class Robot(Protocol):
         """
 
     def stop(self, reason: str = "") -> None:
-        """Come to a safe stop, by brakes if there are any, and return soon. Plants do nothing.
+        """Start a safe stop, by brakes if the robot has any, and return soon. Plants do nothing.
 
-        Called in the tick in which the controller enters `SAFE_STOP`; once more if no sound
-        reading of a joint is left later, so that it needs its mechanical brake, as the reason says;
-        and however the loop ends: further calls must be safe. After the first one the controller's
-        braking torques still come by `command`; a driver that has engaged its brakes ignores them.
+        The loop calls this in the tick in which the controller enters `SAFE_STOP`; again if later
+        no valid reading of a joint is left, so that this joint needs its mechanical brake; and at
+        its end, however it ends. Repeated calls must be safe. After the first call the controller
+        still sends braking torques by `command`; a driver that has engaged its brakes ignores them.
 
         Args:
-            reason: why, in a sentence: the controller's, an error, or the name of a signal; empty
-                where the references have ended.
+            reason: sentence of the controller, message of an error, or name of a signal; empty
+                after the last reference.
         """
 
 
 @dataclass(frozen=True, init=False)
 class Reference:
-    """The user's commands at one tick; what is left out is zero.
+    """Commanded motion and forces of one tick; omitted commands are zero.
 
-    Accelerations are *classical*, d/dt of V_D: what trajectory generators and
-    `pin.getFrameClassicalAcceleration(..., LOCAL_WORLD_ALIGNED)` give. The controller makes them
-    spatial, once, in its motion law.
+    Accelerations are *classical*, the time derivative of V_D, as trajectory generators and
+    `pin.getFrameClassicalAcceleration(..., LOCAL_WORLD_ALIGNED)` give them. The controller converts
+    them to spatial ones in its motion law.
 
     Attributes:
         X_WD: desired pose of the object.
-        V_D: (6,) its twist at its own origin, world axes.
-        A_D: (6,) its classical acceleration: [second derivative of the origin's position; ω̇].
-        alpha_d: (r,) desired contact force magnitudes (N); without any it is empty and read-only.
+        V_D: (6,) desired twist at the object's origin, world axes (m/s, rad/s).
+        A_D: (6,) desired classical acceleration, [second derivative of the origin's position; ω̇]
+            (m/s², rad/s²).
+        alpha_d: (r,) desired contact force magnitudes (N); empty and read-only if r = 0.
         squeeze_d: desired internal force along the grasp line, > 0 compresses (N). With k ≥ 3 arms:
-            in each line between two grasps, in the order (1, 2), (1, 3), …, (k − 1, k), see
-            `law.grasps`: (k(k − 1)/2,), or a number for all of them; the number 0 leaves
-            them at least effort. Its steps are smoothed as those of alpha_d are, see `ForceGains`.
+            the force in each line between two grasps, (k(k − 1)/2,) in the order (1, 2), (1, 3), …,
+            (k − 1, k), see `law.grasps`, or a number for all of them; the number 0 leaves the
+            internal forces to the torques of least effort. Steps are smoothed like those of
+            alpha_d, see `ForceGains`.
 
     Example:
         >>> goal = osc.Reference(pin.SE3.Identity(), V_D=[0.1, 0, 0, 0, 0, 0], alpha_d=[5.0])
@@ -265,39 +279,45 @@ class Reference:
         alpha_d: ArrayLike = (),
         squeeze_d: float | ArrayLike = 0.0,
     ) -> None:
-        """Take the commands, and convert lists, arrays of other types and a plain number alpha_d.
+        """Convert lists, arrays of other types and a plain number for alpha_d.
 
-        Numbers need not be finite: the tick that they come to is held, see `Controller.tick`.
+        Numbers need not be finite: a tick with others is held, see `Controller.tick`.
 
         Args:
             X_WD: `pin.SE3`, or its homogeneous matrix (4, 4).
-            V_D, A_D: (6,) m/s, rad/s; m/s², rad/s². None: zero.
-            alpha_d: (r,) N; a number where r = 1.
+            V_D: (6,) m/s, rad/s; None: zero.
+            A_D: (6,) m/s², rad/s²; None: zero.
+            alpha_d: (r,) N; a number if r = 1.
             squeeze_d: a number, or an array (k(k − 1)/2,) (N).
 
         Raises:
-            InvalidInputError: wrong shapes, no numbers, or a matrix that is no pose.
+            InvalidInputError: wrong shapes, no numbers, or a matrix that is not a pose.
         """
+        if squeeze_d.__class__ is not float:  # a float, the usual case, is kept: this costs time
+            squeeze_d = _number_or_command("squeeze_d", squeeze_d)
         self.__dict__.update(
             X_WD=X_WD if isinstance(X_WD, pin.SE3) else _pose_of(X_WD),
             V_D=np.zeros(6) if V_D is None else _command("V_D", V_D, (6,)),
             A_D=np.zeros(6) if A_D is None else _command("A_D", A_D, (6,)),
             alpha_d=_forces(alpha_d),
-            squeeze_d=squeeze_d
-            if squeeze_d.__class__ is float
-            else _number_or_command("squeeze_d", squeeze_d),
+            squeeze_d=squeeze_d,
         )
 
 
 def _command(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:
-    """(…) doubles of a reference's field; shape None: (any number,), or a number as one of one.
+    """Return a field of a reference as an array of doubles.
+
+    Args:
+        name: name of the field, for messages.
+        value: numbers as NumPy reads them.
+        shape: expected shape; None: a vector of any length, or a number, which becomes (1,).
 
     Raises:
-        InvalidInputError: see `Reference`.
+        InvalidInputError: another shape, or no numbers.
     """
     try:
         array = _doubles(value)
-    except Exception as error:  # of all kinds: whatever conversion to numbers raises
+    except Exception as error:  # conversion of foreign objects to numbers may raise any error
         expected = "a list of numbers" if shape is None else f"numbers of shape {shape}"
         raise InvalidInputError(
             f"reference {name}: expected {expected}, got {brief(value)} ({error})"
@@ -319,29 +339,37 @@ def _command(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Arra
 
 
 def _forces(alpha_d: ArrayLike) -> Array:
-    """(r,) doubles of alpha_d; see `_command`."""
+    """Return alpha_d as doubles (r,), or the shared read-only array if it is empty.
+
+    Raises:
+        InvalidInputError: see `_command`.
+    """
     array = _command("alpha_d", alpha_d, None)
     return array if array.size else _NO_FORCES
 
 
 def _number_or_command(name: str, value: float | ArrayLike) -> float | Array:
-    """A plain number, or (…,) of them; see `_command`."""
+    """Return a number as a float, several numbers as an array of doubles; `name`: see `_command`.
+
+    Raises:
+        InvalidInputError: see `_command`.
+    """
     array = _command(name, value, None)
     return float(array[0]) if np.ndim(value) == 0 else array
 
 
 def _pose_of(matrix: ArrayLike) -> pin.SE3:
-    """The pose that a homogeneous matrix (4, 4) gives; one with a NaN gives one with a NaN.
+    """Pose of a homogeneous matrix (4, 4); its numbers need not be finite.
 
     Raises:
-        InvalidInputError: another shape, or no pose.
+        InvalidInputError: another shape, a last row other than 0, 0, 0, 1, or R not a rotation.
     """
     try:
         X = _doubles(matrix)
-    except Exception:  # of all kinds: whatever conversion to numbers raises
+    except Exception:  # conversion of foreign objects to numbers may raise any error
         X = np.zeros(())
     if X.shape != (4, 4):
-        got = f"shape {X.shape}" if X.ndim else f"{brief(matrix)}"
+        got = f"shape {X.shape}" if X.ndim else brief(matrix)
         raise InvalidInputError(
             f"reference X_WD: expected a pin.SE3 or its matrix (4, 4), got {got}; give "
             "pin.SE3(R, p), pin.XYZQUATToSE3([x, y, z, qx, qy, qz, qw]), or chain.state(q).X_WO "
@@ -367,38 +395,43 @@ def pose_reference(
     alpha_d: ArrayLike = (),
     squeeze_d: float | ArrayLike = 0.0,
 ) -> Reference:
-    """A reference from p, R, ṗ, p̈, ω, ω̇ of the object's origin, all in world axes.
+    """Reference from p, R, ṗ, p̈, ω, ω̇ of the object's origin, all in world axes.
 
     Args:
-        position: (3,) p (m). rotation: (3, 3) R; None: the object's axes are the world's.
-        velocity, acceleration: (3,) plain time derivatives of p (m/s, m/s²).
-        angular_velocity, angular_acceleration: (3,) ω and its time derivative (rad/s, rad/s²).
-        alpha_d, squeeze_d: as in `Reference`.
+        position: (3,) p (m).
+        rotation: (3, 3) R; None: the object's axes are the world's.
+        velocity: (3,) time derivative of p (m/s).
+        acceleration: (3,) second time derivative of p (m/s²).
+        angular_velocity: (3,) ω (rad/s).
+        angular_acceleration: (3,) time derivative of ω (rad/s²).
+        alpha_d, squeeze_d: forces as in `Reference`.
 
     Raises:
-        InvalidInputError: wrong shapes, a NaN/inf, or no rotation matrix.
+        InvalidInputError: wrong shapes, a NaN/inf, or R not a rotation matrix.
     """
-    V_D, A_D = (
-        np.concatenate((as_array(name, x, (3,)), as_array(f"angular_{name}", w, (3,))))
-        for name, x, w in (
-            ("velocity", velocity, angular_velocity),
-            ("acceleration", acceleration, angular_acceleration),
-        )
-    )
-    X_WD = as_pose("reference", position, np.eye(3) if rotation is None else rotation)
+    v = as_array("velocity", velocity, (3,))
+    omega = as_array("angular_velocity", angular_velocity, (3,))
+    a = as_array("acceleration", acceleration, (3,))
+    omega_dot = as_array("angular_acceleration", angular_acceleration, (3,))
     return Reference(
-        X_WD, V_D, A_D, as_array("alpha_d", alpha_d, (None,)), as_numbers("squeeze_d", squeeze_d)
+        X_WD=as_pose("reference", position, np.eye(3) if rotation is None else rotation),
+        V_D=np.concatenate((v, omega)),
+        A_D=np.concatenate((a, omega_dot)),
+        alpha_d=as_array("alpha_d", alpha_d, (None,)),
+        squeeze_d=as_numbers("squeeze_d", squeeze_d),
     )
 
 
 def as_numbers(name: str, value: ArrayLike, count: int | None = None) -> float | Array:
-    """A finite number, or an array (count,) of them.
+    """Return a finite number as a float, several finite numbers as an array (count,).
 
     Args:
-        name: of the argument. value: a number, or several. count: None: any number of them.
+        name: name of the argument, for messages.
+        value: a number, or a list, tuple or array.
+        count: expected number of elements of several; None: any.
 
     Raises:
-        InvalidInputError: it is neither.
+        InvalidInputError: no numbers, a NaN/inf, or another count.
     """
     several = isinstance(value, list | tuple)
     if several or (isinstance(value, np.ndarray) and value.ndim):

@@ -1,15 +1,15 @@
 """Time-optimal motions within limits on velocity, acceleration and jerk.
 
-From rest to rest they have a closed form. From other states ruckig finds them:
+Motions from rest to rest have a closed form. From other states ruckig computes them:
 L. Berscheid, T. Kröger: Jerk-limited Real-time Trajectory Generation with Arbitrary Target States,
-RSS 2021. Only its local solver is used: its own way points are solved by a server elsewhere.
+RSS 2021. Only ruckig's local solver is used, not its way points, which a remote server solves.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cbrt, sqrt
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,21 +18,24 @@ from .errors import InvalidInputError, OscContactError, SolverError
 
 Array = NDArray[np.float64]
 Bounds = tuple[list[float], ...]
-"""Of velocity, acceleration and jerk, one for each coordinate."""
+"""Limits on velocity, acceleration and jerk, in this order: a number for each coordinate."""
 Pieces = tuple[tuple[float, float], ...]
-"""Durations and jerks of a motion, one piece after the other."""
+"""Duration (s) and jerk of each phase of constant jerk, in the order of time."""
 
-_SHARES = (1.0, 1.0 - 1e-9, 1.0 - 1e-6, 0.999)  #: of the limits, tried one after the other
-_END = 1e-7  #: how far off the goal a way may end, beside its length and one second's
-_NO_SHARE = 1e-300  #: of a line: coordinates with less do not move
+#: Shares of the limits with which ruckig is tried, one after the other.
+_SHARES = (1.0, 1.0 - 1e-9, 1.0 - 1e-6, 0.999)
+#: Largest error at the end of ruckig's trajectory, over its length and that of 1 s at full speed.
+_END = 1e-7
+_NO_SHARE = 1e-300  #: coordinates with a smaller share of a straight line do not move
 
 
 @dataclass(frozen=True)
 class JerkLimits:
-    """Bounds on the first three derivatives of coordinates, the same in both directions.
+    """Limits on the first three derivatives of coordinates, equal in both directions.
 
     Attributes:
-        velocity, acceleration, jerk: finite and > 0; one for all coordinates, or one for each.
+        velocity, acceleration, jerk: finite numbers > 0, (n,) or one for all coordinates (m or rad,
+            over s, s², s³).
 
     Raises:
         InvalidInputError: a bound is not finite or not positive.
@@ -56,10 +59,10 @@ class JerkLimits:
                 raise InvalidInputError(f"{key} limit {value}; give finite numbers > 0")
 
     def each(self, n: int) -> Bounds:
-        """The three bounds for `n` coordinates.
+        """Limits of velocity, acceleration and jerk as lists of `n` numbers.
 
         Raises:
-            InvalidInputError: neither one nor n numbers were given.
+            InvalidInputError: a limit has neither one nor n numbers.
         """
         bounds = []
         for key, value in vars(self).items():
@@ -73,48 +76,58 @@ class JerkLimits:
         return tuple(bounds)
 
 
-def from_rest_to_rest(way: float, v: float, a: float, j: float) -> Pieces:
-    """The fastest way of this length ≥ 0, at rest at both ends.
+def from_rest_to_rest(distance: float, v: float, a: float, j: float) -> Pieces:
+    """Time-optimal motion over a distance, at rest at both ends.
 
-    It has at most seven pieces: acceleration rises, stays at its limit, falls; the speed stays at
-    its limit; the same backwards.
+    It has at most seven pieces: the acceleration rises, stays at its limit and falls; the speed
+    stays at its limit; the deceleration rises, stays and falls.
 
     Args:
-        way: its length. v, a, j: limits.
+        distance: length of the path, ≥ 0.
+        v, a, j: limits of velocity, acceleration and jerk along the path.
     """
-    rise = min(cbrt(0.5 * way / j), sqrt(v / j), a / j)
+    rise = min(cbrt(0.5 * distance / j), sqrt(v / j), a / j)
     stay = 0.0
     if rise == a / j:  # the acceleration reaches its limit
-        fastest = min(v, 0.5 * a * (sqrt(rise * rise + 4.0 * way / a) - rise))
+        fastest = min(v, 0.5 * a * (sqrt(rise * rise + 4.0 * distance / a) - rise))
         stay = max(0.0, fastest / a - rise)
     peak = j * rise * (rise + stay)
-    if peak == 0.0:  # no way, or too short a one to have any speed
+    if peak == 0.0:  # the distance is zero, or so short that the speed underflows
         return ()
-    cruise = max(0.0, way / peak - 2.0 * rise - stay)
-    up = ((rise, j), (stay, 0.0), (rise, -j))
-    return (*up, (cruise, 0.0), (rise, -j), (stay, 0.0), (rise, j))
+    cruise = max(0.0, distance / peak - 2.0 * rise - stay)
+    speed_up = ((rise, j), (stay, 0.0), (rise, -j))
+    slow_down = ((rise, -j), (stay, 0.0), (rise, j))
+    return (*speed_up, (cruise, 0.0), *slow_down)
 
 
 def _to_rest(v0: float, a0: float, a: float, j: float) -> Pieces:
-    """The fastest way from velocity v0 and acceleration a0 to rest, anywhere."""
-    if v0 + a0 * abs(a0) / (2.0 * j) < 0.0:  # where it would come to with a constant velocity
+    """Time-optimal motion from velocity v0 and acceleration a0 to rest, at any position.
+
+    Args:
+        v0, a0: velocity and acceleration at the beginning.
+        a, j: limits of acceleration and jerk.
+    """
+    velocity_at_no_acceleration = v0 + a0 * abs(a0) / (2.0 * j)
+    if velocity_at_no_acceleration < 0.0:
         return tuple((duration, -jerk) for duration, jerk in _to_rest(-v0, -a0, a, j))
-    least = min(a, sqrt(max(0.0, j * v0 + 0.5 * a0 * a0)))  # deceleration
-    first = abs(a0 + least) / j
+    deceleration = min(a, sqrt(max(0.0, j * v0 + 0.5 * a0 * a0)))
+    first = abs(a0 + deceleration) / j
     stay = 0.0
-    if least == a:
+    if deceleration == a:
         stay = max(0.0, (v0 + 0.5 * first * (a0 - a)) / a - 0.5 * a / j)
-    return ((first, -j if a0 > -least else j), (stay, 0.0), (least / j, j))
+    first_jerk = -j if a0 > -deceleration else j
+    return ((first, first_jerk), (stay, 0.0), (deceleration / j, j))
 
 
 def follow(
     pieces: Pieces, t: float, x: float = 0.0, v: float = 0.0, a: float = 0.0
 ) -> tuple[float, float, float]:
-    """The state a time t after (x, v, a).
+    """Position, velocity and acceleration at the time t of a motion.
 
     Args:
-        pieces: durations (s) and jerks, one after the other. t: s since the first one began.
-        x, v, a: position, speed and acceleration there.
+        pieces: duration (s) and jerk of each phase.
+        t: time since the beginning of the first phase (s).
+        x, v, a: position, velocity and acceleration at the beginning.
     """
     for duration, jerk in pieces:
         h = min(t, duration)
@@ -125,45 +138,61 @@ def follow(
     return (x, v, a)
 
 
-def _length(pieces: Pieces) -> float:
+def _duration(pieces: Pieces) -> float:
+    """Duration of all phases (s)."""
     return sum(duration for duration, _ in pieces)
 
 
 class _StopAndGo:
-    """To rest first, each coordinate as fast as it can; then straight to the goal.
+    """Trajectory that brings each coordinate to rest as fast as possible, then moves straight.
 
-    Always there, in closed form, for any state and any goal. From rest no way is faster.
+    A closed form for any state and any goal; from rest it is time-optimal.
+
+    Attributes:
+        duration: s, of both parts.
     """
 
     def __init__(self, x: Array, v: Array, a: Array, goal: Array, limits: Array) -> None:
+        """Compute the trajectory.
+
+        Args:
+            x, v, a: (n,) position, velocity and acceleration at the beginning.
+            goal: (n,) position at the end.
+            limits: (3, n) of velocity, acceleration and jerk.
+        """
         self._begin = (x, v, a)
-        self._stops = [_to_rest(*each) for each in zip(v, a, limits[1], limits[2], strict=True)]
-        self._ends = [_length(stop) for stop in self._stops]
+        _, most_acceleration, most_jerk = limits
+        self._stops = [
+            _to_rest(v0, a0, a_max, j_max)
+            for v0, a0, a_max, j_max in zip(v, a, most_acceleration, most_jerk, strict=True)
+        ]
+        self._ends = [_duration(stop) for stop in self._stops]
         self._stopped = max(self._ends)
         self._corner = self._stopping(self._stopped)[0]
-        way = np.nan_to_num(goal - self._corner)
-        length = float(np.abs(way).max())
-        self._along = way / length if length > 0.0 else way
-        moved = [i for i, share in enumerate(self._along) if abs(share) > _NO_SHARE]
-        least = [
-            min((each[i] / abs(self._along[i]) for i in moved), default=1.0) for each in limits
-        ]
-        self._line = from_rest_to_rest(length, *least)
-        self.duration = self._stopped + _length(self._line)
+        line = np.nan_to_num(goal - self._corner)
+        length = float(np.abs(line).max())
+        self._along = line / length if length > 0.0 else line
+        moved = np.abs(self._along) > _NO_SHARE
+        along_line = (limits[:, moved] / np.abs(self._along[moved])).min(axis=1, initial=np.inf)
+        v_max, a_max, j_max = along_line.tolist() if moved.any() else (1.0, 1.0, 1.0)
+        self._line = from_rest_to_rest(length, v_max, a_max, j_max)
+        self.duration = self._stopped + _duration(self._line)
 
     def _stopping(self, t: float) -> Array:
-        """(3, n) state while it stops; a coordinate that has stopped rests."""
+        """State (3, n) while the coordinates stop; a coordinate that has stopped is at rest."""
         states = np.array(
             [
-                follow(*each)
-                for each in zip(self._stops, np.minimum(t, self._ends), *self._begin, strict=True)
+                follow(pieces, time, x, v, a)
+                for pieces, time, x, v, a in zip(
+                    self._stops, np.minimum(t, self._ends), *self._begin, strict=True
+                )
             ]
         ).T
         states[1:, t >= np.array(self._ends)] = 0.0
         return states
 
     def at_time(self, t: float) -> Array:
-        """(3, n) position, velocity and acceleration."""
+        """Position, velocity and acceleration (3, n) at the time t (s)."""
         if t < self._stopped:
             return self._stopping(t)
         s, v, a = follow(self._line, t - self._stopped)
@@ -172,13 +201,22 @@ class _StopAndGo:
 
 
 class _Fastest:
-    """ruckig's way, solved from 0 in units in which each coordinate's greatest velocity is 1/s."""
+    """Time-optimal trajectory by ruckig, from the origin, with velocity limits scaled to 1/s.
+
+    Attributes:
+        duration: s.
+    """
 
     def __init__(self, x: Array, v: Array, a: Array, goal: Array, limits: Array) -> None:
-        """Solve it.
+        """Compute the trajectory.
+
+        Args:
+            x, v, a: (n,) position, velocity and acceleration at the beginning.
+            goal: (n,) position at the end.
+            limits: (3, n) of velocity, acceleration and jerk.
 
         Raises:
-            SolverError: ruckig finds none. It does not where its cases meet.
+            SolverError: ruckig finds no trajectory, as happens at the borders between its cases.
         """
         ruckig = _ruckig()
         n = len(x)
@@ -186,7 +224,7 @@ class _Fastest:
         self._origin = x
         self._unit = unit
         request = ruckig.InputParameter(n)
-        self._way = ruckig.Trajectory(n)
+        self._trajectory = ruckig.Trajectory(n)
         request.current_position = np.zeros(n)
         request.current_velocity = v / unit
         request.current_acceleration = a / unit
@@ -194,24 +232,29 @@ class _Fastest:
         request.max_velocity, request.max_acceleration, request.max_jerk = limits / unit
         request.synchronization = ruckig.Synchronization.Phase
         try:
-            result = ruckig.Ruckig(n).calculate(request, self._way)
-        except (ruckig.RuckigError, ValueError) as error:  # the latter: of results it cannot name
+            result = ruckig.Ruckig(n).calculate(request, self._trajectory)
+        except (ruckig.RuckigError, ValueError) as error:  # ValueError: a result without a name
             raise SolverError(str(error)) from error
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             raise SolverError(str(result))
-        self.duration = float(self._way.duration)
+        self.duration = float(self._trajectory.duration)
         off = np.abs(self.at_time(self.duration)[0] - goal)
         if not (off <= _END * (unit + np.abs(goal - x))).all():
-            raise SolverError(f"ruckig's way ends {off} from the goal")
+            raise SolverError(f"ruckig's trajectory ends {off} from the goal")
 
     def at_time(self, t: float) -> Array:
-        """(3, n) position, velocity and acceleration."""
-        states = np.array(self._way.at_time(t)) * self._unit
+        """Position, velocity and acceleration (3, n) at the time t (s)."""
+        states = np.array(self._trajectory.at_time(t)) * self._unit
         states[0] += self._origin
         return states
 
 
-def _ruckig() -> Any:
+def _ruckig() -> ModuleType:
+    """Module `ruckig`, which an extra installs.
+
+    Raises:
+        OscContactError: ruckig is not installed.
+    """
     try:
         import ruckig
     except ImportError as error:
@@ -222,21 +265,31 @@ def _ruckig() -> Any:
 
 
 class Trajectory:
-    """From a state of n coordinates to rest at a goal; time is counted from its beginning.
+    """Trajectory of n coordinates from any state to rest at a goal, with its own clock.
 
-    On a straight line from rest; all coordinates arrive at once in any case. A state beyond a limit
-    is brought back within it first. There is a way for every state and every goal: where ruckig
-    finds none, limits a little lower are tried, then one that stops on the way.
+    From rest it is a straight line; in any case all coordinates arrive at the same time. A state
+    beyond a limit is brought back within it first. A trajectory exists for every state and goal:
+    where ruckig finds none, slightly lower limits are tried, then a trajectory that stops between.
+
+    Attributes:
+        goal: (n,) position at the end.
     """
 
     def __init__(self, x: Array, v: Array, a: Array, goal: Array, bounds: Bounds) -> None:
+        """Compute the trajectory and set its clock to zero.
+
+        Args:
+            x, v, a: (n,) position, velocity and acceleration at the beginning.
+            goal: (n,) position at the end.
+            bounds: limits of velocity, acceleration and jerk, n numbers each.
+        """
         self.goal = goal
-        self._way = _way(x, v, a, goal, np.array(bounds))
+        self._path = _fastest(x, v, a, goal, np.array(bounds))
         self._t = 0.0
 
     @classmethod
     def rest(cls, x: Array, bounds: Bounds) -> Trajectory:
-        """No way at all: at rest at x.
+        """Trajectory of no length: rest at x (n,).
 
         Raises:
             OscContactError: ruckig is not installed.
@@ -245,25 +298,25 @@ class Trajectory:
         return cls(x, 0.0 * x, 0.0 * x, x, bounds)
 
     def advance(self, dt: float) -> None:
-        """Let time pass (s)."""
+        """Advance the clock of the trajectory by dt (s)."""
         self._t += dt
 
     @property
     def state(self) -> tuple[Array, Array, Array]:
-        """(x, v, a) now, new arrays; at the end exactly the goal, at rest."""
-        if self._t >= self._way.duration:
+        """Position, velocity and acceleration (n,) now, as new arrays; at the end at rest."""
+        if self._t >= self._path.duration:
             return (self.goal.copy(), np.zeros(len(self.goal)), np.zeros(len(self.goal)))
-        x, v, a = self._way.at_time(self._t)
+        x, v, a = self._path.at_time(self._t)
         return (x, v, a)
 
     @property
     def remaining(self) -> float:
-        """Time left (s)."""
-        return max(0.0, self._way.duration - self._t)
+        """Time to the end of the trajectory (s)."""
+        return max(0.0, self._path.duration - self._t)
 
 
-def _way(x: Array, v: Array, a: Array, goal: Array, limits: Array) -> _Fastest | _StopAndGo:
-    """The fastest way that is found."""
+def _fastest(x: Array, v: Array, a: Array, goal: Array, limits: Array) -> _Fastest | _StopAndGo:
+    """Fastest trajectory that can be computed; for the arguments see `_Fastest`."""
     if v.any() or a.any():
         for share in _SHARES:
             try:

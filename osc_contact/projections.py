@@ -1,10 +1,10 @@
-"""Equations 3 to 12 of the paper: every projection that respects a contact, on plain arrays.
+"""Projections onto contact forces and free motions, equations 3 to 12 of the paper, on arrays.
 
-Wherever the paper writes Ω_f(A) with an
-inertia A, pass its *inverse* here: Ω_f(A) and Ω̄_m(B) need only A⁻¹ and B, which exist (positive
-semidefinite) for arms with fewer than six joints and in singular postures, where Λ does not.
+Where the paper writes Ω_f(A) with an inertia A, the functions here take the *inverse* of A: Ω_f(A)
+and Ω̄_m(B) need only A⁻¹ and B, which exist (positive semidefinite) also for arms with fewer than
+six joints and in singular postures, where Λ does not exist.
 
-Identities 9–12, with the bars that print or scan of the paper lost (see docs/paper_map.md):
+Identities 9–12, with the bars that are missing in the printed paper (see docs/paper_map.md):
 
     Ω_f(A₁) Ω_f(A₂) = Ω_f(A₂)      Ω̄_f(A₁) Ω_f(A₂) = 0      Ω̄_f(A₁) Ω̄_f(A₂) = Ω̄_f(A₁)
     Ω_m(B₁) Ω_m(B₂) = Ω_m(B₂)      Ω̄_m(B₁) Ω_m(B₂) = 0      Ω̄_m(B₁) Ω̄_m(B₂) = Ω̄_m(B₁)
@@ -19,33 +19,69 @@ from osc_contact.spatial import Array, norm
 
 
 def Omega_f(N: Array, A_inv: Array) -> Array:
-    """Ω_f(A) = N (NᵀA⁻¹N)⁻¹ NᵀA⁻¹, eq. 5: the part of a force in N. N (6, r), A_inv (6, 6)."""
+    """Projection Ω_f(A) = N (NᵀA⁻¹N)⁻¹ NᵀA⁻¹ (6, 6), eq. 5: the part of a force in range(N).
+
+    Args:
+        N: (6, r) basis of the contact forces.
+        A_inv: (6, 6) inverse of the inertia A, positive semidefinite.
+
+    Raises:
+        ContactError: see `orthonormal`.
+    """
     return _onto(N, A_inv, "Ω_f")
 
 
 def Omega_f_bar(T: Array, A: Array) -> Array:
-    """Ω̄_f(A) = A T (TᵀAT)⁻¹ Tᵀ, eq. 6: the part of a force outside N. T (6, 6−r), A (6, 6)."""
+    """Projection Ω̄_f(A) = A T (TᵀAT)⁻¹ Tᵀ (6, 6), eq. 6: the part of a force outside range(N).
+
+    Args:
+        T: (6, 6−r) basis of the free motions.
+        A: (6, 6) inertia, positive semidefinite.
+
+    Raises:
+        ContactError: see `orthonormal`.
+    """
     return _onto(T, A, "Ω̄_f").T
 
 
 def Omega_m(T: Array, B_inv: Array) -> Array:
-    """Ω_m(B) = T (TᵀB⁻¹T)⁻¹ TᵀB⁻¹, eq. 7: the part of a motion in T. T (6, 6−r), B_inv (6, 6)."""
+    """Projection Ω_m(B) = T (TᵀB⁻¹T)⁻¹ TᵀB⁻¹ (6, 6), eq. 7: the part of a motion in range(T).
+
+    Args:
+        T: (6, 6−r) basis of the free motions.
+        B_inv: (6, 6) inverse of the mobility B, positive semidefinite.
+
+    Raises:
+        ContactError: see `orthonormal`.
+    """
     return _onto(T, B_inv, "Ω_m")
 
 
 def Omega_m_bar(N: Array, B: Array) -> Array:
-    """Ω̄_m(B) = B N (NᵀBN)⁻¹ Nᵀ, eq. 8: the part of a motion outside T. N (6, r), B (6, 6)."""
+    """Projection Ω̄_m(B) = B N (NᵀBN)⁻¹ Nᵀ (6, 6), eq. 8: the part of a motion outside range(T).
+
+    Args:
+        N: (6, r) basis of the contact forces.
+        B: (6, 6) mobility, positive semidefinite.
+
+    Raises:
+        ContactError: see `orthonormal`.
+    """
     return _onto(N, B, "Ω̄_m").T
 
 
-def _onto(columns: Array, metric: Array, what: str) -> Array:
-    """N (NᵀΦN)⁻¹ NᵀΦ."""
-    E, W, _ = orthonormal(columns, metric, what)
+def _onto(columns: Array, metric: Array, subject: str) -> Array:
+    """Projection N (NᵀΦN)⁻¹ NᵀΦ (n, n) onto the range of N; for the arguments see `orthonormal`."""
+    E, W, _ = orthonormal(columns, metric, subject)
     return E @ W.T
 
 
 def Omega_f_bar_from_complement(N_prime: Array, T: Array) -> Array:
-    """Ω̄_f = N′ (TᵀN′)⁻¹ Tᵀ, eq. 3: for any complement N′ (6, 6−r) of N.
+    """Projection Ω̄_f = N′ (TᵀN′)⁻¹ Tᵀ (6, 6), eq. 3, for any complement N′ of N.
+
+    Args:
+        N_prime: (6, 6−r) basis N′ of a complement of range(N).
+        T: (6, 6−r) basis of the free motions.
 
     Raises:
         ContactError: N′ meets N, so that TᵀN′ is singular.
@@ -54,7 +90,11 @@ def Omega_f_bar_from_complement(N_prime: Array, T: Array) -> Array:
 
 
 def Omega_m_bar_from_complement(T_prime: Array, N: Array) -> Array:
-    """Ω̄_m = T′ (NᵀT′)⁻¹ Nᵀ, eq. 4: for any complement T′ (6, r) of T.
+    """Projection Ω̄_m = T′ (NᵀT′)⁻¹ Nᵀ (6, 6), eq. 4, for any complement T′ of T.
+
+    Args:
+        T_prime: (6, r) basis T′ of a complement of range(T).
+        N: (6, r) basis of the contact forces.
 
     Raises:
         ContactError: T′ meets T, so that NᵀT′ is singular.
@@ -63,17 +103,27 @@ def Omega_m_bar_from_complement(T_prime: Array, N: Array) -> Array:
 
 
 def null_space(columns: Array) -> Array:
-    """A basis (6, 6−k) of {x : columnsᵀ x = 0} for independent `columns` (6, k).
+    """Basis (6, 6−k) of {x : columnsᵀ x = 0} for independent `columns` (6, k).
 
-    Which basis is arbitrary; the space it spans is not, so no metric is implied. Columns and
-    rows are equilibrated first, so that the digits do not depend on metres or millimetres.
+    The space is unique, its basis is not: no metric is implied. Rows and columns are scaled first,
+    so that the number of correct digits does not depend on the unit of length.
     """
     rows, U, _ = span(columns)
     return U[:, columns.shape[1] :] / rows
 
 
 def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:
-    """complement (dualᵀ complement)⁻¹ dualᵀ, with a well-conditioned basis in place of both."""
+    """Projection C (DᵀC)⁻¹ Dᵀ (6, 6), computed with well-conditioned bases of the two ranges.
+
+    Args:
+        complement: C (6, k).
+        dual: D (6, k).
+        prime: name of C, for messages.
+        space: name of the space of which range(C) is to be a complement.
+
+    Raises:
+        ContactError: DᵀC is singular.
+    """
     k = dual.shape[1]
     if k == 0:
         return np.zeros((6, 6))
@@ -94,29 +144,34 @@ def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:
     return K @ np.linalg.solve(power, D.T)
 
 
-# Bases that rounding cannot spoil: of a space, of what it does no work on, and by a metric.
+# Numerically robust bases of a space, of its annihilator, and orthonormal by a metric.
 #
-# N and Φ come from outside: columns may be 1e-6 apart, Φ may be singular. Whatever divides by
-# NᵀΦN goes through `orthonormal`, which judges both. No verdict depends on units: linear and
-# angular rows are scaled by the largest of their kind, columns to unit length.
+# N and Φ are given by users: columns may differ by 1e-6, and Φ may be singular. Every formula with
+# (NᵀΦN)⁻¹ is evaluated by `orthonormal`, which checks both. No check depends on units: linear and
+# angular rows are scaled by the largest number of their kind, columns to unit length.
 
 
-# Limits, each decades above what rounding leaves and decades below any real geometry.
-#: Least singular value of unit columns. Dependent ones come out with 1e-17 … 1e-14.
+# Limits, decades above rounding errors and decades below the figures of any real geometry.
+#: Least singular value of unit columns that count as independent; dependent ones: 1e-17 … 1e-14.
 DEPENDENT = 1e-12
-#: The same for the columns of a contact; far below any real geometry.
+#: Least singular value of the unit columns of a contact that count as independent.
 INDEPENDENT = 1e-10
-#: Share of a direction within a metric, or a dual space: 1e-6 … 1; outside of it, 1e-17 … 1e-10.
+#: Least share of a direction in a metric or dual space: 1e-6 … 1 within it, 1e-17 … 1e-10 outside.
 BLOCKED = 1e-8
-#: The direction that columns hardly span is known to 1e-16 by that singular value.
+#: Over the least singular value of unit columns: error of the direction that they hardly span.
 BLURRED = 1e-13
-#: Eigenvalue of a scaled metric, by the largest. Zero comes out as 1e-17 … 1e-14.
+#: Least eigenvalue of a scaled metric over the largest; rounding makes 1e-17 … 1e-14 of zero.
 _NO_MOBILITY = 1e-12
+#: Largest difference from symmetry of a scaled metric.
 _ASYMMETRIC = 1e-9
 
 
 def scaled_columns(columns: Array, name: str = "N") -> tuple[Array, Array]:
-    """Columns (n, k) scaled to unit length, and their lengths (k,); `name` is that of the matrix.
+    """Scale columns (n, k) to unit length; return them and their lengths (k,).
+
+    Args:
+        columns: (n, k).
+        name: name of the matrix, for messages.
 
     Raises:
         ContactError: a column is zero.
@@ -128,7 +183,7 @@ def scaled_columns(columns: Array, name: str = "N") -> tuple[Array, Array]:
 
 
 def independent(scaled: Array) -> bool:
-    """Whether scaled columns (6, k) are independent."""
+    """Return whether columns (6, k) of unit length are independent."""
     k = scaled.shape[1]
     if k < 2:
         return True
@@ -136,10 +191,14 @@ def independent(scaled: Array) -> bool:
 
 
 def require_independent(columns: Array, name: str) -> None:
-    """Refuse zero and dependent columns (6, k), naming them.
+    """Refuse zero and dependent columns.
+
+    Args:
+        columns: (6, k).
+        name: name of the matrix, for messages.
 
     Raises:
-        ContactError: with the columns involved.
+        ContactError: a column is zero, or columns are dependent; the message names them.
     """
     if columns.shape[1] > 6:
         raise ContactError(
@@ -158,11 +217,14 @@ def require_independent(columns: Array, name: str) -> None:
 
 
 def span(columns: Array) -> tuple[Array, Array, Array]:
-    """rows (n, 1), U (n, n) and C (k, k) with N = (rows U[:, :k]) C; U orthogonal.
+    """Factors rows (n, 1), U (n, n) and C (k, k) of N = (rows U[:, :k]) C; U is orthogonal.
 
-    N (n, k), k ≤ n, has the well-conditioned basis rows U[:, :k], the same for whatever metric
-    follows, and exactly this basis does no work on U[:, k:] / rows. Six rows are three linear and
-    three angular ones; any other number is taken to be of one kind.
+    rows U[:, :k] is a well-conditioned basis of range(N); U[:, k:] / rows is a basis of its
+    annihilator. `rows` scales the units: six rows are three linear and three angular ones, any
+    other number of rows is of one kind.
+
+    Args:
+        columns: N (n, k), k ≤ n.
     """
     n = len(columns)
     rows = np.ones((n, 1))
@@ -175,16 +237,18 @@ def span(columns: Array) -> tuple[Array, Array, Array]:
 
 
 def unit_diagonal(
-    matrix: Array, what: str, cure: str, refusal: type[OscContactError]
+    matrix: Array, name: str, cure: str, refusal: type[OscContactError]
 ) -> tuple[Array, Array]:
-    """A positive definite matrix (n, n) scaled to unit diagonal, and (n,) roots of the latter.
+    """Scale a positive definite matrix to unit diagonal; return it and the roots (n,) of its own.
 
     Args:
-        matrix: to be judged. what: it is, and cure: what to give, for the message.
-        refusal: kind of the error.
+        matrix: (n, n).
+        name: name of the matrix, for messages.
+        cure: proper input, for messages.
+        refusal: class of the error.
 
     Raises:
-        OscContactError: it is singular up to rounding, asymmetric, or not finite.
+        OscContactError: the matrix is singular up to rounding, asymmetric, or not finite.
     """
     diagonal = np.diag(matrix)
     if np.isfinite(matrix).all() and diagonal.min(initial=1.0) > 0.0:
@@ -194,27 +258,34 @@ def unit_diagonal(
         if skewed <= _ASYMMETRIC and np.linalg.eigvalsh(scaled).min(initial=1.0) > _NO_MOBILITY:
             return (scaled, size)
     raise refusal(
-        f"{what} is not symmetric positive definite (diagonal {np.round(diagonal, 9)}); give {cure}"
+        f"{name} is not symmetric positive definite (diagonal {np.round(diagonal, 9)}); give {cure}"
     )
 
 
 def least(columns: Array) -> tuple[float, list[int]]:
-    """The least singular value of unit columns (n, k), k ≤ n, and which columns it is made of."""
+    """Least singular value of columns (n, k), k ≤ n, scaled to unit length, and its columns.
+
+    Those are the indices of columns with a share in the right singular vector.
+    """
     _, S, Vt = np.linalg.svd(_unit(columns)[0], full_matrices=False)
     return (float(S[-1]), _large(Vt[-1]))
 
 
-def orthonormal(columns: Array, metric: Array, what: str) -> tuple[Array, Array, Array]:
-    """E, W (n, k) and G (k, k) with E = NG, EᵀΦE = 1, W = ΦE: range(N) made orthonormal by Φ.
+def orthonormal(columns: Array, metric: Array, subject: str) -> tuple[Array, Array, Array]:
+    """Basis E of range(N) that is orthonormal in the metric Φ: E = NG, EᵀΦE = 1, W = ΦE.
 
-    Every law with (NᵀΦN)⁻¹ = GGᵀ follows. NᵀΦN itself is never formed, which would square the
-    condition: of columns 1e-6 apart four digits would be left. With the sizes s of Φ's rows and
-    Φ = sFFᵀs: sN = QM, FᵀQ = PΣZᵀ, E = s⁻¹QZΣ⁻¹, W = sFP, G = M⁻¹ZΣ⁻¹.
+    Formulas with (NᵀΦN)⁻¹ = GGᵀ follow from E, W and G. NᵀΦN itself is not formed, as that would
+    square the condition number: four digits would be left for columns that differ by 1e-6. With
+    the sizes s of the rows of Φ and Φ = sFFᵀs: sN = QM, FᵀQ = PΣZᵀ, E = s⁻¹QZΣ⁻¹, W = sFP,
+    G = M⁻¹ZΣ⁻¹.
 
     Args:
         columns: N (n, k).
         metric: Φ (n, n), symmetric positive semidefinite, of any rank.
-        what: is being made, for messages.
+        subject: name of the result that is computed, for messages.
+
+    Returns:
+        E (n, k), W (n, k) and G (k, k).
 
     Raises:
         ContactError: Φ is not symmetric or has a negative eigenvalue; the columns are dependent;
@@ -224,77 +295,93 @@ def orthonormal(columns: Array, metric: Array, what: str) -> tuple[Array, Array,
     if k == 0:
         return (np.zeros((n, 0)), np.zeros((n, 0)), np.zeros((0, 0)))
     if k > n:
-        raise ContactError(f"{what}: {k} columns of {n} numbers are dependent. Remove some.")
-    sizes, F = _factor(metric, what)
+        raise ContactError(f"{subject}: {k} columns of {n} numbers are dependent. Remove some.")
+    sizes, F = _factor(metric, subject)
     rows, U, C = span(columns)
     Q, M = np.linalg.qr(sizes * rows * U[:, :k])
     M = M @ C
     independent = np.linalg.svd(_unit(M)[0], compute_uv=False)[-1]
     P, Sigma, Zt = np.linalg.svd(F.T @ Q, full_matrices=False)
     if independent < DEPENDENT or Sigma[-1] < max(BLOCKED, BLURRED / independent):
-        _refuse(M, F.T @ Q, Zt[-1], what)
+        _refuse(M, F.T @ Q, Zt[-1], subject)
     Z = Zt.T / Sigma
     return (Q @ Z / sizes, sizes * (F @ P), np.linalg.solve(M, Z))
 
 
-def left_inverse(columns: Array, metric: Array, what: str) -> Array:
-    """(NᵀΦN)⁻¹NᵀΦ (k, n), the left inverse of N (n, k) that Φ (n, n) makes; see `orthonormal`.
+def left_inverse(columns: Array, metric: Array, subject: str) -> Array:
+    """Left inverse (NᵀΦN)⁻¹NᵀΦ (k, n) of N by the metric Φ.
 
     Args:
-        columns: (n, k), independent. metric: (n, n). what: they are, for the message.
+        columns: N (n, k), independent.
+        metric: Φ (n, n), symmetric positive semidefinite.
+        subject: name of the columns, for messages.
+
+    Raises:
+        ContactError: see `orthonormal`.
     """
-    _, W, G = orthonormal(columns, metric, what)
+    _, W, G = orthonormal(columns, metric, subject)
     return G @ W.T
 
 
-def _refuse(M: Array, X: Array, unseen: Array, what: str) -> NoReturn:
-    """Say why: one column, dependent columns, or a combination (k,) of those that M maps to."""
+def _refuse(M: Array, X: Array, unseen: Array, subject: str) -> NoReturn:
+    """Raise the error of `orthonormal`: a zero column, dependent columns, or a blocked combination.
+
+    Args:
+        M: (k, k) coordinates of the columns in an orthonormal basis Q.
+        X: (m, k) FᵀQ, whose columns are the directions of Q in the metric.
+        unseen: (k,) right singular vector of X with the least singular value.
+        subject: name of the result that is computed.
+    """
     unit, length = _unit(M)
     seen = np.linalg.norm(X @ unit, axis=0)
     column = seen.argmin()
     independent, which = least(M)
     if seen[column] < BLOCKED:
         raise ContactError(
-            f"{what}: column {column} has nᵀΦn = {(seen * length)[column] ** 2:.3g}, its root "
+            f"{subject}: column {column} has nᵀΦn = {(seen * length)[column] ** 2:.3g}, its root "
             f"{seen[column]:.2g} of what it may be (limit {BLOCKED:g}); the metric cannot move "
             "along it. Drop that contact, or pass a metric that is definite on N."
         )
     if independent < DEPENDENT:
         raise ContactError(
-            f"{what}: columns {which} are dependent (least singular value of unit columns "
+            f"{subject}: columns {which} are dependent (least singular value of unit columns "
             f"{independent:.2g}, limit {DEPENDENT:g}). Remove the redundant ones."
         )
     share = norm(X @ unseen)
     which = _large(np.linalg.solve(unit, unseen))
     raise ContactError(
-        f"{what}: columns {which} are dependent in the metric (least singular value "
+        f"{subject}: columns {which} are dependent in the metric (least singular value "
         f"{share:.2g}, limit {max(BLOCKED, BLURRED / independent):.2g}); it cannot move along one "
         "combination of them. Drop a contact, or pass a metric that is definite on N."
     )
 
 
 def _unit(columns: Array) -> tuple[Array, Array]:
-    """Columns of unit length, and the length that each had; one without any stays zero."""
+    """Scale columns (n, k) to unit length; return them and the divisors (k,), 1 for zero ones."""
     length = np.linalg.norm(columns, axis=0)
     length[length == 0.0] = 1.0
     return (columns / length, length)
 
 
 def _large(weights: Array) -> list[int]:
-    """Which of them are not next to nothing."""
+    """Indices of the weights (k,) above 0.1 % of the largest one."""
     size = np.abs(weights)
     return np.flatnonzero(size > 1e-3 * size.max()).tolist()
 
 
-def _factor(metric: Array, what: str) -> tuple[Array, Array]:
-    """sizes (n, 1) and F (n, n) of norm 1 with metric = (sizes F)(sizes F)ᵀ.
+def _factor(metric: Array, subject: str) -> tuple[Array, Array]:
+    """Factors sizes (n, 1) and F (n, n), of norm 1, with metric = (sizes F)(sizes F)ᵀ.
 
-    Sizes are those of the largest diagonal element of a kind: linear and angular in six
-    dimensions, each its own kind otherwise. Eigenvalues that are rounding errors, of either sign,
-    become zero: their roots would be 1e-8.
+    A size is the root of a diagonal element: in six dimensions that of the largest linear or
+    angular one, else that of its own row. Eigenvalues within rounding errors of zero become zero,
+    as their roots would be 1e-8.
+
+    Args:
+        metric: (n, n), symmetric positive semidefinite.
+        subject: name of the result that is computed, for messages.
 
     Raises:
-        ContactError: not symmetric, or a negative eigenvalue.
+        ContactError: the metric is not symmetric, or has a negative eigenvalue.
     """
     diagonal = np.maximum(np.diag(metric), 0.0)
     if len(diagonal) == 6:
@@ -304,13 +391,13 @@ def _factor(metric: Array, what: str) -> tuple[Array, Array]:
     skew = np.abs(scaled - scaled.T).max()
     if skew > _ASYMMETRIC:
         raise ContactError(
-            f"{what}: the metric is not symmetric (relative difference {skew:.3g}); "
+            f"{subject}: the metric is not symmetric (relative difference {skew:.3g}); "
             "inertias and inverse inertias are"
         )
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     if values[0] < -_ASYMMETRIC:
         raise ContactError(
-            f"{what}: the scaled metric has smallest eigenvalue {values[0]:.3g}; that of an "
+            f"{subject}: the scaled metric has smallest eigenvalue {values[0]:.3g}; that of an "
             "inertia or inverse inertia is not negative. Pass a positive semidefinite metric."
         )
     values[values < _NO_MOBILITY * values[-1]] = 0.0

@@ -1,4 +1,4 @@
-"""Equations 17 to 20: how a closed chain in contact accelerates, and how hard it presses."""
+"""Acceleration and contact force of a closed chain under a command, equations 17 to 20."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from osc_contact.spatial import Array, as_array
 
 @dataclass(frozen=True)
 class ContactResponse:
-    """What follows from a command, all at O in world axes.
+    """Acceleration and contact force under a command, at O in world axes.
 
     Attributes:
-        acceleration: (6,) spatial acceleration of the object, S η̇ + σ.
-        eta_dot: (d,) its coordinates.
-        alpha: (r,) contact force magnitudes.
-        f_c: (6,) contact force on the environment, N α (eq. 16).
-        a_e: (6,) acceleration of the environment (eq. 14).
+        acceleration: (6,) spatial acceleration of the object, S η̇ + σ (m/s², rad/s²).
+        eta_dot: (d,) coordinates η̇ of the acceleration in S.
+        alpha: (r,) contact force magnitudes α (N).
+        f_c: (6,) contact force on the environment, N α (eq. 16) (N, N m).
+        a_e: (6,) spatial acceleration of the environment (eq. 14) (m/s², rad/s²).
 
     Example:
         >>> state = osc.build_rig(osc.load_scenario("two_contact_rod")).state
@@ -53,11 +53,11 @@ def contact_response(
         η̇ = Λ_S⁻¹(f_S − b_S − SᵀNα)
 
     Args:
-        state: of the chain.
+        state: state of the chain, with S, σ, Λ_S, b_S and Φ₀.
         contact: N and n_γ.
-        environment: Φ_e and b_e; default: fixed.
-        f_S: (d,) generalised force on the object, or
-        tau: (n_a,) motor torques, f_S = G τ. Give exactly one of the two.
+        environment: Φ_e and b_e; None: a fixed environment.
+        f_S: (d,) generalised force on the object (N, N m); give either f_S or tau.
+        tau: (n_a,) motor torques (N m, N), with f_S = G τ.
 
     Raises:
         InvalidInputError: not exactly one of f_S and tau, or wrong sizes.
@@ -88,13 +88,17 @@ def contact_response(
 
 
 def Lambda_rel(state: ChainState, environment: Environment) -> Array:
-    """Λ_rel = (Λ₀⁻¹ + Φ_e)⁻¹ (6, 6), the relative inertia of eqs. 17 to 25, with Φ₀ for Λ₀⁻¹.
+    """Relative inertia Λ_rel = (Λ₀⁻¹ + Φ_e)⁻¹ (6, 6) of eqs. 17 to 25, with Φ₀ for Λ₀⁻¹.
 
-    It exists where chain and environment together can accelerate in all six directions. All that
-    contact needs is its inverse, Φ₀ + Φ_e, which always exists.
+    Λ_rel exists if chain and environment together can accelerate in all six directions. Its
+    inverse Φ₀ + Φ_e, by which forces are computed, always exists.
+
+    Args:
+        state: state of the chain, with Φ₀.
+        environment: Φ_e.
 
     Raises:
-        ModelError: a direction in which neither of them can move.
+        ModelError: chain and environment are both locked in some direction.
     """
     L = np.linalg.cholesky(state.metric)  # dimensionless in the object's energy metric
     relative = L.T @ (state.Phi + environment.Phi_e) @ L
@@ -110,15 +114,17 @@ def Lambda_rel(state: ChainState, environment: Environment) -> Array:
 
 
 def require_reachable(state: ChainState, contact: Contact, Phi_e: Array | None = None) -> None:
-    """Refuse contacts on which the arms cannot push: rank SᵀN < r, scaled to unit diagonal.
+    """Refuse contacts whose forces the arms cannot control: rank SᵀN < r.
 
     Args:
-        state, contact: at this instant.
-        Phi_e: (6, 6) if given, contacts where only the environment yields are accepted too: their
-            force is well defined, though no command reaches it.
+        state: state of the chain.
+        contact: N (6, r) at this state.
+        Phi_e: (6, 6) inverse inertia of the environment; with it, contacts at which only the
+            environment yields are accepted as well: their force is defined, though no command
+            changes it.
 
     Raises:
-        ContactError: with the column concerned.
+        ContactError: the message names the column of N.
     """
     who = "the arms" if Phi_e is None else "the arms and the environment"
     N = contact.N

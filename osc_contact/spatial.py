@@ -47,9 +47,10 @@ Kind = TypeVar("Kind", bound=type)
 
 @dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(field,))
 def geometry(kind: Kind) -> Kind:
-    """Class decorator: make a frozen dataclass, whose `Coordinates` take numbers of any kind.
+    """Class decorator: make a frozen dataclass whose `Coordinates` accept numbers of any kind.
 
-    That is stated to type checkers; `__post_init__` of the class makes arrays of them.
+    Type checkers see array-likes as arguments and arrays as attributes; `__post_init__` of the
+    class converts them.
     """
     dataclass(frozen=True, eq=False)(kind)
     return kind
@@ -58,10 +59,12 @@ def geometry(kind: Kind) -> Kind:
 def as_array(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
     """Return `value` as a finite float64 array of `shape` (None: any size along that axis).
 
-    Where a vector of any size is expected, (None,), a plain number is one of one element.
+    Where `shape` is (None,), a plain number becomes a vector of one element.
 
     Args:
-        name: of the argument, for the message. value: anything NumPy reads. shape: expected.
+        name: name of the argument, for messages.
+        value: numbers as NumPy reads them, such as a list or an array.
+        shape: expected shape.
 
     Raises:
         InvalidInputError: wrong number of axes, wrong size or a NaN/inf, with what was found.
@@ -86,10 +89,13 @@ def as_pose(name: str, position: object, rotation: object) -> SE3:
     """Return the pose of `position` (3,) and rotation matrix `rotation` (3, 3).
 
     Args:
-        name: of the argument, for the message. position: m. rotation: R, axes as columns.
+        name: name of the argument, for messages.
+        position: p (m).
+        rotation: R, whose columns are the axes.
 
     Raises:
-        InvalidInputError: wrong shapes, a NaN/inf, or no rotation: RᵀR ≠ 1 (by 1e-6) or det R < 0.
+        InvalidInputError: wrong shapes, a NaN/inf, or a matrix that is not a rotation: RᵀR differs
+            from 1 by more than 1e-6, or det R < 0.
     """
     p = as_array(f"{name} position", position, (3,))
     R = as_array(f"{name} rotation", rotation, (3, 3))
@@ -103,7 +109,11 @@ def as_pose(name: str, position: object, rotation: object) -> SE3:
 
 
 def unit_vector(name: str, value: object) -> Array:
-    """`value` (3,) normalised; `name` is that of the argument.
+    """Return `value` (3,) scaled to unit length.
+
+    Args:
+        name: name of the argument, for messages.
+        value: three numbers as NumPy reads them.
 
     Raises:
         InvalidInputError: wrong shape, not finite or zero.
@@ -121,24 +131,24 @@ def norm(x: Array) -> float:
 
 
 def cross(x: Array, y: Array) -> Array:
-    """x × y of 3-vectors along the first axis: (3,), (3, k), …"""
+    """Cross products x × y of 3-vectors along the first axis: (3,), (3, k), …"""
     return np.array(
         (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
     )
 
 
 def skew(x: Array) -> Array:
-    """The matrix [x]× with [x]× y = x × y; x (3,)."""
+    """Matrix [x]× (3, 3) with [x]× y = x × y, for x (3,)."""
     return pin.skew(x)
 
 
 def axial(A: Array) -> Array:
-    """The vector x with [x]× = A − Aᵀ; A (3, 3), or at k times (3, 3, k)."""
+    """Vector x (3,) with [x]× = A − Aᵀ for A (3, 3), or (3, k) for A (3, 3, k) at k times."""
     return np.array((A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]))
 
 
 def columns_of(J: Array) -> Array:
-    """(6, n) of a Jacobian of Pinocchio's, which has the shape (6,) where one joint moves."""
+    """Jacobian of Pinocchio as a matrix (6, n); for one joint Pinocchio's has the shape (6,)."""
     return np.reshape(J, (6, -1))
 
 
@@ -165,17 +175,22 @@ def carry_wrench(F: Array, start: Array, end: Array) -> Array:
 
 
 def cross_twist(V: Array, U: Array) -> Array:
-    """V × U (6,), the rate of a motion U carried along by a body of twist V."""
+    """Rate V × U (6,) of a motion U (6,) that is fixed to a body of twist V (6,)."""
     return pin.Motion(V).cross(pin.Motion(U)).vector
 
 
 def cross_wrench(V: Array, F: Array) -> Array:
-    """V ×* F (6,), the rate of a wrench F carried along by a body of twist V."""
+    """Rate V ×* F (6,) of a wrench F (6,) that is fixed to a body of twist V (6,)."""
     return pin.Motion(V).cross(pin.Force(F)).vector
 
 
 def classical_to_spatial(a_classical: Array, V: Array) -> Array:
-    """Spatial acceleration from the classical one of the same point: a − [ω × v; 0]."""
+    """Spatial acceleration a − [ω × v; 0] from the classical acceleration a of the same point.
+
+    Args:
+        a_classical: (6,) m/s², rad/s².
+        V: (6,) twist at that point, m/s, rad/s.
+    """
     out = np.array(a_classical, dtype=np.float64)
     out[:3] -= cross(V[3:], V[:3])
     return out
@@ -188,7 +203,7 @@ def pose_error(X_WD: SE3, X_WO: SE3) -> Array:
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:
-    """The blocks along the diagonal of a matrix of zeros."""
+    """Block-diagonal matrix of the given matrices, which need not be square."""
     corners = np.cumsum([(0, 0), *(block.shape for block in blocks)], axis=0)
     out = np.zeros(tuple(corners[-1]))
     for block, (i, j) in zip(blocks, corners, strict=False):
@@ -198,32 +213,33 @@ def block_diagonal(blocks: Sequence[Array]) -> Array:
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses at k times, which run along the last axis: R (3, 3, k) and p (3, k), as in `pin.SE3`.
+    """Poses at k times along the last axis: R (3, 3, k) and p (3, k) (m), as in `pin.SE3`.
 
-    Either may have one column where it is the same at all times.
+    A rotation or position that is constant may have a last axis of length 1.
     """
 
     R: Array
     p: Array
 
     def __getitem__(self, i: int) -> SE3:
-        R, p = (x[..., min(i, x.shape[-1] - 1)] for x in (self.R, self.p))
+        R = self.R[..., min(i, self.R.shape[-1] - 1)]
+        p = self.p[..., min(i, self.p.shape[-1] - 1)]
         return SE3(R, p)
 
     def rotate(self, x: Array) -> Array:
-        """Vectors x, see `rotated`, of the body in world axes."""
+        """Vectors in world axes, from x (3, k) or (3, m, k) in body axes."""
         return rotated(self.R, x)
 
     def act(self, x: Array) -> Array:
-        """Points x of the body in the world."""
+        """Points in world coordinates, from x (3, k) or (3, m, k) in body coordinates."""
         return self.p + self.rotate(x)
 
     def rotate_back(self, x: Array) -> Array:
-        """Vectors x of the world in body axes."""
+        """Vectors in body axes, from x (3, k) or (3, m, k) in world axes."""
         return rotated(self.R.transpose(1, 0, 2), x)
 
     def coordinates(self, k: int) -> Array:
-        """(k, 7) position and quaternion x, y, z, w, as `pin.SE3ToXYZQUAT` gives them."""
+        """Position and quaternion x, y, z, w (k, 7), in the order of `pin.SE3ToXYZQUAT`."""
         out = np.empty((k, 7))
         out[:, :3] = self.p.T
         out[:, 3:] = _quaternions(self.R)
@@ -231,8 +247,14 @@ class Poses:
 
 
 def rotated(R: Array, x: Array) -> Array:
-    """R x at k times: R (3, 3, k) and x (3, k), or the columns of x (3, m, k); k or 1 of each."""
-    R = R[:, :, None] if x.ndim == 3 else R
+    """Products R x at k times.
+
+    Args:
+        R: (3, 3, k) rotations; a last axis of length 1 stands for a constant one.
+        x: (3, k), or (3, m, k) for m vectors at each time.
+    """
+    if x.ndim == 3:
+        R = R[:, :, None]
     out = R[:, 0] * x[0]
     out += R[:, 1] * x[1]
     out += R[:, 2] * x[2]
@@ -240,7 +262,7 @@ def rotated(R: Array, x: Array) -> Array:
 
 
 def rotations(w: Array) -> Array:
-    """(3, 3, k) rotations by the vectors w (3, k): 1 + a [w]× + b [w]×², Rodrigues' formula."""
+    """Rotations exp([w]×) = 1 + a [w]× + b [w]×² (3, 3, k) for w (3, k), by Rodrigues' formula."""
     angle = np.sqrt((w * w).sum(axis=0))
     a = np.sinc(angle / np.pi)
     b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
@@ -251,7 +273,12 @@ def rotations(w: Array) -> Array:
 
 
 def moved(X: Array, d: Array) -> Array:
-    """(k, B, 4, 4) poses X (B, 4, 4) after displacements d (k, B, 6): m, rad, world axes."""
+    """Poses (k, B, 4, 4) after displacements from X (B, 4, 4), in world axes.
+
+    Args:
+        X: (B, 4, 4) homogeneous matrices.
+        d: (k, B, 6) shift of the origin, then rotation vector (m, rad).
+    """
     k, B = d.shape[:2]
     E = rotations(d[..., 3:].reshape(k * B, 3).T).transpose(2, 0, 1).reshape(k, B, 3, 3)
     out = np.tile(X, (k, 1, 1, 1))
@@ -261,7 +288,10 @@ def moved(X: Array, d: Array) -> Array:
 
 
 def _quaternions(R: Array) -> Array:
-    """(k, 4) x, y, z, w of R (3, 3, k), with w ≥ 0 or, for turns of more than 120°, as Eigen."""
+    """Unit quaternions x, y, z, w (k, 4) of rotations R (3, 3, k).
+
+    Rotations by at most 120° are given with w ≥ 0; Eigen converts the larger ones.
+    """
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     size = np.sqrt(np.maximum(trace, 0.0) + 1.0)
     vector = axial(R) * (0.5 / size)
