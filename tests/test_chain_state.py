@@ -97,29 +97,24 @@ def assert_chain(case, v, V, s, rng):
     carried = S.T @ s.payload.Lambda
     weight = s.payload.mu + s.payload.p
     bias = s.W.T @ (s.h + s.M @ s.w) + S.T @ weight + carried @ s.sigma
-    for name, got, expected, *tolerance in (
+    for name, got, expected, tolerance in (
         ("S", onto(S), onto(oracle.S), 1e-7),
-        ("C", s.C.T @ S, 0.0),
-        ("least σ", S.T @ s.metric @ s.sigma, 0.0),
-        ("W", rows @ np.vstack((s.W, S)), 0.0),
-        (
-            "w",
-            rows @ np.append(s.w, s.sigma + product(V)),
-            system.right,
-            1e-7,
-        ),
-        ("Λ_S", s.Lambda_S, s.W.T @ s.M @ s.W + carried @ S),
-        ("payload", s.payload.Lambda, system.I),
-        ("b_S", s.b_S, bias),
-        ("bias of the object", weight, system.I @ product(V) - system.pull),
-        ("G", s.G, s.W.T[:, case.chain.actuated]),
-        ("Φ", s.Phi, S @ solve(s.Lambda_S, S.T)),
+        ("C", s.C.T @ S, 0.0, 1e-8),
+        ("least σ", S.T @ s.metric @ s.sigma, 0.0, 1e-8),
+        ("W", rows @ np.vstack((s.W, S)), 0.0, 1e-8),
+        ("w", rows @ np.append(s.w, s.sigma + product(V)), system.right, 1e-7),
+        ("Λ_S", s.Lambda_S, s.W.T @ s.M @ s.W + carried @ S, 1e-8),
+        ("payload", s.payload.Lambda, system.I, 1e-8),
+        ("b_S", s.b_S, bias, 1e-8),
+        ("bias of the object", weight, system.I @ product(V) - system.pull, 1e-8),
+        ("G", s.G, s.W.T[:, case.chain.actuated], 1e-8),
+        ("Φ", s.Phi, S @ solve(s.Lambda_S, S.T), 1e-8),
         ("SᵀΛS", S.T @ s.Lambda @ S, s.Lambda_S, 1e-9),
-        ("μ_S", S.T @ (s.mu + s.Lambda @ s.sigma), s.mu_S),
+        ("μ_S", S.T @ (s.mu + s.Lambda @ s.sigma), s.mu_S, 1e-8),
         ("p_S", S.T @ s.p, s.p_S, 1e-9),
         ("μ_S + p_S", s.mu_S + s.p_S, s.b_S, 1e-9),
     ):
-        assert_close(got, expected, *tolerance, name=name)
+        assert_close(got, expected, tolerance=tolerance, name=name)
     assert s.C.shape[1] == 6 - s.d == 6 - oracle.S.shape[1]
     undriven = matrix_rank(S, 1e-9) - matrix_rank(s.G, 1e-6)
     assert s.unactuated.shape[1] == undriven
